@@ -1,0 +1,103 @@
+"""Everything that can go wrong, in one tree.
+
+    Vlp16emuError
+    |-- InputError           what the user gave is wrong: the command line exits with 2
+    |   |-- ScenarioError    a scene file: unknown key, wrong type, value out of range
+    |   |-- GeometryError    a mesh, a terrain, a stand
+    |   |-- TrajectoryError  a path or recorded poses
+    |   |-- PacketError      bytes that are no VLP-16 packet
+    |   |-- CaptureError     a file that is no readable pcap
+    |   `-- OutputError      a file or port that cannot be opened
+    |-- MissingExtraError    an optional library is not installed: exits with 2
+    `-- RunError             the run itself failed (disk full, device gone): exits with 1
+
+Every message says where, what was found and what was expected.
+"""
+
+__all__ = [
+    "CaptureError",
+    "GeometryError",
+    "InputError",
+    "MissingExtraError",
+    "OutputError",
+    "PacketError",
+    "RunError",
+    "ScenarioError",
+    "TrajectoryError",
+    "Vlp16emuError",
+]
+
+
+class Vlp16emuError(Exception):
+    """Base of all errors that vlp16emu raises on purpose."""
+
+    exit_code = 1
+
+
+class InputError(Vlp16emuError):
+    """Bad input, told in one line.
+
+    Parameters
+    ----------
+    where : file, key path, packet number or argument
+    found : what stands there
+    expected : what would have been right; left out where the finding says it all
+    """
+
+    exit_code = 2
+
+    def __init__(self, where: str, found: str, expected: str | None = None) -> None:
+        self.where, self.found, self.expected = where, found, expected
+        super().__init__(where, found, expected)
+
+    def __str__(self) -> str:
+        line = f"{self.where}: {self.found}"
+        return line if self.expected is None else f"{line}; expected {self.expected}"
+
+
+class ScenarioError(InputError):
+    """A scene file that cannot be read as a scene."""
+
+
+class GeometryError(InputError):
+    """A mesh, terrain or stand that cannot be scanned."""
+
+
+class TrajectoryError(InputError):
+    """A path that nobody can walk."""
+
+
+class PacketError(InputError):
+    """Bytes that are no VLP-16 packet."""
+
+
+class CaptureError(InputError):
+    """A file that is no readable capture."""
+
+
+class OutputError(InputError):
+    """A file or port that cannot be opened for output."""
+
+
+class MissingExtraError(Vlp16emuError):
+    """An optional library is not installed.
+
+    Parameters
+    ----------
+    library : name of the missing library
+    extra : name of the extra that brings it
+    purpose : what it is needed for
+    """
+
+    exit_code = 2
+
+    def __init__(self, library: str, extra: str, purpose: str) -> None:
+        self.library, self.extra, self.purpose = library, extra, purpose
+        super().__init__(library, extra, purpose)
+
+    def __str__(self) -> str:
+        return f"{self.purpose} needs {self.library}: pip install 'vlp16emu[{self.extra}]'"
+
+
+class RunError(Vlp16emuError):
+    """A run that started well and could not be finished."""

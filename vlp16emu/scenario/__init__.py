@@ -1,0 +1,7 @@
+"""What the user wrote: the scene file as a frozen, strict tree."""
+
+from vlp16emu.scenario.find import find, scene_files
+from vlp16emu.scenario.load import load
+from vlp16emu.scenario.model import Scenario
+
+__all__ = ["Scenario", "find", "load", "scene_files"]

@@ -1,0 +1,297 @@
+"""The types that travel between the rooms. Frozen, slots, shapes checked once when made.
+
+Letters in shapes: k firing sequences in a batch, L lasers in **wire order** (16 on a VLP-16),
+s sub-rays per pulse, m surfaces, n anything else.
+
+Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up; `sensor` is the
+manual's, azimuth 0 on +y and clockwise seen from above (63-9243 Rev D, section 9.1). `world_T_body`
+takes body coordinates to world coordinates, and `world_T_body @ body_T_sensor` reads left to right.
+"""
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "NO_SURFACE",
+    "SURFACE",
+    "Firings",
+    "GnssFix",
+    "HeightField",
+    "Hits",
+    "Mesh",
+    "Packet",
+    "PacketKind",
+    "PlantPart",
+    "Poses",
+    "PpsState",
+    "ReturnMode",
+    "Returns",
+    "Semantic",
+    "SensorModel",
+    "ShapeKey",
+    "Window",
+    "World",
+]
+
+
+class ReturnMode(StrEnum):
+    """Which echoes the sensor reports (63-9243 Rev D, section 6)."""
+
+    STRONGEST = "strongest"
+    LAST = "last"
+    DUAL = "dual"
+
+
+class SensorModel(StrEnum):
+    """Sensors whose packets we make."""
+
+    VLP_16 = "vlp-16"
+    PUCK_LITE = "puck-lite"
+    PUCK_HI_RES = "puck-hi-res"
+
+
+class PpsState(IntEnum):
+    """State of the pulse-per-second input, with the value it has on the wire (63-9243 Rev D, section 9.3.3)."""
+
+    ABSENT = 0
+    SYNCHRONIZING = 1
+    LOCKED = 2
+    ERROR = 3
+
+
+class PacketKind(StrEnum):
+    """What a packet is."""
+
+    DATA = "data"
+    POSITION = "position"
+    NMEA = "nmea"
+
+
+class Semantic(IntEnum):
+    """Semantic class of a surface."""
+
+    NONE = 0
+    GROUND = 1
+    TREE = 2
+    SHRUB = 3
+    STONE = 4
+    DEADWOOD = 5
+    GRASS = 6
+    OTHER = 7
+
+
+class PlantPart(IntEnum):
+    """Part of a plant. Leaf or wood follows from it: leaf is `LEAF`, all others but `NONE` are wood."""
+
+    NONE = 0
+    STEM = 1
+    BRANCH_FIRST_ORDER = 2
+    BRANCH_HIGHER_ORDER = 3
+    LEAF = 4
+    ROOT_FLARE = 5
+    DEAD_BRANCH = 6
+
+
+SURFACE = np.dtype(
+    [
+        ("reflectance", "<f4"),  # Lambertian, at 903 nm, 0..1
+        ("material", "<u2"),  # number in the world's list of materials
+        ("semantic", "u1"),  # Semantic
+        ("part", "u1"),  # PlantPart
+        ("instance", "<u4"),  # 0 none, else unique per plant, stone or object
+        ("species", "<u2"),  # 0 none, else number in the species table
+    ]
+)
+"""One row of a window's surface table."""
+
+NO_SURFACE = np.uint32(0xFFFFFFFF)
+"""Surface of a pulse that hit nothing."""
+
+ShapeKey = Hashable
+"""Name of a shape: the same key always means the same bytes of geometry."""
+
+
+def _check(owner: object, name: str, array: NDArray[Any], dtype: str, *shape: int | None) -> None:
+    """Guard one array: its dtype, its number of axes, and every axis that is not None."""
+    fits = (
+        isinstance(array, np.ndarray)
+        and array.dtype == np.dtype(dtype)
+        and len(array.shape) == len(shape)
+        and all(want is None or have == want for have, want in zip(array.shape, shape, strict=True))
+    )
+    if not fits:
+        want = "(" + ", ".join("n" if axis is None else str(axis) for axis in shape) + ")"
+        found = f"{array.shape} {array.dtype}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise ValueError(f"{type(owner).__name__}.{name}: found {found}, expected {want} {np.dtype(dtype)}")
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """Where the body is at n instants; n = 1 stands for a body that never moves."""
+
+    t_ns: NDArray[np.int64]
+    """(n,) UTC."""
+    world_R_body: NDArray[np.float64]
+    """(n, 3, 3) rotation, body to world."""
+    world_p_body_m: NDArray[np.float64]
+    """(n, 3) origin of the body in the world."""
+
+    def __post_init__(self) -> None:
+        n = len(self.t_ns)
+        _check(self, "t_ns", self.t_ns, "i8", None)
+        _check(self, "world_R_body", self.world_R_body, "f8", n, 3, 3)
+        _check(self, "world_p_body_m", self.world_p_body_m, "f8", n, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Firings:
+    """k firing sequences of L lasers, each pulse with its own instant, origin and direction."""
+
+    index: int
+    """Number of the first firing sequence since the run began."""
+    t_ns: NDArray[np.int64]
+    """(k, L) UTC of each pulse."""
+    clock_ns: NDArray[np.int64]
+    """(k,) what the sensor's own clock shows at the first laser, ns past its hour."""
+    azimuth_deg: NDArray[np.float64]
+    """(k, L) true rotor angle of each pulse, [0, 360)."""
+    reading_deg: NDArray[np.float64]
+    """(k,) what the encoder reads at the first laser, [0, 360); differs from the truth by its errors."""
+    origin_m: NDArray[np.float64]
+    """(k, L, 3) world; the point on the spin axis from which the range is reckoned."""
+    direction: NDArray[np.float64]
+    """(k, L, 3) world, unit length."""
+
+    def __post_init__(self) -> None:
+        k, lasers = self.t_ns.shape
+        _check(self, "t_ns", self.t_ns, "i8", k, lasers)
+        _check(self, "clock_ns", self.clock_ns, "i8", k)
+        _check(self, "azimuth_deg", self.azimuth_deg, "f8", k, lasers)
+        _check(self, "reading_deg", self.reading_deg, "f8", k)
+        _check(self, "origin_m", self.origin_m, "f8", k, lasers, 3)
+        _check(self, "direction", self.direction, "f8", k, lasers, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """What each sub-ray met."""
+
+    range_m: NDArray[np.float32]
+    """(k, L, s) from the pulse's origin; +inf where nothing was met."""
+    surface: NDArray[np.uint32]
+    """(k, L, s) row of the window's surface table; `NO_SURFACE` where nothing was met."""
+    cos_incidence: NDArray[np.float32]
+    """(k, L, s) between the ray and the surface normal, 0..1; 0 where nothing was met."""
+
+    def __post_init__(self) -> None:
+        shape = self.range_m.shape
+        _check(self, "range_m", self.range_m, "f4", None, None, None)
+        _check(self, "surface", self.surface, "u4", *shape)
+        _check(self, "cos_incidence", self.cos_incidence, "f4", *shape)
+
+
+@dataclass(frozen=True, slots=True)
+class Returns:
+    """What the detector makes of it. Last axis: strongest, last, second strongest."""
+
+    firings: Firings
+    distance_m: NDArray[np.float32]
+    """(k, L, 3) not yet on the 2 mm grid; 0 where there is no such return."""
+    reflectivity: NDArray[np.uint8]
+    """(k, L, 3) 0..100 diffuse, 101..255 retroreflective."""
+    surface: NDArray[np.uint32] | None
+    """(k, L, 3) truth, only when asked for."""
+    surfaces: NDArray[np.void] | None
+    """(m,) `SURFACE`, the table that `surface` points into."""
+
+    def __post_init__(self) -> None:
+        k, lasers = self.firings.t_ns.shape
+        _check(self, "distance_m", self.distance_m, "f4", k, lasers, 3)
+        _check(self, "reflectivity", self.reflectivity, "u1", k, lasers, 3)
+        if self.surface is not None:
+            _check(self, "surface", self.surface, "u4", k, lasers, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """Bytes and the instant at which a real sensor would have sent them."""
+
+    kind: PacketKind
+    due_ns: int
+    """UTC at which the last byte has been produced and the datagram leaves."""
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class GnssFix:
+    """What a GNSS receiver says about one whole UTC second."""
+
+    t_ns: int
+    """UTC, a whole second."""
+    valid: bool
+    latitude_deg: float
+    longitude_deg: float
+    speed_m_s: float
+    course_deg: float
+    """Over ground, clockwise from north, [0, 360)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """Faces of one surface, in the coordinates of the shape they belong to."""
+
+    vertices_m: NDArray[np.float32]
+    """(v, 3)."""
+    faces: NDArray[np.uint32]
+    """(f, 3) triangles or (f, 4) planar quads, counter-clockwise seen from outside."""
+
+    def __post_init__(self) -> None:
+        _check(self, "vertices_m", self.vertices_m, "f4", None, 3)
+        _check(self, "faces", self.faces, "u4", None, 4 if self.faces.shape[1:] == (4,) else 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """What is within reach of a stretch of the walk: placed shapes and their surfaces.
+
+    A shape is a tuple of meshes that share one frame. Mesh j of placement i shows surface
+    `first_surface[i] + j`.
+    """
+
+    origin_m: NDArray[np.float64]
+    """(3,) world; geometry is handed to the caster relative to it."""
+    shapes: tuple[ShapeKey, ...]
+    shape: NDArray[np.int32]
+    """(n,) index into `shapes`."""
+    world_T_shape: NDArray[np.float64]
+    """(n, 3, 4) affine; rigid, or scaled for crowns."""
+    first_surface: NDArray[np.uint32]
+    """(n,) row of `surfaces` of the placement's first mesh."""
+    surfaces: NDArray[np.void]
+    """(m,) `SURFACE`."""
+
+    def __post_init__(self) -> None:
+        n = len(self.shape)
+        _check(self, "origin_m", self.origin_m, "f8", 3)
+        _check(self, "shape", self.shape, "i4", n)
+        _check(self, "world_T_shape", self.world_T_shape, "f8", n, 3, 4)
+        _check(self, "first_surface", self.first_surface, "u4", n)
+
+
+HeightField = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+"""Ground height in metres over arrays of x and y in metres."""
+
+
+class World(Protocol):
+    """What stands still."""
+
+    def window(self, track_m: NDArray[np.float64]) -> Window:
+        """Everything within reach of sensor positions (n, 3); must depend on nothing else."""
+
+    def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
+        """Grow the meshes of a shape; the same key always gives the same bytes, on any thread."""

@@ -1,0 +1,16 @@
+"""Named factors between units, exact wherever the unit is.
+
+Time inside the program is int64 nanoseconds since 1970-01-01 UTC without leap seconds.
+"""
+
+__all__ = ["HOUR_NS", "MS_NS", "S_NS", "US_NS", "seconds_to_ns"]
+
+US_NS = 1_000
+MS_NS = 1_000_000
+S_NS = 1_000_000_000
+HOUR_NS = 3_600 * S_NS
+
+
+def seconds_to_ns(seconds: float) -> int:
+    """Nearest whole number of nanoseconds."""
+    return round(seconds * S_NS)
