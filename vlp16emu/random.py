@@ -29,7 +29,9 @@ class Purpose(IntEnum):
     POSITION_PACKET = 6
 
 
-@numba.njit("UniTuple(uint32, 4)(uint32, uint32, uint32, uint32, uint32, uint32)", cache=True, inline="always")
+@numba.njit(
+    "UniTuple(uint32, 4)(uint32, uint32, uint32, uint32, uint32, uint32)", cache=True, inline="always"
+)
 def philox4x32(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, int, int, int]:
     """Four random 32-bit words for counter (c0, c1, c2, c3) and key (k0, k1).
 

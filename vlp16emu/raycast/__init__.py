@@ -1,0 +1,48 @@
+"""Where light meets surfaces. The only border to float32."""
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import Executor
+from typing import Protocol
+
+from numpy.typing import NDArray
+
+from vlp16emu.raycast.embree_library import EmbreeMissingError, library
+from vlp16emu.raycast.plain import PlainCaster
+from vlp16emu.types import Firings, Hits, Mesh, ShapeKey, Window
+
+__all__ = ["Caster", "Scene", "caster"]
+
+_log = logging.getLogger(__name__)
+
+
+class Scene(Protocol):
+    """A window ready to be cast against."""
+
+    def cast(self, firings: Firings, near_m: NDArray, far_m: float) -> Hits:
+        """Cast one ray per pulse of k sequences, k a multiple of 8."""
+
+
+class Caster(Protocol):
+    """Makes scenes of windows."""
+
+    def open(self, window: Window) -> Scene:
+        """Make a window ready for casting."""
+
+
+def caster(shape: Callable[[ShapeKey], tuple[Mesh, ...]], workers: Executor) -> Caster:
+    """The fast caster, or the plain `embreex` class where the library cannot be driven.
+
+    Parameters
+    ----------
+    shape : grows the meshes of a shape
+    workers : where shapes are grown and built side by side
+    """
+    try:
+        library()
+    except EmbreeMissingError as error:
+        _log.warning("falling back to the plain embreex class, slower and without instances: %s", error)
+        return PlainCaster(shape)
+    from vlp16emu.raycast.embree import EmbreeCaster  # its kernel binds to the library
+
+    return EmbreeCaster(shape, workers)

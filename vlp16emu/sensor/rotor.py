@@ -1,0 +1,61 @@
+"""The spinning head: its true angle as a function of time, and what the encoder reads."""
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.random import Purpose, normal
+from vlp16emu.units import S_NS
+
+__all__ = ["Rotor"]
+
+
+@dataclass(frozen=True, slots=True)
+class Rotor:
+    """A head that turns clockwise, seen from above, at constant speed.
+
+    The true angle is a function of time alone. The encoder adds an error locked to the angle, one
+    cycle per revolution, and white noise on each reading: on real units the steps between blocks
+    have a lag-1 autocorrelation near -0.5, which is noise of the reading and not of the speed.
+    """
+
+    rpm: int
+    """A multiple of 60, so that the head does whole turns in every second."""
+    start_azimuth_deg: float
+    """True angle at time zero."""
+    eccentricity_deg: float
+    """Amplitude of the angle-locked error; 0 switches it off."""
+    eccentricity_phase_deg: float
+    """Angle at which that error crosses zero upwards."""
+    noise_deg: float
+    """One sigma of a reading's white error; 0 switches it off."""
+    seed: int
+
+    def angle_deg(self, elapsed_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """True angle at times since the start, any shape, in [0, 360); exact after any number of hours."""
+        # Only the part of a second counts: rpm / 60 turns per second is a whole number.
+        part = (elapsed_ns % S_NS) * ((self.rpm // 60) * 360.0 / S_NS)
+        return np.asarray((self.start_azimuth_deg + part) % 360.0)
+
+    def reading_deg(self, angle_deg: NDArray[np.float64], first: int) -> NDArray[np.float64]:
+        """What the encoder reads at (k,) true angles, of firing sequences first .. first + k - 1."""
+        reading = angle_deg
+        if self.eccentricity_deg:
+            reading = _eccentric(reading, self.eccentricity_deg, self.eccentricity_phase_deg)
+        if self.noise_deg:
+            reading = reading + self.noise_deg * normal(
+                self.seed, Purpose.AZIMUTH_READING, first, len(reading)
+            )
+        return np.asarray(reading % 360.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _eccentric(angle_deg: NDArray[np.float64], amplitude_deg: float, phase_deg: float) -> NDArray[np.float64]:
+    """Add the angle-locked error."""
+    out = np.empty_like(angle_deg)
+    for i in range(angle_deg.size):
+        out[i] = angle_deg[i] + amplitude_deg * math.sin(math.radians(angle_deg[i] - phase_deg))
+    return out
