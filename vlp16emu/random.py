@@ -29,10 +29,15 @@ class Purpose(IntEnum):
     POSITION_PACKET = 6
 
 
+_Word = int | np.uint32
+
+
 @numba.njit(
     "UniTuple(uint32, 4)(uint32, uint32, uint32, uint32, uint32, uint32)", cache=True, inline="always"
 )
-def philox4x32(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, int, int, int]:
+def philox4x32(
+    c0: _Word, c1: _Word, c2: _Word, c3: _Word, k0: _Word, k1: _Word
+) -> tuple[_Word, _Word, _Word, _Word]:
     """Four random 32-bit words for counter (c0, c1, c2, c3) and key (k0, k1).
 
     Source: SC 2011 paper, multipliers and Weyl constants of Philox 4x32.
@@ -44,8 +49,7 @@ def philox4x32(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[in
         n0 = np.uint32(p1 >> np.uint64(32)) ^ np.uint32(c1) ^ np.uint32(k0)
         n2 = np.uint32(p0 >> np.uint64(32)) ^ np.uint32(c3) ^ np.uint32(k1)
         c0, c1, c2, c3 = n0, np.uint32(p1 & mask), n2, np.uint32(p0 & mask)
-        k0 = np.uint32(k0 + np.uint32(0x9E3779B9))
-        k1 = np.uint32(k1 + np.uint32(0xBB67AE85))
+        k0, k1 = np.uint32(k0 + np.uint32(0x9E3779B9)), np.uint32(k1 + np.uint32(0xBB67AE85))
     return c0, c1, c2, c3
 
 
@@ -74,7 +78,7 @@ def _fill(out: NDArray[np.float64], gaussian: bool, seed: int, purpose: int, fir
 
 
 def uniform(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
-    """Uniform numbers in [0, 1) for counters first .. first + count - 1.
+    """Draw uniform numbers in [0, 1) for counters first .. first + count - 1.
 
     Parameters
     ----------
@@ -93,7 +97,7 @@ def uniform(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) 
 
 
 def normal(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
-    """Standard normal numbers for the same arguments, by Box and Muller (1958).
+    """Draw standard normal numbers for the same arguments, by Box and Muller (1958).
 
     Returns
     -------

@@ -12,13 +12,13 @@ __all__ = ["position_number", "position_packets"]
 
 
 def position_number(scenario: Scenario, since_ns: int) -> int:
-    """Number of the first position packet due at a time since the first pulse, or later; the run's first has 0."""
+    """Find the number of the first position packet due at a time since the first pulse, or later."""
     start_ns = scenario.start_ns
     return first_position_packet(scenario.sensor.position_rate, scenario.seed, start_ns, start_ns + since_ns)
 
 
 def position_packets(scenario: Scenario, parts: Parts, start_ns: int, stop_ns: int) -> Iterator[Packet]:
-    """Position packets due in a span since the first pulse."""
+    """Yield the position packets due in a span since the first pulse."""
     rate, gps, clock = scenario.sensor.position_rate, parts.gps, parts.head.clock
     named_ns, sentence = None, b""
     for number in range(position_number(scenario, start_ns), position_number(scenario, stop_ns)):

@@ -11,7 +11,7 @@ takes body coordinates to world coordinates, and `world_T_body @ body_T_sensor` 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +116,7 @@ ShapeKey = Hashable
 """Name of a shape: the same key always means the same bytes of geometry."""
 
 
-def _check(owner: object, name: str, array: NDArray[Any], dtype: str, *shape: int | None) -> None:
+def _check(owner: object, name: str, array: object, dtype: str, *shape: int | None) -> None:
     """Guard one array: its dtype, its number of axes, and every axis that is not None."""
     fits = (
         isinstance(array, np.ndarray)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.embree_library import EmbreeMissingError, library
@@ -19,7 +20,11 @@ _log = logging.getLogger(__name__)
 class Scene(Protocol):
     """A window ready to be cast against."""
 
-    def cast(self, firings: Firings, near_m: NDArray, far_m: float) -> Hits:
+    @property
+    def surfaces(self) -> NDArray[np.void]:
+        """(m,) `SURFACE`, the window's table."""
+
+    def cast(self, firings: Firings, near_m: NDArray[np.float64], far_m: float) -> Hits:
         """Cast one ray per pulse of k sequences, k a multiple of 8."""
 
 
@@ -31,7 +36,7 @@ class Caster(Protocol):
 
 
 def caster(shape: Callable[[ShapeKey], tuple[Mesh, ...]], workers: Executor) -> Caster:
-    """The fast caster, or the plain `embreex` class where the library cannot be driven.
+    """Make the fast caster, or the plain `embreex` class where the library cannot be driven.
 
     Parameters
     ----------

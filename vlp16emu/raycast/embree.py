@@ -65,6 +65,7 @@ class EmbreeScene:
     def __init__(self, lib: ctypes.CDLL, device: int, window: Window, shapes: list[_Shape]) -> None:
         self._shapes = shapes
         self._origin_m = window.origin_m
+        self.surfaces = window.surfaces
         self._first_surface = window.first_surface
         self._normal_matrix = normal_matrices(window)
         self._scene = lib.rtcNewScene(device)

@@ -118,4 +118,4 @@ def _cosine(matrix: NDArray[np.float32], rays: NDArray[np.float32], r: int) -> n
         n = matrix[a, 0] * rays[_NG, r] + matrix[a, 1] * rays[_NG + 1, r] + matrix[a, 2] * rays[_NG + 2, r]
         dot += n * rays[_DIR + a, r]
         square += n * n
-    return np.float32(min(abs(dot) / math.sqrt(square), 1.0)) if square > 0.0 else np.float32(0.0)
+    return np.float32(min(abs(float(dot)) / math.sqrt(square), 1.0)) if square > 0.0 else np.float32(0.0)

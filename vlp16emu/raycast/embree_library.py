@@ -78,11 +78,7 @@ def library_path() -> Path:
     except metadata.PackageNotFoundError:
         raise EmbreeMissingError("embreex is not installed") from None
     for file in files:
-        if (
-            "embree4" in file.name
-            and ".so" in file.name + file.suffix
-            or file.name.startswith(("embree4.dll", "libembree4"))
-        ):
+        if file.name.startswith(("libembree4", "embree4.dll")):
             return Path(str(file.locate()))
     raise EmbreeMissingError("embreex carries no Embree 4 library")
 

@@ -20,6 +20,7 @@ class PlainScene:
 
         triangles_m, self._surface = flatten(window, shape)
         self._origin_m = window.origin_m
+        self.surfaces = window.surfaces
         self._scene = EmbreeScene(robust=True)
         if len(triangles_m):
             TriangleMesh(self._scene, triangles_m.astype(np.float32))

@@ -17,6 +17,7 @@ class ReferenceScene:
     def __init__(self, window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
         self._triangles_m, self._surface = flatten(window, shape)
         self._origin_m = window.origin_m
+        self.surfaces = window.surfaces
 
     def cast(self, firings: Firings, near_m: NDArray[np.float64], far_m: float) -> Hits:
         """Cast one ray per pulse; the arguments are those of `EmbreeScene.cast`."""

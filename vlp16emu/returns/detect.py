@@ -13,9 +13,9 @@ def detect(
     firings: Firings,
     hits: Hits,
     surfaces: NDArray[np.void],
-    *,
     min_range_m: float,
     max_range_m: float,
+    *,
     truth: bool,
 ) -> Returns:
     """Turn one hit per pulse into its return.

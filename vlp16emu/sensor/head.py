@@ -1,6 +1,7 @@
 """From firing numbers and poses to pulses: instants, angles, origins and directions."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numba
@@ -38,15 +39,15 @@ class Head:
         laser = np.arange(len(self.beams.elevation_deg), dtype=np.int64) * LASER_NS
         return np.asarray(sequence[:, None] + laser)
 
-    def aim(self, first: int, t_ns: NDArray[np.int64], poses: Poses) -> Firings:
-        """Point every pulse.
+    def aim(self, first: int, count: int, poses_at: Callable[[NDArray[np.int64]], Poses]) -> Firings:
+        """Point every pulse of `count` sequences from number `first` on.
 
         Parameters
         ----------
-        first : number of the first sequence
-        t_ns : (k, L) from `times_ns`
-        poses : k * L poses, sequence-major, or one that holds for all
+        poses_at : the body's poses at n instants, or one pose that holds for all
         """
+        t_ns = self.times_ns(first, count)
+        poses = poses_at(t_ns.reshape(-1))
         azimuth_deg = self.rotor.angle_deg(t_ns - self.start_ns)
         origin_m, direction = np.empty((*t_ns.shape, 3)), np.empty((*t_ns.shape, 3))
         _aim(

@@ -35,13 +35,13 @@ class Rotor:
     seed: int
 
     def angle_deg(self, elapsed_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """True angle at times since the start, any shape, in [0, 360); exact after any number of hours."""
+        """Turn times since the start, any shape, into true angles in [0, 360), exact after any number of hours."""
         # Only the part of a second counts: rpm / 60 turns per second is a whole number.
         part = (elapsed_ns % S_NS) * ((self.rpm // 60) * 360.0 / S_NS)
         return np.asarray((self.start_azimuth_deg + part) % 360.0)
 
     def reading_deg(self, angle_deg: NDArray[np.float64], first: int) -> NDArray[np.float64]:
-        """What the encoder reads at (k,) true angles, of firing sequences first .. first + k - 1."""
+        """Read the encoder at (k,) true angles, those of firing sequences first .. first + k - 1."""
         reading = angle_deg
         if self.eccentricity_deg:
             reading = _eccentric(reading, self.eccentricity_deg, self.eccentricity_phase_deg)

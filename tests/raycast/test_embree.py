@@ -1,0 +1,144 @@
+"""The fast caster against the slow twin, and against itself."""
+
+import gc
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from vlp16emu.raycast.embree import EmbreeCaster
+from vlp16emu.raycast.plain import PlainCaster
+from vlp16emu.raycast.reference import ReferenceCaster
+from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, Window
+
+
+def assert_same_hits(ours, other, *, range_m, cosine):
+    """Both casters hit the same, to the given errors."""
+    assert (np.isfinite(ours.range_m) == np.isfinite(other.range_m)).all()
+    hit = np.isfinite(ours.range_m)
+    assert 0.5 < hit.mean() < 1.0
+    assert (ours.surface == other.surface).all()
+    assert np.abs(ours.range_m[hit] - other.range_m[hit]).max() < range_m
+    assert np.abs(ours.cos_incidence - other.cos_incidence).max() < cosine
+
+
+def test_hits_are_those_of_the_slow_twin(lab, workers):
+    """Ranges, surfaces and incidence of turned and scaled instances at UTM coordinates equal brute force in float64."""
+    window, firings = lab.placed(30), lab.pulses(64)
+    fast = EmbreeCaster(lab.soup, workers).open(window).cast(firings, lab.near_m, lab.far_m)
+    slow = ReferenceCaster(lab.soup).open(window).cast(firings, lab.near_m, lab.far_m)
+    assert_same_hits(fast, slow, range_m=5e-6, cosine=1e-5)
+
+
+def test_hits_are_those_of_the_plain_class(lab, workers):
+    """The fallback, one flat mesh and single rays, hits the same in thirty thousand pulses."""
+    window, firings = lab.placed(30), lab.pulses(1920)
+    fast = EmbreeCaster(lab.soup, workers).open(window).cast(firings, lab.near_m, lab.far_m)
+    plain = PlainCaster(lab.soup).open(window).cast(firings, lab.near_m, lab.far_m)
+    assert_same_hits(fast, plain, range_m=5e-5, cosine=5e-5)
+
+
+def test_distance_from_the_origin_of_the_world_does_not_matter(lab, workers):
+    """The same scene at UTM coordinates, at 1e7 m and at zero gives the same distances."""
+    caster = EmbreeCaster(lab.soup, workers)
+    ranges = [
+        caster.open(lab.placed(30, at=at)).cast(lab.pulses(320, at=at), lab.near_m, lab.far_m).range_m
+        for at in (np.zeros(3), lab.utm_m, np.array([1e7, -1e7, 0.0]))
+    ]
+    for other in ranges[1:]:
+        same = np.isfinite(ranges[0]) & np.isfinite(other)
+        assert (np.isfinite(ranges[0]) == np.isfinite(other)).mean() > 0.9999
+        difference_m = np.abs(ranges[0][same] - other[same])
+        assert np.median(difference_m) < 1e-6
+        assert np.quantile(difference_m, 0.999) < 1e-4
+
+
+def test_batches_do_not_matter(lab, workers):
+    """Cast in one go or in pieces of eight firings: the same bits."""
+    scene = EmbreeCaster(lab.soup, workers).open(lab.placed(30))
+    whole = scene.cast(lab.pulses(64), lab.near_m, lab.far_m)
+    for first in range(0, 64, 8):
+        piece = scene.cast(lab.pulses(8, first=first), lab.near_m, lab.far_m)
+        rows = slice(first, first + 8)
+        assert (piece.range_m == whole.range_m[rows]).all()
+        assert (piece.surface == whole.surface[rows]).all()
+        assert (piece.cos_incidence == whole.cos_incidence[rows]).all()
+
+
+def test_threads_do_not_matter(lab, workers):
+    """Eight casts at once on a shared scene give the bits of one cast alone."""
+    scene, firings = EmbreeCaster(lab.soup, workers).open(lab.placed(30)), lab.pulses(320)
+    alone = scene.cast(firings, lab.near_m, lab.far_m)
+    with ThreadPoolExecutor(8) as pool:
+        together = list(pool.map(lambda _: scene.cast(firings, lab.near_m, lab.far_m), range(8)))
+    for hits in together:
+        assert (hits.range_m == alone.range_m).all()
+        assert (hits.surface == alone.surface).all()
+
+
+def test_building_is_repeatable(lab, workers):
+    """Two builds of the same window, on any thread, give the same bits."""
+    window, firings = lab.placed(30), lab.pulses(320)
+    first, second = (
+        EmbreeCaster(lab.soup, workers).open(window).cast(firings, lab.near_m, lab.far_m) for _ in range(2)
+    )
+    assert (first.range_m == second.range_m).all()
+    assert (first.surface == second.surface).all()
+    assert (first.cos_incidence == second.cos_incidence).all()
+
+
+def test_shapes_are_kept_from_window_to_window(lab, workers):
+    """A shape that an open window holds is not grown again; one that no window holds is dropped."""
+    grown = []
+
+    def grow(key):
+        grown.append(key)
+        return lab.soup(key)
+
+    caster = EmbreeCaster(grow, workers)
+    first = caster.open(lab.placed(10))
+    second = caster.open(lab.placed(20))
+    assert sorted(grown) == [1, 2, 3]
+    del first, second
+    gc.collect()
+    caster.open(lab.placed(10))
+    assert sorted(grown) == [1, 1, 2, 2, 3, 3]
+
+
+def test_light_begins_at_the_lens_and_ends_at_its_reach(workers):
+    """A wall nearer than the lens or farther than the reach is not seen; one between is, at its distance."""
+
+    def wall(_key):
+        vertices = np.array([[-50, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]], "f4")
+        return (Mesh(vertices, np.array([[0, 1, 2, 3]], "u4")),)
+
+    from vlp16emu.types import Firings
+
+    origin_m, direction = np.zeros((8, 1, 3)), np.zeros((8, 1, 3))
+    direction[..., 2] = -1.0
+    one = np.zeros((8, 1))
+    firings = Firings(0, one.astype(np.int64), np.zeros(8, np.int64), one, np.zeros(8), origin_m, direction)
+    seen = {}
+    for depth_m in (0.02, 0.5, 99.0, 101.0):
+        transform = np.eye(3, 4)[None].copy()
+        transform[0, 2, 3] = -depth_m
+        window = Window(
+            np.zeros(3), ("wall",), np.zeros(1, "i4"), transform, np.zeros(1, "u4"), np.zeros(1, SURFACE)
+        )
+        hits = EmbreeCaster(wall, workers).open(window).cast(firings, np.array([0.0419]), 100.0)
+        seen[depth_m] = float(hits.range_m[0, 0, 0])
+    assert seen == {0.02: np.inf, 0.5: 0.5, 99.0: 99.0, 101.0: np.inf}
+
+
+def test_empty_window_is_all_sky(lab, workers):
+    """Nothing placed, nothing hit."""
+    hits = EmbreeCaster(lab.soup, workers).open(lab.placed(0)).cast(lab.pulses(8), lab.near_m, lab.far_m)
+    assert np.isinf(hits.range_m).all()
+    assert (hits.surface == NO_SURFACE).all()
+
+
+def test_a_broken_packet_is_refused(lab, workers):
+    """Firings that do not fill packets of eight rays are a programming error and named."""
+    scene = EmbreeCaster(lab.soup, workers).open(lab.placed(1))
+    with pytest.raises(ValueError, match="found 12 sequences, expected a multiple of 8"):
+        scene.cast(lab.pulses(12), lab.near_m, lab.far_m)

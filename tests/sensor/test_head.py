@@ -1,0 +1,80 @@
+"""Instants, directions and origins of pulses, against the manual's formulas written out."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vlp16emu.motion import rotations
+from vlp16emu.sensor import BEAM_TABLES, Clock, Head, Rotor
+from vlp16emu.types import Poses, SensorModel
+
+START_NS = 1_780_000_000_123_456_789
+
+
+@pytest.fixture
+def head():
+    rotor = Rotor(600, 10.0, 0.06, 40.0, 0.005, 1)
+    return Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock(True, 0, 0.0), START_NS)
+
+
+def pose(yaw=0.0, pitch=0.0, roll=0.0, at=(0.0, 0.0, 0.0)):
+    turn = rotations(np.array([yaw]), pitch, roll)
+    return lambda _t_ns: Poses(np.zeros(1, np.int64), turn, np.array([at]))
+
+
+def test_every_pulse_has_its_instant(head):
+    """Laser j of sequence n fires n * 55 296 + j * 2 304 ns after the first pulse."""
+    t_ns = head.times_ns(1000, 3)
+    assert t_ns[0, 0] - START_NS == 1000 * 55_296
+    assert (np.diff(t_ns, axis=0) == 55_296).all()
+    assert (np.diff(t_ns, axis=1) == 2_304).all()
+
+
+def test_point_in_the_sensor_frame_is_the_manuals(head):
+    """R along a pulse leads to X = R cos w sin a, Y = R cos w cos a, Z = R sin w + correction."""
+    firings = head.aim(0, 4, pose())
+    R = 12.0
+    point = firings.origin_m + R * firings.direction
+    for i, j in np.ndindex(4, 16):
+        a, w = math.radians(firings.azimuth_deg[i, j]), math.radians(head.beams.elevation_deg[j])
+        x, y = R * math.cos(w) * math.sin(a), R * math.cos(w) * math.cos(a)
+        z = R * math.sin(w) + head.beams.vertical_offset_m[j]
+        # Mounted with azimuth 0 forward: sensor y is body x, sensor x is to the right.
+        np.testing.assert_allclose(point[i, j], [y, -x, z], atol=1e-12)
+
+
+def test_azimuth_turns_clockwise(head):
+    """Seen from above the head turns from forward to the right."""
+    quarter = head.aim(0, 2000, pose())
+    right = np.argmin(abs(quarter.azimuth_deg[:, 1] - 90.0))
+    assert quarter.direction[right, 1] @ [0.0, -1.0, 0.0] > 0.99
+
+
+def test_each_pulse_uses_its_own_pose(head):
+    """A body that moves from pulse to pulse moves each origin, by exactly as much."""
+
+    def moving(t_ns):
+        east_m = (t_ns - START_NS) * 1.2e-9
+        turn = np.repeat(np.eye(3)[None], len(t_ns), axis=0)
+        return Poses(t_ns, turn, np.column_stack([east_m, 0 * east_m, 0 * east_m]))
+
+    still, moved = head.aim(0, 8, pose()), head.aim(0, 8, moving)
+    shift_m = moved.origin_m[..., 0] - still.origin_m[..., 0]
+    np.testing.assert_allclose(shift_m, (still.t_ns - START_NS) * 1.2e-9, atol=1e-15)
+    assert (moved.direction == still.direction).all()
+
+
+def test_tilted_body_turns_rays_and_offsets(head):
+    """A rotation of the body rotates every ray and every offset about the body's origin."""
+    yaw, pitch, roll = 0.4, 0.2, -0.1
+    level, tilted = head.aim(0, 8, pose()), head.aim(0, 8, pose(yaw, pitch, roll, at=(5.0, 6.0, 7.0)))
+    R = rotations(np.array([yaw]), pitch, roll)[0]
+    np.testing.assert_allclose(tilted.direction, level.direction @ R.T, atol=1e-14)
+    np.testing.assert_allclose(tilted.origin_m, level.origin_m @ R.T + [5.0, 6.0, 7.0], atol=1e-14)
+
+
+def test_directions_have_unit_length(head):
+    """Ranges are metres because directions have length one to rounding."""
+    firings = head.aim(123_456, 100, pose(0.3, 0.1, 0.2))
+    np.testing.assert_allclose(np.linalg.norm(firings.direction, axis=-1), 1.0, atol=1e-15)
