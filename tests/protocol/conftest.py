@@ -1,0 +1,118 @@
+"""The byte tables, and a slow decoder that knows nothing but them."""
+
+import struct
+import tomllib
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+PROTOCOL = REPOSITORY / "protocol"
+CAPTURES = REPOSITORY.parent / "shared" / "captures"
+STRUCT_CODES = {"u1": "<B", "u2": "<H", "u4": "<I", "i2": "<h"}
+
+
+def load(name):
+    return tomllib.loads((PROTOCOL / name).read_text(encoding="utf-8"))
+
+
+class Oracle:
+    """Decodes a data payload with the standard library, from data_packet.toml and timing.toml alone."""
+
+    def __init__(self):
+        self.data, self.timing = load("data_packet.toml"), load("timing.toml")
+
+    def row(self, table, name):
+        """One row of data_packet.toml."""
+        return next(row for row in self.data[table] if row["name"] == name)
+
+    def field(self, table, name, payload, base=0):
+        """Code of a field whose table starts at `base`."""
+        row = self.row(table, name)
+        return struct.unpack_from(STRUCT_CODES[row["type"]], payload, base + row["offset"])[0]
+
+    def array(self, table, name, base=0):
+        """Offsets of the elements of a repeated field."""
+        row = self.row(table, name)
+        return [base + row["offset"] + i * row["size_bytes"] for i in range(row["count"])]
+
+    def meaning(self, table, name, code):
+        """First name of a code; a VLP-16 and a Puck LITE share theirs."""
+        return next(key for key, value in self.row(table, name)["values"].items() if value == code)
+
+    def code(self, name, meaning):
+        """Code of a factory byte."""
+        return self.row("payload", name)["values"][meaning]
+
+    def records(self, payload):
+        """All 384 records as dictionaries, in the order of the payload."""
+        firing = self.timing["firing"]
+        mode = self.meaning("payload", "return_mode", self.field("payload", "return_mode", payload))
+        model = self.meaning("payload", "factory", self.field("payload", "factory", payload))
+        start_ns = self.field("payload", "timestamp", payload) * 1000
+        hour_ns = self.timing["packet"]["timestamp"]["hour_us"] * 1000
+        rows = []
+        for b, block in enumerate(self.array("payload", "blocks")):
+            slot = b // 2 if mode == "dual" else b
+            for r, record in enumerate(self.array("block", "records", block)):
+                sequence, laser = divmod(r, firing["lasers"])
+                code = self.field("record", "distance", payload, record)
+                time_ns = (
+                    start_ns
+                    + slot * firing["block_period_ns"]
+                    + sequence * firing["sequence_period_ns"]
+                    + laser * firing["laser_period_ns"]
+                )
+                rows.append(
+                    {
+                        "block": b,
+                        "laser": laser,
+                        "return": self.data["returns"][mode][b % len(self.data["returns"][mode])],
+                        "azimuth_deg": self.field("block", "azimuth", payload, block)
+                        * self.row("block", "azimuth")["scale"],
+                        "time_ns": time_ns % hour_ns,
+                        "distance_m": code * self.row("record", "distance")["scale"],
+                        "distance_code": code,
+                        "reflectivity": self.field("record", "reflectivity", payload, record),
+                        "elevation_deg": self.timing["beams"][model]["elevation_deg"][laser],
+                    }
+                )
+        return rows
+
+
+@pytest.fixture(scope="session")
+def protocol():
+    return PROTOCOL
+
+
+@pytest.fixture(scope="session")
+def data_packet():
+    return load("data_packet.toml")
+
+
+@pytest.fixture(scope="session")
+def position_packet():
+    return load("position_packet.toml")
+
+
+@pytest.fixture(scope="session")
+def timing():
+    return load("timing.toml")
+
+
+@pytest.fixture(scope="session")
+def oracle():
+    return Oracle()
+
+
+@pytest.fixture(scope="session")
+def capture():
+    """Path of a real recording, or a skip where it is not at hand."""
+
+    def find(name):
+        path = CAPTURES / name
+        if not path.exists():
+            pytest.skip(f"the real capture {name} is not beside the repository")
+        return path
+
+    return find

@@ -1,0 +1,103 @@
+"""The calibration files, read as their consumers read them."""
+
+import importlib.machinery
+import importlib.util
+import math
+from xml.etree import ElementTree as ET
+
+import pytest
+import yaml
+
+SENSORS = {"vlp-16": "VLP-16", "puck-hi-res": "Puck-Hi-Res"}
+sensors = pytest.mark.parametrize("model", SENSORS)
+
+
+def ros_calibration(path):
+    """Read a file as velodyne_pointcloud does, ROS 1 and ROS 2: all these keys, numbers only."""
+    document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert isinstance(document["num_lasers"], int)
+    assert isinstance(document["distance_resolution"], float)
+    lasers = {}
+    for laser in document["lasers"][: document["num_lasers"]]:
+        required = (
+            *(
+                "rot_correction",
+                "vert_correction",
+                "dist_correction",
+                "dist_correction_x",
+                "dist_correction_y",
+            ),
+            *("vert_offset_correction", "focal_distance", "focal_slope"),
+        )
+        optional = {"horiz_offset_correction": 0.0, "max_intensity": 255.0, "min_intensity": 0.0}
+        assert isinstance(laser["laser_id"], int)
+        lasers[laser["laser_id"]] = {key: float(laser[key]) for key in required} | {
+            key: float(laser.get(key, default)) for key, default in optional.items()
+        }
+    return document["distance_resolution"], lasers
+
+
+def veloview_calibration(path):
+    """Read a file as VeloView does: five lists under DB, lengths in cm. PCL wants a part of it."""
+    database = ET.parse(path).getroot()
+    assert database.tag == "boost_serialization"
+    database = database.find("DB")
+    colors = [
+        [float(item.text) for item in rgb.findall("item")] for rgb in database.findall("colors_/item/rgb")
+    ]
+    assert all(len(color) == 3 and all(0 <= part <= 1 for part in color) for color in colors)
+    enabled = sum(item.text == "1" for item in database.findall("enabled_/item"))
+    intensity = [
+        [int(item.text) for item in database.findall(f"{name}/item")]
+        for name in ("minIntensity_", "maxIntensity_")
+    ]
+    assert [len(colors), *map(len, intensity)] == [enabled] * 3
+    lasers = {}
+    for px in database.findall("points_/item/px"):
+        values = {child.tag: float(child.text) for child in px}
+        lasers[int(values.pop("id_"))] = values
+    assert sorted(lasers) == list(range(enabled))
+    return float(database.find("distLSB_").text) / 100, lasers
+
+
+@sensors
+def test_ros_file(protocol, timing, data_packet, model):
+    """The YAML file holds the stated elevations (rad), vertical corrections (m) and distance scale, else zeros."""
+    scale_m, lasers = ros_calibration(protocol / "calibration" / f"{SENSORS[model]}.yaml")
+    table = timing["beams"][model]
+    assert scale_m == next(row for row in data_packet["record"] if row["name"] == "distance")["scale"]
+    assert sorted(lasers) == timing["firing"]["order"]
+    for laser, values in lasers.items():
+        assert values.pop("vert_correction") == math.radians(table["elevation_deg"][laser])
+        correction_m = table["vertical_correction_mm"][laser] / 1000
+        assert values.pop("vert_offset_correction") == pytest.approx(correction_m, abs=1e-12)
+        assert values.pop("max_intensity") == 255
+        assert set(values.values()) == {0.0}
+
+
+@sensors
+def test_veloview_file(protocol, timing, model):
+    """The XML file holds the stated elevations (deg), vertical corrections (cm) and distance scale, else zeros."""
+    scale_m, lasers = veloview_calibration(protocol / "calibration" / f"{SENSORS[model]}.xml")
+    table = timing["beams"][model]
+    assert scale_m == 0.002
+    for laser, values in lasers.items():
+        assert values.pop("vertCorrection_") == table["elevation_deg"][laser]
+        correction_cm = table["vertical_correction_mm"][laser] / 10
+        assert values.pop("vertOffsetCorrection_") == pytest.approx(correction_cm, abs=1e-9)
+        assert set(values.values()) == {0.0}
+    assert len(lasers) == 16
+
+
+@sensors
+def test_files_are_what_the_tool_writes(protocol, model):
+    """Running tools/calibration again changes nothing."""
+    path = str(protocol.parent / "tools" / "calibration")
+    loader = importlib.machinery.SourceFileLoader("calibration_tool", path)
+    tool = importlib.util.module_from_spec(importlib.util.spec_from_loader("calibration_tool", loader))
+    loader.exec_module(tool)
+    written = {path.name for path in (protocol / "calibration").iterdir()}
+    assert set(tool.files()) == written
+    for suffix in ("yaml", "xml"):
+        name = f"{SENSORS[model]}.{suffix}"
+        assert (protocol / "calibration" / name).read_text(encoding="utf-8") == tool.files()[name]

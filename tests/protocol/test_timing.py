@@ -1,0 +1,91 @@
+"""Firing times and beams of timing.toml against packets/ and sensor/, and against themselves."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vlp16emu import sensor
+from vlp16emu.packets import layout
+from vlp16emu.types import ReturnMode, SensorModel
+
+
+def beams(timing, model):
+    table = timing["beams"][model.value]
+    return timing["beams"][table["same_as"]] if "same_as" in table else table
+
+
+def test_periods_are_made_of_each_other(timing):
+    """16 lasers and a recharge make a sequence, 2 sequences a block, 24 or 12 sequences a packet."""
+    firing, packet = timing["firing"], timing["packet"]
+    lasers_ns = firing["lasers"] * firing["laser_period_ns"]
+    assert firing["sequence_period_ns"] == lasers_ns + firing["recharge_ns"]
+    assert firing["block_period_ns"] == firing["sequences_per_block"] * firing["sequence_period_ns"]
+    for name in ("single", "dual"):
+        period_ns = packet[name]["sequences"] * firing["sequence_period_ns"]
+        assert packet[name]["period_ns"] == packet["departure"]["after_first_firing_ns"][name] == period_ns
+        assert packet[name]["rate_per_s"] == pytest.approx(1e9 / period_ns, rel=1e-4)
+        records = packet[name]["blocks"] * firing["sequences_per_block"] * firing["lasers"]
+        assert packet[name]["records_per_s"] == pytest.approx(packet[name]["rate_per_s"] * records, rel=1e-4)
+
+
+def test_periods_of_the_packets_room(timing):
+    """layout.py counts with the stated periods and numbers of sequences."""
+    firing = timing["firing"]
+    assert (firing["lasers"], firing["sequences_per_block"]) == (layout.LASERS, layout.SEQUENCES_PER_BLOCK)
+    assert firing["laser_period_ns"] == layout.LASER_PERIOD_NS
+    assert firing["sequence_period_ns"] == layout.SEQUENCE_PERIOD_NS
+    assert firing["block_period_ns"] == layout.BLOCK_PERIOD_NS
+    for mode in ReturnMode:
+        packet = timing["packet"]["dual" if mode is ReturnMode.DUAL else "single"]
+        assert layout.SEQUENCES_PER_PACKET[mode] == packet["sequences"]
+        assert packet["blocks"] == layout.BLOCKS_PER_PACKET
+
+
+def test_periods_of_the_sensor_room(timing):
+    """The head fires with the stated periods."""
+    assert timing["firing"]["laser_period_ns"] == sensor.LASER_NS
+    assert timing["firing"]["sequence_period_ns"] == sensor.SEQUENCE_NS
+
+
+@pytest.mark.parametrize("model", SensorModel)
+def test_beam_table(timing, model):
+    """The sensor's beams are those of the manual, in wire order."""
+    stated, made = beams(timing, model), sensor.BEAM_TABLES[model]
+    np.testing.assert_array_equal(made.elevation_deg, stated["elevation_deg"])
+    np.testing.assert_allclose(
+        made.vertical_offset_m, np.array(stated["vertical_correction_mm"]) / 1e3, rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("model", [SensorModel.VLP_16, SensorModel.PUCK_HI_RES])
+def test_beams_are_antisymmetric(timing, model):
+    """Lasers k and 15 - k point oppositely up and down, and so do their corrections."""
+    for column in ("elevation_deg", "vertical_correction_mm"):
+        values = beams(timing, model)[column]
+        assert values == [-value for value in reversed(values)]
+
+
+def test_beam_spacing(timing):
+    """Neighbouring beams are 2 degrees apart on a VLP-16 and 1.333 degrees on a Puck Hi-Res."""
+    for model, step_deg in ((SensorModel.VLP_16, 2.0), (SensorModel.PUCK_HI_RES, 4 / 3)):
+        steps = np.diff(sorted(beams(timing, model)["elevation_deg"]))
+        np.testing.assert_allclose(steps, step_deg, atol=1.1e-3)
+
+
+@pytest.mark.parametrize(
+    ("model", "tolerance_mm"), [(SensorModel.VLP_16, 0.06), (SensorModel.PUCK_HI_RES, 0.5)]
+)
+def test_all_beams_pass_the_lens(timing, model, tolerance_mm):
+    """The stated lens radius explains every vertical correction of the VLP-16 to the last digit of the table."""
+    radius_mm = timing["beams"]["lens"]["radius_mm"]
+    assert radius_mm == pytest.approx(sensor.LENS_RADIUS_M * 1e3)
+    table = beams(timing, model)
+    for elevation, correction in zip(table["elevation_deg"], table["vertical_correction_mm"], strict=True):
+        assert correction == pytest.approx(-radius_mm * math.tan(math.radians(elevation)), abs=tolerance_mm)
+
+
+def test_azimuth_step_is_the_motor_speed(timing):
+    """The mean azimuth step of real sensors at 600 rpm is what the motor turns in one block."""
+    turned_cdeg = 600 / 60 * 36_000 * timing["firing"]["block_period_ns"] * 1e-9
+    assert timing["motor"]["azimuth_step_600_rpm"]["mean_cdeg"] == pytest.approx(turned_cdeg, abs=0.1)
