@@ -84,9 +84,9 @@ class Hall(Section):
     """Along y."""
     height_m: Positive
     wall_reflectance: Fraction = 0.6
-    boxes: list[HallBox] = []
-    poles: list[HallPole] = []
-    spheres: list[HallSphere] = []
+    boxes: list[HallBox] = Field(default_factory=list)
+    poles: list[HallPole] = Field(default_factory=list)
+    spheres: list[HallSphere] = Field(default_factory=list)
 
 
 World = Annotated[Forest | Hall, Field(discriminator="kind")]

@@ -1,0 +1,130 @@
+"""The hall of known shapes."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.types import Semantic
+from vlp16emu.world import Box, Hall, Pole, Sphere
+
+CRATE = Box("crate", (-6.0, -5.0, 0.5), (2.0, 1.0, 1.0), 0.3)
+POLE = Pole("pole", (6.0, 0.0, 0.0), 0.35, 6.0, 0.5)
+BALL = Sphere("ball", (4.0, -5.0, 1.5), 1.0, 0.8)
+TRACK_M = np.array([[0.2, 0.1, 1.5]])
+
+
+def make_hall(boxes=(CRATE,), poles=(POLE,), spheres=(BALL,)):
+    return Hall(
+        length_m=30.0,
+        width_m=18.0,
+        height_m=6.0,
+        wall_reflectance=0.6,
+        boxes=boxes,
+        poles=poles,
+        spheres=spheres,
+    )
+
+
+def solid_of(key, offset=(0, 0, 0)):
+    parts = []
+    for mesh in make_hall().shape(key):
+        faces = (
+            mesh.faces if mesh.faces.shape[1] == 3 else mesh.faces[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+        )
+        parts.append(trimesh.Trimesh(mesh.vertices_m.astype(np.float64) + offset, faces))
+    whole = trimesh.util.concatenate(parts)
+    whole.merge_vertices()
+    return whole
+
+
+def test_everything_has_a_surface_of_its_own_and_a_name():
+    """Floor is ground without instance; walls and things have their reflectance, instance and name."""
+    hall = make_hall()
+    window = hall.window(TRACK_M)
+    assert window.first_surface.tolist() == [0, 2, 3, 4]
+    assert window.surfaces["semantic"].tolist() == [Semantic.GROUND] + [Semantic.OTHER] * 4
+    assert window.surfaces["instance"].tolist() == [0, 1, 2, 3, 4]
+    assert window.surfaces["reflectance"] == pytest.approx([0.6, 0.6, 0.3, 0.5, 0.8])
+    assert hall.names == {1: "walls", 2: "crate", 3: "pole", 4: "ball"}
+    assert [hall.materials[m] for m in window.surfaces["material"]] == [
+        "room",
+        "room",
+        "box",
+        "pole",
+        "sphere",
+    ]
+    assert window.world_T_shape[:, :, 3].tolist() == [[0, 0, 3], [-6, -5, 0.5], [6, 0, 0], [4, -5, 1.5]]
+    assert [len(hall.shape(key)) for key in window.shapes] == [2, 1, 1, 1]
+
+
+def test_room_is_closed_and_has_its_size():
+    """The room is watertight, looks inwards, and measures 30 x 18 x 6 m; its first mesh is the floor."""
+    hall = make_hall()
+    room = hall.window(TRACK_M).shapes[0]
+    solid = solid_of(room)
+    assert solid.is_watertight
+    assert solid.volume == pytest.approx(-30 * 18 * 6)
+    floor = hall.shape(room)[0]
+    assert (floor.vertices_m[floor.faces.ravel(), 2] == -3.0).all()
+
+
+def test_box_is_closed_and_has_its_size():
+    """The crate is watertight, looks outwards, and measures 2 x 1 x 1 m."""
+    solid = solid_of(CRATE)
+    assert solid.is_watertight
+    assert solid.volume == pytest.approx(2.0)
+    assert solid.extents == pytest.approx([2, 1, 1])
+
+
+@pytest.mark.parametrize("diameter_m", [0.05, 0.35, 3.0])
+def test_pole_is_round_to_a_twentieth_of_a_millimetre(diameter_m):
+    """Seen along the radius from all around, a pole's surface is right within 0.05 mm and on average within 2 um."""
+    pole = Pole("pole", (0.0, 0.0, 0.0), diameter_m, 2.0, 0.5)
+    solid = solid_of(pole)
+    assert solid.is_watertight
+    assert solid.volume == pytest.approx(np.pi / 4 * diameter_m**2 * 2, rel=1e-4)
+    angle = np.linspace(0, 2 * np.pi, 20_011)[:-1]
+    outside = np.column_stack([np.cos(angle), np.sin(angle), np.full(20_010, 1.0)]) * [5, 5, 1]
+    places, rays, _ = solid.ray.intersects_location(outside, -outside * [1, 1, 0], multiple_hits=False)
+    radius = np.hypot(places[:, 0], places[:, 1])
+    assert len(np.unique(rays)) == 20_010
+    assert np.abs(radius - diameter_m / 2).max() < 5e-5
+    assert abs(radius.mean() - diameter_m / 2) < 2e-6
+
+
+@pytest.mark.parametrize("diameter_m", [0.1, 1.0, 4.0])
+def test_sphere_is_round_to_a_tenth_of_a_millimetre(diameter_m):
+    """Vertices and the middles of all faces lie within 0.1 mm of the true sphere; the ball is closed."""
+    solid = solid_of(Sphere("ball", (0.0, 0.0, 0.0), diameter_m, 0.5))
+    assert solid.is_watertight
+    places = np.concatenate(
+        [solid.vertices, solid.triangles_center, solid.vertices[solid.edges].mean(axis=1)]
+    )
+    assert np.abs(np.linalg.norm(places, axis=1) - diameter_m / 2).max() < 1e-4
+    assert solid.volume == pytest.approx(np.pi / 6 * diameter_m**3, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("things", "message"),
+    [
+        (
+            {"boxes": [Box("shelf", (14.5, 0.0, 1.0), (2.0, 1.0, 1.0), 0.5)]},
+            "hall: shelf: spans 13.5 to 15.5 m in x",
+        ),
+        (
+            {"poles": [Pole("mast", (0.0, 0.0, 0.0), 0.2, 7.0, 0.5)]},
+            "hall: mast: spans 0 to 7 m in z; expected inside 0",
+        ),
+        ({"spheres": [Sphere("moon", (0.0, 9.0, 3.0), 1.0, 0.5)]}, "hall: moon: spans 8.5 to 9.5 m in y"),
+    ],
+)
+def test_things_that_poke_out_are_refused(things, message):
+    """A thing that is not wholly in the hall is named, with where it is and where it may be."""
+    with pytest.raises(GeometryError, match=message):
+        make_hall(**things)
+
+
+def test_floor_is_at_zero():
+    """The ground under the hall is level at z = 0."""
+    assert (make_hall().height_m(np.zeros((2, 3)), np.ones((2, 3))) == np.zeros((2, 3))).all()

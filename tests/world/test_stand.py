@@ -1,0 +1,137 @@
+"""Who stands where, and how large."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.world.polyline import distance_m
+from vlp16emu.world.species import species_table, taper_radius_m, tapers
+from vlp16emu.world.stand import SpeciesMix, Stand
+from vlp16emu.world.stem import lean_rotation
+
+FAR_XY_M = np.array([[0.0, 1e5]])
+BIRCH = SpeciesMix("silver_birch", 2.0, 18.0, 19.0)
+SPRUCE = SpeciesMix("norway_spruce", 6.0, 24.0, 21.0)
+
+
+def make_stand(**changes):
+    values = {
+        "seed": 14,
+        "height_m": lambda x, y: 0.01 * x + 0.02 * y,
+        "stems_per_ha": 800.0,
+        "species": (BIRCH, SPRUCE),
+        "path_xy_m": FAR_XY_M,
+        "path_clearance_m": 0.8,
+    }
+    return Stand(**(values | changes))
+
+
+@pytest.fixture(scope="module")
+def trees():
+    stand = make_stand()
+    return np.concatenate([stand.trees(ix, iy) for ix in range(14) for iy in range(14)])
+
+
+@pytest.mark.parametrize("mix", [BIRCH, SPRUCE])
+def test_diameters_follow_their_truncated_weibull(trees, mix):
+    """Diameters pass a Kolmogorov-Smirnov test against scipy's truncated Weibull, scaled to the wanted mean."""
+    species = species_table()[mix.species]
+    a0, a1, c0, c1, c2 = species.diameters
+    weibull = stats.weibull_min(c0 + c1 * mix.dbh_cm + c2 * 1.6 * mix.dbh_cm, scale=a0 + a1 * mix.dbh_cm)
+    cut = weibull.cdf(6.9)
+    raw = weibull.ppf(cut + (1 - cut) * (np.arange(20000) + 0.5) / 20000)
+    scale = mix.dbh_cm / np.sqrt((raw**2).mean())
+    dbh_cm = 100 * trees["dbh_m"][trees["species"] == species.number]
+    assert np.sqrt((dbh_cm**2).mean()) == pytest.approx(mix.dbh_cm, rel=0.02)
+    assert stats.kstest(dbh_cm / scale, lambda d: (weibull.cdf(d) - cut) / (1 - cut)).pvalue > 0.01
+
+
+def test_species_come_in_their_shares(trees):
+    """A quarter of the stems is birch, by a binomial test."""
+    birches = int((trees["species"] == 1).sum())
+    assert stats.binomtest(birches, len(trees), 0.25).pvalue > 0.01
+
+
+def test_stems_lean_a_little_in_all_directions(trees):
+    """Lean is Rayleigh with 1.5 degrees per axis, and its direction uniform."""
+    assert stats.kstest(trees["lean_deg"], stats.rayleigh(scale=1.5).cdf).pvalue > 0.01
+    assert stats.kstest(trees["lean_towards_deg"], stats.uniform(0, 360).cdf).pvalue > 0.01
+
+
+def test_foot_is_on_the_ground_and_sizes_make_sense(trees):
+    """Feet are at ground height; crowns begin over the ground and end under the tip."""
+    assert trees["z_m"] == pytest.approx(0.01 * trees["x_m"] + 0.02 * trees["y_m"])
+    assert (trees["crown_base_m"] > 0).all()
+    assert (trees["crown_base_m"] < trees["height_m"]).all()
+    assert (trees["height_m"] > 1.3).all()
+
+
+def test_reflectance_varies_between_trees_within_its_range(trees):
+    """Bark of each species is spread evenly over 0.08 on either side of its table value."""
+    birch = trees[trees["species"] == 1]
+    assert stats.kstest(birch["bark_reflectance"], stats.uniform(0.47, 0.16).cdf).pvalue > 0.01
+
+
+def test_crown_prototypes_are_scaled_little(trees):
+    """No tree's crown is wider or narrower than its prototype by more than a sixth."""
+    stand = make_stand()
+    prototype_m = [stand.crown(t["cohort"], t["crown_class"], 0, 0).crown_width_m for t in trees[:400]]
+    ratio = trees["crown_width_m"][:400] / prototype_m
+    assert 5 / 6 < ratio.min() < 0.95
+    assert 1.05 < ratio.max() < 7 / 6
+
+
+def test_leaf_area_of_a_closed_stand_is_its_leaf_area_index(trees):
+    """Leaves that the prototypes' crowns would carry, scaled by crown projection, cover 3/4 x 6 + 1/4 x 3 by share."""
+    stand = make_stand()
+    area_m2 = 0.0
+    for tree in trees:
+        crown = stand.crown(tree["cohort"], tree["crown_class"], 0, 0)
+        area_m2 += crown.leaf_area_m2 * (tree["crown_width_m"] / crown.crown_width_m) ** 2
+    ground_m2 = (14 * 20.0) ** 2
+    by_crown = [(trees["crown_width_m"][trees["species"] == n] ** 2).sum() for n in (1, 2)]
+    expected = np.average([3.0, 6.0], weights=by_crown)
+    assert area_m2 / ground_m2 == pytest.approx(expected, rel=0.03)
+
+
+def test_a_sparse_stand_does_not_reach_that_index():
+    """A lone tree bears at most one and a half times its index over its own projection."""
+    crown = make_stand(stems_per_ha=5.0).crown(1, 0, 0, 0)
+    assert crown.leaf_area_m2 == pytest.approx(6.0 * 1.5 * np.pi / 4 * crown.crown_width_m**2)
+
+
+def test_two_storeys_of_one_species_keep_apart():
+    """Old and young trees of one species in a mixture have the sizes and the crowns of their own line."""
+    stand = make_stand(species=(BIRCH, SpeciesMix("silver_birch", 2.0, 8.0, 9.0)))
+    trees = np.concatenate([stand.trees(ix, iy) for ix in range(6) for iy in range(6)])
+    for cohort, (dbh_m, height_m) in enumerate([(0.18, 19.0), (0.08, 9.0)]):
+        own = trees[trees["cohort"] == cohort]
+        assert np.sqrt((own["dbh_m"] ** 2).mean()) == pytest.approx(dbh_m, rel=0.05)
+        assert stand.crown(cohort, 0, 0, 0).height_m == pytest.approx(height_m)
+
+
+def test_path_is_kept_clear_of_stems():
+    """With clearance no stem surface is nearer than set, and all trees that are farther stay as they were."""
+    path = np.array([[3.0, 3.0], [60.0, 20.0], [60.0, 80.0]])
+    free, kept = make_stand(path_xy_m=path, path_clearance_m=2.0), make_stand()
+    tiles = [(ix, iy) for ix in range(4) for iy in range(5)]
+    all_trees = np.concatenate([kept.trees(*t) for t in tiles])
+    trees = np.concatenate([free.trees(*t) for t in tiles])
+    radius = taper_radius_m(
+        tapers(trees["species"]), trees["dbh_m"], trees["height_m"], np.zeros((len(trees), 1))
+    )
+    axis = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[:, :, 2]
+    for above_m in (0.0, 1.0, 2.5):
+        x, y = (trees[name] + above_m * axis[:, i] / axis[:, 2] for i, name in enumerate(("x_m", "y_m")))
+        assert (distance_m(np.column_stack([x, y]), path) - radius[:, 0]).min() >= 2.0
+    assert len(trees) < len(all_trees)
+    gone = all_trees[~np.isin(all_trees["x_m"], trees["x_m"])]
+    assert distance_m(np.column_stack([gone["x_m"], gone["y_m"]]), path).max() < 2.8
+    assert np.array_equal(all_trees[np.isin(all_trees["x_m"], trees["x_m"])], trees)
+
+
+def test_unknown_species_is_named():
+    """An unknown species is refused with the names that exist."""
+    with pytest.raises(GeometryError, match="found 'larch'; expected one of silver_birch, norway_spruce"):
+        make_stand(species=(SpeciesMix("larch", 1.0, 20.0, 20.0),))

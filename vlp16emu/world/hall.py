@@ -1,0 +1,232 @@
+"""A hall of known shapes, against which distances can be checked to a tenth of a millimetre."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.types import SURFACE, Mesh, Semantic, ShapeKey, Window
+
+__all__ = ["Box", "Hall", "Pole", "Sphere"]
+
+Array = NDArray[np.float64]
+
+_TOLERANCE_M = 5e-5
+"""Largest gap between a chord and its arc. Round things lie about half of it on either side of the truth;
+on a sphere the gaps of both angles add up to at most twice that."""
+
+_FEWEST_SIDES = 256
+
+_WALL_INSTANCE = 1
+"""Of the walls and the ceiling; things follow from 2 in the order given, boxes, poles, spheres."""
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """An upright box."""
+
+    name: str
+    centre_m: tuple[float, float, float]
+    size_m: tuple[float, float, float]
+    """Along x, y and z."""
+    reflectance: float
+
+
+@dataclass(frozen=True, slots=True)
+class Pole:
+    """An upright round pole whose mean radius over all directions is half its diameter."""
+
+    name: str
+    foot_m: tuple[float, float, float]
+    diameter_m: float
+    height_m: float
+    reflectance: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sphere:
+    """A ball."""
+
+    name: str
+    centre_m: tuple[float, float, float]
+    diameter_m: float
+    reflectance: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Room:
+    """Key of the hall itself: centred on the origin, floor at z = 0."""
+
+    size_m: tuple[float, float, float]
+
+
+class Hall:
+    """A closed room with things in it; a `World` that is in reach as a whole.
+
+    Parameters
+    ----------
+    length_m, width_m, height_m : along x, y and z; centred on x = y = 0, floor at z = 0
+    wall_reflectance : of floor, walls and ceiling
+    boxes, poles, spheres : what stands in it
+
+    Raises
+    ------
+    GeometryError
+        for a thing that is not wholly inside
+    """
+
+    materials = ("room", "box", "pole", "sphere")
+    """Names by `SURFACE` material number."""
+
+    def __init__(
+        self,
+        *,
+        length_m: float,
+        width_m: float,
+        height_m: float,
+        wall_reflectance: float,
+        boxes: Sequence[Box],
+        poles: Sequence[Pole],
+        spheres: Sequence[Sphere],
+    ) -> None:
+        room = _Room((length_m, width_m, height_m))
+        things: tuple[Box | Pole | Sphere, ...] = (*boxes, *poles, *spheres)
+        for thing in things:
+            _check_inside(thing, room)
+        self._keys = (room, *things)
+        self.names = {_WALL_INSTANCE: "walls", **{i + 2: thing.name for i, thing in enumerate(things)}}
+        surfaces = np.zeros(2 + len(things), SURFACE)
+        surfaces["reflectance"] = [wall_reflectance] * 2 + [thing.reflectance for thing in things]
+        surfaces["material"] = [0, 0, *[1] * len(boxes), *[2] * len(poles), *[3] * len(spheres)]
+        surfaces["semantic"] = Semantic.OTHER
+        surfaces["semantic"][0] = Semantic.GROUND
+        surfaces["instance"] = np.arange(len(surfaces))  # floor 0, walls and ceiling 1, things from 2
+        self._surfaces = surfaces
+
+    def height_m(self, x_m: Array, y_m: Array) -> Array:
+        """Height of the floor: 0 everywhere."""
+        return np.zeros(np.broadcast_shapes(np.shape(x_m), np.shape(y_m)))
+
+    def window(self, track_m: Array) -> Window:
+        """Give the whole hall, whatever the track (n, 3)."""
+        n = len(self._keys)
+        world_T_shape = np.zeros((n, 3, 4))
+        world_T_shape[:, :, :3], world_T_shape[:, :, 3] = np.eye(3), [_place_m(key) for key in self._keys]
+        return Window(
+            origin_m=np.round(track_m.mean(axis=0)),
+            shapes=self._keys,
+            shape=np.arange(n, dtype=np.int32),
+            world_T_shape=world_T_shape,
+            first_surface=np.concatenate([[0], 2 + np.arange(n - 1)]).astype(np.uint32),
+            surfaces=self._surfaces,
+        )
+
+    def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
+        """Meshes of the room (floor, then walls with ceiling) or of a thing, about its centre or foot."""
+        match key:
+            case _Room(size):
+                box = _box_quads(size)
+                return Mesh(box.vertices_m, box.faces[:1, ::-1]), Mesh(box.vertices_m, box.faces[1:, ::-1])
+            case Box(size_m=size):
+                return (_box_quads(size),)
+            case Pole():
+                return (_pole(key),)
+            case Sphere():
+                return (_sphere(key.diameter_m / 2),)
+        raise KeyError(key)
+
+
+def _place_m(key: _Room | Box | Pole | Sphere) -> tuple[float, float, float]:
+    """Where the origin of a shape lies in the hall."""
+    match key:
+        case _Room():
+            return (0.0, 0.0, key.size_m[2] / 2)
+        case Pole():
+            return key.foot_m
+        case _:
+            return key.centre_m
+
+
+def _check_inside(thing: Box | Pole | Sphere, room: _Room) -> None:
+    """Refuse what is not wholly inside."""
+    match thing:
+        case Box():
+            half, middle = tuple(size / 2 for size in thing.size_m), thing.centre_m
+        case Pole():
+            half = (thing.diameter_m / 2, thing.diameter_m / 2, thing.height_m / 2)
+            middle = (thing.foot_m[0], thing.foot_m[1], thing.foot_m[2] + half[2])
+        case Sphere():
+            half, middle = (thing.diameter_m / 2,) * 3, thing.centre_m
+    length_m, width_m, height_m = room.size_m
+    spans = ((-length_m / 2, length_m / 2), (-width_m / 2, width_m / 2), (0.0, height_m))
+    for axis, (low, high), at, size in zip("xyz", spans, middle, half, strict=True):
+        if not (low <= at - size and at + size <= high):
+            raise GeometryError(
+                f"hall: {thing.name}",
+                f"spans {at - size:g} to {at + size:g} m in {axis}",
+                f"inside {low:g} to {high:g} m",
+            )
+
+
+def _box_quads(size_m: tuple[float, float, float]) -> Mesh:
+    """Make a box about its centre; the bottom is the first face."""
+    corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    faces = [(0, 2, 6, 4), (1, 5, 7, 3), (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6)]
+    return Mesh((corners * size_m).astype(np.float32), np.array(faces, dtype=np.uint32))
+
+
+def _sides(radius_m: float) -> int:
+    """Sides of a polygon whose chords keep within the tolerance; even, so that it halves."""
+    needed = math.pi / math.acos(1 - min(_TOLERANCE_M / radius_m, 1.0))
+    return max(_FEWEST_SIDES, 2 * math.ceil(needed / 2))
+
+
+def _pole(pole: Pole) -> Mesh:
+    """Make a closed cylinder about its foot; its polygon has the true mean radius over azimuth."""
+    sides = _sides(pole.diameter_m / 2)
+    half = math.pi / sides
+    # Mean of cos(half) / cos(azimuth) over one side is cos(half) * ln(tan(pi/4 + half/2)) / half.
+    corner_m = pole.diameter_m / 2 * half / (math.cos(half) * math.log(math.tan(math.pi / 4 + half / 2)))
+    angle = 2 * half * np.arange(sides)
+    ring = np.column_stack([corner_m * np.cos(angle), corner_m * np.sin(angle), np.zeros(sides)])
+    up = np.array([0.0, 0.0, pole.height_m])
+    vertices = np.concatenate([ring, ring + up, [np.zeros(3), up]])
+    here = np.arange(sides)
+    after, middle, top = np.roll(here, -1), np.full(sides, 2 * sides), np.full(sides, 2 * sides + 1)
+    triangles = [
+        (here, after, after + sides),
+        (here, after + sides, here + sides),
+        (after, here, middle),
+        (here + sides, after + sides, top),
+    ]
+    faces = np.concatenate([np.column_stack(t) for t in triangles])
+    return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
+
+
+def _sphere(radius_m: float) -> Mesh:
+    """Make a ball of meridians and parallels about its centre, half inside and half outside the true surface."""
+    sides = _sides(radius_m)
+    half = math.pi / sides
+    # The middle of a face near the equator sinks below its corners by cos(half) in either angle.
+    corner_m = radius_m * 2 / (1 + math.cos(half) ** 2)
+    latitude = np.pi * (np.arange(1, sides // 2) / (sides // 2) - 0.5)
+    longitude = 2 * half * np.arange(sides)
+    flat = np.cos(latitude)[:, None]
+    z = np.broadcast_to(np.sin(latitude)[:, None], (len(latitude), sides))
+    rings = np.stack([flat * np.cos(longitude), flat * np.sin(longitude), z], axis=-1).reshape(-1, 3)
+    vertices = corner_m * np.concatenate([rings, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
+    here = np.arange(sides)
+    after, south, north = np.roll(here, -1), np.full(sides, len(rings)), np.full(sides, len(rings) + 1)
+    low = (np.arange(len(latitude) - 1) * sides)[:, None]
+    last = len(rings) - sides
+    triangles = [
+        (low + here, low + after, low + sides + after),
+        (low + here, low + sides + after, low + sides + here),
+        (after, here, south),
+        (last + here, last + after, north),
+    ]
+    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in triangles])
+    return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))

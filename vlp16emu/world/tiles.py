@@ -1,0 +1,114 @@
+"""The plane cut into square tiles: which are near a line, how finely each is drawn, and their ground."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.types import HeightField, Mesh
+from vlp16emu.world.polyline import distance_m
+
+__all__ = ["TILE_M", "TileKey", "ground_mesh", "level_of", "tile_origin_m", "tiles_within"]
+
+Array = NDArray[np.float64]
+
+TILE_M = 20.0
+"""Edge of a tile. Tile (ix, iy) spans TILE_M * ix .. TILE_M * (ix + 1) in x, and likewise in y."""
+
+_HALF_DIAGONAL_M = TILE_M / 2 * 2**0.5
+
+_LEVEL_REACH_M = (20.0, 50.0)
+"""Level 0 within the first distance of the path, level 1 within the second, level 2 beyond: at 50 m a
+beam of 3 mrad is 15 cm wide, which is the size of the leaf clusters of level 2."""
+
+_CELLS = (40, 20, 20)
+"""Ground cells along a tile's edge, by level: 0.5 m near the path, 1 m beyond."""
+
+_SKIRT_M = 0.5
+"""Depth of the hem under a tile's border; steps between grids of 0.5 m and 1 m are a few centimetres."""
+
+
+@dataclass(frozen=True, slots=True)
+class TileKey:
+    """Name of a tile's shape: its ground and its stems."""
+
+    ix: int
+    iy: int
+    level: int
+    """Of detail, 0 is the finest."""
+
+
+def tiles_within(line_xy_m: Array, reach_m: float) -> NDArray[np.int64]:
+    """Tiles of which some part may lie within `reach_m` of a polyline (m, 2).
+
+    Returns
+    -------
+    (n, 2) ix and iy, in ascending order. Distance is reckoned from the tile's centre less half its
+    diagonal, so that no tile in reach is left out.
+    """
+    reach = reach_m + _HALF_DIAGONAL_M
+    low = np.floor((line_xy_m.min(axis=0) - reach) / TILE_M).astype(np.int64)
+    high = np.floor((line_xy_m.max(axis=0) + reach) / TILE_M).astype(np.int64)
+    ix, iy = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij")
+    tiles = np.column_stack([ix.ravel(), iy.ravel()])
+    near: NDArray[np.int64] = tiles[_centre_distance_m(tiles, line_xy_m) <= reach]
+    return near
+
+
+def level_of(tile: tuple[int, int], path_xy_m: Array) -> int:
+    """Level of detail of a tile, from its distance to the whole path."""
+    gap = float(_centre_distance_m(np.array([tile]), path_xy_m)[0]) - _HALF_DIAGONAL_M
+    return sum(gap > reach for reach in _LEVEL_REACH_M)
+
+
+def _centre_distance_m(tiles: NDArray[np.int64], line_xy_m: Array) -> Array:
+    """Distance of tile centres from a polyline, (n,)."""
+    return distance_m(TILE_M * tiles.astype(np.float64) + TILE_M / 2, line_xy_m)
+
+
+def tile_origin_m(ix: int, iy: int, height_m: HeightField) -> Array:
+    """Origin of a tile's own frame, (3,): its south-west corner, at a whole metre near the ground."""
+    x, y = ix * TILE_M, iy * TILE_M
+    middle = height_m(np.array([x + TILE_M / 2]), np.array([y + TILE_M / 2]))
+    return np.array([x, y, np.round(middle[0])])
+
+
+def ground_mesh(key: TileKey, height_m: HeightField) -> Mesh:
+    """Triangles of a tile's ground in the tile's own frame, with a hem that hides the seams."""
+    cells = _CELLS[key.level]
+    origin = tile_origin_m(key.ix, key.iy, height_m)
+    y, x = np.meshgrid(*[np.arange(cells + 1) * (TILE_M / cells)] * 2, indexing="ij")
+    grid = np.column_stack([x.ravel(), y.ravel(), height_m(x + origin[0], y + origin[1]).ravel() - origin[2]])
+    hem = grid[_border(cells)] - [0.0, 0.0, _SKIRT_M]
+    return Mesh(np.concatenate([grid, hem]).astype(np.float32), _faces(cells))
+
+
+@cache
+def _border(cells: int) -> NDArray[np.int64]:
+    """Grid vertices along the border, counter-clockwise: (4 * cells,)."""
+    n = np.arange(cells)
+    row = cells + 1
+    return np.concatenate([n, cells + n * row, cells * row + cells - n, (cells - n) * row])
+
+
+@cache
+def _faces(cells: int) -> NDArray[np.uint32]:
+    """Triangles of the grid and then of the hem, shared by all tiles with as many cells."""
+    row = cells + 1
+    corner = (np.arange(cells)[:, None] * row + np.arange(cells)).ravel()
+    east, north, opposite = corner + 1, corner + row, corner + row + 1
+    top, hem = _border(cells), row * row + np.arange(4 * cells)
+    next_top, next_hem = np.roll(top, -1), np.roll(hem, -1)
+    triangles = [
+        np.column_stack(triple)
+        for triple in (
+            (corner, east, opposite),
+            (corner, opposite, north),
+            (top, hem, next_hem),
+            (top, next_hem, next_top),
+        )
+    ]
+    faces = np.concatenate(triangles).astype(np.uint32)
+    faces.flags.writeable = False
+    return faces
