@@ -1,7 +1,8 @@
 """Where the lasers point: one table per sensor, in wire order (laser id 0..15).
 
 Source: VLP-16 User Manual 63-9243 Rev D, table 9-1 (elevation and vertical correction). Each beam
-passes 41.9 mm from the spin axis at the height of the optical centre, to the rounding of the table.
+crosses the height of the optical centre 41.9 mm from the spin axis: on the VLP-16 to the rounding of the
+table, on the Puck Hi-Res, whose corrections the manual gives in equal steps, to 0.4 mm.
 """
 
 from dataclasses import dataclass

@@ -1,0 +1,125 @@
+"""The whole chain: the same bytes however the work is cut, and distances that are true."""
+
+import hashlib
+import itertools
+
+import numpy as np
+import pytest
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import TrajectoryError
+from vlp16emu.packets import DATA_PAYLOAD, DISTANCE_LSB_M
+from vlp16emu.scenario import load
+from vlp16emu.types import PacketKind
+
+BLOCK_S = 1920 * 55_296e-9
+STRETCH_S = 64 * BLOCK_S
+
+
+def digest(packets):
+    """Hash of everything that leaves: kinds, times and bytes."""
+    sha = hashlib.sha256()
+    for packet in packets:
+        sha.update(f"{packet.kind} {packet.due_ns} ".encode() + packet.payload)
+    return sha.hexdigest()
+
+
+def hall(*settings):
+    return load("static_bench", settings)
+
+
+@pytest.fixture(scope="module")
+def birch():
+    """A short piece of forest, thin enough to be quick, across the change of a window."""
+    return load("birch_walk", ["world.stems_per_ha=150", "sensor.max_range_m=40.0", "seed=5"])
+
+
+def test_threads_do_not_change_a_byte(birch):
+    """One thread or three: the same packets at the same times."""
+    span = STRETCH_S - 0.25, STRETCH_S + 0.25
+    assert digest(Emulator(birch, threads=1).packets(*span)) == digest(
+        Emulator(birch, threads=3).packets(*span)
+    )
+
+
+def test_cuts_do_not_change_a_byte(birch):
+    """A run in pieces that begin anywhere, also in the middle of a packet, equals the run in one go."""
+    start, stop = STRETCH_S - 0.3, STRETCH_S + 0.3
+    whole = digest(Emulator(birch).packets(start, stop))
+    cuts = [start, start + 0.0004, STRETCH_S - BLOCK_S / 3, STRETCH_S + 0.1001, stop]
+    pieces = (
+        packet
+        for a, b in itertools.pairwise(cuts)
+        for packet in Emulator(birch, threads=2).packets(a, b)
+    )
+    assert digest(pieces) == whole
+
+
+@pytest.mark.parametrize("mode", ["strongest", "last", "dual"])
+def test_packets_leave_in_order_at_the_manuals_rate(mode):
+    """Data packets are one period apart, 1327.104 us or 663.552 us in dual return, and the merged stream is in order."""
+    packets = list(Emulator(hall(f"sensor.return_mode='{mode}'")).packets(0.2, 0.7))
+    due_ns = np.array([packet.due_ns for packet in packets])
+    assert (np.diff(due_ns) >= 0).all()
+    data_ns = np.array([packet.due_ns for packet in packets if packet.kind is PacketKind.DATA])
+    assert set(np.diff(data_ns)) == {663_552 if mode == "dual" else 1_327_104}
+    position = [packet for packet in packets if packet.kind is PacketKind.POSITION]
+    assert 65 <= len(position) <= 81
+
+
+def test_first_packet_begins_with_the_first_pulse():
+    """The first packet is due one period after the start and shows the clock's zero."""
+    scenario = hall()
+    first = next(p for p in Emulator(scenario).packets(0, 0.1) if p.kind is PacketKind.DATA)
+    assert first.due_ns == scenario.start_ns + 1_327_104
+    assert np.frombuffer(first.payload, DATA_PAYLOAD)["timestamp_us"] == 0
+
+
+def test_ten_seconds_are_7535_packets():
+    """753.52 packets per second: those that are complete before 10 s are 7535."""
+    kinds = [packet.kind for packet in Emulator(hall("sensor.rpm=1200")).packets(0, 10)]
+    assert kinds.count(PacketKind.DATA) == 7535
+
+
+def test_wire_agrees_with_the_cast_truth():
+    """Every distance on the wire is the cast one to half a step of the 2 mm grid."""
+    emulator = Emulator(hall())
+    payload = b"".join(p.payload for p in emulator.packets(0, BLOCK_S + 1e-6) if p.kind is PacketKind.DATA)
+    blocks = np.frombuffer(payload, DATA_PAYLOAD)["blocks"]
+    sent_m = blocks["records"]["distance_lsb"].reshape(-1, 16) * DISTANCE_LSB_M
+    cast_m = np.concatenate([returns.distance_m[..., 0] for returns in emulator.returns(0, BLOCK_S)])
+    assert (sent_m > 0).all()
+    assert np.abs(sent_m - cast_m[: len(sent_m)]).max() <= 0.001 + 1e-5
+
+
+def test_wire_time_is_the_hour_of_a_locked_clock():
+    """With GPS the time stamps pass the hour of UTC in mid-run, and position packets with them."""
+    scenario = load("static_bench", ["gps.connected=true", "start_utc=2026-12-31T23:59:59.9Z"])
+    stamps = [
+        int(np.frombuffer(p.payload, DATA_PAYLOAD)["timestamp_us"][0])
+        for p in Emulator(scenario).packets(0, 0.2)
+        if p.kind is PacketKind.DATA
+    ]
+    steps = np.diff(stamps)
+    assert stamps[0] == 3_599_900_000
+    assert (steps < 0).sum() == 1
+    assert set(steps[steps > 0]) <= {1327, 1328}
+    assert steps.min() + 3_600_000_000 in {1327, 1328}
+
+
+def test_walk_ends_where_its_path_ends(birch):
+    """A span beyond the walk's run time is refused before anything is computed."""
+    with pytest.raises(TrajectoryError, match=r"duration: found 600 s; expected at most 7\d\.\d s"):
+        Emulator(birch).packets(0, 600)
+
+
+def test_truth_names_what_was_hit(birch):
+    """With truth on, every return has a surface row, and ground, stems and leaves are all among them."""
+    returns = list(Emulator(birch, truth=True).returns(0, 0.3))
+    parts = set()
+    for r in returns:
+        hit = r.distance_m[..., 0] > 0
+        assert (r.surface[..., 0][hit] < len(r.surfaces)).all()
+        parts |= set(np.unique(r.surfaces["part"][r.surface[..., 0][hit]]).tolist())
+    assert {0, 1, 4} <= parts
+    assert next(iter(Emulator(birch).returns(0, 0.1))).surface is None
