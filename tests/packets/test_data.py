@@ -1,0 +1,213 @@
+"""Packing of data packets, byte by byte against a slow twin and by its rules."""
+
+import struct
+
+import numpy as np
+import pytest
+
+from vlp16emu.errors import InputError
+from vlp16emu.packets import data_payloads, pack_data, timestamp_us
+from vlp16emu.packets.layout import DATA_PAYLOAD
+from vlp16emu.types import PacketKind, ReturnMode, SensorModel
+
+HOUR_NS = 3_600 * 10**9
+VLP_16 = SensorModel.VLP_16
+
+
+def record(returns, s, j, which):
+    """One record as the slow twin writes it."""
+    code = round(float(returns.distance_m[s, j, which]) * 500)
+    return struct.pack("<HB", code, returns.reflectivity[s, j, which]) if 250 <= code <= 65535 else bytes(3)
+
+
+def slow_payloads(returns, mode):
+    """Pack the obvious way, one record after the other."""
+    dual = mode is ReturnMode.DUAL
+    out = b""
+    for first in range(0, len(returns.distance_m), 12 if dual else 24):
+        for s in range(first, first + (12 if dual else 24), 2):
+            azimuth = int(float(returns.firings.reading_deg[s]) * 100) % 36000
+            for odd in (False, True) if dual else (None,):
+                out += b"\xff\xee" + struct.pack("<H", azimuth)
+                for sequence in (s, s + 1):
+                    for j in range(16):
+                        strongest, last, second = returns.distance_m[sequence, j]
+                        if odd is None:
+                            which = 1 if mode is ReturnMode.LAST else 0
+                        elif not odd:
+                            which = 1
+                        else:
+                            which = 0 if strongest != last or second == 0 else 2
+                        out += record(returns, sequence, j, which)
+        clock_us = int(returns.firings.clock_ns[first]) // 1000
+        out += struct.pack("<IBB", clock_us, {"strongest": 0x37, "last": 0x38, "dual": 0x39}[mode], 0x22)
+    return np.frombuffer(out, np.uint8).reshape(-1, 1206)
+
+
+@pytest.mark.parametrize("mode", ReturnMode)
+def test_against_slow_twin(random_returns, mode):
+    """The vectorised packer writes what a loop over single records writes."""
+    returns = random_returns(24 * 5, seed=11)
+    np.testing.assert_array_equal(data_payloads(returns, mode, VLP_16), slow_payloads(returns, mode))
+
+
+@pytest.mark.parametrize("mode", ReturnMode)
+def test_packets_do_not_depend_on_their_company(random_returns, make_returns, mode):
+    """A packet packed alone has the bytes that it has among others."""
+    returns = random_returns(24 * 3, seed=12)
+    together = data_payloads(returns, mode, VLP_16)
+    firings, n = returns.firings, 12 if mode is ReturnMode.DUAL else 24
+    for p, packet in enumerate(together):
+        rows = slice(p * n, p * n + n)
+        alone = make_returns(
+            n,
+            clock_ns=int(firings.clock_ns[rows][0]),
+            reading_deg=firings.reading_deg[rows],
+            distance_m=returns.distance_m[rows],
+            reflectivity=returns.reflectivity[rows],
+        )
+        np.testing.assert_array_equal(data_payloads(alone, mode, VLP_16)[0], packet)
+
+
+@pytest.mark.parametrize(("mode", "sequences"), [("strongest", 24), ("last", 24), ("dual", 12)])
+def test_due_after_the_last_sequence(make_returns, mode, sequences):
+    """A packet leaves 24 firing sequences (12 in dual return) after its first pulse."""
+    start_ns = 1_779_267_600_000_000_123
+    packets = pack_data(make_returns(48, t_ns=start_ns), ReturnMode(mode), VLP_16)
+    due_ns = [start_ns + (p + 1) * sequences * 55_296 for p in range(48 // sequences)]
+    assert [packet.due_ns for packet in packets] == due_ns
+    assert {packet.kind for packet in packets} == {PacketKind.DATA}
+    assert {len(packet.payload) for packet in packets} == {1206}
+
+
+def test_nothing_gives_nothing(make_returns):
+    """No firing sequences, no packets."""
+    assert pack_data(make_returns(0), ReturnMode.STRONGEST, VLP_16) == []
+
+
+@pytest.mark.parametrize(
+    ("model", "byte"),
+    [(SensorModel.VLP_16, 0x22), (SensorModel.PUCK_LITE, 0x22), (SensorModel.PUCK_HI_RES, 0x24)],
+)
+def test_factory_byte(make_returns, model, byte):
+    """The last byte names the product."""
+    assert data_payloads(make_returns(24), ReturnMode.STRONGEST, model)[0, -1] == byte
+
+
+@pytest.mark.parametrize(
+    ("clock_ns", "us"),
+    [
+        (0, 0),
+        (999, 0),
+        (1_000, 1),
+        (999_999_999, 999_999),
+        (HOUR_NS - 1, 3_599_999_999),
+        (HOUR_NS, 0),
+        (-350_000, 3_599_999_650),
+    ],
+)
+def test_time_is_floored_to_microseconds(clock_ns, us):
+    """Time stamps are whole microseconds, rounded down, and begin anew each hour."""
+    assert timestamp_us(np.array([clock_ns]))[0] == us
+
+
+def test_time_steps(make_returns):
+    """Steps between packets are 1327 or 1328 us and lose nothing over 1000 packets."""
+    payloads = data_payloads(make_returns(24 * 1001, clock_ns=777), ReturnMode.STRONGEST, VLP_16)
+    stamps_us = payloads.view(DATA_PAYLOAD)["timestamp_us"].ravel().astype(np.int64)
+    assert set(np.diff(stamps_us)) == {1327, 1328}
+    assert abs(stamps_us[-1] - stamps_us[0] - 1_327_104) <= 1
+
+
+def azimuth_codes(make_returns, reading_deg):
+    """Codes of one angle per block."""
+    readings = np.repeat(np.resize(reading_deg, -(-len(reading_deg) // 12) * 12), 2)
+    payloads = data_payloads(make_returns(len(readings), reading_deg=readings), ReturnMode.STRONGEST, VLP_16)
+    return payloads.view(DATA_PAYLOAD)["blocks"]["azimuth_cdeg"].ravel()[: len(reading_deg)]
+
+
+def test_every_azimuth_code(make_returns):
+    """An angle of whole hundredths of a degree becomes just this code, for all 36000 of them."""
+    np.testing.assert_array_equal(azimuth_codes(make_returns, np.arange(36000) / 100), np.arange(36000))
+
+
+def test_azimuth_is_floored(make_returns):
+    """Between two codes the lower is sent, and 36000 never is."""
+    codes = azimuth_codes(
+        make_returns, np.array([0.0099, 123.4567, 359.9999, 359.9999999999, np.nextafter(360, 0)])
+    )
+    assert codes.tolist() == [0, 12345, 35999, 0, 0]
+
+
+def test_azimuth_is_that_of_the_first_sequence(make_returns):
+    """The reading at a block's second firing sequence does not appear on the wire."""
+    readings = np.arange(24.0)
+    payloads = data_payloads(make_returns(24, reading_deg=readings), ReturnMode.STRONGEST, VLP_16)
+    codes = payloads.view(DATA_PAYLOAD)["blocks"]["azimuth_cdeg"].ravel()
+    assert codes.tolist() == [200 * b for b in range(12)]
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "code"),
+    [
+        (0.0, 0),
+        (0.002, 0),
+        (0.498, 0),
+        (0.5, 250),
+        (0.501, 250),
+        (0.5011, 251),
+        (1.2345, 617),
+        (99.9989, 49999),
+        (131.07, 65535),
+        (131.072, 0),
+        (500.0, 0),
+    ],
+)
+def test_distance_codes(make_returns, distance_m, code):
+    """Distances are rounded to 2 mm; less than 0.5 m or more than 16 bits is no return, with reflectivity 0."""
+    shape = (24, 16, 3)
+    returns = make_returns(
+        24, distance_m=np.full(shape, distance_m, np.float32), reflectivity=np.full(shape, 77, np.uint8)
+    )
+    records = data_payloads(returns, ReturnMode.STRONGEST, VLP_16).view(DATA_PAYLOAD)["blocks"]["records"]
+    assert set(records["distance_lsb"].ravel()) == {code}
+    assert set(records["reflectivity"].ravel()) == {77 if code else 0}
+
+
+def test_single_return_of_dual_is_repeated(random_returns):
+    """Where there is one return both blocks say the same, reflectivity too."""
+    returns = random_returns(24, seed=13)
+    one = (returns.distance_m[..., 2] == 0) & (returns.distance_m[..., 0] == returns.distance_m[..., 1])
+    blocks = data_payloads(returns, ReturnMode.DUAL, VLP_16).view(DATA_PAYLOAD)["blocks"][:, 0]
+    even, odd = (blocks[:, first::2]["records"].reshape(24, 16)[one] for first in (0, 1))
+    assert one.sum() > 50
+    np.testing.assert_array_equal(even, odd)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"sequences": 23},
+            "pack_data: firing sequences: 23; expected a multiple of 24 for strongest return",
+        ),
+        ({"sequences": 24, "lasers": 32}, "pack_data: lasers: 32; expected 16"),
+        (
+            {"sequences": 24, "reading_deg": np.full(24, np.nan)},
+            "pack_data: firings.reading_deg: from nan to nan; expected finite numbers from 0 upwards",
+        ),
+        (
+            {"sequences": 24, "distance_m": np.full((24, 16, 3), -1, np.float32)},
+            "pack_data: distance_m: from -1.0 to 0.0; expected finite numbers from 0 upwards",
+        ),
+        (
+            {"sequences": 24, "distance_m": np.full((24, 16, 3), np.inf, np.float32)},
+            "pack_data: distance_m: from 0.0 to inf; expected finite numbers from 0 upwards",
+        ),
+    ],
+)
+def test_refuses_what_cannot_be_packed(make_returns, changes, message):
+    """Incomplete packets, other sensors and impossible numbers are told apart from returns."""
+    with pytest.raises(InputError) as error:
+        pack_data(make_returns(**changes), ReturnMode.STRONGEST, VLP_16)
+    assert str(error.value) == message

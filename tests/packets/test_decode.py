@@ -1,0 +1,251 @@
+"""Decoding against a slow twin, and by its rules."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from vlp16emu.errors import PacketError
+from vlp16emu.packets import (
+    data_fields,
+    data_payloads,
+    decode_data,
+    decode_position,
+    pack_position,
+    scan_starts,
+)
+from vlp16emu.packets.decode import ELEVATION_DEG, VERTICAL_CORRECTION_M
+from vlp16emu.packets.layout import DATA_PAYLOAD
+from vlp16emu.types import PpsState, ReturnMode, SensorModel
+
+VLP_16 = SensorModel.VLP_16
+
+
+def steady(make_returns, mode, packets, start_deg=358.0, step_deg=0.1990656, clock_ns=0):
+    """Payloads of a rotor without errors, every distance 10 m."""
+    sequences = packets * (12 if mode is ReturnMode.DUAL else 24)
+    returns = make_returns(
+        sequences,
+        clock_ns=clock_ns,
+        reading_deg=(start_deg + np.arange(sequences) * step_deg) % 360,
+        distance_m=np.full((sequences, 16, 3), 10, np.float32),
+    )
+    return data_payloads(returns, mode, VLP_16).copy()
+
+
+def slow_points(payloads, model):
+    """Decode the obvious way: tuples of packet, laser, azimuth in degrees, x, y, z in metres, pulse by pulse."""
+    packets = payloads.view(DATA_PAYLOAD)[:, 0]
+    stride = 2 if packets["return_mode"][0] == 0x39 else 1
+    for p, b in itertools.product(range(len(packets)), range(0, 12, stride)):
+        azimuths = [int(azimuth) for azimuth in packets[p]["blocks"]["azimuth_cdeg"][::stride]]
+        step = ((azimuths[-1] - azimuths[0]) % 36000) / (len(azimuths) - 1)
+        for r in range(32):
+            j = r % 16
+            azimuth_deg = (
+                (azimuths[b // stride] + step * (r // 16 * 55.296 + j * 2.304) / 110.592) / 100 % 360
+            )
+            a, w = math.radians(azimuth_deg), math.radians(ELEVATION_DEG[model][j])
+            for twin in range(stride):
+                distance = packets[p]["blocks"][b + twin]["records"][r // 16, j]["distance_lsb"] * 0.002
+                x = distance * math.cos(w) * math.sin(a)
+                y = distance * math.cos(w) * math.cos(a)
+                yield p, j, azimuth_deg, x, y, distance * math.sin(w) + VERTICAL_CORRECTION_M[model][j]
+
+
+@pytest.mark.parametrize("mode", ReturnMode)
+@pytest.mark.parametrize("model", [SensorModel.VLP_16, SensorModel.PUCK_HI_RES])
+def test_against_slow_twin(random_returns, mode, model):
+    """Azimuths and coordinates are those of a loop over the manual's formulas in plain Python."""
+    payloads = data_payloads(random_returns(24 * 4, seed=21), mode, model)
+    points = decode_data(payloads, keep_no_returns=True)
+    packet, laser, azimuth_deg, *xyz_m = np.array(list(slow_points(payloads, model))).T
+    np.testing.assert_array_equal(points.packet, packet)
+    np.testing.assert_array_equal(points.laser, laser)
+    np.testing.assert_allclose(points.azimuth_deg, azimuth_deg, atol=1e-9)
+    seen = points.distance_m > 0
+    np.testing.assert_allclose(points.xyz_m[seen], np.stack(xyz_m, axis=1)[seen], atol=2e-5)
+    assert np.isnan(points.xyz_m[~seen]).all()
+
+
+@pytest.mark.parametrize("mode", ReturnMode)
+def test_dropping_no_returns(random_returns, mode):
+    """Without the pulses that found nothing the other records are the same, in the same order."""
+    payloads = data_payloads(random_returns(24 * 3, seed=22), mode, VLP_16)
+    every, some = (decode_data(payloads, keep_no_returns=keep) for keep in (True, False))
+    seen = every.distance_m > 0
+    assert 0 < seen.sum() < len(seen)
+    for name in every.__slots__:
+        np.testing.assert_array_equal(getattr(some, name), getattr(every, name)[seen])
+
+
+def test_what_was_packed_is_read(random_returns):
+    """Distances come back to 1 mm, reflectivities and angles of the first lasers as they were."""
+    returns = random_returns(24 * 10, seed=23)
+    points = decode_data(data_payloads(returns, ReturnMode.STRONGEST, VLP_16), keep_no_returns=True)
+    sent = returns.distance_m[..., 0].ravel()
+    seen = (sent >= 0.5) & (sent <= 131)
+    assert np.abs(points.distance_m - sent)[seen].max() <= 0.00101
+    np.testing.assert_array_equal(points.reflectivity[seen], returns.reflectivity[..., 0].ravel()[seen])
+    behind_deg = (returns.firings.reading_deg[::2] - points.azimuth_deg[::32]) % 360
+    assert behind_deg.max() < 0.01
+
+
+@pytest.mark.parametrize("mode", ReturnMode)
+def test_precision_azimuth(make_returns, mode):
+    """With a steady rotor every pulse's angle is that of its own instant to the 0.01 deg of a floored reading."""
+    payloads = steady(make_returns, mode, packets=8)
+    points = decode_data(payloads, keep_no_returns=True)
+    truth_deg = 358 + (points.time_ns - points.time_ns[0]) / 55_296 * 0.1990656
+    wrong_deg = (points.azimuth_deg - truth_deg + 180) % 360 - 180
+    assert np.abs(wrong_deg).max() <= 0.011  # and a tenth of that for the mean step
+
+
+def test_times(make_returns):
+    """Records stand in order of time, 2.304 us and 55.296 us apart, and roll over within a packet."""
+    points = decode_data(
+        steady(make_returns, ReturnMode.STRONGEST, 2, clock_ns=3_600 * 10**9 - 100_000), keep_no_returns=True
+    )
+    since_ns = (points.time_ns - points.time_ns[0]).reshape(2, 24, 16) % (3_600 * 10**9)
+    assert points.time_ns.max() < 3_600 * 10**9
+    assert points.time_ns[-1] < points.time_ns[0]
+    assert set(np.diff(since_ns, axis=2).ravel()) == {2_304}
+    assert set(np.diff(since_ns[..., 0], axis=1).ravel()) == {55_296}
+
+
+def test_rings():
+    """Ring 0 looks down most, ring 15 up most, on both models."""
+    payload = np.zeros((1, 1206), np.uint8)
+    payload.view(DATA_PAYLOAD)["blocks"]["flag"] = 0xEEFF
+    for factory, model in ((0x22, SensorModel.VLP_16), (0x24, SensorModel.PUCK_HI_RES)):
+        payload[0, 1204:] = 0x37, factory
+        points = decode_data(payload, keep_no_returns=True)
+        elevation_deg = ELEVATION_DEG[model][points.laser]
+        np.testing.assert_array_equal(np.sort(ELEVATION_DEG[model])[points.ring], elevation_deg)
+
+
+def test_last_is_told(make_returns):
+    """Records of mode last are last returns, those of strongest are not, in dual every other one is."""
+    for mode, expected in (
+        ("strongest", {(False, False)}),
+        ("last", {(True, True)}),
+        ("dual", {(True, False)}),
+    ):
+        points = decode_data(steady(make_returns, ReturnMode(mode), 2), keep_no_returns=True)
+        assert {tuple(pair) for pair in points.is_last.reshape(-1, 2)} == expected
+
+
+def test_packets_do_not_depend_on_their_company(random_returns):
+    """A packet decoded alone gives the points that it gives among others."""
+    payloads = data_payloads(random_returns(24 * 4, seed=24), ReturnMode.DUAL, VLP_16)
+    together = decode_data(payloads, keep_no_returns=True)
+    alone = [decode_data(payload[None], keep_no_returns=True) for payload in payloads]
+    for name in set(together.__slots__) - {"packet"}:
+        np.testing.assert_array_equal(
+            getattr(together, name), np.concatenate([getattr(points, name) for points in alone])
+        )
+
+
+def test_blind_sector_does_not_smear(make_returns):
+    """A jump from one edge of the field of view to the other turns no pulse by more than a block's step."""
+    payloads = steady(make_returns, ReturnMode.STRONGEST, 1, start_deg=85)
+    blocks = payloads.view(DATA_PAYLOAD)["blocks"][:, 0]
+    blocks["azimuth_cdeg"][0, 6:] += 18_000
+    points = decode_data(payloads, keep_no_returns=True)
+    turned_deg = points.azimuth_deg.reshape(12, 32) - blocks["azimuth_cdeg"][0][:, None] / 100
+    assert turned_deg.max() < 0.4
+    assert turned_deg.min() >= 0
+
+
+def test_mode_may_change(make_returns):
+    """Packets before and after a change of return mode are decoded as alone."""
+    single = steady(make_returns, ReturnMode.STRONGEST, 2)
+    dual = steady(make_returns, ReturnMode.DUAL, 2, start_deg=20)
+    both = decode_data(np.concatenate([single, dual]), keep_no_returns=True)
+    for rows, alone in ((slice(0, 768), single), (slice(768, None), dual)):
+        np.testing.assert_array_equal(both.xyz_m[rows], decode_data(alone, keep_no_returns=True).xyz_m)
+
+
+def test_no_packets():
+    """No packets, no points."""
+    assert len(decode_data(np.zeros((0, 1206), np.uint8), keep_no_returns=True).laser) == 0
+
+
+@pytest.mark.parametrize(
+    ("offset", "value", "message"),
+    [
+        (300, 0xFE, "data packet 1: block flag: 0xeefe; expected 0xeeff"),
+        (1204, 0x36, "data packet 1: return mode: 0x36; expected 0x37, 0x38 or 0x39"),
+        (1205, 0x28, "data packet 1: product: 0x28; expected 0x22 or 0x24"),
+        (1205, 0x24, "data packet 1: product: 0x24; expected the first packet's"),
+        (103, 0xFF, "data packet 1: azimuth: 0xfff1; expected 0 to 36000 hundredths of a degree"),
+    ],
+)
+def test_refuses_other_packets(make_returns, offset, value, message):
+    """Bytes that a VLP-16 does not send are an error that names the packet and what stands there."""
+    payloads = steady(make_returns, ReturnMode.STRONGEST, 3)
+    payloads.view(DATA_PAYLOAD)["blocks"]["azimuth_cdeg"] = 0xF1
+    payloads[1:, offset] = value
+    with pytest.raises(PacketError) as error:
+        decode_data(payloads, keep_no_returns=False)
+    assert str(error.value) == message
+
+
+@pytest.mark.parametrize("shape", [(1206,), (2, 1200), (2, 1248)])
+def test_refuses_other_lengths(shape):
+    """Payloads of another length are an error before anything is read from them."""
+    with pytest.raises(PacketError, match=r"expected \(n, 1206\) uint8"):
+        data_fields(np.zeros(shape, np.uint8))
+
+
+def test_scan_starts(make_returns):
+    """A scan begins at the first azimuth and wherever the azimuth wraps, also in dual return."""
+    for mode in (ReturnMode.STRONGEST, ReturnMode.DUAL):
+        points = decode_data(steady(make_returns, mode, 320, start_deg=350), keep_no_returns=True)
+        starts = scan_starts(points.azimuth_deg)
+        assert starts[0] == 0
+        assert (
+            points.azimuth_deg[starts[1:]] < 0.08
+        ).all()  # the rotor turns 0.066 deg while lasers recharge
+        turns = 1 + int((350 + 0.1990656 * 320 * (12 if mode is ReturnMode.DUAL else 24)) // 360)
+        assert len(starts) == turns
+
+
+@pytest.mark.parametrize(
+    ("azimuth_deg", "starts"),
+    [
+        ([], []),
+        ([5.0], [0]),
+        ([10, 200, 359, 1, 2], [0, 3]),
+        ([300, 140, 300], [0, 1]),  # nothing seen over more than half a turn
+        ([10, 9.99, 10.4, 10.39], [0]),  # noise of readings
+        ([359.9, 0.0, 359.99, 0.4, 100], [0, 1]),  # the same where it wraps
+        ([359.9, 0.1, 359.9, 0.1], [0, 1]),
+        ([350, 10, 350, 10], [0, 1, 3]),
+    ],
+)
+def test_scan_starts_by_hand(azimuth_deg, starts):
+    """Falls of the azimuth begin scans, noise around any angle does not."""
+    assert scan_starts(np.array(azimuth_deg, np.float64)).tolist() == starts
+
+
+@pytest.mark.parametrize(
+    ("payload", "message"),
+    [
+        (bytes(511), "position packet: 511 bytes; expected 512"),
+        (bytes(202) + b"\x04" + bytes(309), "position packet: PPS state: 4; expected 0 to 3"),
+    ],
+)
+def test_refuses_other_position_packets(payload, message):
+    """A wrong length or an unknown state is an error that shows it."""
+    with pytest.raises(PacketError) as error:
+        decode_position(payload)
+    assert str(error.value) == message
+
+
+def test_sentence_ends_at_nul():
+    """What stands behind the first NUL is no part of the sentence."""
+    payload = bytearray(pack_position(0, PpsState.LOCKED, b"$A\r\n"))
+    payload[215] = ord("x")
+    assert decode_position(bytes(payload)).sentence == b"$A\r\n"

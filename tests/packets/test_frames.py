@@ -1,0 +1,90 @@
+"""Ethernet frames around the payloads."""
+
+import struct
+from pathlib import Path
+
+import dpkt
+import pytest
+
+from vlp16emu.errors import PacketError
+from vlp16emu.packets.frames import FACTORY_LINK, HEADER_BYTES, Link, data_header, position_frame
+
+CAPTURE = Path(__file__).parents[2] / ".." / "shared" / "captures" / "mrpt_vlp16_gps.pcap"
+# The unit of the capture, which somebody had given another address.
+CAPTURED_LINK = Link(bytes.fromhex("607688102f6f"), b"\xff" * 6, "10.0.0.100", "255.255.255.255")
+
+
+def slow_checksum(data: bytes) -> int:
+    """Sum 16-bit words in ones' complement one by one, as RFC 1071 tells it."""
+    total = 0
+    for (word,) in struct.iter_unpack(">H", data):
+        total += word
+        total = (total & 0xFFFF) + (total >> 16)
+    return ~total & 0xFFFF
+
+
+def test_data_header_is_that_of_a_real_unit_in_factory_state():
+    """From the EtherType on, the 42 bytes are those dumped from a real unit at 192.168.1.201."""
+    header = data_header(FACTORY_LINK)
+    assert len(header) == HEADER_BYTES == 42
+    assert header[:6] == b"\xff" * 6
+    assert header[6:9] == bytes.fromhex("607688")
+    assert header[12:] == bytes.fromhex(
+        "0800 450004d20000 4000ff11b4a9 c0a801c9 ffffffff 0940 0940 04be 0000".replace(" ", "")
+    )
+
+
+@pytest.mark.parametrize(
+    ("source", "checksum"), [("192.168.1.201", 0xB4A9), ("192.168.1.200", 0xB4AA), ("10.0.0.100", 0x6CB7)]
+)
+def test_ip_checksum_follows_the_address(source, checksum):
+    """The IP checksum has the values that were recomputed by hand for three source addresses."""
+    header = data_header(Link(b"\0" * 6, b"\xff" * 6, source, "255.255.255.255"))
+    assert int.from_bytes(header[24:26]) == checksum
+
+
+@pytest.mark.parametrize("number", [0, 1, 0x8537, 0xFFFF])
+def test_position_frame_has_valid_checksums(number):
+    """Both checksums of a position frame are those of a sum made word by word, and its fields are the real ones."""
+    frame = position_frame(FACTORY_LINK, bytes(range(256)) * 2, number)
+    ip, udp = frame[14:34], frame[34:]
+    assert len(frame) == 554
+    assert slow_checksum(ip) == 0
+    assert slow_checksum(ip[12:20] + struct.pack(">HH", 17, len(udp)) + udp) == 0
+    assert ip[:10] == struct.pack(">BBHHHBB", 0x45, 0, 540, number, 0, 64, 17)
+    assert udp[:6] == struct.pack(">HHH", 8308, 8308, 520)
+
+
+def test_position_identification_wraps():
+    """Packet 65536 carries the identification of packet 0."""
+    payload = bytes(512)
+    assert position_frame(FACTORY_LINK, payload, 0x10000) == position_frame(FACTORY_LINK, payload, 0)
+
+
+def test_udp_checksum_that_sums_to_zero_is_sent_as_ones():
+    """A UDP checksum of 0 would mean none, so 0xFFFF is sent in its place (RFC 768)."""
+    payload = bytearray(512)
+    frame = position_frame(FACTORY_LINK, bytes(payload), 7)
+    payload[:2] = frame[40:42]  # adding a checksum to its own data makes the sum come out as 0
+    assert position_frame(FACTORY_LINK, bytes(payload), 7)[40:42] == b"\xff\xff"
+
+
+def test_position_payload_of_another_length_is_refused():
+    """A payload that is not 512 bytes long is an error that names the packet and both lengths."""
+    with pytest.raises(PacketError, match=r"position packet 3: 511 bytes; expected 512"):
+        position_frame(FACTORY_LINK, bytes(511), 3)
+
+
+@pytest.mark.skipif(not CAPTURE.exists(), reason="no real captures beside the repository")
+def test_every_frame_of_the_real_capture_is_rebuilt():
+    """All 350 frames that a real unit sent come out byte by byte from their payloads."""
+    with CAPTURE.open("rb") as file:
+        frames = [frame for _, frame in dpkt.pcap.Reader(file)]
+    for frame in frames:
+        payload = frame[HEADER_BYTES:]
+        if len(payload) == 1206:
+            rebuilt = data_header(CAPTURED_LINK) + payload
+        else:
+            rebuilt = position_frame(CAPTURED_LINK, payload, int.from_bytes(frame[18:20]))
+        assert rebuilt == frame
+    assert len(frames) == 350

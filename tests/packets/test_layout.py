@@ -1,0 +1,65 @@
+"""Layout of both packets against the manual's numbers and the sensor room's."""
+
+import doctest
+
+import numpy as np
+import pytest
+
+from vlp16emu import sensor
+from vlp16emu.packets import decode, layout
+from vlp16emu.types import ReturnMode, SensorModel
+
+
+def test_doctest():
+    """The sizes that the docstring shows are true."""
+    failed, tried = doctest.testmod(layout)
+    assert (failed, tried) == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "field", "offset", "size"),
+    [
+        (layout.DATA_PAYLOAD, "blocks", 0, 1200),
+        (layout.DATA_PAYLOAD, "timestamp_us", 0x4DA - 42, 4),
+        (layout.DATA_PAYLOAD, "return_mode", 0x4DE - 42, 1),
+        (layout.DATA_PAYLOAD, "factory", 0x4DF - 42, 1),
+        (layout.BLOCK, "flag", 0, 2),
+        (layout.BLOCK, "azimuth_cdeg", 2, 2),
+        (layout.BLOCK, "records", 4, 96),
+        (layout.RECORD, "distance_lsb", 0, 2),
+        (layout.RECORD, "reflectivity", 2, 1),
+        (layout.POSITION_PAYLOAD, "timestamp_us", 0xC6, 4),
+        (layout.POSITION_PAYLOAD, "pps", 0xCA, 1),
+        (layout.POSITION_PAYLOAD, "sentence", 0xCE, 128),
+    ],
+)
+def test_offsets(dtype, field, offset, size):
+    """Each field stands where the manual's tables put it (frame offsets less the 42 bytes of headers)."""
+    assert dtype.fields[field][1] == offset
+    assert dtype.fields[field][0].itemsize == size
+
+
+def test_byte_order_is_stated():
+    """Multi-byte integers are little-endian whatever the machine is."""
+    for dtype in (layout.RECORD, layout.BLOCK, layout.DATA_PAYLOAD, layout.POSITION_PAYLOAD):
+        for kind, *_ in dtype.fields.values():
+            if kind.kind in "ui" and kind.itemsize > 1:
+                assert kind.str.startswith("<")
+
+
+def test_periods():
+    """A packet lasts 1327.104 us, in dual return 663.552 us, and the sensor fires at the same pace."""
+    sequences = layout.SEQUENCES_PER_PACKET
+    assert sequences[ReturnMode.STRONGEST] * layout.SEQUENCE_PERIOD_NS == 1_327_104
+    assert sequences[ReturnMode.LAST] == sequences[ReturnMode.STRONGEST]
+    assert sequences[ReturnMode.DUAL] * layout.SEQUENCE_PERIOD_NS == 663_552
+    assert (layout.SEQUENCE_PERIOD_NS, layout.LASER_PERIOD_NS) == (sensor.SEQUENCE_NS, sensor.LASER_NS)
+
+
+@pytest.mark.parametrize("model", SensorModel)
+def test_beams_are_those_of_the_sensor(model):
+    """Points are decoded with the angles and offsets with which the sensor fires."""
+    np.testing.assert_array_equal(decode.ELEVATION_DEG[model], sensor.BEAM_TABLES[model].elevation_deg)
+    np.testing.assert_allclose(
+        decode.VERTICAL_CORRECTION_M[model], sensor.BEAM_TABLES[model].vertical_offset_m, atol=1e-15
+    )

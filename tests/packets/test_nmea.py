@@ -1,0 +1,154 @@
+"""The $GPRMC sentence: style, rounding, both directions, bad input."""
+
+import dataclasses
+from datetime import UTC, datetime
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from vlp16emu.errors import InputError, PacketError
+from vlp16emu.packets import parse_rmc, rmc
+from vlp16emu.types import GnssFix
+
+REAL = b"$GPRMC,081802.00,A,3649.7478558,N,00224.4542928,W,0.034,212.5,210116,0.0,E,A*2E\r\n"
+OTHER = b"$GPRMC,214106,A,3707.8178,N,12139.2690,W,010.3,188.2,230715,013.8,E,D*05\r\n"
+FIX = GnssFix(
+    t_ns=1_453_364_282 * 10**9,
+    valid=True,
+    latitude_deg=62.24,
+    longitude_deg=25.75,
+    speed_m_s=1.2,
+    course_deg=90.0,
+)
+
+
+def fields(**changes):
+    return rmc(dataclasses.replace(FIX, **changes)).decode().split(",")
+
+
+def test_real_sentence_is_written_again():
+    """What a real unit echoed is read and written back byte for byte."""
+    assert rmc(parse_rmc(REAL)) == REAL
+
+
+def test_other_receiver_is_read():
+    """A sentence of another receiver, without decimals in its time, is read too."""
+    fix = parse_rmc(OTHER)
+    assert fix.t_ns == int(datetime(2015, 7, 23, 21, 41, 6, tzinfo=UTC).timestamp()) * 10**9
+    assert fix.latitude_deg == pytest.approx(37 + 7.8178 / 60)
+    assert fix.longitude_deg == pytest.approx(-(121 + 39.2690 / 60))
+    assert fix.speed_m_s == pytest.approx(10.3 * 0.514444, rel=1e-5)
+
+
+def test_by_hand():
+    """Every field is what arithmetic on paper gives, and the checksum is the XOR of what it covers."""
+    body = b"GPRMC,081802.00,A,6214.4000000,N,02545.0000000,E,2.333,90.0,210116,0.0,E,A"
+    checksum = 0
+    for byte in body:
+        checksum ^= byte
+    assert rmc(FIX) == b"$" + body + f"*{checksum:02X}\r\n".encode()
+
+
+def test_void():
+    """Without a fix the status is V and the mode letter N."""
+    void = fields(valid=False)
+    assert (void[2], void[12][0]) == ("V", "N")
+    assert not parse_rmc(rmc(dataclasses.replace(FIX, valid=False))).valid
+
+
+def test_minutes_never_reach_sixty():
+    """Minutes that round up to 60 become the next degree."""
+    assert fields(latitude_deg=36.9999999999999, longitude_deg=-9.9999999999999)[3:7] == [
+        "3700.0000000",
+        "N",
+        "01000.0000000",
+        "W",
+    ]
+
+
+def test_course_never_reaches_360():
+    """A course that rounds up to 360 is 0."""
+    assert fields(course_deg=359.97)[8] == "0.0"
+
+
+@pytest.mark.parametrize(
+    ("latitude_deg", "longitude_deg", "letters"),
+    [(1, 1, "NE"), (-1, 1, "SE"), (1, -1, "NW"), (-1, -1, "SW"), (0, 0, "NE"), (-90, 180, "SE")],
+)
+def test_hemispheres(latitude_deg, longitude_deg, letters):
+    """The sign of an angle stands in its letter alone."""
+    sentence = fields(latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+    assert sentence[4] + sentence[6] == letters
+    assert "-" not in "".join(sentence)
+
+
+@given(
+    st.integers(0, 2**32 // 2 - 1),
+    st.booleans(),
+    st.floats(-90, 90),
+    st.floats(-180, 180),
+    st.floats(0, 50),
+    st.floats(0, 359.9),
+)
+def test_round_trip(second, valid, latitude_deg, longitude_deg, speed_m_s, course_deg):
+    """What is written is read back to its resolution, in 13 fields and at most 82 characters."""
+    fix = GnssFix(second * 10**9, valid, latitude_deg, longitude_deg, speed_m_s, course_deg)
+    sentence = rmc(fix)
+    assert sentence.count(b",") == 12
+    assert len(sentence) <= 82  # NMEA 0183
+    read = parse_rmc(sentence)
+    assert (read.t_ns, read.valid) == (fix.t_ns, fix.valid)
+    assert read.latitude_deg == pytest.approx(latitude_deg, abs=1e-9)
+    assert read.longitude_deg == pytest.approx(longitude_deg, abs=1e-9)
+    assert read.speed_m_s == pytest.approx(speed_m_s, abs=3e-4)
+    assert read.course_deg == pytest.approx(course_deg, abs=0.05001)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"latitude_deg": float("nan")}, "GNSS fix: latitude_deg: nan; expected -90.0 to 90.0"),
+        ({"longitude_deg": -180.1}, "GNSS fix: longitude_deg: -180.1; expected -180.0 to 180.0"),
+        ({"speed_m_s": float("inf")}, "GNSS fix: speed_m_s: inf; expected 0.0 to 50.0"),
+        ({"course_deg": -1.0}, "GNSS fix: course_deg: -1.0; expected 0.0 to 360.0"),
+        ({"t_ns": 1}, "GNSS fix: t_ns: 1; expected a whole second"),
+    ],
+)
+def test_refuses_impossible_fixes(changes, message):
+    """A number that no receiver reports is an error that names it."""
+    with pytest.raises(InputError) as error:
+        rmc(dataclasses.replace(FIX, **changes))
+    assert str(error.value) == message
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        b"",
+        REAL.replace(b"*2E", b"*2F"),
+        REAL.replace(b"*2E", b""),
+        REAL[:-2],
+        REAL.replace(b"GPRMC", b"GPGGA"),
+        REAL.replace(b"3649", b"36x9"),
+        b"$GPRMC,,V,,,,,,,,,,N*53\r\n",
+        b"$GPRMC,081802,A*3D\r\n",
+        b"\xff\xfe",
+    ],
+)
+def test_refuses_damaged_sentences(damaged):
+    """A sentence that is cut, changed, of another kind or empty of numbers is an error that shows it."""
+    with pytest.raises(PacketError) as error:
+        parse_rmc(damaged)
+    assert error.value.found == repr(damaged)
+
+
+@pytest.mark.parametrize("field", ["nan", "1e3", "-1", ""])
+def test_refuses_fields_that_are_no_plain_number(field):
+    """A speed that Python would read as a float, but no receiver writes, is refused with a right checksum too."""
+    body = REAL.decode().split("*")[0][1:].replace("0.034", field)
+    checksum = 0
+    for character in body:
+        checksum ^= ord(character)
+    with pytest.raises(PacketError, match="the fields of RMC"):
+        parse_rmc(f"${body}*{checksum:02X}\r\n".encode())

@@ -1,0 +1,151 @@
+"""Data packets: metres, degrees and nanoseconds become the 1206 bytes of a VLP-16.
+
+Every step is elementwise in float64 and rounds correctly, so the bytes of a packet do not depend on
+what else is packed with it.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import InputError
+from vlp16emu.packets import layout
+from vlp16emu.packets.layout import LASERS, SEQUENCE_PERIOD_NS, SEQUENCES_PER_BLOCK, SEQUENCES_PER_PACKET
+from vlp16emu.types import Packet, PacketKind, ReturnMode, Returns, SensorModel
+from vlp16emu.units import HOUR_NS, US_NS
+
+__all__ = ["data_payloads", "pack_data", "timestamp_us"]
+
+_STRONGEST, _LAST, _SECOND_STRONGEST = 0, 1, 2  # last axis of Returns
+
+
+def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel) -> list[Packet]:
+    """Pack whole packets and say when each leaves.
+
+    Parameters
+    ----------
+    returns : k firing sequences of 16 lasers; k a multiple of 24, or of 12 in dual return
+    mode : which returns are sent
+    model : decides the factory byte
+
+    Returns
+    -------
+    list of k / 24 (k / 12) packets. `due_ns` is the start of a packet's first firing sequence plus
+    the time of all its sequences: 1327.104 us, or 663.552 us in dual return.
+
+    Raises
+    ------
+    InputError : as `data_payloads`
+    """
+    payloads = data_payloads(returns, mode, model)
+    sequences = SEQUENCES_PER_PACKET[mode]
+    due_ns = returns.firings.t_ns[::sequences, 0] + sequences * SEQUENCE_PERIOD_NS
+    return [
+        Packet(PacketKind.DATA, due, payload.tobytes())
+        for due, payload in zip(due_ns.tolist(), payloads, strict=True)
+    ]
+
+
+def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> NDArray[np.uint8]:
+    """Pack whole packets into bytes.
+
+    Parameters
+    ----------
+    returns : k firing sequences of 16 lasers; k a multiple of 24, or of 12 in dual return
+    mode : which returns are sent
+    model : decides the factory byte
+
+    Returns
+    -------
+    (n, 1206) uint8, one payload per row
+
+    Raises
+    ------
+    InputError : no 16 lasers, no whole number of packets, an angle or a distance that is negative or
+        not a number
+    """
+    _check(returns, mode)
+    firings = returns.firings
+    packets = np.zeros(len(firings.t_ns) // SEQUENCES_PER_PACKET[mode], layout.DATA_PAYLOAD)
+    # One row per block that has firing sequences of its own: 12 in a packet, 6 in dual return.
+    shape = (len(packets), SEQUENCES_PER_PACKET[mode] // SEQUENCES_PER_BLOCK)
+    azimuth_cdeg = _azimuth_cdeg(firings.reading_deg[::SEQUENCES_PER_BLOCK]).reshape(shape)
+    blocks = packets["blocks"]
+    blocks["flag"] = layout.BLOCK_FLAG
+    if mode is ReturnMode.DUAL:
+        even, odd = blocks[:, 0::2], blocks[:, 1::2]
+        even["azimuth_cdeg"] = odd["azimuth_cdeg"] = azimuth_cdeg
+        _write(even["records"], returns.distance_m[..., _LAST], returns.reflectivity[..., _LAST])
+        _write(odd["records"], *_odd_returns(returns))
+    else:
+        which = _LAST if mode is ReturnMode.LAST else _STRONGEST
+        blocks["azimuth_cdeg"] = azimuth_cdeg
+        _write(blocks["records"], returns.distance_m[..., which], returns.reflectivity[..., which])
+    packets["timestamp_us"] = timestamp_us(firings.clock_ns[:: SEQUENCES_PER_PACKET[mode]])
+    packets["return_mode"] = layout.RETURN_MODE_BYTE[mode]
+    packets["factory"] = layout.FACTORY_BYTE[model]
+    return packets.view(np.uint8).reshape(-1, layout.DATA_BYTES)
+
+
+def timestamp_us(clock_ns: NDArray[np.int64]) -> NDArray[np.uint32]:
+    """Microseconds past the hour as they stand in both kinds of packet: floored, never 3.6e9.
+
+    Parameters
+    ----------
+    clock_ns : any shape, the sensor's clock; whole hours fall away, as they do in the sensor's counter
+
+    Real units floor a time that is exact in nanoseconds: their steps are 1327 and 1328 us with a mean
+    of 1327.10. Source: 63-9243 Rev D, section 9.3.1 and appendix G (the counter).
+    """
+    return (clock_ns % HOUR_NS // US_NS).astype(np.uint32)
+
+
+def _check(returns: Returns, mode: ReturnMode) -> None:
+    """Refuse what cannot be packed."""
+    sequences, lasers = returns.firings.t_ns.shape
+    if lasers != LASERS:
+        raise InputError("pack_data: lasers", str(lasers), str(LASERS))
+    if sequences % SEQUENCES_PER_PACKET[mode]:
+        expected = f"a multiple of {SEQUENCES_PER_PACKET[mode]} for {mode} return"
+        raise InputError("pack_data: firing sequences", str(sequences), expected)
+    for name, values in (
+        ("firings.reading_deg", returns.firings.reading_deg),
+        ("distance_m", returns.distance_m),
+    ):
+        low, high = values.min(initial=0.0), values.max(initial=0.0)  # both hand NaN on
+        if not (low >= 0.0 and high < np.inf):
+            raise InputError(f"pack_data: {name}", f"from {low} to {high}", "finite numbers from 0 upwards")
+
+
+def _azimuth_cdeg(reading_deg: NDArray[np.float64]) -> NDArray[np.uint16]:
+    """Rotor angle in whole hundredths of a degree, 0 .. 35999."""
+    # 1e-8 deg: else 0.29, which is a code of its own, becomes 28 because 0.29 * 100 < 29 in binary.
+    code = np.floor(reading_deg * 100.0 + 1e-6)
+    return (code % layout.AZIMUTH_CODES).astype(np.uint16)
+
+
+def _odd_returns(returns: Returns) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Distance in metres and reflectivity, (k, 16) each, of the odd blocks of dual return.
+
+    The strongest return; the second strongest where the strongest is also the last; and where there is
+    only one return, that one again. Source: 63-9243 Rev D, section 9.3.2, p. 57; the repetition as on
+    a real unit.
+    """
+    strongest_is_last = returns.distance_m[..., _STRONGEST] == returns.distance_m[..., _LAST]
+    has_second = returns.distance_m[..., _SECOND_STRONGEST] > 0
+    which = np.where(strongest_is_last, np.where(has_second, _SECOND_STRONGEST, _LAST), _STRONGEST)[..., None]
+    distance_m = np.take_along_axis(returns.distance_m, which, axis=-1)[..., 0]
+    return distance_m, np.take_along_axis(returns.reflectivity, which, axis=-1)[..., 0]
+
+
+def _write(records: NDArray[Any], distance_m: NDArray[np.float32], reflectivity: NDArray[np.uint8]) -> None:
+    """Fill records (n, blocks, 2, 16) from metres and reflectivity (k, 16).
+
+    Distances are rounded to 2 mm. What is nearer than 0.5 m or beyond the largest code becomes a
+    record of zeros, as the manual says of a pulse without return (63-9243 Rev D, section 6.1).
+    """
+    code = np.rint(distance_m.astype(np.float64) / layout.DISTANCE_LSB_M)
+    seen = (code >= layout.MIN_DISTANCE_LSB) & (code <= np.iinfo(np.uint16).max)
+    records["distance_lsb"] = np.where(seen, code, 0).astype(np.uint16).reshape(records.shape)
+    records["reflectivity"] = np.where(seen, reflectivity, 0).reshape(records.shape)

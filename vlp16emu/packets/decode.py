@@ -1,0 +1,298 @@
+"""Both packets read back: data packets become points by the manual's formulas.
+
+Frame: the manual's `sensor` frame, azimuth 0 on +y and clockwise seen from above. With distance R,
+azimuth a, elevation w and the laser's vertical correction c: X = R cos w sin a, Y = R cos w cos a,
+Z = R sin w + c. Source: 63-9243 Rev D, sections 9.1 and 9.2, p. 52 to 54.
+"""
+
+import math
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import PacketError
+from vlp16emu.packets import layout
+from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET, LASER_PERIOD_NS, SEQUENCE_PERIOD_NS
+from vlp16emu.types import PpsState, ReturnMode, SensorModel
+from vlp16emu.units import HOUR_NS, US_NS
+
+__all__ = [
+    "ELEVATION_DEG",
+    "VERTICAL_CORRECTION_M",
+    "Points",
+    "PositionFields",
+    "data_fields",
+    "decode_data",
+    "decode_position",
+    "scan_starts",
+]
+
+_VLP_16_DEG = (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15)
+_VLP_16_MM = (11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2)
+_HI_RES_DEG = (
+    -10,
+    0.667,
+    -8.667,
+    2,
+    -7.333,
+    3.333,
+    -6,
+    4.667,
+    -4.667,
+    6,
+    -3.333,
+    7.333,
+    -2,
+    8.667,
+    -0.667,
+    10,
+)
+_HI_RES_MM = (7.4, -0.9, 6.5, -1.8, 5.5, -2.7, 4.6, -3.7, 3.7, -4.6, 2.7, -5.5, 1.8, -6.5, 0.9, -7.4)
+
+ELEVATION_DEG = MappingProxyType(
+    {
+        SensorModel.VLP_16: np.array(_VLP_16_DEG, np.float64),
+        SensorModel.PUCK_LITE: np.array(_VLP_16_DEG, np.float64),
+        SensorModel.PUCK_HI_RES: np.array(_HI_RES_DEG, np.float64),
+    }
+)
+"""(16,) in firing order. Source: 63-9243 Rev D, table 9-1, p. 53 and 54."""
+VERTICAL_CORRECTION_M = MappingProxyType(
+    {
+        SensorModel.VLP_16: np.array(_VLP_16_MM) / 1000,
+        SensorModel.PUCK_LITE: np.array(_VLP_16_MM) / 1000,
+        SensorModel.PUCK_HI_RES: np.array(_HI_RES_MM) / 1000,
+    }
+)
+"""(16,) in firing order. Source: 63-9243 Rev D, table 9-1; Puck Hi-Res 0 to 6 by symmetry from 9 to 15."""
+
+_MODEL = MappingProxyType(
+    {layout.FACTORY_BYTE[model]: model for model in (SensorModel.VLP_16, SensorModel.PUCK_HI_RES)}
+)
+_MAX_STEP_CDEG = 100
+"""A wider step from block to block is the edge of a limited field of view: 1200 rpm, the fastest, make 79.6."""
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """n records in the order of their pulses; in dual return the even block's record comes first."""
+
+    packet: NDArray[np.int64]
+    """(n,) row of the payload."""
+    time_ns: NDArray[np.int64]
+    """(n,) of the pulse, on the sensor's clock, ns past its hour."""
+    laser: NDArray[np.uint8]
+    """(n,) 0..15 in firing order."""
+    ring: NDArray[np.uint8]
+    """(n,) 0..15 by elevation, lowest first."""
+    azimuth_deg: NDArray[np.float64]
+    """(n,) at the instant of the pulse, [0, 360)."""
+    distance_m: NDArray[np.float32]
+    """(n,) from the centre of the sensor; 0 where there is no return."""
+    xyz_m: NDArray[np.float32]
+    """(n, 3) sensor frame; NaN where there is no return."""
+    reflectivity: NDArray[np.uint8]
+    """(n,) 0..100 diffuse, 101..255 retroreflective."""
+    is_last: NDArray[np.bool_]
+    """(n,) a last return. Else the strongest, or in dual return, where the strongest is the last too,
+    the second strongest or the same return again."""
+
+
+@dataclass(frozen=True, slots=True)
+class PositionFields:
+    """What a position packet says."""
+
+    time_ns: int
+    """The sensor's clock, ns past its hour, whole microseconds."""
+    pps: PpsState
+    sentence: bytes
+    """With CR LF; empty where none ever came."""
+
+
+def data_fields(payloads: NDArray[np.uint8]) -> NDArray[np.void]:
+    """View payloads by their fields.
+
+    Parameters
+    ----------
+    payloads : (n, 1206) uint8
+
+    Returns
+    -------
+    (n,) `DATA_PAYLOAD`
+
+    Raises
+    ------
+    PacketError : another shape or dtype
+    """
+    if payloads.dtype != np.uint8 or payloads.shape[1:] != (layout.DATA_BYTES,):
+        raise PacketError("data packets", f"{payloads.shape} {payloads.dtype}", "(n, 1206) uint8")
+    return np.ascontiguousarray(payloads).view(layout.DATA_PAYLOAD)[:, 0]
+
+
+def decode_data(payloads: NDArray[np.uint8], *, keep_no_returns: bool) -> Points:
+    """Turn data packets into points.
+
+    Parameters
+    ----------
+    payloads : (n, 1206) uint8, of one sensor, in order of sending; the return mode may change
+    keep_no_returns : whether pulses without return become records too
+
+    Returns
+    -------
+    Points, each packet's without regard to the others. A pulse's azimuth is that of its block and what the
+    rotor turns until its own instant, at the packet's mean speed (63-9243 Rev D, section 9.5, p. 65).
+
+    Raises
+    ------
+    PacketError : no data packet of a VLP-16 or Puck Hi-Res, or packets of two models
+    """
+    fields = data_fields(payloads)
+    model = _check(fields)
+    records = fields["blocks"]["records"]
+    source = _pulse_order(fields, keep_no_returns=keep_no_returns)
+    packet, record = np.divmod(source, layout.RECORDS_PER_PACKET)
+    block, record = np.divmod(record, layout.SEQUENCES_PER_BLOCK * layout.LASERS)
+    sequence, laser = np.divmod(record, layout.LASERS)
+    since_block_ns = sequence * SEQUENCE_PERIOD_NS + laser * LASER_PERIOD_NS
+
+    dual = _is_dual(fields)
+    block_ns = np.where(dual[packet], block // 2, block) * BLOCK_PERIOD_NS
+    clock_ns = fields["timestamp_us"].astype(np.int64)[packet] * US_NS
+    step_cdeg = _steps_cdeg(fields)[packet] * (since_block_ns / BLOCK_PERIOD_NS)
+    azimuth_cdeg = fields["blocks"]["azimuth_cdeg"][packet, block] + step_cdeg
+    azimuth_deg = azimuth_cdeg % layout.AZIMUTH_CODES / 100
+    distance_m = records["distance_lsb"].ravel()[source] * layout.DISTANCE_LSB_M
+    last_mode = fields["return_mode"] == layout.RETURN_MODE_BYTE[ReturnMode.LAST]
+    return Points(
+        packet=packet,
+        time_ns=(clock_ns + block_ns + since_block_ns) % HOUR_NS,
+        laser=laser.astype(np.uint8),
+        ring=np.argsort(np.argsort(ELEVATION_DEG[model])).astype(np.uint8)[laser],
+        azimuth_deg=azimuth_deg,
+        distance_m=distance_m.astype(np.float32),
+        xyz_m=_xyz_m(distance_m, azimuth_deg, laser, model),
+        reflectivity=records["reflectivity"].ravel()[source],
+        is_last=np.where(dual[packet], block % 2 == 0, last_mode[packet]),
+    )
+
+
+def scan_starts(azimuth_deg: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Find where scans begin: where the azimuth wraps.
+
+    Parameters
+    ----------
+    azimuth_deg : (n,) of points or blocks in order of time
+
+    Returns
+    -------
+    (m,) int64, rising; the first is 0 unless there are no azimuths
+    """
+    step_deg = np.diff(azimuth_deg)
+    # The rotor only turns forward, so any fall is a wrap but for the noise of readings (0.01 deg), and
+    # a rise by a whole turn is that noise on the spot where the azimuth wraps.
+    turn = np.cumsum((step_deg < -1.0).astype(np.int64) - (step_deg > 359.0))
+    scan = np.concatenate([np.zeros(min(1, len(azimuth_deg)), np.int64), np.maximum.accumulate(turn)])
+    return np.flatnonzero(np.diff(scan, prepend=-1))
+
+
+def decode_position(payload: bytes) -> PositionFields:
+    """Read one position packet.
+
+    Raises
+    ------
+    PacketError : no 512 bytes, or a pulse-per-second state other than 0..3
+    """
+    if len(payload) != layout.POSITION_BYTES:
+        raise PacketError("position packet", f"{len(payload)} bytes", f"{layout.POSITION_BYTES}")
+    fields = np.frombuffer(payload, layout.POSITION_PAYLOAD)[0]
+    if fields["pps"] not in tuple(PpsState):
+        raise PacketError("position packet: PPS state", f"{fields['pps']}", "0 to 3")
+    return PositionFields(
+        time_ns=int(fields["timestamp_us"]) * US_NS,
+        pps=PpsState(fields["pps"]),
+        sentence=bytes(fields["sentence"]).split(b"\0")[0],
+    )
+
+
+def _check(fields: NDArray[np.void]) -> SensorModel:
+    """Refuse what is no VLP-16, naming the first packet at fault; else tell the model."""
+    flags, azimuth_cdeg = fields["blocks"]["flag"], fields["blocks"]["azimuth_cdeg"]
+    modes = [*layout.RETURN_MODE_BYTE.values()]
+    for name, codes, right, expected in (
+        ("block flag", flags, flags == layout.BLOCK_FLAG, "0xeeff"),
+        ("return mode", fields["return_mode"], np.isin(fields["return_mode"], modes), "0x37, 0x38 or 0x39"),
+        ("product", fields["factory"], np.isin(fields["factory"], [*_MODEL]), "0x22 or 0x24"),
+        ("product", fields["factory"], fields["factory"] == fields["factory"][:1], "the first packet's"),
+        # Old firmware was seen to send 36000 for 0.
+        ("azimuth", azimuth_cdeg, azimuth_cdeg <= layout.AZIMUTH_CODES, "0 to 36000 hundredths of a degree"),
+    ):
+        if not right.all():
+            wrong = tuple(np.argwhere(~right)[0])
+            raise PacketError(f"data packet {wrong[0]}: {name}", f"{codes[wrong]:#x}", expected)
+    return _MODEL[int(fields["factory"][0])] if len(fields) else SensorModel.VLP_16
+
+
+def _is_dual(fields: NDArray[np.void]) -> NDArray[np.bool_]:
+    """(n,) whether two blocks share their firing sequences."""
+    return np.asarray(fields["return_mode"] == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
+
+
+def _pulse_order(fields: NDArray[np.void], *, keep_no_returns: bool) -> NDArray[np.int64]:
+    """Sort the records, counted through all packets as they stand in the bytes, in order of pulses."""
+    place = np.arange(layout.RECORDS_PER_PACKET)
+    twins = place.reshape(BLOCKS_PER_PACKET // 2, 2, -1).swapaxes(1, 2).ravel()
+    inside = np.where(_is_dual(fields)[:, None], twins, place)
+    source = (np.arange(len(fields))[:, None] * layout.RECORDS_PER_PACKET + inside).ravel()
+    if keep_no_returns:
+        return source
+    return source[fields["blocks"]["records"]["distance_lsb"].ravel()[source] > 0]
+
+
+def _steps_cdeg(fields: NDArray[np.void]) -> NDArray[np.float64]:
+    """(n,) by how much the azimuth grows in 110.592 us, as the mean over a packet.
+
+    A mean, because a single reading is off by 0.005 deg: from block to block that is 1 step in 40.
+    """
+    azimuth = fields["blocks"]["azimuth_cdeg"].astype(np.int64)
+    turned = (azimuth[:, 1:] - azimuth[:, :-1]) % layout.AZIMUTH_CODES
+    # Blocks 0 and 1, 2 and 3 ... of dual return are fired together.
+    apart = ~_is_dual(fields)[:, None] | (np.arange(1, BLOCKS_PER_PACKET) % 2 == 0)
+    known = apart & (turned <= _MAX_STEP_CDEG)
+    return np.sum(turned * known, axis=1) / np.maximum(np.count_nonzero(known, axis=1), 1)
+
+
+def _xyz_m(
+    distance_m: NDArray[np.float64],
+    azimuth_deg: NDArray[np.float64],
+    laser: NDArray[np.int64],
+    model: SensorModel,
+) -> NDArray[np.float32]:
+    """(n, 3) by the manual's formulas."""
+    elevation = np.radians(ELEVATION_DEG[model])
+    xyz_m = np.empty((len(distance_m), 3), np.float32)
+    _fill_xyz(xyz_m, distance_m, azimuth_deg, laser, elevation, VERTICAL_CORRECTION_M[model])
+    return xyz_m
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_xyz(
+    xyz_m: NDArray[np.float32],
+    distance_m: NDArray[np.float64],
+    azimuth_deg: NDArray[np.float64],
+    laser: NDArray[np.int64],
+    elevation_rad: NDArray[np.float64],
+    correction_m: NDArray[np.float64],
+) -> None:
+    """Fill (n, 3); NaN where there is no return."""
+    cosine, sine = np.cos(elevation_rad), np.sin(elevation_rad)
+    for i in range(len(distance_m)):
+        r, a, j = distance_m[i], math.radians(azimuth_deg[i]), laser[i]
+        if r == 0.0:
+            xyz_m[i] = np.nan
+        else:
+            xyz_m[i, 0] = r * cosine[j] * math.sin(a)
+            xyz_m[i, 1] = r * cosine[j] * math.cos(a)
+            xyz_m[i, 2] = r * sine[j] + correction_m[j]

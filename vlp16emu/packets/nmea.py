@@ -1,0 +1,131 @@
+"""The `$GPRMC` sentence that a GPS receiver sends each second and the sensor echoes.
+
+Fields and their style follow what real units were seen to echo:
+`$GPRMC,081802.00,A,3649.7478558,N,00224.4542928,W,0.034,212.5,210116,0.0,E,A*2E`.
+"""
+
+from datetime import UTC, datetime, timedelta
+
+import pynmea2
+
+from vlp16emu.errors import InputError, PacketError
+from vlp16emu.types import GnssFix
+from vlp16emu.units import S_NS, US_NS
+
+__all__ = ["parse_rmc", "rmc"]
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_KNOT_M_S = 1852 / 3600
+"""A nautical mile per hour, exact by definition."""
+_MINUTE_DECIMALS = 7
+"""As real units echo; 0.2 mm on the ground."""
+
+
+def rmc(fix: GnssFix) -> bytes:
+    """Write the sentence of one whole second.
+
+    Parameters
+    ----------
+    fix : where `valid` is false the status is V and the mode letter N, and the last known numbers stay
+
+    Returns
+    -------
+    ASCII with checksum, CR and LF; 13 comma-separated fields, NMEA 0183 version 2.3
+    (63-9243 Rev D, section 7.4)
+
+    Raises
+    ------
+    InputError : NaN, a place outside the globe, a negative speed, or a time that is no whole second
+    """
+    _check(fix)
+    utc = _EPOCH + timedelta(seconds=fix.t_ns // S_NS)
+    fields = (
+        f"{utc:%H%M%S}.00",
+        "A" if fix.valid else "V",
+        _degrees_minutes(fix.latitude_deg, 2),
+        "S" if fix.latitude_deg < 0 else "N",
+        _degrees_minutes(fix.longitude_deg, 3),
+        "W" if fix.longitude_deg < 0 else "E",
+        f"{fix.speed_m_s / _KNOT_M_S:.3f}",
+        f"{round(fix.course_deg, 1) % 360:.1f}",
+        f"{utc:%d%m%y}",
+        "0.0",  # magnetic variation: none known
+        "E",
+        "A" if fix.valid else "N",
+    )
+    sentence: str = pynmea2.RMC("GP", "RMC", fields).render(newline=True)
+    return sentence.encode("ascii")
+
+
+def parse_rmc(sentence: bytes) -> GnssFix:
+    """Read a sentence back.
+
+    Parameters
+    ----------
+    sentence : ASCII that ends with CR and LF
+
+    Raises
+    ------
+    PacketError : no `$GPRMC`, a wrong checksum, no CR LF, or a field that is missing or no number
+    """
+    if not (sentence.startswith(b"$GPRMC,") and sentence.endswith(b"\r\n")):
+        raise PacketError("NMEA sentence", repr(sentence), "$GPRMC,... that ends with CR LF")
+    try:
+        fields = pynmea2.parse(sentence.decode("ascii"), check=True).data
+        return GnssFix(
+            t_ns=_utc_ns(fields[8], fields[0]),
+            valid={"A": True, "V": False}[fields[1]],
+            latitude_deg=_degrees(fields[2], 2, {"N": 1, "S": -1}[fields[3]]),
+            longitude_deg=_degrees(fields[4], 3, {"E": 1, "W": -1}[fields[5]]),
+            speed_m_s=_number(fields[6]) * _KNOT_M_S,
+            course_deg=_number(fields[7]),
+        )
+    except pynmea2.ChecksumError as error:
+        raise PacketError("NMEA sentence", repr(sentence), "a right checksum") from error
+    except (ValueError, KeyError, IndexError) as error:
+        raise PacketError("NMEA sentence", repr(sentence), "the fields of RMC, all filled") from error
+
+
+def _check(fix: GnssFix) -> None:
+    """Refuse what no receiver reports."""
+    for name, value, low, high in (
+        ("latitude_deg", fix.latitude_deg, -90.0, 90.0),
+        ("longitude_deg", fix.longitude_deg, -180.0, 180.0),
+        ("speed_m_s", fix.speed_m_s, 0.0, 50.0),  # from 100 knots on it takes over 82 characters (NMEA 0183)
+        ("course_deg", fix.course_deg, 0.0, 360.0),
+    ):
+        if not low <= value <= high:
+            raise InputError(f"GNSS fix: {name}", f"{value}", f"{low} to {high}")
+    if fix.t_ns % S_NS:
+        raise InputError("GNSS fix: t_ns", f"{fix.t_ns}", "a whole second")
+
+
+def _degrees_minutes(angle_deg: float, width: int) -> str:
+    """Write ddmm.mmmm or dddmm.mmmm without sign."""
+    # Rounded as a whole: rounding the minutes alone would write 60 of them.
+    steps = round(abs(angle_deg) * 60 * 10**_MINUTE_DECIMALS)
+    degrees, minutes = divmod(steps, 60 * 10**_MINUTE_DECIMALS)
+    whole, fraction = divmod(minutes, 10**_MINUTE_DECIMALS)
+    return f"{degrees:0{width}d}{whole:02d}.{fraction:0{_MINUTE_DECIMALS}d}"
+
+
+def _degrees(field: str, width: int, sign: int) -> float:
+    """Read ddmm.mmmm or dddmm.mmmm."""
+    degrees, minutes = int(field[:width]), _number(field[width:])
+    if minutes >= 60:
+        raise ValueError(field)
+    return sign * (degrees + minutes / 60)
+
+
+def _number(field: str) -> float:
+    """Read a plain number without sign; float alone would take nan and 1e9."""
+    if not field.replace(".", "", 1).isdecimal():
+        raise ValueError(field)
+    return float(field)
+
+
+def _utc_ns(date: str, time: str) -> int:
+    """Read ddmmyy, 1969 to 2068, and hhmmss with or without decimals."""
+    layout = "%d%m%y%H%M%S.%f" if "." in time else "%d%m%y%H%M%S"
+    since = datetime.strptime(date + time, layout).replace(tzinfo=UTC) - _EPOCH
+    return since // timedelta(microseconds=1) * US_NS
