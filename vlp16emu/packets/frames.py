@@ -5,8 +5,8 @@ checksum, position frames count their identification up and carry one. Measured 
 real units; the payload sizes are those of 63-9243 Rev D, sections 9.3.2 (p. 56) and 9.3.3 (p. 60).
 """
 
-import socket
 from dataclasses import dataclass
+from ipaddress import IPv4Address
 
 import dpkt
 
@@ -80,8 +80,8 @@ def data_header(link: Link) -> bytes:
         df=1,
         ttl=DATA_TTL,
         p=dpkt.ip.IP_PROTO_UDP,
-        src=socket.inet_aton(link.source),
-        dst=socket.inet_aton(link.destination),
+        src=IPv4Address(link.source).packed,
+        dst=IPv4Address(link.destination).packed,
     )
     # dpkt fills in lengths and checksums from the payload it holds, and here it holds none.
     ip.sum = dpkt.in_cksum(ip.pack_hdr())
@@ -110,8 +110,8 @@ def position_frame(link: Link, payload: bytes, number: int) -> bytes:
         id=number & 0xFFFF,
         ttl=POSITION_TTL,
         p=dpkt.ip.IP_PROTO_UDP,
-        src=socket.inet_aton(link.source),
-        dst=socket.inet_aton(link.destination),
+        src=IPv4Address(link.source).packed,
+        dst=IPv4Address(link.destination).packed,
         data=udp,
     )
     return _ethernet(link) + bytes(ip)

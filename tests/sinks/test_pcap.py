@@ -1,0 +1,171 @@
+"""The capture file."""
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from vlp16emu.errors import OutputError, RunError
+from vlp16emu.packets.capture import Capture
+from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
+from vlp16emu.sinks import PcapSink
+from vlp16emu.types import Packet, PacketKind
+
+RECORD_BYTES = 16 + 42 + 1206
+PROGRAM = """
+import itertools, resource, sys
+from pathlib import Path
+from vlp16emu.sinks import PcapSink
+from vlp16emu.types import Packet, PacketKind
+
+def send(sink, i):
+    sink.send(Packet(PacketKind.DATA, i * 1_327_104, i.to_bytes(2) * 603))
+
+"""
+
+
+def read(path):
+    """Read datagrams and whether the file is cut."""
+    with Capture(path) as capture:
+        return list(capture), capture.cut
+
+
+def test_file_holds_the_frames_in_sending_order(tmp_path, make_packets):
+    """Each packet is one record with its frame and its due time cut to microseconds."""
+    packets = make_packets(20)
+    with PcapSink(tmp_path / "out.pcap", 0) as sink:
+        for packet in packets:
+            sink.send(packet)
+    content = (tmp_path / "out.pcap").read_bytes()
+    assert content[:24] == bytes.fromhex("d4c3b2a1 0200 0400 00000000 00000000 ffff0000 01000000")
+    at, number = 24, 0
+    for packet in packets:
+        if packet.kind is PacketKind.DATA:
+            frame = data_header(FACTORY_LINK) + packet.payload
+        else:
+            frame = position_frame(FACTORY_LINK, packet.payload, number)
+            number += 1
+        words = [int.from_bytes(content[at + i : at + i + 4], "little") for i in range(0, 16, 4)]
+        assert words[0] * 1_000_000 + words[1] == packet.due_ns // 1000
+        assert words[2:] == [len(frame)] * 2
+        assert content[at + 16 : at + 16 + len(frame)] == frame
+        at += 16 + len(frame)
+    assert at == len(content)
+
+
+def test_result_tells_counts_size_and_hash_of_the_file(tmp_path, make_packets):
+    """Counts, size and sha256 in the result are those of the file on disk, also when read after closing."""
+    path = tmp_path / "out.pcap"
+    with PcapSink(path, 0) as sink:
+        for packet in make_packets(10):
+            sink.send(packet)
+    assert (sink.result.data_packets, sink.result.position_packets) == (8, 2)
+    assert sink.result.bytes == path.stat().st_size
+    assert sink.result.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_piece_of_a_recording_continues_the_numbers(tmp_path, make_packets):
+    """Two pieces, the second begun with the right number, hold the same records as one file."""
+    packets = make_packets(30)
+    for name, piece, first in (
+        ("all", packets, 65_535),
+        ("a", packets[:15], 65_535),
+        ("b", packets[15:], 65_538),
+    ):
+        with PcapSink(tmp_path / name, first) as sink:
+            for packet in piece:
+                sink.send(packet)
+    whole, a, b = ((tmp_path / name).read_bytes() for name in ("all", "a", "b"))
+    assert whole == a + b[24:]
+
+
+def test_existing_file_is_overwritten(tmp_path):
+    """Nothing is left of a longer file that stood at the same path."""
+    path = tmp_path / "out.pcap"
+    path.write_bytes(bytes(100_000))
+    with PcapSink(path, 0):
+        pass
+    assert read(path) == ([], False)
+
+
+def test_pipe_is_written_like_a_file(tmp_path, make_packets):
+    """A named pipe receives the bytes whose hash the result tells."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    received = []
+    reader = threading.Thread(target=lambda: received.append(path.read_bytes()))
+    reader.start()
+    with PcapSink(path, 0) as sink:
+        for packet in make_packets(200):
+            sink.send(packet)
+    reader.join()
+    assert hashlib.sha256(received[0]).hexdigest() == sink.result.sha256
+
+
+def test_killed_program_leaves_all_packets_it_had_sent(tmp_path):
+    """After SIGKILL in the middle of writing, every packet sent before is whole and in order in the file."""
+    path = tmp_path / "out.pcap"
+    program = PROGRAM + (
+        "sink = PcapSink(Path(sys.argv[1]), 0)\n"
+        "for i in itertools.count():\n"
+        "    send(sink, i % 65536)\n"
+        "    if i == 999:\n"
+        "        print('sent', flush=True)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program, path], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"sent\n"
+        process.send_signal(signal.SIGKILL)
+    assert process.returncode == -signal.SIGKILL
+    datagrams, _ = read(path)
+    assert len(datagrams) >= 1000
+    assert all(d.payload == (i % 65_536).to_bytes(2) * 603 for i, d in enumerate(datagrams))
+
+
+def test_full_disk_keeps_whole_packets_and_says_how_many(tmp_path):
+    """Where only part of a record finds room the run ends with an error, and the file with the packet before."""
+    path = tmp_path / "out.pcap"
+    room = 24 + 10 * RECORD_BYTES + 700
+    program = PROGRAM + (
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
+        "from vlp16emu.errors import RunError\n"
+        "with PcapSink(Path(sys.argv[1]), 0) as sink:\n"
+        "    try:\n"
+        "        for i in range(100):\n"
+        "            send(sink, i)\n"
+        "    except RunError as error:\n"
+        "        print(error)\n"
+        "print(sink.result.data_packets, sink.result.sha256)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program, path], capture_output=True, text=True, check=True)
+    message, result = done.stdout.splitlines()
+    assert message == f"{path}: File too large at packet 11; the 10 packets before it are kept"
+    assert result == f"10 {hashlib.sha256(path.read_bytes()).hexdigest()}"
+    datagrams, cut = read(path)
+    assert (len(datagrams), cut) == (10, False)
+
+
+def test_device_without_room_is_a_failed_run(tmp_path):
+    """A disk that is full from the beginning is told by the system's own words, with exit code 1."""
+    full = tmp_path / "full"
+    full.symlink_to("/dev/full")
+    with pytest.raises(RunError, match="No space left on device at packet 1; the 0 packets") as caught:
+        PcapSink(full, 0)
+    assert caught.value.exit_code == 1
+
+
+@pytest.mark.parametrize("where", ["", "missing/out.pcap"])
+def test_path_that_cannot_be_opened_is_bad_input(tmp_path, where):
+    """A folder, or a file in a folder that is not there, is refused when the sink is made, with exit code 2."""
+    with pytest.raises(OutputError, match=r"directory; expected a file that can be written") as caught:
+        PcapSink(tmp_path / where, 0)
+    assert caught.value.exit_code == 2
+
+
+def test_nmea_is_refused(tmp_path):
+    """NMEA packets travel by serial line; sending one to a capture is a programming error."""
+    with PcapSink(tmp_path / "out.pcap", 0) as sink, pytest.raises(ValueError, match="nmea"):
+        sink.send(Packet(PacketKind.NMEA, 0, b"$GPRMC"))

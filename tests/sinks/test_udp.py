@@ -1,0 +1,129 @@
+"""Datagrams."""
+
+import socket
+from contextlib import suppress
+
+import pytest
+
+from vlp16emu.errors import OutputError, RunError
+from vlp16emu.sinks import LOOPBACK, UdpSink
+from vlp16emu.types import Packet, PacketKind
+
+
+@pytest.fixture
+def receivers():
+    """Open two sockets on free ports of the loopback."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as data,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as position,
+    ):
+        for receiver in (data, position):
+            receiver.bind((LOOPBACK, 0))
+            receiver.settimeout(5)
+        yield data, position
+
+
+def open_sink(receivers):
+    """Aim a sink at the receivers."""
+    data, position = receivers
+    return UdpSink(data_port=data.getsockname()[1], position_port=position.getsockname()[1])
+
+
+def test_datagrams_arrive_at_their_ports(receivers, make_packets):
+    """Data and position payloads arrive unchanged and in order, each at its own port, from two free ports."""
+    packets = make_packets(50)
+    data, position = receivers
+    with open_sink(receivers) as sink:
+        for packet in packets:
+            sink.send(packet)
+    for receiver, kind, count in ((data, PacketKind.DATA, 40), (position, PacketKind.POSITION, 10)):
+        received = [receiver.recvfrom(2000) for _ in range(count)]
+        assert [payload for payload, _ in received] == [p.payload for p in packets if p.kind is kind]
+        assert {sender[0] for _, sender in received} == {LOOPBACK}
+        assert not {sender[1] for _, sender in received} & {2368, 8308}
+    assert (sink.result.data_packets, sink.result.position_packets) == (40, 10)
+    assert sink.result.bytes == 40 * 1206 + 10 * 512
+
+
+def test_loopback_is_the_default():
+    """Without an address everything goes to this machine."""
+    with UdpSink() as sink:
+        assert {address for _, (address, _) in sink._ways.values()} == {"127.0.0.1"}
+        assert [port for _, (_, port) in sink._ways.values()] == [2368, 8308]
+
+
+def test_nobody_listening_does_not_end_the_stream(make_packets):
+    """Sending on goes well where every datagram is answered by port unreachable."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
+        closed.bind((LOOPBACK, 0))
+        port = closed.getsockname()[1]
+    with UdpSink(data_port=port, position_port=port) as sink:
+        for packet in make_packets(200):
+            sink.send(packet)
+    assert sink.result.data_packets == 160
+
+
+def test_broadcast_is_asked_for_only_where_it_is_meant():
+    """The loopback's broadcast address gets sockets that may broadcast, an ordinary address does not."""
+    for host, allowed in (("127.255.255.255", 1), ("127.0.0.1", 0), ("127.0.0.7", 0)):
+        with UdpSink(host) as sink:
+            options = {s.getsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST) for s, _ in sink._ways.values()}
+        assert options == {allowed}
+
+
+def test_host_name_is_resolved():
+    """A name stands for its IPv4 address."""
+    with UdpSink("localhost") as sink:
+        assert {address for _, (address, _) in sink._ways.values()} == {"127.0.0.1"}
+
+
+@pytest.mark.parametrize(
+    ("host", "line"),
+    [
+        ("", "destination: nothing; expected the IPv4 address or the name of a host"),
+        ("0.0.0.0", "destination: 0.0.0.0, which is no host; expected"),
+        ("::1", "destination: '::1', which is unknown; expected the IPv4 address"),
+        ("a..b", r"destination: 'a\.\.b', which is unknown; expected"),
+    ],
+)
+def test_impossible_destination_is_refused(host, line):
+    """What is no IPv4 host is bad input, told in one line."""
+    with pytest.raises(OutputError, match=line) as caught:
+        UdpSink(host)
+    assert caught.value.exit_code == 2
+
+
+def test_foreign_source_address_is_refused():
+    """Sending as a sensor from an address that this machine does not have names address, port and reason."""
+    with pytest.raises(
+        OutputError, match=r"192\.0\.2\.201:0: Cannot assign requested address; expected an address"
+    ):
+        UdpSink(as_sensor="192.0.2.201")
+
+
+def test_port_in_use_is_refused():
+    """Sending as a sensor needs its port; where another program has it, the error names it and nothing stays open."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        with suppress(OSError):  # then somebody else has it, which does as well
+            other.bind(("127.0.0.9", 8308))
+        with pytest.raises(
+            OutputError, match=r"127\.0\.0\.9:(2368|8308): Address already in use; expected .* a free port"
+        ):
+            UdpSink(as_sensor="127.0.0.9")
+
+
+def test_system_that_cannot_send_is_a_failed_run():
+    """A datagram that the system refuses ends the run and tells what had been sent before."""
+    with UdpSink() as sink:
+        sink.send(Packet(PacketKind.DATA, 0, bytes(1206)))
+        with pytest.raises(
+            RunError, match=r"127\.0\.0\.1:2368: Message too long at packet 2; those before it"
+        ):
+            sink.send(Packet(PacketKind.DATA, 1, bytes(70_000)))
+    assert sink.result.data_packets == 1
+
+
+def test_nmea_is_refused():
+    """NMEA packets travel by serial line; sending one as a datagram is a programming error."""
+    with UdpSink() as sink, pytest.raises(ValueError, match="nmea"):
+        sink.send(Packet(PacketKind.NMEA, 0, b"$GPRMC"))

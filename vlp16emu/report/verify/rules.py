@@ -1,0 +1,130 @@
+"""The rules, and the findings where they are broken."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Finding", "Findings", "Rule"]
+
+
+class Rule(StrEnum):
+    """What real VLP-16 traffic obeys.
+
+    Sources: 63-9243 Rev D, sections 8 (rates) and 9.3 (packets), and captures of real units.
+    """
+
+    FRAMING = "framing"
+    """Payloads of 1206 and 512 bytes, whole frames without padding or trailer."""
+    PORTS = "ports"
+    """From 2368 to 2368 and from 8308 to 8308."""
+    HEADER = "header"
+    """IPv4 and UDP header fields of each stream, checksums included."""
+    STAMP_ORDER = "stamp-order"
+    """Capture stamps never decrease."""
+    FLAG = "flag"
+    """Every block begins with FF EE."""
+    FACTORY = "factory"
+    """Return mode and product are known and do not change."""
+    TIME_RANGE = "time-range"
+    """Time stamps lie within the hour."""
+    TIME_STEP = "time-step"
+    """Time stamps grow by one packet period, over the hour as well."""
+    LOST_PACKETS = "lost-packets"
+    """No packet is missing."""
+    CLOCK_DRIFT = "clock-drift"
+    """Time stamps keep pace with the capture stamps."""
+    AZIMUTH_RANGE = "azimuth-range"
+    """Azimuths lie in 0 .. 35999."""
+    AZIMUTH_STEP = "azimuth-step"
+    """Azimuths grow evenly from block to block, over 0 as well."""
+    AZIMUTH_GAP = "azimuth-gap"
+    """No part of the revolution is left out, as a limited field of view does."""
+    SINGLE_AS_DUAL = "single-as-dual"
+    """In single return the first two blocks differ in azimuth, which some software takes for dual."""
+    RPM = "rpm"
+    """The rotor makes 300 to 1200 revolutions per minute."""
+    DISTANCE_CODE = "distance-code"
+    """Distances are 0 or at least 250 counts."""
+    DUAL_AZIMUTH = "dual-azimuth"
+    """In dual return the two blocks of a pair have one azimuth."""
+    DUAL_ORDER = "dual-order"
+    """The last return, in the even block, is never nearer than its pair."""
+    DUAL_REFLECTIVITY = "dual-reflectivity"
+    """Pairs of equal distance have equal reflectivity, with rare exceptions."""
+    POSITION_HEAD = "position-head"
+    """Position packets begin with 14 zeros."""
+    PPS = "pps"
+    """The state of the pulse per second is 0 .. 3."""
+    NMEA_FORMAT = "nmea-format"
+    """The sentence is $GPRMC with its fields; there is one when the state is locked."""
+    NMEA_CHECKSUM = "nmea-checksum"
+    """The sentence's checksum is right."""
+    NMEA_END = "nmea-end"
+    """The sentence ends with CR LF, and only NUL follows."""
+    NMEA_SECOND = "nmea-second"
+    """When locked, the sentence names the second before the time stamp, or the one before that."""
+    DATA_RATE = "data-rate"
+    """753.5 data packets per second in single, 1507 in dual return, within 10 %."""
+    POSITION_RATE = "position-rate"
+    """146 position packets per second as measured, or 53.8 as in the manual, within 10 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One place where a rule is broken."""
+
+    rule: Rule
+    packet: int
+    """Number of the frame in the capture, from 1, as Wireshark counts."""
+    found: str
+    expected: str
+
+    def __str__(self) -> str:
+        return f"packet {self.packet}: {self.rule}: {self.found}; expected {self.expected}"
+
+
+class Findings:
+    """Counts all findings and keeps the first ones of each rule.
+
+    Parameters
+    ----------
+    limit_per_rule : findings kept of each rule
+    """
+
+    def __init__(self, limit_per_rule: int) -> None:
+        self._limit = limit_per_rule
+        self.counts = Counter[Rule]()
+        self.kept: list[Finding] = []
+
+    def add(self, rule: Rule, packet: int, found: str, expected: str) -> None:
+        """Add one finding."""
+        self.counts[rule] += 1
+        if self.counts[rule] <= self._limit:
+            self.kept.append(Finding(rule, packet, found, expected))
+
+    def add_where(
+        self,
+        rule: Rule,
+        broken: NDArray[np.bool_],
+        packets: NDArray[np.int64],
+        found: Callable[[int], str],
+        expected: str,
+    ) -> None:
+        """Add a finding for each element that is true.
+
+        Parameters
+        ----------
+        broken : (n,)
+        packets : (n,) frame numbers
+        found : says what stands at an index of `broken`; asked for the findings that are kept
+        """
+        where = np.flatnonzero(broken)
+        if not len(where):
+            return
+        room = max(self._limit - self.counts[rule], 0)
+        self.counts[rule] += len(where)
+        self.kept.extend(Finding(rule, int(packets[i]), found(int(i)), expected) for i in where[:room])

@@ -1,0 +1,24 @@
+"""Where packets leave: a capture file, the network, or a list; and the clock that lets them leave in time."""
+
+from vlp16emu.sinks.memory import MemorySink
+from vlp16emu.sinks.pacing import Lateness, LatenessHistogram, Pacer
+from vlp16emu.sinks.pcap import PcapResult, PcapSink
+from vlp16emu.sinks.sink import PacketSink
+from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, StreamReport, stream
+from vlp16emu.sinks.udp import LOOPBACK, UdpResult, UdpSink
+
+__all__ = [
+    "LOOK_AHEAD_PACKETS",
+    "LOOPBACK",
+    "Lateness",
+    "LatenessHistogram",
+    "MemorySink",
+    "Pacer",
+    "PacketSink",
+    "PcapResult",
+    "PcapSink",
+    "StreamReport",
+    "UdpResult",
+    "UdpSink",
+    "stream",
+]

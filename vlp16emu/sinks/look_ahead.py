@@ -1,0 +1,103 @@
+"""A small buffer of packets that a thread computes ahead of time."""
+
+import threading
+from collections import deque
+from collections.abc import Iterable
+from types import TracebackType
+from typing import Self
+
+from vlp16emu.types import Packet
+
+__all__ = ["LookAhead"]
+
+_POLL_S = 0.05
+"""How often a thread that waits looks whether it shall stop."""
+
+
+class LookAhead:
+    """Runs through packets in a thread of its own, at most `capacity` of them ahead of `take`.
+
+    A context manager; leaving it stops the thread as soon as the packet under way is done. The thread is
+    a daemon, so a second Ctrl-C need not wait for that.
+
+    Parameters
+    ----------
+    packets : in order of sending; used by the thread alone from now on
+    capacity : packets held at most
+    stop : ends the wait of both sides when somebody sets it
+    """
+
+    def __init__(self, packets: Iterable[Packet], capacity: int, stop: threading.Event) -> None:
+        self._capacity, self._stop = capacity, stop
+        self._ready = deque[Packet]()
+        self._changed = threading.Condition()
+        self._done = False
+        self._left = False
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, args=(packets,), name="look-ahead", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._changed:
+            self._left = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether `take` would have to wait."""
+        return not self._ready
+
+    def fill(self) -> None:
+        """Wait until the buffer is full, the packets are at their end, or `stop` is set."""
+        with self._changed:
+            while len(self._ready) < self._capacity and not self._done and not self._over:
+                self._changed.wait(_POLL_S)
+
+    def take(self) -> Packet | None:
+        """Next packet, waiting for it if need be; None at the end or when `stop` is set.
+
+        Raises
+        ------
+        BaseException
+            What the packets themselves raised, once those before it have been taken.
+        """
+        with self._changed:
+            while not self._ready and not self._done and not self._over:
+                self._changed.wait(_POLL_S)
+            if self._over:
+                return None
+            if self._ready:
+                self._changed.notify_all()
+                return self._ready.popleft()
+        if self._error is not None:
+            raise self._error
+        return None
+
+    @property
+    def _over(self) -> bool:
+        """Whether nobody wants more packets."""
+        return self._left or self._stop.is_set()
+
+    def _run(self, packets: Iterable[Packet]) -> None:
+        """Body of the thread."""
+        try:
+            for packet in packets:
+                with self._changed:
+                    while len(self._ready) >= self._capacity and not self._over:
+                        self._changed.wait(_POLL_S)
+                    if self._over:
+                        return
+                    self._ready.append(packet)
+                    self._changed.notify_all()
+        except BaseException as error:  # noqa: BLE001  # belongs to the thread that takes, which raises it
+            self._error = error
+        finally:
+            with self._changed:
+                self._done = True
+                self._changed.notify_all()

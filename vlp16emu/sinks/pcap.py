@@ -1,0 +1,132 @@
+"""Packets into a classic pcap file, in the frames of a real sensor."""
+
+import hashlib
+import os
+import struct
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import dpkt
+
+from vlp16emu.errors import OutputError, RunError
+from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
+from vlp16emu.types import Packet, PacketKind
+from vlp16emu.units import S_NS, US_NS
+
+__all__ = ["PcapResult", "PcapSink"]
+
+# Little-endian microsecond pcap: readers with fixed offsets and older libraries know no other kind.
+_FILE_HEADER = bytes(dpkt.pcap.LEFileHdr(snaplen=65_535, linktype=dpkt.pcap.DLT_EN10MB))
+_RECORD_HEADER = struct.Struct("<4I")
+
+
+@dataclass(frozen=True, slots=True)
+class PcapResult:
+    """What stands in the file."""
+
+    data_packets: int
+    position_packets: int
+    bytes: int
+    """Size of the file."""
+    sha256: str
+    """Of the whole file, hexadecimal."""
+
+
+class PcapSink:
+    """Writes data and position packets to a file, stamped with the instants at which they are due.
+
+    Each record goes to the operating system by a write of its own, so that the file of a killed program
+    is readable up to the last whole packet. Closing cuts off what a failed write has left of a record.
+    An existing file is overwritten.
+
+    Parameters
+    ----------
+    path : the file, or a pipe
+    first_position_number : position packets between power-up and this file; numbers the frames
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be opened.
+    RunError
+        If it cannot be written: here, or later in `send`.
+    """
+
+    def __init__(self, path: Path, first_position_number: int) -> None:
+        self.path = path
+        self._first_position_number = first_position_number
+        self._data_header = data_header(FACTORY_LINK)
+        self._sent = Counter[PacketKind]()
+        self._bytes = 0
+        self._hash = hashlib.sha256()
+        try:
+            self._file = path.open("wb", buffering=0)
+        except OSError as error:
+            raise OutputError(str(path), str(error.strerror), "a file that can be written") from error
+        try:
+            self._write(_FILE_HEADER)
+        except RunError:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(OSError):  # a pipe or a device has no end that could be cut
+            os.ftruncate(self._file.fileno(), self._bytes)
+        self._file.close()
+
+    def send(self, packet: Packet) -> None:
+        """Append one packet.
+
+        Raises
+        ------
+        RunError
+            If the disk is full or the device gone; the packets before this one are kept.
+        ValueError
+            If the packet is NMEA, which travels by serial line and not by Ethernet.
+        """
+        frame = self._frame(packet)
+        seconds, rest_ns = divmod(packet.due_ns, S_NS)
+        self._write(_RECORD_HEADER.pack(seconds, rest_ns // US_NS, len(frame), len(frame)) + frame)
+        self._sent[packet.kind] += 1
+
+    @property
+    def result(self) -> PcapResult:
+        """What has been written so far."""
+        return PcapResult(
+            data_packets=self._sent[PacketKind.DATA],
+            position_packets=self._sent[PacketKind.POSITION],
+            bytes=self._bytes,
+            sha256=self._hash.hexdigest(),
+        )
+
+    def _frame(self, packet: Packet) -> bytes:
+        """Frame of a data or position packet."""
+        if packet.kind is PacketKind.DATA:
+            return self._data_header + packet.payload
+        if packet.kind is PacketKind.POSITION:
+            number = self._first_position_number + self._sent[PacketKind.POSITION]
+            return position_frame(FACTORY_LINK, packet.payload, number)
+        raise ValueError(f"found a packet of kind {packet.kind}, expected data or position")
+
+    def _write(self, record: bytes) -> None:
+        """Write a whole record, or fail and leave it uncounted."""
+        try:
+            written = self._file.write(record)
+            while written < len(record):  # a full disk takes what fits and refuses only the next byte
+                written += self._file.write(record[written:])
+        except OSError as error:
+            kept = f"the {self._sent.total()} packets before it are kept"
+            raise RunError(
+                f"{self.path}: {error.strerror} at packet {self._sent.total() + 1}; {kept}"
+            ) from error
+        self._hash.update(record)
+        self._bytes += len(record)

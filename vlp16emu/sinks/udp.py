@@ -1,0 +1,183 @@
+"""Packets as UDP datagrams."""
+
+import ipaddress
+import socket
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+from vlp16emu.errors import OutputError, RunError
+from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL
+from vlp16emu.types import Packet, PacketKind
+
+__all__ = ["LOOPBACK", "UdpResult", "UdpSink"]
+
+LOOPBACK = "127.0.0.1"
+"""Where packets go unless an address is given: nowhere but this machine."""
+
+# Linux socket options that Python does not name. Source: linux/in.h and asm-generic/socket.h.
+_SO_NO_CHECK = 11
+_IP_MTU_DISCOVER = 10
+_IP_PMTUDISC_DONT = 0
+_IP_PMTUDISC_DO = 2
+
+
+@dataclass(frozen=True, slots=True)
+class UdpResult:
+    """What has been sent."""
+
+    data_packets: int
+    position_packets: int
+    bytes: int
+    """Of payload."""
+
+
+class UdpSink:
+    """Sends data and position packets from two sockets, which are never connected.
+
+    A connected socket would give a running identification to frames that must carry 0, and would report
+    the refusals of a host on which nobody listens yet.
+
+    Parameters
+    ----------
+    host : address or name of the receiver; may be a broadcast address
+    data_port, position_port : UDP ports of the receiver
+    as_sensor : address of this machine to send from, with the ports and header fields of a real sensor;
+        None for any address, any free ports, and headers as the system makes them
+
+    Raises
+    ------
+    OutputError
+        If the host is unknown or out of reach, or the address or port to send from is not to be had.
+    """
+
+    def __init__(
+        self,
+        host: str = LOOPBACK,
+        *,
+        data_port: int = DATA_PORT,
+        position_port: int = POSITION_PORT,
+        as_sensor: str | None = None,
+    ) -> None:
+        address = _resolve(host)
+        broadcast = _is_broadcast(address, as_sensor)
+        self._sent = Counter[PacketKind]()
+        self._bytes = 0
+        with ExitStack() as stack:
+            data = stack.enter_context(_open(DATA_PORT, as_sensor, broadcast=broadcast))
+            position = stack.enter_context(_open(POSITION_PORT, as_sensor, broadcast=broadcast))
+            if as_sensor is not None:
+                _imitate_data(data)
+                _imitate_position(position)
+            self._sockets = stack.pop_all()
+        self._ways = {
+            PacketKind.DATA: (data, (address, data_port)),
+            PacketKind.POSITION: (position, (address, position_port)),
+        }
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._sockets.close()
+
+    def send(self, packet: Packet) -> None:
+        """Send one packet.
+
+        Raises
+        ------
+        RunError
+            If the system cannot send any more, for instance because the link is gone.
+        ValueError
+            If the packet is NMEA, which travels by serial line and not by Ethernet.
+        """
+        if packet.kind not in self._ways:
+            raise ValueError(f"found a packet of kind {packet.kind}, expected data or position")
+        way, (address, port) = self._ways[packet.kind]
+        try:
+            self._bytes += way.sendto(packet.payload, (address, port))
+        except OSError as error:
+            where = f"{address}:{port}: {error.strerror} at packet {self._sent.total() + 1}"
+            raise RunError(f"{where}; those before it have been sent") from error
+        self._sent[packet.kind] += 1
+
+    @property
+    def result(self) -> UdpResult:
+        """What has been sent so far."""
+        return UdpResult(self._sent[PacketKind.DATA], self._sent[PacketKind.POSITION], self._bytes)
+
+
+def _resolve(host: str) -> str:
+    """IPv4 address of a host; a VLP-16 speaks no IPv6."""
+    expected = "the IPv4 address or the name of a host"
+    if not host or host.isspace():
+        raise OutputError("destination", "nothing", expected)
+    try:
+        found = socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)
+    except (OSError, UnicodeError) as error:
+        raise OutputError("destination", f"{host!r}, which is unknown", expected) from error
+    address = str(found[0][4][0])
+    if ipaddress.ip_address(address).is_unspecified:
+        raise OutputError("destination", f"{address}, which is no host", expected)
+    return address
+
+
+def _is_broadcast(address: str, as_sensor: str | None) -> bool:
+    """Ask the routing table, by a socket that is thrown away and sends nothing.
+
+    Whether 192.168.1.255 is a broadcast address depends on the netmask of the interface, and the system
+    alone knows it: it forbids the way there to a socket without SO_BROADCAST.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        _bind(probe, as_sensor, 0)
+        try:
+            probe.connect((address, DATA_PORT))
+        except PermissionError:
+            return True
+        except OSError as error:
+            raise OutputError(f"destination {address}", str(error.strerror), "an address in reach") from error
+    return False
+
+
+def _open(sensor_port: int, as_sensor: str | None, *, broadcast: bool) -> socket.socket:
+    """Socket that sends from the sensor's own port, or from any free one."""
+    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        _bind(opened, as_sensor, sensor_port)
+        if broadcast:
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+    except OutputError:
+        opened.close()
+        raise
+    return opened
+
+
+def _bind(opened: socket.socket, as_sensor: str | None, port: int) -> None:
+    """Give the socket the sensor's address, if there is one."""
+    if as_sensor is None:
+        return
+    try:
+        opened.bind((as_sensor, port))
+    except OSError as error:
+        expected = "an address of this machine and a free port"
+        raise OutputError(f"{as_sensor}:{port}", str(error.strerror), expected) from error
+
+
+def _imitate_data(opened: socket.socket) -> None:
+    """No UDP checksum, TTL 255, don't fragment and, for that reason, identification 0."""
+    opened.setsockopt(socket.SOL_SOCKET, _SO_NO_CHECK, 1)
+    opened.setsockopt(socket.IPPROTO_IP, socket.IP_TTL, DATA_TTL)
+    opened.setsockopt(socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DO)
+
+
+def _imitate_position(opened: socket.socket) -> None:
+    """TTL 64, may be fragmented, hence an identification that counts up.
+
+    A sensor counts by one; Linux, between sockets that are not connected, by one or two at this rate.
+    """
+    opened.setsockopt(socket.IPPROTO_IP, socket.IP_TTL, POSITION_TTL)
+    opened.setsockopt(socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DONT)
