@@ -48,9 +48,7 @@ def test_cuts_do_not_change_a_byte(birch):
     whole = digest(Emulator(birch).packets(start, stop))
     cuts = [start, start + 0.0004, STRETCH_S - BLOCK_S / 3, STRETCH_S + 0.1001, stop]
     pieces = (
-        packet
-        for a, b in itertools.pairwise(cuts)
-        for packet in Emulator(birch, threads=2).packets(a, b)
+        packet for a, b in itertools.pairwise(cuts) for packet in Emulator(birch, threads=2).packets(a, b)
     )
     assert digest(pieces) == whole
 
@@ -109,7 +107,7 @@ def test_wire_time_is_the_hour_of_a_locked_clock():
 
 def test_walk_ends_where_its_path_ends(birch):
     """A span beyond the walk's run time is refused before anything is computed."""
-    with pytest.raises(TrajectoryError, match=r"duration: found 600 s; expected at most 7\d\.\d s"):
+    with pytest.raises(TrajectoryError, match=r"duration: found 600 s; expected at most the walk's 7\d\.\d s"):
         Emulator(birch).packets(0, 600)
 
 

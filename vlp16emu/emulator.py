@@ -32,7 +32,7 @@ T = TypeVar("T")
 
 
 class Emulator:
-    """A VLP-16 in the world of a scenario.
+    """A sensor in the world of a scenario.
 
     Parameters
     ----------
@@ -79,8 +79,7 @@ class Emulator:
         """Check a span and put it into nanoseconds since the first pulse."""
         stop_s = self.scenario.duration_s if stop_s is None else stop_s
         if stop_s > (end_s := self._parts.motion.run_time_s):
-            expected = f"at most {end_s:.1f} s, when the walk is over"
-            raise TrajectoryError("duration", f"found {stop_s:g} s", expected)
+            raise TrajectoryError("duration", f"found {stop_s:g} s", f"at most the walk's {end_s:.1f} s")
         return seconds_to_ns(start_s), seconds_to_ns(stop_s)
 
     def _scan(self, block: int, opened: Future[Scene]) -> Returns:

@@ -91,23 +91,41 @@ def cast_packets(
     for first in range(0, count, PACKET):
         for j in range(lasers):
             for r in range(PACKET):
-                for a in range(3):
-                    rays[_ORG + a, r] = np.float32(origin_m[first + r, j, a] - window_origin_m[a])
-                    rays[_DIR + a, r] = np.float32(direction[first + r, j, a])
-                rays[_TNEAR, r], rays[_TIME, r], rays[_TFAR, r] = near_m[j], 0.0, far_m
-                words[_MASK, r], words[_ID, r], words[_FLAGS, r] = _NONE, r, 0
-                words[_GEOM, r], words[_INST, r] = _NONE, _NONE
+                i = first + r
+                _load(rays, r, origin_m[i, j], window_origin_m, direction[i, j])
+                _reset(rays, words, r, near_m[j], far_m)
             context[:] = _NONE
             _intersect(valid.ctypes.data, scene, rays.ctypes.data, arguments.ctypes.data)
             for r in range(PACKET):
-                i = first + r
-                if words[_GEOM, r] == _NONE:
+                i, instance = first + r, words[_INST, r]
+                if instance == _NONE:
                     range_m[i, j], surface[i, j], cos_incidence[i, j] = np.inf, _NONE, 0.0
-                    continue
-                instance = words[_INST, r]
-                range_m[i, j] = rays[_TFAR, r]
-                surface[i, j] = first_surface[instance] + words[_GEOM, r]
-                cos_incidence[i, j] = _cosine(normal_matrix[instance], rays, r)
+                else:
+                    range_m[i, j] = rays[_TFAR, r]
+                    surface[i, j] = first_surface[instance] + words[_GEOM, r]
+                    cos_incidence[i, j] = _cosine(normal_matrix[instance], rays, r)
+
+
+@numba.njit(cache=True, nogil=True)
+def _load(
+    rays: NDArray[np.float32],
+    r: int,
+    origin_m: NDArray[np.float64],
+    window_origin_m: NDArray[np.float64],
+    direction: NDArray[np.float64],
+) -> None:
+    """Put ray r on its line."""
+    for a in range(3):
+        rays[_ORG + a, r] = np.float32(origin_m[a] - window_origin_m[a])
+        rays[_DIR + a, r] = np.float32(direction[a])
+
+
+@numba.njit(cache=True, nogil=True)
+def _reset(rays: NDArray[np.float32], words: NDArray[np.uint32], r: int, near_m: float, far_m: float) -> None:
+    """Give ray r its limits and take away what it hit before."""
+    rays[_TNEAR, r], rays[_TIME, r], rays[_TFAR, r] = near_m, 0.0, far_m
+    words[_MASK, r], words[_ID, r], words[_FLAGS, r] = _NONE, r, 0
+    words[_GEOM, r], words[_INST, r] = _NONE, _NONE
 
 
 @numba.njit(cache=True, nogil=True)
