@@ -75,21 +75,17 @@ def cast_packets(
     scene : address of a committed RTCScene of instances
     window_origin_m : (3,) taken from the origins in float64, before the step to float32
     origin_m, direction : (k, L, 3) float64, k a multiple of `PACKET`
-    near_m : (L,) where each laser's light begins
-    far_m : where it is given up
-    first_surface : (n,) per instance
-    normal_matrix : (n, 3, 3) float32, takes normals of the shape to the world
+    near_m, far_m : (L,) where each laser's light begins, and where it is given up
+    first_surface, normal_matrix : (n,), (n, 3, 3) per instance, as in `placement`
     range_m, surface, cos_incidence : (k, L) outputs
     """
-    count, lasers = origin_m.shape[:2]
     rays = _aligned(_ROWS * PACKET * 4).view(np.float32).reshape(_ROWS, PACKET)
-    words = rays.view(np.uint32)
-    valid = _aligned(PACKET * 4).view(np.int32)
+    words, valid = rays.view(np.uint32), _aligned(PACKET * 4).view(np.int32)
     valid[:] = -1
     context = _aligned(16).view(np.uint32)
     arguments = _arguments(context)
-    for first in range(0, count, PACKET):
-        for j in range(lasers):
+    for first in range(0, origin_m.shape[0], PACKET):
+        for j in range(origin_m.shape[1]):
             for r in range(PACKET):
                 i = first + r
                 _load(rays, r, origin_m[i, j], window_origin_m, direction[i, j])

@@ -3,5 +3,6 @@
 from vlp16emu.scenario.find import find, scene_files
 from vlp16emu.scenario.load import load
 from vlp16emu.scenario.model import Scenario
+from vlp16emu.scenario.schema import schema
 
-__all__ = ["Scenario", "find", "load", "scene_files"]
+__all__ = ["Scenario", "find", "load", "scene_files", "schema"]

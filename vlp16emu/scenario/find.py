@@ -30,19 +30,19 @@ def scene_files() -> dict[str, Path]:
 
 
 def find(scene: str) -> Path:
-    """Path of a scene given by name or path.
+    """Path of a scene given by name or path; a path is not yet looked at.
 
     Raises
     ------
     ScenarioError
-        where there is neither such a file nor such a name
+        where there is no scene of that name
     """
     path = Path(scene)
     if path.suffix == ".toml" or path.parent != Path():
-        if not path.is_file():
-            raise ScenarioError(scene, "no such file", "the path of a scene file")
         return path
     known = scene_files()
     if scene not in known:
-        raise ScenarioError(scene, "no such scene", f"a path ending in .toml, or one of {', '.join(known)}")
+        raise ScenarioError(
+            f"scene '{scene}'", "unknown name", f"{', '.join(known)}, or a path ending in .toml"
+        )
     return known[scene]

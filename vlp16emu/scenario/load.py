@@ -1,21 +1,21 @@
 """TOML to `Scenario`, with errors that name file, key path, what was found and what was expected."""
 
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
-from pydantic_core import ErrorDetails
 
 from vlp16emu.errors import ScenarioError
+from vlp16emu.scenario.explain import explain
 from vlp16emu.scenario.find import find
 from vlp16emu.scenario.model import Scenario
 
 __all__ = ["load"]
 
 
-def load(scene: str, settings: Iterable[str] = ()) -> Scenario:
+def load(scene: str, settings: Sequence[str] = ()) -> Scenario:
     """Read a scene and apply settings to it.
 
     Parameters
@@ -35,7 +35,8 @@ def load(scene: str, settings: Iterable[str] = ()) -> Scenario:
     try:
         return Scenario.model_validate(tree)
     except ValidationError as error:
-        raise _first(path, error) from None
+        key, found, expected = explain(error)
+        raise ScenarioError(_origin(path, settings, key), found, expected) from None
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -43,49 +44,41 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ScenarioError(str(path), error.strerror or "cannot be read", "a readable file") from None
+        raise ScenarioError(str(path), str(error.strerror), "a scene file") from None
     except UnicodeDecodeError as error:
         raise ScenarioError(str(path), f"no UTF-8 text at byte {error.start}", "a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ScenarioError(str(path), f"no valid TOML: {error}") from None
+    except (ValueError, RecursionError) as error:  # the parser's own error, a vast integer, a vast nesting
+        raise ScenarioError(str(path), f"no valid TOML: {error}", "a TOML file") from None
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:
     """Put one `key.path=value` into the tree."""
+    where = f"--set {setting}"
     key, equals, text = setting.partition("=")
     names = key.strip().split(".")
-    if not equals or not all(names):
-        raise ScenarioError(f"--set {setting}", "no assignment", "key.path=value")
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        value = text.strip()  # a bare word is the string that was meant
+    if not equals or not all(names) or not text.strip():
+        raise ScenarioError(where, "no assignment", "key.path=value")
     for name in names[:-1]:
         branch = tree.setdefault(name, {})
         if not isinstance(branch, dict):
-            raise ScenarioError(f"--set {setting}", f"{name} is no table", "a path of table names")
+            raise ScenarioError(where, f"{name} is no table", "table names before the last dot")
         tree = branch
-    tree[names[-1]] = value
+    tree[names[-1]] = _value(text.strip())
 
 
-def _first(path: Path, error: ValidationError) -> ScenarioError:
-    """Say the first of pydantic's findings in one line."""
-    finding = error.errors(include_url=False)[0]
-    kinds = ("static", "walk", "forest", "hall")  # pydantic puts the union's tag into the path; no file has it
-    keys = [str(part) for part in finding["loc"] if part not in kinds]
-    found, expected = _told(finding)
-    return ScenarioError(f"{path}: {'.'.join(keys) or 'scene'}", found, expected)
+def _value(text: str) -> object:
+    """Parse a value; what is no TOML is the bare word that was meant."""
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return parsed["value"] if len(parsed) == 1 else text
 
 
-def _told(finding: ErrorDetails) -> tuple[str, str | None]:
-    """What was found and what was expected."""
-    kind, message = finding["type"], finding["msg"]
-    if kind == "extra_forbidden":
-        return "unknown key", "a key of this table (see `vlp16emu schema`)"
-    if kind == "missing":
-        return "missing", "a value"
-    if kind.startswith("union_tag"):
-        return f"found kind {finding['input'].get('kind')!r}" if isinstance(finding["input"], dict) else "no table", message
-    if kind == "value_error":
-        return message.removeprefix("Value error, "), None
-    return f"found {finding['input']!r}", message.removeprefix("Input should be ")
+def _origin(path: Path, settings: Sequence[str], key: str) -> str:
+    """Where a key got its value: the last setting that touched it, or else the file."""
+    for setting in reversed(settings):
+        name = setting.partition("=")[0].strip()
+        if key == name or key.startswith((f"{name}.", f"{name}[")):
+            return f"--set {setting}" if key == name else f"--set {setting}: {key}"
+    return f"{path}: {key}"

@@ -3,7 +3,7 @@
 from datetime import UTC, datetime
 from typing import Annotated, Literal
 
-from pydantic import AwareDatetime, Field, model_validator
+from pydantic import AwareDatetime, Field
 
 from vlp16emu.scenario.motion import Motion
 from vlp16emu.scenario.section import Section
@@ -37,9 +37,3 @@ class Scenario(Section):
         """UTC of the first pulse, ns since 1970."""
         since = self.start_utc.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)
         return (since.days * 86400 + since.seconds) * S_NS + since.microseconds * US_NS
-
-    @model_validator(mode="after")
-    def _ranges_in_order(self) -> "Scenario":
-        if self.sensor.min_range_m >= self.sensor.max_range_m:
-            raise ValueError(f"sensor.max_range_m must exceed sensor.min_range_m = {self.sensor.min_range_m}")
-        return self

@@ -4,11 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from vlp16emu.scenario.section import NonNegative, Positive, Section
+from vlp16emu.scenario.section import Angle, NonNegative, Positive, Section
 
 __all__ = ["Gait", "Motion", "Static", "Walk"]
 
-Angle = Annotated[float, Field(ge=-180, le=180)]
 Point = Annotated[tuple[float, float], Field(strict=False)]
 
 

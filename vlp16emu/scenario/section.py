@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = ["Fraction", "NonNegative", "Positive", "Section"]
+__all__ = ["Angle", "Fraction", "NonNegative", "Positive", "Section"]
 
 
 class Section(BaseModel):
@@ -15,6 +15,7 @@ class Section(BaseModel):
     )
 
 
+Angle = Annotated[float, Field(ge=-180, le=180)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]

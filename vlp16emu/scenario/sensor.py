@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from vlp16emu.scenario.section import NonNegative, Section
 
@@ -22,7 +22,7 @@ class Sensor(Section):
     """Which echoes are sent."""
     min_range_m: Annotated[float, Field(ge=0.5, le=131.07)] = 0.5
     """Nearer targets are blanked; no real unit sends less than 0.5 m."""
-    max_range_m: Annotated[float, Field(gt=0.5, le=131.07)] = 100.0
+    max_range_m: Annotated[float, Field(gt=0.5, le=131.07, validate_default=True)] = 100.0
     """Farther targets are lost; 100 m in the data sheet, 131.07 m is the largest code."""
     start_azimuth_deg: Degrees = 0.0
     """True rotor angle at the first firing."""
@@ -38,6 +38,14 @@ class Sensor(Section):
     """How much the free-running clock is fast; a clock locked to GPS has no such error."""
     position_rate: Literal["measured", "manual"] = "measured"
     """Position packets: 146 per second at the irregular spacing of real units, or the 53.8 of the manual."""
+
+    @field_validator("max_range_m")
+    @classmethod
+    def _beyond_the_nearest(cls, max_range_m: float, info: ValidationInfo) -> float:
+        nearest = info.data.get("min_range_m")  # absent where it is itself in error
+        if nearest is not None and max_range_m <= nearest:
+            raise ValueError(f"more than min_range_m = {nearest}")
+        return max_range_m
 
 
 class Gps(Section):

@@ -1,0 +1,74 @@
+"""Command lines carried out in this process, and one short recording for all to read."""
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from vlp16emu.cli.app import run
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass
+class Outcome:
+    """What a command line left behind."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def tree(self):
+        """The JSON object on stdout."""
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def cli(capsys):
+    """Carry out a command line here."""
+
+    def call(*arguments):
+        capsys.readouterr()
+        code = run([str(argument) for argument in arguments])
+        return Outcome(code, *capsys.readouterr())
+
+    return call
+
+
+@pytest.fixture
+def program():
+    """Start the program as a process of its own, with pipes."""
+    running = []
+
+    def start(*arguments, **options):
+        command = [sys.executable, "-m", "vlp16emu", *map(str, arguments)]
+        options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "cwd": ROOT, "text": True} | options
+        running.append(subprocess.Popen(command, **options))
+        return running[-1]
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="session")
+def bench(tmp_path_factory):
+    """Half a second of the hall, without noise and without GPS."""
+    path = tmp_path_factory.mktemp("bench") / "bench.pcap"
+    assert run(["record", "static_bench", str(path), "--duration", "0.5", "--json"]) == 0
+    return path
+
+
+@pytest.fixture(scope="session")
+def dual(tmp_path_factory):
+    """A third of a second in dual return with GPS, over the full hour."""
+    path = tmp_path_factory.mktemp("dual") / "dual.pcap"
+    settings = ["sensor.return_mode=dual", "gps.connected=true", "start_utc=2026-05-20T08:59:59.9Z"]
+    options = [word for setting in settings for word in ("--set", setting)]
+    assert run(["record", "static_bench", str(path), "--duration", "0.3", "--json", *options]) == 0
+    return path

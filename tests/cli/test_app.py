@@ -1,0 +1,154 @@
+"""Help, version, and what becomes of errors."""
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = {"numpy", "numba", "scipy", "pydantic", "dpkt", "rich", "vlp16emu.emulator", "vlp16emu.scenario"}
+VERBS = ["record", "stream", "decode", "verify", "scenes", "schema"]
+
+
+@pytest.mark.parametrize("verb", [[], *([verb] for verb in VERBS)], ids=["", *VERBS])
+def test_help_loads_nothing_heavy(verb):
+    """`--help` imports no numerical library, no validation and no emulator: it answers at once."""
+    heavy = HEAVY - {"pydantic"} if verb else HEAVY  # typer itself looks at a verb's options with pydantic
+    code = (
+        "import sys\n"
+        "from vlp16emu.cli.app import run\n"
+        f"code = run({[*verb, '--help']!r})\n"
+        f"print(code, sorted({heavy!r} & set(sys.modules)), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "0 []"
+    assert done.stdout.startswith("Usage: vlp16emu")
+
+
+@pytest.mark.parametrize("width", [80, 120])
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_fits_the_terminal(cli, monkeypatch, verb, width):
+    """Help is no wider than the terminal, apart from example lines that must not be broken."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    text, _, _ = cli(verb, "--help").out.partition("Examples:")
+    assert max(map(len, text.splitlines())) <= width
+
+
+def test_no_arguments_means_help(cli):
+    """Called without arguments the program shows its verbs."""
+    outcome = cli()
+    assert outcome.code == 0
+    assert all(f"\n  {verb}  " in outcome.out for verb in VERBS)
+
+
+def test_the_version_is_that_of_the_package(cli):
+    """`--version` prints the name and the version that pip knows."""
+    from importlib.metadata import version
+
+    assert cli("--version").out == f"vlp16emu {version('vlp16emu')}\n"
+
+
+BAD = [
+    # command line, exit code, the line after "error: "; {tmp} is an empty folder
+    ("bogus", 2, "No such command 'bogus'; see `vlp16emu --help`"),
+    ("record static_bench", 2, "Missing argument 'OUT.pcap'; see `vlp16emu record --help`"),
+    ("record static_bench x --bad", 2, "No such option: --bad; see `vlp16emu record --help`"),
+    (
+        "record nope {tmp}/x.pcap",
+        2,
+        "scene 'nope': unknown name; expected birch_walk, ",
+    ),
+    (
+        "record {tmp}/no.toml {tmp}/x.pcap",
+        2,
+        "{tmp}/no.toml: No such file or directory; expected a scene file",
+    ),
+    (
+        "record static_bench {tmp}/no/x.pcap",
+        2,
+        "{tmp}/no/x.pcap: No such file or directory; expected a file that can be written",
+    ),
+    (
+        "record static_bench {tmp}/x.pcap --duration -1",
+        2,
+        "--duration: found -1; expected a number above 0 and at most 604800",
+    ),
+    (
+        "record static_bench {tmp}/x.pcap --duration nan",
+        2,
+        "--duration: found nan; expected a number above 0 and at most 604800",
+    ),
+    (
+        "record static_bench {tmp}/x.pcap --duration inf",
+        2,
+        "--duration: found inf; expected a number above 0 and at most 604800",
+    ),
+    (
+        "record static_bench {tmp}/x.pcap --duration ten",
+        2,
+        "--duration: found ten; expected a number above 0 and at most 604800",
+    ),
+    (
+        "record static_bench {tmp}/x.pcap --start -1",
+        2,
+        "--start: found -1; expected a number from 0 to 604800",
+    ),
+    (
+        "record static_bench {tmp}/x.pcap --start 11",
+        2,
+        "--start: found 11; expected less than the scene's 10 s, or a --duration",
+    ),
+    (
+        "record static_bench {tmp}/x.pcap --threads 1.5",
+        2,
+        "--threads: found 1.5; expected a whole number from 0 to 1024",
+    ),
+    (
+        "record static_bench {tmp}/x.pcap --set sensor.rpm=250",
+        2,
+        "--set sensor.rpm=250: found 250; expected a whole number from 300 to 1200 in steps of 60",
+    ),
+    (
+        "record static_bench {tmp}/x.pcap --set sensor.rpn=600",
+        2,
+        "--set sensor.rpn=600: unknown key; expected rpm, the nearest known one",
+    ),
+    (
+        "record static_bench /dev/full --duration 1",
+        1,
+        "/dev/full: No space left on device at packet 1; the 0 packets",
+    ),
+    ("stream static_bench --data-port 0", 2, "--data-port: found 0; expected a whole number from 1 to 65535"),
+    (
+        "stream static_bench --position-port 65536",
+        2,
+        "--position-port: found 65536; expected a whole number from 1 to 65535",
+    ),
+    ("stream static_bench --speed 0", 2, "--speed: found 0; expected a number above 0"),
+    ("decode {tmp}/no.pcap", 2, "{tmp}/no.pcap: No such file or directory; expected a readable pcap file"),
+    ("decode /dev/null", 2, "/dev/null: no pcap file"),
+    ("verify {tmp}/no.pcap", 2, "{tmp}/no.pcap: No such file or directory; expected a readable pcap file"),
+]
+
+
+@pytest.mark.parametrize(("line", "code", "said"), BAD, ids=[row[0].replace("{tmp}/", "") for row in BAD])
+def test_trouble_is_one_line(cli, tmp_path, line, code, said):
+    """Foreseeable trouble is one line on stderr that says where, what was found and what was expected."""
+    outcome = cli(*line.format(tmp=tmp_path).split())
+    assert outcome.code == code
+    assert outcome.out == ""
+    assert outcome.err.startswith(f"error: {said.format(tmp=tmp_path)}")
+    assert outcome.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_line_breaks_in_the_users_words_stay_out(cli, tmp_path):
+    """An argument with line breaks in it still gives one line."""
+    outcome = cli("record", "static_bench", tmp_path / "x.pcap", "--set", "sensor.rpm=1\n2")
+    assert outcome.err.count("\n") == 1
+
+
+def test_a_reader_that_has_had_enough_is_no_error(program):
+    """Output into a pipe that is closed early ends without a word."""
+    process = program("schema")
+    process.stdout.close()
+    assert process.stderr.read() == ""

@@ -1,0 +1,178 @@
+"""Captures into numbers and points."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from vlp16emu.cli.points import CaptureReader
+from vlp16emu.packets import Capture, data_fields, decode_data
+
+CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
+
+
+def payloads(path):
+    with Capture(path) as capture:
+        rows = [datagram.payload for datagram in capture if len(datagram.payload) == 1206]
+    return np.frombuffer(b"".join(rows), np.uint8).reshape(-1, 1206)
+
+
+def test_the_summary_is_what_the_packets_say(cli, bench):
+    """Counts, ranges, speed and mode equal what a plain look at all packets at once gives."""
+    tree = cli("decode", bench, "--json").tree
+    points = decode_data(payloads(bench), keep_no_returns=True)
+    met_m = points.distance_m[points.distance_m > 0]
+    assert tree["packets"] * 384 == len(points.ring) == tree["points"] + tree["no_returns"]
+    assert tree["points"] == len(met_m)
+    assert tree["range_m"] == {
+        "min": pytest.approx(met_m.min(), abs=1e-3),
+        "median": pytest.approx(np.median(met_m), abs=2e-3),
+        "max": pytest.approx(met_m.max(), abs=1e-3),
+    }
+    assert (tree["model"], tree["return_mode"], tree["cut"]) == ("vlp-16", "strongest", False)
+    assert tree["rpm"] == pytest.approx(600, abs=0.1)
+    assert tree["gps"] == {"pps": "absent", "sentence": ""}
+
+
+def test_scans_are_turns_of_the_head(cli, bench):
+    """Half a second at 600 rpm is five turns of 28.9 thousand records."""
+    tree = cli("decode", bench, "--json").tree
+    assert tree["scans"] == 5
+    assert tree["records_per_scan"] == pytest.approx(28_934, abs=32)
+
+
+def test_dual_return_counts_both_records(cli, dual):
+    """In dual return a turn has twice the records, and the rotor still makes 600 rpm."""
+    tree = cli("decode", dual, "--json").tree
+    assert tree["return_mode"] == "dual"
+    assert tree["rpm"] == pytest.approx(600, abs=0.1)
+    assert tree["records_per_scan"] == pytest.approx(2 * 28_934, abs=64)
+    assert tree["gps"]["pps"] == "locked"
+    assert tree["gps"]["sentence"].startswith("$GPRMC,0")
+
+
+def test_chunks_leave_no_trace(bench, monkeypatch):
+    """Read in chunks of 7 packets the points are those of all packets decoded at once."""
+    monkeypatch.setattr("vlp16emu.cli.points._CHUNK", 7)
+    whole = decode_data(payloads(bench), keep_no_returns=False)
+    with CaptureReader(bench) as reader:
+        chunks = [points for points, _ in reader.points()]
+    assert len(chunks) > 50
+    for name in ("azimuth_deg", "distance_m", "xyz_m", "reflectivity", "ring", "time_ns"):
+        np.testing.assert_array_equal(
+            np.concatenate([getattr(chunk, name) for chunk in chunks]), getattr(whole, name)
+        )
+
+
+@pytest.mark.parametrize("size", [2, 5, 2_000])
+def test_time_goes_on_over_the_full_hour(dual, monkeypatch, size):
+    """The time of points rises over the hour, where the sensor's own clock falls back to 0."""
+    monkeypatch.setattr("vlp16emu.cli.points._CHUNK", size)
+    with CaptureReader(dual) as reader:
+        clock_ns = np.concatenate([clock_ns for _, clock_ns in reader.points()])
+    stamps_us = data_fields(payloads(dual))["timestamp_us"]
+    assert stamps_us[0] > 3_599_000_000
+    assert stamps_us[-1] < 1_000_000
+    assert np.diff(clock_ns).min() >= 0
+    assert clock_ns[-1] - clock_ns[0] == pytest.approx(0.3e9, abs=2e6)
+
+
+def test_npz_holds_all_arrays(cli, bench, tmp_path):
+    """The arrays of a .npz are those of our own decoder."""
+    out = tmp_path / "x.npz"
+    assert cli("decode", bench, "--out", out).code == 0
+    points = decode_data(payloads(bench), keep_no_returns=False)
+    with np.load(out) as arrays:
+        assert set(arrays) == {
+            "xyz_m",
+            "distance_m",
+            "azimuth_deg",
+            "reflectivity",
+            "ring",
+            "laser",
+            "is_last",
+            "clock_ns",
+        }
+        for name in set(arrays) - {"clock_ns"}:
+            np.testing.assert_array_equal(arrays[name], getattr(points, name))
+        np.testing.assert_array_equal(arrays["clock_ns"], points.time_ns)
+
+
+def test_csv_names_its_units(cli, bench, tmp_path):
+    """A .csv has a header with units and one line per point, true to 0.1 mm and a nanosecond."""
+    out = tmp_path / "x.csv"
+    tree = cli("decode", bench, "--out", out, "--json").tree
+    with out.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert ",".join(rows[0]) == "time_s,x_m,y_m,z_m,distance_m,azimuth_deg,reflectivity,ring,laser,is_last"
+    assert len(rows) == tree["points"]
+    points = decode_data(payloads(bench), keep_no_returns=False)
+    for column, values, step in (("x_m", points.xyz_m[:, 0], 1e-4), ("time_s", points.time_ns / 1e9, 1e-9)):
+        np.testing.assert_allclose([float(row[column]) for row in rows], values, atol=step)
+
+
+def test_ply_opens_elsewhere(cli, bench, tmp_path):
+    """Trimesh reads the .ply: the same points, with intensity, ring and time beside them."""
+    out = tmp_path / "x.ply"
+    cli("decode", bench, "--out", out)
+    points = decode_data(payloads(bench), keep_no_returns=False)
+    cloud = trimesh.load(out)
+    np.testing.assert_array_equal(cloud.vertices, points.xyz_m)
+    data = cloud.metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_array_equal(data["ring"], points.ring)
+    np.testing.assert_array_equal(data["intensity"], points.reflectivity)
+    np.testing.assert_allclose(data["time"], points.time_ns / 1e9, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "said"),
+    [
+        ("x.xyz", 2, "found suffix '.xyz'; expected .csv, .npz, .ply"),
+        ("no/x.ply", 2, "No such file or directory; expected a file that can be written"),
+        ("full.ply", 1, "No space left on device; the file is not complete"),
+        ("full.csv", 1, "No space left on device; the file is not complete"),
+        ("full.npz", 1, "No space left on device; the file is not complete"),
+    ],
+)
+def test_points_that_cannot_be_written_are_told(cli, bench, tmp_path, name, code, said):
+    """A wrong suffix, a missing folder and a full disk are one line each."""
+    for suffix in (".ply", ".csv", ".npz"):
+        (tmp_path / f"full{suffix}").symlink_to("/dev/full")
+    outcome = cli("decode", bench, "--out", tmp_path / name)
+    assert outcome.code == code
+    assert said in outcome.err
+    assert outcome.err.count("\n") == 1
+
+
+def test_a_cut_file_is_read_to_its_last_whole_packet(cli, bench, tmp_path):
+    """A file that ends in the middle of a packet is read so far, and this is said."""
+    cut = tmp_path / "cut.pcap"
+    cut.write_bytes(bench.read_bytes()[:-700])
+    tree = cli("decode", cut, "--json").tree
+    assert tree["cut"] is True
+    assert tree["packets"] == cli("decode", bench, "--json").tree["packets"] - 1
+    assert "in the middle of a packet" in cli("decode", cut).out
+
+
+def test_another_sensor_is_refused_with_its_place(cli, bench, tmp_path):
+    """A product byte of an HDL-32E is named with the file and the frames it stands in."""
+    content = bytearray(bench.read_bytes())
+    content[content.index(payloads(bench)[0].tobytes()) + 1205] = 0x21
+    other = tmp_path / "other.pcap"
+    other.write_bytes(content)
+    outcome = cli("decode", other)
+    assert outcome.code == 2
+    assert outcome.err.startswith(f"error: {other}: frames ")
+    assert "0x21; expected 0x22 or 0x24" in outcome.err
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the captures of real sensors are not here")
+def test_a_real_capture_is_read(cli):
+    """A capture of a real unit gives its known counts, speed, smallest range and GPS state."""
+    tree = cli("decode", CAPTURES / "mrpt_vlp16_gps.pcap", "--json").tree
+    assert (tree["packets"], tree["position_packets"]) == (293, 57)
+    assert tree["rpm"] == pytest.approx(600, abs=3)
+    assert tree["range_m"]["min"] == 0.5
+    assert tree["gps"]["pps"] == "locked"

@@ -1,0 +1,122 @@
+"""Scenes into files."""
+
+import hashlib
+import json
+import os
+import pty
+import signal
+import time
+
+import pytest
+
+KEYS = [
+    "file",
+    "scene",
+    "seed",
+    "packets",
+    "position_packets",
+    "returns",
+    "bytes",
+    "sha256",
+    "simulated_s",
+    "wall_s",
+    "real_time_factor",
+    "interrupted",
+]
+
+
+def test_the_report_tells_the_truth_about_the_file(cli, tmp_path):
+    """Size, digest and counts in the report are those of the file."""
+    path = tmp_path / "x.pcap"
+    report = cli("record", "static_bench", path, "--duration", "0.2", "--json").tree
+    assert list(report) == KEYS
+    content = path.read_bytes()
+    assert (report["bytes"], report["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
+    read = cli("decode", path, "--json").tree
+    assert (report["packets"], report["position_packets"]) == (read["packets"], read["position_packets"])
+    assert report["returns"] == read["points"]
+    assert report["packets"] == int(0.2e9 // 1_327_104)
+    assert report["simulated_s"] == 0.2
+    assert report["real_time_factor"] == pytest.approx(0.2 / report["wall_s"])
+
+
+def test_people_get_a_summary(cli, tmp_path):
+    """Without --json the same stands in a few lines, and nothing on stderr where that is no terminal."""
+    outcome = cli("record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1")
+    assert outcome.out.startswith(f"wrote {tmp_path}/x.pcap\n  scene             static_bench, seed 1\n")
+    assert "\n  data packets      75\n" in outcome.out
+    assert outcome.err == ""
+
+
+def test_threads_change_no_byte(cli, tmp_path):
+    """One thread or three make the same file."""
+    reports = [
+        cli("record", "static_bench", tmp_path / "x.pcap", "--duration", "0.3", "--threads", n, "--json").tree
+        for n in (1, 3)
+    ]
+    assert reports[0]["sha256"] == reports[1]["sha256"]
+
+
+def test_pieces_make_the_whole(cli, tmp_path):
+    """A run recorded in two pieces has the same records as in one go."""
+    spans = {"whole": ("0", "0.5"), "first": ("0", "0.2"), "second": ("0.2", "0.3")}
+    for name, (start, duration) in spans.items():
+        cli("record", "static_bench", tmp_path / name, "--start", start, "--duration", duration, "--json")
+    whole, first, second = ((tmp_path / name).read_bytes() for name in spans)
+    assert whole == first + second[24:]  # 24 bytes of file header
+
+
+def test_a_setting_changes_the_run(cli, tmp_path):
+    """`--set sensor.return_mode=dual` doubles the packets."""
+    path = tmp_path / "x.pcap"
+    options = "--duration", "0.2", "--json"
+    report = cli("record", "static_bench", path, *options, "--set", "sensor.return_mode=dual").tree
+    assert report["packets"] == int(0.2e9 // 663_552)
+
+
+def test_a_walk_that_is_too_short_leaves_the_old_file_alone(cli, tmp_path):
+    """Where the walk ends before the recording would, nothing is overwritten."""
+    path = tmp_path / "x.pcap"
+    path.write_text("precious")
+    outcome = cli("record", "birch_walk", path, "--duration", "1000")
+    assert (outcome.code, path.read_text()) == (2, "precious")
+    assert outcome.err.startswith("error: duration: found 1000 s; expected at most ")
+
+
+def wait_for(path, size):
+    """Until a file has grown."""
+    for _ in range(600):
+        if path.exists() and path.stat().st_size > size:
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"{path} never had {size} bytes")
+
+
+def test_ctrl_c_leaves_a_valid_file(cli, program, tmp_path):
+    """Ctrl-C in the middle exits with 130, without a traceback, and the file holds what the report says."""
+    path = tmp_path / "x.pcap"
+    process = program("record", "static_bench", path, "--duration", "3600", "--json")
+    wait_for(path, 500_000)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (130, "")
+    report = json.loads(out)
+    assert report["interrupted"] is True
+    assert report["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert 0 < report["simulated_s"] < 3600
+    assert cli("verify", path, "--json").tree["packets"] == report["packets"]
+
+
+def test_a_terminal_gets_a_bar_with_the_time_left(program, tmp_path):
+    """With a terminal on stderr there is a progress bar; stdout keeps to the JSON object."""
+    ours, theirs = pty.openpty()
+    process = program(
+        "record", "static_bench", tmp_path / "x.pcap", "--duration", "1", "--json", stderr=theirs
+    )
+    out, _ = process.communicate(timeout=60)
+    os.close(theirs)
+    drawn = os.read(ours, 100_000).decode()
+    os.close(ours)
+    assert "of 1.0 s" in drawn
+    assert "left" in drawn
+    assert json.loads(out)["packets"] == int(1e9 // 1_327_104)

@@ -1,0 +1,41 @@
+"""The lint as a command."""
+
+from pathlib import Path
+
+import pytest
+
+CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
+
+
+@pytest.mark.parametrize("kind", ["bench", "dual"])
+def test_our_own_recordings_are_clean(cli, request, kind):
+    """What `record` writes breaks no rule: exit 0, nothing but the summary."""
+    path = request.getfixturevalue(kind)
+    outcome = cli("verify", path, "--json")
+    assert outcome.code == 0
+    assert (outcome.tree["clean"], outcome.tree["findings"]) == (True, [])
+    assert cli("verify", path).out.startswith(f"{path}: clean\n")
+
+
+def test_a_broken_rule_is_named_with_its_packet(cli, bench, tmp_path):
+    """A damaged block flag exits with 1 and names rule and packet, for people and as JSON."""
+    content = bytearray(bench.read_bytes())
+    place = content.index(b"\xff\xee")
+    content[place] = 0
+    damaged = tmp_path / "damaged.pcap"
+    damaged.write_bytes(content)
+    outcome = cli("verify", damaged, "--json")
+    assert outcome.code == 1
+    assert outcome.tree["clean"] is False
+    (finding,) = outcome.tree["findings"]
+    assert finding["rule"] == "flag"
+    assert outcome.tree["broken_rules"] == {"flag": 1}
+    text = cli("verify", damaged).out
+    assert text.startswith(f"packet {finding['packet']}: flag: {finding['found']}; expected ")
+    assert f"{damaged}: not what a VLP-16 sends\n" in text
+
+
+@pytest.mark.skipif(not CAPTURES.is_dir(), reason="the captures of real sensors are not here")
+def test_a_real_capture_is_clean(cli):
+    """The lint accepts what a real unit sent."""
+    assert cli("verify", CAPTURES / "mrpt_vlp16_gps.pcap").code == 0

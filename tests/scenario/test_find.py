@@ -1,0 +1,42 @@
+"""Scenes by name and by path."""
+
+from pathlib import Path
+
+import pytest
+
+from vlp16emu.errors import ScenarioError
+from vlp16emu.scenario import find, scene_files
+
+CHECKOUT = Path(__file__).resolve().parents[2] / "scenes"
+
+
+def test_a_name_leads_to_the_scene_of_the_checkout():
+    """In a checkout a scene's name means the file in `scenes/`, never a stale copy in the package."""
+    assert find("birch_walk") == CHECKOUT / "birch_walk.toml"
+
+
+def test_an_own_folder_comes_first(tmp_path, monkeypatch):
+    """`VLP16EMU_SCENES` adds scenes and takes precedence over those that ship."""
+    for name in ("birch_walk", "mine"):
+        (tmp_path / f"{name}.toml").touch()
+    monkeypatch.setenv("VLP16EMU_SCENES", str(tmp_path))
+    known = scene_files()
+    assert known["mine"] == tmp_path / "mine.toml"
+    assert known["birch_walk"] == tmp_path / "birch_walk.toml"
+    assert known["static_bench"] == CHECKOUT / "static_bench.toml"
+    assert list(known) == sorted(known)
+
+
+@pytest.mark.parametrize("path", ["mine.toml", "some/where", "../x.toml"])
+def test_what_looks_like_a_path_is_a_path(path):
+    """A suffix .toml or a folder makes a path, whatever scenes there are."""
+    assert find(path) == Path(path)
+
+
+@pytest.mark.parametrize("name", ["birch", ""])
+def test_an_unknown_name_lists_the_known_ones(name):
+    """An unknown scene name is answered with those that exist."""
+    with pytest.raises(ScenarioError) as caught:
+        find(name)
+    known = ", ".join(path.stem for path in sorted(CHECKOUT.glob("*.toml")))
+    assert str(caught.value) == f"scene '{name}': unknown name; expected {known}, or a path ending in .toml"

@@ -1,0 +1,242 @@
+"""Scene files: what is read, and what is said about files that are none."""
+
+from pathlib import Path
+
+import pytest
+
+from vlp16emu.errors import ScenarioError
+from vlp16emu.scenario import load
+
+SCENE = """\
+schema = 1
+title = "A bench"
+[sensor]
+rpm = 600
+[motion]
+kind = "static"
+[world]
+kind = "hall"
+length_m = 30
+width_m = 18.0
+height_m = 6.0
+"""
+
+WALK = """\
+schema = 1
+title = "A walk"
+[motion]
+kind = "walk"
+way_points_m = [[0, 0], [10, 5]]
+[world]
+kind = "forest"
+species = [{ species = "silver_birch", share = 1.0, dbh_cm = 18, height_m = 19 }]
+"""
+
+BAD_FILES = [
+    # text to replace, replacement, the line after "<file>: "
+    (
+        "rpm = 600",
+        "rpm = 250",
+        "sensor.rpm: found 250; expected a whole number from 300 to 1200 in steps of 60",
+    ),
+    (
+        "rpm = 600",
+        "rpm = 620",
+        "sensor.rpm: found 620; expected a whole number from 300 to 1200 in steps of 60",
+    ),
+    (
+        "rpm = 600",
+        'rpm = "fast"',
+        'sensor.rpm: found "fast"; expected a whole number from 300 to 1200 in steps of 60',
+    ),
+    (
+        "rpm = 600",
+        "rpm = true",
+        "sensor.rpm: found true; expected a whole number from 300 to 1200 in steps of 60",
+    ),
+    ("rpm = 600", "rmp = 600", "sensor.rmp: unknown key; expected rpm, the nearest known one"),
+    ("title", "titel", "titel: unknown key; expected title, the nearest known one"),
+    ("schema = 1", "", "schema: missing; expected 1"),
+    ("schema = 1", "schema = 2", "schema: found 2; expected 1"),
+    (
+        "schema = 1",
+        "schema = 1\nseed = -1",
+        "seed: found -1; expected a whole number at least 0 and below 9223372036854775808",
+    ),
+    ('kind = "static"', 'kind = "run"', 'motion.kind: found "run"; expected "static" or "walk"'),
+    ('kind = "static"', "", 'motion.kind: missing; expected "static" or "walk"'),
+    (
+        'kind = "static"',
+        'kind = "static"\nspeed = 1.0',
+        "motion.speed: unknown key; expected one of kind, x_m, y_m, height_m, yaw_deg, pitch_deg, roll_deg",
+    ),
+    ("length_m = 30", "length_m = 0", "world.length_m: found 0; expected a number above 0"),
+    ("length_m = 30", "length_m = inf", "world.length_m: found inf; expected a finite number above 0"),
+    ("length_m = 30", "", "world.length_m: missing; expected a number above 0"),
+    (
+        "height_m = 6.0",
+        "height_m = 6.0\nwall_reflectance = 1.5",
+        "world.wall_reflectance: found 1.5; expected a number from 0 to 1",
+    ),
+    (
+        "height_m = 6.0",
+        'height_m = 6.0\npoles = [{ name = "p", foot_m = [0, 0], diameter_m = 1, height_m = 1 }]',
+        "world.poles[0].foot_m[2]: missing; expected a number",
+    ),
+    ("[motion]", "[gps]\nconnected = 1\n[motion]", "gps.connected: found 1; expected true or false"),
+    (
+        "[sensor]\nrpm = 600",
+        "sensor = 600",
+        "sensor: found 600; expected a table",
+    ),
+    (
+        "rpm = 600",
+        "min_range_m = 20.0\nmax_range_m = 10.0",
+        "sensor.max_range_m: found 10.0; expected more than min_range_m = 20.0",
+    ),
+    (
+        "rpm = 600",
+        "min_range_m = 120.0",
+        "sensor.max_range_m: found 100.0; expected more than min_range_m = 120.0",
+    ),
+    (
+        'title = "A bench"',
+        'title = "A bench"\nstart_utc = 2026-05-20T09:00:00',
+        (
+            "start_utc: found 2026-05-20T09:00:00; expected a date and time with its offset from UTC, "
+            "such as 2026-05-20T09:00:00Z"
+        ),
+    ),
+    (
+        "rpm = 600",
+        'return_mode = "both"',
+        'sensor.return_mode: found "both"; expected "strongest", "last" or "dual"',
+    ),
+]
+
+BAD_SETTINGS = [
+    (
+        "sensor.rpm=250",
+        "--set sensor.rpm=250: found 250; expected a whole number from 300 to 1200 in steps of 60",
+    ),
+    ("sensor.rpm", "--set sensor.rpm: no assignment; expected key.path=value"),
+    ("sensor.rpm=", "--set sensor.rpm=: no assignment; expected key.path=value"),
+    ("=3", "--set =3: no assignment; expected key.path=value"),
+    ("title.short=x", "--set title.short=x: title is no table; expected table names before the last dot"),
+    ("duration_s=-1", "--set duration_s=-1: found -1; expected a number above 0 and at most 604800"),
+    (
+        "motion.way_points_m=[[0, 0], [nan, 1]]",
+        "--set motion.way_points_m=[[0, 0], [nan, 1]]: motion.way_points_m[1][0]: found nan; expected a finite number",
+    ),
+    (
+        "motion.way_points_m=[[0, 0], [1, 2, 3]]",
+        (
+            "--set motion.way_points_m=[[0, 0], [1, 2, 3]]: motion.way_points_m[1]: found a list of 3; "
+            "expected a list of 2 numbers"
+        ),
+    ),
+    ("motion=3", '--set motion=3: found 3; expected a table with kind = "static" or "walk"'),
+    ("world.species=[]", "--set world.species=[]: found a list of 0; expected a list of at least 1"),
+    (
+        "seed=1\ntitle='x'",
+        "--set seed=1\ntitle='x': found \"1\\ntitle='x'\"; expected a whole number at least 0 and below 9223372036854775808",
+    ),
+]
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("old", "new", "line"), BAD_FILES, ids=[row[2][:50] for row in BAD_FILES])
+def test_a_bad_file_is_told_in_one_line(tmp_path, old, new, line):
+    """A bad scene file gives the file, the key path, what was found and what was expected, in these words."""
+    assert SCENE.count(old) == 1
+    path = written(tmp_path, SCENE.replace(old, new))
+    with pytest.raises(ScenarioError) as caught:
+        load(str(path))
+    assert str(caught.value) == f"{path}: {line}"
+
+
+@pytest.mark.parametrize(("setting", "line"), BAD_SETTINGS, ids=[row[0] for row in BAD_SETTINGS])
+def test_a_bad_setting_is_told_in_one_line(tmp_path, setting, line):
+    """A bad setting is named as it was given, not blamed on the file."""
+    with pytest.raises(ScenarioError) as caught:
+        load(str(written(tmp_path, WALK)), [setting])
+    assert str(caught.value) == line
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"a = = 1", "no valid TOML: Invalid value (at line 1, column 5); expected a TOML file"),
+        (b"\xff\xfe", "no UTF-8 text at byte 0; expected a TOML file"),
+        (b"seed = " + b"9" * 5000, "no valid TOML: Exceeds the limit (4300 digits)"),
+        (b"seed = " + b"[" * 5000, "no valid TOML: maximum recursion depth exceeded"),
+    ],
+    ids=["syntax", "encoding", "vast integer", "vast nesting"],
+)
+def test_a_file_that_is_no_toml_is_told(tmp_path, content, said):
+    """A file that the TOML parser refuses, for whatever reason, gives one error with its place."""
+    path = tmp_path / "scene.toml"
+    path.write_bytes(content)
+    with pytest.raises(ScenarioError) as caught:
+        load(str(path))
+    assert str(caught.value).startswith(f"{path}: {said}")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("none.toml", "No such file or directory"),
+        ("folder.toml", "Is a directory"),
+        ("x" * 300 + ".toml", "File name too long"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_told(tmp_path, name, said):
+    """A path that leads to no readable file gives the operating system's reason."""
+    (tmp_path / "folder.toml").mkdir()
+    with pytest.raises(ScenarioError) as caught:
+        load(str(tmp_path / name))
+    assert str(caught.value) == f"{tmp_path / name}: {said}; expected a scene file"
+
+
+def test_a_whole_number_is_taken_where_a_fraction_may_stand(tmp_path):
+    """`length_m = 30` is 30.0: nobody has to write the point."""
+    scenario = load(str(written(tmp_path, SCENE)), ["duration_s=5"])
+    assert (scenario.world.length_m, scenario.duration_s) == (30.0, 5.0)
+
+
+def test_settings_apply_in_order_and_create_tables(tmp_path):
+    """The last setting of a key wins, bare words are strings, absent tables appear."""
+    settings = [
+        "sensor.rpm=300",
+        "sensor.rpm=1200",
+        "sensor.return_mode=dual",
+        "gps.connected=false",
+        "title=two words",
+    ]
+    scenario = load(str(written(tmp_path, SCENE)), settings)
+    assert (scenario.sensor.rpm, scenario.sensor.return_mode) == (1200, "dual")
+    assert (scenario.gps.connected, scenario.title) == (False, "two words")
+
+
+def test_the_last_setting_of_a_key_is_the_one_blamed(tmp_path):
+    """Of two settings of one key, the error names the one in force."""
+    with pytest.raises(ScenarioError, match=r"^--set sensor\.rpm=2: "):
+        load(str(written(tmp_path, SCENE)), ["sensor.rpm=1", "sensor.rpm=2"])
+
+
+def test_a_scenario_cannot_be_changed(tmp_path):
+    """A scenario is frozen once read."""
+    scenario = load(str(written(tmp_path, SCENE)))
+    with pytest.raises(ValueError, match="frozen"):
+        scenario.sensor.rpm = 300
+
+
+def test_start_is_exact_in_nanoseconds(tmp_path):
+    """A start time with an offset and microseconds becomes exact UTC nanoseconds."""
+    scenario = load(str(written(tmp_path, SCENE)), ["start_utc=2026-05-20T11:00:00.000001+02:00"])
+    assert scenario.start_ns == 1_779_267_600_000_001_000  # `date -d 2026-05-20T09:00:00Z +%s`

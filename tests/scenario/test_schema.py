@@ -1,0 +1,43 @@
+"""The JSON Schema of the scene file."""
+
+import json
+
+import pytest
+
+from vlp16emu.scenario import schema
+from vlp16emu.scenario.explain import _expected, _resolved
+
+TABLES = {"scene": schema(), **schema()["$defs"]}
+KEYS = [(table, key) for table, node in TABLES.items() for key in node["properties"]]
+
+
+def test_the_schema_is_json_and_names_its_dialect():
+    """The schema can be written as JSON and says which draft it speaks."""
+    assert json.loads(json.dumps(schema()))["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+
+
+def test_the_schema_speaks_the_files_language():
+    """The key `schema` of the file, the limits of rpm and the kinds of motion stand in the schema."""
+    tree = schema()
+    assert tree["properties"]["schema"] == {
+        "const": 1,
+        "description": "Version of this file format.",
+        "type": "integer",
+    }
+    rpm = tree["$defs"]["Sensor"]["properties"]["rpm"]
+    assert (rpm["minimum"], rpm["maximum"], rpm["multipleOf"], rpm["default"]) == (300, 1200, 60, 600)
+    assert set(tree["properties"]["motion"]["discriminator"]["mapping"]) == {"static", "walk"}
+
+
+def test_no_table_admits_unknown_keys():
+    """Every table of the schema forbids keys that it does not name."""
+    assert len(TABLES) > 10
+    assert all(table["additionalProperties"] is False for table in TABLES.values())
+
+
+@pytest.mark.parametrize(("table", "key"), KEYS)
+def test_every_key_can_be_put_in_words(table, key):
+    """For each key of the scene file there are words for what is expected of it."""
+    words = _expected(_resolved(TABLES[table]["properties"][key]))
+    assert words.isprintable()
+    assert len(words) > 0

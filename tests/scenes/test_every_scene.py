@@ -1,0 +1,46 @@
+"""Every scene that ships."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.packets import DATA_BYTES, data_fields, decode_data
+from vlp16emu.scenario import load
+from vlp16emu.types import PacketKind
+
+SCENES = sorted((Path(__file__).resolve().parents[2] / "scenes").glob("*.toml"))
+NAMES = [path.stem for path in SCENES]
+
+
+def test_there_are_scenes():
+    """The folder is where this test looks for it."""
+    assert {"birch_walk", "spruce_walk", "static_bench"} <= set(NAMES)
+
+
+@pytest.mark.parametrize("path", SCENES, ids=NAMES)
+def test_a_scene_is_read_by_name_and_by_path(path):
+    """A scene of the folder loads by its name, and is the same by its path."""
+    assert load(path.stem) == load(str(path))
+
+
+@pytest.mark.parametrize("path", SCENES, ids=NAMES)
+def test_a_scene_is_long_enough_for_its_walk(path):
+    """The whole of a scene's own duration can be recorded."""
+    scenario = load(str(path))
+    Emulator(scenario).packets(0.0, scenario.duration_s)
+
+
+@pytest.mark.parametrize("path", SCENES, ids=NAMES)
+def test_a_scene_gives_a_valid_first_packet(path):
+    """The first data packet of a scene decodes, in the scene's mode, with returns within the sensor's range."""
+    scenario = load(str(path), ["sensor.max_range_m=30.0"])  # a small window of forest is enough here
+    first = next(packet for packet in Emulator(scenario).packets(0.0, 0.1) if packet.kind is PacketKind.DATA)
+    payload = np.frombuffer(first.payload, np.uint8).reshape(1, DATA_BYTES)
+    modes = {"strongest": 0x37, "last": 0x38, "dual": 0x39}
+    assert data_fields(payload)["return_mode"] == modes[scenario.sensor.return_mode]
+    points = decode_data(payload, keep_no_returns=False)
+    assert len(points.ring) > 100
+    assert points.distance_m.min() >= scenario.sensor.min_range_m
+    assert points.distance_m.max() <= 30.0

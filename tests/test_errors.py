@@ -1,0 +1,37 @@
+"""The exception tree."""
+
+import inspect
+
+import pytest
+
+from vlp16emu import errors
+
+CLASSES = [getattr(errors, name) for name in errors.__all__]
+
+
+@pytest.mark.parametrize("error", CLASSES, ids=errors.__all__)
+def test_the_drawn_tree_is_the_real_one(error):
+    """Each class hangs in the tree where the module's docstring draws it."""
+    lines = (errors.__doc__ or "").splitlines()
+    (row,) = [line for line in lines if line.strip("|`- ").split(" ")[0] == error.__name__]
+    depth = (len(row) - len(row.lstrip("|`- ")) - 4) // 4
+    assert depth == len(inspect.getmro(error)) - len(inspect.getmro(errors.Vlp16emuError))
+
+
+@pytest.mark.parametrize("error", CLASSES, ids=errors.__all__)
+def test_bad_input_exits_with_2_and_a_failed_run_with_1(error):
+    """The command line's exit code follows from the class."""
+    is_input = issubclass(error, errors.InputError | errors.MissingExtraError)
+    assert error.exit_code == (2 if is_input else 1)
+
+
+def test_an_input_error_says_where_found_and_expected():
+    """The line reads `where: found; expected ...`, and stops after the finding where that says it all."""
+    assert str(errors.InputError("a.toml: x", "found 3", "1 or 2")) == "a.toml: x: found 3; expected 1 or 2"
+    assert str(errors.InputError("a.toml", "is empty")) == "a.toml: is empty"
+
+
+def test_a_missing_extra_says_how_to_get_it():
+    """The line names the library, what it is for and the command that installs it."""
+    line = str(errors.MissingExtraError("matplotlib", "picture", "drawing"))
+    assert line == "drawing needs matplotlib: pip install 'vlp16emu[picture]'"

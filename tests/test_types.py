@@ -1,0 +1,150 @@
+"""The types that travel refuse wrong shapes and keep right ones."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vlp16emu import types
+from vlp16emu.types import (
+    SURFACE,
+    Firings,
+    Hits,
+    Mesh,
+    PacketKind,
+    Poses,
+    PpsState,
+    ReturnMode,
+    Returns,
+    Window,
+)
+
+K, L = 3, 16
+
+
+def firings(**changes):
+    fields = {
+        "index": 0,
+        "t_ns": np.zeros((K, L), np.int64),
+        "clock_ns": np.zeros(K, np.int64),
+        "azimuth_deg": np.zeros((K, L)),
+        "reading_deg": np.zeros(K),
+        "origin_m": np.zeros((K, L, 3)),
+        "direction": np.zeros((K, L, 3)),
+    }
+    return Firings(**(fields | changes))
+
+
+def returns(**changes):
+    fields = {
+        "firings": firings(),
+        "distance_m": np.zeros((K, L, 3), np.float32),
+        "reflectivity": np.zeros((K, L, 3), np.uint8),
+        "surface": None,
+        "surfaces": None,
+    }
+    return Returns(**(fields | changes))
+
+
+def hits(**changes):
+    fields = {
+        "range_m": np.zeros((K, L, 1), np.float32),
+        "surface": np.zeros((K, L, 1), np.uint32),
+        "cos_incidence": np.zeros((K, L, 1), np.float32),
+    }
+    return Hits(**(fields | changes))
+
+
+def poses(**changes):
+    fields = {
+        "t_ns": np.zeros(2, np.int64),
+        "world_R_body": np.zeros((2, 3, 3)),
+        "world_p_body_m": np.zeros((2, 3)),
+    }
+    return Poses(**(fields | changes))
+
+
+def window(**changes):
+    fields = {
+        "origin_m": np.zeros(3),
+        "shapes": ("a",),
+        "shape": np.zeros(2, np.int32),
+        "world_T_shape": np.zeros((2, 3, 4)),
+        "first_surface": np.zeros(2, np.uint32),
+        "surfaces": np.zeros(2, SURFACE),
+    }
+    return Window(**(fields | changes))
+
+
+BAD = [
+    (
+        poses,
+        {"world_p_body_m": np.zeros((3, 3))},
+        "Poses.world_p_body_m: found (3, 3) float64, expected (2, 3) float64",
+    ),
+    (poses, {"t_ns": np.zeros(2)}, "Poses.t_ns: found (2,) float64, expected (n) int64"),
+    (firings, {"clock_ns": np.zeros(K)}, "Firings.clock_ns: found (3,) float64, expected (3) int64"),
+    (
+        firings,
+        {"direction": np.zeros((K, L))},
+        "Firings.direction: found (3, 16) float64, expected (3, 16, 3) float64",
+    ),
+    (
+        hits,
+        {"surface": np.zeros((K, L, 2), np.uint32)},
+        "Hits.surface: found (3, 16, 2) uint32, expected (3, 16, 1) uint32",
+    ),
+    (
+        hits,
+        {"range_m": np.zeros((K, L, 1))},
+        "Hits.range_m: found (3, 16, 1) float64, expected (n, n, n) float32",
+    ),
+    (
+        returns,
+        {"reflectivity": np.zeros((K, L, 2), np.uint8)},
+        "Returns.reflectivity: found (3, 16, 2) uint8, expected (3, 16, 3) uint8",
+    ),
+    (returns, {"distance_m": [1.0]}, "Returns.distance_m: found list, expected (3, 16, 3) float32"),
+    (window, {"shape": np.zeros(2)}, "Window.shape: found (2,) float64, expected (2) int32"),
+]
+
+
+@pytest.mark.parametrize(("make", "changes", "message"), BAD, ids=[row[2].partition(":")[0] for row in BAD])
+def test_a_wrong_shape_is_refused(make, changes, message):
+    """An array of the wrong shape or dtype is refused by name, with what was found and expected."""
+    with pytest.raises(ValueError, match=r": found ") as caught:
+        make(**changes)
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize("make", [poses, firings, hits, returns, window])
+def test_right_shapes_are_kept_and_frozen(make):
+    """An object of right shapes is made, and cannot be changed after."""
+    made = make()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(made, dataclasses.fields(made)[0].name, None)
+
+
+@pytest.mark.parametrize("corners", [3, 4])
+def test_a_mesh_has_triangles_or_quads(corners):
+    """Faces have three or four corners."""
+    assert Mesh(np.zeros((4, 3), np.float32), np.zeros((1, corners), np.uint32)).faces.shape == (1, corners)
+
+
+def test_a_mesh_of_pentagons_is_refused():
+    """Faces of five corners are no mesh."""
+    with pytest.raises(ValueError, match=r"Mesh\.faces: found \(1, 5\)"):
+        Mesh(np.zeros((5, 3), np.float32), np.zeros((1, 5), np.uint32))
+
+
+def test_names_that_users_write_are_the_wires_own():
+    """Return modes, packet kinds and PPS states keep the words and numbers that files and packets use."""
+    assert [mode.value for mode in ReturnMode] == ["strongest", "last", "dual"]
+    assert [kind.value for kind in PacketKind] == ["data", "position", "nmea"]
+    assert [state.value for state in PpsState] == [0, 1, 2, 3]
+
+
+def test_a_surface_row_is_packed():
+    """A row of the surface table is 14 bytes without padding."""
+    assert types.SURFACE.itemsize == 14
+    assert sum(types.SURFACE[name].itemsize for name in types.SURFACE.names or ()) == 14

@@ -1,0 +1,103 @@
+"""All verbs together, and the one place where errors become lines and exit codes."""
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from typing import Annotated
+
+import typer
+
+from vlp16emu.cli.decode import decode
+from vlp16emu.cli.interrupt import INTERRUPTED
+from vlp16emu.cli.record import record
+from vlp16emu.cli.scenes import scenes
+from vlp16emu.cli.schema import schema
+from vlp16emu.cli.stream import stream
+from vlp16emu.cli.verify import verify
+from vlp16emu.errors import Vlp16emuError
+
+__all__ = ["main", "run"]
+
+_EXAMPLES: dict[Callable[..., None], str | None] = {
+    record: """\b
+  vlp16emu record birch_walk walk.pcap --duration 10
+  vlp16emu record birch_walk dual.pcap --set sensor.return_mode=dual --set seed=7
+  vlp16emu record my_forest.toml walk.pcap --json > walk.json""",
+    stream: """\b
+  vlp16emu stream birch_walk
+  vlp16emu stream static_bench --to 192.168.1.10 --duration 3600
+  vlp16emu stream birch_walk --to 192.168.1.255 --as-sensor""",
+    decode: """\b
+  vlp16emu decode walk.pcap
+  vlp16emu decode walk.pcap --out walk.ply""",
+    verify: """\b
+  vlp16emu verify walk.pcap
+  vlp16emu verify walk.pcap --json""",
+    scenes: None,
+    schema: """\b
+  vlp16emu schema > scene.schema.json""",
+}
+
+app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,  # plain text reads well in every terminal, file and pipe
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+for verb, examples in _EXAMPLES.items():
+    app.command(epilog=examples and f"Examples:\n\n{examples}")(verb)
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    context: typer.Context,
+    *,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+) -> None:
+    """Emulate a Velodyne VLP-16 that walks through forests of its own growing.
+
+    Every packet is byte for byte what the sensor would have sent: into a pcap file with `record`, over
+    UDP in real time with `stream`.
+    """
+    if version:
+        from importlib.metadata import version as version_of
+
+        print(f"vlp16emu {version_of('vlp16emu')}")
+    elif context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Carry out one command line.
+
+    Returns
+    -------
+    Exit code: 0 done, 1 failed while running or rules broken, 2 bad input, 130 interrupted
+    """
+    try:
+        return app(arguments, prog_name="vlp16emu", standalone_mode=False) or 0
+    except Vlp16emuError as error:
+        _complain(str(error))
+        return error.exit_code
+    except typer.TyperException as error:  # the command line itself is wrong
+        context = getattr(error, "ctx", None)
+        message = error.format_message().rstrip(".")
+        _complain(f"{message}; see `{context.command_path if context else 'vlp16emu'} --help`")
+        return 2
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def main() -> None:
+    """Carry out the command line of this process and exit."""
+    code = run(sys.argv[1:])
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:  # whoever read our output has had enough; Python would complain at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(code)
+
+
+def _complain(message: str) -> None:
+    """Print one line, whatever line breaks the user's own words brought in."""
+    print(f"error: {' '.join(message.splitlines())}", file=sys.stderr)

@@ -1,0 +1,124 @@
+"""Arguments and options that several verbs share, and how their values are checked."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+
+from vlp16emu.errors import InputError
+
+__all__ = [
+    "AsJson",
+    "CaptureFile",
+    "DataPort",
+    "Duration",
+    "PositionPort",
+    "SceneName",
+    "Settings",
+    "Start",
+    "Threads",
+    "checked",
+    "span_s",
+]
+
+_LONGEST_S = 7 * 86_400
+"""As long as a scene may be."""
+
+T = TypeVar("T", int, float)
+
+
+def checked(
+    option: str, kind: Callable[[str], T], is_right: Callable[[T], bool], expected: str
+) -> Callable[[str], T]:
+    """Parser of a number that raises `InputError` in the name of its option."""
+
+    def parse(text: str) -> T:
+        try:
+            value = kind(text)
+        except ValueError:
+            raise InputError(option, f"found {text}", expected) from None
+        if not is_right(value):  # NaN is never right
+            raise InputError(option, f"found {text}", expected)
+        return value
+
+    return parse
+
+
+def span_s(start_s: float, duration_s: float | None, scene_s: float) -> tuple[float, float]:
+    """Begin and end of a run, in seconds since the first pulse.
+
+    Raises
+    ------
+    InputError
+        where the run would begin after the end of the scene
+    """
+    if duration_s is not None:
+        return start_s, start_s + duration_s
+    if start_s >= scene_s:
+        raise InputError(
+            "--start", f"found {start_s:g}", f"less than the scene's {scene_s:g} s, or a --duration"
+        )
+    return start_s, scene_s
+
+
+def _port(option: str, about: str) -> Any:
+    """Option that takes a UDP port."""
+    parser = checked(option, int, lambda port: 1 <= port <= 65_535, "a whole number from 1 to 65535")
+    return typer.Option(option, metavar="PORT", parser=parser, help=about)
+
+
+SceneName = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE",
+        help="Name of a scene (see `vlp16emu scenes`) or path of a .toml file.",
+        show_default=False,
+    ),
+]
+CaptureFile = Annotated[
+    Path,
+    typer.Argument(metavar="FILE.pcap", help="Classic pcap file with VLP-16 packets.", show_default=False),
+]
+Start = Annotated[
+    float,
+    typer.Option(
+        "--start",
+        metavar="S",
+        parser=checked("--start", float, lambda s: 0 <= s <= _LONGEST_S, f"a number from 0 to {_LONGEST_S}"),
+        help="Simulated seconds to leave out at the beginning.",
+        show_default=False,
+    ),
+]
+Duration = Annotated[
+    float | None,
+    typer.Option(
+        "--duration",
+        metavar="S",
+        parser=checked(
+            "--duration", float, lambda s: 0 < s <= _LONGEST_S, f"a number above 0 and at most {_LONGEST_S}"
+        ),
+        help="Simulated seconds; up to the end of the scene if left out.",
+    ),
+]
+DataPort = Annotated[int, _port("--data-port", "Receiver's port for data packets.")]
+PositionPort = Annotated[int, _port("--position-port", "Receiver's port for position packets.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a value of the scene, for instance sensor.rpm=1200. May be repeated.",
+    ),
+]
+Threads = Annotated[
+    int,
+    typer.Option(
+        "--threads",
+        metavar="N",
+        parser=checked("--threads", int, lambda n: 0 <= n <= 1024, "a whole number from 0 to 1024"),
+        help="Workers, 0 for one per core. Changes the speed, never a byte.",
+        show_default=False,
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]

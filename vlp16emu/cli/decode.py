@@ -1,0 +1,106 @@
+"""`vlp16emu decode`: a capture into numbers and points."""
+
+from contextlib import ExitStack
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from vlp16emu.cli.arguments import AsJson, CaptureFile
+from vlp16emu.cli.output import count, print_json, print_rows
+
+if TYPE_CHECKING:
+    from vlp16emu.cli.points import Summary
+
+__all__ = ["decode"]
+
+
+def decode(
+    file: CaptureFile,
+    *,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="Write the points too: .npz, .ply or .csv by its suffix."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Decode a capture by the formulas of the sensor's manual.
+
+    Works on recordings of real sensors too. Points are in the sensor's frame: metres, azimuth 0 on +y,
+    clockwise seen from above. Pulses without return become no points.
+    """
+    from vlp16emu.cli.export import writing
+    from vlp16emu.cli.points import CaptureReader
+
+    with CaptureReader(file) as reader, ExitStack() as stack:
+        writer = stack.enter_context(writing(out)) if out else None
+        for points, clock_ns in reader.points():
+            if writer:
+                writer.write(points, clock_ns)
+    summary = reader.summary
+    if as_json:
+        print_json({"file": str(file), "out": out and str(out)} | _tree(summary))
+    else:
+        _print(file, out, summary)
+
+
+def _tree(summary: "Summary") -> dict[str, Any]:
+    """Write the summary in the types of JSON."""
+    gps, ranges_m = summary.gps, summary.range_m
+    return {
+        "model": summary.model,
+        "return_mode": summary.return_mode,
+        "rpm": round(summary.rpm, 2),
+        "packets": summary.packets,
+        "position_packets": summary.position_packets,
+        "other_datagrams": summary.other_datagrams,
+        "points": summary.points,
+        "no_returns": summary.no_returns,
+        "scans": summary.scans,
+        "records_per_scan": summary.records_per_scan,
+        "range_m": ranges_m
+        and dict(zip(("min", "median", "max"), (round(r, 3) for r in ranges_m), strict=True)),
+        "start_utc": _utc(summary.first_stamp_ns),
+        "duration_s": summary.duration_s,
+        "gps": gps
+        and {"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()},
+        "cut": summary.cut,
+    }
+
+
+def _print(file: Path, out: Path | None, summary: "Summary") -> None:
+    """Print the summary for people."""
+    per_scan = f", {count(summary.records_per_scan)} records each" if summary.records_per_scan else ""
+    gps = "no position packet"
+    if summary.gps:
+        sentence = summary.gps.sentence.decode("ascii", "replace").strip()
+        gps = f"{summary.gps.pps.name.lower()}, {sentence or 'no sentence'}"
+    low, middle, high = summary.range_m or (0.0, 0.0, 0.0)
+    rows = {
+        "sensor": f"{summary.model}, {summary.return_mode}, {summary.rpm:.1f} rpm",
+        "time": f"{summary.duration_s:.3f} s from {_utc(summary.first_stamp_ns)}",
+        "packets": f"{count(summary.packets)} data, {count(summary.position_packets)} position",
+        "records": f"{count(summary.points)} points, {count(summary.no_returns)} without return",
+        "scans": f"{summary.scans}{per_scan}",
+        "range": f"{low:.3f} to {high:.3f} m, median {middle:.3f} m"
+        if summary.points
+        else "no return at all",
+        "gps": gps,
+    }
+    if summary.other_datagrams:
+        rows["passed over"] = f"{count(summary.other_datagrams)} datagrams of another length"
+    if summary.cut:
+        rows["end"] = "in the middle of a packet, which was left out"
+    if out:
+        rows["wrote"] = str(out)
+    print_rows(str(file), rows)
+
+
+def _utc(stamp_ns: int) -> str:
+    """Write a capture's stamp, which has microseconds."""
+    return (
+        (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=stamp_ns // 1000))
+        .isoformat()
+        .replace("+00:00", "Z")
+    )

@@ -1,0 +1,116 @@
+"""`vlp16emu record`: a scene into a pcap file."""
+
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from threading import Event
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from vlp16emu.cli.arguments import AsJson, Duration, SceneName, Settings, Start, Threads, span_s
+from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
+from vlp16emu.cli.output import count, print_json, print_rows, size
+from vlp16emu.cli.progress import Progress
+
+if TYPE_CHECKING:
+    from vlp16emu.sinks import PcapResult, PcapSink
+    from vlp16emu.types import Packet
+
+__all__ = ["record"]
+
+OutFile = Annotated[
+    Path,
+    typer.Argument(metavar="OUT.pcap", help="File to write; overwritten if it exists.", show_default=False),
+]
+
+
+def record(
+    scene: SceneName,
+    out: OutFile,
+    *,
+    duration: Duration = None,
+    start: Start = 0.0,
+    settings: Settings = None,
+    threads: Threads = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Record a scene into a pcap file.
+
+    The file holds data and position packets in order of sending, in the frames of a real sensor and
+    stamped with simulated time. Ctrl-C ends it early and leaves a valid file.
+    """
+    began_s = time.perf_counter()
+    from vlp16emu.emulator import Emulator
+    from vlp16emu.scenario import load
+    from vlp16emu.sinks import PcapSink
+    from vlp16emu.units import seconds_to_ns
+
+    scenario = load(scene, settings or [])
+    start_s, stop_s = span_s(start, duration, scenario.duration_s)
+    emulator = Emulator(scenario, threads=threads)
+    packets = emulator.packets(start_s, stop_s)  # checks the span before the file is touched
+    asked_s = stop_s - start_s
+    with (
+        stop_on_ctrl_c() as stop,
+        PcapSink(out, emulator.first_position_packet(start_s)) as sink,
+        Progress(asked_s) as progress,
+    ):
+        returns, done_s = _send(packets, sink, progress, stop, scenario.start_ns + seconds_to_ns(start_s))
+    report: dict[str, Any] = {"file": str(out), "scene": scene, "seed": scenario.seed}
+    report |= _tree(sink.result, returns, done_s if stop.is_set() else asked_s, time.perf_counter() - began_s)
+    _print(report | {"interrupted": stop.is_set()}, as_json=as_json)
+    if stop.is_set():
+        raise typer.Exit(INTERRUPTED)
+
+
+def _send(
+    packets: "Iterable[Packet]", sink: "PcapSink", progress: Progress, stop: Event, begin_ns: int
+) -> tuple[int, float]:
+    """Write packets until they end or are to stop; count the returns and the simulated seconds."""
+    from vlp16emu.cli.points import returns_in
+    from vlp16emu.units import S_NS
+
+    returns, done_s = 0, 0.0
+    for packet in packets:
+        if stop.is_set():
+            break
+        sink.send(packet)
+        returns += returns_in(packet)
+        done_s = (packet.due_ns - begin_ns) / S_NS
+        progress.show("recording", done_s)
+    return returns, done_s
+
+
+def _tree(written: "PcapResult", returns: int, simulated_s: float, wall_s: float) -> dict[str, Any]:
+    """Put what the run made and took into the types of JSON; `wall_s` is that of the whole command."""
+    return {
+        "packets": written.data_packets,
+        "position_packets": written.position_packets,
+        "returns": returns,
+        "bytes": written.bytes,
+        "sha256": written.sha256,
+        "simulated_s": simulated_s,
+        "wall_s": wall_s,
+        "real_time_factor": simulated_s / wall_s,
+    }
+
+
+def _print(report: dict[str, Any], *, as_json: bool) -> None:
+    """Print the report, for people unless as JSON."""
+    if as_json:
+        print_json(report)
+        return
+    print_rows(
+        f"{'interrupted, kept' if report['interrupted'] else 'wrote'} {report['file']}",
+        {
+            "scene": f"{report['scene']}, seed {report['seed']}",
+            "simulated": f"{report['simulated_s']:.1f} s",
+            "data packets": count(report["packets"]),
+            "position packets": count(report["position_packets"]),
+            "returns": count(report["returns"]),
+            "size": size(report["bytes"]),
+            "sha256": report["sha256"],
+            "run time": f"{report['wall_s']:.1f} s, {report['real_time_factor']:.2f} x real time",
+        },
+    )
