@@ -27,6 +27,20 @@ class Purpose(IntEnum):
     TREE = 4
     CROWN = 5
     POSITION_PACKET = 6
+    DEAD_BRANCH = 20
+    SHRUB = 21
+    SECOND_STOREY = 30
+    THIRD_STOREY = 31
+    REGENERATION = 32
+    SHRUBS = 33
+    STONES = 34
+    LOGS = 35
+    STUMPS = 36
+    GRASS = 37
+    SAPLING = 38
+    FLOOR_SHAPE = 39
+    MOUND = 40
+    GIVEN_TREE = 41
 
 
 _Word = int | np.uint32

@@ -1,11 +1,33 @@
-"""The species table and its allometry."""
+"""The species table, and tables of the user's own."""
+
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from vlp16emu.world.species import species_table, taper_radius_m
+from vlp16emu.errors import GeometryError
+from vlp16emu.world import species as module
+from vlp16emu.world.species import shrub_table, species_table, tapers
 
-BIRCH, SPRUCE = (species_table()[name] for name in ("silver_birch", "norway_spruce"))
+SHIPPED = Path(module.__file__).with_name("species.toml")
+TEXT = SHIPPED.read_text(encoding="utf-8")
+
+
+def own_oak():
+    """A user's file: English oak under another name and number."""
+    tables = re.findall(r"(?ms)^\[tree\.english_oak.*?(?=^\[tree\.sycamore)", TEXT)
+    return tables[0].replace("english_oak", "holm_oak").replace("number = 5", "number = 1000")
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(text):
+        path = tmp_path / "own.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
 
 
 def test_numbers_are_unique_and_never_change():
@@ -13,46 +35,90 @@ def test_numbers_are_unique_and_never_change():
     assert {name: species.number for name, species in species_table().items()} == {
         "silver_birch": 1,
         "norway_spruce": 2,
+        "scots_pine": 3,
+        "european_beech": 4,
+        "english_oak": 5,
+        "sycamore": 6,
+        "douglas_fir": 7,
+        "sugar_maple": 8,
+        "red_maple": 9,
+        "white_oak": 10,
+        "black_walnut": 11,
+        "snag": 12,
+    }
+    assert {name: shrub.number for name, shrub in shrub_table().items()} == {
+        "hazel": 101,
+        "elder": 102,
+        "hawthorn": 103,
+        "dogwood": 104,
+        "honeysuckle": 105,
     }
 
 
+def test_every_equation_and_optical_number_says_where_it_comes_from():
+    """In the shipped file such a line ends in a comment that names a source or the word assumption."""
+    keys = "height_curve|crown_width|crown_base|diameters|taper|fia|leaf_area_index|inclination|clumping"
+    lines = re.findall(rf"(?m)^(?:{keys}|biomass|\w+_reflectance|leaf_transmittance|spread_m) = .*$", TEXT)
+    assert len(lines) > 150
+    unnamed = [
+        line for line in lines if not re.search(r"#.*(\[[A-Z]\]|assumption|bears no|\(\d{4}\)|\d{4}\()", line)
+    ]
+    # Shoots follow their twig: nothing to cite.
+    assert [line for line in unnamed if line != "spread_m = 0.0" and "one by one" not in line] == []
+
+
+def test_a_users_plants_come_after_our_own(write):
+    """A file of the same form adds its trees and shrubs, and changes none of those that are there."""
+    hazel = re.findall(r"(?ms)^\[shrub\.hazel.*?(?=^\[shrub\.elder)", TEXT)[0]
+    path = write(own_oak() + hazel.replace("hazel", "filbert").replace("number = 101", "number = 1001"))
+    table = species_table(path)
+    assert list(table) == [*species_table(), "holm_oak"]
+    assert table["holm_oak"].taper == species_table()["english_oak"].taper
+    assert list(shrub_table(path)) == [*shrub_table(), "filbert"]
+    assert tapers(np.array([1000, 1]), table=table).shape == (2, 12)
+    assert "holm_oak" not in species_table()
+
+
 @pytest.mark.parametrize(
-    ("species", "heights_m"), [(BIRCH, [17.3, 22.1, 24, 25, 26.1]), (SPRUCE, [12.1, 20.1, 24, 26.2, 28.6])]
-)
-def test_uniform_height_curve(species, heights_m):
-    """Heights of trees of 10 to 60 cm in a stand of 30 cm and 24 m, worked out from the published curves."""
-    dbh_cm = np.array([10.0, 20.0, 30.0, 40.0, 60.0])
-    assert species.height_m(dbh_cm, 30.0, 24.0) == pytest.approx(heights_m, abs=0.06)
+    ("old", "new", "message"),
+    [
+        ("number = 1000", "number = 999", "holm_oak: number: found 999; expected 1000 or more"),
+        ("holm_oak", "scots_pine", "scots_pine: a plant of that name is in the table already; expected another name"),
+        ("fia = 6797", "fya = 6797", "holm_oak: fya: unknown key; expected one of number, "),
+        ("leaf_area_index = 4.5", "", "holm_oak: leaf_area_index: key is missing"),
+        ("leaf_area_index = 4.5", "leaf_area_index = nan", "holm_oak: leaf_area_index: found nan; expected a number"),
+        ("leaf_area_index = 4.5", 'leaf_area_index = "4"', "holm_oak: leaf_area_index: found '4'; expected a number"),
+        ("bark_reflectance = 0.4 ", "bark_reflectance = 40 ", "holm_oak: bark_reflectance: found 40; expected 0 to 1"),
+        ("leaf_transmittance = 0.487", "leaf_transmittance = 0.6", "holm_oak: leaf_transmittance: found 0.454 and 0.6; expected at most 1 "),
+        ('"uniform"', '"logistic"', "holm_oak: height_curve: model: found 'logistic'; expected one of uniform, curtis_arney"),
+        ("[0.14657227, 3.78686023]", "[0.14657227]", "holm_oak: height_curve: coefficients: found 1 numbers; expected 2 for 'uniform'"),
+        ('kind = "leaf"', 'kind = "frond"', "holm_oak: foliage: kind: found 'frond'; expected one of leaf, shoot"),
+        ("inclination = [2.55, 1.61]", "inclination = []", "holm_oak: foliage: inclination: found []; expected mu and nu for leaves"),
+        ("[tree.holm_oak]", "[bush.x]\n[tree.holm_oak]", "[bush]: unknown table; expected [tree.NAME] or [shrub.NAME]"),
+        ("number = 1000", "number = ", "Invalid value"),
+        ("branches_per_whorl = 1", "branches_per_whorl = 1.5", "holm_oak: crown: branches_per_whorl: found 1.5; expected a whole number"),
+    ],
+)  # fmt: skip
+def test_a_wrong_file_is_told_by_file_species_and_key(write, old, new, message):
+    """What is wrong in a user's file is named in one line: where, what was found, what was expected."""
+    text = own_oak()
+    assert old in text
+    path = write(text.replace(old, new))
+    with pytest.raises(GeometryError) as error:
+        species_table(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(("species", "width_m", "base_m"), [(BIRCH, 5.5, 12.0), (SPRUCE, 4.5, 14.1)])
-def test_crown_of_a_tree_of_30_cm_and_24_m(species, width_m, base_m):
-    """Crown width and base, with a top height of 26 m, worked out from the published equations."""
-    dbh_cm = np.array([30.0])
-    assert species.crown_width_m(dbh_cm)[0] == pytest.approx(width_m, abs=0.06)
-    assert species.crown_base_m(dbh_cm, np.array([24.0]), 26.0)[0] == pytest.approx(base_m, abs=0.06)
+def test_two_plants_with_one_number_are_told_apart(write):
+    """Numbers of a file must differ among its trees and shrubs."""
+    path = write(own_oak() + own_oak().replace("holm_oak", "cork_oak"))
+    with pytest.raises(GeometryError, match="cork_oak: number: found 1000, which is that of holm_oak"):
+        species_table(path)
 
 
-@pytest.mark.parametrize("species", [BIRCH, SPRUCE])
-def test_taper_is_exact_at_breast_height_and_flares_at_the_ground(species):
-    """A stem of 30 cm and 24 m has its DBH at 1.3 m, 41.7 to 46.2 cm at the ground, and ends in a point."""
-    heights = np.array([[1.3, 0.0, -0.5, 24.0, 12.0]])
-    diameter_cm = (
-        200 * taper_radius_m(np.array([species.taper]), np.array([0.3]), np.array([24.0]), heights)[0]
-    )
-    assert diameter_cm[0] == pytest.approx(30.0, abs=1e-9)
-    assert 41.7 <= diameter_cm[1] <= 46.21
-    assert diameter_cm[2] == diameter_cm[1]
-    assert diameter_cm[3] == 0
-    assert 15 < diameter_cm[4] < 27
-
-
-@pytest.mark.parametrize("species", [BIRCH, SPRUCE])
-def test_stems_grow_thinner_all_the_way_up(species):
-    """No tree from 5 to 120 cm has a bulge above breast height."""
-    for dbh_m, height_m in [(0.05, 6.0), (0.18, 19.0), (0.6, 33.0), (1.2, 45.0)]:
-        heights = np.linspace(1.3, height_m, 200)[None]
-        radius = taper_radius_m(np.array([species.taper]), np.array([dbh_m]), np.array([height_m]), heights)[
-            0
-        ]
-        assert (np.diff(radius) < 0).all()
+def test_a_missing_file_is_an_input_error(tmp_path):
+    """A path that leads nowhere is named, not traced back."""
+    with pytest.raises(GeometryError, match=r"none\.toml: No such file"):
+        species_table(tmp_path / "none.toml")

@@ -10,14 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.types import Mesh
-from vlp16emu.world.species import Habit
+from vlp16emu.world.species import Habit, Twigs
 
-__all__ = ["Branches", "first_order", "points_along", "second_order", "tubes"]
+__all__ = [
+    "Branches",
+    "dead_stubs",
+    "first_order",
+    "ground_stems",
+    "merged",
+    "points_along",
+    "side_branches",
+    "tubes",
+    "volume_m3",
+]
 
 Array = NDArray[np.float64]
 
-_FIRST_NODES, _SECOND_NODES = 9, 5
-"""Nodes of a branch's curve: powers of two plus one, so that coarser levels take every second or fourth."""
+_NODES = {1: 9, 2: 5, 3: 3}
+"""Nodes of a branch's curve, by order: powers of two plus one, so that coarser levels leave out every other."""
 
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Between successive branches or whorls, so that none stands right above another."""
@@ -30,6 +40,16 @@ _THINNEST_M = 0.001
 
 _TIP_SHARE = 0.2
 """Radius just before the tip over that at the base; assumption."""
+
+_BISECTIONS = 16
+"""Enough to find the length of a branch to a millimetre."""
+
+_PRUNED_SHARE = 0.65
+"""Dead branches have fallen from the lower part of the stem, up to this share of the way down from the crown
+base to the ground left over; assumption."""
+
+_DEAD_LENGTH_M, _DEAD_SLENDERNESS = (0.15, 1.4), 45.0
+"""Of dead branches: least and greatest length, and length over diameter; assumptions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +76,7 @@ def first_order(
     size_m : length and width of the crown
     stem_m : (s,) stem radius from the crown's base to its top, evenly spaced
     """
-    length_m, width_m = size_m
+    length_m, _ = size_m
     whorls = max(1, round(length_m / habit.whorl_spacing_m))
     whorl = np.repeat(np.arange(whorls), habit.branches_per_whorl)
     n = len(whorl)
@@ -68,14 +88,13 @@ def first_order(
     def between(pair_deg: Sequence[float]) -> Array:
         return np.radians(pair_deg[0] + (pair_deg[1] - pair_deg[0]) * relative)[:, None]
 
-    way = (np.arange(_FIRST_NODES - 1) + 0.5) / (_FIRST_NODES - 1)
+    way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
     rise = between(habit.rise_deg) + rng.normal(0.0, np.radians(6.0), (n, 1))
     elevation = rise - between(habit.droop_deg) * way + between(habit.upturn_deg) * way**3
     base = np.zeros((n, 3))
     base[:, 2] = relative * length_m
-    unit = _curves(rng, base * 0, azimuth, elevation, np.ones(n))
-    reach_m = width_m / 2 * _envelope(habit, relative) * rng.uniform(0.75, 1.05, n)
-    branch_m = reach_m / np.hypot(unit[..., 0], unit[..., 1]).max(axis=1)
+    unit = _curves(rng, base * 0, azimuth, elevation, np.ones(n), habit.crook_deg)
+    branch_m = _lengths_m(habit, size_m, base[:, 2], unit) * rng.uniform(0.75, 1.05, n)
     nodes = base[:, None] + unit * branch_m[:, None, None]
     # Pipe model: the branches together are as thick as the stem that feeds them (Shinozaki et al. 1964),
     # each in proportion to its length; none is thicker than most of the stem it sits on.
@@ -84,33 +103,103 @@ def first_order(
     return Branches(nodes, azimuth, branch_m, np.clip(radius, _THINNEST_M, 0.6 * here))
 
 
-def second_order(rng: np.random.Generator, habit: Habit, first: Branches) -> Branches:
-    """Branches that leave the first-order ones on both sides; the last of each continues its bearer."""
-    leafy = first.length_m * (1 - habit.twig_start)
-    count = np.maximum(2, np.round(leafy * habit.twigs_per_m).astype(np.int64))
+def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, order: int) -> Branches:
+    """Branches that leave those of the order before on both sides; the last of each continues its bearer."""
+    leafy = bearers.length_m * (1 - twigs.start)
+    count = np.maximum(2, np.round(leafy * twigs.per_m).astype(np.int64))
     bearer = np.repeat(np.arange(len(count)), count)
     n = len(bearer)
     rank = np.arange(n) - np.repeat(np.cumsum(count) - count, count)
     terminal = rank == count[bearer] - 1
-    way = habit.twig_start + (1 - habit.twig_start) * (rank + rng.random(n)) / count[bearer]
+    way = twigs.start + (1 - twigs.start) * (rank + rng.random(n)) / count[bearer]
     way[terminal] = 1.0
-    base, tangent = points_along(first.nodes_m, bearer, way)
+    base, tangent = points_along(bearers.nodes_m, bearer, way)
     side = np.where(rank % 2 == 0, 1.0, -1.0)
-    roll = np.radians(habit.twig_roll_spread_deg) * rng.uniform(-1, 1, n)
-    open_angle = np.where(terminal, 0.0, np.radians(habit.twig_angle_deg + rng.normal(0.0, 8.0, n)))
+    roll = np.radians(twigs.roll_spread_deg) * rng.uniform(-1, 1, n)
+    open_angle = np.where(terminal, 0.0, np.radians(twigs.angle_deg + rng.normal(0.0, 8.0, n)))
     level = _unit(np.cross(tangent, [0.0, 0.0, 1.0])) * side[:, None]
     upward = np.cross(tangent, level) * side[:, None] * -1.0
     sideways = np.cos(roll)[:, None] * level + np.sin(roll)[:, None] * upward
     heading = np.cos(open_angle)[:, None] * tangent + np.sin(open_angle)[:, None] * sideways
     azimuth = np.arctan2(heading[:, 1], heading[:, 0])
-    steps = (np.arange(_SECOND_NODES - 1) + 0.5) / (_SECOND_NODES - 1)
-    elevation = np.arcsin(np.clip(heading[:, 2], -1, 1))[:, None] - np.radians(habit.twig_droop_deg) * steps
-    share = habit.twig_length_share * (1 - 0.7 * way) * rng.uniform(0.7, 1.2, n)
-    length = np.clip(first.length_m[bearer] * share, habit.twig_length_m[0], habit.twig_length_m[1])
-    nodes = _curves(rng, base, azimuth, elevation, length)
+    steps = (np.arange(_NODES[order] - 1) + 0.5) / (_NODES[order] - 1)
+    elevation = np.arcsin(np.clip(heading[:, 2], -1, 1))[:, None] - np.radians(twigs.droop_deg) * steps
+    share = twigs.length_share * (1 - 0.7 * way) * rng.uniform(0.7, 1.2, n)
+    length = np.clip(bearers.length_m[bearer] * share, *twigs.length_m)
+    nodes = _curves(rng, base, azimuth, elevation, length, 0.0)
     together = np.sqrt(np.bincount(bearer, length**2))[bearer]
-    radius = np.minimum(first.radius_m[bearer] * length / together, first.radius_m[bearer] * _taper(way))
+    thickest = bearers.radius_m[bearer]
+    radius = np.minimum(thickest * length / together, thickest * _taper(way))
     return Branches(nodes, azimuth, length, np.maximum(radius, _THINNEST_M))
+
+
+def dead_stubs(rng: np.random.Generator, habit: Habit, crown_base_m: float) -> Branches:
+    """Dead branches on the stem below the crown, bare and nearly straight."""
+    span_m = _PRUNED_SHARE * crown_base_m
+    n = round(span_m * habit.dead_per_m)
+    base = np.zeros((n, 3))
+    base[:, 2] = -span_m * (np.arange(n) + rng.random(n)) / max(n, 1)
+    azimuth = _GOLDEN_ANGLE * np.arange(n) + rng.normal(0.0, 0.4, n)
+    rise = (habit.rise_deg[0] + rng.normal(0.0, 12.0, n))[:, None]
+    elevation = np.radians(rise - 8.0 * np.arange(_NODES[2] - 1))
+    low, high = _DEAD_LENGTH_M
+    length_m = low + (high - low) * rng.beta(1.2, 3.0, n)
+    nodes = _curves(rng, base, azimuth, elevation, length_m, habit.crook_deg)
+    return Branches(nodes, azimuth, length_m, length_m / _DEAD_SLENDERNESS / 2 + _THINNEST_M)
+
+
+def ground_stems(
+    rng: np.random.Generator,
+    size_m: tuple[float, float],
+    stems: int,
+    rise_deg: tuple[float, float],
+    bend_deg: tuple[float, float],
+    slenderness: float,
+) -> Branches:
+    """Stems of a shrub, that come out of the ground close together.
+
+    Parameters
+    ----------
+    size_m : height and width of the shrub
+    rise_deg : elevation at the ground of the outermost and the innermost stem
+    bend_deg : how much it falls towards the tip, and one sigma of the crooks on the way
+    """
+    height_m, width_m = size_m
+    inward = (np.arange(stems) + rng.random(stems)) / stems
+    azimuth = _GOLDEN_ANGLE * np.arange(stems) + rng.normal(0.0, 0.3, stems)
+    base = np.zeros((stems, 3))
+    base[:, 0], base[:, 1] = np.cos(azimuth), np.sin(azimuth)
+    base *= (0.08 * width_m * np.sqrt(1 - inward))[:, None]
+    way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
+    rise = rise_deg[0] + (rise_deg[1] - rise_deg[0]) * inward + rng.normal(0.0, 4.0, stems)
+    elevation = np.radians(rise[:, None] - bend_deg[0] * way)
+    unit = _curves(rng, base * 0, azimuth, elevation, np.ones(stems), bend_deg[1])
+    # As long as height or width allow, whichever binds first.
+    up = unit[:, :, 2].max(axis=1) / height_m
+    out = np.hypot(unit[..., 0], unit[..., 1]).max(axis=1) / (0.45 * width_m)
+    length_m = rng.uniform(0.75, 1.0, stems) / np.maximum(up, out)
+    # Below the ground as far as a slope may fall away under the foot.
+    base[:, 2] = -0.03 * width_m
+    nodes = base[:, None] + unit * length_m[:, None, None]
+    return Branches(nodes, azimuth, length_m, length_m / slenderness / 2 + _THINNEST_M)
+
+
+def volume_m3(branches: Branches) -> float:
+    """Volume of round branches of these curves and radii, tip by tip a row of frusta."""
+    rings = branches.nodes_m.shape[1] - 1
+    step_m = np.linalg.norm(np.diff(branches.nodes_m, axis=1), axis=2)
+    radius = branches.radius_m[:, None] * np.append(_taper(np.arange(rings) / rings), 0.0)
+    low, high = radius[:, :-1], radius[:, 1:]
+    return float((np.pi / 3 * step_m * (low**2 + low * high + high**2)).sum())
+
+
+def merged(*parts: Mesh) -> Mesh:
+    """Triangle meshes as one, in order."""
+    if len(parts) == 1:
+        return parts[0]
+    first = np.cumsum([0, *(len(part.vertices_m) for part in parts)])
+    faces = [part.faces + np.uint32(start) for part, start in zip(parts, first[:-1], strict=True)]
+    return Mesh(np.concatenate([part.vertices_m for part in parts]), np.concatenate(faces))
 
 
 def points_along(nodes_m: Array, branch: NDArray[np.int64], way: Array) -> tuple[Array, Array]:
@@ -132,11 +221,11 @@ def tubes(branches: Branches, every: int, sides: int) -> Mesh:
 
     Parameters
     ----------
-    every : use only each so-many-th node of the curve
+    every : use only each so-many-th node of the curve, or its ends alone where it has too few
     sides : of the cross-section; its girth is that of the round branch, so that its silhouette, averaged
         over all directions, is as wide as the branch is thick (Cauchy), however few the sides
     """
-    nodes = branches.nodes_m[:, ::every]
+    nodes = branches.nodes_m[:, :: min(every, branches.nodes_m.shape[1] - 1)]
     n, rings = nodes.shape[0], nodes.shape[1] - 1
     tangent = _unit(np.gradient(nodes, axis=1)[:, :rings])
     across = np.stack([-np.sin(branches.azimuth), np.cos(branches.azimuth), np.zeros(n)], axis=-1)[:, None]
@@ -172,13 +261,36 @@ def _envelope(habit: Habit, relative: Array) -> Array:
     return np.maximum(radius, 0.05)
 
 
+def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: Array, unit: Array) -> Array:
+    """Lengths (n,) at which branches from heights (n,) reach the envelope, along unit curves (n, m, 3)."""
+    length_m, width_m = size_m
+    away = np.hypot(unit[..., 0], unit[..., 1])
+    rows, outermost = np.arange(len(unit)), away.argmax(axis=1)
+    away, up = away[rows, outermost], unit[rows, outermost, 2]
+    low, high = np.zeros(len(unit)), np.full(len(unit), length_m + width_m)
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        relative = np.clip((base_m + up * middle) / length_m, 0.0, 1.0)
+        inside = away * middle < width_m / 2 * _envelope(habit, relative)
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+    return low
+
+
 def _curves(
-    rng: np.random.Generator, base: Array, azimuth: Array, elevation: Array, length_m: Array
+    rng: np.random.Generator,
+    base: Array,
+    azimuth: Array,
+    elevation: Array,
+    length_m: Array,
+    crook_deg: float,
 ) -> Array:
     """Curves (n, m, 3) from bases (n, 3) whose segments have the given elevations (n, m - 1), rad."""
     n, steps = elevation.shape
     drift = rng.normal(0.0, 0.15, (n, 1)) * (np.arange(steps) + 0.5) / steps
     bearing = azimuth[:, None] + drift
+    if crook_deg > 0:
+        crook = np.radians(crook_deg) * rng.standard_normal((2, n, steps))
+        bearing, elevation = bearing + crook[0], elevation + crook[1]
     elevation = np.clip(elevation, -_STEEPEST, _STEEPEST)
     flat = np.cos(elevation)
     step = np.stack([flat * np.cos(bearing), flat * np.sin(bearing), np.sin(elevation)], axis=-1)

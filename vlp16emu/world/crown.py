@@ -1,19 +1,46 @@
 """Crown prototypes: grown once for a species, diameter class, variant and level of detail, then instanced."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, generator
-from vlp16emu.types import Mesh
-from vlp16emu.world.branches import Branches, first_order, second_order, tubes
+from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.world.branches import (
+    Branches,
+    dead_stubs,
+    first_order,
+    merged,
+    side_branches,
+    tubes,
+    volume_m3,
+)
 from vlp16emu.world.foliage import foliage_mesh
-from vlp16emu.world.species import species_table, taper_radius_m
+from vlp16emu.world.species import Species, species_table, taper_radius_m
 
-__all__ = ["VARIANTS", "CrownKey", "crown_meshes"]
+__all__ = ["CROWN_PARTS", "VARIANTS", "CrownKey", "Season", "crown_meshes", "crown_scale", "crown_wood_m3"]
+
+Array = NDArray[np.float64]
+Trees = NDArray[np.void]
+
+Season = Literal["leaf_on", "leaf_off"]
+"""With leaves, or as in winter: broadleaves bare, needles on."""
 
 VARIANTS = 3
 """Different crowns of the same species and diameter class."""
+
+CROWN_PARTS = (
+    PlantPart.BRANCH_FIRST_ORDER,
+    PlantPart.BRANCH_HIGHER_ORDER,
+    PlantPart.LEAF,
+    PlantPart.DEAD_BRANCH,
+)
+"""Of the meshes of a crown, in order. A mesh without faces stands where a crown has no such part."""
+
+_NOTHING = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +57,9 @@ class CrownKey:
     crown_width_m: float
     leaf_area_m2: float
     """One-sided."""
+    season: Season = "leaf_on"
+    dead_branches: bool = False
+    """Whether dead branches still sit below the crown."""
 
     @property
     def crown_length_m(self) -> float:
@@ -43,36 +73,92 @@ class _Detail:
 
     every: int
     """Of the nodes of a branch's curve, the share that is used."""
-    first_sides: int
-    second_sides: int
-    second_share: int
-    """One in so many second-order branches is drawn."""
+    sides: tuple[int, int, int]
+    """Of the tubes of each order."""
+    one_in: tuple[int, int]
+    """One in so many branches of the second and third order is drawn; 0 draws none."""
     merged: int
     """Leaves or shoots that one quad stands for."""
 
 
-_DETAIL = (_Detail(1, 6, 4, 1, 1), _Detail(2, 4, 3, 1, 3), _Detail(4, 3, 3, 3, 10))
+_DETAIL = (
+    _Detail(1, (6, 4, 3), (1, 1), 1),
+    _Detail(2, (4, 3, 3), (1, 3), 3),
+    _Detail(4, (3, 3, 3), (3, 0), 10),
+)
 
 
-def crown_meshes(seed: int, key: CrownKey) -> tuple[Mesh, Mesh, Mesh]:
-    """First-order branches, second-order branches, leaves.
+def crown_meshes(
+    seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None
+) -> tuple[Mesh, Mesh, Mesh, Mesh]:
+    """Meshes of `CROWN_PARTS`; a dead tree has all its branches among the dead ones.
 
     In the crown's own frame: origin on the stem's axis at the crown base, z along the axis. All levels
     of a crown have the same branches and the same leaf area; coarse ones draw them with fewer faces.
+    Season and dead branches change nothing else about a crown.
     """
-    species, detail = species_table()[key.species], _DETAIL[key.level]
-    rng = generator(seed, Purpose.CROWN, species.number, key.variant, round(key.dbh_m * 1e4))
-    at_m = np.linspace(key.crown_base_m, key.height_m, 16)[None]
-    dbh_m, height_m = np.array([key.dbh_m]), np.array([key.height_m])
-    stem_m = taper_radius_m(np.array([species.taper]), dbh_m, height_m, at_m)[0]
-    first = first_order(rng, species.crown, (key.crown_length_m, key.crown_width_m), stem_m)
-    second = second_order(rng, species.crown, first)
-    leaves = foliage_mesh(rng, species.foliage, second, key.leaf_area_m2, detail.merged)
-    return (
-        tubes(first, detail.every, detail.first_sides),
-        tubes(_some(second, detail.second_share), detail.every, detail.second_sides),
-        leaves,
+    species, detail = (table or species_table())[key.species], _DETAIL[key.level]
+    rng = _generator(seed, key, species)
+    orders = _orders(rng, key, species)
+    leaves = _NOTHING
+    if species.foliage and (key.season == "leaf_on" or species.foliage.kind == "shoot"):
+        leaves = foliage_mesh(rng, species.foliage, orders[-1], key.leaf_area_m2, detail.merged)
+    first = tubes(orders[0], detail.every, detail.sides[0])
+    higher = merged(
+        *(
+            tubes(_some(branches, one_in), detail.every, sides)
+            for branches, one_in, sides in zip(orders[1:], detail.one_in, detail.sides[1:], strict=False)
+            if one_in
+        )
     )
+    dead = [tubes(_dead(seed, key, species), detail.every, detail.sides[1])] if key.dead_branches else []
+    if species.foliage is None:
+        return _NOTHING, _NOTHING, _NOTHING, merged(first, higher, *dead)
+    return first, higher, leaves, merged(*dead) if dead else _NOTHING
+
+
+def crown_wood_m3(seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None) -> float:
+    """Volume of all branches of a prototype, dead ones too; the same at every level of detail."""
+    species = (table or species_table())[key.species]
+    orders = _orders(_generator(seed, key, species), key, species)
+    dead = (_dead(seed, key, species),) if key.dead_branches else ()
+    return sum(volume_m3(branches) for branches in (*orders, *dead))
+
+
+def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[Array, Array]:
+    """Stretch of each tree's crown over its prototype: across (n,) and along the axis (n,).
+
+    Heights are vertical, but crowns follow the leaning axis.
+    """
+    prototype_m = np.array([(c.crown_width_m, c.crown_length_m) for c in crowns]).reshape(-1, 2)
+    upright = np.cos(np.radians(trees["lean_deg"]))
+    wide: Array = trees["crown_width_m"] / prototype_m[:, 0]
+    long: Array = (trees["height_m"] - trees["crown_base_m"]) / upright / prototype_m[:, 1]
+    return wide, long
+
+
+def _generator(seed: int, key: CrownKey, species: Species) -> np.random.Generator:
+    """Random numbers that all levels, seasons and states of one crown share."""
+    return generator(seed, Purpose.CROWN, species.number, key.variant, round(key.dbh_m * 1e4))
+
+
+def _orders(rng: np.random.Generator, key: CrownKey, species: Species) -> list[Branches]:
+    """Branches of the first, second and, on broad crowns, third order."""
+    at_m = np.linspace(key.crown_base_m, key.height_m, 16)[None]
+    taper = species.taper.row[None]
+    stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m)[0]
+    habit = species.crown
+    orders = [first_order(rng, habit, (key.crown_length_m, key.crown_width_m), stem_m)]
+    orders.append(side_branches(rng, habit.twigs, orders[0], 2))
+    if habit.twiglets is not None:
+        orders.append(side_branches(rng, habit.twiglets, orders[1], 3))
+    return orders
+
+
+def _dead(seed: int, key: CrownKey, species: Species) -> Branches:
+    """Dead branches below the crown."""
+    rng = generator(seed, Purpose.DEAD_BRANCH, species.number, key.variant, round(key.dbh_m * 1e4))
+    return dead_stubs(rng, species.crown, key.crown_base_m)
 
 
 def _some(branches: Branches, one_in: int) -> Branches:

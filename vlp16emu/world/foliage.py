@@ -1,7 +1,5 @@
 """Leaves and shoots as planar quads along the twigs of a crown, with a given total area."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +16,9 @@ _WIDEST_AT = 0.4
 
 _SIZE_SIGMA = 0.15
 """Spread of the logarithm of leaf length about its mean; assumption."""
+
+_MOST_LEAVES = 120_000
+"""Beyond that many leaves quads grow larger instead: memory of a very large crown, seen from far below."""
 
 _HANG_SIGMA = np.radians(40.0)
 """One sigma of a blade's tip about the direction of steepest descent in its plane; assumption."""
@@ -39,8 +40,8 @@ def foliage_mesh(
     """
     area_m2 = leaf_area_m2 / foliage.clumping
     per_item = foliage.length_m * foliage.width_m * (2.0 if foliage.kind == "shoot" else 0.5)
-    n = max(1, round(area_m2 / (per_item * merged)))
-    size = np.exp(rng.normal(0.0, _SIZE_SIGMA, n)) * np.sqrt(merged)
+    n = max(1, round(min(area_m2 / per_item, _MOST_LEAVES) / merged))
+    size = np.exp(rng.normal(0.0, _SIZE_SIGMA, n))
     size *= np.sqrt(area_m2 / (per_item * (size**2).sum()))
     ends_m = np.cumsum(twigs.length_m)
     position = (np.arange(n) + rng.random(n)) / n * ends_m[-1]
@@ -49,8 +50,9 @@ def foliage_mesh(
     place, tangent = points_along(twigs.nodes_m, twig, way)
     length, width = foliage.length_m * size[:, None], foliage.width_m * size[:, None]
     if foliage.kind == "leaf":
+        mu, nu = foliage.inclination
         place = place + _in_ball(rng, n) * foliage.spread_m
-        corners = _blades(rng, place, foliage.inclination, length, width)
+        corners = _blades(rng, place, (mu, nu), length, width)
     else:
         corners = _shoots(rng, place, tangent, length, width)
     vertices = corners.reshape(-1, 3).astype(np.float32)
@@ -58,7 +60,7 @@ def foliage_mesh(
 
 
 def _blades(
-    rng: np.random.Generator, base: Array, mu_nu: Sequence[float], length: Array, width: Array
+    rng: np.random.Generator, base: Array, mu_nu: tuple[float, float], length: Array, width: Array
 ) -> Array:
     """Kites (n, 4, 3) whose normals are inclined as measured and whose tips hang."""
     n, (mu, nu) = len(base), mu_nu

@@ -1,0 +1,289 @@
+"""Published equations of tree form, each under the name that the species table calls it by.
+
+Inside the equations diameters are in cm and heights in m, or inches and feet, as their authors wrote them.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "BIOMASS_MODELS",
+    "BREAST_HEIGHT_M",
+    "CROWN_BASE_MODELS",
+    "CROWN_WIDTH_MODELS",
+    "HEIGHT_MODELS",
+    "TAPER_MODELS",
+    "US_BREAST_HEIGHT_M",
+    "Curve",
+    "Taper",
+    "taper_radius_m",
+    "truncated_weibull_cm",
+]
+
+Array = NDArray[np.float64]
+
+BREAST_HEIGHT_M = 1.3
+"""Where the diameter at breast height is measured, above the ground at the stem's axis."""
+
+US_BREAST_HEIGHT_M = 1.37
+"""The same in North America: 4.5 ft."""
+
+_INCH_CM, _FOOT_M = 2.54, 0.3048
+
+_TRUNCATION_CM = 6.9
+"""Left truncation of the diameter distributions (Nagel and Biging 1995)."""
+
+_LARGEST_DBH_RATIO = 1.6
+"""Largest over quadratic mean diameter of a stand; assumption."""
+
+_STUMP_SHARE = 0.01
+"""Height of the stump over that of the tree, as Vonderach and Kaendler (2021) use it."""
+
+_COMPONENT_TERMS = 8
+"""Coefficients of one component of `components` biomass."""
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """An equation by name, with its coefficients."""
+
+    model: str
+    coefficients: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Taper:
+    """How a stem thins."""
+
+    model: str
+    coefficients: tuple[float, ...]
+    flare: tuple[float, float] = (0.0, 1.0)
+    """Extra radius at the ground over the radius there, and the height in m over which it dies away by e."""
+    top_share: float = 1.0
+    """Height of the stem over that of the whole stem it was: 1, or less where the top has broken off."""
+
+    @property
+    def row(self) -> Array:
+        """(12,) as `taper_radius_m` wants it."""
+        row = np.zeros(4 + _TAPER_COEFFICIENTS)
+        row[:4] = _TAPER_NUMBERS[self.model], self.top_share, *self.flare
+        row[4 : 4 + len(self.coefficients)] = self.coefficients
+        return row
+
+
+def truncated_weibull_cm(coefficients: tuple[float, ...], probability: Array, mean_dbh_cm: float) -> Array:
+    """Quantiles of a stand's diameters for the quadratic mean `mean_dbh_cm`, before scaling to it.
+
+    Source: Nagel and Biging (1995), left-truncated Weibull distribution; coefficients a0, a1, c0, c1, c2.
+    """
+    a0, a1, c0, c1, c2 = coefficients
+    scale = a0 + a1 * mean_dbh_cm
+    shape = c0 + c1 * mean_dbh_cm + c2 * _LARGEST_DBH_RATIO * mean_dbh_cm
+    floor = (_TRUNCATION_CM / scale) ** shape
+    quantile: Array = scale * (floor - np.log1p(-probability)) ** (1 / shape)
+    return quantile
+
+
+def _uniform_height_m(
+    coefficients: tuple[float, ...], dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float
+) -> Array:
+    """Uniform height curve through (mean_dbh_cm, mean_height_m), Nagel (1999); a, b."""
+    a, b = coefficients
+    exponent = a * (1 - mean_dbh_cm / dbh_cm) + b * (1 / mean_dbh_cm - 1 / dbh_cm)
+    height: Array = BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * np.exp(exponent)
+    return height
+
+
+def _curtis_arney_height_m(
+    coefficients: tuple[float, ...], dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float
+) -> Array:
+    """Curtis-Arney curve, stretched above breast height to pass through (mean_dbh_cm, mean_height_m).
+
+    Source: Forest Vegetation Simulator, `htdbh`; P2, P3, P4 for inches and feet. Below 3 inches, where
+    the equation does not hold, a straight line leads to breast height.
+    """
+    p2, p3, p4 = coefficients
+
+    def above_breast_ft(dbh_in: Array) -> Array:
+        whole: Array = p2 * np.exp(-p3 * np.maximum(dbh_in, 3.0) ** p4)
+        return whole * np.minimum(dbh_in / 3.0, 1.0)
+
+    mean_ft = above_breast_ft(np.array([mean_dbh_cm / _INCH_CM]))[0]
+    share = above_breast_ft(dbh_cm / _INCH_CM) / mean_ft
+    return BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * share
+
+
+def _linear_crown_width_m(coefficients: tuple[float, ...], dbh_cm: Array) -> Array:
+    """Straight line, Doebbeler et al. (2002); c0, c1."""
+    c0, c1 = coefficients
+    return c0 + c1 * dbh_cm
+
+
+def _saturating_crown_width_m(coefficients: tuple[float, ...], dbh_cm: Array) -> Array:
+    """Straight line that thin trees fall short of, Doebbeler et al. (2002); c0, c1, c2, c3."""
+    c0, c1, c2, c3 = coefficients
+    width: Array = (c0 + c1 * dbh_cm) * -np.expm1(-((dbh_cm / c2) ** c3))
+    return width
+
+
+def _bechtold_crown_width_m(coefficients: tuple[float, ...], dbh_cm: Array) -> Array:
+    """Forest-grown crowns, Bechtold (2003), for inches and feet; a1, a2, a3, a4 and the crown ratio in percent.
+
+    Below 5 inches in proportion to diameter, above 50 inches constant, as the Forest Vegetation Simulator does.
+    """
+    a1, a2, a3, a4, crown_ratio_percent = coefficients
+    dbh_in = np.clip(dbh_cm / _INCH_CM, 5.0, 50.0)
+    width_ft = a1 + a2 * dbh_in + a3 * dbh_in**2 + a4 * crown_ratio_percent
+    width: Array = width_ft * np.minimum(dbh_cm / _INCH_CM / 5.0, 1.0) * _FOOT_M
+    return width
+
+
+def _exponential_crown_base_m(
+    coefficients: tuple[float, ...], dbh_cm: Array, height_m: Array, top_height_m: float
+) -> Array:
+    """Crown base after the settings of TreeGrOSS for north-west Germany; q0, q1, q2, q3."""
+    q0, q1, q2, q3 = coefficients
+    exponent = np.abs(q0 + q1 * height_m / dbh_cm + q2 * dbh_cm + q3 * math.log(top_height_m))
+    base: Array = height_m * -np.expm1(-exponent)
+    return base
+
+
+def _ratio_crown_base_m(
+    coefficients: tuple[float, ...], _dbh_cm: Array, height_m: Array, _top_height_m: float
+) -> Array:
+    """Crowns of the same share of every tree's height; the crown ratio."""
+    return (1 - coefficients[0]) * height_m
+
+
+def _log_biomass_kg(
+    coefficients: tuple[float, ...], dbh_cm: Array, _height_m: Array, _upper_cm: Array, _base_m: Array
+) -> Array:
+    """Dry mass above ground as exp(b0 + b1 ln d), Jenkins et al. (2003), Forest Science 49(1), table 4."""
+    b0, b1 = coefficients
+    mass: Array = np.exp(b0 + b1 * np.log(dbh_cm))
+    return mass
+
+
+def _power_biomass_kg(
+    coefficients: tuple[float, ...], dbh_cm: Array, height_m: Array, _upper_cm: Array, _base_m: Array
+) -> Array:
+    """Dry mass above ground as b0 d^b1 h^b2, the form of Smith et al. (2014)."""
+    b0, b1, b2 = coefficients
+    mass: Array = b0 * dbh_cm**b1 * height_m**b2
+    return mass
+
+
+def _component_biomass_kg(
+    coefficients: tuple[float, ...], dbh_cm: Array, height_m: Array, upper_cm: Array, base_m: Array
+) -> Array:
+    """Sum of components a + b d^c h^d u^e s^f k^g (d h)^h; u is the diameter at 0.3 h, s the stump, k the crown base.
+
+    A component that comes out negative, as coarse wood of saplings does, weighs nothing.
+
+    Source: Vonderach et al. (2018), 10.1007/s13595-018-0728-4, coefficients of Vonderach and Kaendler (2021).
+    """
+    total = np.zeros_like(dbh_cm)
+    for a, b, c, d, e, f, g, h in np.reshape(coefficients, (-1, _COMPONENT_TERMS)):
+        size = dbh_cm**c * height_m**d * upper_cm**e * base_m**g * (dbh_cm * height_m) ** h
+        total += np.maximum(a + b * size * (_STUMP_SHARE * height_m) ** f, 0.0)
+    return total
+
+
+HeightModel = Callable[[tuple[float, ...], Array, float, float], Array]
+WidthModel = Callable[[tuple[float, ...], Array], Array]
+BaseModel = Callable[[tuple[float, ...], Array, Array, float], Array]
+BiomassModel = Callable[[tuple[float, ...], Array, Array, Array, Array], Array]
+
+HEIGHT_MODELS: dict[str, tuple[int, HeightModel]] = {
+    "uniform": (2, _uniform_height_m),
+    "curtis_arney": (3, _curtis_arney_height_m),
+}
+"""Height over diameter: number of coefficients, and a function of them, diameters, mean diameter and height."""
+
+CROWN_WIDTH_MODELS: dict[str, tuple[int, WidthModel]] = {
+    "linear": (2, _linear_crown_width_m),
+    "saturating": (4, _saturating_crown_width_m),
+    "bechtold": (5, _bechtold_crown_width_m),
+}
+"""Crown width: number of coefficients, and a function of them and diameters."""
+
+CROWN_BASE_MODELS: dict[str, tuple[int, BaseModel]] = {
+    "exponential": (4, _exponential_crown_base_m),
+    "ratio": (1, _ratio_crown_base_m),
+}
+"""Crown base: number of coefficients, and a function of them, diameters, heights and the stand's top height."""
+
+BIOMASS_MODELS: dict[str, tuple[int, BiomassModel]] = {
+    "log_diameter": (2, _log_biomass_kg),
+    "power": (3, _power_biomass_kg),
+    "components": (6 * _COMPONENT_TERMS, _component_biomass_kg),
+}
+"""Dry mass: number of coefficients, and a function of them, diameters, heights, upper diameters and crown bases."""
+
+_TAPER_COEFFICIENTS = 8
+
+TAPER_MODELS = {"laasasenaho": 8, "brink": 3}
+"""Taper: number of coefficients."""
+
+_TAPER_NUMBERS = {"laasasenaho": 0, "brink": 1}
+
+
+@numba.njit(cache=True, nogil=True)
+def _form(row: Array, height_m: float, above_ground_m: float) -> float:
+    """Stem radius in units that breast height sets; 0 at the tip of the unbroken stem."""
+    whole_m = height_m / row[1]
+    z = min(max(above_ground_m, 0.0), whole_m)
+    if row[0] == 0:
+        # Laasasenaho (1982): exponents 1, 2, 3, 5, 8, 13, 21, 34 of the relative distance from the tip.
+        # Each exponent is the sum of the two before it, so each power is the product of theirs.
+        before = now = 1.0 - z / whole_m
+        form = row[4] * now
+        for i in range(5, 12):
+            before, now = now, before * now
+            form += row[i] * now
+    else:
+        # Brink's function as Schmidt (2001) uses it, with a radius of 1 at breast height.
+        i_share, p, q = row[4], row[5], row[6]
+        top = 1.0 - math.exp(q * (1.3 - whole_m))
+        butt = 1.0 - math.exp(p * (1.3 - whole_m))
+        u = i_share / top + (1.0 - i_share) * (1.0 - 1.0 / butt)
+        v = (1.0 - i_share) * math.exp(1.3 * p) / butt
+        w = i_share * math.exp(-q * whole_m) / top
+        form = u + v * math.exp(-p * z) - w * math.exp(q * z)
+    if row[2] > 0:
+        form *= 1.0 + row[2] * math.exp(-z / row[3])
+    return max(form, 0.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _radii(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -> Array:
+    """Radii (n, r) of n stems at r heights each."""
+    out = np.empty_like(above_ground_m)
+    for i in range(len(dbh_m)):
+        scale = dbh_m[i] / 2 / _form(taper[i], height_m[i], 1.3)
+        for j, z in enumerate(above_ground_m[i]):
+            out[i, j] = scale * _form(taper[i], height_m[i], z)
+    return out
+
+
+def taper_radius_m(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -> Array:
+    """Stem radius over bark, scaled so that it is half the DBH at breast height.
+
+    Parameters
+    ----------
+    taper : (n, 12), `Taper.row` of the species of each stem
+    dbh_m, height_m : (n,)
+    above_ground_m : (n, r) heights; below ground the radius stays that at the ground
+
+    Returns
+    -------
+    (n, r) metres, 0 at the tip unless it has broken off
+
+    Sources: Laasasenaho (1982), Schmidt (2001).
+    """
+    return _radii(taper, dbh_m, height_m, np.ascontiguousarray(above_ground_m))
