@@ -5,11 +5,19 @@ import math
 import numpy as np
 import pytest
 
+from vlp16emu.random import Purpose, philox4x32
 from vlp16emu.world import Terrain
 
 
 def flat_but(**changes):
-    values = {"seed": 3, "hill_rms_m": 0.0, "rough_rms_m": 0.0, "slope_deg": 0.0, "slope_towards_deg": 0.0}
+    values = {
+        "seed": 3,
+        "hill_rms_m": 0.0,
+        "rough_rms_m": 0.0,
+        "mounds_per_ha": 0.0,
+        "slope_deg": 0.0,
+        "slope_towards_deg": 0.0,
+    }
     return Terrain(**(values | changes))
 
 
@@ -35,9 +43,38 @@ def test_relief_keeps_to_its_wavelengths(band, shortest_m, longest_m):
     assert gradient.std() == pytest.approx(expected, rel=0.15)
 
 
+@pytest.mark.parametrize("per_ha", [100.0, 800.0, 2500.0])
+def test_mounds_have_the_density_and_size_that_were_set(per_ha):
+    """Mounds and hollows have mean zero and the variance of paraboloids cubed, 1 m to 2 m wide and up to 0.15 m high."""
+    x, y = np.random.default_rng(6).uniform(-1e5, 1e5, (2, 300_000))
+    height = flat_but(mounds_per_ha=per_ha).height_m(x, y)
+    # Mean square height is a third of 0.15^2; (1 - r^2 / R^2)^6 covers pi R^2 / 7; mean R^2 is 7 / 12 m2.
+    variance = per_ha / 10_000 * 0.15**2 / 3 * math.pi / 7 * 7 / 12
+    assert height.std() == pytest.approx(math.sqrt(variance), rel=0.03)
+    assert abs(height.mean()) < 1e-4
+
+
+def test_a_mound_is_what_its_random_numbers_say():
+    """The kernel agrees to 1e-12 with the sum of all mounds of a square of 40 m, each worked out in plain Python."""
+    mounds = []
+    for ix in range(-11, 11):
+        for iy in range(-11, 11):
+            words = [int(w) for w in philox4x32(ix % 2**32, iy % 2**32, 0, Purpose.MOUND, 3, 0)]
+            if words[0] / 2**32 < 600 * 4 / 10_000:
+                radius = (1 + (words[3] >> 16) / 2**16) / 2
+                height = (2 * (words[3] % 2**16) / 2**16 - 1) * 0.15
+                mounds.append((2 * (ix + words[1] / 2**32), 2 * (iy + words[2] / 2**32), radius, height))
+    x, y = np.random.default_rng(7).uniform(-20, 20, (2, 400))
+    twin = np.zeros(400)
+    for mound_x, mound_y, radius, height in mounds:
+        twin += height * np.maximum(1 - ((x - mound_x) ** 2 + (y - mound_y) ** 2) / radius**2, 0) ** 3
+    assert flat_but(mounds_per_ha=600.0).height_m(x, y) == pytest.approx(twin, abs=1e-12)
+    assert np.count_nonzero(twin) > 40
+
+
 def test_a_height_is_the_same_alone_and_in_any_array():
     """The height of a point does not depend on how many points are asked for, nor on their shape."""
-    terrain = flat_but(hill_rms_m=1.0, rough_rms_m=0.1, slope_deg=5.0)
+    terrain = flat_but(hill_rms_m=1.0, rough_rms_m=0.1, mounds_per_ha=500.0, slope_deg=5.0)
     x, y = np.random.default_rng(3).uniform(-100, 100, (2, 1001))
     together = terrain.height_m(x, y)
     assert np.array_equal(together[7::13], terrain.height_m(x[7::13], y[7::13]))

@@ -1,8 +1,9 @@
-"""Ground with relief: a sum of plane waves, so that it has no edge, no period and no grid.
+"""Ground with relief: a sum of plane waves and scattered mounds, so that it has no edge and no period.
 
-Two bands: hills, and roughness that a foot would feel. Within a band the power spectrum falls with
-the third power of the wave number (assumption; natural ground is found between 2.5 and 4), which
+Two bands of waves: hills, and roughness that a foot would feel. Within a band the power spectrum falls
+with the third power of the wave number (assumption; natural ground is found between 2.5 and 4), which
 makes a wave's variance proportional to its wavelength when waves are spread evenly over log wavelength.
+Mounds and hollows stand for what waves cannot show: old stumps, root plates, wheel marks.
 """
 
 import math
@@ -11,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.random import Purpose, generator
+from vlp16emu.random import Purpose, generator, philox4x32
 
 __all__ = ["Terrain"]
 
@@ -22,6 +23,15 @@ _ROUGH_WAVELENGTHS_M = (1.0, 12.0)
 _WAVES_PER_BAND = 48
 """Enough that the sum of a band is near normal; the cost of a height is proportional to it."""
 
+_MOUND_CELL_M = 2.0
+"""Edge of a square that holds one mound at most: the widest mound, so that nine squares hold all that matter."""
+
+_MOUND_WIDTH_M = (1.0, 2.0)
+_MOUND_HEIGHT_M = 0.15
+"""Mounds rise and hollows sink by up to this; assumption, like their width."""
+
+_MOUND = int(Purpose.MOUND)
+
 
 class Terrain:
     """Ground height at any point of the plane, good to a nanometre up to 1e6 m from the origin.
@@ -31,23 +41,35 @@ class Terrain:
     seed : of the scenario
     hill_rms_m : standard deviation of height over wavelengths of 30 m to 300 m
     rough_rms_m : standard deviation of height over wavelengths of 1 m to 12 m
+    mounds_per_ha : mounds and hollows of up to 0.15 m, 1 m to 2 m wide; at most 2500
     slope_deg : of the plane under it all, which passes through the origin
     slope_towards_deg : where that plane rises to, counter-clockwise from east
     """
 
     def __init__(
-        self, *, seed: int, hill_rms_m: float, rough_rms_m: float, slope_deg: float, slope_towards_deg: float
+        self,
+        *,
+        seed: int,
+        hill_rms_m: float,
+        rough_rms_m: float,
+        mounds_per_ha: float,
+        slope_deg: float,
+        slope_towards_deg: float,
     ) -> None:
         bands = ((_HILL_WAVELENGTHS_M, hill_rms_m), (_ROUGH_WAVELENGTHS_M, rough_rms_m))
         self._waves = np.concatenate([_band(seed, i, *band) for i, band in enumerate(bands)])
         rise, towards = math.tan(math.radians(slope_deg)), math.radians(slope_towards_deg)
         self._gradient = (rise * math.cos(towards), rise * math.sin(towards))
+        self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
+        self._mound_share = mounds_per_ha * _MOUND_CELL_M**2 / 10_000
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
         """Ground height at points of any common shape; a point's height depends on that point alone."""
         x, y = (np.ascontiguousarray(a, dtype=np.float64) for a in np.broadcast_arrays(x_m, y_m))
         height = np.empty(x.shape)
         _heights(height.reshape(-1), x.reshape(-1), y.reshape(-1), self._waves, *self._gradient)
+        if self._mound_share:
+            _add_mounds(height.reshape(-1), x.reshape(-1), y.reshape(-1), self._mound_share, *self._seed)
         return height
 
 
@@ -75,3 +97,39 @@ def _heights(out: Array, x: Array, y: Array, waves: Array, gradient_x: float, gr
         for j in range(waves.shape[0]):
             z += waves[j, 2] * math.cos(waves[j, 0] * x[i] + waves[j, 1] * y[i] + waves[j, 3])
         out[i] = z
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_mounds(
+    out: Array, x: Array, y: Array, share: float, seed_low: np.uint32, seed_high: np.uint32
+) -> None:
+    """Add to (n,) heights the mounds of the squares around each point; `share` of all squares have one."""
+    for i in range(out.shape[0]):
+        column, row = math.floor(x[i] / _MOUND_CELL_M), math.floor(y[i] / _MOUND_CELL_M)
+        for ix in range(column - 1, column + 2):
+            for iy in range(row - 1, row + 2):
+                out[i] += _mound_m(x[i], y[i], ix, iy, share, seed_low, seed_high)
+
+
+@numba.njit(cache=True, nogil=True)
+def _mound_m(
+    x: float, y: float, ix: int, iy: int, share: float, seed_low: np.uint32, seed_high: np.uint32
+) -> float:
+    """Height that a square's mound adds at a point: (1 - (r / R)^2)^3, smooth to its rim."""
+    words = philox4x32(
+        np.uint32(ix & 0xFFFFFFFF),
+        np.uint32(iy & 0xFFFFFFFF),
+        np.uint32(0),
+        np.uint32(_MOUND),
+        seed_low,
+        seed_high,
+    )
+    if words[0] * 2.0**-32 >= share:
+        return 0.0
+    dx = x - (ix + words[1] * 2.0**-32) * _MOUND_CELL_M
+    dy = y - (iy + words[2] * 2.0**-32) * _MOUND_CELL_M
+    # Width and height from one half of the last word each: 65536 values are plenty.
+    wide, high = (words[3] >> np.uint32(16)) * 2.0**-16, (words[3] & np.uint32(0xFFFF)) * 2.0**-16
+    radius = (_MOUND_WIDTH_M[0] + wide * (_MOUND_WIDTH_M[1] - _MOUND_WIDTH_M[0])) / 2
+    inside = 1.0 - (dx * dx + dy * dy) / (radius * radius)
+    return (2.0 * high - 1.0) * _MOUND_HEIGHT_M * inside**3 if inside > 0.0 else 0.0

@@ -1,0 +1,158 @@
+"""A world of the user's own files, from the scene to the packets."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import GeometryError, ScenarioError
+from vlp16emu.packets import decode_data
+from vlp16emu.scenario import load
+from vlp16emu.types import PacketKind, PlantPart, Semantic
+from vlp16emu.world.forest import FIRST_FREE_INSTANCE
+
+EAST_M, NORTH_M, UP_M = 500_000.0, 5_700_000.0, 210.0
+SCENE = f"""\
+schema = 1
+title = "A plot of five trees on a slope, with a box"
+seed = 3
+
+[sensor]
+max_range_m = 30.0
+eccentricity_deg = 0.0
+azimuth_noise_deg = 0.0
+
+[motion]
+kind = "static"
+
+[world]
+kind = "plot"
+stem_list = "plot.csv"
+origin_m = [{EAST_M}, {NORTH_M}, {UP_M}]
+dem = {{ file = "ground.asc" }}
+
+[[world.meshes]]
+file = "box.obj"
+unit = "cm"
+up = "y"
+reflectance = 0.3
+places = [{{ x_m = 4.0, y_m = -3.0, above_ground_m = 1.0, yaw_deg = 30.0, scale = 2.0 }}]
+"""
+TREES_M = [(6.0, 4.0), (-5.0, 3.0), (-4.0, -6.0), (9.0, -9.0), (-8.0, 9.0)]
+BOX_M = np.array([0.8, 1.2, 1.0])
+"""Of the box as it stands: along its own east, north and up, scaled by two."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A scene and its files: ground rising 1 in 10 to the east, trees, and a box with y up in centimetres."""
+    folder = tmp_path_factory.mktemp("given")
+    (folder / "plot.toml").write_text(SCENE)
+    nodes = np.arange(-50, 51, 2.0)
+    header = f"ncols 51\nnrows 51\nxllcenter {EAST_M - 50}\nyllcenter {NORTH_M - 50}\ncellsize 2\n"
+    row = " ".join(f"{UP_M + 0.1 * x:.3f}" for x in nodes)
+    (folder / "ground.asc").write_text(header + f"{row}\n" * 51)
+    lines = [f"{EAST_M + x},{NORTH_M + y},norway_spruce,{30 + i},24" for i, (x, y) in enumerate(TREES_M)]
+    (folder / "plot.csv").write_text("\n".join(["x,y,species,dbh_cm,height_m", *lines]))
+    east, north, up = 100 * BOX_M / 2
+    (folder / "box.obj").write_text(trimesh.creation.box((east, up, north)).export(file_type="obj"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def seen(folder):
+    """Returns of two revolutions: origins, directions, distances and surface rows, each one to a return."""
+    emulator = Emulator(load(str(folder / "plot.toml")), threads=1, truth=True)
+    found = []
+    for returns in emulator.returns(0.0, 0.2):
+        hit = returns.distance_m[..., 0] > 0
+        rows = returns.surfaces[returns.surface[..., 0][hit]]
+        found.append(
+            (returns.firings.origin_m[hit], returns.firings.direction[hit], returns.distance_m[hit, 0], rows)
+        )
+    return [np.concatenate(arrays) for arrays in zip(*found, strict=True)]
+
+
+def test_everything_that_was_given_is_seen(seen):
+    """Ground, the stems of all five trees and the box return light under their own labels."""
+    _, _, _, rows = seen
+    trees = rows[rows["semantic"] == Semantic.TREE]
+    stems = trees[np.isin(trees["part"], [PlantPart.STEM, PlantPart.ROOT_FLARE])]
+    assert len(np.unique(stems["instance"])) == 5
+    assert np.unique(trees["species"]).size == 1
+    assert np.count_nonzero(rows["semantic"] == Semantic.GROUND) > 1000
+    box = rows[rows["semantic"] == Semantic.OTHER]
+    assert len(box) > 100
+    assert set(box["instance"].tolist()) == {FIRST_FREE_INSTANCE}
+    assert box["reflectance"] == pytest.approx(0.3)
+
+
+def test_the_box_is_where_the_scene_puts_it(seen):
+    """Every return from the box, and so the nearest, has the distance of the true box to 2 mm."""
+    origin, direction, distance, rows = seen
+    own = rows["semantic"] == Semantic.OTHER
+    yaw = np.radians(30.0)
+    world_R_box = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    centre = np.array([4.0, -3.0, 0.1 * 4.0 + 1.0])
+    start, along = (origin[own] - centre) @ world_R_box, direction[own] @ world_R_box
+    near = np.minimum((-BOX_M / 2 - start) / along, (BOX_M / 2 - start) / along).max(axis=1)
+    assert np.abs(distance[own] - near).max() < 0.002
+    assert distance[own].min() == pytest.approx(near.min(), abs=0.002)
+
+
+def test_the_ground_is_the_given_ground(seen):
+    """Every return from the ground lies on the plane of the file to a centimetre, far from the map's own zero."""
+    origin, direction, distance, rows = seen
+    own = rows["semantic"] == Semantic.GROUND
+    place = origin[own] + direction[own] * distance[own, None]
+    assert np.abs(place[:, 2] - 0.1 * place[:, 0]).max() < 0.01
+
+
+def test_stems_stand_at_the_places_of_the_list(seen):
+    """Each stem's returns lie around one of the listed places, on the side that faces the sensor."""
+    origin, direction, distance, rows = seen
+    own = (rows["part"] == PlantPart.STEM) & (rows["semantic"] == Semantic.TREE)
+    place = (origin[own] + direction[own] * distance[own, None])[:, :2]
+    gap = np.linalg.norm(place[:, None] - np.array(TREES_M), axis=2)
+    assert gap.min(axis=1).max() < 0.3
+    assert set(gap.argmin(axis=1).tolist()) == {0, 1, 2, 3, 4}
+
+
+def test_packets_carry_it(folder):
+    """The same scene gives data packets with the distances of the returns, to half a step of 2 mm."""
+    emulator = Emulator(load(str(folder / "plot.toml")), threads=1)
+    data = [p.payload for p in emulator.packets(0.0, 0.02) if p.kind == PacketKind.DATA]
+    points = decode_data(np.array([list(payload) for payload in data], np.uint8), keep_no_returns=True)
+    returns = next(emulator.returns(0.0, 0.02)).distance_m[..., 0].ravel()[: len(points.distance_m)]
+    assert np.abs(points.distance_m - returns).max() < 0.001 + 1e-5
+    assert np.count_nonzero(returns) > 500
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("sensor.max_range_m=60", r"ground.asc: ends in column 1 at x = -50.0 m, 50.0 m from the path at \(0.0, 0.0\) m; expected ground 61 m"),
+        ("motion.x_m=5.9", r"plot.csv: tree at \(6, 4\) m"),
+        ('world.stem_list="absent.csv"', "absent.csv: no such file or directory"),
+    ],
+)  # fmt: skip
+def test_files_that_do_not_fit_the_walk_are_refused(folder, setting, message):
+    """Ground that ends in sight, a tree in the way, and a file that is not there are told before anything is cast."""
+    settings = [setting, "motion.y_m=4.0"] if setting.startswith("motion") else [setting]
+    with pytest.raises(GeometryError, match=message):
+        Emulator(load(str(folder / "plot.toml"), settings), threads=1)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("world.dem.cell=1", "world.dem.cell=1: unknown key; expected cell_m, the nearest known one"),
+        ("world.dem.cell_m=-1", "world.dem.cell_m=-1: found -1; expected a number above 0"),
+        ("world.stem_list=3", "world.stem_list=3: found 3; expected a text in quotes"),
+        ("world.terrain.relief=steep", 'world.terrain.relief=steep: found "steep"; expected "flat", "rolling", "hilly" or "rough"'),
+    ],
+)  # fmt: skip
+def test_keys_of_given_things_are_checked_like_all_others(folder, setting, message):
+    """A misspelt or misused key of a file section is named with what was expected."""
+    with pytest.raises(ScenarioError, match=message):
+        load(str(folder / "plot.toml"), [setting])

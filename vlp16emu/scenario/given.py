@@ -1,0 +1,81 @@
+"""What the user brings to a world in files of their own: heights, trees, meshes.
+
+A file's path is reckoned from the folder of the scene file.
+"""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, ValidationInfo
+
+from vlp16emu.scenario.section import Angle, Fraction, Positive, Section
+
+__all__ = ["Dem", "MapPoint", "MeshFile", "MeshPart", "MeshPlace", "SceneFile"]
+
+
+def _beside_the_scene(file: str, info: ValidationInfo) -> str:
+    """Path of a file that a scene names."""
+    return str(Path(info.context["folder"], file)) if info.context else file
+
+
+SceneFile = Annotated[str, Field(min_length=1), AfterValidator(_beside_the_scene)]
+MapPoint = Annotated[tuple[float, float, float], Field(strict=False)]
+Corner = Annotated[tuple[float, float], Field(strict=False)]
+SemanticName = Literal["ground", "tree", "shrub", "stone", "deadwood", "grass", "other"]
+PartName = Literal[
+    "none", "stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"
+]
+
+
+class Dem(Section):
+    """Heights of the ground in a file: ESRI ASCII grid (.asc), numpy array (.npy) or GeoTIFF (.tif)."""
+
+    file: SceneFile
+    cell_m: Positive | None = None
+    """Edge of a cell of a .npy, whose rows run from north to south; other files say it themselves."""
+    corner_m: Corner | None = None
+    """Easting and northing of the outer corner of the south-western cell of a .npy."""
+
+
+class MeshPart(Section):
+    """What one part of a mesh file is, where it differs from the rest."""
+
+    name: str
+    """Of the object or group (OBJ) or node (GLB)."""
+    reflectance: Fraction | None = None
+    semantic: SemanticName | None = None
+    part: PartName | None = None
+
+
+class MeshPlace(Section):
+    """Where a mesh stands."""
+
+    x_m: float
+    y_m: float
+    z_m: float | None = None
+    """Height of the file's origin in the world; without it the mesh stands on the ground."""
+    above_ground_m: float = 0.0
+    """Height of the file's origin over the ground, where `z_m` is not given."""
+    yaw_deg: Angle = 0.0
+    """Counter-clockwise, seen from above."""
+    scale: Positive = 1.0
+
+
+class MeshFile(Section):
+    """A mesh of the user's own: OBJ, PLY, GLB or STL."""
+
+    file: SceneFile
+    unit: Literal["m", "cm", "mm", "in", "ft"]
+    """Of the file's coordinates."""
+    up: Literal["z", "y"]
+    """Axis of the file that points upwards."""
+    reflectance: Fraction = 0.5
+    """Lambertian, at 903 nm."""
+    semantic: SemanticName = "other"
+    part: PartName = "none"
+    one_thing: bool = True
+    """Whether all parts at one place are one instance; otherwise each is one of its own."""
+    parts: list[MeshPart] = Field(default_factory=list)
+    """Parts that differ."""
+    places: Annotated[list[MeshPlace], Field(min_length=1)]
+    """Everywhere it stands."""

@@ -1,0 +1,44 @@
+"""The `[world.terrain]` table: ground with relief."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from vlp16emu.scenario.section import NonNegative, Section
+
+__all__ = ["Terrain"]
+
+_RELIEFS = {
+    # Smooth and rough micro-relief have 0.05 m and 0.25 m rms over wavelengths of 0.3 m to 60 m (assumption);
+    # of a spectrum of the third power, 1 m to 12 m holds sqrt((12 - 1) / (60 - 0.3)) = 0.43 of that.
+    "flat": {"hill_rms_m": 0.0, "rough_rms_m": 0.02},
+    "rolling": {},
+    "hilly": {"hill_rms_m": 4.0, "mounds_per_ha": 100.0},
+    "rough": {"hill_rms_m": 1.5, "rough_rms_m": 0.11, "mounds_per_ha": 800.0},
+}
+"""What each kind of relief gives. Hills and mounds are assumptions: hills of 1 m rms slope by 4 degrees rms,
+of 4 m by 15."""
+
+
+class Terrain(Section):
+    """Ground with relief: hills, roughness that a foot would feel, and mounds."""
+
+    relief: Literal["flat", "rolling", "hilly", "rough"] = "rolling"
+    """Gives those of the next three keys that are not given beside it; `rolling` is as they are by default."""
+    hill_rms_m: NonNegative = 1.0
+    """Standard deviation of height over wavelengths of 30 m to 300 m."""
+    rough_rms_m: NonNegative = 0.06
+    """Standard deviation of height over wavelengths of 1 m to 12 m."""
+    mounds_per_ha: Annotated[float, Field(ge=0, le=2500)] = 0.0
+    """Mounds and hollows of up to 0.15 m, 1 m to 2 m wide."""
+    slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
+    """Of the plane under it all, rising towards `slope_towards_deg`."""
+    slope_towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    """Counter-clockwise from east."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_relief(cls, table: Any) -> Any:
+        """Fill in what the relief gives; one that is unknown is named by the check of its key."""
+        relief = table.get("relief") if isinstance(table, dict) else None
+        return _RELIEFS.get(relief, {}) | table if isinstance(relief, str) else table

@@ -1,0 +1,198 @@
+"""A world with the user's own meshes in it."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.types import SURFACE, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
+from vlp16emu.world.forest import FIRST_FREE_INSTANCE, Forest
+from vlp16emu.world.hall import Hall
+from vlp16emu.world.polyline import distance_m
+from vlp16emu.world.user_mesh import UserMesh
+
+__all__ = ["Furnished", "Furniture", "Look", "MeshKey", "Place", "looks_of"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What one part of a mesh is to the light and to the labels."""
+
+    reflectance: float
+    """At 903 nm."""
+    semantic: Semantic
+    part: PlantPart
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a mesh stands."""
+
+    x_m: float
+    y_m: float
+    z_m: float | None
+    """Of the file's origin; None where it stands on the ground."""
+    above_ground_m: float
+    """Of the file's origin over the ground; of no account where `z_m` is given."""
+    yaw_deg: float
+    """Counter-clockwise from above."""
+    scale: float
+
+
+@dataclass(frozen=True, slots=True)
+class Furniture:
+    """A mesh, what its parts are, and all the places where it stands."""
+
+    mesh: UserMesh
+    looks: tuple[Look, ...]
+    """Of each part."""
+    places: tuple[Place, ...]
+    one_thing: bool
+    """Whether all parts at one place are one instance, as stem and leaves of a tree, or one each."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeshKey:
+    """Name of a mesh's shape."""
+
+    number: int
+    """Among the furniture."""
+    path: Path
+
+
+class Furnished:
+    """A world and what the user has put into it; a `World`.
+
+    Parameters
+    ----------
+    world : what is there anyhow
+    furniture : what comes to it; order decides the numbers
+    reach_m : how far the sensor sees
+
+    Raises
+    ------
+    GeometryError
+        for more things than can be numbered
+    """
+
+    def __init__(self, world: Forest | Hall, *, furniture: Sequence[Furniture], reach_m: float) -> None:
+        self.bare = world
+        """The world without the user's things."""
+        self.height_m = world.height_m
+        self._reach_m = reach_m
+        self.materials = (
+            *world.materials,
+            *(_material(f, part.name) for f in furniture for part in f.mesh.parts),
+        )
+        keys = [MeshKey(i, one.mesh.path) for i, one in enumerate(furniture)]
+        self._keys = [keys[i] for i, one in enumerate(furniture) for _ in one.places]
+        self._mesh_of = {key: one.mesh for key, one in zip(keys, furniture, strict=True)}
+        self._world_T_mesh = np.array(
+            [_placed(place, one.mesh, world.height_m) for one in furniture for place in one.places]
+        ).reshape(-1, 3, 4)
+        self._radius_m = np.array([place.scale * f.mesh.radius_m for f in furniture for place in f.places])
+        self._rows = _rows(furniture, len(world.materials))
+        self.names = _names(furniture)
+        """Of the user's things by instance."""
+
+    def window(self, track_m: Array) -> Window:
+        """Everything of the world, and the user's meshes, within reach of sensor positions (n, 3)."""
+        window = self.bare.window(track_m)
+        gap_m = distance_m(self._world_T_mesh[:, :2, 3], track_m[:, :2]) - self._radius_m
+        near = np.flatnonzero(gap_m <= self._reach_m)
+        if not len(near):
+            return window
+        keys = list(dict.fromkeys(self._keys[i] for i in near))
+        first = len(window.surfaces) + np.cumsum([0, *(len(self._rows[i]) for i in near[:-1])])
+        return Window(
+            origin_m=window.origin_m,
+            shapes=(*window.shapes, *keys),
+            shape=np.append(
+                window.shape, [len(window.shapes) + keys.index(self._keys[i]) for i in near]
+            ).astype(np.int32),
+            world_T_shape=np.concatenate([window.world_T_shape, self._world_T_mesh[near]]),
+            first_surface=np.append(window.first_surface, first).astype(np.uint32),
+            surfaces=np.concatenate([window.surfaces, *(self._rows[i] for i in near)]),
+        )
+
+    def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
+        """Meshes of a shape: one for each part of a user's file, or what the world makes of it."""
+        if isinstance(key, MeshKey):
+            return tuple(part.mesh for part in self._mesh_of[key].parts)
+        return self.bare.shape(key)
+
+
+def looks_of(mesh: UserMesh, common: Look, own: Mapping[str, Look]) -> tuple[Look, ...]:
+    """Look of each part of a mesh: its own where it has one, or else the common one.
+
+    Raises
+    ------
+    GeometryError
+        for a part that the mesh does not have
+    """
+    names = [part.name for part in mesh.parts]
+    for name in own.keys() - set(names):
+        raise GeometryError(f"{mesh.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
+    return tuple(own.get(name, common) for name in names)
+
+
+def _material(furniture: Furniture, part: str) -> str:
+    """Name the material of a part."""
+    return f"{furniture.mesh.path.name} {part}"
+
+
+def _placed(place: Place, mesh: UserMesh, height_m: HeightField) -> Array:
+    """`world_T_shape` (3, 4) of a mesh about its centre."""
+    z_m = place.z_m
+    if z_m is None:
+        z_m = place.above_ground_m + float(height_m(np.array([place.x_m]), np.array([place.y_m]))[0])
+    yaw = math.radians(place.yaw_deg)
+    c, s = place.scale * math.cos(yaw), place.scale * math.sin(yaw)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, place.scale]])
+    origin = np.array([place.x_m, place.y_m, z_m])
+    return np.column_stack([turn, origin + turn @ mesh.centre_m])
+
+
+def _instances(furniture: Sequence[Furniture]) -> list[tuple[Furniture, Place, NDArray[np.int64]]]:
+    """Each placement with the instance numbers of its parts."""
+    placed, number = [], FIRST_FREE_INSTANCE
+    for one in furniture:
+        count = 1 if one.one_thing else len(one.looks)
+        for place in one.places:
+            placed.append((one, place, np.broadcast_to(number + np.arange(count), len(one.looks))))
+            number += count
+    if number > 2**32:
+        raise GeometryError("meshes", f"found {number - FIRST_FREE_INSTANCE} things", "at most 65536")
+    return placed
+
+
+def _rows(furniture: Sequence[Furniture], first_material: int) -> list[NDArray[np.void]]:
+    """`SURFACE` rows of each placement."""
+    parts = [len(one.looks) for one in furniture]
+    material_of = dict(zip(map(id, furniture), first_material + np.cumsum([0, *parts[:-1]]), strict=True))
+    tables = []
+    for one, _, instances in _instances(furniture):
+        rows = np.zeros(len(one.looks), SURFACE)
+        rows["reflectance"] = [look.reflectance for look in one.looks]
+        rows["material"] = material_of[id(one)] + np.arange(len(rows))
+        rows["semantic"] = [look.semantic for look in one.looks]
+        rows["part"] = [look.part for look in one.looks]
+        rows["instance"] = instances
+        tables.append(rows)
+    return tables
+
+
+def _names(furniture: Sequence[Furniture]) -> dict[int, str]:
+    """Call each instance by its file, part where parts are things of their own, and place."""
+    return {
+        int(number): f"{_material(one, part.name) if not one.one_thing else one.mesh.path.name}"
+        f" at ({place.x_m:g}, {place.y_m:g}) m"
+        for one, place, numbers in _instances(furniture)
+        for number, part in zip(numbers, one.mesh.parts, strict=True)
+    }

@@ -1,0 +1,263 @@
+"""Meshes that the user brings: OBJ, PLY, GLB and STL through trimesh, checked before they are scanned.
+
+What is refused: coordinates that are not finite, faces whose corners do not exist, files without a face,
+sizes that tell of a wrong unit. What is dropped, and said: triangles without area. What is kept, and said:
+holes and faces that look the wrong way, for light is cast against both sides.
+"""
+
+import logging
+import re
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.types import Mesh
+from vlp16emu.world.user_file import readable
+
+__all__ = ["LengthUnit", "MeshPart", "UpAxis", "UserMesh", "load_mesh"]
+
+_log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
+UpAxis = Literal["z", "y"]
+
+_UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+"""Exact by definition (inch and foot: international agreement of 1959)."""
+
+_KINDS = {".obj": "obj", ".ply": "ply", ".glb": "glb", ".stl": "stl"}
+
+_TALLEST_M, _WIDEST_M, _SMALLEST_M = 500.0, 10_000.0, 0.001
+"""Nothing that stands in a forest is taller, wider, or smaller as a whole."""
+
+_FLAT = 1e-7
+"""Height over longest side below which a triangle is a line: the resolution of single precision."""
+
+_OBJ_BAD_FACE = re.compile(
+    rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE
+)
+"""A face of an OBJ file that trimesh would pass over: fewer than three corners, or a corner 0 (they count from 1)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshPart:
+    """One geometry of a file."""
+
+    name: str
+    mesh: Mesh
+    """In metres from the whole mesh's centre, z up."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UserMesh:
+    """A file of meshes, ready to be placed."""
+
+    path: Path
+    centre_m: Array
+    """(3,) middle of the bounding box in the file's frame, turned z up."""
+    parts: tuple[MeshPart, ...]
+    """In alphabetical order."""
+    radius_m: float
+    """Of a sphere about the centre that holds everything."""
+    findings: tuple[str, ...]
+    """What is not as it should be but was taken all the same, one line each."""
+
+
+def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
+    """Read a file of meshes.
+
+    Each object or group of an OBJ file and each node of a GLB scene is a part of its own, with its own
+    place; other files have one part, named like the file. Colours and textures are not read.
+
+    Parameters
+    ----------
+    path : .obj, .ply, .glb or .stl
+    unit : of its coordinates
+    up : axis that points upwards; y turns to z, and z to -y
+
+    Raises
+    ------
+    GeometryError
+        naming file, part and element of what cannot be scanned
+    """
+    read, findings = _parts(path)
+    parts = [(name, *_swept(f"{path}: {name}", *part)) for name, part in read]
+    scale = _UNIT_M[unit]
+    z_up = [(name, _turned(vertices, up) * scale, faces, dropped) for name, vertices, faces, dropped in parts]
+    corners = np.array([end for _, v, f, _ in z_up for end in (v[f].min(axis=(0, 1)), v[f].max(axis=(0, 1)))])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    _check_size(path, high - low, unit)
+    centre = (low + high) / 2
+    made = tuple(
+        MeshPart(name, Mesh((vertices - centre).astype(np.float32), faces.astype(np.uint32)))
+        for name, vertices, faces, _ in z_up
+    )
+    for name, vertices, faces, dropped in z_up:
+        findings += [f"{path}: {name}: {finding}" for finding in _findings(vertices, faces, dropped)]
+    for finding in findings:
+        _log.warning(finding)
+    return UserMesh(path, centre, made, float(np.linalg.norm(high - low)) / 2, tuple(findings))
+
+
+def _parts(path: Path) -> tuple[list[tuple[str, tuple[Array, Faces]]], list[str]]:
+    """Names, vertices and faces of all parts in the file's frame, by name; and what was left out."""
+    scene = _scene(path)
+    found, left_out = [], []
+    unnamed = list(scene.geometry) in (["geometry"], ["geometry_0"])  # trimesh's names for what has none
+    for node in sorted(scene.graph.nodes_geometry):
+        name = path.stem if unnamed else node
+        file_T_part, geometry_name = scene.graph[node]
+        geometry = scene.geometry[geometry_name]
+        faces = np.asarray(getattr(geometry, "faces", ()), np.int64).reshape(-1, 3)
+        if len(faces):
+            vertices = np.asarray(geometry.vertices, np.float64)
+            found.append((name, (_placed(f"{path}: {name}", vertices, faces, file_T_part), faces)))
+        else:
+            left_out.append(f"{path}: {name}: left out, for it has no face")
+    if not found:
+        raise GeometryError(str(path), "no face", "a mesh of triangles")
+    return found, left_out
+
+
+def _scene(path: Path) -> Any:
+    """Let trimesh read the file, and say what it stumbled over."""
+    kind = path.suffix.lower()
+    if kind not in _KINDS:
+        raise GeometryError(str(path), f"found the ending {kind!r}", f"one of {', '.join(_KINDS)}")
+    with readable(path, f"a mesh in {kind[1:].upper()}"):
+        content = path.read_bytes()
+    if kind == ".obj" and (bad := _OBJ_BAD_FACE.search(content)):
+        raise _obj_error(path, content, bad.start(), "three corners or more, counted from 1")
+    import trimesh
+
+    try:
+        return trimesh.load_scene(
+            BytesIO(content),
+            file_type=_KINDS[kind],
+            process=False,
+            skip_materials=True,
+            group_material=False,
+            split_objects=True,
+            split_groups=True,
+            maintain_order=True,
+        )
+    except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
+        if (
+            kind == ".obj"
+            and isinstance(error, IndexError)
+            and (place := _obj_stray_face(content)) is not None
+        ):
+            expected = f"corners of {_obj_vertices(content)} vertices"
+            raise _obj_error(path, content, place, expected) from None
+        raise GeometryError(str(path), f"cannot be read: {error}", f"a mesh in {kind[1:].upper()}") from None
+
+
+def _obj_vertices(content: bytes) -> int:
+    """How many vertices an OBJ file has."""
+    return len(re.findall(rb"^v[ \t]", content, re.MULTILINE))
+
+
+def _obj_stray_face(content: bytes) -> int | None:
+    """Where in an OBJ file the first face stands that has a corner without a vertex."""
+    vertices = _obj_vertices(content)
+    for face in re.finditer(rb"^f[ \t](.*)$", content, re.MULTILINE):
+        corners = re.findall(rb"(?:^|[ \t])(-?\d+)", face[1])
+        if any(abs(int(corner)) > vertices for corner in corners):
+            return face.start()
+    return None
+
+
+def _obj_error(path: Path, content: bytes, place: int, expected: str) -> GeometryError:
+    """Name the line of a face."""
+    line = content.count(b"\n", 0, place) + 1
+    text = content[place:].partition(b"\n")[0].decode(errors="replace").strip()
+    return GeometryError(f"{path}, line {line}", f"found the face {text!r}", expected)
+
+
+def _placed(where: str, vertices: Array, faces: Faces, file_T_part: Array) -> Array:
+    """Vertices in the file's frame, after a check of both arrays."""
+    stray = (faces < 0) | (faces >= len(vertices))
+    if stray.any():
+        face, corner = np.argwhere(stray)[0]
+        found = f"corner {faces[face, corner]} in face {face}, counted from 0"
+        raise GeometryError(where, found, f"a number from 0 to {len(vertices) - 1}, its vertices")
+    used = np.zeros(len(vertices), np.bool_)
+    used[faces] = True
+    broken = used & ~np.isfinite(vertices).all(axis=1)
+    if broken.any():
+        vertex = int(broken.argmax())
+        raise GeometryError(
+            where,
+            f"found {vertices[vertex].tolist()} as vertex {vertex}, counted from 0",
+            "finite coordinates",
+        )
+    place: Array = vertices @ file_T_part[:3, :3].T + file_T_part[:3, 3]
+    return place
+
+
+def _swept(where: str, vertices: Array, faces: Faces) -> tuple[Array, Faces, int]:
+    """Vertices that are used, faces that have an area, and how many had none."""
+    corner = vertices[faces]
+    sides = corner - np.roll(corner, 1, axis=1)
+    longest2 = np.einsum("fci,fci->fc", sides, sides).max(axis=1)
+    area2 = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    solid = area2 > _FLAT * longest2
+    if not solid.any():
+        raise GeometryError(where, f"none of its {len(faces)} faces has an area", "a mesh of triangles")
+    used, kept = np.unique(faces[solid], return_inverse=True)
+    return vertices[used], kept.reshape(-1, 3), int((~solid).sum())
+
+
+def _turned(vertices: Array, up: UpAxis) -> Array:
+    """Vertices with z up."""
+    return vertices if up == "z" else np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
+
+
+def _check_size(path: Path, extent_m: Array, unit: LengthUnit) -> None:
+    """Refuse a size that nothing in a forest has, with the unit that was perhaps meant."""
+    if extent_m[2] <= _TALLEST_M and _SMALLEST_M <= extent_m.max() <= _WIDEST_M:
+        return
+    size = " x ".join(f"{length:.3g}" for length in extent_m)
+    own = extent_m.max() / _UNIT_M[unit]
+    likely = [other for other, factor in _UNIT_M.items() if 0.1 <= own * factor <= 100 and other != unit]
+    hint = f" (perhaps its unit is {' or '.join(likely)})" if likely else ""
+    raise GeometryError(
+        str(path),
+        f"measures {size} m with unit = {unit!r}",
+        f"at most {_TALLEST_M:g} m tall and {_WIDEST_M:g} m wide, at least {_SMALLEST_M * 1000:g} mm{hint}",
+    )
+
+
+def _findings(vertices: Array, faces: Faces, dropped: int) -> list[str]:
+    """Say what is not as it should be about one part."""
+    found = [f"dropped {dropped} of {dropped + len(faces)} faces, which have no area"] if dropped else []
+    corner = _welded(vertices)[faces]
+    start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
+    _, faces_at = np.unique(
+        np.minimum(start, end) * len(vertices) + np.maximum(start, end), return_counts=True
+    )
+    _, same_way = np.unique(start * len(vertices) + end, return_counts=True)
+    holes, turned = int((faces_at == 1).sum()), int((same_way > 1).sum())
+    if holes:
+        found.append(f"is not closed: edges with one face only: {holes}")
+    if turned:
+        found.append(f"edges between faces that look opposite ways: {turned}")
+    if not holes and not turned and np.linalg.det(vertices[faces] - vertices.mean(axis=0)).sum() < 0:
+        found.append("is inside out: all its faces look inwards")
+    return found
+
+
+def _welded(vertices: Array) -> NDArray[np.int64]:
+    """Give vertices numbers (n,), the same to those at the same place."""
+    order = np.lexsort(vertices.T)
+    apart = (vertices[order[1:]] != vertices[order[:-1]]).any(axis=1)
+    number = np.empty(len(vertices), np.int64)
+    number[order] = np.concatenate([[0], np.cumsum(apart)])
+    return number
