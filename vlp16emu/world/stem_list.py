@@ -98,14 +98,17 @@ def read_stem_list(path: Path, table: Mapping[str, Species], origin_m: tuple[flo
     trees["dbh_m"] = numbers["dbh_m"]
     trees["height_m"] = _with_heights(path, numbers, species)
     trees["crown_base_m"], trees["crown_width_m"] = _with_crowns(trees, numbers, species)
-    trees["lean_deg"] = np.nan_to_num(numbers["lean_deg"])
-    towards = np.where(
-        np.isnan(numbers["lean_towards_deg"]), 90 - numbers["lean_azimuth_deg"], numbers["lean_towards_deg"]
-    )
-    trees["lean_towards_deg"] = np.nan_to_num(towards) % 360
+    trees["lean_deg"], trees["lean_towards_deg"] = _leans(numbers)
     _check_crown_bases(path, lines, trees)
     _check_twice(path, lines, trees)
     return trees
+
+
+def _leans(numbers: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Leans in degrees, and where they lead, counter-clockwise from east."""
+    towards, azimuth = numbers["lean_towards_deg"], 90.0 - numbers["lean_azimuth_deg"]
+    towards = np.where(np.isnan(towards), azimuth, towards)
+    return np.nan_to_num(numbers["lean_deg"]), np.nan_to_num(towards) % 360
 
 
 def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
