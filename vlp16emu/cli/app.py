@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from vlp16emu.cli.decode import decode
+from vlp16emu.cli.forest import forest
 from vlp16emu.cli.interrupt import INTERRUPTED
 from vlp16emu.cli.record import record
 from vlp16emu.cli.scenes import scenes
@@ -33,6 +34,10 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
     verify: """\b
   vlp16emu verify walk.pcap
   vlp16emu verify walk.pcap --json""",
+    forest: """\b
+  vlp16emu forest birch_walk
+  vlp16emu forest old_growth --picture old_growth.png --inventory trees.csv
+  vlp16emu forest my_forest.toml --radius 15 --glb twin.glb""",
     scenes: None,
     schema: """\b
   vlp16emu schema > scene.schema.json""",

@@ -96,6 +96,8 @@ class Hall:
         things: tuple[Box | Pole | Sphere, ...] = (*boxes, *poles, *spheres)
         for thing in things:
             _check_inside(thing, room)
+        self.size_m = room.size_m
+        """Along x, y and z; centred on x = y = 0, floor at z = 0."""
         self._keys = (room, *things)
         self.names = {_WALL_INSTANCE: "walls", **{i + 2: thing.name for i, thing in enumerate(things)}}
         surfaces = np.zeros(2 + len(things), SURFACE)

@@ -1,0 +1,157 @@
+"""What stands along a way, on stdout and in files."""
+
+import csv
+import json
+import struct
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+SMALL = ("--set", "duration_s=4.0", "--set", "sensor.max_range_m=20.0", "--radius", "12")
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """One look at a small piece of a preset, with all its files."""
+    from vlp16emu.cli.app import run
+
+    folder = tmp_path_factory.mktemp("forest")
+    files = {"--inventory": "trees.csv", "--glb": "twin.glb", "--picture": "sheet.png"}
+    options = [word for option, name in files.items() for word in (option, str(folder / name))]
+    with pytest.MonkeyPatch.context() as patch, (folder / "out.json").open("w") as out:
+        patch.setattr(sys, "stdout", out)
+        assert run(["forest", "managed_mixed", "--json", *SMALL, *options]) == 0
+    return folder, json.loads((folder / "out.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def rows(written):
+    """Lines of the inventory."""
+    with (written[0] / "trees.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_the_inventory_has_every_tree_in_reach_once(written, rows):
+    """One line per tree of the sensor's reach, its units in the header, and no tree twice."""
+    assert len(rows) == written[1]["trees_in_reach"]
+    assert len({row["id"] for row in rows}) == len(rows)
+    assert {"species", "x_m", "dbh_m", "height_m", "stem_m3", "leaf_m2", "biomass_kg"} <= set(rows[0])
+
+
+def test_the_table_sums_up_the_inventory_near_the_way(written, rows):
+    """Stems, basal area and leaf area of the report are those of the lines within the radius of the way."""
+    report = written[1]
+    # The way of the first four seconds is straight within centimetres.
+    start, end = (np.array(report["way"][name][:2]) for name in ("start_m", "end_m"))
+    xy_m = np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows])
+    along = np.clip((xy_m - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+    near = np.linalg.norm(xy_m - start - along[:, None] * (end - start), axis=1) <= 12
+    dbh_m = np.array([float(row["dbh_m"]) for row in rows])[near]
+    all_trees = report["trees"][-1]
+    assert all_trees["stems"] == near.sum()
+    assert all_trees["basal_area_m2_per_ha"] == pytest.approx(
+        (np.pi / 4 * dbh_m**2).sum() / report["area_ha"], rel=1e-3
+    )
+    leaf_m2 = sum(float(row["leaf_m2"]) for row, is_near in zip(rows, near, strict=True) if is_near)
+    assert all_trees["leaf_area_index"] == pytest.approx(leaf_m2 / report["area_ha"] / 1e4, rel=1e-3)
+    assert sum(row["stems"] for row in report["trees"][:-1]) == all_trees["stems"]
+
+
+def test_the_twin_holds_the_trees_of_the_inventory(written, rows):
+    """Each tree of the twin is a line of the inventory, of the same species."""
+    data = (written[0] / "twin.glb").read_bytes()
+    assert data[:4] == b"glTF"
+    assert struct.unpack_from("<I", data, 8)[0] == len(data)
+    names = [
+        node["name"] for node in json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])["nodes"]
+    ]
+    species = {f"tree_{int(row['id']):06d}": row["species"] for row in rows}
+    stems = [name.split("/") for name in names if name.endswith("/root_flare")]
+    assert len(stems) == written[1]["trees"][-1]["stems"]
+    assert all(species[tree] == kind for tree, kind, _ in stems)
+    assert sum(name.startswith("stone_") for name in names) == written[1]["things"]["stone"]["count"]
+
+
+def test_the_picture_is_small(written):
+    """The sheet is a PNG of less than a quarter of a megabyte."""
+    path = written[0] / "sheet.png"
+    with Image.open(path) as picture:
+        assert picture.format == "PNG"
+    assert path.stat().st_size < 250_000
+
+
+def test_a_table_is_printed_for_people(cli):
+    """Species, sums, relief and what lies on the ground are told in lines."""
+    out = cli("forest", "managed_mixed", *SMALL).out
+    lines = out.splitlines()
+    assert lines[0].startswith("managed_mixed: A walk through a managed stand")
+    header = next(line for line in lines if line.startswith("trees "))
+    assert " ".join(header.split()) == "trees stems per ha DBH, cm height, m m2/ha m3/ha LAI"
+    assert any(line.startswith("all ") for line in lines)
+    assert "Clark-Evans index" in out
+    assert "on the ground" in lines
+
+
+def test_a_hall_tells_its_things(cli):
+    """In a hall each thing is told with its place and size, and there is no talk of trees."""
+    answer = cli("forest", "static_bench", "--json").tree
+    assert "trees" not in answer
+    things = {one["name"]: one for one in answer["named"]}
+    assert things["crate"]["place_m"] == [-6.0, -5.0, 0.5]
+    assert things["crate"]["size_m"] == pytest.approx([2, 1, 1])
+    assert "pole 35 cm  at (0.00, 7.00, 0.00) m, 0.35 x 0.35 x 6.00 m" in cli("forest", "static_bench").out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--picture", "sheet.jpg"), "--picture sheet.jpg: found suffix '.jpg'; expected .png"),
+        (("--glb", "no/such/folder/twin.glb"), "--glb no/such/folder/twin.glb: No such file or directory"),
+        (("--radius", "0"), "--radius: found 0; expected a number from 1 to 300"),
+        (("--radius", "150"), "--radius: found 150; expected at most 100, which is the sensor's reach"),
+    ],
+)
+def test_what_cannot_be_done_is_refused(cli, options, message):
+    """A wrong suffix, a place that cannot be written and a radius out of reach exit with 2 and one line."""
+    outcome = cli("forest", "birch_walk", *options)
+    assert outcome.code == 2
+    assert outcome.err.startswith(f"error: {message}")
+
+
+@pytest.fixture
+def nothing_heavy(monkeypatch):
+    """Looking around is forbidden."""
+
+    def survey(*arguments):
+        raise AssertionError(arguments)
+
+    monkeypatch.setattr("vlp16emu.cli.survey.survey", survey)
+
+
+@pytest.mark.usefixtures("nothing_heavy")
+def test_files_are_checked_before_anything_heavy(cli, tmp_path):
+    """A file that cannot be written is refused before the forest grows; a wrong scene before a file is touched."""
+    outcome = cli("forest", "birch_walk", "--inventory", "/proc/trees.csv")
+    assert outcome.code == 2
+    assert "--inventory /proc/trees.csv" in outcome.err
+    assert cli("forest", "no_such_scene", "--inventory", tmp_path / "trees.csv").code == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("nothing_heavy")
+def test_a_missing_matplotlib_is_told_before_anything_heavy(cli, monkeypatch, tmp_path):
+    """Without matplotlib the extra is named, with exit code 2, before the forest grows."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    outcome = cli("forest", "birch_walk", "--picture", tmp_path / "sheet.png")
+    assert outcome.code == 2
+    assert "pip install 'vlp16emu[picture]'" in outcome.err
+
+
+def test_a_full_disk_is_told(cli, tmp_path):
+    """Where the disk is full, the run fails with exit code 1 and says which file is not complete."""
+    (tmp_path / "twin.glb").symlink_to("/dev/full")
+    outcome = cli("forest", "static_bench", "--glb", tmp_path / "twin.glb")
+    assert outcome.code == 1
+    assert outcome.err.endswith("twin.glb: No space left on device; the file is not complete\n")

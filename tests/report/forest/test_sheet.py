@@ -1,0 +1,91 @@
+"""The sheet with plan and section."""
+
+import io
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from vlp16emu.errors import MissingExtraError
+from vlp16emu.report.forest import Plan, Section, check_matplotlib, colour_of_species, draw_sheet
+from vlp16emu.report.forest.plan import legend_entries
+
+TREE = [("x_m", "f8"), ("y_m", "f8"), ("dbh_m", "f8"), ("crown_width_m", "f8"), ("species", "u2")]
+SECTION = Section(np.array([0.0, 0.0]), np.array([1.0, 0.0]), 20.0, 8.0, -1.0, 9.0)
+
+
+def plan(**changes):
+    values = {
+        "low_m": np.array([-10.0, -10.0]),
+        "high_m": np.array([30.0, 10.0]),
+        "way_m": np.column_stack([np.linspace(0, 20, 50), np.zeros(50), np.full(50, 2.0)]),
+        "radius_m": 9.0,
+        "trees": np.array(
+            [(5.0, 5.0, 0.3, 6.0, 3), (15.0, 5.0, 0.3, 4.0, 3), (10.0, -6.0, 0.4, 5.0, 1)], TREE
+        ),
+        "species": {1: "norway_spruce", 3: "silver_birch"},
+        "outlines_m": {"stone": [np.array([[1.0, -7], [3.0, -7], [2.0, -5]])], "log": []},
+        "names": [],
+        "height_m": lambda x, y: 0.1 * x + 0.0 * y,
+    }
+    return Plan(**(values | changes))
+
+
+def sheet(of):
+    file = io.BytesIO()
+    drawn = np.full((480, 960, 3), 200, np.uint8)
+    draw_sheet(file, of, SECTION, drawn, title="A title", subtitle="and a second line")
+    return Image.open(file)
+
+
+def share(picture, colour, tolerance=14):
+    """Share of the pixels that have nearly a colour."""
+    return (np.abs(np.asarray(picture.convert("RGB"), int) - colour).max(axis=2) <= tolerance).mean()
+
+
+@pytest.fixture(scope="module")
+def picture():
+    return sheet(plan())
+
+
+def test_a_sheet_is_a_png_with_a_palette(picture):
+    """Pictures of leaves stay small: one byte per pixel."""
+    assert picture.format == "PNG"
+    assert picture.mode == "P"
+    assert picture.width == 1008
+
+
+def test_crowns_have_the_colour_of_their_species_and_their_size(picture):
+    """Crowns of two birches, drawn at 42 % over white, cover what discs of their width would."""
+    birch = 0.42 * np.array(colour_of_species("silver_birch")) + 0.58 * np.array([252, 251, 248])
+    pixels_per_m = (12.0 - 1.9 - 0.7) * 84 / 40
+    expected = np.pi / 4 * (36 + 16) * pixels_per_m**2 / (picture.width * picture.height)
+    assert share(picture, birch) == pytest.approx(expected, rel=0.15)
+
+
+def test_the_way_is_red(picture):
+    """The way keeps its colour in spite of the palette, and without a way there is less of it."""
+    red = np.array([200, 55, 45])
+    assert share(picture, red) > 1.5 * share(sheet(plan(way_m=np.array([[0.0, 0.0, 2.0]]))), red) > 0
+
+
+def test_the_legend_names_what_is_there_and_nothing_else():
+    """Species come first, the most frequent at the top, then things of which there are any, then the way."""
+    labels = [entry.get_label() for entry in legend_entries(plan())]
+    assert labels == ["silver birch", "norway spruce", "stone", "way of the sensor"]
+
+
+def test_an_empty_plain_can_be_drawn():
+    """No trees, no things, no relief: the sheet is drawn all the same."""
+    bare = plan(trees=np.zeros(0, TREE), outlines_m={}, height_m=lambda x, _: np.zeros_like(x), radius_m=None)
+    assert sheet(bare).width == 1008
+
+
+def test_without_matplotlib_the_extra_is_named(monkeypatch):
+    """Where matplotlib is missing, the message says how to get it."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(
+        MissingExtraError, match=r"a picture needs matplotlib: pip install 'vlp16emu\[picture\]'"
+    ):
+        check_matplotlib()

@@ -1,0 +1,193 @@
+"""Files that `vlp16emu forest` writes: inventory, digital twin, picture."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.cli.survey import Survey
+from vlp16emu.errors import RunError
+from vlp16emu.raycast import caster
+from vlp16emu.report.forest import (
+    Plan,
+    Section,
+    draw_section,
+    draw_sheet,
+    section_pixels_per_m,
+    strip_along,
+    surface_colours,
+)
+from vlp16emu.world import Hall
+from vlp16emu.world.inventory import write_csv
+from vlp16emu.world.nearby import cut_out
+from vlp16emu.world.twin import write_glb
+
+__all__ = ["write_inventory", "write_picture", "write_twin"]
+
+Array = NDArray[np.float64]
+
+_DRAWN_IN_ORDER = (
+    *("none", "ground", "grass", "tuft", "stone", "log", "stump", "deadwood"),
+    *("sapling", "shrub", "tree", "other"),
+)
+"""Kinds of things, the lowest first."""
+
+_MARGIN_M = 2.0
+"""Of a plan."""
+
+_SECTION_M = 60.0
+"""Length of a section, the classic one of forest profile diagrams (Davis and Richards 1933: 200 ft by 25 ft)."""
+
+_DEPTHS_M, _ENOUGH_TREES = (8.0, 12.0, 20.0, 30.0), 25
+"""A section takes the first of these depths in which so many trees stand, or else the last."""
+
+_OVERHANG_M = 15.0
+"""How far crowns may reach out of the strip in which their trees stand."""
+
+_LEAD_M = 6.0
+"""Trees beyond the ends of a section whose crowns may reach into it."""
+
+_BELOW_M, _ABOVE_M, _LEAST_HEIGHT_M = 1.5, 0.8, 6.0
+"""How far a section reaches below the lowest ground and above the highest top, and how high it is at least."""
+
+_INSIDE_M = 0.01
+"""How far behind a hall's wall its section begins."""
+
+
+def write_inventory(path: Path, seen: Survey) -> None:
+    """Write all trees in reach.
+
+    Raises
+    ------
+    OutputError
+        where the file cannot be written
+    """
+    write_csv(path, seen.inventory(seen.trees))
+
+
+def write_twin(path: Path, seen: Survey) -> None:
+    """Write what is in the surroundings; of a hall, all.
+
+    Raises
+    ------
+    RunError
+        where the file cannot be written to its end
+    """
+    places_m = {thing.instance: thing.place_m for thing in seen.things}
+    for tree in seen.near:
+        places_m[int(tree["id"])] = np.array([tree["x_m"], tree["y_m"], tree["z_m"]])
+    window, shape = seen.window, seen.grow
+    if seen.hall is None:
+        wanted = np.array(list(places_m), np.uint32)
+        window, shape = cut_out(window, shape, instances=wanted, inside=seen.inside)
+    colours = surface_colours(seen.window.surfaces, seen.species)
+    with _writing(path) as file:
+        write_glb(file, window, shape, places_m=places_m, species=seen.species, colours=colours)
+
+
+def write_picture(path: Path, seen: Survey, *, title: str, subtitle: str) -> None:
+    """Draw plan and section.
+
+    Raises
+    ------
+    RunError
+        where the file cannot be written to its end
+    """
+    section = _hall_section(seen.hall) if seen.hall is not None else _forest_section(seen)
+    drawn = _drawn(seen, section)
+    with _writing(path) as file:
+        draw_sheet(file, _plan(seen), section, drawn, title=title, subtitle=subtitle)
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[BinaryIO]:
+    """Open a file, and tell in one line when it cannot be written to its end."""
+    try:
+        with path.open("wb") as file:
+            yield file
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}; the file is not complete") from error
+
+
+def _plan(seen: Survey) -> Plan:
+    """Gather what the plan shows."""
+    kinds = sorted({thing.kind for thing in seen.things}, key=_DRAWN_IN_ORDER.index)
+    if seen.hall is not None:
+        corner_m = np.array(seen.hall.size_m[:2]) / 2 + _MARGIN_M
+        low_m, high_m = -corner_m, corner_m
+    else:
+        aside_m = seen.radius_m + _MARGIN_M
+        low_m, high_m = seen.way_m[:, :2].min(axis=0) - aside_m, seen.way_m[:, :2].max(axis=0) + aside_m
+    return Plan(
+        low_m=low_m,
+        high_m=high_m,
+        way_m=seen.way_m,
+        radius_m=None if seen.hall is not None else seen.radius_m,
+        trees=seen.near,
+        species=seen.species,
+        outlines_m={kind: [one.outline_m for one in seen.things if one.kind == kind] for kind in kinds},
+        names=[
+            (seen.names[one.instance], one.place_m[:2]) for one in seen.things if one.instance in seen.names
+        ],
+        height_m=seen.height_m,
+    )
+
+
+def _forest_section(seen: Survey) -> Section:
+    """Lay a section along the way, as deep as it needs to be to hold some trees."""
+    foot_m = np.column_stack([seen.trees["x_m"], seen.trees["y_m"]])
+    for depth_m in _DEPTHS_M:
+        section = strip_along(seen.way_m, _SECTION_M, depth_m)
+        holds = section.holds(foot_m, _LEAD_M)
+        if holds.sum() >= _ENOUGH_TREES:
+            break
+    ends_m = np.linspace(0.0, section.length_m, 61)[:, None] * section.along + section.start_xy_m
+    strip_m = np.concatenate([ends_m + side * section.depth_m / 2 * section.towards for side in (-1, 0, 1)])
+    ground_m = seen.height_m(strip_m[:, 0], strip_m[:, 1])
+    tops_m = (seen.trees["z_m"] + seen.trees["height_m"])[holds]
+    high_m = max([*tops_m.tolist(), float(ground_m.max()) + _LEAST_HEIGHT_M]) + _ABOVE_M
+    return replace(section, low_m=float(ground_m.min()) - _BELOW_M, high_m=high_m)
+
+
+def _hall_section(hall: Hall) -> Section:
+    """Look at a whole hall from its southern wall."""
+    length_m, width_m, height_m = hall.size_m
+    return Section(
+        start_xy_m=np.array([-length_m / 2, 0.0]),
+        along=np.array([1.0, 0.0]),
+        length_m=length_m,
+        depth_m=width_m - 2 * _INSIDE_M,
+        low_m=-_BELOW_M,
+        high_m=height_m,
+    )
+
+
+def _drawn(seen: Survey, section: Section) -> NDArray[np.uint8]:
+    """Cast light at what stands in a section."""
+    window, shape, overhang_m = seen.window, seen.grow, 0.0
+    if seen.hall is None:
+        trees, overhang_m = seen.trees, _OVERHANG_M
+        places_m = [
+            np.column_stack([trees["x_m"], trees["y_m"]]),
+            *(one.place_m[None, :2] for one in seen.things),
+        ]
+        ids = np.array([*trees["id"].tolist(), *(one.instance for one in seen.things)], np.uint32)
+        wanted = ids[section.holds(np.concatenate(places_m), _LEAD_M)]
+        window, shape = cut_out(
+            window, shape, instances=wanted, inside=lambda xy_m: section.holds(xy_m, _LEAD_M)
+        )
+    with ThreadPoolExecutor() as workers:
+        scene = caster(shape, workers).open(window)
+    return draw_section(
+        scene,
+        section,
+        overhang_m,
+        colours=surface_colours(seen.window.surfaces, seen.species),
+        height_m=seen.height_m,
+        pixels_per_m=section_pixels_per_m(section),
+    )

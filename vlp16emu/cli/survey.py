@@ -1,0 +1,124 @@
+"""What `vlp16emu forest` looks at: all that stands near the way of a sensor, gathered once."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.assembly import assemble
+from vlp16emu.errors import InputError
+from vlp16emu.motion import Motion
+from vlp16emu.scenario import Scenario
+from vlp16emu.types import HeightField, Mesh, ShapeKey, Window
+from vlp16emu.units import seconds_to_ns
+from vlp16emu.world import Forest, Hall, Polyline
+from vlp16emu.world.crown import CrownKey
+from vlp16emu.world.furnished import Furnished
+from vlp16emu.world.inventory import inventory
+from vlp16emu.world.nearby import Thing, things_near
+from vlp16emu.world.species import shrub_table, species_table
+from vlp16emu.world.stand import REGENERATION, TREE
+
+__all__ = ["Survey", "survey"]
+
+Array = NDArray[np.float64]
+
+_STEPS_PER_S = 10
+"""Points of the way: a hand's breadth apart at a walker's speed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What stands near the way."""
+
+    grow: Callable[[ShapeKey], tuple[Mesh, ...]]
+    """Meshes of a shape of the world."""
+    hall: Hall | None
+    """The hall, where the world is one."""
+    height_m: HeightField
+    way_m: Array
+    """(n, 3) sensor positions; one where it stands."""
+    radius_m: float
+    """Of the surroundings that are looked at."""
+    window: Window
+    """All in the sensor's reach."""
+    trees: NDArray[np.void]
+    """(n,) `TREE` in the sensor's reach, without saplings."""
+    near: NDArray[np.void]
+    """(m,) those of them that stand in the surroundings."""
+    things: list[Thing]
+    """Everything else in the surroundings."""
+    species: Mapping[int, str]
+    """Names of trees and shrubs by number."""
+    names: Mapping[int, str]
+    """Of things that have one, by instance."""
+    seed: int
+
+    def inventory(self, trees: NDArray[np.void]) -> NDArray[np.void]:
+        """Take the inventory of some of the trees (k,)."""
+        window = self.window
+        instance = window.surfaces["instance"][window.first_surface].tolist()
+        shapes = (window.shapes[i] for i in window.shape)
+        crowns = {i: key for i, key in zip(instance, shapes, strict=True) if isinstance(key, CrownKey)}
+        return inventory(trees, [crowns[i] for i in trees["id"].tolist()], seed=self.seed)
+
+    def inside(self, xy_m: Array) -> NDArray[np.bool_]:
+        """Which points (k, 2) lie in the surroundings."""
+        within: NDArray[np.bool_] = Polyline(self.way_m[:, :2]).distance_m(xy_m) <= self.radius_m
+        return within
+
+
+def survey(scenario: Scenario, radius_m: float) -> Survey:
+    """Look around the way of a scenario's sensor.
+
+    Raises
+    ------
+    InputError
+        where a part of the scenario cannot be made, or the sensor does not see as far as the radius
+    """
+    reach_m = scenario.sensor.max_range_m
+    if radius_m > reach_m:
+        raise InputError(
+            "--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach"
+        )
+    parts = assemble(scenario)
+    way_m = _way_m(scenario, parts.motion)
+    way, world = Polyline(way_m[:, :2]), parts.world
+    bare = world.bare if isinstance(world, Furnished) else world
+    assert isinstance(bare, Forest | Hall)
+    window = world.window(way_m)
+    trees = bare.trees(way_m) if isinstance(bare, Forest) else np.zeros(0, TREE)
+    trees = trees[trees["storey"] != REGENERATION]
+    gap_m = way.distance_m(np.column_stack([trees["x_m"], trees["y_m"]]))
+    far_m = np.inf if isinstance(bare, Hall) else radius_m
+    names = (one.names for one in (world, bare) if isinstance(one, Hall | Furnished))
+    return Survey(
+        grow=world.shape,
+        hall=bare if isinstance(bare, Hall) else None,
+        height_m=bare.height_m,
+        way_m=way_m,
+        radius_m=radius_m,
+        window=window,
+        trees=trees[gap_m <= reach_m],
+        near=trees[gap_m <= radius_m],
+        things=things_near(window, world.shape, trees=trees["id"], way=way, radius_m=far_m),
+        species=_plant_names(),
+        names={instance: name for known in names for instance, name in known.items()},
+        seed=scenario.seed,
+    )
+
+
+def _plant_names() -> dict[int, str]:
+    """Names of trees and shrubs by number."""
+    trees = {tree.number: name for name, tree in species_table().items()}
+    return trees | {shrub.number: name for name, shrub in shrub_table().items()}
+
+
+def _way_m(scenario: Scenario, motion: Motion) -> Array:
+    """Positions (n, 3) of the sensor over the scene's duration."""
+    if not motion.moves:
+        return motion.poses_at(np.array([scenario.start_ns])).world_p_body_m
+    time_s = min(scenario.duration_s, motion.run_time_s)
+    steps = np.linspace(0, seconds_to_ns(time_s), 2 + int(time_s * _STEPS_PER_S)).astype(np.int64)
+    return motion.poses_at(scenario.start_ns + steps).world_p_body_m

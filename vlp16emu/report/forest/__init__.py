@@ -1,0 +1,35 @@
+"""What stands in a world: in figures, on a plan, and in a section from the side."""
+
+from vlp16emu.report.forest.figures import (
+    CELL_M,
+    Relief,
+    StandRow,
+    cells_near,
+    clark_evans,
+    relief,
+    stand_rows,
+)
+from vlp16emu.report.forest.palette import colour_of_kind, colour_of_species, surface_colours
+from vlp16emu.report.forest.plan import Plan
+from vlp16emu.report.forest.section import Section, draw_section, strip_along
+from vlp16emu.report.forest.sheet import check_matplotlib, draw_sheet, section_pixels_per_m
+
+__all__ = [
+    "CELL_M",
+    "Plan",
+    "Relief",
+    "Section",
+    "StandRow",
+    "cells_near",
+    "check_matplotlib",
+    "clark_evans",
+    "colour_of_kind",
+    "colour_of_species",
+    "draw_section",
+    "draw_sheet",
+    "relief",
+    "section_pixels_per_m",
+    "stand_rows",
+    "strip_along",
+    "surface_colours",
+]

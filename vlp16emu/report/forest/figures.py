@@ -1,0 +1,129 @@
+"""What stands in a forest, in the figures that foresters use."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from vlp16emu.types import HeightField
+
+__all__ = ["CELL_M", "Relief", "StandRow", "cells_near", "clark_evans", "relief", "stand_rows"]
+
+Array = NDArray[np.float64]
+
+CELL_M = 0.5
+"""Edge of the cells in which areas and slopes are reckoned: about as long as a foot that feels the slope."""
+
+
+@dataclass(frozen=True, slots=True)
+class StandRow:
+    """One species of a stand, or all together."""
+
+    species: str
+    stems: int
+    stems_per_ha: float
+    dbh_mean_cm: float
+    """Quadratic mean."""
+    dbh_min_cm: float
+    dbh_max_cm: float
+    height_mean_m: float
+    height_max_m: float
+    basal_area_m2_per_ha: float
+    stem_m3_per_ha: float
+    """Volume of stems over bark."""
+    leaf_area_index: float
+    """Leaf area of these trees over the area considered."""
+
+
+@dataclass(frozen=True, slots=True)
+class Relief:
+    """Ground in the area considered."""
+
+    low_m: float
+    high_m: float
+    slope_mean_deg: float
+    slope_max_deg: float
+
+
+def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float) -> list[StandRow]:
+    """Rows of all species, the most frequent first, and at the end one of all trees where species are several.
+
+    Parameters
+    ----------
+    inventory : (n,) of the trees on `ground_m2`, as `world.inventory` gives it
+    species : names by number
+    """
+    numbers, stems = np.unique(inventory["species"], return_counts=True)
+    rows = [
+        _row(species[int(number)], inventory[inventory["species"] == number], ground_m2)
+        for number in numbers[np.argsort(-stems, kind="stable")]
+    ]
+    return rows if len(rows) < 2 else [*rows, _row("all", inventory, ground_m2)]
+
+
+def _row(name: str, trees: NDArray[np.void], ground_m2: float) -> StandRow:
+    """Sum up trees (n,), n >= 1."""
+    ground_ha = ground_m2 / 10_000
+    dbh_m = trees["dbh_m"]
+    return StandRow(
+        species=name,
+        stems=len(trees),
+        stems_per_ha=len(trees) / ground_ha,
+        dbh_mean_cm=100 * float(np.sqrt(np.mean(dbh_m**2))),
+        dbh_min_cm=100 * float(dbh_m.min()),
+        dbh_max_cm=100 * float(dbh_m.max()),
+        height_mean_m=float(trees["height_m"].mean()),
+        height_max_m=float(trees["height_m"].max()),
+        basal_area_m2_per_ha=float(np.sum(np.pi / 4 * dbh_m**2)) / ground_ha,
+        stem_m3_per_ha=float(trees["stem_m3"].sum()) / ground_ha,
+        leaf_area_index=float(trees["leaf_m2"].sum()) / ground_m2,
+    )
+
+
+def clark_evans(xy_m: Array, all_xy_m: Array, ground_m2: float) -> float:
+    """Index of Clark and Evans (1954): mean distance to the nearest neighbour over that of a random pattern.
+
+    Parameters
+    ----------
+    xy_m : (n, 2) points in the area, n >= 2
+    all_xy_m : (m, 2) these and those around: neighbours count wherever they stand, so the border needs no
+        correction
+    ground_m2 : the area
+
+    Returns
+    -------
+    1 at random, less in clumps, up to 2.149 where regular
+    """
+    nearest_m = np.asarray(KDTree(all_xy_m).query(xy_m, k=[2])[0])
+    return float(nearest_m.mean() * 2 * np.sqrt(len(xy_m) / ground_m2))
+
+
+def cells_near(way_xy_m: Array, radius_m: float) -> Array:
+    """Middles (n, 2) of the cells of `CELL_M` whose distance from a dense line of points (m, 2) is a radius at most.
+
+    Their number times `CELL_M` squared is the area around the way.
+    """
+    low = np.floor((way_xy_m.min(axis=0) - radius_m) / CELL_M)
+    high = np.ceil((way_xy_m.max(axis=0) + radius_m) / CELL_M)
+    x_m, y_m = (CELL_M * (np.arange(a, b) + 0.5) for a, b in zip(low, high, strict=True))
+    cells = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
+    near: Array = cells[KDTree(way_xy_m).query(cells, distance_upper_bound=radius_m)[0] <= radius_m]
+    return near
+
+
+def relief(cells_xy_m: Array, height_m: HeightField) -> Relief:
+    """Heights and slopes of the ground at points (n, 2), n >= 1; slopes over `CELL_M` in x and in y."""
+    x_m, y_m = cells_xy_m.T
+    half = CELL_M / 2
+    rise_x = (height_m(x_m + half, y_m) - height_m(x_m - half, y_m)) / CELL_M
+    rise_y = (height_m(x_m, y_m + half) - height_m(x_m, y_m - half)) / CELL_M
+    slope_deg = np.degrees(np.arctan(np.hypot(rise_x, rise_y)))
+    ground_m = height_m(x_m, y_m)
+    return Relief(
+        low_m=float(ground_m.min()),
+        high_m=float(ground_m.max()),
+        slope_mean_deg=float(slope_deg.mean()),
+        slope_max_deg=float(slope_deg.max()),
+    )

@@ -1,0 +1,156 @@
+"""A vertical section through a world, as light would draw it: parallel level rays, one per dot."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.types import NO_SURFACE, Firings, HeightField, Hits
+
+__all__ = ["Scene", "Section", "draw_section", "strip_along"]
+
+Array = NDArray[np.float64]
+
+_PAPER = np.array([252.0, 251.0, 248.0])
+_SOIL = np.array([196.0, 178.0, 150.0])
+
+_DOTS = 3
+"""Rays per pixel along either axis; their mean is the pixel."""
+
+_HAZE = 0.55
+"""How far the colour of the farthest things has faded into the paper."""
+
+_DARKEST = 0.6
+"""Brightness of a surface seen edge on."""
+
+_LEAD = 0.06
+"""Share of a strip's length that lies before the way begins, and after it leaves."""
+
+_ROWS = 8
+"""Casters want sequences by the eight."""
+
+
+class Scene(Protocol):
+    """What can be cast against, as `raycast.Scene`."""
+
+    def cast(self, firings: Firings, near_m: Array, far_m: float) -> Hits:
+        """Cast one ray per pulse of k sequences, k a multiple of 8."""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A strip of the world, seen level and from the side."""
+
+    start_xy_m: Array
+    """(2,) left end of the strip's middle line."""
+    along: Array
+    """(2,) unit vector to the right; one looks to the left of it, into the picture."""
+    length_m: float
+    depth_m: float
+    """Of the strip, half of it on either side of its middle line."""
+    low_m: float
+    high_m: float
+    """Heights in the world between which it is drawn."""
+
+    @property
+    def towards(self) -> Array:
+        """(2,) unit vector into the picture."""
+        return np.array([-self.along[1], self.along[0]])
+
+    def holds(self, xy_m: Array, lead_m: float) -> NDArray[np.bool_]:
+        """Which points (n, 2) lie in the strip, or beyond its ends by less than `lead_m`."""
+        along_m, into_m = self.coordinates(xy_m)
+        lengthwise = (along_m >= -lead_m) & (along_m <= self.length_m + lead_m)
+        inside: NDArray[np.bool_] = lengthwise & (np.abs(into_m) <= self.depth_m / 2)
+        return inside
+
+    def coordinates(self, xy_m: Array) -> tuple[Array, Array]:
+        """Distances of points (n, 2) along the strip and into it, 0 at its middle line."""
+        offset = xy_m - self.start_xy_m
+        return offset @ self.along, offset @ self.towards
+
+
+def strip_along(way_m: Array, length_m: float, depth_m: float) -> Section:
+    """Lay a strip along the beginning of a way (n, 3); where it stands still, from west to east through it.
+
+    The middle of a way that is shorter is the strip's middle. Its heights are still those of the way.
+    """
+    xy_m = way_m[:, :2]
+    gone_m = np.hypot(*(xy_m - xy_m[0]).T)
+    beyond = np.flatnonzero(gone_m > length_m * (1 - 2 * _LEAD))
+    end = int(beyond[0]) if len(beyond) else int(gone_m.argmax())
+    along = (xy_m[end] - xy_m[0]) / gone_m[end] if gone_m[end] > 0 else np.array([1.0, 0.0])
+    start_xy_m = (xy_m[0] + xy_m[end]) / 2 - length_m / 2 * along
+    low_m, high_m = float(way_m[:, 2].min()), float(way_m[:, 2].max())
+    return Section(start_xy_m, along, length_m, depth_m, low_m, high_m)
+
+
+def draw_section(
+    scene: Scene,
+    section: Section,
+    overhang_m: float,
+    *,
+    colours: NDArray[np.uint8],
+    height_m: HeightField,
+    pixels_per_m: float,
+) -> NDArray[np.uint8]:
+    """Draw what stands in the strip, whole, and the ground of the strip, cut open at its near side.
+
+    Parameters
+    ----------
+    scene : ready to be cast against, with nothing in it that stands before or behind the strip
+    overhang_m : how far crowns may reach out of the strip in which their trees stand
+    colours : (m, 3) of its surfaces
+    height_m : ground; below it the cut shows soil
+
+    Returns
+    -------
+    (rows, columns, 3) picture, the highest row first
+    """
+    columns = round(section.length_m * pixels_per_m)
+    rows = round((section.high_m - section.low_m) * pixels_per_m)
+    picture = np.empty((rows, columns, 3), np.uint8)
+    s_m = (np.arange(columns * _DOTS) + 0.5) / _DOTS / pixels_per_m
+    edge_xy_m = section.start_xy_m + s_m[:, None] * section.along - section.depth_m / 2 * section.towards
+    ground_m = height_m(edge_xy_m[:, 0], edge_xy_m[:, 1])
+    near_xy_m = edge_xy_m - overhang_m * section.towards
+    for row in range(0, rows, _ROWS):
+        dots = np.arange(row * _DOTS, (row + _ROWS) * _DOTS)
+        z_m = section.high_m - (dots + 0.5) / _DOTS / pixels_per_m
+        hits = _look(scene, section, near_xy_m, z_m, section.depth_m + 2 * overhang_m)
+        rgb = _shaded(hits, colours, overhang_m, section.depth_m)
+        rgb[z_m[:, None] < ground_m] = _SOIL
+        band = rgb.reshape(_ROWS, _DOTS, columns, _DOTS, 3).mean(axis=(1, 3))
+        picture[row : row + _ROWS] = np.round(band[: rows - row])
+    return picture
+
+
+def _look(scene: Scene, section: Section, near_xy_m: Array, z_m: Array, far_m: float) -> Hits:
+    """Cast a row of rays at each of k heights."""
+    k, lasers = len(z_m), len(near_xy_m)
+    origin_m, direction = np.empty((k, lasers, 3)), np.zeros((k, lasers, 3))
+    origin_m[..., :2], origin_m[..., 2] = near_xy_m, z_m[:, None]
+    direction[..., :2] = section.towards
+    firings = Firings(
+        index=0,
+        t_ns=np.zeros((k, lasers), np.int64),
+        clock_ns=np.zeros(k, np.int64),
+        azimuth_deg=np.zeros((k, lasers)),
+        reading_deg=np.zeros(k),
+        origin_m=origin_m,
+        direction=direction,
+    )
+    return scene.cast(firings, np.zeros(lasers), far_m)
+
+
+def _shaded(hits: Hits, colours: NDArray[np.uint8], overhang_m: float, depth_m: float) -> Array:
+    """Colours (k, lasers, 3): darker where the light grazes, paler with distance."""
+    missed = hits.surface[..., 0] == NO_SURFACE
+    surface = np.where(missed, 0, hits.surface[..., 0])
+    light = _DARKEST + (1 - _DARKEST) * hits.cos_incidence.astype(np.float64)
+    into = np.where(missed, 0.0, hits.range_m[..., 0] - overhang_m) / depth_m
+    haze = _HAZE * np.clip(into, 0.0, 1.0)[..., None]
+    rgb: Array = (1 - haze) * colours[surface] * light + haze * _PAPER
+    rgb[missed] = _PAPER
+    return rgb

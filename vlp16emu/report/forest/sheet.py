@@ -1,0 +1,159 @@
+"""Plan and section together on one sheet, as PNG."""
+
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import MissingExtraError
+from vlp16emu.report.forest.plan import INK, SOFT, WALK, Plan, draw_plan, legend_entries
+from vlp16emu.report.forest.section import Section
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["check_matplotlib", "draw_sheet", "section_pixels_per_m"]
+
+Array = NDArray[np.float64]
+
+_PAPER = "#fcfbf8"
+_DPI = 84
+_WIDTH_IN, _LEGEND_IN, _EDGE_IN = 12.0, 1.9, 0.35
+_HEAD_IN, _GAP_IN, _FOOT_IN = 0.85, 0.45, 0.45
+_TALLEST_PLAN_IN = 7.0
+
+_COLOURS = 88
+"""Of the file's palette: leaves fill pictures with noise, which is costly in more."""
+
+_FIELD_OF_VIEW_DEG = 15.0
+"""Above and below the sensor's horizon (63-9243 Rev D, section 9.1)."""
+
+_TICK_M = 5.0
+
+_BEAM_M = 12.0
+"""How far the lines of the field of view are drawn."""
+
+
+def check_matplotlib() -> None:
+    """See that sheets can be drawn.
+
+    Raises
+    ------
+    MissingExtraError
+        where matplotlib is not installed
+    """
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        raise MissingExtraError("matplotlib", "picture", "a picture") from None
+    del mpl
+
+
+def section_pixels_per_m(section: Section) -> float:
+    """Scale at which a section fills the sheet's width."""
+    return (_WIDTH_IN - 2 * _EDGE_IN) * _DPI / section.length_m
+
+
+def draw_sheet(
+    file: BinaryIO, plan: Plan, section: Section, drawn: NDArray[np.uint8], *, title: str, subtitle: str
+) -> None:
+    """Draw plan and section as PNG.
+
+    Parameters
+    ----------
+    file : open for writing
+    drawn : (rows, columns, 3), the section by `draw_section`
+    title, subtitle : one line each
+    """
+    from matplotlib.figure import Figure
+
+    across_m, tall_m = plan.high_m - plan.low_m
+    plan_width_in = _WIDTH_IN - _LEGEND_IN - 2 * _EDGE_IN
+    plan_in = min(plan_width_in * float(tall_m / across_m), _TALLEST_PLAN_IN)
+    side_width_in = _WIDTH_IN - 2 * _EDGE_IN
+    side_in = side_width_in * drawn.shape[0] / drawn.shape[1]
+    height_in = _HEAD_IN + plan_in + _GAP_IN + side_in + _FOOT_IN
+    figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor=_PAPER)
+
+    def place(bottom_in: float, width_in: float, tall_in: float) -> "Axes":
+        left, bottom = _EDGE_IN / _WIDTH_IN, bottom_in / height_in
+        return figure.add_axes((left, bottom, width_in / _WIDTH_IN, tall_in / height_in), facecolor=_PAPER)
+
+    above = place(_FOOT_IN + side_in + _GAP_IN, plan_width_in, plan_in)
+    draw_plan(above, plan, section)
+    figure.legend(
+        handles=legend_entries(plan),
+        loc="upper left",
+        bbox_to_anchor=(1 - (_LEGEND_IN + 0.2) / _WIDTH_IN, 1 - _HEAD_IN / height_in),
+        frameon=False,
+        fontsize=9,
+        labelcolor=INK,
+        labelspacing=0.7,
+    )
+    _draw_side(place(_FOOT_IN, side_width_in, side_in), plan, section, drawn)
+    figure.text(_EDGE_IN / _WIDTH_IN, 1 - 0.38 / height_in, title, size=15, color=INK, weight="bold")
+    figure.text(_EDGE_IN / _WIDTH_IN, 1 - 0.66 / height_in, subtitle, size=9.5, color=SOFT)
+    _save(figure, file)
+
+
+def _draw_side(axes: "Axes", plan: Plan, section: Section, drawn: NDArray[np.uint8]) -> None:
+    """Draw the section with heights, lengths, the sensor's way and the sensor."""
+    axes.imshow(drawn, extent=(0.0, section.length_m, section.low_m, section.high_m), interpolation="none")
+    axes.set(xlim=(0, section.length_m), ylim=(section.low_m, section.high_m))
+    axes.tick_params(labelsize=8, colors=SOFT, length=3)
+    for name, spine in axes.spines.items():
+        spine.set_visible(name in ("left", "bottom"))
+        spine.set_color(SOFT)
+    axes.set_xticks(np.arange(0, section.length_m + 0.1, _TICK_M))
+    axes.set_yticks(np.arange(np.ceil(section.low_m / _TICK_M) * _TICK_M, section.high_m, _TICK_M))
+    along_m, _ = section.coordinates(plan.way_m[:, :2])
+    inside = section.holds(plan.way_m[:, :2], 0.0)
+    axes.plot(along_m, np.where(inside, plan.way_m[:, 2], np.nan), color=WALK, lw=0.9, ls=(0, (4, 2)))
+    if inside.any():
+        middle = np.flatnonzero(inside)[inside.sum() // 2]
+        ground_m = plan.height_m(plan.way_m[middle : middle + 1, 0], plan.way_m[middle : middle + 1, 1])[0]
+        _draw_carrier(
+            axes, float(along_m[middle]), float(ground_m), float(plan.way_m[middle, 2]), len(plan.way_m) > 1
+        )
+    bearing = np.degrees(np.arctan2(*section.towards)) % 360
+    points = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+    note = f"A - B: what stands in a strip {section.depth_m:.0f} m deep, seen towards {points[round(bearing / 45) % 8]}; metres"
+    axes.text(0.005, 0.985, note, size=9, color=INK, va="top", transform=axes.transAxes)
+
+
+def _draw_carrier(axes: "Axes", x_m: float, ground_m: float, sensor_m: float, walks: bool) -> None:
+    """Who or what carries the sensor, the sensor, and the upper and lower end of its field of view."""
+    from matplotlib.patches import Circle, Rectangle
+
+    ink: dict[str, Any] = {"color": WALK, "solid_capstyle": "round", "zorder": 5}
+    if walks:
+        hip_m, neck_m = ground_m + 0.9, ground_m + 1.45
+        axes.plot([x_m - 0.25, x_m, x_m + 0.25], [ground_m, hip_m, ground_m], lw=2.2, **ink)
+        axes.plot([x_m, x_m + 0.06], [hip_m, neck_m], lw=4.5, **ink)
+        axes.plot([x_m - 0.2, x_m - 0.2], [hip_m + 0.05, sensor_m], lw=2.0, **ink)
+        axes.add_patch(Circle((x_m + 0.08, neck_m + 0.2), 0.13, color=WALK, zorder=5))
+        x_m -= 0.2
+    else:
+        for foot_m in (-0.35, 0.0, 0.35):
+            axes.plot([x_m + foot_m, x_m], [ground_m, sensor_m - 0.05], lw=1.4, **ink)
+    axes.add_patch(Rectangle((x_m - 0.08, sensor_m - 0.06), 0.16, 0.12, fc=INK, ec="none", zorder=6))
+    rise_m = _BEAM_M * np.tan(np.radians(_FIELD_OF_VIEW_DEG))
+    for side in (-1, 1):
+        for up in (-1, 1):
+            axes.plot(
+                [x_m, x_m + side * _BEAM_M], [sensor_m, sensor_m + up * rise_m], color=WALK, lw=0.5, alpha=0.6
+            )
+
+
+def _save(figure: "Figure", file: BinaryIO) -> None:
+    """Write the figure with a palette of its own."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    canvas: Any = FigureCanvasAgg(figure)  # its methods are untyped
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    # The way is thin and red, and a palette by frequency alone would lose it.
+    few = picture.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
+    few.save(file, format="PNG", optimize=True)
