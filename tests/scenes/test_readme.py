@@ -12,7 +12,7 @@ from vlp16emu.scenario import load
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 COMMANDS = sorted(
-    set(re.findall(r"`?(vlp16emu (?:record|stream|decode|verify|scenes|schema)\b[^`\n]*)", README))
+    set(re.findall(r"`?(vlp16emu (?:record|stream|decode|verify|forest|scenes|schema)\b[^`\n]*)", README))
 )
 
 
