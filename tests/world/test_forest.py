@@ -5,8 +5,12 @@ import pytest
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.crown import CrownKey
+from vlp16emu.world.crown import CROWN_PARTS, CrownKey
+from vlp16emu.world.polyline import distance_m
+from vlp16emu.world.stand import REGENERATION
 from vlp16emu.world.tiles import TileKey
+
+PATH_XY_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0]])
 
 
 def mesh_bytes(meshes):
@@ -24,7 +28,7 @@ def placed(window):
 
 
 def test_surfaces_belong_to_the_meshes_they_show(forest, track_m):
-    """Each tile's rows are its ground and the stems of its trees in order; each crown's are branches and leaves of one tree."""
+    """Each tile's rows are its ground and the stems of its trees in order; each crown's are the parts of one tree."""
     window, trees = forest.window(track_m), forest.trees(track_m)
     used = np.zeros(len(window.surfaces), int)
     meshes = {key: len(forest.shape(key)) for key in window.shapes}
@@ -35,20 +39,19 @@ def test_surfaces_belong_to_the_meshes_they_show(forest, track_m):
         used[first : first + len(rows)] += 1
         if isinstance(key, TileKey):
             assert rows["semantic"].tolist() == [Semantic.GROUND] + [Semantic.TREE] * (len(rows) - 1)
-            assert rows["part"][1:].tolist() == [PlantPart.STEM] * (len(rows) - 1)
-            stems += rows["instance"][1:].tolist()
+            assert set(rows["part"][1:].tolist()) <= {PlantPart.STEM, PlantPart.ROOT_FLARE}
+            stems += rows["instance"][1:][rows["part"][1:] == PlantPart.STEM].tolist()
         else:
-            assert rows["part"].tolist() == [
-                PlantPart.BRANCH_FIRST_ORDER,
-                PlantPart.BRANCH_HIGHER_ORDER,
-                PlantPart.LEAF,
-            ]
+            assert rows["part"].tolist() == list(CROWN_PARTS)
             tree = trees[trees["id"] == rows["instance"][0]][0]
             assert (rows["instance"] == tree["id"]).all()
             assert (rows["species"] == tree["species"]).all()
-            assert rows["reflectance"].tolist() == [tree["bark_reflectance"]] * 2 + [tree["leaf_reflectance"]]
+            leaf = rows["part"] == PlantPart.LEAF
+            assert (
+                rows["reflectance"] == np.where(leaf, tree["leaf_reflectance"], tree["bark_reflectance"])
+            ).all()
             names = [forest.materials[m] for m in rows["material"]]
-            assert names == [f"{key.species} bark"] * 2 + [f"{key.species} leaf"]
+            assert names == [f"{key.species} {'leaf' if is_leaf else 'bark'}" for is_leaf in leaf]
     assert (used == 1).all()
     assert stems == trees["id"].tolist()
 
@@ -131,6 +134,79 @@ def test_geometry_is_near_the_windows_origin(make_forest, terrain, track_m):
     assert np.abs(window.world_T_shape[:, 2, 3] - window.origin_m[2]).max() < 50
 
 
+def instances(window):
+    """What stands and lies in a window, tiles apart: instance -> its surface rows."""
+    names = np.array([isinstance(key, TileKey) for key in window.shapes])
+    rows = {}
+    for shape, first in zip(window.shape, window.first_surface, strict=True):
+        if not names[shape]:
+            row = window.surfaces[first]
+            rows[int(row["instance"])] = row
+    return rows
+
+
+def test_everything_has_one_number_and_its_own_class(full_forest, track_m):
+    """Trees, saplings, shrubs, stones, logs, stumps and tufts have numbers of their own, each with its semantic class."""
+    window, trees = full_forest.window(track_m), full_forest.trees(track_m)
+    rows = instances(window)
+    placements = sum(not isinstance(window.shapes[i], TileKey) for i in window.shape)
+    assert len(rows) == placements
+    assert min(rows) > 0
+    kinds = np.array([row["semantic"] for row in rows.values()])
+    counts = {kind: int((kinds == kind).sum()) for kind in Semantic}
+    assert counts[Semantic.TREE] == len(trees)
+    assert min(counts[k] for k in (Semantic.SHRUB, Semantic.STONE, Semantic.DEADWOOD, Semantic.GRASS)) > 20
+    for row in rows.values():
+        assert forest_material_fits(full_forest.materials[row["material"]], row)
+
+
+def forest_material_fits(name, row):
+    """Say whether a material's name goes with the semantic class of a row."""
+    fixed = {Semantic.STONE: "stone", Semantic.DEADWOOD: "dead wood", Semantic.GRASS: "grass"}
+    return name == fixed.get(Semantic(int(row["semantic"])), name) and (
+        " bark" in name or name in fixed.values()
+    )
+
+
+def test_saplings_are_trees_with_a_flag(full_forest, forest, track_m):
+    """Records hold the canopy, unchanged by what grows under it, and saplings marked as such with a true diameter."""
+    trees = full_forest.trees(track_m)
+    young = trees[trees["storey"] == REGENERATION]
+    old = trees[trees["storey"] != REGENERATION]
+    assert len(young) > 100
+    assert np.array_equal(old[["x_m", "y_m", "dbh_m"]], forest.trees(track_m)[["x_m", "y_m", "dbh_m"]])
+    assert (young["dbh_m"] < 0.05).all()
+    assert ((young["dbh_m"] > 0) == (young["height_m"] > 1.3)).all()
+
+
+def test_everything_is_the_same_from_either_end_and_in_any_order(make_forest):
+    """Walked there and back, tiles last to first, each thing has the same key, place and bytes."""
+    path = np.array([[0.0, 0.0], [30.0, 4.0], [61.0, -3.0]])
+    tracks = [np.column_stack([x + np.linspace(0, 10, 5), np.zeros(5), np.full(5, 2.0)]) for x in (0, 50)]
+    there = make_forest(path_xy_m=path, with_layers=True)
+    back = make_forest(path_xy_m=path[::-1], with_layers=True)
+    first = [there.window(track) for track in tracks]
+    second = [back.window(track[::-1]) for track in tracks[::-1]][::-1]
+    assert [placed(a) == placed(b) for a, b in zip(first, second, strict=True)] == [True, True]
+    shapes = sorted(set(first[0].shapes) | set(first[1].shapes), key=str)[::5]
+    assert [mesh_bytes(there.shape(k)) for k in shapes] == [mesh_bytes(back.shape(k)) for k in shapes[::-1]][
+        ::-1
+    ]
+
+
+def test_crowns_are_coarser_the_farther_they_are(forest, track_m):
+    """Crowns whose lowest branch is within 12 m of a head on the path are drawn leaf by leaf, beyond 40 m in clusters."""
+    window = forest.window(track_m)
+    trees = {int(tree["id"]): tree for tree in forest.trees(track_m)}
+    for shape, first in zip(window.shape, window.first_surface, strict=True):
+        key = window.shapes[shape]
+        if isinstance(key, CrownKey):
+            tree = trees[int(window.surfaces[first]["instance"])]
+            aside = distance_m(np.array([[tree["x_m"], tree["y_m"]]]), PATH_XY_M)[0]
+            near = np.hypot(aside, max(tree["crown_base_m"] - 2.0, 0.0))
+            assert key.level == int(near > 12) + int(near > 40)
+
+
 def test_bare_ground(make_forest, track_m):
     """A forest of no stems is ground and nothing else."""
     window = make_forest(stems_per_ha=0.0).window(track_m)
@@ -157,7 +233,7 @@ def test_tiles_out_of_reach_are_forgotten(make_forest):
             r"path_xy_m\[1\]: found \[nan, 1.0\]; expected finite",
         ),
         ({"path_xy_m": np.array([[0.0, 0.0], [9e4, 9e4]])}, "path_xy_m: spans 90 km x 90 km"),
-        ({"stems_per_ha": 1e5}, "stems_per_ha: found 100000; expected at most 12000"),
+        ({"stems_per_ha": 2e5}, "found 200000 trees and things per hectare; expected at most 125000"),
     ],
 )
 def test_a_forest_that_cannot_be_is_refused(make_forest, changes, message):

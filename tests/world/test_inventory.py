@@ -29,6 +29,7 @@ def trees():
     trees["crown_base_m"] = [7.0, 13.0, 15.0, 9.0, 4.0]
     trees["crown_width_m"] = [2.6, 4.8, 9.0, 6.2, 1.6]
     trees["lean_deg"], trees["lean_towards_deg"] = [0.0, 2.0, 4.0, 1.0, 3.0], 70.0
+    trees["level"] = [0, 1, 2, 0, 1]
     return trees
 
 

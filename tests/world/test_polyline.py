@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from vlp16emu.world.polyline import distance_m
+from vlp16emu.world.polyline import Polyline, distance_m
 
 RNG = np.random.default_rng(7)
 
@@ -31,3 +31,12 @@ def test_a_line_of_one_point_and_a_doubled_point():
     one = distance_m(points, np.array([[1.0, 2.0]]))
     assert one == pytest.approx(np.hypot(*(points - (1, 2)).T))
     assert np.array_equal(one, distance_m(points, np.array([[1.0, 2.0], [1.0, 2.0]])))
+
+
+def test_a_long_line_is_searched_in_pieces_without_loss():
+    """On a line of 1000 segments that winds back on itself the distance is that to the nearest of all segments."""
+    turn = np.linspace(0, 12 * np.pi, 1001)
+    line = np.column_stack([turn * np.cos(turn), turn * np.sin(turn)])
+    points = RNG.uniform(-45, 45, (300, 2))
+    twin = np.min([distance_m(points, piece) for piece in pairwise(line)], axis=0)
+    assert np.array_equal(Polyline(line).distance_m(points), twin)

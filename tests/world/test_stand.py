@@ -5,9 +5,11 @@ import pytest
 from scipy import stats
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.world.polyline import distance_m
+from vlp16emu.random import Purpose
+from vlp16emu.world.points import Clusters, HardCore, Scattered
+from vlp16emu.world.polyline import Polyline, distance_m
 from vlp16emu.world.species import species_table, taper_radius_m, tapers
-from vlp16emu.world.stand import SpeciesMix, Stand
+from vlp16emu.world.stand import SpeciesMix, Stand, Storey, density_per_ha, foot_discs
 from vlp16emu.world.stem import lean_rotation
 
 FAR_XY_M = np.array([[0.0, 1e5]])
@@ -15,16 +17,22 @@ BIRCH = SpeciesMix("silver_birch", 2.0, 18.0, 19.0)
 SPRUCE = SpeciesMix("norway_spruce", 6.0, 24.0, 21.0)
 
 
-def make_stand(**changes):
-    values = {
-        "seed": 14,
-        "height_m": lambda x, y: 0.01 * x + 0.02 * y,
-        "stems_per_ha": 800.0,
-        "species": (BIRCH, SPRUCE),
-        "path_xy_m": FAR_XY_M,
-        "path_clearance_m": 0.8,
-    }
-    return Stand(**(values | changes))
+def hard_core(per_ha):
+    return HardCore(seed=14, purpose=Purpose.STAND, per_ha=per_ha)
+
+
+def make_stand(
+    *, stems_per_ha=800.0, species=(BIRCH, SPRUCE), path_xy_m=FAR_XY_M, clearance_m=0.8, storeys=None
+):
+    return Stand(
+        seed=14,
+        height_m=lambda x, y: 0.01 * x + 0.02 * y,
+        storeys=storeys or [Storey(hard_core(stems_per_ha), species)],
+        path=Polyline(path_xy_m),
+        path_clearance_m=clearance_m,
+        season="leaf_on",
+        dead_branches=False,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -74,12 +82,12 @@ def test_reflectance_varies_between_trees_within_its_range(trees):
 
 
 def test_crown_prototypes_are_scaled_little(trees):
-    """No tree's crown is wider or narrower than its prototype by more than a sixth."""
+    """No tree's crown is wider or narrower than its prototype by more than a quarter."""
     stand = make_stand()
     prototype_m = [stand.crown(t["cohort"], t["crown_class"], 0, 0).crown_width_m for t in trees[:400]]
     ratio = trees["crown_width_m"][:400] / prototype_m
-    assert 5 / 6 < ratio.min() < 0.95
-    assert 1.05 < ratio.max() < 7 / 6
+    assert 3 / 4 < ratio.min() < 0.95
+    assert 1.05 < ratio.max() < 5 / 4
 
 
 def test_leaf_area_of_a_closed_stand_is_its_leaf_area_index(trees):
@@ -101,6 +109,55 @@ def test_a_sparse_stand_does_not_reach_that_index():
     assert crown.leaf_area_m2 == pytest.approx(6.0 * 1.5 * np.pi / 4 * crown.crown_width_m**2)
 
 
+def test_storeys_share_the_ground_and_have_their_own_density():
+    """Under the canopy a second storey stands in clumps with its own density, and both bear one leaf area index together."""
+    clumps = Clusters(seed=14, purpose=Purpose.SECOND_STOREY, per_ha=300.0, per_cluster=6.0, sigma_m=3.0)
+    young = SpeciesMix("silver_birch", 1.0, 8.0, 9.0)
+    stand = make_stand(storeys=[Storey(hard_core(700.0), (SPRUCE,)), Storey(clumps, (young,))])
+    trees = np.concatenate([stand.trees(ix, iy) for ix in range(12) for iy in range(12)])
+    ground_m2 = (12 * 20.0) ** 2
+    for storey, per_ha, wide in ((0, 700.0, 0.1), (1, 300.0, 0.2)):
+        assert (trees["storey"] == storey).sum() / ground_m2 * 1e4 == pytest.approx(per_ha, rel=wide)
+    area_m2 = 0.0
+    for tree in trees:
+        crown = stand.crown(tree["cohort"], tree["crown_class"], 0, 0)
+        area_m2 += crown.leaf_area_m2 * (tree["crown_width_m"] / crown.crown_width_m) ** 2
+    by_crown = [(trees["crown_width_m"][trees["storey"] == n] ** 2).sum() for n in (0, 1)]
+    assert area_m2 / ground_m2 == pytest.approx(np.average([6.0, 3.0], weights=by_crown), rel=0.05)
+
+
+def test_basal_area_is_as_asked_for():
+    """Stems whose density follows from 30 m2 of basal area have 30 m2 within 3 %, over 30 hectares."""
+    per_ha = density_per_ha(30.0, (BIRCH, SPRUCE))
+    stand = make_stand(stems_per_ha=per_ha)
+    trees = np.concatenate([stand.trees(ix, iy) for ix in range(28) for iy in range(28)])
+    basal_m2 = np.pi / 4 * (trees["dbh_m"] ** 2).sum() / ((28 * 20.0) ** 2 / 10_000)
+    assert basal_m2 == pytest.approx(30.0, rel=0.03)
+
+
+def test_no_stem_stands_in_another():
+    """Where stems are scattered, those whose feet would meet give way to the thicker, also across tiles; few do."""
+    anywhere = Scattered(seed=14, purpose=Purpose.STAND, per_ha=1500.0)
+    stand = make_stand(storeys=[Storey(anywhere, (SPRUCE,))])
+    tiles = [(ix, iy) for ix in range(-4, 4) for iy in range(8)]
+    discs = foot_discs(np.concatenate([stand.trees(*tile) for tile in tiles]))
+    away = np.hypot(*(discs[:, None, :2] - discs[:, :2]).transpose(2, 0, 1)) + 9 * np.eye(len(discs))
+    assert (away >= discs[:, None, 2] + discs[:, 2] + 0.05).all()
+    sown = sum(len(anywhere.points(*tile)) for tile in tiles)
+    assert 0.9 * sown < len(discs) < sown
+
+
+def test_trees_in_the_open_keep_their_lower_branches():
+    """Lowest branches of a lone tree are at 0.35 of their height in a closed stand, those of a half-closed one between."""
+    closed, open_, half = (make_stand(stems_per_ha=n, species=(SPRUCE,)) for n in (2000.0, 1e-6, 400.0))
+    base_m = [stand.crown(0, 0, 0, 0).crown_base_m for stand in (closed, half, open_)]
+    assert base_m[2] == pytest.approx(0.35 * base_m[0])
+    assert base_m[2] < base_m[1] < base_m[0]
+    trees = np.concatenate([half.trees(ix, 0) for ix in range(20)])
+    middle = np.abs(trees["dbh_m"] - 0.24) < 0.01
+    assert trees["crown_base_m"][middle].mean() == pytest.approx(base_m[1], rel=0.1)
+
+
 def test_two_storeys_of_one_species_keep_apart():
     """Old and young trees of one species in a mixture have the sizes and the crowns of their own line."""
     stand = make_stand(species=(BIRCH, SpeciesMix("silver_birch", 2.0, 8.0, 9.0)))
@@ -114,7 +171,7 @@ def test_two_storeys_of_one_species_keep_apart():
 def test_path_is_kept_clear_of_stems():
     """With clearance no stem surface is nearer than set, and all trees that are farther stay as they were."""
     path = np.array([[3.0, 3.0], [60.0, 20.0], [60.0, 80.0]])
-    free, kept = make_stand(path_xy_m=path, path_clearance_m=2.0), make_stand()
+    free, kept = make_stand(path_xy_m=path, clearance_m=2.0), make_stand()
     tiles = [(ix, iy) for ix in range(4) for iy in range(5)]
     all_trees = np.concatenate([kept.trees(*t) for t in tiles])
     trees = np.concatenate([free.trees(*t) for t in tiles])

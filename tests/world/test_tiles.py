@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from vlp16emu.world.polyline import distance_m
+from vlp16emu.world.polyline import Polyline, distance_m
 from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, level_of, tile_origin_m, tiles_within
 
 LINE = np.array([[3.0, 5.0], [90.0, 40.0]])
@@ -25,7 +25,9 @@ def test_near_the_path_everything_is_finest():
     """No point within 20 m of the path is on a coarse tile, none within 50 m on the coarsest."""
     points = np.random.default_rng(2).uniform(-80, 180, (3000, 2))
     gap = distance_m(points, LINE)
-    level = np.array([level_of(tuple(tile), LINE) for tile in np.floor(points / TILE_M).astype(int)])
+    level = np.array(
+        [level_of(tuple(tile), Polyline(LINE)) for tile in np.floor(points / TILE_M).astype(int)]
+    )
     assert (level[gap < 20] == 0).all()
     assert (level[gap < 50] <= 1).all()
     assert (level[gap > 80] == 2).all()

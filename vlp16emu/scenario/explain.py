@@ -64,7 +64,8 @@ def _walk(loc: tuple[int | str, ...]) -> tuple[list[int | str], Node, Node]:
 
 
 def _resolved(node: Node) -> Node:
-    """Replace a reference by what it points at."""
+    """Replace a reference by what it points at, and what may be left out by what it is otherwise."""
+    node = node["anyOf"][0] if "anyOf" in node else node
     return schema()["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
 
 

@@ -33,7 +33,7 @@ def load(scene: str, settings: Sequence[str] = ()) -> Scenario:
     for setting in settings:
         _apply(tree, setting)
     try:
-        return Scenario.model_validate(tree)
+        return Scenario.model_validate(tree, context={"folder": path.parent})
     except ValidationError as error:
         key, found, expected = explain(error)
         raise ScenarioError(_origin(path, settings, key), found, expected) from None

@@ -1,25 +1,47 @@
-"""The `[world]` table: a forest that grows itself, or a hall of known shapes."""
+"""The `[world]` table: a forest that grows itself, a plot of given trees, or a hall of known shapes."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, model_validator
 
+from vlp16emu.scenario.given import Dem, MapPoint, MeshFile, SceneFile
+from vlp16emu.scenario.ground import Terrain
+from vlp16emu.scenario.presets import DENSITY_KEYS, with_preset
 from vlp16emu.scenario.section import Fraction, NonNegative, Positive, Section
 
-__all__ = ["Forest", "Hall", "HallBox", "HallPole", "HallSphere", "SpeciesShare", "Terrain", "World"]
+__all__ = [
+    "Clusters",
+    "Forest",
+    "Grass",
+    "Hall",
+    "HallBox",
+    "HallPole",
+    "HallSphere",
+    "HardCore",
+    "Logs",
+    "Pattern",
+    "Plantation",
+    "Plot",
+    "Regeneration",
+    "Scattered",
+    "Shrubs",
+    "SpeciesShare",
+    "Stones",
+    "Storey",
+    "Stumps",
+    "Woods",
+    "World",
+]
 
 
-class Terrain(Section):
-    """Ground with relief: hills, plus roughness that a foot would feel."""
+def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
+    """See that a range does not run backwards."""
+    if limits[0] > limits[1]:
+        raise ValueError("the smaller number first")
+    return limits
 
-    hill_rms_m: NonNegative = 1.0
-    """Standard deviation of height over wavelengths of 30 m to 300 m."""
-    rough_rms_m: NonNegative = 0.06
-    """Standard deviation of height over wavelengths of 1 m to 12 m."""
-    slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
-    """Of the plane under it all, rising towards `slope_towards_deg`."""
-    slope_towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
-    """Counter-clockwise from east."""
+
+Range = Annotated[tuple[Positive, Positive], Field(strict=False), AfterValidator(_in_order)]
 
 
 class SpeciesShare(Section):
@@ -35,15 +57,170 @@ class SpeciesShare(Section):
     """Height of the tree of that diameter."""
 
 
-class Forest(Section):
+class Scattered(Section):
+    """Places that know nothing of each other."""
+
+    kind: Literal["random"]
+
+
+class HardCore(Section):
+    """Places that keep apart, as those of trees which compete."""
+
+    kind: Literal["hard_core"]
+
+
+class Plantation(Section):
+    """Planted rows, of which the given density is left."""
+
+    kind: Literal["plantation"]
+    row_spacing_m: Positive = 2.5
+    tree_spacing_m: Positive = 2.0
+    """Within a row."""
+    azimuth_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    """Of the rows, counter-clockwise from east."""
+    jitter_m: Annotated[float, Field(ge=0, le=2)] = 0.15
+    """Half-range of the error of planting along and across the row."""
+
+
+class Clusters(Section):
+    """Clumps."""
+
+    kind: Literal["clusters"]
+    per_cluster: Annotated[float, Field(ge=1, le=100)] = 8.0
+    """Mean number of plants of a clump."""
+    sigma_m: Annotated[float, Field(gt=0, le=5)] = 3.0
+    """Of plants about the middle of their clump along either axis."""
+
+
+Pattern = Annotated[Scattered | HardCore | Plantation | Clusters, Field(discriminator="kind")]
+
+
+class Storey(Section):
+    """Trees of one layer of the canopy; needs exactly one of `stems_per_ha` and `basal_area_m2_per_ha`."""
+
+    stems_per_ha: Annotated[float, Field(ge=0, le=5000)] = 0.0
+    basal_area_m2_per_ha: Annotated[float, Field(ge=0, le=120)] = 0.0
+    """Cross-sections of stems at breast height."""
+    species: Annotated[list[SpeciesShare], Field(min_length=1)]
+    pattern: Pattern = HardCore(kind="hard_core")
+
+    @model_validator(mode="after")
+    def _one_density(self) -> Self:
+        """Refuse a density that is missing or told twice."""
+        if len(DENSITY_KEYS & self.model_fields_set) != 1:
+            raise ValueError(f"exactly one of {' and '.join(sorted(DENSITY_KEYS))} in it")
+        return self
+
+
+class Regeneration(Section):
+    """Young trees that are thinner than 5 cm at breast height, or do not reach it."""
+
+    stems_per_ha: Annotated[float, Field(ge=0, le=20_000)] = 0.0
+    species: list[str] = Field(default_factory=list)
+    """Each as often; if none is named, those of the canopy that live."""
+    height_m: Range = (0.5, 4.0)
+    """Least and greatest."""
+    pattern: Pattern = Clusters(kind="clusters", per_cluster=20.0)
+
+
+class Shrubs(Section):
+    """Bushes of several stems."""
+
+    per_ha: Annotated[float, Field(ge=0, le=10_000)] = 0.0
+    species: Annotated[list[str], Field(min_length=1)] = Field(
+        default_factory=lambda: ["hazel", "elder", "hawthorn", "dogwood", "honeysuckle"]
+    )
+    """Each as often."""
+    pattern: Pattern = Clusters(kind="clusters", per_cluster=4.0)
+
+
+class Stones(Section):
+    """Stones that lie half in the ground, 0.1 m to 1.5 m long."""
+
+    cover: Annotated[float, Field(ge=0, le=0.3)] = 0.0
+    """Share of the ground, seen from above."""
+
+
+class Logs(Section):
+    """Lying trunks."""
+
+    per_ha: Annotated[float, Field(ge=0, le=2000)] = 0.0
+    species: list[str] = Field(default_factory=list)
+    """What trees they were, each as often; if none is named, those of the canopy."""
+    diameter_m: Range = (0.1, 0.5)
+    """Least and greatest mean diameter."""
+    length_m: Range = (3.0, 15.0)
+    """Least and greatest."""
+
+
+class Stumps(Section):
+    """What felled trees left."""
+
+    per_ha: Annotated[float, Field(ge=0, le=5000)] = 0.0
+    species: list[str] = Field(default_factory=list)
+    """What trees they were, each as often; if none is named, those of the canopy."""
+    diameter_m: Range = (0.2, 0.6)
+    """Least and greatest diameter at the top."""
+    height_m: Range = (0.1, 0.4)
+    """Least and greatest."""
+
+
+class Grass(Section):
+    """Tufts within 25 m of the path."""
+
+    tufts_per_m2: Annotated[float, Field(ge=0, le=8)] = 0.0
+    height_m: Range = (0.15, 0.5)
+    """Least and greatest."""
+
+
+class Woods(Section):
+    """Ground and undergrowth, whatever trees stand on it."""
+
+    season: Literal["leaf_on", "leaf_off"] = "leaf_on"
+    """Whether broadleaved trees and shrubs bear leaves."""
+    dead_branches: bool = False
+    """Whether dead branches stand out from the stems below the crowns."""
+    regeneration: Regeneration = Regeneration()
+    shrubs: Shrubs = Shrubs()
+    stones: Stones = Stones()
+    logs: Logs = Logs()
+    stumps: Stumps = Stumps()
+    grass: Grass = Grass()
+    path_clearance_m: NonNegative = 0.8
+    """Nothing that stands or lies on the ground comes nearer to the path than this."""
+    terrain: Terrain = Terrain()
+    dem: Dem | None = None
+    """Heights of the ground in a file; they take the place of `terrain`."""
+    origin_m: MapPoint = (0.0, 0.0, 0.0)
+    """Easting, northing and height that are (0, 0, 0) in the world, for files in map coordinates."""
+    meshes: list[MeshFile] = Field(default_factory=list)
+    """The user's own things."""
+
+
+class Forest(Woods, Storey):
     """A stand without edge on a terrain with relief."""
 
     kind: Literal["forest"]
-    stems_per_ha: Annotated[float, Field(ge=0, le=5000)] = 600.0
-    species: Annotated[list[SpeciesShare], Field(min_length=1)]
-    path_clearance_m: NonNegative = 0.8
-    """No stem surface comes nearer to the path than this."""
-    terrain: Terrain = Terrain()
+    preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = (
+        "none"
+    )
+    """A kind of forest that gives all keys of this table which are not given beside it."""
+    storeys: Annotated[list[Storey], Field(max_length=2)] = Field(default_factory=list)
+    """Storeys under the canopy, from the top down."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_preset(cls, table: Any) -> Any:
+        """Fill in what the preset gives."""
+        return with_preset(table) if isinstance(table, dict) else table
+
+
+class Plot(Woods):
+    """Trees that somebody has measured."""
+
+    kind: Literal["plot"]
+    stem_list: SceneFile
+    """CSV whose first line names the columns: x, y, species, dbh_cm, height_m, and more if known."""
 
 
 class HallBox(Section):
@@ -87,6 +264,8 @@ class Hall(Section):
     boxes: list[HallBox] = Field(default_factory=list)
     poles: list[HallPole] = Field(default_factory=list)
     spheres: list[HallSphere] = Field(default_factory=list)
+    meshes: list[MeshFile] = Field(default_factory=list)
+    """The user's own things; unlike the others they may lie anywhere."""
 
 
-World = Annotated[Forest | Hall, Field(discriminator="kind")]
+World = Annotated[Forest | Plot | Hall, Field(discriminator="kind")]

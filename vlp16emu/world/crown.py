@@ -71,8 +71,8 @@ class CrownKey:
 class _Detail:
     """How finely crowns are drawn at one level."""
 
-    every: int
-    """Of the nodes of a branch's curve, the share that is used."""
+    every: tuple[int, int, int]
+    """Of the nodes of a branch's curve, one in so many is used, by order."""
     sides: tuple[int, int, int]
     """Of the tubes of each order."""
     one_in: tuple[int, int]
@@ -82,9 +82,9 @@ class _Detail:
 
 
 _DETAIL = (
-    _Detail(1, (6, 4, 3), (1, 1), 1),
-    _Detail(2, (4, 3, 3), (1, 3), 3),
-    _Detail(4, (3, 3, 3), (3, 0), 10),
+    _Detail((1, 1, 1), (6, 4, 3), (1, 1), 1),
+    _Detail((2, 4, 4), (4, 3, 3), (1, 3), 3),
+    _Detail((4, 4, 4), (3, 3, 3), (3, 0), 10),
 )
 
 
@@ -103,15 +103,17 @@ def crown_meshes(
     leaves = _NOTHING
     if species.foliage and (key.season == "leaf_on" or species.foliage.kind == "shoot"):
         leaves = foliage_mesh(rng, species.foliage, orders[-1], key.leaf_area_m2, detail.merged)
-    first = tubes(orders[0], detail.every, detail.sides[0])
+    first = tubes(orders[0], detail.every[0], detail.sides[0])
     higher = merged(
         *(
-            tubes(_some(branches, one_in), detail.every, sides)
-            for branches, one_in, sides in zip(orders[1:], detail.one_in, detail.sides[1:], strict=False)
+            tubes(_some(branches, one_in), every, sides)
+            for branches, one_in, every, sides in zip(
+                orders[1:], detail.one_in, detail.every[1:], detail.sides[1:], strict=False
+            )
             if one_in
         )
     )
-    dead = [tubes(_dead(seed, key, species), detail.every, detail.sides[1])] if key.dead_branches else []
+    dead = [tubes(_dead(seed, key, species), detail.every[1], detail.sides[1])] if key.dead_branches else []
     if species.foliage is None:
         return _NOTHING, _NOTHING, _NOTHING, merged(first, higher, *dead)
     return first, higher, leaves, merged(*dead) if dead else _NOTHING

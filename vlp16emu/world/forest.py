@@ -1,22 +1,27 @@
-"""A forest without edge: tiles of ground and stems, with instanced crowns, around wherever one walks."""
+"""A forest without edge: tiles of ground and stems, with instanced crowns and things, around wherever one walks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import SURFACE, Mesh, PlantPart, Semantic, ShapeKey, Window
-from vlp16emu.world.crown import CrownKey, crown_meshes
-from vlp16emu.world.species import species_table
-from vlp16emu.world.stand import TREE, SpeciesMix, Stand
-from vlp16emu.world.stem import lean_rotation, stem_meshes
-from vlp16emu.world.terrain import Terrain
+from vlp16emu.types import SURFACE, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
+from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
+from vlp16emu.world.floor_shapes import FloorKey, floor_meshes
+from vlp16emu.world.materials import bark_material, material_names
+from vlp16emu.world.placed import Layer, Placed, Plot, distinct
+from vlp16emu.world.polyline import Polyline
+from vlp16emu.world.sapling import SaplingKey, sapling_meshes
+from vlp16emu.world.shrub import ShrubKey, shrub_meshes
+from vlp16emu.world.stand import TREE, foot_discs
+from vlp16emu.world.stem import STEM_PARTS, lean_rotation, stem_meshes
 from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, level_of, tile_origin_m, tiles_within
 
-__all__ = ["Forest"]
+__all__ = ["FIRST_FREE_INSTANCE", "Forest", "Stems"]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -24,96 +29,117 @@ Trees = NDArray[np.void]
 _LITTER_REFLECTANCE = 0.30
 """Leaf litter and soil at 903 nm; assumption."""
 
-_TREES_PER_TILE = 1024
-"""Numbers set aside for the trees of a tile."""
+FIRST_FREE_INSTANCE = 0xFFFF0000
+"""Instance numbers of a forest stay below."""
 
-_DENSEST_PER_HA = 12_000
-"""A tile then has 480 trees on average with a sigma below 22, far from `_TREES_PER_TILE`."""
+_NUMBERS_PER_TILE = 8192
+"""Numbers set aside for the trees and things of a tile."""
+
+_DENSEST_PER_HA = 125_000
+"""A tile then holds 5000 things on average; even in clusters of ten their number has a sigma under 240,
+far from `_NUMBERS_PER_TILE`."""
+
+_CROWN_REACH_M = (12.0, 40.0)
+"""Crowns nearer than the first distance are drawn leaf by leaf, those beyond the second in clusters: at 12 m a
+beam of 3 mrad is as wide as a leaf, at 40 m as a cluster."""
+
+_HEAD_M = 2.0
+"""Of a walker with the sensor, over the ground."""
 
 _ASIDE_M = 2 * TILE_M
 """How far a sensor may stray from the path and still see numbered trees only."""
 
-_CROWN_PARTS = (PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF)
-"""Of the meshes of a crown, in order."""
+
+class Stems(Protocol):
+    """Trees of a forest, grown or given."""
+
+    @property
+    def per_ha(self) -> float:
+        """Mean number of stems per hectare."""
+
+    def trees(self, ix: int, iy: int) -> Trees:
+        """Trees whose foot lies in a tile, `TREE` with id still 0."""
+
+    def crown(self, cohort: int, crown_class: int, variant: int, level: int) -> CrownKey:
+        """Name the crown prototype of a tree."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Tile:
-    """What stands on one tile."""
+    """A tile as a window takes it: the part that a `Window` is put together from."""
 
-    key: TileKey
-    origin_m: Array
     trees: Trees
-    crowns: tuple[CrownKey, ...]
-    """Of each tree."""
-    world_T_crown: Array
-    """(n, 3, 4) of each tree."""
+    """All trees, saplings last."""
+    keys: tuple[ShapeKey, ...]
+    """Different shapes, the tile's own first."""
+    shape: NDArray[np.int64]
+    """(n,) of each placement, index into `keys`."""
+    world_T_shape: Array
+    """(n, 3, 4)."""
+    first_surface: NDArray[np.int64]
+    """(n,) row of `surfaces`."""
+    surfaces: NDArray[np.void]
+    """(m,) `SURFACE`."""
 
 
 class Forest:
-    """A stand of trees on a terrain; a `World`.
+    """Trees, and what grows and lies under them, on a terrain; a `World`.
 
-    The same tree has the same shape and number in every window and from either end of the path.
+    The same tree and the same stone have the same shape and number in every window and from either end
+    of the path.
 
     Parameters
     ----------
     seed : of the scenario
-    terrain : ground
-    stems_per_ha : mean density over the plane
-    species : the mixture
-    path_clearance_m : no stem surface comes nearer to the path than this
-    path_xy_m : (n, 2) float64, n >= 1, the whole way of the sensor, fine enough that its chords are the way
+    height_m : ground
+    stems : trees
+    layers : saplings, shrubs, stones and so on; a layer's order among them decides its numbers
+    path : the whole way of the sensor, fine enough that its chords are the way
+    path_clearance_m : nothing that stands or lies on the ground comes nearer to the path than this
     reach_m : how far the sensor sees
 
     Raises
     ------
     GeometryError
-        for an unknown species, a path with numbers that are not finite, or more trees than can be numbered
+        for a path with numbers that are not finite, or more things than can be numbered
     """
 
     def __init__(
         self,
         *,
         seed: int,
-        terrain: Terrain,
-        stems_per_ha: float,
-        species: Sequence[SpeciesMix],
+        height_m: HeightField,
+        stems: Stems,
+        layers: Sequence[Layer],
+        path: Polyline,
         path_clearance_m: float,
-        path_xy_m: Array,
         reach_m: float,
     ) -> None:
-        if not np.isfinite(path_xy_m).all():
-            row = int(np.flatnonzero(~np.isfinite(path_xy_m).all(axis=1))[0])
-            raise GeometryError(f"path_xy_m[{row}]", f"found {path_xy_m[row].tolist()}", "finite numbers")
-        if stems_per_ha > _DENSEST_PER_HA:
-            raise GeometryError("stems_per_ha", f"found {stems_per_ha:g}", f"at most {_DENSEST_PER_HA}")
-        self._seed, self._path_xy_m, self._reach_m = seed, path_xy_m, reach_m
-        self.height_m = terrain.height_m
-        self._stand = Stand(
-            seed=seed,
-            height_m=terrain.height_m,
-            stems_per_ha=stems_per_ha,
-            species=species,
-            path_xy_m=path_xy_m,
-            path_clearance_m=path_clearance_m,
-        )
-        self._first_tile, self._tiles_across = _numbered_tiles(path_xy_m, reach_m)
+        per_ha = stems.per_ha + sum(layer.per_ha for layer in layers)
+        if per_ha > _DENSEST_PER_HA:
+            found = f"found {per_ha:.0f} trees and things per hectare"
+            raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
+        self._seed, self._path, self._clearance_m, self._reach_m = seed, path, path_clearance_m, reach_m
+        self.height_m = height_m
+        self._stems, self._layers = stems, layers
+        self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
-        kept = 2 * (2 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
+        kept = 2 * (4 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
         self._tile = lru_cache(maxsize=kept)(self._grow_tile)
+        self._trees = lru_cache(maxsize=kept)(stems.trees)
+        self._discs = lru_cache(maxsize=kept)(lambda ix, iy: foot_discs(self._trees(ix, iy)))
 
     @property
     def materials(self) -> tuple[str, ...]:
-        """Names by `SURFACE` material number: litter, then bark and leaf of each species of the table."""
-        plants = (f"{name} {what}" for name in species_table() for what in ("bark", "leaf"))
-        return ("litter", *plants)
+        """Names by `SURFACE` material number."""
+        return material_names()
 
     def trees(self, track_m: Array) -> Trees:
-        """Give the records (n,) `TREE` of all trees within reach of sensor positions (m, 2 or 3)."""
-        return _all_trees(self._tiles_near(track_m))
+        """Give the records (n,) `TREE` of all trees and saplings within reach of positions (m, 2 or 3)."""
+        return np.concatenate([np.zeros(0, TREE), *(tile.trees for tile in self._tiles_near(track_m))])
 
     def window(self, track_m: Array) -> Window:
-        """Ground, stems and crowns within reach of sensor positions (n, 3).
+        """Everything within reach of sensor positions (n, 3).
 
         Raises
         ------
@@ -121,31 +147,37 @@ class Forest:
             where the track leaves the surroundings of the path
         """
         tiles = self._tiles_near(track_m)
-        trees = _all_trees(tiles)
-        keys = [*(tile.key for tile in tiles), *(key for tile in tiles for key in tile.crowns)]
-        index_of = {key: i for i, key in enumerate(dict.fromkeys(keys))}
-        stems = np.array([len(tile.trees) for tile in tiles])
-        tile_first = np.concatenate([[0], np.cumsum(1 + stems)])
-        crown_first = tile_first[-1] + len(_CROWN_PARTS) * np.arange(len(trees))
-        tile_T = np.zeros((len(tiles), 3, 4))
-        tile_T[:, :, :3], tile_T[:, :, 3] = np.eye(3), [tile.origin_m for tile in tiles]
+        index_of: dict[ShapeKey, int] = {}
+        shape, first_surface, rows = [], [], 0
+        for tile in tiles:
+            index = np.array([index_of.setdefault(key, len(index_of)) for key in tile.keys])
+            shape.append(index[tile.shape])
+            first_surface.append(rows + tile.first_surface)
+            rows += len(tile.surfaces)
         return Window(
             origin_m=np.round(track_m.mean(axis=0)),
             shapes=tuple(index_of),
-            shape=np.array([index_of[key] for key in keys], np.int32),
-            world_T_shape=np.concatenate([tile_T, *(tile.world_T_crown for tile in tiles)]),
-            first_surface=np.concatenate([tile_first[:-1], crown_first]).astype(np.uint32),
-            surfaces=_surfaces(trees, tile_first[:-1]),
+            shape=np.concatenate(shape).astype(np.int32),
+            world_T_shape=np.concatenate([tile.world_T_shape for tile in tiles]),
+            first_surface=np.concatenate(first_surface).astype(np.uint32),
+            surfaces=np.concatenate([tile.surfaces for tile in tiles]),
         )
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
-        """Meshes of a tile (ground, then its stems) or of a crown (both orders of branches, leaves)."""
-        if isinstance(key, CrownKey):
-            return crown_meshes(self._seed, key)
-        if isinstance(key, TileKey):
-            tile = self._tile(key.ix, key.iy)
-            stems = stem_meshes(tile.trees, key.level, tile.origin_m, self.height_m)
-            return (ground_mesh(key, self.height_m), *stems)
+        """Meshes of a tile (ground, then its stems), of a crown, or of a thing."""
+        match key:
+            case TileKey():
+                trees, origin_m = self._trees(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
+                stems = stem_meshes(trees, key.level, origin_m, self.height_m)
+                return (ground_mesh(key, self.height_m), *stems)
+            case CrownKey():
+                return crown_meshes(self._seed, key)
+            case SaplingKey():
+                return sapling_meshes(self._seed, key)
+            case ShrubKey():
+                return shrub_meshes(self._seed, key)
+            case FloorKey():
+                return floor_meshes(self._seed, key)
         raise KeyError(key)
 
     def _tiles_near(self, track_m: Array) -> list[_Tile]:
@@ -153,50 +185,113 @@ class Forest:
         return [self._tile(int(ix), int(iy)) for ix, iy in tiles_within(track_m[:, :2], self._reach_m)]
 
     def _grow_tile(self, ix: int, iy: int) -> _Tile:
-        """One tile with its trees numbered."""
+        """One tile with its trees and things numbered."""
         column, row = ix - self._first_tile[0], iy - self._first_tile[1]
         if not (0 <= column < self._tiles_across[0] and 0 <= row < self._tiles_across[1]):
             raise GeometryError(
                 "track", f"reaches tile ({ix}, {iy})", f"no more than {_ASIDE_M:g} m off the path"
             )
-        trees = self._stand.trees(ix, iy)
-        first = 1 + (column * self._tiles_across[1] + row) * _TREES_PER_TILE
-        trees["id"] = first + np.arange(len(trees))
-        key = TileKey(ix, iy, level_of((ix, iy), self._path_xy_m))
-        crowns = tuple(
-            self._stand.crown(
-                int(tree["cohort"]), int(tree["crown_class"]), int(tree["crown_variant"]), key.level
-            )
-            for tree in trees
+        key = TileKey(ix, iy, level_of((ix, iy), self._path))
+        trees = self._trees(ix, iy).copy()
+        number = 1 + (column * self._tiles_across[1] + row) * _NUMBERS_PER_TILE
+        trees["id"], trees["level"] = number + np.arange(len(trees)), key.level
+        number += len(trees)
+        groups = [self._crowns(trees)]
+        for placed in self._things(key):
+            numbers = number + np.arange(len(placed.shape))
+            placed.surfaces["instance"] = numbers[:, None]
+            if len(placed.trees):
+                placed.trees["id"] = numbers
+            number += len(placed.shape)
+            groups.append(placed)
+        return _packed(key, tile_origin_m(ix, iy, self.height_m), trees, groups)
+
+    def _crowns(self, trees: Trees) -> Placed:
+        """Place the crowns of a tile's trees."""
+        names = trees[["cohort", "crown_class", "crown_variant"]].tolist()
+        levels = self._crown_levels(trees).tolist()
+        crowns = [
+            self._stems.crown(cohort, size, variant, level)
+            for (cohort, size, variant), level in zip(names, levels, strict=True)
+        ]
+        keys, shape = distinct(crowns)
+        return Placed(
+            keys, shape, _crown_placements(trees, crowns), _plant_surfaces(trees, CROWN_PARTS), trees
         )
-        return _Tile(
-            key, tile_origin_m(ix, iy, self.height_m), trees, crowns, _crown_placements(trees, crowns)
+
+    def _crown_levels(self, trees: Trees) -> NDArray[np.int64]:
+        """Levels of detail (n,), by the distance from a head on the path to the lowest branch."""
+        aside_m = self._path.distance_m(np.column_stack([trees["x_m"], trees["y_m"]]))
+        above_m = np.maximum(trees["crown_base_m"] - _HEAD_M, 0.0)
+        near_m = np.sqrt(aside_m * aside_m + above_m * above_m)
+        return np.searchsorted(_CROWN_REACH_M, near_m)
+
+    def _things(self, key: TileKey) -> list[Placed]:
+        """Everything else on a tile."""
+        if not self._layers:
+            return []
+        plot = Plot(
+            seed=self._seed,
+            ix=key.ix,
+            iy=key.iy,
+            level=key.level,
+            height_m=self.height_m,
+            path=self._path,
+            path_clearance_m=self._clearance_m,
+            trunks=self._trunks(key.ix, key.iy),
         )
+        return [layer.place(plot) for layer in self._layers]
+
+    def _trunks(self, ix: int, iy: int) -> Array:
+        """Feet of the trees on a tile and its neighbours: (n, 3) x, y, radius."""
+        return np.concatenate([self._discs(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
 def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], tuple[int, int]]:
     """First tile and number of tiles, in x and y, of the box around all that the walk can see."""
+    if not np.isfinite(path_xy_m).all():
+        row = int(np.flatnonzero(~np.isfinite(path_xy_m).all(axis=1))[0])
+        raise GeometryError(f"path_xy_m[{row}]", f"found {path_xy_m[row].tolist()}", "finite numbers")
     aside = reach_m + _ASIDE_M
     low = np.floor((path_xy_m.min(axis=0) - aside) / TILE_M).astype(int)
     across = np.floor((path_xy_m.max(axis=0) + aside) / TILE_M).astype(int) - low + 1
-    if int(across[0]) * int(across[1]) * _TREES_PER_TILE >= 2**32:
+    if int(across[0]) * int(across[1]) * _NUMBERS_PER_TILE >= FIRST_FREE_INSTANCE:
         size = " x ".join(f"{n * TILE_M / 1000:.0f} km" for n in across)
-        raise GeometryError("path_xy_m", f"spans {size} with what is in reach", "at most about 40 km x 40 km")
+        raise GeometryError("path_xy_m", f"spans {size} with what is in reach", "at most 209 km2")
     return (int(low[0]), int(low[1])), (int(across[0]), int(across[1]))
 
 
-def _all_trees(tiles: list[_Tile]) -> Trees:
-    """Trees of all tiles, tile by tile."""
-    return np.concatenate([tile.trees for tile in tiles]) if tiles else np.zeros(0, TREE)
+def _packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[Placed]) -> _Tile:
+    """Put a tile together: first its own shape of ground and stems, then all that is placed on it."""
+    ground = np.zeros(1, SURFACE)
+    ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
+    own_T = np.concatenate([np.eye(3), origin_m[:, None]], axis=1)[None]
+    keys: list[ShapeKey] = [key]
+    shape, first_surface = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)]
+    tables = [ground, _plant_surfaces(trees, STEM_PARTS).ravel()]
+    rows = 1 + len(STEM_PARTS) * len(trees)
+    for placed in groups:
+        n, parts = placed.surfaces.shape
+        shape.append(len(keys) + placed.shape)
+        keys += placed.keys
+        first_surface.append(rows + parts * np.arange(n))
+        tables.append(placed.surfaces.ravel())
+        rows += n * parts
+    return _Tile(
+        trees=np.concatenate([placed.trees for placed in groups]),
+        keys=tuple(keys),
+        shape=np.concatenate(shape),
+        world_T_shape=np.concatenate([own_T, *(placed.world_T_shape for placed in groups)]),
+        first_surface=np.concatenate(first_surface),
+        surfaces=np.concatenate(tables),
+    )
 
 
 def _crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
     """`world_T_shape` of the crowns, (n, 3, 4): scaled to the tree's size, turned, and leaning with the stem."""
-    prototype_m = np.array([(c.crown_width_m, c.crown_length_m) for c in crowns]).reshape(-1, 2)
+    wide, long = crown_scale(trees, crowns)
     lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
-    upright = lean[:, 2, 2]  # cosine of the lean: heights are vertical, crowns follow the axis
-    wide = trees["crown_width_m"] / prototype_m[:, 0]
-    long = (trees["height_m"] - trees["crown_base_m"]) / upright / prototype_m[:, 1]
+    upright = lean[:, 2, 2]  # cosine of the lean: heights are vertical
     turn = np.radians(trees["crown_azimuth_deg"])
     stem_T = np.zeros((len(trees), 3, 3))
     stem_T[:, 0, 0] = stem_T[:, 1, 1] = wide * np.cos(turn)
@@ -207,26 +302,14 @@ def _crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
     return np.concatenate([lean @ stem_T, base[..., None]], axis=2)
 
 
-def _surfaces(trees: Trees, ground_rows: NDArray[np.int64]) -> NDArray[np.void]:
-    """`SURFACE` table: for each tile its ground and its stems, then for each tree the parts of its crown."""
-    parts = len(_CROWN_PARTS)
-    rows = np.zeros(len(ground_rows) + (1 + parts) * len(trees), SURFACE)
-    is_ground = np.zeros(len(rows), np.bool_)
-    is_ground[ground_rows] = True
-    rows["reflectance"][is_ground] = _LITTER_REFLECTANCE
-    rows["semantic"][is_ground] = Semantic.GROUND
-    # Stems are in the order of the trees, and so are crowns: one index serves both.
-    tree = trees[np.concatenate([np.arange(len(trees)), np.repeat(np.arange(len(trees)), parts)])]
-    part = np.concatenate([np.full(len(trees), PlantPart.STEM), np.tile(_CROWN_PARTS, len(trees))])
-    leaf = part == PlantPart.LEAF
-    plants = np.zeros(len(tree), SURFACE)
-    plants["reflectance"] = np.where(leaf, tree["leaf_reflectance"], tree["bark_reflectance"])
-    plants["semantic"] = Semantic.TREE
-    plants["part"] = part
-    plants["instance"], plants["species"] = tree["id"], tree["species"]
-    numbers = np.array([species.number for species in species_table().values()])
-    row_of = np.zeros(numbers.max() + 1, np.int64)
-    row_of[numbers] = np.arange(len(numbers))
-    plants["material"] = 1 + 2 * row_of[tree["species"]] + leaf
-    rows[~is_ground] = plants
+def _plant_surfaces(trees: Trees, parts: Sequence[int]) -> NDArray[np.void]:
+    """`SURFACE` rows of trees, (n, parts)."""
+    leaf = np.array(parts) == PlantPart.LEAF
+    rows = np.zeros((len(trees), len(parts)), SURFACE)
+    rows["reflectance"] = np.where(
+        leaf, trees["leaf_reflectance"][:, None], trees["bark_reflectance"][:, None]
+    )
+    rows["semantic"], rows["part"] = Semantic.TREE, parts
+    rows["instance"], rows["species"] = trees["id"][:, None], trees["species"][:, None]
+    rows["material"] = bark_material(trees["species"])[:, None] + leaf
     return rows

@@ -84,7 +84,7 @@ def inventory(
     rows = np.zeros(len(trees), INVENTORY)
     for name in _COPIED:
         rows[name] = trees[name]
-    _measure_stems(rows, trees, np.array([key.level for key in crowns]), table)
+    _measure_stems(rows, trees, table)
     _measure_crowns(rows, trees, crowns, seed, table)
     rows["biomass_kg"] = np.nan
     for species in table.values():
@@ -115,12 +115,10 @@ def write_csv(path: Path, rows: NDArray[np.void], *, table: Mapping[str, Species
         raise OutputError(str(path), error.strerror or str(error), "a file that can be written") from error
 
 
-def _measure_stems(
-    rows: NDArray[np.void], trees: Trees, levels: NDArray[np.int64], table: Mapping[str, Species]
-) -> None:
+def _measure_stems(rows: NDArray[np.void], trees: Trees, table: Mapping[str, Species]) -> None:
     """Fill in what follows from the rings of the stems' meshes."""
-    for level in np.unique(levels):
-        own = np.flatnonzero(levels == level)
+    for level in np.unique(trees["level"]):
+        own = np.flatnonzero(trees["level"] == level)
         rings = stem_rings(trees[own], int(level), table=table)
         upright = np.cos(np.radians(trees["lean_deg"][own]))
         rows["stem_m3"][own] = _volume_m3(rings, trees["height_m"][own]) / upright

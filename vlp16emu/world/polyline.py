@@ -6,36 +6,81 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["distance_m"]
+__all__ = ["Polyline", "distance_m"]
 
 Array = NDArray[np.float64]
 
+_PIECE = 32
+"""Segments that share a bounding box."""
+
+_SLACK_M = 1e-6
+"""Boxes farther than the nearest segment by less than this are still searched: rounding must not matter."""
+
+
+class Polyline:
+    """A line in the plane that is quick to ask for distances, however long it is.
+
+    Parameters
+    ----------
+    xy_m : (m, 2) float64, m >= 1
+    """
+
+    def __init__(self, xy_m: Array) -> None:
+        self.xy_m = np.ascontiguousarray(xy_m, np.float64)
+        starts = range(0, max(len(xy_m) - 1, 1), _PIECE)
+        pieces = [self.xy_m[i : i + _PIECE + 1] for i in starts]
+        # (pieces, 4): least x and y, greatest x and y.
+        self._boxes = np.array([[*piece.min(axis=0), *piece.max(axis=0)] for piece in pieces])
+
+    def distance_m(self, points_xy_m: Array) -> Array:
+        """Distance from each point (n, 2), (n,): the same numbers for the line reversed."""
+        out = np.empty(len(points_xy_m))
+        _distances(out, np.ascontiguousarray(points_xy_m), self.xy_m, self._boxes)
+        return out
+
 
 def distance_m(points_xy_m: Array, line_xy_m: Array) -> Array:
-    """Distance from each point (n, 2) to a polyline (m, 2), m >= 1: the same number for the line reversed.
+    """Distance from each point (n, 2) to a polyline (m, 2), m >= 1, that is asked only once.
 
     Returns
     -------
     (n,) metres
     """
-    out = np.empty(len(points_xy_m))
-    _distances(out, np.ascontiguousarray(points_xy_m), np.ascontiguousarray(line_xy_m))
-    return out
+    return Polyline(line_xy_m).distance_m(points_xy_m)
 
 
 @numba.njit(cache=True, nogil=True)
-def _distances(out: Array, points: Array, line: Array) -> None:
-    """Fill (n,) distances."""
-    last = line.shape[0] - 1
+def _distances(out: Array, points: Array, line: Array, boxes: Array) -> None:
+    """Fill (n,) distances: first the piece with the nearest box, then all pieces that could be nearer."""
+    gap = np.empty(boxes.shape[0])
     for i in range(out.shape[0]):
-        nearest = np.inf
-        for j in range(max(last, 1)):
-            ax, ay = line[j, 0], line[j, 1]
-            bx, by = line[min(j + 1, last), 0], line[min(j + 1, last), 1]
-            if (bx, by) < (ax, ay):  # one order for both walking directions, to the last bit
-                ax, ay, bx, by = bx, by, ax, ay
-            ux, uy, px, py = bx - ax, by - ay, points[i, 0] - ax, points[i, 1] - ay
-            length2 = ux * ux + uy * uy
-            along = min(max((px * ux + py * uy) / length2, 0.0), 1.0) if length2 > 0 else 0.0
-            nearest = min(nearest, math.hypot(px - along * ux, py - along * uy))
+        x, y = points[i, 0], points[i, 1]
+        first = 0
+        for k in range(boxes.shape[0]):
+            dx = max(boxes[k, 0] - x, x - boxes[k, 2], 0.0)
+            dy = max(boxes[k, 1] - y, y - boxes[k, 3], 0.0)
+            gap[k] = math.hypot(dx, dy)
+            if gap[k] < gap[first]:
+                first = k
+        nearest = _to_piece(x, y, line, first)
+        for k in range(boxes.shape[0]):
+            if gap[k] < nearest + _SLACK_M:
+                nearest = min(nearest, _to_piece(x, y, line, k))
         out[i] = nearest
+
+
+@numba.njit(cache=True, nogil=True)
+def _to_piece(x: float, y: float, line: Array, piece: int) -> float:
+    """Distance of a point from the segments of one piece."""
+    last = line.shape[0] - 1
+    nearest = np.inf
+    for j in range(piece * _PIECE, min(piece * _PIECE + _PIECE, max(last, 1))):
+        ax, ay = line[j, 0], line[j, 1]
+        bx, by = line[min(j + 1, last), 0], line[min(j + 1, last), 1]
+        if (bx, by) < (ax, ay):  # one order for both walking directions, to the last bit
+            ax, ay, bx, by = bx, by, ax, ay
+        ux, uy, px, py = bx - ax, by - ay, x - ax, y - ay
+        length2 = ux * ux + uy * uy
+        along = min(max((px * ux + py * uy) / length2, 0.0), 1.0) if length2 > 0 else 0.0
+        nearest = min(nearest, math.hypot(px - along * ux, py - along * uy))
+    return nearest

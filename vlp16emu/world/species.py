@@ -1,6 +1,6 @@
 """The species table: what kinds of trees and shrubs there are, and what is known of each."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -33,6 +33,7 @@ __all__ = [
     "Shrub",
     "Species",
     "Twigs",
+    "known",
     "shrub_table",
     "species_table",
     "taper_radius_m",
@@ -299,6 +300,20 @@ def _whole(plant: _Plant, where: str) -> _Plant:
         found = f"found {plant.leaf_reflectance} and {plant.leaf_transmittance}"
         raise GeometryError(f"{where}: leaf_transmittance", found, "at most 1 with leaf_reflectance")
     return plant
+
+
+def known(names: Sequence[str], table: Mapping[str, _Plant], where: str) -> list[_Plant]:
+    """Rows of a species table by name.
+
+    Raises
+    ------
+    GeometryError
+        for a name that is not in the table
+    """
+    for name in names:
+        if name not in table:
+            raise GeometryError(where, f"found {name!r}", f"one of {', '.join(table)}")
+    return [table[name] for name in names]
 
 
 def tapers(numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None = None) -> Array:

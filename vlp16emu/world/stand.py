@@ -3,19 +3,30 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import HeightField
-from vlp16emu.world.crown import VARIANTS, CrownKey
-from vlp16emu.world.points import HardCore
-from vlp16emu.world.polyline import distance_m
-from vlp16emu.world.species import Species, species_table, taper_radius_m, tapers
+from vlp16emu.world.crown import VARIANTS, CrownKey, Season
+from vlp16emu.world.materials import BARK_SPREAD, LEAF_SPREAD
+from vlp16emu.world.points import Pattern
+from vlp16emu.world.polyline import Polyline
+from vlp16emu.world.species import known, species_table, taper_radius_m, tapers
 
-__all__ = ["TREE", "SpeciesMix", "Stand"]
+__all__ = [
+    "LEVEL_VARIANTS",
+    "REGENERATION",
+    "TREE",
+    "SpeciesMix",
+    "Stand",
+    "Storey",
+    "density_per_ha",
+    "foot_discs",
+    "path_gap_m",
+]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -39,12 +50,20 @@ TREE = np.dtype(
         ("crown_variant", "u1"),  # which of the prototypes of that class
         ("bark_reflectance", "<f4"),  # at 903 nm
         ("leaf_reflectance", "<f4"),
+        ("level", "u1"),  # of detail of its stem, 0 is the finest
+        ("storey", "u1"),  # 0 canopy, 1 and 2 the storeys under it, REGENERATION saplings
     ]
 )
 """One tree."""
 
-_CLASS_RATIO = 1.35
-"""Between the diameters of neighbouring crown classes: no crown is scaled by more than a sixth or so."""
+REGENERATION = 255
+"""Storey of saplings: stems under 5 cm, those under breast height with a DBH of 0."""
+
+_CLASS_RATIO = 1.5
+"""Between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter."""
+
+LEVEL_VARIANTS = (VARIANTS, 2, 1)
+"""Different forms of plants of one class, by level of detail: an old forest would not fit into 1 GB otherwise."""
 
 _TOP_DBH_RATIO = 1.25
 """Diameter of the stand's top height trees over its quadratic mean diameter; assumption."""
@@ -52,14 +71,20 @@ _TOP_DBH_RATIO = 1.25
 _OPEN_GROWN = 1.5
 """Ground whose leaves one crown can carry at most, over the crown's own projection; assumption."""
 
+_LONE_CROWN_BASE = 0.35
+"""Height of the lowest branch of a tree that stands alone over that of one in a closed stand; assumption."""
+
 _LEAN_SIGMA_DEG = 1.5
 """One sigma of lean along each horizontal axis; assumption."""
 
-_BARK_SPREAD, _LEAF_SPREAD = 0.08, 0.04
-"""Half-range of reflectance between trees; assumptions (wide spread in the near infrared: Juola et al. 2020)."""
-
 _HEAD_ROOM_M = 2.5
 """Height up to which a leaning stem must keep clear of the path: above a walker's head."""
+
+_STEM_GAP_M = 0.05
+"""Least distance between two stems' surfaces at the ground; assumption."""
+
+_TILES_KEPT = 1024
+"""Tiles whose trees are kept for their neighbours: more than one window and its border hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +105,7 @@ class _Cohort:
     """The trees of one species in a stand: their diameters, and what follows from a diameter."""
 
     def __init__(self, mix: SpeciesMix) -> None:
-        self.mix, self.species = mix, _species(mix.species)
+        self.mix, self.species = mix, known([mix.species], species_table(), "species")[0]
         midpoints = (np.arange(4096) + 0.5) / 4096
         raw_cm = self.species.dbh_quantile_cm(midpoints, mix.dbh_cm)
         self._scale = mix.dbh_cm / math.sqrt(float(np.mean(raw_cm**2)))
@@ -101,17 +126,54 @@ class _Cohort:
         return self.species.crown_base_m(dbh_cm, height_m, self._top_height_m)
 
 
+@dataclass(frozen=True, slots=True)
+class Storey:
+    """Trees of one layer of the canopy."""
+
+    pattern: Pattern
+    """Where they stand, and how many."""
+    species: Sequence[SpeciesMix]
+    """The mixture."""
+
+
+def foot_discs(trees: Trees) -> Array:
+    """Sections of stems with the ground: (n, 3) x, y, radius."""
+    foot = np.zeros((len(trees), 1))
+    radius_m = taper_radius_m(tapers(trees["species"]), trees["dbh_m"], trees["height_m"], foot)
+    return np.column_stack([trees["x_m"], trees["y_m"], radius_m])
+
+
+def path_gap_m(trees: Trees, radius_m: Array, path: Polyline) -> Array:
+    """Distance (n,) from a path to the surfaces of stems, from the ground to above a walker's head."""
+    foot = np.column_stack([trees["x_m"], trees["y_m"]])
+    towards = np.radians(trees["lean_towards_deg"])
+    shift = _HEAD_ROOM_M * np.tan(np.radians(trees["lean_deg"]))
+    above = foot + shift[:, None] * np.column_stack([np.cos(towards), np.sin(towards)])
+    gap_m: Array = np.minimum(path.distance_m(foot), path.distance_m(above)) - radius_m
+    return gap_m
+
+
+def density_per_ha(basal_area_m2_per_ha: float, species: Sequence[SpeciesMix]) -> float:
+    """Stems per hectare of a mixture whose cross-sections at breast height add up to a basal area."""
+    share = np.array([mix.share for mix in species])
+    stem_m2 = np.pi / 4 * np.array([mix.dbh_cm / 100 for mix in species]) ** 2
+    return basal_area_m2_per_ha / float(np.average(stem_m2, weights=share))
+
+
 class Stand:
     """A mixed stand on a terrain, without edge.
+
+    Where two stems would grow into each other, the thicker one stands.
 
     Parameters
     ----------
     seed : of the scenario
     height_m : ground
-    stems_per_ha : mean over the plane
-    species : the mixture
-    path_xy_m : (m, 2) the way that is kept free of stems
+    storeys : from the top down
+    path : the way that is kept free of stems
     path_clearance_m : no stem surface comes nearer to it than this
+    season : whether broadleaves bear leaves
+    dead_branches : whether dead branches still sit below the crowns
 
     Raises
     ------
@@ -124,26 +186,49 @@ class Stand:
         *,
         seed: int,
         height_m: HeightField,
-        stems_per_ha: float,
-        species: Sequence[SpeciesMix],
-        path_xy_m: Array,
+        storeys: Sequence[Storey],
+        path: Polyline,
         path_clearance_m: float,
+        season: Season,
+        dead_branches: bool,
     ) -> None:
         self._seed, self._height_m = seed, height_m
-        self._points = HardCore(seed=seed, per_ha=stems_per_ha)
-        self._cohorts = [_Cohort(mix) for mix in species]
-        shares = np.array([mix.share for mix in species])
-        self._shares = shares / shares.sum()
-        crown_m2 = sum(s * c.mean_crown_m2 for s, c in zip(self._shares, self._cohorts, strict=True))
-        cover = stems_per_ha * crown_m2 / 10_000
+        self._patterns = [storey.pattern for storey in storeys]
+        self._cohorts = [[_Cohort(mix) for mix in storey.species] for storey in storeys]
+        self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
+        self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
+        """Mean number of stems per hectare."""
+        crown_m2 = sum(
+            _crown_area_m2_per_ha(storey) for storey in zip(self._patterns, self._cohorts, strict=True)
+        )
+        cover = crown_m2 / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
-        self._path_xy_m, self._clearance_m = path_xy_m, path_clearance_m
+        self._crown_base = _LONE_CROWN_BASE + (1 - _LONE_CROWN_BASE) * min(cover, 1.0)
+        self._path, self._clearance_m = path, path_clearance_m
+        self._season, self._dead_branches = season, dead_branches
+        self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
 
     def trees(self, ix: int, iy: int) -> Trees:
         """Trees whose foot lies in a tile, `TREE` with id still 0, in the order they were sown."""
-        position = self._points.candidates(ix, iy)[:, :2]
-        rng = generator(self._seed, Purpose.TREE, ix, iy)
-        # All candidates draw, survivors or not: who falls changes nothing for the others.
+        trees, own = self._sown(ix, iy)
+        rivals = np.concatenate([self._sown(ix + i, iy + j)[1] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+        dx, dy, _, _ = (own[:, None] - rivals).transpose(2, 0, 1)
+        gap_m = own[:, None, 2] + rivals[:, 2] + _STEM_GAP_M
+        thicker = rivals[:, 3] > own[:, None, 3]
+        beaten = ((dx * dx + dy * dy < gap_m * gap_m) & thicker).any(axis=1)
+        clear = path_gap_m(trees, own[:, 2], self._path) >= self._clearance_m
+        standing: Trees = trees[~beaten & clear]
+        return standing
+
+    def _sow(self, ix: int, iy: int) -> tuple[Trees, Array]:
+        """All that would like to stand on a tile, and of each x, y, radius at the ground and DBH (n, 4)."""
+        trees = np.concatenate([self._sow_storey(number, ix, iy) for number in range(len(self._patterns))])
+        return trees, np.column_stack([foot_discs(trees), trees["dbh_m"]])
+
+    def _sow_storey(self, number: int, ix: int, iy: int) -> Trees:
+        """Trees of one storey."""
+        position = self._patterns[number].points(ix, iy)
+        rng = generator(self._seed, Purpose.TREE, ix, iy, number)
         uniform, normal = rng.random((len(position), 6)), rng.standard_normal((len(position), 3))
         trees = np.zeros(len(position), TREE)
         trees["x_m"], trees["y_m"] = position.T
@@ -153,25 +238,16 @@ class Stand:
         trees["lean_towards_deg"] = np.degrees(np.arctan2(lean_y, lean_x)) % 360
         trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
         trees["crown_variant"] = VARIANTS * uniform[:, 1]
-        cohort_of = np.searchsorted(np.cumsum(self._shares)[:-1], uniform[:, 2], side="right")
-        trees["cohort"] = cohort_of
-        for i, cohort in enumerate(self._cohorts):
+        trees["storey"] = number
+        cohorts = self._cohorts[number]
+        share = np.array([cohort.mix.share for cohort in cohorts])
+        cohort_of = np.searchsorted(np.cumsum(share / share.sum())[:-1], uniform[:, 2], side="right")
+        trees["cohort"] = sum(map(len, self._cohorts[:number])) + cohort_of
+        for i, cohort in enumerate(cohorts):
             own = cohort_of == i
             trees[own] = _sized(trees[own], cohort, uniform[own, 3:], normal[own, 2])
-        standing: Trees = trees[self._points.survive(ix, iy)]
-        return standing[self._clear_of_path(standing)]
-
-    def _clear_of_path(self, trees: Trees) -> NDArray[np.bool_]:
-        """Which stems keep their surface away from the path, from the ground to above a walker's head."""
-        foot = np.column_stack([trees["x_m"], trees["y_m"]])
-        towards = np.radians(trees["lean_towards_deg"])
-        shift = _HEAD_ROOM_M * np.tan(np.radians(trees["lean_deg"]))
-        above = foot + shift[:, None] * np.column_stack([np.cos(towards), np.sin(towards)])
-        taper = tapers(trees["species"])
-        radius = taper_radius_m(taper, trees["dbh_m"], trees["height_m"], np.zeros((len(trees), 1)))[:, 0]
-        gap = np.minimum(distance_m(foot, self._path_xy_m), distance_m(above, self._path_xy_m)) - radius
-        clear: NDArray[np.bool_] = gap >= self._clearance_m
-        return clear
+        trees["crown_base_m"] *= self._crown_base
+        return trees
 
     def crown(self, cohort: int, crown_class: int, variant: int, level: int) -> CrownKey:
         """Name the crown prototype of a diameter class.
@@ -179,29 +255,30 @@ class Stand:
         Each species bears its own leaf area index on its share of the ground, which trees divide in
         proportion to their crown projection.
         """
-        own = self._cohorts[cohort]
+        own = self._all_cohorts[cohort]
         dbh_cm = np.array([own.mix.dbh_cm * _CLASS_RATIO**crown_class])
         height_m = own.height_m(dbh_cm)
         width_m = own.species.crown_width_m(dbh_cm)
         leaf_area_m2 = own.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
         return CrownKey(
             species=own.species.name,
-            variant=variant,
+            variant=variant % LEVEL_VARIANTS[level],
             level=level,
             dbh_m=float(dbh_cm[0]) / 100,
             height_m=float(height_m[0]),
-            crown_base_m=float(own.crown_base_m(dbh_cm, height_m)[0]),
+            crown_base_m=self._crown_base * float(own.crown_base_m(dbh_cm, height_m)[0]),
             crown_width_m=float(width_m[0]),
             leaf_area_m2=float(leaf_area_m2[0]),
+            season=self._season,
+            dead_branches=self._dead_branches,
         )
 
 
-def _species(name: str) -> Species:
-    """Row of the species table by name."""
-    table = species_table()
-    if name not in table:
-        raise GeometryError("species", f"found {name!r}", f"one of {', '.join(table)}")
-    return table[name]
+def _crown_area_m2_per_ha(storey: tuple[Pattern, list[_Cohort]]) -> float:
+    """Mean projection of a storey's crowns."""
+    pattern, cohorts = storey
+    share = [cohort.mix.share for cohort in cohorts]
+    return pattern.per_ha * float(np.average([cohort.mean_crown_m2 for cohort in cohorts], weights=share))
 
 
 def _projection_m2(crown_width_m: Array) -> Array:
@@ -220,6 +297,6 @@ def _sized(trees: Trees, cohort: _Cohort, uniform: Array, normal: Array) -> Tree
     trees["crown_base_m"] = cohort.crown_base_m(dbh_cm, height_m)
     trees["crown_width_m"] = species.crown_width_m(dbh_cm)
     trees["crown_class"] = np.round(np.log(dbh_cm / mix.dbh_cm) / math.log(_CLASS_RATIO))
-    trees["bark_reflectance"] = species.bark_reflectance + _BARK_SPREAD * (2 * uniform[:, 1] - 1)
-    trees["leaf_reflectance"] = species.leaf_reflectance + _LEAF_SPREAD * (2 * uniform[:, 2] - 1)
+    trees["bark_reflectance"] = species.bark_reflectance + BARK_SPREAD * (2 * uniform[:, 1] - 1)
+    trees["leaf_reflectance"] = species.leaf_reflectance + LEAF_SPREAD * (2 * uniform[:, 2] - 1)
     return trees

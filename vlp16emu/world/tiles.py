@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.types import HeightField, Mesh
-from vlp16emu.world.polyline import distance_m
+from vlp16emu.world.polyline import Polyline
 
 __all__ = ["TILE_M", "TileKey", "ground_mesh", "level_of", "tile_origin_m", "tiles_within"]
 
@@ -52,19 +52,19 @@ def tiles_within(line_xy_m: Array, reach_m: float) -> NDArray[np.int64]:
     high = np.floor((line_xy_m.max(axis=0) + reach) / TILE_M).astype(np.int64)
     ix, iy = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij")
     tiles = np.column_stack([ix.ravel(), iy.ravel()])
-    near: NDArray[np.int64] = tiles[_centre_distance_m(tiles, line_xy_m) <= reach]
+    near: NDArray[np.int64] = tiles[_centre_distance_m(tiles, Polyline(line_xy_m)) <= reach]
     return near
 
 
-def level_of(tile: tuple[int, int], path_xy_m: Array) -> int:
+def level_of(tile: tuple[int, int], path: Polyline) -> int:
     """Level of detail of a tile, from its distance to the whole path."""
-    gap = float(_centre_distance_m(np.array([tile]), path_xy_m)[0]) - _HALF_DIAGONAL_M
+    gap = float(_centre_distance_m(np.array([tile]), path)[0]) - _HALF_DIAGONAL_M
     return sum(gap > reach for reach in _LEVEL_REACH_M)
 
 
-def _centre_distance_m(tiles: NDArray[np.int64], line_xy_m: Array) -> Array:
+def _centre_distance_m(tiles: NDArray[np.int64], line: Polyline) -> Array:
     """Distance of tile centres from a polyline, (n,)."""
-    return distance_m(TILE_M * tiles.astype(np.float64) + TILE_M / 2, line_xy_m)
+    return line.distance_m(TILE_M * tiles.astype(np.float64) + TILE_M / 2)
 
 
 def tile_origin_m(ix: int, iy: int, height_m: HeightField) -> Array:

@@ -1,0 +1,159 @@
+"""Kinds of forest by name."""
+
+import numpy as np
+import pytest
+
+from vlp16emu.assembly import assemble
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import ScenarioError
+from vlp16emu.scenario import load
+from vlp16emu.scenario.presets import presets
+from vlp16emu.types import PacketKind, Semantic
+from vlp16emu.world import REGENERATION, species_table
+
+EACH = pytest.mark.parametrize("name", [*presets(), "reference_forest"])
+SCENE = """
+schema = 1
+title = "A preset with changes"
+motion = { kind = "walk", way_points_m = [[0, 0], [40, 0]] }
+
+[world]
+kind = "forest"
+"""
+
+
+def scene(tmp_path, world):
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE + world, encoding="utf-8")
+    return load(str(path)).world
+
+
+def grown(name, reach_m=100.0):
+    """Give the window, trees and ground area of a scene around one place of its path."""
+    forest = assemble(load(name, [f"sensor.max_range_m={reach_m}"])).world
+    at = np.array([[40.0, 4.0, 2.0]])
+    window = forest.window(at)
+    tiles = sum(not hasattr(key, "species") and hasattr(key, "ix") for key in window.shapes)
+    return window, forest.trees(at), tiles * 400.0
+
+
+@EACH
+def test_a_scene_has_the_density_and_basal_area_of_its_table(name):
+    """Around the walk stems per hectare and basal area are those that the scene asks for, as far as 5 ha can tell."""
+    section = load(name).world
+    _, trees, ground_m2 = grown(name)
+    canopy = trees[trees["storey"] == 0]
+    clumps = section.pattern.per_cluster if section.pattern.kind == "clusters" else 0
+    expected = section.stems_per_ha * ground_m2 / 1e4
+    # The path keeps a strip free, and stems that would grow into others give way: a few percent.
+    assert abs(len(canopy) - expected) < 3 * np.sqrt(expected * (1 + clumps)) + 0.06 * expected
+    share = [line.share for line in section.species]
+    mean_m2 = np.average([np.pi / 4 * (line.dbh_cm / 100) ** 2 for line in section.species], weights=share)
+    assert np.mean(np.pi / 4 * canopy["dbh_m"] ** 2) == pytest.approx(mean_m2, rel=0.15)
+
+
+@EACH
+def test_a_scene_has_all_that_its_table_names(name):
+    """Each kind of thing whose density is not zero is there, and none else."""
+    section = load(name).world
+    window, trees, _ = grown(name)
+    found = set(window.surfaces["semantic"].tolist())
+    wanted = {
+        Semantic.SHRUB: section.shrubs.per_ha,
+        Semantic.STONE: section.stones.cover,
+        Semantic.DEADWOOD: section.logs.per_ha + section.stumps.per_ha,
+        Semantic.GRASS: section.grass.tufts_per_m2,
+    }
+    assert found == {Semantic.GROUND, Semantic.TREE, *(kind for kind, amount in wanted.items() if amount)}
+    assert (trees["storey"] == REGENERATION).any() == (section.regeneration.stems_per_ha > 0)
+    assert set(trees["storey"]) >= set(range(1 + len(section.storeys)))
+
+
+def test_the_reference_forest_has_a_leaf_area_index_of_about_four():
+    """Crowns around the benchmark's walk carry 4.0 +- 0.3 m2 of leaves per m2 of ground, from 600 stems per hectare."""
+    window, trees, ground_m2 = grown("reference_forest")
+    area_m2 = 0.0
+    for shape, T in zip(window.shape, window.world_T_shape, strict=True):
+        key = window.shapes[shape]
+        if hasattr(key, "leaf_area_m2"):
+            area_m2 += key.leaf_area_m2 * np.linalg.norm(T[:, 0]) ** 2
+    assert area_m2 / ground_m2 == pytest.approx(4.0, abs=0.3)
+    assert (trees["storey"] == 0).sum() / ground_m2 * 1e4 == pytest.approx(600, rel=0.08)
+
+
+@pytest.mark.parametrize("name", [*presets(), "reference_forest"])
+def test_a_scene_runs(name):
+    """Two tenths of a second give data packets, at short reach to be quick, and the walk lasts its 60 s."""
+    scenario = load(name, ["sensor.max_range_m=15.0"])
+    emulator = Emulator(scenario)
+    assert sum(packet.kind is PacketKind.DATA for packet in emulator.packets(0.0, 0.2)) == 150
+    emulator.packets(0.0, 60.0)
+
+
+def test_any_number_beside_a_preset_takes_its_place(tmp_path):
+    """Keys of the scene replace those of the preset, in tables one by one, and leave the others."""
+    world = scene(
+        tmp_path,
+        "preset = 'old_growth'\nseason = 'leaf_off'\nshrubs = { per_ha = 7 }\nregeneration.height_m = [1.0, 2.0]",
+    )
+    base = presets()["old_growth"]
+    assert world.season == "leaf_off"
+    assert world.shrubs.per_ha == 7
+    assert world.shrubs.species == base["shrubs"]["species"]
+    assert world.regeneration.height_m == (1.0, 2.0)
+    assert world.regeneration.stems_per_ha == base["regeneration"]["stems_per_ha"]
+    assert world.stems_per_ha == base["stems_per_ha"]
+
+
+def test_a_basal_area_beside_a_preset_takes_the_place_of_its_density(tmp_path):
+    """Whoever asks for a basal area over a preset gets it; the preset's stems per hectare are gone."""
+    world = scene(tmp_path, "preset = 'managed_mixed'\nbasal_area_m2_per_ha = 24.0")
+    assert (world.basal_area_m2_per_ha, world.stems_per_ha) == (24.0, 0.0)
+
+
+def test_another_pattern_beside_a_preset_replaces_it_whole(tmp_path):
+    """A pattern of another kind brings nothing of the preset's pattern along; of the same kind it changes single keys."""
+    assert scene(tmp_path, "preset = 'plantation'\npattern = { kind = 'random' }").pattern.kind == "random"
+    rows = scene(tmp_path, "preset = 'plantation'\npattern = { azimuth_deg = 90.0 }").pattern
+    assert (rows.kind, rows.azimuth_deg, rows.tree_spacing_m) == ("plantation", 90.0, 1.9)
+
+
+SPECIES = "species = [{ species = 'silver_birch', share = 1, dbh_cm = 18, height_m = 19 }]"
+
+
+@pytest.mark.parametrize(
+    ("world", "message"),
+    [
+        (
+            "preset = 'jungle'\nstems_per_ha = 9\n" + SPECIES,
+            r'world.preset: found "jungle"; expected "none", "plantation"',
+        ),
+        (SPECIES, "exactly one of basal_area_m2_per_ha and stems_per_ha"),
+        (
+            SPECIES + "\nstems_per_ha = 9\nbasal_area_m2_per_ha = 9",
+            "exactly one of basal_area_m2_per_ha and stems_per_ha",
+        ),
+        (
+            "preset = 'old_growth'\nlogs.length_m = [9.0, 3.0]",
+            "world.logs.length_m: .*expected the smaller number first",
+        ),
+        (
+            "preset = 'plantation'\nshrubs.per_hectare = 3",
+            "world.shrubs.per_hectare: unknown key; expected per_ha",
+        ),
+    ],
+)
+def test_a_forest_that_makes_no_sense_is_told_in_one_line(tmp_path, world, message):
+    """Unknown presets, densities told twice or never, and ranges that run backwards are named with their key."""
+    with pytest.raises(ScenarioError, match=message):
+        scene(tmp_path, world)
+
+
+def test_species_of_all_presets_are_in_the_table():
+    """Every tree that a preset names exists."""
+    names = set()
+    for table in presets().values():
+        for storey in (table, *table.get("storeys", [])):
+            names |= {line["species"] for line in storey["species"]}
+    assert len(names) >= 8
+    assert names <= set(species_table())

@@ -1,0 +1,182 @@
+"""Shapes of what lies on the ground: stones, logs, stumps and tufts of grass, all of unit size.
+
+They are grown once for each variant and level of detail, and stretched to size where they are placed.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from vlp16emu.random import Purpose, generator
+from vlp16emu.types import Mesh
+
+__all__ = ["FLOOR_VARIANTS", "STUMP_DEPTH", "FloorKey", "FloorKind", "floor_meshes"]
+
+Array = NDArray[np.float64]
+
+FLOOR_VARIANTS = 6
+"""Different shapes of each kind."""
+
+STUMP_DEPTH = 0.5
+"""How far a stump reaches into the ground, over its height above it."""
+
+_STONE_SPLITS = (3, 2, 1)
+"""Times that the faces of an icosahedron are quartered, by level: 1280, 320 and 80 faces."""
+
+_LOBES, _LOBE_HEIGHT = 6, 0.05
+"""Sines that shape a stone, and the amplitude of each over the radius; assumption."""
+
+_ROUND_SIDES = (16, 8, 6)
+"""Sides of logs and stumps, by level."""
+
+_LOG_TAPER = 0.2
+"""Difference of a log's end diameters from its mean one, either way; assumption: 1 cm per metre and broken tips."""
+
+_BLADES = (22, 10, 6)
+"""Of a tuft, by level; fewer are wider, so that their area stays."""
+
+_BLADE_AREA = 0.012
+"""One-sided area of a tuft's blades together is this times 22, over the square of its height; assumption."""
+
+
+class FloorKind(StrEnum):
+    """What lies or stands on the ground and is no shrub and no tree."""
+
+    STONE = "stone"
+    LOG = "log"
+    STUMP = "stump"
+    TUFT = "tuft"
+
+
+@dataclass(frozen=True, slots=True)
+class FloorKey:
+    """Name of a shape, and with the seed all that it is grown from."""
+
+    kind: FloorKind
+    variant: int
+    level: int
+    """Of detail, 0 is the finest."""
+
+
+def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
+    """Grow the one mesh of a shape.
+
+    A stone spans -0.5 to 0.5 in z, and its outline seen from above has the area of a circle of diameter
+    1. A log lies along x from -0.5 to 0.5 with mean diameter 1. A stump is 1 high over the ground and 1
+    wide at the top. A tuft is 1 high and stands at the origin.
+    """
+    kinds = list(FloorKind)
+    rng = generator(seed, Purpose.FLOOR_SHAPE, kinds.index(key.kind), key.variant)
+    grow = (_stone, _log, _stump, _tuft)[kinds.index(key.kind)]
+    return (grow(rng, key.level),)
+
+
+def _stone(rng: np.random.Generator, level: int) -> Mesh:
+    """Icosphere with sine lobes."""
+    sphere, faces = _icosphere(_STONE_SPLITS[level])
+    waves = rng.normal(0.0, 2.5, (3, _LOBES))
+    lobes = _LOBE_HEIGHT * np.sin(sphere @ waves + rng.uniform(0, 2 * np.pi, _LOBES))
+    vertices = sphere * (1 + lobes.sum(axis=1, keepdims=True))
+    low, high = vertices[:, 2].min(), vertices[:, 2].max()
+    vertices[:, 2] = (vertices[:, 2] - low) / (high - low) - 0.5
+    vertices[:, :2] -= vertices[:, :2].mean(axis=0)
+    outline_m2 = float(ConvexHull(vertices[:, :2]).volume)  # in the plane a hull's volume is its area
+    vertices[:, :2] *= np.sqrt(np.pi / 4 / outline_m2)
+    return Mesh(vertices.astype(np.float32), faces)
+
+
+def _icosphere(splits: int) -> tuple[Array, NDArray[np.uint32]]:
+    """Quarter the faces of an icosahedron again and again: unit vectors (v, 3) and triangles (f, 3)."""
+    golden = (1 + np.sqrt(5)) / 2
+    corners = [np.roll((0.0, a, b * golden), axis) for axis in range(3) for a in (-1, 1) for b in (-1, 1)]
+    vertices = np.array(corners) / np.hypot(1, golden)
+    faces = ConvexHull(vertices).simplices
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    inward = (np.cross(b - a, c - a) * a).sum(axis=1) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    for _ in range(splits):
+        edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        pairs, index = np.unique(edges, axis=0, return_inverse=True)
+        middle = len(vertices) + index.reshape(-1, 3)
+        between = vertices[pairs].sum(axis=1)
+        vertices = np.concatenate([vertices, between / np.linalg.norm(between, axis=1, keepdims=True)])
+        (a, b, c), (ab, bc, ca) = faces.T, middle.T
+        quarters = np.array([(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)])
+        faces = quarters.transpose(0, 2, 1).reshape(-1, 3)
+    return vertices, faces.astype(np.uint32)
+
+
+def _log(rng: np.random.Generator, level: int) -> Mesh:
+    """Tapering trunk with broken ends, its thick end at -x."""
+    along = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
+    mesh = _drum(rng, _ROUND_SIDES[level], along, 0.5 * (1 - 2 * _LOG_TAPER * along), slant=0.01)
+    return Mesh(np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]]), mesh.faces)
+
+
+def _stump(rng: np.random.Generator, level: int) -> Mesh:
+    """Foot of a felled tree, with its root flare."""
+    heights = np.array([-STUMP_DEPTH, 0.0, 0.3, 1.0])
+    return _drum(rng, _ROUND_SIDES[level], heights, 0.5 * np.array([1.6, 1.45, 1.15, 1.0]), slant=0.06)
+
+
+def _drum(rng: np.random.Generator, sides: int, at: Array, radius: Array, *, slant: float) -> Mesh:
+    """Make a closed body of rings (r,) about the z axis, with weathered ribs and ends that are not quite square."""
+    angle = 2 * np.pi * np.arange(sides) / sides
+    ribs = sum(0.04 * np.cos(n * angle + rng.uniform(0, 2 * np.pi)) for n in (2, 3, 5))
+    # Corners stand out so far that the cross-section has the area of its circle, ribs and all.
+    corner = radius[:, None] * (1 + ribs) * np.sqrt(2 * np.pi / sides / np.sin(2 * np.pi / sides) / 1.0024)
+    x, y = corner * np.cos(angle), corner * np.sin(angle)
+    z = np.repeat(at[:, None], sides, axis=1)
+    tilt = slant * rng.normal(0.0, 1.0, (2, 2))
+    for end, (tilt_x, tilt_y) in zip((0, -1), tilt, strict=True):
+        z[end] += tilt_x * x[end] + tilt_y * y[end]
+    rings = np.stack([x, y, z], axis=-1)
+    vertices = np.concatenate([rings.reshape(-1, 3), rings[[0, -1]].mean(axis=1)])
+    here = np.arange(sides)
+    after, bottom, top = (
+        np.roll(here, -1),
+        np.full(sides, len(vertices) - 2),
+        np.full(sides, len(vertices) - 1),
+    )
+    last = (len(at) - 1) * sides
+    triangles = [(after, here, bottom), (last + here, last + after, top)]
+    for low in range(0, last, sides):
+        triangles += [
+            (low + here, low + after, low + sides + after),
+            (low + here, low + sides + after, low + sides + here),
+        ]
+    faces = np.concatenate([np.column_stack(triple) for triple in triangles])
+    return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
+
+
+def _tuft(rng: np.random.Generator, level: int) -> Mesh:
+    """Blades that leave the ground together and bend outwards: a quad from the foot, and one to the tip."""
+    n = _BLADES[0]
+    towards, lean = rng.uniform(0, 2 * np.pi, n), rng.uniform(0.05, 0.45, n)
+    length, foot = rng.uniform(0.6, 1.0, n), rng.normal(0.0, 0.05, (n, 2))
+    keep = slice(0, _BLADES[level])
+    outward = np.stack([np.cos(towards), np.sin(towards), np.zeros(n)], axis=-1)[keep]
+    across = np.stack([-np.sin(towards), np.cos(towards), np.zeros(n)], axis=-1)[keep]
+    lean, length = lean[keep, None], length[keep, None]
+    up = np.array([0.0, 0.0, 1.0])
+    base = np.column_stack([foot, np.zeros(n)])[keep]
+    knee = base + length * (0.6 * up + 0.6 * lean * outward)
+    tip = knee + length * (0.4 * (1 - lean) * up + 0.8 * lean * outward)
+    tip[:, 2] /= tip[:, 2].max()
+    half_width = _half_width(base, knee, tip)
+    corners = [base - half_width * across, base + half_width * across]
+    corners += [knee + half_width * across, knee - half_width * across]
+    corners += [tip + 0.2 * half_width * across, tip - 0.2 * half_width * across]
+    vertices = np.stack(corners, axis=1).reshape(-1, 3).astype(np.float32)
+    quads = np.array([(0, 1, 2, 3), (3, 2, 4, 5)])
+    faces = (quads + 6 * np.arange(len(base))[:, None, None]).reshape(-1, 4)
+    return Mesh(vertices, faces.astype(np.uint32))
+
+
+def _half_width(base: Array, knee: Array, tip: Array) -> float:
+    """Half the width of blades that have the tuft's leaf area together; a blade narrows to a fifth above its knee."""
+    lower, upper = (float(np.linalg.norm(b - a, axis=1).sum()) for a, b in ((base, knee), (knee, tip)))
+    return _BLADE_AREA * _BLADES[0] / (2 * lower + 1.2 * upper)

@@ -1,0 +1,198 @@
+"""What grows under the trees: saplings and shrubs."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.random import Purpose
+from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.world.crown import VARIANTS, Season
+from vlp16emu.world.materials import BARK_SPREAD, LEAF_SPREAD, bark_material
+from vlp16emu.world.placed import NO_TREES, Placed, Plot, distinct, placements, surface_rows, turned
+from vlp16emu.world.points import Pattern
+from vlp16emu.world.sapling import (
+    CROWN_BASE_SHARE,
+    CROWN_WIDTH_SHARE,
+    SAPLING_PARTS,
+    SLENDERNESS,
+    SaplingKey,
+)
+from vlp16emu.world.shrub import SHRUB_PARTS, ShrubKey
+from vlp16emu.world.species import BREAST_HEIGHT_M, Shrub, Species, known, shrub_table, species_table
+from vlp16emu.world.stand import LEVEL_VARIANTS, REGENERATION, TREE
+
+__all__ = ["Saplings", "Shrubs"]
+
+Array = NDArray[np.float64]
+
+_CLASS_RATIO = 1.4
+"""Between the heights of neighbouring prototypes: none is scaled by more than a fifth."""
+
+_FOOT_SHARE = 0.1
+"""Of a shrub's width, the radius within which its stems leave the ground."""
+
+
+class Saplings:
+    """Young trees.
+
+    Parameters
+    ----------
+    pattern : where they stand
+    species : names in the table of trees, each as often
+    height_m : least and greatest; all heights between are as frequent
+    season : whether broadleaves bear leaves
+
+    Raises
+    ------
+    GeometryError
+        for a species that is not in the table
+    """
+
+    def __init__(
+        self, *, pattern: Pattern, species: Sequence[str], height_m: tuple[float, float], season: Season
+    ) -> None:
+        self.per_ha = pattern.per_ha
+        """Mean number per hectare."""
+        self._pattern, self._height_m, self._season = pattern, height_m, season
+        self._species = known(species, species_table(), "regeneration.species")
+
+    def place(self, plot: Plot) -> Placed:
+        """Saplings of a tile."""
+        xy_m, rng = self._pattern.points(plot.ix, plot.iy), plot.draw(Purpose.REGENERATION)
+        draws = rng.random((len(xy_m), 6))
+        height_m = self._height_m[0] + (self._height_m[1] - self._height_m[0]) * draws[:, 0]
+        foot_m = height_m / SLENDERNESS / 2
+        keep = plot.clear(xy_m, CROWN_WIDTH_SHARE * height_m / 2, foot_m)
+        kind = (len(self._species) * draws[:, 1]).astype(int)
+        trees = np.zeros(len(xy_m), TREE)
+        trees["storey"] = trees["cohort"] = REGENERATION
+        trees["x_m"], trees["y_m"] = xy_m.T
+        trees["z_m"] = plot.height_m(*xy_m.T)
+        trees["height_m"] = height_m
+        trees["dbh_m"] = np.maximum(height_m - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
+        trees["crown_base_m"], trees["crown_width_m"] = (
+            CROWN_BASE_SHARE * height_m,
+            CROWN_WIDTH_SHARE * height_m,
+        )
+        trees["crown_azimuth_deg"] = 360 * draws[:, 2]
+        trees["crown_class"], trees["crown_variant"] = _height_class(height_m), VARIANTS * draws[:, 3]
+        trees["species"] = [self._species[i].number for i in kind]
+        bark, leaf = _brightness(self._species, kind, draws[:, 4:])
+        trees["bark_reflectance"], trees["leaf_reflectance"] = bark, leaf
+        names = [self._species[i].name for i in kind[keep]]
+        return self._placed(trees[keep], names, plot.level)
+
+    def _placed(self, trees: NDArray[np.void], names: Sequence[str], level: int) -> Placed:
+        """Choose a prototype for each sapling."""
+        sizes = trees[["crown_class", "crown_variant"]].tolist()
+        prototype_m = [_class_height_m(size) for size, _ in sizes]
+        keys, shape = distinct(
+            [
+                SaplingKey(name, variant % LEVEL_VARIANTS[level], level, height_m, self._season)
+                for name, (_, variant), height_m in zip(names, sizes, prototype_m, strict=True)
+            ]
+        )
+        return Placed(
+            keys,
+            shape,
+            _scaled(trees, np.array(prototype_m)),
+            _plant_rows(Semantic.TREE, SAPLING_PARTS, trees),
+            trees,
+        )
+
+
+class Shrubs:
+    """Bushes of several stems.
+
+    Parameters
+    ----------
+    pattern : where they stand
+    species : names in the table of shrubs, each as often
+    season : whether they bear leaves
+
+    Raises
+    ------
+    GeometryError
+        for a species that is not in the table
+    """
+
+    def __init__(self, *, pattern: Pattern, species: Sequence[str], season: Season) -> None:
+        self.per_ha = pattern.per_ha
+        """Mean number per hectare."""
+        self._pattern, self._season = pattern, season
+        self._species = known(species, shrub_table(), "shrubs.species")
+
+    def place(self, plot: Plot) -> Placed:
+        """Shrubs of a tile."""
+        xy_m, rng = self._pattern.points(plot.ix, plot.iy), plot.draw(Purpose.SHRUBS)
+        draws = rng.random((len(xy_m), 6))
+        kind = (len(self._species) * draws[:, 1]).astype(int)
+        limits_m = np.array([self._species[i].height_m for i in kind]).reshape(-1, 2)
+        shrubs = np.zeros(len(xy_m), TREE)  # the fields of a tree that a shrub has too
+        shrubs["height_m"] = limits_m[:, 0] + (limits_m[:, 1] - limits_m[:, 0]) * draws[:, 0]
+        shrubs["crown_width_m"] = shrubs["height_m"] * [self._species[i].width_share for i in kind]
+        shrubs["x_m"], shrubs["y_m"] = xy_m.T
+        shrubs["z_m"] = plot.height_m(*xy_m.T)
+        shrubs["crown_azimuth_deg"] = 360 * draws[:, 2]
+        shrubs["species"] = [self._species[i].number for i in kind]
+        bark, leaf = _brightness(self._species, kind, draws[:, 4:])
+        shrubs["bark_reflectance"], shrubs["leaf_reflectance"] = bark, leaf
+        width_m = shrubs["crown_width_m"]
+        keep = plot.clear(xy_m, width_m / 2, _FOOT_SHARE * width_m)
+        return self._placed(shrubs[keep], kind[keep], (VARIANTS * draws[keep, 3]).astype(int), plot.level)
+
+    def _placed(
+        self, shrubs: NDArray[np.void], kind: NDArray[np.int64], variant: NDArray[np.int64], level: int
+    ) -> Placed:
+        """Choose a prototype for each shrub."""
+        prototype_m = [_class_height_m(size) for size in _height_class(shrubs["height_m"]).tolist()]
+        species = [self._species[i] for i in kind]
+        keys, shape = distinct(
+            [
+                ShrubKey(
+                    s.name, v % LEVEL_VARIANTS[level], level, height_m, s.width_share * height_m, self._season
+                )
+                for s, v, height_m in zip(species, variant.tolist(), prototype_m, strict=True)
+            ]
+        )
+        world_T = _scaled(shrubs, np.array(prototype_m))
+        return Placed(keys, shape, world_T, _plant_rows(Semantic.SHRUB, SHRUB_PARTS, shrubs), NO_TREES)
+
+
+def _height_class(height_m: Array) -> NDArray[np.int64]:
+    """Find the number of the prototype of nearly that height."""
+    return np.round(np.log(height_m) / math.log(_CLASS_RATIO)).astype(np.int64)
+
+
+def _class_height_m(number: int) -> float:
+    """Height of a prototype."""
+    return float(_CLASS_RATIO**number)
+
+
+def _brightness(
+    species: Sequence[Species] | Sequence[Shrub], kind: NDArray[np.int64], draws: Array
+) -> tuple[Array, Array]:
+    """Reflectance of bark and leaf of each plant, from draws (n, 2)."""
+    middle = np.array([(plant.bark_reflectance, plant.leaf_reflectance) for plant in species])[kind]
+    spread = (2 * draws - 1) * (BARK_SPREAD, LEAF_SPREAD)
+    bark, leaf = (middle + spread).reshape(-1, 2).T
+    return bark, leaf
+
+
+def _scaled(plants: NDArray[np.void], prototype_m: Array) -> Array:
+    """`world_T_shape` of plants whose prototypes have the given heights (n,)."""
+    size = np.repeat((plants["height_m"] / prototype_m)[:, None], 3, axis=1)
+    place_m = np.column_stack([plants["x_m"], plants["y_m"], plants["z_m"]])
+    return placements(place_m, turned(plants["crown_azimuth_deg"]), size)
+
+
+def _plant_rows(semantic: Semantic, parts: Sequence[PlantPart], plants: NDArray[np.void]) -> NDArray[np.void]:
+    """Label the parts of plants."""
+    leaf = np.array(parts) == PlantPart.LEAF
+    bright = np.where(leaf, plants["leaf_reflectance"][:, None], plants["bark_reflectance"][:, None])
+    material = bark_material(plants["species"])[:, None] + leaf
+    return surface_rows(
+        parts=parts, semantic=semantic, material=material, reflectance=bright, species=plants["species"]
+    )
