@@ -27,7 +27,7 @@ def ahead(
 ) -> Iterator[T]:
     """Yield the results of `work(block, scene of its stretch)` in order of blocks, a few computed ahead.
 
-    The next stretch is opened while the present one is worked on, and dropped when it is over.
+    The next stretch is opened from the middle of the present one on, and dropped when it is over.
 
     Parameters
     ----------
@@ -44,9 +44,10 @@ def ahead(
         try:
             for block in blocks:
                 stretch = block // per_stretch if per_stretch else 0
-                for near in range(stretch, min(stretch + 1, last) + 1):
-                    if near not in opened:
-                        opened[near] = opener.submit(open_stretch, near)
+                # Not at once: the first packet should not wait for the second window.
+                soon = min((block + per_stretch // 2) // per_stretch, last) if per_stretch else 0
+                for near in sorted({stretch, soon} - opened.keys()):
+                    opened[near] = opener.submit(open_stretch, near)
                 opened.pop(stretch - 1, None)
                 pending.append(workers.submit(work, block, opened[stretch]))
                 if len(pending) > 2 * threads:

@@ -5,7 +5,6 @@ import math
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from vlp16emu.errors import TrajectoryError
@@ -78,7 +77,8 @@ def _by_arc_length(way_points_m: NDArray[np.float64]) -> tuple[NDArray[np.float6
         u,
     )
     speed = np.hypot(*curve(fine, 1).T)
-    length = cumulative_simpson(speed, x=fine, initial=0.0)
+    # By trapezia: over samples of 2 cm the error is under a micrometre per metre.
+    length = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(fine))])
     knots = 1 + max(4, round(length[-1] / _KNOT_M))
     at_knots = PchipInterpolator(length, fine)(np.linspace(0.0, length[-1], knots))
     return np.ascontiguousarray(curve(at_knots)), float(length[-1])
