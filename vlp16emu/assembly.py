@@ -1,6 +1,6 @@
 """From the sections of a scenario to the parts of an emulator. Builds no geometry yet."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 
@@ -30,6 +30,7 @@ from vlp16emu.world import (
     Box,
     Clusters,
     Dem,
+    Flora,
     Forest,
     Furnished,
     Furniture,
@@ -48,6 +49,7 @@ from vlp16emu.world import (
     Saplings,
     Scattered,
     Shrubs,
+    Species,
     SpeciesMix,
     Sphere,
     Stand,
@@ -56,10 +58,10 @@ from vlp16emu.world import (
     Stumps,
     Terrain,
     density_per_ha,
+    flora,
     load_mesh,
     looks_of,
     read_stem_list,
-    species_table,
     stones_per_ha,
 )
 
@@ -113,27 +115,29 @@ def _forest(
     section: ForestSection | PlotSection, seed: int, height_m: HeightField, path: Polyline, reach_m: float
 ) -> Forest:
     """Make the forest."""
+    plants = flora(FilePath(section.species_file) if section.species_file else None)
     stems: Stand | GivenStand
     if isinstance(section, PlotSection):
-        stems, canopy = _given_stand(section, seed, height_m, path)
+        stems, canopy = _given_stand(section, seed, height_m, path, plants.trees)
     else:
-        stems, canopy = _stand(section, seed, height_m, path), [s.species for s in section.species]
+        stems, canopy = _stand(section, seed, height_m, path, plants), [s.species for s in section.species]
     return Forest(
         seed=seed,
         height_m=height_m,
         stems=stems,
-        layers=[layer for layer in _layers(section, seed, canopy) if layer.per_ha],
+        layers=[layer for layer in _layers(section, seed, canopy, plants) if layer.per_ha],
         path=path,
         path_clearance_m=section.path_clearance_m,
         reach_m=reach_m,
+        plants=plants,
     )
 
 
 def _given_stand(
-    section: PlotSection, seed: int, height_m: HeightField, path: Polyline
+    section: PlotSection, seed: int, height_m: HeightField, path: Polyline, table: Mapping[str, Species]
 ) -> tuple[GivenStand, list[str]]:
     """Make a stand of given trees, and tell what species they are."""
-    file, table = FilePath(section.stem_list), species_table()
+    file = FilePath(section.stem_list)
     trees = read_stem_list(file, table, section.origin_m)
     stand = GivenStand(
         seed=seed,
@@ -149,7 +153,7 @@ def _given_stand(
     return stand, [name for name, species in table.items() if species.number in trees["species"]]
 
 
-def _stand(section: ForestSection, seed: int, height_m: HeightField, path: Polyline) -> Stand:
+def _stand(section: ForestSection, seed: int, height_m: HeightField, path: Polyline, plants: Flora) -> Stand:
     """Make a stand that grows itself."""
     purposes = (Purpose.STAND, Purpose.SECOND_STOREY, Purpose.THIRD_STOREY)
     return Stand(
@@ -163,6 +167,7 @@ def _stand(section: ForestSection, seed: int, height_m: HeightField, path: Polyl
         path_clearance_m=section.path_clearance_m,
         season=section.season,
         dead_branches=section.dead_branches,
+        plants=plants,
     )
 
 
@@ -173,7 +178,7 @@ def _storey(section: StoreySection, seed: int, purpose: Purpose) -> Storey:
     return Storey(_pattern(section.pattern, seed, purpose, per_ha), species)
 
 
-def _layers(section: WoodsSection, seed: int, canopy: list[str]) -> list[Layer]:
+def _layers(section: WoodsSection, seed: int, canopy: list[str], plants: Flora) -> list[Layer]:
     """All that grows and lies under the trees."""
     young, shrubs, logs, stumps = section.regeneration, section.shrubs, section.logs, section.stumps
 
@@ -183,22 +188,31 @@ def _layers(section: WoodsSection, seed: int, canopy: list[str]) -> list[Layer]:
     return [
         Saplings(
             pattern=_pattern(young.pattern, seed, Purpose.REGENERATION, young.stems_per_ha),
-            species=young.species or [name for name in canopy if species_table()[name].foliage],
+            species=young.species or [name for name in canopy if plants.trees[name].foliage],
             height_m=young.height_m,
             season=section.season,
+            plants=plants,
         ),
         Shrubs(
             pattern=_pattern(shrubs.pattern, seed, Purpose.SHRUBS, shrubs.per_ha),
             species=shrubs.species,
             season=section.season,
+            plants=plants,
         ),
         Stones(scattered(Purpose.STONES, stones_per_ha(section.stones.cover))),
-        Logs(scattered(Purpose.LOGS, logs.per_ha), logs.species or canopy, logs.diameter_m, logs.length_m),
+        Logs(
+            scattered(Purpose.LOGS, logs.per_ha),
+            logs.species or canopy,
+            logs.diameter_m,
+            logs.length_m,
+            plants,
+        ),
         Stumps(
             scattered(Purpose.STUMPS, stumps.per_ha),
             stumps.species or canopy,
             stumps.diameter_m,
             stumps.height_m,
+            plants,
         ),
         Grass(scattered(Purpose.GRASS, 10_000 * section.grass.tufts_per_m2), section.grass.height_m),
     ]

@@ -67,7 +67,7 @@ def write_inventory(path: Path, seen: Survey) -> None:
     OutputError
         where the file cannot be written
     """
-    write_csv(path, seen.inventory(seen.trees))
+    write_csv(path, seen.inventory(seen.trees), table=seen.plants.trees)
 
 
 def write_twin(path: Path, seen: Survey) -> None:

@@ -17,7 +17,7 @@ from vlp16emu.world.crown import CrownKey
 from vlp16emu.world.furnished import Furnished
 from vlp16emu.world.inventory import inventory
 from vlp16emu.world.nearby import Thing, things_near
-from vlp16emu.world.species import shrub_table, species_table
+from vlp16emu.world.species import Flora, flora
 from vlp16emu.world.stand import REGENERATION, TREE
 
 __all__ = ["Survey", "survey"]
@@ -49,11 +49,16 @@ class Survey:
     """(m,) those of them that stand in the surroundings."""
     things: list[Thing]
     """Everything else in the surroundings."""
-    species: Mapping[int, str]
-    """Names of trees and shrubs by number."""
+    plants: Flora
+    """Trees and shrubs."""
     names: Mapping[int, str]
     """Of things that have one, by instance."""
     seed: int
+
+    @property
+    def species(self) -> dict[int, str]:
+        """Names of trees and shrubs by number."""
+        return self.plants.names
 
     def inventory(self, trees: NDArray[np.void]) -> NDArray[np.void]:
         """Take the inventory of some of the trees (k,)."""
@@ -61,7 +66,9 @@ class Survey:
         instance = window.surfaces["instance"][window.first_surface].tolist()
         shapes = (window.shapes[i] for i in window.shape)
         crowns = {i: key for i, key in zip(instance, shapes, strict=True) if isinstance(key, CrownKey)}
-        return inventory(trees, [crowns[i] for i in trees["id"].tolist()], seed=self.seed)
+        return inventory(
+            trees, [crowns[i] for i in trees["id"].tolist()], seed=self.seed, table=self.plants.trees
+        )
 
     def inside(self, xy_m: Array) -> NDArray[np.bool_]:
         """Which points (k, 2) lie in the surroundings."""
@@ -103,16 +110,10 @@ def survey(scenario: Scenario, radius_m: float) -> Survey:
         trees=trees[gap_m <= reach_m],
         near=trees[gap_m <= radius_m],
         things=things_near(window, world.shape, trees=trees["id"], way=way, radius_m=far_m),
-        species=_plant_names(),
+        plants=bare.plants if isinstance(bare, Forest) else flora(),
         names={instance: name for known in names for instance, name in known.items()},
         seed=scenario.seed,
     )
-
-
-def _plant_names() -> dict[int, str]:
-    """Names of trees and shrubs by number."""
-    trees = {tree.number: name for name, tree in species_table().items()}
-    return trees | {shrub.number: name for name, shrub in shrub_table().items()}
 
 
 def _way_m(scenario: Scenario, motion: Motion) -> Array:

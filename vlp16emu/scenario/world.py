@@ -186,6 +186,8 @@ class Woods(Section):
     logs: Logs = Logs()
     stumps: Stumps = Stumps()
     grass: Grass = Grass()
+    species_file: SceneFile | None = None
+    """Plants of the user's own, in the form of the program's `world/species.toml`, numbered from 1000."""
     path_clearance_m: NonNegative = 0.8
     """Nothing that stands or lies on the ground comes nearer to the path than this."""
     terrain: Terrain = Terrain()

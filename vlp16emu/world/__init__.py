@@ -9,7 +9,7 @@ from vlp16emu.world.hall import Box, Hall, Pole, Sphere
 from vlp16emu.world.placed import Layer
 from vlp16emu.world.points import Clusters, HardCore, Pattern, Rows, Scattered
 from vlp16emu.world.polyline import Polyline
-from vlp16emu.world.species import BREAST_HEIGHT_M, Species, species_table
+from vlp16emu.world.species import BREAST_HEIGHT_M, Flora, Species, flora, species_table
 from vlp16emu.world.stand import REGENERATION, TREE, SpeciesMix, Stand, Storey, density_per_ha
 from vlp16emu.world.stem_list import read_stem_list
 from vlp16emu.world.terrain import Terrain
@@ -23,6 +23,7 @@ __all__ = [
     "Box",
     "Clusters",
     "Dem",
+    "Flora",
     "Forest",
     "Furnished",
     "Furniture",
@@ -50,6 +51,7 @@ __all__ = [
     "Stumps",
     "Terrain",
     "density_per_ha",
+    "flora",
     "load_mesh",
     "looks_of",
     "read_stem_list",

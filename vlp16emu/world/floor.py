@@ -24,7 +24,7 @@ from vlp16emu.world.placed import (
     turned,
 )
 from vlp16emu.world.points import Pattern
-from vlp16emu.world.species import known, species_table
+from vlp16emu.world.species import Flora, flora, known
 
 __all__ = ["Grass", "Logs", "Stones", "Stumps", "stones_per_ha"]
 
@@ -118,8 +118,10 @@ class Logs:
     length_m: tuple[float, float]
     """Least and greatest length."""
 
+    plants: Flora | None = None
+
     def __post_init__(self) -> None:
-        known(self.species, species_table(), "logs.species")
+        known(self.species, (self.plants or flora()).trees, "logs.species")
 
     @property
     def per_ha(self) -> float:
@@ -144,7 +146,7 @@ class Logs:
         z_m = ground_m.mean(axis=1) + (1 - _LOG_SUNK) * diameter_m / 2
         size = np.column_stack([length_m, diameter_m, diameter_m])
         world_T = placements(np.column_stack([xy_m, z_m]), laid(towards, slope), size)
-        species = _species_numbers(self.species, draws[:, 3])
+        species = _species_numbers(self.species, self.plants, draws[:, 3])
         return _placed(FloorKind.LOG, plot.level, keep, world_T, draws[:, 4:], species)
 
 
@@ -160,8 +162,10 @@ class Stumps:
     height_m: tuple[float, float]
     """Least and greatest height."""
 
+    plants: Flora | None = None
+
     def __post_init__(self) -> None:
-        known(self.species, species_table(), "stumps.species")
+        known(self.species, (self.plants or flora()).trees, "stumps.species")
 
     @property
     def per_ha(self) -> float:
@@ -177,7 +181,7 @@ class Stumps:
         place_m = np.column_stack([xy_m, plot.height_m(*xy_m.T)])
         size = np.column_stack([diameter_m, diameter_m, height_m])
         world_T = placements(place_m, turned(360 * draws[:, 2]), size)
-        species = _species_numbers(self.species, draws[:, 3])
+        species = _species_numbers(self.species, self.plants, draws[:, 3])
         return _placed(FloorKind.STUMP, plot.level, keep, world_T, draws[:, 4:], species)
 
 
@@ -245,8 +249,9 @@ def _between(limits: tuple[float, float], draw: Array) -> Array:
     return value
 
 
-def _species_numbers(names: Sequence[str], draw: Array) -> Array:
+def _species_numbers(names: Sequence[str], plants: Flora | None, draw: Array) -> Array:
     """Numbers of species, each as often."""
-    numbers = np.array([species_table()[name].number for name in names])
+    table = (plants or flora()).trees
+    numbers = np.array([table[name].number for name in names])
     chosen: Array = numbers[(len(numbers) * draw).astype(int)]
     return chosen

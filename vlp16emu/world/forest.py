@@ -17,6 +17,7 @@ from vlp16emu.world.placed import Layer, Placed, Plot, distinct
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.sapling import SaplingKey, sapling_meshes
 from vlp16emu.world.shrub import ShrubKey, shrub_meshes
+from vlp16emu.world.species import Flora, flora
 from vlp16emu.world.stand import TREE, foot_discs
 from vlp16emu.world.stem import STEM_PARTS, lean_rotation, stem_meshes
 from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, level_of, tile_origin_m, tiles_within
@@ -97,6 +98,7 @@ class Forest:
     path : the whole way of the sensor, fine enough that its chords are the way
     path_clearance_m : nothing that stands or lies on the ground comes nearer to the path than this
     reach_m : how far the sensor sees
+    plants : trees and shrubs; those of the program if none are given
 
     Raises
     ------
@@ -114,25 +116,28 @@ class Forest:
         path: Polyline,
         path_clearance_m: float,
         reach_m: float,
+        plants: Flora | None = None,
     ) -> None:
         per_ha = stems.per_ha + sum(layer.per_ha for layer in layers)
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
         self._seed, self._path, self._clearance_m, self._reach_m = seed, path, path_clearance_m, reach_m
-        self.height_m = height_m
+        self.height_m, self.plants = height_m, plants or flora()
         self._stems, self._layers = stems, layers
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         kept = 2 * (4 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
         self._tile = lru_cache(maxsize=kept)(self._grow_tile)
         self._trees = lru_cache(maxsize=kept)(stems.trees)
-        self._discs = lru_cache(maxsize=kept)(lambda ix, iy: foot_discs(self._trees(ix, iy)))
+        self._discs = lru_cache(maxsize=kept)(
+            lambda ix, iy: foot_discs(self._trees(ix, iy), table=self.plants.trees)
+        )
 
     @property
     def materials(self) -> tuple[str, ...]:
         """Names by `SURFACE` material number."""
-        return material_names()
+        return material_names(self.plants)
 
     def trees(self, track_m: Array) -> Trees:
         """Give the records (n,) `TREE` of all trees and saplings within reach of positions (m, 2 or 3)."""
@@ -168,14 +173,14 @@ class Forest:
         match key:
             case TileKey():
                 trees, origin_m = self._trees(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
-                stems = stem_meshes(trees, key.level, origin_m, self.height_m)
+                stems = stem_meshes(trees, key.level, origin_m, self.height_m, table=self.plants.trees)
                 return (ground_mesh(key, self.height_m), *stems)
             case CrownKey():
-                return crown_meshes(self._seed, key)
+                return crown_meshes(self._seed, key, table=self.plants.trees)
             case SaplingKey():
-                return sapling_meshes(self._seed, key)
+                return sapling_meshes(self._seed, key, table=self.plants.trees)
             case ShrubKey():
-                return shrub_meshes(self._seed, key)
+                return shrub_meshes(self._seed, key, table=self.plants.shrubs)
             case FloorKey():
                 return floor_meshes(self._seed, key)
         raise KeyError(key)
@@ -204,7 +209,7 @@ class Forest:
                 placed.trees["id"] = numbers
             number += len(placed.shape)
             groups.append(placed)
-        return _packed(key, tile_origin_m(ix, iy, self.height_m), trees, groups)
+        return _packed(key, tile_origin_m(ix, iy, self.height_m), trees, groups, self.plants)
 
     def _crowns(self, trees: Trees) -> Placed:
         """Place the crowns of a tile's trees."""
@@ -216,7 +221,11 @@ class Forest:
         ]
         keys, shape = distinct(crowns)
         return Placed(
-            keys, shape, _crown_placements(trees, crowns), _plant_surfaces(trees, CROWN_PARTS), trees
+            keys,
+            shape,
+            _crown_placements(trees, crowns),
+            _plant_surfaces(trees, CROWN_PARTS, self.plants),
+            trees,
         )
 
     def _crown_levels(self, trees: Trees) -> NDArray[np.int64]:
@@ -261,14 +270,14 @@ def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], 
     return (int(low[0]), int(low[1])), (int(across[0]), int(across[1]))
 
 
-def _packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[Placed]) -> _Tile:
+def _packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[Placed], plants: Flora) -> _Tile:
     """Put a tile together: first its own shape of ground and stems, then all that is placed on it."""
     ground = np.zeros(1, SURFACE)
     ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
     own_T = np.concatenate([np.eye(3), origin_m[:, None]], axis=1)[None]
     keys: list[ShapeKey] = [key]
     shape, first_surface = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)]
-    tables = [ground, _plant_surfaces(trees, STEM_PARTS).ravel()]
+    tables = [ground, _plant_surfaces(trees, STEM_PARTS, plants).ravel()]
     rows = 1 + len(STEM_PARTS) * len(trees)
     for placed in groups:
         n, parts = placed.surfaces.shape
@@ -302,7 +311,7 @@ def _crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
     return np.concatenate([lean @ stem_T, base[..., None]], axis=2)
 
 
-def _plant_surfaces(trees: Trees, parts: Sequence[int]) -> NDArray[np.void]:
+def _plant_surfaces(trees: Trees, parts: Sequence[int], plants: Flora) -> NDArray[np.void]:
     """`SURFACE` rows of trees, (n, parts)."""
     leaf = np.array(parts) == PlantPart.LEAF
     rows = np.zeros((len(trees), len(parts)), SURFACE)
@@ -311,5 +320,5 @@ def _plant_surfaces(trees: Trees, parts: Sequence[int]) -> NDArray[np.void]:
     )
     rows["semantic"], rows["part"] = Semantic.TREE, parts
     rows["instance"], rows["species"] = trees["id"][:, None], trees["species"][:, None]
-    rows["material"] = bark_material(trees["species"])[:, None] + leaf
+    rows["material"] = bark_material(trees["species"], plants)[:, None] + leaf
     return rows

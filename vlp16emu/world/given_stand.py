@@ -70,7 +70,7 @@ class GivenStand:
         self._season, self._dead_branches = season, dead_branches
         trees = _completed(seed, trees, self._species)
         trees["z_m"] = height_m(trees["x_m"], trees["y_m"])
-        _check_path(source, trees, path, path_clearance_m)
+        _check_path(source, trees, table, path, path_clearance_m)
         tile = np.floor(np.column_stack([trees["x_m"], trees["y_m"]]) / TILE_M).astype(np.int64)
         tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
         names = [(int(ix), int(iy)) for ix, iy in tiles]
@@ -119,9 +119,11 @@ def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
     return trees
 
 
-def _check_path(source: Path, trees: Trees, path: Polyline, clearance_m: float) -> None:
+def _check_path(
+    source: Path, trees: Trees, table: Mapping[str, Species], path: Polyline, clearance_m: float
+) -> None:
     """Refuse a tree that somebody would walk into."""
-    gap_m = path_gap_m(trees, foot_discs(trees)[:, 2], path)
+    gap_m = path_gap_m(trees, foot_discs(trees, table=table)[:, 2], path)
     if gap_m.min() < clearance_m:
         i = int(gap_m.argmin())
         where = f"{source}: tree at ({trees['x_m'][i]:g}, {trees['y_m'][i]:g}) m in the scene"

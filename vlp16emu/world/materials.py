@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.world.species import shrub_table, species_table
+from vlp16emu.world.species import Flora
 
 __all__ = ["BARK_SPREAD", "GROUND_MATERIALS", "LEAF_SPREAD", "bark_material", "material_names"]
 
@@ -17,23 +17,22 @@ BARK_SPREAD, LEAF_SPREAD = 0.08, 0.04
 """Half-range of reflectance between plants; assumptions (wide spread in the near infrared: Juola et al. 2020)."""
 
 
-def material_names() -> tuple[str, ...]:
-    """All materials by number: those on the ground, then bark and leaf of each tree and shrub of the table."""
-    plants = (f"{name} {what}" for name in (*species_table(), *shrub_table()) for what in ("bark", "leaf"))
-    return (*GROUND_MATERIALS, *plants)
+def material_names(plants: Flora) -> tuple[str, ...]:
+    """All materials by number: those on the ground, then bark and leaf of each tree and shrub."""
+    parts = (f"{name} {what}" for name in (*plants.trees, *plants.shrubs) for what in ("bark", "leaf"))
+    return (*GROUND_MATERIALS, *parts)
 
 
-def bark_material(species: NDArray[np.uint16]) -> NDArray[np.int64]:
+def bark_material(species: NDArray[np.uint16], plants: Flora) -> NDArray[np.int64]:
     """Material numbers of the bark of species by number, (n,); that of the leaf is the next."""
-    row: NDArray[np.int64] = _rows()[species]
+    row: NDArray[np.int64] = _rows(plants)[species]
     return len(GROUND_MATERIALS) + 2 * row
 
 
 @cache
-def _rows() -> NDArray[np.int64]:
+def _rows(plants: Flora) -> NDArray[np.int64]:
     """Place in the table by species number."""
-    numbers = [tree.number for tree in species_table().values()]
-    numbers += [shrub.number for shrub in shrub_table().values()]
+    numbers = list(plants.names)
     row_of = np.zeros(max(numbers) + 1, np.int64)
     row_of[numbers] = np.arange(len(numbers))
     return row_of

@@ -1,5 +1,6 @@
 """Sapling prototypes: a thin stem from the ground with branches and leaves, grown once for a species and height."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.branches import first_order, side_branches, tubes
 from vlp16emu.world.crown import Season
 from vlp16emu.world.foliage import foliage_mesh
-from vlp16emu.world.species import Habit, species_table
+from vlp16emu.world.species import Habit, Species, species_table
 
 __all__ = [
     "CROWN_BASE_SHARE",
@@ -72,12 +73,14 @@ class _Detail:
 _DETAIL = (_Detail(2, 4, 1), _Detail(4, 3, 4), _Detail(8, 3, 16))
 
 
-def sapling_meshes(seed: int, key: SaplingKey) -> tuple[Mesh, Mesh, Mesh, Mesh]:
+def sapling_meshes(
+    seed: int, key: SaplingKey, *, table: Mapping[str, Species] | None = None
+) -> tuple[Mesh, Mesh, Mesh, Mesh]:
     """Meshes of `SAPLING_PARTS`, in a frame with its origin on the ground and z along the stem.
 
     All levels have the same branches and the same leaf area.
     """
-    species, detail = species_table()[key.species], _DETAIL[key.level]
+    species, detail = (table or species_table())[key.species], _DETAIL[key.level]
     rng = generator(seed, Purpose.SAPLING, species.number, key.variant, round(key.height_m * 1e3))
     base_m, width_m = CROWN_BASE_SHARE * key.height_m, CROWN_WIDTH_SHARE * key.height_m
     crown_m = key.height_m - base_m

@@ -28,11 +28,13 @@ from vlp16emu.world.species_file import read_tables, record
 
 __all__ = [
     "BREAST_HEIGHT_M",
+    "Flora",
     "Foliage",
     "Habit",
     "Shrub",
     "Species",
     "Twigs",
+    "flora",
     "known",
     "shrub_table",
     "species_table",
@@ -205,8 +207,32 @@ class Shrub:
     fia: int | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Flora:
+    """All plants that a world may hold, by name, in the order of the table; a user's own come last."""
+
+    trees: Mapping[str, Species]
+    shrubs: Mapping[str, Shrub]
+
+    @property
+    def names(self) -> dict[int, str]:
+        """Names of all plants by number."""
+        return {plant.number: name for table in (self.trees, self.shrubs) for name, plant in table.items()}
+
+
 def species_table(path: Path | None = None) -> Mapping[str, Species]:
-    """All trees by name, in the order of the table; those of the user's own file come last.
+    """All trees of `flora`."""
+    return flora(path).trees
+
+
+def shrub_table(path: Path | None = None) -> Mapping[str, Shrub]:
+    """All shrubs of `flora`."""
+    return flora(path).shrubs
+
+
+@cache
+def flora(path: Path | None = None) -> Flora:
+    """Read the plants of the program, and those of a user's file after them.
 
     Parameters
     ----------
@@ -217,17 +243,6 @@ def species_table(path: Path | None = None) -> Mapping[str, Species]:
     GeometryError
         naming file, species and key, where the user's file is wrong
     """
-    return _tables(path)[0]
-
-
-def shrub_table(path: Path | None = None) -> Mapping[str, Shrub]:
-    """All shrubs by name, as `species_table` gives the trees."""
-    return _tables(path)[1]
-
-
-@cache
-def _tables(path: Path | None) -> tuple[Mapping[str, Species], Mapping[str, Shrub]]:
-    """Trees and shrubs of the program, and of a user's file after them."""
     with resources.as_file(resources.files("vlp16emu.world").joinpath("species.toml")) as shipped:
         trees, shrubs = _plants(shipped)
     if path is not None:
@@ -241,7 +256,7 @@ def _tables(path: Path | None) -> tuple[Mapping[str, Species], Mapping[str, Shru
                 found = f"found {plant.number}"
                 raise GeometryError(f"{where}: number", found, f"{_FIRST_OWN_NUMBER} or more")
         trees, shrubs = trees | own_trees, shrubs | own_shrubs
-    return MappingProxyType(trees), MappingProxyType(shrubs)
+    return Flora(MappingProxyType(trees), MappingProxyType(shrubs))
 
 
 def _plants(path: Path) -> tuple[dict[str, Species], dict[str, Shrub]]:

@@ -1,7 +1,7 @@
 """A stand of trees: who stands where, and how large. Tile by tile, from (seed, tile) alone."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -14,7 +14,7 @@ from vlp16emu.world.crown import VARIANTS, CrownKey, Season
 from vlp16emu.world.materials import BARK_SPREAD, LEAF_SPREAD
 from vlp16emu.world.points import Pattern
 from vlp16emu.world.polyline import Polyline
-from vlp16emu.world.species import known, species_table, taper_radius_m, tapers
+from vlp16emu.world.species import Flora, Species, flora, known, taper_radius_m, tapers
 
 __all__ = [
     "LEVEL_VARIANTS",
@@ -104,8 +104,8 @@ class SpeciesMix:
 class _Cohort:
     """The trees of one species in a stand: their diameters, and what follows from a diameter."""
 
-    def __init__(self, mix: SpeciesMix) -> None:
-        self.mix, self.species = mix, known([mix.species], species_table(), "species")[0]
+    def __init__(self, mix: SpeciesMix, plants: Flora) -> None:
+        self.mix, self.species = mix, known([mix.species], plants.trees, "species")[0]
         midpoints = (np.arange(4096) + 0.5) / 4096
         raw_cm = self.species.dbh_quantile_cm(midpoints, mix.dbh_cm)
         self._scale = mix.dbh_cm / math.sqrt(float(np.mean(raw_cm**2)))
@@ -136,10 +136,10 @@ class Storey:
     """The mixture."""
 
 
-def foot_discs(trees: Trees) -> Array:
+def foot_discs(trees: Trees, *, table: Mapping[str, Species] | None = None) -> Array:
     """Sections of stems with the ground: (n, 3) x, y, radius."""
     foot = np.zeros((len(trees), 1))
-    radius_m = taper_radius_m(tapers(trees["species"]), trees["dbh_m"], trees["height_m"], foot)
+    radius_m = taper_radius_m(tapers(trees["species"], table=table), trees["dbh_m"], trees["height_m"], foot)
     return np.column_stack([trees["x_m"], trees["y_m"], radius_m])
 
 
@@ -174,6 +174,7 @@ class Stand:
     path_clearance_m : no stem surface comes nearer to it than this
     season : whether broadleaves bear leaves
     dead_branches : whether dead branches still sit below the crowns
+    plants : trees and shrubs; those of the program if none are given
 
     Raises
     ------
@@ -191,10 +192,11 @@ class Stand:
         path_clearance_m: float,
         season: Season,
         dead_branches: bool,
+        plants: Flora | None = None,
     ) -> None:
-        self._seed, self._height_m = seed, height_m
+        self._seed, self._height_m, self._plants = seed, height_m, plants or flora()
         self._patterns = [storey.pattern for storey in storeys]
-        self._cohorts = [[_Cohort(mix) for mix in storey.species] for storey in storeys]
+        self._cohorts = [[_Cohort(mix, self._plants) for mix in storey.species] for storey in storeys]
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
         """Mean number of stems per hectare."""
@@ -223,7 +225,7 @@ class Stand:
     def _sow(self, ix: int, iy: int) -> tuple[Trees, Array]:
         """All that would like to stand on a tile, and of each x, y, radius at the ground and DBH (n, 4)."""
         trees = np.concatenate([self._sow_storey(number, ix, iy) for number in range(len(self._patterns))])
-        return trees, np.column_stack([foot_discs(trees), trees["dbh_m"]])
+        return trees, np.column_stack([foot_discs(trees, table=self._plants.trees), trees["dbh_m"]])
 
     def _sow_storey(self, number: int, ix: int, iy: int) -> Trees:
         """Trees of one storey."""

@@ -20,7 +20,7 @@ from vlp16emu.world.sapling import (
     SaplingKey,
 )
 from vlp16emu.world.shrub import SHRUB_PARTS, ShrubKey
-from vlp16emu.world.species import BREAST_HEIGHT_M, Shrub, Species, known, shrub_table, species_table
+from vlp16emu.world.species import BREAST_HEIGHT_M, Flora, Shrub, Species, flora, known
 from vlp16emu.world.stand import LEVEL_VARIANTS, REGENERATION, TREE
 
 __all__ = ["Saplings", "Shrubs"]
@@ -51,12 +51,19 @@ class Saplings:
     """
 
     def __init__(
-        self, *, pattern: Pattern, species: Sequence[str], height_m: tuple[float, float], season: Season
+        self,
+        *,
+        pattern: Pattern,
+        species: Sequence[str],
+        height_m: tuple[float, float],
+        season: Season,
+        plants: Flora | None = None,
     ) -> None:
         self.per_ha = pattern.per_ha
         """Mean number per hectare."""
         self._pattern, self._height_m, self._season = pattern, height_m, season
-        self._species = known(species, species_table(), "regeneration.species")
+        self._plants = plants or flora()
+        self._species = known(species, self._plants.trees, "regeneration.species")
 
     def place(self, plot: Plot) -> Placed:
         """Saplings of a tile."""
@@ -98,7 +105,7 @@ class Saplings:
             keys,
             shape,
             _scaled(trees, np.array(prototype_m)),
-            _plant_rows(Semantic.TREE, SAPLING_PARTS, trees),
+            _plant_rows(Semantic.TREE, SAPLING_PARTS, trees, self._plants),
             trees,
         )
 
@@ -118,11 +125,14 @@ class Shrubs:
         for a species that is not in the table
     """
 
-    def __init__(self, *, pattern: Pattern, species: Sequence[str], season: Season) -> None:
+    def __init__(
+        self, *, pattern: Pattern, species: Sequence[str], season: Season, plants: Flora | None = None
+    ) -> None:
         self.per_ha = pattern.per_ha
         """Mean number per hectare."""
         self._pattern, self._season = pattern, season
-        self._species = known(species, shrub_table(), "shrubs.species")
+        self._plants = plants or flora()
+        self._species = known(species, self._plants.shrubs, "shrubs.species")
 
     def place(self, plot: Plot) -> Placed:
         """Shrubs of a tile."""
@@ -158,7 +168,9 @@ class Shrubs:
             ]
         )
         world_T = _scaled(shrubs, np.array(prototype_m))
-        return Placed(keys, shape, world_T, _plant_rows(Semantic.SHRUB, SHRUB_PARTS, shrubs), NO_TREES)
+        return Placed(
+            keys, shape, world_T, _plant_rows(Semantic.SHRUB, SHRUB_PARTS, shrubs, self._plants), NO_TREES
+        )
 
 
 def _height_class(height_m: Array) -> NDArray[np.int64]:
@@ -188,11 +200,13 @@ def _scaled(plants: NDArray[np.void], prototype_m: Array) -> Array:
     return placements(place_m, turned(plants["crown_azimuth_deg"]), size)
 
 
-def _plant_rows(semantic: Semantic, parts: Sequence[PlantPart], plants: NDArray[np.void]) -> NDArray[np.void]:
+def _plant_rows(
+    semantic: Semantic, parts: Sequence[PlantPart], plants: NDArray[np.void], table: Flora
+) -> NDArray[np.void]:
     """Label the parts of plants."""
     leaf = np.array(parts) == PlantPart.LEAF
     bright = np.where(leaf, plants["leaf_reflectance"][:, None], plants["bark_reflectance"][:, None])
-    material = bark_material(plants["species"])[:, None] + leaf
+    material = bark_material(plants["species"], table)[:, None] + leaf
     return surface_rows(
         parts=parts, semantic=semantic, material=material, reflectance=bright, species=plants["species"]
     )
