@@ -31,6 +31,7 @@ def firings(**changes):
         "reading_deg": np.zeros(K),
         "origin_m": np.zeros((K, L, 3)),
         "direction": np.zeros((K, L, 3)),
+        "across": None,
     }
     return Firings(**(fields | changes))
 
@@ -48,9 +49,10 @@ def returns(**changes):
 
 def hits(**changes):
     fields = {
-        "range_m": np.zeros((K, L, 1), np.float32),
-        "surface": np.zeros((K, L, 1), np.uint32),
-        "cos_incidence": np.zeros((K, L, 1), np.float32),
+        "count": np.ones((K, L), np.uint16),
+        "range_m": np.zeros(K * L, np.float32),
+        "surface": np.zeros(K * L, np.uint32),
+        "cos_incidence": np.zeros(K * L, np.float32),
     }
     return Hits(**(fields | changes))
 
@@ -90,14 +92,19 @@ BAD = [
         "Firings.direction: found (3, 16) float64, expected (3, 16, 3) float64",
     ),
     (
-        hits,
-        {"surface": np.zeros((K, L, 2), np.uint32)},
-        "Hits.surface: found (3, 16, 2) uint32, expected (3, 16, 1) uint32",
+        firings,
+        {"across": np.zeros((K, L, 2))},
+        "Firings.across: found (3, 16, 2) float64, expected (3, 16, 3) float64",
     ),
     (
         hits,
-        {"range_m": np.zeros((K, L, 1))},
-        "Hits.range_m: found (3, 16, 1) float64, expected (n, n, n) float32",
+        {"surface": np.zeros(K * L + 1, np.uint32)},
+        "Hits.surface: found (49,) uint32, expected (48) uint32",
+    ),
+    (
+        hits,
+        {"range_m": np.zeros(K * L)},
+        "Hits.range_m: found (48,) float64, expected (n) float32",
     ),
     (
         returns,

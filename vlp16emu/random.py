@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Purpose", "generator", "normal", "philox4x32", "uniform"]
+__all__ = ["Purpose", "generator", "normal", "normal_pair", "philox4x32", "uniform", "uniform_pair"]
 
 
 class Purpose(IntEnum):
@@ -27,6 +27,15 @@ class Purpose(IntEnum):
     TREE = 4
     CROWN = 5
     POSITION_PACKET = 6
+    FOOTPRINT = 7
+    BEAM_ERROR = 8
+    RANGE_NOISE = 9
+    RANGE_BIAS = 10
+    DETECTION = 11
+    REFLECTIVITY = 12
+    WEATHER = 13
+    NO_RETURN = 14
+    ANGLE_BIAS = 15
     DEAD_BRANCH = 20
     SHRUB = 21
     SECOND_STOREY = 30
@@ -68,8 +77,14 @@ def philox4x32(
 
 
 @numba.njit(cache=True, nogil=True)
-def _pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, float]:
-    """Two uniforms in [0, 1) of 53 bits each."""
+def uniform_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, float]:
+    """Draw two uniform numbers in [0, 1) of 53 bits each; for use in kernels.
+
+    Parameters
+    ----------
+    n : first counter, below 2**64, for instance a firing-sequence number
+    lane : second counter, below 2**32, for instance a laser
+    """
     w0, w1, w2, w3 = philox4x32(
         np.uint32(n & 0xFFFFFFFF),
         np.uint32((n >> 32) & 0xFFFFFFFF),
@@ -84,11 +99,21 @@ def _pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, float]:
 
 
 @numba.njit(cache=True, nogil=True)
+def normal_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, float]:
+    """Draw two independent standard normal numbers for the same arguments, by Box and Muller (1958)."""
+    a, b = uniform_pair(seed, purpose, n, lane)
+    radius = math.sqrt(-2.0 * math.log1p(-a))
+    return radius * math.cos(2.0 * math.pi * b), radius * math.sin(2.0 * math.pi * b)
+
+
+@numba.njit(cache=True, nogil=True)
 def _fill(out: NDArray[np.float64], gaussian: bool, seed: int, purpose: int, first: int, lane: int) -> None:
     """Fill (n,): one number per counter, computed alone so that neighbours cannot matter."""
     for i in range(out.shape[0]):
-        a, b = _pair(seed, purpose, first + i, lane)
-        out[i] = math.sqrt(-2.0 * math.log1p(-a)) * math.cos(2.0 * math.pi * b) if gaussian else a
+        if gaussian:
+            out[i] = normal_pair(seed, purpose, first + i, lane)[0]
+        else:
+            out[i] = uniform_pair(seed, purpose, first + i, lane)[0]
 
 
 def uniform(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
@@ -111,7 +136,7 @@ def uniform(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) 
 
 
 def normal(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
-    """Draw standard normal numbers for the same arguments, by Box and Muller (1958).
+    """Draw standard normal numbers for the same arguments, the first of `normal_pair`.
 
     Returns
     -------

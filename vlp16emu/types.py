@@ -11,7 +11,7 @@ takes body coordinates to world coordinates, and `world_T_body @ body_T_sensor` 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,6 +166,9 @@ class Firings:
     """(k, L, 3) world; the point on the spin axis from which the range is reckoned."""
     direction: NDArray[np.float64]
     """(k, L, 3) world, unit length."""
+    across: NDArray[np.float64] | None
+    """(k, L, 3) world, unit length, perpendicular to `direction` and level in the sensor: the horizontal axis of the
+    footprint, towards greater azimuths; None where a pulse is one line."""
 
     def __post_init__(self) -> None:
         k, lasers = self.t_ns.shape
@@ -175,24 +178,44 @@ class Firings:
         _check(self, "reading_deg", self.reading_deg, "f8", k)
         _check(self, "origin_m", self.origin_m, "f8", k, lasers, 3)
         _check(self, "direction", self.direction, "f8", k, lasers, 3)
+        if self.across is not None:
+            _check(self, "across", self.across, "f8", k, lasers, 3)
 
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """What each sub-ray met."""
+    """What the sub-rays met. Those of a pulse stand together, pulses in order of sequence, then of laser.
 
+    The sub-rays of a pulse carry equal parts of its energy; their number s may differ from pulse to pulse.
+    """
+
+    count: NDArray[np.uint16]
+    """(k, L) sub-rays of each pulse, at least 1; n in all."""
     range_m: NDArray[np.float32]
-    """(k, L, s) from the pulse's origin; +inf where nothing was met."""
+    """(n,) from the pulse's origin; +inf where nothing was met."""
     surface: NDArray[np.uint32]
-    """(k, L, s) row of the window's surface table; `NO_SURFACE` where nothing was met."""
+    """(n,) row of the window's surface table; `NO_SURFACE` where nothing was met."""
     cos_incidence: NDArray[np.float32]
-    """(k, L, s) between the ray and the surface normal, 0..1; 0 where nothing was met."""
+    """(n,) between the ray and the surface normal, 0..1; 0 where nothing was met."""
 
     def __post_init__(self) -> None:
-        shape = self.range_m.shape
-        _check(self, "range_m", self.range_m, "f4", None, None, None)
-        _check(self, "surface", self.surface, "u4", *shape)
-        _check(self, "cos_incidence", self.cos_incidence, "f4", *shape)
+        n = len(self.range_m)
+        _check(self, "count", self.count, "u2", None, None)
+        _check(self, "range_m", self.range_m, "f4", None)
+        _check(self, "surface", self.surface, "u4", n)
+        _check(self, "cos_incidence", self.cos_incidence, "f4", n)
+
+    @classmethod
+    def one_ray_each(
+        cls, range_m: NDArray[np.float32], surface: NDArray[np.uint32], cos_incidence: NDArray[np.float32]
+    ) -> Self:
+        """Make hits of pulses that are one ray each, from arrays (k, L)."""
+        return cls(
+            np.ones(range_m.shape, np.uint16),
+            range_m.reshape(-1),
+            surface.reshape(-1),
+            cos_incidence.reshape(-1),
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,13 +12,20 @@ K, L = 8, 16
 def firings():
     zeros = np.zeros((K, L, 3))
     return Firings(
-        0, np.zeros((K, L), np.int64), np.zeros(K, np.int64), np.zeros((K, L)), np.zeros(K), zeros, zeros
+        0,
+        np.zeros((K, L), np.int64),
+        np.zeros(K, np.int64),
+        np.zeros((K, L)),
+        np.zeros(K),
+        zeros,
+        zeros,
+        None,
     )
 
 
 def hits(range_m, surface=0, cosine=1.0):
-    shape = (K, L, 1)
-    return Hits(
+    shape = (K, L)
+    return Hits.one_ray_each(
         np.full(shape, range_m, np.float32),
         np.full(shape, surface, np.uint32),
         np.full(shape, cosine, np.float32),

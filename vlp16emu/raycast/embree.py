@@ -92,9 +92,6 @@ class EmbreeScene:
         near_m : (L,) range at which each laser's light begins
         far_m : range at which it is given up
 
-        Returns
-        -------
-        Hits with s = 1
         """
         shape = firings.t_ns.shape
         if shape[0] % PACKET:
@@ -114,7 +111,7 @@ class EmbreeScene:
             surface,
             cos_incidence,
         )
-        return Hits(range_m[..., None], surface[..., None], cos_incidence[..., None])
+        return Hits.one_ray_each(range_m, surface, cos_incidence)
 
 
 class EmbreeCaster:

@@ -45,10 +45,10 @@ class PlainScene:
         cosine = np.abs(np.einsum("ij,ij->i", normal, direction)) / np.where(length > 0, length, 1.0)
         surface = np.full(len(hit), NO_SURFACE, np.uint32)
         surface[hit] = self._surface[out["primID"][hit]]
-        return Hits(
-            np.where(hit, out["tfar"] + near, np.inf).astype(np.float32).reshape(*shape, 1),
-            surface.reshape(*shape, 1),
-            np.where(hit, np.minimum(cosine, 1.0), 0.0).astype(np.float32).reshape(*shape, 1),
+        return Hits.one_ray_each(
+            np.where(hit, out["tfar"] + near, np.inf).astype(np.float32).reshape(shape),
+            surface.reshape(shape),
+            np.where(hit, np.minimum(cosine, 1.0), 0.0).astype(np.float32).reshape(shape),
         )
 
 

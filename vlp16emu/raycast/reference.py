@@ -39,7 +39,7 @@ class ReferenceScene:
                     self._surface[nearest],
                     cosine,
                 )
-        return Hits(range_m[..., None], surface[..., None], cos_incidence[..., None])
+        return Hits.one_ray_each(range_m, surface, cos_incidence)
 
     def _ranges(self, origin_m: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.float64]:
         """Distance along one ray to every triangle, inf where missed (Moeller and Trumbore, 1997)."""

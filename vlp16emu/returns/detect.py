@@ -26,7 +26,7 @@ def detect(
 
     Parameters
     ----------
-    hits : s = 1
+    hits : one ray each
     surfaces : (m,) `SURFACE`, the window's table
     min_range_m, max_range_m : outside of these there is no return
     truth : whether to keep the surface behind each return
@@ -35,16 +35,17 @@ def detect(
     distance_m = np.zeros(shape, np.float32)
     reflectivity = np.zeros(shape, np.uint8)
     _detect(
-        hits.range_m[..., 0],
-        hits.surface[..., 0],
-        hits.cos_incidence[..., 0],
+        hits.range_m.reshape(firings.t_ns.shape),
+        hits.surface.reshape(firings.t_ns.shape),
+        hits.cos_incidence.reshape(firings.t_ns.shape),
         np.ascontiguousarray(surfaces["reflectance"]),
         min_range_m,
         max_range_m,
         distance_m,
         reflectivity,
     )
-    surface = np.where(distance_m > 0, hits.surface, NO_SURFACE) if truth else None
+    met = hits.surface.reshape(*firings.t_ns.shape, 1)
+    surface = np.where(distance_m > 0, met, NO_SURFACE) if truth else None
     return Returns(firings, distance_m, reflectivity, surface, surfaces if truth else None)
 
 

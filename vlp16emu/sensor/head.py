@@ -68,6 +68,7 @@ class Head:
             reading_deg=self.rotor.reading_deg(azimuth_deg[:, 0].copy(), first),
             origin_m=origin_m,
             direction=direction,
+            across=None,
         )
 
 

@@ -140,16 +140,18 @@ def _look(scene: Scene, section: Section, near_xy_m: Array, z_m: Array, far_m: f
         reading_deg=np.zeros(k),
         origin_m=origin_m,
         direction=direction,
+        across=None,
     )
     return scene.cast(firings, np.zeros(lasers), far_m)
 
 
 def _shaded(hits: Hits, colours: NDArray[np.uint8], overhang_m: float, depth_m: float) -> Array:
     """Colours (k, lasers, 3): darker where the light grazes, paler with distance."""
-    missed = hits.surface[..., 0] == NO_SURFACE
-    surface = np.where(missed, 0, hits.surface[..., 0])
-    light = _DARKEST + (1 - _DARKEST) * hits.cos_incidence.astype(np.float64)
-    into = np.where(missed, 0.0, hits.range_m[..., 0] - overhang_m) / depth_m
+    met = hits.surface.reshape(hits.count.shape)
+    missed = met == NO_SURFACE
+    surface = np.where(missed, 0, met)
+    light = _DARKEST + (1 - _DARKEST) * hits.cos_incidence.reshape(*met.shape, 1).astype(np.float64)
+    into = np.where(missed, 0.0, hits.range_m.reshape(met.shape) - overhang_m) / depth_m
     haze = _HAZE * np.clip(into, 0.0, 1.0)[..., None]
     rgb: Array = (1 - haze) * colours[surface] * light + haze * _PAPER
     rgb[missed] = _PAPER
