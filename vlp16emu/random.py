@@ -50,6 +50,13 @@ class Purpose(IntEnum):
     FLOOR_SHAPE = 39
     MOUND = 40
     GIVEN_TREE = 41
+    GAIT = 50
+    IMU_NOISE = 51
+    IMU_BIAS = 52
+    IMU_WALK = 53
+    GNSS_NOISE = 60
+    GNSS_WANDER = 61
+    UNIT = 70
 
 
 _Word = int | np.uint32

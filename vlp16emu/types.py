@@ -248,6 +248,8 @@ class Packet:
     due_ns: int
     """UTC at which the last byte has been produced and the datagram leaves."""
     payload: bytes
+    unit: int = 0
+    """Place in the rig of the sensor that sends it, from 0."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -182,3 +182,12 @@ def test_unknown_log_species_is_named():
     """Logs of an unknown tree are refused with the names that exist."""
     with pytest.raises(GeometryError, match="found 'larch'; expected one of silver_birch"):
         Logs(scattered(Purpose.LOGS, 10.0), ["larch"], (0.2, 0.5), (3.0, 9.0))
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_small_stones_are_drawn_more_coarsely(level):
+    """Stones of less than 40 cm have the next level's faces, larger ones those of their tile."""
+    for tile in TILES[:8]:
+        placed = STONES.place(plot(*tile, level=level))
+        for shape, length_m in zip(placed.shape, size_m(placed.world_T_shape)[:, 0], strict=True):
+            assert placed.keys[shape].level == min(level + (length_m < 0.4), 2)

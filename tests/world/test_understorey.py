@@ -163,3 +163,14 @@ def test_unknown_plants_are_named():
         layer(Saplings, ["larch"], height_m=(0.5, 4.0))
     with pytest.raises(GeometryError, match=r"shrubs.species: found 'broom'; expected one of hazel"):
         layer(Shrubs, ["broom"])
+
+
+@pytest.mark.parametrize("layer", [saplings(), layer(Shrubs, BUSHES)], ids=["saplings", "shrubs"])
+def test_plants_are_coarser_the_farther_they_are(layer):
+    """Leaf by leaf within 12 m of the path, in clusters beyond 40 m, whatever tile they stand on."""
+    levels = set()
+    for tile in placed(layer):
+        for shape, away_m in zip(tile.shape, distance_m(tile.world_T_shape[:, :2, 3], PATH), strict=True):
+            assert tile.keys[shape].level == int(away_m > 12) + int(away_m > 40)
+            levels.add(tile.keys[shape].level)
+    assert levels == {0, 1, 2}

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.embree_library import EmbreeMissingError, library
+from vlp16emu.raycast.footprint import LINE, BeamModel, Footprint
 from vlp16emu.raycast.plain import PlainCaster
 from vlp16emu.types import Firings, Hits, Mesh, ShapeKey, Window
 
-__all__ = ["Caster", "Scene", "caster"]
+__all__ = ["LINE", "BeamModel", "Caster", "Footprint", "Scene", "caster"]
 
 _log = logging.getLogger(__name__)
 
@@ -24,8 +25,10 @@ class Scene(Protocol):
     def surfaces(self) -> NDArray[np.void]:
         """(m,) `SURFACE`, the window's table."""
 
-    def cast(self, firings: Firings, near_m: NDArray[np.float64], far_m: float) -> Hits:
-        """Cast one ray per pulse of k sequences, k a multiple of 8."""
+    def cast(
+        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
+    ) -> Hits:
+        """Cast the pulses of k sequences, k a multiple of 8."""
 
 
 class Caster(Protocol):

@@ -3,106 +3,110 @@
 import ctypes
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from concurrent.futures import Executor
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree_library as rtc
-from vlp16emu.raycast.embree_kernel import PACKET, cast_packets
+from vlp16emu.raycast.adaptive import first_round
+from vlp16emu.raycast.baking import FEW_QUADS, Layout, Pile, baked, lay_out
+from vlp16emu.raycast.embree_build import Grown, Solid, placed
+from vlp16emu.raycast.embree_kernel import PACKET, Light, Target, Wish, cast_packets, cast_sub_rays
+from vlp16emu.raycast.footprint import LINE, BeamModel, Footprint, across_of, displace, sub_rays
 from vlp16emu.raycast.placement import normal_matrices, relative_to_window
+from vlp16emu.raycast.slow import Met
 from vlp16emu.types import Firings, Hits, Mesh, ShapeKey, Window
 
 __all__ = ["EmbreeCaster", "EmbreeScene"]
 
-
-class _Shape:
-    """A committed scene of one shape, and the buffers that it shares with numpy."""
-
-    def __init__(self, lib: ctypes.CDLL, device: int, meshes: tuple[Mesh, ...]) -> None:
-        self.scene = lib.rtcNewScene(device)
-        weakref.finalize(self, lib.rtcReleaseScene, self.scene)
-        lib.rtcSetSceneFlags(self.scene, rtc.SCENE_ROBUST)
-        self._buffers: list[NDArray[np.float32] | NDArray[np.uint32]] = []
-        for number, mesh in enumerate(meshes):
-            if len(mesh.faces):
-                self._attach(lib, device, number, mesh)
-        lib.rtcCommitScene(self.scene)
-
-    def _attach(self, lib: ctypes.CDLL, device: int, number: int, mesh: Mesh) -> None:
-        """Add one mesh under its number, without copying its faces."""
-        corners = mesh.faces.shape[1]
-        quads = corners == 4
-        # Embree reads 16 bytes at the last vertex of 12.
-        vertices = np.zeros((len(mesh.vertices_m) + 1, 3), np.float32)
-        vertices[:-1] = mesh.vertices_m
-        faces = np.ascontiguousarray(mesh.faces)
-        self._buffers += [vertices, faces]
-        geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_QUAD if quads else rtc.GEOMETRY_TRIANGLE)
-        lib.rtcSetSharedGeometryBuffer(
-            geometry, rtc.BUFFER_VERTEX, 0, rtc.FORMAT_FLOAT3, vertices.ctypes.data, 0, 12, len(vertices) - 1
-        )
-        lib.rtcSetSharedGeometryBuffer(
-            geometry,
-            rtc.BUFFER_INDEX,
-            0,
-            rtc.FORMAT_UINT4 if quads else rtc.FORMAT_UINT3,
-            faces.ctypes.data,
-            0,
-            4 * corners,
-            len(faces),
-        )
-        lib.rtcCommitGeometry(geometry)
-        lib.rtcAttachGeometryByID(self.scene, geometry, number)
-        lib.rtcReleaseGeometry(geometry)
+T = TypeVar("T")
 
 
 class EmbreeScene:
-    """A window ready to be cast against; any number of threads may cast at once."""
+    """A window ready to be cast against; any number of threads may cast at once.
 
-    def __init__(self, lib: ctypes.CDLL, device: int, window: Window, shapes: list[_Shape]) -> None:
-        self._shapes = shapes
+    Parameters
+    ----------
+    solids : of the layout's piles, then of its instances
+    """
+
+    def __init__(
+        self, lib: ctypes.CDLL, device: int, window: Window, layout: Layout, solids: Sequence[Solid]
+    ) -> None:
+        self._solids = solids
         self._origin_m = window.origin_m
         self.surfaces = window.surfaces
-        self._first_surface = window.first_surface
-        self._normal_matrix = normal_matrices(window)
-        self._scene = lib.rtcNewScene(device)
+        self._first_surface = np.append(layout.first_surface, window.first_surface[layout.instances])
+        unturned = np.broadcast_to(np.eye(3, dtype=np.float32), (len(layout.piles), 3, 3))
+        self._normal_matrix = np.concatenate([unturned, normal_matrices(window)[layout.instances]])
+        transforms = np.zeros((len(solids), 3, 4), np.float32)
+        transforms[: len(layout.piles)] = np.concatenate(
+            [unturned, (layout.origin_m - window.origin_m)[:, :, None]], axis=2
+        )
+        transforms[len(layout.piles) :] = relative_to_window(window)[layout.instances]
+        self._scene = placed(lib, device, solids, transforms)
         weakref.finalize(self, lib.rtcReleaseScene, self._scene)
-        lib.rtcSetSceneFlags(self._scene, rtc.SCENE_ROBUST)
-        transforms = relative_to_window(window).astype(np.float32)
-        pointer = ctypes.POINTER(ctypes.c_float)
-        for number, shape in enumerate(window.shape.tolist()):
-            geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_INSTANCE)
-            lib.rtcSetGeometryInstancedScene(geometry, shapes[shape].scene)
-            transform = transforms[number].ctypes.data_as(pointer)
-            lib.rtcSetGeometryTransform(geometry, 0, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, transform)
-            lib.rtcCommitGeometry(geometry)
-            lib.rtcAttachGeometryByID(self._scene, geometry, number)
-            lib.rtcReleaseGeometry(geometry)
-        lib.rtcCommitScene(self._scene)
 
-    def cast(self, firings: Firings, near_m: NDArray[np.float64], far_m: float) -> Hits:
-        """Cast one ray per pulse.
+    def cast(
+        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
+    ) -> Hits:
+        """Cast pulses.
 
         Parameters
         ----------
-        firings : k sequences, k a multiple of 8
+        firings : k sequences, k a multiple of 8, with `across` where the beam has a width
         near_m : (L,) range at which each laser's light begins
         far_m : range at which it is given up
+        beam : how wide a pulse is. An adaptive one looks at neighbouring azimuths: always cast whole blocks.
 
+        Raises
+        ------
+        ValueError
+            where the firings are not as said above
         """
         shape = firings.t_ns.shape
         if shape[0] % PACKET:
             raise ValueError(f"cast: found {shape[0]} sequences, expected a multiple of {PACKET}")
-        range_m, cos_incidence = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        surface = np.empty(shape, np.uint32)
+        match beam.model:
+            case BeamModel.FIXED:
+                wish = np.full(shape, beam.rays, np.uint16)
+                empty = np.empty((0, 0), np.float32)
+                return self._sub_rays(
+                    firings, near_m, far_m, beam, wish, (empty, empty.view(np.uint32), empty)
+                )
+            case BeamModel.ANGLE:
+                none = np.zeros(shape, np.int64)
+                lines = [ray.reshape(*shape, 3) for ray in sub_rays(firings, beam, none, none + 1)]
+                middle = self._middles(lines[0], lines[1], near_m, far_m)
+            case _:
+                middle = self._middles(firings.origin_m, firings.direction, near_m, far_m)
+        if beam.model is BeamModel.OFFSET:
+            displace(middle[0], beam, firings.index)
+        if beam.model is BeamModel.ADAPTIVE:
+            wish = first_round(firings, middle[0], middle[2], beam)
+            return self._sub_rays(firings, near_m, far_m, beam, wish, middle)
+        return Hits.one_ray_each(*middle)
+
+    def _middles(
+        self,
+        origin_m: NDArray[np.float64],
+        direction: NDArray[np.float64],
+        near_m: NDArray[np.float64],
+        far_m: float,
+    ) -> Met:
+        """Cast one ray per pulse: range, surface and cosine, (k, L) each."""
+        shape = origin_m.shape[:2]
+        range_m, surface = np.empty(shape, np.float32), np.empty(shape, np.uint32)
+        cos_incidence = np.empty(shape, np.float32)
         cast_packets(
             self._scene,
             self._origin_m,
-            firings.origin_m,
-            firings.direction,
+            origin_m,
+            direction,
             near_m,
             far_m,
             self._first_surface,
@@ -111,7 +115,35 @@ class EmbreeScene:
             surface,
             cos_incidence,
         )
-        return Hits.one_ray_each(range_m, surface, cos_incidence)
+        return range_m, surface, cos_incidence
+
+    def _sub_rays(
+        self,
+        firings: Firings,
+        near_m: NDArray[np.float64],
+        far_m: float,
+        beam: Footprint,
+        wish: NDArray[np.uint16],
+        middle: Met,
+    ) -> Hits:
+        """Cast `wish` sub-rays per pulse, and more where they are not enough."""
+        light = Light(
+            firings.origin_m,
+            firings.direction,
+            across_of(firings, beam),
+            near_m,
+            far_m,
+            beam.quarters,
+            beam.seed,
+            firings.index,
+        )
+        reflectance = np.ascontiguousarray(self.surfaces["reflectance"])
+        target = Target(self._scene, self._origin_m, self._first_surface, self._normal_matrix, reflectance)
+        count, room = np.empty(wish.shape, np.uint16), wish.size * beam.rays
+        out = np.empty(room, np.float32), np.empty(room, np.uint32), np.empty(room, np.float32)
+        wanted = Wish(wish, beam.rays, beam.target_m, beam.resolution_m)
+        n = cast_sub_rays(target, light, wanted, middle, count, out)
+        return Hits(count, out[0][:n], out[1][:n], out[2][:n])
 
 
 class EmbreeCaster:
@@ -131,7 +163,8 @@ class EmbreeCaster:
         if not self._device:
             raise RunError(f"Embree gave no device: error {self._lib.rtcGetDeviceError(None)}")
         weakref.finalize(self, self._lib.rtcReleaseDevice, self._device)
-        self._built: weakref.WeakValueDictionary[ShapeKey, _Shape] = weakref.WeakValueDictionary()
+        self._grown: weakref.WeakValueDictionary[ShapeKey, Grown] = weakref.WeakValueDictionary()
+        self._solids: weakref.WeakValueDictionary[ShapeKey, Solid] = weakref.WeakValueDictionary()
         self._lock = threading.Lock()
 
     def open(self, window: Window) -> EmbreeScene:
@@ -143,15 +176,29 @@ class EmbreeCaster:
             where Embree reports an error, for instance that memory ran out
         """
         with self._lock:
-            kept = [self._built.get(key) for key in window.shapes]
-            missing = [key for key, shape in zip(window.shapes, kept, strict=True) if shape is None]
-            fresh = dict(zip(missing, self._workers.map(self._build, missing), strict=True))
-            self._built.update(fresh)
-            shapes = [shape or fresh[key] for key, shape in zip(window.shapes, kept, strict=True)]
-            scene = EmbreeScene(self._lib, self._device, window, shapes)
+            grown = self._kept(self._grown, window.shapes, lambda key: Grown(self._grow(key)))
+            few = np.array([grown[key].quads <= FEW_QUADS for key in window.shapes], np.bool_)
+            layout = lay_out(window, few)
+            names = [*layout.piles, *(window.shapes[i] for i in window.shape[layout.instances])]
+            solids = self._kept(self._solids, names, lambda name: self._solid(name, grown))
+            scene = EmbreeScene(self._lib, self._device, window, layout, [solids[name] for name in names])
         if error := self._lib.rtcGetDeviceError(self._device):
             raise RunError(f"Embree could not build the window: error {error}")
         return scene
 
-    def _build(self, key: ShapeKey) -> _Shape:
-        return _Shape(self._lib, self._device, self._grow(key))
+    def _kept(
+        self, store: MutableMapping[ShapeKey, T], names: Sequence[ShapeKey], make: Callable[[ShapeKey], T]
+    ) -> dict[ShapeKey, T]:
+        """Things by name: those that some window still holds, and the others made side by side."""
+        kept = {name: store.get(name) for name in dict.fromkeys(names)}
+        missing = [name for name, thing in kept.items() if thing is None]
+        fresh = dict(zip(missing, self._workers.map(make, missing), strict=True))
+        store.update(fresh)
+        return {name: thing or fresh[name] for name, thing in kept.items()}
+
+    def _solid(self, name: ShapeKey, grown: Mapping[ShapeKey, Grown]) -> Solid:
+        """Build a pile, or a shape for its instances."""
+        if isinstance(name, Pile):
+            parts = [grown[key] for key in name.keys]
+            return Solid(self._lib, self._device, baked(name, [part.faces for part in parts]), parts)
+        return Solid(self._lib, self._device, dict(enumerate(grown[name].faces)), [grown[name]])

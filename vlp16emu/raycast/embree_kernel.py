@@ -1,10 +1,12 @@
 """The inner loop: packets of eight rays through Embree, compiled, without the GIL.
 
-A packet holds eight consecutive firings of one laser: neighbouring azimuths, which is what Embree's
-coherent traversal wants. Which rays share a packet depends on firing numbers alone.
+A packet holds eight consecutive firings of one laser, neighbouring azimuths, or sub-rays of one footprint or of
+neighbouring ones: near each other, which is what Embree's coherent traversal wants. Which rays share a packet
+depends on firing numbers and on what was hit, never on threads.
 """
 
 import math
+from typing import NamedTuple
 
 import llvmlite.binding
 import numba
@@ -12,9 +14,11 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from vlp16emu.raycast.adaptive import ROUND, enough
 from vlp16emu.raycast.embree_library import FLAG_COHERENT, library, library_path
+from vlp16emu.raycast.footprint import pulse_axes, sub_ray, turn
 
-__all__ = ["PACKET", "cast_packets"]
+__all__ = ["PACKET", "Light", "Target", "Wish", "cast_packets", "cast_sub_rays"]
 
 PACKET = 8
 """Rays per packet; 16 is slower without AVX-512."""
@@ -99,7 +103,252 @@ def cast_packets(
                 else:
                     range_m[i, j] = rays[_TFAR, r]
                     surface[i, j] = first_surface[instance] + words[_GEOM, r]
-                    cos_incidence[i, j] = _cosine(normal_matrix[instance], rays, r)
+                    cos_incidence[i, j] = _cosine(normal_matrix, instance, rays, r)
+
+
+class Target(NamedTuple):
+    """What is cast against."""
+
+    scene: int
+    """Address of a committed RTCScene of instances."""
+    window_origin_m: NDArray[np.float64]
+    """(3,) taken from the origins in float64, before the step to float32."""
+    first_surface: NDArray[np.uint32]
+    """(n,) per instance, as in `Window`."""
+    normal_matrix: NDArray[np.float32]
+    """(n, 3, 3) per instance, as in `placement`."""
+    reflectance: NDArray[np.float32]
+    """(m,) of the surfaces."""
+
+
+class Light(NamedTuple):
+    """What is cast: the pulses of a batch, and how wide they are."""
+
+    origin_m: NDArray[np.float64]
+    """(k, L, 3), k a multiple of `PACKET`; `direction` and `across` alike."""
+    direction: NDArray[np.float64]
+    across: NDArray[np.float64]
+    near_m: NDArray[np.float64]
+    """(L,) where each laser's light begins."""
+    far_m: float
+    """Where it is given up."""
+    quarters: NDArray[np.float64]
+    """(4,) as in `Footprint`; `seed` alike."""
+    seed: int
+    first: int
+    """Number of the first firing sequence."""
+
+
+class Wish(NamedTuple):
+    """How many sub-rays are wanted."""
+
+    first: NDArray[np.uint16]
+    """(k, L) in the first round; 0 keeps the ray along the middle."""
+    most: int
+    """Sub-rays with which a pulse must do; after fewer, `adaptive.enough` is asked with the next two."""
+    target_m: float
+    resolution_m: float
+
+
+class _Hits(NamedTuple):
+    """Hits of eight sequences, or of a batch: three arrays of one shape."""
+
+    range_m: NDArray[np.float32]
+    surface: NDArray[np.uint32]
+    cos_incidence: NDArray[np.float32]
+
+
+class _Packet(NamedTuple):
+    """A thread's own packet, and to whom its rays belong."""
+
+    rays: NDArray[np.float32]
+    words: NDArray[np.uint32]
+    valid: NDArray[np.int32]
+    context: NDArray[np.uint32]
+    arguments: NDArray[np.uint32]
+    pulse: NDArray[np.int64]
+    """(8,) of the eight, and which of its sub-rays (`sample`)."""
+    sample: NDArray[np.int64]
+
+
+@numba.njit(cache=True, nogil=True)
+def _packet() -> _Packet:
+    """Make an empty packet."""
+    rays = _aligned(_ROWS * PACKET * 4).view(np.float32).reshape(_ROWS, PACKET)
+    context = _aligned(16).view(np.uint32)
+    return _Packet(
+        rays,
+        rays.view(np.uint32),
+        _aligned(PACKET * 4).view(np.int32),
+        context,
+        _arguments(context),
+        np.zeros(PACKET, np.int64),
+        np.zeros(PACKET, np.int64),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def cast_sub_rays(
+    target: Target,
+    light: Light,
+    wish: Wish,
+    middle: tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]],
+    count: NDArray[np.uint16],
+    out: tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]],
+) -> int:
+    """Cast the sub-rays of every pulse, by rounds.
+
+    Parameters
+    ----------
+    middle : ranges, surfaces and cosines (k, L) of the rays along the middles
+    count : (k, L) output, sub-rays of each pulse
+    out : three outputs (n,) with room for as many as may be, as in `Hits`
+
+    Returns
+    -------
+    Number of sub-rays in all.
+    """
+    sequences, lasers = wish.first.shape
+    packet, shape = _packet(), (PACKET, lasers, wish.most)
+    eight = _Hits(np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32))
+    axes, shift = np.empty((PACKET, 12)), np.empty((PACKET, 2), np.uint32)
+    done, order = np.empty((PACKET, lasers), np.int64), np.empty((2, wish.most))
+    n = 0
+    for first in range(0, sequences, PACKET):
+        for j in range(lasers):
+            _cast_eight(target, light, wish, packet, first, j, axes, shift, order, eight, done)
+        n = _put_down(eight, done, middle, first, count, out, n)
+    return n
+
+
+@numba.njit(cache=True, nogil=True)
+def _put_down(
+    eight: _Hits,
+    done: NDArray[np.int64],
+    middle: tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]],
+    first: int,
+    count: NDArray[np.uint16],
+    out: tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]],
+    n: int,
+) -> int:
+    """Put the hits of eight sequences into the order of pulses, from number n on; gives the next number."""
+    range_m, surface, cos_incidence = out
+    one_range_m, one_surface, one_cos_incidence = middle
+    from_range_m, from_surface, from_cos_incidence = eight.range_m, eight.surface, eight.cos_incidence
+    for r in range(done.shape[0]):
+        for j in range(done.shape[1]):
+            i, have = first + r, done[r, j]
+            count[i, j] = max(have, 1)
+            if have == 0:
+                range_m[n], surface[n] = one_range_m[i, j], one_surface[i, j]
+                cos_incidence[n] = one_cos_incidence[i, j]
+            for s in range(have):
+                range_m[n + s], surface[n + s] = from_range_m[r, j, s], from_surface[r, j, s]
+                cos_incidence[n + s] = from_cos_incidence[r, j, s]
+            n += max(have, 1)
+    return n
+
+
+@numba.njit(cache=True, nogil=True)
+def _cast_eight(
+    target: Target,
+    light: Light,
+    wish: Wish,
+    packet: _Packet,
+    first: int,
+    j: int,
+    axes: NDArray[np.float64],
+    shift: NDArray[np.uint32],
+    order: NDArray[np.float64],
+    hits: _Hits,
+    done: NDArray[np.int64],
+) -> None:
+    """Cast what eight consecutive pulses of laser j want, packets filled one pulse after the other."""
+    wanted = np.empty(PACKET, np.int64)
+    for r in range(PACKET):
+        i = first + r
+        done[r, j], wanted[r] = 0, wish.first[i, j]
+        if wanted[r]:
+            pulse_axes(light.origin_m, light.direction, light.across, i, j, axes, r)
+            for a in range(3):
+                axes[r, a] -= target.window_origin_m[a]
+            shift[r, 0], shift[r, 1] = turn(light.seed, light.first + i, j)
+    open_ = True
+    while open_:
+        _cast_round(target, light, packet, j, axes, shift, done, wanted, hits)
+        open_ = False
+        for r in range(PACKET):
+            asked, s = wanted[r] - done[r, j], wanted[r]
+            done[r, j] = s
+            if (
+                asked
+                and s < wish.most
+                and not enough(
+                    hits.range_m[r, j, :s],
+                    hits.surface[r, j, :s],
+                    hits.cos_incidence[r, j, :s],
+                    target.reflectance,
+                    wish.target_m,
+                    wish.resolution_m,
+                    order,
+                )
+            ):
+                wanted[r] = min(s + ROUND, wish.most)
+                open_ = True
+
+
+@numba.njit(cache=True, nogil=True)
+def _cast_round(
+    target: Target,
+    light: Light,
+    packet: _Packet,
+    j: int,
+    axes: NDArray[np.float64],
+    shift: NDArray[np.uint32],
+    done: NDArray[np.int64],
+    wanted: NDArray[np.int64],
+    hits: _Hits,
+) -> None:
+    """Cast sub-rays `done` to `wanted` of eight pulses."""
+    rays, words, pulse, sample = packet.rays, packet.words, packet.pulse, packet.sample
+    quarters, lane = light.quarters, 0
+    for r in range(PACKET):
+        _reset(rays, words, r, light.near_m[j], light.far_m)
+    for r in range(PACKET):
+        for s in range(done[r, j], wanted[r]):
+            x_m, y_m, z_m, x, y, z = sub_ray(axes, r, quarters, shift[r, 0], shift[r, 1], s)
+            rays[_ORG, lane], rays[_ORG + 1, lane], rays[_ORG + 2, lane] = x_m, y_m, z_m
+            rays[_DIR, lane], rays[_DIR + 1, lane], rays[_DIR + 2, lane] = x, y, z
+            rays[_TFAR, lane], words[_GEOM, lane], words[_INST, lane] = light.far_m, _NONE, _NONE
+            pulse[lane], sample[lane] = r, s
+            lane += 1
+            if lane == PACKET:
+                _shoot(target, packet, lane, j, hits)
+                lane = 0
+    if lane:
+        _shoot(target, packet, lane, j, hits)
+
+
+@numba.njit(cache=True, nogil=True)
+def _shoot(target: Target, packet: _Packet, lanes: int, j: int, hits: _Hits) -> None:
+    """Cast the first rays of a packet and put down what each met."""
+    rays, words, valid = packet.rays, packet.words, packet.valid
+    for lane in range(PACKET):
+        valid[lane] = -1 if lane < lanes else 0
+    packet.context[:] = _NONE
+    _intersect(valid.ctypes.data, target.scene, rays.ctypes.data, packet.arguments.ctypes.data)
+    # Reaching into a tuple within a loop would count references at every step.
+    pulse, sample = packet.pulse, packet.sample
+    first_surface, normal_matrix = target.first_surface, target.normal_matrix
+    range_m, surface, cos_incidence = hits.range_m, hits.surface, hits.cos_incidence
+    for lane in range(lanes):
+        r, s, instance = pulse[lane], sample[lane], words[_INST, lane]
+        if instance == _NONE:
+            range_m[r, j, s], surface[r, j, s], cos_incidence[r, j, s] = np.inf, _NONE, 0.0
+        else:
+            range_m[r, j, s] = rays[_TFAR, lane]
+            surface[r, j, s] = first_surface[instance] + words[_GEOM, lane]
+            cos_incidence[r, j, s] = _cosine(normal_matrix, instance, rays, lane)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -125,11 +374,13 @@ def _reset(rays: NDArray[np.float32], words: NDArray[np.uint32], r: int, near_m:
 
 
 @numba.njit(cache=True, nogil=True)
-def _cosine(matrix: NDArray[np.float32], rays: NDArray[np.float32], r: int) -> np.float32:
+def _cosine(matrix: NDArray[np.float32], n: int, rays: NDArray[np.float32], r: int) -> np.float32:
     """Cosine between a ray and the world normal; Embree gives normals in the shape's coordinates."""
     dot, square = np.float32(0.0), np.float32(0.0)
     for a in range(3):
-        n = matrix[a, 0] * rays[_NG, r] + matrix[a, 1] * rays[_NG + 1, r] + matrix[a, 2] * rays[_NG + 2, r]
-        dot += n * rays[_DIR + a, r]
-        square += n * n
+        turned = np.float32(0.0)
+        for b in range(3):
+            turned += matrix[n, a, b] * rays[_NG + b, r]
+        dot += turned * rays[_DIR + a, r]
+        square += turned * turned
     return np.float32(min(abs(float(dot)) / math.sqrt(square), 1.0)) if square > 0.0 else np.float32(0.0)

@@ -5,7 +5,7 @@ its wheel carries offers all three. Numbers and signatures: Embree 4.4, `rtcore_
 """
 
 import ctypes
-from ctypes import POINTER, c_char_p, c_float, c_int, c_size_t, c_ssize_t, c_uint, c_void_p
+from ctypes import c_char_p, c_int, c_size_t, c_ssize_t, c_uint, c_void_p
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -18,20 +18,18 @@ __all__ = [
     "FLAG_COHERENT",
     "FORMAT_FLOAT3",
     "FORMAT_FLOAT3X4_ROW_MAJOR",
-    "FORMAT_UINT3",
     "FORMAT_UINT4",
     "GEOMETRY_INSTANCE",
     "GEOMETRY_QUAD",
-    "GEOMETRY_TRIANGLE",
     "SCENE_ROBUST",
     "EmbreeMissingError",
     "library",
     "library_path",
 ]
 
-GEOMETRY_TRIANGLE, GEOMETRY_QUAD, GEOMETRY_INSTANCE = 0, 1, 121
+GEOMETRY_QUAD, GEOMETRY_INSTANCE = 1, 121
 BUFFER_INDEX, BUFFER_VERTEX = 0, 1
-FORMAT_UINT3, FORMAT_UINT4 = 0x5003, 0x5004
+FORMAT_UINT4 = 0x5004
 FORMAT_FLOAT3, FORMAT_FLOAT3X4_ROW_MAJOR = 0x9003, 0x9134
 SCENE_ROBUST = 1 << 2
 """Watertight at shared edges, at about a tenth of the speed of single rays."""
@@ -56,7 +54,7 @@ _SIGNATURES: dict[str, tuple[object, list[object]]] = {
         [c_void_p, c_int, c_uint, c_int, c_void_p, c_size_t, c_size_t, c_size_t],
     ),
     "rtcSetGeometryInstancedScene": (None, [c_void_p, c_void_p]),
-    "rtcSetGeometryTransform": (None, [c_void_p, c_uint, c_int, POINTER(c_float)]),
+    "rtcSetGeometryTransform": (None, [c_void_p, c_uint, c_int, c_void_p]),
     "rtcIntersect8": (None, [c_void_p, c_void_p, c_void_p, c_void_p]),
 }
 

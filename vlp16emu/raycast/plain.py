@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.flat import flatten
+from vlp16emu.raycast.footprint import LINE, Footprint
+from vlp16emu.raycast.slow import Met, cast_slowly
 from vlp16emu.types import NO_SURFACE, Firings, Hits, Mesh, ShapeKey, Window
 
 __all__ = ["PlainCaster", "PlainScene"]
@@ -25,15 +27,30 @@ class PlainScene:
         if len(triangles_m):
             TriangleMesh(self._scene, triangles_m.astype(np.float32))
 
-    def cast(self, firings: Firings, near_m: NDArray[np.float64], far_m: float) -> Hits:
-        """Cast one ray per pulse; the arguments are those of `EmbreeScene.cast`."""
-        shape = firings.t_ns.shape
-        direction = firings.direction.reshape(-1, 3)
-        near = np.broadcast_to(near_m, shape).reshape(-1)
+    def cast(
+        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
+    ) -> Hits:
+        """Cast pulses; the arguments are those of `EmbreeScene.cast`."""
+        reflectance = np.ascontiguousarray(self.surfaces["reflectance"])
+
+        def cast(
+            origin_m: NDArray[np.float64], direction: NDArray[np.float64], near: NDArray[np.float64]
+        ) -> Met:
+            return self._rays(origin_m - self._origin_m, direction, near, far_m)
+
+        return cast_slowly(cast, firings, near_m, beam, reflectance)
+
+    def _rays(
+        self,
+        origin_m: NDArray[np.float64],
+        direction: NDArray[np.float64],
+        near: NDArray[np.float64],
+        far_m: float,
+    ) -> Met:
+        """Cast rays (n, 3) from origins relative to the window's."""
         # This class has no near limit: rays begin at the lens instead.
-        start_m = firings.origin_m.reshape(-1, 3) - self._origin_m + direction * near[:, None]
         out = self._scene.run(
-            start_m.astype(np.float32),
+            (origin_m + direction * near[:, None]).astype(np.float32),
             direction.astype(np.float32),
             dists=np.asarray(far_m - near, np.float32),
             query="INTERSECT",
@@ -45,10 +62,10 @@ class PlainScene:
         cosine = np.abs(np.einsum("ij,ij->i", normal, direction)) / np.where(length > 0, length, 1.0)
         surface = np.full(len(hit), NO_SURFACE, np.uint32)
         surface[hit] = self._surface[out["primID"][hit]]
-        return Hits.one_ray_each(
-            np.where(hit, out["tfar"] + near, np.inf).astype(np.float32).reshape(shape),
-            surface.reshape(shape),
-            np.where(hit, np.minimum(cosine, 1.0), 0.0).astype(np.float32).reshape(shape),
+        return (
+            np.where(hit, out["tfar"] + near, np.inf).astype(np.float32),
+            surface,
+            np.where(hit, np.minimum(cosine, 1.0), 0.0).astype(np.float32),
         )
 
 

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.flat import flatten
+from vlp16emu.raycast.footprint import LINE, Footprint
+from vlp16emu.raycast.slow import Met, cast_slowly
 from vlp16emu.types import NO_SURFACE, Firings, Hits, Mesh, ShapeKey, Window
 
 __all__ = ["ReferenceCaster", "ReferenceScene"]
@@ -19,27 +21,40 @@ class ReferenceScene:
         self._origin_m = window.origin_m
         self.surfaces = window.surfaces
 
-    def cast(self, firings: Firings, near_m: NDArray[np.float64], far_m: float) -> Hits:
-        """Cast one ray per pulse; the arguments are those of `EmbreeScene.cast`."""
-        shape = firings.t_ns.shape
-        range_m = np.full(shape, np.inf, np.float32)
-        surface = np.full(shape, NO_SURFACE, np.uint32)
-        cos_incidence = np.zeros(shape, np.float32)
-        for i, j in np.ndindex(shape):
-            origin_m = firings.origin_m[i, j] - self._origin_m
-            t_m = self._ranges(origin_m, firings.direction[i, j])
-            t_m[(t_m < near_m[j]) | (t_m > far_m)] = np.inf
+    def cast(
+        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
+    ) -> Hits:
+        """Cast pulses; the arguments are those of `EmbreeScene.cast`."""
+        reflectance = np.ascontiguousarray(self.surfaces["reflectance"])
+
+        def cast(
+            origin_m: NDArray[np.float64], direction: NDArray[np.float64], near: NDArray[np.float64]
+        ) -> Met:
+            return self._rays(origin_m - self._origin_m, direction, near, far_m)
+
+        return cast_slowly(cast, firings, near_m, beam, reflectance)
+
+    def _rays(
+        self,
+        origin_m: NDArray[np.float64],
+        direction: NDArray[np.float64],
+        near: NDArray[np.float64],
+        far_m: float,
+    ) -> Met:
+        """Cast rays (n, 3) from origins relative to the window's."""
+        n = len(origin_m)
+        range_m, cos_incidence = np.full(n, np.inf, np.float32), np.zeros(n, np.float32)
+        surface = np.full(n, NO_SURFACE, np.uint32)
+        for i in range(n):
+            t_m = self._ranges(origin_m[i], direction[i])
+            t_m[(t_m < near[i]) | (t_m > far_m)] = np.inf
             nearest = int(np.argmin(t_m)) if len(t_m) else -1
             if nearest >= 0 and np.isfinite(t_m[nearest]):
                 a, b, c = self._triangles_m[nearest]
                 normal = np.cross(b - a, c - a)
-                cosine = abs(normal @ firings.direction[i, j]) / np.linalg.norm(normal)
-                range_m[i, j], surface[i, j], cos_incidence[i, j] = (
-                    t_m[nearest],
-                    self._surface[nearest],
-                    cosine,
-                )
-        return Hits.one_ray_each(range_m, surface, cos_incidence)
+                cos_incidence[i] = abs(normal @ direction[i]) / np.linalg.norm(normal)
+                range_m[i], surface[i] = t_m[nearest], self._surface[nearest]
+        return range_m, surface, cos_incidence
 
     def _ranges(self, origin_m: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.float64]:
         """Distance along one ray to every triangle, inf where missed (Moeller and Trumbore, 1997)."""

@@ -48,6 +48,9 @@ _STONE_BURIED = (0.3, 0.6)
 _STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6
 """Over its length; assumptions."""
 
+_LARGE_STONE_M = 0.4
+"""Shorter stones are drawn one level coarser; near the path their flat faces are then off by less than 3 mm."""
+
 _GRASS_REACH_M = 25.0
 """From the path; farther off the beam is wider than a tuft, and litter stands for grass."""
 
@@ -103,7 +106,8 @@ class Stones:
         z_m = plot.height_m(*xy_m.T) + (0.5 - buried) * size[:, 2]
         place_m = np.column_stack([xy_m, z_m])
         world_T = placements(place_m, turned(360 * draws[:, 2]), size)
-        return _placed(FloorKind.STONE, plot.level, keep, world_T, draws[:, 3:], np.zeros(len(xy_m)))
+        level = np.minimum(plot.level + (length_m < _LARGE_STONE_M), 2)
+        return _placed(FloorKind.STONE, level, keep, world_T, draws[:, 3:], np.zeros(len(xy_m)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +151,7 @@ class Logs:
         size = np.column_stack([length_m, diameter_m, diameter_m])
         world_T = placements(np.column_stack([xy_m, z_m]), laid(towards, slope), size)
         species = _species_numbers(self.species, self.plants, draws[:, 3])
-        return _placed(FloorKind.LOG, plot.level, keep, world_T, draws[:, 4:], species)
+        return _placed(FloorKind.LOG, np.full(len(xy_m), plot.level), keep, world_T, draws[:, 4:], species)
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +186,7 @@ class Stumps:
         size = np.column_stack([diameter_m, diameter_m, height_m])
         world_T = placements(place_m, turned(360 * draws[:, 2]), size)
         species = _species_numbers(self.species, self.plants, draws[:, 3])
-        return _placed(FloorKind.STUMP, plot.level, keep, world_T, draws[:, 4:], species)
+        return _placed(FloorKind.STUMP, np.full(len(xy_m), plot.level), keep, world_T, draws[:, 4:], species)
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +211,9 @@ class Grass:
         keep[keep] = plot.clear(xy_m[keep], height_m[keep] / 2, np.zeros(keep.sum()))
         place_m = np.column_stack([xy_m, plot.height_m(*xy_m.T)])
         world_T = placements(place_m, turned(360 * draws[:, 1]), np.repeat(height_m[:, None], 3, axis=1))
-        return _placed(FloorKind.TUFT, plot.level, keep, world_T, draws[:, 2:], np.zeros(len(xy_m)))
+        return _placed(
+            FloorKind.TUFT, np.full(len(xy_m), plot.level), keep, world_T, draws[:, 2:], np.zeros(len(xy_m))
+        )
 
 
 _GRASS_LEVELS = (0, 1)
@@ -223,11 +229,18 @@ _LABELS = {
 
 
 def _placed(
-    kind: FloorKind, level: int, keep: NDArray[np.bool_], world_T: Array, draws: Array, species: Array
+    kind: FloorKind,
+    level: NDArray[np.int64],
+    keep: NDArray[np.bool_],
+    world_T: Array,
+    draws: Array,
+    species: Array,
 ) -> Placed:
     """Label those things that are kept; draws (n, 2 or more) choose variant and brightness."""
     variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
-    keys, shape = distinct([_key(kind, variant, level) for variant in variants])
+    keys, shape = distinct(
+        [_key(kind, variant, own) for variant, own in zip(variants, level[keep].tolist(), strict=True)]
+    )
     semantic, part, material = _LABELS[kind]
     reflectance = _REFLECTANCE[material] + _REFLECTANCE_SPREAD * (2 * draws[keep, 1:2] - 1)
     number = np.full(reflectance.shape, GROUND_MATERIALS.index(material))

@@ -20,7 +20,15 @@ from vlp16emu.world.shrub import ShrubKey, shrub_meshes
 from vlp16emu.world.species import Flora, flora
 from vlp16emu.world.stand import TREE, foot_discs
 from vlp16emu.world.stem import STEM_PARTS, lean_rotation, stem_meshes
-from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, level_of, tile_origin_m, tiles_within
+from vlp16emu.world.tiles import (
+    TILE_M,
+    TileKey,
+    ground_mesh,
+    level_of,
+    plant_levels,
+    tile_origin_m,
+    tiles_within,
+)
 
 __all__ = ["FIRST_FREE_INSTANCE", "Forest", "Stems"]
 
@@ -39,10 +47,6 @@ _NUMBERS_PER_TILE = 8192
 _DENSEST_PER_HA = 125_000
 """A tile then holds 5000 things on average; even in clusters of ten their number has a sigma under 240,
 far from `_NUMBERS_PER_TILE`."""
-
-_CROWN_REACH_M = (12.0, 40.0)
-"""Crowns nearer than the first distance are drawn leaf by leaf, those beyond the second in clusters: at 12 m a
-beam of 3 mrad is as wide as a leaf, at 40 m as a cluster."""
 
 _HEAD_M = 2.0
 """Of a walker with the sensor, over the ground."""
@@ -232,8 +236,7 @@ class Forest:
         """Levels of detail (n,), by the distance from a head on the path to the lowest branch."""
         aside_m = self._path.distance_m(np.column_stack([trees["x_m"], trees["y_m"]]))
         above_m = np.maximum(trees["crown_base_m"] - _HEAD_M, 0.0)
-        near_m = np.sqrt(aside_m * aside_m + above_m * above_m)
-        return np.searchsorted(_CROWN_REACH_M, near_m)
+        return plant_levels(np.sqrt(aside_m * aside_m + above_m * above_m))
 
     def _things(self, key: TileKey) -> list[Placed]:
         """Everything else on a tile."""

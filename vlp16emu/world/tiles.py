@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 from vlp16emu.types import HeightField, Mesh
 from vlp16emu.world.polyline import Polyline
 
-__all__ = ["TILE_M", "TileKey", "ground_mesh", "level_of", "tile_origin_m", "tiles_within"]
+__all__ = [
+    "TILE_M",
+    "TileKey",
+    "ground_mesh",
+    "level_of",
+    "plant_levels",
+    "tile_origin_m",
+    "tiles_within",
+]
 
 Array = NDArray[np.float64]
 
@@ -21,6 +29,10 @@ _HALF_DIAGONAL_M = TILE_M / 2 * 2**0.5
 _LEVEL_REACH_M = (20.0, 50.0)
 """Level 0 within the first distance of the path, level 1 within the second, level 2 beyond: at 50 m a
 beam of 3 mrad is 15 cm wide, which is the size of the leaf clusters of level 2."""
+
+_LEAVES_REACH_M = (12.0, 40.0)
+"""Plants nearer than the first distance are drawn leaf by leaf, those beyond the second in clusters: at 12 m a
+beam of 3 mrad is as wide as a leaf, at 40 m as a cluster."""
 
 _CELLS = (40, 20, 20)
 """Ground cells along a tile's edge, by level: 0.5 m near the path, 1 m beyond."""
@@ -60,6 +72,11 @@ def level_of(tile: tuple[int, int], path: Polyline) -> int:
     """Level of detail of a tile, from its distance to the whole path."""
     gap = float(_centre_distance_m(np.array([tile]), path)[0]) - _HALF_DIAGONAL_M
     return sum(gap > reach for reach in _LEVEL_REACH_M)
+
+
+def plant_levels(distance_m: Array) -> NDArray[np.int64]:
+    """Levels of detail (n,) of plants at these distances from the path."""
+    return np.searchsorted(_LEAVES_REACH_M, distance_m)
 
 
 def _centre_distance_m(tiles: NDArray[np.int64], line: Polyline) -> Array:

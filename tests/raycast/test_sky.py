@@ -1,0 +1,68 @@
+"""How much of the sky is hidden."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vlp16emu.raycast import caster
+from vlp16emu.raycast.plain import PlainCaster
+from vlp16emu.raycast.sky import sky_cover
+from vlp16emu.types import SURFACE, Mesh, Window
+
+AT_M = np.array([432_100.0, 6_901_234.0, 87.0])
+
+
+def roof(_key):
+    """A disc of radius 1 m, level."""
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    rim = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(400)])
+    corners_m = np.concatenate([np.zeros((1, 3)), rim]).astype("f4")
+    faces = np.column_stack([np.zeros(400), 1 + np.arange(400), 1 + (np.arange(400) + 1) % 400])
+    return (Mesh(corners_m, faces.astype("u4")),)
+
+
+def under(radius_m, height_m, workers, make=caster):
+    """Scene with a disc right over a point."""
+    transform = np.column_stack([np.diag([radius_m, radius_m, 1.0]), AT_M + [0.0, 0.0, height_m]])[None]
+    window = Window(
+        origin_m=AT_M,
+        shapes=("roof",),
+        shape=np.zeros(1, "i4"),
+        world_T_shape=transform,
+        first_surface=np.zeros(1, "u4"),
+        surfaces=np.zeros(1, SURFACE),
+    )
+    return make(roof, workers).open(window)
+
+
+@pytest.mark.parametrize("height_m", [2.0, 5.0, 10.0, 30.0])
+def test_a_disc_overhead_hides_its_solid_angle(workers, height_m):
+    """A disc of 10 m hides the share of the sky above 15 degrees that its cone fills, within a ring of rays."""
+    cover = sky_cover(under(10.0, height_m, workers), AT_M, 15.0, 100.0)
+    lowest = math.sin(math.radians(15.0))
+    share = (1 - height_m / math.hypot(height_m, 10.0)) / (1 - lowest)
+    assert cover == pytest.approx(min(share, 1.0), abs=1 / 16)
+
+
+def test_half_a_sky(workers):
+    """A wide roof whose edge is overhead hides half of it, whatever the direction of the edge."""
+    scene = under(80.0, 1.0, workers)
+    for angle in np.radians(range(0, 360, 40)):
+        edge_m = AT_M + 80.0 * np.array([math.cos(angle), math.sin(angle), 0.0])
+        assert sky_cover(scene, edge_m, 15.0, 100.0) == pytest.approx(0.5, abs=0.04)
+
+
+def test_what_is_low_or_far_does_not_count(workers):
+    """A roof below the lowest elevation, below the antenna or out of reach hides nothing."""
+    scene = under(10.0, 5.0, workers)
+    assert sky_cover(scene, AT_M + [35.0, 0.0, 0.0], 15.0, 100.0) == 0.0
+    assert sky_cover(scene, AT_M + [35.0, 0.0, 0.0], 1.0, 100.0) > 0.0
+    assert sky_cover(scene, AT_M + [0.0, 0.0, 6.0], 15.0, 100.0) == 0.0
+    assert sky_cover(scene, AT_M, 15.0, 4.9) == 0.0
+
+
+def test_both_casters_see_the_same_sky(workers):
+    """The plain embreex class finds the same cover."""
+    plain = under(10.0, 7.0, workers, make=lambda shape, _workers: PlainCaster(shape))
+    assert sky_cover(plain, AT_M, 15.0, 100.0) == sky_cover(under(10.0, 7.0, workers), AT_M, 15.0, 100.0)

@@ -1,0 +1,51 @@
+"""How much of the sky a point sees."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.raycast import Scene
+from vlp16emu.types import Firings
+
+__all__ = ["sky_cover"]
+
+_RINGS = 16
+_SECTORS = 16
+"""Rings of equal solid angle, and rays on each: 256 rays tell a share to 0.03."""
+
+
+def sky_cover(scene: Scene, position_m: NDArray[np.float64], lowest_deg: float, far_m: float) -> float:
+    """Share of the sky that surfaces hide, 0..1, each direction counting by its solid angle.
+
+    Parameters
+    ----------
+    position_m : (3,) world
+    lowest_deg : elevation below which the sky does not count
+    far_m : surfaces beyond hide nothing
+    """
+    direction = _directions(math.sin(math.radians(lowest_deg)))
+    shape = direction.shape[:2]
+    rays = Firings(
+        index=0,
+        t_ns=np.zeros(shape, np.int64),
+        clock_ns=np.zeros(shape[0], np.int64),
+        azimuth_deg=np.zeros(shape),
+        reading_deg=np.zeros(shape[0]),
+        origin_m=np.broadcast_to(position_m, direction.shape).copy(),
+        direction=direction,
+        across=None,
+    )
+    hits = scene.cast(rays, np.zeros(shape[1]), far_m)
+    return float(np.isfinite(hits.range_m).mean())
+
+
+def _directions(lowest_sine: float) -> NDArray[np.float64]:
+    """Directions (sectors, rings, 3), unit length: rays that are cast together are neighbours on a ring."""
+    sine = lowest_sine + (1.0 - lowest_sine) * (np.arange(_RINGS) + 0.5) / _RINGS
+    # A ring begins where the one below it does not: the golden ratio leaves no gap and no row.
+    start = np.arange(_RINGS) * (math.sqrt(5.0) - 1.0) / 2.0
+    azimuth = 2.0 * math.pi / _SECTORS * (np.arange(_SECTORS)[:, None] + start % 1.0)
+    across = np.sqrt(1.0 - sine * sine)
+    up = np.broadcast_to(sine, azimuth.shape)
+    return np.stack([across * np.sin(azimuth), across * np.cos(azimuth), up], axis=-1)

@@ -1,0 +1,90 @@
+"""Footprints for casters that take rays one after the other: simple, and the twin of the fast kernel."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.raycast.adaptive import ROUND, enough, first_round
+from vlp16emu.raycast.footprint import BeamModel, Footprint, displace, sub_rays
+from vlp16emu.types import Firings, Hits
+
+__all__ = ["Cast", "Met", "cast_slowly"]
+
+Met = tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]
+"""Range, surface and cosine of incidence (n,) of n rays, as in `Hits`."""
+Cast = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], Met]
+"""Casts rays: origin (n, 3) and direction (n, 3) in the world, near limit (n,) in metres."""
+
+
+def cast_slowly(
+    cast: Cast,
+    firings: Firings,
+    near_m: NDArray[np.float64],
+    beam: Footprint,
+    reflectance: NDArray[np.float32],
+) -> Hits:
+    """Cast pulses of any beam model; the arguments are those of `EmbreeScene.cast`.
+
+    Parameters
+    ----------
+    reflectance : (m,) of the window's surfaces
+    """
+    shape = firings.t_ns.shape
+    near = np.broadcast_to(near_m, shape)
+    none = np.zeros(shape, np.int64)
+    match beam.model:
+        case BeamModel.FIXED:
+            met = cast(*sub_rays(firings, beam, none, none + beam.rays), np.repeat(near, beam.rays))
+            return Hits(np.full(shape, beam.rays, np.uint16), *met)
+        case BeamModel.ANGLE:
+            met = cast(*sub_rays(firings, beam, none, none + 1), near.reshape(-1))
+        case _:
+            met = cast(firings.origin_m.reshape(-1, 3), firings.direction.reshape(-1, 3), near.reshape(-1))
+    range_m, surface, cosine = met[0].reshape(shape), met[1].reshape(shape), met[2].reshape(shape)
+    if beam.model is BeamModel.OFFSET:
+        displace(range_m, beam, firings.index)
+    if beam.model is BeamModel.ADAPTIVE:
+        return _by_rounds(cast, firings, near, beam, reflectance, (range_m, surface, cosine))
+    return Hits.one_ray_each(range_m, surface, cosine)
+
+
+def _by_rounds(
+    cast: Cast,
+    firings: Firings,
+    near: NDArray[np.float64],
+    beam: Footprint,
+    reflectance: NDArray[np.float32],
+    middle: Met,
+) -> Hits:
+    """Cast sub-rays where the rays along the middles are not enough, a round of all pulses at a time."""
+    done = np.zeros(near.shape, np.int64)
+    wanted = first_round(firings, middle[0], middle[2], beam).astype(np.int64)
+    met: dict[tuple[int, ...], Met] = {
+        (i, j): (middle[0][i, j : j + 1], middle[1][i, j : j + 1], middle[2][i, j : j + 1])
+        for i, j in np.ndindex(near.shape)
+    }
+    while (asked := wanted - done).any():
+        fresh = cast(*sub_rays(firings, beam, done, wanted), np.repeat(near, asked.reshape(-1)))
+        ends = np.cumsum(asked).reshape(near.shape)
+        for pulse in zip(*(axis.tolist() for axis in np.nonzero(asked)), strict=True):
+            part = slice(ends[pulse] - asked[pulse], ends[pulse])
+            new = fresh[0][part], fresh[1][part], fresh[2][part]
+            met[pulse] = _joined(met[pulse], new) if done[pulse] else new
+            done[pulse] = wanted[pulse]
+            room = np.empty((2, beam.rays))
+            if done[pulse] < beam.rays and not enough(
+                *met[pulse], reflectance, beam.target_m, beam.resolution_m, room
+            ):
+                wanted[pulse] = min(done[pulse] + ROUND, beam.rays)
+    return Hits(
+        np.maximum(done, 1).astype(np.uint16),
+        np.concatenate([of[0] for of in met.values()]),
+        np.concatenate([of[1] for of in met.values()]),
+        np.concatenate([of[2] for of in met.values()]),
+    )
+
+
+def _joined(a: Met, b: Met) -> Met:
+    """Hits of two rounds of one pulse."""
+    return np.concatenate([a[0], b[0]]), np.concatenate([a[1], b[1]]), np.concatenate([a[2], b[2]])

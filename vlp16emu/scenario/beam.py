@@ -1,0 +1,30 @@
+"""The `[beam]` table: how wide a pulse is, and by how many rays it is followed."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from vlp16emu.scenario.section import Section
+
+__all__ = ["Beam"]
+
+Millimetres = Annotated[float, Field(ge=0, le=100)]
+Milliradians = Annotated[float, Field(ge=0, le=50)]
+
+
+class Beam(Section):
+    """The light of one pulse."""
+
+    model: Literal["adaptive", "fixed", "none", "angle", "offset"] = "adaptive"
+    """What a pulse is made of: sub-rays, as many as it needs (`adaptive`) or always `rays` (`fixed`); or one ray along
+    its middle (`none`). `angle` and `offset` are one ray with the beam errors of LiDAR-Forest (Lu et al.):
+    its direction drawn from the profile, or its hit displaced inside the beam."""
+    rays: Annotated[int, Field(ge=2, le=4096)] = 64
+    """Sub-rays of a fixed beam, and the most of an adaptive one."""
+    target_m: Annotated[float, Field(gt=0, le=1)] = 0.05
+    """Mean error of the strongest echo's range that an adaptive beam aims at, where another echo taken for it counts
+    as the detector's resolution."""
+    spot_mm: Annotated[tuple[Millimetres, Millimetres], Field(strict=False)] = (12.7, 9.5)
+    """Width of the light at the lens, horizontal and vertical, at 1/e2 of the middle."""
+    divergence_mrad: Annotated[tuple[Milliradians, Milliradians], Field(strict=False)] = (3.0, 1.5)
+    """Growth of that width with distance: full angle, horizontal and vertical (VLS-128 manual, table F-1)."""
