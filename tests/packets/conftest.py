@@ -67,6 +67,7 @@ def random_returns(make_returns: Callable[..., Returns]) -> Callable[[int, int],
         reflectivity[..., 1][distance_m[..., 0] == distance_m[..., 1]] = reflectivity[..., 0][
             distance_m[..., 0] == distance_m[..., 1]
         ]
+        reflectivity[..., 2][kind <= 1] = 0
         turned_deg = np.arange(sequences) * 0.1990656 + random.normal(0, 0.005, sequences)
         reading_deg = (random.uniform(0, 360) + turned_deg) % 360
         return make_returns(

@@ -17,7 +17,7 @@ VLP_16 = SensorModel.VLP_16
 def record(returns, s, j, which):
     """One record as the slow twin writes it."""
     code = round(float(returns.distance_m[s, j, which]) * 500)
-    return struct.pack("<HB", code, returns.reflectivity[s, j, which]) if 250 <= code <= 65535 else bytes(3)
+    return struct.pack("<HB", code if 250 <= code <= 65535 else 0, returns.reflectivity[s, j, which])
 
 
 def slow_payloads(returns, mode):
@@ -37,7 +37,8 @@ def slow_payloads(returns, mode):
                         elif not odd:
                             which = 1
                         else:
-                            which = 0 if strongest != last or second == 0 else 2
+                            has_second = second > 0 or returns.reflectivity[sequence, j, 2] > 0
+                            which = 2 if strongest == last and has_second else 0
                         out += record(returns, sequence, j, which)
         clock_us = int(returns.firings.clock_ns[first]) // 1000
         out += struct.pack("<IBB", clock_us, {"strongest": 0x37, "last": 0x38, "dual": 0x39}[mode], 0x22)
@@ -164,14 +165,14 @@ def test_azimuth_is_that_of_the_first_sequence(make_returns):
     ],
 )
 def test_distance_codes(make_returns, distance_m, code):
-    """Distances are rounded to 2 mm; less than 0.5 m or more than 16 bits is no return, with reflectivity 0."""
+    """Distances are rounded to 2 mm; less than 0.5 m or more than 16 bits is no return; reflectivity stays."""
     shape = (24, 16, 3)
     returns = make_returns(
         24, distance_m=np.full(shape, distance_m, np.float32), reflectivity=np.full(shape, 77, np.uint8)
     )
     records = data_payloads(returns, ReturnMode.STRONGEST, VLP_16).view(DATA_PAYLOAD)["blocks"]["records"]
     assert set(records["distance_lsb"].ravel()) == {code}
-    assert set(records["reflectivity"].ravel()) == {77 if code else 0}
+    assert set(records["reflectivity"].ravel()) == {77}
 
 
 def test_single_return_of_dual_is_repeated(random_returns):

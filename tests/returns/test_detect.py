@@ -1,74 +1,147 @@
-"""One hit per pulse becomes its return."""
+"""Hits of a pulse become its returns."""
 
 import numpy as np
 import pytest
 
 from vlp16emu.returns import detect
-from vlp16emu.types import NO_SURFACE, SURFACE, Firings, Hits
+from vlp16emu.types import NO_SURFACE, Hits, ReturnMode
 
-K, L = 8, 16
-
-
-def firings():
-    zeros = np.zeros((K, L, 3))
-    return Firings(
-        0,
-        np.zeros((K, L), np.int64),
-        np.zeros(K, np.int64),
-        np.zeros((K, L)),
-        np.zeros(K),
-        zeros,
-        zeros,
-        None,
-    )
+K = 8
 
 
-def hits(range_m, surface=0, cosine=1.0):
-    shape = (K, L)
-    return Hits.one_ray_each(
-        np.full(shape, range_m, np.float32),
-        np.full(shape, surface, np.uint32),
-        np.full(shape, cosine, np.float32),
-    )
+@pytest.fixture(scope="module")
+def lone(detector, firings, pulses, table):
+    """Returns of pulses that are one ray each."""
+
+    def make(range_m, reflectance=0.5, cosine=1.0, *, truth=False, **own):
+        hits = pulses(K, [range_m], [NO_SURFACE if np.isinf(range_m) else 0], cosine)
+        return detect(firings(K), hits, table(reflectance), detector(**own), truth=truth)
+
+    return make
 
 
-def table(reflectance):
-    surfaces = np.zeros(1, SURFACE)
-    surfaces["reflectance"] = reflectance
-    return surfaces
+@pytest.fixture(scope="module")
+def split(detector, firings, pulses, table):
+    """First pulse's distances and reflectivities, of sub-rays that meet surfaces of a reflectance each."""
+
+    def make(range_m, reflectance, **own):
+        out = detect(firings(K), pulses(K, range_m), table(*reflectance), detector(**own), truth=True)
+        return out.distance_m[0, 0], out.reflectivity[0, 0], out.surface[0, 0]
+
+    return make
 
 
 @pytest.mark.parametrize(
     ("range_m", "distance_m"),
     [(0.49, 0), (0.5, 0.5), (20, 20), (100, 100), (100.01, 0), (np.inf, 0)],
 )
-def test_range_limits(range_m, distance_m):
+def test_range_limits(lone, range_m, distance_m):
     """What is nearer than the least range, farther than the greatest, or nowhere gives no return."""
-    surface = NO_SURFACE if np.isinf(range_m) else 0
-    out = detect(firings(), hits(range_m, surface), table(0.5), 0.5, 100.0, truth=False)
-    assert (out.distance_m[..., :2] == np.float32(distance_m)).all()
-    assert ((out.reflectivity[..., 0] > 0) == (distance_m > 0)).all()
+    assert (lone(range_m).distance_m[..., :2] == np.float32(distance_m)).all()
 
 
-def test_lone_echo_is_strongest_and_last():
+def test_blanked_targets_keep_their_reflectivity(lone):
+    """A target too near for a distance shows its reflectivity, one too far or none at all does not."""
+    assert (lone(0.3, 0.7).reflectivity[..., :2] == 70).all()
+    assert not lone(120, 0.7).reflectivity.any()
+    assert not lone(np.inf, 0.7).reflectivity.any()
+
+
+def test_lone_echo_is_strongest_and_last(lone):
     """One echo stands as strongest and as last, and there is no second strongest."""
-    out = detect(firings(), hits(7.0), table(0.5), 0.5, 100.0, truth=False)
+    out = lone(7.0)
     assert (out.distance_m[..., 0] == out.distance_m[..., 1]).all()
     assert (out.distance_m[..., 2] == 0).all()
 
 
 @pytest.mark.parametrize(
-    ("reflectance", "cosine", "byte"), [(0.5, 1.0, 50), (0.5, 0.5, 25), (1.0, 1.0, 100), (0, 1, 0)]
+    ("reflectance", "cosine", "byte"),
+    [
+        (0.5, 1.0, 50),
+        (0.5, 0.5, 25),
+        (1.0, 1.0, 100),
+        (0, 1, 0),
+        (1.2, 1, 105),
+        (1000, 1, 255),
+        (1e6, 1, 255),
+    ],
 )
-def test_reflectivity_is_lambertian(reflectance, cosine, byte):
-    """The byte is reflectance times the cosine of incidence, in percent."""
-    out = detect(firings(), hits(7.0, cosine=cosine), table(reflectance), 0.5, 100.0, truth=False)
-    assert (out.reflectivity[..., 0] == byte).all()
+def test_reflectivity_scale(lone, reflectance, cosine, byte):
+    """The byte is reflectance times cosine in percent up to 100, and grows to 255 at a thousand times white."""
+    assert (lone(7.0, reflectance, cosine).reflectivity[..., 0] == byte).all()
 
 
-def test_truth_is_kept_only_on_request():
+def test_truth_is_kept_only_on_request(lone):
     """Surfaces travel along only when asked for, and are `NO_SURFACE` where there is no return."""
-    assert detect(firings(), hits(7.0), table(0.5), 0.5, 100.0, truth=False).surface is None
-    kept = detect(firings(), hits(7.0), table(0.5), 0.5, 100.0, truth=True)
+    assert lone(7.0).surface is None
+    kept = lone(7.0, truth=True)
     assert (kept.surface[..., :2] == 0).all()
     assert (kept.surface[..., 2] == NO_SURFACE).all()
+    assert (lone(0.3, truth=True).surface == NO_SURFACE).all()
+
+
+def test_two_surfaces_far_apart_are_two_returns(split):
+    """A beam half on a bright plate and half on a dark one behind gives each at its place with half its reflectivity."""
+    distance_m, reflectivity, surface = split([4.0, 9.0], [0.6, 0.4])
+    assert distance_m.tolist() == pytest.approx([4, 9, 9])
+    assert reflectivity.tolist() == [30, 20, 20]
+    assert surface.tolist() == [0, 1, 1]
+
+
+def test_a_bright_surface_behind_is_strongest_and_last(split):
+    """Where the farther echo is the stronger one, the nearer is the second strongest."""
+    distance_m, _, surface = split([4.0, 9.0], [0.05, 0.9])
+    assert distance_m.tolist() == pytest.approx([9, 9, 4])
+    assert surface.tolist() == [1, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("mode", "columns"),
+    [(ReturnMode.STRONGEST, [4, 0, 0]), (ReturnMode.LAST, [4, 9, 6]), (ReturnMode.DUAL, [4, 9, 6])],
+)
+def test_only_what_the_mode_needs(split, mode, columns):
+    """Strongest return leaves last and second strongest empty; the other modes have all three."""
+    distance_m, _, _ = split([4.0, 6.0, 9.0], [0.9, 0.8, 0.7], mode=mode)
+    assert distance_m.tolist() == pytest.approx(columns)
+
+
+@pytest.mark.parametrize(("gap_m", "returns"), [(0.3, 1), (0.7, 1), (0.95, 1), (1.1, 2), (1.5, 2), (5.0, 2)])
+def test_step_edge(split, gap_m, returns):
+    """A beam half on each of two plates gives one return between or on them below the resolution of 1 m, and two above it."""
+    distance_m, _, _ = split([10.0, 10.0 + gap_m], [0.5, 0.5])
+    assert len(set(distance_m[:2].tolist())) == returns
+    assert (distance_m[:2] >= 10).all()
+    assert (distance_m[:2] <= np.float32(10 + gap_m)).all()
+    if gap_m < 0.5:  # the range law makes the nearer plate the brighter one
+        middle_m = np.average([10, 10 + gap_m], weights=[1 / 10**2, 1 / (10 + gap_m) ** 2])
+        assert distance_m[0] == pytest.approx(middle_m, abs=0.002)
+
+
+def test_a_blanked_near_echo_leaves_only_the_far_one(split):
+    """A stronger target nearer than 0.5 m is blanked with its reflectivity, and the last return stands."""
+    distance_m, reflectivity, _ = split([0.3, 5.0], [0.5, 0.5])
+    assert distance_m.tolist() == pytest.approx([0, 5, 5])
+    assert reflectivity[0] == 25
+
+
+def test_batches_do_not_matter(detector, firings, pulses, table):
+    """A pulse gives the same whatever is detected with it: only its firing number counts."""
+    unit = detector({"range_noise_m": 0.01, "weak_echoes_lost": True}, visibility_m=100.0)
+    ranges, surfaces = [30, 30.1, 33, np.inf], table(0.1, 0.1, 0.1)
+    kinds = [0, 1, 2, NO_SURFACE]
+    whole = detect(firings(40, 7), pulses(40, ranges, kinds), surfaces, unit, truth=True)
+    part = detect(firings(9, 19), pulses(9, ranges, kinds), surfaces, unit, truth=True)
+    for name in ("distance_m", "reflectivity", "surface"):
+        np.testing.assert_array_equal(getattr(whole, name)[12:21], getattr(part, name))
+
+
+def test_sub_rays_may_differ_in_number(detector, firings, table):
+    """Ragged hits are read pulse by pulse: each pulse shows the mean of its own sub-rays."""
+    count = np.arange(1, K * 16 + 1, dtype=np.uint16).reshape(K, 16)
+    n = int(count.sum())
+    owner = np.repeat(np.arange(K * 16), count.ravel())
+    range_m = (2 + 0.5 * owner + 0.01 * np.sin(np.arange(n))).astype(np.float32)
+    hits = Hits(count, range_m, np.zeros(n, np.uint32), np.ones(n, np.float32))
+    out = detect(firings(K), hits, table(0.5), detector(), truth=False)
+    want_m = np.bincount(owner, range_m) / count.ravel()
+    np.testing.assert_allclose(out.distance_m[..., 0].ravel(), want_m, atol=1e-5)

@@ -20,7 +20,7 @@ __all__ = ["data_payloads", "pack_data", "timestamp_us"]
 _STRONGEST, _LAST, _SECOND_STRONGEST = 0, 1, 2  # last axis of Returns
 
 
-def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel) -> list[Packet]:
+def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int = 0) -> list[Packet]:
     """Pack whole packets and say when each leaves.
 
     Parameters
@@ -28,6 +28,7 @@ def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel) -> list[Pa
     returns : k firing sequences of 16 lasers; k a multiple of 24, or of 12 in dual return
     mode : which returns are sent
     model : decides the factory byte
+    unit : place in the rig of the sensor that sends them
 
     Returns
     -------
@@ -42,7 +43,7 @@ def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel) -> list[Pa
     sequences = SEQUENCES_PER_PACKET[mode]
     due_ns = returns.firings.t_ns[::sequences, 0] + sequences * SEQUENCE_PERIOD_NS
     return [
-        Packet(PacketKind.DATA, due, payload.tobytes())
+        Packet(PacketKind.DATA, due, payload.tobytes(), unit)
         for due, payload in zip(due_ns.tolist(), payloads, strict=True)
     ]
 
@@ -133,8 +134,13 @@ def _odd_returns(returns: Returns) -> tuple[NDArray[np.float32], NDArray[np.uint
     a real unit.
     """
     strongest_is_last = returns.distance_m[..., _STRONGEST] == returns.distance_m[..., _LAST]
-    has_second = returns.distance_m[..., _SECOND_STRONGEST] > 0
-    which = np.where(strongest_is_last, np.where(has_second, _SECOND_STRONGEST, _LAST), _STRONGEST)[..., None]
+    # One that was nearer than 0.5 m has no distance any more, but keeps its reflectivity.
+    second_m, second = (
+        returns.distance_m[..., _SECOND_STRONGEST],
+        returns.reflectivity[..., _SECOND_STRONGEST],
+    )
+    has_second = (second_m > 0) | (second > 0)
+    which = np.where(strongest_is_last & has_second, _SECOND_STRONGEST, _STRONGEST)[..., None]
     distance_m = np.take_along_axis(returns.distance_m, which, axis=-1)[..., 0]
     return distance_m, np.take_along_axis(returns.reflectivity, which, axis=-1)[..., 0]
 
@@ -142,10 +148,10 @@ def _odd_returns(returns: Returns) -> tuple[NDArray[np.float32], NDArray[np.uint
 def _write(records: NDArray[Any], distance_m: NDArray[np.float32], reflectivity: NDArray[np.uint8]) -> None:
     """Fill records (n, blocks, 2, 16) from metres and reflectivity (k, 16).
 
-    Distances are rounded to 2 mm. What is nearer than 0.5 m or beyond the largest code becomes a
-    record of zeros, as the manual says of a pulse without return (63-9243 Rev D, section 6.1).
+    Distances are rounded to 2 mm. What is nearer than 0.5 m or beyond the largest code has none; its
+    reflectivity is written as it is, since real units send one there too.
     """
     code = np.rint(distance_m.astype(np.float64) / layout.DISTANCE_LSB_M)
     seen = (code >= layout.MIN_DISTANCE_LSB) & (code <= np.iinfo(np.uint16).max)
     records["distance_lsb"] = np.where(seen, code, 0).astype(np.uint16).reshape(records.shape)
-    records["reflectivity"] = np.where(seen, reflectivity, 0).reshape(records.shape)
+    records["reflectivity"] = reflectivity.reshape(records.shape)

@@ -1,0 +1,263 @@
+"""Echoes of one pulse: the peaks of the waveform that its sub-rays send back.
+
+A pulse is a Gaussian in time, so the waveform is a sum of equal Gaussians, one per sub-ray, and a detector that looks
+for peaks reports its modes. Surfaces that a pulse's width does not part give one peak between them: the mixed pixel.
+
+Sub-rays within `NODE_M` are taken as one at their mean, weighted with energy. The mode of Gaussians within a span s
+lies off their mean by at most s**3 / (12 sqrt(3) sigma**2) to leading order, for their third moment is at most
+s**3 / (6 sqrt(3)): 1.1 mm for a node and a pulse of 6 ns, where its light is as lopsided as can be; and the peak is
+lower than the node by 2 % at most. Most pulses are one node and need no waveform.
+
+Light that goes through a leaf, some 45 % at 903 nm, is scattered over the half-space behind it. What comes back
+of it has been through the leaf twice and is spread both times, so it falls short of direct light by the share of the
+half-space that the receiver sees, and makes no echo. What shines past a leaf is the business of the sub-rays.
+"""
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.returns.law import Law
+
+__all__ = [
+    "AMPLITUDE",
+    "COLUMNS",
+    "NODE_M",
+    "OPEN",
+    "RANGE",
+    "add_node",
+    "amplitude_of",
+    "find_peaks",
+    "gather",
+    "lone_node",
+]
+
+COLUMNS = 3
+"""Of a table of nodes, or of peaks."""
+RANGE, AMPLITUDE = 0, 1
+"""Columns of both: in metres, and as in `Law`."""
+OPEN = 2
+"""Column of peaks: the amplitude until somebody has dealt with the peak, then 0."""
+_MOMENT = (
+    2  # column of nodes while they are gathered: of the light about RANGE, which is then the first sub-ray's
+)
+NODE_M = 0.15
+"""Greatest span of the sub-rays that are taken as one."""
+_FAINTEST = 1e-9  # reflectance of what is black or edge-on, so that it still has a place
+_APART = 5.0  # sigmas at which a neighbour as bright moves a peak by less than 0.01 mm
+_LAST_STEP_M = 1e-3  # of Newton's rule; what is left is about its square over sigma
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def amplitude_of(law: Law, energy: float, range_m: float) -> float:
+    """Amplitude that an energy has at the detector: the range law, and what the air takes on both ways.
+
+    Parameters
+    ----------
+    energy : reflectance times cosine of incidence, of a pulse's share
+    """
+    amplitude = max(energy, _FAINTEST) / (range_m * range_m)
+    if law.extinction_per_m > 0.0:
+        amplitude *= math.exp(-2.0 * law.extinction_per_m * range_m)
+    return amplitude
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def lone_node(
+    law: Law,
+    start: int,
+    stop: int,
+    range_m: NDArray[np.float32],
+    surface: NDArray[np.uint32],
+    cos_incidence: NDArray[np.float32],
+    reflectance: NDArray[np.float32],
+) -> tuple[int, float, float]:
+    """See whether the sub-rays start .. stop - 1 of a pulse are one node, which most are.
+
+    Returns
+    -------
+    0 where nothing was met, 1 for one node, 2 for more; range and amplitude of the one
+    """
+    energy = off_m = 0.0
+    first_m = np.inf
+    for ray in range(start, stop):
+        ray_m = np.float64(range_m[ray])
+        if ray_m < np.inf:
+            if first_m == np.inf:
+                first_m = ray_m
+            elif abs(ray_m - first_m) > 0.5 * NODE_M:
+                return 2, 0.0, 0.0
+            part = np.float64(reflectance[surface[ray]]) * cos_incidence[ray] + _FAINTEST
+            energy += part
+            off_m += part * (ray_m - first_m)
+    if first_m == np.inf:
+        return 0, 0.0, 0.0
+    at_m = first_m + off_m / energy
+    return 1, at_m, amplitude_of(law, energy / (stop - start), at_m)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def gather(
+    law: Law,
+    start: int,
+    stop: int,
+    range_m: NDArray[np.float32],
+    surface: NDArray[np.uint32],
+    cos_incidence: NDArray[np.float32],
+    reflectance: NDArray[np.float32],
+    nodes: NDArray[np.float64],
+) -> int:
+    """Sum the sub-rays start .. stop - 1 of a pulse into nodes (n, COLUMNS); returns how many there are."""
+    found = 0
+    for ray in range(start, stop):
+        ray_m = np.float64(range_m[ray])
+        if ray_m == np.inf:
+            continue
+        part = np.float64(reflectance[surface[ray]]) * cos_incidence[ray] + _FAINTEST
+        node = 0
+        while node < found and abs(ray_m - nodes[node, RANGE]) > 0.5 * NODE_M:
+            node += 1
+        if node == found:
+            nodes[node, RANGE], nodes[node, AMPLITUDE], nodes[node, _MOMENT] = ray_m, 0.0, 0.0
+            found += 1
+        nodes[node, AMPLITUDE] += part
+        nodes[node, _MOMENT] += part * (ray_m - nodes[node, RANGE])
+    for node in range(found):
+        at_m = nodes[node, RANGE] + nodes[node, _MOMENT] / nodes[node, AMPLITUDE]
+        nodes[node, RANGE] = at_m
+        nodes[node, AMPLITUDE] = amplitude_of(law, nodes[node, AMPLITUDE] / (stop - start), at_m)
+    return found
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def add_node(nodes: NDArray[np.float64], count: int, range_m: float, amplitude: float) -> int:
+    """Add light of another kind to a pulse; returns how many nodes there are."""
+    nodes[count, RANGE], nodes[count, AMPLITUDE] = range_m, amplitude
+    return count + 1
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def find_peaks(nodes: NDArray[np.float64], count: int, sigma_m: float, peaks: NDArray[np.float64]) -> int:
+    """Fill peaks (n, COLUMNS) in order of range from nodes, which are sorted; returns how many there are."""
+    _sort(nodes, count)
+    found = start = 0
+    for node in range(1, count + 1):
+        if node == count or nodes[node, RANGE] - nodes[node - 1, RANGE] > _APART * sigma_m:
+            found = _peaks_of_group(nodes, start, node, sigma_m, peaks, found)
+            start = node
+    return found
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_peak(peaks: NDArray[np.float64], found: int, range_m: float, amplitude: float) -> int:
+    """Add a peak; returns how many there are."""
+    peaks[found, RANGE] = range_m
+    peaks[found, AMPLITUDE] = peaks[found, OPEN] = amplitude
+    return found + 1
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _sort(nodes: NDArray[np.float64], count: int) -> None:
+    """Put nodes in order of range by insertion; they are few."""
+    for i in range(1, count):
+        range_m, amplitude = nodes[i, RANGE], nodes[i, AMPLITUDE]
+        j = i
+        while j > 0 and nodes[j - 1, RANGE] > range_m:
+            nodes[j, RANGE], nodes[j, AMPLITUDE] = nodes[j - 1, RANGE], nodes[j - 1, AMPLITUDE]
+            j -= 1
+        nodes[j, RANGE], nodes[j, AMPLITUDE] = range_m, amplitude
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _waveform(
+    nodes: NDArray[np.float64], start: int, stop: int, x_m: float, sigma_m: float
+) -> tuple[float, float, float]:
+    """Waveform at x_m: mean and variance of where its light comes from, reckoned from there, and its height."""
+    height = first = second = 0.0
+    sharpness = -0.5 / (sigma_m * sigma_m)
+    for node in range(start, stop):
+        away_m = nodes[node, RANGE] - x_m
+        light = nodes[node, AMPLITUDE] * math.exp(sharpness * away_m * away_m)
+        height += light
+        first += light * away_m
+        second += light * away_m * away_m
+    mean_m = first / height
+    return mean_m, second / height - mean_m * mean_m, height
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _peaks_of_group(
+    nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float, peaks: NDArray[np.float64], found: int
+) -> int:
+    """Find the peaks of nodes that may touch each other, uphill of each node on either side.
+
+    The slope of the waveform has the sign of the mean in `_waveform`. A peak lies within sigma of a node, for elsewhere
+    the waveform is convex.
+    """
+    if stop - start == 1:
+        return _add_peak(peaks, found, nodes[start, RANGE], nodes[start, AMPLITUDE])
+    a_m = nodes[start, RANGE]
+    a_mean_m, a_var_m2, a_height = _waveform(nodes, start, stop, a_m, sigma_m)
+    rises = True  # even where all nodes are at one place
+    for node in range(start + 1, stop):
+        b_m = nodes[node, RANGE]
+        b_mean_m, b_var_m2, b_height = _waveform(nodes, start, stop, b_m, sigma_m)
+        reach_m = min(b_m - a_m, sigma_m)
+        one = rises and b_mean_m <= 0.0 and b_m - a_m <= 2.0 * sigma_m
+        if rises:
+            end_m = b_m if one else a_m + reach_m
+            top_m, height = _climb(nodes, start, stop, sigma_m, a_m, end_m, one, a_mean_m, a_var_m2, a_height)
+            if height > 0.0:
+                found = _add_peak(peaks, found, top_m, height)
+        if b_mean_m <= 0.0 and not one and b_m > a_m:
+            end_m = b_m - reach_m
+            top_m, height = _climb(
+                nodes, start, stop, sigma_m, b_m, end_m, False, b_mean_m, b_var_m2, b_height
+            )
+            if height > 0.0:
+                found = _add_peak(peaks, found, top_m, height)
+        a_m, a_mean_m, a_var_m2, a_height = b_m, b_mean_m, b_var_m2, b_height
+        rises = a_mean_m > 0.0 or (a_mean_m == 0.0 and a_var_m2 > sigma_m * sigma_m)  # or stands in a trough
+    return found
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _climb(
+    nodes: NDArray[np.float64],
+    start: int,
+    stop: int,
+    sigma_m: float,
+    x_m: float,
+    end_m: float,
+    closed: bool,
+    mean_m: float,
+    var_m2: float,
+    height: float,
+) -> tuple[float, float]:
+    """Range and height of the peak between x_m, where the waveform rises towards end_m, and there; height 0 for none.
+
+    Newton's rule on the mean, with halving as its net. `closed` says that the waveform is known to fall at end_m; if it
+    is not, that is looked up as soon as Newton's rule fails. The waveform at x_m is given.
+    """
+    low_m, high_m = min(x_m, end_m), max(x_m, end_m)
+    uphill = mean_m > 0.0
+    while True:
+        curvature = 1.0 - var_m2 / (sigma_m * sigma_m)
+        next_m = x_m + mean_m / curvature
+        safe = curvature > 0.0 and low_m <= next_m <= high_m
+        if not safe:
+            next_m = 0.5 * (low_m + high_m) if closed else end_m
+        if (safe or closed) and abs(next_m - x_m) < _LAST_STEP_M:
+            return next_m, height
+        x_m = next_m
+        mean_m, var_m2, height = _waveform(nodes, start, stop, x_m, sigma_m)
+        if (mean_m > 0.0) != uphill:
+            closed = True
+        elif x_m == end_m:
+            return x_m, 0.0
+        if mean_m > 0.0:
+            low_m = x_m
+        else:
+            high_m = x_m

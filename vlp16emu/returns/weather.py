@@ -1,0 +1,105 @@
+"""Fog and rain: what they take from the light, and what they throw back."""
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.random import Purpose, uniform_pair
+from vlp16emu.returns.law import Law
+
+__all__ = [
+    "air_reflectance",
+    "clutter_echo",
+    "extinction_per_m",
+    "fog_extinction_per_m",
+    "rain_extinction_per_m",
+]
+
+_WAVELENGTH_NM = 903.0  # data sheet of the VLP-16
+_LIDAR_RATIO_SR = 18.2
+"""Extinction over backscatter of water droplets, near infrared (1.06 um): Pinnick et al., J. Geophys. Res. 88, 1983.
+For rain drops, too, an assumption."""
+_NEAREST_M = 0.05
+"""Of the air: where the light leaves the housing, to a centimetre."""
+_WEATHER = int(Purpose.WEATHER)
+
+
+def fog_extinction_per_m(visibility_m: float) -> float:
+    """Extinction of fog and haze at 903 nm.
+
+    Koschmieder's law at 2 % contrast with the wavelength law of Kruse, McGlauchlin and McQuistan (1962) in the form of
+    Kim, McArthur and Korevaar, Proc. SPIE 4214 (2001), under which thick fog is grey.
+
+    Parameters
+    ----------
+    visibility_m : meteorological visibility, more than 0
+    """
+    km = visibility_m / 1000.0
+    if km > 50.0:
+        q = 1.6
+    elif km > 6.0:
+        q = 1.3
+    elif km > 1.0:
+        q = 0.16 * km + 0.34
+    else:
+        q = max(km - 0.5, 0.0)
+    return 3.912 / visibility_m * (_WAVELENGTH_NM / 550.0) ** -q
+
+
+def rain_extinction_per_m(rain_mm_h: float) -> float:
+    """Extinction of rain: 1.076 R**0.67 dB/km, for all light (Carbonneau and Wisely, Proc. SPIE 3491, 1998).
+
+    Parameters
+    ----------
+    rain_mm_h : rate, from 0
+    """
+    return 1.076 * rain_mm_h**0.67 * math.log(10.0) / 10.0 / 1000.0
+
+
+def extinction_per_m(visibility_m: float | None, rain_mm_h: float) -> float:
+    """Extinction of fog, if any, and rain together."""
+    fog_per_m = 0.0 if visibility_m is None else fog_extinction_per_m(visibility_m)
+    return fog_per_m + rain_extinction_per_m(rain_mm_h)
+
+
+def air_reflectance(extinction_per_m: float, sigma_m: float) -> float:
+    """Reflectance of a white wall, as a share, that throws back as much as the air within one pulse.
+
+    By the lidar equation: pi times backscatter times the pulse's equivalent length.
+
+    Parameters
+    ----------
+    extinction_per_m : of the air
+    sigma_m : of the pulse, in range
+    """
+    return math.pi * extinction_per_m / _LIDAR_RATIO_SR * math.sqrt(2.0 * math.pi) * sigma_m
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def clutter_echo(
+    law: Law, n: int, laser: int, start: int, stop: int, range_m: NDArray[np.float32]
+) -> tuple[float, float]:
+    """Range and amplitude of the air's own echo in pulse (n, laser); the air must not be clear.
+
+    One per pulse: the air scatters somewhere on the way, at a range of exponential distribution, and as brightly as
+    the lidar equation has it times a fluctuation, also exponential, for drops come in numbers (an assumption).
+
+    Parameters
+    ----------
+    range_m : of sub-rays, those of the pulse being start .. stop - 1
+
+    Returns
+    -------
+    amplitude 0 where it is below the threshold of the detector, or behind all that was hit
+    """
+    where, how_bright = uniform_pair(law.seed, _WEATHER, n, laser)
+    air_m = max(-math.log1p(-where) / law.extinction_per_m, _NEAREST_M)
+    passed = 1.0 - where  # exp(-extinction * range)
+    amplitude = -math.log1p(-how_bright) * law.clutter * passed * passed / (air_m * air_m)
+    if amplitude >= law.least_clutter:
+        for ray in range(start, stop):
+            if range_m[ray] > air_m:
+                return air_m, amplitude
+    return air_m, 0.0
