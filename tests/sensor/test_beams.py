@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from vlp16emu.sensor import BEAM_TABLES, LENS_RADIUS_M
+from vlp16emu.sensor import BEAM_TABLES, LENS_RADIUS_M, free_beams, with_angle_errors
 from vlp16emu.types import SensorModel
 
 
@@ -25,3 +26,73 @@ def test_light_leaves_at_the_lens():
     """The range at which a beam begins, put along the beam, lies on the circle of the lens."""
     table = BEAM_TABLES[SensorModel.VLP_16]
     np.testing.assert_allclose(table.near_m * np.cos(np.radians(table.elevation_deg)), LENS_RADIUS_M)
+
+
+def test_angle_errors_are_normal_and_as_wide_as_set():
+    """Over many lasers the errors of both angles are normal with the sigma that was set, and independent."""
+    many = free_beams([0.0] * 5_000, lens_radius_m=0.0, azimuth_resolution_deg=0.2, rpm=600)
+    unit = with_angle_errors(many, elevation_error_deg=0.03, azimuth_error_deg=0.05, seed=7)
+    assert stats.kstest(unit.elevation_error_deg / 0.03, "norm").pvalue > 0.01
+    assert stats.kstest(unit.azimuth_error_deg / 0.05, "norm").pvalue > 0.01
+    assert abs(np.corrcoef(unit.elevation_error_deg, unit.azimuth_error_deg)[0, 1]) < 0.05
+
+
+def test_angle_errors_belong_to_the_unit():
+    """The seed makes the unit: the same one twice, another with another seed, and the table itself without errors."""
+    table = BEAM_TABLES[SensorModel.VLP_16]
+    sigma = {"elevation_error_deg": 0.03, "azimuth_error_deg": 0.03}
+    one, again, other = (with_angle_errors(table, **sigma, seed=seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.elevation_error_deg, again.elevation_error_deg)
+    assert (one.azimuth_error_deg != other.azimuth_error_deg).all()
+    assert (one.elevation_deg == table.elevation_deg).all()
+    ideal = with_angle_errors(table, elevation_error_deg=0.0, azimuth_error_deg=0.0, seed=1)
+    assert not ideal.elevation_error_deg.any()
+    assert not ideal.azimuth_error_deg.any()
+
+
+@pytest.mark.parametrize(
+    ("beams", "resolution_deg", "rpm"), [(1, 2.0, 60), (64, 0.2, 600), (256, 0.05, 3600)]
+)
+def test_a_free_sensor_fires_evenly_once_per_step(beams, resolution_deg, rpm):
+    """A sequence lasts as long as the rotor takes for the step, and its lasers share that time evenly."""
+    table = free_beams(
+        np.linspace(-25, 15, beams), lens_radius_m=0.0, azimuth_resolution_deg=resolution_deg, rpm=rpm
+    )
+    assert table.sequence_ns == pytest.approx(resolution_deg / (rpm * 6) * 1e9, abs=0.5)
+    assert 0 <= table.sequence_ns - beams * table.laser_ns < beams
+
+
+def test_free_beams_pass_through_the_lens():
+    """With a lens off the axis each line meets the horizontal plane there; without one it begins at the centre."""
+    elevation_deg = [-25.0, -3.0, 0.0, 15.0]
+    table = free_beams(elevation_deg, lens_radius_m=0.05, azimuth_resolution_deg=0.2, rpm=600)
+    height_m = table.vertical_offset_m + 0.05 * np.tan(np.radians(elevation_deg))
+    np.testing.assert_allclose(height_m, 0.0, atol=1e-17)
+    np.testing.assert_allclose(table.near_m * np.cos(np.radians(elevation_deg)), 0.05)
+    centred = free_beams(elevation_deg, lens_radius_m=0.0, azimuth_resolution_deg=0.2, rpm=600)
+    assert not centred.vertical_offset_m.any()
+    assert not centred.near_m.any()
+
+
+def test_rings_are_counted_from_below():
+    """The VLP-16's rings are laser 0, 2, 4 ... from -15 degrees up; lasers of one elevation keep their order."""
+    assert BEAM_TABLES[SensorModel.VLP_16].ring.tolist() == [
+        0,
+        8,
+        1,
+        9,
+        2,
+        10,
+        3,
+        11,
+        4,
+        12,
+        5,
+        13,
+        6,
+        14,
+        7,
+        15,
+    ]
+    level = free_beams([5.0, 0.0, 0.0, -5.0], lens_radius_m=0.0, azimuth_resolution_deg=0.2, rpm=600)
+    assert level.ring.tolist() == [3, 1, 2, 0]

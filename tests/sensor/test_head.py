@@ -1,12 +1,13 @@
 """Instants, directions and origins of pulses, against the manual's formulas written out."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from vlp16emu.motion import rotations
-from vlp16emu.sensor import BEAM_TABLES, Clock, Head, Rotor
+from vlp16emu.sensor import BEAM_TABLES, Clock, Head, Rotor, free_beams, with_angle_errors
 from vlp16emu.types import Poses, SensorModel
 
 START_NS = 1_780_000_000_123_456_789
@@ -78,3 +79,55 @@ def test_directions_have_unit_length(head):
     """Ranges are metres because directions have length one to rounding."""
     firings = head.aim(123_456, 100, pose(0.3, 0.1, 0.2))
     np.testing.assert_allclose(np.linalg.norm(firings.direction, axis=-1), 1.0, atol=1e-15)
+
+
+def test_across_is_where_the_beam_moves(head):
+    """`across` is the direction's derivative by the rotor's angle at unit length, level in the sensor."""
+    yaw, pitch, roll = 0.4, 0.2, -0.1
+    aimed = head.aim(0, 8, pose(yaw, pitch, roll), across=True)
+    later = replace(head, rotor=replace(head.rotor, start_azimuth_deg=10.0 + 1e-4))
+    moved = later.aim(0, 8, pose(yaw, pitch, roll)).direction - aimed.direction
+    moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
+    np.testing.assert_allclose(aimed.across, moved, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(aimed.across, axis=-1), 1.0, atol=1e-15)
+    np.testing.assert_allclose((aimed.across * aimed.direction).sum(axis=-1), 0.0, atol=1e-15)
+    up = rotations(np.array([yaw]), pitch, roll)[0][:, 2]
+    np.testing.assert_allclose(aimed.across @ up, 0.0, atol=1e-15)
+
+
+def test_across_is_left_out_unless_wanted(head):
+    """Lines need no `across`, and their directions are the same with and without."""
+    line, wide = head.aim(5, 8, pose(0.3)), head.aim(5, 8, pose(0.3), across=True)
+    assert line.across is None
+    assert (line.direction == wide.direction).all()
+
+
+def test_angle_errors_turn_the_beams_and_nothing_else(head):
+    """A laser looks by its own errors higher and farther round; rotor, encoder and times know nothing of it."""
+    unit = replace(
+        head, beams=with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.05, seed=3)
+    )
+    told, true = head.aim(0, 8, pose()), unit.aim(0, 8, pose())
+    # Body x is forward at azimuth 0 and y is left, so azimuths count from x to -y.
+    azimuth_deg = np.degrees(np.arctan2(-true.direction[..., 1], true.direction[..., 0]))
+    elevation_deg = np.degrees(np.arcsin(true.direction[..., 2]))
+    np.testing.assert_allclose(
+        azimuth_deg - told.azimuth_deg, np.tile(unit.beams.azimuth_error_deg, (8, 1)), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        elevation_deg - head.beams.elevation_deg, np.tile(unit.beams.elevation_error_deg, (8, 1)), atol=1e-9
+    )
+    for name in ("t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m"):
+        np.testing.assert_array_equal(getattr(true, name), getattr(told, name))
+
+
+def test_a_free_head_turns_by_its_resolution():
+    """From sequence to sequence 256 free beams turn by the resolution, to what half a nanosecond is at that speed."""
+    beams = free_beams(np.linspace(-25, 15, 256), lens_radius_m=0.0, azimuth_resolution_deg=0.35, rpm=777)
+    free = Head(beams, Rotor(777, 0.0, 0.0, 0.0, 0.0, 1), Clock(True, 0, 0.0), START_NS)
+    firings = free.aim(0, 8, pose())
+    assert firings.direction.shape == (8, 256, 3)
+    np.testing.assert_allclose(np.diff(firings.azimuth_deg, axis=0), 0.35, atol=777 * 6 * 0.5e-9 + 1e-12)
+    np.testing.assert_allclose(
+        np.degrees(np.arcsin(firings.direction[3, :, 2])), np.linspace(-25, 15, 256), atol=1e-12
+    )

@@ -1,5 +1,7 @@
 """The rotor's true angle and the encoder's errors."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -24,6 +26,15 @@ def test_angle_is_exact_after_a_day(rpm):
     day = np.array([1_000_000, 86_400 * 10**9 + 1_000_000])
     first, later = rotor.angle_deg(day)
     assert first == later
+
+
+@pytest.mark.parametrize("rpm", [61, 90, 750, 3599])
+def test_any_whole_speed_is_exact_after_years(rpm):
+    """At a speed that makes no whole turns in a second the angle still is the exact fraction, years later too."""
+    rotor = Rotor(rpm=rpm, seed=1, **IDEAL)
+    elapsed_ns = np.array([1, 999_999_999, 59 * 10**9 + 1, 10 * 365 * 86_400 * 10**9 + 1_234_567_891])
+    exact = [float(Fraction(int(ns) * rpm * 6, 10**9) % 360) for ns in elapsed_ns]
+    np.testing.assert_allclose(rotor.angle_deg(elapsed_ns), exact, rtol=0, atol=1e-9)
 
 
 def test_ideal_encoder_reads_the_truth():

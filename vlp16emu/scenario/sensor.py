@@ -1,23 +1,44 @@
-"""The `[sensor]` and `[gps]` tables."""
+"""The `[sensor]` table."""
 
-from typing import Annotated, Literal
+from ipaddress import IPv4Address
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
+from vlp16emu.errors import ScenarioError
 from vlp16emu.scenario.section import NonNegative, Section
 
-__all__ = ["Gps", "Sensor"]
+__all__ = ["AnySensor", "FreeSensor", "Lidar", "Sensor", "on_the_wire"]
 
 Degrees = Annotated[float, Field(ge=0, lt=360)]
+Elevation = Annotated[float, Field(gt=-90, lt=90)]
+Port = Annotated[int, Field(ge=1, le=65_535)]
 
 
-class Sensor(Section):
-    """The lidar as it leaves the box and as it is set."""
+def _of_a_host(address: str) -> str:
+    """Refuse what a sensor cannot be set to."""
+    try:
+        known = IPv4Address(address)
+    except ValueError:
+        known = IPv4Address(0)
+    if known.is_unspecified or known.is_multicast or known.is_reserved:
+        raise ValueError("the IPv4 address of a host, such as 192.168.1.201")
+    return str(known)
 
-    model: Literal["vlp-16", "puck-lite", "puck-hi-res"] = "vlp-16"
-    """Beam table and factory byte."""
-    rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] = 600
-    """Rotor speed; multiples of 60 (63-9243 Rev D, section 8.3)."""
+
+Address = Annotated[str, AfterValidator(_of_a_host)]
+
+
+class Lidar(Section):
+    """What all lidars have in common."""
+
     return_mode: Literal["strongest", "last", "dual"] = "strongest"
     """Which echoes are sent."""
     min_range_m: Annotated[float, Field(ge=0.5, le=131.07)] = 0.5
@@ -36,8 +57,6 @@ class Sensor(Section):
     """Time since power-up when the run begins; without GPS the sensor's clock counts from power-up."""
     clock_error_ppm: Annotated[float, Field(ge=-100, le=100)] = 0.0
     """How much the free-running clock is fast; a clock locked to GPS has no such error."""
-    position_rate: Literal["measured", "manual"] = "measured"
-    """Position packets: 146 per second at the irregular spacing of real units, or the 53.8 of the manual."""
 
     @field_validator("max_range_m")
     @classmethod
@@ -48,14 +67,103 @@ class Sensor(Section):
         return max_range_m
 
 
-class Gps(Section):
-    """The GPS receiver wired to the sensor."""
+class Sensor(Lidar):
+    """A lidar whose packets are known, as it leaves the box and as it is set."""
 
-    connected: bool = True
-    """False: no pulse, no sentence, and the sensor's clock runs free from power-up."""
-    latitude_deg: Annotated[float, Field(gt=-90, lt=90)] = 62.24
-    """Latitude (WGS 84) of the scene's origin."""
-    longitude_deg: Annotated[float, Field(ge=-180, le=180)] = 25.75
-    """Longitude (WGS 84) of the scene's origin."""
-    sentence_delay_s: Annotated[float, Field(gt=0, lt=1)] = 0.35
-    """From the second's edge to the arrival of the sentence that names it."""
+    either_or: ClassVar[frozenset[str]] = frozenset({"start_azimuth_deg", "phase_lock_deg"})
+
+    model: Literal["vlp-16", "puck-lite", "puck-hi-res"] = "vlp-16"
+    """Beam table and factory byte."""
+    rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] = 600
+    """Rotor speed; multiples of 60 (63-9243 Rev D, section 8.3)."""
+    position_rate: Literal["measured", "manual"] = "measured"
+    """Position packets: 146 per second at the irregular spacing of real units, or the 53.8 of the manual."""
+    phase_lock_deg: Degrees | None = None
+    """True rotor angle at each UTC second (63-9243 Rev D, chapter 8), instead of `start_azimuth_deg`; needs GPS."""
+    name: Annotated[str, Field(min_length=1)] = "unit_1"
+    """For people."""
+    serial_number: Annotated[str, Field(pattern=r"^[0-9]{1,20}$")] = "11001000000001"
+    """Digits, as on the label."""
+    address: Address = "192.168.1.201"
+    """Its own (63-9243 Rev D, section 10.2.3.12)."""
+    data_port: Port = 2368
+    """To which data packets are sent (63-9243 Rev D, section 9.3.2)."""
+    position_port: Port = 8308
+    """To which position packets are sent (63-9243 Rev D, section 9.3.3)."""
+
+    @model_validator(mode="after")
+    def _starts_once(self) -> Self:
+        """Refuse a start that is told twice."""
+        if self.either_or <= self.model_fields_set:
+            raise ValueError("start_azimuth_deg or phase_lock_deg in it, not both")
+        return self
+
+
+class FreeSensor(Lidar):
+    """A spinning lidar of any beam table. It has no packets, only points."""
+
+    model: Literal["free"]
+    """Tells it from the sensors whose packets are known."""
+    elevations_deg: Annotated[tuple[Elevation, ...], Field(strict=False)] = ()
+    """Where each laser looks, in order of firing; instead of `beams` and `vertical_fov_deg`."""
+    beams: Annotated[int, Field(ge=1, le=1024)] = 16
+    """Number of lasers, spread evenly over the field of view, lowest first; a single one looks at its middle."""
+    vertical_fov_deg: Annotated[tuple[Elevation, Elevation], Field(strict=False)] = (-15.0, 15.0)
+    """Elevations of the lowest and the highest laser."""
+    azimuth_resolution_deg: Annotated[float, Field(ge=0.05, le=2)] = 0.2
+    """What the rotor turns from one firing sequence to the next."""
+    rpm: Annotated[int, Field(ge=60, le=3600)] = 600
+    """Rotor speed."""
+    lens_radius_m: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    """Distance from the spin axis of the point through which all beams pass; 0 lets them begin on the axis."""
+
+    @field_validator("beams", "vertical_fov_deg")
+    @classmethod
+    def _said_once(cls, value: object, info: ValidationInfo) -> object:
+        if info.data.get("elevations_deg"):
+            raise ValueError("nothing, as elevations_deg names every beam")
+        return value
+
+    @field_validator("vertical_fov_deg")
+    @classmethod
+    def _rising(cls, vertical_fov_deg: tuple[float, float]) -> tuple[float, float]:
+        if vertical_fov_deg[0] >= vertical_fov_deg[1]:
+            raise ValueError("the lower elevation first")
+        return vertical_fov_deg
+
+    @property
+    def beam_elevations_deg(self) -> tuple[float, ...]:
+        """Elevation of each laser in order of firing."""
+        low, high = self.vertical_fov_deg
+        if self.elevations_deg or self.beams == 1:
+            return self.elevations_deg or ((low + high) / 2,)
+        return tuple(low + (high - low) * i / (self.beams - 1) for i in range(self.beams))
+
+
+def _named(table: Any) -> Any:
+    """Let a table without `model` be one of the sensor that this project is about."""
+    return {"model": "vlp-16"} | table if isinstance(table, dict) else table
+
+
+AnySensor = Annotated[
+    Annotated[Sensor | FreeSensor, Field(discriminator="model")],
+    BeforeValidator(_named),
+]
+"""The `[sensor]` table."""
+
+
+def on_the_wire(sensor: Sensor | FreeSensor) -> Sensor:
+    """Hand on a sensor that has packets.
+
+    Raises
+    ------
+    ScenarioError
+        where it has none
+    """
+    if isinstance(sensor, FreeSensor):
+        raise ScenarioError(
+            "sensor.model",
+            'found "free", which has no packets',
+            '"vlp-16", "puck-lite" or "puck-hi-res", or `vlp16emu points`, which writes what any sensor sees',
+        )
+    return sensor

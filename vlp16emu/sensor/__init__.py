@@ -1,8 +1,17 @@
-"""What a VLP-16 is: beams, firing times, rotor and clock."""
+"""What a VLP-16 is, and what others like it are: beams, firing times, rotor and clock."""
 
-from vlp16emu.sensor.beams import BEAM_TABLES, LENS_RADIUS_M, BeamTable
+from vlp16emu.sensor.beams import (
+    BEAM_TABLES,
+    LASER_NS,
+    LENS_RADIUS_M,
+    SEQUENCE_NS,
+    BeamTable,
+    free_beams,
+    with_angle_errors,
+)
 from vlp16emu.sensor.clock import Clock
-from vlp16emu.sensor.head import BODY_R_SENSOR, LASER_NS, SEQUENCE_NS, Head
+from vlp16emu.sensor.head import BODY_R_SENSOR, Head
+from vlp16emu.sensor.place import Placed, place
 from vlp16emu.sensor.rotor import Rotor
 
 __all__ = [
@@ -14,5 +23,9 @@ __all__ = [
     "BeamTable",
     "Clock",
     "Head",
+    "Placed",
     "Rotor",
+    "free_beams",
+    "place",
+    "with_angle_errors",
 ]

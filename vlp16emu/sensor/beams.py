@@ -1,18 +1,34 @@
-"""Where the lasers point: one table per sensor, in wire order (laser id 0..15).
+"""Where the lasers point and when they fire: one table per sensor, in wire order.
 
 Source: VLP-16 User Manual 63-9243 Rev D, table 9-1 (elevation and vertical correction). Each beam
 crosses the height of the optical centre 41.9 mm from the spin axis: on the VLP-16 to the rounding of the
 table, on the Puck Hi-Res, whose corrections the manual gives in equal steps, to 0.4 mm.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.random import Purpose, normal
 from vlp16emu.types import SensorModel
+from vlp16emu.units import S_NS
 
-__all__ = ["BEAM_TABLES", "LENS_RADIUS_M", "BeamTable"]
+__all__ = [
+    "BEAM_TABLES",
+    "LASER_NS",
+    "LENS_RADIUS_M",
+    "SEQUENCE_NS",
+    "BeamTable",
+    "free_beams",
+    "with_angle_errors",
+]
+
+LASER_NS = 2_304
+"""From one laser's pulse to the next (63-9243 Rev D, section 8.1)."""
+SEQUENCE_NS = 55_296
+"""From one firing sequence to the next: 16 pulses and 18.432 us of recharge (63-9243 Rev D, section 8.1)."""
 
 LENS_RADIUS_M = 0.0419
 """Distance from the spin axis at which all beams cross the horizontal plane: -correction / tan(elevation)."""
@@ -20,21 +36,84 @@ LENS_RADIUS_M = 0.0419
 
 @dataclass(frozen=True, slots=True)
 class BeamTable:
-    """Directions of L lasers in wire order."""
+    """Directions and firing times of L lasers in wire order."""
 
     elevation_deg: NDArray[np.float64]
-    """(L,) over the horizon."""
+    """(L,) over the horizon, as the sensor's makers say."""
     vertical_offset_m: NDArray[np.float64]
     """(L,) height at which the beam's line meets the spin axis; ranges are reckoned from there."""
+    lens_radius_m: float
+    """Distance from the spin axis at which the light leaves."""
+    sequence_ns: int
+    """From one firing sequence to the next."""
+    laser_ns: int
+    """From one laser's pulse to the next."""
+    elevation_error_deg: NDArray[np.float64]
+    """(L,) by how much the lasers of this unit look higher than the table says."""
+    azimuth_error_deg: NDArray[np.float64]
+    """(L,) by how much they look beyond the rotor's angle."""
 
     @property
     def near_m(self) -> NDArray[np.float64]:
         """(L,) range at which the light leaves the lens."""
-        return np.asarray(LENS_RADIUS_M / np.cos(np.radians(self.elevation_deg)))
+        return np.asarray(self.lens_radius_m / np.cos(np.radians(self.elevation_deg)))
+
+    @property
+    def ring(self) -> NDArray[np.uint16]:
+        """(L,) 0 .. L - 1 by elevation, lowest first."""
+        return np.argsort(np.argsort(self.elevation_deg, kind="stable")).astype(np.uint16)
+
+
+def free_beams(
+    elevation_deg: Sequence[float], *, lens_radius_m: float, azimuth_resolution_deg: float, rpm: int
+) -> BeamTable:
+    """Make the table of a sensor that nobody sells: it fires once per azimuth step, its lasers evenly in between.
+
+    Parameters
+    ----------
+    elevation_deg : in order of firing; all beams pass through one point of the lens
+    azimuth_resolution_deg : what the rotor turns from one firing sequence to the next, to the nearest nanosecond
+    """
+    sequence_ns = round(azimuth_resolution_deg / (6 * rpm) * S_NS)
+    elevation = np.array(elevation_deg, np.float64)
+    return BeamTable(
+        elevation_deg=elevation,
+        vertical_offset_m=-lens_radius_m * np.tan(np.radians(elevation)),
+        lens_radius_m=lens_radius_m,
+        sequence_ns=sequence_ns,
+        laser_ns=sequence_ns // len(elevation),
+        elevation_error_deg=np.zeros(len(elevation)),
+        azimuth_error_deg=np.zeros(len(elevation)),
+    )
+
+
+def with_angle_errors(
+    table: BeamTable, *, elevation_error_deg: float, azimuth_error_deg: float, seed: int
+) -> BeamTable:
+    """Build one unit after a table: each laser a little off, by errors that stay with the unit and no packet tells.
+
+    Parameters
+    ----------
+    elevation_error_deg, azimuth_error_deg : one sigma of normal errors; 0 for none
+    """
+    lasers = len(table.elevation_deg)
+    return replace(
+        table,
+        elevation_error_deg=elevation_error_deg * normal(seed, Purpose.ANGLE_BIAS, 0, lasers, lane=0),
+        azimuth_error_deg=azimuth_error_deg * normal(seed, Purpose.ANGLE_BIAS, 0, lasers, lane=1),
+    )
 
 
 def _table(elevation_deg: tuple[float, ...], vertical_offset_mm: tuple[float, ...]) -> BeamTable:
-    return BeamTable(np.array(elevation_deg), np.array(vertical_offset_mm) * 1e-3)
+    return BeamTable(
+        elevation_deg=np.array(elevation_deg, np.float64),
+        vertical_offset_m=np.array(vertical_offset_mm) * 1e-3,
+        lens_radius_m=LENS_RADIUS_M,
+        sequence_ns=SEQUENCE_NS,
+        laser_ns=LASER_NS,
+        elevation_error_deg=np.zeros(len(elevation_deg)),
+        azimuth_error_deg=np.zeros(len(elevation_deg)),
+    )
 
 
 _VLP_16 = _table(

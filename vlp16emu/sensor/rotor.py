@@ -23,7 +23,7 @@ class Rotor:
     """
 
     rpm: int
-    """A multiple of 60, so that the head does whole turns in every second."""
+    """Whole turns per minute."""
     start_azimuth_deg: float
     """True angle at time zero."""
     eccentricity_deg: float
@@ -36,8 +36,10 @@ class Rotor:
 
     def angle_deg(self, elapsed_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Turn times since the start, any shape, into true angles in [0, 360), exact after any number of hours."""
-        # Only the part of a second counts: rpm / 60 turns per second is a whole number.
-        part = (elapsed_ns % S_NS) * ((self.rpm // 60) * 360.0 / S_NS)
+        # Only what is past the last whole turn on a whole second counts: no error grows with time.
+        per_minute = math.gcd(self.rpm, 60)
+        span_ns, turns = 60 // per_minute * S_NS, self.rpm // per_minute
+        part = (elapsed_ns % span_ns) * (turns * 360.0 / span_ns)
         return np.asarray((self.start_azimuth_deg + part) % 360.0)
 
     def reading_deg(self, angle_deg: NDArray[np.float64], first: int) -> NDArray[np.float64]:

@@ -1,0 +1,85 @@
+"""Points against the pulses they come from."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vlp16emu.motion import rotations
+from vlp16emu.sensor import BEAM_TABLES, BODY_R_SENSOR, Clock, Head, Rotor, place, with_angle_errors
+from vlp16emu.types import Poses, SensorModel
+
+START_NS = 1_780_000_000 * 10**9
+SEQUENCE, LASER = (index.ravel() for index in np.indices((8, 16)))
+DISTANCE_M = np.linspace(0.5, 100.0, 128).astype(np.float32)
+
+
+@pytest.fixture
+def head():
+    rotor = Rotor(600, 350.0, 0.0, 0.0, 0.0, 1)
+    return Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock(True, 0, 0.0), START_NS)
+
+
+def carried(t_ns):
+    """Poses that differ from pulse to pulse."""
+    yaw_rad = (t_ns - START_NS) * 3e-6
+    xyz_m = np.column_stack([(t_ns - START_NS) * 1e-5, 5 + 0 * yaw_rad, 2 - yaw_rad])
+    return Poses(t_ns, rotations(yaw_rad, 0.2, -0.1), xyz_m)
+
+
+def placed(head, poses_at=carried):
+    firings = head.aim(0, 8, poses_at)
+    return firings, place(head.beams, firings, SEQUENCE, LASER, DISTANCE_M, poses_at(firings.t_ns.ravel()))
+
+
+def test_without_errors_a_point_lies_on_its_pulse(head):
+    """In the world a point is origin + distance * direction of its own pulse, also where every pulse has its pose."""
+    firings, points = placed(head)
+    expected_m = firings.origin_m + DISTANCE_M.reshape(8, 16, 1).astype(float) * firings.direction
+    np.testing.assert_allclose(points.world_m, expected_m.reshape(-1, 3), atol=1e-11)
+
+
+def test_both_frames_hold_the_same_points(head):
+    """Turned and moved by the pose of the pulse's instant, the point in the sensor's frame is that in the world."""
+    firings, points = placed(head)
+    poses = carried(firings.t_ns.ravel())
+    turn = poses.world_R_body @ BODY_R_SENSOR
+    world_m = np.einsum("nab,nb->na", turn, points.sensor_m) + poses.world_p_body_m
+    np.testing.assert_allclose(points.world_m, world_m, atol=1e-11)
+
+
+def test_one_pose_holds_for_all(head):
+    """A sensor that stands has one pose, and its points are those of as many poses of the same place."""
+
+    def still(t_ns):
+        return Poses(t_ns[:1], rotations(np.array([0.3]), 0.1, 0.0), np.array([[1.0, 2.0, 3.0]]))
+
+    def each(t_ns):
+        one = still(t_ns)
+        return Poses(t_ns, one.world_R_body.repeat(len(t_ns), 0), one.world_p_body_m.repeat(len(t_ns), 0))
+
+    np.testing.assert_array_equal(placed(head, still)[1].world_m, placed(head, each)[1].world_m)
+
+
+def test_points_are_where_the_sensor_believes(head):
+    """Encoder and angle errors move the pulse and not the belief: points stay in the directions of table and reading."""
+    rotor = replace(head.rotor, eccentricity_deg=0.06, eccentricity_phase_deg=40.0)
+    beams = with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.03, seed=1)
+    firings, points = placed(replace(head, rotor=rotor, beams=beams))
+    x, y, z = points.sensor_m.T
+    believed_deg = np.degrees(np.arctan2(x, y)) % 360
+    turned_deg = (firings.azimuth_deg - firings.azimuth_deg[:, :1]).ravel()
+    np.testing.assert_allclose(believed_deg, firings.reading_deg[SEQUENCE] + turned_deg, atol=1e-9)
+    np.testing.assert_allclose(points.azimuth_deg, believed_deg, atol=1e-9)
+    elevation_deg = np.degrees(np.arcsin((z - beams.vertical_offset_m[LASER]) / DISTANCE_M))
+    np.testing.assert_allclose(elevation_deg, head.beams.elevation_deg[LASER], atol=1e-9)
+    np.testing.assert_array_equal(points.elevation_deg, head.beams.elevation_deg[LASER])
+
+
+def test_azimuths_stay_in_the_circle(head):
+    """Where the rotor passes 0 between two lasers the azimuth goes on from there, never to 360."""
+    ahead = replace(head, rotor=replace(head.rotor, start_azimuth_deg=359.999))
+    _, points = placed(ahead)
+    assert points.azimuth_deg.max() < 360
+    assert points.azimuth_deg[0] == pytest.approx(359.999)
+    assert points.azimuth_deg[1] == pytest.approx(359.999 + 2_304e-9 * 3600 - 360)

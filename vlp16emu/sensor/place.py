@@ -1,0 +1,95 @@
+"""From returns to points, as whoever knows the sensor's table and its pose would reckon them."""
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.sensor.beams import BeamTable
+from vlp16emu.sensor.head import BODY_R_SENSOR, turn
+from vlp16emu.types import Firings, Poses
+
+__all__ = ["Placed", "place"]
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """n points."""
+
+    azimuth_deg: NDArray[np.float64]
+    """(n,) what the encoder read for the firing sequence, and what the rotor turned until the pulse; [0, 360)."""
+    elevation_deg: NDArray[np.float64]
+    """(n,) by the table."""
+    sensor_m: NDArray[np.float64]
+    """(n, 3) in the sensor's frame at the instant of the pulse."""
+    world_m: NDArray[np.float64]
+    """(n, 3)."""
+
+
+def place(
+    beams: BeamTable,
+    firings: Firings,
+    sequence: NDArray[np.int64],
+    laser: NDArray[np.int64],
+    distance_m: NDArray[np.float32],
+    poses: Poses,
+) -> Placed:
+    """Place returns by the manual's formulas (63-9243 Rev D, section 9.2).
+
+    What the sensor does not tell, it does not know here either: encoder and angle errors displace the points.
+    Without such errors a point in the world is the pulse's origin + distance * direction.
+
+    Parameters
+    ----------
+    sequence, laser : (n,) which pulses of `firings` they belong to
+    distance_m : (n,)
+    poses : of the body at the pulses, n or one that holds for all
+    """
+    turned_deg = firings.azimuth_deg[sequence, laser] - firings.azimuth_deg[sequence, 0]
+    placed = Placed(
+        azimuth_deg=(firings.reading_deg[sequence] + turned_deg) % 360.0,
+        elevation_deg=beams.elevation_deg[laser],
+        sensor_m=np.empty((len(laser), 3)),
+        world_m=np.empty((len(laser), 3)),
+    )
+    _place(
+        placed.azimuth_deg,
+        placed.elevation_deg,
+        beams.vertical_offset_m[laser],
+        distance_m,
+        BODY_R_SENSOR,
+        poses.world_R_body,
+        poses.world_p_body_m,
+        placed.sensor_m,
+        placed.world_m,
+    )
+    return placed
+
+
+@numba.njit(cache=True, nogil=True)
+def _place(
+    azimuth_deg: NDArray[np.float64],
+    elevation_deg: NDArray[np.float64],
+    offset_m: NDArray[np.float64],
+    distance_m: NDArray[np.float32],
+    body_R_sensor: NDArray[np.float64],
+    world_R_body: NDArray[np.float64],
+    world_p_body_m: NDArray[np.float64],
+    sensor_m: NDArray[np.float64],
+    world_m: NDArray[np.float64],
+) -> None:
+    """Fill points (n, 3) in both frames."""
+    moving = len(world_p_body_m) > 1
+    body = np.empty(3)
+    for i in range(len(distance_m)):
+        n = i if moving else 0
+        a, w, r = math.radians(azimuth_deg[i]), math.radians(elevation_deg[i]), float(distance_m[i])
+        sensor_m[i, 0] = r * math.cos(w) * math.sin(a)
+        sensor_m[i, 1] = r * math.cos(w) * math.cos(a)
+        sensor_m[i, 2] = r * math.sin(w) + offset_m[i]
+        turn(body_R_sensor, sensor_m[i], body)
+        turn(world_R_body[n], body, world_m[i])
+        for axis in range(3):
+            world_m[i, axis] += world_p_body_m[n, axis]
