@@ -1,58 +1,172 @@
 """What the receiver says of the walk."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from vlp16emu.motion import Gait, Path, Standing, Walking, fix_at, geodetic
+from vlp16emu.motion.geodesy import Origin, to_geodetic, to_local
+from vlp16emu.motion.gnss import GnssErrors, Receiver, wander
+from vlp16emu.motion.track import Kinematics
+from vlp16emu.units import S_NS
 
-START_NS = 1_780_000_000 * 10**9
+START_NS = 1_780_000_000 * S_NS
+ORIGIN = Origin(62.0, 25.0, 100.0)
+EXACT = GnssErrors(
+    position_noise_m=0.0,
+    wander_m=0.0,
+    wander_s=300.0,
+    velocity_noise_m_s=0.0,
+    canopy_error_factor=3.0,
+    canopy_half_cover=0.9,
+    canopy_cover_width=0.05,
+)
+NOISY = dataclasses.replace(EXACT, position_noise_m=0.3, wander_m=1.2, velocity_noise_m_s=0.05)
 
 
-def ecef(latitude_deg, longitude_deg):
-    """WGS 84 to earth-centred coordinates at height 0, from the defining axis and flattening."""
-    a, f = 6_378_137.0, 1 / 298.257223563
-    e2, phi, lam = f * (2 - f), math.radians(latitude_deg), math.radians(longitude_deg)
-    n = a / math.sqrt(1 - e2 * math.sin(phi) ** 2)
-    return np.array(
-        [n * math.cos(phi) * math.cos(lam), n * math.cos(phi) * math.sin(lam), n * (1 - e2) * math.sin(phi)]
+class Straight:
+    """A body that has always been going one way."""
+
+    run_time_s, moves = math.inf, True
+
+    def __init__(self, velocity_m_s):
+        self.velocity_m_s = np.array(velocity_m_s)
+
+    def kinematics_at(self, t_ns):
+        """Poses and velocities at instants (n,)."""
+        n, still = len(t_ns), np.zeros((len(t_ns), 3))
+        p = ((t_ns - START_NS) / S_NS)[:, None] * self.velocity_m_s
+        turns = np.broadcast_to(np.eye(3), (n, 3, 3))
+        return Kinematics(t_ns, turns, p, still + self.velocity_m_s, still, still, still)
+
+
+def receiver(errors=EXACT, *, velocity_m_s=(0.0, 0.0, 0.0), seed=1, sky=None):
+    return Receiver(
+        Straight(velocity_m_s), origin=ORIGIN, antenna_above_m=0.2, errors=errors, seed=seed, sky=sky
     )
 
 
-@pytest.mark.parametrize("origin", [(62.24, 25.75), (-33.5, -70.6), (0.0, 0.0)])
-@pytest.mark.parametrize("offset_m", [(300.0, 0.0), (0.0, 300.0), (-200.0, 200.0)])
-def test_geodetic_offset_has_the_right_length_and_direction(origin, offset_m):
-    """Within 300 m the point found lies within 2 cm of the true one in the tangent plane at the origin."""
-    phi, lam = map(math.radians, origin)
-    east = np.array([-math.sin(lam), math.cos(lam), 0.0])
-    north = np.array([-math.sin(phi) * math.cos(lam), -math.sin(phi) * math.sin(lam), math.cos(phi)])
-    vector = ecef(*geodetic(*offset_m, *origin)) - ecef(*origin)
-    np.testing.assert_allclose([vector @ east, vector @ north], offset_m, atol=0.02)
+def at(second):
+    return START_NS + second * S_NS
 
 
-def test_longitude_wraps_at_the_date_line():
-    """East of 180 degrees comes -180."""
-    _, longitude = geodetic(1000.0, 0.0, 10.0, 179.999)
-    assert -180.0 <= longitude < -179.9
+def test_without_errors_the_fix_is_the_truth():
+    """Place, speed and course are those of the antenna at the second itself, to the micrometre."""
+    fix = receiver(velocity_m_s=(0.6, 0.8, 0.1)).fix(at(10))
+    there = to_geodetic(np.array([[6.0, 8.0, 1.2]]), ORIGIN)[0]
+    back_m = to_local(np.array([[fix.latitude_deg, fix.longitude_deg, there[2]]]), ORIGIN)[0]
+    np.testing.assert_allclose(back_m, [6.0, 8.0, 1.2], atol=1e-6)
+    assert fix.t_ns == at(10)
+    assert fix.valid
+    assert fix.speed_m_s == pytest.approx(1.0)
+    assert fix.course_deg == pytest.approx(math.degrees(math.atan2(0.6, 0.8)))
 
 
-def test_fix_agrees_with_the_walk():
-    """Speed and course are those of the body over the second before the fix."""
-    path = Path(np.array([[0.0, 0.0], [30.0, 30.0]]), lambda x, _y: 0.0 * x)
-    gait = Gait(1.8, 0.0, 0.0)
-    motion = Walking(
-        path, start_ns=START_NS, speed_m_s=1.2, sensor_height_m=2.0, pitch_deg=0.0, roll_deg=0.0, gait=gait
-    )
-    fix = fix_at(motion, START_NS + 10 * 10**9, 62.0, 25.0)
-    assert fix.speed_m_s == pytest.approx(1.2, rel=1e-6)
-    assert fix.course_deg == pytest.approx(45.0, abs=1e-6)
-    assert (fix.latitude_deg, fix.longitude_deg) == pytest.approx(
-        geodetic(12 / 2**0.5, 12 / 2**0.5, 62.0, 25.0), abs=1e-9
-    )
+def test_standing_receiver_without_errors_has_no_speed():
+    """A receiver that stands and knows it reports speed 0."""
+    assert receiver().fix(at(3)).speed_m_s == 0.0
 
 
-def test_standing_receiver_has_no_speed():
-    """A static sensor reports speed 0 at its own place."""
-    fix = fix_at(Standing(np.zeros(3), 0.0, 0.0, 0.0), START_NS, 62.0, 25.0)
-    assert (fix.speed_m_s, fix.latitude_deg, fix.longitude_deg) == (0.0, 62.0, 25.0)
+@pytest.mark.parametrize("lag_s", [0, 30, 120, 600])
+def test_wander_has_the_autocovariance_it_states(lag_s):
+    """Over 6000 seeds the product of two seconds a lag apart has the mean exp(-lag / 120 s), within 5 sigma."""
+    pairs = [
+        wander(seed, 0, 1_780_000_000, 120.0) * wander(seed, 0, 1_780_000_000 + lag_s, 120.0)
+        for seed in range(6000)
+    ]
+    # The product of two standard normal numbers with correlation r has the variance 1 + r^2.
+    r = math.exp(-lag_s / 120.0)
+    assert np.mean(pairs) == pytest.approx(r, abs=5 * math.sqrt((1 + r * r) / 6000))
+
+
+def test_wander_is_normal():
+    """Over seeds the value at one second is standard normal."""
+    values = [wander(seed, 1, 1_780_000_123, 300.0) for seed in range(4000)]
+    assert stats.kstest(values, "norm").pvalue > 1e-4
+
+
+def test_wander_has_lanes_of_its_own():
+    """Two lanes of a seed are not correlated: 4000 seeds give a correlation under 5 sigma."""
+    lanes = np.array([[wander(seed, lane, 1_780_000_000, 60.0) for lane in (0, 1)] for seed in range(4000)])
+    assert abs(np.corrcoef(lanes.T)[0, 1]) < 5 / math.sqrt(4000)
+
+
+@pytest.mark.parametrize(("cover", "factor"), [(0.0, 1.0), (0.5, 2.0), (1.0, 3.0)])
+def test_errors_have_their_sigmas_and_grow_with_cover(cover, factor):
+    """Over 3000 seeds position and velocity errors are normal with the stated sigma times the factor of the cover."""
+    readings = [receiver(NOISY, seed=seed, sky=lambda _t, _p: cover).reading(at(0)) for seed in range(3000)]
+    position_m = np.array([r.measured_m[:2] - r.antenna_m[:2] for r in readings])
+    velocity_m_s = np.array([r.measured_m_s - r.velocity_m_s[:2] for r in readings])
+    for axis in (0, 1):
+        for errors, sigma in ((position_m, math.hypot(0.3, 1.2)), (velocity_m_s, 0.05)):
+            assert stats.kstest(errors[:, axis] / (factor * sigma), "norm").pvalue > 1e-4
+    assert all(r.measured_m[2] == r.antenna_m[2] == 0.2 for r in readings)
+
+
+def test_consecutive_seconds_share_what_wanders_only():
+    """From one second to the next the error changes by the white noise, not by the wander."""
+    steady = dataclasses.replace(NOISY, wander_s=1e6)
+    east_m = np.array([receiver(steady).reading(at(s)).measured_m[0] for s in range(600)])
+    assert np.diff(east_m).std() == pytest.approx(0.3 * math.sqrt(2), rel=0.12)
+
+
+@pytest.mark.parametrize(("cover", "lost"), [(0.8, 0.1192), (0.9, 0.5), (1.0, 0.8808)])
+def test_fixes_fail_as_the_logistic_curve_says(cover, lost):
+    """Over 4000 seeds the share of seconds without fix is 1 / (1 + exp(-(cover - 0.9) / 0.05)), within 5 sigma."""
+    valid = [receiver(seed=seed, sky=lambda _t, _p: cover).reading(at(0)).valid for seed in range(4000)]
+    assert 1 - np.mean(valid) == pytest.approx(lost, abs=5 * math.sqrt(lost * (1 - lost) / 4000))
+
+
+def test_fixes_fail_in_spells():
+    """The second after one without fix has none either in 1/2 + asin(exp(-0.1)) / pi of all cases, over 60 seeds."""
+    again = []
+    for seed in range(60):
+        there = receiver(seed=seed, sky=lambda _t, _p: 0.9)
+        lost = ~np.array([there.reading(at(s)).valid for s in range(200)])
+        again += lost[1:][lost[:-1]].tolist()
+    assert np.mean(again) == pytest.approx(0.5 + math.asin(math.exp(-0.1)) / math.pi, abs=0.03)
+
+
+def test_an_open_sky_is_never_asked_for():
+    """Without a sky to look at no fix fails, however narrow the curve."""
+    edgy = dataclasses.replace(EXACT, canopy_half_cover=1e-9, canopy_cover_width=1e-9)
+    assert all(receiver(edgy, seed=s).reading(at(0)).valid for s in range(50))
+
+
+def test_a_lost_fix_repeats_the_last_one():
+    """Under a roof that is entered at second 100 the numbers stay those of second 99, and the status says so."""
+    hidden = dataclasses.replace(NOISY, canopy_half_cover=0.5, canopy_cover_width=1e-6)
+    walk = receiver(hidden, velocity_m_s=(1.0, 0.0, 0.0), sky=lambda t_ns, _p: float(t_ns >= at(100)))
+    last = walk.fix(at(99))
+    assert last.valid
+    for second in (100, 105, 109):
+        fix = walk.fix(at(second))
+        assert fix == dataclasses.replace(last, t_ns=at(second), valid=False)
+
+
+def test_after_ten_seconds_the_track_is_carried_on():
+    """Where ten seconds have no fix the numbers are those measured ten seconds ago."""
+    hidden = dataclasses.replace(EXACT, canopy_half_cover=0.5, canopy_cover_width=1e-6)
+    roof = receiver(hidden, velocity_m_s=(1.0, 0.0, 0.0), sky=lambda _t, _p: 1.0)
+    free = receiver(velocity_m_s=(1.0, 0.0, 0.0))
+    assert roof.fix(at(50)) == dataclasses.replace(free.fix(at(40)), t_ns=at(50), valid=False)
+
+
+def test_any_second_can_be_had_alone():
+    """A second asked for first, last or twice gives the same fix; its sky is looked at once."""
+    looks = []
+
+    def sky(t_ns, antenna_m):
+        looks.append(t_ns)
+        return 0.85 + 0.1 * math.sin(antenna_m[0])
+
+    forward = receiver(NOISY, velocity_m_s=(1.0, 0.5, 0.0), sky=sky)
+    fixes = [forward.fix(at(s)) for s in range(40) for _ in range(2)][::2]
+    assert len(looks) == len(set(looks))
+    assert not all(fix.valid for fix in fixes)
+    backward = [
+        receiver(NOISY, velocity_m_s=(1.0, 0.5, 0.0), sky=sky).fix(at(s)) for s in reversed(range(40))
+    ]
+    assert backward[::-1] == fixes

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Path
@@ -43,10 +45,25 @@ def test_straight_path_has_the_length_of_the_line():
 
 
 def test_path_follows_the_ground():
-    """Between its knots the path stays within 1 mm of a ground with waves of 20 m."""
+    """Waves of 20 m carry the path with them, to 1 % of their height."""
     path = Path(WAY_POINTS_M, hilly)
     point_m, _ = path.at(np.linspace(0, path.length_m, 5000))
-    np.testing.assert_allclose(point_m[:, 2], hilly(point_m[:, 0], point_m[:, 1]), atol=1e-3)
+    np.testing.assert_allclose(point_m[:, 2], hilly(point_m[:, 0], point_m[:, 1]), atol=0.01)
+
+
+def test_path_is_level_where_the_ground_is_rough():
+    """A roughness of 0.4 m wavelength, shorter than a pace, leaves less than a tenth of its height."""
+    path = Path(np.array([[0.0, 0.0], [30.0, 0.0]]), lambda x, _y: 0.1 * np.sin(2 * np.pi * x / 0.4))
+    point_m, _ = path.at(np.linspace(2.0, 28.0, 5000))
+    assert np.abs(point_m[:, 2]).max() < 0.01
+
+
+def test_an_even_slope_stays_as_it_is():
+    """On a plane the path lies in the plane to its very ends, and its length is that of the slope."""
+    path = Path(np.array([[0.0, 0.0], [40.0, 30.0]]), lambda x, _y: 0.2 * x)
+    point_m, _ = path.at(np.linspace(0.0, path.length_m, 1000))
+    np.testing.assert_allclose(point_m[:, 2], 0.2 * point_m[:, 0], atol=1e-9)
+    assert path.length_m == pytest.approx(np.hypot(50.0, 0.2 * 40.0), abs=1e-9)
 
 
 def test_velocity_and_curvature_are_continuous():
@@ -75,6 +92,77 @@ def test_beyond_its_ends_the_path_stays():
     np.testing.assert_array_equal(point_m[2], point_m[3])
 
 
+def differences(values, step):
+    return (values[2:] - values[:-2]) / (2 * step)
+
+
+@pytest.mark.parametrize("origin_m", [[0.0, 0.0], [1e5, -1e5]])
+def test_derivatives_are_those_of_the_same_curve(origin_m):
+    """Points and headings differenced over a millimetre give the derivatives, also 100 km from the origin."""
+    path, step_m = Path(WAY_POINTS_M + origin_m, hilly), 1e-3
+    point_m, heading_rad = path.derivatives_at(np.arange(0.0, path.length_m, step_m))
+    for values in (point_m, heading_rad):
+        for order in (0, 1):
+            np.testing.assert_allclose(
+                values[1:-1, order + 1], differences(values[:, order], step_m), atol=2e-7 if order else 1e-7
+            )
+
+
+def test_the_tangent_has_unit_length():
+    """Along hills and hairpins the speed of the parameter is 1 within 0.02 %."""
+    hairpin_m = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 0.3], [0.0, 0.3]])
+    for way_points_m in (WAY_POINTS_M, hairpin_m):
+        path = Path(way_points_m, hilly)
+        point_m, _ = path.derivatives_at(np.linspace(0.0, path.length_m, 20_000))
+        np.testing.assert_allclose(np.linalg.norm(point_m[:, 1], axis=1), 1.0, atol=2e-4)
+
+
+def test_a_loop_closes_without_a_seam():
+    """Where the last way point is the first, point, heading and derivatives go on over the seam, lap after lap."""
+    path = Path(np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0], [0.0, 0.0]]), hilly)
+    assert path.closed
+    before, after = (path.derivatives_at(path.length_m * np.arange(1, 4) + h) for h in (-1e-9, 1e-9))
+    for a, b in zip(before, after, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-7)
+    s_m = np.linspace(0.1, path.length_m - 0.1, 100)
+    once, twice = path.derivatives_at(s_m), path.derivatives_at(s_m + path.length_m)
+    np.testing.assert_allclose(twice[0], once[0], atol=1e-9)
+    np.testing.assert_allclose(twice[1][:, 0], once[1][:, 0] + 2 * np.pi, atol=1e-9)
+
+
+def test_heading_does_not_jump():
+    """Round a loop that passes west, where the angle of a vector jumps, the heading is continuous."""
+    angle = np.linspace(0.0, 6 * np.pi, 60)
+    path = Path(np.column_stack([5 * np.cos(angle), 5 * np.sin(angle)]) + angle[:, None] * [0.3, 0.0], flat)
+    _, heading_rad = path.at(np.arange(0.0, path.length_m, 0.01))
+    assert np.abs(np.diff(heading_rad)).max() < 0.01
+    assert heading_rad[-1] - heading_rad[0] > 5.5 * np.pi
+
+
+def test_a_point_does_not_depend_on_its_company():
+    """A point computed alone has the same bits as among a hundred thousand."""
+    path = Path(WAY_POINTS_M, hilly)
+    s_m = np.linspace(0.0, path.length_m, 100_003)
+    among, alone = path.derivatives_at(s_m), path.derivatives_at(s_m[77_777:77_778])
+    for many, one in zip(among, alone, strict=True):
+        assert (many[77_777] == one[0]).all()
+
+
+@given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=1, max_size=8))
+@settings(max_examples=60, deadline=None)
+def test_any_way_points_give_a_smooth_path_or_a_refusal(points):
+    """Whatever the way points, the curve is finite and turns no tighter than about 0.1 m, or it is refused."""
+    try:
+        path = Path(np.array(points), hilly)
+    except TrajectoryError:
+        return
+    point_m, heading_rad = path.derivatives_at(np.linspace(0.0, path.length_m, 4001))
+    assert np.isfinite(point_m).all()
+    assert np.isfinite(heading_rad).all()
+    assert np.abs(np.linalg.norm(point_m[:, 1], axis=1) - 1.0).max() < 1e-3
+    assert np.abs(heading_rad[:, 1]).max() < 2.5 / 0.1
+
+
 @pytest.mark.parametrize(
     ("points", "message"),
     [
@@ -83,6 +171,22 @@ def test_beyond_its_ends_the_path_stays():
             [[0, 0], [3, 1], [3, 1.001]],
             "way point 3 of 3: coincides with the one before it; expected at least 1 cm between way points",
         ),
+        ([[3, 4]], "way points: found 1; expected at least 2 of them"),
+        (
+            [[0, 0], [2e6, 0]],
+            "way point 2 of 2: found (2000000.0, 0.0); expected within 1e+06 m of the origin",
+        ),
+        (
+            [[0, 0], [9e4, 0], [0, 9e4]],
+            "way points: found 217.3 km from first to last; expected at most 100 km",
+        ),
+        (
+            [[0, 0], [10, 0], [0, 0]],
+            (
+                "path at (10.00, 0.00) m, near way point 2: turns with a radius of 0.00024 m; "
+                "expected at least 0.1 m: more way points round the turn"
+            ),
+        ),
     ],
 )
 def test_impossible_paths_are_refused(points, message):
@@ -90,3 +194,11 @@ def test_impossible_paths_are_refused(points, message):
     with pytest.raises(TrajectoryError) as error:
         Path(np.array(points, float), flat)
     assert str(error.value) == message
+
+
+def test_a_cliff_is_refused():
+    """Nobody walks up a step of 10 m, and the message says where it is."""
+    with pytest.raises(
+        TrajectoryError, match=r"path at \(5\.\d\d, 0\.00\) m: the ground rises or falls by 8\d degrees"
+    ):
+        Path(np.array([[0.0, 0.0], [10.0, 0.0]]), lambda x, _y: np.where(x > 5.3, 10.0, 0.0))

@@ -5,62 +5,122 @@ import math
 import numpy as np
 import pytest
 
-from vlp16emu.motion import Gait, Path, Standing, Walking, rotations
+from vlp16emu.errors import TrajectoryError
+from vlp16emu.motion import Harness, Standing, rotations
+from vlp16emu.motion.walk import _bare, _sit
 
-START_NS = 1_780_000_000 * 10**9
+STRAPS = Harness((2.5, 3.0, 2.0, 3.0, 3.0, 2.5), 0.2)
+SLACK = Harness((0.5,) * 6, 0.1)
 
 
-def ground(x_m, _y_m):
-    return 0.1 * x_m
+def test_without_gait_the_sensor_glides_over_the_ground(walking, circle, still, at):
+    """Amplitude zero gives the bare path, sensor height above the ground, at any time within 1e-9 m."""
+    way, t = circle(), np.sort(np.random.default_rng(1).uniform(0.0, 60.0, 5000))
+    poses, track = at(walking(way, still), t), way.at(np.rint(t * 1e9) / 1e9)
+    np.testing.assert_allclose(poses.world_p_body_m, track.position_m + [0.0, 0.0, 2.0], atol=1e-9)
+    np.testing.assert_allclose(poses.world_R_body, rotations(track.yaw_rad, 0.0, 0.0), atol=1e-9)
 
 
-def walking(gait):
-    path = Path(np.array([[0.0, 0.0], [60.0, 0.0]]), ground)
-    return Walking(
-        path, start_ns=START_NS, speed_m_s=1.2, sensor_height_m=2.0, pitch_deg=0.0, roll_deg=0.0, gait=gait
+def test_without_gait_straps_change_no_bit(walking, still, at):
+    """Where the trunk does not move, a harness neither moves the pack nor computes anything."""
+    t = np.linspace(0.0, 9.0, 1001)
+    bare, strapped = at(walking(own_gait=still), t), at(walking(own_gait=still, harness=STRAPS), t)
+    assert (bare.world_p_body_m == strapped.world_p_body_m).all()
+    assert (bare.world_R_body == strapped.world_R_body).all()
+
+
+def test_gait_moves_the_pack_about_the_path(walking, circle, gait, still, at):
+    """Up and down at step rate, to the left of the heading at stride rate, once the person walks."""
+    plain = {"second_harmonic_m": 0.0, "heel_strike_m": 0.0, "fore_aft_m": 0.0, "variation": 0.0}
+    t = np.arange(3.0, 9.0, 1e-3)
+    poses, bare = (at(walking(own_gait=g), t) for g in (gait(**plain), still))
+    sway = np.einsum("nji,nj->ni", bare.world_R_body, poses.world_p_body_m - bare.world_p_body_m)
+    np.testing.assert_allclose(sway[:, 2], 0.02 * np.sin(2 * np.pi * 1.85 * t), atol=1e-9)
+    np.testing.assert_allclose(sway[:, 1], 0.02 * np.sin(np.pi * 1.85 * t + np.pi / 4), atol=1e-9)
+
+
+def test_one_who_stops_stops_bobbing(walking, circle, at):
+    """Before the first step the pack hangs still over the foot point."""
+    poses = at(walking(harness=STRAPS), np.linspace(-5.0, -0.1, 50))
+    np.testing.assert_allclose(poses.world_p_body_m, np.tile([0.0, 0.0, 2.0], (50, 1)), atol=1e-15)
+    np.testing.assert_allclose(poses.world_R_body, np.tile(np.eye(3), (50, 1, 1)), atol=1e-15)
+
+
+@pytest.mark.parametrize("harness", [None, Harness((30.0,) * 6, 0.1)])
+def test_interpolation_errs_less_than_a_nanometre(walking, monkeypatch, start_ns, harness):
+    """Between the nodes, poses are those of nodes five times as dense within 1e-9 m and rad."""
+    since_ns = 5 * 10**9 + np.arange(5000) * 200_000
+    poses = walking(harness=harness).poses_at(start_ns + since_ns)
+    monkeypatch.setattr("vlp16emu.motion.harness.NODES_PER_KNOT", 25)
+    fine = walking(harness=harness)
+    nodes = _bare(fine._way.at(np.append(since_ns, 6 * 10**9) / 1e9), 2.0)
+    _sit(fine._pack.nodes(5), nodes)
+    np.testing.assert_allclose(poses.world_p_body_m, nodes[:-1, :3, 0], atol=1e-9)
+    exact = [rotations(q[5:], q[4], q[3])[0] for q in nodes[:-1, :, 0]]
+    np.testing.assert_allclose(poses.world_R_body, exact, atol=1e-9)
+
+
+@pytest.mark.parametrize("harness", [None, STRAPS, SLACK])
+def test_poses_do_not_depend_on_their_company(walking, at, harness):
+    """A pose computed alone, by one who never asked before, has the same bits as among others in any order."""
+    t = np.random.default_rng(2).uniform(-3.0, 70.0, 5003)
+    among, alone = at(walking(harness=harness), t), at(walking(harness=harness), t[3777:3778])
+    assert (among.world_p_body_m[3777] == alone.world_p_body_m[0]).all()
+    assert (among.world_R_body[3777] == alone.world_R_body[0]).all()
+
+
+def test_only_time_since_the_start_counts(walking):
+    """The same walk at the end of a day, over midnight and year, has the same bits."""
+    since_ns = np.arange(0, 5 * 10**9, 1_234_567)
+    year_end_ns = 1_798_761_600 * 10**9 - 2_500_000_001
+    usual, late = (
+        walking(harness=STRAPS, start_ns=start).poses_at(start + since_ns)
+        for start in (1_780_000_000 * 10**9, year_end_ns)
     )
+    assert (usual.world_p_body_m == late.world_p_body_m).all()
+    assert (usual.world_R_body == late.world_R_body).all()
 
 
-def at(motion, seconds):
-    t_ns = START_NS + np.rint(np.asarray(seconds) * 1e9).astype(np.int64)
-    return motion.poses_at(t_ns)
+@pytest.mark.parametrize("after_s", [0.0, 86_400.0, 7 * 86_400.0 - 100.0])
+@pytest.mark.parametrize("centre_m", [(0.0, 0.0, 0.0), (1e5, -1e5, 0.0)])
+def test_poses_are_finite_and_continuous(walking, circle, at, after_s, centre_m):
+    """Over seconds, days and 100 km from the origin, a microsecond moves the pack by no more than 3 um and 1 urad."""
+    t = after_s + np.arange(3.999990, 4.000010, 1e-6)
+    poses = at(walking(circle(centre_m=centre_m), harness=SLACK), t)
+    assert np.isfinite(poses.world_p_body_m).all()
+    assert np.linalg.norm(np.diff(poses.world_p_body_m, axis=0), axis=1).max() < 3e-6
+    assert np.abs(np.diff(poses.world_R_body, axis=0)).max() < 1e-6
 
 
-def test_without_gait_the_sensor_glides_over_the_ground():
-    """Amplitude zero gives the bare path, sensor height above the ground, at the set speed."""
-    p = at(walking(Gait(1.8, 0.0, 0.0)), [0.0, 10.0]).world_p_body_m
-    np.testing.assert_allclose(p, [[0.0, 0.0, 2.0], [12.0, 0.0, 3.2]], atol=1e-9)
+def test_a_walk_of_a_day_keeps_little(walking, at):
+    """However long the walk, no more seconds are held than the straps remember."""
+    motion = walking(harness=STRAPS)
+    for hour in range(24):
+        at(motion, [3600.0 * hour])
+    assert motion._table.cache_info().currsize <= 16
+    assert motion._pack._pushed.cache_info().currsize <= motion._pack._memory_s + 8
 
 
-def test_gait_is_two_sines():
-    """The body rises once per step and sways to the left and right once per two steps."""
-    gait, t = Gait(1.8, 0.025, 0.02), np.linspace(0.0, 5.0, 2001)
-    offset = at(walking(gait), t).world_p_body_m - at(walking(Gait(1.8, 0.0, 0.0)), t).world_p_body_m
-    np.testing.assert_allclose(offset[:, 2], 0.025 * np.sin(2 * np.pi * 1.8 * t), atol=1e-9)
-    np.testing.assert_allclose(offset[:, 1], 0.02 * np.sin(np.pi * 1.8 * t), atol=1e-9)
-    np.testing.assert_allclose(offset[:, 0], 0.0, atol=1e-9)
+def test_undamped_straps_are_refused(walking):
+    """A walk with straps that would never come to rest is refused when it is made."""
+    with pytest.raises(TrajectoryError, match="swings for ever"):
+        walking(harness=Harness((2.0,) * 6, 0.0))
 
 
-def test_poses_do_not_depend_on_their_company():
-    """A pose computed alone has the same bits as among a million others."""
-    motion, t = walking(Gait(1.8, 0.025, 0.02)), np.linspace(0.0, 40.0, 100_003)
-    among, alone = at(motion, t), at(motion, t[77_777:77_778])
-    assert (among.world_p_body_m[77_777] == alone.world_p_body_m[0]).all()
-    assert (among.world_R_body[77_777] == alone.world_R_body[0]).all()
-
-
-def test_run_time_is_length_over_speed():
-    """The walk is over when the path is."""
-    assert walking(Gait(1.8, 0.0, 0.0)).run_time_s == pytest.approx(60.0 / 1.2)
+def test_run_time_is_that_of_the_way(walking, circle):
+    """The walk is over when the way is."""
+    assert walking().run_time_s == circle().run_time_s
 
 
 def test_standing_sensor_has_one_pose_for_all_times():
     """A static sensor computes a single pose, whatever it is asked for."""
     motion = Standing(np.array([1.0, 2.0, 3.0]), 90.0, 0.0, 0.0)
     poses = motion.poses_at(np.arange(1000))
+    assert poses is motion.poses_at(np.arange(5))
     assert len(poses.t_ns) == 1
     assert motion.run_time_s == math.inf
     np.testing.assert_allclose(poses.world_R_body[0] @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    assert not motion.kinematics_at(np.arange(7)).world_a_body_m_s2.any()
 
 
 def test_angles_turn_as_documented():

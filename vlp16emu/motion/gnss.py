@@ -1,48 +1,186 @@
-"""The receiver's view of the walk: latitude, longitude, speed and course."""
+"""What a GNSS receiver makes of the walk: errors that wander, and trees that hide the sky."""
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache, partial
 
+import numba
 import numpy as np
+from numpy.typing import NDArray
 
+from vlp16emu.motion.geodesy import Origin, to_geodetic
 from vlp16emu.motion.walk import Motion
+from vlp16emu.random import Purpose, normal_pair, uniform_pair
 from vlp16emu.types import GnssFix
 from vlp16emu.units import S_NS
 
-__all__ = ["fix_at", "geodetic"]
+__all__ = ["GnssErrors", "GnssReading", "Receiver", "Sky", "wander"]
 
-_WGS84_A_M = 6_378_137.0
-_WGS84_E2 = 6.694379990141316e-3
-"""Semi-major axis and first eccentricity squared (NGA.STND.0036, table 3.1 and derived)."""
+Sky = Callable[[int, NDArray[np.float64]], float]
+"""Share of the sky, 0..1, that is hidden at a UTC instant from an antenna (3,) in the world."""
 
-
-def geodetic(east_m: float, north_m: float, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
-    """Latitude and longitude of a point near a geodetic origin, by the ellipsoid's radii of curvature there.
-
-    Good to 1 cm within 300 m of the origin and to 1 m within 3 km at 60 degrees of latitude.
-    """
-    sine = math.sin(math.radians(latitude_deg))
-    w2 = 1.0 - _WGS84_E2 * sine * sine
-    meridian_m = _WGS84_A_M * (1.0 - _WGS84_E2) / w2**1.5
-    parallel_m = _WGS84_A_M / math.sqrt(w2) * math.cos(math.radians(latitude_deg))
-    longitude = longitude_deg + math.degrees(east_m / parallel_m)
-    return latitude_deg + math.degrees(north_m / meridian_m), (longitude + 180.0) % 360.0 - 180.0
+_WAVES = 32
+_EAST, _NORTH, _LOSS = 0, 1, 2
+"""Lanes of the wandering processes."""
+_LOSS_S = 10.0
+"""Correlation time of what lets fixes fail: some 12 m of walking, the spacing of great crowns; assumption."""
+_HELD_S = 10
+"""For so long a receiver repeats its last fix."""
+_READINGS_KEPT = 64
+"""More than `_HELD_S`, so that no second's sky is looked at twice."""
 
 
-def fix_at(motion: Motion, t_ns: int, latitude_deg: float, longitude_deg: float) -> GnssFix:
-    """Fix for the whole UTC second `t_ns`, with speed and course over the second before it.
+@dataclass(frozen=True, slots=True)
+class GnssErrors:
+    """How well a receiver knows where it is; sigmas are those of the east and of the north alike."""
+
+    position_noise_m: float
+    """White from second to second."""
+    wander_m: float
+    """Of what changes slowly."""
+    wander_s: float
+    """Time in which the autocovariance of that falls to 1/e."""
+    velocity_noise_m_s: float
+    """White from second to second."""
+    canopy_error_factor: float
+    """By how much all these grow where the whole sky is hidden; linear in the cover."""
+    canopy_half_cover: float
+    """Cover at which every second fix fails."""
+    canopy_cover_width: float
+    """Scale of the logistic curve about it."""
+
+
+@dataclass(frozen=True, slots=True)
+class GnssReading:
+    """What a receiver measures in one second, beside the truth."""
+
+    t_ns: int
+    """UTC, a whole second."""
+    antenna_m: NDArray[np.float64]
+    """(3,) where it truly is, world."""
+    velocity_m_s: NDArray[np.float64]
+    """(3,) how it truly moves, world."""
+    measured_m: NDArray[np.float64]
+    """(3,) where it believes to be, world."""
+    measured_m_s: NDArray[np.float64]
+    """(2,) how it believes to move, east and north."""
+    cover: float
+    """Share of the sky that is hidden."""
+    valid: bool
+    """Whether it can tell at all."""
+
+
+class Receiver:
+    """A GNSS receiver whose antenna stands straight over the sensor.
+
+    Any second can be had alone: errors depend on the seed and the second, cover on the place and the world.
 
     Parameters
     ----------
-    latitude_deg, longitude_deg : WGS 84, of the world's origin
+    motion : of the sensor
+    origin : of the world
+    antenna_above_m : height of the antenna over the sensor
+    errors : under open sky, and what cover does to them
+    seed : of the scenario
+    sky : None where the whole sky is free at all times
     """
-    p = motion.poses_at(np.array([t_ns - S_NS, t_ns])).world_p_body_m
-    east_m, north_m = (p[-1] - p[0])[:2]
-    latitude, longitude = geodetic(p[-1, 0], p[-1, 1], latitude_deg, longitude_deg)
-    return GnssFix(
+
+    def __init__(
+        self,
+        motion: Motion,
+        *,
+        origin: Origin,
+        antenna_above_m: float,
+        errors: GnssErrors,
+        seed: int,
+        sky: Sky | None,
+    ) -> None:
+        self.origin = origin
+        # Bound to no method: a cycle would keep the world alive for longer than the receiver.
+        measure = partial(_measure, motion, antenna_above_m, errors, seed, sky)
+        self._known = lru_cache(_READINGS_KEPT)(measure)
+
+    def reading(self, t_ns: int) -> GnssReading:
+        """Measure at the whole UTC second `t_ns`."""
+        return self._known(t_ns)
+
+    def fix(self, t_ns: int) -> GnssFix:
+        """Say what is reported of the whole UTC second `t_ns`; the course is from the north at the world's origin.
+
+        Where the second has no fix, the numbers are those of the last one. Where there was none for 10 s they
+        are what the receiver believes of 10 s ago, as if it carried its track on.
+        """
+        for age in range(_HELD_S + 1):
+            known = self.reading(t_ns - age * S_NS)
+            if known.valid:
+                break
+        latitude_deg, longitude_deg, _ = to_geodetic(known.measured_m[None], self.origin)[0].tolist()
+        east_m_s, north_m_s = known.measured_m_s.tolist()
+        return GnssFix(
+            t_ns=t_ns,
+            valid=self.reading(t_ns).valid,
+            latitude_deg=latitude_deg,
+            longitude_deg=longitude_deg,
+            speed_m_s=math.hypot(east_m_s, north_m_s),
+            course_deg=math.degrees(math.atan2(east_m_s, north_m_s)) % 360.0,
+        )
+
+
+def _measure(
+    motion: Motion, antenna_above_m: float, errors: GnssErrors, seed: int, sky: Sky | None, t_ns: int
+) -> GnssReading:
+    """Measure at a whole UTC second."""
+    truth = motion.kinematics_at(np.array([t_ns]))
+    antenna_m, velocity_m_s = truth.world_p_body_m[0].copy(), truth.world_v_body_m_s[0]
+    antenna_m[2] += antenna_above_m
+    cover = sky(t_ns, antenna_m) if sky else 0.0
+    grown = 1.0 + (errors.canopy_error_factor - 1.0) * cover
+    second = t_ns // S_NS
+    white_m = np.array(normal_pair(seed, Purpose.GNSS_NOISE, second, 0))
+    white_m_s = np.array(normal_pair(seed, Purpose.GNSS_NOISE, second, 1))
+    slow = np.array([wander(seed, lane, second, errors.wander_s) for lane in (_EAST, _NORTH)])
+    measured_m = antenna_m.copy()
+    measured_m[:2] += grown * (errors.position_noise_m * white_m + errors.wander_m * slow)
+    return GnssReading(
         t_ns=t_ns,
-        valid=True,
-        latitude_deg=latitude,
-        longitude_deg=longitude,
-        speed_m_s=math.hypot(east_m, north_m),
-        course_deg=math.degrees(math.atan2(east_m, north_m)) % 360.0,
+        antenna_m=antenna_m,
+        velocity_m_s=velocity_m_s,
+        measured_m=measured_m,
+        measured_m_s=velocity_m_s[:2] + grown * errors.velocity_noise_m_s * white_m_s,
+        cover=cover,
+        valid=sky is None or not _lost(errors, seed, second, cover),
     )
+
+
+def _lost(errors: GnssErrors, seed: int, second: int, cover: float) -> bool:
+    """Whether a second has no fix: with a probability that is logistic in the cover, in spells of some 10 s."""
+    odds = (cover - errors.canopy_half_cover) / errors.canopy_cover_width
+    probability = 0.5 + 0.5 * math.tanh(0.5 * odds)
+    level = 0.5 * math.erfc(wander(seed, _LOSS, second, _LOSS_S) / math.sqrt(2.0))
+    return level < probability
+
+
+@numba.njit(cache=True, nogil=True)
+def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
+    """Slow process of variance 1 at a whole second, by itself.
+
+    Over seeds it is Gaussian at each second with the autocovariance exp(-|lag| / `correlation_s`), that of a
+    first-order Gauss-Markov process. It is a sum of waves of equal power whose frequencies are drawn one
+    from each of 32 parts of equal mass of that process' spectrum, a Cauchy distribution.
+
+    Parameters
+    ----------
+    lane : tells processes of one seed apart
+    second : since 1970
+    correlation_s : above 0
+    """
+    total = 0.0
+    for wave in range(_WAVES):
+        share, _ = uniform_pair(seed, Purpose.GNSS_WANDER, wave, 2 * lane)
+        a, b = normal_pair(seed, Purpose.GNSS_WANDER, wave, 2 * lane + 1)
+        hz = math.tan(0.5 * math.pi * (wave + share) / _WAVES) / (2.0 * math.pi * correlation_s)
+        # At whole seconds whole hertz do not count, nor whole turns.
+        angle = 2.0 * math.pi * (hz % 1.0 * second % 1.0)
+        total += a * math.cos(angle) + b * math.sin(angle)
+    return total / math.sqrt(_WAVES)

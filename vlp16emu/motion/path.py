@@ -5,103 +5,114 @@ import math
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from vlp16emu.errors import TrajectoryError
+from vlp16emu.motion.curve import curve_through, taylor
 from vlp16emu.types import HeightField
 
 __all__ = ["Path"]
 
-_KNOT_M = 0.25
-"""Distance between knots: resolves the roughness of the ground, whose shortest wave is 1 m."""
-_SAMPLES_PER_KNOT = 16
+Array = NDArray[np.float64]
 
 
 class Path:
-    """A twice continuously differentiable curve through way points that follows the ground.
+    """A curve through way points that follows the ground: four times continuously differentiable.
+
+    It is a quintic spline whose parameter is the length of the way over hill and dale; a walker's
+    hip smooths the ground, so the curve takes the mean of the heights from a pace behind to one ahead.
 
     Parameters
     ----------
-    way_points_m : (n, 2) float64, x and y in the world, n >= 2
+    way_points_m : (n, 2) float64, x and y in the world, n >= 2; where the last is the first (within
+        1 cm), the path is a loop that closes smoothly
     height_m : ground height
 
     Raises
     ------
     TrajectoryError
-        where a way point is not finite or coincides with the one before it
+        where a way point is not finite or coincides with the one before it, where the curve turns with a
+        radius below 0.1 m or climbs by more than 60 degrees, and where it is longer than 100 km
     """
 
-    def __init__(self, way_points_m: NDArray[np.float64], height_m: HeightField) -> None:
-        _refuse_bad(way_points_m)
-        xy_m, self.length_m = _by_arc_length(way_points_m)
-        xyz_m = np.column_stack([xy_m, height_m(xy_m[:, 0], xy_m[:, 1])])
-        s_m = np.linspace(0.0, self.length_m, len(xyz_m))
-        # (4, pieces, 3): powers of the distance into the piece, highest first.
-        self._coefficients = np.ascontiguousarray(CubicSpline(s_m, xyz_m).c)
-        self._knot_m = self.length_m / (len(xyz_m) - 1)
-        self.xy_m = xy_m
-        """(n, 2) float64, points of the path at equal distances."""
+    def __init__(self, way_points_m: Array, height_m: HeightField) -> None:
+        curve = curve_through(way_points_m, height_m)
+        self._knots_m = curve.knots_m
+        self._coefficients = taylor(curve.spline, curve.knots_m)
+        self._coefficients[0] += curve.origin_m
+        # (6, pieces, 3): powers of the distance into the piece, lowest first.
+        self._coefficients = np.ascontiguousarray(self._coefficients)
+        self._heading_rad = _headings(curve.spline(curve.knots_m, 1))
+        self.length_m = float(curve.knots_m[-1])
+        self.closed = curve.closed
+        """Whether the path goes on at its start; then arc lengths may go on beyond the length."""
+        self.way_points_at_m = curve.way_points_at_m
+        """(n,) arc length of each way point."""
+        self.xy_m = np.ascontiguousarray((curve.spline(curve.knots_m) + curve.origin_m)[:, :2])
+        """(m, 2) float64, points of the path 0.25 m apart at most."""
 
-    def at(self, s_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def at(self, s_m: Array) -> tuple[Array, Array]:
         """Ground points (n, 3) in metres and headings (n,) in radians from east at arc lengths (n,).
 
-        Beyond its ends the path stays where it ends.
+        Beyond its ends the path stays where it ends, unless it is closed.
         """
-        point_m, heading_rad = np.empty((len(s_m), 3)), np.empty(len(s_m))
-        _evaluate(self._coefficients, self._knot_m, self.length_m, s_m, point_m, heading_rad)
+        point_m, heading_rad = self.derivatives_at(s_m)
+        return np.ascontiguousarray(point_m[:, 0]), np.ascontiguousarray(heading_rad[:, 0])
+
+    def derivatives_at(self, s_m: Array) -> tuple[Array, Array]:
+        """Points (n, 3, 3) and headings (n, 3), each with first and second derivative by arc length.
+
+        The middle axis of the points is the order of the derivative. Headings are continuous, in radians.
+        """
+        point_m, heading_rad = np.empty((len(s_m), 3, 3)), np.empty((len(s_m), 3))
+        _evaluate(
+            self._knots_m,
+            self._coefficients,
+            self._heading_rad,
+            self.closed,
+            np.ascontiguousarray(s_m),
+            point_m,
+            heading_rad,
+        )
         return point_m, heading_rad
 
 
-def _refuse_bad(way_points_m: NDArray[np.float64]) -> None:
-    """Let through only way points that a curve can pass."""
-    for i, point in enumerate(way_points_m):
-        where = f"way point {i + 1} of {len(way_points_m)}"
-        if not np.isfinite(point).all():
-            raise TrajectoryError(where, f"found {tuple(point.tolist())}", "finite coordinates")
-        if i and math.dist(point, way_points_m[i - 1]) < 0.01:
-            raise TrajectoryError(
-                where, "coincides with the one before it", "at least 1 cm between way points"
-            )
-
-
-def _by_arc_length(way_points_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Points at equal distances along the spline through the way points, and its length."""
-    chords_m = np.hypot(*np.diff(way_points_m, axis=0).T)
-    # Centripetal parameters keep the curve from looping where way points are unevenly spaced
-    # (Lee, "Choosing nodes in parametric curve interpolation", CAD 21(6), 1989).
-    u = np.concatenate([[0.0], np.cumsum(np.sqrt(chords_m))])
-    curve = CubicSpline(u, way_points_m, bc_type="natural")
-    fine = np.interp(
-        np.linspace(0, len(u) - 1, 1 + int(_SAMPLES_PER_KNOT * max(chords_m.sum() / _KNOT_M, 8.0 * len(u)))),
-        np.arange(len(u)),
-        u,
-    )
-    speed = np.hypot(*curve(fine, 1).T)
-    # By trapezia: over samples of 2 cm the error is under a micrometre per metre.
-    length = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(fine))])
-    knots = 1 + max(4, round(length[-1] / _KNOT_M))
-    at_knots = PchipInterpolator(length, fine)(np.linspace(0.0, length[-1], knots))
-    return np.ascontiguousarray(curve(at_knots)), float(length[-1])
+def _headings(tangent: Array) -> Array:
+    """Headings (k,) of the tangents (k, 3) at the knots, continuous."""
+    return np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
 
 
 @numba.njit(cache=True, nogil=True)
 def _evaluate(
-    coefficients: NDArray[np.float64],
-    knot_m: float,
-    length_m: float,
-    s_m: NDArray[np.float64],
-    point_m: NDArray[np.float64],
-    heading_rad: NDArray[np.float64],
+    knots_m: Array,
+    coefficients: Array,
+    heading_at_knot: Array,
+    closed: bool,
+    s_m: Array,
+    point_m: Array,
+    heading_rad: Array,
 ) -> None:
-    """Evaluate the piecewise cubics, each point alone."""
-    last = coefficients.shape[1] - 1
+    """Evaluate the pieces and their derivatives, each point alone."""
+    length_m, last = knots_m[-1], knots_m.size - 2
     for i in range(s_m.size):
-        s = min(max(s_m[i], 0.0), length_m)
-        piece = min(int(s / knot_m), last)
-        d = s - piece * knot_m
+        lap = math.floor(s_m[i] / length_m) if closed else 0.0
+        s = min(max(s_m[i] - lap * length_m, 0.0), length_m)
+        piece = min(np.searchsorted(knots_m, s, side="right") - 1, last)
+        d = s - knots_m[piece]
         c = coefficients[:, piece, :]
         for a in range(3):
-            point_m[i, a] = ((c[0, a] * d + c[1, a]) * d + c[2, a]) * d + c[3, a]
-        dx = (3.0 * c[0, 0] * d + 2.0 * c[1, 0]) * d + c[2, 0]
-        dy = (3.0 * c[0, 1] * d + 2.0 * c[1, 1]) * d + c[2, 1]
-        heading_rad[i] = math.atan2(dy, dx)
+            point_m[i, 0, a] = (
+                ((((c[5, a] * d + c[4, a]) * d + c[3, a]) * d + c[2, a]) * d + c[1, a]) * d
+            ) + c[0, a]
+            point_m[i, 1, a] = (
+                ((5.0 * c[5, a] * d + 4.0 * c[4, a]) * d + 3.0 * c[3, a]) * d + 2.0 * c[2, a]
+            ) * d + c[1, a]
+            point_m[i, 2, a] = ((20.0 * c[5, a] * d + 12.0 * c[4, a]) * d + 6.0 * c[3, a]) * d + 2.0 * c[2, a]
+        x3 = (60.0 * c[5, 0] * d + 24.0 * c[4, 0]) * d + 6.0 * c[3, 0]
+        y3 = (60.0 * c[5, 1] * d + 24.0 * c[4, 1]) * d + 6.0 * c[3, 1]
+        x1, y1, x2, y2 = point_m[i, 1, 0], point_m[i, 1, 1], point_m[i, 2, 0], point_m[i, 2, 1]
+        # From the knot's own heading, so that it stays continuous where atan2 does not.
+        turn = math.atan2(c[1, 0] * y1 - c[1, 1] * x1, c[1, 0] * x1 + c[1, 1] * y1)
+        heading_rad[i, 0] = heading_at_knot[piece] + turn + lap * (heading_at_knot[-1] - heading_at_knot[0])
+        run2 = x1 * x1 + y1 * y1
+        rate = (x1 * y2 - y1 * x2) / run2
+        heading_rad[i, 1] = rate
+        heading_rad[i, 2] = (x1 * y3 - y1 * x3 - 2.0 * (x1 * x2 + y1 * y2) * rate) / run2

@@ -1,19 +1,26 @@
 """A sensor that stands, and a sensor that is carried."""
 
 import math
-from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.motion.path import Path
-from vlp16emu.motion.pose import rotations
+from vlp16emu.motion.gait import AXES, Gait, Trunk
+from vlp16emu.motion.harness import KNOTS_PER_S, NODES_PER_KNOT, Harness, Pack
+from vlp16emu.motion.pose import body_rate, rotate, rotations
+from vlp16emu.motion.track import Kinematics, Track, Way
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["Gait", "Motion", "Standing", "Walking"]
+__all__ = ["Motion", "Standing", "Walking"]
+
+_NODES_PER_S = KNOTS_PER_S * NODES_PER_KNOT
+_NODE_NS = S_NS // _NODES_PER_S
+_TABLES_KEPT = 16
+"""Seconds of motion held ready, 0.3 MB each: more than the workers of a run are ever apart."""
 
 
 class Motion(Protocol):
@@ -30,6 +37,9 @@ class Motion(Protocol):
     def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
         """Poses at UTC instants (n,); a single one where nothing moves."""
 
+    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+        """Poses at UTC instants (n,) with the derivatives of the same function."""
+
 
 class Standing:
     """A sensor on a tripod: one pose, computed once.
@@ -37,7 +47,7 @@ class Standing:
     Parameters
     ----------
     position_m : (3,) world
-    yaw_deg, pitch_deg, roll_deg : as in `motion.pose.rotations`
+    yaw_deg, pitch_deg, roll_deg : as in `motion.pose.rotate`
     """
 
     run_time_s = math.inf
@@ -53,76 +63,197 @@ class Standing:
         """Return the one pose."""
         return self._poses
 
-
-@dataclass(frozen=True, slots=True)
-class Gait:
-    """Human movement as two sines (Lu et al., LiDAR-Forest, human-movement module)."""
-
-    step_hz: float
-    vertical_m: float
-    """Amplitude of rise and fall, once per step."""
-    sideways_m: float
-    """Amplitude of sway, once per two steps."""
+    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+        """Repeat the one pose at instants (n,), without any motion."""
+        n = len(t_ns)
+        pose, still = self._poses, np.zeros((n, 3))
+        return Kinematics(
+            t_ns,
+            np.repeat(pose.world_R_body, n, axis=0),
+            np.repeat(pose.world_p_body_m, n, axis=0),
+            *(still, still, still, still),
+        )
 
 
 class Walking:
-    """A person who walks along a path at constant speed with the sensor on the back.
+    """A pack on the back of a person who walks along a way.
+
+    Way, gait and harness are evaluated on a grid of 1 ms that begins with the walk. The pose is by
+    definition the quintic Hermite interpolant of x, y, z, roll, pitch and yaw on it: twice continuously
+    differentiable, so its derivatives belong to it exactly, and within a nanometre of what it interpolates.
 
     Parameters
     ----------
-    path : over the ground
+    way : over the ground
     start_ns : UTC at which the walk begins
-    speed_m_s : along the path
-    sensor_height_m : of the sensor's centre over the ground under it
-    pitch_deg, roll_deg : mounting, as in `motion.pose.rotations`
-    gait : sway about the path
+    speed_m_s : at which the gait has its full amplitudes; they fade as the person slows down
+    height_m : of the pack's origin over the ground under it
+    gait : how the trunk moves about the way
+    harness : straps of the pack; None where it is strapped tight
+    seed : of the scenario
+
+    Raises
+    ------
+    TrajectoryError
+        where the straps would swing without end
     """
 
     moves = True
 
     def __init__(
         self,
-        path: Path,
+        way: Way,
         *,
         start_ns: int,
         speed_m_s: float,
-        sensor_height_m: float,
-        pitch_deg: float,
-        roll_deg: float,
+        height_m: float,
         gait: Gait,
+        harness: Harness | None,
+        seed: int,
     ) -> None:
-        self._path, self._start_ns, self._speed_m_s, self._gait = path, start_ns, speed_m_s, gait
-        self._height_m = sensor_height_m
-        self._pitch_rad, self._roll_rad = math.radians(pitch_deg), math.radians(roll_deg)
-        self.run_time_s = path.length_m / speed_m_s
+        self._way, self._start_ns, self._speed_m_s, self._height_m = way, start_ns, speed_m_s, height_m
+        self._trunk = Trunk(gait, seed)
+        self._pack = Pack(self._sway, harness) if gait.moves else None
+        self._table = lru_cache(_TABLES_KEPT)(self._tabulate)
+        self.run_time_s = way.run_time_s
 
     def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
-        """Poses at UTC instants (n,); before the start and after the end the person is at the path's ends."""
-        # Whole seconds and their rest apart: float64 keeps nanoseconds even after days.
-        elapsed_ns = t_ns - self._start_ns
-        elapsed_s = elapsed_ns // S_NS + (elapsed_ns % S_NS) / S_NS
-        position_m, heading_rad = self._path.at(elapsed_s * self._speed_m_s)
-        gait = self._gait
-        _sway(
-            elapsed_s, heading_rad, self._height_m, gait.step_hz, gait.vertical_m, gait.sideways_m, position_m
-        )
-        return Poses(t_ns, rotations(heading_rad, self._pitch_rad, self._roll_rad), position_m)
+        """Poses at UTC instants (n,); before the start and after the end the person stands at the way's ends."""
+        poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
+        for second, which in self._seconds(t_ns):
+            begin_ns = self._start_ns + second * S_NS
+            _poses(self._table(second), t_ns, begin_ns, which, poses.world_R_body, poses.world_p_body_m)
+        return poses
+
+    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+        """Poses at UTC instants (n,) with the derivatives of the same function."""
+        n = len(t_ns)
+        out = Kinematics(t_ns, np.empty((n, 3, 3)), *(np.empty((n, 3)) for _ in range(5)))
+        for second, which in self._seconds(t_ns):
+            _kinematics(
+                self._table(second),
+                t_ns,
+                self._start_ns + second * S_NS,
+                which,
+                out.world_R_body,
+                out.world_p_body_m,
+                out.world_v_body_m_s,
+                out.world_a_body_m_s2,
+                out.body_w_rad_s,
+                out.body_alpha_rad_s2,
+            )
+        return out
+
+    def _seconds(self, t_ns: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
+        """Seconds of the walk that instants (n,) fall into, and the numbers of those instants."""
+        seconds = (t_ns - self._start_ns) // S_NS
+        order = np.argsort(seconds, kind="stable")
+        parts = np.split(order, np.flatnonzero(np.diff(seconds[order])) + 1)
+        return [(int(seconds[part[0]]), part) for part in parts if len(part)]
+
+    def _sway(self, first: int, count: int) -> NDArray[np.float64]:
+        """Sample the trunk's motion (count, 6) at knots from `first` on."""
+        elapsed_s = np.arange(first, first + count) / KNOTS_PER_S
+        share = np.minimum(self._way.at(elapsed_s).speed_m_s / self._speed_m_s, 1.0)
+        return self._trunk.at(elapsed_s, share * share * (3.0 - 2.0 * share))
+
+    def _tabulate(self, second: int) -> NDArray[np.float64]:
+        """Coefficients (1000, 6, 6) of x, y, z, roll, pitch, yaw by piece of a second, lowest power first."""
+        elapsed_s = np.arange(second * _NODES_PER_S, (second + 1) * _NODES_PER_S + 1) / _NODES_PER_S
+        nodes = _bare(self._way.at(elapsed_s), self._height_m)
+        if self._pack is not None:
+            _sit(self._pack.nodes(second), nodes)
+        return _hermite(nodes)
+
+
+def _bare(track: Track, height_m: float) -> NDArray[np.float64]:
+    """Value, rate and acceleration (n, 6, 3) of x, y, z, roll, pitch and yaw over the bare way."""
+    nodes = np.zeros((len(track.yaw_rad), AXES, 3))
+    nodes[:, :3] = np.stack([track.position_m, track.velocity_m_s, track.acceleration_m_s2], axis=-1)
+    nodes[:, 2, 0] += height_m
+    nodes[:, 5] = np.stack([track.yaw_rad, track.yaw_rate_rad_s, track.yaw_acceleration_rad_s2], axis=-1)
+    return nodes
 
 
 @numba.njit(cache=True, nogil=True)
-def _sway(
-    elapsed_s: NDArray[np.float64],
-    heading_rad: NDArray[np.float64],
-    height_m: float,
-    step_hz: float,
-    vertical_m: float,
-    sideways_m: float,
-    position_m: NDArray[np.float64],
+def _sit(pack: NDArray[np.float64], nodes: NDArray[np.float64]) -> None:
+    """Put the pack's displacements (n, 6, 3), made in the heading frame, upon the bare way (n, 6, 3)."""
+    for n in range(len(nodes)):
+        yaw, turn, turn2 = nodes[n, 5]
+        ahead, ahead1, ahead2 = pack[n, 0]
+        left, left1, left2 = pack[n, 1]
+        # Rates in axes that turn with the heading.
+        v_ahead, v_left = ahead1 - left * turn, left1 + ahead * turn
+        a_ahead = ahead2 - left1 * turn - left * turn2 - v_left * turn
+        a_left = left2 + ahead1 * turn + ahead * turn2 + v_ahead * turn
+        c, s = math.cos(yaw), math.sin(yaw)
+        for d, along, across in ((0, ahead, left), (1, v_ahead, v_left), (2, a_ahead, a_left)):
+            nodes[n, 0, d] += c * along - s * across
+            nodes[n, 1, d] += s * along + c * across
+            for axis in range(2, AXES):
+                nodes[n, axis, d] += pack[n, axis, d]
+
+
+def _hermite(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coefficients (n - 1, 6, 6) of the quintics through value, rate and acceleration at nodes (n, 6, 3)."""
+    h_s = 1.0 / _NODES_PER_S
+    p, v, a = nodes[..., 0], nodes[..., 1] * h_s, nodes[..., 2] * (h_s * h_s)
+    rise, v0, v1, a0, a1 = p[1:] - p[:-1], v[:-1], v[1:], a[:-1], a[1:]
+    cubic = 10.0 * rise - 6.0 * v0 - 4.0 * v1 - 1.5 * a0 + 0.5 * a1
+    quartic = -15.0 * rise + 8.0 * v0 + 7.0 * v1 + 1.5 * a0 - a1
+    quintic = 6.0 * rise - 3.0 * (v0 + v1) - 0.5 * (a0 - a1)
+    return np.stack([p[:-1], v0, 0.5 * a0, cubic, quartic, quintic], axis=-1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _poses(
+    table: NDArray[np.float64],
+    t_ns: NDArray[np.int64],
+    begin_ns: int,
+    which: NDArray[np.int64],
+    world_R_body: NDArray[np.float64],
+    world_p_body_m: NDArray[np.float64],
 ) -> None:
-    """Lift ground points to the sensor and let them sway; positive sideways is to the left."""
-    for i in range(elapsed_s.size):
-        phase = 2.0 * math.pi * step_hz * elapsed_s[i]
-        left_m = sideways_m * math.sin(0.5 * phase)
-        position_m[i, 0] -= left_m * math.sin(heading_rad[i])
-        position_m[i, 1] += left_m * math.cos(heading_rad[i])
-        position_m[i, 2] += height_m + vertical_m * math.sin(phase)
+    """Fill the poses at some of the instants, all within the second that begins at `begin_ns`."""
+    q = np.empty(AXES)
+    for i in which:
+        since_ns = t_ns[i] - begin_ns
+        piece = since_ns // _NODE_NS
+        x = (since_ns - piece * _NODE_NS) / _NODE_NS
+        for axis in range(AXES):
+            c = table[piece, axis]
+            q[axis] = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
+        world_p_body_m[i] = q[:3]
+        rotate(q[5], q[4], q[3], world_R_body[i])
+
+
+@numba.njit(cache=True, nogil=True)
+def _kinematics(
+    table: NDArray[np.float64],
+    t_ns: NDArray[np.int64],
+    begin_ns: int,
+    which: NDArray[np.int64],
+    world_R_body: NDArray[np.float64],
+    world_p_body_m: NDArray[np.float64],
+    v_m_s: NDArray[np.float64],
+    a_m_s2: NDArray[np.float64],
+    w_rad_s: NDArray[np.float64],
+    alpha_rad_s2: NDArray[np.float64],
+) -> None:
+    """Fill poses as `_poses` does, and the derivatives."""
+    per_s = 1.0e9 / _NODE_NS
+    q = np.empty((3, AXES))
+    for i in which:
+        since_ns = t_ns[i] - begin_ns
+        piece = since_ns // _NODE_NS
+        x = (since_ns - piece * _NODE_NS) / _NODE_NS
+        for axis in range(AXES):
+            c = table[piece, axis]
+            q[0, axis] = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
+            q[1, axis] = c[1] + x * (2 * c[2] + x * (3 * c[3] + x * (4 * c[4] + x * 5 * c[5])))
+            q[2, axis] = 2 * c[2] + x * (6 * c[3] + x * (12 * c[4] + x * 20 * c[5]))
+        q[1] *= per_s
+        q[2] *= per_s * per_s
+        world_p_body_m[i], v_m_s[i], a_m_s2[i] = q[0, :3], q[1, :3], q[2, :3]
+        rotate(q[0, 5], q[0, 4], q[0, 3], world_R_body[i])
+        body_rate(q[0, 3:], q[1, 3:], q[2, 3:], w_rad_s[i], alpha_rad_s2[i])

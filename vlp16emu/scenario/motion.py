@@ -1,14 +1,15 @@
-"""The `[motion]` table: a sensor that stands, or a person who walks."""
+"""The `[motion]` table: a sensor that stands, a person who walks, or recorded poses."""
 
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from vlp16emu.scenario.section import Angle, NonNegative, Positive, Section
+from vlp16emu.scenario.gait import Gait
+from vlp16emu.scenario.harness import Harness, Mount
+from vlp16emu.scenario.section import Angle, Positive, Section
+from vlp16emu.scenario.way import Recorded, Way
 
-__all__ = ["Gait", "Motion", "Static", "Walk"]
-
-Point = Annotated[tuple[float, float], Field(strict=False)]
+__all__ = ["Motion", "Static", "Walk"]
 
 
 class Static(Section):
@@ -25,33 +26,21 @@ class Static(Section):
     """Nose down is positive."""
     roll_deg: Angle = 0.0
     """Right side down is positive."""
+    mount: Mount = Mount()
+    """Of the sensor on the tripod."""
 
 
-class Gait(Section):
-    """The paper's human movement: two sines (Lu et al., LiDAR-Forest, module 4)."""
-
-    step_hz: Positive = 1.8
-    """Steps per second: the body rises and falls once per step."""
-    vertical_m: NonNegative = 0.025
-    """Amplitude of the rise and fall."""
-    sideways_m: NonNegative = 0.02
-    """Amplitude of the sway, once per two steps."""
-
-
-class Walk(Section):
-    """A person with the sensor on the back, at constant speed along a spline."""
+class Walk(Way):
+    """A person with the sensor on the back."""
 
     kind: Literal["walk"]
-    way_points_m: Annotated[list[Point], Field(min_length=2)]
-    """x and y in the world; the path is a smooth curve through them in this order."""
-    speed_m_s: Annotated[float, Field(gt=0, le=10)] = 1.2
     sensor_height_m: Positive = 2.0
-    """Of the sensor's centre over the ground under it."""
-    pitch_deg: Angle = 0.0
-    """Mounting: nose down is positive."""
-    roll_deg: Angle = 0.0
-    """Mounting: right side down is positive."""
+    """Of the pack's origin, which is the sensor's centre unless it is mounted elsewhere, over the ground under it."""
     gait: Gait = Gait()
+    harness: Harness | None = None
+    """How the pack hangs on the person; strapped tight without it."""
+    mount: Mount = Mount()
+    """Of the sensor on the pack."""
 
 
-Motion = Annotated[Static | Walk, Field(discriminator="kind")]
+Motion = Annotated[Static | Walk | Recorded, Field(discriminator="kind")]

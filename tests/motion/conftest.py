@@ -1,0 +1,111 @@
+"""A way whose derivatives are plain formulas, and people who walk it."""
+
+import numpy as np
+import pytest
+
+from vlp16emu.motion import Gait, Walking
+from vlp16emu.motion.track import Track
+
+START_NS = 1_780_000_000 * 10**9
+
+
+class Circle:
+    """Round a circle and up a slope, from a stand to 1.2 m/s within two seconds."""
+
+    run_time_s = 3600.0
+
+    def __init__(self, radius_m, speed_m_s, centre_m):
+        self.radius_m, self.speed_m_s, self.centre_m = radius_m, speed_m_s, centre_m
+
+    def at(self, elapsed_s):
+        """Track at times since the start."""
+        t, stop = elapsed_s, 2.0
+        x = np.clip(t / stop, 0.0, 1.0)
+        speed = self.speed_m_s * x**3 * (10 - 15 * x + 6 * x * x)
+        rise = self.speed_m_s * 30 * x * x * (1 - x) ** 2 / stop
+        along = self.speed_m_s * (stop * x**4 * (2.5 - 3 * x + x * x) + np.maximum(t - stop, 0.0))
+        angle = along / self.radius_m
+        c, s, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
+        ahead, left = np.stack([c, s, zero + 0.05], -1), np.stack([-s, c, zero], -1)
+        position = np.stack([self.radius_m * s, self.radius_m * (1 - c), 0.05 * along], -1)
+        return Track(
+            position_m=self.centre_m + position,
+            velocity_m_s=speed[:, None] * ahead,
+            acceleration_m_s2=rise[:, None] * ahead + (speed**2 / self.radius_m)[:, None] * left,
+            yaw_rad=angle,
+            yaw_rate_rad_s=speed / self.radius_m,
+            yaw_acceleration_rad_s2=rise / self.radius_m,
+            speed_m_s=speed,
+        )
+
+
+@pytest.fixture(scope="session")
+def start_ns():
+    """UTC at which walks begin."""
+    return START_NS
+
+
+@pytest.fixture(scope="session")
+def circle():
+    """Make a way round a circle."""
+
+    def make(radius_m=8.0, speed_m_s=1.2, centre_m=(0.0, 0.0, 0.0)):
+        return Circle(radius_m, speed_m_s, np.array(centre_m))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def gait():
+    """Make a gait of which everything moves, less what is given."""
+
+    def make(**own):
+        amplitudes = {
+            "step_hz": 1.85,
+            "vertical_m": 0.02,
+            "second_harmonic_m": 0.003,
+            "heel_strike_m": 0.001,
+            "sideways_m": 0.02,
+            "fore_aft_m": 0.01,
+            "roll_deg": 1.7,
+            "pitch_deg": 2.0,
+            "yaw_deg": 3.5,
+            "variation": 0.02,
+        }
+        return Gait(**{**amplitudes, **own})
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def still():
+    """Give a gait without any motion."""
+    return Gait(1.85, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="session")
+def walking(circle, gait):
+    """Let a person walk."""
+
+    def make(way=None, own_gait=None, harness=None, start_ns=START_NS):
+        return Walking(
+            way or circle(),
+            start_ns=start_ns,
+            speed_m_s=1.2,
+            height_m=2.0,
+            gait=own_gait or gait(),
+            harness=harness,
+            seed=1,
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def at(start_ns):
+    """Ask for poses at seconds since the start."""
+
+    def ask(motion, seconds):
+        return motion.poses_at(start_ns + np.rint(np.asarray(seconds) * 1e9).astype(np.int64))
+
+    return ask

@@ -1,0 +1,108 @@
+"""A path with its timing."""
+
+import time
+
+import numpy as np
+import pytest
+
+from vlp16emu.errors import TrajectoryError
+from vlp16emu.motion import Pace, Path, Route, Stop, stops_on, sweeps_over
+
+WAY_POINTS_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [36.0, 2.0], [20.0, 14.0]])
+LOOP_M = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 9.0], [0.0, 9.0], [0.0, 0.0]])
+
+
+def hilly(x_m, y_m):
+    return np.sin(0.3 * x_m) + 0.5 * np.cos(0.2 * y_m)
+
+
+def route(way_points_m=WAY_POINTS_M, laps=1, stops=(), speed_m_s=1.2, run_time_s=None):
+    path = Path(way_points_m, hilly)
+    return Route(path, laps=laps, pace=Pace(1.0, 1.0, stops), speed_m_s=speed_m_s, run_time_s=run_time_s)
+
+
+@pytest.fixture(scope="module")
+def track():
+    """Milliseconds of a walk with a stop."""
+    made = route(stops=[Stop(10.0, 2.0)])
+    return made.at(np.arange(0.0, made.run_time_s, 1e-3))
+
+
+def test_speed_along_the_spline_is_that_of_the_profile(track):
+    """The length of the velocity is the speed of the profile, to 0.1 %."""
+    speed_m_s = np.linalg.norm(track.velocity_m_s, axis=1)
+    np.testing.assert_allclose(speed_m_s, track.speed_m_s, rtol=1e-3, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("value", "rate", "tolerance"),
+    [
+        ("position_m", "velocity_m_s", 1e-5),
+        ("velocity_m_s", "acceleration_m_s2", 1e-4),
+        ("yaw_rad", "yaw_rate_rad_s", 1e-5),
+        ("yaw_rate_rad_s", "yaw_acceleration_rad_s2", 1e-4),
+    ],
+)
+def test_derivatives_belong_to_the_same_function(track, value, rate, tolerance):
+    """Each derivative is the difference of what it derives over a millisecond."""
+    values, rates = getattr(track, value), getattr(track, rate)
+    np.testing.assert_allclose((values[2:] - values[:-2]) / 2e-3, rates[1:-1], atol=tolerance)
+
+
+def test_turn_rate_is_kept(track):
+    """The heading turns at the limit at most."""
+    assert np.abs(track.yaw_rate_rad_s).max() <= 1.001
+
+
+def test_a_person_looks_where_the_walk_goes(track):
+    """The heading is the direction of the velocity on the map."""
+    moving = track.speed_m_s > 0.01
+    east, north, _ = track.velocity_m_s[moving].T
+    turn = track.yaw_rad[moving] - np.arctan2(north, east)
+    np.testing.assert_allclose((turn + np.pi) % (2 * np.pi), np.pi, atol=1e-9)
+
+
+def test_laps_go_round_without_a_halt():
+    """Three laps of a loop end where they began, three turns later, at full speed between the laps."""
+    made = route(LOOP_M, laps=3)
+    track = made.at(np.array([0.0, made.run_time_s]))
+    np.testing.assert_allclose(track.position_m[1], track.position_m[0], atol=1e-9)
+    assert track.yaw_rad[1] - track.yaw_rad[0] == pytest.approx(6 * np.pi, abs=1e-9)
+    inner = made.at(np.arange(5.0, made.run_time_s - 5.0, 0.01))
+    assert inner.speed_m_s.min() > 0.5
+
+
+def test_stops_come_on_each_lap():
+    """A stop at the first and last way point of a loop of two laps is made at start, between, and at the end."""
+    path = Path(LOOP_M, hilly)
+    stops = stops_on(path, np.array([1.0, 0.0, 2.0, 0.0, 1.0]))
+    assert [stop.pause_s for stop in stops] == [1.0, 2.0, 1.0]
+    made = Route(path, laps=2, pace=Pace(1.0, 1.0, stops), speed_m_s=1.2, run_time_s=None)
+    track = made.at(np.arange(0.0, made.run_time_s, 1e-3))
+    rest = track.speed_m_s < 1e-12
+    starts = np.flatnonzero(np.diff(rest.astype(int)) == 1)
+    assert len(starts) == 4  # twice at the third way point, once between the laps, once at the end
+
+
+def test_an_open_path_has_one_lap():
+    """Laps of a path that does not close are refused."""
+    with pytest.raises(TrajectoryError, match="laps: found 2 on an open path; expected 1"):
+        route(laps=2)
+
+
+def test_a_path_of_two_kilometres_is_made_at_once():
+    """Path and profile of 2 km take less than 0.3 s of processor time, in the best of three."""
+    points_m = np.column_stack([np.arange(160.0) * 10.0, 10 * np.sin(np.arange(160.0))])
+    took_s = []
+    for _ in range(3):
+        begin = time.thread_time()
+        made = route(points_m, speed_m_s=None, run_time_s=2500.0)
+        took_s.append(time.thread_time() - begin)
+    assert made.length_m > 1950.0
+    assert min(took_s) < 0.3
+
+
+def test_sweeps_of_a_run():
+    """70 s at 600 rpm are 700 revolutions and as many firing sequences as fit whole."""
+    sweeps = sweeps_over(70.0, 600.0, 55_296)
+    assert (sweeps.revolutions, sweeps.azimuth_steps) == (700.0, 1_265_914)

@@ -1,0 +1,167 @@
+"""How the trunk of a walking person moves about the smooth way over the ground."""
+
+import math
+from dataclasses import astuple, dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.random import Purpose, uniform
+
+__all__ = ["AXES", "Gait", "Trunk", "step_rate_hz"]
+
+AXES = 6
+"""Fore-aft, sideways, vertical in the heading frame (m), then roll, pitch, yaw (rad)."""
+
+_HEEL_SHARPNESS = 20.0
+"""A heel strike lasts 40 ms at 1.8 steps per second: assumption, from the look of trunk accelerations."""
+_LINES = 12
+"""Sinusoids of each slow process."""
+_SLOWEST_HZ, _FASTEST_HZ = 0.005, 0.5
+"""Equal power in each octave between these: stride times vary like 1/f noise, measured as f^-0.92 over nine
+minutes (Hausdorff et al.; PhysioNet, Fractal mechanisms in neural control, figure 9)."""
+_TIMING = AXES
+"""Lane of the process that varies the step rate; those before it vary the amplitude of an axis."""
+
+
+def step_rate_hz(speed_m_s: float) -> float:
+    """Tell how many steps a second people take at a walking speed.
+
+    The exponent is that of Grieve and Gear, "The relationships between length of stride, step frequency,
+    time of swing and speed of walking", Ergonomics 9, 1966. The factor is that of 20 adults who took 111
+    steps per minute at 1.19 m/s (Chung et al., J NeuroEng Rehabil 7:9, 2010, table 1).
+    """
+    return 111.0 / 60.0 * (speed_m_s / 1.19) ** 0.58
+
+
+@dataclass(frozen=True, slots=True)
+class Gait:
+    """Amplitudes of the trunk's motion at walking speed; a range from end to end is twice an amplitude."""
+
+    step_hz: float
+    """Steps per second."""
+    vertical_m: float
+    """Once per step, highest when one leg stands upright."""
+    second_harmonic_m: float
+    """Twice per step, vertical."""
+    heel_strike_m: float
+    """Depth of the short dip at each heel strike."""
+    sideways_m: float
+    """Once per stride, over the standing leg."""
+    fore_aft_m: float
+    """Once per step, fastest forward when both feet stand."""
+    roll_deg: float
+    """Once per stride, leaning over the standing leg."""
+    pitch_deg: float
+    """Once per step, nose down after the heel strike."""
+    yaw_deg: float
+    """Once per stride."""
+    variation: float
+    """Standard deviation of the stride time and of each amplitude, as a share of them."""
+
+    @property
+    def moves(self) -> bool:
+        """Whether any amplitude is above zero."""
+        return any(astuple(self)[1:-1])
+
+
+class Trunk:
+    """Samples of the trunk's motion.
+
+    Parameters
+    ----------
+    gait : amplitudes and step rate
+    seed : of the scenario, for the variation from stride to stride
+    """
+
+    def __init__(self, gait: Gait, seed: int) -> None:
+        self._step_hz, self._variation = gait.step_hz, gait.variation
+        roll_rad, pitch_rad, yaw_rad = np.radians([gait.roll_deg, gait.pitch_deg, gait.yaw_deg])
+        self._amplitude = np.array(
+            [
+                gait.fore_aft_m,
+                gait.sideways_m,
+                gait.vertical_m,
+                roll_rad,
+                pitch_rad,
+                yaw_rad,
+                gait.second_harmonic_m,
+                gait.heel_strike_m,
+            ]
+        )
+        self._lines = _lines(seed)
+
+    def at(self, elapsed_s: NDArray[np.float64], effort: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displacements (n, 6), axes as in `AXES`, at times (n,) since the first step.
+
+        Parameters
+        ----------
+        effort : (n,) share of the amplitudes, 0 for one who stands and 1 for one who walks
+        """
+        out = np.empty((len(elapsed_s), AXES))
+        _fill(elapsed_s, effort, self._step_hz, self._variation, self._amplitude, self._lines, out)
+        return out
+
+
+def _lines(seed: int) -> NDArray[np.float64]:
+    """Angular frequency and phase, (7, lines, 2), of the sinusoids of each slow process."""
+    lines = np.empty((AXES + 1, _LINES, 2))
+    for lane in range(AXES + 1):
+        draw = uniform(seed, Purpose.GAIT, 0, 2 * _LINES, lane).reshape(2, _LINES)
+        octave = (np.arange(_LINES) + draw[0]) / _LINES
+        lines[lane, :, 0] = 2.0 * math.pi * _SLOWEST_HZ * (_FASTEST_HZ / _SLOWEST_HZ) ** octave
+        lines[lane, :, 1] = 2.0 * math.pi * draw[1]
+    return lines
+
+
+@numba.njit(cache=True, nogil=True)
+def _slow(lines: NDArray[np.float64], t_s: float) -> float:
+    """Process of variance one."""
+    total = 0.0
+    for k in range(len(lines)):
+        total += math.sin(lines[k, 0] * t_s + lines[k, 1])
+    return total * math.sqrt(2.0 / len(lines))
+
+
+@numba.njit(cache=True, nogil=True)
+def _slow_integral(lines: NDArray[np.float64], t_s: float) -> float:
+    """Integral of `_slow` from zero, in seconds."""
+    total = 0.0
+    for k in range(len(lines)):
+        total += (math.cos(lines[k, 1]) - math.cos(lines[k, 0] * t_s + lines[k, 1])) / lines[k, 0]
+    return total * math.sqrt(2.0 / len(lines))
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill(
+    elapsed_s: NDArray[np.float64],
+    effort: NDArray[np.float64],
+    step_hz: float,
+    variation: float,
+    amplitude: NDArray[np.float64],
+    lines: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Fill each row alone; positive pitch is nose down and positive roll right side down."""
+    for i in range(elapsed_s.size):
+        t_s = elapsed_s[i]
+        strides = 0.5 * step_hz * (t_s + variation * _slow_integral(lines[_TIMING], t_s))
+        stride = 2.0 * math.pi * (strides - math.floor(strides))
+        # A step's lowest point and heel strike are at 3/4 of its phase; over the standing leg at 1/4.
+        step, lean = 2.0 * stride, stride + 0.25 * math.pi
+        sway = (
+            math.cos(step),
+            math.sin(lean),
+            math.sin(step),
+            -math.sin(lean),
+            -math.sin(step),
+            math.cos(lean),
+        )
+        for axis in range(AXES):
+            factor = effort[i] * (1.0 + variation * _slow(lines[axis], t_s)) if variation else effort[i]
+            motion = amplitude[axis] * sway[axis]
+            if axis == 2:
+                motion += amplitude[6] * math.sin(2.0 * step)
+                motion -= amplitude[7] * math.exp(_HEEL_SHARPNESS * (-math.sin(step) - 1.0))
+            out[i, axis] = factor * motion

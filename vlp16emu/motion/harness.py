@@ -1,0 +1,223 @@
+"""A pack that hangs on the trunk by its straps, solved exactly for what drives it.
+
+The trunk's motion u is by definition the quintic spline through its samples at knots 5 ms apart. Each axis
+of the pack swings about it: x'' + 2 z w (x' - u') + w^2 (x - u) = 0. In the stretch y = x - u of the straps
+this is y'' + 2 z w y' + w^2 y = -u'', and -u'' is a cubic between knots. Its exact response is a linear map
+of the state at the knot and the cubic's four coefficients, computed once, so no step size exists and a strap
+of 1 GHz costs and errs no more than one of 1 Hz.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import TrajectoryError
+from vlp16emu.motion.gait import AXES
+from vlp16emu.motion.oscillator import decay_per_s, response
+
+__all__ = ["KNOTS_PER_S", "NODES_PER_KNOT", "Harness", "Pack"]
+
+KNOTS_PER_S = 200
+"""Heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre."""
+NODES_PER_KNOT = 5
+"""Instants per knot at which the pack's motion is handed out: one per millisecond."""
+
+_REACH = 4
+"""Samples needed before the first knot and after the last one of a second."""
+_FORGOTTEN = math.log(1e17)
+"""A swing that has decayed by this is under the last bit of what it was."""
+_LONGEST_S = 600
+"""Straps that swing longer than this after a push are refused: the gait would shake them up without bound."""
+
+_QUASI = np.array([13.0, -112.0, 438.0, -112.0, 13.0]) / 240.0
+"""Samples to spline coefficients: the five numbers with which the spline reproduces every quintic."""
+_QUINTIC = (
+    np.array(
+        [
+            [1.0, 26.0, 66.0, 26.0, 1.0, 0.0],
+            [-5.0, -50.0, 0.0, 50.0, 5.0, 0.0],
+            [10.0, 20.0, -60.0, 20.0, 10.0, 0.0],
+            [-10.0, 20.0, 0.0, -20.0, 10.0, 0.0],
+            [5.0, -20.0, 30.0, -20.0, 5.0, 0.0],
+            [-1.0, 5.0, -10.0, 10.0, -5.0, 1.0],
+        ]
+    )
+    / 120.0
+)
+"""Uniform quintic B-spline (de Boor, A Practical Guide to Splines, chapter IX): row p gives the coefficient of
+tau^p between two knots from the six spline coefficients around."""
+
+
+@dataclass(frozen=True, slots=True)
+class Harness:
+    """Straps: one damped oscillator for each axis of the pack."""
+
+    frequency_hz: tuple[float, float, float, float, float, float]
+    """Undamped natural frequency by axis, in the order of `AXES`."""
+    damping_ratio: float
+    """Share of critical damping."""
+
+
+class Pack:
+    """Motion of the pack about the smooth way: the trunk's, or what the straps make of it.
+
+    Parameters
+    ----------
+    trunk : samples (n, 6) of the trunk's motion at knots first .. first + n - 1, knot 0 at the first step
+    harness : None where the pack is strapped tight
+
+    Raises
+    ------
+    TrajectoryError
+        where a push would go on swinging for more than ten minutes
+    """
+
+    def __init__(self, trunk: Callable[[int, int], NDArray[np.float64]], harness: Harness | None) -> None:
+        self._trunk, self._harness = trunk, harness
+        if harness is None:
+            return
+        slowest = min(decay_per_s(hz, harness.damping_ratio) for hz in harness.frequency_hz)
+        if slowest * _LONGEST_S < _FORGOTTEN:
+            swing = f"swings for {_FORGOTTEN / slowest:.0f} s after a push" if slowest else "swings for ever"
+            raise TrajectoryError("harness", swing, f"at most {_LONGEST_S} s: more damping or stiffer straps")
+        self._memory_s = math.ceil(_FORGOTTEN / slowest)
+        self._offsets_s = np.arange(1, NODES_PER_KNOT + 1) / (NODES_PER_KNOT * KNOTS_PER_S)
+        # (6, 5, 2, 6): by axis and node, stretch and its rate from their values at the knot and the forcing.
+        self._steps = np.array(
+            [[response(hz, harness.damping_ratio, s) for s in self._offsets_s] for hz in harness.frequency_hz]
+        )
+        # (6, 2, 2): the free swing over a second.
+        self._second = np.array(
+            [response(hz, harness.damping_ratio, 1.0)[:, :2] for hz in harness.frequency_hz]
+        )
+        self._pushed = lru_cache(self._memory_s + 8)(self._push)
+
+    def nodes(self, second: int) -> NDArray[np.float64]:
+        """Displacement, velocity and acceleration (1001, 6, 3) at the nodes of a second, both ends included.
+
+        The second of the first step is 0. The same for whatever was asked before.
+        """
+        pieces = self._pieces(second)
+        out = np.empty((NODES_PER_KNOT * KNOTS_PER_S + 1, AXES, 3))
+        _follow(pieces, NODES_PER_KNOT, 1.0 / (NODES_PER_KNOT * KNOTS_PER_S), out)
+        if self._harness is not None:
+            omega = 2.0 * math.pi * np.array(self._harness.frequency_hz)
+            drag = 2.0 * self._harness.damping_ratio * omega
+            _swing(pieces, self._steps, self._state(second), omega * omega, drag, out)
+        return out
+
+    def _pieces(self, second: int) -> NDArray[np.float64]:
+        """Trunk as polynomials (200, 6, 6) of the seconds since each knot of a second, lowest power first."""
+        samples = self._trunk(second * KNOTS_PER_S - _REACH, KNOTS_PER_S + 2 * _REACH + 1)
+        pieces = np.empty((KNOTS_PER_S, AXES, 6))
+        _interpolate(samples, _QUASI, _QUINTIC, float(KNOTS_PER_S), pieces)
+        return pieces
+
+    def _state(self, second: int) -> NDArray[np.float64]:
+        """Stretch and its rate (6, 2) when a second begins, at rest until the first step.
+
+        Summed from what each second within memory did by itself, so it does not matter where one starts.
+        """
+        state = np.zeros((AXES, 2))
+        for past in range(max(0, second - self._memory_s), second):
+            state = np.einsum("aij,aj->ai", self._second, state) + self._pushed(past)
+        return state
+
+    def _push(self, second: int) -> NDArray[np.float64]:
+        """Stretch and its rate (6, 2) at the end of a second that began without."""
+        state = np.zeros((AXES, 2))
+        _advance(self._pieces(second), self._steps[:, -1], state)
+        return state
+
+
+@numba.njit(cache=True, nogil=True)
+def _interpolate(
+    samples: NDArray[np.float64],
+    quasi: NDArray[np.float64],
+    quintic: NDArray[np.float64],
+    per_s: float,
+    pieces: NDArray[np.float64],
+) -> None:
+    """Fill pieces (n, 6, 6) of the quintic spline through samples (n + 9, 6)."""
+    coefficients = np.zeros(len(pieces) + 5)
+    for axis in range(AXES):
+        for k in range(len(coefficients)):
+            coefficients[k] = 0.0
+            for j in range(5):
+                coefficients[k] += quasi[j] * samples[k + j, axis]
+        for k in range(len(pieces)):
+            scale = 1.0
+            for p in range(6):
+                total = 0.0
+                for j in range(6):
+                    total += quintic[p, j] * coefficients[k + j]
+                pieces[k, axis, p] = total * scale
+                scale *= per_s
+
+
+@numba.njit(cache=True, nogil=True)
+def _follow(pieces: NDArray[np.float64], per_knot: int, node_s: float, out: NDArray[np.float64]) -> None:
+    """Evaluate value and two derivatives of the pieces at the nodes (m, 6, 3)."""
+    for n in range(len(out)):
+        k = min(n // per_knot, len(pieces) - 1)
+        s = (n - k * per_knot) * node_s
+        for axis in range(AXES):
+            a = pieces[k, axis]
+            out[n, axis, 0] = a[0] + s * (a[1] + s * (a[2] + s * (a[3] + s * (a[4] + s * a[5]))))
+            out[n, axis, 1] = a[1] + s * (2 * a[2] + s * (3 * a[3] + s * (4 * a[4] + s * 5 * a[5])))
+            out[n, axis, 2] = 2 * a[2] + s * (6 * a[3] + s * (12 * a[4] + s * 20 * a[5]))
+
+
+@numba.njit(cache=True, nogil=True)
+def _stretch(
+    step: NDArray[np.float64], state: NDArray[np.float64], a: NDArray[np.float64], row: int
+) -> float:
+    """Stretch (row 0) or its rate (row 1) after a step from a state, under -u'' of the piece a."""
+    forced = (
+        step[row, 2] * a[2] * 2
+        + step[row, 3] * a[3] * 6
+        + step[row, 4] * a[4] * 12
+        + step[row, 5] * a[5] * 20
+    )
+    return step[row, 0] * state[0] + step[row, 1] * state[1] - forced
+
+
+@numba.njit(cache=True, nogil=True)
+def _advance(pieces: NDArray[np.float64], step: NDArray[np.float64], state: NDArray[np.float64]) -> None:
+    """Carry the state (6, 2) over all pieces."""
+    for k in range(len(pieces)):
+        for axis in range(AXES):
+            y = _stretch(step[axis], state[axis], pieces[k, axis], 0)
+            v = _stretch(step[axis], state[axis], pieces[k, axis], 1)
+            state[axis, 0], state[axis, 1] = y, v
+
+
+@numba.njit(cache=True, nogil=True)
+def _swing(
+    pieces: NDArray[np.float64],
+    steps: NDArray[np.float64],
+    state: NDArray[np.float64],
+    stiffness: NDArray[np.float64],
+    drag: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Add the stretch, from its state at the first node on, to the trunk's motion (m, 6, 3)."""
+    per_knot = steps.shape[1]
+    for axis in range(AXES):
+        for n in range(len(out)):
+            y, v = state[axis]
+            if n:
+                k, j = (n - 1) // per_knot, (n - 1) % per_knot
+                y = _stretch(steps[axis, j], state[axis], pieces[k, axis], 0)
+                v = _stretch(steps[axis, j], state[axis], pieces[k, axis], 1)
+                if j == per_knot - 1:
+                    state[axis, 0], state[axis, 1] = y, v
+            pull = out[n, axis, 2]
+            out[n, axis, 0] += y
+            out[n, axis, 1] += v
+            out[n, axis, 2] += -pull - drag[axis] * v - stiffness[axis] * y

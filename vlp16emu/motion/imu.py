@@ -1,0 +1,147 @@
+"""What an inertial measurement unit on the moving body reads."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.motion.walk import Motion
+from vlp16emu.random import Purpose, normal, normal_pair
+from vlp16emu.units import S_NS
+
+__all__ = ["GRAVITY_M_S2", "Imu", "ImuErrors", "Inertial"]
+
+GRAVITY_M_S2 = 9.80665
+"""Standard gravity, downwards (3rd CGPM, 1901)."""
+
+_CHUNK = 4096
+"""Samples of a random walk that are drawn together."""
+_HORIZON = 1 << 32
+"""Chunks that the walk is long: centuries."""
+
+
+@dataclass(frozen=True, slots=True)
+class Inertial:
+    """Readings at n instants, in the unit's own axes."""
+
+    t_ns: NDArray[np.int64]
+    """(n,) UTC."""
+    angular_rate_rad_s: NDArray[np.float64]
+    """(n, 3)."""
+    specific_force_m_s2: NDArray[np.float64]
+    """(n, 3) acceleration less gravity: at rest it points up."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImuErrors:
+    """Errors of gyroscopes and accelerometers, each axis on its own.
+
+    White noise and random walk of the bias as densities of IEEE Std 952-1997, annex C, in the units of the
+    common calibration tools; the bias at switch-on as its standard deviation.
+    """
+
+    gyro_bias_rad_s: float
+    gyro_noise_rad_s_sqrt_hz: float
+    gyro_walk_rad_s2_sqrt_hz: float
+    accel_bias_m_s2: float
+    accel_noise_m_s2_sqrt_hz: float
+    accel_walk_m_s3_sqrt_hz: float
+
+
+class Imu:
+    """A strapdown unit that samples without pause.
+
+    Parameters
+    ----------
+    motion : of the unit itself, lever arm and tilt included
+    start_ns : UTC of sample 0
+    rate_hz : samples per second
+    errors : what it adds to the truth
+    seed : of the scenario
+    unit : number of the unit, so that two of them err differently
+    """
+
+    def __init__(
+        self, motion: Motion, *, start_ns: int, rate_hz: int, errors: ImuErrors, seed: int, unit: int
+    ) -> None:
+        self._motion, self._start_ns, self._rate_hz = motion, start_ns, rate_hz
+        self._errors, self._seed, self._first_lane = errors, seed, 6 * unit
+
+    def read(self, first: int, count: int) -> Inertial:
+        """Take samples first .. first + count - 1; the same whatever was read before."""
+        t_ns = self._start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // self._rate_hz
+        truth = self._motion.kinematics_at(t_ns)
+        up = truth.world_a_body_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
+        force = np.asarray(truth.world_R_body.swapaxes(1, 2) @ up[:, :, None])[:, :, 0]
+        e = self._errors
+        gyro = (e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz)
+        accel = (e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz)
+        return Inertial(
+            t_ns,
+            truth.body_w_rad_s + self._errors_of(gyro, first, count, 0),
+            force + self._errors_of(accel, first, count, 3),
+        )
+
+    def stream(self, stop_ns: int) -> Iterator[Inertial]:
+        """Give all samples from the first until before `stop_ns`, up to 4096 at a time."""
+        samples = max(0, -(-(stop_ns - self._start_ns) * self._rate_hz // S_NS))
+        for first in range(0, samples, _CHUNK):
+            yield self.read(first, min(_CHUNK, samples - first))
+
+    def _errors_of(
+        self, sizes: tuple[float, float, float], first: int, count: int, first_axis: int
+    ) -> NDArray[np.float64]:
+        """Bias, white noise and random walk (count, 3) of three axes; what is zero is not drawn."""
+        bias, noise, walk = sizes
+        out = np.zeros((count, 3))
+        for axis in range(3):
+            lane = self._first_lane + first_axis + axis
+            if bias:
+                out[:, axis] += bias * normal(self._seed, Purpose.IMU_BIAS, 0, 1, lane)[0]
+            if noise:
+                white = normal(self._seed, Purpose.IMU_NOISE, first, count, lane)
+                out[:, axis] += noise * math.sqrt(self._rate_hz) * white
+            if walk:
+                out[:, axis] += walk / math.sqrt(self._rate_hz) * _random_walk(self._seed, first, count, lane)
+        return out
+
+
+def _random_walk(seed: int, first: int, count: int, lane: int) -> NDArray[np.float64]:
+    """Add up standard normal numbers to samples first .. first + count - 1 (count,), 0 at sample 0.
+
+    Ends of chunks by halving intervals (Levy's construction of Brownian motion), the samples between as a
+    Brownian bridge: a sum over any past costs no more than one over the last chunk.
+    """
+    chunks = range(first // _CHUNK, (first + count - 1) // _CHUNK + 1)
+    parts = [_bridge(seed, chunk, lane) for chunk in chunks]
+    begin = first - chunks.start * _CHUNK
+    return np.concatenate(parts)[begin : begin + count]
+
+
+def _bridge(seed: int, chunk: int, lane: int) -> NDArray[np.float64]:
+    """Random walk (4096,) at the samples of a chunk."""
+    # Lanes: two for each axis, one for the ends of chunks and one within.
+    purpose, scale = int(Purpose.IMU_WALK), math.sqrt(_CHUNK)
+    start, end = (scale * _level(seed, purpose, index, 2 * lane) for index in (chunk, chunk + 1))
+    steps = np.cumsum(normal(seed, Purpose.IMU_WALK, chunk * _CHUNK, _CHUNK, 2 * lane + 1))
+    free = np.concatenate([[0.0], steps[:-1]])
+    return start + free + np.arange(_CHUNK) / _CHUNK * (end - start - steps[-1])
+
+
+@numba.njit(cache=True, nogil=True)
+def _level(seed: int, purpose: int, index: int, lane: int) -> float:
+    """Brownian motion at an integer time up to 2^32; each time's own number is drawn once, for its interval."""
+    low, high = 0, _HORIZON
+    before, after = 0.0, math.sqrt(_HORIZON) * normal_pair(seed, purpose, _HORIZON, lane)[0]
+    while low < index:
+        middle = (low + high) // 2
+        half = 0.5 * math.sqrt(high - low)
+        at_middle = 0.5 * (before + after) + half * normal_pair(seed, purpose, middle, lane)[0]
+        if index >= middle:
+            low, before = middle, at_middle
+        else:
+            high, after = middle, at_middle
+    return before

@@ -1,0 +1,161 @@
+"""How a device sits on the body that carries it: lever arm, tilt, and a stage that may spin."""
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.motion.pose import rotations
+from vlp16emu.motion.track import Kinematics
+from vlp16emu.motion.walk import Motion
+from vlp16emu.types import Poses
+from vlp16emu.units import S_NS
+
+__all__ = ["Mount", "Mounted", "mounted"]
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """body_T_device: takes coordinates of a device, x forward, y left, z up, to those of its carrier."""
+
+    lever_arm_m: Vector
+    """Device's origin in the carrier's frame."""
+    yaw_deg: float
+    """Tilt, with the other two as in `motion.pose.rotate`."""
+    pitch_deg: float
+    roll_deg: float
+    spin_hz: float
+    """Revolutions per second of the stage between carrier and tilt, as in handheld scanners; 0 where it is fixed."""
+    spin_axis: Vector
+    """Its axis, through the device's origin, in the carrier's frame; of any length but zero."""
+
+    @property
+    def trivial(self) -> bool:
+        """Whether device and carrier are one frame."""
+        return not any((*self.lever_arm_m, self.yaw_deg, self.pitch_deg, self.roll_deg, self.spin_hz))
+
+
+def mounted(carrier: Motion, mount: Mount, start_ns: int) -> Motion:
+    """Motion of a device on a carrier; the carrier's own where the mount changes nothing."""
+    return carrier if mount.trivial else Mounted(carrier, mount, start_ns)
+
+
+class Mounted:
+    """A device on a carrier.
+
+    Parameters
+    ----------
+    carrier : what it is mounted on
+    mount : how
+    start_ns : UTC at which a spinning stage is at its zero
+    """
+
+    def __init__(self, carrier: Motion, mount: Mount, start_ns: int) -> None:
+        self._carrier, self._start_ns = carrier, start_ns
+        self._arm_m = np.array(mount.lever_arm_m)
+        inclination = math.radians(mount.pitch_deg), math.radians(mount.roll_deg)
+        tilt = rotations(np.array([math.radians(mount.yaw_deg)]), *inclination)[0]
+        axis = np.array(mount.spin_axis) / np.linalg.norm(mount.spin_axis)
+        across = np.cross(np.eye(3), axis)
+        # Rodrigues: tilt, its product with the axis' cross matrix, and with that matrix squared.
+        self._tilts = np.stack([tilt, across @ tilt, across @ across @ tilt])
+        self._spin_hz, self._spin_rad_s = mount.spin_hz, 2.0 * math.pi * mount.spin_hz * axis
+        self.moves = carrier.moves or mount.spin_hz != 0.0
+
+    @property
+    def run_time_s(self) -> float:
+        """The carrier's."""
+        return self._carrier.run_time_s
+
+    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
+        """Poses of the device at UTC instants (n,); a single one where nothing moves."""
+        of = self._carrier.poses_at(t_ns)
+        t_ns = t_ns if self.moves else of.t_ns
+        poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
+        _mount(
+            of.world_R_body,
+            of.world_p_body_m,
+            self._turns(t_ns),
+            self._arm_m,
+            poses.world_R_body,
+            poses.world_p_body_m,
+        )
+        return poses
+
+    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+        """Poses of the device at UTC instants (n,) with the derivatives of the same function."""
+        of = self._carrier.kinematics_at(t_ns)
+        turns = self._turns(t_ns)
+        R, p = np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3))
+        _mount(of.world_R_body, of.world_p_body_m, turns, self._arm_m, R, p)
+        w, alpha, arm = of.body_w_rad_s, of.body_alpha_rad_s2, self._arm_m
+        swing = np.cross(w, arm)
+        spin = self._spin_rad_s
+        device_R_body = np.broadcast_to(turns, (len(t_ns), 3, 3)).swapaxes(1, 2)
+        return Kinematics(
+            t_ns=t_ns,
+            world_R_body=R,
+            world_p_body_m=p,
+            world_v_body_m_s=of.world_v_body_m_s + _turned(of.world_R_body, swing),
+            world_a_body_m_s2=of.world_a_body_m_s2
+            + _turned(of.world_R_body, np.cross(alpha, arm) + np.cross(w, swing)),
+            body_w_rad_s=_turned(device_R_body, w + spin),
+            # The stage's axis is fixed in the carrier, so the carrier's rate turns it.
+            body_alpha_rad_s2=_turned(device_R_body, alpha + np.cross(w, spin)),
+        )
+
+    def _turns(self, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """body_R_device (n, 3, 3) at instants (n,), or (1, 3, 3) where the stage is fixed."""
+        if self._spin_hz == 0.0:
+            return self._tilts[:1]
+        elapsed_ns = t_ns - self._start_ns
+        out = np.empty((len(t_ns), 3, 3))
+        _spin(elapsed_ns // S_NS, elapsed_ns % S_NS, self._spin_hz, self._tilts, out)
+        return out
+
+
+def _turned(R: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotations (n, 3, 3) applied to vectors (n, 3)."""
+    return np.asarray(R @ vector[:, :, None])[:, :, 0]
+
+
+@numba.njit(cache=True, nogil=True)
+def _spin(
+    whole_s: NDArray[np.int64],
+    rest_ns: NDArray[np.int64],
+    spin_hz: float,
+    tilts: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Fill the tilt turned about the axis, by Rodrigues' formula."""
+    for i in range(len(out)):
+        revolutions = spin_hz * whole_s[i] % 1.0 + spin_hz * (rest_ns[i] * 1.0e-9)
+        angle = 2.0 * math.pi * revolutions
+        c, s = math.cos(angle), math.sin(angle)
+        for a in range(3):
+            for b in range(3):
+                out[i, a, b] = tilts[0, a, b] + s * tilts[1, a, b] + (1.0 - c) * tilts[2, a, b]
+
+
+@numba.njit(cache=True, nogil=True)
+def _mount(
+    world_R_body: NDArray[np.float64],
+    world_p_body_m: NDArray[np.float64],
+    body_R_device: NDArray[np.float64],
+    arm_m: NDArray[np.float64],
+    R: NDArray[np.float64],
+    p_m: NDArray[np.float64],
+) -> None:
+    """Fill world_R_device and world_p_device; a single carrier pose or a single turn holds for all."""
+    for i in range(len(R)):
+        n = i if len(world_R_body) > 1 else 0
+        m = i if len(body_R_device) > 1 else 0
+        for a in range(3):
+            row, turn = world_R_body[n, a], body_R_device[m]
+            p_m[i, a] = world_p_body_m[n, a] + row[0] * arm_m[0] + row[1] * arm_m[1] + row[2] * arm_m[2]
+            for b in range(3):
+                R[i, a, b] = row[0] * turn[0, b] + row[1] * turn[1, b] + row[2] * turn[2, b]

@@ -1,0 +1,238 @@
+"""How fast a person goes along a way: arc length as a smooth function of time."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from vlp16emu.errors import TrajectoryError
+from vlp16emu.motion.curve import taylor
+from vlp16emu.motion.slope import limit_slope
+
+__all__ = ["MAX_SPEED_M_S", "Pace", "Profile", "Stop"]
+
+Array = NDArray[np.float64]
+
+MAX_SPEED_M_S = 10.0
+"""A sprint."""
+
+_KNOT_S = 0.1
+"""Between knots in time: starts and stops take their shape over half a second, a pace (assumption)."""
+_REACH = 3
+"""Knots to either side over which a quintic B-spline takes its mean."""
+_CELL_M = 0.02
+_LOOKS = 4
+"""Length over which acceleration is constant before smoothing, and how often turns are looked up in it."""
+_HALVINGS = 24
+"""Of the range of cruise speeds, when the run time is given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """A halt on the way."""
+
+    at_m: float
+    """Arc length."""
+    pause_s: float
+    """How long the person stands still."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """What a person keeps to."""
+
+    acceleration_m_s2: float
+    """Greatest change of speed, up or down."""
+    yaw_rate_rad_s: float
+    """Greatest turn rate; in tighter turns the person slows down."""
+    stops: Sequence[Stop]
+
+
+class Profile:
+    """Arc length over time: a quintic B-spline with equal steps, four times continuously differentiable.
+
+    The person goes as fast as cruise speed, turn rate and acceleration allow, each as the largest
+    function of arc length that keeps all three. Its arc length at equal times are the control points of
+    the spline, so speed and acceleration are weighted means of those before smoothing, keep the same
+    limits, and never run backwards. At both ends and at stops the person is at rest.
+
+    Parameters
+    ----------
+    length_m : of the whole way
+    turn_rad_m : turn of the heading per metre, either sign, at arc lengths (n,)
+    pace : limits and stops
+    speed_m_s : cruise speed, at most 10; None where the run time is given
+    run_time_s : from the first motion to the last, to which the cruise speed is adapted; None where that is given
+
+    Raises
+    ------
+    TrajectoryError
+        where a stop is not on the way, or the run time is too short
+    """
+
+    def __init__(
+        self,
+        length_m: float,
+        turn_rad_m: Callable[[Array], Array],
+        pace: Pace,
+        *,
+        speed_m_s: float | None,
+        run_time_s: float | None,
+    ) -> None:
+        bounds_m, pauses_s = _rests(pace.stops, length_m)
+        legs = [_Leg(start_m, end_m, turn_rad_m, pace) for start_m, end_m in pairwise(bounds_m.tolist())]
+        self._step_s = _KNOT_S
+        if run_time_s is not None:
+            speed_m_s = _speed_for(run_time_s, legs, float(pauses_s.sum()), length_m)
+        assert speed_m_s is not None  # one of both is given
+        self.speed_m_s = speed_m_s
+        """Cruise speed."""
+        at_s, control_m = _sampled(legs, pauses_s, speed_m_s)
+        self.run_time_s = float(at_s + _PADDING_S)
+        if run_time_s is not None:
+            # The search ends a hair below the time given; stretched, no limit is passed.
+            self._step_s *= run_time_s / self.run_time_s
+            self.run_time_s = run_time_s
+        knots = np.arange(len(control_m) + 6) - 5.0
+        breaks = np.arange(len(control_m) - 4, dtype=np.float64)
+        # (6, pieces): powers of the fraction of a step, lowest first.
+        self._coefficients = np.ascontiguousarray(taylor(BSpline(knots, control_m, 5), breaks))
+
+    def at(self, elapsed_s: Array) -> tuple[Array, Array, Array]:
+        """Arc lengths in m, speeds in m/s and accelerations in m/s^2, each (n,), at times (n,) since the start."""
+        along_m, speed_m_s, acceleration_m_s2 = (np.empty(len(elapsed_s)) for _ in range(3))
+        _evaluate(
+            self._coefficients,
+            self._step_s,
+            self.run_time_s,
+            np.ascontiguousarray(elapsed_s),
+            along_m,
+            speed_m_s,
+            acceleration_m_s2,
+        )
+        return along_m, speed_m_s, acceleration_m_s2
+
+
+_PADDING_S = (2 * _REACH - 1) * _KNOT_S
+"""By which smoothing makes the run longer: the first control point that moves comes two steps after the start."""
+
+
+class _Leg:
+    """The way from one rest to the next, in equal cells."""
+
+    def __init__(
+        self, start_m: float, end_m: float, turn_rad_m: Callable[[Array], Array], pace: Pace
+    ) -> None:
+        cells = max(2, math.ceil((end_m - start_m) / _CELL_M))
+        looked_m = np.linspace(start_m, end_m, 1 + _LOOKS * cells)
+        turn = maximum_filter1d(np.abs(turn_rad_m(looked_m)), _LOOKS + 1, mode="nearest")[::_LOOKS]
+        self._turn_limit_m_s = pace.yaw_rate_rad_s / np.maximum(turn, pace.yaw_rate_rad_s / MAX_SPEED_M_S)
+        self._cell_m = (end_m - start_m) / cells
+        self.at_m = looked_m[::_LOOKS]
+        self._gain = np.full(cells, pace.acceleration_m_s2 * self._cell_m)
+
+    def speeds_m_s(self, cruise_m_s: float) -> Array:
+        """Give the speeds (n,) at the cells' edges before smoothing.
+
+        Smoothing mixes speeds from `2 * _REACH` steps of time, so the limits reach as far as the person then gets.
+        """
+        reach = min(len(self.at_m), math.ceil(2 * _REACH * _KNOT_S * cruise_m_s / self._cell_m))
+        limit = minimum_filter1d(self._turn_limit_m_s, 2 * reach + 1, mode="nearest")
+        # v^2 / 2 grows by acceleration times distance.
+        energy = np.minimum(limit, cruise_m_s) ** 2 / 2
+        energy[0] = energy[-1] = 0.0
+        limit_slope(energy, self._gain)
+        return np.sqrt(2 * energy)
+
+    def times_s(self, speeds_m_s: Array) -> Array:
+        """Give the times (n,) at the cells' edges since the leg began, at constant acceleration in each cell."""
+        return np.concatenate([[0.0], np.cumsum(2 * self._cell_m / (speeds_m_s[1:] + speeds_m_s[:-1]))])
+
+
+def _rests(stops: Sequence[Stop], length_m: float) -> tuple[Array, Array]:
+    """Arc lengths (r,) at which the person rests, both ends among them, and for how long before smoothing."""
+    for stop in stops:
+        if not 0.0 <= stop.at_m <= length_m:
+            raise TrajectoryError(
+                "stop", f"found {stop.at_m:g} m along the path", f"from 0 to its length, {length_m:.2f} m"
+            )
+    at_m = np.unique([0.0, *(stop.at_m for stop in stops), length_m])
+    pauses_s = np.zeros(len(at_m))
+    for stop in stops:
+        pauses_s[np.searchsorted(at_m, stop.at_m)] += stop.pause_s
+    # Smoothing takes from a rest between two legs what it reaches into it from both.
+    pauses_s[1:-1] += 2 * _REACH * _KNOT_S
+    return at_m, pauses_s
+
+
+def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_m: float) -> float:
+    """Find the cruise speed with which the run takes a given time, or a hair less."""
+
+    def takes_s(speed_m_s: float) -> float:
+        return pauses_s + _PADDING_S + sum(leg.times_s(leg.speeds_m_s(speed_m_s))[-1] for leg in legs)
+
+    high, fastest_s = MAX_SPEED_M_S, takes_s(MAX_SPEED_M_S)
+    if fastest_s > run_time_s:
+        raise TrajectoryError(
+            "run time",
+            f"found {run_time_s:g} s for {length_m:.1f} m",
+            f"at least {fastest_s:.1f} s, with its stops, turns and starts",
+        )
+    low = min(high, length_m / run_time_s)
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if takes_s(middle) > run_time_s else (low, middle)
+    return high
+
+
+def _sampled(legs: Sequence[_Leg], pauses_s: Array, cruise_m_s: float) -> tuple[float, Array]:
+    """Duration before smoothing, and the control points (c,): arc lengths at equal times."""
+    begin_s, begins, runs = pauses_s[0], [], []
+    for leg, pause_s in zip(legs, pauses_s[1:], strict=True):
+        speeds = leg.speeds_m_s(cruise_m_s)
+        times = leg.times_s(speeds)
+        begins.append(begin_s)
+        runs.append((leg.at_m, speeds, times))
+        begin_s += times[-1] + pause_s
+    duration_s = begin_s
+    # Control point j stands at (j - 2) steps, and the person sets off two steps after the start.
+    count = math.ceil((duration_s + _PADDING_S) / _KNOT_S) + 6
+    at_s = (np.arange(count) - 4) * _KNOT_S
+    control_m = np.zeros(count)
+    for begin, (at_m, speeds, times) in zip(begins, runs, strict=True):
+        first = int(np.searchsorted(at_s, begin))
+        since = np.minimum(at_s[first:] - begin, times[-1])
+        cell = np.minimum(np.searchsorted(times, since, side="right") - 1, len(times) - 2)
+        t, dt = since - times[cell], times[cell + 1] - times[cell]
+        mean = speeds[cell] + (speeds[cell + 1] - speeds[cell]) * t / dt / 2
+        control_m[first:] = np.where(since < times[-1], at_m[cell] + mean * t, at_m[-1])
+    return duration_s, control_m
+
+
+@numba.njit(cache=True, nogil=True)
+def _evaluate(
+    coefficients: Array,
+    step_s: float,
+    run_time_s: float,
+    elapsed_s: Array,
+    along_m: Array,
+    speed_m_s: Array,
+    acceleration_m_s2: Array,
+) -> None:
+    """Evaluate the pieces and their derivatives, each time alone."""
+    last = coefficients.shape[1] - 1
+    for i in range(elapsed_s.size):
+        steps = min(max(elapsed_s[i], 0.0), run_time_s) / step_s
+        piece = min(int(steps), last)
+        d, c = steps - piece, coefficients[:, piece]
+        along_m[i] = ((((c[5] * d + c[4]) * d + c[3]) * d + c[2]) * d + c[1]) * d + c[0]
+        rate = (((5.0 * c[5] * d + 4.0 * c[4]) * d + 3.0 * c[3]) * d + 2.0 * c[2]) * d + c[1]
+        second = ((20.0 * c[5] * d + 12.0 * c[4]) * d + 6.0 * c[3]) * d + 2.0 * c[2]
+        speed_m_s[i] = max(rate, 0.0) / step_s  # rounding at rest must not walk backwards
+        acceleration_m_s2[i] = second / (step_s * step_s)

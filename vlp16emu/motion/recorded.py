@@ -1,0 +1,219 @@
+"""A body that moves as somebody has recorded."""
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from vlp16emu.errors import TrajectoryError
+from vlp16emu.motion.track import Kinematics
+from vlp16emu.motion.trajectory_file import RecordedPoses
+from vlp16emu.types import Poses
+from vlp16emu.units import S_NS
+
+__all__ = ["Recorded"]
+
+Array = NDArray[np.float64]
+
+_MOST_TURN_DEG = 90.0
+"""Between one pose and the next: half of what would leave the sense of the turn open."""
+_LEAST_NORM = 0.5
+"""Of the quaternion spline: it is 1 at each pose, and bends the turn in between the more the more it sinks."""
+_LOOKS = 8
+"""Between two poses, for that norm."""
+
+
+class Recorded:
+    """Recorded poses, interpolated with two continuous derivatives in position and rotation.
+
+    Positions are a cubic spline. So are the quaternions, each taken with the sign that is nearer to the
+    one before; scaled to unit length they are the rotation. On a steady turn of 10 degrees from pose to
+    pose the rotation is right within 1e-6 rad.
+
+    Before its first and after its last pose the body stands there.
+
+    Parameters
+    ----------
+    poses : as recorded
+    start_ns : UTC of the first pose
+    max_gap_s : greatest time between two poses
+    x_m, y_m, z_m, yaw_deg : place of the recording's origin in the world, and direction of its x axis there
+    axes : "body" where x is forward and z up, "camera" where x is right, y down and z forward (KITTI)
+
+    Raises
+    ------
+    TrajectoryError
+        where poses are farther apart in time than `max_gap_s`, turn by more than 90 degrees from one to the
+        next, or are spaced too unevenly for a smooth turn
+    """
+
+    moves = True
+
+    def __init__(
+        self,
+        poses: RecordedPoses,
+        *,
+        start_ns: int,
+        max_gap_s: float,
+        x_m: float,
+        y_m: float,
+        z_m: float,
+        yaw_deg: float,
+        axes: str,
+    ) -> None:
+        self._start_ns = start_ns
+        self._knots_ns = poses.t_ns - poses.t_ns[0]
+        self.run_time_s = float(self._knots_ns[-1] / S_NS)
+        quaternion = _continuous(poses.quaternion)
+        _check_steps(poses, self._knots_ns, quaternion, max_gap_s)
+        position_m, quaternion = _placed(poses.position_m, quaternion, math.radians(yaw_deg), axes)
+        knots_s = self._knots_ns / S_NS
+        # (4, n - 1, 7): powers of the time into the piece, highest first.
+        self._coefficients = np.ascontiguousarray(
+            CubicSpline(knots_s, np.column_stack([position_m + np.array([x_m, y_m, z_m]), quaternion])).c
+        )
+        self._check_norm(poses)
+        self.xy_m = np.ascontiguousarray(self._coefficients[3, :, :2])
+        """(n - 1, 2) all poses but the last, on the map."""
+
+    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
+        """Poses at UTC instants (n,)."""
+        position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
+        _poses(self._knots_ns, self._coefficients, t_ns - self._start_ns, position_m, turn)
+        return Poses(t_ns, turn, position_m)
+
+    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+        """Poses at UTC instants (n,) with their derivatives, which are zero where the body stands."""
+        poses = self.poses_at(t_ns)
+        rates = np.empty((4, len(t_ns), 3))
+        _rates(self._knots_ns, self._coefficients, t_ns - self._start_ns, rates)
+        return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
+
+    def _check_norm(self, poses: RecordedPoses) -> None:
+        """Refuse rotations between which the spline strays far from the unit sphere."""
+        steps_s = np.diff(self._knots_ns) / S_NS
+        for look in range(1, _LOOKS):
+            d = (look / _LOOKS * steps_s)[:, None]
+            c = self._coefficients[:, :, 3:]
+            norm = np.linalg.norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3], axis=1)
+            strays = np.abs(norm - 1.0) > 1.0 - _LEAST_NORM
+            if strays.any():
+                i = int(strays.argmax()) + 1
+                raise TrajectoryError(
+                    poses.where[i],
+                    "no smooth turn leads here from the pose before: times are too uneven",
+                    "poses at more even times",
+                )
+
+
+def _continuous(quaternion: Array) -> Array:
+    """Give the same rotations (n, 4), each with the sign that is nearer to the one before."""
+    flips = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0
+    sign = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
+    return quaternion * sign[:, None]
+
+
+def _check_steps(
+    poses: RecordedPoses, knots_ns: NDArray[np.int64], quaternion: Array, max_gap_s: float
+) -> None:
+    """Refuse gaps, and turns whose way round nobody knows."""
+    gaps_s = np.diff(knots_ns) / S_NS
+    if (gaps_s > max_gap_s).any():
+        i = int((gaps_s > max_gap_s).argmax())
+        raise TrajectoryError(
+            poses.where[i + 1], f"found a gap of {gaps_s[i]:g} s", f"at most {max_gap_s:g} s"
+        )
+    cosine = np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)
+    turn_deg = np.degrees(2 * np.arccos(cosine))
+    if (turn_deg > _MOST_TURN_DEG + 1e-6).any():
+        i = int((turn_deg > _MOST_TURN_DEG + 1e-6).argmax())
+        raise TrajectoryError(
+            poses.where[i + 1],
+            f"turns by {turn_deg[i]:.1f} degrees from the pose before",
+            f"at most {_MOST_TURN_DEG:g} degrees, beyond which its sense is in doubt",
+        )
+
+
+def _placed(position_m: Array, quaternion: Array, yaw_rad: float, axes: str) -> tuple[Array, Array]:
+    """Positions (n, 3) and quaternions (n, 4) in axes of the world, about the recording's origin."""
+    if axes == "camera":
+        # Forward is the camera's z, left its -x, up its -y, in the recording's frame and in the body's:
+        # the same turn before and after, which for a quaternion permutes its vector part.
+        position_m = position_m[:, [2, 0, 1]] * [1.0, -1.0, -1.0]
+        quaternion = quaternion[:, [2, 0, 1, 3]] * [1.0, -1.0, -1.0, 1.0]
+    cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
+    x, y, z = position_m.T
+    position_m = np.column_stack([cosine * x - sine * y, sine * x + cosine * y, z])
+    cosine, sine = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
+    x, y, z, w = quaternion.T
+    return position_m, np.column_stack(
+        [cosine * x - sine * y, cosine * y + sine * x, cosine * z + sine * w, cosine * w - sine * z]
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _piece(knots_ns: NDArray[np.int64], elapsed_ns: int) -> tuple[int, float]:
+    """Piece that holds an instant, and seconds into it; instants beyond the ends fall on them."""
+    t = min(max(elapsed_ns, 0), knots_ns[-1])
+    piece = min(np.searchsorted(knots_ns, t, side="right") - 1, knots_ns.size - 2)
+    return piece, (t - knots_ns[piece]) * 1e-9
+
+
+@numba.njit(cache=True, nogil=True)
+def _poses(
+    knots_ns: NDArray[np.int64],
+    coefficients: Array,
+    elapsed_ns: NDArray[np.int64],
+    position_m: Array,
+    turn: Array,
+) -> None:
+    """Evaluate the pieces, each instant alone."""
+    value = np.empty(7)
+    for i in range(elapsed_ns.size):
+        piece, d = _piece(knots_ns, elapsed_ns[i])
+        for a in range(7):
+            c0, c1 = coefficients[0, piece, a], coefficients[1, piece, a]
+            value[a] = ((c0 * d + c1) * d + coefficients[2, piece, a]) * d + coefficients[3, piece, a]
+        for a in range(3):
+            position_m[i, a] = value[a]
+        x, y, z, w = value[3], value[4], value[5], value[6]
+        # The rotation of a quaternion of any length.
+        two = 2.0 / (x * x + y * y + z * z + w * w)
+        turn[i, 0, 0], turn[i, 1, 1] = 1.0 - two * (y * y + z * z), 1.0 - two * (x * x + z * z)
+        turn[i, 2, 2] = 1.0 - two * (x * x + y * y)
+        turn[i, 0, 1], turn[i, 1, 0] = two * (x * y - z * w), two * (x * y + z * w)
+        turn[i, 0, 2], turn[i, 2, 0] = two * (x * z + y * w), two * (x * z - y * w)
+        turn[i, 1, 2], turn[i, 2, 1] = two * (y * z - x * w), two * (y * z + x * w)
+
+
+@numba.njit(cache=True, nogil=True)
+def _rates(
+    knots_ns: NDArray[np.int64], coefficients: Array, elapsed_ns: NDArray[np.int64], rates: Array
+) -> None:
+    """Fill (4, n, 3): velocity, acceleration, angular rate and angular acceleration, the latter in body axes.
+
+    With Q of any length and N = |Q|^2, the rate is w = 2 vec(Q* Q') / N, and as Q'* Q' has no vector part,
+    its derivative is 2 vec(Q* Q'') / N - (N' / N) w.
+    """
+    q, q1, q2 = np.empty(4), np.empty(4), np.empty(4)
+    for i in range(elapsed_ns.size):
+        if elapsed_ns[i] < 0 or elapsed_ns[i] > knots_ns[-1]:
+            rates[:, i] = 0.0
+            continue
+        piece, d = _piece(knots_ns, elapsed_ns[i])
+        for a in range(7):
+            c = coefficients[:, piece, a]
+            first, second = (3.0 * c[0] * d + 2.0 * c[1]) * d + c[2], 6.0 * c[0] * d + 2.0 * c[1]
+            if a < 3:
+                rates[0, i, a], rates[1, i, a] = first, second
+            else:
+                q[a - 3], q1[a - 3], q2[a - 3] = ((c[0] * d + c[1]) * d + c[2]) * d + c[3], first, second
+        norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+        fading = 2.0 * (q[0] * q1[0] + q[1] * q1[1] + q[2] * q1[2] + q[3] * q1[3]) / norm2
+        for a in range(3):
+            j, k = (a + 1) % 3, (a + 2) % 3
+            w = 2.0 * (q[3] * q1[a] - q[a] * q1[3] - q[j] * q1[k] + q[k] * q1[j]) / norm2
+            alpha = 2.0 * (q[3] * q2[a] - q[a] * q2[3] - q[j] * q2[k] + q[k] * q2[j]) / norm2
+            rates[2, i, a], rates[3, i, a] = w, alpha - fading * w

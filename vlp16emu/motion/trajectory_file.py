@@ -1,0 +1,141 @@
+"""Recorded poses in files: TUM, CSV with a header, and KITTI."""
+
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from vlp16emu.errors import TrajectoryError
+from vlp16emu.motion.user_file import finite, named_cells, words
+from vlp16emu.units import S_NS
+
+__all__ = ["RecordedPoses", "read_kitti", "read_trajectory_csv", "read_tum"]
+
+_UNIT_TOLERANCE = 1e-3
+"""Of a quaternion's length and of a matrix times its transpose: what four written decimals leave."""
+_QUATERNION = ("qx", "qy", "qz", "qw")
+_POSITION = ("x_m", "y_m", "z_m")
+_LARGEST_NS = 2**62
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedPoses:
+    """Poses as a file has them."""
+
+    where: list[str]
+    """(n,) file and line of each, for messages."""
+    t_ns: NDArray[np.int64]
+    """(n,) stamps, of whatever epoch."""
+    position_m: NDArray[np.float64]
+    """(n, 3)."""
+    quaternion: NDArray[np.float64]
+    """(n, 4) x, y, z, w of unit length; body to the recording's frame."""
+
+
+def read_tum(path: Path) -> RecordedPoses:
+    """Read lines of `t x y z qx qy qz qw`, t in seconds (file format of the TUM RGB-D benchmark).
+
+    Raises
+    ------
+    TrajectoryError
+        where a line is none, holds a NaN, or its quaternion is not of unit length
+    """
+    lines = words(path, 8, "t x y z qx qy qz qw")
+    return _checked(
+        path,
+        [where for where, _ in lines],
+        [_seconds_ns(where, cells[0]) for where, cells in lines],
+        [[finite(where, cell) for cell in cells[1:]] for where, cells in lines],
+    )
+
+
+def read_trajectory_csv(path: Path) -> RecordedPoses:
+    """Read a CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz and qw in any order.
+
+    Raises
+    ------
+    TrajectoryError
+        where the file is no such table, holds a NaN, or a quaternion is not of unit length
+    """
+    lines = named_cells(path, ["t_s", *_POSITION, *_QUATERNION], [])
+    return _checked(
+        path,
+        [where for where, _ in lines],
+        [_seconds_ns(f"{where}, column t_s", row["t_s"]) for where, row in lines],
+        [
+            [finite(f"{where}, column {name}", row[name]) for name in (*_POSITION, *_QUATERNION)]
+            for where, row in lines
+        ],
+    )
+
+
+def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
+    """Read lines of 12 numbers, the rows of a 3 x 4 pose matrix (KITTI odometry benchmark, development kit).
+
+    Parameters
+    ----------
+    times : a file with a time in seconds for each pose, one to a line, or the rate of the poses in Hz
+
+    Raises
+    ------
+    TrajectoryError
+        where a line is none, holds a NaN, or is no rotation, or there are more or fewer times than poses
+    """
+    lines = words(path, 12, "the 12 numbers of a 3 x 4 matrix")
+    numbers = [[finite(where, cell) for cell in cells] for where, cells in lines]
+    matrix = np.reshape(numbers, (-1, 3, 4))
+    turns = matrix[:, :, :3]
+    error = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    for i in np.flatnonzero((error > _UNIT_TOLERANCE) | (np.linalg.det(turns) < 0)):
+        found = f"a matrix with determinant {np.linalg.det(turns[i]):.4g}, {error[i]:.2g} off orthonormal"
+        raise TrajectoryError(lines[i][0], found, f"a rotation, to {_UNIT_TOLERANCE:g}")
+    quaternions = Rotation.from_matrix(turns).as_quat() if len(lines) else np.empty((0, 4))
+    return _checked(
+        path,
+        [where for where, _ in lines],
+        _times_ns(times, len(lines)),
+        np.column_stack([matrix[:, :, 3], quaternions]).tolist(),
+    )
+
+
+def _times_ns(times: Path | float, count: int) -> list[int]:
+    """Stamps of poses that do not tell them."""
+    if not isinstance(times, Path):
+        return [round(i * S_NS / times) for i in range(count)]
+    lines = words(times, 1, "one time in seconds")
+    if len(lines) != count:
+        raise TrajectoryError(str(times), f"found {len(lines)} times", f"{count}, one for each pose")
+    return [_seconds_ns(where, cells[0]) for where, cells in lines]
+
+
+def _seconds_ns(where: str, text: str) -> int:
+    """Nanoseconds of a time in seconds, every digit of it: float64 keeps but a microsecond of UTC."""
+    try:
+        t_ns = Decimal(text).scaleb(9)
+    except InvalidOperation:
+        raise TrajectoryError(where, f"found {text!r}", "a time in seconds") from None
+    if not t_ns.is_finite() or abs(t_ns) > _LARGEST_NS:
+        raise TrajectoryError(where, f"found {text}", f"at most {_LARGEST_NS // S_NS} s")
+    return int(t_ns.to_integral_value())
+
+
+def _checked(path: Path, where: list[str], t_ns: list[int], numbers: list[list[float]]) -> RecordedPoses:
+    """Refuse what is no rotation, and time that does not go on."""
+    if len(where) < 2:
+        raise TrajectoryError(str(path), f"found {len(where)} poses", "at least 2")
+    for i, (before, after) in enumerate(pairwise(t_ns), start=1):
+        if after <= before:
+            found = f"a time {(before - after) / S_NS:g} s before that of the pose before"
+            raise TrajectoryError(where[i], found, "times that grow")
+    table = np.array(numbers)
+    lengths = np.linalg.norm(table[:, 3:], axis=1)
+    if (off := np.abs(lengths - 1.0) > _UNIT_TOLERANCE).any():
+        i = int(off.argmax())
+        raise TrajectoryError(
+            where[i], f"a quaternion of length {lengths[i]:.6g}", f"length 1, to {_UNIT_TOLERANCE:g}"
+        )
+    return RecordedPoses(where, np.array(t_ns), table[:, :3].copy(), table[:, 3:] / lengths[:, None])
