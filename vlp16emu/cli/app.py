@@ -10,6 +10,7 @@ import typer
 from vlp16emu.cli.decode import decode
 from vlp16emu.cli.forest import forest
 from vlp16emu.cli.interrupt import INTERRUPTED
+from vlp16emu.cli.points import points
 from vlp16emu.cli.record import record
 from vlp16emu.cli.scenes import scenes
 from vlp16emu.cli.schema import schema
@@ -31,6 +32,10 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
     decode: """\b
   vlp16emu decode walk.pcap
   vlp16emu decode walk.pcap --out walk.ply""",
+    points: """\b
+  vlp16emu points birch_walk walk.ply --duration 5 --truth
+  vlp16emu points birch_walk walk.npz --set sensor.return_mode=dual
+  vlp16emu points static_bench bench.csv --set sensor.model=free --set sensor.beams=64""",
     verify: """\b
   vlp16emu verify walk.pcap
   vlp16emu verify walk.pcap --json""",

@@ -9,9 +9,11 @@ import typer
 
 from vlp16emu.cli.arguments import AsJson, CaptureFile
 from vlp16emu.cli.output import count, print_json, print_rows
+from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
-    from vlp16emu.cli.points import Summary
+    from vlp16emu.cli.reading import Summary
+    from vlp16emu.packets import CapturedUnit
 
 __all__ = ["decode"]
 
@@ -23,6 +25,14 @@ def decode(
         Path | None,
         typer.Option("--out", metavar="FILE", help="Write the points too: .npz, .ply or .csv by its suffix."),
     ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            "--unit",
+            metavar="N|ADDRESS:PORT",
+            help="Which sensor, where the capture holds several: its number, or its address and data port.",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Decode a capture by the formulas of the sensor's manual.
@@ -31,18 +41,34 @@ def decode(
     clockwise seen from above. Pulses without return become no points.
     """
     from vlp16emu.cli.export import writing
-    from vlp16emu.cli.points import CaptureReader
+    from vlp16emu.cli.reading import COLUMNS, COMMENTS, CaptureReader
 
-    with CaptureReader(file) as reader, ExitStack() as stack:
-        writer = stack.enter_context(writing(out)) if out else None
+    with CaptureReader(file, _chosen(file, unit)) as reader, ExitStack() as stack:
+        writer = stack.enter_context(writing(out, COLUMNS, COMMENTS, where=f"--out {out}")) if out else None
         for points, clock_ns in reader.points():
             if writer:
-                writer.write(points, clock_ns)
+                arrays = {name: getattr(points, name) for name in points.__slots__}
+                writer.write(arrays | {"clock_ns": clock_ns})
     summary = reader.summary
     if as_json:
         print_json({"file": str(file), "out": out and str(out)} | _tree(summary))
     else:
         _print(file, out, summary)
+
+
+def _chosen(file: Path, unit: str | None) -> "CapturedUnit | None":
+    """Find the unit that is meant; None in a capture of a single one, unless it is named."""
+    from vlp16emu.packets import units_in
+
+    units = units_in(file) if file.is_file() else []  # a pipe can be read only once
+    if not units or (unit is None and len(units) == 1):
+        return None
+    for number, known in enumerate(units, start=1):
+        if unit in (str(number), str(known)):
+            return known
+    found = f"{len(units)} units in {file}" if unit is None else f"found {unit}"
+    names = [f"{number} ({known})" for number, known in enumerate(units, start=1)]
+    raise InputError("--unit", found, f"one of {', '.join(names)}")
 
 
 def _tree(summary: "Summary") -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """`vlp16emu verify`: whether a real sensor could have sent it."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -16,38 +16,49 @@ __all__ = ["verify"]
 def verify(file: CaptureFile, *, as_json: AsJson = False) -> None:
     """Check a capture against the rules of VLP-16 traffic.
 
-    Names each broken rule with the number of the packet, as Wireshark counts. Exits with 0 where no rule
-    is broken, else with 1.
+    Names each broken rule with the number of the packet, as Wireshark counts. Where several units have
+    sent, each is checked by itself. Exits with 0 where no rule is broken, else with 1.
     """
+    from vlp16emu.packets import units_in
     from vlp16emu.report import verify_capture
 
-    result = verify_capture(file)
+    units = units_in(file)
+    if len(units) < 2:
+        results = {str(file): verify_capture(file)}
+        tree = {"file": str(file)} | _tree(results[str(file)])
+    else:
+        results = {str(unit): verify_capture(file, unit) for unit in units}
+        trees = [{"unit": unit} | _tree(result) for unit, result in results.items()]
+        tree = {"file": str(file), "clean": all(tree["clean"] for tree in trees), "units": trees}
     if as_json:
-        findings = [
-            {"rule": f.rule, "packet": f.packet, "found": f.found, "expected": f.expected}
-            for f in result.findings
-        ]
-        tree = {
-            "file": str(file),
-            "clean": result.is_clean,
-            "packets": result.data_packets,
-            "position_packets": result.position_packets,
-            "other_frames": result.other_frames,
-            "lost_packets": result.lost_packets,
-            "duration_s": result.span_s,
-            "rpm": result.rpm,
-            "cut": result.is_cut,
-            "broken_rules": dict(result.counts),
-            "findings": findings,
-        }
         print_json(tree)
     else:
-        _print(str(file), result)
-    if not result.is_clean:
+        for whose, result in results.items():
+            _print(whose, result)
+    if not tree["clean"]:
         raise typer.Exit(1)
 
 
-def _print(file: str, result: "Verification") -> None:
+def _tree(result: "Verification") -> dict[str, Any]:
+    """Write findings, counts and the verdict in the types of JSON."""
+    return {
+        "clean": result.is_clean,
+        "packets": result.data_packets,
+        "position_packets": result.position_packets,
+        "other_frames": result.other_frames,
+        "lost_packets": result.lost_packets,
+        "duration_s": result.span_s,
+        "rpm": result.rpm,
+        "cut": result.is_cut,
+        "broken_rules": dict(result.counts),
+        "findings": [
+            {"rule": f.rule, "packet": f.packet, "found": f.found, "expected": f.expected}
+            for f in result.findings
+        ],
+    }
+
+
+def _print(whose: str, result: "Verification") -> None:
     """Print findings, counts and the verdict for people."""
     for finding in result.findings:
         print(finding)
@@ -62,4 +73,4 @@ def _print(file: str, result: "Verification") -> None:
     if result.is_cut:
         rows["end"] = "in the middle of a packet, which was left out"
     rows |= {f"broken: {rule}": count(number) for rule, number in result.counts.items()}
-    print_rows(f"{file}: {'clean' if result.is_clean else 'not what a VLP-16 sends'}", rows)
+    print_rows(f"{whose}: {'clean' if result.is_clean else 'not what a VLP-16 sends'}", rows)

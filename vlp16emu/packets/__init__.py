@@ -54,6 +54,7 @@ from vlp16emu.packets.position import (
     pack_position,
     position_due_ns,
 )
+from vlp16emu.packets.units import CapturedUnit, units_in
 
 __all__ = [
     "AZIMUTH_CODES",
@@ -87,6 +88,7 @@ __all__ = [
     "STAMP_LEAD_NS",
     "VERTICAL_CORRECTION_M",
     "Capture",
+    "CapturedUnit",
     "Datagram",
     "Link",
     "Points",
@@ -106,4 +108,5 @@ __all__ = [
     "rmc",
     "scan_starts",
     "timestamp_us",
+    "units_in",
 ]

@@ -48,6 +48,11 @@ class Datagram(NamedTuple):
     """As long as the UDP header says, or shorter where the frame was captured in part."""
 
     @property
+    def source(self) -> bytes:
+        """IPv4 address of the sender, 4 bytes."""
+        return self.ip[12:16]
+
+    @property
     def udp_checksum(self) -> int:
         """As sent; 0 stands for none."""
         return int.from_bytes(self.header[-2:])

@@ -26,9 +26,9 @@ __all__ = [
 ]
 
 DATA_PORT = 2368
-"""UDP port of data packets, source and destination. Source: 63-9243 Rev D, section 9.3.2, p. 56."""
+"""UDP port of data packets, source and, unless set otherwise, destination. Source: 63-9243 Rev D, section 9.3.2, p. 56."""
 POSITION_PORT = 8308
-"""UDP port of position packets, source and destination. Source: 63-9243 Rev D, section 9.3.3, p. 60."""
+"""UDP port of position packets, likewise. Source: 63-9243 Rev D, section 9.3.3, p. 60."""
 DATA_TTL = 255
 """Time to live of data frames, measured."""
 POSITION_TTL = 64
@@ -52,6 +52,10 @@ class Link:
     """IPv4 address, dotted."""
     destination: str
     """IPv4 address, dotted."""
+    data_port: int = DATA_PORT
+    """UDP port of data packets at the destination."""
+    position_port: int = POSITION_PORT
+    """UDP port of position packets at the destination."""
 
 
 FACTORY_LINK = Link(
@@ -73,7 +77,7 @@ def data_header(link: Link) -> bytes:
     -------
     42 bytes
     """
-    udp = dpkt.udp.UDP(sport=DATA_PORT, dport=DATA_PORT, ulen=_UDP_HEADER_BYTES + DATA_BYTES, sum=0)
+    udp = dpkt.udp.UDP(sport=DATA_PORT, dport=link.data_port, ulen=_UDP_HEADER_BYTES + DATA_BYTES, sum=0)
     ip = dpkt.ip.IP(
         len=_IP_HEADER_BYTES + _UDP_HEADER_BYTES + DATA_BYTES,
         id=0,
@@ -104,7 +108,7 @@ def position_frame(link: Link, payload: bytes, number: int) -> bytes:
     if len(payload) != POSITION_BYTES:
         raise PacketError(f"position packet {number}", f"{len(payload)} bytes", f"{POSITION_BYTES}")
     udp = dpkt.udp.UDP(
-        sport=POSITION_PORT, dport=POSITION_PORT, ulen=_UDP_HEADER_BYTES + len(payload), data=payload
+        sport=POSITION_PORT, dport=link.position_port, ulen=_UDP_HEADER_BYTES + len(payload), data=payload
     )
     ip = dpkt.ip.IP(
         id=number & 0xFFFF,

@@ -5,6 +5,7 @@ from vlp16emu.sinks.pacing import Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import PcapResult, PcapSink
 from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, StreamReport, stream
+from vlp16emu.sinks.truth import TruthFolder, tum_rows
 from vlp16emu.sinks.udp import LOOPBACK, UdpResult, UdpSink
 
 __all__ = [
@@ -18,7 +19,9 @@ __all__ = [
     "PcapResult",
     "PcapSink",
     "StreamReport",
+    "TruthFolder",
     "UdpResult",
     "UdpSink",
     "stream",
+    "tum_rows",
 ]

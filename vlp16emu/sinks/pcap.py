@@ -4,6 +4,7 @@ import hashlib
 import os
 import struct
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Self
 import dpkt
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
+from vlp16emu.packets.frames import FACTORY_LINK, Link, data_header, position_frame
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS
 
@@ -46,7 +47,8 @@ class PcapSink:
     Parameters
     ----------
     path : the file, or a pipe
-    first_position_number : position packets between power-up and this file; numbers the frames
+    first_position_numbers : position packets of each unit between power-up and this file; number its frames
+    links : of each unit
 
     Raises
     ------
@@ -56,10 +58,13 @@ class PcapSink:
         If it cannot be written: here, or later in `send`.
     """
 
-    def __init__(self, path: Path, first_position_number: int) -> None:
+    def __init__(
+        self, path: Path, first_position_numbers: Sequence[int], links: Sequence[Link] = (FACTORY_LINK,)
+    ) -> None:
         self.path = path
-        self._first_position_number = first_position_number
-        self._data_header = data_header(FACTORY_LINK)
+        self._position_numbers = list(first_position_numbers)
+        self._links = links
+        self._data_headers = [data_header(link) for link in links]
         self._sent = Counter[PacketKind]()
         self._bytes = 0
         self._hash = hashlib.sha256()
@@ -97,6 +102,7 @@ class PcapSink:
         seconds, rest_ns = divmod(packet.due_ns, S_NS)
         self._write(_RECORD_HEADER.pack(seconds, rest_ns // US_NS, len(frame), len(frame)) + frame)
         self._sent[packet.kind] += 1
+        self._position_numbers[packet.unit] += packet.kind is PacketKind.POSITION
 
     @property
     def result(self) -> PcapResult:
@@ -111,10 +117,10 @@ class PcapSink:
     def _frame(self, packet: Packet) -> bytes:
         """Frame of a data or position packet."""
         if packet.kind is PacketKind.DATA:
-            return self._data_header + packet.payload
+            return self._data_headers[packet.unit] + packet.payload
         if packet.kind is PacketKind.POSITION:
-            number = self._first_position_number + self._sent[PacketKind.POSITION]
-            return position_frame(FACTORY_LINK, packet.payload, number)
+            number = self._position_numbers[packet.unit]
+            return position_frame(self._links[packet.unit], packet.payload, number)
         raise ValueError(f"found a packet of kind {packet.kind}, expected data or position")
 
     def _write(self, record: bytes) -> None:

@@ -17,6 +17,7 @@ from vlp16emu.packets.frames import (
     POSITION_TTL,
 )
 from vlp16emu.packets.layout import BLOCK_FLAG, DATA_BYTES, POSITION_BYTES, POSITION_PAYLOAD
+from vlp16emu.packets.units import CapturedUnit
 from vlp16emu.report.verify.rules import Findings, Rule
 from vlp16emu.types import PacketKind
 
@@ -26,6 +27,7 @@ _FLAG = BLOCK_FLAG.to_bytes(2, "little")
 SENTENCE_OFFSET: int = POSITION_PAYLOAD.fields["sentence"][1]  # type: ignore[index]  # it has fields
 """First character of the sentence in a position payload."""
 _PORT = {PacketKind.DATA: DATA_PORT, PacketKind.POSITION: POSITION_PORT}
+"""From which both are sent, and to which unless the user has set others."""
 _PAYLOAD_BYTES = {PacketKind.DATA: DATA_BYTES, PacketKind.POSITION: POSITION_BYTES}
 _TTL = {PacketKind.DATA: DATA_TTL, PacketKind.POSITION: POSITION_TTL}
 _FLAGS = {PacketKind.DATA: dpkt.ip.IP_DF, PacketKind.POSITION: 0}
@@ -42,9 +44,14 @@ def kind_of(datagram: Datagram) -> PacketKind | None:
     return PacketKind.POSITION if POSITION_PORT in ports or has_sentence else None
 
 
-def check_frame(datagram: Datagram, kind: PacketKind, findings: Findings) -> bool:
-    """Check lengths, ports and headers; returns whether the payload can be read."""
-    payload_bytes, port = _PAYLOAD_BYTES[kind], _PORT[kind]
+def check_frame(datagram: Datagram, kind: PacketKind, unit: CapturedUnit | None, findings: Findings) -> bool:
+    """Check lengths, ports and headers; returns whether the payload can be read.
+
+    Parameters
+    ----------
+    unit : one of several, whose users give them ports of their own; None for a sensor that is alone
+    """
+    payload_bytes = _PAYLOAD_BYTES[kind]
     if len(datagram.payload) != payload_bytes:
         found = f"a {kind} payload of {len(datagram.payload)} bytes"
         findings.add(Rule.FRAMING, datagram.number, found, f"{payload_bytes} bytes")
@@ -54,9 +61,10 @@ def check_frame(datagram: Datagram, kind: PacketKind, findings: Findings) -> boo
         found = f"{datagram.captured_bytes} of {datagram.wire_bytes} bytes captured"
         findings.add(Rule.FRAMING, datagram.number, found, f"a frame of {whole} bytes, whole")
     ports = (datagram.source_port, datagram.destination_port)
-    if ports != (port, port):
+    wanted = _PORT[kind], _PORT[kind] if unit is None else ports[1]
+    if ports != wanted:
         found = f"a {kind} packet from {ports[0]} to {ports[1]}"
-        findings.add(Rule.PORTS, datagram.number, found, f"from {port} to {port}")
+        findings.add(Rule.PORTS, datagram.number, found, f"from {wanted[0]} to {wanted[1]}")
     for found, expected in _header_faults(datagram, kind):
         findings.add(Rule.HEADER, datagram.number, f"{kind} {found}", expected)
     return True

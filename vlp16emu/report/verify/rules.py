@@ -20,7 +20,7 @@ class Rule(StrEnum):
     FRAMING = "framing"
     """Payloads of 1206 and 512 bytes, whole frames without padding or trailer."""
     PORTS = "ports"
-    """From 2368 to 2368 and from 8308 to 8308."""
+    """From 2368 to 2368 and from 8308 to 8308; of several units each may send to ports of its own."""
     HEADER = "header"
     """IPv4 and UDP header fields of each stream, checksums included."""
     STAMP_ORDER = "stamp-order"

@@ -15,6 +15,7 @@ from vlp16emu.packets.layout import (
     SEQUENCE_PERIOD_NS,
     SEQUENCES_PER_PACKET,
 )
+from vlp16emu.packets.units import CapturedUnit
 from vlp16emu.report.verify.framing import check_frame, kind_of
 from vlp16emu.report.verify.position import PositionRules
 from vlp16emu.report.verify.records import DataChunk, check_factory, check_records
@@ -43,7 +44,7 @@ class Verification:
     data_packets: int
     position_packets: int
     other_frames: int
-    """Of other traffic, not looked at."""
+    """Of other traffic and of other units, not looked at."""
     lost_packets: int
     """Missing data and position packets."""
     span_s: float
@@ -63,12 +64,13 @@ class Verification:
         return not self.counts
 
 
-def verify_capture(path: Path, *, limit_per_rule: int = 10) -> Verification:
+def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_rule: int = 10) -> Verification:
     """Check a capture against all rules, in one pass and with little memory.
 
     Parameters
     ----------
     path : classic pcap file
+    unit : whose packets are looked at where there are several; None for those of all
     limit_per_rule : findings kept of each rule; all are counted
 
     Raises
@@ -77,17 +79,18 @@ def verify_capture(path: Path, *, limit_per_rule: int = 10) -> Verification:
         If the file cannot be read, or holds no VLP-16 packets at all.
     """
     with Capture(path) as capture:
-        check = _Check(Findings(limit_per_rule))
+        check = _Check(Findings(limit_per_rule), unit)
         for datagram in capture:
-            check.take(datagram)
+            if unit is None or unit.owns(datagram):
+                check.take(datagram)
         return check.finish(path, capture)
 
 
 class _Check:
     """Sorts datagrams by kind, keeps the books, and hands data packets on in chunks."""
 
-    def __init__(self, findings: Findings) -> None:
-        self._findings = findings
+    def __init__(self, findings: Findings, unit: CapturedUnit | None) -> None:
+        self._findings, self._unit = findings, unit
         self._sweep = SweepRules(findings)
         self._position = PositionRules(findings)
         self._chunk: list[Datagram] = []
@@ -110,7 +113,7 @@ class _Check:
         self._packets[kind] += 1
         self._first.setdefault(kind, datagram)
         self._last[kind] = datagram
-        is_readable = check_frame(datagram, kind, self._findings)
+        is_readable = check_frame(datagram, kind, self._unit, self._findings)
         if kind is PacketKind.DATA:
             self._take_data(datagram, is_readable=is_readable)
         elif is_readable:

@@ -1,0 +1,257 @@
+"""A capture as points, chunk by chunk, and what it holds in numbers."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.cli.export import Column
+from vlp16emu.errors import CaptureError, PacketError
+from vlp16emu.packets import (
+    AZIMUTH_CODES,
+    BLOCK_PERIOD_NS,
+    DATA_BYTES,
+    DATA_PAYLOAD,
+    DISTANCE_LSB_M,
+    FACTORY_BYTE,
+    POSITION_BYTES,
+    RECORDS_PER_PACKET,
+    RETURN_MODE_BYTE,
+    Capture,
+    CapturedUnit,
+    Datagram,
+    Points,
+    PositionFields,
+    data_fields,
+    decode_data,
+    decode_position,
+    scan_starts,
+)
+from vlp16emu.types import Packet, PacketKind, ReturnMode, SensorModel
+from vlp16emu.units import HOUR_NS, S_NS, US_NS
+
+__all__ = ["COLUMNS", "COMMENTS", "CaptureReader", "Summary", "returns_in"]
+
+COLUMNS = (
+    Column("clock_ns", "<i8", ("time_s",), 9, ("time",), "<f8"),
+    Column("xyz_m", "<f4", ("x_m", "y_m", "z_m"), 4, ("x", "y", "z")),
+    Column("distance_m", "<f4", ("distance_m",), 3),
+    Column("azimuth_deg", "<f8", ("azimuth_deg",), 4),
+    Column("reflectivity", "|u1", ("reflectivity",), 0, ("intensity",), "<f4"),
+    Column("ring", "|u1", ("ring",), 0, ("ring",), "<u2"),
+    Column("laser", "|u1", ("laser",)),
+    Column("is_last", "|b1", ("is_last",)),
+)
+"""What is told of each point of a capture: the arrays of `Points`, and the sensor's clock."""
+COMMENTS = (
+    "VLP-16 sensor frame in metres: azimuth 0 on +y, clockwise seen from above",
+    "time in seconds on the sensor's clock",
+)
+
+_CHUNK = 2_000
+"""Packets decoded at once: 0.8 million records, some 50 MB of points."""
+_BLOCK_RECORDS = 32
+
+
+def returns_in(packet: Packet) -> int:
+    """Count the distances of a data packet that are not 0; none in other packets."""
+    if packet.kind is not PacketKind.DATA:
+        return 0
+    fields = np.frombuffer(packet.payload, DATA_PAYLOAD)
+    return int(np.count_nonzero(fields["blocks"]["records"]["distance_lsb"]))
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What a capture holds."""
+
+    packets: int
+    position_packets: int
+    other_datagrams: int
+    model: SensorModel
+    return_mode: str
+    """One, or several with commas where it changes."""
+    points: int
+    no_returns: int
+    scans: int
+    """Turns of the head, begun ones at both ends included."""
+    records_per_scan: int | None
+    """Median of the whole turns, no-returns counted; None where there is no whole turn."""
+    rpm: float
+    first_stamp_ns: int
+    """UTC, of the capture, at the first data packet."""
+    duration_s: float
+    """Between the stamps of the first and the last data packet."""
+    range_m: tuple[float, float, float] | None
+    """Minimum, median and maximum of the returns; None where there are none."""
+    gps: PositionFields | None
+    """The last position packet."""
+    cut: bool
+    """The file ends in the middle of a packet."""
+
+
+class CaptureReader:
+    """Reads a capture once, front to back, and keeps the books for a summary. A context manager.
+
+    Parameters
+    ----------
+    path : a classic pcap file
+    unit : whose packets are read where there are several; None for those of all
+
+    Raises
+    ------
+    CaptureError
+        where it is none
+    """
+
+    def __init__(self, path: Path, unit: CapturedUnit | None = None) -> None:
+        self._path, self._unit = path, unit
+        self._capture = Capture(path)
+        self._codes = np.zeros(2**16, np.int64)
+        self._azimuth_cdeg: list[NDArray[np.uint16]] = []
+        self._modes: dict[int, None] = {}
+        self._factory = 0
+        self._turned_cdeg = self._turning_ns = 0
+        self._positions = self._others = 0
+        self._gps: PositionFields | None = None
+        self._stamps_ns: tuple[int, int] | None = None
+        self._hours = 0
+        self._clock_us = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._capture.__exit__(kind, error, trace)
+
+    def points(self) -> Iterator[tuple[Points, NDArray[np.int64]]]:
+        """Points without no-returns, and (n,) their time on the sensor's clock in ns.
+
+        The time counts from the full hour before the capture and goes on past the next one.
+
+        Raises
+        ------
+        CaptureError
+            where a record is damaged, or no packet is a data packet
+        PacketError
+            where a packet is not a VLP-16's
+        """
+        for payloads, own, where in self._chunks():
+            try:
+                points = decode_data(payloads, keep_no_returns=False)
+            except PacketError as error:
+                raise PacketError(f"{where}: {error.where}", error.found, error.expected) from None
+            fields = data_fields(payloads)
+            points, clock_ns = self._unwrapped(points, fields, own)
+            self._note(fields[:own])
+            yield points, clock_ns
+        if not self._azimuth_cdeg:
+            raise CaptureError(str(self._path), "no data packet", f"UDP payloads of {DATA_BYTES} bytes")
+
+    @property
+    def summary(self) -> Summary:
+        """What has been read, once all points have been taken."""
+        azimuth_cdeg = np.concatenate(self._azimuth_cdeg)
+        starts = scan_starts(azimuth_cdeg.ravel() / 100)
+        whole = np.diff(starts)[1:] * _BLOCK_RECORDS
+        first_ns, last_ns = self._stamps_ns or (0, 0)
+        modes = {code: mode for mode, code in RETURN_MODE_BYTE.items()}
+        points = int(self._codes[1:].sum())
+        return Summary(
+            packets=len(azimuth_cdeg),
+            position_packets=self._positions,
+            other_datagrams=self._others,
+            model=next(model for model in SensorModel if FACTORY_BYTE[model] == self._factory),
+            return_mode=", ".join(modes[code] for code in self._modes),
+            points=points,
+            no_returns=len(azimuth_cdeg) * RECORDS_PER_PACKET - points,
+            scans=len(starts),
+            records_per_scan=int(np.median(whole)) if len(whole) else None,
+            rpm=self._turned_cdeg / AZIMUTH_CODES / (self._turning_ns / S_NS) * 60,
+            first_stamp_ns=first_ns,
+            duration_s=(last_ns - first_ns) / S_NS,
+            range_m=self._ranges_m() if points else None,
+            gps=self._gps,
+            cut=self._capture.cut,
+        )
+
+    def _chunks(self) -> Iterator[tuple[NDArray[np.uint8], int, str]]:
+        """Payloads (n, 1206), how many of them are new, and where they stand.
+
+        The last packet of a chunk comes again as the first of the next, and is counted there: the azimuths
+        of its last block need the packet that follows.
+        """
+        held: list[Datagram] = []
+        for datagram in self._capture:
+            if self._unit is not None and not self._unit.owns(datagram):
+                continue
+            if len(datagram.payload) != DATA_BYTES:
+                self._note_other(datagram)
+                continue
+            first_ns, _ = self._stamps_ns or (datagram.stamp_ns, 0)
+            self._stamps_ns = first_ns, datagram.stamp_ns
+            held.append(datagram)
+            if len(held) > _CHUNK:
+                yield self._chunk(held, _CHUNK)
+                held = held[-1:]
+        if held:
+            yield self._chunk(held, len(held))
+
+    def _chunk(self, held: list[Datagram], own: int) -> tuple[NDArray[np.uint8], int, str]:
+        """Join payloads."""
+        joined = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)
+        where = f"{self._path}: frames {held[0].number} to {held[-1].number}"
+        return joined.reshape(len(held), DATA_BYTES), own, where
+
+    def _note_other(self, datagram: Datagram) -> None:
+        """Count what is no data packet."""
+        if len(datagram.payload) != POSITION_BYTES:
+            self._others += 1
+            return
+        self._positions += 1
+        try:
+            self._gps = decode_position(datagram.payload)
+        except PacketError as error:
+            where = f"{self._path}: frame {datagram.number}: {error.where}"
+            raise PacketError(where, error.found, error.expected) from None
+
+    def _note(self, fields: NDArray[np.void]) -> None:
+        """Count a chunk of data packets."""
+        blocks = fields["blocks"]
+        self._codes += np.bincount(blocks["records"]["distance_lsb"].ravel(), minlength=2**16)
+        azimuth_cdeg = blocks["azimuth_cdeg"]
+        self._azimuth_cdeg.append(azimuth_cdeg.copy())
+        self._modes |= dict.fromkeys(fields["return_mode"].tolist())
+        self._factory = int(fields["factory"][0])
+        dual = fields["return_mode"] == RETURN_MODE_BYTE[ReturnMode.DUAL]
+        # From block 0 to block 10, which in dual return is the first of the sixth pair.
+        turned_cdeg = (azimuth_cdeg[:, 10].astype(np.int64) - azimuth_cdeg[:, 0]) % AZIMUTH_CODES
+        self._turned_cdeg += int(turned_cdeg.sum())
+        self._turning_ns += int(np.where(dual, 5, 10).sum()) * BLOCK_PERIOD_NS
+
+    def _unwrapped(
+        self, points: Points, fields: NDArray[np.void], own: int
+    ) -> tuple[Points, NDArray[np.int64]]:
+        """Points of the first `own` packets, and their clock with the hours added."""
+        clock_us = fields["timestamp_us"].astype(np.int64)
+        back_us = np.diff(clock_us, prepend=self._clock_us if self._azimuth_cdeg else clock_us[0])
+        hours = self._hours + np.cumsum(back_us * US_NS < -HOUR_NS // 2)
+        self._hours, self._clock_us = int(hours[own - 1]), int(clock_us[own - 1])
+        n = int(np.searchsorted(points.packet, own))
+        points = Points(**{name: getattr(points, name)[:n] for name in Points.__slots__})
+        packet_ns = clock_us[points.packet] * US_NS
+        since_ns = (points.time_ns - packet_ns) % HOUR_NS
+        return points, packet_ns + since_ns + hours[points.packet] * HOUR_NS
+
+    def _ranges_m(self) -> tuple[float, float, float]:
+        """Minimum, median and maximum distance."""
+        below = np.cumsum(self._codes[1:])
+        shares = (1, -(-below[-1] // 2), below[-1])
+        low, middle, high = (float(code + 1) * DISTANCE_LSB_M for code in np.searchsorted(below, shares))
+        return low, middle, high

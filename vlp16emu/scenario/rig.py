@@ -1,0 +1,50 @@
+"""The `[[rig]]` tables: further sensors on the same carrier."""
+
+from ipaddress import IPv4Address
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from vlp16emu.scenario.harness import Mount
+from vlp16emu.scenario.presets import merged
+from vlp16emu.scenario.sensor import Sensor
+
+__all__ = ["Unit", "completed"]
+
+_OWN = frozenset({"name", "serial_number", "address", "data_port", "position_port"})
+"""What no two units have in common, so none of it is taken from `[sensor]`."""
+
+
+class Unit(Sensor):
+    """A sensor beside that of `[sensor]`, whose keys hold here too unless others are given.
+
+    Name, serial number, address and ports count on from those of `[sensor]`.
+    """
+
+    mount: Mount = Mount()
+    """On the carrier of `[motion]`, whose own `mount` is that of `[sensor]`."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
+    """Of its errors and all else that is random in it; from the scene's seed if left out."""
+
+
+def completed(table: Any, first: Sensor, place: int) -> Any:
+    """Lay the table of a unit over what it has from the first one.
+
+    Parameters
+    ----------
+    table : as the user wrote it; what is no table is left to the check of its type
+    first : `[sensor]`
+    place : of the table, from 1
+    """
+    if not isinstance(table, dict):
+        return table
+    not_taken = _OWN | (Sensor.either_or if Sensor.either_or & table.keys() else frozenset())
+    told = first.model_dump(exclude_unset=True, exclude=set(not_taken))
+    counted = {
+        "name": f"unit_{place + 1}",
+        "serial_number": str(int(first.serial_number) + place).zfill(len(first.serial_number)),
+        "address": str(IPv4Address(first.address) + place),
+        "data_port": first.data_port + place,
+        "position_port": first.position_port + place,
+    }
+    return merged(counted | told, table)
