@@ -2,31 +2,69 @@
 
 from collections.abc import Iterator
 
-from vlp16emu.assembly import Parts
-from vlp16emu.motion import fix_at
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.assembly import Parts, Unit
+from vlp16emu.device import GpsInput
+from vlp16emu.motion import GnssErrors, Origin, Receiver
 from vlp16emu.packets import STAMP_LEAD_NS, first_position_packet, pack_position, position_due_ns, rmc
+from vlp16emu.pipeline import Windows
+from vlp16emu.raycast import Scene
+from vlp16emu.raycast.sky import sky_cover
 from vlp16emu.scenario import Scenario
+from vlp16emu.scenario.sensor import on_the_wire
 from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["position_number", "position_packets"]
+__all__ = ["make_receiver", "position_number", "position_packets"]
+
+_LOWEST_DEG = 15.0
+"""Elevation from which on receivers use satellites: the usual mask of forest surveys."""
 
 
-def position_number(scenario: Scenario, since_ns: int) -> int:
-    """Find the number of the first position packet due at a time since the first pulse, or later."""
-    start_ns = scenario.start_ns
-    return first_position_packet(scenario.sensor.position_rate, scenario.seed, start_ns, start_ns + since_ns)
+def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Scene]) -> Receiver:
+    """Make the GPS receiver, which sees the sky through the windows of the run."""
+    gps, start_ns, far_m = scenario.gps, scenario.start_ns, scenario.sensor.max_range_m
+
+    def cover(t_ns: int, antenna_m: NDArray[np.float64]) -> float:
+        scene = windows.at_time(t_ns - start_ns).result()
+        return sky_cover(scene, antenna_m, _LOWEST_DEG, far_m)
+
+    return Receiver(
+        parts.motion,
+        origin=Origin(gps.latitude_deg, gps.longitude_deg, gps.height_m),
+        antenna_above_m=gps.antenna_above_m,
+        errors=GnssErrors(
+            position_noise_m=gps.position_noise_m,
+            wander_m=gps.wander_m,
+            wander_s=gps.wander_s,
+            velocity_noise_m_s=gps.velocity_noise_m_s,
+            canopy_error_factor=gps.canopy_error_factor,
+            canopy_half_cover=gps.canopy_half_cover,
+            canopy_cover_width=gps.canopy_cover_width,
+        ),
+        seed=scenario.seed,
+        sky=cover if gps.canopy_loss else None,
+    )
 
 
-def position_packets(scenario: Scenario, parts: Parts, start_ns: int, stop_ns: int) -> Iterator[Packet]:
-    """Yield the position packets due in a span since the first pulse."""
-    rate, gps, clock = scenario.sensor.position_rate, parts.gps, parts.head.clock
+def position_number(scenario: Scenario, unit: Unit, since_ns: int) -> int:
+    """Find the number of a unit's first position packet due at a time since the first pulse, or later."""
+    start_ns, rate = scenario.start_ns, on_the_wire(unit.section).position_rate
+    return first_position_packet(rate, unit.seed, start_ns, start_ns + since_ns)
+
+
+def position_packets(
+    scenario: Scenario, gps: GpsInput, receiver: Receiver, unit: Unit, start_ns: int, stop_ns: int
+) -> Iterator[Packet]:
+    """Yield the position packets of a unit due in a span since the first pulse."""
+    rate, clock = on_the_wire(unit.section).position_rate, unit.head.clock
     named_ns, sentence = None, b""
-    for number in range(position_number(scenario, start_ns), position_number(scenario, stop_ns)):
-        due_ns = position_due_ns(rate, scenario.seed, scenario.start_ns, number, 1)
+    for number in range(*(position_number(scenario, unit, since_ns) for since_ns in (start_ns, stop_ns))):
+        due_ns = position_due_ns(rate, unit.seed, scenario.start_ns, number, 1)
         stamp_ns = due_ns - STAMP_LEAD_NS
         second_ns = gps.second_ns(int(stamp_ns[0]))
         if second_ns is not None and second_ns != named_ns:
-            fix = fix_at(parts.motion, second_ns, scenario.gps.latitude_deg, scenario.gps.longitude_deg)
-            named_ns, sentence = second_ns, rmc(fix)
+            named_ns, sentence = second_ns, rmc(receiver.fix(second_ns))
         payload = pack_position(int(clock.reading_ns(stamp_ns)[0]), gps.pps, sentence)
-        yield Packet(PacketKind.POSITION, int(due_ns[0]), payload)
+        yield Packet(PacketKind.POSITION, int(due_ns[0]), payload, unit.number)

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 HEAVY = {"numpy", "numba", "scipy", "pydantic", "dpkt", "rich", "vlp16emu.emulator", "vlp16emu.scenario"}
-VERBS = ["record", "stream", "decode", "verify", "scenes", "schema"]
+VERBS = ["record", "stream", "decode", "points", "verify", "scenes", "schema"]
 
 
 @pytest.mark.parametrize("verb", [[], *([verb] for verb in VERBS)], ids=["", *VERBS])

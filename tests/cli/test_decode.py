@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from vlp16emu.cli.points import CaptureReader
+from vlp16emu.cli.reading import CaptureReader
 from vlp16emu.packets import Capture, data_fields, decode_data
 
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
@@ -55,7 +55,7 @@ def test_dual_return_counts_both_records(cli, dual):
 
 def test_chunks_leave_no_trace(bench, monkeypatch):
     """Read in chunks of 7 packets the points are those of all packets decoded at once."""
-    monkeypatch.setattr("vlp16emu.cli.points._CHUNK", 7)
+    monkeypatch.setattr("vlp16emu.cli.reading._CHUNK", 7)
     whole = decode_data(payloads(bench), keep_no_returns=False)
     with CaptureReader(bench) as reader:
         chunks = [points for points, _ in reader.points()]
@@ -69,7 +69,7 @@ def test_chunks_leave_no_trace(bench, monkeypatch):
 @pytest.mark.parametrize("size", [2, 5, 2_000])
 def test_time_goes_on_over_the_full_hour(dual, monkeypatch, size):
     """The time of points rises over the hour, where the sensor's own clock falls back to 0."""
-    monkeypatch.setattr("vlp16emu.cli.points._CHUNK", size)
+    monkeypatch.setattr("vlp16emu.cli.reading._CHUNK", size)
     with CaptureReader(dual) as reader:
         clock_ns = np.concatenate([clock_ns for _, clock_ns in reader.points()])
     stamps_us = data_fields(payloads(dual))["timestamp_us"]

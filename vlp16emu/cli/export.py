@@ -1,26 +1,58 @@
-"""Points into files for other programs."""
+"""Columns of points into files for other programs, block by block."""
 
-import io
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import IO, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.cli.text import csv_lines
 from vlp16emu.errors import InputError, OutputError, RunError
-from vlp16emu.packets import Points
-from vlp16emu.units import S_NS
 
-__all__ = ["PointWriter", "writing"]
+__all__ = ["Block", "Column", "PointWriter", "writing"]
+
+Block = Mapping[str, NDArray[Any]]
+"""Arrays of one length by the names of their columns."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One array of the points, and how each format shows it."""
+
+    name: str
+    """In .npz."""
+    dtype: str
+    csv: tuple[str, ...]
+    """Headers, one for each number that a point has in this column."""
+    decimals: int = 0
+    """Behind the point in .csv. Whole numbers with decimals count units of the last one."""
+    ply: tuple[str, ...] = ()
+    """Names of properties, as many; empty for a column that .ply leaves out."""
+    ply_dtype: str = ""
+    """Type of the properties where it is not that of the array."""
+
+    @property
+    def is_fixed_point(self) -> bool:
+        """Whether whole numbers stand for fractions."""
+        return self.decimals > 0 and not self.is_float
+
+    @property
+    def is_float(self) -> bool:
+        """Whether the array holds floating-point numbers."""
+        return np.dtype(self.dtype).kind == "f"
 
 
 class PointWriter(Protocol):
-    """Takes points chunk by chunk."""
+    """Takes points block by block."""
 
-    def write(self, points: Points, clock_ns: NDArray[np.int64]) -> None:
-        """Add points, and (n,) their time on the sensor's clock."""
+    def write(self, block: Block) -> None:
+        """Add points."""
 
     def finish(self) -> None:
         """Write what could not be written before all points were known."""
@@ -29,56 +61,49 @@ class PointWriter(Protocol):
 class _Csv:
     """One line per point; the header names the units."""
 
-    _COLUMNS = "time_s,x_m,y_m,z_m,distance_m,azimuth_deg,reflectivity,ring,laser,is_last"
-    _FORMAT = ("%.9f", "%.4f", "%.4f", "%.4f", "%.3f", "%.4f", "%d", "%d", "%d", "%d")
+    def __init__(
+        self, file: IO[bytes], columns: Sequence[Column], _comments: Sequence[str], _stack: ExitStack
+    ) -> None:
+        self._file, self._columns = file, columns
+        self._decimals = np.array([column.decimals for column in columns for _ in column.csv])
+        file.write(f"{','.join(name for column in columns for name in column.csv)}\n".encode())
 
-    def __init__(self, file: io.BufferedWriter) -> None:
-        self._file = file
-        file.write(f"{self._COLUMNS}\n".encode())
-
-    def write(self, points: Points, clock_ns: NDArray[np.int64]) -> None:
+    def write(self, block: Block) -> None:
         """Append lines."""
-        columns = (
-            clock_ns / S_NS,
-            *points.xyz_m.T,
-            points.distance_m,
-            points.azimuth_deg,
-            points.reflectivity,
-            points.ring,
-            points.laser,
-            points.is_last,
-        )
-        np.savetxt(self._file, np.column_stack(columns), fmt=self._FORMAT, delimiter=",")
+        numbers = [_whole(block[column.name], column) for column in self._columns]
+        self._file.write(csv_lines(np.concatenate(numbers, axis=1), self._decimals))
 
     def finish(self) -> None:
         """Nothing left to do."""
 
 
+_PLY_KINDS = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "ushort", "<u4": "uint"}
+
+
 class _Ply:
     """Binary little-endian PLY; the number of points is filled in at the end."""
 
-    _PROPERTIES = (
-        ("x", "float", "<f4"),
-        ("y", "float", "<f4"),
-        ("z", "float", "<f4"),
-        ("intensity", "float", "<f4"),
-        ("ring", "ushort", "<u2"),
-        ("time", "double", "<f8"),
-    )
-    _VERTEX = np.dtype([(name, code) for name, _, code in _PROPERTIES])
-
-    def __init__(self, file: io.BufferedWriter) -> None:
-        self._file = file
+    def __init__(
+        self, file: IO[bytes], columns: Sequence[Column], comments: Sequence[str], _stack: ExitStack
+    ) -> None:
+        self._file, self._comments = file, comments
+        # Coordinates first, as some readers take for granted.
+        self._columns = sorted((column for column in columns if column.ply), key=lambda c: c.ply[0] != "x")
+        self._vertex = np.dtype(
+            [(name, column.ply_dtype or column.dtype) for column in self._columns for name in column.ply]
+        )
         self._points = 0
         file.write(self._header())
 
-    def write(self, points: Points, clock_ns: NDArray[np.int64]) -> None:
+    def write(self, block: Block) -> None:
         """Append vertices."""
-        vertices = np.empty(len(points.ring), self._VERTEX)
-        vertices["x"], vertices["y"], vertices["z"] = points.xyz_m.T
-        vertices["intensity"] = points.reflectivity
-        vertices["ring"] = points.ring
-        vertices["time"] = clock_ns / S_NS
+        vertices = np.empty(len(block[self._columns[0].name]), self._vertex)
+        for column in self._columns:
+            values = block[column.name].reshape(len(vertices), len(column.ply))
+            if column.is_fixed_point:
+                values = values / 10**column.decimals
+            for part, name in enumerate(column.ply):
+                vertices[name] = values[:, part]
         self._file.write(vertices.tobytes())
         self._points += len(vertices)
 
@@ -89,42 +114,70 @@ class _Ply:
 
     def _header(self) -> bytes:
         """Header of a length that does not depend on the number of points."""
+        kinds = ((name, _PLY_KINDS[self._vertex[name].str]) for name in self._vertex.names or ())
         lines = [
             "ply",
             "format binary_little_endian 1.0",
-            "comment VLP-16 sensor frame in metres: azimuth 0 on +y, clockwise seen from above",
-            "comment time in seconds on the sensor's clock",
+            *(f"comment {comment}" for comment in self._comments),
             f"element vertex {self._points:<20}",
-            *(f"property {kind} {name}" for name, kind, _ in self._PROPERTIES),
+            *(f"property {kind} {name}" for name, kind in kinds),
             "end_header\n",
         ]
         return "\n".join(lines).encode("ascii")
 
 
 class _Npz:
-    """Numpy arrays by the names of `Points`, and `clock_ns`."""
+    """Numpy arrays by the names of the columns.
 
-    def __init__(self, file: io.BufferedWriter) -> None:
-        self._file = file
-        self._chunks: list[dict[str, NDArray[np.generic]]] = []
+    The format wants all of one array before the next, so each waits on the disk, beside the file to come.
+    """
 
-    def write(self, points: Points, clock_ns: NDArray[np.int64]) -> None:
-        """Keep arrays until the end: the format needs their length first."""
-        names = ("xyz_m", "distance_m", "azimuth_deg", "reflectivity", "ring", "laser", "is_last")
-        self._chunks.append({name: getattr(points, name) for name in names} | {"clock_ns": clock_ns})
+    def __init__(
+        self, file: IO[bytes], columns: Sequence[Column], _comments: Sequence[str], stack: ExitStack
+    ) -> None:
+        self._file, self._columns = file, columns
+        self._points = 0
+        folder = Path(file.name).parent
+        self._waiting: list[IO[bytes]] = []
+        for _ in columns:
+            aside = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  # the stack closes it
+            self._waiting.append(stack.enter_context(aside))
+
+    def write(self, block: Block) -> None:
+        """Put each array behind what there is of it."""
+        for column, waiting in zip(self._columns, self._waiting, strict=True):
+            waiting.write(np.ascontiguousarray(block[column.name], column.dtype).tobytes())
+        self._points += len(block[self._columns[0].name])
 
     def finish(self) -> None:
         """Write all arrays."""
-        joined = {name: np.concatenate([chunk[name] for chunk in self._chunks]) for name in self._chunks[0]}
-        np.savez(self._file, allow_pickle=False, **joined)
+        with zipfile.ZipFile(self._file, "w") as archive:
+            for column, waiting in zip(self._columns, self._waiting, strict=True):
+                shape = (self._points, len(column.csv)) if len(column.csv) > 1 else (self._points,)
+                header = {"descr": np.dtype(column.dtype).str, "fortran_order": False, "shape": shape}
+                with archive.open(f"{column.name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array_header_1_0(member, header)
+                    waiting.seek(0)
+                    shutil.copyfileobj(waiting, member, 1 << 20)
 
 
-_WRITERS: dict[str, Callable[[io.BufferedWriter], PointWriter]] = {".csv": _Csv, ".npz": _Npz, ".ply": _Ply}
+_WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], Sequence[str], ExitStack], PointWriter]] = {
+    ".csv": _Csv,
+    ".npz": _Npz,
+    ".ply": _Ply,
+}
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[PointWriter]:
+def writing(
+    path: Path, columns: Sequence[Column], comments: Sequence[str], *, where: str
+) -> Iterator[PointWriter]:
     """Open a file for points in the format that its suffix names.
+
+    Parameters
+    ----------
+    comments : lines for people, in formats that have a place for them
+    where : what error lines call the file
 
     Raises
     ------
@@ -136,15 +189,22 @@ def writing(path: Path) -> Iterator[PointWriter]:
         where it cannot be written to its end
     """
     if path.suffix not in _WRITERS:
-        raise InputError(f"--out {path}", f"found suffix '{path.suffix}'", ", ".join(_WRITERS))
+        raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(_WRITERS))
     try:
         file = path.open("wb")
     except OSError as error:
-        raise OutputError(f"--out {path}", str(error.strerror), "a file that can be written") from error
+        raise OutputError(where, str(error.strerror), "a file that can be written") from error
     try:
-        with file:
-            writer = _WRITERS[path.suffix](file)
+        with file, ExitStack() as stack:
+            writer = _WRITERS[path.suffix](file, columns, comments, stack)
             yield writer
             writer.finish()
     except OSError as error:
-        raise RunError(f"--out {path}: {error.strerror}; the file is not complete") from error
+        raise RunError(f"{where}: {error.strerror}; the file is not complete") from error
+
+
+def _whole(values: NDArray[Any], column: Column) -> NDArray[np.int64]:
+    """Count units of the last decimal, (n, c)."""
+    if column.is_float:
+        values = np.rint(values.astype(np.float64) * 10**column.decimals)
+    return values.reshape(len(values), len(column.csv)).astype(np.int64)

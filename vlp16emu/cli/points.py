@@ -1,236 +1,169 @@
-"""A capture as points, chunk by chunk, and what it holds in numbers."""
+"""`vlp16emu points`: what a sensor of any kind sees of a scene, as points."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import time
+from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+from threading import Event
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
+import typer
 
-from vlp16emu.errors import CaptureError, PacketError
-from vlp16emu.packets import (
-    AZIMUTH_CODES,
-    BLOCK_PERIOD_NS,
-    DATA_BYTES,
-    DATA_PAYLOAD,
-    DISTANCE_LSB_M,
-    FACTORY_BYTE,
-    POSITION_BYTES,
-    RECORDS_PER_PACKET,
-    RETURN_MODE_BYTE,
-    Capture,
-    Datagram,
-    Points,
-    PositionFields,
-    data_fields,
-    decode_data,
-    decode_position,
-    scan_starts,
+from vlp16emu.cli.arguments import (
+    AsJson,
+    Duration,
+    Ideal,
+    SceneName,
+    Settings,
+    Start,
+    Threads,
+    all_settings,
+    checked,
+    span_s,
 )
-from vlp16emu.types import Packet, PacketKind, ReturnMode, SensorModel
-from vlp16emu.units import HOUR_NS, S_NS, US_NS
+from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
+from vlp16emu.cli.output import count, print_json, print_rows, size
+from vlp16emu.cli.progress import Progress
+from vlp16emu.errors import InputError
 
-__all__ = ["CaptureReader", "Summary", "returns_in"]
+if TYPE_CHECKING:
+    from vlp16emu.assembly import Unit
+    from vlp16emu.cli.export import Block, PointWriter
 
-_CHUNK = 2_000
-"""Packets decoded at once: 0.8 million records, some 50 MB of points."""
-_BLOCK_RECORDS = 32
+__all__ = ["points"]
 
-
-def returns_in(packet: Packet) -> int:
-    """Count the distances of a data packet that are not 0; none in other packets."""
-    if packet.kind is not PacketKind.DATA:
-        return 0
-    fields = np.frombuffer(packet.payload, DATA_PAYLOAD)
-    return int(np.count_nonzero(fields["blocks"]["records"]["distance_lsb"]))
-
-
-@dataclass(frozen=True, slots=True)
-class Summary:
-    """What a capture holds."""
-
-    packets: int
-    position_packets: int
-    other_datagrams: int
-    model: SensorModel
-    return_mode: str
-    """One, or several with commas where it changes."""
-    points: int
-    no_returns: int
-    scans: int
-    """Turns of the head, begun ones at both ends included."""
-    records_per_scan: int | None
-    """Median of the whole turns, no-returns counted; None where there is no whole turn."""
-    rpm: float
-    first_stamp_ns: int
-    """UTC, of the capture, at the first data packet."""
-    duration_s: float
-    """Between the stamps of the first and the last data packet."""
-    range_m: tuple[float, float, float] | None
-    """Minimum, median and maximum of the returns; None where there are none."""
-    gps: PositionFields | None
-    """The last position packet."""
-    cut: bool
-    """The file ends in the middle of a packet."""
+OutFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="OUT",
+        help="File to write, .npz, .ply or .csv by its suffix; overwritten if it exists.",
+        show_default=False,
+    ),
+]
+Truth = Annotated[
+    bool,
+    typer.Option("--truth", help="Tell what each point lies on: class, part, leaf or wood, plant, species."),
+]
 
 
-class CaptureReader:
-    """Reads a capture once, front to back, and keeps the books for a summary. A context manager.
+def points(
+    scene: SceneName,
+    out: OutFile,
+    *,
+    duration: Duration = None,
+    start: Start = 0.0,
+    settings: Settings = None,
+    ideal: Ideal = False,
+    truth: Truth = False,
+    unit: Annotated[
+        int,
+        typer.Option(
+            "--unit",
+            metavar="N",
+            parser=checked("--unit", int, lambda n: n >= 1, "a whole number from 1"),
+            help="Which sensor of a rig; 1 is that of [sensor].",
+        ),
+    ] = 1,
+    threads: Threads = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Write the points of a scene, for a sensor of any beam table.
 
-    Parameters
-    ----------
-    path : a classic pcap file
-
-    Raises
-    ------
-    CaptureError
-        where it is none
+    Each point stands in the world and in the sensor's frame at the instant of its pulse, where a user of
+    the sensor would reckon it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C ends it early
+    and leaves a valid file.
     """
+    began_s = time.perf_counter()
+    from vlp16emu.cli.cloud import COLUMNS, RETURN_NAMES, TRUTH_COLUMNS, cloud, comments
+    from vlp16emu.cli.export import writing
+    from vlp16emu.emulator import Emulator
+    from vlp16emu.scenario import load
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._capture = Capture(path)
-        self._codes = np.zeros(2**16, np.int64)
-        self._azimuth_cdeg: list[NDArray[np.uint16]] = []
-        self._modes: dict[int, None] = {}
-        self._factory = 0
-        self._turned_cdeg = self._turning_ns = 0
-        self._positions = self._others = 0
-        self._gps: PositionFields | None = None
-        self._stamps_ns: tuple[int, int] | None = None
-        self._hours = 0
-        self._clock_us = 0
+    scenario = load(scene, all_settings(settings, ideal=ideal))
+    start_s, stop_s = span_s(start, duration, scenario.duration_s)
+    if unit > (units := 1 + len(scenario.rig)):
+        raise InputError("--unit", f"found {unit}", f"at most {units}, as the scene has {units} units")
+    emulator = Emulator(scenario, threads=threads, truth=truth)
+    blocks = cloud(emulator, unit - 1, start_s, stop_s, truth=truth)
+    columns = COLUMNS + TRUTH_COLUMNS if truth else COLUMNS
+    with (
+        stop_on_ctrl_c() as stop,
+        writing(out, columns, comments(scenario.start_utc.isoformat()), where=str(out)) as writer,
+        Progress(stop_s - start_s) as progress,
+    ):
+        numbers, done_s = _write(blocks, writer, progress, stop, start_s)
+    wall_s = time.perf_counter() - began_s
+    report: dict[str, Any] = {"file": str(out), "scene": scene, "seed": scenario.seed}
+    report |= _sensor(emulator.parts.units[unit - 1])
+    report |= {"points": sum(numbers), "returns": dict(zip(RETURN_NAMES, numbers, strict=True))}
+    report |= {"truth": truth, "bytes": out.stat().st_size, "simulated_s": done_s, "wall_s": wall_s}
+    report |= {"real_time_factor": done_s / wall_s, "interrupted": stop.is_set()}
+    _print(report, as_json=as_json)
+    if stop.is_set():
+        raise typer.Exit(INTERRUPTED)
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._capture.__exit__(kind, error, trace)
+def _write(
+    blocks: "Iterable[tuple[Block, int]]",
+    writer: "PointWriter",
+    progress: Progress,
+    stop: Event,
+    start_s: float,
+) -> tuple[list[int], float]:
+    """Write blocks until they end or are to stop; count points by return number, and the simulated seconds."""
+    import numpy as np
 
-    def points(self) -> Iterator[tuple[Points, NDArray[np.int64]]]:
-        """Points without no-returns, and (n,) their time on the sensor's clock in ns.
+    from vlp16emu.units import S_NS
 
-        The time counts from the full hour before the capture and goes on past the next one.
+    numbers, done_s = np.zeros(3, np.int64), 0.0
+    for block, end_ns in blocks:
+        writer.write(block)
+        numbers += np.bincount(block["return_number"], minlength=3)
+        done_s = end_ns / S_NS - start_s
+        progress.show("scanning", done_s)
+        if stop.is_set():
+            break
+    return numbers.tolist(), done_s
 
-        Raises
-        ------
-        CaptureError
-            where a record is damaged, or no packet is a data packet
-        PacketError
-            where a packet is not a VLP-16's
-        """
-        for payloads, own, where in self._chunks():
-            try:
-                points = decode_data(payloads, keep_no_returns=False)
-            except PacketError as error:
-                raise PacketError(f"{where}: {error.where}", error.found, error.expected) from None
-            fields = data_fields(payloads)
-            points, clock_ns = self._unwrapped(points, fields, own)
-            self._note(fields[:own])
-            yield points, clock_ns
-        if not self._azimuth_cdeg:
-            raise CaptureError(str(self._path), "no data packet", f"UDP payloads of {DATA_BYTES} bytes")
 
-    @property
-    def summary(self) -> Summary:
-        """What has been read, once all points have been taken."""
-        azimuth_cdeg = np.concatenate(self._azimuth_cdeg)
-        starts = scan_starts(azimuth_cdeg.ravel() / 100)
-        whole = np.diff(starts)[1:] * _BLOCK_RECORDS
-        first_ns, last_ns = self._stamps_ns or (0, 0)
-        modes = {code: mode for mode, code in RETURN_MODE_BYTE.items()}
-        points = int(self._codes[1:].sum())
-        return Summary(
-            packets=len(azimuth_cdeg),
-            position_packets=self._positions,
-            other_datagrams=self._others,
-            model=next(model for model in SensorModel if FACTORY_BYTE[model] == self._factory),
-            return_mode=", ".join(modes[code] for code in self._modes),
-            points=points,
-            no_returns=len(azimuth_cdeg) * RECORDS_PER_PACKET - points,
-            scans=len(starts),
-            records_per_scan=int(np.median(whole)) if len(whole) else None,
-            rpm=self._turned_cdeg / AZIMUTH_CODES / (self._turning_ns / S_NS) * 60,
-            first_stamp_ns=first_ns,
-            duration_s=(last_ns - first_ns) / S_NS,
-            range_m=self._ranges_m() if points else None,
-            gps=self._gps,
-            cut=self._capture.cut,
-        )
+def _sensor(unit: "Unit") -> dict[str, Any]:
+    """Tell what the beam table, the resolution and the speed make of a sensor."""
+    from vlp16emu.units import S_NS
 
-    def _chunks(self) -> Iterator[tuple[NDArray[np.uint8], int, str]]:
-        """Payloads (n, 1206), how many of them are new, and where they stand.
+    beams, rpm = unit.head.beams, unit.head.rotor.rpm
+    sequences_per_s = S_NS / beams.sequence_ns
+    return {
+        "unit": unit.number + 1,
+        "sensor": unit.section.model,
+        "beams": len(beams.elevation_deg),
+        "elevation_deg": [float(beams.elevation_deg.min()), float(beams.elevation_deg.max())],
+        "rpm": rpm,
+        "azimuth_step_deg": 6 * rpm / sequences_per_s,
+        "sequences_per_revolution": sequences_per_s * 60 / rpm,
+        "pulses_per_s": sequences_per_s * len(beams.elevation_deg),
+    }
 
-        The last packet of a chunk comes again as the first of the next, and is counted there: the azimuths
-        of its last block need the packet that follows.
-        """
-        held: list[Datagram] = []
-        for datagram in self._capture:
-            if len(datagram.payload) != DATA_BYTES:
-                self._note_other(datagram)
-                continue
-            first_ns, _ = self._stamps_ns or (datagram.stamp_ns, 0)
-            self._stamps_ns = first_ns, datagram.stamp_ns
-            held.append(datagram)
-            if len(held) > _CHUNK:
-                yield self._chunk(held, _CHUNK)
-                held = held[-1:]
-        if held:
-            yield self._chunk(held, len(held))
 
-    def _chunk(self, held: list[Datagram], own: int) -> tuple[NDArray[np.uint8], int, str]:
-        """Join payloads."""
-        joined = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)
-        where = f"{self._path}: frames {held[0].number} to {held[-1].number}"
-        return joined.reshape(len(held), DATA_BYTES), own, where
-
-    def _note_other(self, datagram: Datagram) -> None:
-        """Count what is no data packet."""
-        if len(datagram.payload) != POSITION_BYTES:
-            self._others += 1
-            return
-        self._positions += 1
-        try:
-            self._gps = decode_position(datagram.payload)
-        except PacketError as error:
-            where = f"{self._path}: frame {datagram.number}: {error.where}"
-            raise PacketError(where, error.found, error.expected) from None
-
-    def _note(self, fields: NDArray[np.void]) -> None:
-        """Count a chunk of data packets."""
-        blocks = fields["blocks"]
-        self._codes += np.bincount(blocks["records"]["distance_lsb"].ravel(), minlength=2**16)
-        azimuth_cdeg = blocks["azimuth_cdeg"]
-        self._azimuth_cdeg.append(azimuth_cdeg.copy())
-        self._modes |= dict.fromkeys(fields["return_mode"].tolist())
-        self._factory = int(fields["factory"][0])
-        dual = fields["return_mode"] == RETURN_MODE_BYTE[ReturnMode.DUAL]
-        # From block 0 to block 10, which in dual return is the first of the sixth pair.
-        turned_cdeg = (azimuth_cdeg[:, 10].astype(np.int64) - azimuth_cdeg[:, 0]) % AZIMUTH_CODES
-        self._turned_cdeg += int(turned_cdeg.sum())
-        self._turning_ns += int(np.where(dual, 5, 10).sum()) * BLOCK_PERIOD_NS
-
-    def _unwrapped(
-        self, points: Points, fields: NDArray[np.void], own: int
-    ) -> tuple[Points, NDArray[np.int64]]:
-        """Points of the first `own` packets, and their clock with the hours added."""
-        clock_us = fields["timestamp_us"].astype(np.int64)
-        back_us = np.diff(clock_us, prepend=self._clock_us if self._azimuth_cdeg else clock_us[0])
-        hours = self._hours + np.cumsum(back_us * US_NS < -HOUR_NS // 2)
-        self._hours, self._clock_us = int(hours[own - 1]), int(clock_us[own - 1])
-        n = int(np.searchsorted(points.packet, own))
-        points = Points(**{name: getattr(points, name)[:n] for name in Points.__slots__})
-        packet_ns = clock_us[points.packet] * US_NS
-        since_ns = (points.time_ns - packet_ns) % HOUR_NS
-        return points, packet_ns + since_ns + hours[points.packet] * HOUR_NS
-
-    def _ranges_m(self) -> tuple[float, float, float]:
-        """Minimum, median and maximum distance."""
-        below = np.cumsum(self._codes[1:])
-        shares = (1, -(-below[-1] // 2), below[-1])
-        low, middle, high = (float(code + 1) * DISTANCE_LSB_M for code in np.searchsorted(below, shares))
-        return low, middle, high
+def _print(report: dict[str, Any], *, as_json: bool) -> None:
+    """Print the report, for people unless as JSON."""
+    if as_json:
+        print_json(report)
+        return
+    low, high = report["elevation_deg"]
+    returns = ", ".join(f"{count(n)} {name.replace('_', ' ')}" for name, n in report["returns"].items() if n)
+    print_rows(
+        f"{'interrupted, kept' if report['interrupted'] else 'wrote'} {report['file']}",
+        {
+            "scene": f"{report['scene']}, seed {report['seed']}",
+            "sensor": f"{report['sensor']}: {report['beams']} beams from {low:g} to {high:g} deg",
+            "rotor": (
+                f"{report['rpm']} rpm, {report['sequences_per_revolution']:.1f} firing sequences per "
+                f"revolution, {report['azimuth_step_deg']:.4g} deg apart"
+            ),
+            "pulses": f"{count(round(report['pulses_per_s']))} per second",
+            "simulated": f"{report['simulated_s']:.1f} s",
+            "points": f"{count(report['points'])}{f': {returns}' if returns else ''}",
+            "labels": "yes" if report["truth"] else "no, see --truth",
+            "size": size(report["bytes"]),
+            "run time": f"{report['wall_s']:.1f} s, {report['real_time_factor']:.2f} x real time",
+        },
+    )

@@ -1,0 +1,237 @@
+"""Scenes as points."""
+
+import csv
+
+import numpy as np
+import pytest
+import trimesh
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.packets import DISTANCE_LSB_M
+from vlp16emu.scenario import load
+from vlp16emu.types import PlantPart, Semantic
+
+FREE = ["--set", "sensor.model=free"]
+
+
+@pytest.fixture
+def points(cli, tmp_path):
+    """Points of the hall as arrays, and the report."""
+
+    def call(*options, duration=0.05, scene="static_bench"):
+        path = tmp_path / "points.npz"
+        outcome = cli("points", scene, path, "--duration", duration, "--json", *options)
+        assert outcome.err == ""
+        with np.load(path) as arrays:
+            return dict(arrays), outcome.tree
+
+    return call
+
+
+def test_points_are_those_of_the_packets(cli, tmp_path, bench, points):
+    """Without encoder errors the points are those that a recording decodes to, but for the steps of the wire."""
+    decoded = tmp_path / "decoded.npz"
+    assert cli("decode", bench, "--out", decoded).code == 0
+    own, _ = points(duration=0.5)
+    with np.load(decoded) as wire:
+        n = len(wire["ring"])  # the last packet is not full at the end of the span
+        assert 0 <= len(own["ring"]) - n < 384
+        for name in ("ring", "laser", "reflectivity"):
+            np.testing.assert_array_equal(own[name][:n], wire[name])
+        # The wire has steps of 1 us and 0.01 deg, both cut off; decoding takes a packet's mean speed.
+        late_ns = own["since_start_ns"][:n] - wire["clock_ns"]
+        assert 0 <= late_ns.min() <= late_ns.max() < 1_000
+        turned_deg = (own["azimuth_deg"][:n] - wire["azimuth_deg"] + 180) % 360 - 180
+        assert -0.002 < turned_deg.min() <= turned_deg.max() < 0.012
+        off_m = own["distance_m"][:n] - wire["distance_m"]
+        assert np.abs(off_m).max() <= DISTANCE_LSB_M / 2 + 1e-5
+        reach_m = DISTANCE_LSB_M / 2 + np.radians(0.012) * own["distance_m"][:n] + 1e-5
+        assert (np.linalg.norm(own["sensor_m"][:n] - wire["xyz_m"], axis=1) < reach_m).all()
+
+
+def test_both_frames_are_told(points):
+    """A sensor that stands turned has the same points in the world, turned back and lifted to its height."""
+    own, _ = points("--set", "motion.yaw_deg=90.0", "--set", "motion.x_m=2.0")
+    x, y, z = own["sensor_m"].T
+    # Azimuth 0, the sensor's y, looks along the body's x, which at 90 deg is north.
+    np.testing.assert_allclose(own["world_m"], np.column_stack([x + 2.0, y, z + 1.5]), atol=1e-5)
+
+
+def test_a_walk_has_points_in_the_world_pulse_by_pulse(points):
+    """On a walk a point in the world is origin + distance * direction of its own pulse."""
+    settings = ["seed=5", "world.stems_per_ha=150", "sensor.max_range_m=30.0"]
+    settings += ["sensor.eccentricity_deg=0.0", "sensor.azimuth_noise_deg=0.0"]
+    own, _ = points(*(word for setting in settings for word in ("--set", setting)), scene="birch_walk")
+    block = next(iter(Emulator(load("birch_walk", settings)).returns(0, 0.05)))
+    hit = (block.distance_m[..., 0] > 0) & (block.firings.t_ns < block.firings.t_ns[0, 0] + 50_000_000)
+    along_m = block.distance_m[..., 0, None] * block.firings.direction
+    np.testing.assert_allclose(own["world_m"], (block.firings.origin_m + along_m)[hit], atol=1e-5)
+
+
+@pytest.mark.parametrize("beams", [8, 16, 64, 256])
+def test_a_free_table_is_what_is_seen(points, beams):
+    """Elevations reckoned from the points are those of the table, ring by ring, and the resolution is as asked."""
+    options = ["--set", f"sensor.beams={beams}", "--set", "sensor.vertical_fov_deg=[-25, 15]"]
+    own, report = points(*FREE, *options, "--set", "sensor.azimuth_resolution_deg=0.5")
+    x, y, z = own["sensor_m"].astype(float).T
+    elevation_deg = np.degrees(np.arctan2(z, np.hypot(x, y)))
+    np.testing.assert_allclose(elevation_deg, np.linspace(-25, 15, beams)[own["ring"]], atol=1e-4)
+    assert (own["ring"] == own["laser"]).all()
+    assert report["beams"] == beams
+    assert report["sequences_per_revolution"] == pytest.approx(720, rel=1e-5)
+    assert report["pulses_per_s"] == pytest.approx(720 * 10 * beams, rel=1e-5)
+    assert len(own["ring"]) == report["points"] == 360 * beams
+    first = own["laser"] == 0
+    np.testing.assert_allclose(np.diff(own["azimuth_deg"][first]), 0.5, atol=1e-5)
+
+
+def test_angle_errors_show_in_the_points(points):
+    """A laser that looks lower than its table meets the floor nearer, and so its points stand over the floor."""
+    settings = [
+        "sensor.model=free",
+        "sensor.elevations_deg=[-30, -20, -40]",
+        "noise.elevation_error_deg=0.3",
+    ]
+    own, _ = points("--truth", *(word for setting in settings for word in ("--set", setting)))
+    beams = Emulator(load("static_bench", settings)).parts.head.beams
+    floor = own["semantic"] == Semantic.GROUND
+    told_rad = np.radians(beams.elevation_deg)
+    true_rad = told_rad + np.radians(beams.elevation_error_deg)
+    height_m = 1.5 - 1.5 * np.sin(told_rad) / np.sin(true_rad)
+    assert (np.abs(height_m) > 1e-3).all()
+    assert np.bincount(own["laser"][floor]).min() > 100
+    np.testing.assert_allclose(own["world_m"][floor, 2], height_m[own["laser"][floor]], atol=1e-5)
+
+
+def test_labels_name_what_was_hit(points):
+    """Points with the label of a pole lie on that pole, and none is of a plant; the reflectance is the pole's."""
+    own, _ = points("--truth", duration=0.1)
+    scenario = load("static_bench")
+    names = Emulator(scenario).parts.world.names
+    for pole in scenario.world.poles:
+        on = own["instance"] == next(number for number, name in names.items() if name == pole.name)
+        assert on.sum() > 100
+        gap_m = np.linalg.norm(own["world_m"][on, :2] - pole.foot_m[:2], axis=1) - pole.diameter_m / 2
+        assert np.abs(gap_m).max() < 0.005  # the corners of the mesh
+        np.testing.assert_allclose(own["reflectance"][on], pole.reflectance)
+    for ball in scenario.world.spheres:
+        on = own["instance"] == next(number for number, name in names.items() if name == ball.name)
+        gap_m = np.linalg.norm(own["world_m"][on] - ball.centre_m, axis=1) - ball.diameter_m / 2
+        assert np.abs(gap_m).max() < 0.005
+    floor = own["semantic"] == Semantic.GROUND
+    assert (own["world_m"][floor, 2] < 1e-3).all()
+    assert set(own["semantic"]) == {Semantic.GROUND, Semantic.OTHER}
+    assert set(own["leaf_wood"]) == set(own["part"]) == {0}
+
+
+def test_leaves_are_told_from_wood(points):
+    """In a forest every point on a leaf is labelled leaf, on any other part of a plant wood, elsewhere neither."""
+    settings = ["world.stems_per_ha=300", "sensor.max_range_m=30.0"]
+    own, _ = points("--truth", *(word for s in settings for word in ("--set", s)), scene="birch_walk")
+    assert {0, 1, 2} == set(own["leaf_wood"])
+    assert (own["leaf_wood"] == 2).tolist() == (own["part"] == PlantPart.LEAF).tolist()
+    assert (own["leaf_wood"] == 0).tolist() == (own["part"] == PlantPart.NONE).tolist()
+    assert (own["species"][own["semantic"] == Semantic.TREE] > 0).all()
+
+
+def test_a_lone_echo_is_told_once(points):
+    """In dual return an echo that is strongest and last at once is one point, as in single return."""
+    single, _ = points()
+    dual, report = points("--set", "sensor.return_mode=dual")
+    np.testing.assert_array_equal(single["t_ns"], dual["t_ns"])
+    assert report["returns"] == {"strongest": len(single["t_ns"]), "last": 0, "second_strongest": 0}
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
+def test_threads_do_not_change_a_byte(cli, tmp_path, suffix):
+    """One worker or three: the same file."""
+    files = [tmp_path / f"{threads}{suffix}" for threads in (1, 3)]
+    for threads, file in zip((1, 3), files, strict=True):
+        cli("points", "static_bench", file, "--duration", "0.3", "--threads", threads, "--truth", *FREE)
+    first, second = (file.read_bytes() for file in files)
+    assert len(first) > 1_000_000
+    assert first == second
+
+
+def test_pieces_make_the_whole(points):
+    """Spans that meet hold each pulse once."""
+    whole, _ = points(duration=0.23)
+    pieces = [points("--start", start, duration=length)[0] for start, length in ((0, 0.1), (0.1, 0.13))]
+    for name in ("t_ns", "world_m", "distance_m"):
+        np.testing.assert_array_equal(whole[name], np.concatenate([piece[name] for piece in pieces]))
+
+
+def test_ply_and_csv_say_the_same(cli, tmp_path, points):
+    """All three formats hold the same points, each to its number of digits."""
+    own, _ = points("--truth", duration=0.02)
+    ply, text = tmp_path / "x.ply", tmp_path / "x.csv"
+    for path in (ply, text):
+        assert cli("points", "static_bench", path, "--duration", "0.02", "--truth").code == 0
+    cloud = trimesh.load(ply)
+    np.testing.assert_array_equal(cloud.vertices, own["world_m"])
+    data = cloud.metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_array_equal(data["instance"], own["instance"])
+    np.testing.assert_allclose(data["time"], own["since_start_ns"] / 1e9, rtol=0, atol=1e-12)
+    with text.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["t_ns"]) for row in rows] == own["t_ns"].tolist()
+    columns = {
+        "world_x_m": own["world_m"][:, 0],
+        "z_m": own["sensor_m"][:, 2],
+        "elevation_deg": own["elevation_deg"],
+    }
+    for column, values in columns.items():
+        np.testing.assert_allclose([float(row[column]) for row in rows], values, rtol=0, atol=0.51e-4)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
+def test_a_scene_without_a_return_makes_a_file_without_points(cli, tmp_path, suffix):
+    """Nothing within reach is no error: the file opens and is empty."""
+    path = tmp_path / f"x{suffix}"
+    tree = cli(
+        "points", "static_bench", path, "--duration", "0.01", "--set", "sensor.max_range_m=0.6", "--json"
+    ).tree
+    assert tree["points"] == 0
+    if suffix == ".npz":
+        with np.load(path) as arrays:
+            assert arrays["world_m"].shape == (0, 3)
+    else:
+        assert path.read_text().splitlines()[-1] == (
+            "end_header" if suffix == ".ply" else path.read_text().strip()
+        )
+
+
+def test_people_get_a_summary(cli, tmp_path):
+    """Without --json the beams, the sequences of a turn and the pulses of a second stand in a few lines."""
+    out = cli("points", "static_bench", tmp_path / "x.ply", "--duration", "0.02", *FREE).out
+    assert "  sensor     free: 16 beams from -15 to 15 deg\n" in out
+    assert "  rotor      600 rpm, 1800.0 firing sequences per revolution, 0.2 deg apart\n" in out
+    assert "  pulses     287 998 per second\n" in out
+
+
+@pytest.mark.parametrize("verb", ["record static_bench {tmp}/x.pcap", "stream static_bench --duration 1"])
+def test_a_sensor_without_packets_is_sent_to_this_verb(cli, tmp_path, verb):
+    """Recording and streaming a free sensor is refused in one line, before any file is made."""
+    outcome = cli(*verb.format(tmp=tmp_path).split(), *FREE)
+    assert (outcome.code, outcome.out) == (2, "")
+    assert outcome.err == (
+        'error: sensor.model: found "free", which has no packets; expected "vlp-16", "puck-lite" or '
+        '"puck-hi-res", or `vlp16emu points`, which writes what any sensor sees\n'
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "said"),
+    [
+        ("x.las", 2, "x.las: found suffix '.las'; expected .csv, .npz, .ply"),
+        ("no/x.ply", 2, "no/x.ply: No such file or directory; expected a file that can be written"),
+        ("full.npz", 1, "full.npz: No space left on device; the file is not complete"),
+    ],
+)
+def test_points_that_cannot_be_written_are_told(cli, tmp_path, name, code, said):
+    """A wrong suffix, a missing folder and a full disk are one line each."""
+    (tmp_path / "full.npz").symlink_to("/dev/full")
+    outcome = cli("points", "static_bench", tmp_path / name, "--duration", "0.02")
+    assert outcome.code == code
+    assert outcome.err == f"error: {tmp_path}/{said}\n"

@@ -1,0 +1,107 @@
+"""Truth beside a run, from the command line."""
+
+import signal
+import time
+
+
+def rows(path):
+    """Lines that are no comment."""
+    return [line for line in path.read_text().splitlines() if not line.startswith("#")]
+
+
+def test_record_writes_truth_on_request(cli, tmp_path):
+    """Files appear with --truth; the recording is the same as without."""
+    plain = cli("record", "static_bench", tmp_path / "a.pcap", "--duration", "0.2", "--json").tree
+    told = cli(
+        "record",
+        "static_bench",
+        tmp_path / "b.pcap",
+        "--duration",
+        "0.2",
+        "--truth",
+        tmp_path / "t",
+        "--json",
+    )
+    assert told.tree["sha256"] == plain["sha256"]
+    assert sorted(path.name for path in (tmp_path / "t").iterdir()) == [
+        "rig.json",
+        "scenario.json",
+        "trajectory.tum",
+    ]
+    assert len(rows(tmp_path / "t" / "trajectory.tum")) in {41, 42}
+
+
+def test_truth_can_be_run_again(cli, tmp_path):
+    """A recording of scenario.json from the truth has the same bytes as the first, settings and all."""
+    options = ["--duration", "0.2", "--json"]
+    settings = ["--set", "seed=9", "--set", "sensor.return_mode=dual"]
+    first = cli(
+        "record", "static_bench", tmp_path / "a.pcap", *options, *settings, "--truth", tmp_path / "t"
+    ).tree
+    again = cli("record", tmp_path / "t" / "scenario.json", tmp_path / "b.pcap", *options).tree
+    assert again["sha256"] == first["sha256"]
+
+
+def test_rate_and_packets_are_options(cli, tmp_path):
+    """--truth-rate sets the poses per second, --truth-packets adds one per data packet."""
+    options = [
+        "--duration",
+        "0.5",
+        "--json",
+        "--truth",
+        tmp_path / "t",
+        "--truth-rate",
+        "50",
+        "--truth-packets",
+    ]
+    report = cli("record", "static_bench", tmp_path / "a.pcap", *options).tree
+    assert len(rows(tmp_path / "t" / "trajectory.tum")) in {26, 27}
+    assert len(rows(tmp_path / "t" / "packets.tum")) == report["packets"]
+
+
+def test_bad_options_are_told_before_anything_is_written(cli, tmp_path):
+    """A rate of nothing and a folder in use give one line and exit code 2, and no recording."""
+    (tmp_path / "mine.txt").write_text("")
+    for option, value, line in (
+        ("--truth-rate", "0", "error: --truth-rate: found 0; expected a whole number from 1 to 10000\n"),
+        (
+            "--truth",
+            tmp_path,
+            (
+                f"error: {tmp_path}: holds mine.txt; "
+                "expected a new or empty folder, or one with the truth of an earlier run\n"
+            ),
+        ),
+        (
+            "--truth",
+            "/proc/none",
+            "error: /proc/none: No such file or directory; expected a folder that can be written\n",
+        ),
+    ):
+        outcome = cli("record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1", option, value)
+        assert (outcome.code, outcome.err) == (2, line)
+        assert not (tmp_path / "x.pcap").exists()
+
+
+def test_ctrl_c_leaves_whole_truth(program, tmp_path):
+    """After Ctrl-C the trajectory ends with a whole line, at or after the last packet that was written."""
+    process = program(
+        "record", "static_bench", tmp_path / "x.pcap", "--duration", "3600", "--truth", tmp_path / "t"
+    )
+    path = tmp_path / "t" / "trajectory.tum"
+    deadline = time.monotonic() + 60
+    while not (path.exists() and path.stat().st_size > 1000) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    assert process.returncode == 130
+    text = path.read_text()
+    assert text.endswith("\n")
+    assert {len(line.split()) for line in rows(path)} == {8}
+
+
+def test_stream_writes_truth_too(cli, tmp_path):
+    """A stream has the truth of all that was sent."""
+    options = ["--duration", "0.3", "--speed", "20", "--data-port", "23680", "--position-port", "8309"]
+    assert cli("stream", "static_bench", *options, "--truth", tmp_path / "t", "--json").code == 0
+    assert len(rows(tmp_path / "t" / "trajectory.tum")) in {61, 62}

@@ -1,0 +1,54 @@
+"""A folder of truth."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from vlp16emu.errors import OutputError, RunError
+from vlp16emu.sinks import TruthFolder, tum_rows
+from vlp16emu.types import Poses
+
+
+def test_rows_hold_every_nanosecond():
+    """Times keep nine decimals, which a float of today's seconds does not."""
+    poses = Poses(np.array([1_781_254_795_000_000_001]), np.eye(3)[None], np.array([[1.0, -2.0, 0.5]]))
+    assert tum_rows(poses) == (
+        "1781254795.000000001 1.000000000 -2.000000000 0.500000000 "
+        "0.000000000000 0.000000000000 0.000000000000 1.000000000000\n"
+    )
+
+
+def test_any_rotation_is_written():
+    """Quaternions have length 1 and qw of 0 or more, and give the rotation back, half turns too."""
+    turns = Rotation.concatenate(
+        [Rotation.random(200, rng=np.random.default_rng(5)), Rotation.from_rotvec(np.pi * np.eye(3))]
+    )
+    text = tum_rows(Poses(np.arange(203), turns.as_matrix(), np.zeros((203, 3))))
+    quaternions = np.array([line.split()[4:] for line in text.splitlines()], float)
+    assert (quaternions[:, 3] >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, atol=1e-11)
+    np.testing.assert_allclose(Rotation.from_quat(quaternions).as_matrix(), turns.as_matrix(), atol=1e-11)
+
+
+def test_what_is_appended_can_be_read_at_once(tmp_path):
+    """Lines stand in the file before it is closed."""
+    with TruthFolder(tmp_path / "a" / "b") as folder:
+        folder.append("gnss.csv", "one\n")
+        folder.append("gnss.csv", "two\n")
+        assert (tmp_path / "a" / "b" / "gnss.csv").read_text() == "one\ntwo\n"
+
+
+def test_a_full_disk_is_told(tmp_path):
+    """A file that takes no more ends the run with its name and the reason."""
+    with TruthFolder(tmp_path) as folder:
+        (tmp_path / "imu.csv").symlink_to("/dev/full")
+        with pytest.raises(RunError, match=r"imu\.csv: No space left on device"):
+            folder.append("imu.csv", "x\n")
+
+
+def test_a_file_is_no_folder(tmp_path):
+    """A path that is taken by a file is refused, and the file kept."""
+    (tmp_path / "taken").write_text("mine")
+    with pytest.raises(OutputError, match=r"taken: File exists; expected a folder that can be written"):
+        TruthFolder(tmp_path / "taken")
+    assert (tmp_path / "taken").read_text() == "mine"

@@ -1,0 +1,253 @@
+"""What is written beside a run."""
+
+import itertools
+import json
+import tracemalloc
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import OutputError
+from vlp16emu.motion import Origin, to_geodetic
+from vlp16emu.packets import decode_position, parse_rmc
+from vlp16emu.scenario import load, scene_files
+from vlp16emu.truth import Truth
+from vlp16emu.types import Packet, PacketKind
+from vlp16emu.units import S_NS
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """An emulator of a walk in a world that is quickly built."""
+    settings = [
+        'motion={kind="walk", way_points_m=[[-10, 0], [0, 3], [10, 0]]}',
+        "gps.connected=true",
+        "gps.canopy_half_cover=0.5",
+        "start_utc=2026-05-20T09:00:00.25Z",
+    ]
+    return Emulator(load("static_bench", settings))
+
+
+def written(emulator, folder, start_s=0.0, stop_s=2.0, *, rate_hz=200, per_packet=False, most=None):
+    """Run, and give the packets and the folder."""
+    with Truth(folder, emulator, start_s=start_s, rate_hz=rate_hz, per_packet=per_packet) as truth:
+        return list(itertools.islice(truth.beside(emulator.packets(start_s, stop_s)), most))
+
+
+def tum(path):
+    """Times in whole nanoseconds and the other seven columns."""
+    rows = [line.split() for line in path.read_text().splitlines() if not line.startswith("#")]
+    t_ns = [int(row[0].replace(".", "")) for row in rows]
+    return np.array(t_ns), np.array([[float(word) for word in row[1:]] for row in rows])
+
+
+def test_the_trajectory_is_that_of_the_sensor(walk, tmp_path):
+    """200 rows a second from before the first firing until after the last packet, on the pose at each time."""
+    packets = written(walk, tmp_path, 0.5, 2.0)
+    t_ns, poses = tum(tmp_path / "trajectory.tum")
+    start_ns = walk.scenario.start_ns
+    assert set(np.diff(t_ns)) == {5_000_000}
+    assert (t_ns[0] - start_ns) % 5_000_000 == 0
+    assert start_ns + S_NS // 2 - 10_000_000 < t_ns[0] <= start_ns + S_NS // 2 - 1_327_104
+    assert 0 <= t_ns[-1] - packets[-1].due_ns < 10_000_000
+    true = walk.parts.motion.poses_at(t_ns)
+    np.testing.assert_allclose(poses[:, :3], true.world_p_body_m, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        Rotation.from_quat(poses[:, 3:]).as_matrix(), true.world_R_body, rtol=0, atol=1e-11
+    )
+    assert (poses[:, 6] >= 0).all()
+
+
+def test_rate_is_kept_without_drift(walk, tmp_path):
+    """At a rate whose period is no whole nanosecond sample i still lies i / rate after the first pulse."""
+    written(walk, tmp_path, rate_hz=300)
+    t_ns, _ = tum(tmp_path / "trajectory.tum")
+    assert (t_ns - walk.scenario.start_ns == np.arange(len(t_ns)) * S_NS // 300).all()
+    assert len(t_ns) in {600, 601, 602}
+
+
+def test_each_data_packet_has_its_pose(walk, tmp_path):
+    """packets.tum has one row for each data packet, at its first firing."""
+    packets = written(walk, tmp_path, 0.3, 1.5, per_packet=True)
+    due_ns = [packet.due_ns for packet in packets if packet.kind is PacketKind.DATA]
+    t_ns, poses = tum(tmp_path / "packets.tum")
+    assert (t_ns == np.array(due_ns) - 1_327_104).all()
+    np.testing.assert_allclose(poses[:, :3], walk.parts.motion.poses_at(t_ns).world_p_body_m, atol=1e-9)
+
+
+def test_gnss_rows_are_what_the_sentences_say(walk, tmp_path):
+    """Each sentence of the run has its row with the same place and status; the truth in it is the antenna's."""
+    packets = written(walk, tmp_path, 0.0, 3.0)
+    lines = (tmp_path / "gnss.csv").read_text().splitlines()
+    rows = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
+    by_second = {int(row["t_utc_s"].split(".")[0]): row for row in rows}
+    sentences = {decode_position(p.payload).sentence for p in packets if p.kind is PacketKind.POSITION}
+    fixes = [parse_rmc(sentence) for sentence in sentences]
+    assert len(fixes) >= 3
+    for fix in fixes:
+        row = by_second[fix.t_ns // S_NS]
+        assert fix.valid == bool(int(row["valid"]))
+        assert fix.latitude_deg == pytest.approx(float(row["latitude_deg"]), abs=2e-9)
+        assert fix.longitude_deg == pytest.approx(float(row["longitude_deg"]), abs=2e-9)
+    gps = walk.scenario.gps
+    t_ns = (walk.scenario.start_ns // S_NS + 2) * S_NS
+    antenna_m = walk.parts.motion.poses_at(np.array([t_ns])).world_p_body_m + [0, 0, gps.antenna_above_m]
+    place = to_geodetic(antenna_m, Origin(gps.latitude_deg, gps.longitude_deg, gps.height_m))[0]
+    row = by_second[t_ns // S_NS]
+    assert [float(row[f"true_{name}"]) for name in ("latitude_deg", "longitude_deg")] == pytest.approx(
+        place[:2].tolist(), abs=1e-10
+    )
+    assert float(row["cover"]) == 1.0  # a hall has a ceiling
+
+
+def test_without_a_receiver_there_is_no_gnss_file(tmp_path):
+    """A sensor without GPS has no row of it."""
+    written(Emulator(load("static_bench", ["gps.connected=false"])), tmp_path, stop_s=0.1)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["rig.json", "scenario.json", "trajectory.tum"]
+
+
+def test_the_inertial_unit_is_written_whole(tmp_path):
+    """Every sample from the first pulse on stands in imu.csv as the unit reads it, at the unit's own rate."""
+    emulator = Emulator(load("static_bench", ["imu.rate_hz=130", "imu.preset=consumer"]))
+    packets = written(emulator, tmp_path, 0.0, 1.5)
+    lines = (tmp_path / "imu.csv").read_text().splitlines()
+    assert lines[0] == "t_utc_s,wx_rad_s,wy_rad_s,wz_rad_s,fx_m_s2,fy_m_s2,fz_m_s2"
+    rows = np.array([[float(word) for word in line.split(",")[1:]] for line in lines[1:]])
+    t_ns = np.array([int(line.split(",")[0].replace(".", "")) for line in lines[1:]])
+    read = emulator.parts.imu.read(0, len(rows))
+    assert (t_ns == read.t_ns).all()
+    assert packets[-1].due_ns - t_ns[-1] < S_NS / 130
+    true = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2])
+    np.testing.assert_allclose(rows, true, rtol=0, atol=1e-9)
+
+
+def test_the_rig_holds_the_mounts(tmp_path):
+    """The sensor's pose on the trajectory is that of the carrier times body_T_sensor from the rig."""
+    mount = "{lever_arm_m=[0.1, -0.2, 0.3], yaw_deg=20.0, pitch_deg=10.0, roll_deg=-5.0}"
+    settings = [f"motion.mount={mount}", "motion.yaw_deg=30", f"imu.mount={mount}"]
+    emulator = Emulator(load("static_bench", settings))
+    written(emulator, tmp_path, stop_s=0.05)
+    rig = json.loads((tmp_path / "rig.json").read_text())
+    assert rig["imu"]["body_T_imu"] == rig["sensor"]["body_T_sensor"]
+    T = np.array(rig["sensor"]["body_T_sensor"]["matrix"])
+    body = emulator.parts.carrier.poses_at(np.array([emulator.scenario.start_ns]))
+    _, poses = tum(tmp_path / "trajectory.tum")
+    R, p = body.world_R_body[0], body.world_p_body_m[0]
+    np.testing.assert_allclose(poses[0, :3], R @ T[:3, 3] + p, atol=1e-9)
+    np.testing.assert_allclose(Rotation.from_quat(poses[0, 3:]).as_matrix(), R @ T[:3, :3], atol=1e-11)
+
+
+def test_a_static_sensor_has_a_trajectory_too(tmp_path):
+    """A pose that never changes is repeated at each sample."""
+    written(Emulator(load("static_bench")), tmp_path, stop_s=0.1)
+    t_ns, poses = tum(tmp_path / "trajectory.tum")
+    assert len(t_ns) >= 20
+    assert (poses == poses[0]).all()
+
+
+def test_the_same_run_in_two_parts_has_the_same_truth(walk, tmp_path):
+    """Where two spans overlap their rows are the same, character by character."""
+    written(walk, tmp_path / "whole", 0.0, 2.0, per_packet=True)
+    written(walk, tmp_path / "part", 1.0, 2.0, per_packet=True)
+    for name in ("trajectory.tum", "packets.tum", "gnss.csv"):
+        whole, part = ((tmp_path / run / name).read_text() for run in ("whole", "part"))
+        assert whole.endswith("\n".join(part.splitlines()[1:]) + "\n"), name
+        assert part.count("\n") > 1, name
+
+
+def test_a_run_that_is_left_has_its_truth_until_then(walk, tmp_path):
+    """After leaving early every packet that was taken lies within the trajectory, in whole lines."""
+    packets = written(walk, tmp_path, 0.0, 10.0, per_packet=True, most=1000)
+    t_ns, _ = tum(tmp_path / "trajectory.tum")
+    assert t_ns[0] == walk.scenario.start_ns
+    assert packets[-1].due_ns <= t_ns[-1] < packets[-1].due_ns + 10_000_000
+    data = [packet for packet in packets if packet.kind is PacketKind.DATA]
+    assert len(tum(tmp_path / "packets.tum")[0]) == len(data)
+    assert (tmp_path / "trajectory.tum").read_text().endswith("\n")
+
+
+def test_truth_grows_with_the_run_and_not_in_memory(walk, tmp_path):
+    """What is a second old stands in the file; after 2 minutes no more is held than after half a one."""
+
+    def empty():
+        for step in range(120 * 10):
+            yield Packet(PacketKind.DATA, walk.scenario.start_ns + step * S_NS // 10, b"")
+
+    held = []
+    tracemalloc.start()
+    try:
+        with Truth(tmp_path, walk, start_s=0.0, rate_hz=20, per_packet=True) as truth:
+            for number, packet in enumerate(truth.beside(empty())):
+                if number in {300, 1199}:
+                    held.append(tracemalloc.get_traced_memory()[0])
+                    t_ns, _ = tum(tmp_path / "trajectory.tum")
+                    assert packet.due_ns - t_ns[-1] < 1.1 * S_NS
+    finally:
+        tracemalloc.stop()
+    assert held[1] - held[0] < 500_000
+
+
+@pytest.mark.parametrize("name", scene_files())
+def test_the_resolved_scenario_is_a_scene(name, tmp_path):
+    """Every scene of ours, written with all its values and read again, is the same scenario."""
+    scenario = load(name, ["seed=77", "title=ä"])
+    parts = SimpleNamespace(motion=None, gps=SimpleNamespace(second_ns=lambda _t_ns: None))
+    emulator = SimpleNamespace(scenario=scenario, parts=parts, receiver=None)
+    with Truth(tmp_path, emulator, start_s=0.0, rate_hz=200, per_packet=False) as truth:
+        truth._trajectory = SimpleNamespace(up_to=lambda _t_ns: None)
+    assert load(str(tmp_path / "scenario.json")) == scenario
+
+
+def test_of_two_keys_that_exclude_each_other_one_is_written(tmp_path):
+    """A walk whose run time is given is written without the speed, and one that says neither with its speed."""
+    for settings, (said, silent) in {
+        ("motion.run_time_s=120.0",): ("run_time_s", "speed_m_s"),
+        (): ("speed_m_s", "run_time_s"),
+    }.items():
+        motion = load("managed_mixed", settings).model_dump(exclude_none=True)["motion"]
+        assert (said in motion, silent in motion) == (True, False)
+
+
+def test_settings_apply_to_a_resolved_scenario(walk, tmp_path):
+    """What --set gives wins over the file, also a date, which JSON does not have."""
+    written(walk, tmp_path, stop_s=0.05)
+    settings = ["sensor.rpm=1200", "start_utc=2026-05-20T10:00:00+01:00"]
+    scenario = load(str(tmp_path / "scenario.json"), settings)
+    assert (scenario.sensor.rpm, scenario.start_ns) == (1200, 1_779_267_600_000_000_000)
+
+
+def test_the_resolved_scenario_names_its_program(walk, tmp_path):
+    """Version, seed and defaults that nobody wrote stand in it."""
+    written(walk, tmp_path, stop_s=0.05)
+    tree = json.loads((tmp_path / "scenario.json").read_text())
+    assert tree["written_by"].startswith("vlp16emu ")
+    assert tree["seed"] == walk.scenario.seed
+    assert tree["gps"]["wander_s"] == 300.0
+
+
+def test_the_rig_takes_the_manuals_axes_to_the_trajectorys(walk, tmp_path):
+    """Azimuth 0, +y in the manual, is forward in the trajectory's frame; matrix and quaternion are one rotation."""
+    written(walk, tmp_path, stop_s=0.05)
+    manual = json.loads((tmp_path / "rig.json").read_text())["manual"]["sensor_T_manual"]
+    R = np.array(manual["matrix"])[:3, :3]
+    np.testing.assert_allclose(R @ [0, 1, 0], [1, 0, 0])
+    np.testing.assert_allclose(Rotation.from_quat(manual["quaternion_xyzw"]).as_matrix(), R, atol=1e-15)
+
+
+def test_a_folder_with_other_things_is_refused(walk, tmp_path):
+    """A folder that holds anything but an earlier truth is left as it is, with one clear line."""
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"holds notes\.txt; expected a new or empty folder"):
+        written(walk, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_an_earlier_truth_is_replaced_as_a_whole(walk, tmp_path):
+    """Files of an earlier run do not stay beside those of a later one."""
+    written(walk, tmp_path, stop_s=0.05, per_packet=True)
+    written(walk, tmp_path, stop_s=0.05)
+    assert not (tmp_path / "packets.tum").exists()
+    assert tum(tmp_path / "trajectory.tum")[0][0] == walk.scenario.start_ns

@@ -1,0 +1,104 @@
+"""Truth beside a run: a folder of text files that grow with it and are readable at any time."""
+
+import json
+from collections.abc import Mapping
+from contextlib import ExitStack
+from io import FileIO
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from scipy.spatial.transform import Rotation
+
+from vlp16emu.errors import OutputError, RunError
+from vlp16emu.types import Poses
+from vlp16emu.units import S_NS
+
+__all__ = ["TruthFolder", "seconds_text", "tum_rows"]
+
+_FILES = ("gnss.csv", "imu.csv", "packets.tum", "rig.json", "scenario.json", "trajectory.tum")
+"""All that a run may write; those of an earlier run are replaced as a whole."""
+
+
+class TruthFolder:
+    """A folder for the truth of one run; a context manager.
+
+    Parameters
+    ----------
+    path : new, empty, or with nothing in it but the truth of an earlier run, which is then removed
+
+    Raises
+    ------
+    OutputError
+        where the folder cannot be made, or holds something else
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._files: dict[str, FileIO] = {}
+        self._open = ExitStack()
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            strange = sorted({file.name for file in path.iterdir()} - set(_FILES))
+            if strange:
+                expected = "a new or empty folder, or one with the truth of an earlier run"
+                raise OutputError(str(path), f"holds {strange[0]}", expected)
+            for name in _FILES:
+                (path / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise OutputError(str(path), str(error.strerror), "a folder that can be written") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.close()
+
+    def append(self, name: str, text: str) -> None:
+        """Add whole lines to a file and hand them to the operating system.
+
+        Raises
+        ------
+        RunError
+            where they cannot be written
+        """
+        try:
+            if name not in self._files:
+                self._files[name] = self._open.enter_context((self.path / name).open("wb", buffering=0))
+            rest = text.encode()
+            while rest:  # a full disk takes what fits and refuses only the next byte
+                rest = rest[self._files[name].write(rest) :]
+        except OSError as error:
+            raise RunError(f"{self.path / name}: {error.strerror}") from error
+
+    def write_json(self, name: str, tree: Mapping[str, Any]) -> None:
+        """Write a whole file.
+
+        Raises
+        ------
+        RunError
+            where it cannot be written
+        """
+        self.append(name, json.dumps(tree, indent=2, ensure_ascii=False) + "\n")
+
+
+def seconds_text(t_ns: int) -> str:
+    """Write an instant in seconds with all nine decimals, which a float does not hold."""
+    return f"{t_ns // S_NS}.{t_ns % S_NS:09d}"
+
+
+def tum_rows(poses: Poses) -> str:
+    """Write poses as lines `t x y z qx qy qz qw` of the TUM RGB-D benchmark, qw never negative.
+
+    UTC seconds, metres, and the rotation that takes coordinates of the body to those of the world.
+    """
+    quaternions = Rotation.from_matrix(poses.world_R_body).as_quat(canonical=True)
+    lines = [
+        f"{seconds_text(t_ns)} {x:.9f} {y:.9f} {z:.9f} {qx:.12f} {qy:.12f} {qz:.12f} {qw:.12f}\n"
+        for t_ns, (x, y, z), (qx, qy, qz, qw) in zip(
+            poses.t_ns.tolist(), poses.world_p_body_m.tolist(), quaternions.tolist(), strict=True
+        )
+    ]
+    return "".join(lines)

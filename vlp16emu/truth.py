@@ -1,0 +1,260 @@
+"""What really was, beside what was sent: trajectory, inertial unit, GNSS, rig and scenario of a run."""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from vlp16emu.assembly import Parts
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import RunError
+from vlp16emu.motion import Imu, Motion, Receiver, rotations, to_geodetic
+from vlp16emu.packets import SEQUENCES_PER_PACKET
+from vlp16emu.scenario import Scenario
+from vlp16emu.scenario.harness import Mount
+from vlp16emu.sensor import BODY_R_SENSOR, SEQUENCE_NS
+from vlp16emu.sinks import TruthFolder, tum_rows
+from vlp16emu.sinks.truth import seconds_text
+from vlp16emu.types import Packet, PacketKind, Poses, ReturnMode
+from vlp16emu.units import S_NS, seconds_to_ns
+
+__all__ = ["Truth"]
+
+_TUM_HEADER = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n"
+_GNSS_COLUMNS = (
+    "t_utc_s",
+    "valid",
+    "cover",
+    "true_latitude_deg",
+    "true_longitude_deg",
+    "true_height_m",
+    "true_east_m_s",
+    "true_north_m_s",
+    "latitude_deg",
+    "longitude_deg",
+    "speed_m_s",
+    "course_deg",
+)
+
+_IMU_COLUMNS = ("t_utc_s", "wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
+"""Angular rate and specific force in the unit's own axes."""
+
+Rows = Callable[[int, int], str]
+"""Lines of samples first .. first + count - 1."""
+
+
+class Truth:
+    """Writes the truth of a run while its packets go by; a context manager.
+
+    Parameters
+    ----------
+    folder : as `TruthFolder` wants it
+    emulator : whose packets they are
+    start_s : from which on they are asked for, since the first pulse
+    rate_hz : of the trajectory; samples count from the first pulse
+    per_packet : also write the pose at the first firing of each data packet
+
+    Raises
+    ------
+    OutputError
+        where the folder cannot be used
+    RunError
+        where it cannot be written: here, or later
+    """
+
+    def __init__(
+        self, folder: Path, emulator: Emulator, *, start_s: float, rate_hz: int, per_packet: bool
+    ) -> None:
+        scenario, parts = emulator.scenario, emulator.parts
+        sequences = SEQUENCES_PER_PACKET[ReturnMode(scenario.sensor.return_mode)]
+        self._period_ns, self._motion = sequences * SEQUENCE_NS, parts.motion
+        self._step_ns = -(-S_NS // rate_hz)
+        self._seen_ns = self._next_ns = begin_ns = scenario.start_ns + seconds_to_ns(start_s)
+        self._firsts_ns: list[int] | None = [] if per_packet else None
+        self._folder = TruthFolder(folder)
+        self._folder.write_json("scenario.json", _resolved(scenario))
+        self._folder.write_json("rig.json", _rig(scenario))
+        self._folder.append("trajectory.tum", _TUM_HEADER)
+        if per_packet:
+            self._folder.append("packets.tum", _TUM_HEADER)
+        # The first packet may have begun before it was asked for.
+        from_ns = max(begin_ns - self._period_ns - self._step_ns, scenario.start_ns)
+        rows = _poses(parts.motion, scenario.start_ns, rate_hz)
+        self._trajectory = _Samples(self._append("trajectory.tum"), rows, scenario.start_ns, rate_hz, from_ns)
+        self._others = [*self._inertial(scenario, parts, from_ns), *self._fixes(emulator, begin_ns)]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._folder, suppress(*([RunError] if error else [])):
+            self._write()
+            self._trajectory.up_to(self._seen_ns + self._step_ns)
+
+    def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
+        """Pass packets on, and write what was true until each of them once a second."""
+        for packet in packets:
+            self._seen_ns = packet.due_ns
+            if self._firsts_ns is not None and packet.kind is PacketKind.DATA:
+                self._firsts_ns.append(packet.due_ns - self._period_ns)
+            if packet.due_ns >= self._next_ns:
+                self._next_ns = packet.due_ns + S_NS
+                self._write()
+            yield packet
+
+    def _write(self) -> None:
+        """Write all that was true so far."""
+        for samples in (self._trajectory, *self._others):
+            samples.up_to(self._seen_ns)
+        if self._firsts_ns:
+            t_ns = np.array(self._firsts_ns)
+            self._folder.append("packets.tum", tum_rows(_poses_at(self._motion, t_ns)))
+            self._firsts_ns.clear()
+
+    def _append(self, name: str) -> Callable[[str], None]:
+        """Make what appends to a file."""
+        return lambda text: self._folder.append(name, text)
+
+    def _inertial(self, scenario: Scenario, parts: Parts, from_ns: int) -> Iterator["_Samples"]:
+        """Begin the file of the inertial unit, if there is one."""
+        if scenario.imu is not None and parts.imu is not None:
+            append = self._append("imu.csv")
+            append(",".join(_IMU_COLUMNS) + "\n")
+            yield _Samples(append, _inertial(parts.imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
+
+    def _fixes(self, emulator: Emulator, begin_ns: int) -> Iterator["_Samples"]:
+        """Begin the file of the GPS receiver, if there is one, with the second that the first packet names."""
+        named_ns = emulator.parts.gps.second_ns(begin_ns)
+        if named_ns is not None:
+            append = self._append("gnss.csv")
+            append(",".join(_GNSS_COLUMNS) + "\n")
+            yield _Samples(append, _fixes(emulator.receiver), 0, 1, named_ns)
+
+
+class _Samples:
+    """A file of samples at a steady rate, sample i at `zero_ns` + i / `rate_hz`.
+
+    Parameters
+    ----------
+    append : adds lines to the file
+    rows : makes them
+    from_ns : samples before are left out
+    """
+
+    def __init__(
+        self, append: Callable[[str], None], rows: Rows, zero_ns: int, rate_hz: int, from_ns: int
+    ) -> None:
+        self._append, self._rows, self._zero_ns, self._rate_hz = append, rows, zero_ns, rate_hz
+        self._next = self._count_before(from_ns)
+
+    def up_to(self, t_ns: int) -> None:
+        """Write all samples until and with an instant that are not written yet."""
+        stop = self._count_before(t_ns + 1)
+        if stop > self._next:
+            self._append(self._rows(self._next, stop - self._next))
+            self._next = stop
+
+    def _count_before(self, t_ns: int) -> int:
+        """Tell how many samples, from sample 0 on, lie before an instant."""
+        # Sample i lies i * S_NS // rate_hz after sample 0.
+        return -(-(t_ns - self._zero_ns) * self._rate_hz // S_NS)
+
+
+def _poses_at(motion: Motion, t_ns: NDArray[np.int64]) -> Poses:
+    """Poses (n,), also of a body that never moves."""
+    truth = motion.kinematics_at(t_ns)
+    return Poses(t_ns, truth.world_R_body, truth.world_p_body_m)
+
+
+def _poses(motion: Motion, start_ns: int, rate_hz: int) -> Rows:
+    """Lines of a trajectory."""
+
+    def rows(first: int, count: int) -> str:
+        t_ns = start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz
+        return tum_rows(_poses_at(motion, t_ns))
+
+    return rows
+
+
+def _inertial(imu: Imu) -> Rows:
+    """Lines of an inertial unit."""
+
+    def rows(first: int, count: int) -> str:
+        read = imu.read(first, count)
+        numbers = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2]).tolist()
+        return "".join(
+            f"{seconds_text(t_ns)},{','.join(f'{number:.9f}' for number in row)}\n"
+            for t_ns, row in zip(read.t_ns.tolist(), numbers, strict=True)
+        )
+
+    return rows
+
+
+def _fixes(receiver: Receiver) -> Rows:
+    """Lines of what a receiver measures and says; sample i is the UTC second i."""
+
+    def row(t_ns: int) -> str:
+        true, said = receiver.reading(t_ns), receiver.fix(t_ns)
+        latitude_deg, longitude_deg, height_m = to_geodetic(true.antenna_m[None], receiver.origin)[0].tolist()
+        east_m_s, north_m_s, _ = true.velocity_m_s.tolist()
+        return (
+            f"{seconds_text(t_ns)},{said.valid:d},{true.cover:.4f},"
+            f"{latitude_deg:.10f},{longitude_deg:.10f},{height_m:.4f},{east_m_s:.6f},{north_m_s:.6f},"
+            f"{said.latitude_deg:.10f},{said.longitude_deg:.10f},{said.speed_m_s:.6f},{said.course_deg:.4f}\n"
+        )
+
+    return lambda first, count: "".join(row(second * S_NS) for second in range(first, first + count))
+
+
+def _resolved(scenario: Scenario) -> dict[str, Any]:
+    """Give the scenario with all its values, a scene file itself."""
+    tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return {"written_by": f"vlp16emu {version('vlp16emu')}"} | tree
+
+
+def _rig(scenario: Scenario) -> dict[str, Any]:
+    """Tell the frames of the trajectory and of what is fixed to it."""
+    gps, imu = scenario.gps, scenario.imu
+    rig: dict[str, Any] = {
+        "world": {
+            "axes": "x east, y north, z up",
+            "latitude_deg": gps.latitude_deg,
+            "longitude_deg": gps.longitude_deg,
+            "height_m": gps.height_m,
+        },
+        "sensor": {
+            "axes": "x forward at azimuth 0, y left, z up; that of trajectory.tum",
+            "body_T_sensor": _mount(scenario.motion.mount),
+        },
+        "manual": {
+            "axes": "azimuth 0 on +y, clockwise seen from above (63-9243 Rev D, section 9.1)",
+            "sensor_T_manual": _transform(BODY_R_SENSOR, np.zeros(3)),
+        },
+        "antenna": {"above_sensor_m": gps.antenna_above_m, "towards": "world up"},
+    }
+    return rig | ({"imu": {"body_T_imu": _mount(imu.mount)}} if imu else {})
+
+
+def _mount(section: Mount) -> dict[str, Any]:
+    """Write how a device sits on the body, with its stage, if that spins, at its zero."""
+    inclination = math.radians(section.pitch_deg), math.radians(section.roll_deg)
+    R = rotations(np.array([math.radians(section.yaw_deg)]), *inclination)[0]
+    spin = {"spin_hz": section.spin_hz, "spin_axis": section.spin_axis} if section.spin_hz else {}
+    return _transform(R, np.array(section.lever_arm_m)) | spin
+
+
+def _transform(R: NDArray[np.float64], p_m: NDArray[np.float64]) -> dict[str, Any]:
+    """Write a rigid transform as matrix and as translation and quaternion."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, p_m
+    quaternion = Rotation.from_matrix(R).as_quat(canonical=True) + 0.0  # no -0.0
+    return {"matrix": T.tolist(), "translation_m": p_m.tolist(), "quaternion_xyzw": quaternion.tolist()}
