@@ -27,7 +27,7 @@ def seen():
         points_m.append((f.origin_m[hit] + distance_m[hit][:, None] * f.direction[hit])[stem])
         instance.append(row["instance"][stem])
     points_m, instance = np.concatenate(points_m), np.concatenate(instance)
-    trees = emulator._parts.world.trees(emulator._parts.motion.poses_at(f.t_ns[0]).world_p_body_m)
+    trees = emulator.parts.world.trees(emulator.parts.motion.poses_at(f.t_ns[0]).world_p_body_m)
     return points_m, instance, trees
 
 

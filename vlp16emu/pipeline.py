@@ -1,61 +1,129 @@
-"""Work ahead: blocks of a run computed on several threads, handed out in order."""
+"""Work ahead: windows of the world and blocks of a run on several threads, handed out in order."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TypeVar
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Generic, TypeVar
 
-__all__ = ["BLOCK", "STRETCH", "ahead"]
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["BLOCK", "STRETCH", "Cut", "Windows", "ahead"]
 
 BLOCK = 1_920
-"""Firing sequences computed at once, 106 ms: whole packets in every return mode, whole packets of 8 rays."""
+"""Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and of 8 rays."""
 STRETCH = 64
-"""Blocks that share a window of the world, 6.8 s or some 8 m of walking."""
+"""Blocks of a VLP-16 that share a window of the world, 6.8 s or some 8 m of walking."""
 
+_RAYS = 8
+_PULSES = 16 * BLOCK
+_LONGEST_NS = 110_000_000
+_STRETCH_NS = 6_800_000_000
+_AHEAD = 2
+"""Blocks per worker that are begun before they are asked for."""
 
 S = TypeVar("S")
 T = TypeVar("T")
 
 
-def ahead(
-    work: Callable[[int, Future[S]], T],
-    open_stretch: Callable[[int], S],
-    *,
-    blocks: range,
-    per_stretch: int | None,
-    threads: int,
-) -> Iterator[T]:
-    """Yield the results of `work(block, scene of its stretch)` in order of blocks, a few computed ahead.
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """How the run of a sensor is cut: a VLP-16's into blocks of `BLOCK` and stretches of `STRETCH`.
 
-    The next stretch is opened from the middle of the present one on, and dropped when it is over.
+    Blocks of other sensors have no more pulses than that and last no longer, but have whole packets of 8 rays.
+    """
+
+    lasers: int
+    sequence_ns: int
+    """From one firing sequence to the next."""
+
+    @property
+    def block(self) -> int:
+        """Firing sequences of a block."""
+        most = min(_PULSES // self.lasers, _LONGEST_NS // self.sequence_ns)
+        return max(most // _RAYS, 1) * _RAYS
+
+    @property
+    def block_ns(self) -> int:
+        """How long a block lasts."""
+        return self.block * self.sequence_ns
+
+    @property
+    def stretch(self) -> int:
+        """Blocks of a stretch."""
+        return _STRETCH_NS // self.block_ns
+
+    def blocks(self, start_ns: int, stop_ns: int) -> range:
+        """Blocks that together hold a span of time since the first pulse."""
+        return range(start_ns // self.block_ns, -(-stop_ns // self.block_ns))
+
+    def edges_ns(self, stretch: int) -> NDArray[np.int64]:
+        """(n,) times since the first pulse at which the blocks of a stretch begin, and the last one ends."""
+        edges = np.arange(stretch * self.stretch, (stretch + 1) * self.stretch + 1, dtype=np.int64)
+        return edges * self.block_ns
+
+
+class Windows(Generic[S]):
+    """The world in windows, each opened once as long as it is in use, whoever asks for it.
+
+    Two are kept: the one of the present stretch and the one before or after it.
+
+    Parameters
+    ----------
+    open_stretch : opens the window of a stretch; called on a thread of its own
+    cut : of the run
+    moves : whether each stretch needs a window; where nothing moves that of stretch 0 serves all
+    threads : workers, which may be that many blocks ahead of whoever else asks
+    """
+
+    def __init__(self, open_stretch: Callable[[int], S], cut: Cut, *, moves: bool, threads: int) -> None:
+        self._block_ns, self._per_stretch = cut.block_ns, cut.stretch if moves else None
+        opener = ThreadPoolExecutor(1, "open")
+
+        @lru_cache(2 + _AHEAD * threads // cut.stretch)
+        def opened(stretch: int) -> Future[S]:
+            return opener.submit(open_stretch, stretch)
+
+        self._opened = opened
+
+    def at_block(self, block: int) -> Future[S]:
+        """Window of a block."""
+        return self._opened(block // self._per_stretch if self._per_stretch else 0)
+
+    def at_time(self, since_ns: int) -> Future[S]:
+        """Window of a time since the first pulse; before it that of the first stretch, for nobody moves yet."""
+        return self.at_block(max(since_ns, 0) // self._block_ns)
+
+    @property
+    def lead(self) -> int:
+        """Blocks between the opening of a window and its use."""
+        return self._per_stretch // 2 if self._per_stretch else 0
+
+
+def ahead(
+    work: Callable[[int, Future[S]], T], windows: Windows[S], *, blocks: range, threads: int
+) -> Iterator[T]:
+    """Yield the results of `work(block, window of its stretch)` in order of blocks, a few computed ahead.
 
     Parameters
     ----------
     work : called on a worker thread; the future may still be running
-    open_stretch : called on a thread of its own
     blocks : numbers of the blocks, without gaps
-    per_stretch : blocks that share a stretch; None where all do
     threads : workers
     """
-    opened: dict[int, Future[S]] = {}
     pending: deque[Future[T]] = deque()
-    last = (blocks.stop - 1) // per_stretch if per_stretch else 0
-    with ThreadPoolExecutor(threads, "work") as workers, ThreadPoolExecutor(1, "open") as opener:
+    with ThreadPoolExecutor(threads, "work") as workers:
         try:
             for block in blocks:
-                stretch = block // per_stretch if per_stretch else 0
-                # Not at once: the first packet should not wait for the second window.
-                soon = min((block + per_stretch // 2) // per_stretch, last) if per_stretch else 0
-                for near in sorted({stretch, soon} - opened.keys()):
-                    opened[near] = opener.submit(open_stretch, near)
-                opened.pop(stretch - 1, None)
-                pending.append(workers.submit(work, block, opened[stretch]))
-                if len(pending) > 2 * threads:
+                pending.append(workers.submit(work, block, windows.at_block(block)))
+                # Now and not at once: the first packet should not wait for the second window.
+                windows.at_block(min(block + windows.lead, blocks.stop - 1))
+                if len(pending) > _AHEAD * threads:
                     yield pending.popleft().result()
             while pending:
                 yield pending.popleft().result()
         finally:
             for waiting in pending:
                 waiting.cancel()
-            for window in opened.values():
-                window.cancel()

@@ -63,12 +63,12 @@ BAD_FILES = [
         "schema = 1\nseed = -1",
         "seed: found -1; expected a whole number at least 0 and below 9223372036854775808",
     ),
-    ('kind = "static"', 'kind = "run"', 'motion.kind: found "run"; expected "static" or "walk"'),
-    ('kind = "static"', "", 'motion.kind: missing; expected "static" or "walk"'),
+    ('kind = "static"', 'kind = "run"', 'motion.kind: found "run"; expected "recorded", "static" or "walk"'),
+    ('kind = "static"', "", 'motion.kind: missing; expected "recorded", "static" or "walk"'),
     (
         'kind = "static"',
         'kind = "static"\nspeed = 1.0',
-        "motion.speed: unknown key; expected one of kind, x_m, y_m, height_m, yaw_deg, pitch_deg, roll_deg",
+        "motion.speed: unknown key; expected one of kind, x_m, y_m, height_m, yaw_deg, pitch_deg, roll_deg, mount",
     ),
     ("length_m = 30", "length_m = 0", "world.length_m: found 0; expected a number above 0"),
     ("length_m = 30", "length_m = inf", "world.length_m: found inf; expected a finite number above 0"),
@@ -87,7 +87,7 @@ BAD_FILES = [
     (
         "[sensor]\nrpm = 600",
         "sensor = 600",
-        "sensor: found 600; expected a table",
+        'sensor: found 600; expected a table with model = "free", "puck-hi-res", "puck-lite" or "vlp-16"',
     ),
     (
         "rpm = 600",
@@ -135,7 +135,7 @@ BAD_SETTINGS = [
             "expected a list of 2 numbers"
         ),
     ),
-    ("motion=3", '--set motion=3: found 3; expected a table with kind = "static" or "walk"'),
+    ("motion=3", '--set motion=3: found 3; expected a table with kind = "recorded", "static" or "walk"'),
     ("world.species=[]", "--set world.species=[]: found a list of 0; expected a list of at least 1"),
     (
         "seed=1\ntitle='x'",

@@ -13,15 +13,23 @@ __all__ = [
     "CaptureFile",
     "DataPort",
     "Duration",
+    "Ideal",
     "PositionPort",
     "SceneName",
     "Settings",
     "Start",
     "Threads",
+    "all_settings",
     "checked",
     "span_s",
 ]
 
+_IDEAL = (
+    "beam = { model = 'none' }",
+    "noise = { preset = 'ideal' }",
+    "sensor.eccentricity_deg = 0",
+    "sensor.azimuth_noise_deg = 0",
+)
 _LONGEST_S = 7 * 86_400
 """As long as a scene may be."""
 
@@ -43,6 +51,11 @@ def checked(
         return value
 
     return parse
+
+
+def all_settings(settings: list[str] | None, *, ideal: bool) -> list[str]:
+    """List the settings of a run, those of `--ideal` before the user's own."""
+    return [*(_IDEAL if ideal else ()), *(settings or ())]
 
 
 def span_s(start_s: float, duration_s: float | None, scene_s: float) -> tuple[float, float]:
@@ -101,8 +114,12 @@ Duration = Annotated[
         help="Simulated seconds; up to the end of the scene if left out.",
     ),
 ]
-DataPort = Annotated[int, _port("--data-port", "Receiver's port for data packets.")]
-PositionPort = Annotated[int, _port("--position-port", "Receiver's port for position packets.")]
+DataPort = Annotated[
+    int | None, _port("--data-port", "Receiver's port for data packets, instead of sensor.data_port.")
+]
+PositionPort = Annotated[
+    int | None, _port("--position-port", "The same for position packets, instead of sensor.position_port.")
+]
 Settings = Annotated[
     list[str] | None,
     typer.Option(
@@ -110,6 +127,9 @@ Settings = Annotated[
         metavar="KEY=VALUE",
         help="Change a value of the scene, for instance sensor.rpm=1200. May be repeated.",
     ),
+]
+Ideal = Annotated[
+    bool, typer.Option("--ideal", help="A sensor without errors: beams without width, no noise.")
 ]
 Threads = Annotated[
     int,

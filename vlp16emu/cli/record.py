@@ -1,6 +1,7 @@
 """`vlp16emu record`: a scene into a pcap file."""
 
 import time
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from threading import Event
@@ -8,12 +9,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, Duration, SceneName, Settings, Start, Threads, span_s
+from vlp16emu.cli.arguments import (
+    AsJson,
+    Duration,
+    Ideal,
+    SceneName,
+    Settings,
+    Start,
+    Threads,
+    all_settings,
+    span_s,
+)
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows, size
 from vlp16emu.cli.progress import Progress
+from vlp16emu.cli.truth import TruthPackets, TruthRate, TruthTo, with_truth
 
 if TYPE_CHECKING:
+    from vlp16emu.assembly import Unit
     from vlp16emu.sinks import PcapResult, PcapSink
     from vlp16emu.types import Packet
 
@@ -32,7 +45,11 @@ def record(
     duration: Duration = None,
     start: Start = 0.0,
     settings: Settings = None,
+    ideal: Ideal = False,
     threads: Threads = 0,
+    truth: TruthTo = None,
+    truth_rate: TruthRate = 200,
+    truth_packets: TruthPackets = False,
     as_json: AsJson = False,
 ) -> None:
     """Record a scene into a pcap file.
@@ -46,19 +63,22 @@ def record(
     from vlp16emu.sinks import PcapSink
     from vlp16emu.units import seconds_to_ns
 
-    scenario = load(scene, settings or [])
+    scenario = load(scene, all_settings(settings, ideal=ideal))
     start_s, stop_s = span_s(start, duration, scenario.duration_s)
     emulator = Emulator(scenario, threads=threads)
     packets = emulator.packets(start_s, stop_s)  # checks the span before the file is touched
-    asked_s = stop_s - start_s
+    asked_s, links = stop_s - start_s, [unit.link for unit in emulator.parts.units]
     with (
         stop_on_ctrl_c() as stop,
-        PcapSink(out, emulator.first_position_packet(start_s)) as sink,
+        with_truth(emulator, packets, start_s, truth, truth_rate, per_packet=truth_packets) as told,
+        PcapSink(out, emulator.first_position_packets(start_s), links) as sink,
         Progress(asked_s) as progress,
     ):
-        returns, done_s = _send(packets, sink, progress, stop, scenario.start_ns + seconds_to_ns(start_s))
+        sent, done_s = _send(told, sink, progress, stop, scenario.start_ns + seconds_to_ns(start_s))
     report: dict[str, Any] = {"file": str(out), "scene": scene, "seed": scenario.seed}
-    report |= _tree(sink.result, returns, done_s if stop.is_set() else asked_s, time.perf_counter() - began_s)
+    units = [_unit(unit, sent) for unit in emulator.parts.units]
+    wall_s = time.perf_counter() - began_s
+    report |= _tree(sink.result, units, done_s if stop.is_set() else asked_s, wall_s)
     _print(report | {"interrupted": stop.is_set()}, as_json=as_json)
     if stop.is_set():
         raise typer.Exit(INTERRUPTED)
@@ -66,28 +86,50 @@ def record(
 
 def _send(
     packets: "Iterable[Packet]", sink: "PcapSink", progress: Progress, stop: Event, begin_ns: int
-) -> tuple[int, float]:
-    """Write packets until they end or are to stop; count the returns and the simulated seconds."""
-    from vlp16emu.cli.points import returns_in
+) -> "tuple[Counter[tuple[int, str]], float]":
+    """Write packets until they end or are to stop; count each unit's packets and returns, and simulated seconds."""
+    from vlp16emu.cli.reading import returns_in
     from vlp16emu.units import S_NS
 
-    returns, done_s = 0, 0.0
+    sent, done_s = Counter[tuple[int, str]](), 0.0
     for packet in packets:
         if stop.is_set():
             break
         sink.send(packet)
-        returns += returns_in(packet)
+        sent[packet.unit, packet.kind] += 1
+        sent[packet.unit, "returns"] += returns_in(packet)
         done_s = (packet.due_ns - begin_ns) / S_NS
         progress.show("recording", done_s)
-    return returns, done_s
+    return sent, done_s
 
 
-def _tree(written: "PcapResult", returns: int, simulated_s: float, wall_s: float) -> dict[str, Any]:
+def _unit(unit: "Unit", sent: "Counter[tuple[int, str]]") -> dict[str, Any]:
+    """Tell what one unit sent, and whence and whither."""
+    from vlp16emu.scenario.sensor import on_the_wire
+    from vlp16emu.types import PacketKind
+
+    sensor = on_the_wire(unit.section)
+    return {
+        "unit": unit.number + 1,
+        "name": sensor.name,
+        "address": sensor.address,
+        "data_port": sensor.data_port,
+        "position_port": sensor.position_port,
+        "packets": sent[unit.number, PacketKind.DATA],
+        "position_packets": sent[unit.number, PacketKind.POSITION],
+        "returns": sent[unit.number, "returns"],
+    }
+
+
+def _tree(
+    written: "PcapResult", units: list[dict[str, Any]], simulated_s: float, wall_s: float
+) -> dict[str, Any]:
     """Put what the run made and took into the types of JSON; `wall_s` is that of the whole command."""
     return {
         "packets": written.data_packets,
         "position_packets": written.position_packets,
-        "returns": returns,
+        "returns": sum(unit["returns"] for unit in units),
+        "units": units,
         "bytes": written.bytes,
         "sha256": written.sha256,
         "simulated_s": simulated_s,
@@ -101,6 +143,7 @@ def _print(report: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
         print_json(report)
         return
+    units = report["units"] if len(report["units"]) > 1 else []
     print_rows(
         f"{'interrupted, kept' if report['interrupted'] else 'wrote'} {report['file']}",
         {
@@ -109,8 +152,17 @@ def _print(report: dict[str, Any], *, as_json: bool) -> None:
             "data packets": count(report["packets"]),
             "position packets": count(report["position_packets"]),
             "returns": count(report["returns"]),
+        }
+        | {f"unit {unit['unit']}": _line(unit) for unit in units}
+        | {
             "size": size(report["bytes"]),
             "sha256": report["sha256"],
             "run time": f"{report['wall_s']:.1f} s, {report['real_time_factor']:.2f} x real time",
         },
     )
+
+
+def _line(unit: dict[str, Any]) -> str:
+    """Write what one of several units sent."""
+    sent = f"{count(unit['packets'])} data, {count(unit['position_packets'])} position"
+    return f"{unit['name']}, {sent}, {count(unit['returns'])} returns, {unit['address']}:{unit['data_port']}"

@@ -1,6 +1,8 @@
 """`vlp16emu stream`: a scene over UDP, in real time."""
 
 import math
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -10,19 +12,23 @@ from vlp16emu.cli.arguments import (
     AsJson,
     DataPort,
     Duration,
+    Ideal,
     PositionPort,
     SceneName,
     Settings,
     Threads,
+    all_settings,
     checked,
     span_s,
 )
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows
 from vlp16emu.cli.progress import Progress
+from vlp16emu.cli.truth import TruthPackets, TruthRate, TruthTo, with_truth
 
 if TYPE_CHECKING:
-    from vlp16emu.sinks import PacketSink, StreamReport, UdpResult
+    from vlp16emu.packets import Link
+    from vlp16emu.sinks import PacketSink, StreamReport, UdpResult, UdpSink
     from vlp16emu.types import Packet
 
 __all__ = ["stream"]
@@ -40,7 +46,8 @@ Speed = Annotated[
 AsSensor = Annotated[
     bool,
     typer.Option(
-        "--as-sensor", help="Send from 192.168.1.201, which this machine must have, with a sensor's headers."
+        "--as-sensor",
+        help="Send from the sensor's address, 192.168.1.201, which this machine must have, with its headers.",
     ),
 ]
 
@@ -49,11 +56,15 @@ def stream(
     scene: SceneName,
     *,
     to: To = "127.0.0.1",
-    data_port: DataPort = 2368,
-    position_port: PositionPort = 8308,
+    data_port: DataPort = None,
+    position_port: PositionPort = None,
     duration: Duration = None,
     settings: Settings = None,
+    ideal: Ideal = False,
     threads: Threads = 0,
+    truth: TruthTo = None,
+    truth_rate: TruthRate = 200,
+    truth_packets: TruthPackets = False,
     speed: Speed = 1.0,
     as_sensor: AsSensor = False,
     as_json: AsJson = False,
@@ -64,35 +75,61 @@ def stream(
     starts the clock, and all deadlines count from there. Ctrl-C ends the stream.
     """
     from vlp16emu.emulator import Emulator
-    from vlp16emu.packets import FACTORY_LINK
     from vlp16emu.scenario import load
-    from vlp16emu.sinks import Pacer, UdpSink
+    from vlp16emu.sinks import LOOK_AHEAD_PACKETS, Pacer
     from vlp16emu.sinks import stream as send
 
-    scenario = load(scene, settings or [])
+    ports = {"data_port": data_port, "position_port": position_port}
+    told_ports = [f"sensor.{key}={port}" for key, port in ports.items() if port is not None]
+    scenario = load(scene, [*all_settings(settings, ideal=ideal), *told_ports])
     start_s, stop_s = span_s(0.0, duration, scenario.duration_s)
-    packets = Emulator(scenario, threads=threads).packets(start_s, stop_s)
-    source = FACTORY_LINK.source if as_sensor else None
+    emulator = Emulator(scenario, threads=threads)
+    packets = emulator.packets(start_s, stop_s)
+    links = [unit.link for unit in emulator.parts.units]
     with (
         stop_on_ctrl_c() as stop,
-        UdpSink(to, data_port=data_port, position_port=position_port, as_sensor=source) as sink,
+        with_truth(emulator, packets, start_s, truth, truth_rate, per_packet=truth_packets) as told,
+        _opened(links, to, as_sensor=as_sensor) as sinks,
         Progress(stop_s) as progress,
     ):
         if not as_json:
-            print(f"streaming {scene} to {to}, ports {data_port} and {position_port}", flush=True)
-        report = send(packets, _Shown(sink, progress, scenario.start_ns), Pacer(speed), stop=stop)
-    where = {"to": to, "data_port": data_port, "position_port": position_port, "speed": speed}
-    tree = {"scene": scene, "seed": scenario.seed} | where | _tree(sink.result, report)
+            pairs = "; ".join(f"{link.data_port} and {link.position_port}" for link in links)
+            print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
+        shown, ahead = _Shown(sinks, progress, scenario.start_ns), LOOK_AHEAD_PACKETS * len(sinks)
+        report = send(told, shown, Pacer(speed), stop=stop, look_ahead_packets=ahead)
+    units = [
+        _unit(link, number, sink.result) for number, (link, sink) in enumerate(zip(links, sinks, strict=True))
+    ]
+    tree = {"scene": scene, "seed": scenario.seed, "to": to, "speed": speed} | _tree(units, report)
     _print(tree, as_json=as_json)
     if report.interrupted:
         raise typer.Exit(INTERRUPTED)
 
 
-class _Shown:
-    """A sink that moves a progress bar."""
+@contextmanager
+def _opened(links: "Sequence[Link]", to: str, *, as_sensor: bool) -> "Iterator[list[UdpSink]]":
+    """Open the sockets of each unit."""
+    from vlp16emu.sinks import UdpSink
 
-    def __init__(self, sink: "PacketSink", progress: Progress, begin_ns: int) -> None:
-        self._sink, self._progress, self._begin_ns = sink, progress, begin_ns
+    with ExitStack() as stack:
+        yield [
+            stack.enter_context(
+                UdpSink(
+                    to,
+                    data_port=link.data_port,
+                    position_port=link.position_port,
+                    as_sensor=link.source if as_sensor else None,
+                )
+            )
+            for link in links
+        ]
+
+
+class _Shown:
+    """The sinks of all units as one that moves a progress bar."""
+
+    def __init__(self, sinks: "Sequence[PacketSink]", progress: Progress, begin_ns: int) -> None:
+        self._sinks, self._progress, self._begin_ns = sinks, progress, begin_ns
 
     def __enter__(self) -> Self:
         return self
@@ -100,20 +137,34 @@ class _Shown:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Nothing to close: the sink belongs to whoever opened it."""
+        """Nothing to close: the sinks belong to whoever opened them."""
 
     def send(self, packet: "Packet") -> None:
         """Send first, draw after."""
-        self._sink.send(packet)
+        self._sinks[packet.unit].send(packet)
         self._progress.show("streaming", (packet.due_ns - self._begin_ns) * 1e-9)
 
 
-def _tree(sent: "UdpResult", report: "StreamReport") -> dict[str, Any]:
-    """Put how the stream went into the types of JSON."""
-    late = report.lateness
+def _unit(link: "Link", number: int, sent: "UdpResult") -> dict[str, Any]:
+    """Tell what one unit sent, and whither."""
     return {
+        "unit": number + 1,
+        "data_port": link.data_port,
+        "position_port": link.position_port,
         "packets": sent.data_packets,
         "position_packets": sent.position_packets,
+    }
+
+
+def _tree(units: list[dict[str, Any]], report: "StreamReport") -> dict[str, Any]:
+    """Put how the stream went into the types of JSON; ports are those of the first unit."""
+    late = report.lateness
+    return {
+        "data_port": units[0]["data_port"],
+        "position_port": units[0]["position_port"],
+        "packets": sum(unit["packets"] for unit in units),
+        "position_packets": sum(unit["position_packets"] for unit in units),
+        "units": units,
         "simulated_s": report.simulated_s,
         "wall_s": report.wall_s,
         "real_time_factor": report.real_time_factor,

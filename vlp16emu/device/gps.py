@@ -18,7 +18,11 @@ class GpsInput:
 
     @property
     def pps(self) -> PpsState:
-        """State of the pulse as the sensor reports it."""
+        """State of the pulse as the sensor reports it.
+
+        Lost fixes leave it locked: that receivers keep their pulse is an assumption, and the sensor takes the time
+        of sentences with status V too ("Require GPS receiver valid" off; 63-9243 Rev D, appendix G).
+        """
         return PpsState.LOCKED if self.connected else PpsState.ABSENT
 
     def second_ns(self, t_ns: int) -> int | None:

@@ -108,7 +108,8 @@ def _expected(node: Node) -> str:
     if kind == "array":
         if "prefixItems" in node:
             return f"a list of {node['minItems']} numbers"
-        return f"a list of at least {node['minItems']}" if "minItems" in node else "a list"
+        ends = {"minItems": "of at least", "maxItems": "of at most"}
+        return " ".join(["a list", *(f"{word} {node[key]}" for key, word in ends.items() if key in node)])
     if node.get("format") == "date-time":
         return "a date and time with its offset from UTC, such as 2026-05-20T09:00:00Z"
     return {"object": "a table", "string": "a text in quotes", "boolean": "true or false"}[kind]

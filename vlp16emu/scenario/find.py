@@ -38,7 +38,7 @@ def find(scene: str) -> Path:
         where there is no scene of that name
     """
     path = Path(scene)
-    if path.suffix == ".toml" or path.parent != Path():
+    if path.suffix in (".toml", ".json") or path.parent != Path():
         return path
     known = scene_files()
     if scene not in known:

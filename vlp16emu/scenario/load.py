@@ -1,5 +1,6 @@
-"""TOML to `Scenario`, with errors that name file, key path, what was found and what was expected."""
+"""TOML or JSON to `Scenario`, with errors that name file, key path, what was found and what was expected."""
 
+import json
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +21,7 @@ def load(scene: str, settings: Sequence[str] = ()) -> Scenario:
 
     Parameters
     ----------
-    scene : name or path
+    scene : name or path; a path that ends in .json is read as the truth beside a run gives it
     settings : `key.path=value` with the value in TOML, in order
 
     Raises
@@ -33,22 +34,40 @@ def load(scene: str, settings: Sequence[str] = ()) -> Scenario:
     for setting in settings:
         _apply(tree, setting)
     try:
-        return Scenario.model_validate(tree, context={"folder": path.parent})
+        return _checked(path, tree)
     except ValidationError as error:
         key, found, expected = explain(error)
         raise ScenarioError(_origin(path, settings, key), found, expected) from None
 
 
+def _checked(path: Path, tree: dict[str, Any]) -> Scenario:
+    """Check a tree; JSON has no dates, so theirs are read from text there."""
+    context = {"folder": path.parent.absolute()}  # so that a file is found from wherever it is named again
+    if _is_json(path):
+        tree.pop("written_by", None)
+        return Scenario.model_validate_json(json.dumps(tree, default=str), context=context)
+    return Scenario.model_validate(tree, context=context)
+
+
+def _is_json(path: Path) -> bool:
+    """Whether a file is JSON, by its name."""
+    return path.suffix == ".json"
+
+
 def _read(path: Path) -> dict[str, Any]:
     """Parse the file."""
+    kind, parse = ("JSON", json.loads) if _is_json(path) else ("TOML", tomllib.loads)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        tree = parse(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ScenarioError(str(path), str(error.strerror), "a scene file") from None
     except UnicodeDecodeError as error:
-        raise ScenarioError(str(path), f"no UTF-8 text at byte {error.start}", "a TOML file") from None
+        raise ScenarioError(str(path), f"no UTF-8 text at byte {error.start}", f"a {kind} file") from None
     except (ValueError, RecursionError) as error:  # the parser's own error, a vast integer, a vast nesting
-        raise ScenarioError(str(path), f"no valid TOML: {error}", "a TOML file") from None
+        raise ScenarioError(str(path), f"no valid {kind}: {error}", f"a {kind} file") from None
+    if not isinstance(tree, dict):
+        raise ScenarioError(str(path), "no table", f"a {kind} file with the tables of a scene")
+    return tree
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:

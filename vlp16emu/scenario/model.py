@@ -1,13 +1,20 @@
 """The scenario file as a frozen tree. Defaults live here and nowhere else."""
 
 from datetime import UTC, datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AwareDatetime, Field
+from pydantic import AwareDatetime, Field, ValidationInfo, field_validator
 
+from vlp16emu.scenario.beam import Beam
+from vlp16emu.scenario.detector import Detector
+from vlp16emu.scenario.gps import Gps
+from vlp16emu.scenario.imu import Imu
 from vlp16emu.scenario.motion import Motion
+from vlp16emu.scenario.noise import Noise
+from vlp16emu.scenario.rig import Unit, completed
 from vlp16emu.scenario.section import Section
-from vlp16emu.scenario.sensor import Gps, Sensor
+from vlp16emu.scenario.sensor import AnySensor, FreeSensor, Sensor
+from vlp16emu.scenario.weather import Weather
 from vlp16emu.scenario.world import World
 from vlp16emu.units import S_NS, US_NS
 
@@ -27,13 +34,56 @@ class Scenario(Section):
     """When the first pulse is fired."""
     duration_s: Annotated[float, Field(gt=0, le=7 * 86400)] = 10.0
     """How long a recording is unless the command says otherwise."""
-    sensor: Sensor = Sensor()
+    sensor: AnySensor = Sensor()
+    beam: Beam = Beam()
+    detector: Detector = Detector()
+    noise: Noise = Noise()
+    weather: Weather = Weather()
     gps: Gps = Gps()
     motion: Motion
+    imu: Imu | None = None
+    """An inertial measurement unit beside the sensor; its samples are part of the truth."""
+    rig: Annotated[list[Unit], Field(max_length=253, default_factory=list)]
+    """Further sensors on the same carrier, numbered from 2; that of `[sensor]` is unit 1."""
     world: World
+
+    @field_validator("gps")
+    @classmethod
+    def _keeps_the_phase(cls, gps: Gps, info: ValidationInfo) -> Gps:
+        if _is_locked(info.data.get("sensor")) and not gps.connected:
+            raise ValueError("connected = true, whose pulse sensor.phase_lock_deg needs")
+        return gps
+
+    @field_validator("rig", mode="before")
+    @classmethod
+    def _like_the_first(cls, tables: Any, info: ValidationInfo) -> Any:
+        first = info.data.get("sensor")  # absent where it is itself in error
+        if isinstance(first, FreeSensor) and tables:
+            raise ValueError('none beside sensor.model = "free", which has no packets')
+        if not isinstance(first, Sensor) or not isinstance(tables, list):
+            return tables
+        return [completed(table, first, place) for place, table in enumerate(tables, start=1)]
+
+    @field_validator("rig")
+    @classmethod
+    def _told_apart(cls, rig: list[Unit], info: ValidationInfo) -> list[Unit]:
+        first = info.data.get("sensor")
+        units = [first, *rig] if isinstance(first, Sensor) else rig
+        for key in ("name", "serial_number", "address"):
+            if len({getattr(unit, key) for unit in units}) < len(units):
+                raise ValueError(f"{key} of its own for each unit, that of [sensor] included")
+        gps = info.data.get("gps")
+        if gps is not None and not gps.connected and any(map(_is_locked, rig)):
+            raise ValueError("no phase_lock_deg in it without the pulse of gps.connected = true")
+        return rig
 
     @property
     def start_ns(self) -> int:
         """UTC of the first pulse, ns since 1970."""
         since = self.start_utc.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)
         return (since.days * 86400 + since.seconds) * S_NS + since.microseconds * US_NS
+
+
+def _is_locked(sensor: Sensor | FreeSensor | None) -> bool:
+    """Whether a sensor takes its phase from the GPS receiver's pulse."""
+    return isinstance(sensor, Sensor) and sensor.phase_lock_deg is not None

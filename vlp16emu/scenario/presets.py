@@ -6,7 +6,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-__all__ = ["DENSITY_KEYS", "presets", "with_preset"]
+__all__ = ["DENSITY_KEYS", "merged", "presets", "with_preset"]
 
 DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
 """Two ways to say how dense a storey is; whoever gives one does not want the other."""
@@ -31,16 +31,16 @@ def with_preset(own: Table) -> Table:
     base = presets().get(name, {}) if isinstance(name, str) else {}
     if own.keys() & DENSITY_KEYS:
         base = {key: value for key, value in base.items() if key not in DENSITY_KEYS}
-    return _merged(base, own)
+    return merged(base, own)
 
 
-def _merged(base: Table, own: Table) -> dict[str, Any]:
-    """Everything of both, the own where both have it."""
-    merged = {**base, **own}
+def merged(base: Table, own: Table) -> dict[str, Any]:
+    """Everything of both tables, the own where both have it; tables in them are merged likewise."""
+    both = {**base, **own}
     for key in base.keys() & own.keys():
         if isinstance(base[key], dict) and isinstance(own[key], dict) and _same_kind(base[key], own[key]):
-            merged[key] = _merged(base[key], own[key])
-    return merged
+            both[key] = merged(base[key], own[key])
+    return both
 
 
 def _same_kind(base: Table, own: Table) -> bool:

@@ -1,8 +1,8 @@
 """What all sections of a scenario have in common."""
 
-from typing import Annotated
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
 __all__ = ["Angle", "Fraction", "NonNegative", "Positive", "Section"]
 
@@ -13,6 +13,17 @@ class Section(BaseModel):
     model_config = ConfigDict(
         frozen=True, strict=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
     )
+
+    either_or: ClassVar[frozenset[str]] = frozenset()
+    """Keys of which one rules out the others."""
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_ruled_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what another key rules out, so that a scenario that is written can be read again."""
+        tree: dict[str, Any] = write(self)
+        told = self.either_or & self.model_fields_set
+        ruled_out = self.either_or - told if told else frozenset()
+        return {key: value for key, value in tree.items() if key not in ruled_out}
 
 
 Angle = Annotated[float, Field(ge=-180, le=180)]

@@ -1,6 +1,6 @@
 """The `[world]` table: a forest that grows itself, a plot of given trees, or a hall of known shapes."""
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -97,6 +97,8 @@ Pattern = Annotated[Scattered | HardCore | Plantation | Clusters, Field(discrimi
 
 class Storey(Section):
     """Trees of one layer of the canopy; needs exactly one of `stems_per_ha` and `basal_area_m2_per_ha`."""
+
+    either_or: ClassVar[frozenset[str]] = DENSITY_KEYS
 
     stems_per_ha: Annotated[float, Field(ge=0, le=5000)] = 0.0
     basal_area_m2_per_ha: Annotated[float, Field(ge=0, le=120)] = 0.0

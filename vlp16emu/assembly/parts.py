@@ -1,0 +1,130 @@
+"""What an emulator is made of."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from vlp16emu.assembly.motion import carrier_of, imu_of, mounted_on
+from vlp16emu.assembly.sensor import beam_of, detector_of, gps_of, head_of, link_of, seed_of
+from vlp16emu.assembly.world import forest_of, furnished, ground_of, hall_of
+from vlp16emu.device import GpsInput
+from vlp16emu.motion import Imu, Motion
+from vlp16emu.packets import Link
+from vlp16emu.raycast import Footprint
+from vlp16emu.returns import Detector
+from vlp16emu.scenario import Scenario
+from vlp16emu.scenario.harness import Mount
+from vlp16emu.scenario.sensor import FreeSensor, Sensor, on_the_wire
+from vlp16emu.scenario.world import Hall as HallSection
+from vlp16emu.sensor import Head
+from vlp16emu.types import World
+from vlp16emu.world import Dem, Polyline
+
+__all__ = ["Parts", "Unit", "assemble"]
+
+_STRAY_M = 1.0
+"""How far the carrier may be from its path over the ground: sway, and lasers off the centre."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A sensor on the carrier."""
+
+    number: int
+    """Place in the rig, from 0."""
+    section: Sensor | FreeSensor
+    seed: int
+    """Of all that is random in it."""
+    head: Head
+    motion: Motion
+    """Where it is."""
+    beam: Footprint
+    """How wide its pulses are."""
+    detector: Detector
+
+    @property
+    def link(self) -> Link:
+        """From where to where it sends.
+
+        Raises
+        ------
+        ScenarioError
+            where it has no packets
+        """
+        return link_of(on_the_wire(self.section), self.number)
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What an emulator is made of."""
+
+    units: tuple[Unit, ...]
+    """At least one."""
+    carrier: Motion
+    """Who carries the devices."""
+    imu: Imu | None
+    world: World
+    gps: GpsInput
+
+    @property
+    def head(self) -> Head:
+        """That of the first unit, in most scenes the only one."""
+        return self.units[0].head
+
+    @property
+    def motion(self) -> Motion:
+        """That of the first unit."""
+        return self.units[0].motion
+
+
+def assemble(scenario: Scenario) -> Parts:
+    """Make the parts that a scenario describes.
+
+    Raises
+    ------
+    InputError
+        where a part cannot be made of what its section says
+    """
+    section = scenario.world
+    reach_m = _STRAY_M + max(
+        sensor.max_range_m + math.hypot(*mount.lever_arm_m) for sensor, mount in _sensors(scenario)
+    )
+    world: World
+    if isinstance(section, HallSection):
+        carrier, _ = carrier_of(scenario, lambda x_m, _y_m: np.zeros_like(x_m))
+        world = hall_of(section)
+    else:
+        ground = ground_of(section, scenario.seed)
+        carrier, path_xy_m = carrier_of(scenario, ground.height_m)
+        if isinstance(ground, Dem):
+            ground.check(path_xy_m, reach_m)
+        world = forest_of(section, scenario.seed, ground.height_m, Polyline(path_xy_m), reach_m)
+    return Parts(
+        units=tuple(_unit(scenario, number, carrier) for number in range(len(_sensors(scenario)))),
+        carrier=carrier,
+        imu=imu_of(carrier, scenario),
+        world=furnished(world, section.meshes, reach_m),
+        gps=gps_of(scenario),
+    )
+
+
+def _sensors(scenario: Scenario) -> list[tuple[Sensor | FreeSensor, Mount]]:
+    """Give the tables of all units, and how they are mounted."""
+    return [(scenario.sensor, scenario.motion.mount), *((unit, unit.mount) for unit in scenario.rig)]
+
+
+def _unit(scenario: Scenario, number: int, carrier: Motion) -> Unit:
+    """Make a sensor, and mount it."""
+    section, mount = _sensors(scenario)[number]
+    seed = seed_of(scenario, number)
+    head = head_of(scenario, section, seed)
+    return Unit(
+        number=number,
+        section=section,
+        seed=seed,
+        head=head,
+        motion=mounted_on(carrier, mount, scenario.start_ns),
+        beam=beam_of(scenario, seed),
+        detector=detector_of(scenario, section, seed, len(head.beams.elevation_deg)),
+    )
