@@ -22,6 +22,12 @@ max_range_m = 30.0
 eccentricity_deg = 0.0
 azimuth_noise_deg = 0.0
 
+[beam]
+model = "none"
+
+[noise]
+preset = "ideal"
+
 [motion]
 kind = "static"
 
