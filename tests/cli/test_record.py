@@ -13,9 +13,12 @@ KEYS = [
     "file",
     "scene",
     "seed",
+    "beam",
+    "noise",
     "packets",
     "position_packets",
     "returns",
+    "units",
     "bytes",
     "sha256",
     "simulated_s",
@@ -46,6 +49,17 @@ def test_people_get_a_summary(cli, tmp_path):
     assert outcome.out.startswith(f"wrote {tmp_path}/x.pcap\n  scene             static_bench, seed 1\n")
     assert "\n  data packets      75\n" in outcome.out
     assert outcome.err == ""
+
+
+def test_the_report_names_the_active_beam_and_noise(cli, tmp_path):
+    """Beam and noise stand in the summary as they are after presets, `--set` and `--ideal`."""
+    run = "record", "birch_walk", tmp_path / "x.pcap", "--duration", "0.01", "--set", "world.stems_per_ha=50"
+    real = cli(*run, "--set", "noise.preset=datasheet").out
+    assert "\n  beam              adaptive: at most 64 sub-rays, error of " in real
+    assert "\n  noise             datasheet: 11 mm white, 10 mm bias per laser, " in real
+    ideal = cli(*run, "--ideal", "--json").tree
+    assert ideal["beam"] == "none: one ray, without width"
+    assert ideal["noise"].startswith("ideal: 0 mm white, 0 mm bias per laser, 0 deg, ")
 
 
 def test_threads_change_no_byte(cli, tmp_path):

@@ -78,6 +78,8 @@ def test_people_are_told_where_it_goes_and_how_it_went(cli, listening):
     assert lines[0] == f"streaming static_bench to 127.0.0.1, ports {data_port} and {position_port}"
     assert lines[1] == "done: static_bench to 127.0.0.1"
     assert [line.split("  ")[1] for line in lines[2:]] == [
+        "beam",
+        "noise",
         "data packets",
         "position packets",
         "simulated",

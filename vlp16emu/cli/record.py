@@ -76,6 +76,7 @@ def record(
     ):
         sent, done_s = _send(told, sink, progress, stop, scenario.start_ns + seconds_to_ns(start_s))
     report: dict[str, Any] = {"file": str(out), "scene": scene, "seed": scenario.seed}
+    report |= {"beam": scenario.beam.summary, "noise": scenario.noise.summary}
     units = [_unit(unit, sent) for unit in emulator.parts.units]
     wall_s = time.perf_counter() - began_s
     report |= _tree(sink.result, units, done_s if stop.is_set() else asked_s, wall_s)
@@ -148,6 +149,8 @@ def _print(report: dict[str, Any], *, as_json: bool) -> None:
         f"{'interrupted, kept' if report['interrupted'] else 'wrote'} {report['file']}",
         {
             "scene": f"{report['scene']}, seed {report['seed']}",
+            "beam": report["beam"],
+            "noise": report["noise"],
             "simulated": f"{report['simulated_s']:.1f} s",
             "data packets": count(report["packets"]),
             "position packets": count(report["position_packets"]),

@@ -100,7 +100,8 @@ def stream(
     units = [
         _unit(link, number, sink.result) for number, (link, sink) in enumerate(zip(links, sinks, strict=True))
     ]
-    tree = {"scene": scene, "seed": scenario.seed, "to": to, "speed": speed} | _tree(units, report)
+    tree: dict[str, Any] = {"scene": scene, "seed": scenario.seed, "to": to, "speed": speed}
+    tree |= {"beam": scenario.beam.summary, "noise": scenario.noise.summary} | _tree(units, report)
     _print(tree, as_json=as_json)
     if report.interrupted:
         raise typer.Exit(INTERRUPTED)
@@ -188,6 +189,8 @@ def _print(tree: dict[str, Any], *, as_json: bool) -> None:
     print_rows(
         f"{'interrupted' if tree['interrupted'] else 'done'}: {tree['scene']} to {tree['to']}",
         {
+            "beam": tree["beam"],
+            "noise": tree["noise"],
             "data packets": count(tree["packets"]),
             "position packets": count(tree["position_packets"]),
             "simulated": f"{tree['simulated_s']:.1f} s in {tree['wall_s']:.1f} s",

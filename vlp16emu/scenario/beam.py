@@ -28,3 +28,19 @@ class Beam(Section):
     """Width of the light at the lens, horizontal and vertical, at 1/e2 of the middle."""
     divergence_mrad: Annotated[tuple[Milliradians, Milliradians], Field(strict=False)] = (3.0, 1.5)
     """Growth of that width with distance: full angle, horizontal and vertical (VLS-128 manual, table F-1)."""
+
+    @property
+    def summary(self) -> str:
+        """The active model in one line."""
+        followed = {
+            "adaptive": f"at most {self.rays} sub-rays, error of {1e3 * self.target_m:g} mm aimed at",
+            "fixed": f"{self.rays} sub-rays",
+            "none": "one ray, without width",
+            "angle": "one ray, its direction drawn",
+            "offset": "one ray, its hit displaced",
+        }
+        told = f"{self.model}: {followed[self.model]}"
+        if self.model == "none":
+            return told
+        spot, divergence = (f"{w:g} x {h:g}" for w, h in (self.spot_mm, self.divergence_mrad))
+        return f"{told}, {spot} mm and {divergence} mrad wide"
