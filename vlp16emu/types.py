@@ -99,7 +99,7 @@ class PlantPart(IntEnum):
 
 SURFACE = np.dtype(
     [
-        ("reflectance", "<f4"),  # Lambertian, at 903 nm, 0..1
+        ("reflectance", "<f4"),  # at 903 nm: of a white Lambertian surface 1, above it a retroreflector
         ("material", "<u2"),  # number in the world's list of materials
         ("semantic", "u1"),  # Semantic
         ("part", "u1"),  # PlantPart

@@ -2,8 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
+from typing import Any
 
 from vlp16emu.random import Purpose
+from vlp16emu.scenario.finish import Finish
 from vlp16emu.scenario.given import MeshFile
 from vlp16emu.scenario.world import Clusters as ClustersSection
 from vlp16emu.scenario.world import Forest as ForestSection
@@ -212,13 +214,13 @@ def _furniture(section: MeshFile) -> Furniture:
     mesh = load_mesh(FilePath(section.file), unit=section.unit, up=section.up)
     own = {
         part.name: _look(
-            section.reflectance if part.reflectance is None else part.reflectance,
+            section.brightness if part.brightness is None else part.brightness,
             part.semantic or section.semantic,
             part.part or section.part,
         )
         for part in section.parts
     }
-    common = _look(section.reflectance, section.semantic, section.part)
+    common = _look(section.brightness, section.semantic, section.part)
     places = tuple(Place(**place.model_dump()) for place in section.places)
     return Furniture(mesh, looks_of(mesh, common, own), places, section.one_thing)
 
@@ -235,7 +237,12 @@ def hall_of(section: HallSection) -> Hall:
         width_m=section.width_m,
         height_m=section.height_m,
         wall_reflectance=section.wall_reflectance,
-        boxes=[Box(**box.model_dump()) for box in section.boxes],
-        poles=[Pole(**pole.model_dump()) for pole in section.poles],
-        spheres=[Sphere(**sphere.model_dump()) for sphere in section.spheres],
+        boxes=[Box(**_told(box)) for box in section.boxes],
+        poles=[Pole(**_told(pole)) for pole in section.poles],
+        spheres=[Sphere(**_told(sphere)) for sphere in section.spheres],
     )
+
+
+def _told(thing: Finish) -> dict[str, Any]:
+    """Say what a thing of the hall is, its finish as one number."""
+    return thing.model_dump(exclude=set(thing.either_or)) | {"reflectance": thing.brightness}

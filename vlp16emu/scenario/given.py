@@ -8,7 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo
 
-from vlp16emu.scenario.section import Angle, Fraction, Positive, Section
+from vlp16emu.scenario.finish import Finish, PartFinish
+from vlp16emu.scenario.section import Angle, Positive, Section
 
 __all__ = ["Dem", "MapPoint", "MeshFile", "MeshPart", "MeshPlace", "SceneFile"]
 
@@ -37,12 +38,11 @@ class Dem(Section):
     """Easting and northing of the outer corner of the south-western cell of a .npy."""
 
 
-class MeshPart(Section):
+class MeshPart(PartFinish):
     """What one part of a mesh file is, where it differs from the rest."""
 
     name: str
     """Of the object or group (OBJ) or node (GLB)."""
-    reflectance: Fraction | None = None
     semantic: SemanticName | None = None
     part: PartName | None = None
 
@@ -61,7 +61,7 @@ class MeshPlace(Section):
     scale: Positive = 1.0
 
 
-class MeshFile(Section):
+class MeshFile(Finish):
     """A mesh of the user's own: OBJ, PLY, GLB or STL."""
 
     file: SceneFile
@@ -69,8 +69,6 @@ class MeshFile(Section):
     """Of the file's coordinates."""
     up: Literal["z", "y"]
     """Axis of the file that points upwards."""
-    reflectance: Fraction = 0.5
-    """Lambertian, at 903 nm."""
     semantic: SemanticName = "other"
     part: PartName = "none"
     one_thing: bool = True

@@ -4,6 +4,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from vlp16emu.scenario.finish import Finish
 from vlp16emu.scenario.given import Dem, MapPoint, MeshFile, SceneFile
 from vlp16emu.scenario.ground import Terrain
 from vlp16emu.scenario.presets import DENSITY_KEYS, with_preset
@@ -227,32 +228,29 @@ class Plot(Woods):
     """CSV whose first line names the columns: x, y, species, dbh_cm, height_m, and more if known."""
 
 
-class HallBox(Section):
+class HallBox(Finish):
     """An upright box."""
 
     name: str
     centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
     size_m: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
-    reflectance: Fraction = 0.5
 
 
-class HallPole(Section):
+class HallPole(Finish):
     """An upright round pole."""
 
     name: str
     foot_m: Annotated[tuple[float, float, float], Field(strict=False)]
     diameter_m: Positive
     height_m: Positive
-    reflectance: Fraction = 0.5
 
 
-class HallSphere(Section):
+class HallSphere(Finish):
     """A ball."""
 
     name: str
     centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
     diameter_m: Positive
-    reflectance: Fraction = 0.5
 
 
 class Hall(Section):

@@ -25,7 +25,7 @@ class Look:
     """What one part of a mesh is to the light and to the labels."""
 
     reflectance: float
-    """At 903 nm."""
+    """As in `SURFACE`."""
     semantic: Semantic
     part: PlantPart
 

@@ -33,6 +33,7 @@ class Box:
     size_m: tuple[float, float, float]
     """Along x, y and z."""
     reflectance: float
+    """As in `SURFACE`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +45,7 @@ class Pole:
     diameter_m: float
     height_m: float
     reflectance: float
+    """As in `SURFACE`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,7 @@ class Sphere:
     centre_m: tuple[float, float, float]
     diameter_m: float
     reflectance: float
+    """As in `SURFACE`."""
 
 
 @dataclass(frozen=True, slots=True)
