@@ -23,6 +23,7 @@ from vlp16emu.cli.arguments import (
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows, size
 from vlp16emu.cli.progress import Progress
+from vlp16emu.cli.rotor import revolutions, turned
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def points(
         numbers, done_s = _write(blocks, writer, progress, stop, start_s)
     wall_s = time.perf_counter() - began_s
     report: dict[str, Any] = {"file": str(out), "scene": scene, "seed": scenario.seed}
-    report |= _sensor(emulator.parts.units[unit - 1])
+    report |= _sensor(emulator.parts.units[unit - 1], done_s)
     report |= {"points": sum(numbers), "returns": dict(zip(RETURN_NAMES, numbers, strict=True))}
     report |= {"truth": truth, "bytes": out.stat().st_size, "simulated_s": done_s, "wall_s": wall_s}
     report |= {"real_time_factor": done_s / wall_s, "interrupted": stop.is_set()}
@@ -125,22 +126,18 @@ def _write(
     return numbers.tolist(), done_s
 
 
-def _sensor(unit: "Unit") -> dict[str, Any]:
+def _sensor(unit: "Unit", simulated_s: float) -> dict[str, Any]:
     """Tell what the beam table, the resolution and the speed make of a sensor."""
     from vlp16emu.units import S_NS
 
-    beams, rpm = unit.head.beams, unit.head.rotor.rpm
-    sequences_per_s = S_NS / beams.sequence_ns
+    beams = unit.head.beams
     return {
         "unit": unit.number + 1,
         "sensor": unit.section.model,
         "beams": len(beams.elevation_deg),
         "elevation_deg": [float(beams.elevation_deg.min()), float(beams.elevation_deg.max())],
-        "rpm": rpm,
-        "azimuth_step_deg": 6 * rpm / sequences_per_s,
-        "sequences_per_revolution": sequences_per_s * 60 / rpm,
-        "pulses_per_s": sequences_per_s * len(beams.elevation_deg),
-    }
+        "pulses_per_s": S_NS / beams.sequence_ns * len(beams.elevation_deg),
+    } | turned(unit.head, simulated_s)
 
 
 def _print(report: dict[str, Any], *, as_json: bool) -> None:
@@ -155,12 +152,10 @@ def _print(report: dict[str, Any], *, as_json: bool) -> None:
         {
             "scene": f"{report['scene']}, seed {report['seed']}",
             "sensor": f"{report['sensor']}: {report['beams']} beams from {low:g} to {high:g} deg",
-            "rotor": (
-                f"{report['rpm']} rpm, {report['sequences_per_revolution']:.1f} firing sequences per "
-                f"revolution, {report['azimuth_step_deg']:.4g} deg apart"
-            ),
+            "rotor": f"{report['rpm']} rpm",
             "pulses": f"{count(round(report['pulses_per_s']))} per second",
             "simulated": f"{report['simulated_s']:.1f} s",
+            "revolutions": revolutions([report]),
             "points": f"{count(report['points'])}{f': {returns}' if returns else ''}",
             "labels": "yes" if report["truth"] else "no, see --truth",
             "size": size(report["bytes"]),

@@ -20,9 +20,11 @@ from vlp16emu.cli.arguments import (
     all_settings,
     span_s,
 )
+from vlp16emu.cli.audit import NoAudit, audit_of, audit_row, audit_tree
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows, size
 from vlp16emu.cli.progress import Progress
+from vlp16emu.cli.rotor import revolutions, turned
 from vlp16emu.cli.truth import TruthPackets, TruthRate, TruthTo, with_truth
 
 if TYPE_CHECKING:
@@ -47,6 +49,7 @@ def record(
     settings: Settings = None,
     ideal: Ideal = False,
     threads: Threads = 0,
+    no_audit: NoAudit = False,
     truth: TruthTo = None,
     truth_rate: TruthRate = 200,
     truth_packets: TruthPackets = False,
@@ -65,7 +68,8 @@ def record(
 
     scenario = load(scene, all_settings(settings, ideal=ideal))
     start_s, stop_s = span_s(start, duration, scenario.duration_s)
-    emulator = Emulator(scenario, threads=threads)
+    audit = audit_of(scenario, no_audit=no_audit)
+    emulator = Emulator(scenario, threads=threads, audit=audit)
     packets = emulator.packets(start_s, stop_s)  # checks the span before the file is touched
     asked_s, links = stop_s - start_s, [unit.link for unit in emulator.parts.units]
     with (
@@ -77,9 +81,9 @@ def record(
         sent, done_s = _send(told, sink, progress, stop, scenario.start_ns + seconds_to_ns(start_s))
     report: dict[str, Any] = {"file": str(out), "scene": scene, "seed": scenario.seed}
     report |= {"beam": scenario.beam.summary, "noise": scenario.noise.summary}
-    units = [_unit(unit, sent) for unit in emulator.parts.units]
-    wall_s = time.perf_counter() - began_s
-    report |= _tree(sink.result, units, done_s if stop.is_set() else asked_s, wall_s)
+    simulated_s = done_s if stop.is_set() else asked_s
+    units = [_unit(unit, sent, simulated_s) for unit in emulator.parts.units]
+    report |= _tree(sink.result, units, simulated_s, time.perf_counter() - began_s)
     _print(report | {"interrupted": stop.is_set()}, as_json=as_json)
     if stop.is_set():
         raise typer.Exit(INTERRUPTED)
@@ -104,8 +108,8 @@ def _send(
     return sent, done_s
 
 
-def _unit(unit: "Unit", sent: "Counter[tuple[int, str]]") -> dict[str, Any]:
-    """Tell what one unit sent, and whence and whither."""
+def _unit(unit: "Unit", sent: "Counter[tuple[int, str]]", simulated_s: float) -> dict[str, Any]:
+    """Tell what one unit sent, whence and whither, and how far it turned."""
     from vlp16emu.scenario.sensor import on_the_wire
     from vlp16emu.types import PacketKind
 
@@ -119,7 +123,7 @@ def _unit(unit: "Unit", sent: "Counter[tuple[int, str]]") -> dict[str, Any]:
         "packets": sent[unit.number, PacketKind.DATA],
         "position_packets": sent[unit.number, PacketKind.POSITION],
         "returns": sent[unit.number, "returns"],
-    }
+    } | turned(unit.head, simulated_s)
 
 
 def _tree(
@@ -152,6 +156,7 @@ def _print(report: dict[str, Any], *, as_json: bool) -> None:
             "beam": report["beam"],
             "noise": report["noise"],
             "simulated": f"{report['simulated_s']:.1f} s",
+            "revolutions": revolutions(report["units"]),
             "data packets": count(report["packets"]),
             "position packets": count(report["position_packets"]),
             "returns": count(report["returns"]),

@@ -21,12 +21,15 @@ from vlp16emu.cli.arguments import (
     checked,
     span_s,
 )
+from vlp16emu.cli.audit import NoAudit, audit_of, audit_row, audit_tree
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows
 from vlp16emu.cli.progress import Progress
+from vlp16emu.cli.rotor import revolutions, turned
 from vlp16emu.cli.truth import TruthPackets, TruthRate, TruthTo, with_truth
 
 if TYPE_CHECKING:
+    from vlp16emu.assembly import Unit
     from vlp16emu.packets import Link
     from vlp16emu.sinks import PacketSink, StreamReport, UdpResult, UdpSink
     from vlp16emu.types import Packet
@@ -62,6 +65,7 @@ def stream(
     settings: Settings = None,
     ideal: Ideal = False,
     threads: Threads = 0,
+    no_audit: NoAudit = False,
     truth: TruthTo = None,
     truth_rate: TruthRate = 200,
     truth_packets: TruthPackets = False,
@@ -83,7 +87,8 @@ def stream(
     told_ports = [f"sensor.{key}={port}" for key, port in ports.items() if port is not None]
     scenario = load(scene, [*all_settings(settings, ideal=ideal), *told_ports])
     start_s, stop_s = span_s(0.0, duration, scenario.duration_s)
-    emulator = Emulator(scenario, threads=threads)
+    audit = audit_of(scenario, no_audit=no_audit)
+    emulator = Emulator(scenario, threads=threads, audit=audit)
     packets = emulator.packets(start_s, stop_s)
     links = [unit.link for unit in emulator.parts.units]
     with (
@@ -98,7 +103,8 @@ def stream(
         shown, ahead = _Shown(sinks, progress, scenario.start_ns), LOOK_AHEAD_PACKETS * len(sinks)
         report = send(told, shown, Pacer(speed), stop=stop, look_ahead_packets=ahead)
     units = [
-        _unit(link, number, sink.result) for number, (link, sink) in enumerate(zip(links, sinks, strict=True))
+        _unit(unit, sink.result, report.simulated_s)
+        for unit, sink in zip(emulator.parts.units, sinks, strict=True)
     ]
     tree: dict[str, Any] = {"scene": scene, "seed": scenario.seed, "to": to, "speed": speed}
     tree |= {"beam": scenario.beam.summary, "noise": scenario.noise.summary} | _tree(units, report)
@@ -146,15 +152,15 @@ class _Shown:
         self._progress.show("streaming", (packet.due_ns - self._begin_ns) * 1e-9)
 
 
-def _unit(link: "Link", number: int, sent: "UdpResult") -> dict[str, Any]:
-    """Tell what one unit sent, and whither."""
+def _unit(unit: "Unit", sent: "UdpResult", simulated_s: float) -> dict[str, Any]:
+    """Tell what one unit sent, whither, and how far it turned."""
     return {
-        "unit": number + 1,
-        "data_port": link.data_port,
-        "position_port": link.position_port,
+        "unit": unit.number + 1,
+        "data_port": unit.link.data_port,
+        "position_port": unit.link.position_port,
         "packets": sent.data_packets,
         "position_packets": sent.position_packets,
-    }
+    } | turned(unit.head, simulated_s)
 
 
 def _tree(units: list[dict[str, Any]], report: "StreamReport") -> dict[str, Any]:
@@ -194,6 +200,7 @@ def _print(tree: dict[str, Any], *, as_json: bool) -> None:
             "data packets": count(tree["packets"]),
             "position packets": count(tree["position_packets"]),
             "simulated": f"{tree['simulated_s']:.1f} s in {tree['wall_s']:.1f} s",
+            "revolutions": revolutions(tree["units"]),
             "lateness": (
                 f"median {tree['late_median_us']:.0f} us, 99 % within {tree['late_p99_us']:.0f} us, "
                 f"at most {tree['late_max_us']:.0f} us"
