@@ -131,13 +131,33 @@ def test_the_rig_holds_the_mounts(tmp_path):
     emulator = Emulator(load("static_bench", settings))
     written(emulator, tmp_path, stop_s=0.05)
     rig = json.loads((tmp_path / "rig.json").read_text())
-    assert rig["imu"]["body_T_imu"] == rig["sensor"]["body_T_sensor"]
-    T = np.array(rig["sensor"]["body_T_sensor"]["matrix"])
+    assert rig["imu"]["body_T_imu"] == rig["units"][0]["body_T_sensor"]
+    T = np.array(rig["units"][0]["body_T_sensor"]["matrix"])
     body = emulator.parts.carrier.poses_at(np.array([emulator.scenario.start_ns]))
     _, poses = tum(tmp_path / "trajectory.tum")
     R, p = body.world_R_body[0], body.world_p_body_m[0]
     np.testing.assert_allclose(poses[0, :3], R @ T[:3, 3] + p, atol=1e-9)
     np.testing.assert_allclose(Rotation.from_quat(poses[0, 3:]).as_matrix(), R @ T[:3, :3], atol=1e-11)
+
+
+def test_each_unit_of_a_rig_has_files_of_its_own(tmp_path):
+    """The second unit's poses stand in trajectory_2.tum and packets_2.tum, and rig.json tells which packets are its."""
+    unit = "{return_mode='dual', mount={lever_arm_m=[-0.25, 0.0, -0.15], pitch_deg=-35.0}}"
+    emulator = Emulator(load("static_bench", [f"rig=[{unit}]"]))
+    packets = written(emulator, tmp_path, stop_s=0.1, per_packet=True)
+    told = json.loads((tmp_path / "rig.json").read_text())["units"]
+    assert [(unit["unit"], unit["address"], unit["data_port"]) for unit in told] == [
+        (1, "192.168.1.201", 2368),
+        (2, "192.168.1.202", 2369),
+    ]
+    for number, unit in enumerate(told):
+        t_ns, poses = tum(tmp_path / unit["trajectory"])
+        true = emulator.parts.units[number].motion.kinematics_at(t_ns)
+        np.testing.assert_allclose(poses[:, :3], true.world_p_body_m, rtol=0, atol=1e-9)
+        firsts_ns, _ = tum(tmp_path / unit["trajectory"].replace("trajectory", "packets"))
+        own = [packet for packet in packets if packet.unit == number and packet.kind is PacketKind.DATA]
+        assert len(firsts_ns) == len(own)
+    assert not np.allclose(poses[0, :3], emulator.parts.units[0].motion.kinematics_at(t_ns).world_p_body_m)
 
 
 def test_a_static_sensor_has_a_trajectory_too(tmp_path):
@@ -194,10 +214,11 @@ def test_truth_grows_with_the_run_and_not_in_memory(walk, tmp_path):
 def test_the_resolved_scenario_is_a_scene(name, tmp_path):
     """Every scene of ours, written with all its values and read again, is the same scenario."""
     scenario = load(name, ["seed=77", "title=ä"])
-    parts = SimpleNamespace(motion=None, gps=SimpleNamespace(second_ns=lambda _t_ns: None))
+    unit = SimpleNamespace(number=0, section=scenario.sensor, mount=scenario.motion.mount, motion=None)
+    parts = SimpleNamespace(units=(unit,), gps=SimpleNamespace(second_ns=lambda _t_ns: None))
     emulator = SimpleNamespace(scenario=scenario, parts=parts, receiver=None)
     with Truth(tmp_path, emulator, start_s=0.0, rate_hz=200, per_packet=False) as truth:
-        truth._trajectory = SimpleNamespace(up_to=lambda _t_ns: None)
+        truth._trajectories = []
     assert load(str(tmp_path / "scenario.json")) == scenario
 
 

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.assembly import Parts
+from vlp16emu.assembly import Parts, Unit
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import RunError
 from vlp16emu.motion import Imu, Motion, Receiver, rotations, to_geodetic
 from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.harness import Mount
+from vlp16emu.scenario.sensor import on_the_wire
 from vlp16emu.sensor import BODY_R_SENSOR, SEQUENCE_NS
 from vlp16emu.sinks import TruthFolder, tum_rows
 from vlp16emu.sinks.truth import seconds_text
@@ -73,22 +74,28 @@ class Truth:
         self, folder: Path, emulator: Emulator, *, start_s: float, rate_hz: int, per_packet: bool
     ) -> None:
         scenario, parts = emulator.scenario, emulator.parts
-        sequences = SEQUENCES_PER_PACKET[ReturnMode(scenario.sensor.return_mode)]
-        self._period_ns, self._motion = sequences * SEQUENCE_NS, parts.motion
+        self._units = parts.units
         self._step_ns = -(-S_NS // rate_hz)
         self._seen_ns = self._next_ns = begin_ns = scenario.start_ns + seconds_to_ns(start_s)
-        self._firsts_ns: list[int] | None = [] if per_packet else None
         self._folder = TruthFolder(folder)
         self._folder.write_json("scenario.json", _resolved(scenario))
-        self._folder.write_json("rig.json", _rig(scenario))
-        self._folder.append("trajectory.tum", _TUM_HEADER)
-        if per_packet:
-            self._folder.append("packets.tum", _TUM_HEADER)
+        self._folder.write_json("rig.json", _rig(scenario, parts))
         # The first packet may have begun before it was asked for.
-        from_ns = max(begin_ns - self._period_ns - self._step_ns, scenario.start_ns)
-        rows = _poses(parts.motion, scenario.start_ns, rate_hz)
-        self._trajectory = _Samples(self._append("trajectory.tum"), rows, scenario.start_ns, rate_hz, from_ns)
+        from_ns = max(begin_ns - max(map(_period_ns, self._units)) - self._step_ns, scenario.start_ns)
+        self._trajectories = [
+            _Samples(
+                self._begun(_file("trajectory", unit), _TUM_HEADER),
+                _poses(unit.motion, scenario.start_ns, rate_hz),
+                scenario.start_ns,
+                rate_hz,
+                from_ns,
+            )
+            for unit in self._units
+        ]
         self._others = [*self._inertial(scenario, parts, from_ns), *self._fixes(emulator, begin_ns)]
+        told = self._units if per_packet else ()
+        self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in told}
+        self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
 
     def __enter__(self) -> Self:
         return self
@@ -98,14 +105,16 @@ class Truth:
     ) -> None:
         with self._folder, suppress(*([RunError] if error else [])):
             self._write()
-            self._trajectory.up_to(self._seen_ns + self._step_ns)
+            for samples in self._trajectories:
+                samples.up_to(self._seen_ns + self._step_ns)
 
     def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
         """Pass packets on, and write what was true until each of them once a second."""
         for packet in packets:
             self._seen_ns = packet.due_ns
-            if self._firsts_ns is not None and packet.kind is PacketKind.DATA:
-                self._firsts_ns.append(packet.due_ns - self._period_ns)
+            if self._firsts_ns and packet.kind is PacketKind.DATA:
+                first_ns = packet.due_ns - _period_ns(self._units[packet.unit])
+                self._firsts_ns[packet.unit].append(first_ns)
             if packet.due_ns >= self._next_ns:
                 self._next_ns = packet.due_ns + S_NS
                 self._write()
@@ -113,30 +122,30 @@ class Truth:
 
     def _write(self) -> None:
         """Write all that was true so far."""
-        for samples in (self._trajectory, *self._others):
+        for samples in (*self._trajectories, *self._others):
             samples.up_to(self._seen_ns)
-        if self._firsts_ns:
-            t_ns = np.array(self._firsts_ns)
-            self._folder.append("packets.tum", tum_rows(_poses_at(self._motion, t_ns)))
-            self._firsts_ns.clear()
+        for number, firsts_ns in self._firsts_ns.items():
+            if firsts_ns:
+                poses = _poses_at(self._units[number].motion, np.array(firsts_ns))
+                self._packets[number](tum_rows(poses))
+                firsts_ns.clear()
 
-    def _append(self, name: str) -> Callable[[str], None]:
-        """Make what appends to a file."""
+    def _begun(self, name: str, header: str) -> Callable[[str], None]:
+        """Begin a file, and give what appends to it."""
+        self._folder.append(name, header)
         return lambda text: self._folder.append(name, text)
 
     def _inertial(self, scenario: Scenario, parts: Parts, from_ns: int) -> Iterator["_Samples"]:
         """Begin the file of the inertial unit, if there is one."""
         if scenario.imu is not None and parts.imu is not None:
-            append = self._append("imu.csv")
-            append(",".join(_IMU_COLUMNS) + "\n")
+            append = self._begun("imu.csv", ",".join(_IMU_COLUMNS) + "\n")
             yield _Samples(append, _inertial(parts.imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
 
     def _fixes(self, emulator: Emulator, begin_ns: int) -> Iterator["_Samples"]:
         """Begin the file of the GPS receiver, if there is one, with the second that the first packet names."""
         named_ns = emulator.parts.gps.second_ns(begin_ns)
         if named_ns is not None:
-            append = self._append("gnss.csv")
-            append(",".join(_GNSS_COLUMNS) + "\n")
+            append = self._begun("gnss.csv", ",".join(_GNSS_COLUMNS) + "\n")
             yield _Samples(append, _fixes(emulator.receiver), 0, 1, named_ns)
 
 
@@ -167,6 +176,16 @@ class _Samples:
         """Tell how many samples, from sample 0 on, lie before an instant."""
         # Sample i lies i * S_NS // rate_hz after sample 0.
         return -(-(t_ns - self._zero_ns) * self._rate_hz // S_NS)
+
+
+def _period_ns(unit: Unit) -> int:
+    """From the first pulse of a unit's packet to that of the next."""
+    return SEQUENCES_PER_PACKET[ReturnMode(unit.section.return_mode)] * SEQUENCE_NS
+
+
+def _file(name: str, unit: Unit) -> str:
+    """Name a file of a unit; the first has no number in it."""
+    return f"{name}_{unit.number + 1}.tum" if unit.number else f"{name}.tum"
 
 
 def _poses_at(motion: Motion, t_ns: NDArray[np.int64]) -> Poses:
@@ -221,7 +240,7 @@ def _resolved(scenario: Scenario) -> dict[str, Any]:
     return {"written_by": f"vlp16emu {version('vlp16emu')}"} | tree
 
 
-def _rig(scenario: Scenario) -> dict[str, Any]:
+def _rig(scenario: Scenario, parts: Parts) -> dict[str, Any]:
     """Tell the frames of the trajectory and of what is fixed to it."""
     gps, imu = scenario.gps, scenario.imu
     rig: dict[str, Any] = {
@@ -231,10 +250,8 @@ def _rig(scenario: Scenario) -> dict[str, Any]:
             "longitude_deg": gps.longitude_deg,
             "height_m": gps.height_m,
         },
-        "sensor": {
-            "axes": "x forward at azimuth 0, y left, z up; that of trajectory.tum",
-            "body_T_sensor": _mount(scenario.motion.mount),
-        },
+        "sensor": {"axes": "x forward at azimuth 0, y left, z up; that of the trajectory"},
+        "units": [_unit(unit) for unit in parts.units],
         "manual": {
             "axes": "azimuth 0 on +y, clockwise seen from above (63-9243 Rev D, section 9.1)",
             "sensor_T_manual": _transform(BODY_R_SENSOR, np.zeros(3)),
@@ -242,6 +259,22 @@ def _rig(scenario: Scenario) -> dict[str, Any]:
         "antenna": {"above_sensor_m": gps.antenna_above_m, "towards": "world up"},
     }
     return rig | ({"imu": {"body_T_imu": _mount(imu.mount)}} if imu else {})
+
+
+def _unit(unit: Unit) -> dict[str, Any]:
+    """Tell who a unit is, whence its packets come, and where it sits."""
+    sensor = on_the_wire(unit.section)
+    return {
+        "unit": unit.number + 1,
+        "name": sensor.name,
+        "model": sensor.model,
+        "serial_number": sensor.serial_number,
+        "address": sensor.address,
+        "data_port": sensor.data_port,
+        "position_port": sensor.position_port,
+        "trajectory": _file("trajectory", unit),
+        "body_T_sensor": _mount(unit.mount),
+    }
 
 
 def _mount(section: Mount) -> dict[str, Any]:

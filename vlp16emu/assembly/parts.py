@@ -7,7 +7,7 @@ import numpy as np
 
 from vlp16emu.assembly.motion import carrier_of, imu_of, mounted_on
 from vlp16emu.assembly.sensor import beam_of, detector_of, gps_of, head_of, link_of, seed_of
-from vlp16emu.assembly.world import forest_of, furnished, ground_of, hall_of
+from vlp16emu.assembly.world import forest_of, furnished, ground_of, hall_of, wind_of
 from vlp16emu.device import GpsInput
 from vlp16emu.motion import Imu, Motion
 from vlp16emu.packets import Link
@@ -19,7 +19,7 @@ from vlp16emu.scenario.sensor import FreeSensor, Sensor, on_the_wire
 from vlp16emu.scenario.world import Hall as HallSection
 from vlp16emu.sensor import Head
 from vlp16emu.types import World
-from vlp16emu.world import Dem, Polyline
+from vlp16emu.world import Dem, Polyline, Wind
 
 __all__ = ["Parts", "Unit", "assemble"]
 
@@ -34,6 +34,8 @@ class Unit:
     number: int
     """Place in the rig, from 0."""
     section: Sensor | FreeSensor
+    mount: Mount
+    """How it sits on the carrier."""
     seed: int
     """Of all that is random in it."""
     head: Head
@@ -65,6 +67,9 @@ class Parts:
     """Who carries the devices."""
     imu: Imu | None
     world: World
+    """At rest."""
+    wind: Wind | None
+    """What moves its trees."""
     gps: GpsInput
 
     @property
@@ -76,6 +81,11 @@ class Parts:
     def motion(self) -> Motion:
         """That of the first unit."""
         return self.units[0].motion
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything does: a sensor, or what it sees."""
+        return self.wind is not None or any(unit.motion.moves for unit in self.units)
 
 
 def assemble(scenario: Scenario) -> Parts:
@@ -91,6 +101,7 @@ def assemble(scenario: Scenario) -> Parts:
         sensor.max_range_m + math.hypot(*mount.lever_arm_m) for sensor, mount in _sensors(scenario)
     )
     world: World
+    wind: Wind | None = None
     if isinstance(section, HallSection):
         carrier, _ = carrier_of(scenario, lambda x_m, _y_m: np.zeros_like(x_m))
         world = hall_of(section)
@@ -99,12 +110,15 @@ def assemble(scenario: Scenario) -> Parts:
         carrier, path_xy_m = carrier_of(scenario, ground.height_m)
         if isinstance(ground, Dem):
             ground.check(path_xy_m, reach_m)
-        world = forest_of(section, scenario.seed, ground.height_m, Polyline(path_xy_m), reach_m)
+        path, blows = Polyline(path_xy_m), scenario.wind is not None and scenario.wind.speed_m_s > 0
+        world = forest_of(section, scenario.seed, ground.height_m, path, reach_m, loose_stems=blows)
+        wind = wind_of(scenario, world)
     return Parts(
         units=tuple(_unit(scenario, number, carrier) for number in range(len(_sensors(scenario)))),
         carrier=carrier,
         imu=imu_of(carrier, scenario),
         world=furnished(world, section.meshes, reach_m),
+        wind=wind,
         gps=gps_of(scenario),
     )
 
@@ -122,6 +136,7 @@ def _unit(scenario: Scenario, number: int, carrier: Motion) -> Unit:
     return Unit(
         number=number,
         section=section,
+        mount=mount,
         seed=seed,
         head=head,
         motion=mounted_on(carrier, mount, scenario.start_ns),

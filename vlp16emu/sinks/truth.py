@@ -1,6 +1,7 @@
 """Truth beside a run: a folder of text files that grow with it and are readable at any time."""
 
 import json
+import re
 from collections.abc import Mapping
 from contextlib import ExitStack
 from io import FileIO
@@ -16,7 +17,7 @@ from vlp16emu.units import S_NS
 
 __all__ = ["TruthFolder", "seconds_text", "tum_rows"]
 
-_FILES = ("gnss.csv", "imu.csv", "packets.tum", "rig.json", "scenario.json", "trajectory.tum")
+_FILES = re.compile(r"(gnss|imu)\.csv|(rig|scenario)\.json|(packets|trajectory)(_\d+)?\.tum")
 """All that a run may write; those of an earlier run are replaced as a whole."""
 
 
@@ -39,12 +40,13 @@ class TruthFolder:
         self._open = ExitStack()
         try:
             path.mkdir(parents=True, exist_ok=True)
-            strange = sorted({file.name for file in path.iterdir()} - set(_FILES))
+            present = sorted(path.iterdir())
+            strange = [file.name for file in present if not _FILES.fullmatch(file.name)]
             if strange:
                 expected = "a new or empty folder, or one with the truth of an earlier run"
                 raise OutputError(str(path), f"holds {strange[0]}", expected)
-            for name in _FILES:
-                (path / name).unlink(missing_ok=True)
+            for file in present:
+                file.unlink()
         except OSError as error:
             raise OutputError(str(path), str(error.strerror), "a folder that can be written") from error
 

@@ -1,0 +1,107 @@
+"""Several sensors on one carrier."""
+
+from ipaddress import IPv4Address
+
+import numpy as np
+import pytest
+import velodyne_decoder
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.packets import Capture, decode_data
+from vlp16emu.scenario import load
+from vlp16emu.sinks import PcapSink
+from vlp16emu.types import PacketKind
+from vlp16emu.units import S_NS
+
+MOUNT = "{lever_arm_m=[-0.25, 0.0, -0.15], pitch_deg=-35.0}"
+WALK = 'motion={kind="walk", way_points_m=[[-10, 0], [0, 3], [10, 0]], gait={preset="none"}, harness={}}'
+SPAN_S = 0.5
+
+
+def made(*settings):
+    """Packets of half a second."""
+    emulator = Emulator(load("static_bench", [WALK, "gps.connected=true", *settings]))
+    return emulator, list(emulator.packets(0.0, SPAN_S))
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """A level sensor and a tilted one in dual return."""
+    return made(f"rig=[{{name='tilted', return_mode='dual', phase_lock_deg=90.0, mount={MOUNT}, seed=9}}]")
+
+
+def of_unit(packets, number):
+    """Kind, time and payload of the packets of a unit."""
+    return [(packet.kind, packet.due_ns, packet.payload) for packet in packets if packet.unit == number]
+
+
+def data_of(packets, number):
+    """Time and payload of the data packets of a unit."""
+    return [row[1:] for row in of_unit(packets, number) if row[0] is PacketKind.DATA]
+
+
+def test_packets_leave_in_order_and_tell_their_unit(rig):
+    """Packets of both units are merged by time; a unit in dual return sends twice as many."""
+    _, packets = rig
+    assert [packet.due_ns for packet in packets] == sorted(packet.due_ns for packet in packets)
+    data = [packet.unit for packet in packets if packet.kind is PacketKind.DATA]
+    assert data.count(1) == pytest.approx(2 * data.count(0), abs=2)
+
+
+def test_a_unit_sends_what_it_would_send_alone(rig):
+    """Each unit's packets are those of a scene with that sensor only: the others change nothing."""
+    _, packets = rig
+    assert of_unit(packets, 0) == of_unit(made()[1], 0)
+    alone = [f"motion.mount={MOUNT}", "sensor.return_mode=dual", "sensor.phase_lock_deg=90.0", "seed=9"]
+    assert data_of(packets, 1) == data_of(made(*alone)[1], 0)  # the GPS receiver rides on the first unit
+
+
+def test_units_without_a_seed_have_errors_of_their_own():
+    """Two sensors that are mounted alike and noisy do not send the same ranges."""
+    _, packets = made("noise.preset=typical", "rig=[{}]")
+    ranges = []
+    for number in (0, 1):
+        payloads = b"".join(payload for _, payload in data_of(packets, number))
+        points = decode_data(np.frombuffer(payloads, np.uint8).reshape(-1, 1206), keep_no_returns=True)
+        ranges.append(points.distance_m)
+    difference_m = (ranges[0] - ranges[1])[(ranges[0] > 0) & (ranges[1] > 0)]
+    assert 0.005 < np.std(difference_m[np.abs(difference_m) < 0.1]) < 0.03
+
+
+@pytest.mark.parametrize("phase_deg", [0.0, 90.0, 275.5])
+def test_a_locked_phase_is_passed_at_each_second(phase_deg):
+    """At every full second of UTC the rotor stands at the locked azimuth, wherever in a second the run begins."""
+    start = "start_utc=2026-05-20T09:00:00.37Z"
+    emulator, _ = made(start, f"sensor.phase_lock_deg={phase_deg}", "sensor.rpm=780")
+    second_ns = (emulator.scenario.start_ns // S_NS + 1) * S_NS
+    since_ns = np.array([second_ns, second_ns + 3 * S_NS]) - emulator.scenario.start_ns
+    angle_deg = emulator.parts.head.rotor.angle_deg(since_ns)
+    assert np.abs((angle_deg - phase_deg + 180) % 360 - 180).max() < 1e-6
+
+
+def test_a_file_of_two_is_told_apart_by_others(rig, tmp_path):
+    """Frames have each unit's address and port; a decoder that is not ours reads either unit's packets."""
+    emulator, packets = rig
+    path = tmp_path / "rig.pcap"
+    with PcapSink(path, [0, 0], [unit.link for unit in emulator.parts.units]) as sink:
+        for packet in packets:
+            sink.send(packet)
+    with Capture(path) as capture:
+        seen = [(str(IPv4Address(row.source)), row.destination_port, bytes(row.payload)) for row in capture]
+    assert seen == [
+        (
+            f"192.168.1.20{1 + packet.unit}",
+            (2368 if packet.kind is PacketKind.DATA else 8308) + packet.unit,
+            packet.payload,
+        )
+        for packet in packets
+    ]
+    for number, per_scan in ((0, 28_928), (1, 2 * 28_928)):
+        decoder = velodyne_decoder.StreamDecoder(velodyne_decoder.Config())
+        scans = [
+            scan
+            for due_ns, payload in data_of(packets, number)
+            if (scan := decoder.decode(due_ns * 1e-9, payload, True))
+        ]
+        assert len(scans) >= 3
+        assert all(0.2 < len(points) / per_scan < 1.01 for _, points in scans[1:])
