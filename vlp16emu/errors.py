@@ -14,6 +14,10 @@
 Every message says where, what was found and what was expected.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 __all__ = [
     "CaptureError",
     "GeometryError",
@@ -25,6 +29,7 @@ __all__ = [
     "ScenarioError",
     "TrajectoryError",
     "Vlp16emuError",
+    "readable",
 ]
 
 
@@ -101,3 +106,14 @@ class MissingExtraError(Vlp16emuError):
 
 class RunError(Vlp16emuError):
     """A run that started well and could not be finished."""
+
+
+@contextmanager
+def readable(path: Path, expected: str, kind: type[InputError]) -> Iterator[None]:
+    """Tell a file of the user's that cannot be read, or is no text where text is read, as an error of a kind."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(str(path), (error.strerror or "cannot be read").lower(), expected) from None
+    except UnicodeDecodeError as error:
+        raise kind(str(path), f"no UTF-8 text at byte {error.start}", expected) from None

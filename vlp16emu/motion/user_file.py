@@ -2,24 +2,12 @@
 
 import csv
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
-from vlp16emu.errors import TrajectoryError
+from vlp16emu.errors import TrajectoryError, readable
 
-__all__ = ["finite", "named_cells", "readable", "words"]
-
-
-@contextmanager
-def readable(path: Path, expected: str) -> Iterator[None]:
-    """Tell a file that cannot be read, or is no text where text is read, as a `TrajectoryError`."""
-    try:
-        yield
-    except OSError as error:
-        raise TrajectoryError(str(path), (error.strerror or "cannot be read").lower(), expected) from None
-    except UnicodeDecodeError as error:
-        raise TrajectoryError(str(path), f"no UTF-8 text at byte {error.start}", expected) from None
+__all__ = ["finite", "named_cells", "words"]
 
 
 def finite(where: str, text: str) -> float:
@@ -46,7 +34,7 @@ def words(path: Path, count: int, expected: str) -> list[tuple[str, list[str]]]:
     TrajectoryError
         where the file cannot be read or a line has another number of words
     """
-    with readable(path, expected):
+    with readable(path, expected, TrajectoryError):
         text = path.read_text(encoding="utf-8-sig")
     lines = []
     for number, line in enumerate(text.splitlines(), start=1):
@@ -73,7 +61,7 @@ def named_cells(
         fewer cells than the header
     """
     expected = f"a CSV with the columns {', '.join(needed)}"
-    with readable(path, expected), path.open(encoding="utf-8-sig", newline="") as file:
+    with readable(path, expected, TrajectoryError), path.open(encoding="utf-8-sig", newline="") as file:
         header = file.readline()
         delimiter = next(mark for mark in ";\t," if mark in header or mark == ",")
         names = [name.strip().lower() for name in next(csv.reader([header], delimiter=delimiter), [])]

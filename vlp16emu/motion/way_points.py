@@ -7,9 +7,9 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import TrajectoryError
+from vlp16emu.errors import TrajectoryError, readable
 from vlp16emu.motion.geodesy import Origin, to_local
-from vlp16emu.motion.user_file import finite, named_cells, readable
+from vlp16emu.motion.user_file import finite, named_cells
 
 __all__ = ["WayPoints", "read_way_points"]
 
@@ -81,7 +81,7 @@ def _read_csv(path: Path, origin_m: tuple[float, float]) -> WayPoints:
 def _read_gpx(path: Path, origin: Origin) -> WayPoints:
     """Read a track or route onto the plane at the scene's origin."""
     reader = _GpxReader(path)
-    with readable(path, "a GPX file"):
+    with readable(path, "a GPX file", TrajectoryError):
         reader.feed(path.read_bytes())
     tracks, routes = reader.count["trk"], reader.count["rte"]
     if (tracks or routes) != 1:

@@ -1,11 +1,11 @@
 """The `[motion.gait]` table: how the trunk of the person moves."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from vlp16emu.scenario.section import Fraction, NonNegative, Section
+from vlp16emu.scenario.section import Fraction, NonNegative, Preset
 
 __all__ = ["Gait"]
 
@@ -46,11 +46,13 @@ _PRESETS: Mapping[str, Mapping[str, float]] = {
 Angle = Annotated[float, Field(ge=0, le=45)]
 
 
-class Gait(Section):
+class Gait(Preset):
     """Amplitudes of the trunk's motion at walking speed; they fade as the person slows down.
 
     Defaults are those of `natural`.
     """
+
+    presets = _PRESETS
 
     preset: Literal["none", "paper", "natural", "strong"] = "natural"
     """What the other keys are laid over."""
@@ -75,11 +77,3 @@ class Gait(Section):
     variation: Fraction = 0.04
     """Standard deviation of stride times, and of amplitudes, as a share of them; a healthy walker's stride times
     varied by 4 % in nine minutes (PhysioNet, Fractal mechanisms in neural control, figure 9)."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_preset(cls, table: Any) -> Any:
-        """Fill in what the preset gives."""
-        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
-            return table
-        return {**_PRESETS.get(table["preset"], {}), **table}

@@ -1,12 +1,12 @@
 """The `[imu]` table: an inertial measurement unit on the same body."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from vlp16emu.scenario.harness import Mount
-from vlp16emu.scenario.section import NonNegative, Section
+from vlp16emu.scenario.section import NonNegative, Preset
 
 __all__ = ["Imu"]
 
@@ -36,8 +36,10 @@ _PRESETS: Mapping[str, Mapping[str, float]] = {
 }
 
 
-class Imu(Section):
+class Imu(Preset):
     """Rate, place and errors; densities as in IEEE Std 952-1997. Defaults are those of `ideal`."""
+
+    presets = _PRESETS
 
     preset: Literal["ideal", "consumer", "tactical"] = "ideal"
     """What the errors are laid over."""
@@ -57,11 +59,3 @@ class Imu(Section):
     """White noise."""
     accel_walk_m_s3_sqrt_hz: NonNegative = 0.0
     """Random walk of the bias."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_preset(cls, table: Any) -> Any:
-        """Fill in what the preset gives."""
-        if not isinstance(table, dict) or not isinstance(table.get("preset"), str):
-            return table
-        return {**_PRESETS.get(table["preset"], {}), **table}

@@ -1,10 +1,10 @@
 """The `[noise]` table: the errors of a unit."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from vlp16emu.scenario.section import Positive, Section
+from vlp16emu.scenario.section import Positive, Preset
 
 __all__ = ["Noise"]
 
@@ -26,8 +26,10 @@ _PRESETS: dict[str, dict[str, object]] = {
 }
 
 
-class Noise(Section):
+class Noise(Preset):
     """Errors of range and reflectivity, and what is lost for want of light."""
+
+    presets = _PRESETS
 
     preset: Literal["ideal", "typical", "datasheet"] = "typical"
     """Gives those of the other keys that are not given beside it; `typical` is as they are by default."""
@@ -51,13 +53,6 @@ class Noise(Section):
     """Whether there is a detection threshold, as `[detector]` has it."""
     no_return_reflectivity: bool = False
     """Whether records without a return carry a constant of their laser, as on real units; the manual has 0 there."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_preset(cls, table: Any) -> Any:
-        """Fill in what the preset gives; one that is unknown is named by the check of its key."""
-        preset = table.get("preset") if isinstance(table, dict) else None
-        return _PRESETS.get(preset, {}) | table if isinstance(preset, str) else table
 
     @property
     def summary(self) -> str:

@@ -1,10 +1,18 @@
 """What all sections of a scenario have in common."""
 
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
-__all__ = ["Angle", "Fraction", "NonNegative", "Positive", "Section"]
+__all__ = ["Angle", "Fraction", "NonNegative", "Positive", "Preset", "Section"]
 
 
 class Section(BaseModel):
@@ -24,6 +32,19 @@ class Section(BaseModel):
         told = self.either_or & self.model_fields_set
         ruled_out = self.either_or - told if told else frozenset()
         return {key: value for key, value in tree.items() if key not in ruled_out}
+
+
+class Preset(Section):
+    """A table whose key `preset` gives those of the other keys that are not given beside it."""
+
+    presets: ClassVar[Mapping[str, Mapping[str, object]]]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_preset(cls, table: Any) -> Any:
+        """Fill in what the preset gives; one that is unknown is named by the check of its key."""
+        preset = table.get("preset") if isinstance(table, dict) else None
+        return {**cls.presets.get(preset, {}), **table} if isinstance(preset, str) else table
 
 
 Angle = Annotated[float, Field(ge=-180, le=180)]

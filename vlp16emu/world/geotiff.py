@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import GeometryError, MissingExtraError
-from vlp16emu.world.user_file import readable
+from vlp16emu.errors import GeometryError, MissingExtraError, readable
 
 __all__ = ["read_geotiff"]
 
@@ -49,7 +48,7 @@ def read_geotiff(path: Path) -> tuple[NDArray[np.float64], float, float, float]:
         import tifffile
     except ImportError:
         raise MissingExtraError("tifffile", "dem", f"reading {path.name}") from None
-    with readable(path, _EXPECTED):
+    with readable(path, _EXPECTED, GeometryError):
         try:
             with tifffile.TiffFile(path) as file:
                 page = file.pages[0]

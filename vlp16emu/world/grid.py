@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import GeometryError
+from vlp16emu.errors import GeometryError, readable
 from vlp16emu.world.geotiff import read_geotiff
-from vlp16emu.world.user_file import readable
 
 __all__ = ["Grid", "read_grid"]
 
@@ -85,7 +84,7 @@ def _checked(grid: Grid) -> Grid:
 
 def _read_npy(path: Path) -> Array:
     """Read an array, northernmost row first; NaN is no height."""
-    with readable(path, "a numpy array"):
+    with readable(path, "a numpy array", GeometryError):
         try:
             heights = np.load(path, allow_pickle=False)
         except (ValueError, EOFError):
@@ -103,7 +102,7 @@ def _read_npy(path: Path) -> Array:
 
 def _read_ascii(path: Path) -> Grid:
     """Read an ESRI ASCII grid with one row of cells to a line."""
-    with readable(path, _ASCII_EXPECTED), path.open(encoding="utf-8") as file:
+    with readable(path, _ASCII_EXPECTED, GeometryError), path.open(encoding="utf-8") as file:
         lines = [(number, text) for number, text in enumerate(file, start=1) if text.strip()]
     header: dict[str, float] = {}
     for number, text in lines:

@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import GeometryError
+from vlp16emu.errors import GeometryError, readable
 from vlp16emu.world.species import Species
 from vlp16emu.world.stand import TREE
-from vlp16emu.world.user_file import readable
 
 __all__ = ["read_stem_list"]
 
@@ -113,7 +112,10 @@ def _leans(numbers: Mapping[str, Array]) -> tuple[Array, Array]:
 
 def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     """Cells by column name, and the line of each tree."""
-    with readable(path, "a stem list in CSV"), path.open(encoding="utf-8-sig", newline="") as file:
+    with (
+        readable(path, "a stem list in CSV", GeometryError),
+        path.open(encoding="utf-8-sig", newline="") as file,
+    ):
         header = file.readline()
         delimiter = next(mark for mark in ";\t," if mark in header or mark == ",")
         names = [name.strip().lower() for name in next(csv.reader([header], delimiter=delimiter), [])]

@@ -15,9 +15,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import GeometryError
+from vlp16emu.errors import GeometryError, readable
 from vlp16emu.types import Mesh
-from vlp16emu.world.user_file import readable
 
 __all__ = ["LengthUnit", "MeshPart", "UpAxis", "UserMesh", "load_mesh"]
 
@@ -131,7 +130,7 @@ def _scene(path: Path) -> Any:
     kind = path.suffix.lower()
     if kind not in _KINDS:
         raise GeometryError(str(path), f"found the ending {kind!r}", f"one of {', '.join(_KINDS)}")
-    with readable(path, f"a mesh in {kind[1:].upper()}"):
+    with readable(path, f"a mesh in {kind[1:].upper()}", GeometryError):
         content = path.read_bytes()
     if kind == ".obj" and (bad := _OBJ_BAD_FACE.search(content)):
         raise _obj_error(path, content, bad.start(), "three corners or more, counted from 1")
