@@ -1,0 +1,81 @@
+"""Captures of several sensors at the command line."""
+
+import numpy as np
+import pytest
+
+RIG = "rig=[{mount={pitch_deg=-35.0}}, {return_mode='dual', address='10.0.0.7', data_port=2368, position_port=8308}]"
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """Half a second of three sensors, the third at the first one's ports."""
+    from vlp16emu.cli.app import run
+
+    path = tmp_path_factory.mktemp("rig") / "rig.pcap"
+    assert run(["record", "static_bench", str(path), "--duration", "0.5", "--set", RIG]) == 0
+    return path
+
+
+def test_the_recording_counts_each_unit(cli, tmp_path):
+    """Totals are the sums of the units', which are told with addresses and ports."""
+    tree = cli(
+        "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.2", "--set", RIG, "--json"
+    ).tree
+    units = tree["units"]
+    assert [(unit["unit"], unit["address"], unit["data_port"]) for unit in units] == [
+        (1, "192.168.1.201", 2368),
+        (2, "192.168.1.202", 2369),
+        (3, "10.0.0.7", 2368),
+    ]
+    for key in ("packets", "position_packets", "returns"):
+        assert tree[key] == sum(unit[key] for unit in units)
+    assert units[2]["packets"] == pytest.approx(2 * units[0]["packets"], abs=2)
+
+
+def test_decode_wants_to_know_which(cli, rig):
+    """A capture of several sensors is not mixed: the line names them, and ends with 2."""
+    outcome = cli("decode", rig)
+    known = "1 (10.0.0.7:2368), 2 (192.168.1.201:2368), 3 (192.168.1.202:2369)"
+    assert (outcome.code, outcome.out) == (2, "")
+    assert outcome.err == f"error: --unit: 3 units in {rig}; expected one of {known}\n"
+
+
+@pytest.mark.parametrize(
+    ("unit", "mode"),
+    [("2", "strongest"), ("192.168.1.202:2369", "strongest"), ("10.0.0.7:2368", "dual"), ("1", "dual")],
+)
+def test_decode_takes_the_packets_of_one(cli, rig, unit, mode):
+    """By number or by address and port, the summary is that of one sensor: half a second, five turns."""
+    tree = cli("decode", rig, "--unit", unit, "--json").tree
+    assert (tree["return_mode"], tree["scans"]) == (mode, 5)
+    assert tree["records_per_scan"] == pytest.approx((1 + (mode == "dual")) * 28_934, abs=64)
+
+
+@pytest.mark.parametrize("unit", ["0", "4", "x", "10.0.0.8:2368", "10.0.0.7:2369", "1.5"])
+def test_a_unit_that_is_not_there_is_refused(cli, rig, unit):
+    """One line names the units that are there."""
+    outcome = cli("decode", rig, "--unit", unit)
+    assert outcome.code == 2
+    assert outcome.err.startswith("error: --unit: ")
+    assert outcome.err.count("\n") == 1
+
+
+def test_points_of_a_tilted_unit_are_in_its_own_frame(cli, rig, tmp_path):
+    """Turned by its pitch, nose up, what the tilted sensor saw of the hall's floor lies 1.5 m below it to 5 mm."""
+    assert cli("decode", rig, "--unit", "192.168.1.202:2369", "--out", tmp_path / "x.npz").code == 0
+    _, y_m, z_m = np.load(tmp_path / "x.npz")["xyz_m"].T.astype(float)
+    pitch = np.radians(35.0)
+    level_m = y_m * np.sin(pitch) + z_m * np.cos(pitch)  # the sensor's y looks forward
+    assert level_m.min() > -1.505
+    assert (level_m < -1.495).mean() > 0.1
+
+
+def test_verify_checks_each_by_itself(cli, rig):
+    """Every unit has a report of its own, all clean."""
+    outcome = cli("verify", rig)
+    assert outcome.code == 0
+    assert [line for line in outcome.out.splitlines() if not line.startswith(" ")] == [
+        "10.0.0.7:2368: clean",
+        "192.168.1.201:2368: clean",
+        "192.168.1.202:2369: clean",
+    ]
