@@ -1,0 +1,47 @@
+"""Dual return in a forest: each pair of records in the packets."""
+
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+
+import pytest
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.scenario import load
+
+TOOL = Path(__file__).resolve().parents[1] / "tools" / "dual_returns"
+SPAN_S = 5.0, 5.1
+RESOLUTION_M = 1.0
+
+
+@pytest.fixture(scope="module")
+def dual_returns():
+    """The tool that tells the shares of returns in several forests."""
+    loader = SourceFileLoader("dual_returns", str(TOOL))
+    module = module_from_spec(spec_from_loader("dual_returns", loader))
+    loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module", params=["typical", "ideal"])
+def pairs(dual_returns, request):
+    """A revolution of the reference forest."""
+    own = [*dual_returns.OWN, f"noise.preset={request.param}", "sensor.max_range_m=30.0"]
+    return dual_returns.pairs(Emulator(load("reference_forest", own)), *SPAN_S)
+
+
+def test_every_pair_of_a_forest_is_lawful(dual_returns, pairs):
+    """No pair breaks a rule of dual return, and there are thousands with no, one and two returns."""
+    blocks, told = pairs
+    assert set(dual_returns.broken(blocks, told, RESOLUTION_M).values()) == {0}
+    numbers = dual_returns.shares(blocks) * blocks[:, ::2]["records"].size
+    assert numbers[:3].min() > 1000
+
+
+def test_swapped_blocks_are_found_out(dual_returns, pairs):
+    """The rules would break if odd blocks were even ones."""
+    blocks, told = pairs
+    swapped = blocks.reshape(-1, 6, 2)[:, :, ::-1].reshape(blocks.shape)
+    wrong = dual_returns.broken(swapped, told, RESOLUTION_M)
+    for rule in ("the last return is nearer", "even block is not the last", "the strongest is outshone"):
+        assert wrong[rule] > 300
