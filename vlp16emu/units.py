@@ -3,6 +3,10 @@
 Time inside the program is int64 nanoseconds since 1970-01-01 UTC without leap seconds.
 """
 
+import math
+
+from vlp16emu.errors import InputError
+
 __all__ = ["HOUR_NS", "MS_NS", "S_NS", "US_NS", "seconds_to_ns"]
 
 US_NS = 1_000
@@ -12,5 +16,13 @@ HOUR_NS = 3_600 * S_NS
 
 
 def seconds_to_ns(seconds: float) -> int:
-    """Nearest whole number of nanoseconds."""
+    """Nearest whole number of nanoseconds.
+
+    Raises
+    ------
+    InputError
+        for NaN and infinity
+    """
+    if not math.isfinite(seconds):
+        raise InputError("time", f"found {seconds} s", "a finite number")
     return round(seconds * S_NS)
