@@ -164,6 +164,7 @@ def test_what_cannot_be_seen_goes_on_level(tmp_path):
         (HEADER + ROWS.replace("9", "inf", 1), "line 9: found inf in column 1; expected a height"),
         (HEADER.replace("cellsize 10\n", "") + ROWS, "cellsize: missing; expected a number above 0"),
         (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, "cellsize: found -1; expected a number above 0"),
+        (HEADER.replace("corner 100", "corner nan") + ROWS, "xllcorner: found nan; expected a finite number"),
         (HEADER.replace("ncols 4", "ncols 3.5") + ROWS, "ncols: found 3.5; expected a whole number above 0"),
         (HEADER.replace("cellsize 10", "cellsize ten") + ROWS, "line 5: found 'cellsize ten'; expected cellsize and a number"),
         (HEADER.replace("cellsize", "cell") + ROWS, "line 5: unknown key 'cell'; expected one of ncols"),

@@ -12,13 +12,15 @@ HEIGHTS = np.arange(12, dtype=np.float32).reshape(3, 4)
 PROJECTED_AREA = {1024: 1, 1025: 1, 3076: 9001}
 
 
-def write(path, heights=HEIGHTS, keys=PROJECTED_AREA, scale=(10.0, 10.0, 0.0), nodata=None, **options):
+def write(
+    path, heights=HEIGHTS, keys=PROJECTED_AREA, scale=(10.0, 10.0, 0.0), nodata=None, east=100.0, **options
+):
     """Write a GeoTIFF whose north-western corner lies at E 100, N 230."""
     tifffile = pytest.importorskip("tifffile", reason="tifffile is not installed")
     directory = [1, 1, 0, len(keys), *(n for key, value in keys.items() for n in (key, 0, 1, value))]
     tags = [
         (33550, "d", 3, scale, True),
-        (33922, "d", 6, (0.0, 0.0, 0.0, 100.0, 230.0, 0.0), True),
+        (33922, "d", 6, (0.0, 0.0, 0.0, east, 230.0, 0.0), True),
         (34735, "H", len(directory), directory, True),
     ]
     if nodata is not None:
@@ -59,6 +61,8 @@ def test_the_number_for_no_height_is_a_gap(tmp_path):
         ({"keys": PROJECTED_AREA | {1024: 2}}, "GTModelTypeGeoKey: found 2; expected 1: a map in metres"),
         ({"keys": PROJECTED_AREA | {3076: 9002}}, "ProjLinearUnitsGeoKey: found 9002; expected 9001"),
         ({"scale": (10.0, 5.0, 0.0)}, "ModelPixelScale: found 10 x 5; expected square cells"),
+        ({"east": np.nan}, r"ModelTiepoint: found \[.*nan.*\], cells of 10; expected finite numbers"),
+        ({"scale": (np.inf, np.inf, 0.0)}, "ModelTiepoint: found .*, cells of inf; expected finite numbers"),
         (
             {"heights": np.zeros((3, 4, 3), np.uint8), "photometric": "rgb"},
             r"found \(3, 4, 3\) uint8; expected one",
@@ -66,7 +70,7 @@ def test_the_number_for_no_height_is_a_gap(tmp_path):
     ],
 )
 def test_what_is_no_map_of_heights_in_metres_is_refused(tmp_path, changes, message):
-    """Degrees, feet, oblong cells and colours are named, with what was expected."""
+    """Degrees, feet, oblong cells, places that are none, and colours are named, with what was expected."""
     with pytest.raises(GeometryError, match=message):
         read(write(tmp_path / "ground.tif", **changes))
 

@@ -143,9 +143,11 @@ def _sized(path: Path, header: dict[str, float], key: str) -> float:
 def _low_edge(path: Path, header: dict[str, float], keys: tuple[str, str], cell_m: float) -> float:
     """Outer edge of the first column or of the last row, from the edge itself or the cell's centre."""
     given = [key for key in keys if key in header]
-    if len(given) != 1 or not np.isfinite(header[given[0]]):
+    if len(given) != 1:
         raise GeometryError(f"{path}: header", f"found {' and '.join(given) or 'neither'}", " or ".join(keys))
-    return header[given[0]] - (cell_m / 2 if given[0] == keys[1] else 0.0)
+    if not np.isfinite(at_m := header[given[0]]):
+        raise GeometryError(f"{path}: {given[0]}", f"found {at_m:g}", "a finite number")
+    return at_m - (cell_m / 2 if given[0] == keys[1] else 0.0)
 
 
 def _read_rows(
