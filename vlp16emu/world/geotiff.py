@@ -83,6 +83,8 @@ def _place(path: Path, tags: dict[str, Any]) -> tuple[float, float, float]:
         raise GeometryError(f"{path}: ModelPixelScale", f"found {width_m:g} x {height_m:g}", "square cells")
     column, row, _, east_m, north_m, _ = place = tags["ModelTiepoint"]
     if not np.isfinite([width_m, *place]).all():
-        raise GeometryError(f"{path}: ModelTiepoint", f"found {place}, cells of {width_m:g}", "finite numbers")
+        raise GeometryError(
+            f"{path}: ModelTiepoint", f"found {place}, cells of {width_m:g}", "finite numbers"
+        )
     half = 0.0 if tags.get("GTRasterTypeGeoKey") == _PIXEL_IS_POINT else 0.5
     return east_m + (half - column) * width_m, north_m - (half - row) * width_m, width_m
