@@ -1,0 +1,61 @@
+"""`tools/stability`: its table and its exit code."""
+
+import json
+import math
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+
+import pytest
+from stability_cases import Row
+
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "stability"
+HELD, FAILED = Row("a wall", "error, m", 0.001, 0.002), Row("a pole", "error, m", math.inf, 0.0)
+REFUSED = Row("a hole", "not refused", 0.0, 0.0, "hole: found | none")
+
+
+@pytest.fixture
+def tool(monkeypatch):
+    """The tool, with cases and a command line as given."""
+    loader = SourceFileLoader("stability", str(TOOL))
+    module = module_from_spec(spec_from_loader("stability", loader))
+    loader.exec_module(module)
+
+    def start(rows, *arguments):
+        monkeypatch.setattr(module, "QUICK", (lambda: rows,))
+        monkeypatch.setattr(module, "SLOW", ())
+        monkeypatch.setattr("sys.argv", ["stability", *arguments])
+        return module.main()
+
+    return start
+
+
+def test_table_has_a_line_for_each_row(tool, capsys):
+    """Case, quantity, error, bound and verdict stand in one line each, and bars in refusals break no table."""
+    assert tool([HELD, REFUSED]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2] == "| a wall | error, m | 0.001 | 0.002 | held |"
+    assert lines[3] == r"| a hole | not refused | 0 | 0 | refused: hole: found \| none |"
+    assert lines[-1] == "2 rows, none failed"
+
+
+@pytest.mark.parametrize("arguments", [(), ("--json",), ("--quick",)])
+def test_a_row_that_failed_is_an_exit_code(tool, capsys, arguments):
+    """One row out of its bound makes the exit code 1, whatever is printed."""
+    assert tool([HELD, FAILED], *arguments) == 1
+    assert "failed" in capsys.readouterr().out
+
+
+def test_json_tells_the_same(tool, capsys):
+    """JSON has all fields and the verdict, and no infinity, which it does not know."""
+    tool([HELD, FAILED], "--json")
+    first, second = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert first == {
+        "case": "a wall",
+        "quantity": "error, m",
+        "error": 0.001,
+        "bound": 0.002,
+        "refusal": "",
+        "verdict": "held",
+    }
+    assert second["error"] is None

@@ -1,0 +1,56 @@
+"""Stiff and extreme cases, each a function that gives rows of case, quantity, error and bound."""
+
+from stability_cases import (
+    clock,
+    coordinates,
+    crowds,
+    echoes,
+    entries,
+    entry_files,
+    faces,
+    paths,
+    ranges,
+    turning,
+)
+from stability_cases.row import Case, Row, check
+
+__all__ = ["QUICK", "SLOW", "Case", "Row", "check"]
+
+QUICK: tuple[Case, ...] = (
+    coordinates.far_files,
+    coordinates.far_worlds,
+    coordinates.far_walks,
+    ranges.every_range,
+    ranges.grazing,
+    ranges.distance_steps,
+    ranges.azimuth_steps,
+    crowds.thin_twig,
+    faces.slivers,
+    faces.doubled,
+    faces.crossed,
+    faces.inside,
+    faces.edge_on,
+    crowds.crowd,
+    echoes.merge_limits,
+    echoes.dark,
+    echoes.few_rays,
+    turning.stiff_straps,
+    turning.fast_turns,
+    clock.day,
+    paths.impossible_paths,
+    paths.hairpins,
+    paths.recordings,
+    paths.midnight,
+    entries.every_key,
+    entries.scenes,
+    entries.options,
+    entries.python,
+    entry_files.trajectory_files,
+    entry_files.stem_lists,
+    entry_files.mesh_files,
+    entry_files.ground_files,
+)
+"""Cases that the tests carry out too."""
+
+SLOW: tuple[Case, ...] = (crowds.throng, crowds.too_many, entry_files.species_files)
+"""Cases of many seconds, for the tool alone."""

@@ -1,0 +1,144 @@
+"""Worlds far from the origin: the same plot at map coordinates, in files and in the world itself."""
+
+import csv
+import tempfile
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stability_cases.row import Row, refused
+from vlp16emu.emulator import Emulator
+from vlp16emu.motion import Path as WalkedPath
+from vlp16emu.packets import data_fields
+from vlp16emu.scenario import load
+from vlp16emu.types import PacketKind
+
+__all__ = ["far_files", "far_walks", "far_worlds", "write_plot"]
+
+_UTM_M, _FAR_M = (500_000, 5_700_000, 210), (10_000_000, 10_000_000, 0)
+_ODD_M = 432_117, 6_901_233, 0
+"""No corner of a tile: ground and trees are cut otherwise there, and round otherwise."""
+_TREES_M = [(6.25, 4.5), (-5.0, 3.25), (-4.5, -6.0), (9.0, -9.5), (-8.25, 9.0)]
+_WAY_M = [(-1.0, 0.5), (0.0, 0.0), (1.5, 0.25)]
+_HALF_M = 60
+"""Of the ground in the file, which the sensor's reach must not leave."""
+_SPAN_S = 0.0, 0.2
+
+_SCENE = """\
+schema = 1
+title = "A plot at some place"
+seed = 3
+sensor = {{ max_range_m = 30.0 }}
+motion = {motion}
+
+[world]
+kind = "plot"
+stem_list = "plot.csv"
+origin_m = [{origin}]
+dem = {{ file = "ground.asc" }}
+
+[[world.meshes]]
+file = "box.obj"
+unit = "m"
+up = "z"
+places = [{{ x_m = {x}, y_m = {y}, above_ground_m = 0.5, yaw_deg = 30.0 }}]
+"""
+_BOX = """\
+v -0.5 -0.5 -0.5
+v 0.5 -0.5 -0.5
+v 0 0.5 -0.5
+v 0 0 0.5
+f 1 3 2
+f 1 2 4
+f 2 3 4
+f 3 1 4
+"""
+
+
+def write_plot(folder: Path, files_m: tuple[int, ...], scene_m: tuple[int, ...], *, walk: bool) -> Path:
+    """Write a plot whose files lie about one place of the map, and its scene about another one of the world."""
+    (folder / "box.obj").write_text(_BOX)
+    with (folder / "plot.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["x", "y", "species", "dbh_cm", "height_m"])
+        rows.writerows(
+            [x + files_m[0], y + files_m[1], "norway_spruce", 30 + i, 24] for i, (x, y) in enumerate(_TREES_M)
+        )
+    cells = _HALF_M + 1
+    corner = f"xllcenter {files_m[0] - _HALF_M}\nyllcenter {files_m[1] - _HALF_M}\n"
+    heights = " ".join(f"{files_m[2] + x / 16:.4f}" for x in range(-_HALF_M, _HALF_M + 1, 2))
+    header = f"ncols {cells}\nnrows {cells}\n{corner}cellsize 2\n"
+    (folder / "ground.asc").write_text(header + f"{heights}\n" * cells)
+    x, y = scene_m[0], scene_m[1]
+    way = ", ".join(f"[{x + dx}, {y + dy}]" for dx, dy in _WAY_M)
+    motion = (
+        f'{{ kind = "walk", way_points_m = [{way}] }}'
+        if walk
+        else f'{{ kind = "static", x_m = {x}.0, y_m = {y}.0 }}'
+    )
+    origin = ", ".join(f"{file - at}.0" for file, at in zip(files_m, scene_m, strict=True))
+    scene = folder / "plot.toml"
+    scene.write_text(_SCENE.format(motion=motion, origin=origin, x=f"{x + 4}.0", y=f"{y - 3}.0"))
+    return scene
+
+
+def _packets(files_m: tuple[int, ...], scene_m: tuple[int, ...], *, walk: bool) -> list[bytes]:
+    """Record the data packets of a plot."""
+    with tempfile.TemporaryDirectory() as folder:
+        emulator = Emulator(load(str(write_plot(Path(folder), files_m, scene_m, walk=walk))))
+        return [p.payload for p in emulator.packets(*_SPAN_S) if p.kind is PacketKind.DATA]
+
+
+def _differ(near: list[bytes], far: list[bytes]) -> int:
+    """Count the packets that are not the same."""
+    return sum(a != b for a, b in zip(near, far, strict=True))
+
+
+def _codes(packets: list[bytes]) -> NDArray[np.int64]:
+    """Distances in steps of 2 mm."""
+    payloads = np.frombuffer(b"".join(packets), np.uint8).reshape(len(packets), -1)
+    return data_fields(payloads)["blocks"]["records"]["distance_lsb"].astype(np.int64)
+
+
+def far_files() -> Iterator[Row]:
+    """Stem list, ground and walk told in map coordinates."""
+    near = _packets((0, 0, 0), (0, 0, 0), walk=True)
+    for name, at_m in (("UTM", _UTM_M), ("1e7 m", _FAR_M)):
+        differ = _differ(near, _packets(at_m, (0, 0, 0), walk=True))
+        yield Row(f"files at {name}, walking", "packets that differ", differ, 0)
+
+
+def far_worlds() -> Iterator[Row]:
+    """Stand far from the world's own origin, with all that the sensor sees."""
+    near = _packets((0, 0, 0), (0, 0, 0), walk=False)
+    for name, at_m in (("UTM", (*_UTM_M[:2], 0)), ("1e7 m", _FAR_M)):
+        differ = _differ(near, _packets(at_m, at_m, walk=False))
+        yield Row(f"world at {name}, standing", "packets that differ", differ, 0)
+    moved = np.abs(_codes(_packets(_ODD_M, _ODD_M, walk=False)) - _codes(near))
+    yield Row("world at UTM, across its tiles", "distance moved, steps of 2 mm", int(moved.max()), 1)
+
+
+def _flat(x_m: NDArray[np.float64], _y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ground at height 0."""
+    return np.zeros_like(x_m)
+
+
+def far_walks() -> Iterator[Row]:
+    """Follow the same path 100 km and 1000 km from the origin, and beyond."""
+    way_m = np.array(_WAY_M)
+    along_m = np.linspace(0.0, 2.6, 10_001)
+    near_m, heading_rad = WalkedPath(way_m, _flat).at(along_m)
+    for away_m in (1e5, 9e5):
+        far_m, far_rad = WalkedPath(way_m + away_m, _flat).at(along_m)
+        error_m = float(np.abs(far_m[:, :2] - away_m - near_m[:, :2]).max())
+        yield Row(f"path {away_m / 1000:g} km from the origin", "moved, m", error_m, 2 * np.spacing(away_m))
+        yield Row(
+            f"path {away_m / 1000:g} km from the origin",
+            "turned, rad",
+            float(np.abs(far_rad - heading_rad).max()),
+            1e-9,
+        )
+    yield refused("path 10 000 km from the origin", partial(WalkedPath, way_m + 1e7, _flat), "within 1e+06 m")

@@ -1,0 +1,141 @@
+"""Faces that are thin, doubled, crossed, edge-on, or where the sensor itself is."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stability_cases.lab import (
+    PULSES,
+    beam,
+    box,
+    cast,
+    detected,
+    opened,
+    pulses,
+    quads,
+    triangles,
+    unit_of,
+    wall,
+)
+from stability_cases.row import Row
+from vlp16emu.emulator import Emulator
+from vlp16emu.scenario import load
+from vlp16emu.types import Firings
+
+__all__ = ["crossed", "doubled", "edge_on", "inside", "slivers"]
+
+Array = NDArray[np.float64]
+
+
+def _cone(count: int, half_deg: float, seed: int = 1) -> Firings:
+    """Pulses from the origin about the x axis."""
+    rng = np.random.default_rng(seed)
+    reach = np.tan(np.radians(half_deg))
+    direction = np.column_stack([np.ones(count), rng.uniform(-reach, reach, (count, 2))])
+    return pulses(np.zeros((count, 3)), direction / np.linalg.norm(direction, axis=1)[:, None])
+
+
+def slivers() -> Iterator[Row]:
+    """Hit a wall of triangles ten thousand and ten million times longer than wide."""
+    for width_m in (2e-3, 2e-6):
+        edge_m = width_m * (np.arange(4001) - 2000)
+        low, high = np.full(4000, -10.0), np.full(4000, 10.0)
+        x = np.full(4000, 10.0)
+        a, b = np.column_stack([x, edge_m[:-1], low]), np.column_stack([x, edge_m[1:], low])
+        c, d = np.column_stack([x, edge_m[1:], high]), np.column_stack([x, edge_m[:-1], high])
+        corners = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+        count = 64 * PULSES
+        rng = np.random.default_rng(2)
+        target = np.column_stack(
+            [np.full(count, 10.0), edge_m[-1] * rng.uniform(-0.99, 0.99, count), rng.uniform(-9, 9, count)]
+        )
+        range_m = np.linalg.norm(target, axis=1)
+        hits = cast(opened([triangles(corners)]), pulses(np.zeros((count, 3)), target / range_m[:, None]))
+        met = np.isfinite(hits.range_m)
+        name = f"slivers {width_m:g} m wide, 20 m long"
+        yield Row(name, f"pulses through, of {count}", int((~met).sum()), 0)
+        yield Row(name, "largest error, m", float(np.abs(hits.range_m - range_m)[met].max()), 1e-5)
+
+
+def doubled() -> Iterator[Row]:
+    """Hit the same face twice, as two surfaces of a mesh and as two instances."""
+    firings = _cone(8 * PULSES, 20.0)
+    cosine = firings.direction[..., 0].ravel()
+    for name, meshes, times in (
+        ("two faces in one place", [wall(10.0)] * 2, 1),
+        ("two instances in one place", [wall(10.0)], 2),
+    ):
+        first, again = (cast(opened(meshes, times=times), firings) for _ in range(2))
+        yield Row(name, "pulses told apart by a rerun", int((first.surface != again.surface).sum()), 0)
+        yield Row(name, "largest error, m", float(np.abs(first.range_m - 10.0 / cosine).max()), 1e-5)
+    scene = load("static_bench", [_two_crates()])
+    told = [
+        np.concatenate([r.surface for r in Emulator(scene, threads=threads, truth=True).returns(0.0, 0.3)])
+        for threads in (1, 3)
+    ]
+    yield Row("two crates in one place", "labels that differ by threads", int((told[0] != told[1]).sum()), 0)
+
+
+def _two_crates() -> str:
+    """Put the crate of the hall there twice."""
+    crate = "centre_m=[-6.0,-5.0,0.5],size_m=[2.0,1.0,1.0]"
+    return f'world.boxes=[{{name="one",{crate}}},{{name="other",{crate}}}]'
+
+
+def crossed() -> Iterator[Row]:
+    """Hit boxes that reach into each other, some faces flush, against the slow twin in float64."""
+    boxes = [
+        box((8, -2, -2), (12, 2, 2)),
+        box((7, -1, -1), (13, 1, 1)),
+        box((8, 0, -3), (10, 3, 0)),
+        box((9, -3, -3), (11, 3, 3)),
+    ]
+    firings = _cone(4 * PULSES, 16.0)
+    fast = cast(opened(boxes), firings)
+    slow = cast(opened(boxes, slowly=True), firings)
+    error_m = np.abs(np.nan_to_num(fast.range_m, posinf=0.0) - np.nan_to_num(slow.range_m, posinf=0.0))
+    yield Row("boxes through each other", "largest error, m", float(error_m.max()), 1e-5)
+
+
+def inside() -> Iterator[Row]:
+    """Put a sensor into a closed box, and one whose spin axis lies in a wall."""
+    box_m = 'world.boxes=[{name="cage",centre_m=[0,0,1.5],size_m=[2,2,2]}]'
+    returns = list(Emulator(load("static_bench", [box_m])).returns(0.0, 0.1))
+    origin = np.concatenate([r.firings.origin_m for r in returns]) - [0, 0, 1.5]
+    direction = np.concatenate([r.firings.direction for r in returns])
+    with np.errstate(divide="ignore"):
+        true_m = ((1.0 - np.sign(direction) * origin) / np.abs(direction)).min(axis=-1)
+    got_m = np.concatenate([r.distance_m[..., 0] for r in returns])
+    yield Row("sensor inside a closed box", "largest error, m", float(np.abs(got_m - true_m).max()), 1e-5)
+
+    plate, far = quads(np.array([[(0, -9, -9), (0, 9, -9), (0, 9, 9), (0, -9, 9)]])), wall(5.0, 500.0)
+    head = unit_of("static_bench").head
+    aimed = head.aim(0, 1920, unit_of("static_bench", "motion.height_m=1.5").motion.poses_at)
+    direction = aimed.direction.reshape(-1, 3)
+    origin = np.zeros_like(direction)
+    hits = cast(opened([plate, far]), pulses(origin, direction))
+    ahead = direction[:, 0] > 0.1
+    seen = hits.surface[ahead] == 1
+    yield Row("sensor on a surface", "pulses stopped by it", int((~seen).sum()), 0)
+    error_m = np.abs(hits.range_m - 5.0 / np.where(ahead, direction[:, 0], np.inf))[ahead]
+    yield Row("sensor on a surface", "largest error of the wall behind, m", float(error_m.max()), 1e-4)
+
+
+def edge_on() -> Iterator[Row]:
+    """Put leaves into the plane of the pulse, exactly and within a billionth of a degree, before a wall."""
+    count = 8 * PULSES
+    tilt_rad = np.concatenate([np.zeros(PULSES), np.geomspace(1e-11, 1e-4, count - PULSES)])
+    y_m = 0.5 * np.arange(count)
+    corners = np.array([(9.97, 0, -0.02), (10.03, 0, -0.02), (10.03, 0, 0.02), (9.97, 0, 0.02)])
+    leaves = np.tile(corners, (count, 1, 1))
+    leaves[:, :, 1] = y_m[:, None] + (leaves[:, :, 0] - 10.0) * tilt_rad[:, None]
+    scene = opened([quads(leaves), wall(15.0, 2 * y_m[-1])])
+    firings = pulses(np.column_stack([0 * y_m, y_m, 0 * y_m]), np.tile([1.0, 0.0, 0.0], (count, 1)))
+    for name, light in (("one ray", None), ("64 rays", beam("fixed"))):
+        hits = cast(scene, firings) if light is None else cast(scene, firings, light)
+        sound = np.isfinite(hits.range_m) & (hits.cos_incidence >= 0) & (hits.cos_incidence <= 1)
+        yield Row(f"leaf edge-on, {name}", "rays lost or without a cosine", int((~sound).sum()), 0)
+        if light is not None:
+            error_m = np.abs(detected(scene, firings, light).distance_m[..., 0] - 15.0)
+            yield Row(f"leaf edge-on, {name}", "error of the wall behind, m", float(error_m.max()), 1e-4)

@@ -1,0 +1,155 @@
+"""Small worlds, single pulses and perfect units for the cases."""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.assembly import Unit, assemble
+from vlp16emu.packets import DATA_BYTES, LASERS, data_payloads, decode_data
+from vlp16emu.raycast import LINE, BeamModel, Footprint, Scene, caster
+from vlp16emu.raycast.reference import ReferenceCaster
+from vlp16emu.returns import detect
+from vlp16emu.scenario import load
+from vlp16emu.sensor import LENS_RADIUS_M
+from vlp16emu.types import SURFACE, Firings, Hits, Mesh, ReturnMode, Returns, SensorModel, ShapeKey, Window
+
+__all__ = [
+    "PULSES",
+    "beam",
+    "box",
+    "cast",
+    "decoded_m",
+    "detected",
+    "ideal_unit",
+    "opened",
+    "pulses",
+    "quads",
+    "triangles",
+    "unit_of",
+    "wall",
+]
+
+Array = NDArray[np.float64]
+
+PULSES = 24 * LASERS
+"""Of a packet of single return: pulses come in multiples of it."""
+_WORKERS = ThreadPoolExecutor(2)
+
+
+def unit_of(scene: str, *settings: str) -> Unit:
+    """First sensor of a scene."""
+    return assemble(load(scene, settings)).units[0]
+
+
+def ideal_unit(*settings: str) -> Unit:
+    """Make a sensor without errors that sees as far as the largest code."""
+    return unit_of("static_bench", "sensor.max_range_m=131.07", *settings)
+
+
+def beam(model: str, rays: int = 64, *, has_width: bool = True) -> Footprint:
+    """Light of a VLP-16, or light without width."""
+    return Footprint(
+        model=BeamModel(model),
+        rays=rays,
+        target_m=0.05,
+        resolution_m=1.0,
+        spot_m=(0.0127, 0.0095) if has_width else (0.0, 0.0),
+        divergence_rad=(0.003, 0.0015) if has_width else (0.0, 0.0),
+        seed=7,
+    )
+
+
+def quads(corners_m: Array) -> Mesh:
+    """Mesh of quads (n, 4, 3)."""
+    faces = np.arange(4 * len(corners_m), dtype=np.uint32).reshape(-1, 4)
+    return Mesh(corners_m.reshape(-1, 3).astype(np.float32), faces)
+
+
+def triangles(corners_m: Array) -> Mesh:
+    """Mesh of triangles (n, 3, 3)."""
+    faces = np.arange(3 * len(corners_m), dtype=np.uint32).reshape(-1, 3)
+    return Mesh(corners_m.reshape(-1, 3).astype(np.float32), faces)
+
+
+def wall(x_m: float, half_m: float = 50.0) -> Mesh:
+    """Upright square across the x axis."""
+    corners = [(x_m, -half_m, -half_m), (x_m, half_m, -half_m), (x_m, half_m, half_m), (x_m, -half_m, half_m)]
+    return quads(np.array([corners]))
+
+
+def box(low_m: Sequence[float], high_m: Sequence[float]) -> Mesh:
+    """Upright box."""
+    spans = np.stack([low_m, high_m])
+    corners = np.array(
+        [[spans[i, 0], spans[j, 1], spans[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    )
+    faces = [(0, 2, 6, 4), (1, 5, 7, 3), (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6)]
+    return Mesh(corners.astype(np.float32), np.array(faces, np.uint32))
+
+
+def opened(
+    meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1, slowly: bool = False
+) -> Scene:
+    """Scene of one shape whose meshes are surfaces of their own, about the origin.
+
+    Parameters
+    ----------
+    times : how many instances stand there
+    slowly : by the twin that reckons in float64
+    """
+    surfaces = np.zeros(len(meshes), SURFACE)
+    surfaces["reflectance"] = reflectance
+    window = Window(
+        origin_m=np.zeros(3),
+        shapes=("things",),
+        shape=np.zeros(times, np.int32),
+        world_T_shape=np.repeat(np.eye(3, 4)[None], times, axis=0),
+        first_surface=np.zeros(times, np.uint32),
+        surfaces=surfaces,
+    )
+
+    def shape(_key: ShapeKey) -> tuple[Mesh, ...]:
+        return tuple(meshes)
+
+    return (ReferenceCaster(shape) if slowly else caster(shape, _WORKERS)).open(window)
+
+
+def pulses(origin_m: Array, direction: Array, *, lasers: int = LASERS) -> Firings:
+    """Pulses (n, 3) as firing sequences, n a multiple of 8 a laser, or to be packed of `PULSES`.
+
+    The level axis of their light is across z.
+    """
+    shape = len(origin_m) // lasers, lasers
+    across = np.cross(direction, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    zero = np.zeros(shape)
+    return Firings(
+        index=0,
+        t_ns=zero.astype(np.int64),
+        clock_ns=np.zeros(shape[0], np.int64),
+        azimuth_deg=zero,
+        reading_deg=zero[:, 0],
+        origin_m=np.ascontiguousarray(origin_m, np.float64).reshape(*shape, 3),
+        direction=np.ascontiguousarray(direction, np.float64).reshape(*shape, 3),
+        across=across.reshape(*shape, 3),
+    )
+
+
+def cast(scene: Scene, firings: Firings, light: Footprint = LINE) -> Hits:
+    """Cast to beyond the largest code."""
+    return scene.cast(firings, np.full(firings.t_ns.shape[1], LENS_RADIUS_M), 140.0, light)
+
+
+def detected(scene: Scene, firings: Firings, light: Footprint = LINE, unit: Unit | None = None) -> Returns:
+    """Detect pulses, by a perfect unit unless one is given."""
+    detector = (unit or ideal_unit()).detector
+    return detect(firings, cast(scene, firings, light), scene.surfaces, detector, truth=False)
+
+
+def decoded_m(returns: Returns) -> Array:
+    """Distances (n,) of strongest returns after packing and decoding, 0 where there is none."""
+    payloads = data_payloads(returns, ReturnMode.STRONGEST, SensorModel.VLP_16)
+    points = decode_data(payloads.reshape(-1, DATA_BYTES), keep_no_returns=True)
+    return points.distance_m.astype(np.float64)
