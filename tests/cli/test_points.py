@@ -124,6 +124,16 @@ def test_labels_name_what_was_hit(points):
     assert set(own["leaf_wood"]) == set(own["part"]) == {0}
 
 
+def test_fog_is_of_no_class(points):
+    """Points that the air throws back lie before what else is there, and carry no class, part or plant."""
+    own, _ = points("--truth", "--set", "weather.visibility_m=30", duration=0.1)
+    air = own["semantic"] == Semantic.NONE
+    assert 100 < air.sum() < 0.5 * air.size
+    assert np.median(own["distance_m"][air]) < 0.5 * np.median(own["distance_m"][~air])
+    for name in ("part", "leaf_wood", "instance", "species", "reflectance"):
+        assert not own[name][air].any()
+
+
 def test_leaves_are_told_from_wood(points):
     """In a forest every point on a leaf is labelled leaf, on any other part of a plant wood, elsewhere neither."""
     settings = ["world.stems_per_ha=300", "sensor.max_range_m=30.0"]

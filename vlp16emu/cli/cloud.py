@@ -10,7 +10,7 @@ from vlp16emu.assembly import Unit
 from vlp16emu.cli.export import Block, Column
 from vlp16emu.emulator import Emulator
 from vlp16emu.sensor import place
-from vlp16emu.types import PlantPart, ReturnMode, Returns
+from vlp16emu.types import SURFACE, PlantPart, ReturnMode, Returns
 from vlp16emu.units import seconds_to_ns
 
 __all__ = ["COLUMNS", "RETURN_NAMES", "TRUTH_COLUMNS", "cloud", "comments"]
@@ -127,9 +127,10 @@ def _told(distance_m: NDArray[np.float32], mode: ReturnMode) -> NDArray[np.bool_
 
 
 def _labels(returns: Returns, told: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """Look up the surface behind each point."""
+    """Look up the surface behind each point; what fog or rain throws back is of no class."""
     assert returns.surface is not None
     assert returns.surfaces is not None
-    rows = returns.surfaces[returns.surface[told]]
+    surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row stands for `NO_SURFACE`
+    rows = surfaces[np.minimum(returns.surface[told], len(returns.surfaces))]
     names = ("semantic", "part", "instance", "species", "reflectance")
     return {name: rows[name] for name in names} | {"leaf_wood": _LEAF_OR_WOOD[rows["part"]]}
