@@ -57,6 +57,8 @@ class Purpose(IntEnum):
     GNSS_NOISE = 60
     GNSS_WANDER = 61
     UNIT = 70
+    WIND = 71
+    AUDIT = 90
 
 
 _Word = int | np.uint32

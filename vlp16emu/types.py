@@ -34,6 +34,7 @@ __all__ = [
     "Semantic",
     "SensorModel",
     "ShapeKey",
+    "Sway",
     "Window",
     "World",
 ]
@@ -281,6 +282,31 @@ class Mesh:
 
 
 @dataclass(frozen=True, slots=True)
+class Sway:
+    """How m placements of a window move: sheared, every point going level as far as it is high over a foot.
+
+    At a point h over the foot that is h times `shear`, which changes steadily from knot to knot.
+    """
+
+    start_ns: int
+    """UTC of the first knot."""
+    step_ns: int
+    """From knot to knot."""
+    placement: NDArray[np.int64]
+    """(m,) in the window, ascending."""
+    foot_z_m: NDArray[np.float64]
+    """(m,) height of each one's foot in the world."""
+    shear: NDArray[np.float64]
+    """(k, m, 2) at each knot, towards x and y; at least two knots."""
+
+    def __post_init__(self) -> None:
+        m = len(self.placement)
+        _check(self, "placement", self.placement, "i8", m)
+        _check(self, "foot_z_m", self.foot_z_m, "f8", m)
+        _check(self, "shear", self.shear, "f8", None, m, 2)
+
+
+@dataclass(frozen=True, slots=True)
 class Window:
     """What is within reach of a stretch of the walk: placed shapes and their surfaces.
 
@@ -299,6 +325,8 @@ class Window:
     """(n,) row of `surfaces` of the placement's first mesh."""
     surfaces: NDArray[np.void]
     """(m,) `SURFACE`."""
+    sway: Sway | None = None
+    """What moves, over the time that the window is for; None where all stands still."""
 
     def __post_init__(self) -> None:
         n = len(self.shape)
@@ -313,7 +341,7 @@ HeightField = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.fl
 
 
 class World(Protocol):
-    """What stands still."""
+    """What stands there, all at rest."""
 
     def window(self, track_m: NDArray[np.float64]) -> Window:
         """Everything within reach of sensor positions (n, 3); must depend on nothing else."""

@@ -55,7 +55,15 @@ def terrain():
 
 @pytest.fixture(scope="session")
 def make_forest(terrain):
-    def make(*, stems_per_ha=700.0, path_xy_m=PATH_XY_M, species=MIX, with_layers=False, reach_m=40.0):
+    def make(
+        *,
+        stems_per_ha=700.0,
+        path_xy_m=PATH_XY_M,
+        species=MIX,
+        with_layers=False,
+        reach_m=40.0,
+        loose_stems=False,
+    ):
         path = Polyline(path_xy_m)
         pattern = HardCore(seed=5, purpose=Purpose.STAND, per_ha=stems_per_ha)
         stand = Stand(
@@ -75,6 +83,7 @@ def make_forest(terrain):
             path=path,
             path_clearance_m=0.8,
             reach_m=reach_m,
+            loose_stems=loose_stems,
         )
 
     return make

@@ -5,6 +5,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from vlp16emu.random import Purpose
+from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.finish import Finish
 from vlp16emu.scenario.given import MeshFile
 from vlp16emu.scenario.world import Clusters as ClustersSection
@@ -49,6 +50,7 @@ from vlp16emu.world import (
     Storey,
     Stumps,
     Terrain,
+    Wind,
     density_per_ha,
     flora,
     load_mesh,
@@ -57,7 +59,7 @@ from vlp16emu.world import (
     stones_per_ha,
 )
 
-__all__ = ["forest_of", "furnished", "ground_of", "hall_of"]
+__all__ = ["forest_of", "furnished", "ground_of", "hall_of", "wind_of"]
 
 
 def ground_of(section: WoodsSection, seed: int) -> Terrain | Dem:
@@ -69,7 +71,13 @@ def ground_of(section: WoodsSection, seed: int) -> Terrain | Dem:
 
 
 def forest_of(
-    section: ForestSection | PlotSection, seed: int, height_m: HeightField, path: Polyline, reach_m: float
+    section: ForestSection | PlotSection,
+    seed: int,
+    height_m: HeightField,
+    path: Polyline,
+    reach_m: float,
+    *,
+    loose_stems: bool,
 ) -> Forest:
     """Make the forest."""
     plants = flora(FilePath(section.species_file) if section.species_file else None)
@@ -87,6 +95,22 @@ def forest_of(
         path_clearance_m=section.path_clearance_m,
         reach_m=reach_m,
         plants=plants,
+        loose_stems=loose_stems,
+    )
+
+
+def wind_of(scenario: Scenario, forest: Forest) -> Wind | None:
+    """Make the wind that moves a forest of loose stems; none in still air."""
+    section, world = scenario.wind, scenario.world
+    if section is None or not section.speed_m_s or not isinstance(world, WoodsSection):
+        return None
+    return Wind(
+        seed=scenario.seed,
+        trees=forest.trees,
+        plants=forest.plants,
+        season=world.season,
+        start_ns=scenario.start_ns,
+        **section.model_dump(),
     )
 
 

@@ -49,11 +49,13 @@ def lay_out(window: Window, small: NDArray[np.bool_]) -> Layout:
     """Gather what is `small`, of each shape (s,), and shapes that stand once and are not turned, such as ground.
 
     Neighbours in the window's order that lie in one square make a pile. A world that gives a place the same
-    things in the same order gives it the same pile in every window.
+    things in the same order gives it the same pile in every window. What moves stays an instance.
     """
     unturned = (window.world_T_shape[:, :, :3] == np.eye(3)).all(axis=(1, 2))
     alone = np.bincount(window.shape, minlength=len(window.shapes)) == 1
     whole = small[window.shape] | (unturned & alone[window.shape])
+    if window.sway is not None:
+        whole[window.sway.placement] = False
     gathered = np.flatnonzero(whole)
     cell = np.floor(window.world_T_shape[gathered, :2, 3] / _CELL_M)
     ends = np.flatnonzero((np.diff(cell, axis=0) != 0).any(axis=1)) + 1

@@ -16,6 +16,7 @@ from vlp16emu.raycast.adaptive import first_round
 from vlp16emu.raycast.baking import FEW_QUADS, Layout, Pile, baked, lay_out
 from vlp16emu.raycast.embree_build import Grown, Solid, placed
 from vlp16emu.raycast.embree_kernel import PACKET, Light, Target, Wish, cast_packets, cast_sub_rays
+from vlp16emu.raycast.embree_sway import motion_of
 from vlp16emu.raycast.footprint import LINE, BeamModel, Footprint, across_of, displace, sub_rays
 from vlp16emu.raycast.placement import normal_matrices, relative_to_window
 from vlp16emu.raycast.slow import Met
@@ -38,18 +39,24 @@ class EmbreeScene:
         self, lib: ctypes.CDLL, device: int, window: Window, layout: Layout, solids: Sequence[Solid]
     ) -> None:
         self._solids = solids
-        self._origin_m = window.origin_m
         self.surfaces = window.surfaces
-        self._first_surface = np.append(layout.first_surface, window.first_surface[layout.instances])
         unturned = np.broadcast_to(np.eye(3, dtype=np.float32), (len(layout.piles), 3, 3))
-        self._normal_matrix = np.concatenate([unturned, normal_matrices(window)[layout.instances]])
         transforms = np.zeros((len(solids), 3, 4), np.float32)
         transforms[: len(layout.piles)] = np.concatenate(
             [unturned, (layout.origin_m - window.origin_m)[:, :, None]], axis=2
         )
         transforms[len(layout.piles) :] = relative_to_window(window)[layout.instances]
-        self._scene = placed(lib, device, solids, transforms)
-        weakref.finalize(self, lib.rtcReleaseScene, self._scene)
+        self._motion, moving = motion_of(window, layout)
+        scene = placed(lib, device, solids, transforms, moving)
+        weakref.finalize(self, lib.rtcReleaseScene, scene)
+        self._target = Target(
+            scene,
+            window.origin_m,
+            np.append(layout.first_surface, window.first_surface[layout.instances]),
+            np.concatenate([unturned, normal_matrices(window)[layout.instances]]),
+            self._motion.shear,
+            np.ascontiguousarray(window.surfaces["reflectance"]),
+        )
 
     def cast(
         self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
@@ -81,9 +88,9 @@ class EmbreeScene:
             case BeamModel.ANGLE:
                 none = np.zeros(shape, np.int64)
                 lines = [ray.reshape(*shape, 3) for ray in sub_rays(firings, beam, none, none + 1)]
-                middle = self._middles(lines[0], lines[1], near_m, far_m)
+                middle = self._middles(lines[0], lines[1], firings.t_ns, near_m, far_m)
             case _:
-                middle = self._middles(firings.origin_m, firings.direction, near_m, far_m)
+                middle = self._middles(firings.origin_m, firings.direction, firings.t_ns, near_m, far_m)
         if beam.model is BeamModel.OFFSET:
             displace(middle[0], beam, firings.index)
         if beam.model is BeamModel.ADAPTIVE:
@@ -95,6 +102,7 @@ class EmbreeScene:
         self,
         origin_m: NDArray[np.float64],
         direction: NDArray[np.float64],
+        t_ns: NDArray[np.int64],
         near_m: NDArray[np.float64],
         far_m: float,
     ) -> Met:
@@ -102,19 +110,8 @@ class EmbreeScene:
         shape = origin_m.shape[:2]
         range_m, surface = np.empty(shape, np.float32), np.empty(shape, np.uint32)
         cos_incidence = np.empty(shape, np.float32)
-        cast_packets(
-            self._scene,
-            self._origin_m,
-            origin_m,
-            direction,
-            near_m,
-            far_m,
-            self._first_surface,
-            self._normal_matrix,
-            range_m,
-            surface,
-            cos_incidence,
-        )
+        times = self._motion.times(t_ns)
+        cast_packets(self._target, origin_m, direction, times, near_m, far_m, range_m, surface, cos_incidence)
         return range_m, surface, cos_incidence
 
     def _sub_rays(
@@ -131,18 +128,17 @@ class EmbreeScene:
             firings.origin_m,
             firings.direction,
             across_of(firings, beam),
+            self._motion.times(firings.t_ns),
             near_m,
             far_m,
             beam.quarters,
             beam.seed,
             firings.index,
         )
-        reflectance = np.ascontiguousarray(self.surfaces["reflectance"])
-        target = Target(self._scene, self._origin_m, self._first_surface, self._normal_matrix, reflectance)
         count, room = np.empty(wish.shape, np.uint16), wish.size * beam.rays
         out = np.empty(room, np.float32), np.empty(room, np.uint32), np.empty(room, np.float32)
         wanted = Wish(wish, beam.rays, beam.target_m, beam.resolution_m)
-        n = cast_sub_rays(target, light, wanted, middle, count, out)
+        n = cast_sub_rays(self._target, light, wanted, middle, count, out)
         return Hits(count, out[0][:n], out[1][:n], out[2][:n])
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast import embree_library as rtc
+from vlp16emu.raycast.embree_sway import set_steps
 from vlp16emu.raycast.quads import Faces, faces_of
 from vlp16emu.types import Mesh
 
@@ -57,15 +58,27 @@ class Solid:
         lib.rtcCommitScene(self.scene)
 
 
-def placed(lib: ctypes.CDLL, device: int, solids: Sequence[Solid], transforms: NDArray[np.float32]) -> int:
-    """Build the scene of instances of solids at `transforms` (n, 3, 4), numbered in their order; give its address."""
+def placed(
+    lib: ctypes.CDLL,
+    device: int,
+    solids: Sequence[Solid],
+    transforms: NDArray[np.float32],
+    moving: Mapping[int, NDArray[np.float32]],
+) -> int:
+    """Build the scene of instances of solids at `transforms` (n, 3, 4), numbered in their order; give its address.
+
+    Those that are `moving` have their own transforms (k, 3, 4), evenly over ray times 0 to 1.
+    """
     scene: int = lib.rtcNewScene(device)
     lib.rtcSetSceneFlags(scene, rtc.SCENE_ROBUST)
     first = transforms.ctypes.data
     for number, solid in enumerate(solids):
         geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_INSTANCE)
         lib.rtcSetGeometryInstancedScene(geometry, solid.scene)
-        lib.rtcSetGeometryTransform(geometry, 0, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, first + number * 48)
+        if number in moving:
+            set_steps(geometry, moving[number])
+        else:
+            lib.rtcSetGeometryTransform(geometry, 0, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, first + number * 48)
         lib.rtcCommitGeometry(geometry)
         lib.rtcAttachGeometryByID(scene, geometry, number)
         lib.rtcReleaseGeometry(geometry)

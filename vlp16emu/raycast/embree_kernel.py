@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast.adaptive import ROUND, enough
 from vlp16emu.raycast.embree_library import FLAG_COHERENT, library, library_path
+from vlp16emu.raycast.embree_sway import tilt
 from vlp16emu.raycast.footprint import pulse_axes, sub_ray, turn
 
 __all__ = ["PACKET", "Light", "Target", "Wish", "cast_packets", "cast_sub_rays"]
@@ -58,54 +59,6 @@ def _arguments(context: NDArray[np.uint32]) -> NDArray[np.uint32]:
     return words
 
 
-@numba.njit(cache=True, nogil=True)
-def cast_packets(
-    scene: int,
-    window_origin_m: NDArray[np.float64],
-    origin_m: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    near_m: NDArray[np.float64],
-    far_m: float,
-    first_surface: NDArray[np.uint32],
-    normal_matrix: NDArray[np.float32],
-    range_m: NDArray[np.float32],
-    surface: NDArray[np.uint32],
-    cos_incidence: NDArray[np.float32],
-) -> None:
-    """Cast one ray per pulse.
-
-    Parameters
-    ----------
-    scene : address of a committed RTCScene of instances
-    window_origin_m : (3,) taken from the origins in float64, before the step to float32
-    origin_m, direction : (k, L, 3) float64, k a multiple of `PACKET`
-    near_m, far_m : (L,) where each laser's light begins, and where it is given up
-    first_surface, normal_matrix : (n,), (n, 3, 3) per instance, as in `placement`
-    range_m, surface, cos_incidence : (k, L) outputs
-    """
-    rays = _aligned(_ROWS * PACKET * 4).view(np.float32).reshape(_ROWS, PACKET)
-    words, valid = rays.view(np.uint32), _aligned(PACKET * 4).view(np.int32)
-    valid[:] = -1
-    context = _aligned(16).view(np.uint32)
-    arguments = _arguments(context)
-    for first in range(0, origin_m.shape[0], PACKET):
-        for j in range(origin_m.shape[1]):
-            for r in range(PACKET):
-                i = first + r
-                _load(rays, r, origin_m[i, j], window_origin_m, direction[i, j])
-                _reset(rays, words, r, near_m[j], far_m)
-            context[:] = _NONE
-            _intersect(valid.ctypes.data, scene, rays.ctypes.data, arguments.ctypes.data)
-            for r in range(PACKET):
-                i, instance = first + r, words[_INST, r]
-                if instance == _NONE:
-                    range_m[i, j], surface[i, j], cos_incidence[i, j] = np.inf, _NONE, 0.0
-                else:
-                    range_m[i, j] = rays[_TFAR, r]
-                    surface[i, j] = first_surface[instance] + words[_GEOM, r]
-                    cos_incidence[i, j] = _cosine(normal_matrix, instance, rays, r)
-
-
 class Target(NamedTuple):
     """What is cast against."""
 
@@ -117,8 +70,57 @@ class Target(NamedTuple):
     """(n,) per instance, as in `Window`."""
     normal_matrix: NDArray[np.float32]
     """(n, 3, 3) per instance, as in `placement`."""
+    shear: NDArray[np.float32]
+    """(knots, n, 2) per instance, as in `embree_sway.Motion`."""
     reflectance: NDArray[np.float32]
     """(m,) of the surfaces."""
+
+
+@numba.njit(cache=True, nogil=True)
+def cast_packets(
+    target: Target,
+    origin_m: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    time: NDArray[np.float32],
+    near_m: NDArray[np.float64],
+    far_m: float,
+    range_m: NDArray[np.float32],
+    surface: NDArray[np.uint32],
+    cos_incidence: NDArray[np.float32],
+) -> None:
+    """Cast one ray per pulse.
+
+    Parameters
+    ----------
+    origin_m, direction : (k, L, 3) float64, k a multiple of `PACKET`
+    time : (k, L) between the scene's first knot and its last, 0..1
+    near_m, far_m : (L,) where each laser's light begins, and where it is given up
+    range_m, surface, cos_incidence : (k, L) outputs
+    """
+    scene, window_origin_m, shear = target.scene, target.window_origin_m, target.shear
+    first_surface, normal_matrix = target.first_surface, target.normal_matrix
+    rays = _aligned(_ROWS * PACKET * 4).view(np.float32).reshape(_ROWS, PACKET)
+    words, valid = rays.view(np.uint32), _aligned(PACKET * 4).view(np.int32)
+    valid[:] = -1
+    context = _aligned(16).view(np.uint32)
+    arguments = _arguments(context)
+    for first in range(0, origin_m.shape[0], PACKET):
+        for j in range(origin_m.shape[1]):
+            for r in range(PACKET):
+                i = first + r
+                _load(rays, r, origin_m[i, j], window_origin_m, direction[i, j])
+                _reset(rays, words, r, near_m[j], far_m)
+                rays[_TIME, r] = time[i, j]
+            context[:] = _NONE
+            _intersect(valid.ctypes.data, scene, rays.ctypes.data, arguments.ctypes.data)
+            for r in range(PACKET):
+                i, instance = first + r, words[_INST, r]
+                if instance == _NONE:
+                    range_m[i, j], surface[i, j], cos_incidence[i, j] = np.inf, _NONE, 0.0
+                else:
+                    range_m[i, j] = rays[_TFAR, r]
+                    surface[i, j] = first_surface[instance] + words[_GEOM, r]
+                    cos_incidence[i, j] = _cosine(normal_matrix, shear, instance, rays, r)
 
 
 class Light(NamedTuple):
@@ -128,6 +130,8 @@ class Light(NamedTuple):
     """(k, L, 3), k a multiple of `PACKET`; `direction` and `across` alike."""
     direction: NDArray[np.float64]
     across: NDArray[np.float64]
+    time: NDArray[np.float32]
+    """(k, L) between the scene's first knot and its last, 0..1."""
     near_m: NDArray[np.float64]
     """(L,) where each laser's light begins."""
     far_m: float
@@ -275,7 +279,7 @@ def _cast_eight(
             shift[r, 0], shift[r, 1] = turn(light.seed, light.first + i, j)
     open_ = True
     while open_:
-        _cast_round(target, light, packet, j, axes, shift, done, wanted, hits)
+        _cast_round(target, light, packet, first, j, axes, shift, done, wanted, hits)
         open_ = False
         for r in range(PACKET):
             asked, s = wanted[r] - done[r, j], wanted[r]
@@ -302,6 +306,7 @@ def _cast_round(
     target: Target,
     light: Light,
     packet: _Packet,
+    first: int,
     j: int,
     axes: NDArray[np.float64],
     shift: NDArray[np.uint32],
@@ -311,7 +316,7 @@ def _cast_round(
 ) -> None:
     """Cast sub-rays `done` to `wanted` of eight pulses."""
     rays, words, pulse, sample = packet.rays, packet.words, packet.pulse, packet.sample
-    quarters, lane = light.quarters, 0
+    quarters, time, lane = light.quarters, light.time, 0
     for r in range(PACKET):
         _reset(rays, words, r, light.near_m[j], light.far_m)
     for r in range(PACKET):
@@ -320,6 +325,7 @@ def _cast_round(
             rays[_ORG, lane], rays[_ORG + 1, lane], rays[_ORG + 2, lane] = x_m, y_m, z_m
             rays[_DIR, lane], rays[_DIR + 1, lane], rays[_DIR + 2, lane] = x, y, z
             rays[_TFAR, lane], words[_GEOM, lane], words[_INST, lane] = light.far_m, _NONE, _NONE
+            rays[_TIME, lane] = time[first + r, j]
             pulse[lane], sample[lane] = r, s
             lane += 1
             if lane == PACKET:
@@ -339,7 +345,7 @@ def _shoot(target: Target, packet: _Packet, lanes: int, j: int, hits: _Hits) -> 
     _intersect(valid.ctypes.data, target.scene, rays.ctypes.data, packet.arguments.ctypes.data)
     # Reaching into a tuple within a loop would count references at every step.
     pulse, sample = packet.pulse, packet.sample
-    first_surface, normal_matrix = target.first_surface, target.normal_matrix
+    first_surface, normal_matrix, shear = target.first_surface, target.normal_matrix, target.shear
     range_m, surface, cos_incidence = hits.range_m, hits.surface, hits.cos_incidence
     for lane in range(lanes):
         r, s, instance = pulse[lane], sample[lane], words[_INST, lane]
@@ -348,7 +354,7 @@ def _shoot(target: Target, packet: _Packet, lanes: int, j: int, hits: _Hits) -> 
         else:
             range_m[r, j, s] = rays[_TFAR, lane]
             surface[r, j, s] = first_surface[instance] + words[_GEOM, lane]
-            cos_incidence[r, j, s] = _cosine(normal_matrix, instance, rays, lane)
+            cos_incidence[r, j, s] = _cosine(normal_matrix, shear, instance, rays, lane)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -374,13 +380,20 @@ def _reset(rays: NDArray[np.float32], words: NDArray[np.uint32], r: int, near_m:
 
 
 @numba.njit(cache=True, nogil=True)
-def _cosine(matrix: NDArray[np.float32], n: int, rays: NDArray[np.float32], r: int) -> np.float32:
+def _cosine(
+    matrix: NDArray[np.float32], shear: NDArray[np.float32], n: int, rays: NDArray[np.float32], r: int
+) -> np.float32:
     """Cosine between a ray and the world normal; Embree gives normals in the shape's coordinates."""
-    dot, square = np.float32(0.0), np.float32(0.0)
+    dot, square, leaned = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for a in range(3):
         turned = np.float32(0.0)
         for b in range(3):
             turned += matrix[n, a, b] * rays[_NG + b, r]
+        if shear.shape[0]:  # normals of what is sheared level change in height only
+            if a < 2:
+                leaned += tilt(shear, rays[_TIME, r], n, a) * turned
+            else:
+                turned -= leaned
         dot += turned * rays[_DIR + a, r]
         square += turned * turned
     return np.float32(min(abs(float(dot)) / math.sqrt(square), 1.0)) if square > 0.0 else np.float32(0.0)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.errors import RunError
 from vlp16emu.raycast.flat import flatten
 from vlp16emu.raycast.footprint import LINE, Footprint
 from vlp16emu.raycast.slow import Met, cast_slowly
@@ -34,7 +35,10 @@ class PlainScene:
         reflectance = np.ascontiguousarray(self.surfaces["reflectance"])
 
         def cast(
-            origin_m: NDArray[np.float64], direction: NDArray[np.float64], near: NDArray[np.float64]
+            origin_m: NDArray[np.float64],
+            direction: NDArray[np.float64],
+            near: NDArray[np.float64],
+            _t_ns: NDArray[np.int64],
         ) -> Met:
             return self._rays(origin_m - self._origin_m, direction, near, far_m)
 
@@ -76,5 +80,13 @@ class PlainCaster:
         self._shape = shape
 
     def open(self, window: Window) -> PlainScene:
-        """Make a window ready for casting."""
+        """Make a window ready for casting.
+
+        Raises
+        ------
+        RunError
+            where something moves in it
+        """
+        if window.sway is not None:
+            raise RunError("wind: the plain embreex class casts against what stands still only")
         return PlainScene(window, self._shape)

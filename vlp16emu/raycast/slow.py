@@ -13,8 +13,8 @@ __all__ = ["Cast", "Met", "cast_slowly"]
 
 Met = tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]
 """Range, surface and cosine of incidence (n,) of n rays, as in `Hits`."""
-Cast = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], Met]
-"""Casts rays: origin (n, 3) and direction (n, 3) in the world, near limit (n,) in metres."""
+Cast = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]], Met]
+"""Casts rays: origin (n, 3) and direction (n, 3) in the world, near limit (n,) in metres, UTC (n,)."""
 
 
 def cast_slowly(
@@ -31,16 +31,21 @@ def cast_slowly(
     reflectance : (m,) of the window's surfaces
     """
     shape = firings.t_ns.shape
-    near = np.broadcast_to(near_m, shape)
+    near, t_ns = np.broadcast_to(near_m, shape), firings.t_ns
     none = np.zeros(shape, np.int64)
     match beam.model:
         case BeamModel.FIXED:
-            met = cast(*sub_rays(firings, beam, none, none + beam.rays), np.repeat(near, beam.rays))
+            met = cast(
+                *sub_rays(firings, beam, none, none + beam.rays),
+                np.repeat(near, beam.rays),
+                np.repeat(t_ns, beam.rays),
+            )
             return Hits(np.full(shape, beam.rays, np.uint16), *met)
         case BeamModel.ANGLE:
-            met = cast(*sub_rays(firings, beam, none, none + 1), near.reshape(-1))
+            met = cast(*sub_rays(firings, beam, none, none + 1), near.reshape(-1), t_ns.reshape(-1))
         case _:
-            met = cast(firings.origin_m.reshape(-1, 3), firings.direction.reshape(-1, 3), near.reshape(-1))
+            lines = firings.origin_m.reshape(-1, 3), firings.direction.reshape(-1, 3)
+            met = cast(*lines, near.reshape(-1), t_ns.reshape(-1))
     range_m, surface, cosine = met[0].reshape(shape), met[1].reshape(shape), met[2].reshape(shape)
     if beam.model is BeamModel.OFFSET:
         displace(range_m, beam, firings.index)
@@ -65,7 +70,9 @@ def _by_rounds(
         for i, j in np.ndindex(near.shape)
     }
     while (asked := wanted - done).any():
-        fresh = cast(*sub_rays(firings, beam, done, wanted), np.repeat(near, asked.reshape(-1)))
+        each = asked.reshape(-1)
+        lines = sub_rays(firings, beam, done, wanted)
+        fresh = cast(*lines, np.repeat(near, each), np.repeat(firings.t_ns, each))
         ends = np.cumsum(asked).reshape(near.shape)
         for pulse in zip(*(axis.tolist() for axis in np.nonzero(asked)), strict=True):
             part = slice(ends[pulse] - asked[pulse], ends[pulse])

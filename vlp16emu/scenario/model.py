@@ -15,7 +15,8 @@ from vlp16emu.scenario.rig import Unit, completed
 from vlp16emu.scenario.section import Section
 from vlp16emu.scenario.sensor import AnySensor, FreeSensor, Sensor
 from vlp16emu.scenario.weather import Weather
-from vlp16emu.scenario.world import World
+from vlp16emu.scenario.wind import Wind
+from vlp16emu.scenario.world import Hall, World
 from vlp16emu.units import S_NS, US_NS
 
 __all__ = ["Scenario"]
@@ -46,6 +47,8 @@ class Scenario(Section):
     rig: Annotated[list[Unit], Field(max_length=253, default_factory=list)]
     """Further sensors on the same carrier, numbered from 2; that of `[sensor]` is unit 1."""
     world: World
+    wind: Wind | None = None
+    """What makes the trees sway; none in a hall."""
 
     @field_validator("gps")
     @classmethod
@@ -76,6 +79,13 @@ class Scenario(Section):
         if gps is not None and not gps.connected and any(map(_is_locked, rig)):
             raise ValueError("no phase_lock_deg in it without the pulse of gps.connected = true")
         return rig
+
+    @field_validator("wind")
+    @classmethod
+    def _has_trees(cls, wind: Wind | None, info: ValidationInfo) -> Wind | None:
+        if wind is not None and isinstance(info.data.get("world"), Hall):
+            raise ValueError("none in a hall, which has no trees")
+        return wind
 
     @property
     def start_ns(self) -> int:

@@ -15,6 +15,7 @@ from vlp16emu.world.stem_list import read_stem_list
 from vlp16emu.world.terrain import Terrain
 from vlp16emu.world.understorey import Saplings, Shrubs
 from vlp16emu.world.user_mesh import load_mesh
+from vlp16emu.world.wind import Wind
 
 __all__ = [
     "BREAST_HEIGHT_M",
@@ -50,6 +51,7 @@ __all__ = [
     "Storey",
     "Stumps",
     "Terrain",
+    "Wind",
     "density_per_ha",
     "flora",
     "load_mesh",

@@ -13,13 +13,13 @@ from vlp16emu.types import SURFACE, HeightField, Mesh, PlantPart, Semantic, Shap
 from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
 from vlp16emu.world.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.world.materials import bark_material, material_names
-from vlp16emu.world.placed import Layer, Placed, Plot, distinct
+from vlp16emu.world.placed import NO_TREES, Layer, Placed, Plot, distinct
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.sapling import SaplingKey, sapling_meshes
 from vlp16emu.world.shrub import ShrubKey, shrub_meshes
 from vlp16emu.world.species import Flora, flora
 from vlp16emu.world.stand import TREE, foot_discs
-from vlp16emu.world.stem import STEM_PARTS, lean_rotation, stem_meshes
+from vlp16emu.world.stem import STEM_PARTS, StemKey, lean_rotation, stem_meshes
 from vlp16emu.world.tiles import (
     TILE_M,
     TileKey,
@@ -47,6 +47,9 @@ _NUMBERS_PER_TILE = 8192
 _DENSEST_PER_HA = 125_000
 """A tile then holds 5000 things on average; even in clusters of ten their number has a sigma under 240,
 far from `_NUMBERS_PER_TILE`."""
+
+_TILES_IN_GROWTH = 16
+"""Tiles whose stems are grown together, kept until all of them are taken: more than are in growth at once."""
 
 _HEAD_M = 2.0
 """Of a walker with the sensor, over the ground."""
@@ -103,6 +106,7 @@ class Forest:
     path_clearance_m : nothing that stands or lies on the ground comes nearer to the path than this
     reach_m : how far the sensor sees
     plants : trees and shrubs; those of the program if none are given
+    loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
 
     Raises
     ------
@@ -121,6 +125,7 @@ class Forest:
         path_clearance_m: float,
         reach_m: float,
         plants: Flora | None = None,
+        loose_stems: bool = False,
     ) -> None:
         per_ha = stems.per_ha + sum(layer.per_ha for layer in layers)
         if per_ha > _DENSEST_PER_HA:
@@ -128,12 +133,13 @@ class Forest:
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
         self._seed, self._path, self._clearance_m, self._reach_m = seed, path, path_clearance_m, reach_m
         self.height_m, self.plants = height_m, plants or flora()
-        self._stems, self._layers = stems, layers
+        self._stems, self._layers, self._loose_stems = stems, layers, loose_stems
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         kept = 2 * (4 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
         self._tile = lru_cache(maxsize=kept)(self._grow_tile)
         self._trees = lru_cache(maxsize=kept)(stems.trees)
+        self._stem_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_stems)
         self._discs = lru_cache(maxsize=kept)(
             lambda ix, iy: foot_discs(self._trees(ix, iy), table=self.plants.trees)
         )
@@ -176,9 +182,11 @@ class Forest:
         """Meshes of a tile (ground, then its stems), of a crown, or of a thing."""
         match key:
             case TileKey():
-                trees, origin_m = self._trees(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
-                stems = stem_meshes(trees, key.level, origin_m, self.height_m, table=self.plants.trees)
+                stems = [] if self._loose_stems else self._grow_stems(key)
                 return (ground_mesh(key, self.height_m), *stems)
+            case StemKey():
+                first = len(STEM_PARTS) * key.number
+                return tuple(self._stem_meshes(key.tile)[first : first + len(STEM_PARTS)])
             case CrownKey():
                 return crown_meshes(self._seed, key, table=self.plants.trees)
             case SaplingKey():
@@ -205,7 +213,9 @@ class Forest:
         number = 1 + (column * self._tiles_across[1] + row) * _NUMBERS_PER_TILE
         trees["id"], trees["level"] = number + np.arange(len(trees)), key.level
         number += len(trees)
-        groups = [self._crowns(trees)]
+        groups, rooted = [self._crowns(trees)], trees
+        if self._loose_stems:
+            groups, rooted = [self._stems_of(key, trees), *groups], trees[:0]
         for placed in self._things(key):
             numbers = number + np.arange(len(placed.shape))
             placed.surfaces["instance"] = numbers[:, None]
@@ -213,7 +223,24 @@ class Forest:
                 placed.trees["id"] = numbers
             number += len(placed.shape)
             groups.append(placed)
-        return _packed(key, tile_origin_m(ix, iy, self.height_m), trees, groups, self.plants)
+        return _packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
+
+    def _grow_stems(self, key: TileKey) -> list[Mesh]:
+        """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, in the tile's frame."""
+        trees, origin_m = self._trees(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
+        return stem_meshes(trees, key.level, origin_m, self.height_m, table=self.plants.trees)
+
+    def _stems_of(self, key: TileKey, trees: Trees) -> Placed:
+        """Place the stems of a tile's trees one by one, at rest where the tile has them."""
+        n = len(trees)
+        world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
+        return Placed(
+            tuple(StemKey(key, number) for number in range(n)),
+            np.arange(n),
+            np.repeat(world_T_tile[None], n, axis=0),
+            _plant_surfaces(trees, STEM_PARTS, self.plants),
+            NO_TREES,
+        )
 
     def _crowns(self, trees: Trees) -> Placed:
         """Place the crowns of a tile's trees."""

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.types import HeightField, Mesh, PlantPart
 from vlp16emu.world.species import BREAST_HEIGHT_M, Species, taper_radius_m, tapers
+from vlp16emu.world.tiles import TileKey
 
-__all__ = ["STEM_PARTS", "StemRings", "lean_rotation", "stem_meshes", "stem_rings"]
+__all__ = ["STEM_PARTS", "StemKey", "StemRings", "lean_rotation", "stem_meshes", "stem_rings"]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -58,6 +59,15 @@ _DETAIL = (
     _Detail(12, 12, (0.0, _FLARE_TOP_M, BREAST_HEIGHT_M), (0.2, 0.45, 0.7, 0.9)),
     _Detail(8, 8, (0.0, _FLARE_TOP_M, BREAST_HEIGHT_M), (0.35, 0.7, 0.92)),
 )
+
+
+@dataclass(frozen=True, slots=True)
+class StemKey:
+    """Name of the shape of a single stem, in the frame of its tile."""
+
+    tile: TileKey
+    number: int
+    """Among the trees of the tile."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,103 @@
+"""What moves: instances at the time of each pulse, against the slow twin and against themselves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vlp16emu.errors import RunError
+from vlp16emu.raycast.baking import lay_out
+from vlp16emu.raycast.embree import EmbreeCaster
+from vlp16emu.raycast.placement import frozen
+from vlp16emu.raycast.plain import PlainCaster
+from vlp16emu.raycast.reference import ReferenceCaster
+from vlp16emu.types import Sway
+
+STEP_NS = 100_000
+"""So short that a test's few pulses see several knots."""
+
+
+def swaying(lab, *, knots=40, lean=0.3, seed=3):
+    """Window of soups of which two of three move, and the span of its pulses."""
+    window, firings = lab.placed(30), lab.pulses(64)
+    moving = np.flatnonzero(np.arange(30) % 3)
+    shear = np.random.default_rng(seed).uniform(-lean, lean, (knots, len(moving), 2))
+    foot_z_m = window.world_T_shape[moving, 2, 3] - 2.0
+    start_ns = int(firings.t_ns.min()) - STEP_NS // 3
+    return replace(window, sway=Sway(start_ns, STEP_NS, moving, foot_z_m, shear)), firings
+
+
+@pytest.mark.parametrize("model", ["none", "fixed", "adaptive"])
+def test_each_pulse_meets_what_moves_where_it_is_at_its_time(lab, workers, model):
+    """Ranges, surfaces and incidence equal brute force in float64, which writes the window out for every instant."""
+    window, _ = swaying(lab)
+    firings = lab.pulses(8)
+    beam = [] if model == "none" else [lab.beam(model, rays=4 if model == "fixed" else 8)]
+    fast = EmbreeCaster(lab.soup, workers).open(window).cast(firings, lab.near_m, lab.far_m, *beam)
+    slow = ReferenceCaster(lab.soup).open(window).cast(firings, lab.near_m, lab.far_m, *beam)
+    assert (fast.count == slow.count).all()
+    same = fast.surface == slow.surface
+    assert same.mean() > 0.995
+    hit = np.isfinite(fast.range_m) & same
+    assert hit.mean() > 0.5
+    assert np.quantile(np.abs(fast.range_m[hit] - slow.range_m[hit]), 0.99) < 2e-5
+    assert np.quantile(np.abs(fast.cos_incidence[hit] - slow.cos_incidence[hit]), 0.99) < 1e-4
+
+
+def test_a_moving_window_stands_still_at_an_instant(lab, workers):
+    """Pulses of one instant, within the span, before it and after it, meet the window that is frozen there."""
+    window, firings = swaying(lab)
+    caster = EmbreeCaster(lab.soup, workers)
+    scene = caster.open(window)
+    for t_ns in (window.sway.start_ns + STEP_NS * 9 // 4, 0, 2**62):
+        at_once = replace(firings, t_ns=np.full_like(firings.t_ns, t_ns))
+        moving = scene.cast(at_once, lab.near_m, lab.far_m)
+        still = caster.open(frozen(window, t_ns)).cast(at_once, lab.near_m, lab.far_m)
+        same = moving.surface == still.surface
+        assert same.mean() > 0.995
+        hit = np.isfinite(moving.range_m) & same
+        assert np.quantile(np.abs(moving.range_m[hit] - still.range_m[hit]), 0.99) < 2e-5
+        assert np.quantile(np.abs(moving.cos_incidence[hit] - still.cos_incidence[hit]), 0.99) < 1e-4
+
+
+def test_a_shear_moves_points_level_by_their_height_over_the_foot(lab):
+    """Half-way between knots of shear 0 and 0.4 a point 5 m over the foot is 1 m aside; the foot is where it was."""
+    still = lab.placed(1)
+    foot_z_m = float(lab.utm_m[2]) - 4.0
+    shear = np.array([[[0.0, 0.0]], [[0.4, -0.2]]])
+    sway = Sway(1000, 100, np.zeros(1, np.int64), np.array([foot_z_m]), shear)
+    moved = frozen(replace(still, sway=sway), 1050)
+    to_shape = np.linalg.inv(still.world_T_shape[0, :, :3])
+    for over_foot_m in (0.0, 5.0):
+        point_m = np.array([*lab.utm_m[:2], foot_z_m + over_foot_m])
+        own = to_shape @ (point_m - still.world_T_shape[0, :, 3])
+        went_m = moved.world_T_shape[0, :, :3] @ own + moved.world_T_shape[0, :, 3] - point_m
+        assert went_m == pytest.approx(np.array([0.2, -0.1, 0.0]) * over_foot_m, abs=1e-9)
+
+
+def test_what_moves_is_in_no_pile(lab):
+    """Of small shapes, which are all written out otherwise, those that move stay instances."""
+    window, _ = swaying(lab)
+    layout = lay_out(window, np.ones(3, np.bool_))
+    assert layout.instances.tolist() == window.sway.placement.tolist()
+    assert sum(len(pile.shape) for pile in layout.piles) == 10
+
+
+def test_batches_do_not_matter_where_things_move(lab, workers):
+    """Cast in one go or in pieces of eight firings: the same bits."""
+    window, _ = swaying(lab)
+    scene = EmbreeCaster(lab.soup, workers).open(window)
+    whole = scene.cast(lab.pulses(64), lab.near_m, lab.far_m).range_m.reshape(64, -1)
+    for first in range(0, 64, 8):
+        piece = scene.cast(lab.pulses(8, first=first), lab.near_m, lab.far_m).range_m
+        assert piece.tobytes() == whole[first : first + 8].tobytes()
+
+
+def test_what_cannot_be_cast_is_refused(lab, workers):
+    """The plain class says that it casts against still things only, Embree how many knots it takes."""
+    window, _ = swaying(lab)
+    with pytest.raises(RunError, match="wind: the plain embreex class casts against what stands still only"):
+        PlainCaster(lab.soup).open(window)
+    long, _ = swaying(lab, knots=130)
+    with pytest.raises(RunError, match="wind: found 130 knots in a window, Embree takes 129"):
+        EmbreeCaster(lab.soup, workers).open(long)
