@@ -60,7 +60,7 @@ BAD_TUM = [
     (LINE + "0.2 1 2 x 0 0 0 1\n", ", line 2: found 'x'; expected a number"),
     (LINE + "nan 1 2 3 0 0 0 1\n", ", line 2: found nan; expected at most 4611686018 s"),
     (LINE + "soon 1 2 3 0 0 0 1\n", ", line 2: found 'soon'; expected a time in seconds"),
-    (LINE + LINE, ", line 2: a time 0 s before that of the pose before; expected times that grow"),
+    (LINE + LINE, ", line 2: the time of the pose before; expected times that grow"),
     (
         LINE + "\n0.05 1 2 3 0 0 0 1\n",
         ", line 3: a time 0.05 s before that of the pose before; expected times that grow",

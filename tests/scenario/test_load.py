@@ -209,6 +209,21 @@ def test_a_whole_number_is_taken_where_a_fraction_may_stand(tmp_path):
     assert (scenario.world.length_m, scenario.duration_s) == (30.0, 5.0)
 
 
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        (["motion.way_points_file=way.csv"], {"way_points_file", "speed_m_s"}),
+        (["motion.lawn_mower={ length_m = 20, width_m = 10 }"], {"lawn_mower", "speed_m_s"}),
+        (["motion.lawn_mower.length_m=20", "motion.lawn_mower.width_m=10"], {"lawn_mower", "speed_m_s"}),
+        (["motion.run_time_s=60"], {"way_points_m", "run_time_s"}),
+    ],
+)
+def test_a_setting_takes_the_place_of_what_it_rules_out(settings, told):
+    """A scene that is told another way or pace by `--set` forgets its own."""
+    motion = load("reference_forest", settings).motion
+    assert motion.model_fields_set == told | {"kind"}
+
+
 def test_settings_apply_in_order_and_create_tables(tmp_path):
     """The last setting of a key wins, bare words are strings, absent tables appear."""
     settings = [

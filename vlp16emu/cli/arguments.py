@@ -125,7 +125,8 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change a value of the scene, for instance sensor.rpm=1200. May be repeated.",
+        help="Change a value of the scene, for instance sensor.rpm=1200. Files are found from its folder. "
+        "May be repeated.",
     ),
 ]
 Ideal = Annotated[

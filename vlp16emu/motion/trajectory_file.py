@@ -130,6 +130,8 @@ def _checked(path: Path, where: list[str], t_ns: list[int], numbers: list[list[f
     for i, (before, after) in enumerate(pairwise(t_ns), start=1):
         if after <= before:
             found = f"a time {(before - after) / S_NS:g} s before that of the pose before"
+            if after == before:
+                found = "the time of the pose before"
             raise TrajectoryError(where[i], found, "times that grow")
     table = np.array(numbers)
     lengths = np.linalg.norm(table[:, 3:], axis=1)

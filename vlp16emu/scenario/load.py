@@ -12,8 +12,12 @@ from vlp16emu.errors import ScenarioError
 from vlp16emu.scenario.explain import explain
 from vlp16emu.scenario.find import find
 from vlp16emu.scenario.model import Scenario
+from vlp16emu.scenario.way import Way
 
 __all__ = ["load"]
+
+_RIVALS = frozenset(Way.one_of), Way.either_or
+"""Keys of which a scene tells one, so that a setting takes the place of what the scene tells instead."""
 
 
 def load(scene: str, settings: Sequence[str] = ()) -> Scenario:
@@ -78,11 +82,21 @@ def _apply(tree: dict[str, Any], setting: str) -> None:
     if not equals or not all(names) or not text.strip():
         raise ScenarioError(where, "no assignment", "key.path=value")
     for name in names[:-1]:
+        _make_way(tree, name)
         branch = tree.setdefault(name, {})
         if not isinstance(branch, dict):
             raise ScenarioError(where, f"{name} is no table", "table names before the last dot")
         tree = branch
+    _make_way(tree, names[-1])
     tree[names[-1]] = _value(text.strip())
+
+
+def _make_way(tree: dict[str, Any], name: str) -> None:
+    """Drop what a key that is set now stands for."""
+    for rivals in _RIVALS:
+        if name in rivals:
+            for rival in rivals - {name}:
+                tree.pop(rival, None)
 
 
 def _value(text: str) -> object:

@@ -51,6 +51,8 @@ class Way(Section):
     """Where a person goes and how fast; needs exactly one of the three ways to tell the way points."""
 
     either_or: ClassVar[frozenset[str]] = frozenset({"speed_m_s", "run_time_s"})
+    one_of: ClassVar[tuple[str, ...]] = ("way_points_m", "way_points_file", "lawn_mower")
+    """Keys of which exactly one is needed."""
 
     way_points_m: Annotated[list[Point], Field(min_length=2)] | None = None
     """x and y in the world; the path is a smooth curve through them in this order."""
@@ -74,7 +76,7 @@ class Way(Section):
     @model_validator(mode="after")
     def _told_once(self) -> Self:
         """Refuse way points or a pace that are missing or told twice."""
-        if sum(way is not None for way in (self.way_points_m, self.way_points_file, self.lawn_mower)) != 1:
+        if sum(getattr(self, way) is not None for way in self.one_of) != 1:
             raise ValueError("exactly one of way_points_m, way_points_file and lawn_mower in it")
         if self.either_or <= self.model_fields_set:
             raise ValueError("one of speed_m_s and run_time_s in it, not both")
