@@ -48,7 +48,8 @@ def test_true_poses_put_every_point_on_its_surface(placed):
     These are half of 2 mm along the beam and 0.0107 deg across it, 0.0110 deg at 300 deg/s.
     """
     assert len(placed.bound_m) > 500_000
-    assert (placed.error_m["pulse"] <= placed.bound_m).all()
+    of_bound = placed.error_m["pulse"] / placed.bound_m
+    assert 0.85 < of_bound.max() <= 1.0  # reached, or it would prove nothing
     assert placed.bound_m.max() < 2e-3
 
 
