@@ -1,0 +1,25 @@
+"""The tool that prints what is reported of a step edge."""
+
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+
+import pytest
+
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "echo_table"
+
+
+@pytest.fixture(scope="module")
+def echo_table():
+    """The tool as a module."""
+    loader = SourceFileLoader("echo_table", str(TOOL))
+    module = module_from_spec(spec_from_loader("echo_table", loader))
+    loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(("step_m", "returns"), [(0.3, 1), (0.7, 1), (1.0, 1), (1.5, 2), (5.0, 2)])
+def test_the_table_tells_one_return_from_two(echo_table, step_m, returns):
+    """Each cell has one range up to the resolution of 1 m and two from 1.5 m on, whatever the plates' reflectances."""
+    for pair in echo_table.REFLECTANCES:
+        assert len(echo_table.cell(step_m, pair).split(", ")) == returns
