@@ -46,9 +46,9 @@ class Emulator:
         self.parts = assemble(scenario)
         self._truth = truth
         self._threads = threads or os.cpu_count() or 1
-        self._cut = Cut(len(self.parts.head.beams.elevation_deg), self.parts.head.beams.sequence_ns)
-        self._windows = windows_of(self.parts, scenario.start_ns, self._cut, self._threads)
-        self.receiver = make_receiver(scenario, self.parts, self._windows)
+        self.cut = Cut(len(self.parts.head.beams.elevation_deg), self.parts.head.beams.sequence_ns)
+        self.windows = windows_of(self.parts, scenario.start_ns, self.cut, self._threads)
+        self.receiver = make_receiver(scenario, self.parts, self.windows)
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
         """Packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
@@ -69,9 +69,9 @@ class Emulator:
 
     def returns(self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0) -> Iterator[Returns]:
         """Give a unit's returns before packing, in whole blocks that hold at least the same span."""
-        blocks = self._cut.blocks(*self._span_ns(start_s, stop_s))
+        blocks = self.cut.blocks(*self._span_ns(start_s, stop_s))
         scan = partial(self._scan, self.parts.units[unit])
-        return ahead(scan, self._windows, blocks=blocks, threads=self._threads)
+        return ahead(scan, self.windows, blocks=blocks, threads=self._threads)
 
     def first_position_packets(self, start_s: float = 0.0) -> list[int]:
         """Find the number of each unit's first position packet from `start_s` on; a run's first has 0."""
@@ -87,7 +87,9 @@ class Emulator:
     def _scan(self, unit: Unit, block: int, opened: Future[Scene]) -> Returns:
         """Emit and receive one block of pulses."""
         head, far_m = unit.head, unit.section.max_range_m
-        firings = head.aim(block * self._cut.block, self._cut.block, unit.motion.poses_at, across=unit.beam.has_width)
+        firings = head.aim(
+            block * self.cut.block, self.cut.block, unit.motion.poses_at, across=unit.beam.has_width
+        )
         scene = opened.result()
         hits = scene.cast(firings, head.beams.near_m, far_m, unit.beam)
         return detect(firings, hits, scene.surfaces, unit.detector, truth=self._truth)
@@ -97,7 +99,7 @@ class Emulator:
         sensor = on_the_wire(unit.section)
         mode, model = ReturnMode(sensor.return_mode), SensorModel(sensor.model)
         period_ns = SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS
-        per_block = self._cut.block // SEQUENCES_PER_PACKET[mode]
+        per_block = self.cut.block // SEQUENCES_PER_PACKET[mode]
 
         def pack(block: int, opened: Future[Scene]) -> list[Packet]:
             return pack_data(self._scan(unit, block, opened), mode, model, unit.number)
@@ -106,7 +108,7 @@ class Emulator:
         first, last = (max(0, -(-ns // period_ns) - 1) for ns in (start_ns, stop_ns))
         blocks = range(first // per_block, -(-last // per_block))
         threads = self._threads // len(self.parts.units) or 1
-        packed = ahead(pack, self._windows, blocks=blocks, threads=threads)
+        packed = ahead(pack, self.windows, blocks=blocks, threads=threads)
         for block, packets in zip(blocks, packed, strict=True):
             number = block * per_block
             yield from packets[max(0, first - number) : last - number]

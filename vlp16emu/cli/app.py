@@ -10,6 +10,7 @@ import typer
 from vlp16emu.cli.decode import decode
 from vlp16emu.cli.forest import forest
 from vlp16emu.cli.interrupt import INTERRUPTED
+from vlp16emu.cli.plan import plan
 from vlp16emu.cli.points import points
 from vlp16emu.cli.record import record
 from vlp16emu.cli.scenes import scenes
@@ -43,6 +44,10 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
   vlp16emu forest birch_walk
   vlp16emu forest old_growth --picture old_growth.png --inventory trees.csv
   vlp16emu forest my_forest.toml --radius 15 --glb twin.glb""",
+    plan: """\b
+  vlp16emu plan birch_walk
+  vlp16emu plan old_growth --duration 600 --set sensor.return_mode=dual
+  vlp16emu plan reference_forest --ideal --json""",
     scenes: None,
     schema: """\b
   vlp16emu schema > scene.schema.json""",

@@ -1,0 +1,133 @@
+"""What a run needs, leaves out, and will take."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from vlp16emu.assembly import assemble
+from vlp16emu.cli.needs import needs
+from vlp16emu.cli.trial import peak_bytes
+from vlp16emu.scenario import load
+
+SMALL = ("--set", "sensor.max_range_m=20", "--set", "world.stems_per_ha=150", "--threads", "1")
+
+
+def on(scene, *settings):
+    """Names of what is on."""
+    scenario = load(scene, settings)
+    return {need.name for need in needs(scenario, assemble(scenario)) if need.on}
+
+
+@pytest.fixture(scope="module")
+def birch(cli_once):
+    """Plan of a walk that needs two windows, in a thin wood."""
+    return cli_once("plan", "birch_walk", "--duration", "8", *SMALL, "--json")
+
+
+@pytest.fixture(scope="module")
+def cli_once():
+    """Carry out a command line in this process, for a whole module."""
+    import contextlib
+    import io
+    import json
+
+    from vlp16emu.cli.app import run
+
+    def call(*arguments):
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out):
+            assert run(arguments) == 0
+        return json.loads(out.getvalue())
+
+    return call
+
+
+def test_the_hall_needs_nothing():
+    """The static hall, with rays for beams and an ideal sensor, leaves everything out."""
+    assert on("static_bench") == set()
+
+
+@pytest.mark.parametrize(
+    ("setting", "name"),
+    [
+        ("beam.model=adaptive", "beam width"),
+        ("noise.range_noise_m=0.01", "range and reflectivity noise"),
+        ("noise.weak_echoes_lost=true", "detection threshold"),
+        ("weather.rain_mm_h=5", "weather"),
+        ("sensor.return_mode=dual", "last and second return"),
+        ("gps.connected=true", "satellites"),
+        ("imu={}", "inertial unit"),
+        ("rig=[{}]", "rig"),
+    ],
+)
+def test_each_thing_is_told(setting, name):
+    """A setting switches on the one thing it asks for."""
+    assert on("static_bench", setting) == {name}
+
+
+def test_a_walk_moves_and_swings():
+    """A person who walks has motion and gait, and no gait where that is switched off."""
+    assert {"motion", "gait"} <= on("birch_walk")
+    assert "gait" not in on("birch_walk", "motion.gait={ preset = 'none' }")
+    assert "harness" in on("birch_walk", "motion.harness={}")
+
+
+def test_what_is_in_reach_is_counted(birch):
+    """Trees of the first window are as many as the world itself names, and their levels add up."""
+    scenario = load("birch_walk", ["sensor.max_range_m=20", "world.stems_per_ha=150"])
+    parts = assemble(scenario)
+    from vlp16emu.pipeline import Cut
+
+    edges_ns = scenario.start_ns + Cut(16, 55_296).edges_ns(0)
+    trees = parts.world.trees(parts.motion.poses_at(edges_ns).world_p_body_m)
+    world = birch["world"]
+    assert world["first_window"]["trees"] == len(trees)
+    assert sum(world["levels"]["trees"].values()) == len(trees)
+    assert world["species"] == ["silver_birch"]
+    assert world["windows"] == world["windows_looked_at"] == 2
+    assert 0 < world["geometry"]["faces"] <= world["geometry"]["placed"]
+
+
+def test_the_forecast_is_of_what_was_measured(birch):
+    """Pieces lie in both windows, and the whole takes longer than its start."""
+    told, measured = birch["forecast"], birch["measured"]
+    assert measured["simulated_s"] == pytest.approx(sum(p["simulated_s"] for p in measured["pieces"]))
+    assert len(measured["pieces"]) >= 4
+    assert measured["second_window"]["wall_s"] > 0
+    assert told["wall_s"] > told["first_packet_s"]
+    assert told["real_time_factor"] == pytest.approx(8 / told["wall_s"])
+    assert told["real_time_factor"] < told["steady_factor"]
+    assert told["peak_memory_bytes"] <= peak_bytes()
+
+
+def test_a_static_sensor_has_one_window(cli):
+    """Where nothing moves no second window is opened, whatever the duration."""
+    outcome = cli("plan", "static_bench", "--duration", "3600", "--json")
+    assert outcome.tree["world"]["windows"] == 1
+    assert outcome.tree["measured"]["second_window"]["wall_s"] == 0
+    assert outcome.tree["duration_s"] == 3600
+
+
+def test_people_get_a_page(cli):
+    """Without --json the plan is a page that says how its figures were got."""
+    outcome = cli("plan", "static_bench", "--set", "noise.preset=typical", "--duration", "1")
+    assert "\n  beam width" in outcome.out
+    assert "`record` of 1 s on " in outcome.out
+    assert outcome.out.splitlines()[-1].startswith("Measured now on this machine: ")
+    assert outcome.err == ""
+
+
+def test_a_walk_that_is_too_short_is_refused(cli):
+    """A duration beyond the end of the walk is refused as in `record`."""
+    outcome = cli("plan", "birch_walk", "--duration", "1000")
+    assert outcome.code == 2
+    assert outcome.err.startswith("error: duration: found 1000 s; expected at most ")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
+def test_the_peak_grows_with_what_is_held():
+    """Memory that is touched raises the peak."""
+    before = peak_bytes()
+    held = np.ones(before // 8 + 10**7)  # more than there ever was
+    assert held.nbytes < peak_bytes() - before // 2

@@ -1,0 +1,214 @@
+"""What a scene does not ask for is not done: not computed, not held, not imported."""
+
+import heapq
+import subprocess
+import sys
+from importlib import import_module
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from vlp16emu import emulator as chain
+from vlp16emu import telemetry
+from vlp16emu.assembly.windows import window_of
+from vlp16emu.emulator import Emulator
+from vlp16emu.motion import gait, harness, walk
+from vlp16emu.raycast import embree, footprint
+from vlp16emu.scenario import load
+from vlp16emu.world import Hall
+from vlp16emu.world.stem import StemKey
+
+detection = import_module("vlp16emu.returns.detect")  # the room calls its function so
+
+SPAN_S = 0.05
+"""Less than one block."""
+
+
+class TouchedError(AssertionError):
+    """Something was done that should have been left out."""
+
+
+def touched(*_arguments, **_options):
+    """Stand for a function that must not be called."""
+    raise TouchedError
+
+
+def forbid(monkeypatch, *places):
+    """Let (owner, name) pairs raise when they are called."""
+    for owner, name in places:
+        monkeypatch.setattr(owner, name, touched)
+
+
+def first(*settings, scene="static_bench", truth=False):
+    """Returns of the first block of a scene."""
+    return next(Emulator(load(scene, settings), threads=1, truth=truth).returns(0.0, SPAN_S))
+
+
+def birch(*settings):
+    """Scene of a walk with little around it."""
+    return load("birch_walk", ["sensor.max_range_m=15", "world.stems_per_ha=100", *settings])
+
+
+def test_a_beam_without_width_has_no_footprint(monkeypatch):
+    """Without width no axis across the beam is made and no sub-ray laid or cast; with it both are."""
+    axes = []
+    monkeypatch.setattr(chain, "detect", lambda firings, *_, **__: axes.append(firings.across))
+    first()
+    first("beam.model=adaptive")
+    assert axes[0] is None
+    assert axes[1].shape == (1920, 16, 3)
+    forbid(
+        monkeypatch,
+        (embree, "cast_sub_rays"),
+        (embree, "first_round"),
+        (embree, "sub_rays"),
+        (footprint, "across_of"),
+    )
+    first()
+    with pytest.raises(TouchedError):
+        first("beam.model=adaptive")
+
+
+def test_one_ray_is_held_once(monkeypatch):
+    """Of a pulse that is one ray one hit is held, in arrays that have room for no more."""
+    seen = []
+    monkeypatch.setattr(chain, "detect", lambda _firings, hits, *_, **__: seen.append(hits))
+    first()
+    first("beam={ model = 'fixed', rays = 8 }")
+    sizes = [
+        (len(hits.range_m), np.size(hits.range_m if hits.range_m.base is None else hits.range_m.base))
+        for hits in seen
+    ]
+    assert sizes == [(16 * 1920,) * 2, (8 * 16 * 1920,) * 2]
+
+
+def draws(monkeypatch, *settings):
+    """Count the random numbers, and the looks at the air, that a few pulses of the hall take, in plain Python."""
+    emulator, drawn, aired = Emulator(load("static_bench", settings), threads=1), [], []
+    head, unit = emulator.parts.head, emulator.parts.units[0]
+    firings = head.aim(0, 8, unit.motion.poses_at, across=unit.beam.has_width)
+    scene = emulator.windows.at_block(0).result()
+    hits = scene.cast(firings, head.beams.near_m, 100.0, unit.beam)
+    with monkeypatch.context() as patch:
+        for name, value in vars(detection).copy().items():
+            if hasattr(value, "py_func"):
+                patch.setattr(detection, name, value.py_func)
+        patch.setattr(detection, "normal_pair", lambda *key: drawn.append(key) or (0.0, 0.0))
+        patch.setattr(detection, "clutter_echo", lambda *key: aired.append(key) or (0.0, 0.0))
+        detection.detect(firings, hits, scene.surfaces, unit.detector, truth=False)
+    return len(drawn), len(aired)
+
+
+def test_without_noise_nothing_is_drawn(monkeypatch):
+    """An ideal sensor in clear air draws no random number for a pulse; a noisy one draws for each return."""
+    assert draws(monkeypatch) == (0, 0)
+    assert draws(monkeypatch, "noise.range_noise_m=0.01") == (8 * 16, 0)
+
+
+def test_clear_air_is_not_looked_at(monkeypatch):
+    """The air is asked for its echo in rain only, once for each pulse."""
+    assert draws(monkeypatch, "weather.rain_mm_h=5") == (0, 8 * 16)
+
+
+def test_in_strongest_return_nothing_else_is_looked_for():
+    """Last and second return are left empty in strongest return, and not in dual return."""
+    strongest, dual = (first(f"sensor.return_mode={mode}").distance_m for mode in ("strongest", "dual"))
+    assert not strongest[..., 1:].any()
+    assert dual[..., 1].any()
+
+
+def test_without_truth_nobody_looks_for_surfaces(monkeypatch):
+    """Without truth there is neither an array of surfaces nor the work of filling it."""
+    forbid(monkeypatch, (detection, "find_owners"))
+    returns = first()
+    assert returns.surface is None
+    assert returns.surfaces is None
+    with pytest.raises(TouchedError):
+        first(truth=True)
+
+
+def test_a_static_sensor_has_one_pose_and_one_window(monkeypatch):
+    """A sensor that stands has one pose, made once, and one window however long the run; a walk has more."""
+    opened, window = [], Hall.window
+    monkeypatch.setattr(
+        Hall, "window", lambda self, track_m: opened.append(len(track_m)) or window(self, track_m)
+    )
+    emulator = Emulator(load("static_bench"), threads=1)
+    motion, t_ns = emulator.parts.motion, np.arange(1000, dtype=np.int64)
+    assert motion.poses_at(t_ns) is motion.poses_at(t_ns + 10**12)
+    assert len(motion.poses_at(t_ns).t_ns) == 1
+    for start_s in (0.0, 7.0, 3000.0):
+        next(emulator.returns(start_s, start_s + SPAN_S))
+    assert opened == [1]
+    assert len(Emulator(birch(), threads=1).parts.motion.poses_at(t_ns).t_ns) == 1000
+
+
+def test_without_gait_nothing_swings(monkeypatch):
+    """A bare walk asks neither the trunk nor the pack for anything; one with a gait does."""
+    forbid(monkeypatch, (gait.Trunk, "at"), (harness.Pack, "nodes"), (walk, "_sit"))
+    t_ns = birch().start_ns + np.arange(10, dtype=np.int64)
+    Emulator(birch("motion.gait={ preset = 'none' }"), threads=1).parts.motion.poses_at(t_ns)
+    with pytest.raises(TouchedError):
+        Emulator(birch(), threads=1).parts.motion.poses_at(t_ns)
+
+
+def test_without_a_harness_nothing_is_solved(monkeypatch):
+    """Straps are solved only where there are some."""
+    forbid(monkeypatch, (harness, "_advance"), (harness, "_swing"))
+    t_ns = birch().start_ns + 2 * 10**9 + np.arange(10, dtype=np.int64)
+    Emulator(birch(), threads=1).parts.motion.poses_at(t_ns)
+    with pytest.raises(TouchedError):
+        Emulator(birch("motion.harness={}"), threads=1).parts.motion.poses_at(t_ns)
+
+
+@pytest.mark.parametrize("setting", ["gps.connected=false", "gps={ connected = true, canopy_loss = false }"])
+def test_without_canopy_loss_nobody_looks_at_the_sky(monkeypatch, setting):
+    """No ray is cast at the sky without a receiver, or for one that sees through trees; else one look a second."""
+    looks = []
+    monkeypatch.setattr(telemetry, "sky_cover", lambda *_: looks.append(1) or 0.0)
+    list(Emulator(load("static_bench", [setting]), threads=1).packets(0.0, 0.5))
+    assert not looks
+    list(Emulator(load("static_bench", ["gps.connected=true"]), threads=1).packets(0.0, 0.5))
+    assert 1 <= len(looks) <= 2
+
+
+def test_still_air_moves_nothing():
+    """Without wind no placement of a window sways, and each tile's stems are one shape; in wind each is its own."""
+    still, blown = (
+        window_of(emulator.parts, emulator.scenario.start_ns, emulator.cut, 0)
+        for emulator in (Emulator(birch(*wind), threads=1) for wind in ([], ["wind.speed_m_s=3"]))
+    )
+    assert still.sway is None
+    assert not any(isinstance(key, StemKey) for key in still.shapes)
+    assert blown.sway is not None
+    assert any(isinstance(key, StemKey) for key in blown.shapes)
+
+
+def test_a_single_sensor_merges_its_own_two_streams(monkeypatch):
+    """Nothing but the data and position packets of each unit is merged."""
+    merged = []
+    monkeypatch.setattr(
+        chain,
+        "heapq",
+        SimpleNamespace(
+            merge=lambda *streams, key: merged.append(len(streams)) or heapq.merge(*streams, key=key)
+        ),
+    )
+    for settings in ([], ["rig=[{}]"]):
+        Emulator(load("static_bench", settings), threads=1).packets(0.0, SPAN_S)
+    assert merged == [2, 4]
+
+
+def test_a_lean_recording_loads_no_library_it_does_not_need(tmp_path):
+    """A static, single-ray, unlabelled recording imports nothing that draws, reads meshes or grids, or talks to a port."""
+    unneeded = ["matplotlib", "tifffile", "PIL", "trimesh", "networkx", "rich.progress", "serial"]
+    unneeded += ["velodyne_decoder", "vlp16emu.truth"]
+    code = (
+        "import sys\n"
+        "from vlp16emu.cli.app import run\n"
+        f"code = run(['record', 'static_bench', {str(tmp_path / 'x.pcap')!r}, '--duration', '0.1', '--json'])\n"
+        f"print(code, sorted(set({unneeded!r}) & set(sys.modules)), 'numba' in sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "0 [] True"

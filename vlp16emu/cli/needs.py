@@ -1,0 +1,161 @@
+"""What a scene asks for and what it leaves out, and what stands in its windows."""
+
+import sys
+from collections import Counter
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from vlp16emu.assembly import Parts, Unit
+from vlp16emu.assembly.windows import window_of
+from vlp16emu.emulator import Emulator
+from vlp16emu.raycast.geometry import geometry_of
+from vlp16emu.scenario import Scenario
+from vlp16emu.scenario.motion import Walk
+from vlp16emu.types import Window
+from vlp16emu.world.crown import CrownKey
+from vlp16emu.world.floor_shapes import FloorKey
+from vlp16emu.world.furnished import MeshKey
+from vlp16emu.world.sapling import SaplingKey
+from vlp16emu.world.shrub import ShrubKey
+from vlp16emu.world.stem import StemKey
+from vlp16emu.world.tiles import TileKey
+
+__all__ = ["Need", "libraries", "needs", "surroundings"]
+
+_KINDS = {
+    CrownKey: "trees",
+    SaplingKey: "saplings",
+    ShrubKey: "shrubs",
+    TileKey: "tiles",
+    StemKey: "stems",
+    MeshKey: "meshes",
+}
+_LIBRARIES = (
+    "numpy",
+    "numba",
+    "scipy",
+    "embreex",
+    "dpkt",
+    "trimesh",
+    "tifffile",
+    "matplotlib",
+    "rich",
+    "serial",
+)
+_LOOKS = 5
+"""Windows that are looked at, evenly over the walk."""
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """Something that a run may have."""
+
+    name: str
+    on: bool
+    costs: str
+    """What it costs, or what is not done without it."""
+
+
+def needs(scenario: Scenario, parts: Parts) -> list[Need]:
+    """List what a recording of the scene has and has not."""
+    motion = scenario.motion
+    gait = isinstance(motion, Walk) and motion.gait.preset != "none"
+    harness = isinstance(motion, Walk) and motion.harness is not None
+    canopy = scenario.gps.connected and scenario.gps.canopy_loss
+    moves = any(unit.motion.moves for unit in parts.units)
+    rows = {
+        "motion": (moves, "a pose for every pulse, a window every 7 s", "one pose and one window for all"),
+        "gait": (gait, "sums of lines for every pose", "nothing is swung"),
+        "harness": (harness, "its answer to the gait for every pose", "nothing is solved"),
+        "inertial unit": (parts.imu is not None, "samples, with --truth only", "no samples"),
+        "satellites": (canopy, "256 rays at the sky once a second", "no ray at the sky"),
+        "wind": (
+            parts.wind is not None,
+            "stems and crowns are instances that move in every window",
+            "nothing is moved",
+        ),
+        "rig": (
+            len(parts.units) > 1,
+            f"each of {len(parts.units)} sensors casts its own pulses in the same windows",
+            "one sensor, nothing is merged",
+        ),
+        "meshes of your own": (
+            bool(scenario.world.meshes),
+            "read once, placed where in reach",
+            "none, trimesh stays unloaded",
+        ),
+        "labels": (False, "", "no surface behind returns: see `vlp16emu points --truth`"),
+        "truth": (False, "", "no files beside it: see `vlp16emu record --truth`"),
+    }
+    return [*_of_sensor(parts.units[0]), *(_need(name, row) for name, row in rows.items())]
+
+
+def _of_sensor(unit: Unit) -> list[Need]:
+    """List what is done for each pulse of a sensor."""
+    law, beam = unit.detector.law, unit.beam
+    rows = {
+        "beam width": (
+            beam.has_width,
+            f"up to {beam.rays} rays for each pulse",
+            "one ray for each pulse, no axes of its footprint",
+        ),
+        "range and reflectivity noise": (
+            law.range_noise_m > 0.0 or law.reflectivity_noise > 0.0,
+            "a pair of random numbers for each return",
+            "no random number",
+        ),
+        "detection threshold": (
+            law.amplitude_noise > 0.0,
+            "a random number for each faint echo",
+            "every echo is seen",
+        ),
+        "weather": (law.extinction_per_m > 0.0, "a draw of the air for each pulse", "clear air"),
+        "last and second return": (
+            not law.strongest_only,
+            "all echoes of each pulse are ranked",
+            "nothing is looked for behind the strongest echo",
+        ),
+    }
+    return [_need(name, row) for name, row in rows.items()]
+
+
+def _need(name: str, row: tuple[bool, str, str]) -> Need:
+    """Take the word that applies."""
+    on, costs, spares = row
+    return Need(name, on, costs if on else spares)
+
+
+def surroundings(emulator: Emulator, windows: int) -> dict[str, Any]:
+    """Count what stands in the first window and, on average, in windows over the walk, in the types of JSON."""
+    parts, start_ns, cut = emulator.parts, emulator.scenario.start_ns, emulator.cut
+    numbers = sorted({round(i * (windows - 1) / (_LOOKS - 1)) for i in range(_LOOKS)})
+    seen = [window_of(parts, start_ns, cut, number) for number in numbers]
+    counts = [_counts(window) for window in seen]
+    kinds = sorted({kind for count in counts for kind in count})
+    named = (getattr(key, "species", None) for window in seen for key in window.shapes)
+    return {
+        "kind": emulator.scenario.world.kind,
+        "windows": windows,
+        "windows_looked_at": len(numbers),
+        "species": sorted({name for name in named if name is not None}),
+        "first_window": {kind: counts[0][kind].total() for kind in counts[0]},
+        "mean": {kind: sum(count[kind].total() for count in counts) / len(counts) for kind in kinds},
+        "levels": {kind: dict(sorted(counts[0][kind].items())) for kind in counts[0]},
+        "surfaces": len(seen[0].surfaces),
+        "geometry": asdict(geometry_of(emulator.windows.at_block(0).result())),
+    }
+
+
+def _counts(window: Window) -> dict[str, Counter[str]]:
+    """Count placements by kind and by level of detail."""
+    counts = {kind: Counter[str]() for kind in ("tiles", "trees")}
+    for which, often in Counter(window.shape.tolist()).items():
+        key = window.shapes[which]
+        kind = f"{key.kind.name.lower()}s" if isinstance(key, FloorKey) else _KINDS.get(type(key), "things")
+        counts.setdefault(kind, Counter())[str(getattr(key, "level", "only"))] += often
+    return counts
+
+
+def libraries() -> dict[str, bool]:
+    """Tell which libraries this process has loaded."""
+    return {name: name in sys.modules for name in _LIBRARIES}

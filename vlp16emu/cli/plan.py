@@ -1,0 +1,152 @@
+"""`vlp16emu plan`: what a scene needs, what it leaves out, and what a recording of it will take."""
+
+import os
+import time
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from vlp16emu.cli.arguments import (
+    AsJson,
+    Duration,
+    Ideal,
+    SceneName,
+    Settings,
+    Threads,
+    all_settings,
+    span_s,
+)
+from vlp16emu.cli.output import count, print_json, print_rows, size
+
+if TYPE_CHECKING:
+    from vlp16emu.cli.trial import Trial
+
+__all__ = ["plan"]
+
+_LEVELS = {"0": "near", "1": "middle", "2": "far"}
+
+
+def plan(
+    scene: SceneName,
+    *,
+    duration: Duration = None,
+    settings: Settings = None,
+    ideal: Ideal = False,
+    threads: Threads = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Tell what a scene needs, what is left out, and what `record` will take.
+
+    Opens the first two windows of the world, carries out short pieces of the run as `record` does, and
+    extrapolates: figures hold for this machine, as busy as it is now.
+    """
+    wall_s, cpu_s = time.perf_counter(), time.process_time()
+    from vlp16emu.cli.needs import libraries, needs, surroundings
+    from vlp16emu.cli.trial import try_out
+    from vlp16emu.emulator import Emulator
+    from vlp16emu.report import Spent
+    from vlp16emu.scenario import load
+
+    scenario = load(scene, all_settings(settings, ideal=ideal))
+    _, stop_s = span_s(0.0, duration, scenario.duration_s)
+    workers = threads or os.cpu_count() or 1
+    emulator = Emulator(scenario, threads=workers)
+    emulator.packets(0.0, stop_s)  # checks the span
+    trial = try_out(emulator, stop_s, workers, Spent(wall_s, cpu_s))
+    loaded = libraries()
+    tree: dict[str, Any] = {"scene": scene, "title": scenario.title, "seed": scenario.seed}
+    tree |= {"duration_s": stop_s, "threads": workers}
+    tree |= {"features": [asdict(need) for need in needs(scenario, emulator.parts)]}
+    tree |= {"world": surroundings(emulator, trial.windows), "libraries": loaded}
+    tree |= {"forecast": _forecast(trial, stop_s, workers), "measured": _measured(trial)}
+    if as_json:
+        print_json(tree)
+    else:
+        _print(tree)
+
+
+def _forecast(trial: "Trial", stop_s: float, workers: int) -> dict[str, Any]:
+    """Foretell the whole run, in the types of JSON."""
+    from vlp16emu.report import forecast
+
+    told = forecast(
+        until_first_packet=trial.until_first_packet,
+        pieces=trial.pieces,
+        windows=trial.windows - 1,
+        per_window=trial.second_window,
+        simulated_s=stop_s,
+        spare=max((os.cpu_count() or 1) / workers, 1.0),
+    )
+    first_s = trial.until_first_packet.wall_s
+    return asdict(told) | {"first_packet_s": first_s, "peak_memory_bytes": trial.peak_bytes}
+
+
+def _measured(trial: "Trial") -> dict[str, Any]:
+    """Put what was measured into the types of JSON."""
+    return {
+        "simulated_s": sum(piece.simulated_s for piece in trial.pieces),
+        "pieces": [asdict(piece) for piece in trial.pieces],
+        "second_window": asdict(trial.second_window),
+    }
+
+
+def _print(tree: dict[str, Any]) -> None:
+    """Print the plan for people."""
+    world, told = tree["world"], tree["forecast"]
+    for title, on in (("has", True), ("leaves out", False)):
+        rows = {row["name"]: row["costs"] for row in tree["features"] if row["on"] is on}
+        if rows:
+            print_rows(f"{tree['scene']} {title}", rows)
+    print_rows("in reach", _reach(world))
+    loaded = tree["libraries"]
+    print_rows(
+        "libraries",
+        {
+            word: ", ".join(name for name, is_loaded in loaded.items() if is_loaded is on)
+            for word, on in (("loaded", True), ("left out", False))
+        },
+    )
+    peak = told["peak_memory_bytes"]
+    print_rows(
+        f"`record` of {tree['duration_s']:g} s on {tree['threads']} threads will take",
+        {
+            "run time": f"{told['wall_s']:.1f} s, {told['real_time_factor']:.2f} x real time",
+            "first packet": f"after {told['first_packet_s']:.1f} s",
+            "then": f"{told['steady_factor']:.2f} x real time",
+            "processor": f"{told['cpu_s']:.1f} s of all threads",
+            "memory": "not told by this system" if peak is None else f"{size(peak)} at most",
+        },
+    )
+    _print_how(tree)
+
+
+def _reach(world: dict[str, Any]) -> dict[str, str]:
+    """Write what stands in reach of the sensor."""
+    rows = {}
+    for kind, number in world["first_window"].items():
+        if not number:
+            continue
+        levels = world["levels"][kind]
+        text = count(number)
+        if levels.keys() <= _LEVELS.keys():
+            text += f": {', '.join(f'{count(n)} {_LEVELS[level]}' for level, n in levels.items())}"
+        if world["windows"] > 1:
+            text += f"; {count(round(world['mean'][kind]))} on average over the walk"
+        rows[kind] = text
+    geometry = world["geometry"]
+    rows["species"] = f"{len(world['species'])} grown: {', '.join(world['species'])}".rstrip(": ")
+    rows["faces"] = (
+        f"{count(geometry['faces'])} in {size(geometry['bytes'])}, placed {count(geometry['placed'])}"
+    )
+    rows["windows"] = f"{count(world['windows'])} over the run, of which two at a time are kept"
+    return rows
+
+
+def _print_how(tree: dict[str, Any]) -> None:
+    """Say where the figures are from."""
+    measured = tree["measured"]
+    second = measured["second_window"]["wall_s"]
+    opened = f", the second window in {second:.2f} s" if second else ""
+    print(
+        f"Measured now on this machine: {measured['simulated_s']:.1f} s of the run in {len(measured['pieces'])} pieces"
+        f"{opened}; memory is the peak of doing so, the rest extrapolated."
+    )
