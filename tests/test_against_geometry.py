@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
+from vlp16emu.assembly import assemble
 from vlp16emu.emulator import Emulator
+from vlp16emu.fidelity.answer import apart_m, joined
+from vlp16emu.fidelity.bench import Bench
+from vlp16emu.fidelity.sample import Group
+from vlp16emu.fidelity.settings import lights
+from vlp16emu.raycast import LINE
+from vlp16emu.raycast.slow import cast_slowly
+from vlp16emu.report.accuracy import compare, errors_of
 from vlp16emu.scenario import load
 
 
@@ -72,3 +80,73 @@ def test_every_thing_in_the_hall_is_seen(sweep):
         error_m = np.abs(cast_m - true_m)[thing == number]
         assert len(error_m) > 50
         assert np.quantile(error_m, 0.98) < 1e-3
+
+
+class ExactHall:
+    """The hall without triangles: closed formulas in float64, as a scene that can be cast against."""
+
+    def __init__(self, scenario):
+        self._world = scenario.world
+        self.surfaces = assemble(scenario).world.window(np.zeros((1, 3))).surfaces
+
+    def cast(self, firings, near_m, _far_m, beam=LINE):
+        """Cast pulses as `EmbreeScene.cast` does; nothing in the hall is out of reach."""
+        reflectance = np.ascontiguousarray(self.surfaces["reflectance"])
+        return cast_slowly(self._rays, firings, near_m, beam, reflectance)
+
+    def _rays(self, o, d, *_):
+        world = self._world
+        half, high = np.array([world.length_m / 2, world.width_m / 2]), world.height_m
+        n = len(o)
+        ranges, cosines = [to_box_inside(o, d, half, 0.0, high)], []
+        at = o + d * ranges[0][:, None]
+        wall = np.concatenate([half - np.abs(at[:, :2]), np.minimum(at[:, 2:], high - at[:, 2:])], axis=1)
+        cosines.append(np.abs(d)[np.arange(n), wall.argmin(axis=1)])
+        for box in world.boxes:
+            ranges.append(to_box(o, d, np.array(box.centre_m), box.size_m))
+            at = np.abs(o + d * np.where(np.isfinite(ranges[-1]), ranges[-1], 0.0)[:, None] - box.centre_m)
+            cosines.append(np.abs(d)[np.arange(n), (np.divide(box.size_m, 2) - at).argmin(axis=1)])
+        for pole in world.poles:
+            ranges.append(to_pole(o, d, np.array(pole.foot_m), pole.diameter_m))
+            cosines.append(round_cosine(o[:, :2] - pole.foot_m[:2], d[:, :2], ranges[-1], pole.diameter_m))
+        for ball in world.spheres:
+            ranges.append(to_ball(o, d, np.array(ball.centre_m), ball.diameter_m))
+            cosines.append(round_cosine(o - ball.centre_m, d, ranges[-1], ball.diameter_m))
+        nearest = np.argmin(ranges, axis=0)
+        floor = (nearest == 0) & (wall.argmin(axis=1) == 2) & (d[:, 2] < 0)
+        pick = nearest, np.arange(n)
+        surface = np.where(floor, 0, nearest + 1).astype(np.uint32)
+        return np.array(ranges)[pick].astype(np.float32), surface, np.array(cosines)[pick].astype(np.float32)
+
+
+def round_cosine(p, d, t, diameter):
+    """Cosine of incidence on a cylinder or sphere at range t."""
+    with np.errstate(invalid="ignore"):
+        return np.abs(((p + d * t[:, None]) * d).sum(-1)) / (diameter / 2)
+
+
+def test_errors_that_accuracy_reports_are_the_true_ones():
+    """Held against closed formulas instead of its own answer, every setting has the same error in the hall."""
+    scenario = load("static_bench")
+    unit = assemble(scenario).units[0]
+    bench, apart = Bench(unit, 512), apart_m(scenario.detector)
+    settings = [light for light in lights(scenario, unit.seed) if "target" not in light.name]
+    exact, opened = ExactHall(scenario), []
+    look = lambda *seen: opened.append(seen[3])  # noqa: E731  # the emulator's own scene
+    list(Emulator(scenario, audit=look).returns(0, 0.01))
+    poses_at = unit.motion.poses_at
+    groups = [Group(first, 8, slice(0, 8)) for first in range(0, 1808, 192)]
+    aimed = [bench.aimed(group, poses_at) for group in groups]
+    answers = {
+        scene: joined([bench.answer(scene, firings, slice(0, 8), settings[-1].beam) for firings in aimed])
+        for scene in (opened[0], exact)
+    }
+    for light in settings:
+        told = joined([bench.told(opened[0], firings, slice(0, 8), light.beam) for firings in aimed])
+        reported, true = (errors_of(compare(answer, told, apart), apart) for answer in answers.values())
+        assert reported.returns == true.returns > 1000
+        assert reported.mean_error_m == pytest.approx(true.mean_error_m, rel=0.05, abs=1e-4), light.name
+        assert reported.range_rmse_m == pytest.approx(true.range_rmse_m, rel=0.05, abs=3e-4), light.name
+        assert reported.reflectivity_rmse == pytest.approx(true.reflectivity_rmse, rel=0.1, abs=0.1), (
+            light.name
+        )

@@ -28,6 +28,7 @@ WIRING = {
     "__main__",
     "assembly",
     "emulator",
+    "fidelity",
     "pipeline",
     "telemetry",
     "truth",

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from concurrent.futures import Future
 from functools import partial
 
-from vlp16emu.assembly import Unit, assemble, windows_of
+from vlp16emu.assembly import Look, Unit, assemble, windows_of
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.packets import SEQUENCES_PER_PACKET, pack_data
 from vlp16emu.pipeline import Cut, ahead
@@ -34,6 +34,7 @@ class Emulator:
     scenario : decides every byte
     threads : workers, 0 for one per core; they change the speed only
     truth : keep the surface behind each return
+    audit : looks at what the pulses of each block met, on the thread that cast them
 
     Raises
     ------
@@ -41,10 +42,12 @@ class Emulator:
         where a part of the scenario cannot be made
     """
 
-    def __init__(self, scenario: Scenario, *, threads: int = 0, truth: bool = False) -> None:
+    def __init__(
+        self, scenario: Scenario, *, threads: int = 0, truth: bool = False, audit: Look | None = None
+    ) -> None:
         self.scenario = scenario
         self.parts = assemble(scenario)
-        self._truth = truth
+        self._truth, self._audit = truth, audit
         self._threads = threads or os.cpu_count() or 1
         self.cut = Cut(len(self.parts.head.beams.elevation_deg), self.parts.head.beams.sequence_ns)
         self.windows = windows_of(self.parts, scenario.start_ns, self.cut, self._threads)
@@ -87,11 +90,12 @@ class Emulator:
     def _scan(self, unit: Unit, block: int, opened: Future[Scene]) -> Returns:
         """Emit and receive one block of pulses."""
         head, far_m = unit.head, unit.section.max_range_m
-        firings = head.aim(
-            block * self.cut.block, self.cut.block, unit.motion.poses_at, across=unit.beam.has_width
-        )
+        count = self.cut.block
+        firings = head.aim(block * count, count, unit.motion.poses_at, across=unit.beam.has_width)
         scene = opened.result()
         hits = scene.cast(firings, head.beams.near_m, far_m, unit.beam)
+        if self._audit:
+            self._audit(unit, firings, hits, scene)
         return detect(firings, hits, scene.surfaces, unit.detector, truth=self._truth)
 
     def _data_packets(self, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[Packet]:

@@ -24,6 +24,7 @@ KEYS = [
     "simulated_s",
     "wall_s",
     "real_time_factor",
+    "audit",
     "interrupted",
 ]
 

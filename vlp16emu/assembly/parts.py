@@ -1,6 +1,7 @@
 """What an emulator is made of."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,17 +12,17 @@ from vlp16emu.assembly.world import forest_of, furnished, ground_of, hall_of, wi
 from vlp16emu.device import GpsInput
 from vlp16emu.motion import Imu, Motion
 from vlp16emu.packets import Link
-from vlp16emu.raycast import Footprint
+from vlp16emu.raycast import Footprint, Scene
 from vlp16emu.returns import Detector
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.harness import Mount
 from vlp16emu.scenario.sensor import FreeSensor, Sensor, on_the_wire
 from vlp16emu.scenario.world import Hall as HallSection
 from vlp16emu.sensor import Head
-from vlp16emu.types import World
+from vlp16emu.types import Firings, Hits, World
 from vlp16emu.world import Dem, Polyline, Wind
 
-__all__ = ["Parts", "Unit", "assemble"]
+__all__ = ["Look", "Parts", "Unit", "assemble"]
 
 _STRAY_M = 1.0
 """How far the carrier may be from its path over the ground: sway, and lasers off the centre."""
@@ -55,6 +56,10 @@ class Unit:
             where it has no packets
         """
         return link_of(on_the_wire(self.section), self.number)
+
+
+Look = Callable[[Unit, Firings, Hits, Scene], None]
+"""A look at a block of pulses of a unit, and at what they met."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from vlp16emu.cli.accuracy import accuracy
 from vlp16emu.cli.decode import decode
 from vlp16emu.cli.forest import forest
 from vlp16emu.cli.interrupt import INTERRUPTED
@@ -44,6 +45,10 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
   vlp16emu forest birch_walk
   vlp16emu forest old_growth --picture old_growth.png --inventory trees.csv
   vlp16emu forest my_forest.toml --radius 15 --glb twin.glb""",
+    accuracy: """\b
+  vlp16emu accuracy birch_walk
+  vlp16emu accuracy reference_forest --out report --pulses 20000
+  vlp16emu accuracy static_bench --json""",
     plan: """\b
   vlp16emu plan birch_walk
   vlp16emu plan old_growth --duration 600 --set sensor.return_mode=dual

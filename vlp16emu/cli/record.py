@@ -20,7 +20,7 @@ from vlp16emu.cli.arguments import (
     all_settings,
     span_s,
 )
-from vlp16emu.cli.audit import NoAudit, audit_of, audit_row, audit_tree
+from vlp16emu.cli.audit import NoAudit, audit_row, audit_tree, audited
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows, size
 from vlp16emu.cli.progress import Progress
@@ -61,15 +61,13 @@ def record(
     stamped with simulated time. Ctrl-C ends it early and leaves a valid file.
     """
     began_s = time.perf_counter()
-    from vlp16emu.emulator import Emulator
     from vlp16emu.scenario import load
     from vlp16emu.sinks import PcapSink
     from vlp16emu.units import seconds_to_ns
 
     scenario = load(scene, all_settings(settings, ideal=ideal))
     start_s, stop_s = span_s(start, duration, scenario.duration_s)
-    audit = audit_of(scenario, no_audit=no_audit)
-    emulator = Emulator(scenario, threads=threads, audit=audit)
+    emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
     packets = emulator.packets(start_s, stop_s)  # checks the span before the file is touched
     asked_s, links = stop_s - start_s, [unit.link for unit in emulator.parts.units]
     with (
@@ -84,7 +82,7 @@ def record(
     simulated_s = done_s if stop.is_set() else asked_s
     units = [_unit(unit, sent, simulated_s) for unit in emulator.parts.units]
     report |= _tree(sink.result, units, simulated_s, time.perf_counter() - began_s)
-    _print(report | {"interrupted": stop.is_set()}, as_json=as_json)
+    _print(report | {"audit": audit_tree(audit), "interrupted": stop.is_set()}, as_json=as_json)
     if stop.is_set():
         raise typer.Exit(INTERRUPTED)
 
@@ -166,7 +164,8 @@ def _print(report: dict[str, Any], *, as_json: bool) -> None:
             "size": size(report["bytes"]),
             "sha256": report["sha256"],
             "run time": f"{report['wall_s']:.1f} s, {report['real_time_factor']:.2f} x real time",
-        },
+        }
+        | audit_row(report["audit"]),
     )
 
 

@@ -21,7 +21,7 @@ from vlp16emu.cli.arguments import (
     checked,
     span_s,
 )
-from vlp16emu.cli.audit import NoAudit, audit_of, audit_row, audit_tree
+from vlp16emu.cli.audit import NoAudit, audit_row, audit_tree, audited
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows
 from vlp16emu.cli.progress import Progress
@@ -31,6 +31,7 @@ from vlp16emu.cli.truth import TruthPackets, TruthRate, TruthTo, with_truth
 if TYPE_CHECKING:
     from vlp16emu.assembly import Unit
     from vlp16emu.packets import Link
+    from vlp16emu.scenario import Scenario
     from vlp16emu.sinks import PacketSink, StreamReport, UdpResult, UdpSink
     from vlp16emu.types import Packet
 
@@ -78,17 +79,13 @@ def stream(
     Nothing leaves this machine unless --to names another one. Packets are computed ahead; the first one
     starts the clock, and all deadlines count from there. Ctrl-C ends the stream.
     """
-    from vlp16emu.emulator import Emulator
     from vlp16emu.scenario import load
     from vlp16emu.sinks import LOOK_AHEAD_PACKETS, Pacer
     from vlp16emu.sinks import stream as send
 
-    ports = {"data_port": data_port, "position_port": position_port}
-    told_ports = [f"sensor.{key}={port}" for key, port in ports.items() if port is not None]
-    scenario = load(scene, [*all_settings(settings, ideal=ideal), *told_ports])
+    scenario = load(scene, [*all_settings(settings, ideal=ideal), *_told_ports(data_port, position_port)])
     start_s, stop_s = span_s(0.0, duration, scenario.duration_s)
-    audit = audit_of(scenario, no_audit=no_audit)
-    emulator = Emulator(scenario, threads=threads, audit=audit)
+    emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
     packets = emulator.packets(start_s, stop_s)
     links = [unit.link for unit in emulator.parts.units]
     with (
@@ -97,20 +94,38 @@ def stream(
         _opened(links, to, as_sensor=as_sensor) as sinks,
         Progress(stop_s) as progress,
     ):
-        if not as_json:
-            pairs = "; ".join(f"{link.data_port} and {link.position_port}" for link in links)
-            print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
+        _announce(scene, to, links, quiet=as_json)
         shown, ahead = _Shown(sinks, progress, scenario.start_ns), LOOK_AHEAD_PACKETS * len(sinks)
         report = send(told, shown, Pacer(speed), stop=stop, look_ahead_packets=ahead)
-    units = [
-        _unit(unit, sink.result, report.simulated_s)
-        for unit, sink in zip(emulator.parts.units, sinks, strict=True)
-    ]
-    tree: dict[str, Any] = {"scene": scene, "seed": scenario.seed, "to": to, "speed": speed}
-    tree |= {"beam": scenario.beam.summary, "noise": scenario.noise.summary} | _tree(units, report)
-    _print(tree, as_json=as_json)
+    tree = _head(scenario, scene, to, speed) | _tree(emulator.parts.units, sinks, report)
+    _print(tree | {"audit": audit_tree(audit)}, as_json=as_json)
     if report.interrupted:
         raise typer.Exit(INTERRUPTED)
+
+
+def _told_ports(data_port: int | None, position_port: int | None) -> list[str]:
+    """Give the ports of the command line as settings."""
+    ports = {"data_port": data_port, "position_port": position_port}
+    return [f"sensor.{key}={port}" for key, port in ports.items() if port is not None]
+
+
+def _head(scenario: "Scenario", scene: str, to: str, speed: float) -> dict[str, Any]:
+    """Tell what was streamed, and whither."""
+    return {
+        "scene": scene,
+        "seed": scenario.seed,
+        "to": to,
+        "speed": speed,
+        "beam": scenario.beam.summary,
+        "noise": scenario.noise.summary,
+    }
+
+
+def _announce(scene: str, to: str, links: "Sequence[Link]", *, quiet: bool) -> None:
+    """Print what begins, at once, unless only JSON is wanted."""
+    if not quiet:
+        pairs = "; ".join(f"{link.data_port} and {link.position_port}" for link in links)
+        print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
 
 
 @contextmanager
@@ -163,9 +178,11 @@ def _unit(unit: "Unit", sent: "UdpResult", simulated_s: float) -> dict[str, Any]
     } | turned(unit.head, simulated_s)
 
 
-def _tree(units: list[dict[str, Any]], report: "StreamReport") -> dict[str, Any]:
+def _tree(streamed: "Sequence[Unit]", sinks: "Sequence[UdpSink]", report: "StreamReport") -> dict[str, Any]:
     """Put how the stream went into the types of JSON; ports are those of the first unit."""
     late = report.lateness
+    pairs = zip(streamed, sinks, strict=True)
+    units = [_unit(unit, sink.result, report.simulated_s) for unit, sink in pairs]
     return {
         "data_port": units[0]["data_port"],
         "position_port": units[0]["position_port"],
@@ -206,5 +223,6 @@ def _print(tree: dict[str, Any], *, as_json: bool) -> None:
                 f"at most {tree['late_max_us']:.0f} us"
             ),
             "fell behind": behind,
-        },
+        }
+        | audit_row(tree["audit"]),
     )

@@ -1,7 +1,7 @@
 """What a unit's receiver is, made once per run."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -52,6 +52,14 @@ class Detector:
             warm_up_m=noise.warm_up_m,
             warm_up_s=noise.warm_up_s,
         )
+
+    def without_chance(self) -> Self:
+        """Give a receiver of the same threshold in the same air that tells all echoes, draws nothing and errs in nothing."""
+        law = self.law._replace(
+            strongest_only=False, amplitude_noise=0.0, clutter=0.0, range_noise_m=0.0, reflectivity_noise=0.0
+        )
+        none, one = np.zeros_like(self.range_bias_m), np.ones_like(self.gain)
+        return replace(self, law=law, range_bias_m=none, gain=one, no_return=None, warm_up_m=0.0)
 
     def drift_m(self, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Warm-up error of ranges at some instants, same shape; fades exponentially from power-up on."""

@@ -1,0 +1,66 @@
+"""Error against run time from the command line."""
+
+import json
+import sys
+
+import pytest
+
+RUN = "accuracy", "static_bench", "--pulses", "128"
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    """The files of a report and the JSON object on stdout."""
+    pytest.importorskip("matplotlib")
+    return tmp_path_factory.mktemp("report")
+
+
+def test_the_report_is_the_same_as_file_and_on_stdout(cli, report):
+    """With --json one object is printed, which --out writes too, beside a picture; the scene's setting is marked."""
+    tree = cli(*RUN, "--out", report / "new", "--json").tree
+    files = tree.pop("files")
+    assert [path.split("/")[-1] for path in files] == [
+        "accuracy_static_bench.json",
+        "accuracy_static_bench.png",
+    ]
+    assert json.loads((report / "new" / "accuracy_static_bench.json").read_text()) == tree
+    assert (report / "new" / "accuracy_static_bench.png").read_bytes()[:4] == b"\x89PNG"
+    assert [row["name"] for row in tree["rows"] if row["in_use"]] == ["beam.model=none"]
+    assert set(tree["front"]) <= {row["name"] for row in tree["rows"]}
+
+
+def test_people_get_a_table_and_an_advice(cli):
+    """Each setting has a line, the one in use a star, and the last line says what to take; nothing is cut off."""
+    out = cli(*RUN).out
+    assert "\n none * " in out
+    assert "adaptive target_m=" in out
+    assert out.splitlines()[-1].startswith("For a mean error of ")
+    assert "…" not in out
+
+
+def test_wrong_numbers_of_pulses_are_refused(cli):
+    """Too few pulses are an error that says what is expected."""
+    outcome = cli("accuracy", "static_bench", "--pulses", "5")
+    assert outcome.code == 2
+    assert outcome.err == "error: --pulses: found 5; expected a whole number from 128 to 1000000\n"
+
+
+def test_a_missing_library_is_named_before_the_work(cli, monkeypatch, tmp_path):
+    """Without matplotlib --out fails at once and says how to get it."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    outcome = cli(*RUN, "--out", tmp_path)
+    assert outcome.code == 2
+    assert "pip install 'vlp16emu[picture]'" in outcome.err
+
+
+def test_a_run_tells_its_error(cli, tmp_path):
+    """`record` prints an audit and has it in its JSON, says where a pulse is one ray, and is silent with --no-audit."""
+    run = "record", "static_bench", tmp_path / "x.pcap", "--duration", "1.2"
+    wide = "--set", "beam.model=fixed", "--set", "beam.rays=4"
+    audit = cli(*run, *wide, "--json").tree["audit"]
+    assert audit["pulses"] == 12 * 16
+    assert audit["range_rmse_low_m"] < audit["range_rmse_m"] < audit["range_rmse_high_m"]
+    assert f"range error       RMSE {1e3 * audit['range_rmse_m']:.1f} mm (95 %: " in cli(*run, *wide).out
+    assert "range error       rounding to float32 only" in cli(*run).out
+    assert "range error" not in cli(*run, "--no-audit").out
+    assert cli(*run, "--no-audit", "--json").tree["audit"] is None

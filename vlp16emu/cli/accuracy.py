@@ -1,0 +1,185 @@
+"""`vlp16emu accuracy`: error against run time."""
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
+from vlp16emu.cli.output import count, print_json, size
+from vlp16emu.cli.progress import Progress
+from vlp16emu.errors import OutputError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from vlp16emu.report.accuracy import Accuracy, Row
+
+__all__ = ["accuracy"]
+
+_WIDTH = 120
+
+Pulses = Annotated[
+    int,
+    typer.Option(
+        "--pulses",
+        metavar="N",
+        parser=checked(
+            "--pulses", int, lambda n: 128 <= n <= 1_000_000, "a whole number from 128 to 1000000"
+        ),
+        help="How many pulses to look at.",
+        show_default="8192",
+    ),
+]
+OutDir = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="DIR",
+        help="Write the report as JSON and a picture into a folder; needs the extra 'picture'.",
+    ),
+]
+
+
+def accuracy(
+    scene: SceneName,
+    *,
+    settings: Settings = None,
+    pulses: Pulses = 8192,
+    out: OutDir = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the error of each setting of the beam, and what it costs.
+
+    Pulses from all over the run are told with each setting and held against their converged answer, of
+    thousands of sub-rays, by a receiver without noise. Of a rig, the first sensor is looked at.
+    """
+    from vlp16emu.scenario import load
+
+    scenario = load(scene, settings or [])
+    if out is not None:
+        from vlp16emu.report.forest import check_matplotlib
+
+        check_matplotlib()
+        _make_folder(out)
+    from vlp16emu.fidelity import measure_accuracy
+
+    name = Path(scene).stem
+    with Progress(scenario.duration_s) as progress:
+        measured = measure_accuracy(
+            scenario, name, pulses=pulses, done=lambda done_s: progress.show("measuring", done_s)
+        )
+    tree = _tree(measured)
+    files = [] if out is None else _write(out, measured, tree)
+    if as_json:
+        print_json(tree | {"files": [str(file) for file in files]})
+        return
+    _print(measured)
+    for file in files:
+        print(f"wrote {file}, {size(file.stat().st_size)}")
+
+
+def _make_folder(out: Path) -> None:
+    """Make the folder of the report, before anything heavy.
+
+    Raises
+    ------
+    OutputError
+        where it cannot be made
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"--out {out}", str(error.strerror), "a folder") from error
+
+
+def _tree(measured: "Accuracy") -> dict[str, Any]:
+    """Put the report into the types of JSON, which has no NaN."""
+    from vlp16emu.report.accuracy import Kind, choices, fitted_order, front
+
+    def clean(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: clean(one) for key, one in value.items()}
+        if isinstance(value, list | tuple):
+            return [clean(one) for one in value]
+        return None if isinstance(value, float) and math.isnan(value) else value
+
+    tree: dict[str, Any] = clean(asdict(measured))
+    return tree | {
+        "front": [row.name for row in front(measured.rows)],
+        "fits": {kind: asdict(fit) for kind in Kind if (fit := fitted_order(measured.rows, kind))},
+        "choices": [{"wanted_m": one.wanted_m, "take": one.row.name} for one in choices(measured.rows)],
+    }
+
+
+def _write(out: Path, measured: "Accuracy", tree: dict[str, Any]) -> list[Path]:
+    """Write the files of a report.
+
+    Raises
+    ------
+    OutputError
+        where one cannot be written
+    """
+    import json
+
+    from vlp16emu.report.accuracy import draw_accuracy
+
+    report, picture = (out / f"accuracy_{measured.scene}{suffix}" for suffix in (".json", ".png"))
+    try:
+        report.write_text(json.dumps(tree, indent=2) + "\n", encoding="utf-8")
+        with picture.open("wb") as file:
+            draw_accuracy(file, measured)
+    except OSError as error:
+        raise OutputError(f"--out {out}", str(error.strerror), "a folder that can be written") from error
+    return [report, picture]
+
+
+def _print(measured: "Accuracy") -> None:
+    """Print the report for people."""
+    from vlp16emu.report.accuracy import choices
+
+    errors, rounding = measured.rows[0].errors, measured.rounding
+    print(f"{measured.scene}, seed {measured.seed}: error against run time")
+    print(
+        f"  {count(errors.pulses)} pulses, {count(errors.returns)} with a return; answer of "
+        f"{count(measured.answer_rays)} sub-rays, itself wrong by {1e3 * measured.answer_rmse_m:.2f} mm\n"
+    )
+    _print_rows(measured.rows, "setting of the beam")
+    if measured.poses:
+        print("\nWith the light of the answer; run time is that of posing and aiming.")
+        _print_rows(measured.poses, "pose")
+    print(
+        f"\nfloat32 against float64, {rounding.rays} single rays: RMSE {1e6 * rounding.range_rmse_m:.1f} um, at most "
+        f"{1e6 * rounding.range_max_m:.0f} um; {100 * rounding.elsewhere:.1f} % graze an edge and meet something else"
+    )
+    taken = "; ".join(f"{one.wanted_m:g} m: {one.row.name}" for one in choices(measured.rows))
+    print(f"For a mean error of {taken}" if taken else "No setting has a mean error below 0.5 m")
+
+
+def _print_rows(rows: "Sequence[Row]", what: str) -> None:
+    """Print settings as a table; the one in use has a star."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column(what, no_wrap=True)
+    heads = "us per\npulse", "\n+-", "\nrays", "mean\nmm", "RMSE\nmm", "bias\nmm", "p95\nmm"
+    for head in (*heads, "lost\n%", "invented\n%", "wrong\n%", "wrong\nlast, %", "reflect.\nRMSE"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for row in rows:
+        e = row.errors
+        lengths_m = e.mean_error_m, e.range_rmse_m, e.range_bias_m, e.range_p95_m
+        shares = e.lost, e.invented, e.wrong_strongest, e.wrong_last
+        table.add_row(
+            f"{row.name.removeprefix('beam.model=').replace('beam.', '')}{' *' if row.in_use else ''}",
+            f"{row.us_per_pulse:.2f}",
+            f"{row.us_spread / 2:.2f}",
+            f"{row.rays_per_pulse:.1f}",
+            *(f"{1e3 * length_m:.{1 if length_m >= 1e-3 else 2}f}" for length_m in lengths_m),
+            *(f"{100 * share:.2f}" for share in shares),
+            f"{e.reflectivity_rmse:.2f}",
+        )
+    Console(width=_WIDTH).print(table)

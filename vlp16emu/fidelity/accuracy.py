@@ -1,0 +1,155 @@
+"""Errors of settings on a sample of a run's pulses, and what each setting costs."""
+
+import os
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from vlp16emu.assembly import assemble, window_of
+from vlp16emu.errors import RunError
+from vlp16emu.fidelity.answer import apart_m, joined
+from vlp16emu.fidelity.bench import Bench
+from vlp16emu.fidelity.rounding import rounding_of
+from vlp16emu.fidelity.sample import GROUP, Group, draw_groups
+from vlp16emu.fidelity.settings import Hold, Light, PosesAt, holds, lights
+from vlp16emu.pipeline import Cut
+from vlp16emu.raycast import Scene, caster
+from vlp16emu.report.accuracy import Accuracy, Errors, Kind, Rounding, Row, Told, compare, errors_of
+from vlp16emu.scenario import Scenario
+from vlp16emu.units import S_NS, seconds_to_ns
+
+__all__ = ["measure_accuracy"]
+
+_RAYS, _TIMES = 4096, 4
+"""Sub-rays of an answer: so many, and so many times those of a pulse of the scene."""
+_REPEATS = 5
+_TIMED_SEQUENCES = 96
+"""On which run time is measured in each window: then calls cost below a tenth of a ray each."""
+_POSED = 4
+"""Every fourth group tells errors of poses and of the answer itself, for answers cost."""
+
+
+class _Ladder:
+    """All settings on one bench, looked at window by window."""
+
+    def __init__(self, bench: Bench, lights_: Sequence[Light], holds_: Sequence[Hold], apart: float) -> None:
+        self._bench, self._lights, self._holds, self._apart_m = bench, lights_, holds_, apart
+        self._wide = next(light.beam for light in lights_ if light.kind is Kind.FIXED)
+        self._told = defaultdict[str, list[Told]](list)
+        self._us, self._rays = defaultdict[str, list[float]](list), defaultdict[str, list[float]](list)
+
+    def look(self, scene: Scene, groups: Sequence[Group], workers: ThreadPoolExecutor) -> None:
+        """Tell the groups of one window in all ways."""
+        bench, poses_at = self._bench, self._bench.unit.motion.poses_at
+        answers = list(workers.map(lambda group: self._answer(scene, group, poses_at), groups))
+        self._told["answer"] += answers
+        for light in self._lights:
+            told = self._told[light.name]
+            for group in groups:
+                told.append(bench.told(scene, bench.aimed(group, poses_at), group.own, light.beam))
+        self._told["answer of some"] += answers[::_POSED]
+        some = groups[::_POSED]
+        self._told["another answer"] += workers.map(
+            lambda group: self._answer(scene, group, poses_at, 1), some
+        )
+        for hold in self._holds:
+            held = hold.poses_at
+            self._told[hold.name] += workers.map(
+                lambda group, held=held: self._answer(scene, group, held), some
+            )
+
+    def _answer(self, scene: Scene, group: Group, poses_at: PosesAt, number: int = 0) -> Told:
+        """Tell the answer for a group."""
+        return self._bench.answer(scene, self._bench.aimed(group, poses_at), group.own, self._wide, number)
+
+    def time(self, scene: Scene, block: Group) -> None:
+        """Measure run time of all settings, in turn, so that whatever else goes on meets them alike."""
+        bench = self._bench
+        few = Group(block.first, min(_TIMED_SEQUENCES, block.count), slice(0))
+        firings = bench.aimed(few, bench.unit.motion.poses_at)
+        for repeat in range(_REPEATS + 1):
+            timed = {light.name: bench.timed(scene, firings, light.beam) for light in self._lights}
+            timed |= {hold.name: (bench.timed_aim(block, hold.poses_at), bench.rays) for hold in self._holds}
+            if repeat:  # the first one compiled and warmed up
+                for name, (us, rays) in timed.items():
+                    self._us[name].append(us)
+                    self._rays[name].append(rays)
+
+    def rows(self) -> tuple[Row, ...]:
+        """Sum up the settings of light."""
+        return tuple(self._row(light.kind, light.name, "answer", light.in_use) for light in self._lights)
+
+    def poses(self) -> tuple[Row, ...]:
+        """Sum up the ways to give poses."""
+        return tuple(self._row(Kind.POSE, hold.name, "answer of some", hold.in_use) for hold in self._holds)
+
+    def answer_rmse_m(self) -> float:
+        """Error of the answer itself: two of them differ by the root of two times that."""
+        return self._errors("another answer", "answer of some").range_rmse_m / float(np.sqrt(2.0))
+
+    def _row(self, kind: Kind, name: str, answer: str, in_use: bool) -> Row:
+        """Sum up one setting."""
+        us = np.array(self._us[name]).reshape(-1, _REPEATS).mean(axis=0)
+        return Row(
+            kind=kind,
+            name=name,
+            in_use=in_use,
+            errors=self._errors(name, answer),
+            us_per_pulse=float(np.median(us)),
+            us_spread=float(np.ptp(us)),
+            rays_per_pulse=float(np.mean(self._rays[name])),
+        )
+
+    def _errors(self, name: str, answer: str) -> Errors:
+        """Hold what was told in one way against an answer."""
+        compared = compare(joined(self._told[answer]), joined(self._told[name]), self._apart_m)
+        return errors_of(compared, self._apart_m)
+
+
+def measure_accuracy(
+    scenario: Scenario, scene: str, *, pulses: int, done: Callable[[float], None]
+) -> Accuracy:
+    """Measure errors and run time of the settings of a scene, for the first of its units.
+
+    Parameters
+    ----------
+    scene : what it is called
+    pulses : looked at, rounded up to whole groups
+    done : told the simulated seconds up to which the run was looked at
+
+    Raises
+    ------
+    RunError
+        where none of the pulses meets anything
+    """
+    parts = assemble(scenario)
+    unit = parts.units[0]
+    cut = Cut(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns)
+    blocks = len(cut.blocks(0, seconds_to_ns(min(scenario.duration_s, unit.motion.run_time_s))))
+    bench = Bench(unit, max(_RAYS, _TIMES * unit.beam.rays))
+    ladder = _Ladder(bench, lights(scenario, unit.seed), holds(unit), apart_m(scenario.detector))
+    rounding: Rounding | None = None
+    with ThreadPoolExecutor(os.cpu_count() or 1, "accuracy") as workers:
+        built = caster(parts.world.shape, workers)
+        for stretch, groups in draw_groups(cut, blocks, pulses, unit.seed, moves=parts.moves):
+            window = window_of(parts, scenario.start_ns, cut, stretch)
+            opened = built.open(window)  # only now is the one before let go: shapes of both are built once
+            ladder.look(opened, groups, workers)
+            ladder.time(opened, Group(groups[0].first // cut.block * cut.block, cut.block, slice(0)))
+            firings = bench.aimed(groups[0], unit.motion.poses_at)
+            rounding = rounding or rounding_of(opened, window, parts.world.shape, firings, *bench.limits_m)
+            done((groups[-1].first + GROUP) * cut.sequence_ns / S_NS)
+    rows = ladder.rows()
+    if rounding is None or not rows[0].errors.returns:
+        raise RunError(f"{scene}: none of {rows[0].errors.pulses} pulses has a return; nothing can be wrong")
+    return Accuracy(
+        scene=scene,
+        seed=scenario.seed,
+        answer_rays=bench.rays,
+        answer_rmse_m=ladder.answer_rmse_m(),
+        rows=rows,
+        poses=ladder.poses(),
+        rounding=rounding,
+    )
