@@ -50,7 +50,7 @@ def first_round(
     return np.minimum(wanted, beam.rays, out=wanted, casting="unsafe")
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _first_round(
     range_m: NDArray[np.float32],
     cos_incidence: NDArray[np.float32],
@@ -79,7 +79,7 @@ def _first_round(
             wanted[i, j] = 0 if bend_m <= target_m and flat else ROUND
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def enough(
     range_m: NDArray[np.float32],
     surface: NDArray[np.uint32],
@@ -118,7 +118,7 @@ def enough(
     return error_m <= n * _PER_RAY * target_m**2
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _sort_echoes(
     range_m: NDArray[np.float32],
     surface: NDArray[np.uint32],
@@ -143,7 +143,7 @@ def _sort_echoes(
     return met
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _strongest(
     order: NDArray[np.float64], first: int, stop: int, resolution_m: float
 ) -> tuple[int, int, float]:

@@ -3,6 +3,8 @@
 A packet holds eight consecutive firings of one laser, neighbouring azimuths, or sub-rays of one footprint or of
 neighbouring ones: near each other, which is what Embree's coherent traversal wants. Which rays share a packet
 depends on firing numbers and on what was hit, never on threads.
+
+What makes no arrays counts no references (`_nrt=False`): a twentieth of the time.
 """
 
 import math
@@ -225,7 +227,7 @@ def cast_sub_rays(
     return n
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _put_down(
     eight: _Hits,
     done: NDArray[np.int64],
@@ -301,7 +303,7 @@ def _cast_eight(
                 open_ = True
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _cast_round(
     target: Target,
     light: Light,
@@ -335,7 +337,7 @@ def _cast_round(
         _shoot(target, packet, lane, j, hits)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _shoot(target: Target, packet: _Packet, lanes: int, j: int, hits: _Hits) -> None:
     """Cast the first rays of a packet and put down what each met."""
     rays, words, valid = packet.rays, packet.words, packet.valid
@@ -357,7 +359,7 @@ def _shoot(target: Target, packet: _Packet, lanes: int, j: int, hits: _Hits) -> 
             cos_incidence[r, j, s] = _cosine(normal_matrix, shear, instance, rays, lane)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _load(
     rays: NDArray[np.float32],
     r: int,
@@ -371,7 +373,7 @@ def _load(
         rays[_DIR + a, r] = np.float32(direction[a])
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _reset(rays: NDArray[np.float32], words: NDArray[np.uint32], r: int, near_m: float, far_m: float) -> None:
     """Give ray r its limits and take away what it hit before."""
     rays[_TNEAR, r], rays[_TIME, r], rays[_TFAR, r] = near_m, 0.0, far_m
@@ -379,7 +381,7 @@ def _reset(rays: NDArray[np.float32], words: NDArray[np.uint32], r: int, near_m:
     words[_GEOM, r], words[_INST, r] = _NONE, _NONE
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def _cosine(
     matrix: NDArray[np.float32], shear: NDArray[np.float32], n: int, rays: NDArray[np.float32], r: int
 ) -> np.float32:

@@ -110,14 +110,14 @@ _ANGLE_RAD = (np.arange(2**_BITS) + 0.5) * (2 * np.pi / 2**_BITS)
 _COS, _SIN = np.cos(_ANGLE_RAD), np.sin(_ANGLE_RAD)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def turn(seed: int, firing: int, laser: int) -> tuple[np.uint32, np.uint32]:
     """Shift of a pulse's pattern around the unit square, in steps of 2**-32."""
     u, v = uniform_pair(seed, _TURN, firing, laser)
     return np.uint32(u * 2.0**32), np.uint32(v * 2.0**32)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def sub_ray(
     axes: NDArray[np.float64],
     r: int,
@@ -149,7 +149,7 @@ def sub_ray(
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def pulse_axes(
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float64],
