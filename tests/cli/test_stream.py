@@ -83,8 +83,10 @@ def test_people_are_told_where_it_goes_and_how_it_went(cli, listening):
         "data packets",
         "position packets",
         "simulated",
+        "revolutions",
         "lateness",
         "fell behind",
+        "range error",
     ]
 
 

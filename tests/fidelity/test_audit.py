@@ -68,10 +68,10 @@ def test_audits_estimate_the_error_that_accuracy_measures(hall):
             audit(replace(unit, seed=seed), firings, hits, scene)
 
     emulator = Emulator(hall, audit=look)
-    list(emulator.returns(0.0, 90 * BLOCK_S))
+    list(emulator.returns(0.0, 60 * BLOCK_S))
     unit = emulator.parts.units[0]
-    bench, poses_at = Bench(unit, 256), unit.motion.poses_at
-    ((_, groups),) = draw_groups(Cut(16, 55_296), 90, 16_384, 1, moves=False)
+    bench, poses_at = Bench(unit, 128), unit.motion.poses_at
+    ((_, groups),) = draw_groups(Cut(16, 55_296), 60, 16_384, 1, moves=False)
     aimed = [(bench.aimed(group, poses_at), group.own) for group in groups]
     answer = joined([bench.answer(scenes[0], *pulses, unit.beam) for pulses in aimed])
     told = joined([bench.told(scenes[0], *pulses, unit.beam) for pulses in aimed])
