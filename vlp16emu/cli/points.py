@@ -40,6 +40,15 @@ OutFile = Annotated[
         show_default=False,
     ),
 ]
+WhichUnit = Annotated[
+    int,
+    typer.Option(
+        "--unit",
+        metavar="N",
+        parser=checked("--unit", int, lambda n: n >= 1, "a whole number from 1"),
+        help="Which sensor of a rig; 1 is that of [sensor].",
+    ),
+]
 Truth = Annotated[
     bool,
     typer.Option("--truth", help="Tell what each point lies on: class, part, leaf or wood, plant, species."),
@@ -55,15 +64,7 @@ def points(
     settings: Settings = None,
     ideal: Ideal = False,
     truth: Truth = False,
-    unit: Annotated[
-        int,
-        typer.Option(
-            "--unit",
-            metavar="N",
-            parser=checked("--unit", int, lambda n: n >= 1, "a whole number from 1"),
-            help="Which sensor of a rig; 1 is that of [sensor].",
-        ),
-    ] = 1,
+    unit: WhichUnit = 1,
     threads: Threads = 0,
     as_json: AsJson = False,
 ) -> None:
