@@ -70,9 +70,8 @@ def points(
 ) -> None:
     """Write the points of a scene, for a sensor of any beam table.
 
-    Each point stands in the world and in the sensor's frame at the instant of its pulse, where a user of
-    the sensor would reckon it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C ends it early
-    and leaves a valid file.
+    Each point stands in the world and in the sensor's frame at the instant of its pulse, as a user would
+    reckon it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
     """
     began_s = time.perf_counter()
     from vlp16emu.cli.cloud import COLUMNS, RETURN_NAMES, TRUTH_COLUMNS, cloud, comments
@@ -98,8 +97,7 @@ def points(
     report |= _sensor(emulator.parts.units[unit - 1], done_s)
     report |= {"points": sum(numbers), "returns": dict(zip(RETURN_NAMES, numbers, strict=True))}
     report |= {"truth": truth, "bytes": out.stat().st_size, "simulated_s": done_s, "wall_s": wall_s}
-    report |= {"real_time_factor": done_s / wall_s, "interrupted": stop.is_set()}
-    _print(report, as_json=as_json)
+    _print(report | {"real_time_factor": done_s / wall_s, "interrupted": stop.is_set()}, as_json=as_json)
     if stop.is_set():
         raise typer.Exit(INTERRUPTED)
 
