@@ -2,9 +2,8 @@
 
 A packet holds eight consecutive firings of one laser, neighbouring azimuths, or sub-rays of one footprint or of
 neighbouring ones: near each other, which is what Embree's coherent traversal wants. Which rays share a packet
-depends on firing numbers and on what was hit, never on threads.
-
-What makes no arrays counts no references (`_nrt=False`): a twentieth of the time.
+depends on firing numbers and on what was hit, never on threads. What makes no arrays counts no references
+(`_nrt=False`): a twentieth of the time.
 """
 
 import math

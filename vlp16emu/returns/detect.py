@@ -59,6 +59,7 @@ def detect(
     distance_m, reflectivity = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     most = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     reflectance = np.ascontiguousarray(surfaces["reflectance"])
+    room = np.empty((most, COLUMNS)), np.empty((_PEAKS_PER_NODE * most, COLUMNS)), np.empty(3, np.int64)
     rays = (hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     _detect(
         detector.law,
@@ -67,9 +68,7 @@ def detect(
         detector.drift_m(firings.t_ns[:, 0]),
         detector.gain,
         *rays,
-        np.empty((most, COLUMNS)),
-        np.empty((_PEAKS_PER_NODE * most, COLUMNS)),
-        np.empty(3, np.int64),
+        *room,
         distance_m,
         reflectivity,
     )
