@@ -98,7 +98,7 @@ def test_the_forecast_is_of_what_was_measured(birch):
     assert told["wall_s"] > told["first_packet_s"]
     assert told["real_time_factor"] == pytest.approx(8 / told["wall_s"])
     assert told["real_time_factor"] < told["steady_factor"]
-    assert told["peak_memory_bytes"] <= peak_bytes()
+    assert told["peak_memory_bytes"] <= 1.01 * peak_bytes()
 
 
 def test_a_static_sensor_has_one_window(cli):
