@@ -154,7 +154,9 @@ def find_peaks(nodes: NDArray[np.float64], count: int, sigma_m: float, peaks: ND
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _add_peak(peaks: NDArray[np.float64], found: int, range_m: float, amplitude: float) -> int:
-    """Add a peak; returns how many there are."""
+    """Add a peak, unless it is the one before, climbed from its other side; returns how many there are."""
+    if found > 0 and range_m - peaks[found - 1, RANGE] < _LAST_STEP_M:
+        return found
     peaks[found, RANGE] = range_m
     peaks[found, AMPLITUDE] = peaks[found, OPEN] = amplitude
     return found + 1
