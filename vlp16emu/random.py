@@ -140,7 +140,7 @@ def uniform(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) 
     (count,) float64
     """
     out = np.empty(count)
-    _fill(out, False, seed, purpose, first, lane)
+    _fill(out, False, seed, int(purpose), first, lane)  # numba looks through the whole of an enum
     return out
 
 
@@ -152,7 +152,7 @@ def normal(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) -
     (count,) float64
     """
     out = np.empty(count)
-    _fill(out, True, seed, purpose, first, lane)
+    _fill(out, True, seed, int(purpose), first, lane)  # numba looks through the whole of an enum
     return out
 
 

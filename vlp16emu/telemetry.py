@@ -18,6 +18,8 @@ from vlp16emu.types import Packet, PacketKind
 
 __all__ = ["make_receiver", "position_number", "position_packets"]
 
+_AT_ONCE = 128
+"""Position packets whose times are found at once, a second of them."""
 _LOWEST_DEG = 15.0
 """Elevation from which on receivers use satellites: the usual mask of forest surveys."""
 
@@ -60,11 +62,14 @@ def position_packets(
     """Yield the position packets of a unit due in a span since the first pulse."""
     rate, clock = on_the_wire(unit.section).position_rate, unit.head.clock
     named_ns, sentence = None, b""
-    for number in range(*(position_number(scenario, unit, since_ns) for since_ns in (start_ns, stop_ns))):
-        due_ns = position_due_ns(rate, unit.seed, scenario.start_ns, number, 1)
+    first, stop = (position_number(scenario, unit, since_ns) for since_ns in (start_ns, stop_ns))
+    for number in range(first, stop, _AT_ONCE):
+        due_ns = position_due_ns(rate, unit.seed, scenario.start_ns, number, min(_AT_ONCE, stop - number))
         stamp_ns = due_ns - STAMP_LEAD_NS
-        second_ns = gps.second_ns(int(stamp_ns[0]))
-        if second_ns is not None and second_ns != named_ns:
-            named_ns, sentence = second_ns, rmc(receiver.fix(second_ns))
-        payload = pack_position(int(clock.reading_ns(stamp_ns)[0]), gps.pps, sentence)
-        yield Packet(PacketKind.POSITION, int(due_ns[0]), payload, unit.number)
+        clock_ns = clock.reading_ns(stamp_ns).tolist()
+        for due, stamp, reading in zip(due_ns.tolist(), stamp_ns.tolist(), clock_ns, strict=True):
+            second_ns = gps.second_ns(stamp)
+            if second_ns is not None and second_ns != named_ns:
+                named_ns, sentence = second_ns, rmc(receiver.fix(second_ns))
+            payload = pack_position(reading, gps.pps, sentence)
+            yield Packet(PacketKind.POSITION, due, payload, unit.number)
