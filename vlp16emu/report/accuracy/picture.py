@@ -71,6 +71,7 @@ def _draw(axes: "Axes", rows: Sequence[Row], error_m: Callable[[Row], float]) ->
             axes.plot(*place, "o", ms=15, mfc="none", mec=_IN_USE, mew=2, label="in use")
     axes.set(xscale="log", yscale="log", xlabel="us per pulse, one core")
     axes.grid(which="both", alpha=0.2)
+    axes.xaxis.set_minor_formatter("")
 
 
 def _draw_orders(axes: "Axes", rows: Sequence[Row]) -> None:
