@@ -5,11 +5,11 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from vlp16emu.assembly import Parts, Unit
+from vlp16emu.assembly import Unit
 from vlp16emu.assembly.windows import window_of
 from vlp16emu.emulator import Emulator
+from vlp16emu.fidelity import Audit
 from vlp16emu.raycast.geometry import geometry_of
-from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.motion import Walk
 from vlp16emu.types import Window
 from vlp16emu.world.crown import CrownKey
@@ -56,8 +56,9 @@ class Need:
     """What it costs, or what is not done without it."""
 
 
-def needs(scenario: Scenario, parts: Parts) -> list[Need]:
+def needs(emulator: Emulator, audit: Audit | None) -> list[Need]:
     """List what a recording of the scene has and has not."""
+    scenario, parts = emulator.scenario, emulator.parts
     motion = scenario.motion
     gait = isinstance(motion, Walk) and motion.gait.preset != "none"
     harness = isinstance(motion, Walk) and motion.harness is not None
@@ -83,6 +84,11 @@ def needs(scenario: Scenario, parts: Parts) -> list[Need]:
             bool(scenario.world.meshes),
             "read once, placed where in reach",
             "none, trimesh stays unloaded",
+        ),
+        "audit": (
+            audit is not None and not audit.exact,
+            "0.05 % of the pulses are cast again, with thousands of rays each",
+            "no pulse is cast again",
         ),
         "labels": (False, "", "no surface behind returns: see `vlp16emu points --truth`"),
         "truth": (False, "", "no files beside it: see `vlp16emu record --truth`"),

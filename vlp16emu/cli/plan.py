@@ -15,6 +15,7 @@ from vlp16emu.cli.arguments import (
     all_settings,
     span_s,
 )
+from vlp16emu.cli.audit import NoAudit, audited
 from vlp16emu.cli.output import count, print_json, print_rows, size
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ def plan(
     settings: Settings = None,
     ideal: Ideal = False,
     threads: Threads = 0,
+    no_audit: NoAudit = False,
     as_json: AsJson = False,
 ) -> None:
     """Tell what a scene needs, what is left out, and what `record` will take.
@@ -42,20 +44,19 @@ def plan(
     wall_s, cpu_s = time.perf_counter(), time.process_time()
     from vlp16emu.cli.needs import libraries, needs, surroundings
     from vlp16emu.cli.trial import try_out
-    from vlp16emu.emulator import Emulator
     from vlp16emu.report import Spent
     from vlp16emu.scenario import load
 
     scenario = load(scene, all_settings(settings, ideal=ideal))
     _, stop_s = span_s(0.0, duration, scenario.duration_s)
     workers = threads or os.cpu_count() or 1
-    emulator = Emulator(scenario, threads=workers)
+    emulator, audit = audited(scenario, threads=workers, no_audit=no_audit)
     emulator.packets(0.0, stop_s)  # checks the span
     trial = try_out(emulator, stop_s, workers, Spent(wall_s, cpu_s))
     loaded = libraries()
     tree: dict[str, Any] = {"scene": scene, "title": scenario.title, "seed": scenario.seed}
     tree |= {"duration_s": stop_s, "threads": workers}
-    tree |= {"features": [asdict(need) for need in needs(scenario, emulator.parts)]}
+    tree |= {"features": [asdict(need) for need in needs(emulator, audit)]}
     tree |= {"world": surroundings(emulator, trial.windows), "libraries": loaded}
     tree |= {"forecast": _forecast(trial, stop_s, workers), "measured": _measured(trial)}
     if as_json:
