@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 
+from vlp16emu.assembly import assemble
 from vlp16emu.cli.audit import audited
 from vlp16emu.cli.needs import needs
 from vlp16emu.cli.trial import peak_bytes
