@@ -106,6 +106,7 @@ class Emulator:
         per_block = self.cut.block // SEQUENCES_PER_PACKET[mode]
 
         def pack(block: int, opened: Future[Scene]) -> list[Packet]:
+            """Scan a block, and pack it."""
             return pack_data(self._scan(unit, block, opened), mode, model, unit.number)
 
         # Packet p is due at (p + 1) periods.

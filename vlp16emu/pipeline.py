@@ -84,6 +84,7 @@ class Windows(Generic[S]):
 
         @lru_cache(2 + _AHEAD * threads // cut.stretch)
         def opened(stretch: int) -> Future[S]:
+            """Open a stretch once, on the opener."""
             return opener.submit(open_stretch, stretch)
 
         self._opened = opened

@@ -198,6 +198,7 @@ def _poses(motion: Motion, start_ns: int, rate_hz: int) -> Rows:
     """Lines of a trajectory."""
 
     def rows(first: int, count: int) -> str:
+        """Lines of consecutive poses."""
         t_ns = start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz
         return tum_rows(_poses_at(motion, t_ns))
 
@@ -208,6 +209,7 @@ def _inertial(imu: Imu) -> Rows:
     """Lines of an inertial unit."""
 
     def rows(first: int, count: int) -> str:
+        """Lines of consecutive readings."""
         read = imu.read(first, count)
         numbers = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2]).tolist()
         return "".join(
@@ -222,6 +224,7 @@ def _fixes(receiver: Receiver) -> Rows:
     """Lines of what a receiver measures and says; sample i is the UTC second i."""
 
     def row(t_ns: int) -> str:
+        """Line of one second."""
         true, said = receiver.reading(t_ns), receiver.fix(t_ns)
         latitude_deg, longitude_deg, height_m = to_geodetic(true.antenna_m[None], receiver.origin)[0].tolist()
         east_m_s, north_m_s, _ = true.velocity_m_s.tolist()

@@ -164,6 +164,7 @@ def _layers(section: WoodsSection, seed: int, canopy: list[str], plants: Flora) 
     young, shrubs, logs, stumps = section.regeneration, section.shrubs, section.logs, section.stumps
 
     def scattered(purpose: Purpose, per_ha: float) -> Pattern:
+        """Places of plants that know nothing of each other."""
         return Scattered(seed=seed, purpose=purpose, per_ha=per_ha)
 
     return [

@@ -30,7 +30,6 @@ Pulses = Annotated[
             "--pulses", int, lambda n: 128 <= n <= 1_000_000, "a whole number from 128 to 1000000"
         ),
         help="How many pulses to look at.",
-        show_default="8192",
     ),
 ]
 OutDir = Annotated[
@@ -51,7 +50,7 @@ def accuracy(
     out: OutDir = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the error of each setting of the beam, and what it costs.
+    """Measure what settings of the beam err and cost.
 
     Pulses from all over the run are told with each setting and held against their converged answer, of
     thousands of sub-rays, by a receiver without noise. Of a rig, the first sensor is looked at.
@@ -100,6 +99,7 @@ def _tree(measured: "Accuracy") -> dict[str, Any]:
     from vlp16emu.report.accuracy import Kind, choices, fitted_order, front
 
     def clean(value: Any) -> Any:
+        """JSON has no NaN: nothing stands for it."""
         if isinstance(value, dict):
             return {key: clean(one) for key, one in value.items()}
         if isinstance(value, list | tuple):

@@ -42,6 +42,7 @@ def checked(
     """Parser of a number that raises `InputError` in the name of its option."""
 
     def parse(text: str) -> T:
+        """Read the number."""
         try:
             value = kind(text)
         except ValueError:

@@ -39,6 +39,7 @@ def audit_tree(audit: "Audit | None") -> dict[str, Any] | None:
     interval_m = tally.range_rmse_interval_m
 
     def share(of: int) -> float | None:
+        """Share of the returns that were looked at."""
         return of / tally.returns if tally.returns else None
 
     return {

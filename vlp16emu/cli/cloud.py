@@ -79,6 +79,7 @@ def cloud(
     returns = emulator.returns(start_s, stop_s, number)  # checks the span before anybody opens a file
 
     def blocks() -> Iterator[tuple[Block, int]]:
+        """Points of each block, and the time until which they reach."""
         for block in returns:
             next_ns = int(block.firings.t_ns[-1, 0]) + sequence_ns
             made = _points(unit, block, begin_ns, end_ns, start_ns, truth=truth)

@@ -21,6 +21,7 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
     before = signal.getsignal(signal.SIGINT)
 
     def note(_signal: int, _frame: object) -> None:
+        """Remember the first Ctrl-C, and let the second do what it did before."""
         stop.set()
         signal.signal(signal.SIGINT, before)
 

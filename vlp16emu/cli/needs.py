@@ -87,7 +87,7 @@ def needs(emulator: Emulator, audit: Audit | None) -> list[Need]:
         ),
         "audit": (
             audit is not None and not audit.exact,
-            "0.05 % of the pulses are cast again, with thousands of rays each",
+            "0.05 % of the pulses are cast again, with 512 rays each or more",
             "no pulse is cast again",
         ),
         "labels": (False, "", "no surface behind returns: see `vlp16emu points --truth`"),

@@ -36,7 +36,7 @@ def plan(
     no_audit: NoAudit = False,
     as_json: AsJson = False,
 ) -> None:
-    """Tell what a scene needs, what is left out, and what `record` will take.
+    """Tell what a scene needs and a recording will take.
 
     Opens the first two windows of the world, carries out short pieces of the run as `record` does, and
     extrapolates: figures hold for this machine, as busy as it is now.

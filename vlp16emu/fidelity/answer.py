@@ -58,6 +58,7 @@ def some_firings(firings: Firings, rows: slice, lasers: NDArray[np.int64]) -> Fi
     """Take some lasers of some consecutive sequences."""
 
     def part(of: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pulses that were drawn."""
         return np.ascontiguousarray(of[rows][:, lasers])
 
     return Firings(

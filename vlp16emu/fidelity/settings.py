@@ -51,6 +51,7 @@ def lights(scenario: Scenario, seed: int) -> list[Light]:
     targets_m = sorted({min(times * section.target_m, 1.0) for times in _TIMES_TARGET}, reverse=True)
 
     def light(kind: Kind, model: Model, **own: float) -> Light:
+        """Make a setting of the beam from the section with some keys changed."""
         changed = section.model_copy(update={"model": model, **own})
         keys: dict[str, object] = {"model": model} | {key: f"{value:.4g}" for key, value in own.items()}
         return Light(
@@ -90,6 +91,7 @@ def _held(poses_at: PosesAt, start_ns: int, hold_ns: int) -> PosesAt:
     """Give poses that stay for `hold_ns` what they were at its begin."""
 
     def held(t_ns: NDArray[np.int64]) -> Poses:
+        """Poses of the beginning of each hold."""
         begin_ns, whose = np.unique((t_ns - start_ns) // hold_ns * hold_ns + start_ns, return_inverse=True)
         poses = poses_at(begin_ns)
         return Poses(t_ns, poses.world_R_body[whose], poses.world_p_body_m[whose])

@@ -7,42 +7,24 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import RunError
 from vlp16emu.raycast.flat import flatten
-from vlp16emu.raycast.footprint import LINE, Footprint
-from vlp16emu.raycast.slow import Met, cast_slowly
-from vlp16emu.types import NO_SURFACE, Firings, Hits, Mesh, ShapeKey, Window
+from vlp16emu.raycast.slow import Met, SlowScene
+from vlp16emu.types import NO_SURFACE, Mesh, ShapeKey, Window
 
 __all__ = ["PlainCaster", "PlainScene"]
 
 
-class PlainScene:
+class PlainScene(SlowScene):
     """A window as one flat Embree mesh."""
 
     def __init__(self, window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
+        super().__init__(window)
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
         triangles_m, self._surface = flatten(window, shape)
-        self._origin_m = window.origin_m
-        self.surfaces = window.surfaces
         self._scene = EmbreeScene(robust=True)
         if len(triangles_m):
             TriangleMesh(self._scene, triangles_m.astype(np.float32))
-
-    def cast(
-        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
-    ) -> Hits:
-        """Cast pulses; the arguments are those of `EmbreeScene.cast`."""
-        reflectance = np.ascontiguousarray(self.surfaces["reflectance"])
-
-        def cast(
-            origin_m: NDArray[np.float64],
-            direction: NDArray[np.float64],
-            near: NDArray[np.float64],
-            _t_ns: NDArray[np.int64],
-        ) -> Met:
-            return self._rays(origin_m - self._origin_m, direction, near, far_m)
-
-        return cast_slowly(cast, firings, near_m, beam, reflectance)
 
     def _rays(
         self,
@@ -50,6 +32,7 @@ class PlainScene:
         direction: NDArray[np.float64],
         near: NDArray[np.float64],
         far_m: float,
+        _t_ns: NDArray[np.int64],
     ) -> Met:
         """Cast rays (n, 3) from origins relative to the window's."""
         # This class has no near limit: rays begin at the lens instead.

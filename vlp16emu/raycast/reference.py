@@ -7,38 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.flat import flatten
-from vlp16emu.raycast.footprint import LINE, Footprint
 from vlp16emu.raycast.placement import frozen
-from vlp16emu.raycast.slow import Met, cast_slowly
-from vlp16emu.types import NO_SURFACE, Firings, Hits, Mesh, ShapeKey, Window
+from vlp16emu.raycast.slow import Met, SlowScene
+from vlp16emu.types import NO_SURFACE, Mesh, ShapeKey, Window
 
 __all__ = ["ReferenceCaster", "ReferenceScene"]
 
 
-class ReferenceScene:
+class ReferenceScene(SlowScene):
     """A window as one soup of triangles, (t, 3, 3) float64; a new one for each instant where something moves."""
 
     def __init__(self, window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
+        super().__init__(window)
         self._moves = window.sway is not None
         self._at = lru_cache(1)(lambda t_ns: flatten(frozen(window, t_ns), shape))
-        self._origin_m = window.origin_m
-        self.surfaces = window.surfaces
-
-    def cast(
-        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
-    ) -> Hits:
-        """Cast pulses; the arguments are those of `EmbreeScene.cast`."""
-        reflectance = np.ascontiguousarray(self.surfaces["reflectance"])
-
-        def cast(
-            origin_m: NDArray[np.float64],
-            direction: NDArray[np.float64],
-            near: NDArray[np.float64],
-            t_ns: NDArray[np.int64],
-        ) -> Met:
-            return self._rays(origin_m - self._origin_m, direction, near, far_m, t_ns)
-
-        return cast_slowly(cast, firings, near_m, beam, reflectance)
 
     def _rays(
         self,

@@ -1,24 +1,60 @@
 """Footprints for casters that take rays one after the other: simple, and the twin of the fast kernel."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.adaptive import ROUND, enough, first_round
-from vlp16emu.raycast.footprint import BeamModel, Footprint, displace, sub_rays
-from vlp16emu.types import Firings, Hits
+from vlp16emu.raycast.footprint import LINE, BeamModel, Footprint, displace, sub_rays
+from vlp16emu.types import Firings, Hits, Window
 
-__all__ = ["Cast", "Met", "cast_slowly"]
+__all__ = ["Met", "SlowScene", "cast_slowly"]
 
 Met = tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]
 """Range, surface and cosine of incidence (n,) of n rays, as in `Hits`."""
-Cast = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]], Met]
+_Cast = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]], Met]
 """Casts rays: origin (n, 3) and direction (n, 3) in the world, near limit (n,) in metres, UTC (n,)."""
 
 
+class SlowScene(ABC):
+    """A window whose rays are cast one after the other."""
+
+    def __init__(self, window: Window) -> None:
+        self._origin_m = window.origin_m
+        self.surfaces = window.surfaces
+
+    def cast(
+        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
+    ) -> Hits:
+        """Cast pulses; the arguments are those of `EmbreeScene.cast`."""
+
+        def cast(
+            origin_m: NDArray[np.float64],
+            direction: NDArray[np.float64],
+            near: NDArray[np.float64],
+            t_ns: NDArray[np.int64],
+        ) -> Met:
+            """Cast rays from origins in the world."""
+            return self._rays(origin_m - self._origin_m, direction, near, far_m, t_ns)
+
+        return cast_slowly(cast, firings, near_m, beam, np.ascontiguousarray(self.surfaces["reflectance"]))
+
+    @abstractmethod
+    def _rays(
+        self,
+        origin_m: NDArray[np.float64],
+        direction: NDArray[np.float64],
+        near: NDArray[np.float64],
+        far_m: float,
+        t_ns: NDArray[np.int64],
+    ) -> Met:
+        """Cast rays (n, 3) from origins relative to the window's."""
+
+
 def cast_slowly(
-    cast: Cast,
+    cast: _Cast,
     firings: Firings,
     near_m: NDArray[np.float64],
     beam: Footprint,
@@ -55,7 +91,7 @@ def cast_slowly(
 
 
 def _by_rounds(
-    cast: Cast,
+    cast: _Cast,
     firings: Firings,
     near: NDArray[np.float64],
     beam: Footprint,

@@ -15,6 +15,7 @@ class _WithoutTitles(GenerateJsonSchema):
     """Leave out the titles that repeat the keys."""
 
     def field_title_should_be_set(self, schema: CoreSchema | Any) -> bool:  # noqa: ARG002  # pydantic's signature
+        """Leave titles out: they would only repeat the keys."""
         return False
 
 

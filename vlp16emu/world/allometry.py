@@ -110,6 +110,7 @@ def _curtis_arney_height_m(
     p2, p3, p4 = coefficients
 
     def above_breast_ft(dbh_in: Array) -> Array:
+        """Height above breast height."""
         whole: Array = p2 * np.exp(-p3 * np.maximum(dbh_in, 3.0) ** p4)
         return whole * np.minimum(dbh_in / 3.0, 1.0)
 

@@ -86,6 +86,7 @@ def first_order(
     azimuth += rng.normal(0.0, 0.2, n)
 
     def between(pair_deg: Sequence[float]) -> Array:
+        """Angles between those of the lowest and of the highest branches, in radians."""
         return np.radians(pair_deg[0] + (pair_deg[1] - pair_deg[0]) * relative)[:, None]
 
     way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)

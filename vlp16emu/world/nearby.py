@@ -90,16 +90,15 @@ def cut_out(
     )
 
     def grow(key: ShapeKey) -> tuple[Mesh, ...]:
+        """Grow a shape; of a tile, only the ground of the place and the stems that are wanted."""
         if not isinstance(key, TileKey):
             return shape(key)
         (ground, *stems), place = shape(key), tile_at[key]
         corner_m, row = window.world_T_shape[place, :2, 3], int(window.first_surface[place]) + 1
         middles_m = ground.vertices_m[ground.faces].mean(axis=1)[:, :2] + corner_m
         stays = wanted[row : row + len(stems)].tolist()
-        cut = (
-            mesh if whole else Mesh(mesh.vertices_m, mesh.faces[:0])
-            for mesh, whole in zip(stems, stays, strict=True)
-        )
+        told = zip(stems, stays, strict=True)
+        cut = (mesh if whole else Mesh(mesh.vertices_m, mesh.faces[:0]) for mesh, whole in told)
         corners, faces = np.unique(ground.faces[inside(middles_m)], return_inverse=True)
         return Mesh(ground.vertices_m[corners], faces.reshape(-1, 3).astype(np.uint32)), *cut
 

@@ -100,6 +100,7 @@ def errors_of(compared: Comparison, resolution_m: float) -> Errors:
     returns = int(compared.seen.sum())
 
     def share(of: NDArray[np.bool_]) -> float:
+        """Share of the returns."""
         return float(of.sum() / returns) if returns else np.nan
 
     return Errors(

@@ -96,6 +96,7 @@ def legend_entries(plan: Plan) -> "list[Artist]":
     from matplotlib.lines import Line2D
 
     def sample(name: str, **looks: object) -> Line2D:
+        """Entry of the legend."""
         return Line2D([], [], linestyle="none", label=name.replace("_", " "), **looks)  # type: ignore[arg-type]
 
     numbers, stems = np.unique(plan.trees["species"], return_counts=True)

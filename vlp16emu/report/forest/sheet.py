@@ -77,6 +77,7 @@ def draw_sheet(
     figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor=_PAPER)
 
     def place(bottom_in: float, width_in: float, tall_in: float) -> "Axes":
+        """Axes at a height on the sheet."""
         left, bottom = _EDGE_IN / _WIDTH_IN, bottom_in / height_in
         return figure.add_axes((left, bottom, width_in / _WIDTH_IN, tall_in / height_in), facecolor=_PAPER)
 
