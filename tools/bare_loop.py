@@ -10,7 +10,9 @@ from vlp16emu.raycast import embree_kernel as kernel
 from vlp16emu.raycast.footprint import sub_rays
 from vlp16emu.types import Firings
 
-__all__ = ["bare", "in_order", "packets"]
+__all__ = ["bare", "bare_met", "in_order", "packets"]
+
+NONE = np.uint32(0xFFFFFFFF)
 
 
 @numba.njit(nogil=True)
@@ -22,20 +24,59 @@ def bare(
     range_m: NDArray[np.float32],
 ) -> None:
     """Load packets (n, 6, 8) with near limits (n,) and call Embree, and nothing else."""
-    packet = kernel._packet()
-    words = packet.words
-    packet.valid[:] = -1
+    packet = _full_packet()
     for p in range(rays.shape[0]):
+        _send(packet, scene, rays, p, near_m[p], far_m)
         for lane in range(8):
-            kernel._reset(packet.rays, words, lane, near_m[p], far_m)
-            for a in range(3):
-                packet.rays[a, lane], packet.rays[4 + a, lane] = rays[p, a, lane], rays[p, 3 + a, lane]
-        packet.context[:] = 0xFFFFFFFF
-        kernel._intersect(
-            packet.valid.ctypes.data, scene, packet.rays.ctypes.data, packet.arguments.ctypes.data
-        )
+            range_m[p, lane] = packet.rays[8, lane] if packet.words[19, lane] != NONE else np.inf
+
+
+@numba.njit(nogil=True)
+def bare_met(
+    target: kernel.Target,
+    rays: NDArray[np.float32],
+    near_m: NDArray[np.float64],
+    far_m: float,
+    range_m: NDArray[np.float32],
+    surface: NDArray[np.uint32],
+    cos_incidence: NDArray[np.float32],
+) -> None:
+    """Do the same, and tell all that a return is made of: what was met, and under which angle."""
+    packet = _full_packet()
+    lanes, words = packet.rays, packet.words
+    for p in range(rays.shape[0]):
+        _send(packet, target.scene, rays, p, near_m[p], far_m)
         for lane in range(8):
-            range_m[p, lane] = packet.rays[8, lane] if words[19, lane] != 0xFFFFFFFF else np.inf
+            instance = words[19, lane]
+            if instance == NONE:
+                range_m[p, lane], surface[p, lane], cos_incidence[p, lane] = np.inf, NONE, 0.0
+            else:
+                range_m[p, lane] = lanes[8, lane]
+                surface[p, lane] = target.first_surface[instance] + words[18, lane]
+                cos_incidence[p, lane] = kernel._cosine(
+                    target.normal_matrix, target.shear, instance, lanes, lane
+                )
+
+
+@numba.njit(nogil=True)
+def _full_packet() -> kernel._Packet:
+    """Make a packet of eight rays."""
+    packet = kernel._packet()
+    packet.valid[:] = -1
+    return packet
+
+
+@numba.njit(nogil=True, _nrt=False)
+def _send(
+    packet: kernel._Packet, scene: int, rays: NDArray[np.float32], p: int, near_m: float, far_m: float
+) -> None:
+    """Load packet p, and call Embree."""
+    for lane in range(8):
+        kernel._reset(packet.rays, packet.words, lane, near_m, far_m)
+        for a in range(3):
+            packet.rays[a, lane], packet.rays[4 + a, lane] = rays[p, a, lane], rays[p, 3 + a, lane]
+    packet.context[:] = NONE
+    kernel._intersect(packet.valid.ctypes.data, scene, packet.rays.ctypes.data, packet.arguments.ctypes.data)
 
 
 def packets(opened: Scene, firings: Firings, beam: Footprint) -> NDArray[np.float32]:

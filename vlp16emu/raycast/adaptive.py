@@ -26,8 +26,12 @@ ROUND = 8
 """Sub-rays per round: a packet. Rounds of 4, two pulses to a packet, need 8 % more time for the same error."""
 
 _NONE = np.uint32(NO_SURFACE)
-_PER_RAY = 10.0
-"""What a ray must buy, per metre, so that scenes/reference_forest and birch_walk come out at their target or below."""
+_BEND = 4.0
+"""Times the target that a smooth surface may bend over three pulses: within the light of one of them it bends by a
+thirtieth of that. Less is no better: pulses that bend so much add a thirtieth to the error, and a twentieth of the rays."""
+_PER_RAY = 270.0
+"""What a ray must buy, over the cube of the target, so that scenes/reference_forest and birch_walk come out at their
+target or below, from 0.03 to 0.08 m: in m-2, fitted."""
 _EVENNESS = 0.4
 """Variance of a share by R2 points over that by random points, for 8 to 16 points; see `footprint`."""
 
@@ -76,7 +80,7 @@ def _first_round(
             cosine = float(cos_incidence[i, j])
             # The deepest that one standard deviation of the beam reaches on a surface so inclined.
             flat = across_m * math.sqrt(1.0 - cosine * cosine) <= 0.2 * resolution_m * cosine
-            wanted[i, j] = 0 if bend_m <= target_m and flat else ROUND
+            wanted[i, j] = 0 if bend_m <= _BEND * target_m and flat else ROUND
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -115,7 +119,7 @@ def enough(
     # Shares of two echoes differ by chance with the variance of a count, in units of a usual ray's energy.
     lead = (strongest - second) ** 2 / (_EVENNESS * (strongest + second) * squares / strongest)
     error_m = 0.5 * math.exp(-lead / 2) * resolution_m + standard_error_m
-    return error_m <= n * _PER_RAY * target_m**2
+    return error_m <= n * _PER_RAY * target_m**3
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
