@@ -57,6 +57,20 @@ def test_names_are_settings():
         assert [one.beam for one in again if one.in_use] == [light.beam]
 
 
+def test_drawing_otherwise_is_told_of_a_wood():
+    """Of a wood the detail in use errs in nothing, others do, and the coarsest the most; a hall has no such rows."""
+    small = "sensor.max_range_m=20", "duration_s=1", "beam.model=fixed", "beam.rays=8"
+    found = measure_accuracy(load("birch_walk", small), "wood", pulses=512, done=lambda _: None)
+    assert [row.name for row in found.details] == [
+        f"world.detail={detail}" for detail in ("0", "0.5", "1", "2")
+    ]
+    assert [row.in_use for row in found.details] == [False, False, True, False]
+    wrong_m = [row.errors.mean_error_m for row in found.details]
+    assert wrong_m[2] == 0.0
+    assert wrong_m[0] > wrong_m[1] > 0.0
+    assert measured(pulses=128).details == ()
+
+
 def test_a_held_pose_is_that_of_the_first_pulse():
     """Held over a packet of 24 sequences, all pulses have the pose of the packet's first one."""
     unit = Emulator(load("birch_walk", ["world.stems_per_ha=50"])).parts.units[0]

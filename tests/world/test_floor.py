@@ -33,6 +33,7 @@ def plot(ix, iy, *, path=FAR, level=0, trunks=NO_TRUNKS, height_m=ground):
         ix=ix,
         iy=iy,
         level=level,
+        detail=1.0,
         height_m=height_m,
         path=Polyline(path),
         path_clearance_m=0.8,
@@ -122,14 +123,16 @@ def test_stumps_stand_on_the_ground():
 
 
 def test_grass_grows_beside_the_path_alone():
-    """Tufts are within 25 m of the path, with their density there, and far tiles have none."""
+    """Tufts are within 25 m of the path, with their density there, however finely drawn, and far tiles have none."""
     placed = world_T(GRASS, path=NEAR, level=0)
     gap = distance_m(placed[:, :2, 3], NEAR)
     assert 24 < gap.max() < 25
     near = distance_m(np.random.default_rng(1).uniform(0, 160, (100_000, 2)), NEAR)
     area_m2 = 160**2 * ((near < 25) & (near > 0.95)).mean()
     assert len(placed) == pytest.approx(area_m2, rel=0.06)
-    assert len(GRASS.place(plot(2, 1, path=NEAR, level=2)).shape) == 0
+    counts = [len(GRASS.place(plot(2, 1, path=NEAR, level=level)).shape) for level in (0, 2)]
+    assert counts[0] == counts[1] > 0
+    assert len(GRASS.place(plot(1, 4, path=NEAR)).shape) == 0
 
 
 @ALL

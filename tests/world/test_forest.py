@@ -1,5 +1,7 @@
 """Windows on the forest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.crown import CROWN_PARTS, CrownKey
 from vlp16emu.world.polyline import distance_m
+from vlp16emu.world.sapling import SaplingKey
 from vlp16emu.world.stand import REGENERATION
 from vlp16emu.world.tiles import TileKey
 
@@ -205,6 +208,32 @@ def test_crowns_are_coarser_the_farther_they_are(forest, track_m):
             aside = distance_m(np.array([[tree["x_m"], tree["y_m"]]]), PATH_XY_M)[0]
             near = np.hypot(aside, max(tree["crown_base_m"] - 2.0, 0.0))
             assert key.level == int(near > 12) + int(near > 40)
+
+
+@pytest.mark.parametrize("detail", [0.0, 0.4, 3.0])
+def test_detail_moves_where_things_are_drawn_finely_and_nothing_else(make_forest, track_m, detail):
+    """At each detail the same things stand at the same places with the same labels, and levels lie so much farther out.
+
+    Coarse plants have fewer variants of their class.
+    """
+    forest, usual = make_forest(with_layers=True, detail=detail), make_forest(with_layers=True)
+    drawn, other = forest.window(track_m), usual.window(track_m)
+    # The tile's own triangles are placed whole; crowns are numbered with their trees, things after them.
+    assert (drawn.surfaces == other.surfaces).all()
+    assert (drawn.world_T_shape == other.world_T_shape).all()
+    without = [
+        [
+            replace(key, level=0, **({} if isinstance(key, TileKey) else {"variant": 0}))
+            for key in window.shapes
+        ]
+        for window in (drawn, other)
+    ]
+    assert [without[0][i] for i in drawn.shape] == [without[1][i] for i in other.shape]
+    for shape, T in zip(drawn.shape, drawn.world_T_shape, strict=True):
+        key = drawn.shapes[shape]
+        if isinstance(key, SaplingKey):
+            gap_m = distance_m(T[None, :2, 3], PATH_XY_M)[0]
+            assert key.level == int(gap_m >= 12 * detail) + int(gap_m >= 40 * detail)
 
 
 def test_bare_ground(make_forest, track_m):

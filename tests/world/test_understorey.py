@@ -42,6 +42,7 @@ def placed(layer, level=0):
             ix=ix,
             iy=iy,
             level=level,
+            detail=1.0,
             height_m=lambda x, y: 0.1 * x,
             path=Polyline(PATH),
             path_clearance_m=0.8,

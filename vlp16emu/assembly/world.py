@@ -96,6 +96,7 @@ def forest_of(
         reach_m=reach_m,
         plants=plants,
         loose_stems=loose_stems,
+        detail=section.detail,
     )
 
 

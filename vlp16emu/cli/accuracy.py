@@ -150,6 +150,12 @@ def _print(measured: "Accuracy") -> None:
     if measured.poses:
         print("\nWith the light of the answer; run time is that of posing and aiming.")
         _print_rows(measured.poses, "pose")
+    if measured.details:
+        print(
+            "\nWith the light of the answer; run time is that with the light of the scene. Leaves that are drawn otherwise"
+        )
+        print("lie elsewhere: single pulses differ, so look at the bias, and at lost against invented ones.")
+        _print_rows(measured.details, "how finely drawn")
     print(
         f"\nfloat32 against float64, {rounding.rays} single rays: RMSE {1e6 * rounding.range_rmse_m:.1f} um, at most "
         f"{1e6 * rounding.range_max_m:.0f} um; {100 * rounding.elsewhere:.1f} % graze an edge and meet something else"
@@ -174,7 +180,7 @@ def _print_rows(rows: "Sequence[Row]", what: str) -> None:
         lengths_m = e.mean_error_m, e.range_rmse_m, e.range_bias_m, e.range_p95_m
         shares = e.lost, e.invented, e.wrong_strongest, e.wrong_last
         table.add_row(
-            f"{row.name.removeprefix('beam.model=').replace('beam.', '')}{' *' if row.in_use else ''}",
+            f"{row.name.removeprefix('beam.model=').removeprefix('world.').replace('beam.', '')}{' *' if row.in_use else ''}",
             f"{row.us_per_pulse:.2f}",
             f"{row.us_spread / 2:.2f}",
             f"{row.rays_per_pulse:.1f}",

@@ -11,10 +11,13 @@ from vlp16emu.raycast import Scene
 from vlp16emu.report.accuracy import Rounding
 from vlp16emu.types import Firings, Mesh, ShapeKey, Window
 
-__all__ = ["rounding_of"]
+__all__ = ["NOTHING_MET", "rounding_of"]
 
 _ELSEWHERE_M = 1e-3
 _KEPT_SHAPES = 64
+
+NOTHING_MET = Rounding(0, float("nan"), 0.0, float("nan"))
+"""What is known of no rays at all."""
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""The settings whose errors are measured: the light of a pulse, and how long a pose is held."""
+"""The settings whose errors are measured: the light of a pulse, how long a pose is held, how finely things are drawn."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,9 +12,10 @@ from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.raycast import Footprint
 from vlp16emu.report.accuracy import Kind
 from vlp16emu.scenario import Scenario
+from vlp16emu.scenario.world import Woods
 from vlp16emu.types import Poses, ReturnMode
 
-__all__ = ["Hold", "Light", "PosesAt", "holds", "lights"]
+__all__ = ["Drawing", "Hold", "Light", "PosesAt", "drawings", "holds", "lights"]
 
 PosesAt = Callable[[NDArray[np.int64]], Poses]
 Model = Literal["adaptive", "fixed", "none", "angle", "offset"]
@@ -22,6 +23,8 @@ Model = Literal["adaptive", "fixed", "none", "angle", "offset"]
 _COUNTS = (4, 8, 16, 32, 64, 128)
 _TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Targets of adaptive beams, over that of the scene."""
+_TIMES_DETAIL = (0.0, 0.5, 1.0, 2.0)
+"""Details of worlds, over that of the scene."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,16 @@ class Hold:
     name: str
     in_use: bool
     poses_at: PosesAt
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """The world of a scene, drawn more or less finely."""
+
+    name: str
+    """As `--set` takes it."""
+    in_use: bool
+    scenario: Scenario
 
 
 def lights(scenario: Scenario, seed: int) -> list[Light]:
@@ -84,6 +97,21 @@ def holds(unit: Unit) -> list[Hold]:
             poses_at=_held(unit.motion.poses_at, start_ns, sequence_ns),
         ),
         Hold("pose per packet", in_use=False, poses_at=_held(unit.motion.poses_at, start_ns, packet_ns)),
+    ]
+
+
+def drawings(scenario: Scenario) -> list[Drawing]:
+    """List the scene with its world drawn coarser and finer; nothing of a hall, nor where all is coarse."""
+    world = scenario.world
+    if not isinstance(world, Woods) or not world.detail:
+        return []
+    return [
+        Drawing(
+            f"world.detail={detail:g}",
+            in_use=detail == world.detail,
+            scenario=scenario.model_copy(update={"world": world.model_copy(update={"detail": detail})}),
+        )
+        for detail in (times * world.detail for times in _TIMES_DETAIL)
     ]
 
 

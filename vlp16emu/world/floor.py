@@ -204,7 +204,8 @@ class Grass:
 
     def place(self, plot: Plot) -> Placed:
         """Tufts of a tile."""
-        xy_m = self.pattern.points(plot.ix, plot.iy) if plot.level < len(_GRASS_LEVELS) else np.zeros((0, 2))
+        near = plot.distance_m < _GRASS_REACH_M
+        xy_m = self.pattern.points(plot.ix, plot.iy) if near else np.zeros((0, 2))
         draws = plot.draw(Purpose.GRASS).random((len(xy_m), 6))
         height_m = _between(self.height_m, draws[:, 0])
         keep = plot.path.distance_m(xy_m) < _GRASS_REACH_M
@@ -215,9 +216,6 @@ class Grass:
             FloorKind.TUFT, np.full(len(xy_m), plot.level), keep, world_T, draws[:, 2:], np.zeros(len(xy_m))
         )
 
-
-_GRASS_LEVELS = (0, 1)
-"""Levels of tiles that may lie within `_GRASS_REACH_M` of the path."""
 
 _LABELS = {
     FloorKind.STONE: (Semantic.STONE, PlantPart.NONE, "stone"),

@@ -107,6 +107,7 @@ class Forest:
     reach_m : how far the sensor sees
     plants : trees and shrubs; those of the program if none are given
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
+    detail : how far things are drawn finely, over the usual; 0 draws all coarsely
 
     Raises
     ------
@@ -126,6 +127,7 @@ class Forest:
         reach_m: float,
         plants: Flora | None = None,
         loose_stems: bool = False,
+        detail: float = 1.0,
     ) -> None:
         per_ha = stems.per_ha + sum(layer.per_ha for layer in layers)
         if per_ha > _DENSEST_PER_HA:
@@ -134,6 +136,7 @@ class Forest:
         self._seed, self._path, self._clearance_m, self._reach_m = seed, path, path_clearance_m, reach_m
         self.height_m, self.plants = height_m, plants or flora()
         self._stems, self._layers, self._loose_stems = stems, layers, loose_stems
+        self._detail = detail
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         kept = 2 * (4 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
@@ -208,7 +211,7 @@ class Forest:
             raise GeometryError(
                 "track", f"reaches tile ({ix}, {iy})", f"no more than {_ASIDE_M:g} m off the path"
             )
-        key = TileKey(ix, iy, level_of((ix, iy), self._path))
+        key = TileKey(ix, iy, level_of((ix, iy), self._path, self._detail))
         trees = self._trees(ix, iy).copy()
         number = 1 + (column * self._tiles_across[1] + row) * _NUMBERS_PER_TILE
         trees["id"], trees["level"] = number + np.arange(len(trees)), key.level
@@ -263,7 +266,7 @@ class Forest:
         """Levels of detail (n,), by the distance from a head on the path to the lowest branch."""
         aside_m = self._path.distance_m(np.column_stack([trees["x_m"], trees["y_m"]]))
         above_m = np.maximum(trees["crown_base_m"] - _HEAD_M, 0.0)
-        return plant_levels(np.sqrt(aside_m * aside_m + above_m * above_m))
+        return plant_levels(np.sqrt(aside_m * aside_m + above_m * above_m), self._detail)
 
     def _things(self, key: TileKey) -> list[Placed]:
         """Everything else on a tile."""
@@ -274,6 +277,7 @@ class Forest:
             ix=key.ix,
             iy=key.iy,
             level=key.level,
+            detail=self._detail,
             height_m=self.height_m,
             path=self._path,
             path_clearance_m=self._clearance_m,

@@ -11,6 +11,7 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.types import SURFACE, HeightField, ShapeKey
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.stand import TREE
+from vlp16emu.world.tiles import tile_distance_m
 
 __all__ = [
     "NO_TREES",
@@ -55,6 +56,8 @@ class Plot:
     iy: int
     level: int
     """Of detail, 0 is the finest."""
+    detail: float
+    """How far plants are drawn finely, over the usual."""
     height_m: HeightField
     """Ground."""
     path: Polyline
@@ -62,6 +65,11 @@ class Plot:
     """Nothing comes nearer to the path than this."""
     trunks: Array
     """(m, 3) x, y and radius at the ground of all stems on the tile and its neighbours."""
+
+    @property
+    def distance_m(self) -> float:
+        """Of the tile from the path, or less."""
+        return tile_distance_m((self.ix, self.iy), self.path)
 
     def draw(self, purpose: Purpose) -> np.random.Generator:
         """Make the generator for the sizes of things; their places are drawn by a pattern."""

@@ -15,6 +15,7 @@ __all__ = [
     "ground_mesh",
     "level_of",
     "plant_levels",
+    "tile_distance_m",
     "tile_origin_m",
     "tiles_within",
 ]
@@ -68,15 +69,20 @@ def tiles_within(line_xy_m: Array, reach_m: float) -> NDArray[np.int64]:
     return near
 
 
-def level_of(tile: tuple[int, int], path: Polyline) -> int:
-    """Level of detail of a tile, from its distance to the whole path."""
-    gap = float(_centre_distance_m(np.array([tile]), path)[0]) - _HALF_DIAGONAL_M
-    return sum(gap > reach for reach in _LEVEL_REACH_M)
+def level_of(tile: tuple[int, int], path: Polyline, detail: float = 1.0) -> int:
+    """Level of detail of a tile, from its distance to the whole path; `detail` times as far all is as fine."""
+    gap_m = tile_distance_m(tile, path)
+    return sum(gap_m >= detail * reach_m for reach_m in _LEVEL_REACH_M)
 
 
-def plant_levels(distance_m: Array) -> NDArray[np.int64]:
-    """Levels of detail (n,) of plants at these distances from the path."""
-    return np.searchsorted(_LEAVES_REACH_M, distance_m)
+def tile_distance_m(tile: tuple[int, int], path: Polyline) -> float:
+    """Distance that no point of a tile is nearer to a path than; 0 or more."""
+    return max(float(_centre_distance_m(np.array([tile]), path)[0]) - _HALF_DIAGONAL_M, 0.0)
+
+
+def plant_levels(distance_m: Array, detail: float = 1.0) -> NDArray[np.int64]:
+    """Levels of detail (n,) of plants at these distances from the path; `detail` as in `level_of`."""
+    return np.searchsorted(detail * np.array(_LEAVES_REACH_M), distance_m, side="right")
 
 
 def _centre_distance_m(tiles: NDArray[np.int64], line: Polyline) -> Array:

@@ -182,7 +182,7 @@ class Shrubs:
 def _levels(plot: Plot, plants: NDArray[np.void]) -> list[int]:
     """Levels of detail of plants."""
     xy_m = np.column_stack([plants["x_m"], plants["y_m"]])
-    levels: list[int] = plant_levels(plot.path.distance_m(xy_m)).tolist()
+    levels: list[int] = plant_levels(plot.path.distance_m(xy_m), plot.detail).tolist()
     return levels
 
 

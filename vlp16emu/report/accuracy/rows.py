@@ -21,6 +21,7 @@ class Kind(StrEnum):
     ADAPTIVE = "adaptive"
     BEAM_ERROR = "beam error"
     POSE = "pose"
+    DETAIL = "detail"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class Row:
     """Whether it is that of the scene."""
     errors: Errors
     us_per_pulse: float
-    """Run time on one core: of a setting of light that of casting and detecting, of poses that of posing and aiming."""
+    """Run time on one core: that of casting and detecting, of poses that of posing and aiming."""
     us_spread: float
     """Between the quickest and the slowest repeat."""
     rays_per_pulse: float
@@ -65,6 +66,8 @@ class Accuracy:
     rows: tuple[Row, ...]
     poses: tuple[Row, ...]
     """Held poses, each against a pose per pulse with the light of the answer; none where nothing moves."""
+    details: tuple[Row, ...]
+    """The world drawn coarser and finer, likewise, timed with the light of the scene; none of a hall."""
     rounding: Rounding
 
 
