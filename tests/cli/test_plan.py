@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.assembly import assemble
+from vlp16emu.cli import plan
 from vlp16emu.cli.audit import audited
 from vlp16emu.cli.needs import needs
 from vlp16emu.cli.trial import peak_bytes
@@ -108,6 +109,13 @@ def test_the_forecast_is_of_what_was_measured(birch):
     assert told["real_time_factor"] == pytest.approx(8 / told["wall_s"])
     assert told["real_time_factor"] < told["steady_factor"]
     assert told["peak_memory_bytes"] <= 1.01 * peak_bytes()
+
+
+@pytest.mark.parametrize(("factor", "advised"), [(0.9, True), (1.1, False)])
+def test_what_is_too_slow_to_stream_gets_an_advice(birch, capsys, factor, advised):
+    """A plan says what makes a run quicker where it cannot keep pace with real time, and only there."""
+    plan._print_how(birch | {"forecast": birch["forecast"] | {"steady_factor": factor}})
+    assert ("world.detail" in capsys.readouterr().out) is advised
 
 
 def test_a_static_sensor_has_one_window(cli):

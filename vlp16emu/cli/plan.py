@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 __all__ = ["plan"]
 
 _LEVELS = {"0": "near", "1": "middle", "2": "far"}
+_TOO_SLOW = (
+    "Too slow to be streamed as it runs. Quicker are fewer rays (beam.model, beam.target_m), a forest drawn coarser "
+    "(world.detail)\nand a shorter reach (sensor.max_range_m); `vlp16emu accuracy` tells what the first two err and cost."
+)
 
 
 def plan(
@@ -151,3 +155,5 @@ def _print_how(tree: dict[str, Any]) -> None:
         f"Measured now on this machine: {measured['simulated_s']:.1f} s of the run in {len(measured['pieces'])} pieces"
         f"{opened}; memory is the peak of doing so, the rest extrapolated."
     )
+    if tree["forecast"]["steady_factor"] < 1:
+        print(_TOO_SLOW)
