@@ -159,6 +159,6 @@ def test_the_picture_is_drawn():
         *(row(f"rays={n}", n, 0.5 / n) for n in (4, 8, 16)),
     )
     drawn = io.BytesIO()
-    draw_accuracy(drawn, Accuracy("wood", 1, 4096, 1e-4, rows, (), Rounding(9, 1e-6, 1e-5, 0.0)))
+    draw_accuracy(drawn, Accuracy("wood", 1, 4096, 1e-4, rows, (), (), Rounding(9, 1e-6, 1e-5, 0.0)))
     assert drawn.getvalue()[:4] == b"\x89PNG"
     assert len(drawn.getvalue()) < 150_000
