@@ -7,7 +7,7 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.errors import RunError
 from vlp16emu.fidelity import measure_accuracy
 from vlp16emu.fidelity.rounding import rounding_of
-from vlp16emu.fidelity.settings import holds, lights
+from vlp16emu.fidelity.settings import drawings, holds, lights
 from vlp16emu.report.accuracy import Kind
 from vlp16emu.scenario import load
 from vlp16emu.types import Hits
@@ -69,6 +69,16 @@ def test_drawing_otherwise_is_told_of_a_wood():
     assert wrong_m[2] == 0.0
     assert wrong_m[0] > wrong_m[1] > 0.0
     assert measured(pulses=128).details == ()
+
+
+@pytest.mark.parametrize(("detail", "names"), [(0.3, "0 0.15 0.3 0.6"), (10, "0 5 10"), (0, "")])
+def test_the_detail_in_use_is_on_the_ladder(detail, names):
+    """Whatever the scene says, its own detail is among those that are looked at, and each can be set; 0 has no coarser one."""
+    drawn = drawings(load("birch_walk", [f"world.detail={detail}"]))
+    assert [one.name for one in drawn] == [f"world.detail={name}" for name in names.split()]
+    assert [one.scenario.world.detail for one in drawn if one.in_use] == [detail] * bool(names)
+    for one in drawn:
+        assert load("birch_walk", [one.name]).world == one.scenario.world
 
 
 def test_a_held_pose_is_that_of_the_first_pulse():

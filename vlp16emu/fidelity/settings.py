@@ -25,6 +25,8 @@ _TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Targets of adaptive beams, over that of the scene."""
 _TIMES_DETAIL = (0.0, 0.5, 1.0, 2.0)
 """Details of worlds, over that of the scene."""
+_FINEST = 10.0
+"""Detail that a scene may have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +113,7 @@ def drawings(scenario: Scenario) -> list[Drawing]:
             in_use=detail == world.detail,
             scenario=scenario.model_copy(update={"world": world.model_copy(update={"detail": detail})}),
         )
-        for detail in (times * world.detail for times in _TIMES_DETAIL)
+        for detail in sorted({min(times * world.detail, _FINEST) for times in _TIMES_DETAIL})
     ]
 
 
