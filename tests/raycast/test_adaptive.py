@@ -103,6 +103,8 @@ def test_rays_go_where_the_footprint_is_split(lab, walls):
     assert (hits.count[~one] >= ROUND).all()
     first = np.cumsum(hits.count) - hits.count.reshape(-1)
     assert (hits.range_m[first[one]] == line.range_m[one]).all()
+    assert lab.beam("adaptive").rays_per_pulse(hits.count) == (64 + hits.count[~one].sum()) / 64
+    assert lab.beam("fixed", rays=8).rays_per_pulse(np.full((4, 2), 8, np.uint16)) == 8
 
 
 def test_a_finer_target_takes_more_rays_and_no_target_more_than_it_may(lab, walls):

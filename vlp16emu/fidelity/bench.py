@@ -55,11 +55,11 @@ class Bench:
         return self.told(scene, part, slice(0, own.stop - own.start), light)
 
     def timed(self, scene: Scene, firings: Firings, beam: Footprint) -> tuple[float, float]:
-        """Cast and detect as a run does: microseconds per pulse on one core, and sub-rays per pulse."""
+        """Cast and detect as a run does: microseconds per pulse on one core, and rays per pulse."""
         began_s = time.thread_time()
         hits = scene.cast(firings, *self.limits_m, beam)
         detect(firings, hits, scene.surfaces, self.unit.detector, truth=False)
-        return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size, float(hits.count.mean())
+        return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size, beam.rays_per_pulse(hits.count)
 
     def timed_aim(self, block: Group, poses_at: PosesAt) -> float:
         """Pose and aim as a run does: microseconds per pulse on one core."""

@@ -93,6 +93,14 @@ class Footprint:
         """(4,) standard deviations: spot horizontal and vertical in metres, divergence likewise in radians."""
         return np.array([*self.spot_m, *self.divergence_rad]) / 4
 
+    def rays_per_pulse(self, count: NDArray[np.uint16]) -> float:
+        """Mean number of rays that were cast for the hits of some pulses, of which there are `count` (k, L).
+
+        A split pulse of an adaptive footprint lets go of the ray along its middle.
+        """
+        let_go = count > 1 if self.model is BeamModel.ADAPTIVE else np.zeros(1)
+        return float(count.mean() + let_go.mean())
+
 
 LINE = Footprint(BeamModel.NONE, 1, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0)
 """Light without width."""
