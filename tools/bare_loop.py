@@ -37,13 +37,14 @@ def bare_met(
     rays: NDArray[np.float32],
     near_m: NDArray[np.float64],
     far_m: float,
-    range_m: NDArray[np.float32],
-    surface: NDArray[np.uint32],
-    cos_incidence: NDArray[np.float32],
+    hits: kernel._Hits,
 ) -> None:
-    """Do the same, and tell all that a return is made of: what was met, and under which angle."""
+    """Do the same, and tell all that a return is made of, (n, 8) each: range, what was met, and under which angle."""
     packet = _full_packet()
     lanes, words = packet.rays, packet.words
+    # Reaching into a tuple within a loop would count references at every step.
+    first_surface, normal_matrix, shear = target.first_surface, target.normal_matrix, target.shear
+    range_m, surface, cos_incidence = hits.range_m, hits.surface, hits.cos_incidence
     for p in range(rays.shape[0]):
         _send(packet, target.scene, rays, p, near_m[p], far_m)
         for lane in range(8):
@@ -52,10 +53,8 @@ def bare_met(
                 range_m[p, lane], surface[p, lane], cos_incidence[p, lane] = np.inf, NONE, 0.0
             else:
                 range_m[p, lane] = lanes[8, lane]
-                surface[p, lane] = target.first_surface[instance] + words[18, lane]
-                cos_incidence[p, lane] = kernel._cosine(
-                    target.normal_matrix, target.shear, instance, lanes, lane
-                )
+                surface[p, lane] = first_surface[instance] + words[18, lane]
+                cos_incidence[p, lane] = kernel._cosine(normal_matrix, shear, instance, lanes, lane)
 
 
 @numba.njit(nogil=True)

@@ -50,10 +50,11 @@ def accuracy(
     out: OutDir = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure what settings of the beam err and cost.
+    """Measure what settings of the beam, of poses and of detail err and cost.
 
     Pulses from all over the run are told with each setting and held against their converged answer, of
-    thousands of sub-rays, by a receiver without noise. Of a rig, the first sensor is looked at.
+    thousands of sub-rays, by a receiver without noise; so are poses that are held, and a forest drawn coarser and finer.
+    Of a rig, the first sensor is looked at.
     """
     from vlp16emu.scenario import load
 

@@ -153,8 +153,10 @@ def measure_accuracy(
         for stretch, groups in draw_groups(cut, blocks, pulses, unit.seed, moves=parts.moves):
             window = window_of(parts, scenario.start_ns, cut, stretch)
             opened = built.open(window)  # only now is the one before let go: shapes of both are built once
-            others = {name: window_of(of, scenario.start_ns, cut, stretch) for name, of in worlds.items()}
-            drawn = {name: built.open(other) for name, other in others.items()}
+            drawn = {
+                name: opened if of is parts else built.open(window_of(of, scenario.start_ns, cut, stretch))
+                for name, of in worlds.items()
+            }
             ladder.look(opened, drawn, groups, workers)
             ladder.time(opened, drawn, Group(groups[0].first // cut.block * cut.block, cut.block, slice(0)))
             firings = bench.aimed(groups[0], unit.motion.poses_at)

@@ -12,7 +12,7 @@ from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.raycast import Footprint
 from vlp16emu.report.accuracy import Kind
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.world import Woods
+from vlp16emu.scenario.world import MOST_DETAIL, Woods
 from vlp16emu.types import Poses, ReturnMode
 
 __all__ = ["Drawing", "Hold", "Light", "PosesAt", "drawings", "holds", "lights"]
@@ -25,8 +25,6 @@ _TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Targets of adaptive beams, over that of the scene."""
 _TIMES_DETAIL = (0.0, 0.5, 1.0, 2.0)
 """Details of worlds, over that of the scene."""
-_FINEST = 10.0
-"""Detail that a scene may have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +111,7 @@ def drawings(scenario: Scenario) -> list[Drawing]:
             in_use=detail == world.detail,
             scenario=scenario.model_copy(update={"world": world.model_copy(update={"detail": detail})}),
         )
-        for detail in sorted({min(times * world.detail, _FINEST) for times in _TIMES_DETAIL})
+        for detail in sorted({min(times * world.detail, MOST_DETAIL) for times in _TIMES_DETAIL})
     ]
 
 

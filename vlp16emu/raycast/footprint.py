@@ -98,8 +98,8 @@ class Footprint:
 
         A split pulse of an adaptive footprint lets go of the ray along its middle.
         """
-        let_go = count > 1 if self.model is BeamModel.ADAPTIVE else np.zeros(1)
-        return float(count.mean() + let_go.mean())
+        let_go = float((count > 1).mean()) if self.model is BeamModel.ADAPTIVE else 0.0
+        return float(count.mean()) + let_go
 
 
 LINE = Footprint(BeamModel.NONE, 1, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0)

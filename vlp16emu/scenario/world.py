@@ -11,6 +11,7 @@ from vlp16emu.scenario.presets import DENSITY_KEYS, with_preset
 from vlp16emu.scenario.section import Fraction, NonNegative, Positive, Section
 
 __all__ = [
+    "MOST_DETAIL",
     "Clusters",
     "Forest",
     "Grass",
@@ -33,6 +34,10 @@ __all__ = [
     "Woods",
     "World",
 ]
+
+
+MOST_DETAIL = 10.0
+"""Of `Woods.detail`: then all within 120 m of the path is drawn leaf by leaf."""
 
 
 def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
@@ -193,7 +198,7 @@ class Woods(Section):
     """Plants of the user's own, in the form of the program's `world/species.toml`, numbered from 1000."""
     path_clearance_m: NonNegative = 0.8
     """Nothing that stands or lies on the ground comes nearer to the path than this."""
-    detail: Annotated[float, Field(ge=0, le=10)] = 1.0
+    detail: Annotated[float, Field(ge=0, le=MOST_DETAIL)] = 1.0
     """How far things are drawn finely, over the usual: leaf by leaf within 12 m of the path and in small clusters within
     40 m, stems with 24 sides within 20 m and with 12 within 50 m. At 0.5 all is half as far, at 0 nowhere; what stands
     there, its diameters and its leaf area stay."""
