@@ -7,9 +7,9 @@ from scipy.stats import kstest, norm, spearmanr
 from vlp16emu.raycast.footprint import displace, sub_rays
 
 
-def unit_points(lab, pulses, rays, first=0, seed=7):
+def unit_points(lab, pulses, rays, first=0, seed=7, model="fixed"):
     """Standard normal coordinates (pulses, rays, 2) of sub-rays: the spot of a beam 4 m wide at the lens."""
-    beam = lab.beam("fixed", spot_m=(4.0, 4.0), divergence_rad=(0.0, 0.0), seed=seed)
+    beam = lab.beam(model, spot_m=(4.0, 4.0), divergence_rad=(0.0, 0.0), seed=seed)
     firings = lab.level_pulses(np.zeros(pulses))
     begin = np.full((pulses, 1), first)
     origin_m, _ = sub_rays(firings, beam, begin, begin + rays)
@@ -37,6 +37,33 @@ def test_means_over_any_first_sub_rays_are_nearer_than_random_ones(lab, rays, ti
     error = np.sqrt(((beyond.mean(1, keepdims=True) - share) ** 2).mean())
     by_chance = np.sqrt((share * (1 - share) / rays).mean())
     assert by_chance / error > times
+
+
+def test_rounds_of_an_adaptive_beam_lie_by_eighths(lab):
+    """Of a round of eight the first draws from the innermost eighth of the light and the others from the rest, fairly."""
+    points = unit_points(lab, 20_000, 24, model="adaptive")
+    inside = 1 - np.exp(-(points**2).sum(-1) / 2)  # share of the light nearer to the middle
+    first = np.arange(24) % 8 == 0
+    for i in range(24):
+        share = inside[:, i] * 8 if first[i] else (inside[:, i] * 8 - 1) / 7
+        assert kstest(share, "uniform").pvalue > 0.001
+    angle = np.arctan2(points[:, 8, 1], points[:, 8, 0])
+    assert kstest(angle / (2 * np.pi) + 0.5, "uniform").pvalue > 0.001
+    assert (inside[:, first] <= 1 / 8).all()
+    assert (inside[:, ~first] >= 1 / 8).all()
+
+
+@pytest.mark.parametrize(("rays", "times"), [(8, 1.7), (16, 1.7), (32, 1.9), (64, 2.2)])
+def test_rounds_with_the_middle_are_as_good(lab, rays, times):
+    """Whole rounds that begin with the middle of the light tell the share beyond an edge as well as other points."""
+    points = unit_points(lab, 3000, rays, model="adaptive")
+    points[:, 0] = 0.0
+    rng = np.random.default_rng(1)
+    tilt, edge = rng.uniform(0, 2 * np.pi, (3000, 1)), rng.uniform(-1.5, 1.5, (3000, 1))
+    beyond = points[..., 0] * np.cos(tilt) + points[..., 1] * np.sin(tilt) > edge
+    share = norm.sf(edge)
+    error = np.sqrt(((beyond.mean(1, keepdims=True) - share) ** 2).mean())
+    assert np.sqrt((share * (1 - share) / rays).mean()) / error > times
 
 
 def test_pulses_are_turned_differently(lab):

@@ -59,7 +59,7 @@ class Bench:
         began_s = time.thread_time()
         hits = scene.cast(firings, *self.limits_m, beam)
         detect(firings, hits, scene.surfaces, self.unit.detector, truth=False)
-        return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size, beam.rays_per_pulse(hits.count)
+        return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size, float(hits.count.mean())
 
     def timed_aim(self, block: Group, poses_at: PosesAt) -> float:
         """Pose and aim as a run does: microseconds per pulse on one core."""

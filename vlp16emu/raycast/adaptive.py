@@ -2,8 +2,8 @@
 
 Two questions. Before any sub-ray: do the middles of a pulse and of its neighbours in azimuth, whose distance is
 that of the footprint's edge or more, lie on one smooth surface? Then the one ray along the middle tells its
-range, and sub-rays would tell the same. Otherwise sub-rays are cast by rounds of `ROUND`, and after each: what is
-the range of the strongest echo still worth?
+range, and sub-rays would tell the same. Otherwise it is the first of a round of `ROUND` sub-rays, and after each
+round: what is the range of the strongest echo still worth?
 
 The error that is meant is the mean absolute error of the strongest echo's range, where another echo taken for it
 counts as the resolution. It is estimated for each pulse; if estimates fall as 1/n with the number of sub-rays, rays
@@ -17,29 +17,26 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.footprint import Footprint
+from vlp16emu.raycast.footprint import ROUND, Footprint
 from vlp16emu.types import NO_SURFACE, Firings
 
-__all__ = ["ROUND", "enough", "first_round"]
-
-ROUND = 8
-"""Sub-rays per round: a packet. Rounds of 4, two pulses to a packet, need 8 % more time for the same error."""
+__all__ = ["enough", "first_round"]
 
 _NONE = np.uint32(NO_SURFACE)
 _BEND = 2.0
 """Times the target that a smooth surface may bend over three pulses: within the light of one of them it bends by a
 thirtieth of that. At 1 as good a strongest echo takes 3 % more sub-rays, at 4 more second echoes are lost."""
-_PER_RAY = 270.0
-"""What a ray must buy, over the cube of the target, so that scenes/reference_forest and birch_walk come out at their
-target or below, from 0.03 to 0.08 m: in m-2, fitted."""
-_EVENNESS = 0.4
-"""Variance of a share by R2 points over that by random points, for 8 to 16 points; see `footprint`."""
+_PER_RAY = 1150.0
+"""What a ray must buy, over the 3.5th power of the target, so that scenes/reference_forest and birch_walk come out at their
+target or below, from 0.03 to 0.08 m: in m-2.5, fitted."""
+_EVENNESS = 0.27
+"""Variance of a share by a round or two of sub-rays over that by random points; see `footprint`."""
 
 
 def first_round(
     firings: Firings, range_m: NDArray[np.float32], cos_incidence: NDArray[np.float32], beam: Footprint
 ) -> NDArray[np.uint16]:
-    """Sub-rays of each pulse's first round, (k, L): none where the ray along its middle is enough.
+    """Sub-rays of each pulse after its first round, (k, L): 1 where the ray along its middle is enough.
 
     Parameters
     ----------
@@ -80,7 +77,7 @@ def _first_round(
             cosine = float(cos_incidence[i, j])
             # The deepest that one standard deviation of the beam reaches on a surface so inclined.
             flat = across_m * math.sqrt(1.0 - cosine * cosine) <= 0.2 * resolution_m * cosine
-            wanted[i, j] = 0 if bend_m <= _BEND * target_m and flat else ROUND
+            wanted[i, j] = 1 if bend_m <= _BEND * target_m and flat else ROUND
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -119,7 +116,7 @@ def enough(
     # Shares of two echoes differ by chance with the variance of a count, in units of a usual ray's energy.
     lead = (strongest - second) ** 2 / (_EVENNESS * (strongest + second) * squares / strongest)
     error_m = 0.5 * math.exp(-lead / 2) * resolution_m + standard_error_m
-    return error_m <= n * _PER_RAY * target_m**3
+    return error_m <= n * _PER_RAY * target_m**3.5
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)

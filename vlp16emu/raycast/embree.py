@@ -137,7 +137,7 @@ class EmbreeScene:
         )
         count, room = np.empty(wish.shape, np.uint16), wish.size * beam.rays
         out = np.empty(room, np.float32), np.empty(room, np.uint32), np.empty(room, np.float32)
-        wanted = Wish(wish, beam.rays, beam.target_m, beam.resolution_m)
+        wanted = Wish(wish, beam.model is BeamModel.ADAPTIVE, beam.rays, beam.target_m, beam.resolution_m)
         n = cast_sub_rays(self._target, light, wanted, middle, count, out)
         return Hits(count, out[0][:n], out[1][:n], out[2][:n])
 

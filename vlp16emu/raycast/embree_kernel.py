@@ -15,10 +15,10 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.adaptive import ROUND, enough
+from vlp16emu.raycast.adaptive import enough
 from vlp16emu.raycast.embree_library import FLAG_COHERENT, library, library_path
 from vlp16emu.raycast.embree_sway import tilt
-from vlp16emu.raycast.footprint import pulse_axes, sub_ray, turn
+from vlp16emu.raycast.footprint import ROUND, pulse_axes, sub_ray, turn
 
 __all__ = ["PACKET", "Light", "Target", "Wish", "cast_packets", "cast_sub_rays"]
 
@@ -146,7 +146,9 @@ class Wish(NamedTuple):
     """How many sub-rays are wanted."""
 
     first: NDArray[np.uint16]
-    """(k, L) in the first round; 0 keeps the ray along the middle."""
+    """(k, L) after the first round."""
+    by_rounds: bool
+    """Whether the rays along the middles are the pulses' first, and further rounds may come."""
     most: int
     """Sub-rays with which a pulse must do; after fewer, `adaptive.enough` is asked with the next two."""
     target_m: float
@@ -203,7 +205,7 @@ def cast_sub_rays(
 
     Parameters
     ----------
-    middle : ranges, surfaces and cosines (k, L) of the rays along the middles
+    middle : ranges, surfaces and cosines (k, L) of the rays along the middles, where they are the first sub-rays
     count : (k, L) output, sub-rays of each pulse
     out : three outputs (n,) with room for as many as may be, as in `Hits`
 
@@ -212,15 +214,19 @@ def cast_sub_rays(
     Number of sub-rays in all.
     """
     sequences, lasers = wish.first.shape
-    packet, shape = _packet(), (PACKET, lasers, wish.most)
+    packet, shape, n = _packet(), (PACKET, lasers, wish.most), 0
     eight = _Hits(np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32))
     axes, shift = np.empty((PACKET, 12)), np.empty((PACKET, 2), np.uint32)
     done, order = np.empty((PACKET, lasers), np.int64), np.empty((2, wish.most))
-    n = 0
     for first in range(0, sequences, PACKET):
+        done[:] = wish.by_rounds
+        if wish.by_rounds:
+            eight.range_m[:, :, 0] = middle[0][first : first + PACKET]
+            eight.surface[:, :, 0] = middle[1][first : first + PACKET]
+            eight.cos_incidence[:, :, 0] = middle[2][first : first + PACKET]
         for j in range(lasers):
             _cast_eight(target, light, wish, packet, first, j, axes, shift, order, eight, done)
-        n = _put_down(eight, done, middle, first, count, out, n)
+        n = _put_down(eight, done, first, count, out, n)
     return n
 
 
@@ -228,7 +234,6 @@ def cast_sub_rays(
 def _put_down(
     eight: _Hits,
     done: NDArray[np.int64],
-    middle: tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]],
     first: int,
     count: NDArray[np.uint16],
     out: tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]],
@@ -236,19 +241,14 @@ def _put_down(
 ) -> int:
     """Put the hits of eight sequences into the order of pulses, from number n on; gives the next number."""
     range_m, surface, cos_incidence = out
-    one_range_m, one_surface, one_cos_incidence = middle
     from_range_m, from_surface, from_cos_incidence = eight.range_m, eight.surface, eight.cos_incidence
     for r in range(done.shape[0]):
         for j in range(done.shape[1]):
-            i, have = first + r, done[r, j]
-            count[i, j] = max(have, 1)
-            if have == 0:
-                range_m[n], surface[n] = one_range_m[i, j], one_surface[i, j]
-                cos_incidence[n] = one_cos_incidence[i, j]
+            have = count[first + r, j] = done[r, j]
             for s in range(have):
                 range_m[n + s], surface[n + s] = from_range_m[r, j, s], from_surface[r, j, s]
                 cos_incidence[n + s] = from_cos_incidence[r, j, s]
-            n += max(have, 1)
+            n += have
     return n
 
 
@@ -269,16 +269,15 @@ def _cast_eight(
     """Cast what eight consecutive pulses of laser j want, packets filled one pulse after the other."""
     wanted = np.empty(PACKET, np.int64)
     for r in range(PACKET):
-        i = first + r
-        done[r, j], wanted[r] = 0, wish.first[i, j]
-        if wanted[r]:
-            pulse_axes(light.origin_m, light.direction, light.across, i, j, axes, r)
+        wanted[r] = wish.first[first + r, j]
+        if wanted[r] > done[r, j]:
+            pulse_axes(light.origin_m, light.direction, light.across, first + r, j, axes, r)
             for a in range(3):
                 axes[r, a] -= target.window_origin_m[a]
-            shift[r, 0], shift[r, 1] = turn(light.seed, light.first + i, j)
+            shift[r, 0], shift[r, 1] = turn(light.seed, light.first + first + r, j)
     open_ = True
     while open_:
-        _cast_round(target, light, packet, first, j, axes, shift, done, wanted, hits)
+        _cast_round(target, light, wish.by_rounds, packet, first, j, axes, shift, done, wanted, hits)
         open_ = False
         for r in range(PACKET):
             asked, s = wanted[r] - done[r, j], wanted[r]
@@ -304,6 +303,7 @@ def _cast_eight(
 def _cast_round(
     target: Target,
     light: Light,
+    by_rounds: bool,
     packet: _Packet,
     first: int,
     j: int,
@@ -320,7 +320,7 @@ def _cast_round(
         _reset(rays, words, r, light.near_m[j], light.far_m)
     for r in range(PACKET):
         for s in range(done[r, j], wanted[r]):
-            x_m, y_m, z_m, x, y, z = sub_ray(axes, r, quarters, shift[r, 0], shift[r, 1], s)
+            x_m, y_m, z_m, x, y, z = sub_ray(axes, r, quarters, shift[r, 0], shift[r, 1], s, by_rounds)
             rays[_ORG, lane], rays[_ORG + 1, lane], rays[_ORG + 2, lane] = x_m, y_m, z_m
             rays[_DIR, lane], rays[_DIR + 1, lane], rays[_DIR + 2, lane] = x, y, z
             rays[_TFAR, lane], words[_GEOM, lane], words[_INST, lane] = light.far_m, _NONE, _NONE

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.adaptive import ROUND, enough, first_round
-from vlp16emu.raycast.footprint import LINE, BeamModel, Footprint, displace, sub_rays
+from vlp16emu.raycast.adaptive import enough, first_round
+from vlp16emu.raycast.footprint import LINE, ROUND, BeamModel, Footprint, displace, sub_rays
 from vlp16emu.types import Firings, Hits, Window
 
 __all__ = ["Met", "SlowScene", "cast_slowly"]
@@ -99,7 +99,7 @@ def _by_rounds(
     middle: Met,
 ) -> Hits:
     """Cast sub-rays where the rays along the middles are not enough, a round of all pulses at a time."""
-    done = np.zeros(near.shape, np.int64)
+    done = np.ones(near.shape, np.int64)
     wanted = first_round(firings, middle[0], middle[2], beam).astype(np.int64)
     met: dict[tuple[int, ...], Met] = {
         (i, j): (middle[0][i, j : j + 1], middle[1][i, j : j + 1], middle[2][i, j : j + 1])
@@ -113,7 +113,7 @@ def _by_rounds(
         for pulse in zip(*(axis.tolist() for axis in np.nonzero(asked)), strict=True):
             part = slice(ends[pulse] - asked[pulse], ends[pulse])
             new = fresh[0][part], fresh[1][part], fresh[2][part]
-            met[pulse] = _joined(met[pulse], new) if done[pulse] else new
+            met[pulse] = _joined(met[pulse], new)
             done[pulse] = wanted[pulse]
             room = np.empty((2, beam.rays))
             if done[pulse] < beam.rays and not enough(
@@ -121,7 +121,7 @@ def _by_rounds(
             ):
                 wanted[pulse] = min(done[pulse] + ROUND, beam.rays)
     return Hits(
-        np.maximum(done, 1).astype(np.uint16),
+        done.astype(np.uint16),
         np.concatenate([of[0] for of in met.values()]),
         np.concatenate([of[1] for of in met.values()]),
         np.concatenate([of[2] for of in met.values()]),
