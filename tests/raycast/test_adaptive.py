@@ -39,7 +39,7 @@ def test_a_deep_group_needs_more_than_a_shallow_one():
     for depth_m in (0.1, 0.4, 0.9):
         ranges_m = 20 + depth_m * np.linspace(0, 1, 8)
         doubt_m = 0.5 * math.exp(-8 / 0.27 / 2)  # eight of eight agree
-        finest_m = ((math.sqrt(0.27 * ranges_m.var() / 8) + doubt_m) / 8 / 1150) ** (1 / 3.5)
+        finest_m = ((math.sqrt(0.27 * ranges_m.var() / 8) + doubt_m) / 8 / 1075) ** (1 / 3.5)
         assert not asked(ranges_m, finest_m * 0.9)
         assert asked(ranges_m, finest_m * 1.1)
 
@@ -63,7 +63,7 @@ def by_hand(range_m, energy, target_m, resolution_m):
     mean_m = (weight * r[inside]).sum()
     error_m = math.sqrt(0.27 * (weight * (r[inside] - mean_m) ** 2).sum() * (weight**2).sum())
     lead = (first - second) ** 2 / (0.27 * (first + second) * (weight**2).sum() * first)
-    return 0.5 * math.exp(-lead / 2) * resolution_m + error_m <= n * 1150.0 * target_m**3.5
+    return 0.5 * math.exp(-lead / 2) * resolution_m + error_m <= n * 1075.0 * target_m**3.5
 
 
 def test_the_rule_is_that_of_its_slow_twin():

@@ -26,7 +26,7 @@ _NONE = np.uint32(NO_SURFACE)
 _BEND = 2.0
 """Times the target that a smooth surface may bend over three pulses: within the light of one of them it bends by a
 thirtieth of that. At 1 as good a strongest echo takes 3 % more sub-rays, at 4 more second echoes are lost."""
-_PER_RAY = 1150.0
+_PER_RAY = 1075.0
 """What a ray must buy, over the 3.5th power of the target, so that scenes/reference_forest and birch_walk come out at their
 target or below, from 0.03 to 0.08 m: in m-2.5, fitted."""
 _EVENNESS = 0.27

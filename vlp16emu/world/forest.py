@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -135,13 +135,14 @@ class Forest:
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
         self._seed, self._path, self._clearance_m, self._reach_m = seed, path, path_clearance_m, reach_m
         self.height_m, self.plants = height_m, plants or flora()
-        self._stems, self._layers, self._loose_stems = stems, layers, loose_stems
+        self._layers, self._loose_stems = layers, loose_stems
         self._detail = detail
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         kept = 2 * (4 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
         self._tile = lru_cache(maxsize=kept)(self._grow_tile)
         self._trees = lru_cache(maxsize=kept)(stems.trees)
+        self._crown = cache(stems.crown)
         self._stem_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_stems)
         self._discs = lru_cache(maxsize=kept)(
             lambda ix, iy: foot_discs(self._trees(ix, iy), table=self.plants.trees)
@@ -250,7 +251,7 @@ class Forest:
         names = trees[["cohort", "crown_class", "crown_variant"]].tolist()
         levels = self._crown_levels(trees).tolist()
         crowns = [
-            self._stems.crown(cohort, size, variant, level)
+            self._crown(cohort, size, variant, level)
             for (cohort, size, variant), level in zip(names, levels, strict=True)
         ]
         keys, shape = distinct(crowns)
