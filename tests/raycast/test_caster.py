@@ -1,11 +1,19 @@
 """Which caster is taken."""
 
 import logging
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
 
 import vlp16emu.raycast as room
+from vlp16emu.errors import RunError
 from vlp16emu.raycast.embree import EmbreeCaster
+from vlp16emu.raycast.embree_build import Grown, Solid
 from vlp16emu.raycast.embree_library import EmbreeMissingError, library_path
 from vlp16emu.raycast.plain import PlainCaster
+
+TASKS = Path("/proc/self/task")
 
 
 def test_the_library_of_the_wheel_is_taken(lab, workers):
@@ -24,3 +32,25 @@ def test_without_the_library_the_plain_class_steps_in(lab, workers, monkeypatch,
     with caplog.at_level(logging.WARNING):
         assert isinstance(room.caster(lab.soup, workers), PlainCaster)
     assert "libembree4.so: no such file" in caplog.text
+
+
+@pytest.mark.skipif(not TASKS.is_dir(), reason="the threads of a process are counted in /proc")
+def test_a_second_caster_starts_no_thread(lab):
+    """Beside a second device Embree keeps a thread busy for ever, so all casters of a process share one."""
+    window, shape = lab.upright((10.0, -1.0, 1.0, -1.0, 1.0))
+    with ThreadPoolExecutor(1) as worker:
+        first = EmbreeCaster(shape, worker)
+        scenes = [first.open(window)]
+        threads = len(list(TASKS.iterdir()))
+        scenes.append(EmbreeCaster(shape, worker).open(window))
+        assert len(list(TASKS.iterdir())) == threads
+
+
+def test_what_fails_on_a_worker_is_told(lab, workers):
+    """Embree tells an error only to the thread on which it happened; there it is asked for, and the run ends."""
+    _, shape = lab.upright((10.0, -1.0, 1.0, -1.0, 1.0))
+    grown = Grown(shape("all"))
+    no_number = 2**32 - 1
+    with pytest.raises(RunError, match="^Embree could not build a shape: invalid argument$"):
+        workers.submit(Solid, {no_number: grown.faces[0]}, [grown]).result()
+    workers.submit(Solid, {0: grown.faces[0]}, [grown]).result()

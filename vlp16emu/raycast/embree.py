@@ -1,6 +1,5 @@
 """Scenes of instanced shapes in Embree, kept from window to window."""
 
-import ctypes
 import threading
 import weakref
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
@@ -10,7 +9,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree_library as rtc
 from vlp16emu.raycast.adaptive import first_round
 from vlp16emu.raycast.baking import FEW_QUADS, Layout, Pile, baked, lay_out
@@ -35,9 +33,7 @@ class EmbreeScene:
     solids : of the layout's piles, then of its instances
     """
 
-    def __init__(
-        self, lib: ctypes.CDLL, device: int, window: Window, layout: Layout, solids: Sequence[Solid]
-    ) -> None:
+    def __init__(self, window: Window, layout: Layout, solids: Sequence[Solid]) -> None:
         self._solids = solids
         self.surfaces = window.surfaces
         unturned = np.broadcast_to(np.eye(3, dtype=np.float32), (len(layout.piles), 3, 3))
@@ -47,8 +43,8 @@ class EmbreeScene:
         )
         transforms[len(layout.piles) :] = relative_to_window(window)[layout.instances]
         self._motion, moving = motion_of(window, layout)
-        scene = placed(lib, device, solids, transforms, moving)
-        weakref.finalize(self, lib.rtcReleaseScene, scene)
+        scene = placed(solids, transforms, moving)
+        weakref.finalize(self, rtc.library().rtcReleaseScene, scene)
         self._target = Target(
             scene,
             window.origin_m,
@@ -153,12 +149,6 @@ class EmbreeCaster:
 
     def __init__(self, shape: Callable[[ShapeKey], tuple[Mesh, ...]], workers: Executor) -> None:
         self._grow, self._workers = shape, workers
-        self._lib = rtc.library()
-        # One thread per build keeps the order of primitives, and so every tie between two faces, the same.
-        self._device = self._lib.rtcNewDevice(b"threads=1,set_affinity=0")
-        if not self._device:
-            raise RunError(f"Embree gave no device: error {self._lib.rtcGetDeviceError(None)}")
-        weakref.finalize(self, self._lib.rtcReleaseDevice, self._device)
         self._grown: weakref.WeakValueDictionary[ShapeKey, Grown] = weakref.WeakValueDictionary()
         self._solids: weakref.WeakValueDictionary[ShapeKey, Solid] = weakref.WeakValueDictionary()
         self._lock = threading.Lock()
@@ -177,10 +167,7 @@ class EmbreeCaster:
             layout = lay_out(window, few)
             names = [*layout.piles, *(window.shapes[i] for i in window.shape[layout.instances])]
             solids = self._kept(self._solids, names, lambda name: self._solid(name, grown))
-            scene = EmbreeScene(self._lib, self._device, window, layout, [solids[name] for name in names])
-        if error := self._lib.rtcGetDeviceError(self._device):
-            raise RunError(f"Embree could not build the window: error {error}")
-        return scene
+            return EmbreeScene(window, layout, [solids[name] for name in names])
 
     def _kept(
         self, store: MutableMapping[ShapeKey, T], names: Sequence[ShapeKey], make: Callable[[ShapeKey], T]
@@ -196,5 +183,5 @@ class EmbreeCaster:
         """Build a pile, or a shape for its instances."""
         if isinstance(name, Pile):
             parts = [grown[key] for key in name.keys]
-            return Solid(self._lib, self._device, baked(name, [part.faces for part in parts]), parts)
-        return Solid(self._lib, self._device, dict(enumerate(grown[name].faces)), [grown[name]])
+            return Solid(baked(name, [part.faces for part in parts]), parts)
+        return Solid(dict(enumerate(grown[name].faces)), [grown[name]])

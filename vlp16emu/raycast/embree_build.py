@@ -1,6 +1,5 @@
 """What Embree scenes are built of: shapes with their buffers, and instances of them."""
 
-import ctypes
 import weakref
 from collections.abc import Mapping, Sequence
 
@@ -32,11 +31,15 @@ class Solid:
     ----------
     faces : by the number that hits shall tell
     made_of : is kept as long as the scene is
+
+    Raises
+    ------
+    RunError
+        where Embree fails
     """
 
-    def __init__(
-        self, lib: ctypes.CDLL, device: int, faces: Mapping[int, Faces], made_of: Sequence[Grown]
-    ) -> None:
+    def __init__(self, faces: Mapping[int, Faces], made_of: Sequence[Grown]) -> None:
+        lib, device = rtc.library(), rtc.device()
         self._faces, self._made_of = faces, made_of
         self.scene = lib.rtcNewScene(device)
         weakref.finalize(self, lib.rtcReleaseScene, self.scene)
@@ -57,11 +60,10 @@ class Solid:
             lib.rtcAttachGeometryByID(self.scene, geometry, number)
             lib.rtcReleaseGeometry(geometry)
         lib.rtcCommitScene(self.scene)
+        rtc.check("build a shape")
 
 
 def placed(
-    lib: ctypes.CDLL,
-    device: int,
     solids: Sequence[Solid],
     transforms: NDArray[np.float32],
     moving: Mapping[int, NDArray[np.float32]],
@@ -69,7 +71,13 @@ def placed(
     """Build the scene of instances of solids at `transforms` (n, 3, 4), numbered in their order; give its address.
 
     Those that are `moving` have their own transforms (k, 3, 4), evenly over ray times 0 to 1.
+
+    Raises
+    ------
+    RunError
+        where Embree fails
     """
+    lib, device = rtc.library(), rtc.device()
     scene: int = lib.rtcNewScene(device)
     lib.rtcSetSceneFlags(scene, rtc.SCENE_ROBUST)
     first = transforms.ctypes.data
@@ -84,4 +92,5 @@ def placed(
         lib.rtcAttachGeometryByID(scene, geometry, number)
         lib.rtcReleaseGeometry(geometry)
     lib.rtcCommitScene(scene)
+    rtc.check("build the window")
     return scene

@@ -10,7 +10,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-from vlp16emu.errors import Vlp16emuError
+from vlp16emu.errors import RunError, Vlp16emuError
 
 __all__ = [
     "BUFFER_INDEX",
@@ -24,6 +24,8 @@ __all__ = [
     "GEOMETRY_QUAD",
     "SCENE_ROBUST",
     "EmbreeMissingError",
+    "check",
+    "device",
     "library",
     "library_path",
 ]
@@ -41,7 +43,6 @@ FLAG_COHERENT = 1 << 16
 
 _SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "rtcNewDevice": (c_void_p, [c_char_p]),
-    "rtcReleaseDevice": (None, [c_void_p]),
     "rtcGetDeviceError": (c_int, [c_void_p]),
     "rtcGetDeviceProperty": (c_ssize_t, [c_void_p, c_int]),
     "rtcNewScene": (c_void_p, [c_void_p]),
@@ -61,6 +62,14 @@ _SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "rtcSetGeometryTimeStepCount": (None, [c_void_p, c_uint]),
     "rtcSetGeometryTransform": (None, [c_void_p, c_uint, c_int, c_void_p]),
     "rtcIntersect8": (None, [c_void_p, c_void_p, c_void_p, c_void_p]),
+}
+
+_ERRORS = {
+    1: "unknown error",
+    2: "invalid argument",
+    3: "invalid operation",
+    4: "out of memory",
+    5: "unsupported CPU",
 }
 
 
@@ -106,3 +115,40 @@ def library() -> ctypes.CDLL:
     except (OSError, AttributeError) as error:
         raise EmbreeMissingError(f"{path.name}: {error}") from None
     return lib
+
+
+@cache
+def device() -> int:
+    """Make the one device of the process; beside a second one Embree would keep a thread busy for ever.
+
+    Raises
+    ------
+    RunError
+        where Embree gives none
+    """
+    # One thread per build keeps the order of primitives, and so every tie between two faces, the same.
+    handle: int | None = library().rtcNewDevice(b"threads=1,set_affinity=0")
+    if handle is None:
+        raise RunError(f"Embree gave no device: {_told(library().rtcGetDeviceError(None))}")
+    return handle
+
+
+def check(doing: str) -> None:
+    """Look whether Embree failed on this thread: it tells errors to no other.
+
+    Parameters
+    ----------
+    doing : what it was to do
+
+    Raises
+    ------
+    RunError
+        where it failed, for instance because memory ran out
+    """
+    if error := library().rtcGetDeviceError(device()):
+        raise RunError(f"Embree could not {doing}: {_told(error)}")
+
+
+def _told(error: int) -> str:
+    """Say what an RTCError means."""
+    return _ERRORS.get(error, f"error {error}")
