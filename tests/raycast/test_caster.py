@@ -51,6 +51,6 @@ def test_what_fails_on_a_worker_is_told(lab, workers):
     _, shape = lab.upright((10.0, -1.0, 1.0, -1.0, 1.0))
     grown = Grown(shape("all"))
     no_number = 2**32 - 1
-    with pytest.raises(RunError, match="^Embree could not build a shape: invalid argument$"):
+    with pytest.raises(RunError, match=r"^Embree could not build a shape: invalid argument$"):
         workers.submit(Solid, {no_number: grown.faces[0]}, [grown]).result()
     workers.submit(Solid, {0: grown.faces[0]}, [grown]).result()
