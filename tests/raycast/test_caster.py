@@ -1,13 +1,18 @@
 """Which caster is taken."""
 
 import logging
+import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import vlp16emu.raycast as room
 from vlp16emu.errors import RunError
+from vlp16emu.raycast import embree_library
 from vlp16emu.raycast.embree import EmbreeCaster
 from vlp16emu.raycast.embree_build import Grown, Solid
 from vlp16emu.raycast.embree_library import EmbreeMissingError, library_path
@@ -44,6 +49,23 @@ def test_a_second_caster_starts_no_thread(lab):
         threads = len(list(TASKS.iterdir()))
         scenes.append(EmbreeCaster(shape, worker).open(window))
         assert len(list(TASKS.iterdir())) == threads
+
+
+def test_threads_that_ask_at_once_get_one_device(monkeypatch):
+    """Shapes are built on several workers, each of which asks for the device: only the first makes one."""
+    made, both = [], threading.Barrier(2)
+
+    def new_device(_settings):
+        made.append(len(made) + 1)
+        with suppress(threading.BrokenBarrierError):
+            both.wait(0.2)  # for a second one in here
+        return made[-1]
+
+    monkeypatch.setattr(embree_library, "library", lambda: SimpleNamespace(rtcNewDevice=new_device))
+    monkeypatch.setattr(embree_library, "_new_device", cache(embree_library._new_device.__wrapped__))
+    with ThreadPoolExecutor(2) as pool:
+        assert [asked.result() for asked in [pool.submit(embree_library.device) for _ in range(2)]] == [1, 1]
+    assert made == [1]
 
 
 def test_what_fails_on_a_worker_is_told(lab, workers):

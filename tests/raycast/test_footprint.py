@@ -16,6 +16,17 @@ def unit_points(lab, pulses, rays, first=0, seed=7, model="fixed"):
     return origin_m[:, 1:].reshape(pulses, rays, 2) * [-1, 1]
 
 
+def times_better_on_an_edge(points):
+    """RMS error of the share beyond a straight edge by random points, over that by points (pulses, rays, 2)."""
+    pulses, rays, _ = points.shape
+    rng = np.random.default_rng(1)
+    tilt, edge = rng.uniform(0, 2 * np.pi, (pulses, 1)), rng.uniform(-1.5, 1.5, (pulses, 1))
+    beyond = points[..., 0] * np.cos(tilt) + points[..., 1] * np.sin(tilt) > edge
+    share = norm.sf(edge)
+    error = np.sqrt(((beyond.mean(1, keepdims=True) - share) ** 2).mean())
+    return np.sqrt((share * (1 - share) / rays).mean()) / error
+
+
 @pytest.mark.parametrize("i", [0, 1, 31])
 def test_each_sub_ray_alone_is_a_fair_draw_from_the_profile(lab, i):
     """Over pulses, sub-ray i has two independent standard normal coordinates."""
@@ -29,14 +40,7 @@ def test_each_sub_ray_alone_is_a_fair_draw_from_the_profile(lab, i):
 @pytest.mark.parametrize(("rays", "times"), [(8, 1.5), (16, 1.8), (32, 2.2), (33, 2.2), (64, 2.6)])
 def test_means_over_any_first_sub_rays_are_nearer_than_random_ones(lab, rays, times):
     """The RMS error of the share beyond a straight edge is below that of random points by a factor that grows."""
-    points = unit_points(lab, 3000, rays)
-    rng = np.random.default_rng(1)
-    tilt, edge = rng.uniform(0, 2 * np.pi, (3000, 1)), rng.uniform(-1.5, 1.5, (3000, 1))
-    beyond = points[..., 0] * np.cos(tilt) + points[..., 1] * np.sin(tilt) > edge
-    share = norm.sf(edge)
-    error = np.sqrt(((beyond.mean(1, keepdims=True) - share) ** 2).mean())
-    by_chance = np.sqrt((share * (1 - share) / rays).mean())
-    assert by_chance / error > times
+    assert times_better_on_an_edge(unit_points(lab, 3000, rays)) > times
 
 
 def test_rounds_of_an_adaptive_beam_lie_by_eighths(lab):
@@ -58,12 +62,7 @@ def test_rounds_with_the_middle_are_as_good(lab, rays, times):
     """Whole rounds that begin with the middle of the light tell the share beyond an edge as well as other points."""
     points = unit_points(lab, 3000, rays, model="adaptive")
     points[:, 0] = 0.0
-    rng = np.random.default_rng(1)
-    tilt, edge = rng.uniform(0, 2 * np.pi, (3000, 1)), rng.uniform(-1.5, 1.5, (3000, 1))
-    beyond = points[..., 0] * np.cos(tilt) + points[..., 1] * np.sin(tilt) > edge
-    share = norm.sf(edge)
-    error = np.sqrt(((beyond.mean(1, keepdims=True) - share) ** 2).mean())
-    assert np.sqrt((share * (1 - share) / rays).mean()) / error > times
+    assert times_better_on_an_edge(points) > times
 
 
 def test_pulses_are_turned_differently(lab):

@@ -5,7 +5,8 @@ its wheel carries offers all three. Numbers and signatures: Embree 4.4, `rtcore_
 """
 
 import ctypes
-from ctypes import c_char_p, c_int, c_size_t, c_ssize_t, c_uint, c_void_p
+import threading
+from ctypes import c_char_p, c_int, c_size_t, c_uint, c_void_p
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -44,7 +45,6 @@ FLAG_COHERENT = 1 << 16
 _SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "rtcNewDevice": (c_void_p, [c_char_p]),
     "rtcGetDeviceError": (c_int, [c_void_p]),
-    "rtcGetDeviceProperty": (c_ssize_t, [c_void_p, c_int]),
     "rtcNewScene": (c_void_p, [c_void_p]),
     "rtcSetSceneFlags": (None, [c_void_p, c_int]),
     "rtcSetSceneBuildQuality": (None, [c_void_p, c_int]),
@@ -64,6 +64,7 @@ _SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "rtcIntersect8": (None, [c_void_p, c_void_p, c_void_p, c_void_p]),
 }
 
+_MAKING = threading.Lock()
 _ERRORS = {
     1: "unknown error",
     2: "invalid argument",
@@ -117,15 +118,21 @@ def library() -> ctypes.CDLL:
     return lib
 
 
-@cache
 def device() -> int:
-    """Make the one device of the process; beside a second one Embree would keep a thread busy for ever.
+    """Give the one device of the process; beside a second one Embree would keep a thread busy for ever.
 
     Raises
     ------
     RunError
         where Embree gives none
     """
+    with _MAKING:  # the cache alone would let two threads make one each
+        return _new_device()
+
+
+@cache
+def _new_device() -> int:
+    """Make a device."""
     # One thread per build keeps the order of primitives, and so every tie between two faces, the same.
     handle: int | None = library().rtcNewDevice(b"threads=1,set_affinity=0")
     if handle is None:

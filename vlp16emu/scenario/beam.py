@@ -20,7 +20,8 @@ class Beam(Section):
     its middle (`none`). `angle` and `offset` are one ray with the beam errors of LiDAR-Forest (Lu et al.):
     its direction drawn from the profile, or its hit displaced inside the beam."""
     rays: Annotated[int, Field(ge=2, le=4096)] = 64
-    """Sub-rays of a fixed beam, and the most of an adaptive one, which casts them by rounds of eight."""
+    """Sub-rays of a fixed beam, and the most of an adaptive one, which casts them by rounds of eight: best a multiple
+    of eight, for a round that is cut short weighs the middle of the light more."""
     target_m: Annotated[float, Field(gt=0, le=1)] = 0.05
     """Mean error of the strongest echo's range that an adaptive beam aims at, where another echo taken for it counts
     as the detector's resolution."""
