@@ -91,8 +91,7 @@ class ExactHall:
 
     def cast(self, firings, near_m, _far_m, beam=LINE):
         """Cast pulses as `EmbreeScene.cast` does; nothing in the hall is out of reach."""
-        reflectance = np.ascontiguousarray(self.surfaces["reflectance"])
-        return cast_slowly(self._rays, firings, near_m, beam, reflectance)
+        return cast_slowly(self._rays, firings, near_m, beam, self.surfaces)
 
     def _rays(self, o, d, *_):
         world = self._world

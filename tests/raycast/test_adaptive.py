@@ -8,7 +8,7 @@ import pytest
 from vlp16emu.raycast.adaptive import enough
 from vlp16emu.raycast.embree import EmbreeCaster
 from vlp16emu.raycast.footprint import ROUND
-from vlp16emu.types import NO_SURFACE
+from vlp16emu.types import NO_SURFACE, Semantic
 
 WHITE = np.ones(1, np.float32)
 
@@ -104,6 +104,27 @@ def test_rays_go_where_the_footprint_is_split(lab, walls):
     assert (hits.count[~one] >= ROUND).all()
     first = np.cumsum(hits.count) - hits.count.reshape(-1)
     assert (hits.range_m[first] == line.range_m.reshape(-1)).all()
+
+
+@pytest.mark.parametrize("reach_m", [20.0, 100.0])
+def test_among_plants_pulses_are_judged_to_40_m(lab, workers, reach_m):
+    """A wall gets one ray per pulse, but a round beyond 40 m where a shrub stands; its first is the middle, bit by bit."""
+    firings, beam = lab.level_pulses(np.arange(-16, 16) * 0.035), lab.beam("adaptive")
+    for semantic, wall_m, most in (
+        (Semantic.OTHER, 45.0, 1),
+        (Semantic.SHRUB, 39.0, 1),
+        (Semantic.SHRUB, 45.0, 8),
+    ):
+        window, shape = lab.upright((wall_m, -9.0, 9.0, -9.0, 9.0))
+        window.surfaces["semantic"] = semantic
+        scene = EmbreeCaster(shape, workers).open(window)
+        line = scene.cast(firings, np.zeros(1), reach_m)
+        hits = scene.cast(firings, np.zeros(1), reach_m, beam)
+        if wall_m < reach_m:
+            assert (hits.count == most).all()
+            assert (hits.range_m[::most] == line.range_m).all()
+        else:
+            assert np.isinf(hits.range_m).all()
 
 
 def test_a_finer_target_takes_more_rays_and_no_target_more_than_it_may(lab, walls):

@@ -5,10 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from vlp16emu.raycast import LINE
+from vlp16emu.raycast import LINE, adaptive
 from vlp16emu.raycast.embree import EmbreeCaster
 from vlp16emu.raycast.plain import PlainCaster
 from vlp16emu.raycast.reference import ReferenceCaster
+from vlp16emu.types import Semantic
 
 MODELS = ["none", "fixed", "adaptive", "angle", "offset"]
 
@@ -34,6 +35,20 @@ def test_hits_are_those_of_the_slow_twin(lab, workers, model):
     fast = cast(EmbreeCaster(lab.soup, workers), lab, firings, beam)
     slow = cast(ReferenceCaster(lab.soup), lab, firings, beam)
     assert_same(fast, slow, range_m=2e-5)
+
+
+def test_among_plants_hits_are_those_of_the_slow_twin(lab, workers, monkeypatch):
+    """Pulses that are judged to 0.57 m only get the rays and hits of the slow caster, which follows their middles at once."""
+    monkeypatch.setattr(adaptive, "_JUDGED_M", 0.57)
+    firings, beam, window = lab.pulses(8), lab.beam("adaptive", rays=12), lab.placed(30)
+    window.surfaces["semantic"] = Semantic.TREE
+    fast = EmbreeCaster(lab.soup, workers).open(window).cast(firings, lab.near_m, lab.far_m, beam)
+    slow = ReferenceCaster(lab.soup).open(window).cast(firings, lab.near_m, lab.far_m, beam)
+    assert_same(fast, slow, range_m=2e-5)
+    first = np.cumsum(fast.count) - fast.count.reshape(-1)
+    beyond = np.isfinite(fast.range_m[first]) & (fast.range_m[first] > 0.57)
+    assert 10 < beyond.sum() < 118
+    assert (fast.count.reshape(-1)[beyond] >= 8).all()
 
 
 @pytest.mark.parametrize("model", MODELS)

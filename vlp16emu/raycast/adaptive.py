@@ -5,6 +5,9 @@ that of the footprint's edge or more, lie on one smooth surface? Then the one ra
 range, and sub-rays would tell the same. Otherwise it is the first of a round of `ROUND` sub-rays, and after each
 round: what is the range of the strongest echo still worth?
 
+Among plants the first question is not asked far away, for the answer is known: of pulses that reach 40 m in
+`scenes/reference_forest` nineteen in twenty are split. There the ray along the middle goes on as one of its round.
+
 The error that is meant is the mean absolute error of the strongest echo's range, where another echo taken for it
 counts as the resolution. It is estimated for each pulse; if estimates fall as 1/n with the number of sub-rays, rays
 are best spent where the last ray of every pulse buys the same, estimate / n = constant, and the mean error falls as
@@ -18,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.footprint import ROUND, Footprint
-from vlp16emu.types import NO_SURFACE, Firings
+from vlp16emu.types import NO_SURFACE, Firings, Semantic
 
-__all__ = ["enough", "first_round"]
+__all__ = ["enough", "first_round", "judged_to"]
 
 _NONE = np.uint32(NO_SURFACE)
 _BEND = 2.0
@@ -31,6 +34,15 @@ _PER_RAY = 1075.0
 target or below, from 0.03 to 0.08 m: in m-2.5, fitted."""
 _EVENNESS = 0.27
 """Variance of a share by a round or two of sub-rays over that by random points; see `footprint`."""
+_JUDGED_M = 40.0
+"""How far pulses are judged by their middles among plants. Half a per cent more sub-rays than at 100 m, for 5 to 17 % less
+time; 30 m takes 1.3 % more in the same time."""
+
+
+def judged_to(surfaces: NDArray[np.void]) -> float:
+    """Range in metres up to which the rays along the middles tell whether a pulse is split; beyond it is."""
+    plants = np.isin(surfaces["semantic"], (Semantic.TREE, Semantic.SHRUB))
+    return _JUDGED_M if plants.any() else math.inf
 
 
 def first_round(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast import embree_library as rtc
-from vlp16emu.raycast.adaptive import first_round
+from vlp16emu.raycast.adaptive import first_round, judged_to
 from vlp16emu.raycast.baking import FEW_QUADS, Layout, Pile, baked, lay_out
 from vlp16emu.raycast.embree_build import Grown, Solid, placed
 from vlp16emu.raycast.embree_kernel import PACKET, Light, Target, Wish, cast_packets, cast_sub_rays
@@ -53,6 +53,7 @@ class EmbreeScene:
             self._motion.shear,
             np.ascontiguousarray(window.surfaces["reflectance"]),
         )
+        self._judged_m = judged_to(window.surfaces)
 
     def cast(
         self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
@@ -85,13 +86,15 @@ class EmbreeScene:
                 none = np.zeros(shape, np.int64)
                 lines = [ray.reshape(*shape, 3) for ray in sub_rays(firings, beam, none, none + 1)]
                 middle = self._middles(lines[0], lines[1], firings.t_ns, near_m, far_m)
+            case BeamModel.ADAPTIVE:
+                judged_m = min(self._judged_m, far_m)
+                middle = self._middles(firings.origin_m, firings.direction, firings.t_ns, near_m, judged_m)
+                wish = first_round(firings, middle[0], middle[2], beam)
+                return self._sub_rays(firings, near_m, far_m, beam, wish, middle)
             case _:
                 middle = self._middles(firings.origin_m, firings.direction, firings.t_ns, near_m, far_m)
         if beam.model is BeamModel.OFFSET:
             displace(middle[0], beam, firings.index)
-        if beam.model is BeamModel.ADAPTIVE:
-            wish = first_round(firings, middle[0], middle[2], beam)
-            return self._sub_rays(firings, near_m, far_m, beam, wish, middle)
         return Hits.one_ray_each(*middle)
 
     def _middles(
@@ -127,6 +130,7 @@ class EmbreeScene:
             self._motion.times(firings.t_ns),
             near_m,
             far_m,
+            self._judged_m,
             beam.quarters,
             beam.seed,
             firings.index,

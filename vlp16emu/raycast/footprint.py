@@ -151,7 +151,8 @@ def sub_ray(
         outward = inner if i % ROUND == 0 else np.uint32(outward - inner + _FIRST_PART)
     ring = outward >> _SHIFT
     way = np.uint32(v + np.uint32(i) * _STEP_V) >> _SHIFT
-    x, y = _RADIUS[ring] * _COS[way], _RADIUS[ring] * _SIN[way]
+    radius = 0.0 if by_rounds and i == 0 else _RADIUS[ring]
+    x, y = radius * _COS[way], radius * _SIN[way]
     x_m, y_m, lean_x, lean_y = x * quarters[0], y * quarters[1], x * quarters[2], y * quarters[3]
     scale = 1.0 / math.sqrt(1.0 + lean_x * lean_x + lean_y * lean_y)
     return (

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.adaptive import enough, first_round
+from vlp16emu.raycast.adaptive import enough, first_round, judged_to
 from vlp16emu.raycast.footprint import LINE, ROUND, BeamModel, Footprint, displace, sub_rays
 from vlp16emu.types import Firings, Hits, Window
 
@@ -39,7 +39,7 @@ class SlowScene(ABC):
             """Cast rays from origins in the world."""
             return self._rays(origin_m - self._origin_m, direction, near, far_m, t_ns)
 
-        return cast_slowly(cast, firings, near_m, beam, np.ascontiguousarray(self.surfaces["reflectance"]))
+        return cast_slowly(cast, firings, near_m, beam, self.surfaces)
 
     @abstractmethod
     def _rays(
@@ -58,13 +58,13 @@ def cast_slowly(
     firings: Firings,
     near_m: NDArray[np.float64],
     beam: Footprint,
-    reflectance: NDArray[np.float32],
+    surfaces: NDArray[np.void],
 ) -> Hits:
     """Cast pulses of any beam model; the arguments are those of `EmbreeScene.cast`.
 
     Parameters
     ----------
-    reflectance : (m,) of the window's surfaces
+    surfaces : (m,) the window's, as in `SURFACE`
     """
     shape = firings.t_ns.shape
     near, t_ns = np.broadcast_to(near_m, shape), firings.t_ns
@@ -86,7 +86,7 @@ def cast_slowly(
     if beam.model is BeamModel.OFFSET:
         displace(range_m, beam, firings.index)
     if beam.model is BeamModel.ADAPTIVE:
-        return _by_rounds(cast, firings, near, beam, reflectance, (range_m, surface, cosine))
+        return _by_rounds(cast, firings, near, beam, surfaces, (range_m, surface, cosine))
     return Hits.one_ray_each(range_m, surface, cosine)
 
 
@@ -95,12 +95,17 @@ def _by_rounds(
     firings: Firings,
     near: NDArray[np.float64],
     beam: Footprint,
-    reflectance: NDArray[np.float32],
+    surfaces: NDArray[np.void],
     middle: Met,
 ) -> Hits:
     """Cast sub-rays where the rays along the middles are not enough, a round of all pulses at a time."""
-    done = np.ones(near.shape, np.int64)
-    wanted = first_round(firings, middle[0], middle[2], beam).astype(np.int64)
+    done, reflectance = np.ones(near.shape, np.int64), np.ascontiguousarray(surfaces["reflectance"])
+    judged = middle[0] <= judged_to(surfaces)
+    judged_m, cosine = (
+        np.where(judged, middle[0], np.float32(np.inf)),
+        np.where(judged, middle[2], np.float32(0)),
+    )
+    wanted = first_round(firings, judged_m, cosine, beam).astype(np.int64)
     met: dict[tuple[int, ...], Met] = {
         (i, j): (middle[0][i, j : j + 1], middle[1][i, j : j + 1], middle[2][i, j : j + 1])
         for i, j in np.ndindex(near.shape)
