@@ -61,7 +61,7 @@ class Emulator:
         ScenarioError
             where the sensor has no packets
         TrajectoryError
-            where the walk is over before `stop_s`
+            where the span begins before the first pulse, or the walk is over before it ends
         """
         on_the_wire(self.scenario.sensor)
         streams, span_ns = list[Iterator[Packet]](), self._span_ns(start_s, stop_s)
@@ -83,17 +83,18 @@ class Emulator:
     def _span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
         """Check a span and put it into nanoseconds since the first pulse."""
         stop_s = self.scenario.duration_s if stop_s is None else stop_s
+        if not start_s >= 0:
+            raise TrajectoryError("start", f"found {start_s:g} s", "0 s or later")
         if stop_s > (end_s := self.parts.motion.run_time_s):
             raise TrajectoryError("duration", f"found {stop_s:g} s", f"at most the walk's {end_s:.1f} s")
         return seconds_to_ns(start_s), seconds_to_ns(stop_s)
 
     def _scan(self, unit: Unit, block: int, opened: Future[Scene]) -> Returns:
         """Emit and receive one block of pulses."""
-        head, far_m = unit.head, unit.section.max_range_m
-        count = self.cut.block
+        head, count = unit.head, self.cut.block
         firings = head.aim(block * count, count, unit.motion.poses_at, across=unit.beam.has_width)
         scene = opened.result()
-        hits = scene.cast(firings, head.beams.near_m, far_m, unit.beam)
+        hits = scene.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
         if self._audit:
             self._audit(unit, firings, hits, scene)
         return detect(firings, hits, scene.surfaces, unit.detector, truth=self._truth)
@@ -112,8 +113,7 @@ class Emulator:
         # Packet p is due at (p + 1) periods.
         first, last = (max(0, -(-ns // period_ns) - 1) for ns in (start_ns, stop_ns))
         blocks = range(first // per_block, -(-last // per_block))
-        threads = self._threads // len(self.parts.units) or 1
-        packed = ahead(pack, self.windows, blocks=blocks, threads=threads)
+        packed = ahead(pack, self.windows, blocks=blocks, threads=self._threads // len(self.parts.units) or 1)
         for block, packets in zip(blocks, packed, strict=True):
             number = block * per_block
             yield from packets[max(0, first - number) : last - number]

@@ -8,13 +8,14 @@ from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import vlp16emu.raycast as room
 from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree_library
 from vlp16emu.raycast.embree import EmbreeCaster
-from vlp16emu.raycast.embree_build import Grown, Solid
+from vlp16emu.raycast.embree_build import Grown, Solid, placed
 from vlp16emu.raycast.embree_library import EmbreeMissingError, library_path
 from vlp16emu.raycast.plain import PlainCaster
 
@@ -76,3 +77,24 @@ def test_what_fails_on_a_worker_is_told(lab, workers):
     with pytest.raises(RunError, match=r"^Embree could not build a shape: invalid argument$"):
         workers.submit(Solid, {no_number: grown.faces[0]}, [grown]).result()
     workers.submit(Solid, {0: grown.faces[0]}, [grown]).result()
+
+
+def test_a_window_that_fails_leaves_nothing_behind(monkeypatch):
+    """Where Embree cannot build a window, the scene that was begun is given back before the error is told."""
+    real, released = embree_library.library(), []
+
+    class Watched:
+        """The library, with an eye on what is given back."""
+
+        def __getattr__(self, name):
+            return released.append if name == "rtcReleaseScene" else getattr(real, name)
+
+    def fails(doing):
+        raise RunError(f"Embree could not {doing}: out of memory")
+
+    monkeypatch.setattr(embree_library, "library", Watched)
+    monkeypatch.setattr(embree_library, "check", fails)
+    with pytest.raises(RunError, match=r"^Embree could not build the window: out of memory$"):
+        placed([], np.zeros((0, 3, 4), np.float32), {})
+    assert len(released) == 1
+    real.rtcReleaseScene(released[0])

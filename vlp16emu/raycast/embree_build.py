@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree_library as rtc
 from vlp16emu.raycast.embree_sway import set_steps
 from vlp16emu.raycast.quads import Faces, faces_of
@@ -92,5 +93,9 @@ def placed(
         lib.rtcAttachGeometryByID(scene, geometry, number)
         lib.rtcReleaseGeometry(geometry)
     lib.rtcCommitScene(scene)
-    rtc.check("build the window")
+    try:
+        rtc.check("build the window")
+    except RunError:
+        lib.rtcReleaseScene(scene)
+        raise
     return scene
