@@ -112,6 +112,23 @@ def test_impossible_wishes_are_refused():
     assert str(caught.value) == "stop: found 60.1 m along the path; expected from 0 to its length, 60.00 m"
 
 
+@pytest.mark.parametrize(
+    ("wish", "found"),
+    [
+        ({"stops": [Stop(20.0, 1e300)]}, "1e+300"),
+        ({"stops": [Stop(20.0, 2e6)]}, "2.00005e+06"),
+        ({"speed_m_s": 1e-5}, "6.004e+06"),
+        ({"speed_m_s": 1e-300}, "inf"),
+        ({"turn": one_bend, "yaw_rate_rad_s": 1e-300}, "inf"),
+    ],
+)
+def test_a_walk_of_more_than_two_weeks_is_refused(wish, found):
+    """A stop or a speed with which the person would be under way for ever is named, and no memory is taken for it."""
+    with pytest.raises(TrajectoryError) as caught:
+        profile(**wish)
+    assert str(caught.value) == f"run time: found {found} s; expected at most 1209600 s, with its stops"
+
+
 @pytest.mark.parametrize("length_m", [1e-6, 0.01, 0.5, 20_000.0])
 def test_short_and_long_ways_are_finite(length_m):
     """From a micrometre to 20 km the person arrives."""

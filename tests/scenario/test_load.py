@@ -2,10 +2,13 @@
 
 from pathlib import Path
 
+import dpkt
 import pytest
 
 from vlp16emu.errors import ScenarioError
 from vlp16emu.scenario import load
+from vlp16emu.sinks import PcapSink
+from vlp16emu.types import Packet, PacketKind
 
 SCENE = """\
 schema = 1
@@ -124,6 +127,10 @@ BAD_SETTINGS = [
     ("=3", "--set =3: no assignment; expected key.path=value"),
     ("title.short=x", "--set title.short=x: title is no table; expected table names before the last dot"),
     ("duration_s=-1", "--set duration_s=-1: found -1; expected a number above 0 and at most 604800"),
+    (
+        "sensor.powered_for_s=1e300",
+        "--set sensor.powered_for_s=1e300: found 1e+300; expected a number from 0 to 1000000000",
+    ),
     (
         "motion.way_points_m=[[0, 0], [nan, 1]]",
         "--set motion.way_points_m=[[0, 0], [nan, 1]]: motion.way_points_m[1][0]: found nan; expected a finite number",
@@ -249,6 +256,38 @@ def test_a_scenario_cannot_be_changed(tmp_path):
     scenario = load(str(written(tmp_path, SCENE)))
     with pytest.raises(ValueError, match="frozen"):
         scenario.sensor.rpm = 300
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        "0001-01-01T00:00:00+14:00",
+        "1969-12-31T23:59:58+00:00",
+        "1970-01-01T00:00:00+00:01",
+        "2106-01-01T00:00:00+00:00",
+        "2105-12-31T23:59:59-01:00",
+        "9999-12-31T23:59:59-14:00",
+    ],
+)
+def test_a_start_that_no_capture_can_be_stamped_with_is_told(tmp_path, start):
+    """A start before 1970 or after 2105 in UTC is refused, whatever its offset."""
+    with pytest.raises(ScenarioError) as caught:
+        load(str(written(tmp_path, SCENE)), [f"start_utc={start}"])
+    expected = "a time from 1970 to 2105, as captures can be stamped with"
+    assert str(caught.value) == f"--set start_utc={start}: found {start}; expected {expected}"
+
+
+@pytest.mark.parametrize("start", ["1970-01-01T00:00:00Z", "2105-12-31T23:59:59Z"])
+def test_the_longest_run_from_the_first_and_the_last_start_fits_a_capture(tmp_path, start):
+    """From either end a packet two weeks later, the latest there is, is stamped in 32 bits without sign."""
+    start_ns = load(str(written(tmp_path, SCENE)), [f"start_utc={start}"]).start_ns
+    due_ns = start_ns + 14 * 86_400 * 10**9
+    path = tmp_path / "late.pcap"
+    with PcapSink(path, [0]) as sink:
+        sink.send(Packet(PacketKind.DATA, start_ns, bytes(1206)))
+        sink.send(Packet(PacketKind.DATA, due_ns, bytes(1206)))
+    with path.open("rb") as file:
+        assert [int(stamp_s) for stamp_s, _ in dpkt.pcap.Reader(file)] == [start_ns // 10**9, due_ns // 10**9]
 
 
 def test_start_is_exact_in_nanoseconds(tmp_path):

@@ -58,3 +58,13 @@ def test_what_is_missing_or_told_twice_is_refused(tmp_path, motion, key, expecte
     with pytest.raises(ScenarioError) as caught:
         load(path)
     assert str(caught.value) == f"{path}: {key}: found a table; expected {expected}"
+
+
+@pytest.mark.parametrize("rate_hz", ["1e-300", "1e300"])
+def test_poses_come_at_a_rate_that_time_can_tell(tmp_path, rate_hz):
+    """A rate of poses whose times would not fit into nanoseconds is refused before the file is read."""
+    path = scene(tmp_path, f'kind = "recorded"\nfile = "p"\nformat = "kitti"\nrate_hz = {rate_hz}')
+    with pytest.raises(
+        ScenarioError, match=r"rate_hz: found 1e[-+]300; expected a number from 0\.001 to 1000000$"
+    ):
+        load(path)

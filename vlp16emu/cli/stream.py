@@ -37,13 +37,18 @@ if TYPE_CHECKING:
 
 __all__ = ["stream"]
 
+_SLOWEST = 0.001
+"""A simulated second in a quarter of an hour."""
+
 To = Annotated[str, typer.Option("--to", metavar="HOST", help="Receiver; may be a broadcast address.")]
 Speed = Annotated[
     float,
     typer.Option(
         "--speed",
         metavar="X",
-        parser=checked("--speed", float, lambda x: 0 < x < math.inf, "a number above 0"),
+        parser=checked(
+            "--speed", float, lambda x: _SLOWEST <= x < math.inf, f"a number from {_SLOWEST:g} on"
+        ),
         help="Simulated seconds per second.",
     ),
 ]

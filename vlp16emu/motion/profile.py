@@ -29,6 +29,8 @@ _REACH = 3
 _CELL_M = 0.02
 _LOOKS = 4
 """Length over which acceleration is constant before smoothing, and how often turns are looked up in it."""
+_LONGEST_S = 14 * 86_400
+"""The latest start of a run and the longest run together."""
 _HALVINGS = 24
 """Of the range of cruise speeds, when the run time is given."""
 
@@ -73,7 +75,7 @@ class Profile:
     Raises
     ------
     TrajectoryError
-        where a stop is not on the way, or the run time is too short
+        where a stop is not on the way, the run time is too short, or the person would be under way for over two weeks
     """
 
     def __init__(
@@ -152,7 +154,8 @@ class _Leg:
 
     def times_s(self, speeds_m_s: Array) -> Array:
         """Give the times (n,) at the cells' edges since the leg began, at constant acceleration in each cell."""
-        return np.concatenate([[0.0], np.cumsum(2 * self._cell_m / (speeds_m_s[1:] + speeds_m_s[:-1]))])
+        with np.errstate(divide="ignore", over="ignore"):  # at speeds that are nothing it takes for ever
+            return np.concatenate([[0.0], np.cumsum(2 * self._cell_m / (speeds_m_s[1:] + speeds_m_s[:-1]))])
 
 
 def _rests(stops: Sequence[Stop], length_m: float) -> tuple[Array, Array]:
@@ -202,6 +205,10 @@ def _sampled(legs: Sequence[_Leg], pauses_s: Array, cruise_m_s: float) -> tuple[
         runs.append((leg.at_m, speeds, times))
         begin_s += times[-1] + pause_s
     duration_s = begin_s
+    if not duration_s <= _LONGEST_S:
+        raise TrajectoryError(
+            "run time", f"found {duration_s:g} s", f"at most {_LONGEST_S} s, with its stops"
+        )
     # Control point j stands at (j - 2) steps, and the person sets off two steps after the start.
     count = math.ceil((duration_s + _PADDING_S) / _KNOT_S) + 6
     at_s = (np.arange(count) - 4) * _KNOT_S

@@ -21,6 +21,10 @@ from vlp16emu.units import S_NS, US_NS
 
 __all__ = ["Scenario"]
 
+_FIRST_START = datetime(1970, 1, 1, tzinfo=UTC)
+_NO_START = datetime(2106, 1, 1, tzinfo=UTC)
+"""Seconds of a pcap file are 32 bits without sign and end 37 days later, farther off than any run reaches."""
+
 
 class Scenario(Section):
     """Everything that decides the bytes of a run."""
@@ -32,7 +36,7 @@ class Scenario(Section):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of all randomness: same scenario and seed, same bytes."""
     start_utc: AwareDatetime = datetime(2026, 5, 20, 9, 0, tzinfo=UTC)
-    """When the first pulse is fired."""
+    """When the first pulse is fired, from 1970 to 2105."""
     duration_s: Annotated[float, Field(gt=0, le=7 * 86400)] = 10.0
     """How long a recording is unless the command says otherwise."""
     sensor: AnySensor = Sensor()
@@ -49,6 +53,13 @@ class Scenario(Section):
     world: World
     wind: Wind | None = None
     """What makes the trees sway; none in a hall."""
+
+    @field_validator("start_utc")
+    @classmethod
+    def _fits_a_capture(cls, start_utc: datetime) -> datetime:
+        if not _FIRST_START <= start_utc < _NO_START:
+            raise ValueError("a time from 1970 to 2105, as captures can be stamped with")
+        return start_utc
 
     @field_validator("gps")
     @classmethod
@@ -90,7 +101,7 @@ class Scenario(Section):
     @property
     def start_ns(self) -> int:
         """UTC of the first pulse, ns since 1970."""
-        since = self.start_utc.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)
+        since = self.start_utc.astimezone(UTC) - _FIRST_START
         return (since.days * 86400 + since.seconds) * S_NS + since.microseconds * US_NS
 
 

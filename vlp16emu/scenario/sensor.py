@@ -13,7 +13,7 @@ from pydantic import (
 )
 
 from vlp16emu.errors import ScenarioError
-from vlp16emu.scenario.section import NonNegative, Section
+from vlp16emu.scenario.section import Section
 
 __all__ = ["AnySensor", "FreeSensor", "Lidar", "Sensor", "on_the_wire"]
 
@@ -53,7 +53,7 @@ class Lidar(Section):
     """Rotor angle at which that error crosses zero upwards."""
     azimuth_noise_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.005
     """White error of each azimuth reading, one sigma. 0 switches it off."""
-    powered_for_s: NonNegative = 0.0
+    powered_for_s: Annotated[float, Field(ge=0, le=1_000_000_000)] = 0.0
     """Time since power-up when the run begins; without GPS the sensor's clock counts from power-up."""
     clock_error_ppm: Annotated[float, Field(ge=-100, le=100)] = 0.0
     """How much the free-running clock is fast; a clock locked to GPS has no such error."""

@@ -94,7 +94,7 @@ class Recorded(Section):
     """t x y z qx qy qz qw; CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz, qw; 12 numbers of a matrix."""
     times_file: SceneFile | None = None
     """Time of each KITTI pose in seconds, one to a line."""
-    rate_hz: Positive | None = None
+    rate_hz: Annotated[float, Field(ge=0.001, le=1_000_000)] | None = None
     """Of KITTI poses, where no file tells their times."""
     max_gap_s: Positive = 1.0
     """Poses farther apart in time are refused."""
