@@ -125,6 +125,17 @@ def test_of_too_few_clusters_nothing_is_said():
     assert tally.range_rmse_interval_m is not None
 
 
+@pytest.mark.parametrize("off_m", np.arange(1, 33) / 64)
+def test_clusters_that_err_alike_leave_no_doubt(off_m):
+    """Where all clusters have the same mean square the interval is that square's root alone, however it is rounded."""
+    tally, answer, got = Tally(), told(*[30.0] * 7), told(*[30.0 + off_m] * 7)
+    for _ in range(8):
+        tally.add(compare(answer, got, RESOLUTION_M))
+    assert tally.range_rmse_m == pytest.approx(off_m, abs=1e-6)
+    interval = tally.range_rmse_interval_m
+    assert (interval.low, interval.high) == pytest.approx((off_m, off_m), abs=1e-6)
+
+
 def test_the_front_keeps_what_nothing_beats():
     """A setting that another one beats in both error and run time is not on the front, whatever the order; nor is a beam error."""
     errant = row("errant", 0.5, 0.02, Kind.BEAM_ERROR)

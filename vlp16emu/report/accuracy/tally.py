@@ -82,7 +82,8 @@ class Tally:
             return None
         mean = self.squares_um2 / self.matched
         away = self.squares_2_um4 - 2 * mean * self.squares_matched_um2 + mean**2 * self.matched_2
-        relative = math.sqrt(away * self.clusters / (self.clusters - 1)) / self.squares_um2
+        # Where all clusters err alike, rounding may leave a hair less than nothing.
+        relative = math.sqrt(max(away, 0.0) * self.clusters / (self.clusters - 1)) / self.squares_um2
         carrying = self.squares_um2**2 / self.squares_2_um4
         reach = relative * float(stdtrit(max(carrying / 4, 1.0), 0.5 + _CONFIDENCE / 2))
         return Interval(self.range_rmse_m * math.exp(-reach / 2), self.range_rmse_m * math.exp(reach / 2))
