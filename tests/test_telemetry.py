@@ -90,6 +90,20 @@ def test_the_receivers_windows_are_those_of_the_run(birch):
     assert len(opened) == 2
 
 
+@pytest.mark.parametrize("rate", ["measured", "manual"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_position_packet_is_older_than_its_sensor(rate, seed):
+    """Without GPS the first stamp, told 350 us before its packet leaves, is not before power-up, and stamps grow from there."""
+    settings = [f"seed={seed}", f"sensor.position_rate={rate}", "gps.connected=false"]
+    scenario = load("static_bench", settings)
+    emulator = Emulator(scenario)
+    told = position_packets(scenario, emulator.parts.gps, None, emulator.parts.units[0], 0, S_NS)
+    stamps_ns = [decode_position(packet.payload).time_ns for packet in told]
+    assert 0 <= stamps_ns[0] <= 30_000
+    assert stamps_ns == sorted(stamps_ns)
+    assert stamps_ns[-1] < S_NS
+
+
 def test_no_receiver_no_sentence():
     """Without GPS the area of the sentence is empty and no receiver is asked."""
     emulator = Emulator(load("static_bench", ["gps.connected=false"]))

@@ -22,6 +22,13 @@ def test_free_clock_counts_from_power_up():
     assert clock.reading_ns(t_ns).tolist() == [0, HOUR_NS - 1, 0, 5]
 
 
+def test_free_clock_shows_nothing_before_power_up():
+    """Before power-up the counter stands at zero; it does not wrap to the end of an hour."""
+    clock = Clock(locked=False, power_up_ns=TEN_O_CLOCK_NS, error_ppm=-100.0)
+    t_ns = TEN_O_CLOCK_NS + np.array([-350_000, -1, 0, 10**9])
+    assert clock.reading_ns(t_ns).tolist() == [0, 0, 0, 10**9 - 100_000]
+
+
 def test_free_clock_runs_fast_by_its_error():
     """20 ppm are 20 microseconds in a second and 72 milliseconds in an hour."""
     clock = Clock(locked=False, power_up_ns=0, error_ppm=20.0)
