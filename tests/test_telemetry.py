@@ -90,6 +90,26 @@ def test_the_receivers_windows_are_those_of_the_run(birch):
     assert len(opened) == 2
 
 
+WORST = [
+    "gps.position_noise_m=1000",
+    "gps.wander_m=1000",
+    "gps.wander_s=1",
+    "gps.velocity_noise_m_s=100",
+    "gps.canopy_error_factor=100",
+    "gps.latitude_deg=89.999",
+]
+
+
+@pytest.mark.parametrize("settings", [["gps.velocity_noise_m_s=30"], WORST], ids=["30 m/s", "worst"])
+def test_no_error_of_the_receiver_ends_a_run(settings):
+    """With the greatest errors that a scene may give, and under a roof, each second still has a sentence of at most 82 bytes."""
+    emulator = Emulator(load("static_bench", ["gps.connected=true", *settings]))
+    told = set(sentences(emulator, emulator.receiver, 0.0, 30.0))
+    assert len(told) == 31
+    assert max(map(len, told)) <= 82
+    assert 50.0 < max(parse_rmc(sentence).speed_m_s for sentence in told) < 514.0
+
+
 @pytest.mark.parametrize("rate", ["measured", "manual"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_no_position_packet_is_older_than_its_sensor(rate, seed):

@@ -64,6 +64,12 @@ def test_without_errors_the_fix_is_the_truth():
     assert fix.course_deg == pytest.approx(math.degrees(math.atan2(0.6, 0.8)))
 
 
+@pytest.mark.parametrize(("speed_m_s", "told_m_s"), [(500.0, 500.0), (515.0, 513.93), (1e300, 513.93)])
+def test_a_receiver_tells_at_most_999_knots(speed_m_s, told_m_s):
+    """Whatever makes it believe to be faster, the speed that is reported ends where receivers end."""
+    assert receiver(velocity_m_s=(0.0, speed_m_s, 0.0)).fix(START_NS).speed_m_s == pytest.approx(told_m_s)
+
+
 def test_standing_receiver_without_errors_has_no_speed():
     """A receiver that stands and knows it reports speed 0."""
     assert receiver().fix(at(3)).speed_m_s == 0.0

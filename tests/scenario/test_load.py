@@ -131,6 +131,17 @@ BAD_SETTINGS = [
         "sensor.powered_for_s=1e300",
         "--set sensor.powered_for_s=1e300: found 1e+300; expected a number from 0 to 1000000000",
     ),
+    *(
+        (f"gps.{key}={found}", f"--set gps.{key}={found}: found {found}; expected a number from {bounds}")
+        for key, found, bounds in (
+            ("position_noise_m", 1000.1, "0 to 1000"),
+            ("wander_m", 1000.1, "0 to 1000"),
+            ("wander_s", 0.9, "1 to 1000000"),
+            ("velocity_noise_m_s", 100.1, "0 to 100"),
+            ("canopy_error_factor", 100.1, "1 to 100"),
+            ("antenna_above_m", 100.1, "0 to 100"),
+        )
+    ),
     (
         "motion.way_points_m=[[0, 0], [nan, 1]]",
         "--set motion.way_points_m=[[0, 0], [nan, 1]]: motion.way_points_m[1][0]: found nan; expected a finite number",

@@ -27,6 +27,8 @@ _LOSS_S = 10.0
 """Correlation time of what lets fixes fail: some 12 m of walking, the spacing of great crowns; assumption."""
 _HELD_S = 10
 """For so long a receiver repeats its last fix."""
+_FASTEST_M_S = 999 * 1852 / 3600
+"""999 knots, the most that a receiver tells (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
 _READINGS_KEPT = 64
 """More than `_HELD_S`, so that no second's sky is looked at twice."""
 
@@ -122,7 +124,7 @@ class Receiver:
             valid=self.reading(t_ns).valid,
             latitude_deg=latitude_deg,
             longitude_deg=longitude_deg,
-            speed_m_s=math.hypot(east_m_s, north_m_s),
+            speed_m_s=min(math.hypot(east_m_s, north_m_s), _FASTEST_M_S),
             course_deg=math.degrees(math.atan2(east_m_s, north_m_s)) % 360.0,
         )
 

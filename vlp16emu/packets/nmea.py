@@ -17,6 +17,8 @@ __all__ = ["parse_rmc", "rmc"]
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _KNOT_M_S = 1852 / 3600
 """A nautical mile per hour, exact by definition."""
+_FASTEST_M_S = 999 * 1852 / 3600
+"""999 knots, which no receiver passes (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
 _MINUTE_DECIMALS = 7
 """As real units echo; 0.2 mm on the ground."""
 
@@ -46,7 +48,7 @@ def rmc(fix: GnssFix) -> bytes:
         "S" if fix.latitude_deg < 0 else "N",
         _degrees_minutes(fix.longitude_deg, 3),
         "W" if fix.longitude_deg < 0 else "E",
-        f"{fix.speed_m_s / _KNOT_M_S:.3f}",
+        _knots(fix.speed_m_s),
         f"{round(fix.course_deg, 1) % 360:.1f}",
         f"{utc:%d%m%y}",
         "0.0",  # magnetic variation: none known
@@ -91,13 +93,19 @@ def _check(fix: GnssFix) -> None:
     for name, value, low, high in (
         ("latitude_deg", fix.latitude_deg, -90.0, 90.0),
         ("longitude_deg", fix.longitude_deg, -180.0, 180.0),
-        ("speed_m_s", fix.speed_m_s, 0.0, 50.0),  # from 100 knots on it takes over 82 characters (NMEA 0183)
+        ("speed_m_s", fix.speed_m_s, 0.0, _FASTEST_M_S),
         ("course_deg", fix.course_deg, 0.0, 360.0),
     ):
         if not low <= value <= high:
             raise InputError(f"GNSS fix: {name}", f"{value}", f"{low} to {high}")
     if fix.t_ns % S_NS:
         raise InputError("GNSS fix: t_ns", f"{fix.t_ns}", "a whole second")
+
+
+def _knots(speed_m_s: float) -> str:
+    """Write a speed; from 100 knots on a third decimal would take the sentence over the 82 characters of NMEA 0183."""
+    knots = speed_m_s / _KNOT_M_S
+    return f"{knots:.{3 if knots < 99.999 else 2}f}"
 
 
 def _degrees_minutes(angle_deg: float, width: int) -> str:

@@ -4,9 +4,11 @@ from typing import Annotated
 
 from pydantic import Field
 
-from vlp16emu.scenario.section import NonNegative, Positive, Section
+from vlp16emu.scenario.section import Section
 
 __all__ = ["Gps"]
+
+_Metres = Annotated[float, Field(ge=0, le=1000)]
 
 
 class Gps(Section):
@@ -27,19 +29,19 @@ class Gps(Section):
     """Height of the scene's origin over the ellipsoid."""
     sentence_delay_s: Annotated[float, Field(gt=0, lt=1)] = 0.35
     """From the second's edge to the arrival of the sentence that names it."""
-    antenna_above_m: NonNegative = 0.2
+    antenna_above_m: Annotated[float, Field(ge=0, le=100)] = 0.2
     """Height of the antenna over the sensor, straight up."""
-    position_noise_m: NonNegative = 0.3
+    position_noise_m: _Metres = 0.3
     """Error to the east and to the north that is new in each second, one sigma. 0 switches it off."""
-    wander_m: NonNegative = 1.2
+    wander_m: _Metres = 1.2
     """Error to the east and to the north that changes slowly, one sigma. 0 switches it off."""
-    wander_s: Positive = 300.0
+    wander_s: Annotated[float, Field(ge=1, le=1_000_000)] = 300.0
     """After this time 37 % of the wandering error is left."""
-    velocity_noise_m_s: NonNegative = 0.05
+    velocity_noise_m_s: Annotated[float, Field(ge=0, le=100)] = 0.05
     """Error of the velocity to the east and to the north, one sigma. 0 switches it off."""
     canopy_loss: bool = True
     """Whether what hides the sky from the antenna makes errors grow and fixes fail."""
-    canopy_error_factor: Annotated[float, Field(ge=1)] = 2.5
+    canopy_error_factor: Annotated[float, Field(ge=1, le=100)] = 2.5
     """How many times greater errors are where the whole sky is hidden; in between in proportion to the cover."""
     canopy_half_cover: Annotated[float, Field(gt=0, le=1)] = 0.88
     """Cover, as a share of the sky, at which every second fix fails."""
