@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -158,3 +159,33 @@ def test_a_reader_that_has_had_enough_is_no_error(program):
     process = program("schema")
     process.stdout.close()
     assert process.stderr.read() == ""
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["--help", "--version", "schema", "schema --help", "scenes --json", "stream static_bench --duration 1"],
+)
+def test_output_that_cannot_be_written_is_one_line(program, line):
+    """A full disk under stdout is told in one line, be it at the first word, midway or only at the end, and the run has failed."""
+    with Path("/dev/full").open("w") as full:
+        process = program(*line.split(), stdout=full)
+        said = process.stderr.read()
+    assert said == "error: standard output: No space left on device\n"
+    assert process.wait() == 1
+
+
+def test_bad_input_stays_bad_input_on_a_full_disk(program):
+    """Where nothing is printed a full disk under stdout changes neither error nor exit code."""
+    with Path("/dev/full").open("w") as full:
+        process = program("record", "nope", "x.pcap", stdout=full)
+        said = process.stderr.read()
+    assert said.startswith("error: scene 'nope': unknown name")
+    assert process.wait() == 2
+
+
+@pytest.mark.parametrize("line", ["schema", "--version"])
+def test_without_stdout_nothing_is_said(line):
+    """A program that was started with its stdout closed prints nowhere, and ends well."""
+    command = f"exec {sys.executable} -m vlp16emu {line} >&-"
+    done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -110,12 +110,24 @@ def run(arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Carry out the command line of this process and exit."""
-    code = run(sys.argv[1:])
+    code = 1
     try:
-        sys.stdout.flush()
-    except BrokenPipeError:  # whoever read our output has had enough; Python would complain at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = run(sys.argv[1:])
+        print(end="", flush=True)
+    except BrokenPipeError:  # whoever read our output has had enough
+        _drop_output()
+    except OSError as error:
+        if error.filename is not None:  # files are looked after where they are written
+            raise
+        _drop_output()
+        _complain(f"standard output: {error.strerror}")
+        code = code or 1
     sys.exit(code)
+
+
+def _drop_output() -> None:
+    """Send what is left of our output nowhere: Python would try to write it at exit, and complain."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(message: str) -> None:
