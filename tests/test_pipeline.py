@@ -22,36 +22,60 @@ def windows(*, per_stretch=4, threads=2, opened=None):
     return Windows(open_stretch, cut, moves=per_stretch is not None, threads=threads)
 
 
-def run(work, blocks, *, per_stretch=4, threads=2, opened=None):
+def run(work, blocks, *, per_stretch=4, threads=2, opened=None, together=1):
     of = windows(per_stretch=per_stretch, threads=threads, opened=opened)
-    return ahead(work, of, blocks=blocks, threads=threads)
+    return ahead(work, of, blocks=blocks, threads=threads, together=together)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_results_come_in_order_with_their_stretch(threads):
     """Each block is worked on once, with the stretch it belongs to, and handed out in order."""
-    out = list(run(lambda block, scene: (block, scene.result()), range(3, 14), threads=threads))
+    out = list(run(lambda run, scene: (run.start, scene.result()), range(3, 14), threads=threads))
     assert out == [(block, f"stretch {block // 4}") for block in range(3, 14)]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("span", [range(3), range(3, 14), range(50, 400)])
+def test_runs_hold_each_block_once_and_keep_to_stretches(threads, span):
+    """Runs follow each other without gaps, none crosses a stretch, and the first and last of every worker are single."""
+    runs = list(windows(per_stretch=64, threads=threads).runs(span, 8, threads))
+    assert [block for run in runs for block in run] == list(span)
+    assert all(run.start // 64 == (run.stop - 1) // 64 for run in runs)
+    assert all(len(run) == 1 for run in runs[:threads])
+    assert len(runs[-1]) == 1
+    assert max(map(len, runs)) <= {1: 8, 2: 8, 5: 4}[threads]
+    assert len(span) < 50 or max(map(len, runs)) >= 4
+
+
+@pytest.mark.parametrize("threads", [1, 2, 7, 16, 24, 64, 100])
+def test_with_any_number_of_threads_windows_are_opened_once(threads):
+    """Neither workers far ahead nor who looks back 1.4 s, for the sky, make a window be opened again."""
+    opened = []
+    of = windows(per_stretch=64, threads=threads, opened=opened)
+    results = ahead(lambda run, _scene: run, of, blocks=range(640), threads=threads, together=8)
+    for run in results:
+        of.at_time(100 * (run.start - 13)).result()
+    assert opened == list(range(10))
 
 
 def test_each_stretch_is_opened_once_and_none_beyond_the_end():
     """Stretches are opened in order, once each, and only those that the blocks need."""
     opened = []
-    list(run(lambda block, scene: scene.result(), range(3, 14), opened=opened))
+    list(run(lambda _run, scene: scene.result(), range(3, 14), opened=opened))
     assert opened == [0, 1, 2, 3]
 
 
 def test_all_blocks_may_share_one_stretch():
     """Where nothing moves a single stretch serves all."""
     opened = []
-    list(run(lambda block, scene: scene.result(), range(100), per_stretch=None, opened=opened))
+    list(run(lambda _run, scene: scene.result(), range(100), per_stretch=None, opened=opened))
     assert opened == [0]
 
 
 def test_work_runs_only_a_little_ahead():
     """The number of blocks begun but not handed out stays bounded by the number of threads."""
     begun, most = [], 0
-    for number, _ in enumerate(run(lambda block, _scene: begun.append(block), range(200), threads=2)):
+    for number, _ in enumerate(run(lambda run, _scene: begun.append(run), range(200), threads=2)):
         most = max(most, len(begun) - number)
     assert most <= 6
 
@@ -59,10 +83,10 @@ def test_work_runs_only_a_little_ahead():
 def test_an_error_reaches_the_caller():
     """An error in the work or in opening is raised where the result is taken."""
 
-    def fail(block, _scene):
-        if block == 5:
+    def fail(run, _scene):
+        if run.start == 5:
             raise OSError("block five")
-        return block
+        return run.start
 
     results = run(fail, range(10))
     assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
@@ -73,7 +97,7 @@ def test_an_error_reaches_the_caller():
 def test_leaving_early_stops_the_work():
     """A run that is left in the middle begins no further blocks and leaves no worker behind."""
     begun = []
-    results = run(lambda block, _scene: begun.append(block), range(10_000))
+    results = run(lambda run, _scene: begun.append(run), range(10_000))
     next(results)
     results.close()
     assert len(begun) < 20
@@ -83,7 +107,7 @@ def test_leaving_early_stops_the_work():
 def test_no_blocks_no_work():
     """An empty span opens nothing."""
     opened = []
-    assert list(run(lambda block, scene: block, range(0), opened=opened)) == []
+    assert list(run(lambda run, scene: run, range(0), opened=opened)) == []
     assert opened == []
 
 
@@ -120,7 +144,7 @@ def test_whoever_asks_gets_the_same_window():
     opened = []
     of = windows(opened=opened)
     assert of.at_time(399).result() == "stretch 0"
-    results = ahead(lambda _block, scene: scene.result(), of, blocks=range(8), threads=1)
+    results = ahead(lambda _run, scene: scene.result(), of, blocks=range(8), threads=1, together=1)
     for block, scene in enumerate(results):
         assert of.at_time(100 * block).result() == scene
     assert opened == [0, 1]
@@ -134,9 +158,9 @@ def test_before_the_run_the_first_window_serves():
 def test_a_window_that_was_left_is_not_kept():
     """Two windows are kept, so one asked for again after two others is opened again."""
     opened = []
-    of = windows(opened=opened, threads=1)
+    of = windows(opened=opened, per_stretch=64, threads=1)
     for stretch in (0, 1, 0, 2, 1):
-        of.at_block(4 * stretch).result()
+        of.at_block(64 * stretch).result()
     assert opened == [0, 1, 2, 1]
 
 

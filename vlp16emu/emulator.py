@@ -72,9 +72,9 @@ class Emulator:
 
     def returns(self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0) -> Iterator[Returns]:
         """Give a unit's returns before packing, in whole blocks that hold at least the same span."""
-        blocks = self.cut.blocks(*self._span_ns(start_s, stop_s))
-        scan = partial(self._scan, self.parts.units[unit])
-        return ahead(scan, self.windows, blocks=blocks, threads=self._threads)
+        blocks, of = self.cut.blocks(*self._span_ns(start_s, stop_s)), self.parts.units[unit]
+        scan, together = partial(self._scan, of), of.beam.together
+        return ahead(scan, self.windows, blocks=blocks, threads=self._threads, together=together)
 
     def first_position_packets(self, start_s: float = 0.0) -> list[int]:
         """Find the number of each unit's first position packet from `start_s` on; a run's first has 0."""
@@ -89,12 +89,12 @@ class Emulator:
             raise TrajectoryError("duration", f"found {stop_s:g} s", f"at most the walk's {end_s:.1f} s")
         return seconds_to_ns(start_s), seconds_to_ns(stop_s)
 
-    def _scan(self, unit: Unit, block: int, opened: Future[Scene]) -> Returns:
-        """Emit and receive one block of pulses."""
-        head, count = unit.head, self.cut.block
-        firings = head.aim(block * count, count, unit.motion.poses_at, across=unit.beam.has_width)
+    def _scan(self, unit: Unit, run: range, opened: Future[Scene]) -> Returns:
+        """Emit and receive a run of blocks of pulses."""
+        head, block, poses_at = unit.head, self.cut.block, unit.motion.poses_at
+        firings = head.aim(run.start * block, len(run) * block, poses_at, across=unit.beam.has_width)
         scene = opened.result()
-        hits = scene.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
+        hits = scene.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam, block)
         if self._audit:
             self._audit(unit, firings, hits, scene)
         return detect(firings, hits, scene.surfaces, unit.detector, truth=self._truth)
@@ -106,14 +106,14 @@ class Emulator:
         period_ns = SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS
         per_block = self.cut.block // SEQUENCES_PER_PACKET[mode]
 
-        def pack(block: int, opened: Future[Scene]) -> list[Packet]:
-            """Scan a block, and pack it."""
-            return pack_data(self._scan(unit, block, opened), mode, model, unit.number)
+        def pack(run: range, opened: Future[Scene]) -> list[Packet]:
+            """Scan blocks, and pack them."""
+            return pack_data(self._scan(unit, run, opened), mode, model, unit.number)
 
         # Packet p is due at (p + 1) periods.
         first, last = (max(0, -(-ns // period_ns) - 1) for ns in (start_ns, stop_ns))
         blocks = range(first // per_block, -(-last // per_block))
-        packed = ahead(pack, self.windows, blocks=blocks, threads=self._threads // len(self.parts.units) or 1)
-        for block, packets in zip(blocks, packed, strict=True):
-            number = block * per_block
+        number, threads = blocks.start * per_block, self._threads // len(self.parts.units) or 1
+        for packets in ahead(pack, self.windows, blocks=blocks, threads=threads, together=unit.beam.together):
             yield from packets[max(0, first - number) : last - number]
+            number += len(packets)

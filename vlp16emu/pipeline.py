@@ -21,8 +21,9 @@ _RAYS = 8
 _PULSES = 16 * BLOCK
 _LONGEST_NS = 110_000_000
 _STRETCH_NS = 6_800_000_000
-_AHEAD = 2
-"""Blocks per worker that are begun before they are asked for."""
+_LEAD, _LAG = 3 / 8, 1 / 4
+"""Shares of a stretch: how long before its use a window is opened, and how far behind the present the sky over the antenna
+is asked for, at most (1.4 s). Workers share the rest."""
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -68,7 +69,7 @@ class Cut:
 class Windows(Generic[S]):
     """The world in windows, each opened once as long as it is in use, whoever asks for it.
 
-    Two are kept: the one of the present stretch and the one before or after it.
+    Two are kept: the one of the present stretch and the one before or after it; with very many threads more.
 
     Parameters
     ----------
@@ -80,9 +81,10 @@ class Windows(Generic[S]):
 
     def __init__(self, open_stretch: Callable[[int], S], cut: Cut, *, moves: bool, threads: int) -> None:
         self._block_ns, self._per_stretch = cut.block_ns, cut.stretch if moves else None
-        opener = ThreadPoolExecutor(1, "open")
+        self._free = int((1 - _LEAD - _LAG) * cut.stretch)
+        opener, too_far = ThreadPoolExecutor(1, "open"), max(0, threads + 1 - self._free)
 
-        @lru_cache(2 + _AHEAD * threads // cut.stretch)
+        @lru_cache(2 - -too_far // cut.stretch)
         def opened(stretch: int) -> Future[S]:
             """Open a stretch once, on the opener."""
             return opener.submit(open_stretch, stretch)
@@ -100,28 +102,49 @@ class Windows(Generic[S]):
     @property
     def lead(self) -> int:
         """Blocks between the opening of a window and its use."""
-        return self._per_stretch // 2 if self._per_stretch else 0
+        return int(_LEAD * self._per_stretch) if self._per_stretch else 0
+
+    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:
+        """Cut blocks into runs of up to so many `together`, each within one stretch.
+
+        They are short at first, so that the first packet comes soon, and at last, so that workers end together; and
+        so short that workers do not get too far ahead.
+        """
+        together = max(1, min(together, self._free // (threads + 1)))
+        first, number = blocks.start, 0
+        while first < blocks.stop:
+            size = min(together, 2 ** (number // threads), max(1, (blocks.stop - first) // (2 * threads)))
+            if self._per_stretch:
+                size = min(size, self._per_stretch - first % self._per_stretch)
+            yield range(first, first + size)
+            first, number = first + size, number + 1
 
 
 def ahead(
-    work: Callable[[int, Future[S]], T], windows: Windows[S], *, blocks: range, threads: int
+    work: Callable[[range, Future[S]], T],
+    windows: Windows[S],
+    *,
+    blocks: range,
+    threads: int,
+    together: int,
 ) -> Iterator[T]:
-    """Yield the results of `work(block, window of its stretch)` in order of blocks, a few computed ahead.
+    """Yield the results of `work(run of blocks, window of their stretch)` in order of blocks, a few computed ahead.
 
     Parameters
     ----------
     work : called on a worker thread; the future may still be running
     blocks : numbers of the blocks, without gaps
     threads : workers
+    together : blocks of a run at most
     """
     pending: deque[Future[T]] = deque()
     with ThreadPoolExecutor(threads, "work") as workers:
         try:
-            for block in blocks:
-                pending.append(workers.submit(work, block, windows.at_block(block)))
+            for run in windows.runs(blocks, together, threads):
+                pending.append(workers.submit(work, run, windows.at_block(run.start)))
                 # Now and not at once: the first packet should not wait for the second window.
-                windows.at_block(min(block + windows.lead, blocks.stop - 1))
-                if len(pending) > _AHEAD * threads:
+                windows.at_block(min(run.stop - 1 + windows.lead, blocks.stop - 1))
+                if len(pending) > threads:
                     yield pending.popleft().result()
             while pending:
                 yield pending.popleft().result()

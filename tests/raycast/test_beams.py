@@ -94,6 +94,16 @@ def test_threads_do_not_matter(lab, workers, model):
         assert (hits.surface == alone.surface).all()
 
 
+@pytest.mark.parametrize("model", MODELS)
+def test_blocks_cast_at_once_are_those_cast_alone(lab, workers, model):
+    """Five blocks in one go, sector by sector over all of them, meet what each meets by itself, bit by bit."""
+    scene, beam = EmbreeCaster(lab.soup, workers).open(lab.placed(30)), lab.beam(model)
+    whole = scene.cast(lab.pulses(5 * 1920), lab.near_m, lab.far_m, beam, 1920)
+    alone = [scene.cast(lab.pulses(1920, first=n * 1920), lab.near_m, lab.far_m, beam) for n in range(5)]
+    for name in ("count", "range_m", "surface", "cos_incidence"):
+        assert (np.concatenate([getattr(hits, name) for hits in alone]) == getattr(whole, name)).all()
+
+
 def test_a_fan_of_sub_rays_may_have_any_number(lab, workers):
     """Counts that fill no packet lose nothing: s sub-rays are the first s of more."""
     scene, firings = EmbreeCaster(lab.soup, workers).open(lab.placed(30)), lab.pulses(8)

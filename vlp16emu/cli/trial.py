@@ -2,7 +2,6 @@
 
 import os
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +13,7 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError
 from vlp16emu.report import Spent
 from vlp16emu.sinks import PcapSink
-from vlp16emu.types import Packet, PacketKind
+from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
 __all__ = ["Trial", "peak_bytes", "spent_since", "try_out"]
@@ -84,8 +83,8 @@ def try_out(emulator: Emulator, stop_s: float, threads: int, began: Spent) -> Tr
     starts_s = np.linspace(0.0, end_s, 1 + min(int(end_s / least_s), _PIECES)).tolist()
     for start_s, next_s in pairwise(starts_s):
         # A piece that reached into the next window would open it by itself.
-        packets = emulator.packets(start_s, min(next_s, window_s) if start_s < window_s else next_s)
-        reached, piece = _piece(packets, emulator, _PIECES_S / _PIECES, threads)
+        span_s = start_s, min(next_s, window_s) if start_s < window_s else next_s
+        reached, piece = _piece(emulator, span_s, _PIECES_S / _PIECES, threads)
         pieces += [piece] * (piece.simulated_s > 0.0)
         if first is None:
             first = Spent(reached.wall_s - began.wall_s, reached.cpu_s - began.cpu_s, block_s)
@@ -105,29 +104,36 @@ def _windows(emulator: Emulator, stop_s: float) -> int:
 
 
 def _piece(
-    packets: Iterator[Packet], emulator: Emulator, limit_s: float, threads: int
+    emulator: Emulator, span_s: tuple[float, float], limit_s: float, threads: int
 ) -> tuple[Spent, Spent]:
-    """Send packets to nowhere until the time is over: clocks at the first one, and what went by from there on.
-
-    Packets of a block come at once, so clocks are read where one begins, and blocks are counted in as many as there
-    are threads, which finish theirs together at first.
-    """
-    first, piece, first_block = None, Spent(0.0, 0.0), 0
+    """Send packets to nowhere until the time is over: clocks at the first one, and what went by from there on."""
+    first, piece, marks = None, Spent(0.0, 0.0), dict[int, int]()
     links, block_ns = [unit.link for unit in emulator.parts.units], emulator.cut.block_ns
     with PcapSink(Path(os.devnull), [0] * len(links), links) as sink:
-        for packet in packets:
+        for packet in emulator.packets(*span_s):
             sink.send(packet)
             returns_in(packet)
             if packet.kind is not PacketKind.DATA or packet.unit:
                 continue
             block = (packet.due_ns - emulator.scenario.start_ns - 1) // block_ns
             if first is None:
-                first, first_block, seen = spent_since(), block, block
-            elif block > seen and (block - first_block) % threads == 0:
+                first, marks = spent_since(), _marks(emulator, block, span_s[1], threads)
+            elif blocks := marks.pop(block, 0):
                 took = spent_since(first)
-                piece = Spent(took.wall_s, took.cpu_s, (block - first_block) * block_ns / S_NS)
+                piece = Spent(took.wall_s, took.cpu_s, blocks * block_ns / S_NS)
                 if took.wall_s >= limit_s:
                     break
-            seen = block
     assert first is not None
     return first, piece
+
+
+def _marks(emulator: Emulator, first_block: int, stop_s: float, threads: int) -> dict[int, int]:
+    """Blocks at which clocks are read, and how many had been worked on since the first packet came.
+
+    Blocks of a run come at once, and workers finish as many runs as there are threads about together. So when the first
+    of them comes, all have been worked on.
+    """
+    own = threads // len(emulator.parts.units) or 1
+    blocks = range(first_block, emulator.cut.blocks(0, seconds_to_ns(stop_s)).stop)
+    runs = list(emulator.windows.runs(blocks, emulator.parts.units[0].beam.together, own))
+    return {runs[n].start: sum(map(len, runs[own : n + own])) for n in range(own, len(runs), own)}

@@ -12,6 +12,7 @@ import numpy as np
 
 from vlp16emu.assembly import Unit
 from vlp16emu.fidelity.answer import answer_beam, apart_m, some_firings, some_hits, told
+from vlp16emu.pipeline import Cut
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast import BeamModel, Scene
 from vlp16emu.report.accuracy import Tally, compare
@@ -49,12 +50,20 @@ class Audit:
         return cls(apart_m(scenario.detector), exact=scenario.beam.model not in _SAMPLED)
 
     def __call__(self, unit: Unit, firings: Firings, hits: Hits, scene: Scene) -> None:
-        """Look at one block: what its pulses met, in the scene that they were cast against."""
+        """Look at whole blocks: what their pulses met, in the scene that they were cast against."""
         if self.exact:
             return
-        sequences, lasers = firings.t_ns.shape
-        draw = generator(unit.seed, Purpose.AUDIT, unit.number, firings.index)
-        first = _SEQUENCES * int(draw.integers(sequences // _SEQUENCES))
+        block = Cut(firings.t_ns.shape[1], unit.head.beams.sequence_ns).block
+        for begin in range(0, len(firings.t_ns), block):
+            self._look(unit, firings, hits, scene, begin, block)
+
+    def _look(
+        self, unit: Unit, firings: Firings, hits: Hits, scene: Scene, begin: int, sequences: int
+    ) -> None:
+        """Look at the block that begins with sequence `begin` of those that were cast."""
+        lasers = firings.t_ns.shape[1]
+        draw = generator(unit.seed, Purpose.AUDIT, unit.number, firings.index + begin)
+        first = begin + _SEQUENCES * int(draw.integers(sequences // _SEQUENCES))
         chosen = np.sort(draw.choice(lasers, min(_LASERS, lasers), replace=False))
         rows = slice(first, first + _SEQUENCES)
         part, exact = some_firings(firings, rows, chosen), unit.detector.without_chance()

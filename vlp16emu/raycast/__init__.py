@@ -26,9 +26,14 @@ class Scene(Protocol):
         """(m,) `SURFACE`, the window's table."""
 
     def cast(
-        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
+        self,
+        firings: Firings,
+        near_m: NDArray[np.float64],
+        far_m: float,
+        beam: Footprint = LINE,
+        block: int | None = None,
     ) -> Hits:
-        """Cast the pulses of k sequences, k a multiple of 8."""
+        """Cast the pulses of k sequences, k a multiple of 8 and of the block, if it is told."""
 
 
 class Caster(Protocol):

@@ -46,20 +46,29 @@ def judged_to(surfaces: NDArray[np.void]) -> float:
 
 
 def first_round(
-    firings: Firings, range_m: NDArray[np.float32], cos_incidence: NDArray[np.float32], beam: Footprint
+    firings: Firings,
+    range_m: NDArray[np.float32],
+    cos_incidence: NDArray[np.float32],
+    beam: Footprint,
+    block: int,
 ) -> NDArray[np.uint16]:
     """Sub-rays of each pulse after its first round, (k, L): 1 where the ray along its middle is enough.
 
     Parameters
     ----------
     range_m, cos_incidence : (k, L) what the rays along the middle met
+    block : sequences that are neighbours of each other only
     """
     step_rad = float(np.linalg.norm(firings.direction[1, 0] - firings.direction[0, 0]))
     half_rad = beam.divergence_rad[0] / 2
     # Neighbours nearer than the footprint's edge say too little.
     reach = max(1, math.ceil(half_rad / step_rad)) if step_rad > 0 else 1
     wanted = np.empty(range_m.shape, np.uint16)
-    _first_round(range_m, cos_incidence, reach, beam.quarters, beam.target_m, beam.resolution_m, wanted)
+    for first in range(0, len(range_m), block):
+        of = slice(first, first + block)
+        _first_round(
+            range_m[of], cos_incidence[of], reach, beam.quarters, beam.target_m, beam.resolution_m, wanted[of]
+        )
     return np.minimum(wanted, beam.rays, out=wanted, casting="unsafe")
 
 

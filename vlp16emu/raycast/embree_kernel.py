@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from vlp16emu.raycast.adaptive import enough
 from vlp16emu.raycast.embree_library import FLAG_COHERENT, library, library_path
 from vlp16emu.raycast.embree_sway import tilt
+from vlp16emu.raycast.embree_task import Light, Target, Wish
 from vlp16emu.raycast.footprint import ROUND, pulse_axes, sub_ray, turn
 
-__all__ = ["PACKET", "Light", "Target", "Wish", "cast_packets", "cast_sub_rays"]
+__all__ = ["PACKET", "cast_packets", "cast_sub_rays"]
 
 PACKET = 8
 """Rays per packet; 16 is slower without AVX-512."""
@@ -58,23 +59,6 @@ def _arguments(context: NDArray[np.uint32]) -> NDArray[np.uint32]:
     return words
 
 
-class Target(NamedTuple):
-    """What is cast against."""
-
-    scene: int
-    """Address of a committed RTCScene of instances."""
-    window_origin_m: NDArray[np.float64]
-    """(3,) taken from the origins in float64, before the step to float32."""
-    first_surface: NDArray[np.uint32]
-    """(n,) per instance, as in `Window`."""
-    normal_matrix: NDArray[np.float32]
-    """(n, 3, 3) per instance, as in `placement`."""
-    shear: NDArray[np.float32]
-    """(knots, n, 2) per instance, as in `embree_sway.Motion`."""
-    reflectance: NDArray[np.float32]
-    """(m,) of the surfaces."""
-
-
 @numba.njit(cache=True, nogil=True)
 def cast_packets(
     target: Target,
@@ -83,6 +67,7 @@ def cast_packets(
     time: NDArray[np.float32],
     near_m: NDArray[np.float64],
     far_m: float,
+    order: NDArray[np.int64],
     range_m: NDArray[np.float32],
     surface: NDArray[np.uint32],
     cos_incidence: NDArray[np.float32],
@@ -94,6 +79,7 @@ def cast_packets(
     origin_m, direction : (k, L, 3) float64, k a multiple of `PACKET`
     time : (k, L) between the scene's first knot and its last, 0..1
     near_m, far_m : (L,) where each laser's light begins, and where it is given up
+    order : (k / 8,) first sequence of each packet, in the order of casting
     range_m, surface, cos_incidence : (k, L) outputs
     """
     scene, window_origin_m, shear = target.scene, target.window_origin_m, target.shear
@@ -102,7 +88,7 @@ def cast_packets(
     rays, words, valid, context = packet.rays, packet.words, packet.valid, packet.context
     valid[:] = -1
     lines = np.empty((origin_m.shape[1], 6, PACKET), np.float32)
-    for first in range(0, origin_m.shape[0], PACKET):
+    for first in order:
         _lay(lines, first, origin_m, window_origin_m, direction)
         for j in range(origin_m.shape[1]):
             for r in range(PACKET):
@@ -121,47 +107,18 @@ def cast_packets(
                     cos_incidence[i, j] = _cosine(normal_matrix, shear, instance, rays, r)
 
 
-class Light(NamedTuple):
-    """What is cast: the pulses of a batch, and how wide they are."""
-
-    origin_m: NDArray[np.float64]
-    """(k, L, 3), k a multiple of `PACKET`; `direction` and `across` alike."""
-    direction: NDArray[np.float64]
-    across: NDArray[np.float64]
-    time: NDArray[np.float32]
-    """(k, L) between the scene's first knot and its last, 0..1."""
-    near_m: NDArray[np.float64]
-    """(L,) where each laser's light begins."""
-    far_m: float
-    """Where it is given up."""
-    judged_m: float
-    """Up to where the rays along the middles were cast; it may lie beyond `far_m`."""
-    quarters: NDArray[np.float64]
-    """(4,) as in `Footprint`; `seed` alike."""
-    seed: int
-    first: int
-    """Number of the first firing sequence."""
-
-
-class Wish(NamedTuple):
-    """How many sub-rays are wanted."""
-
-    first: NDArray[np.uint16]
-    """(k, L) after the first round."""
-    by_rounds: bool
-    """Whether the rays along the middles are the pulses' first, and further rounds may come."""
-    most: int
-    """Sub-rays with which a pulse must do; after fewer, `adaptive.enough` is asked with the next two."""
-    target_m: float
-    resolution_m: float
-
-
 class _Hits(NamedTuple):
     """Hits of eight sequences, or of a batch: three arrays of one shape."""
 
     range_m: NDArray[np.float32]
     surface: NDArray[np.uint32]
     cos_incidence: NDArray[np.float32]
+
+
+@numba.njit(cache=True, nogil=True)
+def _hits(shape: int | tuple[int, ...]) -> _Hits:
+    """Make room for hits."""
+    return _Hits(np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32))
 
 
 class _Packet(NamedTuple):
@@ -200,25 +157,24 @@ def cast_sub_rays(
     wish: Wish,
     middle: tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]],
     count: NDArray[np.uint16],
-    out: tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]],
-) -> int:
+) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]:
     """Cast the sub-rays of every pulse, by rounds.
 
     Parameters
     ----------
     middle : ranges, surfaces and cosines (k, L) of the rays along the middles, where they are the first sub-rays
-    count : (k, L) output, sub-rays of each pulse
-    out : three outputs (n,) with room for as many as may be, as in `Hits`
+    count : (k, L) output, sub-rays of each pulse; n in all
 
     Returns
     -------
-    Number of sub-rays in all.
+    Ranges, surfaces and cosines (n,) in order of pulses.
     """
     packet, shape, n = _packet(), (PACKET, wish.first.shape[1], wish.most), 0
-    eight = _Hits(np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32))
+    eight = _hits(shape)
     axes, shift = np.empty((PACKET, 12)), np.empty((PACKET, 2), np.uint32)
     done, order = np.empty(shape[:2], np.int64), np.empty((2, wish.most))
-    for first in range(0, wish.first.shape[0], PACKET):
+    room, begin = _hits(wish.first.size * wish.most), np.empty(len(light.order), np.int64)
+    for first in light.order:
         done[:] = 0
         if wish.by_rounds:
             eight.range_m[:, :, 0] = middle[0][first : first + PACKET]
@@ -227,21 +183,19 @@ def cast_sub_rays(
             done[:] = (eight.surface[:, :, 0] != _NONE) | (light.judged_m >= light.far_m)
         for j in range(shape[1]):
             _cast_eight(target, light, wish, packet, first, j, axes, shift, order, eight, done)
-        n = _put_down(eight, done, first, count, out, n)
-    return n
+        begin[first // PACKET] = n
+        n = _put_down(eight, done, first, count, room, n)
+    out = _hits(n)
+    _put_in_order(room, begin, count, out)
+    return out.range_m, out.surface, out.cos_incidence
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _put_down(
-    eight: _Hits,
-    done: NDArray[np.int64],
-    first: int,
-    count: NDArray[np.uint16],
-    out: tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]],
-    n: int,
+    eight: _Hits, done: NDArray[np.int64], first: int, count: NDArray[np.uint16], room: _Hits, n: int
 ) -> int:
     """Put the hits of eight sequences into the order of pulses, from number n on; gives the next number."""
-    range_m, surface, cos_incidence = out
+    range_m, surface, cos_incidence = room.range_m, room.surface, room.cos_incidence
     from_range_m, from_surface, from_cos_incidence = eight.range_m, eight.surface, eight.cos_incidence
     for r in range(done.shape[0]):
         for j in range(done.shape[1]):
@@ -251,6 +205,20 @@ def _put_down(
                 cos_incidence[n + s] = from_cos_incidence[r, j, s]
             n += have
     return n
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _put_in_order(room: _Hits, begin: NDArray[np.int64], count: NDArray[np.uint16], out: _Hits) -> None:
+    """Put hits into the order of sequences; those of each eight begin at a number of their own."""
+    range_m, surface, cos_incidence = out.range_m, out.surface, out.cos_incidence
+    from_range_m, from_surface, from_cos_incidence = room.range_m, room.surface, room.cos_incidence
+    n = 0
+    for eight in range(begin.shape[0]):
+        have = count[eight * PACKET : (eight + 1) * PACKET].sum()
+        for s in range(begin[eight], begin[eight] + have):
+            range_m[n], surface[n] = from_range_m[s], from_surface[s]
+            cos_incidence[n] = from_cos_incidence[s]
+            n += 1
 
 
 @numba.njit(cache=True, nogil=True)

@@ -53,6 +53,9 @@ _STEP_U, _STEP_V = np.uint32(round(2**32 / _PLASTIC)), np.uint32(round(2**32 / _
 ROUND = 8
 """Sub-rays per round of an adaptive footprint: a packet. Rounds of 4 and 6 take a tenth fewer, and a tenth more time,
 for the same error."""
+_TOGETHER, _USUAL_RAYS, _MOST_RAYS = 8, 64, 512
+"""Revolutions at once, in which what stands in one direction stays in the cache; and, over all of them, sub-rays of a
+direction as a rule, and at most."""
 _FIRST_PART = np.uint32(2**32 // ROUND)
 _BITS = 12
 _SHIFT = np.uint32(32 - _BITS)
@@ -96,6 +99,12 @@ class Footprint:
     def has_width(self) -> bool:
         """Whether casting needs `Firings.across`."""
         return self.model in (BeamModel.FIXED, BeamModel.ADAPTIVE, BeamModel.ANGLE)
+
+    @property
+    def together(self) -> int:
+        """Revolutions that are best cast at once: fewer where that would be long, or take much room."""
+        usual = {BeamModel.FIXED: self.rays, BeamModel.ADAPTIVE: ROUND}.get(self.model, 1)
+        return max(1, min(_TOGETHER, _USUAL_RAYS // usual, _MOST_RAYS // self.rays))
 
     @property
     def quarters(self) -> NDArray[np.float64]:

@@ -26,7 +26,12 @@ class SlowScene(ABC):
         self.surfaces = window.surfaces
 
     def cast(
-        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
+        self,
+        firings: Firings,
+        near_m: NDArray[np.float64],
+        far_m: float,
+        beam: Footprint = LINE,
+        block: int | None = None,
     ) -> Hits:
         """Cast pulses; the arguments are those of `EmbreeScene.cast`."""
 
@@ -39,7 +44,7 @@ class SlowScene(ABC):
             """Cast rays from origins in the world."""
             return self._rays(origin_m - self._origin_m, direction, near, far_m, t_ns)
 
-        return cast_slowly(cast, firings, near_m, beam, self.surfaces)
+        return cast_slowly(cast, firings, near_m, beam, self.surfaces, block)
 
     @abstractmethod
     def _rays(
@@ -59,6 +64,7 @@ def cast_slowly(
     near_m: NDArray[np.float64],
     beam: Footprint,
     surfaces: NDArray[np.void],
+    block: int | None = None,
 ) -> Hits:
     """Cast pulses of any beam model; the arguments are those of `EmbreeScene.cast`.
 
@@ -86,7 +92,7 @@ def cast_slowly(
     if beam.model is BeamModel.OFFSET:
         displace(range_m, beam, firings.index)
     if beam.model is BeamModel.ADAPTIVE:
-        return _by_rounds(cast, firings, near, beam, surfaces, (range_m, surface, cosine))
+        return _by_rounds(cast, firings, near, beam, surfaces, (range_m, surface, cosine), block or shape[0])
     return Hits.one_ray_each(range_m, surface, cosine)
 
 
@@ -97,6 +103,7 @@ def _by_rounds(
     beam: Footprint,
     surfaces: NDArray[np.void],
     middle: Met,
+    block: int,
 ) -> Hits:
     """Cast sub-rays where the rays along the middles are not enough, a round of all pulses at a time."""
     done, reflectance = np.ones(near.shape, np.int64), np.ascontiguousarray(surfaces["reflectance"])
@@ -105,7 +112,7 @@ def _by_rounds(
         np.where(judged, middle[0], np.float32(np.inf)),
         np.where(judged, middle[2], np.float32(0)),
     )
-    wanted = first_round(firings, judged_m, cosine, beam).astype(np.int64)
+    wanted = first_round(firings, judged_m, cosine, beam, block).astype(np.int64)
     met: dict[tuple[int, ...], Met] = {
         (i, j): (middle[0][i, j : j + 1], middle[1][i, j : j + 1], middle[2][i, j : j + 1])
         for i, j in np.ndindex(near.shape)
