@@ -27,6 +27,7 @@ FOUNDATIONS = {"errors", "random", "types", "units"}
 WIRING = {
     "__main__",
     "assembly",
+    "compiled",
     "emulator",
     "fidelity",
     "pipeline",

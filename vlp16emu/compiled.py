@@ -1,0 +1,73 @@
+"""Where compiled kernels are kept.
+
+Numba looks for changes in the file of a kernel only, not in those of the kernels that it calls. So what is kept belongs
+to one state of all files of the package: its folder is named by their times and sizes.
+"""
+
+import hashlib
+import os
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+__all__ = ["keep_compiled"]
+
+_PACKAGE = Path(__file__).parent
+_PREFIX = "kernels-"
+_UNUSED_S = 86_400.0
+"""Folders of other states are removed after a day."""
+
+
+def keep_compiled() -> None:
+    """Tell numba where to keep what it compiles, before any kernel is imported.
+
+    In `NUMBA_CACHE_DIR`, or beside the package; where that cannot be written in the user's cache, or in a folder of
+    the user's own for temporary files.
+    """
+    for base in _bases():
+        folder = base / (_PREFIX + _state())
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            # Whoever can write there can have us run what he likes.
+            if folder.stat().st_uid != os.getuid() or not os.access(folder, os.W_OK):
+                continue
+            os.utime(folder)
+        except OSError:
+            continue
+        _remove_unused(base)
+        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+        if "numba" in sys.modules:  # it has looked at the environment already
+            sys.modules["numba"].config.CACHE_DIR = str(folder)
+        return
+
+
+def _state() -> str:
+    """Name the state of the package's files."""
+    digest = hashlib.sha256()
+    for path in sorted([*_PACKAGE.glob("*.py"), *_PACKAGE.glob("[!_]*/**/*.py")]):
+        state = path.stat()
+        digest.update(f"{path} {state.st_mtime_ns} {state.st_size}\n".encode())
+    return digest.hexdigest()[:16]
+
+
+def _bases() -> list[Path]:
+    """Folders to try, best first."""
+    bases = [_PACKAGE / "__pycache__"]
+    if cache := os.environ.get("XDG_CACHE_HOME") or os.environ.get("HOME"):
+        bases.append(Path(cache) / ("vlp16emu" if "XDG_CACHE_HOME" in os.environ else ".cache/vlp16emu"))
+    bases.append(Path(os.environ.get("TMPDIR", "/tmp")) / f"vlp16emu-{os.getuid()}")  # noqa: S108 - checked to be our own
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        path = Path(chosen)  # a program that called us may have set it in this manner
+        bases.insert(0, path.parent if path.name.startswith(_PREFIX) else path)
+    return bases
+
+
+def _remove_unused(base: Path) -> None:
+    """Remove folders of other states that nobody has used for long."""
+    for folder in base.glob(_PREFIX + "*"):
+        with suppress(OSError):
+            if time.time() - folder.stat().st_mtime > _UNUSED_S:
+                from shutil import rmtree
+
+                rmtree(folder)
