@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from vlp16emu.cli.reading import CaptureReader
+from vlp16emu.errors import PacketError
 from vlp16emu.packets import Capture, data_fields, decode_data
 
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
@@ -66,7 +67,23 @@ def test_chunks_leave_no_trace(bench, monkeypatch):
         )
 
 
-@pytest.mark.parametrize("size", [2, 5, 2_000])
+def test_each_packet_is_decoded_once(bench, monkeypatch):
+    """Chunks do not overlap: a packet's points need no packet but itself."""
+    decoded = []
+
+    def noted(chunk, **options):
+        decoded.append(chunk)
+        return decode_data(chunk, **options)
+
+    monkeypatch.setattr("vlp16emu.cli.reading._CHUNK", 7)
+    monkeypatch.setattr("vlp16emu.cli.reading.decode_data", noted)
+    with CaptureReader(bench) as reader:
+        for _ in reader.points():
+            pass
+    np.testing.assert_array_equal(np.concatenate(decoded), payloads(bench))
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 2_000])
 def test_time_goes_on_over_the_full_hour(dual, monkeypatch, size):
     """The time of points rises over the hour, where the sensor's own clock falls back to 0."""
     monkeypatch.setattr("vlp16emu.cli.reading._CHUNK", size)
@@ -166,6 +183,23 @@ def test_another_sensor_is_refused_with_its_place(cli, bench, tmp_path):
     assert outcome.code == 2
     assert outcome.err.startswith(f"error: {other}: frames ")
     assert "0x21; expected 0x22 or 0x24" in outcome.err
+
+
+@pytest.mark.parametrize("size", [7, 2_000])
+def test_another_model_is_refused_at_any_packet(bench, tmp_path, monkeypatch, size):
+    """A Puck Hi-Res from the eighth packet on is refused, whether or not a chunk ends before it."""
+    monkeypatch.setattr("vlp16emu.cli.reading._CHUNK", size)
+    content = bytearray(bench.read_bytes())
+    for payload in payloads(bench)[7:]:
+        content[content.index(payload.tobytes()) + 1205] = 0x24
+    mixed = tmp_path / "mixed.pcap"
+    mixed.write_bytes(content)
+    with (
+        CaptureReader(mixed) as reader,
+        pytest.raises(PacketError, match="0x24; expected the first packet's"),
+    ):
+        for _ in reader.points():
+            pass
 
 
 @pytest.mark.skipif(not CAPTURES.is_dir(), reason="the captures of real sensors are not here")

@@ -142,14 +142,16 @@ class CaptureReader:
         PacketError
             where a packet is not a VLP-16's
         """
-        for payloads, own, where in self._chunks():
+        for payloads, where in self._chunks():
             try:
                 points = decode_data(payloads, keep_no_returns=False)
             except PacketError as error:
                 raise PacketError(f"{where}: {error.where}", error.found, error.expected) from None
             fields = data_fields(payloads)
-            points, clock_ns = self._unwrapped(points, fields, own)
-            self._note(fields[:own])
+            if self._azimuth_cdeg and fields["factory"][0] != self._factory:
+                raise PacketError(f"{where}: product", f"{fields['factory'][0]:#x}", "the first packet's")
+            clock_ns = self._unwrapped_ns(points, fields)
+            self._note(fields)
             yield points, clock_ns
         if not self._azimuth_cdeg:
             raise CaptureError(str(self._path), "no data packet", f"UDP payloads of {DATA_BYTES} bytes")
@@ -181,12 +183,8 @@ class CaptureReader:
             cut=self._capture.cut,
         )
 
-    def _chunks(self) -> Iterator[tuple[NDArray[np.uint8], int, str]]:
-        """Payloads (n, 1206), how many of them are new, and where they stand.
-
-        The last packet of a chunk comes again as the first of the next, and is counted there: the azimuths
-        of its last block need the packet that follows.
-        """
+    def _chunks(self) -> Iterator[tuple[NDArray[np.uint8], str]]:
+        """Payloads (n, 1206) of data packets, and where they stand."""
         held: list[Datagram] = []
         for datagram in self._capture:
             if self._unit is not None and not self._unit.owns(datagram):
@@ -197,17 +195,17 @@ class CaptureReader:
             first_ns, _ = self._stamps_ns or (datagram.stamp_ns, 0)
             self._stamps_ns = first_ns, datagram.stamp_ns
             held.append(datagram)
-            if len(held) > _CHUNK:
-                yield self._chunk(held, _CHUNK)
-                held = held[-1:]
+            if len(held) == _CHUNK:
+                yield self._chunk(held)
+                held = []
         if held:
-            yield self._chunk(held, len(held))
+            yield self._chunk(held)
 
-    def _chunk(self, held: list[Datagram], own: int) -> tuple[NDArray[np.uint8], int, str]:
+    def _chunk(self, held: list[Datagram]) -> tuple[NDArray[np.uint8], str]:
         """Join payloads."""
         joined = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)
         where = f"{self._path}: frames {held[0].number} to {held[-1].number}"
-        return joined.reshape(len(held), DATA_BYTES), own, where
+        return joined.reshape(len(held), DATA_BYTES), where
 
     def _note_other(self, datagram: Datagram) -> None:
         """Count what is no data packet."""
@@ -235,19 +233,16 @@ class CaptureReader:
         self._turned_cdeg += int(turned_cdeg.sum())
         self._turning_ns += int(np.where(dual, 5, 10).sum()) * BLOCK_PERIOD_NS
 
-    def _unwrapped(
-        self, points: Points, fields: NDArray[np.void], own: int
-    ) -> tuple[Points, NDArray[np.int64]]:
-        """Points of the first `own` packets, and their clock with the hours added."""
+    def _unwrapped_ns(self, points: Points, fields: NDArray[np.void]) -> NDArray[np.int64]:
+        """(n,) the clock of points with the hours added."""
         clock_us = fields["timestamp_us"].astype(np.int64)
         back_us = np.diff(clock_us, prepend=self._clock_us if self._azimuth_cdeg else clock_us[0])
         hours = self._hours + np.cumsum(back_us * US_NS < -HOUR_NS // 2)
-        self._hours, self._clock_us = int(hours[own - 1]), int(clock_us[own - 1])
-        n = int(np.searchsorted(points.packet, own))
-        points = Points(**{name: getattr(points, name)[:n] for name in Points.__slots__})
+        self._hours, self._clock_us = int(hours[-1]), int(clock_us[-1])
         packet_ns = clock_us[points.packet] * US_NS
         since_ns = (points.time_ns - packet_ns) % HOUR_NS
-        return points, packet_ns + since_ns + hours[points.packet] * HOUR_NS
+        clock_ns: NDArray[np.int64] = packet_ns + since_ns + hours[points.packet] * HOUR_NS
+        return clock_ns
 
     def _ranges_m(self) -> tuple[float, float, float]:
         """Minimum, median and maximum distance."""
