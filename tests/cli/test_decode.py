@@ -1,6 +1,7 @@
 """Captures into numbers and points."""
 
 import csv
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 import trimesh
 
 from vlp16emu.cli.reading import CaptureReader
-from vlp16emu.errors import PacketError
+from vlp16emu.errors import CaptureError, PacketError
 from vlp16emu.packets import Capture, data_fields, decode_data
 
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
@@ -18,6 +19,22 @@ def payloads(path):
     with Capture(path) as capture:
         rows = [datagram.payload for datagram in capture if len(datagram.payload) == 1206]
     return np.frombuffer(b"".join(rows), np.uint8).reshape(-1, 1206)
+
+
+def data_frames(path):
+    """Numbers of the frames with data packets."""
+    with Capture(path) as capture:
+        return [datagram.number for datagram in capture if len(datagram.payload) == 1206]
+
+
+def xyz_in(path):
+    """Coordinates in a file of points, read by somebody else where there is somebody."""
+    if path.suffix == ".npz":
+        with np.load(path) as arrays:
+            return arrays["xyz_m"]
+    if path.suffix == ".ply":
+        return np.asarray(trimesh.load(path).vertices)
+    return np.loadtxt(path, delimiter=",", skiprows=1, usecols=(1, 2, 3))
 
 
 def test_the_summary_is_what_the_packets_say(cli, bench):
@@ -174,15 +191,74 @@ def test_a_cut_file_is_read_to_its_last_whole_packet(cli, bench, tmp_path):
 
 
 def test_another_sensor_is_refused_with_its_place(cli, bench, tmp_path):
-    """A product byte of an HDL-32E is named with the file and the frames it stands in."""
+    """A product byte of an HDL-32E is named with the file and the frame it stands in."""
     content = bytearray(bench.read_bytes())
     content[content.index(payloads(bench)[0].tobytes()) + 1205] = 0x21
     other = tmp_path / "other.pcap"
     other.write_bytes(content)
     outcome = cli("decode", other)
+    number = data_frames(bench)[0]
     assert outcome.code == 2
-    assert outcome.err.startswith(f"error: {other}: frames ")
-    assert "0x21; expected 0x22 or 0x24" in outcome.err
+    assert outcome.err == f"error: {other}: frame {number}: product: 0x21; expected 0x22 or 0x24\n"
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
+def test_a_broken_packet_leaves_the_points_before_it(cli, bench, tmp_path, suffix):
+    """A last packet with a broken flag is named by its frame, and the points of all others can be read."""
+    content = bytearray(bench.read_bytes())
+    content[content.index(payloads(bench)[-1].tobytes()) + 300] = 0xFE
+    broken, out = tmp_path / "broken.pcap", tmp_path / f"x{suffix}"
+    broken.write_bytes(content)
+    outcome = cli("decode", broken, "--out", out)
+    number = data_frames(bench)[-1]
+    assert outcome.code == 2
+    assert outcome.err == f"error: {broken}: frame {number}: block flag: 0xeefe; expected 0xeeff\n"
+    before = decode_data(payloads(bench)[:-1], keep_no_returns=False)
+    np.testing.assert_allclose(xyz_in(out), before.xyz_m, atol=5.1e-5)
+
+
+def test_no_sound_packet_leaves_a_file_without_points(cli, bench, tmp_path):
+    """Where the first packet is broken, the file has no points and can be read."""
+    content = bytearray(bench.read_bytes())
+    content[content.index(payloads(bench)[0].tobytes()) + 300] = 0xFE
+    broken, out = tmp_path / "broken.pcap", tmp_path / "x.npz"
+    broken.write_bytes(content)
+    assert cli("decode", broken, "--out", out).code == 2
+    assert xyz_in(out).shape == (0, 3)
+
+
+def test_packets_before_a_damaged_record_are_told(bench, tmp_path):
+    """A record of an impossible length is an error that comes after the points of all packets before it."""
+    damaged = tmp_path / "damaged.pcap"
+    damaged.write_bytes(bench.read_bytes() + b"\xff" * 16)
+    read = []
+    with CaptureReader(damaged) as reader, pytest.raises(CaptureError, match="a length of 4294967295 bytes"):
+        read.extend(points.xyz_m for points, _ in reader.points())
+    np.testing.assert_array_equal(
+        np.concatenate(read), decode_data(payloads(bench), keep_no_returns=False).xyz_m
+    )
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
+def test_ctrl_c_leaves_the_points_so_far(cli, bench, tmp_path, monkeypatch, suffix):
+    """Ctrl-C in the fourth chunk of 7 packets ends decoding after it: 28 packets are told and can be read."""
+    monkeypatch.setattr("vlp16emu.cli.reading._CHUNK", 7)
+    blocks = CaptureReader.points
+
+    def interrupted(reader):
+        for number, block in enumerate(blocks(reader), start=1):
+            if number == 4:
+                signal.raise_signal(signal.SIGINT)
+            yield block
+
+    monkeypatch.setattr(CaptureReader, "points", interrupted)
+    out = tmp_path / f"x{suffix}"
+    outcome = cli("decode", bench, "--out", out, "--json")
+    assert outcome.code == 130
+    assert (outcome.tree["packets"], outcome.tree["interrupted"]) == (28, True)
+    np.testing.assert_allclose(
+        xyz_in(out), decode_data(payloads(bench)[:28], keep_no_returns=False).xyz_m, atol=5.1e-5
+    )
 
 
 @pytest.mark.parametrize("size", [7, 2_000])

@@ -192,6 +192,15 @@ def test_refuses_other_packets(make_returns, offset, value, message):
     assert str(error.value) == message
 
 
+def test_the_first_packet_at_fault_is_named(make_returns):
+    """Of a late packet with a broken flag and an earlier one of an unknown mode, the earlier is told."""
+    payloads = steady(make_returns, ReturnMode.STRONGEST, 4)
+    payloads[3, 300] = 0xFE
+    payloads[2, 1204] = 0x36
+    with pytest.raises(PacketError, match="data packet 2: return mode: 0x36"):
+        decode_data(payloads, keep_no_returns=False)
+
+
 @pytest.mark.parametrize("shape", [(1206,), (2, 1200), (2, 1248)])
 def test_refuses_other_lengths(shape):
     """Payloads of another length are an error before anything is read from them."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vlp16emu.cli.arguments import AsJson, CaptureFile
+from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows
 from vlp16emu.errors import InputError
 
@@ -38,22 +39,28 @@ def decode(
     """Decode a capture by the formulas of the sensor's manual.
 
     Works on recordings of real sensors too. Points are in the sensor's frame: metres, azimuth 0 on +y,
-    clockwise seen from above. Pulses without return become no points.
+    clockwise seen from above. Pulses without return become no points. Ctrl-C and a packet at fault leave a
+    valid file with the points before.
     """
     from vlp16emu.cli.export import writing
     from vlp16emu.cli.reading import COLUMNS, COMMENTS, CaptureReader
 
-    with CaptureReader(file, _chosen(file, unit)) as reader, ExitStack() as stack:
+    with CaptureReader(file, _chosen(file, unit)) as reader, stop_on_ctrl_c() as stop, ExitStack() as stack:
         writer = stack.enter_context(writing(out, COLUMNS, COMMENTS, where=f"--out {out}")) if out else None
         for points, clock_ns in reader.points():
             if writer:
                 arrays = {name: getattr(points, name) for name in points.__slots__}
                 writer.write(arrays | {"clock_ns": clock_ns})
-    summary = reader.summary
+            if stop.is_set():
+                break
+    summary, interrupted = reader.summary, stop.is_set()
     if as_json:
-        print_json({"file": str(file), "out": out and str(out)} | _tree(summary))
+        tree = {"file": str(file), "out": out and str(out)} | _tree(summary)
+        print_json(tree | {"interrupted": interrupted})
     else:
-        _print(file, out, summary)
+        _print(file, out, summary, interrupted=interrupted)
+    if interrupted:
+        raise typer.Exit(INTERRUPTED)
 
 
 def _chosen(file: Path, unit: str | None) -> "CapturedUnit | None":
@@ -95,7 +102,7 @@ def _tree(summary: "Summary") -> dict[str, Any]:
     }
 
 
-def _print(file: Path, out: Path | None, summary: "Summary") -> None:
+def _print(file: Path, out: Path | None, summary: "Summary", *, interrupted: bool) -> None:
     """Print the summary for people."""
     per_scan = f", {count(summary.records_per_scan)} records each" if summary.records_per_scan else ""
     gps = "no position packet"
@@ -118,8 +125,10 @@ def _print(file: Path, out: Path | None, summary: "Summary") -> None:
         rows["passed over"] = f"{count(summary.other_datagrams)} datagrams of another length"
     if summary.cut:
         rows["end"] = "in the middle of a packet, which was left out"
+    if interrupted:
+        rows["end"] = "interrupted"
     if out:
-        rows["wrote"] = str(out)
+        rows["kept" if interrupted else "wrote"] = str(out)
     print_rows(str(file), rows)
 
 

@@ -55,7 +55,7 @@ class PointWriter(Protocol):
         """Add points."""
 
     def finish(self) -> None:
-        """Write what could not be written before all points were known."""
+        """Write what could not be written before it was known how many points there are."""
 
 
 class _Csv:
@@ -174,6 +174,8 @@ def writing(
 ) -> Iterator[PointWriter]:
     """Open a file for points in the format that its suffix names.
 
+    Where the points end with an error, the file holds those that were written before it.
+
     Parameters
     ----------
     comments : lines for people, in formats that have a place for them
@@ -197,8 +199,10 @@ def writing(
     try:
         with file, ExitStack() as stack:
             writer = _WRITERS[path.suffix](file, columns, comments, stack)
-            yield writer
-            writer.finish()
+            try:
+                yield writer
+            finally:
+                writer.finish()
     except OSError as error:
         raise RunError(f"{where}: {error.strerror}; the file is not complete") from error
 

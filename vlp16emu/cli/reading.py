@@ -29,6 +29,7 @@ from vlp16emu.packets import (
     data_fields,
     decode_data,
     decode_position,
+    fault_in,
     scan_starts,
 )
 from vlp16emu.types import Packet, PacketKind, ReturnMode, SensorModel
@@ -114,7 +115,7 @@ class CaptureReader:
         self._codes = np.zeros(2**16, np.int64)
         self._azimuth_cdeg: list[NDArray[np.uint16]] = []
         self._modes: dict[int, None] = {}
-        self._factory = 0
+        self._factory: int | None = None
         self._turned_cdeg = self._turning_ns = 0
         self._positions = self._others = 0
         self._gps: PositionFields | None = None
@@ -133,7 +134,8 @@ class CaptureReader:
     def points(self) -> Iterator[tuple[Points, NDArray[np.int64]]]:
         """Points without no-returns, and (n,) their time on the sensor's clock in ns.
 
-        The time counts from the full hour before the capture and goes on past the next one.
+        The time counts from the full hour before the capture and goes on past the next one. All points
+        before a packet or record at fault are given before the error is raised.
 
         Raises
         ------
@@ -142,17 +144,16 @@ class CaptureReader:
         PacketError
             where a packet is not a VLP-16's
         """
-        for payloads, where in self._chunks():
-            try:
-                points = decode_data(payloads, keep_no_returns=False)
-            except PacketError as error:
-                raise PacketError(f"{where}: {error.where}", error.found, error.expected) from None
-            fields = data_fields(payloads)
-            if self._azimuth_cdeg and fields["factory"][0] != self._factory:
-                raise PacketError(f"{where}: product", f"{fields['factory'][0]:#x}", "the first packet's")
-            clock_ns = self._unwrapped_ns(points, fields)
-            self._note(fields)
-            yield points, clock_ns
+        for held in self._chunks():
+            payloads = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)
+            payloads = payloads.reshape(len(held), DATA_BYTES)
+            fault = fault_in(data_fields(payloads), self._factory)
+            sound = payloads if fault is None else payloads[: fault.packet]
+            if len(sound):
+                yield self._decoded(sound)
+            if fault is not None:
+                where = f"{self._path}: frame {held[fault.packet].number}: {fault.what}"
+                raise PacketError(where, fault.found, fault.expected)
         if not self._azimuth_cdeg:
             raise CaptureError(str(self._path), "no data packet", f"UDP payloads of {DATA_BYTES} bytes")
 
@@ -183,29 +184,35 @@ class CaptureReader:
             cut=self._capture.cut,
         )
 
-    def _chunks(self) -> Iterator[tuple[NDArray[np.uint8], str]]:
-        """Payloads (n, 1206) of data packets, and where they stand."""
+    def _chunks(self) -> Iterator[list[Datagram]]:
+        """Gather data packets; those before an error come before it."""
         held: list[Datagram] = []
-        for datagram in self._capture:
-            if self._unit is not None and not self._unit.owns(datagram):
-                continue
-            if len(datagram.payload) != DATA_BYTES:
-                self._note_other(datagram)
-                continue
-            first_ns, _ = self._stamps_ns or (datagram.stamp_ns, 0)
-            self._stamps_ns = first_ns, datagram.stamp_ns
-            held.append(datagram)
-            if len(held) == _CHUNK:
-                yield self._chunk(held)
-                held = []
+        try:
+            for datagram in self._capture:
+                if self._unit is not None and not self._unit.owns(datagram):
+                    continue
+                if len(datagram.payload) != DATA_BYTES:
+                    self._note_other(datagram)
+                    continue
+                first_ns, _ = self._stamps_ns or (datagram.stamp_ns, 0)
+                self._stamps_ns = first_ns, datagram.stamp_ns
+                held.append(datagram)
+                if len(held) == _CHUNK:
+                    yield held
+                    held = []
+        except (CaptureError, PacketError):
+            if held:
+                yield held
+            raise
         if held:
-            yield self._chunk(held)
+            yield held
 
-    def _chunk(self, held: list[Datagram]) -> tuple[NDArray[np.uint8], str]:
-        """Join payloads."""
-        joined = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)
-        where = f"{self._path}: frames {held[0].number} to {held[-1].number}"
-        return joined.reshape(len(held), DATA_BYTES), where
+    def _decoded(self, payloads: NDArray[np.uint8]) -> tuple[Points, NDArray[np.int64]]:
+        """Decode packets, (n, 1206), and count them."""
+        points, fields = decode_data(payloads, keep_no_returns=False), data_fields(payloads)
+        clock_ns = self._unwrapped_ns(points, fields)
+        self._note(fields)
+        return points, clock_ns
 
     def _note_other(self, datagram: Datagram) -> None:
         """Count what is no data packet."""

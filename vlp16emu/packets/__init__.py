@@ -5,11 +5,13 @@ from vlp16emu.packets.data import data_payloads, pack_data, timestamp_us
 from vlp16emu.packets.decode import (
     ELEVATION_DEG,
     VERTICAL_CORRECTION_M,
+    Fault,
     Points,
     PositionFields,
     data_fields,
     decode_data,
     decode_position,
+    fault_in,
     scan_starts,
 )
 from vlp16emu.packets.frames import (
@@ -90,6 +92,7 @@ __all__ = [
     "Capture",
     "CapturedUnit",
     "Datagram",
+    "Fault",
     "Link",
     "Points",
     "PositionFields",
@@ -99,6 +102,7 @@ __all__ = [
     "data_payloads",
     "decode_data",
     "decode_position",
+    "fault_in",
     "first_position_packet",
     "pack_data",
     "pack_position",

@@ -8,6 +8,7 @@ Z = R sin w + c. Source: 63-9243 Rev D, sections 9.1 and 9.2, p. 52 to 54.
 import math
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -22,11 +23,13 @@ from vlp16emu.units import HOUR_NS, US_NS
 __all__ = [
     "ELEVATION_DEG",
     "VERTICAL_CORRECTION_M",
+    "Fault",
     "Points",
     "PositionFields",
     "data_fields",
     "decode_data",
     "decode_position",
+    "fault_in",
     "scan_starts",
 ]
 
@@ -74,6 +77,16 @@ _MODEL = MappingProxyType(
 )
 _MAX_STEP_CDEG = 100
 """A wider step from block to block is the edge of a limited field of view: 1200 rpm, the fastest, make 79.6."""
+
+
+class Fault(NamedTuple):
+    """Why a data packet is not a VLP-16's."""
+
+    packet: int
+    """Row of the payload."""
+    what: str
+    found: str
+    expected: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +163,7 @@ def decode_data(payloads: NDArray[np.uint8], *, keep_no_returns: bool) -> Points
     PacketError : no data packet of a VLP-16 or Puck Hi-Res, or packets of two models
     """
     fields = data_fields(payloads)
-    model = _check(fields)
+    model = _model(fields)
     records = fields["blocks"]["records"]
     source = _pulse_order(fields, keep_no_returns=keep_no_returns)
     packet, record = np.divmod(source, layout.RECORDS_PER_PACKET)
@@ -177,6 +190,35 @@ def decode_data(payloads: NDArray[np.uint8], *, keep_no_returns: bool) -> Points
         reflectivity=records["reflectivity"].ravel()[source],
         is_last=np.where(dual[packet], block % 2 == 0, last_mode[packet]),
     )
+
+
+def fault_in(fields: NDArray[np.void], factory: int | None = None) -> Fault | None:
+    """Find the first packet that is not a VLP-16's, or of another model than the others.
+
+    Parameters
+    ----------
+    fields : (n,) `DATA_PAYLOAD`
+    factory : product byte of packets before these, if there are any
+    """
+    flags, azimuth_cdeg, products = (
+        fields["blocks"]["flag"],
+        fields["blocks"]["azimuth_cdeg"],
+        fields["factory"],
+    )
+    modes, first = [*layout.RETURN_MODE_BYTE.values()], products[:1] if factory is None else factory
+    faults = []
+    for what, codes, right, expected in (
+        ("block flag", flags, flags == layout.BLOCK_FLAG, "0xeeff"),
+        ("return mode", fields["return_mode"], np.isin(fields["return_mode"], modes), "0x37, 0x38 or 0x39"),
+        ("product", products, np.isin(products, [*_MODEL]), "0x22 or 0x24"),
+        ("product", products, products == first, "the first packet's"),
+        # Old firmware was seen to send 36000 for 0.
+        ("azimuth", azimuth_cdeg, azimuth_cdeg <= layout.AZIMUTH_CODES, "0 to 36000 hundredths of a degree"),
+    ):
+        if not right.all():
+            wrong = tuple(np.argwhere(~right)[0])
+            faults.append(Fault(int(wrong[0]), what, f"{codes[wrong]:#x}", expected))
+    return min(faults, key=lambda fault: fault.packet, default=None)
 
 
 def scan_starts(azimuth_deg: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -217,21 +259,10 @@ def decode_position(payload: bytes) -> PositionFields:
     )
 
 
-def _check(fields: NDArray[np.void]) -> SensorModel:
-    """Refuse what is no VLP-16, naming the first packet at fault; else tell the model."""
-    flags, azimuth_cdeg = fields["blocks"]["flag"], fields["blocks"]["azimuth_cdeg"]
-    modes = [*layout.RETURN_MODE_BYTE.values()]
-    for name, codes, right, expected in (
-        ("block flag", flags, flags == layout.BLOCK_FLAG, "0xeeff"),
-        ("return mode", fields["return_mode"], np.isin(fields["return_mode"], modes), "0x37, 0x38 or 0x39"),
-        ("product", fields["factory"], np.isin(fields["factory"], [*_MODEL]), "0x22 or 0x24"),
-        ("product", fields["factory"], fields["factory"] == fields["factory"][:1], "the first packet's"),
-        # Old firmware was seen to send 36000 for 0.
-        ("azimuth", azimuth_cdeg, azimuth_cdeg <= layout.AZIMUTH_CODES, "0 to 36000 hundredths of a degree"),
-    ):
-        if not right.all():
-            wrong = tuple(np.argwhere(~right)[0])
-            raise PacketError(f"data packet {wrong[0]}: {name}", f"{codes[wrong]:#x}", expected)
+def _model(fields: NDArray[np.void]) -> SensorModel:
+    """Tell the model; refuse what is not a VLP-16's."""
+    if fault := fault_in(fields):
+        raise PacketError(f"data packet {fault.packet}: {fault.what}", fault.found, fault.expected)
     return _MODEL[int(fields["factory"][0])] if len(fields) else SensorModel.VLP_16
 
 
