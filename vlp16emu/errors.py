@@ -14,7 +14,7 @@
 Every message says where, what was found and what was expected.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -30,6 +30,7 @@ __all__ = [
     "TrajectoryError",
     "Vlp16emuError",
     "readable",
+    "spare",
 ]
 
 
@@ -117,3 +118,23 @@ def readable(path: Path, expected: str, kind: type[InputError]) -> Iterator[None
         raise kind(str(path), (error.strerror or "cannot be read").lower(), expected) from None
     except UnicodeDecodeError as error:
         raise kind(str(path), f"no UTF-8 text at byte {error.start}", expected) from None
+
+
+def spare(inputs: Iterable[Path], output: Path) -> None:
+    """Refuse to write over a file that is read.
+
+    Raises
+    ------
+    OutputError
+        where `output` is one of `inputs`, by whatever name
+    """
+    if any(_is_same(file, output) for file in inputs):
+        raise OutputError(str(output), "is read by this run, and would be written over", "another place")
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one file; never where one of them leads nowhere."""
+    try:
+        return one.samefile(other)
+    except OSError:
+        return False

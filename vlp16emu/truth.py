@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from vlp16emu.assembly import Parts, Unit
+from vlp16emu.assembly.files import named_files
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import RunError
 from vlp16emu.motion import Imu, Motion, Receiver, rotations, to_geodetic
@@ -65,7 +66,7 @@ class Truth:
     Raises
     ------
     OutputError
-        where the folder cannot be used
+        where the folder cannot be used, or holds a file that the scenario names
     RunError
         where it cannot be written: here, or later
     """
@@ -77,7 +78,7 @@ class Truth:
         self._units = parts.units
         self._step_ns = -(-S_NS // rate_hz)
         self._seen_ns = self._next_ns = begin_ns = scenario.start_ns + seconds_to_ns(start_s)
-        self._folder = TruthFolder(folder)
+        self._folder = TruthFolder(folder, named_files(scenario))
         self._folder.write_json("scenario.json", _resolved(scenario))
         self._folder.write_json("rig.json", _rig(scenario, parts))
         # The first packet may have begun before it was asked for.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
+from vlp16emu.cli.inputs import load_for
 from vlp16emu.cli.output import count, print_json, print_rows, size
 from vlp16emu.errors import InputError, OutputError
 
@@ -72,9 +73,7 @@ def forest(
     Trees by species, their pattern, the relief, and what lies on the ground, all within the radius of the
     way; of a hall, its things.
     """
-    from vlp16emu.scenario import load
-
-    scenario = load(scene, settings or [])
+    scenario = load_for([inventory, glb, picture], scene, settings or [])
     outputs = {"--inventory": inventory, "--glb": glb, "--picture": picture}
     wanted = {option: path for option, path in outputs.items() if path is not None}
     for option, path in wanted.items():

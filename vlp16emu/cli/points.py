@@ -20,6 +20,7 @@ from vlp16emu.cli.arguments import (
     checked,
     span_s,
 )
+from vlp16emu.cli.inputs import load_for
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows, size
 from vlp16emu.cli.progress import Progress
@@ -77,9 +78,8 @@ def points(
     from vlp16emu.cli.cloud import COLUMNS, RETURN_NAMES, TRUTH_COLUMNS, cloud, comments
     from vlp16emu.cli.export import writing
     from vlp16emu.emulator import Emulator
-    from vlp16emu.scenario import load
 
-    scenario = load(scene, all_settings(settings, ideal=ideal))
+    scenario = load_for([out], scene, all_settings(settings, ideal=ideal))
     start_s, stop_s = span_s(start, duration, scenario.duration_s)
     if unit > (units := 1 + len(scenario.rig)):
         raise InputError("--unit", f"found {unit}", f"at most {units}, as the scene has {units} units")

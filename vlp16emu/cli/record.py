@@ -21,11 +21,12 @@ from vlp16emu.cli.arguments import (
     span_s,
 )
 from vlp16emu.cli.audit import NoAudit, audit_row, audit_tree, audited
+from vlp16emu.cli.inputs import load_for
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows, size
 from vlp16emu.cli.progress import Progress
 from vlp16emu.cli.rotor import revolutions, turned
-from vlp16emu.cli.truth import TruthPackets, TruthRate, TruthTo, with_truth
+from vlp16emu.cli.truth import SCENARIO, TruthPackets, TruthRate, TruthTo, with_truth
 
 if TYPE_CHECKING:
     from vlp16emu.assembly import Unit
@@ -61,11 +62,10 @@ def record(
     stamped with simulated time. Ctrl-C ends it early and leaves a valid file.
     """
     began_s = time.perf_counter()
-    from vlp16emu.scenario import load
     from vlp16emu.sinks import PcapSink
     from vlp16emu.units import seconds_to_ns
 
-    scenario = load(scene, all_settings(settings, ideal=ideal))
+    scenario = load_for([out, truth and truth / SCENARIO], scene, all_settings(settings, ideal=ideal))
     start_s, stop_s = span_s(start, duration, scenario.duration_s)
     emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
     packets = emulator.packets(start_s, stop_s)  # checks the span before the file is touched

@@ -22,11 +22,12 @@ from vlp16emu.cli.arguments import (
     span_s,
 )
 from vlp16emu.cli.audit import NoAudit, audit_row, audit_tree, audited
+from vlp16emu.cli.inputs import load_for
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows
 from vlp16emu.cli.progress import Progress
 from vlp16emu.cli.rotor import revolutions, turned
-from vlp16emu.cli.truth import TruthPackets, TruthRate, TruthTo, with_truth
+from vlp16emu.cli.truth import SCENARIO, TruthPackets, TruthRate, TruthTo, with_truth
 
 if TYPE_CHECKING:
     from vlp16emu.assembly import Unit
@@ -84,11 +85,11 @@ def stream(
     Nothing leaves this machine unless --to names another one. Packets are computed ahead; the first one
     starts the clock, and all deadlines count from there. Ctrl-C ends the stream.
     """
-    from vlp16emu.scenario import load
     from vlp16emu.sinks import LOOK_AHEAD_PACKETS, Pacer
     from vlp16emu.sinks import stream as send
 
-    scenario = load(scene, [*all_settings(settings, ideal=ideal), *_told_ports(data_port, position_port)])
+    changes = [*all_settings(settings, ideal=ideal), *_told_ports(data_port, position_port)]
+    scenario = load_for([truth and truth / SCENARIO], scene, changes)
     start_s, stop_s = span_s(0.0, duration, scenario.duration_s)
     emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
     packets = emulator.packets(start_s, stop_s)

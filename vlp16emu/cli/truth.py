@@ -13,7 +13,10 @@ if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
     from vlp16emu.types import Packet
 
-__all__ = ["TruthPackets", "TruthRate", "TruthTo", "with_truth"]
+__all__ = ["SCENARIO", "TruthPackets", "TruthRate", "TruthTo", "with_truth"]
+
+SCENARIO = "scenario.json"
+"""File of the truth that can be recorded again."""
 
 TruthTo = Annotated[
     Path | None,

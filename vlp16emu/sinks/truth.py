@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import ExitStack
 from io import FileIO
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.errors import OutputError, RunError
+from vlp16emu.errors import OutputError, RunError, spare
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
@@ -27,14 +27,15 @@ class TruthFolder:
     Parameters
     ----------
     path : new, empty, or with nothing in it but the truth of an earlier run, which is then removed
+    inputs : files that the run itself reads
 
     Raises
     ------
     OutputError
-        where the folder cannot be made, or holds something else
+        where the folder cannot be made, or holds something else, or one of the inputs
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, inputs: Collection[Path] = ()) -> None:
         self.path = path
         self._files: dict[str, FileIO] = {}
         self._open = ExitStack()
@@ -45,6 +46,8 @@ class TruthFolder:
             if strange:
                 expected = "a new or empty folder, or one with the truth of an earlier run"
                 raise OutputError(str(path), f"holds {strange[0]}", expected)
+            for file in present:
+                spare(inputs, file)
             for file in present:
                 file.unlink()
         except OSError as error:
