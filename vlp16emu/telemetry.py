@@ -31,7 +31,7 @@ def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Scene]) -> 
     def cover(t_ns: int, antenna_m: NDArray[np.float64]) -> float:
         """Share of the sky that is covered over the antenna."""
         scene = windows.at_time(t_ns - start_ns).result()
-        return sky_cover(scene, antenna_m, _LOWEST_DEG, far_m)
+        return sky_cover(scene, t_ns, antenna_m, _LOWEST_DEG, far_m)
 
     return Receiver(
         parts.motion,

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from vlp16emu.raycast.adaptive import enough
+from vlp16emu.raycast.adaptive import enough, first_round
 from vlp16emu.raycast.embree import EmbreeCaster
 from vlp16emu.raycast.footprint import ROUND
 from vlp16emu.types import NO_SURFACE, Semantic
@@ -125,6 +125,32 @@ def test_among_plants_pulses_are_judged_to_40_m(lab, workers, reach_m):
             assert (hits.range_m[::most] == line.range_m).all()
         else:
             assert np.isinf(hits.range_m).all()
+
+
+def test_neighbours_are_those_of_the_block_and_of_the_laser_that_turns(lab):
+    """How far neighbours are follows from each block's own pace, and not from a laser that looks along the axis."""
+    paces_rad, k = (0.0035, 0.00055), 32
+    firings = lab.level_pulses(np.zeros(2 * k), lasers=2)
+    for block, pace_rad in enumerate(paces_rad):
+        angle = np.arange(k) * pace_rad
+        firings.direction[block * k : (block + 1) * k, 1] = np.stack(
+            [np.cos(angle), np.sin(angle), 0 * angle], axis=1
+        )
+    firings.direction[:, 0] = [0.0, 0.0, 1.0]
+    firings.direction[::2, 0, 0] = 1e-5
+    range_m = np.full((2 * k, 2), 10.0, np.float32)
+    for block in range(2):  # a step in the middle of each
+        range_m[block * k + k // 2 : (block + 1) * k] = 12.0
+    both = first_round(firings, range_m, np.ones_like(range_m), lab.beam("adaptive"), k)
+    for block, within in enumerate((1, 3)):  # half of 3 mrad, in steps
+        assert (
+            np.flatnonzero(both[block * k : (block + 1) * k, 1] > 1) == np.arange(16 - within, 16 + within)
+        ).all()
+
+
+def test_what_lies_in_the_lens_is_judged_too():
+    """A sensor that stands in a wall has ranges of 0, which are an answer like any other."""
+    assert asked([0.0] * 8)
 
 
 def test_a_finer_target_takes_more_rays_and_no_target_more_than_it_may(lab, walls):

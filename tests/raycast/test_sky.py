@@ -1,6 +1,7 @@
 """How much of the sky is hidden."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def under(radius_m, height_m, workers, make=caster):
 @pytest.mark.parametrize("height_m", [2.0, 5.0, 10.0, 30.0])
 def test_a_disc_overhead_hides_its_solid_angle(workers, height_m):
     """A disc of 10 m hides the share of the sky above 15 degrees that its cone fills, within a ring of rays."""
-    cover = sky_cover(under(10.0, height_m, workers), AT_M, 15.0, 100.0)
+    cover = sky_cover(under(10.0, height_m, workers), 0, AT_M, 15.0, 100.0)
     lowest = math.sin(math.radians(15.0))
     share = (1 - height_m / math.hypot(height_m, 10.0)) / (1 - lowest)
     assert cover == pytest.approx(min(share, 1.0), abs=1 / 16)
@@ -50,19 +51,36 @@ def test_half_a_sky(workers):
     scene = under(80.0, 1.0, workers)
     for angle in np.radians(range(0, 360, 40)):
         edge_m = AT_M + 80.0 * np.array([math.cos(angle), math.sin(angle), 0.0])
-        assert sky_cover(scene, edge_m, 15.0, 100.0) == pytest.approx(0.5, abs=0.04)
+        assert sky_cover(scene, 0, edge_m, 15.0, 100.0) == pytest.approx(0.5, abs=0.04)
 
 
 def test_what_is_low_or_far_does_not_count(workers):
     """A roof below the lowest elevation, below the antenna or out of reach hides nothing."""
     scene = under(10.0, 5.0, workers)
-    assert sky_cover(scene, AT_M + [35.0, 0.0, 0.0], 15.0, 100.0) == 0.0
-    assert sky_cover(scene, AT_M + [35.0, 0.0, 0.0], 1.0, 100.0) > 0.0
-    assert sky_cover(scene, AT_M + [0.0, 0.0, 6.0], 15.0, 100.0) == 0.0
-    assert sky_cover(scene, AT_M, 15.0, 4.9) == 0.0
+    assert sky_cover(scene, 0, AT_M + [35.0, 0.0, 0.0], 15.0, 100.0) == 0.0
+    assert sky_cover(scene, 0, AT_M + [35.0, 0.0, 0.0], 1.0, 100.0) > 0.0
+    assert sky_cover(scene, 0, AT_M + [0.0, 0.0, 6.0], 15.0, 100.0) == 0.0
+    assert sky_cover(scene, 0, AT_M, 15.0, 4.9) == 0.0
 
 
 def test_both_casters_see_the_same_sky(workers):
     """The plain embreex class finds the same cover."""
     plain = under(10.0, 7.0, workers, make=lambda shape, _workers: PlainCaster(shape))
-    assert sky_cover(plain, AT_M, 15.0, 100.0) == sky_cover(under(10.0, 7.0, workers), AT_M, 15.0, 100.0)
+    assert sky_cover(plain, 0, AT_M, 15.0, 100.0) == sky_cover(
+        under(10.0, 7.0, workers), 0, AT_M, 15.0, 100.0
+    )
+
+
+def test_the_sky_is_that_of_its_instant():
+    """What sways is looked at where it is at the time that is asked for."""
+    asked = []
+
+    class Still:
+        """A scene of nothing that keeps the times of its rays."""
+
+        def cast(self, rays, _near_m, _far_m):
+            asked.append(rays.t_ns)
+            return SimpleNamespace(range_m=np.full(rays.t_ns.size, np.inf))
+
+    assert sky_cover(Still(), 1_234, AT_M, 15.0, 100.0) == 0.0
+    assert (asked[0] == 1_234).all()

@@ -59,13 +59,13 @@ def first_round(
     range_m, cos_incidence : (k, L) what the rays along the middle met
     block : sequences that are neighbours of each other only
     """
-    step_rad = float(np.linalg.norm(firings.direction[1, 0] - firings.direction[0, 0]))
-    half_rad = beam.divergence_rad[0] / 2
-    # Neighbours nearer than the footprint's edge say too little.
-    reach = max(1, math.ceil(half_rad / step_rad)) if step_rad > 0 else 1
     wanted = np.empty(range_m.shape, np.uint16)
     for first in range(0, len(range_m), block):
         of = slice(first, first + block)
+        # Of a laser that looks level; one that looks up the axis turns in place.
+        step_rad = float(np.linalg.norm(np.diff(firings.direction[first : first + 2], axis=0), axis=-1).max())
+        # Neighbours nearer than the footprint's edge say too little.
+        reach = max(1, math.ceil(beam.divergence_rad[0] / 2 / step_rad)) if step_rad > 0 else 1
         _first_round(
             range_m[of], cos_incidence[of], reach, beam.quarters, beam.target_m, beam.resolution_m, wanted[of]
         )
@@ -154,7 +154,7 @@ def _sort_echoes(
         if surface[i] == _NONE:
             continue
         reach_m = float(range_m[i])
-        energy = reflectance[surface[i]] * cos_incidence[i] / (reach_m * reach_m)
+        energy = reflectance[surface[i]] * cos_incidence[i] / max(reach_m * reach_m, 1e-12)
         if energy > 0.0:
             a = met
             while a > 0 and order[0, a - 1] > reach_m:

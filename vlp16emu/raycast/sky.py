@@ -15,11 +15,14 @@ _SECTORS = 16
 """Rings of equal solid angle, and rays on each: 256 rays tell a share to 0.03."""
 
 
-def sky_cover(scene: Scene, position_m: NDArray[np.float64], lowest_deg: float, far_m: float) -> float:
+def sky_cover(
+    scene: Scene, t_ns: int, position_m: NDArray[np.float64], lowest_deg: float, far_m: float
+) -> float:
     """Share of the sky that surfaces hide, 0..1, each direction counting by its solid angle.
 
     Parameters
     ----------
+    t_ns : UTC, at which what moves stands somewhere
     position_m : (3,) world
     lowest_deg : elevation below which the sky does not count
     far_m : surfaces beyond hide nothing
@@ -28,7 +31,7 @@ def sky_cover(scene: Scene, position_m: NDArray[np.float64], lowest_deg: float, 
     shape = direction.shape[:2]
     rays = Firings(
         index=0,
-        t_ns=np.zeros(shape, np.int64),
+        t_ns=np.full(shape, t_ns, np.int64),
         clock_ns=np.zeros(shape[0], np.int64),
         azimuth_deg=np.zeros(shape),
         reading_deg=np.zeros(shape[0]),
