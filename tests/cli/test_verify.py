@@ -17,6 +17,18 @@ def test_our_own_recordings_are_clean(cli, request, kind):
     assert cli("verify", path).out.startswith(f"{path}: clean\n")
 
 
+@pytest.mark.parametrize("ports", [(2370, 8308), (2368, 9000), (8308, 2368), (40_000, 40_001)])
+def test_packets_may_go_to_any_port(cli, tmp_path, ports):
+    """A sensor whose user has chosen other ports, even each other's, sends nothing wrong."""
+    path = tmp_path / "ports.pcap"
+    setting = f"sensor.data_port={ports[0]}", f"sensor.position_port={ports[1]}"
+    cli("record", "static_bench", path, "--duration", "0.05", "--set", setting[0], "--set", setting[1])
+    outcome = cli("verify", path, "--json")
+    assert outcome.code == 0, outcome.tree["findings"]
+    assert outcome.tree["packets"] > 30
+    assert outcome.tree["position_packets"] > 5
+
+
 def test_a_broken_rule_is_named_with_its_packet(cli, bench, tmp_path):
     """A damaged block flag exits with 1 and names rule and packet, for people and as JSON."""
     content = bytearray(bench.read_bytes())

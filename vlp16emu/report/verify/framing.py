@@ -17,7 +17,6 @@ from vlp16emu.packets.frames import (
     POSITION_TTL,
 )
 from vlp16emu.packets.layout import BLOCK_FLAG, DATA_BYTES, POSITION_BYTES, POSITION_PAYLOAD
-from vlp16emu.packets.units import CapturedUnit
 from vlp16emu.report.verify.rules import Findings, Rule
 from vlp16emu.types import PacketKind
 
@@ -35,21 +34,22 @@ _HEADER_FAULTS_CACHED = 64
 
 
 def kind_of(datagram: Datagram) -> PacketKind | None:
-    """Tell what a datagram is meant to be, by its ports, or else by its length and first mark."""
-    ports = (datagram.source_port, datagram.destination_port)
+    """Tell what a datagram is meant to be, by the port that it comes from, or else goes to, or by length and first mark."""
+    for port in (datagram.source_port, datagram.destination_port):
+        for kind, usual in _PORT.items():
+            if port == usual:
+                return kind
     payload = datagram.payload
-    if DATA_PORT in ports or (len(payload) == DATA_BYTES and payload.startswith(_FLAG)):
+    if len(payload) == DATA_BYTES and payload.startswith(_FLAG):
         return PacketKind.DATA
     has_sentence = len(payload) == POSITION_BYTES and payload.startswith(b"$GPRMC", SENTENCE_OFFSET)
-    return PacketKind.POSITION if POSITION_PORT in ports or has_sentence else None
+    return PacketKind.POSITION if has_sentence else None
 
 
-def check_frame(datagram: Datagram, kind: PacketKind, unit: CapturedUnit | None, findings: Findings) -> bool:
+def check_frame(datagram: Datagram, kind: PacketKind, findings: Findings) -> bool:
     """Check lengths, ports and headers; returns whether the payload can be read.
 
-    Parameters
-    ----------
-    unit : one of several, whose users give them ports of their own; None for a sensor that is alone
+    Users may send packets to any port (63-9243 Rev D, section 10.2.3.12); that they come from stays.
     """
     payload_bytes = _PAYLOAD_BYTES[kind]
     if len(datagram.payload) != payload_bytes:
@@ -60,11 +60,9 @@ def check_frame(datagram: Datagram, kind: PacketKind, unit: CapturedUnit | None,
     if not datagram.captured_bytes == datagram.wire_bytes == whole:
         found = f"{datagram.captured_bytes} of {datagram.wire_bytes} bytes captured"
         findings.add(Rule.FRAMING, datagram.number, found, f"a frame of {whole} bytes, whole")
-    ports = (datagram.source_port, datagram.destination_port)
-    wanted = _PORT[kind], _PORT[kind] if unit is None else ports[1]
-    if ports != wanted:
-        found = f"a {kind} packet from {ports[0]} to {ports[1]}"
-        findings.add(Rule.PORTS, datagram.number, found, f"from {wanted[0]} to {wanted[1]}")
+    if datagram.source_port != _PORT[kind]:
+        found = f"a {kind} packet from {datagram.source_port}"
+        findings.add(Rule.PORTS, datagram.number, found, f"from {_PORT[kind]}")
     for found, expected in _header_faults(datagram, kind):
         findings.add(Rule.HEADER, datagram.number, f"{kind} {found}", expected)
     return True

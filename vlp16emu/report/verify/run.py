@@ -79,7 +79,7 @@ def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_ru
         If the file cannot be read, or holds no VLP-16 packets at all.
     """
     with Capture(path) as capture:
-        check = _Check(Findings(limit_per_rule), unit)
+        check = _Check(Findings(limit_per_rule))
         for datagram in capture:
             if unit is None or unit.owns(datagram):
                 check.take(datagram)
@@ -89,8 +89,8 @@ def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_ru
 class _Check:
     """Sorts datagrams by kind, keeps the books, and hands data packets on in chunks."""
 
-    def __init__(self, findings: Findings, unit: CapturedUnit | None) -> None:
-        self._findings, self._unit = findings, unit
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
         self._sweep = SweepRules(findings)
         self._position = PositionRules(findings)
         self._chunk: list[Datagram] = []
@@ -113,7 +113,7 @@ class _Check:
         self._packets[kind] += 1
         self._first.setdefault(kind, datagram)
         self._last[kind] = datagram
-        is_readable = check_frame(datagram, kind, self._unit, self._findings)
+        is_readable = check_frame(datagram, kind, self._findings)
         if kind is PacketKind.DATA:
             self._take_data(datagram, is_readable=is_readable)
         elif is_readable:
