@@ -107,12 +107,13 @@ def wait_for(path, size):
     raise AssertionError(f"{path} never had {size} bytes")
 
 
-def test_ctrl_c_leaves_a_valid_file(cli, program, tmp_path):
-    """Ctrl-C in the middle exits with 130, without a traceback, and the file holds what the report says."""
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_leaves_a_valid_file(cli, program, tmp_path, number):
+    """Ctrl-C or SIGTERM in the middle exits with 130, without a traceback, and the file holds what the report says."""
     path = tmp_path / "x.pcap"
     process = program("record", "static_bench", path, "--duration", "3600", "--json")
     wait_for(path, 500_000)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     out, err = process.communicate(timeout=30)
     assert (process.returncode, err) == (130, "")
     report = json.loads(out)

@@ -134,6 +134,19 @@ def test_ctrl_c_leaves_whole_truth(program, tmp_path):
     assert {len(line.split()) for line in rows(path)} == {8}
 
 
+@pytest.mark.parametrize("verb", ["record", "stream"])
+def test_poses_of_packets_want_a_folder(cli, tmp_path, verb):
+    """--truth-packets alone says that --truth is missing, and nothing is written."""
+    out = [tmp_path / "x.pcap"] if verb == "record" else []
+    outcome = cli(verb, "static_bench", *out, "--duration", "0.1", "--truth-packets")
+    assert outcome.code == 2
+    assert (
+        outcome.err
+        == "error: --truth-packets: found no --truth; expected --truth DIR, where packets.tum goes\n"
+    )
+    assert not list(tmp_path.iterdir())
+
+
 def test_stream_writes_truth_too(cli, tmp_path):
     """A stream has the truth of all that was sent."""
     options = ["--duration", "0.3", "--speed", "20", "--data-port", "23680", "--position-port", "8309"]

@@ -57,6 +57,11 @@ BAD_FILES = [
         "rpm = true",
         "sensor.rpm: found true; expected a whole number from 300 to 1200 in steps of 60",
     ),
+    (
+        "rpm = 600",
+        "data_port = 8308",
+        "sensor: found a table; expected a data_port and a position_port that differ",
+    ),
     ("rpm = 600", "rmp = 600", "sensor.rmp: unknown key; expected rpm, the nearest known one"),
     ("title", "titel", "titel: unknown key; expected title, the nearest known one"),
     ("schema = 1", "", "schema: missing; expected 1"),
@@ -219,6 +224,13 @@ def test_a_file_that_cannot_be_read_is_told(tmp_path, name, said):
     with pytest.raises(ScenarioError) as caught:
         load(str(tmp_path / name))
     assert str(caught.value) == f"{tmp_path / name}: {said}; expected a scene file"
+
+
+def test_a_byte_order_mark_is_no_fault(tmp_path):
+    """A scene that an editor has begun with a UTF-8 mark is the scene that it is without."""
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE, encoding="utf-8-sig")
+    assert load(str(path)) == load(str(written(tmp_path, SCENE)))
 
 
 def test_a_whole_number_is_taken_where_a_fraction_may_stand(tmp_path):

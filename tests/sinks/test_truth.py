@@ -38,6 +38,19 @@ def test_what_is_appended_can_be_read_at_once(tmp_path):
         assert (tmp_path / "a" / "b" / "gnss.csv").read_text() == "one\ntwo\n"
 
 
+@pytest.mark.parametrize("scenario", [None, "[]", "no JSON", '{"seed": 1}'])
+def test_files_of_somebody_else_stay(tmp_path, scenario):
+    """A folder of a data set that has the same names, but no scenario that we wrote, is refused and kept."""
+    (tmp_path / "imu.csv").write_text("mine")
+    if scenario is not None:
+        (tmp_path / "scenario.json").write_text(scenario)
+    with pytest.raises(
+        OutputError, match=r"holds imu\.csv; expected a new or empty folder, or one with the truth"
+    ):
+        TruthFolder(tmp_path)
+    assert (tmp_path / "imu.csv").read_text() == "mine"
+
+
 def test_a_full_disk_is_told(tmp_path):
     """A file that takes no more ends the run with its name and the reason."""
     with TruthFolder(tmp_path) as folder:

@@ -1,4 +1,4 @@
-"""Ctrl-C between two packets, never inside one."""
+"""Ctrl-C or a request to end between two packets, never inside one."""
 
 import signal
 import threading
@@ -13,20 +13,26 @@ INTERRUPTED = 130
 
 @contextmanager
 def stop_on_ctrl_c() -> Iterator[threading.Event]:
-    """Event that Ctrl-C sets; a second Ctrl-C interrupts at once.
+    """Event that Ctrl-C and SIGTERM set; a second one interrupts at once.
 
     An exception could come between a packet's write and its count, so that report and file would differ.
     """
     stop = threading.Event()
-    before = signal.getsignal(signal.SIGINT)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def restore() -> None:
+        """Let both do what they did before."""
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
     def note(_signal: int, _frame: object) -> None:
-        """Remember the first Ctrl-C, and let the second do what it did before."""
+        """Remember the first, and let the second do what it did before."""
         stop.set()
-        signal.signal(signal.SIGINT, before)
+        restore()
 
-    signal.signal(signal.SIGINT, note)
+    for number in before:
+        signal.signal(number, note)
     try:
         yield stop
     finally:
-        signal.signal(signal.SIGINT, before)
+        restore()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vlp16emu.cli.arguments import checked
+from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
@@ -53,6 +54,8 @@ def with_truth(
     per_packet: bool,
 ) -> "Iterator[Iterator[Packet]]":
     """Packets whose truth is written as they are taken, where a folder is given."""
+    if folder is None and per_packet:
+        raise InputError("--truth-packets", "found no --truth", "--truth DIR, where packets.tum goes")
     if folder is None:
         yield packets
         return

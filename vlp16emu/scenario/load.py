@@ -62,7 +62,7 @@ def _read(path: Path) -> dict[str, Any]:
     """Parse the file."""
     kind, parse = ("JSON", json.loads) if _is_json(path) else ("TOML", tomllib.loads)
     try:
-        tree = parse(path.read_text(encoding="utf-8"))
+        tree = parse(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ScenarioError(str(path), str(error.strerror), "a scene file") from None
     except UnicodeDecodeError as error:

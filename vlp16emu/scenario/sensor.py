@@ -98,6 +98,13 @@ class Sensor(Lidar):
             raise ValueError("start_azimuth_deg or phase_lock_deg in it, not both")
         return self
 
+    @model_validator(mode="after")
+    def _has_two_ports(self) -> Self:
+        """Refuse one port for both: receivers tell data from position packets by it."""
+        if self.data_port == self.position_port:
+            raise ValueError("a data_port and a position_port that differ")
+        return self
+
 
 class FreeSensor(Lidar):
     """A spinning lidar of any beam table. It has no packets, only points."""

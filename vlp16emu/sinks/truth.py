@@ -43,6 +43,8 @@ class TruthFolder:
             path.mkdir(parents=True, exist_ok=True)
             present = sorted(path.iterdir())
             strange = [file.name for file in present if not _FILES.fullmatch(file.name)]
+            if not strange and present and not _told_by_us(path / "scenario.json"):
+                strange = [present[0].name]
             if strange:
                 expected = "a new or empty folder, or one with the truth of an earlier run"
                 raise OutputError(str(path), f"holds {strange[0]}", expected)
@@ -107,3 +109,12 @@ def tum_rows(poses: Poses) -> str:
         )
     ]
     return "".join(lines)
+
+
+def _told_by_us(path: Path) -> bool:
+    """Whether a file is the scenario of an earlier run, without which a folder of such names is somebody else's."""
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(tree, dict) and "written_by" in tree
