@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 SMALL = ("--set", "duration_s=4.0", "--set", "sensor.max_range_m=20.0", "--radius", "12")
@@ -37,7 +38,9 @@ def test_the_inventory_has_every_tree_in_reach_once(written, rows):
     """One line per tree of the sensor's reach, its units in the header, and no tree twice."""
     assert len(rows) == written[1]["trees_in_reach"]
     assert len({row["id"] for row in rows}) == len(rows)
-    assert {"species", "x_m", "dbh_m", "height_m", "stem_m3", "leaf_m2", "biomass_kg"} <= set(rows[0])
+    assert {"species", "x_m", "dbh_m", "height_m", "top_m", "stem_m3", "leaf_m2", "biomass_kg"} <= set(
+        rows[0]
+    )
 
 
 def test_the_table_sums_up_the_inventory_near_the_way(written, rows):
@@ -72,6 +75,21 @@ def test_the_twin_holds_the_trees_of_the_inventory(written, rows):
     assert len(stems) == written[1]["trees"][-1]["stems"]
     assert all(species[tree] == kind for tree, kind, _ in stems)
     assert sum(name.startswith("stone_") for name in names) == written[1]["things"]["stone"]["count"]
+
+
+def test_tops_are_those_of_the_twin(written, rows):
+    """The highest vertex of each tree of the twin is `top_m` of the inventory over its foot, to 0.2 mm."""
+    scene = trimesh.load_scene(written[0] / "twin.glb")
+    tops_m = {}
+    for node in scene.graph.nodes_geometry:
+        tree = node.split("/")[0]
+        scene_T_mesh, name = scene.graph[node]
+        up_m = scene.geometry[name].vertices @ scene_T_mesh[1, :3] + scene_T_mesh[1, 3]  # glTF has y up
+        tops_m[tree] = max(tops_m.get(tree, -np.inf), up_m.max())
+    told_m = {f"tree_{int(row['id']):06d}": float(row["z_m"]) + float(row["top_m"]) for row in rows}
+    seen_m = {tree: top_m for tree, top_m in tops_m.items() if tree in told_m}
+    assert len(seen_m) == written[1]["trees"][-1]["stems"]
+    assert seen_m == pytest.approx({tree: told_m[tree] for tree in seen_m}, abs=2e-4)
 
 
 def test_the_picture_is_small(written):

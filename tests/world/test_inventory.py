@@ -28,6 +28,7 @@ def trees():
     trees["height_m"] = [14.0, 24.0, 27.0, 19.0, 9.0]
     trees["crown_base_m"] = [7.0, 13.0, 15.0, 9.0, 4.0]
     trees["crown_width_m"] = [2.6, 4.8, 9.0, 6.2, 1.6]
+    trees["crown_azimuth_deg"] = [0.0, 30.0, 100.0, 200.0, 300.0]
     trees["lean_deg"], trees["lean_towards_deg"] = [0.0, 2.0, 4.0, 1.0, 3.0], 70.0
     trees["level"] = [0, 1, 2, 0, 1]
     return trees
@@ -103,6 +104,34 @@ def test_leaf_area_is_that_of_the_placed_crown(rows, trees, crowns):
         area_m2 = np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2
         clumping = species_table()[key.species].foliage.clumping
         assert row["leaf_m2"] == pytest.approx(area_m2 * clumping, rel=1e-6)
+
+
+def test_the_top_is_the_highest_vertex(rows, solids, trees, crowns):
+    """`top_m` is the height over the foot of the highest vertex of stem and placed crown to 10 um, not below the tip."""
+    wide, long = crown_scale(trees, crowns)
+    for i, (tree, key, solid) in enumerate(zip(trees, crowns, solids, strict=True)):
+        lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[i]
+        mesh = trimesh.util.concatenate(
+            [trimesh.Trimesh(m.vertices_m, m.faces) for m in crown_meshes(SEED, key)]
+        )
+        mesh.apply_scale([wide[i], wide[i], long[i]])
+        mesh.apply_transform(
+            trimesh.transformations.rotation_matrix(np.radians(tree["crown_azimuth_deg"]), [0, 0, 1])
+        )
+        along_m = tree["crown_base_m"] / np.cos(np.radians(tree["lean_deg"]))
+        places = np.concatenate([mesh.vertices + [0, 0, along_m], solid.vertices]) @ lean.T
+        assert rows["top_m"][i] == pytest.approx(places[:, 2].max(), abs=1e-5)
+        assert rows["top_m"][i] >= tree["height_m"] - 1e-5
+
+
+def test_leaves_rise_above_the_tip(rows):
+    """The crowns of broad trees end 0.1 m to 1.5 m above their stems' tips."""
+    broad = np.isin(
+        rows["species"], [species_table()[name].number for name in ("english_oak", "sugar_maple")]
+    )
+    over_m = (rows["top_m"] - rows["height_m"])[broad]
+    assert (over_m > 0.1).all()
+    assert (over_m < 1.5).all()
 
 
 def test_wood_is_the_stem_and_its_branches(rows):

@@ -20,8 +20,18 @@ from vlp16emu.world.branches import (
 )
 from vlp16emu.world.foliage import foliage_mesh
 from vlp16emu.world.species import Species, species_table, taper_radius_m
+from vlp16emu.world.stem import lean_rotation
 
-__all__ = ["CROWN_PARTS", "VARIANTS", "CrownKey", "Season", "crown_meshes", "crown_scale", "crown_wood_m3"]
+__all__ = [
+    "CROWN_PARTS",
+    "VARIANTS",
+    "CrownKey",
+    "Season",
+    "crown_meshes",
+    "crown_placements",
+    "crown_scale",
+    "crown_wood_m3",
+]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -137,6 +147,21 @@ def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[Array, Array]
     wide: Array = trees["crown_width_m"] / prototype_m[:, 0]
     long: Array = (trees["height_m"] - trees["crown_base_m"]) / upright / prototype_m[:, 1]
     return wide, long
+
+
+def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
+    """`world_T_shape` of the crowns, (n, 3, 4): scaled to the tree's size, turned, and leaning with the stem."""
+    wide, long = crown_scale(trees, crowns)
+    lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
+    upright = lean[:, 2, 2]  # cosine of the lean: heights are vertical
+    turn = np.radians(trees["crown_azimuth_deg"])
+    stem_T = np.zeros((len(trees), 3, 3))
+    stem_T[:, 0, 0] = stem_T[:, 1, 1] = wide * np.cos(turn)
+    stem_T[:, 1, 0], stem_T[:, 0, 1] = wide * np.sin(turn), -wide * np.sin(turn)
+    stem_T[:, 2, 2] = long
+    foot = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
+    base = foot + lean[:, :, 2] * (trees["crown_base_m"] / upright)[:, None]
+    return np.concatenate([lean @ stem_T, base[..., None]], axis=2)
 
 
 def _generator(seed: int, key: CrownKey, species: Species) -> np.random.Generator:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
-from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
+from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.world.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.world.materials import bark_material, material_names
 from vlp16emu.world.placed import NO_TREES, Layer, Placed, Plot, distinct
@@ -19,7 +19,7 @@ from vlp16emu.world.sapling import SaplingKey, sapling_meshes
 from vlp16emu.world.shrub import ShrubKey, shrub_meshes
 from vlp16emu.world.species import Flora, flora
 from vlp16emu.world.stand import TREE, foot_discs
-from vlp16emu.world.stem import STEM_PARTS, StemKey, lean_rotation, stem_meshes
+from vlp16emu.world.stem import STEM_PARTS, StemKey, stem_meshes
 from vlp16emu.world.tiles import (
     TILE_M,
     TileKey,
@@ -258,7 +258,7 @@ class Forest:
         return Placed(
             keys,
             shape,
-            _crown_placements(trees, crowns),
+            crown_placements(trees, crowns),
             _plant_surfaces(trees, CROWN_PARTS, self.plants),
             trees,
         )
@@ -329,21 +329,6 @@ def _packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[Placed
         first_surface=np.concatenate(first_surface),
         surfaces=np.concatenate(tables),
     )
-
-
-def _crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
-    """`world_T_shape` of the crowns, (n, 3, 4): scaled to the tree's size, turned, and leaning with the stem."""
-    wide, long = crown_scale(trees, crowns)
-    lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
-    upright = lean[:, 2, 2]  # cosine of the lean: heights are vertical
-    turn = np.radians(trees["crown_azimuth_deg"])
-    stem_T = np.zeros((len(trees), 3, 3))
-    stem_T[:, 0, 0] = stem_T[:, 1, 1] = wide * np.cos(turn)
-    stem_T[:, 1, 0], stem_T[:, 0, 1] = wide * np.sin(turn), -wide * np.sin(turn)
-    stem_T[:, 2, 2] = long
-    foot = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
-    base = foot + lean[:, :, 2] * (trees["crown_base_m"] / upright)[:, None]
-    return np.concatenate([lean @ stem_T, base[..., None]], axis=2)
 
 
 def _plant_surfaces(trees: Trees, parts: Sequence[int], plants: Flora) -> NDArray[np.void]:

@@ -10,9 +10,16 @@ from numpy.typing import NDArray
 from vlp16emu.errors import OutputError
 from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.allometry import US_BREAST_HEIGHT_M
-from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_scale, crown_wood_m3
+from vlp16emu.world.crown import (
+    CROWN_PARTS,
+    CrownKey,
+    crown_meshes,
+    crown_placements,
+    crown_scale,
+    crown_wood_m3,
+)
 from vlp16emu.world.species import BREAST_HEIGHT_M, Species, species_table
-from vlp16emu.world.stem import StemRings, stem_rings
+from vlp16emu.world.stem import STEM_PARTS, StemRings, stem_meshes, stem_rings
 
 __all__ = ["INVENTORY", "inventory", "write_csv"]
 
@@ -29,7 +36,8 @@ INVENTORY = np.dtype(
         ("dbh_m", "<f8"),  # area-equivalent, across the axis where that is 1.3 m above the foot
         ("dbh_us_m", "<f8"),  # the same at 1.37 m, where North America measures it
         ("girth_over_pi_m", "<f8"),  # what a tape around the mesh at 1.3 m shows
-        ("height_m", "<f8"),  # of the tip over the foot, vertical
+        ("height_m", "<f8"),  # of the stem's tip over the foot, vertical
+        ("top_m", "<f8"),  # of the highest point of all, tip, branch or leaf, over the foot, vertical
         ("crown_base_m", "<f8"),  # of the lowest living branch over the foot, vertical
         ("crown_width_m", "<f8"),
         ("lean_deg", "<f8"),  # of the axis from the vertical
@@ -40,7 +48,7 @@ INVENTORY = np.dtype(
         ("biomass_kg", "<f8"),  # dry, above ground, by the species' equation; NaN where none is known
     ]
 )
-"""One tree of the inventory. Volumes and areas are those of the level of detail that the tree is drawn at."""
+"""One tree of the inventory. Tops, volumes and areas are those of the level of detail that the tree is drawn at."""
 
 _COPIED = (
     "id",
@@ -85,6 +93,7 @@ def inventory(
     for name in _COPIED:
         rows[name] = trees[name]
     _measure_stems(rows, trees, table)
+    rows["top_m"] = _stem_tops_m(trees, table)
     _measure_crowns(rows, trees, crowns, seed, table)
     rows["biomass_kg"] = np.nan
     for species in table.values():
@@ -147,15 +156,19 @@ def _measure_crowns(
     seed: int,
     table: Mapping[str, Species],
 ) -> None:
-    """Fill in wood and leaves, prototype by prototype, each stretched as its trees stretch it."""
+    """Fill in wood, leaves and tops, prototype by prototype, each stretched as its trees stretch it."""
     wide, long = crown_scale(trees, crowns)
     rows["wood_m3"] = rows["stem_m3"]
+    to_height = crown_placements(trees, crowns)[:, 2]
+    to_height[:, 3] -= trees["z_m"]
     own: dict[CrownKey, list[int]] = {}
     for i, key in enumerate(crowns):
         own.setdefault(key, []).append(i)
     for key, which in own.items():
         rows["wood_m3"][which] += crown_wood_m3(seed, key, table=table) * wide[which] ** 2 * long[which]
-        leaves = crown_meshes(seed, key, table=table)[CROWN_PARTS.index(PlantPart.LEAF)]
+        meshes = crown_meshes(seed, key, table=table)
+        rows["top_m"][which] = np.maximum(rows["top_m"][which], _tops_m(meshes, to_height[which]))
+        leaves = meshes[CROWN_PARTS.index(PlantPart.LEAF)]
         foliage = table[key.species].foliage
         if foliage is not None and len(leaves.faces):
             areas = _stretched_m2(leaves, wide[which], long[which])
@@ -168,3 +181,22 @@ def _stretched_m2(leaves: Mesh, wide: Array, long: Array) -> Array:
     x, y, z = (np.cross(c - a, d - b) / 2).T
     level, steep = z**2, x**2 + y**2
     return np.array([w * np.sqrt(level * w**2 + steep * h**2).sum() for w, h in zip(wide, long, strict=True)])
+
+
+def _stem_tops_m(trees: Trees, table: Mapping[str, Species]) -> Array:
+    """Height (n,) of the highest vertex of each stem over its foot."""
+    feet = trees.copy()  # at the origin, where single precision is finest; what is buried is not the top
+    feet["x_m"] = feet["y_m"] = feet["z_m"] = 0.0
+    tops_m = np.zeros(len(trees))
+    for level in np.unique(trees["level"]):
+        own = np.flatnonzero(trees["level"] == level)
+        meshes = stem_meshes(feet[own], int(level), np.zeros(3), lambda x, _y: np.zeros_like(x), table=table)
+        highest = [mesh.vertices_m[:, 2].max() for mesh in meshes]
+        tops_m[own] = np.array(highest).reshape(-1, len(STEM_PARTS)).max(axis=1)
+    return tops_m
+
+
+def _tops_m(meshes: Sequence[Mesh], to_height: Array) -> Array:
+    """Greatest height (n,) of any vertex, by n rows (n, 4) of its transform; minus infinity where there is none."""
+    places = np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64)
+    return np.array([(places @ row[:3]).max(initial=-np.inf) + row[3] for row in to_height])
