@@ -77,6 +77,14 @@ def test_the_twin_holds_the_trees_of_the_inventory(written, rows):
     assert sum(name.startswith("stone_") for name in names) == written[1]["things"]["stone"]["count"]
 
 
+def test_trees_without_a_line_are_saplings(written, rows):
+    """What the twin calls a tree and the inventory does not list is a sapling, and every sapling is such."""
+    nodes = trimesh.load_scene(written[0] / "twin.glb").graph.nodes_geometry
+    trees = {node.split("/")[0] for node in nodes if node.startswith("tree_")}
+    saplings = trees - {f"tree_{int(row['id']):06d}" for row in rows}
+    assert len(saplings) == written[1]["things"]["sapling"]["count"] > 0
+
+
 def test_tops_are_those_of_the_twin(written, rows):
     """The highest vertex of each tree of the twin is `top_m` of the inventory over its foot, to 0.2 mm."""
     scene = trimesh.load_scene(written[0] / "twin.glb")

@@ -194,6 +194,17 @@ def test_ply_and_csv_say_the_same(cli, tmp_path, points):
         np.testing.assert_allclose([float(row[column]) for row in rows], values, rtol=0, atol=0.51e-4)
 
 
+def test_a_ply_says_what_its_labels_mean(cli, tmp_path):
+    """The header lists classes, parts, and leaf or wood with their numbers."""
+    cli("points", "static_bench", tmp_path / "x.ply", "--duration", "0.02", "--truth")
+    lines = (tmp_path / "x.ply").read_bytes().partition(b"end_header")[0].decode().splitlines()
+    told = [line for line in lines if line.startswith(("comment semantic: ", "comment part: "))]
+    for line, labels in zip(told, (Semantic, PlantPart), strict=True):
+        codes = dict(code.split(" ") for code in line.partition(": ")[2].split(", "))
+        assert codes == {str(int(label)): label.name.lower() for label in labels}
+    assert "comment leaf_wood: 0 neither, 1 wood, 2 leaf" in lines
+
+
 @pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
 def test_a_scene_without_a_return_makes_a_file_without_points(cli, tmp_path, suffix):
     """Nothing within reach is no error: the file opens and is empty."""

@@ -1,6 +1,7 @@
 """A run as points with all that is known of them, straight from the returns and not through packets."""
 
 from collections.abc import Iterator
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from vlp16emu.assembly import Unit
 from vlp16emu.cli.export import Block, Column
 from vlp16emu.emulator import Emulator
 from vlp16emu.sensor import place
-from vlp16emu.types import SURFACE, PlantPart, ReturnMode, Returns
+from vlp16emu.types import SURFACE, PlantPart, ReturnMode, Returns, Semantic
 from vlp16emu.units import seconds_to_ns
 
 __all__ = ["COLUMNS", "RETURN_NAMES", "TRUTH_COLUMNS", "cloud", "comments"]
@@ -54,8 +55,15 @@ def comments(start_utc: str) -> tuple[str, ...]:
         "sensor_x, sensor_y, sensor_z at the pulse's instant: azimuth 0 on +y, clockwise seen from above",
         f"time in seconds since the first pulse of the run at {start_utc}",
         f"return_number: {', '.join(f'{n} {name}' for n, name in enumerate(RETURN_NAMES))}",
+        f"semantic: {_codes(Semantic)}",
+        f"part: {_codes(PlantPart)}",
         "leaf_wood: 0 neither, 1 wood, 2 leaf",
     )
+
+
+def _codes(labels: type[IntEnum]) -> str:
+    """List numbers with their names."""
+    return ", ".join(f"{label} {label.name.lower()}" for label in labels)
 
 
 def cloud(

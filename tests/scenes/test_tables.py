@@ -1,0 +1,66 @@
+"""What `scenes/TABLES.md` says of columns and codes is what the program reads and writes."""
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from vlp16emu.cli.cloud import _LEAF_OR_WOOD
+from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.world.inventory import INVENTORY
+from vlp16emu.world.species import flora
+from vlp16emu.world.stem_list import _COLUMNS
+
+TEXT = (Path(__file__).resolve().parents[2] / "scenes" / "TABLES.md").read_text(encoding="utf-8")
+
+
+def table(heading, number=0):
+    """Cells of a table below a heading, line by line, without the line that names the columns."""
+    section = re.split(r"(?m)^## ", TEXT.partition(f"## {heading}\n")[2])[0]
+    lines = re.findall(r"(?:^\|.*\n)+", section, re.MULTILINE)[number].splitlines()
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def names(cell):
+    return re.findall(r"`(\w+)`", cell)
+
+
+def test_the_columns_of_the_inventory_are_told_in_their_order():
+    """Each column of the file has its line in the table, with the unit that its name ends with."""
+    rows = table("The inventory")
+    assert [names(cell)[0] for cell, _, _ in rows] == list(INVENTORY.names)
+    assert all(name.endswith(f"_{unit}") for (name,), unit in ((names(c), u) for c, u, _ in rows) if unit)
+
+
+def test_the_columns_of_a_stem_list_are_told_with_their_limits():
+    """Every name that a column may have is told, with its limits in its own unit and whether it must be there."""
+    told = {name: row for row in table("Stem lists") for name in names(row[0])}
+    read = {name: (column, factor) for column in _COLUMNS.values() for name, factor in column.units.items()}
+    assert set(told) == {*read, "species"}
+    for name, (column, factor) in read.items():
+        _, unit, limits, needed, _ = told[name]
+        assert name.endswith(f"_{unit}") or name in {"x", "y"}
+        if math.isinf(column.low):
+            assert limits == ""
+        else:
+            assert limits.startswith(f"{column.low / factor:g} to {column.high / factor:g}")
+        assert needed.startswith("in each line") == column.every_cell
+        assert bool(needed) == column.every_column
+
+
+@pytest.mark.parametrize(("number", "labels"), [(0, Semantic), (1, PlantPart)])
+def test_the_labels_are_told_with_their_numbers(number, labels):
+    """Every class and every part stands in its table under its number, and no other does."""
+    rows = table("Labels", number)
+    assert {int(row[0]): row[1] for row in rows} == {int(label): label.name.lower() for label in labels}
+
+
+def test_leaf_or_wood_is_told_of_each_part():
+    """The column `leaf_wood` of the table is that of labelled points."""
+    assert [int(row[2]) for row in table("Labels", 1)] == _LEAF_OR_WOOD.tolist()
+
+
+def test_the_species_are_told_with_their_numbers():
+    """Every tree and shrub of the program stands in the table under its number, and no other does."""
+    assert {int(number): name for number, name in table("Species")} == flora().names
