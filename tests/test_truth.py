@@ -2,21 +2,26 @@
 
 import itertools
 import json
+import re
 import tracemalloc
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import OutputError
 from vlp16emu.motion import Origin, to_geodetic
-from vlp16emu.packets import decode_position, parse_rmc
+from vlp16emu.packets import decode_data, decode_position, parse_rmc
 from vlp16emu.scenario import load, scene_files
 from vlp16emu.truth import Truth
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
+
+README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+EXACT = ("sensor.eccentricity_deg=0.0", "sensor.azimuth_noise_deg=0.0")
 
 
 @pytest.fixture(scope="module")
@@ -256,6 +261,38 @@ def test_the_rig_takes_the_manuals_axes_to_the_trajectorys(walk, tmp_path):
     R = np.array(manual["matrix"])[:3, :3]
     np.testing.assert_allclose(R @ [0, 1, 0], [1, 0, 0])
     np.testing.assert_allclose(Rotation.from_quat(manual["quaternion_xyzw"]).as_matrix(), R, atol=1e-15)
+
+
+def test_poses_take_decoded_points_into_the_world_as_the_readme_says(tmp_path):
+    """With the README's rotation and the pose of `trajectory.tum` decoded points are where light met something, to 5 mm."""
+    motion = '{kind="walk", way_points_m=[[-4, -1], [-1, 0], [3, 4]]}'
+    walk = Emulator(
+        load("static_bench", [f"motion={motion}", "noise.preset=ideal", "beam.model=none", *EXACT])
+    )
+    packets = written(walk, tmp_path, 0.0, 0.5, rate_hz=2000)
+    data = [p.payload for p in packets if p.kind is PacketKind.DATA]
+    points = decode_data(np.array([list(payload) for payload in data], np.uint8), keep_no_returns=True)
+    count, seen = len(points.laser), list(walk.returns(0.0, 0.5))
+    origin_m, along = (
+        np.concatenate([getattr(r.firings, name).reshape(-1, 3) for r in seen])[:count]
+        for name in ("origin_m", "direction")
+    )
+    distance_m = np.concatenate([r.distance_m[..., 0].ravel() for r in seen])[:count]
+    pulse_ns = np.concatenate([r.firings.t_ns.ravel() for r in seen])[:count]
+    t_ns, poses = tum(tmp_path / "trajectory.tum")
+    at_s, of_s = (pulse_ns - t_ns[0]) / 1e9, (t_ns - t_ns[0]) / 1e9
+    R = Slerp(of_s, Rotation.from_quat(poses[:, 3:]))(at_s)
+    place_m = np.column_stack([np.interp(at_s, of_s, poses[:, axis]) for axis in range(3)])
+    turn = np.array(json.loads(re.search(r"`\(y, -x, z\) = (\[\[.*?\]\]) @", README)[1]))
+    world_m = R.apply(points.xyz_m @ turn.T) + place_m
+    met = distance_m > 0
+    gap_m = np.linalg.norm(world_m - (origin_m + along * distance_m[:, None]), axis=1)[met]
+    assert met.sum() > 100_000
+    assert gap_m.max() < 0.005
+    x, y, z = points.xyz_m[met].T
+    np.testing.assert_array_equal(points.xyz_m[met] @ turn.T, np.column_stack([y, -x, z]))
+    rig = json.loads((tmp_path / "rig.json").read_text())["manual"]["sensor_T_manual"]["matrix"]
+    np.testing.assert_array_equal(np.array(rig)[:3, :3], turn)
 
 
 def test_a_folder_with_other_things_is_refused(walk, tmp_path):
