@@ -33,10 +33,14 @@ def read(path):
     return Dem(path, cell_m=None, corner_m=None, origin_m=(0.0, 0.0, 0.0))
 
 
-@pytest.mark.parametrize("compression", [None, "zlib"])
-def test_heights_stand_where_the_tags_put_them(tmp_path, compression):
-    """Cells that are areas have their heights at their centres, whether the file is deflated or not."""
-    dem = read(write(tmp_path / "ground.tif", compression=compression))
+@pytest.mark.parametrize(
+    ("compression", "predictor"), [(None, None), ("zlib", None), ("lzw", None), ("lzw", 3), ("zstd", 3)]
+)
+def test_heights_stand_where_the_tags_put_them(tmp_path, compression, predictor):
+    """Cells that are areas have their heights at their centres, however the file is compressed."""
+    if compression not in (None, "zlib"):
+        pytest.importorskip("imagecodecs", reason="imagecodecs is not installed")
+    dem = read(write(tmp_path / "ground.tif", compression=compression, predictor=predictor))
     x, y = np.meshgrid([105.0, 115.0, 125.0, 135.0], [225.0, 215.0, 205.0])
     assert dem.height_m(x, y) == pytest.approx(HEIGHTS, abs=1e-9)
 
@@ -97,3 +101,44 @@ def test_without_tifffile_the_extra_is_named(tmp_path, monkeypatch):
     message = r"reading ground.tif needs tifffile: pip install 'vlp16emu\[dem\]'"
     with pytest.raises(MissingExtraError, match=message):
         read(tmp_path / "ground.tif")
+
+
+TAGS = {"lzw": (259, 5), "zstd": (259, 50000), "predictor": (317, 3)}
+
+
+@pytest.fixture
+def no_imagecodecs(monkeypatch):
+    """Let tifffile be imported anew where imagecodecs is not."""
+    pytest.importorskip("tifffile", reason="tifffile is not installed")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "tifffile"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "imagecodecs", None)
+
+
+@pytest.mark.usefixtures("no_imagecodecs")
+@pytest.mark.parametrize("what", TAGS)
+def test_without_imagecodecs_the_extra_is_named(tmp_path, what):
+    """A compression or a predictor that tifffile cannot undo by itself is told with the extra that brings what can."""
+    import tifffile
+
+    tag, value = TAGS[what]
+    path = write(tmp_path / "ground.tif", HEIGHTS.astype(np.int16), compression="zlib", predictor=2)
+    with tifffile.TiffFile(path) as file:
+        place = file.pages[0].tags[tag].valueoffset
+    content = bytearray(path.read_bytes())
+    content[place : place + 2] = value.to_bytes(2, "little")
+    path.write_bytes(content)
+    message = r"^decompressing ground.tif needs imagecodecs: pip install 'vlp16emu\[dem\]'$"
+    with pytest.raises(MissingExtraError, match=message):
+        read(path)
+
+
+def test_a_broken_compressed_file_is_refused(tmp_path):
+    """Heights that cannot be decompressed are told in one line, whatever the codec raises."""
+    path = write(tmp_path / "ground.tif", compression="zlib")
+    content = bytearray(path.read_bytes())
+    start = content.index(b"\x78")  # of the deflated strip
+    content[start : start + 8] = b"\xff" * 8
+    path.write_bytes(content)
+    with pytest.raises(GeometryError, match=r"ground.tif: .+; expected a GeoTIFF of heights"):
+        read(path)

@@ -3,6 +3,7 @@
 Tags and keys: OGC 19-008r4, OGC GeoTIFF Standard 1.1, sections 7 and annexes C and D.
 """
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -39,10 +40,9 @@ def read_geotiff(path: Path) -> tuple[NDArray[np.float64], float, float, float]:
     Raises
     ------
     MissingExtraError
-        without tifffile
+        without tifffile, or without imagecodecs for a file that only it can decompress
     GeometryError
-        for a file that is none, is not on a north-up grid of squares in metres, or is compressed in a way
-        that tifffile cannot undo by itself
+        for a file that is none, or is not on a north-up grid of squares in metres
     """
     try:
         import tifffile
@@ -54,13 +54,24 @@ def read_geotiff(path: Path) -> tuple[NDArray[np.float64], float, float, float]:
                 page = file.pages[0]
                 tags, heights = page.geotiff_tags or {}, page.asarray()
                 nodata = page.nodata if _GDAL_NODATA in page.tags else None
-        except (tifffile.TiffFileError, ValueError) as error:  # ValueError: a codec that is not there
-            raise GeometryError(str(path), str(error).lower(), _EXPECTED) from None
+        except OSError:
+            raise
+        except Exception as error:  # noqa: BLE001  # tifffile and its codecs raise whatever they stumble over
+            raise _unread(path, error) from None
     if heights.ndim != 2 or heights.dtype.kind not in "iuf":
         raise GeometryError(str(path), f"found {heights.shape} {heights.dtype}", "one number to a cell")
     west_m, north_m, cell_m = _place(path, tags)
     known = np.isfinite(heights) if nodata is None else np.isfinite(heights) & (heights != nodata)
     return np.where(known, heights.astype(np.float64), np.nan), west_m, north_m, cell_m
+
+
+def _unread(path: Path, error: Exception) -> GeometryError | MissingExtraError:
+    """Tell why a file could not be read: for want of a codec, or for what is in it."""
+    # Python before 3.14 has no Zstandard, and tifffile then looks for it in vain.
+    wants_codec = isinstance(error, ModuleNotFoundError) or "imagecodecs" in str(error)
+    if wants_codec and find_spec("imagecodecs") is None:
+        return MissingExtraError("imagecodecs", "dem", f"decompressing {path.name}")
+    return GeometryError(str(path), str(error).lower() or "cannot be read", _EXPECTED)
 
 
 def _place(path: Path, tags: dict[str, Any]) -> tuple[float, float, float]:
