@@ -149,6 +149,35 @@ def test_files_that_do_not_fit_the_walk_are_refused(folder, setting, message):
         Emulator(load(str(folder / "plot.toml"), settings), threads=1)
 
 
+def test_a_stem_list_that_nobody_sees_is_refused(folder):
+    """A list in map coordinates without an origin is no empty forest: the nearest tree and `origin_m` are told."""
+    lines = [line for line in SCENE.splitlines() if not line.startswith(("origin_m", "dem"))]
+    (folder / "lost.toml").write_text("\n".join(lines))
+    x, y = min(((EAST_M + x, NORTH_M + y) for x, y in TREES_M), key=lambda xy_m: np.hypot(*xy_m))
+    message = (
+        rf"plot.csv: no tree in sight, the nearest at \({x:.1f}, {y:.1f}\) m in the scene, {np.hypot(x, y):.1f} m from"
+        r" the path; expected one 31 m from it at most \(a list in map coordinates needs an origin_m\)$"
+    )
+    with pytest.raises(GeometryError, match=message):
+        Emulator(load(str(folder / "lost.toml")), threads=1)
+
+
+def test_a_mesh_that_nobody_sees_is_told(folder, caplog):
+    """A mesh at map coordinates is warned of in one line, and one in reach is not; the reach ends at its surface."""
+    mesh = '{file="box.obj",unit="cm",up="y",reflectance=0.3,places=[{x_m=%r,y_m=0.0,scale=2.0}]}'
+    for x_m, told in ((EAST_M, 1), (33.0, 1), (31.5, 0)):
+        caplog.clear()
+        Emulator(load(str(folder / "plot.toml"), [f"world.meshes=[{mesh % x_m}]"]), threads=1)
+        lines = [record.getMessage() for record in caplog.records if "not in sight" in record.getMessage()]
+        assert len(lines) == told
+        if told:
+            gap_m = x_m - np.linalg.norm(BOX_M) / 2
+            assert (
+                f"box.obj: not in sight, {gap_m:.1f} m from the path at the nearest; expected a place 31 m"
+                in lines[0]
+            )
+
+
 @pytest.mark.parametrize(
     ("setting", "message"),
     [

@@ -108,7 +108,7 @@ def assemble(scenario: Scenario) -> Parts:
     world: World
     wind: Wind | None = None
     if isinstance(section, HallSection):
-        carrier, _ = carrier_of(scenario, lambda x_m, _y_m: np.zeros_like(x_m))
+        carrier, path_xy_m = carrier_of(scenario, lambda x_m, _y_m: np.zeros_like(x_m))
         world = hall_of(section)
     else:
         ground = ground_of(section, scenario.seed)
@@ -122,7 +122,7 @@ def assemble(scenario: Scenario) -> Parts:
         units=tuple(_unit(scenario, number, carrier) for number in range(len(_sensors(scenario)))),
         carrier=carrier,
         imu=imu_of(carrier, scenario),
-        world=furnished(world, section.meshes, reach_m),
+        world=furnished(world, section.meshes, path_xy_m, reach_m),
         wind=wind,
         gps=gps_of(scenario),
     )

@@ -4,6 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from vlp16emu.random import Purpose
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.finish import Finish
@@ -84,6 +87,7 @@ def forest_of(
     stems: Stand | GivenStand
     if isinstance(section, PlotSection):
         stems, canopy = _given_stand(section, seed, height_m, path, plants.trees)
+        stems.check(path, reach_m)
     else:
         stems, canopy = _stand(section, seed, height_m, path, plants), [s.species for s in section.species]
     return Forest(
@@ -228,11 +232,15 @@ def _pattern(section: PatternSection, seed: int, purpose: Purpose, per_ha: float
             return Scattered(seed=seed, purpose=purpose, per_ha=per_ha)
 
 
-def furnished(world: Forest | Hall, files: Sequence[MeshFile], reach_m: float) -> World:
-    """Put the user's own meshes into a world."""
+def furnished(
+    world: Forest | Hall, files: Sequence[MeshFile], path_xy_m: NDArray[np.float64], reach_m: float
+) -> World:
+    """Put the user's own meshes into a world, and warn of those that nobody sees from the path (n, 2)."""
     if not files:
         return world
-    return Furnished(world, furniture=[_furniture(file) for file in files], reach_m=reach_m)
+    made = Furnished(world, furniture=[_furniture(file) for file in files], reach_m=reach_m)
+    made.check(path_xy_m)
+    return made
 
 
 def _furniture(section: MeshFile) -> Furniture:

@@ -1,5 +1,6 @@
 """A world with the user's own meshes in it."""
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.user_mesh import UserMesh
 
 __all__ = ["Furnished", "Furniture", "Look", "MeshKey", "Place", "looks_of"]
+
+_log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
@@ -100,6 +103,23 @@ class Furnished:
         self._rows = _rows(furniture, len(world.materials))
         self.names = _names(furniture)
         """Of the user's things by instance."""
+
+    def check(self, path_xy_m: Array) -> tuple[str, ...]:
+        """Tell of each mesh that a sensor on its way (n, 2) sees nowhere, one line each, which is logged too."""
+        if not self._keys:
+            return ()
+        gap_m = distance_m(self._world_T_mesh[:, :2, 3], path_xy_m) - self._radius_m
+        findings = []
+        for key in self._mesh_of:
+            nearest_m = min(gap for gap, own in zip(gap_m.tolist(), self._keys, strict=True) if own == key)
+            if nearest_m > self._reach_m:
+                findings.append(
+                    f"{key.path}: not in sight, {nearest_m:.1f} m from the path at the nearest; expected a place"
+                    f" {self._reach_m:g} m from it at most (map coordinates must have origin_m taken off)"
+                )
+        for finding in findings:
+            _log.warning(finding)
+        return tuple(findings)
 
     def window(self, track_m: Array) -> Window:
         """Everything of the world, and the user's meshes, within reach of sensor positions (n, 3)."""

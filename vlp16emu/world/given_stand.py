@@ -78,6 +78,30 @@ class GivenStand:
         self.per_ha = float(count.max()) / _HA_PER_TILE
         """Stems per hectare where they are densest."""
         self._prototypes = _prototypes(trees)
+        self._source, self._all = source, trees
+
+    def check(self, path: Polyline, reach_m: float) -> None:
+        """See that a sensor on its way sees any tree.
+
+        Parameters
+        ----------
+        path : where the sensor goes
+        reach_m : how far it sees
+
+        Raises
+        ------
+        GeometryError
+            naming the tree that is nearest, where no crown is in sight
+        """
+        gap_m = path.distance_m(np.column_stack([self._all["x_m"], self._all["y_m"]]))
+        if (gap_m - self._all["crown_width_m"] / 2 > reach_m).all():
+            i = int(gap_m.argmin())
+            x_m, y_m = self._all["x_m"][i], self._all["y_m"][i]
+            raise GeometryError(
+                str(self._source),
+                f"no tree in sight, the nearest at ({x_m:.1f}, {y_m:.1f}) m in the scene, {gap_m[i]:.1f} m from the path",
+                f"one {reach_m:g} m from it at most (a list in map coordinates needs an origin_m)",
+            )
 
     def trees(self, ix: int, iy: int) -> Trees:
         """Trees whose foot lies in a tile, `TREE` with id still 0, in the order of the list."""
