@@ -10,6 +10,9 @@ import pytest
 import trimesh
 from PIL import Image
 
+from vlp16emu.cli.survey import survey
+from vlp16emu.scenario import load
+
 SMALL = ("--set", "duration_s=4.0", "--set", "sensor.max_range_m=20.0", "--radius", "12")
 
 
@@ -144,6 +147,19 @@ def test_what_cannot_be_done_is_refused(cli, options, message):
     outcome = cli("forest", "birch_walk", *options)
     assert outcome.code == 2
     assert outcome.err.startswith(f"error: {message}")
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected_deg"),
+    [
+        (["sensor.model=puck-hi-res"], (-10.0, 10.0)),
+        (["sensor.model=free", "sensor.elevations_deg=[-25.0, 3.0, 12.0]"], (-25.0, 12.0)),
+    ],
+)
+def test_the_field_of_view_is_that_of_the_scenes_sensor(settings, expected_deg):
+    """A picture shows the lowest and the highest beam of the sensor's own table."""
+    seen = survey(load("static_bench", settings), 10.0)
+    assert seen.field_of_view_deg == expected_deg
 
 
 @pytest.fixture

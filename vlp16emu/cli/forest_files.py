@@ -127,6 +127,7 @@ def _plan(seen: Survey) -> Plan:
         low_m=low_m,
         high_m=high_m,
         way_m=seen.way_m,
+        field_of_view_deg=seen.field_of_view_deg,
         radius_m=None if seen.hall is not None else seen.radius_m,
         trees=seen.near,
         species=seen.species,

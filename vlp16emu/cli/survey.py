@@ -39,6 +39,8 @@ class Survey:
     height_m: HeightField
     way_m: Array
     """(n, 3) sensor positions; one where it stands."""
+    field_of_view_deg: tuple[float, float]
+    """Elevations of the sensor's lowest and highest beam."""
     radius_m: float
     """Of the surroundings that are looked at."""
     window: Window
@@ -90,7 +92,7 @@ def survey(scenario: Scenario, radius_m: float) -> Survey:
             "--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach"
         )
     parts = assemble(scenario)
-    way_m = _way_m(scenario, parts.motion)
+    way_m, beams_deg = _way_m(scenario, parts.motion), parts.head.beams.elevation_deg
     way, world = Polyline(way_m[:, :2]), parts.world
     bare = world.bare if isinstance(world, Furnished) else world
     assert isinstance(bare, Forest | Hall)
@@ -105,6 +107,7 @@ def survey(scenario: Scenario, radius_m: float) -> Survey:
         hall=bare if isinstance(bare, Hall) else None,
         height_m=bare.height_m,
         way_m=way_m,
+        field_of_view_deg=(float(beams_deg.min()), float(beams_deg.max())),
         radius_m=radius_m,
         window=window,
         trees=trees[gap_m <= reach_m],

@@ -5,11 +5,13 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from vlp16emu.errors import MissingExtraError
 from vlp16emu.report.forest import Plan, Section, check_matplotlib, colour_of_species, draw_sheet
 from vlp16emu.report.forest.plan import legend_entries
+from vlp16emu.report.forest.sheet import _draw_side
 
 TREE = [("x_m", "f8"), ("y_m", "f8"), ("dbh_m", "f8"), ("crown_width_m", "f8"), ("species", "u2")]
 SECTION = Section(np.array([0.0, 0.0]), np.array([1.0, 0.0]), 20.0, 8.0, -1.0, 9.0)
@@ -20,6 +22,7 @@ def plan(**changes):
         "low_m": np.array([-10.0, -10.0]),
         "high_m": np.array([30.0, 10.0]),
         "way_m": np.column_stack([np.linspace(0, 20, 50), np.zeros(50), np.full(50, 2.0)]),
+        "field_of_view_deg": (-15.0, 15.0),
         "radius_m": 9.0,
         "trees": np.array(
             [(5.0, 5.0, 0.3, 6.0, 3), (15.0, 5.0, 0.3, 4.0, 3), (10.0, -6.0, 0.4, 5.0, 1)], TREE
@@ -68,6 +71,17 @@ def test_the_way_is_red(picture):
     """The way keeps its colour in spite of the palette, and without a way there is less of it."""
     red = np.array([200, 55, 45])
     assert share(picture, red) > 1.5 * share(sheet(plan(way_m=np.array([[0.0, 0.0, 2.0]]))), red) > 0
+
+
+def test_the_field_of_view_is_that_of_the_sensor():
+    """From the sensor four thin lines lead 12 m to both sides at the elevations of its lowest and highest beam."""
+    axes = Figure().add_subplot()
+    _draw_side(axes, plan(field_of_view_deg=(-40.0, 20.0)), SECTION, np.zeros((480, 960, 3), np.uint8))
+    rays = [line.get_xydata() for line in axes.lines if np.ptp(line.get_xdata()) == pytest.approx(12.0)]
+    slopes_deg = [np.degrees(np.arctan2(b[1] - a[1], abs(b[0] - a[0]))) for a, b in rays]
+    assert sorted(slopes_deg) == pytest.approx([-40, -40, 20, 20])
+    assert {tuple(a) for a, _ in rays} == {tuple(rays[0][0])}
+    assert rays[0][0][1] == 2.0
 
 
 def test_the_legend_names_what_is_there_and_nothing_else():

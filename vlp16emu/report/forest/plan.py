@@ -47,6 +47,8 @@ class Plan:
     """(2,) north-east corner."""
     way_m: Array
     """(n, 3) sensor positions in order of time; one for a sensor that stands."""
+    field_of_view_deg: tuple[float, float]
+    """Elevations of the sensor's lowest and highest beam."""
     radius_m: float | None
     """How far around the way things are shown; None where all are."""
     trees: NDArray[np.void]

@@ -26,9 +26,6 @@ _TALLEST_PLAN_IN = 7.0
 _COLOURS = 88
 """Of the file's palette: leaves fill pictures with noise, which is costly in more."""
 
-_FIELD_OF_VIEW_DEG = 15.0
-"""Above and below the sensor's horizon (63-9243 Rev D, section 9.1)."""
-
 _TICK_M = 5.0
 
 _BEAM_M = 12.0
@@ -114,17 +111,24 @@ def _draw_side(axes: "Axes", plan: Plan, section: Section, drawn: NDArray[np.uin
     if inside.any():
         middle = np.flatnonzero(inside)[inside.sum() // 2]
         ground_m = plan.height_m(plan.way_m[middle : middle + 1, 0], plan.way_m[middle : middle + 1, 1])[0]
-        _draw_carrier(
-            axes, float(along_m[middle]), float(ground_m), float(plan.way_m[middle, 2]), len(plan.way_m) > 1
-        )
+        place_m = float(along_m[middle]), float(ground_m), float(plan.way_m[middle, 2])
+        _draw_carrier(axes, *place_m, plan.field_of_view_deg, walks=len(plan.way_m) > 1)
     bearing = np.degrees(np.arctan2(*section.towards)) % 360
     points = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
     note = f"A - B: what stands in a strip {section.depth_m:.0f} m deep, seen towards {points[round(bearing / 45) % 8]}; metres"
     axes.text(0.005, 0.985, note, size=9, color=INK, va="top", transform=axes.transAxes)
 
 
-def _draw_carrier(axes: "Axes", x_m: float, ground_m: float, sensor_m: float, walks: bool) -> None:
-    """Who or what carries the sensor, the sensor, and the upper and lower end of its field of view."""
+def _draw_carrier(
+    axes: "Axes",
+    x_m: float,
+    ground_m: float,
+    sensor_m: float,
+    field_of_view_deg: tuple[float, float],
+    *,
+    walks: bool,
+) -> None:
+    """Who or what carries the sensor, the sensor, and the lower and upper end of its field of view."""
     from matplotlib.patches import Circle, Rectangle
 
     ink: dict[str, Any] = {"color": WALK, "solid_capstyle": "round", "zorder": 5}
@@ -139,11 +143,10 @@ def _draw_carrier(axes: "Axes", x_m: float, ground_m: float, sensor_m: float, wa
         for foot_m in (-0.35, 0.0, 0.35):
             axes.plot([x_m + foot_m, x_m], [ground_m, sensor_m - 0.05], lw=1.4, **ink)
     axes.add_patch(Rectangle((x_m - 0.08, sensor_m - 0.06), 0.16, 0.12, fc=INK, ec="none", zorder=6))
-    rise_m = _BEAM_M * np.tan(np.radians(_FIELD_OF_VIEW_DEG))
     for side in (-1, 1):
-        for up in (-1, 1):
+        for rise_m in _BEAM_M * np.tan(np.radians(field_of_view_deg)):
             axes.plot(
-                [x_m, x_m + side * _BEAM_M], [sensor_m, sensor_m + up * rise_m], color=WALK, lw=0.5, alpha=0.6
+                [x_m, x_m + side * _BEAM_M], [sensor_m, sensor_m + rise_m], color=WALK, lw=0.5, alpha=0.6
             )
 
 
