@@ -83,11 +83,11 @@ class Emulator:
     def _span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
         """Check a span and put it into nanoseconds since the first pulse."""
         stop_s = self.scenario.duration_s if stop_s is None else stop_s
-        if start_s < 0:
+        if (start_ns := seconds_to_ns(start_s)) < 0:
             raise TrajectoryError("start", f"found {start_s:g} s", "0 s or later")
         if stop_s > (end_s := self.parts.motion.run_time_s):
             raise TrajectoryError("duration", f"found {stop_s:g} s", f"at most the walk's {end_s:.1f} s")
-        return seconds_to_ns(start_s), seconds_to_ns(stop_s)
+        return start_ns, seconds_to_ns(stop_s)
 
     def _scan(self, unit: Unit, run: range, opened: Future[Scene]) -> Returns:
         """Emit and receive a run of blocks of pulses."""
