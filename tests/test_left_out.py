@@ -77,7 +77,10 @@ def test_one_ray_is_held_once(monkeypatch):
     first()
     first("beam={ model = 'fixed', rays = 8 }")
     sizes = [
-        (len(hits.range_m), (hits.range_m if hits.range_m.base is None else hits.range_m.base).nbytes)
+        (
+            len(hits.range_m),
+            memoryview(hits.range_m if hits.range_m.base is None else hits.range_m.base).nbytes,
+        )
         for hits in seen
     ]
     assert sizes == [(16 * 1920, 4 * 16 * 1920), (8 * 16 * 1920, 4 * 8 * 16 * 1920)]
