@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast import LINE, Footprint, Scene
 from vlp16emu.raycast import embree_kernel as kernel
+from vlp16emu.raycast.embree_task import Target
 from vlp16emu.raycast.footprint import sub_rays
 from vlp16emu.types import Firings
 
@@ -33,7 +34,7 @@ def bare(
 
 @numba.njit(nogil=True)
 def bare_met(
-    target: kernel.Target,
+    target: Target,
     rays: NDArray[np.float32],
     near_m: NDArray[np.float64],
     far_m: float,
@@ -71,7 +72,7 @@ def _send(
 ) -> None:
     """Load packet p, and call Embree."""
     for lane in range(8):
-        kernel._reset(packet.rays, packet.words, lane, near_m, far_m)
+        kernel._reset(packet.rays, packet.words, lane, near_m, far_m, 0.0)
         for a in range(3):
             packet.rays[a, lane], packet.rays[4 + a, lane] = rays[p, a, lane], rays[p, 3 + a, lane]
     packet.context[:] = NONE
