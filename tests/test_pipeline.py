@@ -43,8 +43,8 @@ def test_runs_hold_each_block_once_and_keep_to_stretches(threads, span):
     assert all(run.start // 64 == (run.stop - 1) // 64 for run in runs)
     assert all(len(run) == 1 for run in runs[:threads])
     assert len(runs[-1]) == 1
-    assert max(map(len, runs)) <= {1: 8, 2: 8, 5: 4}[threads]
-    assert len(span) < 50 or max(map(len, runs)) >= 4
+    longest = {3: (1, 1, 1), 11: (4, 2, 1), 350: (8, 8, 4)}[len(span)]
+    assert max(map(len, runs)) == dict(zip((1, 2, 5), longest, strict=True))[threads]
 
 
 @pytest.mark.parametrize("threads", [1, 2, 7, 16, 24, 64, 100])

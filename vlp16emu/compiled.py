@@ -25,8 +25,9 @@ def keep_compiled() -> None:
     In `NUMBA_CACHE_DIR`, or beside the package; where that cannot be written in the user's cache, or in a folder of
     the user's own for temporary files.
     """
+    name = _PREFIX + _state()
     for base in _bases():
-        folder = base / (_PREFIX + _state())
+        folder = base / name
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             # Whoever can write there can have us run what he likes.
@@ -44,18 +45,22 @@ def keep_compiled() -> None:
 
 def _state() -> str:
     """Name the state of the package's files."""
-    digest = hashlib.sha256()
-    for path in sorted([*_PACKAGE.glob("*.py"), *_PACKAGE.glob("[!_]*/**/*.py")]):
-        state = path.stat()
-        digest.update(f"{path} {state.st_mtime_ns} {state.st_size}\n".encode())
-    return digest.hexdigest()[:16]
+    states = []
+    for folder, rooms, files in os.walk(_PACKAGE):  # twice as quick as globs, at each start
+        rooms[:] = [room for room in rooms if room != "__pycache__"]
+        for path in (os.path.join(folder, file) for file in files if file.endswith(".py")):  # noqa: PTH118 - likewise
+            state = os.stat(path)  # noqa: PTH116 - likewise
+            states.append(f"{path} {state.st_mtime_ns} {state.st_size}\n")
+    return hashlib.sha256("".join(sorted(states)).encode()).hexdigest()[:16]
 
 
 def _bases() -> list[Path]:
     """Folders to try, best first."""
     bases = [_PACKAGE / "__pycache__"]
-    if cache := os.environ.get("XDG_CACHE_HOME") or os.environ.get("HOME"):
-        bases.append(Path(cache) / ("vlp16emu" if "XDG_CACHE_HOME" in os.environ else ".cache/vlp16emu"))
+    if cache := os.environ.get("XDG_CACHE_HOME"):
+        bases.append(Path(cache) / "vlp16emu")
+    elif home := os.environ.get("HOME"):
+        bases.append(Path(home) / ".cache" / "vlp16emu")
     bases.append(Path(os.environ.get("TMPDIR", "/tmp")) / f"vlp16emu-{os.getuid()}")  # noqa: S108 - checked to be our own
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         path = Path(chosen)  # a program that called us may have set it in this manner

@@ -1,5 +1,6 @@
 """Work ahead: windows of the world and blocks of a run on several threads, handed out in order."""
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -84,7 +85,7 @@ class Windows(Generic[S]):
         self._free = int((1 - _LEAD - _LAG) * cut.stretch)
         opener, too_far = ThreadPoolExecutor(1, "open"), max(0, threads + 1 - self._free)
 
-        @lru_cache(2 - -too_far // cut.stretch)
+        @lru_cache(2 + math.ceil(too_far / cut.stretch))
         def opened(stretch: int) -> Future[S]:
             """Open a stretch once, on the opener."""
             return opener.submit(open_stretch, stretch)

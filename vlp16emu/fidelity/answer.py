@@ -75,9 +75,10 @@ def some_firings(firings: Firings, rows: slice, lasers: NDArray[np.int64]) -> Fi
 
 def some_hits(hits: Hits, rows: slice, lasers: NDArray[np.int64]) -> Hits:
     """Take the hits of some lasers of some consecutive sequences."""
-    stop = np.cumsum(hits.count, dtype=np.int64).reshape(hits.count.shape)
-    count = np.ascontiguousarray(hits.count[rows][:, lasers])
-    last = stop[rows][:, lasers].reshape(-1)
+    own, before = hits.count[rows], int(hits.count[: rows.start].sum())
+    stop = before + np.cumsum(own, dtype=np.int64).reshape(own.shape)
+    count = np.ascontiguousarray(own[:, lasers])
+    last = stop[:, lasers].reshape(-1)
     first = last - count.reshape(-1)
-    own = np.concatenate([np.arange(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True)])
-    return Hits(count, hits.range_m[own], hits.surface[own], hits.cos_incidence[own])
+    rays = np.concatenate([np.arange(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True)])
+    return Hits(count, hits.range_m[rays], hits.surface[rays], hits.cos_incidence[rays])
