@@ -12,6 +12,7 @@ from PIL import Image
 
 from vlp16emu.cli.survey import survey
 from vlp16emu.scenario import load
+from vlp16emu.world.grid import read_grid
 
 SMALL = ("--set", "duration_s=4.0", "--set", "sensor.max_range_m=20.0", "--radius", "12")
 
@@ -22,7 +23,8 @@ def written(tmp_path_factory):
     from vlp16emu.cli.app import run
 
     folder = tmp_path_factory.mktemp("forest")
-    files = {"--inventory": "trees.csv", "--glb": "twin.glb", "--picture": "sheet.png"}
+    names = ("trees.csv", "ground.asc", "twin.glb", "sheet.png")
+    files = dict(zip(("--inventory", "--ground", "--glb", "--picture"), names, strict=True))
     options = [word for option, name in files.items() for word in (option, str(folder / name))]
     with pytest.MonkeyPatch.context() as patch, (folder / "out.json").open("w") as out:
         patch.setattr(sys, "stdout", out)
@@ -63,6 +65,23 @@ def test_the_table_sums_up_the_inventory_near_the_way(written, rows):
     leaf_m2 = sum(float(row["leaf_m2"]) for row, is_near in zip(rows, near, strict=True) if is_near)
     assert all_trees["leaf_area_index"] == pytest.approx(leaf_m2 / report["area_ha"] / 1e4, rel=1e-3)
     assert sum(row["stems"] for row in report["trees"][:-1]) == all_trees["stems"]
+
+
+def test_the_ground_lies_where_trees_stand(written, rows):
+    """The grid holds all ground within the radius of the way, and its cells have the height of the feet in them: 2 cm in the median."""
+    grid = read_grid(written[0] / "ground.asc", cell_m=None, corner_m=None)
+    way_m = np.array([written[1]["way"][name][:2] for name in ("start_m", "end_m")])
+    lines, columns = grid.heights_m.shape
+    low_m = np.array([grid.west_m, grid.north_m - (lines - 1) * grid.cell_m]) - grid.cell_m / 2
+    high_m = low_m + np.array([columns, lines]) * grid.cell_m
+    assert (low_m <= way_m.min(axis=0) - 12).all()
+    assert (high_m >= way_m.max(axis=0) + 12).all()
+    feet_m = np.array([[float(row[name]) for name in ("x_m", "y_m", "z_m")] for row in rows])
+    feet_m = feet_m[((feet_m[:, :2] > low_m) & (feet_m[:, :2] < high_m)).all(axis=1)]
+    column = np.round((feet_m[:, 0] - grid.west_m) / grid.cell_m).astype(int)
+    row = np.round((grid.north_m - feet_m[:, 1]) / grid.cell_m).astype(int)
+    assert len(feet_m) > 15
+    assert np.median(np.abs(grid.heights_m[row, column] - feet_m[:, 2])) < 0.02
 
 
 def test_the_twin_holds_the_trees_of_the_inventory(written, rows):

@@ -6,6 +6,7 @@ from scipy import interpolate
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.world.dem import Dem
+from vlp16emu.world.grid import read_grid, write_ascii
 
 HEADER = "ncols 4\nnrows 3\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"
 ROWS = "1 2 3 4\n5 6 7 8\n9 10 11 12\n"
@@ -223,3 +224,18 @@ def test_a_file_that_is_no_grid_is_refused(tmp_path, name, content, cell_m, mess
     corner_m = None if cell_m is None else (0.0, 0.0)
     with pytest.raises(GeometryError, match=message):
         Dem(tmp_path / name, cell_m=cell_m, corner_m=corner_m, origin_m=NO_ORIGIN)
+
+
+def test_ground_that_is_written_is_read_as_it_was(tmp_path):
+    """Every cell of a written grid has the height at its own centre, to half a millimetre, and lies where it was."""
+
+    def plane(x_m, y_m):
+        return 0.1 * x_m - 0.05 * y_m + 3.0
+
+    path = tmp_path / "ground.asc"
+    with path.open("wb") as file:
+        write_ascii(file, plane, np.array([-10.1, 3.0]), np.array([-2.0, 7.4]), 0.25)
+    grid = read_grid(path, cell_m=None, corner_m=None)
+    assert (grid.west_m, grid.north_m, grid.heights_m.shape) == (-10.25 + 0.125, 7.5 - 0.125, (18, 33))
+    north_m, east_m = np.meshgrid(*(np.arange(n) * grid.cell_m for n in grid.heights_m.shape), indexing="ij")
+    assert grid.heights_m == pytest.approx(plane(grid.west_m + east_m, grid.north_m - north_m), abs=6e-4)

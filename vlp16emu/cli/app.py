@@ -44,7 +44,7 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
     forest: """\b
   vlp16emu forest birch_walk
   vlp16emu forest old_growth --picture old_growth.png --inventory trees.csv
-  vlp16emu forest my_forest.toml --radius 15 --glb twin.glb""",
+  vlp16emu forest my_forest.toml --radius 15 --ground ground.asc --glb twin.glb""",
     accuracy: """\b
   vlp16emu accuracy birch_walk
   vlp16emu accuracy reference_forest --out report --pulses 20000

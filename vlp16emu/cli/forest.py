@@ -34,6 +34,14 @@ InventoryFile = Annotated[
         "--inventory", metavar="OUT.csv", help="Write all trees in the sensor's reach, one per line."
     ),
 ]
+GroundFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--ground",
+        metavar="OUT.asc",
+        help="Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells.",
+    ),
+]
 TwinFile = Annotated[
     Path | None,
     typer.Option("--glb", metavar="OUT.glb", help="Write a digital twin as glTF, its nodes named by labels."),
@@ -45,7 +53,7 @@ PictureFile = Annotated[
     ),
 ]
 
-_SUFFIXES = {"--inventory": ".csv", "--glb": ".glb", "--picture": ".png"}
+_SUFFIXES = {"--inventory": ".csv", "--ground": ".asc", "--glb": ".glb", "--picture": ".png"}
 
 _MEASURES = {
     "sapling": ("height", 2),
@@ -64,6 +72,7 @@ def forest(
     settings: Settings = None,
     radius: Radius = 30.0,
     inventory: InventoryFile = None,
+    ground: GroundFile = None,
     glb: TwinFile = None,
     picture: PictureFile = None,
     as_json: AsJson = False,
@@ -73,8 +82,8 @@ def forest(
     Trees by species, their pattern, the relief, and what lies on the ground, all within the radius of the
     way; of a hall, its things.
     """
-    scenario = load_for([inventory, glb, picture], scene, settings or [])
-    outputs = {"--inventory": inventory, "--glb": glb, "--picture": picture}
+    outputs = {"--inventory": inventory, "--ground": ground, "--glb": glb, "--picture": picture}
+    scenario = load_for(list(outputs.values()), scene, settings or [])
     wanted = {option: path for option, path in outputs.items() if path is not None}
     for option, path in wanted.items():
         _check_output(option, path)
@@ -82,13 +91,15 @@ def forest(
         from vlp16emu.report.forest import check_matplotlib
 
         check_matplotlib()
-    from vlp16emu.cli.forest_files import write_inventory, write_picture, write_twin
+    from vlp16emu.cli.forest_files import write_ground, write_inventory, write_picture, write_twin
     from vlp16emu.cli.survey import survey
 
     seen = survey(scenario, radius)
     report = _report(scene, scenario, seen)
     if inventory is not None:
         write_inventory(inventory, seen)
+    if ground is not None:
+        write_ground(ground, seen)
     if glb is not None:
         write_twin(glb, seen)
     if picture is not None:

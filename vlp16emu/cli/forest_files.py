@@ -1,4 +1,4 @@
-"""Files that `vlp16emu forest` writes: inventory, digital twin, picture."""
+"""Files that `vlp16emu forest` writes: inventory, ground, digital twin, picture."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -23,11 +23,12 @@ from vlp16emu.report.forest import (
     surface_colours,
 )
 from vlp16emu.world import Hall
+from vlp16emu.world.grid import write_ascii
 from vlp16emu.world.inventory import write_csv
 from vlp16emu.world.nearby import cut_out
 from vlp16emu.world.twin import write_glb
 
-__all__ = ["write_inventory", "write_picture", "write_twin"]
+__all__ = ["write_ground", "write_inventory", "write_picture", "write_twin"]
 
 Array = NDArray[np.float64]
 
@@ -58,6 +59,9 @@ _BELOW_M, _ABOVE_M, _LEAST_HEIGHT_M = 1.5, 0.8, 6.0
 _INSIDE_M = 0.01
 """How far behind a hall's wall its section begins."""
 
+_GROUND_CELL_M = 0.25
+"""Of the ground that is written: the finest that is usual for forests."""
+
 
 def write_inventory(path: Path, seen: Survey) -> None:
     """Write all trees in reach.
@@ -68,6 +72,19 @@ def write_inventory(path: Path, seen: Survey) -> None:
         where the file cannot be written
     """
     write_csv(path, seen.inventory(seen.trees), table=seen.plants.trees)
+
+
+def write_ground(path: Path, seen: Survey) -> None:
+    """Write the height of the ground of a rectangle that holds the surroundings.
+
+    Raises
+    ------
+    RunError
+        where the file cannot be written to its end
+    """
+    low_m, high_m = _around(seen)
+    with _writing(path) as file:
+        write_ascii(file, seen.height_m, low_m, high_m, _GROUND_CELL_M)
 
 
 def write_twin(path: Path, seen: Survey) -> None:
@@ -117,15 +134,10 @@ def _writing(path: Path) -> Iterator[BinaryIO]:
 def _plan(seen: Survey) -> Plan:
     """Gather what the plan shows."""
     kinds = sorted({thing.kind for thing in seen.things}, key=_DRAWN_IN_ORDER.index)
-    if seen.hall is not None:
-        corner_m = np.array(seen.hall.size_m[:2]) / 2 + _MARGIN_M
-        low_m, high_m = -corner_m, corner_m
-    else:
-        aside_m = seen.radius_m + _MARGIN_M
-        low_m, high_m = seen.way_m[:, :2].min(axis=0) - aside_m, seen.way_m[:, :2].max(axis=0) + aside_m
+    low_m, high_m = _around(seen)
     return Plan(
-        low_m=low_m,
-        high_m=high_m,
+        low_m=low_m - _MARGIN_M,
+        high_m=high_m + _MARGIN_M,
         way_m=seen.way_m,
         field_of_view_deg=seen.field_of_view_deg,
         radius_m=None if seen.hall is not None else seen.radius_m,
@@ -137,6 +149,15 @@ def _plan(seen: Survey) -> Plan:
         ],
         height_m=seen.height_m,
     )
+
+
+def _around(seen: Survey) -> tuple[Array, Array]:
+    """Corners (2,) of the least rectangle that holds the surroundings, or the hall."""
+    if seen.hall is not None:
+        corner_m = np.array(seen.hall.size_m[:2]) / 2
+        return -corner_m, corner_m
+    way_xy_m = seen.way_m[:, :2]
+    return way_xy_m.min(axis=0) - seen.radius_m, way_xy_m.max(axis=0) + seen.radius_m
 
 
 def _forest_section(seen: Survey) -> Section:

@@ -2,14 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError, readable
+from vlp16emu.types import HeightField
 from vlp16emu.world.geotiff import read_geotiff
 
-__all__ = ["Grid", "read_grid"]
+__all__ = ["Grid", "read_grid", "write_ascii"]
 
 Array = NDArray[np.float64]
 
@@ -63,6 +65,29 @@ def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float]
         return _read_ascii(path)
     heights, west_m, north_m, cell = read_geotiff(path)
     return _checked(Grid(path, heights, west_m, north_m, cell))
+
+
+def write_ascii(file: BinaryIO, height_m: HeightField, low_m: Array, high_m: Array, cell_m: float) -> None:
+    """Write ground as an ESRI ASCII grid, in millimetres; each height is that at the centre of its cell.
+
+    Parameters
+    ----------
+    low_m, high_m : (2,) x and y of a rectangle; the grid holds it, its edges at whole multiples of a cell
+
+    Raises
+    ------
+    OSError
+        where the file cannot be written to its end
+    """
+    first, end = np.floor(low_m / cell_m), np.ceil(high_m / cell_m)
+    columns, rows = (end - first).astype(np.int64).tolist()
+    west_m, south_m = (first * cell_m).tolist()
+    head = f"ncols {columns}\nnrows {rows}\nxllcorner {west_m:.10g}\nyllcorner {south_m:.10g}\ncellsize {cell_m:g}\n"
+    file.write(head.encode())
+    x_m = (first[0] + 0.5 + np.arange(columns)) * cell_m
+    for row in reversed(range(rows)):
+        heights_m = height_m(x_m, np.full(columns, (first[1] + 0.5 + row) * cell_m))
+        np.savetxt(file, heights_m[None], fmt="%.3f")
 
 
 def _from_corner(path: Path, heights_m: Array, corner_m: tuple[float, float], cell_m: float) -> Grid:
