@@ -6,6 +6,7 @@ import os
 import pty
 import signal
 import time
+from pathlib import Path
 
 import pytest
 
@@ -42,6 +43,28 @@ def test_the_report_tells_the_truth_about_the_file(cli, tmp_path):
     assert report["packets"] == int(0.2e9 // 1_327_104)
     assert report["simulated_s"] == 0.2
     assert report["real_time_factor"] == pytest.approx(0.2 / report["wall_s"])
+
+
+def test_a_recording_goes_through_a_pipe(program, cli, tmp_path):
+    """To - the file's bytes go to standard output, nothing else does, and the report goes to stderr."""
+    options = "--duration", "0.1", "--json"
+    out, err = program("record", "static_bench", "-", *options, text=False).communicate(timeout=100)
+    report = json.loads(err)
+    assert (report["sha256"], report["bytes"]) == (hashlib.sha256(out).hexdigest(), len(out))
+    assert report["sha256"] == cli("record", "static_bench", tmp_path / "x.pcap", *options).tree["sha256"]
+    assert not (tmp_path / "-").exists()
+
+
+def test_a_pipe_that_ends_early_is_told_once(program):
+    """Where standard output takes no more, the run ends with 1 and one line."""
+    with Path("/dev/full").open("wb") as full:
+        run = program("record", "static_bench", "-", "--duration", "0.1", stdout=full)
+        _, err = run.communicate(timeout=100)
+    assert run.returncode == 1
+    message = (
+        "error: standard output: No space left on device at packet 1; the 0 packets before it are kept\n"
+    )
+    assert err == message
 
 
 def test_people_get_a_summary(cli, tmp_path):

@@ -110,7 +110,7 @@ def run(arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Carry out the command line of this process and exit."""
-    code = 1
+    code = None
     try:
         code = run(sys.argv[1:])
         print(end="", flush=True)
@@ -120,9 +120,10 @@ def main() -> None:
         if error.filename is not None:  # files are looked after where they are written
             raise
         _drop_output()
-        _complain(f"standard output: {error.strerror}")
-        code = code or 1
-    sys.exit(code)
+        if not code:  # else the reason is told
+            _complain(f"standard output: {error.strerror}")
+            code = 1
+    sys.exit(1 if code is None else code)
 
 
 def _drop_output() -> None:

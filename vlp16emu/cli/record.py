@@ -1,8 +1,10 @@
 """`vlp16emu record`: a scene into a pcap file."""
 
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterable
+from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any
@@ -37,7 +39,11 @@ __all__ = ["record"]
 
 OutFile = Annotated[
     Path,
-    typer.Argument(metavar="OUT.pcap", help="File to write; overwritten if it exists.", show_default=False),
+    typer.Argument(
+        metavar="OUT.pcap",
+        help="File to write; overwritten if it exists. - is standard output; the report then goes to stderr.",
+        show_default=False,
+    ),
 ]
 
 
@@ -82,9 +88,17 @@ def record(
     simulated_s = done_s if stop.is_set() else asked_s
     units = [_unit(unit, sent, simulated_s) for unit in emulator.parts.units]
     report |= _tree(sink.result, units, simulated_s, time.perf_counter() - began_s)
-    _print(report | {"audit": audit_tree(audit), "interrupted": stop.is_set()}, as_json=as_json)
+    with _beside(out):
+        _print(report | {"audit": audit_tree(audit), "interrupted": stop.is_set()}, as_json=as_json)
     if stop.is_set():
         raise typer.Exit(INTERRUPTED)
+
+
+def _beside(out: Path) -> AbstractContextManager[object]:
+    """Print to where the file does not go."""
+    from vlp16emu.sinks import STDOUT
+
+    return redirect_stdout(sys.stderr) if out == STDOUT else nullcontext()
 
 
 def _send(

@@ -2,7 +2,7 @@
 
 from vlp16emu.sinks.memory import MemorySink
 from vlp16emu.sinks.pacing import Lateness, LatenessHistogram, Pacer
-from vlp16emu.sinks.pcap import PcapResult, PcapSink
+from vlp16emu.sinks.pcap import STDOUT, PcapResult, PcapSink
 from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, StreamReport, stream
 from vlp16emu.sinks.truth import TruthFolder, tum_rows
@@ -11,6 +11,7 @@ from vlp16emu.sinks.udp import LOOPBACK, UdpResult, UdpSink
 __all__ = [
     "LOOK_AHEAD_PACKETS",
     "LOOPBACK",
+    "STDOUT",
     "Lateness",
     "LatenessHistogram",
     "MemorySink",

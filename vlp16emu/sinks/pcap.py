@@ -3,6 +3,7 @@
 import hashlib
 import os
 import struct
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -18,7 +19,10 @@ from vlp16emu.packets.frames import FACTORY_LINK, Link, data_header, position_fr
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS
 
-__all__ = ["PcapResult", "PcapSink"]
+__all__ = ["STDOUT", "PcapResult", "PcapSink"]
+
+STDOUT = Path("-")
+"""Stands for standard output, as for tcpdump and tshark."""
 
 # Little-endian microsecond pcap: readers with fixed offsets and older libraries know no other kind.
 _FILE_HEADER = bytes(dpkt.pcap.LEFileHdr(snaplen=65_535, linktype=dpkt.pcap.DLT_EN10MB))
@@ -46,7 +50,7 @@ class PcapSink:
 
     Parameters
     ----------
-    path : the file, or a pipe
+    path : the file, a pipe, or `STDOUT`
     first_position_numbers : position packets of each unit between power-up and this file; number its frames
     links : of each unit
 
@@ -62,6 +66,7 @@ class PcapSink:
         self, path: Path, first_position_numbers: Sequence[int], links: Sequence[Link] = (FACTORY_LINK,)
     ) -> None:
         self.path = path
+        self._is_stdout = path == STDOUT
         self._position_numbers = list(first_position_numbers)
         self._links = links
         self._data_headers = [data_header(link) for link in links]
@@ -69,7 +74,11 @@ class PcapSink:
         self._bytes = 0
         self._hash = hashlib.sha256()
         try:
-            self._file = path.open("wb", buffering=0)
+            self._file = (
+                os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering=0)
+                if self._is_stdout
+                else path.open("wb", buffering=0)
+            )
         except OSError as error:
             raise OutputError(str(path), str(error.strerror), "a file that can be written") from error
         try:
@@ -84,8 +93,9 @@ class PcapSink:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with suppress(OSError):  # a pipe or a device has no end that could be cut
-            os.ftruncate(self._file.fileno(), self._bytes)
+        if not self._is_stdout:  # which may hold more than what is ours
+            with suppress(OSError):  # a pipe or a device has no end that could be cut
+                os.ftruncate(self._file.fileno(), self._bytes)
         self._file.close()
 
     def send(self, packet: Packet) -> None:
@@ -130,9 +140,9 @@ class PcapSink:
             while written < len(record):  # a full disk takes what fits and refuses only the next byte
                 written += self._file.write(record[written:])
         except OSError as error:
-            kept = f"the {self._sent.total()} packets before it are kept"
+            name, sent = "standard output" if self._is_stdout else self.path, self._sent.total()
             raise RunError(
-                f"{self.path}: {error.strerror} at packet {self._sent.total() + 1}; {kept}"
+                f"{name}: {error.strerror} at packet {sent + 1}; the {sent} packets before it are kept"
             ) from error
         self._hash.update(record)
         self._bytes += len(record)
