@@ -1,9 +1,12 @@
 """A world of the user's own files, from the scene to the packets."""
 
+import csv
+
 import numpy as np
 import pytest
 import trimesh
 
+from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import GeometryError, ScenarioError
 from vlp16emu.packets import decode_data
@@ -122,6 +125,16 @@ def test_stems_stand_at_the_places_of_the_list(seen):
     gap = np.linalg.norm(place[:, None] - np.array(TREES_M), axis=2)
     assert gap.min(axis=1).max() < 0.3
     assert set(gap.argmin(axis=1).tolist()) == {0, 1, 2, 3, 4}
+
+
+def test_trees_are_joined_with_their_lines_of_the_list(folder, tmp_path):
+    """The inventory tells of each tree the line of the list that has its place."""
+    assert run(["forest", str(folder / "plot.toml"), "--inventory", str(tmp_path / "trees.csv")]) == 0
+    with (tmp_path / "trees.csv").open(newline="") as file:
+        trees = list(csv.DictReader(file))
+    assert sorted(int(tree["list_line"]) for tree in trees) == [2, 3, 4, 5, 6]
+    for tree in trees:
+        assert (float(tree["x_m"]), float(tree["y_m"])) == TREES_M[int(tree["list_line"]) - 2]
 
 
 def test_packets_carry_it(folder):

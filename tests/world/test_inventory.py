@@ -162,9 +162,10 @@ def test_the_file_has_a_header_and_a_line_for_each_tree(rows, tmp_path):
     assert list(lines[0]) == list(INVENTORY.names)
     assert [line["species"] for line in lines] == NAMES
     assert [int(line["id"]) for line in lines] == [40, 41, 42, 43, 44]
-    for name in INVENTORY.names[2:-1]:
+    for name in INVENTORY.names[2:-2]:
         assert [float(line[name]) for line in lines] == pytest.approx(rows[name].tolist(), abs=6e-5)
     assert lines[4]["biomass_kg"] == ""
+    assert {line["list_line"] for line in lines} == {""}
 
 
 def test_a_file_that_cannot_be_written_is_named(rows, tmp_path):

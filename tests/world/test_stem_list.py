@@ -37,6 +37,7 @@ def test_a_list_is_read_as_it_stands(tmp_path):
     assert trees["crown_width_m"][:2].tolist() == [4.5, 4]
     assert trees["lean_deg"].tolist() == [2, 0, 0]
     assert trees["lean_towards_deg"].tolist() == [0, 0, 90]  # azimuth 90 is east
+    assert trees["list_line"].tolist() == [2, 3, 4]
 
 
 def test_columns_have_units_and_no_order(tmp_path):
@@ -64,7 +65,7 @@ def test_an_inventory_is_a_stem_list(tmp_path):
     trees["height_m"], trees["lean_towards_deg"] = [20.0, 30.0], [200.0, 45.0]
     write_csv(tmp_path / "inventory.csv", trees)
     back = read_stem_list(tmp_path / "inventory.csv", species_table(), NO_ORIGIN)
-    for name in set(INVENTORY.names) & set(TREE.names) - {"id", "z_m"}:
+    for name in set(INVENTORY.names) & set(TREE.names) - {"id", "z_m", "list_line"}:
         assert back[name] == pytest.approx(trees[name], abs=1e-4)
 
 

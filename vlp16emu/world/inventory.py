@@ -46,6 +46,7 @@ INVENTORY = np.dtype(
         ("wood_m3", "<f8"),  # that and all branches; where they start inside the stem they count twice
         ("leaf_m2", "<f8"),  # one-sided
         ("biomass_kg", "<f8"),  # dry, above ground, by the species' equation; NaN where none is known
+        ("list_line", "<u4"),  # of the stem list that names the tree, 0 where it has grown
     ]
 )
 """One tree of the inventory. Tops, volumes and areas are those of the level of detail that the tree is drawn at."""
@@ -62,6 +63,7 @@ _COPIED = (
     "crown_width_m",
     "lean_deg",
     "lean_towards_deg",
+    "list_line",
 )
 
 _DECIMALS = 4
@@ -117,9 +119,9 @@ def write_csv(path: Path, rows: NDArray[np.void], *, table: Mapping[str, Species
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(INVENTORY.names or ())
             for row in rows.tolist():
-                number, species, *values = row
+                number, species, *values, line = row
                 texts = ("" if np.isnan(value) else f"{value:.{_DECIMALS}f}" for value in values)
-                writer.writerow([number, names[species], *texts])
+                writer.writerow([number, names[species], *texts, line or ""])
     except OSError as error:
         raise OutputError(str(path), error.strerror or str(error), "a file that can be written") from error
 

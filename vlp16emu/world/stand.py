@@ -52,6 +52,7 @@ TREE = np.dtype(
         ("leaf_reflectance", "<f4"),
         ("level", "u1"),  # of detail of its stem, 0 is the finest
         ("storey", "u1"),  # 0 canopy, 1 and 2 the storeys under it, REGENERATION saplings
+        ("list_line", "<u4"),  # of the stem list that names it, 0 where it has grown
     ]
 )
 """One tree."""

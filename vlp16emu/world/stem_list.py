@@ -91,7 +91,7 @@ def read_stem_list(path: Path, table: Mapping[str, Species], origin_m: tuple[flo
     lines = np.array([line for line, _ in rows])
     trees = np.zeros(len(rows), TREE)
     species = [_species(f"{path}, line {line}, column {_SPECIES}", row, table) for line, row in rows]
-    trees["species"] = [one.number for one in species]
+    trees["species"], trees["list_line"] = [one.number for one in species], lines
     numbers = {name: _numbers(path, rows, column) for name, column in _COLUMNS.items()}
     trees["x_m"], trees["y_m"] = numbers["x_m"] - origin_m[0], numbers["y_m"] - origin_m[1]
     trees["dbh_m"] = numbers["dbh_m"]
