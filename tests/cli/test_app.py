@@ -189,3 +189,14 @@ def test_without_stdout_nothing_is_said(line):
     command = f"exec {sys.executable} -m vlp16emu {line} >&-"
     done = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_warnings_are_lines_on_stderr(program):
+    """What does not stop a run but will surprise is told on stderr, as a warning and in one line."""
+    run = program("plan", "static_bench", "--set", "motion.x_m=100.0")
+    _, err = run.communicate(timeout=100)
+    assert run.returncode == 0
+    assert err.splitlines() == [
+        "warning: hall: the way of the sensor leaves it at (100, 0) m;"
+        " expected x between -15 and 15 m, y between -9 and 9 m"
+    ]

@@ -128,3 +128,15 @@ def test_things_that_poke_out_are_refused(things, message):
 def test_floor_is_at_zero():
     """The ground under the hall is level at z = 0."""
     assert (make_hall().height_m(np.zeros((2, 3)), np.ones((2, 3))) == np.zeros((2, 3))).all()
+
+
+def test_a_way_through_a_wall_is_told(caplog):
+    """A way that leaves the hall is warned of by its first point outside; one inside is not."""
+    hall = make_hall()
+    hall.check(np.array([[0.0, 0.0], [14.9, -8.9]]))
+    assert not caplog.records
+    hall.check(np.array([[0.0, 0.0], [15.0, 1.0], [16.0, 1.0]]))
+    (record,) = caplog.records
+    assert record.getMessage().startswith(
+        "hall: the way of the sensor leaves it at (15, 1) m; expected x between -15"
+    )

@@ -110,6 +110,7 @@ def assemble(scenario: Scenario) -> Parts:
     if isinstance(section, HallSection):
         carrier, path_xy_m = carrier_of(scenario, lambda x_m, _y_m: np.zeros_like(x_m))
         world = hall_of(section)
+        world.check(path_xy_m)
     else:
         ground = ground_of(section, scenario.seed)
         carrier, path_xy_m = carrier_of(scenario, ground.height_m)

@@ -1,5 +1,6 @@
 """All verbs together, and the one place where errors become lines and exit codes."""
 
+import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -110,6 +111,7 @@ def run(arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Carry out the command line of this process and exit."""
+    logging.basicConfig(format="warning: %(message)s")
     code = None
     try:
         code = run(sys.argv[1:])

@@ -1,5 +1,6 @@
 """A hall of known shapes, against which distances can be checked to a tenth of a millimetre."""
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, Mesh, Semantic, ShapeKey, Window
 
 __all__ = ["Box", "Hall", "Pole", "Sphere"]
+
+_log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
@@ -110,6 +113,17 @@ class Hall:
         surfaces["semantic"][0] = Semantic.GROUND
         surfaces["instance"] = np.arange(len(surfaces))  # floor 0, walls and ceiling 1, things from 2
         self._surfaces = surfaces
+
+    def check(self, path_xy_m: Array) -> None:
+        """Warn where a way (n, 2) leads through a wall: nothing is seen from outside."""
+        half_m = np.array(self.size_m[:2]) / 2
+        outside = (np.abs(path_xy_m) >= half_m).any(axis=1)
+        if outside.any():
+            x_m, y_m = path_xy_m[int(outside.argmax())]
+            _log.warning(
+                "hall: the way of the sensor leaves it at (%g, %g) m; expected x between -%g and %g m, y between -%g and %g m",
+                *(x_m, y_m, half_m[0], half_m[0], half_m[1], half_m[1]),
+            )
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
         """Height of the floor: 0 everywhere."""
