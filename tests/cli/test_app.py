@@ -196,7 +196,5 @@ def test_warnings_are_lines_on_stderr(program):
     run = program("plan", "static_bench", "--set", "motion.x_m=100.0")
     _, err = run.communicate(timeout=100)
     assert run.returncode == 0
-    assert err.splitlines() == [
-        "warning: hall: the way of the sensor leaves it at (100, 0) m;"
-        " expected x between -15 and 15 m, y between -9 and 9 m"
-    ]
+    (line,) = err.splitlines()
+    assert line.startswith("warning: hall: the way of the sensor leaves it at (100, 0) m; expected x between")
