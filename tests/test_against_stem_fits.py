@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from vlp16emu.cli.arguments import all_settings
 from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
@@ -17,7 +16,7 @@ WALK_S = 12.0
 @pytest.fixture(scope="module")
 def seen():
     """Points of stems about breast height, by tree, and the trees' records."""
-    scenario = load("spruce_walk", all_settings(SPRUCE, ideal=True))
+    scenario = load("spruce_walk", SPRUCE, ideal=True)
     emulator = Emulator(scenario, truth=True)
     points_m, instance = [], []
     for returns in emulator.returns(0.0, WALK_S):

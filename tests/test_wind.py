@@ -6,7 +6,6 @@ import itertools
 import numpy as np
 import pytest
 
-from vlp16emu.cli.arguments import all_settings
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import ScenarioError
 from vlp16emu.scenario import load
@@ -52,7 +51,7 @@ def test_swaying_stems_are_where_the_formula_has_them_at_each_pulse():
         "sensor.max_range_m=25.0",
     ]
     settings += ["wind={speed_m_s=9.0, towards_deg=70.0}", "world.stems_per_ha=400"]
-    scenario = load("birch_walk", all_settings(settings, ideal=True))
+    scenario = load("birch_walk", settings, ideal=True)
     emulator = Emulator(scenario, truth=True)
     wind, checked, left_m = emulator.parts.wind, 0, []
     for returns in itertools.islice(emulator.returns(0.0, 9.0), 0, 85, 12):

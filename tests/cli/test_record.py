@@ -16,6 +16,7 @@ KEYS = [
     "seed",
     "beam",
     "noise",
+    "weather",
     "packets",
     "position_packets",
     "returns",
@@ -84,6 +85,17 @@ def test_the_report_names_the_active_beam_and_noise(cli, tmp_path):
     ideal = cli(*run, "--ideal", "--json").tree
     assert ideal["beam"] == "none: one ray, without width"
     assert ideal["noise"].startswith("ideal: 0 mm white, 0 mm bias per laser, 0 deg, ")
+
+
+def test_weather_is_told_where_it_is_on(cli, tmp_path):
+    """Fog and rain stand in the summary, clear air does not, and `--ideal` clears the air of the scene."""
+    scene = tmp_path / "wet.toml"
+    bench = (Path(__file__).resolve().parents[2] / "scenes" / "static_bench.toml").read_text()
+    scene.write_text(f"{bench}\n[weather]\nvisibility_m = 60.0\nrain_mm_h = 10.0\n")
+    run = "record", scene, tmp_path / "x.pcap", "--duration", "0.01"
+    assert "\n  weather           visibility 60 m, rain of 10 mm/h\n" in cli(*run).out
+    assert "\n  weather " not in cli(*run, "--ideal").out
+    assert cli(*run, "--ideal", "--json").tree["weather"] is None
 
 
 def test_threads_change_no_byte(cli, tmp_path):

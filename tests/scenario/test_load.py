@@ -317,3 +317,16 @@ def test_start_is_exact_in_nanoseconds(tmp_path):
     """A start time with an offset and microseconds becomes exact UTC nanoseconds."""
     scenario = load(str(written(tmp_path, SCENE)), ["start_utc=2026-05-20T11:00:00.000001+02:00"])
     assert scenario.start_ns == 1_779_267_600_000_001_000  # `date -d 2026-05-20T09:00:00Z +%s`
+
+
+def test_an_ideal_scene_has_no_errors_but_those_that_are_set(tmp_path):
+    """Width, noise, weather and the errors of each unit are gone; what a setting wants stays."""
+    scene = tmp_path / "scene.toml"
+    unit = "eccentricity_deg = 0.5\nazimuth_noise_deg = 0.02\nclock_error_ppm = 20.0\n"
+    text = SCENE.replace("[sensor]\n", f"[sensor]\n{unit}")
+    scene.write_text(f"{text}\n[[rig]]\n{unit}\n[weather]\nrain_mm_h = 5.0\n")
+    ideal = load(str(scene), ["noise.range_noise_m=0.01"], ideal=True)
+    assert (ideal.beam.summary, ideal.weather.summary) == ("none: one ray, without width", None)
+    assert (ideal.noise.range_noise_m, ideal.noise.range_bias_m) == (0.01, 0.0)
+    for sensor in (ideal.sensor, *ideal.rig):
+        assert (sensor.eccentricity_deg, sensor.azimuth_noise_deg, sensor.clock_error_ppm) == (0.0, 0.0, 0.0)

@@ -19,17 +19,10 @@ __all__ = [
     "Settings",
     "Start",
     "Threads",
-    "all_settings",
     "checked",
     "span_s",
 ]
 
-_IDEAL = (
-    "beam = { model = 'none' }",
-    "noise = { preset = 'ideal' }",
-    "sensor.eccentricity_deg = 0",
-    "sensor.azimuth_noise_deg = 0",
-)
 _LONGEST_S = 7 * 86_400
 """As long as a scene may be."""
 
@@ -52,11 +45,6 @@ def checked(
         return value
 
     return parse
-
-
-def all_settings(settings: list[str] | None, *, ideal: bool) -> list[str]:
-    """List the settings of a run, those of `--ideal` before the user's own."""
-    return [*(_IDEAL if ideal else ()), *(settings or ())]
 
 
 def span_s(start_s: float, duration_s: float | None, scene_s: float) -> tuple[float, float]:
@@ -131,7 +119,7 @@ Settings = Annotated[
     ),
 ]
 Ideal = Annotated[
-    bool, typer.Option("--ideal", help="A sensor without errors: beams without width, no noise.")
+    bool, typer.Option("--ideal", help="A sensor without errors: beams without width, no noise, clear air.")
 ]
 Threads = Annotated[
     int,

@@ -83,7 +83,7 @@ def forest(
     way; of a hall, its things.
     """
     outputs = {"--inventory": inventory, "--ground": ground, "--glb": glb, "--picture": picture}
-    scenario = load_for(list(outputs.values()), scene, settings or [])
+    scenario = load_for(list(outputs.values()), scene, settings)
     wanted = {option: path for option, path in outputs.items() if path is not None}
     for option, path in wanted.items():
         _check_output(option, path)

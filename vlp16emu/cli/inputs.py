@@ -10,12 +10,15 @@ if TYPE_CHECKING:
 __all__ = ["load_for"]
 
 
-def load_for(outputs: Sequence[Path | None], scene: str, settings: Sequence[str]) -> "Scenario":
+def load_for(
+    outputs: Sequence[Path | None], scene: str, settings: Sequence[str] | None, *, ideal: bool = False
+) -> "Scenario":
     """Read a scene and apply settings to it.
 
     Parameters
     ----------
     outputs : files that the run is to write; None for those that are not wanted
+    scene, settings, ideal : as `load` takes them
 
     Raises
     ------
@@ -28,7 +31,7 @@ def load_for(outputs: Sequence[Path | None], scene: str, settings: Sequence[str]
     from vlp16emu.errors import spare
     from vlp16emu.scenario import find, load
 
-    scenario = load(scene, settings)
+    scenario = load(scene, settings or (), ideal=ideal)
     inputs = [find(scene), *named_files(scenario)]
     for output in outputs:
         if output is not None:

@@ -12,7 +12,6 @@ from vlp16emu.cli.arguments import (
     SceneName,
     Settings,
     Threads,
-    all_settings,
     span_s,
 )
 from vlp16emu.cli.audit import NoAudit, audited
@@ -51,7 +50,7 @@ def plan(
     from vlp16emu.report import Spent
     from vlp16emu.scenario import load
 
-    scenario = load(scene, all_settings(settings, ideal=ideal))
+    scenario = load(scene, settings or (), ideal=ideal)
     _, stop_s = span_s(0.0, duration, scenario.duration_s)
     workers = threads or os.cpu_count() or 1
     emulator, audit = audited(scenario, threads=workers, no_audit=no_audit)

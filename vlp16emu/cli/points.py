@@ -16,7 +16,6 @@ from vlp16emu.cli.arguments import (
     Settings,
     Start,
     Threads,
-    all_settings,
     checked,
     span_s,
 )
@@ -79,7 +78,7 @@ def points(
     from vlp16emu.cli.export import writing
     from vlp16emu.emulator import Emulator
 
-    scenario = load_for([out], scene, all_settings(settings, ideal=ideal))
+    scenario = load_for([out], scene, settings, ideal=ideal)
     start_s, stop_s = span_s(start, duration, scenario.duration_s)
     if unit > (units := 1 + len(scenario.rig)):
         raise InputError("--unit", f"found {unit}", f"at most {units}, as the scene has {units} units")

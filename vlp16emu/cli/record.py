@@ -19,12 +19,12 @@ from vlp16emu.cli.arguments import (
     Settings,
     Start,
     Threads,
-    all_settings,
     span_s,
 )
 from vlp16emu.cli.audit import NoAudit, audit_row, audit_tree, audited
 from vlp16emu.cli.inputs import load_for
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
+from vlp16emu.cli.light import light_rows, light_tree
 from vlp16emu.cli.output import count, print_json, print_rows, size
 from vlp16emu.cli.progress import Progress
 from vlp16emu.cli.rotor import revolutions, turned
@@ -71,7 +71,7 @@ def record(
     from vlp16emu.sinks import PcapSink
     from vlp16emu.units import seconds_to_ns
 
-    scenario = load_for([out, truth and truth / SCENARIO], scene, all_settings(settings, ideal=ideal))
+    scenario = load_for([out, truth and truth / SCENARIO], scene, settings, ideal=ideal)
     start_s, stop_s = span_s(start, duration, scenario.duration_s)
     emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
     packets = emulator.packets(start_s, stop_s)  # checks the span before the file is touched
@@ -84,7 +84,7 @@ def record(
     ):
         sent, done_s = _send(told, sink, progress, stop, scenario.start_ns + seconds_to_ns(start_s))
     report: dict[str, Any] = {"file": str(out), "scene": scene, "seed": scenario.seed}
-    report |= {"beam": scenario.beam.summary, "noise": scenario.noise.summary}
+    report |= light_tree(scenario)
     simulated_s = done_s if stop.is_set() else asked_s
     units = [_unit(unit, sent, simulated_s) for unit in emulator.parts.units]
     report |= _tree(sink.result, units, simulated_s, time.perf_counter() - began_s)
@@ -165,8 +165,7 @@ def _print(report: dict[str, Any], *, as_json: bool) -> None:
         f"{'interrupted, kept' if report['interrupted'] else 'wrote'} {report['file']}",
         {
             "scene": f"{report['scene']}, seed {report['seed']}",
-            "beam": report["beam"],
-            "noise": report["noise"],
+            **light_rows(report),
             "simulated": f"{report['simulated_s']:.1f} s",
             "revolutions": revolutions(report["units"]),
             "data packets": count(report["packets"]),

@@ -17,13 +17,13 @@ from vlp16emu.cli.arguments import (
     SceneName,
     Settings,
     Threads,
-    all_settings,
     checked,
     span_s,
 )
 from vlp16emu.cli.audit import NoAudit, audit_row, audit_tree, audited
 from vlp16emu.cli.inputs import load_for
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
+from vlp16emu.cli.light import light_rows, light_tree
 from vlp16emu.cli.output import count, print_json, print_rows
 from vlp16emu.cli.progress import Progress
 from vlp16emu.cli.rotor import revolutions, turned
@@ -88,8 +88,8 @@ def stream(
     from vlp16emu.sinks import LOOK_AHEAD_PACKETS, Pacer
     from vlp16emu.sinks import stream as send
 
-    changes = [*all_settings(settings, ideal=ideal), *_told_ports(data_port, position_port)]
-    scenario = load_for([truth and truth / SCENARIO], scene, changes)
+    changes = [*(settings or ()), *_told_ports(data_port, position_port)]
+    scenario = load_for([truth and truth / SCENARIO], scene, changes, ideal=ideal)
     start_s, stop_s = span_s(0.0, duration, scenario.duration_s)
     emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
     packets = emulator.packets(start_s, stop_s)
@@ -122,9 +122,7 @@ def _head(scenario: "Scenario", scene: str, to: str, speed: float) -> dict[str, 
         "seed": scenario.seed,
         "to": to,
         "speed": speed,
-        "beam": scenario.beam.summary,
-        "noise": scenario.noise.summary,
-    }
+    } | light_tree(scenario)
 
 
 def _announce(scene: str, to: str, links: "Sequence[Link]", *, quiet: bool) -> None:
@@ -218,8 +216,7 @@ def _print(tree: dict[str, Any], *, as_json: bool) -> None:
     print_rows(
         f"{'interrupted' if tree['interrupted'] else 'done'}: {tree['scene']} to {tree['to']}",
         {
-            "beam": tree["beam"],
-            "noise": tree["noise"],
+            **light_rows(tree),
             "data packets": count(tree["packets"]),
             "position packets": count(tree["position_packets"]),
             "simulated": f"{tree['simulated_s']:.1f} s in {tree['wall_s']:.1f} s",

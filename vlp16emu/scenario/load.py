@@ -20,13 +20,18 @@ _RIVALS = frozenset(Way.one_of), Way.either_or
 """Keys of which a scene tells one, so that a setting takes the place of what the scene tells instead."""
 
 
-def load(scene: str, settings: Sequence[str] = ()) -> Scenario:
+_UNIT_ERRORS = ("eccentricity_deg", "azimuth_noise_deg", "clock_error_ppm")
+"""Errors among the keys of `[sensor]` and `[[rig]]`."""
+
+
+def load(scene: str, settings: Sequence[str] = (), *, ideal: bool = False) -> Scenario:
     """Read a scene and apply settings to it.
 
     Parameters
     ----------
     scene : name or path; a path that ends in .json is read as the truth beside a run gives it
     settings : `key.path=value` with the value in TOML, in order
+    ideal : light without width, in clear air, and sensors without errors, as far as no setting wants otherwise
 
     Raises
     ------
@@ -35,6 +40,8 @@ def load(scene: str, settings: Sequence[str] = ()) -> Scenario:
     """
     path = find(scene)
     tree = _read(path)
+    if ideal:
+        _take_errors(tree)
     for setting in settings:
         _apply(tree, setting)
     try:
@@ -72,6 +79,15 @@ def _read(path: Path) -> dict[str, Any]:
     if not isinstance(tree, dict):
         raise ScenarioError(str(path), "no table", f"a {kind} file with the tables of a scene")
     return tree
+
+
+def _take_errors(tree: dict[str, Any]) -> None:
+    """Make a scene's light, air and sensors ideal."""
+    tree.update(beam={"model": "none"}, noise={"preset": "ideal"}, weather={})
+    units = rig if isinstance(rig := tree.get("rig"), list) else []
+    for unit in (tree.setdefault("sensor", {}), *units):
+        if isinstance(unit, dict):  # what is no table is told of when the scene is checked
+            unit.update(dict.fromkeys(_UNIT_ERRORS, 0.0))
 
 
 def _apply(tree: dict[str, Any], setting: str) -> None:
