@@ -1,6 +1,7 @@
 """A world of the user's own files, from the scene to the packets."""
 
 import csv
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -160,6 +161,27 @@ def test_files_that_do_not_fit_the_walk_are_refused(folder, setting, message):
     settings = [setting, "motion.y_m=4.0"] if setting.startswith("motion") else [setting]
     with pytest.raises(GeometryError, match=message):
         Emulator(load(str(folder / "plot.toml"), settings), threads=1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        (["motion.x_m=-5e5", "motion.y_m=-5.7e6"], "motion: recorded poses lie from 211.5 to 211.5 m above"),
+        (["motion.x_m=-5e5", "motion.y_m=-5.7e6", "motion.z_m=-212.0"], "motion: recorded poses lie from -0.5"),
+        (["motion.x_m=-5e5", "motion.y_m=-5.7e6", "motion.z_m=-210.0"], None),
+        (["world.dem={file='wide.npy', cell_m=1e6, corner_m=[-1e7, -1e7]}"], "motion: recorded poses begin at (500000.0, 5700000.0, 211.5) m, as if in map"),
+    ],
+)  # fmt: skip
+def test_recorded_poses_that_are_not_in_the_scene_are_told(folder, caplog, settings, told):
+    """Poses in map coordinates, below the ground or out of its sight are warned of, with what moves them."""
+    poses = [f"{t} {EAST_M} {NORTH_M} {UP_M + 1.5} 0 0 0 1" for t in (0.0, 0.5, 1.0)]
+    (folder / "poses.tum").write_text("\n".join(poses))
+    np.save(folder / "wide.npy", np.full((20, 20), UP_M))
+    changed = ["motion.kind=recorded", "motion.file=poses.tum", "motion.format=tum", *settings]
+    with suppress(GeometryError):  # the ground of the scene, or its trees, may be out of sight as well
+        Emulator(load(str(folder / "plot.toml"), changed), threads=1)
+    lines = [record.getMessage() for record in caplog.records if record.getMessage().startswith("motion")]
+    assert [line[: len(told)] for line in lines] == [told] if told else not lines
 
 
 def test_a_stem_list_that_nobody_sees_is_refused(folder):

@@ -1,5 +1,6 @@
 """From the `[motion]` and `[imu]` tables to a carrier, and to what hangs on it."""
 
+import logging
 import math
 from pathlib import Path as FilePath
 
@@ -42,6 +43,8 @@ from vlp16emu.types import HeightField
 
 __all__ = ["carrier_of", "imu_of", "mounted_on"]
 
+_log = logging.getLogger(__name__)
+
 
 def carrier_of(scenario: Scenario, height_m: HeightField) -> tuple[Motion, NDArray[np.float64]]:
     """Make what carries the devices, over the given ground, and its way on the map (n, 2)."""
@@ -52,7 +55,9 @@ def carrier_of(scenario: Scenario, height_m: HeightField) -> tuple[Motion, NDArr
         return Standing(position_m, section.yaw_deg, section.pitch_deg, section.roll_deg), xy_m
     if isinstance(section, RecordedSection):
         recorded = _recorded(section, scenario.start_ns)
-        return recorded, recorded.xy_m
+        origin_m = scenario.world.origin_m if isinstance(scenario.world, Woods) else (0.0, 0.0, 0.0)
+        _look_at_place(recorded.position_m, origin_m, height_m, scenario.sensor.max_range_m)
+        return recorded, np.ascontiguousarray(recorded.position_m[:, :2])
     route, path = _route(section, scenario, height_m)
     return _walking(section, scenario, route), path.xy_m
 
@@ -109,6 +114,29 @@ def _route(section: Walk, scenario: Scenario, height_m: HeightField) -> tuple[Ro
     speed_m_s = None if section.run_time_s is not None else section.speed_m_s
     route = Route(path, laps=section.laps, pace=pace, speed_m_s=speed_m_s, run_time_s=section.run_time_s)
     return route, path
+
+
+def _look_at_place(
+    position_m: NDArray[np.float64],
+    origin_m: tuple[float, float, float],
+    height_m: HeightField,
+    reach_m: float,
+) -> None:
+    """Warn of poses (n, 3) that lie about the world's origin on the map, below the ground, or out of its sight."""
+    plan_m = position_m[:, :2]
+    above_m = position_m[:, 2] - height_m(*plan_m.T)
+    if (np.hypot(*(plan_m - origin_m[:2]).T) < np.hypot(*plan_m.T)).all():
+        _log.warning(
+            "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; origin_m is not taken off"
+            " them: expected motion.x_m = %.10g, y_m = %.10g, z_m = %.10g",
+            *(*position_m[0], *(-value for value in origin_m)),
+        )
+    elif above_m.min() < 0 or above_m.min() > reach_m:
+        _log.warning(
+            "motion: recorded poses lie from %.1f to %.1f m above the ground; expected above it and in sight of it"
+            " (motion.z_m moves them)",
+            *(above_m.min(), above_m.max()),
+        )
 
 
 def _way_points(section: Walk, scenario: Scenario) -> WayPoints:

@@ -75,8 +75,8 @@ class Recorded:
             CubicSpline(knots_s, np.column_stack([position_m + np.array([x_m, y_m, z_m]), quaternion])).c
         )
         self._check_norm(poses)
-        self.xy_m = np.ascontiguousarray(self._coefficients[3, :, :2])
-        """(n - 1, 2) all poses but the last, on the map."""
+        self.position_m = np.ascontiguousarray(self._coefficients[3, :, :3])
+        """(n - 1, 3) of all poses but the last, in the world."""
 
     def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
         """Poses at UTC instants (n,)."""

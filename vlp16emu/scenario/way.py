@@ -101,7 +101,8 @@ class Recorded(Section):
     axes: Literal["body", "camera"] = "body"
     """body: x forward, z up, in the file's poses and in their world; camera: z forward, y down, in both (KITTI)."""
     x_m: float = 0.0
-    """Place in the world of the file's origin, with `y_m` and `z_m`."""
+    """Place in the world of the file's origin, with `y_m` and `z_m`; of poses in map coordinates the world's `origin_m` with
+    its signs turned, for that is not taken off them."""
     y_m: float = 0.0
     z_m: float = 0.0
     yaw_deg: Angle = 0.0
