@@ -49,6 +49,18 @@ def tum(path):
     return np.array(t_ns), np.array([[float(word) for word in row[1:]] for row in rows])
 
 
+def test_a_packet_that_was_taken_and_not_sent_has_no_row(walk, tmp_path):
+    """Whoever stops at a packet, as a recording does on Ctrl-C, has rows for those before it only."""
+    packets = walk.packets(0.0, 1.0)
+    with Truth(tmp_path, walk, start_s=0.0, rate_hz=200, per_packet=True) as truth:
+        sent = 0
+        for packet in truth.beside(packets):
+            if sent == 100:
+                break
+            sent += packet.kind is PacketKind.DATA
+    assert len(tum(tmp_path / "packets.tum")[0]) == 100
+
+
 def test_the_trajectory_is_that_of_the_sensor(walk, tmp_path):
     """200 rows a second from before the first firing until after the last packet, on the pose at each time."""
     packets = written(walk, tmp_path, 0.5, 2.0)

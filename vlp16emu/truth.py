@@ -110,8 +110,9 @@ class Truth:
                 samples.up_to(self._seen_ns + self._step_ns)
 
     def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
-        """Pass packets on, and write what was true until each of them once a second."""
+        """Pass packets on, and write what was true until each of them once a second; the one not come back for is none."""
         for packet in packets:
+            yield packet
             self._seen_ns = packet.due_ns
             if self._firsts_ns and packet.kind is PacketKind.DATA:
                 first_ns = packet.due_ns - _period_ns(self._units[packet.unit])
@@ -119,7 +120,6 @@ class Truth:
             if packet.due_ns >= self._next_ns:
                 self._next_ns = packet.due_ns + S_NS
                 self._write()
-            yield packet
 
     def _write(self) -> None:
         """Write all that was true so far."""

@@ -60,7 +60,10 @@ def test_a_run_tells_its_error(cli, tmp_path):
     audit = cli(*run, *wide, "--json").tree["audit"]
     assert audit["pulses"] == 12 * 16
     assert audit["range_rmse_low_m"] < audit["range_rmse_m"] < audit["range_rmse_high_m"]
-    assert f"range error       RMSE {1e3 * audit['range_rmse_m']:.1f} mm (95 %: " in cli(*run, *wide).out
+    assert (
+        f"range error       RMSE {1e3 * audit['range_rmse_m']:.1f} mm before noise (95 %: "
+        in cli(*run, *wide).out
+    )
     assert "range error       rounding to float32 only" in cli(*run).out
     assert "range error" not in cli(*run, "--no-audit").out
     assert cli(*run, "--no-audit", "--json").tree["audit"] is None

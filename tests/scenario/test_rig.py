@@ -58,3 +58,10 @@ def test_a_sensor_without_packets_has_no_rig():
     """A free sensor cannot be the first of several."""
     with pytest.raises(ScenarioError, match="none beside"):
         load("static_bench", ["sensor.model=free", "sensor.beams=8", "rig=[{}]"])
+
+
+def test_no_unit_sends_data_where_another_sends_positions():
+    """Ports that count on into each other are refused, as one port for both is."""
+    with pytest.raises(ScenarioError, match="expected a data_port that is no unit's position_port"):
+        rig("{}", sensor=["data_port=3000", "position_port=3001"])
+    rig("{}", sensor=["data_port=3000", "position_port=3002"])

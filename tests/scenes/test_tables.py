@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from vlp16emu.cli.cloud import _LEAF_OR_WOOD
+from vlp16emu.cli import reading
+from vlp16emu.cli.cloud import _LEAF_OR_WOOD, COLUMNS, RETURN_NAMES
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.inventory import INVENTORY
 from vlp16emu.world.species import flora
@@ -47,6 +48,19 @@ def test_the_columns_of_a_stem_list_are_told_with_their_limits():
             assert limits.startswith(f"{column.low / factor:g} to {column.high / factor:g}")
         assert needed.startswith("in each line") == column.every_cell
         assert bool(needed) == column.every_column
+
+
+@pytest.mark.parametrize(("number", "columns"), [(0, COLUMNS), (1, reading.COLUMNS)])
+def test_the_columns_of_points_are_told_in_each_format(number, columns):
+    """Each array of points has its line, with its names in CSV and PLY."""
+    told = [tuple(tuple(names(cell)) for cell in row[:3]) for row in table("Points", number)]
+    assert told == [((column.name,), column.csv, column.ply) for column in columns]
+
+
+def test_the_numbers_of_returns_are_told():
+    """What stands for strongest, last and second strongest is told with its number."""
+    told = {names(row[0])[0]: row[3] for row in table("Points")}["return_number"]
+    assert told == ", ".join(f"{i} {name.replace('_', ' ')}" for i, name in enumerate(RETURN_NAMES))
 
 
 @pytest.mark.parametrize(("number", "labels"), [(0, Semantic), (1, PlantPart)])

@@ -68,6 +68,6 @@ def audit_row(tree: dict[str, Any] | None) -> dict[str, str]:
     shares = "lost", "invented", "other_echo"
     lost, invented, other = (f"{100 * tree[share]:.1f} %" for share in shares)
     return {
-        "range error": f"RMSE {1e3 * tree['range_rmse_m']:.1f} mm ({sure}), "
+        "range error": f"RMSE {1e3 * tree['range_rmse_m']:.1f} mm before noise ({sure}), "
         f"{lost} lost, {invented} invented, {other} of another echo"
     }

@@ -1,5 +1,6 @@
 """Ctrl-C or a request to end between two packets, never inside one."""
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -9,6 +10,8 @@ __all__ = ["INTERRUPTED", "stop_on_ctrl_c"]
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)."""
+
+_STDERR = 2
 
 
 @contextmanager
@@ -29,6 +32,8 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
         """Remember the first, and let the second do what it did before."""
         stop.set()
         restore()
+        if os.isatty(_STDERR):  # print is not to be called in the midst of a print
+            os.write(_STDERR, b"\nfinishing what is under way; Ctrl-C again stops at once\n")
 
     for number in before:
         signal.signal(number, note)

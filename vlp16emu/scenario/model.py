@@ -86,6 +86,8 @@ class Scenario(Section):
         for key in ("name", "serial_number", "address"):
             if len({getattr(unit, key) for unit in units}) < len(units):
                 raise ValueError(f"{key} of its own for each unit, that of [sensor] included")
+        if {unit.data_port for unit in units} & {unit.position_port for unit in units}:
+            raise ValueError("a data_port that is no unit's position_port, that of [sensor] included")
         gps = info.data.get("gps")
         if gps is not None and not gps.connected and any(map(_is_locked, rig)):
             raise ValueError("no phase_lock_deg in it without the pulse of gps.connected = true")
