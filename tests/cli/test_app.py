@@ -1,5 +1,6 @@
 """Help, version, and what becomes of errors."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -198,3 +199,34 @@ def test_warnings_are_lines_on_stderr(program):
     assert run.returncode == 0
     (line,) = err.splitlines()
     assert line.startswith("warning: hall: the way of the sensor leaves it at (100, 0) m; expected x between")
+
+
+def test_a_request_to_end_is_as_ctrl_c(program):
+    """SIGTERM ends a command that writes nothing on the way with 130, too."""
+    run = program("accuracy", "reference_forest")
+    while not Path(f"/proc/{run.pid}/maps").read_text().count("libembree4"):
+        assert run.poll() is None
+    run.terminate()
+    run.communicate(timeout=100)
+    assert run.returncode == 130
+
+
+def test_memory_that_runs_out_is_told(cli, monkeypatch):
+    """Where no memory is left the run ends with 1 and one line."""
+
+    def greedy(*_arguments, **_options):
+        raise MemoryError("Unable to allocate 9 EiB")
+
+    monkeypatch.setattr("vlp16emu.scenario.load", greedy)
+    outcome = cli("plan", "static_bench")
+    assert (outcome.code, outcome.err) == (1, "error: out of memory: Unable to allocate 9 EiB\n")
+
+
+def test_what_a_terminal_cannot_show_is_told_all_the_same(program, tmp_path):
+    """A name that standard output has no letters for is written with their numbers, and the run ends well."""
+    out = tmp_path / "f\N{LATIN SMALL LETTER O WITH DIAERESIS}n.pcap"
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    run = program("record", "static_bench", out, "--duration", "0.01", env=environment)
+    told, err = run.communicate(timeout=100)
+    assert (run.returncode, err) == (0, "")
+    assert "f\\xf6n.pcap" in told

@@ -148,3 +148,10 @@ def test_the_peak_grows_with_what_is_held():
     before = peak_bytes()
     held = np.ones(before // 8 + 10**7)  # more than there ever was
     assert held.nbytes < peak_bytes() - before // 2
+
+
+def test_more_threads_than_can_be_measured_on_are_refused(cli):
+    """A run on very many threads is over a window before it runs steadily; the limit is told in one line."""
+    outcome = cli("plan", "static_bench", "--threads", "64")
+    assert outcome.code == 2
+    assert outcome.err == "error: --threads: found 64; expected at most 21 to measure on\n"

@@ -68,6 +68,13 @@ def wrong_length(made):
     return i
 
 
+def vast_length(made):
+    """Tell a UDP length beyond the frame."""
+    i = made.data(900)
+    made.frames[i][38:40] = b"\xff\xff"
+    return i
+
+
 def trailer(made):
     """Append a frame check sequence."""
     i = made.data(900)
@@ -165,6 +172,7 @@ def short_distance(fields):
 
 DAMAGES = {
     "UDP length": (Rule.FRAMING, wrong_length),
+    "vast UDP length": (Rule.HEADER, vast_length),
     "frame check sequence": (Rule.FRAMING, trailer),
     "source port of an older sensor": (Rule.PORTS, put(34, b"\x01\xbb")),
     "identification": (Rule.HEADER, put(18, b"\x00\x01")),

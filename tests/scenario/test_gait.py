@@ -45,6 +45,7 @@ def test_unknown_preset_is_refused(section):
 
 
 def test_axis_without_direction_is_refused():
-    """A stage cannot spin about nothing."""
-    with pytest.raises(ValidationError, match="spin_axis other than zero"):
-        Mount(spin_hz=0.5, spin_axis=(0.0, 0.0, 0.0))
+    """A stage cannot spin about nothing, nor about what is too short or too long to have a direction."""
+    for z in (0.0, 1e-300, 1e200):
+        with pytest.raises(ValidationError, match="a spin_axis of a length from 1e-6"):
+            Mount(spin_hz=0.5, spin_axis=(0.0, 0.0, z))

@@ -5,7 +5,8 @@ from pathlib import Path
 import dpkt
 import pytest
 
-from vlp16emu.errors import ScenarioError
+from vlp16emu.assembly import assemble
+from vlp16emu.errors import InputError, ScenarioError
 from vlp16emu.scenario import load
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
@@ -78,9 +79,13 @@ BAD_FILES = [
         'kind = "static"\nspeed = 1.0',
         "motion.speed: unknown key; expected one of kind, x_m, y_m, height_m, yaw_deg, pitch_deg, roll_deg, mount",
     ),
-    ("length_m = 30", "length_m = 0", "world.length_m: found 0; expected a number above 0"),
-    ("length_m = 30", "length_m = inf", "world.length_m: found inf; expected a finite number above 0"),
-    ("length_m = 30", "", "world.length_m: missing; expected a number above 0"),
+    ("length_m = 30", "length_m = 0", "world.length_m: found 0; expected a number from 0.001 to 10000"),
+    (
+        "length_m = 30",
+        "length_m = inf",
+        "world.length_m: found inf; expected a finite number from 0.001 to 10000",
+    ),
+    ("length_m = 30", "", "world.length_m: missing; expected a number from 0.001 to 10000"),
     (
         "height_m = 6.0",
         "height_m = 6.0\nwall_reflectance = 1.5",
@@ -330,3 +335,38 @@ def test_an_ideal_scene_has_no_errors_but_those_that_are_set(tmp_path):
     assert (ideal.noise.range_noise_m, ideal.noise.range_bias_m) == (0.01, 0.0)
     for sensor in (ideal.sensor, *ideal.rig):
         assert (sensor.eccentricity_deg, sensor.azimuth_noise_deg, sensor.clock_error_ppm) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "motion.laps=1000000",
+        "motion.sensor_height_m=1e300",
+        "motion.gait.sideways_m=1e5",
+        "motion.lawn_mower={length_m=1e9,width_m=2.0}",
+        "motion.lawn_mower={length_m=20.0,width_m=20.0,turn_radius_m=1e-9}",
+        "motion={kind='static',x_m=1e300}",
+        "world.pattern={kind='plantation',row_spacing_m=1e-9}",
+        "world.species=[{species='silver_birch',share=1e300,dbh_cm=18,height_m=19}]",
+        "world.logs={per_ha=30,diameter_m=[1e-300,1e-300]}",
+        "world.basal_area_m2_per_ha=120",
+        "imu.gyro_noise_rad_s_sqrt_hz=1e308",
+        "beam.target_m=1e-300",
+    ],
+)
+def test_sizes_that_nothing_has_are_refused(tmp_path, setting):
+    """Lengths, counts and errors beyond all use are refused by name and limit, before memory or time are gone."""
+    scene = tmp_path / "walk.toml"
+    small = WALK.replace("dbh_cm = 18, height_m = 19", "dbh_cm = 5, height_m = 3")
+    scene.write_text(small if "basal" in setting else WALK + "stems_per_ha = 500\n")
+    key = setting.split("=")[0].split(".")[0]
+    with pytest.raises(InputError, match=rf"{key if key != 'world' else ''}.*expected .*\d"):
+        assemble(load(str(scene), [setting]))
+
+
+def test_saplings_of_dead_trees_are_refused(tmp_path):
+    """Young trees without a species need a living one in the canopy."""
+    scene = tmp_path / "walk.toml"
+    scene.write_text(WALK.replace("silver_birch", "snag") + "stems_per_ha = 500\n")
+    with pytest.raises(InputError, match=r"regeneration.species: found none, .*; expected names of species"):
+        assemble(load(str(scene), ["world.regeneration={stems_per_ha=200}"]))

@@ -239,3 +239,27 @@ def test_ground_that_is_written_is_read_as_it_was(tmp_path):
     assert (grid.west_m, grid.north_m, grid.heights_m.shape) == (-10.25 + 0.125, 7.5 - 0.125, (18, 33))
     north_m, east_m = np.meshgrid(*(np.arange(n) * grid.cell_m for n in grid.heights_m.shape), indexing="ij")
     assert grid.heights_m == pytest.approx(plane(grid.west_m + east_m, grid.north_m - north_m), abs=6e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.asc", HEADER.replace("ncols 4", "ncols 1000000000") + ROWS, "line 7: found 4 heights; expected ncols = 1000000000"),
+        ("a.npy", b"PK\3\4" + bytes(40), "a.npy: no .npy file; expected a numpy array of numbers"),
+        ("a.npy", b"\x93NUMPY\1\0\x10\0{'descr': '<f8',  ", "a.npy: no .npy file"),
+    ],
+)  # fmt: skip
+def test_a_grid_that_promises_what_it_has_not_is_refused(tmp_path, name, content, message):
+    """Vast sizes take no memory, and a header that is none is no traceback."""
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    size = {"cell_m": 1.0, "corner_m": (0.0, 0.0)} if name == "a.npy" else {"cell_m": None, "corner_m": None}
+    with pytest.raises(GeometryError, match=message):
+        Dem(path, **size, origin_m=NO_ORIGIN)
+
+
+def test_a_byte_order_mark_is_no_fault(tmp_path):
+    """A grid that begins with a UTF-8 mark is read as one without."""
+    path = tmp_path / "ground.asc"
+    path.write_bytes(b"\xef\xbb\xbf" + (HEADER + ROWS).encode())
+    assert read_grid(path, cell_m=None, corner_m=None).heights_m.shape == (3, 4)

@@ -163,6 +163,7 @@ def glb_with_nan():
         ("a.obj", CORNERS + "f 1 2 3\nf 0 1 2\n", "a.obj, line 6: found the face 'f 0 1 2'; expected three corners or more, counted from 1"),
         ("a.obj", CORNERS + "f 1 2 3\nf 1 2\n", "a.obj, line 6: found the face 'f 1 2'; expected three corners"),
         ("a.obj", CORNERS + "f 1 1 2\nf 3 3 3\n", "a.obj: a: none of its 2 faces has an area; expected a mesh of triangles"),
+        ("a.obj", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "a.obj: .*; expected"),
         ("a.obj", CORNERS, "a.obj: no face; expected a mesh of triangles"),
         ("a.obj", "", "a.obj: no face; expected a mesh of triangles"),
         ("a.obj", "v a b c\nf 1 1 1", "a.obj: cannot be read: .*; expected a mesh in OBJ"),

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.finish import Finish
 from vlp16emu.scenario.given import MeshFile
+from vlp16emu.scenario.world import MOST_STEMS_PER_HA
 from vlp16emu.scenario.world import Clusters as ClustersSection
 from vlp16emu.scenario.world import Forest as ForestSection
 from vlp16emu.scenario.world import Hall as HallSection
@@ -161,12 +163,23 @@ def _storey(section: StoreySection, seed: int, purpose: Purpose) -> Storey:
     """One storey, with its density from its basal area where that is given."""
     species = [SpeciesMix(**share.model_dump()) for share in section.species]
     per_ha = section.stems_per_ha or density_per_ha(section.basal_area_m2_per_ha, species)
+    if per_ha > MOST_STEMS_PER_HA:
+        raise GeometryError(
+            "basal_area_m2_per_ha",
+            f"found {section.basal_area_m2_per_ha:g}, {per_ha:.0f} stems of that size per ha",
+            f"at most {MOST_STEMS_PER_HA}",
+        )
     return Storey(_pattern(section.pattern, seed, purpose, per_ha), species)
 
 
 def _layers(section: WoodsSection, seed: int, canopy: list[str], plants: Flora) -> list[Layer]:
     """All that grows and lies under the trees."""
     young, shrubs, logs, stumps = section.regeneration, section.shrubs, section.logs, section.stumps
+    living = young.species or [name for name in canopy if plants.trees[name].foliage]
+    if young.stems_per_ha and not living:
+        raise GeometryError(
+            "regeneration.species", "found none, and only dead trees above", "names of species"
+        )
 
     def scattered(purpose: Purpose, per_ha: float) -> Pattern:
         """Places of plants that know nothing of each other."""
@@ -175,7 +188,7 @@ def _layers(section: WoodsSection, seed: int, canopy: list[str], plants: Flora) 
     return [
         Saplings(
             pattern=_pattern(young.pattern, seed, Purpose.REGENERATION, young.stems_per_ha),
-            species=young.species or [name for name in canopy if plants.trees[name].foliage],
+            species=living,
             height_m=young.height_m,
             season=section.season,
             plants=plants,

@@ -1,7 +1,9 @@
 """All verbs together, and the one place where errors become lines and exit codes."""
 
+import io
 import logging
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from typing import Annotated
@@ -105,6 +107,9 @@ def run(arguments: Sequence[str]) -> int:
         message = error.format_message().rstrip(".")
         _complain(f"{message}; see `{context.command_path if context else 'vlp16emu'} --help`")
         return 2
+    except MemoryError as error:
+        _complain(f"out of memory: {error}" if str(error) else "out of memory")
+        return 1
     except KeyboardInterrupt:
         return INTERRUPTED
 
@@ -112,6 +117,10 @@ def run(arguments: Sequence[str]) -> int:
 def main() -> None:
     """Carry out the command line of this process and exit."""
     logging.basicConfig(format="warning: %(message)s")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for output in (sys.stdout, sys.stderr):
+        if isinstance(output, io.TextIOWrapper):  # names of files may hold what a terminal cannot show
+            output.reconfigure(errors="backslashreplace")
     code = None
     try:
         code = run(sys.argv[1:])
@@ -119,7 +128,7 @@ def main() -> None:
     except BrokenPipeError:  # whoever read our output has had enough
         _drop_output()
     except OSError as error:
-        if error.filename is not None:  # files are looked after where they are written
+        if error.filename is not None or error.errno is None:  # files are looked after where they are written
             raise
         _drop_output()
         if not code:  # else the reason is told
@@ -135,4 +144,5 @@ def _drop_output() -> None:
 
 def _complain(message: str) -> None:
     """Print one line, whatever line breaks the user's own words brought in."""
-    print(f"error: {' '.join(message.splitlines())}", file=sys.stderr)
+    if sys.stderr is not None:  # else nobody listens
+        print(f"error: {' '.join(message.splitlines())}", file=sys.stderr)

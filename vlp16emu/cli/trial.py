@@ -93,6 +93,8 @@ def try_out(emulator: Emulator, stop_s: float, threads: int, began: Spent) -> Tr
                 emulator.windows.at_block(cut.stretch).result()
                 second = spent_since(before)
     assert first is not None
+    if not pieces:
+        raise InputError("--threads", f"found {threads}", f"at most {cut.stretch // 3} to measure on")
     return Trial(first, tuple(pieces), second, windows, peak_bytes())
 
 

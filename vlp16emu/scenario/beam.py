@@ -22,7 +22,7 @@ class Beam(Section):
     rays: Annotated[int, Field(ge=2, le=4096)] = 64
     """Sub-rays of a fixed beam, and the most of an adaptive one, which casts them by rounds of eight: best a multiple
     of eight, for a round that is cut short weighs the middle of the light more."""
-    target_m: Annotated[float, Field(gt=0, le=1)] = 0.05
+    target_m: Annotated[float, Field(ge=0.0001, le=1)] = 0.05
     """Mean error of the strongest echo's range that an adaptive beam aims at, where another echo taken for it counts
     as the detector's resolution."""
     spot_mm: Annotated[tuple[Millimetres, Millimetres], Field(strict=False)] = (12.7, 9.5)

@@ -121,11 +121,16 @@ def _bounds(node: Node) -> str:
     if "multipleOf" in node:
         return f"from {low} to {high} in steps of {node['multipleOf']}"
     if low > -math.inf and high < math.inf:
-        return f"from {low} to {high}"
+        return f"from {_number(low)} to {_number(high)}"
     words = {
         "minimum": "at least",
         "exclusiveMinimum": "above",
         "maximum": "at most",
         "exclusiveMaximum": "below",
     }
-    return " and ".join(f"{word} {node[key]}" for key, word in words.items() if key in node)
+    return " and ".join(f"{word} {_number(node[key])}" for key, word in words.items() if key in node)
+
+
+def _number(limit: float) -> str:
+    """Write a limit without a fraction that says nothing."""
+    return str(limit) if isinstance(limit, int) else f"{limit:.10g}"

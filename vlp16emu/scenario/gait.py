@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from vlp16emu.scenario.section import Fraction, NonNegative, Preset
+from vlp16emu.scenario.section import Fraction, Preset
 
 __all__ = ["Gait"]
 
@@ -44,6 +44,7 @@ _PRESETS: Mapping[str, Mapping[str, float]] = {
 }
 
 Angle = Annotated[float, Field(ge=0, le=45)]
+Amplitude = Annotated[float, Field(ge=0, le=1)]
 
 
 class Gait(Preset):
@@ -58,15 +59,15 @@ class Gait(Preset):
     """What the other keys are laid over."""
     step_hz: Annotated[float, Field(gt=0, le=5)] | None = None
     """Steps per second; from the walking speed where it is left out."""
-    vertical_m: NonNegative = 0.023
+    vertical_m: Amplitude = 0.023
     """Rise and fall, once per step; 4.6 cm from end to end (assumption)."""
-    second_harmonic_m: NonNegative = 0.0015
+    second_harmonic_m: Amplitude = 0.0015
     """Rise and fall, twice per step (assumption)."""
-    heel_strike_m: NonNegative = 0.0007
+    heel_strike_m: Amplitude = 0.0007
     """Depth of the dip of 40 ms at each heel strike, 0.2 g at the trunk (assumption)."""
-    sideways_m: NonNegative = 0.022
+    sideways_m: Amplitude = 0.022
     """Sway, once per stride; 4.4 cm from end to end (assumption)."""
-    fore_aft_m: NonNegative = 0.01
+    fore_aft_m: Amplitude = 0.01
     """Lead and lag, once per step (assumption)."""
     roll_deg: Angle = 1.65
     """Once per stride; range 3.3 degrees (Chung et al., J NeuroEng Rehabil 7:9, 2010, global obliquity)."""

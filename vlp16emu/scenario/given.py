@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, ValidationInfo
 
 from vlp16emu.scenario.finish import Finish, PartFinish
-from vlp16emu.scenario.section import Angle, Positive, Section
+from vlp16emu.scenario.section import Angle, Place, Positive, Section
 
 __all__ = ["Dem", "MapPoint", "MeshFile", "MeshPart", "MeshPlace", "SceneFile"]
 
@@ -20,8 +20,8 @@ def _beside_the_scene(file: str, info: ValidationInfo) -> str:
 
 
 SceneFile = Annotated[str, Field(min_length=1), AfterValidator(_beside_the_scene)]
-MapPoint = Annotated[tuple[float, float, float], Field(strict=False)]
-Corner = Annotated[tuple[float, float], Field(strict=False)]
+MapPoint = Annotated[tuple[Place, Place, Place], Field(strict=False)]
+Corner = Annotated[tuple[Place, Place], Field(strict=False)]
 SemanticName = Literal["ground", "tree", "shrub", "stone", "deadwood", "grass", "other"]
 PartName = Literal[
     "none", "stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"
@@ -50,15 +50,15 @@ class MeshPart(PartFinish):
 class MeshPlace(Section):
     """Where a mesh stands."""
 
-    x_m: float
-    y_m: float
-    z_m: float | None = None
+    x_m: Place
+    y_m: Place
+    z_m: Place | None = None
     """Height of the file's origin in the world; without it the mesh stands on the ground."""
-    above_ground_m: float = 0.0
+    above_ground_m: Place = 0.0
     """Height of the file's origin over the ground, where `z_m` is not given."""
     yaw_deg: Angle = 0.0
     """Counter-clockwise, seen from above."""
-    scale: Positive = 1.0
+    scale: Annotated[float, Field(ge=1e-3, le=1000)] = 1.0
 
 
 class MeshFile(Finish):

@@ -1,5 +1,6 @@
 """The `[motion.harness]` and mount tables: how the pack hangs on the person, and the sensor on the pack."""
 
+import math
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
@@ -50,6 +51,6 @@ class Mount(Section):
     @model_validator(mode="after")
     def _has_an_axis(self) -> Self:
         """Refuse an axis without direction."""
-        if not any(self.spin_axis):
-            raise ValueError("a spin_axis other than zero in it")
+        if not 1e-6 <= math.hypot(*self.spin_axis) <= 1e6:
+            raise ValueError("a spin_axis of a length from 1e-6 to 1e6 in it")
         return self

@@ -6,9 +6,11 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from vlp16emu.scenario.harness import Mount
-from vlp16emu.scenario.section import NonNegative, Preset
+from vlp16emu.scenario.section import Preset
 
 __all__ = ["Imu"]
+
+Error = Annotated[float, Field(ge=0, le=1000)]
 
 _PRESETS: Mapping[str, Mapping[str, float]] = {
     "ideal": {},
@@ -47,15 +49,15 @@ class Imu(Preset):
     """Samples per second."""
     mount: Mount = Mount()
     """On the pack, not on a spinning stage."""
-    gyro_bias_rad_s: NonNegative = 0.0
+    gyro_bias_rad_s: Error = 0.0
     """At switch-on, one sigma."""
-    gyro_noise_rad_s_sqrt_hz: NonNegative = 0.0
+    gyro_noise_rad_s_sqrt_hz: Error = 0.0
     """White noise."""
-    gyro_walk_rad_s2_sqrt_hz: NonNegative = 0.0
+    gyro_walk_rad_s2_sqrt_hz: Error = 0.0
     """Random walk of the bias."""
-    accel_bias_m_s2: NonNegative = 0.0
+    accel_bias_m_s2: Error = 0.0
     """At switch-on, one sigma."""
-    accel_noise_m_s2_sqrt_hz: NonNegative = 0.0
+    accel_noise_m_s2_sqrt_hz: Error = 0.0
     """White noise."""
-    accel_walk_m_s3_sqrt_hz: NonNegative = 0.0
+    accel_walk_m_s3_sqrt_hz: Error = 0.0
     """Random walk of the bias."""

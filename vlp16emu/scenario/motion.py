@@ -6,7 +6,7 @@ from pydantic import Field
 
 from vlp16emu.scenario.gait import Gait
 from vlp16emu.scenario.harness import Harness, Mount
-from vlp16emu.scenario.section import Angle, Positive, Section
+from vlp16emu.scenario.section import Angle, Place, Section, Size
 from vlp16emu.scenario.way import Recorded, Way
 
 __all__ = ["Motion", "Static", "Walk"]
@@ -16,9 +16,9 @@ class Static(Section):
     """A sensor on a tripod."""
 
     kind: Literal["static"]
-    x_m: float = 0.0
-    y_m: float = 0.0
-    height_m: Positive = 1.5
+    x_m: Place = 0.0
+    y_m: Place = 0.0
+    height_m: Size = 1.5
     """Of the sensor's centre over the ground."""
     yaw_deg: Angle = 0.0
     """Counter-clockwise from east; the body's x axis looks there."""
@@ -34,7 +34,7 @@ class Walk(Way):
     """A person with the sensor on the back."""
 
     kind: Literal["walk"]
-    sensor_height_m: Positive = 2.0
+    sensor_height_m: Size = 2.0
     """Of the pack's origin, which is the sensor's centre unless it is mounted elsewhere, over the ground under it."""
     gait: Gait = Gait()
     harness: Harness | None = None

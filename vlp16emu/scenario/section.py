@@ -12,7 +12,7 @@ from pydantic import (
     model_validator,
 )
 
-__all__ = ["Angle", "Fraction", "NonNegative", "Positive", "Preset", "Section"]
+__all__ = ["Angle", "Fraction", "NonNegative", "Place", "Positive", "Preset", "Section", "Size"]
 
 
 class Section(BaseModel):
@@ -50,4 +50,8 @@ class Preset(Section):
 Angle = Annotated[float, Field(ge=-180, le=180)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+Place = Annotated[float, Field(ge=-2e7, le=2e7)]
+"""A coordinate in the world, in m; those of maps are no larger than half the way around the earth."""
+Size = Annotated[float, Field(ge=1e-3, le=1e4)]
+"""An extent of something in the world, in m."""
 Fraction = Annotated[float, Field(ge=0, le=1)]

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from vlp16emu.scenario.given import SceneFile
 from vlp16emu.scenario.harness import Mount
-from vlp16emu.scenario.section import Angle, NonNegative, Positive, Section
+from vlp16emu.scenario.section import Angle, NonNegative, Place, Positive, Section, Size
 
 __all__ = ["LawnMower", "Point", "Recorded", "Stop", "Way"]
 
@@ -18,14 +18,14 @@ class LawnMower(Section):
 
     corner_m: Point = (0.0, 0.0)
     """x and y of the corner at which both edges begin."""
-    length_m: Positive
+    length_m: Size
     """Of the edge along the lines."""
-    width_m: NonNegative
+    width_m: Annotated[float, Field(ge=0, le=1e4)]
     """Of the edge across them, to the left of the first."""
     azimuth_deg: Angle = 0.0
     """Direction of the lines, counter-clockwise from east."""
-    line_spacing_m: Positive = 10.0
-    turn_radius_m: Positive = 1.0
+    line_spacing_m: Annotated[float, Field(ge=0.1, le=1e4)] = 10.0
+    turn_radius_m: Annotated[float, Field(ge=0.05, le=1e4)] = 1.0
     """Of both quarter turns between one line and the next."""
 
 
@@ -60,7 +60,7 @@ class Way(Section):
     """CSV with the columns x_m, y_m and, if wanted, stop_s; or GPX with one track or route."""
     lawn_mower: LawnMower | None = None
     """A pattern over a plot."""
-    laps: Annotated[int, Field(ge=1)] = 1
+    laps: Annotated[int, Field(ge=1, le=1000)] = 1
     """Times round, where the last way point is the first: such a path closes smoothly."""
     speed_m_s: Annotated[float, Field(gt=0, le=10)] = 1.2
     """Along the path, where nothing slows the person down."""
@@ -100,11 +100,11 @@ class Recorded(Section):
     """Poses farther apart in time are refused."""
     axes: Literal["body", "camera"] = "body"
     """body: x forward, z up, in the file's poses and in their world; camera: z forward, y down, in both (KITTI)."""
-    x_m: float = 0.0
+    x_m: Place = 0.0
     """Place in the world of the file's origin, with `y_m` and `z_m`; of poses in map coordinates the world's `origin_m` with
     its signs turned, for that is not taken off them."""
-    y_m: float = 0.0
-    z_m: float = 0.0
+    y_m: Place = 0.0
+    z_m: Place = 0.0
     yaw_deg: Angle = 0.0
     """Where the file's x axis points, counter-clockwise from east."""
     mount: Mount = Mount()

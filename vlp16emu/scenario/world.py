@@ -8,10 +8,11 @@ from vlp16emu.scenario.finish import Finish
 from vlp16emu.scenario.given import Dem, MapPoint, MeshFile, SceneFile
 from vlp16emu.scenario.ground import Terrain
 from vlp16emu.scenario.presets import DENSITY_KEYS, with_preset
-from vlp16emu.scenario.section import Fraction, NonNegative, Positive, Section
+from vlp16emu.scenario.section import Fraction, NonNegative, Section, Size
 
 __all__ = [
     "MOST_DETAIL",
+    "MOST_STEMS_PER_HA",
     "Clusters",
     "Forest",
     "Grass",
@@ -38,6 +39,8 @@ __all__ = [
 
 MOST_DETAIL = 10.0
 """Of `Woods.detail`: then all within 120 m of the path is drawn leaf by leaf."""
+MOST_STEMS_PER_HA = 5000
+"""Of a storey, however its density is told."""
 
 
 def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
@@ -47,7 +50,7 @@ def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
     return limits
 
 
-Range = Annotated[tuple[Positive, Positive], Field(strict=False), AfterValidator(_in_order)]
+Range = Annotated[tuple[Size, Size], Field(strict=False), AfterValidator(_in_order)]
 
 
 class SpeciesShare(Section):
@@ -55,7 +58,7 @@ class SpeciesShare(Section):
 
     species: str
     """Name in the species table, for instance `silver_birch`."""
-    share: Positive
+    share: Annotated[float, Field(ge=1e-6, le=1e6)]
     """Of stems; shares are scaled to sum to one."""
     dbh_cm: Annotated[float, Field(ge=5, le=120)]
     """Quadratic mean diameter at breast height."""
@@ -79,8 +82,8 @@ class Plantation(Section):
     """Planted rows, of which the given density is left."""
 
     kind: Literal["plantation"]
-    row_spacing_m: Positive = 2.5
-    tree_spacing_m: Positive = 2.0
+    row_spacing_m: Annotated[float, Field(ge=0.5, le=1000)] = 2.5
+    tree_spacing_m: Annotated[float, Field(ge=0.5, le=1000)] = 2.0
     """Within a row."""
     azimuth_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
     """Of the rows, counter-clockwise from east."""
@@ -106,7 +109,7 @@ class Storey(Section):
 
     either_or: ClassVar[frozenset[str]] = DENSITY_KEYS
 
-    stems_per_ha: Annotated[float, Field(ge=0, le=5000)] = 0.0
+    stems_per_ha: Annotated[float, Field(ge=0, le=MOST_STEMS_PER_HA)] = 0.0
     basal_area_m2_per_ha: Annotated[float, Field(ge=0, le=120)] = 0.0
     """Cross-sections of stems at breast height."""
     species: Annotated[list[SpeciesShare], Field(min_length=1)]
@@ -242,7 +245,7 @@ class HallBox(Finish):
 
     name: str
     centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
-    size_m: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
+    size_m: Annotated[tuple[Size, Size, Size], Field(strict=False)]
 
 
 class HallPole(Finish):
@@ -250,8 +253,8 @@ class HallPole(Finish):
 
     name: str
     foot_m: Annotated[tuple[float, float, float], Field(strict=False)]
-    diameter_m: Positive
-    height_m: Positive
+    diameter_m: Size
+    height_m: Size
 
 
 class HallSphere(Finish):
@@ -259,18 +262,18 @@ class HallSphere(Finish):
 
     name: str
     centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
-    diameter_m: Positive
+    diameter_m: Size
 
 
 class Hall(Section):
     """A closed room of known size, centred on the origin, floor at z = 0, with things in it."""
 
     kind: Literal["hall"]
-    length_m: Positive
+    length_m: Size
     """Along x."""
-    width_m: Positive
+    width_m: Size
     """Along y."""
-    height_m: Positive
+    height_m: Size
     wall_reflectance: Fraction = 0.6
     boxes: list[HallBox] = Field(default_factory=list)
     poles: list[HallPole] = Field(default_factory=list)

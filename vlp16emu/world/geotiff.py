@@ -3,6 +3,7 @@
 Tags and keys: OGC 19-008r4, OGC GeoTIFF Standard 1.1, sections 7 and annexes C and D.
 """
 
+import logging
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,8 @@ def read_geotiff(path: Path) -> tuple[NDArray[np.float64], float, float, float]:
         import tifffile
     except ImportError:
         raise MissingExtraError("tifffile", "dem", f"reading {path.name}") from None
+    # What it stumbles over is told in a line of our own.
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)
     with readable(path, _EXPECTED, GeometryError):
         try:
             with tifffile.TiffFile(path) as file:

@@ -111,8 +111,11 @@ def _read_npy(path: Path) -> Array:
     """Read an array, northernmost row first; NaN is no height."""
     with readable(path, "a numpy array", GeometryError):
         try:
-            heights = np.load(path, allow_pickle=False)
-        except (ValueError, EOFError):
+            with path.open("rb") as file:
+                heights = np.load(file, allow_pickle=False)
+        except OSError:
+            raise
+        except Exception:  # noqa: BLE001  # numpy raises whatever a broken header leads it to
             raise GeometryError(str(path), "no .npy file", "a numpy array of numbers") from None
     if not isinstance(heights, np.ndarray) or heights.ndim != 2 or heights.dtype.kind not in "iuf":
         found = f"{heights.shape} {heights.dtype}" if isinstance(heights, np.ndarray) else "an archive"
@@ -127,7 +130,7 @@ def _read_npy(path: Path) -> Array:
 
 def _read_ascii(path: Path) -> Grid:
     """Read an ESRI ASCII grid with one row of cells to a line."""
-    with readable(path, _ASCII_EXPECTED, GeometryError), path.open(encoding="utf-8") as file:
+    with readable(path, _ASCII_EXPECTED, GeometryError), path.open(encoding="utf-8-sig") as file:
         lines = [(number, text) for number, text in enumerate(file, start=1) if text.strip()]
     header: dict[str, float] = {}
     for number, text in lines:
@@ -182,6 +185,10 @@ def _read_rows(
     if len(lines) != rows:
         where = f"{path}, line {lines[-1][0]}" if lines else str(path)
         raise GeometryError(where, f"found {len(lines)} rows", f"nrows = {rows}")
+    if len(first := lines[0][1].split()) != columns:  # before room is made for what there is not
+        raise GeometryError(
+            f"{path}, line {lines[0][0]}", f"found {len(first)} heights", f"ncols = {columns}"
+        )
     heights = np.empty((rows, columns))
     for row, (number, text) in enumerate(lines):
         where, words = f"{path}, line {number}", text.split()

@@ -182,6 +182,10 @@ def _obj_error(path: Path, content: bytes, place: int, expected: str) -> Geometr
 
 def _placed(where: str, vertices: Array, faces: Faces, file_T_part: Array) -> Array:
     """Vertices in the file's frame, after a check of both arrays."""
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise GeometryError(
+            where, f"found vertices of {vertices.shape[-1]} numbers", "three coordinates each"
+        )
     stray = (faces < 0) | (faces >= len(vertices))
     if stray.any():
         face, corner = np.argwhere(stray)[0]

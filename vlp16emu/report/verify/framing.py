@@ -98,6 +98,7 @@ def _common_faults(header: bytes, ip_offset: int, kind: PacketKind) -> tuple[tup
         ("IP length", total, len(ip) + 8 + _PAYLOAD_BYTES[kind]),
         ("flags and offset", fragment, _FLAGS[kind]),
         ("TTL", ttl, _TTL[kind]),
+        ("UDP length", int.from_bytes(header[-4:-2]), 8 + _PAYLOAD_BYTES[kind]),
         ("remainder of the IP header's sum", _remainder(ip), 0),
     )
     return tuple((f"{name} {value}", f"{want}") for name, value, want in checks if value != want)
