@@ -110,7 +110,10 @@ class Truth:
                 samples.up_to(self._seen_ns + self._step_ns)
 
     def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
-        """Pass packets on, and write what was true until each of them once a second; the one not come back for is none."""
+        """Pass packets on, and write what was true until each of them once a second.
+
+        A packet counts as sent when the next one is asked for: whoever stops at one has not sent it.
+        """
         for packet in packets:
             yield packet
             self._seen_ns = packet.due_ns

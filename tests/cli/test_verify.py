@@ -1,5 +1,6 @@
 """The lint as a command."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -51,3 +52,11 @@ def test_a_broken_rule_is_named_with_its_packet(cli, bench, tmp_path):
 def test_a_real_capture_is_clean(cli):
     """The lint accepts what a real unit sent."""
     assert cli("verify", CAPTURES / "mrpt_vlp16_gps.pcap").code == 0
+
+
+def test_a_pipe_is_refused(cli, tmp_path):
+    """What can be read once only is told as such, and not called an empty file."""
+    os.mkfifo(tmp_path / "pipe")
+    outcome = cli("verify", tmp_path / "pipe")
+    assert outcome.code == 2
+    assert outcome.err == f"error: {tmp_path}/pipe: a pipe; expected a file, which can be read twice\n"

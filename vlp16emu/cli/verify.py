@@ -19,9 +19,12 @@ def verify(file: CaptureFile, *, as_json: AsJson = False) -> None:
     Names each broken rule with the number of the packet, as Wireshark counts. Where several units have
     sent, each is checked by itself. Exits with 0 where no rule is broken, else with 1.
     """
+    from vlp16emu.errors import CaptureError
     from vlp16emu.packets import units_in
     from vlp16emu.report import verify_capture
 
+    if file.is_fifo():  # its units are looked for first
+        raise CaptureError(str(file), "a pipe", "a file, which can be read twice")
     units = units_in(file)
     if len(units) < 2:
         results = {str(file): verify_capture(file)}

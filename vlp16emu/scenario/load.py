@@ -18,8 +18,6 @@ __all__ = ["load"]
 
 _RIVALS = frozenset(Way.one_of), Way.either_or
 """Keys of which a scene tells one, so that a setting takes the place of what the scene tells instead."""
-
-
 _UNIT_ERRORS = ("eccentricity_deg", "azimuth_noise_deg", "clock_error_ppm")
 """Errors among the keys of `[sensor]` and `[[rig]]`."""
 
