@@ -94,7 +94,7 @@ class Emulator:
         head, block, poses_at = unit.head, self.cut.block, unit.motion.poses_at
         firings = head.aim(run.start * block, len(run) * block, poses_at, across=unit.beam.has_width)
         scene = opened.result()
-        hits = scene.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam, block)
+        hits = scene.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
         if self._audit:
             self._audit(unit, firings, hits, scene)
         return detect(firings, hits, scene.surfaces, unit.detector, truth=self._truth)

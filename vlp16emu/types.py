@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 
 __all__ = [
     "NO_SURFACE",
+    "STEM",
     "SURFACE",
     "Firings",
+    "FarTile",
     "GnssFix",
     "HeightField",
     "Hits",
@@ -306,6 +308,39 @@ class Sway:
         _check(self, "shear", self.shear, "f8", None, m, 2)
 
 
+STEM = np.dtype(
+    [
+        ("foot_m", "<f8", 3),  # world: where the axis leaves the ground
+        ("axis", "<f8", 3),  # unit vector, upwards
+        ("along_m", "<f4", 16),  # knots of the profile, from the foot along the axis, ascending
+        ("radius_m", "<f4", 16),  # at the knots, in between linear; 0 at a whole tree's tip
+        ("flare_m", "<f4"),  # along the axis: where the root flare ends
+        ("row", "<u4", 2),  # of the tile's surfaces: root flare, and the stem above it
+    ]
+)
+"""A stem from afar: circles across its axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class FarTile:
+    """A square of the world as it is seen from afar: what becomes a medium, and what stays exact."""
+
+    corner_m: NDArray[np.float64]
+    """(3,) south-west corner; the height is a multiple of 2 m, near the ground."""
+    keys: tuple[ShapeKey, ...]
+    """Different shapes of what becomes a medium."""
+    shape: NDArray[np.int64]
+    """(n,) of each placement, index into `keys`."""
+    world_T_shape: NDArray[np.float64]
+    """(n, 3, 4)."""
+    first_surface: NDArray[np.int64]
+    """(n,) row of the tile's surfaces."""
+    stems: NDArray[np.void]
+    """(s,) `STEM`."""
+    ground_m: NDArray[np.float64]
+    """(43, 43) heights every 0.5 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite one."""
+
+
 @dataclass(frozen=True, slots=True)
 class Window:
     """What is within reach of a stretch of the walk: placed shapes and their surfaces.
@@ -327,6 +362,12 @@ class Window:
     """(m,) `SURFACE`."""
     sway: Sway | None = None
     """What moves, over the time that the window is for; None where all stands still."""
+    near: NDArray[np.float64] | None = None
+    """(t, 3) positions of the sensors that the window is for, to which `far` is near or far."""
+    tiles: tuple[tuple[int, int, int], ...] = ()
+    """Squares (ix, iy) that are seen from afar by `World.far_tile`, and the row of `surfaces` at which theirs begin."""
+    far: NDArray[np.bool_] | None = None
+    """(n,) which placements `tiles` stand for; None where they stand for none."""
 
     def __post_init__(self) -> None:
         n = len(self.shape)
@@ -343,8 +384,19 @@ HeightField = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.fl
 class World(Protocol):
     """What stands there, all at rest."""
 
+    @property
+    def near_m(self) -> float:
+        """Range beyond which what has a `far_tile` is seen from afar; inf for a world that has none."""
+
+    @property
+    def seed(self) -> int:
+        """Of what is random in it."""
+
     def window(self, track_m: NDArray[np.float64]) -> Window:
         """Everything within reach of sensor positions (n, 3); must depend on nothing else."""
+
+    def far_tile(self, ix: int, iy: int) -> FarTile:
+        """Describe a square of the world as it is seen from afar; the same square is always the same."""
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
         """Grow the meshes of a shape; the same key always gives the same bytes, on any thread."""

@@ -30,7 +30,7 @@ def windows_of(parts: Parts, start_ns: int, cut: Cut, threads: int) -> Windows[S
     cut : of the run
     threads : workers, which each unit may have
     """
-    built = caster(parts.world.shape, ThreadPoolExecutor(threads, "build"))
+    built = caster(parts.world, ThreadPoolExecutor(threads, "build"))
 
     def open_stretch(stretch: int) -> Scene:
         """Open what is within reach of a stretch of the walk."""

@@ -103,6 +103,7 @@ def forest_of(
         plants=plants,
         loose_stems=loose_stems,
         detail=section.detail,
+        near_m=float(__import__("os").environ.get("NEAR", "15")),
     )
 
 

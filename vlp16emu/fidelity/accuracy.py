@@ -149,7 +149,7 @@ def measure_accuracy(
     worlds = {one.name: parts if one.in_use else assemble(one.scenario) for one in drawn_as}
     rounding = NOTHING_MET
     with ThreadPoolExecutor(os.cpu_count() or 1, "accuracy") as workers:
-        built = caster(parts.world.shape, workers)
+        built = caster(parts.world, workers)
         for stretch, groups in draw_groups(cut, blocks, pulses, unit.seed, moves=parts.moves):
             window = window_of(parts, scenario.start_ns, cut, stretch)
             opened = built.open(window)  # only now is the one before let go: shapes of both are built once

@@ -1,17 +1,16 @@
 """Where light meets surfaces. The only border to float32."""
 
 import logging
-from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.embree_library import EmbreeMissingError, library
-from vlp16emu.raycast.footprint import LINE, BeamModel, Footprint
-from vlp16emu.raycast.plain import PlainCaster
-from vlp16emu.types import Firings, Hits, Mesh, ShapeKey, Window
+from vlp16emu.raycast.embree import EmbreeMissingError, library
+from vlp16emu.raycast.beam import LINE, BeamModel, Footprint
+from vlp16emu.raycast.slow import PlainCaster
+from vlp16emu.types import Firings, Hits, Window, World
 
 __all__ = ["LINE", "BeamModel", "Caster", "Footprint", "Scene", "caster"]
 
@@ -31,9 +30,8 @@ class Scene(Protocol):
         near_m: NDArray[np.float64],
         far_m: float,
         beam: Footprint = LINE,
-        block: int | None = None,
     ) -> Hits:
-        """Cast the pulses of k sequences, k a multiple of 8 and of the block, if it is told."""
+        """Cast the pulses of k sequences, k a multiple of 8."""
 
 
 class Caster(Protocol):
@@ -43,19 +41,19 @@ class Caster(Protocol):
         """Make a window ready for casting."""
 
 
-def caster(shape: Callable[[ShapeKey], tuple[Mesh, ...]], workers: Executor) -> Caster:
+def caster(world: World, workers: Executor) -> Caster:
     """Make the fast caster, or the plain `embreex` class where the library cannot be driven.
 
     Parameters
     ----------
-    shape : grows the meshes of a shape
+    world : describes what is far, and grows the meshes of shapes
     workers : where shapes are grown and built side by side
     """
     try:
         library()
     except EmbreeMissingError as error:
         _log.warning("falling back to the plain embreex class, slower and without instances: %s", error)
-        return PlainCaster(shape)
-    from vlp16emu.raycast.embree import EmbreeCaster  # its kernel binds to the library
+        return PlainCaster(world.shape)
+    from vlp16emu.raycast.scene import EmbreeCaster  # its kernel binds to the library
 
-    return EmbreeCaster(shape, workers)
+    return EmbreeCaster(world, workers)

@@ -1,21 +1,26 @@
-"""Footprints for casters that take rays one after the other: simple, and the twin of the fast kernel."""
+"""Casters that take rays one after the other, all of the window as faces: the plain `embreex` class, which steps in where
+the library cannot be driven, and brute force in float64, the slow twin of the fast kernel.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.adaptive import enough, first_round, judged_to
-from vlp16emu.raycast.footprint import LINE, ROUND, BeamModel, Footprint, displace, sub_rays
-from vlp16emu.types import Firings, Hits, Window
+from vlp16emu.errors import RunError
+from vlp16emu.raycast.adaptive import enough
+from vlp16emu.raycast.beam import LINE, ROUND, BeamModel, Footprint, displace, sub_rays
+from vlp16emu.raycast.geometry import flatten, frozen
+from vlp16emu.types import NO_SURFACE, Firings, Hits, Mesh, ShapeKey, Window
 
-__all__ = ["Met", "SlowScene", "cast_slowly"]
+__all__ = ["PlainCaster", "PlainScene", "ReferenceCaster", "ReferenceScene", "SlowScene"]
 
 Met = tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]
 """Range, surface and cosine of incidence (n,) of n rays, as in `Hits`."""
-_Cast = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]], Met]
-"""Casts rays: origin (n, 3) and direction (n, 3) in the world, near limit (n,) in metres, UTC (n,)."""
+_Rays = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Origins in metres from the window's, and unit directions, (n, 3) each."""
 
 
 class SlowScene(ABC):
@@ -26,25 +31,55 @@ class SlowScene(ABC):
         self.surfaces = window.surfaces
 
     def cast(
-        self,
-        firings: Firings,
-        near_m: NDArray[np.float64],
-        far_m: float,
-        beam: Footprint = LINE,
-        block: int | None = None,
+        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
     ) -> Hits:
         """Cast pulses; the arguments are those of `EmbreeScene.cast`."""
+        shape = firings.t_ns.shape
+        near = np.broadcast_to(near_m, shape)
 
-        def cast(
-            origin_m: NDArray[np.float64],
-            direction: NDArray[np.float64],
-            near: NDArray[np.float64],
-            t_ns: NDArray[np.int64],
-        ) -> Met:
-            """Cast rays from origins in the world."""
-            return self._rays(origin_m - self._origin_m, direction, near, far_m, t_ns)
+        def cast(rays: _Rays, each: int | NDArray[np.int64]) -> Met:
+            """Cast rays of pulses that have so many of them each."""
+            limits = np.repeat(near, each), far_m, np.repeat(firings.t_ns, each)
+            return self._rays(*rays, *limits)
 
-        return cast_slowly(cast, firings, near_m, beam, self.surfaces, block)
+        match beam.model:
+            case BeamModel.FIXED | BeamModel.ANGLE:
+                each = beam.rays if beam.model is BeamModel.FIXED else 1
+                return Hits(np.full(shape, each, np.uint16), *cast(self._sub_rays(firings, beam, 0, each), each))
+            case BeamModel.ADAPTIVE:
+                return self._by_rounds(cast, firings, beam)
+        lines = (firings.origin_m - self._origin_m).reshape(-1, 3), firings.direction.reshape(-1, 3)
+        range_m, surface, cosine = (array.reshape(shape) for array in cast(lines, 1))
+        if beam.model is BeamModel.OFFSET:
+            displace(range_m, beam, firings.index)
+        return Hits.one_ray_each(range_m, surface, cosine)
+
+    def _sub_rays(self, firings: Firings, beam: Footprint, first: int, count: int) -> _Rays:
+        """Lay sub-rays of all pulses, in order of pulses."""
+        origin_m, direction = sub_rays(firings, beam, self._origin_m, first, count)
+        return origin_m.reshape(-1, 3).astype(np.float64), direction.reshape(-1, 3).astype(np.float64)
+
+    def _by_rounds(
+        self, cast: Callable[[_Rays, int], Met], firings: Firings, beam: Footprint
+    ) -> Hits:
+        """Cast rounds of all pulses, and keep those that each pulse wants."""
+        shape, reflectance = firings.t_ns.shape, np.ascontiguousarray(self.surfaces["reflectance"])
+        met: list[Met] = []
+        wants, count = np.ones(shape, np.bool_), np.zeros(shape, np.uint16)
+        for first in range(0, beam.rays, ROUND):
+            each = min(ROUND, beam.rays - first)
+            fresh = cast(self._sub_rays(firings, beam, first, each), each)
+            met.append(tuple(array.reshape(*shape, each) for array in fresh))  # type: ignore[arg-type]
+            count[wants] += each
+            so_far = [np.concatenate([part[n] for part in met], axis=-1) for n in range(3)]
+            for pulse in np.argwhere(wants).tolist():
+                here = [array[pulse[0], pulse[1]] for array in so_far]
+                room = np.empty((2, first + each))
+                wants[tuple(pulse)] = not enough(*here, reflectance, beam.target_m, beam.resolution_m, room)
+            if not wants.any():
+                break
+        kept = np.arange(so_far[0].shape[-1]) < count[..., None]
+        return Hits(count, *(array[kept] for array in so_far))
 
     @abstractmethod
     def _rays(
@@ -58,88 +93,124 @@ class SlowScene(ABC):
         """Cast rays (n, 3) from origins relative to the window's."""
 
 
-def cast_slowly(
-    cast: _Cast,
-    firings: Firings,
-    near_m: NDArray[np.float64],
-    beam: Footprint,
-    surfaces: NDArray[np.void],
-    block: int | None = None,
-) -> Hits:
-    """Cast pulses of any beam model; the arguments are those of `EmbreeScene.cast`.
+class PlainScene(SlowScene):
+    """A window as one flat Embree mesh."""
 
-    Parameters
-    ----------
-    surfaces : (m,) the window's, as in `SURFACE`
-    """
-    shape = firings.t_ns.shape
-    near, t_ns = np.broadcast_to(near_m, shape), firings.t_ns
-    none = np.zeros(shape, np.int64)
-    match beam.model:
-        case BeamModel.FIXED:
-            met = cast(
-                *sub_rays(firings, beam, none, none + beam.rays),
-                np.repeat(near, beam.rays),
-                np.repeat(t_ns, beam.rays),
-            )
-            return Hits(np.full(shape, beam.rays, np.uint16), *met)
-        case BeamModel.ANGLE:
-            met = cast(*sub_rays(firings, beam, none, none + 1), near.reshape(-1), t_ns.reshape(-1))
-        case _:
-            lines = firings.origin_m.reshape(-1, 3), firings.direction.reshape(-1, 3)
-            met = cast(*lines, near.reshape(-1), t_ns.reshape(-1))
-    range_m, surface, cosine = met[0].reshape(shape), met[1].reshape(shape), met[2].reshape(shape)
-    if beam.model is BeamModel.OFFSET:
-        displace(range_m, beam, firings.index)
-    if beam.model is BeamModel.ADAPTIVE:
-        return _by_rounds(cast, firings, near, beam, surfaces, (range_m, surface, cosine), block or shape[0])
-    return Hits.one_ray_each(range_m, surface, cosine)
+    def __init__(self, window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
+        super().__init__(window)
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
 
+        triangles_m, self._surface = flatten(window, shape)
+        self._scene = EmbreeScene(robust=True)
+        if len(triangles_m):
+            TriangleMesh(self._scene, triangles_m.astype(np.float32))
 
-def _by_rounds(
-    cast: _Cast,
-    firings: Firings,
-    near: NDArray[np.float64],
-    beam: Footprint,
-    surfaces: NDArray[np.void],
-    middle: Met,
-    block: int,
-) -> Hits:
-    """Cast sub-rays where the rays along the middles are not enough, a round of all pulses at a time."""
-    done, reflectance = np.ones(near.shape, np.int64), np.ascontiguousarray(surfaces["reflectance"])
-    judged = middle[0] <= judged_to(surfaces)
-    judged_m, cosine = (
-        np.where(judged, middle[0], np.float32(np.inf)),
-        np.where(judged, middle[2], np.float32(0)),
-    )
-    wanted = first_round(firings, judged_m, cosine, beam, block).astype(np.int64)
-    met: dict[tuple[int, ...], Met] = {
-        (i, j): (middle[0][i, j : j + 1], middle[1][i, j : j + 1], middle[2][i, j : j + 1])
-        for i, j in np.ndindex(near.shape)
-    }
-    while (asked := wanted - done).any():
-        each = asked.reshape(-1)
-        lines = sub_rays(firings, beam, done, wanted)
-        fresh = cast(*lines, np.repeat(near, each), np.repeat(firings.t_ns, each))
-        ends = np.cumsum(asked).reshape(near.shape)
-        for pulse in zip(*(axis.tolist() for axis in np.nonzero(asked)), strict=True):
-            part = slice(ends[pulse] - asked[pulse], ends[pulse])
-            new = fresh[0][part], fresh[1][part], fresh[2][part]
-            met[pulse] = _joined(met[pulse], new)
-            done[pulse] = wanted[pulse]
-            room = np.empty((2, beam.rays))
-            if done[pulse] < beam.rays and not enough(
-                *met[pulse], reflectance, beam.target_m, beam.resolution_m, room
-            ):
-                wanted[pulse] = min(done[pulse] + ROUND, beam.rays)
-    return Hits(
-        done.astype(np.uint16),
-        np.concatenate([of[0] for of in met.values()]),
-        np.concatenate([of[1] for of in met.values()]),
-        np.concatenate([of[2] for of in met.values()]),
-    )
+    def _rays(
+        self,
+        origin_m: NDArray[np.float64],
+        direction: NDArray[np.float64],
+        near: NDArray[np.float64],
+        far_m: float,
+        _t_ns: NDArray[np.int64],
+    ) -> Met:
+        """Cast rays (n, 3) from origins relative to the window's."""
+        # This class has no near limit: rays begin at the lens instead.
+        out = self._scene.run(
+            (origin_m + direction * near[:, None]).astype(np.float32),
+            direction.astype(np.float32),
+            dists=np.asarray(far_m - near, np.float32),
+            query="INTERSECT",
+            output=True,
+        )
+        hit = out["geomID"] >= 0
+        normal = out["Ng"].astype(np.float64)
+        length = np.linalg.norm(normal, axis=1)
+        cosine = np.abs(np.einsum("ij,ij->i", normal, direction)) / np.where(length > 0, length, 1.0)
+        surface = np.full(len(hit), NO_SURFACE, np.uint32)
+        surface[hit] = self._surface[out["primID"][hit]]
+        return (
+            np.where(hit, out["tfar"] + near, np.inf).astype(np.float32),
+            surface,
+            np.where(hit, np.minimum(cosine, 1.0), 0.0).astype(np.float32),
+        )
 
 
-def _joined(a: Met, b: Met) -> Met:
-    """Hits of two rounds of one pulse."""
-    return np.concatenate([a[0], b[0]]), np.concatenate([a[1], b[1]]), np.concatenate([a[2], b[2]])
+class PlainCaster:
+    """Opens windows for the plain class. Needs about 70 bytes per placed triangle, and builds each window anew."""
+
+    def __init__(self, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
+        self._shape = shape
+
+    def open(self, window: Window) -> PlainScene:
+        """Make a window ready for casting.
+
+        Raises
+        ------
+        RunError
+            where something moves in it
+        """
+        if window.sway is not None:
+            raise RunError("wind: the plain embreex class casts against what stands still only")
+        return PlainScene(window, self._shape)
+
+
+class ReferenceScene(SlowScene):
+    """A window as one soup of triangles, (t, 3, 3) float64; a new one for each instant where something moves."""
+
+    def __init__(self, window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
+        super().__init__(window)
+        self._moves = window.sway is not None
+        self._at = lru_cache(1)(lambda t_ns: flatten(frozen(window, t_ns), shape))
+
+    def _rays(
+        self,
+        origin_m: NDArray[np.float64],
+        direction: NDArray[np.float64],
+        near: NDArray[np.float64],
+        far_m: float,
+        t_ns: NDArray[np.int64],
+    ) -> Met:
+        """Cast rays (n, 3) from origins relative to the window's."""
+        n = len(origin_m)
+        range_m, cos_incidence = np.full(n, np.inf, np.float32), np.zeros(n, np.float32)
+        surface = np.full(n, NO_SURFACE, np.uint32)
+        for i in range(n):
+            triangles_m, surfaces = self._at(int(t_ns[i]) if self._moves else 0)
+            t_m = _ranges_m(triangles_m, origin_m[i], direction[i])
+            t_m[(t_m < near[i]) | (t_m > far_m)] = np.inf
+            nearest = int(np.argmin(t_m)) if len(t_m) else -1
+            if nearest >= 0 and np.isfinite(t_m[nearest]):
+                a, b, c = triangles_m[nearest]
+                normal = np.cross(b - a, c - a)
+                cos_incidence[i] = abs(normal @ direction[i]) / np.linalg.norm(normal)
+                range_m[i], surface[i] = t_m[nearest], surfaces[nearest]
+        return range_m, surface, cos_incidence
+
+
+class ReferenceCaster:
+    """Opens windows for the slow twin; for tests and for judging errors of rounding."""
+
+    def __init__(self, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
+        self._shape = shape
+
+    def open(self, window: Window) -> ReferenceScene:
+        """Make a window ready for casting."""
+        return ReferenceScene(window, self._shape)
+
+
+def _ranges_m(
+    triangles_m: NDArray[np.float64], origin_m: NDArray[np.float64], direction: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distance along one ray to every triangle, inf where missed (Moeller and Trumbore, 1997)."""
+    a, b, c = triangles_m[:, 0], triangles_m[:, 1], triangles_m[:, 2]
+    ab, ac, to_ray = b - a, c - a, origin_m - a
+    p = np.cross(direction, ac)
+    determinant = np.einsum("ij,ij->i", ab, p)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.einsum("ij,ij->i", to_ray, p) / determinant
+        q = np.cross(to_ray, ab)
+        v = q @ direction / determinant
+        t_m = np.einsum("ij,ij->i", ac, q) / determinant
+        inside = (u >= 0) & (v >= 0) & (u + v <= 1) & (determinant != 0)
+    return np.where(inside, t_m, np.inf)

@@ -1,5 +1,6 @@
 """A forest without edge: tiles of ground and stems, with instanced crowns and things, around wherever one walks."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import SURFACE, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
+from vlp16emu.types import STEM, SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
 from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.world.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.world.materials import bark_material, material_names
@@ -19,7 +20,7 @@ from vlp16emu.world.sapling import SaplingKey, sapling_meshes
 from vlp16emu.world.shrub import ShrubKey, shrub_meshes
 from vlp16emu.world.species import Flora, flora
 from vlp16emu.world.stand import TREE, foot_discs
-from vlp16emu.world.stem import STEM_PARTS, StemKey, stem_meshes
+from vlp16emu.world.stem import STEM_PARTS, StemKey, far_stems, stem_meshes
 from vlp16emu.world.tiles import (
     TILE_M,
     TileKey,
@@ -88,6 +89,8 @@ class _Tile:
     """(n,) row of `surfaces`."""
     surfaces: NDArray[np.void]
     """(m,) `SURFACE`."""
+    far: NDArray[np.bool_]
+    """(n,) which of the placements are part of the `FarTile`."""
 
 
 class Forest:
@@ -128,12 +131,14 @@ class Forest:
         plants: Flora | None = None,
         loose_stems: bool = False,
         detail: float = 1.0,
+        near_m: float = math.inf,
     ) -> None:
         per_ha = stems.per_ha + sum(layer.per_ha for layer in layers)
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
-        self._seed, self._path, self._clearance_m, self._reach_m = seed, path, path_clearance_m, reach_m
+        self.seed, self.near_m = seed, near_m
+        self._path, self._clearance_m, self._reach_m = path, path_clearance_m, reach_m
         self.height_m, self.plants = height_m, plants or flora()
         self._layers, self._loose_stems = layers, loose_stems
         self._detail = detail
@@ -165,10 +170,11 @@ class Forest:
         GeometryError
             where the track leaves the surroundings of the path
         """
-        tiles = self._tiles_near(track_m)
-        index_of: dict[ShapeKey, int] = {}
-        shape, first_surface, rows = [], [], 0
+        names, index_of = tiles_within(track_m[:, :2], self._reach_m).tolist(), dict[ShapeKey, int]()
+        tiles = [self._tile(ix, iy) for ix, iy in names]
+        shape, first_surface, begins, rows = [], [], [], 0
         for tile in tiles:
+            begins.append(rows)
             index = np.array([index_of.setdefault(key, len(index_of)) for key in tile.keys])
             shape.append(index[tile.shape])
             first_surface.append(rows + tile.first_surface)
@@ -180,6 +186,29 @@ class Forest:
             world_T_shape=np.concatenate([tile.world_T_shape for tile in tiles]),
             first_surface=np.concatenate(first_surface).astype(np.uint32),
             surfaces=np.concatenate([tile.surfaces for tile in tiles]),
+            near=track_m,
+            tiles=tuple((ix, iy, row) for (ix, iy), row in zip(names, begins, strict=True)),
+            far=np.concatenate([tile.far for tile in tiles]),
+        )
+
+    def far_tile(self, ix: int, iy: int) -> FarTile:
+        """Describe a tile as it is seen from afar; trees that sway, stems and all, are not in it."""
+        tile = self._tile(ix, iy)
+        origin_m = tile_origin_m(ix, iy, self.height_m)
+        corner_m = np.array([origin_m[0], origin_m[1], 2.0 * np.round(origin_m[2] / 2.0)])
+        edge_m = np.arange(-1, 42) * 0.5
+        x, y = np.meshgrid(origin_m[0] + edge_m, origin_m[1] + edge_m, indexing="ij")
+        own = np.flatnonzero(tile.far)[1:]  # the first is the tile's own shape
+        keys, shape = distinct([tile.keys[which] for which in tile.shape[own].tolist()])
+        trees = self._trees(ix, iy)
+        return FarTile(
+            corner_m=corner_m,
+            keys=keys,
+            shape=shape,
+            world_T_shape=tile.world_T_shape[own],
+            first_surface=tile.first_surface[own],
+            stems=far_stems(trees[:0] if self._loose_stems else trees, 1, table=self.plants.trees),
+            ground_m=self.height_m(x, y),
         )
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
@@ -192,13 +221,13 @@ class Forest:
                 first = len(STEM_PARTS) * key.number
                 return tuple(self._stem_meshes(key.tile)[first : first + len(STEM_PARTS)])
             case CrownKey():
-                return crown_meshes(self._seed, key, table=self.plants.trees)
+                return crown_meshes(self.seed, key, table=self.plants.trees)
             case SaplingKey():
-                return sapling_meshes(self._seed, key, table=self.plants.trees)
+                return sapling_meshes(self.seed, key, table=self.plants.trees)
             case ShrubKey():
-                return shrub_meshes(self._seed, key, table=self.plants.shrubs)
+                return shrub_meshes(self.seed, key, table=self.plants.shrubs)
             case FloorKey():
-                return floor_meshes(self._seed, key)
+                return floor_meshes(self.seed, key)
         raise KeyError(key)
 
     def _tiles_near(self, track_m: Array) -> list[_Tile]:
@@ -220,6 +249,7 @@ class Forest:
         groups, rooted = [self._crowns(trees)], trees
         if self._loose_stems:
             groups, rooted = [self._stems_of(key, trees), *groups], trees[:0]
+        swaying = sum(len(placed.shape) for placed in groups) if self._loose_stems else 0
         for placed in self._things(key):
             numbers = number + np.arange(len(placed.shape))
             placed.surfaces["instance"] = numbers[:, None]
@@ -227,7 +257,7 @@ class Forest:
                 placed.trees["id"] = numbers
             number += len(placed.shape)
             groups.append(placed)
-        return _packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
+        return _packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, swaying, self.plants)
 
     def _grow_stems(self, key: TileKey) -> list[Mesh]:
         """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, in the tile's frame."""
@@ -274,7 +304,7 @@ class Forest:
         if not self._layers:
             return []
         plot = Plot(
-            seed=self._seed,
+            seed=self.seed,
             ix=key.ix,
             iy=key.iy,
             level=key.level,
@@ -305,7 +335,7 @@ def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], 
     return (int(low[0]), int(low[1])), (int(across[0]), int(across[1]))
 
 
-def _packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[Placed], plants: Flora) -> _Tile:
+def _packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[Placed], swaying: int, plants: Flora) -> _Tile:
     """Put a tile together: first its own shape of ground and stems, then all that is placed on it."""
     ground = np.zeros(1, SURFACE)
     ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
@@ -321,6 +351,8 @@ def _packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[Placed
         first_surface.append(rows + parts * np.arange(n))
         tables.append(placed.surfaces.ravel())
         rows += n * parts
+    far = np.ones(sum(map(len, shape)), np.bool_)
+    far[1 : 1 + swaying] = False
     return _Tile(
         trees=np.concatenate([placed.trees for placed in groups]),
         keys=tuple(keys),
@@ -328,6 +360,7 @@ def _packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[Placed
         world_T_shape=np.concatenate([own_T, *(placed.world_T_shape for placed in groups)]),
         first_surface=np.concatenate(first_surface),
         surfaces=np.concatenate(tables),
+        far=far,
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import SURFACE, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
+from vlp16emu.types import SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
 from vlp16emu.world.forest import FIRST_FREE_INSTANCE, Forest
 from vlp16emu.world.hall import Hall
 from vlp16emu.world.polyline import distance_m
@@ -87,7 +87,7 @@ class Furnished:
     def __init__(self, world: Forest | Hall, *, furniture: Sequence[Furniture], reach_m: float) -> None:
         self.bare = world
         """The world without the user's things."""
-        self.height_m = world.height_m
+        self.height_m, self.near_m, self.seed = world.height_m, world.near_m, world.seed
         self._reach_m = reach_m
         self.materials = (
             *world.materials,
@@ -139,7 +139,14 @@ class Furnished:
             world_T_shape=np.concatenate([window.world_T_shape, self._world_T_mesh[near]]),
             first_surface=np.append(window.first_surface, first).astype(np.uint32),
             surfaces=np.concatenate([window.surfaces, *(self._rows[i] for i in near)]),
+            near=window.near,
+            tiles=window.tiles,
+            far=None if window.far is None else np.append(window.far, np.zeros(len(near), np.bool_)),
         )
+
+    def far_tile(self, ix: int, iy: int) -> FarTile:
+        """Describe a square of the world without the user's things."""
+        return self.bare.far_tile(ix, iy)
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
         """Meshes of a shape: one for each part of a user's file, or what the world makes of it."""

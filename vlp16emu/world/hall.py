@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import SURFACE, Mesh, Semantic, ShapeKey, Window
+from vlp16emu.types import SURFACE, FarTile, Mesh, Semantic, ShapeKey, Window
 
 __all__ = ["Box", "Hall", "Pole", "Sphere"]
 
@@ -86,6 +86,8 @@ class Hall:
 
     materials = ("room", "box", "pole", "sphere")
     """Names by `SURFACE` material number."""
+    near_m, seed = math.inf, 0
+    """As in `World`: all of it is near, and nothing random."""
 
     def __init__(
         self,
@@ -124,6 +126,10 @@ class Hall:
                 "hall: the way of the sensor leaves it at (%g, %g) m; expected x between -%g and %g m, y between -%g and %g m",
                 *(x_m, y_m, half_m[0], half_m[0], half_m[1], half_m[1]),
             )
+
+    def far_tile(self, ix: int, iy: int) -> FarTile:
+        """Nothing of a hall is far."""
+        raise KeyError(ix, iy)
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
         """Height of the floor: 0 everywhere."""

@@ -12,11 +12,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.types import HeightField, Mesh, PlantPart
+from vlp16emu.types import STEM, HeightField, Mesh, PlantPart
 from vlp16emu.world.species import BREAST_HEIGHT_M, Species, taper_radius_m, tapers
 from vlp16emu.world.tiles import TileKey
 
-__all__ = ["STEM_PARTS", "StemKey", "StemRings", "lean_rotation", "stem_meshes", "stem_rings"]
+__all__ = ["STEM_PARTS", "StemKey", "StemRings", "far_stems", "lean_rotation", "stem_meshes", "stem_rings"]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -143,6 +143,23 @@ def stem_rings(
         sides=np.where(trees["dbh_m"] > _THICK_DBH_M, detail.thick_sides, detail.sides),
         flare_rings=2 + detail.butt_m.index(_FLARE_TOP_M),
     )
+
+
+def far_stems(
+    trees: Trees, first_row: int, *, table: Mapping[str, Species] | None = None
+) -> NDArray[np.void]:
+    """Stems of n trees as `STEM`, circles in place of their polygons; rows of `STEM_PARTS` count on from the first."""
+    rings = stem_rings(trees, 0, table=table)
+    stems = np.zeros(len(trees), STEM)
+    axis = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[:, :, 2]
+    stems["foot_m"], stems["axis"] = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]]), axis
+    above_m = np.column_stack([rings.above_ground_m, trees["height_m"]])
+    stems["along_m"] = above_m / axis[:, 2:]
+    taper = tapers(trees["species"], table=table)
+    stems["radius_m"] = taper_radius_m(taper, trees["dbh_m"], trees["height_m"], above_m)
+    stems["flare_m"] = _FLARE_TOP_M / axis[:, 2]
+    stems["row"] = first_row + len(STEM_PARTS) * np.arange(len(trees))[:, None] + [0, 1]
+    return stems
 
 
 def _buried_m(trees: Trees, height_m: HeightField, table: Mapping[str, Species] | None) -> Array:

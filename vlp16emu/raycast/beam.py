@@ -6,24 +6,14 @@ table F-1). Assumption: the diameter is that at 1/e2 of a Gaussian profile, so f
 with standard normal coordinates (x, y) starts x and y quarters of the spot off the middle of the lens, and leans
 x and y quarters of the divergence off the pulse's direction.
 
-Sub-ray i of a pulse is point i of the R2 sequence, steps of the plastic number and of its square (M. Roberts, "The
-unreasonable effectiveness of quasirandom sequences", 2018), shifted around the unit square by two random
-numbers of the pulse (Cranley and Patterson, SIAM J. Numer. Anal. 13, 1976) and laid on the plane by Box and Muller
-(1958). Each sub-ray alone is a fair draw from the profile, so means over them have no bias, and the first s
-of them lie evenly for every s. RMS errors of a mean, over 3000 shifts (`tools/convergence` prints them anew):
-
-    sub-rays                        4      8     16     32     64    256   1024   order
-    range of a tilted plane, sd   0.29   0.18   0.07   0.05   0.03   0.02   0.01   0.65
-    share beyond a straight edge  0.145  0.087  0.051  0.032  0.018  0.007  0.002  0.75
-    the same by random points     0.203  0.147  0.101  0.075  0.051  0.025  0.013  0.50
-
-Sub-rays of an adaptive footprint come in rounds of eight. The first of a round lies in the innermost eighth of the
-light, that of the first round in its very middle: the ray by which the pulse was judged. The other seven lie in
-the rest, so each stands for an eighth.
-
-Sobol' points are as good at powers of two and worse between; a van der Corput and golden-angle pair is worse on edges.
+Sub-rays of an adaptive beam are support points of that profile: of all sets of eight those with the least energy
+distance to it (Mak and Joseph, "Support points", Annals of Statistics 46, 2018), and each further eight the best beside
+those before. A pulse turns and mirrors them at random. Sub-rays of a fixed beam, and those of an adaptive one from the
+65th on, are points of the R2 sequence, steps of the plastic number and of its square (M. Roberts, "The unreasonable
+effectiveness of quasirandom sequences", 2018), shifted around the unit square by two random numbers of the pulse
+(Cranley and Patterson, SIAM J. Numer. Anal. 13, 1976) and laid on the plane by Box and Muller (1958): each alone is a
+fair draw from the profile, so that means over them have no bias, whatever their number.
 """
-
 import math
 from dataclasses import dataclass
 from enum import StrEnum
@@ -35,28 +25,15 @@ from numpy.typing import NDArray
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.types import Firings
 
-__all__ = [
-    "LINE",
-    "ROUND",
-    "BeamModel",
-    "Footprint",
-    "across_of",
-    "displace",
-    "pulse_axes",
-    "sub_ray",
-    "sub_rays",
-    "turn",
-]
+__all__ = ["LINE", "ROUND", "BeamModel", "Footprint", "across_of", "displace", "lay", "pulse_axes", "sub_rays", "turn"]
 
 _PLASTIC = 1.32471795724474602596
 _STEP_U, _STEP_V = np.uint32(round(2**32 / _PLASTIC)), np.uint32(round(2**32 / _PLASTIC**2))
 ROUND = 8
-"""Sub-rays per round of an adaptive footprint: a packet. Rounds of 4 and 6 take a tenth fewer, and a tenth more time,
-for the same error."""
+"""Sub-rays per round: a packet."""
 _TOGETHER, _USUAL_RAYS, _MOST_RAYS = 8, 64, 512
 """Revolutions at once, in which what stands in one direction stays in the cache; and, over all of them, sub-rays of a
 direction as a rule, and at most."""
-_FIRST_PART = np.uint32(2**32 // ROUND)
 _BITS = 12
 _SHIFT = np.uint32(32 - _BITS)
 _TURN, _DISPLACEMENT = int(Purpose.FOOTPRINT), int(Purpose.BEAM_ERROR)
@@ -123,55 +100,79 @@ def _ring_radii() -> NDArray[np.float64]:
     return np.sqrt((mass[:-1] - mass[1:]) * 2**_BITS)
 
 
-_RADIUS = _ring_radii()
+_RADIUS = _ring_radii().astype(np.float32)
 _ANGLE_RAD = (np.arange(2**_BITS) + 0.5) * (2 * np.pi / 2**_BITS)
-_COS, _SIN = np.cos(_ANGLE_RAD), np.sin(_ANGLE_RAD)
+_COS, _SIN = np.cos(_ANGLE_RAD).astype(np.float32), np.sin(_ANGLE_RAD).astype(np.float32)
+_SUPPORT = np.array(
+    [
+        (-0.9458, 1.1317), (0.9461, -1.1316), (0.6283, 1.3338), (-1.2934, -0.1659),
+        (1.2939, 0.1667), (-0.049, 0.3819), (-0.6295, -1.3339), (0.0493, -0.3827),
+        (-0.6539, 0.4392), (-0.234, 1.827), (0.1832, -1.429), (-0.489, -0.346),
+        (0.5224, 0.5896), (0.5604, -0.2113), (-1.9061, -0.7242), (2.026, -0.222),
+        (0.6835, 0.1903), (-0.8079, -0.7282), (1.5017, 1.2763), (0.4214, -0.6726),
+        (0.5746, -2.1377), (-0.1437, 0.9725), (-1.7592, 0.8349), (-0.3562, 0.0772),
+        (-0.9679, 0.1536), (0.1382, -0.0286), (-1.2171, -1.6406), (0.1636, 0.7868),
+        (-1.0461, 1.8269), (1.3199, -0.6968), (-0.0956, -0.8377), (1.2081, 0.6668),
+        (-0.7314, -0.2611), (0.7885, 1.9613), (-0.2284, -1.0851), (-0.4793, 0.7639),
+        (0.8952, -0.3184), (1.6819, -1.3871), (-1.7866, 0.1293), (0.2923, 0.2513),
+        (0.6408, -0.681), (0.679, 0.7898), (-0.1817, 1.2944), (-1.0685, 0.6143),
+        (1.8453, 0.4748), (-0.29, -1.8807), (-0.149, -0.178), (-1.1914, -0.6987),
+        (-0.3043, -0.6558), (0.8752, 0.2723), (0.2549, 1.5323), (-0.6131, 0.0574),
+        (1.2965, -0.3276), (0.4548, -1.164), (-0.2368, 0.4726), (-2.5881, 0.132),
+        (-0.7341, 0.6358), (0.084, -0.6261), (-1.1313, -1.1229), (0.2428, 0.5152),
+        (-1.3671, 1.3364), (0.3417, -0.1577), (0.948, -1.6559), (2.1707, 1.3263),
+    ],
+    np.float32,
+)
+"""(64, 2) in standard deviations; `tools/convergence --points` finds them anew."""
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def turn(seed: int, firing: int, laser: int) -> tuple[np.uint32, np.uint32]:
-    """Shift of a pulse's pattern around the unit square, in steps of 2**-32."""
+    """Draw the two random numbers of a pulse's pattern, in steps of 2**-32."""
     u, v = uniform_pair(seed, _TURN, firing, laser)
     return np.uint32(u * 2.0**32), np.uint32(v * 2.0**32)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
-def sub_ray(
-    axes: NDArray[np.float64],
-    r: int,
-    quarters: NDArray[np.float64],
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath={"contract", "arcp", "nsz"})
+def lay(
+    rays: NDArray[np.float32],
+    axes: NDArray[np.float32],
+    quarters: NDArray[np.float32],
     u: np.uint32,
     v: np.uint32,
-    i: int,
-    by_rounds: bool,
-) -> tuple[float, float, float, float, float, float]:
-    """Lay sub-ray i of a pulse: its origin in metres and its unit direction.
+    first: int,
+    support: bool,
+) -> None:
+    """Lay eight sub-rays of a pulse, number `first` and on: origins in rows 0 to 2, unit directions in rows 4 to 6.
 
     Parameters
     ----------
-    axes, r : row r is that of the pulse, by `pulse_axes`
-    quarters : as in `Footprint`
-    u, v : shifts of the pulse, by `turn`
-    by_rounds : whether the first of each `ROUND` lies in the innermost part of the light, the others in the rest
+    rays : (7 or more, 8)
+    axes : (4, 3) origin, direction, horizontal and vertical axis of the pulse, by `pulse_axes`
+    quarters : (4,) as in `Footprint`
+    u, v : of the pulse, by `turn`
+    support : whether the first 64 are support points
     """
-    outward = np.uint32(u + np.uint32(i) * _STEP_U)  # share of the light inside, in steps of 2**-32
-    if by_rounds:
-        inner = outward // np.uint32(ROUND)
-        outward = inner if i % ROUND == 0 else np.uint32(outward - inner + _FIRST_PART)
-    ring = outward >> _SHIFT
-    way = np.uint32(v + np.uint32(i) * _STEP_V) >> _SHIFT
-    radius = 0.0 if by_rounds and i == 0 else _RADIUS[ring]
-    x, y = radius * _COS[way], radius * _SIN[way]
-    x_m, y_m, lean_x, lean_y = x * quarters[0], y * quarters[1], x * quarters[2], y * quarters[3]
-    scale = 1.0 / math.sqrt(1.0 + lean_x * lean_x + lean_y * lean_y)
-    return (
-        axes[r, 0] + axes[r, 6] * x_m + axes[r, 9] * y_m,
-        axes[r, 1] + axes[r, 7] * x_m + axes[r, 10] * y_m,
-        axes[r, 2] + axes[r, 8] * x_m + axes[r, 11] * y_m,
-        (axes[r, 3] + axes[r, 6] * lean_x + axes[r, 9] * lean_y) * scale,
-        (axes[r, 4] + axes[r, 7] * lean_x + axes[r, 10] * lean_y) * scale,
-        (axes[r, 5] + axes[r, 8] * lean_x + axes[r, 11] * lean_y) * scale,
-    )
+    x, y = rays[0], rays[4]  # until they hold what they are for
+    if support and first < len(_SUPPORT):
+        cos, sin = _COS[v >> _SHIFT], _SIN[v >> _SHIFT]
+        mirror = np.float32(1.0) if u & np.uint32(1) else np.float32(-1.0)
+        for lane in range(ROUND):
+            a, b = _SUPPORT[first + lane, 0] * mirror, _SUPPORT[first + lane, 1]
+            x[lane], y[lane] = a * cos - b * sin, a * sin + b * cos
+    else:
+        for lane in range(ROUND):
+            ring = np.uint32(u + np.uint32(first + lane) * _STEP_U) >> _SHIFT
+            way = np.uint32(v + np.uint32(first + lane) * _STEP_V) >> _SHIFT
+            x[lane], y[lane] = _RADIUS[ring] * _COS[way], _RADIUS[ring] * _SIN[way]
+    for lane in range(ROUND):
+        x_m, y_m = x[lane] * quarters[0], y[lane] * quarters[1]
+        lean_x, lean_y = x[lane] * quarters[2], y[lane] * quarters[3]
+        scale = np.float32(1.0) / np.float32(math.sqrt(np.float32(1.0) + lean_x * lean_x + lean_y * lean_y))
+        for a in range(3):
+            rays[a, lane] = axes[0, a] + axes[2, a] * x_m + axes[3, a] * y_m
+            rays[4 + a, lane] = (axes[1, a] + axes[2, a] * lean_x + axes[3, a] * lean_y) * scale
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -179,16 +180,17 @@ def pulse_axes(
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float64],
     across: NDArray[np.float64],
+    from_m: NDArray[np.float64],
     i: int,
     j: int,
-    axes: NDArray[np.float64],
-    r: int,
+    axes: NDArray[np.float32],
 ) -> None:
-    """Fill row r of axes (n, 12): origin, direction, horizontal and vertical axis of pulse i, j of arrays (k, L, 3)."""
+    """Fill axes (4, 3) of pulse i, j of arrays (k, L, 3), its origin relative to `from_m` (3,)."""
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
-        axes[r, a], axes[r, 3 + a], axes[r, 6 + a] = origin_m[i, j, a], direction[i, j, a], across[i, j, a]
-        axes[r, 9 + a] = across[i, j, b] * direction[i, j, c] - across[i, j, c] * direction[i, j, b]
+        axes[0, a] = np.float32(origin_m[i, j, a] - from_m[a])
+        axes[1, a], axes[2, a] = np.float32(direction[i, j, a]), np.float32(across[i, j, a])
+        axes[3, a] = np.float32(across[i, j, b] * direction[i, j, c] - across[i, j, c] * direction[i, j, b])
 
 
 def across_of(firings: Firings, beam: Footprint) -> NDArray[np.float64]:
@@ -205,38 +207,28 @@ def across_of(firings: Firings, beam: Footprint) -> NDArray[np.float64]:
 
 
 def sub_rays(
-    firings: Firings, beam: Footprint, first: NDArray[np.int64], last: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lay sub-rays first .. last - 1 of every pulse, in order of pulses.
+    firings: Firings, beam: Footprint, from_m: NDArray[np.float64], first: int, count: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Lay sub-rays `first` to `first + count - 1` of every pulse, `first` a multiple of 8.
 
     Parameters
     ----------
-    first, last : (k, L)
+    from_m : (3,) place in the world from which origins are counted
 
     Returns
     -------
-    Origins in metres and unit directions, (n, 3) each.
+    Origins in metres and unit directions, (k, L, count, 3) each.
 
     Raises
     ------
     ValueError
         where the firings have no `across`
     """
-    across = across_of(firings, beam)
-    rays = np.empty((int((last - first).sum()), 6))
-    _sub_rays(
-        firings.origin_m,
-        firings.direction,
-        across,
-        beam.quarters,
-        beam.seed,
-        firings.index,
-        first,
-        last,
-        beam.model is BeamModel.ADAPTIVE,
-        rays,
-    )
-    return np.ascontiguousarray(rays[:, :3]), np.ascontiguousarray(rays[:, 3:])
+    across, support = across_of(firings, beam), beam.model is BeamModel.ADAPTIVE
+    rays = np.empty((*firings.t_ns.shape, -(-count // ROUND) * ROUND, 6), np.float32)
+    quarters = beam.quarters.astype(np.float32)
+    _sub_rays(firings.origin_m, firings.direction, across, from_m, quarters, beam.seed, firings.index, first, support, rays)
+    return np.ascontiguousarray(rays[:, :, :count, :3]), np.ascontiguousarray(rays[:, :, :count, 3:])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -244,25 +236,25 @@ def _sub_rays(
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float64],
     across: NDArray[np.float64],
-    quarters: NDArray[np.float64],
+    from_m: NDArray[np.float64],
+    quarters: NDArray[np.float32],
     seed: int,
     index: int,
-    first: NDArray[np.int64],
-    last: NDArray[np.int64],
-    by_rounds: bool,
-    rays: NDArray[np.float64],
+    first: int,
+    support: bool,
+    rays: NDArray[np.float32],
 ) -> None:
-    """Fill rays (n, 6)."""
-    axes, n = np.empty((1, 12)), 0
-    for k in range(first.shape[0]):
-        for j in range(first.shape[1]):
-            pulse_axes(origin_m, direction, across, k, j, axes, 0)
-            u, v = turn(seed, index + k, j)
-            for i in range(first[k, j], last[k, j]):
-                rays[n, 0], rays[n, 1], rays[n, 2], rays[n, 3], rays[n, 4], rays[n, 5] = sub_ray(
-                    axes, 0, quarters, u, v, i, by_rounds
-                )
-                n += 1
+    """Fill rays (k, L, n, 6)."""
+    axes, laid = np.empty((4, 3), np.float32), np.empty((7, ROUND), np.float32)
+    for i in range(rays.shape[0]):
+        for j in range(rays.shape[1]):
+            pulse_axes(origin_m, direction, across, from_m, i, j, axes)
+            u, v = turn(seed, index + i, j)
+            for begin in range(0, rays.shape[2], ROUND):
+                lay(laid, axes, quarters, u, v, first + begin, support)
+                for lane in range(ROUND):
+                    for a in range(3):
+                        rays[i, j, begin + lane, a], rays[i, j, begin + lane, 3 + a] = laid[a, lane], laid[4 + a, lane]
 
 
 def displace(range_m: NDArray[np.float32], beam: Footprint, index: int) -> None:

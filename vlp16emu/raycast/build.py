@@ -1,0 +1,167 @@
+"""What Embree scenes are built of: shapes with their buffers, and instances of them, some of which move."""
+
+import weakref
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import llvmlite.binding
+import numba
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from vlp16emu.errors import RunError
+from vlp16emu.raycast import embree as rtc
+from vlp16emu.raycast.geometry import faces_of, sheared
+from vlp16emu.types import Mesh, Window
+
+__all__ = ["Motion", "Solid", "motion_of", "placed", "tilt"]
+
+
+class Solid:
+    """A committed scene of quads, and the buffers that it shares with numpy.
+
+    Parameters
+    ----------
+    meshes : of a shape; hits give their numbers
+
+    Raises
+    ------
+    RunError
+        where Embree fails
+    """
+
+    def __init__(self, meshes: Sequence[Mesh]) -> None:
+        lib, device = rtc.library(), rtc.device()
+        self.faces = tuple(faces_of(mesh) for mesh in meshes)
+        """Of each mesh, as Embree takes them."""
+        self.radius_m = max((float(np.linalg.norm(mesh.vertices_m, axis=1).max(initial=0.0)) for mesh in meshes), default=0.0)
+        """Greatest distance of a corner from the shape's origin."""
+        self.scene = lib.rtcNewScene(device)
+        weakref.finalize(self, lib.rtcReleaseScene, self.scene)
+        lib.rtcSetSceneFlags(self.scene, rtc.SCENE_ROBUST)
+        lib.rtcSetSceneBuildQuality(self.scene, rtc.BUILD_QUALITY_HIGH)
+        for number, (vertices_m, quads) in enumerate(self.faces):
+            if not len(quads):
+                continue
+            geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_QUAD)
+            for kind, layout, bytes_, rows in (
+                (rtc.BUFFER_VERTEX, rtc.FORMAT_FLOAT3, 12, vertices_m[:-1]),
+                (rtc.BUFFER_INDEX, rtc.FORMAT_UINT4, 16, quads),
+            ):
+                lib.rtcSetSharedGeometryBuffer(
+                    geometry, kind, 0, layout, rows.ctypes.data, 0, bytes_, len(rows)
+                )
+            lib.rtcCommitGeometry(geometry)
+            lib.rtcAttachGeometryByID(self.scene, geometry, number)
+            lib.rtcReleaseGeometry(geometry)
+        lib.rtcCommitScene(self.scene)
+        rtc.check("build a shape")
+
+
+def placed(
+    solids: Sequence[Solid],
+    transforms: NDArray[np.float32],
+    moving: Mapping[int, NDArray[np.float32]],
+) -> int:
+    """Build the scene of instances of solids at `transforms` (n, 3, 4), numbered in their order; give its address.
+
+    Those that are `moving` have their own transforms (k, 3, 4), evenly over ray times 0 to 1.
+
+    Raises
+    ------
+    RunError
+        where Embree fails
+    """
+    lib, device = rtc.library(), rtc.device()
+    scene: int = lib.rtcNewScene(device)
+    lib.rtcSetSceneFlags(scene, rtc.SCENE_ROBUST)
+    first = transforms.ctypes.data
+    for number, solid in enumerate(solids):
+        geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_INSTANCE)
+        lib.rtcSetGeometryInstancedScene(geometry, solid.scene)
+        if number in moving:
+            _set_steps(geometry, moving[number])
+        else:
+            lib.rtcSetGeometryTransform(geometry, 0, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, first + number * 48)
+        lib.rtcCommitGeometry(geometry)
+        lib.rtcAttachGeometryByID(scene, geometry, number)
+        lib.rtcReleaseGeometry(geometry)
+    lib.rtcCommitScene(scene)
+    try:
+        rtc.check("build the window")
+    except RunError:
+        lib.rtcReleaseScene(scene)
+        raise
+    return scene
+
+
+_MOST_KNOTS = 129
+"""RTC_MAX_TIME_STEP_COUNT (Embree 4, rtcore_common.h)."""
+
+rtc.library()
+llvmlite.binding.load_library_permanently(str(rtc.library_path()))
+_set_count = types.ExternalFunction("rtcSetGeometryTimeStepCount", types.void(types.uintp, types.uint32))
+_set_transform = types.ExternalFunction(
+    "rtcSetGeometryTransform", types.void(types.uintp, types.uint32, types.int32, types.uintp)
+)
+
+
+class Motion(NamedTuple):
+    """How the instances of a scene move while it lasts."""
+
+    start_ns: int
+    """UTC of the first knot."""
+    span_ns: int
+    """To the last one; 0 where nothing moves."""
+    shear: NDArray[np.float32]
+    """(k, n, 2) as in `Sway`, of all instances; no knots where nothing moves."""
+
+    def times(self, t_ns: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Ray times 0..1 of any shape, for UTC; before and after the span its ends."""
+        if not self.span_ns:
+            return np.zeros(t_ns.shape, np.float32)
+        return np.clip((t_ns - self.start_ns) / self.span_ns, 0.0, 1.0).astype(np.float32)
+
+
+def motion_of(window: Window) -> tuple[Motion, dict[int, NDArray[np.float32]]]:
+    """Motion of a window's placements.
+
+    Returns
+    -------
+    The motion, and window_T_shape (k, 3, 4) at all knots of each placement that moves
+
+    Raises
+    ------
+    RunError
+        where a window lasts too long for Embree
+    """
+    if (sway := window.sway) is None:
+        return Motion(0, 0, np.empty((0, 0, 2), np.float32)), {}
+    if len(sway.shear) > _MOST_KNOTS:
+        raise RunError(f"wind: found {len(sway.shear)} knots in a window, Embree takes {_MOST_KNOTS}")
+    shear = np.zeros((len(sway.shear), len(window.shape), 2), np.float32)
+    shear[:, sway.placement] = sway.shear
+    transforms = sheared(window.world_T_shape[sway.placement], sway.foot_z_m, sway.shear)
+    transforms[..., 3] -= window.origin_m
+    by_instance = np.ascontiguousarray(transforms.swapaxes(0, 1), np.float32)
+    span_ns = sway.step_ns * (len(sway.shear) - 1)
+    moving = dict(zip(sway.placement.tolist(), by_instance, strict=True))
+    return Motion(sway.start_ns, span_ns, shear), moving
+
+
+@numba.njit(cache=True, nogil=True)
+def _set_steps(geometry: int, transforms: NDArray[np.float32]) -> None:
+    """Give an instance, the address of a geometry, its transforms (k, 3, 4), evenly over times 0 to 1."""
+    _set_count(geometry, len(transforms))
+    for knot in range(len(transforms)):
+        _set_transform(geometry, knot, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, transforms[knot].ctypes.data)
+
+
+@numba.njit(cache=True, nogil=True)
+def tilt(shear: NDArray[np.float32], time: float, instance: int, axis: int) -> np.float32:
+    """Shear of an instance at a ray time, between knots as Embree has it."""
+    at = time * np.float32(shear.shape[0] - 1)
+    knot = min(int(at), shear.shape[0] - 2)
+    before, after = shear[knot, instance, axis], shear[knot + 1, instance, axis]
+    return np.float32(before + (at - np.float32(knot)) * (after - before))

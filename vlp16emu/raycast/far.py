@@ -1,0 +1,259 @@
+"""What is far, kept from window to window: clouds of shapes, blocks of tiles, and the medium that they make up."""
+
+from collections.abc import Iterable, Mapping
+from concurrent.futures import Executor
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.raycast.march import Medium
+from vlp16emu.raycast.medium import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M, Block, Cloud, Library, block_of, cloud_of, stem_lines
+from vlp16emu.types import STEM, FarTile, ShapeKey, Window, World
+from vlp16emu.world.polyline import distance_m
+from vlp16emu.world.tiles import TILE_M
+
+__all__ = ["NO_MEDIUM", "STRAY_M", "Far"]
+
+STRAY_M = 1.0
+"""How far a sensor may be from the positions that a window is for."""
+
+_BRICKS = COLUMNS // BRICK
+_BRICK_M = BRICK * VOXEL_M
+_NO_GROUND_M = np.float32(-1e6)
+_FARTHEST = 255
+
+
+def _no_medium() -> Medium:
+    """Make a medium that begins nowhere."""
+    one = np.zeros((1, 1, 1), np.uint8)
+    words, row = np.zeros(0, np.uint32), np.zeros(3, np.float32)
+    return Medium(
+        np.inf, row, np.zeros(3, np.int64), one, one.astype(np.uint64), one.astype(np.uint32), words, words, words, words,
+        np.zeros(0, np.uint8), np.zeros((0, len(KNOTS), QUANTILES), np.float32), np.zeros((2, 2), np.float32), 0.0,
+        np.zeros((1, 1), np.uint32), np.zeros((1, 1, 2), np.int64), np.zeros(0, np.int64), np.zeros((0, 6)),
+        np.zeros((0, 2, 16), np.float32), np.zeros((0, 2), np.uint32), np.zeros(0, np.float32), 0,
+    )  # fmt: skip
+
+
+NO_MEDIUM = _no_medium()
+
+
+class Far:
+    """Makes the medium of windows, whoever asks for them one after the other.
+
+    Parameters
+    ----------
+    world : describes tiles and grows shapes
+    workers : where shapes are measured and blocks made side by side
+    """
+
+    def __init__(self, world: World, workers: Executor) -> None:
+        self._world, self._workers = world, workers
+        self._clouds = dict[ShapeKey, Cloud]()
+        self._place = dict[object, int]()
+        self._library: Library | None = None
+        self._cosine = np.zeros((0, len(KNOTS), QUANTILES), np.float32)
+        self._blocks = dict[tuple[int, int, int], Block]()
+
+    def is_near(self, window: Window) -> NDArray[np.bool_]:
+        """Which of the placements that `window.far` marks may be met by light that has not yet come to the medium."""
+        assert window.near is not None
+        assert window.far is not None
+        self._measure(window)
+        own = np.array([self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes])
+        stretch = np.sqrt((window.world_T_shape[:, :, :3] ** 2).sum(axis=1).max(axis=-1))
+        radius_m, at_m = own[window.shape] * stretch, window.world_T_shape[:, :2, 3].copy()
+        for place, (ix, iy, _) in zip(_tile_places(window).tolist(), window.tiles, strict=True):
+            lines = stem_lines(self._world.far_tile(ix, iy).stems, np.array([*at_m[place], 0.0]))
+            ends_m = np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - TILE_M / 2
+            at_m[place] += TILE_M / 2
+            radius_m[place] = np.hypot(*ends_m.T).max() + STRAY_M
+        near: NDArray[np.bool_] = distance_m(at_m, window.near[:, :2]) <= self._world.near_m + STRAY_M + radius_m
+        return near[window.far]
+
+    def medium(self, window: Window) -> Medium:
+        """Put together what is far in a window."""
+        self._measure(window)
+        tiles = {(ix, iy): self._world.far_tile(ix, iy) for ix, iy, _ in window.tiles}
+        wanted = {(ix, iy): (ix, iy, _around(tiles, ix, iy)) for ix, iy in tiles}
+        missing = [name for name in wanted.values() if name not in self._blocks]
+        assert self._library is not None
+        made = self._workers.map(lambda name: block_of(self._library, self._place, tiles, *name[:2]), missing)
+        self._blocks |= dict(zip(missing, made, strict=True))
+        self._blocks = {name: self._blocks[name] for name in wanted.values()}
+        rows = {(ix, iy): row for ix, iy, row in window.tiles}
+        blocks = {place: self._blocks[name] for place, name in wanted.items()}
+        return _joined(window, tiles, blocks, rows, self._cosine, self._world)
+
+    def _measure(self, window: Window) -> None:
+        """Measure the shapes of a window that are new."""
+        assert window.far is not None
+        first: dict[int, int] = {}
+        for at in np.flatnonzero(window.far)[::-1].tolist():
+            first[int(window.shape[at])] = at
+        tile_shapes = {int(s) for s in window.shape[_tile_places(window)]}
+        new = {window.shapes[s]: at for s, at in sorted(first.items()) if s not in tile_shapes and window.shapes[s] not in self._clouds}
+        if not new:
+            return
+
+        def measured(name: tuple[ShapeKey, int]) -> Cloud:
+            """Measure a shape, whose parts are those of the placement."""
+            meshes, row = self._world.shape(name[0]), int(window.first_surface[name[1]])
+            return cloud_of(meshes, window.surfaces["part"][row : row + len(meshes)])
+
+        self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
+        self._place = {key: number for number, key in enumerate(self._clouds)}
+        self._library = Library.of(list(self._clouds.values()))
+        self._cosine = np.concatenate([cloud.cosine for cloud in self._clouds.values()])
+
+
+def _tile_places(window: Window) -> NDArray[np.int64]:
+    """Placements of the tiles' own shapes: those of each tile's first surface."""
+    rows = np.array([row for _, _, row in window.tiles], np.uint32)
+    return np.flatnonzero(np.isin(window.first_surface, rows) & window.far)
+
+
+def _around(tiles: Mapping[tuple[int, int], FarTile], ix: int, iy: int) -> int:
+    """Which of the tiles around one are there, a bit each."""
+    here = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+    return sum(1 << bit for bit, (dx, dy) in enumerate(here) if (ix + dx, iy + dy) in tiles)
+
+
+def _joined(
+    window: Window,
+    tiles: Mapping[tuple[int, int], FarTile],
+    blocks: Mapping[tuple[int, int], Block],
+    rows: Mapping[tuple[int, int], int],
+    cosine: NDArray[np.float32],
+    world: World,
+) -> Medium:
+    """Put blocks into the grid of a window."""
+    places = np.array(list(blocks))
+    low, high = places.min(axis=0), places.max(axis=0) + 1
+    bottom = min(block.bottom for block in blocks.values())
+    top = max(block.bottom + block.mask.shape[2] for block in blocks.values())
+    size = (*((high - low) * _BRICKS).tolist(), top - bottom)
+    mask, first = np.zeros(size, np.uint64), np.zeros(size, np.uint32)
+    ground_m = np.full((size[0] * BRICK + 1, size[1] * BRICK + 1), _NO_GROUND_M)
+    ground_surface = np.zeros(size[:2], np.uint32)
+    records = owners = 0
+    first_owner, surface = [], []
+    for (ix, iy), block in blocks.items():
+        i, j, k = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS, block.bottom - bottom
+        own = (slice(i, i + _BRICKS), slice(j, j + _BRICKS))
+        mask[(*own, slice(k, k + block.mask.shape[2]))] = block.mask
+        first[(*own, slice(k, k + block.mask.shape[2]))] = block.first + np.uint32(records)
+        ground_surface[own] = rows[ix, iy]
+        ground_m[i * BRICK : i * BRICK + COLUMNS + 1, j * BRICK : j * BRICK + COLUMNS + 1] = (
+            tiles[ix, iy].ground_m[1:-1, 1:-1] - window.origin_m[2]
+        )
+        base = np.array([rows.get((ix + dx, iy + dy), 0) for dx in (-1, 0, 1) for dy in (-1, 0, 1)], np.uint32)
+        surface.append(base[block.owner_tile] + block.owner_row)
+        first_owner.append(block.first_owner + np.uint32(owners))
+        records, owners = records + len(block.record), owners + len(block.owner_row)
+    corner = np.array([*(low * COLUMNS), bottom * BRICK], np.int64)
+    corner_m = corner * VOXEL_M - window.origin_m
+    gap = np.zeros(size, np.uint8)
+    _fill_gaps(mask, gap)
+    known = ground_m > _NO_GROUND_M / 2
+    slopes = [np.abs(np.diff(ground_m, axis=a))[(known[1:] & known[:-1]) if a == 0 else (known[:, 1:] & known[:, :-1])] for a in (0, 1)]
+    return Medium(
+        world.near_m,
+        corner_m.astype(np.float32),
+        corner,
+        gap,
+        mask,
+        first,
+        np.concatenate([block.record for block in blocks.values()]),
+        np.concatenate(first_owner),
+        np.concatenate(surface),
+        np.concatenate([block.owner_law for block in blocks.values()]),
+        np.concatenate([block.owner_share for block in blocks.values()]),
+        cosine,
+        ground_m,
+        float(np.hypot(*(slope.max(initial=0.0) for slope in slopes)) / VOXEL_M),
+        ground_surface,
+        *_stems(window, tiles, rows, corner_m, size),
+        world.seed & 0xFFFFFFFF,
+    )
+
+
+def _stems(
+    window: Window,
+    tiles: Mapping[tuple[int, int], FarTile],
+    rows: Mapping[tuple[int, int], int],
+    corner_m: NDArray[np.float64],
+    size: tuple[int, ...],
+) -> tuple[
+    NDArray[np.int64],
+    NDArray[np.int64],
+    NDArray[np.float64],
+    NDArray[np.float32],
+    NDArray[np.uint32],
+    NDArray[np.float32],
+]:
+    """Stems of a window and where they are, in the order of `Medium`."""
+    stems = np.concatenate([np.zeros(0, STEM), *(tile.stems for tile in tiles.values())])
+    base = np.repeat([rows[place] for place in tiles], [len(tile.stems) for tile in tiles.values()]).astype(np.uint32)
+    first, of = _squares(stem_lines(stems, window.origin_m + [*corner_m[:2], 0.0]), 2 * size[0], 2 * size[1])
+    foot_m = stems["foot_m"] - window.origin_m
+    profile = np.stack([stems["along_m"], stems["radius_m"]], axis=1)
+    return first, of, np.column_stack([foot_m, stems["axis"]]), profile, stems["row"] + base[:, None], stems["flare_m"].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def _squares(lines: NDArray[np.float64], nx: int, ny: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """List for each square metre the stems (n, 7), as `stem_lines` gives them, that may be met in it."""
+    span, count = np.empty((len(lines), 4), np.int64), np.zeros((nx, ny), np.int64)
+    for s in range(len(lines)):
+        aside_m = lines[s, 6] + 1.0
+        for a in range(2):
+            one, other = lines[s, a], lines[s, a] + lines[s, 3 + a] * lines[s, 5]
+            last = (nx, ny)[a] - 1
+            span[s, 2 * a] = max(int(np.floor(min(one, other) - aside_m)), 0)
+            span[s, 2 * a + 1] = min(int(np.floor(max(one, other) + aside_m)), last)
+        for x in range(span[s, 0], span[s, 1] + 1):
+            for y in range(span[s, 2], span[s, 3] + 1):
+                count[x, y] += 1
+    first, total = np.empty((nx, ny, 2), np.int64), 0
+    for x in range(nx):
+        for y in range(ny):
+            first[x, y, 0] = first[x, y, 1] = total
+            total += count[x, y]
+    of = np.empty(total, np.int64)
+    for s in range(len(lines)):
+        for x in range(span[s, 0], span[s, 1] + 1):
+            for y in range(span[s, 2], span[s, 3] + 1):
+                of[first[x, y, 1]] = s
+                first[x, y, 1] += 1
+    return first, of
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_gaps(mask: NDArray[np.uint64], gap: NDArray[np.uint8]) -> None:
+    """Distance of bricks from those that are not empty, axis by axis (the greatest of three is separable)."""
+    nx, ny, nz = mask.shape
+    for x in range(nx):
+        for y in range(ny):
+            for z in range(nz):
+                gap[x, y, z] = 0 if mask[x, y, z] else _FARTHEST
+    # Two passes over all neighbours that were seen before give the chessboard distance.
+    for turn in range(2):
+        for p in range(nx):
+            x = p if turn == 0 else nx - 1 - p
+            for q in range(ny):
+                y = q if turn == 0 else ny - 1 - q
+                for r in range(nz):
+                    z = r if turn == 0 else nz - 1 - r
+                    least = int(gap[x, y, z])
+                    if least == 0:
+                        continue
+                    for n in range(13):  # half of the 26 neighbours
+                        dx, dy, dz = n // 9 - 1, n // 3 % 3 - 1, n % 3 - 1
+                        if turn == 1:
+                            dx, dy, dz = -dx, -dy, -dz
+                        a, b, c = x + dx, y + dy, z + dz
+                        if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
+                            least = min(least, int(gap[a, b, c]) + 1)
+                    gap[x, y, z] = least

@@ -1,0 +1,486 @@
+"""The way of light through what is far: ground as a grid, stems as tapered cones, foliage as a medium of voxels.
+
+A pulse goes through slabs of voxels along the axis that it is most parallel to. The voxel that its middle passes in a slab
+decides for all its sub-rays: how much foliage there is in it (`vlp16emu.raycast.medium`), and whether ground or a stem may
+be met, which each sub-ray is then cut with exactly.
+
+The leaves of a voxel are 64 cells of a Latin square: one in each column of 8 x 8 along each of the three axes, so that a
+leaf has one place in space from wherever it is seen. Of these the first n are there, n being the share of the light that
+foliage of that density takes over the length of the slab (Beer's law). Which of the squares a voxel has, how it is
+mirrored, and how a share between two whole numbers is rounded follow from hashing its place in the world.
+"""
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.raycast.medium import BRICK, GROUND, QUANTILES, STEM, TAU_PER_M, VOXEL_M
+from vlp16emu.types import NO_SURFACE
+
+__all__ = ["LANES", "Lanes", "Medium", "lanes", "march"]
+
+LANES = 8
+
+_NONE = np.uint32(NO_SURFACE)
+_VARIANTS = 32
+_COVER_STEPS, _COVER_MOST = 64, 16
+_FAST = {"contract", "arcp", "nsz"}
+f4, u4 = np.float32, np.uint32
+
+
+def _leaves() -> tuple[NDArray[np.uint64], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Leaves of the voxels' variants.
+
+    Returns
+    -------
+    Columns that the first n leaves take, (3, variants, 65) bits 8 a + b along each axis, a and b being the other two in
+    order; the leaf of each column, (3, variants, 64); and places of leaves along the axes, (variants, 64, 3) in 256ths
+    of a voxel.
+    """
+    rng = np.random.default_rng(20)  # part of the output, like the purposes of random numbers
+    mask = np.zeros((3, _VARIANTS, 65), np.uint64)
+    leaf_of, place = np.zeros((3, _VARIANTS, 64), np.uint8), np.zeros((_VARIANTS, 64, 3), np.uint8)
+    base = np.add.outer(np.arange(4), np.arange(4)) % 4
+    for variant in range(_VARIANTS):
+        # Clumps of 2 x 2 x 2 cells lie by a Latin square of order 4, the leaves of a clump by one of order 2.
+        square = rng.permutation(4)[base[np.ix_(rng.permutation(4), rng.permutation(4))]]
+        cells = []
+        for clump in rng.permutation(16):
+            x, y = divmod(int(clump), 4)
+            odd = int(rng.integers(2))
+            for pair in rng.permutation(4):
+                i, j = divmod(int(pair), 2)
+                cells.append((2 * x + i, 2 * y + j, 2 * int(square[x, y]) + ((i + j + odd) & 1)))
+        for leaf, cell in enumerate(cells):
+            place[variant, leaf] = [32 * c + rng.integers(32) for c in cell]
+            for axis in range(3):
+                a, b = (cell[other] for other in range(3) if other != axis)
+                column = 8 * a + b
+                leaf_of[axis, variant, column] = leaf
+                mask[axis, variant, leaf + 1] = mask[axis, variant, leaf] | np.uint64(1 << column)
+    return mask, leaf_of, place
+
+
+_MASK, _LEAF_OF, _PLACE = _leaves()
+_COVER = (1.0 - np.exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).astype(np.float32)
+
+
+class Medium(NamedTuple):
+    """What is far in a window, relative to the window's origin; lengths of m, heights and places in float32."""
+
+    near_m: float
+    """Range at which it begins; nothing where it is infinite."""
+    corner_m: NDArray[np.float32]
+    """(3,) of the grid of bricks."""
+    corner: NDArray[np.int64]
+    """(3,) the same in voxels of the world."""
+    gap: NDArray[np.uint8]
+    """(x, y, z) bricks to the nearest one that is not empty, 0 where that is itself, by the greatest of the three axes."""
+    mask: NDArray[np.uint64]
+    """(x, y, z) as in `Block`."""
+    first: NDArray[np.uint32]
+    """(x, y, z) as in `Block`, into `record`."""
+    record: NDArray[np.uint32]
+    """(m,) as in `Block`."""
+    first_owner: NDArray[np.uint32]
+    """(m,) as in `Block`, into the owners."""
+    owner_surface: NDArray[np.uint32]
+    """(o,)."""
+    owner_law: NDArray[np.uint32]
+    owner_share: NDArray[np.uint8]
+    cosine: NDArray[np.float32]
+    """(laws, knots, QUANTILES) as in `Cloud`."""
+    ground_m: NDArray[np.float32]
+    """(4 x + 1, 4 y + 1) heights at the corners of voxel columns."""
+    steepest: float
+    """Greatest slope of the ground."""
+    ground_surface: NDArray[np.uint32]
+    """(x, y) of the column of bricks."""
+    first_stem: NDArray[np.int64]
+    """(2 x, 2 y, 2) where the stems of each square of a metre begin and stop in `stem_of`."""
+    stem_of: NDArray[np.int64]
+    """Stems of the squares, one square after the other."""
+    stem: NDArray[np.float64]
+    """(n, 6) foot and unit axis."""
+    profile: NDArray[np.float32]
+    """(n, 2, knots) heights along the axis and radii."""
+    stem_surface: NDArray[np.uint32]
+    """(n, 2) of root flare and stem."""
+    flare_m: NDArray[np.float32]
+    """(n,) height along the axis at which the flare ends."""
+    seed: int
+
+
+class Lanes(NamedTuple):
+    """Up to eight sub-rays of a pulse."""
+
+    origin_m: NDArray[np.float32]
+    """(3, 8)."""
+    direction: NDArray[np.float32]
+    """(3, 8)."""
+    range_m: NDArray[np.float32]
+    """(8,) in: what each has met, or where its light is given up. Out: what it meets first."""
+    surface: NDArray[np.uint32]
+    """(8,) likewise."""
+    cosine: NDArray[np.float32]
+    """(8,) likewise."""
+    line: NDArray[np.float32]
+    """(6, 8) scratch: place across at the grid's corner and its change per metre, in 8ths of voxels, on both axes; then
+    place along and its inverse change per metre of range."""
+    column: NDArray[np.int64]
+    """(8,) scratch."""
+
+
+@numba.njit(cache=True, nogil=True)
+def lanes() -> Lanes:
+    """Make room for lanes."""
+    three = np.zeros((3, LANES), np.float32), np.zeros((3, LANES), np.float32)
+    return Lanes(
+        *three,
+        np.zeros(LANES, np.float32),
+        np.zeros(LANES, np.uint32),
+        np.zeros(LANES, np.float32),
+        np.zeros((6, LANES), np.float32),
+        np.zeros(LANES, np.int64),
+    )
+
+
+@numba.extending.intrinsic
+def _ones(typingctx, word):  # noqa: ANN001, ANN202, ARG001 - the signature is numba's
+    """Count the bits of a word."""
+
+    def codegen(context, builder, signature, args):  # noqa: ANN001, ANN202, ARG001 - likewise
+        return builder.ctpop(args[0])
+
+    return numba.types.uint64(numba.types.uint64), codegen
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _mixed(a: int, b: int, c: int, seed: int) -> np.uint32:
+    """Hash the place of a voxel (constants and rounds as in MurmurHash3's finaliser)."""
+    h = u4(u4(a) * u4(0x9E3779B1)) ^ u4(u4(b) * u4(0x85EBCA77)) ^ u4(u4(c) * u4(0xC2B2AE3D)) ^ u4(seed)
+    h = u4(h ^ u4(h >> u4(16)))
+    h = u4(h * u4(0x7FEB352D))
+    h = u4(h ^ u4(h >> u4(15)))
+    h = u4(h * u4(0x846CA68B))
+    return u4(h ^ u4(h >> u4(16)))
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
+def march(M: Medium, L: Lanes, n: int, axis: NDArray[np.float32]) -> None:
+    """Follow n sub-rays of a pulse through the medium, from `near_m` on.
+
+    Parameters
+    ----------
+    axis : (6,) origin and direction of the pulse's middle
+    """
+    near_m = f4(M.near_m)
+    main = 0
+    for a in (1, 2):
+        if abs(axis[3 + a]) > abs(axis[3 + main]):
+            main = a
+    one, two = (1, 2) if main == 0 else ((0, 2) if main == 1 else (0, 1))
+    spread, aside_m, last_m = _lines(M, L, n, axis, main, one, two)
+    inverse = f4(1.0) / axis[3 + main]
+    per_m = abs(axis[3 + main])
+    step = 1 if inverse > 0 else -1
+    length = f4(VOXEL_M) * abs(inverse)
+    along = axis[main] - M.corner_m[main]
+    k = int(math.floor((along + axis[3 + main] * near_m) * f4(1.0 / VOXEL_M)))
+    to_middle = ((f4(k) + f4(0.5)) * f4(VOXEL_M) - along) * inverse
+    # In voxels: where the middle of the pulse is in the middle of slab k, and its change per slab.
+    p1 = (axis[one] - M.corner_m[one] + axis[3 + one] * to_middle) * f4(1.0 / VOXEL_M)
+    p2 = (axis[two] - M.corner_m[two] + axis[3 + two] * to_middle) * f4(1.0 / VOXEL_M)
+    d1, d2 = axis[3 + one] * length * f4(1.0 / VOXEL_M), axis[3 + two] * length * f4(1.0 / VOXEL_M)
+    # Projected areas are between two knots: weights, and bits of the codes.
+    up = abs(axis[5])
+    low_knot = u4(0) if up < f4(0.3) else u4(7)
+    share = up / f4(0.3) if up < f4(0.3) else (up - f4(0.3)) / f4(0.7)
+    w_low, w_high = (f4(1.0) - share) * length, share * length
+    knot = 0 if up < f4(0.15) else (1 if up < f4(0.65) else 2)
+    gap, masks, first, record = M.gap, M.mask, M.first, M.record
+    nx, ny, nz = gap.shape
+    size = (nx * BRICK, ny * BRICK, nz * BRICK)
+    n_main, n_one, n_two = size[main], size[one], size[two]
+    strides = (ny * nz, nz, 1)
+    s_main, s_one, s_two = strides[main], strides[one], strides[two]
+    shifts = (u4(4), u4(2), u4(0))
+    b_main, b_one, b_two = shifts[main], shifts[one], shifts[two]
+    gaps, words, firsts = gap.reshape(nx * ny * nz), masks.reshape(nx * ny * nz), first.reshape(nx * ny * nz)
+    tested = -1
+    while to_middle - length < last_m:
+        i1, i2 = int(p1), int(p2)
+        if not (0 <= k < n_main and p1 >= 0 and i1 < n_one and p2 >= 0 and i2 < n_two):
+            if _gone(k, step, n_main) or _gone2(p1, d1, n_one) or _gone2(p2, d2, n_two):
+                break
+            k, to_middle, p1, p2 = k + step, to_middle + length, p1 + d1, p2 + d2
+            continue
+        brick = (k >> 2) * s_main + (i1 >> 2) * s_one + (i2 >> 2) * s_two
+        empty = gaps[brick]
+        if empty > 1:
+            many = (int(empty) - 1) * BRICK
+            k, to_middle = k + many * step, to_middle + f4(many) * length
+            p1, p2 = p1 + f4(many) * d1, p2 + f4(many) * d2
+            continue
+        bit = np.uint64(u4((k & 3) << b_main) | u4((i1 & 3) << b_one) | u4((i2 & 3) << b_two))
+        word = words[brick]
+        if (word >> bit) & np.uint64(1):
+            at = firsts[brick] + u4(_ones(word & ((np.uint64(1) << bit) - np.uint64(1))))
+            code = record[at]
+            met = False
+            low, high = (code >> low_knot) & u4(127), (code >> (low_knot + u4(7))) & u4(127)
+            if low | high:
+                depth = TAU_PER_M[low] * w_low + TAU_PER_M[high] * w_high
+                met = _meet_leaves(M, L, n, main, one, two, k, i1, i2, at, depth, knot, per_m)
+            if code & STEM:
+                x, y = (k, i1) if main == 0 else ((i1, k) if main == 1 else (i1, i2))
+                met |= _meet_stems(M, L, n, axis, x >> 1, y >> 1, tested, spread, aside_m)
+            if code & GROUND:
+                met |= _meet_ground(M, L, n, axis, to_middle, length, spread, aside_m)
+            if met:
+                last_m = L.range_m[0]
+                for lane in range(1, n):
+                    last_m = max(last_m, L.range_m[lane])
+        k, to_middle, p1, p2 = k + step, to_middle + length, p1 + d1, p2 + d2
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+def _gone(k: int, step: int, size: int) -> bool:
+    """Whether a slab is past the end of the grid."""
+    return k >= size if step > 0 else k < 0
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+def _gone2(p: float, change: float, size: int) -> bool:
+    """Whether a place across is beyond the grid and does not come nearer."""
+    return (p < 0 and change <= 0) or (p >= size and change >= 0)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
+def _lines(
+    M: Medium, L: Lanes, n: int, axis: NDArray[np.float32], main: int, one: int, two: int
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Lay the lanes' lines; return how far they spread per metre and begin aside, and the farthest range asked for."""
+    origin_m, direction, line = L.origin_m, L.direction, L.line
+    scale = f4(LANES / VOXEL_M)
+    c_main, c_one, c_two = M.corner_m[main], M.corner_m[one], M.corner_m[two]
+    spread = aside_m = last_m = f4(0.0)
+    for lane in range(n):
+        inverse = f4(1.0) / direction[main, lane]
+        line[4, lane], line[5, lane] = origin_m[main, lane] - c_main, inverse
+        line[1, lane] = direction[one, lane] * inverse * scale
+        line[0, lane] = (origin_m[one, lane] - c_one) * scale - line[4, lane] * line[1, lane]
+        line[3, lane] = direction[two, lane] * inverse * scale
+        line[2, lane] = (origin_m[two, lane] - c_two) * scale - line[4, lane] * line[3, lane]
+        off = apart = f4(0.0)
+        for a in range(3):
+            off += abs(direction[a, lane] - axis[3 + a])
+            apart += abs(origin_m[a, lane] - axis[a])
+        spread, aside_m, last_m = max(spread, off), max(aside_m, apart), max(last_m, L.range_m[lane])
+    return spread, aside_m, last_m
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
+def _meet_leaves(
+    M: Medium,
+    L: Lanes,
+    n: int,
+    main: int,
+    one: int,
+    two: int,
+    k: int,
+    i1: int,
+    i2: int,
+    at: int,
+    depth: float,
+    knot: int,
+    per_m: float,
+) -> bool:
+    """Cut the lanes with the leaves of a voxel; whether any meets one."""
+    h = _mixed(k + M.corner[main], i1 + M.corner[one], i2 + M.corner[two], M.seed) if main == 0 else (
+        _mixed(i1 + M.corner[0], k + M.corner[1], i2 + M.corner[2], M.seed)
+        if main == 1
+        else _mixed(i1 + M.corner[0], i2 + M.corner[1], k + M.corner[2], M.seed)
+    )
+    x = min(depth * f4(_COVER_STEPS), f4(_COVER_STEPS * _COVER_MOST))
+    whole = int(x)
+    cover = _COVER[whole] + (_COVER[whole + 1] - _COVER[whole]) * (x - f4(whole))
+    count = int(cover * f4(64.0) + f4(h >> u4(24)) * f4(1.0 / 256.0))
+    variant = int(h & u4(_VARIANTS - 1))
+    bits = _MASK[main, variant, count]
+    if bits == np.uint64(0):
+        return False
+    mirror = (int(h >> u4(5)) & 7, int(h >> u4(8)) & 7, int(h >> u4(11)) & 7)
+    line, column = L.line, L.column
+    middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
+    r1, r2 = mirror[one], mirror[two]
+    for lane in range(n):
+        a = (int(line[0, lane] + line[1, lane] * middle_m) & 7) ^ r1
+        b = (int(line[2, lane] + line[3, lane] * middle_m) & 7) ^ r2
+        column[lane] = 8 * a + b
+    met = False
+    range_m, near_m = L.range_m, f4(M.near_m)
+    for lane in range(n):
+        if not (bits >> np.uint64(column[lane])) & np.uint64(1):
+            continue
+        leaf = int(_LEAF_OF[main, variant, column[lane]])
+        place = int(_PLACE[variant, leaf, main]) ^ (mirror[main] << 5)
+        along_m = (f4(k) + (f4(place) + f4(0.5)) * f4(1.0 / 256.0)) * f4(VOXEL_M)
+        at_m = (along_m - line[4, lane]) * line[5, lane]
+        if near_m <= at_m < range_m[lane]:
+            range_m[lane] = at_m
+            own = u4(u4(h + u4(leaf) * u4(0x9E3779B1)) * u4(0x85EBCA77))
+            own = u4(own ^ u4(own >> u4(15)))
+            own = u4(own * u4(0xC2B2AE3D))
+            own = u4(own ^ u4(own >> u4(16)))
+            owner, drawn = M.first_owner[at], u4(own & u4(0xFF))
+            while M.owner_share[owner] < drawn:
+                owner += u4(1)
+            L.surface[lane] = M.owner_surface[owner]
+            L.cosine[lane] = M.cosine[M.owner_law[owner], knot, int(own >> u4(8)) % QUANTILES]
+            met = True
+    return met
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
+def _meet_stems(
+    M: Medium, L: Lanes, n: int, axis: NDArray[np.float32], x: int, y: int, tested: int, spread: float, aside_m: float
+) -> bool:
+    """Cut the lanes with the stems of a square metre; whether any meets one."""
+    met = False
+    for number in range(M.first_stem[x, y, 0], M.first_stem[x, y, 1]):
+        met |= _meet_stem(M, L, n, axis, M.stem_of[number], spread, aside_m)
+    return met
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
+def _meet_stem(
+    M: Medium, L: Lanes, n: int, axis: NDArray[np.float32], stem: int, spread: float, aside_m: float
+) -> bool:
+    """Cut the lanes with a stem: across its axis a circle whose radius is that of the height at which it is met."""
+    s, profile = M.stem[stem], M.profile[stem]
+    # Middle of the pulse first: nearest approach to the axis, in the plane across it.
+    qx, qy, qz = s[0] - axis[0], s[1] - axis[1], s[2] - axis[2]
+    up = axis[3] * s[3] + axis[4] * s[4] + axis[5] * s[5]
+    lift = qx * s[3] + qy * s[4] + qz * s[5]
+    wx, wy, wz = axis[3] - up * s[3], axis[4] - up * s[4], axis[5] - up * s[5]
+    ux, uy, uz = qx - lift * s[3], qy - lift * s[4], qz - lift * s[5]
+    square = wx * wx + wy * wy + wz * wz
+    if square < 1e-9:
+        return False
+    nearest_m = (ux * wx + uy * wy + uz * wz) / square
+    off2 = ux * ux + uy * uy + uz * uz - nearest_m * nearest_m * square
+    radius_m = _radius_m(profile, nearest_m * up - lift)
+    within = radius_m + abs(up) + aside_m + spread * nearest_m if radius_m > 0 else 0.5
+    if off2 > within * within:
+        return False
+    met, near_m = False, M.near_m
+    for lane in range(n):
+        dx, dy, dz = L.direction[0, lane], L.direction[1, lane], L.direction[2, lane]
+        qx, qy, qz = s[0] - L.origin_m[0, lane], s[1] - L.origin_m[1, lane], s[2] - L.origin_m[2, lane]
+        up = dx * s[3] + dy * s[4] + dz * s[5]
+        lift = qx * s[3] + qy * s[4] + qz * s[5]
+        wx, wy, wz = dx - up * s[3], dy - up * s[4], dz - up * s[5]
+        ux, uy, uz = qx - lift * s[3], qy - lift * s[4], qz - lift * s[5]
+        square = wx * wx + wy * wy + wz * wz
+        middle_m = (ux * wx + uy * wy + uz * wz) / square
+        off2 = ux * ux + uy * uy + uz * uz - middle_m * middle_m * square
+        at_m, radius_m = middle_m, 0.0
+        for _ in range(3):  # radii change slowly: each step is a hundredth of the one before
+            radius_m = _radius_m(profile, at_m * up - lift)
+            if radius_m <= 0.0 or off2 >= radius_m * radius_m:
+                break
+            at_m = middle_m - math.sqrt((radius_m * radius_m - off2) / square)
+        height_m = at_m * up - lift
+        if radius_m <= 0.0 or off2 >= radius_m * radius_m or not profile[0, 0] <= height_m <= profile[0, -1]:
+            continue
+        if near_m <= at_m < L.range_m[lane]:
+            L.range_m[lane] = at_m
+            L.surface[lane] = M.stem_surface[stem, 0 if height_m < M.flare_m[stem] else 1]
+            L.cosine[lane] = min(math.sqrt((radius_m * radius_m - off2) * square) / radius_m, 1.0)
+            met = True
+    return met
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
+def _radius_m(profile: NDArray[np.float32], height_m: float) -> float:
+    """Radius of a stem at a height along its axis; 0 above its tip."""
+    if height_m >= profile[0, -1]:
+        return 0.0
+    knot = 1
+    while profile[0, knot] <= height_m:
+        knot += 1
+    low, high = profile[0, knot - 1], profile[0, knot]
+    share = max((height_m - low) / (high - low), 0.0)
+    return profile[1, knot - 1] + share * (profile[1, knot] - profile[1, knot - 1])
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
+def _meet_ground(
+    M: Medium, L: Lanes, n: int, axis: NDArray[np.float32], middle_m: float, length: float, spread: float, aside_m: float
+) -> bool:
+    """Cut the lanes with the ground within a slab; whether any meets it."""
+    last_m = middle_m + f4(0.5) * length
+    clear_m = _over_ground(M, axis[0], axis[1], axis[2], axis[3], axis[4], axis[5], last_m)[0]
+    steepest = f4(1.0 + M.steepest)
+    if clear_m > steepest * (spread * last_m + aside_m):
+        return False
+    met, range_m = False, L.range_m
+    near_m = f4(M.near_m)
+    first_m = max(middle_m - f4(0.5) * length, near_m)
+    for lane in range(n):
+        if range_m[lane] <= first_m:
+            continue
+        x, y, z = L.origin_m[0, lane], L.origin_m[1, lane], L.origin_m[2, lane]
+        dx, dy, dz = L.direction[0, lane], L.direction[1, lane], L.direction[2, lane]
+        below = _over_ground(M, x, y, z, dx, dy, dz, last_m)
+        if not below[0] <= 0:
+            continue
+        above = _over_ground(M, x, y, z, dx, dy, dz, first_m)
+        at_m, slope = first_m, above
+        if above[0] > 0:
+            low_m, high_m, c_low, c_high = first_m, last_m, above[0], below[0]
+            for _ in range(3):  # the ground is flat but for the edges of its triangles: secants find them
+                at_m = low_m + (high_m - low_m) * c_low / (c_low - c_high)
+                slope = _over_ground(M, x, y, z, dx, dy, dz, at_m)
+                if abs(slope[0]) < f4(1e-4):
+                    break
+                if slope[0] > 0:
+                    low_m, c_low = at_m, slope[0]
+                else:
+                    high_m, c_high = at_m, slope[0]
+        if at_m < range_m[lane]:
+            range_m[lane] = at_m
+            gx, gy = slope[1], slope[2]
+            L.cosine[lane] = min(abs(dz - gx * dx - gy * dy) / f4(math.sqrt(gx * gx + gy * gy + f4(1.0))), f4(1.0))
+            across = f4(1.0 / (BRICK * VOXEL_M))
+            i = min(max(int((x + dx * at_m - M.corner_m[0]) * across), 0), M.ground_surface.shape[0] - 1)
+            j = min(max(int((y + dy * at_m - M.corner_m[1]) * across), 0), M.ground_surface.shape[1] - 1)
+            L.surface[lane] = M.ground_surface[i, j]
+            met = True
+    return met
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy", inline="always")
+def _over_ground(
+    M: Medium, x: float, y: float, z: float, dx: float, dy: float, dz: float, at_m: float
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Height of a ray over the ground at a range, and the slope of the triangle there; no ground is infinitely deep."""
+    ground_m = M.ground_m
+    u = (x + dx * at_m - M.corner_m[0]) * f4(1.0 / VOXEL_M)
+    v = (y + dy * at_m - M.corner_m[1]) * f4(1.0 / VOXEL_M)
+    i = min(max(int(u), 0), ground_m.shape[0] - 2)
+    j = min(max(int(v), 0), ground_m.shape[1] - 2)
+    s, t = u - f4(i), v - f4(j)
+    h00, h11 = ground_m[i, j], ground_m[i + 1, j + 1]
+    if s >= t:
+        h10 = ground_m[i + 1, j]
+        gx, gy = h10 - h00, h11 - h10
+    else:
+        h01 = ground_m[i, j + 1]
+        gx, gy = h11 - h01, h01 - h00
+    height = h00 + gx * s + gy * t
+    return z + dz * at_m - height, gx * f4(1.0 / VOXEL_M), gy * f4(1.0 / VOXEL_M)

@@ -1,0 +1,184 @@
+"""Scenes of windows: what is near as faces in Embree, what is far as a medium; shapes are kept from window to window."""
+
+import threading
+import weakref
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.raycast import embree as rtc
+from vlp16emu.raycast.beam import LINE, BeamModel, Footprint, across_of, displace
+from vlp16emu.raycast.build import Motion, Solid, motion_of, placed
+from vlp16emu.raycast.far import NO_MEDIUM, STRAY_M, Far
+from vlp16emu.raycast.geometry import normal_matrices, relative_to_window
+from vlp16emu.raycast.kernel import PACKET, Light, Target, Wish, cast_lines, cast_pulses
+from vlp16emu.raycast.march import Medium
+from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
+from vlp16emu.world.polyline import distance_m
+
+__all__ = ["EmbreeCaster", "EmbreeScene"]
+
+_SECTOR_DEG = 1.6
+"""What is near in one direction stays in the cache from revolution to revolution: with eight of them a fifth less time for
+one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam. Sectors of 12 degrees gain half of that."""
+
+
+class EmbreeScene:
+    """A window ready to be cast against; any number of threads may cast at once.
+
+    Parameters
+    ----------
+    near, beyond : what is cast as faces up to where the medium begins, and at any range beyond; with a solid for each
+        placement
+    """
+
+    def __init__(
+        self,
+        near: tuple[Window, Sequence[Solid]],
+        beyond: tuple[Window, Sequence[Solid]] | None = None,
+        medium: Medium = NO_MEDIUM,
+    ) -> None:
+        self._kept = [near, beyond]
+        self.solids = near[1]
+        """Of the placements that are cast as faces near by."""
+        self.surfaces, self.medium = near[0].surfaces, medium
+        self._near, self._motion = self._target(*near)
+        self._beyond = self._target(*beyond)[0] if beyond else self._near._replace(scene=0)
+
+    def _target(self, window: Window, solids: Sequence[Solid]) -> tuple[Target, Motion]:
+        """Build the scene of a window's placements."""
+        motion, moving = motion_of(window)
+        scene = placed(solids, relative_to_window(window).astype(np.float32), moving)
+        weakref.finalize(self, rtc.library().rtcReleaseScene, scene)
+        reflectance = np.ascontiguousarray(window.surfaces["reflectance"])
+        normals = normal_matrices(window)
+        return Target(scene, window.origin_m, window.first_surface, normals, motion.shear, reflectance), motion
+
+    def cast(
+        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
+    ) -> Hits:
+        """Cast pulses.
+
+        Parameters
+        ----------
+        firings : k sequences, k a multiple of 8, with `across` where the beam has a width
+        near_m : (L,) range at which each laser's light begins
+        far_m : range at which it is given up
+        beam : how wide a pulse is
+
+        Raises
+        ------
+        ValueError
+            where the firings are not as said above
+        """
+        shape = firings.t_ns.shape
+        if shape[0] % PACKET:
+            raise ValueError(f"cast: found {shape[0]} sequences, expected a multiple of {PACKET}")
+        light = Light(
+            firings.origin_m,
+            firings.direction,
+            across_of(firings, beam) if beam.has_width else np.empty((0, 0, 0)),
+            self._motion.times(firings.t_ns),
+            near_m,
+            far_m,
+            _by_sectors(firings.azimuth_deg),
+            beam.quarters.astype(np.float32),
+            beam.seed,
+            firings.index,
+        )
+        world = self._near, self._beyond, self.medium
+        if beam.has_width:
+            most = 1 if beam.model is BeamModel.ANGLE else beam.rays
+            wish = Wish(most, beam.model is BeamModel.ADAPTIVE, beam.target_m, beam.resolution_m)
+            count = np.empty(shape, np.uint16)
+            return Hits(count, *cast_pulses(*world, light, wish, count))
+        met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
+        cast_lines(*world, light, *met)
+        if beam.model is BeamModel.OFFSET:
+            displace(met[0], beam, firings.index)
+        return Hits.one_ray_each(*met)
+
+
+def _by_sectors(azimuth_deg: NDArray[np.float64]) -> NDArray[np.int64]:
+    """First sequence of each packet, (k / 8,), so that revolutions go through a sector one after the other."""
+    sector = (azimuth_deg[::PACKET, 0] / _SECTOR_DEG).astype(np.int64)
+    return np.argsort(sector, kind="stable") * PACKET
+
+
+class EmbreeCaster:
+    """Opens windows, building only what no open window has yet.
+
+    Parameters
+    ----------
+    world : describes what is far, and grows the meshes of shapes
+    workers : where shapes are grown and built side by side
+    """
+
+    def __init__(self, world: World, workers: Executor) -> None:
+        self._world, self._workers = world, workers
+        self._far = Far(world, workers)
+        self._solids: weakref.WeakValueDictionary[ShapeKey, Solid] = weakref.WeakValueDictionary()
+        self._lock = threading.Lock()
+
+    def open(self, window: Window) -> EmbreeScene:
+        """Make a window ready for casting.
+
+        Raises
+        ------
+        RunError
+            where Embree reports an error, for instance that memory ran out
+        """
+        with self._lock:
+            if window.far is None or not np.isfinite(self._world.near_m):
+                return EmbreeScene(self._built(window))
+            medium = self._far.medium(window)
+            beyond = self._built(_part(window, ~window.far))
+            is_near = np.empty(len(window.shape), np.bool_)
+            is_near[window.far] = self._far.is_near(window)
+            is_near[~window.far] = self._reached(*beyond)
+            near = self._built(_part(window, is_near))
+            return EmbreeScene(near, beyond if beyond[1] else None, medium)
+
+    def _reached(self, window: Window, solids: Sequence[Solid]) -> NDArray[np.bool_]:
+        """Which placements (n,) may be met by light that has not yet come to the medium."""
+        assert window.near is not None
+        stretch = np.sqrt((window.world_T_shape[:, :, :3] ** 2).sum(axis=1).max(axis=-1, initial=0.0))
+        reach_m = self._world.near_m + STRAY_M + stretch * [solid.radius_m for solid in solids]
+        return distance_m(window.world_T_shape[:, :2, 3], window.near[:, :2]) <= reach_m
+
+    def _built(self, window: Window) -> tuple[Window, list[Solid]]:
+        """Build the shapes of a window that no other has; with the window, those of its placements."""
+        kept = {key: self._solids.get(key) for key in window.shapes}
+        missing = [key for key, solid in kept.items() if solid is None]
+        fresh = dict(zip(missing, self._workers.map(self._solid, missing), strict=True))
+        self._solids.update(fresh)
+        solids = [kept[key] or fresh[key] for key in window.shapes]
+        return window, [solids[which] for which in window.shape.tolist()]
+
+    def _solid(self, key: ShapeKey) -> Solid:
+        """Grow a shape and build it."""
+        return Solid(self._world.shape(key))
+
+
+def _part(window: Window, keep: NDArray[np.bool_]) -> Window:
+    """Some placements of a window, and their shapes."""
+    used, shape = np.unique(window.shape[keep], return_inverse=True)
+    sway = window.sway
+    if sway is not None:
+        moves = keep[sway.placement]
+        number = np.cumsum(keep) - 1
+        sway = replace(
+            sway, placement=number[sway.placement[moves]], foot_z_m=sway.foot_z_m[moves], shear=sway.shear[:, moves]
+        )
+    return replace(
+        window,
+        shapes=tuple(window.shapes[number] for number in used.tolist()),
+        shape=shape.astype(np.int32),
+        world_T_shape=window.world_T_shape[keep],
+        first_surface=window.first_surface[keep],
+        sway=sway,
+        far=None,
+    )
