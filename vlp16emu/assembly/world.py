@@ -102,7 +102,6 @@ def forest_of(
         reach_m=reach_m,
         plants=plants,
         loose_stems=loose_stems,
-        detail=section.detail,
     )
 
 
