@@ -202,7 +202,7 @@ def test_broad_crowns_have_a_third_order(name):
 
 
 def tube_of(mesh):
-    """Which tube each vertex belongs to: the least vertex that it hangs together with."""
+    """Which tube each vertex belongs to, (v,), by the faces that hang together."""
     graph = coo_array(
         (np.ones(len(mesh.faces)), (mesh.faces[:, 0], mesh.faces[:, 1])), [len(mesh.vertices_m)] * 2
     )

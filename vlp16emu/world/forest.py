@@ -20,13 +20,7 @@ from vlp16emu.world.shrub import ShrubKey, shrub_meshes
 from vlp16emu.world.species import Flora, flora
 from vlp16emu.world.stand import TREE, foot_discs
 from vlp16emu.world.stem import STEM_PARTS, StemKey, stem_meshes
-from vlp16emu.world.tiles import (
-    TILE_M,
-    TileKey,
-    ground_mesh,
-    tile_origin_m,
-    tiles_within,
-)
+from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
 
 __all__ = ["FIRST_FREE_INSTANCE", "Forest", "Stems"]
 
