@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import math
 import re
 import tracemalloc
 from pathlib import Path
@@ -237,6 +238,18 @@ def test_the_resolved_scenario_is_a_scene(name, tmp_path):
     with Truth(tmp_path, emulator, start_s=0.0, rate_hz=200, per_packet=False) as truth:
         truth._trajectories = []
     assert load(str(tmp_path / "scenario.json")) == scenario
+
+
+@pytest.mark.parametrize("near_m", [7.5, math.inf])
+def test_an_infinite_distance_is_written_and_read_again(near_m, tmp_path):
+    """JSON has no infinite number; what is written without one is the same world when it is read, also with a setting."""
+    scenario = load("birch_walk", [f"world.near_m={near_m}"])
+    assert scenario.world.near_m == near_m
+    path = tmp_path / "scenario.json"
+    tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
+    path.write_text(json.dumps(tree, allow_nan=False))
+    assert load(str(path)) == scenario
+    assert load(str(path), ["world.near_m=inf"]).world.near_m == math.inf
 
 
 def test_of_two_keys_that_exclude_each_other_one_is_written(tmp_path):

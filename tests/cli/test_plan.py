@@ -84,7 +84,7 @@ def test_a_walk_moves_and_swings():
 
 
 def test_what_is_in_reach_is_counted(birch):
-    """Trees of the first window are as many as the world itself names, and their levels add up."""
+    """Trees of the first window are as many as the world itself names."""
     scenario = load("birch_walk", ["sensor.max_range_m=20", "world.stems_per_ha=150"])
     parts = assemble(scenario)
     from vlp16emu.pipeline import Cut
@@ -93,7 +93,6 @@ def test_what_is_in_reach_is_counted(birch):
     trees = parts.world.trees(parts.motion.poses_at(edges_ns).world_p_body_m)
     world = birch["world"]
     assert world["first_window"]["trees"] == len(trees)
-    assert sum(world["levels"]["trees"].values()) == len(trees)
     assert world["species"] == ["silver_birch"]
     assert world["windows"] == world["windows_looked_at"] == 2
     assert 0 < world["geometry"]["faces"] <= world["geometry"]["placed"]
@@ -115,7 +114,7 @@ def test_the_forecast_is_of_what_was_measured(birch):
 def test_what_is_too_slow_to_stream_gets_an_advice(birch, capsys, factor, advised):
     """A plan says what makes a run quicker where it cannot keep pace with real time, and only there."""
     plan._print_how(birch | {"forecast": birch["forecast"] | {"steady_factor": factor}})
-    assert ("world.detail" in capsys.readouterr().out) is advised
+    assert ("world.near_m" in capsys.readouterr().out) is advised
 
 
 def test_a_static_sensor_has_one_window(cli):

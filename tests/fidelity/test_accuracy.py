@@ -1,5 +1,7 @@
 """Accuracy measured on small scenes."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -58,25 +60,26 @@ def test_names_are_settings():
 
 
 def test_drawing_otherwise_is_told_of_a_wood():
-    """Of a wood the detail in use errs in nothing, others do, and the coarsest the most; a hall has no such rows."""
+    """Of a wood the distance in use has no error; a hall has no such rows."""
     small = "sensor.max_range_m=20", "duration_s=1", "beam.model=fixed", "beam.rays=8"
     found = measure_accuracy(load("birch_walk", small), "wood", pulses=512, done=lambda _: None)
     assert [row.name for row in found.details] == [
-        f"world.detail={detail}" for detail in ("0", "0.5", "1", "2")
+        f"world.near_m={near_m}" for near_m in ("10", "15", "20", "30", "inf")
     ]
-    assert [row.in_use for row in found.details] == [False, False, True, False]
-    wrong_m = [row.errors.mean_error_m for row in found.details]
-    assert wrong_m[2] == 0.0
-    assert wrong_m[0] > wrong_m[1] > 0.0
+    assert [row.in_use for row in found.details] == [False, False, True, False, False]
+    assert found.details[2].errors.mean_error_m == 0.0
     assert measured(pulses=128).details == ()
 
 
-@pytest.mark.parametrize(("detail", "names"), [(0.3, "0 0.15 0.3 0.6"), (10, "0 5 10"), (0, "")])
-def test_the_detail_in_use_is_on_the_ladder(detail, names):
-    """Whatever the scene says, its own detail is among those that are looked at, and each can be set; 0 has no coarser one."""
-    drawn = drawings(load("birch_walk", [f"world.detail={detail}"]))
-    assert [one.name for one in drawn] == [f"world.detail={name}" for name in names.split()]
-    assert [one.scenario.world.detail for one in drawn if one.in_use] == [detail] * bool(names)
+@pytest.mark.parametrize(
+    ("near_m", "names"),
+    [(12.5, "10 12.5 15 20 30 inf"), (30, "10 15 20 30 inf"), (math.inf, "10 15 20 30 inf")],
+)
+def test_the_distance_in_use_is_on_the_ladder(near_m, names):
+    """Whatever the scene says, its own distance is among those that are looked at, and each can be set."""
+    drawn = drawings(load("birch_walk", [f"world.near_m={near_m}"]))
+    assert [one.name for one in drawn] == [f"world.near_m={name}" for name in names.split()]
+    assert [one.scenario.world.near_m for one in drawn if one.in_use] == [near_m]
     for one in drawn:
         assert load("birch_walk", [one.name]).world == one.scenario.world
 

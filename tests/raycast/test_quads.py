@@ -35,7 +35,7 @@ def in_order(triangles):
 
 def birch():
     """Branches of a crown: thousands of tubes."""
-    return crown_meshes(4, CrownKey("silver_birch", 0, 1, 0.24, 21.0, 9.0, 5.0, 60.0))[1]
+    return crown_meshes(4, CrownKey("silver_birch", 0, 0.24, 21.0, 9.0, 5.0, 60.0))[1]
 
 
 @pytest.mark.parametrize(

@@ -163,6 +163,10 @@ BAD_SETTINGS = [
             "expected a list of 2 numbers"
         ),
     ),
+    *(
+        (f"world.near_m={found}", f"--set world.near_m={found}: found {found}; expected a number at least 5")
+        for found in ("4.9", "nan", '"far"')
+    ),
     ("motion=3", '--set motion=3: found 3; expected a table with kind = "recorded", "static" or "walk"'),
     ("world.species=[]", "--set world.species=[]: found a list of 0; expected a list of at least 1"),
     (

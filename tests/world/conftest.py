@@ -63,7 +63,6 @@ def make_forest(terrain):
         with_layers=False,
         reach_m=40.0,
         loose_stems=False,
-        detail=1.0,
     ):
         path = Polyline(path_xy_m)
         pattern = HardCore(seed=5, purpose=Purpose.STAND, per_ha=stems_per_ha)
@@ -85,7 +84,6 @@ def make_forest(terrain):
             path_clearance_m=0.8,
             reach_m=reach_m,
             loose_stems=loose_stems,
-            detail=detail,
         )
 
     return make

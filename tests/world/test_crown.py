@@ -6,6 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from vlp16emu.types import PlantPart
 from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_wood_m3
@@ -18,7 +20,7 @@ def tree_of(species):
     base_m = float(species.crown_base_m(dbh_cm, height_m, 23.0)[0])
     width_m = float(species.crown_width_m(dbh_cm)[0])
     leaf_area_m2 = species.leaf_area_index * np.pi / 4 * width_m**2
-    return CrownKey(species.name, 0, 0, 0.24, 21.0, base_m, width_m, leaf_area_m2)
+    return CrownKey(species.name, 0, 0.24, 21.0, base_m, width_m, leaf_area_m2)
 
 
 KEYS = {name: tree_of(species) for name, species in species_table().items()}
@@ -27,7 +29,6 @@ BROAD = {name: key for name, key in LIVING.items() if species_table()[name].foli
 BIRCH, BEECH, SPRUCE = KEYS["silver_birch"], KEYS["european_beech"], KEYS["norway_spruce"]
 ALIVE = pytest.mark.parametrize("key", LIVING.values(), ids=LIVING)
 SOME = pytest.mark.parametrize("key", [BIRCH, BEECH, SPRUCE], ids=["birch", "beech", "spruce"])
-LEVELS = pytest.mark.parametrize("level", [0, 1, 2])
 
 
 @cache
@@ -45,10 +46,9 @@ def quad_areas_m2(mesh):
 
 
 @ALIVE
-@LEVELS
-def test_leaf_area_is_kept_at_every_level(key, level):
-    """Quads have the tree's leaf area, over the clumping of its shoots, within 0.1 % at each level of detail."""
-    leaves = grown(replace(key, level=level))[2]
+def test_leaf_area_is_that_of_the_tree(key):
+    """Quads have the tree's leaf area, over the clumping of its shoots, within 0.1 %."""
+    leaves = grown(key)[2]
     target = key.leaf_area_m2 / species_table()[key.species].foliage.clumping
     assert quad_areas_m2(leaves).sum() == pytest.approx(target, rel=1e-3)
 
@@ -65,11 +65,10 @@ def test_leaves_are_planar_and_as_large_as_in_nature(key):
     assert length.mean() == pytest.approx(species_table()[key.species].foliage.length_m, rel=0.03)
 
 
-@LEVELS
 @pytest.mark.parametrize("key", BROAD.values(), ids=BROAD)
-def test_leaves_are_inclined_as_measured(key, level):
+def test_leaves_are_inclined_as_measured(key):
     """Leaf inclination passes a chi-square test with 20 equally likely classes against its beta distribution."""
-    a, b, c, d = np.moveaxis(corners(grown(replace(key, level=level))[2]), 1, 0)
+    a, b, c, d = np.moveaxis(corners(grown(key)[2]), 1, 0)
     normal = np.cross(c - a, d - b)
     zenith = np.arccos(np.abs(normal[:, 2]) / np.linalg.norm(normal, axis=1))
     mu, nu = species_table()[key.species].foliage.inclination
@@ -91,10 +90,9 @@ def test_mean_inclination_is_that_of_the_measured_leaves(name, mean_deg):
 
 
 @ALIVE
-@LEVELS
-def test_crown_fills_its_width_and_length(key, level):
+def test_crown_fills_its_width_and_length(key):
     """Foliage spans the crown width or up to a third more, and reaches from about the crown base to about the tip."""
-    vertices = grown(replace(key, level=level))[2].vertices_m
+    vertices = grown(key)[2].vertices_m
     width = np.ptp(vertices[:, :2], axis=0)
     assert width / key.crown_width_m == pytest.approx([1.1, 1.1], abs=0.25)
     assert vertices[:, 2].min() == pytest.approx(-0.4, abs=1.0)
@@ -128,18 +126,6 @@ def test_branches_are_together_as_thick_as_the_stem(key):
     base = np.array([[key.crown_base_m]])
     stem = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), base)[0, 0]
     assert (radius**2).sum() == pytest.approx(stem**2, rel=0.15)
-
-
-@SOME
-def test_coarser_levels_keep_the_branches(key):
-    """First-order tips are at the same places at every level, and each level has at most 0.6 of the faces."""
-    levels = [grown(replace(key, level=level)) for level in range(3)]
-    tips = [m[0].vertices_m[n - 1 :: n] for m, n in zip(levels, (49, 17, 7), strict=True)]
-    assert np.array_equal(tips[0], tips[1])
-    assert np.array_equal(tips[0], tips[2])
-    faces = [sum(len(mesh.faces) for mesh in meshes) for meshes in levels]
-    assert faces[1] < 0.6 * faces[0]
-    assert faces[2] < 0.6 * faces[1]
 
 
 @SOME
@@ -208,11 +194,20 @@ def test_a_snag_bears_only_dead_branches():
 @pytest.mark.parametrize("name", ["european_beech", "scots_pine", "english_oak"])
 def test_broad_crowns_have_a_third_order(name):
     """Their higher-order mesh has tubes of two kinds: 17 vertices of the second order, then 7 of the third."""
-    key = KEYS[name]
-    second = crown_meshes(4, replace(key, level=2))[1]
-    higher = grown(key)[1]
-    bases = 5  # of the vertices of a second-order tube of level 2: a triangle and its tip, and one in three
-    assert len(higher.vertices_m) > 2 * 3 * 17 / bases * len(second.vertices_m)
+    first, higher = grown(KEYS[name])[:2]
+    sizes = np.diff(np.flatnonzero(np.diff(tube_of(higher))))
+    assert set(sizes.tolist()) == {17, 7}
+    assert (np.diff(sizes) <= 0).all()
+    assert (sizes == 7).sum() > 2 * (sizes == 17).sum() > 2 * len(first.vertices_m) / 49
+
+
+def tube_of(mesh):
+    """Which tube each vertex belongs to, (v,), by the faces that hang together."""
+    graph = coo_array(
+        (np.ones(len(mesh.faces)), (mesh.faces[:, 0], mesh.faces[:, 1])), [len(mesh.vertices_m)] * 2
+    )
+    other = coo_array((np.ones(len(mesh.faces)), (mesh.faces[:, 1], mesh.faces[:, 2])), graph.shape)
+    return connected_components(graph + other, directed=False)[1]
 
 
 @pytest.mark.parametrize("key", [BIRCH, SPRUCE], ids=["birch", "spruce"])

@@ -27,13 +27,11 @@ def ground(x, y):
     return 0.2 * x + 0.1 * y + 0.1 * np.sin(x / 3)
 
 
-def plot(ix, iy, *, path=FAR, level=0, trunks=NO_TRUNKS, height_m=ground):
+def plot(ix, iy, *, path=FAR, trunks=NO_TRUNKS, height_m=ground):
     return Plot(
         seed=6,
         ix=ix,
         iy=iy,
-        level=level,
-        detail=1.0,
         height_m=height_m,
         path=Polyline(path),
         path_clearance_m=0.8,
@@ -64,7 +62,7 @@ def size_m(world_T):
 
 def test_stones_cover_the_share_that_was_asked_for():
     """Of vertical rays on 2.6 hectares of flat ground one in twenty meets a stone, within 6 %."""
-    flat = {"height_m": lambda x, y: np.zeros(np.shape(x)), "level": 2}
+    flat = {"height_m": lambda x, y: np.zeros(np.shape(x))}
     vertices, faces, count = [], [], 0
     for tile in TILES:
         placed = STONES.place(plot(*tile, **flat))
@@ -123,15 +121,14 @@ def test_stumps_stand_on_the_ground():
 
 
 def test_grass_grows_beside_the_path_alone():
-    """Tufts are within 25 m of the path, with their density there, however finely drawn, and far tiles have none."""
-    placed = world_T(GRASS, path=NEAR, level=0)
+    """Tufts are within 25 m of the path, with their density there, and far tiles have none."""
+    placed = world_T(GRASS, path=NEAR)
     gap = distance_m(placed[:, :2, 3], NEAR)
     assert 24 < gap.max() < 25
     near = distance_m(np.random.default_rng(1).uniform(0, 160, (100_000, 2)), NEAR)
     area_m2 = 160**2 * ((near < 25) & (near > 0.95)).mean()
     assert len(placed) == pytest.approx(area_m2, rel=0.06)
-    counts = [len(GRASS.place(plot(2, 1, path=NEAR, level=level)).shape) for level in (0, 2)]
-    assert counts[0] == counts[1] > 0
+    assert len(GRASS.place(plot(2, 1, path=NEAR)).shape) > 0
     assert len(GRASS.place(plot(1, 4, path=NEAR)).shape) == 0
 
 
@@ -187,10 +184,13 @@ def test_unknown_log_species_is_named():
         Logs(scattered(Purpose.LOGS, 10.0), ["larch"], (0.2, 0.5), (3.0, 9.0))
 
 
-@pytest.mark.parametrize("level", [0, 1, 2])
-def test_small_stones_are_drawn_more_coarsely(level):
-    """Stones of less than 40 cm have the next level's faces, larger ones those of their tile."""
+def test_large_stones_have_more_faces():
+    """Stones of 40 cm and more have four times the faces of smaller ones; of either there are some."""
+    found = set()
     for tile in TILES[:8]:
-        placed = STONES.place(plot(*tile, level=level))
+        placed = STONES.place(plot(*tile))
+        faces = [len(floor_meshes(6, key)[0].faces) for key in placed.keys]
         for shape, length_m in zip(placed.shape, size_m(placed.world_T_shape)[:, 0], strict=True):
-            assert placed.keys[shape].level == min(level + (length_m < 0.4), 2)
+            assert faces[shape] == (1280 if length_m >= 0.4 else 320)
+            found.add(faces[shape])
+    assert len(found) == 2

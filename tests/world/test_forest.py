@@ -1,19 +1,13 @@
 """Windows on the forest."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.crown import CROWN_PARTS, CrownKey
-from vlp16emu.world.polyline import distance_m
-from vlp16emu.world.sapling import SaplingKey
 from vlp16emu.world.stand import REGENERATION
 from vlp16emu.world.tiles import TileKey
-
-PATH_XY_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0]])
 
 
 def mesh_bytes(meshes):
@@ -195,45 +189,6 @@ def test_everything_is_the_same_from_either_end_and_in_any_order(make_forest):
     assert [mesh_bytes(there.shape(k)) for k in shapes] == [mesh_bytes(back.shape(k)) for k in shapes[::-1]][
         ::-1
     ]
-
-
-def test_crowns_are_coarser_the_farther_they_are(forest, track_m):
-    """Crowns whose lowest branch is within 12 m of a head on the path are drawn leaf by leaf, beyond 40 m in clusters."""
-    window = forest.window(track_m)
-    trees = {int(tree["id"]): tree for tree in forest.trees(track_m)}
-    for shape, first in zip(window.shape, window.first_surface, strict=True):
-        key = window.shapes[shape]
-        if isinstance(key, CrownKey):
-            tree = trees[int(window.surfaces[first]["instance"])]
-            aside = distance_m(np.array([[tree["x_m"], tree["y_m"]]]), PATH_XY_M)[0]
-            near = np.hypot(aside, max(tree["crown_base_m"] - 2.0, 0.0))
-            assert key.level == int(near > 12) + int(near > 40)
-
-
-@pytest.mark.parametrize("detail", [0.0, 0.4, 3.0])
-def test_detail_moves_where_things_are_drawn_finely_and_nothing_else(make_forest, track_m, detail):
-    """At each detail the same things stand at the same places with the same labels, and levels lie so much farther out.
-
-    Coarse plants have fewer variants of their class.
-    """
-    forest, usual = make_forest(with_layers=True, detail=detail), make_forest(with_layers=True)
-    drawn, other = forest.window(track_m), usual.window(track_m)
-    # The tile's own triangles are placed whole; crowns are numbered with their trees, things after them.
-    assert (drawn.surfaces == other.surfaces).all()
-    assert (drawn.world_T_shape == other.world_T_shape).all()
-    without = [
-        [
-            replace(key, level=0, **({} if isinstance(key, TileKey) else {"variant": 0}))
-            for key in window.shapes
-        ]
-        for window in (drawn, other)
-    ]
-    assert [without[0][i] for i in drawn.shape] == [without[1][i] for i in other.shape]
-    for shape, T in zip(drawn.shape, drawn.world_T_shape, strict=True):
-        key = drawn.shapes[shape]
-        if isinstance(key, SaplingKey):
-            gap_m = distance_m(T[None, :2, 3], PATH_XY_M)[0]
-            assert key.level == int(gap_m >= 12 * detail) + int(gap_m >= 40 * detail)
 
 
 def test_bare_ground(make_forest, track_m):

@@ -30,16 +30,15 @@ def trees():
     trees["crown_width_m"] = [2.6, 4.8, 9.0, 6.2, 1.6]
     trees["crown_azimuth_deg"] = [0.0, 30.0, 100.0, 200.0, 300.0]
     trees["lean_deg"], trees["lean_towards_deg"] = [0.0, 2.0, 4.0, 1.0, 3.0], 70.0
-    trees["level"] = [0, 1, 2, 0, 1]
     return trees
 
 
 @pytest.fixture(scope="module")
 def crowns(trees):
-    """Prototypes of other sizes than the trees, at all levels."""
+    """Prototypes of other sizes than the trees."""
     return [
-        CrownKey(name, 1, level, 0.9 * t["dbh_m"], 1.1 * t["height_m"], t["crown_base_m"], 0.9 * t["crown_width_m"], area)
-        for name, t, level, area in zip(NAMES, trees, (0, 1, 2, 0, 1), (30.0, 90.0, 200.0, 100.0, 0.0), strict=True)
+        CrownKey(name, 1, 0.9 * t["dbh_m"], 1.1 * t["height_m"], t["crown_base_m"], 0.9 * t["crown_width_m"], area)
+        for name, t, area in zip(NAMES, trees, (30.0, 90.0, 200.0, 100.0, 0.0), strict=True)
     ]  # fmt: skip
 
 
@@ -49,13 +48,13 @@ def rows(trees, crowns):
 
 
 @pytest.fixture(scope="module")
-def solids(trees, crowns):
+def solids(trees):
     """Stems as watertight solids, feet at the origin, upright."""
     solids = []
-    for i, key in enumerate(crowns):
+    for i in range(len(trees)):
         tree = trees[i : i + 1]
         foot = np.array([tree["x_m"][0], tree["y_m"][0], 2.0])
-        meshes = stem_meshes(tree, key.level, foot, lambda x, y: 2.0 + 0 * x)
+        meshes = stem_meshes(tree, foot, lambda x, y: 2.0 + 0 * x)
         corners = np.concatenate([mesh.vertices_m[mesh.faces] for mesh in meshes]).reshape(-1, 3)
         vertices, faces = np.unique(corners, axis=0, return_inverse=True)
         upright = vertices @ lean_rotation(tree["lean_deg"], tree["lean_towards_deg"])[0]

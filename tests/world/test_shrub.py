@@ -12,13 +12,10 @@ from vlp16emu.world.shrub import SHRUB_PARTS, ShrubKey, shrub_meshes
 from vlp16emu.world.species import shrub_table
 
 KEYS = {
-    name: ShrubKey(
-        name, 1, 0, 0.7 * shrub.height_m[1], 0.7 * shrub.height_m[1] * shrub.width_share, "leaf_on"
-    )
+    name: ShrubKey(name, 1, 0.7 * shrub.height_m[1], 0.7 * shrub.height_m[1] * shrub.width_share, "leaf_on")
     for name, shrub in shrub_table().items()
 }
 EACH = pytest.mark.parametrize("key", KEYS.values(), ids=KEYS)
-LEVELS = pytest.mark.parametrize("level", [0, 1, 2])
 
 
 @cache
@@ -31,10 +28,9 @@ def corners(mesh):
 
 
 @EACH
-@LEVELS
-def test_leaf_area_is_that_of_the_covered_ground(key, level):
-    """Quads have the kind's leaf area index times the ground that the shrub covers, within 0.1 %, at every level."""
-    a, b, c, d = corners(grown(replace(key, level=level))[2])
+def test_leaf_area_is_that_of_the_covered_ground(key):
+    """Quads have the kind's leaf area index times the ground that the shrub covers, within 0.1 %."""
+    a, b, c, d = corners(grown(key)[2])
     area_m2 = np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2
     expected = shrub_table()[key.species].leaf_area_index * np.pi / 4 * key.width_m**2
     assert area_m2 == pytest.approx(expected, rel=1e-3)
@@ -52,10 +48,9 @@ def test_leaves_are_inclined_as_measured(key):
 
 
 @EACH
-@LEVELS
-def test_a_shrub_has_its_size(key, level):
+def test_a_shrub_has_its_size(key):
     """It stands on the ground, reaches its height within a quarter, and is no wider than a quarter more than its width."""
-    vertices = np.concatenate([mesh.vertices_m for mesh in grown(replace(key, level=level))])
+    vertices = np.concatenate([mesh.vertices_m for mesh in grown(key)])
     assert -0.25 * key.height_m < vertices[:, 2].min() < 0
     assert vertices[:, 2].max() == pytest.approx(key.height_m, rel=0.25)
     width_m = np.ptp(vertices[:, :2], axis=0)

@@ -84,7 +84,7 @@ def test_reflectance_varies_between_trees_within_its_range(trees):
 def test_crown_prototypes_are_scaled_little(trees):
     """No tree's crown is wider or narrower than its prototype by more than a quarter."""
     stand = make_stand()
-    prototype_m = [stand.crown(t["cohort"], t["crown_class"], 0, 0).crown_width_m for t in trees[:400]]
+    prototype_m = [stand.crown(t["cohort"], t["crown_class"], 0).crown_width_m for t in trees[:400]]
     ratio = trees["crown_width_m"][:400] / prototype_m
     assert 3 / 4 < ratio.min() < 0.95
     assert 1.05 < ratio.max() < 5 / 4
@@ -95,7 +95,7 @@ def test_leaf_area_of_a_closed_stand_is_its_leaf_area_index(trees):
     stand = make_stand()
     area_m2 = 0.0
     for tree in trees:
-        crown = stand.crown(tree["cohort"], tree["crown_class"], 0, 0)
+        crown = stand.crown(tree["cohort"], tree["crown_class"], 0)
         area_m2 += crown.leaf_area_m2 * (tree["crown_width_m"] / crown.crown_width_m) ** 2
     ground_m2 = (14 * 20.0) ** 2
     by_crown = [(trees["crown_width_m"][trees["species"] == n] ** 2).sum() for n in (1, 2)]
@@ -105,7 +105,7 @@ def test_leaf_area_of_a_closed_stand_is_its_leaf_area_index(trees):
 
 def test_a_sparse_stand_does_not_reach_that_index():
     """A lone tree bears at most one and a half times its index over its own projection."""
-    crown = make_stand(stems_per_ha=5.0).crown(1, 0, 0, 0)
+    crown = make_stand(stems_per_ha=5.0).crown(1, 0, 0)
     assert crown.leaf_area_m2 == pytest.approx(6.0 * 1.5 * np.pi / 4 * crown.crown_width_m**2)
 
 
@@ -120,7 +120,7 @@ def test_storeys_share_the_ground_and_have_their_own_density():
         assert (trees["storey"] == storey).sum() / ground_m2 * 1e4 == pytest.approx(per_ha, rel=wide)
     area_m2 = 0.0
     for tree in trees:
-        crown = stand.crown(tree["cohort"], tree["crown_class"], 0, 0)
+        crown = stand.crown(tree["cohort"], tree["crown_class"], 0)
         area_m2 += crown.leaf_area_m2 * (tree["crown_width_m"] / crown.crown_width_m) ** 2
     by_crown = [(trees["crown_width_m"][trees["storey"] == n] ** 2).sum() for n in (0, 1)]
     assert area_m2 / ground_m2 == pytest.approx(np.average([6.0, 3.0], weights=by_crown), rel=0.05)
@@ -150,7 +150,7 @@ def test_no_stem_stands_in_another():
 def test_trees_in_the_open_keep_their_lower_branches():
     """Lowest branches of a lone tree are at 0.35 of their height in a closed stand, those of a half-closed one between."""
     closed, open_, half = (make_stand(stems_per_ha=n, species=(SPRUCE,)) for n in (2000.0, 1e-6, 400.0))
-    base_m = [stand.crown(0, 0, 0, 0).crown_base_m for stand in (closed, half, open_)]
+    base_m = [stand.crown(0, 0, 0).crown_base_m for stand in (closed, half, open_)]
     assert base_m[2] == pytest.approx(0.35 * base_m[0])
     assert base_m[2] < base_m[1] < base_m[0]
     trees = np.concatenate([half.trees(ix, 0) for ix in range(20)])
@@ -165,7 +165,7 @@ def test_two_storeys_of_one_species_keep_apart():
     for cohort, (dbh_m, height_m) in enumerate([(0.18, 19.0), (0.08, 9.0)]):
         own = trees[trees["cohort"] == cohort]
         assert np.sqrt((own["dbh_m"] ** 2).mean()) == pytest.approx(dbh_m, rel=0.05)
-        assert stand.crown(cohort, 0, 0, 0).height_m == pytest.approx(height_m)
+        assert stand.crown(cohort, 0, 0).height_m == pytest.approx(height_m)
 
 
 def test_path_is_kept_clear_of_stems():

@@ -28,10 +28,10 @@ def make_trees(lean_deg, species=1):
     return trees
 
 
-def grow(trees, level):
+def grow(trees):
     """Origin of the tile, and of each tree its flare and its stem."""
     origin_m = np.array([500_000.0, 0.0, np.round(slope(500_000.0, 0.0))])
-    meshes = stem_meshes(trees, level, origin_m, slope)
+    meshes = stem_meshes(trees, origin_m, slope)
     assert len(meshes) == len(STEM_PARTS) * len(trees)
     return origin_m, list(zip(meshes[::2], meshes[1::2], strict=True))
 
@@ -51,13 +51,12 @@ def area_diameter_m(solid, middle, axis):
     return 2 * np.sqrt(area_m2 / np.pi)
 
 
-@pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("species", species_table().values(), ids=species_table())
 @pytest.mark.parametrize("lean_deg", [0.0, 8.0])
-def test_area_at_breast_height_is_that_of_the_dbh(level, species, lean_deg):
+def test_area_at_breast_height_is_that_of_the_dbh(species, lean_deg):
     """Cut across the axis where it is 1.3 m above the foot, a stem has the area of its DBH within 0.1 mm, DBH 5 to 120 cm."""
     trees = make_trees(lean_deg, species.number)
-    origin_m, stems = grow(trees, level)
+    origin_m, stems = grow(trees)
     axes = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[:, :, 2]
     for tree, (_, stem), axis in zip(trees, stems, axes, strict=True):
         solid = trimesh.Trimesh(stem.vertices_m.astype(np.float64), stem.faces, process=False)
@@ -67,11 +66,10 @@ def test_area_at_breast_height_is_that_of_the_dbh(level, species, lean_deg):
             assert area_diameter_m(solid, middle, axis) == pytest.approx(tree["dbh_m"], abs=1e-4)
 
 
-@pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("species", [1, 4, 12])
-def test_flare_and_stem_are_closed_together(level, species):
+def test_flare_and_stem_are_closed_together(species):
     """Joined at their shared ring, both meshes are one watertight solid that shows its outside, broken top or not."""
-    for meshes in grow(make_trees(3.0, species), level)[1]:
+    for meshes in grow(make_trees(3.0, species))[1]:
         solid = joined(*meshes)
         assert solid.is_watertight
         assert solid.is_winding_consistent
@@ -82,7 +80,7 @@ def test_the_root_flare_ends_half_a_metre_up():
     """The flare's highest vertices and the stem's lowest are the same ring, 0.5 m above the foot."""
     assert STEM_PARTS == (PlantPart.ROOT_FLARE, PlantPart.STEM)
     trees = make_trees(0.0)
-    origin_m, stems = grow(trees, 0)
+    origin_m, stems = grow(trees)
     for tree, (flare, stem) in zip(trees, stems, strict=True):
         sides = 32 if tree["dbh_m"] > 0.5 else 24
         assert np.array_equal(flare.vertices_m[-sides:], stem.vertices_m[:sides])
@@ -93,7 +91,7 @@ def test_the_root_flare_ends_half_a_metre_up():
 def test_a_ring_lies_exactly_at_breast_height():
     """Of an upright stem a whole ring of vertices is 1.3 m above the terrain at the foot."""
     trees = make_trees(0.0)
-    origin_m, stems = grow(trees, 0)
+    origin_m, stems = grow(trees)
     for tree, (_, stem) in zip(trees, stems, strict=True):
         above = stem.vertices_m[:, 2] + origin_m[2] - tree["z_m"]
         assert (np.abs(above - 1.3) < 5e-6).sum() == (32 if tree["dbh_m"] > 0.5 else 24)
@@ -102,16 +100,17 @@ def test_a_ring_lies_exactly_at_breast_height():
 def test_foot_is_buried_all_around():
     """On a slope the lowest ring lies under the ground on every side."""
     trees = make_trees(3.0)
-    origin_m, stems = grow(trees, 2)
-    for flare, _ in stems:
-        ring = flare.vertices_m[1:9].astype(np.float64) + origin_m
+    origin_m, stems = grow(trees)
+    for tree, (flare, _) in zip(trees, stems, strict=True):
+        sides = 32 if tree["dbh_m"] > 0.5 else 24
+        ring = flare.vertices_m[1 : 1 + sides].astype(np.float64) + origin_m
         assert (ring[:, 2] < slope(ring[:, 0], ring[:, 1])).all()
 
 
 def test_tip_is_at_the_height_and_leans():
     """The tip is `height_m` above the foot, aside by height times the tangent of the lean."""
     trees = make_trees(8.0)
-    origin_m, stems = grow(trees, 1)
+    origin_m, stems = grow(trees)
     for tree, (_, stem) in zip(trees, stems, strict=True):
         tip = stem.vertices_m[-1].astype(np.float64) + origin_m - [tree["x_m"], tree["y_m"], tree["z_m"]]
         assert tip[2] == pytest.approx(tree["height_m"], abs=1e-5)
@@ -121,7 +120,7 @@ def test_tip_is_at_the_height_and_leans():
 def test_a_snag_breaks_off_at_full_width():
     """A dead tree's highest ring is over 0.4 of breast height, and its tip stands off the axis."""
     trees = make_trees(0.0, 12)
-    origin_m, stems = grow(trees, 0)
+    origin_m, stems = grow(trees)
     for tree, (_, stem) in zip(trees, stems, strict=True):
         foot = np.array([tree["x_m"], tree["y_m"], tree["z_m"]]) - origin_m
         sides = 32 if tree["dbh_m"] > 0.5 else 24

@@ -1,11 +1,10 @@
 """Tiles and their ground."""
 
 import numpy as np
-import pytest
 import trimesh
 
-from vlp16emu.world.polyline import Polyline, distance_m
-from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, level_of, tile_origin_m, tiles_within
+from vlp16emu.world.polyline import distance_m
+from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
 
 LINE = np.array([[3.0, 5.0], [90.0, 40.0]])
 
@@ -21,24 +20,11 @@ def test_no_tile_in_reach_is_left_out():
     assert tiles.tolist() == sorted(tiles.tolist())
 
 
-def test_near_the_path_everything_is_finest():
-    """No point within 20 m of the path is on a coarse tile, none within 50 m on the coarsest."""
-    points = np.random.default_rng(2).uniform(-80, 180, (3000, 2))
-    gap = distance_m(points, LINE)
-    level = np.array(
-        [level_of(tuple(tile), Polyline(LINE)) for tile in np.floor(points / TILE_M).astype(int)]
-    )
-    assert (level[gap < 20] == 0).all()
-    assert (level[gap < 50] <= 1).all()
-    assert (level[gap > 80] == 2).all()
-
-
-@pytest.mark.parametrize("level", [0, 1])
-def test_ground_vertices_are_terrain_heights(terrain, level):
+def test_ground_vertices_are_terrain_heights(terrain):
     """Each grid vertex lies on the terrain within float32, also far from the origin, and every face looks up or out."""
-    key = TileKey(40_000, -3, level)
+    key = TileKey(40_000, -3)
     mesh = ground_mesh(key, terrain.height_m)
-    cells = (40, 20)[level]
+    cells = 40
     origin = tile_origin_m(key.ix, key.iy, terrain.height_m)
     grid = mesh.vertices_m[: (cells + 1) ** 2].astype(np.float64) + origin
     assert np.abs(grid[:, 2] - terrain.height_m(grid[:, 0], grid[:, 1])).max() < 2e-6
@@ -52,9 +38,9 @@ def test_ground_vertices_are_terrain_heights(terrain, level):
 
 
 def test_no_light_falls_through_the_seams(terrain):
-    """Oblique rays at the seam of a fine and a coarse tile always meet one of the two, at most 0.1 m off the terrain."""
+    """Oblique rays at the seam of two tiles always meet one of the two, at most 0.1 m off the terrain."""
     parts = []
-    for key in (TileKey(0, 0, 0), TileKey(1, 0, 1)):
+    for key in (TileKey(0, 0), TileKey(1, 0)):
         mesh = ground_mesh(key, terrain.height_m)
         vertices = mesh.vertices_m.astype(np.float64) + tile_origin_m(key.ix, key.iy, terrain.height_m)
         parts.append(trimesh.Trimesh(vertices, mesh.faces, process=False))

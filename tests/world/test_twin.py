@@ -92,7 +92,7 @@ def test_shapes_are_stored_once(header, near):
     assert sorted(set(shown)) == list(range(len(header["meshes"])))
     assert len(shown) > 2 * len(header["meshes"])
     stones = {n["mesh"] for n in header["nodes"] if n["name"].startswith("stone_") and "mesh" in n}
-    assert 1 <= len(stones) <= 2 * 6  # levels of detail in reach, and variants
+    assert 1 <= len(stones) <= 2 * 6  # small and large ones, and variants
 
 
 def test_a_stem_of_the_twin_has_its_dbh(scene, near):

@@ -23,7 +23,7 @@ from vlp16emu.world.understorey import Saplings, Shrubs
 PATH = np.array([[-10.0, 10.0], [120.0, 60.0]])
 YOUNG = ["european_beech", "norway_spruce"]
 BUSHES = ["hazel", "hawthorn"]
-KEYS = [SaplingKey(name, 0, 0, height_m, "leaf_on") for name in YOUNG for height_m in (0.6, 3.6)]
+KEYS = [SaplingKey(name, 0, height_m, "leaf_on") for name in YOUNG for height_m in (0.6, 3.6)]
 
 
 def layer(kind, species, **more):
@@ -35,14 +35,12 @@ def saplings():
     return layer(Saplings, YOUNG, height_m=(0.5, 4.0))
 
 
-def placed(layer, level=0):
+def placed(layer):
     plots = (
         Plot(
             seed=6,
             ix=ix,
             iy=iy,
-            level=level,
-            detail=1.0,
             height_m=lambda x, y: 0.1 * x,
             path=Polyline(PATH),
             path_clearance_m=0.8,
@@ -91,23 +89,21 @@ def test_a_sapling_fills_its_crown(key):
 
 
 @pytest.mark.parametrize("name", YOUNG)
-def test_leaf_area_of_a_sapling_is_kept_at_every_level(name):
-    """Leaves have twice the area of the crown's projection, over their clumping, at each level within 2 %."""
-    areas = []
-    for level in range(3):
-        leaves = sapling_meshes(6, SaplingKey(name, 1, level, 3.0, "leaf_on"))[3]
-        a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
-        areas.append(np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2)
+def test_leaf_area_of_a_sapling_is_that_of_its_crown(name):
+    """Leaves have twice the area of the crown's projection, over their clumping, within 2 %."""
+    leaves = sapling_meshes(6, SaplingKey(name, 1, 3.0, "leaf_on"))[3]
+    a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
+    area_m2 = np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2
     expected = 2 * np.pi / 4 * 1.5**2 / species_table()[name].foliage.clumping
-    assert areas == pytest.approx([expected] * 3, rel=0.02)
+    assert area_m2 == pytest.approx(expected, rel=0.02)
 
 
 def test_in_winter_beeches_are_bare_and_spruces_are_not():
     """Leaf-off saplings of a broadleaf have no leaves, those of a conifer keep their shoots; branches stay."""
-    bare, green = (sapling_meshes(6, SaplingKey(name, 0, 0, 2.0, "leaf_off")) for name in YOUNG)
+    bare, green = (sapling_meshes(6, SaplingKey(name, 0, 2.0, "leaf_off")) for name in YOUNG)
     assert len(bare[3].faces) == 0
     assert len(green[3].faces) > 0
-    summer = sapling_meshes(6, SaplingKey("european_beech", 0, 0, 2.0, "leaf_on"))
+    summer = sapling_meshes(6, SaplingKey("european_beech", 0, 2.0, "leaf_on"))
     assert bare[2].vertices_m.tobytes() == summer[2].vertices_m.tobytes()
 
 
@@ -164,14 +160,3 @@ def test_unknown_plants_are_named():
         layer(Saplings, ["larch"], height_m=(0.5, 4.0))
     with pytest.raises(GeometryError, match=r"shrubs.species: found 'broom'; expected one of hazel"):
         layer(Shrubs, ["broom"])
-
-
-@pytest.mark.parametrize("layer", [saplings(), layer(Shrubs, BUSHES)], ids=["saplings", "shrubs"])
-def test_plants_are_coarser_the_farther_they_are(layer):
-    """Leaf by leaf within 12 m of the path, in clusters beyond 40 m, whatever tile they stand on."""
-    levels = set()
-    for tile in placed(layer):
-        for shape, away_m in zip(tile.shape, distance_m(tile.world_T_shape[:, :2, 3], PATH), strict=True):
-            assert tile.keys[shape].level == int(away_m > 12) + int(away_m > 40)
-            levels.add(tile.keys[shape].level)
-    assert levels == {0, 1, 2}

@@ -102,8 +102,7 @@ def forest_of(
         reach_m=reach_m,
         plants=plants,
         loose_stems=loose_stems,
-        detail=section.detail,
-        near_m=float(__import__("os").environ.get("NEAR", "15")),
+        near_m=section.near_m,
     )
 
 

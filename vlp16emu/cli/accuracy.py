@@ -50,10 +50,11 @@ def accuracy(
     out: OutDir = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure what settings of the beam, of poses and of detail err and cost.
+    """Measure the error and the cost of settings of the beam, of poses and of foliage.
 
     Pulses from all over the run are told with each setting and held against their converged answer, of
-    thousands of sub-rays, by a receiver without noise; so are poses that are held, and a forest drawn coarser and finer.
+    thousands of sub-rays, by a receiver without noise; so are poses that are held, and a forest cast leaf by leaf to
+    some distances.
     Of a rig, the first sensor is looked at.
     """
     from vlp16emu.scenario import load
@@ -153,9 +154,9 @@ def _print(measured: "Accuracy") -> None:
         _print_rows(measured.poses, "pose")
     if measured.details:
         print(
-            "\nWith the light of the answer; run time is that with the light of the scene. Leaves that are drawn otherwise"
+            "\nWith the light of the answer; run time is that with the light of the scene. A medium has no single leaves:"
         )
-        print("lie elsewhere: single pulses differ, so look at the bias, and at lost against invented ones.")
+        print("single pulses differ, so look at the bias, and at lost against invented ones.")
         _print_rows(measured.details, "how finely drawn")
     print(
         f"\nfloat32 against float64, {rounding.rays} single rays: RMSE {1e6 * rounding.range_rmse_m:.1f} um, at most "

@@ -144,21 +144,20 @@ def surroundings(emulator: Emulator, windows: int) -> dict[str, Any]:
         "windows": windows,
         "windows_looked_at": len(numbers),
         "species": sorted({name for name in named if name is not None}),
-        "first_window": {kind: counts[0][kind].total() for kind in counts[0]},
-        "mean": {kind: sum(count[kind].total() for count in counts) / len(counts) for kind in kinds},
-        "levels": {kind: dict(sorted(counts[0][kind].items())) for kind in counts[0]},
+        "first_window": dict(counts[0]),
+        "mean": {kind: sum(count[kind] for count in counts) / len(counts) for kind in kinds},
         "surfaces": len(seen[0].surfaces),
         "geometry": asdict(geometry_of(emulator.windows.at_block(0).result())),
     }
 
 
-def _counts(window: Window) -> dict[str, Counter[str]]:
-    """Count placements by kind and by level of detail."""
-    counts = {kind: Counter[str]() for kind in ("tiles", "trees")}
+def _counts(window: Window) -> Counter[str]:
+    """Count placements by kind."""
+    counts = Counter[str](tiles=0, trees=0)
     for which, often in Counter(window.shape.tolist()).items():
         key = window.shapes[which]
         kind = f"{key.kind.name.lower()}s" if isinstance(key, FloorKey) else _KINDS.get(type(key), "things")
-        counts.setdefault(kind, Counter())[str(getattr(key, "level", "only"))] += often
+        counts[kind] += often
     return counts
 
 

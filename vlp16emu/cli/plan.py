@@ -22,10 +22,9 @@ if TYPE_CHECKING:
 
 __all__ = ["plan"]
 
-_LEVELS = {"0": "near", "1": "middle", "2": "far"}
 _TOO_SLOW = (
-    "Too slow to be streamed as it runs. Quicker are fewer rays (beam.model, beam.target_m), a forest drawn coarser "
-    "(world.detail)\nand a shorter reach (sensor.max_range_m); `vlp16emu accuracy` tells what the first two err and cost."
+    "Too slow to be streamed as it runs. Quicker are fewer rays (beam.model, beam.target_m), fewer single leaves "
+    "(world.near_m)\nand a shorter reach (sensor.max_range_m); `vlp16emu accuracy` measures error and cost of the first two."
 )
 
 
@@ -129,10 +128,7 @@ def _reach(world: dict[str, Any]) -> dict[str, str]:
     for kind, number in world["first_window"].items():
         if not number:
             continue
-        levels = world["levels"][kind]
         text = count(number)
-        if levels.keys() <= _LEVELS.keys():
-            text += f": {', '.join(f'{count(n)} {_LEVELS[level]}' for level, n in levels.items())}"
         if world["windows"] > 1:
             text += f"; {count(round(world['mean'][kind]))} on average over the walk"
         rows[kind] = text

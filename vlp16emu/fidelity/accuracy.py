@@ -45,7 +45,7 @@ class _Ladder:
     def look(
         self, scene: Scene, drawn: Mapping[str, Scene], groups: Sequence[Group], workers: ThreadPoolExecutor
     ) -> None:
-        """Tell the groups of one window in all ways; `drawn` is the window by other details, by their names."""
+        """Tell the groups of one window in all ways; `drawn` is the window drawn otherwise, by name."""
         bench, poses_at = self._bench, self._bench.unit.motion.poses_at
         answers = list(workers.map(lambda group: self._answer(scene, group, poses_at), groups))
         self._told["answer"] += answers

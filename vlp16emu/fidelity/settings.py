@@ -1,5 +1,6 @@
-"""The settings whose errors are measured: the light of a pulse, how long a pose is held, how finely things are drawn."""
+"""The settings whose errors are measured: the light of a pulse, how long a pose is held, how far leaves are cast."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -12,7 +13,7 @@ from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.raycast import Footprint
 from vlp16emu.report.accuracy import Kind
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.world import MOST_DETAIL, Woods
+from vlp16emu.scenario.world import Woods
 from vlp16emu.types import Poses, ReturnMode
 
 __all__ = ["Drawing", "Hold", "Light", "PosesAt", "drawings", "holds", "lights"]
@@ -23,8 +24,8 @@ Model = Literal["adaptive", "fixed", "none", "angle", "offset"]
 _COUNTS = (4, 8, 16, 32, 64, 128)
 _TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Targets of adaptive beams, over that of the scene."""
-_TIMES_DETAIL = (0.0, 0.5, 1.0, 2.0)
-"""Details of worlds, over that of the scene."""
+_NEAR_M = (10.0, 15.0, 20.0, 30.0, math.inf)
+"""How far from the sensor worlds are cast leaf by leaf."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +50,7 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """The world of a scene, drawn more or less finely."""
+    """The world of a scene, cast leaf by leaf to some distance."""
 
     name: str
     """As `--set` takes it."""
@@ -101,17 +102,17 @@ def holds(unit: Unit) -> list[Hold]:
 
 
 def drawings(scenario: Scenario) -> list[Drawing]:
-    """List the scene with its world drawn coarser and finer; nothing of a hall, nor where all is coarse."""
+    """List the scene with its world cast leaf by leaf to some distances, its own among them; nothing of a hall."""
     world = scenario.world
-    if not isinstance(world, Woods) or not world.detail:
+    if not isinstance(world, Woods):
         return []
     return [
         Drawing(
-            f"world.detail={detail:g}",
-            in_use=detail == world.detail,
-            scenario=scenario.model_copy(update={"world": world.model_copy(update={"detail": detail})}),
+            f"world.near_m={near_m:g}",
+            in_use=near_m == world.near_m,
+            scenario=scenario.model_copy(update={"world": world.model_copy(update={"near_m": near_m})}),
         )
-        for detail in sorted({min(times * world.detail, MOST_DETAIL) for times in _TIMES_DETAIL})
+        for near_m in sorted({*_NEAR_M, world.near_m})
     ]
 
 

@@ -1,8 +1,9 @@
 """The `[world]` table: a forest that grows itself, a plot of given trees, or a hall of known shapes."""
 
+import math
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, model_validator
 
 from vlp16emu.scenario.finish import Finish
 from vlp16emu.scenario.given import Dem, MapPoint, MeshFile, SceneFile
@@ -11,7 +12,6 @@ from vlp16emu.scenario.presets import DENSITY_KEYS, with_preset
 from vlp16emu.scenario.section import Fraction, NonNegative, Section, Size
 
 __all__ = [
-    "MOST_DETAIL",
     "MOST_STEMS_PER_HA",
     "Clusters",
     "Forest",
@@ -37,8 +37,6 @@ __all__ = [
 ]
 
 
-MOST_DETAIL = 10.0
-"""Of `Woods.detail`: then all within 120 m of the path is drawn leaf by leaf."""
 MOST_STEMS_PER_HA = 5000
 """Of a storey, however its density is told."""
 
@@ -51,6 +49,14 @@ def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
 
 
 Range = Annotated[tuple[Size, Size], Field(strict=False), AfterValidator(_in_order)]
+_Near = Annotated[float, Field(ge=5)]
+Near = Annotated[
+    _Near,
+    Field(allow_inf_nan=True),
+    BeforeValidator(lambda m: math.inf if m == "inf" else m, json_schema_input_type=_Near | Literal["inf"]),
+    PlainSerializer(lambda m: "inf" if math.isinf(m) else m, when_used="json"),
+]
+"""A distance, in m, that may be infinite; JSON, which has no such number, has the text "inf"."""
 
 
 class SpeciesShare(Section):
@@ -201,10 +207,9 @@ class Woods(Section):
     """Plants of the user's own, in the form of the program's `world/species.toml`, numbered from 1000."""
     path_clearance_m: NonNegative = 0.8
     """Nothing that stands or lies on the ground comes nearer to the path than this."""
-    detail: Annotated[float, Field(ge=0, le=MOST_DETAIL)] = 1.0
-    """How far things are drawn finely, over the usual: leaf by leaf within 12 m of the path and in small clusters within
-    40 m, stems with 24 sides within 20 m and with 12 within 50 m. At 0.5 all is half as far, at 0 nowhere; what stands
-    there, its diameters and its leaf area stay."""
+    near_m: Near = 20.0
+    """What is nearer to the sensor than this is cast leaf by leaf; beyond, ground and stems are exact and foliage is a
+    medium of voxels made of the same plants. `inf` casts everything leaf by leaf."""
     terrain: Terrain = Terrain()
     dem: Dem | None = None
     """Heights of the ground in a file; they take the place of `terrain`."""

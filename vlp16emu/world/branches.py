@@ -27,7 +27,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 _NODES = {1: 9, 2: 5, 3: 3}
-"""Nodes of a branch's curve, by order: powers of two plus one, so that coarser levels leave out every other."""
+"""Nodes of a branch's curve, by order: odd, so that saplings can do with every other."""
 
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Between successive branches or whorls, so that none stands right above another."""
@@ -217,16 +217,16 @@ def points_along(nodes_m: Array, branch: NDArray[np.int64], way: Array) -> tuple
     return start + step * (way * (last + 1) - segment)[:, None], _unit(step)
 
 
-def tubes(branches: Branches, every: int, sides: int) -> Mesh:
+def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
     """Tapering tubes, open at the base inside the bearer, pointed at the tip.
 
     Parameters
     ----------
-    every : use only each so-many-th node of the curve, or its ends alone where it has too few
     sides : of the cross-section; its girth is that of the round branch, so that its silhouette, averaged
         over all directions, is as wide as the branch is thick (Cauchy), however few the sides
+    every : use only each so-many-th node of the curve
     """
-    nodes = branches.nodes_m[:, :: min(every, branches.nodes_m.shape[1] - 1)]
+    nodes = branches.nodes_m[:, ::every]
     n, rings = nodes.shape[0], nodes.shape[1] - 1
     tangent = _unit(np.gradient(nodes, axis=1)[:, :rings])
     across = np.stack([-np.sin(branches.azimuth), np.cos(branches.azimuth), np.zeros(n)], axis=-1)[:, None]

@@ -1,4 +1,4 @@
-"""Crown prototypes: grown once for a species, diameter class, variant and level of detail, then instanced."""
+"""Crown prototypes: grown once for a species, diameter class and variant, then instanced."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -50,6 +50,9 @@ CROWN_PARTS = (
 )
 """Of the meshes of a crown, in order. A mesh without faces stands where a crown has no such part."""
 
+_SIDES = (6, 4, 3)
+"""Of branches, by order."""
+
 _NOTHING = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
 
 
@@ -59,8 +62,6 @@ class CrownKey:
 
     species: str
     variant: int
-    level: int
-    """Of detail, 0 is the finest."""
     dbh_m: float
     height_m: float
     crown_base_m: float
@@ -77,60 +78,30 @@ class CrownKey:
         return self.height_m - self.crown_base_m
 
 
-@dataclass(frozen=True, slots=True)
-class _Detail:
-    """How finely crowns are drawn at one level."""
-
-    every: tuple[int, int, int]
-    """Of the nodes of a branch's curve, one in so many is used, by order."""
-    sides: tuple[int, int, int]
-    """Of the tubes of each order."""
-    one_in: tuple[int, int]
-    """One in so many branches of the second and third order is drawn; 0 draws none."""
-    merged: int
-    """Leaves or shoots that one quad stands for."""
-
-
-_DETAIL = (
-    _Detail((1, 1, 1), (6, 4, 3), (1, 1), 1),
-    _Detail((2, 4, 4), (4, 3, 3), (1, 3), 3),
-    _Detail((4, 4, 4), (3, 3, 3), (3, 0), 10),
-)
-
-
 def crown_meshes(
     seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None
 ) -> tuple[Mesh, Mesh, Mesh, Mesh]:
     """Meshes of `CROWN_PARTS`; a dead tree has all its branches among the dead ones.
 
-    In the crown's own frame: origin on the stem's axis at the crown base, z along the axis. All levels
-    of a crown have the same branches and the same leaf area; coarse ones draw them with fewer faces.
-    Season and dead branches change nothing else about a crown.
+    In the crown's own frame: origin on the stem's axis at the crown base, z along the axis. Season
+    and dead branches change nothing else about a crown.
     """
-    species, detail = (table or species_table())[key.species], _DETAIL[key.level]
+    species = (table or species_table())[key.species]
     rng = _generator(seed, key, species)
     orders = _orders(rng, key, species)
     leaves = _NOTHING
     if species.foliage and (key.season == "leaf_on" or species.foliage.kind == "shoot"):
-        leaves = foliage_mesh(rng, species.foliage, orders[-1], key.leaf_area_m2, detail.merged)
-    first = tubes(orders[0], detail.every[0], detail.sides[0])
-    higher = merged(
-        *(
-            tubes(_some(branches, one_in), every, sides)
-            for branches, one_in, every, sides in zip(
-                orders[1:], detail.one_in, detail.every[1:], detail.sides[1:], strict=False
-            )
-            if one_in
-        )
-    )
-    dead = [tubes(_dead(seed, key, species), detail.every[1], detail.sides[1])] if key.dead_branches else []
+        leaves = foliage_mesh(rng, species.foliage, orders[-1], key.leaf_area_m2)
+    first, *others = (tubes(branches, sides) for branches, sides in zip(orders, _SIDES, strict=False))
+    higher = merged(*others)
+    dead = [tubes(_dead(seed, key, species), _SIDES[1])] if key.dead_branches else []
     if species.foliage is None:
         return _NOTHING, _NOTHING, _NOTHING, merged(first, higher, *dead)
     return first, higher, leaves, merged(*dead) if dead else _NOTHING
 
 
 def crown_wood_m3(seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None) -> float:
-    """Volume of all branches of a prototype, dead ones too; the same at every level of detail."""
+    """Volume of all branches of a prototype, dead ones too."""
     species = (table or species_table())[key.species]
     orders = _orders(_generator(seed, key, species), key, species)
     dead = (_dead(seed, key, species),) if key.dead_branches else ()
@@ -165,7 +136,7 @@ def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
 
 
 def _generator(seed: int, key: CrownKey, species: Species) -> np.random.Generator:
-    """Random numbers that all levels, seasons and states of one crown share."""
+    """Random numbers that all seasons and states of one crown share."""
     return generator(seed, Purpose.CROWN, species.number, key.variant, round(key.dbh_m * 1e4))
 
 
@@ -186,11 +157,3 @@ def _dead(seed: int, key: CrownKey, species: Species) -> Branches:
     """Dead branches below the crown."""
     rng = generator(seed, Purpose.DEAD_BRANCH, species.number, key.variant, round(key.dbh_m * 1e4))
     return dead_stubs(rng, species.crown, key.crown_base_m)
-
-
-def _some(branches: Branches, one_in: int) -> Branches:
-    """Every so-many-th branch."""
-    keep = slice(None, None, one_in)
-    return Branches(
-        branches.nodes_m[keep], branches.azimuth[keep], branches.length_m[keep], branches.radius_m[keep]
-    )

@@ -49,7 +49,7 @@ _STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6
 """Over its length; assumptions."""
 
 _LARGE_STONE_M = 0.4
-"""Shorter stones are drawn one level coarser; near the path their flat faces are then off by less than 3 mm."""
+"""Stones that long have four times the faces; those of shorter ones are off by less than 3 mm."""
 
 _GRASS_REACH_M = 25.0
 """From the path; farther off the beam is wider than a tuft, and litter stands for grass."""
@@ -106,8 +106,8 @@ class Stones:
         z_m = plot.height_m(*xy_m.T) + (0.5 - buried) * size[:, 2]
         place_m = np.column_stack([xy_m, z_m])
         world_T = placements(place_m, turned(360 * draws[:, 2]), size)
-        level = np.minimum(plot.level + (length_m < _LARGE_STONE_M), 2)
-        return _placed(FloorKind.STONE, level, keep, world_T, draws[:, 3:], np.zeros(len(xy_m)))
+        large = length_m >= _LARGE_STONE_M
+        return _placed(FloorKind.STONE, keep, world_T, draws[:, 3:], np.zeros(len(xy_m)), large)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +151,7 @@ class Logs:
         size = np.column_stack([length_m, diameter_m, diameter_m])
         world_T = placements(np.column_stack([xy_m, z_m]), laid(towards, slope), size)
         species = _species_numbers(self.species, self.plants, draws[:, 3])
-        return _placed(FloorKind.LOG, np.full(len(xy_m), plot.level), keep, world_T, draws[:, 4:], species)
+        return _placed(FloorKind.LOG, keep, world_T, draws[:, 4:], species)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +186,7 @@ class Stumps:
         size = np.column_stack([diameter_m, diameter_m, height_m])
         world_T = placements(place_m, turned(360 * draws[:, 2]), size)
         species = _species_numbers(self.species, self.plants, draws[:, 3])
-        return _placed(FloorKind.STUMP, np.full(len(xy_m), plot.level), keep, world_T, draws[:, 4:], species)
+        return _placed(FloorKind.STUMP, keep, world_T, draws[:, 4:], species)
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,9 +212,7 @@ class Grass:
         keep[keep] = plot.clear(xy_m[keep], height_m[keep] / 2, np.zeros(keep.sum()))
         place_m = np.column_stack([xy_m, plot.height_m(*xy_m.T)])
         world_T = placements(place_m, turned(360 * draws[:, 1]), np.repeat(height_m[:, None], 3, axis=1))
-        return _placed(
-            FloorKind.TUFT, np.full(len(xy_m), plot.level), keep, world_T, draws[:, 2:], np.zeros(len(xy_m))
-        )
+        return _placed(FloorKind.TUFT, keep, world_T, draws[:, 2:], np.zeros(len(xy_m)))
 
 
 _LABELS = {
@@ -228,17 +226,16 @@ _LABELS = {
 
 def _placed(
     kind: FloorKind,
-    level: NDArray[np.int64],
     keep: NDArray[np.bool_],
     world_T: Array,
     draws: Array,
     species: Array,
+    large: NDArray[np.bool_] | None = None,
 ) -> Placed:
     """Label those things that are kept; draws (n, 2 or more) choose variant and brightness."""
     variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
-    keys, shape = distinct(
-        [_key(kind, variant, own) for variant, own in zip(variants, level[keep].tolist(), strict=True)]
-    )
+    larges = [False] * len(variants) if large is None else large[keep].tolist()
+    keys, shape = distinct([_key(kind, *how) for how in zip(variants, larges, strict=True)])
     semantic, part, material = _LABELS[kind]
     reflectance = _REFLECTANCE[material] + _REFLECTANCE_SPREAD * (2 * draws[keep, 1:2] - 1)
     number = np.full(reflectance.shape, GROUND_MATERIALS.index(material))
@@ -249,9 +246,9 @@ def _placed(
 
 
 @cache
-def _key(kind: FloorKind, variant: int, level: int) -> FloorKey:
+def _key(kind: FloorKind, variant: int, large: bool) -> FloorKey:
     """Keys are few; one object for each."""
-    return FloorKey(kind, variant, level)
+    return FloorKey(kind, variant, large)
 
 
 def _between(limits: tuple[float, float], draw: Array) -> Array:

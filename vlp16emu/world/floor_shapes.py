@@ -1,6 +1,6 @@
 """Shapes of what lies on the ground: stones, logs, stumps and tufts of grass, all of unit size.
 
-They are grown once for each variant and level of detail, and stretched to size where they are placed.
+They are grown once for each variant, and stretched to size where they are placed.
 """
 
 from dataclasses import dataclass
@@ -23,23 +23,23 @@ FLOOR_VARIANTS = 6
 STUMP_DEPTH = 0.5
 """How far a stump reaches into the ground, over its height above it."""
 
-_STONE_SPLITS = (3, 2, 1)
-"""Times that the faces of an icosahedron are quartered, by level: 1280, 320 and 80 faces."""
+_STONE_SPLITS, _LARGE_STONE_SPLITS = 2, 3
+"""Times that the faces of an icosahedron are quartered: 320 and 1280 faces."""
 
 _LOBES, _LOBE_HEIGHT = 6, 0.05
 """Sines that shape a stone, and the amplitude of each over the radius; assumption."""
 
-_ROUND_SIDES = (16, 8, 6)
-"""Sides of logs and stumps, by level."""
+_ROUND_SIDES = 16
+"""Of logs and stumps."""
 
 _LOG_TAPER = 0.2
 """Difference of a log's end diameters from its mean one, either way; assumption: 1 cm per metre and broken tips."""
 
-_BLADES = (22, 10, 6)
-"""Of a tuft, by level; fewer are wider, so that their area stays."""
+_BLADES = 22
+"""Of a tuft."""
 
 _BLADE_AREA = 0.012
-"""One-sided area of a tuft's blades together is this times 22, over the square of its height; assumption."""
+"""One-sided, of a tuft's blade on average, over the square of its height; assumption."""
 
 
 class FloorKind(StrEnum):
@@ -57,8 +57,8 @@ class FloorKey:
 
     kind: FloorKind
     variant: int
-    level: int
-    """Of detail, 0 is the finest."""
+    large: bool = False
+    """Whether it is a stone so large that its faces would be seen."""
 
 
 def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
@@ -68,15 +68,21 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
     1. A log lies along x from -0.5 to 0.5 with mean diameter 1. A stump is 1 high over the ground and 1
     wide at the top. A tuft is 1 high and stands at the origin.
     """
-    kinds = list(FloorKind)
-    rng = generator(seed, Purpose.FLOOR_SHAPE, kinds.index(key.kind), key.variant)
-    grow = (_stone, _log, _stump, _tuft)[kinds.index(key.kind)]
-    return (grow(rng, key.level),)
+    rng = generator(seed, Purpose.FLOOR_SHAPE, list(FloorKind).index(key.kind), key.variant)
+    match key.kind:
+        case FloorKind.STONE:
+            return (_stone(rng, _LARGE_STONE_SPLITS if key.large else _STONE_SPLITS),)
+        case FloorKind.LOG:
+            return (_log(rng),)
+        case FloorKind.STUMP:
+            return (_stump(rng),)
+        case FloorKind.TUFT:
+            return (_tuft(rng),)
 
 
-def _stone(rng: np.random.Generator, level: int) -> Mesh:
+def _stone(rng: np.random.Generator, splits: int) -> Mesh:
     """Icosphere with sine lobes."""
-    sphere, faces = _icosphere(_STONE_SPLITS[level])
+    sphere, faces = _icosphere(splits)
     waves = rng.normal(0.0, 2.5, (3, _LOBES))
     lobes = _LOBE_HEIGHT * np.sin(sphere @ waves + rng.uniform(0, 2 * np.pi, _LOBES))
     vertices = sphere * (1 + lobes.sum(axis=1, keepdims=True))
@@ -109,21 +115,22 @@ def _icosphere(splits: int) -> tuple[Array, NDArray[np.uint32]]:
     return vertices, faces.astype(np.uint32)
 
 
-def _log(rng: np.random.Generator, level: int) -> Mesh:
+def _log(rng: np.random.Generator) -> Mesh:
     """Tapering trunk with broken ends, its thick end at -x."""
     along = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
-    mesh = _drum(rng, _ROUND_SIDES[level], along, 0.5 * (1 - 2 * _LOG_TAPER * along), slant=0.01)
+    mesh = _drum(rng, along, 0.5 * (1 - 2 * _LOG_TAPER * along), slant=0.01)
     return Mesh(np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]]), mesh.faces)
 
 
-def _stump(rng: np.random.Generator, level: int) -> Mesh:
+def _stump(rng: np.random.Generator) -> Mesh:
     """Foot of a felled tree, with its root flare."""
     heights = np.array([-STUMP_DEPTH, 0.0, 0.3, 1.0])
-    return _drum(rng, _ROUND_SIDES[level], heights, 0.5 * np.array([1.6, 1.45, 1.15, 1.0]), slant=0.06)
+    return _drum(rng, heights, 0.5 * np.array([1.6, 1.45, 1.15, 1.0]), slant=0.06)
 
 
-def _drum(rng: np.random.Generator, sides: int, at: Array, radius: Array, *, slant: float) -> Mesh:
+def _drum(rng: np.random.Generator, at: Array, radius: Array, *, slant: float) -> Mesh:
     """Make a closed body of rings (r,) about the z axis, with weathered ribs and ends that are not quite square."""
+    sides = _ROUND_SIDES
     angle = 2 * np.pi * np.arange(sides) / sides
     ribs = sum(0.04 * np.cos(n * angle + rng.uniform(0, 2 * np.pi)) for n in (2, 3, 5))
     # Corners stand out so far that the cross-section has the area of its circle, ribs and all.
@@ -152,17 +159,16 @@ def _drum(rng: np.random.Generator, sides: int, at: Array, radius: Array, *, sla
     return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
 
 
-def _tuft(rng: np.random.Generator, level: int) -> Mesh:
+def _tuft(rng: np.random.Generator) -> Mesh:
     """Blades that leave the ground together and bend outwards: a quad from the foot, and one to the tip."""
-    n = _BLADES[0]
+    n = _BLADES
     towards, lean = rng.uniform(0, 2 * np.pi, n), rng.uniform(0.05, 0.45, n)
     length, foot = rng.uniform(0.6, 1.0, n), rng.normal(0.0, 0.05, (n, 2))
-    keep = slice(0, _BLADES[level])
-    outward = np.stack([np.cos(towards), np.sin(towards), np.zeros(n)], axis=-1)[keep]
-    across = np.stack([-np.sin(towards), np.cos(towards), np.zeros(n)], axis=-1)[keep]
-    lean, length = lean[keep, None], length[keep, None]
+    outward = np.stack([np.cos(towards), np.sin(towards), np.zeros(n)], axis=-1)
+    across = np.stack([-np.sin(towards), np.cos(towards), np.zeros(n)], axis=-1)
+    lean, length = lean[:, None], length[:, None]
     up = np.array([0.0, 0.0, 1.0])
-    base = np.column_stack([foot, np.zeros(n)])[keep]
+    base = np.column_stack([foot, np.zeros(n)])
     knee = base + length * (0.6 * up + 0.6 * lean * outward)
     tip = knee + length * (0.4 * (1 - lean) * up + 0.8 * lean * outward)
     tip[:, 2] /= tip[:, 2].max()
@@ -172,11 +178,11 @@ def _tuft(rng: np.random.Generator, level: int) -> Mesh:
     corners += [tip + 0.2 * half_width * across, tip - 0.2 * half_width * across]
     vertices = np.stack(corners, axis=1).reshape(-1, 3).astype(np.float32)
     quads = np.array([(0, 1, 2, 3), (3, 2, 4, 5)])
-    faces = (quads + 6 * np.arange(len(base))[:, None, None]).reshape(-1, 4)
+    faces = (quads + 6 * np.arange(n)[:, None, None]).reshape(-1, 4)
     return Mesh(vertices, faces.astype(np.uint32))
 
 
 def _half_width(base: Array, knee: Array, tip: Array) -> float:
     """Half the width of blades that have the tuft's leaf area together; a blade narrows to a fifth above its knee."""
     lower, upper = (float(np.linalg.norm(b - a, axis=1).sum()) for a, b in ((base, knee), (knee, tip)))
-    return _BLADE_AREA * _BLADES[0] / (2 * lower + 1.2 * upper)
+    return _BLADE_AREA * _BLADES / (2 * lower + 1.2 * upper)

@@ -27,20 +27,17 @@ _SHOOT_ANGLE = (np.radians(15.0), np.radians(65.0))
 """Range of angles between a shoot and its twig; assumption."""
 
 
-def foliage_mesh(
-    rng: np.random.Generator, foliage: Foliage, twigs: Branches, leaf_area_m2: float, merged: int
-) -> Mesh:
+def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, leaf_area_m2: float) -> Mesh:
     """Quads that bear the leaf area.
 
     Parameters
     ----------
     twigs : branches that the leaves sit on, evenly along their length
     leaf_area_m2 : one-sided; quads have this area over the species' clumping
-    merged : leaves that one quad stands for; it has their area together
     """
     area_m2 = leaf_area_m2 / foliage.clumping
     per_item = foliage.length_m * foliage.width_m * (2.0 if foliage.kind == "shoot" else 0.5)
-    n = max(1, round(min(area_m2 / per_item, _MOST_LEAVES) / merged))
+    n = max(1, round(min(area_m2 / per_item, _MOST_LEAVES)))
     size = np.exp(rng.normal(0.0, _SIZE_SIGMA, n))
     size *= np.sqrt(area_m2 / (per_item * (size**2).sum()))
     ends_m = np.cumsum(twigs.length_m)

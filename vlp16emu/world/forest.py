@@ -21,15 +21,7 @@ from vlp16emu.world.shrub import ShrubKey, shrub_meshes
 from vlp16emu.world.species import Flora, flora
 from vlp16emu.world.stand import TREE, foot_discs
 from vlp16emu.world.stem import STEM_PARTS, StemKey, far_stems, stem_meshes
-from vlp16emu.world.tiles import (
-    TILE_M,
-    TileKey,
-    ground_mesh,
-    level_of,
-    plant_levels,
-    tile_origin_m,
-    tiles_within,
-)
+from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
 
 __all__ = ["FIRST_FREE_INSTANCE", "Forest", "Stems"]
 
@@ -52,9 +44,6 @@ far from `_NUMBERS_PER_TILE`."""
 _TILES_IN_GROWTH = 16
 """Tiles whose stems are grown together, kept until all of them are taken: more than are in growth at once."""
 
-_HEAD_M = 2.0
-"""Of a walker with the sensor, over the ground."""
-
 _ASIDE_M = 2 * TILE_M
 """How far a sensor may stray from the path and still see numbered trees only."""
 
@@ -69,7 +58,7 @@ class Stems(Protocol):
     def trees(self, ix: int, iy: int) -> Trees:
         """Trees whose foot lies in a tile, `TREE` with id still 0."""
 
-    def crown(self, cohort: int, crown_class: int, variant: int, level: int) -> CrownKey:
+    def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
         """Name the crown prototype of a tree."""
 
 
@@ -110,7 +99,6 @@ class Forest:
     reach_m : how far the sensor sees
     plants : trees and shrubs; those of the program if none are given
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
-    detail : how far things are drawn finely, over the usual; 0 draws all coarsely
 
     Raises
     ------
@@ -130,7 +118,6 @@ class Forest:
         reach_m: float,
         plants: Flora | None = None,
         loose_stems: bool = False,
-        detail: float = 1.0,
         near_m: float = math.inf,
     ) -> None:
         per_ha = stems.per_ha + sum(layer.per_ha for layer in layers)
@@ -141,7 +128,6 @@ class Forest:
         self._path, self._clearance_m, self._reach_m = path, path_clearance_m, reach_m
         self.height_m, self.plants = height_m, plants or flora()
         self._layers, self._loose_stems = layers, loose_stems
-        self._detail = detail
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         kept = 2 * (4 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
@@ -241,10 +227,10 @@ class Forest:
             raise GeometryError(
                 "track", f"reaches tile ({ix}, {iy})", f"no more than {_ASIDE_M:g} m off the path"
             )
-        key = TileKey(ix, iy, level_of((ix, iy), self._path, self._detail))
+        key = TileKey(ix, iy)
         trees = self._trees(ix, iy).copy()
         number = 1 + (column * self._tiles_across[1] + row) * _NUMBERS_PER_TILE
-        trees["id"], trees["level"] = number + np.arange(len(trees)), key.level
+        trees["id"] = number + np.arange(len(trees))
         number += len(trees)
         groups, rooted = [self._crowns(trees)], trees
         if self._loose_stems:
@@ -262,7 +248,7 @@ class Forest:
     def _grow_stems(self, key: TileKey) -> list[Mesh]:
         """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, in the tile's frame."""
         trees, origin_m = self._trees(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
-        return stem_meshes(trees, key.level, origin_m, self.height_m, table=self.plants.trees)
+        return stem_meshes(trees, origin_m, self.height_m, table=self.plants.trees)
 
     def _stems_of(self, key: TileKey, trees: Trees) -> Placed:
         """Place the stems of a tile's trees one by one, at rest where the tile has them."""
@@ -279,11 +265,7 @@ class Forest:
     def _crowns(self, trees: Trees) -> Placed:
         """Place the crowns of a tile's trees."""
         names = trees[["cohort", "crown_class", "crown_variant"]].tolist()
-        levels = self._crown_levels(trees).tolist()
-        crowns = [
-            self._crown(cohort, size, variant, level)
-            for (cohort, size, variant), level in zip(names, levels, strict=True)
-        ]
+        crowns = [self._crown(*name) for name in names]
         keys, shape = distinct(crowns)
         return Placed(
             keys,
@@ -293,12 +275,6 @@ class Forest:
             trees,
         )
 
-    def _crown_levels(self, trees: Trees) -> NDArray[np.int64]:
-        """Levels of detail (n,), by the distance from a head on the path to the lowest branch."""
-        aside_m = self._path.distance_m(np.column_stack([trees["x_m"], trees["y_m"]]))
-        above_m = np.maximum(trees["crown_base_m"] - _HEAD_M, 0.0)
-        return plant_levels(np.sqrt(aside_m * aside_m + above_m * above_m), self._detail)
-
     def _things(self, key: TileKey) -> list[Placed]:
         """Everything else on a tile."""
         if not self._layers:
@@ -307,8 +283,6 @@ class Forest:
             seed=self.seed,
             ix=key.ix,
             iy=key.iy,
-            level=key.level,
-            detail=self._detail,
             height_m=self.height_m,
             path=self._path,
             path_clearance_m=self._clearance_m,

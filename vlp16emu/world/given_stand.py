@@ -107,14 +107,13 @@ class GivenStand:
         """Trees whose foot lies in a tile, `TREE` with id still 0, in the order of the list."""
         return self._tiles.get((ix, iy), np.zeros(0, TREE))
 
-    def crown(self, cohort: int, crown_class: int, variant: int, level: int) -> CrownKey:
+    def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
         """Name the crown prototype of a diameter class."""
         own = self._species[cohort]
         dbh_m, height_m, base_m, width_m = self._prototypes[cohort, crown_class]
         return CrownKey(
             species=own.name,
             variant=variant,
-            level=level,
             dbh_m=dbh_m,
             height_m=height_m,
             crown_base_m=base_m,

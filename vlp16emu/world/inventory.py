@@ -49,7 +49,7 @@ INVENTORY = np.dtype(
         ("list_line", "<u4"),  # of the stem list that names the tree, 0 where it has grown
     ]
 )
-"""One tree of the inventory. Tops, volumes and areas are those of the level of detail that the tree is drawn at."""
+"""One tree of the inventory. Tops, volumes and areas are those of its meshes."""
 
 _COPIED = (
     "id",
@@ -128,18 +128,16 @@ def write_csv(path: Path, rows: NDArray[np.void], *, table: Mapping[str, Species
 
 def _measure_stems(rows: NDArray[np.void], trees: Trees, table: Mapping[str, Species]) -> None:
     """Fill in what follows from the rings of the stems' meshes."""
-    for level in np.unique(trees["level"]):
-        own = np.flatnonzero(trees["level"] == level)
-        rings = stem_rings(trees[own], int(level), table=table)
-        upright = np.cos(np.radians(trees["lean_deg"][own]))
-        rows["stem_m3"][own] = _volume_m3(rings, trees["height_m"][own]) / upright
-        at = (rings.above_ground_m, rings.radius_m)
-        us = [np.interp(US_BREAST_HEIGHT_M, z, r) for z, r in zip(*at, strict=True)]
-        rows["dbh_us_m"][own] = 2 * np.array(us)
-        breast = [np.interp(BREAST_HEIGHT_M, z, r) for z, r in zip(*at, strict=True)]
-        half = np.pi / rings.sides
-        # A polygon of n corners with the area of the circle has this girth over pi: facts of trigonometry.
-        rows["girth_over_pi_m"][own] = 2 * np.array(breast) * np.sqrt(np.tan(half) / half)
+    rings = stem_rings(trees, table=table)
+    upright = np.cos(np.radians(trees["lean_deg"]))
+    rows["stem_m3"] = _volume_m3(rings, trees["height_m"]) / upright
+    at = (rings.above_ground_m, rings.radius_m)
+    us = [np.interp(US_BREAST_HEIGHT_M, z, r) for z, r in zip(*at, strict=True)]
+    rows["dbh_us_m"] = 2 * np.array(us)
+    breast = [np.interp(BREAST_HEIGHT_M, z, r) for z, r in zip(*at, strict=True)]
+    half = np.pi / rings.sides
+    # A polygon of n corners with the area of the circle has this girth over pi: facts of trigonometry.
+    rows["girth_over_pi_m"] = 2 * np.array(breast) * np.sqrt(np.tan(half) / half)
 
 
 def _volume_m3(rings: StemRings, height_m: Array) -> Array:
@@ -189,12 +187,9 @@ def _stem_tops_m(trees: Trees, table: Mapping[str, Species]) -> Array:
     """Height (n,) of the highest vertex of each stem over its foot."""
     feet = trees.copy()  # at the origin, where single precision is finest; what is buried is not the top
     feet["x_m"] = feet["y_m"] = feet["z_m"] = 0.0
-    tops_m = np.zeros(len(trees))
-    for level in np.unique(trees["level"]):
-        own = np.flatnonzero(trees["level"] == level)
-        meshes = stem_meshes(feet[own], int(level), np.zeros(3), lambda x, _y: np.zeros_like(x), table=table)
-        highest = [mesh.vertices_m[:, 2].max() for mesh in meshes]
-        tops_m[own] = np.array(highest).reshape(-1, len(STEM_PARTS)).max(axis=1)
+    meshes = stem_meshes(feet, np.zeros(3), lambda x, _y: np.zeros_like(x), table=table)
+    highest = np.array([mesh.vertices_m[:, 2].max() for mesh in meshes])
+    tops_m: Array = highest.reshape(-1, len(STEM_PARTS)).max(axis=1)
     return tops_m
 
 

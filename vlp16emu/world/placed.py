@@ -54,10 +54,6 @@ class Plot:
     seed: int
     ix: int
     iy: int
-    level: int
-    """Of detail, 0 is the finest."""
-    detail: float
-    """How far plants are drawn finely, over the usual."""
     height_m: HeightField
     """Ground."""
     path: Polyline

@@ -41,7 +41,10 @@ _LEAF_AREA_INDEX = 2.0
 _FEWEST_WHORLS = 6
 """However small it is; assumption."""
 
-_STEM_SIDES = 6
+_STEM_SIDES, _BRANCH_SIDES = 6, 4
+
+_EVERY = 2
+"""Of the nodes of a branch's curve, one in so many is used."""
 
 _BURIED_SHARE = 0.05
 """Of the height, how far the stem reaches into the ground."""
@@ -53,34 +56,15 @@ class SaplingKey:
 
     species: str
     variant: int
-    level: int
-    """Of detail, 0 is the finest."""
     height_m: float
     season: Season
-
-
-@dataclass(frozen=True, slots=True)
-class _Detail:
-    """How finely saplings are drawn at one level."""
-
-    every: int
-    """Of the nodes of a branch's curve, the share that is used."""
-    sides: int
-    merged: int
-    """Leaves or shoots that one quad stands for."""
-
-
-_DETAIL = (_Detail(2, 4, 1), _Detail(4, 3, 4), _Detail(8, 3, 16))
 
 
 def sapling_meshes(
     seed: int, key: SaplingKey, *, table: Mapping[str, Species] | None = None
 ) -> tuple[Mesh, Mesh, Mesh, Mesh]:
-    """Meshes of `SAPLING_PARTS`, in a frame with its origin on the ground and z along the stem.
-
-    All levels have the same branches and the same leaf area.
-    """
-    species, detail = (table or species_table())[key.species], _DETAIL[key.level]
+    """Meshes of `SAPLING_PARTS`, in a frame with its origin on the ground and z along the stem."""
+    species = (table or species_table())[key.species]
     rng = generator(seed, Purpose.SAPLING, species.number, key.variant, round(key.height_m * 1e3))
     base_m, width_m = CROWN_BASE_SHARE * key.height_m, CROWN_WIDTH_SHARE * key.height_m
     crown_m = key.height_m - base_m
@@ -93,11 +77,11 @@ def sapling_meshes(
     foliage = species.foliage
     if foliage and (key.season == "leaf_on" or foliage.kind == "shoot"):
         leaf_area_m2 = _LEAF_AREA_INDEX * np.pi / 4 * width_m**2
-        leaves = foliage_mesh(rng, foliage, second, leaf_area_m2, detail.merged)
+        leaves = foliage_mesh(rng, foliage, second, leaf_area_m2)
     return (
         _cone(foot_m, key.height_m),
-        _raised(tubes(first, detail.every, detail.sides), base_m),
-        _raised(tubes(second, detail.every, detail.sides), base_m),
+        _raised(tubes(first, _BRANCH_SIDES, every=_EVERY), base_m),
+        _raised(tubes(second, _BRANCH_SIDES, every=_EVERY), base_m),
         _raised(leaves, base_m),
     )
 

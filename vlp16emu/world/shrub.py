@@ -17,6 +17,8 @@ __all__ = ["SHRUB_PARTS", "ShrubKey", "shrub_meshes"]
 SHRUB_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF)
 """Of the meshes of a shrub, in order. A mesh without faces stands where it has no such part."""
 
+_STEM_SIDES, _TWIG_SIDES = 6, 3
+
 
 @dataclass(frozen=True, slots=True)
 class ShrubKey:
@@ -24,8 +26,6 @@ class ShrubKey:
 
     species: str
     variant: int
-    level: int
-    """Of detail, 0 is the finest."""
     height_m: float
     width_m: float
     season: Season
@@ -36,30 +36,14 @@ class ShrubKey:
         return np.pi / 4 * self.width_m**2
 
 
-@dataclass(frozen=True, slots=True)
-class _Detail:
-    """How finely shrubs are drawn at one level."""
-
-    every: int
-    """Of the nodes of a stem's curve, the share that is used."""
-    sides: tuple[int, int]
-    """Of stems and twigs."""
-    merged: int
-    """Leaves that one quad stands for."""
-
-
-_DETAIL = (_Detail(1, (6, 3), 1), _Detail(2, (4, 3), 3), _Detail(4, (3, 3), 10))
-
-
 def shrub_meshes(
     seed: int, key: ShrubKey, *, table: Mapping[str, Shrub] | None = None
 ) -> tuple[Mesh, Mesh, Mesh]:
     """Meshes of `SHRUB_PARTS`, in a frame with its origin on the ground and z up.
 
-    All levels of a shrub have the same stems and twigs and the same leaf area: that of its kind's leaf
-    area index on the ground that it covers.
+    Its leaf area is that of its kind's leaf area index on the ground that it covers.
     """
-    shrub, detail = (table or shrub_table())[key.species], _DETAIL[key.level]
+    shrub = (table or shrub_table())[key.species]
     size = round(key.height_m * 1e3), round(key.width_m * 1e3)
     rng = generator(seed, Purpose.SHRUB, shrub.number, key.variant, *size)
     stems = ground_stems(
@@ -74,9 +58,5 @@ def shrub_meshes(
     leaves = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 4), np.uint32))
     if key.season == "leaf_on" or shrub.foliage.kind == "shoot":
         leaf_area_m2 = shrub.leaf_area_index * key.projection_m2
-        leaves = foliage_mesh(rng, shrub.foliage, twigs, leaf_area_m2, detail.merged)
-    return (
-        tubes(stems, detail.every, detail.sides[0]),
-        tubes(twigs, detail.every, detail.sides[1]),
-        leaves,
-    )
+        leaves = foliage_mesh(rng, shrub.foliage, twigs, leaf_area_m2)
+    return tubes(stems, _STEM_SIDES), tubes(twigs, _TWIG_SIDES), leaves

@@ -17,7 +17,6 @@ from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.species import Flora, Species, flora, known, taper_radius_m, tapers
 
 __all__ = [
-    "LEVEL_VARIANTS",
     "REGENERATION",
     "TREE",
     "SpeciesMix",
@@ -50,7 +49,6 @@ TREE = np.dtype(
         ("crown_variant", "u1"),  # which of the prototypes of that class
         ("bark_reflectance", "<f4"),  # at 903 nm
         ("leaf_reflectance", "<f4"),
-        ("level", "u1"),  # of detail of its stem, 0 is the finest
         ("storey", "u1"),  # 0 canopy, 1 and 2 the storeys under it, REGENERATION saplings
         ("list_line", "<u4"),  # of the stem list that names it, 0 where it has grown
     ]
@@ -62,9 +60,6 @@ REGENERATION = 255
 
 _CLASS_RATIO = 1.5
 """Between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter."""
-
-LEVEL_VARIANTS = (VARIANTS, 2, 1)
-"""Different forms of plants of one class, by level of detail: an old forest would not fit into 1 GB otherwise."""
 
 _TOP_DBH_RATIO = 1.25
 """Diameter of the stand's top height trees over its quadratic mean diameter; assumption."""
@@ -252,7 +247,7 @@ class Stand:
         trees["crown_base_m"] *= self._crown_base
         return trees
 
-    def crown(self, cohort: int, crown_class: int, variant: int, level: int) -> CrownKey:
+    def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
         """Name the crown prototype of a diameter class.
 
         Each species bears its own leaf area index on its share of the ground, which trees divide in
@@ -265,8 +260,7 @@ class Stand:
         leaf_area_m2 = own.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
         return CrownKey(
             species=own.species.name,
-            variant=variant % LEVEL_VARIANTS[level],
-            level=level,
+            variant=variant,
             dbh_m=float(dbh_cm[0]) / 100,
             height_m=float(height_m[0]),
             crown_base_m=self._crown_base * float(own.crown_base_m(dbh_cm, height_m)[0]),

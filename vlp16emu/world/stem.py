@@ -34,31 +34,16 @@ _BURIED_M = 0.1
 """How far the foot reaches below the lowest ground around it."""
 
 _THICK_DBH_M = 0.5
-"""Thicker stems near the path get `_Detail.thick_sides`."""
+"""Thicker stems get `_THICK_SIDES`."""
 
+_SIDES, _THICK_SIDES = 24, 32
+"""Of a stem's cross-section."""
 
-@dataclass(frozen=True, slots=True)
-class _Detail:
-    """How finely stems are drawn at one level."""
+_BUTT_M = (0.0, 0.12, 0.28, _FLARE_TOP_M, 0.85, BREAST_HEIGHT_M)
+"""Heights of rings from the ground to breast height."""
 
-    sides: int
-    thick_sides: int
-    butt_m: tuple[float, ...]
-    """Heights of rings from the ground to breast height."""
-    upper: tuple[float, ...]
-    """Rings above, as shares of the way from breast height to the tip."""
-
-
-_DETAIL = (
-    _Detail(
-        24,
-        32,
-        (0.0, 0.12, 0.28, _FLARE_TOP_M, 0.85, BREAST_HEIGHT_M),
-        (0.08, 0.18, 0.3, 0.45, 0.6, 0.75, 0.88, 0.96),
-    ),
-    _Detail(12, 12, (0.0, _FLARE_TOP_M, BREAST_HEIGHT_M), (0.2, 0.45, 0.7, 0.9)),
-    _Detail(8, 8, (0.0, _FLARE_TOP_M, BREAST_HEIGHT_M), (0.35, 0.7, 0.92)),
-)
+_UPPER = (0.08, 0.18, 0.3, 0.45, 0.6, 0.75, 0.88, 0.96)
+"""Rings above, as shares of the way from breast height to the tip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +57,7 @@ class StemKey:
 
 @dataclass(frozen=True, slots=True)
 class StemRings:
-    """What the stems of n trees are made of, at one level of detail."""
+    """What the stems of n trees are made of."""
 
     above_ground_m: Array
     """(n, r) height of each ring over the foot, vertical where it meets the axis; the first is buried."""
@@ -95,7 +80,6 @@ def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:
 
 def stem_meshes(
     trees: Trees,
-    level: int,
     origin_m: Array,
     height_m: HeightField,
     *,
@@ -103,7 +87,7 @@ def stem_meshes(
 ) -> list[Mesh]:
     """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,)."""
     buried_m = _buried_m(trees, height_m, table)
-    rings = stem_rings(trees, level, buried_m=buried_m, table=table)
+    rings = stem_rings(trees, buried_m=buried_m, table=table)
     foot = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]]) - origin_m
     frame = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
     along_m = rings.above_ground_m / frame[:, 2, 2, None]
@@ -128,20 +112,20 @@ def stem_meshes(
 
 
 def stem_rings(
-    trees: Trees, level: int, *, buried_m: Array | None = None, table: Mapping[str, Species] | None = None
+    trees: Trees, *, buried_m: Array | None = None, table: Mapping[str, Species] | None = None
 ) -> StemRings:
-    """Rings of stems at one level of detail; `buried_m` (n,) is how far each foot reaches below the ground."""
-    n, detail = len(trees), _DETAIL[level]
+    """Rings of stems; `buried_m` (n,) is how far each foot reaches below the ground."""
+    n = len(trees)
     sunk = np.full(n, _BURIED_M) if buried_m is None else buried_m
-    butt = np.broadcast_to(detail.butt_m, (n, len(detail.butt_m)))
-    upper = BREAST_HEIGHT_M + (trees["height_m"][:, None] - BREAST_HEIGHT_M) * np.array(detail.upper)
+    butt = np.broadcast_to(_BUTT_M, (n, len(_BUTT_M)))
+    upper = BREAST_HEIGHT_M + (trees["height_m"][:, None] - BREAST_HEIGHT_M) * np.array(_UPPER)
     above_m = np.concatenate([-sunk[:, None], butt, upper], axis=1)
     taper = tapers(trees["species"], table=table)
     return StemRings(
         above_ground_m=above_m,
         radius_m=taper_radius_m(taper, trees["dbh_m"], trees["height_m"], above_m),
-        sides=np.where(trees["dbh_m"] > _THICK_DBH_M, detail.thick_sides, detail.sides),
-        flare_rings=2 + detail.butt_m.index(_FLARE_TOP_M),
+        sides=np.where(trees["dbh_m"] > _THICK_DBH_M, _THICK_SIDES, _SIDES),
+        flare_rings=2 + _BUTT_M.index(_FLARE_TOP_M),
     )
 
 
@@ -149,7 +133,7 @@ def far_stems(
     trees: Trees, first_row: int, *, table: Mapping[str, Species] | None = None
 ) -> NDArray[np.void]:
     """Stems of n trees as `STEM`, circles in place of their polygons; rows of `STEM_PARTS` count on from the first."""
-    rings = stem_rings(trees, 0, table=table)
+    rings = stem_rings(trees, table=table)
     stems = np.zeros(len(trees), STEM)
     axis = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[:, :, 2]
     stems["foot_m"], stems["axis"] = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]]), axis

@@ -1,4 +1,4 @@
-"""The plane cut into square tiles: which are near a line, how finely each is drawn, and their ground."""
+"""The plane cut into square tiles: which are near a line, and their ground."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -13,8 +13,6 @@ __all__ = [
     "TILE_M",
     "TileKey",
     "ground_mesh",
-    "level_of",
-    "plant_levels",
     "tile_distance_m",
     "tile_origin_m",
     "tiles_within",
@@ -27,19 +25,11 @@ TILE_M = 20.0
 
 _HALF_DIAGONAL_M = TILE_M / 2 * 2**0.5
 
-_LEVEL_REACH_M = (20.0, 50.0)
-"""Level 0 within the first distance of the path, level 1 within the second, level 2 beyond: at 50 m a
-beam of 3 mrad is 15 cm wide, which is the size of the leaf clusters of level 2."""
-
-_LEAVES_REACH_M = (12.0, 40.0)
-"""Plants nearer than the first distance are drawn leaf by leaf, those beyond the second in clusters: at 12 m a
-beam of 3 mrad is as wide as a leaf, at 40 m as a cluster."""
-
-_CELLS = (40, 20, 20)
-"""Ground cells along a tile's edge, by level: 0.5 m near the path, 1 m beyond."""
+_CELLS = 40
+"""Ground cells along a tile's edge, 0.5 m each."""
 
 _SKIRT_M = 0.5
-"""Depth of the hem under a tile's border; steps between grids of 0.5 m and 1 m are a few centimetres."""
+"""Depth of the hem under a tile's border, which hides the seams that rounding leaves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +38,6 @@ class TileKey:
 
     ix: int
     iy: int
-    level: int
-    """Of detail, 0 is the finest."""
 
 
 def tiles_within(line_xy_m: Array, reach_m: float) -> NDArray[np.int64]:
@@ -69,20 +57,9 @@ def tiles_within(line_xy_m: Array, reach_m: float) -> NDArray[np.int64]:
     return near
 
 
-def level_of(tile: tuple[int, int], path: Polyline, detail: float = 1.0) -> int:
-    """Level of detail of a tile, from its distance to the whole path; `detail` times as far all is as fine."""
-    gap_m = tile_distance_m(tile, path)
-    return sum(gap_m >= detail * reach_m for reach_m in _LEVEL_REACH_M)
-
-
 def tile_distance_m(tile: tuple[int, int], path: Polyline) -> float:
     """Distance that no point of a tile is nearer to a path than; 0 or more."""
     return max(float(_centre_distance_m(np.array([tile]), path)[0]) - _HALF_DIAGONAL_M, 0.0)
-
-
-def plant_levels(distance_m: Array, detail: float = 1.0) -> NDArray[np.int64]:
-    """Levels of detail (n,) of plants at these distances from the path; `detail` as in `level_of`."""
-    return np.searchsorted(detail * np.array(_LEAVES_REACH_M), distance_m, side="right")
 
 
 def _centre_distance_m(tiles: NDArray[np.int64], line: Polyline) -> Array:
@@ -99,29 +76,28 @@ def tile_origin_m(ix: int, iy: int, height_m: HeightField) -> Array:
 
 def ground_mesh(key: TileKey, height_m: HeightField) -> Mesh:
     """Triangles of a tile's ground in the tile's own frame, with a hem that hides the seams."""
-    cells = _CELLS[key.level]
     origin = tile_origin_m(key.ix, key.iy, height_m)
-    y, x = np.meshgrid(*[np.arange(cells + 1) * (TILE_M / cells)] * 2, indexing="ij")
+    y, x = np.meshgrid(*[np.arange(_CELLS + 1) * (TILE_M / _CELLS)] * 2, indexing="ij")
     grid = np.column_stack([x.ravel(), y.ravel(), height_m(x + origin[0], y + origin[1]).ravel() - origin[2]])
-    hem = grid[_border(cells)] - [0.0, 0.0, _SKIRT_M]
-    return Mesh(np.concatenate([grid, hem]).astype(np.float32), _faces(cells))
+    hem = grid[_border()] - [0.0, 0.0, _SKIRT_M]
+    return Mesh(np.concatenate([grid, hem]).astype(np.float32), _faces())
 
 
 @cache
-def _border(cells: int) -> NDArray[np.int64]:
-    """Grid vertices along the border, counter-clockwise: (4 * cells,)."""
-    n = np.arange(cells)
-    row = cells + 1
-    return np.concatenate([n, cells + n * row, cells * row + cells - n, (cells - n) * row])
+def _border() -> NDArray[np.int64]:
+    """Grid vertices along the border, counter-clockwise: (4 * _CELLS,)."""
+    n = np.arange(_CELLS)
+    row = _CELLS + 1
+    return np.concatenate([n, _CELLS + n * row, _CELLS * row + _CELLS - n, (_CELLS - n) * row])
 
 
 @cache
-def _faces(cells: int) -> NDArray[np.uint32]:
-    """Triangles of the grid and then of the hem, shared by all tiles with as many cells."""
-    row = cells + 1
-    corner = (np.arange(cells)[:, None] * row + np.arange(cells)).ravel()
+def _faces() -> NDArray[np.uint32]:
+    """Triangles of the grid and then of the hem, shared by all tiles."""
+    row = _CELLS + 1
+    corner = (np.arange(_CELLS)[:, None] * row + np.arange(_CELLS)).ravel()
     east, north, opposite = corner + 1, corner + row, corner + row + 1
-    top, hem = _border(cells), row * row + np.arange(4 * cells)
+    top, hem = _border(), row * row + np.arange(4 * _CELLS)
     next_top, next_hem = np.roll(top, -1), np.roll(hem, -1)
     triangles = [
         np.column_stack(triple)

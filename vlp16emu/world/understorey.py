@@ -21,8 +21,7 @@ from vlp16emu.world.sapling import (
 )
 from vlp16emu.world.shrub import SHRUB_PARTS, ShrubKey
 from vlp16emu.world.species import BREAST_HEIGHT_M, Flora, Shrub, Species, flora, known
-from vlp16emu.world.stand import LEVEL_VARIANTS, REGENERATION, TREE
-from vlp16emu.world.tiles import plant_levels
+from vlp16emu.world.stand import REGENERATION, TREE
 
 __all__ = ["Saplings", "Shrubs"]
 
@@ -90,16 +89,16 @@ class Saplings:
         bark, leaf = _brightness(self._species, kind, draws[:, 4:])
         trees["bark_reflectance"], trees["leaf_reflectance"] = bark, leaf
         names = [self._species[i].name for i in kind[keep]]
-        return self._placed(trees[keep], names, _levels(plot, trees[keep]))
+        return self._placed(trees[keep], names)
 
-    def _placed(self, trees: NDArray[np.void], names: Sequence[str], levels: Sequence[int]) -> Placed:
+    def _placed(self, trees: NDArray[np.void], names: Sequence[str]) -> Placed:
         """Choose a prototype for each sapling."""
         sizes = trees[["crown_class", "crown_variant"]].tolist()
         prototype_m = [_class_height_m(size) for size, _ in sizes]
         keys, shape = distinct(
             [
-                SaplingKey(name, variant % LEVEL_VARIANTS[level], level, height_m, self._season)
-                for name, (_, variant), level, height_m in zip(names, sizes, levels, prototype_m, strict=True)
+                SaplingKey(name, variant, height_m, self._season)
+                for name, (_, variant), height_m in zip(names, sizes, prototype_m, strict=True)
             ]
         )
         return Placed(
@@ -153,37 +152,24 @@ class Shrubs:
         width_m = shrubs["crown_width_m"]
         keep = plot.clear(xy_m, width_m / 2, _FOOT_SHARE * width_m)
         variant = (VARIANTS * draws[keep, 3]).astype(int)
-        return self._placed(shrubs[keep], kind[keep], variant, _levels(plot, shrubs[keep]))
+        return self._placed(shrubs[keep], kind[keep], variant)
 
     def _placed(
-        self,
-        shrubs: NDArray[np.void],
-        kind: NDArray[np.int64],
-        variant: NDArray[np.int64],
-        levels: Sequence[int],
+        self, shrubs: NDArray[np.void], kind: NDArray[np.int64], variant: NDArray[np.int64]
     ) -> Placed:
         """Choose a prototype for each shrub."""
         prototype_m = [_class_height_m(size) for size in _height_class(shrubs["height_m"]).tolist()]
         species = [self._species[i] for i in kind]
         keys, shape = distinct(
             [
-                ShrubKey(
-                    s.name, v % LEVEL_VARIANTS[level], level, height_m, s.width_share * height_m, self._season
-                )
-                for s, v, level, height_m in zip(species, variant.tolist(), levels, prototype_m, strict=True)
+                ShrubKey(s.name, v, height_m, s.width_share * height_m, self._season)
+                for s, v, height_m in zip(species, variant.tolist(), prototype_m, strict=True)
             ]
         )
         world_T = _scaled(shrubs, np.array(prototype_m))
         return Placed(
             keys, shape, world_T, _plant_rows(Semantic.SHRUB, SHRUB_PARTS, shrubs, self._plants), NO_TREES
         )
-
-
-def _levels(plot: Plot, plants: NDArray[np.void]) -> list[int]:
-    """Levels of detail of plants."""
-    xy_m = np.column_stack([plants["x_m"], plants["y_m"]])
-    levels: list[int] = plant_levels(plot.path.distance_m(xy_m), plot.detail).tolist()
-    return levels
 
 
 def _height_class(height_m: Array) -> NDArray[np.int64]:

@@ -67,7 +67,7 @@ class Accuracy:
     poses: tuple[Row, ...]
     """Held poses, each against a pose per pulse with the light of the answer; none where nothing moves."""
     details: tuple[Row, ...]
-    """The world drawn coarser and finer, likewise, timed with the light of the scene; none of a hall."""
+    """The world cast leaf by leaf to some distances, likewise, timed with the light of the scene; none of a hall."""
     rounding: Rounding
 
 
