@@ -7,8 +7,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.march import Medium
-from vlp16emu.raycast.medium import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M, Block, Cloud, Library, block_of, cloud_of, stem_lines
+from vlp16emu.raycast.march import Ground, Medium, Owners, Stems
+from vlp16emu.raycast.medium import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M, Block, Cloud, Library, block_of, cloud_of, stem_beside, stem_columns, stem_lines
 from vlp16emu.types import STEM, FarTile, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.tiles import TILE_M
@@ -26,14 +26,27 @@ _FARTHEST = 255
 
 def _no_medium() -> Medium:
     """Make a medium that begins nowhere."""
-    one = np.zeros((1, 1, 1), np.uint8)
-    words, row = np.zeros(0, np.uint32), np.zeros(3, np.float32)
+    one, none = np.zeros((1, 1, 1), np.uint8), np.zeros(0, np.uint32)
     return Medium(
-        np.inf, row, np.zeros(3, np.int64), one, one.astype(np.uint64), one.astype(np.uint32), words, words, words, words,
-        np.zeros(0, np.uint8), np.zeros((0, len(KNOTS), QUANTILES), np.float32), np.zeros((2, 2), np.float32), 0.0,
-        np.zeros((1, 1), np.uint32), np.zeros((1, 1, 2), np.int64), np.zeros(0, np.int64), np.zeros((0, 6)),
-        np.zeros((0, 2, 16), np.float32), np.zeros((0, 2), np.uint32), np.zeros(0, np.float32), 0,
-    )  # fmt: skip
+        np.inf,
+        (0.0, 0.0, 0.0),
+        (0, 0, 0),
+        one,
+        one.astype(np.uint64),
+        one.astype(np.uint32),
+        none,
+        Owners(none, none.astype(np.uint8), none, none, np.zeros((0, len(KNOTS), QUANTILES), np.float32)),
+        Ground(np.zeros((2, 2), np.float32), np.zeros((1, 1), np.uint32), 0.0, 0.0, 0.0),
+        Stems(
+            np.zeros((1, 1, 2), np.int32),
+            np.zeros(0, np.int32),
+            np.zeros((0, 6)),
+            np.zeros((0, 2, 16), np.float32),
+            np.zeros((0, 2), np.uint32),
+            np.zeros(0, np.float32),
+        ),
+        0,
+    )
 
 
 NO_MEDIUM = _no_medium()
@@ -158,23 +171,26 @@ def _joined(
     _fill_gaps(mask, gap)
     known = ground_m > _NO_GROUND_M / 2
     slopes = [np.abs(np.diff(ground_m, axis=a))[(known[1:] & known[:-1]) if a == 0 else (known[:, 1:] & known[:, :-1])] for a in (0, 1)]
+    every = list(blocks.values())
+    steepest = float(np.hypot(*(slope.max(initial=0.0) for slope in slopes)) / VOXEL_M)
+    x_m, y_m, z_m = corner_m.tolist()
     return Medium(
         world.near_m,
-        corner_m.astype(np.float32),
-        corner,
+        (x_m, y_m, z_m),
+        (int(corner[0]), int(corner[1]), int(corner[2])),
         gap,
         mask,
         first,
-        np.concatenate([block.record for block in blocks.values()]),
-        np.concatenate(first_owner),
-        np.concatenate(surface),
-        np.concatenate([block.owner_law for block in blocks.values()]),
-        np.concatenate([block.owner_share for block in blocks.values()]),
-        cosine,
-        ground_m,
-        float(np.hypot(*(slope.max(initial=0.0) for slope in slopes)) / VOXEL_M),
-        ground_surface,
-        *_stems(window, tiles, rows, corner_m, size),
+        np.concatenate([block.record for block in every]),
+        Owners(
+            np.concatenate(first_owner),
+            np.concatenate([block.owner_share for block in every]),
+            np.concatenate(surface),
+            np.concatenate([block.owner_law for block in every]),
+            cosine,
+        ),
+        Ground(ground_m, ground_surface, x_m, y_m, steepest),
+        _stems(window, tiles, rows, corner_m, size),
         world.seed & 0xFFFFFFFF,
     )
 
@@ -185,48 +201,39 @@ def _stems(
     rows: Mapping[tuple[int, int], int],
     corner_m: NDArray[np.float64],
     size: tuple[int, ...],
-) -> tuple[
-    NDArray[np.int64],
-    NDArray[np.int64],
-    NDArray[np.float64],
-    NDArray[np.float32],
-    NDArray[np.uint32],
-    NDArray[np.float32],
-]:
-    """Stems of a window and where they are, in the order of `Medium`."""
+) -> Stems:
+    """Stems of a window and where they are."""
     stems = np.concatenate([np.zeros(0, STEM), *(tile.stems for tile in tiles.values())])
     base = np.repeat([rows[place] for place in tiles], [len(tile.stems) for tile in tiles.values()]).astype(np.uint32)
-    first, of = _squares(stem_lines(stems, window.origin_m + [*corner_m[:2], 0.0]), 2 * size[0], 2 * size[1])
+    first, of = _columns(stem_lines(stems, window.origin_m + [*corner_m[:2], 0.0]), BRICK * size[0], BRICK * size[1])
     foot_m = stems["foot_m"] - window.origin_m
     profile = np.stack([stems["along_m"], stems["radius_m"]], axis=1)
-    return first, of, np.column_stack([foot_m, stems["axis"]]), profile, stems["row"] + base[:, None], stems["flare_m"].copy()
+    line = np.column_stack([foot_m, stems["axis"]])
+    return Stems(first, of, line, profile, stems["row"] + base[:, None], stems["flare_m"].copy())
 
 
 @numba.njit(cache=True, nogil=True)
-def _squares(lines: NDArray[np.float64], nx: int, ny: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """List for each square metre the stems (n, 7), as `stem_lines` gives them, that may be met in it."""
-    span, count = np.empty((len(lines), 4), np.int64), np.zeros((nx, ny), np.int64)
-    for s in range(len(lines)):
-        aside_m = lines[s, 6] + 1.0
-        for a in range(2):
-            one, other = lines[s, a], lines[s, a] + lines[s, 3 + a] * lines[s, 5]
-            last = (nx, ny)[a] - 1
-            span[s, 2 * a] = max(int(np.floor(min(one, other) - aside_m)), 0)
-            span[s, 2 * a + 1] = min(int(np.floor(max(one, other) + aside_m)), last)
-        for x in range(span[s, 0], span[s, 1] + 1):
-            for y in range(span[s, 2], span[s, 3] + 1):
-                count[x, y] += 1
-    first, total = np.empty((nx, ny, 2), np.int64), 0
-    for x in range(nx):
-        for y in range(ny):
-            first[x, y, 0] = first[x, y, 1] = total
-            total += count[x, y]
-    of = np.empty(total, np.int64)
-    for s in range(len(lines)):
-        for x in range(span[s, 0], span[s, 1] + 1):
-            for y in range(span[s, 2], span[s, 3] + 1):
-                of[first[x, y, 1]] = s
-                first[x, y, 1] += 1
+def _columns(lines: NDArray[np.float64], nx: int, ny: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """List for each column of voxels the stems (n, 7), as `stem_lines` gives them, that may be met in it."""
+    first = np.zeros((nx, ny, 2), np.int32)
+    of, total = np.empty(0, np.int32), 0
+    for counting in (True, False):
+        for s in range(len(lines)):
+            x0, x1, y0, y1 = stem_columns(lines[s], 0.0, lines[s, 5])
+            for x in range(max(x0, 0), min(x1, nx - 1) + 1):
+                for y in range(max(y0, 0), min(y1, ny - 1) + 1):
+                    if not stem_beside(lines[s], x, y):
+                        continue
+                    if not counting:
+                        of[first[x, y, 1]] = s
+                    first[x, y, 1] += 1
+        if counting:
+            for x in range(nx):
+                for y in range(ny):
+                    count = first[x, y, 1]
+                    first[x, y, 0] = first[x, y, 1] = total
+                    total += count
+            of = np.empty(total, np.int32)
     return first, of
 
 

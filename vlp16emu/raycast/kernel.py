@@ -106,6 +106,8 @@ class _Packet(NamedTuple):
     lanes: Lanes
     axes: NDArray[np.float32]
     """(4, 3) of the pulse."""
+    line: NDArray[np.float32]
+    """(6,) the first two of them."""
     who: NDArray[np.int64]
     """(8,) which ray of the packet each lane is."""
 
@@ -129,7 +131,7 @@ def _packet() -> _Packet:
     arguments[0], arguments[1] = FLAG_COHERENT, _NONE
     address = np.uint64(context.ctypes.data)
     arguments[2], arguments[3] = np.uint32(address & np.uint64(0xFFFFFFFF)), np.uint32(address >> np.uint64(32))
-    words = rays.view(np.uint32)
+    words, axes = rays.view(np.uint32), np.zeros((4, 3), np.float32)
     for lane in range(PACKET):
         words[_MASK, lane], words[_ID, lane], words[_FLAGS, lane] = _NONE, lane, 0
     return _Packet(
@@ -139,7 +141,8 @@ def _packet() -> _Packet:
         context,
         arguments,
         lanes(),
-        np.zeros((4, 3), np.float32),
+        axes,
+        axes.reshape(12),
         np.zeros(PACKET, np.int64),
     )
 
@@ -162,45 +165,61 @@ def cast_lines(
 ) -> None:
     """Cast one ray per pulse; packets hold eight consecutive firings of a laser. Fills arrays (k, L)."""
     packet = _packet()
+    for first in light.order:
+        _cast_eight_lines(near, beyond, medium, light, packet, first, range_m, surface, cos_incidence)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _cast_eight_lines(
+    near: Target,
+    beyond: Target,
+    medium: Medium,
+    light: Light,
+    packet: _Packet,
+    first: int,
+    range_m: NDArray[np.float32],
+    surface: NDArray[np.uint32],
+    cos_incidence: NDArray[np.float32],
+) -> None:
+    """Cast one ray for each pulse of eight sequences."""
     rays, words, valid, context = packet.rays, packet.words, packet.valid, packet.context
     origin_m, direction, from_m, axis = light.origin_m, light.direction, near.window_origin_m, packet.axes
     reach_m = min(light.far_m, medium.near_m)
-    L, flat = packet.lanes, axis.reshape(12)
-    for first in light.order:
-        for j in range(origin_m.shape[1]):
-            valid[:] = -1
-            for r in range(PACKET):
-                i = first + r
-                for a in range(3):
-                    rays[_ORG + a, r] = np.float32(origin_m[i, j, a] - from_m[a])
-                    rays[_DIR + a, r] = np.float32(direction[i, j, a])
-                _reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
-            context[:] = _NONE
-            _intersect(valid.ctypes.data, near.scene, rays.ctypes.data, packet.arguments.ctypes.data)
-            missed = 0
-            for r in range(PACKET):
-                i = first + r
-                if words[_INST, r] == _NONE:
-                    range_m[i, j], surface[i, j], cos_incidence[i, j] = np.inf, _NONE, 0.0
-                    missed += 1
-                    valid[r] = -1
-                else:
-                    range_m[i, j], surface[i, j], cos_incidence[i, j] = _met(near, packet, r)
-                    valid[r] = 0
-            if not missed or reach_m >= light.far_m:
+    L, flat = packet.lanes, packet.line
+    for j in range(origin_m.shape[1]):
+        valid[:] = -1
+        for r in range(PACKET):
+            i = first + r
+            for a in range(3):
+                rays[_ORG + a, r] = np.float32(origin_m[i, j, a] - from_m[a])
+                rays[_DIR + a, r] = np.float32(direction[i, j, a])
+            _reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
+        context[:] = _NONE
+        _intersect(valid.ctypes.data, near.scene, rays.ctypes.data, packet.arguments.ctypes.data)
+        missed = 0
+        for r in range(PACKET):
+            i = first + r
+            if words[_INST, r] == _NONE:
+                range_m[i, j], surface[i, j], cos_incidence[i, j] = np.inf, _NONE, 0.0
+                missed += 1
+                valid[r] = -1
+            else:
+                range_m[i, j], surface[i, j], cos_incidence[i, j] = _met(near, packet, r)
+                valid[r] = 0
+        if not missed or reach_m >= light.far_m:
+            continue
+        if beyond.scene:
+            _intersect_beyond(beyond, packet, reach_m, light.far_m)
+        for r in range(PACKET):
+            if not valid[r]:
                 continue
-            if beyond.scene:
-                _intersect_beyond(beyond, packet, reach_m, light.far_m)
-            for r in range(PACKET):
-                if not valid[r]:
-                    continue
-                i = first + r
-                _lane(packet, beyond, r, 0, light.far_m)
-                for a in range(3):
-                    axis[0, a], axis[1, a] = rays[_ORG + a, r], rays[_DIR + a, r]
-                march(medium, L, 1, flat)
-                if L.surface[0] != _NONE:
-                    range_m[i, j], surface[i, j], cos_incidence[i, j] = L.range_m[0], L.surface[0], L.cosine[0]
+            i = first + r
+            _lane(packet, beyond, r, 0, light.far_m)
+            for a in range(3):
+                axis[0, a], axis[1, a] = rays[_ORG + a, r], rays[_DIR + a, r]
+            march(medium, L, 1, flat)
+            if L.surface[0] != _NONE:
+                range_m[i, j], surface[i, j], cos_incidence[i, j] = L.range_m[0], L.surface[0], L.cosine[0]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -222,12 +241,7 @@ def cast_pulses(
     scratch, begin = np.empty((2, wish.most + ROUND)), np.empty(len(light.order), np.int64)
     for first in light.order:
         begin[first // PACKET] = n
-        for i in range(first, first + PACKET):
-            for j in range(lasers):
-                have = _cast_pulse(near, beyond, medium, light, wish, packet, i, j, pulse, scratch)
-                count[i, j] = have
-                _copy(pulse, 0, room, n, have)
-                n += have
+        n = _cast_eight(near, beyond, medium, light, wish, packet, first, pulse, scratch, count, room, n)
     out = _hits(n)
     n = 0
     for eight in range(len(begin)):
@@ -241,6 +255,31 @@ def cast_pulses(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
+def _cast_eight(
+    near: Target,
+    beyond: Target,
+    medium: Medium,
+    light: Light,
+    wish: Wish,
+    packet: _Packet,
+    first: int,
+    pulse: _Hits,
+    scratch: NDArray[np.float64],
+    count: NDArray[np.uint16],
+    room: _Hits,
+    n: int,
+) -> int:
+    """Cast eight sequences, and put down what they meet from number n on; return the next number."""
+    for i in range(first, first + PACKET):
+        for j in range(count.shape[1]):
+            have = _cast_pulse(near, beyond, medium, light, wish, packet, i, j, pulse, scratch)
+            count[i, j] = have
+            _copy(pulse, 0, room, n, have)
+            n += have
+    return n
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
 def _copy(source: _Hits, begin: int, target: _Hits, at: int, count: int) -> None:
     """Copy hits."""
     range_m, surface, cosine = target.range_m, target.surface, target.cos_incidence
@@ -250,7 +289,7 @@ def _copy(source: _Hits, begin: int, target: _Hits, at: int, count: int) -> None
         cosine[at + s] = from_cosine[begin + s]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, inline="always")
 def _cast_pulse(
     near: Target,
     beyond: Target,
@@ -285,7 +324,7 @@ def _cast_pulse(
     return have
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
 def _cast_round(
     near: Target,
     beyond: Target,
@@ -322,14 +361,14 @@ def _cast_round(
         _intersect_beyond(beyond, packet, reach_m, far_m)
     for n in range(missed):
         _lane(packet, beyond, who[n], n, far_m)
-    march(medium, L, missed, packet.axes.reshape(12))
+    march(medium, L, missed, packet.line)
     for n in range(missed):
         if L.surface[n] != _NONE:
             range_m[at + who[n]], surface[at + who[n]] = L.range_m[n], L.surface[n]
             cos_incidence[at + who[n]] = L.cosine[n]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
 def _intersect_beyond(beyond: Target, packet: _Packet, reach_m: float, far_m: float) -> None:
     """Cast the rays that are still valid against what is cast as faces at any range."""
     rays, valid = packet.rays, packet.valid
@@ -340,7 +379,7 @@ def _intersect_beyond(beyond: Target, packet: _Packet, reach_m: float, far_m: fl
     _intersect(valid.ctypes.data, beyond.scene, rays.ctypes.data, packet.arguments.ctypes.data)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
 def _lane(packet: _Packet, beyond: Target, ray: int, lane: int, far_m: float) -> None:
     """Take a ray of the packet, and what it has met beyond, for a lane of the medium."""
     rays, L = packet.rays, packet.lanes
@@ -351,7 +390,7 @@ def _lane(packet: _Packet, beyond: Target, ray: int, lane: int, far_m: float) ->
         L.range_m[lane], L.surface[lane], L.cosine[lane] = _met(beyond, packet, ray)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
 def _met(target: Target, packet: _Packet, r: int) -> tuple[np.float32, np.uint32, np.float32]:
     """Range, surface and cosine of incidence of what ray r met."""
     instance = packet.words[_INST, r]
@@ -359,7 +398,7 @@ def _met(target: Target, packet: _Packet, r: int) -> tuple[np.float32, np.uint32
     return packet.rays[_TFAR, r], surface, _cosine(target.normal_matrix, target.shear, instance, packet.rays, r)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
 def _reset(packet: _Packet, r: int, near_m: float, far_m: float, time: float) -> None:
     """Give ray r its limits and its time, and take away what it hit before."""
     rays, words = packet.rays, packet.words

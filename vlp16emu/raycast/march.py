@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from vlp16emu.raycast.medium import BRICK, GROUND, QUANTILES, STEM, TAU_PER_M, VOXEL_M
 from vlp16emu.types import NO_SURFACE
 
-__all__ = ["LANES", "Lanes", "Medium", "lanes", "march"]
+__all__ = ["LANES", "Ground", "Lanes", "Medium", "Owners", "Stems", "lanes", "march"]
 
 LANES = 8
 
@@ -68,15 +68,58 @@ _MASK, _LEAF_OF, _PLACE = _leaves()
 _COVER = (1.0 - np.exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).astype(np.float32)
 
 
+class Owners(NamedTuple):
+    """Whose the foliage of voxels is."""
+
+    first: NDArray[np.uint32]
+    """(m,) of each record, into the arrays below."""
+    share: NDArray[np.uint8]
+    """(o,) as in `Block`, and so are the other two."""
+    surface: NDArray[np.uint32]
+    law: NDArray[np.uint32]
+    cosine: NDArray[np.float32]
+    """(laws, knots, QUANTILES) as in `Cloud`."""
+
+
+class Ground(NamedTuple):
+    """The ground."""
+
+    height_m: NDArray[np.float32]
+    """(4 x + 1, 4 y + 1) at the corners of voxel columns."""
+    surface: NDArray[np.uint32]
+    """(x, y) of the column of bricks."""
+    corner_x_m: float
+    corner_y_m: float
+    steepest: float
+    """Greatest slope."""
+
+
+class Stems(NamedTuple):
+    """Stems, and where they stand."""
+
+    first: NDArray[np.int32]
+    """(4 x, 4 y, 2) where the stems of each column of voxels begin and stop in `of`."""
+    of: NDArray[np.int32]
+    """Stems of the columns, one column after the other."""
+    line: NDArray[np.float64]
+    """(n, 6) foot and unit axis."""
+    profile: NDArray[np.float32]
+    """(n, 2, knots) heights along the axis and radii."""
+    surface: NDArray[np.uint32]
+    """(n, 2) of root flare and stem."""
+    flare_m: NDArray[np.float32]
+    """(n,) height along the axis at which the flare ends."""
+
+
 class Medium(NamedTuple):
-    """What is far in a window, relative to the window's origin; lengths of m, heights and places in float32."""
+    """What is far in a window, relative to the window's origin."""
 
     near_m: float
     """Range at which it begins; nothing where it is infinite."""
-    corner_m: NDArray[np.float32]
-    """(3,) of the grid of bricks."""
-    corner: NDArray[np.int64]
-    """(3,) the same in voxels of the world."""
+    corner_m: tuple[float, float, float]
+    """Of the grid of bricks."""
+    corner: tuple[int, int, int]
+    """The same in voxels of the world."""
     gap: NDArray[np.uint8]
     """(x, y, z) bricks to the nearest one that is not empty, 0 where that is itself, by the greatest of the three axes."""
     mask: NDArray[np.uint64]
@@ -85,32 +128,9 @@ class Medium(NamedTuple):
     """(x, y, z) as in `Block`, into `record`."""
     record: NDArray[np.uint32]
     """(m,) as in `Block`."""
-    first_owner: NDArray[np.uint32]
-    """(m,) as in `Block`, into the owners."""
-    owner_surface: NDArray[np.uint32]
-    """(o,)."""
-    owner_law: NDArray[np.uint32]
-    owner_share: NDArray[np.uint8]
-    cosine: NDArray[np.float32]
-    """(laws, knots, QUANTILES) as in `Cloud`."""
-    ground_m: NDArray[np.float32]
-    """(4 x + 1, 4 y + 1) heights at the corners of voxel columns."""
-    steepest: float
-    """Greatest slope of the ground."""
-    ground_surface: NDArray[np.uint32]
-    """(x, y) of the column of bricks."""
-    first_stem: NDArray[np.int64]
-    """(2 x, 2 y, 2) where the stems of each square of a metre begin and stop in `stem_of`."""
-    stem_of: NDArray[np.int64]
-    """Stems of the squares, one square after the other."""
-    stem: NDArray[np.float64]
-    """(n, 6) foot and unit axis."""
-    profile: NDArray[np.float32]
-    """(n, 2, knots) heights along the axis and radii."""
-    stem_surface: NDArray[np.uint32]
-    """(n, 2) of root flare and stem."""
-    flare_m: NDArray[np.float32]
-    """(n,) height along the axis at which the flare ends."""
+    owners: Owners
+    ground: Ground
+    stems: Stems
     seed: int
 
 
@@ -130,7 +150,7 @@ class Lanes(NamedTuple):
     line: NDArray[np.float32]
     """(6, 8) scratch: place across at the grid's corner and its change per metre, in 8ths of voxels, on both axes; then
     place along and its inverse change per metre of range."""
-    column: NDArray[np.int64]
+    column: NDArray[np.int32]
     """(8,) scratch."""
 
 
@@ -144,7 +164,7 @@ def lanes() -> Lanes:
         np.zeros(LANES, np.uint32),
         np.zeros(LANES, np.float32),
         np.zeros((6, LANES), np.float32),
-        np.zeros(LANES, np.int64),
+        np.zeros(LANES, np.int32),
     )
 
 
@@ -158,7 +178,7 @@ def _ones(typingctx, word):  # noqa: ANN001, ANN202, ARG001 - the signature is n
     return numba.types.uint64(numba.types.uint64), codegen
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
+@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
 def _mixed(a: int, b: int, c: int, seed: int) -> np.uint32:
     """Hash the place of a voxel (constants and rounds as in MurmurHash3's finaliser)."""
     h = u4(u4(a) * u4(0x9E3779B1)) ^ u4(u4(b) * u4(0x85EBCA77)) ^ u4(u4(c) * u4(0xC2B2AE3D)) ^ u4(seed)
@@ -183,17 +203,17 @@ def march(M: Medium, L: Lanes, n: int, axis: NDArray[np.float32]) -> None:
         if abs(axis[3 + a]) > abs(axis[3 + main]):
             main = a
     one, two = (1, 2) if main == 0 else ((0, 2) if main == 1 else (0, 1))
-    spread, aside_m, last_m = _lines(M, L, n, axis, main, one, two)
+    corner_m = (f4(M.corner_m[0]), f4(M.corner_m[1]), f4(M.corner_m[2]))
+    spread, aside_m, last_m = _lines(corner_m, L, n, axis, main, one, two)
     inverse = f4(1.0) / axis[3 + main]
-    per_m = abs(axis[3 + main])
     step = 1 if inverse > 0 else -1
     length = f4(VOXEL_M) * abs(inverse)
-    along = axis[main] - M.corner_m[main]
+    along = axis[main] - corner_m[main]
     k = int(math.floor((along + axis[3 + main] * near_m) * f4(1.0 / VOXEL_M)))
     to_middle = ((f4(k) + f4(0.5)) * f4(VOXEL_M) - along) * inverse
     # In voxels: where the middle of the pulse is in the middle of slab k, and its change per slab.
-    p1 = (axis[one] - M.corner_m[one] + axis[3 + one] * to_middle) * f4(1.0 / VOXEL_M)
-    p2 = (axis[two] - M.corner_m[two] + axis[3 + two] * to_middle) * f4(1.0 / VOXEL_M)
+    p1 = (axis[one] - corner_m[one] + axis[3 + one] * to_middle) * f4(1.0 / VOXEL_M)
+    p2 = (axis[two] - corner_m[two] + axis[3 + two] * to_middle) * f4(1.0 / VOXEL_M)
     d1, d2 = axis[3 + one] * length * f4(1.0 / VOXEL_M), axis[3 + two] * length * f4(1.0 / VOXEL_M)
     # Projected areas are between two knots: weights, and bits of the codes.
     up = abs(axis[5])
@@ -201,7 +221,7 @@ def march(M: Medium, L: Lanes, n: int, axis: NDArray[np.float32]) -> None:
     share = up / f4(0.3) if up < f4(0.3) else (up - f4(0.3)) / f4(0.7)
     w_low, w_high = (f4(1.0) - share) * length, share * length
     knot = 0 if up < f4(0.15) else (1 if up < f4(0.65) else 2)
-    gap, masks, first, record = M.gap, M.mask, M.first, M.record
+    gap, masks, record = M.gap, M.mask, M.record
     nx, ny, nz = gap.shape
     size = (nx * BRICK, ny * BRICK, nz * BRICK)
     n_main, n_one, n_two = size[main], size[one], size[two]
@@ -209,24 +229,30 @@ def march(M: Medium, L: Lanes, n: int, axis: NDArray[np.float32]) -> None:
     s_main, s_one, s_two = strides[main], strides[one], strides[two]
     shifts = (u4(4), u4(2), u4(0))
     b_main, b_one, b_two = shifts[main], shifts[one], shifts[two]
-    gaps, words, firsts = gap.reshape(nx * ny * nz), masks.reshape(nx * ny * nz), first.reshape(nx * ny * nz)
-    tested = -1
-    while to_middle - length < last_m:
-        i1, i2 = int(p1), int(p2)
-        if not (0 <= k < n_main and p1 >= 0 and i1 < n_one and p2 >= 0 and i2 < n_two):
-            if _gone(k, step, n_main) or _gone2(p1, d1, n_one) or _gone2(p2, d2, n_two):
-                break
-            k, to_middle, p1, p2 = k + step, to_middle + length, p1 + d1, p2 + d2
+    gaps, words, firsts = gap.reshape(nx * ny * nz), masks.reshape(nx * ny * nz), M.first.reshape(nx * ny * nz)
+    ground, stems, owners = M.ground, M.stems, M.owners
+    corner_main, corner_one, corner_two = M.corner[main], M.corner[one], M.corner[two]
+    seed = u4(M.seed)
+    tested = before = np.int32(-1)
+    # Slabs until the pulse is in the grid, and until it leaves it.
+    first, stop = f4(0.0), f4(1e6)
+    for at, change, size in ((f4(k) + f4(0.5), f4(step), n_main), (p1, d1, n_one), (p2, d2, n_two)):
+        if abs(change) < f4(1e-9):
+            if not 0 <= at < size:
+                stop = f4(-1.0)
             continue
-        brick = (k >> 2) * s_main + (i1 >> 2) * s_one + (i2 >> 2) * s_two
-        empty = gaps[brick]
-        if empty > 1:
-            many = (int(empty) - 1) * BRICK
-            k, to_middle = k + many * step, to_middle + f4(many) * length
-            p1, p2 = p1 + f4(many) * d1, p2 + f4(many) * d2
-            continue
-        bit = np.uint64(u4((k & 3) << b_main) | u4((i1 & 3) << b_one) | u4((i2 & 3) << b_two))
+        a, b = -at / change, (f4(size) - at) / change
+        first, stop = max(first, min(a, b)), min(stop, max(a, b))
+    slab, slabs = int(math.ceil(first)), int(math.floor(min(stop, (last_m - to_middle) / length + f4(1.5))))
+    while slab <= slabs:
+        k_ = k + slab * step
+        i1, i2 = np.int32(p1 + f4(slab) * d1), np.int32(p2 + f4(slab) * d2)
+        brick = (k_ >> 2) * s_main + (i1 >> 2) * s_one + (i2 >> 2) * s_two
         word = words[brick]
+        if word == np.uint64(0):
+            slab += max((int(gaps[brick]) - 1) * BRICK, 1)
+            continue
+        bit = np.uint64(u4((k_ & 3) << b_main) | u4((i1 & 3) << b_one) | u4((i2 & 3) << b_two))
         if (word >> bit) & np.uint64(1):
             at = firsts[brick] + u4(_ones(word & ((np.uint64(1) << bit) - np.uint64(1))))
             code = record[at]
@@ -234,39 +260,39 @@ def march(M: Medium, L: Lanes, n: int, axis: NDArray[np.float32]) -> None:
             low, high = (code >> low_knot) & u4(127), (code >> (low_knot + u4(7))) & u4(127)
             if low | high:
                 depth = TAU_PER_M[low] * w_low + TAU_PER_M[high] * w_high
-                met = _meet_leaves(M, L, n, main, one, two, k, i1, i2, at, depth, knot, per_m)
+                g, g1, g2 = k_ + corner_main, i1 + corner_one, i2 + corner_two
+                h = _mixed(g, g1, g2, seed) if main == 0 else (_mixed(g1, g, g2, seed) if main == 1 else _mixed(g1, g2, g, seed))
+                x = min(depth * f4(_COVER_STEPS), f4(_COVER_STEPS * _COVER_MOST))
+                whole = int(x)
+                cover = _COVER[whole] + (_COVER[whole + 1] - _COVER[whole]) * (x - f4(whole))
+                bits = _MASK[main, int(h & u4(_VARIANTS - 1)), int(cover * f4(64.0) + f4(h >> u4(24)) * f4(1.0 / 256.0))]
+                if bits:
+                    met = _meet_leaves(L, owners, n, near_m, main, one, two, k_, h, bits, at, knot)
             if code & STEM:
-                x, y = (k, i1) if main == 0 else ((i1, k) if main == 1 else (i1, i2))
-                met |= _meet_stems(M, L, n, axis, x >> 1, y >> 1, tested, spread, aside_m)
+                i, j = (k_, i1) if main == 0 else ((i1, k_) if main == 1 else (i1, i2))
+                for number in range(stems.first[i, j, 0], stems.first[i, j, 1]):
+                    stem = stems.of[number]
+                    if stem not in (tested, before):
+                        before, tested = tested, stem
+                        met |= _meet_stem(stems, L, n, near_m, axis, stem, spread, aside_m)
             if code & GROUND:
-                met |= _meet_ground(M, L, n, axis, to_middle, length, spread, aside_m)
+                met |= _meet_ground(ground, L, n, near_m, axis, to_middle + f4(slab) * length, length, spread, aside_m)
             if met:
                 last_m = L.range_m[0]
                 for lane in range(1, n):
                     last_m = max(last_m, L.range_m[lane])
-        k, to_middle, p1, p2 = k + step, to_middle + length, p1 + d1, p2 + d2
+                slabs = min(slabs, int((last_m - to_middle) / length + f4(1.5)))
+        slab += 1
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
-def _gone(k: int, step: int, size: int) -> bool:
-    """Whether a slab is past the end of the grid."""
-    return k >= size if step > 0 else k < 0
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
-def _gone2(p: float, change: float, size: int) -> bool:
-    """Whether a place across is beyond the grid and does not come nearer."""
-    return (p < 0 and change <= 0) or (p >= size and change >= 0)
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy", inline="always")
 def _lines(
-    M: Medium, L: Lanes, n: int, axis: NDArray[np.float32], main: int, one: int, two: int
+    corner_m: tuple[float, float, float], L: Lanes, n: int, axis: NDArray[np.float32], main: int, one: int, two: int
 ) -> tuple[np.float32, np.float32, np.float32]:
     """Lay the lanes' lines; return how far they spread per metre and begin aside, and the farthest range asked for."""
     origin_m, direction, line = L.origin_m, L.direction, L.line
     scale = f4(LANES / VOXEL_M)
-    c_main, c_one, c_two = M.corner_m[main], M.corner_m[one], M.corner_m[two]
+    c_main, c_one, c_two = corner_m[main], corner_m[one], corner_m[two]
     spread = aside_m = last_m = f4(0.0)
     for lane in range(n):
         inverse = f4(1.0) / direction[main, lane]
@@ -283,46 +309,33 @@ def _lines(
     return spread, aside_m, last_m
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy", inline="always")
 def _meet_leaves(
-    M: Medium,
     L: Lanes,
+    owners: Owners,
     n: int,
+    near_m: float,
     main: int,
     one: int,
     two: int,
     k: int,
-    i1: int,
-    i2: int,
+    h: int,
+    bits: int,
     at: int,
-    depth: float,
     knot: int,
-    per_m: float,
 ) -> bool:
     """Cut the lanes with the leaves of a voxel; whether any meets one."""
-    h = _mixed(k + M.corner[main], i1 + M.corner[one], i2 + M.corner[two], M.seed) if main == 0 else (
-        _mixed(i1 + M.corner[0], k + M.corner[1], i2 + M.corner[2], M.seed)
-        if main == 1
-        else _mixed(i1 + M.corner[0], i2 + M.corner[1], k + M.corner[2], M.seed)
-    )
-    x = min(depth * f4(_COVER_STEPS), f4(_COVER_STEPS * _COVER_MOST))
-    whole = int(x)
-    cover = _COVER[whole] + (_COVER[whole + 1] - _COVER[whole]) * (x - f4(whole))
-    count = int(cover * f4(64.0) + f4(h >> u4(24)) * f4(1.0 / 256.0))
     variant = int(h & u4(_VARIANTS - 1))
-    bits = _MASK[main, variant, count]
-    if bits == np.uint64(0):
-        return False
     mirror = (int(h >> u4(5)) & 7, int(h >> u4(8)) & 7, int(h >> u4(11)) & 7)
     line, column = L.line, L.column
     middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
-    r1, r2 = mirror[one], mirror[two]
+    r1, r2 = np.int32(mirror[one]), np.int32(mirror[two])
     for lane in range(n):
-        a = (int(line[0, lane] + line[1, lane] * middle_m) & 7) ^ r1
-        b = (int(line[2, lane] + line[3, lane] * middle_m) & 7) ^ r2
-        column[lane] = 8 * a + b
+        a = (np.int32(line[0, lane] + line[1, lane] * middle_m) & np.int32(7)) ^ r1
+        b = (np.int32(line[2, lane] + line[3, lane] * middle_m) & np.int32(7)) ^ r2
+        column[lane] = np.int32(8) * a + b
     met = False
-    range_m, near_m = L.range_m, f4(M.near_m)
+    range_m = L.range_m
     for lane in range(n):
         if not (bits >> np.uint64(column[lane])) & np.uint64(1):
             continue
@@ -336,32 +349,21 @@ def _meet_leaves(
             own = u4(own ^ u4(own >> u4(15)))
             own = u4(own * u4(0xC2B2AE3D))
             own = u4(own ^ u4(own >> u4(16)))
-            owner, drawn = M.first_owner[at], u4(own & u4(0xFF))
-            while M.owner_share[owner] < drawn:
+            owner, drawn = owners.first[at], u4(own & u4(0xFF))
+            while owners.share[owner] < drawn:
                 owner += u4(1)
-            L.surface[lane] = M.owner_surface[owner]
-            L.cosine[lane] = M.cosine[M.owner_law[owner], knot, int(own >> u4(8)) % QUANTILES]
+            L.surface[lane] = owners.surface[owner]
+            L.cosine[lane] = owners.cosine[owners.law[owner], knot, int(own >> u4(8)) % QUANTILES]
             met = True
     return met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
-def _meet_stems(
-    M: Medium, L: Lanes, n: int, axis: NDArray[np.float32], x: int, y: int, tested: int, spread: float, aside_m: float
-) -> bool:
-    """Cut the lanes with the stems of a square metre; whether any meets one."""
-    met = False
-    for number in range(M.first_stem[x, y, 0], M.first_stem[x, y, 1]):
-        met |= _meet_stem(M, L, n, axis, M.stem_of[number], spread, aside_m)
-    return met
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy", inline="always")
 def _meet_stem(
-    M: Medium, L: Lanes, n: int, axis: NDArray[np.float32], stem: int, spread: float, aside_m: float
+    stems: Stems, L: Lanes, n: int, near_m: float, axis: NDArray[np.float32], stem: int, spread: float, aside_m: float
 ) -> bool:
     """Cut the lanes with a stem: across its axis a circle whose radius is that of the height at which it is met."""
-    s, profile = M.stem[stem], M.profile[stem]
+    s, profile = stems.line[stem], stems.profile[stem]
     # Middle of the pulse first: nearest approach to the axis, in the plane across it.
     qx, qy, qz = s[0] - axis[0], s[1] - axis[1], s[2] - axis[2]
     up = axis[3] * s[3] + axis[4] * s[4] + axis[5] * s[5]
@@ -377,7 +379,7 @@ def _meet_stem(
     within = radius_m + abs(up) + aside_m + spread * nearest_m if radius_m > 0 else 0.5
     if off2 > within * within:
         return False
-    met, near_m = False, M.near_m
+    met = False
     for lane in range(n):
         dx, dy, dz = L.direction[0, lane], L.direction[1, lane], L.direction[2, lane]
         qx, qy, qz = s[0] - L.origin_m[0, lane], s[1] - L.origin_m[1, lane], s[2] - L.origin_m[2, lane]
@@ -399,13 +401,13 @@ def _meet_stem(
             continue
         if near_m <= at_m < L.range_m[lane]:
             L.range_m[lane] = at_m
-            L.surface[lane] = M.stem_surface[stem, 0 if height_m < M.flare_m[stem] else 1]
+            L.surface[lane] = stems.surface[stem, 0 if height_m < stems.flare_m[stem] else 1]
             L.cosine[lane] = min(math.sqrt((radius_m * radius_m - off2) * square) / radius_m, 1.0)
             met = True
     return met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy", inline="always")
 def _radius_m(profile: NDArray[np.float32], height_m: float) -> float:
     """Radius of a stem at a height along its axis; 0 above its tip."""
     if height_m >= profile[0, -1]:
@@ -418,34 +420,41 @@ def _radius_m(profile: NDArray[np.float32], height_m: float) -> float:
     return profile[1, knot - 1] + share * (profile[1, knot] - profile[1, knot - 1])
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy", inline="always")
 def _meet_ground(
-    M: Medium, L: Lanes, n: int, axis: NDArray[np.float32], middle_m: float, length: float, spread: float, aside_m: float
+    ground: Ground,
+    L: Lanes,
+    n: int,
+    near_m: float,
+    axis: NDArray[np.float32],
+    middle_m: float,
+    length: float,
+    spread: float,
+    aside_m: float,
 ) -> bool:
     """Cut the lanes with the ground within a slab; whether any meets it."""
     last_m = middle_m + f4(0.5) * length
-    clear_m = _over_ground(M, axis[0], axis[1], axis[2], axis[3], axis[4], axis[5], last_m)[0]
-    steepest = f4(1.0 + M.steepest)
+    clear_m = _over_ground(ground, axis[0], axis[1], axis[2], axis[3], axis[4], axis[5], last_m)[0]
+    steepest = f4(1.0 + ground.steepest)
     if clear_m > steepest * (spread * last_m + aside_m):
         return False
     met, range_m = False, L.range_m
-    near_m = f4(M.near_m)
     first_m = max(middle_m - f4(0.5) * length, near_m)
     for lane in range(n):
         if range_m[lane] <= first_m:
             continue
         x, y, z = L.origin_m[0, lane], L.origin_m[1, lane], L.origin_m[2, lane]
         dx, dy, dz = L.direction[0, lane], L.direction[1, lane], L.direction[2, lane]
-        below = _over_ground(M, x, y, z, dx, dy, dz, last_m)
+        below = _over_ground(ground, x, y, z, dx, dy, dz, last_m)
         if not below[0] <= 0:
             continue
-        above = _over_ground(M, x, y, z, dx, dy, dz, first_m)
+        above = _over_ground(ground, x, y, z, dx, dy, dz, first_m)
         at_m, slope = first_m, above
         if above[0] > 0:
             low_m, high_m, c_low, c_high = first_m, last_m, above[0], below[0]
             for _ in range(3):  # the ground is flat but for the edges of its triangles: secants find them
                 at_m = low_m + (high_m - low_m) * c_low / (c_low - c_high)
-                slope = _over_ground(M, x, y, z, dx, dy, dz, at_m)
+                slope = _over_ground(ground, x, y, z, dx, dy, dz, at_m)
                 if abs(slope[0]) < f4(1e-4):
                     break
                 if slope[0] > 0:
@@ -457,21 +466,21 @@ def _meet_ground(
             gx, gy = slope[1], slope[2]
             L.cosine[lane] = min(abs(dz - gx * dx - gy * dy) / f4(math.sqrt(gx * gx + gy * gy + f4(1.0))), f4(1.0))
             across = f4(1.0 / (BRICK * VOXEL_M))
-            i = min(max(int((x + dx * at_m - M.corner_m[0]) * across), 0), M.ground_surface.shape[0] - 1)
-            j = min(max(int((y + dy * at_m - M.corner_m[1]) * across), 0), M.ground_surface.shape[1] - 1)
-            L.surface[lane] = M.ground_surface[i, j]
+            i = min(max(int((x + dx * at_m - f4(ground.corner_x_m)) * across), 0), ground.surface.shape[0] - 1)
+            j = min(max(int((y + dy * at_m - f4(ground.corner_y_m)) * across), 0), ground.surface.shape[1] - 1)
+            L.surface[lane] = ground.surface[i, j]
             met = True
     return met
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy", inline="always")
 def _over_ground(
-    M: Medium, x: float, y: float, z: float, dx: float, dy: float, dz: float, at_m: float
+    ground: Ground, x: float, y: float, z: float, dx: float, dy: float, dz: float, at_m: float
 ) -> tuple[np.float32, np.float32, np.float32]:
     """Height of a ray over the ground at a range, and the slope of the triangle there; no ground is infinitely deep."""
-    ground_m = M.ground_m
-    u = (x + dx * at_m - M.corner_m[0]) * f4(1.0 / VOXEL_M)
-    v = (y + dy * at_m - M.corner_m[1]) * f4(1.0 / VOXEL_M)
+    ground_m = ground.height_m
+    u = (x + dx * at_m - f4(ground.corner_x_m)) * f4(1.0 / VOXEL_M)
+    v = (y + dy * at_m - f4(ground.corner_y_m)) * f4(1.0 / VOXEL_M)
     i = min(max(int(u), 0), ground_m.shape[0] - 2)
     j = min(max(int(v), 0), ground_m.shape[1] - 2)
     s, t = u - f4(i), v - f4(j)

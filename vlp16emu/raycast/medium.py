@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.types import FarTile, Mesh, PlantPart
 
-__all__ = ["BRICK", "COLUMNS", "GROUND", "KNOTS", "QUANTILES", "STEM", "TAU_PER_M", "VOXEL_M", "Block", "Cloud", "Library", "block_of", "cloud_of"]
+__all__ = ["BRICK", "COLUMNS", "GROUND", "KNOTS", "QUANTILES", "STEM", "TAU_PER_M", "VOXEL_M", "Block", "Cloud", "Library", "block_of", "cloud_of", "stem_beside", "stem_columns", "stem_lines"]
 
 VOXEL_M = 0.5
 BRICK = 4
@@ -422,21 +422,44 @@ def _put_face(head, node, area, used, T, corners_m, share, low_m, tile, row, law
 
 
 @numba.njit(cache=True, nogil=True)
+def stem_columns(line: Array, from_m: float, to_m: float) -> tuple[int, int, int, int]:
+    """First and last column of voxels, in x and y, in which a stem may be met between two heights over its lower end."""
+    aside_m = line[6] + _ASIDE_M
+    x0, x1, y0, y1 = line[0] + line[3] * from_m, line[0] + line[3] * to_m, line[1] + line[4] * from_m, line[1] + line[4] * to_m
+    return (
+        math.floor((min(x0, x1) - aside_m) / VOXEL_M),
+        math.floor((max(x0, x1) + aside_m) / VOXEL_M),
+        math.floor((min(y0, y1) - aside_m) / VOXEL_M),
+        math.floor((max(y0, y1) + aside_m) / VOXEL_M),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def stem_beside(line: Array, x: int, y: int) -> bool:
+    """Whether a stem comes so near to a column of voxels, at any height, that it may be met there."""
+    # From the middle of the column to the axis as seen from above, which is a piece of a straight line.
+    a, b = (x + 0.5) * VOXEL_M - line[0], (y + 0.5) * VOXEL_M - line[1]
+    u, v = line[3] * line[5], line[4] * line[5]
+    square = u * u + v * v
+    share = min(max((a * u + b * v) / square, 0.0), 1.0) if square > 0.0 else 0.0
+    dx, dy = abs(a - share * u) - VOXEL_M / 2, abs(b - share * v) - VOXEL_M / 2
+    aside_m = line[6] + _ASIDE_M
+    dx, dy = max(dx, 0.0), max(dy, 0.0)
+    return dx * dx + dy * dy <= aside_m * aside_m
+
+
+@numba.njit(cache=True, nogil=True)
 def _mark_stem(flags: NDArray[np.uint32], line: Array, low_m: float) -> None:
     """Flag the voxels in which a stem is looked for."""
-    aside_m = line[6] + _ASIDE_M
     for k in range(flags.shape[2]):
         below_m, above_m = low_m + k * VOXEL_M - line[2] - 0.26, low_m + (k + 1) * VOXEL_M - line[2] + 0.26
         if above_m < 0.0 or below_m > line[5]:
             continue
-        from_m, to_m = max(below_m, 0.0), min(above_m, line[5])
-        x0, x1 = line[0] + line[3] * from_m, line[0] + line[3] * to_m
-        y0, y1 = line[1] + line[4] * from_m, line[1] + line[4] * to_m
-        first_i, last_i = math.floor((min(x0, x1) - aside_m) / VOXEL_M), math.floor((max(x0, x1) + aside_m) / VOXEL_M)
-        first_j, last_j = math.floor((min(y0, y1) - aside_m) / VOXEL_M), math.floor((max(y0, y1) + aside_m) / VOXEL_M)
-        for i in range(max(first_i, 0), min(last_i, flags.shape[0] - 1) + 1):
-            for j in range(max(first_j, 0), min(last_j, flags.shape[1] - 1) + 1):
-                flags[i, j, k] |= STEM
+        x0, x1, y0, y1 = stem_columns(line, max(below_m, 0.0), min(above_m, line[5]))
+        for i in range(max(x0, 0), min(x1, flags.shape[0] - 1) + 1):
+            for j in range(max(y0, 0), min(y1, flags.shape[1] - 1) + 1):
+                if stem_beside(line, i, j):
+                    flags[i, j, k] |= STEM
 
 
 @numba.njit(cache=True, nogil=True)
