@@ -15,7 +15,7 @@ from vlp16emu.assembly.windows import window_of
 from vlp16emu.emulator import Emulator
 from vlp16emu.motion import gait, harness, walk
 from vlp16emu.raycast import embree, footprint
-from vlp16emu.scenario import load
+from vlp16emu.scenario import Scenario, load, schema
 from vlp16emu.world import Hall
 from vlp16emu.world.stem import StemKey
 
@@ -203,15 +203,63 @@ def test_a_single_sensor_merges_its_own_two_streams(monkeypatch):
     assert merged == [2, 4]
 
 
-def test_a_lean_recording_loads_no_library_it_does_not_need(tmp_path):
-    """A static, single-ray, unlabelled recording imports nothing that draws, reads meshes or grids, or talks to a port."""
-    unneeded = ["matplotlib", "tifffile", "PIL", "trimesh", "networkx", "rich.progress", "serial"]
-    unneeded += ["velodyne_decoder", "vlp16emu.truth"]
+def modules_of(*arguments, names):
+    """Which of some modules a process of its own has loaded after a command line, and its exit code."""
     code = (
         "import sys\n"
         "from vlp16emu.cli.app import run\n"
-        f"code = run(['record', 'static_bench', {str(tmp_path / 'x.pcap')!r}, '--duration', '0.1', '--json'])\n"
-        f"print(code, sorted(set({unneeded!r}) & set(sys.modules)), 'numba' in sys.modules, file=sys.stderr)"
+        f"code = run({list(map(str, arguments))!r})\n"
+        f"print(code, sorted(set({names!r}) & set(sys.modules)), file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stderr.strip() == "0 [] True"
+    return done.stderr.strip()
+
+
+def test_a_lean_recording_loads_no_library_it_does_not_need(tmp_path):
+    """A static, single-ray recording imports nothing that draws, reads meshes or grids, makes curves or talks."""
+    unneeded = ["matplotlib", "tifffile", "PIL", "trimesh", "networkx", "rich.progress", "serial", "pynmea2"]
+    unneeded += [f"scipy.{part}" for part in ("interpolate", "ndimage", "optimize", "spatial", "special")]
+    unneeded += ["velodyne_decoder", "vlp16emu.truth", "vlp16emu.fidelity.accuracy", "vlp16emu.report.verify"]
+    lean = "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1", "--set", "gps.connected=false"
+    assert modules_of(*lean, "--json", names=["numba", *unneeded]) == "0 ['numba']"
+
+
+def test_a_stream_of_a_walk_loads_no_library_it_does_not_need():
+    """A stream builds no frames, and the lint and the filters of scipy are for others."""
+    unneeded = ["dpkt", "scipy.ndimage", "rich.progress", "trimesh", "vlp16emu.report.verify"]
+    walk = "stream", "birch_walk", "--duration", "0.05", "--set", "sensor.max_range_m=15"
+    port = "--data-port", "23680", "--position-port", "23681"
+    assert modules_of(
+        *walk, *port, "--set", "world.stems_per_ha=100", "--json", names=["numba", *unneeded]
+    ) == ("0 ['numba']")
+
+
+def test_a_scene_is_read_without_numba():
+    """What is wrong with a scene is found before kernels and their compiler are loaded."""
+    heavy = ["numba", "scipy", "dpkt"]
+    assert modules_of("schema", names=heavy) == "0 []"
+    for verb in ("record", "stream"):
+        wrong = verb, "birch_walk", *(["x.pcap"] * (verb == "record")), "--set", "sensor.rpm=17"
+        assert modules_of(*wrong, names=heavy).splitlines()[-1] == "2 []"
+
+
+def test_descriptions_of_keys_are_read_for_the_schema_only():
+    """No section's source is parsed at the start: the docstring of a key is no part of its field."""
+    assert Scenario.model_fields["seed"].description is None
+    assert schema()["properties"]["seed"]["description"].startswith("Of all randomness")
+
+
+def test_no_garbage_is_looked_for_while_a_run_starts():
+    """A command starts without the collector, which works again when the run is made; in a longer program it stays on."""
+    code = (
+        "import gc\n"
+        "from vlp16emu.cli.start import starting\n"
+        "with starting():\n"
+        "    print(gc.isenabled())\n"
+        "    import numba\n"
+        "print(gc.isenabled(), gc.get_freeze_count() > 10_000)\n"
+        "with starting():\n"
+        "    print(gc.isenabled())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "True", "True", "True"]

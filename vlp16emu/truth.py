@@ -10,7 +10,6 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from vlp16emu.assembly import Parts, Unit
 from vlp16emu.assembly.files import named_files
@@ -294,6 +293,8 @@ def _mount(section: Mount) -> dict[str, Any]:
 
 def _transform(R: NDArray[np.float64], p_m: NDArray[np.float64]) -> dict[str, Any]:
     """Write a rigid transform as matrix and as translation and quaternion."""
+    from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
+
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, p_m
     quaternion = Rotation.from_matrix(R).as_quat(canonical=True) + 0.0  # no -0.0

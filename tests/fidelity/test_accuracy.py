@@ -7,7 +7,7 @@ import pytest
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import RunError
-from vlp16emu.fidelity import measure_accuracy
+from vlp16emu.fidelity.accuracy import measure_accuracy
 from vlp16emu.fidelity.rounding import rounding_of
 from vlp16emu.fidelity.settings import drawings, holds, lights
 from vlp16emu.report.accuracy import Kind

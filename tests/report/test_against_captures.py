@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from vlp16emu.report import verify_capture
+from vlp16emu.report.verify import verify_capture
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
 

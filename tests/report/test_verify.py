@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from vlp16emu.report import Rule, verify_capture
+from vlp16emu.report.verify import Rule, verify_capture
 
 HOUR_US = 3_600_000_000
 

@@ -6,7 +6,7 @@ import tracemalloc
 import pytest
 
 from vlp16emu.errors import CaptureError
-from vlp16emu.report import Rule, verify_capture
+from vlp16emu.report.verify import Rule, verify_capture
 
 HOUR_US = 3_600_000_000
 

@@ -65,7 +65,7 @@ def accuracy(
 
         check_matplotlib()
         _make_folder(out)
-    from vlp16emu.fidelity import measure_accuracy
+    from vlp16emu.fidelity.accuracy import measure_accuracy
 
     name = Path(scene).stem
     with Progress(scenario.duration_s) as progress:

@@ -27,11 +27,14 @@ def load_for(
     OutputError
         where an output is the scene's own file, or one that it names
     """
-    from vlp16emu.assembly.files import named_files
     from vlp16emu.errors import spare
     from vlp16emu.scenario import find, load
 
     scenario = load(scene, settings or (), ideal=ideal)
+    from vlp16emu.assembly.files import (
+        named_files,
+    )  # last: with it comes numba, for which no mistake should wait
+
     inputs = [find(scene), *named_files(scenario)]
     for output in outputs:
         if output is not None:

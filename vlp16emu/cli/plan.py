@@ -16,6 +16,7 @@ from vlp16emu.cli.arguments import (
 )
 from vlp16emu.cli.audit import NoAudit, audited
 from vlp16emu.cli.output import count, print_json, print_rows, size
+from vlp16emu.cli.start import starting
 
 if TYPE_CHECKING:
     from vlp16emu.cli.trial import Trial
@@ -44,15 +45,16 @@ def plan(
     extrapolates: figures hold for this machine, as busy as it is now.
     """
     wall_s, cpu_s = time.perf_counter(), time.process_time()
-    from vlp16emu.cli.needs import libraries, needs, surroundings
-    from vlp16emu.cli.trial import try_out
-    from vlp16emu.report import Spent
-    from vlp16emu.scenario import load
+    with starting():
+        from vlp16emu.cli.needs import libraries, needs, surroundings
+        from vlp16emu.cli.trial import try_out
+        from vlp16emu.report import Spent
+        from vlp16emu.scenario import load
 
-    scenario = load(scene, settings or (), ideal=ideal)
-    _, stop_s = span_s(0.0, duration, scenario.duration_s)
-    workers = threads or os.cpu_count() or 1
-    emulator, audit = audited(scenario, threads=workers, no_audit=no_audit)
+        scenario = load(scene, settings or (), ideal=ideal)
+        _, stop_s = span_s(0.0, duration, scenario.duration_s)
+        workers = threads or os.cpu_count() or 1
+        emulator, audit = audited(scenario, threads=workers, no_audit=no_audit)
     emulator.packets(0.0, stop_s)  # checks the span
     trial = try_out(emulator, stop_s, workers, Spent(wall_s, cpu_s))
     loaded = libraries()

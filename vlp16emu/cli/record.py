@@ -28,6 +28,7 @@ from vlp16emu.cli.light import light_rows, light_tree
 from vlp16emu.cli.output import count, print_json, print_rows, size
 from vlp16emu.cli.progress import Progress
 from vlp16emu.cli.rotor import revolutions, turned
+from vlp16emu.cli.start import starting
 from vlp16emu.cli.truth import SCENARIO, TruthPackets, TruthRate, TruthTo, with_truth
 
 if TYPE_CHECKING:
@@ -68,12 +69,13 @@ def record(
     stamped with simulated time. Ctrl-C ends it early and leaves a valid file.
     """
     began_s = time.perf_counter()
-    from vlp16emu.sinks import PcapSink
-    from vlp16emu.units import seconds_to_ns
+    with starting():
+        scenario = load_for([out, truth and truth / SCENARIO], scene, settings, ideal=ideal)
+        start_s, stop_s = span_s(start, duration, scenario.duration_s)
+        emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
+        from vlp16emu.sinks import PcapSink
+        from vlp16emu.units import seconds_to_ns
 
-    scenario = load_for([out, truth and truth / SCENARIO], scene, settings, ideal=ideal)
-    start_s, stop_s = span_s(start, duration, scenario.duration_s)
-    emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
     packets = emulator.packets(start_s, stop_s)  # checks the span before the file is touched
     asked_s, links = stop_s - start_s, [unit.link for unit in emulator.parts.units]
     with (
@@ -83,8 +85,7 @@ def record(
         Progress(asked_s) as progress,
     ):
         sent, done_s = _send(told, sink, progress, stop, scenario.start_ns + seconds_to_ns(start_s))
-    report: dict[str, Any] = {"file": str(out), "scene": scene, "seed": scenario.seed}
-    report |= light_tree(scenario)
+    report: dict[str, Any] = {"file": str(out), "scene": scene, "seed": scenario.seed} | light_tree(scenario)
     simulated_s = done_s if stop.is_set() else asked_s
     units = [_unit(unit, sent, simulated_s) for unit in emulator.parts.units]
     report |= _tree(sink.result, units, simulated_s, time.perf_counter() - began_s)

@@ -27,6 +27,7 @@ from vlp16emu.cli.light import light_rows, light_tree
 from vlp16emu.cli.output import count, print_json, print_rows
 from vlp16emu.cli.progress import Progress
 from vlp16emu.cli.rotor import revolutions, turned
+from vlp16emu.cli.start import starting
 from vlp16emu.cli.truth import SCENARIO, TruthPackets, TruthRate, TruthTo, with_truth
 
 if TYPE_CHECKING:
@@ -85,13 +86,13 @@ def stream(
     Nothing leaves this machine unless --to names another one. Packets are computed ahead; the first one
     starts the clock, and all deadlines count from there. Ctrl-C ends the stream.
     """
-    from vlp16emu.sinks import LOOK_AHEAD_PACKETS, Pacer
-    from vlp16emu.sinks import stream as send
-
-    changes = [*(settings or ()), *_told_ports(data_port, position_port)]
-    scenario = load_for([truth and truth / SCENARIO], scene, changes, ideal=ideal)
-    start_s, stop_s = span_s(0.0, duration, scenario.duration_s)
-    emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
+    with starting():
+        changes = [*(settings or ()), *_told_ports(data_port, position_port)]
+        scenario = load_for([truth and truth / SCENARIO], scene, changes, ideal=ideal)
+        start_s, stop_s = span_s(0.0, duration, scenario.duration_s)
+        emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
+        from vlp16emu.sinks import LOOK_AHEAD_PACKETS, Pacer
+        from vlp16emu.sinks import stream as send
     packets = emulator.packets(start_s, stop_s)
     links = [unit.link for unit in emulator.parts.units]
     with (

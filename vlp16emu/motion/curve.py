@@ -3,14 +3,17 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.slope import limit_slope
 from vlp16emu.types import HeightField
+
+if TYPE_CHECKING:  # imported where curves are made: it takes 0.2 s, and who stands has none
+    from scipy.interpolate import BSpline, CubicSpline
 
 __all__ = ["Curve", "curve_through", "taylor"]
 
@@ -42,14 +45,13 @@ _HEIGHT_M = 0.1
 _GAUSS_X, _GAUSS_WEIGHT = np.polynomial.legendre.leggauss(5)
 
 Position = Callable[[Array], Array]
-Spline = BSpline | CubicSpline
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
     """Quintic spline by arc length, four times continuously differentiable."""
 
-    spline: BSpline
+    spline: "BSpline"
     """Position (n, 3) relative to `origin_m` over arc length."""
     knots_m: Array
     """(k,) arc lengths from 0 to the length."""
@@ -61,7 +63,7 @@ class Curve:
     """Whether the curve goes on at its start, as smoothly as anywhere."""
 
 
-def taylor(spline: BSpline, breaks: Array) -> Array:
+def taylor(spline: "BSpline", breaks: Array) -> Array:
     """Coefficients of the pieces of a quintic spline, lowest power first: (6, k - 1, ...) for breaks (k,)."""
     return np.stack([spline.derivative(power)(breaks[:-1]) / math.factorial(power) for power in range(6)])
 
@@ -77,6 +79,8 @@ def curve_through(way_points_m: Array, height_m: HeightField) -> Curve:
     TrajectoryError
         where a person cannot walk through the way points
     """
+    from scipy.interpolate import CubicSpline
+
     _check_way_points(way_points_m)
     closed = math.dist(way_points_m[0], way_points_m[-1]) < _APART_M
     origin_m = np.append(way_points_m[0], 0.0)
@@ -119,7 +123,7 @@ def _check_way_points(way_points_m: Array) -> None:
 
 
 def _knots(
-    cubic: CubicSpline, u: Array, way_points_m: Array, closed: bool
+    cubic: "CubicSpline", u: Array, way_points_m: Array, closed: bool
 ) -> tuple[Array, NDArray[np.int64]]:
     """Parameters of the knots, dense in turns, and which of them are the way points."""
     chords_m = np.hypot(*np.diff(way_points_m, axis=0).T)
@@ -174,14 +178,16 @@ def _check_radius(curvature: Array, points_m: Array, number: NDArray[np.int64]) 
         )
 
 
-def _spline(at: Array, points_m: Array, closed: bool) -> BSpline:
+def _spline(at: Array, points_m: Array, closed: bool) -> "BSpline":
     """Quintic spline through points."""
+    from scipy.interpolate import make_interp_spline
+
     if not closed:
         return make_interp_spline(at, points_m, k=5)
     return make_interp_spline(at, np.concatenate([points_m[:-1], points_m[:1]]), k=5, bc_type="periodic")
 
 
-def _by_length(curve: Spline, knots: Array, closed: bool) -> tuple[BSpline, Array]:
+def _by_length(curve: "BSpline | CubicSpline", knots: Array, closed: bool) -> "tuple[BSpline, Array]":
     """Draw a curve again with its own length as the parameter: the spline and its knots."""
     half = np.diff(knots) / 2
     at = (knots[1:] - half)[:, None] + half[:, None] * _GAUSS_X
@@ -191,13 +197,15 @@ def _by_length(curve: Spline, knots: Array, closed: bool) -> tuple[BSpline, Arra
 
 
 def _heights(
-    plan: BSpline, along_m: Array, origin_m: Array, height_m: HeightField, closed: bool
-) -> CubicSpline:
+    plan: "BSpline", along_m: Array, origin_m: Array, height_m: HeightField, closed: bool
+) -> "CubicSpline":
     """Heights along the plan as the hip takes them: the mean of the ground from a pace behind to one ahead.
 
     The weight falls linearly to nothing over a pace, since two feet in turn carry the hip (assumption).
     Beyond the ends the ground goes on point-symmetrically, so even slopes stay as they are.
     """
+    from scipy.interpolate import CubicSpline
+
     count = max(8, math.ceil(along_m[-1] / _HEIGHT_M))
     at_m = np.linspace(0.0, along_m[-1], count + 1)
     xy_m = plan(at_m) + origin_m[:2]
@@ -213,7 +221,7 @@ def _heights(
     return CubicSpline(at_m, np.convolve(padded, weight, mode="valid"))
 
 
-def _check_slope(solid: BSpline, along_m: Array, origin_m: Array) -> None:
+def _check_slope(solid: "BSpline", along_m: Array, origin_m: Array) -> None:
     """Refuse ground that nobody walks up or down."""
     dx, dy, dz = solid(along_m, 1).T
     slope = np.abs(dz) / np.hypot(dx, dy)

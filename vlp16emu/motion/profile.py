@@ -8,8 +8,6 @@ from itertools import pairwise
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.curve import taylor
@@ -101,6 +99,8 @@ class Profile:
             # The search ends a hair below the time given; stretched, no limit is passed.
             self._step_s *= run_time_s / self.run_time_s
             self.run_time_s = run_time_s
+        from scipy.interpolate import BSpline  # here: it takes 0.2 s, and who stands has no profile
+
         knots = np.arange(len(control_m) + 6) - 5.0
         breaks = np.arange(len(control_m) - 4, dtype=np.float64)
         # (6, pieces): powers of the fraction of a step, lowest first.
@@ -133,7 +133,7 @@ class _Leg:
     ) -> None:
         cells = max(2, math.ceil((end_m - start_m) / _CELL_M))
         looked_m = np.linspace(start_m, end_m, 1 + _LOOKS * cells)
-        turn = maximum_filter1d(np.abs(turn_rad_m(looked_m)), _LOOKS + 1, mode="nearest")[::_LOOKS]
+        turn = -_least_within(-np.abs(turn_rad_m(looked_m)), _LOOKS // 2)[::_LOOKS]
         self._turn_limit_m_s = pace.yaw_rate_rad_s / np.maximum(turn, pace.yaw_rate_rad_s / MAX_SPEED_M_S)
         self._cell_m = (end_m - start_m) / cells
         self.at_m = looked_m[::_LOOKS]
@@ -145,7 +145,7 @@ class _Leg:
         Smoothing mixes speeds from `2 * _REACH` steps of time, so the limits reach as far as the person then gets.
         """
         reach = min(len(self.at_m), math.ceil(2 * _REACH * _KNOT_S * cruise_m_s / self._cell_m))
-        limit = minimum_filter1d(self._turn_limit_m_s, 2 * reach + 1, mode="nearest")
+        limit = _least_within(self._turn_limit_m_s, reach)
         # v^2 / 2 grows by acceleration times distance.
         energy = np.minimum(limit, cruise_m_s) ** 2 / 2
         energy[0] = energy[-1] = 0.0
@@ -156,6 +156,18 @@ class _Leg:
         """Give the times (n,) at the cells' edges since the leg began, at constant acceleration in each cell."""
         with np.errstate(divide="ignore", over="ignore"):  # at speeds that are nothing it takes for ever
             return np.concatenate([[0.0], np.cumsum(2 * self._cell_m / (speeds_m_s[1:] + speeds_m_s[:-1]))])
+
+
+def _least_within(values: Array, reach: int) -> Array:
+    """Find the least value (n,) within `reach` neighbours to either side, in windows that double in width.
+
+    As `minimum_filter1d` of scipy.ndimage does, whose import would take 40 ms of each start.
+    """
+    least, width = np.pad(values, reach, mode="edge"), 1
+    while 2 * width <= 2 * reach + 1:
+        least = np.minimum(least[:-width], least[width:])
+        width *= 2
+    return np.minimum(least[: len(values)], least[-len(values) :])
 
 
 def _rests(stops: Sequence[Stop], length_m: float) -> tuple[Array, Array]:

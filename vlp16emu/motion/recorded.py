@@ -5,7 +5,6 @@ import math
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.track import Kinematics
@@ -63,6 +62,8 @@ class Recorded:
         yaw_deg: float,
         axes: str,
     ) -> None:
+        from scipy.interpolate import CubicSpline  # here: it takes 0.2 s, and few runs move as recorded
+
         self._start_ns = start_ns
         self._knots_ns = poses.t_ns - poses.t_ns[0]
         self.run_time_s = float(self._knots_ns[-1] / S_NS)

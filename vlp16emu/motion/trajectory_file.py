@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.user_file import finite, named_cells, words
@@ -87,6 +86,8 @@ def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
     """
     lines = words(path, 12, "the 12 numbers of a 3 x 4 matrix")
     numbers = [[finite(where, cell) for cell in cells] for where, cells in lines]
+    from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
+
     matrix = np.reshape(numbers, (-1, 3, 4))
     turns = matrix[:, :, :3]
     error = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)

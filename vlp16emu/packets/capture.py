@@ -1,7 +1,8 @@
 """Reading classic pcap files: numbered UDP datagrams with their stamps and headers.
 
 The records are walked here, with dpkt's structures, because dpkt's own reader turns stamps into floats,
-drops the length on the wire and does not tell when the last packet is cut.
+drops the length on the wire and does not tell when the last packet is cut. All of dpkt is loaded with the first of its
+names, for 40 ms, so it is imported where captures are read.
 """
 
 import struct
@@ -10,21 +11,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
 
-import dpkt
-
 from vlp16emu.errors import CaptureError
 from vlp16emu.units import S_NS, US_NS
 
 __all__ = ["Capture", "Datagram"]
 
-_STAMP_UNIT_NS = {dpkt.pcap.TCPDUMP_MAGIC: US_NS, dpkt.pcap.TCPDUMP_MAGIC_NANO: 1}
 _PCAPNG_MAGIC = bytes.fromhex("0a0d0d0a")
 """Block type of a section header, the same in both byte orders. Source: IETF draft-ietf-opsawg-pcapng."""
 _LONGEST_FRAME_BYTES = 262_144
 """Largest snapshot length that libpcap accepts; a longer record means damage (MAXIMUM_SNAPLEN of libpcap)."""
 _UDP_START = struct.Struct(">3H")
 """Source port, destination port, length."""
-_VLAN_TYPES = (dpkt.ethernet.ETH_TYPE_8021Q, dpkt.ethernet.ETH_TYPE_8021AD)
 
 
 class Datagram(NamedTuple):
@@ -86,6 +83,8 @@ class Capture:
     """
 
     def __init__(self, path: Path) -> None:
+        import dpkt
+
         self.path = path
         self.frames = 0
         """Frames read so far, whatever they hold."""
@@ -133,25 +132,30 @@ class Capture:
 
 def _read_file_header(path: Path, head: bytes) -> tuple[str, int]:
     """Byte order for struct, and nanoseconds per unit of the stamps' fractions."""
+    import dpkt
+
     expected = "a classic pcap file of Ethernet frames"
+    unit_ns = {dpkt.pcap.TCPDUMP_MAGIC: US_NS, dpkt.pcap.TCPDUMP_MAGIC_NANO: 1}
     if head[:4] == _PCAPNG_MAGIC:
         raise CaptureError(str(path), "a pcapng file", f"{expected} (editcap -F pcap makes one)")
     if len(head) == dpkt.pcap.FileHdr.__hdr_len__:
         for order, layout in (("<", dpkt.pcap.LEFileHdr), (">", dpkt.pcap.FileHdr)):
             header = layout(head)
-            if header.magic not in _STAMP_UNIT_NS:
+            if header.magic not in unit_ns:
                 continue
             if header.linktype != dpkt.pcap.DLT_EN10MB:
                 found = f"a pcap file of link type {header.linktype}"
                 raise CaptureError(str(path), found, f"{expected}, link type {dpkt.pcap.DLT_EN10MB}")
-            return order, _STAMP_UNIT_NS[header.magic]
+            return order, unit_ns[header.magic]
     raise CaptureError(str(path), f"no pcap file, it begins with {head[:4].hex(' ') or 'nothing'}", expected)
 
 
 def _datagram(number: int, stamp_ns: int, wire_bytes: int, frame: bytes) -> Datagram | None:
     """Parse one frame, or None where it is no (first fragment of a) UDP datagram over IPv4."""
+    import dpkt
+
     ip = 14
-    while int.from_bytes(frame[ip - 2 : ip]) in _VLAN_TYPES:
+    while int.from_bytes(frame[ip - 2 : ip]) in (dpkt.ethernet.ETH_TYPE_8021Q, dpkt.ethernet.ETH_TYPE_8021AD):
         ip += 4
     if int.from_bytes(frame[ip - 2 : ip]) != dpkt.ethernet.ETH_TYPE_IP or len(frame) < ip + 20:
         return None

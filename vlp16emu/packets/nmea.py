@@ -6,8 +6,6 @@ Fields and their style follow what real units were seen to echo:
 
 from datetime import UTC, datetime, timedelta
 
-import pynmea2
-
 from vlp16emu.errors import InputError, PacketError
 from vlp16emu.types import GnssFix
 from vlp16emu.units import S_NS, US_NS
@@ -39,6 +37,8 @@ def rmc(fix: GnssFix) -> bytes:
     ------
     InputError : NaN, a place outside the globe, a negative speed, or a time that is no whole second
     """
+    import pynmea2  # here, since a sensor without a receiver does without it
+
     _check(fix)
     utc = _EPOCH + timedelta(seconds=fix.t_ns // S_NS)
     fields = (
@@ -70,6 +70,8 @@ def parse_rmc(sentence: bytes) -> GnssFix:
     ------
     PacketError : no `$GPRMC`, a wrong checksum, no CR LF, or a field that is missing or no number
     """
+    import pynmea2
+
     if not (sentence.startswith(b"$GPRMC,") and sentence.endswith(b"\r\n")):
         raise PacketError("NMEA sentence", repr(sentence), "$GPRMC,... that ends with CR LF")
     try:

@@ -18,9 +18,7 @@ __all__ = ["Angle", "Fraction", "NonNegative", "Place", "Positive", "Preset", "S
 class Section(BaseModel):
     """A frozen table of the scenario file; an unknown key or a wrong type is an error."""
 
-    model_config = ConfigDict(
-        frozen=True, strict=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
     either_or: ClassVar[frozenset[str]] = frozenset()
     """Keys of which one rules out the others."""

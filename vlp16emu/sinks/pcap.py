@@ -12,8 +12,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import dpkt
-
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets.frames import FACTORY_LINK, Link, data_header, position_frame
 from vlp16emu.types import Packet, PacketKind
@@ -24,8 +22,6 @@ __all__ = ["STDOUT", "PcapResult", "PcapSink"]
 STDOUT = Path("-")
 """Stands for standard output, as for tcpdump and tshark."""
 
-# Little-endian microsecond pcap: readers with fixed offsets and older libraries know no other kind.
-_FILE_HEADER = bytes(dpkt.pcap.LEFileHdr(snaplen=65_535, linktype=dpkt.pcap.DLT_EN10MB))
 _RECORD_HEADER = struct.Struct("<4I")
 
 
@@ -82,7 +78,7 @@ class PcapSink:
         except OSError as error:
             raise OutputError(str(path), str(error.strerror), "a file that can be written") from error
         try:
-            self._write(_FILE_HEADER)
+            self._write(_file_header())
         except RunError:
             self._file.close()
             raise
@@ -146,3 +142,10 @@ class PcapSink:
             ) from error
         self._hash.update(record)
         self._bytes += len(record)
+
+
+def _file_header() -> bytes:
+    """Head of a little-endian microsecond pcap: readers with fixed offsets and older libraries know no other kind."""
+    import dpkt  # here, so that streams do without it
+
+    return bytes(dpkt.pcap.LEFileHdr(snaplen=65_535, linktype=dpkt.pcap.DLT_EN10MB))

@@ -9,8 +9,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from scipy.spatial.transform import Rotation
-
 from vlp16emu.errors import OutputError, RunError, spare
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
@@ -101,6 +99,8 @@ def tum_rows(poses: Poses) -> str:
 
     UTC seconds, metres, and the rotation that takes coordinates of the body to those of the world.
     """
+    from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
+
     quaternions = Rotation.from_matrix(poses.world_R_body).as_quat(canonical=True)
     lines = [
         f"{seconds_text(t_ns)} {x:.9f} {y:.9f} {z:.9f} {qx:.12f} {qy:.12f} {qz:.12f} {qw:.12f}\n"

@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from vlp16emu.random import Purpose
 from vlp16emu.types import PlantPart, Semantic
@@ -78,6 +77,8 @@ def stones_per_ha(cover: float) -> float:
 
 def _stone_length_m(probability: Array) -> Array:
     """Quantiles of the log-normal distribution cut at `_STONE_M`."""
+    from scipy import special  # here: a hall has no stones, and does without scipy
+
     low, high = (special.ndtr(math.log(size / _STONE_MEDIAN_M) / _STONE_SIGMA) for size in _STONE_M)
     normal = special.ndtri(low + (high - low) * probability)
     length: Array = _STONE_MEDIAN_M * np.exp(_STONE_SIGMA * normal)

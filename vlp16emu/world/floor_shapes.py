@@ -8,7 +8,6 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh
@@ -82,6 +81,8 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
 
 def _stone(rng: np.random.Generator, splits: int) -> Mesh:
     """Icosphere with sine lobes."""
+    from scipy.spatial import ConvexHull  # here: a hall has no stones, and does without scipy
+
     sphere, faces = _icosphere(splits)
     waves = rng.normal(0.0, 2.5, (3, _LOBES))
     lobes = _LOBE_HEIGHT * np.sin(sphere @ waves + rng.uniform(0, 2 * np.pi, _LOBES))
@@ -96,6 +97,8 @@ def _stone(rng: np.random.Generator, splits: int) -> Mesh:
 
 def _icosphere(splits: int) -> tuple[Array, NDArray[np.uint32]]:
     """Quarter the faces of an icosahedron again and again: unit vectors (v, 3) and triangles (f, 3)."""
+    from scipy.spatial import ConvexHull
+
     golden = (1 + np.sqrt(5)) / 2
     corners = [np.roll((0.0, a, b * golden), axis) for axis in range(3) for a in (-1, 1) for b in (-1, 1)]
     vertices = np.array(corners) / np.hypot(1, golden)

@@ -6,7 +6,6 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from vlp16emu.types import Mesh, Semantic, ShapeKey, Window
 from vlp16emu.world.floor_shapes import FloorKey
@@ -159,6 +158,8 @@ def _corners_m(meshes: Sequence[Mesh]) -> Array:
 
 def _hull_m(points_m: Array) -> Array:
     """Those of the points (n, 2 or 3) that span their convex hull; all, where they span no area or volume."""
+    from scipy.spatial import ConvexHull, QhullError  # here: only reports on a forest need it
+
     try:
         hull: Array = points_m[ConvexHull(points_m).vertices]
     except QhullError:

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from vlp16emu.report.accuracy.errors import Comparison
 
@@ -80,6 +79,8 @@ class Tally:
         """
         if self.with_errors < FEWEST_CLUSTERS or self.range_rmse_m is None:
             return None
+        from scipy.special import stdtrit  # here: the first packet need not wait for it
+
         mean = self.squares_um2 / self.matched
         away = self.squares_2_um4 - 2 * mean * self.squares_matched_um2 + mean**2 * self.matched_2
         # Where all clusters err alike, rounding may leave a hair less than nothing.
