@@ -1,5 +1,6 @@
 """Where packets leave: a capture file, the network, or a list; and the clock that lets them leave in time."""
 
+from vlp16emu.sinks.delay import TOLERANCE_NS, FellBehind, Late
 from vlp16emu.sinks.memory import MemorySink
 from vlp16emu.sinks.pacing import Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import STDOUT, PcapResult, PcapSink
@@ -12,6 +13,9 @@ __all__ = [
     "LOOK_AHEAD_PACKETS",
     "LOOPBACK",
     "STDOUT",
+    "TOLERANCE_NS",
+    "FellBehind",
+    "Late",
     "Lateness",
     "LatenessHistogram",
     "MemorySink",
