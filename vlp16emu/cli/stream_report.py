@@ -127,7 +127,7 @@ def _cause(behind: "FellBehind") -> str:
 
 def _options(times: "Sequence[FellBehind]", scenario: "Scenario", speed: float) -> list[str]:
     """Options with which the engine keeps up, as slow as it was; none where it was not the cause."""
-    speeds = [behind.engine_speed for behind in times if behind.engine and behind.engine_speed]
+    speeds = [behind.engine_speed for behind in times if behind.engine and behind.engine_speed is not None]
     return settings_that_keep_up(scenario, min(speeds), speed) if speeds else []
 
 

@@ -4,6 +4,7 @@ from vlp16emu.sinks.delay import TOLERANCE_NS, FellBehind, Late
 from vlp16emu.sinks.memory import MemorySink
 from vlp16emu.sinks.pacing import Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import STDOUT, PcapResult, PcapSink
+from vlp16emu.sinks.sending_cost import sending_share
 from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, StreamReport, stream
 from vlp16emu.sinks.truth import TruthFolder, tum_rows
@@ -27,6 +28,7 @@ __all__ = [
     "TruthFolder",
     "UdpResult",
     "UdpSink",
+    "sending_share",
     "stream",
     "tum_rows",
 ]

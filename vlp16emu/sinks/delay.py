@@ -55,15 +55,26 @@ class DelayLog:
         self._last_ns = 0
         self.times: list[FellBehind] = []
 
+    def overdue(self, late_ns: int, deadline_ns: int, *, engine_speed: float | None) -> None:
+        """Notify at once that a packet is late which the engine has still not computed; its delay comes with it."""
+        self._time(late_ns, deadline_ns, engine=True, engine_speed=engine_speed)
+
     def add(self, late_ns: int, deadline_ns: int, *, engine: bool, engine_speed: float | None) -> None:
         """Record a packet that is late by more than the tolerance; its deadline counts from the start."""
         late_s = late_ns / S_NS
+        time = self._time(late_ns, deadline_ns, engine=engine, engine_speed=engine_speed)
+        time.total_s = time.total_s + late_s if self._late is Late.PACE else max(time.total_s, late_s)
+
+    def _time(
+        self, late_ns: int, deadline_ns: int, *, engine: bool, engine_speed: float | None
+    ) -> FellBehind:
+        """Give the time that lasts, or begin one and notify of it."""
         now_ns = deadline_ns + late_ns
         is_new = not self.times or now_ns - self._last_ns > _SETTLED_NS
         self._last_ns = now_ns
         if is_new:
-            self.times.append(FellBehind(deadline_ns / S_NS, late_s, engine, engine_speed))
-        times = self.times[-1]
-        times.total_s = times.total_s + late_s if self._late is Late.PACE else max(times.total_s, late_s)
-        if is_new:
-            self._notify(times)
+            self.times.append(FellBehind(deadline_ns / S_NS, late_ns / S_NS, engine, engine_speed))
+            self._notify(self.times[-1])
+        elif engine:
+            self.times[-1].engine_speed = engine_speed
+        return self.times[-1]

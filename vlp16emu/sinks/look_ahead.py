@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from types import TracebackType
 from typing import Self
 
@@ -74,8 +74,12 @@ class LookAhead:
             while len(self._ready) < self._capacity and not self._done and not self._over:
                 self._changed.wait(_POLL_S)
 
-    def take(self) -> Packet | None:
+    def take(self, waiting: Callable[[float | None], None] = lambda _: None) -> Packet | None:
         """Next packet, waiting for it if need be; None at the end or when `stop` is set.
+
+        Parameters
+        ----------
+        waiting : called with the engine's speed every 50 ms as long as there is no packet
 
         Raises
         ------
@@ -84,7 +88,8 @@ class LookAhead:
         """
         with self._changed:
             while not self._ready and not self._done and not self._over:
-                self._changed.wait(_POLL_S)
+                if not self._changed.wait(_POLL_S):
+                    waiting(self.engine_speed)
             if self._over:
                 return None
             if self._ready:

@@ -23,6 +23,8 @@ LOOK_AHEAD_PACKETS = 2048
 _SWITCH_INTERVAL_S = 0.000_2
 """For how long the thread that computes may keep the interpreter from the one that sends. Python's own
 5 ms would be four packets late."""
+_SPACING_NS = 1_327_104
+"""Of data packets in single return, the longest there is (VLP-16 manual 63-9243 Rev D, section 8.2)."""
 _PATIENCE_NS = 250_000_000
 """For how long packets are computed only to be dropped, before the engine is asked to go on further ahead."""
 _LEAD_NS = 500_000_000
@@ -92,7 +94,7 @@ def stream(
         with _prompt_switching(), prompt_sleeps(), LookAhead(packets, look_ahead_packets, stop) as ahead:
             ahead.fill()
             had_to_wait = False
-            while (packet := ahead.take()) is not None:
+            while (packet := ahead.take(sender.watch)) is not None:
                 sender.send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
                 had_to_wait = ahead.is_empty
             interrupted = stop.is_set()
@@ -131,9 +133,11 @@ class Sender:
         self._skipped = Counter[PacketKind]()
         self._skipping_since_ns: int | None = None
         self._lead_ns = 0
+        self._next_due_ns: int | None = None
 
     def send(self, packet: Packet, *, had_to_wait: bool, engine_speed: float | None = None) -> None:
         """Send at the deadline; `had_to_wait` says that the packet was not ready when it was asked for."""
+        self._next_due_ns = packet.due_ns + _SPACING_NS
         deadline_ns = self._pacer.deadline_ns(packet.due_ns)
         behind_ns = self._pacer.behind_ns(deadline_ns)
         if behind_ns > TOLERANCE_NS:
@@ -147,6 +151,16 @@ class Sender:
         self._lateness.add(self._pacer.wait(packet, deadline_ns))
         self._sink.send(packet)
         self._pacer.left(packet)
+
+    def watch(self, engine_speed: float | None) -> None:
+        """Notify while the next packet is waited for, where it is late by more than the tolerance already."""
+        if self._next_due_ns is None:
+            return
+        deadline_ns = self._pacer.deadline_ns(self._next_due_ns)
+        behind_ns = self._pacer.behind_ns(deadline_ns)
+        if behind_ns > TOLERANCE_NS:
+            since_ns = self._pacer.since_start_ns(deadline_ns)
+            self._log.overdue(behind_ns, since_ns, engine_speed=engine_speed)
 
     def report(self, *, interrupted: bool) -> StreamReport:
         """Sum up."""
