@@ -158,7 +158,7 @@ def arrivals():
 @pytest.mark.skipif(sys.platform != "linux", reason="stamps of arrival as Linux gives them")
 @pytest.mark.parametrize("late", ["pace", "skip"])
 def test_a_stopped_stream_goes_on_without_a_burst(program, arrivals, late):
-    """Stopped for 2 s, the stream goes on at the sensor's pace: no 20 packets come in less than 3/4 of their time.
+    """Stopped for 2 s, the stream goes on at the sensor's pace: n packets take 0.94 of their time less 10 ms, or more.
 
     It says so at once on stderr, stdout stays one JSON object, and the report gives the delay or the packets skipped.
     """
@@ -172,9 +172,9 @@ def test_a_stopped_stream_goes_on_without_a_burst(program, arrivals, late):
     stamps_ns += receive(800)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=30)
-    windows_ns = np.array(stamps_ns[20:]) - np.array(stamps_ns[:-20])
-    assert windows_ns.min() >= 0.74 * 20 * PERIOD_NS
-    assert np.median(windows_ns) >= 0.95 * 20 * PERIOD_NS
+    for n in (20, 100):
+        windows_ns = np.array(stamps_ns[n:]) - np.array(stamps_ns[:-n])
+        assert windows_ns.min() >= 0.94 * n * PERIOD_NS - 10_000_000
     report = json.loads(out)
     assert report["fell_behind"] >= 1
     assert report["most_behind_s"] > 0.9 * STOPPED_S

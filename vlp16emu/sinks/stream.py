@@ -132,7 +132,7 @@ class Sender:
         self._lateness = LatenessHistogram()
         self._skipped = Counter[PacketKind]()
         self._skipping_since_ns: int | None = None
-        self._lead_ns = 0
+        self._lead_ns = self._gone_on_from_ns = 0
         self._next_due_ns: int | None = None
 
     def send(self, packet: Packet, *, had_to_wait: bool, engine_speed: float | None = None) -> None:
@@ -178,12 +178,14 @@ class Sender:
     def _skip(self, packet: Packet, now_ns: int, *, had_to_wait: bool) -> None:
         """Drop a packet; where dropping does not end, because the engine is too slow, let it go on further ahead.
 
-        The lead doubles until the engine's first packet is in time.
+        The lead doubles until the engine's first packet from there on is in time.
         """
         self._skipped[packet.kind] += 1
         if self._skipping_since_ns is None:
             self._skipping_since_ns = now_ns
-        elif self._go_on_from and had_to_wait and now_ns - self._skipping_since_ns > _PATIENCE_NS:
+        lasts = now_ns - self._skipping_since_ns > _PATIENCE_NS
+        if self._go_on_from and had_to_wait and lasts and packet.due_ns >= self._gone_on_from_ns:
             self._lead_ns = 2 * self._lead_ns or _LEAD_NS
-            self._go_on_from(self._pacer.due_in_ns(self._lead_ns))
+            self._gone_on_from_ns = self._pacer.due_in_ns(self._lead_ns)
+            self._go_on_from(self._gone_on_from_ns)
             self._skipping_since_ns = now_ns
