@@ -313,7 +313,7 @@ def test_a_slow_engine_is_asked_to_go_on_further_ahead():
         while len(from_ns) == jumps:  # packets 60 ms late, and more and more so
             sending.now_ns = max(sending.now_ns + 10_000_000, from_ns[-1] + 60_000_000)
             sending.send(from_ns[-1], had_to_wait=True)
-    assert ahead_ns == [500_000_000, 1_000_000_000, 2_000_000_000]
+    assert ahead_ns == [1_000_000_000, 2_000_000_000, 4_000_000_000]
     sending.send(from_ns[-2], had_to_wait=True)  # still of before
     sending.now_ns += 10**9
     sending.send(from_ns[-2], had_to_wait=True)

@@ -27,8 +27,8 @@ _SPACING_NS = 1_327_104
 """Of data packets in single return, the longest there is (VLP-16 manual 63-9243 Rev D, section 8.2)."""
 _PATIENCE_NS = 250_000_000
 """For how long packets are computed only to be dropped, before the engine is asked to go on further ahead."""
-_LEAD_NS = 500_000_000
-"""How far ahead of now that is at first: some blocks of 0.1 s on each core."""
+_LEAD_NS = 1_000_000_000
+"""How far ahead of now that is at first: longer than the blocks under way take to end and new ones to begin."""
 
 
 @dataclass(frozen=True, slots=True)
