@@ -324,6 +324,19 @@ def test_a_slow_engine_is_asked_to_go_on_further_ahead():
     assert sending.now_ns == from_ns[-1]
 
 
+def test_the_first_packet_after_a_gap_is_punctual():
+    """Stopped for 5 s while a packet waits, that one leaves late, and the next one that is not skipped on time."""
+    sending = Sending(Late.SKIP)
+    sending.send(0)
+    pacer = sending.sender._pacer
+    pacer._sleep = lambda seconds: setattr(sending, "now_ns", sending.now_ns + 5_000_000_000)
+    sending.send(PERIOD_NS)
+    pacer._sleep = lambda seconds: setattr(sending, "now_ns", sending.now_ns + round(seconds * 1e9))
+    sending.send(2 * PERIOD_NS)
+    sending.send(6_000_000_000)
+    assert sending.left_ns == [0, 5_000_000_000, 6_000_000_000]
+
+
 def test_the_timer_slack_is_put_back():
     """The calling thread's sleeps are prompt inside, and as before afterwards."""
     if sys.platform != "linux":

@@ -122,6 +122,10 @@ class Pacer:
         """Move all deadlines to come."""
         self.delay_ns += by_ns
 
+    def break_off(self) -> None:
+        """Begin anew with spacing, as where packets are left out: the next one leaves at its deadline."""
+        self._last.clear()
+
     def wait(self, packet: Packet, deadline_ns: int) -> int:
         """Sleep until a packet may leave, and return how late after its deadline it does, in ns.
 

@@ -181,6 +181,7 @@ class Sender:
         The lead doubles until the engine's first packet from there on is in time.
         """
         self._skipped[packet.kind] += 1
+        self._pacer.break_off()
         if self._skipping_since_ns is None:
             self._skipping_since_ns = now_ns
         lasts = now_ns - self._skipping_since_ns > _PATIENCE_NS
