@@ -42,7 +42,7 @@ ALLOWED = {
 }
 LIBRARIES = {
     # third-party or system module: where it may be imported
-    "ctypes": ("raycast/embree",),
+    "ctypes": ("raycast/embree", "sinks/timer_slack.py"),
     "embreex": ("raycast/embree", "raycast/plain.py"),
     "serial": ("sinks/", "device/"),
     "socket": ("sinks/", "device/"),

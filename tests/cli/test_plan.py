@@ -110,10 +110,33 @@ def test_the_forecast_is_of_what_was_measured(birch):
     assert told["peak_memory_bytes"] <= 1.01 * peak_bytes()
 
 
-@pytest.mark.parametrize(("factor", "advised"), [(0.9, True), (1.1, False)])
-def test_what_is_too_slow_to_stream_gets_an_advice(birch, capsys, factor, advised):
-    """A plan says what makes a run quicker where it cannot keep pace with real time, and only there."""
-    plan._print_how(birch | {"forecast": birch["forecast"] | {"steady_factor": factor}})
+def test_whether_a_stream_keeps_up_is_reported(birch):
+    """The engine's speed beside the sender is that of the forecast, or a little less, and decides."""
+    stream = birch["stream"]
+    assert 0 < stream["sender_share"] < 1
+    assert 0 < stream["real_time_factor"] <= birch["forecast"]["steady_factor"]
+    assert stream["keeps_up"] is (stream["real_time_factor"] >= 1)
+    assert bool(stream["keeps_up_with"]) is not stream["keeps_up"]
+
+
+@pytest.mark.parametrize(
+    ("factor", "line"),
+    [
+        (3.1, "yes, 3.1 x real time"),
+        (1.1, "yes, 1.10 x real time, with next to nothing left for other programs"),
+        (0.9, "no, 0.90 x real time: packets will be late"),
+    ],
+)
+def test_people_read_whether_a_stream_keeps_up(factor, line):
+    """The page says yes or no, and the speed; a speed that leaves nothing to spare is called that."""
+    found = {"keeps_up": factor >= 1, "real_time_factor": factor, "sender_share": 0.05, "keeps_up_with": []}
+    assert plan._stream_rows(found)["keeps up"] == line
+
+
+@pytest.mark.parametrize(("keeps_up", "advised"), [(False, True), (True, False)])
+def test_what_is_too_slow_to_stream_gets_an_advice(birch, capsys, keeps_up, advised):
+    """A plan says what makes a run faster where a stream cannot keep up, and only there."""
+    plan._print_how(birch | {"stream": {"keeps_up": keeps_up}})
     assert ("world.near_m" in capsys.readouterr().out) is advised
 
 
@@ -130,7 +153,8 @@ def test_people_get_a_page(cli):
     outcome = cli("plan", "static_bench", "--set", "noise.preset=typical", "--duration", "1")
     assert "\n  beam width" in outcome.out
     assert "`record` of 1 s on " in outcome.out
-    assert outcome.out.splitlines()[-1].startswith("Measured now on this machine: ")
+    assert "\n  keeps up  " in outcome.out
+    assert "\nMeasured now on this machine: " in outcome.out
     assert outcome.err == ""
 
 

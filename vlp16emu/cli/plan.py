@@ -1,4 +1,4 @@
-"""`vlp16emu plan`: what a scene needs, what it leaves out, and what a recording of it will take."""
+"""`vlp16emu plan`: what a scene needs, what it leaves out, what a recording takes, and whether a stream keeps up."""
 
 import os
 import time
@@ -15,17 +15,23 @@ from vlp16emu.cli.arguments import (
     span_s,
 )
 from vlp16emu.cli.audit import NoAudit, audited
+from vlp16emu.cli.keeping_up import settings_that_keep_up, speed_beside_sender
 from vlp16emu.cli.output import count, print_json, print_rows, size
 from vlp16emu.cli.start import starting
 
 if TYPE_CHECKING:
     from vlp16emu.cli.trial import Trial
+    from vlp16emu.emulator import Emulator
 
 __all__ = ["plan"]
 
+_SENT_S = 0.4
+"""Of packets that are sent, to no other program, in order to measure what sending takes."""
+_SCARCE = 1.2
+"""Speed below which other programs, a driver on the same machine for instance, may make a stream late."""
 _TOO_SLOW = (
-    "Too slow to be streamed as it runs. Quicker are fewer rays (beam.model, beam.target_m), fewer single leaves "
-    "(world.near_m)\nand a shorter reach (sensor.max_range_m); `vlp16emu accuracy` measures error and cost of the first two."
+    "Fewer single leaves (world.near_m) and fewer rays (beam.model, beam.target_m) are faster too; "
+    "`vlp16emu accuracy` reports their errors."
 )
 
 
@@ -39,7 +45,7 @@ def plan(
     no_audit: NoAudit = False,
     as_json: AsJson = False,
 ) -> None:
-    """Tell what a scene needs and a recording will take.
+    """Report what a scene needs, what a recording takes, and whether a stream keeps up.
 
     Opens the first two windows of the world, carries out short pieces of the run as `record` does, and
     extrapolates: figures hold for this machine, as busy as it is now.
@@ -63,6 +69,7 @@ def plan(
     tree |= {"features": [asdict(need) for need in needs(emulator, audit)]}
     tree |= {"world": surroundings(emulator, trial.windows), "libraries": loaded}
     tree |= {"forecast": _forecast(trial, stop_s, workers), "measured": _measured(trial)}
+    tree |= {"stream": _stream(emulator, tree["forecast"]["steady_factor"], stop_s, workers)}
     if as_json:
         print_json(tree)
     else:
@@ -83,6 +90,21 @@ def _forecast(trial: "Trial", stop_s: float, workers: int) -> dict[str, Any]:
     )
     first_s = trial.until_first_packet.wall_s
     return asdict(told) | {"first_packet_s": first_s, "peak_memory_bytes": trial.peak_bytes}
+
+
+def _stream(emulator: "Emulator", engine_speed: float, stop_s: float, workers: int) -> dict[str, Any]:
+    """Say whether `stream` keeps up in real time, in the types of JSON."""
+    from vlp16emu.sinks import sending_share
+
+    share = sending_share(list(emulator.packets(0.0, min(_SENT_S, stop_s))))
+    speed = speed_beside_sender(engine_speed, share, workers, os.cpu_count() or 1)
+    keeps_up = speed >= 1.0
+    return {
+        "keeps_up": keeps_up,
+        "real_time_factor": speed,
+        "sender_share": share,
+        "keeps_up_with": [] if keeps_up else settings_that_keep_up(emulator.scenario, speed, 1.0),
+    }
 
 
 def _measured(trial: "Trial") -> dict[str, Any]:
@@ -121,7 +143,24 @@ def _print(tree: dict[str, Any]) -> None:
             "memory": "not told by this system" if peak is None else f"{size(peak)} at most",
         },
     )
+    print_rows("`stream` in real time", _stream_rows(tree["stream"]))
     _print_how(tree)
+
+
+def _stream_rows(found: dict[str, Any]) -> dict[str, str]:
+    """Write whether a stream keeps up."""
+    if not found["keeps_up"]:
+        speed = f"no, {found['real_time_factor']:.2f} x real time: packets will be late"
+    elif found["real_time_factor"] < _SCARCE:
+        speed = (
+            f"yes, {found['real_time_factor']:.2f} x real time, with next to nothing left for other programs"
+        )
+    else:
+        speed = f"yes, {found['real_time_factor']:.1f} x real time"
+    rows = {"keeps up": speed, "sender": f"{found['sender_share']:.0%} of a core, accounted for"}
+    if found["keeps_up_with"]:
+        rows["to keep up"] = ", or ".join(found["keeps_up_with"])
+    return rows
 
 
 def _reach(world: dict[str, Any]) -> dict[str, str]:
@@ -152,5 +191,5 @@ def _print_how(tree: dict[str, Any]) -> None:
         f"Measured now on this machine: {measured['simulated_s']:.1f} s of the run in {len(measured['pieces'])} pieces"
         f"{opened}; memory is the peak of doing so, the rest extrapolated."
     )
-    if tree["forecast"]["steady_factor"] < 1:
+    if not tree["stream"]["keeps_up"]:
         print(_TOO_SLOW)

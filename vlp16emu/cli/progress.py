@@ -57,3 +57,10 @@ class Progress:
         if self._bar is not None and (now_s := time.monotonic()) >= self._next_s:
             self._next_s = now_s + _REFRESH_S
             self._bar.update(self._task, description=task, completed=done_s, refresh=True)
+
+    def say(self, line: str) -> None:
+        """Print a line on stderr at once, above the bar where there is one."""
+        if self._bar is not None:
+            self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+        else:
+            print(line, file=sys.stderr, flush=True)

@@ -1,6 +1,7 @@
 """`vlp16emu stream`: a scene over UDP, in real time."""
 
 import math
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from types import TracebackType
@@ -20,21 +21,21 @@ from vlp16emu.cli.arguments import (
     checked,
     span_s,
 )
-from vlp16emu.cli.audit import NoAudit, audit_row, audit_tree, audited
+from vlp16emu.cli.audit import NoAudit, audit_tree, audited
 from vlp16emu.cli.inputs import load_for
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
-from vlp16emu.cli.light import light_rows, light_tree
-from vlp16emu.cli.output import count, print_json, print_rows
+from vlp16emu.cli.light import light_tree
+from vlp16emu.cli.output import print_json, print_rows
 from vlp16emu.cli.progress import Progress
-from vlp16emu.cli.rotor import revolutions, turned
 from vlp16emu.cli.start import starting
+from vlp16emu.cli.stream_report import behind_line, stream_rows, stream_tree
 from vlp16emu.cli.truth import SCENARIO, TruthPackets, TruthRate, TruthTo, with_truth
+from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
-    from vlp16emu.assembly import Unit
+    from vlp16emu.cli.engine import Engine
     from vlp16emu.packets import Link
-    from vlp16emu.scenario import Scenario
-    from vlp16emu.sinks import PacketSink, StreamReport, UdpResult, UdpSink
+    from vlp16emu.sinks import FellBehind, PacketSink, StreamReport, UdpSink
     from vlp16emu.types import Packet
 
 __all__ = ["stream"]
@@ -52,6 +53,25 @@ Speed = Annotated[
             "--speed", float, lambda x: _SLOWEST <= x < math.inf, f"a number from {_SLOWEST:g} on"
         ),
         help="Simulated seconds per second.",
+    ),
+]
+
+
+def _policy(text: str) -> str:
+    """Read what happens to late packets."""
+    if text not in ("pace", "skip"):
+        raise InputError("--late", f"found {text}", "pace or skip")
+    return text
+
+
+LatePolicy = Annotated[
+    str,
+    typer.Option(
+        "--late",
+        metavar="pace|skip",
+        parser=_policy,
+        help="Packets late by more than 50 ms: leave at the sensor's own spacing, and the stream stays late (pace), or "
+        "are dropped until it is at now (skip). Neither bursts.",
     ),
 ]
 AsSensor = Annotated[
@@ -78,52 +98,72 @@ def stream(
     truth_rate: TruthRate = 200,
     truth_packets: TruthPackets = False,
     speed: Speed = 1.0,
+    late: LatePolicy = "pace",
     as_sensor: AsSensor = False,
     as_json: AsJson = False,
 ) -> None:
     """Stream a scene over UDP, each packet at its time.
 
     Nothing leaves this machine unless --to names another one. Packets are computed ahead; the first one
-    starts the clock, and all deadlines count from there. Ctrl-C ends the stream.
+    starts the clock, and all deadlines count from there. Where the engine falls behind, a line says so at
+    once, with settings that would keep up. Ctrl-C ends the stream.
     """
     with starting():
+        from vlp16emu.cli.engine import Engine
+
         changes = [*(settings or ()), *_told_ports(data_port, position_port)]
         scenario = load_for([truth and truth / SCENARIO], scene, changes, ideal=ideal)
         start_s, stop_s = span_s(0.0, duration, scenario.duration_s)
         emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
-        from vlp16emu.sinks import LOOK_AHEAD_PACKETS, Pacer
-        from vlp16emu.sinks import stream as send
-    packets = emulator.packets(start_s, stop_s)
-    links = [unit.link for unit in emulator.parts.units]
+    engine, units = Engine(emulator, start_s, stop_s), emulator.parts.units
+    head = {"scene": scene, "seed": scenario.seed, "to": to, "speed": speed, "late": late}
     with (
         stop_on_ctrl_c() as stop,
-        with_truth(emulator, packets, start_s, truth, truth_rate, per_packet=truth_packets) as told,
-        _opened(links, to, as_sensor=as_sensor) as sinks,
+        with_truth(emulator, engine, start_s, truth, truth_rate, per_packet=truth_packets) as told,
+        _opened([unit.link for unit in units], to, as_sensor=as_sensor) as sinks,
         Progress(stop_s) as progress,
     ):
-        _announce(scene, to, links, quiet=as_json)
-        shown, ahead = _Shown(sinks, progress, scenario.start_ns), LOOK_AHEAD_PACKETS * len(sinks)
-        report = send(told, shown, Pacer(speed), stop=stop, look_ahead_packets=ahead)
-    tree = _head(scenario, scene, to, speed) | _tree(emulator.parts.units, sinks, report)
+        _announce(scene, to, [unit.link for unit in units], quiet=as_json)
+        report = _send(told, engine, _Shown(sinks, progress, scenario.start_ns), head, stop)
+    tree = head | light_tree(scenario) | stream_tree(units, sinks, report, engine.skipped, scenario, speed)
     _print(tree | {"audit": audit_tree(audit)}, as_json=as_json)
     if report.interrupted:
         raise typer.Exit(INTERRUPTED)
+
+
+def _send(
+    packets: "Iterator[Packet]",
+    engine: "Engine",
+    shown: "_Shown",
+    head: dict[str, Any],
+    stop: threading.Event,
+) -> "StreamReport":
+    """Send in real time, and print at once where the stream falls behind."""
+    from vlp16emu.sinks import LOOK_AHEAD_PACKETS, Late, Pacer
+    from vlp16emu.sinks import stream as send
+
+    late, speed = Late(head["late"]), head["speed"]
+
+    def notify(behind: "FellBehind") -> None:
+        """Print that the stream falls behind."""
+        shown.progress.say(behind_line(behind, engine.scenario, late, speed))
+
+    return send(
+        packets,
+        shown,
+        Pacer(speed),
+        late=late,
+        notify=notify,
+        go_on_from=engine.go_on_from,
+        stop=stop,
+        look_ahead_packets=LOOK_AHEAD_PACKETS * shown.units,
+    )
 
 
 def _told_ports(data_port: int | None, position_port: int | None) -> list[str]:
     """Give the ports of the command line as settings."""
     ports = {"data_port": data_port, "position_port": position_port}
     return [f"sensor.{key}={port}" for key, port in ports.items() if port is not None]
-
-
-def _head(scenario: "Scenario", scene: str, to: str, speed: float) -> dict[str, Any]:
-    """Tell what was streamed, and whither."""
-    return {
-        "scene": scene,
-        "seed": scenario.seed,
-        "to": to,
-        "speed": speed,
-    } | light_tree(scenario)
 
 
 def _announce(scene: str, to: str, links: "Sequence[Link]", *, quiet: bool) -> None:
@@ -156,7 +196,8 @@ class _Shown:
     """The sinks of all units as one that moves a progress bar."""
 
     def __init__(self, sinks: "Sequence[PacketSink]", progress: Progress, begin_ns: int) -> None:
-        self._sinks, self._progress, self._begin_ns = sinks, progress, begin_ns
+        self._sinks, self._begin_ns = sinks, begin_ns
+        self.progress, self.units = progress, len(sinks)
 
     def __enter__(self) -> Self:
         return self
@@ -169,64 +210,13 @@ class _Shown:
     def send(self, packet: "Packet") -> None:
         """Send first, draw after."""
         self._sinks[packet.unit].send(packet)
-        self._progress.show("streaming", (packet.due_ns - self._begin_ns) * 1e-9)
-
-
-def _unit(unit: "Unit", sent: "UdpResult", simulated_s: float) -> dict[str, Any]:
-    """Tell what one unit sent, whither, and how far it turned."""
-    return {
-        "unit": unit.number + 1,
-        "data_port": unit.link.data_port,
-        "position_port": unit.link.position_port,
-        "packets": sent.data_packets,
-        "position_packets": sent.position_packets,
-    } | turned(unit.head, simulated_s)
-
-
-def _tree(streamed: "Sequence[Unit]", sinks: "Sequence[UdpSink]", report: "StreamReport") -> dict[str, Any]:
-    """Put how the stream went into the types of JSON; ports are those of the first unit."""
-    late = report.lateness
-    pairs = zip(streamed, sinks, strict=True)
-    units = [_unit(unit, sink.result, report.simulated_s) for unit, sink in pairs]
-    return {
-        "data_port": units[0]["data_port"],
-        "position_port": units[0]["position_port"],
-        "packets": sum(unit["packets"] for unit in units),
-        "position_packets": sum(unit["position_packets"] for unit in units),
-        "units": units,
-        "simulated_s": report.simulated_s,
-        "wall_s": report.wall_s,
-        "real_time_factor": report.real_time_factor,
-        "late_median_us": late.median_ns * 1e-3,
-        "late_p99_us": late.p99_ns * 1e-3,
-        "late_max_us": late.max_ns * 1e-3,
-        "fell_behind": report.fell_behind,
-        "most_behind_s": report.most_behind_s,
-        "interrupted": report.interrupted,
-    }
+        self.progress.show("streaming", (packet.due_ns - self._begin_ns) * 1e-9)
 
 
 def _print(tree: dict[str, Any], *, as_json: bool) -> None:
     """Print the report, for people unless as JSON."""
     if as_json:
         print_json(tree)
-        return
-    behind = "never"
-    if tree["fell_behind"]:
-        behind = f"{count(tree['fell_behind'])} times, by {tree['most_behind_s']:.3f} s at most"
-    print_rows(
-        f"{'interrupted' if tree['interrupted'] else 'done'}: {tree['scene']} to {tree['to']}",
-        {
-            **light_rows(tree),
-            "data packets": count(tree["packets"]),
-            "position packets": count(tree["position_packets"]),
-            "simulated": f"{tree['simulated_s']:.1f} s in {tree['wall_s']:.1f} s",
-            "revolutions": revolutions(tree["units"]),
-            "lateness": (
-                f"median {tree['late_median_us']:.0f} us, 99 % within {tree['late_p99_us']:.0f} us, "
-                f"at most {tree['late_max_us']:.0f} us"
-            ),
-            "fell behind": behind,
-        }
-        | audit_row(tree["audit"]),
-    )
+    else:
+        ended = "interrupted" if tree["interrupted"] else "done"
+        print_rows(f"{ended}: {tree['scene']} to {tree['to']}", stream_rows(tree))

@@ -54,6 +54,11 @@ def _leaves() -> tuple[NDArray[np.uint64], NDArray[np.uint8], NDArray[np.uint8]]
             for pair in rng.permutation(4):
                 i, j = divmod(int(pair), 2)
                 cells.append((2 * x + i, 2 * y + j, 2 * int(square[x, y]) + ((i + j + odd) & 1)))
+        import os
+        C = int(os.environ.get("CLUMP", "4"))
+        if C < 4:
+            g = [cells[4 * c + C * q : 4 * c + C * q + C] for c in range(16) for q in range(4 // C)]
+            cells = [x for i in rng.permutation(len(g)) for x in g[i]]
         for leaf, cell in enumerate(cells):
             place[variant, leaf] = [32 * c + rng.integers(32) for c in cell]
             for axis in range(3):

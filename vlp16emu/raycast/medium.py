@@ -43,6 +43,8 @@ _FEW_FACES = 2000
 _PIECE_M = 0.25
 """Faces larger than this are cut."""
 _TILTS = 64
+import os as _os
+_FACTOR = float(_os.environ.get("FACTOR", "1"))
 _ASIDE_M = 0.26 + 0.16
 """How far beside a voxel a stem may be that is looked for in it: half a voxel, for a ray is looked at in the middle of
 each voxel that it passes, and the half width of a beam of 3 mrad at 100 m."""
@@ -522,5 +524,5 @@ def _code(area_m2: float) -> np.uint32:
     """Code of the projected area of a voxel; what is there at all has at least 1."""
     if area_m2 <= 0.0:
         return np.uint32(0)
-    code = round(_TAU_CODES * math.sqrt(area_m2 / (VOXEL_M**3 * _TAU_MAX_PER_M)))
+    code = round(_TAU_CODES * math.sqrt(_FACTOR * area_m2 / (VOXEL_M**3 * _TAU_MAX_PER_M)))
     return np.uint32(min(max(code, 1), _TAU_CODES))

@@ -1,8 +1,9 @@
 """A small buffer of packets that a thread computes ahead of time."""
 
 import threading
+import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from types import TracebackType
 from typing import Self
 
@@ -12,6 +13,9 @@ __all__ = ["LookAhead"]
 
 _POLL_S = 0.05
 """How often a thread that waits looks whether it shall stop."""
+_REFILLS = 8
+"""Share of the buffer that is taken before a full one is filled again: a wake-up of the thread that computes for each
+packet would cost the one that sends as much as the sending."""
 
 
 class LookAhead:
@@ -29,11 +33,14 @@ class LookAhead:
 
     def __init__(self, packets: Iterable[Packet], capacity: int, stop: threading.Event) -> None:
         self._capacity, self._stop = capacity, stop
+        self._room_at = capacity - max(capacity // _REFILLS, 1)
         self._ready = deque[Packet]()
         self._changed = threading.Condition()
         self._done = False
         self._left = False
         self._error: BaseException | None = None
+        self._made_due_ns = 0
+        self._full: tuple[int, int] | None = None
         self._thread = threading.Thread(target=self._run, args=(packets,), name="look-ahead", daemon=True)
 
     def __enter__(self) -> Self:
@@ -53,14 +60,26 @@ class LookAhead:
         """Whether `take` would have to wait."""
         return not self._ready
 
+    @property
+    def engine_speed(self) -> float | None:
+        """Simulated time per time in which it was computed, since the buffer was last full; None before."""
+        if (full := self._full) is None:
+            return None
+        clock_ns, due_ns = full
+        return (self._made_due_ns - due_ns) / max(time.monotonic_ns() - clock_ns, 1)
+
     def fill(self) -> None:
         """Wait until the buffer is full, the packets are at their end, or `stop` is set."""
         with self._changed:
             while len(self._ready) < self._capacity and not self._done and not self._over:
                 self._changed.wait(_POLL_S)
 
-    def take(self) -> Packet | None:
+    def take(self, waiting: Callable[[float | None], None] = lambda _: None) -> Packet | None:
         """Next packet, waiting for it if need be; None at the end or when `stop` is set.
+
+        Parameters
+        ----------
+        waiting : called with the engine's speed every 50 ms as long as there is no packet
 
         Raises
         ------
@@ -69,12 +88,15 @@ class LookAhead:
         """
         with self._changed:
             while not self._ready and not self._done and not self._over:
-                self._changed.wait(_POLL_S)
+                if not self._changed.wait(_POLL_S):
+                    waiting(self.engine_speed)
             if self._over:
                 return None
             if self._ready:
-                self._changed.notify_all()
-                return self._ready.popleft()
+                packet = self._ready.popleft()
+                if len(self._ready) == self._room_at:
+                    self._changed.notify_all()
+                return packet
         if self._error is not None:
             raise self._error
         return None
@@ -84,15 +106,22 @@ class LookAhead:
         """Whether nobody wants more packets."""
         return self._left or self._stop.is_set()
 
+    def _wait_for_room(self) -> None:
+        """Wait until a share of the full buffer has been taken, or nobody wants more; holds the lock."""
+        while len(self._ready) > self._room_at and not self._over:
+            self._changed.wait(_POLL_S)
+
     def _run(self, packets: Iterable[Packet]) -> None:
         """Body of the thread."""
         try:
             for packet in packets:
                 with self._changed:
-                    while len(self._ready) >= self._capacity and not self._over:
-                        self._changed.wait(_POLL_S)
+                    if len(self._ready) >= self._capacity:
+                        self._wait_for_room()
+                        self._full = time.monotonic_ns(), packet.due_ns
                     if self._over:
                         return
+                    self._made_due_ns = packet.due_ns
                     self._ready.append(packet)
                     self._changed.notify_all()
         except BaseException as error:  # noqa: BLE001  # belongs to the thread that takes, which raises it

@@ -2,17 +2,20 @@
 
 import sys
 import threading
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from vlp16emu.sinks.delay import TOLERANCE_NS, DelayLog, FellBehind, Late
 from vlp16emu.sinks.look_ahead import LookAhead
 from vlp16emu.sinks.pacing import Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.sink import PacketSink
-from vlp16emu.types import Packet
+from vlp16emu.sinks.timer_slack import prompt_sleeps
+from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-__all__ = ["LOOK_AHEAD_PACKETS", "StreamReport", "stream"]
+__all__ = ["LOOK_AHEAD_PACKETS", "Sender", "StreamReport", "stream"]
 
 LOOK_AHEAD_PACKETS = 2048
 """About 2.3 s of single return with its position packets, 1.2 s of dual; 2.6 MB."""
@@ -20,6 +23,12 @@ LOOK_AHEAD_PACKETS = 2048
 _SWITCH_INTERVAL_S = 0.000_2
 """For how long the thread that computes may keep the interpreter from the one that sends. Python's own
 5 ms would be four packets late."""
+_SPACING_NS = 1_327_104
+"""Of data packets in single return, the longest there is (VLP-16 manual 63-9243 Rev D, section 8.2)."""
+_PATIENCE_NS = 250_000_000
+"""For how long packets are computed only to be dropped, before the engine is asked to go on further ahead."""
+_LEAD_NS = 1_000_000_000
+"""How far ahead of now that is at first: longer than the blocks under way take to end and new ones to begin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,14 +36,17 @@ class StreamReport:
     """How a stream went."""
 
     lateness: Lateness
+    """Against deadlines as they were when each packet came to its turn."""
     simulated_s: float
     """Time that the packets span."""
     wall_s: float
     """Time from sending the first to sending the last."""
-    fell_behind: int
-    """Times the sender had to wait for a packet until after its deadline."""
-    most_behind_s: float
-    """Longest such delay."""
+    behind: tuple[FellBehind, ...]
+    """Each time that packets were late by more than the tolerance, whatever the cause."""
+    delay_s: float
+    """Time by which deadlines have been moved in all; 0 where late packets are skipped."""
+    skipped: Counter[PacketKind]
+    """Packets dropped because they were late."""
     interrupted: bool
     """Ended by Ctrl-C or the stop event, not by the last packet."""
 
@@ -49,19 +61,24 @@ def stream(
     sink: PacketSink,
     pacer: Pacer,
     *,
+    late: Late = Late.PACE,
+    notify: Callable[[FellBehind], None] = lambda _: None,
+    go_on_from: Callable[[int], None] | None = None,
     stop: threading.Event | None = None,
     look_ahead_packets: int = LOOK_AHEAD_PACKETS,
 ) -> StreamReport:
     """Send packets at their deadlines until they end, `stop` is set, or Ctrl-C is pressed.
 
-    The clock starts when the look-ahead buffer is full. Deadlines are never moved: a packet that was
-    computed too late leaves at once, and those behind it follow until the stream has caught up.
+    The clock starts when the look-ahead buffer is full. Packets never leave in a burst: see `Pacer.wait`.
 
     Parameters
     ----------
     packets : in order of sending; computed by a thread of their own
     sink : where they go; stays open
     pacer : fresh, with the speed
+    late : what happens to packets late by more than `TOLERANCE_NS`
+    notify : called by the sending thread each time that the stream falls behind
+    go_on_from : with `skip`, makes `packets` leave out those that are due before a UTC time in ns
     stop : ends the stream from another thread
     look_ahead_packets : size of the buffer
 
@@ -71,14 +88,14 @@ def stream(
         If the sink cannot send.
     """
     stop = stop or threading.Event()
-    sender = _Sender(sink, pacer)
+    sender = Sender(sink, pacer, late=late, notify=notify, go_on_from=go_on_from)
     interrupted = False
     try:
-        with _prompt_switching(), LookAhead(packets, look_ahead_packets, stop) as ahead:
+        with _prompt_switching(), prompt_sleeps(), LookAhead(packets, look_ahead_packets, stop) as ahead:
             ahead.fill()
             had_to_wait = False
-            while (packet := ahead.take()) is not None:
-                sender.send(packet, had_to_wait=had_to_wait)
+            while (packet := ahead.take(sender.watch)) is not None:
+                sender.send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
                 had_to_wait = ahead.is_empty
             interrupted = stop.is_set()
     except KeyboardInterrupt:
@@ -97,41 +114,79 @@ def _prompt_switching() -> Iterator[None]:
         sys.setswitchinterval(before_s)
 
 
-class _Sender:
-    """Sends packet by packet and keeps the books."""
+class Sender:
+    """Sends or drops packet by packet, and keeps the figures of the report; parameters as of `stream`."""
 
-    def __init__(self, sink: PacketSink, pacer: Pacer) -> None:
+    def __init__(
+        self,
+        sink: PacketSink,
+        pacer: Pacer,
+        *,
+        late: Late,
+        notify: Callable[[FellBehind], None],
+        go_on_from: Callable[[int], None] | None,
+    ) -> None:
         self._sink, self._pacer = sink, pacer
-        self._late = LatenessHistogram()
-        self._fell_behind = 0
-        self._most_behind_ns = 0
-        self._is_behind = False
+        self._late, self._go_on_from = late, go_on_from
+        self._log = DelayLog(late, notify)
+        self._lateness = LatenessHistogram()
+        self._skipped = Counter[PacketKind]()
+        self._skipping_since_ns: int | None = None
+        self._lead_ns = self._gone_on_from_ns = 0
+        self._next_due_ns: int | None = None
 
-    def send(self, packet: Packet, *, had_to_wait: bool) -> None:
+    def send(self, packet: Packet, *, had_to_wait: bool, engine_speed: float | None = None) -> None:
         """Send at the deadline; `had_to_wait` says that the packet was not ready when it was asked for."""
+        self._next_due_ns = packet.due_ns + _SPACING_NS
         deadline_ns = self._pacer.deadline_ns(packet.due_ns)
-        self._watch_engine(self._pacer.behind_ns(deadline_ns), had_to_wait=had_to_wait)
-        self._late.add(self._pacer.wait(deadline_ns))
+        behind_ns = self._pacer.behind_ns(deadline_ns)
+        if behind_ns > TOLERANCE_NS:
+            since_ns = self._pacer.since_start_ns(deadline_ns)
+            self._log.add(behind_ns, since_ns, engine=had_to_wait, engine_speed=engine_speed)
+            if self._late is Late.SKIP:
+                self._skip(packet, since_ns + behind_ns, had_to_wait=had_to_wait)
+                return
+            self._pacer.delay(behind_ns)
+        self._skipping_since_ns = None
+        self._lateness.add(self._pacer.wait(packet, deadline_ns))
         self._sink.send(packet)
+        self._pacer.left(packet)
+
+    def watch(self, engine_speed: float | None) -> None:
+        """Notify while the next packet is waited for, where it is late by more than the tolerance already."""
+        if self._next_due_ns is None:
+            return
+        deadline_ns = self._pacer.deadline_ns(self._next_due_ns)
+        behind_ns = self._pacer.behind_ns(deadline_ns)
+        if behind_ns > TOLERANCE_NS:
+            since_ns = self._pacer.since_start_ns(deadline_ns)
+            self._log.overdue(behind_ns, since_ns, engine_speed=engine_speed)
 
     def report(self, *, interrupted: bool) -> StreamReport:
         """Sum up."""
         simulated_ns, wall_ns = self._pacer.elapsed_ns
         return StreamReport(
-            lateness=self._late.summary,
+            lateness=self._lateness.summary,
             simulated_s=simulated_ns / S_NS,
             wall_s=wall_ns / S_NS,
-            fell_behind=self._fell_behind,
-            most_behind_s=self._most_behind_ns / S_NS,
+            behind=tuple(self._log.times),
+            delay_s=self._pacer.delay_ns / S_NS,
+            skipped=self._skipped,
             interrupted=interrupted,
         )
 
-    def _watch_engine(self, behind_ns: int, *, had_to_wait: bool) -> None:
-        """Tell an engine that is too slow, from the first late packet until one is in time again."""
-        if behind_ns == 0:
-            self._is_behind = False
-        elif had_to_wait and not self._is_behind:
-            self._is_behind = True
-            self._fell_behind += 1
-        if self._is_behind:
-            self._most_behind_ns = max(self._most_behind_ns, behind_ns)
+    def _skip(self, packet: Packet, now_ns: int, *, had_to_wait: bool) -> None:
+        """Drop a packet; where dropping does not end, because the engine is too slow, let it go on further ahead.
+
+        The lead doubles until the engine's first packet from there on is in time.
+        """
+        self._skipped[packet.kind] += 1
+        self._pacer.break_off()
+        if self._skipping_since_ns is None:
+            self._skipping_since_ns = now_ns
+        lasts = now_ns - self._skipping_since_ns > _PATIENCE_NS
+        if self._go_on_from and had_to_wait and lasts and packet.due_ns >= self._gone_on_from_ns:
+            self._lead_ns = 2 * self._lead_ns or _LEAD_NS
+            self._gone_on_from_ns = self._pacer.due_in_ns(self._lead_ns)
+            self._go_on_from(self._gone_on_from_ns)
+            self._skipping_since_ns = now_ns
