@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 __all__ = [
     "Purpose",
+    "box_muller",
     "generator",
     "normal",
     "normal_pair",
@@ -156,9 +157,12 @@ def _cos_sin(turns: float) -> tuple[float, float]:
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _normal_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, float]:
-    """Draw as `normal_pair`, without a branch or a call: a loop over lanes draws four at once."""
-    a, b = uniform_pair(seed, purpose, n, lane)
+def box_muller(a: float, b: float) -> tuple[float, float]:
+    """Turn two uniform numbers into two normal ones, by Box and Muller (1958); for use in kernels.
+
+    Logarithm, cosine and sine are computed here by additions, products and one quotient, which round alike everywhere.
+    There is no branch and no call, so that a loop over lanes draws four at once.
+    """
     radius = math.sqrt(-2.0 * _log(1.0 - a))  # 1 - a is exact
     cosine, sine = _cos_sin(b)
     return radius * cosine, radius * sine
@@ -166,12 +170,9 @@ def _normal_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, flo
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def normal_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, float]:
-    """Draw two independent standard normal numbers for the same arguments, by Box and Muller (1958).
-
-    Logarithm, cosine and sine are computed here by additions, products and one quotient, which round alike everywhere,
-    and so need no mathematical library.
-    """
-    return _normal_pair(seed, purpose, n, lane)
+    """Draw two independent standard normal numbers for the same arguments."""
+    a, b = uniform_pair(seed, purpose, n, lane)
+    return box_muller(a, b)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -180,7 +181,8 @@ def normal_pairs(
 ) -> None:
     """Fill (lanes,) each with the numbers of `normal_pair`, in a quarter of its time."""
     for lane in range(first.shape[0]):
-        first[lane], second[lane] = _normal_pair(seed, purpose, n, lane)
+        a, b = uniform_pair(seed, purpose, n, lane)
+        first[lane], second[lane] = box_muller(a, b)
 
 
 @numba.njit(cache=True, nogil=True)

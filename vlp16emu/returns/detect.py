@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.random import Purpose, normal_pair
+from vlp16emu.random import Purpose, box_muller, normal_pair, normal_pairs, uniform_pair
 from vlp16emu.returns.detector import Detector
 from vlp16emu.returns.echoes import (
     AMPLITUDE,
@@ -16,7 +16,9 @@ from vlp16emu.returns.echoes import (
     RANGE,
     add_node,
     find_peaks,
+    brightest_group,
     gather,
+    highest_peak,
     lone_node,
 )
 from vlp16emu.returns.law import Law
@@ -60,6 +62,7 @@ def detect(
     most = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     reflectance = np.ascontiguousarray(surfaces["reflectance"])
     room = np.empty((most, COLUMNS)), np.empty((_PEAKS_PER_NODE * most, COLUMNS)), np.empty(3, np.int64)
+    room = *room, np.zeros(shape[1]), np.zeros(shape[1])
     rays = (hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     _detect(
         detector.law,
@@ -97,14 +100,20 @@ def _detect(
     nodes: NDArray[np.float64],
     peaks: NDArray[np.float64],
     chosen: NDArray[np.int64],
+    range_noise: NDArray[np.float64],
+    other_noise: NDArray[np.float64],
     distance_m: NDArray[np.float32],
     reflectivity: NDArray[np.uint8],
 ) -> None:
     """Fill the returns (k, L, 3), pulse by pulse; one node takes the short way."""
     stop = 0
+    columns = _LAST if law.strongest_only else _SECOND  # that a lone echo fills
     for i in range(count.shape[0]):
+        n = first + i
+        if law.range_noise_m > 0.0 or law.reflectivity_noise > 0.0:
+            normal_pairs(law.seed, _RANGE_NOISE, n, range_noise, other_noise)
         for j in range(count.shape[1]):
-            start, stop, n, error_m = stop, stop + int(count[i, j]), first + i, bias_m[j] + drift_m[i]
+            start, stop, error_m = stop, stop + int(count[i, j]), bias_m[j] + drift_m[i]
             lit, at_m, light = lone_node(law, start, stop, range_m, met, cos_incidence, reflectance)
             air_m, air = 0.0, 0.0
             if law.extinction_per_m > 0.0:
@@ -113,34 +122,76 @@ def _detect(
                 lit = gather(law, start, stop, range_m, met, cos_incidence, reflectance, nodes)
                 if air > 0.0:
                     lit = add_node(nodes, lit, air_m, air)
+                first_node, last_node, most, others = brightest_group(nodes, lit, law.sigma_m)
+                if _none_is_seen(law, n, j, most, lit):
+                    continue
+                light = 0.0
+                if law.strongest_only and most > law.threshold:
+                    at_m, light = highest_peak(nodes, first_node, last_node, law.sigma_m, peaks)
+                    light = light if light > others else 0.0
+            if light > 0.0 and _is_seen(law, n, j, at_m, light):
+                measured_m, code = _measure(
+                    law, range_noise[j], other_noise[j], at_m, light, error_m, gain[j]
+                )
+                for column in range(columns):
+                    distance_m[i, j, column], reflectivity[i, j, column] = measured_m, code
+            elif lit > 1 or air > 0.0:
                 _choose(law, n, j, peaks, find_peaks(nodes, lit, law.sigma_m, peaks), chosen)
                 _write(law, n, i, j, error_m, gain[j], peaks, chosen, distance_m, reflectivity)
-            elif lit == 1 and _is_seen(law, n, j, at_m, light):
-                measured_m, code = _measure(law, n, j, at_m, light, error_m, gain[j])
-                for column in range(_LAST if law.strongest_only else _SECOND):
-                    distance_m[i, j, column], reflectivity[i, j, column] = measured_m, code
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _is_seen(law: Law, n: int, lane: int, range_m: float, amplitude: float) -> bool:
     """Whether an echo is within reach, and its peak with the noise upon it above the threshold."""
     excess, certain = amplitude - law.threshold, _CERTAIN_SIGMAS * law.amplitude_noise
-    if -certain < excess < certain:
-        excess += law.amplitude_noise * normal_pair(law.seed, _DETECTION, n, lane)[0]
+    if -certain < excess < certain and range_m <= law.max_range_m:
+        a, b = uniform_pair(law.seed, _DETECTION, n, lane)
+        if _falls_short(law, a, excess):
+            return False
+        excess += law.amplitude_noise * box_muller(a, b)[0]
     return excess >= 0.0 and range_m <= law.max_range_m
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def _falls_short(law: Law, a: float, excess: float) -> bool:
+    """Whether noise of the uniform number a misses the threshold whatever its partner is, which spares its logarithm.
+
+    The radius of a normal pair is below t where 1 - a > exp(-t**2 / 2), which is less than the quotient here.
+    """
+    t = excess / law.amplitude_noise
+    x = 0.5 * t * t
+    return excess < 0.0 and (1.0 - a) * (1.0 + x * (1.0 + x * (0.5 + x * (1.0 / 6.0)))) > 1.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def _none_is_seen(law: Law, n: int, laser: int, most: float, count: int) -> bool:
+    """Whether no echo of a pulse is seen, of up to `count` and with amplitudes up to `most`: what many faint ones come to."""
+    excess = most - law.threshold
+    if excess >= 0.0:
+        return False
+    if excess > -_CERTAIN_SIGMAS * law.amplitude_noise:
+        for rank in range(count):
+            a, _ = uniform_pair(law.seed, _DETECTION, n, laser | rank << _LANE_BITS)
+            if not _falls_short(law, a, excess):
+                return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _measure(
-    law: Law, n: int, lane: int, range_m: float, amplitude: float, error_m: float, gain: float
+    law: Law,
+    range_noise: float,
+    other_noise: float,
+    range_m: float,
+    amplitude: float,
+    error_m: float,
+    gain: float,
 ) -> tuple[np.float32, np.uint8]:
     """Distance and reflectivity as the unit reads them; distance 0 where that is out of its limits."""
     reflectance = amplitude * range_m * range_m
-    measured_m, counts = range_m + error_m, 0.0
-    if law.range_noise_m > 0.0 or law.reflectivity_noise > 0.0:
-        drawn, other = normal_pair(law.seed, _RANGE_NOISE, n, lane)
-        measured_m += drawn * range_sigma_m(law, reflectance, amplitude)
-        counts = other * law.reflectivity_noise
+    measured_m, counts = range_m + error_m, other_noise * law.reflectivity_noise
+    if law.range_noise_m > 0.0:
+        measured_m += range_noise * range_sigma_m(law, reflectance, amplitude)
     if not law.min_range_m <= measured_m <= law.max_range_m:
         measured_m = 0.0
     return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts)
@@ -195,6 +246,7 @@ def _write(
             distance_m[i, j, column] = distance_m[i, j, column - 1]
             reflectivity[i, j, column] = reflectivity[i, j, column - 1]
         elif peak >= 0:
+            drawn, other = normal_pair(law.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             distance_m[i, j, column], reflectivity[i, j, column] = _measure(
-                law, n, j | column << _LANE_BITS, peaks[peak, RANGE], peaks[peak, AMPLITUDE], error_m, gain
+                law, drawn, other, peaks[peak, RANGE], peaks[peak, AMPLITUDE], error_m, gain
             )

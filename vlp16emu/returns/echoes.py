@@ -31,12 +31,14 @@ __all__ = [
     "RANGE",
     "add_node",
     "amplitude_of",
+    "brightest_group",
     "find_peaks",
     "gather",
+    "highest_peak",
     "lone_node",
 ]
 
-COLUMNS = 3
+COLUMNS = 5
 """Of a table of nodes, or of peaks."""
 RANGE, AMPLITUDE = 0, 1
 """Columns of both: in metres, and as in `Law`."""
@@ -45,6 +47,7 @@ OPEN = 2
 _MOMENT = (
     2  # column of nodes while they are gathered: of the light about RANGE, which is then the first sub-ray's
 )
+_HEIGHT, _MEAN, _VARIANCE = 2, 3, 4  # columns of nodes thereafter: what `_waveform` gives at their places
 NODE_M = 0.15
 """Greatest span of the sub-rays that are taken as one."""
 _FAINTEST = 1e-9  # reflectance of what is black or edge-on, so that it still has a place
@@ -52,7 +55,7 @@ _APART = 5.0  # sigmas at which a neighbour as bright moves a peak by less than 
 _LAST_STEP_M = 1e-3  # of Newton's rule; what is left is about its square over sigma
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def amplitude_of(law: Law, energy: float, range_m: float) -> float:
     """Amplitude that an energy has at the detector: the range law, and what the air takes on both ways.
 
@@ -66,7 +69,7 @@ def amplitude_of(law: Law, energy: float, range_m: float) -> float:
     return amplitude
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def lone_node(
     law: Law,
     start: int,
@@ -100,7 +103,7 @@ def lone_node(
     return 1, at_m, amplitude_of(law, energy / (stop - start), at_m)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def gather(
     law: Law,
     start: int,
@@ -133,14 +136,14 @@ def gather(
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def add_node(nodes: NDArray[np.float64], count: int, range_m: float, amplitude: float) -> int:
     """Add light of another kind to a pulse; returns how many nodes there are."""
     nodes[count, RANGE], nodes[count, AMPLITUDE] = range_m, amplitude
     return count + 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def find_peaks(nodes: NDArray[np.float64], count: int, sigma_m: float, peaks: NDArray[np.float64]) -> int:
     """Fill peaks (n, COLUMNS) in order of range from nodes, which are sorted; returns how many there are."""
     _sort(nodes, count)
@@ -152,7 +155,43 @@ def find_peaks(nodes: NDArray[np.float64], count: int, sigma_m: float, peaks: ND
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def brightest_group(
+    nodes: NDArray[np.float64], count: int, sigma_m: float
+) -> tuple[int, int, float, float]:
+    """Sort nodes, and find those that may touch each other and have the greatest sum of amplitudes.
+
+    Returns
+    -------
+    the first of them, and the one behind the last; their sum, which no peak exceeds; and the greatest sum of others
+    """
+    _sort(nodes, count)
+    start = first = last = 0
+    total = most = second = 0.0
+    for node in range(count):
+        total += nodes[node, AMPLITUDE]
+        if node == count - 1 or nodes[node + 1, RANGE] - nodes[node, RANGE] > _APART * sigma_m:
+            if total > most:
+                first, last, most, second = start, node + 1, total, most
+            else:
+                second = max(second, total)
+            start, total = node + 1, 0.0
+    return first, last, most, second
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def highest_peak(
+    nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float, peaks: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Range and amplitude of the highest peak of nodes that may touch each other, the nearest of equals."""
+    found, best = _peaks_of_group(nodes, start, stop, sigma_m, peaks, 0), 0
+    for peak in range(1, found):
+        if peaks[peak, AMPLITUDE] > peaks[best, AMPLITUDE]:
+            best = peak
+    return peaks[best, RANGE], peaks[best, AMPLITUDE]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _add_peak(peaks: NDArray[np.float64], found: int, range_m: float, amplitude: float) -> int:
     """Add a peak, unless it is the one before, climbed from its other side; returns how many there are."""
     if found > 0 and range_m - peaks[found - 1, RANGE] < _LAST_STEP_M:
@@ -162,7 +201,7 @@ def _add_peak(peaks: NDArray[np.float64], found: int, range_m: float, amplitude:
     return found + 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _sort(nodes: NDArray[np.float64], count: int) -> None:
     """Put nodes in order of range by insertion; they are few."""
     for i in range(1, count):
@@ -174,7 +213,7 @@ def _sort(nodes: NDArray[np.float64], count: int) -> None:
         nodes[j, RANGE], nodes[j, AMPLITUDE] = range_m, amplitude
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _waveform(
     nodes: NDArray[np.float64], start: int, stop: int, x_m: float, sigma_m: float
 ) -> tuple[float, float, float]:
@@ -191,7 +230,31 @@ def _waveform(
     return mean_m, second / height - mean_m * mean_m, height
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def _look(nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float) -> None:
+    """Fill in what `_waveform` gives at each node; two share what each lends the other."""
+    sharpness = -0.5 / (sigma_m * sigma_m)
+    for b in range(start, stop):
+        nodes[b, _HEIGHT] = nodes[b, _MEAN] = nodes[b, _VARIANCE] = 0.0
+        for a in range(start, b):
+            away_m = nodes[a, RANGE] - nodes[b, RANGE]
+            pulse = math.exp(sharpness * away_m * away_m)
+            light = nodes[a, AMPLITUDE] * pulse
+            nodes[b, _HEIGHT] += light
+            nodes[b, _MEAN] += light * away_m
+            nodes[b, _VARIANCE] += light * away_m * away_m
+            light = nodes[b, AMPLITUDE] * pulse
+            nodes[a, _HEIGHT] += light
+            nodes[a, _MEAN] -= light * away_m
+            nodes[a, _VARIANCE] += light * away_m * away_m
+        nodes[b, _HEIGHT] += nodes[b, AMPLITUDE]
+    for node in range(start, stop):
+        mean_m = nodes[node, _MEAN] / nodes[node, _HEIGHT]
+        nodes[node, _MEAN] = mean_m
+        nodes[node, _VARIANCE] = nodes[node, _VARIANCE] / nodes[node, _HEIGHT] - mean_m * mean_m
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _peaks_of_group(
     nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float, peaks: NDArray[np.float64], found: int
 ) -> int:
@@ -202,12 +265,13 @@ def _peaks_of_group(
     """
     if stop - start == 1:
         return _add_peak(peaks, found, nodes[start, RANGE], nodes[start, AMPLITUDE])
+    _look(nodes, start, stop, sigma_m)
     a_m = nodes[start, RANGE]
-    a_mean_m, a_var_m2, a_height = _waveform(nodes, start, stop, a_m, sigma_m)
+    a_mean_m, a_var_m2, a_height = nodes[start, _MEAN], nodes[start, _VARIANCE], nodes[start, _HEIGHT]
     rises = True  # even where all nodes are at one place
     for node in range(start + 1, stop):
         b_m = nodes[node, RANGE]
-        b_mean_m, b_var_m2, b_height = _waveform(nodes, start, stop, b_m, sigma_m)
+        b_mean_m, b_var_m2, b_height = nodes[node, _MEAN], nodes[node, _VARIANCE], nodes[node, _HEIGHT]
         reach_m = min(b_m - a_m, sigma_m)
         one = rises and b_mean_m <= 0.0 and b_m - a_m <= 2.0 * sigma_m
         if rises:
@@ -227,7 +291,7 @@ def _peaks_of_group(
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _climb(
     nodes: NDArray[np.float64],
     start: int,
