@@ -214,6 +214,19 @@ def _sort(nodes: NDArray[np.float64], count: int) -> None:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def _exp(x: float) -> float:
+    """Exponential of a number up to 0, good to 1e-10 of itself, or 1e-300: a library's call costs twice as much."""
+    x = max(x, -690.0)
+    shifted = x * (1.0 / math.log(2.0)) + 6755399441055744.0  # its last bits hold the power of 2
+    r = x - (shifted - 6755399441055744.0) * math.log(2.0)
+    z = r * r
+    rest = 0.500000006765061 + r * 0.16666665869323083 + z * (0.041666295063920514 + r * 0.00833349702096706)
+    rest += z * z * (0.0013944650820433332 + r * 0.00019790350590949283)
+    bits = np.float64(1.0 + (r + z * rest)).view(np.int64) + (np.float64(shifted).view(np.int64) << np.int64(52))
+    return np.int64(bits).view(np.float64)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _waveform(
     nodes: NDArray[np.float64], start: int, stop: int, x_m: float, sigma_m: float
 ) -> tuple[float, float, float]:
@@ -222,7 +235,7 @@ def _waveform(
     sharpness = -0.5 / (sigma_m * sigma_m)
     for node in range(start, stop):
         away_m = nodes[node, RANGE] - x_m
-        light = nodes[node, AMPLITUDE] * math.exp(sharpness * away_m * away_m)
+        light = nodes[node, AMPLITUDE] * _exp(sharpness * away_m * away_m)
         height += light
         first += light * away_m
         second += light * away_m * away_m
@@ -238,7 +251,7 @@ def _look(nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float) -> 
         nodes[b, _HEIGHT] = nodes[b, _MEAN] = nodes[b, _VARIANCE] = 0.0
         for a in range(start, b):
             away_m = nodes[a, RANGE] - nodes[b, RANGE]
-            pulse = math.exp(sharpness * away_m * away_m)
+            pulse = _exp(sharpness * away_m * away_m)
             light = nodes[a, AMPLITUDE] * pulse
             nodes[b, _HEIGHT] += light
             nodes[b, _MEAN] += light * away_m
