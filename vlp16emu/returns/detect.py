@@ -19,7 +19,6 @@ from vlp16emu.returns.echoes import (
     brightest_group,
     gather,
     highest_peak,
-    lone_node,
 )
 from vlp16emu.returns.law import Law
 from vlp16emu.returns.noise import range_sigma_m
@@ -76,8 +75,7 @@ def detect(
         reflectivity,
     )
     if detector.no_return is not None:
-        silent = ~(distance_m.any(axis=-1) | reflectivity.any(axis=-1))
-        reflectivity[silent, :_SECOND] = np.broadcast_to(detector.no_return, silent.shape)[silent, None]
+        _mark_silent(detector.no_return, distance_m, reflectivity)
     if not truth:
         return Returns(firings, distance_m, reflectivity, None, None)
     surface = np.empty(shape, np.uint32)
@@ -114,14 +112,15 @@ def _detect(
             normal_pairs(law.seed, _RANGE_NOISE, n, range_noise, other_noise)
         for j in range(count.shape[1]):
             start, stop, error_m = stop, stop + int(count[i, j]), bias_m[j] + drift_m[i]
-            lit, at_m, light = lone_node(law, start, stop, range_m, met, cos_incidence, reflectance)
-            air_m, air = 0.0, 0.0
+            lit = gather(law, start, stop, range_m, met, cos_incidence, reflectance, nodes)
             if law.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(law, n, j, start, stop, range_m)
-            if lit > 1 or air > 0.0:
-                lit = gather(law, start, stop, range_m, met, cos_incidence, reflectance, nodes)
                 if air > 0.0:
                     lit = add_node(nodes, lit, air_m, air)
+            if lit == 0:
+                continue
+            at_m, light = nodes[0, RANGE], nodes[0, AMPLITUDE]
+            if lit > 1:
                 first_node, last_node, most, others = brightest_group(nodes, lit, law.sigma_m)
                 if _none_is_seen(law, n, j, most, lit):
                     continue
@@ -135,9 +134,23 @@ def _detect(
                 )
                 for column in range(columns):
                     distance_m[i, j, column], reflectivity[i, j, column] = measured_m, code
-            elif lit > 1 or air > 0.0:
+            elif lit > 1:
                 _choose(law, n, j, peaks, find_peaks(nodes, lit, law.sigma_m, peaks), chosen)
                 _write(law, n, i, j, error_m, gain[j], peaks, chosen, distance_m, reflectivity)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def _mark_silent(
+    no_return: NDArray[np.uint8], distance_m: NDArray[np.float32], reflectivity: NDArray[np.uint8]
+) -> None:
+    """Fill in the reflectivity of pulses without any return."""
+    for i in range(distance_m.shape[0]):
+        for j in range(distance_m.shape[1]):
+            silent = True
+            for column in range(3):
+                silent &= distance_m[i, j, column] == 0.0 and reflectivity[i, j, column] == 0
+            if silent:
+                reflectivity[i, j, :_SECOND] = no_return[j]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)

@@ -35,7 +35,6 @@ __all__ = [
     "find_peaks",
     "gather",
     "highest_peak",
-    "lone_node",
 ]
 
 COLUMNS = 5
@@ -44,9 +43,7 @@ RANGE, AMPLITUDE = 0, 1
 """Columns of both: in metres, and as in `Law`."""
 OPEN = 2
 """Column of peaks: the amplitude until somebody has dealt with the peak, then 0."""
-_MOMENT = (
-    2  # column of nodes while they are gathered: of the light about RANGE, which is then the first sub-ray's
-)
+_RAY, _PART = 2, 3  # columns of nodes while they are gathered: sub-rays that are in none yet, and their light
 _HEIGHT, _MEAN, _VARIANCE = 2, 3, 4  # columns of nodes thereafter: what `_waveform` gives at their places
 NODE_M = 0.15
 """Greatest span of the sub-rays that are taken as one."""
@@ -70,40 +67,6 @@ def amplitude_of(law: Law, energy: float, range_m: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def lone_node(
-    law: Law,
-    start: int,
-    stop: int,
-    range_m: NDArray[np.float32],
-    surface: NDArray[np.uint32],
-    cos_incidence: NDArray[np.float32],
-    reflectance: NDArray[np.float32],
-) -> tuple[int, float, float]:
-    """See whether the sub-rays start .. stop - 1 of a pulse are one node, which most are.
-
-    Returns
-    -------
-    0 where nothing was met, 1 for one node, 2 for more; range and amplitude of the one
-    """
-    energy = off_m = 0.0
-    first_m = np.inf
-    for ray in range(start, stop):
-        ray_m = np.float64(range_m[ray])
-        if ray_m < np.inf:
-            if first_m == np.inf:
-                first_m = ray_m
-            elif abs(ray_m - first_m) > 0.5 * NODE_M:
-                return 2, 0.0, 0.0
-            part = np.float64(reflectance[surface[ray]]) * cos_incidence[ray] + _FAINTEST
-            energy += part
-            off_m += part * (ray_m - first_m)
-    if first_m == np.inf:
-        return 0, 0.0, 0.0
-    at_m = first_m + off_m / energy
-    return 1, at_m, amplitude_of(law, energy / (stop - start), at_m)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def gather(
     law: Law,
     start: int,
@@ -114,25 +77,38 @@ def gather(
     reflectance: NDArray[np.float32],
     nodes: NDArray[np.float64],
 ) -> int:
-    """Sum the sub-rays start .. stop - 1 of a pulse into nodes (n, COLUMNS); returns how many there are."""
-    found = 0
+    """Sum the sub-rays start .. stop - 1 of a pulse into nodes (n, COLUMNS); returns how many there are.
+
+    Each node takes what is near the first sub-ray that is left. Nobody can guess who is near, so nothing branches on it.
+    """
+    left = found = 0
+    energy = moment = 0.0
+    first_m = np.inf
     for ray in range(start, stop):
         ray_m = np.float64(range_m[ray])
-        if ray_m == np.inf:
-            continue
-        part = np.float64(reflectance[surface[ray]]) * cos_incidence[ray] + _FAINTEST
-        node = 0
-        while node < found and abs(ray_m - nodes[node, RANGE]) > 0.5 * NODE_M:
-            node += 1
-        if node == found:
-            nodes[node, RANGE], nodes[node, AMPLITUDE], nodes[node, _MOMENT] = ray_m, 0.0, 0.0
-            found += 1
-        nodes[node, AMPLITUDE] += part
-        nodes[node, _MOMENT] += part * (ray_m - nodes[node, RANGE])
-    for node in range(found):
-        at_m = nodes[node, RANGE] + nodes[node, _MOMENT] / nodes[node, AMPLITUDE]
-        nodes[node, RANGE] = at_m
-        nodes[node, AMPLITUDE] = amplitude_of(law, nodes[node, AMPLITUDE] / (stop - start), at_m)
+        if ray_m < np.inf:
+            first_m = ray_m if first_m == np.inf else first_m
+            part = np.float64(reflectance[surface[ray]]) * cos_incidence[ray] + _FAINTEST
+            nodes[left, _RAY], nodes[left, _PART] = ray_m, part
+            near = abs(ray_m - first_m) <= 0.5 * NODE_M
+            left += 0 if near else 1
+            energy += part if near else 0.0
+            moment += part * (ray_m - first_m) if near else 0.0
+    while first_m < np.inf:
+        at_m = first_m + moment / energy
+        nodes[found, RANGE] = at_m
+        nodes[found, AMPLITUDE] = amplitude_of(law, energy / (stop - start), at_m)
+        found += 1
+        first_m, count = nodes[0, _RAY] if left > 0 else np.inf, left
+        left = 0
+        energy = moment = 0.0
+        for ray in range(count):
+            ray_m, part = nodes[ray, _RAY], nodes[ray, _PART]
+            nodes[left, _RAY], nodes[left, _PART] = ray_m, part
+            near = abs(ray_m - first_m) <= 0.5 * NODE_M
+            left += 0 if near else 1
+            energy += part if near else 0.0
+            moment += part * (ray_m - first_m) if near else 0.0
     return found
 
 
