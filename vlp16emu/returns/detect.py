@@ -60,7 +60,7 @@ def detect(
     distance_m, reflectivity = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     most = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     reflectance = np.ascontiguousarray(surfaces["reflectance"])
-    room = np.empty((most, COLUMNS)), np.empty((_PEAKS_PER_NODE * most, COLUMNS)), np.empty(3, np.int64)
+    room = np.empty((COLUMNS, most)), np.empty((COLUMNS, _PEAKS_PER_NODE * most)), np.empty(3, np.int64)
     room = *room, np.zeros(shape[1]), np.zeros(shape[1])
     rays = (hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     _detect(
@@ -119,7 +119,7 @@ def _detect(
                     lit = add_node(nodes, lit, air_m, air)
             if lit == 0:
                 continue
-            at_m, light = nodes[0, RANGE], nodes[0, AMPLITUDE]
+            at_m, light = nodes[RANGE, 0], nodes[AMPLITUDE, 0]
             if lit > 1:
                 first_node, last_node, most, others = brightest_group(nodes, lit, law.sigma_m)
                 if _none_is_seen(law, n, j, most, lit):
@@ -219,12 +219,12 @@ def _choose(
     for rank in range(found):
         best = -1
         for peak in range(found):
-            if peaks[peak, OPEN] > 0.0 and (best < 0 or peaks[peak, OPEN] > peaks[best, OPEN]):
+            if peaks[OPEN, peak] > 0.0 and (best < 0 or peaks[OPEN, peak] > peaks[OPEN, best]):
                 best = peak
         if best < 0:
             return
-        peaks[best, OPEN] = 0.0
-        if not _is_seen(law, n, laser | rank << _LANE_BITS, peaks[best, RANGE], peaks[best, AMPLITUDE]):
+        peaks[OPEN, best] = 0.0
+        if not _is_seen(law, n, laser | rank << _LANE_BITS, peaks[RANGE, best], peaks[AMPLITUDE, best]):
             continue
         if chosen[_STRONGEST] < 0:
             chosen[_STRONGEST] = best
@@ -232,11 +232,11 @@ def _choose(
                 return
         elif chosen[_SECOND] < 0:
             chosen[_SECOND] = best
-        if chosen[_LAST] < 0 or peaks[best, RANGE] > peaks[chosen[_LAST], RANGE]:
+        if chosen[_LAST] < 0 or peaks[RANGE, best] > peaks[RANGE, chosen[_LAST]]:
             chosen[_LAST] = best
         for peak in range(found):
-            if abs(peaks[peak, RANGE] - peaks[best, RANGE]) < law.resolution_m:
-                peaks[peak, OPEN] = 0.0
+            if abs(peaks[RANGE, peak] - peaks[RANGE, best]) < law.resolution_m:
+                peaks[OPEN, peak] = 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -261,5 +261,5 @@ def _write(
         elif peak >= 0:
             drawn, other = normal_pair(law.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             distance_m[i, j, column], reflectivity[i, j, column] = _measure(
-                law, drawn, other, peaks[peak, RANGE], peaks[peak, AMPLITUDE], error_m, gain
+                law, drawn, other, peaks[RANGE, peak], peaks[AMPLITUDE, peak], error_m, gain
             )

@@ -77,55 +77,59 @@ def gather(
     reflectance: NDArray[np.float32],
     nodes: NDArray[np.float64],
 ) -> int:
-    """Sum the sub-rays start .. stop - 1 of a pulse into nodes (n, COLUMNS); returns how many there are.
+    """Sum the sub-rays start .. stop - 1 of a pulse into nodes (COLUMNS, n); returns how many there are.
 
     Each node takes what is near the first sub-ray that is left. Nobody can guess who is near, so nothing branches on it.
     """
     left = found = 0
     energy = moment = 0.0
     first_m = np.inf
-    for ray in range(start, stop):
+    for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
         ray_m = np.float64(range_m[ray])
         if ray_m < np.inf:
             first_m = ray_m if first_m == np.inf else first_m
             part = np.float64(reflectance[surface[ray]]) * cos_incidence[ray] + _FAINTEST
-            nodes[left, _RAY], nodes[left, _PART] = ray_m, part
-            near = abs(ray_m - first_m) <= 0.5 * NODE_M
+            nodes[_RAY, left], nodes[_PART, left] = ray_m, part
+            away_m = ray_m - first_m
+            near = abs(away_m) <= 0.5 * NODE_M
             left += 0 if near else 1
-            energy += part if near else 0.0
-            moment += part * (ray_m - first_m) if near else 0.0
+            part = part if near else 0.0
+            energy += part
+            moment += part * away_m
     while first_m < np.inf:
         at_m = first_m + moment / energy
-        nodes[found, RANGE] = at_m
-        nodes[found, AMPLITUDE] = amplitude_of(law, energy / (stop - start), at_m)
+        nodes[RANGE, found] = at_m
+        nodes[AMPLITUDE, found] = amplitude_of(law, energy / (stop - start), at_m)
         found += 1
-        first_m, count = nodes[0, _RAY] if left > 0 else np.inf, left
+        first_m, count = nodes[_RAY, 0] if left > 0 else np.inf, left
         left = 0
         energy = moment = 0.0
         for ray in range(count):
-            ray_m, part = nodes[ray, _RAY], nodes[ray, _PART]
-            nodes[left, _RAY], nodes[left, _PART] = ray_m, part
-            near = abs(ray_m - first_m) <= 0.5 * NODE_M
+            ray_m, part = nodes[_RAY, ray], nodes[_PART, ray]
+            nodes[_RAY, left], nodes[_PART, left] = ray_m, part
+            away_m = ray_m - first_m
+            near = abs(away_m) <= 0.5 * NODE_M
             left += 0 if near else 1
-            energy += part if near else 0.0
-            moment += part * (ray_m - first_m) if near else 0.0
+            part = part if near else 0.0
+            energy += part
+            moment += part * away_m
     return found
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def add_node(nodes: NDArray[np.float64], count: int, range_m: float, amplitude: float) -> int:
     """Add light of another kind to a pulse; returns how many nodes there are."""
-    nodes[count, RANGE], nodes[count, AMPLITUDE] = range_m, amplitude
+    nodes[RANGE, count], nodes[AMPLITUDE, count] = range_m, amplitude
     return count + 1
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def find_peaks(nodes: NDArray[np.float64], count: int, sigma_m: float, peaks: NDArray[np.float64]) -> int:
-    """Fill peaks (n, COLUMNS) in order of range from nodes, which are sorted; returns how many there are."""
+    """Fill peaks (COLUMNS, n) in order of range from nodes, which are sorted; returns how many there are."""
     _sort(nodes, count)
     found = start = 0
     for node in range(1, count + 1):
-        if node == count or nodes[node, RANGE] - nodes[node - 1, RANGE] > _APART * sigma_m:
+        if node == count or nodes[RANGE, node] - nodes[RANGE, node - 1] > _APART * sigma_m:
             found = _peaks_of_group(nodes, start, node, sigma_m, peaks, found)
             start = node
     return found
@@ -145,8 +149,8 @@ def brightest_group(
     start = first = last = 0
     total = most = second = 0.0
     for node in range(count):
-        total += nodes[node, AMPLITUDE]
-        if node == count - 1 or nodes[node + 1, RANGE] - nodes[node, RANGE] > _APART * sigma_m:
+        total += nodes[AMPLITUDE, node]
+        if node == count - 1 or nodes[RANGE, node + 1] - nodes[RANGE, node] > _APART * sigma_m:
             if total > most:
                 first, last, most, second = start, node + 1, total, most
             else:
@@ -162,18 +166,18 @@ def highest_peak(
     """Range and amplitude of the highest peak of nodes that may touch each other, the nearest of equals."""
     found, best = _peaks_of_group(nodes, start, stop, sigma_m, peaks, 0), 0
     for peak in range(1, found):
-        if peaks[peak, AMPLITUDE] > peaks[best, AMPLITUDE]:
+        if peaks[AMPLITUDE, peak] > peaks[AMPLITUDE, best]:
             best = peak
-    return peaks[best, RANGE], peaks[best, AMPLITUDE]
+    return peaks[RANGE, best], peaks[AMPLITUDE, best]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _add_peak(peaks: NDArray[np.float64], found: int, range_m: float, amplitude: float) -> int:
     """Add a peak, unless it is the one before, climbed from its other side; returns how many there are."""
-    if found > 0 and range_m - peaks[found - 1, RANGE] < _LAST_STEP_M:
+    if found > 0 and range_m - peaks[RANGE, found - 1] < _LAST_STEP_M:
         return found
-    peaks[found, RANGE] = range_m
-    peaks[found, AMPLITUDE] = peaks[found, OPEN] = amplitude
+    peaks[RANGE, found] = range_m
+    peaks[AMPLITUDE, found] = peaks[OPEN, found] = amplitude
     return found + 1
 
 
@@ -181,12 +185,12 @@ def _add_peak(peaks: NDArray[np.float64], found: int, range_m: float, amplitude:
 def _sort(nodes: NDArray[np.float64], count: int) -> None:
     """Put nodes in order of range by insertion; they are few."""
     for i in range(1, count):
-        range_m, amplitude = nodes[i, RANGE], nodes[i, AMPLITUDE]
+        range_m, amplitude = nodes[RANGE, i], nodes[AMPLITUDE, i]
         j = i
-        while j > 0 and nodes[j - 1, RANGE] > range_m:
-            nodes[j, RANGE], nodes[j, AMPLITUDE] = nodes[j - 1, RANGE], nodes[j - 1, AMPLITUDE]
+        while j > 0 and nodes[RANGE, j - 1] > range_m:
+            nodes[RANGE, j], nodes[AMPLITUDE, j] = nodes[RANGE, j - 1], nodes[AMPLITUDE, j - 1]
             j -= 1
-        nodes[j, RANGE], nodes[j, AMPLITUDE] = range_m, amplitude
+        nodes[RANGE, j], nodes[AMPLITUDE, j] = range_m, amplitude
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
@@ -210,8 +214,8 @@ def _waveform(
     height = first = second = 0.0
     sharpness = -0.5 / (sigma_m * sigma_m)
     for node in range(start, stop):
-        away_m = nodes[node, RANGE] - x_m
-        light = nodes[node, AMPLITUDE] * _exp(sharpness * away_m * away_m)
+        away_m = nodes[RANGE, node] - x_m
+        light = nodes[AMPLITUDE, node] * _exp(sharpness * away_m * away_m)
         height += light
         first += light * away_m
         second += light * away_m * away_m
@@ -224,23 +228,23 @@ def _look(nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float) -> 
     """Fill in what `_waveform` gives at each node; two share what each lends the other."""
     sharpness = -0.5 / (sigma_m * sigma_m)
     for b in range(start, stop):
-        nodes[b, _HEIGHT] = nodes[b, _MEAN] = nodes[b, _VARIANCE] = 0.0
+        nodes[_HEIGHT, b] = nodes[_MEAN, b] = nodes[_VARIANCE, b] = 0.0
         for a in range(start, b):
-            away_m = nodes[a, RANGE] - nodes[b, RANGE]
+            away_m = nodes[RANGE, a] - nodes[RANGE, b]
             pulse = _exp(sharpness * away_m * away_m)
-            light = nodes[a, AMPLITUDE] * pulse
-            nodes[b, _HEIGHT] += light
-            nodes[b, _MEAN] += light * away_m
-            nodes[b, _VARIANCE] += light * away_m * away_m
-            light = nodes[b, AMPLITUDE] * pulse
-            nodes[a, _HEIGHT] += light
-            nodes[a, _MEAN] -= light * away_m
-            nodes[a, _VARIANCE] += light * away_m * away_m
-        nodes[b, _HEIGHT] += nodes[b, AMPLITUDE]
+            light = nodes[AMPLITUDE, a] * pulse
+            nodes[_HEIGHT, b] += light
+            nodes[_MEAN, b] += light * away_m
+            nodes[_VARIANCE, b] += light * away_m * away_m
+            light = nodes[AMPLITUDE, b] * pulse
+            nodes[_HEIGHT, a] += light
+            nodes[_MEAN, a] -= light * away_m
+            nodes[_VARIANCE, a] += light * away_m * away_m
+        nodes[_HEIGHT, b] += nodes[AMPLITUDE, b]
     for node in range(start, stop):
-        mean_m = nodes[node, _MEAN] / nodes[node, _HEIGHT]
-        nodes[node, _MEAN] = mean_m
-        nodes[node, _VARIANCE] = nodes[node, _VARIANCE] / nodes[node, _HEIGHT] - mean_m * mean_m
+        mean_m = nodes[_MEAN, node] / nodes[_HEIGHT, node]
+        nodes[_MEAN, node] = mean_m
+        nodes[_VARIANCE, node] = nodes[_VARIANCE, node] / nodes[_HEIGHT, node] - mean_m * mean_m
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
@@ -253,14 +257,14 @@ def _peaks_of_group(
     the waveform is convex.
     """
     if stop - start == 1:
-        return _add_peak(peaks, found, nodes[start, RANGE], nodes[start, AMPLITUDE])
+        return _add_peak(peaks, found, nodes[RANGE, start], nodes[AMPLITUDE, start])
     _look(nodes, start, stop, sigma_m)
-    a_m = nodes[start, RANGE]
-    a_mean_m, a_var_m2, a_height = nodes[start, _MEAN], nodes[start, _VARIANCE], nodes[start, _HEIGHT]
+    a_m = nodes[RANGE, start]
+    a_mean_m, a_var_m2, a_height = nodes[_MEAN, start], nodes[_VARIANCE, start], nodes[_HEIGHT, start]
     rises = True  # even where all nodes are at one place
     for node in range(start + 1, stop):
-        b_m = nodes[node, RANGE]
-        b_mean_m, b_var_m2, b_height = nodes[node, _MEAN], nodes[node, _VARIANCE], nodes[node, _HEIGHT]
+        b_m = nodes[RANGE, node]
+        b_mean_m, b_var_m2, b_height = nodes[_MEAN, node], nodes[_VARIANCE, node], nodes[_HEIGHT, node]
         reach_m = min(b_m - a_m, sigma_m)
         one = rises and b_mean_m <= 0.0 and b_m - a_m <= 2.0 * sigma_m
         if rises:
