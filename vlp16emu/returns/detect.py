@@ -15,8 +15,8 @@ from vlp16emu.returns.echoes import (
     OPEN,
     RANGE,
     add_node,
-    find_peaks,
     brightest_group,
+    find_peaks,
     gather,
     highest_peak,
 )
@@ -60,8 +60,7 @@ def detect(
     distance_m, reflectivity = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     most = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     reflectance = np.ascontiguousarray(surfaces["reflectance"])
-    room = np.empty((COLUMNS, most)), np.empty((COLUMNS, _PEAKS_PER_NODE * most)), np.empty(3, np.int64)
-    room = *room, np.zeros(shape[1]), np.zeros(shape[1])
+    nodes, peaks = np.empty((COLUMNS, most)), np.empty((COLUMNS, _PEAKS_PER_NODE * most))
     rays = (hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     _detect(
         detector.law,
@@ -70,7 +69,7 @@ def detect(
         detector.drift_m(firings.t_ns[:, 0]),
         detector.gain,
         *rays,
-        *room,
+        *(nodes, peaks, np.empty(3, np.int64), np.zeros((2, shape[1]))),
         distance_m,
         reflectivity,
     )
@@ -98,8 +97,7 @@ def _detect(
     nodes: NDArray[np.float64],
     peaks: NDArray[np.float64],
     chosen: NDArray[np.int64],
-    range_noise: NDArray[np.float64],
-    other_noise: NDArray[np.float64],
+    noise: NDArray[np.float64],
     distance_m: NDArray[np.float32],
     reflectivity: NDArray[np.uint8],
 ) -> None:
@@ -109,7 +107,7 @@ def _detect(
     for i in range(count.shape[0]):
         n = first + i
         if law.range_noise_m > 0.0 or law.reflectivity_noise > 0.0:
-            normal_pairs(law.seed, _RANGE_NOISE, n, range_noise, other_noise)
+            normal_pairs(law.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(count.shape[1]):
             start, stop, error_m = stop, stop + int(count[i, j]), bias_m[j] + drift_m[i]
             lit = gather(law, start, stop, range_m, met, cos_incidence, reflectance, nodes)
@@ -117,24 +115,12 @@ def _detect(
                 air_m, air = clutter_echo(law, n, j, start, stop, range_m)
                 if air > 0.0:
                     lit = add_node(nodes, lit, air_m, air)
-            if lit == 0:
-                continue
-            at_m, light = nodes[RANGE, 0], nodes[AMPLITUDE, 0]
-            if lit > 1:
-                first_node, last_node, most, others = brightest_group(nodes, lit, law.sigma_m)
-                if _none_is_seen(law, n, j, most, lit):
-                    continue
-                light = 0.0
-                if law.strongest_only and most > law.threshold:
-                    at_m, light = highest_peak(nodes, first_node, last_node, law.sigma_m, peaks)
-                    light = light if light > others else 0.0
+            at_m, light = _only_echo(law, n, j, nodes, lit, peaks)
             if light > 0.0 and _is_seen(law, n, j, at_m, light):
-                measured_m, code = _measure(
-                    law, range_noise[j], other_noise[j], at_m, light, error_m, gain[j]
-                )
+                measured = _measure(law, noise[0, j], noise[1, j], at_m, light, error_m, gain[j])
                 for column in range(columns):
-                    distance_m[i, j, column], reflectivity[i, j, column] = measured_m, code
-            elif lit > 1:
+                    distance_m[i, j, column], reflectivity[i, j, column] = measured
+            elif lit > 1 and light >= 0.0:  # or else the highest is not seen, and another one may be
                 _choose(law, n, j, peaks, find_peaks(nodes, lit, law.sigma_m, peaks), chosen)
                 _write(law, n, i, j, error_m, gain[j], peaks, chosen, distance_m, reflectivity)
 
@@ -151,6 +137,28 @@ def _mark_silent(
                 silent &= distance_m[i, j, column] == 0.0 and reflectivity[i, j, column] == 0
             if silent:
                 reflectivity[i, j, :_SECOND] = no_return[j]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def _only_echo(
+    law: Law, n: int, laser: int, nodes: NDArray[np.float64], lit: int, peaks: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Range and amplitude of the only echo that counts: of one node, or the highest where only the strongest is sent.
+
+    Amplitude 0 where there may be more, or the highest is not found this way; -1 where no echo is seen at all.
+    """
+    if lit == 0:
+        return 0.0, -1.0
+    if lit == 1:
+        return nodes[RANGE, 0], nodes[AMPLITUDE, 0]
+    first, last, most, others = brightest_group(nodes, lit, law.sigma_m)
+    if _none_is_seen(law, n, laser, most, lit):
+        return 0.0, -1.0
+    if law.strongest_only and most > law.threshold:
+        range_m, amplitude = highest_peak(nodes, first, last, law.sigma_m, peaks)
+        if amplitude > others:
+            return range_m, amplitude
+    return 0.0, 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)

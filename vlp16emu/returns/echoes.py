@@ -81,9 +81,7 @@ def gather(
 
     Each node takes what is near the first sub-ray that is left. Nobody can guess who is near, so nothing branches on it.
     """
-    left = found = 0
-    energy = moment = 0.0
-    first_m = np.inf
+    left, found, energy, moment, first_m = 0, 0, 0.0, 0.0, np.inf
     for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
         ray_m = np.float64(range_m[ray])
         if ray_m < np.inf:
@@ -136,9 +134,7 @@ def find_peaks(nodes: NDArray[np.float64], count: int, sigma_m: float, peaks: ND
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def brightest_group(
-    nodes: NDArray[np.float64], count: int, sigma_m: float
-) -> tuple[int, int, float, float]:
+def brightest_group(nodes: NDArray[np.float64], count: int, sigma_m: float) -> tuple[int, int, float, float]:
     """Sort nodes, and find those that may touch each other and have the greatest sum of amplitudes.
 
     Returns
@@ -202,7 +198,9 @@ def _exp(x: float) -> float:
     z = r * r
     rest = 0.500000006765061 + r * 0.16666665869323083 + z * (0.041666295063920514 + r * 0.00833349702096706)
     rest += z * z * (0.0013944650820433332 + r * 0.00019790350590949283)
-    bits = np.float64(1.0 + (r + z * rest)).view(np.int64) + (np.float64(shifted).view(np.int64) << np.int64(52))
+    bits = np.float64(1.0 + (r + z * rest)).view(np.int64) + (
+        np.float64(shifted).view(np.int64) << np.int64(52)
+    )
     return np.int64(bits).view(np.float64)
 
 

@@ -40,7 +40,9 @@ class Rotor:
         per_minute = math.gcd(self.rpm, 60)
         span_ns, turns = 60 // per_minute * S_NS, self.rpm // per_minute
         out = np.empty(elapsed_ns.shape)
-        _turn(elapsed_ns.reshape(-1), span_ns, turns * 360.0 / span_ns, self.start_azimuth_deg, out.reshape(-1))
+        _turn(
+            elapsed_ns.reshape(-1), span_ns, turns * 360.0 / span_ns, self.start_azimuth_deg, out.reshape(-1)
+        )
         return out
 
     def reading_deg(self, angle_deg: NDArray[np.float64], first: int) -> NDArray[np.float64]:
