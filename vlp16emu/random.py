@@ -15,6 +15,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.trig import in_quarter
+
 __all__ = [
     "Purpose",
     "box_muller",
@@ -139,24 +141,6 @@ def _log(x: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _cos_sin(turns: float) -> tuple[float, float]:
-    """Cosine and sine of a share of a turn, 0 .. 1: polynomials of fdlibm, k_cos.c and k_sin.c, in each quarter."""
-    quarter = math.floor(4.0 * turns + 0.5)
-    y = (4.0 * turns - quarter) * (0.5 * math.pi)
-    z = y * y
-    high = 2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
-    high = 8.33333333332248946124e-03 + z * (-1.98412698298579493134e-04 + z * high)
-    s = y + y * z * (-1.66666666666666324348e-01 + z * high)
-    high = -2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 - z * 1.13596475577881948265e-11)
-    high = -1.38888888888741095749e-03 + z * (2.48015872894767294178e-05 + z * high)
-    c = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * high)
-    odd = (quarter == 1.0) | (quarter == 3.0)
-    cosine, sine = s if odd else c, c if odd else s
-    cosine = -cosine if (quarter == 1.0) | (quarter == 2.0) else cosine
-    return cosine, -sine if (quarter == 2.0) | (quarter == 3.0) else sine
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
 def box_muller(a: float, b: float) -> tuple[float, float]:
     """Turn two uniform numbers into two normal ones, by Box and Muller (1958); for use in kernels.
 
@@ -164,7 +148,8 @@ def box_muller(a: float, b: float) -> tuple[float, float]:
     There is no branch and no call, so that a loop over lanes draws four at once.
     """
     radius = math.sqrt(-2.0 * _log(1.0 - a))  # 1 - a is exact
-    cosine, sine = _cos_sin(b)
+    quarter = math.floor(4.0 * b + 0.5)
+    cosine, sine = in_quarter(quarter, (4.0 * b - quarter) * (0.5 * math.pi))
     return radius * cosine, radius * sine
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.clock import Clock
 from vlp16emu.sensor.rotor import Rotor
+from vlp16emu.trig import cos_sin
 from vlp16emu.types import Firings, Poses
 
 __all__ = ["BODY_R_SENSOR", "Head", "turn"]
@@ -108,7 +109,7 @@ def _aim(
             n = i * lasers + j if moving else 0
             R, p = world_R_body[n], world_p_body_m[n]
             azimuth = math.radians(azimuth_deg[i, j]) + error_rad[j]
-            c, s = math.cos(azimuth), math.sin(azimuth)
+            c, s = cos_sin(azimuth)
             sensor[0], sensor[1], sensor[2] = elevation[j, 0] * s, elevation[j, 0] * c, elevation[j, 1]
             turn(body_R_sensor, sensor, body)
             turn(R, body, direction[i, j])
