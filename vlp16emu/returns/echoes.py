@@ -12,7 +12,8 @@ Light that goes through a leaf, some 45 % at 903 nm, is scattered over the half-
 of it has been through the leaf twice and is spread both times, so it falls short of direct light by the share of the
 half-space that the receiver sees, and makes no echo. What shines past a leaf is the business of the sub-rays.
 
-Kernels make no arrays of their own, so numba need not count references (`_nrt=False`).
+Kernels make no arrays of their own, so numba need not count references (`_nrt=False`). They are compiled into their
+callers (`forceinline`): a call hands over each array as seven numbers, which takes as long as a node.
 """
 
 import math
