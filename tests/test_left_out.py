@@ -98,6 +98,8 @@ def draws(monkeypatch, *settings):
             if hasattr(value, "py_func"):
                 patch.setattr(detection, name, value.py_func)
         patch.setattr(detection, "normal_pair", lambda *key: drawn.append(key) or (0.0, 0.0))
+        patch.setattr(detection, "uniform_pair", lambda *key: drawn.append(key) or (0.5, 0.5))
+        patch.setattr(detection, "normal_pairs", lambda *key: drawn.extend(key[-1]))
         patch.setattr(detection, "clutter_echo", lambda *key: aired.append(key) or (0.0, 0.0))
         detection.detect(firings, hits, scene.surfaces, unit.detector, truth=False)
     return len(drawn), len(aired)

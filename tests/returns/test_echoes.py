@@ -38,11 +38,11 @@ def peaks_on_a_grid(range_m, amplitude):
 
 def found(range_m, amplitude):
     """Peaks by the kernel."""
-    nodes = np.empty((len(range_m), COLUMNS))
-    nodes[:, RANGE], nodes[:, AMPLITUDE] = range_m, amplitude
-    peaks = np.empty((3 * len(range_m), COLUMNS))
-    peaks = peaks[: find_peaks(nodes, len(range_m), SIGMA_M, peaks)]
-    return peaks[:, RANGE], peaks[:, AMPLITUDE]
+    nodes = np.empty((COLUMNS, len(range_m)))
+    nodes[RANGE], nodes[AMPLITUDE] = range_m, amplitude
+    peaks = np.empty((COLUMNS, 3 * len(range_m)))
+    peaks = peaks[:, : find_peaks(nodes, len(range_m), SIGMA_M, peaks)]
+    return peaks[RANGE], peaks[AMPLITUDE]
 
 
 def obvious_returns(range_m, reflectance):

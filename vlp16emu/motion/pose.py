@@ -6,18 +6,20 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.trig import cos_sin
+
 __all__ = ["body_rate", "rotate", "rotations"]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def rotate(yaw_rad: float, pitch_rad: float, roll_rad: float, out: NDArray[np.float64]) -> None:
     """Fill a rotation (3, 3), body to world: about z, then y, then x.
 
     Yaw is counter-clockwise from east, positive pitch is nose down, positive roll is right side down.
     """
-    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
-    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
-    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    cy, sy = cos_sin(yaw_rad)
+    cp, sp = cos_sin(pitch_rad)
+    cr, sr = cos_sin(roll_rad)
     out[0, 0], out[0, 1], out[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
     out[1, 0], out[1, 1], out[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
     out[2, 0], out[2, 1], out[2, 2] = -sp, cp * sr, cp * cr

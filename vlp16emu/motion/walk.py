@@ -146,6 +146,11 @@ class Walking:
 
     def _seconds(self, t_ns: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
         """Seconds of the walk that instants (n,) fall into, and the numbers of those instants."""
+        if (
+            len(t_ns)
+            and t_ns.max() - self._start_ns < S_NS * (low := int(t_ns.min() - self._start_ns) // S_NS) + S_NS
+        ):
+            return [(low, np.arange(len(t_ns)))]  # as nine blocks in ten
         seconds = (t_ns - self._start_ns) // S_NS
         order = np.argsort(seconds, kind="stable")
         parts = np.split(order, np.flatnonzero(np.diff(seconds[order])) + 1)
@@ -205,7 +210,14 @@ def _hermite(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([p[:-1], v0, 0.5 * a0, cubic, quartic, quintic], axis=-1)
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+def _value(table: NDArray[np.float64], piece: int, axis: int, x: float) -> float:
+    """Value of a quintic."""
+    high = table[piece, axis, 3] + x * (table[piece, axis, 4] + x * table[piece, axis, 5])
+    return table[piece, axis, 0] + x * (table[piece, axis, 1] + x * (table[piece, axis, 2] + x * high))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _poses(
     table: NDArray[np.float64],
     t_ns: NDArray[np.int64],
@@ -215,16 +227,14 @@ def _poses(
     world_p_body_m: NDArray[np.float64],
 ) -> None:
     """Fill the poses at some of the instants, all within the second that begins at `begin_ns`."""
-    q = np.empty(AXES)
     for i in which:
         since_ns = t_ns[i] - begin_ns
         piece = since_ns // _NODE_NS
         x = (since_ns - piece * _NODE_NS) / _NODE_NS
-        for axis in range(AXES):
-            c = table[piece, axis]
-            q[axis] = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
-        world_p_body_m[i] = q[:3]
-        rotate(q[5], q[4], q[3], world_R_body[i])
+        for axis in range(3):
+            world_p_body_m[i, axis] = _value(table, piece, axis, x)
+        roll, pitch = _value(table, piece, 3, x), _value(table, piece, 4, x)
+        rotate(_value(table, piece, 5, x), pitch, roll, world_R_body[i])
 
 
 @numba.njit(cache=True, nogil=True)

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.random import Purpose, normal_pair
+from vlp16emu.random import Purpose, box_muller, normal_pair, normal_pairs, uniform_pair
 from vlp16emu.returns.detector import Detector
 from vlp16emu.returns.echoes import (
     AMPLITUDE,
@@ -15,9 +15,10 @@ from vlp16emu.returns.echoes import (
     OPEN,
     RANGE,
     add_node,
+    brightest_group,
     find_peaks,
     gather,
-    lone_node,
+    highest_peak,
 )
 from vlp16emu.returns.law import Law
 from vlp16emu.returns.noise import range_sigma_m
@@ -59,7 +60,7 @@ def detect(
     distance_m, reflectivity = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     most = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     reflectance = np.ascontiguousarray(surfaces["reflectance"])
-    room = np.empty((most, COLUMNS)), np.empty((_PEAKS_PER_NODE * most, COLUMNS)), np.empty(3, np.int64)
+    nodes, peaks = np.empty((COLUMNS, most)), np.empty((COLUMNS, _PEAKS_PER_NODE * most))
     rays = (hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     _detect(
         detector.law,
@@ -68,13 +69,12 @@ def detect(
         detector.drift_m(firings.t_ns[:, 0]),
         detector.gain,
         *rays,
-        *room,
+        *(nodes, peaks, np.empty(3, np.int64), np.zeros((2, shape[1]))),
         distance_m,
         reflectivity,
     )
     if detector.no_return is not None:
-        silent = ~(distance_m.any(axis=-1) | reflectivity.any(axis=-1))
-        reflectivity[silent, :_SECOND] = np.broadcast_to(detector.no_return, silent.shape)[silent, None]
+        _mark_silent(detector.no_return, distance_m, reflectivity)
     if not truth:
         return Returns(firings, distance_m, reflectivity, None, None)
     surface = np.empty(shape, np.uint32)
@@ -97,50 +97,122 @@ def _detect(
     nodes: NDArray[np.float64],
     peaks: NDArray[np.float64],
     chosen: NDArray[np.int64],
+    noise: NDArray[np.float64],
     distance_m: NDArray[np.float32],
     reflectivity: NDArray[np.uint8],
 ) -> None:
     """Fill the returns (k, L, 3), pulse by pulse; one node takes the short way."""
     stop = 0
+    columns = _LAST if law.strongest_only else _SECOND  # that a lone echo fills
     for i in range(count.shape[0]):
+        n = first + i
+        if law.range_noise_m > 0.0 or law.reflectivity_noise > 0.0:
+            normal_pairs(law.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(count.shape[1]):
-            start, stop, n, error_m = stop, stop + int(count[i, j]), first + i, bias_m[j] + drift_m[i]
-            lit, at_m, light = lone_node(law, start, stop, range_m, met, cos_incidence, reflectance)
-            air_m, air = 0.0, 0.0
+            start, stop, error_m = stop, stop + int(count[i, j]), bias_m[j] + drift_m[i]
+            lit = gather(law, start, stop, range_m, met, cos_incidence, reflectance, nodes)
             if law.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(law, n, j, start, stop, range_m)
-            if lit > 1 or air > 0.0:
-                lit = gather(law, start, stop, range_m, met, cos_incidence, reflectance, nodes)
                 if air > 0.0:
                     lit = add_node(nodes, lit, air_m, air)
+            at_m, light = _only_echo(law, n, j, nodes, lit, peaks)
+            if light > 0.0 and _is_seen(law, n, j, at_m, light):
+                measured = _measure(law, noise[0, j], noise[1, j], at_m, light, error_m, gain[j])
+                for column in range(columns):
+                    distance_m[i, j, column], reflectivity[i, j, column] = measured
+            elif lit > 1 and light >= 0.0:  # or else the highest is not seen, and another one may be
                 _choose(law, n, j, peaks, find_peaks(nodes, lit, law.sigma_m, peaks), chosen)
                 _write(law, n, i, j, error_m, gain[j], peaks, chosen, distance_m, reflectivity)
-            elif lit == 1 and _is_seen(law, n, j, at_m, light):
-                measured_m, code = _measure(law, n, j, at_m, light, error_m, gain[j])
-                for column in range(_LAST if law.strongest_only else _SECOND):
-                    distance_m[i, j, column], reflectivity[i, j, column] = measured_m, code
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def _mark_silent(
+    no_return: NDArray[np.uint8], distance_m: NDArray[np.float32], reflectivity: NDArray[np.uint8]
+) -> None:
+    """Fill in the reflectivity of pulses without any return."""
+    for i in range(distance_m.shape[0]):
+        for j in range(distance_m.shape[1]):
+            silent = True
+            for column in range(3):
+                silent &= distance_m[i, j, column] == 0.0 and reflectivity[i, j, column] == 0
+            if silent:
+                reflectivity[i, j, :_SECOND] = no_return[j]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def _only_echo(
+    law: Law, n: int, laser: int, nodes: NDArray[np.float64], lit: int, peaks: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Range and amplitude of the only echo that counts: of one node, or the highest where only the strongest is sent.
+
+    Amplitude 0 where there may be more, or the highest is not found this way; -1 where no echo is seen at all.
+    """
+    if lit == 0:
+        return 0.0, -1.0
+    if lit == 1:
+        return nodes[RANGE, 0], nodes[AMPLITUDE, 0]
+    first, last, most, others = brightest_group(nodes, lit, law.sigma_m)
+    if _none_is_seen(law, n, laser, most, lit):
+        return 0.0, -1.0
+    if law.strongest_only and most > law.threshold:
+        range_m, amplitude = highest_peak(nodes, first, last, law.sigma_m, peaks)
+        if amplitude > others:
+            return range_m, amplitude
+    return 0.0, 0.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _is_seen(law: Law, n: int, lane: int, range_m: float, amplitude: float) -> bool:
     """Whether an echo is within reach, and its peak with the noise upon it above the threshold."""
     excess, certain = amplitude - law.threshold, _CERTAIN_SIGMAS * law.amplitude_noise
-    if -certain < excess < certain:
-        excess += law.amplitude_noise * normal_pair(law.seed, _DETECTION, n, lane)[0]
+    if -certain < excess < certain and range_m <= law.max_range_m:
+        a, b = uniform_pair(law.seed, _DETECTION, n, lane)
+        if _falls_short(law, a, excess):
+            return False
+        excess += law.amplitude_noise * box_muller(a, b)[0]
     return excess >= 0.0 and range_m <= law.max_range_m
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def _falls_short(law: Law, a: float, excess: float) -> bool:
+    """Whether noise of the uniform number a misses the threshold whatever its partner is, which spares its logarithm.
+
+    The radius of a normal pair is below t where 1 - a > exp(-t**2 / 2), which is less than the quotient here.
+    """
+    t = excess / law.amplitude_noise
+    x = 0.5 * t * t
+    return excess < 0.0 and (1.0 - a) * (1.0 + x * (1.0 + x * (0.5 + x * (1.0 / 6.0)))) > 1.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def _none_is_seen(law: Law, n: int, laser: int, most: float, count: int) -> bool:
+    """Whether no echo of a pulse is seen, of up to `count` and with amplitudes up to `most`: what many faint ones come to."""
+    excess = most - law.threshold
+    if excess >= 0.0:
+        return False
+    if excess > -_CERTAIN_SIGMAS * law.amplitude_noise:
+        for rank in range(count):
+            a, _ = uniform_pair(law.seed, _DETECTION, n, laser | rank << _LANE_BITS)
+            if not _falls_short(law, a, excess):
+                return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _measure(
-    law: Law, n: int, lane: int, range_m: float, amplitude: float, error_m: float, gain: float
+    law: Law,
+    range_noise: float,
+    other_noise: float,
+    range_m: float,
+    amplitude: float,
+    error_m: float,
+    gain: float,
 ) -> tuple[np.float32, np.uint8]:
     """Distance and reflectivity as the unit reads them; distance 0 where that is out of its limits."""
     reflectance = amplitude * range_m * range_m
-    measured_m, counts = range_m + error_m, 0.0
-    if law.range_noise_m > 0.0 or law.reflectivity_noise > 0.0:
-        drawn, other = normal_pair(law.seed, _RANGE_NOISE, n, lane)
-        measured_m += drawn * range_sigma_m(law, reflectance, amplitude)
-        counts = other * law.reflectivity_noise
+    measured_m, counts = range_m + error_m, other_noise * law.reflectivity_noise
+    if law.range_noise_m > 0.0:
+        measured_m += range_noise * range_sigma_m(law, reflectance, amplitude)
     if not law.min_range_m <= measured_m <= law.max_range_m:
         measured_m = 0.0
     return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts)
@@ -155,12 +227,12 @@ def _choose(
     for rank in range(found):
         best = -1
         for peak in range(found):
-            if peaks[peak, OPEN] > 0.0 and (best < 0 or peaks[peak, OPEN] > peaks[best, OPEN]):
+            if peaks[OPEN, peak] > 0.0 and (best < 0 or peaks[OPEN, peak] > peaks[OPEN, best]):
                 best = peak
         if best < 0:
             return
-        peaks[best, OPEN] = 0.0
-        if not _is_seen(law, n, laser | rank << _LANE_BITS, peaks[best, RANGE], peaks[best, AMPLITUDE]):
+        peaks[OPEN, best] = 0.0
+        if not _is_seen(law, n, laser | rank << _LANE_BITS, peaks[RANGE, best], peaks[AMPLITUDE, best]):
             continue
         if chosen[_STRONGEST] < 0:
             chosen[_STRONGEST] = best
@@ -168,11 +240,11 @@ def _choose(
                 return
         elif chosen[_SECOND] < 0:
             chosen[_SECOND] = best
-        if chosen[_LAST] < 0 or peaks[best, RANGE] > peaks[chosen[_LAST], RANGE]:
+        if chosen[_LAST] < 0 or peaks[RANGE, best] > peaks[RANGE, chosen[_LAST]]:
             chosen[_LAST] = best
         for peak in range(found):
-            if abs(peaks[peak, RANGE] - peaks[best, RANGE]) < law.resolution_m:
-                peaks[peak, OPEN] = 0.0
+            if abs(peaks[RANGE, peak] - peaks[RANGE, best]) < law.resolution_m:
+                peaks[OPEN, peak] = 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -195,6 +267,7 @@ def _write(
             distance_m[i, j, column] = distance_m[i, j, column - 1]
             reflectivity[i, j, column] = reflectivity[i, j, column - 1]
         elif peak >= 0:
+            drawn, other = normal_pair(law.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             distance_m[i, j, column], reflectivity[i, j, column] = _measure(
-                law, n, j | column << _LANE_BITS, peaks[peak, RANGE], peaks[peak, AMPLITUDE], error_m, gain
+                law, drawn, other, peaks[RANGE, peak], peaks[AMPLITUDE, peak], error_m, gain
             )

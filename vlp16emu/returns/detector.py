@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Self
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,14 +64,17 @@ class Detector:
 
     def drift_m(self, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Warm-up error of ranges at some instants, same shape; fades exponentially from power-up on."""
-        if not self.warm_up_m:
-            return np.zeros(t_ns.shape)
-        return np.array(
-            [
-                self.warm_up_m * math.exp(-1e-9 * since_ns / self.warm_up_s)
-                for since_ns in (t_ns - self.power_up_ns).tolist()
-            ]
-        )
+        out = np.zeros(t_ns.shape)
+        if self.warm_up_m:
+            _fade(t_ns - self.power_up_ns, self.warm_up_m, self.warm_up_s, out)
+        return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def _fade(since_ns: NDArray[np.int64], from_m: float, in_s: float, out: NDArray[np.float64]) -> None:
+    """Fill an exponential (n,)."""
+    for i in range(out.shape[0]):
+        out[i] = from_m * math.exp(-1e-9 * since_ns[i] / in_s)
 
 
 def make_law(

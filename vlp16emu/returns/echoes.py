@@ -12,7 +12,8 @@ Light that goes through a leaf, some 45 % at 903 nm, is scattered over the half-
 of it has been through the leaf twice and is spread both times, so it falls short of direct light by the share of the
 half-space that the receiver sees, and makes no echo. What shines past a leaf is the business of the sub-rays.
 
-Kernels make no arrays of their own, so numba need not count references (`_nrt=False`).
+Kernels make no arrays of their own, so numba need not count references (`_nrt=False`). They are compiled into their
+callers (`forceinline`): a call hands over each array as seven numbers, which takes as long as a node.
 """
 
 import math
@@ -31,20 +32,20 @@ __all__ = [
     "RANGE",
     "add_node",
     "amplitude_of",
+    "brightest_group",
     "find_peaks",
     "gather",
-    "lone_node",
+    "highest_peak",
 ]
 
-COLUMNS = 3
+COLUMNS = 5
 """Of a table of nodes, or of peaks."""
 RANGE, AMPLITUDE = 0, 1
 """Columns of both: in metres, and as in `Law`."""
 OPEN = 2
 """Column of peaks: the amplitude until somebody has dealt with the peak, then 0."""
-_MOMENT = (
-    2  # column of nodes while they are gathered: of the light about RANGE, which is then the first sub-ray's
-)
+_RAY, _PART = 2, 3  # columns of nodes while they are gathered: sub-rays that are in none yet, and their light
+_HEIGHT, _MEAN, _VARIANCE = 2, 3, 4  # columns of nodes thereafter: what `_waveform` gives at their places
 NODE_M = 0.15
 """Greatest span of the sub-rays that are taken as one."""
 _FAINTEST = 1e-9  # reflectance of what is black or edge-on, so that it still has a place
@@ -52,7 +53,7 @@ _APART = 5.0  # sigmas at which a neighbour as bright moves a peak by less than 
 _LAST_STEP_M = 1e-3  # of Newton's rule; what is left is about its square over sigma
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def amplitude_of(law: Law, energy: float, range_m: float) -> float:
     """Amplitude that an energy has at the detector: the range law, and what the air takes on both ways.
 
@@ -66,41 +67,7 @@ def amplitude_of(law: Law, energy: float, range_m: float) -> float:
     return amplitude
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def lone_node(
-    law: Law,
-    start: int,
-    stop: int,
-    range_m: NDArray[np.float32],
-    surface: NDArray[np.uint32],
-    cos_incidence: NDArray[np.float32],
-    reflectance: NDArray[np.float32],
-) -> tuple[int, float, float]:
-    """See whether the sub-rays start .. stop - 1 of a pulse are one node, which most are.
-
-    Returns
-    -------
-    0 where nothing was met, 1 for one node, 2 for more; range and amplitude of the one
-    """
-    energy = off_m = 0.0
-    first_m = np.inf
-    for ray in range(start, stop):
-        ray_m = np.float64(range_m[ray])
-        if ray_m < np.inf:
-            if first_m == np.inf:
-                first_m = ray_m
-            elif abs(ray_m - first_m) > 0.5 * NODE_M:
-                return 2, 0.0, 0.0
-            part = np.float64(reflectance[surface[ray]]) * cos_incidence[ray] + _FAINTEST
-            energy += part
-            off_m += part * (ray_m - first_m)
-    if first_m == np.inf:
-        return 0, 0.0, 0.0
-    at_m = first_m + off_m / energy
-    return 1, at_m, amplitude_of(law, energy / (stop - start), at_m)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def gather(
     law: Law,
     start: int,
@@ -111,70 +78,134 @@ def gather(
     reflectance: NDArray[np.float32],
     nodes: NDArray[np.float64],
 ) -> int:
-    """Sum the sub-rays start .. stop - 1 of a pulse into nodes (n, COLUMNS); returns how many there are."""
-    found = 0
-    for ray in range(start, stop):
+    """Sum the sub-rays start .. stop - 1 of a pulse into nodes (COLUMNS, n); returns how many there are.
+
+    Each node takes what is near the first sub-ray that is left. Nobody can guess who is near, so nothing branches on it.
+    """
+    left, found, energy, moment, first_m = 0, 0, 0.0, 0.0, np.inf
+    for ray in range(np.uint64(start), np.uint64(stop)):  # signed indices might count from the end
         ray_m = np.float64(range_m[ray])
-        if ray_m == np.inf:
-            continue
-        part = np.float64(reflectance[surface[ray]]) * cos_incidence[ray] + _FAINTEST
-        node = 0
-        while node < found and abs(ray_m - nodes[node, RANGE]) > 0.5 * NODE_M:
-            node += 1
-        if node == found:
-            nodes[node, RANGE], nodes[node, AMPLITUDE], nodes[node, _MOMENT] = ray_m, 0.0, 0.0
-            found += 1
-        nodes[node, AMPLITUDE] += part
-        nodes[node, _MOMENT] += part * (ray_m - nodes[node, RANGE])
-    for node in range(found):
-        at_m = nodes[node, RANGE] + nodes[node, _MOMENT] / nodes[node, AMPLITUDE]
-        nodes[node, RANGE] = at_m
-        nodes[node, AMPLITUDE] = amplitude_of(law, nodes[node, AMPLITUDE] / (stop - start), at_m)
+        if ray_m < np.inf:
+            first_m = ray_m if first_m == np.inf else first_m
+            part = np.float64(reflectance[surface[ray]]) * cos_incidence[ray] + _FAINTEST
+            nodes[_RAY, left], nodes[_PART, left] = ray_m, part
+            away_m = ray_m - first_m
+            near = abs(away_m) <= 0.5 * NODE_M
+            left += 0 if near else 1
+            part = part if near else 0.0
+            energy += part
+            moment += part * away_m
+    while first_m < np.inf:
+        at_m = first_m + moment / energy
+        nodes[RANGE, found] = at_m
+        nodes[AMPLITUDE, found] = amplitude_of(law, energy / (stop - start), at_m)
+        found += 1
+        first_m, count = nodes[_RAY, 0] if left > 0 else np.inf, left
+        left = 0
+        energy = moment = 0.0
+        for ray in range(count):
+            ray_m, part = nodes[_RAY, ray], nodes[_PART, ray]
+            nodes[_RAY, left], nodes[_PART, left] = ray_m, part
+            away_m = ray_m - first_m
+            near = abs(away_m) <= 0.5 * NODE_M
+            left += 0 if near else 1
+            part = part if near else 0.0
+            energy += part
+            moment += part * away_m
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def add_node(nodes: NDArray[np.float64], count: int, range_m: float, amplitude: float) -> int:
     """Add light of another kind to a pulse; returns how many nodes there are."""
-    nodes[count, RANGE], nodes[count, AMPLITUDE] = range_m, amplitude
+    nodes[RANGE, count], nodes[AMPLITUDE, count] = range_m, amplitude
     return count + 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def find_peaks(nodes: NDArray[np.float64], count: int, sigma_m: float, peaks: NDArray[np.float64]) -> int:
-    """Fill peaks (n, COLUMNS) in order of range from nodes, which are sorted; returns how many there are."""
+    """Fill peaks (COLUMNS, n) in order of range from nodes, which are sorted; returns how many there are."""
     _sort(nodes, count)
     found = start = 0
     for node in range(1, count + 1):
-        if node == count or nodes[node, RANGE] - nodes[node - 1, RANGE] > _APART * sigma_m:
+        if node == count or nodes[RANGE, node] - nodes[RANGE, node - 1] > _APART * sigma_m:
             found = _peaks_of_group(nodes, start, node, sigma_m, peaks, found)
             start = node
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def brightest_group(nodes: NDArray[np.float64], count: int, sigma_m: float) -> tuple[int, int, float, float]:
+    """Sort nodes, and find those that may touch each other and have the greatest sum of amplitudes.
+
+    Returns
+    -------
+    the first of them, and the one behind the last; their sum, which no peak exceeds; and the greatest sum of others
+    """
+    _sort(nodes, count)
+    start = first = last = 0
+    total = most = second = 0.0
+    for node in range(count):
+        total += nodes[AMPLITUDE, node]
+        if node == count - 1 or nodes[RANGE, node + 1] - nodes[RANGE, node] > _APART * sigma_m:
+            if total > most:
+                first, last, most, second = start, node + 1, total, most
+            else:
+                second = max(second, total)
+            start, total = node + 1, 0.0
+    return first, last, most, second
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def highest_peak(
+    nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float, peaks: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Range and amplitude of the highest peak of nodes that may touch each other, the nearest of equals."""
+    found, best = _peaks_of_group(nodes, start, stop, sigma_m, peaks, 0), 0
+    for peak in range(1, found):
+        if peaks[AMPLITUDE, peak] > peaks[AMPLITUDE, best]:
+            best = peak
+    return peaks[RANGE, best], peaks[AMPLITUDE, best]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _add_peak(peaks: NDArray[np.float64], found: int, range_m: float, amplitude: float) -> int:
     """Add a peak, unless it is the one before, climbed from its other side; returns how many there are."""
-    if found > 0 and range_m - peaks[found - 1, RANGE] < _LAST_STEP_M:
+    if found > 0 and range_m - peaks[RANGE, found - 1] < _LAST_STEP_M:
         return found
-    peaks[found, RANGE] = range_m
-    peaks[found, AMPLITUDE] = peaks[found, OPEN] = amplitude
+    peaks[RANGE, found] = range_m
+    peaks[AMPLITUDE, found] = peaks[OPEN, found] = amplitude
     return found + 1
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _sort(nodes: NDArray[np.float64], count: int) -> None:
     """Put nodes in order of range by insertion; they are few."""
     for i in range(1, count):
-        range_m, amplitude = nodes[i, RANGE], nodes[i, AMPLITUDE]
+        range_m, amplitude = nodes[RANGE, i], nodes[AMPLITUDE, i]
         j = i
-        while j > 0 and nodes[j - 1, RANGE] > range_m:
-            nodes[j, RANGE], nodes[j, AMPLITUDE] = nodes[j - 1, RANGE], nodes[j - 1, AMPLITUDE]
+        while j > 0 and nodes[RANGE, j - 1] > range_m:
+            nodes[RANGE, j], nodes[AMPLITUDE, j] = nodes[RANGE, j - 1], nodes[AMPLITUDE, j - 1]
             j -= 1
-        nodes[j, RANGE], nodes[j, AMPLITUDE] = range_m, amplitude
+        nodes[RANGE, j], nodes[AMPLITUDE, j] = range_m, amplitude
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def _exp(x: float) -> float:
+    """Exponential of a number up to 0, good to 1e-10 of itself, or 1e-300: a library's call costs twice as much."""
+    x = max(x, -690.0)
+    shifted = x * (1.0 / math.log(2.0)) + 6755399441055744.0  # its last bits hold the power of 2
+    r = x - (shifted - 6755399441055744.0) * math.log(2.0)
+    z = r * r
+    rest = 0.500000006765061 + r * 0.16666665869323083 + z * (0.041666295063920514 + r * 0.00833349702096706)
+    rest += z * z * (0.0013944650820433332 + r * 0.00019790350590949283)
+    bits = np.float64(1.0 + (r + z * rest)).view(np.int64) + (
+        np.float64(shifted).view(np.int64) << np.int64(52)
+    )
+    return np.int64(bits).view(np.float64)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _waveform(
     nodes: NDArray[np.float64], start: int, stop: int, x_m: float, sigma_m: float
 ) -> tuple[float, float, float]:
@@ -182,8 +213,8 @@ def _waveform(
     height = first = second = 0.0
     sharpness = -0.5 / (sigma_m * sigma_m)
     for node in range(start, stop):
-        away_m = nodes[node, RANGE] - x_m
-        light = nodes[node, AMPLITUDE] * math.exp(sharpness * away_m * away_m)
+        away_m = nodes[RANGE, node] - x_m
+        light = nodes[AMPLITUDE, node] * _exp(sharpness * away_m * away_m)
         height += light
         first += light * away_m
         second += light * away_m * away_m
@@ -191,7 +222,31 @@ def _waveform(
     return mean_m, second / height - mean_m * mean_m, height
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def _look(nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float) -> None:
+    """Fill in what `_waveform` gives at each node; two share what each lends the other."""
+    sharpness = -0.5 / (sigma_m * sigma_m)
+    for b in range(start, stop):
+        nodes[_HEIGHT, b] = nodes[_MEAN, b] = nodes[_VARIANCE, b] = 0.0
+        for a in range(start, b):
+            away_m = nodes[RANGE, a] - nodes[RANGE, b]
+            pulse = _exp(sharpness * away_m * away_m)
+            light = nodes[AMPLITUDE, a] * pulse
+            nodes[_HEIGHT, b] += light
+            nodes[_MEAN, b] += light * away_m
+            nodes[_VARIANCE, b] += light * away_m * away_m
+            light = nodes[AMPLITUDE, b] * pulse
+            nodes[_HEIGHT, a] += light
+            nodes[_MEAN, a] -= light * away_m
+            nodes[_VARIANCE, a] += light * away_m * away_m
+        nodes[_HEIGHT, b] += nodes[AMPLITUDE, b]
+    for node in range(start, stop):
+        mean_m = nodes[_MEAN, node] / nodes[_HEIGHT, node]
+        nodes[_MEAN, node] = mean_m
+        nodes[_VARIANCE, node] = nodes[_VARIANCE, node] / nodes[_HEIGHT, node] - mean_m * mean_m
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _peaks_of_group(
     nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float, peaks: NDArray[np.float64], found: int
 ) -> int:
@@ -201,13 +256,14 @@ def _peaks_of_group(
     the waveform is convex.
     """
     if stop - start == 1:
-        return _add_peak(peaks, found, nodes[start, RANGE], nodes[start, AMPLITUDE])
-    a_m = nodes[start, RANGE]
-    a_mean_m, a_var_m2, a_height = _waveform(nodes, start, stop, a_m, sigma_m)
+        return _add_peak(peaks, found, nodes[RANGE, start], nodes[AMPLITUDE, start])
+    _look(nodes, start, stop, sigma_m)
+    a_m = nodes[RANGE, start]
+    a_mean_m, a_var_m2, a_height = nodes[_MEAN, start], nodes[_VARIANCE, start], nodes[_HEIGHT, start]
     rises = True  # even where all nodes are at one place
     for node in range(start + 1, stop):
-        b_m = nodes[node, RANGE]
-        b_mean_m, b_var_m2, b_height = _waveform(nodes, start, stop, b_m, sigma_m)
+        b_m = nodes[RANGE, node]
+        b_mean_m, b_var_m2, b_height = nodes[_MEAN, node], nodes[_VARIANCE, node], nodes[_HEIGHT, node]
         reach_m = min(b_m - a_m, sigma_m)
         one = rises and b_mean_m <= 0.0 and b_m - a_m <= 2.0 * sigma_m
         if rises:
@@ -227,7 +283,7 @@ def _peaks_of_group(
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _climb(
     nodes: NDArray[np.float64],
     start: int,

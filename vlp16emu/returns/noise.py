@@ -69,7 +69,7 @@ def no_return_reflectivity(seed: int, lasers: int) -> NDArray[np.uint8]:
     return drawn.astype(np.uint8)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def range_sigma_m(law: Law, reflectance: float, amplitude: float) -> float:
     """White range noise of an echo, one sigma.
 

@@ -16,7 +16,7 @@ sheeting (about 700). The manual gives the ends of the scale only; that it is lo
 _COUNTS_PER_E_FOLD = (255 - 101) / math.log(_IDEAL)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def reflectivity_byte(percent: float, gain: float, noise: float) -> np.uint8:
     """Code a reflectivity: 0..100 percent of a diffuse target, 101..255 of a retroreflector.
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.clock import Clock
 from vlp16emu.sensor.rotor import Rotor
+from vlp16emu.trig import cos_sin
 from vlp16emu.types import Firings, Poses
 
 __all__ = ["BODY_R_SENSOR", "Head", "turn"]
@@ -46,6 +47,7 @@ class Head:
         across : whether pulses have a width, and so need `Firings.across`
         """
         beams = self.beams
+        elevation_rad = np.radians(beams.elevation_deg + beams.elevation_error_deg)
         t_ns = self.times_ns(first, count)
         poses = poses_at(t_ns.reshape(-1))
         azimuth_deg = self.rotor.angle_deg(t_ns - self.start_ns)
@@ -54,7 +56,7 @@ class Head:
         _aim(
             azimuth_deg,
             np.radians(beams.azimuth_error_deg),
-            np.radians(beams.elevation_deg + beams.elevation_error_deg),
+            np.array([[math.cos(w), math.sin(w)] for w in elevation_rad.tolist()]),
             beams.vertical_offset_m,
             BODY_R_SENSOR,
             poses.world_R_body,
@@ -86,7 +88,7 @@ def turn(R: NDArray[np.float64], vector: NDArray[np.float64], out: NDArray[np.fl
 def _aim(
     azimuth_deg: NDArray[np.float64],
     error_rad: NDArray[np.float64],
-    elevation_rad: NDArray[np.float64],
+    elevation: NDArray[np.float64],
     offset_m: NDArray[np.float64],
     body_R_sensor: NDArray[np.float64],
     world_R_body: NDArray[np.float64],
@@ -97,7 +99,7 @@ def _aim(
 ) -> None:
     """Fill origins and directions: x = cos w sin a, y = cos w cos a, z = sin w (63-9243 Rev D, section 9.2).
 
-    The level axis is the derivative of that by the azimuth, over cos w; left out where `across` is empty.
+    `elevation` (lasers, 2) has the cosine and sine of w. The level axis is the derivative of that by the azimuth, over cos w; left out where `across` is empty.
     """
     count, lasers = azimuth_deg.shape
     moving = len(world_p_body_m) > 1
@@ -106,14 +108,13 @@ def _aim(
         for j in range(lasers):
             n = i * lasers + j if moving else 0
             R, p = world_R_body[n], world_p_body_m[n]
-            azimuth, w = math.radians(azimuth_deg[i, j]) + error_rad[j], elevation_rad[j]
-            sensor[0] = math.cos(w) * math.sin(azimuth)
-            sensor[1] = math.cos(w) * math.cos(azimuth)
-            sensor[2] = math.sin(w)
+            azimuth = math.radians(azimuth_deg[i, j]) + error_rad[j]
+            c, s = cos_sin(azimuth)
+            sensor[0], sensor[1], sensor[2] = elevation[j, 0] * s, elevation[j, 0] * c, elevation[j, 1]
             turn(body_R_sensor, sensor, body)
             turn(R, body, direction[i, j])
             if len(across):
-                sensor[0], sensor[1], sensor[2] = math.cos(azimuth), -math.sin(azimuth), 0.0
+                sensor[0], sensor[1], sensor[2] = c, -s, 0.0
                 turn(body_R_sensor, sensor, body)
                 turn(R, body, across[i, j])
             for a in range(3):

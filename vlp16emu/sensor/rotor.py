@@ -39,8 +39,11 @@ class Rotor:
         # Only what is past the last whole turn on a whole second counts: no error grows with time.
         per_minute = math.gcd(self.rpm, 60)
         span_ns, turns = 60 // per_minute * S_NS, self.rpm // per_minute
-        part = (elapsed_ns % span_ns) * (turns * 360.0 / span_ns)
-        return np.asarray((self.start_azimuth_deg + part) % 360.0)
+        out = np.empty(elapsed_ns.shape)
+        _turn(
+            elapsed_ns.reshape(-1), span_ns, turns * 360.0 / span_ns, self.start_azimuth_deg, out.reshape(-1)
+        )
+        return out
 
     def reading_deg(self, angle_deg: NDArray[np.float64], first: int) -> NDArray[np.float64]:
         """Read the encoder at (k,) true angles, those of firing sequences first .. first + k - 1."""
@@ -52,6 +55,17 @@ class Rotor:
                 self.seed, Purpose.AZIMUTH_READING, first, len(reading)
             )
         return np.asarray(reading % 360.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def _turn(
+    elapsed_ns: NDArray[np.int64], span_ns: int, deg_per_ns: float, start_deg: float, out: NDArray[np.float64]
+) -> None:
+    """Fill angles (n,); the remainder is exact, like that of `%`, for whole turns and their differences are."""
+    for i in range(out.shape[0]):
+        angle_deg = start_deg + (elapsed_ns[i] % span_ns) * deg_per_ns
+        angle_deg -= 360.0 * math.floor(angle_deg / 360.0)
+        out[i] = angle_deg + 360.0 if angle_deg < 0.0 else angle_deg
 
 
 @numba.njit(cache=True, nogil=True)

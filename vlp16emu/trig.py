@@ -1,0 +1,34 @@
+"""Cosine and sine without a library: additions and products, which round alike everywhere and run four at once."""
+
+import math
+
+import numba
+
+__all__ = ["cos_sin", "in_quarter"]
+
+_HALF_PI = 1.57079632673412561417, 6.07710050650619224932e-11
+"""Its first 33 bits, so that products with whole numbers below 2**20 are exact, and the rest."""
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def in_quarter(quarter: float, y: float) -> tuple[float, float]:
+    """Cosine and sine of so many right angles, 0 .. 4, and y, up to pi / 4: fdlibm, k_cos.c and k_sin.c."""
+    z = y * y
+    high = 2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
+    high = 8.33333333332248946124e-03 + z * (-1.98412698298579493134e-04 + z * high)
+    s = y + y * z * (-1.66666666666666324348e-01 + z * high)
+    high = -2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 - z * 1.13596475577881948265e-11)
+    high = -1.38888888888741095749e-03 + z * (2.48015872894767294178e-05 + z * high)
+    c = 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * high)
+    odd = (quarter == 1.0) | (quarter == 3.0)
+    cosine, sine = s if odd else c, c if odd else s
+    cosine = -cosine if (quarter == 1.0) | (quarter == 2.0) else cosine
+    return cosine, -sine if (quarter == 2.0) | (quarter == 3.0) else sine
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+def cos_sin(angle_rad: float) -> tuple[float, float]:
+    """Cosine and sine of an angle of up to a million radians, within 2e-16; for use in kernels."""
+    quarters = math.floor(angle_rad * (2.0 / math.pi) + 0.5)
+    y = (angle_rad - quarters * _HALF_PI[0]) - quarters * _HALF_PI[1]
+    return in_quarter(quarters - 4.0 * math.floor(0.25 * quarters), y)
