@@ -40,11 +40,11 @@ GROUND, STEM = np.uint32(1 << 21), np.uint32(1 << 22)
 _CELL_M = 0.25
 _FEW_FACES = 2000
 """Shapes of no more faces are taken face by face: stones, logs and tufts, which are stretched where they are placed."""
+_PIXELS = 32
+"""Of a voxel's edge, 16 mm each, in which faces are drawn to see how much they hide of each other."""
 _PIECE_M = 0.25
 """Faces larger than this are cut."""
 _TILTS = 64
-import os as _os
-_FACTOR = float(_os.environ.get("FACTOR", "1"))
 _ASIDE_M = 0.26 + 0.16
 """How far beside a voxel a stem may be that is looked for in it: half a voxel, for a ray is looked at in the middle of
 each voxel that it passes, and the half width of a beam of 3 mrad at 100 m."""
@@ -113,7 +113,11 @@ def cloud_of(meshes: Sequence[Mesh], parts: NDArray[np.uint8]) -> Cloud:
         cells = np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
         kept = corners_m.astype(np.float32), of
     else:
-        cells, kept = _cells(corners_m.mean(axis=1), area_m2 * share[of], of), none
+        middle_m = corners_m.mean(axis=1)
+        box = np.floor(corners_m.reshape(-1, 3).min(axis=0) / VOXEL_M)
+        size = np.ceil(corners_m.reshape(-1, 3).max(axis=0) / VOXEL_M) - box + 1
+        kept_share = _kept(corners_m / VOXEL_M - box, of, share, tuple(size.astype(int).tolist()))
+        cells, kept = _cells(middle_m, area_m2 * share[of] * kept_share, of), none
     return Cloud(*cells, *kept, share, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
 
 
@@ -140,6 +144,81 @@ def _law(area_m2: Array, sine: Array) -> tuple[Array, Array]:
         wanted = (np.arange(QUANTILES) + 0.5) / QUANTILES * so_far[-1]
         cosine[knot] = met.ravel()[order][np.searchsorted(so_far, wanted)]
     return projection, cosine
+
+
+@numba.njit(cache=True, nogil=True)
+def _kept(
+    corners: Array, of: NDArray[np.uint8], share: NDArray[np.float32], size: tuple[int, int, int]
+) -> Array:
+    """Share of each face's area (f,) that is left where leaves that hide each other are taken for leaves at random.
+
+    The faces of each mesh are drawn as seen along x and along y, voxel by voxel. Leaves at random that hide as much of a
+    voxel's face have -log(1 - hidden) of its area (Beer's law); the sum of areas is more where leaves grow in clumps.
+
+    Parameters
+    ----------
+    corners : (f, 4, 3) in voxels from the lowest corner of `size` voxels
+    """
+    drawn = np.zeros((*size, _PIXELS), np.uint32)
+    factor, total = np.zeros((len(share), *size)), np.zeros((len(share), *size))
+    for mesh in range(len(share)):
+        for axis in (0, 1):
+            drawn[:] = 0
+            for f in range(len(corners)):
+                if of[f] == mesh:
+                    _draw(corners[f], axis, drawn, total[mesh])
+            for i, j, k in np.ndindex(size):
+                bits = 0
+                for line in drawn[i, j, k]:
+                    while line:
+                        line &= line - np.uint32(1)
+                        bits += 1
+                hidden = min(bits / _PIXELS**2, 1.0 - 0.5 / _PIXELS**2)
+                factor[mesh, i, j, k] -= math.log(1.0 - hidden) * _PIXELS**2
+    out = np.ones(len(corners))
+    for f in range(len(corners)):
+        mesh = of[f]
+        i, j, k = _middle(corners[f])
+        if total[mesh, i, j, k] > 0:
+            out[f] = factor[mesh, i, j, k] / (total[mesh, i, j, k] * share[mesh])
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _middle(corners: Array) -> tuple[int, int, int]:
+    """Voxel of a face's middle."""
+    return (
+        int(0.25 * (corners[0, 0] + corners[1, 0] + corners[2, 0] + corners[3, 0])),
+        int(0.25 * (corners[0, 1] + corners[1, 1] + corners[2, 1] + corners[3, 1])),
+        int(0.25 * (corners[0, 2] + corners[1, 2] + corners[2, 2] + corners[3, 2])),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _draw(corners: Array, axis: int, drawn: NDArray[np.uint32], total: Array) -> None:
+    """Draw a face as seen along an axis, into the voxels of its own depth; count its pixels, drawn before or not."""
+    other = 1 - axis
+    depth = _middle(corners)[axis]
+    u, v = corners[:, other] * _PIXELS, corners[:, 2] * _PIXELS
+    turn = 0.0
+    for c in range(4):
+        n = (c + 1) % 4
+        turn += u[c] * v[n] - u[n] * v[c]
+    side = 1.0 if turn > 0 else -1.0
+    for p in range(int(math.floor(u.min())), int(math.floor(u.max())) + 1):
+        for q in range(int(math.floor(v.min())), int(math.floor(v.max())) + 1):
+            inside = True
+            for c in range(4):
+                n = (c + 1) % 4
+                across = (u[n] - u[c]) * (q + 0.5 - v[c]) - (v[n] - v[c]) * (p + 0.5 - u[c])
+                if side * across < 0.0:
+                    inside = False
+                    break
+            if inside:
+                a, b = p // _PIXELS, q // _PIXELS
+                i, j = (depth, a) if axis == 0 else (a, depth)
+                drawn[i, j, b, q % _PIXELS] |= np.uint32(1) << np.uint32(p % _PIXELS)
+                total[i, j, b] += 1.0
 
 
 def _cells(
@@ -524,5 +603,5 @@ def _code(area_m2: float) -> np.uint32:
     """Code of the projected area of a voxel; what is there at all has at least 1."""
     if area_m2 <= 0.0:
         return np.uint32(0)
-    code = round(_TAU_CODES * math.sqrt(_FACTOR * area_m2 / (VOXEL_M**3 * _TAU_MAX_PER_M)))
+    code = round(_TAU_CODES * math.sqrt(area_m2 / (VOXEL_M**3 * _TAU_MAX_PER_M)))
     return np.uint32(min(max(code, 1), _TAU_CODES))
