@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.types import NO_SURFACE
 
-__all__ = ["enough"]
+__all__ = ["enough", "flat_enough"]
 
 _NONE = np.uint32(NO_SURFACE)
 _PER_RAY = 1075.0
@@ -22,6 +22,13 @@ _PER_RAY = 1075.0
 target or below, from 0.03 to 0.08 m: in m-2.5, fitted."""
 _EVENNESS = 0.27
 """Variance of a share by a round or two of sub-rays over that by random points; see `footprint`."""
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+def flat_enough(quarters: NDArray[np.float32], range_m: float, cosine: float, resolution_m: float) -> bool:
+    """Whether one standard deviation of the beam reaches no deeper than an echo is wide, on a surface so inclined."""
+    across_m = quarters[0] + quarters[2] * range_m
+    return across_m * math.sqrt(1.0 - cosine * cosine) <= 0.2 * resolution_m * cosine
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)

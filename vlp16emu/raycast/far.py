@@ -2,12 +2,13 @@
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.march import Ground, Medium, Owners, Stems
+from vlp16emu.raycast.march import Ground, Medium, Stems
 from vlp16emu.raycast.medium import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M, Block, Cloud, Library, block_of, cloud_of, stem_beside, stem_columns, stem_lines
 from vlp16emu.types import STEM, FarTile, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
@@ -26,21 +27,20 @@ _FARTHEST = 255
 
 def _no_medium() -> Medium:
     """Make a medium that begins nowhere."""
-    one, none = np.zeros((1, 1, 1), np.uint8), np.zeros(0, np.uint32)
+    none = np.zeros(0, np.uint64)
     return Medium(
         np.inf,
         (0.0, 0.0, 0.0),
         (0, 0, 0),
-        one,
-        one.astype(np.uint64),
-        one.astype(np.uint32),
+        np.zeros((1, 1, 1, 2), np.uint64),
         none,
-        Owners(none, none.astype(np.uint8), none, none, np.zeros((0, len(KNOTS), QUANTILES), np.float32)),
+        none,
+        np.zeros((0, len(KNOTS), QUANTILES), np.float32),
         Ground(np.zeros((2, 2), np.float32), np.zeros((1, 1), np.uint32), 0.0, 0.0, 0.0),
         Stems(
             np.zeros((1, 1, 2), np.int32),
             np.zeros(0, np.int32),
-            np.zeros((0, 6)),
+            np.zeros((0, 7)),
             np.zeros((0, 2, 16), np.float32),
             np.zeros((0, 2), np.uint32),
             np.zeros(0, np.float32),
@@ -147,52 +147,51 @@ def _joined(
     bottom = min(block.bottom for block in blocks.values())
     top = max(block.bottom + block.mask.shape[2] for block in blocks.values())
     size = (*((high - low) * _BRICKS).tolist(), top - bottom)
-    mask, first = np.zeros(size, np.uint64), np.zeros(size, np.uint32)
+    brick = np.zeros((*size, 2), np.uint64)
     ground_m = np.full((size[0] * BRICK + 1, size[1] * BRICK + 1), _NO_GROUND_M)
     ground_surface = np.zeros(size[:2], np.uint32)
     records = owners = 0
-    first_owner, surface = [], []
+    voxel, owner = [], []
     for (ix, iy), block in blocks.items():
         i, j, k = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS, block.bottom - bottom
         own = (slice(i, i + _BRICKS), slice(j, j + _BRICKS))
-        mask[(*own, slice(k, k + block.mask.shape[2]))] = block.mask
-        first[(*own, slice(k, k + block.mask.shape[2]))] = block.first + np.uint32(records)
+        here = brick[(*own, slice(k, k + block.mask.shape[2]))]
+        here[..., 0], here[..., 1] = block.mask, block.first + np.uint32(records)
         ground_surface[own] = rows[ix, iy]
         ground_m[i * BRICK : i * BRICK + COLUMNS + 1, j * BRICK : j * BRICK + COLUMNS + 1] = (
             tiles[ix, iy].ground_m[1:-1, 1:-1] - window.origin_m[2]
         )
         base = np.array([rows.get((ix + dx, iy + dy), 0) for dx in (-1, 0, 1) for dy in (-1, 0, 1)], np.uint32)
-        surface.append(base[block.owner_tile] + block.owner_row)
-        first_owner.append(block.first_owner + np.uint32(owners))
+        surface = base[block.owner_tile] + block.owner_row
+        voxel.append(_above(block.first_owner + np.uint32(owners), 32) | block.record)
+        owner.append(_above(block.owner_share, 56) | _above(block.owner_law, 32) | surface)
         records, owners = records + len(block.record), owners + len(block.owner_row)
     corner = np.array([*(low * COLUMNS), bottom * BRICK], np.int64)
     corner_m = corner * VOXEL_M - window.origin_m
     gap = np.zeros(size, np.uint8)
-    _fill_gaps(mask, gap)
+    _fill_gaps(brick[..., 0], gap)
+    brick[..., 1] |= _above(gap, 32)
     known = ground_m > _NO_GROUND_M / 2
     slopes = [np.abs(np.diff(ground_m, axis=a))[(known[1:] & known[:-1]) if a == 0 else (known[:, 1:] & known[:, :-1])] for a in (0, 1)]
-    every = list(blocks.values())
     steepest = float(np.hypot(*(slope.max(initial=0.0) for slope in slopes)) / VOXEL_M)
     x_m, y_m, z_m = corner_m.tolist()
     return Medium(
         world.near_m,
         (x_m, y_m, z_m),
         (int(corner[0]), int(corner[1]), int(corner[2])),
-        gap,
-        mask,
-        first,
-        np.concatenate([block.record for block in every]),
-        Owners(
-            np.concatenate(first_owner),
-            np.concatenate([block.owner_share for block in every]),
-            np.concatenate(surface),
-            np.concatenate([block.owner_law for block in every]),
-            cosine,
-        ),
+        brick,
+        np.concatenate(voxel),
+        np.concatenate(owner),
+        cosine,
         Ground(ground_m, ground_surface, x_m, y_m, steepest),
         _stems(window, tiles, rows, corner_m, size),
         world.seed & 0xFFFFFFFF,
     )
+
+
+def _above(numbers: NDArray[np.unsignedinteger[Any]], bits: int) -> NDArray[np.uint64]:
+    """Shift numbers to the left."""
+    return numbers.astype(np.uint64) << np.uint64(bits)
 
 
 def _stems(
@@ -208,7 +207,7 @@ def _stems(
     first, of = _columns(stem_lines(stems, window.origin_m + [*corner_m[:2], 0.0]), BRICK * size[0], BRICK * size[1])
     foot_m = stems["foot_m"] - window.origin_m
     profile = np.stack([stems["along_m"], stems["radius_m"]], axis=1)
-    line = np.column_stack([foot_m, stems["axis"]])
+    line = np.column_stack([foot_m, stems["axis"], stems["radius_m"].max(axis=1)])
     return Stems(first, of, line, profile, stems["row"] + base[:, None], stems["flare_m"].copy())
 
 

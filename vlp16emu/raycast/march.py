@@ -13,6 +13,7 @@ mirrored, and how a share between two whole numbers is rounded follow from hashi
 import math
 from typing import NamedTuple
 
+import llvmlite.ir
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,17 @@ from numpy.typing import NDArray
 from vlp16emu.raycast.medium import BRICK, GROUND, QUANTILES, STEM, TAU_PER_M, VOXEL_M
 from vlp16emu.types import NO_SURFACE
 
-__all__ = ["LANES", "Ground", "Lanes", "Medium", "Owners", "Stems", "lanes", "march"]
+__all__ = ["LANES", "Ground", "Lanes", "Medium", "Stems", "lanes", "march"]
 
 LANES = 8
 
 _NONE = np.uint32(NO_SURFACE)
 _VARIANTS = 32
 _COVER_STEPS, _COVER_MOST = 64, 16
+_AHEAD = 16
+"""Slabs that are looked at before the voxels in them: without branches that nobody can foretell."""
+_WIDE = np.uint64(3 << 32)
+"""Of a brick that is worth skipping: it and those around it are empty, and those around these."""
 _FAST = {"contract", "arcp", "nsz"}
 f4, u4 = np.float32, np.uint32
 
@@ -71,19 +76,6 @@ _MASK, _LEAF_OF, _PLACE = _leaves()
 _COVER = (1.0 - np.exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).astype(np.float32)
 
 
-class Owners(NamedTuple):
-    """Whose the foliage of voxels is."""
-
-    first: NDArray[np.uint32]
-    """(m,) of each record, into the arrays below."""
-    share: NDArray[np.uint8]
-    """(o,) as in `Block`, and so are the other two."""
-    surface: NDArray[np.uint32]
-    law: NDArray[np.uint32]
-    cosine: NDArray[np.float32]
-    """(laws, knots, QUANTILES) as in `Cloud`."""
-
-
 class Ground(NamedTuple):
     """The ground."""
 
@@ -105,7 +97,7 @@ class Stems(NamedTuple):
     of: NDArray[np.int32]
     """Stems of the columns, one column after the other."""
     line: NDArray[np.float64]
-    """(n, 6) foot and unit axis."""
+    """(n, 7) foot, unit axis, and widest radius."""
     profile: NDArray[np.float32]
     """(n, 2, knots) heights along the axis and radii."""
     surface: NDArray[np.uint32]
@@ -123,15 +115,15 @@ class Medium(NamedTuple):
     """Of the grid of bricks."""
     corner: tuple[int, int, int]
     """The same in voxels of the world."""
-    gap: NDArray[np.uint8]
-    """(x, y, z) bricks to the nearest one that is not empty, 0 where that is itself, by the greatest of the three axes."""
-    mask: NDArray[np.uint64]
-    """(x, y, z) as in `Block`."""
-    first: NDArray[np.uint32]
-    """(x, y, z) as in `Block`, into `record`."""
-    record: NDArray[np.uint32]
-    """(m,) as in `Block`."""
-    owners: Owners
+    brick: NDArray[np.uint64]
+    """(x, y, z, 2) of each brick its mask as in `Block`; and number of its first voxel, over 32 bits the distance in bricks
+    to the nearest one that is not empty, 0 where that is itself, by the greatest of the three axes."""
+    voxel: NDArray[np.uint64]
+    """(m,) record as in `Block`, over 32 bits the number of its first owner."""
+    owner: NDArray[np.uint64]
+    """(o,) surface, over 32 bits the law, over 56 bits the share as in `Block`."""
+    cosine: NDArray[np.float32]
+    """(laws, knots, QUANTILES) as in `Cloud`."""
     ground: Ground
     stems: Stems
     seed: int
@@ -153,8 +145,10 @@ class Lanes(NamedTuple):
     line: NDArray[np.float32]
     """(6, 8) scratch: place across at the grid's corner and its change per metre, in 8ths of voxels, on both axes; then
     place along and its inverse change per metre of range."""
-    column: NDArray[np.int32]
+    column: NDArray[np.uint64]
     """(8,) scratch."""
+    found: NDArray[np.int64]
+    """(2, _AHEAD) scratch: slabs whose voxels are not empty, and those voxels."""
 
 
 @numba.njit(cache=True, nogil=True)
@@ -167,7 +161,8 @@ def lanes() -> Lanes:
         np.zeros(LANES, np.uint32),
         np.zeros(LANES, np.float32),
         np.zeros((6, LANES), np.float32),
-        np.zeros(LANES, np.int32),
+        np.zeros(LANES, np.uint64),
+        np.zeros((2, _AHEAD), np.int64),
     )
 
 
@@ -177,6 +172,16 @@ def _ones(typingctx, word):  # noqa: ANN001, ANN202, ARG001 - the signature is n
 
     def codegen(context, builder, signature, args):  # noqa: ANN001, ANN202, ARG001 - likewise
         return builder.ctpop(args[0])
+
+    return numba.types.uint64(numba.types.uint64), codegen
+
+
+@numba.extending.intrinsic
+def _lowest(typingctx, word):  # noqa: ANN001, ANN202, ARG001 - likewise
+    """Number of the lowest bit of a word that is not 0."""
+
+    def codegen(context, builder, signature, args):  # noqa: ANN001, ANN202, ARG001 - likewise
+        return builder.cttz(args[0], llvmlite.ir.Constant(llvmlite.ir.IntType(1), 1))
 
     return numba.types.uint64(numba.types.uint64), codegen
 
@@ -224,16 +229,15 @@ def march(M: Medium, L: Lanes, n: int, axis: NDArray[np.float32]) -> None:
     share = up / f4(0.3) if up < f4(0.3) else (up - f4(0.3)) / f4(0.7)
     w_low, w_high = (f4(1.0) - share) * length, share * length
     knot = 0 if up < f4(0.15) else (1 if up < f4(0.65) else 2)
-    gap, masks, record = M.gap, M.mask, M.record
-    nx, ny, nz = gap.shape
+    nx, ny, nz, _ = M.brick.shape
+    bricks, voxels = M.brick.reshape(nx * ny * nz, 2), M.voxel
     size = (nx * BRICK, ny * BRICK, nz * BRICK)
     n_main, n_one, n_two = size[main], size[one], size[two]
     strides = (ny * nz, nz, 1)
     s_main, s_one, s_two = strides[main], strides[one], strides[two]
     shifts = (u4(4), u4(2), u4(0))
     b_main, b_one, b_two = shifts[main], shifts[one], shifts[two]
-    gaps, words, firsts = gap.reshape(nx * ny * nz), masks.reshape(nx * ny * nz), M.first.reshape(nx * ny * nz)
-    ground, stems, owners = M.ground, M.stems, M.owners
+    ground, stems = M.ground, M.stems
     corner_main, corner_one, corner_two = M.corner[main], M.corner[one], M.corner[two]
     seed = u4(M.seed)
     tested = before = np.int32(-1)
@@ -247,45 +251,61 @@ def march(M: Medium, L: Lanes, n: int, axis: NDArray[np.float32]) -> None:
         a, b = -at / change, (f4(size) - at) / change
         first, stop = max(first, min(a, b)), min(stop, max(a, b))
     slab, slabs = int(math.ceil(first)), int(math.floor(min(stop, (last_m - to_middle) / length + f4(1.5))))
+    found, alive = L.found, np.uint64((1 << n) - 1)
     while slab <= slabs:
-        k_ = k + slab * step
-        i1, i2 = np.int32(p1 + f4(slab) * d1), np.int32(p2 + f4(slab) * d2)
-        brick = (k_ >> 2) * s_main + (i1 >> 2) * s_one + (i2 >> 2) * s_two
-        word = words[brick]
-        if word == np.uint64(0):
-            slab += max((int(gaps[brick]) - 1) * BRICK, 1)
-            continue
-        bit = np.uint64(u4((k_ & 3) << b_main) | u4((i1 & 3) << b_one) | u4((i2 & 3) << b_two))
-        if (word >> bit) & np.uint64(1):
-            at = firsts[brick] + u4(_ones(word & ((np.uint64(1) << bit) - np.uint64(1))))
-            code = record[at]
-            met = False
+        size = min(_AHEAD, slabs - slab + 1)
+        count = 0
+        for ahead in range(size):
+            k_, at = k + (slab + ahead) * step, f4(slab + ahead)
+            i1 = min(max(np.int32(p1 + at * d1), 0), n_one - 1)  # rounding may leave the grid by a hair
+            i2 = min(max(np.int32(p2 + at * d2), 0), n_two - 1)
+            brick = (k_ >> 2) * s_main + (i1 >> 2) * s_one + (i2 >> 2) * s_two
+            bit = np.uint64(u4((k_ & 3) << b_main) | u4((i1 & 3) << b_one) | u4((i2 & 3) << b_two))
+            word = bricks[brick, 0]
+            before_it = word & ((np.uint64(1) << bit) - np.uint64(1))
+            found[0, count] = slab + ahead
+            found[1, count] = u4(bricks[brick, 1]) + u4(_ones(before_it))
+            count += int((word >> bit) & np.uint64(1))
+        for number in range(count):
+            here = found[0, number]
+            if here > slabs:
+                break
+            k_, at = k + here * step, f4(here)
+            i1 = min(max(int(np.int32(p1 + at * d1)), 0), n_one - 1)
+            i2 = min(max(int(np.int32(p2 + at * d2)), 0), n_two - 1)
+            voxel = voxels[found[1, number]]
+            code, met = u4(voxel), False
             low, high = (code >> low_knot) & u4(127), (code >> (low_knot + u4(7))) & u4(127)
-            if low | high:
-                depth = TAU_PER_M[low] * w_low + TAU_PER_M[high] * w_high
-                g, g1, g2 = k_ + corner_main, i1 + corner_one, i2 + corner_two
-                h = _mixed(g, g1, g2, seed) if main == 0 else (_mixed(g1, g, g2, seed) if main == 1 else _mixed(g1, g2, g, seed))
-                x = min(depth * f4(_COVER_STEPS), f4(_COVER_STEPS * _COVER_MOST))
-                whole = int(x)
-                cover = _COVER[whole] + (_COVER[whole + 1] - _COVER[whole]) * (x - f4(whole))
-                bits = _MASK[main, int(h & u4(_VARIANTS - 1)), int(cover * f4(64.0) + f4(h >> u4(24)) * f4(1.0 / 256.0))]
-                if bits:
-                    met = _meet_leaves(L, owners, n, near_m, main, one, two, k_, h, bits, at, knot)
+            g, g1, g2 = k_ + corner_main, i1 + corner_one, i2 + corner_two
+            a = g if main == 0 else g1
+            b = g if main == 1 else (g1 if main == 0 else g2)
+            c = g if main == 2 else g2
+            h = _mixed(a, b, c, seed)
+            x = min((TAU_PER_M[low] * w_low + TAU_PER_M[high] * w_high) * f4(_COVER_STEPS), f4(_COVER_STEPS * _COVER_MOST))
+            whole = int(x)
+            cover = _COVER[whole] + (_COVER[whole + 1] - _COVER[whole]) * (x - f4(whole))
+            bits = _MASK[main, int(h & u4(_VARIANTS - 1)), int(cover * f4(64.0) + f4(h >> u4(24)) * f4(1.0 / 256.0))]
+            if bits:
+                met = _meet_leaves(M, L, n, near_m, main, one, two, k_, h, bits, u4(voxel >> np.uint64(32)), knot, alive)
             if code & STEM:
                 i, j = (k_, i1) if main == 0 else ((i1, k_) if main == 1 else (i1, i2))
-                for number in range(stems.first[i, j, 0], stems.first[i, j, 1]):
-                    stem = stems.of[number]
+                for place in range(stems.first[i, j, 0], stems.first[i, j, 1]):
+                    stem = stems.of[place]
                     if stem not in (tested, before):
                         before, tested = tested, stem
                         met |= _meet_stem(stems, L, n, near_m, axis, stem, spread, aside_m)
             if code & GROUND:
-                met |= _meet_ground(ground, L, n, near_m, axis, to_middle + f4(slab) * length, length, spread, aside_m)
+                met |= _meet_ground(ground, L, n, near_m, axis, to_middle + at * length, length, spread, aside_m)
             if met:
                 last_m = L.range_m[0]
                 for lane in range(1, n):
                     last_m = max(last_m, L.range_m[lane])
                 slabs = min(slabs, int((last_m - to_middle) / length + f4(1.5)))
-        slab += 1
+                passed_m = to_middle + (at + f4(0.5)) * length
+                for lane in range(n):
+                    if L.range_m[lane] < passed_m:
+                        alive &= ~(np.uint64(1) << np.uint64(lane))
+        slab += size
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy", inline="always")
@@ -314,8 +334,8 @@ def _lines(
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy", inline="always")
 def _meet_leaves(
+    M: Medium,
     L: Lanes,
-    owners: Owners,
     n: int,
     near_m: float,
     main: int,
@@ -324,24 +344,28 @@ def _meet_leaves(
     k: int,
     h: int,
     bits: int,
-    at: int,
+    first_owner: int,
     knot: int,
+    alive: int,
 ) -> bool:
     """Cut the lanes with the leaves of a voxel; whether any meets one."""
     variant = int(h & u4(_VARIANTS - 1))
     mirror = (int(h >> u4(5)) & 7, int(h >> u4(8)) & 7, int(h >> u4(11)) & 7)
-    line, column = L.line, L.column
+    line, column, range_m = L.line, L.column, L.range_m
     middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
     r1, r2 = np.int32(mirror[one]), np.int32(mirror[two])
     for lane in range(n):
         a = (np.int32(line[0, lane] + line[1, lane] * middle_m) & np.int32(7)) ^ r1
         b = (np.int32(line[2, lane] + line[3, lane] * middle_m) & np.int32(7)) ^ r2
-        column[lane] = np.int32(8) * a + b
-    met = False
-    range_m = L.range_m
+        column[lane] = np.uint64(8 * a + b)
+    lit = np.uint64(0)
     for lane in range(n):
-        if not (bits >> np.uint64(column[lane])) & np.uint64(1):
-            continue
+        lit |= ((bits >> column[lane]) & np.uint64(1)) << np.uint64(lane)
+    lit &= alive
+    met = False
+    while lit:
+        lane = int(_lowest(lit))
+        lit &= lit - np.uint64(1)
         leaf = int(_LEAF_OF[main, variant, column[lane]])
         place = int(_PLACE[variant, leaf, main]) ^ (mirror[main] << 5)
         along_m = (f4(k) + (f4(place) + f4(0.5)) * f4(1.0 / 256.0)) * f4(VOXEL_M)
@@ -352,11 +376,14 @@ def _meet_leaves(
             own = u4(own ^ u4(own >> u4(15)))
             own = u4(own * u4(0xC2B2AE3D))
             own = u4(own ^ u4(own >> u4(16)))
-            owner, drawn = owners.first[at], u4(own & u4(0xFF))
-            while owners.share[owner] < drawn:
+            owner, drawn = first_owner, u4(own & u4(0xFF))
+            whose = M.owner[owner]
+            while whose >> np.uint64(56) < drawn:
                 owner += u4(1)
-            L.surface[lane] = owners.surface[owner]
-            L.cosine[lane] = owners.cosine[owners.law[owner], knot, int(own >> u4(8)) % QUANTILES]
+                whose = M.owner[owner]
+            L.surface[lane] = u4(whose)
+            law = int(whose >> np.uint64(32)) & 0xFFFFFF
+            L.cosine[lane] = M.cosine[law, knot, int(own >> u4(8)) % QUANTILES]
             met = True
     return met
 
@@ -378,10 +405,19 @@ def _meet_stem(
         return False
     nearest_m = (ux * wx + uy * wy + uz * wz) / square
     off2 = ux * ux + uy * uy + uz * uz - nearest_m * nearest_m * square
-    radius_m = _radius_m(profile, nearest_m * up - lift)
-    within = radius_m + abs(up) + aside_m + spread * nearest_m if radius_m > 0 else 0.5
+    within = s[6] + aside_m + spread * nearest_m
     if off2 > within * within:
         return False
+    # The cone that the stem is at that height; the beam is too narrow to leave it by more than a little.
+    at, lower, upper = nearest_m * up - lift, 0, profile.shape[1] - 1
+    while upper - lower > 1:
+        middle = (lower + upper) >> 1
+        if profile[0, middle] <= at:
+            lower = middle
+        else:
+            upper = middle
+    low_m, low_radius_m = profile[0, lower], profile[1, lower]
+    taper = (profile[1, upper] - low_radius_m) / (profile[0, upper] - low_m)
     met = False
     for lane in range(n):
         dx, dy, dz = L.direction[0, lane], L.direction[1, lane], L.direction[2, lane]
@@ -390,37 +426,22 @@ def _meet_stem(
         lift = qx * s[3] + qy * s[4] + qz * s[5]
         wx, wy, wz = dx - up * s[3], dy - up * s[4], dz - up * s[5]
         ux, uy, uz = qx - lift * s[3], qy - lift * s[4], qz - lift * s[5]
-        square = wx * wx + wy * wy + wz * wz
-        middle_m = (ux * wx + uy * wy + uz * wz) / square
-        off2 = ux * ux + uy * uy + uz * uz - middle_m * middle_m * square
-        at_m, radius_m = middle_m, 0.0
-        for _ in range(3):  # radii change slowly: each step is a hundredth of the one before
-            radius_m = _radius_m(profile, at_m * up - lift)
-            if radius_m <= 0.0 or off2 >= radius_m * radius_m:
-                break
-            at_m = middle_m - math.sqrt((radius_m * radius_m - off2) / square)
+        inverse = 1.0 / (wx * wx + wy * wy + wz * wz)
+        middle_m = (ux * wx + uy * wy + uz * wz) * inverse
+        off2 = ux * ux + uy * uy + uz * uz - middle_m * middle_m / inverse
+        at_m, radius_m, inside = middle_m, 0.0, 0.0
+        for _ in range(3):  # the radius is that of where it is met: each step is a hundredth of the one before
+            radius_m = low_radius_m + taper * (at_m * up - lift - low_m)
+            inside = radius_m * radius_m - off2
+            at_m = middle_m - math.sqrt(max(inside, 0.0) * inverse)
         height_m = at_m * up - lift
-        if radius_m <= 0.0 or off2 >= radius_m * radius_m or not profile[0, 0] <= height_m <= profile[0, -1]:
-            continue
-        if near_m <= at_m < L.range_m[lane]:
+        is_stem = inside > 0.0 and radius_m > 0.0 and profile[0, 0] <= height_m <= profile[0, -1]
+        if is_stem and near_m <= at_m < L.range_m[lane]:
             L.range_m[lane] = at_m
             L.surface[lane] = stems.surface[stem, 0 if height_m < stems.flare_m[stem] else 1]
-            L.cosine[lane] = min(math.sqrt((radius_m * radius_m - off2) * square) / radius_m, 1.0)
+            L.cosine[lane] = min(math.sqrt(inside / inverse) / radius_m, 1.0)
             met = True
     return met
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy", inline="always")
-def _radius_m(profile: NDArray[np.float32], height_m: float) -> float:
-    """Radius of a stem at a height along its axis; 0 above its tip."""
-    if height_m >= profile[0, -1]:
-        return 0.0
-    knot = 1
-    while profile[0, knot] <= height_m:
-        knot += 1
-    low, high = profile[0, knot - 1], profile[0, knot]
-    share = max((height_m - low) / (high - low), 0.0)
-    return profile[1, knot - 1] + share * (profile[1, knot] - profile[1, knot - 1])
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=_FAST, error_model="numpy", inline="always")
@@ -451,19 +472,19 @@ def _meet_ground(
         below = _over_ground(ground, x, y, z, dx, dy, dz, last_m)
         if not below[0] <= 0:
             continue
-        above = _over_ground(ground, x, y, z, dx, dy, dz, first_m)
-        at_m, slope = first_m, above
-        if above[0] > 0:
-            low_m, high_m, c_low, c_high = first_m, last_m, above[0], below[0]
-            for _ in range(3):  # the ground is flat but for the edges of its triangles: secants find them
-                at_m = low_m + (high_m - low_m) * c_low / (c_low - c_high)
-                slope = _over_ground(ground, x, y, z, dx, dy, dz, at_m)
-                if abs(slope[0]) < f4(1e-4):
-                    break
-                if slope[0] > 0:
-                    low_m, c_low = at_m, slope[0]
-                else:
-                    high_m, c_high = at_m, slope[0]
+        at_m, slope = last_m, below
+        low_m, c_low = first_m, f4(0.0)
+        for _ in range(4):  # flat but for the edges of its triangles: along the slope, and then by secants
+            falls = dz - slope[1] * dx - slope[2] * dy
+            if slope[0] <= 0 and falls < f4(-1e-4) and c_low == 0:
+                at_m = max(at_m - slope[0] / falls, first_m)
+            else:
+                at_m = low_m + (at_m - low_m) * c_low / (c_low - slope[0])
+            slope = _over_ground(ground, x, y, z, dx, dy, dz, at_m)
+            if abs(slope[0]) < f4(5e-4) or at_m <= first_m:
+                break
+            if slope[0] > 0:
+                low_m, c_low, at_m, slope = at_m, slope[0], last_m, below
         if at_m < range_m[lane]:
             range_m[lane] = at_m
             gx, gy = slope[1], slope[2]
