@@ -1,7 +1,9 @@
 """Small worlds, single pulses and perfect units for the cases."""
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,11 +11,22 @@ from numpy.typing import NDArray
 from vlp16emu.assembly import Unit, assemble
 from vlp16emu.packets import DATA_BYTES, LASERS, data_payloads, decode_data
 from vlp16emu.raycast import LINE, BeamModel, Footprint, Scene, caster
-from vlp16emu.raycast.reference import ReferenceCaster
+from vlp16emu.raycast.slow import ReferenceCaster
 from vlp16emu.returns import detect
 from vlp16emu.scenario import load
 from vlp16emu.sensor import LENS_RADIUS_M
-from vlp16emu.types import SURFACE, Firings, Hits, Mesh, ReturnMode, Returns, SensorModel, ShapeKey, Window
+from vlp16emu.types import (
+    SURFACE,
+    FarTile,
+    Firings,
+    Hits,
+    Mesh,
+    ReturnMode,
+    Returns,
+    SensorModel,
+    ShapeKey,
+    Window,
+)
 
 __all__ = [
     "PULSES",
@@ -36,6 +49,28 @@ Array = NDArray[np.float64]
 PULSES = 24 * LASERS
 """Of a packet of single return: pulses come in multiples of it."""
 _WORKERS = ThreadPoolExecutor(2)
+
+
+@dataclass(frozen=True, slots=True)
+class _Things:
+    """World of one shape, near by from everywhere."""
+
+    inside: Window
+    meshes: tuple[Mesh, ...]
+    near_m: float = math.inf
+    seed: int = 0
+
+    def window(self, _track_m: Array) -> Window:
+        """Give all there is."""
+        return self.inside
+
+    def far_tile(self, ix: int, iy: int) -> FarTile:
+        """Refuse: nothing is far."""
+        raise LookupError(f"far tile: found {ix}, {iy}; expected none")
+
+    def shape(self, _key: ShapeKey) -> tuple[Mesh, ...]:
+        """Give the only shape."""
+        return self.meshes
 
 
 def unit_of(scene: str, *settings: str) -> Unit:
@@ -110,10 +145,8 @@ def opened(
         surfaces=surfaces,
     )
 
-    def shape(_key: ShapeKey) -> tuple[Mesh, ...]:
-        return tuple(meshes)
-
-    return (ReferenceCaster(shape) if slowly else caster(shape, _WORKERS)).open(window)
+    world = _Things(window, tuple(meshes))
+    return (ReferenceCaster(world.shape) if slowly else caster(world, _WORKERS)).open(window)
 
 
 def pulses(origin_m: Array, direction: Array, *, lasers: int = LASERS) -> Firings:
