@@ -1,9 +1,7 @@
 """Small worlds, single pulses and perfect units for the cases."""
 
-import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,16 +15,15 @@ from vlp16emu.scenario import load
 from vlp16emu.sensor import LENS_RADIUS_M
 from vlp16emu.types import (
     SURFACE,
-    FarTile,
     Firings,
     Hits,
     Mesh,
     ReturnMode,
     Returns,
     SensorModel,
-    ShapeKey,
     Window,
 )
+from vlp16emu.world.nearby import AllNear
 
 __all__ = [
     "PULSES",
@@ -49,28 +46,6 @@ Array = NDArray[np.float64]
 PULSES = 24 * LASERS
 """Of a packet of single return: pulses come in multiples of it."""
 _WORKERS = ThreadPoolExecutor(2)
-
-
-@dataclass(frozen=True, slots=True)
-class _Things:
-    """World of one shape, near by from everywhere."""
-
-    inside: Window
-    meshes: tuple[Mesh, ...]
-    near_m: float = math.inf
-    seed: int = 0
-
-    def window(self, _track_m: Array) -> Window:
-        """Give all there is."""
-        return self.inside
-
-    def far_tile(self, ix: int, iy: int) -> FarTile:
-        """Refuse: nothing is far."""
-        raise LookupError(f"far tile: found {ix}, {iy}; expected none")
-
-    def shape(self, _key: ShapeKey) -> tuple[Mesh, ...]:
-        """Give the only shape."""
-        return self.meshes
 
 
 def unit_of(scene: str, *settings: str) -> Unit:
@@ -145,7 +120,7 @@ def opened(
         surfaces=surfaces,
     )
 
-    world = _Things(window, tuple(meshes))
+    world = AllNear(window, lambda _key: tuple(meshes))
     return (ReferenceCaster(world.shape) if slowly else caster(world, _WORKERS)).open(window)
 
 

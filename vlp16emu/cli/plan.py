@@ -185,7 +185,10 @@ def _geometry(held: dict[str, Any]) -> dict[str, str]:
     if held["near_m"] is None:
         return {"faces": f"{faces}, at any range"}
     medium = f"{count(held['voxels'])} in {size(held['medium_bytes'])}, {count(held['tiles'])} tiles"
-    return {"faces": f"{faces}, within {held['near_m']:g} m", "voxels": f"{medium}, beyond {held['near_m']:g} m"}
+    return {
+        "faces": f"{faces}, within {held['near_m']:g} m",
+        "voxels": f"{medium}, beyond {held['near_m']:g} m",
+    }
 
 
 def _print_how(tree: dict[str, Any]) -> None:
