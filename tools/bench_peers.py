@@ -29,7 +29,7 @@ from rich.table import Table
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.pipeline import BLOCK
-from vlp16emu.raycast import LINE, BeamModel, Footprint, caster
+from vlp16emu.raycast import LINE, Footprint, caster
 from vlp16emu.raycast.beam import sub_rays
 from vlp16emu.raycast.geometry import _triangles, relative_to_window
 from vlp16emu.scenario import load
@@ -94,12 +94,12 @@ class View:
 
 def view(scene: str, reach_m: float) -> View:
     """Look at a scene from the beginning of its walk."""
-    emulator = Emulator(load(scene, [f"sensor.max_range_m={reach_m}"]), threads=1)
+    emulator = Emulator(load(scene, [f"sensor.max_range_m={reach_m}", "beam.model=adaptive"]), threads=1)
     unit, world = emulator.parts.units[0], emulator.parts.world
     firings = [unit.head.aim(n * BLOCK, BLOCK, unit.motion.poses_at, across=True) for n in range(BLOCKS)]
     window = world.window(unit.motion.poses_at(firings[0].t_ns[:1, 0]).world_p_body_m)
     shapes = {key: world.shape(key) for key in window.shapes}
-    beams = {"one": LINE, "eight": replace(unit.beam, model=BeamModel.ADAPTIVE, rays=8)}
+    beams = {"one": LINE, "eight": replace(unit.beam, rays=8)}
     return View(world, window, shapes, firings, unit.head.beams.near_m, reach_m, beams, raster(firings[0]))
 
 
