@@ -22,6 +22,8 @@ __all__ = ["SETS", "THREADS", "Work", "measure"]
 
 SETS = ("one", "eight")
 """Sets of rays whose casting is timed; `raster` is for comparison alone."""
+RAYS = {"eight": 8}
+"""Of a pulse, where they are more than one."""
 THREADS = (1, 2)
 LONGEST_S, MOST = 4.0, 40
 """Repeats of a measurement: as many as begin within this time, but not more."""
@@ -35,7 +37,8 @@ class Work(NamedTuple):
     cast: Callable[[], Any]
     ranges: Callable[[Any], np.ndarray]
     """From what `cast` gives to ranges in metres, not finite where nothing is met."""
-    rays: int
+    pulses: int
+    """Of one ray or several."""
     idle: Callable[[], Any] | None = None
     """What of `cast` is there without rays, and does not count."""
 
@@ -60,10 +63,10 @@ def least(work: Callable[[], Any], clock: Callable[[], float]) -> float:
 
 
 def speed(work: Work, threads: int) -> float:
-    """Million rays per second: of CPU time where there is one thread, else of the wall clock."""
+    """Million pulses per second: of CPU time where there is one thread, else of the wall clock."""
     clock = time.process_time if threads == 1 else time.perf_counter
     idle_s = least(work.idle, clock) if work.idle else 0.0
-    return work.rays / (least(work.cast, clock) - idle_s) / 1e6
+    return work.pulses / (least(work.cast, clock) - idle_s) / 1e6
 
 
 def measure(build: Callable[[Task], Prepare], task: Task) -> dict[str, Any]:
@@ -94,7 +97,7 @@ def open3d(task: Task) -> Prepare:
         return Work(
             lambda: scene.cast_rays(rays, nthreads=threads),
             lambda hits: hits["t_hit"].numpy(),
-            len(task[name]),
+            len(task[name]) // RAYS.get(name, 1),
         )
 
     return prepare
@@ -124,7 +127,7 @@ def mitsuba(task: Task) -> Prepare:
             dr.sync_thread()
             return hits.t
 
-        return Work(cast, lambda t_m: t_m.numpy(), len(task[name]))
+        return Work(cast, lambda t_m: t_m.numpy(), len(task[name]) // RAYS.get(name, 1))
 
     return prepare
 
@@ -161,11 +164,11 @@ def pyhelios(task: Task) -> Prepare:
         return np.where(cloud.getHitMissArray() == 1, np.inf, range_m)
 
     def prepare(name: str, threads: int) -> Work:
-        rays, columns = (8 if name == "eight" else 1), int(task["raster_columns"])
+        rays, columns = RAYS.get(name, 1), int(task["raster_columns"])
         if name != "raster":
             columns *= 30  # else lost in the time that the tree takes
         return Work(
-            lambda: scan(columns, threads, rays), ranges, 16 * columns * rays, lambda: scan(2, threads, rays)
+            lambda: scan(columns, threads, rays), ranges, 16 * columns, lambda: scan(2, threads, rays)
         )
 
     scan(2, 1, 1)

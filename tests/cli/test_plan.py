@@ -95,7 +95,11 @@ def test_what_is_in_reach_is_counted(birch):
     assert world["first_window"]["trees"] == len(trees)
     assert world["species"] == ["silver_birch"]
     assert world["windows"] == world["windows_looked_at"] == 2
-    assert 0 < world["geometry"]["faces"] <= world["geometry"]["placed"]
+    geometry = world["geometry"]
+    assert 0 < geometry["faces"] <= geometry["placed"]
+    assert geometry["near_m"] == scenario.world.near_m
+    assert 0 < geometry["tiles"] < 100
+    assert geometry["medium_bytes"] > 4 * geometry["voxels"] > 0
 
 
 def test_the_forecast_is_of_what_was_measured(birch):
@@ -117,6 +121,13 @@ def test_whether_a_stream_keeps_up_is_reported(birch):
     assert 0 < stream["real_time_factor"] <= birch["forecast"]["steady_factor"]
     assert stream["keeps_up"] is (stream["real_time_factor"] >= 1)
     assert bool(stream["keeps_up_with"]) is not stream["keeps_up"]
+
+
+def test_people_read_what_is_faces_and_what_is_voxels(birch):
+    """The page says up to which range there are faces and from where voxels, or that all are faces."""
+    rows = plan._geometry(birch["world"]["geometry"])
+    assert rows["faces"].endswith(", within 20 m")
+    assert rows["voxels"].endswith(" tiles, beyond 20 m")
 
 
 @pytest.mark.parametrize(
@@ -152,6 +163,8 @@ def test_people_get_a_page(cli):
     """Without --json the plan is a page that says how its figures were got."""
     outcome = cli("plan", "static_bench", "--set", "noise.preset=typical", "--duration", "1")
     assert "\n  beam width" in outcome.out
+    assert ", at any range\n" in outcome.out
+    assert "voxels" not in outcome.out
     assert "`record` of 1 s on " in outcome.out
     assert "\n  keeps up  " in outcome.out
     assert "\nMeasured now on this machine: " in outcome.out

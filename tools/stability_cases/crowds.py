@@ -13,7 +13,6 @@ from scipy.stats import norm
 from stability_cases.lab import PULSES, beam, cast, opened, pulses, quads, wall
 from stability_cases.row import Row, refused
 from vlp16emu.raycast import Scene
-from vlp16emu.raycast.baking import FEW_QUADS
 from vlp16emu.types import Firings, Mesh, PlantPart, Semantic
 from vlp16emu.world import Furnished, Furniture, Hall, Look, Place
 from vlp16emu.world.user_mesh import MeshPart, UserMesh
@@ -25,6 +24,7 @@ Array = NDArray[np.float64]
 _TWIG_M, _AWAY_M = 1e-3, 100.0
 _SIGMA_M = (0.0127 + 0.003 * _AWAY_M) / 4
 """Of the light there, to the side."""
+_PANE_QUADS = 8
 
 
 def _before_a_twig(y_m: Array) -> Firings:
@@ -56,9 +56,9 @@ def thin_twig() -> Iterator[Row]:
 
 
 def _pane() -> Mesh:
-    """Upright pane of as few quads as are no longer written out but placed as instances."""
-    edges = np.linspace(-1.0, 1.0, FEW_QUADS + 2)
-    low, high, x = edges[:-1], edges[1:], np.full(FEW_QUADS + 1, 10.0)
+    """Upright pane of some quads."""
+    edges = np.linspace(-1.0, 1.0, _PANE_QUADS + 1)
+    low, high, x = edges[:-1], edges[1:], np.full(_PANE_QUADS, 10.0)
     corners = [(x, low, x - 11), (x, high, x - 11), (x, high, x - 9), (x, low, x - 9)]
     return quads(np.stack([np.column_stack(corner) for corner in corners], axis=1))
 

@@ -9,11 +9,21 @@ from numpy.typing import NDArray
 from vlp16emu.assembly import Unit, assemble
 from vlp16emu.packets import DATA_BYTES, LASERS, data_payloads, decode_data
 from vlp16emu.raycast import LINE, BeamModel, Footprint, Scene, caster
-from vlp16emu.raycast.reference import ReferenceCaster
+from vlp16emu.raycast.slow import ReferenceCaster
 from vlp16emu.returns import detect
 from vlp16emu.scenario import load
 from vlp16emu.sensor import LENS_RADIUS_M
-from vlp16emu.types import SURFACE, Firings, Hits, Mesh, ReturnMode, Returns, SensorModel, ShapeKey, Window
+from vlp16emu.types import (
+    SURFACE,
+    Firings,
+    Hits,
+    Mesh,
+    ReturnMode,
+    Returns,
+    SensorModel,
+    Window,
+)
+from vlp16emu.world.nearby import AllNear
 
 __all__ = [
     "PULSES",
@@ -110,10 +120,8 @@ def opened(
         surfaces=surfaces,
     )
 
-    def shape(_key: ShapeKey) -> tuple[Mesh, ...]:
-        return tuple(meshes)
-
-    return (ReferenceCaster(shape) if slowly else caster(shape, _WORKERS)).open(window)
+    world = AllNear(window, lambda _key: tuple(meshes))
+    return (ReferenceCaster(world.shape) if slowly else caster(world, _WORKERS)).open(window)
 
 
 def pulses(origin_m: Array, direction: Array, *, lasers: int = LASERS) -> Firings:

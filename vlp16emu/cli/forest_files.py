@@ -25,7 +25,7 @@ from vlp16emu.report.forest import (
 from vlp16emu.world import Hall
 from vlp16emu.world.grid import write_ascii
 from vlp16emu.world.inventory import write_csv
-from vlp16emu.world.nearby import cut_out
+from vlp16emu.world.nearby import AllNear, cut_out
 from vlp16emu.world.twin import write_glb
 
 __all__ = ["write_ground", "write_inventory", "write_picture", "write_twin"]
@@ -204,7 +204,7 @@ def _drawn(seen: Survey, section: Section) -> NDArray[np.uint8]:
             window, shape, instances=wanted, inside=lambda xy_m: section.holds(xy_m, _LEAD_M)
         )
     with ThreadPoolExecutor() as workers:
-        scene = caster(shape, workers).open(window)
+        scene = caster(AllNear(window, shape), workers).open(window)
     return draw_section(
         scene,
         section,

@@ -7,9 +7,9 @@ from typing import Any
 
 from vlp16emu.assembly import Unit
 from vlp16emu.assembly.windows import window_of
+from vlp16emu.cli.geometry import geometry_of
 from vlp16emu.emulator import Emulator
 from vlp16emu.fidelity import Audit
-from vlp16emu.raycast.geometry import geometry_of
 from vlp16emu.scenario.motion import Walk
 from vlp16emu.types import Window
 from vlp16emu.world.crown import CrownKey

@@ -173,13 +173,22 @@ def _reach(world: dict[str, Any]) -> dict[str, str]:
         if world["windows"] > 1:
             text += f"; {count(round(world['mean'][kind]))} on average over the walk"
         rows[kind] = text
-    geometry = world["geometry"]
     rows["species"] = f"{len(world['species'])} grown: {', '.join(world['species'])}".rstrip(": ")
-    rows["faces"] = (
-        f"{count(geometry['faces'])} in {size(geometry['bytes'])}, placed {count(geometry['placed'])}"
-    )
+    rows |= _geometry(world["geometry"])
     rows["windows"] = f"{count(world['windows'])} over the run, of which two at a time are kept"
     return rows
+
+
+def _geometry(held: dict[str, Any]) -> dict[str, str]:
+    """Write what is cast as faces, and what beyond them is a medium of voxels."""
+    faces = f"{count(held['faces'])} in {size(held['bytes'])}, placed {count(held['placed'])}"
+    if held["near_m"] is None:
+        return {"faces": f"{faces}, at any range"}
+    medium = f"{count(held['voxels'])} in {size(held['medium_bytes'])}, {count(held['tiles'])} tiles"
+    return {
+        "faces": f"{faces}, within {held['near_m']:g} m",
+        "voxels": f"{medium}, beyond {held['near_m']:g} m",
+    }
 
 
 def _print_how(tree: dict[str, Any]) -> None:

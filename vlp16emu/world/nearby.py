@@ -1,5 +1,6 @@
 """Parts of a window: what stands near a way, and a piece cut out of the world."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -7,16 +8,34 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.types import Mesh, Semantic, ShapeKey, Window
+from vlp16emu.types import FarTile, Mesh, Semantic, ShapeKey, Window
 from vlp16emu.world.floor_shapes import FloorKey
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.sapling import SaplingKey
 from vlp16emu.world.tiles import TILE_M, TileKey
 
-__all__ = ["Thing", "cut_out", "things_near"]
+__all__ = ["AllNear", "Thing", "cut_out", "things_near"]
 
 Array = NDArray[np.float64]
 Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class AllNear:
+    """World of one window, in which nothing is seen from afar."""
+
+    inside: Window
+    shape: Grow
+    near_m: float = math.inf
+    seed: int = 0
+
+    def window(self, _track_m: Array) -> Window:
+        """Give the window, from wherever."""
+        return self.inside
+
+    def far_tile(self, ix: int, iy: int) -> FarTile:
+        """Give none: there is no such square."""
+        raise LookupError(f"far tile: found {ix}, {iy}; expected none")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +105,7 @@ def cut_out(
         shape=which.astype(np.int32),
         world_T_shape=window.world_T_shape[keep],
         first_surface=window.first_surface[keep],
+        far=None,
     )
 
     def grow(key: ShapeKey) -> tuple[Mesh, ...]:

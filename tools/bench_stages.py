@@ -1,0 +1,134 @@
+"""What each stage of the chain costs: seconds of one thread per simulated second, the best of the repeats.
+
+On a shared machine the ratios mean more than the figures. Blocks are cast by as many as the chain casts at once. "Cast,
+near" gives light up where the medium begins; where there is none it is all. Opening is the processor time of all threads
+for the second window, with the first one open.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from rich.box import MARKDOWN
+from rich.table import Table
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.packets import pack_data
+from vlp16emu.pipeline import BLOCK, STRETCH
+from vlp16emu.raycast import LINE, BeamModel, Scene
+from vlp16emu.returns import detect
+from vlp16emu.scenario import load
+from vlp16emu.sensor import SEQUENCE_NS
+from vlp16emu.types import Firings, Hits, ReturnMode, Returns, Semantic, SensorModel
+
+__all__ = ["tables"]
+
+BLOCK_S = BLOCK * SEQUENCE_NS * 1e-9
+SETTINGS = {
+    "default": [],
+    "default, dual": ["sensor.return_mode=dual"],
+    "one ray": ["beam.model=none"],
+    "one ray, ideal": ["beam.model=none", "noise.preset=ideal"],
+}
+COUNTS = (8, 16, 32, 64)
+TARGETS_M = (0.03, 0.08)
+RUNS = 4
+"""Over the window."""
+NEAR, CAST = "cast, near", "cast"
+
+
+def best(work: Callable[[], object], repeats: int) -> float:
+    """Return the least processor time of this thread over the repeats, in seconds."""
+    times = []
+    for _ in range(repeats):
+        start = time.thread_time()
+        work()
+        times.append(time.thread_time() - start)
+    return min(times)
+
+
+def opening_s(emulator: Emulator) -> float:
+    """Processor seconds per simulated second that opening windows takes; 0 where one serves all."""
+    emulator.windows.at_block(0).result()
+    if not emulator.parts.moves:
+        return 0.0
+    start = time.process_time()
+    emulator.windows.at_block(STRETCH).result()
+    return (time.process_time() - start) / (STRETCH * BLOCK_S)
+
+
+def stages(emulator: Emulator, opened: Scene, repeats: int) -> dict[str, float]:
+    """Time each stage over the same runs of blocks of a window: seconds per simulated second."""
+    unit, sensor = emulator.parts.units[0], emulator.scenario.sensor
+    mode, model = ReturnMode(sensor.return_mode), SensorModel(sensor.model)
+    head, poses_at, across = unit.head, unit.motion.poses_at, unit.beam.has_width
+    together = unit.beam.together
+    firsts, count = range(0, STRETCH * BLOCK, STRETCH * BLOCK // RUNS), together * BLOCK
+    times = [head.times_ns(n, count).reshape(-1) for n in firsts]
+    poses = [poses_at(t_ns) for t_ns in times]
+    near_m, far_m = head.beams.near_m, sensor.max_range_m
+
+    def aim() -> list[Firings]:
+        still = zip(firsts, poses, strict=True)
+        return [head.aim(n, count, lambda _t, p=p: p, across=across) for n, p in still]
+
+    firings = aim()
+
+    def cast(reach_m: float) -> list[Hits]:
+        return [opened.cast(f, near_m, reach_m, unit.beam) for f in firings]
+
+    hits = cast(far_m)
+
+    def tell() -> list[Returns]:
+        met = zip(firings, hits, strict=True)
+        return [detect(f, h, opened.surfaces, unit.detector, truth=False) for f, h in met]
+
+    returns = tell()
+    work: dict[str, Callable[[], object]] = {
+        "poses": lambda: [poses_at(t_ns) for t_ns in times],
+        "aim": aim,
+        NEAR: lambda: cast(min(far_m, emulator.parts.world.near_m)),
+        CAST: lambda: cast(far_m),
+        "detect": tell,
+        "pack": lambda: [pack_data(r, mode, model, 0) for r in returns],
+    }
+    return {name: best(do, repeats) / (RUNS * together * BLOCK_S) for name, do in work.items()}
+
+
+def beams(emulator: Emulator, opened: Scene, repeats: int) -> Table:
+    """Cast one block with several beams."""
+    unit, far_m = emulator.parts.units[0], emulator.scenario.sensor.max_range_m
+    firings = unit.head.aim(0, BLOCK, unit.motion.poses_at, across=True)
+    near_m, usual = unit.head.beams.near_m, unit.beam
+    kinds = {"one ray": LINE, f"adaptive, {usual.target_m:g} m": usual}
+    kinds |= {f"adaptive, {target_m:g} m": replace(usual, target_m=target_m) for target_m in TARGETS_M}
+    kinds |= {f"fixed {rays}": replace(usual, model=BeamModel.FIXED, rays=rays) for rays in COUNTS}
+    heads = "beam", "rays per pulse", "s per s", "M pulses/s", "M rays/s"
+    table = Table(*heads, title="casting a block", box=MARKDOWN)
+    for name, beam in kinds.items():
+        hits = opened.cast(firings, near_m, far_m, beam)
+        seconds = best(lambda beam=beam: opened.cast(firings, near_m, far_m, beam), repeats)
+        speeds = (f"{number / seconds / 1e6:.2f}" for number in (hits.count.size, len(hits.range_m)))
+        table.add_row(name, f"{hits.count.mean():.2f}", f"{seconds / BLOCK_S:.3f}", *speeds)
+    return table
+
+
+def tables(scene: str, repeats: int) -> Iterator[Table]:
+    """Measure stages and beams."""
+    cost: dict[str, dict[str, float]] = {}
+    for name, own in SETTINGS.items():
+        emulator = Emulator(load(scene, own), threads=2)
+        opening, opened = opening_s(emulator), emulator.windows.at_block(0).result()
+        cost[name] = stages(emulator, opened, repeats) | {"open windows": opening}
+    trees = np.unique(opened.surfaces["instance"][opened.surfaces["semantic"] == Semantic.TREE])
+    title = f"{scene}, {len(trees)} trees and saplings in reach, processor s per s"
+    table = Table("stage", *cost, title=title, box=MARKDOWN)
+    for stage in cost["default"]:
+        table.add_row(stage, *(f"{column[stage]:.4f}" for column in cost.values()))
+    # `aim` is timed with poses given, and what is cast near by is a part of `cast`.
+    sums = (sum(s for stage, s in column.items() if stage != NEAR) for column in cost.values())
+    table.add_row("sum", *(f"{total:.4f}" for total in sums))
+    yield table
+    wide = Emulator(load(scene, ["beam.model=adaptive"]), threads=1)  # whatever the scene has
+    yield beams(wide, opened, repeats)

@@ -1,0 +1,68 @@
+"""How much geometry an open window holds."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vlp16emu.raycast import Scene
+
+__all__ = ["Geometry", "geometry_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """Faces of a window that are near by, and the medium beyond them."""
+
+    faces: int
+    """Quads that are kept, a triangle without a partner being one; all triangles where Embree cannot be driven."""
+    placed: int
+    """The same, each counted as often as it is placed."""
+    bytes: int
+    """Of their vertices and indices; Embree's own trees come on top."""
+    near_m: float | None
+    """Range at which the medium begins; None where there is none."""
+    tiles: int
+    """Squares that the medium spans."""
+    voxels: int
+    """That hold anything."""
+    medium_bytes: int
+    """Of all arrays of the medium."""
+
+
+def geometry_of(scene: Scene) -> Geometry:
+    """Count the faces and the voxels of a window."""
+    from vlp16emu.raycast.slow import PlainScene
+
+    if isinstance(scene, PlainScene):
+        triangles = len(scene._surface)  # noqa: SLF001  # counting is all that anybody wants of it
+        return Geometry(triangles, triangles, 36 * triangles, None, 0, 0, 0)
+    from vlp16emu.raycast.medium import BRICK, COLUMNS
+    from vlp16emu.raycast.scene import EmbreeScene  # its kernel binds to the library
+
+    assert isinstance(scene, EmbreeScene)
+    placed, solids = Counter(map(id, scene.solids)), {id(solid): solid.faces for solid in scene.solids}
+    quads = {name: sum(len(own) for _, own in faces) for name, faces in solids.items()}
+    medium = scene.medium
+    has_medium = math.isfinite(medium.near_m)
+    return Geometry(
+        faces=sum(quads.values()),
+        placed=sum(quads[name] * often for name, often in placed.items()),
+        bytes=sum(array.nbytes for faces in solids.values() for pair in faces for array in pair),
+        near_m=medium.near_m if has_medium else None,
+        tiles=math.prod(BRICK * bricks // COLUMNS for bricks in medium.mask.shape[:2]),
+        voxels=len(medium.record),
+        medium_bytes=sum(array.nbytes for array in _arrays(medium)) if has_medium else 0,
+    )
+
+
+def _arrays(part: object) -> Iterator[np.ndarray[Any, Any]]:
+    """Yield the arrays of a tuple, and of the tuples in it."""
+    if isinstance(part, np.ndarray):
+        yield part
+    elif isinstance(part, tuple):
+        for inner in part:
+            yield from _arrays(inner)
