@@ -14,6 +14,7 @@ from vlp16emu.raycast.beam import LINE, BeamModel, Footprint, across_of, displac
 from vlp16emu.raycast.build import Motion, Solid, motion_of, placed
 from vlp16emu.raycast.far import NO_MEDIUM, STRAY_M, Far
 from vlp16emu.raycast.geometry import normal_matrices, relative_to_window
+from vlp16emu.raycast.kept import recalled_shape
 from vlp16emu.raycast.kernel import PACKET, Light, Target, Wish, cast_lines, cast_pulses
 from vlp16emu.raycast.march import Medium
 from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
@@ -160,7 +161,7 @@ class EmbreeCaster:
 
     def _solid(self, key: ShapeKey) -> Solid:
         """Grow a shape and build it."""
-        return Solid(self._world.shape(key))
+        return Solid(recalled_shape(self._world, key))
 
 
 def _part(window: Window, keep: NDArray[np.bool_]) -> Window:
