@@ -71,7 +71,7 @@ class Store:
             return None
         path = self._path(name)
         try:
-            with path.open("rb", opener=_no_link) as file:
+            with open(path, "rb", 0, opener=_no_link) as file:  # noqa: PTH123 - `Path.open` has no opener
                 state = os.fstat(file.fileno())
                 data = np.empty(state.st_size, np.uint8)
                 if state.st_uid != os.getuid() or file.readinto(data.data) != len(data):
@@ -125,7 +125,7 @@ class Store:
         aside = path.with_name(f"{path.name}.{os.getpid()}.part")
         try:
             _make_own(self.folder)
-            with aside.open("wb", opener=_no_link) as file:
+            with open(aside, "wb", opener=_no_link) as file:  # noqa: PTH123 - likewise
                 size = sum(file.write(part) for part in _packed(name, bundle))
             aside.replace(path)
             self._unlooked += size
@@ -274,5 +274,5 @@ def _no_link(path: str, flags: int) -> int:
 
 def _is_ours(path: Path) -> bool:
     """Whether a file begins as ours do, or is one of ours that was not written to its end."""
-    with path.open("rb", opener=_no_link) as file:
+    with open(path, "rb", opener=_no_link) as file:  # noqa: PTH123 - likewise
         return _MAGIC.startswith(file.read(len(_MAGIC)))
