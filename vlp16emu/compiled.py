@@ -52,8 +52,17 @@ def compiled_files() -> dict[Path, list[Path]]:
         for folder in base.glob(_PREFIX + "*"):
             with suppress(OSError):
                 state = folder.lstat()
-                if re.fullmatch(_PREFIX + "[0-9a-f]{16}", folder.name) and stat.S_ISDIR(state.st_mode) and state.st_uid == os.getuid():
-                    found[folder] = [path for end in ("nbi", "nbc") for path in folder.glob(f"*/*.{end}") if not path.is_symlink()]
+                if (
+                    re.fullmatch(_PREFIX + "[0-9a-f]{16}", folder.name)
+                    and stat.S_ISDIR(state.st_mode)
+                    and state.st_uid == os.getuid()
+                ):
+                    found[folder] = [
+                        path
+                        for end in ("nbi", "nbc")
+                        for path in folder.glob(f"*/*.{end}")
+                        if not path.is_symlink()
+                    ]
     return found
 
 

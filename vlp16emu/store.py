@@ -71,7 +71,7 @@ class Store:
             return None
         path = self._path(name)
         try:
-            with open(path, "rb", 0, opener=_no_link) as file:  # noqa: PTH123 - `Path.open` has no opener
+            with open(path, "rb", 0, opener=_no_link) as file:
                 state = os.fstat(file.fileno())
                 data = np.empty(state.st_size, np.uint8)
                 if state.st_uid != os.getuid() or file.readinto(data.data) != len(data):
@@ -125,7 +125,7 @@ class Store:
         aside = path.with_name(f"{path.name}.{os.getpid()}.part")
         try:
             _make_own(self.folder)
-            with open(aside, "wb", opener=_no_link) as file:  # noqa: PTH123 - likewise
+            with open(aside, "wb", opener=_no_link) as file:
                 size = sum(file.write(part) for part in _packed(name, bundle))
             aside.replace(path)
             self._unlooked += size
@@ -176,7 +176,9 @@ def user_store() -> Store:
     return Store(folder if most_mb > 0 else None, int(max(most_mb, 0.0) * _MB))
 
 
-def recalled(name: str, make: Callable[[], T], pack: Callable[[T], Bundle], unpack: Callable[[Bundle], T]) -> T:
+def recalled(
+    name: str, make: Callable[[], T], pack: Callable[[T], Bundle], unpack: Callable[[Bundle], T]
+) -> T:
     """Take a thing from the user's store, or make it and keep it there.
 
     Parameters
@@ -274,5 +276,5 @@ def _no_link(path: str, flags: int) -> int:
 
 def _is_ours(path: Path) -> bool:
     """Whether a file begins as ours do, or is one of ours that was not written to its end."""
-    with open(path, "rb", opener=_no_link) as file:  # noqa: PTH123 - likewise
+    with open(path, "rb", opener=_no_link) as file:
         return _MAGIC.startswith(file.read(len(_MAGIC)))

@@ -109,7 +109,9 @@ def forest_of(
     )
 
 
-def _name(section: ForestSection | PlotSection, seed: str, path: Polyline, reach_m: float, *, loose_stems: bool) -> str:
+def _name(
+    section: ForestSection | PlotSection, seed: str, path: Polyline, reach_m: float, *, loose_stems: bool
+) -> str:
     """Digest of all that decides a forest, files by what they hold."""
     files = [section.species_file, section.dem and section.dem.file, getattr(section, "stem_list", None)]
     parts = [section.model_dump_json(exclude={"meshes", "near_m"}), seed, f"{reach_m!r} {loose_stems}"]

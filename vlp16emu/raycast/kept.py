@@ -11,13 +11,25 @@ from vlp16emu.raycast.medium import Block, Cloud, Library, cloud_of
 from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import ShapeKey, World
 
-__all__ = ["packed_block", "recalled_cloud", "recalled_shape", "unpacked_block"]
+__all__ = [
+    "packed_block",
+    "recalled_cloud",
+    "recalled_shape",
+    "shape_file",
+    "unpacked_block",
+    "unpacked_shape",
+]
+
+
+def shape_file(world: World, key: ShapeKey) -> str:
+    """Name under which the store has the faces of a shape; empty where it is not kept."""
+    name = world.shape_name(key)
+    return name and f"faces {name}"
 
 
 def recalled_shape(world: World, key: ShapeKey) -> Shape:
     """Faces of a shape, grown where no store has them."""
-    name = world.shape_name(key)
-    return recalled(name and f"faces {name}", lambda: shape_of(world.shape(key)), _packed_shape, _unpacked_shape)
+    return recalled(shape_file(world, key), lambda: shape_of(world.shape(key)), _packed_shape, unpacked_shape)
 
 
 def _packed_shape(shape: Shape) -> Bundle:
@@ -26,7 +38,7 @@ def _packed_shape(shape: Shape) -> Bundle:
     return {"radius_m": np.array(shape.radius_m), **named}
 
 
-def _unpacked_shape(bundle: Bundle) -> Shape:
+def unpacked_shape(bundle: Bundle) -> Shape:
     """Take faces out of arrays."""
     meshes = len(bundle) // 2
     faces = tuple((bundle[f"{i} 0"], bundle[f"{i} 1"]) for i in range(meshes))
@@ -62,6 +74,6 @@ def unpacked_block(bundle: Bundle, library: Library, place: Mapping[str, int]) -
     """Take a block out of arrays, for a library with shapes at these places by name."""
     rest = dict(bundle)
     which = np.array([place[name] for name in json.loads(rest.pop("shapes").tobytes())], np.int64)
-    law = library.first_law[which[rest.pop("law_shape")]] + rest.pop("law_mesh")  # type: ignore[index]
-    rest["owner_law"] = law.astype(np.uint32)[rest["owner_law"]]  # type: ignore[index]
+    law = library.first_law[which[rest.pop("law_shape")]] + rest.pop("law_mesh")
+    rest["owner_law"] = law.astype(np.uint32)[rest["owner_law"]]
     return Block(**{**rest, "bottom": int(rest["bottom"])})  # type: ignore[arg-type]

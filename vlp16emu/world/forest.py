@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import STEM, SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
+from vlp16emu.types import SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
 from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.world.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.world.kept import by_tile, key_text
@@ -323,7 +323,9 @@ def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], 
     return (int(low[0]), int(low[1])), (int(across[0]), int(across[1]))
 
 
-def _packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[Placed], swaying: int, plants: Flora) -> _Tile:
+def _packed(
+    key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[Placed], swaying: int, plants: Flora
+) -> _Tile:
     """Put a tile together: first its own shape of ground and stems, then all that is placed on it."""
     ground = np.zeros(1, SURFACE)
     ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
