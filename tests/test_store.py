@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from vlp16emu import store as module
+from vlp16emu.assembly import assemble
 from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.store import Store, recalled, user_store
@@ -171,7 +172,7 @@ def use(monkeypatch):
     user_store.cache_clear()
 
 
-SMALL = ("sensor.max_range_m=25", "world.stems_per_ha=150", "world.near_m=8")
+SMALL = ("sensor.max_range_m=25", "world.stems_per_ha=150", "world.near_m=8", "beam.model=none")
 
 
 def recorded(scene, *settings):
@@ -197,12 +198,27 @@ def test_a_run_is_the_same_cold_and_warm(use, folder, settings):
     assert {path: path.stat().st_ino for path in folder.iterdir()} == files
 
 
-def test_another_path_and_seed_have_names_of_their_own(use, folder):
+def test_another_path_is_grown_anew(use, folder):
     """Tiles keep clear of the path: a warm run on another one is as a cold one."""
+    other = "motion.way_points_m=[[0, 0], [10, 20]]"
+    plain = (use("off"), recorded("reference_forest", other))[1]
     use(folder)
     recorded("reference_forest")
-    for setting in ("motion.way_points_m=[[0, 0], [10, 20]]", "seed=61", "world.terrain.rough_rms_m=0.2"):
-        use(folder)
-        warm = recorded("reference_forest", setting)
-        use("off")
-        assert warm == recorded("reference_forest", setting)
+    use(folder)
+    assert recorded("reference_forest", other) == plain
+
+
+def test_all_that_decides_a_world_is_in_its_name():
+    """Seed, section and path are; how far away leaves are cast one by one is not."""
+    settings = (
+        (),
+        ("seed=61",),
+        ("world.terrain.rough_rms_m=0.2",),
+        ("motion.way_points_m=[[0, 0], [9, 9]]",),
+    )
+    worlds = [assemble(load("reference_forest", setting)).world for setting in settings]
+    assert len({world.name for world in worlds}) == len(settings)
+    assert assemble(load("reference_forest", ("world.near_m=9",))).world.name == worlds[0].name
+    crown = worlds[0].window(np.zeros((2, 3))).shapes[1]
+    assert worlds[0].shape_name(crown) != worlds[1].shape_name(crown)
+    assert worlds[0].shape_name(crown) == worlds[2].shape_name(crown)
