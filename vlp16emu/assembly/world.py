@@ -113,7 +113,9 @@ def _name(
     section: ForestSection | PlotSection, seed: str, path: Polyline, reach_m: float, *, loose_stems: bool
 ) -> str:
     """Digest of all that decides a forest, files by what they hold."""
-    files = [section.species_file, section.dem and section.dem.file, getattr(section, "stem_list", None)]
+    dem_file = section.dem.file if section.dem else None
+    stem_list = section.stem_list if isinstance(section, PlotSection) else None
+    files: list[str | None] = [section.species_file, dem_file, stem_list]
     parts = [section.model_dump_json(exclude={"meshes", "near_m"}), seed, f"{reach_m!r} {loose_stems}"]
     digest = hashlib.sha256("\n".join([*parts, *map(_content, files), ""]).encode())
     digest.update(np.ascontiguousarray(path.xy_m, np.float64).tobytes())
