@@ -23,7 +23,7 @@ ROOMS = {
     "sinks",
     "world",
 }
-FOUNDATIONS = {"errors", "random", "trig", "types", "units"}
+FOUNDATIONS = {"errors", "random", "store", "trig", "types", "units"}
 WIRING = {
     "__main__",
     "assembly",

@@ -6,12 +6,14 @@ to one state of all files of the package: its folder is named by their times and
 
 import hashlib
 import os
+import re
+import stat
 import sys
 import time
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["keep_compiled"]
+__all__ = ["compiled_files", "keep_compiled"]
 
 _PACKAGE = Path(__file__).parent
 _PREFIX = "kernels-"
@@ -41,6 +43,27 @@ def keep_compiled() -> None:
         if "numba" in sys.modules:  # it has looked at the environment already
             sys.modules["numba"].config.CACHE_DIR = str(folder)
         return
+
+
+def compiled_files() -> dict[Path, list[Path]]:
+    """List what numba keeps in folders of ours, of any state of the package, by folder."""
+    found = {}
+    for base in dict.fromkeys(_bases()):
+        for folder in base.glob(_PREFIX + "*"):
+            with suppress(OSError):
+                state = folder.lstat()
+                if (
+                    re.fullmatch(_PREFIX + "[0-9a-f]{16}", folder.name)
+                    and stat.S_ISDIR(state.st_mode)
+                    and state.st_uid == os.getuid()
+                ):
+                    found[folder] = [
+                        path
+                        for end in ("nbi", "nbc")
+                        for path in folder.glob(f"*/*.{end}")
+                        if not path.is_symlink()
+                    ]
+    return found
 
 
 def _state() -> str:

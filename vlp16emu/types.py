@@ -392,6 +392,13 @@ class World(Protocol):
     def seed(self) -> int:
         """Of what is random in it."""
 
+    @property
+    def name(self) -> str:
+        """All that decides its `far_tile`s, as a digest; empty where nothing of it is kept on disk."""
+
+    def shape_name(self, key: ShapeKey) -> str:
+        """All that decides a shape, in words; empty where it is not kept on disk."""
+
     def window(self, track_m: NDArray[np.float64]) -> Window:
         """Everything within reach of sensor positions (n, 3); must depend on nothing else."""
 

@@ -1,5 +1,6 @@
 """From the `[world]` table to a forest or a hall."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
@@ -93,6 +94,8 @@ def forest_of(
     else:
         stems, canopy = _stand(section, seed, height_m, path, plants), [s.species for s in section.species]
     return Forest(
+        name=_name(section, str(seed), path, reach_m, loose_stems=loose_stems),
+        plants_name=_content(section.species_file),
         seed=seed,
         height_m=height_m,
         stems=stems,
@@ -104,6 +107,24 @@ def forest_of(
         loose_stems=loose_stems,
         near_m=section.near_m,
     )
+
+
+def _name(
+    section: ForestSection | PlotSection, seed: str, path: Polyline, reach_m: float, *, loose_stems: bool
+) -> str:
+    """Digest of all that decides a forest, files by what they hold."""
+    dem_file = section.dem.file if section.dem else None
+    stem_list = section.stem_list if isinstance(section, PlotSection) else None
+    files: list[str | None] = [section.species_file, dem_file, stem_list]
+    parts = [section.model_dump_json(exclude={"meshes", "near_m"}), seed, f"{reach_m!r} {loose_stems}"]
+    digest = hashlib.sha256("\n".join([*parts, *map(_content, files), ""]).encode())
+    digest.update(np.ascontiguousarray(path.xy_m, np.float64).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def _content(file: str | None) -> str:
+    """Digest of what a file holds; nothing where none is given."""
+    return hashlib.sha256(FilePath(file).read_bytes()).hexdigest()[:32] if file else ""
 
 
 def wind_of(scenario: Scenario, forest: Forest) -> Wind | None:

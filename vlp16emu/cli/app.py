@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from vlp16emu.cli.accuracy import accuracy
+from vlp16emu.cli.cache import cache
 from vlp16emu.cli.decode import decode
 from vlp16emu.cli.forest import forest
 from vlp16emu.cli.interrupt import INTERRUPTED
@@ -56,6 +57,9 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
   vlp16emu plan birch_walk
   vlp16emu plan old_growth --duration 600 --set sensor.return_mode=dual
   vlp16emu plan reference_forest --ideal --json""",
+    cache: """\b
+  vlp16emu cache
+  vlp16emu cache --clear""",
     scenes: None,
     schema: """\b
   vlp16emu schema > scene.schema.json""",

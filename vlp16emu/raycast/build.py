@@ -12,10 +12,25 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree as rtc
-from vlp16emu.raycast.geometry import faces_of, sheared
+from vlp16emu.raycast.geometry import Faces, faces_of, sheared
 from vlp16emu.types import Mesh, Window
 
-__all__ = ["Motion", "Solid", "motion_of", "placed", "tilt"]
+__all__ = ["Motion", "Shape", "Solid", "motion_of", "placed", "shape_of", "tilt"]
+
+
+class Shape(NamedTuple):
+    """A shape as Embree takes it."""
+
+    faces: tuple[Faces, ...]
+    """Of each mesh."""
+    radius_m: float
+    """Greatest distance of a corner from the shape's origin."""
+
+
+def shape_of(meshes: Sequence[Mesh]) -> Shape:
+    """Pair the faces of a shape's meshes."""
+    radii_m = (float(np.linalg.norm(mesh.vertices_m, axis=1).max(initial=0.0)) for mesh in meshes)
+    return Shape(tuple(faces_of(mesh) for mesh in meshes), max(radii_m, default=0.0))
 
 
 class Solid:
@@ -23,7 +38,7 @@ class Solid:
 
     Parameters
     ----------
-    meshes : of a shape; hits give their numbers
+    shape : with its faces by mesh; hits give their numbers
 
     Raises
     ------
@@ -31,12 +46,9 @@ class Solid:
         where Embree fails
     """
 
-    def __init__(self, meshes: Sequence[Mesh]) -> None:
+    def __init__(self, shape: Shape) -> None:
         lib, device = rtc.library(), rtc.device()
-        self.faces = tuple(faces_of(mesh) for mesh in meshes)
-        """Of each mesh, as Embree takes them."""
-        self.radius_m = max((float(np.linalg.norm(mesh.vertices_m, axis=1).max(initial=0.0)) for mesh in meshes), default=0.0)
-        """Greatest distance of a corner from the shape's origin."""
+        self.faces, self.radius_m = shape
         self.scene = lib.rtcNewScene(device)
         weakref.finalize(self, lib.rtcReleaseScene, self.scene)
         lib.rtcSetSceneFlags(self.scene, rtc.SCENE_ROBUST)

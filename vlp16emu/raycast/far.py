@@ -8,8 +8,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.raycast.kept import packed_block, recalled_cloud, unpacked_block
 from vlp16emu.raycast.march import Ground, Medium, Stems
-from vlp16emu.raycast.medium import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M, Block, Cloud, Library, block_of, cloud_of, stem_beside, stem_columns, stem_lines
+from vlp16emu.raycast.medium import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M, Block, Cloud, Library, block_of, stem_beside, stem_columns, stem_lines
+from vlp16emu.store import recalled
 from vlp16emu.types import STEM, FarTile, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.tiles import TILE_M
@@ -64,7 +66,7 @@ class Far:
     def __init__(self, world: World, workers: Executor) -> None:
         self._world, self._workers = world, workers
         self._clouds = dict[ShapeKey, Cloud]()
-        self._place = dict[object, int]()
+        self._place, self._names = dict[object, int](), list[str]()
         self._library: Library | None = None
         self._cosine = np.zeros((0, len(KNOTS), QUANTILES), np.float32)
         self._blocks = dict[tuple[int, int, int], Block]()
@@ -91,13 +93,23 @@ class Far:
         tiles = {(ix, iy): self._world.far_tile(ix, iy) for ix, iy, _ in window.tiles}
         wanted = {(ix, iy): (ix, iy, _around(tiles, ix, iy)) for ix, iy in tiles}
         missing = [name for name in wanted.values() if name not in self._blocks]
-        assert self._library is not None
-        made = self._workers.map(lambda name: block_of(self._library, self._place, tiles, *name[:2]), missing)
+        made = self._workers.map(lambda name: self._block(tiles, *name), missing)
         self._blocks |= dict(zip(missing, made, strict=True))
         self._blocks = {name: self._blocks[name] for name in wanted.values()}
         rows = {(ix, iy): row for ix, iy, row in window.tiles}
         blocks = {place: self._blocks[name] for place, name in wanted.items()}
         return _joined(window, tiles, blocks, rows, self._cosine, self._world)
+
+    def _block(self, tiles: dict[tuple[int, int], FarTile], ix: int, iy: int, around: int) -> Block:
+        """Make the block of a tile, or take it from the store."""
+        assert self._library is not None
+        library, place, names, world = self._library, self._place, self._names, self._world.name
+        return recalled(
+            world and f"{world} block {ix} {iy} {around}",
+            lambda: block_of(library, place, tiles, ix, iy),
+            lambda block: packed_block(block, library, names),
+            lambda bundle: unpacked_block(bundle, library, dict(zip(names, range(len(names)), strict=True))),
+        )
 
     def _measure(self, window: Window) -> None:
         """Measure the shapes of a window that are new."""
@@ -110,13 +122,17 @@ class Far:
         if not new:
             return
 
+        begins = np.append(np.unique(window.first_surface), len(window.surfaces))
+
         def measured(name: tuple[ShapeKey, int]) -> Cloud:
             """Measure a shape, whose parts are those of the placement."""
-            meshes, row = self._world.shape(name[0]), int(window.first_surface[name[1]])
-            return cloud_of(meshes, window.surfaces["part"][row : row + len(meshes)])
+            row = int(window.first_surface[name[1]])
+            end = int(begins[np.searchsorted(begins, row, side="right")])
+            return recalled_cloud(self._world, name[0], window.surfaces["part"][row:end])
 
         self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
         self._place = {key: number for number, key in enumerate(self._clouds)}
+        self._names = [self._world.shape_name(key) for key in self._clouds]
         self._library = Library.of(list(self._clouds.values()))
         self._cosine = np.concatenate([cloud.cosine for cloud in self._clouds.values()])
 

@@ -13,6 +13,7 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
 from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.world.floor_shapes import FloorKey, floor_meshes
+from vlp16emu.world.kept import by_tile, key_text
 from vlp16emu.world.materials import bark_material, material_names
 from vlp16emu.world.placed import NO_TREES, Layer, Placed, Plot, distinct
 from vlp16emu.world.polyline import Polyline
@@ -99,6 +100,9 @@ class Forest:
     reach_m : how far the sensor sees
     plants : trees and shrubs; those of the program if none are given
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
+    near_m : as in `World`
+    name : of all that decides the forest, seed and path too, as a digest; empty where nothing is kept on disk
+    plants_name : of the plants, likewise
 
     Raises
     ------
@@ -119,19 +123,22 @@ class Forest:
         plants: Flora | None = None,
         loose_stems: bool = False,
         near_m: float = math.inf,
+        name: str = "",
+        plants_name: str = "",
     ) -> None:
         per_ha = stems.per_ha + sum(layer.per_ha for layer in layers)
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
-        self.seed, self.near_m = seed, near_m
+        self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
         self._path, self._clearance_m, self._reach_m = path, path_clearance_m, reach_m
         self.height_m, self.plants = height_m, plants or flora()
         self._layers, self._loose_stems = layers, loose_stems
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         kept = 2 * (4 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
-        self._tile = lru_cache(maxsize=kept)(self._grow_tile)
+        self._tile = lru_cache(maxsize=kept)(by_tile(_Tile, name, self._grow_tile))
+        self.far_tile = lru_cache(maxsize=kept)(by_tile(FarTile, name, self._far_tile))
         self._trees = lru_cache(maxsize=kept)(stems.trees)
         self._crown = cache(stems.crown)
         self._stem_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_stems)
@@ -177,7 +184,14 @@ class Forest:
             far=np.concatenate([tile.far for tile in tiles]),
         )
 
-    def far_tile(self, ix: int, iy: int) -> FarTile:
+    def shape_name(self, key: ShapeKey) -> str:
+        """Name a shape: of tiles by all of the forest, of others by seed and plants alone."""
+        if not self.name:
+            return ""
+        own = isinstance(key, TileKey | StemKey)
+        return f"{self.name if own else f'{self.seed} {self._plants_name}'} {key_text(key)}"
+
+    def _far_tile(self, ix: int, iy: int) -> FarTile:
         """Describe a tile as it is seen from afar; trees that sway, stems and all, are not in it."""
         tile = self._tile(ix, iy)
         origin_m = tile_origin_m(ix, iy, self.height_m)

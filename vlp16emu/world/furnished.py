@@ -88,6 +88,7 @@ class Furnished:
         self.bare = world
         """The world without the user's things."""
         self.height_m, self.near_m, self.seed = world.height_m, world.near_m, world.seed
+        self.name = world.name
         self._reach_m = reach_m
         self.materials = (
             *world.materials,
@@ -147,6 +148,10 @@ class Furnished:
     def far_tile(self, ix: int, iy: int) -> FarTile:
         """Describe a square of the world without the user's things."""
         return self.bare.far_tile(ix, iy)
+
+    def shape_name(self, key: ShapeKey) -> str:
+        """Name a shape of the world; the user's meshes are not kept."""
+        return "" if isinstance(key, MeshKey) else self.bare.shape_name(key)
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
         """Meshes of a shape: one for each part of a user's file, or what the world makes of it."""

@@ -86,8 +86,8 @@ class Hall:
 
     materials = ("room", "box", "pole", "sphere")
     """Names by `SURFACE` material number."""
-    near_m, seed = math.inf, 0
-    """As in `World`: all of it is near, and nothing random."""
+    near_m, seed, name = math.inf, 0, ""
+    """As in `World`: all of it is near, nothing random, and nothing kept."""
 
     def __init__(
         self,
@@ -126,6 +126,10 @@ class Hall:
                 "hall: the way of the sensor leaves it at (%g, %g) m; expected x between -%g and %g m, y between -%g and %g m",
                 *(x_m, y_m, half_m[0], half_m[0], half_m[1], half_m[1]),
             )
+
+    def shape_name(self, _key: ShapeKey) -> str:
+        """Nothing of a hall is kept."""
+        return ""
 
     def far_tile(self, ix: int, iy: int) -> FarTile:
         """Nothing of a hall is far."""

@@ -1,0 +1,53 @@
+"""What is kept on disk, shown and cleared."""
+
+import numpy as np
+import pytest
+
+from vlp16emu import compiled
+from vlp16emu.store import user_store
+
+
+@pytest.fixture
+def folders(tmp_path, monkeypatch):
+    """A store of one bundle and a folder of one kernel, with a foreign file in each."""
+    world, kernels = tmp_path / "world", tmp_path / "kernels-0123456789abcdef"
+    monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(world))
+    monkeypatch.setattr(compiled, "_bases", lambda: [tmp_path])
+    user_store.cache_clear()
+    user_store().put("a", {"a": np.zeros(10)})
+    user_store().flush()
+    (kernels / "room").mkdir(parents=True)
+    (kernels / "room" / "kernel.nbi").write_bytes(bytes(100))
+    (world / "notes.txt").write_text("mine")
+    (tmp_path / "kernels-of-mine").mkdir()
+    (tmp_path / "kernels-of-mine" / "kernel.nbi").write_text("mine")
+    yield world, kernels
+    user_store.cache_clear()
+
+
+def test_what_is_kept_is_counted(cli, folders):
+    """Files and bytes of worlds and kernels, as JSON and as lines."""
+    tree = cli("cache", "--json").tree
+    assert tree["cleared"] is False
+    assert tree["worlds"]["files"] == 1
+    assert tree["worlds"]["folder"] == str(folders[0])
+    assert tree["worlds"]["most_bytes"] == 1_000_000_000
+    assert tree["kernels"] == {"folders": [str(folders[1])], "files": 1, "bytes": 100}
+    assert "1 files, 0.0 MB of at most 1000.0 MB" in cli("cache").out
+
+
+def test_clearing_leaves_what_is_not_ours(cli, folders, tmp_path):
+    """Our own files go, foreign ones stay."""
+    tree = cli("cache", "--clear", "--json").tree
+    assert (tree["cleared"], tree["worlds"]["files"], tree["kernels"]["files"]) == (True, 1, 1)
+    left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
+    assert left == ["kernels-of-mine/kernel.nbi", "world/notes.txt"]
+    assert not folders[1].exists()
+    assert cli("cache", "--json").tree["worlds"]["files"] == 0
+
+
+def test_no_folder_is_said(cli, monkeypatch):
+    """Where nothing is kept the verb says so."""
+    monkeypatch.setenv("VLP16EMU_CACHE_DIR", "off")
+    user_store.cache_clear()
+    assert "nothing is kept" in cli("cache").out

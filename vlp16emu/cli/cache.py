@@ -1,0 +1,72 @@
+"""`vlp16emu cache`: what is kept on disk from run to run."""
+
+from contextlib import suppress
+from typing import Annotated
+
+import typer
+
+from vlp16emu.cli.arguments import AsJson
+from vlp16emu.cli.output import count, print_json, print_rows, size
+
+__all__ = ["cache"]
+
+Clear = Annotated[
+    bool, typer.Option("--clear", help="Remove all of it; files that are not ours stay where they are.")
+]
+
+
+def cache(*, clear: Clear = False, as_json: AsJson = False) -> None:
+    """Show what is kept on disk from run to run, and where.
+
+    That is compiled kernels and what worlds were grown into. A run without them takes longer to start,
+    and gives the same bytes. VLP16EMU_CACHE_DIR names another folder for worlds (`off` for none),
+    VLP16EMU_CACHE_MB how much they may take, NUMBA_CACHE_DIR another one for kernels.
+    """
+    from vlp16emu.store import user_store
+
+    store = user_store()
+    worlds = store.clear() if clear else store.kept()
+    folders, files, used = _kernels(clear=clear)
+    tree = {
+        "cleared": clear,
+        "worlds": {
+            "folder": store.folder and str(store.folder),
+            "files": worlds.files,
+            "bytes": worlds.bytes,
+            "most_bytes": store.most_bytes,
+        },
+        "kernels": {"folders": folders, "files": files, "bytes": used},
+    }
+    if as_json:
+        print_json(tree)
+        return
+    limit = "" if clear else f" of at most {size(store.most_bytes)}"
+    print_rows(
+        "removed" if clear else "kept on disk",
+        {
+            "worlds": f"{count(worlds.files)} files, {size(worlds.bytes)}{limit}",
+            "": str(store.folder) if store.folder else "no folder: nothing is kept",
+            "kernels": f"{count(files)} files, {size(used)}",
+            **{" " * (i + 1): folder for i, folder in enumerate(folders)},
+        },
+    )
+
+
+def _kernels(*, clear: bool) -> tuple[list[str], int, int]:
+    """Folders, number and bytes of compiled kernels; remove them if wanted."""
+    from vlp16emu.compiled import compiled_files
+
+    folders, files, used = list[str](), 0, 0
+    for folder, paths in compiled_files().items():
+        for path in paths:
+            with suppress(OSError):
+                used, files = used + path.stat().st_size, files + 1
+                if clear:
+                    path.unlink()
+        if paths:
+            folders.append(str(folder))
+        if clear:
+            for room in (*folder.glob("*"), folder):
+                with suppress(OSError):  # where something else is in it
+                    room.rmdir()
+    return folders, files, used

@@ -1,0 +1,79 @@
+"""What a caster makes of shapes and tiles as bundles of arrays, as a store keeps them."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+
+import numpy as np
+
+from vlp16emu.raycast.build import Shape, shape_of
+from vlp16emu.raycast.medium import Block, Cloud, Library, cloud_of
+from vlp16emu.store import Bundle, recalled
+from vlp16emu.types import ShapeKey, World
+
+__all__ = [
+    "packed_block",
+    "recalled_cloud",
+    "recalled_shape",
+    "shape_file",
+    "unpacked_block",
+    "unpacked_shape",
+]
+
+
+def shape_file(world: World, key: ShapeKey) -> str:
+    """Name under which the store has the faces of a shape; empty where it is not kept."""
+    name = world.shape_name(key)
+    return name and f"faces {name}"
+
+
+def recalled_shape(world: World, key: ShapeKey) -> Shape:
+    """Faces of a shape, grown where no store has them."""
+    return recalled(shape_file(world, key), lambda: shape_of(world.shape(key)), _packed_shape, unpacked_shape)
+
+
+def _packed_shape(shape: Shape) -> Bundle:
+    """Put faces into arrays."""
+    named = {f"{i} {j}": array for i, faces in enumerate(shape.faces) for j, array in enumerate(faces)}
+    return {"radius_m": np.array(shape.radius_m), **named}
+
+
+def unpacked_shape(bundle: Bundle) -> Shape:
+    """Take faces out of arrays."""
+    meshes = len(bundle) // 2
+    faces = tuple((bundle[f"{i} 0"], bundle[f"{i} 1"]) for i in range(meshes))
+    return Shape(faces, float(bundle["radius_m"]))  # type: ignore[arg-type]  # as they were put there
+
+
+def recalled_cloud(world: World, key: ShapeKey, parts: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> Cloud:
+    """Measure a shape, of `PlantPart`s (meshes,), where no store has it."""
+    name = world.shape_name(key)
+    return recalled(
+        name and f"cloud {name} {parts.tolist()}",
+        lambda: cloud_of(world.shape(key), parts),
+        lambda cloud: {field.name: np.asarray(getattr(cloud, field.name)) for field in fields(cloud)},
+        lambda bundle: Cloud(**{**bundle, "radius_m": float(bundle["radius_m"])}),  # type: ignore[arg-type]
+    )
+
+
+def packed_block(block: Block, library: Library, names: Sequence[str]) -> Bundle:
+    """Put a block into arrays, with its laws by the names of shapes: libraries have them in an order of their own."""
+    laws, law = np.unique(block.owner_law, return_inverse=True)
+    shape = np.searchsorted(library.first_law, laws, side="right") - 1
+    used, of = np.unique(shape, return_inverse=True)
+    return {
+        **{field.name: np.asarray(getattr(block, field.name)) for field in fields(block)},
+        "owner_law": law.astype(np.uint16 if len(laws) < 1 << 16 else np.uint32),
+        "law_shape": of,
+        "law_mesh": laws - library.first_law[shape],
+        "shapes": np.frombuffer(json.dumps([names[i] for i in used.tolist()]).encode(), np.uint8),
+    }
+
+
+def unpacked_block(bundle: Bundle, library: Library, place: Mapping[str, int]) -> Block:
+    """Take a block out of arrays, for a library with shapes at these places by name."""
+    rest = dict(bundle)
+    which = np.array([place[name] for name in json.loads(rest.pop("shapes").tobytes())], np.int64)
+    law = library.first_law[which[rest.pop("law_shape")]] + rest.pop("law_mesh")
+    rest["owner_law"] = law.astype(np.uint32)[rest["owner_law"]]
+    return Block(**{**rest, "bottom": int(rest["bottom"])})  # type: ignore[arg-type]
