@@ -335,6 +335,10 @@ class FarTile:
     """(n, 3, 4)."""
     first_surface: NDArray[np.int64]
     """(n,) row of the tile's surfaces."""
+    first_part: NDArray[np.int64]
+    """(shapes + 1,) where the meshes of each shape begin in `part`."""
+    part: NDArray[np.uint8]
+    """(meshes,) `PlantPart` of each."""
     stems: NDArray[np.void]
     """(s,) `STEM`."""
     ground_m: NDArray[np.float64]

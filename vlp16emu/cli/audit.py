@@ -21,9 +21,6 @@ NoAudit = Annotated[
 
 def audited(scenario: "Scenario", *, threads: int, no_audit: bool) -> "tuple[Emulator, Audit | None]":
     """Make the emulator of a run, and its audit unless that is not wanted."""
-    from vlp16emu.raycast.early import EARLY
-
-    EARLY.begin(scenario.model_dump_json())  # beside the imports that follow
     from vlp16emu.emulator import Emulator
 
     if no_audit:

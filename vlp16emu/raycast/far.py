@@ -25,6 +25,7 @@ _BRICKS = COLUMNS // BRICK
 _BRICK_M = BRICK * VOXEL_M
 _NO_GROUND_M = np.float32(-1e6)
 _FARTHEST = 255
+_AROUND = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
 
 
 def _no_medium() -> Medium:
@@ -69,13 +70,12 @@ class Far:
         self._place, self._names = dict[object, int](), list[str]()
         self._library: Library | None = None
         self._cosine = np.zeros((0, len(KNOTS), QUANTILES), np.float32)
-        self._blocks = dict[tuple[int, int, int], Block]()
+        self._blocks = dict[tuple[int, int], Block]()
 
     def is_near(self, window: Window) -> NDArray[np.bool_]:
         """Which of the placements that `window.far` marks may be met by light that has not yet come to the medium."""
         assert window.near is not None
         assert window.far is not None
-        self._measure(window)
         own = np.array([self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes])
         stretch = np.sqrt((window.world_T_shape[:, :, :3] ** 2).sum(axis=1).max(axis=-1))
         radius_m, at_m = own[window.shape] * stretch, window.world_T_shape[:, :2, 3].copy()
@@ -89,64 +89,53 @@ class Far:
 
     def medium(self, window: Window) -> Medium:
         """Put together what is far in a window."""
-        self._measure(window)
-        tiles = {(ix, iy): self._world.far_tile(ix, iy) for ix, iy, _ in window.tiles}
-        wanted = {(ix, iy): (ix, iy, _around(tiles, ix, iy)) for ix, iy in tiles}
-        missing = [name for name in wanted.values() if name not in self._blocks]
+        rows = {(ix, iy): row for ix, iy, row in window.tiles}
+        around = sorted({(ix + dx, iy + dy) for ix, iy in rows for dx, dy in _AROUND})
+        tiles = dict(zip(around, self._workers.map(lambda name: self._world.far_tile(*name), around), strict=True))
+        self._measure(tiles.values())
+        missing = [name for name in rows if name not in self._blocks]
         made = self._workers.map(lambda name: self._block(tiles, *name), missing)
         self._blocks |= dict(zip(missing, made, strict=True))
-        self._blocks = {name: self._blocks[name] for name in wanted.values()}
-        rows = {(ix, iy): row for ix, iy, row in window.tiles}
-        blocks = {place: self._blocks[name] for place, name in wanted.items()}
-        return _joined(window, tiles, blocks, rows, self._cosine, self._world)
+        self._blocks = {name: self._blocks[name] for name in rows}
+        return _joined(window, tiles, self._blocks, rows, self._cosine, self._world)
 
-    def _block(self, tiles: dict[tuple[int, int], FarTile], ix: int, iy: int, around: int) -> Block:
+    def _block(self, tiles: dict[tuple[int, int], FarTile], ix: int, iy: int) -> Block:
         """Make the block of a tile, or take it from the store."""
         assert self._library is not None
         library, place, names, world = self._library, self._place, self._names, self._world.name
         return recalled(
-            world and f"{world} block {ix} {iy} {around}",
+            world and f"{world} block {ix} {iy}",
             lambda: block_of(library, place, tiles, ix, iy),
             lambda block: packed_block(block, library, names),
             lambda bundle: unpacked_block(bundle, library, dict(zip(names, range(len(names)), strict=True))),
         )
 
-    def _measure(self, window: Window) -> None:
-        """Measure the shapes of a window that are new."""
-        assert window.far is not None
-        first: dict[int, int] = {}
-        for at in np.flatnonzero(window.far)[::-1].tolist():
-            first[int(window.shape[at])] = at
-        tile_shapes = {int(s) for s in window.shape[_tile_places(window)]}
-        new = {window.shapes[s]: at for s, at in sorted(first.items()) if s not in tile_shapes and window.shapes[s] not in self._clouds}
-        if not new:
+    def _measure(self, tiles: Iterable[FarTile]) -> None:
+        """Measure the shapes of tiles that are new."""
+        new = dict[ShapeKey, NDArray[np.uint8]]()
+        for tile in tiles:
+            for number, key in enumerate(tile.keys):
+                if key not in self._clouds:
+                    new[key] = tile.part[tile.first_part[number] : tile.first_part[number + 1]]
+        if not new and self._library:
             return
 
-        begins = np.append(np.unique(window.first_surface), len(window.surfaces))
-
-        def measured(name: tuple[ShapeKey, int]) -> Cloud:
-            """Measure a shape, whose parts are those of the placement."""
-            row = int(window.first_surface[name[1]])
-            end = int(begins[np.searchsorted(begins, row, side="right")])
-            return recalled_cloud(self._world, name[0], window.surfaces["part"][row:end])
+        def measured(named: tuple[ShapeKey, NDArray[np.uint8]]) -> Cloud:
+            """Measure a shape of some parts."""
+            return recalled_cloud(self._world, *named)
 
         self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
         self._place = {key: number for number, key in enumerate(self._clouds)}
         self._names = [self._world.shape_name(key) for key in self._clouds]
-        self._library = Library.of(list(self._clouds.values()))
-        self._cosine = np.concatenate([cloud.cosine for cloud in self._clouds.values()])
+        clouds = list(self._clouds.values())
+        self._library = Library.of(clouds)
+        self._cosine = np.concatenate([NO_MEDIUM.cosine, *(cloud.cosine for cloud in clouds)])
 
 
 def _tile_places(window: Window) -> NDArray[np.int64]:
     """Placements of the tiles' own shapes: those of each tile's first surface."""
     rows = np.array([row for _, _, row in window.tiles], np.uint32)
     return np.flatnonzero(np.isin(window.first_surface, rows) & window.far)
-
-
-def _around(tiles: Mapping[tuple[int, int], FarTile], ix: int, iy: int) -> int:
-    """Which of the tiles around one are there, a bit each."""
-    here = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
-    return sum(1 << bit for bit, (dx, dy) in enumerate(here) if (ix + dx, iy + dy) in tiles)
 
 
 def _joined(
@@ -177,7 +166,7 @@ def _joined(
         ground_m[i * BRICK : i * BRICK + COLUMNS + 1, j * BRICK : j * BRICK + COLUMNS + 1] = (
             tiles[ix, iy].ground_m[1:-1, 1:-1] - window.origin_m[2]
         )
-        base = np.array([rows.get((ix + dx, iy + dy), 0) for dx in (-1, 0, 1) for dy in (-1, 0, 1)], np.uint32)
+        base = np.array([rows.get((ix + dx, iy + dy), 0) for dx, dy in _AROUND], np.uint32)
         surface = base[block.owner_tile] + block.owner_row
         voxel.append(_above(block.first_owner + np.uint32(owners), 32) | block.record)
         owner.append(_above(block.owner_share, 56) | _above(block.owner_law, 32) | surface)
@@ -218,8 +207,8 @@ def _stems(
     size: tuple[int, ...],
 ) -> Stems:
     """Stems of a window and where they are."""
-    stems = np.concatenate([np.zeros(0, STEM), *(tile.stems for tile in tiles.values())])
-    base = np.repeat([rows[place] for place in tiles], [len(tile.stems) for tile in tiles.values()]).astype(np.uint32)
+    stems = np.concatenate([np.zeros(0, STEM), *(tiles[place].stems for place in rows)])
+    base = np.repeat(list(rows.values()), [len(tiles[place].stems) for place in rows]).astype(np.uint32)
     first, of = _columns(stem_lines(stems, window.origin_m + [*corner_m[:2], 0.0]), BRICK * size[0], BRICK * size[1])
     foot_m = stems["foot_m"] - window.origin_m
     profile = np.stack([stems["along_m"], stems["radius_m"]], axis=1)

@@ -5,31 +5,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.raycast.build import Shape, shape_of
 from vlp16emu.raycast.medium import Block, Cloud, Library, cloud_of
 from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import ShapeKey, World
 
-__all__ = [
-    "packed_block",
-    "recalled_cloud",
-    "recalled_shape",
-    "shape_file",
-    "unpacked_block",
-    "unpacked_shape",
-]
-
-
-def shape_file(world: World, key: ShapeKey) -> str:
-    """Name under which the store has the faces of a shape; empty where it is not kept."""
-    name = world.shape_name(key)
-    return name and f"faces {name}"
+__all__ = ["packed_block", "recalled_cloud", "recalled_shape", "unpacked_block"]
 
 
 def recalled_shape(world: World, key: ShapeKey) -> Shape:
     """Faces of a shape, grown where no store has them."""
-    return recalled(shape_file(world, key), lambda: shape_of(world.shape(key)), _packed_shape, unpacked_shape)
+    name = world.shape_name(key)
+    return recalled(name and f"faces {name}", lambda: shape_of(world.shape(key)), _packed_shape, _unpacked_shape)
 
 
 def _packed_shape(shape: Shape) -> Bundle:
@@ -38,14 +27,14 @@ def _packed_shape(shape: Shape) -> Bundle:
     return {"radius_m": np.array(shape.radius_m), **named}
 
 
-def unpacked_shape(bundle: Bundle) -> Shape:
+def _unpacked_shape(bundle: Bundle) -> Shape:
     """Take faces out of arrays."""
     meshes = len(bundle) // 2
     faces = tuple((bundle[f"{i} 0"], bundle[f"{i} 1"]) for i in range(meshes))
     return Shape(faces, float(bundle["radius_m"]))  # type: ignore[arg-type]  # as they were put there
 
 
-def recalled_cloud(world: World, key: ShapeKey, parts: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> Cloud:
+def recalled_cloud(world: World, key: ShapeKey, parts: NDArray[np.uint8]) -> Cloud:
     """Measure a shape, of `PlantPart`s (meshes,), where no store has it."""
     name = world.shape_name(key)
     return recalled(

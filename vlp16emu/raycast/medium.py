@@ -306,16 +306,14 @@ def block_of(library: Library, shape_of: dict[object, int], near: dict[tuple[int
     Parameters
     ----------
     shape_of : place in the library by shape
-    near : tiles that are there, at least (ix, iy) itself, of which the eight around it may reach into it
+    near : tiles, at least (ix, iy) itself and the eight around it, which may reach into it
     """
     here = near[ix, iy]
     placed, corner_m = list[tuple[NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.int64]]](), here.corner_m
     stems = []
     for dx in (-1, 0, 1):
         for dy in (-1, 0, 1):
-            tile = near.get((ix + dx, iy + dy))
-            if tile is None:
-                continue
+            tile = near[ix + dx, iy + dy]
             which = np.array([shape_of[key] for key in tile.keys], np.int64)[tile.shape] if len(tile.shape) else np.zeros(0, np.int64)
             world_T = tile.world_T_shape
             at_m = world_T[:, :, 3] - corner_m
@@ -563,8 +561,10 @@ def _pack(head, flags, node, area, used):
     nx, ny, nz = head.shape[0] // BRICK, head.shape[1] // BRICK, head.shape[2] // BRICK
     mask, first = np.zeros((nx, ny, nz), np.uint64), np.zeros((nx, ny, nz), np.uint32)
     full = 0
-    for at in range(head.size):
-        full += head.flat[at] >= 0 or flags.flat[at] != 0
+    for i in range(head.shape[0]):
+        for j in range(head.shape[1]):
+            for k in range(head.shape[2]):
+                full += head[i, j, k] >= 0 or flags[i, j, k] != 0
     record, first_owner = np.empty(full, np.uint32), np.empty(full, np.uint32)
     owner_tile, owner_row = np.empty(used, np.uint8), np.empty(used, np.uint32)
     owner_law, owner_share = np.empty(used, np.uint32), np.empty(used, np.uint8)

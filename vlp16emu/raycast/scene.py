@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from vlp16emu.raycast import embree as rtc
 from vlp16emu.raycast.beam import LINE, BeamModel, Footprint, across_of, displace
 from vlp16emu.raycast.build import Motion, Solid, motion_of, placed
-from vlp16emu.raycast.early import EARLY, LARGE
 from vlp16emu.raycast.far import NO_MEDIUM, STRAY_M, Far
 from vlp16emu.raycast.geometry import normal_matrices, relative_to_window
-from vlp16emu.raycast.kept import recalled_shape, shape_file
+from vlp16emu.raycast.kept import recalled_shape
 from vlp16emu.raycast.kernel import PACKET, Light, Target, Wish, cast_lines, cast_pulses
 from vlp16emu.raycast.march import Medium
 from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
@@ -142,7 +141,6 @@ class EmbreeCaster:
             is_near[window.far] = self._far.is_near(window)
             is_near[~window.far] = self._reached(*beyond)
             near = self._built(_part(window, is_near))
-            self._remember(*near)
             return EmbreeScene(near, beyond if beyond[1] else None, medium)
 
     def _reached(self, window: Window, solids: Sequence[Solid]) -> NDArray[np.bool_]:
@@ -162,15 +160,8 @@ class EmbreeCaster:
         return window, [solids[which] for which in window.shape.tolist()]
 
     def _solid(self, key: ShapeKey) -> Solid:
-        """Grow a shape and build it, unless that is done already."""
-        name = shape_file(self._world, key)
-        return (name and EARLY.take(name)) or Solid(recalled_shape(self._world, key))
-
-    def _remember(self, window: Window, solids: Sequence[Solid]) -> None:
-        """Leave the names of large shapes for the start of the next run."""
-        of = {window.shapes[which]: solid for which, solid in zip(window.shape.tolist(), solids, strict=True)}
-        size = {shape_file(self._world, key): sum(len(quads) for _, quads in solid.faces) for key, solid in of.items()}
-        EARLY.remember(sorted((name for name in size if name and size[name] >= LARGE), key=lambda name: -size[name]))
+        """Grow a shape and build it."""
+        return Solid(recalled_shape(self._world, key))
 
 
 def _part(window: Window, keep: NDArray[np.bool_]) -> Window:

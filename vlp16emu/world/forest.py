@@ -45,7 +45,10 @@ far from `_NUMBERS_PER_TILE`."""
 _TILES_IN_GROWTH = 16
 """Tiles whose stems are grown together, kept until all of them are taken: more than are in growth at once."""
 
-_ASIDE_M = 2 * TILE_M
+_OVERHANG_M = 10.0
+"""How far crowns reach beyond the tile of their stem at most."""
+
+_ASIDE_M = 4 * TILE_M
 """How far a sensor may stray from the path and still see numbered trees only."""
 
 
@@ -163,7 +166,8 @@ class Forest:
         GeometryError
             where the track leaves the surroundings of the path
         """
-        names, index_of = tiles_within(track_m[:, :2], self._reach_m).tolist(), dict[ShapeKey, int]()
+        names = tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()
+        index_of = dict[ShapeKey, int]()
         tiles = [self._tile(ix, iy) for ix, iy in names]
         shape, first_surface, begins, rows = [], [], [], 0
         for tile in tiles:
@@ -200,6 +204,10 @@ class Forest:
         x, y = np.meshgrid(origin_m[0] + edge_m, origin_m[1] + edge_m, indexing="ij")
         own = np.flatnonzero(tile.far)[1:]  # the first is the tile's own shape
         keys, shape = distinct([tile.keys[which] for which in tile.shape[own].tolist()])
+        begins, rows = np.append(np.unique(tile.first_surface), len(tile.surfaces)), tile.first_surface[own]
+        some = rows[np.unique(shape, return_index=True)[1]]  # of each shape a placement, whose parts end where another's begin
+        ends = begins[np.searchsorted(begins, some, side="right")]
+        parts = [tile.surfaces["part"][row:end] for row, end in zip(some, ends, strict=True)]
         trees = self._trees(ix, iy)
         return FarTile(
             corner_m=corner_m,
@@ -207,6 +215,8 @@ class Forest:
             shape=shape,
             world_T_shape=tile.world_T_shape[own],
             first_surface=tile.first_surface[own],
+            first_part=np.cumsum([0, *map(len, parts)]),
+            part=np.concatenate([np.zeros(0, np.uint8), *parts]),
             stems=far_stems(trees[:0] if self._loose_stems else trees, 1, table=self.plants.trees),
             ground_m=self.height_m(x, y),
         )
