@@ -1,5 +1,6 @@
 """A small window with every difficulty: triangles and quads, scaled and turned shapes, far from the origin."""
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -90,6 +91,11 @@ def upright(*rectangles, reflectance=0.5):
     return window, lambda _key: meshes
 
 
+def world(shape, near_m=math.inf, far_tile=None, seed=0):
+    """What a caster needs of a world: shapes, and, where it has a medium, tiles."""
+    return SimpleNamespace(shape=shape, near_m=near_m, far_tile=far_tile, seed=seed)
+
+
 @pytest.fixture(scope="session")
 def lab():
     """What tests of casters share."""
@@ -100,6 +106,7 @@ def lab():
         beam=beam,
         level_pulses=level_pulses,
         upright=upright,
+        world=world,
         near_m=NEAR_M,
         far_m=FAR_M,
         utm_m=UTM_M,
