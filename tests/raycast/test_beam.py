@@ -44,7 +44,7 @@ def test_means_over_any_first_sub_rays_are_nearer_than_random_ones(lab, rays, ti
     assert times_better_on_an_edge(unit_points(lab, 3000, rays)) > times
 
 
-@pytest.mark.parametrize(("rays", "times"), [(8, 2.0), (16, 2.0), (32, 2.4), (64, 3.0)])
+@pytest.mark.parametrize(("rays", "times"), [(8, 2.2), (16, 2.4), (32, 2.8), (64, 3.3)])
 def test_support_points_give_the_share_beyond_an_edge(lab, rays, times):
     """Rounds of an adaptive beam give the share beyond a straight edge with a fraction of the error of random points."""
     assert times_better_on_an_edge(unit_points(lab, 3000, rays, model="adaptive")) > times
@@ -52,11 +52,16 @@ def test_support_points_give_the_share_beyond_an_edge(lab, rays, times):
 
 @pytest.mark.parametrize("rays", [8, 16, 24, 32, 40, 48, 56, 64])
 def test_rounds_of_support_points_have_no_bias(lab, rays):
-    """After every round the mean of a pulse's sub-rays is the middle of its light, and the second moment that of a Gaussian."""
+    """After every round the mean of a pulse's sub-rays is the middle of its light to 1/50 of its standard deviation."""
     points = unit_points(lab, 500, rays, model="adaptive")
-    assert np.abs(points.mean(axis=1)).max() < 0.02
-    square = (points**2).mean(axis=1)
-    assert np.abs(square.mean(axis=0) - 1).max() < 0.2
+    assert np.abs(points.mean(axis=1)).max() < (1e-4 if rays == 8 else 0.02)
+
+
+def test_support_points_are_narrower_than_the_profile(lab):
+    """Support points lie inside: the variance of 8 is 0.775 of the Gaussian's, of 64 it is 0.956."""
+    for rays, variance in ((8, 0.775), (64, 0.956)):
+        points = unit_points(lab, 500, rays, model="adaptive")
+        assert (points**2).mean() == pytest.approx(variance, abs=0.002)
 
 
 def energy_distance(points):
@@ -127,7 +132,7 @@ def test_the_beam_is_as_wide_as_said(lab, distance_m):
     firings = lab.pulses(64)
     laid = sub_rays(firings, lab.beam("fixed"), lab.utm_m, 0, 64)
     origin_m, direction = (array.astype(float) for array in laid)
-    assert np.abs(np.linalg.norm(direction, axis=-1) - 1).max() < 2e-7
+    assert np.abs(np.linalg.norm(direction, axis=-1) - 1).max() < 3e-7
     # Where sub-rays pierce the plane square to the beam at that distance.
     along = np.einsum("klsa,kla->kls", direction, firings.direction)
     offset_m = origin_m + lab.utm_m - firings.origin_m[:, :, None] + direction * (distance_m / along)[..., None]

@@ -72,8 +72,8 @@ def test_threads_that_ask_at_once_get_one_device(monkeypatch):
 def test_what_fails_on_a_worker_is_raised_there(lab, workers, monkeypatch):
     """Embree reports an error only to the thread on which it happened; there it is asked for, and the run ends."""
     _, shape = lab.upright((10.0, -1.0, 1.0, -1.0, 1.0))
-    monkeypatch.setattr(embree, "GEOMETRY_QUAD", 99)
-    with pytest.raises(RunError, match=r"^Embree could not build a shape: invalid argument$"):
+    monkeypatch.setattr(embree, "BUFFER_INDEX", 99)
+    with pytest.raises(RunError, match=r"^Embree could not build a shape: invalid operation$"):
         workers.submit(Solid, shape("all")).result()
     monkeypatch.undo()
     workers.submit(Solid, shape("all")).result()

@@ -63,10 +63,11 @@ def test_without_spot_and_divergence_the_hole_is_sharp(lab, workers, model):
 
 
 def test_an_adaptive_beam_sees_the_hole_too(lab, workers):
-    """Sub-rays of an adaptive beam see the wall only where its profile passes the hole, and there nearly as often."""
+    """Sub-rays of an adaptive beam see the wall only where its profile passes the hole, all in all as often as they should."""
     firings = lab.level_pulses(np.repeat([*OFFSETS_M, 0.2], PULSES))
     hits = scene(lab, workers).cast(firings, np.array([0.04]), 100.0, lab.beam("adaptive", rays=8))
     assert (hits.count == 8).all()
     behind = (hits.range_m > (PLATE_M + WALL_M) / 2).reshape(len(OFFSETS_M) + 1, PULSES, 8).mean(2)
-    assert (np.abs(behind.mean(1)[:-1] - expected()) < 0.35 * expected().max()).all()
+    assert behind[:-1].mean() == pytest.approx(expected().mean(), rel=0.1)
+    assert (np.abs(behind.mean(1)[:-1] - expected()) < 0.08).all()  # eight points have gaps
     assert (behind[-1] == 0).all()
