@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast.march import Ground, Medium, Owners, Stems
 from vlp16emu.raycast.medium import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M, Block, Cloud, Library, block_of, cloud_of, stem_beside, stem_columns, stem_lines
-from vlp16emu.types import STEM, FarTile, ShapeKey, Window, World
+from vlp16emu.types import STEM, FarTile, Mesh, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.tiles import TILE_M
 
@@ -22,6 +22,8 @@ _BRICKS = COLUMNS // BRICK
 _BRICK_M = BRICK * VOXEL_M
 _NO_GROUND_M = np.float32(-1e6)
 _FARTHEST = 255
+_NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))], np.zeros(1, np.uint8))
+"""Of a library before anything is measured: where only stems and ground are far."""
 
 
 def _no_medium() -> Medium:
@@ -65,7 +67,7 @@ class Far:
         self._world, self._workers = world, workers
         self._clouds = dict[ShapeKey, Cloud]()
         self._place = dict[object, int]()
-        self._library: Library | None = None
+        self._library = Library.of([_NO_CLOUD])
         self._cosine = np.zeros((0, len(KNOTS), QUANTILES), np.float32)
         self._blocks = dict[tuple[int, int, int], Block]()
 
@@ -91,7 +93,6 @@ class Far:
         tiles = {(ix, iy): self._world.far_tile(ix, iy) for ix, iy, _ in window.tiles}
         wanted = {(ix, iy): (ix, iy, _around(tiles, ix, iy)) for ix, iy in tiles}
         missing = [name for name in wanted.values() if name not in self._blocks]
-        assert self._library is not None
         made = self._workers.map(lambda name: block_of(self._library, self._place, tiles, *name[:2]), missing)
         self._blocks |= dict(zip(missing, made, strict=True))
         self._blocks = {name: self._blocks[name] for name in wanted.values()}
