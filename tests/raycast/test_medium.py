@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy.ndimage import distance_transform_cdt
 from vlp16emu.raycast import march as room
 from vlp16emu.raycast.far import NO_MEDIUM, Far, _fill_gaps
 from vlp16emu.raycast.march import Owners, lanes, march
-from vlp16emu.raycast.medium import BRICK, COLUMNS, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M, Library, block_of, cloud_of
+from vlp16emu.raycast.medium import COLUMNS, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M, Library, block_of, cloud_of
 from vlp16emu.types import NO_SURFACE, Mesh, PlantPart
 
 PARTS = np.array([PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF], "u1")
@@ -123,7 +124,7 @@ def test_owners_have_their_shares(blocks):
     world, library, tiles, made = blocks
     block = made[0, 0]
     ends = np.append(block.first_owner[1:], len(block.owner_row))
-    area_of = dict.fromkeys(range(-1, 10**6), 0.0) if False else {}
+    area_of = {}
     for at, (begin, end) in enumerate(zip(block.first_owner.tolist(), ends.tolist(), strict=True)):
         code = int(block.record[at])
         assert (code & 127 > 0) == (end > begin)
@@ -299,16 +300,12 @@ class Slab:
         return (self._mesh,) if key == "slab" else self._bare.shape(key)
 
     def far_tile(self, ix, iy):
-        from dataclasses import replace
-
         tile, place = self._bare.far_tile(ix, iy), np.column_stack([np.eye(3), [2.0, 2.0, 4.0]])[None]
         return replace(
             tile, keys=("slab",), shape=np.zeros(1, np.int64), world_T_shape=place, first_surface=np.ones(1, np.int64)
         )
 
     def window(self, track_m):
-        from dataclasses import replace
-
         bare = self._bare.window(track_m, tiles=[(0, 0)])
         surfaces = np.concatenate([bare.surfaces, bare.surfaces])
         surfaces["part"][1] = PlantPart.LEAF
@@ -346,4 +343,3 @@ def test_light_is_let_through_as_by_random_leaves(lab, workers, lad, elevation_d
     error = through.std() / np.sqrt(n)
     depth = -math.log(through.mean())
     assert depth == pytest.approx(lad / 2 * way_m, abs=3 * error / through.mean(), rel=0.04)
-    assert BRICK * VOXEL_M == 2.0
