@@ -98,7 +98,9 @@ def taken_at_once(name: str, tree: ast.Module) -> set[str]:
         for full in imports(node) if isinstance(node, ast.Import | ast.ImportFrom) else ():
             parts = full.split(".")
             paths = ["/".join(stem[1:]) for stem in (parts, parts[:-1])]
-            files = [file for path in paths for file in (f"{path}.py", f"{path}/__init__.py") if file in NAMES]
+            files = [
+                file for path in paths for file in (f"{path}.py", f"{path}/__init__.py") if file in NAMES
+            ]
             taken |= set(files[:1])
     return taken - {name}
 

@@ -132,7 +132,11 @@ def crown(leaves=1500, twigs=40):
     def ball(count):
         """Points evenly in it."""
         at_m = rng.normal(size=(count, 3))
-        return 2 * at_m / np.linalg.norm(at_m, axis=1)[:, None] * rng.random((count, 1)) ** (1 / 3) + [0, 0, 3]
+        return 2 * at_m / np.linalg.norm(at_m, axis=1)[:, None] * rng.random((count, 1)) ** (1 / 3) + [
+            0,
+            0,
+            3,
+        ]
 
     u, v = (rng.normal(size=(leaves, 3)) for _ in range(2))
     v -= (u * v).sum(1)[:, None] / (u * u).sum(1)[:, None] * u
@@ -140,10 +144,8 @@ def crown(leaves=1500, twigs=40):
     middle_m = ball(leaves)
     corners_m = np.stack([middle_m - u - v, middle_m + u - v, middle_m + u + v, middle_m - u + v], axis=1)
     leaf = Mesh(corners_m.reshape(-1, 3).astype("f4"), np.arange(4 * leaves, dtype="u4").reshape(-1, 4))
-    rings = []
-    for at_m in ball(twigs):
-        rings.append(at_m + [[0.0, 0.0, 0.0], [0.5, 0.1, 0.2]])
-    rings_m = np.array(rings)[:, :, None] + 0.02 * _circle()
+    rings_m = ball(twigs)[:, None] + [[0.0, 0.0, 0.0], [0.5, 0.1, 0.2]]
+    rings_m = rings_m[:, :, None] + 0.02 * _circle()
     vertices_m = rings_m.reshape(-1, 3).astype("f4")
     faces = np.concatenate([2 * SIDES * n + fan(2) for n in range(twigs)]).astype("u4")
     return Mesh(vertices_m, faces), leaf
@@ -158,7 +160,17 @@ def _circle():
 def stone():
     """A block of 12 triangles."""
     corners_m = np.array([[x, y, z] for x in (-0.4, 0.4) for y in (-0.3, 0.3) for z in (0.0, 0.5)], "f4")
-    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6]]
+    faces = [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+    ]
     faces += [[0, 6, 4], [1, 5, 7], [1, 7, 3]]
     return (Mesh(corners_m, np.array(faces, "u4")),)
 

@@ -99,7 +99,9 @@ def test_rays_go_where_the_footprint_is_split(lab, walls):
     y_m = np.linspace(-0.04, 0.04, 64)
     count = walls.cast(lab.level_pulses(y_m), np.zeros(1), 100.0, lab.beam("adaptive")).count[:, 0]
     assert (count % ROUND == 0).all()
-    assert (count[np.abs(y_m) > 0.016] == ROUND).all()  # 1.5 standard deviations: where the outermost sub-ray lies
+    assert (
+        count[np.abs(y_m) > 0.016] == ROUND
+    ).all()  # 1.5 standard deviations: where the outermost sub-ray lies
     assert (count[np.abs(y_m) < 0.016] > ROUND).sum() > 3
 
 

@@ -135,7 +135,9 @@ def test_the_beam_is_as_wide_as_said(lab, distance_m):
     assert np.abs(np.linalg.norm(direction, axis=-1) - 1).max() < 3e-7
     # Where sub-rays pierce the plane square to the beam at that distance.
     along = np.einsum("klsa,kla->kls", direction, firings.direction)
-    offset_m = origin_m + lab.utm_m - firings.origin_m[:, :, None] + direction * (distance_m / along)[..., None]
+    offset_m = (
+        origin_m + lab.utm_m - firings.origin_m[:, :, None] + direction * (distance_m / along)[..., None]
+    )
     up = np.cross(firings.direction, firings.across)
     for axis, width_m in (
         (firings.across, 0.0127 + 0.003 * distance_m),

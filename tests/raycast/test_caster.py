@@ -14,9 +14,9 @@ import pytest
 import vlp16emu.raycast as room
 from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree
-from vlp16emu.raycast.scene import EmbreeCaster
 from vlp16emu.raycast.build import Solid, placed
 from vlp16emu.raycast.embree import EmbreeMissingError, library_path
+from vlp16emu.raycast.scene import EmbreeCaster
 from vlp16emu.raycast.slow import PlainCaster
 
 TASKS = Path("/proc/self/task")

@@ -98,7 +98,8 @@ def test_building_is_repeatable(lab, workers):
     """Two builds of the same window, on any thread, give the same bits."""
     window, firings = lab.placed(30), lab.pulses(320)
     first, second = (
-        EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m) for _ in range(2)
+        EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m)
+        for _ in range(2)
     )
     assert (first.range_m == second.range_m).all()
     assert (first.surface == second.surface).all()
@@ -152,7 +153,11 @@ def test_light_begins_at_the_lens_and_ends_at_its_reach(lab, workers):
 
 def test_empty_window_is_all_sky(lab, workers):
     """Nothing placed, nothing hit."""
-    hits = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(0)).cast(lab.pulses(8), lab.near_m, lab.far_m)
+    hits = (
+        EmbreeCaster(lab.world(lab.soup), workers)
+        .open(lab.placed(0))
+        .cast(lab.pulses(8), lab.near_m, lab.far_m)
+    )
     assert np.isinf(hits.range_m).all()
     assert (hits.surface == NO_SURFACE).all()
 

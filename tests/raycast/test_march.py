@@ -66,7 +66,7 @@ class Twin:
             word, bit = int(M.mask[place]), 16 * (x & 3) + 4 * (y & 3) + (z & 3)
             if not word >> bit & 1:
                 continue
-            at = int(M.first[place]) + bin(word & (1 << bit) - 1).count("1")
+            at = int(M.first[place]) + (word & (1 << bit) - 1).bit_count()
             code = int(M.record[at])
             tau = np.interp(up, KNOTS, TAU_PER_M[[code & 127, code >> 7 & 127, code >> 14 & 127]])
             if code & (1 << 21) - 1 == 0:

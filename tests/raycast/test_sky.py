@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vlp16emu.raycast import caster
-from vlp16emu.raycast.slow import PlainCaster
 from vlp16emu.raycast.sky import sky_cover
+from vlp16emu.raycast.slow import PlainCaster
 from vlp16emu.types import SURFACE, Mesh, Window
 
 AT_M = np.array([432_100.0, 6_901_234.0, 87.0])
