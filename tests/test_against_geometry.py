@@ -9,8 +9,7 @@ from vlp16emu.fidelity.answer import apart_m, joined
 from vlp16emu.fidelity.bench import Bench
 from vlp16emu.fidelity.sample import Group
 from vlp16emu.fidelity.settings import lights
-from vlp16emu.raycast import LINE
-from vlp16emu.raycast.slow import cast_slowly
+from vlp16emu.raycast.slow import SlowScene
 from vlp16emu.report.accuracy import compare, errors_of
 from vlp16emu.scenario import load
 
@@ -82,19 +81,16 @@ def test_every_thing_in_the_hall_is_seen(sweep):
         assert np.quantile(error_m, 0.98) < 1e-3
 
 
-class ExactHall:
+class ExactHall(SlowScene):
     """The hall without triangles: closed formulas in float64, as a scene that can be cast against."""
 
     def __init__(self, scenario):
+        super().__init__(assemble(scenario).world.window(np.zeros((1, 3))))
         self._world = scenario.world
-        self.surfaces = assemble(scenario).world.window(np.zeros((1, 3))).surfaces
 
-    def cast(self, firings, near_m, _far_m, beam=LINE):
-        """Cast pulses as `EmbreeScene.cast` does; nothing in the hall is out of reach."""
-        return cast_slowly(self._rays, firings, near_m, beam, self.surfaces)
-
-    def _rays(self, o, d, *_):
-        world = self._world
+    def _rays(self, origin_m, d, *_):
+        """Cast rays; nothing in the hall is out of reach."""
+        world, o = self._world, origin_m + self._origin_m
         half, high = np.array([world.length_m / 2, world.width_m / 2]), world.height_m
         n = len(o)
         ranges, cosines = [to_box_inside(o, d, half, 0.0, high)], []

@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -10,40 +11,29 @@ PACKAGE = Path(__file__).resolve().parents[1] / "vlp16emu"
 FILES = sorted(PACKAGE.rglob("*.py"))
 NAMES = [str(path.relative_to(PACKAGE)) for path in FILES]
 
-ROOMS = {
-    "cli",
-    "device",
-    "motion",
-    "packets",
-    "raycast",
-    "report",
-    "returns",
-    "scenario",
-    "sensor",
-    "sinks",
-    "world",
-}
-FOUNDATIONS = {"errors", "random", "store", "trig", "types", "units"}
-WIRING = {
-    "__main__",
-    "assembly",
-    "compiled",
-    "emulator",
-    "fidelity",
-    "pipeline",
-    "telemetry",
-    "truth",
-}  # they know all rooms, no room knows them
+FLOORS = (
+    {"__main__"},
+    {"cli"},
+    {"fidelity", "truth"},
+    {"emulator"},
+    {"telemetry"},
+    {"assembly"},
+    {"report", "sinks", "device", "scenario", "pipeline"},
+    {"packets"},
+    {"returns"},
+    {"raycast"},
+    {"sensor", "motion", "world"},
+    {"errors", "random", "store", "trig", "types", "units", "compiled"},
+)
+"""From the top. Imports run down, past any number of floors, never sideways; foundations may stand on each other."""
 
-ALLOWED = {
-    ("sinks/pcap.py", "packets.frames"): "a recording holds whole frames, headers and all",
-    ("sinks/udp.py", "packets.frames"): "ports and addresses of a sensor are stated once",
-    ("report/verify", "packets"): "the lint reads what it checks with the wire's own tables",
-}
+FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floor}
+FOUNDATIONS = FLOORS[-1]
+
 LIBRARIES = {
     # third-party or system module: where it may be imported
     "ctypes": ("raycast/embree", "sinks/timer_slack.py"),
-    "embreex": ("raycast/embree", "raycast/plain.py"),
+    "embreex": ("raycast/embree", "raycast/slow.py"),
     "serial": ("sinks/", "device/"),
     "socket": ("sinks/", "device/"),
     "typer": ("cli/",),
@@ -81,61 +71,73 @@ def public(body: list[ast.stmt]) -> Iterator[ast.ClassDef | ast.FunctionDef | as
                 yield from public(node.body)
 
 
-def is_allowed(name: str, target: str) -> bool:
-    return any(name.startswith(who) and f"{target}.".startswith(f"{what}.") for who, what in ALLOWED)
+def room_of(name: str) -> str:
+    """Folder of a file, or the module itself where it stands in none."""
+    return name.partition("/")[0].removesuffix(".py")
 
 
 def trespasses(name: str, tree: ast.AST) -> list[str]:
-    """List what a file imports of ours that it may not."""
-    room = name.partition("/")[0]
-    if room not in ROOMS or room == "cli":
+    """List what a file imports of ours that is on its own floor or above."""
+    room = room_of(name)
+    if room == "__init__":
         return []
     found = []
     for full in imports(tree):
-        target = full.removeprefix("vlp16emu.")
-        if (
-            target != full
-            and target.split(".")[0] not in FOUNDATIONS | {room}
-            and not is_allowed(name, target)
-        ):
+        target = full.removeprefix("vlp16emu.").split(".")[0]
+        if not full.startswith("vlp16emu.") or target == room or room in FOUNDATIONS >= {target}:
+            continue
+        if FLOOR_OF.get(target, 0) <= FLOOR_OF[room]:
             found.append(full)
     return found
 
 
-def test_every_folder_is_a_room_and_every_module_has_its_place():
-    """Nothing lives in the package but the rooms, the foundations and the wiring."""
-    folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
-    modules = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__"}
-    assert folders <= ROOMS | WIRING
-    assert FOUNDATIONS <= modules <= FOUNDATIONS | WIRING
+def taken_at_once(name: str, tree: ast.Module) -> set[str]:
+    """Modules of ours that a file imports as it is loaded, and not within a function."""
+    taken = set[str]()
+    for node in tree.body:
+        for full in imports(node) if isinstance(node, ast.Import | ast.ImportFrom) else ():
+            parts = full.split(".")
+            paths = ["/".join(stem[1:]) for stem in (parts, parts[:-1])]
+            files = [
+                file for path in paths for file in (f"{path}.py", f"{path}/__init__.py") if file in NAMES
+            ]
+            taken |= set(files[:1])
+    return taken - {name}
+
+
+def test_every_room_stands_on_one_floor():
+    """Each folder and each module of the package has its place, and every place is taken."""
+    there = {room_of(name) for name in NAMES} - {"__init__"}
+    assert there == set(FLOOR_OF)
+    assert sum(map(len, FLOORS)) == len(FLOOR_OF)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_room_does_not_import_its_neighbour(name):
-    """A room imports of ours only itself and the foundations; exceptions are listed above with their reason."""
+def test_arrows_run_down(name):
+    """A file imports of ours only its own room, rooms of lower floors and the foundations."""
     assert trespasses(name, parsed(PACKAGE / name)) == []
 
 
 def test_a_trespass_would_be_seen():
-    """The rule above catches an import of a neighbour, however it is written."""
+    """The rule above catches an import from above or from beside, however it is written."""
     for line in (
         "import vlp16emu.world.tree",
         "from vlp16emu.world import Forest",
         "from vlp16emu import world",
+        "from vlp16emu.raycast.beam import ROUND",
     ):
         assert trespasses("motion/walk.py", ast.parse(f"def f():\n    {line}")), line
-    assert trespasses("sinks/udp.py", ast.parse("from vlp16emu.packets.data import pack_data"))
+        assert trespasses("units.py", ast.parse(line)), line
+    assert not trespasses("raycast/far.py", ast.parse("from vlp16emu.world.tiles import TILE_M"))
     assert not trespasses("sinks/udp.py", ast.parse("from vlp16emu.packets.frames import HEADER"))
     assert not trespasses("motion/walk.py", ast.parse("from vlp16emu.motion.path import Path"))
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_foundations_stand_on_nothing_of_ours(name):
-    """A foundation imports only other foundations."""
-    if name.removesuffix(".py") not in FOUNDATIONS:
-        return
-    ours = {full.split(".")[1] for full in imports(parsed(PACKAGE / name)) if full.startswith("vlp16emu.")}
-    assert ours <= FOUNDATIONS
+def test_no_module_needs_itself():
+    """Between files there is no circle of imports."""
+    arrows = {name: taken_at_once(name, parsed(PACKAGE / name)) for name in NAMES}
+    assert sum(map(len, arrows.values())) > 300
+    list(TopologicalSorter(arrows).static_order())
 
 
 @pytest.mark.parametrize("name", NAMES)

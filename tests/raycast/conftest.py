@@ -1,5 +1,6 @@
 """A small window with every difficulty: triangles and quads, scaled and turned shapes, far from the origin."""
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -9,7 +10,8 @@ import pytest
 from vlp16emu.motion import Standing
 from vlp16emu.raycast import BeamModel, Footprint
 from vlp16emu.sensor import BEAM_TABLES, Clock, Head, Rotor
-from vlp16emu.types import SURFACE, Firings, Mesh, SensorModel, Window
+from vlp16emu.types import STEM, SURFACE, FarTile, Firings, Mesh, PlantPart, Semantic, SensorModel, Window
+from vlp16emu.world.tiles import TileKey, ground_mesh
 
 UTM_M = np.array([432_100.0, 6_901_234.0, 87.0])
 NEAR_M = BEAM_TABLES[SensorModel.VLP_16].near_m
@@ -90,6 +92,217 @@ def upright(*rectangles, reflectance=0.5):
     return window, lambda _key: meshes
 
 
+def world(shape, near_m=math.inf, far_tile=None, seed=0):
+    """What a caster needs of a world: shapes, and, where it has a medium, tiles."""
+    return SimpleNamespace(shape=shape, near_m=near_m, far_tile=far_tile, seed=seed)
+
+
+SIDES = 96
+"""Of the polygons that stand for circles."""
+
+
+def fan(rings):
+    """Walls of a pipe, triangles, between rings of `SIDES` vertices."""
+    here = np.arange(SIDES)
+    after, low = np.roll(here, -1), (np.arange(rings - 1) * SIDES)[:, None]
+    one = np.stack([low + here, low + after, low + SIDES + after], axis=-1).reshape(-1, 3)
+    other = np.stack([low + here, low + SIDES + after, low + SIDES + here], axis=-1).reshape(-1, 3)
+    return np.concatenate([one, other]).astype("u4")
+
+
+def stem_mesh(stem, corner_m):
+    """Flare and stem of a `STEM`, polygons of the circles' area."""
+    axis = stem["axis"]
+    one = np.cross(axis, [0.0, 1.0, 0.0])
+    one /= np.linalg.norm(one)
+    angle = 2 * np.pi / SIDES * np.arange(SIDES)
+    circle = np.cos(angle)[:, None] * one + np.sin(angle)[:, None] * np.cross(axis, one)
+    circle *= np.sqrt(2 * np.pi / SIDES / np.sin(2 * np.pi / SIDES))
+    at_m = stem["foot_m"] - corner_m + stem["along_m"][:, None] * axis
+    rings_m = (at_m[:, None] + stem["radius_m"][:, None, None] * circle).astype("f4")
+    top = int(np.flatnonzero(stem["along_m"] == stem["flare_m"])[0])
+    parts = rings_m[: top + 1], rings_m[top:]
+    return [Mesh(part.reshape(-1, 3), fan(len(part))) for part in parts]
+
+
+def crown(leaves=1500, twigs=40):
+    """Branches and leaves in a ball of 2 m about 3 m over the origin, more faces than are taken one by one."""
+    rng = np.random.default_rng(5)
+
+    def ball(count):
+        """Points evenly in it."""
+        at_m = rng.normal(size=(count, 3))
+        return 2 * at_m / np.linalg.norm(at_m, axis=1)[:, None] * rng.random((count, 1)) ** (1 / 3) + [
+            0,
+            0,
+            3,
+        ]
+
+    u, v = (rng.normal(size=(leaves, 3)) for _ in range(2))
+    v -= (u * v).sum(1)[:, None] / (u * u).sum(1)[:, None] * u
+    u, v = (0.06 * w / np.linalg.norm(w, axis=1)[:, None] for w in (u, v))
+    middle_m = ball(leaves)
+    corners_m = np.stack([middle_m - u - v, middle_m + u - v, middle_m + u + v, middle_m - u + v], axis=1)
+    leaf = Mesh(corners_m.reshape(-1, 3).astype("f4"), np.arange(4 * leaves, dtype="u4").reshape(-1, 4))
+    rings_m = ball(twigs)[:, None] + [[0.0, 0.0, 0.0], [0.5, 0.1, 0.2]]
+    rings_m = rings_m[:, :, None] + 0.02 * _circle()
+    vertices_m = rings_m.reshape(-1, 3).astype("f4")
+    faces = np.concatenate([2 * SIDES * n + fan(2) for n in range(twigs)]).astype("u4")
+    return Mesh(vertices_m, faces), leaf
+
+
+def _circle():
+    """Points of a unit circle across x."""
+    angle = 2 * np.pi / SIDES * np.arange(SIDES)
+    return np.column_stack([0 * angle, np.cos(angle), np.sin(angle)])
+
+
+def stone():
+    """A block of 12 triangles."""
+    corners_m = np.array([[x, y, z] for x in (-0.4, 0.4) for y in (-0.3, 0.3) for z in (0.0, 0.5)], "f4")
+    faces = [
+        [0, 1, 3],
+        [0, 3, 2],
+        [4, 6, 7],
+        [4, 7, 5],
+        [0, 4, 5],
+        [0, 5, 1],
+        [2, 3, 7],
+        [2, 7, 6],
+        [0, 2, 6],
+    ]
+    faces += [[0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    return (Mesh(corners_m, np.array(faces, "u4")),)
+
+
+def bumpy(x, y):
+    """Ground that slopes and waves."""
+    return 0.12 * x - 0.05 * y + 0.4 * np.sin(x / 3.1) * np.cos(y / 4.3) + 3.3
+
+
+class Tiles:
+    """Squares of ground with stems, crowns over some of them, and stones; a `World` that is a medium beyond `near_m`."""
+
+    def __init__(self, near_m=2.0, across=1, *, per_tile=4, things=True, height_m=bumpy, seed=99):
+        self.near_m, self.seed, self.height_m, self.across = near_m, seed, height_m, across
+        self._kept, self._per_tile, self._things = {}, per_tile, things
+        self._shapes = {"crown": crown(), "stone": stone()}
+
+    def tile(self, ix, iy):
+        """Stems, placements of crowns and stones as (key, 3 x 4), and surfaces of a tile."""
+        if (ix, iy) in self._kept:
+            return self._kept[ix, iy]
+        rng = np.random.default_rng([ix + 1000, iy + 1000])
+        stems, placed = np.zeros(self._per_tile, STEM), []
+        for n, stem in enumerate(stems):
+            x, y = 20 * ix + rng.uniform(0, 20), 20 * iy + rng.uniform(0, 20)
+            axis = np.array([*rng.normal(0, 0.06, 2), 1.0])
+            stem["foot_m"], stem["axis"] = [x, y, self.height_m(x, y)], axis / np.linalg.norm(axis)
+            high_m, dbh_m = rng.uniform(8, 14), rng.uniform(0.15, 0.5)
+            stem["along_m"] = np.concatenate([[-0.6, 0.0, 0.4], np.linspace(1.0, high_m, 13)])
+            stem["radius_m"] = dbh_m / 2 * np.clip((high_m - stem["along_m"]) / (high_m - 1.3), 0.0, 1.2)
+            stem["radius_m"][:2] *= [1.7, 1.3]
+            stem["flare_m"], stem["row"] = stem["along_m"][2], [1 + 2 * n, 2 + 2 * n]
+            if n % 2 == 0 and self._things:
+                turn, size = rng.uniform(0, 2 * np.pi), rng.uniform(0.8, 1.3)
+                c, s = size * np.cos(turn), size * np.sin(turn)
+                top_m = stem["foot_m"] + (high_m - 5.0) * stem["axis"]
+                placed.append(("crown", np.column_stack([[[c, -s, 0], [s, c, 0], [0, 0, size]], top_m])))
+        for _ in range(6 if self._things else 0):
+            x, y = 20 * ix + rng.uniform(0, 20), 20 * iy + rng.uniform(0, 20)
+            own = np.diag(rng.uniform(0.5, 2.0, 3))
+            placed.append(("stone", np.column_stack([own, [x, y, self.height_m(x, y) - 0.1]])))
+        rows = [(Semantic.GROUND, PlantPart.NONE)]
+        rows += [(Semantic.TREE, part) for _ in stems for part in (PlantPart.ROOT_FLARE, PlantPart.STEM)]
+        first = []
+        for key, _ in placed:
+            first.append(len(rows))
+            tree = [(Semantic.TREE, part) for part in (PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF)]
+            rows += tree if key == "crown" else [(Semantic.STONE, PlantPart.NONE)]
+        surfaces = np.zeros(len(rows), SURFACE)
+        surfaces["semantic"], surfaces["part"] = np.array(rows).T
+        surfaces["reflectance"] = 0.4
+        surfaces["instance"] = 1000 * (100 * (ix + 50) + iy + 50) + np.arange(len(rows))
+        self._kept[ix, iy] = stems, placed, np.array(first, np.int64), surfaces
+        return self._kept[ix, iy]
+
+    def corner_m(self, ix, iy):
+        """South-west corner, at an even metre near the ground."""
+        x, y = 20.0 * ix, 20.0 * iy
+        return np.array([x, y, 2.0 * np.round(self.height_m(x + 10, y + 10) / 2)])
+
+    def far_tile(self, ix, iy):
+        """Describe a tile from afar."""
+        stems, placed, first, _ = self.tile(ix, iy)
+        corner_m, keys = self.corner_m(ix, iy), ("crown", "stone")
+        edge_m = np.arange(-1, 42) * 0.5
+        x, y = np.meshgrid(corner_m[0] + edge_m, corner_m[1] + edge_m, indexing="ij")
+        return FarTile(
+            corner_m,
+            keys if placed else (),
+            np.array([keys.index(key) for key, _ in placed], np.int64),
+            np.array([place for _, place in placed]).reshape(-1, 3, 4),
+            first,
+            stems,
+            self.height_m(x, y),
+        )
+
+    def shape(self, key):
+        """Meshes of a tile, ground first, of a crown or of a stone."""
+        if key in self._shapes:
+            return self._shapes[key]
+        _, ix, iy = key
+        corner_m = np.array([20.0 * ix, 20.0 * iy, np.round(self.height_m(20.0 * ix + 10, 20.0 * iy + 10))])
+        ground = ground_mesh(TileKey(ix, iy), self.height_m)
+        return (ground, *(mesh for stem in self.tile(ix, iy)[0] for mesh in stem_mesh(stem, corner_m)))
+
+    def window(self, track_m, tiles=None):
+        """Some tiles, those about the middle if none are said."""
+        about = range(-self.across, self.across + 1)
+        tiles = [(ix, iy) for ix in about for iy in about] if tiles is None else tiles
+        shapes, shape, places, first, begins, rows, tables = {}, [], [], [], [], 0, []
+        for ix, iy in tiles:
+            _, placed, own, surfaces = self.tile(ix, iy)
+            low_m = np.round(self.height_m(20.0 * ix + 10, 20.0 * iy + 10))
+            here = np.column_stack([np.eye(3), [20.0 * ix, 20.0 * iy, low_m]])
+            for key, place in ((("tile", ix, iy), here), *placed):
+                shape.append(shapes.setdefault(key, len(shapes)))
+                places.append(place)
+            first += [rows, *(rows + own).tolist()]
+            begins.append((ix, iy, rows))
+            rows += len(surfaces)
+            tables.append(surfaces)
+        return Window(
+            origin_m=np.round(np.mean(track_m, axis=0)),
+            shapes=tuple(shapes),
+            shape=np.array(shape, "i4"),
+            world_T_shape=np.array(places),
+            first_surface=np.array(first, "u4"),
+            surfaces=np.concatenate(tables),
+            near=np.asarray(track_m),
+            tiles=tuple(begins),
+            far=np.ones(len(shape), np.bool_),
+        )
+
+
+def rays_as_firings(origin_m, direction, first=0):
+    """Firings (k, 1) of rays (k, 3), k a multiple of 8."""
+    k = len(origin_m)
+    zero = np.zeros((k, 1))
+    across = np.cross(direction, [0.0, 0.0, 1.0]) + 1e-9
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    return Firings(
+        first,
+        zero.astype("i8"),
+        np.zeros(k, "i8"),
+        zero,
+        np.zeros(k),
+        np.ascontiguousarray(origin_m[:, None], float),
+        np.ascontiguousarray(direction[:, None], float),
+        across[:, None],
+    )
+
+
 @pytest.fixture(scope="session")
 def lab():
     """What tests of casters share."""
@@ -100,6 +313,9 @@ def lab():
         beam=beam,
         level_pulses=level_pulses,
         upright=upright,
+        world=world,
+        tiles=Tiles,
+        rays=rays_as_firings,
         near_m=NEAR_M,
         far_m=FAR_M,
         utm_m=UTM_M,

@@ -5,11 +5,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from vlp16emu.raycast import LINE, adaptive
-from vlp16emu.raycast.embree import EmbreeCaster
-from vlp16emu.raycast.plain import PlainCaster
-from vlp16emu.raycast.reference import ReferenceCaster
-from vlp16emu.types import Semantic
+from vlp16emu.raycast import LINE
+from vlp16emu.raycast.scene import EmbreeCaster
+from vlp16emu.raycast.slow import PlainCaster, ReferenceCaster
 
 MODELS = ["none", "fixed", "adaptive", "angle", "offset"]
 
@@ -32,37 +30,23 @@ def assert_same(ours, other, *, range_m):
 def test_hits_are_those_of_the_slow_twin(lab, workers, model):
     """Sub-rays, rounds and displaced hits of the fast caster equal those of brute force in float64."""
     firings, beam = lab.pulses(8), lab.beam(model, rays=12)
-    fast = cast(EmbreeCaster(lab.soup, workers), lab, firings, beam)
+    fast = cast(EmbreeCaster(lab.world(lab.soup), workers), lab, firings, beam)
     slow = cast(ReferenceCaster(lab.soup), lab, firings, beam)
     assert_same(fast, slow, range_m=2e-5)
-
-
-def test_among_plants_hits_are_those_of_the_slow_twin(lab, workers, monkeypatch):
-    """Pulses that are judged to 0.57 m only get the rays and hits of the slow caster, which follows their middles at once."""
-    monkeypatch.setattr(adaptive, "_JUDGED_M", 0.57)
-    firings, beam, window = lab.pulses(8), lab.beam("adaptive", rays=12), lab.placed(30)
-    window.surfaces["semantic"] = Semantic.TREE
-    fast = EmbreeCaster(lab.soup, workers).open(window).cast(firings, lab.near_m, lab.far_m, beam)
-    slow = ReferenceCaster(lab.soup).open(window).cast(firings, lab.near_m, lab.far_m, beam)
-    assert_same(fast, slow, range_m=2e-5)
-    first = np.cumsum(fast.count) - fast.count.reshape(-1)
-    beyond = np.isfinite(fast.range_m[first]) & (fast.range_m[first] > 0.57)
-    assert 10 < beyond.sum() < 118
-    assert (fast.count.reshape(-1)[beyond] >= 8).all()
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_hits_are_those_of_the_plain_class(lab, workers, model):
     """The fallback casts the same sub-rays, and asks for the same number of them."""
     firings, beam = lab.pulses(320), lab.beam(model)
-    fast = cast(EmbreeCaster(lab.soup, workers), lab, firings, beam)
+    fast = cast(EmbreeCaster(lab.world(lab.soup), workers), lab, firings, beam)
     plain = cast(PlainCaster(lab.soup), lab, firings, beam)
     assert_same(fast, plain, range_m=1e-4)
 
 
 def test_a_line_is_the_default(lab, workers):
     """Without a word on the beam, each pulse is one ray along its middle."""
-    scene, firings = EmbreeCaster(lab.soup, workers).open(lab.placed(30)), lab.pulses(64)
+    scene, firings = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(30)), lab.pulses(64)
     plain, said = (scene.cast(firings, lab.near_m, lab.far_m, *beam) for beam in ((), (LINE,)))
     assert (plain.range_m == said.range_m).all()
     assert (plain.count == 1).all()
@@ -70,7 +54,7 @@ def test_a_line_is_the_default(lab, workers):
 
 def test_a_fixed_beam_is_the_same_in_pieces(lab, workers):
     """Sub-rays belong to firing numbers: cast in one go or by eights, the same bits."""
-    scene, beam = EmbreeCaster(lab.soup, workers).open(lab.placed(30)), lab.beam("fixed", rays=12)
+    scene, beam = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(30)), lab.beam("fixed", rays=12)
     whole = scene.cast(lab.pulses(32), lab.near_m, lab.far_m, beam)
     pieces = [scene.cast(lab.pulses(8, first=n), lab.near_m, lab.far_m, beam) for n in range(0, 32, 8)]
     assert (np.concatenate([piece.range_m for piece in pieces]) == whole.range_m).all()
@@ -81,7 +65,7 @@ def test_a_fixed_beam_is_the_same_in_pieces(lab, workers):
 def test_threads_do_not_matter(lab, workers, model):
     """Four casts at once on a shared scene give the bits of one cast alone."""
     scene, firings, beam = (
-        EmbreeCaster(lab.soup, workers).open(lab.placed(30)),
+        EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(30)),
         lab.pulses(320),
         lab.beam(model),
     )
@@ -95,10 +79,10 @@ def test_threads_do_not_matter(lab, workers, model):
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_blocks_cast_at_once_are_those_cast_alone(lab, workers, model):
+def test_revolutions_cast_at_once_are_those_cast_alone(lab, workers, model):
     """Five blocks in one go, sector by sector over all of them, meet what each meets by itself, bit by bit."""
-    scene, beam = EmbreeCaster(lab.soup, workers).open(lab.placed(30)), lab.beam(model)
-    whole = scene.cast(lab.pulses(5 * 1920), lab.near_m, lab.far_m, beam, 1920)
+    scene, beam = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(30)), lab.beam(model)
+    whole = scene.cast(lab.pulses(5 * 1920), lab.near_m, lab.far_m, beam)
     alone = [scene.cast(lab.pulses(1920, first=n * 1920), lab.near_m, lab.far_m, beam) for n in range(5)]
     for name in ("count", "range_m", "surface", "cos_incidence"):
         assert (np.concatenate([getattr(hits, name) for hits in alone]) == getattr(whole, name)).all()
@@ -106,7 +90,7 @@ def test_blocks_cast_at_once_are_those_cast_alone(lab, workers, model):
 
 def test_a_fan_of_sub_rays_may_have_any_number(lab, workers):
     """Counts that fill no packet lose nothing: s sub-rays are the first s of more."""
-    scene, firings = EmbreeCaster(lab.soup, workers).open(lab.placed(30)), lab.pulses(8)
+    scene, firings = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(30)), lab.pulses(8)
     many = scene.cast(firings, lab.near_m, lab.far_m, lab.beam("fixed", rays=19))
     for rays in (2, 7, 13):
         few = scene.cast(firings, lab.near_m, lab.far_m, lab.beam("fixed", rays=rays))
@@ -115,6 +99,6 @@ def test_a_fan_of_sub_rays_may_have_any_number(lab, workers):
 
 def test_nothing_in_sight_is_all_misses(lab, workers):
     """An adaptive beam in an empty window ends after its first round."""
-    hits = cast(EmbreeCaster(lab.soup, workers), lab, lab.pulses(8), lab.beam("adaptive"), count=0)
+    hits = cast(EmbreeCaster(lab.world(lab.soup), workers), lab, lab.pulses(8), lab.beam("adaptive"), count=0)
     assert (hits.count == 8).all()
     assert np.isinf(hits.range_m).all()

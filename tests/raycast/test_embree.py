@@ -2,13 +2,13 @@
 
 import gc
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from vlp16emu.raycast.embree import EmbreeCaster
-from vlp16emu.raycast.plain import PlainCaster
-from vlp16emu.raycast.reference import ReferenceCaster
+from vlp16emu.raycast.scene import EmbreeCaster
+from vlp16emu.raycast.slow import PlainCaster, ReferenceCaster
 from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, Window
 
 
@@ -25,7 +25,7 @@ def assert_same_hits(ours, other, *, range_m, cosine):
 def test_hits_are_those_of_the_slow_twin(lab, workers):
     """Ranges, surfaces and incidence of turned and scaled instances at UTM coordinates equal brute force in float64."""
     window, firings = lab.placed(30), lab.pulses(64)
-    fast = EmbreeCaster(lab.soup, workers).open(window).cast(firings, lab.near_m, lab.far_m)
+    fast = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m)
     slow = ReferenceCaster(lab.soup).open(window).cast(firings, lab.near_m, lab.far_m)
     assert_same_hits(fast, slow, range_m=5e-6, cosine=1e-5)
 
@@ -33,14 +33,32 @@ def test_hits_are_those_of_the_slow_twin(lab, workers):
 def test_hits_are_those_of_the_plain_class(lab, workers):
     """The fallback, one flat mesh and single rays, hits the same in thirty thousand pulses."""
     window, firings = lab.placed(30), lab.pulses(1920)
-    fast = EmbreeCaster(lab.soup, workers).open(window).cast(firings, lab.near_m, lab.far_m)
+    fast = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m)
     plain = PlainCaster(lab.soup).open(window).cast(firings, lab.near_m, lab.far_m)
     assert_same_hits(fast, plain, range_m=5e-5, cosine=5e-5)
 
 
+def test_things_that_share_a_surface_are_hit_alike(lab, workers):
+    """Turned, mirrored and scaled things of which four each show one surface hit the same as by the slow twin."""
+    shared = lab.placed(30)
+    shared = replace(shared, first_surface=(shared.first_surface // 4 * 2).astype("u4"))
+    firings = lab.pulses(64)
+    fast = EmbreeCaster(lab.world(lab.soup), workers).open(shared).cast(firings, lab.near_m, lab.far_m)
+    slow = ReferenceCaster(lab.soup).open(shared).cast(firings, lab.near_m, lab.far_m)
+    assert_same_hits(fast, slow, range_m=5e-6, cosine=1e-5)
+
+
+def test_an_empty_mesh_does_not_matter(lab, workers):
+    """Meshes without faces are no obstacle, and hit nothing."""
+    empty = Mesh(np.zeros((0, 3), "f4"), np.zeros((0, 3), "u4"))
+    window, firings = lab.placed(30), lab.pulses(8)
+    scene = EmbreeCaster(lab.world(lambda _: (empty, empty)), workers).open(window)
+    assert np.isinf(scene.cast(firings, lab.near_m, lab.far_m).range_m).all()
+
+
 def test_distance_from_the_origin_of_the_world_does_not_matter(lab, workers):
     """The same scene at UTM coordinates, at 1e7 m and at zero gives the same distances."""
-    caster = EmbreeCaster(lab.soup, workers)
+    caster = EmbreeCaster(lab.world(lab.soup), workers)
     ranges = [
         caster.open(lab.placed(30, at=at)).cast(lab.pulses(320, at=at), lab.near_m, lab.far_m).range_m
         for at in (np.zeros(3), lab.utm_m, np.array([1e7, -1e7, 0.0]))
@@ -55,7 +73,7 @@ def test_distance_from_the_origin_of_the_world_does_not_matter(lab, workers):
 
 def test_batches_do_not_matter(lab, workers):
     """Cast in one go or in pieces of eight firings: the same bits."""
-    scene = EmbreeCaster(lab.soup, workers).open(lab.placed(30))
+    scene = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(30))
     whole = scene.cast(lab.pulses(64), lab.near_m, lab.far_m)
     for first in range(0, 64, 8):
         piece = scene.cast(lab.pulses(8, first=first), lab.near_m, lab.far_m)
@@ -67,7 +85,7 @@ def test_batches_do_not_matter(lab, workers):
 
 def test_threads_do_not_matter(lab, workers):
     """Eight casts at once on a shared scene give the bits of one cast alone."""
-    scene, firings = EmbreeCaster(lab.soup, workers).open(lab.placed(30)), lab.pulses(320)
+    scene, firings = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(30)), lab.pulses(320)
     alone = scene.cast(firings, lab.near_m, lab.far_m)
     with ThreadPoolExecutor(8) as pool:
         together = list(pool.map(lambda _: scene.cast(firings, lab.near_m, lab.far_m), range(8)))
@@ -80,7 +98,8 @@ def test_building_is_repeatable(lab, workers):
     """Two builds of the same window, on any thread, give the same bits."""
     window, firings = lab.placed(30), lab.pulses(320)
     first, second = (
-        EmbreeCaster(lab.soup, workers).open(window).cast(firings, lab.near_m, lab.far_m) for _ in range(2)
+        EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m)
+        for _ in range(2)
     )
     assert (first.range_m == second.range_m).all()
     assert (first.surface == second.surface).all()
@@ -95,7 +114,7 @@ def test_shapes_are_kept_from_window_to_window(lab, workers):
         grown.append(key)
         return lab.soup(key)
 
-    caster = EmbreeCaster(grow, workers)
+    caster = EmbreeCaster(lab.world(grow), workers)
     first = caster.open(lab.placed(10))
     second = caster.open(lab.placed(20))
     assert sorted(grown) == [1, 2, 3]
@@ -105,7 +124,7 @@ def test_shapes_are_kept_from_window_to_window(lab, workers):
     assert sorted(grown) == [1, 1, 2, 2, 3, 3]
 
 
-def test_light_begins_at_the_lens_and_ends_at_its_reach(workers):
+def test_light_begins_at_the_lens_and_ends_at_its_reach(lab, workers):
     """A wall nearer than the lens or farther than the reach is not seen; one between is, at its distance."""
 
     def wall(_key):
@@ -127,20 +146,24 @@ def test_light_begins_at_the_lens_and_ends_at_its_reach(workers):
         window = Window(
             np.zeros(3), ("wall",), np.zeros(1, "i4"), transform, np.zeros(1, "u4"), np.zeros(1, SURFACE)
         )
-        hits = EmbreeCaster(wall, workers).open(window).cast(firings, np.array([0.0419]), 100.0)
+        hits = EmbreeCaster(lab.world(wall), workers).open(window).cast(firings, np.array([0.0419]), 100.0)
         seen[depth_m] = float(hits.range_m[0])
     assert seen == {0.02: np.inf, 0.5: 0.5, 99.0: 99.0, 101.0: np.inf}
 
 
 def test_empty_window_is_all_sky(lab, workers):
     """Nothing placed, nothing hit."""
-    hits = EmbreeCaster(lab.soup, workers).open(lab.placed(0)).cast(lab.pulses(8), lab.near_m, lab.far_m)
+    hits = (
+        EmbreeCaster(lab.world(lab.soup), workers)
+        .open(lab.placed(0))
+        .cast(lab.pulses(8), lab.near_m, lab.far_m)
+    )
     assert np.isinf(hits.range_m).all()
     assert (hits.surface == NO_SURFACE).all()
 
 
 def test_a_broken_packet_is_refused(lab, workers):
     """Firings that do not fill packets of eight rays are a programming error and named."""
-    scene = EmbreeCaster(lab.soup, workers).open(lab.placed(1))
+    scene = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(1))
     with pytest.raises(ValueError, match="found 12 sequences, expected a multiple of 8"):
         scene.cast(lab.pulses(12), lab.near_m, lab.far_m)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vlp16emu.raycast import caster
-from vlp16emu.raycast.plain import PlainCaster
 from vlp16emu.raycast.sky import sky_cover
+from vlp16emu.raycast.slow import PlainCaster
 from vlp16emu.types import SURFACE, Mesh, Window
 
 AT_M = np.array([432_100.0, 6_901_234.0, 87.0])
@@ -34,7 +34,8 @@ def under(radius_m, height_m, workers, make=caster):
         first_surface=np.zeros(1, "u4"),
         surfaces=np.zeros(1, SURFACE),
     )
-    return make(roof, workers).open(window)
+    world = SimpleNamespace(shape=roof, near_m=math.inf, seed=0)
+    return make(world, workers).open(window)
 
 
 @pytest.mark.parametrize("height_m", [2.0, 5.0, 10.0, 30.0])
@@ -65,7 +66,7 @@ def test_what_is_low_or_far_does_not_count(workers):
 
 def test_both_casters_see_the_same_sky(workers):
     """The plain embreex class finds the same cover."""
-    plain = under(10.0, 7.0, workers, make=lambda shape, _workers: PlainCaster(shape))
+    plain = under(10.0, 7.0, workers, make=lambda world, _workers: PlainCaster(world.shape))
     assert sky_cover(plain, 0, AT_M, 15.0, 100.0) == sky_cover(
         under(10.0, 7.0, workers), 0, AT_M, 15.0, 100.0
     )

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import RunError
-from vlp16emu.raycast.baking import lay_out
-from vlp16emu.raycast.embree import EmbreeCaster
-from vlp16emu.raycast.placement import frozen
-from vlp16emu.raycast.plain import PlainCaster
-from vlp16emu.raycast.reference import ReferenceCaster
+from vlp16emu.raycast.geometry import frozen
+from vlp16emu.raycast.scene import EmbreeCaster
+from vlp16emu.raycast.slow import PlainCaster, ReferenceCaster
 from vlp16emu.types import Sway
 
 STEP_NS = 100_000
@@ -33,7 +31,7 @@ def test_each_pulse_meets_what_moves_where_it_is_at_its_time(lab, workers, model
     window, _ = swaying(lab)
     firings = lab.pulses(8)
     beam = [] if model == "none" else [lab.beam(model, rays=4 if model == "fixed" else 8)]
-    fast = EmbreeCaster(lab.soup, workers).open(window).cast(firings, lab.near_m, lab.far_m, *beam)
+    fast = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m, *beam)
     slow = ReferenceCaster(lab.soup).open(window).cast(firings, lab.near_m, lab.far_m, *beam)
     assert (fast.count == slow.count).all()
     same = fast.surface == slow.surface
@@ -47,7 +45,7 @@ def test_each_pulse_meets_what_moves_where_it_is_at_its_time(lab, workers, model
 def test_a_moving_window_stands_still_at_an_instant(lab, workers):
     """Pulses of one instant, within the span, before it and after it, meet the window that is frozen there."""
     window, firings = swaying(lab)
-    caster = EmbreeCaster(lab.soup, workers)
+    caster = EmbreeCaster(lab.world(lab.soup), workers)
     scene = caster.open(window)
     for t_ns in (window.sway.start_ns + STEP_NS * 9 // 4, 0, 2**62):
         at_once = replace(firings, t_ns=np.full_like(firings.t_ns, t_ns))
@@ -75,18 +73,10 @@ def test_a_shear_moves_points_level_by_their_height_over_the_foot(lab):
         assert went_m == pytest.approx(np.array([0.2, -0.1, 0.0]) * over_foot_m, abs=1e-9)
 
 
-def test_what_moves_is_in_no_pile(lab):
-    """Of small shapes, which are all written out otherwise, those that move stay instances."""
-    window, _ = swaying(lab)
-    layout = lay_out(window, np.ones(3, np.bool_))
-    assert layout.instances.tolist() == window.sway.placement.tolist()
-    assert sum(len(pile.shape) for pile in layout.piles) == 10
-
-
 def test_batches_do_not_matter_where_things_move(lab, workers):
     """Cast in one go or in pieces of eight firings: the same bits."""
     window, _ = swaying(lab)
-    scene = EmbreeCaster(lab.soup, workers).open(window)
+    scene = EmbreeCaster(lab.world(lab.soup), workers).open(window)
     whole = scene.cast(lab.pulses(64), lab.near_m, lab.far_m).range_m.reshape(64, -1)
     for first in range(0, 64, 8):
         piece = scene.cast(lab.pulses(8, first=first), lab.near_m, lab.far_m).range_m
@@ -100,4 +90,4 @@ def test_what_cannot_be_cast_is_refused(lab, workers):
         PlainCaster(lab.soup).open(window)
     long, _ = swaying(lab, knots=130)
     with pytest.raises(RunError, match="wind: found 130 knots in a window, Embree takes 129"):
-        EmbreeCaster(lab.soup, workers).open(long)
+        EmbreeCaster(lab.world(lab.soup), workers).open(long)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast.kept import packed_block, recalled_cloud, unpacked_block
 from vlp16emu.raycast.march import Ground, Medium, Stems
-from vlp16emu.raycast.medium import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M, Block, Cloud, Library, block_of, stem_beside, stem_columns, stem_lines
+from vlp16emu.raycast.medium import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M, Block, Cloud, Library, block_of, cloud_of, stem_beside, stem_columns, stem_lines
 from vlp16emu.store import recalled
-from vlp16emu.types import STEM, FarTile, ShapeKey, Window, World
+from vlp16emu.types import STEM, FarTile, Mesh, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.tiles import TILE_M
 
@@ -26,6 +26,8 @@ _BRICK_M = BRICK * VOXEL_M
 _NO_GROUND_M = np.float32(-1e6)
 _FARTHEST = 255
 _AROUND = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+_NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))], np.zeros(1, np.uint8))
+"""Of a library before anything is measured: where only stems and ground are far."""
 
 
 def _no_medium() -> Medium:
@@ -68,7 +70,7 @@ class Far:
         self._world, self._workers = world, workers
         self._clouds = dict[ShapeKey, Cloud]()
         self._place, self._names = dict[object, int](), list[str]()
-        self._library: Library | None = None
+        self._library = Library.of([_NO_CLOUD])
         self._cosine = np.zeros((0, len(KNOTS), QUANTILES), np.float32)
         self._blocks = dict[tuple[int, int], Block]()
 
@@ -101,7 +103,6 @@ class Far:
 
     def _block(self, tiles: dict[tuple[int, int], FarTile], ix: int, iy: int) -> Block:
         """Make the block of a tile, or take it from the store."""
-        assert self._library is not None
         library, place, names, world = self._library, self._place, self._names, self._world.name
         return recalled(
             world and f"{world} block {ix} {iy}",
@@ -117,7 +118,7 @@ class Far:
             for number, key in enumerate(tile.keys):
                 if key not in self._clouds:
                     new[key] = tile.part[tile.first_part[number] : tile.first_part[number + 1]]
-        if not new and self._library:
+        if not new:
             return
 
         def measured(named: tuple[ShapeKey, NDArray[np.uint8]]) -> Cloud:

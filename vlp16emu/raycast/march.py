@@ -248,7 +248,7 @@ def march(M: Medium, L: Lanes, n: int, axis: NDArray[np.float32]) -> None:
             if not 0 <= at < size:
                 stop = f4(-1.0)
             continue
-        a, b = -at / change, (f4(size) - at) / change
+        a, b = -at / change, (f4(size) - f4(1e-3) - at) / change  # less what rounding may add
         first, stop = max(first, min(a, b)), min(stop, max(a, b))
     slab, slabs = int(math.ceil(first)), int(math.floor(min(stop, (last_m - to_middle) / length + f4(1.5))))
     found, alive = L.found, np.uint64((1 << n) - 1)

@@ -1,0 +1,67 @@
+"""A grown forest through the caster: revolutions repeat, and windows that overlap agree."""
+
+import numpy as np
+import pytest
+
+from vlp16emu.assembly import assemble
+from vlp16emu.raycast import caster
+from vlp16emu.scenario import load
+from vlp16emu.types import NO_SURFACE, PlantPart
+
+STATIC = "motion={kind='static', x_m=10.0, y_m=3.0, height_m=1.3}"
+AGAIN = 390_625
+"""Firing sequences after which a rotor at 600 rpm stands where it stood: 216 revolutions, 21.6 s."""
+
+
+@pytest.fixture(scope="module")
+def forest():
+    """Parts of a thin birch stand with a sensor that stands still, without noise."""
+    settings = [STATIC, "seed=5", "world.stems_per_ha=300", "sensor.max_range_m=60.0"]
+    return assemble(load("birch_walk", settings, ideal=True))
+
+
+def met(window, hits):
+    """Instance of each surface, and its part; 0 and 255 where nothing was met."""
+    miss = hits.surface == NO_SURFACE
+    row = window.surfaces[np.where(miss, 0, hits.surface)]
+    return np.where(miss, 0, row["instance"]), np.where(miss, 255, row["part"])
+
+
+def test_a_static_sensor_sees_the_same_in_every_revolution(forest, workers):
+    """Pulses that go where others went before, in another revolution, meet the same, bit by bit."""
+    unit = forest.units[0]
+    first, again = (unit.head.aim(n, 1920, unit.motion.poses_at, across=True) for n in (0, AGAIN))
+    assert np.abs(first.direction - again.direction).max() < 1e-12
+    window = forest.world.window(first.origin_m[:1, 0])
+    scene = caster(forest.world, workers).open(window)
+    ours, other = (scene.cast(f, unit.head.beams.near_m, 60.0) for f in (first, again))
+    alike = (first.direction.astype("f4") == again.direction.astype("f4")).all(axis=-1).reshape(-1)
+    assert alike.mean() > 0.99
+    for name in ("range_m", "surface", "cos_incidence"):
+        assert (getattr(ours, name)[alike] == getattr(other, name)[alike]).all()
+    _, part = met(window, ours)
+    beyond = np.isfinite(ours.range_m) & (ours.range_m > forest.world.near_m)
+    assert {PlantPart.STEM, PlantPart.LEAF} <= set(part[beyond].tolist())
+
+
+def test_a_pulse_meets_the_same_in_the_windows_that_hold_it(forest, workers):
+    """From windows 4 m apart, of two casters, what is met up to 50 m is the same thing at the same range to 0.1 mm."""
+    unit = forest.units[0]
+    firings = unit.head.aim(0, 1920, unit.motion.poses_at, across=True)
+    at_m = firings.origin_m[:1, 0]
+    tracks = [np.concatenate([at_m, at_m + [[dx, 1.0, 0.0]]]) for dx in (8.0, -8.0)]
+    windows = [forest.world.window(track) for track in tracks]
+    assert np.linalg.norm(windows[0].origin_m - windows[1].origin_m) > 4
+    hits = [
+        caster(forest.world, workers).open(w).cast(firings, unit.head.beams.near_m, 50.0) for w in windows
+    ]
+    (ours, _), (other, part) = (met(*pair) for pair in zip(windows, hits, strict=True))
+    hit = np.isfinite(hits[0].range_m) & np.isfinite(hits[1].range_m)
+    same = (ours == other) & (np.isfinite(hits[0].range_m) == np.isfinite(hits[1].range_m))
+    same[hit] &= np.abs(hits[0].range_m[hit] - hits[1].range_m[hit]) < 1e-4
+    beyond = hit & (hits[0].range_m > forest.world.near_m)
+    assert beyond.sum() > 1000
+    assert (part[beyond] == PlantPart.LEAF).sum() > 300
+    # What differs is met within rounding of an edge: float32 has another place for it in each window.
+    assert same.mean() > 0.998
+    assert same[beyond].mean() > 0.998

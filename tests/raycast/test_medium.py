@@ -1,0 +1,373 @@
+"""What shapes become in voxels: area, owners, and leaves that have one place in space."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_cdt
+
+from vlp16emu.raycast import march as room
+from vlp16emu.raycast.far import NO_MEDIUM, Far, _fill_gaps
+from vlp16emu.raycast.march import Owners, lanes, march
+from vlp16emu.raycast.medium import COLUMNS, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M, Library, block_of, cloud_of
+from vlp16emu.types import NO_SURFACE, Mesh, PlantPart
+
+PARTS = np.array([PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF], "u1")
+AZIMUTHS = 2 * np.pi * (np.arange(720) + 0.5) / 720
+
+
+def towards(sine):
+    """Directions (720, 3) of one elevation, all around."""
+    level = math.sqrt(1 - sine * sine)
+    return np.column_stack([level * np.cos(AZIMUTHS), level * np.sin(AZIMUTHS), np.full(720, sine)])
+
+
+def normals(mesh):
+    """Area normals (n, 3) of the triangles of a mesh."""
+    corners = mesh.vertices_m[mesh.faces].astype(float)
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    first = np.cross(b - a, c - a) / 2
+    return first if corners.shape[1] == 3 else np.concatenate([first, np.cross(c - a, corners[:, 3] - a) / 2])
+
+
+@pytest.mark.parametrize("knot", range(3))
+def test_the_projected_area_of_a_cloud_is_that_of_its_faces(lab, knot):
+    """Over all azimuths the mean projected area equals brute force over all faces to 1 %, for wood and leaves each."""
+    meshes = lab.tiles().shape("crown")
+    cloud = cloud_of(meshes, PARTS)
+    for number, (mesh, share) in enumerate(zip(meshes, (0.5, 1.0), strict=True)):
+        true_m2 = share * np.abs(normals(mesh) @ towards(KNOTS[knot]).T).sum(axis=0).mean()
+        ours_m2 = cloud.area_m2[cloud.mesh == number].sum() * cloud.projection[number, knot]
+        assert ours_m2 == pytest.approx(true_m2, rel=0.01)
+
+
+@pytest.mark.parametrize("knot", range(3))
+def test_cosines_of_a_cloud_are_those_with_which_light_meets_its_faces(lab, knot):
+    """Quantiles of the cosine of incidence equal those of all faces, weighted by projected area, to 0.02."""
+    meshes = lab.tiles().shape("crown")
+    cloud = cloud_of(meshes, PARTS)
+    for number, mesh in enumerate(meshes):
+        own = normals(mesh)
+        area_m2 = np.linalg.norm(own, axis=1)
+        met = np.abs(own @ towards(KNOTS[knot])[::8].T).ravel()
+        cosine = (met.reshape(len(own), -1) / area_m2[:, None]).ravel()
+        order = np.argsort(cosine)
+        so_far = np.cumsum(met[order]) / met.sum()
+        true = cosine[order][np.searchsorted(so_far, (np.arange(QUANTILES) + 0.5) / QUANTILES)]
+        assert np.abs(cloud.cosine[number, knot] - true).max() < 0.02
+
+
+def test_a_cloud_is_where_its_faces_are(lab):
+    """Cells add up to the area of each mesh, and their middle is that of the faces, to a millimetre."""
+    meshes = lab.tiles().shape("crown")
+    cloud = cloud_of(meshes, PARTS)
+    assert len(cloud.corners_m) == 0
+    for number, (mesh, share) in enumerate(zip(meshes, (0.5, 1.0), strict=True)):
+        corners = mesh.vertices_m[mesh.faces].astype(float)
+        if corners.shape[1] == 3:
+            corners = corners[:, [0, 1, 2, 2]]
+        area_m2 = (
+            np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1) / 2
+        )
+        middle_m = np.average(corners.mean(axis=1), axis=0, weights=area_m2)
+        own = cloud.mesh == number
+        assert cloud.area_m2[own].sum() == pytest.approx(share * area_m2.sum(), rel=1e-5)
+        assert (
+            np.abs(np.average(cloud.place_m[own], axis=0, weights=cloud.area_m2[own]) - middle_m).max() < 1e-3
+        )
+
+
+@pytest.fixture(scope="module")
+def blocks(lab):
+    """World, library and blocks of nine tiles."""
+    world = lab.tiles()
+    clouds = [cloud_of(world.shape("crown"), PARTS), cloud_of(world.shape("stone"), PARTS[:1])]
+    library, shape_of = Library.of(clouds), {"crown": 0, "stone": 1}
+    tiles = {place: world.far_tile(*place) for place in itertools.product((-1, 0, 1), repeat=2)}
+    made = {place: block_of(library, shape_of, tiles, *place) for place in tiles}
+    return world, library, tiles, made
+
+
+def records(block):
+    """Voxels of a block that hold anything, in order of records: (n, 3), from the block's lowest corner."""
+    cells = []
+    for place in np.ndindex(block.mask.shape):
+        word = int(block.mask[place])
+        for bit in range(64):
+            if word >> bit & 1:
+                assert int(block.first[place]) + (word & (1 << bit) - 1).bit_count() == len(cells)
+                cells.append(
+                    [4 * p + o for p, o in zip(place, (bit >> 4, bit >> 2 & 3, bit & 3), strict=True)]
+                )
+    return np.array(cells)
+
+
+@pytest.mark.parametrize("knot", range(3))
+def test_blocks_hold_all_the_area_of_what_stands_on_them(blocks, knot):
+    """Over nine tiles, area in voxels is that of the faces whose middles lie over them, to 3 %, by each elevation."""
+    world, _, tiles, made = blocks
+    code = [block.record >> np.uint32(7 * knot) & 127 for block in made.values()]
+    found_m2 = sum(TAU_PER_M[own].sum() * VOXEL_M**3 for own in code)
+    true_m2, light = 0.0, towards(KNOTS[knot])[::8].T
+    for tile in tiles.values():
+        for which, place in zip(tile.shape, tile.world_T_shape, strict=True):
+            for number, mesh in enumerate(world.shape(tile.keys[which])):
+                vertices_m = mesh.vertices_m.astype(float) @ place[:, :3].T + place[:, 3]
+                over = np.abs(vertices_m[mesh.faces].mean(axis=1)[:, :2] - 10.0).max(axis=1) < 30.0
+                own = Mesh(vertices_m.astype("f4"), mesh.faces[over])
+                share = 1.0 if number == 1 else 0.5
+                true_m2 += share * np.abs(normals(own) @ light).sum(axis=0).mean()
+    assert found_m2 == pytest.approx(true_m2, rel=0.03)
+
+
+def test_owners_have_their_shares(blocks):
+    """Each record's shares rise to 255, and over a block each owner has the area of its own cells, within rounding."""
+    _, library, tiles, made = blocks
+    block = made[0, 0]
+    ends = np.append(block.first_owner[1:], len(block.owner_row))
+    area_of = {}
+    for at, (begin, end) in enumerate(zip(block.first_owner.tolist(), ends.tolist(), strict=True)):
+        code = int(block.record[at])
+        assert (code & 127 > 0) == (end > begin)
+        if end == begin:
+            continue
+        shares = block.owner_share[begin:end].astype(int)
+        assert (np.diff(shares) >= 0).all()
+        assert shares[-1] == 255
+        # An owner has the drawn numbers that are above its forerunner's share, up to its own: of 0 .. 255.
+        own = np.diff([-1, *shares]) / 256
+        for n, part in enumerate(own):
+            name = int(block.owner_tile[begin + n]), int(block.owner_row[begin + n])
+            area_of[name] = area_of.get(name, 0.0) + part * TAU_PER_M[code >> 7 & 127] * VOXEL_M**3
+    checked, low_m = 0, np.array([0.0, 0.0, 2.0 * block.bottom])
+    for number, (dx, dy) in enumerate(itertools.product((-1, 0, 1), repeat=2)):
+        tile = tiles[dx, dy]
+        for which, place, row in zip(tile.shape, tile.world_T_shape, tile.first_surface, strict=True):
+            if tile.keys[which] != "crown":
+                continue
+            cells_m = library.place_m[: library.first_cell[1]] @ place[:, :3].T + place[:, 3] - low_m
+            inside = ((cells_m[:, :2] >= 0) & (cells_m[:, :2] < COLUMNS * VOXEL_M)).all(axis=1)
+            scale = abs(np.linalg.det(place[:, :3])) ** (2 / 3)
+            for mesh in (0, 1):
+                own = inside & (library.mesh[: library.first_cell[1]] == mesh)
+                true = (
+                    scale * library.area_m2[: library.first_cell[1]][own].sum() * library.projection[mesh, 1]
+                )
+                if true > 1.0:
+                    assert area_of[number, int(row) + mesh] == pytest.approx(true, rel=0.1)
+                    checked += 1
+    assert checked >= 2
+
+
+def test_labels_are_of_what_is_there(blocks):
+    """Every owner of a voxel has a face or a cell of its own within it or a quarter of a metre off."""
+    world, _, tiles, made = blocks
+    for (ix, iy), block in made.items():
+        cells, corner_m = records(block), world.corner_m(ix, iy)
+        corner_m[2] = 2.0 * block.bottom
+        ends = np.append(block.first_owner[1:], len(block.owner_row))
+        reach = {}
+        for number, (dx, dy) in enumerate(itertools.product((-1, 0, 1), repeat=2)):
+            tile = tiles.get((ix + dx, iy + dy))
+            if tile is None:
+                continue
+            for which, place, row in zip(tile.shape, tile.world_T_shape, tile.first_surface, strict=True):
+                for mesh, own in enumerate(world.shape(tile.keys[which])):
+                    points_m = own.vertices_m @ place[:, :3].T + place[:, 3] - corner_m
+                    reach[number, int(row) + mesh] = points_m.min(axis=0), points_m.max(axis=0)
+        seen = 0
+        for cell, begin, end in zip(cells, block.first_owner.tolist(), ends.tolist(), strict=True):
+            for owner in range(begin, end):
+                low_m, high_m = reach[int(block.owner_tile[owner]), int(block.owner_row[owner])]
+                assert (cell * VOXEL_M < high_m + 0.25).all()
+                assert ((cell + 1) * VOXEL_M > low_m - 0.25).all()
+                seen += 1
+        assert seen > 100
+
+
+def test_a_block_depends_on_its_neighbours_only(blocks):
+    """A block made of nine tiles is, byte by byte, the one made with tiles farther off present too."""
+    world, library, _, made = blocks
+    more = {place: world.far_tile(*place) for place in itertools.product((-2, -1, 0, 1, 2), repeat=2)}
+    again = block_of(library, {"crown": 0, "stone": 1}, more, 0, 0)
+    for name in (
+        "mask",
+        "first",
+        "record",
+        "first_owner",
+        "owner_tile",
+        "owner_row",
+        "owner_law",
+        "owner_share",
+    ):
+        assert getattr(again, name).tobytes() == getattr(made[0, 0], name).tobytes()
+
+
+@pytest.mark.parametrize("density", [0.002, 0.02, 0.3, 1.0])
+@pytest.mark.parametrize("size", [(7, 5, 9), (1, 1, 1), (30, 3, 12)])
+def test_gaps_are_chessboard_distances(size, density):
+    """Bricks know how far the nearest one is that is not empty, as scipy finds it; 255 where all are empty."""
+    full = np.random.default_rng(1).random(size) < density
+    gap = np.zeros(size, "u1")
+    _fill_gaps(full.astype("u8"), gap)
+    if full.any():
+        assert (gap == distance_transform_cdt(~full, "chessboard")).all()
+    else:
+        assert (gap == 255).all()
+
+
+def test_leaves_are_latin_squares():
+    """In every variant a leaf has one cell whichever way it is seen, and each column along each axis has one leaf."""
+    for variant in range(32):
+        cells = room._PLACE[variant].astype(int) >> 5
+        assert len(np.unique(cells, axis=0)) == 64
+        for axis in range(3):
+            one, two = (other for other in range(3) if other != axis)
+            column = 8 * cells[:, one] + cells[:, two]
+            assert (np.sort(column) == np.arange(64)).all()
+            assert (room._LEAF_OF[axis, variant][column] == np.arange(64)).all()
+            for n in range(65):
+                bits = int(room._MASK[axis, variant, n])
+                assert {c for c in range(64) if bits >> c & 1} == set(column[:n].tolist())
+
+
+def one_voxel(code, cell=(2, 1, 3), corner=(40, -7, 11)):
+    """Medium of one brick with foliage in one of its voxels, the same for light of any elevation."""
+    bit = 16 * cell[0] + 4 * cell[1] + cell[2]
+    owners = Owners(
+        np.zeros(1, "u4"),
+        np.full(1, 255, "u1"),
+        np.full(1, 5, "u4"),
+        np.zeros(1, "u4"),
+        np.ones((1, 3, QUANTILES), "f4"),
+    )
+    one = np.zeros((1, 1, 1), "u1")
+    return NO_MEDIUM._replace(
+        near_m=0.0,
+        corner=corner,
+        gap=one,
+        mask=np.full((1, 1, 1), 1 << bit, "u8"),
+        first=one.astype("u4"),
+        record=np.array([code | code << 7 | code << 14], "u4"),
+        owners=owners,
+        seed=7,
+    )
+
+
+def met_m(medium, origin_m, direction, far_m=60.0):
+    """Range of one ray, inf where it meets nothing."""
+    L = lanes()
+    L.origin_m[:, 0], L.direction[:, 0], L.range_m[0], L.surface[0] = origin_m, direction, far_m, NO_SURFACE
+    march(medium, L, 1, np.array([*origin_m, *direction], "f4"))
+    return float(L.range_m[0]) if L.surface[0] != NO_SURFACE else np.inf
+
+
+@pytest.mark.parametrize("code", [10, 40, 90])
+@pytest.mark.parametrize("corner", [(40, -7, 11), (0, 0, 0), (-3, 5, -900)])
+def test_a_voxels_leaves_have_one_place_in_space(code, corner):
+    """Rays through all columns of a voxel, along x, y and z and both ways, meet leaves at the same places, to 0.1 mm."""
+    cell = np.array([2, 1, 3])
+    medium = one_voxel(code, tuple(cell.tolist()), corner)
+    low_m = cell * VOXEL_M
+    found = []
+    for axis in range(3):
+        one, two = (other for other in range(3) if other != axis)
+        for way in (1.0, -1.0):
+            places = []
+            for a, b in itertools.product(range(8), repeat=2):
+                origin_m, direction = np.zeros(3, "f4"), np.zeros(3, "f4")
+                origin_m[one], origin_m[two] = low_m[[one, two]] + (np.array([a, b]) + 0.5) * VOXEL_M / 8
+                origin_m[axis], direction[axis] = low_m[axis] - 3.0 * way, way
+                if np.isfinite(range_m := met_m(medium, origin_m, direction)):
+                    place = origin_m.astype(float)
+                    place[axis] += way * range_m
+                    places.append(place)
+            places = np.array(places)
+            found.append(places[np.lexsort(np.floor((places - low_m) / VOXEL_M * 8).T)])
+    assert len(found[0]) > (1 if code == 10 else 15)
+    for axis in range(3):
+        assert np.abs(found[2 * axis] - found[2 * axis + 1]).max() < 1e-4
+    cells = [np.floor((places - low_m) / VOXEL_M * 8).astype(int) for places in found]
+    for other in cells[1:]:
+        assert (other == cells[0]).all()
+
+
+def slab(lad, leaf_m=0.06, size_m=(16.0, 16.0, 8.0)):
+    """Square leaves of all directions evenly in a box that begins at the origin, `lad` m2 per m3."""
+    rng = np.random.default_rng(3)
+    n = round(lad * np.prod(size_m) / leaf_m**2)
+    u, v = (rng.normal(size=(n, 3)) for _ in range(2))
+    v -= (u * v).sum(1)[:, None] / (u * u).sum(1)[:, None] * u
+    u, v = (leaf_m / 2 * w / np.linalg.norm(w, axis=1)[:, None] for w in (u, v))
+    at_m = rng.random((n, 3)) * size_m
+    corners_m = np.stack([at_m - u - v, at_m + u - v, at_m + u + v, at_m - u + v], axis=1)
+    return Mesh(corners_m.reshape(-1, 3).astype("f4"), np.arange(4 * n, dtype="u4").reshape(-1, 4))
+
+
+class Slab:
+    """A tile with such a box 4 m over its level ground; a `World`."""
+
+    near_m, seed = 0.5, 3
+
+    def __init__(self, lab, lad):
+        self._bare, self._mesh = (
+            lab.tiles(per_tile=0, things=False, height_m=lambda x, y: 0.0 * x + 0.0 * y),
+            slab(lad),
+        )
+
+    def shape(self, key):
+        """Meshes of the box, or of the tile."""
+        return (self._mesh,) if key == "slab" else self._bare.shape(key)
+
+    def far_tile(self, ix, iy):
+        """Describe the tile."""
+        tile, place = self._bare.far_tile(ix, iy), np.column_stack([np.eye(3), [2.0, 2.0, 4.0]])[None]
+        return replace(
+            tile,
+            keys=("slab",),
+            shape=np.zeros(1, np.int64),
+            world_T_shape=place,
+            first_surface=np.ones(1, np.int64),
+        )
+
+    def window(self, track_m):
+        """One tile."""
+        bare = self._bare.window(track_m, tiles=[(0, 0)])
+        surfaces = np.concatenate([bare.surfaces, bare.surfaces])
+        surfaces["part"][1] = PlantPart.LEAF
+        place = np.column_stack([np.eye(3), [2.0, 2.0, 4.0]])[None]
+        return replace(
+            bare,
+            shapes=(*bare.shapes, "slab"),
+            shape=np.array([0, 1], "i4"),
+            world_T_shape=np.concatenate([bare.world_T_shape, place]),
+            first_surface=np.array([0, 1], "u4"),
+            surfaces=surfaces,
+            far=np.ones(2, np.bool_),
+        )
+
+
+@pytest.mark.parametrize("lad", [0.2, 0.5, 1.0])
+@pytest.mark.parametrize("elevation_deg", [0.0, 17.46, 90.0])
+def test_light_is_let_through_as_by_random_leaves(lab, workers, lad, elevation_deg):
+    """Through 4 m of leaves of all directions goes exp(-LAD / 2 * 4), within three standard errors and 4 % of the depth."""
+    world = Slab(lab, lad)
+    medium = Far(world, workers).medium(world.window(np.zeros((1, 3))))
+    rng, way_m, n = np.random.default_rng(6), 4.0, 4000
+    sine = math.sin(math.radians(elevation_deg))
+    level = math.sqrt(1 - sine * sine)
+    through = np.zeros(n)
+    for number in range(n):
+        azimuth = rng.uniform(0, 2 * np.pi)
+        direction = np.array([level * math.cos(azimuth), level * math.sin(azimuth), sine])
+        start_m = rng.uniform([6.5, 6.5, 4.2], [13.5, 13.5, 7.8])  # all of the way lies within the box
+        if sine > 0.9:
+            start_m[2] = 6.0
+        origin_m = start_m - world.near_m * direction
+        through[number] = np.isinf(met_m(medium, origin_m, direction, world.near_m + way_m))
+    # Rays share voxels: the error is that of groups of places.
+    error = through.std() / np.sqrt(n)
+    depth = -math.log(through.mean())
+    assert depth == pytest.approx(lad / 2 * way_m, abs=3 * error / through.mean(), rel=0.04)
