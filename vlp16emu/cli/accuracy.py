@@ -180,15 +180,17 @@ def _print_distributions(found: "Distributions") -> None:
 
     print(
         f"\nWorlds with a medium beyond near_m, held against the explicit one: the same {count(found.pulses)} pulses "
-        f"in {count(found.groups)} groups,\nby {found.rays} sub-rays without noise, in dual return. +- is half of "
+        f"in {count(found.groups)} groups,\nby {found.rays} sub-rays without noise, in dual return. ± is half of "
         "the 95 % interval, by drawing groups anew: of the explicit\nworld's value, and of the others' difference "
         "from it. ! marks a difference beyond that; chance alone marks one in 20."
     )
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("statistic", no_wrap=True)
     for name, in_use in zip(found.names, found.in_use, strict=True):
-        table.add_column(name.removeprefix("world.") + (" *" if in_use else ""), justify="right", no_wrap=True)
-    table.add_row("us per pulse", *(f"{us:.1f}" + 11 * " " for us in found.us_per_pulse))
+        table.add_column(
+            name.removeprefix("world.") + (" *" if in_use else ""), justify="right", no_wrap=True
+        )
+    table.add_row("us per pulse", *(f"{us:.1f}" for us in found.us_per_pulse))
     section = ""
     for row in found.statistics:
         if row.section != section:
@@ -196,9 +198,16 @@ def _print_distributions(found: "Distributions") -> None:
         halves = ((high - low) / 2 for low, high in zip(row.low, row.high, strict=True))
         marks = ("!" if row.departs(world) else " " for world in range(len(found.names) - 1))
         cells = zip(row.values, halves, (*marks, " "), strict=True)
-        table.add_row(f"  {row.name}", *(f"{value:.2f} +-{half:5.2f} {mark}" for value, half, mark in cells))
+        table.add_row(
+            f"  {row.name}", *(f"{_short(value)} ±{_short(half)}{mark}" for value, half, mark in cells)
+        )
     Console(width=_WIDTH).print(table)
     _print_tests(found)
+
+
+def _short(value: float) -> str:
+    """Four digits, at most three after the point."""
+    return "-" if math.isnan(value) else f"{value:.{1 if abs(value) >= 100 else 2}f}"
 
 
 def _print_tests(found: "Distributions") -> None:

@@ -3,7 +3,7 @@
 import math
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -71,9 +71,7 @@ class Look:
         return counted(echoes, firings.t_ns.shape[1], changed), us
 
 
-def measure_medium(
-    scenario: Scenario, *, pulses: int, done: Callable[[float], None]
-) -> Distributions | None:
+def measure_medium(scenario: Scenario, *, pulses: int, done: Callable[[float], None]) -> Distributions | None:
     """Hold the world of a scene, cast leaf by leaf to some distances, against the explicit one; None of a hall.
 
     Parameters
@@ -109,9 +107,7 @@ def measure_medium(
     )
 
 
-def _world(
-    drawing: Drawing, pulses: int, done: Callable[[float], None]
-) -> tuple[list[Counts], list[float]]:
+def _world(drawing: Drawing, pulses: int, done: Callable[[float], None]) -> tuple[list[Counts], list[float]]:
     """Count what all groups of a run show in one world, and tell the run time of casting."""
     scenario, parts = drawing.scenario, assemble(drawing.scenario)
     unit, section = parts.units[0], drawing.scenario.world
@@ -122,7 +118,9 @@ def _world(
     counts, us = list[Counts](), list[float]()
     with ThreadPoolExecutor(os.cpu_count() or 1, "medium") as workers:
         built = caster(parts.world, workers)
-        for stretch, groups in draw_groups(cut, len(cut.blocks(0, run_ns)), pulses, unit.seed, moves=parts.moves):
+        for stretch, groups in draw_groups(
+            cut, len(cut.blocks(0, run_ns)), pulses, unit.seed, moves=parts.moves
+        ):
             scene = built.open(window_of(parts, scenario.start_ns, cut, stretch))
             again = [number % _AGAIN == 0 for number in range(len(groups))]
             for one, time_us in workers.map(

@@ -8,7 +8,7 @@ from vlp16emu.report.accuracy.distributions import (
     Test,
     distributions_of,
 )
-from vlp16emu.report.accuracy.echoes import Counts, Echoes, counted
+from vlp16emu.report.accuracy.echoes import FINE_M, Counts, Echoes, counted
 from vlp16emu.report.accuracy.errors import Comparison, Errors, Told, compare, errors_of
 from vlp16emu.report.accuracy.picture import draw_accuracy
 from vlp16emu.report.accuracy.rows import (
@@ -26,6 +26,7 @@ from vlp16emu.report.accuracy.tally import FEWEST_CLUSTERS, Interval, Tally
 
 __all__ = [
     "FEWEST_CLUSTERS",
+    "FINE_M",
     "HEIGHTS",
     "RETURNS",
     "Accuracy",

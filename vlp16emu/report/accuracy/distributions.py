@@ -9,6 +9,7 @@ size stands for; the chi-square is scaled to the mean of that law, as Rao and Sc
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +110,7 @@ def _values(c: Counts, lasers: Sequence[str], species: Mapping[int, str]) -> Val
         ("pulses", "with two returns, %"): 100 * c.two.sum(axis=1) / pulses,
         ("pulses", "with another first return a revolution later, %"): 100 * c.again[:, 1] / c.again[:, 0],
     }
-    bands = [f"{low:g}-{high:g} m" for low, high in zip(BANDS_M, BANDS_M[1:], strict=False)]
+    bands = [f"{low:g}-{high:g} m" for low, high in pairwise(BANDS_M)]
     sections = (
         (RETURNS, c.returns, pulses[:, None] / 1000),
         ("pulses with two returns, % by range of the first", c.two, c.first / 100),
@@ -159,7 +160,7 @@ def _seam(counts: Counts, explicit: Counts, near_m: float) -> Array:
     edge, wide = round(near_m / FINE_M), round(_SEAM_M / FINE_M)
 
     def step(fine: Array) -> Array:
-        """Returns beyond over those before."""
+        """Divide returns beyond by those before."""
         beyond: Array = fine[:, edge : edge + wide].sum(axis=1)
         return beyond / fine[:, max(edge - wide, 0) : edge].sum(axis=1)
 
@@ -174,7 +175,9 @@ def _seam_row(seams: Sequence[Array]) -> Statistic:
 def _tests(drawn: Sequence[Counts]) -> list[Test]:
     """Test all distributions."""
 
-    def test(name: str, kind: str, distance: Callable[[Array, Array], Array], of: Callable[[Counts], Array]) -> Test:
+    def test(
+        name: str, kind: str, distance: Callable[[Array, Array], Array], of: Callable[[Counts], Array]
+    ) -> Test:
         """Test one."""
         explicit = of(drawn[-1])
         pairs = [distance(of(counts), explicit) for counts in drawn[:-1]]

@@ -101,7 +101,9 @@ def counted(echoes: Echoes, lasers: int, again: tuple[int, int] = (0, 0)) -> Cou
         plant=histogram(band[part > 0], bands),
         leaf=histogram(band[part == _LEAF], bands),
         bright=histogram(band, bands, counts),
-        fine=histogram((np.minimum(range_m, _FARTHEST_M) / FINE_M).astype(np.int64), round(_FARTHEST_M / FINE_M) + 1),
+        fine=histogram(
+            (np.minimum(range_m, _FARTHEST_M) / FINE_M).astype(np.int64), round(_FARTHEST_M / FINE_M) + 1
+        ),
         gap=histogram((gap_m / GAP_M).astype(np.int64), round(_WIDEST_GAP_M / GAP_M) + 1),
         reflectivity=histogram(counts, 256),
         height=histogram(storey, len(HEIGHTS_M) - 1),
