@@ -183,7 +183,7 @@ def test_the_picture_is_drawn():
 def echoes(rng, pulses=128, leaf=0.4, beyond=1.0):
     """Pulses of a cluster whose returns lie evenly from 0 to 40 m, all alike but for the cluster's own density."""
     range_m = np.sort(rng.uniform(0.1, 40.0, (pulses, 2)), axis=1)
-    kept = rng.random((pulses, 1)) < np.where(range_m[:, :1] < 20, 0.5, 0.5 * beyond)
+    kept = np.ones(2, bool) & (rng.random((pulses, 1)) < np.where(range_m[:, :1] < 20, 0.5, 0.5 * beyond))
     range_m = np.where(kept, range_m, 0.0)
     part = np.where(kept, np.where(rng.random((pulses, 2)) < leaf, 4, 1), 0)
     lasers = np.arange(pulses) % 16

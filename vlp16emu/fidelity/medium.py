@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -84,7 +85,7 @@ def measure_medium(scenario: Scenario, *, pulses: int, done: Callable[[float], N
         return None
     worlds, us = dict[float, Counts](), list[float]()
     for number, drawing in enumerate(drawn):
-        counts, times_us = _world(drawing, pulses, lambda share, n=number: done((n + share) / len(drawn)))
+        counts, times_us = _world(drawing, pulses, partial(_part_done, done, number, len(drawn)))
         worlds[drawing.near_m] = Counts(*(np.stack(of) for of in zip(*counts, strict=True)))
         us.append(float(np.median(times_us)))
     elevation_deg = assemble(scenario).head.beams.elevation_deg
@@ -105,6 +106,11 @@ def measure_medium(scenario: Scenario, *, pulses: int, done: Callable[[float], N
         statistics=statistics,
         tests=tests,
     )
+
+
+def _part_done(done: Callable[[float], None], number: int, of: int, share: float) -> None:
+    """Report a share of one of several equal parts."""
+    done((number + share) / of)
 
 
 def _world(drawing: Drawing, pulses: int, done: Callable[[float], None]) -> tuple[list[Counts], list[float]]:
