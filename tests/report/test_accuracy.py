@@ -228,13 +228,13 @@ def test_a_departure_is_seen_and_chance_is_not():
 
 
 def test_p_values_are_even_under_the_null_hypothesis():
-    """Of worlds that are alike 5 % have p below 0.05: here fewer than 15 % of 40, for KS and chi-square each."""
+    """Of worlds that are alike 5 % have p below 0.05: here fewer than 20 % of 24, for KS and chi-square each."""
     p = np.array(
-        [[test.p[0] for test in held(world(n, 30), world(1000 + n, 30))[1].values()] for n in range(40)]
+        [[test.p[0] for test in held(world(n, 30), world(1000 + n, 30))[1].values()] for n in range(24)]
     )
     low = (p < 0.05).mean(axis=0)
-    assert low[:2].max() <= 0.15
-    assert low[-1] <= 0.15
+    assert low[:2].max() <= 0.2
+    assert low[-1] <= 0.2
     assert p.mean() > 0.35
 
 
