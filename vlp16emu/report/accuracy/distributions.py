@@ -108,7 +108,7 @@ def _values(c: Counts, lasers: Sequence[str], species: Mapping[int, str]) -> Val
     out: Values = {
         ("pulses", "with a return, %"): 100 * c.seen.sum(axis=1) / pulses,
         ("pulses", "with two returns, %"): 100 * c.two.sum(axis=1) / pulses,
-        ("pulses", "with another first return a revolution later, %"): 100 * c.again[:, 1] / c.again[:, 0],
+        ("pulses", "another first return a revolution on, %"): 100 * c.again[:, 1] / c.again[:, 0],
     }
     bands = [f"{low:g}-{high:g} m" for low, high in pairwise(BANDS_M)]
     sections = (
