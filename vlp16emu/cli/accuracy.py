@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from vlp16emu.report.accuracy import Accuracy, Distributions, Row
+    from vlp16emu.scenario import Scenario
 
 __all__ = ["accuracy"]
 
@@ -67,21 +68,7 @@ def accuracy(
 
         check_matplotlib()
         _make_folder(out)
-    from vlp16emu.fidelity.accuracy import measure_accuracy
-    from vlp16emu.fidelity.medium import measure_medium
-
-    name = Path(scene).stem
-    with Progress(scenario.duration_s) as progress:
-        measured = measure_accuracy(
-            scenario, name, pulses=pulses, done=lambda done_s: progress.show("measuring", done_s)
-        )
-        whole_s = scenario.duration_s
-        distributions = measure_medium(
-            scenario,
-            pulses=_TIMES * pulses,
-            done=lambda share: progress.show("comparing worlds", share * whole_s),
-        )
-    measured = replace(measured, distributions=distributions)
+    measured = _measured(scenario, Path(scene).stem, pulses)
     tree = _tree(measured)
     files = [] if out is None else _write(out, measured, tree)
     if as_json:
@@ -92,6 +79,24 @@ def accuracy(
         _print_distributions(measured.distributions)
     for file in files:
         print(f"wrote {file}, {size(file.stat().st_size)}")
+
+
+def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
+    """Measure a scene, with a progress bar."""
+    from vlp16emu.fidelity.accuracy import measure_accuracy
+    from vlp16emu.fidelity.medium import measure_medium
+
+    with Progress(scenario.duration_s) as progress:
+        measured = measure_accuracy(
+            scenario, name, pulses=pulses, done=lambda done_s: progress.show("measuring", done_s)
+        )
+        whole_s = scenario.duration_s
+        distributions = measure_medium(
+            scenario,
+            pulses=_TIMES * pulses,
+            done=lambda share: progress.show("comparing worlds", share * whole_s),
+        )
+    return replace(measured, distributions=distributions)
 
 
 def _make_folder(out: Path) -> None:
