@@ -89,8 +89,8 @@ def distributions_of(
     """
     clusters = len(next(iter(worlds.values())).pulses)
     draws = np.random.default_rng(seed).multinomial(clusters, np.full(clusters, 1 / clusters), _DRAWS)
-    weights = np.vstack([np.ones(clusters), draws]).astype(np.float32)
-    drawn = [Counts(*((weights @ of).astype(np.float64) for of in counts)) for counts in worlds.values()]
+    weights = np.vstack([np.ones(clusters), draws])
+    drawn = [Counts(*(weights @ of for of in counts)) for counts in worlds.values()]
     with np.errstate(invalid="ignore", divide="ignore"):
         values = [_values(counts, lasers, species) for counts in drawn]
         rows = [
@@ -162,7 +162,8 @@ def _seam(counts: Counts, explicit: Counts, near_m: float) -> Array:
     def step(fine: Array) -> Array:
         """Divide returns beyond by those before."""
         beyond: Array = fine[:, edge : edge + wide].sum(axis=1)
-        return beyond / fine[:, max(edge - wide, 0) : edge].sum(axis=1)
+        before: Array = fine[:, max(edge - wide, 0) : edge].sum(axis=1)
+        return beyond / before
 
     return 100 * (step(counts.fine) / step(explicit.fine) - 1)
 
@@ -176,7 +177,10 @@ def _tests(drawn: Sequence[Counts]) -> list[Test]:
     """Test all distributions."""
 
     def test(
-        name: str, kind: str, distance: Callable[[Array, Array], Array], of: Callable[[Counts], Array]
+        name: str,
+        kind: str,
+        distance: Callable[[Array, Array], tuple[float, float]],
+        of: Callable[[Counts], Array],
     ) -> Test:
         """Test one."""
         explicit = of(drawn[-1])

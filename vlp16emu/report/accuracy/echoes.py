@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 __all__ = ["BANDS_M", "FINE_M", "GAP_M", "HEIGHTS_M", "Counts", "Echoes", "counted"]
 
-Array = NDArray[np.float32]
+Array = NDArray[np.float64]
 
 BANDS_M: Final = (0.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 100.0)
 """Edges of bands of range; the last one has all that is farther too."""
@@ -90,7 +90,7 @@ def counted(echoes: Echoes, lasers: int, again: tuple[int, int] = (0, 0)) -> Cou
 
     def histogram(of: NDArray[np.generic], bins: int, weights: NDArray[np.uint8] | None = None) -> Array:
         """Count whole numbers."""
-        return np.bincount(of, weights, minlength=bins)[:bins].astype(np.float32)
+        return np.bincount(of, weights, minlength=bins)[:bins].astype(np.float64)
 
     return Counts(
         pulses=histogram(echoes.laser, lasers),
@@ -108,7 +108,7 @@ def counted(echoes: Echoes, lasers: int, again: tuple[int, int] = (0, 0)) -> Cou
         reflectivity=histogram(counts, 256),
         height=histogram(storey, len(HEIGHTS_M) - 1),
         species=histogram(np.minimum(species, _SPECIES - 1), _SPECIES),
-        again=np.array(again, np.float32),
+        again=np.array(again, np.float64),
     )
 
 
