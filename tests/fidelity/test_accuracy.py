@@ -1,16 +1,22 @@
 """Accuracy measured on small scenes."""
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
+from vlp16emu.assembly import assemble, window_of
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import RunError
 from vlp16emu.fidelity.accuracy import measure_accuracy
+from vlp16emu.fidelity.checks import repeats, strays
+from vlp16emu.fidelity.medium import measure_medium
 from vlp16emu.fidelity.rounding import rounding_of
 from vlp16emu.fidelity.settings import drawings, holds, lights
-from vlp16emu.report.accuracy import Kind
+from vlp16emu.pipeline import Cut
+from vlp16emu.raycast import caster
+from vlp16emu.report.accuracy import RETURNS, Kind
 from vlp16emu.scenario import load
 from vlp16emu.types import Hits
 
@@ -57,18 +63,6 @@ def test_names_are_settings():
     for light in lights(load("static_bench"), 1):
         again = lights(load("static_bench", light.name.split()), 1)
         assert [one.beam for one in again if one.in_use] == [light.beam]
-
-
-def test_drawing_otherwise_is_told_of_a_wood():
-    """Of a wood the distance in use has no error; a hall has no such rows."""
-    small = "sensor.max_range_m=20", "duration_s=1", "beam.model=fixed", "beam.rays=8"
-    found = measure_accuracy(load("birch_walk", small), "wood", pulses=512, done=lambda _: None)
-    assert [row.name for row in found.details] == [
-        f"world.near_m={near_m}" for near_m in ("10", "15", "20", "30", "inf")
-    ]
-    assert [row.in_use for row in found.details] == [False, False, True, False, False]
-    assert found.details[2].errors.mean_error_m == 0.0
-    assert measured(pulses=128).details == ()
 
 
 @pytest.mark.parametrize(
@@ -120,3 +114,66 @@ def test_where_nothing_is_met_that_is_said():
     """A scene in which no pulse has a return is an error, not a report of no errors."""
     with pytest.raises(RunError, match="none of 128 pulses has a return"):
         measured("sensor.max_range_m=1.0", pulses=128)
+
+
+SMALL = (
+    "motion={kind='static',x_m=0.0,y_m=0.0}",
+    "sensor.max_range_m=25",
+    "sensor.eccentricity_deg=0.0",
+    "sensor.azimuth_noise_deg=0.0",
+    "duration_s=1",
+    "world.near_m=10",
+)
+
+
+@pytest.fixture(scope="module")
+def wood():
+    """A static sensor in a small wood, its window, two groups of its pulses, and the scene with a medium beyond 10 m."""
+    scenario = load("birch_walk", SMALL)
+    parts = assemble(scenario)
+    cut = Cut(16, parts.head.beams.sequence_ns)
+    window = window_of(parts, scenario.start_ns, cut, 0)
+    with ThreadPoolExecutor(2) as workers:
+        scene = caster(parts.world, workers).open(window)
+    firings = parts.head.aim(640, 128, parts.motion.poses_at, across=True)
+    return parts, window, scene, firings, (parts.head.beams.near_m, 25.0)
+
+
+def test_a_far_hit_shows_what_stands_there(wood):
+    """Of each far hit the face of its own surface is within 1 m; of a scene that shows others it is not."""
+    parts, window, scene, firings, limits_m = wood
+    found = strays(scene, window, parts.world.shape, firings, limits_m, near_m=10.0)
+    assert found.far > 100
+    assert found.strays == 0
+    assert found.farthest_m <= 1.0
+
+    class Elsewhere:
+        def cast(self, *pulses):
+            hits = scene.cast(*pulses)
+            return Hits(hits.count, hits.range_m, hits.surface[::-1].copy(), hits.cos_incidence)
+
+    assert strays(Elsewhere(), window, parts.world.shape, firings, limits_m, near_m=10.0).strays > 0
+
+
+def test_a_static_sensor_meets_the_same_each_revolution(wood):
+    """By one ray, what is met depends on neither the revolution nor its random numbers; a scene that moves is seen to."""
+    _, _, scene, firings, limits_m = wood
+    assert repeats(scene, firings, *limits_m, 1808)
+
+    class Moves:
+        def cast(self, these, *others):
+            hits = scene.cast(these, *others)
+            return Hits(hits.count, hits.range_m + np.float32(these.index), hits.surface, hits.cos_incidence)
+
+    assert not repeats(Moves(), firings, *limits_m, 1808)
+
+
+def test_worlds_are_compared_as_distributions():
+    """Each distance has a column, the explicit one last; what is nearer than all media is the same in all."""
+    found = measure_medium(load("birch_walk", SMALL), pulses=512, done=lambda _: None)
+    assert found.names == tuple(f"world.near_m={near_m}" for near_m in ("10", "15", "20", "30", "inf"))
+    assert found.in_use == (True, False, False, False, False)
+    assert (found.pulses, found.groups) == (512, 4)
+    rows = {(row.section, row.name): row.values for row in found.statistics}
+    assert len(set(rows[RETURNS, "0-15 m"][1:])) == 1
+    assert measure_medium(load("static_bench"), pulses=512, done=lambda _: None) is None

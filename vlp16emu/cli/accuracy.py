@@ -1,7 +1,7 @@
 """`vlp16emu accuracy`: error against run time."""
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,11 +15,14 @@ from vlp16emu.errors import OutputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vlp16emu.report.accuracy import Accuracy, Row
+    from vlp16emu.report.accuracy import Accuracy, Distributions, Row
+    from vlp16emu.scenario import Scenario
 
 __all__ = ["accuracy"]
 
 _WIDTH = 120
+_TIMES = 16
+"""So many times as many pulses for distributions, by which single pulses are not compared."""
 
 Pulses = Annotated[
     int,
@@ -53,8 +56,8 @@ def accuracy(
     """Measure the error and the cost of settings of the beam, of poses and of foliage.
 
     Pulses from all over the run are told with each setting and held against their converged answer, of
-    thousands of sub-rays, by a receiver without noise; so are poses that are held, and a forest cast leaf by leaf to
-    some distances.
+    thousands of sub-rays, by a receiver without noise; so are poses that are held. A forest cast leaf by leaf to some
+    distances is held against the explicit one by its distributions, with 16 times as many pulses.
     Of a rig, the first sensor is looked at.
     """
     from vlp16emu.scenario import load
@@ -65,21 +68,35 @@ def accuracy(
 
         check_matplotlib()
         _make_folder(out)
-    from vlp16emu.fidelity.accuracy import measure_accuracy
-
-    name = Path(scene).stem
-    with Progress(scenario.duration_s) as progress:
-        measured = measure_accuracy(
-            scenario, name, pulses=pulses, done=lambda done_s: progress.show("measuring", done_s)
-        )
+    measured = _measured(scenario, Path(scene).stem, pulses)
     tree = _tree(measured)
     files = [] if out is None else _write(out, measured, tree)
     if as_json:
         print_json(tree | {"files": [str(file) for file in files]})
         return
     _print(measured)
+    if measured.distributions is not None:
+        _print_distributions(measured.distributions)
     for file in files:
         print(f"wrote {file}, {size(file.stat().st_size)}")
+
+
+def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
+    """Measure a scene, with a progress bar."""
+    from vlp16emu.fidelity.accuracy import measure_accuracy
+    from vlp16emu.fidelity.medium import measure_medium
+
+    with Progress(scenario.duration_s) as progress:
+        measured = measure_accuracy(
+            scenario, name, pulses=pulses, done=lambda done_s: progress.show("measuring", done_s)
+        )
+        whole_s = scenario.duration_s
+        distributions = measure_medium(
+            scenario,
+            pulses=_TIMES * pulses,
+            done=lambda share: progress.show("comparing worlds", share * whole_s),
+        )
+    return replace(measured, distributions=distributions)
 
 
 def _make_folder(out: Path) -> None:
@@ -152,18 +169,67 @@ def _print(measured: "Accuracy") -> None:
     if measured.poses:
         print("\nWith the light of the answer; run time is that of posing and aiming.")
         _print_rows(measured.poses, "pose")
-    if measured.details:
-        print(
-            "\nWith the light of the answer; run time is that with the light of the scene. A medium has no single leaves:"
-        )
-        print("single pulses differ, so look at the bias, and at lost against invented ones.")
-        _print_rows(measured.details, "how finely drawn")
     print(
         f"\nfloat32 against float64, {rounding.rays} single rays: RMSE {1e6 * rounding.range_rmse_m:.1f} um, at most "
         f"{1e6 * rounding.range_max_m:.0f} um; {100 * rounding.elsewhere:.1f} % graze an edge and meet something else"
     )
     taken = "; ".join(f"{one.wanted_m:g} m: {one.row.name}" for one in choices(measured.rows))
     print(f"For a mean error of {taken}" if taken else "No setting has a mean error below 0.5 m")
+
+
+def _print_distributions(found: "Distributions") -> None:
+    """Print worlds with a medium beside the explicit one; what departs from that by more than chance has a star."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    print(
+        f"\nWorlds with a medium beyond near_m, held against the explicit one: the same {count(found.pulses)} pulses "
+        f"in {count(found.groups)} groups,\nby {found.rays} sub-rays without noise, in dual return. ± is half of "
+        "the 95 % interval, by drawing groups anew: of the explicit\nworld's value, and of the others' difference "
+        "from it. ! marks a difference beyond that; chance alone marks one in 20."
+    )
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("statistic", no_wrap=True)
+    for name, in_use in zip(found.names, found.in_use, strict=True):
+        table.add_column(
+            name.removeprefix("world.") + (" *" if in_use else ""), justify="right", no_wrap=True
+        )
+    table.add_row("us per pulse", *(f"{us:.1f}" for us in found.us_per_pulse))
+    section = ""
+    for row in found.statistics:
+        if row.section != section:
+            table.add_row(section := row.section)
+        halves = ((high - low) / 2 for low, high in zip(row.low, row.high, strict=True))
+        marks = ("!" if row.departs(world) else " " for world in range(len(found.names) - 1))
+        cells = zip(row.values, halves, (*marks, " "), strict=True)
+        table.add_row(
+            f"  {row.name}", *(f"{_short(value)} ±{_short(half)}{mark}" for value, half, mark in cells)
+        )
+    Console(width=_WIDTH).print(table)
+    _print_tests(found)
+
+
+def _short(value: float) -> str:
+    """Four digits, at most three after the point."""
+    return "-" if math.isnan(value) else f"{value:.{1 if abs(value) >= 100 else 2}f}"
+
+
+def _print_tests(found: "Distributions") -> None:
+    """Print distances of distributions from those of the explicit world, and how often chance alone gives more."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("distribution, against near_m=inf", no_wrap=True)
+    for name in found.names[:-1]:
+        table.add_column(name.removeprefix("world."), justify="right", no_wrap=True)
+    for test in found.tests:
+        pairs = zip(test.distance, test.p, strict=True)
+        cells = (f"{distance:.4g}, p {'<' if p < 0.0015 else ''}{p:.3f}" for distance, p in pairs)
+        table.add_row(f"{test.name} ({test.kind})", *cells)
+    Console(width=_WIDTH).print(table)
 
 
 def _print_rows(rows: "Sequence[Row]", what: str) -> None:

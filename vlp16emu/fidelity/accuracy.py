@@ -2,7 +2,7 @@
 
 import os
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -13,7 +13,7 @@ from vlp16emu.fidelity.answer import apart_m, joined
 from vlp16emu.fidelity.bench import Bench
 from vlp16emu.fidelity.rounding import NOTHING_MET, rounding_of
 from vlp16emu.fidelity.sample import GROUP, Group, draw_groups
-from vlp16emu.fidelity.settings import Drawing, PosesAt, drawings, holds, lights
+from vlp16emu.fidelity.settings import PosesAt, holds, lights
 from vlp16emu.pipeline import Cut
 from vlp16emu.raycast import Scene, caster
 from vlp16emu.report.accuracy import Accuracy, Errors, Kind, Rounding, Row, Told, compare, errors_of
@@ -34,18 +34,15 @@ _POSED = 4
 class _Ladder:
     """All settings on one bench, looked at window by window."""
 
-    def __init__(self, bench: Bench, scenario: Scenario, drawings_: Sequence[Drawing]) -> None:
+    def __init__(self, bench: Bench, scenario: Scenario) -> None:
         self._bench, self._apart_m = bench, apart_m(scenario.detector)
         self._lights, self._holds = lights(scenario, bench.unit.seed), holds(bench.unit)
-        self._drawings = drawings_
         self._wide = next(light.beam for light in self._lights if light.kind is Kind.FIXED)
         self._told = defaultdict[str, list[Told]](list)
         self._us, self._rays = defaultdict[str, list[float]](list), defaultdict[str, list[float]](list)
 
-    def look(
-        self, scene: Scene, drawn: Mapping[str, Scene], groups: Sequence[Group], workers: ThreadPoolExecutor
-    ) -> None:
-        """Tell the groups of one window in all ways; `drawn` is the window drawn otherwise, by name."""
+    def look(self, scene: Scene, groups: Sequence[Group], workers: ThreadPoolExecutor) -> None:
+        """Tell the groups of one window in all ways."""
         bench, poses_at = self._bench, self._bench.unit.motion.poses_at
         answers = list(workers.map(lambda group: self._answer(scene, group, poses_at), groups))
         self._told["answer"] += answers
@@ -63,23 +60,18 @@ class _Ladder:
             self._told[hold.name] += workers.map(
                 lambda group, held=held: self._answer(scene, group, held), some
             )
-        for name, other in drawn.items():
-            self._told[name] += workers.map(
-                lambda group, other=other: self._answer(other, group, poses_at), some
-            )
 
     def _answer(self, scene: Scene, group: Group, poses_at: PosesAt, number: int = 0) -> Told:
         """Tell the answer for a group."""
         return self._bench.answer(scene, self._bench.aimed(group, poses_at), group.own, self._wide, number)
 
-    def time(self, scene: Scene, drawn: Mapping[str, Scene], block: Group) -> None:
+    def time(self, scene: Scene, block: Group) -> None:
         """Measure run time of all settings, in turn, so that whatever else goes on meets them alike."""
         bench = self._bench
         few = Group(block.first, min(_TIMED_SEQUENCES, block.count), slice(0))
         firings = bench.aimed(few, bench.unit.motion.poses_at)
         for repeat in range(_REPEATS + 1):
             timed = {light.name: bench.timed(scene, firings, light.beam) for light in self._lights}
-            timed |= {name: bench.timed(other, firings, bench.unit.beam) for name, other in drawn.items()}
             timed |= {hold.name: (bench.timed_aim(block, hold.poses_at), bench.rays) for hold in self._holds}
             if repeat:  # the first one compiled and warmed up
                 for name, (us, rays) in timed.items():
@@ -97,10 +89,6 @@ class _Ladder:
             rows=tuple(self._row(light.kind, light.name, "answer", light.in_use) for light in self._lights),
             poses=tuple(
                 self._row(Kind.POSE, hold.name, "answer of some", hold.in_use) for hold in self._holds
-            ),
-            details=tuple(
-                self._row(Kind.DETAIL, drawing.name, "answer of some", drawing.in_use)
-                for drawing in self._drawings
             ),
             rounding=rounding,
         )
@@ -145,23 +133,20 @@ def measure_accuracy(
     cut = Cut(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns)
     blocks = len(cut.blocks(0, seconds_to_ns(min(scenario.duration_s, unit.motion.run_time_s))))
     bench = Bench(unit, max(_RAYS, _TIMES * unit.beam.rays))
-    ladder = _Ladder(bench, scenario, drawn_as := drawings(scenario))
-    worlds = {one.name: parts if one.in_use else assemble(one.scenario) for one in drawn_as}
+    ladder = _Ladder(bench, scenario)
+    nearest_m, farthest_m = bench.limits_m
     rounding = NOTHING_MET
     with ThreadPoolExecutor(os.cpu_count() or 1, "accuracy") as workers:
         built = caster(parts.world, workers)
         for stretch, groups in draw_groups(cut, blocks, pulses, unit.seed, moves=parts.moves):
             window = window_of(parts, scenario.start_ns, cut, stretch)
             opened = built.open(window)  # only now is the one before let go: shapes of both are built once
-            drawn = {
-                name: opened if of is parts else built.open(window_of(of, scenario.start_ns, cut, stretch))
-                for name, of in worlds.items()
-            }
-            ladder.look(opened, drawn, groups, workers)
-            ladder.time(opened, drawn, Group(groups[0].first // cut.block * cut.block, cut.block, slice(0)))
+            ladder.look(opened, groups, workers)
+            ladder.time(opened, Group(groups[0].first // cut.block * cut.block, cut.block, slice(0)))
             firings = bench.aimed(groups[0], unit.motion.poses_at)
             if not rounding.rays:
-                rounding = rounding_of(opened, window, parts.world.shape, firings, *bench.limits_m)
+                faces_m = min(farthest_m, parts.world.near_m)  # beyond there are no faces to be met again
+                rounding = rounding_of(opened, window, parts.world.shape, firings, nearest_m, faces_m)
             done((groups[-1].first + GROUP) * cut.sequence_ns / S_NS)
     summed = ladder.summed(scene, scenario.seed, rounding)
     if not (seen := summed.rows[0].errors).returns:

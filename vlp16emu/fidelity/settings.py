@@ -54,6 +54,7 @@ class Drawing:
 
     name: str
     """As `--set` takes it."""
+    near_m: float
     in_use: bool
     scenario: Scenario
 
@@ -109,6 +110,7 @@ def drawings(scenario: Scenario) -> list[Drawing]:
     return [
         Drawing(
             f"world.near_m={near_m:g}",
+            near_m,
             in_use=near_m == world.near_m,
             scenario=scenario.model_copy(update={"world": world.model_copy(update={"near_m": near_m})}),
         )

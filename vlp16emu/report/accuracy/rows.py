@@ -6,6 +6,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from vlp16emu.report.accuracy.distributions import Distributions
 from vlp16emu.report.accuracy.errors import Errors
 
 __all__ = ["Accuracy", "Choice", "Fit", "Kind", "Rounding", "Row", "choices", "fitted_order", "front"]
@@ -21,7 +22,6 @@ class Kind(StrEnum):
     ADAPTIVE = "adaptive"
     BEAM_ERROR = "beam error"
     POSE = "pose"
-    DETAIL = "detail"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +66,9 @@ class Accuracy:
     rows: tuple[Row, ...]
     poses: tuple[Row, ...]
     """Held poses, each against a pose per pulse with the light of the answer; none where nothing moves."""
-    details: tuple[Row, ...]
-    """The world cast leaf by leaf to some distances, likewise, timed with the light of the scene; none of a hall."""
     rounding: Rounding
+    distributions: Distributions | None = None
+    """The world with a medium beyond some range against the explicit one; None of a hall."""
 
 
 @dataclass(frozen=True, slots=True)
