@@ -147,8 +147,10 @@ class Lanes(NamedTuple):
     place along and its inverse change per metre of range."""
     column: NDArray[np.uint64]
     """(8,) scratch."""
-    found: NDArray[np.int64]
-    """(2, _AHEAD) scratch: slabs whose voxels are not empty, and those voxels."""
+    place: NDArray[np.int32]
+    """(_AHEAD,) scratch: brick and bit of the voxel of each slab."""
+    found: NDArray[np.int32]
+    """(_AHEAD,) scratch: slabs whose voxels are not empty."""
 
 
 @numba.njit(cache=True, nogil=True)
@@ -162,7 +164,8 @@ def lanes() -> Lanes:
         np.zeros(LANES, np.float32),
         np.zeros((6, LANES), np.float32),
         np.zeros(LANES, np.uint64),
-        np.zeros((2, _AHEAD), np.int64),
+        np.zeros(_AHEAD, np.int32),
+        np.zeros(_AHEAD, np.int32),
     )
 
 
@@ -233,9 +236,9 @@ def march(M: Medium, L: Lanes, n: int, axis: NDArray[np.float32]) -> None:
     bricks, voxels = M.brick.reshape(nx * ny * nz, 2), M.voxel
     size = (nx * BRICK, ny * BRICK, nz * BRICK)
     n_main, n_one, n_two = size[main], size[one], size[two]
-    strides = (ny * nz, nz, 1)
+    strides = (np.int32(ny * nz), np.int32(nz), np.int32(1))
     s_main, s_one, s_two = strides[main], strides[one], strides[two]
-    shifts = (u4(4), u4(2), u4(0))
+    shifts = (np.int32(4), np.int32(2), np.int32(0))
     b_main, b_one, b_two = shifts[main], shifts[one], shifts[two]
     ground, stems = M.ground, M.stems
     corner_main, corner_one, corner_two = M.corner[main], M.corner[one], M.corner[two]
@@ -251,46 +254,45 @@ def march(M: Medium, L: Lanes, n: int, axis: NDArray[np.float32]) -> None:
         a, b = -at / change, (f4(size) - f4(1e-3) - at) / change  # less what rounding may add
         first, stop = max(first, min(a, b)), min(stop, max(a, b))
     slab, slabs = int(math.ceil(first)), int(math.floor(min(stop, (last_m - to_middle) / length + f4(1.5))))
-    found, alive = L.found, np.uint64((1 << n) - 1)
+    found, place, alive = L.found, L.place, np.uint64((1 << n) - 1)
     while slab <= slabs:
+        for ahead in range(_AHEAD):
+            at, slice_ = f4(slab + ahead), np.int32(k + (slab + ahead) * step)
+            i1, i2 = np.int32(p1 + at * d1), np.int32(p2 + at * d2)
+            brick = np.int32((slice_ >> 2) * s_main + (i1 >> 2) * s_one + (i2 >> 2) * s_two)
+            place[ahead] = np.int32(brick << 6 | (slice_ & 3) << b_main | (i1 & 3) << b_one | (i2 & 3) << b_two)
         size = min(_AHEAD, slabs - slab + 1)
         count = 0
         for ahead in range(size):
-            k_, at = k + (slab + ahead) * step, f4(slab + ahead)
-            i1 = min(max(np.int32(p1 + at * d1), 0), n_one - 1)  # rounding may leave the grid by a hair
-            i2 = min(max(np.int32(p2 + at * d2), 0), n_two - 1)
-            brick = (k_ >> 2) * s_main + (i1 >> 2) * s_one + (i2 >> 2) * s_two
-            bit = np.uint64(u4((k_ & 3) << b_main) | u4((i1 & 3) << b_one) | u4((i2 & 3) << b_two))
-            word = bricks[brick, 0]
-            before_it = word & ((np.uint64(1) << bit) - np.uint64(1))
-            found[0, count] = slab + ahead
-            found[1, count] = u4(bricks[brick, 1]) + u4(_ones(before_it))
-            count += int((word >> bit) & np.uint64(1))
+            found[count] = ahead
+            count += int((bricks[place[ahead] >> 6, 0] >> np.uint64(place[ahead] & 63)) & np.uint64(1))
         for number in range(count):
-            here = found[0, number]
+            here = slab + found[number]
             if here > slabs:
                 break
             k_, at = k + here * step, f4(here)
-            i1 = min(max(int(np.int32(p1 + at * d1)), 0), n_one - 1)
-            i2 = min(max(int(np.int32(p2 + at * d2)), 0), n_two - 1)
-            voxel = voxels[found[1, number]]
+            i1, i2 = int(np.int32(p1 + at * d1)), int(np.int32(p2 + at * d2))
+            brick, bit = place[found[number]] >> 6, np.uint64(place[found[number]] & 63)
+            before_it = bricks[brick, 0] & ((np.uint64(1) << bit) - np.uint64(1))
+            voxel = voxels[u4(bricks[brick, 1]) + u4(_ones(before_it))]
             code, met = u4(voxel), False
             low, high = (code >> low_knot) & u4(127), (code >> (low_knot + u4(7))) & u4(127)
-            g, g1, g2 = k_ + corner_main, i1 + corner_one, i2 + corner_two
-            a = g if main == 0 else g1
-            b = g if main == 1 else (g1 if main == 0 else g2)
-            c = g if main == 2 else g2
-            h = _mixed(a, b, c, seed)
-            x = min((TAU_PER_M[low] * w_low + TAU_PER_M[high] * w_high) * f4(_COVER_STEPS), f4(_COVER_STEPS * _COVER_MOST))
-            whole = int(x)
-            cover = _COVER[whole] + (_COVER[whole + 1] - _COVER[whole]) * (x - f4(whole))
-            bits = _MASK[main, int(h & u4(_VARIANTS - 1)), int(cover * f4(64.0) + f4(h >> u4(24)) * f4(1.0 / 256.0))]
-            if bits:
-                met = _meet_leaves(M, L, n, near_m, main, one, two, k_, h, bits, u4(voxel >> np.uint64(32)), knot, alive)
+            if low | high:
+                g, g1, g2 = k_ + corner_main, i1 + corner_one, i2 + corner_two
+                a = g if main == 0 else g1
+                b = g if main == 1 else (g1 if main == 0 else g2)
+                c = g if main == 2 else g2
+                h = _mixed(a, b, c, seed)
+                x = min((TAU_PER_M[low] * w_low + TAU_PER_M[high] * w_high) * f4(_COVER_STEPS), f4(_COVER_STEPS * _COVER_MOST))
+                whole = int(x)
+                cover = _COVER[whole] + (_COVER[whole + 1] - _COVER[whole]) * (x - f4(whole))
+                bits = _MASK[main, int(h & u4(_VARIANTS - 1)), int(cover * f4(64.0) + f4(h >> u4(24)) * f4(1.0 / 256.0))]
+                if bits:
+                    met = _meet_leaves(M, L, n, near_m, main, one, two, k_, h, bits, u4(voxel >> np.uint64(32)), knot, alive)
             if code & STEM:
                 i, j = (k_, i1) if main == 0 else ((i1, k_) if main == 1 else (i1, i2))
-                for place in range(stems.first[i, j, 0], stems.first[i, j, 1]):
-                    stem = stems.of[place]
+                for entry in range(stems.first[i, j, 0], stems.first[i, j, 1]):
+                    stem = stems.of[entry]
                     if stem not in (tested, before):
                         before, tested = tested, stem
                         met |= _meet_stem(stems, L, n, near_m, axis, stem, spread, aside_m)
