@@ -207,7 +207,7 @@ class Woods(Section):
     """Plants of the user's own, in the form of the program's `world/species.toml`, numbered from 1000."""
     path_clearance_m: NonNegative = 0.8
     """Nothing that stands or lies on the ground comes nearer to the path than this."""
-    near_m: Near = 20.0
+    near_m: Near = 15.0
     """What is nearer to the sensor than this is cast leaf by leaf; beyond, ground and stems are exact and foliage is a
     medium of voxels made of the same plants. `inf` casts everything leaf by leaf."""
     terrain: Terrain = Terrain()
