@@ -211,8 +211,8 @@ def _cells(
     name = ((mesh.astype(np.int64) << 16 | cell[:, 0]) << 16 | cell[:, 1]) << 16 | cell[:, 2]
     name, of = np.unique(name, return_inverse=True)
     total = np.bincount(of, area_m2)
-    place_m = np.stack([np.bincount(of, area_m2 * axis) for axis in middle_m.T], axis=1)
-    place_m /= np.maximum(total, 1e-12)[:, None]
+    weighted = np.stack([np.bincount(of, area_m2 * axis) for axis in middle_m.T], axis=1)
+    place_m = weighted / np.maximum(total, 1e-12)[:, None]
     return place_m.astype(np.float32), total.astype(np.float32), (name >> 48).astype(np.uint8)
 
 

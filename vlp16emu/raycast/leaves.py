@@ -6,7 +6,7 @@ foliage of that density takes over the length of the slab (Beer's law). Which of
 mirrored, and how a share between two whole numbers is rounded follow from hashing its place in the world.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import llvmlite.ir
 import numba
@@ -65,10 +65,10 @@ _COVER = (1.0 - np.exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS
 
 
 @numba.extending.intrinsic
-def _lowest(typingctx, word):  # noqa: ANN001, ANN202, ARG001 - the signature is numba's
+def _lowest(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - the signature is numba's
     """Find the lowest bit of a word that is not 0."""
 
-    def codegen(context, builder, signature, args):  # noqa: ANN001, ANN202, ARG001 - the signature is numba's
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - likewise
         return builder.cttz(args[0], llvmlite.ir.Constant(llvmlite.ir.IntType(1), 1))
 
     return numba.types.uint64(numba.types.uint64), codegen

@@ -6,7 +6,7 @@ be met, which each sub-ray is then cut with exactly (`vlp16emu.raycast.cuts`).
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -24,10 +24,10 @@ f4, u4 = np.float32, np.uint32
 
 
 @numba.extending.intrinsic
-def _ones(typingctx, word):  # noqa: ANN001, ANN202, ARG001 - the signature is numba's
+def _ones(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - the signature is numba's
     """Count the bits of a word."""
 
-    def codegen(context, builder, signature, args):  # noqa: ANN001, ANN202, ARG001 - likewise
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - likewise
         return builder.ctpop(args[0])
 
     return numba.types.uint64(numba.types.uint64), codegen
