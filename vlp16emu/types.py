@@ -1,11 +1,10 @@
 """The types that travel between the rooms. Frozen, slots, shapes checked once when made.
 
-Letters in shapes: k firing sequences in a batch, L lasers in **wire order** (16 on a VLP-16),
-s sub-rays per pulse, m surfaces, n anything else.
+Letters in shapes: k firing sequences in a batch, L lasers in **wire order** (16 on a VLP-16), m surfaces, n anything else.
 
-Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up; `sensor` is the
-manual's, azimuth 0 on +y and clockwise seen from above (63-9243 Rev D, section 9.1). `world_T_body`
-takes body coordinates to world coordinates, and `world_T_body @ body_T_sensor` reads left to right.
+Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up; `sensor` is the manual's, azimuth 0 on
++y and clockwise seen from above (63-9243 Rev D, section 9.1). `world_T_body` takes body coordinates to world coordinates,
+and `world_T_body @ body_T_sensor` reads left to right.
 """
 
 from collections.abc import Callable, Hashable
@@ -170,8 +169,7 @@ class Firings:
     direction: NDArray[np.float64]
     """(k, L, 3) world, unit length."""
     across: NDArray[np.float64] | None
-    """(k, L, 3) world, unit length, perpendicular to `direction` and level in the sensor: the horizontal axis of the
-    footprint, towards greater azimuths; None where a pulse is one line."""
+    """(k, L, 3) like `direction`, perpendicular to it, level in the sensor, to greater azimuths; None for pulses of one line."""
 
     def __post_init__(self) -> None:
         k, lasers = self.t_ns.shape
@@ -187,10 +185,7 @@ class Firings:
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """What the sub-rays met. Those of a pulse stand together, pulses in order of sequence, then of laser.
-
-    The sub-rays of a pulse carry equal parts of its energy; their number s may differ from pulse to pulse.
-    """
+    """What sub-rays met, pulse by pulse in order of sequence, then of laser. Those of a pulse carry equal energy."""
 
     count: NDArray[np.uint16]
     """(k, L) sub-rays of each pulse, at least 1; n in all."""
@@ -213,12 +208,8 @@ class Hits:
         cls, range_m: NDArray[np.float32], surface: NDArray[np.uint32], cos_incidence: NDArray[np.float32]
     ) -> Self:
         """Make hits of pulses that are one ray each, from arrays (k, L)."""
-        return cls(
-            np.ones(range_m.shape, np.uint16),
-            range_m.reshape(-1),
-            surface.reshape(-1),
-            cos_incidence.reshape(-1),
-        )
+        count = np.ones(range_m.shape, np.uint16)
+        return cls(count, range_m.reshape(-1), surface.reshape(-1), cos_incidence.reshape(-1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,10 +276,7 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True)
 class Sway:
-    """How m placements of a window move: sheared, every point going level as far as it is high over a foot.
-
-    At a point h over the foot that is h times `shear`, which changes steadily from knot to knot.
-    """
+    """How m placements of a window move: sheared, a point h over a foot by h times `shear`, steadily between knots."""
 
     start_ns: int
     """UTC of the first knot."""
@@ -349,8 +337,7 @@ class FarTile:
 class Window:
     """What is within reach of a stretch of the walk: placed shapes and their surfaces.
 
-    A shape is a tuple of meshes that share one frame. Mesh j of placement i shows surface
-    `first_surface[i] + j`.
+    A shape is a tuple of meshes that share one frame. Mesh j of placement i shows surface `first_surface[i] + j`.
     """
 
     origin_m: NDArray[np.float64]

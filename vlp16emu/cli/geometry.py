@@ -40,8 +40,8 @@ def geometry_of(scene: Scene) -> Geometry:
     if isinstance(scene, PlainScene):
         triangles = len(scene._surface)  # noqa: SLF001  # counting is all that anybody wants of it
         return Geometry(triangles, triangles, 36 * triangles, None, 0, 0, 0)
-    from vlp16emu.raycast.medium import BRICK, COLUMNS
     from vlp16emu.raycast.scene import EmbreeScene  # its kernel binds to the library
+    from vlp16emu.raycast.voxel import BRICK, COLUMNS
 
     assert isinstance(scene, EmbreeScene)
     placed, solids = Counter(map(id, scene.solids)), {id(solid): solid.faces for solid in scene.solids}
@@ -53,8 +53,8 @@ def geometry_of(scene: Scene) -> Geometry:
         placed=sum(quads[name] * often for name, often in placed.items()),
         bytes=sum(array.nbytes for faces in solids.values() for pair in faces for array in pair),
         near_m=medium.near_m if has_medium else None,
-        tiles=math.prod(BRICK * bricks // COLUMNS for bricks in medium.mask.shape[:2]),
-        voxels=len(medium.record),
+        tiles=math.prod(BRICK * bricks // COLUMNS for bricks in medium.brick.shape[:2]),
+        voxels=len(medium.voxel),
         medium_bytes=sum(array.nbytes for array in _arrays(medium)) if has_medium else 0,
     )
 

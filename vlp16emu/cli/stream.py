@@ -127,8 +127,6 @@ def stream(
         report = _send(told, engine, _Shown(sinks, progress, scenario.start_ns), head, stop)
     tree = head | light_tree(scenario) | stream_tree(units, sinks, report, engine.skipped, scenario, speed)
     _print(tree | {"audit": audit_tree(audit)}, as_json=as_json)
-    if report.interrupted:
-        raise typer.Exit(INTERRUPTED)
 
 
 def _send(
@@ -214,9 +212,11 @@ class _Shown:
 
 
 def _print(tree: dict[str, Any], *, as_json: bool) -> None:
-    """Print the report, for people unless as JSON."""
+    """Print the report, for people unless as JSON; where the stream was interrupted, exit as such."""
     if as_json:
         print_json(tree)
     else:
         ended = "interrupted" if tree["interrupted"] else "done"
         print_rows(f"{ended}: {tree['scene']} to {tree['to']}", stream_rows(tree))
+    if tree["interrupted"]:
+        raise typer.Exit(INTERRUPTED)

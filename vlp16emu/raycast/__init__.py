@@ -7,8 +7,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.embree import EmbreeMissingError, library
 from vlp16emu.raycast.beam import LINE, BeamModel, Footprint
+from vlp16emu.raycast.embree import EmbreeMissingError, library
 from vlp16emu.raycast.slow import PlainCaster
 from vlp16emu.types import Firings, Hits, Window, World
 

@@ -14,6 +14,7 @@ effectiveness of quasirandom sequences", 2018), shifted around the unit square b
 (Cranley and Patterson, SIAM J. Numer. Anal. 13, 1976) and laid on the plane by Box and Muller (1958): each alone is a
 fair draw from the profile, so that means over them have no bias, whatever their number.
 """
+
 import math
 from dataclasses import dataclass
 from enum import StrEnum
@@ -25,7 +26,18 @@ from numpy.typing import NDArray
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.types import Firings
 
-__all__ = ["LINE", "ROUND", "BeamModel", "Footprint", "across_of", "displace", "lay", "pulse_axes", "sub_rays", "turn"]
+__all__ = [
+    "LINE",
+    "ROUND",
+    "BeamModel",
+    "Footprint",
+    "across_of",
+    "displace",
+    "lay",
+    "pulse_axes",
+    "sub_rays",
+    "turn",
+]
 
 _PLASTIC = 1.32471795724474602596
 _STEP_U, _STEP_V = np.uint32(round(2**32 / _PLASTIC)), np.uint32(round(2**32 / _PLASTIC**2))
@@ -105,22 +117,70 @@ _ANGLE_RAD = (np.arange(2**_BITS) + 0.5) * (2 * np.pi / 2**_BITS)
 _COS, _SIN = np.cos(_ANGLE_RAD).astype(np.float32), np.sin(_ANGLE_RAD).astype(np.float32)
 _SUPPORT = np.array(
     [
-        (-0.9458, 1.1317), (0.9461, -1.1316), (0.6283, 1.3338), (-1.2934, -0.1659),
-        (1.2939, 0.1667), (-0.049, 0.3819), (-0.6295, -1.3339), (0.0493, -0.3827),
-        (-0.6539, 0.4392), (-0.234, 1.827), (0.1832, -1.429), (-0.489, -0.346),
-        (0.5224, 0.5896), (0.5604, -0.2113), (-1.9061, -0.7242), (2.026, -0.222),
-        (0.6835, 0.1903), (-0.8079, -0.7282), (1.5017, 1.2763), (0.4214, -0.6726),
-        (0.5746, -2.1377), (-0.1437, 0.9725), (-1.7592, 0.8349), (-0.3562, 0.0772),
-        (-0.9679, 0.1536), (0.1382, -0.0286), (-1.2171, -1.6406), (0.1636, 0.7868),
-        (-1.0461, 1.8269), (1.3199, -0.6968), (-0.0956, -0.8377), (1.2081, 0.6668),
-        (-0.7314, -0.2611), (0.7885, 1.9613), (-0.2284, -1.0851), (-0.4793, 0.7639),
-        (0.8952, -0.3184), (1.6819, -1.3871), (-1.7866, 0.1293), (0.2923, 0.2513),
-        (0.6408, -0.681), (0.679, 0.7898), (-0.1817, 1.2944), (-1.0685, 0.6143),
-        (1.8453, 0.4748), (-0.29, -1.8807), (-0.149, -0.178), (-1.1914, -0.6987),
-        (-0.3043, -0.6558), (0.8752, 0.2723), (0.2549, 1.5323), (-0.6131, 0.0574),
-        (1.2965, -0.3276), (0.4548, -1.164), (-0.2368, 0.4726), (-2.5881, 0.132),
-        (-0.7341, 0.6358), (0.084, -0.6261), (-1.1313, -1.1229), (0.2428, 0.5152),
-        (-1.3671, 1.3364), (0.3417, -0.1577), (0.948, -1.6559), (2.1707, 1.3263),
+        (-0.9458, 1.1317),
+        (0.9461, -1.1316),
+        (0.6283, 1.3338),
+        (-1.2934, -0.1659),
+        (1.2939, 0.1667),
+        (-0.049, 0.3819),
+        (-0.6295, -1.3339),
+        (0.0493, -0.3827),
+        (-0.6539, 0.4392),
+        (-0.234, 1.827),
+        (0.1832, -1.429),
+        (-0.489, -0.346),
+        (0.5224, 0.5896),
+        (0.5604, -0.2113),
+        (-1.9061, -0.7242),
+        (2.026, -0.222),
+        (0.6835, 0.1903),
+        (-0.8079, -0.7282),
+        (1.5017, 1.2763),
+        (0.4214, -0.6726),
+        (0.5746, -2.1377),
+        (-0.1437, 0.9725),
+        (-1.7592, 0.8349),
+        (-0.3562, 0.0772),
+        (-0.9679, 0.1536),
+        (0.1382, -0.0286),
+        (-1.2171, -1.6406),
+        (0.1636, 0.7868),
+        (-1.0461, 1.8269),
+        (1.3199, -0.6968),
+        (-0.0956, -0.8377),
+        (1.2081, 0.6668),
+        (-0.7314, -0.2611),
+        (0.7885, 1.9613),
+        (-0.2284, -1.0851),
+        (-0.4793, 0.7639),
+        (0.8952, -0.3184),
+        (1.6819, -1.3871),
+        (-1.7866, 0.1293),
+        (0.2923, 0.2513),
+        (0.6408, -0.681),
+        (0.679, 0.7898),
+        (-0.1817, 1.2944),
+        (-1.0685, 0.6143),
+        (1.8453, 0.4748),
+        (-0.29, -1.8807),
+        (-0.149, -0.178),
+        (-1.1914, -0.6987),
+        (-0.3043, -0.6558),
+        (0.8752, 0.2723),
+        (0.2549, 1.5323),
+        (-0.6131, 0.0574),
+        (1.2965, -0.3276),
+        (0.4548, -1.164),
+        (-0.2368, 0.4726),
+        (-2.5881, 0.132),
+        (-0.7341, 0.6358),
+        (0.084, -0.6261),
+        (-1.1313, -1.1229),
+        (0.2428, 0.5152),
+        (-1.3671, 1.3364),
+        (0.3417, -0.1577),
+        (0.948, -1.6559),
+        (2.1707, 1.3263),
     ],
     np.float32,
 )
@@ -227,7 +287,18 @@ def sub_rays(
     across, support = across_of(firings, beam), beam.model is BeamModel.ADAPTIVE
     rays = np.empty((*firings.t_ns.shape, -(-count // ROUND) * ROUND, 6), np.float32)
     quarters = beam.quarters.astype(np.float32)
-    _sub_rays(firings.origin_m, firings.direction, across, from_m, quarters, beam.seed, firings.index, first, support, rays)
+    _sub_rays(
+        firings.origin_m,
+        firings.direction,
+        across,
+        from_m,
+        quarters,
+        beam.seed,
+        firings.index,
+        first,
+        support,
+        rays,
+    )
     return np.ascontiguousarray(rays[:, :, :count, :3]), np.ascontiguousarray(rays[:, :, :count, 3:])
 
 
@@ -254,7 +325,10 @@ def _sub_rays(
                 lay(laid, axes, quarters, u, v, first + begin, support)
                 for lane in range(ROUND):
                     for a in range(3):
-                        rays[i, j, begin + lane, a], rays[i, j, begin + lane, 3 + a] = laid[a, lane], laid[4 + a, lane]
+                        rays[i, j, begin + lane, a], rays[i, j, begin + lane, 3 + a] = (
+                            laid[a, lane],
+                            laid[4 + a, lane],
+                        )
 
 
 def displace(range_m: NDArray[np.float32], beam: Footprint, index: int) -> None:

@@ -8,9 +8,12 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.raycast.cloud import Cloud, Library, cloud_of
+from vlp16emu.raycast.grid import Ground, Medium, Stems
 from vlp16emu.raycast.kept import packed_block, recalled_cloud, unpacked_block
-from vlp16emu.raycast.march import Ground, Medium, Stems
-from vlp16emu.raycast.medium import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M, Block, Cloud, Library, block_of, cloud_of, stem_beside, stem_columns, stem_lines
+from vlp16emu.raycast.marks import stem_beside, stem_columns, stem_lines
+from vlp16emu.raycast.medium import Block, block_of
+from vlp16emu.raycast.voxel import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.store import recalled
 from vlp16emu.types import STEM, FarTile, Mesh, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
@@ -86,14 +89,18 @@ class Far:
             ends_m = np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - TILE_M / 2
             at_m[place] += TILE_M / 2
             radius_m[place] = np.hypot(*ends_m.T).max() + STRAY_M
-        near: NDArray[np.bool_] = distance_m(at_m, window.near[:, :2]) <= self._world.near_m + STRAY_M + radius_m
+        near: NDArray[np.bool_] = (
+            distance_m(at_m, window.near[:, :2]) <= self._world.near_m + STRAY_M + radius_m
+        )
         return near[window.far]
 
     def medium(self, window: Window) -> Medium:
         """Put together what is far in a window."""
         rows = {(ix, iy): row for ix, iy, row in window.tiles}
         around = sorted({(ix + dx, iy + dy) for ix, iy in rows for dx, dy in _AROUND})
-        tiles = dict(zip(around, self._workers.map(lambda name: self._world.far_tile(*name), around), strict=True))
+        tiles = dict(
+            zip(around, self._workers.map(lambda name: self._world.far_tile(*name), around), strict=True)
+        )
         self._measure(tiles.values())
         missing = [name for name in rows if name not in self._blocks]
         made = self._workers.map(lambda name: self._block(tiles, *name), missing)
@@ -135,6 +142,7 @@ class Far:
 
 def _tile_places(window: Window) -> NDArray[np.int64]:
     """Placements of the tiles' own shapes: those of each tile's first surface."""
+    assert window.far is not None
     rows = np.array([row for _, _, row in window.tiles], np.uint32)
     return np.flatnonzero(np.isin(window.first_surface, rows) & window.far)
 
@@ -154,19 +162,12 @@ def _joined(
     top = max(block.bottom + block.mask.shape[2] for block in blocks.values())
     size = (*((high - low) * _BRICKS).tolist(), top - bottom)
     brick = np.zeros((*size, 2), np.uint64)
-    ground_m = np.full((size[0] * BRICK + 1, size[1] * BRICK + 1), _NO_GROUND_M)
-    ground_surface = np.zeros(size[:2], np.uint32)
     records = owners = 0
     voxel, owner = [], []
     for (ix, iy), block in blocks.items():
         i, j, k = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS, block.bottom - bottom
-        own = (slice(i, i + _BRICKS), slice(j, j + _BRICKS))
-        here = brick[(*own, slice(k, k + block.mask.shape[2]))]
+        here = brick[i : i + _BRICKS, j : j + _BRICKS, k : k + block.mask.shape[2]]
         here[..., 0], here[..., 1] = block.mask, block.first + np.uint32(records)
-        ground_surface[own] = rows[ix, iy]
-        ground_m[i * BRICK : i * BRICK + COLUMNS + 1, j * BRICK : j * BRICK + COLUMNS + 1] = (
-            tiles[ix, iy].ground_m[1:-1, 1:-1] - window.origin_m[2]
-        )
         base = np.array([rows.get((ix + dx, iy + dy), 0) for dx, dy in _AROUND], np.uint32)
         surface = base[block.owner_tile] + block.owner_row
         voxel.append(_above(block.first_owner + np.uint32(owners), 32) | block.record)
@@ -177,9 +178,6 @@ def _joined(
     gap = np.zeros(size, np.uint8)
     _fill_gaps(brick[..., 0], gap)
     brick[..., 1] |= _above(gap, 32)
-    known = ground_m > _NO_GROUND_M / 2
-    slopes = [np.abs(np.diff(ground_m, axis=a))[(known[1:] & known[:-1]) if a == 0 else (known[:, 1:] & known[:, :-1])] for a in (0, 1)]
-    steepest = float(np.hypot(*(slope.max(initial=0.0) for slope in slopes)) / VOXEL_M)
     x_m, y_m, z_m = corner_m.tolist()
     return Medium(
         world.near_m,
@@ -189,10 +187,34 @@ def _joined(
         np.concatenate(voxel),
         np.concatenate(owner),
         cosine,
-        Ground(ground_m, ground_surface, x_m, y_m, steepest),
+        _ground(window, tiles, rows, corner_m, size),
         _stems(window, tiles, rows, corner_m, size),
         world.seed & 0xFFFFFFFF,
     )
+
+
+def _ground(
+    window: Window,
+    tiles: Mapping[tuple[int, int], FarTile],
+    rows: Mapping[tuple[int, int], int],
+    corner_m: NDArray[np.float64],
+    size: tuple[int, ...],
+) -> Ground:
+    """Put the ground of tiles into the grid of a window."""
+    ground_m = np.full((size[0] * BRICK + 1, size[1] * BRICK + 1), _NO_GROUND_M)
+    surface = np.zeros(size[:2], np.uint32)
+    low = np.array(list(rows)).min(axis=0)
+    for (ix, iy), row in rows.items():
+        i, j = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS
+        surface[i : i + _BRICKS, j : j + _BRICKS] = row
+        ground_m[i * BRICK : i * BRICK + COLUMNS + 1, j * BRICK : j * BRICK + COLUMNS + 1] = (
+            tiles[ix, iy].ground_m[1:-1, 1:-1] - window.origin_m[2]
+        )
+    known = ground_m > _NO_GROUND_M / 2
+    along_x = np.abs(np.diff(ground_m, axis=0))[known[1:] & known[:-1]]
+    along_y = np.abs(np.diff(ground_m, axis=1))[known[:, 1:] & known[:, :-1]]
+    steepest = float(np.hypot(along_x.max(initial=0.0), along_y.max(initial=0.0)) / VOXEL_M)
+    return Ground(ground_m, surface, float(corner_m[0]), float(corner_m[1]), steepest)
 
 
 def _above(numbers: NDArray[np.unsignedinteger[Any]], bits: int) -> NDArray[np.uint64]:
@@ -210,7 +232,9 @@ def _stems(
     """Stems of a window and where they are."""
     stems = np.concatenate([np.zeros(0, STEM), *(tiles[place].stems for place in rows)])
     base = np.repeat(list(rows.values()), [len(tiles[place].stems) for place in rows]).astype(np.uint32)
-    first, of = _columns(stem_lines(stems, window.origin_m + [*corner_m[:2], 0.0]), BRICK * size[0], BRICK * size[1])
+    first, of = _columns(
+        stem_lines(stems, window.origin_m + np.array([*corner_m[:2], 0.0])), BRICK * size[0], BRICK * size[1]
+    )
     foot_m = stems["foot_m"] - window.origin_m
     profile = np.stack([stems["along_m"], stems["radius_m"]], axis=1)
     line = np.column_stack([foot_m, stems["axis"], stems["radius_m"].max(axis=1)])

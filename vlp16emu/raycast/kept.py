@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.build import Shape, shape_of
-from vlp16emu.raycast.medium import Block, Cloud, Library, cloud_of
+from vlp16emu.raycast.cloud import Cloud, Library, cloud_of
+from vlp16emu.raycast.medium import Block
 from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import ShapeKey, World
 
@@ -18,7 +19,9 @@ __all__ = ["packed_block", "recalled_cloud", "recalled_shape", "unpacked_block"]
 def recalled_shape(world: World, key: ShapeKey) -> Shape:
     """Faces of a shape, grown where no store has them."""
     name = world.shape_name(key)
-    return recalled(name and f"faces {name}", lambda: shape_of(world.shape(key)), _packed_shape, _unpacked_shape)
+    return recalled(
+        name and f"faces {name}", lambda: shape_of(world.shape(key)), _packed_shape, _unpacked_shape
+    )
 
 
 def _packed_shape(shape: Shape) -> Bundle:

@@ -14,9 +14,10 @@ from vlp16emu.raycast.beam import LINE, BeamModel, Footprint, across_of, displac
 from vlp16emu.raycast.build import Motion, Solid, motion_of, placed
 from vlp16emu.raycast.far import NO_MEDIUM, STRAY_M, Far
 from vlp16emu.raycast.geometry import normal_matrices, relative_to_window
+from vlp16emu.raycast.grid import Medium
 from vlp16emu.raycast.kept import recalled_shape
-from vlp16emu.raycast.kernel import PACKET, Light, Target, Wish, cast_lines, cast_pulses
-from vlp16emu.raycast.march import Medium
+from vlp16emu.raycast.kernel import Light, Wish, cast_lines, cast_pulses
+from vlp16emu.raycast.packet import PACKET, Target
 from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
 
@@ -56,7 +57,9 @@ class EmbreeScene:
         weakref.finalize(self, rtc.library().rtcReleaseScene, scene)
         reflectance = np.ascontiguousarray(window.surfaces["reflectance"])
         normals = normal_matrices(window)
-        return Target(scene, window.origin_m, window.first_surface, normals, motion.shear, reflectance), motion
+        return Target(
+            scene, window.origin_m, window.first_surface, normals, motion.shear, reflectance
+        ), motion
 
     def cast(
         self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
@@ -165,14 +168,17 @@ class EmbreeCaster:
 
 
 def _part(window: Window, keep: NDArray[np.bool_]) -> Window:
-    """Some placements of a window, and their shapes."""
+    """Take some placements of a window, and their shapes."""
     used, shape = np.unique(window.shape[keep], return_inverse=True)
     sway = window.sway
     if sway is not None:
         moves = keep[sway.placement]
         number = np.cumsum(keep) - 1
         sway = replace(
-            sway, placement=number[sway.placement[moves]], foot_z_m=sway.foot_z_m[moves], shear=sway.shear[:, moves]
+            sway,
+            placement=number[sway.placement[moves]],
+            foot_z_m=sway.foot_z_m[moves],
+            shear=sway.shear[:, moves],
         )
     return replace(
         window,

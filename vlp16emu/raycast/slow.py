@@ -1,5 +1,7 @@
-"""Casters that take rays one after the other, all of the window as faces: the plain `embreex` class, which steps in where
-the library cannot be driven, and brute force in float64, the slow twin of the fast kernel.
+"""Casters that take rays one after the other, all of the window as faces.
+
+The plain `embreex` class steps in where the library cannot be driven; brute force in float64 is the slow twin of the fast
+kernel.
 """
 
 from abc import ABC, abstractmethod
@@ -39,17 +41,19 @@ class SlowScene(ABC):
 
         def cast(rays: _Rays, each: int | NDArray[np.int64]) -> Met:
             """Cast rays of pulses that have so many of them each."""
-            limits = np.repeat(near, each), far_m, np.repeat(firings.t_ns, each)
-            return self._rays(*rays, *limits)
+            return self._rays(*rays, np.repeat(near, each), far_m, np.repeat(firings.t_ns, each))
 
         match beam.model:
             case BeamModel.FIXED | BeamModel.ANGLE:
                 each = beam.rays if beam.model is BeamModel.FIXED else 1
-                return Hits(np.full(shape, each, np.uint16), *cast(self._sub_rays(firings, beam, 0, each), each))
+                return Hits(
+                    np.full(shape, each, np.uint16), *cast(self._sub_rays(firings, beam, 0, each), each)
+                )
             case BeamModel.ADAPTIVE:
                 return self._by_rounds(cast, firings, beam)
         lines = (firings.origin_m - self._origin_m).reshape(-1, 3), firings.direction.reshape(-1, 3)
-        range_m, surface, cosine = (array.reshape(shape) for array in cast(lines, 1))
+        met = cast(lines, 1)
+        range_m, surface, cosine = met[0].reshape(shape), met[1].reshape(shape), met[2].reshape(shape)
         if beam.model is BeamModel.OFFSET:
             displace(range_m, beam, firings.index)
         return Hits.one_ray_each(range_m, surface, cosine)
@@ -59,9 +63,7 @@ class SlowScene(ABC):
         origin_m, direction = sub_rays(firings, beam, self._origin_m, first, count)
         return origin_m.reshape(-1, 3).astype(np.float64), direction.reshape(-1, 3).astype(np.float64)
 
-    def _by_rounds(
-        self, cast: Callable[[_Rays, int], Met], firings: Firings, beam: Footprint
-    ) -> Hits:
+    def _by_rounds(self, cast: Callable[[_Rays, int], Met], firings: Firings, beam: Footprint) -> Hits:
         """Cast rounds of all pulses, and keep those that each pulse wants."""
         shape, reflectance = firings.t_ns.shape, np.ascontiguousarray(self.surfaces["reflectance"])
         met: list[Met] = []

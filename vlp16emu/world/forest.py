@@ -205,7 +205,9 @@ class Forest:
         own = np.flatnonzero(tile.far)[1:]  # the first is the tile's own shape
         keys, shape = distinct([tile.keys[which] for which in tile.shape[own].tolist()])
         begins, rows = np.append(np.unique(tile.first_surface), len(tile.surfaces)), tile.first_surface[own]
-        some = rows[np.unique(shape, return_index=True)[1]]  # of each shape a placement, whose parts end where another's begin
+        some = rows[
+            np.unique(shape, return_index=True)[1]
+        ]  # of each shape a placement, whose parts end where another's begin
         ends = begins[np.searchsorted(begins, some, side="right")]
         parts = [tile.surfaces["part"][row:end] for row, end in zip(some, ends, strict=True)]
         trees = self._trees(ix, iy)

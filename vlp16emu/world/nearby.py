@@ -28,10 +28,15 @@ class AllNear:
     shape: Grow
     near_m: float = math.inf
     seed: int = 0
+    name: str = ""
 
     def window(self, _track_m: Array) -> Window:
         """Give the window, from wherever."""
         return self.inside
+
+    def shape_name(self, _key: ShapeKey) -> str:
+        """Give none: no shape is kept on disk."""
+        return ""
 
     def far_tile(self, ix: int, iy: int) -> FarTile:
         """Give none: there is no such square."""

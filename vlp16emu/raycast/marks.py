@@ -1,0 +1,90 @@
+"""Voxels in which the ground or a stem may be met."""
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.raycast.voxel import GROUND, STEM, VOXEL_M
+
+__all__ = ["mark_ground", "mark_stem", "stem_beside", "stem_columns", "stem_lines"]
+
+_ASIDE_M = 0.26 + 0.16
+"""How far beside a voxel a stem may be that is looked for in it: half a voxel, for a ray is looked at in the middle of
+each voxel that it passes, and the half width of a beam of 3 mrad at 100 m."""
+
+Array = NDArray[np.float64]
+
+
+def stem_lines(stems: NDArray[np.void], origin_m: Array) -> Array:
+    """Axes of stems: (n, 7) lower end relative to an origin, rise per metre of height in x and y, height, widest radius."""
+    axis = stems["axis"]
+    low_m, high_m = stems["along_m"][:, 0] * axis[:, 2], stems["along_m"][:, -1] * axis[:, 2]
+    slope = axis[:, :2] / axis[:, 2:]
+    foot_m = stems["foot_m"] - origin_m
+    lower = foot_m + np.column_stack([slope * low_m[:, None], low_m])
+    return np.column_stack([lower, slope, high_m - low_m, stems["radius_m"].max(axis=1)])
+
+
+@numba.njit(cache=True, nogil=True)
+def stem_columns(line: Array, from_m: float, to_m: float) -> tuple[int, int, int, int]:
+    """First and last column of voxels, in x and y, in which a stem may be met between two heights over its lower end."""
+    aside_m = line[6] + _ASIDE_M
+    x0, x1, y0, y1 = (
+        line[0] + line[3] * from_m,
+        line[0] + line[3] * to_m,
+        line[1] + line[4] * from_m,
+        line[1] + line[4] * to_m,
+    )
+    return (
+        math.floor((min(x0, x1) - aside_m) / VOXEL_M),
+        math.floor((max(x0, x1) + aside_m) / VOXEL_M),
+        math.floor((min(y0, y1) - aside_m) / VOXEL_M),
+        math.floor((max(y0, y1) + aside_m) / VOXEL_M),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def stem_beside(line: Array, x: int, y: int) -> bool:
+    """Whether a stem comes so near to a column of voxels, at any height, that it may be met there."""
+    # From the middle of the column to the axis as seen from above, which is a piece of a straight line.
+    a, b = (x + 0.5) * VOXEL_M - line[0], (y + 0.5) * VOXEL_M - line[1]
+    u, v = line[3] * line[5], line[4] * line[5]
+    square = u * u + v * v
+    share = min(max((a * u + b * v) / square, 0.0), 1.0) if square > 0.0 else 0.0
+    dx, dy = abs(a - share * u) - VOXEL_M / 2, abs(b - share * v) - VOXEL_M / 2
+    aside_m = line[6] + _ASIDE_M
+    dx, dy = max(dx, 0.0), max(dy, 0.0)
+    return dx * dx + dy * dy <= aside_m * aside_m
+
+
+@numba.njit(cache=True, nogil=True)
+def mark_stem(flags: NDArray[np.uint32], line: Array, low_m: float) -> None:
+    """Flag the voxels in which a stem is looked for."""
+    for k in range(flags.shape[2]):
+        below_m, above_m = low_m + k * VOXEL_M - line[2] - 0.26, low_m + (k + 1) * VOXEL_M - line[2] + 0.26
+        if above_m < 0.0 or below_m > line[5]:
+            continue
+        x0, x1, y0, y1 = stem_columns(line, max(below_m, 0.0), min(above_m, line[5]))
+        for i in range(max(x0, 0), min(x1, flags.shape[0] - 1) + 1):
+            for j in range(max(y0, 0), min(y1, flags.shape[1] - 1) + 1):
+                if stem_beside(line, i, j):
+                    flags[i, j, k] |= STEM
+
+
+@numba.njit(cache=True, nogil=True)
+def mark_ground(flags: NDArray[np.uint32], ground_m: NDArray[np.float32], low_m: float) -> None:
+    """Flag the voxels in which the ground is looked for; heights (43, 43) begin one cell outside the tile."""
+    for i in range(flags.shape[0]):
+        for j in range(flags.shape[1]):
+            low, high = ground_m[i, j], ground_m[i, j]
+            for a in range(4):
+                for b in range(4):
+                    low, high = min(low, ground_m[i + a, j + b]), max(high, ground_m[i + a, j + b])
+            first, last = (
+                math.floor((low - low_m - 0.6) / VOXEL_M),
+                math.floor((high - low_m + 0.16) / VOXEL_M),
+            )
+            for k in range(max(first, 0), min(last, flags.shape[2] - 1) + 1):
+                flags[i, j, k] |= GROUND

@@ -1,0 +1,35 @@
+"""Voxels of a medium: their size, and the codes in which they say how much is in them."""
+
+import numpy as np
+
+__all__ = [
+    "BRICK",
+    "CODES",
+    "COLUMNS",
+    "GROUND",
+    "KNOTS",
+    "MOST_PER_M",
+    "QUANTILES",
+    "STEM",
+    "TAU_PER_M",
+    "VOXEL_M",
+]
+
+VOXEL_M = 0.5
+BRICK = 4
+"""Voxels along the edge of a brick."""
+COLUMNS = 40
+"""Voxels along the edge of a tile of 20 m."""
+
+KNOTS = np.array([0.0, 0.3, 1.0])
+"""Sines of the elevations at which projected areas are known: level, 17 degrees, and upright."""
+QUANTILES = 16
+"""Of the cosine of incidence, at middles of equal shares of the projected area."""
+
+CODES, MOST_PER_M = 127, 24.0
+"""Greatest code, and its projected area per volume."""
+TAU_PER_M = (MOST_PER_M * (np.arange(CODES + 1) / CODES) ** 2).astype(np.float32)
+"""Projected area per volume of each of the codes that voxels have."""
+
+GROUND, STEM = np.uint32(1 << 21), np.uint32(1 << 22)
+"""Flags of a voxel, above its three codes of seven bits: the ground, or a stem, may be met in or beside it."""
