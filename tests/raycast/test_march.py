@@ -34,7 +34,7 @@ class Twin:
         profile = medium.stems.profile.astype(float)
         n = len(profile)
         self.foot_m = np.repeat(medium.stems.line[:, :3], 15, axis=0)
-        self.axis = np.repeat(medium.stems.line[:, 3:], 15, axis=0)
+        self.axis = np.repeat(medium.stems.line[:, 3:6], 15, axis=0)
         self.low_m, self.high_m = profile[:, 0, :-1].ravel(), profile[:, 0, 1:].ravel()
         wide, narrow = profile[:, 1, :-1].ravel(), profile[:, 1, 1:].ravel()
         self.slope = (narrow - wide) / (self.high_m - self.low_m)
@@ -301,7 +301,7 @@ def test_cosines_of_the_ground_and_of_stems_are_those_of_their_normals(stand):
             if int(surface) in stems:
                 line = medium.stems.line[stems[int(surface)]]
                 out = at_m - line[:3]
-                out -= (out @ line[3:]) * line[3:]
+                out -= (out @ line[3:6]) * line[3:6]
                 off.append(abs(out @ d) / np.linalg.norm(out) - cosine)
             elif surface != NO_SURFACE and window.surfaces["semantic"][surface] == 1:
                 x, y = at_m[:2] + 10.0

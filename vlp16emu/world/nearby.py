@@ -28,6 +28,11 @@ class AllNear:
     shape: Grow
     near_m: float = math.inf
     seed: int = 0
+    name: str = ""
+
+    def shape_name(self, _key: ShapeKey) -> str:
+        """Keep nothing on disk: shapes are cut to what is inside."""
+        return ""
 
     def window(self, _track_m: Array) -> Window:
         """Give the window, from wherever."""
