@@ -3,6 +3,7 @@
 import time
 from dataclasses import dataclass
 
+import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.assembly import Unit
