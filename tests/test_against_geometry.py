@@ -130,14 +130,14 @@ def test_errors_that_accuracy_reports_are_the_true_ones():
     look = lambda *seen: opened.append(seen[3])  # noqa: E731  # the emulator's own scene
     list(Emulator(scenario, audit=look).returns(0, 0.01))
     poses_at = unit.motion.poses_at
-    groups = [Group(first, 8, slice(0, 8)) for first in range(0, 1808, 192)]
+    groups = [Group(first, 8) for first in range(0, 1808, 192)]
     aimed = [bench.aimed(group, poses_at) for group in groups]
     answers = {
-        scene: joined([bench.answer(scene, firings, slice(0, 8), settings[-1].beam) for firings in aimed])
+        scene: joined([bench.answer(scene, firings, settings[-1].beam) for firings in aimed])
         for scene in (opened[0], exact)
     }
     for light in settings:
-        told = joined([bench.told(opened[0], firings, slice(0, 8), light.beam) for firings in aimed])
+        told = joined([bench.told(opened[0], firings, light.beam) for firings in aimed])
         reported, true = (errors_of(compare(answer, told, apart), apart) for answer in answers.values())
         assert reported.returns == true.returns > 1000
         assert reported.mean_error_m == pytest.approx(true.mean_error_m, rel=0.05, abs=1e-4), light.name

@@ -14,7 +14,7 @@ from vlp16emu import telemetry
 from vlp16emu.assembly.windows import window_of
 from vlp16emu.emulator import Emulator
 from vlp16emu.motion import gait, harness, walk
-from vlp16emu.raycast import embree, footprint
+from vlp16emu.raycast import scene as fast
 from vlp16emu.scenario import Scenario, load, schema
 from vlp16emu.world import Hall
 from vlp16emu.world.stem import StemKey
@@ -60,10 +60,8 @@ def test_a_beam_without_width_has_no_footprint(monkeypatch):
     assert axes[1].shape == (1920, 16, 3)
     forbid(
         monkeypatch,
-        (embree, "cast_sub_rays"),
-        (embree, "first_round"),
-        (embree, "sub_rays"),
-        (footprint, "across_of"),
+        (fast, "cast_pulses"),
+        (fast, "across_of"),
     )
     first()
     with pytest.raises(TouchedError):

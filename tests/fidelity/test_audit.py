@@ -72,9 +72,9 @@ def test_audits_estimate_the_error_that_accuracy_measures(hall):
     unit = emulator.parts.units[0]
     bench, poses_at = Bench(unit, 128), unit.motion.poses_at
     ((_, groups),) = draw_groups(Cut(16, 55_296), 60, 16_384, 1, moves=False)
-    aimed = [(bench.aimed(group, poses_at), group.own) for group in groups]
-    answer = joined([bench.answer(scenes[0], *pulses, unit.beam) for pulses in aimed])
-    told = joined([bench.told(scenes[0], *pulses, unit.beam) for pulses in aimed])
+    aimed = [bench.aimed(group, poses_at) for group in groups]
+    answer = joined([bench.answer(scenes[0], pulses, unit.beam) for pulses in aimed])
+    told = joined([bench.told(scenes[0], pulses, unit.beam) for pulses in aimed])
     measured_m = errors_of(compare(answer, told, apart_m(hall.detector)), apart_m(hall.detector)).range_rmse_m
     squares_um2, matched = (
         sum(getattr(audit.tally, of) for audit in audits) for of in ("squares_um2", "matched")

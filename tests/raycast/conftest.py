@@ -94,7 +94,9 @@ def upright(*rectangles, reflectance=0.5):
 
 def world(shape, near_m=math.inf, far_tile=None, seed=0):
     """What a caster needs of a world: shapes, and, where it has a medium, tiles."""
-    return SimpleNamespace(shape=shape, near_m=near_m, far_tile=far_tile, seed=seed)
+    return SimpleNamespace(
+        shape=shape, near_m=near_m, far_tile=far_tile, seed=seed, name="", shape_name=lambda _: ""
+    )
 
 
 SIDES = 96
@@ -123,6 +125,9 @@ def stem_mesh(stem, corner_m):
     top = int(np.flatnonzero(stem["along_m"] == stem["flare_m"])[0])
     parts = rings_m[: top + 1], rings_m[top:]
     return [Mesh(part.reshape(-1, 3), fan(len(part))) for part in parts]
+
+
+CROWN_PARTS = PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF
 
 
 def crown(leaves=1500, twigs=40):
@@ -183,6 +188,8 @@ def bumpy(x, y):
 class Tiles:
     """Squares of ground with stems, crowns over some of them, and stones; a `World` that is a medium beyond `near_m`."""
 
+    name = ""
+
     def __init__(self, near_m=2.0, across=1, *, per_tile=4, things=True, height_m=bumpy, seed=99):
         self.near_m, self.seed, self.height_m, self.across = near_m, seed, height_m, across
         self._kept, self._per_tile, self._things = {}, per_tile, things
@@ -217,7 +224,7 @@ class Tiles:
         first = []
         for key, _ in placed:
             first.append(len(rows))
-            tree = [(Semantic.TREE, part) for part in (PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF)]
+            tree = [(Semantic.TREE, part) for part in CROWN_PARTS]
             rows += tree if key == "crown" else [(Semantic.STONE, PlantPart.NONE)]
         surfaces = np.zeros(len(rows), SURFACE)
         surfaces["semantic"], surfaces["part"] = np.array(rows).T
@@ -225,6 +232,10 @@ class Tiles:
         surfaces["instance"] = 1000 * (100 * (ix + 50) + iy + 50) + np.arange(len(rows))
         self._kept[ix, iy] = stems, placed, np.array(first, np.int64), surfaces
         return self._kept[ix, iy]
+
+    def shape_name(self, _key):
+        """Nothing of it is kept on disk."""
+        return ""
 
     def corner_m(self, ix, iy):
         """South-west corner, at an even metre near the ground."""
@@ -243,6 +254,8 @@ class Tiles:
             np.array([keys.index(key) for key, _ in placed], np.int64),
             np.array([place for _, place in placed]).reshape(-1, 3, 4),
             first,
+            np.array([0, 2, 3] if placed else [0]),
+            np.array([*CROWN_PARTS, PlantPart.NONE] if placed else [], "u1"),
             stems,
             self.height_m(x, y),
         )

@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from vlp16emu.raycast import march as room
-from vlp16emu.raycast.far import NO_MEDIUM, Far, _fill_gaps
-from vlp16emu.raycast.march import Owners, lanes, march
-from vlp16emu.raycast.medium import BRICK, GROUND, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
+from vlp16emu.raycast import leaves as room
+from vlp16emu.raycast.far import NO_MEDIUM, Far
+from vlp16emu.raycast.lanes import lanes
+from vlp16emu.raycast.march import march
+from vlp16emu.raycast.voxel import BRICK, GROUND, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
 from vlp16emu.types import NO_SURFACE
 
 FAR_M = 60.0
@@ -29,12 +30,12 @@ class Twin:
 
     def __init__(self, medium):
         self.M = medium
-        self.size = np.array(medium.mask.shape) * BRICK
+        self.size = np.array(medium.brick.shape[:3]) * BRICK
         self.corner_m = np.array(medium.corner_m)
         profile = medium.stems.profile.astype(float)
         n = len(profile)
         self.foot_m = np.repeat(medium.stems.line[:, :3], 15, axis=0)
-        self.axis = np.repeat(medium.stems.line[:, 3:], 15, axis=0)
+        self.axis = np.repeat(medium.stems.line[:, 3:6], 15, axis=0)
         self.low_m, self.high_m = profile[:, 0, :-1].ravel(), profile[:, 0, 1:].ravel()
         wide, narrow = profile[:, 1, :-1].ravel(), profile[:, 1, 1:].ravel()
         self.slope = (narrow - wide) / (self.high_m - self.low_m)
@@ -63,11 +64,11 @@ class Twin:
         for cell in cells[inside]:
             x, y, z = cell.tolist()
             place = x >> 2, y >> 2, z >> 2
-            word, bit = int(M.mask[place]), 16 * (x & 3) + 4 * (y & 3) + (z & 3)
+            word, bit = int(M.brick[place][0]), 16 * (x & 3) + 4 * (y & 3) + (z & 3)
             if not word >> bit & 1:
                 continue
-            at = int(M.first[place]) + (word & (1 << bit) - 1).bit_count()
-            code = int(M.record[at])
+            voxel = int(M.voxel[(int(M.brick[place][1]) & M32) + (word & (1 << bit) - 1).bit_count()])
+            code = voxel & M32
             tau = np.interp(up, KNOTS, TAU_PER_M[[code & 127, code >> 7 & 127, code >> 14 & 127]])
             if code & (1 << 21) - 1 == 0:
                 continue
@@ -83,18 +84,18 @@ class Twin:
             along = cell[main] + ((int(room._PLACE[variant, leaf, main]) ^ mirror[main] << 5) + 0.5) / 256
             at_m = (along - own[main]) / d[main] * VOXEL_M
             if at_m >= M.near_m:
-                return at_m, self.owner(at, h, leaf)
+                return at_m, self.owner(voxel >> 32, h, leaf)
         return MISS
 
-    def owner(self, at, h, leaf):
-        """Surface of a leaf."""
+    def owner(self, first, h, leaf):
+        """Surface of a leaf of a voxel, by its first owner."""
         own = (h + leaf * 0x9E3779B1 & M32) * 0x85EBCA77 & M32
         own = (own ^ own >> 15) * 0xC2B2AE3D & M32
         own ^= own >> 16
-        owner = int(self.M.owners.first[at])
-        while self.M.owners.share[owner] < own & 255:
+        owner = first
+        while int(self.M.owner[owner]) >> 56 < own & 255:
             owner += 1
-        return int(self.M.owners.surface[owner])
+        return int(self.M.owner[owner]) & M32
 
     def stems(self, o, d):
         """First cone: a quadratic for each piece between two knots."""
@@ -156,25 +157,15 @@ def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):
 def dense_bricks(size, is_full, code=60):
     """Medium of bricks with the same code in each voxel of those that are full, one owner for all."""
     full = np.array([is_full(*place) for place in np.ndindex(size)]).reshape(size)
-    first = np.cumsum(np.concatenate([[0], 64 * full.ravel()[:-1]])).reshape(size).astype("u4")
-    count = 64 * int(full.sum())
-    owners = Owners(
-        np.zeros(count, "u4"),
-        np.full(1, 255, "u1"),
-        np.full(1, 5, "u4"),
-        np.zeros(1, "u4"),
-        np.full((1, len(KNOTS), QUANTILES), 0.5, "f4"),
-    )
-    gap = np.zeros(size, "u1")
-    mask = np.where(full, np.uint64(2**64 - 1), np.uint64(0))
-    _fill_gaps(mask, gap)
+    brick = np.zeros((*size, 2), "u8")
+    brick[full, 0] = 2**64 - 1
+    brick[full, 1] = 64 * np.arange(full.sum())
     return NO_MEDIUM._replace(
         near_m=0.0,
-        gap=gap,
-        mask=mask,
-        first=first,
-        record=np.full(count, code | code << 7 | code << 14, "u4"),
-        owners=owners,
+        brick=brick,
+        voxel=np.full(64 * int(full.sum()), code | code << 7 | code << 14, "u8"),
+        owner=np.array([255 << 56 | 5], "u8"),
+        cosine=np.full((1, len(KNOTS), QUANTILES), 0.5, "f4"),
         seed=7,
     )
 
@@ -182,7 +173,7 @@ def dense_bricks(size, is_full, code=60):
 def within_m(medium, origin_m, direction):
     """How far a ray goes before it is within 1 m of the edge of the grid, to the sides and below, 60 m at most."""
     low_m = np.array(medium.corner_m) + 1.0
-    high_m = low_m + np.array(medium.mask.shape) * BRICK * VOXEL_M - [2.0, 2.0, -100.0]
+    high_m = low_m + np.array(medium.brick.shape[:3]) * BRICK * VOXEL_M - [2.0, 2.0, -100.0]
     with np.errstate(divide="ignore"):
         ends_m = np.where(direction > 0, high_m - origin_m, low_m - origin_m) / direction
     return min(FAR_M, ends_m[direction != 0].min())
@@ -311,7 +302,7 @@ def test_cosines_of_the_ground_and_of_stems_are_those_of_their_normals(stand):
             if int(surface) in stems:
                 line = medium.stems.line[stems[int(surface)]]
                 out = at_m - line[:3]
-                out -= (out @ line[3:]) * line[3:]
+                out -= (out @ line[3:6]) * line[3:6]
                 off.append(abs(out @ d) / np.linalg.norm(out) - cosine)
             elif surface != NO_SURFACE and window.surfaces["semantic"][surface] == 1:
                 x, y = at_m[:2] + 10.0
@@ -321,4 +312,4 @@ def test_cosines_of_the_ground_and_of_stems_are_those_of_their_normals(stand):
                 off.append(abs(normal @ d) / np.linalg.norm(normal) - cosine)
     assert len(off) > 300
     assert np.quantile(np.abs(off), 0.99) < 0.03
-    assert (medium.record & GROUND).any()
+    assert (medium.voxel & int(GROUND)).any()

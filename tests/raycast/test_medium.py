@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_cdt
 
-from vlp16emu.raycast import march as room
+from vlp16emu.raycast import leaves as room
 from vlp16emu.raycast.far import NO_MEDIUM, Far, _fill_gaps
-from vlp16emu.raycast.march import Owners, lanes, march
-from vlp16emu.raycast.medium import COLUMNS, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M, Library, block_of, cloud_of
+from vlp16emu.raycast.lanes import lanes
+from vlp16emu.raycast.march import march
+from vlp16emu.raycast.cloud import Library, cloud_of
+from vlp16emu.raycast.medium import block_of
+from vlp16emu.raycast.voxel import COLUMNS, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
 from vlp16emu.types import NO_SURFACE, Mesh, PlantPart
 
 PARTS = np.array([PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF], "u1")
@@ -85,8 +88,8 @@ def blocks(lab):
     world = lab.tiles()
     clouds = [cloud_of(world.shape("crown"), PARTS), cloud_of(world.shape("stone"), PARTS[:1])]
     library, shape_of = Library.of(clouds), {"crown": 0, "stone": 1}
-    tiles = {place: world.far_tile(*place) for place in itertools.product((-1, 0, 1), repeat=2)}
-    made = {place: block_of(library, shape_of, tiles, *place) for place in tiles}
+    tiles = {place: world.far_tile(*place) for place in itertools.product(range(-2, 3), repeat=2)}
+    made = {place: block_of(library, shape_of, tiles, *place) for place in itertools.product((-1, 0, 1), repeat=2)}
     return world, library, tiles, made
 
 
@@ -190,7 +193,7 @@ def test_labels_are_of_what_is_there(blocks):
 def test_a_block_depends_on_its_neighbours_only(blocks):
     """A block made of nine tiles is, byte by byte, the one made with tiles farther off present too."""
     world, library, _, made = blocks
-    more = {place: world.far_tile(*place) for place in itertools.product((-2, -1, 0, 1, 2), repeat=2)}
+    more = {place: world.far_tile(*place) for place in itertools.product(range(-3, 4), repeat=2)}
     again = block_of(library, {"crown": 0, "stone": 1}, more, 0, 0)
     for name in (
         "mask",
@@ -236,22 +239,13 @@ def test_leaves_are_latin_squares():
 def one_voxel(code, cell=(2, 1, 3), corner=(40, -7, 11)):
     """Medium of one brick with foliage in one of its voxels, the same for light of any elevation."""
     bit = 16 * cell[0] + 4 * cell[1] + cell[2]
-    owners = Owners(
-        np.zeros(1, "u4"),
-        np.full(1, 255, "u1"),
-        np.full(1, 5, "u4"),
-        np.zeros(1, "u4"),
-        np.ones((1, 3, QUANTILES), "f4"),
-    )
-    one = np.zeros((1, 1, 1), "u1")
     return NO_MEDIUM._replace(
         near_m=0.0,
         corner=corner,
-        gap=one,
-        mask=np.full((1, 1, 1), 1 << bit, "u8"),
-        first=one.astype("u4"),
-        record=np.array([code | code << 7 | code << 14], "u4"),
-        owners=owners,
+        brick=np.array([[[[1 << bit, 0]]]], "u8"),
+        voxel=np.array([code | code << 7 | code << 14], "u8"),
+        owner=np.array([255 << 56 | 5], "u8"),
+        cosine=np.ones((1, 3, QUANTILES), "f4"),
         seed=7,
     )
 
@@ -309,7 +303,7 @@ def slab(lad, leaf_m=0.06, size_m=(16.0, 16.0, 8.0)):
 class Slab:
     """A tile with such a box 4 m over its level ground; a `World`."""
 
-    near_m, seed = 0.5, 3
+    near_m, seed, name = 0.5, 3, ""
 
     def __init__(self, lab, lad):
         self._bare, self._mesh = (
@@ -317,19 +311,28 @@ class Slab:
             slab(lad),
         )
 
+    def shape_name(self, _key):
+        """Nothing of it is kept on disk."""
+        return ""
+
     def shape(self, key):
         """Meshes of the box, or of the tile."""
         return (self._mesh,) if key == "slab" else self._bare.shape(key)
 
     def far_tile(self, ix, iy):
-        """Describe the tile."""
-        tile, place = self._bare.far_tile(ix, iy), np.column_stack([np.eye(3), [2.0, 2.0, 4.0]])[None]
+        """Describe the tile, and bare ones around it."""
+        tile = self._bare.far_tile(ix, iy)
+        if (ix, iy) != (0, 0):
+            return tile
+        place = np.column_stack([np.eye(3), [2.0, 2.0, 4.0]])[None]
         return replace(
             tile,
             keys=("slab",),
             shape=np.zeros(1, np.int64),
             world_T_shape=place,
             first_surface=np.ones(1, np.int64),
+            first_part=np.array([0, 1]),
+            part=np.array([PlantPart.LEAF], "u1"),
         )
 
     def window(self, track_m):

@@ -49,7 +49,7 @@ class _Ladder:
         for light in self._lights:
             told = self._told[light.name]
             for group in groups:
-                told.append(bench.told(scene, bench.aimed(group, poses_at), group.own, light.beam))
+                told.append(bench.told(scene, bench.aimed(group, poses_at), light.beam))
         self._told["answer of some"] += answers[::_POSED]
         some = groups[::_POSED]
         self._told["another answer"] += workers.map(
@@ -63,12 +63,12 @@ class _Ladder:
 
     def _answer(self, scene: Scene, group: Group, poses_at: PosesAt, number: int = 0) -> Told:
         """Tell the answer for a group."""
-        return self._bench.answer(scene, self._bench.aimed(group, poses_at), group.own, self._wide, number)
+        return self._bench.answer(scene, self._bench.aimed(group, poses_at), self._wide, number)
 
     def time(self, scene: Scene, block: Group) -> None:
         """Measure run time of all settings, in turn, so that whatever else goes on meets them alike."""
         bench = self._bench
-        few = Group(block.first, min(_TIMED_SEQUENCES, block.count), slice(0))
+        few = Group(block.first, min(_TIMED_SEQUENCES, block.count))
         firings = bench.aimed(few, bench.unit.motion.poses_at)
         for repeat in range(_REPEATS + 1):
             timed = {light.name: bench.timed(scene, firings, light.beam) for light in self._lights}
@@ -142,7 +142,7 @@ def measure_accuracy(
             window = window_of(parts, scenario.start_ns, cut, stretch)
             opened = built.open(window)  # only now is the one before let go: shapes of both are built once
             ladder.look(opened, groups, workers)
-            ladder.time(opened, Group(groups[0].first // cut.block * cut.block, cut.block, slice(0)))
+            ladder.time(opened, Group(groups[0].first // cut.block * cut.block, cut.block))
             firings = bench.aimed(groups[0], unit.motion.poses_at)
             if not rounding.rays:
                 faces_m = min(farthest_m, parts.world.near_m)  # beyond there are no faces to be met again

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.assembly import Unit
-from vlp16emu.fidelity.answer import answer_beam, some_firings, some_hits, told
+from vlp16emu.fidelity.answer import answer_beam, told
 from vlp16emu.fidelity.sample import Group
 from vlp16emu.fidelity.settings import PosesAt
 from vlp16emu.raycast import Footprint, Scene
@@ -32,27 +32,23 @@ class Bench:
         return self.unit.head.beams.near_m, self.unit.section.max_range_m
 
     def aimed(self, group: Group, poses_at: PosesAt) -> Firings:
-        """Aim the sequences of a group, neighbours included."""
+        """Aim the sequences of a group."""
         return self.unit.head.aim(group.first, group.count, poses_at, across=True)
 
-    def told(self, scene: Scene, firings: Firings, own: slice, beam: Footprint) -> Told:
-        """Cast pulses, and tell what an exact receiver makes of some of the sequences."""
+    def told(self, scene: Scene, firings: Firings, beam: Footprint) -> Told:
+        """Cast pulses, and tell what an exact receiver makes of them."""
         hits = scene.cast(firings, *self.limits_m, beam)
-        lasers, exact = np.arange(firings.t_ns.shape[1]), self.unit.detector.without_chance()
-        part = some_firings(firings, own, lasers), some_hits(hits, own, lasers)
-        return told(*part, scene.surfaces, exact)
+        return told(firings, hits, scene.surfaces, self.unit.detector.without_chance())
 
-    def answer(self, scene: Scene, firings: Firings, own: slice, beam: Footprint, number: int = 0) -> Told:
-        """Tell the answer for some of the sequences.
+    def answer(self, scene: Scene, firings: Firings, beam: Footprint, number: int = 0) -> Told:
+        """Tell the answer for some pulses.
 
         Parameters
         ----------
         beam : says how wide light is
         number : tells answers with different sub-rays apart
         """
-        part = some_firings(firings, own, np.arange(firings.t_ns.shape[1]))
-        light = answer_beam(beam, self.rays, self.unit.seed, number)
-        return self.told(scene, part, slice(0, own.stop - own.start), light)
+        return self.told(scene, firings, answer_beam(beam, self.rays, self.unit.seed, number))
 
     def timed(self, scene: Scene, firings: Firings, beam: Footprint) -> tuple[float, float]:
         """Cast and detect as a run does: microseconds per pulse on one core, and rays per pulse."""

@@ -48,8 +48,7 @@ class Look:
 
     def aimed(self, group: Group) -> Firings:
         """Aim the sequences of a group."""
-        first, poses_at = group.first + group.own.start, self.unit.motion.poses_at
-        return self.unit.head.aim(first, GROUP, poses_at, across=True)
+        return self.unit.head.aim(group.first, group.count, self.unit.motion.poses_at, across=True)
 
     def returns(self, scene: Scene, firings: Firings) -> tuple[Returns, float]:
         """Cast pulses and detect all echoes; with the run time of casting in microseconds per pulse."""

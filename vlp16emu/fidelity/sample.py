@@ -12,21 +12,18 @@ from vlp16emu.random import Purpose, generator
 __all__ = ["GROUP", "Group", "draw_groups"]
 
 GROUP = 8
-"""Sequences of a group: what is cast at once."""
+"""Sequences of a group: an adaptive beam is judged among so many, and no others."""
 _MOST_STRETCHES = 8
 """Of a long walk: each needs a window of the world of its own."""
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Consecutive firing sequences of a block."""
+    """Consecutive firing sequences, cast as in a run: of a block, from a multiple of eight on."""
 
     first: int
-    """Number of the first one that is cast: with neighbours on either side, on which an adaptive beam depends."""
+    """Number of the first one."""
     count: int
-    """How many are cast."""
-    own: slice
-    """Which of those are looked at."""
 
 
 def draw_groups(
@@ -53,21 +50,10 @@ def draw_groups(
     for number in chosen.tolist():
         first, stop = number * stretch * per_block, min((number + 1) * stretch, blocks) * per_block
         places = first + _one_of_each(draw, stop - first, min(most, stop - first))
-        yield number, [_group(place, per_block) for place in places.tolist()]
+        yield number, [Group(place * GROUP, GROUP) for place in places.tolist()]
 
 
 def _one_of_each(draw: np.random.Generator, things: int, strata: int) -> NDArray[np.int64]:
     """Draw one of the numbers below `things` from each of some strata of nearly equal size."""
     edges = np.arange(strata + 1) * things // strata
     return draw.integers(edges[:-1], edges[1:])
-
-
-def _group(place: int, per_block: int) -> Group:
-    """Make the group of eight number `place` of the run, with an eight on either side in its block."""
-    at = place % per_block
-    before, after = min(at, 1), min(per_block - 1 - at, 1)
-    return Group(
-        first=(place - before) * GROUP,
-        count=(1 + before + after) * GROUP,
-        own=slice(before * GROUP, (before + 1) * GROUP),
-    )
