@@ -29,13 +29,6 @@ class AllNear:
     near_m: float = math.inf
     seed: int = 0
     name: str = ""
-<<<<<<< HEAD
-=======
-
-    def shape_name(self, _key: ShapeKey) -> str:
-        """Keep nothing on disk: shapes are cut to what is inside."""
-        return ""
->>>>>>> wt-suite
 
     def window(self, _track_m: Array) -> Window:
         """Give the window, from wherever."""
