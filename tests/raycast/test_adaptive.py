@@ -101,7 +101,7 @@ STEP_Y_M = (np.arange(64) - 35.1) * 0.02
 def test_rays_go_where_the_footprint_is_split(lab, walls):
     """One ray is enough for pulses that meet a wall as their neighbours do; at a step they get rounds, as many as it takes."""
     count = walls.cast(lab.level_pulses(STEP_Y_M), np.zeros(1), 100.0, lab.beam("adaptive")).count[:, 0]
-    assert count[35] > ROUND
+    assert (count[[35, 36]] >= ROUND).all()
     assert (count[[35, 36]] % ROUND == 0).all()
     assert (np.delete(count, [35, 36]) == 1).all()
 
