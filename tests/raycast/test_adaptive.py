@@ -94,14 +94,14 @@ def walls(lab, workers):
     return EmbreeCaster(lab.world(shape), workers).open(window)
 
 
-STEP_Y_M = (np.arange(64) - 35.5) * 0.02
-"""As far apart as neighbours are at 10 m; the step is in the middle of an aligned eight, between pulses 35 and 36."""
+STEP_Y_M = (np.arange(64) - 35.1) * 0.02
+"""As far apart as neighbours are at 10 m; the step is in the middle of an aligned eight, 2 mm beside pulse 35."""
 
 
 def test_rays_go_where_the_footprint_is_split(lab, walls):
-    """One ray is enough for pulses that meet a wall as their neighbours do; those beside a step get more than a round."""
+    """One ray is enough for pulses that meet a wall as their neighbours do; at a step they get rounds, as many as it takes."""
     count = walls.cast(lab.level_pulses(STEP_Y_M), np.zeros(1), 100.0, lab.beam("adaptive")).count[:, 0]
-    assert (count[[35, 36]] > ROUND).all()
+    assert (count[[35, 36]] >= ROUND).all()
     assert (count[[35, 36]] % ROUND == 0).all()
     assert (np.delete(count, [35, 36]) == 1).all()
 
@@ -128,7 +128,7 @@ def test_eights_do_not_depend_on_others(lab, walls):
     y_m = np.where(np.arange(64) // 8 == 4, STEP_Y_M, 5.0)
     alone = walls.cast(lab.level_pulses(y_m), np.zeros(1), 100.0, lab.beam("adaptive"))
     assert (among.count[32:40] == alone.count[32:40]).all()
-    assert among.count[32:40].sum() > 8 * ROUND / 2
+    assert among.count[32:40].sum() > 2 * ROUND
     for name in ("range_m", "surface", "cos_incidence"):
         own = []
         for hits in (among, alone):

@@ -218,7 +218,7 @@ def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
     """99.9 % of rays (steep ones 99.8 %) meet the same surface, leaves and stems to 1 mm, the ground to 4 mm."""
     world, window, medium = stand
     twin, good, hits, seen = Twin(medium), 0, 0, set()
-    origin_m, direction = some_rays(world, towards, 3000)
+    origin_m, direction = some_rays(world, towards, 1500)
     for o, d in zip(origin_m, direction, strict=True):
         far_m = within_m(medium, o, d)
         (range_m,), (surface,), _ = marched(medium, [o], [d], far_m=far_m)
