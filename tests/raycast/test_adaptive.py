@@ -170,7 +170,7 @@ def test_grazing_light_is_followed_by_sub_rays(lab, workers):
             window.origin_m, window.shapes, window.shape, placed, window.first_surface, window.surfaces
         )
         scene = EmbreeCaster(lab.world(shape), workers).open(turned)
-        firings = lab.level_pulses(np.arange(-8, 8) * 1e-4)
+        firings = lab.level_pulses(np.arange(-8, 8) * 0.02)
         counts[degrees] = int(scene.cast(firings, np.zeros(1), 100.0, lab.beam("adaptive")).count[8, 0])
     assert counts[0.0] == counts[60.0] == 1
     assert counts[89.7] > ROUND

@@ -14,7 +14,7 @@ import pytest
 import vlp16emu.raycast as room
 from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree
-from vlp16emu.raycast.build import Solid, placed
+from vlp16emu.raycast.build import Solid, placed, shape_of
 from vlp16emu.raycast.embree import EmbreeMissingError, library_path
 from vlp16emu.raycast.scene import EmbreeCaster
 from vlp16emu.raycast.slow import PlainCaster
@@ -74,9 +74,9 @@ def test_what_fails_on_a_worker_is_raised_there(lab, workers, monkeypatch):
     _, shape = lab.upright((10.0, -1.0, 1.0, -1.0, 1.0))
     monkeypatch.setattr(embree, "BUFFER_INDEX", 99)
     with pytest.raises(RunError, match=r"^Embree could not build a shape: invalid operation$"):
-        workers.submit(Solid, shape("all")).result()
+        workers.submit(Solid, shape_of(shape("all"))).result()
     monkeypatch.undo()
-    workers.submit(Solid, shape("all")).result()
+    workers.submit(Solid, shape_of(shape("all"))).result()
 
 
 def test_a_window_that_fails_leaves_nothing_behind(monkeypatch):

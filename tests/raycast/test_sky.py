@@ -34,7 +34,7 @@ def under(radius_m, height_m, workers, make=caster):
         first_surface=np.zeros(1, "u4"),
         surfaces=np.zeros(1, SURFACE),
     )
-    world = SimpleNamespace(shape=roof, near_m=math.inf, seed=0)
+    world = SimpleNamespace(shape=roof, near_m=math.inf, seed=0, name="", shape_name=lambda _key: "")
     return make(world, workers).open(window)
 
 

@@ -36,29 +36,27 @@ def meet_stem(
     within = s[6] + aside_m + spread * nearest_m
     if off2 > within * within:  # the middle of the pulse is too far from the axis
         return False
-    # The cone that the stem is at that height; the beam is too narrow to leave it by more than a little.
+    # The cone that the stem is where the middle meets it; the beam is too narrow to leave it by more than a little.
     low_m, low_radius_m, taper = _cone(profile, nearest_m * up - lift)
+    radius_m = low_radius_m + taper * (nearest_m * up - lift - low_m)
+    ahead_m = math.sqrt(max(radius_m * radius_m - off2, 0.0) / square)
+    low_m, low_radius_m, taper = _cone(profile, (nearest_m - ahead_m) * up - lift)
     met = False
     for lane in range(n):
         dx, dy, dz = L.direction[0, lane], L.direction[1, lane], L.direction[2, lane]
         x, y, z = L.origin_m[0, lane], L.origin_m[1, lane], L.origin_m[2, lane]
         up, lift, square, ahead, aside2 = _beside(s, x, y, z, dx, dy, dz)
-        inverse = 1.0 / square
-        middle_m = ahead * inverse
-        off2 = aside2 - middle_m * middle_m / inverse
-        at_m, radius_m, inside = middle_m, 0.0, 0.0
-        for _ in range(
-            3
-        ):  # the radius is that of where it is met: each step is a hundredth of the one before
-            radius_m = low_radius_m + taper * (at_m * up - lift - low_m)
-            inside = radius_m * radius_m - off2
-            at_m = middle_m - math.sqrt(max(inside, 0.0) * inverse)
-        height_m = at_m * up - lift
-        is_stem = inside > 0.0 and radius_m > 0.0 and profile[0, 0] <= height_m <= profile[0, -1]
+        # Radius as it changes along the ray, and where its square is that of the distance from the axis.
+        begin, change = low_radius_m - taper * (lift + low_m), taper * up
+        a, b, c = square - change * change, ahead + begin * change, aside2 - begin * begin
+        inside = b * b - a * c
+        at_m = (b - math.sqrt(max(inside, 0.0))) / a
+        radius_m, height_m = begin + change * at_m, at_m * up - lift
+        is_stem = inside > 0.0 and a > 0.0 and radius_m > 0.0 and profile[0, 0] <= height_m <= profile[0, -1]
         if is_stem and near_m <= at_m < L.range_m[lane]:
             L.range_m[lane] = at_m
             L.surface[lane] = stems.surface[stem, 0 if height_m < stems.flare_m[stem] else 1]
-            L.cosine[lane] = min(math.sqrt(inside / inverse) / radius_m, 1.0)
+            L.cosine[lane] = min(max((ahead - at_m * square) / radius_m, 0.0), 1.0)
             met = True
     return met
 
@@ -170,6 +168,9 @@ def _ground_at(
             break
         if slope[0] > 0:
             low_m, c_low, at_m, slope = at_m, slope[0], last_m, below
+    falls = dz - slope[1] * dx - slope[2] * dy
+    if abs(falls) > f4(1e-4):  # where light grazes, what is left in height is long in range
+        at_m = min(max(at_m - slope[0] / falls, low_m), last_m)
     return at_m, slope[1], slope[2]
 
 

@@ -37,6 +37,8 @@ _BEND = 2.0
 thirtieth of that."""
 _STEPS = 2.5
 """Times the beam's divergence that neighbours may be apart in order to say something: the VLP-16 at 1200 rpm is at 2.3."""
+_OVERLAP, _MIDWAY_M = 0.3, 10.0
+"""Share of the beam's width by which neighbours must at least be apart, at this range: nearer ones meet the same."""
 
 
 class Light(NamedTuple):
@@ -221,11 +223,14 @@ def _cast_eight(
 def _cast_middles(near: Target, medium: Medium, light: Light, packet: RayPacket, first: int, j: int) -> bool:
     """Cast the middles of eight pulses of a laser near by; whether they are so near each other that they say something."""
     words, middle, direction = packet.words, packet.middle, light.direction
-    step2 = 0.0
+    step2 = gap2_m2 = 0.0
     for a in range(3):
-        step2 += (direction[first + 1, j, a] - direction[first, j, a]) ** 2
+        step = direction[first + 1, j, a] - direction[first, j, a]
+        gap_m = light.origin_m[first + 1, j, a] - light.origin_m[first, j, a] + _MIDWAY_M * step
+        step2, gap2_m2 = step2 + step * step, gap2_m2 + gap_m * gap_m
     reach_m = min(light.far_m, medium.near_m)
-    if step2 > (_STEPS * 4.0 * light.quarters[2]) ** 2:
+    width_m = 4.0 * (light.quarters[0] + _MIDWAY_M * light.quarters[2])
+    if step2 > (_STEPS * 4.0 * light.quarters[2]) ** 2 or gap2_m2 < (_OVERLAP * width_m) ** 2:
         return False
     _cast_near(near, light, packet, first, j, reach_m)
     for r in range(PACKET):
