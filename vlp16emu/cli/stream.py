@@ -109,11 +109,11 @@ def stream(
     once, with settings that would keep up. Ctrl-C ends the stream.
     """
     with starting():
-        from vlp16emu.cli.engine import Engine
-
         changes = [*(settings or ()), *_told_ports(data_port, position_port)]
         scenario = load_for([truth and truth / SCENARIO], scene, changes, ideal=ideal)
         start_s, stop_s = span_s(0.0, duration, scenario.duration_s)
+        from vlp16emu.cli.engine import Engine
+
         emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
     engine, units = Engine(emulator, start_s, stop_s), emulator.parts.units
     head = {"scene": scene, "seed": scenario.seed, "to": to, "speed": speed, "late": late}
