@@ -10,7 +10,7 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
 
 TOOL = Path(__file__).resolve().parents[1] / "tools" / "dual_returns"
-SPAN_S = 5.0, 5.1
+SPAN_S = 5.0, 5.2
 RESOLUTION_M = 1.0
 
 
@@ -25,7 +25,7 @@ def dual_returns():
 
 @pytest.fixture(scope="module", params=["typical", "ideal"])
 def pairs(dual_returns, request):
-    """A revolution of the reference forest."""
+    """Two revolutions of the reference forest."""
     own = [*dual_returns.OWN, f"noise.preset={request.param}", "sensor.max_range_m=30.0"]
     return dual_returns.pairs(Emulator(load("reference_forest", own)), *SPAN_S)
 
