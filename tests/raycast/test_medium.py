@@ -368,10 +368,19 @@ class Slab:
         )
 
 
-@pytest.mark.parametrize("lad", [0.2, 0.5, 1.0])
-@pytest.mark.parametrize("elevation_deg", [0.0, 17.46, 90.0])
+DENSE_UPRIGHT = pytest.param(
+    90.0,
+    1.0,
+    marks=pytest.mark.xfail(reason="upright light through dense leaves goes 7 % less deep than it should"),
+)
+
+
+@pytest.mark.parametrize(
+    ("elevation_deg", "lad"),
+    [*((e, lad) for e in (0.0, 17.46, 90.0) for lad in (0.2, 0.5, 1.0) if e * lad != 90.0), DENSE_UPRIGHT],
+)
 def test_light_is_let_through_as_by_random_leaves(lab, workers, lad, elevation_deg):
-    """Through 4 m of leaves of all directions goes exp(-LAD / 2 * 4), within three standard errors and 4 % of the depth; upright 8 %."""
+    """Through 4 m of leaves of all directions goes exp(-LAD / 2 * 4), within three standard errors and 4 % of the depth."""
     world = Slab(lab, lad)
     medium = Far(world, workers).medium(world.window(np.zeros((1, 3))))
     rng, way_m, n = np.random.default_rng(6), 4.0, 4000
@@ -389,6 +398,4 @@ def test_light_is_let_through_as_by_random_leaves(lab, workers, lad, elevation_d
     # Rays share voxels: the error is that of groups of places.
     error = through.std() / np.sqrt(n)
     depth = -math.log(through.mean())
-    assert depth == pytest.approx(
-        lad / 2 * way_m, abs=3 * error / through.mean() + (0.04 * lad * 2 if sine > 0.9 else 0), rel=0.04
-    )
+    assert depth == pytest.approx(lad / 2 * way_m, abs=3 * error / through.mean(), rel=0.04)
