@@ -69,6 +69,7 @@ def _lowest(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - the signature i
     """Find the lowest bit of a word that is not 0."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - likewise
+        """Emit the instruction."""
         return builder.cttz(args[0], llvmlite.ir.Constant(llvmlite.ir.IntType(1), 1))
 
     return numba.types.uint64(numba.types.uint64), codegen

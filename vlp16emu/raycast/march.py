@@ -28,6 +28,7 @@ def _ones(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - the signature is 
     """Count the bits of a word."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - likewise
+        """Emit the instruction."""
         return builder.ctpop(args[0])
 
     return numba.types.uint64(numba.types.uint64), codegen

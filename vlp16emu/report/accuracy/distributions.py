@@ -147,7 +147,10 @@ def _quantile(counts: Array, share: float) -> Array:
 def _statistic(section: str, name: str, values: Sequence[Array]) -> Statistic:
     """Sum up one statistic, (draws,) of each world; the first draw is what was found."""
     apart = [one - values[-1] for one in values[:-1]] + [values[-1]]
-    low, high = np.nanquantile([one[1:] for one in apart], _OUTSIDE, axis=1)
+    draws = np.array([one[1:] for one in apart])
+    known = ~np.isnan(draws).all(axis=1)  # a world may have nothing to take a statistic of
+    low, high = interval = np.full((2, len(draws)), np.nan)
+    interval[:, known] = np.nanquantile(draws[known], _OUTSIDE, axis=1)
     return Statistic(
         section, name, tuple(float(one[0]) for one in values), tuple(low.tolist()), tuple(high.tolist())
     )
