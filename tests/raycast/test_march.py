@@ -67,8 +67,8 @@ class Twin:
             word, bit = int(M.brick[place][0]), 16 * (x & 3) + 4 * (y & 3) + (z & 3)
             if not word >> bit & 1:
                 continue
-            voxel = int(M.voxel[(int(M.brick[place][1]) & M32) + (word & (1 << bit) - 1).bit_count()])
-            code = voxel & M32
+            voxel = int(M.first[place]) + (word & (1 << bit) - 1).bit_count()
+            code = int(M.record[voxel])
             tau = np.interp(up, KNOTS, TAU_PER_M[[code & 127, code >> 7 & 127, code >> 14 & 127]])
             if code & (1 << 21) - 1 == 0:
                 continue
@@ -84,7 +84,7 @@ class Twin:
             along = cell[main] + ((int(room._PLACE[variant, leaf, main]) ^ mirror[main] << 5) + 0.5) / 256
             at_m = (along - own[main]) / d[main] * VOXEL_M
             if at_m >= M.near_m:
-                return at_m, self.owner(voxel >> 32, h, leaf)
+                return at_m, self.owner(int(M.first_owner[voxel]), h, leaf)
         return MISS
 
     def owner(self, first, h, leaf):
@@ -149,7 +149,9 @@ def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):
     L.origin_m[:, :n], L.direction[:, :n] = np.transpose(origin_m), np.transpose(direction)
     L.range_m[:], L.surface[:], L.cosine[:] = far_m, NO_SURFACE, 0.0
     line = np.concatenate([origin_m[0], direction[0]] if axis is None else axis).astype("f4")
-    march(medium, L, n, line)
+    aside_m = np.linalg.norm(origin_m - line[:3], axis=1).max()
+    spread = np.linalg.norm(direction - line[3:], axis=1).max()
+    march(medium, L, n, line, np.float32(aside_m), np.float32(spread))
     range_m = np.where(L.surface == NO_SURFACE, np.inf, L.range_m)
     return range_m[:n].copy(), L.surface[:n].copy(), L.cosine[:n].copy()
 
@@ -159,11 +161,15 @@ def dense_bricks(size, is_full, code=60):
     full = np.array([is_full(*place) for place in np.ndindex(size)]).reshape(size)
     brick = np.zeros((*size, 2), "u8")
     brick[full, 0] = 2**64 - 1
-    brick[full, 1] = 64 * np.arange(full.sum())
+    first = np.zeros(size, "u4")
+    first[full] = 64 * np.arange(full.sum())
+    voxels = 64 * int(full.sum())
     return NO_MEDIUM._replace(
         near_m=0.0,
         brick=brick,
-        voxel=np.full(64 * int(full.sum()), code | code << 7 | code << 14, "u8"),
+        first=first,
+        record=np.full(voxels, code | code << 7 | code << 14, "u4"),
+        first_owner=np.zeros(voxels, "u4"),
         owner=np.array([255 << 56 | 5], "u8"),
         cosine=np.full((1, len(KNOTS), QUANTILES), 0.5, "f4"),
         seed=7,
@@ -312,4 +318,4 @@ def test_cosines_of_the_ground_and_of_stems_are_those_of_their_normals(stand):
                 off.append(abs(normal @ d) / np.linalg.norm(normal) - cosine)
     assert len(off) > 300
     assert np.quantile(np.abs(off), 0.99) < 0.03
-    assert (medium.voxel & int(GROUND)).any()
+    assert (medium.record & GROUND).any()

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import distance_transform_cdt
 
 from vlp16emu.raycast import cloud as clouds_room
 from vlp16emu.raycast import leaves as room
 from vlp16emu.raycast.cloud import Library, _kept, cloud_of
-from vlp16emu.raycast.far import NO_MEDIUM, Far, _fill_gaps
+from vlp16emu.raycast.far import NO_MEDIUM, Far
 from vlp16emu.raycast.lanes import lanes
 from vlp16emu.raycast.march import march
 from vlp16emu.raycast.medium import block_of
@@ -213,6 +212,7 @@ def test_a_block_depends_on_its_neighbours_only(blocks):
     again = block_of(library, {"crown": 0, "stone": 1}, more, 0, 0)
     for name in (
         "mask",
+        "stem",
         "first",
         "record",
         "first_owner",
@@ -222,19 +222,6 @@ def test_a_block_depends_on_its_neighbours_only(blocks):
         "owner_share",
     ):
         assert getattr(again, name).tobytes() == getattr(made[0, 0], name).tobytes()
-
-
-@pytest.mark.parametrize("density", [0.002, 0.02, 0.3, 1.0])
-@pytest.mark.parametrize("size", [(7, 5, 9), (1, 1, 1), (30, 3, 12)])
-def test_gaps_are_chessboard_distances(size, density):
-    """Bricks know how far the nearest one is that is not empty, as scipy finds it; 255 where all are empty."""
-    full = np.random.default_rng(1).random(size) < density
-    gap = np.zeros(size, "u1")
-    _fill_gaps(full.astype("u8"), gap)
-    if full.any():
-        assert (gap == distance_transform_cdt(~full, "chessboard")).all()
-    else:
-        assert (gap == 255).all()
 
 
 def test_leaves_are_latin_squares():
@@ -259,7 +246,8 @@ def one_voxel(code, cell=(2, 1, 3), corner=(40, -7, 11)):
         near_m=0.0,
         corner=corner,
         brick=np.array([[[[1 << bit, 0]]]], "u8"),
-        voxel=np.array([code | code << 7 | code << 14], "u8"),
+        record=np.array([code | code << 7 | code << 14], "u4"),
+        first_owner=np.zeros(1, "u4"),
         owner=np.array([255 << 56 | 5], "u8"),
         cosine=np.ones((1, 3, QUANTILES), "f4"),
         seed=7,
@@ -270,7 +258,7 @@ def met_m(medium, origin_m, direction, far_m=60.0):
     """Range of one ray, inf where it meets nothing."""
     L = lanes()
     L.origin_m[:, 0], L.direction[:, 0], L.range_m[0], L.surface[0] = origin_m, direction, far_m, NO_SURFACE
-    march(medium, L, 1, np.array([*origin_m, *direction], "f4"))
+    march(medium, L, 1, np.array([*origin_m, *direction], "f4"), np.float32(0), np.float32(0))
     return float(L.range_m[0]) if L.surface[0] != NO_SURFACE else np.inf
 
 

@@ -54,7 +54,7 @@ def geometry_of(scene: Scene) -> Geometry:
         bytes=sum(array.nbytes for faces in solids.values() for pair in faces for array in pair),
         near_m=medium.near_m if has_medium else None,
         tiles=math.prod(BRICK * bricks // COLUMNS for bricks in medium.brick.shape[:2]),
-        voxels=len(medium.voxel),
+        voxels=len(medium.record),
         medium_bytes=sum(array.nbytes for array in _arrays(medium)) if has_medium else 0,
     )
 

@@ -184,7 +184,8 @@ _SUPPORT = np.array(
     ],
     np.float32,
 )
-"""(64, 2) in standard deviations; `tools/convergence --points` finds them anew."""
+"""(64, 2) in standard deviations."""
+_REACH = np.append(np.hypot(*_SUPPORT.T).reshape(-1, ROUND).max(axis=1), _RADIUS.max()).astype(np.float32)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -233,6 +234,12 @@ def lay(
         for a in range(3):
             rays[a, lane] = axes[0, a] + axes[2, a] * x_m + axes[3, a] * y_m
             rays[4 + a, lane] = (axes[1, a] + axes[2, a] * lean_x + axes[3, a] * lean_y) * scale
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+def reach_of(first: int, support: bool) -> np.float32:
+    """How far sub-rays `first` and on, which are laid together, are off the middle at most, in standard deviations."""
+    return _REACH[first // ROUND] if support and first < len(_SUPPORT) else _REACH[-1]
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)

@@ -7,7 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.grid import Ground, Stems
-from vlp16emu.raycast.lanes import FAST, Lanes
+from vlp16emu.raycast.lanes import (
+    AT,
+    COSINE,
+    DIRECTION,
+    FACING,
+    FAST,
+    HEIGHT,
+    LANES,
+    ORIGIN,
+    RANGE,
+    Lanes,
+)
 from vlp16emu.raycast.voxel import BRICK, VOXEL_M
 
 __all__ = ["meet_ground", "meet_stem"]
@@ -20,79 +31,100 @@ def meet_stem(
     stems: Stems,
     L: Lanes,
     n: int,
-    near_m: float,
+    near_m: np.float32,
     axis: NDArray[np.float32],
     stem: int,
-    spread: float,
-    aside_m: float,
+    spread: np.float32,
+    aside_m: np.float32,
 ) -> bool:
     """Cut the lanes with a stem: across its axis a circle whose radius is that of the height at which it is met."""
     s, profile = stems.line[stem], stems.profile[stem]
-    up, lift, square, ahead, aside2 = _beside(s, axis[0], axis[1], axis[2], axis[3], axis[4], axis[5])
+    sx, sy, sz = s[3], s[4], s[5]
+    qx, qy, qz = axis[0] - s[0], axis[1] - s[1], axis[2] - s[2]
+    up, lift = axis[3] * sx + axis[4] * sy + axis[5] * sz, qx * sx + qy * sy + qz * sz
+    wx, wy, wz = axis[3] - up * sx, axis[4] - up * sy, axis[5] - up * sz
+    square = wx * wx + wy * wy + wz * wz
     if square < 1e-9:
         return False
-    nearest_m = ahead / square
-    off2 = aside2 - nearest_m * nearest_m * square
-    within = s[6] + aside_m + spread * nearest_m
-    if off2 > within * within:  # the middle of the pulse is too far from the axis
+    # Range and height at which the middle of the pulse is nearest to the axis, and how far it is from it there.
+    nearest_m = -(qx * wx + qy * wy + qz * wz) / square
+    height_m = lift + nearest_m * up
+    px, py, pz = (
+        qx - lift * sx + nearest_m * wx,
+        qy - lift * sy + nearest_m * wy,
+        qz - lift * sz + nearest_m * wz,
+    )
+    off2, margin_m = px * px + py * py + pz * pz, spread * abs(nearest_m) + aside_m
+    widest_m = profile[2, _knot(profile, height_m - margin_m - s[6] * abs(up))]
+    within_m = widest_m + margin_m
+    if off2 > within_m * within_m:
         return False
     # The cone that the stem is where the middle meets it; the beam is too narrow to leave it by more than a little.
-    low_m, low_radius_m, taper = _cone(profile, nearest_m * up - lift)
-    radius_m = low_radius_m + taper * (nearest_m * up - lift - low_m)
-    ahead_m = math.sqrt(max(radius_m * radius_m - off2, 0.0) / square)
-    low_m, low_radius_m, taper = _cone(profile, (nearest_m - ahead_m) * up - lift)
-    met = False
+    knot = _knot(profile, height_m - up * math.sqrt(max(widest_m * widest_m - off2, 0.0) / square))
+    taper = (profile[1, knot + 1] - profile[1, knot]) / (profile[0, knot + 1] - profile[0, knot])
+    _cut_cone(
+        L.row,
+        (f4(s[0] + height_m * sx), f4(s[1] + height_m * sy), f4(s[2] + height_m * sz)),
+        (f4(sx), f4(sy), f4(sz)),
+        f4(nearest_m),
+        f4(height_m),
+        f4(profile[1, knot] + taper * (height_m - profile[0, knot])),
+        taper,
+    )
+    met, row, flare_m = False, L.row, stems.flare_m[stem]
     for lane in range(n):
-        dx, dy, dz = L.direction[0, lane], L.direction[1, lane], L.direction[2, lane]
-        x, y, z = L.origin_m[0, lane], L.origin_m[1, lane], L.origin_m[2, lane]
-        up, lift, square, ahead, aside2 = _beside(s, x, y, z, dx, dy, dz)
-        # Radius as it changes along the ray, and where its square is that of the distance from the axis.
-        begin, change = low_radius_m - taper * (lift + low_m), taper * up
-        a, b, c = square - change * change, ahead + begin * change, aside2 - begin * begin
-        inside = b * b - a * c
-        at_m = (b - math.sqrt(max(inside, 0.0))) / a
-        radius_m, height_m = begin + change * at_m, at_m * up - lift
-        is_stem = inside > 0.0 and a > 0.0 and radius_m > 0.0 and profile[0, 0] <= height_m <= profile[0, -1]
-        if is_stem and near_m <= at_m < L.range_m[lane]:
-            L.range_m[lane] = at_m
-            L.surface[lane] = stems.surface[stem, 0 if height_m < stems.flare_m[stem] else 1]
-            L.cosine[lane] = min(max((ahead - at_m * square) / radius_m, 0.0), 1.0)
+        at_m, at_height_m = row[AT + lane], row[HEIGHT + lane]
+        if near_m <= at_m < row[RANGE + lane] and profile[0, 0] <= at_height_m <= profile[0, -1]:
+            row[RANGE + lane], row[COSINE + lane] = at_m, row[FACING + lane]
+            L.surface[lane] = stems.surface[stem, 0 if at_height_m < flare_m else 1]
             met = True
     return met
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
-def _beside(
-    line: NDArray[np.float64], x: float, y: float, z: float, dx: float, dy: float, dz: float
-) -> tuple[float, float, float, float, float]:
-    """Look at a ray across the axis of a stem.
-
-    Returns
-    -------
-    Rise along the axis per metre of range, and height of the foot over the origin; in the plane across the axis the square
-    of the direction, its product with the way to the axis, and the square of that.
-    """
-    qx, qy, qz = line[0] - x, line[1] - y, line[2] - z
-    up = dx * line[3] + dy * line[4] + dz * line[5]
-    lift = qx * line[3] + qy * line[4] + qz * line[5]
-    wx, wy, wz = dx - up * line[3], dy - up * line[4], dz - up * line[5]
-    ux, uy, uz = qx - lift * line[3], qy - lift * line[4], qz - lift * line[5]
-    return up, lift, wx * wx + wy * wy + wz * wz, ux * wx + uy * wy + uz * wz, ux * ux + uy * uy + uz * uz
+def _cut_cone(
+    row: NDArray[np.float32],
+    middle_m: tuple[np.float32, np.float32, np.float32],
+    axis: tuple[np.float32, np.float32, np.float32],
+    from_m: np.float32,
+    height_m: np.float32,
+    radius_m: np.float32,
+    taper: np.float32,
+) -> None:
+    """Cut all lanes with a cone, looked at from the middle of its circle at a height; `from_m` is the range there."""
+    sx, sy, sz = axis
+    for lane in range(LANES):
+        dx, dy, dz = (
+            row[DIRECTION + lane],
+            row[DIRECTION + LANES + lane],
+            row[DIRECTION + 2 * LANES + lane],
+        )
+        x = row[ORIGIN + lane] + from_m * dx - middle_m[0]
+        y = row[ORIGIN + LANES + lane] + from_m * dy - middle_m[1]
+        z = row[ORIGIN + 2 * LANES + lane] + from_m * dz - middle_m[2]
+        lift, up = x * sx + y * sy + z * sz, dx * sx + dy * sy + dz * sz
+        x, y, z = x - lift * sx, y - lift * sy, z - lift * sz
+        dx, dy, dz = dx - up * sx, dy - up * sy, dz - up * sz
+        # Radius as it changes along the ray, and where its square is that of the distance from the axis.
+        begin_m, change = radius_m + taper * lift, taper * up
+        along, square = x * dx + y * dy + z * dz, dx * dx + dy * dy + dz * dz
+        a, b = square - change * change, begin_m * change - along
+        inside = b * b - a * (x * x + y * y + z * z - begin_m * begin_m)
+        on_m = (b - np.sqrt(max(inside, f4(0.0)))) / a
+        there_m = begin_m + change * on_m
+        met = (inside > f4(0.0)) & (a > f4(0.0)) & (there_m > f4(0.0))
+        row[AT + lane] = from_m + on_m if met else f4(np.inf)
+        row[HEIGHT + lane] = height_m + lift + up * on_m
+        row[FACING + lane] = min(max(-(along + square * on_m) / there_m, f4(0.0)), f4(1.0))
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
-def _cone(profile: NDArray[np.float32], at: float) -> tuple[np.float32, np.float32, np.float32]:
-    """Find the cone that a stem is at a height: its lower end, the radius there, and how that changes."""
-    lower, upper = 0, profile.shape[1] - 1
-    while upper - lower > 1:
-        middle = (lower + upper) >> 1
-        if profile[0, middle] <= at:
-            lower = middle
-        else:
-            upper = middle
-    low_m, low_radius_m = profile[0, lower], profile[1, lower]
-    taper = (profile[1, upper] - low_radius_m) / (profile[0, upper] - low_m)
-    return low_m, low_radius_m, taper
+def _knot(profile: NDArray[np.float32], height_m: float) -> int:
+    """Find the knot of a profile at or below a height; the last but one from there on, the first below all."""
+    knot, at_m = 0, f4(height_m)
+    for i in range(1, profile.shape[1] - 1):
+        knot += profile[0, i] <= at_m
+    return knot
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vlp16emu.raycast.cloud import Cloud, Library, cloud_of
 from vlp16emu.raycast.grid import Ground, Medium, Stems
 from vlp16emu.raycast.kept import packed_block, recalled_cloud, unpacked_block
-from vlp16emu.raycast.marks import stem_beside, stem_columns, stem_lines
+from vlp16emu.raycast.marks import ASIDE_M, stem_beside, stem_columns, stem_lines
 from vlp16emu.raycast.medium import Block, block_of
 from vlp16emu.raycast.voxel import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.store import recalled
@@ -27,7 +27,6 @@ STRAY_M = 1.0
 _BRICKS = COLUMNS // BRICK
 _BRICK_M = BRICK * VOXEL_M
 _NO_GROUND_M = np.float32(-1e6)
-_FARTHEST = 255
 _AROUND = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
 _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))], np.zeros(1, np.uint8))
 """Of a library before anything is measured: where only stems and ground are far."""
@@ -35,21 +34,23 @@ _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uin
 
 def _no_medium() -> Medium:
     """Make a medium that begins nowhere."""
-    none = np.zeros(0, np.uint64)
+    none = np.zeros(0, np.uint32)
     return Medium(
         np.inf,
         (0.0, 0.0, 0.0),
         (0, 0, 0),
         np.zeros((1, 1, 1, 2), np.uint64),
+        np.zeros((1, 1, 1), np.uint32),
         none,
         none,
+        np.zeros(0, np.uint64),
         np.zeros((0, len(KNOTS), QUANTILES), np.float32),
         Ground(np.zeros((2, 2), np.float32), np.zeros((1, 1), np.uint32), 0.0, 0.0, 0.0),
         Stems(
             np.zeros((1, 1, 2), np.int32),
             np.zeros(0, np.int32),
             np.zeros((0, 7)),
-            np.zeros((0, 2, 16), np.float32),
+            np.zeros((0, 3, 16), np.float32),
             np.zeros((0, 2), np.uint32),
             np.zeros(0, np.float32),
         ),
@@ -161,30 +162,31 @@ def _joined(
     bottom = min(block.bottom for block in blocks.values())
     top = max(block.bottom + block.mask.shape[2] for block in blocks.values())
     size = (*((high - low) * _BRICKS).tolist(), top - bottom)
-    brick = np.zeros((*size, 2), np.uint64)
+    brick, first = np.zeros((*size, 2), np.uint64), np.zeros(size, np.uint32)
     records = owners = 0
-    voxel, owner = [], []
+    record, first_owner, owner = [], [], []
     for (ix, iy), block in blocks.items():
         i, j, k = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS, block.bottom - bottom
-        here = brick[i : i + _BRICKS, j : j + _BRICKS, k : k + block.mask.shape[2]]
-        here[..., 0], here[..., 1] = block.mask, block.first + np.uint32(records)
+        here = slice(i, i + _BRICKS), slice(j, j + _BRICKS), slice(k, k + block.mask.shape[2])
+        brick[(*here, 0)], brick[(*here, 1)] = block.mask, block.stem
+        first[here] = block.first + np.uint32(records)
         base = np.array([rows.get((ix + dx, iy + dy), 0) for dx, dy in _AROUND], np.uint32)
         surface = base[block.owner_tile] + block.owner_row
-        voxel.append(_above(block.first_owner + np.uint32(owners), 32) | block.record)
+        record.append(block.record)
+        first_owner.append(block.first_owner + np.uint32(owners))
         owner.append(_above(block.owner_share, 56) | _above(block.owner_law, 32) | surface)
         records, owners = records + len(block.record), owners + len(block.owner_row)
     corner = np.array([*(low * COLUMNS), bottom * BRICK], np.int64)
     corner_m = corner * VOXEL_M - window.origin_m
-    gap = np.zeros(size, np.uint8)
-    _fill_gaps(brick[..., 0], gap)
-    brick[..., 1] |= _above(gap, 32)
     x_m, y_m, z_m = corner_m.tolist()
     return Medium(
         world.near_m,
         (x_m, y_m, z_m),
         (int(corner[0]), int(corner[1]), int(corner[2])),
         brick,
-        np.concatenate(voxel),
+        first,
+        np.concatenate(record),
+        np.concatenate(first_owner),
         np.concatenate(owner),
         cosine,
         _ground(window, tiles, rows, corner_m, size),
@@ -236,8 +238,10 @@ def _stems(
         stem_lines(stems, window.origin_m + np.array([*corner_m[:2], 0.0])), BRICK * size[0], BRICK * size[1]
     )
     foot_m = stems["foot_m"] - window.origin_m
-    profile = np.stack([stems["along_m"], stems["radius_m"]], axis=1)
-    line = np.column_stack([foot_m, stems["axis"], stems["radius_m"].max(axis=1)])
+    radius_m = stems["radius_m"]
+    widest_m = np.maximum.accumulate(radius_m[:, ::-1], axis=1)[:, ::-1]
+    profile = np.ascontiguousarray(np.stack([stems["along_m"], radius_m, widest_m], axis=1))
+    line = np.column_stack([foot_m, stems["axis"], radius_m.max(axis=1)])
     return Stems(first, of, line, profile, stems["row"] + base[:, None], stems["flare_m"].copy())
 
 
@@ -248,10 +252,11 @@ def _columns(lines: NDArray[np.float64], nx: int, ny: int) -> tuple[NDArray[np.i
     of, total = np.empty(0, np.int32), 0
     for counting in (True, False):
         for s in range(len(lines)):
-            x0, x1, y0, y1 = stem_columns(lines[s], 0.0, lines[s, 5])
+            aside_m, height_m = lines[s, 6] + ASIDE_M, lines[s, 5]
+            x0, x1, y0, y1 = stem_columns(lines[s], aside_m, 0.0, height_m)
             for x in range(max(x0, 0), min(x1, nx - 1) + 1):
                 for y in range(max(y0, 0), min(y1, ny - 1) + 1):
-                    if not stem_beside(lines[s], x, y):
+                    if not stem_beside(lines[s], aside_m, 0.0, height_m, x, y):
                         continue
                     if not counting:
                         of[first[x, y, 1]] = s
@@ -264,32 +269,3 @@ def _columns(lines: NDArray[np.float64], nx: int, ny: int) -> tuple[NDArray[np.i
                     total += count
             of = np.empty(total, np.int32)
     return first, of
-
-
-@numba.njit(cache=True, nogil=True)
-def _fill_gaps(mask: NDArray[np.uint64], gap: NDArray[np.uint8]) -> None:
-    """Distance of bricks from those that are not empty, axis by axis (the greatest of three is separable)."""
-    nx, ny, nz = mask.shape
-    for x in range(nx):
-        for y in range(ny):
-            for z in range(nz):
-                gap[x, y, z] = 0 if mask[x, y, z] else _FARTHEST
-    # Two passes over all neighbours that were seen before give the chessboard distance.
-    for turn in range(2):
-        for p in range(nx):
-            x = p if turn == 0 else nx - 1 - p
-            for q in range(ny):
-                y = q if turn == 0 else ny - 1 - q
-                for r in range(nz):
-                    z = r if turn == 0 else nz - 1 - r
-                    least = int(gap[x, y, z])
-                    if least == 0:
-                        continue
-                    for n in range(13):  # half of the 26 neighbours
-                        dx, dy, dz = n // 9 - 1, n // 3 % 3 - 1, n % 3 - 1
-                        if turn == 1:
-                            dx, dy, dz = -dx, -dy, -dz
-                        a, b, c = x + dx, y + dy, z + dz
-                        if 0 <= a < nx and 0 <= b < ny and 0 <= c < nz:
-                            least = min(least, int(gap[a, b, c]) + 1)
-                    gap[x, y, z] = least

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 _Packed = tuple[
     NDArray[np.uint64],
+    NDArray[np.uint64],
     NDArray[np.uint32],
     NDArray[np.uint32],
     NDArray[np.uint32],
@@ -39,6 +40,7 @@ def filled(
     row: NDArray[np.int64],
     tile_of: NDArray[np.int64],
     lines: Array,
+    radii: NDArray[np.float32],
     ground_m: NDArray[np.float32],
     low_m: float,
     levels: int,
@@ -71,7 +73,14 @@ def filled(
                 head, node, area, used, T, library.corners_m[f], library.share[library.first_law[s] + mesh],
                 low_m, tile_of[p], row[p] + mesh, library.first_law[s] + mesh, add, projection,
             )  # fmt: skip
-    return _pack(head, _flags(head.shape, lines, ground_m, low_m), node, area, used)
+    flags, stem = (
+        np.zeros(head.shape, np.uint32),
+        np.zeros((COLUMNS // BRICK, COLUMNS // BRICK, levels), np.uint64),
+    )
+    mark_ground(flags, ground_m, low_m)
+    for i in range(lines.shape[0]):
+        mark_stem(stem, lines[i], radii[i], low_m)
+    return _pack(head, flags, stem, node, area, used)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -84,18 +93,6 @@ def _roomy(node: NDArray[np.int64], area: Array, used: int, needed: int) -> tupl
         bigger[:used], more[:used] = node[:used], area[:used]
         node, area = bigger, more
     return node, area
-
-
-@numba.njit(cache=True, nogil=True)
-def _flags(
-    shape: tuple[int, ...], lines: Array, ground_m: NDArray[np.float32], low_m: float
-) -> NDArray[np.uint32]:
-    """Flag the voxels in which stems and the ground are looked for."""
-    flags = np.zeros(shape, np.uint32)
-    for i in range(lines.shape[0]):
-        mark_stem(flags, lines[i], low_m)
-    mark_ground(flags, ground_m, low_m)
-    return flags
 
 
 @numba.njit(cache=True, nogil=True)
@@ -206,6 +203,7 @@ def _put_face(
 def _pack(
     head: NDArray[np.int32],
     flags: NDArray[np.uint32],
+    stem: NDArray[np.uint64],
     node: NDArray[np.int64],
     area: Array,
     used: int,
@@ -244,7 +242,7 @@ def _pack(
                         | _code(area2) << np.uint32(14)
                     )
                     n += 1
-    return mask, first, record, first_owner, owner_tile, owner_row, owner_law, owner_share
+    return mask, stem, first, record, first_owner, owner_tile, owner_row, owner_law, owner_share
 
 
 @numba.njit(cache=True, nogil=True)

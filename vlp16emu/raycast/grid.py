@@ -31,7 +31,7 @@ class Stems(NamedTuple):
     line: NDArray[np.float64]
     """(n, 7) foot, unit axis, and widest radius."""
     profile: NDArray[np.float32]
-    """(n, 2, knots) heights along the axis and radii."""
+    """(n, 3, knots) heights along the axis, radii, and the greatest radius from there upwards."""
     surface: NDArray[np.uint32]
     """(n, 2) of root flare and stem."""
     flare_m: NDArray[np.float32]
@@ -48,10 +48,13 @@ class Medium(NamedTuple):
     corner: tuple[int, int, int]
     """The same in voxels of the world."""
     brick: NDArray[np.uint64]
-    """(x, y, z, 2) of each brick its mask as in `Block`; and number of its first voxel, over 32 bits the distance in bricks
-    to the nearest one that is not empty, 0 where that is itself, by the greatest of the three axes."""
-    voxel: NDArray[np.uint64]
-    """(m,) record as in `Block`, over 32 bits the number of its first owner."""
+    """(x, y, z, 2) of each brick which voxels hold anything, and in which a stem may be met, as in `Block`."""
+    first: NDArray[np.uint32]
+    """(x, y, z) number of each brick's first voxel."""
+    record: NDArray[np.uint32]
+    """(m,) of voxels, as in `Block`."""
+    first_owner: NDArray[np.uint32]
+    """(m,) of each of them."""
     owner: NDArray[np.uint64]
     """(o,) surface, over 32 bits the law, over 56 bits the share as in `Block`."""
     cosine: NDArray[np.float32]

@@ -1,7 +1,9 @@
 """The inner loop: sub-rays of a pulse as one packet of eight through what is near, those that miss on into what is far.
 
-Which rays share a packet depends on firing numbers and on what was met, never on threads. What makes no arrays counts no
-references (`_nrt=False`), and loops take arrays out of tuples first: a twentieth of the time.
+Eight sequences are cast at a time, step by step: all their pulses through the faces that are near, then those that are
+left through the medium, so that the memory of one does not drive out that of the other. Which rays share a packet depends
+on firing numbers and on what was met, never on threads. What makes no arrays counts no references (`_nrt=False`), and
+loops take arrays out of tuples first: a twentieth of the time.
 """
 
 from typing import NamedTuple
@@ -11,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.adaptive import enough, flat_enough
-from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, turn
+from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
 from vlp16emu.raycast.grid import Medium
+from vlp16emu.raycast.lanes import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Lanes, lanes
 from vlp16emu.raycast.march import march
 from vlp16emu.raycast.packet import (
     DIR,
     INST,
     NONE,
+    NOTHING,
     ORG,
     PACKET,
     RayPacket,
@@ -27,7 +31,6 @@ from vlp16emu.raycast.packet import (
     ray_met,
     ray_packet,
     reset,
-    to_lane,
 )
 
 __all__ = ["Light", "Wish", "cast_lines", "cast_pulses"]
@@ -75,17 +78,58 @@ class Wish(NamedTuple):
 
 
 class _Hits(NamedTuple):
-    """Hits of eight sequences, or of a batch: three arrays of one shape."""
+    """Hits: three arrays of one shape."""
 
     range_m: NDArray[np.float32]
     surface: NDArray[np.uint32]
     cos_incidence: NDArray[np.float32]
 
 
+class _Batch(NamedTuple):
+    """Room for the pulses of eight sequences, those of a laser one after the other."""
+
+    row: NDArray[np.float32]
+    """(n, 64) rays of a pulse as in `Lanes.row`; of a light without width only the first."""
+    surface: NDArray[np.uint32]
+    """(n, 8)."""
+    axes: NDArray[np.float32]
+    """(n, 4, 3) of the pulses; the first two make up the middle."""
+    missed: NDArray[np.bool_]
+    """(n,) which pulses go on into the medium: of some of their rays nothing near is met."""
+    clear: NDArray[np.bool_]
+    """(n,) which meet nothing near by, for sure."""
+    todo: NDArray[np.int64]
+    """(n,) numbers of the pulses that are cast."""
+    have: NDArray[np.int64]
+    """(n,) how many sub-rays each has."""
+    hits: _Hits
+    """(n, m) of these."""
+    lanes: Lanes
+    scratch: NDArray[np.float64]
+    """(2, m) to sort in."""
+
+
 @numba.njit(cache=True, nogil=True)
-def _hits(shape: int | tuple[int, ...]) -> _Hits:
+def _hits(shape: tuple[int, int]) -> _Hits:
     """Make room for hits."""
     return _Hits(np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32))
+
+
+@numba.njit(cache=True, nogil=True)
+def _batch(pulses: int, most: int) -> _Batch:
+    """Make room for pulses of so many sub-rays."""
+    return _Batch(
+        np.zeros((pulses, COSINE + LANES), np.float32),
+        np.zeros((pulses, LANES), np.uint32),
+        np.zeros((pulses, 4, 3), np.float32),
+        np.zeros(pulses, np.bool_),
+        np.zeros(pulses, np.bool_),
+        np.arange(pulses),
+        np.zeros(pulses, np.int64),
+        _hits((pulses, most)),
+        lanes(),
+        np.empty((2, most)),
+    )
 
 
 @numba.njit(cache=True, nogil=True)
@@ -99,53 +143,15 @@ def cast_lines(
     cos_incidence: NDArray[np.float32],
 ) -> None:
     """Cast one ray per pulse; packets hold eight consecutive firings of a laser. Fills arrays (k, L)."""
-    packet = ray_packet()
+    packet, pulses = ray_packet(), PACKET * light.origin_m.shape[1]
+    batch = _batch(pulses, 1)
     for first in light.order:
-        _cast_eight_lines(near, beyond, medium, light, packet, first, range_m, surface, cos_incidence)
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False)
-def _cast_eight_lines(
-    near: Target,
-    beyond: Target,
-    medium: Medium,
-    light: Light,
-    packet: RayPacket,
-    first: int,
-    range_m: NDArray[np.float32],
-    surface: NDArray[np.uint32],
-    cos_incidence: NDArray[np.float32],
-) -> None:
-    """Cast one ray for each pulse of eight sequences."""
-    rays, words, valid, axis = packet.rays, packet.words, packet.valid, packet.axes
-    reach_m = min(light.far_m, medium.near_m)
-    L, flat = packet.lanes, packet.line
-    for j in range(light.origin_m.shape[1]):
-        _cast_near(near, light, packet, first, j, reach_m)
-        missed = 0
-        for r in range(PACKET):
-            i = first + r
-            if words[INST, r] == NONE:
-                range_m[i, j], surface[i, j], cos_incidence[i, j] = np.inf, NONE, 0.0
-                missed += 1
-                valid[r] = -1
-            else:
-                range_m[i, j], surface[i, j], cos_incidence[i, j] = ray_met(near, packet, r)
-                valid[r] = 0
-        if not missed or reach_m >= light.far_m:
-            continue
-        if beyond.scene:
-            cast_beyond(beyond, packet, reach_m, light.far_m)
-        for r in range(PACKET):
-            if not valid[r]:
-                continue
-            i = first + r
-            to_lane(packet, beyond, r, 0, light.far_m)
-            for a in range(3):
-                axis[0, a], axis[1, a] = rays[ORG + a, r], rays[DIR + a, r]
-            march(medium, L, 1, flat)
-            if L.surface[0] != NONE:
-                range_m[i, j], surface[i, j], cos_incidence[i, j] = L.range_m[0], L.surface[0], L.cosine[0]
+        _cast_middles(near, beyond, medium, light, packet, batch, first)
+        _march(medium, light, batch, pulses, 1, 0.0)
+        for q in range(pulses):
+            i, j, met = first + q % PACKET, q // PACKET, batch.surface[q, 0]
+            range_m[i, j] = np.float32(np.inf) if met == NONE else batch.row[q, RANGE]
+            surface[i, j], cos_incidence[i, j] = met, batch.row[q, COSINE]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -162,97 +168,227 @@ def cast_pulses(
     -------
     Ranges, surfaces and cosines (n,) in order of pulses.
     """
-    packet, n = ray_packet(), 0
-    pulse, room = _hits(-(-wish.most // ROUND) * ROUND), _hits(count.size * wish.most)
-    scratch, begin = np.empty((2, wish.most + ROUND)), np.empty(count.shape, np.int64)
+    packet, n, pulses = ray_packet(), 0, PACKET * count.shape[1]
+    batch = _batch(pulses, -(-wish.most // ROUND) * ROUND)
+    room, begin = _hits((1, count.size * wish.most)), np.empty(count.shape, np.int64)
     for first in light.order:
-        n = _cast_eight(
-            near, beyond, medium, light, wish, packet, first, pulse, scratch, count, begin, room, n
-        )
-    out = _hits(n)
+        todo, have = _judge(near, medium, light, wish, packet, batch, first), 0
+        while todo:
+            rays = min(ROUND, wish.most - have)
+            _cast_near(near, beyond, medium, light, wish, packet, batch, first, todo, have, rays)
+            _march(medium, light, batch, todo, rays, reach_of(have, wish.adaptive))
+            todo, have = _settle(near, wish, batch, todo, have, rays), have + rays
+        for q in range(pulses):
+            i, j, own = first + q % PACKET, q // PACKET, batch.have[q]
+            count[i, j], begin[i, j] = own, n
+            _copy(batch.hits, q, 0, room, n, own)
+            n += own
+    out = _hits((1, n))
     _put_in_order(room, begin, count, out)
-    return out.range_m, out.surface, out.cos_incidence
+    return out.range_m[0], out.surface[0], out.cos_incidence[0]
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _cast_eight(
+def _judge(
+    near: Target, medium: Medium, light: Light, wish: Wish, packet: RayPacket, batch: _Batch, first: int
+) -> int:
+    """List the pulses of eight sequences that need sub-rays; return how many.
+
+    Of an adaptive beam the rays along the middles of the eight pulses of a laser, which are neighbours, are cast near by
+    first: where those of a pulse and of its neighbours meet nothing, no sub-ray is cast near by, and where they lie on one
+    smooth surface the one ray is enough.
+    """
+    todo, row, surface, hits = 0, batch.row, batch.surface, batch.hits
+    if wish.adaptive:
+        _cast_middles(near, NOTHING, medium, light, packet, batch, first)
+    for j in range(light.origin_m.shape[1]):
+        judged = wish.adaptive and _are_neighbours(light, first, j)
+        for r in range(PACKET):
+            q, m = PACKET * j + r, PACKET * j + min(max(r, 1), PACKET - 2)
+            batch.clear[q], batch.have[q] = False, 0
+            if judged:
+                met = 0
+                for near_by in range(m - 1, m + 2):  # q among them
+                    met += surface[near_by, 0] != NONE
+                batch.clear[q] = met == 0
+                bend_m = abs(row[m - 1, RANGE] + row[m + 1, RANGE] - np.float32(2.0) * row[m, RANGE])
+                if (
+                    met == 3
+                    and bend_m <= _BEND * wish.target_m
+                    and flat_enough(light.quarters, row[q, RANGE], row[q, COSINE], wish.resolution_m)
+                ):
+                    hits.range_m[q, 0], hits.surface[q, 0] = row[q, RANGE], surface[q, 0]
+                    hits.cos_incidence[q, 0], batch.have[q] = row[q, COSINE], 1
+            batch.todo[todo] = q
+            todo += not batch.have[q]
+    return todo
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+def _are_neighbours(light: Light, first: int, j: int) -> bool:
+    """Whether the pulses of a laser are so near each other that they say something, and do not meet the same."""
+    origin_m, direction, quarters = light.origin_m, light.direction, light.quarters
+    step2 = gap2_m2 = 0.0
+    for a in range(3):
+        step = direction[first + 1, j, a] - direction[first, j, a]
+        gap_m = origin_m[first + 1, j, a] - origin_m[first, j, a] + _MIDWAY_M * step
+        step2, gap2_m2 = step2 + step * step, gap2_m2 + gap_m * gap_m
+    width_m = 4.0 * (quarters[0] + _MIDWAY_M * quarters[2])
+    return step2 <= (_STEPS * 4.0 * quarters[2]) ** 2 and gap2_m2 >= (_OVERLAP * width_m) ** 2
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _cast_middles(
+    near: Target,
+    beyond: Target,
+    medium: Medium,
+    light: Light,
+    packet: RayPacket,
+    batch: _Batch,
+    first: int,
+) -> None:
+    """Cast the middles of the pulses of eight sequences against faces, those of a laser as one packet."""
+    rays = packet.rays
+    origin_m, direction, from_m = light.origin_m, light.direction, near.window_origin_m
+    reach_m = min(light.far_m, medium.near_m)
+    for j in range(origin_m.shape[1]):
+        for r in range(PACKET):
+            i = first + r
+            for a in range(3):
+                rays[ORG + a, r] = np.float32(origin_m[i, j, a] - from_m[a])
+                rays[DIR + a, r] = np.float32(direction[i, j, a])
+                batch.axes[PACKET * j + r, 0, a] = rays[ORG + a, r]
+                batch.axes[PACKET * j + r, 1, a] = rays[DIR + a, r]
+            reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
+        packet.valid[:] = -1
+        cast_packet(near, packet)
+        _put_down(near, beyond, packet, batch, PACKET * j, 1, PACKET, reach_m, light.far_m)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _cast_near(
     near: Target,
     beyond: Target,
     medium: Medium,
     light: Light,
     wish: Wish,
     packet: RayPacket,
+    batch: _Batch,
     first: int,
-    pulse: _Hits,
-    scratch: NDArray[np.float64],
-    count: NDArray[np.uint16],
-    begin: NDArray[np.int64],
-    room: _Hits,
-    n: int,
-) -> int:
-    """Cast eight sequences, laser by laser, and put down what they meet from number n on; return the next number.
-
-    Of an adaptive beam the rays along the middles of the eight pulses of a laser, which are neighbours, are cast near by
-    first: where those of a pulse and of its neighbours meet nothing, no sub-ray is cast near by, and where they lie on one
-    smooth surface the one ray is enough.
-    """
-    for j in range(count.shape[1]):
-        judged = wish.adaptive and _cast_middles(near, medium, light, packet, first, j)
+    todo: int,
+    have: int,
+    count: int,
+) -> None:
+    """Cast the next sub-rays of pulses, which have some already, against faces, those of a pulse as one packet."""
+    valid, reach_m = packet.valid, min(light.far_m, medium.near_m)
+    for t in range(todo):
+        q = batch.todo[t]
+        i, j, axes = first + q % PACKET, q // PACKET, batch.axes[q]
+        if not have:
+            pulse_axes(light.origin_m, light.direction, light.across, near.window_origin_m, i, j, axes)
+        u, v = turn(light.seed, light.first + i, j)
+        lay(packet.rays, axes, light.quarters, u, v, have, wish.adaptive)
         for r in range(PACKET):
-            i, have, clear = first + r, 0, False
-            if judged:
-                m = min(max(r, 1), PACKET - 2)
-                middle = packet.middle
-                met = packet.middle_surface
-                clear = met[m - 1] == NONE and met[m] == NONE and met[m + 1] == NONE and met[r] == NONE
-                bend_m = abs(middle[0, m - 1] + middle[0, m + 1] - np.float32(2.0) * middle[0, m])
-                if bend_m <= _BEND * wish.target_m and flat_enough(
-                    light.quarters, middle[0, r], middle[1, r], wish.resolution_m
-                ):
-                    pulse.range_m[0], pulse.cos_incidence[0], have = middle[0, r], middle[1, r], 1
-                    pulse.surface[0] = packet.middle_surface[r]
-            if not have:
-                have = _cast_pulse(near, beyond, medium, light, wish, packet, i, j, pulse, scratch, clear)
-            count[i, j], begin[i, j] = have, n
-            _copy(pulse, 0, room, n, have)
-            n += have
-    return n
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False)
-def _cast_middles(near: Target, medium: Medium, light: Light, packet: RayPacket, first: int, j: int) -> bool:
-    """Cast the middles of eight pulses of a laser near by; whether they are so near each other that they say something."""
-    words, middle, direction = packet.words, packet.middle, light.direction
-    step2 = gap2_m2 = 0.0
-    for a in range(3):
-        step = direction[first + 1, j, a] - direction[first, j, a]
-        gap_m = light.origin_m[first + 1, j, a] - light.origin_m[first, j, a] + _MIDWAY_M * step
-        step2, gap2_m2 = step2 + step * step, gap2_m2 + gap_m * gap_m
-    reach_m = min(light.far_m, medium.near_m)
-    width_m = 4.0 * (light.quarters[0] + _MIDWAY_M * light.quarters[2])
-    if step2 > (_STEPS * 4.0 * light.quarters[2]) ** 2 or gap2_m2 < (_OVERLAP * width_m) ** 2:
-        return False
-    _cast_near(near, light, packet, first, j, reach_m)
-    for r in range(PACKET):
-        middle[0, r], middle[1, r], packet.middle_surface[r] = np.float32(np.inf), np.float32(0.0), NONE
-        if words[INST, r] != NONE:
-            middle[0, r], packet.middle_surface[r], middle[1, r] = ray_met(near, packet, r)
-    return True
+            reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
+            valid[r] = -1 if r < count else 0
+        if not batch.clear[q]:
+            cast_packet(near, packet)
+        _put_down(near, beyond, packet, batch, q, 0, count, reach_m, light.far_m)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
-def _cast_near(near: Target, light: Light, packet: RayPacket, first: int, j: int, reach_m: float) -> None:
-    """Cast the middles of a laser's pulses of eight sequences, up to a range."""
-    rays, valid = packet.rays, packet.valid
-    origin_m, direction, from_m = light.origin_m, light.direction, near.window_origin_m
-    valid[:] = -1
-    for r in range(PACKET):
-        i = first + r
+def _put_down(
+    near: Target,
+    beyond: Target,
+    packet: RayPacket,
+    batch: _Batch,
+    q: int,
+    step: int,
+    count: int,
+    reach_m: float,
+    far_m: float,
+) -> None:
+    """Put down what rays have met, of pulse q all (step 0) or one of each pulse from q on (step 1); cast what is left on."""
+    rays, words, row, surface = packet.rays, packet.words, batch.row, batch.surface
+    missed = 0
+    for r in range(count):
+        to, lane = q + step * r, (1 - step) * r
         for a in range(3):
-            rays[ORG + a, r] = np.float32(origin_m[i, j, a] - from_m[a])
-            rays[DIR + a, r] = np.float32(direction[i, j, a])
-        reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
-    cast_packet(near, packet)
+            row[to, ORIGIN + LANES * a + lane] = rays[ORG + a, r]
+            row[to, DIRECTION + LANES * a + lane] = rays[DIR + a, r]
+        if words[INST, r] == NONE:
+            row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = np.float32(far_m), NONE, 0.0
+            missed += 1
+            packet.valid[r] = -1
+        else:
+            row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(near, packet, r)
+            packet.valid[r] = 0
+        batch.missed[to] = missed > 0 if step == 0 else words[INST, r] == NONE
+    if missed and beyond.scene and reach_m < far_m:
+        cast_beyond(beyond, packet, reach_m, far_m)
+        for r in range(count):
+            if packet.valid[r] and words[INST, r] != NONE:
+                to, lane = q + step * r, (1 - step) * r
+                row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(beyond, packet, r)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _march(medium: Medium, light: Light, batch: _Batch, todo: int, count: int, reach: float) -> None:
+    """Let the rays of pulses that have met nothing near go on through the medium.
+
+    Parameters
+    ----------
+    reach : how far from the middle they are at most, in standard deviations of the beam
+    """
+    if medium.near_m >= light.far_m:
+        return
+    L, row, surface = batch.lanes, batch.row, batch.surface
+    own_row, own_surface = L.row, L.surface
+    aside_m = np.float32(reach * max(light.quarters[0], light.quarters[1]))
+    spread = np.float32(reach * max(light.quarters[2], light.quarters[3]))
+    for t in range(todo):
+        q = batch.todo[t]
+        if not batch.missed[q]:
+            continue
+        for a in range(COSINE + LANES):
+            own_row[a] = row[q, a]
+        for lane in range(LANES):
+            own_surface[lane] = surface[q, lane]
+        march(medium, L, count, batch.axes[q].reshape(12), aside_m, spread)
+        for a in range(RANGE, COSINE + LANES):
+            row[q, a] = own_row[a]
+        for lane in range(LANES):
+            surface[q, lane] = own_surface[lane]
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _settle(near: Target, wish: Wish, batch: _Batch, todo: int, have: int, count: int) -> int:
+    """Take the hits of a round; list the pulses that need another, and return how many."""
+    hits, left = batch.hits, 0
+    for t in range(todo):
+        q = batch.todo[t]
+        range_m, surface, cosine = hits.range_m[q], hits.surface[q], hits.cos_incidence[q]
+        for lane in range(count):
+            met = batch.surface[q, lane]
+            range_m[have + lane] = np.float32(np.inf) if met == NONE else batch.row[q, RANGE + lane]
+            surface[have + lane], cosine[have + lane] = met, batch.row[q, COSINE + lane]
+        own = have + count
+        batch.have[q] = own
+        if own < wish.most and not (
+            wish.adaptive
+            and enough(
+                range_m[:own],
+                surface[:own],
+                cosine[:own],
+                near.reflectance,
+                wish.target_m,
+                wish.resolution_m,
+                batch.scratch,
+            )
+        ):
+            batch.todo[left] = q
+            left += 1
+    return left
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -261,108 +397,15 @@ def _put_in_order(room: _Hits, begin: NDArray[np.int64], count: NDArray[np.uint1
     n = 0
     for i in range(count.shape[0]):
         for j in range(count.shape[1]):
-            _copy(room, begin[i, j], out, n, count[i, j])
+            _copy(room, 0, begin[i, j], out, n, count[i, j])
             n += count[i, j]
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
-def _copy(source: _Hits, begin: int, target: _Hits, at: int, count: int) -> None:
-    """Copy hits."""
+def _copy(source: _Hits, line: int, begin: int, target: _Hits, at: int, count: int) -> None:
+    """Copy hits out of a line to the first line."""
     range_m, surface, cosine = target.range_m, target.surface, target.cos_incidence
     from_range_m, from_surface, from_cosine = source.range_m, source.surface, source.cos_incidence
     for s in range(count):
-        range_m[at + s], surface[at + s] = from_range_m[begin + s], from_surface[begin + s]
-        cosine[at + s] = from_cosine[begin + s]
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
-def _cast_pulse(
-    near: Target,
-    beyond: Target,
-    medium: Medium,
-    light: Light,
-    wish: Wish,
-    packet: RayPacket,
-    i: int,
-    j: int,
-    hits: _Hits,
-    scratch: NDArray[np.float64],
-    clear: bool,
-) -> int:
-    """Cast pulse i, j by rounds; return how many sub-rays it has. What is `clear` meets nothing near by."""
-    pulse_axes(light.origin_m, light.direction, light.across, near.window_origin_m, i, j, packet.axes)
-    u, v = turn(light.seed, light.first + i, j)
-    have = 0
-    while have < wish.most:
-        lay(packet.rays, packet.axes, light.quarters, u, v, have, wish.adaptive)
-        count = min(ROUND, wish.most - have)
-        _cast_round(
-            near,
-            beyond,
-            medium,
-            packet,
-            light.near_m[j],
-            light.far_m,
-            light.time[i, j],
-            count,
-            have,
-            hits,
-            clear,
-        )
-        have += count
-        if wish.adaptive and enough(
-            hits.range_m[:have],
-            hits.surface[:have],
-            hits.cos_incidence[:have],
-            near.reflectance,
-            wish.target_m,
-            wish.resolution_m,
-            scratch,
-        ):
-            break
-    return have
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
-def _cast_round(
-    near: Target,
-    beyond: Target,
-    medium: Medium,
-    packet: RayPacket,
-    near_m: float,
-    far_m: float,
-    time: float,
-    count: int,
-    at: int,
-    hits: _Hits,
-    clear: bool,
-) -> None:
-    """Cast the first `count` rays of a packet, which are a pulse's, and put down what they meet from `at` on."""
-    words, valid, who, L = packet.words, packet.valid, packet.who, packet.lanes
-    range_m, surface, cos_incidence = hits.range_m, hits.surface, hits.cos_incidence
-    reach_m = min(far_m, medium.near_m)
-    for lane in range(PACKET):
-        reset(packet, lane, near_m, reach_m, time)
-        valid[lane] = -1 if lane < count else 0
-    if not clear:
-        cast_packet(near, packet)
-    missed = 0
-    for lane in range(count):
-        if words[INST, lane] == NONE:
-            range_m[at + lane], surface[at + lane], cos_incidence[at + lane] = np.inf, NONE, 0.0
-            who[missed] = lane
-            missed += 1
-        else:
-            range_m[at + lane], surface[at + lane], cos_incidence[at + lane] = ray_met(near, packet, lane)
-            valid[lane] = 0
-    if not missed or reach_m >= far_m:
-        return
-    if beyond.scene:
-        cast_beyond(beyond, packet, reach_m, far_m)
-    for n in range(missed):
-        to_lane(packet, beyond, who[n], n, far_m)
-    march(medium, L, missed, packet.line)
-    for n in range(missed):
-        if L.surface[n] != NONE:
-            range_m[at + who[n]], surface[at + who[n]] = L.range_m[n], L.surface[n]
-            cos_incidence[at + who[n]] = L.cosine[n]
+        range_m[0, at + s], surface[0, at + s] = from_range_m[line, begin + s], from_surface[line, begin + s]
+        cosine[0, at + s] = from_cosine[line, begin + s]

@@ -1,12 +1,28 @@
 """Lanes: sub-rays of a pulse on their way through a medium, side by side."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import llvmlite.ir
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["AHEAD", "FAST", "LANES", "Lanes", "lanes"]
+__all__ = [
+    "AHEAD",
+    "AT",
+    "COSINE",
+    "DIRECTION",
+    "FACING",
+    "FAST",
+    "HEIGHT",
+    "LANES",
+    "ORIGIN",
+    "RANGE",
+    "Lanes",
+    "lanes",
+    "lowest",
+    "ones",
+]
 
 LANES = 8
 AHEAD = 16
@@ -14,42 +30,73 @@ AHEAD = 16
 FAST = {"contract", "arcp", "nsz"}
 """What the compiler may do with sums and products of lanes."""
 
+ORIGIN, DIRECTION, RANGE, COSINE, AT, HEIGHT, FACING, _END = (
+    LANES * row for row in (0, 3, 6, 7, 8, 9, 10, 11)
+)
+"""Where rows of lanes begin in `Lanes.row`."""
+
 
 class Lanes(NamedTuple):
-    """Up to eight sub-rays of a pulse."""
+    """Up to eight sub-rays of a pulse.
 
+    Loops over lanes read and write one array at constant places, so that the compiler makes vectors of them.
+    """
+
+    row: NDArray[np.float32]
+    """(88,) rows of eight: origin and direction, range, cosine; then scratch. `AT`, `HEIGHT`, `FACING`: range, height along the axis and cosine at which a lane meets a stem."""
     origin_m: NDArray[np.float32]
-    """(3, 8)."""
+    """(3, 8) of these rows."""
     direction: NDArray[np.float32]
-    """(3, 8)."""
+    """(3, 8) likewise."""
     range_m: NDArray[np.float32]
-    """(8,) in: what each has met, or where its light is given up. Out: what it meets first."""
-    surface: NDArray[np.uint32]
-    """(8,) likewise."""
+    """(8,) likewise, in: what each has met, or where its light is given up. Out: what it meets first."""
     cosine: NDArray[np.float32]
     """(8,) likewise."""
+    surface: NDArray[np.uint32]
+    """(8,) likewise."""
     line: NDArray[np.float32]
-    """(6, 8) scratch: place across at the grid's corner and its change per metre, in 8ths of voxels, on both axes; then
-    place along and its inverse change per metre of range."""
-    column: NDArray[np.uint64]
-    """(8,) scratch."""
-    place: NDArray[np.int32]
-    """(AHEAD,) scratch: brick and bit of the voxel of each slab."""
-    found: NDArray[np.int32]
-    """(AHEAD,) scratch: slabs whose voxels are not empty."""
+    """(48,) scratch, rows of eight: place across at the grid's corner and its change per metre, in 8ths of voxels, on both
+    axes; then place along and its inverse change per metre of range."""
+    place: NDArray[np.uint32]
+    """(AHEAD,) scratch: brick and bit of the voxel of each slab, then the number of its record."""
+    code: NDArray[np.uint32]
+    """(AHEAD,) scratch: these records."""
 
 
 @numba.njit(cache=True, nogil=True)
 def lanes() -> Lanes:
     """Make room for lanes."""
-    three = np.zeros((3, LANES), np.float32), np.zeros((3, LANES), np.float32)
+    row = np.zeros(_END, np.float32)
     return Lanes(
-        *three,
-        np.zeros(LANES, np.float32),
+        row,
+        row[ORIGIN:DIRECTION].reshape(3, LANES),
+        row[DIRECTION:RANGE].reshape(3, LANES),
+        row[RANGE:COSINE],
+        row[COSINE:AT],
         np.zeros(LANES, np.uint32),
-        np.zeros(LANES, np.float32),
-        np.zeros((6, LANES), np.float32),
-        np.zeros(LANES, np.uint64),
-        np.zeros(AHEAD, np.int32),
-        np.zeros(AHEAD, np.int32),
+        np.zeros(6 * LANES, np.float32),
+        np.zeros(AHEAD, np.uint32),
+        np.zeros(AHEAD, np.uint32),
     )
+
+
+@numba.extending.intrinsic
+def lowest(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - the signature is numba's
+    """Find the lowest bit of a word that is not 0."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - likewise
+        """Emit the instruction."""
+        return builder.cttz(args[0], llvmlite.ir.Constant(llvmlite.ir.IntType(1), 1))
+
+    return numba.types.uint64(numba.types.uint64), codegen
+
+
+@numba.extending.intrinsic
+def ones(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - likewise
+    """Count the bits of a word."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - likewise
+        """Emit the instruction."""
+        return builder.ctpop(args[0])
+
+    return numba.types.uint64(numba.types.uint64), codegen

@@ -6,15 +6,14 @@ foliage of that density takes over the length of the slab (Beer's law). Which of
 mirrored, and how a share between two whole numbers is rounded follow from hashing its place in the world.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import llvmlite.ir
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.grid import Medium
-from vlp16emu.raycast.lanes import FAST, Lanes
+from vlp16emu.raycast.lanes import FAST, LANES, Lanes, lowest
 from vlp16emu.raycast.voxel import QUANTILES, TAU_PER_M, VOXEL_M
 
 __all__ = ["Weights", "meet_foliage", "weights_of"]
@@ -64,17 +63,6 @@ _MASK, _LEAF_OF, _PLACE = _leaves()
 _COVER = (1.0 - np.exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).astype(np.float32)
 
 
-@numba.extending.intrinsic
-def _lowest(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - the signature is numba's
-    """Find the lowest bit of a word that is not 0."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - likewise
-        """Emit the instruction."""
-        return builder.cttz(args[0], llvmlite.ir.Constant(llvmlite.ir.IntType(1), 1))
-
-    return numba.types.uint64(numba.types.uint64), codegen
-
-
 @numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
 def _mixed(a: int, b: int, c: int, seed: int) -> np.uint32:
     """Hash the place of a voxel (constants and rounds as in MurmurHash3's finaliser)."""
@@ -112,7 +100,6 @@ def weights_of(up: np.float32, length: np.float32) -> Weights:
 def meet_foliage(
     M: Medium,
     L: Lanes,
-    n: int,
     near_m: np.float32,
     main: int,
     one: int,
@@ -121,12 +108,12 @@ def meet_foliage(
     k: int,
     i1: int,
     i2: int,
-    voxel: np.uint64,
+    number: np.uint32,
+    code: np.uint32,
     weights: Weights,
     alive: np.uint64,
 ) -> bool:
-    """Cut the lanes with the foliage of a voxel at k, i1, i2 of the grid; whether any meets a leaf."""
-    code = u4(voxel)
+    """Cut the lanes with the foliage of a voxel at k, i1, i2 of the grid, of some record; whether any meets a leaf."""
     low, high = (code >> weights.bits) & u4(127), (code >> (weights.bits + u4(7))) & u4(127)
     if not low | high:
         return False
@@ -145,15 +132,13 @@ def meet_foliage(
     bits = _MASK[main, int(h & u4(_VARIANTS - 1)), count]
     if not bits:
         return False
-    first_owner = u4(voxel >> np.uint64(32))
-    return _meet_leaves(M, L, n, near_m, main, one, two, k, h, bits, first_owner, weights.knot, alive)
+    return _meet_leaves(M, L, near_m, main, one, two, k, h, bits, number, weights.knot, alive)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
 def _meet_leaves(
     M: Medium,
     L: Lanes,
-    n: int,
     near_m: np.float32,
     main: int,
     one: int,
@@ -161,37 +146,44 @@ def _meet_leaves(
     k: int,
     h: np.uint32,
     bits: np.uint64,
-    first_owner: np.uint32,
+    number: np.uint32,
     knot: int,
     alive: np.uint64,
 ) -> bool:
     """Cut the lanes with the leaves of a voxel; whether any meets one."""
     variant = int(h & u4(_VARIANTS - 1))
     mirror = (int(h >> u4(5)) & 7, int(h >> u4(8)) & 7, int(h >> u4(11)) & 7)
-    line, column, range_m = L.line, L.column, L.range_m
+    line, range_m = L.line, L.range_m
     middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
     r1, r2 = np.int32(mirror[one]), np.int32(mirror[two])
-    for lane in range(n):
-        a = (np.int32(line[0, lane] + line[1, lane] * middle_m) & np.int32(7)) ^ r1
-        b = (np.int32(line[2, lane] + line[3, lane] * middle_m) & np.int32(7)) ^ r2
-        column[lane] = np.uint64(8 * a + b)
     lit = np.uint64(0)
-    for lane in range(n):
-        lit |= ((bits >> column[lane]) & np.uint64(1)) << np.uint64(lane)
+    for lane in range(LANES):
+        column = _column(line, lane, middle_m, r1, r2)
+        lit |= ((bits >> np.uint64(column)) & np.uint64(1)) << np.uint64(lane)
     lit &= alive
     met = False
     while lit:
-        lane = int(_lowest(lit))
+        lane = int(lowest(lit))
         lit &= lit - np.uint64(1)
-        leaf = int(_LEAF_OF[main, variant, column[lane]])
+        leaf = int(_LEAF_OF[main, variant, _column(line, lane, middle_m, r1, r2)])
         place = int(_PLACE[variant, leaf, main]) ^ (mirror[main] << 5)
         along_m = (f4(k) + (f4(place) + f4(0.5)) * f4(1.0 / 256.0)) * f4(VOXEL_M)
-        at_m = (along_m - line[4, lane]) * line[5, lane]
+        at_m = (along_m - line[4 * LANES + lane]) * line[5 * LANES + lane]
         if near_m <= at_m < range_m[lane]:
             range_m[lane] = at_m
-            _take_leaf(M, L, lane, h, leaf, first_owner, knot)
+            _take_leaf(M, L, lane, h, leaf, M.first_owner[number], knot)
             met = True
     return met
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+def _column(
+    line: NDArray[np.float32], lane: int, middle_m: np.float32, r1: np.int32, r2: np.int32
+) -> np.uint32:
+    """Column of 8 x 8 that a lane is in in the middle of a slab, mirrored."""
+    a = (np.int32(line[lane] + line[LANES + lane] * middle_m) & np.int32(7)) ^ r1
+    b = (np.int32(line[2 * LANES + lane] + line[3 * LANES + lane] * middle_m) & np.int32(7)) ^ r2
+    return u4(8 * a + b)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")

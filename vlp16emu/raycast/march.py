@@ -6,7 +6,7 @@ be met, which each sub-ray is then cut with exactly (`vlp16emu.raycast.cuts`).
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -14,24 +14,23 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast.cuts import meet_ground, meet_stem
 from vlp16emu.raycast.grid import Medium
-from vlp16emu.raycast.lanes import AHEAD, FAST, LANES, Lanes
+from vlp16emu.raycast.lanes import (
+    AHEAD,
+    DIRECTION,
+    FAST,
+    LANES,
+    RANGE,
+    Lanes,
+    lowest,
+    ones,
+)
 from vlp16emu.raycast.leaves import meet_foliage, weights_of
-from vlp16emu.raycast.voxel import BRICK, GROUND, STEM, VOXEL_M
+from vlp16emu.raycast.voxel import BRICK, GROUND, VOXEL_M
 
 __all__ = ["march"]
 
 f4, u4 = np.float32, np.uint32
-
-
-@numba.extending.intrinsic
-def _ones(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - the signature is numba's
-    """Count the bits of a word."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - likewise
-        """Emit the instruction."""
-        return builder.ctpop(args[0])
-
-    return numba.types.uint64(numba.types.uint64), codegen
+_SLABS = np.arange(AHEAD, dtype=np.float32)
 
 
 class _Way(NamedTuple):
@@ -61,60 +60,74 @@ class _Grid(NamedTuple):
 
     size: tuple[int, int, int]
     """In voxels."""
-    stride: tuple[np.int32, np.int32, np.int32]
+    stride: tuple[np.uint32, np.uint32, np.uint32]
     """From brick to brick."""
-    shift: tuple[np.int32, np.int32, np.int32]
+    shift: tuple[np.uint32, np.uint32, np.uint32]
     """Bits in a brick from voxel to voxel."""
     corner: tuple[int, int, int]
     """In voxels of the world."""
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy")
-def march(M: Medium, L: Lanes, n: int, axis: NDArray[np.float32]) -> None:
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+def march(
+    M: Medium, L: Lanes, n: int, axis: NDArray[np.float32], aside_m: np.float32, spread: np.float32
+) -> None:
     """Follow n sub-rays of a pulse through the medium, from `near_m` on.
 
     Parameters
     ----------
-    axis : (6,) origin and direction of the pulse's middle
+    axis : (6 or more,) origin and direction of the pulse's middle
+    aside_m, spread : how far the lanes begin beside it at most, and how far they spread per metre
     """
     near_m = f4(M.near_m)
     corner_m = (f4(M.corner_m[0]), f4(M.corner_m[1]), f4(M.corner_m[2]))
     way = _way(corner_m, axis, near_m)
     main, one, two, length = way.main, way.one, way.two, way.length
-    spread, aside_m, last_m = _lines(corner_m, L, n, axis, main, one, two)
+    alive, last_m = _lines(corner_m, L, n, near_m, main, one, two)
     weights = weights_of(abs(axis[5]), length)
     nx, ny, nz, _ = M.brick.shape
-    bricks, grid = M.brick.reshape(nx * ny * nz, 2), _grid(M, main, one, two)
+    bricks, firsts, grid = (
+        M.brick.reshape(2 * nx * ny * nz),
+        M.first.reshape(nx * ny * nz),
+        _grid(M, main, one, two),
+    )
     first, stop = _crossing(way, grid.size)
     slab = math.ceil(first)
     slabs = math.floor(min(stop, (last_m - way.to_middle) / length + f4(1.5)))
-    tested, before, alive = np.int32(-1), np.int32(-1), np.uint64((1 << n) - 1)
+    tested, before = np.int32(-1), np.int32(-1)
     while slab <= slabs:
-        size = min(AHEAD, slabs - slab + 1)
-        for number in range(_look(L, way, grid, bricks, slab, size)):
-            ahead = L.found[number]
+        voxels, stems = _look(L, way, grid, bricks, slab, slabs)
+        met = False
+        while stems:
+            ahead = int(lowest(stems))
+            stems &= stems - np.uint64(1)
+            k, i1, i2 = _voxel(way, slab + ahead)
+            i, j = (k, i1) if main == 0 else ((i1, k) if main == 1 else (i1, i2))
+            for entry in range(M.stems.first[i, j, 0], M.stems.first[i, j, 1]):
+                stem = M.stems.of[entry]
+                if stem not in (tested, before):
+                    before, tested = tested, stem
+                    met |= meet_stem(M.stems, L, n, near_m, axis, stem, spread, aside_m)
+        if met:
+            alive, slabs = _shorter(L, way, n, alive, slab, slabs)
+        _read(M, L, bricks, firsts, voxels)
+        while voxels:
+            ahead = int(lowest(voxels))
+            voxels &= voxels - np.uint64(1)
             here = slab + ahead
             if here > slabs:
                 break
-            k, at = way.k + here * way.step, f4(here)
-            i1, i2 = int(np.int32(way.p1 + at * way.d1)), int(np.int32(way.p2 + at * way.d2))
-            voxel = _voxel(M.voxel, bricks, L.place[ahead])
-            code = u4(voxel)
-            met = meet_foliage(M, L, n, near_m, main, one, two, grid.corner, k, i1, i2, voxel, weights, alive)
-            if code & STEM:
-                i, j = (k, i1) if main == 0 else ((i1, k) if main == 1 else (i1, i2))
-                for entry in range(M.stems.first[i, j, 0], M.stems.first[i, j, 1]):
-                    stem = M.stems.of[entry]
-                    if stem not in (tested, before):
-                        before, tested = tested, stem
-                        met |= meet_stem(M.stems, L, n, near_m, axis, stem, spread, aside_m)
+            k, i1, i2 = _voxel(way, here)
+            number, code = L.place[ahead], L.code[ahead]
+            met = meet_foliage(
+                M, L, near_m, main, one, two, grid.corner, k, i1, i2, number, code, weights, alive
+            )
             if code & GROUND:
-                middle_m = way.to_middle + at * length
+                middle_m = way.to_middle + f4(here) * length
                 met |= meet_ground(M.ground, L, n, near_m, axis, middle_m, length, spread, aside_m)
             if met:
-                alive, last_m = _still_alive(L, n, alive, way.to_middle + (at + f4(0.5)) * length)
-                slabs = min(slabs, int((last_m - way.to_middle) / length + f4(1.5)))
-        slab += size
+                alive, slabs = _shorter(L, way, n, alive, here + 1, slabs)
+        slab += AHEAD
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
@@ -144,8 +157,8 @@ def _grid(M: Medium, main: int, one: int, two: int) -> _Grid:
     """Turn a grid to the axes of a way."""
     nx, ny, nz, _ = M.brick.shape
     size = (nx * BRICK, ny * BRICK, nz * BRICK)
-    strides = (np.int32(ny * nz), np.int32(nz), np.int32(1))
-    shifts = (np.int32(4), np.int32(2), np.int32(0))
+    strides = (u4(ny * nz), u4(nz), u4(1))
+    shifts = (u4(4), u4(2), u4(0))
     return _Grid(
         (size[main], size[one], size[two]),
         (strides[main], strides[one], strides[two]),
@@ -171,43 +184,63 @@ def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.flo
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
-def _look(L: Lanes, way: _Way, grid: _Grid, bricks: NDArray[np.uint64], slab: int, size: int) -> int:
-    """Find the voxels of the next slabs, and count those of the first `size` that are not empty."""
-    found, place, k, step = L.found, L.place, way.k, way.step
+def _voxel(way: _Way, slab: int) -> tuple[int, int, int]:
+    """Find the voxel, along the axes main, one and two, that the middle of a pulse passes in the middle of a slab."""
+    at = f4(slab)
+    return way.k + slab * way.step, int(np.int32(way.p1 + at * way.d1)), int(np.int32(way.p2 + at * way.d2))
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+def _look(
+    L: Lanes, way: _Way, grid: _Grid, bricks: NDArray[np.uint64], slab: int, slabs: int
+) -> tuple[np.uint64, np.uint64]:
+    """Find the voxels of the next slabs: bits of those that are not empty, and of those in which a stem may be met."""
+    place = L.place
+    begin, k, step = f4(slab), f4(way.k), f4(way.step)
     p1, p2, d1, d2 = way.p1, way.p2, way.d1, way.d2
     s_main, s_one, s_two = grid.stride
     b_main, b_one, b_two = grid.shift
+    last = u4((bricks.shape[0] >> 1) - 1)
     for ahead in range(AHEAD):
-        at, slice_ = f4(slab + ahead), np.int32(k + (slab + ahead) * step)
-        i1, i2 = np.int32(p1 + at * d1), np.int32(p2 + at * d2)
-        brick = np.int32((slice_ >> 2) * s_main + (i1 >> 2) * s_one + (i2 >> 2) * s_two)
-        place[ahead] = np.int32(brick << 6 | (slice_ & 3) << b_main | (i1 & 3) << b_one | (i2 & 3) << b_two)
-    count = 0
-    for ahead in range(size):
-        found[count] = ahead
-        count += int((bricks[place[ahead] >> 6, 0] >> np.uint64(place[ahead] & 63)) & np.uint64(1))
-    return count
+        at = begin + _SLABS[ahead]
+        i, i1, i2 = np.int32(k + at * step), np.int32(p1 + at * d1), np.int32(p2 + at * d2)
+        brick = u4(u4(i >> 2) * s_main) + u4(u4(i1 >> 2) * s_one) + u4(u4(i2 >> 2) * s_two)
+        bit = u4(u4(i & 3) << b_main) | u4(u4(i1 & 3) << b_one) | u4(u4(i2 & 3) << b_two)
+        place[ahead] = u4(min(u4(brick), last) << u4(6)) | bit
+    voxels = stems = np.uint64(0)
+    for ahead in range(AHEAD):
+        pair, place_in = np.uint64(place[ahead] >> u4(6)) << np.uint64(1), np.uint64(place[ahead] & u4(63))
+        voxels |= ((bricks[pair] >> place_in) & np.uint64(1)) << np.uint64(ahead)
+        stems |= ((bricks[pair + np.uint64(1)] >> place_in) & np.uint64(1)) << np.uint64(ahead)
+    asked = (np.uint64(1) << np.uint64(min(slabs - slab + 1, AHEAD))) - np.uint64(1)
+    return voxels & asked, stems & asked
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
-def _voxel(voxels: NDArray[np.uint64], bricks: NDArray[np.uint64], place: np.int32) -> np.uint64:
-    """Look up the voxel at a place, which is not empty."""
-    brick, bit = place >> 6, np.uint64(place & 63)
-    before_it = bricks[brick, 0] & ((np.uint64(1) << bit) - np.uint64(1))
-    return voxels[u4(bricks[brick, 1]) + u4(_ones(before_it))]
+def _read(
+    M: Medium, L: Lanes, bricks: NDArray[np.uint64], firsts: NDArray[np.uint32], voxels: np.uint64
+) -> None:
+    """Look up the records of voxels, one after the other, so that memory is waited for once."""
+    place, code, records = L.place, L.code, M.record
+    while voxels:
+        ahead = int(lowest(voxels))
+        voxels &= voxels - np.uint64(1)
+        brick, bit = np.uint64(place[ahead] >> u4(6)), np.uint64(place[ahead] & u4(63))
+        before_it = bricks[brick << np.uint64(1)] & ((np.uint64(1) << bit) - np.uint64(1))
+        number = u4(np.uint64(firsts[brick]) + ones(before_it))
+        place[ahead], code[ahead] = number, records[number]
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
-def _still_alive(L: Lanes, n: int, alive: np.uint64, passed_m: np.float32) -> tuple[np.uint64, np.float32]:
-    """Take away the lanes that end before a range; with the others, the range at which the last of all ends."""
-    range_m = L.range_m
+def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: int) -> tuple[np.uint64, int]:
+    """Take away the lanes that end before a slab; with the others, the slab in which the last of all ends."""
+    passed_m, range_m = way.to_middle + (f4(slab) - f4(0.5)) * way.length, L.range_m
     last_m = range_m[0]
-    for lane in range(1, n):
-        last_m = max(last_m, range_m[lane])
     for lane in range(n):
+        last_m = max(last_m, range_m[lane])
         if range_m[lane] < passed_m:
             alive &= ~(np.uint64(1) << np.uint64(lane))
-    return alive, last_m
+    return alive, min(slabs, int((last_m - way.to_middle) / way.length + f4(1.5)))
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
@@ -215,26 +248,25 @@ def _lines(
     corner_m: tuple[float, float, float],
     L: Lanes,
     n: int,
-    axis: NDArray[np.float32],
+    near_m: np.float32,
     main: int,
     one: int,
     two: int,
-) -> tuple[np.float32, np.float32, np.float32]:
-    """Lay the lanes' lines; return how far they spread per metre and begin aside, and the farthest range asked for."""
-    origin_m, direction, line = L.origin_m, L.direction, L.line
-    scale = f4(LANES / VOXEL_M)
+) -> tuple[np.uint64, np.float32]:
+    """Lay the lanes' lines; return which of them go on from `near_m`, and the farthest range asked for."""
+    row, line, scale = L.row, L.line, f4(LANES / VOXEL_M)
+    along, across, up = LANES * main, LANES * one, LANES * two
     c_main, c_one, c_two = corner_m[main], corner_m[one], corner_m[two]
-    spread = aside_m = last_m = f4(0.0)
+    for lane in range(LANES):
+        inverse, begin = f4(1.0) / row[DIRECTION + along + lane], row[along + lane] - c_main
+        d1 = row[DIRECTION + across + lane] * inverse * scale
+        d2 = row[DIRECTION + up + lane] * inverse * scale
+        line[lane], line[LANES + lane] = (row[across + lane] - c_one) * scale - begin * d1, d1
+        line[2 * LANES + lane], line[3 * LANES + lane] = (row[up + lane] - c_two) * scale - begin * d2, d2
+        line[4 * LANES + lane], line[5 * LANES + lane] = begin, inverse
+    alive, last_m = np.uint64(0), f4(0.0)
     for lane in range(n):
-        inverse = f4(1.0) / direction[main, lane]
-        line[4, lane], line[5, lane] = origin_m[main, lane] - c_main, inverse
-        line[1, lane] = direction[one, lane] * inverse * scale
-        line[0, lane] = (origin_m[one, lane] - c_one) * scale - line[4, lane] * line[1, lane]
-        line[3, lane] = direction[two, lane] * inverse * scale
-        line[2, lane] = (origin_m[two, lane] - c_two) * scale - line[4, lane] * line[3, lane]
-        off = apart = f4(0.0)
-        for a in range(3):
-            off += abs(direction[a, lane] - axis[3 + a])
-            apart += abs(origin_m[a, lane] - axis[a])
-        spread, aside_m, last_m = max(spread, off), max(aside_m, apart), max(last_m, L.range_m[lane])
-    return spread, aside_m, last_m
+        if row[RANGE + lane] > near_m:
+            alive |= np.uint64(1) << np.uint64(lane)
+            last_m = max(last_m, row[RANGE + lane])
+    return alive, last_m

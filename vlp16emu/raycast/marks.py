@@ -1,4 +1,4 @@
-"""Voxels in which the ground or a stem may be met."""
+"""Voxels in which the ground, or a stem, may be met."""
 
 import math
 
@@ -6,13 +6,15 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.voxel import GROUND, STEM, VOXEL_M
+from vlp16emu.raycast.voxel import BRICK, GROUND, VOXEL_M
 
-__all__ = ["mark_ground", "mark_stem", "stem_beside", "stem_columns", "stem_lines"]
+__all__ = ["ASIDE_M", "mark_ground", "mark_stem", "stem_beside", "stem_columns", "stem_lines", "stem_radii"]
 
-_ASIDE_M = 0.26 + 0.16
+ASIDE_M = 0.26 + 0.16
 """How far beside a voxel a stem may be that is looked for in it: half a voxel, for a ray is looked at in the middle of
 each voxel that it passes, and the half width of a beam of 3 mrad at 100 m."""
+_ABOVE_M = 0.26 + 0.16
+"""The same above and below: rays rise by no more than they go along."""
 
 Array = NDArray[np.float64]
 
@@ -27,10 +29,16 @@ def stem_lines(stems: NDArray[np.void], origin_m: Array) -> Array:
     return np.column_stack([lower, slope, high_m - low_m, stems["radius_m"].max(axis=1)])
 
 
+def stem_radii(stems: NDArray[np.void]) -> NDArray[np.float32]:
+    """Radii of stems, (n, 2, knots): heights over the lower end, and the greatest radius from there upwards."""
+    height_m = (stems["along_m"] - stems["along_m"][:, :1]) * stems["axis"][:, 2:]
+    widest_m = np.maximum.accumulate(stems["radius_m"][:, ::-1], axis=1)[:, ::-1]
+    return np.stack([height_m, widest_m], axis=1).astype(np.float32)
+
+
 @numba.njit(cache=True, nogil=True)
-def stem_columns(line: Array, from_m: float, to_m: float) -> tuple[int, int, int, int]:
-    """First and last column of voxels, in x and y, in which a stem may be met between two heights over its lower end."""
-    aside_m = line[6] + _ASIDE_M
+def stem_columns(line: Array, aside_m: float, from_m: float, to_m: float) -> tuple[int, int, int, int]:
+    """First and last column of voxels, in x and y, that come so near to a stem between two heights over its lower end."""
     x0, x1, y0, y1 = (
         line[0] + line[3] * from_m,
         line[0] + line[3] * to_m,
@@ -46,31 +54,38 @@ def stem_columns(line: Array, from_m: float, to_m: float) -> tuple[int, int, int
 
 
 @numba.njit(cache=True, nogil=True)
-def stem_beside(line: Array, x: int, y: int) -> bool:
-    """Whether a stem comes so near to a column of voxels, at any height, that it may be met there."""
+def stem_beside(line: Array, aside_m: float, from_m: float, to_m: float, x: int, y: int) -> bool:
+    """Whether a stem between two heights comes so near to a column of voxels."""
     # From the middle of the column to the axis as seen from above, which is a piece of a straight line.
-    a, b = (x + 0.5) * VOXEL_M - line[0], (y + 0.5) * VOXEL_M - line[1]
-    u, v = line[3] * line[5], line[4] * line[5]
+    a = (x + 0.5) * VOXEL_M - line[0] - line[3] * from_m
+    b = (y + 0.5) * VOXEL_M - line[1] - line[4] * from_m
+    u, v = line[3] * (to_m - from_m), line[4] * (to_m - from_m)
     square = u * u + v * v
     share = min(max((a * u + b * v) / square, 0.0), 1.0) if square > 0.0 else 0.0
     dx, dy = abs(a - share * u) - VOXEL_M / 2, abs(b - share * v) - VOXEL_M / 2
-    aside_m = line[6] + _ASIDE_M
     dx, dy = max(dx, 0.0), max(dy, 0.0)
     return dx * dx + dy * dy <= aside_m * aside_m
 
 
 @numba.njit(cache=True, nogil=True)
-def mark_stem(flags: NDArray[np.uint32], line: Array, low_m: float) -> None:
-    """Flag the voxels in which a stem is looked for."""
-    for k in range(flags.shape[2]):
-        below_m, above_m = low_m + k * VOXEL_M - line[2] - 0.26, low_m + (k + 1) * VOXEL_M - line[2] + 0.26
-        if above_m < 0.0 or below_m > line[5]:
-            continue
-        x0, x1, y0, y1 = stem_columns(line, max(below_m, 0.0), min(above_m, line[5]))
-        for i in range(max(x0, 0), min(x1, flags.shape[0] - 1) + 1):
-            for j in range(max(y0, 0), min(y1, flags.shape[1] - 1) + 1):
-                if stem_beside(line, i, j):
-                    flags[i, j, k] |= STEM
+def mark_stem(mask: NDArray[np.uint64], line: Array, radii: NDArray[np.float32], low_m: float) -> None:
+    """Mark the voxels, bits of bricks, in which a stem is looked for."""
+    nx, ny, nz = mask.shape[0] * BRICK, mask.shape[1] * BRICK, mask.shape[2] * BRICK
+    foot_m = line[2] - low_m
+    first, last = (
+        math.floor((foot_m - _ABOVE_M) / VOXEL_M),
+        math.floor((foot_m + line[5] + _ABOVE_M) / VOXEL_M),
+    )
+    for k in range(max(first, 0), min(last, nz - 1) + 1):
+        below_m = max(k * VOXEL_M - foot_m - _ABOVE_M, 0.0)
+        above_m = min((k + 1) * VOXEL_M - foot_m + _ABOVE_M, line[5])
+        aside_m = np.interp(below_m, radii[0], radii[1]) + ASIDE_M
+        x0, x1, y0, y1 = stem_columns(line, aside_m, below_m, above_m)
+        for i in range(max(x0, 0), min(x1, nx - 1) + 1):
+            for j in range(max(y0, 0), min(y1, ny - 1) + 1):
+                if stem_beside(line, aside_m, below_m, above_m, i, j):
+                    bit = 16 * (i & 3) + 4 * (j & 3) + (k & 3)
+                    mask[i >> 2, j >> 2, k >> 2] |= np.uint64(1) << np.uint64(bit)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast.cloud import PROJECTION, Library
 from vlp16emu.raycast.filling import filled
-from vlp16emu.raycast.marks import stem_lines
+from vlp16emu.raycast.marks import stem_lines, stem_radii
 from vlp16emu.raycast.voxel import BRICK, COLUMNS, VOXEL_M
 from vlp16emu.types import FarTile
 
@@ -31,10 +31,12 @@ class Block:
     """Level of the lowest bricks, in bricks from a height of 0."""
     mask: NDArray[np.uint64]
     """(10, 10, n) which voxels of each brick hold anything: bit 16 x + 4 y + z."""
+    stem: NDArray[np.uint64]
+    """(10, 10, n) likewise in which of them a stem may be met."""
     first: NDArray[np.uint32]
-    """(10, 10, n) record of the first of them."""
+    """(10, 10, n) record of the first of them that holds anything."""
     record: NDArray[np.uint32]
-    """(m,) codes of projected area at the three knots, and flags."""
+    """(m,) codes of projected area at the three knots, and the flag of the ground."""
     first_owner: NDArray[np.uint32]
     """(m,) of each record; its last owner has a share of 255."""
     owner_tile: NDArray[np.uint8]
@@ -60,9 +62,9 @@ def block_of(
     here, corner_m = near[ix, iy], near[ix, iy].corner_m
     around = [(3 * (dx + 1) + dy + 1, near[ix + dx, iy + dy]) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
     placed = [_placed(library, shape_of, tile, number, corner_m) for number, tile in around]
-    stems = [stem_lines(tile.stems, corner_m) for _, tile in around if len(tile.stems)]
+    stems = np.concatenate([tile.stems for _, tile in around])
     which, relative, row, tile_of = (np.concatenate([part[i] for part in placed]) for i in range(4))
-    lines = np.concatenate(stems) if stems else np.zeros((0, 6))
+    lines = stem_lines(stems, corner_m)
     low_m, high_m = _span(library, which, relative, lines, here.ground_m - corner_m[2])
     brick_m = BRICK * VOXEL_M
     bottom, top = math.floor(low_m / brick_m), math.ceil(high_m / brick_m)
@@ -75,6 +77,7 @@ def block_of(
             row,
             tile_of,
             lines,
+            stem_radii(stems),
             (here.ground_m - corner_m[2]).astype(np.float32),
             bottom * brick_m,
             max(top - bottom, 1),

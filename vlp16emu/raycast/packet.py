@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast.build import tilt
 from vlp16emu.raycast.embree import FLAG_COHERENT, library, library_path
-from vlp16emu.raycast.lanes import Lanes, lanes
 
 __all__ = [
     "DIR",
     "INST",
     "NONE",
+    "NOTHING",
     "ORG",
     "PACKET",
     "RayPacket",
@@ -29,7 +29,6 @@ __all__ = [
     "ray_met",
     "ray_packet",
     "reset",
-    "to_lane",
 ]
 
 PACKET = 8
@@ -65,24 +64,25 @@ class Target(NamedTuple):
     """(m,) of the surfaces."""
 
 
+NOTHING = Target(
+    0,
+    np.zeros(3),
+    np.zeros(0, np.uint32),
+    np.zeros((0, 3, 3), np.float32),
+    np.zeros((0, 0, 2), np.float32),
+    np.zeros(0, np.float32),
+)
+"""No faces at all."""
+
+
 class RayPacket(NamedTuple):
-    """A thread's own packet, and room for what goes on into the medium."""
+    """A thread's own packet."""
 
     rays: NDArray[np.float32]
     words: NDArray[np.uint32]
     valid: NDArray[np.int32]
     context: NDArray[np.uint32]
     arguments: NDArray[np.uint32]
-    lanes: Lanes
-    axes: NDArray[np.float32]
-    """(4, 3) of the pulse."""
-    line: NDArray[np.float32]
-    """(6,) the first two of them."""
-    who: NDArray[np.int64]
-    """(8,) which ray of the packet each lane is."""
-    middle: NDArray[np.float32]
-    """(2, 8) range and cosine of what the middles of eight pulses met near by, and the surface."""
-    middle_surface: NDArray[np.uint32]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -107,7 +107,7 @@ def ray_packet() -> RayPacket:
         np.uint32(address & np.uint64(0xFFFFFFFF)),
         np.uint32(address >> np.uint64(32)),
     )
-    words, axes = rays.view(np.uint32), np.zeros((4, 3), np.float32)
+    words = rays.view(np.uint32)
     for lane in range(PACKET):
         words[_MASK, lane], words[_ID, lane], words[_FLAGS, lane] = NONE, lane, 0
     return RayPacket(
@@ -116,12 +116,6 @@ def ray_packet() -> RayPacket:
         _aligned(PACKET * 4).view(np.int32),
         context,
         arguments,
-        lanes(),
-        axes,
-        axes.reshape(12),
-        np.zeros(PACKET, np.int64),
-        np.zeros((2, PACKET), np.float32),
-        np.zeros(PACKET, np.uint32),
     )
 
 
@@ -140,17 +134,6 @@ def cast_beyond(beyond: Target, packet: RayPacket, reach_m: float, far_m: float)
         if valid[lane]:
             rays[_TNEAR, lane], rays[_TFAR, lane] = reach_m, far_m
     cast_packet(beyond, packet)
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
-def to_lane(packet: RayPacket, beyond: Target, ray: int, lane: int, far_m: float) -> None:
-    """Take a ray of the packet, and what it has met beyond, for a lane of the medium."""
-    rays, L = packet.rays, packet.lanes
-    for a in range(3):
-        L.origin_m[a, lane], L.direction[a, lane] = rays[ORG + a, ray], rays[DIR + a, ray]
-    L.range_m[lane], L.surface[lane], L.cosine[lane] = np.float32(far_m), NONE, np.float32(0.0)
-    if packet.words[INST, ray] != NONE:
-        L.range_m[lane], L.surface[lane], L.cosine[lane] = ray_met(beyond, packet, ray)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, inline="always")

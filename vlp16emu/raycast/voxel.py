@@ -10,7 +10,6 @@ __all__ = [
     "KNOTS",
     "MOST_PER_M",
     "QUANTILES",
-    "STEM",
     "TAU_PER_M",
     "VOXEL_M",
 ]
@@ -31,5 +30,5 @@ CODES, MOST_PER_M = 127, 24.0
 TAU_PER_M = (MOST_PER_M * (np.arange(CODES + 1) / CODES) ** 2).astype(np.float32)
 """Projected area per volume of each of the codes that voxels have."""
 
-GROUND, STEM = np.uint32(1 << 21), np.uint32(1 << 22)
-"""Flags of a voxel, above its three codes of seven bits: the ground, or a stem, may be met in or beside it."""
+GROUND = np.uint32(1 << 21)
+"""Flag of a voxel, above its three codes of seven bits: the ground may be met in or beside it."""
