@@ -188,6 +188,14 @@ def test_still_air_moves_nothing():
     assert any(isinstance(key, StemKey) for key in blown.shapes)
 
 
+def test_a_medium_out_of_sight_is_not_made(monkeypatch):
+    """Where no sensor sees beyond `world.near_m` all is faces and no voxels are made; where one does, they are."""
+    forbid(monkeypatch, (fast.Far, "medium"))
+    next(Emulator(birch("world.near_m=15"), threads=1).returns(0.0, SPAN_S))
+    with pytest.raises(TouchedError):
+        next(Emulator(birch("world.near_m=14.9"), threads=1).returns(0.0, SPAN_S))
+
+
 def test_a_single_sensor_merges_its_own_two_streams(monkeypatch):
     """Nothing but the data and position packets of each unit is merged."""
     merged = []
@@ -227,7 +235,16 @@ def test_a_lean_recording_loads_no_library_it_does_not_need(tmp_path):
 def test_a_stream_of_a_walk_loads_no_library_it_does_not_need():
     """A stream builds no frames, and the lint and the filters of scipy are for others."""
     unneeded = ["dpkt", "scipy.ndimage", "rich.progress", "trimesh", "vlp16emu.report.verify"]
-    walk = "stream", "birch_walk", "--duration", "0.05", "--set", "sensor.max_range_m=15"
+    walk = (
+        "stream",
+        "birch_walk",
+        "--duration",
+        "0.05",
+        "--set",
+        "sensor.max_range_m=15",
+        "--set",
+        "world.near_m=8",
+    )
     port = "--data-port", "23680", "--position-port", "23681"
     assert modules_of(
         *walk, *port, "--set", "world.stems_per_ha=100", "--json", names=["numba", *unneeded]

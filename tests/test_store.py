@@ -172,7 +172,16 @@ def use(monkeypatch):
     user_store.cache_clear()
 
 
-SMALL = ("sensor.max_range_m=25", "world.stems_per_ha=150", "world.near_m=8", "beam.model=none")
+SMALL = (
+    "sensor.max_range_m=12",
+    "world.near_m=5",
+    "world.stems_per_ha=150",
+    "world.species=[{species='scots_pine',share=1,dbh_cm=28,height_m=22}]",
+    "world.regeneration.species=['scots_pine']",
+    "world.shrubs.species=['hazel']",
+    "beam.model=none",
+)
+"""Each kind of shape, of one species, and a medium."""
 
 
 def recorded(scene, *settings):

@@ -126,8 +126,8 @@ def test_whether_a_stream_keeps_up_is_reported(birch):
 def test_people_read_what_is_faces_and_what_is_voxels(birch):
     """The page says up to which range there are faces and from where voxels, or that all are faces."""
     rows = plan._geometry(birch["world"]["geometry"])
-    assert rows["faces"].endswith(", within 20 m")
-    assert rows["voxels"].endswith(" tiles, beyond 20 m")
+    assert rows["faces"].endswith(", within 15 m")
+    assert rows["voxels"].endswith(" tiles, beyond 15 m")
 
 
 @pytest.mark.parametrize(

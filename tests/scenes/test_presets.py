@@ -84,7 +84,7 @@ def test_the_reference_forest_has_a_leaf_area_index_of_about_four():
 @pytest.mark.parametrize("name", [*presets(), "reference_forest"])
 def test_a_scene_runs(name):
     """Two tenths of a second give data packets, at short reach to be quick, and the walk lasts its 60 s."""
-    scenario = load(name, ["sensor.max_range_m=15.0"])
+    scenario = load(name, ["sensor.max_range_m=8.0"])
     emulator = Emulator(scenario)
     assert sum(packet.kind is PacketKind.DATA for packet in emulator.packets(0.0, 0.2)) == 150
     emulator.packets(0.0, 60.0)

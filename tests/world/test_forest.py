@@ -228,8 +228,17 @@ def test_a_forest_that_cannot_be_is_refused(make_forest, changes, message):
 
 def test_a_track_off_the_path_is_refused(forest, track_m):
     """Trees beyond the surroundings of the path have no number, so a track that leads there is an error."""
-    with pytest.raises(GeometryError, match="no more than 40 m off the path"):
+    with pytest.raises(GeometryError, match="no more than 35 m off the path"):
         forest.window(track_m + np.array([0.0, 200.0, 0.0]))
+
+
+@pytest.mark.parametrize("aside_m", [(-35, 0), (0, -35), (42, 0), (0, 35)])
+def test_a_track_may_stray_from_the_path(make_forest, aside_m):
+    """From 35 m off either end or side of the path all of a window's tiles have numbers, and the tiles around them."""
+    bare = make_forest(stems_per_ha=0.0, path_xy_m=np.array([[0.0, 0.0], [7.0, 0.0]]))
+    for ix, iy, _ in bare.window(np.array([[*aside_m, 2.0]])).tiles:
+        for dx, dy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+            assert bare.far_tile(ix + dx, iy + dy).ground_m.shape == (43, 43)
 
 
 def test_an_unknown_shape_is_refused(forest):

@@ -5,6 +5,7 @@ import pytest
 
 from vlp16emu.types import PlantPart
 from vlp16emu.world import REGENERATION, TREE, Wind, flora
+from vlp16emu.world.crown import CrownKey
 from vlp16emu.world.stem import StemKey
 from vlp16emu.world.tiles import TileKey
 from vlp16emu.world.wind import KNOT_NS, mechanics
@@ -96,13 +97,14 @@ def test_wind_moves_stems_and_crowns_and_nothing_else(make_wind, loose, track_m)
     window = loose.window(track_m)
     blown = make_wind().blown(window, track_m, START_NS, START_NS + 3 * KNOT_NS)
     trees = {row["id"]: row for row in loose.trees(track_m)}
+    keys = [window.shapes[which] for which in window.shape]
     instance = window.surfaces["instance"][window.first_surface]
     part = window.surfaces["part"][window.first_surface]
     moves = np.zeros(len(instance), np.bool_)
     moves[blown.sway.placement] = True
     for i, number in enumerate(instance):
         grown = number in trees and trees[number]["storey"] != REGENERATION
-        assert moves[i] == grown
+        assert moves[i] == grown == isinstance(keys[i], StemKey | CrownKey)
     assert set(part[moves].tolist()) == {PlantPart.ROOT_FLARE, PlantPart.BRANCH_FIRST_ORDER}
     own = instance[blown.sway.placement]
     assert blown.sway.foot_z_m.tolist() == [trees[number]["z_m"] for number in own]

@@ -117,7 +117,12 @@ def assemble(scenario: Scenario) -> Parts:
         if isinstance(ground, Dem):
             ground.check(path_xy_m, reach_m)
         path, blows = Polyline(path_xy_m), scenario.wind is not None and scenario.wind.speed_m_s > 0
-        world = forest_of(section, scenario.seed, ground.height_m, path, reach_m, loose_stems=blows)
+        farthest_m = max(sensor.max_range_m for sensor, _ in _sensors(scenario))
+        # A sensor that sees no farther than `near_m` meets no medium: then none is made.
+        near_m = section.near_m if section.near_m < farthest_m else math.inf
+        world = forest_of(
+            section, scenario.seed, ground.height_m, path, reach_m, near_m=near_m, loose_stems=blows
+        )
         wind = wind_of(scenario, world)
     return Parts(
         units=tuple(_unit(scenario, number, carrier) for number in range(len(_sensors(scenario)))),

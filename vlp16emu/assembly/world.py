@@ -83,6 +83,7 @@ def forest_of(
     path: Polyline,
     reach_m: float,
     *,
+    near_m: float,
     loose_stems: bool,
 ) -> Forest:
     """Make the forest."""
@@ -105,7 +106,7 @@ def forest_of(
         reach_m=reach_m,
         plants=plants,
         loose_stems=loose_stems,
-        near_m=section.near_m,
+        near_m=near_m,
     )
 
 

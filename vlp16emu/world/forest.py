@@ -48,8 +48,12 @@ _TILES_IN_GROWTH = 16
 _OVERHANG_M = 10.0
 """How far crowns reach beyond the tile of their stem at most."""
 
-_ASIDE_M = 4 * TILE_M
+_ASIDE_M = 35.0
 """How far a sensor may stray from the path and still see numbered trees only."""
+
+_MARGIN_M = 80.0
+"""Beyond reach of the path, all that is numbered: as far as a sensor strays, crowns overhang, half a tile's diagonal,
+and a tile more, since voxels of a tile are made of the tiles around it too."""
 
 
 class Stems(Protocol):
@@ -155,8 +159,9 @@ class Forest:
         return material_names(self.plants)
 
     def trees(self, track_m: Array) -> Trees:
-        """Give the records (n,) `TREE` of all trees and saplings within reach of positions (m, 2 or 3)."""
-        return np.concatenate([np.zeros(0, TREE), *(tile.trees for tile in self._tiles_near(track_m))])
+        """Give the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
+        tiles = (self._tile(ix, iy) for ix, iy in self._in_view(track_m))
+        return np.concatenate([np.zeros(0, TREE), *(tile.trees for tile in tiles)])
 
     def window(self, track_m: Array) -> Window:
         """Everything within reach of sensor positions (n, 3).
@@ -166,7 +171,7 @@ class Forest:
         GeometryError
             where the track leaves the surroundings of the path
         """
-        names = tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()
+        names = self._in_view(track_m)
         index_of = dict[ShapeKey, int]()
         tiles = [self._tile(ix, iy) for ix, iy in names]
         shape, first_surface, begins, rows = [], [], [], 0
@@ -242,9 +247,9 @@ class Forest:
                 return floor_meshes(self.seed, key)
         raise KeyError(key)
 
-    def _tiles_near(self, track_m: Array) -> list[_Tile]:
-        """Tiles within reach of a track, in ascending order."""
-        return [self._tile(int(ix), int(iy)) for ix, iy in tiles_within(track_m[:, :2], self._reach_m)]
+    def _in_view(self, track_m: Array) -> list[tuple[int, int]]:
+        """Names of the tiles of which something may be within reach of a track, in ascending order."""
+        return [(ix, iy) for ix, iy in tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()]
 
     def _grow_tile(self, ix: int, iy: int) -> _Tile:
         """One tile with its trees and things numbered."""
@@ -326,7 +331,7 @@ def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], 
     if not np.isfinite(path_xy_m).all():
         row = int(np.flatnonzero(~np.isfinite(path_xy_m).all(axis=1))[0])
         raise GeometryError(f"path_xy_m[{row}]", f"found {path_xy_m[row].tolist()}", "finite numbers")
-    aside = reach_m + _ASIDE_M
+    aside = reach_m + _MARGIN_M
     low = np.floor((path_xy_m.min(axis=0) - aside) / TILE_M).astype(int)
     across = np.floor((path_xy_m.max(axis=0) + aside) / TILE_M).astype(int) - low + 1
     if int(across[0]) * int(across[1]) * _NUMBERS_PER_TILE >= FIRST_FREE_INSTANCE:

@@ -91,7 +91,7 @@ class Wind:
     Parameters
     ----------
     seed : of the scenario
-    trees : records `TREE` of what stands within reach of positions (n, 2 or 3)
+    trees : records `TREE` of what stands in the window of positions (n, 2 or 3)
     plants : their species
     season : whether broadleaves bear leaves
     start_ns : UTC of the run's first pulse
