@@ -71,12 +71,18 @@ def meet_stem(
         f4(profile[1, knot] + taper * (height_m - profile[0, knot])),
         taper,
     )
-    met, row, flare_m = False, L.row, stems.flare_m[stem]
+    return _keep_nearest(stems, L, n, near_m, stem)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+def _keep_nearest(stems: Stems, L: Lanes, n: int, near_m: np.float32, stem: int) -> bool:
+    """Keep of what the lanes meet of a stem's cone what is nearest, and of the stem at all; whether there is any."""
+    met, row, flare_m, along_m = False, L.row, stems.flare_m[stem], stems.profile[stem, 0]
     for lane in range(n):
-        at_m, at_height_m = row[AT + lane], row[HEIGHT + lane]
-        if near_m <= at_m < row[RANGE + lane] and profile[0, 0] <= at_height_m <= profile[0, -1]:
+        at_m, height_m = row[AT + lane], row[HEIGHT + lane]
+        if near_m <= at_m < row[RANGE + lane] and along_m[0] <= height_m <= along_m[-1]:
             row[RANGE + lane], row[COSINE + lane] = at_m, row[FACING + lane]
-            L.surface[lane] = stems.surface[stem, 0 if at_height_m < flare_m else 1]
+            L.surface[lane] = stems.surface[stem, 0 if height_m < flare_m else 1]
             met = True
     return met
 

@@ -73,14 +73,25 @@ def filled(
                 head, node, area, used, T, library.corners_m[f], library.share[library.first_law[s] + mesh],
                 low_m, tile_of[p], row[p] + mesh, library.first_law[s] + mesh, add, projection,
             )  # fmt: skip
-    flags, stem = (
-        np.zeros(head.shape, np.uint32),
-        np.zeros((COLUMNS // BRICK, COLUMNS // BRICK, levels), np.uint64),
-    )
+    marks = _marks(head.shape, lines, radii, ground_m, low_m)
+    return _pack(head, *marks, node, area, used)
+
+
+@numba.njit(cache=True, nogil=True)
+def _marks(
+    shape: tuple[int, int, int],
+    lines: Array,
+    radii: NDArray[np.float32],
+    ground_m: NDArray[np.float32],
+    low_m: float,
+) -> tuple[NDArray[np.uint32], NDArray[np.uint64]]:
+    """Mark where the ground is looked for, by voxels, and where stems are, by bits of bricks."""
+    flags = np.zeros(shape, np.uint32)
+    stem = np.zeros((shape[0] // BRICK, shape[1] // BRICK, shape[2] // BRICK), np.uint64)
     mark_ground(flags, ground_m, low_m)
     for i in range(lines.shape[0]):
         mark_stem(stem, lines[i], radii[i], low_m)
-    return _pack(head, flags, stem, node, area, used)
+    return flags, stem
 
 
 @numba.njit(cache=True, nogil=True)

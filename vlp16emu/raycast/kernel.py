@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.adaptive import enough, flat_enough
+from vlp16emu.raycast.adaptive import are_neighbours, enough, flat_enough
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
 from vlp16emu.raycast.grid import Medium
 from vlp16emu.raycast.lanes import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Lanes, lanes
@@ -38,10 +38,6 @@ __all__ = ["Light", "Wish", "cast_lines", "cast_pulses"]
 _BEND = 2.0
 """Times the target that a smooth surface may bend over three pulses: within the light of one of them it bends by a
 thirtieth of that."""
-_STEPS = 2.5
-"""Times the beam's divergence that neighbours may be apart in order to say something: the VLP-16 at 1200 rpm is at 2.3."""
-_OVERLAP, _MIDWAY_M = 0.3, 10.0
-"""Share of the beam's width by which neighbours must at least be apart, at this range: nearer ones meet the same."""
 
 
 class Light(NamedTuple):
@@ -202,7 +198,7 @@ def _judge(
     if wish.adaptive:
         _cast_middles(near, NOTHING, medium, light, packet, batch, first)
     for j in range(light.origin_m.shape[1]):
-        judged = wish.adaptive and _are_neighbours(light, first, j)
+        judged = wish.adaptive and are_neighbours(light.origin_m, light.direction, light.quarters, first, j)
         for r in range(PACKET):
             q, m = PACKET * j + r, PACKET * j + min(max(r, 1), PACKET - 2)
             batch.clear[q], batch.have[q] = False, 0
@@ -222,19 +218,6 @@ def _judge(
             batch.todo[todo] = q
             todo += not batch.have[q]
     return todo
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
-def _are_neighbours(light: Light, first: int, j: int) -> bool:
-    """Whether the pulses of a laser are so near each other that they say something, and do not meet the same."""
-    origin_m, direction, quarters = light.origin_m, light.direction, light.quarters
-    step2 = gap2_m2 = 0.0
-    for a in range(3):
-        step = direction[first + 1, j, a] - direction[first, j, a]
-        gap_m = origin_m[first + 1, j, a] - origin_m[first, j, a] + _MIDWAY_M * step
-        step2, gap2_m2 = step2 + step * step, gap2_m2 + gap_m * gap_m
-    width_m = 4.0 * (quarters[0] + _MIDWAY_M * quarters[2])
-    return step2 <= (_STEPS * 4.0 * quarters[2]) ** 2 and gap2_m2 >= (_OVERLAP * width_m) ** 2
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)

@@ -85,31 +85,17 @@ def march(
     main, one, two, length = way.main, way.one, way.two, way.length
     alive, last_m = _lines(corner_m, L, n, near_m, main, one, two)
     weights = weights_of(abs(axis[5]), length)
-    nx, ny, nz, _ = M.brick.shape
-    bricks, firsts, grid = (
-        M.brick.reshape(2 * nx * ny * nz),
-        M.first.reshape(nx * ny * nz),
-        _grid(M, main, one, two),
-    )
+    bricks, firsts, grid = M.brick.reshape(-1), M.first.reshape(-1), _grid(M, main, one, two)
     first, stop = _crossing(way, grid.size)
     slab = math.ceil(first)
     slabs = math.floor(min(stop, (last_m - way.to_middle) / length + f4(1.5)))
-    tested, before = np.int32(-1), np.int32(-1)
+    tested = (np.int32(-1), np.int32(-1))
     while slab <= slabs:
         voxels, stems = _look(L, way, grid, bricks, slab, slabs)
-        met = False
-        while stems:
-            ahead = int(lowest(stems))
-            stems &= stems - np.uint64(1)
-            k, i1, i2 = _voxel(way, slab + ahead)
-            i, j = (k, i1) if main == 0 else ((i1, k) if main == 1 else (i1, i2))
-            for entry in range(M.stems.first[i, j, 0], M.stems.first[i, j, 1]):
-                stem = M.stems.of[entry]
-                if stem not in (tested, before):
-                    before, tested = tested, stem
-                    met |= meet_stem(M.stems, L, n, near_m, axis, stem, spread, aside_m)
-        if met:
-            alive, slabs = _shorter(L, way, n, alive, slab, slabs)
+        if stems:
+            tested, met = _meet_stems(M, L, n, near_m, axis, way, slab, stems, tested, aside_m, spread)
+            if met:
+                alive, slabs = _shorter(L, way, n, alive, slab, slabs)
         _read(M, L, bricks, firsts, voxels)
         while voxels:
             ahead = int(lowest(voxels))
@@ -128,6 +114,35 @@ def march(
             if met:
                 alive, slabs = _shorter(L, way, n, alive, here + 1, slabs)
         slab += AHEAD
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+def _meet_stems(
+    M: Medium,
+    L: Lanes,
+    n: int,
+    near_m: np.float32,
+    axis: NDArray[np.float32],
+    way: _Way,
+    slab: int,
+    stems: np.uint64,
+    tested: tuple[np.int32, np.int32],
+    aside_m: np.float32,
+    spread: np.float32,
+) -> tuple[tuple[np.int32, np.int32], bool]:
+    """Cut the lanes with the stems of slabs but the last two that were; return the last two, and whether any is met."""
+    met = False
+    while stems:
+        ahead = int(lowest(stems))
+        stems &= stems - np.uint64(1)
+        k, i1, i2 = _voxel(way, slab + ahead)
+        i, j = (k, i1) if way.main == 0 else ((i1, k) if way.main == 1 else (i1, i2))
+        for entry in range(M.stems.first[i, j, 0], M.stems.first[i, j, 1]):
+            stem = M.stems.of[entry]
+            if stem not in tested:
+                tested = (stem, tested[0])
+                met |= meet_stem(M.stems, L, n, near_m, axis, stem, spread, aside_m)
+    return tested, met
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
