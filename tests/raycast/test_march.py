@@ -9,7 +9,7 @@ from vlp16emu.raycast import leaves as room
 from vlp16emu.raycast.far import NO_MEDIUM, Far
 from vlp16emu.raycast.lanes import lanes
 from vlp16emu.raycast.march import march
-from vlp16emu.raycast.voxel import BRICK, GROUND, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
+from vlp16emu.raycast.voxel import BRICK, COLUMNS, GROUND, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
 from vlp16emu.types import NO_SURFACE
 
 FAR_M = 60.0
@@ -84,18 +84,19 @@ class Twin:
             along = cell[main] + ((int(room._PLACE[variant, leaf, main]) ^ mirror[main] << 5) + 0.5) / 256
             at_m = (along - own[main]) / d[main] * VOXEL_M
             if at_m >= M.near_m:
-                return at_m, self.owner(int(M.first_owner[voxel]), h, leaf)
+                return at_m, self.owner(int(M.first_owner[voxel]), h, leaf, (x // COLUMNS, y // COLUMNS))
         return MISS
 
-    def owner(self, first, h, leaf):
-        """Surface of a leaf of a voxel, by its first owner."""
+    def owner(self, first, h, leaf, tile):
+        """Surface of a leaf of a voxel of a tile, by the voxel's first owner."""
         own = (h + leaf * 0x9E3779B1 & M32) * 0x85EBCA77 & M32
         own = (own ^ own >> 15) * 0xC2B2AE3D & M32
         own ^= own >> 16
         owner = first
         while int(self.M.owner[owner]) >> 56 < own & 255:
             owner += 1
-        return int(self.M.owner[owner]) & M32
+        own = int(self.M.owner[owner])
+        return int(self.M.surface[tile][own >> 52 & 15]) + (own & M32)
 
     def stems(self, o, d):
         """First cone: a quadratic for each piece between two knots."""

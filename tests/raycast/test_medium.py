@@ -14,7 +14,7 @@ from vlp16emu.raycast.far import NO_MEDIUM, Far
 from vlp16emu.raycast.lanes import lanes
 from vlp16emu.raycast.march import march
 from vlp16emu.raycast.medium import block_of
-from vlp16emu.raycast.voxel import COLUMNS, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
+from vlp16emu.raycast.voxel import COLUMNS, KNOTS, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
 from vlp16emu.types import NO_SURFACE, Mesh, PlantPart
 
 PARTS = np.array([PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF], "u1")
@@ -140,24 +140,29 @@ def test_blocks_hold_all_the_area_of_what_stands_on_them(blocks, knot):
     assert found_m2 == pytest.approx(true_m2, rel=0.03)
 
 
+def place_of(owner):
+    """Number of the tile, and row of its surfaces, of an owner."""
+    return int(owner >> TILE_BIT) & 15, int(owner) & 0xFFFFFFFF
+
+
 def test_owners_have_their_shares(blocks):
     """Each record's shares rise to 255, and over a block each owner has the area of its own cells, within rounding."""
     _, library, tiles, made = blocks
     block = made[0, 0]
-    ends = np.append(block.first_owner[1:], len(block.owner_row))
+    ends = np.append(block.first_owner[1:], len(block.owner))
     area_of = {}
     for at, (begin, end) in enumerate(zip(block.first_owner.tolist(), ends.tolist(), strict=True)):
         code = int(block.record[at])
         assert (code & 127 > 0) == (end > begin)
         if end == begin:
             continue
-        shares = block.owner_share[begin:end].astype(int)
+        shares = (block.owner[begin:end] >> SHARE_BIT).astype(int)
         assert (np.diff(shares) >= 0).all()
         assert shares[-1] == 255
         # An owner has the drawn numbers that are above its forerunner's share, up to its own: of 0 .. 255.
         own = np.diff([-1, *shares]) / 256
         for n, part in enumerate(own):
-            name = int(block.owner_tile[begin + n]), int(block.owner_row[begin + n])
+            name = place_of(block.owner[begin + n])
             area_of[name] = area_of.get(name, 0.0) + part * TAU_PER_M[code >> 7 & 127] * VOXEL_M**3
     checked, low_m = 0, np.array([0.0, 0.0, 2.0 * block.bottom])
     for number, (dx, dy) in enumerate(itertools.product((-1, 0, 1), repeat=2)):
@@ -185,7 +190,7 @@ def test_labels_are_of_what_is_there(blocks):
     for (ix, iy), block in made.items():
         cells, corner_m = records(block), world.corner_m(ix, iy)
         corner_m[2] = 2.0 * block.bottom
-        ends = np.append(block.first_owner[1:], len(block.owner_row))
+        ends = np.append(block.first_owner[1:], len(block.owner))
         reach = {}
         for number, (dx, dy) in enumerate(itertools.product((-1, 0, 1), repeat=2)):
             tile = tiles.get((ix + dx, iy + dy))
@@ -198,7 +203,7 @@ def test_labels_are_of_what_is_there(blocks):
         seen = 0
         for cell, begin, end in zip(cells, block.first_owner.tolist(), ends.tolist(), strict=True):
             for owner in range(begin, end):
-                low_m, high_m = reach[int(block.owner_tile[owner]), int(block.owner_row[owner])]
+                low_m, high_m = reach[place_of(block.owner[owner])]
                 assert (cell * VOXEL_M < high_m + 0.25).all()
                 assert ((cell + 1) * VOXEL_M > low_m - 0.25).all()
                 seen += 1
@@ -216,10 +221,7 @@ def test_a_block_depends_on_its_neighbours_only(blocks):
         "first",
         "record",
         "first_owner",
-        "owner_tile",
-        "owner_row",
-        "owner_law",
-        "owner_share",
+        "owner",
     ):
         assert getattr(again, name).tobytes() == getattr(made[0, 0], name).tobytes()
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
-from typing import Any
 
 import numba
 import numpy as np
@@ -44,6 +43,7 @@ def _no_medium() -> Medium:
         none,
         none,
         np.zeros(0, np.uint64),
+        np.zeros((1, 1, 9), np.uint32),
         np.zeros((0, len(KNOTS), QUANTILES), np.float32),
         Ground(np.zeros((2, 2), np.float32), np.zeros((1, 1), np.uint32), 0.0, 0.0, 0.0),
         Stems(
@@ -163,6 +163,7 @@ def _joined(
     top = max(block.bottom + block.mask.shape[2] for block in blocks.values())
     size = (*((high - low) * _BRICKS).tolist(), top - bottom)
     brick, first = np.zeros((*size, 2), np.uint64), np.zeros(size, np.uint32)
+    surface = np.zeros((*(high - low), 9), np.uint32)
     records = owners = 0
     record, first_owner, owner = [], [], []
     for (ix, iy), block in blocks.items():
@@ -170,12 +171,11 @@ def _joined(
         here = slice(i, i + _BRICKS), slice(j, j + _BRICKS), slice(k, k + block.mask.shape[2])
         brick[(*here, 0)], brick[(*here, 1)] = block.mask, block.stem
         first[here] = block.first + np.uint32(records)
-        base = np.array([rows.get((ix + dx, iy + dy), 0) for dx, dy in _AROUND], np.uint32)
-        surface = base[block.owner_tile] + block.owner_row
+        surface[ix - low[0], iy - low[1]] = [rows.get((ix + dx, iy + dy), 0) for dx, dy in _AROUND]
         record.append(block.record)
         first_owner.append(block.first_owner + np.uint32(owners))
-        owner.append(_above(block.owner_share, 56) | _above(block.owner_law, 32) | surface)
-        records, owners = records + len(block.record), owners + len(block.owner_row)
+        owner.append(block.owner)
+        records, owners = records + len(block.record), owners + len(block.owner)
     corner = np.array([*(low * COLUMNS), bottom * BRICK], np.int64)
     corner_m = corner * VOXEL_M - window.origin_m
     x_m, y_m, z_m = corner_m.tolist()
@@ -188,6 +188,7 @@ def _joined(
         np.concatenate(record),
         np.concatenate(first_owner),
         np.concatenate(owner),
+        surface,
         cosine,
         _ground(window, tiles, rows, corner_m, size),
         _stems(window, tiles, rows, corner_m, size),
@@ -217,11 +218,6 @@ def _ground(
     along_y = np.abs(np.diff(ground_m, axis=1))[known[:, 1:] & known[:, :-1]]
     steepest = float(np.hypot(along_x.max(initial=0.0), along_y.max(initial=0.0)) / VOXEL_M)
     return Ground(ground_m, surface, float(corner_m[0]), float(corner_m[1]), steepest)
-
-
-def _above(numbers: NDArray[np.unsignedinteger[Any]], bits: int) -> NDArray[np.uint64]:
-    """Shift numbers to the left."""
-    return numbers.astype(np.uint64) << np.uint64(bits)
 
 
 def _stems(

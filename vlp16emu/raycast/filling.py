@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast.cloud import TILTS, Library
 from vlp16emu.raycast.marks import mark_ground, mark_stem
-from vlp16emu.raycast.voxel import BRICK, CODES, COLUMNS, MOST_PER_M, VOXEL_M
+from vlp16emu.raycast.voxel import BRICK, CODES, COLUMNS, LAW_BIT, MOST_PER_M, SHARE_BIT, TILE_BIT, VOXEL_M
 
 __all__ = ["filled"]
 
@@ -24,10 +24,7 @@ _Packed = tuple[
     NDArray[np.uint32],
     NDArray[np.uint32],
     NDArray[np.uint32],
-    NDArray[np.uint8],
-    NDArray[np.uint32],
-    NDArray[np.uint32],
-    NDArray[np.uint8],
+    NDArray[np.uint64],
 ]
 """Arrays of a block, in the order of `Block`."""
 
@@ -224,8 +221,7 @@ def _pack(
     mask, first = np.zeros((nx, ny, nz), np.uint64), np.zeros((nx, ny, nz), np.uint32)
     full = _full(head, flags)
     record, first_owner = np.empty(full, np.uint32), np.empty(full, np.uint32)
-    owner_tile, owner_row = np.empty(used, np.uint8), np.empty(used, np.uint32)
-    owner_law, owner_share = np.empty(used, np.uint32), np.empty(used, np.uint8)
+    owner = np.empty(used, np.uint64)
     n = o = 0
     for x in range(nx):
         for y in range(ny):
@@ -242,9 +238,14 @@ def _pack(
                     so_far = 0.0
                     while at >= 0:
                         so_far += area[at, 1]
-                        owner_tile[o], owner_row[o], owner_law[o] = node[at, 0], node[at, 1], node[at, 2]
-                        at = node[at, 3]
-                        owner_share[o] = 255 if at < 0 or area1 <= 0.0 else int(255.0 * so_far / area1)
+                        tile, row, law, at = node[at, 0], node[at, 1], node[at, 2], node[at, 3]
+                        share = 255 if at < 0 or area1 <= 0.0 else int(255.0 * so_far / area1)
+                        owner[o] = (
+                            np.uint64(row)
+                            | np.uint64(law) << LAW_BIT
+                            | np.uint64(tile) << TILE_BIT
+                            | np.uint64(share) << SHARE_BIT
+                        )
                         o += 1
                     record[n] = (
                         flags[i, j, k]
@@ -253,7 +254,7 @@ def _pack(
                         | _code(area2) << np.uint32(14)
                     )
                     n += 1
-    return mask, stem, first, record, first_owner, owner_tile, owner_row, owner_law, owner_share
+    return mask, stem, first, record, first_owner, owner
 
 
 @numba.njit(cache=True, nogil=True)

@@ -56,7 +56,9 @@ class Medium(NamedTuple):
     first_owner: NDArray[np.uint32]
     """(m,) of each of them."""
     owner: NDArray[np.uint64]
-    """(o,) surface, over 32 bits the law, over 56 bits the share as in `Block`."""
+    """(o,) as in `Block`."""
+    surface: NDArray[np.uint32]
+    """(x / 10, y / 10, 9) first surfaces of each tile and of those around it."""
     cosine: NDArray[np.float32]
     """(laws, knots, QUANTILES) as in `Cloud`."""
     ground: Ground

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from vlp16emu.raycast.build import Shape, shape_of
 from vlp16emu.raycast.cloud import Cloud, Library, cloud_of
 from vlp16emu.raycast.medium import Block
+from vlp16emu.raycast.voxel import LAW_BIT, LAW_MASK
 from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import ShapeKey, World
 
@@ -50,14 +51,14 @@ def recalled_cloud(world: World, key: ShapeKey, parts: NDArray[np.uint8]) -> Clo
 
 def packed_block(block: Block, library: Library, names: Sequence[str]) -> Bundle:
     """Put a block into arrays, with its laws by the names of shapes: libraries have them in an order of their own."""
-    laws, law = np.unique(block.owner_law, return_inverse=True)
-    shape = np.searchsorted(library.first_law, laws, side="right") - 1
+    laws, law = np.unique((block.owner >> LAW_BIT) & LAW_MASK, return_inverse=True)
+    shape = np.searchsorted(library.first_law, laws.astype(np.int64), side="right") - 1
     used, of = np.unique(shape, return_inverse=True)
     return {
         **{field.name: np.asarray(getattr(block, field.name)) for field in fields(block)},
-        "owner_law": law.astype(np.uint16 if len(laws) < 1 << 16 else np.uint32),
+        "owner": _with_law(block.owner, law),
         "law_shape": of,
-        "law_mesh": laws - library.first_law[shape],
+        "law_mesh": laws.astype(np.int64) - library.first_law[shape],
         "shapes": np.frombuffer(json.dumps([names[i] for i in used.tolist()]).encode(), np.uint8),
     }
 
@@ -67,5 +68,11 @@ def unpacked_block(bundle: Bundle, library: Library, place: Mapping[str, int]) -
     rest = dict(bundle)
     which = np.array([place[name] for name in json.loads(rest.pop("shapes").tobytes())], np.int64)
     law = library.first_law[which[rest.pop("law_shape")]] + rest.pop("law_mesh")
-    rest["owner_law"] = law.astype(np.uint32)[rest["owner_law"]]
+    owner = rest["owner"].astype(np.uint64, copy=False)
+    rest["owner"] = _with_law(owner, law[(owner >> LAW_BIT) & LAW_MASK])
     return Block(**{**rest, "bottom": int(rest["bottom"])})  # type: ignore[arg-type]
+
+
+def _with_law(owner: NDArray[np.uint64], law: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """Give owners other laws."""
+    return (owner & ~(LAW_MASK << LAW_BIT)) | (law.astype(np.uint64) << LAW_BIT)

@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast.grid import Medium
 from vlp16emu.raycast.lanes import FAST, LANES, Lanes, lowest
-from vlp16emu.raycast.voxel import QUANTILES, TAU_PER_M, VOXEL_M
+from vlp16emu.raycast.voxel import (
+    COLUMNS,
+    LAW_BIT,
+    LAW_MASK,
+    QUANTILES,
+    SHARE_BIT,
+    TAU_PER_M,
+    TILE_BIT,
+    VOXEL_M,
+)
 
 __all__ = ["Weights", "meet_foliage", "weights_of"]
 
@@ -132,7 +141,10 @@ def meet_foliage(
     bits = _MASK[main, int(h & u4(_VARIANTS - 1)), count]
     if not bits:
         return False
-    return _meet_leaves(M, L, near_m, main, one, two, k, h, bits, number, weights.knot, alive)
+    x = k if main == 0 else i1
+    y = k if main == 1 else (i1 if main == 0 else i2)
+    tile = x // COLUMNS, y // COLUMNS
+    return _meet_leaves(M, L, near_m, main, one, two, k, h, bits, number, tile, weights.knot, alive)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
@@ -147,6 +159,7 @@ def _meet_leaves(
     h: np.uint32,
     bits: np.uint64,
     number: np.uint32,
+    tile: tuple[int, int],
     knot: int,
     alive: np.uint64,
 ) -> bool:
@@ -171,7 +184,7 @@ def _meet_leaves(
         at_m = (along_m - line[4 * LANES + lane]) * line[5 * LANES + lane]
         if near_m <= at_m < range_m[lane]:
             range_m[lane] = at_m
-            _take_leaf(M, L, lane, h, leaf, M.first_owner[number], knot)
+            _take_leaf(M, L, lane, h, leaf, M.first_owner[number], tile, knot)
             met = True
     return met
 
@@ -188,7 +201,14 @@ def _column(
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
 def _take_leaf(
-    M: Medium, L: Lanes, lane: int, h: np.uint32, leaf: int, first_owner: np.uint32, knot: int
+    M: Medium,
+    L: Lanes,
+    lane: int,
+    h: np.uint32,
+    leaf: int,
+    first_owner: np.uint32,
+    tile: tuple[int, int],
+    knot: int,
 ) -> None:
     """Draw whose a leaf is that a lane meets, and at what angle."""
     own = u4(u4(h + u4(leaf) * u4(0x9E3779B1)) * u4(0x85EBCA77))
@@ -197,9 +217,9 @@ def _take_leaf(
     own = u4(own ^ u4(own >> u4(16)))
     owner, drawn = first_owner, u4(own & u4(0xFF))
     whose = M.owner[owner]
-    while whose >> np.uint64(56) < drawn:
+    while whose >> SHARE_BIT < drawn:
         owner += u4(1)
         whose = M.owner[owner]
-    L.surface[lane] = u4(whose)
-    law = int(whose >> np.uint64(32)) & 0xFFFFFF
+    L.surface[lane] = M.surface[tile[0], tile[1], (whose >> TILE_BIT) & np.uint64(15)] + u4(whose)
+    law = (whose >> LAW_BIT) & LAW_MASK
     L.cosine[lane] = M.cosine[law, knot, int(own >> u4(8)) % QUANTILES]

@@ -39,14 +39,9 @@ class Block:
     """(m,) codes of projected area at the three knots, and the flag of the ground."""
     first_owner: NDArray[np.uint32]
     """(m,) of each record; its last owner has a share of 255."""
-    owner_tile: NDArray[np.uint8]
-    """(o,) 3 (dx + 1) + dy + 1 of the tile whose surface it is."""
-    owner_row: NDArray[np.uint32]
-    """(o,) of that tile's surfaces."""
-    owner_law: NDArray[np.uint32]
-    """(o,) in the library."""
-    owner_share: NDArray[np.uint8]
-    """(o,) of the voxel's projected area that belongs to it and to those before it, in 255ths."""
+    owner: NDArray[np.uint64]
+    """(o,) row of a tile's surfaces; over `LAW_BIT` bits the law in the library; over `TILE_BIT` bits 3 (dx + 1) + dy + 1 of
+    that tile; over `SHARE_BIT` bits the share of the voxel's projected area, in 255ths, of it and of those before it."""
 
 
 def block_of(

@@ -8,9 +8,13 @@ __all__ = [
     "COLUMNS",
     "GROUND",
     "KNOTS",
+    "LAW_BIT",
+    "LAW_MASK",
     "MOST_PER_M",
     "QUANTILES",
+    "SHARE_BIT",
     "TAU_PER_M",
+    "TILE_BIT",
     "VOXEL_M",
 ]
 
@@ -29,6 +33,10 @@ CODES, MOST_PER_M = 127, 24.0
 """Greatest code, and its projected area per volume."""
 TAU_PER_M = (MOST_PER_M * (np.arange(CODES + 1) / CODES) ** 2).astype(np.float32)
 """Projected area per volume of each of the codes that voxels have."""
+
+LAW_BIT, TILE_BIT, SHARE_BIT = np.uint64(32), np.uint64(52), np.uint64(56)
+"""Where the parts of an owner begin, its row being the first."""
+LAW_MASK = np.uint64((1 << 20) - 1)
 
 GROUND = np.uint32(1 << 21)
 """Flag of a voxel, above its three codes of seven bits: the ground may be met in or beside it."""
