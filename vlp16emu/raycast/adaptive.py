@@ -14,51 +14,16 @@ from numpy.typing import NDArray
 
 from vlp16emu.types import NO_SURFACE
 
-__all__ = ["are_neighbours", "enough", "flat_enough"]
+__all__ = ["enough"]
 
 _NONE = np.uint32(NO_SURFACE)
-_PER_RAY = 1075.0
+_PER_RAY = 5200.0
 """What a ray must buy, over the 3.5th power of the target, so that scenes/reference_forest and birch_walk come out at their
-target or below, from 0.03 to 0.08 m: in m-2.5, fitted."""
+target or below, from 0.02 to 0.05 m: in m-2.5, fitted."""
+_MOST = 0.65
+"""No error is estimated to be more, in resolutions: half of one for another echo, and what eight rays of one echo leave."""
 _EVENNESS = 0.27
 """Variance of a share by a round or two of sub-rays over that by random points; see `footprint`."""
-
-
-_STEPS = 2.5
-"""Times the beam's divergence that neighbours may be apart in order to say something: the VLP-16 at 1200 rpm is at 2.3."""
-_OVERLAP, _MIDWAY_M = 0.3, 10.0
-"""Share of the beam's width by which neighbours must at least be apart, at this range: nearer ones meet the same."""
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
-def are_neighbours(
-    origin_m: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    quarters: NDArray[np.float32],
-    first: int,
-    laser: int,
-) -> bool:
-    """Whether pulses of a laser are so near each other that they say something, and do not meet the same.
-
-    Parameters
-    ----------
-    origin_m, direction : (k, L, 3), of which the pulses `first` and the next are looked at
-    quarters : (4,) as in `Footprint`
-    """
-    step2 = gap2_m2 = 0.0
-    for a in range(3):
-        step = direction[first + 1, laser, a] - direction[first, laser, a]
-        gap_m = origin_m[first + 1, laser, a] - origin_m[first, laser, a] + _MIDWAY_M * step
-        step2, gap2_m2 = step2 + step * step, gap2_m2 + gap_m * gap_m
-    width_m = 4.0 * (quarters[0] + _MIDWAY_M * quarters[2])
-    return step2 <= (_STEPS * 4.0 * quarters[2]) ** 2 and gap2_m2 >= (_OVERLAP * width_m) ** 2
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
-def flat_enough(quarters: NDArray[np.float32], range_m: float, cosine: float, resolution_m: float) -> bool:
-    """Whether one standard deviation of the beam reaches no deeper than an echo is wide, on a surface so inclined."""
-    across_m = quarters[0] + quarters[2] * range_m
-    return across_m * math.sqrt(1.0 - cosine * cosine) <= 0.2 * resolution_m * cosine
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -80,6 +45,9 @@ def enough(
     order : (2, n or more) room to sort in
     """
     n = range_m.shape[0]
+    worth_m = n * _PER_RAY * target_m**3.5
+    if worth_m >= _MOST * resolution_m:
+        return True
     met = _sort_echoes(range_m, surface, cos_incidence, reflectance, order)
     if met == 0:
         return True
@@ -97,7 +65,7 @@ def enough(
     # Shares of two echoes differ by chance with the variance of a count, in units of a usual ray's energy.
     lead = (strongest - second) ** 2 / (_EVENNESS * (strongest + second) * squares / strongest)
     error_m = 0.5 * math.exp(-lead / 2) * resolution_m + standard_error_m
-    return error_m <= n * _PER_RAY * target_m**3.5
+    return error_m <= worth_m
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)

@@ -59,7 +59,7 @@ class BeamModel(StrEnum):
     FIXED = "fixed"
     """The same number of sub-rays for each pulse."""
     ADAPTIVE = "adaptive"
-    """One ray where the footprint sees one smooth surface, more where it is split."""
+    """Eight rays, and eight more as long as the strongest echo is in doubt."""
     ANGLE = "angle"
     """One ray, drawn from the profile."""
     OFFSET = "offset"

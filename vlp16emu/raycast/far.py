@@ -178,11 +178,10 @@ def _joined(
         records, owners = records + len(block.record), owners + len(block.owner)
     corner = np.array([*(low * COLUMNS), bottom * BRICK], np.int64)
     corner_m = corner * VOXEL_M - window.origin_m
-    x_m, y_m, z_m = corner_m.tolist()
     return Medium(
         world.near_m,
-        (x_m, y_m, z_m),
-        (int(corner[0]), int(corner[1]), int(corner[2])),
+        tuple(corner_m.tolist()),
+        tuple(corner.tolist()),
         brick,
         first,
         np.concatenate(record),

@@ -240,12 +240,8 @@ def _pack(
                         so_far += area[at, 1]
                         tile, row, law, at = node[at, 0], node[at, 1], node[at, 2], node[at, 3]
                         share = 255 if at < 0 or area1 <= 0.0 else int(255.0 * so_far / area1)
-                        owner[o] = (
-                            np.uint64(row)
-                            | np.uint64(law) << LAW_BIT
-                            | np.uint64(tile) << TILE_BIT
-                            | np.uint64(share) << SHARE_BIT
-                        )
+                        owner[o] = np.uint64(row) | np.uint64(law) << LAW_BIT
+                        owner[o] |= np.uint64(tile) << TILE_BIT | np.uint64(share) << SHARE_BIT
                         o += 1
                     record[n] = (
                         flags[i, j, k]

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.adaptive import are_neighbours, enough, flat_enough
+from vlp16emu.raycast.adaptive import enough
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
 from vlp16emu.raycast.grid import Medium
 from vlp16emu.raycast.lanes import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Lanes, lanes
@@ -21,7 +21,6 @@ from vlp16emu.raycast.packet import (
     DIR,
     INST,
     NONE,
-    NOTHING,
     ORG,
     PACKET,
     RayPacket,
@@ -34,10 +33,6 @@ from vlp16emu.raycast.packet import (
 )
 
 __all__ = ["Light", "Wish", "cast_lines", "cast_pulses"]
-
-_BEND = 2.0
-"""Times the target that a smooth surface may bend over three pulses: within the light of one of them it bends by a
-thirtieth of that."""
 
 
 class Light(NamedTuple):
@@ -92,8 +87,6 @@ class _Batch(NamedTuple):
     """(n, 4, 3) of the pulses; the first two make up the middle."""
     missed: NDArray[np.bool_]
     """(n,) which pulses go on into the medium: of some of their rays nothing near is met."""
-    clear: NDArray[np.bool_]
-    """(n,) which meet nothing near by, for sure."""
     todo: NDArray[np.int64]
     """(n,) numbers of the pulses that are cast."""
     have: NDArray[np.int64]
@@ -118,7 +111,6 @@ def _batch(pulses: int, most: int) -> _Batch:
         np.zeros((pulses, COSINE + LANES), np.float32),
         np.zeros((pulses, LANES), np.uint32),
         np.zeros((pulses, 4, 3), np.float32),
-        np.zeros(pulses, np.bool_),
         np.zeros(pulses, np.bool_),
         np.arange(pulses),
         np.zeros(pulses, np.int64),
@@ -168,7 +160,9 @@ def cast_pulses(
     batch = _batch(pulses, -(-wish.most // ROUND) * ROUND)
     room, begin = _hits((1, count.size * wish.most)), np.empty(count.shape, np.int64)
     for first in light.order:
-        todo, have = _judge(near, medium, light, wish, packet, batch, first), 0
+        todo, have = pulses, 0
+        for q in range(pulses):
+            batch.todo[q] = q
         while todo:
             rays = min(ROUND, wish.most - have)
             _cast_near(near, beyond, medium, light, wish, packet, batch, first, todo, have, rays)
@@ -182,42 +176,6 @@ def cast_pulses(
     out = _hits((1, n))
     _put_in_order(room, begin, count, out)
     return out.range_m[0], out.surface[0], out.cos_incidence[0]
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False)
-def _judge(
-    near: Target, medium: Medium, light: Light, wish: Wish, packet: RayPacket, batch: _Batch, first: int
-) -> int:
-    """List the pulses of eight sequences that need sub-rays; return how many.
-
-    Of an adaptive beam the rays along the middles of the eight pulses of a laser, which are neighbours, are cast near by
-    first: where those of a pulse and of its neighbours meet nothing, no sub-ray is cast near by, and where they lie on one
-    smooth surface the one ray is enough.
-    """
-    todo, row, surface, hits = 0, batch.row, batch.surface, batch.hits
-    if wish.adaptive:
-        _cast_middles(near, NOTHING, medium, light, packet, batch, first)
-    for j in range(light.origin_m.shape[1]):
-        judged = wish.adaptive and are_neighbours(light.origin_m, light.direction, light.quarters, first, j)
-        for r in range(PACKET):
-            q, m = PACKET * j + r, PACKET * j + min(max(r, 1), PACKET - 2)
-            batch.clear[q], batch.have[q] = False, 0
-            if judged:
-                met = 0
-                for near_by in range(m - 1, m + 2):  # q among them
-                    met += surface[near_by, 0] != NONE
-                batch.clear[q] = met == 0
-                bend_m = abs(row[m - 1, RANGE] + row[m + 1, RANGE] - np.float32(2.0) * row[m, RANGE])
-                if (
-                    met == 3
-                    and bend_m <= _BEND * wish.target_m
-                    and flat_enough(light.quarters, row[q, RANGE], row[q, COSINE], wish.resolution_m)
-                ):
-                    hits.range_m[q, 0], hits.surface[q, 0] = row[q, RANGE], surface[q, 0]
-                    hits.cos_incidence[q, 0], batch.have[q] = row[q, COSINE], 1
-            batch.todo[todo] = q
-            todo += not batch.have[q]
-    return todo
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -274,8 +232,7 @@ def _cast_near(
         for r in range(PACKET):
             reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
             valid[r] = -1 if r < count else 0
-        if not batch.clear[q]:
-            cast_packet(near, packet)
+        cast_packet(near, packet)
         _put_down(near, beyond, packet, batch, q, 0, count, reach_m, light.far_m)
 
 

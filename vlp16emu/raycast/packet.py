@@ -19,7 +19,6 @@ __all__ = [
     "DIR",
     "INST",
     "NONE",
-    "NOTHING",
     "ORG",
     "PACKET",
     "RayPacket",
@@ -62,17 +61,6 @@ class Target(NamedTuple):
     """(knots, n, 2) per instance, as in `build.Motion`."""
     reflectance: NDArray[np.float32]
     """(m,) of the surfaces."""
-
-
-NOTHING = Target(
-    0,
-    np.zeros(3),
-    np.zeros(0, np.uint32),
-    np.zeros((0, 3, 3), np.float32),
-    np.zeros((0, 0, 2), np.float32),
-    np.zeros(0, np.float32),
-)
-"""No faces at all."""
 
 
 class RayPacket(NamedTuple):
