@@ -296,6 +296,11 @@ def test_a_window_of_ground_alone_has_a_medium(lab, workers):
         assert np.isfinite(hits.range_m).mean() > 0.9
 
 
+def put_together(far, window):
+    """Medium of a window."""
+    return far.medium(window, far.tiles(window))
+
+
 def test_blocks_are_made_once(lab, workers, monkeypatch):
     """A second window makes blocks only of tiles that are new."""
     from vlp16emu.raycast import far as room
@@ -305,10 +310,10 @@ def test_blocks_are_made_once(lab, workers, monkeypatch):
     world = lab.tiles(2.0, across=3)
     far = Far(world, workers)
     square = [(ix, iy) for ix in range(-2, 3) for iy in range(-2, 3)]
-    far.medium(world.window(AT_M, square))
+    put_together(far, world.window(AT_M, square))
     assert sorted(made) == square
     made.clear()
-    far.medium(world.window(AT_M, square))
+    put_together(far, world.window(AT_M, square))
     assert made == []
-    far.medium(world.window(AT_M, [*square, *((3, iy) for iy in range(-2, 3))]))
+    put_together(far, world.window(AT_M, [*square, *((3, iy) for iy in range(-2, 3))]))
     assert sorted(made) == [(3, iy) for iy in range(-2, 3)]

@@ -191,7 +191,8 @@ def stand(lab, workers):
     """Nine tiles, their window and their medium."""
     world = lab.tiles()
     window = world.window(np.array([[10.0, 10.0, 6.0]]))
-    return world, window, Far(world, workers).medium(window)
+    far = Far(world, workers)
+    return world, window, far.medium(window, far.tiles(window))
 
 
 DIRECTIONS = {

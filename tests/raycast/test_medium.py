@@ -372,7 +372,8 @@ DENSE_UPRIGHT = pytest.param(
 def test_light_is_let_through_as_by_random_leaves(lab, workers, lad, elevation_deg):
     """Through 4 m of leaves of all directions goes exp(-LAD / 2 * 4), within three standard errors and 4 % of the depth."""
     world = Slab(lab, lad)
-    medium = Far(world, workers).medium(world.window(np.zeros((1, 3))))
+    far, window = Far(world, workers), world.window(np.zeros((1, 3)))
+    medium = far.medium(window, far.tiles(window))
     rng, way_m, n = np.random.default_rng(6), 4.0, 4000
     sine = math.sin(math.radians(elevation_deg))
     level = math.sqrt(1 - sine * sine)

@@ -95,14 +95,18 @@ class Far:
         )
         return near[window.far]
 
-    def medium(self, window: Window) -> Medium:
-        """Put together what is far in a window."""
-        rows = {(ix, iy): row for ix, iy, row in window.tiles}
-        around = sorted({(ix + dx, iy + dy) for ix, iy in rows for dx, dy in _AROUND})
+    def tiles(self, window: Window) -> dict[tuple[int, int], FarTile]:
+        """Ask for the tiles of a window, and those beside them, and measure their shapes."""
+        around = sorted({(ix + dx, iy + dy) for ix, iy, _ in window.tiles for dx, dy in _AROUND})
         tiles = dict(
             zip(around, self._workers.map(lambda name: self._world.far_tile(*name), around), strict=True)
         )
         self._measure(tiles.values())
+        return tiles
+
+    def medium(self, window: Window, tiles: dict[tuple[int, int], FarTile]) -> Medium:
+        """Put together what is far in a window, of whose `tiles` it is."""
+        rows = {(ix, iy): row for ix, iy, row in window.tiles}
         missing = [name for name in rows if name not in self._blocks]
         made = self._workers.map(lambda name: self._block(tiles, *name), missing)
         self._blocks |= dict(zip(missing, made, strict=True))

@@ -3,7 +3,7 @@
 import threading
 import weakref
 from collections.abc import Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from dataclasses import replace
 
 import numpy as np
@@ -138,13 +138,15 @@ class EmbreeCaster:
         with self._lock:
             if window.far is None or not np.isfinite(self._world.near_m):
                 return EmbreeScene(self._built(window))
-            medium = self._far.medium(window)
+            tiles = self._far.tiles(window)
             beyond = self._built(_part(window, ~window.far))
             is_near = np.empty(len(window.shape), np.bool_)
             is_near[window.far] = self._far.is_near(window)
             is_near[~window.far] = self._reached(*beyond)
-            near = self._built(_part(window, is_near))
-            return EmbreeScene(near, beyond if beyond[1] else None, medium)
+            part = _part(window, is_near)
+            begun = self._begun(part)  # while what is far is put together
+            medium = self._far.medium(window, tiles)
+            return EmbreeScene(self._built(part, begun), beyond if beyond[1] else None, medium)
 
     def _reached(self, window: Window, solids: Sequence[Solid]) -> NDArray[np.bool_]:
         """Which placements (n,) may be met by light that has not yet come to the medium."""
@@ -153,13 +155,17 @@ class EmbreeCaster:
         reach_m = self._world.near_m + STRAY_M + stretch * [solid.radius_m for solid in solids]
         return distance_m(window.world_T_shape[:, :2, 3], window.near[:, :2]) <= reach_m
 
-    def _built(self, window: Window) -> tuple[Window, list[Solid]]:
-        """Build the shapes of a window that no other has; with the window, those of its placements."""
-        kept = {key: self._solids.get(key) for key in window.shapes}
-        missing = [key for key, solid in kept.items() if solid is None]
-        fresh = dict(zip(missing, self._workers.map(self._solid, missing), strict=True))
-        self._solids.update(fresh)
-        solids = [kept[key] or fresh[key] for key in window.shapes]
+    def _begun(self, window: Window) -> list[Solid | Future[Solid]]:
+        """Begin to build the shapes of a window that no other has; all of them in order."""
+        return [self._solids.get(key) or self._workers.submit(self._solid, key) for key in window.shapes]
+
+    def _built(
+        self, window: Window, begun: Sequence[Solid | Future[Solid]] | None = None
+    ) -> tuple[Window, list[Solid]]:
+        """Give a window with the built shapes of its placements."""
+        begun = self._begun(window) if begun is None else begun
+        solids = [each.result() if isinstance(each, Future) else each for each in begun]
+        self._solids.update(zip(window.shapes, solids, strict=True))
         return window, [solids[which] for which in window.shape.tolist()]
 
     def _solid(self, key: ShapeKey) -> Solid:
