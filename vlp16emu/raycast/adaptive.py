@@ -30,7 +30,7 @@ _OVERLAP, _MIDWAY_M = 0.3, 10.0
 """Share of the beam's width by which neighbours must at least be apart, at this range: nearer ones meet the same."""
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def are_neighbours(
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float64],
@@ -54,7 +54,7 @@ def are_neighbours(
     return step2 <= (_STEPS * 4.0 * quarters[2]) ** 2 and gap2_m2 >= (_OVERLAP * width_m) ** 2
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def flat_enough(quarters: NDArray[np.float32], range_m: float, cosine: float, resolution_m: float) -> bool:
     """Whether one standard deviation of the beam reaches no deeper than an echo is wide, on a surface so inclined."""
     across_m = quarters[0] + quarters[2] * range_m

@@ -140,10 +140,11 @@ def cast_lines(
 ) -> None:
     """Cast one ray per pulse; packets hold eight consecutive firings of a laser. Fills arrays (k, L)."""
     packet, pulses = ray_packet(), PACKET * light.origin_m.shape[1]
-    batch = _batch(pulses, 1)
+    one = np.int64(1)  # of a type of its own, a literal has what it is given to compiled once more
+    batch = _batch(pulses, one)
     for first in light.order:
         _cast_middles(near, beyond, medium, light, packet, batch, first)
-        _march(medium, light, batch, pulses, 1, 0.0)
+        _march(medium, light, batch, pulses, one, np.float32(0.0))
         for q in range(pulses):
             i, j, met = first + q % PACKET, q // PACKET, batch.surface[q, 0]
             range_m[i, j] = np.float32(np.inf) if met == NONE else batch.row[q, RANGE]
@@ -164,11 +165,11 @@ def cast_pulses(
     -------
     Ranges, surfaces and cosines (n,) in order of pulses.
     """
-    packet, n, pulses = ray_packet(), 0, PACKET * count.shape[1]
+    packet, n, pulses = ray_packet(), np.int64(0), PACKET * count.shape[1]
     batch = _batch(pulses, -(-wish.most // ROUND) * ROUND)
-    room, begin = _hits((1, count.size * wish.most)), np.empty(count.shape, np.int64)
+    room, begin = _hits((np.int64(1), count.size * wish.most)), np.empty(count.shape, np.int64)
     for first in light.order:
-        todo, have = _judge(near, medium, light, wish, packet, batch, first), 0
+        todo, have = _judge(near, medium, light, wish, packet, batch, first), np.int64(0)
         while todo:
             rays = min(ROUND, wish.most - have)
             _cast_near(near, beyond, medium, light, wish, packet, batch, first, todo, have, rays)
@@ -179,7 +180,7 @@ def cast_pulses(
             count[i, j], begin[i, j] = own, n
             _copy(batch.hits, q, 0, room, n, own)
             n += own
-    out = _hits((1, n))
+    out = _hits((np.int64(1), n))
     _put_in_order(room, begin, count, out)
     return out.range_m[0], out.surface[0], out.cos_incidence[0]
 
@@ -279,7 +280,7 @@ def _cast_near(
         _put_down(near, beyond, packet, batch, q, 0, count, reach_m, light.far_m)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _put_down(
     near: Target,
     beyond: Target,
@@ -384,7 +385,7 @@ def _put_in_order(room: _Hits, begin: NDArray[np.int64], count: NDArray[np.uint1
             n += count[i, j]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _copy(source: _Hits, line: int, begin: int, target: _Hits, at: int, count: int) -> None:
     """Copy hits out of a line to the first line."""
     range_m, surface, cosine = target.range_m, target.surface, target.cos_incidence
