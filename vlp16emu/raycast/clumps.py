@@ -39,7 +39,7 @@ def kept_share(
         for axis in (0, 1):
             _draw(corners_m, begin, stop, low, axis, edges, drawn, total)
             _count(drawn, total, factor)
-        _share(corners_m, begin, stop, low, factor, total, float(share[mesh]), out)
+        _share(corners_m, begin, stop, low, size, factor.ravel(), total.ravel(), float(share[mesh]), out)
     return out
 
 
@@ -68,6 +68,7 @@ def _share(
     begin: int,
     stop: int,
     low: Array,
+    size: NDArray[np.int64],
     factor: Array,
     total: NDArray[np.int64],
     share: float,
@@ -75,9 +76,11 @@ def _share(
 ) -> None:
     """Give each face the share of the voxel of its middle."""
     for f in range(begin, stop):
-        i, j, k = _voxel(corners_m[f], low, 0), _voxel(corners_m[f], low, 1), _voxel(corners_m[f], low, 2)
-        if total[i, j, k] > 0:
-            out[f] = factor[i, j, k] / (total[i, j, k] * share)
+        at = 0
+        for axis in range(3):
+            at = at * size[axis] + _voxel(corners_m[f], low, axis)
+        if total[at] > 0:
+            out[f] = factor[at] / (total[at] * share)
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)

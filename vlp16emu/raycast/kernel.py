@@ -32,6 +32,7 @@ from vlp16emu.raycast.packet import (
     ray_packet,
     reset,
 )
+from vlp16emu.types import ZERO
 
 __all__ = ["Light", "Wish", "cast_lines", "cast_pulses"]
 
@@ -140,7 +141,7 @@ def cast_lines(
 ) -> None:
     """Cast one ray per pulse; packets hold eight consecutive firings of a laser. Fills arrays (k, L)."""
     packet, pulses = ray_packet(), PACKET * light.origin_m.shape[1]
-    one = np.int64(1)  # of a type of its own, a literal has what it is given to compiled once more
+    one = ZERO + 1
     batch = _batch(pulses, one)
     for first in light.order:
         _cast_middles(near, beyond, medium, light, packet, batch, first)
@@ -165,11 +166,11 @@ def cast_pulses(
     -------
     Ranges, surfaces and cosines (n,) in order of pulses.
     """
-    packet, n, pulses = ray_packet(), np.int64(0), PACKET * count.shape[1]
+    packet, n, pulses = ray_packet(), ZERO, PACKET * count.shape[1]
     batch = _batch(pulses, -(-wish.most // ROUND) * ROUND)
-    room, begin = _hits((np.int64(1), count.size * wish.most)), np.empty(count.shape, np.int64)
+    room, begin = _hits((ZERO + 1, count.size * wish.most)), np.empty(count.shape, np.int64)
     for first in light.order:
-        todo, have = _judge(near, medium, light, wish, packet, batch, first), np.int64(0)
+        todo, have = _judge(near, medium, light, wish, packet, batch, first), ZERO
         while todo:
             rays = min(ROUND, wish.most - have)
             _cast_near(near, beyond, medium, light, wish, packet, batch, first, todo, have, rays)
@@ -178,9 +179,9 @@ def cast_pulses(
         for q in range(pulses):
             i, j, own = first + q % PACKET, q // PACKET, batch.have[q]
             count[i, j], begin[i, j] = own, n
-            _copy(batch.hits, q, 0, room, n, own)
+            _copy(batch.hits, q, ZERO, room, n, own)
             n += own
-    out = _hits((np.int64(1), n))
+    out = _hits((ZERO + 1, n))
     _put_in_order(room, begin, count, out)
     return out.range_m[0], out.surface[0], out.cos_incidence[0]
 
@@ -246,7 +247,7 @@ def _cast_middles(
             reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
         packet.valid[:] = -1
         cast_packet(near, packet)
-        _put_down(near, beyond, packet, batch, PACKET * j, 1, PACKET, reach_m, light.far_m)
+        _put_down(near, beyond, packet, batch, PACKET * j, ZERO + 1, ZERO + PACKET, reach_m, light.far_m)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -277,7 +278,7 @@ def _cast_near(
             valid[r] = -1 if r < count else 0
         if not batch.clear[q]:
             cast_packet(near, packet)
-        _put_down(near, beyond, packet, batch, q, 0, count, reach_m, light.far_m)
+        _put_down(near, beyond, packet, batch, q, ZERO, count, reach_m, light.far_m)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
@@ -378,10 +379,10 @@ def _settle(near: Target, wish: Wish, batch: _Batch, todo: int, have: int, count
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _put_in_order(room: _Hits, begin: NDArray[np.int64], count: NDArray[np.uint16], out: _Hits) -> None:
     """Put hits into the order of pulses; those of each begin at a number of their own."""
-    n = 0
+    n = ZERO
     for i in range(count.shape[0]):
         for j in range(count.shape[1]):
-            _copy(room, 0, begin[i, j], out, n, count[i, j])
+            _copy(room, ZERO, begin[i, j], out, n, int(count[i, j]))
             n += count[i, j]
 
 
