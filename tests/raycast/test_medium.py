@@ -9,7 +9,8 @@ import pytest
 
 from vlp16emu.raycast import cloud as clouds_room
 from vlp16emu.raycast import leaves as room
-from vlp16emu.raycast.cloud import Library, _kept, cloud_of
+from vlp16emu.raycast.cloud import Library, cloud_of
+from vlp16emu.raycast.clumps import kept_share
 from vlp16emu.raycast.far import NO_MEDIUM, Far
 from vlp16emu.raycast.lanes import lanes
 from vlp16emu.raycast.march import march
@@ -69,14 +70,14 @@ def test_leaves_that_hide_each_other_count_once(lab):
     behind = np.array([leaf_m + [x, 0, 0] for x in (0.1, 0.15, 0.2, 0.25)])
     apart = np.array([leaf_m + [0.1, y, 0] for y in (0.0, 0.1, 0.2, 0.3)])
     for leaves_m, left in ((behind, 0.25), (apart, 1.0)):
-        corners = np.concatenate([leaves_m, leaves_m[:, :, [1, 0, 2]]]) / VOXEL_M  # as many seen along y
-        kept = _kept(corners, np.zeros(8, np.uint8), np.ones(1, np.float32), (1, 1, 1))
+        corners = np.concatenate([leaves_m, leaves_m[:, :, [1, 0, 2]]])  # as many seen along y
+        kept = kept_share(corners, np.array([0, 8]), np.ones(1, np.float32), np.zeros(3), np.ones(3, int))
         assert kept == pytest.approx(left, rel=0.06)
 
 
 def test_a_cloud_is_where_its_faces_are(lab, monkeypatch):
     """Where nothing is hidden, cells add up to the area of each mesh, and their middle is that of the faces, to a millimetre."""
-    monkeypatch.setattr(clouds_room, "_kept", lambda corners, *_: np.ones(len(corners)))
+    monkeypatch.setattr(clouds_room, "kept_share", lambda corners, *_: np.ones(len(corners)))
     meshes = lab.tiles().shape("crown")
     cloud = cloud_of(meshes, PARTS)
     assert len(cloud.corners_m) == 0

@@ -139,8 +139,8 @@ def _measure(
     cover = sky(t_ns, antenna_m) if sky else 0.0
     grown = 1.0 + (errors.canopy_error_factor - 1.0) * cover
     second = t_ns // S_NS
-    white_m = np.array(normal_pair(seed, Purpose.GNSS_NOISE, second, 0))
-    white_m_s = np.array(normal_pair(seed, Purpose.GNSS_NOISE, second, 1))
+    white_m = np.array(normal_pair(seed, int(Purpose.GNSS_NOISE), second, 0))
+    white_m_s = np.array(normal_pair(seed, int(Purpose.GNSS_NOISE), second, 1))
     slow = np.array([wander(seed, lane, second, errors.wander_s) for lane in (_EAST, _NORTH)])
     measured_m = antenna_m.copy()
     measured_m[:2] += grown * (errors.position_noise_m * white_m + errors.wander_m * slow)

@@ -236,7 +236,7 @@ def lay(
             rays[4 + a, lane] = (axes[1, a] + axes[2, a] * lean_x + axes[3, a] * lean_y) * scale
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def reach_of(first: int, support: bool) -> np.float32:
     """How far sub-rays `first` and on, which are laid together, are off the middle at most, in standard deviations."""
     return _REACH[first // ROUND] if support and first < len(_SUPPORT) else _REACH[-1]

@@ -6,12 +6,14 @@ A shape is measured once, and its cloud put down wherever it stands (`vlp16emu.r
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.raycast.clumps import kept_share
 from vlp16emu.raycast.voxel import KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.types import Mesh, PlantPart
 
@@ -23,8 +25,6 @@ TILTS = 64
 _CELL_M = 0.25
 _FEW_FACES = 2000
 """Shapes of no more faces are taken face by face: stones, logs and tufts, which are stretched where they are placed."""
-_PIXELS = 32
-"""Of a voxel's edge, 16 mm each, in which faces are drawn to see how much they hide of each other."""
 
 Array = NDArray[np.float64]
 
@@ -75,145 +75,155 @@ def cloud_of(meshes: Sequence[Mesh], parts: NDArray[np.uint8]) -> Cloud:
     parts : (meshes,) `PlantPart` of each
     """
     share = np.where(parts == PlantPart.LEAF, 1.0, 0.5).astype(np.float32)
-    faces = [_corners(mesh) for mesh in meshes]
-    corners_m, of = (
-        np.concatenate(faces),
-        np.repeat(np.arange(len(meshes), dtype=np.uint8), [len(f) for f in faces]),
-    )
-    normal = 0.5 * np.cross(corners_m[:, 2] - corners_m[:, 0], corners_m[:, 3] - corners_m[:, 1])
-    area_m2 = np.linalg.norm(normal, axis=1)
-    sine = np.abs(normal[:, 2]) / np.maximum(area_m2, 1e-12)
+    first = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])
+    corners_m = np.empty((first[-1], 4, 3))
+    for mesh, begin, stop in zip(meshes, first, first[1:], strict=False):
+        own = corners_m[begin:stop]
+        own[:, : mesh.faces.shape[1]] = mesh.vertices_m.take(mesh.faces, axis=0)
+        if mesh.faces.shape[1] == 3:
+            own[:, 3] = own[:, 2]
+    area_m2, weight = np.empty(len(corners_m)), np.zeros((len(meshes), TILTS))
+    bounds_m = np.array([[np.inf] * 3, [-np.inf] * 3])
+    radius_m = _measure(corners_m, first, area_m2, weight, bounds_m) if len(corners_m) else 0.0
     projection, cosine = np.zeros((len(meshes), len(KNOTS))), np.ones((len(meshes), len(KNOTS), QUANTILES))
-    for mesh in range(len(meshes)):
-        own = of == mesh
-        if area_m2[own].sum() > 0:
-            projection[mesh], cosine[mesh] = _law(area_m2[own], sine[own])
-    radius_m = float(np.linalg.norm(corners_m, axis=-1).max(initial=0.0))
-    none = np.zeros((0, 4, 3), np.float32), np.zeros(0, np.uint8)
+    for number in np.flatnonzero(weight.any(axis=1)).tolist():
+        projection[number], cosine[number] = _law(weight[number])
     if len(corners_m) <= _FEW_FACES:
+        of = np.repeat(np.arange(len(meshes), dtype=np.uint8), np.diff(first))
         cells = np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
         kept = corners_m.astype(np.float32), of
     else:
-        middle_m = corners_m.mean(axis=1)
-        box = np.floor(corners_m.reshape(-1, 3).min(axis=0) / VOXEL_M)
-        size = np.ceil(corners_m.reshape(-1, 3).max(axis=0) / VOXEL_M) - box + 1
-        kept_share = _kept(corners_m / VOXEL_M - box, of, share, tuple(size.astype(int).tolist()))
-        cells, kept = _cells(middle_m, area_m2 * share[of] * kept_share, of), none
+        low, high = np.floor(bounds_m[0] / VOXEL_M), np.ceil(bounds_m[1] / VOXEL_M)
+        left = share.repeat(np.diff(first)) * kept_share(
+            corners_m, first, share, low, (high - low + 1).astype(int)
+        )
+        cells = _cells(corners_m, first, area_m2, left, bounds_m)
+        kept = np.zeros((0, 4, 3), np.float32), np.zeros(0, np.uint8)
     return Cloud(*cells, *kept, share, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
 
 
-def _corners(mesh: Mesh) -> Array:
-    """Corners of faces (f, 4, 3)."""
-    corners = mesh.vertices_m[mesh.faces].astype(np.float64)
-    return corners if corners.shape[1] == 4 else corners[:, [0, 1, 2, 2]]
-
-
-def _law(area_m2: Array, sine: Array) -> tuple[Array, Array]:
-    """Mean projected share of faces (knots,), and quantiles (knots, QUANTILES) of the cosine of incidence."""
-    tilt = np.minimum((sine * TILTS).astype(np.int64), TILTS - 1)
-    weight = np.bincount(tilt, area_m2, TILTS)
-    projection = PROJECTION @ weight / weight.sum()
-    at = (np.arange(TILTS) + 0.5) / TILTS
-    azimuth = (np.arange(64) + 0.5) * (np.pi / 64)
-    cosine = np.empty((len(KNOTS), QUANTILES))
-    for knot, up in enumerate(KNOTS):
-        level = math.sqrt(1.0 - up * up)
-        met = np.abs(level * np.sqrt(1.0 - at**2)[:, None] * np.cos(azimuth) + up * at[:, None])
-        mass = weight[:, None] * met
-        order = np.argsort(met, axis=None)
-        so_far = np.cumsum(mass.ravel()[order])
-        wanted = (np.arange(QUANTILES) + 0.5) / QUANTILES * so_far[-1]
-        cosine[knot] = met.ravel()[order][np.searchsorted(so_far, wanted)]
-    return projection, cosine
-
-
-@numba.njit(cache=True, nogil=True)
-def _kept(
-    corners: Array, of: NDArray[np.uint8], share: NDArray[np.float32], size: tuple[int, int, int]
-) -> Array:
-    """Share of each face's area (f,) that is left where leaves that hide each other are taken for leaves at random.
-
-    The faces of each mesh are drawn as seen along x and along y, voxel by voxel. Leaves at random that hide as much of a
-    voxel's face have -log(1 - hidden) of its area (Beer's law); the sum of areas is more where leaves grow in clumps.
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _measure(
+    corners_m: Array, first: NDArray[np.int64], area_m2: Array, weight: Array, bounds_m: Array
+) -> float:
+    """Measure faces (f, 4, 3), of which each mesh has those from its first on; return their greatest distance.
 
     Parameters
     ----------
-    corners : (f, 4, 3) in voxels from the lowest corner of `size` voxels
+    area_m2, weight : output, areas (f,), and area of each mesh (meshes, `TILTS`) by the sine of the normals' elevation
+    bounds_m : (2, 3) lowest and highest coordinates so far
     """
-    drawn = np.zeros((*size, _PIXELS), np.uint32)
-    factor, total = np.zeros((len(share), *size)), np.zeros((len(share), *size))
-    for mesh in range(len(share)):
-        for axis in (0, 1):
-            drawn[:] = 0
-            for f in range(len(corners)):
-                if of[f] == mesh:
-                    _draw(corners[f], axis, drawn, total[mesh])
-            for i, j, k in np.ndindex(size):
-                bits = 0
-                for pixels in drawn[i, j, k]:
-                    line = pixels
-                    while line:
-                        line &= line - np.uint32(1)
-                        bits += 1
-                hidden = min(bits / _PIXELS**2, 1.0 - 0.5 / _PIXELS**2)
-                factor[mesh, i, j, k] -= math.log(1.0 - hidden) * _PIXELS**2
-    out = np.ones(len(corners))
-    for f in range(len(corners)):
-        mesh = of[f]
-        i, j, k = _middle(corners[f])
-        if total[mesh, i, j, k] > 0:
-            out[f] = factor[mesh, i, j, k] / (total[mesh, i, j, k] * share[mesh])
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
-def _middle(corners: Array) -> tuple[int, int, int]:
-    """Voxel of a face's middle."""
-    return (
-        int(0.25 * (corners[0, 0] + corners[1, 0] + corners[2, 0] + corners[3, 0])),
-        int(0.25 * (corners[0, 1] + corners[1, 1] + corners[2, 1] + corners[3, 1])),
-        int(0.25 * (corners[0, 2] + corners[1, 2] + corners[2, 2] + corners[3, 2])),
-    )
-
-
-@numba.njit(cache=True, nogil=True)
-def _draw(corners: Array, axis: int, drawn: NDArray[np.uint32], total: Array) -> None:
-    """Draw a face as seen along an axis, into the voxels of its own depth; count its pixels, drawn before or not."""
-    other = 1 - axis
-    depth = _middle(corners)[axis]
-    u, v = corners[:, other] * _PIXELS, corners[:, 2] * _PIXELS
-    turn = 0.0
-    for c in range(4):
-        n = (c + 1) % 4
-        turn += u[c] * v[n] - u[n] * v[c]
-    side = 1.0 if turn > 0 else -1.0
-    for p in range(math.floor(u.min()), math.floor(u.max()) + 1):
-        for q in range(math.floor(v.min()), math.floor(v.max()) + 1):
-            inside = True
+    radius2 = 0.0
+    for mesh in range(len(first) - 1):
+        for f in range(first[mesh], first[mesh + 1]):
+            own = corners_m[f]
+            ax, ay, az = own[2, 0] - own[0, 0], own[2, 1] - own[0, 1], own[2, 2] - own[0, 2]
+            bx, by, bz = own[3, 0] - own[1, 0], own[3, 1] - own[1, 1], own[3, 2] - own[1, 2]
+            nx, ny, nz = 0.5 * (ay * bz - az * by), 0.5 * (az * bx - ax * bz), 0.5 * (ax * by - ay * bx)
+            area_m2[f] = math.sqrt(nx * nx + ny * ny + nz * nz)
+            sine = abs(nz) / max(area_m2[f], 1e-12)
+            weight[mesh, min(int(sine * TILTS), TILTS - 1)] += area_m2[f]
             for c in range(4):
-                n = (c + 1) % 4
-                across = (u[n] - u[c]) * (q + 0.5 - v[c]) - (v[n] - v[c]) * (p + 0.5 - u[c])
-                if side * across < 0.0:
-                    inside = False
-                    break
-            if inside:
-                a, b = p // _PIXELS, q // _PIXELS
-                i, j = (depth, a) if axis == 0 else (a, depth)
-                drawn[i, j, b, q % _PIXELS] |= np.uint32(1) << np.uint32(p % _PIXELS)
-                total[i, j, b] += 1.0
+                x, y, z = own[c, 0], own[c, 1], own[c, 2]
+                radius2 = max(radius2, x * x + y * y + z * z)
+                for a in range(3):
+                    bounds_m[0, a] = min(bounds_m[0, a], own[c, a])
+                    bounds_m[1, a] = max(bounds_m[1, a], own[c, a])
+    return math.sqrt(radius2)
+
+
+@cache
+def _met() -> list[tuple[NDArray[np.intp], Array]]:
+    """For each knot the cosines (`TILTS` x 64) with which light meets faces all around: their order, and in that order."""
+    at = (np.arange(TILTS) + 0.5) / TILTS
+    azimuth = (np.arange(64) + 0.5) * (np.pi / 64)
+    found = []
+    for up in KNOTS:
+        level = math.sqrt(1.0 - up * up)
+        met = np.abs(level * np.sqrt(1.0 - at**2)[:, None] * np.cos(azimuth) + up * at[:, None])
+        order = np.argsort(met, axis=None)
+        found.append((order, met.ravel()[order]))
+    return found
+
+
+def _law(weight: Array) -> tuple[Array, Array]:
+    """Mean projected share of faces (knots,), and quantiles (knots, QUANTILES) of the cosine of incidence.
+
+    Parameters
+    ----------
+    weight : (`TILTS`,) their area
+    """
+    cosine = np.empty((len(KNOTS), QUANTILES))
+    for knot, (order, met) in enumerate(_met()):
+        so_far = np.cumsum(weight[order // 64] * met)
+        wanted = (np.arange(QUANTILES) + 0.5) / QUANTILES * so_far[-1]
+        cosine[knot] = met[np.searchsorted(so_far, wanted)]
+    return PROJECTION @ weight / weight.sum(), cosine
 
 
 def _cells(
-    middle_m: Array, area_m2: Array, mesh: NDArray[np.uint8]
+    corners_m: Array, first: NDArray[np.int64], area_m2: Array, left: Array, bounds_m: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
     """Gather faces in cells of `_CELL_M`: where their area lies, how much it is, and whose."""
-    cell = np.floor(middle_m / _CELL_M).astype(np.int64) + (1 << 15)
-    name = ((mesh.astype(np.int64) << 16 | cell[:, 0]) << 16 | cell[:, 1]) << 16 | cell[:, 2]
-    name, of = np.unique(name, return_inverse=True)
-    total = np.bincount(of, area_m2)
-    weighted = np.stack([np.bincount(of, area_m2 * axis) for axis in middle_m.T], axis=1)
-    place_m = weighted / np.maximum(total, 1e-12)[:, None]
-    return place_m.astype(np.float32), total.astype(np.float32), (name >> 48).astype(np.uint8)
+    low = np.floor(bounds_m[0] / _CELL_M) - 1.0  # a middle may lie beyond its corners by what is rounded
+    size = (np.floor(bounds_m[1] / _CELL_M) + 2.0 - low).astype(int)
+    number, cell, area_m2 = (
+        np.empty(size.prod(), np.int32),
+        np.empty(len(corners_m), np.int64),
+        area_m2 * left,
+    )
+    total, weighted, whose = np.zeros(len(cell)), np.zeros((len(cell), 3)), np.empty(len(cell), np.uint8)
+    cells = _gather(corners_m, first, area_m2, low, size, number, cell, total, weighted, whose)
+    place_m = weighted[:cells] / np.maximum(total[:cells], 1e-12)[:, None]
+    return place_m.astype(np.float32), total[:cells].astype(np.float32), whose[:cells].copy()
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _gather(
+    corners_m: Array,
+    first: NDArray[np.int64],
+    area_m2: Array,
+    low: Array,
+    size: NDArray[np.int64],
+    number: NDArray[np.int32],
+    cell: NDArray[np.int64],
+    total: Array,
+    weighted: Array,
+    whose: NDArray[np.uint8],
+) -> int:
+    """Add up the area of the faces in each cell, and their middles by it; return how many cells there are.
+
+    Parameters
+    ----------
+    low, size : (3,) of the box of cells in which the middles are
+    number, cell : scratch, for each cell of the box and for each face
+    total, weighted, whose : output, (f,), (f, 3) and (f,), by mesh and place
+    """
+    cells = 0
+    for mesh in range(len(first) - 1):
+        for c in range(len(number)):
+            number[c] = -1
+        for f in range(first[mesh], first[mesh + 1]):
+            at = 0
+            for a in range(3):
+                at = at * size[a] + int(math.floor(_middle(corners_m[f], a) / _CELL_M) - low[a])
+            cell[f], number[at] = at, 0
+        for c in range(len(number)):
+            if number[c] == 0:
+                number[c], whose[cells] = cells, mesh
+                cells += 1
+        for f in range(first[mesh], first[mesh + 1]):
+            own = number[cell[f]]
+            total[own] += area_m2[f]
+            for a in range(3):
+                weighted[own, a] += area_m2[f] * _middle(corners_m[f], a)
+    return cells
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+def _middle(corners_m: Array, axis: int) -> float:
+    """Middle of a face along an axis."""
+    return 0.25 * (corners_m[0, axis] + corners_m[1, axis] + corners_m[2, axis] + corners_m[3, axis])
 
 
 class Library(NamedTuple):

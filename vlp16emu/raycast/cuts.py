@@ -26,7 +26,7 @@ __all__ = ["meet_ground", "meet_stem"]
 f4 = np.float32
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def meet_stem(
     stems: Stems,
     L: Lanes,
@@ -74,7 +74,7 @@ def meet_stem(
     return _keep_nearest(stems, L, n, near_m, stem)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _keep_nearest(stems: Stems, L: Lanes, n: int, near_m: np.float32, stem: int) -> bool:
     """Keep of what the lanes meet of a stem's cone what is nearest, and of the stem at all; whether there is any."""
     met, row, flare_m, along_m = False, L.row, stems.flare_m[stem], stems.profile[stem, 0]
@@ -87,7 +87,7 @@ def _keep_nearest(stems: Stems, L: Lanes, n: int, near_m: np.float32, stem: int)
     return met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _cut_cone(
     row: NDArray[np.float32],
     middle_m: tuple[np.float32, np.float32, np.float32],
@@ -124,7 +124,7 @@ def _cut_cone(
         row[FACING + lane] = min(max(-(along + square * on_m) / there_m, f4(0.0)), f4(1.0))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _knot(profile: NDArray[np.float32], height_m: float) -> int:
     """Find the knot of a profile at or below a height; the last but one from there on, the first below all."""
     knot, at_m = 0, f4(height_m)
@@ -133,7 +133,7 @@ def _knot(profile: NDArray[np.float32], height_m: float) -> int:
     return knot
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def meet_ground(
     ground: Ground,
     L: Lanes,
@@ -179,7 +179,7 @@ def meet_ground(
     return met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _ground_at(
     ground: Ground,
     x: np.float32,
@@ -212,7 +212,7 @@ def _ground_at(
     return at_m, slope[1], slope[2]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _over_ground(
     ground: Ground, x: float, y: float, z: float, dx: float, dy: float, dz: float, at_m: float
 ) -> tuple[np.float32, np.float32, np.float32]:

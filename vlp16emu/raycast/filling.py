@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from vlp16emu.raycast.cloud import TILTS, Library
 from vlp16emu.raycast.marks import mark_ground, mark_stem
 from vlp16emu.raycast.voxel import BRICK, CODES, COLUMNS, LAW_BIT, MOST_PER_M, SHARE_BIT, TILE_BIT, VOXEL_M
+from vlp16emu.types import ZERO
 
 __all__ = ["filled"]
 
@@ -47,7 +48,7 @@ def filled(
     head = np.full((COLUMNS, COLUMNS, levels * BRICK), -1, np.int32)
     # Owners as linked lists: tile, row, law and the next one; and their projected areas at the knots.
     node, area = np.empty((4096, 4), np.int64), np.empty((4096, 3))
-    used = 0
+    used = ZERO
     add = np.empty(3)
     for p in range(which.shape[0]):
         s, T = which[p], relative[p]
@@ -60,7 +61,11 @@ def filled(
             law = library.first_law[s] + library.mesh[c]
             for k in range(3):
                 add[k] = library.area_m2[c] * scale * library.projection[law, k]
-            a, b, z = library.place_m[c, 0], library.place_m[c, 1], library.place_m[c, 2]
+            a, b, z = (
+                np.float64(library.place_m[c, 0]),
+                np.float64(library.place_m[c, 1]),
+                np.float64(library.place_m[c, 2]),
+            )
             used = _put(
                 head, node, area, used, T, a, b, z, low_m, tile_of[p], row[p] + library.mesh[c], law, add
             )
@@ -98,7 +103,11 @@ def _roomy(node: NDArray[np.int64], area: Array, used: int, needed: int) -> tupl
     while needed > room:
         room *= 2
         bigger, more = np.empty((room, 4), np.int64), np.empty((room, 3))
-        bigger[:used], more[:used] = node[:used], area[:used]
+        for owner in range(used):
+            for a in range(4):
+                bigger[owner, a] = node[owner, a]
+            for a in range(3):
+                more[owner, a] = area[owner, a]
         node, area = bigger, more
     return node, area
 

@@ -32,7 +32,7 @@ def faces_of(mesh: Mesh) -> Faces:
     if mesh.faces.shape[1] == 4:
         return vertices_m, np.ascontiguousarray(mesh.faces)
     quads = np.empty((len(mesh.faces), 4), np.uint32)
-    return vertices_m, quads[: _pair(np.ascontiguousarray(mesh.faces), vertices_m, quads)].copy()
+    return vertices_m, quads[: _pair(np.array(mesh.faces, order="C"), vertices_m, quads)].copy()
 
 
 @numba.njit(cache=True, nogil=True)
@@ -47,7 +47,8 @@ def _pair(faces: NDArray[np.uint32], vertices_m: NDArray[np.float32], quads: NDA
         if taken[i]:
             continue
         taken[i], partner, longest = True, -1, np.float32(0.0)
-        quads[n, :3], quads[n, 3] = faces[i], faces[i, 2]
+        for corner in range(4):
+            quads[n, corner] = faces[i, min(corner, 2)]
         for side in range(3):
             a, b, d = faces[i, side - 1], faces[i, side], faces[i, (side + 1) % 3]
             square = np.float32(0.0)

@@ -31,6 +31,7 @@ from vlp16emu.raycast.packet import (
     ray_packet,
     reset,
 )
+from vlp16emu.types import ZERO
 
 __all__ = ["Light", "Wish", "cast_lines", "cast_pulses"]
 
@@ -132,10 +133,11 @@ def cast_lines(
 ) -> None:
     """Cast one ray per pulse; packets hold eight consecutive firings of a laser. Fills arrays (k, L)."""
     packet, pulses = ray_packet(), PACKET * light.origin_m.shape[1]
-    batch = _batch(pulses, 1)
+    one = ZERO + 1
+    batch = _batch(pulses, one)
     for first in light.order:
         _cast_middles(near, beyond, medium, light, packet, batch, first)
-        _march(medium, light, batch, pulses, 1, 0.0)
+        _march(medium, light, batch, pulses, one, np.float32(0.0))
         for q in range(pulses):
             i, j, met = first + q % PACKET, q // PACKET, batch.surface[q, 0]
             range_m[i, j] = np.float32(np.inf) if met == NONE else batch.row[q, RANGE]
@@ -156,11 +158,11 @@ def cast_pulses(
     -------
     Ranges, surfaces and cosines (n,) in order of pulses.
     """
-    packet, n, pulses = ray_packet(), 0, PACKET * count.shape[1]
+    packet, n, pulses = ray_packet(), ZERO, PACKET * count.shape[1]
     batch = _batch(pulses, -(-wish.most // ROUND) * ROUND)
-    room, begin = _hits((1, count.size * wish.most)), np.empty(count.shape, np.int64)
+    room, begin = _hits((ZERO + 1, count.size * wish.most)), np.empty(count.shape, np.int64)
     for first in light.order:
-        todo, have = pulses, 0
+        todo, have = pulses, ZERO
         for q in range(pulses):
             batch.todo[q] = q
         while todo:
@@ -171,9 +173,9 @@ def cast_pulses(
         for q in range(pulses):
             i, j, own = first + q % PACKET, q // PACKET, batch.have[q]
             count[i, j], begin[i, j] = own, n
-            _copy(batch.hits, q, 0, room, n, own)
+            _copy(batch.hits, q, ZERO, room, n, own)
             n += own
-    out = _hits((1, n))
+    out = _hits((ZERO + 1, n))
     _put_in_order(room, begin, count, out)
     return out.range_m[0], out.surface[0], out.cos_incidence[0]
 
@@ -203,7 +205,7 @@ def _cast_middles(
             reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
         packet.valid[:] = -1
         cast_packet(near, packet)
-        _put_down(near, beyond, packet, batch, PACKET * j, 1, PACKET, reach_m, light.far_m)
+        _put_down(near, beyond, packet, batch, PACKET * j, ZERO + 1, ZERO + PACKET, reach_m, light.far_m)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -233,10 +235,10 @@ def _cast_near(
             reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
             valid[r] = -1 if r < count else 0
         cast_packet(near, packet)
-        _put_down(near, beyond, packet, batch, q, 0, count, reach_m, light.far_m)
+        _put_down(near, beyond, packet, batch, q, ZERO, count, reach_m, light.far_m)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _put_down(
     near: Target,
     beyond: Target,
@@ -334,14 +336,14 @@ def _settle(near: Target, wish: Wish, batch: _Batch, todo: int, have: int, count
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _put_in_order(room: _Hits, begin: NDArray[np.int64], count: NDArray[np.uint16], out: _Hits) -> None:
     """Put hits into the order of pulses; those of each begin at a number of their own."""
-    n = 0
+    n = ZERO
     for i in range(count.shape[0]):
         for j in range(count.shape[1]):
-            _copy(room, 0, begin[i, j], out, n, count[i, j])
+            _copy(room, ZERO, begin[i, j], out, n, int(count[i, j]))
             n += count[i, j]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _copy(source: _Hits, line: int, begin: int, target: _Hits, at: int, count: int) -> None:
     """Copy hits out of a line to the first line."""
     range_m, surface, cosine = target.range_m, target.surface, target.cos_incidence

@@ -72,7 +72,7 @@ _MASK, _LEAF_OF, _PLACE = _leaves()
 _COVER = (1.0 - np.exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _mixed(a: int, b: int, c: int, seed: int) -> np.uint32:
     """Hash the place of a voxel (constants and rounds as in MurmurHash3's finaliser)."""
     h = u4(u4(a) * u4(0x9E3779B1)) ^ u4(u4(b) * u4(0x85EBCA77)) ^ u4(u4(c) * u4(0xC2B2AE3D)) ^ u4(seed)
@@ -95,7 +95,7 @@ class Weights(NamedTuple):
     """The nearest."""
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def weights_of(up: np.float32, length: np.float32) -> Weights:
     """Weigh the knots for light whose direction has the sine `up`, through slabs of a length."""
     low_knot = u4(0) if up < f4(0.3) else u4(7)
@@ -105,7 +105,7 @@ def weights_of(up: np.float32, length: np.float32) -> Weights:
     return Weights(low_knot, w_low, w_high, knot)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def meet_foliage(
     M: Medium,
     L: Lanes,
@@ -147,7 +147,7 @@ def meet_foliage(
     return _meet_leaves(M, L, near_m, main, one, two, k, h, bits, number, tile, weights.knot, alive)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _meet_leaves(
     M: Medium,
     L: Lanes,
@@ -189,7 +189,7 @@ def _meet_leaves(
     return met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _column(
     line: NDArray[np.float32], lane: int, middle_m: np.float32, r1: np.int32, r2: np.int32
 ) -> np.uint32:
@@ -199,7 +199,7 @@ def _column(
     return u4(8 * a + b)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _take_leaf(
     M: Medium,
     L: Lanes,

@@ -116,7 +116,7 @@ def march(
         slab += AHEAD
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _meet_stems(
     M: Medium,
     L: Lanes,
@@ -145,7 +145,7 @@ def _meet_stems(
     return tested, met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _way(
     corner_m: tuple[np.float32, np.float32, np.float32], axis: NDArray[np.float32], near_m: np.float32
 ) -> _Way:
@@ -167,7 +167,7 @@ def _way(
     return _Way(main, one, two, k, step, length, to_middle, p1, p2, d1, d2)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _grid(M: Medium, main: int, one: int, two: int) -> _Grid:
     """Turn a grid to the axes of a way."""
     nx, ny, nz, _ = M.brick.shape
@@ -182,7 +182,7 @@ def _grid(M: Medium, main: int, one: int, two: int) -> _Grid:
     )
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.float32]:
     """Slabs until the pulse is in the grid, and until it leaves it."""
     first, stop = f4(0.0), f4(1e6)
@@ -198,14 +198,14 @@ def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.flo
     return first, stop
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _voxel(way: _Way, slab: int) -> tuple[int, int, int]:
     """Find the voxel, along the axes main, one and two, that the middle of a pulse passes in the middle of a slab."""
     at = f4(slab)
     return way.k + slab * way.step, int(np.int32(way.p1 + at * way.d1)), int(np.int32(way.p2 + at * way.d2))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _look(
     L: Lanes, way: _Way, grid: _Grid, bricks: NDArray[np.uint64], slab: int, slabs: int
 ) -> tuple[np.uint64, np.uint64]:
@@ -231,7 +231,7 @@ def _look(
     return voxels & asked, stems & asked
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _read(
     M: Medium, L: Lanes, bricks: NDArray[np.uint64], firsts: NDArray[np.uint32], voxels: np.uint64
 ) -> None:
@@ -246,7 +246,7 @@ def _read(
         place[ahead], code[ahead] = number, records[number]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: int) -> tuple[np.uint64, int]:
     """Take away the lanes that end before a slab; with the others, the slab in which the last of all ends."""
     passed_m, range_m = way.to_middle + (f4(slab) - f4(0.5)) * way.length, L.range_m
@@ -258,7 +258,7 @@ def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: in
     return alive, min(slabs, int((last_m - way.to_middle) / way.length + f4(1.5)))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
 def _lines(
     corner_m: tuple[float, float, float],
     L: Lanes,

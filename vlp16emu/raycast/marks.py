@@ -79,13 +79,27 @@ def mark_stem(mask: NDArray[np.uint64], line: Array, radii: NDArray[np.float32],
     for k in range(max(first, 0), min(last, nz - 1) + 1):
         below_m = max(k * VOXEL_M - foot_m - _ABOVE_M, 0.0)
         above_m = min((k + 1) * VOXEL_M - foot_m + _ABOVE_M, line[5])
-        aside_m = np.interp(below_m, radii[0], radii[1]) + ASIDE_M
+        aside_m = _widest_m(radii, below_m) + ASIDE_M
         x0, x1, y0, y1 = stem_columns(line, aside_m, below_m, above_m)
         for i in range(max(x0, 0), min(x1, nx - 1) + 1):
             for j in range(max(y0, 0), min(y1, ny - 1) + 1):
                 if stem_beside(line, aside_m, below_m, above_m, i, j):
                     bit = 16 * (i & 3) + 4 * (j & 3) + (k & 3)
                     mask[i >> 2, j >> 2, k >> 2] |= np.uint64(1) << np.uint64(bit)
+
+
+@numba.njit(cache=True, nogil=True)
+def _widest_m(radii: NDArray[np.float32], height_m: float) -> np.float64:
+    """Interpolate the greatest radius of a stem from a height upwards."""
+    last = radii.shape[1] - 1
+    if height_m >= radii[0, last]:
+        return np.float64(radii[1, last])
+    knot = 0
+    while knot < last - 1 and radii[0, knot + 1] <= height_m:
+        knot += 1
+    low_m, wide_m = np.float64(radii[0, knot]), np.float64(radii[1, knot])
+    taper = (np.float64(radii[1, knot + 1]) - wide_m) / (np.float64(radii[0, knot + 1]) - low_m)
+    return taper * max(height_m - low_m, 0.0) + wide_m
 
 
 @numba.njit(cache=True, nogil=True)

@@ -107,14 +107,14 @@ def ray_packet() -> RayPacket:
     )
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def cast_packet(target: Target, packet: RayPacket) -> None:
     """Cast the rays of a packet that are valid."""
     packet.context[:] = NONE
     _intersect(packet.valid.ctypes.data, target.scene, packet.rays.ctypes.data, packet.arguments.ctypes.data)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def cast_beyond(beyond: Target, packet: RayPacket, reach_m: float, far_m: float) -> None:
     """Cast the rays that are still valid against what is cast as faces at any range."""
     rays, valid = packet.rays, packet.valid
@@ -124,7 +124,7 @@ def cast_beyond(beyond: Target, packet: RayPacket, reach_m: float, far_m: float)
     cast_packet(beyond, packet)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def ray_met(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.uint32, np.float32]:
     """Range, surface and cosine of incidence of what ray r met."""
     instance = packet.words[INST, r]
@@ -136,7 +136,7 @@ def ray_met(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.u
     )
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, inline="always")
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def reset(packet: RayPacket, r: int, near_m: float, far_m: float, time: float) -> None:
     """Give ray r its limits and its time, and take away what it hit before."""
     rays, words = packet.rays, packet.words

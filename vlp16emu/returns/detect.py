@@ -25,14 +25,14 @@ from vlp16emu.returns.noise import range_sigma_m
 from vlp16emu.returns.owners import find_owners
 from vlp16emu.returns.reflectivity import reflectivity_byte
 from vlp16emu.returns.weather import clutter_echo
-from vlp16emu.types import Firings, Hits, Returns
+from vlp16emu.types import ZERO, Firings, Hits, Returns
 
 __all__ = ["detect"]
 
 _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
 _PEAKS_PER_NODE = 3  # at most: one at it, and one at either side
 _CERTAIN_SIGMAS = 6.0  # noise does not reach so far: 2e-9
-_DETECTION, _RANGE_NOISE = int(Purpose.DETECTION), int(Purpose.RANGE_NOISE)
+_DETECTION, _RANGE_NOISE = ZERO + Purpose.DETECTION, ZERO + Purpose.RANGE_NOISE
 _LANE_BITS = 16  # a random number's lane: the laser, and above it the echo's rank or column
 
 
@@ -102,7 +102,7 @@ def _detect(
     reflectivity: NDArray[np.uint8],
 ) -> None:
     """Fill the returns (k, L, 3), pulse by pulse; one node takes the short way."""
-    stop = 0
+    stop = ZERO
     columns = _LAST if law.strongest_only else _SECOND  # that a lone echo fills
     for i in range(count.shape[0]):
         n = first + i

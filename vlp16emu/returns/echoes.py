@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.returns.law import Law
+from vlp16emu.types import ZERO
 
 __all__ = [
     "AMPLITUDE",
@@ -126,7 +127,7 @@ def add_node(nodes: NDArray[np.float64], count: int, range_m: float, amplitude: 
 def find_peaks(nodes: NDArray[np.float64], count: int, sigma_m: float, peaks: NDArray[np.float64]) -> int:
     """Fill peaks (COLUMNS, n) in order of range from nodes, which are sorted; returns how many there are."""
     _sort(nodes, count)
-    found = start = 0
+    found = start = ZERO
     for node in range(1, count + 1):
         if node == count or nodes[RANGE, node] - nodes[RANGE, node - 1] > _APART * sigma_m:
             found = _peaks_of_group(nodes, start, node, sigma_m, peaks, found)
@@ -143,7 +144,7 @@ def brightest_group(nodes: NDArray[np.float64], count: int, sigma_m: float) -> t
     the first of them, and the one behind the last; their sum, which no peak exceeds; and the greatest sum of others
     """
     _sort(nodes, count)
-    start = first = last = 0
+    start = first = last = ZERO
     total = most = second = 0.0
     for node in range(count):
         total += nodes[AMPLITUDE, node]
@@ -161,7 +162,7 @@ def highest_peak(
     nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float, peaks: NDArray[np.float64]
 ) -> tuple[float, float]:
     """Range and amplitude of the highest peak of nodes that may touch each other, the nearest of equals."""
-    found, best = _peaks_of_group(nodes, start, stop, sigma_m, peaks, 0), 0
+    found, best = _peaks_of_group(nodes, start, stop, sigma_m, peaks, ZERO), 0
     for peak in range(1, found):
         if peaks[AMPLITUDE, peak] > peaks[AMPLITUDE, best]:
             best = peak
@@ -274,7 +275,7 @@ def _peaks_of_group(
         if b_mean_m <= 0.0 and not one and b_m > a_m:
             end_m = b_m - reach_m
             top_m, height = _climb(
-                nodes, start, stop, sigma_m, b_m, end_m, False, b_mean_m, b_var_m2, b_height
+                nodes, start, stop, sigma_m, b_m, end_m, b_m < a_m, b_mean_m, b_var_m2, b_height
             )
             if height > 0.0:
                 found = _add_peak(peaks, found, top_m, height)

@@ -287,4 +287,5 @@ def taper_radius_m(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: 
 
     Sources: Laasasenaho (1982), Schmidt (2001).
     """
+    dbh_m, height_m = np.ascontiguousarray(dbh_m), np.ascontiguousarray(height_m)
     return _radii(taper, dbh_m, height_m, np.ascontiguousarray(above_ground_m))
