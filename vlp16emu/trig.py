@@ -1,10 +1,18 @@
-"""Cosine and sine without a library: additions and products, which round alike everywhere and run four at once."""
+"""Cosine and sine without a library: additions and products, which round alike everywhere and run four at once.
+
+And a nought for kernels that is no literal.
+"""
 
 import math
+from typing import cast
 
 import numba
+import numpy as np
 
-__all__ = ["cos_sin", "in_quarter"]
+__all__ = ["ZERO", "cos_sin", "in_quarter"]
+
+ZERO = cast("int", np.int64(0))
+"""What is called with the literal 0 is compiled once more for that type."""
 
 _HALF_PI = 1.57079632673412561417, 6.07710050650619224932e-11
 """Its first 33 bits, so that products with whole numbers below 2**20 are exact, and the rest."""

@@ -10,7 +10,7 @@ and `world_T_body @ body_T_sensor` reads left to right.
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Protocol, Self, cast
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ __all__ = [
     "NO_SURFACE",
     "STEM",
     "SURFACE",
-    "ZERO",
     "FarTile",
     "Firings",
     "GnssFix",
@@ -114,9 +113,6 @@ SURFACE = np.dtype(
 
 NO_SURFACE = np.uint32(0xFFFFFFFF)
 """Surface of a pulse that hit nothing."""
-
-ZERO = cast("int", np.int64(0))
-"""For kernels: a function that is called with the literal 0 is compiled once more for that type."""
 
 ShapeKey = Hashable
 """Name of a shape: the same key always means the same bytes of geometry."""

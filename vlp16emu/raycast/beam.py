@@ -35,6 +35,7 @@ __all__ = [
     "displace",
     "lay",
     "pulse_axes",
+    "reach_of",
     "sub_rays",
     "turn",
 ]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vlp16emu.raycast.cloud import TILTS, Library
 from vlp16emu.raycast.marks import mark_ground, mark_stem
 from vlp16emu.raycast.voxel import BRICK, CODES, COLUMNS, LAW_BIT, MOST_PER_M, SHARE_BIT, TILE_BIT, VOXEL_M
-from vlp16emu.types import ZERO
+from vlp16emu.trig import ZERO
 
 __all__ = ["filled"]
 
@@ -61,14 +61,11 @@ def filled(
             law = library.first_law[s] + library.mesh[c]
             for k in range(3):
                 add[k] = library.area_m2[c] * scale * library.projection[law, k]
-            a, b, z = (
-                np.float64(library.place_m[c, 0]),
-                np.float64(library.place_m[c, 1]),
-                np.float64(library.place_m[c, 2]),
-            )
+            x, y, z = library.place_m[c, 0], library.place_m[c, 1], library.place_m[c, 2]
             used = _put(
-                head, node, area, used, T, a, b, z, low_m, tile_of[p], row[p] + library.mesh[c], law, add
-            )
+                head, node, area, used, T, np.float64(x), np.float64(y), np.float64(z),
+                low_m, tile_of[p], row[p] + library.mesh[c], law, add,
+            )  # fmt: skip
         for f in range(library.first_face[s], library.first_face[s + 1]):
             mesh = library.corner_mesh[f]
             used = _put_face(

@@ -31,7 +31,7 @@ from vlp16emu.raycast.packet import (
     ray_packet,
     reset,
 )
-from vlp16emu.types import ZERO
+from vlp16emu.trig import ZERO
 
 __all__ = ["Light", "Wish", "cast_lines", "cast_pulses"]
 

@@ -25,7 +25,8 @@ from vlp16emu.returns.noise import range_sigma_m
 from vlp16emu.returns.owners import find_owners
 from vlp16emu.returns.reflectivity import reflectivity_byte
 from vlp16emu.returns.weather import clutter_echo
-from vlp16emu.types import ZERO, Firings, Hits, Returns
+from vlp16emu.trig import ZERO
+from vlp16emu.types import Firings, Hits, Returns
 
 __all__ = ["detect"]
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.returns.law import Law
-from vlp16emu.types import ZERO
+from vlp16emu.trig import ZERO
 
 __all__ = [
     "AMPLITUDE",
