@@ -47,6 +47,36 @@ def test_blanked_targets_keep_their_reflectivity(lone):
     assert not lone(np.inf, 0.7).reflectivity.any()
 
 
+BIASED = {"noise": {"range_bias_m": 0.02}}
+
+
+def test_what_is_measured_beyond_the_greatest_range_is_lost(lone):
+    """An echo within reach that a laser's bias puts beyond it gives no return, and no reflectivity either."""
+    bias_m = lone(50.0, 0.7, **BIASED).distance_m[..., 0] - 50.0
+    out = lone(99.99, 0.7, **BIASED)
+    lost, kept = bias_m > 0.0101, bias_m < 0.0099
+    assert lost.any()
+    assert kept.any()
+    assert not out.distance_m[lost].any()
+    assert not out.reflectivity[lost].any()
+    assert (out.distance_m[kept][:, :2] > 99.9).all()
+
+
+@pytest.mark.parametrize("far", [9.0, 0.9])
+def test_without_a_lost_echo_the_others_are_what_they_would_be(split, far):
+    """Where the farther of two echoes, stronger or not, is measured beyond reach, the nearer is strongest and last."""
+    seen = []
+    for seed in range(20):
+        alone = split([30.0, 30.0, np.inf], [0.1, 0.1, 0.0], seed=seed, **BIASED)
+        both = split([30.0, 30.0, 99.99], [0.1, 0.1, far], seed=seed, **BIASED)
+        seen.append(bool(both[0][1] < 50.0))
+        assert seen[-1] == (alone[0][0] > 30.01)
+        if seen[-1]:
+            assert (both[0] == alone[0]).all()
+            assert (both[1][:2] == alone[1][:2]).all()
+    assert {False, True} == set(seen)
+
+
 def test_lone_echo_is_strongest_and_last(lone):
     """One echo stands as strongest and as last, and there is no second strongest."""
     out = lone(7.0)

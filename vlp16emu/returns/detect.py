@@ -32,6 +32,8 @@ __all__ = ["detect"]
 
 _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
 _PEAKS_PER_NODE = 3  # at most: one at it, and one at either side
+_MOST_NOISE_M = 1.0
+"""What is measured no nearer than that to the greatest range is within it: noise comes to centimetres."""
 _CERTAIN_SIGMAS = 6.0  # noise does not reach so far: 2e-9
 _DETECTION, _RANGE_NOISE = ZERO + Purpose.DETECTION, ZERO + Purpose.RANGE_NOISE
 _LANE_BITS = 16  # a random number's lane: the laser, and above it the echo's rank or column
@@ -209,12 +211,14 @@ def _measure(
     error_m: float,
     gain: float,
 ) -> tuple[np.float32, np.uint8]:
-    """Distance and reflectivity as the unit reads them; distance 0 where that is out of its limits."""
+    """Distance and reflectivity as the unit reads them; distance 0 if that is too small, and nothing if it is too great."""
     reflectance = amplitude * range_m * range_m
     measured_m, counts = range_m + error_m, other_noise * law.reflectivity_noise
     if law.range_noise_m > 0.0:
         measured_m += range_noise * range_sigma_m(law, reflectance, amplitude)
-    if not law.min_range_m <= measured_m <= law.max_range_m:
+    if measured_m > law.max_range_m:
+        return np.float32(0.0), np.uint8(0)
+    if not measured_m >= law.min_range_m:
         measured_m = 0.0
     return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts)
 
@@ -249,6 +253,20 @@ def _choose(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def _leave_out(peaks: NDArray[np.float64], chosen: NDArray[np.int64], lost: int) -> None:
+    """Choose anew of what was chosen without a peak that is lost."""
+    for column in range(3):
+        if chosen[column] == lost:
+            chosen[column] = -1
+    if chosen[_STRONGEST] < 0:
+        chosen[_STRONGEST], chosen[_SECOND] = chosen[_SECOND], -1
+    if chosen[_LAST] < 0:
+        first, second = chosen[_STRONGEST], chosen[_SECOND]
+        is_second = second >= 0 and peaks[RANGE, second] > peaks[RANGE, first]
+        chosen[_LAST] = second if is_second else first
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _write(
     law: Law,
     n: int,
@@ -261,7 +279,14 @@ def _write(
     distance_m: NDArray[np.float32],
     reflectivity: NDArray[np.uint8],
 ) -> None:
-    """Measure the chosen peaks, each once."""
+    """Measure the chosen peaks, each once; none counts that is measured beyond the greatest range."""
+    for column in range(3):
+        peak = chosen[column]
+        if peak >= 0 and peaks[RANGE, peak] + error_m > law.max_range_m - _MOST_NOISE_M:
+            drawn, other = normal_pair(law.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
+            at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
+            if _measure(law, drawn, other, at_m, light, error_m, gain) == (0.0, 0):
+                _leave_out(peaks, chosen, peak)
     for column in range(3):
         peak = chosen[column]
         if column > 0 and peak == chosen[column - 1]:
