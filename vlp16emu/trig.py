@@ -1,6 +1,6 @@
 """Cosine and sine without a library: additions and products, which round alike everywhere and run four at once.
 
-And a nought for kernels that is no literal.
+And a zero for kernels that is no literal.
 """
 
 import math

@@ -106,7 +106,7 @@ def cloud_of(meshes: Sequence[Mesh], parts: NDArray[np.uint8]) -> Cloud:
 def _measure(
     corners_m: Array, first: NDArray[np.int64], area_m2: Array, weight: Array, bounds_m: Array
 ) -> float:
-    """Measure faces (f, 4, 3), of which each mesh has those from its first on; return their greatest distance.
+    """Measure faces (f, 4, 3), those of each mesh beginning at its first; return their greatest distance.
 
     Parameters
     ----------

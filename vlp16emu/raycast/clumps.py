@@ -30,7 +30,7 @@ def kept_share(
 
     Parameters
     ----------
-    corners_m, first : (f, 4, 3) faces, of which each mesh has those from its first on
+    corners_m, first : (f, 4, 3) faces, and where those of each mesh begin
     low, size : (3,) the lowest of the voxels in which they are, and how many there are
     """
     out, drawn, edges = np.ones(len(corners_m)), np.zeros((*size, _PIXELS), np.uint32), np.empty((4, 4))

@@ -24,7 +24,6 @@ STRAY_M = 1.0
 """How far a sensor may be from the positions that a window is for."""
 
 _BRICKS = COLUMNS // BRICK
-_BRICK_M = BRICK * VOXEL_M
 _NO_GROUND_M = np.float32(-1e6)
 _AROUND = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
 _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))], np.zeros(1, np.uint8))

@@ -32,8 +32,6 @@ __all__ = ["detect"]
 
 _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
 _PEAKS_PER_NODE = 3  # at most: one at it, and one at either side
-_MOST_NOISE_M = 1.0
-"""What is measured no nearer than that to the greatest range is within it: noise comes to centimetres."""
 _CERTAIN_SIGMAS = 6.0  # noise does not reach so far: 2e-9
 _DETECTION, _RANGE_NOISE = ZERO + Purpose.DETECTION, ZERO + Purpose.RANGE_NOISE
 _LANE_BITS = 16  # a random number's lane: the laser, and above it the echo's rank or column
@@ -282,10 +280,15 @@ def _write(
     """Measure the chosen peaks, each once; none counts that is measured beyond the greatest range."""
     for column in range(3):
         peak = chosen[column]
-        if peak >= 0 and peaks[RANGE, peak] + error_m > law.max_range_m - _MOST_NOISE_M:
-            drawn, other = normal_pair(law.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
-            at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
-            if _measure(law, drawn, other, at_m, light, error_m, gain) == (0.0, 0):
+        if peak < 0:
+            continue
+        at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
+        sigma_m = range_sigma_m(law, light * at_m * at_m, light) if law.range_noise_m > 0.0 else 0.0
+        if (
+            at_m + error_m + _CERTAIN_SIGMAS * sigma_m > law.max_range_m
+        ):  # or else noise does not put it beyond
+            drawn, _ = normal_pair(law.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
+            if at_m + error_m + drawn * sigma_m > law.max_range_m:
                 _leave_out(peaks, chosen, peak)
     for column in range(3):
         peak = chosen[column]

@@ -210,9 +210,8 @@ class Forest:
         own = np.flatnonzero(tile.far)[1:]  # the first is the tile's own shape
         keys, shape = distinct([tile.keys[which] for which in tile.shape[own].tolist()])
         begins, rows = np.append(np.unique(tile.first_surface), len(tile.surfaces)), tile.first_surface[own]
-        some = rows[
-            np.unique(shape, return_index=True)[1]
-        ]  # of each shape a placement, whose parts end where another's begin
+        # Of each shape a placement, whose parts end where those of another begin.
+        some = rows[np.unique(shape, return_index=True)[1]]
         ends = begins[np.searchsorted(begins, some, side="right")]
         parts = [tile.surfaces["part"][row:end] for row, end in zip(some, ends, strict=True)]
         trees = self._trees(ix, iy)
@@ -248,7 +247,7 @@ class Forest:
         raise KeyError(key)
 
     def _in_view(self, track_m: Array) -> list[tuple[int, int]]:
-        """Names of the tiles of which something may be within reach of a track, in ascending order."""
+        """Names of the tiles whose plants may be within reach of a track, in ascending order."""
         return [(ix, iy) for ix, iy in tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()]
 
     def _grow_tile(self, ix: int, iy: int) -> _Tile:
