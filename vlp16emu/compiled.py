@@ -1,7 +1,7 @@
 """Where compiled kernels are kept.
 
 Numba looks for changes in the file of a kernel only, not in those of the kernels that it calls. So what is kept belongs
-to one state of all files of the package: its folder is named by their times and sizes.
+to one state of all files that kernels are made of: its folder is named by their times and sizes.
 """
 
 import hashlib
@@ -17,6 +17,8 @@ __all__ = ["compiled_files", "keep_compiled"]
 
 _PACKAGE = Path(__file__).parent
 _PREFIX = "kernels-"
+_WITHOUT_KERNELS = frozenset({"__pycache__", "assembly", "cli", "device", "report", "scenario", "sinks"})
+"""Folders of no kernel, and of nothing that a kernel takes."""
 _UNUSED_S = 86_400.0
 """Folders of other states are removed after a day."""
 
@@ -67,10 +69,10 @@ def compiled_files() -> dict[Path, list[Path]]:
 
 
 def _state() -> str:
-    """Name the state of the package's files."""
+    """Name the state of the files that kernels are made of."""
     states = []
     for folder, rooms, files in os.walk(_PACKAGE):  # twice as quick as globs, at each start
-        rooms[:] = [room for room in rooms if room != "__pycache__"]
+        rooms[:] = [room for room in rooms if room not in _WITHOUT_KERNELS]
         for path in (os.path.join(folder, file) for file in files if file.endswith(".py")):  # noqa: PTH118 - likewise
             state = os.stat(path)  # noqa: PTH116 - likewise
             states.append(f"{path} {state.st_mtime_ns} {state.st_size}\n")

@@ -6,7 +6,7 @@ from typing import get_args, get_type_hints
 
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.given import SceneFile
-from vlp16emu.scenario.section import Section
+from vlp16emu.settings import Section
 
 __all__ = ["named_files"]
 

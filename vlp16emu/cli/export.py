@@ -12,8 +12,8 @@ from typing import IO, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.cli.text import csv_lines
 from vlp16emu.errors import InputError, OutputError, RunError
+from vlp16emu.text import csv_lines
 
 __all__ = ["Block", "Column", "PointWriter", "writing"]
 

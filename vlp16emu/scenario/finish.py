@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from vlp16emu.scenario.section import Fraction, Section
+from vlp16emu.settings import Fraction, Section
 
 __all__ = ["Finish", "PartFinish"]
 

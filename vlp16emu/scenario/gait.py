@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from vlp16emu.scenario.section import Fraction, Preset
+from vlp16emu.settings import Fraction, Preset
 
 __all__ = ["Gait"]
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, ValidationInfo
 
 from vlp16emu.scenario.finish import Finish, PartFinish
-from vlp16emu.scenario.section import Angle, Place, Positive, Section
+from vlp16emu.settings import Angle, Place, Positive, Section
 
 __all__ = ["Dem", "MapPoint", "MeshFile", "MeshPart", "MeshPlace", "SceneFile"]
 

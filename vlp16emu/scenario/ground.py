@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from vlp16emu.scenario.section import NonNegative, Section
+from vlp16emu.settings import NonNegative, Section
 
 __all__ = ["Terrain"]
 

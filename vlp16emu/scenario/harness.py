@@ -5,7 +5,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from vlp16emu.scenario.section import Angle, Section
+from vlp16emu.settings import Angle, Section
 
 __all__ = ["Harness", "Mount"]
 

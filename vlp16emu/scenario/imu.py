@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from vlp16emu.scenario.harness import Mount
-from vlp16emu.scenario.section import Preset
+from vlp16emu.settings import Preset
 
 __all__ = ["Imu"]
 

@@ -12,11 +12,11 @@ from vlp16emu.scenario.imu import Imu
 from vlp16emu.scenario.motion import Motion
 from vlp16emu.scenario.noise import Noise
 from vlp16emu.scenario.rig import Unit, completed
-from vlp16emu.scenario.section import Section
 from vlp16emu.scenario.sensor import AnySensor, FreeSensor, Sensor
 from vlp16emu.scenario.weather import Weather
 from vlp16emu.scenario.wind import Wind
 from vlp16emu.scenario.world import Hall, World
+from vlp16emu.settings import Section
 from vlp16emu.units import S_NS, US_NS
 
 __all__ = ["Scenario"]

@@ -6,8 +6,8 @@ from pydantic import Field
 
 from vlp16emu.scenario.gait import Gait
 from vlp16emu.scenario.harness import Harness, Mount
-from vlp16emu.scenario.section import Angle, Place, Section, Size
 from vlp16emu.scenario.way import Recorded, Way
+from vlp16emu.settings import Angle, Place, Section, Size
 
 __all__ = ["Motion", "Static", "Walk"]
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from vlp16emu.scenario.section import Positive, Preset
+from vlp16emu.settings import Positive, Preset
 
 __all__ = ["Noise"]
 

@@ -13,7 +13,7 @@ from pydantic import (
 )
 
 from vlp16emu.errors import ScenarioError
-from vlp16emu.scenario.section import Section
+from vlp16emu.settings import Section
 
 __all__ = ["AnySensor", "FreeSensor", "Lidar", "Sensor", "on_the_wire"]
 

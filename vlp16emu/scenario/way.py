@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from vlp16emu.scenario.given import SceneFile
 from vlp16emu.scenario.harness import Mount
-from vlp16emu.scenario.section import Angle, NonNegative, Place, Positive, Section, Size
+from vlp16emu.settings import Angle, NonNegative, Place, Positive, Section, Size
 
 __all__ = ["LawnMower", "Point", "Recorded", "Stop", "Way"]
 

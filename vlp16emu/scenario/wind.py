@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from vlp16emu.scenario.section import Section
+from vlp16emu.settings import Section
 
 __all__ = ["Wind"]
 
