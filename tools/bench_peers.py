@@ -148,6 +148,15 @@ class Grown:
         """Of the world."""
         return self.seen.world.seed
 
+    @property
+    def name(self) -> str:
+        """None: nothing of it is kept on disk."""
+        return ""
+
+    def shape_name(self, _key: ShapeKey) -> str:
+        """None, likewise."""
+        return ""
+
     def window(self, track_m: NDArray[np.float64]) -> Window:
         """Give what stands there."""
         return self.seen.world.window(track_m)
