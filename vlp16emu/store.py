@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 __all__ = ["Bundle", "Kept", "Store", "recalled", "user_store"]
@@ -33,7 +34,7 @@ Bundle = Mapping[str, NDArray[np.generic]]
 """Arrays by name."""
 
 _PACKAGE = Path(__file__).parent
-_MAKERS = ("assembly", "raycast", "world", "random.py", "store.py", "trig.py", "types.py")
+_MAKERS = ("assembly", "motion", "raycast", "world", "random.py", "store.py", "trig.py", "types.py")
 """Files and folders of the package that decide what is kept."""
 _MAGIC = b"vlp16emu store 1"
 _NAME = re.compile(r"[0-9a-f]{40}\.world(\.\d+\.part)?")
@@ -199,8 +200,9 @@ def recalled(
 
 @cache
 def _state() -> str:
-    """Name the state of the files that decide what is kept, of numpy, which draws and rounds, and of the machine."""
-    digest = hashlib.sha256(f"{np.__version__} {os.uname().machine} {sys.byteorder}\n".encode())
+    """Name the state of the files that decide what is kept, of libraries that draw and round, and of the machine."""
+    state = np.__version__, scipy.__version__, os.uname().machine, sys.byteorder
+    digest = hashlib.sha256(f"{' '.join(state)}\n".encode())
     for maker in _MAKERS:
         path = _PACKAGE / maker
         for file in [path] if path.is_file() else sorted(path.iterdir()):

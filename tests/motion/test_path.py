@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Path
+from vlp16emu.store import user_store
 
 WAY_POINTS_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0], [66.0, 14.0]])
 
@@ -202,3 +203,29 @@ def test_a_cliff_is_refused():
         TrajectoryError, match=r"path at \(5\.\d\d, 0\.00\) m: the ground rises or falls by 8\d degrees"
     ):
         Path(np.array([[0.0, 0.0], [10.0, 0.0]]), lambda x, _y: np.where(x > 5.3, 10.0, 0.0))
+
+
+def test_a_path_from_the_store_is_the_same(tmp_path, monkeypatch):
+    """A path is laid once for each ground and way: then it is read, bit by bit the same."""
+    monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(tmp_path / "world"))
+    user_store.cache_clear()
+    try:
+        laid = Path(WAY_POINTS_M, hilly, "hills")
+        user_store().flush()
+        read = Path(WAY_POINTS_M, touched, "hills")
+        for wrong in ((WAY_POINTS_M[::-1].copy(), "hills"), (WAY_POINTS_M, "moon"), (WAY_POINTS_M, "")):
+            with pytest.raises(AssertionError, match="asked"):
+                Path(wrong[0], touched, wrong[1])
+    finally:
+        user_store.cache_clear()
+    at_m = np.linspace(-1.0, laid.length_m + 1.0, 500)
+    for one, other in zip(laid.derivatives_at(at_m), read.derivatives_at(at_m), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(laid.xy_m, read.xy_m)
+    np.testing.assert_array_equal(laid.way_points_at_m, read.way_points_at_m)
+    assert (laid.length_m, laid.closed) == (read.length_m, read.closed)
+
+
+def touched(_x_m, _y_m):
+    """Ground that nobody may look at."""
+    raise AssertionError("asked")

@@ -4,10 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Pace, Stop
-from vlp16emu.motion.profile import Profile
+from vlp16emu.motion.curve import taylor
+from vlp16emu.motion.profile import Profile, _pieces
 from vlp16emu.motion.slope import limit_slope
 
 LENGTH_M = 60.0
@@ -154,3 +156,12 @@ def test_limited_slope_is_the_largest_curve_below():
     limit_slope(values, step)
     np.testing.assert_allclose(values, expected, atol=1e-12)
     assert all(abs(b - a) <= s + 1e-12 for (a, b), s in zip(itertools.pairwise(values), step, strict=True))
+
+
+@pytest.mark.parametrize("count", [6, 7, 400])
+def test_pieces_are_those_of_a_general_spline(count):
+    """Pieces of a spline with equal steps are those of scipy's BSpline with the same control points, to rounding."""
+    control = np.cumsum(np.random.default_rng(count).random(count))
+    general = BSpline(np.arange(count + 6) - 5.0, control, 5)
+    wanted = taylor(general, np.arange(count - 4, dtype=np.float64))
+    np.testing.assert_allclose(_pieces(control), wanted, rtol=1e-14, atol=1e-14)

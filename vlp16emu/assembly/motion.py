@@ -46,8 +46,8 @@ __all__ = ["carrier_of", "imu_of", "mounted_on"]
 _log = logging.getLogger(__name__)
 
 
-def carrier_of(scenario: Scenario, height_m: HeightField) -> tuple[Motion, NDArray[np.float64]]:
-    """Make what carries the devices, over the given ground, and its way on the map (n, 2)."""
+def carrier_of(scenario: Scenario, height_m: HeightField, ground: str) -> tuple[Motion, NDArray[np.float64]]:
+    """Make what carries the devices, over the ground of that name, and its way on the map (n, 2)."""
     section = scenario.motion
     if isinstance(section, Static):
         xy_m = np.array([[section.x_m, section.y_m]])
@@ -58,7 +58,7 @@ def carrier_of(scenario: Scenario, height_m: HeightField) -> tuple[Motion, NDArr
         origin_m = scenario.world.origin_m if isinstance(scenario.world, Woods) else (0.0, 0.0, 0.0)
         _look_at_place(recorded.position_m, origin_m, height_m, scenario.sensor.max_range_m)
         return recorded, np.ascontiguousarray(recorded.position_m[:, :2])
-    route, path = _route(section, scenario, height_m)
+    route, path = _route(section, scenario, height_m, ground)
     return _walking(section, scenario, route), path.xy_m
 
 
@@ -104,10 +104,10 @@ def _harness(section: HarnessSection | None) -> Harness | None:
     return Harness((*position_hz, section.roll_hz, section.pitch_hz, section.yaw_hz), section.damping_ratio)
 
 
-def _route(section: Walk, scenario: Scenario, height_m: HeightField) -> tuple[Route, Path]:
+def _route(section: Walk, scenario: Scenario, height_m: HeightField, ground: str) -> tuple[Route, Path]:
     """Lay the path, and pace it."""
     points = _way_points(section, scenario)
-    path = Path(points.xy_m, height_m)
+    path = Path(points.xy_m, height_m, ground)
     stops = stops_on(path, points.pause_s)
     stops += [Stop(stop.at_m, stop.pause_s) for stop in section.stops if stop.at_m is not None]
     pace = Pace(section.acceleration_m_s2, math.radians(section.yaw_rate_deg_s), stops)

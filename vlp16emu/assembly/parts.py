@@ -8,7 +8,7 @@ import numpy as np
 
 from vlp16emu.assembly.motion import carrier_of, imu_of, mounted_on
 from vlp16emu.assembly.sensor import beam_of, detector_of, gps_of, head_of, link_of, seed_of
-from vlp16emu.assembly.world import forest_of, furnished, ground_of, hall_of, wind_of
+from vlp16emu.assembly.world import forest_of, furnished, ground_name, ground_of, hall_of, wind_of
 from vlp16emu.device import GpsInput
 from vlp16emu.motion import Imu, Motion
 from vlp16emu.packets import Link
@@ -108,12 +108,12 @@ def assemble(scenario: Scenario) -> Parts:
     world: World
     wind: Wind | None = None
     if isinstance(section, HallSection):
-        carrier, path_xy_m = carrier_of(scenario, lambda x_m, _y_m: np.zeros_like(x_m))
+        carrier, path_xy_m = carrier_of(scenario, lambda x_m, _y_m: np.zeros_like(x_m), "flat")
         world = hall_of(section)
         world.check(path_xy_m)
     else:
         ground = ground_of(section, scenario.seed)
-        carrier, path_xy_m = carrier_of(scenario, ground.height_m)
+        carrier, path_xy_m = carrier_of(scenario, ground.height_m, ground_name(section, scenario.seed))
         if isinstance(ground, Dem):
             ground.check(path_xy_m, reach_m)
         path, blows = Polyline(path_xy_m), scenario.wind is not None and scenario.wind.speed_m_s > 0

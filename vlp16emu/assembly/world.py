@@ -65,7 +65,7 @@ from vlp16emu.world import (
     stones_per_ha,
 )
 
-__all__ = ["forest_of", "furnished", "ground_of", "hall_of", "wind_of"]
+__all__ = ["forest_of", "furnished", "ground_name", "ground_of", "hall_of", "wind_of"]
 
 
 def ground_of(section: WoodsSection, seed: int) -> Terrain | Dem:
@@ -74,6 +74,13 @@ def ground_of(section: WoodsSection, seed: int) -> Terrain | Dem:
         return Terrain(seed=seed, **section.terrain.model_dump(exclude={"relief"}))
     file, cell_m, corner_m = section.dem.file, section.dem.cell_m, section.dem.corner_m
     return Dem(FilePath(file), cell_m=cell_m, corner_m=corner_m, origin_m=section.origin_m)
+
+
+def ground_name(section: WoodsSection, seed: int) -> str:
+    """Digest of all that decides the ground."""
+    own = section.model_dump_json(include={"dem", "origin_m", "terrain"})
+    text = "\n".join([own, _content(section.dem.file if section.dem else None), str(seed)])
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def forest_of(

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vlp16emu.cli.start import load_numba
+
 if TYPE_CHECKING:
     from vlp16emu.scenario import Scenario
 
@@ -31,9 +33,8 @@ def load_for(
     from vlp16emu.scenario import find, load
 
     scenario = load(scene, settings or (), ideal=ideal)
-    from vlp16emu.assembly.files import (
-        named_files,
-    )  # last: with it comes numba, for which no mistake should wait
+    load_numba()  # now: no mistake should wait for it
+    from vlp16emu.assembly.files import named_files
 
     inputs = [find(scene), *named_files(scenario)]
     for output in outputs:

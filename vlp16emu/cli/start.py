@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["starting"]
+__all__ = ["load_numba", "starting"]
 
 
 @contextmanager
@@ -25,3 +25,14 @@ def starting() -> Iterator[None]:
     finally:
         gc.freeze()
         gc.enable()
+
+
+def load_numba() -> None:
+    """Load numba without scipy's linear algebra, which takes 0.2 s; no kernel calls it."""
+    if "scipy.linalg" in sys.modules:
+        return
+    sys.modules["scipy.linalg"] = None  # type: ignore[assignment]  # so that nobody can import it
+    try:
+        import numba.np.arraymath  # noqa: F401
+    finally:
+        del sys.modules["scipy.linalg"]

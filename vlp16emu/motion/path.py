@@ -1,12 +1,16 @@
 """The way that a person takes: a smooth curve over the ground, by arc length."""
 
+import hashlib
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.motion.curve import curve_through, taylor
+from vlp16emu.store import recalled
 from vlp16emu.types import HeightField
 
 __all__ = ["Path"]
@@ -25,6 +29,7 @@ class Path:
     way_points_m : (n, 2) float64, x and y in the world, n >= 2; where the last is the first (within
         1 cm), the path is a loop that closes smoothly
     height_m : ground height
+    ground : name of all that decides it; empty where nothing is kept on disk
 
     Raises
     ------
@@ -33,20 +38,18 @@ class Path:
         radius below 0.1 m or climbs by more than 60 degrees, and where it is longer than 100 km
     """
 
-    def __init__(self, way_points_m: Array, height_m: HeightField) -> None:
-        curve = curve_through(way_points_m, height_m)
-        self._knots_m = curve.knots_m
-        self._coefficients = taylor(curve.spline, curve.knots_m)
-        self._coefficients[0] += curve.origin_m
-        # (6, pieces, 3): powers of the distance into the piece, lowest first.
-        self._coefficients = np.ascontiguousarray(self._coefficients)
-        self._heading_rad = _headings(curve.spline(curve.knots_m, 1))
-        self.length_m = float(curve.knots_m[-1])
-        self.closed = curve.closed
+    def __init__(self, way_points_m: Array, height_m: HeightField, ground: str = "") -> None:
+        # Kept for the import of scipy's splines, which takes 0.4 s of a start.
+        name = ground and f"path {ground} {hashlib.sha256(way_points_m.tobytes()).hexdigest()}"
+        laid = recalled(name, lambda: _laid(way_points_m, height_m), lambda kept: kept, lambda kept: kept)
+        self._knots_m, self._coefficients = laid["knots_m"], laid["coefficients"]
+        self._heading_rad = laid["heading_rad"]
+        self.length_m = float(self._knots_m[-1])
+        self.closed = bool(laid["closed"])
         """Whether the path goes on at its start; then arc lengths may go on beyond the length."""
-        self.way_points_at_m = curve.way_points_at_m
+        self.way_points_at_m = laid["way_points_at_m"]
         """(n,) arc length of each way point."""
-        self.xy_m = np.ascontiguousarray((curve.spline(curve.knots_m) + curve.origin_m)[:, :2])
+        self.xy_m = laid["xy_m"]
         """(m, 2) float64, points of the path 0.25 m apart at most."""
 
     def at(self, s_m: Array) -> tuple[Array, Array]:
@@ -73,6 +76,22 @@ class Path:
             heading_rad,
         )
         return point_m, heading_rad
+
+
+def _laid(way_points_m: Array, height_m: HeightField) -> Mapping[str, NDArray[Any]]:
+    """Lay a path, as arrays."""
+    curve = curve_through(way_points_m, height_m)
+    coefficients = taylor(curve.spline, curve.knots_m)
+    coefficients[0] += curve.origin_m
+    return {
+        "knots_m": curve.knots_m,
+        # (6, pieces, 3): powers of the distance into the piece, lowest first.
+        "coefficients": np.ascontiguousarray(coefficients),
+        "heading_rad": _headings(curve.spline(curve.knots_m, 1)),
+        "closed": np.array(curve.closed),
+        "way_points_at_m": curve.way_points_at_m,
+        "xy_m": np.ascontiguousarray((curve.spline(curve.knots_m) + curve.origin_m)[:, :2]),
+    }
 
 
 def _headings(tangent: Array) -> Array:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.curve import taylor
 from vlp16emu.motion.slope import limit_slope
 
 __all__ = ["MAX_SPEED_M_S", "Pace", "Profile", "Stop"]
@@ -22,6 +21,7 @@ MAX_SPEED_M_S = 10.0
 
 _KNOT_S = 0.1
 """Between knots in time: starts and stops take their shape over half a second, a pace (assumption)."""
+_DEGREE = 5
 _REACH = 3
 """Knots to either side over which a quintic B-spline takes its mean."""
 _CELL_M = 0.02
@@ -99,12 +99,7 @@ class Profile:
             # The search ends a hair below the time given; stretched, no limit is passed.
             self._step_s *= run_time_s / self.run_time_s
             self.run_time_s = run_time_s
-        from scipy.interpolate import BSpline  # here: it takes 0.2 s, and who stands has no profile
-
-        knots = np.arange(len(control_m) + 6) - 5.0
-        breaks = np.arange(len(control_m) - 4, dtype=np.float64)
-        # (6, pieces): powers of the fraction of a step, lowest first.
-        self._coefficients = np.ascontiguousarray(taylor(BSpline(knots, control_m, 5), breaks))
+        self._coefficients = _pieces(control_m)
 
     def at(self, elapsed_s: Array) -> tuple[Array, Array, Array]:
         """Arc lengths in m, speeds in m/s and accelerations in m/s^2, each (n,), at times (n,) since the start."""
@@ -156,6 +151,33 @@ class _Leg:
         """Give the times (n,) at the cells' edges since the leg began, at constant acceleration in each cell."""
         with np.errstate(divide="ignore", over="ignore"):  # at speeds that are nothing it takes for ever
             return np.concatenate([[0.0], np.cumsum(2 * self._cell_m / (speeds_m_s[1:] + speeds_m_s[:-1]))])
+
+
+def _pieces(control_m: Array) -> Array:
+    """Pieces of the quintic B-spline with these control points (c,): (6, c - 5), powers of a step's share, lowest first.
+
+    As `BSpline` of scipy.interpolate computes them, whose import would take 0.3 s of each start.
+    """
+    powers = np.zeros((_DEGREE + 1, len(control_m) - _DEGREE))
+    for power in range(_DEGREE + 1):
+        degree = _DEGREE - power
+        for j, weight in enumerate(_at_knot(degree)):
+            powers[power] += control_m[j : j + powers.shape[1]] * weight
+        powers[power] /= math.factorial(power)
+        control_m = np.diff(control_m) * degree / max(degree, 1)  # both: it rounds twice
+    return powers
+
+
+def _at_knot(degree: int) -> list[float]:
+    """B-splines with equal steps at a knot (de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB)."""
+    value = [1.0]
+    for j in range(1, degree + 1):
+        share = [before / j for before in value]
+        value = [0.0] * (j + 1)
+        for n in range(j):
+            value[n] += share[n] * (n + 1)
+            value[n + 1] = share[n] * (j - n - 1)
+    return value
 
 
 def _least_within(values: Array, reach: int) -> Array:

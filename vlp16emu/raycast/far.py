@@ -12,6 +12,7 @@ from vlp16emu.raycast.grid import Ground, Medium, Stems
 from vlp16emu.raycast.kept import packed_block, recalled_cloud, unpacked_block
 from vlp16emu.raycast.marks import ASIDE_M, stem_beside, stem_columns, stem_lines
 from vlp16emu.raycast.medium import Block, block_of
+from vlp16emu.raycast.shelf import Shelf
 from vlp16emu.raycast.voxel import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.store import recalled
 from vlp16emu.types import STEM, FarTile, Mesh, ShapeKey, Window, World
@@ -75,7 +76,7 @@ class Far:
         self._place, self._names = dict[object, int](), list[str]()
         self._library = Library.of([_NO_CLOUD])
         self._cosine = np.zeros((0, len(KNOTS), QUANTILES), np.float32)
-        self._blocks = dict[tuple[int, int], Block]()
+        self._shelf = Shelf()
 
     def is_near(self, window: Window) -> NDArray[np.bool_]:
         """Which of the placements that `window.far` marks may be met by light that has not yet come to the medium."""
@@ -89,9 +90,11 @@ class Far:
             ends_m = np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - TILE_M / 2
             at_m[place] += TILE_M / 2
             radius_m[place] = np.hypot(*ends_m.T).max() + STRAY_M
-        near: NDArray[np.bool_] = (
-            distance_m(at_m, window.near[:, :2]) <= self._world.near_m + STRAY_M + radius_m
-        )
+        track_m, reach_m = window.near[:, :2], self._world.near_m + STRAY_M + radius_m
+        low_m, high_m = track_m.min(axis=0), track_m.max(axis=0)
+        few = np.flatnonzero((np.maximum(low_m - at_m, at_m - high_m) <= reach_m[:, None]).all(axis=1))
+        near = np.zeros(len(at_m), np.bool_)
+        near[few] = distance_m(at_m[few], track_m) <= reach_m[few]
         return near[window.far]
 
     def tiles(self, window: Window) -> dict[tuple[int, int], FarTile]:
@@ -106,11 +109,14 @@ class Far:
     def medium(self, window: Window, tiles: dict[tuple[int, int], FarTile]) -> Medium:
         """Put together what is far in a window, of whose `tiles` it is."""
         rows = {(ix, iy): row for ix, iy, row in window.tiles}
-        missing = [name for name in rows if name not in self._blocks]
+        self._shelf.clear(rows)
+        missing = [name for name in rows if name not in self._shelf.blocks]
         made = self._workers.map(lambda name: self._block(tiles, *name), missing)
-        self._blocks |= dict(zip(missing, made, strict=True))
-        self._blocks = {name: self._blocks[name] for name in rows}
-        return _joined(window, tiles, self._blocks, rows, self._cosine, self._world)
+        for name, block in zip(missing, made, strict=True):
+            self._shelf.lay(name, block, len(rows))
+        medium = _joined(window, tiles, self._shelf, rows, self._cosine, self._world)
+        self._shelf.keep(medium.brick, rows)
+        return medium
 
     def _block(self, tiles: dict[tuple[int, int], FarTile], ix: int, iy: int) -> Block:
         """Make the block of a tile, or take it from the store."""
@@ -154,31 +160,25 @@ def _tile_places(window: Window) -> NDArray[np.int64]:
 def _joined(
     window: Window,
     tiles: Mapping[tuple[int, int], FarTile],
-    blocks: Mapping[tuple[int, int], Block],
+    shelf: Shelf,
     rows: Mapping[tuple[int, int], int],
     cosine: NDArray[np.float32],
     world: World,
 ) -> Medium:
     """Put blocks into the grid of a window."""
-    places = np.array(list(blocks))
+    blocks, places = {name: shelf.blocks[name] for name in rows}, np.array(list(rows))
     low, high = places.min(axis=0), places.max(axis=0) + 1
     bottom = min(block.bottom for block in blocks.values())
     top = max(block.bottom + block.mask.shape[2] for block in blocks.values())
     size = (*((high - low) * _BRICKS).tolist(), top - bottom)
     brick, first = np.zeros((*size, 2), np.uint64), np.zeros(size, np.uint32)
     surface = np.zeros((*(high - low), 9), np.uint32)
-    records = owners = 0
-    record, first_owner, owner = [], [], []
     for (ix, iy), block in blocks.items():
         i, j, k = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS, block.bottom - bottom
         here = slice(i, i + _BRICKS), slice(j, j + _BRICKS), slice(k, k + block.mask.shape[2])
         brick[(*here, 0)], brick[(*here, 1)] = block.mask, block.stem
-        first[here] = block.first + np.uint32(records)
+        first[here] = block.first
         surface[ix - low[0], iy - low[1]] = [rows.get((ix + dx, iy + dy), 0) for dx, dy in _AROUND]
-        record.append(block.record)
-        first_owner.append(block.first_owner + np.uint32(owners))
-        owner.append(block.owner)
-        records, owners = records + len(block.record), owners + len(block.owner)
     corner = np.array([*(low * COLUMNS), bottom * BRICK], np.int64)
     corner_m = corner * VOXEL_M - window.origin_m
     return Medium(
@@ -187,9 +187,7 @@ def _joined(
         tuple(corner.tolist()),
         brick,
         first,
-        np.concatenate(record),
-        np.concatenate(first_owner),
-        np.concatenate(owner),
+        *shelf.arrays,
         surface,
         cosine,
         _ground(window, tiles, rows, corner_m, size),

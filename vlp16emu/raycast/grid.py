@@ -52,7 +52,7 @@ class Medium(NamedTuple):
     first: NDArray[np.uint32]
     """(x, y, z) number of each brick's first voxel."""
     record: NDArray[np.uint32]
-    """(m,) of voxels, as in `Block`."""
+    """(m,) of voxels, as in `Block`, and of some that are in other windows only."""
     first_owner: NDArray[np.uint32]
     """(m,) of each of them."""
     owner: NDArray[np.uint64]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose
+from vlp16emu.store import recalled
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.floor_shapes import FLOOR_VARIANTS, FloorKey, FloorKind
 from vlp16emu.world.materials import GROUND_MATERIALS
@@ -67,12 +68,20 @@ def stones_per_ha(cover: float) -> float:
     (Boolean model; Chiu et al., Stochastic Geometry, section 3.1). What is seen of a stone is its section
     at the ground, or its outline where its widest part is above.
     """
+    # Kept for the import of scipy's functions, which takes 0.1 s of a start.
+    area_m2 = recalled(
+        "area of a stone", _stone_area_m2, lambda area: {"m2": np.array(area)}, lambda kept: float(kept["m2"])
+    )
+    return -math.log1p(-cover) / area_m2 * 10_000
+
+
+def _stone_area_m2() -> float:
+    """Mean area of a stone as it is seen from above."""
     low, high = _STONE_BURIED
     buried = low + (high - low) * (np.arange(1000) + 0.5) / 1000
     seen = 1 - np.clip(2 * buried - 1, 0, None) ** 2  # section of an ellipsoid at a relative height
     length_m = _stone_length_m((np.arange(20_000) + 0.5) / 20_000)
-    area_m2 = math.pi / 4 * _STONE_WIDTH * float(np.mean(length_m**2) * np.mean(seen))
-    return -math.log1p(-cover) / area_m2 * 10_000
+    return math.pi / 4 * _STONE_WIDTH * float(np.mean(length_m**2) * np.mean(seen))
 
 
 def _stone_length_m(probability: Array) -> Array:
