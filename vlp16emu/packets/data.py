@@ -4,7 +4,7 @@ Every step is elementwise in float64 and rounds correctly, so the bytes of a pac
 what else is packed with it.
 """
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from vlp16emu.units import HOUR_NS, US_NS
 
 __all__ = ["data_payloads", "pack_data", "timestamp_us"]
 
+_Time = TypeVar("_Time", int, NDArray[np.int64])
 _STRONGEST, _LAST, _SECOND_STRONGEST = 0, 1, 2  # last axis of Returns
 
 
@@ -89,7 +90,7 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> NDA
     return packets.view(np.uint8).reshape(-1, layout.DATA_BYTES)
 
 
-def timestamp_us(clock_ns: NDArray[np.int64]) -> NDArray[np.uint32]:
+def timestamp_us(clock_ns: _Time) -> _Time:
     """Microseconds past the hour as they stand in both kinds of packet: floored, never 3.6e9.
 
     Parameters
@@ -99,7 +100,7 @@ def timestamp_us(clock_ns: NDArray[np.int64]) -> NDArray[np.uint32]:
     Real units floor a time that is exact in nanoseconds: their steps are 1327 and 1328 us with a mean
     of 1327.10. Source: 63-9243 Rev D, section 9.3.1 and appendix G (the counter).
     """
-    return (clock_ns % HOUR_NS // US_NS).astype(np.uint32)
+    return clock_ns % HOUR_NS // US_NS
 
 
 def _check(returns: Returns, mode: ReturnMode) -> None:
