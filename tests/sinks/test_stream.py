@@ -1,6 +1,7 @@
 """Packets in real time."""
 
 import itertools
+import os
 import sys
 import threading
 import time
@@ -84,6 +85,26 @@ def test_look_ahead_is_bounded():
         ahead.fill()
         assert first.due_ns == 0
         assert len(made) <= 12
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a thread has a priority of its own on Linux alone")
+def test_threads_that_compute_give_way():
+    """The thread that computes and one that it starts are nicer by 5 than the one that sends, which stays as it was."""
+    before, nice = os.getpriority(os.PRIO_PROCESS, 0), []
+
+    def note():
+        nice.append(os.getpriority(os.PRIO_PROCESS, 0))
+
+    def computing():
+        note()
+        worker = threading.Thread(target=note)
+        worker.start()
+        worker.join()
+        yield Packet(PacketKind.DATA, 0, b"")
+
+    stream(computing(), MemorySink(), Pacer(FAST))
+    assert nice == [min(before + 5, 19)] * 2
+    assert os.getpriority(os.PRIO_PROCESS, 0) == before
 
 
 def test_error_of_the_engine_comes_after_the_packets_before_it(make_packets):
