@@ -2,27 +2,25 @@
 
 import inspect
 
-import pytest
-
 from vlp16emu import errors
 
 CLASSES = [thing for name in errors.__all__ if inspect.isclass(thing := getattr(errors, name))]
 
 
-@pytest.mark.parametrize("error", CLASSES)
-def test_the_drawn_tree_is_the_real_one(error):
+def test_the_drawn_tree_is_the_real_one():
     """Each class hangs in the tree where the module's docstring draws it."""
     lines = (errors.__doc__ or "").splitlines()
-    (row,) = [line for line in lines if line.strip("|`- ").split(" ")[0] == error.__name__]
-    depth = (len(row) - len(row.lstrip("|`- ")) - 4) // 4
-    assert depth == len(inspect.getmro(error)) - len(inspect.getmro(errors.Vlp16emuError))
+    for error in CLASSES:
+        (row,) = [line for line in lines if line.strip("|`- ").split(" ")[0] == error.__name__]
+        depth = (len(row) - len(row.lstrip("|`- ")) - 4) // 4
+        assert depth == len(inspect.getmro(error)) - len(inspect.getmro(errors.Vlp16emuError)), error
 
 
-@pytest.mark.parametrize("error", CLASSES)
-def test_bad_input_exits_with_2_and_a_failed_run_with_1(error):
+def test_bad_input_exits_with_2_and_a_failed_run_with_1():
     """The command line's exit code follows from the class."""
-    is_input = issubclass(error, errors.InputError | errors.MissingExtraError)
-    assert error.exit_code == (2 if is_input else 1)
+    for error in CLASSES:
+        is_input = issubclass(error, errors.InputError | errors.MissingExtraError)
+        assert error.exit_code == (2 if is_input else 1), error
 
 
 def test_an_input_error_says_where_found_and_expected():

@@ -228,16 +228,16 @@ def test_truth_grows_with_the_run_and_not_in_memory(walk, tmp_path):
     assert held[1] - held[0] < 500_000
 
 
-@pytest.mark.parametrize("name", scene_files())
-def test_the_resolved_scenario_is_a_scene(name, tmp_path):
+def test_the_resolved_scenario_is_a_scene(tmp_path):
     """Every scene of ours, written with all its values and read again, is the same scenario."""
-    scenario = load(name, ["seed=77", "title=ä"])
-    unit = SimpleNamespace(number=0, section=scenario.sensor, mount=scenario.motion.mount, motion=None)
-    parts = SimpleNamespace(units=(unit,), gps=SimpleNamespace(second_ns=lambda _t_ns: None))
-    emulator = SimpleNamespace(scenario=scenario, parts=parts, receiver=None)
-    with Truth(tmp_path, emulator, start_s=0.0, rate_hz=200, per_packet=False) as truth:
-        truth._trajectories = []
-    assert load(str(tmp_path / "scenario.json")) == scenario
+    for name in scene_files():
+        scenario = load(name, ["seed=77", "title=ä"])
+        unit = SimpleNamespace(number=0, section=scenario.sensor, mount=scenario.motion.mount, motion=None)
+        parts = SimpleNamespace(units=(unit,), gps=SimpleNamespace(second_ns=lambda _t_ns: None))
+        emulator = SimpleNamespace(scenario=scenario, parts=parts, receiver=None)
+        with Truth(tmp_path / name, emulator, start_s=0.0, rate_hz=200, per_packet=False) as truth:
+            truth._trajectories = []
+        assert load(str(tmp_path / name / "scenario.json")) == scenario, name
 
 
 @pytest.mark.parametrize("near_m", [7.5, math.inf])

@@ -3,11 +3,26 @@
 import doctest
 
 import numpy as np
-import pytest
 
 from vlp16emu import sensor
 from vlp16emu.packets import decode, layout
 from vlp16emu.types import ReturnMode, SensorModel
+
+OFFSETS = [
+    # dtype, field, offset, size in bytes
+    (layout.DATA_PAYLOAD, "blocks", 0, 1200),
+    (layout.DATA_PAYLOAD, "timestamp_us", 0x4DA - 42, 4),
+    (layout.DATA_PAYLOAD, "return_mode", 0x4DE - 42, 1),
+    (layout.DATA_PAYLOAD, "factory", 0x4DF - 42, 1),
+    (layout.BLOCK, "flag", 0, 2),
+    (layout.BLOCK, "azimuth_cdeg", 2, 2),
+    (layout.BLOCK, "records", 4, 96),
+    (layout.RECORD, "distance_lsb", 0, 2),
+    (layout.RECORD, "reflectivity", 2, 1),
+    (layout.POSITION_PAYLOAD, "timestamp_us", 0xC6, 4),
+    (layout.POSITION_PAYLOAD, "pps", 0xCA, 1),
+    (layout.POSITION_PAYLOAD, "sentence", 0xCE, 128),
+]
 
 
 def test_doctest():
@@ -16,27 +31,11 @@ def test_doctest():
     assert (failed, tried) == (0, 3)
 
 
-@pytest.mark.parametrize(
-    ("dtype", "field", "offset", "size"),
-    [
-        (layout.DATA_PAYLOAD, "blocks", 0, 1200),
-        (layout.DATA_PAYLOAD, "timestamp_us", 0x4DA - 42, 4),
-        (layout.DATA_PAYLOAD, "return_mode", 0x4DE - 42, 1),
-        (layout.DATA_PAYLOAD, "factory", 0x4DF - 42, 1),
-        (layout.BLOCK, "flag", 0, 2),
-        (layout.BLOCK, "azimuth_cdeg", 2, 2),
-        (layout.BLOCK, "records", 4, 96),
-        (layout.RECORD, "distance_lsb", 0, 2),
-        (layout.RECORD, "reflectivity", 2, 1),
-        (layout.POSITION_PAYLOAD, "timestamp_us", 0xC6, 4),
-        (layout.POSITION_PAYLOAD, "pps", 0xCA, 1),
-        (layout.POSITION_PAYLOAD, "sentence", 0xCE, 128),
-    ],
-)
-def test_offsets(dtype, field, offset, size):
+def test_offsets():
     """Each field stands where the manual's tables put it (frame offsets less the 42 bytes of headers)."""
-    assert dtype.fields[field][1] == offset
-    assert dtype.fields[field][0].itemsize == size
+    for dtype, field, offset, size in OFFSETS:
+        kind, at = dtype.fields[field]
+        assert (at, kind.itemsize) == (offset, size), field
 
 
 def test_byte_order_is_stated():
@@ -56,10 +55,10 @@ def test_periods():
     assert (layout.SEQUENCE_PERIOD_NS, layout.LASER_PERIOD_NS) == (sensor.SEQUENCE_NS, sensor.LASER_NS)
 
 
-@pytest.mark.parametrize("model", SensorModel)
-def test_beams_are_those_of_the_sensor(model):
+def test_beams_are_those_of_the_sensor():
     """Points are decoded with the angles and offsets with which the sensor fires."""
-    np.testing.assert_array_equal(decode.ELEVATION_DEG[model], sensor.BEAM_TABLES[model].elevation_deg)
-    np.testing.assert_allclose(
-        decode.VERTICAL_CORRECTION_M[model], sensor.BEAM_TABLES[model].vertical_offset_m, atol=1e-15
-    )
+    for model in SensorModel:
+        np.testing.assert_array_equal(decode.ELEVATION_DEG[model], sensor.BEAM_TABLES[model].elevation_deg)
+        np.testing.assert_allclose(
+            decode.VERTICAL_CORRECTION_M[model], sensor.BEAM_TABLES[model].vertical_offset_m, atol=1e-15
+        )

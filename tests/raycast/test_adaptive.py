@@ -1,11 +1,8 @@
 """How many sub-rays a pulse gets."""
 
-import math
-
 import numpy as np
 import pytest
 
-from vlp16emu.raycast import adaptive
 from vlp16emu.raycast.adaptive import enough
 from vlp16emu.raycast.beam import ROUND
 from vlp16emu.raycast.scene import EmbreeCaster
@@ -35,59 +32,69 @@ def test_a_tie_is_not_enough_until_more_rays_would_not_pay():
     assert not asked([20.0] * 32 + [21.8] * 32, target_m=0.015)
 
 
+def finest_m(ranges_m):
+    """Finest target that sub-rays on white surfaces at these ranges are enough for."""
+    low_m, high_m = 1e-4, 0.2
+    assert asked(ranges_m, high_m)
+    for _ in range(30):
+        middle_m = (low_m + high_m) / 2
+        low_m, high_m = (low_m, middle_m) if asked(ranges_m, middle_m) else (middle_m, high_m)
+    return high_m
+
+
 def test_a_deep_group_needs_more_than_a_shallow_one():
-    """The wider the ranges of one echo are spread, the finer a target they fail."""
-    for depth_m in (0.1, 0.4, 0.9):
-        ranges_m = 20 + depth_m * np.linspace(0, 1, 8)
-        doubt_m = 0.5 * math.exp(-8 / 0.27 / 2)  # eight of eight agree
-        finest_m = ((math.sqrt(0.27 * ranges_m.var() / 8) + doubt_m) / 8 / adaptive._PER_RAY) ** (1 / 3.5)
-        assert not asked(ranges_m, finest_m * 0.9)
-        assert asked(ranges_m, finest_m * 1.1)
+    """The error of one echo's range grows as the spread of its ranges, and falls as one over the root of the rays.
+
+    Rays are worth what they buy: their number times the target to the power of 3.5.
+    """
+    depths_m = 0.1, 0.2, 0.4, 0.8
+    worth = [finest_m(20 + depth_m * np.linspace(0, 1, 8)) ** 3.5 for depth_m in depths_m]
+    assert np.array(worth) / worth[0] == pytest.approx([1, 2, 4, 8], rel=1e-3)
+    again = finest_m(20 + 0.4 * np.tile(np.linspace(0, 1, 8), 4)) ** 3.5
+    assert 32 * again / (8 * worth[2]) == pytest.approx(1 / 2, rel=1e-3)
 
 
-def by_hand(range_m, energy, target_m, resolution_m):
-    """Do the same in the obvious way: every stretch that begins at an echo, and the best one apart from it."""
-    n, met = len(range_m), energy > 0
-    r, e = range_m[met], energy[met]
-    if not met.any():
-        return True
-
-    def best(r, e):
-        sums = [e[(r >= a) & (r - a <= resolution_m)].sum() for a in r]
-        return r[int(np.argmax(sums))], max(sums)
-
-    start, first = best(r, e)
-    inside = (r >= start) & (r - start <= resolution_m)
-    rest = [best(r[side], e[side])[1] for side in (r < start, r > r[inside].max()) if side.any()]
-    second = max(rest, default=0.0)
-    weight = e[inside] / first
-    mean_m = (weight * r[inside]).sum()
-    error_m = math.sqrt(0.27 * (weight * (r[inside] - mean_m) ** 2).sum() * (weight**2).sum())
-    lead = (first - second) ** 2 / (0.27 * (first + second) * (weight**2).sum() * first)
-    error_m += 0.5 * math.exp(-lead / 2) * resolution_m
-    assert error_m < adaptive._MOST * resolution_m
-    return error_m <= n * adaptive._PER_RAY * target_m**3.5
+def test_the_narrower_the_lead_the_more_rays():
+    """The more sub-rays speak for another echo, nearer or farther, the coarser the target that they are enough for."""
+    for other_m in (18.5, 25.0):
+        finest = [finest_m([20.0] * lead + [other_m] * (32 - lead)) for lead in (27, 24, 21, 18)]
+        assert (np.diff(finest) > 0).all(), other_m
 
 
-def test_the_rule_is_that_of_its_slow_twin():
-    """Over random echoes of random strength, the kernel and the obvious way agree."""
+def test_echoes_are_summed_within_the_resolution():
+    """Three groups of eight: two of them within 1 m are one echo that leads the third, and 2 m apart none leads."""
+    one, none = ([20.0] * 8 + [at_m] * 8 + [26.0] * 8 for at_m in (20.9, 22.0))
+    assert finest_m(one) < finest_m(none)
+
+
+def random_echoes(rng):
+    """Ranges, surfaces, cosines and reflectances of sub-rays that met much, some of them nothing."""
+    n = int(rng.choice([8, 16, 32]))
+    range_m = (20 + rng.choice([0.1, 1.0, 4.0]) * rng.random(n)).astype(np.float32)
+    surface = rng.integers(0, 50, n).astype(np.uint32)
+    surface[rng.random(n) < 0.2] = NO_SURFACE
+    cosine, reflectance = rng.random(n).astype(np.float32), rng.uniform(0.2, 0.8, 50).astype(np.float32)
+    return range_m, surface, cosine, reflectance
+
+
+def test_neither_order_nor_brightness_matters():
+    """Verdicts on random echoes stay when sub-rays change places or all surfaces are half as bright, and do for looser targets."""
     rng = np.random.default_rng(3)
     verdicts = []
-    for _ in range(800):
-        n = int(rng.choice([8, 16, 32]))
-        range_m = (20 + rng.choice([0.1, 1.0, 4.0]) * rng.random(n)).astype(np.float32)
-        surface = rng.integers(0, 50, n).astype(np.uint32)
-        surface[rng.random(n) < 0.2] = NO_SURFACE
-        cosine, reflectance = rng.random(n).astype(np.float32), rng.uniform(0.2, 0.8, 50).astype(np.float32)
-        hit = surface != NO_SURFACE
-        energy = (
-            np.where(hit, reflectance[np.where(hit, surface, 0)] * cosine, 0) / range_m.astype(float) ** 2
+    for _ in range(400):
+        range_m, surface, cosine, reflectance = random_echoes(rng)
+        room, turn = np.empty((2, len(range_m))), rng.permutation(len(range_m))
+        by_target = [
+            enough(range_m, surface, cosine, reflectance, target_m, 1.0, room)
+            for target_m in (0.01, 0.02, 0.03)
+        ]
+        assert by_target == sorted(by_target)
+        assert by_target[1] == enough(
+            range_m[turn], surface[turn], cosine[turn], reflectance, 0.02, 1.0, room
         )
-        target_m = float(rng.choice([0.01, 0.02, 0.03]))
-        ours = enough(range_m, surface, cosine, reflectance, target_m, 1.0, np.empty((2, n)))
-        assert ours == by_hand(range_m.astype(float), energy, target_m, 1.0)
-        verdicts.append(ours)
-    assert 0.2 < np.mean(verdicts) < 0.8
+        assert by_target[1] == enough(range_m, surface, cosine, reflectance / 2, 0.02, 1.0, room)
+        verdicts.append(by_target)
+    assert (np.diff(np.mean(verdicts, axis=0)) > 0.1).all()
 
 
 @pytest.fixture(scope="module")

@@ -130,15 +130,15 @@ def test_of_too_few_clusters_nothing_is_said():
     assert tally.range_rmse_interval_m is not None
 
 
-@pytest.mark.parametrize("off_m", np.arange(1, 33) / 64)
-def test_clusters_that_err_alike_leave_no_doubt(off_m):
+def test_clusters_that_err_alike_leave_no_doubt():
     """Where all clusters have the same mean square the interval is that square's root alone, however it is rounded."""
-    tally, answer, got = Tally(), told(*[30.0] * 7), told(*[30.0 + off_m] * 7)
-    for _ in range(8):
-        tally.add(compare(answer, got, RESOLUTION_M))
-    assert tally.range_rmse_m == pytest.approx(off_m, abs=1e-6)
-    interval = tally.range_rmse_interval_m
-    assert (interval.low, interval.high) == pytest.approx((off_m, off_m), abs=1e-6)
+    for off_m in np.arange(1, 33) / 64:
+        tally, answer, got = Tally(), told(*[30.0] * 7), told(*[30.0 + off_m] * 7)
+        for _ in range(8):
+            tally.add(compare(answer, got, RESOLUTION_M))
+        assert tally.range_rmse_m == pytest.approx(off_m, abs=1e-6), off_m
+        interval = tally.range_rmse_interval_m
+        assert (interval.low, interval.high) == pytest.approx((off_m, off_m), abs=1e-6), off_m
 
 
 def test_the_front_keeps_what_nothing_beats():

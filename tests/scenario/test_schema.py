@@ -2,13 +2,10 @@
 
 import json
 
-import pytest
-
 from vlp16emu.scenario import schema
 from vlp16emu.scenario.explain import _expected, _resolved
 
 TABLES = {"scene": schema(), **schema()["$defs"]}
-KEYS = [(table, key) for table, node in TABLES.items() for key in node["properties"]]
 
 
 def test_the_schema_is_json_and_names_its_dialect():
@@ -35,9 +32,11 @@ def test_no_table_admits_unknown_keys():
     assert all(table["additionalProperties"] is False for table in TABLES.values())
 
 
-@pytest.mark.parametrize(("table", "key"), KEYS)
-def test_every_key_can_be_put_in_words(table, key):
+def test_every_key_can_be_put_in_words():
     """For each key of the scene file there are words for what is expected of it."""
-    words = _expected(_resolved(TABLES[table]["properties"][key]))
-    assert words.isprintable()
-    assert len(words) > 0
+    keys = [(table, key) for table, node in TABLES.items() for key in node["properties"]]
+    assert len(keys) > 200
+    for table, key in keys:
+        words = _expected(_resolved(TABLES[table]["properties"][key]))
+        assert words.isprintable(), f"{table}.{key}"
+        assert words, f"{table}.{key}"
