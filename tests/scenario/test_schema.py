@@ -5,7 +5,7 @@ import json
 import pytest
 
 from vlp16emu.scenario import schema
-from vlp16emu.scenario.explain import _expected, _resolved
+from vlp16emu.scenario.explain import expected, resolved
 
 TABLES = {"scene": schema(), **schema()["$defs"]}
 KEYS = [(table, key) for table, node in TABLES.items() for key in node["properties"]]
@@ -38,6 +38,6 @@ def test_no_table_admits_unknown_keys():
 @pytest.mark.parametrize(("table", "key"), KEYS)
 def test_every_key_can_be_put_in_words(table, key):
     """For each key of the scene file there are words for what is expected of it."""
-    words = _expected(_resolved(TABLES[table]["properties"][key]))
+    words = expected(resolved(TABLES[table]["properties"][key]))
     assert words.isprintable()
     assert len(words) > 0
