@@ -21,7 +21,7 @@ from vlp16emu.truth import Truth
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+OUTPUTS = (Path(__file__).resolve().parents[1] / "scenes" / "OUTPUTS.md").read_text(encoding="utf-8")
 EXACT = ("sensor.eccentricity_deg=0.0", "sensor.azimuth_noise_deg=0.0")
 
 
@@ -288,8 +288,8 @@ def test_the_rig_takes_the_manuals_axes_to_the_trajectorys(walk, tmp_path):
     np.testing.assert_allclose(Rotation.from_quat(manual["quaternion_xyzw"]).as_matrix(), R, atol=1e-15)
 
 
-def test_poses_take_decoded_points_into_the_world_as_the_readme_says(tmp_path):
-    """With the README's rotation and the pose of `trajectory.tum` decoded points are where light met something, to 5 mm."""
+def test_poses_take_decoded_points_into_the_world_as_documented(tmp_path):
+    """With the rotation of `scenes/OUTPUTS.md` and the pose of `trajectory.tum` decoded points are where light met something, to 5 mm."""
     motion = '{kind="walk", way_points_m=[[-4, -1], [-1, 0], [3, 4]]}'
     walk = Emulator(
         load("static_bench", [f"motion={motion}", "noise.preset=ideal", "beam.model=none", *EXACT])
@@ -308,7 +308,7 @@ def test_poses_take_decoded_points_into_the_world_as_the_readme_says(tmp_path):
     at_s, of_s = (pulse_ns - t_ns[0]) / 1e9, (t_ns - t_ns[0]) / 1e9
     R = Slerp(of_s, Rotation.from_quat(poses[:, 3:]))(at_s)
     place_m = np.column_stack([np.interp(at_s, of_s, poses[:, axis]) for axis in range(3)])
-    turn = np.array(json.loads(re.search(r"`\(y, -x, z\) = (\[\[.*?\]\]) @", README)[1]))
+    turn = np.array(json.loads(re.search(r"`\(y, -x, z\) = (\[\[.*?\]\]) @", OUTPUTS)[1]))
     world_m = R.apply(points.xyz_m @ turn.T) + place_m
     met = distance_m > 0
     gap_m = np.linalg.norm(world_m - (origin_m + along * distance_m[:, None]), axis=1)[met]

@@ -3,7 +3,7 @@
 import json
 
 from vlp16emu.scenario import schema
-from vlp16emu.scenario.explain import _expected, _resolved
+from vlp16emu.scenario.explain import expected, resolved
 
 TABLES = {"scene": schema(), **schema()["$defs"]}
 
@@ -37,6 +37,6 @@ def test_every_key_can_be_put_in_words():
     keys = [(table, key) for table, node in TABLES.items() for key in node["properties"]]
     assert len(keys) > 200
     for table, key in keys:
-        words = _expected(_resolved(TABLES[table]["properties"][key]))
+        words = expected(resolved(TABLES[table]["properties"][key]))
         assert words.isprintable(), f"{table}.{key}"
         assert words, f"{table}.{key}"

@@ -67,7 +67,7 @@ def doubled() -> Iterator[Row]:
         ("two instances in one place", [wall(10.0)], 2),
     ):
         first, again = (cast(opened(meshes, times=times), firings) for _ in range(2))
-        yield Row(name, "pulses told apart by a rerun", int((first.surface != again.surface).sum()), 0)
+        yield Row(name, "pulses that change in a rerun", int((first.surface != again.surface).sum()), 0)
         yield Row(name, "largest error, m", float(np.abs(first.range_m - 10.0 / cosine).max()), 1e-5)
     scene = load("static_bench", [_two_crates()])
     told = [

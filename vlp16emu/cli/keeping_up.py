@@ -14,7 +14,7 @@ _SHORT_M = 45.0
 _STANDS_STILL = 0.1
 """Speed below which the engine waits for something, so that its speed says nothing of settings."""
 _ONE_RAY_GAIN, _SHORT_GAIN = 4.0, 2.0
-"""About how much faster a forest is with one ray for each pulse, and with a reach of 45 m: README, "Use"."""
+"""About how much faster a forest is with one ray for each pulse, and with a reach of 45 m: `scenes/OUTPUTS.md`, "Packets"."""
 
 
 def settings_that_keep_up(scenario: "Scenario", engine_speed: float, speed: float) -> list[str]:

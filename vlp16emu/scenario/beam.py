@@ -16,9 +16,9 @@ class Beam(Section):
     """The light of one pulse."""
 
     model: Literal["adaptive", "fixed", "none", "angle", "offset"] = "adaptive"
-    """What a pulse is made of: sub-rays, as many as it needs (`adaptive`) or always `rays` (`fixed`); or one ray along
-    its middle (`none`). `angle` and `offset` are one ray with the beam errors of LiDAR-Forest (Lu et al.):
-    its direction drawn from the profile, or its hit displaced inside the beam."""
+    """Rays of a pulse: as many sub-rays as it needs (`adaptive`), always `rays` (`fixed`), or one ray along its middle
+    (`none`). `angle` and `offset` are one ray with the beam errors of LiDAR-Forest (Lu et al.): a direction drawn
+    from the profile, or a hit displaced inside the beam."""
     rays: Annotated[int, Field(ge=2, le=4096)] = 64
     """Sub-rays of a fixed beam, and the most of an adaptive one, which casts them by rounds of eight: best a multiple
     of eight, for a round that is cut short weighs the middle of the light more."""

@@ -11,7 +11,7 @@ from pydantic_core import ErrorDetails
 
 from vlp16emu.scenario.schema import schema
 
-__all__ = ["explain"]
+__all__ = ["expected", "explain", "resolved"]
 
 Node = dict[str, Any]
 
@@ -31,27 +31,54 @@ def explain(error: ValidationError) -> tuple[str, str, str]:
         tag = node["discriminator"]["propertyName"]
         choice = {"enum": list(node["discriminator"]["mapping"])}
         found = f"found {_shown(finding['input'][tag])}" if tag in finding["input"] else "missing"
-        return _path([*keys, tag]), found, _expected(choice)
+        return _path([*keys, tag]), found, expected(choice)
     if kind == "missing":
-        return _path(keys), "missing", _expected(node)
+        return _path(keys), "missing", expected(node)
     return _path(keys), f"found {_shown(finding['input'])}", _wanted(finding, node)
+
+
+def expected(node: Node) -> str:
+    """Say in words what a node of the schema admits."""
+    if "enum" in node or "const" in node:
+        *others, last = [_shown(value) for value in node.get("enum", [node.get("const")])]
+        return f"{', '.join(others)} or {last}" if others else last
+    if "discriminator" in node:
+        tags = expected({"enum": list(node["discriminator"]["mapping"])})
+        return f"a table with {node['discriminator']['propertyName']} = {tags}"
+    kind = node["type"]
+    if kind in ("integer", "number"):
+        return f"{'a whole number' if kind == 'integer' else 'a number'} {_bounds(node)}".rstrip()
+    if kind == "array":
+        if "prefixItems" in node:
+            return f"a list of {node['minItems']} numbers"
+        ends = {"minItems": "of at least", "maxItems": "of at most"}
+        return " ".join(["a list", *(f"{word} {node[key]}" for key, word in ends.items() if key in node)])
+    if node.get("format") == "date-time":
+        return "a date and time with its offset from UTC, such as 2026-05-20T09:00:00Z"
+    return {"object": "a table", "string": "a text in quotes", "boolean": "true or false"}[kind]
+
+
+def resolved(node: Node) -> Node:
+    """Replace a reference by what it points at, and what may be left out by what it is otherwise."""
+    node = node["anyOf"][0] if "anyOf" in node else node
+    return schema()["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
 
 
 def _wanted(finding: ErrorDetails, node: Node) -> str:
     """Say what the finding asks for."""
     if finding["type"] == "value_error":
         return finding["msg"].removeprefix("Value error, ")
-    expected = _expected(node)
-    return expected.replace("a number", "a finite number") if finding["type"] == "finite_number" else expected
+    words = expected(node)
+    return words.replace("a number", "a finite number") if finding["type"] == "finite_number" else words
 
 
 def _walk(loc: tuple[int | str, ...]) -> tuple[list[int | str], Node, Node]:
     """Follow pydantic's path down the schema: the keys that the file has, the last table, the last node."""
     keys: list[int | str] = []
-    parent = node = _resolved(schema())
+    parent = node = resolved(schema())
     for part in loc:
         if "discriminator" in node:  # pydantic puts the union's tag into the path; no file has it
-            node = _resolved({"$ref": node["discriminator"]["mapping"][part]})
+            node = resolved({"$ref": node["discriminator"]["mapping"][part]})
             continue
         keys.append(part)
         parent = node
@@ -59,14 +86,8 @@ def _walk(loc: tuple[int | str, ...]) -> tuple[list[int | str], Node, Node]:
             ahead = node["prefixItems"][part] if "prefixItems" in node else node["items"]
         else:
             ahead = node["properties"].get(part, {})
-        node = _resolved(ahead)
+        node = resolved(ahead)
     return keys, parent, node
-
-
-def _resolved(node: Node) -> Node:
-    """Replace a reference by what it points at, and what may be left out by what it is otherwise."""
-    node = node["anyOf"][0] if "anyOf" in node else node
-    return schema()["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
 
 
 def _path(keys: list[int | str]) -> str:
@@ -92,27 +113,6 @@ def _shown(value: object) -> str:
         return value.isoformat()
     text = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _expected(node: Node) -> str:
-    """Say in words what a node of the schema admits."""
-    if "enum" in node or "const" in node:
-        *others, last = [_shown(value) for value in node.get("enum", [node.get("const")])]
-        return f"{', '.join(others)} or {last}" if others else last
-    if "discriminator" in node:
-        tags = _expected({"enum": list(node["discriminator"]["mapping"])})
-        return f"a table with {node['discriminator']['propertyName']} = {tags}"
-    kind = node["type"]
-    if kind in ("integer", "number"):
-        return f"{'a whole number' if kind == 'integer' else 'a number'} {_bounds(node)}".rstrip()
-    if kind == "array":
-        if "prefixItems" in node:
-            return f"a list of {node['minItems']} numbers"
-        ends = {"minItems": "of at least", "maxItems": "of at most"}
-        return " ".join(["a list", *(f"{word} {node[key]}" for key, word in ends.items() if key in node)])
-    if node.get("format") == "date-time":
-        return "a date and time with its offset from UTC, such as 2026-05-20T09:00:00Z"
-    return {"object": "a table", "string": "a text in quotes", "boolean": "true or false"}[kind]
 
 
 def _bounds(node: Node) -> str:

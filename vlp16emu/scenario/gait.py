@@ -56,7 +56,7 @@ class Gait(Preset):
     presets = _PRESETS
 
     preset: Literal["none", "paper", "natural", "strong"] = "natural"
-    """What the other keys are laid over."""
+    """Values of the keys that are not given beside it; `natural` is their defaults."""
     step_hz: Annotated[float, Field(gt=0, le=5)] | None = None
     """Steps per second; from the walking speed where it is left out."""
     vertical_m: Amplitude = 0.023

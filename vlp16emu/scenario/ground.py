@@ -32,9 +32,9 @@ class Terrain(Section):
     mounds_per_ha: Annotated[float, Field(ge=0, le=2500)] = 0.0
     """Mounds and hollows of up to 0.15 m, 1 m to 2 m wide."""
     slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
-    """Of the plane under it all, rising towards `slope_towards_deg`."""
+    """Slope of the plane under it all, rising towards `slope_towards_deg`."""
     slope_towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
-    """Counter-clockwise from east."""
+    """Direction of that slope, counter-clockwise from east."""
 
     @model_validator(mode="before")
     @classmethod

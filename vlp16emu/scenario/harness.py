@@ -22,12 +22,17 @@ class Harness(Section):
     """
 
     fore_aft_hz: Frequency = 3.0
-    """Undamped natural frequency."""
+    """Undamped natural frequency, forwards and backwards."""
     sideways_hz: Frequency = 3.0
+    """The same to the sides."""
     vertical_hz: Frequency = 2.1
+    """The same up and down."""
     roll_hz: Frequency = 3.0
+    """The same about the forward axis."""
     pitch_hz: Frequency = 3.0
+    """The same about the axis to the left."""
     yaw_hz: Frequency = 3.0
+    """The same about the vertical axis."""
     damping_ratio: Annotated[float, Field(ge=0, le=10)] = 0.25
     """Share of critical damping, on all axes."""
 

@@ -44,11 +44,11 @@ class Imu(Preset):
     presets = _PRESETS
 
     preset: Literal["ideal", "consumer", "tactical"] = "ideal"
-    """What the errors are laid over."""
+    """Values of the keys that are not given beside it; `ideal` is their defaults."""
     rate_hz: Annotated[int, Field(ge=1, le=10_000)] = 200
     """Samples per second."""
     mount: Mount = Mount()
-    """On the pack, not on a spinning stage."""
+    """Mount on the pack, not on a spinning stage."""
     gyro_bias_rad_s: Error = 0.0
     """At switch-on, one sigma."""
     gyro_noise_rad_s_sqrt_hz: Error = 0.0

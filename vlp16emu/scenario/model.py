@@ -32,25 +32,28 @@ class Scenario(Section):
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     """Version of this file format."""
     title: str
-    """One line for people."""
+    """One line that reports and pictures show."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    """Of all randomness: same scenario and seed, same bytes."""
+    """Seed of all random numbers: the same scenario and seed give the same bytes."""
     start_utc: AwareDatetime = datetime(2026, 5, 20, 9, 0, tzinfo=UTC)
     """When the first pulse is fired, from 1970 to 2105."""
     duration_s: Annotated[float, Field(gt=0, le=7 * 86400)] = 10.0
-    """How long a recording is unless the command says otherwise."""
+    """Length of a recording, unless the command gives another."""
     sensor: AnySensor = Sensor()
+    """The sensor; with `model = "free"` one of any beam table."""
     beam: Beam = Beam()
     detector: Detector = Detector()
     noise: Noise = Noise()
     weather: Weather = Weather()
     gps: Gps = Gps()
     motion: Motion
+    """How the sensor moves."""
     imu: Imu | None = None
     """An inertial measurement unit beside the sensor; its samples are part of the truth."""
     rig: Annotated[list[Unit], Field(max_length=253, default_factory=list)]
     """Further sensors on the same carrier, numbered from 2; that of `[sensor]` is unit 1."""
     world: World
+    """What the sensor sees."""
     wind: Wind | None = None
     """What makes the trees sway; none in a hall."""
 

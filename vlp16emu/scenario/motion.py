@@ -16,10 +16,13 @@ class Static(Section):
     """A sensor on a tripod."""
 
     kind: Literal["static"]
+    """Selects a sensor on a tripod."""
     x_m: Place = 0.0
+    """Position east."""
     y_m: Place = 0.0
+    """Position north."""
     height_m: Size = 1.5
-    """Of the sensor's centre over the ground."""
+    """Height of the sensor's centre over the ground."""
     yaw_deg: Angle = 0.0
     """Counter-clockwise from east; the body's x axis looks there."""
     pitch_deg: Angle = 0.0
@@ -27,20 +30,23 @@ class Static(Section):
     roll_deg: Angle = 0.0
     """Right side down is positive."""
     mount: Mount = Mount()
-    """Of the sensor on the tripod."""
+    """Mount of the sensor on the tripod."""
 
 
 class Walk(Way):
     """A person with the sensor on the back."""
 
     kind: Literal["walk"]
+    """Selects a walking person."""
     sensor_height_m: Size = 2.0
-    """Of the pack's origin, which is the sensor's centre unless it is mounted elsewhere, over the ground under it."""
+    """Height of the pack's origin over the ground under it; the origin is the sensor's centre unless it is mounted
+    elsewhere."""
     gait: Gait = Gait()
+    """How the trunk of the person moves."""
     harness: Harness | None = None
     """How the pack hangs on the person; strapped tight without it."""
     mount: Mount = Mount()
-    """Of the sensor on the pack."""
+    """Mount of the sensor on the pack."""
 
 
 Motion = Annotated[Static | Walk | Recorded, Field(discriminator="kind")]

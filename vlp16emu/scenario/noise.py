@@ -32,7 +32,7 @@ class Noise(Preset):
     presets = _PRESETS
 
     preset: Literal["ideal", "typical", "datasheet"] = "typical"
-    """Gives those of the other keys that are not given beside it; `typical` is as they are by default."""
+    """Values of the keys that are not given beside it; `typical` is their defaults."""
     range_noise_m: _Metres = 0.0065
     """White, one sigma, at a reflectivity of 20; measured on a real unit."""
     range_bias_m: _Metres = 0.010
@@ -40,7 +40,7 @@ class Noise(Preset):
     elevation_error_deg: _Degrees = 0.02
     """By how much each laser of a unit looks too high or low, one sigma; assumption."""
     azimuth_error_deg: _Degrees = 0.02
-    """The same to the side."""
+    """The same to the side, one sigma; assumption."""
     warm_up_m: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
     """How much too long ranges are at power-up; no measurement is known."""
     warm_up_s: Positive = 900.0

@@ -22,9 +22,9 @@ class Unit(Sensor):
     """
 
     mount: Mount = Mount()
-    """On the carrier of `[motion]`, whose own `mount` is that of `[sensor]`."""
+    """Mount on the carrier of `[motion]`, whose own `mount` is that of `[sensor]`."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
-    """Of its errors and all else that is random in it; from the scene's seed if left out."""
+    """Seed of its errors and all else that is random in it; from the scene's seed if not set."""
 
 
 def completed(table: Any, first: Sensor, place: int) -> Any:

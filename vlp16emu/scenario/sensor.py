@@ -40,7 +40,7 @@ class Lidar(Section):
     """What all lidars have in common."""
 
     return_mode: Literal["strongest", "last", "dual"] = "strongest"
-    """Which echoes are sent."""
+    """Echoes that are sent: the strongest, the last, or both."""
     min_range_m: Annotated[float, Field(ge=0.5, le=131.07)] = 0.5
     """Nearer targets are blanked; no real unit sends less than 0.5 m."""
     max_range_m: Annotated[float, Field(gt=0.5, le=131.07, validate_default=True)] = 100.0
@@ -73,7 +73,7 @@ class Sensor(Lidar):
     either_or: ClassVar[frozenset[str]] = frozenset({"start_azimuth_deg", "phase_lock_deg"})
 
     model: Literal["vlp-16", "puck-lite", "puck-hi-res"] = "vlp-16"
-    """Beam table and factory byte."""
+    """Type of sensor: beam table and factory byte."""
     rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] = 600
     """Rotor speed; multiples of 60 (63-9243 Rev D, section 8.3)."""
     position_rate: Literal["measured", "manual"] = "measured"
@@ -81,15 +81,15 @@ class Sensor(Lidar):
     phase_lock_deg: Degrees | None = None
     """True rotor angle at each UTC second (63-9243 Rev D, chapter 8), instead of `start_azimuth_deg`; needs GPS."""
     name: Annotated[str, Field(min_length=1)] = "unit_1"
-    """For people."""
+    """Name in reports."""
     serial_number: Annotated[str, Field(pattern=r"^[0-9]{1,20}$")] = "11001000000001"
-    """Digits, as on the label."""
+    """Digits, as on the label of a unit."""
     address: Address = "192.168.1.201"
-    """Its own (63-9243 Rev D, section 10.2.3.12)."""
+    """IPv4 address of the unit (63-9243 Rev D, section 10.2.3.12)."""
     data_port: Port = 2368
-    """To which data packets are sent (63-9243 Rev D, section 9.3.2)."""
+    """Destination port of data packets (63-9243 Rev D, section 9.3.2)."""
     position_port: Port = 8308
-    """To which position packets are sent (63-9243 Rev D, section 9.3.3)."""
+    """Destination port of position packets (63-9243 Rev D, section 9.3.3)."""
 
     @model_validator(mode="after")
     def _starts_once(self) -> Self:
@@ -110,7 +110,7 @@ class FreeSensor(Lidar):
     """A spinning lidar of any beam table. It has no packets, only points."""
 
     model: Literal["free"]
-    """Tells it from the sensors whose packets are known."""
+    """Selects a sensor of any beam table, without packets."""
     elevations_deg: Annotated[tuple[Elevation, ...], Field(strict=False)] = ()
     """Where each laser looks, in order of firing; instead of `beams` and `vertical_fov_deg`."""
     beams: Annotated[int, Field(ge=1, le=1024)] = 16

@@ -19,25 +19,26 @@ class LawnMower(Section):
     corner_m: Point = (0.0, 0.0)
     """x and y of the corner at which both edges begin."""
     length_m: Size
-    """Of the edge along the lines."""
+    """Length of the edge along the lines."""
     width_m: Annotated[float, Field(ge=0, le=1e4)]
-    """Of the edge across them, to the left of the first."""
+    """Length of the edge across them, to the left of the first."""
     azimuth_deg: Angle = 0.0
     """Direction of the lines, counter-clockwise from east."""
     line_spacing_m: Annotated[float, Field(ge=0.1, le=1e4)] = 10.0
+    """Distance between lines."""
     turn_radius_m: Annotated[float, Field(ge=0.05, le=1e4)] = 1.0
-    """Of both quarter turns between one line and the next."""
+    """Radius of both quarter turns between one line and the next."""
 
 
 class Stop(Section):
     """A halt; needs exactly one of `way_point` and `at_m`."""
 
     way_point: Annotated[int, Field(ge=1)] | None = None
-    """Its number; the first is 1."""
+    """Number of the way point; the first is 1."""
     at_m: NonNegative | None = None
-    """Along the path."""
+    """Distance along the path."""
     pause_s: NonNegative
-    """How long the person stands still."""
+    """Duration of the halt."""
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
@@ -61,17 +62,17 @@ class Way(Section):
     lawn_mower: LawnMower | None = None
     """A pattern over a plot."""
     laps: Annotated[int, Field(ge=1, le=1000)] = 1
-    """Times round, where the last way point is the first: such a path closes smoothly."""
+    """Number of laps, where the last way point is the first: such a path closes smoothly."""
     speed_m_s: Annotated[float, Field(gt=0, le=10)] = 1.2
-    """Along the path, where nothing slows the person down."""
+    """Speed along the path, where nothing slows the person down."""
     run_time_s: Annotated[float, Field(gt=0, le=7 * 86400)] | None = None
-    """From first motion to last, instead of a speed."""
+    """Time from first motion to last, instead of a speed."""
     acceleration_m_s2: Annotated[float, Field(gt=0, le=10)] = 1.0
     """Greatest change of speed; at 1 m/s^2 a person is at walking speed after two paces (assumption)."""
     yaw_rate_deg_s: Annotated[float, Field(gt=0, le=720)] = 60.0
     """Greatest turn rate: a right angle takes 1.5 s (assumption). In tighter turns the person slows down."""
     stops: list[Stop] = Field(default_factory=list)
-    """On each lap."""
+    """Halts on each lap."""
 
     @model_validator(mode="after")
     def _told_once(self) -> Self:
@@ -89,13 +90,15 @@ class Recorded(Section):
     """Poses in a file, with the first at the start of the run."""
 
     kind: Literal["recorded"]
+    """Selects recorded poses."""
     file: SceneFile
+    """Path of the file, from the folder of the scene file."""
     format: Literal["tum", "csv", "kitti"]
     """t x y z qx qy qz qw; CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz, qw; 12 numbers of a matrix."""
     times_file: SceneFile | None = None
     """Time of each KITTI pose in seconds, one to a line."""
     rate_hz: Annotated[float, Field(ge=0.001, le=1_000_000)] | None = None
-    """Of KITTI poses, where no file tells their times."""
+    """Rate of KITTI poses, where no file gives their times."""
     max_gap_s: Positive = 1.0
     """Poses farther apart in time are refused."""
     axes: Literal["body", "camera"] = "body"
@@ -104,11 +107,13 @@ class Recorded(Section):
     """Place in the world of the file's origin, with `y_m` and `z_m`; of poses in map coordinates the world's `origin_m` with
     its signs turned, for that is not taken off them."""
     y_m: Place = 0.0
+    """See `x_m`."""
     z_m: Place = 0.0
+    """See `x_m`."""
     yaw_deg: Angle = 0.0
     """Where the file's x axis points, counter-clockwise from east."""
     mount: Mount = Mount()
-    """Of the sensor on what was recorded."""
+    """Mount of the sensor on the body of the poses."""
 
     @model_validator(mode="after")
     def _times_of_kitti(self) -> Self:

@@ -65,7 +65,7 @@ class SpeciesShare(Section):
     species: str
     """Name in the species table, for instance `silver_birch`."""
     share: Annotated[float, Field(ge=1e-6, le=1e6)]
-    """Of stems; shares are scaled to sum to one."""
+    """Share of stems; shares are scaled to sum to one."""
     dbh_cm: Annotated[float, Field(ge=5, le=120)]
     """Quadratic mean diameter at breast height."""
     height_m: Annotated[float, Field(ge=3, le=60)]
@@ -76,23 +76,27 @@ class Scattered(Section):
     """Places that know nothing of each other."""
 
     kind: Literal["random"]
+    """Selects places independent of each other."""
 
 
 class HardCore(Section):
     """Places that keep apart, as those of trees which compete."""
 
     kind: Literal["hard_core"]
+    """Selects places that keep a distance."""
 
 
 class Plantation(Section):
     """Planted rows, of which the given density is left."""
 
     kind: Literal["plantation"]
+    """Selects rows."""
     row_spacing_m: Annotated[float, Field(ge=0.5, le=1000)] = 2.5
+    """Distance between rows."""
     tree_spacing_m: Annotated[float, Field(ge=0.5, le=1000)] = 2.0
-    """Within a row."""
+    """Distance of planted trees within a row."""
     azimuth_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
-    """Of the rows, counter-clockwise from east."""
+    """Direction of the rows, counter-clockwise from east."""
     jitter_m: Annotated[float, Field(ge=0, le=2)] = 0.15
     """Half-range of the error of planting along and across the row."""
 
@@ -101,10 +105,11 @@ class Clusters(Section):
     """Clumps."""
 
     kind: Literal["clusters"]
+    """Selects clumps of plants."""
     per_cluster: Annotated[float, Field(ge=1, le=100)] = 8.0
     """Mean number of plants of a clump."""
     sigma_m: Annotated[float, Field(gt=0, le=5)] = 3.0
-    """Of plants about the middle of their clump along either axis."""
+    """Standard deviation of plants about the middle of their clump, along either axis."""
 
 
 Pattern = Annotated[Scattered | HardCore | Plantation | Clusters, Field(discriminator="kind")]
@@ -116,10 +121,13 @@ class Storey(Section):
     either_or: ClassVar[frozenset[str]] = DENSITY_KEYS
 
     stems_per_ha: Annotated[float, Field(ge=0, le=MOST_STEMS_PER_HA)] = 0.0
+    """Density of stems; instead of `basal_area_m2_per_ha`."""
     basal_area_m2_per_ha: Annotated[float, Field(ge=0, le=120)] = 0.0
-    """Cross-sections of stems at breast height."""
+    """Sum of the cross-sections of stems at breast height; instead of `stems_per_ha`."""
     species: Annotated[list[SpeciesShare], Field(min_length=1)]
+    """Species of the trees, with share and size."""
     pattern: Pattern = HardCore(kind="hard_core")
+    """How the trees are spread over the ground."""
 
     @model_validator(mode="after")
     def _one_density(self) -> Self:
@@ -133,22 +141,26 @@ class Regeneration(Section):
     """Young trees that are thinner than 5 cm at breast height, or do not reach it."""
 
     stems_per_ha: Annotated[float, Field(ge=0, le=20_000)] = 0.0
+    """Density of young trees."""
     species: list[str] = Field(default_factory=list)
     """Each as often; if none is named, those of the canopy that live."""
     height_m: Range = (0.5, 4.0)
-    """Least and greatest."""
+    """Minimum and maximum height."""
     pattern: Pattern = Clusters(kind="clusters", per_cluster=20.0)
+    """How the young trees are spread over the ground."""
 
 
 class Shrubs(Section):
     """Bushes of several stems."""
 
     per_ha: Annotated[float, Field(ge=0, le=10_000)] = 0.0
+    """Density of bushes."""
     species: Annotated[list[str], Field(min_length=1)] = Field(
         default_factory=lambda: ["hazel", "elder", "hawthorn", "dogwood", "honeysuckle"]
     )
     """Each as often."""
     pattern: Pattern = Clusters(kind="clusters", per_cluster=4.0)
+    """How the bushes are spread over the ground."""
 
 
 class Stones(Section):
@@ -162,32 +174,35 @@ class Logs(Section):
     """Lying trunks."""
 
     per_ha: Annotated[float, Field(ge=0, le=2000)] = 0.0
+    """Density of logs."""
     species: list[str] = Field(default_factory=list)
     """What trees they were, each as often; if none is named, those of the canopy."""
     diameter_m: Range = (0.1, 0.5)
-    """Least and greatest mean diameter."""
+    """Minimum and maximum mean diameter."""
     length_m: Range = (3.0, 15.0)
-    """Least and greatest."""
+    """Minimum and maximum length."""
 
 
 class Stumps(Section):
     """What felled trees left."""
 
     per_ha: Annotated[float, Field(ge=0, le=5000)] = 0.0
+    """Density of stumps."""
     species: list[str] = Field(default_factory=list)
     """What trees they were, each as often; if none is named, those of the canopy."""
     diameter_m: Range = (0.2, 0.6)
-    """Least and greatest diameter at the top."""
+    """Minimum and maximum diameter at the top."""
     height_m: Range = (0.1, 0.4)
-    """Least and greatest."""
+    """Minimum and maximum height."""
 
 
 class Grass(Section):
     """Tufts within 25 m of the path."""
 
     tufts_per_m2: Annotated[float, Field(ge=0, le=8)] = 0.0
+    """Density of tufts."""
     height_m: Range = (0.15, 0.5)
-    """Least and greatest."""
+    """Minimum and maximum height of a tuft."""
 
 
 class Woods(Section):
@@ -196,7 +211,7 @@ class Woods(Section):
     season: Literal["leaf_on", "leaf_off"] = "leaf_on"
     """Whether broadleaved trees and shrubs bear leaves."""
     dead_branches: bool = False
-    """Whether dead branches stand out from the stems below the crowns."""
+    """Whether stems have dead branches below the crowns."""
     regeneration: Regeneration = Regeneration()
     shrubs: Shrubs = Shrubs()
     stones: Stones = Stones()
@@ -206,7 +221,7 @@ class Woods(Section):
     species_file: SceneFile | None = None
     """Plants of the user's own, in the form of the program's `world/species.toml`, numbered from 1000."""
     path_clearance_m: NonNegative = 0.8
-    """Nothing that stands or lies on the ground comes nearer to the path than this."""
+    """Nothing that grows or lies on the ground is nearer to the path than this."""
     near_m: Near = 15.0
     """What is nearer to the sensor than this is cast leaf by leaf; beyond, ground and stems are exact and foliage is a
     medium of voxels made of the same plants. `inf` casts everything leaf by leaf."""
@@ -223,6 +238,7 @@ class Forest(Woods, Storey):
     """A stand without edge on a terrain with relief."""
 
     kind: Literal["forest"]
+    """Selects a stand without edge."""
     preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = (
         "none"
     )
@@ -241,6 +257,7 @@ class Plot(Woods):
     """Trees that somebody has measured."""
 
     kind: Literal["plot"]
+    """Selects measured trees."""
     stem_list: SceneFile
     """CSV whose first line names the columns: x, y, species, dbh_cm, height_m, and more if known."""
 
@@ -249,40 +266,56 @@ class HallBox(Finish):
     """An upright box."""
 
     name: str
+    """Name in reports."""
     centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
+    """x, y and z of the centre."""
     size_m: Annotated[tuple[Size, Size, Size], Field(strict=False)]
+    """Extent along x, y and z."""
 
 
 class HallPole(Finish):
     """An upright round pole."""
 
     name: str
+    """Name in reports."""
     foot_m: Annotated[tuple[float, float, float], Field(strict=False)]
+    """x, y and z of the middle of the lower end."""
     diameter_m: Size
+    """Diameter."""
     height_m: Size
+    """Height over the foot."""
 
 
 class HallSphere(Finish):
     """A ball."""
 
     name: str
+    """Name in reports."""
     centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
+    """x, y and z of the centre."""
     diameter_m: Size
+    """Diameter."""
 
 
 class Hall(Section):
     """A closed room of known size, centred on the origin, floor at z = 0, with things in it."""
 
     kind: Literal["hall"]
+    """Selects a hall of known shapes."""
     length_m: Size
-    """Along x."""
+    """Extent along x."""
     width_m: Size
-    """Along y."""
+    """Extent along y."""
     height_m: Size
+    """Height of the ceiling."""
     wall_reflectance: Fraction = 0.6
+    """Lambertian reflectance of walls, floor and ceiling at 903 nm."""
     boxes: list[HallBox] = Field(default_factory=list)
+    """Upright boxes."""
     poles: list[HallPole] = Field(default_factory=list)
+    """Upright round poles."""
     spheres: list[HallSphere] = Field(default_factory=list)
+    """Balls."""
     meshes: list[MeshFile] = Field(default_factory=list)
     """The user's own things; unlike the others they may lie anywhere."""
 
