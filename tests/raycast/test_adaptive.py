@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.raycast import adaptive
-from vlp16emu.raycast.adaptive import enough
+from vlp16emu.raycast.adaptive import RayBudget, enough
 from vlp16emu.raycast.beam import ROUND
 from vlp16emu.raycast.scene import EmbreeCaster
 from vlp16emu.types import NO_SURFACE
@@ -14,12 +14,17 @@ from vlp16emu.types import NO_SURFACE
 WHITE = np.ones(1, np.float32)
 
 
-def asked(ranges_m, target_m=0.03):
+def budget(target_m, threshold=0.0):
+    """An adaptive beam's, with a receiver of the usual noise."""
+    return RayBudget(64, True, target_m, 1.0, threshold, threshold / 6)
+
+
+def asked(ranges_m, target_m=0.03, threshold=0.0):
     """Whether sub-rays on white surfaces at these ranges (inf: missed) are enough."""
     range_m = np.asarray(ranges_m, np.float32)
     surface = np.where(np.isfinite(range_m), 0, NO_SURFACE).astype(np.uint32)
     room = np.empty((2, len(range_m)))
-    return enough(range_m, surface, np.ones_like(range_m), WHITE, target_m, 1.0, room)
+    return enough(range_m, surface, np.ones_like(range_m), WHITE, budget(target_m, threshold), room)
 
 
 def test_what_is_agreed_on_is_enough():
@@ -33,6 +38,21 @@ def test_a_tie_is_not_enough_until_more_rays_would_not_pay():
     assert not asked([20.0] * 4 + [21.8] * 4)
     assert asked([20.0] * 32 + [21.8] * 32)
     assert not asked([20.0] * 32 + [21.8] * 32, target_m=0.015)
+
+
+def test_what_is_near_the_threshold_needs_more():
+    """Two rays of eight whose echo is as strong as the threshold need another round.
+
+    Eight of eight do not, nor two far above or below it, nor two where there is no threshold.
+    """
+    met = {rays: [40.0] * rays + [np.inf] * (8 - rays) for rays in (2, 8)}
+    at_40_m = 40.0**-2
+    assert not asked(met[2], 0.05, at_40_m * 2 / 8)
+    assert asked(met[8], 0.05, at_40_m)
+    for times in (0.2, 5.0):
+        assert asked(met[2], 0.05, at_40_m * 2 / 8 * times)
+    assert asked(met[2], 0.05)
+    assert asked(met[2] * 8, 0.05, at_40_m * 2 / 8)
 
 
 def test_a_deep_group_needs_more_than_a_shallow_one():
@@ -84,7 +104,7 @@ def test_the_rule_is_that_of_its_slow_twin():
             np.where(hit, reflectance[np.where(hit, surface, 0)] * cosine, 0) / range_m.astype(float) ** 2
         )
         target_m = float(rng.choice([0.01, 0.02, 0.03]))
-        ours = enough(range_m, surface, cosine, reflectance, target_m, 1.0, np.empty((2, n)))
+        ours = enough(range_m, surface, cosine, reflectance, budget(target_m), np.empty((2, n)))
         assert ours == by_hand(range_m.astype(float), energy, target_m, 1.0)
         verdicts.append(ours)
     assert 0.2 < np.mean(verdicts) < 0.8
