@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.raycast.adaptive import enough
+from vlp16emu.raycast.adaptive import RayBudget, enough
 from vlp16emu.raycast.beam import ROUND
 from vlp16emu.raycast.scene import EmbreeCaster
 from vlp16emu.types import NO_SURFACE
@@ -11,12 +11,17 @@ from vlp16emu.types import NO_SURFACE
 WHITE = np.ones(1, np.float32)
 
 
-def asked(ranges_m, target_m=0.03):
+def budget(target_m, threshold=0.0):
+    """An adaptive beam's, with a receiver of the usual noise."""
+    return RayBudget(64, True, target_m, 1.0, threshold, threshold / 6)
+
+
+def asked(ranges_m, target_m=0.03, threshold=0.0):
     """Whether sub-rays on white surfaces at these ranges (inf: missed) are enough."""
     range_m = np.asarray(ranges_m, np.float32)
     surface = np.where(np.isfinite(range_m), 0, NO_SURFACE).astype(np.uint32)
     room = np.empty((2, len(range_m)))
-    return enough(range_m, surface, np.ones_like(range_m), WHITE, target_m, 1.0, room)
+    return enough(range_m, surface, np.ones_like(range_m), WHITE, budget(target_m, threshold), room)
 
 
 def test_what_is_agreed_on_is_enough():
@@ -40,6 +45,21 @@ def finest_m(ranges_m):
         middle_m = (low_m + high_m) / 2
         low_m, high_m = (low_m, middle_m) if asked(ranges_m, middle_m) else (middle_m, high_m)
     return high_m
+
+
+def test_what_is_near_the_threshold_needs_more():
+    """Two rays of eight whose echo is as strong as the threshold need another round.
+
+    Eight of eight do not, nor two far above or below it, nor two where there is no threshold.
+    """
+    met = {rays: [40.0] * rays + [np.inf] * (8 - rays) for rays in (2, 8)}
+    at_40_m = 40.0**-2
+    assert not asked(met[2], 0.05, at_40_m * 2 / 8)
+    assert asked(met[8], 0.05, at_40_m)
+    for times in (0.2, 5.0):
+        assert asked(met[2], 0.05, at_40_m * 2 / 8 * times)
+    assert asked(met[2], 0.05)
+    assert asked(met[2] * 8, 0.05, at_40_m * 2 / 8)
 
 
 def test_a_deep_group_needs_more_than_a_shallow_one():
@@ -85,14 +105,14 @@ def test_neither_order_nor_brightness_matters():
         range_m, surface, cosine, reflectance = random_echoes(rng)
         room, turn = np.empty((2, len(range_m))), rng.permutation(len(range_m))
         by_target = [
-            enough(range_m, surface, cosine, reflectance, target_m, 1.0, room)
+            enough(range_m, surface, cosine, reflectance, budget(target_m), room)
             for target_m in (0.01, 0.02, 0.03)
         ]
         assert by_target == sorted(by_target)
         assert by_target[1] == enough(
-            range_m[turn], surface[turn], cosine[turn], reflectance, 0.02, 1.0, room
+            range_m[turn], surface[turn], cosine[turn], reflectance, budget(0.02), room
         )
-        assert by_target[1] == enough(range_m, surface, cosine, reflectance / 2, 0.02, 1.0, room)
+        assert by_target[1] == enough(range_m, surface, cosine, reflectance / 2, budget(0.02), room)
         verdicts.append(by_target)
     assert (np.diff(np.mean(verdicts, axis=0)) > 0.1).all()
 

@@ -4,7 +4,7 @@ from vlp16emu.device import GpsInput
 from vlp16emu.packets import FACTORY_LINK, Link
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast import LINE, BeamModel, Footprint
-from vlp16emu.returns import Detector, Noise, make_law
+from vlp16emu.returns import Detector, Noise, make_law, threshold_of
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.sensor import FreeSensor, Sensor
 from vlp16emu.sensor import BEAM_TABLES, BeamTable, Clock, Head, Rotor, free_beams, with_angle_errors
@@ -84,14 +84,20 @@ def beam_of(scenario: Scenario, seed: int) -> Footprint:
     section = scenario.beam
     if section.model == "none":
         return LINE
+    detector = scenario.detector
+    seen, noise = 0.0, 0.0
+    if scenario.noise.weak_echoes_lost:
+        seen, noise = threshold_of(detector.range_at_10_percent_m, detector.threshold_snr)
     return Footprint(
         model=BeamModel(section.model),
         rays=section.rays,
         target_m=section.target_m,
-        resolution_m=scenario.detector.resolution_m,
+        resolution_m=detector.resolution_m,
         spot_m=(1e-3 * section.spot_mm[0], 1e-3 * section.spot_mm[1]),
         divergence_rad=(1e-3 * section.divergence_mrad[0], 1e-3 * section.divergence_mrad[1]),
         seed=seed,
+        threshold=seen,
+        amplitude_noise=noise,
     )
 
 

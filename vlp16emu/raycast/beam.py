@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, uniform_pair
+from vlp16emu.raycast.adaptive import RayBudget
 from vlp16emu.types import Firings
 
 __all__ = [
@@ -84,6 +85,10 @@ class Footprint:
     """Full angle, horizontal and vertical."""
     seed: int
     """The scenario's."""
+    threshold: float = 0.0
+    """Amplitude at which an echo is seen by every second pulse, in m-2; 0 where every echo is seen."""
+    amplitude_noise: float = 0.0
+    """Of the receiver, one sigma."""
 
     @property
     def has_width(self) -> bool:
@@ -95,6 +100,15 @@ class Footprint:
         """Revolutions that are best cast at once: fewer where that would be long, or take much room."""
         usual = {BeamModel.FIXED: self.rays, BeamModel.ADAPTIVE: ROUND}.get(self.model, 1)
         return max(1, min(_TOGETHER, _USUAL_RAYS // usual, _MOST_RAYS // self.rays))
+
+    @property
+    def budget(self) -> RayBudget:
+        """How many sub-rays its pulses want."""
+        most = 1 if self.model is BeamModel.ANGLE else self.rays
+        is_adaptive = self.model is BeamModel.ADAPTIVE
+        return RayBudget(
+            most, is_adaptive, self.target_m, self.resolution_m, self.threshold, self.amplitude_noise
+        )
 
     @property
     def quarters(self) -> NDArray[np.float64]:

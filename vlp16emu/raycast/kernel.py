@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.adaptive import enough
+from vlp16emu.raycast.adaptive import RayBudget, enough
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
 from vlp16emu.raycast.grid import Medium
 from vlp16emu.raycast.lanes import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Lanes, lanes
@@ -33,7 +33,7 @@ from vlp16emu.raycast.packet import (
 )
 from vlp16emu.trig import ZERO
 
-__all__ = ["Light", "Wish", "cast_lines", "cast_pulses"]
+__all__ = ["Light", "cast_lines", "cast_pulses"]
 
 
 class Light(NamedTuple):
@@ -56,17 +56,6 @@ class Light(NamedTuple):
     seed: int
     first: int
     """Number of the first firing sequence."""
-
-
-class Wish(NamedTuple):
-    """How many sub-rays are wanted."""
-
-    most: int
-    """Of a pulse."""
-    adaptive: bool
-    """Whether `adaptive.enough` is asked after each round if there must be more."""
-    target_m: float
-    resolution_m: float
 
 
 class _Hits(NamedTuple):
@@ -146,7 +135,7 @@ def cast_lines(
 
 @numba.njit(cache=True, nogil=True)
 def cast_pulses(
-    near: Target, beyond: Target, medium: Medium, light: Light, wish: Wish, count: NDArray[np.uint16]
+    near: Target, beyond: Target, medium: Medium, light: Light, budget: RayBudget, count: NDArray[np.uint16]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]:
     """Cast the sub-rays of every pulse, by rounds of eight.
 
@@ -159,17 +148,17 @@ def cast_pulses(
     Ranges, surfaces and cosines (n,) in order of pulses.
     """
     packet, n, pulses = ray_packet(), ZERO, PACKET * count.shape[1]
-    batch = _batch(pulses, -(-wish.most // ROUND) * ROUND)
-    room, begin = _hits((ZERO + 1, count.size * wish.most)), np.empty(count.shape, np.int64)
+    batch = _batch(pulses, -(-budget.most // ROUND) * ROUND)
+    room, begin = _hits((ZERO + 1, count.size * budget.most)), np.empty(count.shape, np.int64)
     for first in light.order:
         todo, have = pulses, ZERO
         for q in range(pulses):
             batch.todo[q] = q
         while todo:
-            rays = min(ROUND, wish.most - have)
-            _cast_near(near, beyond, medium, light, wish, packet, batch, first, todo, have, rays)
-            _march(medium, light, batch, todo, rays, reach_of(have, wish.adaptive))
-            todo, have = _settle(near, wish, batch, todo, have, rays), have + rays
+            rays = min(ROUND, budget.most - have)
+            _cast_near(near, beyond, medium, light, budget, packet, batch, first, todo, have, rays)
+            _march(medium, light, batch, todo, rays, reach_of(have, budget.adaptive))
+            todo, have = _settle(near, budget, batch, todo, have, rays), have + rays
         for q in range(pulses):
             i, j, own = first + q % PACKET, q // PACKET, batch.have[q]
             count[i, j], begin[i, j] = own, n
@@ -214,7 +203,7 @@ def _cast_near(
     beyond: Target,
     medium: Medium,
     light: Light,
-    wish: Wish,
+    budget: RayBudget,
     packet: RayPacket,
     batch: _Batch,
     first: int,
@@ -230,7 +219,7 @@ def _cast_near(
         if not have:
             pulse_axes(light.origin_m, light.direction, light.across, near.window_origin_m, i, j, axes)
         u, v = turn(light.seed, light.first + i, j)
-        lay(packet.rays, axes, light.quarters, u, v, have, wish.adaptive)
+        lay(packet.rays, axes, light.quarters, u, v, have, budget.adaptive)
         for r in range(PACKET):
             reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
             valid[r] = -1 if r < count else 0
@@ -304,7 +293,7 @@ def _march(medium: Medium, light: Light, batch: _Batch, todo: int, count: int, r
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _settle(near: Target, wish: Wish, batch: _Batch, todo: int, have: int, count: int) -> int:
+def _settle(near: Target, budget: RayBudget, batch: _Batch, todo: int, have: int, count: int) -> int:
     """Take the hits of a round; list the pulses that need another, and return how many."""
     hits, left = batch.hits, 0
     for t in range(todo):
@@ -316,15 +305,14 @@ def _settle(near: Target, wish: Wish, batch: _Batch, todo: int, have: int, count
             surface[have + lane], cosine[have + lane] = met, batch.row[q, COSINE + lane]
         own = have + count
         batch.have[q] = own
-        if own < wish.most and not (
-            wish.adaptive
+        if own < budget.most and not (
+            budget.adaptive
             and enough(
                 range_m[:own],
                 surface[:own],
                 cosine[:own],
                 near.reflectance,
-                wish.target_m,
-                wish.resolution_m,
+                budget,
                 batch.scratch,
             )
         ):

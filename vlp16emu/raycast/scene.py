@@ -16,7 +16,7 @@ from vlp16emu.raycast.far import NO_MEDIUM, STRAY_M, Far
 from vlp16emu.raycast.geometry import normal_matrices, relative_to_window
 from vlp16emu.raycast.grid import Medium
 from vlp16emu.raycast.kept import recalled_shape
-from vlp16emu.raycast.kernel import Light, Wish, cast_lines, cast_pulses
+from vlp16emu.raycast.kernel import Light, cast_lines, cast_pulses
 from vlp16emu.raycast.packet import PACKET, Target
 from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
@@ -95,10 +95,8 @@ class EmbreeScene:
         )
         world = self._near, self._beyond, self.medium
         if beam.has_width:
-            most = 1 if beam.model is BeamModel.ANGLE else beam.rays
-            wish = Wish(most, beam.model is BeamModel.ADAPTIVE, beam.target_m, beam.resolution_m)
             count = np.empty(shape, np.uint16)
-            return Hits(count, *cast_pulses(*world, light, wish, count))
+            return Hits(count, *cast_pulses(*world, light, beam.budget, count))
         met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
         cast_lines(*world, light, *met)
         if beam.model is BeamModel.OFFSET:

@@ -77,7 +77,7 @@ class SlowScene(ABC):
             for pulse in np.argwhere(wants).tolist():
                 here = [array[pulse[0], pulse[1]] for array in so_far]
                 room = np.empty((2, first + each))
-                wants[tuple(pulse)] = not enough(*here, reflectance, beam.target_m, beam.resolution_m, room)
+                wants[tuple(pulse)] = not enough(*here, reflectance, beam.budget, room)
             if not wants.any():
                 break
         kept = np.arange(so_far[0].shape[-1]) < count[..., None]

@@ -13,7 +13,7 @@ from vlp16emu.returns.noise import Noise, gain, no_return_reflectivity, range_bi
 from vlp16emu.returns.weather import air_reflectance, extinction_per_m
 from vlp16emu.types import ReturnMode
 
-__all__ = ["Detector", "make_law"]
+__all__ = ["Detector", "make_law", "threshold_of"]
 
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 _FWHM_SIGMAS = 2.0 * math.sqrt(2.0 * math.log(2.0))
@@ -77,6 +77,12 @@ def _fade(since_ns: NDArray[np.int64], from_m: float, in_s: float, out: NDArray[
         out[i] = from_m * math.exp(-1e-9 * since_ns[i] / in_s)
 
 
+def threshold_of(range_at_10_percent_m: float, threshold_snr: float) -> tuple[float, float]:
+    """Amplitude that is seen with probability one half, and one sigma of its noise; arguments as in `make_law`."""
+    threshold = _CALIBRATION_REFLECTANCE / range_at_10_percent_m**2
+    return threshold, threshold / threshold_snr
+
+
 def make_law(
     *,
     seed: int,
@@ -105,7 +111,7 @@ def make_law(
     visibility_m : None without fog
     """
     sigma_m = _HALF_LIGHT_M_PER_NS * pulse_ns / _FWHM_SIGMAS
-    threshold = _CALIBRATION_REFLECTANCE / range_at_10_percent_m**2
+    threshold, amplitude_noise = threshold_of(range_at_10_percent_m, threshold_snr)
     air_per_m = extinction_per_m(visibility_m, rain_mm_h)
     return Law(
         seed=seed,
@@ -115,7 +121,7 @@ def make_law(
         sigma_m=sigma_m,
         resolution_m=resolution_m,
         threshold=threshold if noise.weak_echoes_lost else 0.0,
-        amplitude_noise=threshold / threshold_snr if noise.weak_echoes_lost else 0.0,
+        amplitude_noise=amplitude_noise if noise.weak_echoes_lost else 0.0,
         extinction_per_m=air_per_m,
         clutter=air_reflectance(air_per_m, sigma_m),
         least_clutter=threshold,
