@@ -89,7 +89,7 @@ def test_look_ahead_is_bounded():
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a thread has a priority of its own on Linux alone")
 def test_threads_that_compute_give_way():
-    """The thread that computes and one that it starts are nicer by 5 than the one that sends, which stays as it was."""
+    """The thread that computes and one that it starts are nicer by 3 than the one that sends, which stays as it was."""
     before, nice = os.getpriority(os.PRIO_PROCESS, 0), []
 
     def note():
@@ -103,7 +103,7 @@ def test_threads_that_compute_give_way():
         yield Packet(PacketKind.DATA, 0, b"")
 
     stream(computing(), MemorySink(), Pacer(FAST))
-    assert nice == [min(before + 5, 19)] * 2
+    assert nice == [min(before + 3, 19)] * 2
     assert os.getpriority(os.PRIO_PROCESS, 0) == before
 
 

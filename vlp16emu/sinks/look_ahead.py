@@ -18,10 +18,10 @@ _POLL_S = 0.05
 _REFILLS = 8
 """Share of the buffer that is taken before a full one is filled again: a wake-up of the thread that computes for each
 packet would cost the one that sends as much as the sending."""
-_NICE = 5
-"""By how much threads that compute are nicer. A driver that shares a core with one of them gets three quarters of it; at
-equal priority it gets half, and one that needs half loses packets. From 10 on the thread that sends is late more often: it
-waits for the interpreter, which a thread without a core holds."""
+_NICE = 3
+"""By how much threads that compute are nicer. A driver that shares a core with one of them gets two thirds of it; at equal
+priority it gets half, and one that needs half loses packets. More would cost speed where other programs are at work, and the
+thread that sends would be late more often: it waits for the interpreter, which a thread without a core holds."""
 
 
 class LookAhead:
