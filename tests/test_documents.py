@@ -53,6 +53,15 @@ def test_the_tables_of_the_documents_fit_into_a_scene(tables, tmp_path):
     assert load(str(path)).title == "Thirty seconds among birches"
 
 
+def test_the_python_of_the_readme_runs(capsys):
+    """The example in Python runs as printed, and prints packets and blocks of returns."""
+    (code,) = re.findall(r"```python\n(.*?)```", DOCUMENTS["README.md"], re.DOTALL)
+    exec(code, {})
+    printed = capsys.readouterr().out
+    assert " 1206\n" in printed
+    assert ", 16, 3)" in printed
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_commands_of_the_documents_are_understood(command, capsys):
     """Verbs and options in the documents exist: with --help behind them they are accepted."""
