@@ -2,10 +2,31 @@
 
 import gc
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-__all__ = ["starting"]
+if TYPE_CHECKING:
+    from vlp16emu.emulator import Emulator
+
+__all__ = ["make_emulator", "starting"]
+
+
+def make_emulator(
+    scene: str,
+    settings: Sequence[str] | None,
+    *,
+    ideal: bool = False,
+    threads: int = 0,
+    audit: bool = False,
+) -> "Emulator":
+    """Make the emulator of a command line; arguments and errors as of `Emulator`."""
+    from vlp16emu.scenario import load
+
+    load(scene, settings or (), ideal=ideal)  # first: no mistake in it should wait for numba
+    from vlp16emu.emulator import Emulator
+
+    return Emulator(scene, settings or (), ideal=ideal, threads=threads, audit=audit)
 
 
 @contextmanager
