@@ -17,9 +17,9 @@ WALK_S = 12.0
 def seen():
     """Points of stems about breast height, by tree, and the trees' records."""
     scenario = load("spruce_walk", SPRUCE, ideal=True)
-    emulator = Emulator(scenario, truth=True)
+    emulator = Emulator(scenario)
     points_m, instance = [], []
-    for returns in emulator.returns(0.0, WALK_S):
+    for returns in emulator.returns(0.0, WALK_S, truth=True):
         distance_m = returns.distance_m[..., 0]
         hit = distance_m > 0
         row = returns.surfaces[returns.surface[..., 0][hit]]

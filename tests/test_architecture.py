@@ -14,9 +14,11 @@ NAMES = [str(path.relative_to(PACKAGE)) for path in FILES]
 FLOORS = (
     {"__main__"},
     {"cli"},
-    {"fidelity", "truth"},
     {"emulator"},
-    {"telemetry"},
+    {"streaming"},
+    {"engine", "points", "recording", "truth"},
+    {"chain", "fidelity"},
+    {"scan", "telemetry"},
     {"assembly"},
     {"report", "sinks", "device", "scenario", "pipeline"},
     {"packets"},
@@ -173,7 +175,7 @@ def test_files_and_functions_are_short():
     """No file exceeds 400 lines, no function 45; the main file stays under 120."""
     for name, tree in TREES.items():
         lines = len((PACKAGE / name).read_text(encoding="utf-8").splitlines())
-        assert lines <= (119 if name == "emulator.py" else 400), f"{name} has {lines} lines"
+        assert lines <= (119 if name == "chain.py" else 400), f"{name} has {lines} lines"
         for node in functions(tree):
             length = (node.end_lineno or 0) - node.lineno + 1
             assert length <= 45, f"{name}: {node.name} has {length} lines"

@@ -122,7 +122,7 @@ def test_nothing_is_before_the_first_pulse(birch):
 
 def test_truth_names_what_was_hit(birch):
     """With truth on, every return has a surface row, and ground, stems and leaves are all among them."""
-    returns = list(Emulator(birch, truth=True).returns(0, 0.3))
+    returns = list(Emulator(birch).returns(0, 0.3, truth=True))
     parts = set()
     for r in returns:
         hit = r.distance_m[..., 0] > 0

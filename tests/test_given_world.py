@@ -72,9 +72,9 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def seen(folder):
     """Returns of two revolutions: origins, directions, distances and surface rows, each one to a return."""
-    emulator = Emulator(load(str(folder / "plot.toml")), threads=1, truth=True)
+    emulator = Emulator(load(str(folder / "plot.toml")), threads=1)
     found = []
-    for returns in emulator.returns(0.0, 0.2):
+    for returns in emulator.returns(0.0, 0.2, truth=True):
         hit = returns.distance_m[..., 0] > 0
         rows = returns.surfaces[returns.surface[..., 0][hit]]
         found.append(

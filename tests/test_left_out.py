@@ -9,8 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vlp16emu import emulator as chain
-from vlp16emu import telemetry
+from vlp16emu import chain, telemetry
 from vlp16emu.assembly.windows import window_of
 from vlp16emu.emulator import Emulator
 from vlp16emu.motion import gait, harness, walk
@@ -42,7 +41,7 @@ def forbid(monkeypatch, *places):
 
 def first(*settings, scene="static_bench", truth=False):
     """Returns of the first block of a scene."""
-    return next(Emulator(load(scene, settings), threads=1, truth=truth).returns(0.0, SPAN_S))
+    return next(Emulator(load(scene, settings), threads=1).returns(0.0, SPAN_S, truth=truth))
 
 
 def birch(*settings):

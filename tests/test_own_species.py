@@ -56,7 +56,7 @@ def scene(tmp_path_factory):
 
 def test_own_plants_are_scanned_and_labelled(scene):
     """Trees, saplings and shrubs of the user's file give returns under their own numbers."""
-    returns = list(Emulator(load(str(scene)), truth=True).returns(0.0, 0.2))
+    returns = list(Emulator(load(str(scene))).returns(0.0, 0.2, truth=True))
     hit = np.concatenate([r.surfaces[r.surface[..., 0][r.distance_m[..., 0] > 0]] for r in returns])
     assert set(hit["species"][hit["semantic"] == Semantic.TREE].tolist()) == {1001}
     assert set(hit["species"][hit["semantic"] == Semantic.SHRUB].tolist()) == {2002}

@@ -17,6 +17,7 @@ from vlp16emu.errors import OutputError
 from vlp16emu.motion import Origin, to_geodetic
 from vlp16emu.packets import decode_data, decode_position, parse_rmc
 from vlp16emu.scenario import load, scene_files
+from vlp16emu.sinks import TruthTo
 from vlp16emu.truth import Truth
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
@@ -39,7 +40,7 @@ def walk():
 
 def written(emulator, folder, start_s=0.0, stop_s=2.0, *, rate_hz=200, per_packet=False, most=None):
     """Run, and give the packets and the folder."""
-    with Truth(folder, emulator, start_s=start_s, rate_hz=rate_hz, per_packet=per_packet) as truth:
+    with Truth(TruthTo(folder, rate_hz, per_packet), emulator, start_s) as truth:
         return list(itertools.islice(truth.beside(emulator.packets(start_s, stop_s)), most))
 
 
@@ -53,7 +54,7 @@ def tum(path):
 def test_a_packet_that_was_taken_and_not_sent_has_no_row(walk, tmp_path):
     """Whoever stops at a packet, as a recording does on Ctrl-C, has rows for those before it only."""
     packets = walk.packets(0.0, 1.0)
-    with Truth(tmp_path, walk, start_s=0.0, rate_hz=200, per_packet=True) as truth:
+    with Truth(TruthTo(tmp_path, per_packet=True), walk, 0.0) as truth:
         sent = 0
         for packet in truth.beside(packets):
             if sent == 100:
@@ -217,7 +218,7 @@ def test_truth_grows_with_the_run_and_not_in_memory(walk, tmp_path):
     held = []
     tracemalloc.start()
     try:
-        with Truth(tmp_path, walk, start_s=0.0, rate_hz=20, per_packet=True) as truth:
+        with Truth(TruthTo(tmp_path, 20, per_packet=True), walk, 0.0) as truth:
             for number, packet in enumerate(truth.beside(empty())):
                 if number in {300, 1199}:
                     held.append(tracemalloc.get_traced_memory()[0])
@@ -235,7 +236,7 @@ def test_the_resolved_scenario_is_a_scene(tmp_path):
         unit = SimpleNamespace(number=0, section=scenario.sensor, mount=scenario.motion.mount, motion=None)
         parts = SimpleNamespace(units=(unit,), gps=SimpleNamespace(second_ns=lambda _t_ns: None))
         emulator = SimpleNamespace(scenario=scenario, parts=parts, receiver=None)
-        with Truth(tmp_path / name, emulator, start_s=0.0, rate_hz=200, per_packet=False) as truth:
+        with Truth(TruthTo(tmp_path / name), emulator, 0.0) as truth:
             truth._trajectories = []
         assert load(str(tmp_path / name / "scenario.json")) == scenario, name
 

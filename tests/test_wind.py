@@ -52,9 +52,9 @@ def test_swaying_stems_are_where_the_formula_has_them_at_each_pulse():
     ]
     settings += ["wind={speed_m_s=9.0, towards_deg=70.0}", "world.stems_per_ha=400"]
     scenario = load("birch_walk", settings, ideal=True)
-    emulator = Emulator(scenario, truth=True)
+    emulator = Emulator(scenario)
     wind, checked, left_m = emulator.parts.wind, 0, []
-    for returns in itertools.islice(emulator.returns(0.0, 9.0), 0, 85, 12):
+    for returns in itertools.islice(emulator.returns(0.0, 9.0, truth=True), 0, 85, 12):
         f, distance_m = returns.firings, returns.distance_m[..., 0]
         trees = emulator.parts.world.trees(f.origin_m[0, :1])
         row = returns.surfaces[np.where(distance_m > 0, returns.surface[..., 0], 0)]

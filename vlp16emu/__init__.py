@@ -1,7 +1,63 @@
-"""Hardware-in-the-loop emulator of the Velodyne VLP-16 lidar."""
+"""Hardware-in-the-loop emulator of the Velodyne VLP-16 lidar.
+
+`Emulator` makes scans, captures and streams of a scene, `load` reads one, `decode` gives the scans of a capture, and
+`verify` checks it against the rules of VLP-16 traffic. They are loaded when they are first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from vlp16emu.compiled import keep_compiled
 
-__all__: list[str] = []
+if TYPE_CHECKING:
+    from vlp16emu.emulator import Emulator
+    from vlp16emu.recording import Recording
+    from vlp16emu.report.verify import Finding, Verification, verify
+    from vlp16emu.scan import Labels, Scan, decode
+    from vlp16emu.scenario import Scenario, load
+    from vlp16emu.sinks import TruthTo
+
+__all__ = [
+    "Emulator",
+    "Finding",
+    "Labels",
+    "Recording",
+    "Scan",
+    "Scenario",
+    "TruthTo",
+    "Verification",
+    "decode",
+    "load",
+    "verify",
+]
+
+_PLACES = {
+    "Emulator": "emulator",
+    "Finding": "report.verify",
+    "Labels": "scan",
+    "Recording": "recording",
+    "Scan": "scan",
+    "Scenario": "scenario",
+    "TruthTo": "sinks",
+    "Verification": "report.verify",
+    "decode": "scan",
+    "load": "scenario",
+    "verify": "report.verify",
+}
+"""Module of each public name."""
 
 keep_compiled()
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first used."""
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """List the public names, loaded or not."""
+    return sorted({*globals(), *__all__})

@@ -17,8 +17,24 @@ __all__ = ["compiled_files", "keep_compiled"]
 
 _PACKAGE = Path(__file__).parent
 _PREFIX = "kernels-"
-_WITHOUT_KERNELS = frozenset({"__pycache__", "assembly", "cli", "device", "report", "scenario", "sinks"})
-"""Folders of no kernel, and of nothing that a kernel takes."""
+_WITHOUT_KERNELS = frozenset(
+    {
+        *("__init__", "__main__", "__pycache__", "assembly", "chain", "cli", "device", "emulator", "engine"),
+        *(
+            "pipeline",
+            "points",
+            "recording",
+            "report",
+            "scan",
+            "scenario",
+            "sinks",
+            "streaming",
+            "telemetry",
+            "truth",
+        ),
+    }
+)
+"""Folders and modules of no kernel, and of nothing that a kernel takes."""
 _UNUSED_S = 86_400.0
 """Folders of other states are removed after a day."""
 
@@ -73,6 +89,8 @@ def _state() -> str:
     states = []
     for folder, rooms, files in os.walk(_PACKAGE):  # twice as quick as globs, at each start
         rooms[:] = [room for room in rooms if room not in _WITHOUT_KERNELS]
+        if folder == str(_PACKAGE):
+            files[:] = [file for file in files if file.removesuffix(".py") not in _WITHOUT_KERNELS]
         for path in (os.path.join(folder, file) for file in files if file.endswith(".py")):  # noqa: PTH118 - likewise
             state = os.stat(path)  # noqa: PTH116 - likewise
             states.append(f"{path} {state.st_mtime_ns} {state.st_size}\n")

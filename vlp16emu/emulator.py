@@ -1,119 +1,266 @@
-"""The program on one page: poses -> aim -> cast -> detect -> pack, in order of sending.
+"""The public face: a scene's scans as arrays, into a capture, or over UDP."""
 
-Blocks of firing sequences are always computed whole, and windows of the world are opened at fixed
-blocks, so neither threads nor the span that is asked for can change a byte.
-"""
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from threading import Event
+from typing import Any
 
-import heapq
-import os
-from collections.abc import Iterator
-from concurrent.futures import Future
-from functools import partial
+import numpy as np
+from numpy.typing import NDArray
 
-from vlp16emu.assembly import Look, Unit, assemble, windows_of
-from vlp16emu.errors import TrajectoryError
-from vlp16emu.packets import SEQUENCES_PER_PACKET, pack_data
-from vlp16emu.pipeline import Cut, ahead
-from vlp16emu.raycast import Scene
-from vlp16emu.returns import detect
-from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.sensor import on_the_wire
-from vlp16emu.sensor import SEQUENCE_NS
-from vlp16emu.telemetry import make_receiver, position_number, position_packets
-from vlp16emu.types import Packet, ReturnMode, Returns, SensorModel
-from vlp16emu.units import seconds_to_ns
+from vlp16emu.assembly.files import named_files
+from vlp16emu.chain import Chain
+from vlp16emu.engine import Engine
+from vlp16emu.errors import InputError, spare
+from vlp16emu.fidelity import Audit
+from vlp16emu.points import PointCloud, scans_of, world_T_sensor, write_cloud
+from vlp16emu.recording import Recording, record_packets
+from vlp16emu.scan import Scan
+from vlp16emu.scenario import Scenario, find, load
+from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, FellBehind, Late, Pacer, RigSink, TruthTo, stream
+from vlp16emu.streaming import Streamed, summed_up
+from vlp16emu.types import Packet
+from vlp16emu.units import S_NS
 
 __all__ = ["Emulator"]
 
 
-class Emulator:
-    """A sensor, or several on one carrier, in the world of a scenario.
+class Emulator(Chain):
+    """A sensor, or several on one carrier, in the world of a scene.
+
+    Nothing random is drawn but from the scene's seed: the same scene and settings give the same scans and the same
+    bytes, whatever the threads.
 
     Parameters
     ----------
-    scenario : decides every byte
+    scene : name (see `vlp16emu scenes`), path of a .toml file, its tables as a dictionary, or a scenario
+    settings : values of the scene that are changed, by key: `{"sensor.rpm": 1200, "seed": 7}`
+    ideal : a sensor without errors: beams without width, no noise, clear air
     threads : workers, 0 for one per core; they change the speed only
-    truth : keep the surface behind each return
-    audit : looks at what the pulses of each block met, on the thread that cast them
+    audit : cast 0.05 % of the pulses of recordings and streams again, to estimate their error
 
     Raises
     ------
     InputError
-        where a part of the scenario cannot be made
+        where the scene cannot be read, or a part of it cannot be made
+
+    Examples
+    --------
+    >>> from vlp16emu import Emulator
+    >>> emulator = Emulator("static_bench", {"sensor.rpm": 1200, "seed": 7})
+    >>> scans = list(emulator.scans(duration_s=0.1, truth=True))
+    >>> len(scans), scans[0].xyz_m.shape, scans[0].world_T_sensor.shape
+    (2, (14464, 3), (4, 4))
     """
 
     def __init__(
-        self, scenario: Scenario, *, threads: int = 0, truth: bool = False, audit: Look | None = None
+        self,
+        scene: str | Path | Mapping[str, Any] | Scenario,
+        settings: Mapping[str, object] | Sequence[str] = (),
+        *,
+        ideal: bool = False,
+        threads: int = 0,
+        audit: bool = False,
     ) -> None:
-        self.scenario = scenario
-        self.parts = assemble(scenario)
-        self._truth, self._audit = truth, audit
-        self._threads = threads or os.cpu_count() or 1
-        self.cut = Cut(len(self.parts.head.beams.elevation_deg), self.parts.head.beams.sequence_ns)
-        self.windows = windows_of(self.parts, scenario.start_ns, self.cut, self._threads)
-        self.receiver = make_receiver(scenario, self.parts, self.windows)
+        scenario = load(scene, settings, ideal=ideal)
+        self.audit = Audit.of(scenario) if audit else None
+        super().__init__(scenario, threads=threads, audit=self.audit)
+        self.name = str(scene) if isinstance(scene, str | Path) else scenario.title
+        own = [find(str(scene))] if isinstance(scene, str | Path) else []
+        self._files = [*own, *named_files(scenario)]
 
-    def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
-        """Packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
+    def scans(
+        self, *, start_s: float = 0.0, duration_s: float | None = None, unit: int = 1, truth: bool = False
+    ) -> Iterator[Scan]:
+        """Whole revolutions of a sensor, without going through packets: distances are not on their 2 mm grid.
+
+        Parameters
+        ----------
+        start_s : since the first pulse
+        duration_s : until the end of the scene if left out; begun revolutions at both ends are left out
+        unit : which sensor of a rig, from 1
+        truth : whether scans have labels
 
         Raises
         ------
+        InputError
+            where there is no such unit
+        TrajectoryError
+            where the walk is over before the span
+        """
+        return scans_of(self, self._number(unit), self.scenario.span_s(start_s, duration_s), truth=truth)
+
+    def world_T_sensor(self, t_ns: NDArray[np.int64], *, unit: int = 1) -> NDArray[np.float64]:
+        """(n, 4, 4) poses of a sensor at instants (n,) UTC; they take `Scan.xyz_m` to the world."""
+        return world_T_sensor(self.parts.units[self._number(unit)], t_ns)
+
+    def record(
+        self,
+        path: str | Path,
+        *,
+        start_s: float = 0.0,
+        duration_s: float | None = None,
+        truth: str | Path | TruthTo | None = None,
+        progress: Callable[[float], None] = lambda _: None,
+        stop: Event | None = None,
+    ) -> Recording:
+        """Write data and position packets into a pcap file, in the frames of a real sensor.
+
+        Parameters
+        ----------
+        path : overwritten if it exists; `-` is standard output
+        start_s : since the first pulse
+        duration_s : until the end of the scene if left out
+        truth : folder for the ground truth of the run: trajectory, GNSS, rig, scenario
+        progress : called with the simulated seconds so far, packet by packet
+        stop : ends the recording from another thread; the file is valid
+
+        Raises
+        ------
+        OutputError
+            where file or folder cannot be written, or are an input of the scene
         ScenarioError
             where the sensor has no packets
         TrajectoryError
-            where the span begins before the first pulse, or the walk is over before it ends
+            where the walk is over before the span
+        RunError
+            where the disk is full; the packets before are kept
         """
-        on_the_wire(self.scenario.sensor)
-        streams, span_ns = list[Iterator[Packet]](), self._span_ns(start_s, stop_s)
-        for unit in self.parts.units:  # of packets due at once those of the first unit leave first
-            streams.append(self._data_packets(unit, *span_ns))
-            streams.append(position_packets(self.scenario, self.parts.gps, self.receiver, unit, *span_ns))
-        return heapq.merge(*streams, key=lambda packet: packet.due_ns)
+        spare(self._files, Path(path))
+        span_s = self.scenario.span_s(start_s, duration_s)
+        packets = self.packets(*span_s)  # checks the span before the file is touched
+        with self._with_truth(packets, start_s, truth) as beside:
+            recording = record_packets(
+                self, beside, Path(path), span_s, scene=self.name, progress=progress, stop=stop or Event()
+            )
+        return replace(recording, audit=self.audit.finding if self.audit else None)
 
-    def returns(self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0) -> Iterator[Returns]:
-        """Give a unit's returns before packing, in whole blocks that hold at least the same span."""
-        blocks, of = self.cut.blocks(*self._span_ns(start_s, stop_s)), self.parts.units[unit]
-        scan, together = partial(self._scan, of), of.beam.together
-        return ahead(scan, self.windows, blocks=blocks, threads=self._threads, together=together)
+    def write_points(
+        self,
+        path: str | Path,
+        *,
+        start_s: float = 0.0,
+        duration_s: float | None = None,
+        unit: int = 1,
+        truth: bool = False,
+        progress: Callable[[float], None] = lambda _: None,
+        stop: Event | None = None,
+    ) -> PointCloud:
+        """Write points in the world and in the sensor's frame, for a sensor of any beam table.
 
-    def first_position_packets(self, start_s: float = 0.0) -> list[int]:
-        """Find the number of each unit's first position packet from `start_s` on; a run's first has 0."""
-        return [position_number(self.scenario, unit, seconds_to_ns(start_s)) for unit in self.parts.units]
+        Parameters
+        ----------
+        path : .npz, .ply or .csv by its suffix; overwritten if it exists
+        start_s, duration_s, progress, stop : as of `record`
+        unit : which sensor of a rig, from 1
+        truth : whether points have labels
 
-    def _span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
-        """Check a span and put it into nanoseconds since the first pulse."""
-        stop_s = self.scenario.duration_s if stop_s is None else stop_s
-        if (start_ns := seconds_to_ns(start_s)) < 0:
-            raise TrajectoryError("start", f"found {start_s:g} s", "0 s or later")
-        if stop_s > (end_s := self.parts.motion.run_time_s):
-            raise TrajectoryError("duration", f"found {stop_s:g} s", f"at most the walk's {end_s:.1f} s")
-        return start_ns, seconds_to_ns(stop_s)
+        Raises
+        ------
+        InputError
+            where there is no such unit, or the suffix names no format
+        OutputError
+            where the file cannot be written, or is an input of the scene
+        TrajectoryError
+            where the walk is over before the span
+        RunError
+            where the disk is full; the file is not complete
+        """
+        spare(self._files, Path(path))
+        return write_cloud(
+            self,
+            self._number(unit),
+            Path(path),
+            self.scenario.span_s(start_s, duration_s),
+            truth=truth,
+            scene=self.name,
+            progress=progress,
+            stop=stop or Event(),
+        )
 
-    def _scan(self, unit: Unit, run: range, opened: Future[Scene]) -> Returns:
-        """Emit and receive a run of blocks of pulses."""
-        head, block, poses_at = unit.head, self.cut.block, unit.motion.poses_at
-        firings = head.aim(run.start * block, len(run) * block, poses_at, across=unit.beam.has_width)
-        scene = opened.result()
-        hits = scene.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
-        if self._audit:
-            self._audit(unit, firings, hits, scene)
-        return detect(firings, hits, scene.surfaces, unit.detector, truth=self._truth)
+    def stream(
+        self,
+        *,
+        to: str = LOOPBACK,
+        duration_s: float | None = None,
+        truth: str | Path | TruthTo | None = None,
+        speed: float = 1.0,
+        late: Late | str = Late.PACE,
+        as_sensor: bool = False,
+        opened: Callable[[], None] = lambda: None,
+        progress: Callable[[float], None] = lambda _: None,
+        notify: Callable[[FellBehind], None] = lambda _: None,
+        stop: Event | None = None,
+    ) -> Streamed:
+        """Send packets over UDP, each at its time; nothing leaves this machine unless `to` names another one.
 
-    def _data_packets(self, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[Packet]:
-        """Yield the data packets of a unit due in a span since the first pulse."""
-        sensor = on_the_wire(unit.section)
-        mode, model = ReturnMode(sensor.return_mode), SensorModel(sensor.model)
-        period_ns = SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS
-        per_block = self.cut.block // SEQUENCES_PER_PACKET[mode]
+        Parameters
+        ----------
+        to : receiver; may be a broadcast address
+        duration_s : until the end of the scene if left out
+        truth : as of `record`
+        speed : simulated seconds per second
+        late : `pace` keeps the spacing of packets that are late by more than 50 ms, and the delay; `skip` drops them
+        as_sensor : send from the sensor's address, which this machine must have, with its headers
+        opened : called once before the first packet is computed, when the sockets are open
+        progress : called with the simulated seconds so far, packet by packet
+        notify : called each time that the stream falls behind
+        stop : ends the stream from another thread
 
-        def pack(run: range, opened: Future[Scene]) -> list[Packet]:
-            """Scan blocks, and pack them."""
-            return pack_data(self._scan(unit, run, opened), mode, model, unit.number)
+        Raises
+        ------
+        OutputError
+            where the receiver is unknown or out of reach, or the sensor's address is not this machine's
+        ScenarioError
+            where the sensor has no packets
+        TrajectoryError
+            where the walk is over before the span
+        RunError
+            where the system cannot send any more
+        """
+        span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
+        engine = Engine(self, *span_s)
+        links = [unit.link for unit in self.parts.units]
+        policy = Late(late)
+        with (
+            self._with_truth(engine, 0.0, truth) as packets,
+            RigSink(links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS)) as sink,
+        ):
+            opened()
+            report = stream(
+                packets,
+                sink,
+                Pacer(speed),
+                late=policy,
+                notify=notify,
+                go_on_from=engine.go_on_from,
+                stop=stop,
+                look_ahead_packets=LOOK_AHEAD_PACKETS * len(links),
+            )
+        found = self.audit.finding if self.audit else None
+        return summed_up(
+            self, engine, report, sink.results, scene=self.name, to=to, speed=speed, late=policy, audit=found
+        )
 
-        # Packet p is due at (p + 1) periods.
-        first, last = (max(0, -(-ns // period_ns) - 1) for ns in (start_ns, stop_ns))
-        blocks = range(first // per_block, -(-last // per_block))
-        number, threads = blocks.start * per_block, self._threads // len(self.parts.units) or 1
-        for packets in ahead(pack, self.windows, blocks=blocks, threads=threads, together=unit.beam.together):
-            yield from packets[max(0, first - number) : last - number]
-            number += len(packets)
+    def _number(self, unit: int) -> int:
+        """Place in the rig of a unit, from 0."""
+        if not 1 <= unit <= (units := len(self.parts.units)):
+            raise InputError("unit", f"found {unit}", f"1 to {units}, as the scene has {units} units")
+        return unit - 1
+
+    @contextmanager
+    def _with_truth(
+        self, packets: Iterator[Packet], start_s: float, truth: str | Path | TruthTo | None
+    ) -> Iterator[Iterator[Packet]]:
+        """Packets whose truth is written as they are taken, where a folder is given."""
+        if truth is None:
+            yield packets
+            return
+        from vlp16emu.truth import Truth  # here: few runs need it
+
+        place = truth if isinstance(truth, TruthTo) else TruthTo(Path(truth))
+        spare(self._files, place.scenario)
+        with Truth(place, self, start_s) as beside:
+            yield beside.beside(packets)

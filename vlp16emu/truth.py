@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from importlib.metadata import version
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.assembly import Parts, Unit
 from vlp16emu.assembly.files import named_files
-from vlp16emu.emulator import Emulator
+from vlp16emu.chain import Chain
 from vlp16emu.errors import RunError
 from vlp16emu.motion import Imu, Motion, Receiver, rotations, to_geodetic
 from vlp16emu.packets import SEQUENCES_PER_PACKET
@@ -21,7 +20,7 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.harness import Mount
 from vlp16emu.scenario.sensor import on_the_wire
 from vlp16emu.sensor import BODY_R_SENSOR, SEQUENCE_NS
-from vlp16emu.sinks import TruthFolder, tum_rows
+from vlp16emu.sinks import TruthFolder, TruthTo, tum_rows
 from vlp16emu.sinks.truth import seconds_text
 from vlp16emu.types import Packet, PacketKind, Poses, ReturnMode
 from vlp16emu.units import S_NS, seconds_to_ns
@@ -56,11 +55,9 @@ class Truth:
 
     Parameters
     ----------
-    folder : as `TruthFolder` wants it
-    emulator : whose packets they are
+    to : where it goes
+    chain : whose packets they are
     start_s : from which on they are asked for, since the first pulse
-    rate_hz : of the trajectory; samples count from the first pulse
-    per_packet : also write the pose at the first firing of each data packet
 
     Raises
     ------
@@ -70,31 +67,29 @@ class Truth:
         where it cannot be written: here, or later
     """
 
-    def __init__(
-        self, folder: Path, emulator: Emulator, *, start_s: float, rate_hz: int, per_packet: bool
-    ) -> None:
-        scenario, parts = emulator.scenario, emulator.parts
+    def __init__(self, to: TruthTo, chain: Chain, start_s: float) -> None:
+        scenario, parts = chain.scenario, chain.parts
         self._units = parts.units
-        self._step_ns = -(-S_NS // rate_hz)
+        self._step_ns = -(-S_NS // to.rate_hz)
         self._seen_ns = self._next_ns = begin_ns = scenario.start_ns + seconds_to_ns(start_s)
-        self._folder = TruthFolder(folder, named_files(scenario))
-        self._folder.write_json("scenario.json", _resolved(scenario))
+        self._folder = TruthFolder(to.folder, named_files(scenario))
+        self._folder.write_json(to.scenario.name, _resolved(scenario))
         self._folder.write_json("rig.json", _rig(scenario, parts))
         # The first packet may have begun before it was asked for.
         from_ns = max(begin_ns - max(map(_period_ns, self._units)) - self._step_ns, scenario.start_ns)
         self._trajectories = [
             _Samples(
                 self._begun(_file("trajectory", unit), _TUM_HEADER),
-                _poses(unit.motion, scenario.start_ns, rate_hz),
+                _poses(unit.motion, scenario.start_ns, to.rate_hz),
                 scenario.start_ns,
-                rate_hz,
+                to.rate_hz,
                 from_ns,
             )
             for unit in self._units
         ]
-        self._others = [*self._inertial(scenario, parts, from_ns), *self._fixes(emulator, begin_ns)]
-        told = self._units if per_packet else ()
-        self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in told}
+        self._others = [*self._inertial(scenario, parts, from_ns), *self._fixes(chain, begin_ns)]
+        wanted = self._units if to.per_packet else ()
+        self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in wanted}
         self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
 
     def __enter__(self) -> Self:
@@ -144,12 +139,12 @@ class Truth:
             append = self._begun("imu.csv", ",".join(_IMU_COLUMNS) + "\n")
             yield _Samples(append, _inertial(parts.imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
 
-    def _fixes(self, emulator: Emulator, begin_ns: int) -> Iterator["_Samples"]:
+    def _fixes(self, chain: Chain, begin_ns: int) -> Iterator["_Samples"]:
         """Begin the file of the GPS receiver, if there is one, with the second that the first packet names."""
-        named_ns = emulator.parts.gps.second_ns(begin_ns)
+        named_ns = chain.parts.gps.second_ns(begin_ns)
         if named_ns is not None:
             append = self._begun("gnss.csv", ",".join(_GNSS_COLUMNS) + "\n")
-            yield _Samples(append, _fixes(emulator.receiver), 0, 1, named_ns)
+            yield _Samples(append, _fixes(chain.receiver), 0, 1, named_ns)
 
 
 class _Samples:
@@ -176,7 +171,7 @@ class _Samples:
             self._next = stop
 
     def _count_before(self, t_ns: int) -> int:
-        """Tell how many samples, from sample 0 on, lie before an instant."""
+        """Count the samples, from sample 0 on, before an instant."""
         # Sample i lies i * S_NS // rate_hz after sample 0.
         return -(-(t_ns - self._zero_ns) * self._rate_hz // S_NS)
 
@@ -247,7 +242,7 @@ def _resolved(scenario: Scenario) -> dict[str, Any]:
 
 
 def _rig(scenario: Scenario, parts: Parts) -> dict[str, Any]:
-    """Tell the frames of the trajectory and of what is fixed to it."""
+    """Describe the frames of the trajectory and of what is fixed to it."""
     gps, imu = scenario.gps, scenario.imu
     rig: dict[str, Any] = {
         "world": {
@@ -268,7 +263,7 @@ def _rig(scenario: Scenario, parts: Parts) -> dict[str, Any]:
 
 
 def _unit(unit: Unit) -> dict[str, Any]:
-    """Tell who a unit is, whence its packets come, and where it sits."""
+    """Describe a unit, its addresses, and where it sits."""
     sensor = on_the_wire(unit.section)
     return {
         "unit": unit.number + 1,

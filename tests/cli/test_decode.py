@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from vlp16emu.cli.reading import CaptureReader
 from vlp16emu.errors import CaptureError, PacketError
-from vlp16emu.packets import Capture, data_fields, decode_data
+from vlp16emu.packets import Capture, CaptureReader, data_fields, decode_data
 
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
 
@@ -73,10 +72,10 @@ def test_dual_return_counts_both_records(cli, dual):
 
 def test_chunks_leave_no_trace(bench, monkeypatch):
     """Read in chunks of 7 packets the points are those of all packets decoded at once."""
-    monkeypatch.setattr("vlp16emu.cli.reading._CHUNK", 7)
+    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", 7)
     whole = decode_data(payloads(bench), keep_no_returns=False)
     with CaptureReader(bench) as reader:
-        chunks = [points for points, _ in reader.points()]
+        chunks = [points for points, *_ in reader.points()]
     assert len(chunks) > 50
     for name in ("azimuth_deg", "distance_m", "xyz_m", "reflectivity", "ring", "time_ns"):
         np.testing.assert_array_equal(
@@ -92,8 +91,8 @@ def test_each_packet_is_decoded_once(bench, monkeypatch):
         decoded.append(chunk)
         return decode_data(chunk, **options)
 
-    monkeypatch.setattr("vlp16emu.cli.reading._CHUNK", 7)
-    monkeypatch.setattr("vlp16emu.cli.reading.decode_data", noted)
+    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", 7)
+    monkeypatch.setattr("vlp16emu.packets.reading.decode_data", noted)
     with CaptureReader(bench) as reader:
         for _ in reader.points():
             pass
@@ -103,9 +102,9 @@ def test_each_packet_is_decoded_once(bench, monkeypatch):
 @pytest.mark.parametrize("size", [1, 2, 5, 2_000])
 def test_time_goes_on_over_the_full_hour(dual, monkeypatch, size):
     """The time of points rises over the hour, where the sensor's own clock falls back to 0."""
-    monkeypatch.setattr("vlp16emu.cli.reading._CHUNK", size)
+    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", size)
     with CaptureReader(dual) as reader:
-        clock_ns = np.concatenate([clock_ns for _, clock_ns in reader.points()])
+        clock_ns = np.concatenate([clock_ns for _, clock_ns, *_ in reader.points()])
     stamps_us = data_fields(payloads(dual))["timestamp_us"]
     assert stamps_us[0] > 3_599_000_000
     assert stamps_us[-1] < 1_000_000
@@ -233,7 +232,7 @@ def test_packets_before_a_damaged_record_are_told(bench, tmp_path):
     damaged.write_bytes(bench.read_bytes() + b"\xff" * 16)
     read = []
     with CaptureReader(damaged) as reader, pytest.raises(CaptureError, match="a length of 4294967295 bytes"):
-        read.extend(points.xyz_m for points, _ in reader.points())
+        read.extend(points.xyz_m for points, *_ in reader.points())
     np.testing.assert_array_equal(
         np.concatenate(read), decode_data(payloads(bench), keep_no_returns=False).xyz_m
     )
@@ -242,7 +241,7 @@ def test_packets_before_a_damaged_record_are_told(bench, tmp_path):
 @pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
 def test_ctrl_c_leaves_the_points_so_far(cli, bench, tmp_path, monkeypatch, suffix):
     """Ctrl-C in the fourth chunk of 7 packets ends decoding after it: 28 packets are told and can be read."""
-    monkeypatch.setattr("vlp16emu.cli.reading._CHUNK", 7)
+    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", 7)
     blocks = CaptureReader.points
 
     def interrupted(reader):
@@ -264,7 +263,7 @@ def test_ctrl_c_leaves_the_points_so_far(cli, bench, tmp_path, monkeypatch, suff
 @pytest.mark.parametrize("size", [7, 2_000])
 def test_another_model_is_refused_at_any_packet(bench, tmp_path, monkeypatch, size):
     """A Puck Hi-Res from the eighth packet on is refused, whether or not a chunk ends before it."""
-    monkeypatch.setattr("vlp16emu.cli.reading._CHUNK", size)
+    monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", size)
     content = bytearray(bench.read_bytes())
     for payload in payloads(bench)[7:]:
         content[content.index(payload.tobytes()) + 1205] = 0x24

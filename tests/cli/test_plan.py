@@ -7,26 +7,24 @@ import pytest
 
 from vlp16emu.assembly import assemble
 from vlp16emu.cli import plan
-from vlp16emu.cli.audit import audited
 from vlp16emu.cli.needs import needs
 from vlp16emu.cli.trial import peak_bytes
+from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
 
 SMALL = ("--set", "sensor.max_range_m=20", "--set", "world.stems_per_ha=150", "--threads", "1")
 
 
-def on(scene, *settings, no_audit=True):
+def on(scene, *settings, audit=False):
     """Names of what is on."""
-    return {
-        need.name for need in needs(*audited(load(scene, settings), threads=1, no_audit=no_audit)) if need.on
-    }
+    return {need.name for need in needs(Emulator(scene, settings, threads=1, audit=audit)) if need.on}
 
 
 def test_the_audit_is_told_where_it_looks():
     """A beam with a width is audited unless that is not wanted; one ray leaves nothing to look at."""
-    assert "audit" in on("static_bench", "beam.model=adaptive", no_audit=False)
+    assert "audit" in on("static_bench", "beam.model=adaptive", audit=True)
     assert "audit" not in on("static_bench", "beam.model=adaptive")
-    assert "audit" not in on("static_bench", no_audit=False)
+    assert "audit" not in on("static_bench", audit=True)
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ import pytest
 from vlp16emu.cli.stream_report import _times, behind_line
 from vlp16emu.scenario import load
 from vlp16emu.sinks import FellBehind, Late
+from vlp16emu.streaming import Behind
 
 
 def test_the_line_names_seconds_cause_policy_and_settings():
@@ -35,5 +36,5 @@ def test_a_stop_is_no_fault_of_the_settings():
 )
 def test_times_are_summed_up(count, text):
     """Without such a time it is never; one is given as it is; of several the worst and the first."""
-    times = [{"at_s": 12.3 + 10 * i, "cause": "the process stood still"} for i in range(count)]
+    times = [Behind(12.3 + 10 * i, 5.01, False, None, "the process stood still") for i in range(count)]
     assert _times(times, 5.01) == text

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from vlp16emu.cli import reading
-from vlp16emu.cli.cloud import _LEAF_OR_WOOD, COLUMNS, RETURN_NAMES, TRUTH_COLUMNS
+from vlp16emu.points import _LEAF_OR_WOOD
+from vlp16emu.sinks.columns import CAPTURE_COLUMNS, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
 from vlp16emu.truth import _GNSS_COLUMNS, _IMU_COLUMNS
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.inventory import INVENTORY
@@ -52,7 +52,7 @@ def test_the_columns_of_a_stem_list_are_given_with_their_limits():
         assert bool(needed) == column.every_column
 
 
-@pytest.mark.parametrize(("number", "columns"), [(0, COLUMNS), (1, reading.COLUMNS)])
+@pytest.mark.parametrize(("number", "columns"), [(0, SCENE_COLUMNS), (1, CAPTURE_COLUMNS)])
 def test_the_columns_of_points_are_given_in_each_format(number, columns):
     """Each array of points has its line, with its names in CSV and PLY."""
     given = [tuple(tuple(names(cell)) for cell in row[:3]) for row in table("Points", number)]

@@ -71,7 +71,7 @@ def doubled() -> Iterator[Row]:
         yield Row(name, "largest error, m", float(np.abs(first.range_m - 10.0 / cosine).max()), 1e-5)
     scene = load("static_bench", [_two_crates()])
     told = [
-        np.concatenate([r.surface for r in Emulator(scene, threads=threads, truth=True).returns(0.0, 0.3)])
+        np.concatenate([r.surface for r in Emulator(scene, threads=threads).returns(0.0, 0.3, truth=True)])
         for threads in (1, 3)
     ]
     yield Row("two crates in one place", "labels that differ by threads", int((told[0] != told[1]).sum()), 0)

@@ -2,11 +2,14 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 from vlp16emu.errors import InputError
+
+if TYPE_CHECKING:
+    from vlp16emu.sinks import TruthTo
 
 __all__ = [
     "AsJson",
@@ -14,13 +17,17 @@ __all__ = [
     "DataPort",
     "Duration",
     "Ideal",
+    "NoAudit",
     "PositionPort",
     "SceneName",
     "Settings",
     "Start",
     "Threads",
+    "TruthFolder",
+    "TruthPackets",
+    "TruthRate",
     "checked",
-    "span_s",
+    "truth_to",
 ]
 
 _LONGEST_S = 7 * 86_400
@@ -47,21 +54,21 @@ def checked(
     return parse
 
 
-def span_s(start_s: float, duration_s: float | None, scene_s: float) -> tuple[float, float]:
-    """Begin and end of a run, in seconds since the first pulse.
+def truth_to(folder: Path | None, rate_hz: int, *, per_packet: bool) -> "TruthTo | None":
+    """Where the truth of a run goes, if it is wanted.
 
     Raises
     ------
     InputError
-        where the run would begin after the end of the scene
+        where a part of it is wanted and no folder
     """
-    if duration_s is not None:
-        return start_s, start_s + duration_s
-    if start_s >= scene_s:
-        raise InputError(
-            "--start", f"found {start_s:g}", f"less than the scene's {scene_s:g} s, or a --duration"
-        )
-    return start_s, scene_s
+    if folder is None:
+        if per_packet:
+            raise InputError("--truth-packets", "found no --truth", "--truth DIR, where packets.tum goes")
+        return None
+    from vlp16emu.sinks import TruthTo
+
+    return TruthTo(folder, rate_hz, per_packet)
 
 
 def _port(option: str, about: str) -> Any:
@@ -130,5 +137,33 @@ Threads = Annotated[
         help="Workers, 0 for one per core. Changes the speed, never a byte.",
         show_default=False,
     ),
+]
+NoAudit = Annotated[
+    bool,
+    typer.Option(
+        "--no-audit", help="Do not cast 0.05 % of the pulses again to estimate the error of the run."
+    ),
+]
+TruthFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--truth",
+        metavar="DIR",
+        help="Write beside it what was true: trajectory, GNSS, rig, scenario.",
+        show_default=False,
+    ),
+]
+TruthRate = Annotated[
+    int,
+    typer.Option(
+        "--truth-rate",
+        metavar="HZ",
+        parser=checked("--truth-rate", int, lambda hz: 1 <= hz <= 10_000, "a whole number from 1 to 10000"),
+        help="Poses per second in trajectory.tum.",
+    ),
+]
+TruthPackets = Annotated[
+    bool,
+    typer.Option("--truth-packets", help="Also write packets.tum, one pose for each data packet."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]

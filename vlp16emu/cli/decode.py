@@ -10,11 +10,9 @@ import typer
 from vlp16emu.cli.arguments import AsJson, CaptureFile
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows
-from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
-    from vlp16emu.cli.reading import Summary
-    from vlp16emu.packets import CapturedUnit
+    from vlp16emu.packets import Summary
 
 __all__ = ["decode"]
 
@@ -42,15 +40,20 @@ def decode(
     clockwise seen from above. Pulses without return become no points. Ctrl-C and a packet at fault leave a
     valid file with the points before.
     """
-    from vlp16emu.cli.export import writing
-    from vlp16emu.cli.reading import COLUMNS, COMMENTS, CaptureReader
+    from vlp16emu.packets import CaptureReader, chosen_unit
+    from vlp16emu.sinks.cloud import point_file
+    from vlp16emu.sinks.columns import CAPTURE_COLUMNS, CAPTURE_COMMENTS
 
-    with CaptureReader(file, _chosen(file, unit)) as reader, stop_on_ctrl_c() as stop, ExitStack() as stack:
-        writer = stack.enter_context(writing(out, COLUMNS, COMMENTS, where=f"--out {out}")) if out else None
-        for points, clock_ns in reader.points():
+    chosen = chosen_unit(file, unit, where="--unit")
+    with CaptureReader(file, chosen) as reader, stop_on_ctrl_c() as stop, ExitStack() as stack:
+        writer = None
+        if out:
+            opened = point_file(out, CAPTURE_COLUMNS, CAPTURE_COMMENTS, where=f"--out {out}")
+            writer = stack.enter_context(opened)
+        for chunk in reader.points():
             if writer:
-                arrays = {name: getattr(points, name) for name in points.__slots__}
-                writer.write(arrays | {"clock_ns": clock_ns})
+                arrays = {name: getattr(chunk.points, name) for name in chunk.points.__slots__}
+                writer.write(arrays | {"clock_ns": chunk.clock_ns})
             if stop.is_set():
                 break
     summary, interrupted = reader.summary, stop.is_set()
@@ -61,21 +64,6 @@ def decode(
         _print(file, out, summary, interrupted=interrupted)
     if interrupted:
         raise typer.Exit(INTERRUPTED)
-
-
-def _chosen(file: Path, unit: str | None) -> "CapturedUnit | None":
-    """Find the unit that is meant; None in a capture of a single one, unless it is named."""
-    from vlp16emu.packets import units_in
-
-    units = units_in(file) if file.is_file() else []  # a pipe can be read only once
-    if not units or (unit is None and len(units) == 1):
-        return None
-    for number, known in enumerate(units, start=1):
-        if unit in (str(number), str(known)):
-            return known
-    found = f"{len(units)} units in {file}" if unit is None else f"found {unit}"
-    names = [f"{number} ({known})" for number, known in enumerate(units, start=1)]
-    raise InputError("--unit", found, f"one of {', '.join(names)}")
 
 
 def _tree(summary: "Summary") -> dict[str, Any]:

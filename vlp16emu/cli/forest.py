@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
-from vlp16emu.cli.inputs import load_for
 from vlp16emu.cli.output import count, print_json, print_rows, size
 from vlp16emu.errors import InputError, OutputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from vlp16emu.cli.survey import Survey
     from vlp16emu.scenario import Scenario
 
@@ -82,8 +83,11 @@ def forest(
     Trees by species, their pattern, the relief, and what lies on the ground, all within the radius of the
     way; of a hall, its things.
     """
+    from vlp16emu.scenario import load
+
     outputs = {"--inventory": inventory, "--ground": ground, "--glb": glb, "--picture": picture}
-    scenario = load_for(list(outputs.values()), scene, settings)
+    scenario = load(scene, settings or ())
+    _spare(scene, scenario, outputs.values())
     wanted = {option: path for option, path in outputs.items() if path is not None}
     for option, path in wanted.items():
         _check_output(option, path)
@@ -111,6 +115,24 @@ def forest(
     _print_report(report)
     for path in wanted.values():
         print(f"wrote {path}, {size(path.stat().st_size)}")
+
+
+def _spare(scene: str, scenario: "Scenario", outputs: "Iterable[Path | None]") -> None:
+    """Refuse outputs that are the scene's own file, or one that it names.
+
+    Raises
+    ------
+    OutputError
+        where one is
+    """
+    from vlp16emu.assembly.files import named_files
+    from vlp16emu.errors import spare
+    from vlp16emu.scenario import find
+
+    inputs = [find(scene), *named_files(scenario)]
+    for output in outputs:
+        if output is not None:
+            spare(inputs, output)
 
 
 def _check_output(option: str, path: Path) -> None:

@@ -9,7 +9,6 @@ from vlp16emu.assembly import Unit
 from vlp16emu.assembly.windows import window_of
 from vlp16emu.cli.geometry import geometry_of
 from vlp16emu.emulator import Emulator
-from vlp16emu.fidelity import Audit
 from vlp16emu.scenario.motion import Walk
 from vlp16emu.types import Window
 from vlp16emu.world.crown import CrownKey
@@ -56,9 +55,9 @@ class Need:
     """What it costs, or what is not done without it."""
 
 
-def needs(emulator: Emulator, audit: Audit | None) -> list[Need]:
+def needs(emulator: Emulator) -> list[Need]:
     """List what a recording of the scene has and has not."""
-    scenario, parts = emulator.scenario, emulator.parts
+    scenario, parts, audit = emulator.scenario, emulator.parts, emulator.audit
     motion = scenario.motion
     gait = isinstance(motion, Walk) and motion.gait.preset != "none"
     harness = isinstance(motion, Walk) and motion.harness is not None

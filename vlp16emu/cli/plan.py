@@ -5,19 +5,9 @@ import time
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from vlp16emu.cli.arguments import (
-    AsJson,
-    Duration,
-    Ideal,
-    SceneName,
-    Settings,
-    Threads,
-    span_s,
-)
-from vlp16emu.cli.audit import NoAudit, audited
-from vlp16emu.cli.keeping_up import settings_that_keep_up, speed_beside_sender
+from vlp16emu.cli.arguments import AsJson, Duration, Ideal, NoAudit, SceneName, Settings, Threads
 from vlp16emu.cli.output import count, print_json, print_rows, size
-from vlp16emu.cli.start import starting
+from vlp16emu.cli.start import make_emulator, starting
 
 if TYPE_CHECKING:
     from vlp16emu.cli.trial import Trial
@@ -52,21 +42,19 @@ def plan(
     """
     wall_s, cpu_s = time.perf_counter(), time.process_time()
     with starting():
+        workers = threads or os.cpu_count() or 1
+        emulator = make_emulator(scene, settings, ideal=ideal, threads=workers, audit=not no_audit)
+        scenario = emulator.scenario
+        _, stop_s = scenario.span_s(0.0, duration, where="--start")
         from vlp16emu.cli.needs import libraries, needs, surroundings
         from vlp16emu.cli.trial import try_out
         from vlp16emu.report import Spent
-        from vlp16emu.scenario import load
-
-        scenario = load(scene, settings or (), ideal=ideal)
-        _, stop_s = span_s(0.0, duration, scenario.duration_s)
-        workers = threads or os.cpu_count() or 1
-        emulator, audit = audited(scenario, threads=workers, no_audit=no_audit)
     emulator.packets(0.0, stop_s)  # checks the span
     trial = try_out(emulator, stop_s, workers, Spent(wall_s, cpu_s))
     loaded = libraries()
     tree: dict[str, Any] = {"scene": scene, "title": scenario.title, "seed": scenario.seed}
     tree |= {"duration_s": stop_s, "threads": workers}
-    tree |= {"features": [asdict(need) for need in needs(emulator, audit)]}
+    tree |= {"features": [asdict(need) for need in needs(emulator)]}
     tree |= {"world": surroundings(emulator, trial.windows), "libraries": loaded}
     tree |= {"forecast": _forecast(trial, stop_s, workers), "measured": _measured(trial)}
     tree |= {"stream": _stream(emulator, tree["forecast"]["steady_factor"], stop_s, workers)}
@@ -94,6 +82,7 @@ def _forecast(trial: "Trial", stop_s: float, workers: int) -> dict[str, Any]:
 
 def _stream(emulator: "Emulator", engine_speed: float, stop_s: float, workers: int) -> dict[str, Any]:
     """Say whether `stream` keeps up in real time, in the types of JSON."""
+    from vlp16emu.report.keeping_up import settings_that_keep_up, speed_beside_sender
     from vlp16emu.sinks import sending_share
 
     share = sending_share(list(emulator.packets(0.0, min(_SENT_S, stop_s))))

@@ -2,10 +2,32 @@
 
 import gc
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-__all__ = ["load_numba", "starting"]
+if TYPE_CHECKING:
+    from vlp16emu.emulator import Emulator
+
+__all__ = ["make_emulator", "starting"]
+
+
+def make_emulator(
+    scene: str,
+    settings: Sequence[str] | None,
+    *,
+    ideal: bool = False,
+    threads: int = 0,
+    audit: bool = False,
+) -> "Emulator":
+    """Make the emulator of a command line; arguments and errors as of `Emulator`."""
+    from vlp16emu.scenario import load
+
+    load(scene, settings or (), ideal=ideal)  # first: no mistake in it should wait for numba
+    _load_numba()
+    from vlp16emu.emulator import Emulator
+
+    return Emulator(scene, settings or (), ideal=ideal, threads=threads, audit=audit)
 
 
 @contextmanager
@@ -27,7 +49,7 @@ def starting() -> Iterator[None]:
         gc.enable()
 
 
-def load_numba() -> None:
+def _load_numba() -> None:
     """Load numba without scipy's linear algebra, which takes 0.2 s; no kernel calls it."""
     if "scipy.linalg" in sys.modules:
         return

@@ -1,11 +1,7 @@
 """`vlp16emu stream`: a scene over UDP, in real time."""
 
 import math
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import Annotated
 
 import typer
 
@@ -14,29 +10,23 @@ from vlp16emu.cli.arguments import (
     DataPort,
     Duration,
     Ideal,
+    NoAudit,
     PositionPort,
     SceneName,
     Settings,
     Threads,
+    TruthFolder,
+    TruthPackets,
+    TruthRate,
     checked,
-    span_s,
+    truth_to,
 )
-from vlp16emu.cli.audit import NoAudit, audit_tree, audited
-from vlp16emu.cli.inputs import load_for
 from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
-from vlp16emu.cli.light import light_tree
-from vlp16emu.cli.output import print_json, print_rows
+from vlp16emu.cli.output import print_json, print_rows, tree_of
 from vlp16emu.cli.progress import Progress
-from vlp16emu.cli.start import starting
-from vlp16emu.cli.stream_report import behind_line, stream_rows, stream_tree
-from vlp16emu.cli.truth import SCENARIO, TruthPackets, TruthRate, TruthTo, with_truth
+from vlp16emu.cli.start import make_emulator, starting
+from vlp16emu.cli.stream_report import behind_line, stream_rows
 from vlp16emu.errors import InputError
-
-if TYPE_CHECKING:
-    from vlp16emu.cli.engine import Engine
-    from vlp16emu.packets import Link
-    from vlp16emu.sinks import FellBehind, PacketSink, StreamReport, UdpSink
-    from vlp16emu.types import Packet
 
 __all__ = ["stream"]
 
@@ -94,7 +84,7 @@ def stream(
     ideal: Ideal = False,
     threads: Threads = 0,
     no_audit: NoAudit = False,
-    truth: TruthTo = None,
+    truth: TruthFolder = None,
     truth_rate: TruthRate = 200,
     truth_packets: TruthPackets = False,
     speed: Speed = 1.0,
@@ -109,114 +99,40 @@ def stream(
     once, with settings that would keep up. Ctrl-C ends the stream.
     """
     with starting():
-        changes = [*(settings or ()), *_told_ports(data_port, position_port)]
-        scenario = load_for([truth and truth / SCENARIO], scene, changes, ideal=ideal)
-        start_s, stop_s = span_s(0.0, duration, scenario.duration_s)
-        from vlp16emu.cli.engine import Engine
+        changes = [*(settings or ()), *_ports(data_port, position_port)]
+        emulator = make_emulator(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
+        _, stop_s = emulator.scenario.span_s(0.0, duration)
 
-        emulator, audit = audited(scenario, threads=threads, no_audit=no_audit)
-    engine, units = Engine(emulator, start_s, stop_s), emulator.parts.units
-    head = {"scene": scene, "seed": scenario.seed, "to": to, "speed": speed, "late": late}
-    with (
-        stop_on_ctrl_c() as stop,
-        with_truth(emulator, engine, start_s, truth, truth_rate, per_packet=truth_packets) as told,
-        _opened([unit.link for unit in units], to, as_sensor=as_sensor) as sinks,
-        Progress(stop_s) as progress,
-    ):
-        _announce(scene, to, [unit.link for unit in units], quiet=as_json)
-        report = _send(told, engine, _Shown(sinks, progress, scenario.start_ns), head, stop)
-    tree = head | light_tree(scenario) | stream_tree(units, sinks, report, engine.skipped, scenario, speed)
-    _print(tree | {"audit": audit_tree(audit)}, as_json=as_json)
-
-
-def _send(
-    packets: "Iterator[Packet]",
-    engine: "Engine",
-    shown: "_Shown",
-    head: dict[str, Any],
-    stop: threading.Event,
-) -> "StreamReport":
-    """Send in real time, and print at once where the stream falls behind."""
-    from vlp16emu.sinks import LOOK_AHEAD_PACKETS, Late, Pacer
-    from vlp16emu.sinks import stream as send
-
-    late, speed = Late(head["late"]), head["speed"]
-
-    def notify(behind: "FellBehind") -> None:
-        """Print that the stream falls behind."""
-        shown.progress.say(behind_line(behind, engine.scenario, late, speed))
-
-    return send(
-        packets,
-        shown,
-        Pacer(speed),
-        late=late,
-        notify=notify,
-        go_on_from=engine.go_on_from,
-        stop=stop,
-        look_ahead_packets=LOOK_AHEAD_PACKETS * shown.units,
-    )
-
-
-def _told_ports(data_port: int | None, position_port: int | None) -> list[str]:
-    """Give the ports of the command line as settings."""
-    ports = {"data_port": data_port, "position_port": position_port}
-    return [f"sensor.{key}={port}" for key, port in ports.items() if port is not None]
-
-
-def _announce(scene: str, to: str, links: "Sequence[Link]", *, quiet: bool) -> None:
-    """Print what begins, at once, unless only JSON is wanted."""
-    if not quiet:
-        pairs = "; ".join(f"{link.data_port} and {link.position_port}" for link in links)
+    def announce() -> None:
+        """Print what begins, at once."""
+        pairs = "; ".join(
+            f"{unit.link.data_port} and {unit.link.position_port}" for unit in emulator.parts.units
+        )
         print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
 
-
-@contextmanager
-def _opened(links: "Sequence[Link]", to: str, *, as_sensor: bool) -> "Iterator[list[UdpSink]]":
-    """Open the sockets of each unit."""
-    from vlp16emu.sinks import UdpSink
-
-    with ExitStack() as stack:
-        yield [
-            stack.enter_context(
-                UdpSink(
-                    to,
-                    data_port=link.data_port,
-                    position_port=link.position_port,
-                    as_sensor=link.source if as_sensor else None,
-                )
-            )
-            for link in links
-        ]
-
-
-class _Shown:
-    """The sinks of all units as one that moves a progress bar."""
-
-    def __init__(self, sinks: "Sequence[PacketSink]", progress: Progress, begin_ns: int) -> None:
-        self._sinks, self._begin_ns = sinks, begin_ns
-        self.progress, self.units = progress, len(sinks)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Nothing to close: the sinks belong to whoever opened them."""
-
-    def send(self, packet: "Packet") -> None:
-        """Send first, draw after."""
-        self._sinks[packet.unit].send(packet)
-        self.progress.show("streaming", (packet.due_ns - self._begin_ns) * 1e-9)
-
-
-def _print(tree: dict[str, Any], *, as_json: bool) -> None:
-    """Print the report, for people unless as JSON; where the stream was interrupted, exit as such."""
+    with stop_on_ctrl_c() as stop, Progress(stop_s) as progress:
+        streamed = emulator.stream(
+            to=to,
+            duration_s=duration,
+            truth=truth_to(truth, truth_rate, per_packet=truth_packets),
+            speed=speed,
+            late=late,
+            as_sensor=as_sensor,
+            opened=(lambda: None) if as_json else announce,
+            progress=lambda done_s: progress.show("streaming", done_s),
+            notify=lambda behind: progress.say(behind_line(behind, emulator.scenario, late, speed)),
+            stop=stop,
+        )
     if as_json:
-        print_json(tree)
+        print_json(tree_of(streamed))
     else:
-        ended = "interrupted" if tree["interrupted"] else "done"
-        print_rows(f"{ended}: {tree['scene']} to {tree['to']}", stream_rows(tree))
-    if tree["interrupted"]:
+        ended = "interrupted" if streamed.interrupted else "done"
+        print_rows(f"{ended}: {streamed.scene} to {streamed.to}", stream_rows(streamed))
+    if streamed.interrupted:
         raise typer.Exit(INTERRUPTED)
+
+
+def _ports(data_port: int | None, position_port: int | None) -> list[str]:
+    """Make settings of the ports of the command line."""
+    ports = {"data_port": data_port, "position_port": position_port}
+    return [f"sensor.{key}={port}" for key, port in ports.items() if port is not None]

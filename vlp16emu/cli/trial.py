@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from vlp16emu.cli.reading import returns_in
-from vlp16emu.emulator import Emulator
+from vlp16emu.chain import Chain
 from vlp16emu.errors import InputError
+from vlp16emu.packets import returns_in
 from vlp16emu.report import Spent
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import PacketKind
@@ -58,13 +58,13 @@ def peak_bytes() -> int | None:
     )
 
 
-def try_out(emulator: Emulator, stop_s: float, threads: int, began: Spent) -> Trial:
+def try_out(chain: Chain, stop_s: float, threads: int, began: Spent) -> Trial:
     """Carry out pieces of a run, evenly over the first two windows, with all that `record` does but the file.
 
     Parameters
     ----------
     stop_s : end of the run; pieces may lie beyond that of a short one
-    threads : of the emulator
+    threads : of the chain
     began : reading of the clocks at the start of the command
 
     Raises
@@ -72,25 +72,25 @@ def try_out(emulator: Emulator, stop_s: float, threads: int, began: Spent) -> Tr
     InputError
         where the walk is too short to measure on
     """
-    cut, motion = emulator.cut, emulator.parts.motion
+    cut, motion = chain.cut, chain.parts.motion
     block_s, run_time_s = cut.block_ns / S_NS, motion.run_time_s
     least_s, window_s = 3 * threads * block_s, cut.stretch * block_s
     end_s = min(run_time_s, max(min(stop_s, 2 * window_s), least_s))
     if end_s < least_s:
         raise InputError("motion", f"found a walk of {run_time_s:.2f} s", f"{least_s:.2f} s to measure on")
-    windows = _windows(emulator, stop_s)
+    windows = _windows(chain, stop_s)
     pieces, second, first = list[Spent](), Spent(0.0, 0.0), None
     starts_s = np.linspace(0.0, end_s, 1 + min(int(end_s / least_s), _PIECES)).tolist()
     for start_s, next_s in pairwise(starts_s):
         # A piece that reached into the next window would open it by itself.
         span_s = start_s, min(next_s, window_s) if start_s < window_s else next_s
-        reached, piece = _piece(emulator, span_s, _PIECES_S / _PIECES, threads)
+        reached, piece = _piece(chain, span_s, _PIECES_S / _PIECES, threads)
         pieces += [piece] * (piece.simulated_s > 0.0)
         if first is None:
             first = Spent(reached.wall_s - began.wall_s, reached.cpu_s - began.cpu_s, block_s)
             if windows > 1:
                 before = spent_since()
-                emulator.windows.at_block(cut.stretch).result()
+                chain.windows.at_block(cut.stretch).result()
                 second = spent_since(before)
     assert first is not None
     if not pieces:
@@ -98,28 +98,26 @@ def try_out(emulator: Emulator, stop_s: float, threads: int, began: Spent) -> Tr
     return Trial(first, tuple(pieces), second, windows, peak_bytes())
 
 
-def _windows(emulator: Emulator, stop_s: float) -> int:
+def _windows(chain: Chain, stop_s: float) -> int:
     """Count the windows of a run."""
-    if not emulator.parts.moves:
+    if not chain.parts.moves:
         return 1
-    return (emulator.cut.blocks(0, seconds_to_ns(stop_s)).stop - 1) // emulator.cut.stretch + 1
+    return (chain.cut.blocks(0, seconds_to_ns(stop_s)).stop - 1) // chain.cut.stretch + 1
 
 
-def _piece(
-    emulator: Emulator, span_s: tuple[float, float], limit_s: float, threads: int
-) -> tuple[Spent, Spent]:
+def _piece(chain: Chain, span_s: tuple[float, float], limit_s: float, threads: int) -> tuple[Spent, Spent]:
     """Send packets to nowhere until the time is over: clocks at the first one, and what went by from there on."""
     first, piece, marks = None, Spent(0.0, 0.0), dict[int, int]()
-    links, block_ns = [unit.link for unit in emulator.parts.units], emulator.cut.block_ns
+    links, block_ns = [unit.link for unit in chain.parts.units], chain.cut.block_ns
     with PcapSink(Path(os.devnull), [0] * len(links), links) as sink:
-        for packet in emulator.packets(*span_s):
+        for packet in chain.packets(*span_s):
             sink.send(packet)
             returns_in(packet)
             if packet.kind is not PacketKind.DATA or packet.unit:
                 continue
-            block = (packet.due_ns - emulator.scenario.start_ns - 1) // block_ns
+            block = (packet.due_ns - chain.scenario.start_ns - 1) // block_ns
             if first is None:
-                first, marks = spent_since(), _marks(emulator, block, span_s[1], threads)
+                first, marks = spent_since(), _marks(chain, block, span_s[1], threads)
             elif blocks := marks.pop(block, 0):
                 took = spent_since(first)
                 piece = Spent(took.wall_s, took.cpu_s, blocks * block_ns / S_NS)
@@ -129,13 +127,13 @@ def _piece(
     return first, piece
 
 
-def _marks(emulator: Emulator, first_block: int, stop_s: float, threads: int) -> dict[int, int]:
+def _marks(chain: Chain, first_block: int, stop_s: float, threads: int) -> dict[int, int]:
     """Blocks at which clocks are read, and how many had been worked on since the first packet came.
 
     Blocks of a run come at once, and workers finish as many runs as there are threads about together. So when the first
     of them comes, all have been worked on.
     """
-    own = threads // len(emulator.parts.units) or 1
-    blocks = range(first_block, emulator.cut.blocks(0, seconds_to_ns(stop_s)).stop)
-    runs = list(emulator.windows.runs(blocks, emulator.parts.units[0].beam.together, own))
+    own = threads // len(chain.parts.units) or 1
+    blocks = range(first_block, chain.cut.blocks(0, seconds_to_ns(stop_s)).stop)
+    runs = list(chain.windows.runs(blocks, chain.parts.units[0].beam.together, own))
     return {runs[n].start: sum(map(len, runs[own : n + own])) for n in range(own, len(runs), own)}

@@ -6,6 +6,7 @@ follows from the seed and the block, so neither threads nor order matter, and no
 """
 
 import threading
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -19,13 +20,31 @@ from vlp16emu.report.accuracy import Tally, compare
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import Firings, Hits
 
-__all__ = ["Audit"]
+__all__ = ["Audit", "AuditFinding"]
 
 _SEQUENCES, _LASERS = 8, 2
 _RAYS, _TIMES = 512, 4
 """Sub-rays of an answer: so many, and so many times those of a pulse. With 512, what is left is a fifth of the error
 of pulses of 64, and 1/20 of that of one ray."""
 _SAMPLED = (BeamModel.FIXED, BeamModel.ADAPTIVE)
+
+
+@dataclass(frozen=True, slots=True)
+class AuditFinding:
+    """What an audit found; shares are of returns, None where nothing is known."""
+
+    exact: bool
+    """A pulse is one ray, by the scene's own choice."""
+    pulses: int
+    """Pulses cast again."""
+    range_rmse_m: float | None
+    range_rmse_low_m: float | None
+    """Of the interval in which that lies with 95 % confidence, as the next."""
+    range_rmse_high_m: float | None
+    lost: float | None
+    invented: float | None
+    other_echo: float | None
+    """Share whose strongest return is that of another echo."""
 
 
 class Audit:
@@ -48,6 +67,25 @@ class Audit:
     def of(cls, scenario: Scenario) -> Self:
         """Make the audit of a run."""
         return cls(apart_m(scenario.detector), exact=scenario.beam.model not in _SAMPLED)
+
+    @property
+    def finding(self) -> AuditFinding:
+        """What was found so far."""
+        tally, interval_m = self.tally, self.tally.range_rmse_interval_m
+        lost, invented, other = (
+            count / tally.returns if tally.returns else None
+            for count in (tally.lost, tally.invented, tally.wrong_strongest)
+        )
+        return AuditFinding(
+            exact=self.exact,
+            pulses=tally.pulses,
+            range_rmse_m=tally.range_rmse_m,
+            range_rmse_low_m=interval_m.low if interval_m else None,
+            range_rmse_high_m=interval_m.high if interval_m else None,
+            lost=lost,
+            invented=invented,
+            other_echo=other,
+        )
 
     def __call__(self, unit: Unit, firings: Firings, hits: Hits, scene: Scene) -> None:
         """Look at whole blocks: what their pulses met, in the scene that they were cast against."""

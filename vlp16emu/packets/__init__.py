@@ -56,7 +56,8 @@ from vlp16emu.packets.position import (
     pack_position,
     position_due_ns,
 )
-from vlp16emu.packets.units import CapturedUnit, units_in
+from vlp16emu.packets.reading import CaptureReader, Chunk, Summary, returns_in
+from vlp16emu.packets.units import CapturedUnit, chosen_unit, units_in
 
 __all__ = [
     "AZIMUTH_CODES",
@@ -90,13 +91,17 @@ __all__ = [
     "STAMP_LEAD_NS",
     "VERTICAL_CORRECTION_M",
     "Capture",
+    "CaptureReader",
     "CapturedUnit",
+    "Chunk",
     "Datagram",
     "Fault",
     "Link",
     "Points",
     "PositionFields",
     "PositionRate",
+    "Summary",
+    "chosen_unit",
     "data_fields",
     "data_header",
     "data_payloads",
@@ -109,6 +114,7 @@ __all__ = [
     "parse_rmc",
     "position_due_ns",
     "position_frame",
+    "returns_in",
     "rmc",
     "scan_starts",
     "timestamp_us",

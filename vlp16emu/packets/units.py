@@ -5,17 +5,18 @@ from ipaddress import IPv4Address
 from pathlib import Path
 from typing import NamedTuple
 
+from vlp16emu.errors import InputError
 from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.packets.layout import DATA_BYTES, POSITION_BYTES
 
-__all__ = ["CapturedUnit", "units_in"]
+__all__ = ["CapturedUnit", "chosen_unit", "units_in"]
 
 _STRAY = 0.02
 """Less than this share of the data packets of the busiest unit is no unit but an accident."""
 
 
 class CapturedUnit(NamedTuple):
-    """A sensor, as told from others by its address and by the port to which it sends its data packets."""
+    """A sensor, known by its address and by the port to which it sends its data packets."""
 
     source: bytes
     """IPv4 address, 4 bytes."""
@@ -27,7 +28,7 @@ class CapturedUnit(NamedTuple):
         return f"{IPv4Address(self.source)}:{self.data_port}"
 
     def owns(self, datagram: Datagram) -> bool:
-        """Tell whether this unit has sent a datagram."""
+        """Whether this unit has sent a datagram."""
         port = datagram.destination_port
         return datagram.source == self.source and (port == self.data_port or port in self.position_ports)
 
@@ -60,3 +61,29 @@ def units_in(path: Path) -> list[CapturedUnit]:
         for source, ports in data_ports.items()
         for place, port in enumerate(ports)
     ]
+
+
+def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> CapturedUnit | None:
+    """Find one sensor of a capture; None in a capture of a single one, unless it is named.
+
+    Parameters
+    ----------
+    unit : its number from 1, or its address and data port, as `192.168.1.201:2368`
+    where : what error lines call the choice
+
+    Raises
+    ------
+    CaptureError
+        where the file is no capture, or is damaged
+    InputError
+        where there is no such unit, or there are several and none is named
+    """
+    units = units_in(path) if path.is_file() else []  # a pipe can be read only once
+    if not units or (unit is None and len(units) == 1):
+        return None
+    for number, known in enumerate(units, start=1):
+        if unit in (str(number), str(known)):
+            return known
+    found = f"{len(units)} units in {path}" if unit is None else f"found {unit}"
+    names = [f"{number} ({known})" for number, known in enumerate(units, start=1)]
+    raise InputError(where, found, f"one of {', '.join(names)}")

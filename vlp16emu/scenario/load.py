@@ -1,10 +1,11 @@
-"""TOML or JSON to `Scenario`, with errors that name file, key path, what was found and what was expected."""
+"""TOML, JSON or a dictionary to `Scenario`, with errors that name file, key path, what was found and what was expected."""
 
 import json
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
@@ -17,18 +18,45 @@ from vlp16emu.scenario.way import Way
 __all__ = ["load"]
 
 _RIVALS = frozenset(Way.one_of), Way.either_or
-"""Keys of which a scene tells one, so that a setting takes the place of what the scene tells instead."""
+"""Keys that exclude each other: a setting of one takes the place of the others."""
 _UNIT_ERRORS = ("eccentricity_deg", "azimuth_noise_deg", "clock_error_ppm")
 """Errors among the keys of `[sensor]` and `[[rig]]`."""
 
 
-def load(scene: str, settings: Sequence[str] = (), *, ideal: bool = False) -> Scenario:
+class _Setting(NamedTuple):
+    """One value of a scene that is changed."""
+
+    key: str
+    value: object
+    where: str
+    """What error lines call it."""
+
+
+class _Source(NamedTuple):
+    """A scene as a tree, before it is checked."""
+
+    where: str
+    """What error lines call it."""
+    tree: dict[str, Any]
+    folder: Path
+    """From which its files are found."""
+    is_json: bool
+    """JSON has no dates, so they are read from text there."""
+
+
+def load(
+    scene: str | Path | Mapping[str, Any] | Scenario,
+    settings: Mapping[str, object] | Sequence[str] = (),
+    *,
+    ideal: bool = False,
+) -> Scenario:
     """Read a scene and apply settings to it.
 
     Parameters
     ----------
-    scene : name or path; a path that ends in .json is read as the truth beside a run gives it
-    settings : `key.path=value` with the value in TOML, in order
+    scene : name or path (one that ends in .json is read as the truth beside a run gives it), the tables of a scene
+        file as a dictionary, or a scenario
+    settings : values by `key.path`, or `key.path=value` with the value in TOML, in order
     ideal : light without width, in clear air, and sensors without errors, as far as no setting wants otherwise
 
     Raises
@@ -36,26 +64,39 @@ def load(scene: str, settings: Sequence[str] = (), *, ideal: bool = False) -> Sc
     ScenarioError
         where the file or a setting is no scene
     """
-    path = find(scene)
-    tree = _read(path)
+    if isinstance(scene, Scenario) and not settings and not ideal:
+        return scene
+    source = _source(scene)
+    changes = list(_changes(settings))
     if ideal:
-        _take_errors(tree)
-    for setting in settings:
-        _apply(tree, setting)
+        _take_errors(source.tree)
+    for change in changes:
+        _apply(source.tree, change)
     try:
-        return _checked(path, tree)
+        return _checked(source)
     except ValidationError as error:
         key, found, expected = explain(error)
-        raise ScenarioError(_origin(path, settings, key), found, expected) from None
+        raise ScenarioError(_origin(source.where, changes, key), found, expected) from None
 
 
-def _checked(path: Path, tree: dict[str, Any]) -> Scenario:
-    """Check a tree; JSON has no dates, so theirs are read from text there."""
-    context = {"folder": path.parent.absolute()}  # so that a file is found from wherever it is named again
-    if _is_json(path):
-        tree.pop("written_by", None)
-        return Scenario.model_validate_json(json.dumps(tree, default=str), context=context)
-    return Scenario.model_validate(tree, context=context)
+def _source(scene: str | Path | Mapping[str, Any] | Scenario) -> _Source:
+    """Read a scene of any kind."""
+    if isinstance(scene, Scenario):
+        tree = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
+        return _Source("scenario", tree, Path.cwd(), is_json=True)
+    if isinstance(scene, Mapping):
+        return _Source("scene", deepcopy(dict(scene)), Path.cwd(), is_json=False)
+    path = scene if isinstance(scene, Path) else find(scene)
+    return _Source(str(path), _read(path), path.parent.absolute(), is_json=_is_json(path))
+
+
+def _checked(source: _Source) -> Scenario:
+    """Check a tree."""
+    context = {"folder": source.folder}  # so that a file is found from wherever it is named again
+    if source.is_json:
+        source.tree.pop("written_by", None)
+        return Scenario.model_validate_json(json.dumps(source.tree, default=str), context=context)
+    return Scenario.model_validate(source.tree, context=context)
 
 
 def _is_json(path: Path) -> bool:
@@ -88,24 +129,37 @@ def _take_errors(tree: dict[str, Any]) -> None:
             unit.update(dict.fromkeys(_UNIT_ERRORS, 0.0))
 
 
-def _apply(tree: dict[str, Any], setting: str) -> None:
-    """Put one `key.path=value` into the tree."""
-    where = f"--set {setting}"
-    key, equals, text = setting.partition("=")
-    names = key.strip().split(".")
-    if not equals or not all(names) or not text.strip():
-        raise ScenarioError(where, "no assignment", "key.path=value")
+def _changes(settings: Mapping[str, object] | Sequence[str]) -> Iterable[_Setting]:
+    """Read settings of either kind."""
+    if isinstance(settings, Mapping):
+        return [_Setting(key, value, f"setting {key} = {value!r}") for key, value in settings.items()]
+    return [_parsed(text) for text in settings]
+
+
+def _parsed(text: str) -> _Setting:
+    """Read one `key.path=value`."""
+    key, equals, value = text.partition("=")
+    if not equals or not value.strip():
+        key = ""
+    return _Setting(key.strip(), _value(value.strip()), f"--set {text}")
+
+
+def _apply(tree: dict[str, Any], setting: _Setting) -> None:
+    """Put a value into the tree."""
+    names = setting.key.split(".")
+    if not all(names):
+        raise ScenarioError(setting.where, "no assignment", "key.path=value")
     for name in names[:-1]:
-        _make_way(tree, name)
+        _drop_rivals(tree, name)
         branch = tree.setdefault(name, {})
         if not isinstance(branch, dict):
-            raise ScenarioError(where, f"{name} is no table", "table names before the last dot")
+            raise ScenarioError(setting.where, f"{name} is no table", "table names before the last dot")
         tree = branch
-    _make_way(tree, names[-1])
-    tree[names[-1]] = _value(text.strip())
+    _drop_rivals(tree, names[-1])
+    tree[names[-1]] = setting.value
 
 
-def _make_way(tree: dict[str, Any], name: str) -> None:
+def _drop_rivals(tree: dict[str, Any], name: str) -> None:
     """Drop what a key that is set now stands for."""
     for rivals in _RIVALS:
         if name in rivals:
@@ -122,10 +176,9 @@ def _value(text: str) -> object:
     return parsed["value"] if len(parsed) == 1 else text
 
 
-def _origin(path: Path, settings: Sequence[str], key: str) -> str:
-    """Where a key got its value: the last setting that touched it, or else the file."""
+def _origin(scene: str, settings: Sequence[_Setting], key: str) -> str:
+    """Where a key got its value: the last setting that touched it, or else the scene."""
     for setting in reversed(settings):
-        name = setting.partition("=")[0].strip()
-        if key == name or key.startswith((f"{name}.", f"{name}[")):
-            return f"--set {setting}" if key == name else f"--set {setting}: {key}"
-    return f"{path}: {key}"
+        if key == setting.key or key.startswith((f"{setting.key}.", f"{setting.key}[")):
+            return setting.where if key == setting.key else f"{setting.where}: {key}"
+    return f"{scene}: {key}"

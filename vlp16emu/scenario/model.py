@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field, ValidationInfo, field_validator
 
+from vlp16emu.errors import InputError
 from vlp16emu.scenario.beam import Beam
 from vlp16emu.scenario.detector import Detector
 from vlp16emu.scenario.gps import Gps
@@ -108,6 +109,25 @@ class Scenario(Section):
         """UTC of the first pulse, ns since 1970."""
         since = self.start_utc.astimezone(UTC) - _FIRST_START
         return (since.days * 86400 + since.seconds) * S_NS + since.microseconds * US_NS
+
+    def span_s(
+        self, start_s: float, duration_s: float | None, *, where: str = "start_s"
+    ) -> tuple[float, float]:
+        """Begin and end of a run, in seconds since the first pulse; it ends with the scene where no duration is given.
+
+        Raises
+        ------
+        InputError
+            where the run would begin after the end of the scene; `where` is what the line calls its begin
+        """
+        if duration_s is not None:
+            return start_s, start_s + duration_s
+        if start_s >= self.duration_s:
+            expected = (
+                f"less than the scene's {self.duration_s:g} s, or a {where.replace('start', 'duration')}"
+            )
+            raise InputError(where, f"found {start_s:g}", expected)
+        return start_s, self.duration_s
 
 
 def _is_locked(sensor: Sensor | FreeSensor | None) -> bool:

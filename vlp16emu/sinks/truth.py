@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Collection, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 from types import TracebackType
@@ -13,10 +14,27 @@ from vlp16emu.errors import OutputError, RunError, spare
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["TruthFolder", "seconds_text", "tum_rows"]
+__all__ = ["TruthFolder", "TruthTo", "seconds_text", "tum_rows"]
 
 _FILES = re.compile(r"(gnss|imu)\.csv|(rig|scenario)\.json|(packets|trajectory)(_\d+)?\.tum")
 """All that a run may write; those of an earlier run are replaced as a whole."""
+
+
+@dataclass(frozen=True, slots=True)
+class TruthTo:
+    """Where the truth of a run goes, and how fine it is."""
+
+    folder: Path
+    """As `TruthFolder` wants it."""
+    rate_hz: int = 200
+    """Of the trajectory; samples count from the first pulse."""
+    per_packet: bool = False
+    """Also write the pose at the first firing of each data packet."""
+
+    @property
+    def scenario(self) -> Path:
+        """File of the scene with all its values, which can be recorded again."""
+        return self.folder / "scenario.json"
 
 
 class TruthFolder:

@@ -1,6 +1,6 @@
-"""The lint for VLP-16 traffic, which tells whether a real sensor could have sent it."""
+"""The lint for VLP-16 traffic: whether a real sensor could have sent it."""
 
 from vlp16emu.report.verify.rules import Finding, Rule
-from vlp16emu.report.verify.run import Verification, verify_capture
+from vlp16emu.report.verify.run import Verification, verify, verify_capture
 
-__all__ = ["Finding", "Rule", "Verification", "verify_capture"]
+__all__ = ["Finding", "Rule", "Verification", "verify", "verify_capture"]

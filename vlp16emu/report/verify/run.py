@@ -15,7 +15,7 @@ from vlp16emu.packets.layout import (
     SEQUENCE_PERIOD_NS,
     SEQUENCES_PER_PACKET,
 )
-from vlp16emu.packets.units import CapturedUnit
+from vlp16emu.packets.units import CapturedUnit, chosen_unit
 from vlp16emu.report.verify.framing import check_frame, kind_of
 from vlp16emu.report.verify.position import PositionRules
 from vlp16emu.report.verify.records import DataChunk, check_factory, check_records
@@ -24,7 +24,7 @@ from vlp16emu.report.verify.sweep import SweepRules
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
 
-__all__ = ["Verification", "verify_capture"]
+__all__ = ["Verification", "verify", "verify_capture"]
 
 _CHUNK_PACKETS = 512
 """Data packets looked at together: 0.6 MB, 0.7 s of single return."""
@@ -64,6 +64,27 @@ class Verification:
         return not self.counts
 
 
+def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule: int = 10) -> Verification:
+    """Check a sensor's packets in a capture against the rules of VLP-16 traffic.
+
+    Parameters
+    ----------
+    capture : classic pcap file
+    unit : which sensor, where there are several: its number from 1, or `address:port` with its data port
+    limit_per_rule : findings kept of each rule; all are counted
+
+    Raises
+    ------
+    CaptureError
+        where the file cannot be read, or holds no VLP-16 packets at all
+    InputError
+        where there is no such unit, or there are several and none is named
+    """
+    path = Path(capture)
+    chosen = chosen_unit(path, None if unit is None else str(unit))
+    return verify_capture(path, chosen, limit_per_rule=limit_per_rule)
+
+
 def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_rule: int = 10) -> Verification:
     """Check a capture against all rules, in one pass and with little memory.
 
@@ -87,7 +108,7 @@ def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_ru
 
 
 class _Check:
-    """Sorts datagrams by kind, keeps the books, and hands data packets on in chunks."""
+    """Sorts datagrams by kind, counts them, and hands data packets on in chunks."""
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings

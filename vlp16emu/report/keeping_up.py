@@ -1,26 +1,24 @@
 """Whether this machine keeps up with a stream, and settings with which it would."""
 
 import math
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from vlp16emu.scenario import Scenario
+from vlp16emu.scenario import Scenario
 
 __all__ = ["settings_that_keep_up", "speed_beside_sender"]
 
 _MARGIN = 0.9
 """Share of the engine's speed that is asked for: it varies along the walk."""
 _SHORT_M = 45.0
-_STANDS_STILL = 0.1
+_STALLED = 0.1
 """Speed below which the engine waits for something, so that its speed says nothing of settings."""
 _ONE_RAY_GAIN, _SHORT_GAIN = 4.0, 2.0
 """About how much faster a forest is with one ray for each pulse, and with a reach of 45 m: `scenes/OUTPUTS.md`, "Packets"."""
 
 
-def settings_that_keep_up(scenario: "Scenario", engine_speed: float, speed: float) -> list[str]:
+def settings_that_keep_up(scenario: Scenario, engine_speed: float, speed: float) -> list[str]:
     """List options of `stream` with which the engine keeps up, each enough by itself.
 
-    Where it stands still they are those that make it faster.
+    Where it is stalled they are those that make it faster.
 
     Parameters
     ----------
@@ -34,7 +32,7 @@ def settings_that_keep_up(scenario: "Scenario", engine_speed: float, speed: floa
         gains[f"--set sensor.max_range_m={_SHORT_M:g}"] = _SHORT_GAIN
     if len(gains) > 1:
         gains[" ".join(gains)] = math.prod(gains.values())
-    if engine_speed < _STANDS_STILL:
+    if engine_speed < _STALLED:
         return list(gains)[:2]
     needed = speed / (_MARGIN * engine_speed)
     enough = [options for options, gain in gains.items() if gain >= needed]
@@ -43,7 +41,7 @@ def settings_that_keep_up(scenario: "Scenario", engine_speed: float, speed: floa
 
 
 def speed_beside_sender(engine_speed: float, sender_share: float, threads: int, cores: int) -> float:
-    """Give the engine's speed where the sending thread takes its share of the same cores.
+    """Compute the engine's speed where the sending thread takes its share of the same cores.
 
     Parameters
     ----------

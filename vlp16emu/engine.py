@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 
-from vlp16emu.emulator import Emulator
+from vlp16emu.chain import Chain
 from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.scenario.sensor import on_the_wire
 from vlp16emu.sensor import SEQUENCE_NS
@@ -18,20 +18,20 @@ class Engine:
 
     Parameters
     ----------
-    emulator : makes them
+    chain : makes them
     start_s, stop_s : span of the run, since the first pulse
 
     Raises
     ------
     InputError
-        where the span is not one of the emulator's
+        where the chain has no such span
     """
 
-    def __init__(self, emulator: Emulator, start_s: float, stop_s: float) -> None:
-        self._emulator, self._stop_s = emulator, stop_s
-        self.scenario = emulator.scenario
-        self._packets = emulator.packets(start_s, stop_s)
-        self._reached_ns = emulator.scenario.start_ns
+    def __init__(self, chain: Chain, start_s: float, stop_s: float) -> None:
+        self._chain, self._stop_s = chain, stop_s
+        self.scenario = chain.scenario
+        self._packets = chain.packets(start_s, stop_s)
+        self._reached_ns = chain.scenario.start_ns
         self._from_ns: int | None = None
         self.skipped = Counter[PacketKind]()
         """Packets that were left out."""
@@ -59,17 +59,17 @@ class Engine:
             return
         self._packets = iter(())  # ends the workers of the packets before
         self.skipped += self._count(from_ns) - self._count(self._reached_ns)
-        self._packets = self._emulator.packets(self._since_s(from_ns), self._stop_s)
+        self._packets = self._chain.packets(self._since_s(from_ns), self._stop_s)
 
     def _count(self, before_ns: int) -> Counter[PacketKind]:
         """Count the packets of all units due from the first pulse until before a UTC time."""
-        since_s, units = self._since_s(before_ns), self._emulator.parts.units
+        since_s, units = self._since_s(before_ns), self._chain.parts.units
         since_ns = before_ns - self.scenario.start_ns
         data = 0
         for unit in units:
             period_ns = SEQUENCES_PER_PACKET[ReturnMode(on_the_wire(unit.section).return_mode)] * SEQUENCE_NS
             data += max(-(-since_ns // period_ns) - 1, 0)  # packet p is due at (p + 1) periods
-        position = sum(self._emulator.first_position_packets(since_s))
+        position = sum(self._chain.first_position_packets(since_s))
         return Counter({PacketKind.DATA: data, PacketKind.POSITION: position})
 
     def _since_s(self, utc_ns: int) -> float:

@@ -4,14 +4,23 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.cli.export import Column
 from vlp16emu.errors import CaptureError, PacketError
-from vlp16emu.packets import (
+from vlp16emu.packets.capture import Capture, Datagram
+from vlp16emu.packets.decode import (
+    Points,
+    PositionFields,
+    data_fields,
+    decode_data,
+    decode_position,
+    fault_in,
+    scan_starts,
+)
+from vlp16emu.packets.layout import (
     AZIMUTH_CODES,
     BLOCK_PERIOD_NS,
     DATA_BYTES,
@@ -21,37 +30,12 @@ from vlp16emu.packets import (
     POSITION_BYTES,
     RECORDS_PER_PACKET,
     RETURN_MODE_BYTE,
-    Capture,
-    CapturedUnit,
-    Datagram,
-    Points,
-    PositionFields,
-    data_fields,
-    decode_data,
-    decode_position,
-    fault_in,
-    scan_starts,
 )
+from vlp16emu.packets.units import CapturedUnit
 from vlp16emu.types import Packet, PacketKind, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
-__all__ = ["COLUMNS", "COMMENTS", "CaptureReader", "Summary", "returns_in"]
-
-COLUMNS = (
-    Column("clock_ns", "<i8", ("time_s",), 9, ("time",), "<f8"),
-    Column("xyz_m", "<f4", ("x_m", "y_m", "z_m"), 4, ("x", "y", "z")),
-    Column("distance_m", "<f4", ("distance_m",), 3),
-    Column("azimuth_deg", "<f8", ("azimuth_deg",), 4),
-    Column("reflectivity", "|u1", ("reflectivity",), 0, ("intensity",), "<f4"),
-    Column("ring", "|u1", ("ring",), 0, ("ring",), "<u2"),
-    Column("laser", "|u1", ("laser",)),
-    Column("is_last", "|b1", ("is_last",)),
-)
-"""What is told of each point of a capture: the arrays of `Points`, and the sensor's clock."""
-COMMENTS = (
-    "VLP-16 sensor frame in metres: azimuth 0 on +y, clockwise seen from above",
-    "time in seconds on the sensor's clock",
-)
+__all__ = ["CaptureReader", "Chunk", "Summary", "returns_in"]
 
 _CHUNK = 2_000
 """Packets decoded at once: 0.8 million records, some 50 MB of points."""
@@ -64,6 +48,19 @@ def returns_in(packet: Packet) -> int:
         return 0
     fields = np.frombuffer(packet.payload, DATA_PAYLOAD)
     return int(np.count_nonzero(fields["blocks"]["records"]["distance_lsb"]))
+
+
+class Chunk(NamedTuple):
+    """Data packets decoded at once."""
+
+    points: Points
+    """Without no-returns."""
+    clock_ns: NDArray[np.int64]
+    """(n,) of the points: the sensor's clock, from the full hour before the capture, on past the next one."""
+    packet_ns: NDArray[np.int64]
+    """(p,) the same of the packets' first pulses."""
+    fields: NDArray[np.void]
+    """(p,) `DATA_PAYLOAD`, the packets themselves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +93,7 @@ class Summary:
 
 
 class CaptureReader:
-    """Reads a capture once, front to back, and keeps the books for a summary. A context manager.
+    """Reads a capture once, front to back, and counts for a summary what it reads. A context manager.
 
     Parameters
     ----------
@@ -131,11 +128,8 @@ class CaptureReader:
     ) -> None:
         self._capture.__exit__(kind, error, trace)
 
-    def points(self) -> Iterator[tuple[Points, NDArray[np.int64]]]:
-        """Points without no-returns, and (n,) their time on the sensor's clock in ns.
-
-        The time counts from the full hour before the capture and goes on past the next one. All points
-        before a packet or record at fault are given before the error is raised.
+    def points(self) -> Iterator[Chunk]:
+        """Read chunk by chunk; all points before a packet or record at fault come before the error is raised.
 
         Raises
         ------
@@ -156,6 +150,11 @@ class CaptureReader:
                 raise PacketError(where, fault.found, fault.expected)
         if not self._azimuth_cdeg:
             raise CaptureError(str(self._path), "no data packet", f"UDP payloads of {DATA_BYTES} bytes")
+
+    @property
+    def first_stamp_ns(self) -> int:
+        """UTC, of the capture, at the first data packet; 0 before one has been read."""
+        return self._stamps_ns[0] if self._stamps_ns else 0
 
     @property
     def summary(self) -> Summary:
@@ -207,12 +206,13 @@ class CaptureReader:
         if held:
             yield held
 
-    def _decoded(self, payloads: NDArray[np.uint8]) -> tuple[Points, NDArray[np.int64]]:
+    def _decoded(self, payloads: NDArray[np.uint8]) -> Chunk:
         """Decode packets, (n, 1206), and count them."""
         points, fields = decode_data(payloads, keep_no_returns=False), data_fields(payloads)
-        clock_ns = self._unwrapped_ns(points, fields)
+        packet_ns = self._unwrapped_ns(fields)
+        since_ns = (points.time_ns - packet_ns[points.packet]) % HOUR_NS
         self._note(fields)
-        return points, clock_ns
+        return Chunk(points, packet_ns[points.packet] + since_ns, packet_ns, fields)
 
     def _note_other(self, datagram: Datagram) -> None:
         """Count what is no data packet."""
@@ -240,16 +240,14 @@ class CaptureReader:
         self._turned_cdeg += int(turned_cdeg.sum())
         self._turning_ns += int(np.where(dual, 5, 10).sum()) * BLOCK_PERIOD_NS
 
-    def _unwrapped_ns(self, points: Points, fields: NDArray[np.void]) -> NDArray[np.int64]:
-        """(n,) the clock of points with the hours added."""
+    def _unwrapped_ns(self, fields: NDArray[np.void]) -> NDArray[np.int64]:
+        """(p,) the clock of packets with the hours added."""
         clock_us = fields["timestamp_us"].astype(np.int64)
         back_us = np.diff(clock_us, prepend=self._clock_us if self._azimuth_cdeg else clock_us[0])
         hours = self._hours + np.cumsum(back_us * US_NS < -HOUR_NS // 2)
         self._hours, self._clock_us = int(hours[-1]), int(clock_us[-1])
-        packet_ns = clock_us[points.packet] * US_NS
-        since_ns = (points.time_ns - packet_ns) % HOUR_NS
-        clock_ns: NDArray[np.int64] = packet_ns + since_ns + hours[points.packet] * HOUR_NS
-        return clock_ns
+        packet_ns: NDArray[np.int64] = clock_us * US_NS + hours * HOUR_NS
+        return packet_ns
 
     def _ranges_m(self) -> tuple[float, float, float]:
         """Minimum, median and maximum distance."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import InputError, OutputError, RunError
 from vlp16emu.text import csv_lines
 
-__all__ = ["Block", "Column", "PointWriter", "writing"]
+__all__ = ["Block", "Column", "PointWriter", "point_file"]
 
 Block = Mapping[str, NDArray[Any]]
 """Arrays of one length by the names of their columns."""
@@ -108,7 +108,7 @@ class _Ply:
         self._points += len(vertices)
 
     def finish(self) -> None:
-        """Go back and tell how many points there are."""
+        """Go back and write how many points there are."""
         self._file.seek(0)
         self._file.write(self._header())
 
@@ -169,7 +169,7 @@ _WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], Sequence[str], ExitSt
 
 
 @contextmanager
-def writing(
+def point_file(
     path: Path, columns: Sequence[Column], comments: Sequence[str], *, where: str
 ) -> Iterator[PointWriter]:
     """Open a file for points in the format that its suffix names.

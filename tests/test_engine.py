@@ -4,8 +4,8 @@ from collections import Counter
 
 import pytest
 
-from vlp16emu.cli.engine import Engine
 from vlp16emu.emulator import Emulator
+from vlp16emu.engine import Engine
 from vlp16emu.scenario import load
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from vlp16emu.cli.keeping_up import settings_that_keep_up, speed_beside_sender
+from vlp16emu.report.keeping_up import settings_that_keep_up, speed_beside_sender
 from vlp16emu.scenario import load
 
 ONE_RAY, SHORT = "--set beam.model=none", "--set sensor.max_range_m=45"

@@ -1,0 +1,253 @@
+"""Returns as points with all that is known of them, straight from the chain and not through packets."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.assembly import Unit
+from vlp16emu.chain import Chain
+from vlp16emu.packets import SEQUENCES_PER_BLOCK
+from vlp16emu.report.turn import Turn, turn_of
+from vlp16emu.scan import Chunk, Scan, cut_scans
+from vlp16emu.sensor import BODY_R_SENSOR, place
+from vlp16emu.sinks.cloud import Block, point_file
+from vlp16emu.sinks.columns import RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS, scene_comments
+from vlp16emu.types import SURFACE, PlantPart, ReturnMode, Returns
+from vlp16emu.units import S_NS, seconds_to_ns
+
+__all__ = ["PointCloud", "scans_of", "world_T_sensor", "write_cloud"]
+
+_LEAF_OR_WOOD = np.array(
+    [0 if p is PlantPart.NONE else 2 if p is PlantPart.LEAF else 1 for p in PlantPart], "u1"
+)
+_LABELS = ("semantic", "part", "instance", "species")
+
+
+@dataclass(frozen=True, slots=True)
+class PointCloud:
+    """What a file of points holds, and what it took."""
+
+    file: str
+    scene: str
+    """Name, path or title."""
+    seed: int
+    unit: int
+    """Which sensor of a rig, from 1."""
+    sensor: str
+    """Model."""
+    beams: int
+    elevation_deg: tuple[float, float]
+    """Of the lowest and the highest beam."""
+    pulses_per_s: float
+    turn: Turn
+    points: int
+    returns: Mapping[str, int]
+    """Points by `RETURN_NAMES`."""
+    truth: bool
+    """Whether points have labels."""
+    bytes: int
+    simulated_s: float
+    wall_s: float
+    real_time_factor: float
+    """Simulated seconds per second."""
+    interrupted: bool
+    """Ended by its stop event."""
+
+
+def write_cloud(
+    chain: Chain,
+    number: int,
+    path: Path,
+    span_s: tuple[float, float],
+    *,
+    truth: bool,
+    scene: str,
+    progress: Callable[[float], None],
+    stop: Event,
+) -> PointCloud:
+    """Write the points of all pulses fired in a span into a file.
+
+    Parameters
+    ----------
+    number : of the unit, from 0
+    path : as `point_file` takes it
+    truth : whether `TRUTH_COLUMNS` are written beside `SCENE_COLUMNS`
+    scene : its name in the result
+    progress : called with the simulated seconds so far, block by block
+    stop : ends the file between two blocks
+
+    Raises
+    ------
+    TrajectoryError
+        where the walk is over before the span
+    InputError, OutputError, RunError
+        as `point_file`
+    """
+    began_s, scenario, unit = time.perf_counter(), chain.scenario, chain.parts.units[number]
+    blocks = _blocks(chain, number, span_s, truth=truth)  # checks the span before the file is touched
+    columns, returns, simulated_s = SCENE_COLUMNS + TRUTH_COLUMNS * truth, np.zeros(3, np.int64), 0.0
+    with point_file(path, columns, scene_comments(scenario.start_utc.isoformat()), where=str(path)) as writer:
+        for block, end_ns in blocks:
+            writer.write(block)
+            returns += np.bincount(block["return_number"], minlength=3)
+            simulated_s = end_ns / S_NS - span_s[0]
+            progress(simulated_s)
+            if stop.is_set():
+                break
+    beams, wall_s = unit.head.beams, time.perf_counter() - began_s
+    return PointCloud(
+        file=str(path),
+        scene=scene,
+        seed=scenario.seed,
+        unit=number + 1,
+        sensor=unit.section.model,
+        beams=len(beams.elevation_deg),
+        elevation_deg=(float(beams.elevation_deg.min()), float(beams.elevation_deg.max())),
+        pulses_per_s=S_NS / beams.sequence_ns * len(beams.elevation_deg),
+        turn=turn_of(unit.head, simulated_s),
+        points=int(returns.sum()),
+        returns=dict(zip(RETURN_NAMES, returns.tolist(), strict=True)),
+        truth=truth,
+        bytes=path.stat().st_size,
+        simulated_s=simulated_s,
+        wall_s=wall_s,
+        real_time_factor=simulated_s / wall_s,
+        interrupted=stop.is_set(),
+    )
+
+
+def _blocks(
+    chain: Chain, number: int, span_s: tuple[float, float], *, truth: bool
+) -> Iterator[tuple[Block, int]]:
+    """Points of each block of a span, and the time in ns since the first pulse until which they reach."""
+    start_ns, unit = chain.scenario.start_ns, chain.parts.units[number]
+    begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
+
+    def made(block: Returns) -> tuple[Block, int]:
+        """Points of one block."""
+        t_ns = block.firings.t_ns
+        points, _ = _points(unit, block, (t_ns >= begin_ns) & (t_ns < end_ns), truth=truth)
+        points["since_start_ns"] = points["t_ns"] - start_ns
+        return points, min(int(t_ns[-1, 0]) + unit.head.beams.sequence_ns, end_ns) - start_ns
+
+    return map(made, chain.returns(*span_s, number, truth=truth))
+
+
+def scans_of(chain: Chain, number: int, span_s: tuple[float, float], *, truth: bool) -> Iterator[Scan]:
+    """Whole revolutions of a unit, numbered from 0, within a span; with labels if the truth is wanted.
+
+    Raises
+    ------
+    TrajectoryError
+        where the walk is over before the span
+    """
+    start_ns, unit = chain.scenario.start_ns, chain.parts.units[number]
+    begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
+    returns = chain.returns(*span_s, number, truth=truth)
+    chunks = (_chunk(unit, block, begin_ns, end_ns, truth=truth) for block in returns)
+    return cut_scans(chunks, lambda t_ns: world_T_sensor(unit, np.array([t_ns]))[0])
+
+
+def world_T_sensor(unit: Unit, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(n, 4, 4) from the sensor's frame of the manual to the world, at instants (n,) UTC."""
+    poses = unit.motion.poses_at(t_ns)
+    T = np.zeros((len(t_ns), 4, 4))
+    T[:, :3, :3] = poses.world_R_body @ BODY_R_SENSOR
+    T[:, :3, 3], T[:, 3, 3] = poses.world_p_body_m, 1.0
+    return T
+
+
+def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: bool) -> Chunk:
+    """Points of the azimuth readings of a block that are taken in a span, each echo once, the last one first."""
+    firings, step = returns.firings, SEQUENCES_PER_BLOCK
+    reading_ns = firings.t_ns[::step, 0]
+    taken = (reading_ns >= begin_ns) & (reading_ns < end_ns)
+    inside = np.broadcast_to(np.repeat(taken, step)[:, None], firings.t_ns.shape)
+    points, sequence = _points(unit, returns, inside, truth=truth)
+    is_last = _is_last(points["return_number"], sequence, points["laser"], returns.distance_m, unit)
+    order = np.lexsort((~is_last, points["laser"], sequence))
+    arrays = {
+        "t_ns": points["t_ns"],
+        "xyz_m": points["sensor_m"].astype(np.float32),
+        "distance_m": points["distance_m"],
+        "azimuth_deg": points["azimuth_deg"],
+        "ring": points["ring"],
+        "reflectivity": points["reflectivity"],
+        "is_last": is_last,
+    } | ({name: points[name] for name in _LABELS} if truth else {})
+    return Chunk(
+        t_ns=reading_ns[taken],
+        azimuth_deg=firings.reading_deg[::step][taken],
+        reading=(np.cumsum(taken) - 1)[sequence[order] // step],
+        arrays={name: array[order] for name, array in arrays.items()},
+    )
+
+
+def _is_last(
+    number: NDArray[np.int64],
+    sequence: NDArray[np.int64],
+    laser: NDArray[np.int64],
+    distance_m: NDArray[np.float32],
+    unit: Unit,
+) -> NDArray[np.bool_]:
+    """(n,) whether points are last returns; of the strongest, in dual return, those that are both."""
+    mode = ReturnMode(unit.section.return_mode)
+    strongest, last = distance_m[sequence, laser, 0], distance_m[sequence, laser, 1]
+    is_both = (number == 0) & (strongest == last) & (mode is ReturnMode.DUAL)
+    return np.asarray((number == 1) | is_both)
+
+
+def _points(
+    unit: Unit, returns: Returns, inside: NDArray[np.bool_], *, truth: bool
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.int64]]:
+    """Make points of the returns of pulses (k, L) that are `inside`; beside them the row (n,) of their sequence."""
+    firings, beams, t_ns = returns.firings, unit.head.beams, returns.firings.t_ns
+    sent = _sent(returns.distance_m, ReturnMode(unit.section.return_mode)) & inside[..., None]
+    sequence, laser, number = np.nonzero(sent)
+    distance_m, pulse_ns = returns.distance_m[sent], t_ns[sequence, laser]
+    placed = place(beams, firings, sequence, laser, distance_m, unit.motion.poses_at(pulse_ns))
+    points: dict[str, NDArray[Any]] = {
+        "t_ns": pulse_ns,
+        "world_m": placed.world_m,
+        "sensor_m": placed.sensor_m,
+        "distance_m": distance_m,
+        "azimuth_deg": placed.azimuth_deg,
+        "elevation_deg": placed.elevation_deg,
+        "reflectivity": returns.reflectivity[sent],
+        "ring": beams.ring[laser],
+        "laser": laser,
+        "return_number": number,
+    }
+    return points | (_labels(returns, sent) if truth else {}), sequence
+
+
+def _sent(distance_m: NDArray[np.float32], mode: ReturnMode) -> NDArray[np.bool_]:
+    """(k, L, 3) which returns the sensor would report: each echo once, a lone one as the strongest.
+
+    The rules of dual return: 63-9243 Rev D, section 9.3.2.
+    """
+    sent = distance_m > 0
+    if mode is ReturnMode.DUAL:
+        same = distance_m[..., 0] == distance_m[..., 1]
+        sent[..., 1] &= ~same
+        sent[..., 2] &= same
+    else:
+        sent &= np.arange(3) == (1 if mode is ReturnMode.LAST else 0)
+    return sent
+
+
+def _labels(returns: Returns, sent: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    """Look up the surface behind each point; what fog or rain throws back is of no class."""
+    assert returns.surface is not None
+    assert returns.surfaces is not None
+    surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row is that of `NO_SURFACE`
+    rows = surfaces[np.minimum(returns.surface[sent], len(returns.surfaces))]
+    return {name: rows[name] for name in (*_LABELS, "reflectance")} | {
+        "leaf_wood": _LEAF_OR_WOOD[rows["part"]]
+    }

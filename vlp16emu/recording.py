@@ -1,0 +1,148 @@
+"""A run into a capture file, and what it made."""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+
+from vlp16emu.assembly import Unit
+from vlp16emu.chain import Chain
+from vlp16emu.fidelity import AuditFinding
+from vlp16emu.packets import returns_in
+from vlp16emu.report.turn import Turn, turn_of
+from vlp16emu.scenario.sensor import on_the_wire
+from vlp16emu.sinks import PcapSink
+from vlp16emu.types import Packet, PacketKind
+from vlp16emu.units import S_NS, seconds_to_ns
+
+__all__ = ["Recording", "UnitRecording", "record_packets"]
+
+
+@dataclass(frozen=True, slots=True)
+class UnitRecording:
+    """What one sensor sent, and how far it turned."""
+
+    unit: int
+    """From 1."""
+    name: str
+    address: str
+    data_port: int
+    position_port: int
+    packets: int
+    """Data packets."""
+    position_packets: int
+    returns: int
+    turn: Turn
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What a recording holds, and what it took."""
+
+    file: str
+    scene: str
+    """Name, path or title."""
+    seed: int
+    beam: str
+    """The active model in words, as the next two; None for clear air."""
+    noise: str
+    weather: str | None
+    packets: int
+    """Data packets of all units."""
+    position_packets: int
+    returns: int
+    units: tuple[UnitRecording, ...]
+    bytes: int
+    sha256: str
+    """Of the whole file."""
+    simulated_s: float
+    wall_s: float
+    real_time_factor: float
+    """Simulated seconds per second."""
+    audit: AuditFinding | None = None
+    """None without an audit."""
+    interrupted: bool = False
+    """Ended by its stop event."""
+
+
+def record_packets(
+    chain: Chain,
+    packets: Iterable[Packet],
+    path: Path,
+    span_s: tuple[float, float],
+    *,
+    scene: str,
+    progress: Callable[[float], None],
+    stop: Event,
+) -> Recording:
+    """Write packets into a file until they end or are to stop.
+
+    Parameters
+    ----------
+    packets : of the chain, over the span
+    path : as `PcapSink` takes it
+    span_s : of the run, since the first pulse
+    scene : its name in the recording
+    progress : called with the simulated seconds so far, packet by packet
+    stop : ends the recording between two packets
+
+    Raises
+    ------
+    OutputError, RunError
+        as `PcapSink`
+    """
+    began_s, scenario, units = time.perf_counter(), chain.scenario, chain.parts.units
+    begin_ns, simulated_s, sent = (
+        scenario.start_ns + seconds_to_ns(span_s[0]),
+        0.0,
+        Counter[tuple[int, str]](),
+    )
+    numbers, links = chain.first_position_packets(span_s[0]), [unit.link for unit in units]
+    with PcapSink(path, numbers, links) as sink:
+        for packet in packets:
+            if stop.is_set():
+                break
+            sink.send(packet)
+            sent[packet.unit, packet.kind] += 1
+            sent[packet.unit, "returns"] += returns_in(packet)
+            simulated_s = (packet.due_ns - begin_ns) / S_NS
+            progress(simulated_s)
+    interrupted, wall_s = stop.is_set(), time.perf_counter() - began_s
+    simulated_s = simulated_s if interrupted else span_s[1] - span_s[0]
+    written, parts = sink.result, tuple(_unit(unit, sent, simulated_s) for unit in units)
+    return Recording(
+        file=str(path),
+        scene=scene,
+        seed=scenario.seed,
+        beam=scenario.beam.summary,
+        noise=scenario.noise.summary,
+        weather=scenario.weather.summary,
+        packets=written.data_packets,
+        position_packets=written.position_packets,
+        returns=sum(unit.returns for unit in parts),
+        units=parts,
+        bytes=written.bytes,
+        sha256=written.sha256,
+        simulated_s=simulated_s,
+        wall_s=wall_s,
+        real_time_factor=simulated_s / wall_s,
+        interrupted=interrupted,
+    )
+
+
+def _unit(unit: Unit, sent: Counter[tuple[int, str]], simulated_s: float) -> UnitRecording:
+    """Sum up what one unit sent."""
+    sensor = on_the_wire(unit.section)
+    return UnitRecording(
+        unit=unit.number + 1,
+        name=sensor.name,
+        address=sensor.address,
+        data_port=sensor.data_port,
+        position_port=sensor.position_port,
+        packets=sent[unit.number, PacketKind.DATA],
+        position_packets=sent[unit.number, PacketKind.POSITION],
+        returns=sent[unit.number, "returns"],
+        turn=turn_of(unit.head, simulated_s),
+    )

@@ -1,0 +1,224 @@
+"""Whole revolutions of a sensor as arrays, of a scene and of a capture alike."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.packets import (
+    BLOCK_PERIOD_NS,
+    BLOCKS_PER_PACKET,
+    RETURN_MODE_BYTE,
+    CaptureReader,
+    Points,
+    chosen_unit,
+    scan_starts,
+)
+from vlp16emu.packets import Chunk as PacketChunk
+from vlp16emu.types import ReturnMode
+from vlp16emu.units import HOUR_NS
+
+__all__ = ["Chunk", "Labels", "Scan", "cut_scans", "decode"]
+
+
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """Ground truth of n points: the surface that each lies on."""
+
+    semantic: NDArray[np.uint8]
+    """(n,) `Semantic`."""
+    part: NDArray[np.uint8]
+    """(n,) `PlantPart`."""
+    instance: NDArray[np.uint32]
+    """(n,) unique per plant, stone or object; 0 none."""
+    species: NDArray[np.uint16]
+    """(n,) number in the species table; 0 none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One whole revolution: n points in the order of their pulses; pulses without return have none.
+
+    A revolution begins with the first azimuth reading (the sensor takes one in two firing sequences) that has passed
+    0. In dual return each echo is there once, the last one first.
+
+    Each point is in the sensor's frame at the instant of its own pulse. `world_T_sensor` is the pose at `start_ns`
+    alone: on a moving sensor it takes only the scan's first points to their places in the world. Those of all are
+    `Emulator.world_T_sensor(scan.t_ns)`.
+    """
+
+    start_ns: int
+    """UTC of the revolution's first pulse, whether or not it has a return."""
+    t_ns: NDArray[np.int64]
+    """(n,) UTC of the pulse. Of a capture: by the sensor's clock, in whole microseconds for each packet, in the hour that
+    is nearest to the capture's stamp; a sensor without GPS counts from its power-up."""
+    xyz_m: NDArray[np.float32]
+    """(n, 3) sensor frame of the manual: azimuth 0 on +y, clockwise seen from above, z up."""
+    distance_m: NDArray[np.float32]
+    """(n,) from the centre of the sensor."""
+    azimuth_deg: NDArray[np.float64]
+    """(n,) at the instant of the pulse, [0, 360)."""
+    ring: NDArray[np.uint16]
+    """(n,) by elevation, 0 the lowest."""
+    reflectivity: NDArray[np.uint8]
+    """(n,) 0..100 diffuse, 101..255 retroreflective."""
+    is_last: NDArray[np.bool_]
+    """(n,) a last return; else the strongest, or in dual return, where that is the last, the second strongest."""
+    world_T_sensor: NDArray[np.float64] | None = None
+    """(4, 4) takes `xyz_m` to the world (local east, north, up), at `start_ns`; None for a capture."""
+    labels: Labels | None = None
+    """Where the truth was asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """m azimuth readings in order of time, and the n points of their pulses."""
+
+    t_ns: NDArray[np.int64]
+    """(m,) UTC of the first pulse after each reading."""
+    azimuth_deg: NDArray[np.float64]
+    """(m,) readings."""
+    reading: NDArray[np.int64]
+    """(n,) index of each point's reading, ascending."""
+    arrays: Mapping[str, NDArray[Any]]
+    """Arrays of n points by the names that they have in a scan."""
+
+    def then(self, later: "Chunk") -> "Chunk":
+        """Join with what comes next."""
+        return Chunk(
+            np.concatenate([self.t_ns, later.t_ns]),
+            np.concatenate([self.azimuth_deg, later.azimuth_deg]),
+            np.concatenate([self.reading, later.reading + len(self.t_ns)]),
+            {name: np.concatenate([array, later.arrays[name]]) for name, array in self.arrays.items()},
+        )
+
+    def part(self, begin: int, end: int) -> Self:
+        """Take readings from `begin` until before `end`."""
+        first, last = np.searchsorted(self.reading, (begin, end))
+        points = {name: array[first:last] for name, array in self.arrays.items()}
+        readings = slice(begin, end)
+        return type(self)(
+            self.t_ns[readings], self.azimuth_deg[readings], self.reading[first:last] - begin, points
+        )
+
+
+def cut_scans(
+    chunks: Iterable[Chunk], pose_at: Callable[[int], NDArray[np.float64]] | None = None
+) -> Iterator[Scan]:
+    """Cut points into whole revolutions; begun ones at both ends are left out.
+
+    Parameters
+    ----------
+    chunks : in order of time, without gaps
+    pose_at : `world_T_sensor` (4, 4) at an instant UTC, where it is known
+    """
+    held, begun = None, False
+    for chunk in chunks:
+        if not len(chunk.t_ns):
+            continue
+        held = chunk if held is None else held.then(chunk)
+        starts = scan_starts(held.azimuth_deg).tolist()
+        for begin, end in pairwise(starts):
+            if begun or _begins_at_zero(held.azimuth_deg):
+                yield _scan(held.part(begin, end), pose_at)
+            begun = True
+        held = held.part(starts[-1], len(held.t_ns))
+    if held is not None and (begun or _begins_at_zero(held.azimuth_deg)) and _ends_at_zero(held.azimuth_deg):
+        yield _scan(held, pose_at)
+
+
+def _begins_at_zero(azimuth_deg: NDArray[np.float64]) -> bool:
+    """Whether the reading before the first one would be of another revolution."""
+    return len(azimuth_deg) > 1 and bool(azimuth_deg[0] < (azimuth_deg[1] - azimuth_deg[0]) % 360.0)
+
+
+def _ends_at_zero(azimuth_deg: NDArray[np.float64]) -> bool:
+    """Whether the reading after the last one would be of another revolution."""
+    return len(azimuth_deg) > 1 and bool(2 * azimuth_deg[-1] - azimuth_deg[-2] >= 360.0)
+
+
+def _scan(chunk: Chunk, pose_at: Callable[[int], NDArray[np.float64]] | None) -> Scan:
+    """Make the scan of one revolution."""
+    arrays, start_ns = dict(chunk.arrays), int(chunk.t_ns[0])
+    labels = None
+    if "semantic" in arrays:
+        labels = Labels(**{name: arrays.pop(name) for name in Labels.__slots__})
+    pose = None if pose_at is None else pose_at(start_ns)
+    return Scan(start_ns=start_ns, world_T_sensor=pose, labels=labels, **arrays)
+
+
+def decode(capture: str | Path, unit: str | int | None = None) -> Iterator[Scan]:
+    """Read the scans of a capture, by the formulas of the sensor's manual; recordings of real sensors are fine.
+
+    Parameters
+    ----------
+    capture : a classic pcap file with the packets of a VLP-16, Puck LITE or Puck Hi-Res
+    unit : which sensor, where there are several: its number from 1, or `address:port` with its data port
+
+    Returns
+    -------
+    iterator over the whole revolutions, which reads the file as it goes; errors come after the scans before them
+
+    Raises
+    ------
+    CaptureError
+        where the file cannot be read or is damaged, or has no data packets
+    PacketError
+        where a packet is not a VLP-16's
+    InputError
+        where there is no such unit, or there are several and none is named
+    """
+    path = Path(capture)
+    reader = CaptureReader(path, chosen_unit(path, None if unit is None else str(unit)))
+    return cut_scans(_chunks(reader))
+
+
+def _chunks(reader: CaptureReader) -> Iterator[Chunk]:
+    """Points of a capture by their azimuth readings."""
+    with reader:
+        zero_ns = None
+        for chunk in reader.points():
+            if zero_ns is None:
+                zero_ns = round((reader.first_stamp_ns - int(chunk.packet_ns[0])) / HOUR_NS) * HOUR_NS
+            yield _chunk(chunk, zero_ns)
+
+
+def _chunk(chunk: PacketChunk, zero_ns: int) -> Chunk:
+    """Sort the points of data packets by azimuth readings; `zero_ns` is the hour from which the clock counts, UTC."""
+    points, blocks = chunk.points, chunk.fields["blocks"]
+    dual = chunk.fields["return_mode"] == RETURN_MODE_BYTE[ReturnMode.DUAL]
+    block = np.arange(BLOCKS_PER_PACKET)
+    is_reading = ~dual[:, None] | (block % 2 == 0)  # blocks 0 and 1 of dual return share theirs
+    block_ns = np.where(dual[:, None], block // 2, block) * BLOCK_PERIOD_NS
+    first = np.concatenate([[0], np.cumsum(is_reading.sum(axis=1))])
+    since_ns = chunk.clock_ns - chunk.packet_ns[points.packet]
+    kept = ~_twins(points)
+    arrays: dict[str, NDArray[Any]] = {
+        "t_ns": chunk.clock_ns + zero_ns,
+        "xyz_m": points.xyz_m,
+        "distance_m": points.distance_m,
+        "azimuth_deg": points.azimuth_deg,
+        "ring": points.ring.astype(np.uint16),
+        "reflectivity": points.reflectivity,
+        "is_last": points.is_last,
+    }
+    return Chunk(
+        t_ns=(chunk.packet_ns[:, None] + block_ns + zero_ns)[is_reading],
+        azimuth_deg=blocks["azimuth_cdeg"][is_reading] / 100,
+        reading=(first[points.packet] + since_ns // BLOCK_PERIOD_NS)[kept],
+        arrays={name: array[kept] for name, array in arrays.items()},
+    )
+
+
+def _twins(points: Points) -> NDArray[np.bool_]:
+    """(n,) records of dual return that repeat the one before, as a lone return is sent (63-9243 Rev D, section 9.3.2)."""
+    same = points.is_last[:-1] & ~points.is_last[1:]
+    same &= np.diff(points.packet) == 0
+    same &= np.diff(points.time_ns) == 0
+    same &= points.laser[1:] == points.laser[:-1]
+    same &= points.distance_m[1:] == points.distance_m[:-1]
+    return np.concatenate([np.zeros(min(1, len(points.laser)), np.bool_), same])

@@ -1,0 +1,170 @@
+"""What a stream sent, how punctual it was, and why it fell behind."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from vlp16emu.chain import Chain
+from vlp16emu.engine import Engine
+from vlp16emu.fidelity import AuditFinding
+from vlp16emu.report.keeping_up import settings_that_keep_up
+from vlp16emu.report.turn import Turn, turn_of
+from vlp16emu.scenario import Scenario
+from vlp16emu.sinks import FellBehind, Late, StreamReport, UdpResult
+from vlp16emu.types import PacketKind
+
+__all__ = ["Behind", "Streamed", "UnitStreamed", "cause_of", "options_for", "summed_up"]
+
+
+@dataclass(frozen=True, slots=True)
+class UnitStreamed:
+    """What one sensor sent, and how far it turned."""
+
+    unit: int
+    """From 1."""
+    data_port: int
+    position_port: int
+    packets: int
+    """Data packets."""
+    position_packets: int
+    turn: Turn
+
+
+@dataclass(frozen=True, slots=True)
+class Behind:
+    """One time that a stream fell behind."""
+
+    at_s: float
+    """From the start of the stream."""
+    behind_s: float
+    """Delay that came of it, or with `skip` the greatest lateness."""
+    engine: bool
+    """The engine was the cause."""
+    engine_speed: float | None
+    """Simulated seconds per second; None where it was not the cause, or is unknown."""
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class Streamed:
+    """What a stream sent, and how it went."""
+
+    scene: str
+    """Name, path or title."""
+    seed: int
+    to: str
+    speed: float
+    """Simulated seconds per second that were asked for."""
+    late: Late
+    beam: str
+    """The active model in words, as the next two; None for clear air."""
+    noise: str
+    weather: str | None
+    data_port: int
+    """Of the first unit, as the next."""
+    position_port: int
+    packets: int
+    """Data packets of all units."""
+    position_packets: int
+    units: tuple[UnitStreamed, ...]
+    simulated_s: float
+    wall_s: float
+    real_time_factor: float
+    late_median_us: float
+    late_p99_us: float
+    late_max_us: float
+    fell_behind: int
+    """How often."""
+    most_behind_s: float
+    behind: tuple[Behind, ...]
+    delay_s: float
+    """By which the stream was late at its end."""
+    skipped_packets: int
+    skipped_position_packets: int
+    keeps_up_with: tuple[str, ...]
+    """Options of `vlp16emu stream` with which the engine would keep up, each enough by itself."""
+    interrupted: bool
+    audit: AuditFinding | None
+    """None without an audit."""
+
+
+def summed_up(
+    chain: Chain,
+    engine: Engine,
+    report: StreamReport,
+    sent: Sequence[UdpResult],
+    *,
+    scene: str,
+    to: str,
+    speed: float,
+    late: Late,
+    audit: AuditFinding | None,
+) -> Streamed:
+    """Sum up a stream.
+
+    Parameters
+    ----------
+    sent : what the sinks of all units have sent
+    """
+    scenario, lateness, skipped = chain.scenario, report.lateness, report.skipped + engine.skipped
+    units = tuple(
+        UnitStreamed(
+            unit=unit.number + 1,
+            data_port=unit.link.data_port,
+            position_port=unit.link.position_port,
+            packets=result.data_packets,
+            position_packets=result.position_packets,
+            turn=turn_of(unit.head, report.simulated_s),
+        )
+        for unit, result in zip(chain.parts.units, sent, strict=True)
+    )
+    return Streamed(
+        scene=scene,
+        seed=scenario.seed,
+        to=to,
+        speed=speed,
+        late=late,
+        beam=scenario.beam.summary,
+        noise=scenario.noise.summary,
+        weather=scenario.weather.summary,
+        data_port=units[0].data_port,
+        position_port=units[0].position_port,
+        packets=sum(unit.packets for unit in units),
+        position_packets=sum(unit.position_packets for unit in units),
+        units=units,
+        simulated_s=report.simulated_s,
+        wall_s=report.wall_s,
+        real_time_factor=report.real_time_factor,
+        late_median_us=lateness.median_ns * 1e-3,
+        late_p99_us=lateness.p99_ns * 1e-3,
+        late_max_us=lateness.max_ns * 1e-3,
+        fell_behind=len(report.behind),
+        most_behind_s=max((behind.total_s for behind in report.behind), default=0.0),
+        behind=tuple(map(_behind, report.behind)),
+        delay_s=report.delay_s,
+        skipped_packets=skipped[PacketKind.DATA],
+        skipped_position_packets=skipped[PacketKind.POSITION],
+        keeps_up_with=tuple(options_for(report.behind, scenario, speed)),
+        interrupted=report.interrupted,
+        audit=audit,
+    )
+
+
+def options_for(times: Sequence[FellBehind], scenario: Scenario, speed: float) -> list[str]:
+    """Options with which the engine keeps up, as slow as it was; none where it was not the cause."""
+    speeds = [behind.engine_speed for behind in times if behind.engine and behind.engine_speed is not None]
+    return settings_that_keep_up(scenario, min(speeds), speed) if speeds else []
+
+
+def cause_of(behind: FellBehind) -> str:
+    """Why a stream fell behind."""
+    if not behind.engine:
+        return "the process stood still or got no core"
+    if behind.engine_speed is None:
+        return "the engine is too slow"
+    return f"the engine computes {behind.engine_speed:.2f} x real time"
+
+
+def _behind(behind: FellBehind) -> Behind:
+    """Take what is of interest afterwards."""
+    speed = behind.engine_speed if behind.engine else None
+    return Behind(behind.at_s, behind.total_s, behind.engine, speed, cause_of(behind))
