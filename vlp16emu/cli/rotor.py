@@ -1,4 +1,4 @@
-"""How verbs tell how far a sensor turns."""
+"""How verbs report how far a sensor turns."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -12,18 +12,16 @@ __all__ = ["revolutions", "turned"]
 
 
 def turned(head: "Head", simulated_s: float) -> dict[str, Any]:
-    """Tell how fast a sensor turns, how finely it looks around, and how far it gets in a run."""
-    from vlp16emu.motion import sweeps_over
-    from vlp16emu.units import S_NS
+    """Report how fast a sensor turns, how finely it looks around, and how far it gets in a run."""
+    from vlp16emu.units import S_NS, seconds_to_ns
 
     rpm, sequences_per_s = head.rotor.rpm, S_NS / head.beams.sequence_ns
-    sweeps = sweeps_over(simulated_s, rpm, head.beams.sequence_ns)
     return {
         "rpm": rpm,
         "azimuth_step_deg": 6 * rpm / sequences_per_s,
         "sequences_per_revolution": sequences_per_s * 60 / rpm,
-        "revolutions": sweeps.revolutions,
-        "azimuth_steps": sweeps.azimuth_steps,
+        "revolutions": simulated_s * rpm / 60.0,
+        "azimuth_steps": seconds_to_ns(simulated_s) // head.beams.sequence_ns,
     }
 
 

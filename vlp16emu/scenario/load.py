@@ -9,15 +9,15 @@ from typing import Any
 from pydantic import ValidationError
 
 from vlp16emu.errors import ScenarioError
+from vlp16emu.motion import Walk
 from vlp16emu.scenario.explain import explain
 from vlp16emu.scenario.find import find
 from vlp16emu.scenario.model import Scenario
-from vlp16emu.scenario.way import Way
 
 __all__ = ["load"]
 
-_RIVALS = frozenset(Way.one_of), Way.either_or
-"""Keys of which a scene tells one, so that a setting takes the place of what the scene tells instead."""
+_RIVALS = frozenset(Walk.one_of), Walk.either_or
+"""Keys of which a scene has one, so that a setting takes the place of the one that the scene has."""
 _UNIT_ERRORS = ("eccentricity_deg", "azimuth_noise_deg", "clock_error_ppm")
 """Errors among the keys of `[sensor]` and `[[rig]]`."""
 
@@ -84,7 +84,7 @@ def _take_errors(tree: dict[str, Any]) -> None:
     tree.update(beam={"model": "none"}, noise={"preset": "ideal"}, weather={})
     units = rig if isinstance(rig := tree.get("rig"), list) else []
     for unit in (tree.setdefault("sensor", {}), *units):
-        if isinstance(unit, dict):  # what is no table is told of when the scene is checked
+        if isinstance(unit, dict):  # what is no table is found when the scene is checked
             unit.update(dict.fromkeys(_UNIT_ERRORS, 0.0))
 
 
@@ -96,17 +96,17 @@ def _apply(tree: dict[str, Any], setting: str) -> None:
     if not equals or not all(names) or not text.strip():
         raise ScenarioError(where, "no assignment", "key.path=value")
     for name in names[:-1]:
-        _make_way(tree, name)
+        _drop_rivals(tree, name)
         branch = tree.setdefault(name, {})
         if not isinstance(branch, dict):
             raise ScenarioError(where, f"{name} is no table", "table names before the last dot")
         tree = branch
-    _make_way(tree, names[-1])
+    _drop_rivals(tree, names[-1])
     tree[names[-1]] = _value(text.strip())
 
 
-def _make_way(tree: dict[str, Any], name: str) -> None:
-    """Drop what a key that is set now stands for."""
+def _drop_rivals(tree: dict[str, Any], name: str) -> None:
+    """Drop the keys that a key that is set rules out."""
     for rivals in _RIVALS:
         if name in rivals:
             for rival in rivals - {name}:
