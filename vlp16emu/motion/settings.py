@@ -119,7 +119,7 @@ class Stop(Section):
 class Gait(Preset):
     """Amplitudes of the trunk's motion at walking speed; they fade as the person slows down.
 
-    Defaults are those of `natural`. A range from end to end is twice an amplitude.
+    Defaults are those of `natural`.
     """
 
     amplitudes: ClassVar = (
@@ -206,7 +206,7 @@ class Harness(Section):
 
 
 class Walk(Section):
-    """A person with the sensor on the back; needs exactly one of the three sources of way points."""
+    """A person with the sensor on the back."""
 
     either_or: ClassVar[frozenset[str]] = frozenset({"speed_m_s", "run_time_s"})
     one_of: ClassVar[tuple[str, ...]] = ("way_points_m", "way_points_file", "lawn_mower")
@@ -295,7 +295,7 @@ class Recorded(Section):
 
 
 class Imu(Preset):
-    """Rate, place and errors of each axis; densities as in IEEE Std 952-1997, annex C. Defaults are those of `ideal`."""
+    """Rate, place and errors; densities as in IEEE Std 952-1997. Defaults are those of `ideal`."""
 
     presets: ClassVar[Mapping[str, Mapping[str, float]]] = {
         "ideal": {},
