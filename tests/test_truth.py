@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import OutputError
-from vlp16emu.motion import Origin, to_geodetic
+from vlp16emu.motion.gnss import to_geodetic
 from vlp16emu.packets import decode_data, decode_position, parse_rmc
 from vlp16emu.scenario import load, scene_files
 from vlp16emu.sinks import TruthTo
@@ -114,7 +114,7 @@ def test_gnss_rows_are_what_the_sentences_say(walk, tmp_path):
     gps = walk.scenario.gps
     t_ns = (walk.scenario.start_ns // S_NS + 2) * S_NS
     antenna_m = walk.parts.motion.poses_at(np.array([t_ns])).world_p_body_m + [0, 0, gps.antenna_above_m]
-    place = to_geodetic(antenna_m, Origin(gps.latitude_deg, gps.longitude_deg, gps.height_m))[0]
+    place = to_geodetic(antenna_m, gps)[0]
     row = by_second[t_ns // S_NS]
     assert [float(row[f"true_{name}"]) for name in ("latitude_deg", "longitude_deg")] == pytest.approx(
         place[:2].tolist(), abs=1e-10

@@ -1,18 +1,21 @@
 """What all sections of a scenario have in common."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
+    ValidationInfo,
     model_serializer,
     model_validator,
 )
 
-__all__ = ["Angle", "Fraction", "NonNegative", "Place", "Positive", "Preset", "Section", "Size"]
+__all__ = ["Angle", "Fraction", "NonNegative", "Place", "Positive", "Preset", "SceneFile", "Section", "Size"]
 
 
 class Section(BaseModel):
@@ -27,8 +30,8 @@ class Section(BaseModel):
     def _without_what_is_ruled_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out what another key rules out, so that a scenario that is written can be read again."""
         tree: dict[str, Any] = write(self)
-        told = self.either_or & self.model_fields_set
-        ruled_out = self.either_or - told if told else frozenset()
+        given = self.either_or & self.model_fields_set
+        ruled_out = self.either_or - given if given else frozenset()
         return {key: value for key, value in tree.items() if key not in ruled_out}
 
 
@@ -45,6 +48,12 @@ class Preset(Section):
         return {**cls.presets.get(preset, {}), **table} if isinstance(preset, str) else table
 
 
+def _beside_the_scene(file: str, info: ValidationInfo) -> str:
+    """Path of a file that a scene names, which is relative to the folder of the scene file."""
+    return str(Path(info.context["folder"], file)) if info.context else file
+
+
+SceneFile = Annotated[str, Field(min_length=1), AfterValidator(_beside_the_scene)]
 Angle = Annotated[float, Field(ge=-180, le=180)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.assembly import Parts, Unit
 from vlp16emu.device import GpsInput
-from vlp16emu.motion import GnssErrors, Origin, Receiver
+from vlp16emu.motion.gnss import Receiver
 from vlp16emu.packets import STAMP_LEAD_NS, first_position_packet, pack_position, position_due_ns, rmc
 from vlp16emu.pipeline import Windows
 from vlp16emu.raycast import Scene
@@ -33,22 +33,8 @@ def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Scene]) -> 
         scene = windows.at_time(t_ns - start_ns).result()
         return sky_cover(scene, t_ns, antenna_m, _LOWEST_DEG, far_m)
 
-    return Receiver(
-        parts.motion,
-        origin=Origin(gps.latitude_deg, gps.longitude_deg, gps.height_m),
-        antenna_above_m=gps.antenna_above_m,
-        errors=GnssErrors(
-            position_noise_m=gps.position_noise_m,
-            wander_m=gps.wander_m,
-            wander_s=gps.wander_s,
-            velocity_noise_m_s=gps.velocity_noise_m_s,
-            canopy_error_factor=gps.canopy_error_factor,
-            canopy_half_cover=gps.canopy_half_cover,
-            canopy_cover_width=gps.canopy_cover_width,
-        ),
-        seed=scenario.seed,
-        sky=cover if gps.canopy_loss else None,
-    )
+    sky = cover if gps.canopy_loss else None
+    return Receiver(parts.motion, gps, seed=scenario.seed, sky=sky)
 
 
 def position_number(scenario: Scenario, unit: Unit, since_ns: int) -> int:

@@ -1,6 +1,5 @@
 """What really was, beside what was sent: trajectory, inertial unit, GNSS, rig and scenario of a run."""
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from importlib.metadata import version
@@ -14,10 +13,12 @@ from vlp16emu.assembly import Parts, Unit
 from vlp16emu.assembly.files import named_files
 from vlp16emu.chain import Chain
 from vlp16emu.errors import RunError
-from vlp16emu.motion import Imu, Motion, Receiver, rotations, to_geodetic
+from vlp16emu.motion import Gps, Mount
+from vlp16emu.motion.gnss import Receiver, to_geodetic
+from vlp16emu.motion.imu import ImuSampler
+from vlp16emu.motion.pose import Motion, rotation
 from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.harness import Mount
 from vlp16emu.scenario.sensor import on_the_wire
 from vlp16emu.sensor import BODY_R_SENSOR, SEQUENCE_NS
 from vlp16emu.sinks import TruthFolder, TruthTo, tum_rows
@@ -144,7 +145,7 @@ class Truth:
         named_ns = chain.parts.gps.second_ns(begin_ns)
         if named_ns is not None:
             append = self._begun("gnss.csv", ",".join(_GNSS_COLUMNS) + "\n")
-            yield _Samples(append, _fixes(chain.receiver), 0, 1, named_ns)
+            yield _Samples(append, _fixes(chain.receiver, chain.scenario.gps), 0, 1, named_ns)
 
 
 class _Samples:
@@ -203,7 +204,7 @@ def _poses(motion: Motion, start_ns: int, rate_hz: int) -> Rows:
     return rows
 
 
-def _inertial(imu: Imu) -> Rows:
+def _inertial(imu: ImuSampler) -> Rows:
     """Lines of an inertial unit."""
 
     def rows(first: int, count: int) -> str:
@@ -218,13 +219,13 @@ def _inertial(imu: Imu) -> Rows:
     return rows
 
 
-def _fixes(receiver: Receiver) -> Rows:
+def _fixes(receiver: Receiver, gps: Gps) -> Rows:
     """Lines of what a receiver measures and says; sample i is the UTC second i."""
 
     def row(t_ns: int) -> str:
         """Line of one second."""
         true, said = receiver.reading(t_ns), receiver.fix(t_ns)
-        latitude_deg, longitude_deg, height_m = to_geodetic(true.antenna_m[None], receiver.origin)[0].tolist()
+        latitude_deg, longitude_deg, height_m = to_geodetic(true.antenna_m[None], gps)[0].tolist()
         east_m_s, north_m_s, _ = true.velocity_m_s.tolist()
         return (
             f"{seconds_text(t_ns)},{said.valid:d},{true.cover:.4f},"
@@ -280,8 +281,7 @@ def _unit(unit: Unit) -> dict[str, Any]:
 
 def _mount(section: Mount) -> dict[str, Any]:
     """Write how a device sits on the body, with its stage, if that spins, at its zero."""
-    inclination = math.radians(section.pitch_deg), math.radians(section.roll_deg)
-    R = rotations(np.array([math.radians(section.yaw_deg)]), *inclination)[0]
+    R = rotation(section.yaw_deg, section.pitch_deg, section.roll_deg)
     spin = {"spin_hz": section.spin_hz, "spin_axis": section.spin_axis} if section.spin_hz else {}
     return _transform(R, np.array(section.lever_arm_m)) | spin
 

@@ -1,10 +1,11 @@
-"""A way whose derivatives are plain formulas, and people who walk it."""
+"""A route whose derivatives are plain formulas, and people who walk it."""
 
 import numpy as np
 import pytest
 
-from vlp16emu.motion import Gait, Walking
-from vlp16emu.motion.track import Track
+from vlp16emu.motion import Gait, Harness, Walk
+from vlp16emu.motion.route import Track
+from vlp16emu.motion.walk import WalkMotion
 
 START_NS = 1_780_000_000 * 10**9
 
@@ -47,7 +48,7 @@ def start_ns():
 
 @pytest.fixture(scope="session")
 def circle():
-    """Make a way round a circle."""
+    """Make a route round a circle."""
 
     def make(radius_m=8.0, speed_m_s=1.2, centre_m=(0.0, 0.0, 0.0)):
         return Circle(radius_m, speed_m_s, np.array(centre_m))
@@ -78,25 +79,31 @@ def gait():
 
 
 @pytest.fixture(scope="session")
+def straps():
+    """Make straps from the frequencies of all axes, or from one for all, and their damping."""
+
+    def make(hz, damping_ratio):
+        axes = ("fore_aft_hz", "sideways_hz", "vertical_hz", "roll_hz", "pitch_hz", "yaw_hz")
+        own_hz = hz if isinstance(hz, tuple) else (hz,) * 6
+        return Harness(**dict(zip(axes, own_hz, strict=True)), damping_ratio=damping_ratio)
+
+    return make
+
+
+@pytest.fixture(scope="session")
 def still():
     """Give a gait without any motion."""
-    return Gait(1.85, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return Gait(preset="none", step_hz=1.85)
 
 
 @pytest.fixture(scope="session")
 def walking(circle, gait):
     """Let a person walk."""
 
-    def make(way=None, own_gait=None, harness=None, start_ns=START_NS):
-        return Walking(
-            way or circle(),
-            start_ns=start_ns,
-            speed_m_s=1.2,
-            height_m=2.0,
-            gait=own_gait or gait(),
-            harness=harness,
-            seed=1,
-        )
+    def make(route=None, own_gait=None, harness=None, start_ns=START_NS):
+        points_m = [(0.0, 0.0), (1.0, 0.0)]  # of no effect: the route is given
+        section = Walk(kind="walk", way_points_m=points_m, gait=own_gait or gait(), harness=harness)
+        return WalkMotion(section, route or circle(), start_ns=start_ns, seed=1)
 
     return make
 

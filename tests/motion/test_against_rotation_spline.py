@@ -3,7 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from vlp16emu.motion import Recorded, RecordedPoses
+from vlp16emu.motion import Recorded
+from vlp16emu.motion.pose_files import RecordedPoses
+from vlp16emu.motion.recorded import RecordedMotion
 
 
 def test_rotations_and_rates_agree_with_scipy():
@@ -13,9 +15,9 @@ def test_rotations_and_rates_agree_with_scipy():
     recorded = Rotation.from_euler("ZYX", angles)
     theirs = RotationSpline(t, recorded)
     poses = RecordedPoses([], np.rint(t * 1e9).astype(np.int64), np.zeros((len(t), 3)), recorded.as_quat())
-    ours = Recorded(
-        poses, start_ns=0, max_gap_s=1.0, x_m=0.0, y_m=0.0, z_m=0.0, yaw_deg=0.0, axes="body"
-    ).kinematics_at(np.arange(500_000_000, 5_400_000_000, 3_333_333))
+    section = Recorded(kind="recorded", file="poses.txt", format="tum")
+    motion = RecordedMotion(section, poses, start_ns=0)
+    ours = motion.kinematics_at(np.arange(500_000_000, 5_400_000_000, 3_333_333))
     at_s = ours.t_ns / 1e9
     difference = (theirs(at_s).inv() * Rotation.from_matrix(ours.world_R_body)).magnitude()
     assert difference.max() < 1e-4

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from vlp16emu.motion import Harness, Mount, mounted
+from vlp16emu.motion import Mount
+from vlp16emu.motion.mount import mounted
 
 STEP_NS, STEPS = 1_000_000, 60_000
 H = STEP_NS * 1e-9
@@ -13,11 +14,13 @@ GAUSS = (0.5 * (1 - np.sqrt(1 / 3)), 0.5 * (1 + np.sqrt(1 / 3)))
 
 
 @pytest.fixture(scope="module", params=["pack", "device"])
-def samples(request, walking, start_ns):
+def samples(request, walking, straps, start_ns):
     """Kinematics at the ends and both Gauss points of each step, of the pack and of a tilted, spinning device."""
-    motion = walking(harness=Harness((2.5, 3.0, 2.0, 3.0, 3.0, 2.5), 0.2))
+    motion = walking(harness=straps((2.5, 3.0, 2.0, 3.0, 3.0, 2.5), 0.2))
     if request.param == "device":
-        motion = mounted(motion, Mount((0.1, -0.2, 0.5), 20.0, 30.0, -10.0, 0.5, (0.2, 0.0, 1.0)), start_ns)
+        turns = {"yaw_deg": 20.0, "pitch_deg": 30.0, "roll_deg": -10.0, "spin_hz": 0.5}
+        mount = Mount(lever_arm_m=(0.1, -0.2, 0.5), spin_axis=(0.2, 0.0, 1.0), **turns)
+        motion = mounted(motion, mount, start_ns)
     begin = start_ns + np.arange(STEPS + 1, dtype=np.int64) * STEP_NS
     inner = [motion.kinematics_at(begin[:-1] + round(c * STEP_NS)) for c in GAUSS]
     return motion.kinematics_at(begin), inner

@@ -21,7 +21,7 @@ def test_two_amplitudes_alone_are_two_plain_sines(gait):
     own = dict.fromkeys(
         ("second_harmonic_m", "heel_strike_m", "fore_aft_m", "roll_deg", "pitch_deg", "yaw_deg"), 0.0
     )
-    u = Trunk(gait(**own, variation=0.0), 1).at(T, WALKS)
+    u = Trunk(gait(**own, variation=0.0), 1.2, 1).at(T, WALKS)
     np.testing.assert_allclose(u[:, 2], 0.02 * np.sin(2 * np.pi * 1.85 * T), atol=1e-13)
     np.testing.assert_allclose(u[:, 1], 0.02 * np.sin(np.pi * 1.85 * T + np.pi / 4), atol=1e-13)
     assert not u[:, [0, 3, 4, 5]].any()
@@ -30,7 +30,7 @@ def test_two_amplitudes_alone_are_two_plain_sines(gait):
 def test_heel_strikes_are_short_dips_at_the_lowest_point(gait):
     """With a heel strike only, the trunk dips once per step by the given depth where the step is lowest."""
     own = dict.fromkeys(("vertical_m", "second_harmonic_m"), 0.0)
-    u = Trunk(gait(**own, variation=0.0), 1).at(T, WALKS)[:, 2]
+    u = Trunk(gait(**own, variation=0.0), 1.2, 1).at(T, WALKS)[:, 2]
     phase = (1.85 * T) % 1.0
     assert u.min() == pytest.approx(-0.001, rel=1e-4)
     assert abs(phase[np.argmin(u)] - 0.75) < 0.01
@@ -39,14 +39,14 @@ def test_heel_strikes_are_short_dips_at_the_lowest_point(gait):
 
 def test_one_who_stands_does_not_bob(gait):
     """Effort zero is no motion at all, and half of it half the motion."""
-    trunk = Trunk(gait(), 1)
+    trunk = Trunk(gait(), 1.2, 1)
     assert not trunk.at(T, 0.0 * WALKS).any()
     np.testing.assert_allclose(trunk.at(T, 0.5 * WALKS), 0.5 * trunk.at(T, WALKS), rtol=1e-12, atol=1e-18)
 
 
 def test_trunk_leans_over_the_leg_it_stands_on(gait):
     """Where the trunk is farthest to the left it rolls to the left, and it is highest there."""
-    u = Trunk(gait(variation=0.0, second_harmonic_m=0.0, heel_strike_m=0.0), 1).at(T, WALKS)
+    u = Trunk(gait(variation=0.0, second_harmonic_m=0.0, heel_strike_m=0.0), 1.2, 1).at(T, WALKS)
     left = np.argmax(u[:, 1])
     assert u[left, 3] < -0.029
     assert u[left, 2] > 0.0199
@@ -56,7 +56,7 @@ def test_amplitudes_vary_as_told(gait):
     """Over many walkers the amplitude at an instant is normal about one with the set deviation."""
     t, one = np.array([100.0]), np.ones(1)
     fixed = {"step_hz": 1e-12, "variation": 0.1}  # the phase stands, so only the amplitude varies
-    sway = np.array([Trunk(gait(**fixed), seed).at(t, one)[0] for seed in range(1500)])
+    sway = np.array([Trunk(gait(**fixed), 1.2, seed).at(t, one)[0] for seed in range(1500)])
     for axis in (0, 1, 5):
         factor = sway[:, axis] / (0.01, 0.02 * np.sqrt(0.5), 0, 0, 0, np.radians(3.5) * np.sqrt(0.5))[axis]
         assert stats.kstest((factor - 1.0) / 0.1, "norm").pvalue > 0.01
@@ -65,7 +65,7 @@ def test_amplitudes_vary_as_told(gait):
 def test_stride_times_vary_as_told_and_with_long_memory(gait):
     """Stride times deviate by the set share, and neighbours resemble each other as those of people do."""
     t = np.linspace(0.0, 1200.0, 480_001)
-    u = Trunk(gait(variation=0.03), 5).at(t, np.ones_like(t))[:, 1]
+    u = Trunk(gait(variation=0.03), 1.2, 5).at(t, np.ones_like(t))[:, 1]
     up = np.flatnonzero((u[:-1] < 0) & (u[1:] >= 0))
     strides = np.diff(t[up] - u[up] * (t[1] - t[0]) / (u[up + 1] - u[up]))
     assert strides.std() / strides.mean() == pytest.approx(0.03, rel=0.35)
@@ -75,7 +75,7 @@ def test_stride_times_vary_as_told_and_with_long_memory(gait):
 
 def test_samples_do_not_depend_on_their_company(gait):
     """A sample taken alone has the bits that it has among others; another seed has others."""
-    among = Trunk(gait(), 7).at(T, WALKS)
-    alone = Trunk(gait(), 7).at(T[9_999:10_000], np.ones(1))
+    among = Trunk(gait(), 1.2, 7).at(T, WALKS)
+    alone = Trunk(gait(), 1.2, 7).at(T[9_999:10_000], np.ones(1))
     assert (among[9_999] == alone[0]).all()
-    assert (Trunk(gait(), 8).at(T, WALKS) != among).any()
+    assert (Trunk(gait(), 1.2, 8).at(T, WALKS) != among).any()

@@ -5,13 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from vlp16emu.motion.geodesy import Origin, to_geodetic, to_local
+from vlp16emu.motion import Gps
+from vlp16emu.motion.gnss import to_geodetic, to_local
 
 ORIGINS = [
-    Origin(62.24, 25.75, 120.0),
-    Origin(-33.5, -70.6, 900.0),
-    Origin(0.0, 179.9999, 0.0),
-    Origin(89.9, 10.0, 0.0),
+    Gps(latitude_deg=62.24, longitude_deg=25.75, height_m=120.0),
+    Gps(latitude_deg=-33.5, longitude_deg=-70.6, height_m=900.0),
+    Gps(latitude_deg=0.0, longitude_deg=179.9999, height_m=0.0),
+    Gps(latitude_deg=89.9, longitude_deg=10.0, height_m=0.0),
 ]
 
 
@@ -63,7 +64,9 @@ def test_the_origin_is_the_origin():
 
 def test_longitude_wraps_at_the_date_line():
     """East of 180 degrees comes -180."""
-    longitude_deg = to_geodetic(np.array([[1000.0, 0.0, 0.0]]), Origin(10.0, 179.999, 0.0))[0, 1]
+    longitude_deg = to_geodetic(
+        np.array([[1000.0, 0.0, 0.0]]), Gps(latitude_deg=10.0, longitude_deg=179.999, height_m=0.0)
+    )[0, 1]
     assert -180.0 <= longitude_deg < -179.9
 
 

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from vlp16emu.motion.geodesy import Origin, to_geodetic, to_local
-from vlp16emu.motion.gnss import GnssErrors, Receiver, wander
-from vlp16emu.motion.track import Kinematics
+from vlp16emu.motion import Gps
+from vlp16emu.motion.gnss import Receiver, to_geodetic, to_local, wander
+from vlp16emu.motion.pose import Kinematics
 from vlp16emu.units import S_NS
 
 START_NS = 1_780_000_000 * S_NS
-ORIGIN = Origin(62.0, 25.0, 100.0)
-EXACT = GnssErrors(
+EXACT = Gps(
+    latitude_deg=62.0,
+    longitude_deg=25.0,
+    height_m=100.0,
     position_noise_m=0.0,
     wander_m=0.0,
     wander_s=300.0,
@@ -23,7 +25,7 @@ EXACT = GnssErrors(
     canopy_half_cover=0.9,
     canopy_cover_width=0.05,
 )
-NOISY = dataclasses.replace(EXACT, position_noise_m=0.3, wander_m=1.2, velocity_noise_m_s=0.05)
+NOISY = EXACT.model_copy(update={"position_noise_m": 0.3, "wander_m": 1.2, "velocity_noise_m_s": 0.05})
 
 
 class Straight:
@@ -43,9 +45,7 @@ class Straight:
 
 
 def receiver(errors=EXACT, *, velocity_m_s=(0.0, 0.0, 0.0), seed=1, sky=None):
-    return Receiver(
-        Straight(velocity_m_s), origin=ORIGIN, antenna_above_m=0.2, errors=errors, seed=seed, sky=sky
-    )
+    return Receiver(Straight(velocity_m_s), errors, seed=seed, sky=sky)
 
 
 def at(second):
@@ -55,8 +55,8 @@ def at(second):
 def test_without_errors_the_fix_is_the_truth():
     """Place, speed and course are those of the antenna at the second itself, to the micrometre."""
     fix = receiver(velocity_m_s=(0.6, 0.8, 0.1)).fix(at(10))
-    there = to_geodetic(np.array([[6.0, 8.0, 1.2]]), ORIGIN)[0]
-    back_m = to_local(np.array([[fix.latitude_deg, fix.longitude_deg, there[2]]]), ORIGIN)[0]
+    there = to_geodetic(np.array([[6.0, 8.0, 1.2]]), EXACT)[0]
+    back_m = to_local(np.array([[fix.latitude_deg, fix.longitude_deg, there[2]]]), EXACT)[0]
     np.testing.assert_allclose(back_m, [6.0, 8.0, 1.2], atol=1e-6)
     assert fix.t_ns == at(10)
     assert fix.valid
@@ -64,10 +64,10 @@ def test_without_errors_the_fix_is_the_truth():
     assert fix.course_deg == pytest.approx(math.degrees(math.atan2(0.6, 0.8)))
 
 
-@pytest.mark.parametrize(("speed_m_s", "told_m_s"), [(500.0, 500.0), (515.0, 513.93), (1e300, 513.93)])
-def test_a_receiver_tells_at_most_999_knots(speed_m_s, told_m_s):
+@pytest.mark.parametrize(("speed_m_s", "reported_m_s"), [(500.0, 500.0), (515.0, 513.93), (1e300, 513.93)])
+def test_a_receiver_reports_at_most_999_knots(speed_m_s, reported_m_s):
     """Whatever makes it believe to be faster, the speed that is reported ends where receivers end."""
-    assert receiver(velocity_m_s=(0.0, speed_m_s, 0.0)).fix(START_NS).speed_m_s == pytest.approx(told_m_s)
+    assert receiver(velocity_m_s=(0.0, speed_m_s, 0.0)).fix(START_NS).speed_m_s == pytest.approx(reported_m_s)
 
 
 def test_standing_receiver_without_errors_has_no_speed():
@@ -113,7 +113,7 @@ def test_errors_have_their_sigmas_and_grow_with_cover(cover, factor):
 
 def test_consecutive_seconds_share_what_wanders_only():
     """From one second to the next the error changes by the white noise, not by the wander."""
-    steady = dataclasses.replace(NOISY, wander_s=1e6)
+    steady = NOISY.model_copy(update={"wander_s": 1e6})
     east_m = np.array([receiver(steady).reading(at(s)).measured_m[0] for s in range(600)])
     assert np.diff(east_m).std() == pytest.approx(0.3 * math.sqrt(2), rel=0.12)
 
@@ -137,13 +137,13 @@ def test_fixes_fail_in_spells():
 
 def test_an_open_sky_is_never_asked_for():
     """Without a sky to look at no fix fails, however narrow the curve."""
-    edgy = dataclasses.replace(EXACT, canopy_half_cover=1e-9, canopy_cover_width=1e-9)
+    edgy = EXACT.model_copy(update={"canopy_half_cover": 1e-9, "canopy_cover_width": 1e-9})
     assert all(receiver(edgy, seed=s).reading(at(0)).valid for s in range(50))
 
 
 def test_a_lost_fix_repeats_the_last_one():
     """Under a roof that is entered at second 100 the numbers stay those of second 99, and the status says so."""
-    hidden = dataclasses.replace(NOISY, canopy_half_cover=0.5, canopy_cover_width=1e-6)
+    hidden = NOISY.model_copy(update={"canopy_half_cover": 0.5, "canopy_cover_width": 1e-6})
     walk = receiver(hidden, velocity_m_s=(1.0, 0.0, 0.0), sky=lambda t_ns, _p: float(t_ns >= at(100)))
     last = walk.fix(at(99))
     assert last.valid
@@ -154,7 +154,7 @@ def test_a_lost_fix_repeats_the_last_one():
 
 def test_after_ten_seconds_the_track_is_carried_on():
     """Where ten seconds have no fix the numbers are those measured ten seconds ago."""
-    hidden = dataclasses.replace(EXACT, canopy_half_cover=0.5, canopy_cover_width=1e-6)
+    hidden = EXACT.model_copy(update={"canopy_half_cover": 0.5, "canopy_cover_width": 1e-6})
     roof = receiver(hidden, velocity_m_s=(1.0, 0.0, 0.0), sky=lambda _t, _p: 1.0)
     free = receiver(velocity_m_s=(1.0, 0.0, 0.0))
     assert roof.fix(at(50)) == dataclasses.replace(free.fix(at(40)), t_ns=at(50), valid=False)

@@ -9,8 +9,7 @@ from scipy.interpolate import BSpline
 from scipy.linalg import expm
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.harness import KNOTS_PER_S, Harness, Pack
-from vlp16emu.motion.oscillator import decay_per_s, response
+from vlp16emu.motion.harness import KNOTS_PER_S, Pack, decay_per_s, response
 
 NODES_S = np.arange(1001) / 1000
 
@@ -21,10 +20,6 @@ def sines(first, count):
     x = np.clip(t, 0.0, 1.0)
     rates = np.array([1.8, 0.9, 3.6, 0.9, 1.8, 7.0])
     return 0.02 * (x**3 * (10 - 15 * x + 6 * x * x))[:, None] * np.sin(2 * np.pi * t[:, None] * rates)
-
-
-def straps(hz, damping):
-    return Harness((hz,) * 6, damping)
 
 
 def test_trunk_is_the_spline_through_its_samples():
@@ -68,7 +63,7 @@ def test_step_is_the_matrix_exponential():
         assert np.abs(error).max() < 1e-9, (hz, damping)
 
 
-def test_pack_answers_a_long_sine_as_the_transfer_function_says():
+def test_pack_answers_a_long_sine_as_the_transfer_function_says(straps):
     """Gain and lag in the steady state are those of (2 z w s + w^2) / (s^2 + 2 z w s + w^2)."""
     f, hz, z = 1.8, 2.2, 0.15
 
@@ -82,14 +77,14 @@ def test_pack_answers_a_long_sine_as_the_transfer_function_says():
     np.testing.assert_allclose(Pack(sine, straps(hz, z)).nodes(60)[:, 0, 0], expected, atol=1e-10)
 
 
-def test_stiff_straps_are_no_straps():
+def test_stiff_straps_are_no_straps(straps):
     """At 1 GHz the pack is where the trunk is, within 1e-9 in displacement, velocity and acceleration."""
     rigid, stiff = Pack(sines, None).nodes(2), Pack(sines, straps(1e9, 0.5)).nodes(2)
     np.testing.assert_allclose(stiff, rigid, atol=1e-9)
 
 
 @pytest.mark.parametrize("damping", [1.0, 1e-2])
-def test_nothing_jumps_at_critical_damping_nor_between_seconds(damping):
+def test_nothing_jumps_at_critical_damping_nor_between_seconds(damping, straps):
     """A billionth of damping more changes nothing, and a second ends where the next one begins."""
     pack = Pack(sines, straps(2.0, damping))
     near = Pack(sines, straps(2.0, damping + 1e-9))
@@ -97,7 +92,7 @@ def test_nothing_jumps_at_critical_damping_nor_between_seconds(damping):
     np.testing.assert_allclose(pack.nodes(3)[-1], pack.nodes(4)[0], atol=1e-12)
 
 
-def test_random_access_gives_the_same_bits():
+def test_random_access_gives_the_same_bits(straps):
     """A late second asked for first equals the one reached second by second."""
     steady, jumper = (Pack(sines, straps(1.5, 0.2)) for _ in range(2))
     walked = [steady.nodes(second) for second in range(40)]
@@ -105,7 +100,7 @@ def test_random_access_gives_the_same_bits():
     assert (jumper.nodes(7) == walked[7]).all()
 
 
-def test_velocity_and_acceleration_belong_to_the_displacement():
+def test_velocity_and_acceleration_belong_to_the_displacement(straps):
     """The quintic through value, rate and acceleration at two nodes meets the node between them."""
     x = Pack(sines, straps(3.0, 0.3)).nodes(2)
     h = 2.0 / 1000
@@ -117,14 +112,14 @@ def test_velocity_and_acceleration_belong_to_the_displacement():
     np.testing.assert_allclose(x[1:-1:2, :, 0], middle, atol=1e-10)
 
 
-def test_straps_rest_before_the_first_step():
+def test_straps_rest_before_the_first_step(straps):
     """Until the first step nothing is stretched, however much is asked for."""
     pack = Pack(sines, straps(1.0, 0.2))
     assert not pack.nodes(-1)[:-20].any()
 
 
 @pytest.mark.parametrize(("hz", "damping", "found"), [(2.0, 0.0, "for ever"), (1.0, 1e-3, "6230 s")])
-def test_undamped_straps_are_refused(hz, damping, found):
+def test_undamped_straps_are_refused(hz, damping, found, straps):
     """Straps that would swing for more than ten minutes are refused in one line that says for how long."""
     with pytest.raises(TrajectoryError, match=f"harness: swings .*{found}.*more damping"):
         Pack(sines, straps(hz, damping))

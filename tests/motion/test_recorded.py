@@ -6,10 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion import Recorded, RecordedPoses
+from vlp16emu.motion import Recorded
+from vlp16emu.motion.pose_files import RecordedPoses
+from vlp16emu.motion.recorded import RecordedMotion
 
 START_NS = 1_780_000_000 * 10**9
-AS_IT_IS = {"max_gap_s": 1.0, "x_m": 0.0, "y_m": 0.0, "z_m": 0.0, "yaw_deg": 0.0, "axes": "body"}
 
 
 def poses(t_s, position_m, quaternion):
@@ -24,7 +25,8 @@ def about_z(angle_rad):
 
 
 def recorded(some, **own):
-    return Recorded(some, start_ns=START_NS, **AS_IT_IS | own)
+    section = Recorded(kind="recorded", file="poses.txt", format="tum", **own)
+    return RecordedMotion(section, some, start_ns=START_NS)
 
 
 def wandering(signs=None):
@@ -107,7 +109,7 @@ def test_a_steady_turn_stays_steady():
     np.testing.assert_allclose(k.body_w_rad_s[:, 2], np.radians(100.0), rtol=1e-4)
 
 
-def test_before_and_after_it_stands():
+def test_before_and_after_it_is_at_rest():
     """Beyond its ends the body is at rest at the first and last pose."""
     some = wandering()
     motion = recorded(some)
@@ -168,7 +170,7 @@ def test_a_pose_does_not_depend_on_its_company():
     ],
 )
 def test_what_cannot_be_interpolated_is_refused(t_s, angle_rad, message):
-    """Gaps, half turns and turns in no time are told with file and line."""
+    """Gaps, half turns and turns in no time are named with file and line."""
     with pytest.raises(TrajectoryError) as caught:
         recorded(poses(t_s, np.zeros((len(t_s), 3)), about_z(np.array(angle_rad))))
     assert str(caught.value) == message

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion import Pace, Path, Route, Stop, stops_on, sweeps_over
+from vlp16emu.motion import Stop, Walk
+from vlp16emu.motion.path import Path
+from vlp16emu.motion.route import Route
 
 WAY_POINTS_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [36.0, 2.0], [20.0, 14.0]])
 LOOP_M = np.array([[0.0, 0.0], [12.0, 0.0], [12.0, 9.0], [0.0, 9.0], [0.0, 0.0]])
@@ -16,15 +18,16 @@ def hilly(x_m, y_m):
     return np.sin(0.3 * x_m) + 0.5 * np.cos(0.2 * y_m)
 
 
-def route(way_points_m=WAY_POINTS_M, laps=1, stops=(), speed_m_s=1.2, run_time_s=None):
-    path = Path(way_points_m, hilly)
-    return Route(path, laps=laps, pace=Pace(1.0, 1.0, stops), speed_m_s=speed_m_s, run_time_s=run_time_s)
+def route(way_points_m=WAY_POINTS_M, pause_s=None, **own):
+    path, turn = Path(way_points_m, hilly), {"yaw_rate_deg_s": np.degrees(1.0)}
+    walk = Walk(kind="walk", way_points_m=way_points_m.tolist(), **turn, **own)
+    return Route(path, walk, np.zeros(len(way_points_m)) if pause_s is None else pause_s)
 
 
 @pytest.fixture(scope="module")
 def track():
     """Milliseconds of a walk with a stop."""
-    made = route(stops=[Stop(10.0, 2.0)])
+    made = route(stops=[Stop(at_m=10.0, pause_s=2.0)])
     return made.at(np.arange(0.0, made.run_time_s, 1e-3))
 
 
@@ -74,10 +77,7 @@ def test_laps_go_round_without_a_halt():
 
 def test_stops_come_on_each_lap():
     """A stop at the first and last way point of a loop of two laps is made at start, between, and at the end."""
-    path = Path(LOOP_M, hilly)
-    stops = stops_on(path, np.array([1.0, 0.0, 2.0, 0.0, 1.0]))
-    assert [stop.pause_s for stop in stops] == [1.0, 2.0, 1.0]
-    made = Route(path, laps=2, pace=Pace(1.0, 1.0, stops), speed_m_s=1.2, run_time_s=None)
+    made = route(LOOP_M, np.array([1.0, 0.0, 2.0, 0.0, 1.0]), laps=2)
     track = made.at(np.arange(0.0, made.run_time_s, 1e-3))
     rest = track.speed_m_s < 1e-12
     starts = np.flatnonzero(np.diff(rest.astype(int)) == 1)
@@ -96,13 +96,7 @@ def test_a_path_of_two_kilometres_is_made_at_once():
     took_s = []
     for _ in range(3):
         begin = time.thread_time()
-        made = route(points_m, speed_m_s=None, run_time_s=2500.0)
+        made = route(points_m, run_time_s=2500.0)
         took_s.append(time.thread_time() - begin)
     assert made.length_m > 1950.0
     assert min(took_s) < 0.3
-
-
-def test_sweeps_of_a_run():
-    """70 s at 600 rpm are 700 revolutions and as many firing sequences as fit whole."""
-    sweeps = sweeps_over(70.0, 600.0, 55_296)
-    assert (sweeps.revolutions, sweeps.azimuth_steps) == (700.0, 1_265_914)

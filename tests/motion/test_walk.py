@@ -6,17 +6,25 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion import Harness, Standing, rotations
+from vlp16emu.motion import Harness
+from vlp16emu.motion.carrier import StaticMotion
+from vlp16emu.motion.pose import rotations
 from vlp16emu.motion.walk import _bare, _sit
 
-STRAPS = Harness((2.5, 3.0, 2.0, 3.0, 3.0, 2.5), 0.2)
-SLACK = Harness((0.5,) * 6, 0.1)
+
+def straps(hz, damping_ratio):
+    axes = ("fore_aft_hz", "sideways_hz", "vertical_hz", "roll_hz", "pitch_hz", "yaw_hz")
+    return Harness(**dict(zip(axes, hz, strict=True)), damping_ratio=damping_ratio)
+
+
+STRAPS = straps((2.5, 3.0, 2.0, 3.0, 3.0, 2.5), 0.2)
+SLACK = straps((0.5,) * 6, 0.1)
 
 
 def test_without_gait_the_sensor_glides_over_the_ground(walking, circle, still, at):
     """Amplitude zero gives the bare path, sensor height above the ground, at any time within 1e-9 m."""
-    way, t = circle(), np.sort(np.random.default_rng(1).uniform(0.0, 60.0, 5000))
-    poses, track = at(walking(way, still), t), way.at(np.rint(t * 1e9) / 1e9)
+    route, t = circle(), np.sort(np.random.default_rng(1).uniform(0.0, 60.0, 5000))
+    poses, track = at(walking(route, still), t), route.at(np.rint(t * 1e9) / 1e9)
     np.testing.assert_allclose(poses.world_p_body_m, track.position_m + [0.0, 0.0, 2.0], atol=1e-9)
     np.testing.assert_allclose(poses.world_R_body, rotations(track.yaw_rad, 0.0, 0.0), atol=1e-9)
 
@@ -46,14 +54,14 @@ def test_one_who_stops_stops_bobbing(walking, circle, at):
     np.testing.assert_allclose(poses.world_R_body, np.tile(np.eye(3), (50, 1, 1)), atol=1e-15)
 
 
-@pytest.mark.parametrize("harness", [None, Harness((30.0,) * 6, 0.1)])
-def test_interpolation_errs_less_than_a_nanometre(walking, monkeypatch, start_ns, harness):
+@pytest.mark.parametrize("harness", [None, straps((30.0,) * 6, 0.1)])
+def test_interpolation_is_exact_to_a_nanometre(walking, monkeypatch, start_ns, harness):
     """Between the nodes, poses are those of nodes five times as dense within 1e-9 m and rad."""
     since_ns = 5 * 10**9 + np.arange(5000) * 200_000
     poses = walking(harness=harness).poses_at(start_ns + since_ns)
     monkeypatch.setattr("vlp16emu.motion.harness.NODES_PER_KNOT", 25)
     fine = walking(harness=harness)
-    nodes = _bare(fine._way.at(np.append(since_ns, 6 * 10**9) / 1e9), 2.0)
+    nodes = _bare(fine._route.at(np.append(since_ns, 6 * 10**9) / 1e9), 2.0)
     _sit(fine._pack.nodes(5), nodes)
     np.testing.assert_allclose(poses.world_p_body_m, nodes[:-1, :3, 0], atol=1e-9)
     exact = [rotations(q[5:], q[4], q[3])[0] for q in nodes[:-1, :, 0]]
@@ -104,17 +112,17 @@ def test_a_walk_of_a_day_keeps_little(walking, at):
 def test_undamped_straps_are_refused(walking):
     """A walk with straps that would never come to rest is refused when it is made."""
     with pytest.raises(TrajectoryError, match="swings for ever"):
-        walking(harness=Harness((2.0,) * 6, 0.0))
+        walking(harness=straps((2.0,) * 6, 0.0))
 
 
-def test_run_time_is_that_of_the_way(walking, circle):
-    """The walk is over when the way is."""
+def test_run_time_is_that_of_the_route(walking, circle):
+    """The walk is over when the route is."""
     assert walking().run_time_s == circle().run_time_s
 
 
 def test_standing_sensor_has_one_pose_for_all_times():
     """A static sensor computes a single pose, whatever it is asked for."""
-    motion = Standing(np.array([1.0, 2.0, 3.0]), 90.0, 0.0, 0.0)
+    motion = StaticMotion(np.array([1.0, 2.0, 3.0]), 90.0, 0.0, 0.0)
     poses = motion.poses_at(np.arange(1000))
     assert poses is motion.poses_at(np.arange(5))
     assert len(poses.t_ns) == 1

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion import Origin, WayPoints, read_way_points, to_geodetic
+from vlp16emu.motion import Gps
+from vlp16emu.motion.gnss import to_geodetic
+from vlp16emu.motion.way_points import WayPoints, read_way_points
 
-ORIGIN = Origin(62.24, 25.75, 100.0)
+ORIGIN = Gps(latitude_deg=62.24, longitude_deg=25.75, height_m=100.0)
 
 GPX = """<?xml version="1.0" encoding="UTF-8"?>
 <gpx version="1.1" creator="someone" xmlns="http://www.topografix.com/GPX/1/1">
@@ -22,7 +24,7 @@ def written(folder, name, text):
 
 
 def read(path):
-    return read_way_points(path, origin_m=(1000.0, 2000.0), geodetic_origin=ORIGIN)
+    return read_way_points(path, ORIGIN, (1000.0, 2000.0))
 
 
 @pytest.mark.parametrize("mark", [",", ";", "\t"])

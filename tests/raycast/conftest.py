@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vlp16emu.motion import Standing
+from vlp16emu.motion.carrier import StaticMotion
 from vlp16emu.raycast import BeamModel, Footprint
 from vlp16emu.sensor import BEAM_TABLES, Clock, Head, Rotor
 from vlp16emu.types import STEM, SURFACE, FarTile, Firings, Mesh, PlantPart, Semantic, SensorModel, Window
@@ -54,7 +54,7 @@ def pulses(count, *, first=0, at=UTM_M, tilt_deg=2.0):
     """Firings of a static sensor in the middle of it."""
     rotor = Rotor(600, 0.0, 0.0, 0.0, 0.0, 1)
     head = Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock(True, 0, 0.0), 10**18)
-    standing = Standing(np.asarray(at, float) + [0, 0, 0.1], 30.0, tilt_deg, 1.0)
+    standing = StaticMotion(np.asarray(at, float) + [0, 0, 0.1], 30.0, tilt_deg, 1.0)
     return head.aim(first, count, standing.poses_at, across=True)
 
 

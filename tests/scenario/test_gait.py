@@ -3,15 +3,13 @@
 import pytest
 from pydantic import ValidationError
 
-from vlp16emu.scenario.gait import Gait
-from vlp16emu.scenario.harness import Mount
-from vlp16emu.scenario.imu import Imu
+from vlp16emu.motion import Gait, Imu, Mount
 
 AMPLITUDES = set(Gait.model_fields) - {"preset", "step_hz", "variation"}
 
 
 def test_natural_is_the_default():
-    """A gait that is not told about is the natural one, in which everything moves."""
+    """A gait without settings is the natural one, in which everything moves."""
     assert Gait(preset="natural") == Gait()
     assert all(getattr(Gait(), name) > 0 for name in AMPLITUDES)
 

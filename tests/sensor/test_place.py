@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vlp16emu.motion import rotations
+from vlp16emu.motion.pose import rotations
 from vlp16emu.sensor import BEAM_TABLES, BODY_R_SENSOR, Clock, Head, Rotor, place, with_angle_errors
 from vlp16emu.types import Poses, SensorModel
 

@@ -1,4 +1,4 @@
-"""Ways that hardly can be walked, and recordings that hardly can be followed."""
+"""Paths that hardly can be walked, and recordings that hardly can be followed."""
 
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -8,8 +8,11 @@ from numpy.typing import NDArray
 
 from stability_cases.row import Row, refused
 from vlp16emu.assembly import assemble
-from vlp16emu.motion import Motion, Recorded, RecordedPoses
-from vlp16emu.motion import Path as WalkedPath
+from vlp16emu.motion import Recorded
+from vlp16emu.motion.path import Path
+from vlp16emu.motion.pose import Motion
+from vlp16emu.motion.pose_files import RecordedPoses
+from vlp16emu.motion.recorded import RecordedMotion
 from vlp16emu.scenario import load
 from vlp16emu.units import S_NS
 
@@ -32,7 +35,7 @@ def _walk(points_m: Points, *settings: str) -> tuple[Motion, int]:
 
 
 def impossible_paths() -> Iterator[Row]:
-    """Try ways that no person takes."""
+    """Try paths that no person takes."""
     for name, points_m, says in (
         ("way points that coincide", [(0, 0), (5, 0), (5, 0), (9, 1)], "coincides with the one before it"),
         ("path of one point", [(1, 2)], "a list of at least 2"),
@@ -41,7 +44,7 @@ def impossible_paths() -> Iterator[Row]:
         ("path of 150 km", [(0, 0), (150_000, 0)], "at most 100 km"),
     ):
         yield refused(name, partial(_walk, points_m), says)
-    one = partial(WalkedPath, np.array([[1.0, 2.0]]), lambda x_m, _: 0 * x_m)
+    one = partial(Path, np.array([[1.0, 2.0]]), lambda x_m, _: 0 * x_m)
     yield refused("path of one point, in Python", one, "at least 2 of them")
 
 
@@ -59,7 +62,7 @@ def _smooth(name: str, motion: Motion, start_ns: int, span_s: float) -> Iterator
 
 
 def _hairpin(width_m: float, away_m: float = 0.0) -> list[tuple[float, float]]:
-    """Way out and back beside it."""
+    """Path out and back beside it."""
     half_m = width_m / 2
     way = [(0.0, 0.0), (6.0, 0.0), (6.0 + half_m, half_m), (6.0, width_m), (0.0, width_m)]
     return [(x + away_m, y + away_m) for x, y in way]
@@ -75,12 +78,11 @@ def hairpins() -> Iterator[Row]:
     yield refused("hairpin of 0.2 m", partial(_walk, _hairpin(0.2)), "at least 0.1 m")
 
 
-def _recorded(t_s: Array, quaternion: Array) -> Recorded:
+def _recorded(t_s: Array, quaternion: Array) -> RecordedMotion:
     """Body that turns by poses from time 0 on."""
     t_ns, count = np.rint(t_s * S_NS).astype(np.int64), len(t_s)
     poses = RecordedPoses([f"pose {i + 1}" for i in range(count)], t_ns, np.zeros((count, 3)), quaternion)
-    place = {"x_m": 0.0, "y_m": 0.0, "z_m": 0.0, "yaw_deg": 0.0}
-    return Recorded(poses, start_ns=0, max_gap_s=1.0, axes="body", **place)
+    return RecordedMotion(Recorded(kind="recorded", file="poses.txt", format="tum"), poses, start_ns=0)
 
 
 def _about_z(angle_rad: Array) -> Array:

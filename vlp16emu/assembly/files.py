@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import get_args, get_type_hints
 
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.given import SceneFile
-from vlp16emu.settings import Section
+from vlp16emu.settings import SceneFile, Section
 
 __all__ = ["named_files"]
 

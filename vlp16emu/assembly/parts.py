@@ -5,21 +5,24 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vlp16emu.assembly.motion import carrier_of, imu_of, mounted_on
 from vlp16emu.assembly.sensor import beam_of, detector_of, gps_of, head_of, link_of, seed_of
 from vlp16emu.assembly.world import forest_of, furnished, ground_name, ground_of, hall_of, wind_of
 from vlp16emu.device import GpsInput
-from vlp16emu.motion import Imu, Motion
+from vlp16emu.motion import Mount
+from vlp16emu.motion.carrier import make_carrier
+from vlp16emu.motion.imu import ImuSampler
+from vlp16emu.motion.mount import mounted
+from vlp16emu.motion.pose import Motion
 from vlp16emu.packets import Link
 from vlp16emu.raycast import Footprint, Scene
 from vlp16emu.returns import Detector
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.harness import Mount
 from vlp16emu.scenario.sensor import FreeSensor, Sensor, on_the_wire
 from vlp16emu.scenario.world import Hall as HallSection
 from vlp16emu.sensor import Head
-from vlp16emu.types import Firings, Hits, World
+from vlp16emu.types import Firings, HeightField, Hits, World
 from vlp16emu.world import Dem, Polyline, Wind
 
 __all__ = ["Look", "Parts", "Unit", "assemble"]
@@ -70,7 +73,7 @@ class Parts:
     """At least one."""
     carrier: Motion
     """Who carries the devices."""
-    imu: Imu | None
+    imu: ImuSampler | None
     world: World
     """At rest."""
     wind: Wind | None
@@ -108,12 +111,12 @@ def assemble(scenario: Scenario) -> Parts:
     world: World
     wind: Wind | None = None
     if isinstance(section, HallSection):
-        carrier, path_xy_m = carrier_of(scenario, lambda x_m, _y_m: np.zeros_like(x_m), "flat")
+        carrier, path_xy_m = _carrier(scenario, lambda x_m, _y_m: np.zeros_like(x_m), "flat")
         world = hall_of(section)
         world.check(path_xy_m)
     else:
         ground = ground_of(section, scenario.seed)
-        carrier, path_xy_m = carrier_of(scenario, ground.height_m, ground_name(section, scenario.seed))
+        carrier, path_xy_m = _carrier(scenario, ground.height_m, ground_name(section, scenario.seed))
         if isinstance(ground, Dem):
             ground.check(path_xy_m, reach_m)
         path, blows = Polyline(path_xy_m), scenario.wind is not None and scenario.wind.speed_m_s > 0
@@ -127,11 +130,34 @@ def assemble(scenario: Scenario) -> Parts:
     return Parts(
         units=tuple(_unit(scenario, number, carrier) for number in range(len(_sensors(scenario)))),
         carrier=carrier,
-        imu=imu_of(carrier, scenario),
+        imu=_imu(scenario, carrier),
         world=furnished(world, section.meshes, path_xy_m, reach_m),
         wind=wind,
         gps=gps_of(scenario),
     )
+
+
+def _carrier(scenario: Scenario, height_m: HeightField, ground: str) -> tuple[Motion, NDArray[np.float64]]:
+    """Make what carries the devices, over the ground of that name, and its path on the map (n, 2)."""
+    world = scenario.world
+    return make_carrier(
+        scenario.motion,
+        height_m,
+        ground,
+        origin_m=(0.0, 0.0, 0.0) if isinstance(world, HallSection) else world.origin_m,
+        gps=scenario.gps,
+        reach_m=scenario.sensor.max_range_m,
+        start_ns=scenario.start_ns,
+        seed=scenario.seed,
+    )
+
+
+def _imu(scenario: Scenario, carrier: Motion) -> ImuSampler | None:
+    """Mount the inertial measurement unit, if there is one."""
+    if (imu := scenario.imu) is None:
+        return None
+    motion = mounted(carrier, imu.mount, scenario.start_ns)
+    return ImuSampler(motion, imu, start_ns=scenario.start_ns, seed=scenario.seed)
 
 
 def _sensors(scenario: Scenario) -> list[tuple[Sensor | FreeSensor, Mount]]:
@@ -150,7 +176,7 @@ def _unit(scenario: Scenario, number: int, carrier: Motion) -> Unit:
         mount=mount,
         seed=seed,
         head=head,
-        motion=mounted_on(carrier, mount, scenario.start_ns),
+        motion=mounted(carrier, mount, scenario.start_ns),
         beam=beam_of(scenario, seed),
         detector=detector_of(scenario, section, seed, len(head.beams.elevation_deg)),
     )

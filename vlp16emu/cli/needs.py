@@ -9,7 +9,7 @@ from vlp16emu.assembly import Unit
 from vlp16emu.assembly.windows import window_of
 from vlp16emu.cli.geometry import geometry_of
 from vlp16emu.emulator import Emulator
-from vlp16emu.scenario.motion import Walk
+from vlp16emu.motion import Walk
 from vlp16emu.types import Window
 from vlp16emu.world.crown import CrownKey
 from vlp16emu.world.floor_shapes import FloorKey

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.assembly import assemble
 from vlp16emu.errors import InputError
-from vlp16emu.motion import Motion
+from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import HeightField, Mesh, ShapeKey, Window
 from vlp16emu.units import seconds_to_ns

@@ -1,15 +1,15 @@
-"""How the trunk of a walking person moves about the smooth way over the ground."""
+"""How the trunk of a walking person moves about the smooth path over the ground."""
 
 import math
-from dataclasses import astuple, dataclass
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.motion.settings import Gait
 from vlp16emu.random import Purpose, uniform
 
-__all__ = ["AXES", "Gait", "Trunk", "step_rate_hz"]
+__all__ = ["AXES", "Trunk", "step_rate_hz"]
 
 AXES = 6
 """Fore-aft, sideways, vertical in the heading frame (m), then roll, pitch, yaw (rad)."""
@@ -26,7 +26,7 @@ _TIMING = AXES
 
 
 def step_rate_hz(speed_m_s: float) -> float:
-    """Tell how many steps a second people take at a walking speed.
+    """Compute how many steps per second people take at a walking speed.
 
     The exponent is that of Grieve and Gear, "The relationships between length of stride, step frequency,
     time of swing and speed of walking", Ergonomics 9, 1966. The factor is that of 20 adults who took 111
@@ -35,48 +35,18 @@ def step_rate_hz(speed_m_s: float) -> float:
     return 111.0 / 60.0 * (speed_m_s / 1.19) ** 0.58
 
 
-@dataclass(frozen=True, slots=True)
-class Gait:
-    """Amplitudes of the trunk's motion at walking speed; a range from end to end is twice an amplitude."""
-
-    step_hz: float
-    """Steps per second."""
-    vertical_m: float
-    """Once per step, highest when one leg stands upright."""
-    second_harmonic_m: float
-    """Twice per step, vertical."""
-    heel_strike_m: float
-    """Depth of the short dip at each heel strike."""
-    sideways_m: float
-    """Once per stride, over the standing leg."""
-    fore_aft_m: float
-    """Once per step, fastest forward when both feet stand."""
-    roll_deg: float
-    """Once per stride, leaning over the standing leg."""
-    pitch_deg: float
-    """Once per step, nose down after the heel strike."""
-    yaw_deg: float
-    """Once per stride."""
-    variation: float
-    """Standard deviation of the stride time and of each amplitude, as a share of them."""
-
-    @property
-    def moves(self) -> bool:
-        """Whether any amplitude is above zero."""
-        return any(astuple(self)[1:-1])
-
-
 class Trunk:
     """Samples of the trunk's motion.
 
     Parameters
     ----------
-    gait : amplitudes and step rate
+    gait : amplitudes and step rate; a step rate that is left out follows from the speed
+    speed_m_s : at which the person walks
     seed : of the scenario, for the variation from stride to stride
     """
 
-    def __init__(self, gait: Gait, seed: int) -> None:
-        self._step_hz, self._variation = gait.step_hz, gait.variation
+    def __init__(self, gait: Gait, speed_m_s: float, seed: int) -> None:
+        self._step_hz, self._variation = gait.step_hz or step_rate_hz(speed_m_s), gait.variation
         roll_rad, pitch_rad, yaw_rad = np.radians([gait.roll_deg, gait.pitch_deg, gait.yaw_deg])
         self._amplitude = np.array(
             [
@@ -97,7 +67,7 @@ class Trunk:
 
         Parameters
         ----------
-        effort : (n,) share of the amplitudes, 0 for one who stands and 1 for one who walks
+        effort : (n,) share of the amplitudes, 0 at rest and 1 at walking speed
         """
         out = np.empty((len(elapsed_s), AXES))
         _fill(elapsed_s, effort, self._step_hz, self._variation, self._amplitude, self._lines, out)

@@ -9,13 +9,15 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.motion.geodesy import Origin, to_geodetic
-from vlp16emu.motion.walk import Motion
+from vlp16emu.motion.pose import Motion
+from vlp16emu.motion.settings import Gps
 from vlp16emu.random import Purpose, normal_pair, uniform_pair
 from vlp16emu.types import GnssFix
 from vlp16emu.units import S_NS
 
-__all__ = ["GnssErrors", "GnssReading", "Receiver", "Sky", "wander"]
+__all__ = ["GnssReading", "Receiver", "Sky", "to_geodetic", "to_local", "wander"]
+
+Array = NDArray[np.float64]
 
 Sky = Callable[[int, NDArray[np.float64]], float]
 """Share of the sky, 0..1, that is hidden at a UTC instant from an antenna (3,) in the world."""
@@ -28,29 +30,9 @@ _LOSS_S = 10.0
 _HELD_S = 10
 """For so long a receiver repeats its last fix."""
 _FASTEST_M_S = 999 * 1852 / 3600
-"""999 knots, the most that a receiver tells (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
+"""999 knots, the most that a receiver reports (Garmin GPS 16x, 190-00228-08 Rev. C, section 1.5.4.4)."""
 _READINGS_KEPT = 64
 """More than `_HELD_S`, so that no second's sky is looked at twice."""
-
-
-@dataclass(frozen=True, slots=True)
-class GnssErrors:
-    """How well a receiver knows where it is; sigmas are those of the east and of the north alike."""
-
-    position_noise_m: float
-    """White from second to second."""
-    wander_m: float
-    """Of what changes slowly."""
-    wander_s: float
-    """Time in which the autocovariance of that falls to 1/e."""
-    velocity_noise_m_s: float
-    """White from second to second."""
-    canopy_error_factor: float
-    """By how much all these grow where the whole sky is hidden; linear in the cover."""
-    canopy_half_cover: float
-    """Cover at which every second fix fails."""
-    canopy_cover_width: float
-    """Scale of the logistic curve about it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,45 +52,33 @@ class GnssReading:
     cover: float
     """Share of the sky that is hidden."""
     valid: bool
-    """Whether it can tell at all."""
+    """Whether it has a fix."""
 
 
 class Receiver:
-    """A GNSS receiver whose antenna stands straight over the sensor.
+    """A GNSS receiver whose antenna is straight above the sensor.
 
     Any second can be had alone: errors depend on the seed and the second, cover on the place and the world.
 
     Parameters
     ----------
     motion : of the sensor
-    origin : of the world
-    antenna_above_m : height of the antenna over the sensor
-    errors : under open sky, and what cover does to them
+    gps : origin of the world, place of the antenna, errors under open sky and what cover does to them
     seed : of the scenario
     sky : None where the whole sky is free at all times
     """
 
-    def __init__(
-        self,
-        motion: Motion,
-        *,
-        origin: Origin,
-        antenna_above_m: float,
-        errors: GnssErrors,
-        seed: int,
-        sky: Sky | None,
-    ) -> None:
-        self.origin = origin
+    def __init__(self, motion: Motion, gps: Gps, *, seed: int, sky: Sky | None) -> None:
+        self._gps = gps
         # Bound to no method: a cycle would keep the world alive for longer than the receiver.
-        measure = partial(_measure, motion, antenna_above_m, errors, seed, sky)
-        self._known = lru_cache(_READINGS_KEPT)(measure)
+        self._known = lru_cache(_READINGS_KEPT)(partial(_measure, motion, gps, seed, sky))
 
     def reading(self, t_ns: int) -> GnssReading:
         """Measure at the whole UTC second `t_ns`."""
         return self._known(t_ns)
 
     def fix(self, t_ns: int) -> GnssFix:
-        """Say what is reported of the whole UTC second `t_ns`; the course is from the north at the world's origin.
+        """Report the whole UTC second `t_ns`; the course is from the north at the world's origin.
 
         Where the second has no fix, the numbers are those of the last one. Where there was none for 10 s they
         are what the receiver believes of 10 s ago, as if it carried its track on.
@@ -117,7 +87,7 @@ class Receiver:
             known = self.reading(t_ns - age * S_NS)
             if known.valid:
                 break
-        latitude_deg, longitude_deg, _ = to_geodetic(known.measured_m[None], self.origin)[0].tolist()
+        latitude_deg, longitude_deg, _ = to_geodetic(known.measured_m[None], self._gps)[0].tolist()
         east_m_s, north_m_s = known.measured_m_s.tolist()
         return GnssFix(
             t_ns=t_ns,
@@ -129,35 +99,33 @@ class Receiver:
         )
 
 
-def _measure(
-    motion: Motion, antenna_above_m: float, errors: GnssErrors, seed: int, sky: Sky | None, t_ns: int
-) -> GnssReading:
+def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) -> GnssReading:
     """Measure at a whole UTC second."""
     truth = motion.kinematics_at(np.array([t_ns]))
     antenna_m, velocity_m_s = truth.world_p_body_m[0].copy(), truth.world_v_body_m_s[0]
-    antenna_m[2] += antenna_above_m
+    antenna_m[2] += gps.antenna_above_m
     cover = sky(t_ns, antenna_m) if sky else 0.0
-    grown = 1.0 + (errors.canopy_error_factor - 1.0) * cover
+    grown = 1.0 + (gps.canopy_error_factor - 1.0) * cover
     second = t_ns // S_NS
     white_m = np.array(normal_pair(seed, int(Purpose.GNSS_NOISE), second, 0))
     white_m_s = np.array(normal_pair(seed, int(Purpose.GNSS_NOISE), second, 1))
-    slow = np.array([wander(seed, lane, second, errors.wander_s) for lane in (_EAST, _NORTH)])
+    slow = np.array([wander(seed, lane, second, gps.wander_s) for lane in (_EAST, _NORTH)])
     measured_m = antenna_m.copy()
-    measured_m[:2] += grown * (errors.position_noise_m * white_m + errors.wander_m * slow)
+    measured_m[:2] += grown * (gps.position_noise_m * white_m + gps.wander_m * slow)
     return GnssReading(
         t_ns=t_ns,
         antenna_m=antenna_m,
         velocity_m_s=velocity_m_s,
         measured_m=measured_m,
-        measured_m_s=velocity_m_s[:2] + grown * errors.velocity_noise_m_s * white_m_s,
+        measured_m_s=velocity_m_s[:2] + grown * gps.velocity_noise_m_s * white_m_s,
         cover=cover,
-        valid=sky is None or not _lost(errors, seed, second, cover),
+        valid=sky is None or not _lost(gps, seed, second, cover),
     )
 
 
-def _lost(errors: GnssErrors, seed: int, second: int, cover: float) -> bool:
+def _lost(gps: Gps, seed: int, second: int, cover: float) -> bool:
     """Whether a second has no fix: with a probability that is logistic in the cover, in spells of some 10 s."""
-    odds = (cover - errors.canopy_half_cover) / errors.canopy_cover_width
+    odds = (cover - gps.canopy_half_cover) / gps.canopy_cover_width
     probability = 0.5 + 0.5 * math.tanh(0.5 * odds)
     level = 0.5 * math.erfc(wander(seed, _LOSS, second, _LOSS_S) / math.sqrt(2.0))
     return level < probability
@@ -173,7 +141,7 @@ def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
 
     Parameters
     ----------
-    lane : tells processes of one seed apart
+    lane : number of the process among those of one seed
     second : since 1970
     correlation_s : above 0
     """
@@ -186,3 +154,21 @@ def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
         angle = 2.0 * math.pi * (hz % 1.0 * second % 1.0)
         total += a * math.cos(angle) + b * math.sin(angle)
     return total / math.sqrt(_WAVES)
+
+
+def to_local(geodetic: Array, gps: Gps) -> Array:
+    """East, north and up in metres (n, 3) of points (n, 3): latitude and longitude in degrees, height in metres.
+
+    The world is the plane that touches the ellipsoid (WGS 84) under its origin, and the earth curves away below it: by
+    0.8 m at 3.2 km.
+    """
+    from pymap3d import geodetic2enu  # here: it takes 40 ms, and a run without GPS has no use for it
+
+    return np.column_stack(geodetic2enu(*geodetic.T, gps.latitude_deg, gps.longitude_deg, gps.height_m))
+
+
+def to_geodetic(local_m: Array, gps: Gps) -> Array:
+    """Latitude and longitude in degrees and height in metres (n, 3) of world points (n, 3); see `to_local`."""
+    from pymap3d import enu2geodetic
+
+    return np.column_stack(enu2geodetic(*local_m.T, gps.latitude_deg, gps.longitude_deg, gps.height_m))

@@ -1,18 +1,18 @@
 """What an inertial measurement unit on the moving body reads."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.motion.walk import Motion
+from vlp16emu.motion.pose import Motion
+from vlp16emu.motion.settings import Imu
 from vlp16emu.random import Purpose, normal, normal_pair
 from vlp16emu.units import S_NS
 
-__all__ = ["GRAVITY_M_S2", "Imu", "ImuErrors", "Inertial"]
+__all__ = ["GRAVITY_M_S2", "ImuSampler", "Inertial"]
 
 GRAVITY_M_S2 = 9.80665
 """Standard gravity, downwards (3rd CGPM, 1901)."""
@@ -35,48 +35,27 @@ class Inertial:
     """(n, 3) acceleration less gravity: at rest it points up."""
 
 
-@dataclass(frozen=True, slots=True)
-class ImuErrors:
-    """Errors of gyroscopes and accelerometers, each axis on its own.
-
-    White noise and random walk of the bias as densities of IEEE Std 952-1997, annex C, in the units of the
-    common calibration tools; the bias at switch-on as its standard deviation.
-    """
-
-    gyro_bias_rad_s: float
-    gyro_noise_rad_s_sqrt_hz: float
-    gyro_walk_rad_s2_sqrt_hz: float
-    accel_bias_m_s2: float
-    accel_noise_m_s2_sqrt_hz: float
-    accel_walk_m_s3_sqrt_hz: float
-
-
-class Imu:
+class ImuSampler:
     """A strapdown unit that samples without pause.
 
     Parameters
     ----------
     motion : of the unit itself, lever arm and tilt included
+    imu : rate, and the errors that it adds to the truth
     start_ns : UTC of sample 0
-    rate_hz : samples per second
-    errors : what it adds to the truth
     seed : of the scenario
-    unit : number of the unit, so that two of them err differently
     """
 
-    def __init__(
-        self, motion: Motion, *, start_ns: int, rate_hz: int, errors: ImuErrors, seed: int, unit: int
-    ) -> None:
-        self._motion, self._start_ns, self._rate_hz = motion, start_ns, rate_hz
-        self._errors, self._seed, self._first_lane = errors, seed, 6 * unit
+    def __init__(self, motion: Motion, imu: Imu, *, start_ns: int, seed: int) -> None:
+        self._motion, self._imu, self._start_ns, self._seed = motion, imu, start_ns, seed
 
     def read(self, first: int, count: int) -> Inertial:
         """Take samples first .. first + count - 1; the same whatever was read before."""
-        t_ns = self._start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // self._rate_hz
+        t_ns = self._start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // self._imu.rate_hz
         truth = self._motion.kinematics_at(t_ns)
         up = truth.world_a_body_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
         force = np.asarray(truth.world_R_body.swapaxes(1, 2) @ up[:, :, None])[:, :, 0]
-        e = self._errors
+        e = self._imu
         gyro = (e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz)
         accel = (e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz)
         return Inertial(
@@ -85,12 +64,6 @@ class Imu:
             force + self._errors_of(accel, first, count, 3),
         )
 
-    def stream(self, stop_ns: int) -> Iterator[Inertial]:
-        """Give all samples from the first until before `stop_ns`, up to 4096 at a time."""
-        samples = max(0, -(-(stop_ns - self._start_ns) * self._rate_hz // S_NS))
-        for first in range(0, samples, _CHUNK):
-            yield self.read(first, min(_CHUNK, samples - first))
-
     def _errors_of(
         self, sizes: tuple[float, float, float], first: int, count: int, first_axis: int
     ) -> NDArray[np.float64]:
@@ -98,14 +71,16 @@ class Imu:
         bias, noise, walk = sizes
         out = np.zeros((count, 3))
         for axis in range(3):
-            lane = self._first_lane + first_axis + axis
+            lane = first_axis + axis
             if bias:
                 out[:, axis] += bias * normal(self._seed, Purpose.IMU_BIAS, 0, 1, lane)[0]
             if noise:
                 white = normal(self._seed, Purpose.IMU_NOISE, first, count, lane)
-                out[:, axis] += noise * math.sqrt(self._rate_hz) * white
+                out[:, axis] += noise * math.sqrt(self._imu.rate_hz) * white
             if walk:
-                out[:, axis] += walk / math.sqrt(self._rate_hz) * _random_walk(self._seed, first, count, lane)
+                out[:, axis] += (
+                    walk / math.sqrt(self._imu.rate_hz) * _random_walk(self._seed, first, count, lane)
+                )
         return out
 
 

@@ -1,51 +1,26 @@
 """How a device sits on the body that carries it: lever arm, tilt, and a stage that may spin."""
 
 import math
-from dataclasses import dataclass
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.motion.pose import rotations
-from vlp16emu.motion.track import Kinematics
-from vlp16emu.motion.walk import Motion
+from vlp16emu.motion.pose import Kinematics, Motion, rotation
+from vlp16emu.motion.settings import Mount
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["Mount", "Mounted", "mounted"]
-
-Vector = tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Mount:
-    """body_T_device: takes coordinates of a device, x forward, y left, z up, to those of its carrier."""
-
-    lever_arm_m: Vector
-    """Device's origin in the carrier's frame."""
-    yaw_deg: float
-    """Tilt, with the other two as in `motion.pose.rotate`."""
-    pitch_deg: float
-    roll_deg: float
-    spin_hz: float
-    """Revolutions per second of the stage between carrier and tilt, as in handheld scanners; 0 where it is fixed."""
-    spin_axis: Vector
-    """Its axis, through the device's origin, in the carrier's frame; of any length but zero."""
-
-    @property
-    def trivial(self) -> bool:
-        """Whether device and carrier are one frame."""
-        return not any((*self.lever_arm_m, self.yaw_deg, self.pitch_deg, self.roll_deg, self.spin_hz))
+__all__ = ["MountedMotion", "mounted"]
 
 
 def mounted(carrier: Motion, mount: Mount, start_ns: int) -> Motion:
     """Motion of a device on a carrier; the carrier's own where the mount changes nothing."""
-    return carrier if mount.trivial else Mounted(carrier, mount, start_ns)
+    return carrier if mount.trivial else MountedMotion(carrier, mount, start_ns)
 
 
-class Mounted:
-    """A device on a carrier.
+class MountedMotion:
+    """Motion of a device on a carrier.
 
     Parameters
     ----------
@@ -57,8 +32,7 @@ class Mounted:
     def __init__(self, carrier: Motion, mount: Mount, start_ns: int) -> None:
         self._carrier, self._start_ns = carrier, start_ns
         self._arm_m = np.array(mount.lever_arm_m)
-        inclination = math.radians(mount.pitch_deg), math.radians(mount.roll_deg)
-        tilt = rotations(np.array([math.radians(mount.yaw_deg)]), *inclination)[0]
+        tilt = rotation(mount.yaw_deg, mount.pitch_deg, mount.roll_deg)
         axis = np.array(mount.spin_axis) / np.linalg.norm(mount.spin_axis)
         across = np.cross(np.eye(3), axis)
         # Rodrigues: tilt, its product with the axis' cross matrix, and with that matrix squared.

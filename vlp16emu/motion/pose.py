@@ -1,14 +1,55 @@
-"""Rotations from angles, and angular rates from the angles' derivatives."""
+"""The pose of a body at any time with its derivatives, and rotations from angles."""
 
 import math
+from dataclasses import dataclass
+from typing import Protocol
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.trig import cos_sin
+from vlp16emu.types import Poses
 
-__all__ = ["body_rate", "rotate", "rotations"]
+__all__ = ["Kinematics", "Motion", "body_rate", "rotate", "rotation", "rotations"]
+
+
+@dataclass(frozen=True, slots=True)
+class Kinematics:
+    """Poses of a body at n instants with the exact derivatives of the same function."""
+
+    t_ns: NDArray[np.int64]
+    """(n,) UTC."""
+    world_R_body: NDArray[np.float64]
+    """(n, 3, 3) rotation, body to world."""
+    world_p_body_m: NDArray[np.float64]
+    """(n, 3) origin of the body in the world."""
+    world_v_body_m_s: NDArray[np.float64]
+    """(n, 3) its velocity."""
+    world_a_body_m_s2: NDArray[np.float64]
+    """(n, 3) its acceleration, without gravity."""
+    body_w_rad_s: NDArray[np.float64]
+    """(n, 3) angular rate of the body, in body axes."""
+    body_alpha_rad_s2: NDArray[np.float64]
+    """(n, 3) time derivative of `body_w_rad_s`."""
+
+
+class Motion(Protocol):
+    """Where the body is at any time."""
+
+    @property
+    def run_time_s(self) -> float:
+        """For how long there is a pose; infinite where the motion never ends."""
+
+    @property
+    def moves(self) -> bool:
+        """Whether poses differ from one instant to another."""
+
+    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
+        """Poses at UTC instants (n,); a single one where nothing moves."""
+
+    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+        """Poses at UTC instants (n,) with the derivatives of the same function."""
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
@@ -32,6 +73,13 @@ def rotations(yaw_rad: NDArray[np.float64], pitch_rad: float, roll_rad: float) -
     for i in range(yaw_rad.size):
         rotate(yaw_rad[i], pitch_rad, roll_rad, out[i])
     return out
+
+
+def rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> NDArray[np.float64]:
+    """Rotation (3, 3), body to world, angles as in `rotate`."""
+    inclination = math.radians(pitch_deg), math.radians(roll_deg)
+    turn: NDArray[np.float64] = rotations(np.array([math.radians(yaw_deg)]), *inclination)[0]
+    return turn
 
 
 @numba.njit(cache=True, nogil=True)

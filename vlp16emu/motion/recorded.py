@@ -1,4 +1,4 @@
-"""A body that moves as somebody has recorded."""
+"""A body that moves as was recorded."""
 
 import math
 
@@ -7,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.track import Kinematics
-from vlp16emu.motion.trajectory_file import RecordedPoses
+from vlp16emu.motion.pose import Kinematics
+from vlp16emu.motion.pose_files import RecordedPoses
+from vlp16emu.motion.settings import Recorded
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["Recorded"]
+__all__ = ["RecordedMotion"]
 
 Array = NDArray[np.float64]
 
@@ -24,56 +25,43 @@ _LOOKS = 8
 """Between two poses, for that norm."""
 
 
-class Recorded:
+class RecordedMotion:
     """Recorded poses, interpolated with two continuous derivatives in position and rotation.
 
     Positions are a cubic spline. So are the quaternions, each taken with the sign that is nearer to the
     one before; scaled to unit length they are the rotation. On a steady turn of 10 degrees from pose to
     pose the rotation is right within 1e-6 rad.
 
-    Before its first and after its last pose the body stands there.
+    Before its first and after its last pose the body is at rest.
 
     Parameters
     ----------
+    recorded : greatest gap between poses, place and axes of the recording
     poses : as recorded
     start_ns : UTC of the first pose
-    max_gap_s : greatest time between two poses
-    x_m, y_m, z_m, yaw_deg : place of the recording's origin in the world, and direction of its x axis there
-    axes : "body" where x is forward and z up, "camera" where x is right, y down and z forward (KITTI)
 
     Raises
     ------
     TrajectoryError
-        where poses are farther apart in time than `max_gap_s`, turn by more than 90 degrees from one to the
+        where poses are farther apart in time than the greatest gap, turn by more than 90 degrees from one to the
         next, or are spaced too unevenly for a smooth turn
     """
 
     moves = True
 
-    def __init__(
-        self,
-        poses: RecordedPoses,
-        *,
-        start_ns: int,
-        max_gap_s: float,
-        x_m: float,
-        y_m: float,
-        z_m: float,
-        yaw_deg: float,
-        axes: str,
-    ) -> None:
+    def __init__(self, recorded: Recorded, poses: RecordedPoses, *, start_ns: int) -> None:
         from scipy.interpolate import CubicSpline  # here: it takes 0.2 s, and few runs move as recorded
 
         self._start_ns = start_ns
         self._knots_ns = poses.t_ns - poses.t_ns[0]
         self.run_time_s = float(self._knots_ns[-1] / S_NS)
         quaternion = _continuous(poses.quaternion)
-        _check_steps(poses, self._knots_ns, quaternion, max_gap_s)
-        position_m, quaternion = _placed(poses.position_m, quaternion, math.radians(yaw_deg), axes)
+        _check_steps(poses, self._knots_ns, quaternion, recorded.max_gap_s)
+        position_m, quaternion = _placed(recorded, poses.position_m, quaternion)
         knots_s = self._knots_ns / S_NS
         # (4, n - 1, 7): powers of the time into the piece, highest first.
         self._coefficients = np.ascontiguousarray(
-            CubicSpline(knots_s, np.column_stack([position_m + np.array([x_m, y_m, z_m]), quaternion])).c
+            CubicSpline(knots_s, np.column_stack([position_m, quaternion])).c
         )
         self._check_norm(poses)
         self.position_m = np.ascontiguousarray(self._coefficients[3, :, :3])
@@ -86,7 +74,7 @@ class Recorded:
         return Poses(t_ns, turn, position_m)
 
     def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
-        """Poses at UTC instants (n,) with their derivatives, which are zero where the body stands."""
+        """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
         poses = self.poses_at(t_ns)
         rates = np.empty((4, len(t_ns), 3))
         _rates(self._knots_ns, self._coefficients, t_ns - self._start_ns, rates)
@@ -119,7 +107,7 @@ def _continuous(quaternion: Array) -> Array:
 def _check_steps(
     poses: RecordedPoses, knots_ns: NDArray[np.int64], quaternion: Array, max_gap_s: float
 ) -> None:
-    """Refuse gaps, and turns whose way round nobody knows."""
+    """Refuse gaps, and turns whose sense is unknown."""
     gaps_s = np.diff(knots_ns) / S_NS
     if (gaps_s > max_gap_s).any():
         i = int((gaps_s > max_gap_s).argmax())
@@ -137,16 +125,18 @@ def _check_steps(
         )
 
 
-def _placed(position_m: Array, quaternion: Array, yaw_rad: float, axes: str) -> tuple[Array, Array]:
+def _placed(recorded: Recorded, position_m: Array, quaternion: Array) -> tuple[Array, Array]:
     """Positions (n, 3) and quaternions (n, 4) in axes of the world, about the recording's origin."""
-    if axes == "camera":
+    if recorded.axes == "camera":
         # Forward is the camera's z, left its -x, up its -y, in the recording's frame and in the body's:
         # the same turn before and after, which for a quaternion permutes its vector part.
         position_m = position_m[:, [2, 0, 1]] * [1.0, -1.0, -1.0]
         quaternion = quaternion[:, [2, 0, 1, 3]] * [1.0, -1.0, -1.0, 1.0]
+    yaw_rad = math.radians(recorded.yaw_deg)
     cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
     x, y, z = position_m.T
     position_m = np.column_stack([cosine * x - sine * y, sine * x + cosine * y, z])
+    position_m += [recorded.x_m, recorded.y_m, recorded.z_m]
     cosine, sine = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
     x, y, z, w = quaternion.T
     return position_m, np.column_stack(

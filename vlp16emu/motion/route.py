@@ -1,36 +1,71 @@
 """A path with its timing: where a person is on it, at any time."""
 
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.path import Path
-from vlp16emu.motion.profile import Pace, Profile, Stop
-from vlp16emu.motion.track import Track
+from vlp16emu.motion.path import Path, limit_slope
+from vlp16emu.motion.settings import Walk
 
-__all__ = ["Route", "stops_on"]
+__all__ = ["Profile", "Route", "Track"]
 
 Array = NDArray[np.float64]
+Stops = Sequence[tuple[float, float]]
+
+_MAX_SPEED_M_S = 10.0
+"""A sprint."""
+
+_KNOT_S = 0.1
+"""Between knots in time: starts and stops take their shape over half a second, a pace (assumption)."""
+_DEGREE = 5
+_REACH = 3
+"""Knots to either side over which a quintic B-spline takes its mean."""
+_CELL_M = 0.02
+_LOOKS = 4
+"""Length over which acceleration is constant before smoothing, and how often turns are looked up in it."""
+_LONGEST_S = 14 * 86_400
+"""The latest start of a run and the longest run together."""
+_HALVINGS = 24
+"""Of the range of cruise speeds, when the run time is given."""
 
 
-def stops_on(path: Path, pause_s: Array) -> list[Stop]:
-    """Give the stops at the way points of a path: those where the pauses (n,) are above 0."""
-    return [
-        Stop(float(at_m), float(for_s))
-        for at_m, for_s in zip(path.way_points_at_m, pause_s, strict=True)
-        if for_s > 0.0
-    ]
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Where the foot point of the path is at n instants: over the ground, before any gait.
+
+    Velocities, accelerations and rates are the exact time derivatives of the same function.
+    """
+
+    position_m: NDArray[np.float64]
+    """(n, 3) world."""
+    velocity_m_s: NDArray[np.float64]
+    """(n, 3) world."""
+    acceleration_m_s2: NDArray[np.float64]
+    """(n, 3) world."""
+    yaw_rad: NDArray[np.float64]
+    """(n,) heading, counter-clockwise from east; continuous, so it may pass pi."""
+    yaw_rate_rad_s: NDArray[np.float64]
+    """(n,)."""
+    yaw_acceleration_rad_s2: NDArray[np.float64]
+    """(n,)."""
+    speed_m_s: NDArray[np.float64]
+    """(n,) along the path, never negative."""
 
 
 class Route:
-    """The way of a person along a path, `laps` times round where it is closed.
+    """A path with the times at which a person is on it, `laps` times round where it is closed.
 
     Parameters
     ----------
     path : over the ground
-    laps : 1 or more; more than 1 on a closed path only
-    pace : limits, and the stops of each lap
-    speed_m_s, run_time_s : cruise speed, or the time to which it is adapted; the other is None
+    walk : laps, speed or run time, limits, and the stops along the path
+    pause_s : (n,) how long the person stops at each way point of the path
 
     Raises
     ------
@@ -38,36 +73,30 @@ class Route:
         where an open path is to be walked more than once, a stop is not on the path, or the time is too short
     """
 
-    def __init__(
-        self, path: Path, *, laps: int, pace: Pace, speed_m_s: float | None, run_time_s: float | None
-    ) -> None:
-        if laps > 1 and not path.closed:
-            raise TrajectoryError(
-                "laps", f"found {laps} on an open path", "1, or a last way point on the first"
-            )
+    def __init__(self, path: Path, walk: Walk, pause_s: Array) -> None:
+        if walk.laps > 1 and not path.closed:
+            found = f"found {walk.laps} on an open path"
+            raise TrajectoryError("laps", found, "1, or a last way point on the first")
         self._path = path
-        self.length_m = laps * path.length_m
-        """Of the whole way."""
-        stops = [
-            # So that the end of one lap and the start of the next are one to the last bit.
-            Stop((lap + stop.at_m / path.length_m) * path.length_m, stop.pause_s)
-            for lap in range(laps)
-            for stop in pace.stops
+        self.length_m = walk.laps * path.length_m
+        """Of all laps."""
+        stops = list(zip(path.way_points_at_m.tolist(), pause_s.tolist(), strict=True))
+        stops = [stop for stop in stops if stop[1] > 0.0]
+        stops += [(stop.at_m, stop.pause_s) for stop in walk.stops if stop.at_m is not None]
+        # So that the end of one lap and the start of the next are one to the last bit.
+        laps = [
+            ((lap + at_m / path.length_m) * path.length_m, stop_s)
+            for lap in range(walk.laps)
+            for at_m, stop_s in stops
         ]
-        self._profile = Profile(
-            self.length_m,
-            lambda s_m: path.derivatives_at(s_m)[1][:, 1],
-            Pace(pace.acceleration_m_s2, pace.yaw_rate_rad_s, stops),
-            speed_m_s=speed_m_s,
-            run_time_s=run_time_s,
-        )
+        self._profile = Profile(self.length_m, lambda s_m: path.derivatives_at(s_m)[1][:, 1], walk, laps)
         self.run_time_s = self._profile.run_time_s
         """From the first motion to the last."""
         self.speed_m_s = self._profile.speed_m_s
         """Cruise speed."""
 
     def at(self, elapsed_s: Array) -> Track:
-        """Track at times (n,) since the start; before it and after the run time the person stands."""
+        """Track at times (n,) since the start; before it and after the run time the person is at rest."""
         along_m, speed_m_s, acceleration_m_s2 = self._profile.at(elapsed_s)
         point_m, heading_rad = self._path.derivatives_at(along_m)
         speed2 = speed_m_s * speed_m_s
@@ -80,3 +109,221 @@ class Route:
             yaw_acceleration_rad_s2=heading_rad[:, 2] * speed2 + heading_rad[:, 1] * acceleration_m_s2,
             speed_m_s=speed_m_s,
         )
+
+
+class Profile:
+    """Arc length over time: a quintic B-spline with equal steps, four times continuously differentiable.
+
+    The person goes as fast as cruise speed, turn rate and acceleration allow, each as the largest
+    function of arc length that keeps all three. Its arc length at equal times are the control points of
+    the spline, so speed and acceleration are weighted means of those before smoothing, keep the same
+    limits, and never run backwards. At both ends and at stops the person is at rest.
+
+    Parameters
+    ----------
+    length_m : of the path, all laps together
+    turn_rad_m : turn of the heading per metre, either sign, at arc lengths (n,)
+    walk : limits, and the cruise speed or the run time to which it is adapted
+    stops : arc length and pause in s of each stop
+
+    Raises
+    ------
+    TrajectoryError
+        where a stop is not on the path, the run time is too short, or the walk would take more than two weeks
+    """
+
+    def __init__(
+        self, length_m: float, turn_rad_m: Callable[[Array], Array], walk: Walk, stops: Stops
+    ) -> None:
+        bounds_m, pauses_s = _rests(stops, length_m)
+        legs = [_Leg(start_m, end_m, turn_rad_m, walk) for start_m, end_m in pairwise(bounds_m.tolist())]
+        self._step_s, run_time_s = _KNOT_S, walk.run_time_s
+        self.speed_m_s = walk.speed_m_s
+        """Cruise speed."""
+        if run_time_s is not None:
+            self.speed_m_s = _speed_for(run_time_s, legs, float(pauses_s.sum()), length_m)
+        at_s, control_m = _sampled(legs, pauses_s, self.speed_m_s)
+        self.run_time_s = float(at_s + _PADDING_S)
+        if run_time_s is not None:
+            # The search ends a hair below the time given; stretched, no limit is passed.
+            self._step_s *= run_time_s / self.run_time_s
+            self.run_time_s = run_time_s
+        self._coefficients = _pieces(control_m)
+
+    def at(self, elapsed_s: Array) -> tuple[Array, Array, Array]:
+        """Arc lengths in m, speeds in m/s and accelerations in m/s^2, each (n,), at times (n,) since the start."""
+        along_m, speed_m_s, acceleration_m_s2 = (np.empty(len(elapsed_s)) for _ in range(3))
+        _evaluate(
+            self._coefficients,
+            self._step_s,
+            self.run_time_s,
+            np.ascontiguousarray(elapsed_s),
+            along_m,
+            speed_m_s,
+            acceleration_m_s2,
+        )
+        return along_m, speed_m_s, acceleration_m_s2
+
+
+_PADDING_S = (2 * _REACH - 1) * _KNOT_S
+"""By which smoothing makes the run longer: the first control point that moves comes two steps after the start."""
+
+
+class _Leg:
+    """The part of the path from one rest to the next, in equal cells."""
+
+    def __init__(
+        self, start_m: float, end_m: float, turn_rad_m: Callable[[Array], Array], walk: Walk
+    ) -> None:
+        cells = max(2, math.ceil((end_m - start_m) / _CELL_M))
+        looked_m = np.linspace(start_m, end_m, 1 + _LOOKS * cells)
+        turn = -_least_within(-np.abs(turn_rad_m(looked_m)), _LOOKS // 2)[::_LOOKS]
+        yaw_rate_rad_s = math.radians(walk.yaw_rate_deg_s)
+        self._turn_limit_m_s = yaw_rate_rad_s / np.maximum(turn, yaw_rate_rad_s / _MAX_SPEED_M_S)
+        self._cell_m = (end_m - start_m) / cells
+        self.at_m = looked_m[::_LOOKS]
+        self._gain = np.full(cells, walk.acceleration_m_s2 * self._cell_m)
+
+    def speeds_m_s(self, cruise_m_s: float) -> Array:
+        """Give the speeds (n,) at the cells' edges before smoothing.
+
+        Smoothing mixes speeds from `2 * _REACH` steps of time, so the limits reach as far as the person then gets.
+        """
+        reach = min(len(self.at_m), math.ceil(2 * _REACH * _KNOT_S * cruise_m_s / self._cell_m))
+        limit = _least_within(self._turn_limit_m_s, reach)
+        # v^2 / 2 grows by acceleration times distance.
+        energy = np.minimum(limit, cruise_m_s) ** 2 / 2
+        energy[0] = energy[-1] = 0.0
+        limit_slope(energy, self._gain)
+        return np.sqrt(2 * energy)
+
+    def times_s(self, speeds_m_s: Array) -> Array:
+        """Give the times (n,) at the cells' edges since the leg began, at constant acceleration in each cell."""
+        with np.errstate(divide="ignore", over="ignore"):  # at speeds that are nothing it takes for ever
+            return np.concatenate([[0.0], np.cumsum(2 * self._cell_m / (speeds_m_s[1:] + speeds_m_s[:-1]))])
+
+
+def _pieces(control_m: Array) -> Array:
+    """Pieces of the quintic B-spline with these control points (c,): (6, c - 5), powers of a step's share, lowest first.
+
+    As `BSpline` of scipy.interpolate computes them, whose import would take 0.3 s of each start.
+    """
+    powers = np.zeros((_DEGREE + 1, len(control_m) - _DEGREE))
+    for power in range(_DEGREE + 1):
+        degree = _DEGREE - power
+        for j, weight in enumerate(_at_knot(degree)):
+            powers[power] += control_m[j : j + powers.shape[1]] * weight
+        powers[power] /= math.factorial(power)
+        control_m = np.diff(control_m) * degree / max(degree, 1)  # both: it rounds twice
+    return powers
+
+
+def _at_knot(degree: int) -> list[float]:
+    """B-splines with equal steps at a knot (de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB)."""
+    value = [1.0]
+    for j in range(1, degree + 1):
+        share = [before / j for before in value]
+        value = [0.0] * (j + 1)
+        for n in range(j):
+            value[n] += share[n] * (n + 1)
+            value[n + 1] = share[n] * (j - n - 1)
+    return value
+
+
+def _least_within(values: Array, reach: int) -> Array:
+    """Find the least value (n,) within `reach` neighbours to either side, in windows that double in width.
+
+    As `minimum_filter1d` of scipy.ndimage does, whose import would take 40 ms of each start.
+    """
+    least, width = np.pad(values, reach, mode="edge"), 1
+    while 2 * width <= 2 * reach + 1:
+        least = np.minimum(least[:-width], least[width:])
+        width *= 2
+    return np.minimum(least[: len(values)], least[-len(values) :])
+
+
+def _rests(stops: Stops, length_m: float) -> tuple[Array, Array]:
+    """Arc lengths (r,) at which the person rests, both ends among them, and for how long before smoothing."""
+    for stop_m, _ in stops:
+        if not 0.0 <= stop_m <= length_m:
+            found = f"found {stop_m:g} m along the path"
+            raise TrajectoryError("stop", found, f"from 0 to its length, {length_m:.2f} m")
+    at_m = np.unique([0.0, *(stop_m for stop_m, _ in stops), length_m])
+    pauses_s = np.zeros(len(at_m))
+    for stop_m, pause_s in stops:
+        pauses_s[np.searchsorted(at_m, stop_m)] += pause_s
+    # Smoothing takes from a rest between two legs what it reaches into it from both.
+    pauses_s[1:-1] += 2 * _REACH * _KNOT_S
+    return at_m, pauses_s
+
+
+def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_m: float) -> float:
+    """Find the cruise speed with which the run takes a given time, or a hair less."""
+
+    def takes_s(speed_m_s: float) -> float:
+        """Run time at a speed."""
+        return pauses_s + _PADDING_S + sum(leg.times_s(leg.speeds_m_s(speed_m_s))[-1] for leg in legs)
+
+    high, fastest_s = _MAX_SPEED_M_S, takes_s(_MAX_SPEED_M_S)
+    if fastest_s > run_time_s:
+        raise TrajectoryError(
+            "run time",
+            f"found {run_time_s:g} s for {length_m:.1f} m",
+            f"at least {fastest_s:.1f} s, with its stops, turns and starts",
+        )
+    low = min(high, length_m / run_time_s)
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if takes_s(middle) > run_time_s else (low, middle)
+    return high
+
+
+def _sampled(legs: Sequence[_Leg], pauses_s: Array, cruise_m_s: float) -> tuple[float, Array]:
+    """Duration before smoothing, and the control points (c,): arc lengths at equal times."""
+    begin_s, begins, runs = pauses_s[0], [], []
+    for leg, pause_s in zip(legs, pauses_s[1:], strict=True):
+        speeds = leg.speeds_m_s(cruise_m_s)
+        times = leg.times_s(speeds)
+        begins.append(begin_s)
+        runs.append((leg.at_m, speeds, times))
+        begin_s += times[-1] + pause_s
+    duration_s = begin_s
+    if not duration_s <= _LONGEST_S:
+        raise TrajectoryError(
+            "run time", f"found {duration_s:g} s", f"at most {_LONGEST_S} s, with its stops"
+        )
+    # Control point j is at (j - 2) steps, and the person sets off two steps after the start.
+    count = math.ceil((duration_s + _PADDING_S) / _KNOT_S) + 6
+    at_s = (np.arange(count) - 4) * _KNOT_S
+    control_m = np.zeros(count)
+    for begin, (at_m, speeds, times) in zip(begins, runs, strict=True):
+        first = int(np.searchsorted(at_s, begin))
+        since = np.minimum(at_s[first:] - begin, times[-1])
+        cell = np.minimum(np.searchsorted(times, since, side="right") - 1, len(times) - 2)
+        t, dt = since - times[cell], times[cell + 1] - times[cell]
+        mean = speeds[cell] + (speeds[cell + 1] - speeds[cell]) * t / dt / 2
+        control_m[first:] = np.where(since < times[-1], at_m[cell] + mean * t, at_m[-1])
+    return duration_s, control_m
+
+
+@numba.njit(cache=True, nogil=True)
+def _evaluate(
+    coefficients: Array,
+    step_s: float,
+    run_time_s: float,
+    elapsed_s: Array,
+    along_m: Array,
+    speed_m_s: Array,
+    acceleration_m_s2: Array,
+) -> None:
+    """Evaluate the pieces and their derivatives, each time alone."""
+    last = coefficients.shape[1] - 1
+    for i in range(elapsed_s.size):
+        steps = min(max(elapsed_s[i], 0.0), run_time_s) / step_s
+        piece = min(int(steps), last)
+        d, c = steps - piece, coefficients[:, piece]
+        along_m[i] = ((((c[5] * d + c[4]) * d + c[3]) * d + c[2]) * d + c[1]) * d + c[0]
+        rate = (((5.0 * c[5] * d + 4.0 * c[4]) * d + 3.0 * c[3]) * d + 2.0 * c[2]) * d + c[1]
+        second = ((20.0 * c[5] * d + 12.0 * c[4]) * d + 6.0 * c[3]) * d + 2.0 * c[2]
+        speed_m_s[i] = max(rate, 0.0) / step_s  # rounding at rest must not walk backwards
+        acceleration_m_s2[i] = second / (step_s * step_s)

@@ -1,21 +1,21 @@
-"""A sensor that stands, and a sensor that is carried."""
+"""A sensor on the back of a person."""
 
 import math
 from functools import lru_cache
-from typing import Protocol
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.motion.gait import AXES, Gait, Trunk
-from vlp16emu.motion.harness import KNOTS_PER_S, NODES_PER_KNOT, Harness, Pack
-from vlp16emu.motion.pose import body_rate, rotate, rotations
-from vlp16emu.motion.track import Kinematics, Track, Way
+from vlp16emu.motion.gait import AXES, Trunk
+from vlp16emu.motion.harness import KNOTS_PER_S, NODES_PER_KNOT, Pack
+from vlp16emu.motion.pose import Kinematics, body_rate, rotate
+from vlp16emu.motion.route import Route, Track
+from vlp16emu.motion.settings import Walk
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["Motion", "Standing", "Walking"]
+__all__ = ["WalkMotion"]
 
 _NODES_PER_S = KNOTS_PER_S * NODES_PER_KNOT
 _NODE_NS = S_NS // _NODES_PER_S
@@ -23,73 +23,18 @@ _TABLES_KEPT = 16
 """Seconds of motion held ready, 0.3 MB each: more than the workers of a run are ever apart."""
 
 
-class Motion(Protocol):
-    """Where the body is at any time."""
+class WalkMotion:
+    """A pack on the back of a person who walks along a route.
 
-    @property
-    def run_time_s(self) -> float:
-        """For how long there is a pose; infinite where the motion never ends."""
-
-    @property
-    def moves(self) -> bool:
-        """Whether poses differ from one instant to another."""
-
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
-        """Poses at UTC instants (n,); a single one where nothing moves."""
-
-    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
-        """Poses at UTC instants (n,) with the derivatives of the same function."""
-
-
-class Standing:
-    """A sensor on a tripod: one pose, computed once.
-
-    Parameters
-    ----------
-    position_m : (3,) world
-    yaw_deg, pitch_deg, roll_deg : as in `motion.pose.rotate`
-    """
-
-    run_time_s = math.inf
-    moves = False
-
-    def __init__(
-        self, position_m: NDArray[np.float64], yaw_deg: float, pitch_deg: float, roll_deg: float
-    ) -> None:
-        turn = rotations(np.array([math.radians(yaw_deg)]), math.radians(pitch_deg), math.radians(roll_deg))
-        self._poses = Poses(np.zeros(1, np.int64), turn, position_m[None])
-
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:  # noqa: ARG002  # it stands at all times
-        """Return the one pose."""
-        return self._poses
-
-    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
-        """Repeat the one pose at instants (n,), without any motion."""
-        n = len(t_ns)
-        pose, still = self._poses, np.zeros((n, 3))
-        return Kinematics(
-            t_ns,
-            np.repeat(pose.world_R_body, n, axis=0),
-            np.repeat(pose.world_p_body_m, n, axis=0),
-            *(still, still, still, still),
-        )
-
-
-class Walking:
-    """A pack on the back of a person who walks along a way.
-
-    Way, gait and harness are evaluated on a grid of 1 ms that begins with the walk. The pose is by
+    Route, gait and harness are evaluated on a grid of 1 ms that begins with the walk. The pose is by
     definition the quintic Hermite interpolant of x, y, z, roll, pitch and yaw on it: twice continuously
     differentiable, so its derivatives belong to it exactly, and within a nanometre of what it interpolates.
 
     Parameters
     ----------
-    way : over the ground
+    walk : gait, harness and height of the pack
+    route : over the ground; at its cruise speed the gait has its full amplitudes, and they fade as the person slows down
     start_ns : UTC at which the walk begins
-    speed_m_s : at which the gait has its full amplitudes; they fade as the person slows down
-    height_m : of the pack's origin over the ground under it
-    gait : how the trunk moves about the way
-    harness : straps of the pack; None where it is strapped tight
     seed : of the scenario
 
     Raises
@@ -100,25 +45,15 @@ class Walking:
 
     moves = True
 
-    def __init__(
-        self,
-        way: Way,
-        *,
-        start_ns: int,
-        speed_m_s: float,
-        height_m: float,
-        gait: Gait,
-        harness: Harness | None,
-        seed: int,
-    ) -> None:
-        self._way, self._start_ns, self._speed_m_s, self._height_m = way, start_ns, speed_m_s, height_m
-        self._trunk = Trunk(gait, seed)
-        self._pack = Pack(self._sway, harness) if gait.moves else None
+    def __init__(self, walk: Walk, route: Route, *, start_ns: int, seed: int) -> None:
+        self._route, self._start_ns, self._height_m = route, start_ns, walk.sensor_height_m
+        self._trunk = Trunk(walk.gait, route.speed_m_s, seed)
+        self._pack = Pack(self._sway, walk.harness) if walk.gait.moves else None
         self._table = lru_cache(_TABLES_KEPT)(self._tabulate)
-        self.run_time_s = way.run_time_s
+        self.run_time_s = route.run_time_s
 
     def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
-        """Poses at UTC instants (n,); before the start and after the end the person stands at the way's ends."""
+        """Poses at UTC instants (n,); before the start and after the end the person is at rest at the ends."""
         poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         for second, which in self._seconds(t_ns):
             begin_ns = self._start_ns + second * S_NS
@@ -159,20 +94,20 @@ class Walking:
     def _sway(self, first: int, count: int) -> NDArray[np.float64]:
         """Sample the trunk's motion (count, 6) at knots from `first` on."""
         elapsed_s = np.arange(first, first + count) / KNOTS_PER_S
-        share = np.minimum(self._way.at(elapsed_s).speed_m_s / self._speed_m_s, 1.0)
+        share = np.minimum(self._route.at(elapsed_s).speed_m_s / self._route.speed_m_s, 1.0)
         return self._trunk.at(elapsed_s, share * share * (3.0 - 2.0 * share))
 
     def _tabulate(self, second: int) -> NDArray[np.float64]:
         """Coefficients (1000, 6, 6) of x, y, z, roll, pitch, yaw by piece of a second, lowest power first."""
         elapsed_s = np.arange(second * _NODES_PER_S, (second + 1) * _NODES_PER_S + 1) / _NODES_PER_S
-        nodes = _bare(self._way.at(elapsed_s), self._height_m)
+        nodes = _bare(self._route.at(elapsed_s), self._height_m)
         if self._pack is not None:
             _sit(self._pack.nodes(second), nodes)
         return _hermite(nodes)
 
 
 def _bare(track: Track, height_m: float) -> NDArray[np.float64]:
-    """Value, rate and acceleration (n, 6, 3) of x, y, z, roll, pitch and yaw over the bare way."""
+    """Value, rate and acceleration (n, 6, 3) of x, y, z, roll, pitch and yaw over the bare route."""
     nodes = np.zeros((len(track.yaw_rad), AXES, 3))
     nodes[:, :3] = np.stack([track.position_m, track.velocity_m_s, track.acceleration_m_s2], axis=-1)
     nodes[:, 2, 0] += height_m
@@ -182,7 +117,7 @@ def _bare(track: Track, height_m: float) -> NDArray[np.float64]:
 
 @numba.njit(cache=True, nogil=True)
 def _sit(pack: NDArray[np.float64], nodes: NDArray[np.float64]) -> None:
-    """Put the pack's displacements (n, 6, 3), made in the heading frame, upon the bare way (n, 6, 3)."""
+    """Put the pack's displacements (n, 6, 3), made in the heading frame, upon the bare route (n, 6, 3)."""
     for n in range(len(nodes)):
         yaw, turn, turn2 = nodes[n, 5]
         ahead, ahead1, ahead2 = pack[n, 0]

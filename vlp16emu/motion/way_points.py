@@ -1,5 +1,6 @@
-"""Way points in files: CSV, and GPX of a track or route."""
+"""Way points of a walk: in the scene, in CSV or GPX files, or of a pattern over a plot."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from xml.parsers import expat
@@ -8,15 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import TrajectoryError, readable
-from vlp16emu.motion.geodesy import Origin, to_local
-from vlp16emu.motion.user_file import finite, named_cells
+from vlp16emu.motion.gnss import to_local
+from vlp16emu.motion.pose_files import finite, named_cells
+from vlp16emu.motion.settings import Gps, LawnMower, Walk
 
-__all__ = ["WayPoints", "read_way_points"]
+__all__ = ["WayPoints", "lawn_mower", "read_way_points", "way_points"]
 
 _FARTHEST_M = 100_000.0
 """Farther from the scene's origin the plane of the map is no picture of the earth."""
 _CONTAINER = {"trkpt": "trk", "rtept": "rte"}
 """Elements of points, and of what they make up (GPX 1.1 schema, Topografix)."""
+_POINTS_PER_QUARTER = 6
+"""Way points in a quarter turn: the spline through them keeps within 0.2 % of the radius."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +30,7 @@ class WayPoints:
     xy_m: NDArray[np.float64]
     """(n, 2) world."""
     pause_s: NDArray[np.float64]
-    """(n,) how long the person stands there, 0 where the walk goes on."""
+    """(n,) how long the person stops there, 0 where the walk goes on."""
 
     def with_pause(self, number: int, pause_s: float) -> "WayPoints":
         """Give the same way points with a longer stop at one of them, the first having number 1.
@@ -43,16 +47,35 @@ class WayPoints:
         return WayPoints(self.xy_m, longer_s)
 
 
-def read_way_points(path: Path, *, origin_m: tuple[float, float], geodetic_origin: Origin) -> WayPoints:
-    """Read way points, their kind told by the ending of the file's name: .csv or .gpx.
+def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:
+    """Way points of a walk, with the stops at them; the other arguments are those of `read_way_points`.
+
+    Raises
+    ------
+    TrajectoryError
+        where a file has none, a pattern does not fit, or a stop is at none of them
+    """
+    if walk.way_points_file is not None:
+        points = read_way_points(Path(walk.way_points_file), gps, origin_m)
+    else:
+        xy_m = np.array(walk.way_points_m) if walk.lawn_mower is None else lawn_mower(walk.lawn_mower)
+        points = WayPoints(xy_m, np.zeros(len(xy_m)))
+    for stop in walk.stops:
+        if stop.way_point is not None:
+            points = points.with_pause(stop.way_point, stop.pause_s)
+    return points
+
+
+def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:
+    """Read way points from a file whose name ends in .csv or .gpx.
 
     A CSV has the columns x_m and y_m, and stop_s where the person is to stop. Of a GPX file the one track
     is read, or the one route if it has no track; its times and heights are left aside.
 
     Parameters
     ----------
+    gps : where on earth the scene's origin is
     origin_m : easting and northing in the CSV that become (0, 0) in the scene
-    geodetic_origin : where on earth the scene's origin is
 
     Raises
     ------
@@ -63,7 +86,7 @@ def read_way_points(path: Path, *, origin_m: tuple[float, float], geodetic_origi
     if kind == ".csv":
         return _read_csv(path, origin_m)
     if kind == ".gpx":
-        return _read_gpx(path, geodetic_origin)
+        return _read_gpx(path, gps)
     raise TrajectoryError(str(path), f"found the ending {kind!r}", ".csv or .gpx")
 
 
@@ -78,7 +101,7 @@ def _read_csv(path: Path, origin_m: tuple[float, float]) -> WayPoints:
     return WayPoints(np.reshape(xy_m, (-1, 2)) - np.array(origin_m), np.array(pause_s))
 
 
-def _read_gpx(path: Path, origin: Origin) -> WayPoints:
+def _read_gpx(path: Path, gps: Gps) -> WayPoints:
     """Read a track or route onto the plane at the scene's origin."""
     reader = _GpxReader(path)
     with readable(path, "a GPX file", TrajectoryError):
@@ -87,14 +110,14 @@ def _read_gpx(path: Path, origin: Origin) -> WayPoints:
     if (tracks or routes) != 1:
         raise TrajectoryError(str(path), f"found {tracks} tracks and {routes} routes", "one of them")
     points = reader.points["trkpt" if tracks else "rtept"]
-    places = [(latitude, longitude, origin.height_m) for _, latitude, longitude in points]
-    xy_m = to_local(np.reshape(places, (-1, 3)), origin)[:, :2]
+    places = [(latitude, longitude, gps.height_m) for _, latitude, longitude in points]
+    xy_m = to_local(np.reshape(places, (-1, 3)), gps)[:, :2]
     for (line, _, _), away_m in zip(points, np.hypot(*xy_m.T), strict=True):
         if away_m > _FARTHEST_M:
             raise TrajectoryError(
                 f"{path}, line {line}",
                 f"lies {away_m / 1000:.0f} km from the scene's origin",
-                f"at most {_FARTHEST_M / 1000:g} km from {origin.latitude_deg:g}, {origin.longitude_deg:g} degrees",
+                f"at most {_FARTHEST_M / 1000:g} km from {gps.latitude_deg:g}, {gps.longitude_deg:g} degrees",
             )
     return WayPoints(np.ascontiguousarray(xy_m), np.zeros(len(xy_m)))
 
@@ -139,3 +162,56 @@ class _GpxReader:
             if abs(value) > limit:
                 raise TrajectoryError(f"{where}, {axis}", f"found {value:g}", f"from {-limit:g} to {limit:g}")
         self.points[name].append((line, degrees[0], degrees[1]))
+
+
+def lawn_mower(plot: LawnMower) -> NDArray[np.float64]:
+    """Way points (n, 2) along parallel lines to and fro over a rectangle, joined by rounded turns inside it.
+
+    The lines are as many as fit, in the middle of the width.
+
+    Raises
+    ------
+    TrajectoryError
+        where the turns do not fit between two lines or along the plot
+    """
+    line_spacing_m, radius_m = plot.line_spacing_m, plot.turn_radius_m
+    room_m = min(line_spacing_m, plot.length_m)
+    if 2 * radius_m > room_m:
+        expected = f"above 0 and at most half of {room_m:g} m, line spacing or length"
+        raise TrajectoryError("turn radius", f"found {radius_m:g} m", expected)
+    lines = 1 + math.floor(plot.width_m / line_spacing_m)
+    offset_m = (plot.width_m - (lines - 1) * line_spacing_m) / 2
+    spacing_m = radius_m * math.pi / 2 / _POINTS_PER_QUARTER
+    corners = [(0.0, offset_m)]
+    for line in range(lines):
+        y_m = offset_m + line * line_spacing_m
+        far_m = 0.0 if line % 2 else plot.length_m
+        corners.append((far_m, y_m))
+        if line < lines - 1:
+            corners.append((far_m, y_m + line_spacing_m))
+    along, across = _rounded(np.array(corners), radius_m, spacing_m).T
+    azimuth_rad = math.radians(plot.azimuth_deg)
+    cosine, sine = math.cos(azimuth_rad), math.sin(azimuth_rad)
+    return np.column_stack([cosine * along - sine * across, sine * along + cosine * across]) + plot.corner_m
+
+
+def _rounded(corners_m: NDArray[np.float64], radius_m: float, spacing_m: float) -> NDArray[np.float64]:
+    """Points (n, 2) at about equal distances along right-angled corners (c, 2) that are cut by quarter circles."""
+    ahead = np.diff(corners_m, axis=0)
+    ahead /= np.hypot(*ahead.T)[:, None]
+    pieces, at = [], corners_m[0]
+    for corner, before, after in zip(corners_m[1:-1], ahead[:-1], ahead[1:], strict=True):
+        pieces.append(_straight(at, corner - radius_m * before, spacing_m))
+        angle = np.arange(_POINTS_PER_QUARTER)[:, None] / _POINTS_PER_QUARTER * (math.pi / 2)
+        centre = corner + radius_m * (after - before)
+        pieces.append(centre - radius_m * np.cos(angle) * after + radius_m * np.sin(angle) * before)
+        at = corner + radius_m * after
+    return np.concatenate([*pieces, _straight(at, corners_m[-1], spacing_m), corners_m[-1:]])
+
+
+def _straight(
+    start_m: NDArray[np.float64], end_m: NDArray[np.float64], spacing_m: float
+) -> NDArray[np.float64]:
+    """Points (n, 2) from a start until before an end; none where both are one."""
+    count = math.ceil(math.dist(start_m, end_m) / spacing_m - 1e-9)
+    return start_m + np.arange(count)[:, None] / max(count, 1) * (end_m - start_m)

@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass
 
-from vlp16emu.motion import sweeps_over
 from vlp16emu.sensor import Head
-from vlp16emu.units import S_NS
+from vlp16emu.units import S_NS, seconds_to_ns
 
 __all__ = ["Turn", "turn_of"]
 
@@ -25,11 +24,10 @@ class Turn:
 def turn_of(head: Head, simulated_s: float) -> Turn:
     """Measure the turning of a head over a run."""
     rpm, sequences_per_s = head.rotor.rpm, S_NS / head.beams.sequence_ns
-    sweeps = sweeps_over(simulated_s, rpm, head.beams.sequence_ns)
     return Turn(
         rpm=rpm,
         azimuth_step_deg=6 * rpm / sequences_per_s,
         sequences_per_revolution=sequences_per_s * 60 / rpm,
-        revolutions=sweeps.revolutions,
-        azimuth_steps=sweeps.azimuth_steps,
+        revolutions=simulated_s * rpm / 60.0,
+        azimuth_steps=seconds_to_ns(simulated_s) // head.beams.sequence_ns,
     )

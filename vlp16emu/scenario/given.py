@@ -1,25 +1,17 @@
 """What the user brings to a world in files of their own: heights, trees, meshes.
 
-A file's path is reckoned from the folder of the scene file.
+A file's path is relative to the folder of the scene file.
 """
 
-from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, ValidationInfo
+from pydantic import Field
 
 from vlp16emu.scenario.finish import Finish, PartFinish
-from vlp16emu.settings import Angle, Place, Positive, Section
+from vlp16emu.settings import Angle, Place, Positive, SceneFile, Section
 
-__all__ = ["Dem", "MapPoint", "MeshFile", "MeshPart", "MeshPlace", "SceneFile"]
+__all__ = ["Dem", "MapPoint", "MeshFile", "MeshPart", "MeshPlace"]
 
-
-def _beside_the_scene(file: str, info: ValidationInfo) -> str:
-    """Path of a file that a scene names."""
-    return str(Path(info.context["folder"], file)) if info.context else file
-
-
-SceneFile = Annotated[str, Field(min_length=1), AfterValidator(_beside_the_scene)]
 MapPoint = Annotated[tuple[Place, Place, Place], Field(strict=False)]
 Corner = Annotated[tuple[Place, Place], Field(strict=False)]
 SemanticName = Literal["ground", "tree", "shrub", "stone", "deadwood", "grass", "other"]

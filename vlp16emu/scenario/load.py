@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 from vlp16emu.errors import ScenarioError
+from vlp16emu.motion import Walk
 from vlp16emu.scenario.explain import explain
 from vlp16emu.scenario.find import find
 from vlp16emu.scenario.model import Scenario
-from vlp16emu.scenario.way import Way
 
 __all__ = ["load"]
 
-_RIVALS = frozenset(Way.one_of), Way.either_or
+_RIVALS = frozenset(Walk.one_of), Walk.either_or
 """Keys that exclude each other: a setting of one takes the place of the others."""
 _UNIT_ERRORS = ("eccentricity_deg", "azimuth_noise_deg", "clock_error_ppm")
 """Errors among the keys of `[sensor]` and `[[rig]]`."""
@@ -125,7 +125,7 @@ def _take_errors(tree: dict[str, Any]) -> None:
     tree.update(beam={"model": "none"}, noise={"preset": "ideal"}, weather={})
     units = rig if isinstance(rig := tree.get("rig"), list) else []
     for unit in (tree.setdefault("sensor", {}), *units):
-        if isinstance(unit, dict):  # what is no table is told of when the scene is checked
+        if isinstance(unit, dict):  # what is no table is found when the scene is checked
             unit.update(dict.fromkeys(_UNIT_ERRORS, 0.0))
 
 
@@ -160,7 +160,7 @@ def _apply(tree: dict[str, Any], setting: _Setting) -> None:
 
 
 def _drop_rivals(tree: dict[str, Any], name: str) -> None:
-    """Drop what a key that is set now stands for."""
+    """Drop the keys that a key that is set rules out."""
     for rivals in _RIVALS:
         if name in rivals:
             for rival in rivals - {name}:

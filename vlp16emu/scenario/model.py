@@ -6,11 +6,9 @@ from typing import Annotated, Any, Literal
 from pydantic import AwareDatetime, Field, ValidationInfo, field_validator
 
 from vlp16emu.errors import InputError
+from vlp16emu.motion import Gps, Imu, Recorded, Static, Walk
 from vlp16emu.scenario.beam import Beam
 from vlp16emu.scenario.detector import Detector
-from vlp16emu.scenario.gps import Gps
-from vlp16emu.scenario.imu import Imu
-from vlp16emu.scenario.motion import Motion
 from vlp16emu.scenario.noise import Noise
 from vlp16emu.scenario.rig import Unit, completed
 from vlp16emu.scenario.sensor import AnySensor, FreeSensor, Sensor
@@ -47,7 +45,7 @@ class Scenario(Section):
     noise: Noise = Noise()
     weather: Weather = Weather()
     gps: Gps = Gps()
-    motion: Motion
+    motion: Annotated[Static | Walk | Recorded, Field(discriminator="kind")]
     """How the sensor moves."""
     imu: Imu | None = None
     """An inertial measurement unit beside the sensor; its samples are part of the truth."""
@@ -84,7 +82,7 @@ class Scenario(Section):
 
     @field_validator("rig")
     @classmethod
-    def _told_apart(cls, rig: list[Unit], info: ValidationInfo) -> list[Unit]:
+    def _distinct(cls, rig: list[Unit], info: ValidationInfo) -> list[Unit]:
         first = info.data.get("sensor")
         units = [first, *rig] if isinstance(first, Sensor) else rig
         for key in ("name", "serial_number", "address"):

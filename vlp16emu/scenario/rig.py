@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from vlp16emu.scenario.harness import Mount
+from vlp16emu.motion import Mount
 from vlp16emu.scenario.presets import merged
 from vlp16emu.scenario.sensor import Sensor
 
@@ -39,7 +39,7 @@ def completed(table: Any, first: Sensor, place: int) -> Any:
     if not isinstance(table, dict):
         return table
     not_taken = _OWN | (Sensor.either_or if Sensor.either_or & table.keys() else frozenset())
-    told = first.model_dump(exclude_unset=True, exclude=set(not_taken))
+    given = first.model_dump(exclude_unset=True, exclude=set(not_taken))
     counted = {
         "name": f"unit_{place + 1}",
         "serial_number": str(int(first.serial_number) + place).zfill(len(first.serial_number)),
@@ -47,4 +47,4 @@ def completed(table: Any, first: Sensor, place: int) -> Any:
         "data_port": first.data_port + place,
         "position_port": first.position_port + place,
     }
-    return merged(counted | told, table)
+    return merged(counted | given, table)

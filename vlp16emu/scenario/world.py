@@ -6,10 +6,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, model_validator
 
 from vlp16emu.scenario.finish import Finish
-from vlp16emu.scenario.given import Dem, MapPoint, MeshFile, SceneFile
+from vlp16emu.scenario.given import Dem, MapPoint, MeshFile
 from vlp16emu.scenario.ground import Terrain
 from vlp16emu.scenario.presets import DENSITY_KEYS, with_preset
-from vlp16emu.settings import Fraction, NonNegative, Section, Size
+from vlp16emu.settings import Fraction, NonNegative, SceneFile, Section, Size
 
 __all__ = [
     "MOST_STEMS_PER_HA",

@@ -1,5 +1,8 @@
-"""Recorded poses in files: TUM, CSV with a header, and KITTI."""
+"""What the user brings to a motion in files: lines, columns, and recorded poses in TUM, CSV and KITTI."""
 
+import csv
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from itertools import pairwise
@@ -8,11 +11,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.user_file import finite, named_cells, words
+from vlp16emu.errors import TrajectoryError, readable
+from vlp16emu.motion.settings import Recorded
 from vlp16emu.units import S_NS
 
-__all__ = ["RecordedPoses", "read_kitti", "read_trajectory_csv", "read_tum"]
+__all__ = [
+    "RecordedPoses",
+    "finite",
+    "named_cells",
+    "read_kitti",
+    "read_poses",
+    "read_trajectory_csv",
+    "read_tum",
+]
 
 _UNIT_TOLERANCE = 1e-3
 """Of a quaternion's length and of a matrix times its transpose: what four written decimals leave."""
@@ -35,6 +46,22 @@ class RecordedPoses:
     """(n, 4) x, y, z, w of unit length; body to the recording's frame."""
 
 
+def read_poses(recorded: Recorded) -> RecordedPoses:
+    """Read the file of poses, and that of their times, if there is one.
+
+    Raises
+    ------
+    TrajectoryError
+        where a line or a pose in it is wrong, as in the function of each format
+    """
+    path = Path(recorded.file)
+    if recorded.format == "tum":
+        return read_tum(path)
+    if recorded.times_file is not None:
+        return read_kitti(path, Path(recorded.times_file))
+    return read_trajectory_csv(path) if recorded.rate_hz is None else read_kitti(path, recorded.rate_hz)
+
+
 def read_tum(path: Path) -> RecordedPoses:
     """Read lines of `t x y z qx qy qz qw`, t in seconds (file format of the TUM RGB-D benchmark).
 
@@ -43,7 +70,7 @@ def read_tum(path: Path) -> RecordedPoses:
     TrajectoryError
         where a line is none, holds a NaN, or its quaternion is not of unit length
     """
-    lines = words(path, 8, "t x y z qx qy qz qw")
+    lines = _words(path, 8, "t x y z qx qy qz qw")
     return _checked(
         path,
         [where for where, _ in lines],
@@ -84,7 +111,7 @@ def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
     TrajectoryError
         where a line is none, holds a NaN, or is no rotation, or there are more or fewer times than poses
     """
-    lines = words(path, 12, "the 12 numbers of a 3 x 4 matrix")
+    lines = _words(path, 12, "the 12 numbers of a 3 x 4 matrix")
     numbers = [[finite(where, cell) for cell in cells] for where, cells in lines]
     from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
 
@@ -104,17 +131,17 @@ def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
 
 
 def _times_ns(times: Path | float, count: int) -> list[int]:
-    """Stamps of poses that do not tell them."""
+    """Stamps of poses in files without stamps."""
     if not isinstance(times, Path):
         return [round(i * S_NS / times) for i in range(count)]
-    lines = words(times, 1, "one time in seconds")
+    lines = _words(times, 1, "one time in seconds")
     if len(lines) != count:
         raise TrajectoryError(str(times), f"found {len(lines)} times", f"{count}, one for each pose")
     return [_seconds_ns(where, cells[0]) for where, cells in lines]
 
 
 def _seconds_ns(where: str, text: str) -> int:
-    """Nanoseconds of a time in seconds, every digit of it: float64 keeps but a microsecond of UTC."""
+    """Nanoseconds of a time in seconds, every digit of it: float64 keeps UTC to a microsecond only."""
     try:
         t_ns = Decimal(text).scaleb(9)
     except InvalidOperation:
@@ -142,3 +169,77 @@ def _checked(path: Path, where: list[str], t_ns: list[int], numbers: list[list[f
             where[i], f"a quaternion of length {lengths[i]:.6g}", f"length 1, to {_UNIT_TOLERANCE:g}"
         )
     return RecordedPoses(where, np.array(t_ns), table[:, :3].copy(), table[:, 3:] / lengths[:, None])
+
+
+def finite(where: str, text: str) -> float:
+    """Read a number that is finite."""
+    try:
+        number = float(text)
+    except ValueError:
+        raise TrajectoryError(where, f"found {text!r}", "a number") from None
+    if not math.isfinite(number):
+        raise TrajectoryError(where, f"found {text}", "a finite number")
+    return number
+
+
+def _words(path: Path, count: int, expected: str) -> list[tuple[str, list[str]]]:
+    """File and number of each line, and its words; lines that are empty or begin with # are left out.
+
+    Parameters
+    ----------
+    count : words in a line
+    expected : what a line holds
+
+    Raises
+    ------
+    TrajectoryError
+        where the file cannot be read or a line has another number of words
+    """
+    with readable(path, expected, TrajectoryError):
+        text = path.read_text(encoding="utf-8-sig")
+    lines = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        cells, where = line.split(), f"{path}, line {number}"
+        if len(cells) != count:
+            raise TrajectoryError(where, f"found {len(cells)} words", expected)
+        lines.append((where, cells))
+    return lines
+
+
+def named_cells(
+    path: Path, needed: Sequence[str], optional: Sequence[str]
+) -> list[tuple[str, dict[str, str]]]:
+    """File and number of each line of a CSV with a header, and its cells by the name of their column.
+
+    The delimiter is a semicolon or a tab where the header has one, and a comma otherwise.
+
+    Raises
+    ------
+    TrajectoryError
+        where the file cannot be read, a column is missing, unknown or there twice, or a line has more or
+        fewer cells than the header
+    """
+    expected = f"a CSV with the columns {', '.join(needed)}"
+    with readable(path, expected, TrajectoryError), path.open(encoding="utf-8-sig", newline="") as file:
+        header = file.readline()
+        delimiter = next(mark for mark in ";\t," if mark in header or mark == ",")
+        names = [name.strip().lower() for name in next(csv.reader([header], delimiter=delimiter), [])]
+        known = [*needed, *optional]
+        for name in [*names, *needed]:
+            if names.count(name) != 1 or name not in known:
+                found = (
+                    f"{names.count(name)} columns {name!r}" if name in known else f"unknown column {name!r}"
+                )
+                raise TrajectoryError(f"{path}, line 1", found, f"each of {', '.join(known)} once")
+        reader = csv.reader(file, delimiter=delimiter)
+        rows = []
+        for cells in reader:
+            where = f"{path}, line {reader.line_num + 1}"
+            if not any(cell.strip() for cell in cells):
+                continue
+            if len(cells) != len(names):
+                raise TrajectoryError(where, f"found {len(cells)} cells", f"{len(names)}, as in line 1")
+            rows.append((where, dict(zip(names, (cell.strip() for cell in cells), strict=True))))
+    return rows

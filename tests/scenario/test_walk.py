@@ -1,4 +1,4 @@
-"""Where a person goes, and recorded poses, as a scene tells them."""
+"""Where a person goes, and recorded poses, as a scene gives them."""
 
 import pytest
 
@@ -20,7 +20,7 @@ def scene(folder, motion):
     return str(path)
 
 
-def test_files_are_reckoned_from_the_scene(tmp_path):
+def test_files_are_relative_to_the_scene(tmp_path):
     """Way points and recorded poses are named relative to the scene file."""
     walk = load(scene(tmp_path, 'kind = "walk"\nway_points_file = "way.csv"')).motion
     assert walk.way_points_file == str(tmp_path / "way.csv")
@@ -46,13 +46,13 @@ def test_files_are_reckoned_from_the_scene(tmp_path):
         (
             f'kind = "walk"\n{MOWER}\nstops = [{{ way_point = 2, pause_s = 3 }}]',
             "motion",
-            "stops told by at_m where lawn_mower makes the way points",
+            "stops given by at_m where lawn_mower makes the way points",
         ),
         ('kind = "recorded"\nfile = "p"\nformat = "kitti"', "motion", TIMES),
         ('kind = "recorded"\nfile = "p"\nformat = "tum"\nrate_hz = 10', "motion", TIMES),
     ],
 )
-def test_what_is_missing_or_told_twice_is_refused(tmp_path, motion, key, expected):
+def test_what_is_missing_or_given_twice_is_refused(tmp_path, motion, key, expected):
     """The table is named, with what it should hold."""
     path = scene(tmp_path, motion)
     with pytest.raises(ScenarioError) as caught:
@@ -61,7 +61,7 @@ def test_what_is_missing_or_told_twice_is_refused(tmp_path, motion, key, expecte
 
 
 @pytest.mark.parametrize("rate_hz", ["1e-300", "1e300"])
-def test_poses_come_at_a_rate_that_time_can_tell(tmp_path, rate_hz):
+def test_poses_come_at_a_rate_that_nanoseconds_can_hold(tmp_path, rate_hz):
     """A rate of poses whose times would not fit into nanoseconds is refused before the file is read."""
     path = scene(tmp_path, f'kind = "recorded"\nfile = "p"\nformat = "kitti"\nrate_hz = {rate_hz}')
     with pytest.raises(

@@ -1,0 +1,118 @@
+"""From the table `[motion]` and the ground to the motion of what carries the devices."""
+
+import logging
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.motion.path import Path
+from vlp16emu.motion.pose import Kinematics, Motion, rotation
+from vlp16emu.motion.pose_files import read_poses
+from vlp16emu.motion.recorded import RecordedMotion
+from vlp16emu.motion.route import Route
+from vlp16emu.motion.settings import Gps, Recorded, Static, Walk
+from vlp16emu.motion.walk import WalkMotion
+from vlp16emu.motion.way_points import way_points
+from vlp16emu.types import HeightField, Poses
+
+__all__ = ["StaticMotion", "make_carrier"]
+
+_log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+
+
+class StaticMotion:
+    """A sensor on a tripod: one pose, computed once.
+
+    Parameters
+    ----------
+    position_m : (3,) world
+    yaw_deg, pitch_deg, roll_deg : as in `motion.pose.rotate`
+    """
+
+    run_time_s = math.inf
+    moves = False
+
+    def __init__(self, position_m: Array, yaw_deg: float, pitch_deg: float, roll_deg: float) -> None:
+        turn = rotation(yaw_deg, pitch_deg, roll_deg)
+        self._poses = Poses(np.zeros(1, np.int64), turn[None], position_m[None])
+
+    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:  # noqa: ARG002  # the same at all times
+        """Return the one pose."""
+        return self._poses
+
+    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+        """Repeat the one pose at instants (n,), without any motion."""
+        n = len(t_ns)
+        pose, still = self._poses, np.zeros((n, 3))
+        return Kinematics(
+            t_ns,
+            np.repeat(pose.world_R_body, n, axis=0),
+            np.repeat(pose.world_p_body_m, n, axis=0),
+            *(still, still, still, still),
+        )
+
+
+def make_carrier(
+    section: Static | Walk | Recorded,
+    height_m: HeightField,
+    ground: str,
+    *,
+    origin_m: tuple[float, float, float],
+    gps: Gps,
+    reach_m: float,
+    start_ns: int,
+    seed: int,
+) -> tuple[Motion, Array]:
+    """Motion of what carries the devices over the ground, and points (n, 2) of its path on the map.
+
+    Parameters
+    ----------
+    section : the table `[motion]`
+    height_m : ground height
+    ground : name of all that decides it
+    origin_m : easting, northing and height in maps that are (0, 0, 0) in the world
+    gps : where on earth the world's origin is
+    reach_m : how far the sensor sees
+    start_ns : UTC of the first pulse
+    seed : of the scenario
+
+    Raises
+    ------
+    TrajectoryError
+        where a person cannot walk so, or the recorded poses are no smooth motion
+    """
+    if isinstance(section, Static):
+        xy_m = np.array([[section.x_m, section.y_m]])
+        position_m = np.append(xy_m[0], height_m(xy_m[:, 0], xy_m[:, 1])[0] + section.height_m)
+        return StaticMotion(position_m, section.yaw_deg, section.pitch_deg, section.roll_deg), xy_m
+    if isinstance(section, Recorded):
+        recorded = RecordedMotion(section, read_poses(section), start_ns=start_ns)
+        _check_place(recorded.position_m, origin_m, height_m, reach_m)
+        return recorded, np.ascontiguousarray(recorded.position_m[:, :2])
+    points = way_points(section, gps, origin_m[:2])
+    path = Path(points.xy_m, height_m, ground)
+    route = Route(path, section, points.pause_s)
+    return WalkMotion(section, route, start_ns=start_ns, seed=seed), path.xy_m
+
+
+def _check_place(
+    position_m: Array, origin_m: tuple[float, float, float], height_m: HeightField, reach_m: float
+) -> None:
+    """Warn of poses (n, 3) that lie about the world's origin on the map, below the ground, or out of its sight."""
+    plan_m = position_m[:, :2]
+    above_m = position_m[:, 2] - height_m(*plan_m.T)
+    if (np.hypot(*(plan_m - origin_m[:2]).T) < np.hypot(*plan_m.T)).all():
+        _log.warning(
+            "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; origin_m is not taken off"
+            " them: expected motion.x_m = %.10g, y_m = %.10g, z_m = %.10g",
+            *(*position_m[0], *(-value for value in origin_m)),
+        )
+    elif above_m.min() < 0 or above_m.min() > reach_m:
+        _log.warning(
+            "motion: recorded poses lie from %.1f to %.1f m above the ground; expected above it and in sight of it"
+            " (motion.z_m moves them)",
+            *(above_m.min(), above_m.max()),
+        )
