@@ -15,7 +15,7 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.motion import gait, harness, walk
 from vlp16emu.raycast import scene as fast
 from vlp16emu.scenario import Scenario, load, schema
-from vlp16emu.world import Hall
+from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.stem import StemKey
 
 detection = import_module("vlp16emu.returns.detect")  # the room calls its function so
@@ -118,9 +118,9 @@ def test_without_truth_nobody_looks_for_surfaces(monkeypatch):
 
 def test_a_static_sensor_has_one_pose_and_one_window(monkeypatch):
     """A sensor that stands has one pose, made once, and one window however long the run; a walk has more."""
-    opened, window = [], Hall.window
+    opened, window = [], HallWorld.window
     monkeypatch.setattr(
-        Hall, "window", lambda self, track_m: opened.append(len(track_m)) or window(self, track_m)
+        HallWorld, "window", lambda self, track_m: opened.append(len(track_m)) or window(self, track_m)
     )
     emulator = Emulator(load("static_bench"), threads=1)
     motion, t_ns = emulator.parts.motion, np.arange(1000, dtype=np.int64)

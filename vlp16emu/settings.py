@@ -15,7 +15,18 @@ from pydantic import (
     model_validator,
 )
 
-__all__ = ["Angle", "Fraction", "NonNegative", "Place", "Positive", "Preset", "SceneFile", "Section", "Size"]
+__all__ = [
+    "Angle",
+    "Fraction",
+    "MapPoint",
+    "NonNegative",
+    "Place",
+    "Positive",
+    "Preset",
+    "SceneFile",
+    "Section",
+    "Size",
+]
 
 
 class Section(BaseModel):
@@ -58,7 +69,9 @@ Angle = Annotated[float, Field(ge=-180, le=180)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Place = Annotated[float, Field(ge=-2e7, le=2e7)]
-"""A coordinate in the world, in m; those of maps are no larger than half the way around the earth."""
+"""A coordinate in the world, in m; those of maps are no larger than half the earth's circumference."""
+MapPoint = Annotated[tuple[Place, Place, Place], Field(strict=False)]
+"""Easting, northing and height, in m."""
 Size = Annotated[float, Field(ge=1e-3, le=1e4)]
 """An extent of something in the world, in m."""
 Fraction = Annotated[float, Field(ge=0, le=1)]

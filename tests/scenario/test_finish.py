@@ -6,8 +6,8 @@ import pytest
 
 from vlp16emu.errors import ScenarioError
 from vlp16emu.scenario import load
-from vlp16emu.scenario.given import MeshPart
-from vlp16emu.scenario.world import HallBox
+from vlp16emu.world.given.settings import MeshPart
+from vlp16emu.world.settings import HallBox
 
 
 def box(finish):

@@ -3,85 +3,63 @@
 import numpy as np
 import pytest
 
-from vlp16emu.random import Purpose
-from vlp16emu.world import (
+from vlp16emu.world import Forest
+from vlp16emu.world.forest import ForestWorld
+from vlp16emu.world.ground.settings import Terrain
+from vlp16emu.world.make import layers_of
+from vlp16emu.world.polyline import Corridor
+from vlp16emu.world.species import flora
+from vlp16emu.world.stand.settings import (
     Clusters,
-    Forest,
     Grass,
-    HardCore,
     Logs,
-    Polyline,
-    Saplings,
+    Regeneration,
     Scattered,
     Shrubs,
-    SpeciesMix,
-    Stand,
+    SpeciesShare,
     Stones,
-    Storey,
     Stumps,
-    Terrain,
-    stones_per_ha,
 )
+from vlp16emu.world.stand.stand import Stand
+from vlp16emu.world.terrain import TerrainHeights
 
 PATH_XY_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0]])
-MIX = (SpeciesMix("silver_birch", 0.4, 18.0, 19.0), SpeciesMix("norway_spruce", 0.6, 24.0, 21.0))
-
-
-def layers(seed):
-    """One of each kind of thing that grows or lies under the trees."""
-
-    def scattered(purpose, per_ha):
-        return Scattered(seed=seed, purpose=purpose, per_ha=per_ha)
-
-    young = Clusters(seed=seed, purpose=Purpose.REGENERATION, per_ha=900.0, per_cluster=12.0, sigma_m=3.0)
-    return [
-        Saplings(
-            pattern=young, species=["silver_birch", "norway_spruce"], height_m=(0.5, 4.0), season="leaf_on"
-        ),
-        Shrubs(pattern=scattered(Purpose.SHRUBS, 200.0), species=["hazel", "elder"], season="leaf_on"),
-        Stones(scattered(Purpose.STONES, stones_per_ha(0.05))),
-        Logs(scattered(Purpose.LOGS, 150.0), ["norway_spruce"], (0.2, 0.5), (3.0, 12.0)),
-        Stumps(scattered(Purpose.STUMPS, 150.0), ["silver_birch"], (0.2, 0.5), (0.1, 0.4)),
-        Grass(scattered(Purpose.GRASS, 5000.0), (0.15, 0.5)),
-    ]
+BIRCH = SpeciesShare(species="silver_birch", share=0.4, dbh_cm=18.0, height_m=19.0)
+SPRUCE = SpeciesShare(species="norway_spruce", share=0.6, dbh_cm=24.0, height_m=21.0)
+YOUNG = Clusters(kind="clusters", per_cluster=12.0, sigma_m=3.0)
+FULL = Forest(
+    kind="forest",
+    stems_per_ha=700.0,
+    species=[BIRCH, SPRUCE],
+    regeneration=Regeneration(stems_per_ha=900.0, pattern=YOUNG),
+    shrubs=Shrubs(per_ha=200.0, species=["hazel", "elder"], pattern=Scattered(kind="random")),
+    stones=Stones(cover=0.05),
+    logs=Logs(per_ha=150.0, species=["norway_spruce"], diameter_m=(0.2, 0.5), length_m=(3.0, 12.0)),
+    stumps=Stumps(per_ha=150.0, species=["silver_birch"], diameter_m=(0.2, 0.5)),
+    grass=Grass(tufts_per_m2=0.5),
+)
+"""Trees with one of each kind of thing that grows or lies under them."""
 
 
 @pytest.fixture(scope="session")
 def terrain():
-    return Terrain(
-        seed=5, hill_rms_m=1.5, rough_rms_m=0.08, mounds_per_ha=0.0, slope_deg=6.0, slope_towards_deg=60.0
+    return TerrainHeights(
+        Terrain(hill_rms_m=1.5, rough_rms_m=0.08, slope_deg=6.0, slope_towards_deg=60.0), seed=5
     )
 
 
 @pytest.fixture(scope="session")
 def make_forest(terrain):
-    def make(
-        *,
-        stems_per_ha=700.0,
-        path_xy_m=PATH_XY_M,
-        species=MIX,
-        with_layers=False,
-        reach_m=40.0,
-        loose_stems=False,
-    ):
-        path = Polyline(path_xy_m)
-        pattern = HardCore(seed=5, purpose=Purpose.STAND, per_ha=stems_per_ha)
-        stand = Stand(
+    def make(*, path_xy_m=PATH_XY_M, with_layers=False, reach_m=40.0, loose_stems=False, **changes):
+        section = FULL.model_copy(update=changes)
+        path, height_m = Corridor(path_xy_m, section.path_clearance_m), terrain.height_m
+        canopy = [share.species for share in section.species]
+        return ForestWorld(
             seed=5,
-            height_m=terrain.height_m,
-            storeys=[Storey(pattern, species)],
+            height_m=height_m,
+            stems=Stand(section, seed=5, height_m=height_m, path=path),
+            layers=layers_of(section, 5, canopy, flora()) if with_layers else [],
             path=path,
-            path_clearance_m=0.8,
-            season="leaf_on",
-            dead_branches=False,
-        )
-        return Forest(
-            seed=5,
-            height_m=terrain.height_m,
-            stems=stand,
-            layers=layers(5) if with_layers else [],
-            path=path,
-            path_clearance_m=0.8,
             reach_m=reach_m,
             loose_stems=loose_stems,
         )
@@ -91,13 +69,13 @@ def make_forest(terrain):
 
 @pytest.fixture(scope="session")
 def forest(make_forest):
-    """Stand alone."""
+    """Trees alone."""
     return make_forest()
 
 
 @pytest.fixture(scope="session")
 def full_forest(make_forest):
-    """Stand with all that grows and lies under it."""
+    """Trees with all that grows and lies under them."""
     return make_forest(with_layers=True)
 
 

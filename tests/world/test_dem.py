@@ -5,8 +5,9 @@ import pytest
 from scipy import interpolate
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.world.dem import Dem
+from vlp16emu.world.dem import DemHeights
 from vlp16emu.world.grid import read_grid, write_ascii
+from vlp16emu.world.ground.settings import Dem
 
 HEADER = "ncols 4\nnrows 3\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"
 ROWS = "1 2 3 4\n5 6 7 8\n9 10 11 12\n"
@@ -19,11 +20,15 @@ def write(tmp_path, text):
     return path
 
 
+def read(path, cell_m=None, corner_m=None, origin_m=NO_ORIGIN):
+    return DemHeights(Dem(file=str(path), cell_m=cell_m, corner_m=corner_m), origin_m=origin_m)
+
+
 def dem_of(heights_m, tmp_path, cell_m=1.0, corner_m=(-0.5, -0.5), origin_m=NO_ORIGIN):
     """A surface through heights whose first row is the northernmost; its south-western node is at (0, 0)."""
     path = tmp_path / "ground.npy"
     np.save(path, heights_m)
-    return Dem(path, cell_m=cell_m, corner_m=corner_m, origin_m=origin_m)
+    return read(path, cell_m, corner_m, origin_m)
 
 
 @pytest.fixture
@@ -35,23 +40,23 @@ def bumpy(tmp_path):
 
 def test_the_surface_goes_through_every_height_where_the_file_puts_it(tmp_path):
     """Heights of an ESRI ASCII grid stand at the centres of their cells, first row northernmost."""
-    dem = Dem(write(tmp_path, HEADER + ROWS), cell_m=None, corner_m=None, origin_m=NO_ORIGIN)
+    dem = read(write(tmp_path, HEADER + ROWS))
     x, y = np.meshgrid([105.0, 115.0, 125.0, 135.0], [225.0, 215.0, 205.0])
     assert dem.height_m(x, y) == pytest.approx(np.arange(1.0, 13.0).reshape(3, 4), abs=1e-12)
 
 
 def test_centre_and_corner_mean_the_same_place(tmp_path):
     """A header that names the centre of the south-western cell gives the same ground as one that names its corner."""
-    corner = Dem(write(tmp_path, HEADER + ROWS), cell_m=None, corner_m=None, origin_m=NO_ORIGIN)
+    corner = read(write(tmp_path, HEADER + ROWS))
     text = HEADER.replace("xllcorner 100", "XLLCENTER 105").replace("yllcorner 200", "yllcenter 205") + ROWS
-    centre = Dem(write(tmp_path, text), cell_m=None, corner_m=None, origin_m=NO_ORIGIN)
+    centre = read(write(tmp_path, text))
     x, y = np.random.default_rng(2).uniform([[100], [200]], [[140], [230]], (2, 50))
     assert np.array_equal(corner.height_m(x, y), centre.height_m(x, y))
 
 
 def test_an_array_gives_the_same_ground_as_a_file_of_the_same_heights(tmp_path):
     """A .npy with cell size and corner is read like the ESRI ASCII grid of the same heights."""
-    one = Dem(write(tmp_path, HEADER + ROWS), cell_m=None, corner_m=None, origin_m=NO_ORIGIN)
+    one = read(write(tmp_path, HEADER + ROWS))
     other = dem_of(np.arange(1, 13).reshape(3, 4), tmp_path, 10.0, (100.0, 200.0))
     x, y = np.random.default_rng(3).uniform([[100], [200]], [[140], [230]], (2, 50))
     assert np.array_equal(one.height_m(x, y), other.height_m(x, y))
@@ -180,13 +185,13 @@ def test_what_cannot_be_seen_goes_on_level(tmp_path):
 def test_a_bad_ascii_grid_is_refused_in_one_line(tmp_path, text, message):
     """What is wrong with a grid is told with the file, the line, what was found and what was expected."""
     with pytest.raises(GeometryError, match=f"ground.asc[:,] {message}"):
-        Dem(write(tmp_path, text), cell_m=None, corner_m=None, origin_m=NO_ORIGIN)
+        read(write(tmp_path, text))
 
 
 def test_nodata_may_be_nan(tmp_path):
     """A grid whose NODATA_value is nan has gaps, not errors, where it says nan."""
     text = HEADER.replace("-9999", "nan") + ROWS.replace("1 2", "nan 2", 1)
-    dem = Dem(write(tmp_path, text), cell_m=None, corner_m=None, origin_m=NO_ORIGIN)
+    dem = read(write(tmp_path, text))
     with pytest.raises(GeometryError, match="row 1, column 1: no height"):
         dem.check(np.array([[120.0, 215.0]]), 5.0)
 
@@ -223,7 +228,7 @@ def test_a_file_that_is_no_grid_is_refused(tmp_path, name, content, cell_m, mess
         (tmp_path / name).write_bytes(content)
     corner_m = None if cell_m is None else (0.0, 0.0)
     with pytest.raises(GeometryError, match=message):
-        Dem(tmp_path / name, cell_m=cell_m, corner_m=corner_m, origin_m=NO_ORIGIN)
+        read(tmp_path / name, cell_m, corner_m)
 
 
 def test_ground_that_is_written_is_read_as_it_was(tmp_path):
@@ -255,7 +260,7 @@ def test_a_grid_that_promises_what_it_has_not_is_refused(tmp_path, name, content
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     size = {"cell_m": 1.0, "corner_m": (0.0, 0.0)} if name == "a.npy" else {"cell_m": None, "corner_m": None}
     with pytest.raises(GeometryError, match=message):
-        Dem(path, **size, origin_m=NO_ORIGIN)
+        read(path, **size)
 
 
 def test_a_byte_order_mark_is_no_fault(tmp_path):

@@ -8,13 +8,12 @@ import trimesh
 from scipy import stats
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.random import Purpose
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.floor import Grass, Logs, Stones, Stumps, stones_per_ha
+from vlp16emu.world.floor import GrassLayer, LogLayer, StoneLayer, StumpLayer
 from vlp16emu.world.floor_shapes import floor_meshes
-from vlp16emu.world.placed import Plot
-from vlp16emu.world.points import Scattered
-from vlp16emu.world.polyline import Polyline, distance_m
+from vlp16emu.world.placed import Site
+from vlp16emu.world.polyline import Corridor, distance_m
+from vlp16emu.world.stand.settings import Grass, Logs, Stones, Stumps
 
 FAR = np.array([[0.0, 1e5]])
 NEAR = np.array([[-10.0, 10.0], [60.0, 30.0]])
@@ -28,25 +27,21 @@ def ground(x, y):
 
 
 def plot(ix, iy, *, path=FAR, trunks=NO_TRUNKS, height_m=ground):
-    return Plot(
+    return Site(
         seed=6,
         ix=ix,
         iy=iy,
         height_m=height_m,
-        path=Polyline(path),
-        path_clearance_m=0.8,
+        path=Corridor(path, 0.8),
         trunks=trunks,
     )
 
 
-def scattered(purpose, per_ha):
-    return Scattered(seed=6, purpose=purpose, per_ha=per_ha)
-
-
-STONES = Stones(scattered(Purpose.STONES, stones_per_ha(0.05)))
-LOGS = Logs(scattered(Purpose.LOGS, 200.0), ["norway_spruce", "european_beech"], (0.2, 0.6), (3.0, 12.0))
-STUMPS = Stumps(scattered(Purpose.STUMPS, 200.0), ["silver_birch"], (0.2, 0.5), (0.1, 0.4))
-GRASS = Grass(scattered(Purpose.GRASS, 10_000.0), (0.15, 0.5))
+WOOD = ["norway_spruce", "european_beech"]
+STONES = StoneLayer(Stones(cover=0.05), seed=6)
+LOGS = LogLayer(Logs(per_ha=200.0, species=WOOD, diameter_m=(0.2, 0.6), length_m=(3.0, 12.0)), seed=6)
+STUMPS = StumpLayer(Stumps(per_ha=200.0, species=["silver_birch"], diameter_m=(0.2, 0.5)), seed=6)
+GRASS = GrassLayer(Grass(tufts_per_m2=1.0, height_m=(0.15, 0.5)), seed=6)
 ALL = pytest.mark.parametrize(
     "layer", [STONES, LOGS, STUMPS, GRASS], ids=["stones", "logs", "stumps", "grass"]
 )
@@ -181,7 +176,7 @@ def test_labels_say_what_it_is(layer, semantic, part, species):
 def test_unknown_log_species_is_named():
     """Logs of an unknown tree are refused with the names that exist."""
     with pytest.raises(GeometryError, match="found 'larch'; expected one of silver_birch"):
-        Logs(scattered(Purpose.LOGS, 10.0), ["larch"], (0.2, 0.5), (3.0, 9.0))
+        LogLayer(Logs(per_ha=10.0, species=["larch"]), seed=6)
 
 
 def test_large_stones_have_more_faces():

@@ -6,7 +6,7 @@ import pytest
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.crown import CROWN_PARTS, CrownKey
-from vlp16emu.world.stand import REGENERATION
+from vlp16emu.world.stand.stand import REGENERATION
 from vlp16emu.world.tiles import TileKey
 
 

@@ -7,29 +7,41 @@ import pytest
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import Mesh, PlantPart, Semantic
-from vlp16emu.world import Hall
 from vlp16emu.world.forest import FIRST_FREE_INSTANCE
-from vlp16emu.world.furnished import Furnished, Furniture, Look, MeshKey, Place, looks_of
-from vlp16emu.world.user_mesh import MeshPart, UserMesh
+from vlp16emu.world.furnished import Furnished, Furniture, MeshKey
+from vlp16emu.world.given.settings import MeshFile, MeshPart, MeshPlace
+from vlp16emu.world.hall import HallWorld
+from vlp16emu.world.settings import Hall
+from vlp16emu.world.user_mesh import PartMesh, UserMesh
 
 TRACK_M = np.array([[0.0, 0.0, 1.5], [3.0, 0.0, 1.5]])
-WOOD = Look(0.4, Semantic.TREE, PlantPart.STEM)
-LEAVES = Look(0.5, Semantic.TREE, PlantPart.LEAF)
+LEAVES = MeshPart(name="leaves", part="leaf", reflectance=0.5)
 TRIANGLE = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.uint32))
 
 
 def place(x_m, y_m, z_m=None, above_ground_m=0.0, yaw_deg=0.0, scale=1.0):
-    return Place(x_m, y_m, z_m, above_ground_m, yaw_deg, scale)
+    return MeshPlace(x_m=x_m, y_m=y_m, z_m=z_m, above_ground_m=above_ground_m, yaw_deg=yaw_deg, scale=scale)
 
 
-def tree_of(*places, one_thing=True):
+def tree_of(*places, one_thing=True, parts=(LEAVES,)):
     """Stem and leaves about a centre 2 m over the file's origin and 1 m east of it."""
-    parts = (MeshPart("leaves", TRIANGLE), MeshPart("stem", TRIANGLE))
-    mesh = UserMesh(Path("tree.obj"), np.array([1.0, 0.0, 2.0]), parts, 2.0, ())
-    return Furniture(mesh, (LEAVES, WOOD), places, one_thing)
+    meshes = (PartMesh("leaves", TRIANGLE), PartMesh("stem", TRIANGLE))
+    mesh = UserMesh(Path("tree.obj"), np.array([1.0, 0.0, 2.0]), meshes, 2.0, ())
+    section = MeshFile(
+        file="tree.obj",
+        unit="m",
+        up="z",
+        semantic="tree",
+        part="stem",
+        reflectance=0.4,
+        one_thing=one_thing,
+        parts=[*parts],
+        places=[*places],
+    )
+    return Furniture(section, mesh)
 
 
-class Slope(Hall):
+class Slope(HallWorld):
     """A hall whose floor rises to the east, for those who ask for its height."""
 
     def height_m(self, x_m, y_m):
@@ -38,8 +50,7 @@ class Slope(Hall):
 
 
 def furnished(*furniture, reach_m=50.0):
-    size = {"length_m": 30.0, "width_m": 18.0, "height_m": 6.0, "wall_reflectance": 0.6}
-    hall = Slope(**size, boxes=(), poles=(), spheres=())
+    hall = Slope(Hall(kind="hall", length_m=30.0, width_m=18.0, height_m=6.0))
     return hall, Furnished(hall, furniture=furniture, reach_m=reach_m)
 
 
@@ -113,8 +124,10 @@ def test_only_what_is_in_reach_is_in_the_window():
 
 
 def test_parts_may_differ_from_the_rest():
-    """A part has its own look where one is given and the file's where not; a part that is not there is refused."""
-    mesh = tree_of(place(0, 0)).mesh
-    assert looks_of(mesh, WOOD, {"leaves": LEAVES}) == (LEAVES, WOOD)
+    """A part has its own appearance where one is given and the file's where not; a part that is not there is refused."""
+    rows = tree_of(place(0, 0)).surfaces
+    assert rows["reflectance"] == pytest.approx([0.5, 0.4])
+    assert rows["part"].tolist() == [PlantPart.LEAF, PlantPart.STEM]
+    assert (rows["semantic"] == Semantic.TREE).all()
     with pytest.raises(GeometryError, match=r"tree.obj: parts: found 'leafs'; expected one of leaves, stem"):
-        looks_of(mesh, WOOD, {"leafs": LEAVES})
+        tree_of(place(0, 0), parts=[MeshPart(name="leafs")])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import GeometryError, MissingExtraError
-from vlp16emu.world.dem import Dem
+from vlp16emu.world.dem import DemHeights
+from vlp16emu.world.ground.settings import Dem
 
 HEIGHTS = np.arange(12, dtype=np.float32).reshape(3, 4)
 PROJECTED_AREA = {1024: 1, 1025: 1, 3076: 9001}
@@ -30,7 +31,7 @@ def write(
 
 
 def read(path):
-    return Dem(path, cell_m=None, corner_m=None, origin_m=(0.0, 0.0, 0.0))
+    return DemHeights(Dem(file=str(path)), origin_m=(0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,13 @@
 """A stand of given trees."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from vlp16emu.errors import GeometryError
+from vlp16emu.world import Plot
 from vlp16emu.world.given_stand import GivenStand
-from vlp16emu.world.polyline import Polyline
-from vlp16emu.world.species import species_table
-from vlp16emu.world.stem_list import read_stem_list
+from vlp16emu.world.polyline import Corridor
+from vlp16emu.world.species import flora, species_table
 
 HEADER = "x,y,species,dbh_cm,height_m,crown_base_m,crown_width_m,lean_deg,lean_azimuth_deg\n"
 ROWS = """\
@@ -27,17 +25,12 @@ def make(tmp_path):
     def make_stand(rows=ROWS, path_xy_m=FAR_AWAY, path_clearance_m=0.8):
         path = tmp_path / "stems.csv"
         path.write_text(HEADER + rows, encoding="utf-8")
-        table = species_table()
         return GivenStand(
+            Plot(kind="plot", stem_list=str(path)),
             seed=1,
             height_m=lambda x, y: 0.1 * x + 0.01 * y,
-            source=Path("stems.csv"),
-            trees=read_stem_list(path, table, (0.0, 0.0, 0.0)),
-            table=table,
-            season="leaf_on",
-            dead_branches=False,
-            path=Polyline(path_xy_m),
-            path_clearance_m=path_clearance_m,
+            path=Corridor(path_xy_m, path_clearance_m),
+            plants=flora(),
         )
 
     return make_stand

@@ -4,16 +4,23 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from vlp16emu.world.gusts import ACROSS, ALONG, Trees, gust_lines, gusts, swings
+from vlp16emu.world import Wind
+from vlp16emu.world.gusts import ACROSS, ALONG, Trees, gust_lines, swings
 
 SPEED_M_S, INTENSITY, LENGTH_M = 6.0, 0.5, 20.0
-KAIMAL = {"speed_m_s": SPEED_M_S, "turbulence_intensity": INTENSITY, "gust_length_m": LENGTH_M}
+KAIMAL = Wind(speed_m_s=SPEED_M_S, turbulence_intensity=INTENSITY, gust_length_m=LENGTH_M)
+
+
+def gusts(lines, speed_m_s, downwind_m, aside_m, t_s):
+    """Speed (k,) of a component in m/s, beyond the mean, at a place and times (k,): a rigid tree follows at once."""
+    rigid = Trees(np.array([np.inf]), 1.0, np.array([downwind_m]), np.array([aside_m]))
+    return swings(lines, speed_m_s, rigid, t_s)[:, 0]
 
 
 @pytest.mark.parametrize(("component", "share"), [(ALONG, 1.0), (ACROSS, 0.8)])
 def test_gusts_have_the_turbulence_that_was_asked_for(component, share):
     """Their variance is (intensity x speed)^2, of the lines to rounding and of three hours of gusts to 3 %."""
-    lines = gust_lines(1, component, **KAIMAL)
+    lines = gust_lines(KAIMAL, 1, component)
     wanted = (share * INTENSITY * SPEED_M_S) ** 2
     assert np.sum(lines.speed_m_s**2) / 2 == pytest.approx(wanted, rel=1e-12)
     u_m_s = gusts(lines, SPEED_M_S, 12.0, -7.0, np.arange(0.0, 10_800.0, 0.5))
@@ -23,7 +30,7 @@ def test_gusts_have_the_turbulence_that_was_asked_for(component, share):
 
 def test_energy_lies_where_kaimal_has_it():
     """In every octave from 0.02 Hz to 4 Hz the lines hold the integral of Kaimal's spectrum, to a line of eighteen at either edge."""
-    lines = gust_lines(2, ALONG, **KAIMAL)
+    lines = gust_lines(KAIMAL, 2, ALONG)
     hz, energy = lines.omega_rad_s / (2 * np.pi), lines.speed_m_s**2 / 2
     f = np.geomspace(0.02, 4.0, 20_001)
     n = f * LENGTH_M / SPEED_M_S
@@ -36,7 +43,7 @@ def test_energy_lies_where_kaimal_has_it():
 
 def test_gusts_travel_with_the_wind():
     """What is felt 30 m downwind was felt here 30 m / speed ago."""
-    lines, t_s = gust_lines(3, ALONG, **KAIMAL), np.arange(0.0, 60.0, 0.1)
+    lines, t_s = gust_lines(KAIMAL, 3, ALONG), np.arange(0.0, 60.0, 0.1)
     there = gusts(lines, SPEED_M_S, 35.0, 4.0, t_s)
     assert np.abs(there - gusts(lines, SPEED_M_S, 5.0, 4.0, t_s - 30.0 / SPEED_M_S)).max() < 1e-9
 
@@ -45,7 +52,7 @@ def test_gusts_part_across_the_wind():
     """Beside each other lines agree by Davenport's exp(-10 f d / speed), over all lines of sixty winds to 0.03."""
     apart_m, waves, phases = 4.0, [], []
     for seed in range(60):
-        lines = gust_lines(seed, ALONG, **KAIMAL)
+        lines = gust_lines(KAIMAL, seed, ALONG)
         waves.append(lines.omega_rad_s / (2 * np.pi))
         phases.append(lines.aside_rad_m * apart_m)
     hz, phase = np.concatenate(waves), np.concatenate(phases)
@@ -58,7 +65,7 @@ def test_gusts_part_across_the_wind():
 @pytest.mark.parametrize(("hz", "damping"), [(0.15, 0.05), (0.3, 0.1), (1.2, 0.3)])
 def test_trees_follow_as_a_general_solver_has_it(hz, damping):
     """From any state on, once that is forgotten, scipy's lsim of the same oscillator gives the same swing to 0.02 %."""
-    lines, omega = gust_lines(4, ALONG, **KAIMAL), 2 * np.pi * hz
+    lines, omega = gust_lines(KAIMAL, 4, ALONG), 2 * np.pi * hz
     t_s = np.arange(0.0, 10.0 / (damping * omega) + 30.0, 0.005)
     u_m_s = gusts(lines, SPEED_M_S, 3.0, 2.0, t_s)
     system = ([omega**2], [1.0, 2 * damping * omega, omega**2])
@@ -71,7 +78,7 @@ def test_trees_follow_as_a_general_solver_has_it(hz, damping):
 
 def test_any_tree_at_any_time_by_itself():
     """One tree at one time has the same bits as among others over a week."""
-    lines = gust_lines(5, ACROSS, **KAIMAL)
+    lines = gust_lines(KAIMAL, 5, ACROSS)
     t_s = np.concatenate([np.arange(0.0, 7.0, 0.1), [604_800.0]])
     stand = Trees(np.linspace(0.8, 4.0, 9), 0.1, np.linspace(-90.0, 90.0, 9), np.linspace(5.0, -70.0, 9))
     whole = swings(lines, SPEED_M_S, stand, t_s)

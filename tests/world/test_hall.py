@@ -6,24 +6,18 @@ import trimesh
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import Semantic
-from vlp16emu.world import Box, Hall, Pole, Sphere
+from vlp16emu.world.hall import HallWorld
+from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
 
-CRATE = Box("crate", (-6.0, -5.0, 0.5), (2.0, 1.0, 1.0), 0.3)
-POLE = Pole("pole", (6.0, 0.0, 0.0), 0.35, 6.0, 0.5)
-BALL = Sphere("ball", (4.0, -5.0, 1.5), 1.0, 0.8)
+CRATE = HallBox(name="crate", centre_m=(-6.0, -5.0, 0.5), size_m=(2.0, 1.0, 1.0), reflectance=0.3)
+POLE = HallPole(name="pole", foot_m=(6.0, 0.0, 0.0), diameter_m=0.35, height_m=6.0)
+BALL = HallSphere(name="ball", centre_m=(4.0, -5.0, 1.5), diameter_m=1.0, reflectance=0.8)
 TRACK_M = np.array([[0.2, 0.1, 1.5]])
 
 
 def make_hall(boxes=(CRATE,), poles=(POLE,), spheres=(BALL,)):
-    return Hall(
-        length_m=30.0,
-        width_m=18.0,
-        height_m=6.0,
-        wall_reflectance=0.6,
-        boxes=boxes,
-        poles=poles,
-        spheres=spheres,
-    )
+    size = {"length_m": 30.0, "width_m": 18.0, "height_m": 6.0}
+    return HallWorld(Hall(kind="hall", **size, boxes=[*boxes], poles=[*poles], spheres=[*spheres]))
 
 
 def solid_of(key, offset=(0, 0, 0)):
@@ -80,7 +74,7 @@ def test_box_is_closed_and_has_its_size():
 @pytest.mark.parametrize("diameter_m", [0.05, 0.35, 3.0])
 def test_pole_is_round_to_a_twentieth_of_a_millimetre(diameter_m):
     """Seen along the radius from all around, a pole's surface is right within 0.05 mm and on average within 2 um."""
-    pole = Pole("pole", (0.0, 0.0, 0.0), diameter_m, 2.0, 0.5)
+    pole = HallPole(name="pole", foot_m=(0.0, 0.0, 0.0), diameter_m=diameter_m, height_m=2.0)
     solid = solid_of(pole)
     assert solid.is_watertight
     assert solid.volume == pytest.approx(np.pi / 4 * diameter_m**2 * 2, rel=1e-4)
@@ -96,7 +90,7 @@ def test_pole_is_round_to_a_twentieth_of_a_millimetre(diameter_m):
 @pytest.mark.parametrize("diameter_m", [0.1, 1.0, 4.0])
 def test_sphere_is_round_to_a_tenth_of_a_millimetre(diameter_m):
     """Vertices and the middles of all faces lie within 0.1 mm of the true sphere; the ball is closed."""
-    solid = solid_of(Sphere("ball", (0.0, 0.0, 0.0), diameter_m, 0.5))
+    solid = solid_of(HallSphere(name="ball", centre_m=(0.0, 0.0, 0.0), diameter_m=diameter_m))
     assert solid.is_watertight
     places = np.concatenate(
         [solid.vertices, solid.triangles_center, solid.vertices[solid.edges].mean(axis=1)]
@@ -109,14 +103,17 @@ def test_sphere_is_round_to_a_tenth_of_a_millimetre(diameter_m):
     ("things", "message"),
     [
         (
-            {"boxes": [Box("shelf", (14.5, 0.0, 1.0), (2.0, 1.0, 1.0), 0.5)]},
+            {"boxes": [HallBox(name="shelf", centre_m=(14.5, 0.0, 1.0), size_m=(2.0, 1.0, 1.0))]},
             "hall: shelf: spans 13.5 to 15.5 m in x",
         ),
         (
-            {"poles": [Pole("mast", (0.0, 0.0, 0.0), 0.2, 7.0, 0.5)]},
+            {"poles": [HallPole(name="mast", foot_m=(0.0, 0.0, 0.0), diameter_m=0.2, height_m=7.0)]},
             "hall: mast: spans 0 to 7 m in z; expected inside 0",
         ),
-        ({"spheres": [Sphere("moon", (0.0, 9.0, 3.0), 1.0, 0.5)]}, "hall: moon: spans 8.5 to 9.5 m in y"),
+        (
+            {"spheres": [HallSphere(name="moon", centre_m=(0.0, 9.0, 3.0), diameter_m=1.0)]},
+            "hall: moon: spans 8.5 to 9.5 m in y",
+        ),
     ],
 )
 def test_things_that_poke_out_are_refused(things, message):

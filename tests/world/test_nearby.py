@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from vlp16emu.types import NO_SURFACE, PlantPart, Semantic
-from vlp16emu.world import Hall, Pole, Polyline
+from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.nearby import cut_out, things_near
-from vlp16emu.world.stand import REGENERATION
+from vlp16emu.world.polyline import Polyline
+from vlp16emu.world.settings import Hall, HallPole
+from vlp16emu.world.stand.stand import REGENERATION
 from vlp16emu.world.tiles import TileKey
 
 RADIUS_M = 12.0
@@ -63,8 +65,8 @@ def test_sizes_are_those_of_the_thing(things):
 
 def test_a_hall_keeps_its_sizes():
     """A pole in a hall is told with its place, diameter and height."""
-    pole = Pole("pole", (2.0, 1.0, 0.0), 0.35, 3.0, 0.5)
-    hall = Hall(length_m=10, width_m=8, height_m=4, wall_reflectance=0.5, boxes=[], poles=[pole], spheres=[])
+    pole = HallPole(name="pole", foot_m=(2.0, 1.0, 0.0), diameter_m=0.35, height_m=3.0)
+    hall = HallWorld(Hall(kind="hall", length_m=10, width_m=8, height_m=4, poles=[pole]))
     track_m = np.array([[0.0, 0.0, 1.0]])
     things = things_near(
         hall.window(track_m),

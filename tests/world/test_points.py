@@ -9,27 +9,29 @@ from scipy.spatial import cKDTree
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose
-from vlp16emu.world.points import Clusters, HardCore, Rows, Scattered
+from vlp16emu.world.points import ClusterPattern, HardCorePattern, RowPattern, ScatteredPattern
+from vlp16emu.world.stand.settings import Clusters, Plantation
 from vlp16emu.world.tiles import TILE_M
 
 ACROSS = 24
-ROWS = {"row_spacing_m": 2.5, "tree_spacing_m": 2.25, "azimuth_deg": 20.0, "jitter_m": 0.15}
+ROWS = Plantation(kind="plantation", row_spacing_m=2.5, tree_spacing_m=2.25, azimuth_deg=20.0)
+CLUMPS = Clusters(kind="clusters", per_cluster=8.0, sigma_m=3.0)
 
 
 def scattered(per_ha=700.0, seed=9):
-    return Scattered(seed=seed, purpose=Purpose.STONES, per_ha=per_ha)
+    return ScatteredPattern(seed=seed, purpose=Purpose.STONES, per_ha=per_ha)
 
 
 def hard_core(per_ha=700.0, seed=9):
-    return HardCore(seed=seed, purpose=Purpose.STAND, per_ha=per_ha)
+    return HardCorePattern(seed=seed, purpose=Purpose.STAND, per_ha=per_ha)
 
 
 def clusters(per_ha=700.0, seed=9):
-    return Clusters(seed=seed, purpose=Purpose.SHRUBS, per_ha=per_ha, per_cluster=8.0, sigma_m=3.0)
+    return ClusterPattern(CLUMPS, seed=seed, purpose=Purpose.SHRUBS, per_ha=per_ha)
 
 
 def rows(per_ha=1600.0, seed=9):
-    return Rows(seed=seed, purpose=Purpose.STAND, per_ha=per_ha, **ROWS)
+    return RowPattern(ROWS, seed=seed, purpose=Purpose.STAND, per_ha=per_ha)
 
 
 def points_of(pattern, across=ACROSS):

@@ -6,32 +6,33 @@ from scipy import stats
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose
-from vlp16emu.world.points import Clusters, HardCore, Scattered
-from vlp16emu.world.polyline import Polyline, distance_m
+from vlp16emu.world import Forest
+from vlp16emu.world.points import ScatteredPattern
+from vlp16emu.world.polyline import Corridor, distance_m
 from vlp16emu.world.species import species_table, taper_radius_m, tapers
-from vlp16emu.world.stand import SpeciesMix, Stand, Storey, density_per_ha, foot_discs
+from vlp16emu.world.stand.settings import Clusters, Scattered, SpeciesShare, Storey
+from vlp16emu.world.stand.stand import Stand, density_per_ha, foot_discs
 from vlp16emu.world.stem import lean_rotation
 
 FAR_XY_M = np.array([[0.0, 1e5]])
-BIRCH = SpeciesMix("silver_birch", 2.0, 18.0, 19.0)
-SPRUCE = SpeciesMix("norway_spruce", 6.0, 24.0, 21.0)
-
-
-def hard_core(per_ha):
-    return HardCore(seed=14, purpose=Purpose.STAND, per_ha=per_ha)
+BIRCH = SpeciesShare(species="silver_birch", share=2.0, dbh_cm=18.0, height_m=19.0)
+SPRUCE = SpeciesShare(species="norway_spruce", share=6.0, dbh_cm=24.0, height_m=21.0)
 
 
 def make_stand(
-    *, stems_per_ha=800.0, species=(BIRCH, SPRUCE), path_xy_m=FAR_XY_M, clearance_m=0.8, storeys=None
+    *, stems_per_ha=800.0, species=(BIRCH, SPRUCE), path_xy_m=FAR_XY_M, clearance_m=0.8, **section
 ):
     return Stand(
+        Forest(
+            kind="forest",
+            stems_per_ha=stems_per_ha,
+            species=[*species],
+            path_clearance_m=clearance_m,
+            **section,
+        ),
         seed=14,
         height_m=lambda x, y: 0.01 * x + 0.02 * y,
-        storeys=storeys or [Storey(hard_core(stems_per_ha), species)],
-        path=Polyline(path_xy_m),
-        path_clearance_m=clearance_m,
-        season="leaf_on",
-        dead_branches=False,
+        path=Corridor(path_xy_m, clearance_m),
     )
 
 
@@ -111,9 +112,10 @@ def test_a_sparse_stand_does_not_reach_that_index():
 
 def test_storeys_share_the_ground_and_have_their_own_density():
     """Under the canopy a second storey stands in clumps with its own density, and both bear one leaf area index together."""
-    clumps = Clusters(seed=14, purpose=Purpose.SECOND_STOREY, per_ha=300.0, per_cluster=6.0, sigma_m=3.0)
-    young = SpeciesMix("silver_birch", 1.0, 8.0, 9.0)
-    stand = make_stand(storeys=[Storey(hard_core(700.0), (SPRUCE,)), Storey(clumps, (young,))])
+    clumps = Clusters(kind="clusters", per_cluster=6.0, sigma_m=3.0)
+    young = SpeciesShare(species="silver_birch", share=1.0, dbh_cm=8.0, height_m=9.0)
+    lower = Storey(stems_per_ha=300.0, species=[young], pattern=clumps)
+    stand = make_stand(stems_per_ha=700.0, species=[SPRUCE], storeys=[lower])
     trees = np.concatenate([stand.trees(ix, iy) for ix in range(12) for iy in range(12)])
     ground_m2 = (12 * 20.0) ** 2
     for storey, per_ha, wide in ((0, 700.0, 0.1), (1, 300.0, 0.2)):
@@ -128,7 +130,7 @@ def test_storeys_share_the_ground_and_have_their_own_density():
 
 def test_basal_area_is_as_asked_for():
     """Stems whose density follows from 30 m2 of basal area have 30 m2 within 3 %, over 30 hectares."""
-    per_ha = density_per_ha(30.0, (BIRCH, SPRUCE))
+    per_ha = density_per_ha(Storey(basal_area_m2_per_ha=30.0, species=[BIRCH, SPRUCE]))
     stand = make_stand(stems_per_ha=per_ha)
     trees = np.concatenate([stand.trees(ix, iy) for ix in range(28) for iy in range(28)])
     basal_m2 = np.pi / 4 * (trees["dbh_m"] ** 2).sum() / ((28 * 20.0) ** 2 / 10_000)
@@ -137,8 +139,8 @@ def test_basal_area_is_as_asked_for():
 
 def test_no_stem_stands_in_another():
     """Where stems are scattered, those whose feet would meet give way to the thicker, also across tiles; few do."""
-    anywhere = Scattered(seed=14, purpose=Purpose.STAND, per_ha=1500.0)
-    stand = make_stand(storeys=[Storey(anywhere, (SPRUCE,))])
+    anywhere = ScatteredPattern(seed=14, purpose=Purpose.STAND, per_ha=1500.0)
+    stand = make_stand(stems_per_ha=1500.0, species=[SPRUCE], pattern=Scattered(kind="random"))
     tiles = [(ix, iy) for ix in range(-4, 4) for iy in range(8)]
     discs = foot_discs(np.concatenate([stand.trees(*tile) for tile in tiles]))
     away = np.hypot(*(discs[:, None, :2] - discs[:, :2]).transpose(2, 0, 1)) + 9 * np.eye(len(discs))
@@ -160,7 +162,7 @@ def test_trees_in_the_open_keep_their_lower_branches():
 
 def test_two_storeys_of_one_species_keep_apart():
     """Old and young trees of one species in a mixture have the sizes and the crowns of their own line."""
-    stand = make_stand(species=(BIRCH, SpeciesMix("silver_birch", 2.0, 8.0, 9.0)))
+    stand = make_stand(species=(BIRCH, BIRCH.model_copy(update={"dbh_cm": 8.0, "height_m": 9.0})))
     trees = np.concatenate([stand.trees(ix, iy) for ix in range(6) for iy in range(6)])
     for cohort, (dbh_m, height_m) in enumerate([(0.18, 19.0), (0.08, 9.0)]):
         own = trees[trees["cohort"] == cohort]
@@ -191,4 +193,4 @@ def test_path_is_kept_clear_of_stems():
 def test_unknown_species_is_named():
     """An unknown species is refused with the names that exist."""
     with pytest.raises(GeometryError, match="found 'larch'; expected one of silver_birch, norway_spruce"):
-        make_stand(species=(SpeciesMix("larch", 1.0, 20.0, 20.0),))
+        make_stand(species=(BIRCH.model_copy(update={"species": "larch"}),))

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from vlp16emu.types import PlantPart
-from vlp16emu.world import TREE
 from vlp16emu.world.species import species_table
+from vlp16emu.world.stand.stand import TREE
 from vlp16emu.world.stem import STEM_PARTS, lean_rotation, stem_meshes
 
 DBH_CM = [5.0, 12.0, 18.0, 35.0, 49.9, 50.1, 80.0, 120.0]

@@ -6,19 +6,12 @@ import numpy as np
 import pytest
 
 from vlp16emu.random import Purpose, philox4x32
-from vlp16emu.world import Terrain
+from vlp16emu.world.ground.settings import Terrain
+from vlp16emu.world.terrain import TerrainHeights
 
 
-def flat_but(**changes):
-    values = {
-        "seed": 3,
-        "hill_rms_m": 0.0,
-        "rough_rms_m": 0.0,
-        "mounds_per_ha": 0.0,
-        "slope_deg": 0.0,
-        "slope_towards_deg": 0.0,
-    }
-    return Terrain(**(values | changes))
+def flat_but(*, seed=3, **changes):
+    return TerrainHeights(Terrain(**{"hill_rms_m": 0.0, "rough_rms_m": 0.0, **changes}), seed=seed)
 
 
 @pytest.mark.parametrize("band", ["hill_rms_m", "rough_rms_m"])

@@ -9,16 +9,15 @@ from scipy import stats
 from trimesh.intersections import mesh_plane
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.random import Purpose
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.placed import Plot
-from vlp16emu.world.points import Scattered
-from vlp16emu.world.polyline import Polyline, distance_m
+from vlp16emu.world.placed import Site
+from vlp16emu.world.polyline import Corridor, distance_m
 from vlp16emu.world.sapling import SAPLING_PARTS, SaplingKey, sapling_meshes
 from vlp16emu.world.shrub import SHRUB_PARTS
 from vlp16emu.world.species import shrub_table, species_table
-from vlp16emu.world.stand import REGENERATION
-from vlp16emu.world.understorey import Saplings, Shrubs
+from vlp16emu.world.stand.settings import Regeneration, Scattered, Shrubs
+from vlp16emu.world.stand.stand import REGENERATION
+from vlp16emu.world.understorey import SaplingLayer, ShrubLayer
 
 PATH = np.array([[-10.0, 10.0], [120.0, 60.0]])
 YOUNG = ["european_beech", "norway_spruce"]
@@ -26,24 +25,27 @@ BUSHES = ["hazel", "hawthorn"]
 KEYS = [SaplingKey(name, 0, height_m, "leaf_on") for name in YOUNG for height_m in (0.6, 3.6)]
 
 
-def layer(kind, species, **more):
-    pattern = Scattered(seed=6, purpose=Purpose.SHRUBS, per_ha=1500.0)
-    return kind(pattern=pattern, species=species, season="leaf_on", **more)
+ANYWHERE = Scattered(kind="random")
 
 
-def saplings():
-    return layer(Saplings, YOUNG, height_m=(0.5, 4.0))
+def saplings(*species):
+    section = Regeneration(stems_per_ha=1500.0, species=[*species], height_m=(0.5, 4.0), pattern=ANYWHERE)
+    return SaplingLayer(section, seed=6, season="leaf_on")
+
+
+def shrubs(*species):
+    section = Shrubs(per_ha=1500.0, species=[*species], pattern=ANYWHERE)
+    return ShrubLayer(section, seed=6, season="leaf_on")
 
 
 def placed(layer):
     plots = (
-        Plot(
+        Site(
             seed=6,
             ix=ix,
             iy=iy,
             height_m=lambda x, y: 0.1 * x,
-            path=Polyline(PATH),
-            path_clearance_m=0.8,
+            path=Corridor(PATH, 0.8),
             trunks=np.array([[10.0, 50.0, 3.0]]),
         )
         for ix, iy in product(range(6), range(6))
@@ -53,7 +55,7 @@ def placed(layer):
 
 def test_sapling_heights_are_even_and_their_species_as_frequent():
     """Heights are uniform between the limits and half are of either species; feet are on the ground."""
-    trees = np.concatenate([tile.trees for tile in placed(saplings())])
+    trees = np.concatenate([tile.trees for tile in placed(saplings(*YOUNG))])
     far = trees[distance_m(np.column_stack([trees["x_m"], trees["y_m"]]), PATH) > 2]
     assert stats.kstest(far["height_m"], stats.uniform(0.5, 3.5).cdf).pvalue > 0.01
     beeches = int((far["species"] == species_table()["european_beech"].number).sum())
@@ -64,7 +66,7 @@ def test_sapling_heights_are_even_and_their_species_as_frequent():
 
 def test_a_placed_sapling_has_the_height_and_diameter_of_its_record():
     """The tip of the placed stem is at the record's height, and its section at 1.3 m has the area of its DBH."""
-    tile = next(t for t in placed(saplings()) if (t.trees["height_m"] > 3).any())
+    tile = next(t for t in placed(saplings(*YOUNG)) if (t.trees["height_m"] > 3).any())
     i = int(np.argmax(tile.trees["height_m"]))
     tree, T = tile.trees[i], tile.world_T_shape[i]
     stem = sapling_meshes(6, tile.keys[tile.shape[i]])[0]
@@ -109,7 +111,7 @@ def test_in_winter_beeches_are_bare_and_spruces_are_not():
 
 def test_shrub_heights_are_those_of_their_kind():
     """Heights of each kind are uniform between its own limits, and instances are stretched from prototypes by under a fifth."""
-    tiles = placed(layer(Shrubs, BUSHES))
+    tiles = placed(shrubs(*BUSHES))
     heights, kinds = [], []
     for tile in tiles:
         scale = np.linalg.norm(tile.world_T_shape[:, :, 2], axis=1)
@@ -126,7 +128,7 @@ def test_shrub_heights_are_those_of_their_kind():
 
 def test_plants_keep_away_from_path_and_trunks():
     """Neither crown nor bush reaches nearer to the path than 0.8 m, and no foot is in a trunk."""
-    for kind in (saplings(), layer(Shrubs, BUSHES)):
+    for kind in (saplings(*YOUNG), shrubs(*BUSHES)):
         for tile in placed(kind):
             xy = tile.world_T_shape[:, :2, 3]
             scale = np.linalg.norm(tile.world_T_shape[:, :, 0], axis=1)
@@ -138,7 +140,7 @@ def test_plants_keep_away_from_path_and_trunks():
 
 @pytest.mark.parametrize(
     ("kind", "semantic", "parts"),
-    [(saplings(), Semantic.TREE, SAPLING_PARTS), (layer(Shrubs, BUSHES), Semantic.SHRUB, SHRUB_PARTS)],
+    [(saplings(*YOUNG), Semantic.TREE, SAPLING_PARTS), (shrubs(*BUSHES), Semantic.SHRUB, SHRUB_PARTS)],
 )
 def test_labels_name_class_parts_and_species(kind, semantic, parts):
     """Rows have the parts in order, and leaf and bark of a plant have reflectances near those of its species."""
@@ -157,6 +159,6 @@ def test_unknown_plants_are_named():
     with pytest.raises(
         GeometryError, match=r"regeneration.species: found 'larch'; expected one of silver_birch"
     ):
-        layer(Saplings, ["larch"], height_m=(0.5, 4.0))
+        saplings("larch")
     with pytest.raises(GeometryError, match=r"shrubs.species: found 'broom'; expected one of hazel"):
-        layer(Shrubs, ["broom"])
+        shrubs("broom")

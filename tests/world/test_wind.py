@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from vlp16emu.types import PlantPart
-from vlp16emu.world import REGENERATION, TREE, Wind, flora
+from vlp16emu.world import Wind
 from vlp16emu.world.crown import CrownKey
+from vlp16emu.world.species import flora
+from vlp16emu.world.stand.stand import REGENERATION, TREE
 from vlp16emu.world.stem import StemKey
+from vlp16emu.world.sway import KNOT_NS, TreeSway, mechanics
 from vlp16emu.world.tiles import TileKey
-from vlp16emu.world.wind import KNOT_NS, mechanics
 
 START_NS = 1_789_000_000_000_000_000
 
@@ -21,9 +23,8 @@ def loose(make_forest):
 @pytest.fixture(scope="module")
 def make_wind(loose):
     def make(**changed):
-        usual = {"seed": 5, "speed_m_s": 8.0, "towards_deg": 30.0, "turbulence_intensity": 0.5}
-        usual |= {"gust_length_m": 20.0, "damping_ratio": 0.1, "start_ns": START_NS, "season": "leaf_on"}
-        return Wind(trees=loose.trees, plants=loose.plants, **(usual | changed))
+        section = Wind(**{"speed_m_s": 8.0, "towards_deg": 30.0, "turbulence_intensity": 0.5, **changed})
+        return TreeSway(section, forest=loose, season="leaf_on", start_ns=START_NS)
 
     return make
 

@@ -13,9 +13,12 @@ from scipy.stats import norm
 from stability_cases.lab import PULSES, beam, cast, opened, pulses, quads, wall
 from stability_cases.row import Row, refused
 from vlp16emu.raycast import Scene
-from vlp16emu.types import Firings, Mesh, PlantPart, Semantic
-from vlp16emu.world import Furnished, Furniture, Hall, Look, Place
-from vlp16emu.world.user_mesh import MeshPart, UserMesh
+from vlp16emu.types import Firings, Mesh
+from vlp16emu.world.furnished import Furnished, Furniture
+from vlp16emu.world.given.settings import MeshFile, MeshPlace
+from vlp16emu.world.hall import HallWorld
+from vlp16emu.world.settings import Hall
+from vlp16emu.world.user_mesh import PartMesh, UserMesh
 
 __all__ = ["crowd", "thin_twig", "throng", "too_many"]
 
@@ -107,10 +110,10 @@ def throng() -> Iterator[Row]:
 
 def too_many() -> Iterator[Row]:
     """Bring more things of the user's own than have numbers."""
-    stone = UserMesh(FilePath("stone.obj"), np.zeros(3), (MeshPart("stone", _pane()),), 1.0, ())
-    look = Look(0.5, Semantic.STONE, PlantPart.NONE)
-    places = (Place(50.0, 0.0, 0.0, 0.0, 0.0, 1.0),) * 65_537
-    hall = Hall(length_m=9.0, width_m=9.0, height_m=9.0, wall_reflectance=0.5, boxes=(), poles=(), spheres=())
-    furniture = [Furniture(stone, (look,), places, one_thing=True)]
+    stone = UserMesh(FilePath("stone.obj"), np.zeros(3), (PartMesh("stone", _pane()),), 1.0, ())
+    places = [MeshPlace(x_m=50.0, y_m=0.0, z_m=0.0)] * 65_537
+    section = MeshFile(file="stone.obj", unit="m", up="z", semantic="stone", places=places)
+    hall = HallWorld(Hall(kind="hall", length_m=9.0, width_m=9.0, height_m=9.0))
+    furniture = [Furniture(section, stone)]
     put = partial(Furnished, hall, furniture=furniture, reach_m=100.0)
     yield refused("65 537 meshes in a scene", put, "at most 65536")

@@ -4,11 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from vlp16emu.assembly.sensor import beam_of, detector_of, gps_of, head_of, link_of, seed_of
-from vlp16emu.assembly.world import forest_of, furnished, ground_name, ground_of, hall_of, wind_of
 from vlp16emu.device import GpsInput
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
@@ -20,10 +16,11 @@ from vlp16emu.raycast import Footprint, Scene
 from vlp16emu.returns import Detector
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.sensor import FreeSensor, Sensor, on_the_wire
-from vlp16emu.scenario.world import Hall as HallSection
 from vlp16emu.sensor import Head
-from vlp16emu.types import Firings, HeightField, Hits, World
-from vlp16emu.world import Dem, Polyline, Wind
+from vlp16emu.types import Firings, Hits, World
+from vlp16emu.world import Hall
+from vlp16emu.world.make import ground_name, ground_of, world_of
+from vlp16emu.world.sway import TreeSway
 
 __all__ = ["Look", "Parts", "Unit", "assemble"]
 
@@ -76,7 +73,7 @@ class Parts:
     imu: ImuSampler | None
     world: World
     """At rest."""
-    wind: Wind | None
+    wind: TreeSway | None
     """What moves its trees."""
     gps: GpsInput
 
@@ -104,51 +101,36 @@ def assemble(scenario: Scenario) -> Parts:
     InputError
         where a part cannot be made of what its section says
     """
-    section = scenario.world
-    reach_m = _STRAY_M + max(
-        sensor.max_range_m + math.hypot(*mount.lever_arm_m) for sensor, mount in _sensors(scenario)
-    )
-    world: World
-    wind: Wind | None = None
-    if isinstance(section, HallSection):
-        carrier, path_xy_m = _carrier(scenario, lambda x_m, _y_m: np.zeros_like(x_m), "flat")
-        world = hall_of(section)
-        world.check(path_xy_m)
-    else:
-        ground = ground_of(section, scenario.seed)
-        carrier, path_xy_m = _carrier(scenario, ground.height_m, ground_name(section, scenario.seed))
-        if isinstance(ground, Dem):
-            ground.check(path_xy_m, reach_m)
-        path, blows = Polyline(path_xy_m), scenario.wind is not None and scenario.wind.speed_m_s > 0
-        farthest_m = max(sensor.max_range_m for sensor, _ in _sensors(scenario))
-        # A sensor that sees no farther than `near_m` meets no medium: then none is made.
-        near_m = section.near_m if section.near_m < farthest_m else math.inf
-        world = forest_of(
-            section, scenario.seed, ground.height_m, path, reach_m, near_m=near_m, loose_stems=blows
-        )
-        wind = wind_of(scenario, world)
-    return Parts(
-        units=tuple(_unit(scenario, number, carrier) for number in range(len(_sensors(scenario)))),
-        carrier=carrier,
-        imu=_imu(scenario, carrier),
-        world=furnished(world, section.meshes, path_xy_m, reach_m),
-        wind=wind,
-        gps=gps_of(scenario),
-    )
-
-
-def _carrier(scenario: Scenario, height_m: HeightField, ground: str) -> tuple[Motion, NDArray[np.float64]]:
-    """Make what carries the devices, over the ground of that name, and its path on the map (n, 2)."""
-    world = scenario.world
-    return make_carrier(
+    sensors, section, seed = _sensors(scenario), scenario.world, scenario.seed
+    reach_m = _STRAY_M + max(sensor.max_range_m + math.hypot(*mount.lever_arm_m) for sensor, mount in sensors)
+    ground = ground_of(section, seed)
+    carrier, path_xy_m = make_carrier(
         scenario.motion,
-        height_m,
-        ground,
-        origin_m=(0.0, 0.0, 0.0) if isinstance(world, HallSection) else world.origin_m,
+        ground.height_m,
+        ground_name(section, seed),
+        origin_m=(0.0, 0.0, 0.0) if isinstance(section, Hall) else section.origin_m,
         gps=scenario.gps,
         reach_m=scenario.sensor.max_range_m,
         start_ns=scenario.start_ns,
-        seed=scenario.seed,
+        seed=seed,
+    )
+    world, wind = world_of(
+        section,
+        scenario.wind,
+        seed=seed,
+        start_ns=scenario.start_ns,
+        ground=ground,
+        path_xy_m=path_xy_m,
+        reach_m=reach_m,
+        farthest_m=max(sensor.max_range_m for sensor, _ in sensors),
+    )
+    return Parts(
+        units=tuple(_unit(scenario, number, carrier) for number in range(len(sensors))),
+        carrier=carrier,
+        imu=_imu(scenario, carrier),
+        world=world,
+        wind=wind,
+        gps=gps_of(scenario),
     )
 
 

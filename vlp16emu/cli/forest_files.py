@@ -22,8 +22,8 @@ from vlp16emu.report.forest import (
     strip_along,
     surface_colours,
 )
-from vlp16emu.world import Hall
 from vlp16emu.world.grid import write_ascii
+from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.inventory import write_csv
 from vlp16emu.world.nearby import AllNear, cut_out
 from vlp16emu.world.twin import write_glb
@@ -176,7 +176,7 @@ def _forest_section(seen: Survey) -> Section:
     return replace(section, low_m=float(ground_m.min()) - _BELOW_M, high_m=high_m)
 
 
-def _hall_section(hall: Hall) -> Section:
+def _hall_section(hall: HallWorld) -> Section:
     """Look at a whole hall from its southern wall."""
     length_m, width_m, height_m = hall.size_m
     return Section(

@@ -12,13 +12,15 @@ from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import HeightField, Mesh, ShapeKey, Window
 from vlp16emu.units import seconds_to_ns
-from vlp16emu.world import Forest, Hall, Polyline
 from vlp16emu.world.crown import CrownKey
+from vlp16emu.world.forest import ForestWorld
 from vlp16emu.world.furnished import Furnished
+from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.inventory import inventory
 from vlp16emu.world.nearby import Thing, things_near
+from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.species import Flora, flora
-from vlp16emu.world.stand import REGENERATION, TREE
+from vlp16emu.world.stand.stand import REGENERATION, TREE
 
 __all__ = ["Survey", "survey"]
 
@@ -34,7 +36,7 @@ class Survey:
 
     grow: Callable[[ShapeKey], tuple[Mesh, ...]]
     """Meshes of a shape of the world."""
-    hall: Hall | None
+    hall: HallWorld | None
     """The hall, where the world is one."""
     height_m: HeightField
     way_m: Array
@@ -95,16 +97,16 @@ def survey(scenario: Scenario, radius_m: float) -> Survey:
     way_m, beams_deg = _way_m(scenario, parts.motion), parts.head.beams.elevation_deg
     way, world = Polyline(way_m[:, :2]), parts.world
     bare = world.bare if isinstance(world, Furnished) else world
-    assert isinstance(bare, Forest | Hall)
+    assert isinstance(bare, ForestWorld | HallWorld)
     window = world.window(way_m)
-    trees = bare.trees(way_m) if isinstance(bare, Forest) else np.zeros(0, TREE)
+    trees = bare.trees(way_m) if isinstance(bare, ForestWorld) else np.zeros(0, TREE)
     trees = trees[trees["storey"] != REGENERATION]
     gap_m = way.distance_m(np.column_stack([trees["x_m"], trees["y_m"]]))
-    far_m = np.inf if isinstance(bare, Hall) else radius_m
-    names = (one.names for one in (world, bare) if isinstance(one, Hall | Furnished))
+    far_m = np.inf if isinstance(bare, HallWorld) else radius_m
+    names = (one.names for one in (world, bare) if isinstance(one, HallWorld | Furnished))
     return Survey(
         grow=world.shape,
-        hall=bare if isinstance(bare, Hall) else None,
+        hall=bare if isinstance(bare, HallWorld) else None,
         height_m=bare.height_m,
         way_m=way_m,
         field_of_view_deg=(float(beams_deg.min()), float(beams_deg.max())),
@@ -113,7 +115,7 @@ def survey(scenario: Scenario, radius_m: float) -> Survey:
         trees=trees[gap_m <= reach_m],
         near=trees[gap_m <= radius_m],
         things=things_near(window, world.shape, trees=trees["id"], way=way, radius_m=far_m),
-        plants=bare.plants if isinstance(bare, Forest) else flora(),
+        plants=bare.plants if isinstance(bare, ForestWorld) else flora(),
         names={instance: name for known in names for instance, name in known.items()},
         seed=scenario.seed,
     )

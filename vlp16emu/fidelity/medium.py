@@ -7,12 +7,10 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from vlp16emu.assembly import Unit, assemble, window_of
-from vlp16emu.assembly.world import ground_of
 from vlp16emu.fidelity.answer import answer_beam
 from vlp16emu.fidelity.sample import GROUP, Group, draw_groups
 from vlp16emu.fidelity.settings import Drawing, drawings, lights
@@ -21,9 +19,10 @@ from vlp16emu.raycast import Footprint, Scene, caster
 from vlp16emu.report.accuracy import Counts, Distributions, Echoes, Kind, counted, distributions_of
 from vlp16emu.returns import detect
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.world import Woods
 from vlp16emu.types import Firings, HeightField, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.world import Hall
+from vlp16emu.world.make import ground_of
 from vlp16emu.world.species import flora
 
 __all__ = ["RAYS", "Look", "echoes_of", "measure_medium", "next_revolution"]
@@ -80,7 +79,7 @@ def measure_medium(scenario: Scenario, *, pulses: int, done: Callable[[float], N
     done : receives the share of the work that is done
     """
     drawn, section = drawings(scenario), scenario.world
-    if not isinstance(section, Woods):
+    if isinstance(section, Hall):
         return None
     worlds, us = dict[float, Counts](), list[float]()
     for number, drawing in enumerate(drawn):
@@ -92,7 +91,7 @@ def measure_medium(scenario: Scenario, *, pulses: int, done: Callable[[float], N
         worlds,
         seed=scenario.seed,
         lasers=[f"{number}, at {degrees:+.4g} deg" for number, degrees in enumerate(elevation_deg.tolist())],
-        species=flora(Path(section.species_file) if section.species_file else None).names,
+        species=flora(section.species_file).names,
     )
     explicit = worlds[math.inf]
     return Distributions(
@@ -115,9 +114,8 @@ def _part_done(done: Callable[[float], None], number: int, of: int, share: float
 def _world(drawing: Drawing, pulses: int, done: Callable[[float], None]) -> tuple[list[Counts], list[float]]:
     """Count what all groups of a run show in one world, and tell the run time of casting."""
     scenario, parts = drawing.scenario, assemble(drawing.scenario)
-    unit, section = parts.units[0], drawing.scenario.world
-    assert isinstance(section, Woods)
-    look = Look(unit, _beam(scenario, unit), ground_of(section, scenario.seed).height_m)
+    unit = parts.units[0]
+    look = Look(unit, _beam(scenario, unit), ground_of(scenario.world, scenario.seed).height_m)
     cut = Cut(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns)
     run_ns = seconds_to_ns(min(scenario.duration_s, unit.motion.run_time_s))
     counts, us = list[Counts](), list[float]()

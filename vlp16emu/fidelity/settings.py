@@ -13,8 +13,8 @@ from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.raycast import Footprint
 from vlp16emu.report.accuracy import Kind
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.world import Woods
 from vlp16emu.types import Poses, ReturnMode
+from vlp16emu.world import Woods
 
 __all__ = ["Drawing", "Hold", "Light", "PosesAt", "drawings", "holds", "lights"]
 

@@ -10,13 +10,13 @@ from vlp16emu.motion import Gps, Imu, Recorded, Static, Walk
 from vlp16emu.scenario.beam import Beam
 from vlp16emu.scenario.detector import Detector
 from vlp16emu.scenario.noise import Noise
+from vlp16emu.scenario.presets import with_preset
 from vlp16emu.scenario.rig import Unit, completed
 from vlp16emu.scenario.sensor import AnySensor, FreeSensor, Sensor
 from vlp16emu.scenario.weather import Weather
-from vlp16emu.scenario.wind import Wind
-from vlp16emu.scenario.world import Hall, World
 from vlp16emu.settings import Section
 from vlp16emu.units import S_NS, US_NS
+from vlp16emu.world import Forest, Hall, Plot, Wind
 
 __all__ = ["Scenario"]
 
@@ -51,7 +51,7 @@ class Scenario(Section):
     """An inertial measurement unit beside the sensor; its samples are part of the truth."""
     rig: Annotated[list[Unit], Field(max_length=253, default_factory=list)]
     """Further sensors on the same carrier, numbered from 2; that of `[sensor]` is unit 1."""
-    world: World
+    world: Annotated[Forest | Plot | Hall, Field(discriminator="kind")]
     """What the sensor sees."""
     wind: Wind | None = None
     """What makes the trees sway; none in a hall."""
@@ -94,6 +94,11 @@ class Scenario(Section):
         if gps is not None and not gps.connected and any(map(_is_locked, rig)):
             raise ValueError("no phase_lock_deg in it without the pulse of gps.connected = true")
         return rig
+
+    @field_validator("world", mode="before")
+    @classmethod
+    def _from_preset(cls, table: Any) -> Any:
+        return with_preset(table) if isinstance(table, dict) and table.get("kind") == "forest" else table
 
     @field_validator("wind")
     @classmethod

@@ -6,10 +6,9 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-__all__ = ["DENSITY_KEYS", "merged", "presets", "with_preset"]
+from vlp16emu.world.stand.settings import DENSITY_KEYS
 
-DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
-"""Two ways to say how dense a storey is; whoever gives one does not want the other."""
+__all__ = ["merged", "presets", "with_preset"]
 
 Table = Mapping[str, Any]
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +19,13 @@ from vlp16emu.world.branches import (
 )
 from vlp16emu.world.foliage import foliage_mesh
 from vlp16emu.world.species import Species, species_table, taper_radius_m
+from vlp16emu.world.stand.settings import Season
 from vlp16emu.world.stem import lean_rotation
 
 __all__ = [
     "CROWN_PARTS",
     "VARIANTS",
     "CrownKey",
-    "Season",
     "crown_meshes",
     "crown_placements",
     "crown_scale",
@@ -35,9 +34,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
-
-Season = Literal["leaf_on", "leaf_off"]
-"""With leaves, or as in winter: broadleaves bare, needles on."""
 
 VARIANTS = 3
 """Different crowns of the same species and diameter class."""

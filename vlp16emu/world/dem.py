@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.world.grid import read_grid
+from vlp16emu.world.ground.settings import Dem
 from vlp16emu.world.polyline import distance_m
 
-__all__ = ["Dem"]
+__all__ = ["DemHeights"]
 
 Array = NDArray[np.float64]
 
@@ -23,16 +24,15 @@ _SUPPORT_CELLS = 2 * 2**0.5
 """A height takes part in the surface up to two cells away in either direction."""
 
 
-class Dem:
+class DemHeights:
     """Ground height from a file, in the scene's own coordinates.
 
     Outside the grid and where the file has no height, the nearest height goes on: `check` makes sure that
-    nobody can see it.
+    it is out of sight.
 
     Parameters
     ----------
-    path : .asc, .npy, .tif or .tiff; rows run from north to south
-    cell_m, corner_m : where a .npy lies, None for the others; see `read_grid`
+    section : the file, and where a .npy lies
     origin_m : easting, northing and height that become (0, 0, 0) in the scene
 
     Raises
@@ -43,15 +43,8 @@ class Dem:
         for a GeoTIFF without tifffile
     """
 
-    def __init__(
-        self,
-        path: Path,
-        *,
-        cell_m: float | None,
-        corner_m: tuple[float, float] | None,
-        origin_m: tuple[float, float, float],
-    ) -> None:
-        self._grid = read_grid(path, cell_m=cell_m, corner_m=corner_m)
+    def __init__(self, section: Dem, *, origin_m: tuple[float, float, float]) -> None:
+        self._grid = read_grid(Path(section.file), cell_m=section.cell_m, corner_m=section.corner_m)
         self._origin_m = origin_m
         rows, columns = self._grid.heights_m.shape
         east, north, up = origin_m
@@ -152,7 +145,7 @@ def _with_border(heights_m: Array) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def _weights(t: float) -> tuple[float, float, float, float]:
-    """Shares of four heights in a row at `t` of the way from the second to the third."""
+    """Shares of four heights in a row at share `t` between the second and the third."""
     return (
         ((-0.5 * t + 1.0) * t - 0.5) * t,
         (1.5 * t - 2.5) * t * t + 1.0,

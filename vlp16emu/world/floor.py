@@ -1,8 +1,7 @@
-"""What lies and stands on the ground: stones, logs, stumps and tufts of grass."""
+"""What is on the ground: stones, logs, stumps and grass."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -16,17 +15,19 @@ from vlp16emu.world.materials import GROUND_MATERIALS
 from vlp16emu.world.placed import (
     NO_TREES,
     Placed,
-    Plot,
+    Site,
+    between,
     distinct,
     laid,
     placements,
     surface_rows,
     turned,
 )
-from vlp16emu.world.points import Pattern
+from vlp16emu.world.points import ScatteredPattern
 from vlp16emu.world.species import Flora, flora, known
+from vlp16emu.world.stand.settings import Grass, Logs, Stones, Stumps
 
-__all__ = ["Grass", "Logs", "Stones", "Stumps", "stones_per_ha"]
+__all__ = ["GrassLayer", "LogLayer", "StoneLayer", "StumpLayer", "stones_per_ha"]
 
 Array = NDArray[np.float64]
 
@@ -52,10 +53,10 @@ _LARGE_STONE_M = 0.4
 """Stones that long have four times the faces; those of shorter ones are off by less than 3 mm."""
 
 _GRASS_REACH_M = 25.0
-"""From the path; farther off the beam is wider than a tuft, and litter stands for grass."""
+"""From the path; farther off the beam is wider than a tuft, and litter takes the place of grass."""
 
 _LOG_STATIONS = np.linspace(-0.5, 0.5, 9)
-"""Along a log, where the ground under it and the way to the path are looked at."""
+"""Along a log, where the ground under it and the distance from the path are looked at."""
 
 _LOG_SUNK = 0.25
 """Share of its radius that a log has sunk into the ground; assumption."""
@@ -94,133 +95,113 @@ def _stone_length_m(probability: Array) -> Array:
     return length
 
 
-@dataclass(frozen=True, slots=True)
-class Stones:
+class StoneLayer:
     """Stones that lie half in the ground."""
 
-    pattern: Pattern
+    def __init__(self, section: Stones, *, seed: int) -> None:
+        per_ha = stones_per_ha(section.cover)
+        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.STONES, per_ha=per_ha)
 
-    @property
-    def per_ha(self) -> float:
-        """Mean number of stones per hectare."""
-        return self.pattern.per_ha
-
-    def place(self, plot: Plot) -> Placed:
+    def place(self, site: Site) -> Placed:
         """Stones of a tile."""
-        xy_m, rng = self.pattern.points(plot.ix, plot.iy), plot.draw(Purpose.STONES)
+        xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.STONES)
         draws = rng.random((len(xy_m), 7))
         length_m = _stone_length_m(draws[:, 0])
         size = length_m[:, None] * [1.0, _STONE_WIDTH, _STONE_HEIGHT]
-        buried = _between(_STONE_BURIED, draws[:, 1])
-        keep = plot.clear(xy_m, length_m / 2, length_m / 2)
-        z_m = plot.height_m(*xy_m.T) + (0.5 - buried) * size[:, 2]
+        buried = between(_STONE_BURIED, draws[:, 1])
+        keep = site.clear(xy_m, length_m / 2, length_m / 2)
+        z_m = site.height_m(*xy_m.T) + (0.5 - buried) * size[:, 2]
         place_m = np.column_stack([xy_m, z_m])
         world_T = placements(place_m, turned(360 * draws[:, 2]), size)
         large = length_m >= _LARGE_STONE_M
         return _placed(FloorKind.STONE, keep, world_T, draws[:, 3:], np.zeros(len(xy_m)), large)
 
 
-@dataclass(frozen=True, slots=True)
-class Logs:
-    """Lying trunks."""
+class LogLayer:
+    """Lying trunks.
 
-    pattern: Pattern
-    species: Sequence[str]
-    """What trees they were, each as often."""
-    diameter_m: tuple[float, float]
-    """Least and greatest mean diameter."""
-    length_m: tuple[float, float]
-    """Least and greatest length."""
+    Parameters
+    ----------
+    section : what the user wrote
+    seed : of the scenario
+    canopy : names of the trees above, for a section that names no species
+    plants : trees and shrubs; those of the program if none are given
 
-    plants: Flora | None = None
+    Raises
+    ------
+    GeometryError
+        for a species that is not in the table
+    """
 
-    def __post_init__(self) -> None:
-        known(self.species, (self.plants or flora()).trees, "logs.species")
+    def __init__(
+        self, section: Logs, *, seed: int, canopy: Sequence[str] = (), plants: Flora | None = None
+    ) -> None:
+        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.LOGS, per_ha=section.per_ha)
+        self._section = section
+        self._numbers = _species_numbers(section.species or canopy, plants, "logs.species")
 
-    @property
-    def per_ha(self) -> float:
-        """Mean number of logs per hectare."""
-        return self.pattern.per_ha
-
-    def place(self, plot: Plot) -> Placed:
+    def place(self, site: Site) -> Placed:
         """Lay logs, whose middle is on a tile, along the ground under them."""
-        xy_m, rng = self.pattern.points(plot.ix, plot.iy), plot.draw(Purpose.LOGS)
-        draws = rng.random((len(xy_m), 8))
-        diameter_m, length_m = _between(self.diameter_m, draws[:, 0]), _between(self.length_m, draws[:, 1])
+        xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.LOGS)
+        own, draws = self._section, rng.random((len(xy_m), 8))
+        diameter_m, length_m = between(own.diameter_m, draws[:, 0]), between(own.length_m, draws[:, 1])
         towards = 2 * np.pi * draws[:, 2]
         station_m = length_m[:, None] * _LOG_STATIONS
         x_m = xy_m[:, :1] + station_m * np.cos(towards)[:, None]
         y_m = xy_m[:, 1:] + station_m * np.sin(towards)[:, None]
         radius_m = np.repeat(diameter_m / 2, len(_LOG_STATIONS))
         along_xy = np.column_stack([x_m.ravel(), y_m.ravel()])
-        keep = np.asarray(plot.clear(along_xy, radius_m, radius_m).reshape(x_m.shape).all(axis=-1))
-        ground_m = plot.height_m(x_m, y_m)
+        keep = np.asarray(site.clear(along_xy, radius_m, radius_m).reshape(x_m.shape).all(axis=-1))
+        ground_m = site.height_m(x_m, y_m)
         # Straight line of least squares through the ground at evenly spaced stations.
         slope = (ground_m * station_m).sum(axis=1) / (station_m**2).sum(axis=1)
         z_m = ground_m.mean(axis=1) + (1 - _LOG_SUNK) * diameter_m / 2
         size = np.column_stack([length_m, diameter_m, diameter_m])
         world_T = placements(np.column_stack([xy_m, z_m]), laid(towards, slope), size)
-        species = _species_numbers(self.species, self.plants, draws[:, 3])
+        species = self._numbers[(len(self._numbers) * draws[:, 3]).astype(int)]
         return _placed(FloorKind.LOG, keep, world_T, draws[:, 4:], species)
 
 
-@dataclass(frozen=True, slots=True)
-class Stumps:
-    """What felled trees left."""
+class StumpLayer:
+    """What felled trees left; arguments and errors are those of `LogLayer`."""
 
-    pattern: Pattern
-    species: Sequence[str]
-    """What trees they were, each as often."""
-    diameter_m: tuple[float, float]
-    """Least and greatest diameter at the top."""
-    height_m: tuple[float, float]
-    """Least and greatest height."""
+    def __init__(
+        self, section: Stumps, *, seed: int, canopy: Sequence[str] = (), plants: Flora | None = None
+    ) -> None:
+        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.STUMPS, per_ha=section.per_ha)
+        self._section = section
+        self._numbers = _species_numbers(section.species or canopy, plants, "stumps.species")
 
-    plants: Flora | None = None
-
-    def __post_init__(self) -> None:
-        known(self.species, (self.plants or flora()).trees, "stumps.species")
-
-    @property
-    def per_ha(self) -> float:
-        """Mean number of stumps per hectare."""
-        return self.pattern.per_ha
-
-    def place(self, plot: Plot) -> Placed:
+    def place(self, site: Site) -> Placed:
         """Stumps of a tile."""
-        xy_m, rng = self.pattern.points(plot.ix, plot.iy), plot.draw(Purpose.STUMPS)
-        draws = rng.random((len(xy_m), 8))
-        diameter_m, height_m = _between(self.diameter_m, draws[:, 0]), _between(self.height_m, draws[:, 1])
-        keep = plot.clear(xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
-        place_m = np.column_stack([xy_m, plot.height_m(*xy_m.T)])
+        xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.STUMPS)
+        own, draws = self._section, rng.random((len(xy_m), 8))
+        diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
+        keep = site.clear(xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
+        place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
         size = np.column_stack([diameter_m, diameter_m, height_m])
         world_T = placements(place_m, turned(360 * draws[:, 2]), size)
-        species = _species_numbers(self.species, self.plants, draws[:, 3])
+        species = self._numbers[(len(self._numbers) * draws[:, 3]).astype(int)]
         return _placed(FloorKind.STUMP, keep, world_T, draws[:, 4:], species)
 
 
-@dataclass(frozen=True, slots=True)
-class Grass:
+class GrassLayer:
     """Tufts beside the path."""
 
-    pattern: Pattern
-    height_m: tuple[float, float]
-    """Least and greatest height."""
+    def __init__(self, section: Grass, *, seed: int) -> None:
+        per_ha = 10_000 * section.tufts_per_m2
+        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.GRASS, per_ha=per_ha)
+        self._height_m = section.height_m
 
-    @property
-    def per_ha(self) -> float:
-        """Mean number of tufts per hectare near the path."""
-        return self.pattern.per_ha
-
-    def place(self, plot: Plot) -> Placed:
+    def place(self, site: Site) -> Placed:
         """Tufts of a tile."""
-        near = plot.distance_m < _GRASS_REACH_M
-        xy_m = self.pattern.points(plot.ix, plot.iy) if near else np.zeros((0, 2))
-        draws = plot.draw(Purpose.GRASS).random((len(xy_m), 6))
-        height_m = _between(self.height_m, draws[:, 0])
-        keep = plot.path.distance_m(xy_m) < _GRASS_REACH_M
-        keep[keep] = plot.clear(xy_m[keep], height_m[keep] / 2, np.zeros(keep.sum()))
-        place_m = np.column_stack([xy_m, plot.height_m(*xy_m.T)])
+        near = site.distance_m < _GRASS_REACH_M
+        xy_m = self.pattern.points(site.ix, site.iy) if near else np.zeros((0, 2))
+        draws = site.draw(Purpose.GRASS).random((len(xy_m), 6))
+        height_m = between(self._height_m, draws[:, 0])
+        keep = site.path.distance_m(xy_m) < _GRASS_REACH_M
+        keep[keep] = site.clear(xy_m[keep], height_m[keep] / 2, np.zeros(keep.sum()))
+        place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
         world_T = placements(place_m, turned(360 * draws[:, 1]), np.repeat(height_m[:, None], 3, axis=1))
         return _placed(FloorKind.TUFT, keep, world_T, draws[:, 2:], np.zeros(len(xy_m)))
 
@@ -261,15 +242,6 @@ def _key(kind: FloorKind, variant: int, large: bool) -> FloorKey:
     return FloorKey(kind, variant, large)
 
 
-def _between(limits: tuple[float, float], draw: Array) -> Array:
-    """Evenly from limits[0] to limits[1]."""
-    value: Array = limits[0] + (limits[1] - limits[0]) * draw
-    return value
-
-
-def _species_numbers(names: Sequence[str], plants: Flora | None, draw: Array) -> Array:
-    """Numbers of species, each as often."""
-    table = (plants or flora()).trees
-    numbers = np.array([table[name].number for name in names])
-    chosen: Array = numbers[(len(numbers) * draw).astype(int)]
-    return chosen
+def _species_numbers(names: Sequence[str], plants: Flora | None, where: str) -> NDArray[np.int64]:
+    """Numbers of trees by name."""
+    return np.array([tree.number for tree in known(names, (plants or flora()).trees, where)], np.int64)

@@ -15,16 +15,16 @@ from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_plac
 from vlp16emu.world.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.world.kept import by_tile, key_text
 from vlp16emu.world.materials import bark_material, material_names
-from vlp16emu.world.placed import NO_TREES, Layer, Placed, Plot, distinct
-from vlp16emu.world.polyline import Polyline
+from vlp16emu.world.placed import NO_TREES, Layer, Placed, Site, distinct
+from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.sapling import SaplingKey, sapling_meshes
 from vlp16emu.world.shrub import ShrubKey, shrub_meshes
 from vlp16emu.world.species import Flora, flora
-from vlp16emu.world.stand import TREE, foot_discs
+from vlp16emu.world.stand.stand import TREE, foot_discs
 from vlp16emu.world.stem import STEM_PARTS, StemKey, far_stems, stem_meshes
 from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
 
-__all__ = ["FIRST_FREE_INSTANCE", "Forest", "Stems"]
+__all__ = ["FIRST_FREE_INSTANCE", "ForestWorld", "Stems"]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -90,7 +90,7 @@ class _Tile:
     """(n,) which of the placements are part of the `FarTile`."""
 
 
-class Forest:
+class ForestWorld:
     """Trees, and what grows and lies under them, on a terrain; a `World`.
 
     The same tree and the same stone have the same shape and number in every window and from either end
@@ -102,8 +102,7 @@ class Forest:
     height_m : ground
     stems : trees
     layers : saplings, shrubs, stones and so on; a layer's order among them decides its numbers
-    path : the whole way of the sensor, fine enough that its chords are the way
-    path_clearance_m : nothing that stands or lies on the ground comes nearer to the path than this
+    path : of the sensor as a whole, fine enough that its chords are as good as the path itself
     reach_m : how far the sensor sees
     plants : trees and shrubs; those of the program if none are given
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
@@ -124,8 +123,7 @@ class Forest:
         height_m: HeightField,
         stems: Stems,
         layers: Sequence[Layer],
-        path: Polyline,
-        path_clearance_m: float,
+        path: Corridor,
         reach_m: float,
         plants: Flora | None = None,
         loose_stems: bool = False,
@@ -133,12 +131,12 @@ class Forest:
         name: str = "",
         plants_name: str = "",
     ) -> None:
-        per_ha = stems.per_ha + sum(layer.per_ha for layer in layers)
+        per_ha = stems.per_ha + sum(layer.pattern.per_ha for layer in layers)
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
         self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
-        self._path, self._clearance_m, self._reach_m = path, path_clearance_m, reach_m
+        self._path, self._reach_m = path, reach_m
         self.height_m, self.plants = height_m, plants or flora()
         self._layers, self._loose_stems = layers, loose_stems
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
@@ -309,16 +307,15 @@ class Forest:
         """Everything else on a tile."""
         if not self._layers:
             return []
-        plot = Plot(
+        site = Site(
             seed=self.seed,
             ix=key.ix,
             iy=key.iy,
             height_m=self.height_m,
             path=self._path,
-            path_clearance_m=self._clearance_m,
             trunks=self._trunks(key.ix, key.iy),
         )
-        return [layer.place(plot) for layer in self._layers]
+        return [layer.place(site) for layer in self._layers]
 
     def _trunks(self, ix: int, iy: int) -> Array:
         """Feet of the trees on a tile and its neighbours: (n, 3) x, y, radius."""

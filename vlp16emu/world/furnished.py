@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,53 +11,46 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
-from vlp16emu.world.forest import FIRST_FREE_INSTANCE, Forest
-from vlp16emu.world.hall import Hall
+from vlp16emu.world.forest import FIRST_FREE_INSTANCE, ForestWorld
+from vlp16emu.world.given.settings import MeshFile, MeshPlace
+from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.user_mesh import UserMesh
 
-__all__ = ["Furnished", "Furniture", "Look", "MeshKey", "Place", "looks_of"]
+__all__ = ["Furnished", "Furniture", "MeshKey"]
 
 _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Look:
-    """What one part of a mesh is to the light and to the labels."""
-
-    reflectance: float
-    """As in `SURFACE`."""
-    semantic: Semantic
-    part: PlantPart
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a mesh stands."""
-
-    x_m: float
-    y_m: float
-    z_m: float | None
-    """Of the file's origin; None where it stands on the ground."""
-    above_ground_m: float
-    """Of the file's origin over the ground; of no account where `z_m` is given."""
-    yaw_deg: float
-    """Counter-clockwise from above."""
-    scale: float
-
-
-@dataclass(frozen=True, slots=True)
 class Furniture:
-    """A mesh, what its parts are, and all the places where it stands."""
+    """A mesh of the user's, and all its places.
 
-    mesh: UserMesh
-    looks: tuple[Look, ...]
-    """Of each part."""
-    places: tuple[Place, ...]
-    one_thing: bool
-    """Whether all parts at one place are one instance, as stem and leaves of a tree, or one each."""
+    Parameters
+    ----------
+    section : what the user wrote
+    mesh : what its file holds
+
+    Raises
+    ------
+    GeometryError
+        for a part that the mesh does not have
+    """
+
+    def __init__(self, section: MeshFile, mesh: UserMesh) -> None:
+        self.section, self.mesh = section, mesh
+        names = [part.name for part in mesh.parts]
+        own = {part.name: part for part in section.parts}
+        for name in own.keys() - set(names):
+            raise GeometryError(f"{mesh.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
+        self.surfaces = np.zeros(len(names), SURFACE)
+        """(parts,) `SURFACE`; material and instance still 0."""
+        for row, part in zip(self.surfaces, (own.get(name, section) for name in names), strict=True):
+            brightness = part.brightness
+            row["reflectance"] = section.brightness if brightness is None else brightness
+            row["semantic"] = Semantic[(part.semantic or section.semantic).upper()]
+            row["part"] = PlantPart[(part.part or section.part).upper()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +67,8 @@ class Furnished:
 
     Parameters
     ----------
-    world : what is there anyhow
-    furniture : what comes to it; order decides the numbers
+    world : without them
+    furniture : in the order of their numbers
     reach_m : how far the sensor sees
 
     Raises
@@ -84,7 +77,9 @@ class Furnished:
         for more things than can be numbered
     """
 
-    def __init__(self, world: Forest | Hall, *, furniture: Sequence[Furniture], reach_m: float) -> None:
+    def __init__(
+        self, world: ForestWorld | HallWorld, *, furniture: Sequence[Furniture], reach_m: float
+    ) -> None:
         self.bare = world
         """The world without the user's things."""
         self.height_m, self.near_m, self.seed = world.height_m, world.near_m, world.seed
@@ -95,18 +90,20 @@ class Furnished:
             *(_material(f, part.name) for f in furniture for part in f.mesh.parts),
         )
         keys = [MeshKey(i, one.mesh.path) for i, one in enumerate(furniture)]
-        self._keys = [keys[i] for i, one in enumerate(furniture) for _ in one.places]
+        self._keys = [keys[i] for i, one in enumerate(furniture) for _ in one.section.places]
         self._mesh_of = {key: one.mesh for key, one in zip(keys, furniture, strict=True)}
         self._world_T_mesh = np.array(
-            [_placed(place, one.mesh, world.height_m) for one in furniture for place in one.places]
+            [_placed(place, one.mesh, world.height_m) for one in furniture for place in one.section.places]
         ).reshape(-1, 3, 4)
-        self._radius_m = np.array([place.scale * f.mesh.radius_m for f in furniture for place in f.places])
+        self._radius_m = np.array(
+            [place.scale * one.mesh.radius_m for one in furniture for place in one.section.places]
+        )
         self._rows = _rows(furniture, len(world.materials))
         self.names = _names(furniture)
         """Of the user's things by instance."""
 
     def check(self, path_xy_m: Array) -> tuple[str, ...]:
-        """Tell of each mesh that a sensor on its way (n, 2) sees nowhere, one line each, which is logged too."""
+        """Report each mesh that is out of sight all along the path (n, 2), one line each, which is logged too."""
         if not self._keys:
             return ()
         gap_m = distance_m(self._world_T_mesh[:, :2, 3], path_xy_m) - self._radius_m
@@ -160,26 +157,12 @@ class Furnished:
         return self.bare.shape(key)
 
 
-def looks_of(mesh: UserMesh, common: Look, own: Mapping[str, Look]) -> tuple[Look, ...]:
-    """Look of each part of a mesh: its own where it has one, or else the common one.
-
-    Raises
-    ------
-    GeometryError
-        for a part that the mesh does not have
-    """
-    names = [part.name for part in mesh.parts]
-    for name in own.keys() - set(names):
-        raise GeometryError(f"{mesh.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
-    return tuple(own.get(name, common) for name in names)
-
-
 def _material(furniture: Furniture, part: str) -> str:
     """Name the material of a part."""
     return f"{furniture.mesh.path.name} {part}"
 
 
-def _placed(place: Place, mesh: UserMesh, height_m: HeightField) -> Array:
+def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> Array:
     """`world_T_shape` (3, 4) of a mesh about its centre."""
     z_m = place.z_m
     if z_m is None:
@@ -191,13 +174,14 @@ def _placed(place: Place, mesh: UserMesh, height_m: HeightField) -> Array:
     return np.column_stack([turn, origin + turn @ mesh.centre_m])
 
 
-def _instances(furniture: Sequence[Furniture]) -> list[tuple[Furniture, Place, NDArray[np.int64]]]:
+def _instances(furniture: Sequence[Furniture]) -> list[tuple[Furniture, MeshPlace, NDArray[np.int64]]]:
     """Each placement with the instance numbers of its parts."""
     placed, number = [], FIRST_FREE_INSTANCE
     for one in furniture:
-        count = 1 if one.one_thing else len(one.looks)
-        for place in one.places:
-            placed.append((one, place, np.broadcast_to(number + np.arange(count), len(one.looks))))
+        parts = len(one.surfaces)
+        count = 1 if one.section.one_thing else parts
+        for place in one.section.places:
+            placed.append((one, place, np.broadcast_to(number + np.arange(count), parts)))
             number += count
     if number > 2**32:
         raise GeometryError("meshes", f"found {number - FIRST_FREE_INSTANCE} things", "at most 65536")
@@ -206,24 +190,21 @@ def _instances(furniture: Sequence[Furniture]) -> list[tuple[Furniture, Place, N
 
 def _rows(furniture: Sequence[Furniture], first_material: int) -> list[NDArray[np.void]]:
     """`SURFACE` rows of each placement."""
-    parts = [len(one.looks) for one in furniture]
+    parts = [len(one.surfaces) for one in furniture]
     material_of = dict(zip(map(id, furniture), first_material + np.cumsum([0, *parts[:-1]]), strict=True))
     tables = []
     for one, _, instances in _instances(furniture):
-        rows = np.zeros(len(one.looks), SURFACE)
-        rows["reflectance"] = [look.reflectance for look in one.looks]
+        rows = one.surfaces.copy()
         rows["material"] = material_of[id(one)] + np.arange(len(rows))
-        rows["semantic"] = [look.semantic for look in one.looks]
-        rows["part"] = [look.part for look in one.looks]
         rows["instance"] = instances
         tables.append(rows)
     return tables
 
 
 def _names(furniture: Sequence[Furniture]) -> dict[int, str]:
-    """Call each instance by its file, part where parts are things of their own, and place."""
+    """Name each instance by its file, part where parts are things of their own, and place."""
     return {
-        int(number): f"{_material(one, part.name) if not one.one_thing else one.mesh.path.name}"
+        int(number): f"{one.mesh.path.name if one.section.one_thing else _material(one, part.name)}"
         f" at ({place.x_m:g}, {place.y_m:g}) m"
         for one, place, numbers in _instances(furniture)
         for number, part in zip(numbers, one.mesh.parts, strict=True)

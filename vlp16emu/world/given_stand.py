@@ -1,4 +1,4 @@
-"""A stand whose trees somebody has measured, in place of one that grows itself."""
+"""A stand whose trees are measured, in place of one that grows itself."""
 
 import math
 from collections.abc import Mapping
@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import HeightField
-from vlp16emu.world.crown import VARIANTS, CrownKey, Season
+from vlp16emu.world.crown import VARIANTS, CrownKey
 from vlp16emu.world.materials import BARK_SPREAD, LEAF_SPREAD
-from vlp16emu.world.polyline import Polyline
-from vlp16emu.world.species import Species
-from vlp16emu.world.stand import TREE, foot_discs, path_gap_m
+from vlp16emu.world.polyline import Corridor, Polyline
+from vlp16emu.world.settings import Plot
+from vlp16emu.world.species import Flora, Species
+from vlp16emu.world.stand.stand import TREE, foot_discs, path_gap_m
+from vlp16emu.world.stem_list import read_stem_list
 from vlp16emu.world.tiles import TILE_M
 
 __all__ = ["GivenStand"]
@@ -37,40 +39,28 @@ class GivenStand:
 
     Parameters
     ----------
-    seed : of the scenario; of what no list tells, such as the turn of a crown about its stem
+    section : what the user wrote
+    seed : of the scenario, for what the list leaves out, such as the azimuth of a crown about its stem
     height_m : ground
-    source : file of the list, for messages
-    trees : (n,) `TREE` as `read_stem_list` gives them
-    table : their species
-    path : the way of the sensor
-    path_clearance_m : no stem surface may come nearer to it than this
-    season : whether broadleaves bear leaves
-    dead_branches : whether dead branches still sit below the crowns
+    path : of the sensor
+    plants : trees and shrubs
 
     Raises
     ------
     GeometryError
-        where a tree stands in the way
+        for a list that is wrong, and where a tree is on the path
     """
 
     def __init__(
-        self,
-        *,
-        seed: int,
-        height_m: HeightField,
-        source: Path,
-        trees: Trees,
-        table: Mapping[str, Species],
-        path: Polyline,
-        path_clearance_m: float,
-        season: Season,
-        dead_branches: bool,
+        self, section: Plot, *, seed: int, height_m: HeightField, path: Corridor, plants: Flora
     ) -> None:
-        self._species = [one for one in table.values() if one.number in set(trees["species"].tolist())]
-        self._season, self._dead_branches = season, dead_branches
+        self._source = Path(section.stem_list)
+        trees = read_stem_list(self._source, plants.trees, section.origin_m)
+        self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
+        self._season, self._dead_branches = section.season, section.dead_branches
         trees = _completed(seed, trees, self._species)
         trees["z_m"] = height_m(trees["x_m"], trees["y_m"])
-        _check_path(source, trees, table, path, path_clearance_m)
+        _check_path(self._source, trees, plants.trees, path)
         tile = np.floor(np.column_stack([trees["x_m"], trees["y_m"]]) / TILE_M).astype(np.int64)
         tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
         names = [(int(ix), int(iy)) for ix, iy in tiles]
@@ -78,14 +68,19 @@ class GivenStand:
         self.per_ha = float(count.max()) / _HA_PER_TILE
         """Stems per hectare where they are densest."""
         self._prototypes = _prototypes(trees)
-        self._source, self._all = source, trees
+        self._all = trees
+
+    @property
+    def species(self) -> list[str]:
+        """Names of the species of its trees."""
+        return [one.name for one in self._species]
 
     def check(self, path: Polyline, reach_m: float) -> None:
-        """See that a sensor on its way sees any tree.
+        """Make sure that a tree is in sight of a sensor on its path.
 
         Parameters
         ----------
-        path : where the sensor goes
+        path : of the sensor
         reach_m : how far it sees
 
         Raises
@@ -125,7 +120,7 @@ class GivenStand:
 
 
 def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
-    """Add what no list tells."""
+    """Add what a list leaves out."""
     trees = trees.copy()
     # One row of numbers to a tree: a tree more at the end of a list changes no other.
     uniform = generator(seed, Purpose.GIVEN_TREE).random((len(trees), 4))
@@ -142,16 +137,14 @@ def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
     return trees
 
 
-def _check_path(
-    source: Path, trees: Trees, table: Mapping[str, Species], path: Polyline, clearance_m: float
-) -> None:
-    """Refuse a tree that somebody would walk into."""
+def _check_path(source: Path, trees: Trees, table: Mapping[str, Species], path: Corridor) -> None:
+    """Refuse a tree that a walker would run into."""
     gap_m = path_gap_m(trees, foot_discs(trees, table=table)[:, 2], path)
-    if gap_m.min() < clearance_m:
+    if gap_m.min() < path.clearance_m:
         i = int(gap_m.argmin())
         where = f"{source}: tree at ({trees['x_m'][i]:g}, {trees['y_m'][i]:g}) m in the scene"
         found = f"its surface is {gap_m[i]:.2f} m from the path"
-        raise GeometryError(where, found, f"path_clearance_m = {clearance_m:g} or more")
+        raise GeometryError(where, found, f"path_clearance_m = {path.clearance_m:g} or more")
 
 
 def _prototypes(trees: Trees) -> dict[tuple[int, int], tuple[float, float, float, float]]:

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, generator
+from vlp16emu.world.stand.settings import Wind
 
-__all__ = ["ACROSS", "ALONG", "Lines", "Trees", "gust_lines", "gusts", "swings"]
+__all__ = ["ACROSS", "ALONG", "Lines", "Trees", "gust_lines", "swings"]
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ class Lines(NamedTuple):
     phase_rad: Array
     """(n,) at the origin of the world when the run begins."""
     aside_rad_m: Array
-    """(n,) how fast the phase grows to the left of the wind."""
+    """(n,) increase of the phase to the left of the wind."""
 
 
 class Trees(NamedTuple):
@@ -63,9 +64,7 @@ class Trees(NamedTuple):
     """(m,) places to the left of it."""
 
 
-def gust_lines(
-    seed: int, component: int, *, speed_m_s: float, turbulence_intensity: float, gust_length_m: float
-) -> Lines:
+def gust_lines(section: Wind, seed: int, component: int) -> Lines:
     """Lines of a component; the squares of their amplitudes add up to twice the variance of the spectrum.
 
     Kaimal's spectrum with integral length L at mean speed U: f S / sigma^2 = 4 n / (1 + 6 n)^(5/3), n = f L / U
@@ -73,27 +72,21 @@ def gust_lines(
     1 - (1 + 6 n)^(-2/3) of its energy.
     """
     rng = generator(seed, Purpose.WIND, component)
-    per_n_hz = speed_m_s / (gust_length_m * _LENGTH[component])
+    per_n_hz = section.speed_m_s / (section.gust_length_m * _LENGTH[component])
     edges_hz = np.geomspace(_SLOWEST * per_n_hz, max(_FASTEST_HZ, 10.0 * per_n_hz), _LINES)
     share = 1.0 - (1.0 + 6.0 * edges_hz / per_n_hz) ** (-2.0 / 3.0)
     energy = np.diff(np.concatenate([[0.0], share[:-1], [1.0]]))
     # Not evenly spaced, or all would come again after a while.
     between = np.append(0.0, rng.uniform(size=_LINES - 1))
     hz = edges_hz * np.append(1.0, edges_hz[:-1] / edges_hz[1:]) ** between
-    sigma_m_s = turbulence_intensity * _DEVIATION[component] * speed_m_s
+    sigma_m_s = section.turbulence_intensity * _DEVIATION[component] * section.speed_m_s
     waves = np.tan(np.pi * (rng.uniform(size=_LINES) - 0.5))
     return Lines(
         2.0 * np.pi * hz,
         sigma_m_s * np.sqrt(2.0 * energy),
         rng.uniform(0.0, 2.0 * np.pi, _LINES),
-        _DECAY * hz / speed_m_s * waves,
+        _DECAY * hz / section.speed_m_s * waves,
     )
-
-
-def gusts(lines: Lines, speed_m_s: float, downwind_m: float, aside_m: float, t_s: Array) -> Array:
-    """Speed (k,) of a component in m/s, beyond the mean, at a place and times (k,) since the run began."""
-    rigid = Trees(np.array([np.inf]), 1.0, np.array([downwind_m]), np.array([aside_m]))
-    return swings(lines, speed_m_s, rigid, t_s)[:, 0]
 
 
 def swings(lines: Lines, speed_m_s: float, trees: Trees, t_s: Array) -> Array:

@@ -2,7 +2,6 @@
 
 import logging
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +9,14 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, FarTile, Mesh, Semantic, ShapeKey, Window
+from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
 
-__all__ = ["Box", "Hall", "Pole", "Sphere"]
+__all__ = ["HallWorld"]
 
 _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
+Thing = HallBox | HallPole | HallSphere
 
 _TOLERANCE_M = 5e-5
 """Largest gap between a chord and its arc. Round things lie about half of it on either side of the truth;
@@ -28,55 +29,18 @@ _WALL_INSTANCE = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
-    """An upright box."""
-
-    name: str
-    centre_m: tuple[float, float, float]
-    size_m: tuple[float, float, float]
-    """Along x, y and z."""
-    reflectance: float
-    """As in `SURFACE`."""
-
-
-@dataclass(frozen=True, slots=True)
-class Pole:
-    """An upright round pole whose mean radius over all directions is half its diameter."""
-
-    name: str
-    foot_m: tuple[float, float, float]
-    diameter_m: float
-    height_m: float
-    reflectance: float
-    """As in `SURFACE`."""
-
-
-@dataclass(frozen=True, slots=True)
-class Sphere:
-    """A ball."""
-
-    name: str
-    centre_m: tuple[float, float, float]
-    diameter_m: float
-    reflectance: float
-    """As in `SURFACE`."""
-
-
-@dataclass(frozen=True, slots=True)
 class _Room:
     """Key of the hall itself: centred on the origin, floor at z = 0."""
 
     size_m: tuple[float, float, float]
 
 
-class Hall:
+class HallWorld:
     """A closed room with things in it; a `World` that is in reach as a whole.
 
     Parameters
     ----------
-    length_m, width_m, height_m : along x, y and z; centred on x = y = 0, floor at z = 0
-    wall_reflectance : of floor, walls and ceiling
-    boxes, poles, spheres : what stands in it
+    section : what the user wrote
 
     Raises
     ------
@@ -89,19 +53,10 @@ class Hall:
     near_m, seed, name = math.inf, 0, ""
     """As in `World`: all of it is near, nothing random, and nothing kept."""
 
-    def __init__(
-        self,
-        *,
-        length_m: float,
-        width_m: float,
-        height_m: float,
-        wall_reflectance: float,
-        boxes: Sequence[Box],
-        poles: Sequence[Pole],
-        spheres: Sequence[Sphere],
-    ) -> None:
-        room = _Room((length_m, width_m, height_m))
-        things: tuple[Box | Pole | Sphere, ...] = (*boxes, *poles, *spheres)
+    def __init__(self, section: Hall) -> None:
+        room = _Room((section.length_m, section.width_m, section.height_m))
+        boxes, poles, spheres = section.boxes, section.poles, section.spheres
+        things: list[Thing] = [*boxes, *poles, *spheres]
         for thing in things:
             _check_inside(thing, room)
         self.size_m = room.size_m
@@ -109,7 +64,7 @@ class Hall:
         self._keys = (room, *things)
         self.names = {_WALL_INSTANCE: "walls", **{i + 2: thing.name for i, thing in enumerate(things)}}
         surfaces = np.zeros(2 + len(things), SURFACE)
-        surfaces["reflectance"] = [wall_reflectance] * 2 + [thing.reflectance for thing in things]
+        surfaces["reflectance"] = [section.wall_reflectance] * 2 + [thing.brightness for thing in things]
         surfaces["material"] = [0, 0, *[1] * len(boxes), *[2] * len(poles), *[3] * len(spheres)]
         surfaces["semantic"] = Semantic.OTHER
         surfaces["semantic"][0] = Semantic.GROUND
@@ -117,7 +72,7 @@ class Hall:
         self._surfaces = surfaces
 
     def check(self, path_xy_m: Array) -> None:
-        """Warn where a way (n, 2) leads through a wall: nothing is seen from outside."""
+        """Warn where a path (n, 2) leads through a wall: nothing is seen from outside."""
         half_m = np.array(self.size_m[:2]) / 2
         outside = (np.abs(path_xy_m) >= half_m).any(axis=1)
         if outside.any():
@@ -159,35 +114,35 @@ class Hall:
             case _Room(size):
                 box = _box_quads(size)
                 return Mesh(box.vertices_m, box.faces[:1, ::-1]), Mesh(box.vertices_m, box.faces[1:, ::-1])
-            case Box(size_m=size):
+            case HallBox(size_m=size):
                 return (_box_quads(size),)
-            case Pole():
+            case HallPole():
                 return (_pole(key),)
-            case Sphere():
+            case HallSphere():
                 return (_sphere(key.diameter_m / 2),)
         raise KeyError(key)
 
 
-def _place_m(key: _Room | Box | Pole | Sphere) -> tuple[float, float, float]:
+def _place_m(key: _Room | Thing) -> tuple[float, float, float]:
     """Where the origin of a shape lies in the hall."""
     match key:
         case _Room():
             return (0.0, 0.0, key.size_m[2] / 2)
-        case Pole():
+        case HallPole():
             return key.foot_m
         case _:
             return key.centre_m
 
 
-def _check_inside(thing: Box | Pole | Sphere, room: _Room) -> None:
+def _check_inside(thing: Thing, room: _Room) -> None:
     """Refuse what is not wholly inside."""
     match thing:
-        case Box():
+        case HallBox():
             half, middle = tuple(size / 2 for size in thing.size_m), thing.centre_m
-        case Pole():
+        case HallPole():
             half = (thing.diameter_m / 2, thing.diameter_m / 2, thing.height_m / 2)
             middle = (thing.foot_m[0], thing.foot_m[1], thing.foot_m[2] + half[2])
-        case Sphere():
+        case HallSphere():
             half, middle = (thing.diameter_m / 2,) * 3, thing.centre_m
     length_m, width_m, height_m = room.size_m
     spans = ((-length_m / 2, length_m / 2), (-width_m / 2, width_m / 2), (0.0, height_m))
@@ -213,8 +168,8 @@ def _sides(radius_m: float) -> int:
     return max(_FEWEST_SIDES, 2 * math.ceil(needed / 2))
 
 
-def _pole(pole: Pole) -> Mesh:
-    """Make a closed cylinder about its foot; its polygon has the true mean radius over azimuth."""
+def _pole(pole: HallPole) -> Mesh:
+    """Make a closed cylinder about its foot; the mean radius of its polygon over azimuth is half the diameter."""
     sides = _sides(pole.diameter_m / 2)
     half = math.pi / sides
     # Mean of cos(half) / cos(azimuth) over one side is cos(half) * ln(tan(pi/4 + half/2)) / half.

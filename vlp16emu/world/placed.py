@@ -9,15 +9,17 @@ from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import SURFACE, HeightField, ShapeKey
-from vlp16emu.world.polyline import Polyline
-from vlp16emu.world.stand import TREE
+from vlp16emu.world.points import PointPattern
+from vlp16emu.world.polyline import Corridor
+from vlp16emu.world.stand.stand import TREE
 from vlp16emu.world.tiles import tile_distance_m
 
 __all__ = [
     "NO_TREES",
     "Layer",
     "Placed",
-    "Plot",
+    "Site",
+    "between",
     "distinct",
     "laid",
     "placements",
@@ -48,17 +50,15 @@ class Placed:
 
 
 @dataclass(frozen=True, slots=True)
-class Plot:
-    """A tile, as those see it that grow or lie on it."""
+class Site:
+    """A tile, and what keeps plants and things off it."""
 
     seed: int
     ix: int
     iy: int
     height_m: HeightField
     """Ground."""
-    path: Polyline
-    path_clearance_m: float
-    """Nothing comes nearer to the path than this."""
+    path: Corridor
     trunks: Array
     """(m, 3) x, y and radius at the ground of all stems on the tile and its neighbours."""
 
@@ -73,7 +73,7 @@ class Plot:
 
     def clear(self, xy_m: Array, reach_m: Array, foot_m: Array) -> NDArray[np.bool_]:
         """Which points (n, 2) keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks."""
-        free = np.asarray(self.path.distance_m(xy_m) - reach_m >= self.path_clearance_m)
+        free = np.asarray(self.path.distance_m(xy_m) - reach_m >= self.path.clearance_m)
         dx, dy = (xy_m[:, None, axis] - self.trunks[:, axis] for axis in (0, 1))
         gap_m = foot_m[:, None] + self.trunks[:, 2]
         blocked = np.asarray((dx * dx + dy * dy < gap_m * gap_m).any(axis=1))
@@ -84,11 +84,17 @@ class Layer(Protocol):
     """One kind of thing that grows or lies on the ground."""
 
     @property
-    def per_ha(self) -> float:
-        """Mean number of things per hectare, path and trunks apart."""
+    def pattern(self) -> PointPattern:
+        """Their places, before those on the path and in trunks are left out."""
 
-    def place(self, plot: Plot) -> Placed:
-        """Things of a tile, a function of the plot alone."""
+    def place(self, site: Site) -> Placed:
+        """Things of a tile, a function of the site alone."""
+
+
+def between(limits: tuple[float, float], draw: Array) -> Array:
+    """Evenly from limits[0] to limits[1]."""
+    value: Array = limits[0] + (limits[1] - limits[0]) * draw
+    return value
 
 
 def distinct(keys: Sequence[ShapeKey]) -> tuple[tuple[ShapeKey, ...], NDArray[np.int64]]:

@@ -1,4 +1,4 @@
-"""Where plants stand and stones lie: point patterns that fill the plane tile by tile.
+"""Places of plants and stones: point patterns that fill the plane tile by tile.
 
 What falls into a tile depends on the seed and on the tile's surroundings only, so no pattern has an
 edge, and tiles can be asked for in any order. Source of the processes: Chiu, Stoyan, Kendall, Mecke,
@@ -14,9 +14,17 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose, generator, uniform
+from vlp16emu.world.stand.settings import Clusters, HardCore, Pattern, Plantation, Scattered
 from vlp16emu.world.tiles import TILE_M
 
-__all__ = ["Clusters", "HardCore", "Pattern", "Rows", "Scattered"]
+__all__ = [
+    "ClusterPattern",
+    "HardCorePattern",
+    "PointPattern",
+    "RowPattern",
+    "ScatteredPattern",
+    "pattern_of",
+]
 
 Array = NDArray[np.float64]
 
@@ -30,7 +38,7 @@ _TILES_KEPT = 1024
 """Tiles whose points are kept for their neighbours: more than one window and its border hold."""
 
 
-class Pattern(Protocol):
+class PointPattern(Protocol):
     """Points in the plane."""
 
     per_ha: float
@@ -40,7 +48,7 @@ class Pattern(Protocol):
         """Points of a tile, (n, 2) x and y in m; the same ones however often asked."""
 
 
-class Scattered:
+class ScatteredPattern:
     """Points that know nothing of each other (Poisson process).
 
     Parameters
@@ -61,7 +69,7 @@ class Scattered:
         return (rng.random((count, 2)) + np.array([ix, iy])) * TILE_M
 
 
-class HardCore:
+class HardCorePattern:
     """Points that keep apart.
 
     Matern's second process: candidates fall like rain (Poisson), each with a random priority, and a
@@ -69,7 +77,7 @@ class HardCore:
 
     Parameters
     ----------
-    seed, purpose : as for `Scattered`
+    seed, purpose : as for `ScatteredPattern`
     per_ha : mean number of points per hectare after thinning
     """
 
@@ -102,23 +110,19 @@ class HardCore:
         return candidates
 
 
-class Clusters:
+class ClusterPattern:
     """Points in clumps (Thomas process): clumps fall like rain, their members normally about the middle.
+
+    Members that fall beyond the neighbouring tile, one in 1e4 at the very most, are lost.
 
     Parameters
     ----------
-    seed, purpose : as for `Scattered`
-    per_ha : mean number of points per hectare
-    per_cluster : mean number of points of a clump
-    sigma_m : of members about the middle along either axis, up to a quarter of a tile; members that
-        fall beyond the neighbouring tile, one in 1e4 at the very most, are lost
+    section : what the user wrote
+    seed, purpose, per_ha : as for `ScatteredPattern`
     """
 
-    def __init__(
-        self, *, seed: int, purpose: Purpose, per_ha: float, per_cluster: float, sigma_m: float
-    ) -> None:
-        self.per_ha = per_ha
-        self._per_cluster, self._sigma_m = per_cluster, sigma_m
+    def __init__(self, section: Clusters, *, seed: int, purpose: Purpose, per_ha: float) -> None:
+        self.per_ha, self._section = per_ha, section
         self._seed, self._purpose = seed, purpose
         self._members = lru_cache(maxsize=_TILES_KEPT)(self._grow_members)
 
@@ -130,22 +134,20 @@ class Clusters:
     def _grow_members(self, ix: int, iy: int) -> Array:
         """Members of the clumps whose middle lies in a tile."""
         rng = generator(self._seed, self._purpose, ix, iy)
-        clumps = rng.poisson(self.per_ha / self._per_cluster * TILE_M**2 / 10_000)
+        clumps = rng.poisson(self.per_ha / self._section.per_cluster * TILE_M**2 / 10_000)
         middles = (rng.random((clumps, 2)) + np.array([ix, iy])) * TILE_M
-        each = rng.poisson(self._per_cluster, clumps)
-        return np.repeat(middles, each, axis=0) + rng.normal(0.0, self._sigma_m, (each.sum(), 2))
+        each = rng.poisson(self._section.per_cluster, clumps)
+        return np.repeat(middles, each, axis=0) + rng.normal(0.0, self._section.sigma_m, (each.sum(), 2))
 
 
-class Rows:
+class RowPattern:
     """Points in planted rows, a random share of which is still there.
 
     Parameters
     ----------
-    seed, purpose : as for `Scattered`
+    section : what the user wrote
+    seed, purpose : as for `ScatteredPattern`
     per_ha : mean number of points per hectare that are left
-    row_spacing_m, tree_spacing_m : between rows, and in the row
-    azimuth_deg : of the rows, counter-clockwise from east
-    jitter_m : half-range of the error of planting, evenly along and across the row
 
     Raises
     ------
@@ -153,17 +155,8 @@ class Rows:
         where more are to be left than were planted
     """
 
-    def __init__(
-        self,
-        *,
-        seed: int,
-        purpose: Purpose,
-        per_ha: float,
-        row_spacing_m: float,
-        tree_spacing_m: float,
-        azimuth_deg: float,
-        jitter_m: float,
-    ) -> None:
+    def __init__(self, section: Plantation, *, seed: int, purpose: Purpose, per_ha: float) -> None:
+        row_spacing_m, tree_spacing_m = section.row_spacing_m, section.tree_spacing_m
         planted = 10_000 / (row_spacing_m * tree_spacing_m)
         if per_ha > planted:
             rows = f"{planted:.0f}, which rows of {row_spacing_m:g} m x {tree_spacing_m:g} m hold"
@@ -171,12 +164,12 @@ class Rows:
         self.per_ha = per_ha
         self._left = per_ha / planted
         self._spacing_m = np.array([tree_spacing_m, row_spacing_m])
-        towards = math.radians(azimuth_deg)
+        towards = math.radians(section.azimuth_deg)
         # Rows of the matrix: along and across the planted rows.
         self._row_R_world = np.array(
             [[math.cos(towards), math.sin(towards)], [-math.sin(towards), math.cos(towards)]]
         )
-        self._jitter_m, self._seed, self._purpose = jitter_m, seed, purpose
+        self._jitter_m, self._seed, self._purpose = section.jitter_m, seed, purpose
 
     def points(self, ix: int, iy: int) -> Array:
         """Plants of a tile that are left, (n, 2)."""
@@ -190,11 +183,24 @@ class Rows:
         return _inside(np.concatenate(rows) @ self._row_R_world, ix, iy)
 
     def _row(self, row: int, plants: NDArray[np.int64]) -> Array:
-        """Where the plants of a stretch of one row stand, along and across it; each plant draws alone."""
+        """Places of the plants of a stretch of one row, along and across it; each plant draws alone."""
         lane = row & 0xFFFFFFFF
         draws = uniform(self._seed, self._purpose, 4 * int(plants[0]), 4 * len(plants), lane).reshape(-1, 4)
         planted = np.column_stack([plants, np.full(len(plants), row)]) * self._spacing_m
         return (planted + self._jitter_m * (2 * draws[:, :2] - 1))[draws[:, 2] < self._left]
+
+
+def pattern_of(section: Pattern, *, seed: int, purpose: Purpose, per_ha: float) -> PointPattern:
+    """Make a point pattern of some density; the other arguments are those of `ScatteredPattern`."""
+    match section:
+        case Clusters():
+            return ClusterPattern(section, seed=seed, purpose=purpose, per_ha=per_ha)
+        case Plantation():
+            return RowPattern(section, seed=seed, purpose=purpose, per_ha=per_ha)
+        case HardCore():
+            return HardCorePattern(seed=seed, purpose=purpose, per_ha=per_ha)
+        case Scattered():
+            return ScatteredPattern(seed=seed, purpose=purpose, per_ha=per_ha)
 
 
 def _inside(points: Array, ix: int, iy: int) -> Array:

@@ -1,4 +1,4 @@
-"""Distance in the plane from points to the way somebody walks."""
+"""Distance in the plane from points to a path."""
 
 import math
 
@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Polyline", "distance_m"]
+__all__ = ["Corridor", "Polyline", "distance_m"]
 
 Array = NDArray[np.float64]
 
@@ -37,6 +37,20 @@ class Polyline:
         out = np.empty(len(points_xy_m))
         _distances(out, np.ascontiguousarray(points_xy_m), self.xy_m, self._boxes)
         return out
+
+
+class Corridor(Polyline):
+    """The path of the sensor, and how much room it has on either side.
+
+    Parameters
+    ----------
+    xy_m : as for `Polyline`
+    clearance_m : no plant and no thing comes nearer to the path than this
+    """
+
+    def __init__(self, xy_m: Array, clearance_m: float) -> None:
+        super().__init__(xy_m)
+        self.clearance_m = clearance_m
 
 
 def distance_m(points_xy_m: Array, line_xy_m: Array) -> Array:

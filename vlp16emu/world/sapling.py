@@ -8,9 +8,9 @@ import numpy as np
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.branches import first_order, side_branches, tubes
-from vlp16emu.world.crown import Season
 from vlp16emu.world.foliage import foliage_mesh
 from vlp16emu.world.species import Habit, Species, species_table
+from vlp16emu.world.stand.settings import Season
 
 __all__ = [
     "CROWN_BASE_SHARE",

@@ -231,7 +231,7 @@ def shrub_table(path: Path | None = None) -> Mapping[str, Shrub]:
 
 
 @cache
-def flora(path: Path | None = None) -> Flora:
+def flora(path: Path | str | None = None) -> Flora:
     """Read the plants of the program, and those of a user's file after them.
 
     Parameters
@@ -246,7 +246,7 @@ def flora(path: Path | None = None) -> Flora:
     with resources.as_file(resources.files("vlp16emu.world").joinpath("species.toml")) as shipped:
         trees, shrubs = _plants(shipped)
     if path is not None:
-        own_trees, own_shrubs = _plants(path)
+        own_trees, own_shrubs = _plants(Path(path))
         own: list[Species | Shrub] = [*own_trees.values(), *own_shrubs.values()]
         for plant in own:
             where = f"{path}: {plant.name}"

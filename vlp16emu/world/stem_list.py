@@ -1,4 +1,4 @@
-"""Trees that somebody has measured: a stem list in CSV, and what it leaves out from the species' own curves."""
+"""Measured trees: a stem list in CSV, and what it leaves out from the species' own curves."""
 
 import csv
 import difflib
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError, readable
 from vlp16emu.world.species import Species
-from vlp16emu.world.stand import TREE
+from vlp16emu.world.stand.stand import TREE
 
 __all__ = ["read_stem_list"]
 

@@ -3,7 +3,7 @@
 Two bands of waves: hills, and roughness that a foot would feel. Within a band the power spectrum falls
 with the third power of the wave number (assumption; natural ground is found between 2.5 and 4), which
 makes a wave's variance proportional to its wavelength when waves are spread evenly over log wavelength.
-Mounds and hollows stand for what waves cannot show: old stumps, root plates, wheel marks.
+Mounds and hollows represent what waves cannot show: old stumps, root plates, wheel marks.
 """
 
 import math
@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, generator, philox4x32
+from vlp16emu.world.ground.settings import Terrain
 
-__all__ = ["Terrain"]
+__all__ = ["TerrainHeights"]
 
 Array = NDArray[np.float64]
 
@@ -33,35 +34,22 @@ _MOUND_HEIGHT_M = 0.15
 _MOUND = int(Purpose.MOUND)
 
 
-class Terrain:
+class TerrainHeights:
     """Ground height at any point of the plane, good to a nanometre up to 1e6 m from the origin.
 
     Parameters
     ----------
+    section : what the user wrote; its slope passes through the origin
     seed : of the scenario
-    hill_rms_m : standard deviation of height over wavelengths of 30 m to 300 m
-    rough_rms_m : standard deviation of height over wavelengths of 1 m to 12 m
-    mounds_per_ha : mounds and hollows of up to 0.15 m, 1 m to 2 m wide; at most 2500
-    slope_deg : of the plane under it all, which passes through the origin
-    slope_towards_deg : where that plane rises to, counter-clockwise from east
     """
 
-    def __init__(
-        self,
-        *,
-        seed: int,
-        hill_rms_m: float,
-        rough_rms_m: float,
-        mounds_per_ha: float,
-        slope_deg: float,
-        slope_towards_deg: float,
-    ) -> None:
-        bands = ((_HILL_WAVELENGTHS_M, hill_rms_m), (_ROUGH_WAVELENGTHS_M, rough_rms_m))
+    def __init__(self, section: Terrain, *, seed: int) -> None:
+        bands = ((_HILL_WAVELENGTHS_M, section.hill_rms_m), (_ROUGH_WAVELENGTHS_M, section.rough_rms_m))
         self._waves = np.concatenate([_band(seed, i, *band) for i, band in enumerate(bands)])
-        rise, towards = math.tan(math.radians(slope_deg)), math.radians(slope_towards_deg)
+        rise, towards = math.tan(math.radians(section.slope_deg)), math.radians(section.slope_towards_deg)
         self._gradient = (rise * math.cos(towards), rise * math.sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
-        self._mound_share = mounds_per_ha * _MOUND_CELL_M**2 / 10_000
+        self._mound_share = section.mounds_per_ha * _MOUND_CELL_M**2 / 10_000
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
         """Ground height at points of any common shape; a point's height depends on that point alone."""

@@ -6,12 +6,22 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.crown import VARIANTS, Season
+from vlp16emu.world.crown import VARIANTS
 from vlp16emu.world.materials import BARK_SPREAD, LEAF_SPREAD, bark_material
-from vlp16emu.world.placed import NO_TREES, Placed, Plot, distinct, placements, surface_rows, turned
-from vlp16emu.world.points import Pattern
+from vlp16emu.world.placed import (
+    NO_TREES,
+    Placed,
+    Site,
+    between,
+    distinct,
+    placements,
+    surface_rows,
+    turned,
+)
+from vlp16emu.world.points import pattern_of
 from vlp16emu.world.sapling import (
     CROWN_BASE_SHARE,
     CROWN_WIDTH_SHARE,
@@ -21,9 +31,10 @@ from vlp16emu.world.sapling import (
 )
 from vlp16emu.world.shrub import SHRUB_PARTS, ShrubKey
 from vlp16emu.world.species import BREAST_HEIGHT_M, Flora, Shrub, Species, flora, known
-from vlp16emu.world.stand import REGENERATION, TREE
+from vlp16emu.world.stand.settings import Regeneration, Season, Shrubs
+from vlp16emu.world.stand.stand import REGENERATION, TREE
 
-__all__ = ["Saplings", "Shrubs"]
+__all__ = ["SaplingLayer", "ShrubLayer"]
 
 Array = NDArray[np.float64]
 
@@ -34,49 +45,57 @@ _FOOT_SHARE = 0.1
 """Of a shrub's width, the radius within which its stems leave the ground."""
 
 
-class Saplings:
+class SaplingLayer:
     """Young trees.
 
     Parameters
     ----------
-    pattern : where they stand
-    species : names in the table of trees, each as often
-    height_m : least and greatest; all heights between are as frequent
+    section : what the user wrote
+    seed : of the scenario
     season : whether broadleaves bear leaves
+    canopy : names of the trees above; where the section names no species, those of them that live
+    plants : trees and shrubs; those of the program if none are given
 
     Raises
     ------
     GeometryError
-        for a species that is not in the table
+        for a species that is not in the table, and for none
     """
 
     def __init__(
         self,
+        section: Regeneration,
         *,
-        pattern: Pattern,
-        species: Sequence[str],
-        height_m: tuple[float, float],
+        seed: int,
         season: Season,
+        canopy: Sequence[str] = (),
         plants: Flora | None = None,
     ) -> None:
-        self.per_ha = pattern.per_ha
-        """Mean number per hectare."""
-        self._pattern, self._height_m, self._season = pattern, height_m, season
+        self._section, self._season = section, season
         self._plants = plants or flora()
-        self._species = known(species, self._plants.trees, "regeneration.species")
+        trees = self._plants.trees
+        living = section.species or [name for name in canopy if trees[name].foliage]
+        if section.stems_per_ha and not living:
+            raise GeometryError(
+                "regeneration.species", "found none, and only dead trees above", "names of species"
+            )
+        self._species = known(living, trees, "regeneration.species")
+        self.pattern = pattern_of(
+            section.pattern, seed=seed, purpose=Purpose.REGENERATION, per_ha=section.stems_per_ha
+        )
 
-    def place(self, plot: Plot) -> Placed:
+    def place(self, site: Site) -> Placed:
         """Saplings of a tile."""
-        xy_m, rng = self._pattern.points(plot.ix, plot.iy), plot.draw(Purpose.REGENERATION)
+        xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.REGENERATION)
         draws = rng.random((len(xy_m), 6))
-        height_m = self._height_m[0] + (self._height_m[1] - self._height_m[0]) * draws[:, 0]
+        height_m = between(self._section.height_m, draws[:, 0])
         foot_m = height_m / SLENDERNESS / 2
-        keep = plot.clear(xy_m, CROWN_WIDTH_SHARE * height_m / 2, foot_m)
+        keep = site.clear(xy_m, CROWN_WIDTH_SHARE * height_m / 2, foot_m)
         kind = (len(self._species) * draws[:, 1]).astype(int)
         trees = np.zeros(len(xy_m), TREE)
         trees["storey"] = trees["cohort"] = REGENERATION
         trees["x_m"], trees["y_m"] = xy_m.T
-        trees["z_m"] = plot.height_m(*xy_m.T)
+        trees["z_m"] = site.height_m(*xy_m.T)
         trees["height_m"] = height_m
         trees["dbh_m"] = np.maximum(height_m - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
         trees["crown_base_m"], trees["crown_width_m"] = (
@@ -110,33 +129,17 @@ class Saplings:
         )
 
 
-class Shrubs:
-    """Bushes of several stems.
+class ShrubLayer:
+    """Bushes of several stems; the arguments are those of `SaplingLayer`."""
 
-    Parameters
-    ----------
-    pattern : where they stand
-    species : names in the table of shrubs, each as often
-    season : whether they bear leaves
+    def __init__(self, section: Shrubs, *, seed: int, season: Season, plants: Flora | None = None) -> None:
+        self._season, self._plants = season, plants or flora()
+        self._species = known(section.species, self._plants.shrubs, "shrubs.species")
+        self.pattern = pattern_of(section.pattern, seed=seed, purpose=Purpose.SHRUBS, per_ha=section.per_ha)
 
-    Raises
-    ------
-    GeometryError
-        for a species that is not in the table
-    """
-
-    def __init__(
-        self, *, pattern: Pattern, species: Sequence[str], season: Season, plants: Flora | None = None
-    ) -> None:
-        self.per_ha = pattern.per_ha
-        """Mean number per hectare."""
-        self._pattern, self._season = pattern, season
-        self._plants = plants or flora()
-        self._species = known(species, self._plants.shrubs, "shrubs.species")
-
-    def place(self, plot: Plot) -> Placed:
+    def place(self, site: Site) -> Placed:
         """Shrubs of a tile."""
-        xy_m, rng = self._pattern.points(plot.ix, plot.iy), plot.draw(Purpose.SHRUBS)
+        xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.SHRUBS)
         draws = rng.random((len(xy_m), 6))
         kind = (len(self._species) * draws[:, 1]).astype(int)
         limits_m = np.array([self._species[i].height_m for i in kind]).reshape(-1, 2)
@@ -144,13 +147,13 @@ class Shrubs:
         shrubs["height_m"] = limits_m[:, 0] + (limits_m[:, 1] - limits_m[:, 0]) * draws[:, 0]
         shrubs["crown_width_m"] = shrubs["height_m"] * [self._species[i].width_share for i in kind]
         shrubs["x_m"], shrubs["y_m"] = xy_m.T
-        shrubs["z_m"] = plot.height_m(*xy_m.T)
+        shrubs["z_m"] = site.height_m(*xy_m.T)
         shrubs["crown_azimuth_deg"] = 360 * draws[:, 2]
         shrubs["species"] = [self._species[i].number for i in kind]
         bark, leaf = _brightness(self._species, kind, draws[:, 4:])
         shrubs["bark_reflectance"], shrubs["leaf_reflectance"] = bark, leaf
         width_m = shrubs["crown_width_m"]
-        keep = plot.clear(xy_m, width_m / 2, _FOOT_SHARE * width_m)
+        keep = site.clear(xy_m, width_m / 2, _FOOT_SHARE * width_m)
         variant = (VARIANTS * draws[keep, 3]).astype(int)
         return self._placed(shrubs[keep], kind[keep], variant)
 

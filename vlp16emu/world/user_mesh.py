@@ -1,7 +1,7 @@
 """Meshes that the user brings: OBJ, PLY, GLB and STL through trimesh, checked before they are scanned.
 
 What is refused: coordinates that are not finite, faces whose corners do not exist, files without a face,
-sizes that tell of a wrong unit. What is dropped, and said: triangles without area. What is kept, and said:
+sizes that suggest a wrong unit. What is dropped, and reported: triangles without area. What is kept, and reported:
 holes and faces that look the wrong way, for light is cast against both sides.
 """
 
@@ -10,23 +10,21 @@ import re
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError, readable
 from vlp16emu.types import Mesh
+from vlp16emu.world.given.settings import LengthUnit, UpAxis
 
-__all__ = ["LengthUnit", "MeshPart", "UpAxis", "UserMesh", "load_mesh"]
+__all__ = ["PartMesh", "UserMesh", "load_mesh"]
 
 _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
-
-LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
-UpAxis = Literal["z", "y"]
 
 _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Exact by definition (inch and foot: international agreement of 1959)."""
@@ -34,7 +32,7 @@ _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 _KINDS = {".obj": "obj", ".ply": "ply", ".glb": "glb", ".stl": "stl"}
 
 _TALLEST_M, _WIDEST_M, _SMALLEST_M = 500.0, 10_000.0, 0.001
-"""Nothing that stands in a forest is taller, wider, or smaller as a whole."""
+"""Nothing in a forest is taller, wider, or smaller as a whole."""
 
 _FLAT = 1e-7
 """Height over longest side below which a triangle is a line: the resolution of single precision."""
@@ -46,7 +44,7 @@ _OBJ_BAD_FACE = re.compile(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MeshPart:
+class PartMesh:
     """One geometry of a file."""
 
     name: str
@@ -61,7 +59,7 @@ class UserMesh:
     path: Path
     centre_m: Array
     """(3,) middle of the bounding box in the file's frame, turned z up."""
-    parts: tuple[MeshPart, ...]
+    parts: tuple[PartMesh, ...]
     """In alphabetical order."""
     radius_m: float
     """Of a sphere about the centre that holds everything."""
@@ -95,7 +93,7 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
     _check_size(path, high - low, unit)
     centre = (low + high) / 2
     made = tuple(
-        MeshPart(name, Mesh((vertices - centre).astype(np.float32), faces.astype(np.uint32)))
+        PartMesh(name, Mesh((vertices - centre).astype(np.float32), faces.astype(np.uint32)))
         for name, vertices, faces, _ in z_up
     )
     for name, vertices, faces, dropped in z_up:

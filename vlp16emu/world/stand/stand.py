@@ -1,31 +1,24 @@
-"""A stand of trees: who stands where, and how large. Tile by tile, from (seed, tile) alone."""
+"""A stand of trees: where they are, and how large. Tile by tile, from (seed, tile) alone."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import HeightField
-from vlp16emu.world.crown import VARIANTS, CrownKey, Season
+from vlp16emu.world.crown import VARIANTS, CrownKey
 from vlp16emu.world.materials import BARK_SPREAD, LEAF_SPREAD
-from vlp16emu.world.points import Pattern
-from vlp16emu.world.polyline import Polyline
+from vlp16emu.world.points import PointPattern, pattern_of
+from vlp16emu.world.polyline import Corridor
+from vlp16emu.world.settings import Forest
 from vlp16emu.world.species import Flora, Species, flora, known, taper_radius_m, tapers
+from vlp16emu.world.stand.settings import MOST_STEMS_PER_HA, SpeciesShare, Storey
 
-__all__ = [
-    "REGENERATION",
-    "TREE",
-    "SpeciesMix",
-    "Stand",
-    "Storey",
-    "density_per_ha",
-    "foot_discs",
-    "path_gap_m",
-]
+__all__ = ["REGENERATION", "TREE", "Stand", "density_per_ha", "foot_discs", "path_gap_m"]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -83,53 +76,32 @@ _TILES_KEPT = 1024
 """Tiles whose trees are kept for their neighbours: more than one window and its border hold."""
 
 
-@dataclass(frozen=True, slots=True)
-class SpeciesMix:
-    """One species of a stand."""
-
-    species: str
-    """Name in the species table."""
-    share: float
-    """Of stems; shares need not sum to one."""
-    dbh_cm: float
-    """Quadratic mean diameter at breast height."""
-    height_m: float
-    """Height of the tree of that diameter."""
+_STOREYS = (Purpose.STAND, Purpose.SECOND_STOREY, Purpose.THIRD_STOREY)
 
 
 class _Cohort:
     """The trees of one species in a stand: their diameters, and what follows from a diameter."""
 
-    def __init__(self, mix: SpeciesMix, plants: Flora) -> None:
-        self.mix, self.species = mix, known([mix.species], plants.trees, "species")[0]
+    def __init__(self, share: SpeciesShare, plants: Flora) -> None:
+        self.share, self.species = share, known([share.species], plants.trees, "species")[0]
         midpoints = (np.arange(4096) + 0.5) / 4096
-        raw_cm = self.species.dbh_quantile_cm(midpoints, mix.dbh_cm)
-        self._scale = mix.dbh_cm / math.sqrt(float(np.mean(raw_cm**2)))
+        raw_cm = self.species.dbh_quantile_cm(midpoints, share.dbh_cm)
+        self._scale = share.dbh_cm / math.sqrt(float(np.mean(raw_cm**2)))
         dbh_cm = raw_cm * self._scale
         self.mean_crown_m2 = float(np.mean(_projection_m2(self.species.crown_width_m(dbh_cm))))
-        self._top_height_m = float(self.height_m(np.array([_TOP_DBH_RATIO * mix.dbh_cm]))[0])
+        self._top_height_m = float(self.height_m(np.array([_TOP_DBH_RATIO * share.dbh_cm]))[0])
 
     def dbh_cm(self, probability: Array) -> Array:
         """Quantiles of diameter, scaled to the stand's quadratic mean."""
-        return self.species.dbh_quantile_cm(probability, self.mix.dbh_cm) * self._scale
+        return self.species.dbh_quantile_cm(probability, self.share.dbh_cm) * self._scale
 
     def height_m(self, dbh_cm: Array) -> Array:
         """Mean height of trees of these diameters."""
-        return self.species.height_m(dbh_cm, self.mix.dbh_cm, self.mix.height_m)
+        return self.species.height_m(dbh_cm, self.share.dbh_cm, self.share.height_m)
 
     def crown_base_m(self, dbh_cm: Array, height_m: Array) -> Array:
         """Height of the lowest living branch."""
         return self.species.crown_base_m(dbh_cm, height_m, self._top_height_m)
-
-
-@dataclass(frozen=True, slots=True)
-class Storey:
-    """Trees of one layer of the canopy."""
-
-    pattern: Pattern
-    """Where they stand, and how many."""
-    species: Sequence[SpeciesMix]
-    """The mixture."""
 
 
 def foot_discs(trees: Trees, *, table: Mapping[str, Species] | None = None) -> Array:
@@ -139,7 +111,7 @@ def foot_discs(trees: Trees, *, table: Mapping[str, Species] | None = None) -> A
     return np.column_stack([trees["x_m"], trees["y_m"], radius_m])
 
 
-def path_gap_m(trees: Trees, radius_m: Array, path: Polyline) -> Array:
+def path_gap_m(trees: Trees, radius_m: Array, path: Corridor) -> Array:
     """Distance (n,) from a path to the surfaces of stems, from the ground to above a walker's head."""
     foot = np.column_stack([trees["x_m"], trees["y_m"]])
     towards = np.radians(trees["lean_towards_deg"])
@@ -149,50 +121,61 @@ def path_gap_m(trees: Trees, radius_m: Array, path: Polyline) -> Array:
     return gap_m
 
 
-def density_per_ha(basal_area_m2_per_ha: float, species: Sequence[SpeciesMix]) -> float:
-    """Stems per hectare of a mixture whose cross-sections at breast height add up to a basal area."""
-    share = np.array([mix.share for mix in species])
-    stem_m2 = np.pi / 4 * np.array([mix.dbh_cm / 100 for mix in species]) ** 2
-    return basal_area_m2_per_ha / float(np.average(stem_m2, weights=share))
+def density_per_ha(storey: Storey) -> float:
+    """Stems per hectare; of a basal area, those whose cross-sections at breast height add up to it.
+
+    Raises
+    ------
+    GeometryError
+        where the stems of a basal area are too many
+    """
+    if storey.stems_per_ha:
+        return storey.stems_per_ha
+    share = np.array([one.share for one in storey.species])
+    stem_m2 = np.pi / 4 * np.array([one.dbh_cm / 100 for one in storey.species]) ** 2
+    basal_m2 = storey.basal_area_m2_per_ha
+    per_ha = basal_m2 / float(np.average(stem_m2, weights=share))
+    if per_ha > MOST_STEMS_PER_HA:
+        found = f"found {basal_m2:g}, {per_ha:.0f} stems of that size per ha"
+        raise GeometryError("basal_area_m2_per_ha", found, f"at most {MOST_STEMS_PER_HA}")
+    return per_ha
 
 
 class Stand:
     """A mixed stand on a terrain, without edge.
 
-    Where two stems would grow into each other, the thicker one stands.
+    Where two stems would grow into each other, the thicker one is left.
 
     Parameters
     ----------
+    section : what the user wrote
     seed : of the scenario
     height_m : ground
-    storeys : from the top down
-    path : the way that is kept free of stems
-    path_clearance_m : no stem surface comes nearer to it than this
-    season : whether broadleaves bear leaves
-    dead_branches : whether dead branches still sit below the crowns
+    path : kept free of stems
     plants : trees and shrubs; those of the program if none are given
 
     Raises
     ------
     GeometryError
-        for a species that is not in the table
+        for a species that is not in the table, and for more stems than there may be
     """
 
     def __init__(
         self,
+        section: Forest,
         *,
         seed: int,
         height_m: HeightField,
-        storeys: Sequence[Storey],
-        path: Polyline,
-        path_clearance_m: float,
-        season: Season,
-        dead_branches: bool,
+        path: Corridor,
         plants: Flora | None = None,
     ) -> None:
         self._seed, self._height_m, self._plants = seed, height_m, plants or flora()
-        self._patterns = [storey.pattern for storey in storeys]
-        self._cohorts = [[_Cohort(mix, self._plants) for mix in storey.species] for storey in storeys]
+        storeys: list[Storey] = [section, *section.storeys]
+        self._patterns = [
+            pattern_of(storey.pattern, seed=seed, purpose=purpose, per_ha=density_per_ha(storey))
+            for storey, purpose in zip(storeys, _STOREYS, strict=False)
+        ]
+        self._cohorts = [[_Cohort(share, self._plants) for share in storey.species] for storey in storeys]
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
         """Mean number of stems per hectare."""
@@ -202,8 +185,8 @@ class Stand:
         cover = crown_m2 / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
         self._crown_base = _LONE_CROWN_BASE + (1 - _LONE_CROWN_BASE) * min(cover, 1.0)
-        self._path, self._clearance_m = path, path_clearance_m
-        self._season, self._dead_branches = season, dead_branches
+        self._path = path
+        self._season, self._dead_branches = section.season, section.dead_branches
         self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
 
     def trees(self, ix: int, iy: int) -> Trees:
@@ -214,12 +197,12 @@ class Stand:
         gap_m = own[:, None, 2] + rivals[:, 2] + _STEM_GAP_M
         thicker = rivals[:, 3] > own[:, None, 3]
         beaten = ((dx * dx + dy * dy < gap_m * gap_m) & thicker).any(axis=1)
-        clear = path_gap_m(trees, own[:, 2], self._path) >= self._clearance_m
+        clear = path_gap_m(trees, own[:, 2], self._path) >= self._path.clearance_m
         standing: Trees = trees[~beaten & clear]
         return standing
 
     def _sow(self, ix: int, iy: int) -> tuple[Trees, Array]:
-        """All that would like to stand on a tile, and of each x, y, radius at the ground and DBH (n, 4)."""
+        """All that are sown on a tile, and of each x, y, radius at the ground and DBH (n, 4)."""
         trees = np.concatenate([self._sow_storey(number, ix, iy) for number in range(len(self._patterns))])
         return trees, np.column_stack([foot_discs(trees, table=self._plants.trees), trees["dbh_m"]])
 
@@ -238,7 +221,7 @@ class Stand:
         trees["crown_variant"] = VARIANTS * uniform[:, 1]
         trees["storey"] = number
         cohorts = self._cohorts[number]
-        share = np.array([cohort.mix.share for cohort in cohorts])
+        share = np.array([cohort.share.share for cohort in cohorts])
         cohort_of = np.searchsorted(np.cumsum(share / share.sum())[:-1], uniform[:, 2], side="right")
         trees["cohort"] = sum(map(len, self._cohorts[:number])) + cohort_of
         for i, cohort in enumerate(cohorts):
@@ -254,7 +237,7 @@ class Stand:
         proportion to their crown projection.
         """
         own = self._all_cohorts[cohort]
-        dbh_cm = np.array([own.mix.dbh_cm * _CLASS_RATIO**crown_class])
+        dbh_cm = np.array([own.share.dbh_cm * _CLASS_RATIO**crown_class])
         height_m = own.height_m(dbh_cm)
         width_m = own.species.crown_width_m(dbh_cm)
         leaf_area_m2 = own.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
@@ -271,10 +254,10 @@ class Stand:
         )
 
 
-def _crown_area_m2_per_ha(storey: tuple[Pattern, list[_Cohort]]) -> float:
+def _crown_area_m2_per_ha(storey: tuple[PointPattern, list[_Cohort]]) -> float:
     """Mean projection of a storey's crowns."""
     pattern, cohorts = storey
-    share = [cohort.mix.share for cohort in cohorts]
+    share = [cohort.share.share for cohort in cohorts]
     return pattern.per_ha * float(np.average([cohort.mean_crown_m2 for cohort in cohorts], weights=share))
 
 
@@ -285,7 +268,7 @@ def _projection_m2(crown_width_m: Array) -> Array:
 
 def _sized(trees: Trees, cohort: _Cohort, uniform: Array, normal: Array) -> Trees:
     """Give trees of one cohort their species, size and brightness, from (n, 3) uniform and (n,) normal."""
-    species, mix = cohort.species, cohort.mix
+    species = cohort.species
     dbh_cm = cohort.dbh_cm(uniform[:, 0])
     height_m = cohort.height_m(dbh_cm) * np.exp(species.height_spread * normal)
     trees["species"] = species.number
@@ -293,7 +276,7 @@ def _sized(trees: Trees, cohort: _Cohort, uniform: Array, normal: Array) -> Tree
     trees["height_m"] = height_m
     trees["crown_base_m"] = cohort.crown_base_m(dbh_cm, height_m)
     trees["crown_width_m"] = species.crown_width_m(dbh_cm)
-    trees["crown_class"] = np.round(np.log(dbh_cm / mix.dbh_cm) / math.log(_CLASS_RATIO))
+    trees["crown_class"] = np.round(np.log(dbh_cm / cohort.share.dbh_cm) / math.log(_CLASS_RATIO))
     trees["bark_reflectance"] = species.bark_reflectance + BARK_SPREAD * (2 * uniform[:, 1] - 1)
     trees["leaf_reflectance"] = species.leaf_reflectance + LEAF_SPREAD * (2 * uniform[:, 2] - 1)
     return trees

@@ -1,12 +1,12 @@
-"""The `[world.terrain]` table: ground with relief."""
+"""Ground with relief, or with heights from a file."""
 
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from vlp16emu.settings import NonNegative, Section
+from vlp16emu.settings import NonNegative, Place, Positive, SceneFile, Section
 
-__all__ = ["Terrain"]
+__all__ = ["Dem", "Terrain"]
 
 _RELIEFS = {
     # Smooth and rough micro-relief have 0.05 m and 0.25 m rms over wavelengths of 0.3 m to 60 m (assumption);
@@ -42,3 +42,14 @@ class Terrain(Section):
         """Fill in what the relief gives; one that is unknown is named by the check of its key."""
         relief = table.get("relief") if isinstance(table, dict) else None
         return _RELIEFS.get(relief, {}) | table if isinstance(relief, str) else table
+
+
+class Dem(Section):
+    """Heights of the ground in a file: ESRI ASCII grid (.asc), numpy array (.npy) or GeoTIFF (.tif)."""
+
+    file: SceneFile
+    """Path of the file, from the folder of the scene file."""
+    cell_m: Positive | None = None
+    """Edge of a cell of a .npy, whose rows run from north to south; other files say it themselves."""
+    corner_m: Annotated[tuple[Place, Place], Field(strict=False)] | None = None
+    """Easting and northing of the outer corner of the south-western cell of a .npy."""

@@ -1,44 +1,39 @@
-"""The `[world]` table: a forest that grows itself, a plot of given trees, or a hall of known shapes."""
+"""Trees and what grows and lies under them: how many, of which species and size, and where."""
 
-import math
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from vlp16emu.scenario.finish import Finish
-from vlp16emu.scenario.given import Dem, MapPoint, MeshFile
-from vlp16emu.scenario.ground import Terrain
-from vlp16emu.scenario.presets import DENSITY_KEYS, with_preset
-from vlp16emu.settings import Fraction, NonNegative, SceneFile, Section, Size
+from vlp16emu.settings import Section, Size
 
 __all__ = [
+    "DENSITY_KEYS",
     "MOST_STEMS_PER_HA",
     "Clusters",
-    "Forest",
     "Grass",
-    "Hall",
-    "HallBox",
-    "HallPole",
-    "HallSphere",
     "HardCore",
     "Logs",
     "Pattern",
     "Plantation",
-    "Plot",
     "Regeneration",
     "Scattered",
+    "Season",
     "Shrubs",
     "SpeciesShare",
     "Stones",
     "Storey",
     "Stumps",
-    "Woods",
-    "World",
+    "Wind",
 ]
 
+Season = Literal["leaf_on", "leaf_off"]
+"""With leaves, or as in winter: broadleaves bare, needles on."""
+
+DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
+"""Two measures of how dense a storey is; a scene that gives one does not want the other."""
 
 MOST_STEMS_PER_HA = 5000
-"""Of a storey, however its density is told."""
+"""Of a storey, whichever key gives its density."""
 
 
 def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
@@ -49,14 +44,6 @@ def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
 
 
 Range = Annotated[tuple[Size, Size], Field(strict=False), AfterValidator(_in_order)]
-_Near = Annotated[float, Field(ge=5)]
-Near = Annotated[
-    _Near,
-    Field(allow_inf_nan=True),
-    BeforeValidator(lambda m: math.inf if m == "inf" else m, json_schema_input_type=_Near | Literal["inf"]),
-    PlainSerializer(lambda m: "inf" if math.isinf(m) else m, when_used="json"),
-]
-"""A distance, in m, that may be infinite; JSON, which has no such number, has the text "inf"."""
 
 
 class SpeciesShare(Section):
@@ -131,7 +118,7 @@ class Storey(Section):
 
     @model_validator(mode="after")
     def _one_density(self) -> Self:
-        """Refuse a density that is missing or told twice."""
+        """Refuse a density that is missing or given twice."""
         if len(DENSITY_KEYS & self.model_fields_set) != 1:
             raise ValueError(f"exactly one of {' and '.join(sorted(DENSITY_KEYS))} in it")
         return self
@@ -205,119 +192,19 @@ class Grass(Section):
     """Minimum and maximum height of a tuft."""
 
 
-class Woods(Section):
-    """Ground and undergrowth, whatever trees stand on it."""
+class Wind(Section):
+    """Wind through a stand; without this table, and at a speed of 0, the air is still and costs nothing."""
 
-    season: Literal["leaf_on", "leaf_off"] = "leaf_on"
-    """Whether broadleaved trees and shrubs bear leaves."""
-    dead_branches: bool = False
-    """Whether stems have dead branches below the crowns."""
-    regeneration: Regeneration = Regeneration()
-    shrubs: Shrubs = Shrubs()
-    stones: Stones = Stones()
-    logs: Logs = Logs()
-    stumps: Stumps = Stumps()
-    grass: Grass = Grass()
-    species_file: SceneFile | None = None
-    """Plants of the user's own, in the form of the program's `world/species.toml`, numbered from 1000."""
-    path_clearance_m: NonNegative = 0.8
-    """Nothing that grows or lies on the ground is nearer to the path than this."""
-    near_m: Near = 15.0
-    """What is nearer to the sensor than this is cast leaf by leaf; beyond, ground and stems are exact and foliage is a
-    medium of voxels made of the same plants. `inf` casts everything leaf by leaf."""
-    terrain: Terrain = Terrain()
-    dem: Dem | None = None
-    """Heights of the ground in a file; they take the place of `terrain`."""
-    origin_m: MapPoint = (0.0, 0.0, 0.0)
-    """Easting, northing and height that are (0, 0, 0) in the world, for files in map coordinates."""
-    meshes: list[MeshFile] = Field(default_factory=list)
-    """The user's own things."""
-
-
-class Forest(Woods, Storey):
-    """A stand without edge on a terrain with relief."""
-
-    kind: Literal["forest"]
-    """Selects a stand without edge."""
-    preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = (
-        "none"
-    )
-    """A kind of forest that gives all keys of this table which are not given beside it."""
-    storeys: Annotated[list[Storey], Field(max_length=2)] = Field(default_factory=list)
-    """Storeys under the canopy, from the top down."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_preset(cls, table: Any) -> Any:
-        """Fill in what the preset gives."""
-        return with_preset(table) if isinstance(table, dict) else table
-
-
-class Plot(Woods):
-    """Trees that somebody has measured."""
-
-    kind: Literal["plot"]
-    """Selects measured trees."""
-    stem_list: SceneFile
-    """CSV whose first line names the columns: x, y, species, dbh_cm, height_m, and more if known."""
-
-
-class HallBox(Finish):
-    """An upright box."""
-
-    name: str
-    """Name in reports."""
-    centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
-    """x, y and z of the centre."""
-    size_m: Annotated[tuple[Size, Size, Size], Field(strict=False)]
-    """Extent along x, y and z."""
-
-
-class HallPole(Finish):
-    """An upright round pole."""
-
-    name: str
-    """Name in reports."""
-    foot_m: Annotated[tuple[float, float, float], Field(strict=False)]
-    """x, y and z of the middle of the lower end."""
-    diameter_m: Size
-    """Diameter."""
-    height_m: Size
-    """Height over the foot."""
-
-
-class HallSphere(Finish):
-    """A ball."""
-
-    name: str
-    """Name in reports."""
-    centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
-    """x, y and z of the centre."""
-    diameter_m: Size
-    """Diameter."""
-
-
-class Hall(Section):
-    """A closed room of known size, centred on the origin, floor at z = 0, with things in it."""
-
-    kind: Literal["hall"]
-    """Selects a hall of known shapes."""
-    length_m: Size
-    """Extent along x."""
-    width_m: Size
-    """Extent along y."""
-    height_m: Size
-    """Height of the ceiling."""
-    wall_reflectance: Fraction = 0.6
-    """Lambertian reflectance of walls, floor and ceiling at 903 nm."""
-    boxes: list[HallBox] = Field(default_factory=list)
-    """Upright boxes."""
-    poles: list[HallPole] = Field(default_factory=list)
-    """Upright round poles."""
-    spheres: list[HallSphere] = Field(default_factory=list)
-    """Balls."""
-    meshes: list[MeshFile] = Field(default_factory=list)
-    """The user's own things; unlike the others they may lie anywhere."""
-
-
-World = Annotated[Forest | Plot | Hall, Field(discriminator="kind")]
+    speed_m_s: Annotated[float, Field(ge=0, le=12)]
+    """Mean, at the top of the canopy: there half of what it is in the open, by and large. Trees answer in proportion, also
+    where real ones would break or lean on their neighbours: from some 8 m/s on thin trees of dense stands lean too far."""
+    towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    """Direction in which it blows, counter-clockwise from east."""
+    turbulence_intensity: Annotated[float, Field(ge=0, le=1)] = 0.55
+    """Standard deviation of the speed along the wind over the mean; across it is 0.8 of that. At the top of canopies
+    1.8 / 3.3 (both over the friction velocity; Raupach, Finnigan and Brunet, Boundary-Layer Meteorol 78, 1996)."""
+    gust_length_m: Annotated[float, Field(ge=1, le=500)] = 20.0
+    """Integral length of gusts along the wind: at the top of canopies about the height of the trees (the same)."""
+    damping_ratio: Annotated[float, Field(ge=0.02, le=1)] = 0.1
+    """Damping of the trees' swing as a share of critical damping: whole trees have 0.08 and more, stripped ones 0.01 to
+    0.08 (Moore and Maguire, Trees 19, 2005)."""

@@ -1,4 +1,4 @@
-"""Wind in a stand: each tree a damped oscillator about its foot, driven by the gusts at its place.
+"""Trees in the wind: each a damped oscillator about its foot, driven by the gusts at its place.
 
 A tree sways as one straight piece: it is sheared, every point moved level in proportion to its height over the
 foot. So the foot stays, level sections keep their area, DBH that of the record, and a transform holds it all. A
@@ -7,19 +7,19 @@ load at its tip about 3/2 (1.3 m / height)^2. Saplings and all that grows or lie
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.types import Sway, Window
-from vlp16emu.world.crown import Season
+from vlp16emu.world.forest import ForestWorld
 from vlp16emu.world.gusts import ACROSS, ALONG, Trees, gust_lines, swings
 from vlp16emu.world.species import Flora, taper_radius_m, tapers
-from vlp16emu.world.stand import REGENERATION
+from vlp16emu.world.stand.settings import Season, Wind
+from vlp16emu.world.stand.stand import REGENERATION
 
-__all__ = ["KNOT_NS", "Mechanics", "Wind", "mechanics"]
+__all__ = ["KNOT_NS", "Mechanics", "TreeSway", "mechanics"]
 
 Array = NDArray[np.float64]
 Stand = NDArray[np.void]
@@ -85,64 +85,37 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
     return Mechanics(frequency_hz, drag_m2 * middle_m / (inertia_kg_m2 * (2.0 * np.pi * frequency_hz) ** 2))
 
 
-class Wind:
+class TreeSway:
     """Moves the trees of windows; the same tree at the same time in the same way, whatever window it is in.
 
     Parameters
     ----------
-    seed : of the scenario
-    trees : records `TREE` of what stands in the window of positions (n, 2 or 3)
-    plants : their species
+    section : what the user wrote; its speed is more than 0
+    forest : of the trees, each with a shape of its own
     season : whether broadleaves bear leaves
     start_ns : UTC of the run's first pulse
-    speed_m_s : mean, at the top of the canopy; more than 0
-    towards_deg : where the wind goes, counter-clockwise from east
-    turbulence_intensity : deviation of the speed along the wind over the mean speed
-    gust_length_m : integral length of the gusts along the wind
-    damping_ratio : of the swing, share of critical damping
     """
 
-    def __init__(
-        self,
-        *,
-        seed: int,
-        trees: Callable[[Array], Stand],
-        plants: Flora,
-        season: Season,
-        start_ns: int,
-        speed_m_s: float,
-        towards_deg: float,
-        turbulence_intensity: float,
-        gust_length_m: float,
-        damping_ratio: float,
-    ) -> None:
-        self._trees, self._plants, self._season = trees, plants, season
-        self._start_ns, self._speed_m_s, self._damping_ratio = start_ns, speed_m_s, damping_ratio
-        east, north = math.cos(math.radians(towards_deg)), math.sin(math.radians(towards_deg))
+    def __init__(self, section: Wind, *, forest: ForestWorld, season: Season, start_ns: int) -> None:
+        self._section, self._forest = section, forest
+        self._season, self._start_ns = season, start_ns
+        towards = math.radians(section.towards_deg)
+        east, north = math.cos(towards), math.sin(towards)
         self._axes = np.array([[east, north], [-north, east]])
-        self._lines = [
-            gust_lines(
-                seed,
-                component,
-                speed_m_s=speed_m_s,
-                turbulence_intensity=turbulence_intensity,
-                gust_length_m=gust_length_m,
-            )
-            for component in (ALONG, ACROSS)
-        ]
+        self._lines = [gust_lines(section, forest.seed, component) for component in (ALONG, ACROSS)]
 
     def shear(self, trees: Stand, t_ns: NDArray[np.int64]) -> Array:
         """Lean of trees (m,) at UTC times (k,): (k, m, 2) metres east and north per metre over the foot.
 
         Drag grows with the square of the speed, of which the mean and what is linear in the gusts are kept.
         """
-        own = mechanics(trees, self._plants, self._season)
+        own = mechanics(trees, self._forest.plants, self._season)
         along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)
-        swinging = Trees(2.0 * math.pi * own.frequency_hz, self._damping_ratio, along_m, across_m)
+        swinging = Trees(2.0 * math.pi * own.frequency_hz, self._section.damping_ratio, along_m, across_m)
+        mean = self._section.speed_m_s
         t_s = np.asarray((t_ns - self._start_ns) * 1e-9, np.float64)
-        along, across = (swings(lines, self._speed_m_s, swinging, t_s) for lines in self._lines)
+        along, across = (swings(lines, mean, swinging, t_s) for lines in self._lines)
         per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE**2 * own.lean_per_stress
-        mean = self._speed_m_s
         downwind = per_speed2 * mean * (mean + 2.0 * along)
         aside = per_speed2 * mean * across
         east, north = (downwind * a + aside * b for a, b in self._axes.T)
@@ -150,7 +123,7 @@ class Wind:
 
     def blown(self, window: Window, track_m: Array, start_ns: int, stop_ns: int) -> Window:
         """Give a window, that of positions (n, 3), the motion of its trees over a span of UTC."""
-        trees = self._trees(track_m)
+        trees = self._forest.trees(track_m)
         trees = trees[trees["storey"] != REGENERATION]
         trees = trees[np.argsort(trees["id"])]
         instance = window.surfaces["instance"][window.first_surface]

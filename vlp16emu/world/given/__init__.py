@@ -1,0 +1,1 @@
+"""What the user brings: measured trees, and meshes."""

@@ -1,0 +1,131 @@
+"""A forest that grows itself, a plot of given trees, or a hall of known shapes."""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field, PlainSerializer
+
+from vlp16emu.settings import Fraction, MapPoint, NonNegative, SceneFile, Section, Size
+from vlp16emu.world.given.settings import Finish, MeshFile
+from vlp16emu.world.ground.settings import Dem, Terrain
+from vlp16emu.world.stand.settings import Grass, Logs, Regeneration, Season, Shrubs, Stones, Storey, Stumps
+
+__all__ = ["Forest", "Hall", "HallBox", "HallPole", "HallSphere", "Plot", "Woods"]
+
+_Near = Annotated[float, Field(ge=5)]
+Near = Annotated[
+    _Near,
+    Field(allow_inf_nan=True),
+    BeforeValidator(lambda m: math.inf if m == "inf" else m, json_schema_input_type=_Near | Literal["inf"]),
+    PlainSerializer(lambda m: "inf" if math.isinf(m) else m, when_used="json"),
+]
+"""A distance, in m, that may be infinite; JSON, which has no such number, has the text "inf"."""
+
+
+class Woods(Section):
+    """Ground and undergrowth, whatever trees stand on it."""
+
+    season: Season = "leaf_on"
+    """Whether broadleaved trees and shrubs bear leaves."""
+    dead_branches: bool = False
+    """Whether stems have dead branches below the crowns."""
+    regeneration: Regeneration = Regeneration()
+    shrubs: Shrubs = Shrubs()
+    stones: Stones = Stones()
+    logs: Logs = Logs()
+    stumps: Stumps = Stumps()
+    grass: Grass = Grass()
+    species_file: SceneFile | None = None
+    """Plants of the user's own, in the form of the program's `world/species.toml`, numbered from 1000."""
+    path_clearance_m: NonNegative = 0.8
+    """Nothing that grows or lies on the ground is nearer to the path than this."""
+    near_m: Near = 15.0
+    """What is nearer to the sensor than this is cast leaf by leaf; beyond, ground and stems are exact and foliage is a
+    medium of voxels made of the same plants. `inf` casts everything leaf by leaf."""
+    terrain: Terrain = Terrain()
+    dem: Dem | None = None
+    """Heights of the ground in a file; they take the place of `terrain`."""
+    origin_m: MapPoint = (0.0, 0.0, 0.0)
+    """Easting, northing and height that are (0, 0, 0) in the world, for files in map coordinates."""
+    meshes: list[MeshFile] = Field(default_factory=list)
+    """The user's own things."""
+
+
+class Forest(Woods, Storey):
+    """A stand without edge on a terrain with relief."""
+
+    kind: Literal["forest"]
+    """Selects a stand without edge."""
+    preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = (
+        "none"
+    )
+    """A kind of forest that gives all keys of this table which are not given beside it."""
+    storeys: Annotated[list[Storey], Field(max_length=2)] = Field(default_factory=list)
+    """Storeys under the canopy, from the top down."""
+
+
+class Plot(Woods):
+    """Trees that somebody has measured."""
+
+    kind: Literal["plot"]
+    """Selects measured trees."""
+    stem_list: SceneFile
+    """CSV whose first line names the columns: x, y, species, dbh_cm, height_m, and more if known."""
+
+
+class HallBox(Finish):
+    """An upright box."""
+
+    name: str
+    """Name in reports."""
+    centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
+    """x, y and z of the centre."""
+    size_m: Annotated[tuple[Size, Size, Size], Field(strict=False)]
+    """Extent along x, y and z."""
+
+
+class HallPole(Finish):
+    """An upright round pole."""
+
+    name: str
+    """Name in reports."""
+    foot_m: Annotated[tuple[float, float, float], Field(strict=False)]
+    """x, y and z of the middle of the lower end."""
+    diameter_m: Size
+    """Diameter."""
+    height_m: Size
+    """Height over the foot."""
+
+
+class HallSphere(Finish):
+    """A ball."""
+
+    name: str
+    """Name in reports."""
+    centre_m: Annotated[tuple[float, float, float], Field(strict=False)]
+    """x, y and z of the centre."""
+    diameter_m: Size
+    """Diameter."""
+
+
+class Hall(Section):
+    """A closed room of known size, centred on the origin, floor at z = 0, with things in it."""
+
+    kind: Literal["hall"]
+    """Selects a hall of known shapes."""
+    length_m: Size
+    """Extent along x."""
+    width_m: Size
+    """Extent along y."""
+    height_m: Size
+    """Height of the ceiling."""
+    wall_reflectance: Fraction = 0.6
+    """Lambertian reflectance of walls, floor and ceiling at 903 nm."""
+    boxes: list[HallBox] = Field(default_factory=list)
+    """Upright boxes."""
+    poles: list[HallPole] = Field(default_factory=list)
+    """Upright round poles."""
+    spheres: list[HallSphere] = Field(default_factory=list)
+    """Balls."""
+    meshes: list[MeshFile] = Field(default_factory=list)
+    """The user's own things; unlike the others they may lie anywhere."""
