@@ -25,7 +25,7 @@ FLOORS = (
     {"returns"},
     {"raycast"},
     {"sensor", "motion", "world"},
-    {"compiled", "errors", "random", "settings", "store", "text", "trig", "types", "units"},
+    {"compiled", "errors", "explain", "random", "settings", "store", "text", "trig", "types", "units"},
 )
 """From the top. Imports run down past any number of floors, or to a room beside; never in a circle."""
 

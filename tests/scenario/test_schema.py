@@ -2,8 +2,8 @@
 
 import json
 
+from vlp16emu.explain import expected, resolved
 from vlp16emu.scenario import schema
-from vlp16emu.scenario.explain import expected, resolved
 
 TABLES = {"scene": schema(), **schema()["$defs"]}
 
@@ -37,6 +37,6 @@ def test_every_key_can_be_put_in_words():
     keys = [(table, key) for table, node in TABLES.items() for key in node["properties"]]
     assert len(keys) > 200
     for table, key in keys:
-        words = expected(resolved(TABLES[table]["properties"][key]))
+        words = expected(resolved(TABLES[table]["properties"][key], schema()))
         assert words.isprintable(), f"{table}.{key}"
         assert words, f"{table}.{key}"

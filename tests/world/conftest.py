@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from vlp16emu.world import Forest
+from vlp16emu.world.flora import flora
 from vlp16emu.world.forest import ForestWorld
 from vlp16emu.world.ground.settings import Terrain
 from vlp16emu.world.make import layers_of
 from vlp16emu.world.polyline import Corridor
-from vlp16emu.world.species import flora
 from vlp16emu.world.stand.settings import (
     Clusters,
     Grass,

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from vlp16emu.world.species import species_table, taper_radius_m, tapers
+from vlp16emu.world.allometry import taper_radius_m
+from vlp16emu.world.flora import species_table, tapers
 
 TABLE = species_table()
 LIVING = [species for species in TABLE.values() if species.foliage]

@@ -10,8 +10,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from vlp16emu.types import PlantPart
+from vlp16emu.world.allometry import taper_radius_m
 from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_wood_m3
-from vlp16emu.world.species import species_table, taper_radius_m
+from vlp16emu.world.flora import species_table
 
 
 def tree_of(species):

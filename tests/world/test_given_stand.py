@@ -5,9 +5,9 @@ import pytest
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.world import Plot
+from vlp16emu.world.flora import flora, species_table
 from vlp16emu.world.given_stand import GivenStand
 from vlp16emu.world.polyline import Corridor
-from vlp16emu.world.species import flora, species_table
 
 HEADER = "x,y,species,dbh_cm,height_m,crown_base_m,crown_width_m,lean_deg,lean_azimuth_deg\n"
 ROWS = """\

@@ -9,8 +9,8 @@ import trimesh
 from vlp16emu.errors import OutputError
 from vlp16emu.types import PlantPart
 from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
+from vlp16emu.world.flora import species_table
 from vlp16emu.world.inventory import INVENTORY, inventory, write_csv
-from vlp16emu.world.species import species_table
 from vlp16emu.world.stand.stand import TREE
 from vlp16emu.world.stem import lean_rotation, stem_meshes
 

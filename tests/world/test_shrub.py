@@ -8,8 +8,8 @@ import pytest
 from scipy import stats
 
 from vlp16emu.types import PlantPart
+from vlp16emu.world.flora import shrub_table
 from vlp16emu.world.shrub import SHRUB_PARTS, ShrubKey, shrub_meshes
-from vlp16emu.world.species import shrub_table
 
 KEYS = {
     name: ShrubKey(name, 1, 0.7 * shrub.height_m[1], 0.7 * shrub.height_m[1] * shrub.width_share, "leaf_on")

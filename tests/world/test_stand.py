@@ -7,9 +7,10 @@ from scipy import stats
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose
 from vlp16emu.world import Forest
+from vlp16emu.world.allometry import taper_radius_m
+from vlp16emu.world.flora import species_table, tapers
 from vlp16emu.world.points import ScatteredPattern
 from vlp16emu.world.polyline import Corridor, distance_m
-from vlp16emu.world.species import species_table, taper_radius_m, tapers
 from vlp16emu.world.stand.settings import Clusters, Scattered, SpeciesShare, Storey
 from vlp16emu.world.stand.stand import Stand, density_per_ha, foot_discs
 from vlp16emu.world.stem import lean_rotation

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from vlp16emu.types import PlantPart
-from vlp16emu.world.species import species_table
+from vlp16emu.world.flora import species_table
 from vlp16emu.world.stand.stand import TREE
 from vlp16emu.world.stem import STEM_PARTS, lean_rotation, stem_meshes
 

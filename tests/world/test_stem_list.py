@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import GeometryError
+from vlp16emu.world.flora import species_table
 from vlp16emu.world.inventory import INVENTORY, write_csv
-from vlp16emu.world.species import species_table
 from vlp16emu.world.stand.stand import TREE
 from vlp16emu.world.stem_list import read_stem_list
 

@@ -10,11 +10,11 @@ from trimesh.intersections import mesh_plane
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.world.flora import shrub_table, species_table
 from vlp16emu.world.placed import Site
 from vlp16emu.world.polyline import Corridor, distance_m
 from vlp16emu.world.sapling import SAPLING_PARTS, SaplingKey, sapling_meshes
 from vlp16emu.world.shrub import SHRUB_PARTS
-from vlp16emu.world.species import shrub_table, species_table
 from vlp16emu.world.stand.settings import Regeneration, Scattered, Shrubs
 from vlp16emu.world.stand.stand import REGENERATION
 from vlp16emu.world.understorey import SaplingLayer, ShrubLayer

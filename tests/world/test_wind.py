@@ -6,7 +6,7 @@ import pytest
 from vlp16emu.types import PlantPart
 from vlp16emu.world import Wind
 from vlp16emu.world.crown import CrownKey
-from vlp16emu.world.species import flora
+from vlp16emu.world.flora import flora
 from vlp16emu.world.stand.stand import REGENERATION, TREE
 from vlp16emu.world.stem import StemKey
 from vlp16emu.world.sway import KNOT_NS, TreeSway, mechanics

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 from vlp16emu.errors import ScenarioError
+from vlp16emu.explain import explain
 from vlp16emu.motion import Walk
-from vlp16emu.scenario.explain import explain
 from vlp16emu.scenario.find import find
 from vlp16emu.scenario.model import Scenario
+from vlp16emu.scenario.schema import schema
 
 __all__ = ["load"]
 
@@ -75,7 +76,7 @@ def load(
     try:
         return _checked(source)
     except ValidationError as error:
-        key, found, expected = explain(error)
+        key, found, expected = explain(error, schema())
         raise ScenarioError(_origin(source.where, changes, key), found, expected) from None
 
 

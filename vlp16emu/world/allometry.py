@@ -1,25 +1,27 @@
-"""Published equations of tree form, each under the name that the species table calls it by.
+"""Published equations of tree form, each under its name in the species table.
 
 Inside the equations diameters are in cm and heights in m, or inches and feet, as their authors wrote them.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, ValidationInfo, field_validator
+
+from vlp16emu.settings import Section
 
 __all__ = [
-    "BIOMASS_MODELS",
     "BREAST_HEIGHT_M",
-    "CROWN_BASE_MODELS",
-    "CROWN_WIDTH_MODELS",
-    "HEIGHT_MODELS",
-    "TAPER_MODELS",
     "US_BREAST_HEIGHT_M",
-    "Curve",
+    "Biomass",
+    "CrownBase",
+    "CrownWidth",
+    "Equation",
+    "HeightCurve",
     "Taper",
     "taper_radius_m",
     "truncated_weibull_cm",
@@ -46,34 +48,6 @@ _STUMP_SHARE = 0.01
 
 _COMPONENT_TERMS = 8
 """Coefficients of one component of `components` biomass."""
-
-
-@dataclass(frozen=True, slots=True)
-class Curve:
-    """An equation by name, with its coefficients."""
-
-    model: str
-    coefficients: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Taper:
-    """How a stem thins."""
-
-    model: str
-    coefficients: tuple[float, ...]
-    flare: tuple[float, float] = (0.0, 1.0)
-    """Extra radius at the ground over the radius there, and the height in m over which it dies away by e."""
-    top_share: float = 1.0
-    """Height of the stem over that of the whole stem it was: 1, or less where the top has broken off."""
-
-    @property
-    def row(self) -> Array:
-        """(12,) as `taper_radius_m` wants it."""
-        row = np.zeros(4 + _TAPER_COEFFICIENTS)
-        row[:4] = _TAPER_NUMBERS[self.model], self.top_share, *self.flare
-        row[4 : 4 + len(self.coefficients)] = self.coefficients
-        return row
 
 
 def truncated_weibull_cm(coefficients: tuple[float, ...], probability: Array, mean_dbh_cm: float) -> Array:
@@ -161,18 +135,14 @@ def _ratio_crown_base_m(
     return (1 - coefficients[0]) * height_m
 
 
-def _log_biomass_kg(
-    coefficients: tuple[float, ...], dbh_cm: Array, _height_m: Array, _upper_cm: Array, _base_m: Array
-) -> Array:
+def _log_biomass_kg(coefficients: tuple[float, ...], dbh_cm: Array) -> Array:
     """Dry mass above ground as exp(b0 + b1 ln d), Jenkins et al. (2003), Forest Science 49(1), table 4."""
     b0, b1 = coefficients
     mass: Array = np.exp(b0 + b1 * np.log(dbh_cm))
     return mass
 
 
-def _power_biomass_kg(
-    coefficients: tuple[float, ...], dbh_cm: Array, height_m: Array, _upper_cm: Array, _base_m: Array
-) -> Array:
+def _power_biomass_kg(coefficients: tuple[float, ...], dbh_cm: Array, height_m: Array) -> Array:
     """Dry mass above ground as b0 d^b1 h^b2, the form of Smith et al. (2014)."""
     b0, b1, b2 = coefficients
     mass: Array = b0 * dbh_cm**b1 * height_m**b2
@@ -195,43 +165,103 @@ def _component_biomass_kg(
     return total
 
 
-HeightModel = Callable[[tuple[float, ...], Array, float, float], Array]
-WidthModel = Callable[[tuple[float, ...], Array], Array]
-BaseModel = Callable[[tuple[float, ...], Array, Array, float], Array]
-BiomassModel = Callable[[tuple[float, ...], Array, Array, Array, Array], Array]
+class Equation(Section):
+    """An equation by name, with its coefficients."""
 
-HEIGHT_MODELS: dict[str, tuple[int, HeightModel]] = {
-    "uniform": (2, _uniform_height_m),
-    "curtis_arney": (3, _curtis_arney_height_m),
-}
-"""Height over diameter: number of coefficients, and a function of them, diameters, mean diameter and height."""
+    counts: ClassVar[Mapping[str, int]]
+    """Coefficients of each."""
 
-CROWN_WIDTH_MODELS: dict[str, tuple[int, WidthModel]] = {
-    "linear": (2, _linear_crown_width_m),
-    "saturating": (4, _saturating_crown_width_m),
-    "bechtold": (5, _bechtold_crown_width_m),
-}
-"""Crown width: number of coefficients, and a function of them and diameters."""
+    model: str
+    coefficients: Annotated[tuple[float, ...], Field(strict=False)]
 
-CROWN_BASE_MODELS: dict[str, tuple[int, BaseModel]] = {
-    "exponential": (4, _exponential_crown_base_m),
-    "ratio": (1, _ratio_crown_base_m),
-}
-"""Crown base: number of coefficients, and a function of them, diameters, heights and the stand's top height."""
+    @field_validator("coefficients")
+    @classmethod
+    def _complete(cls, coefficients: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        """Make sure that there are as many as the equation needs."""
+        model = info.data.get("model")  # absent where it is itself in error
+        if model is not None and len(coefficients) != cls.counts[model]:
+            raise ValueError(f"{cls.counts[model]} numbers for {model!r}")
+        return coefficients
 
-BIOMASS_MODELS: dict[str, tuple[int, BiomassModel]] = {
-    "log_diameter": (2, _log_biomass_kg),
-    "power": (3, _power_biomass_kg),
-    "components": (6 * _COMPONENT_TERMS, _component_biomass_kg),
-}
-"""Dry mass: number of coefficients, and a function of them, diameters, heights, upper diameters and crown bases."""
+
+class HeightCurve(Equation):
+    """Height over diameter."""
+
+    counts: ClassVar = {"uniform": 2, "curtis_arney": 3}
+    model: Literal["uniform", "curtis_arney"]
+
+    def height_m(self, dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float) -> Array:
+        """Heights of trees, through (mean_dbh_cm, mean_height_m)."""
+        equation = _uniform_height_m if self.model == "uniform" else _curtis_arney_height_m
+        return equation(self.coefficients, dbh_cm, mean_dbh_cm, mean_height_m)
+
+
+class CrownWidth(Equation):
+    """Crown width over diameter."""
+
+    counts: ClassVar = {"linear": 2, "saturating": 4, "bechtold": 5}
+    model: Literal["linear", "saturating", "bechtold"]
+
+    def width_m(self, dbh_cm: Array) -> Array:
+        """Crown widths of forest-grown trees."""
+        match self.model:
+            case "linear":
+                return _linear_crown_width_m(self.coefficients, dbh_cm)
+            case "saturating":
+                return _saturating_crown_width_m(self.coefficients, dbh_cm)
+            case "bechtold":
+                return _bechtold_crown_width_m(self.coefficients, dbh_cm)
+
+
+class CrownBase(Equation):
+    """Height of the lowest living branch."""
+
+    counts: ClassVar = {"exponential": 4, "ratio": 1}
+    model: Literal["exponential", "ratio"]
+
+    def base_m(self, dbh_cm: Array, height_m: Array, top_height_m: float) -> Array:
+        """Heights of crown bases; `top_height_m` is the height of the thickest trees of the stand."""
+        equation = _exponential_crown_base_m if self.model == "exponential" else _ratio_crown_base_m
+        return equation(self.coefficients, dbh_cm, height_m, top_height_m)
+
+
+class Biomass(Equation):
+    """Dry mass above ground."""
+
+    counts: ClassVar = {"log_diameter": 2, "power": 3, "components": 6 * _COMPONENT_TERMS}
+    model: Literal["log_diameter", "power", "components"]
+
+    def mass_kg(self, dbh_cm: Array, height_m: Array, upper_cm: Array, base_m: Array) -> Array:
+        """Masses of trees; `upper_cm` are diameters at 0.3 of the height, `base_m` heights of crown bases."""
+        match self.model:
+            case "log_diameter":
+                return _log_biomass_kg(self.coefficients, dbh_cm)
+            case "power":
+                return _power_biomass_kg(self.coefficients, dbh_cm, height_m)
+            case "components":
+                return _component_biomass_kg(self.coefficients, dbh_cm, height_m, upper_cm, base_m)
+
 
 _TAPER_COEFFICIENTS = 8
 
-TAPER_MODELS = {"laasasenaho": 8, "brink": 3}
-"""Taper: number of coefficients."""
 
-_TAPER_NUMBERS = {"laasasenaho": 0, "brink": 1}
+class Taper(Equation):
+    """How a stem thins."""
+
+    counts: ClassVar = {"laasasenaho": _TAPER_COEFFICIENTS, "brink": 3}
+    model: Literal["laasasenaho", "brink"]
+    flare: Annotated[tuple[float, float], Field(strict=False)] = (0.0, 1.0)
+    """Extra radius at the ground over the radius there, and the height in m over which it dies away by e."""
+    top_share: Annotated[float, Field(ge=0.1, le=1)] = 1.0
+    """Height of the stem over that of the whole stem it was: 1, or less where the top has broken off."""
+
+    @property
+    def row(self) -> Array:
+        """(12,) as `taper_radius_m` wants it."""
+        row = np.zeros(4 + _TAPER_COEFFICIENTS)
+        row[:4] = self.model == "brink", self.top_share, *self.flare
+        row[4 : 4 + len(self.coefficients)] = self.coefficients
+        return row
 
 
 @numba.njit(cache=True, nogil=True)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.world.allometry import taper_radius_m
 from vlp16emu.world.branches import (
     Branches,
     dead_stubs,
@@ -17,8 +18,9 @@ from vlp16emu.world.branches import (
     tubes,
     volume_m3,
 )
+from vlp16emu.world.flora import species_table
 from vlp16emu.world.foliage import foliage_mesh
-from vlp16emu.world.species import Species, species_table, taper_radius_m
+from vlp16emu.world.species import Species
 from vlp16emu.world.stand.settings import Season
 from vlp16emu.world.stem import lean_rotation
 

@@ -11,6 +11,7 @@ from vlp16emu.random import Purpose
 from vlp16emu.store import recalled
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.floor_shapes import FLOOR_VARIANTS, FloorKey, FloorKind
+from vlp16emu.world.flora import Flora, flora, known
 from vlp16emu.world.materials import GROUND_MATERIALS
 from vlp16emu.world.placed import (
     NO_TREES,
@@ -24,7 +25,6 @@ from vlp16emu.world.placed import (
     turned,
 )
 from vlp16emu.world.points import ScatteredPattern
-from vlp16emu.world.species import Flora, flora, known
 from vlp16emu.world.stand.settings import Grass, Logs, Stones, Stumps
 
 __all__ = ["GrassLayer", "LogLayer", "StoneLayer", "StumpLayer", "stones_per_ha"]

@@ -13,13 +13,13 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
 from vlp16emu.world.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.world.floor_shapes import FloorKey, floor_meshes
+from vlp16emu.world.flora import Flora, flora
 from vlp16emu.world.kept import by_tile, key_text
 from vlp16emu.world.materials import bark_material, material_names
 from vlp16emu.world.placed import NO_TREES, Layer, Placed, Site, distinct
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.sapling import SaplingKey, sapling_meshes
 from vlp16emu.world.shrub import ShrubKey, shrub_meshes
-from vlp16emu.world.species import Flora, flora
 from vlp16emu.world.stand.stand import TREE, foot_discs
 from vlp16emu.world.stem import STEM_PARTS, StemKey, far_stems, stem_meshes
 from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within

@@ -11,10 +11,11 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import HeightField
 from vlp16emu.world.crown import VARIANTS, CrownKey
+from vlp16emu.world.flora import Flora
 from vlp16emu.world.materials import BARK_SPREAD, LEAF_SPREAD
 from vlp16emu.world.polyline import Corridor, Polyline
 from vlp16emu.world.settings import Plot
-from vlp16emu.world.species import Flora, Species
+from vlp16emu.world.species import Species
 from vlp16emu.world.stand.stand import TREE, foot_discs, path_gap_m
 from vlp16emu.world.stem_list import read_stem_list
 from vlp16emu.world.tiles import TILE_M

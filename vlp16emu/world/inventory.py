@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import OutputError
 from vlp16emu.types import Mesh, PlantPart
-from vlp16emu.world.allometry import US_BREAST_HEIGHT_M
+from vlp16emu.world.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
 from vlp16emu.world.crown import (
     CROWN_PARTS,
     CrownKey,
@@ -18,7 +18,8 @@ from vlp16emu.world.crown import (
     crown_scale,
     crown_wood_m3,
 )
-from vlp16emu.world.species import BREAST_HEIGHT_M, Species, species_table
+from vlp16emu.world.flora import species_table
+from vlp16emu.world.species import Species
 from vlp16emu.world.stem import STEM_PARTS, StemRings, stem_meshes, stem_rings
 
 __all__ = ["INVENTORY", "inventory", "write_csv"]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from vlp16emu.types import HeightField, World
 from vlp16emu.world.dem import DemHeights
 from vlp16emu.world.floor import GrassLayer, LogLayer, StoneLayer, StumpLayer
+from vlp16emu.world.flora import Flora, flora
 from vlp16emu.world.forest import ForestWorld
 from vlp16emu.world.furnished import Furnished, Furniture
 from vlp16emu.world.given.settings import MeshFile
@@ -18,7 +19,6 @@ from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.placed import Layer
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.settings import Forest, Hall, Plot
-from vlp16emu.world.species import Flora, flora
 from vlp16emu.world.stand.settings import Wind
 from vlp16emu.world.stand.stand import Stand
 from vlp16emu.world.sway import TreeSway

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.world.species import Flora
+from vlp16emu.world.flora import Flora
 
 __all__ = ["BARK_SPREAD", "GROUND_MATERIALS", "LEAF_SPREAD", "bark_material", "material_names"]
 

@@ -1,15 +1,16 @@
 """Sapling prototypes: a thin stem from the ground with branches and leaves, grown once for a species and height."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.branches import first_order, side_branches, tubes
+from vlp16emu.world.flora import species_table
 from vlp16emu.world.foliage import foliage_mesh
-from vlp16emu.world.species import Habit, Species, species_table
+from vlp16emu.world.species import Habit, Species
 from vlp16emu.world.stand.settings import Season
 
 __all__ = [
@@ -89,8 +90,8 @@ def sapling_meshes(
 def _small(habit: Habit, crown_m: float) -> Habit:
     """Habit of a tree that has not yet room for its whorls and its shortest twigs."""
     spacing_m = min(habit.whorl_spacing_m, crown_m / _FEWEST_WHORLS)
-    twigs = replace(habit.twigs, length_m=(0.01, habit.twigs.length_m[1]))
-    return replace(habit, whorl_spacing_m=spacing_m, twigs=twigs)
+    twigs = habit.twigs.model_copy(update={"length_m": (0.01, habit.twigs.length_m[1])})
+    return habit.model_copy(update={"whorl_spacing_m": spacing_m, "twigs": twigs})
 
 
 def _raised(mesh: Mesh, by_m: float) -> Mesh:

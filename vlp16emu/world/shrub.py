@@ -8,8 +8,9 @@ import numpy as np
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.branches import ground_stems, side_branches, tubes
+from vlp16emu.world.flora import shrub_table
 from vlp16emu.world.foliage import foliage_mesh
-from vlp16emu.world.species import Shrub, shrub_table
+from vlp16emu.world.species import Shrub
 from vlp16emu.world.stand.settings import Season
 
 __all__ = ["SHRUB_PARTS", "ShrubKey", "shrub_meshes"]

@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.types import STEM, HeightField, Mesh, PlantPart
-from vlp16emu.world.species import BREAST_HEIGHT_M, Species, taper_radius_m, tapers
+from vlp16emu.world.allometry import BREAST_HEIGHT_M, taper_radius_m
+from vlp16emu.world.flora import tapers
+from vlp16emu.world.species import Species
 from vlp16emu.world.tiles import TileKey
 
 __all__ = ["STEM_PARTS", "StemKey", "StemRings", "far_stems", "lean_rotation", "stem_meshes", "stem_rings"]

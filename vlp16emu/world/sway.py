@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.types import Sway, Window
+from vlp16emu.world.allometry import taper_radius_m
+from vlp16emu.world.flora import Flora, tapers
 from vlp16emu.world.forest import ForestWorld
 from vlp16emu.world.gusts import ACROSS, ALONG, Trees, gust_lines, swings
-from vlp16emu.world.species import Flora, taper_radius_m, tapers
 from vlp16emu.world.stand.settings import Season, Wind
 from vlp16emu.world.stand.stand import REGENERATION
 

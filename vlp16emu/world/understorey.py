@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose
 from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.world.allometry import BREAST_HEIGHT_M
 from vlp16emu.world.crown import VARIANTS
+from vlp16emu.world.flora import Flora, flora, known
 from vlp16emu.world.materials import BARK_SPREAD, LEAF_SPREAD, bark_material
 from vlp16emu.world.placed import (
     NO_TREES,
@@ -30,7 +32,7 @@ from vlp16emu.world.sapling import (
     SaplingKey,
 )
 from vlp16emu.world.shrub import SHRUB_PARTS, ShrubKey
-from vlp16emu.world.species import BREAST_HEIGHT_M, Flora, Shrub, Species, flora, known
+from vlp16emu.world.species import Shrub, Species
 from vlp16emu.world.stand.settings import Regeneration, Season, Shrubs
 from vlp16emu.world.stand.stand import REGENERATION, TREE
 

@@ -1,4 +1,4 @@
-"""From what pydantic finds to one line in the words of the scene file."""
+"""From what pydantic finds to one line in the words of the user's file."""
 
 import difflib
 import json
@@ -9,21 +9,24 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from vlp16emu.scenario.schema import schema
-
 __all__ = ["expected", "explain", "resolved"]
 
 Node = dict[str, Any]
 
 
-def explain(error: ValidationError) -> tuple[str, str, str]:
+def explain(error: ValidationError, schema: Node) -> tuple[str, str, str]:
     """Key path, what was found there and what was expected, of the finding that helps most.
 
     The message of a validator of our own says what was expected.
+
+    Parameters
+    ----------
+    error : from the check of a file
+    schema : JSON Schema of the file
     """
     # A misspelt key is also a missing one; the misspelling is the better news.
     finding = min(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
-    keys, parent, node = _walk(finding["loc"])
+    keys, parent, node = _walk(finding["loc"], schema)
     kind = finding["type"]
     if kind == "extra_forbidden":
         return _path(keys), "unknown key", _nearest(keys[-1], list(parent["properties"]))
@@ -58,10 +61,10 @@ def expected(node: Node) -> str:
     return {"object": "a table", "string": "a text in quotes", "boolean": "true or false"}[kind]
 
 
-def resolved(node: Node) -> Node:
+def resolved(node: Node, schema: Node) -> Node:
     """Replace a reference by what it points at, and what may be left out by what it is otherwise."""
     node = node["anyOf"][0] if "anyOf" in node else node
-    return schema()["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
+    return schema["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
 
 
 def _wanted(finding: ErrorDetails, node: Node) -> str:
@@ -72,13 +75,13 @@ def _wanted(finding: ErrorDetails, node: Node) -> str:
     return words.replace("a number", "a finite number") if finding["type"] == "finite_number" else words
 
 
-def _walk(loc: tuple[int | str, ...]) -> tuple[list[int | str], Node, Node]:
+def _walk(loc: tuple[int | str, ...], schema: Node) -> tuple[list[int | str], Node, Node]:
     """Follow pydantic's path down the schema: the keys that the file has, the last table, the last node."""
     keys: list[int | str] = []
-    parent = node = resolved(schema())
+    parent = node = resolved(schema, schema)
     for part in loc:
         if "discriminator" in node:  # pydantic puts the union's tag into the path; no file has it
-            node = resolved({"$ref": node["discriminator"]["mapping"][part]})
+            node = resolved({"$ref": node["discriminator"]["mapping"][part]}, schema)
             continue
         keys.append(part)
         parent = node
@@ -86,7 +89,7 @@ def _walk(loc: tuple[int | str, ...]) -> tuple[list[int | str], Node, Node]:
             ahead = node["prefixItems"][part] if "prefixItems" in node else node["items"]
         else:
             ahead = node["properties"].get(part, {})
-        node = resolved(ahead)
+        node = resolved(ahead, schema)
     return keys, parent, node
 
 
