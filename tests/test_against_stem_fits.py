@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.allometry import BREAST_HEIGHT_M
+from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M
 
 SPRUCE = ["sensor.max_range_m=30.0", "sensor.return_mode=strongest", "seed=3"]
 WALK_S = 12.0

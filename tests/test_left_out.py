@@ -16,7 +16,7 @@ from vlp16emu.motion import gait, harness, walk
 from vlp16emu.raycast import scene as fast
 from vlp16emu.scenario import Scenario, load, schema
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.stem import StemKey
+from vlp16emu.world.plants.stem import StemKey
 
 detection = import_module("vlp16emu.returns.detect")  # the room calls its function so
 

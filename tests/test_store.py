@@ -139,6 +139,21 @@ def test_another_state_of_the_program_has_names_of_its_own(kept, monkeypatch):
     assert kept.get("trees of tile 1") is None
 
 
+def test_a_change_of_any_file_is_another_state(monkeypatch, tmp_path):
+    """Each file of the folders that decide what is kept counts, also one in a folder of theirs."""
+    files = [tmp_path / "world" / "one.py", tmp_path / "world" / "stand" / "two.py"]
+    files[1].parent.mkdir(parents=True)
+    for file in files:
+        file.write_text("")
+    monkeypatch.setattr(module, "_PACKAGE", tmp_path)
+    monkeypatch.setattr(module, "_MAKERS", ("world",))
+    states = [module._state.__wrapped__()]
+    for file in files:
+        file.write_text("x = 1")
+        states.append(module._state.__wrapped__())
+    assert len(set(states)) == 3
+
+
 def test_the_user_chooses_the_folder(monkeypatch, tmp_path):
     """`VLP16EMU_CACHE_DIR` and `VLP16EMU_CACHE_MB` decide, else the user's cache is used."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

@@ -34,7 +34,7 @@ from vlp16emu.raycast.beam import sub_rays
 from vlp16emu.raycast.geometry import _triangles, relative_to_window
 from vlp16emu.scenario import load
 from vlp16emu.types import FarTile, Firings, Mesh, Semantic, ShapeKey, Window, World
-from vlp16emu.world.nearby import AllNear
+from vlp16emu.world.stand.nearby import AllNear
 
 __all__ = ["beside", "by_reach"]
 

@@ -205,9 +205,9 @@ def _state() -> str:
     digest = hashlib.sha256(f"{' '.join(state)}\n".encode())
     for maker in _MAKERS:
         path = _PACKAGE / maker
-        for file in [path] if path.is_file() else sorted(path.iterdir()):
+        for file in [path] if path.is_file() else sorted(path.rglob("*")):
             if file.suffix in (".py", ".toml"):
-                digest.update(f"{file.name}\n".encode() + file.read_bytes())
+                digest.update(f"{file.relative_to(_PACKAGE)}\n".encode() + file.read_bytes())
     return digest.hexdigest()
 
 

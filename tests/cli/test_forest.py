@@ -12,7 +12,7 @@ from PIL import Image
 
 from vlp16emu.cli.survey import survey
 from vlp16emu.scenario import load
-from vlp16emu.world.grid import read_grid
+from vlp16emu.world.ground.grid import read_grid
 
 SMALL = ("--set", "duration_s=4.0", "--set", "sensor.max_range_m=20.0", "--radius", "12")
 

@@ -11,7 +11,7 @@ from vlp16emu.motion.carrier import StaticMotion
 from vlp16emu.raycast import BeamModel, Footprint
 from vlp16emu.sensor import BEAM_TABLES, Clock, Head, Rotor
 from vlp16emu.types import STEM, SURFACE, FarTile, Firings, Mesh, PlantPart, Semantic, SensorModel, Window
-from vlp16emu.world.tiles import TileKey, ground_mesh
+from vlp16emu.world.stand.tiles import TileKey, ground_mesh
 
 UTM_M = np.array([432_100.0, 6_901_234.0, 87.0])
 NEAR_M = BEAM_TABLES[SensorModel.VLP_16].near_m

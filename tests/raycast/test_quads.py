@@ -5,7 +5,7 @@ import pytest
 
 from vlp16emu.raycast.geometry import faces_of, flatten
 from vlp16emu.types import SURFACE, Mesh, Window
-from vlp16emu.world.crown import CrownKey, crown_meshes
+from vlp16emu.world.plants.crown import CrownKey, crown_meshes
 
 
 def grid(n):

@@ -10,9 +10,9 @@ from vlp16emu.points import _LEAF_OR_WOOD
 from vlp16emu.sinks.columns import CAPTURE_COLUMNS, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
 from vlp16emu.truth import _GNSS_COLUMNS, _IMU_COLUMNS
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.flora import flora
-from vlp16emu.world.inventory import INVENTORY
-from vlp16emu.world.stem_list import _COLUMNS
+from vlp16emu.world.given.stem_list import _COLUMNS
+from vlp16emu.world.plants.flora import flora
+from vlp16emu.world.stand.inventory import INVENTORY
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 

@@ -9,7 +9,7 @@ from vlp16emu.errors import ScenarioError
 from vlp16emu.scenario import load
 from vlp16emu.scenario.presets import presets
 from vlp16emu.types import PacketKind, Semantic
-from vlp16emu.world.flora import species_table
+from vlp16emu.world.plants.flora import species_table
 from vlp16emu.world.stand.stand import REGENERATION
 
 EACH = pytest.mark.parametrize("name", [*presets(), "reference_forest"])

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from vlp16emu.world import Forest
-from vlp16emu.world.flora import flora
-from vlp16emu.world.forest import ForestWorld
 from vlp16emu.world.ground.settings import Terrain
+from vlp16emu.world.ground.terrain import TerrainHeights
 from vlp16emu.world.make import layers_of
+from vlp16emu.world.plants.flora import flora
 from vlp16emu.world.polyline import Corridor
+from vlp16emu.world.stand.forest import ForestWorld
 from vlp16emu.world.stand.settings import (
     Clusters,
     Grass,
@@ -21,7 +22,6 @@ from vlp16emu.world.stand.settings import (
     Stumps,
 )
 from vlp16emu.world.stand.stand import Stand
-from vlp16emu.world.terrain import TerrainHeights
 
 PATH_XY_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0]])
 BIRCH = SpeciesShare(species="silver_birch", share=0.4, dbh_cm=18.0, height_m=19.0)

@@ -9,9 +9,9 @@ import pytest
 import trimesh
 
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.flora import shrub_table, species_table
-from vlp16emu.world.nearby import cut_out, things_near
+from vlp16emu.world.plants.flora import shrub_table, species_table
 from vlp16emu.world.polyline import Polyline
+from vlp16emu.world.stand.nearby import cut_out, things_near
 from vlp16emu.world.stand.stand import REGENERATION
 from vlp16emu.world.twin import write_glb
 

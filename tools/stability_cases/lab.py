@@ -23,7 +23,7 @@ from vlp16emu.types import (
     SensorModel,
     Window,
 )
-from vlp16emu.world.nearby import AllNear
+from vlp16emu.world.stand.nearby import AllNear
 
 __all__ = [
     "PULSES",

@@ -20,7 +20,7 @@ from vlp16emu.sensor import Head
 from vlp16emu.types import Firings, Hits, World
 from vlp16emu.world import Hall
 from vlp16emu.world.make import ground_name, ground_of, world_of
-from vlp16emu.world.sway import TreeSway
+from vlp16emu.world.stand.sway import TreeSway
 
 __all__ = ["Look", "Parts", "Unit", "assemble"]
 

@@ -22,10 +22,10 @@ from vlp16emu.report.forest import (
     strip_along,
     surface_colours,
 )
-from vlp16emu.world.grid import write_ascii
+from vlp16emu.world.ground.grid import write_ascii
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.inventory import write_csv
-from vlp16emu.world.nearby import AllNear, cut_out
+from vlp16emu.world.stand.inventory import write_csv
+from vlp16emu.world.stand.nearby import AllNear, cut_out
 from vlp16emu.world.twin import write_glb
 
 __all__ = ["write_ground", "write_inventory", "write_picture", "write_twin"]

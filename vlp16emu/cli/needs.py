@@ -11,13 +11,13 @@ from vlp16emu.cli.geometry import geometry_of
 from vlp16emu.emulator import Emulator
 from vlp16emu.motion import Walk
 from vlp16emu.types import Window
-from vlp16emu.world.crown import CrownKey
-from vlp16emu.world.floor_shapes import FloorKey
-from vlp16emu.world.furnished import MeshKey
-from vlp16emu.world.sapling import SaplingKey
-from vlp16emu.world.shrub import ShrubKey
-from vlp16emu.world.stem import StemKey
-from vlp16emu.world.tiles import TileKey
+from vlp16emu.world.given.furnished import MeshKey
+from vlp16emu.world.plants.crown import CrownKey
+from vlp16emu.world.plants.sapling import SaplingKey
+from vlp16emu.world.plants.shrub import ShrubKey
+from vlp16emu.world.plants.stem import StemKey
+from vlp16emu.world.stand.floor_shapes import FloorKey
+from vlp16emu.world.stand.tiles import TileKey
 
 __all__ = ["Need", "libraries", "needs", "surroundings"]
 

@@ -12,14 +12,14 @@ from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import HeightField, Mesh, ShapeKey, Window
 from vlp16emu.units import seconds_to_ns
-from vlp16emu.world.crown import CrownKey
-from vlp16emu.world.flora import Flora, flora
-from vlp16emu.world.forest import ForestWorld
-from vlp16emu.world.furnished import Furnished
+from vlp16emu.world.given.furnished import Furnished
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.inventory import inventory
-from vlp16emu.world.nearby import Thing, things_near
+from vlp16emu.world.plants.crown import CrownKey
+from vlp16emu.world.plants.flora import Flora, flora
 from vlp16emu.world.polyline import Polyline
+from vlp16emu.world.stand.forest import ForestWorld
+from vlp16emu.world.stand.inventory import inventory
+from vlp16emu.world.stand.nearby import Thing, things_near
 from vlp16emu.world.stand.stand import REGENERATION, TREE
 
 __all__ = ["Survey", "survey"]

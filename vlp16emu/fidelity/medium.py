@@ -22,8 +22,8 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.types import Firings, HeightField, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world import Hall
-from vlp16emu.world.flora import flora
 from vlp16emu.world.make import ground_of
+from vlp16emu.world.plants.flora import flora
 
 __all__ = ["RAYS", "Look", "echoes_of", "measure_medium", "next_revolution"]
 

@@ -17,7 +17,7 @@ from vlp16emu.raycast.voxel import BRICK, COLUMNS, KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.store import recalled
 from vlp16emu.types import STEM, FarTile, Mesh, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
-from vlp16emu.world.tiles import TILE_M
+from vlp16emu.world.stand.tiles import TILE_M
 
 __all__ = ["NO_MEDIUM", "STRAY_M", "Far"]
 

@@ -8,23 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.types import HeightField, World
-from vlp16emu.world.dem import DemHeights
-from vlp16emu.world.floor import GrassLayer, LogLayer, StoneLayer, StumpLayer
-from vlp16emu.world.flora import Flora, flora
-from vlp16emu.world.forest import ForestWorld
-from vlp16emu.world.furnished import Furnished, Furniture
+from vlp16emu.world.given.furnished import Furnished, Furniture
+from vlp16emu.world.given.given_stand import GivenStand
 from vlp16emu.world.given.settings import MeshFile
-from vlp16emu.world.given_stand import GivenStand
+from vlp16emu.world.given.user_mesh import load_mesh
+from vlp16emu.world.ground.dem import DemHeights
+from vlp16emu.world.ground.terrain import TerrainHeights
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.placed import Layer
+from vlp16emu.world.plants.flora import Flora, flora
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.settings import Forest, Hall, Plot
+from vlp16emu.world.stand.floor import GrassLayer, LogLayer, StoneLayer, StumpLayer
+from vlp16emu.world.stand.forest import ForestWorld
+from vlp16emu.world.stand.placed import Layer
 from vlp16emu.world.stand.settings import Wind
 from vlp16emu.world.stand.stand import Stand
-from vlp16emu.world.sway import TreeSway
-from vlp16emu.world.terrain import TerrainHeights
-from vlp16emu.world.understorey import SaplingLayer, ShrubLayer
-from vlp16emu.world.user_mesh import load_mesh
+from vlp16emu.world.stand.sway import TreeSway
+from vlp16emu.world.stand.understorey import SaplingLayer, ShrubLayer
 
 __all__ = ["ground_name", "ground_of", "layers_of", "world_of"]
 

@@ -1,0 +1,191 @@
+"""Stones, logs, stumps and grass where they lie."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+import trimesh
+from scipy import stats
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.world.polyline import Corridor, distance_m
+from vlp16emu.world.stand.floor import GrassLayer, LogLayer, StoneLayer, StumpLayer
+from vlp16emu.world.stand.floor_shapes import floor_meshes
+from vlp16emu.world.stand.placed import Site
+from vlp16emu.world.stand.settings import Grass, Logs, Stones, Stumps
+
+FAR = np.array([[0.0, 1e5]])
+NEAR = np.array([[-10.0, 10.0], [60.0, 30.0]])
+NO_TRUNKS = np.zeros((0, 3))
+TILES = list(product(range(8), range(8)))
+
+
+def ground(x, y):
+    """Slope with waves."""
+    return 0.2 * x + 0.1 * y + 0.1 * np.sin(x / 3)
+
+
+def plot(ix, iy, *, path=FAR, trunks=NO_TRUNKS, height_m=ground):
+    return Site(
+        seed=6,
+        ix=ix,
+        iy=iy,
+        height_m=height_m,
+        path=Corridor(path, 0.8),
+        trunks=trunks,
+    )
+
+
+WOOD = ["norway_spruce", "european_beech"]
+STONES = StoneLayer(Stones(cover=0.05), seed=6)
+LOGS = LogLayer(Logs(per_ha=200.0, species=WOOD, diameter_m=(0.2, 0.6), length_m=(3.0, 12.0)), seed=6)
+STUMPS = StumpLayer(Stumps(per_ha=200.0, species=["silver_birch"], diameter_m=(0.2, 0.5)), seed=6)
+GRASS = GrassLayer(Grass(tufts_per_m2=1.0, height_m=(0.15, 0.5)), seed=6)
+ALL = pytest.mark.parametrize(
+    "layer", [STONES, LOGS, STUMPS, GRASS], ids=["stones", "logs", "stumps", "grass"]
+)
+
+
+def world_T(layer, tiles=TILES, **where):
+    return np.concatenate([layer.place(plot(*tile, **where)).world_T_shape for tile in tiles])
+
+
+def size_m(world_T):
+    return np.linalg.norm(world_T[:, :, :3], axis=1)
+
+
+def test_stones_cover_the_share_that_was_asked_for():
+    """Of vertical rays on 2.6 hectares of flat ground one in twenty meets a stone, within 6 %."""
+    flat = {"height_m": lambda x, y: np.zeros(np.shape(x))}
+    vertices, faces, count = [], [], 0
+    for tile in TILES:
+        placed = STONES.place(plot(*tile, **flat))
+        meshes = [floor_meshes(6, key)[0] for key in placed.keys]
+        for shape, T in zip(placed.shape, placed.world_T_shape, strict=True):
+            vertices.append(meshes[shape].vertices_m @ T[:, :3].T + T[:, 3])
+            faces.append(meshes[shape].faces + count)
+            count += len(vertices[-1])
+    stones = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
+    origin = np.column_stack([np.random.default_rng(2).uniform(2, 158, (100_000, 2)), np.full(100_000, 5.0)])
+    places, rays, _ = stones.ray.intersects_location(origin, [[0, 0, -1]] * len(origin), multiple_hits=False)
+    above = np.unique(rays[places[:, 2] > 0])
+    assert len(above) / len(origin) == pytest.approx(0.05, rel=0.06)
+
+
+def test_stone_lengths_are_log_normal_between_their_limits():
+    """Lengths pass a Kolmogorov-Smirnov test against the log-normal of median 0.22 m cut at 0.1 m and 1.5 m."""
+    length = size_m(world_T(STONES))[:, 0]
+    whole = stats.lognorm(0.6, scale=0.22)
+    low, high = whole.cdf(0.1), whole.cdf(1.5)
+    assert stats.kstest(length, lambda x: (whole.cdf(x) - low) / (high - low)).pvalue > 0.01
+    assert 0.1 <= length.min() < length.max() <= 1.5
+
+
+def test_stones_lie_a_third_to_two_thirds_in_the_ground():
+    """The share of a stone's height that is under the ground at its middle is even between 30 % and 60 %."""
+    placed = world_T(STONES)
+    height = size_m(placed)[:, 2]
+    depth = ground(placed[:, 0, 3], placed[:, 1, 3]) - (placed[:, 2, 3] - height / 2)
+    assert stats.kstest(depth / height, stats.uniform(0.3, 0.3).cdf).pvalue > 0.01
+
+
+def test_logs_lie_along_the_ground():
+    """On a plane a log's axis is parallel to it, three quarters of its radius above it; sizes are as asked for."""
+    placed = world_T(LOGS, height_m=lambda x, y: 0.2 * x + 0.1 * y)
+    length, diameter, thick = size_m(placed).T
+    axis = placed[:, :, 0] / length[:, None]
+    assert axis[:, 2] == pytest.approx(0.2 * axis[:, 0] + 0.1 * axis[:, 1])
+    over = placed[:, 2, 3] - 0.2 * placed[:, 0, 3] - 0.1 * placed[:, 1, 3]
+    assert over == pytest.approx(0.75 * diameter / 2)
+    assert diameter == pytest.approx(thick)
+    assert stats.kstest(length, stats.uniform(3, 9).cdf).pvalue > 0.01
+    assert stats.kstest(diameter, stats.uniform(0.2, 0.4).cdf).pvalue > 0.01
+    turn = np.degrees(np.arctan2(axis[:, 1], axis[:, 0])) % 360
+    assert stats.kstest(turn, stats.uniform(0, 360).cdf).pvalue > 0.01
+
+
+def test_stumps_stand_on_the_ground():
+    """A stump's origin is on the ground, upright, with the sizes asked for."""
+    placed = world_T(STUMPS)
+    assert placed[:, 2, 3] == pytest.approx(ground(placed[:, 0, 3], placed[:, 1, 3]))
+    assert np.abs(placed[:, :2, 2]).max() == 0
+    wide, _, high = size_m(placed).T
+    assert stats.kstest(wide, stats.uniform(0.2, 0.3).cdf).pvalue > 0.01
+    assert stats.kstest(high, stats.uniform(0.1, 0.3).cdf).pvalue > 0.01
+
+
+def test_grass_grows_beside_the_path_alone():
+    """Tufts are within 25 m of the path, with their density there, and far tiles have none."""
+    placed = world_T(GRASS, path=NEAR)
+    gap = distance_m(placed[:, :2, 3], NEAR)
+    assert 24 < gap.max() < 25
+    near = distance_m(np.random.default_rng(1).uniform(0, 160, (100_000, 2)), NEAR)
+    area_m2 = 160**2 * ((near < 25) & (near > 0.95)).mean()
+    assert len(placed) == pytest.approx(area_m2, rel=0.06)
+    assert len(GRASS.place(plot(2, 1, path=NEAR)).shape) > 0
+    assert len(GRASS.place(plot(1, 4, path=NEAR)).shape) == 0
+
+
+@ALL
+def test_nothing_lies_in_the_way(layer):
+    """With a path through the tiles things keep their own extent and 0.8 m away; farther ones stay as they were."""
+    kept, free = world_T(layer, path=NEAR), world_T(layer, path=NEAR + [0, 0.001])
+    assert len(kept) > 50
+    ends = np.array([-0.5, 0.0, 0.5]) if layer is LOGS else np.zeros(1)
+    along = kept[:, None, :2, 3] + ends[:, None] * kept[:, None, :2, 0]
+    size = size_m(kept)
+    half = size[:, 1 if layer is LOGS else 0] / 2
+    gap = distance_m(along.reshape(-1, 2), NEAR).reshape(len(kept), -1).min(axis=1)
+    assert (gap - half).min() >= 0.8 - 1e-9
+    assert abs(len(free) - len(kept)) <= 3
+
+
+@ALL
+def test_nothing_lies_in_a_trunk(layer):
+    """A trunk of 4 m radius in a tile keeps everything out of it, and changes nothing else."""
+    path = np.array([[0.0, -5.0], [20.0, -5.0]])
+    before = world_T(layer, [(0, 0)], path=path)
+    after = world_T(layer, [(0, 0)], path=path, trunks=np.array([[10.0, 10.0, 4.0]]))
+    inside = np.hypot(before[:, 0, 3] - 10, before[:, 1, 3] - 10) < 4.0
+    assert inside.any() or layer in (LOGS, STUMPS)
+    assert np.hypot(after[:, 0, 3] - 10, after[:, 1, 3] - 10).min(initial=4.0) >= 4.0
+    kept = {row.tobytes() for row in before}
+    assert all(row.tobytes() in kept for row in after)
+
+
+@pytest.mark.parametrize(
+    ("layer", "semantic", "part", "species"),
+    [
+        (STONES, Semantic.STONE, PlantPart.NONE, {0}),
+        (LOGS, Semantic.DEADWOOD, PlantPart.STEM, {2, 4}),
+        (STUMPS, Semantic.DEADWOOD, PlantPart.STEM, {1}),
+        (GRASS, Semantic.GRASS, PlantPart.LEAF, {0}),
+    ],
+)
+def test_labels_say_what_it_is(layer, semantic, part, species):
+    """Each kind has its semantic class, part and species, and a reflectance within 0.08 of its material's."""
+    rows = np.concatenate([layer.place(plot(*tile, path=NEAR)).surfaces for tile in TILES])
+    assert set(rows["semantic"].ravel()) == {semantic}
+    assert set(rows["part"].ravel()) == {part}
+    assert set(rows["species"].ravel()) == species
+    middle = {Semantic.STONE: 0.30, Semantic.DEADWOOD: 0.40, Semantic.GRASS: 0.45}[semantic]
+    assert stats.kstest(rows["reflectance"].ravel(), stats.uniform(middle - 0.08, 0.16).cdf).pvalue > 0.01
+
+
+def test_unknown_log_species_is_named():
+    """Logs of an unknown tree are refused with the names that exist."""
+    with pytest.raises(GeometryError, match="found 'larch'; expected one of silver_birch"):
+        LogLayer(Logs(per_ha=10.0, species=["larch"]), seed=6)
+
+
+def test_large_stones_have_more_faces():
+    """Stones of 40 cm and more have four times the faces of smaller ones; of either there are some."""
+    found = set()
+    for tile in TILES[:8]:
+        placed = STONES.place(plot(*tile))
+        faces = [len(floor_meshes(6, key)[0].faces) for key in placed.keys]
+        for shape, length_m in zip(placed.shape, size_m(placed.world_T_shape)[:, 0], strict=True):
+            assert faces[shape] == (1280 if length_m >= 0.4 else 320)
+            found.add(faces[shape])
+    assert len(found) == 2

@@ -1,0 +1,157 @@
+"""A stand whose trees are measured, in place of one that grows itself."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.random import Purpose, generator
+from vlp16emu.types import HeightField
+from vlp16emu.world.given.stem_list import read_stem_list
+from vlp16emu.world.plants.crown import VARIANTS, CrownKey
+from vlp16emu.world.plants.flora import Flora
+from vlp16emu.world.plants.species import Species
+from vlp16emu.world.polyline import Corridor, Polyline
+from vlp16emu.world.settings import Plot
+from vlp16emu.world.stand.materials import BARK_SPREAD, LEAF_SPREAD
+from vlp16emu.world.stand.stand import TREE, foot_discs, path_gap_m
+from vlp16emu.world.stand.tiles import TILE_M
+
+__all__ = ["GivenStand"]
+
+Array = NDArray[np.float64]
+Trees = NDArray[np.void]
+
+_CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
+"""Crown class c is that of trees with a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
+
+_HA_PER_TILE = TILE_M**2 / 10_000
+
+
+class GivenStand:
+    """Trees of a list, tile by tile.
+
+    A crown is a prototype of the list's own trees of that species and diameter class, scaled to the tree.
+    Each tree bears the leaf area index of its species on its own crown projection, for the ground that
+    belongs to a tree does not follow from a list.
+
+    Parameters
+    ----------
+    section : what the user wrote
+    seed : of the scenario, for what the list leaves out, such as the azimuth of a crown about its stem
+    height_m : ground
+    path : of the sensor
+    plants : trees and shrubs
+
+    Raises
+    ------
+    GeometryError
+        for a list that is wrong, and where a tree is on the path
+    """
+
+    def __init__(
+        self, section: Plot, *, seed: int, height_m: HeightField, path: Corridor, plants: Flora
+    ) -> None:
+        self._source = Path(section.stem_list)
+        trees = read_stem_list(self._source, plants.trees, section.origin_m)
+        self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
+        self._season, self._dead_branches = section.season, section.dead_branches
+        trees = _completed(seed, trees, self._species)
+        trees["z_m"] = height_m(trees["x_m"], trees["y_m"])
+        _check_path(self._source, trees, plants.trees, path)
+        tile = np.floor(np.column_stack([trees["x_m"], trees["y_m"]]) / TILE_M).astype(np.int64)
+        tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
+        names = [(int(ix), int(iy)) for ix, iy in tiles]
+        self._tiles = {name: trees[of.ravel() == i] for i, name in enumerate(names)}
+        self.per_ha = float(count.max()) / _HA_PER_TILE
+        """Stems per hectare where they are densest."""
+        self._prototypes = _prototypes(trees)
+        self._all = trees
+
+    @property
+    def species(self) -> list[str]:
+        """Names of the species of its trees."""
+        return [one.name for one in self._species]
+
+    def check(self, path: Polyline, reach_m: float) -> None:
+        """Make sure that a tree is in sight of a sensor on its path.
+
+        Parameters
+        ----------
+        path : of the sensor
+        reach_m : how far it sees
+
+        Raises
+        ------
+        GeometryError
+            naming the tree that is nearest, where no crown is in sight
+        """
+        gap_m = path.distance_m(np.column_stack([self._all["x_m"], self._all["y_m"]]))
+        if (gap_m - self._all["crown_width_m"] / 2 > reach_m).all():
+            i = int(gap_m.argmin())
+            x_m, y_m = self._all["x_m"][i], self._all["y_m"][i]
+            raise GeometryError(
+                str(self._source),
+                f"no tree in sight, the nearest at ({x_m:.1f}, {y_m:.1f}) m in the scene, {gap_m[i]:.1f} m from the path",
+                f"one {reach_m:g} m from it at most (a list in map coordinates needs an origin_m)",
+            )
+
+    def trees(self, ix: int, iy: int) -> Trees:
+        """Trees whose foot lies in a tile, `TREE` with id still 0, in the order of the list."""
+        return self._tiles.get((ix, iy), np.zeros(0, TREE))
+
+    def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
+        """Name the crown prototype of a diameter class."""
+        own = self._species[cohort]
+        dbh_m, height_m, base_m, width_m = self._prototypes[cohort, crown_class]
+        return CrownKey(
+            species=own.name,
+            variant=variant,
+            dbh_m=dbh_m,
+            height_m=height_m,
+            crown_base_m=base_m,
+            crown_width_m=width_m,
+            leaf_area_m2=own.leaf_area_index * math.pi / 4 * width_m**2,
+            season=self._season,
+            dead_branches=self._dead_branches,
+        )
+
+
+def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
+    """Add what a list leaves out."""
+    trees = trees.copy()
+    # One row of numbers to a tree: a tree more at the end of a list changes no other.
+    uniform = generator(seed, Purpose.GIVEN_TREE).random((len(trees), 4))
+    trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
+    trees["crown_variant"] = VARIANTS * uniform[:, 1]
+    trees["crown_class"] = np.round(np.log(trees["dbh_m"] / _CLASS_BASE_M) / math.log(_CLASS_RATIO))
+    for cohort, one in enumerate(species):
+        own = trees["species"] == one.number
+        trees["cohort"][own] = cohort
+        trees["bark_reflectance"][own] = one.bark_reflectance
+        trees["leaf_reflectance"][own] = one.leaf_reflectance
+    trees["bark_reflectance"] += BARK_SPREAD * (2 * uniform[:, 2] - 1)
+    trees["leaf_reflectance"] += LEAF_SPREAD * (2 * uniform[:, 3] - 1)
+    return trees
+
+
+def _check_path(source: Path, trees: Trees, table: Mapping[str, Species], path: Corridor) -> None:
+    """Refuse a tree that a walker would run into."""
+    gap_m = path_gap_m(trees, foot_discs(trees, table=table)[:, 2], path)
+    if gap_m.min() < path.clearance_m:
+        i = int(gap_m.argmin())
+        where = f"{source}: tree at ({trees['x_m'][i]:g}, {trees['y_m'][i]:g}) m in the scene"
+        found = f"its surface is {gap_m[i]:.2f} m from the path"
+        raise GeometryError(where, found, f"path_clearance_m = {path.clearance_m:g} or more")
+
+
+def _prototypes(trees: Trees) -> dict[tuple[int, int], tuple[float, float, float, float]]:
+    """DBH, height, crown base and crown width of the mean tree of each cohort and crown class."""
+    kinds = np.column_stack([trees["cohort"], trees["crown_class"]]).astype(np.int64)
+    size = np.column_stack([trees[name] for name in ("dbh_m", "height_m", "crown_base_m", "crown_width_m")])
+    names, of = np.unique(kinds, axis=0, return_inverse=True)
+    means = [size[of.ravel() == i].mean(axis=0).tolist() for i in range(len(names))]
+    return {(int(c), int(k)): (d, h, b, w) for (c, k), (d, h, b, w) in zip(names, means, strict=True)}

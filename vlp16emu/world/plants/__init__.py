@@ -1,0 +1,1 @@
+"""How plants grow: the species table, stems, branches and leaves."""

@@ -1,0 +1,157 @@
+"""Crown prototypes: grown once for a species, diameter class and variant, then instanced."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.random import Purpose, generator
+from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.world.plants.allometry import taper_radius_m
+from vlp16emu.world.plants.branches import (
+    Branches,
+    dead_stubs,
+    first_order,
+    merged,
+    side_branches,
+    tubes,
+    volume_m3,
+)
+from vlp16emu.world.plants.flora import species_table
+from vlp16emu.world.plants.foliage import foliage_mesh
+from vlp16emu.world.plants.species import Species
+from vlp16emu.world.plants.stem import lean_rotation
+from vlp16emu.world.stand.settings import Season
+
+__all__ = [
+    "CROWN_PARTS",
+    "VARIANTS",
+    "CrownKey",
+    "crown_meshes",
+    "crown_placements",
+    "crown_scale",
+    "crown_wood_m3",
+]
+
+Array = NDArray[np.float64]
+Trees = NDArray[np.void]
+
+VARIANTS = 3
+"""Different crowns of the same species and diameter class."""
+
+CROWN_PARTS = (
+    PlantPart.BRANCH_FIRST_ORDER,
+    PlantPart.BRANCH_HIGHER_ORDER,
+    PlantPart.LEAF,
+    PlantPart.DEAD_BRANCH,
+)
+"""Of the meshes of a crown, in order. A mesh without faces stands where a crown has no such part."""
+
+_SIDES = (6, 4, 3)
+"""Of branches, by order."""
+
+_NOTHING = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
+
+
+@dataclass(frozen=True, slots=True)
+class CrownKey:
+    """Name of a crown's shape, and with the seed all that it is grown from."""
+
+    species: str
+    variant: int
+    dbh_m: float
+    height_m: float
+    crown_base_m: float
+    crown_width_m: float
+    leaf_area_m2: float
+    """One-sided."""
+    season: Season = "leaf_on"
+    dead_branches: bool = False
+    """Whether dead branches still sit below the crown."""
+
+    @property
+    def crown_length_m(self) -> float:
+        """From the lowest branch to the tip."""
+        return self.height_m - self.crown_base_m
+
+
+def crown_meshes(
+    seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None
+) -> tuple[Mesh, Mesh, Mesh, Mesh]:
+    """Meshes of `CROWN_PARTS`; a dead tree has all its branches among the dead ones.
+
+    In the crown's own frame: origin on the stem's axis at the crown base, z along the axis. Season
+    and dead branches change nothing else about a crown.
+    """
+    species = (table or species_table())[key.species]
+    rng = _generator(seed, key, species)
+    orders = _orders(rng, key, species)
+    leaves = _NOTHING
+    if species.foliage and (key.season == "leaf_on" or species.foliage.kind == "shoot"):
+        leaves = foliage_mesh(rng, species.foliage, orders[-1], key.leaf_area_m2)
+    first, *others = (tubes(branches, sides) for branches, sides in zip(orders, _SIDES, strict=False))
+    higher = merged(*others)
+    dead = [tubes(_dead(seed, key, species), _SIDES[1])] if key.dead_branches else []
+    if species.foliage is None:
+        return _NOTHING, _NOTHING, _NOTHING, merged(first, higher, *dead)
+    return first, higher, leaves, merged(*dead) if dead else _NOTHING
+
+
+def crown_wood_m3(seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None) -> float:
+    """Volume of all branches of a prototype, dead ones too."""
+    species = (table or species_table())[key.species]
+    orders = _orders(_generator(seed, key, species), key, species)
+    dead = (_dead(seed, key, species),) if key.dead_branches else ()
+    return sum(volume_m3(branches) for branches in (*orders, *dead))
+
+
+def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[Array, Array]:
+    """Stretch of each tree's crown over its prototype: across (n,) and along the axis (n,).
+
+    Heights are vertical, but crowns follow the leaning axis.
+    """
+    prototype_m = np.array([(c.crown_width_m, c.crown_length_m) for c in crowns]).reshape(-1, 2)
+    upright = np.cos(np.radians(trees["lean_deg"]))
+    wide: Array = trees["crown_width_m"] / prototype_m[:, 0]
+    long: Array = (trees["height_m"] - trees["crown_base_m"]) / upright / prototype_m[:, 1]
+    return wide, long
+
+
+def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
+    """`world_T_shape` of the crowns, (n, 3, 4): scaled to the tree's size, turned, and leaning with the stem."""
+    wide, long = crown_scale(trees, crowns)
+    lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
+    upright = lean[:, 2, 2]  # cosine of the lean: heights are vertical
+    turn = np.radians(trees["crown_azimuth_deg"])
+    stem_T = np.zeros((len(trees), 3, 3))
+    stem_T[:, 0, 0] = stem_T[:, 1, 1] = wide * np.cos(turn)
+    stem_T[:, 1, 0], stem_T[:, 0, 1] = wide * np.sin(turn), -wide * np.sin(turn)
+    stem_T[:, 2, 2] = long
+    foot = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
+    base = foot + lean[:, :, 2] * (trees["crown_base_m"] / upright)[:, None]
+    return np.concatenate([lean @ stem_T, base[..., None]], axis=2)
+
+
+def _generator(seed: int, key: CrownKey, species: Species) -> np.random.Generator:
+    """Random numbers that all seasons and states of one crown share."""
+    return generator(seed, Purpose.CROWN, species.number, key.variant, round(key.dbh_m * 1e4))
+
+
+def _orders(rng: np.random.Generator, key: CrownKey, species: Species) -> list[Branches]:
+    """Branches of the first, second and, on broad crowns, third order."""
+    at_m = np.linspace(key.crown_base_m, key.height_m, 16)[None]
+    taper = species.taper.row[None]
+    stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m)[0]
+    habit = species.crown
+    orders = [first_order(rng, habit, (key.crown_length_m, key.crown_width_m), stem_m)]
+    orders.append(side_branches(rng, habit.twigs, orders[0], 2))
+    if habit.twiglets is not None:
+        orders.append(side_branches(rng, habit.twiglets, orders[1], 3))
+    return orders
+
+
+def _dead(seed: int, key: CrownKey, species: Species) -> Branches:
+    """Dead branches below the crown."""
+    rng = generator(seed, Purpose.DEAD_BRANCH, species.number, key.variant, round(key.dbh_m * 1e4))
+    return dead_stubs(rng, species.crown, key.crown_base_m)

@@ -1,0 +1,247 @@
+"""What is on the ground: stones, logs, stumps and grass."""
+
+import math
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.random import Purpose
+from vlp16emu.store import recalled
+from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.world.plants.flora import Flora, flora, known
+from vlp16emu.world.stand.floor_shapes import FLOOR_VARIANTS, FloorKey, FloorKind
+from vlp16emu.world.stand.materials import GROUND_MATERIALS
+from vlp16emu.world.stand.placed import (
+    NO_TREES,
+    Placed,
+    Site,
+    between,
+    distinct,
+    laid,
+    placements,
+    surface_rows,
+    turned,
+)
+from vlp16emu.world.stand.points import ScatteredPattern
+from vlp16emu.world.stand.settings import Grass, Logs, Stones, Stumps
+
+__all__ = ["GrassLayer", "LogLayer", "StoneLayer", "StumpLayer", "stones_per_ha"]
+
+Array = NDArray[np.float64]
+
+_REFLECTANCE = {"stone": 0.30, "dead wood": 0.40, "grass": 0.45}
+"""At 903 nm: rock, weathered wood like oak bark, blades like shrub leaves; assumptions."""
+
+_REFLECTANCE_SPREAD = 0.08
+"""Half-range between things, as between the barks of trees; assumption."""
+
+_STONE_M = (0.1, 1.5)
+"""Least and greatest length of a stone; assumption."""
+
+_STONE_MEDIAN_M, _STONE_SIGMA = 0.22, 0.6
+"""Of the log-normal distribution of lengths, before it is cut at both ends; assumptions."""
+
+_STONE_BURIED = (0.3, 0.6)
+"""Range of the share of a stone's height that is in the ground; assumption."""
+
+_STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6
+"""Over its length; assumptions."""
+
+_LARGE_STONE_M = 0.4
+"""Stones that long have four times the faces; those of shorter ones are off by less than 3 mm."""
+
+_GRASS_REACH_M = 25.0
+"""From the path; farther off the beam is wider than a tuft, and litter takes the place of grass."""
+
+_LOG_STATIONS = np.linspace(-0.5, 0.5, 9)
+"""Along a log, where the ground under it and the distance from the path are looked at."""
+
+_LOG_SUNK = 0.25
+"""Share of its radius that a log has sunk into the ground; assumption."""
+
+
+def stones_per_ha(cover: float) -> float:
+    """Stones per hectare that cover a share of the ground, seen from above.
+
+    Overlaps counted once, scattered discs of mean area a and density d leave exp(-a d) of the plane bare
+    (Boolean model; Chiu et al., Stochastic Geometry, section 3.1). What is seen of a stone is its section
+    at the ground, or its outline where its widest part is above.
+    """
+    # Kept for the import of scipy's functions, which takes 0.1 s of a start.
+    area_m2 = recalled(
+        "area of a stone", _stone_area_m2, lambda area: {"m2": np.array(area)}, lambda kept: float(kept["m2"])
+    )
+    return -math.log1p(-cover) / area_m2 * 10_000
+
+
+def _stone_area_m2() -> float:
+    """Mean area of a stone as it is seen from above."""
+    low, high = _STONE_BURIED
+    buried = low + (high - low) * (np.arange(1000) + 0.5) / 1000
+    seen = 1 - np.clip(2 * buried - 1, 0, None) ** 2  # section of an ellipsoid at a relative height
+    length_m = _stone_length_m((np.arange(20_000) + 0.5) / 20_000)
+    return math.pi / 4 * _STONE_WIDTH * float(np.mean(length_m**2) * np.mean(seen))
+
+
+def _stone_length_m(probability: Array) -> Array:
+    """Quantiles of the log-normal distribution cut at `_STONE_M`."""
+    from scipy import special  # here: a hall has no stones, and does without scipy
+
+    low, high = (special.ndtr(math.log(size / _STONE_MEDIAN_M) / _STONE_SIGMA) for size in _STONE_M)
+    normal = special.ndtri(low + (high - low) * probability)
+    length: Array = _STONE_MEDIAN_M * np.exp(_STONE_SIGMA * normal)
+    return length
+
+
+class StoneLayer:
+    """Stones that lie half in the ground."""
+
+    def __init__(self, section: Stones, *, seed: int) -> None:
+        per_ha = stones_per_ha(section.cover)
+        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.STONES, per_ha=per_ha)
+
+    def place(self, site: Site) -> Placed:
+        """Stones of a tile."""
+        xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.STONES)
+        draws = rng.random((len(xy_m), 7))
+        length_m = _stone_length_m(draws[:, 0])
+        size = length_m[:, None] * [1.0, _STONE_WIDTH, _STONE_HEIGHT]
+        buried = between(_STONE_BURIED, draws[:, 1])
+        keep = site.clear(xy_m, length_m / 2, length_m / 2)
+        z_m = site.height_m(*xy_m.T) + (0.5 - buried) * size[:, 2]
+        place_m = np.column_stack([xy_m, z_m])
+        world_T = placements(place_m, turned(360 * draws[:, 2]), size)
+        large = length_m >= _LARGE_STONE_M
+        return _placed(FloorKind.STONE, keep, world_T, draws[:, 3:], np.zeros(len(xy_m)), large)
+
+
+class LogLayer:
+    """Lying trunks.
+
+    Parameters
+    ----------
+    section : what the user wrote
+    seed : of the scenario
+    canopy : names of the trees above, for a section that names no species
+    plants : trees and shrubs; those of the program if none are given
+
+    Raises
+    ------
+    GeometryError
+        for a species that is not in the table
+    """
+
+    def __init__(
+        self, section: Logs, *, seed: int, canopy: Sequence[str] = (), plants: Flora | None = None
+    ) -> None:
+        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.LOGS, per_ha=section.per_ha)
+        self._section = section
+        self._numbers = _species_numbers(section.species or canopy, plants, "logs.species")
+
+    def place(self, site: Site) -> Placed:
+        """Lay logs, whose middle is on a tile, along the ground under them."""
+        xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.LOGS)
+        own, draws = self._section, rng.random((len(xy_m), 8))
+        diameter_m, length_m = between(own.diameter_m, draws[:, 0]), between(own.length_m, draws[:, 1])
+        towards = 2 * np.pi * draws[:, 2]
+        station_m = length_m[:, None] * _LOG_STATIONS
+        x_m = xy_m[:, :1] + station_m * np.cos(towards)[:, None]
+        y_m = xy_m[:, 1:] + station_m * np.sin(towards)[:, None]
+        radius_m = np.repeat(diameter_m / 2, len(_LOG_STATIONS))
+        along_xy = np.column_stack([x_m.ravel(), y_m.ravel()])
+        keep = np.asarray(site.clear(along_xy, radius_m, radius_m).reshape(x_m.shape).all(axis=-1))
+        ground_m = site.height_m(x_m, y_m)
+        # Straight line of least squares through the ground at evenly spaced stations.
+        slope = (ground_m * station_m).sum(axis=1) / (station_m**2).sum(axis=1)
+        z_m = ground_m.mean(axis=1) + (1 - _LOG_SUNK) * diameter_m / 2
+        size = np.column_stack([length_m, diameter_m, diameter_m])
+        world_T = placements(np.column_stack([xy_m, z_m]), laid(towards, slope), size)
+        species = self._numbers[(len(self._numbers) * draws[:, 3]).astype(int)]
+        return _placed(FloorKind.LOG, keep, world_T, draws[:, 4:], species)
+
+
+class StumpLayer:
+    """What felled trees left; arguments and errors are those of `LogLayer`."""
+
+    def __init__(
+        self, section: Stumps, *, seed: int, canopy: Sequence[str] = (), plants: Flora | None = None
+    ) -> None:
+        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.STUMPS, per_ha=section.per_ha)
+        self._section = section
+        self._numbers = _species_numbers(section.species or canopy, plants, "stumps.species")
+
+    def place(self, site: Site) -> Placed:
+        """Stumps of a tile."""
+        xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.STUMPS)
+        own, draws = self._section, rng.random((len(xy_m), 8))
+        diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
+        keep = site.clear(xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
+        place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
+        size = np.column_stack([diameter_m, diameter_m, height_m])
+        world_T = placements(place_m, turned(360 * draws[:, 2]), size)
+        species = self._numbers[(len(self._numbers) * draws[:, 3]).astype(int)]
+        return _placed(FloorKind.STUMP, keep, world_T, draws[:, 4:], species)
+
+
+class GrassLayer:
+    """Tufts beside the path."""
+
+    def __init__(self, section: Grass, *, seed: int) -> None:
+        per_ha = 10_000 * section.tufts_per_m2
+        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.GRASS, per_ha=per_ha)
+        self._height_m = section.height_m
+
+    def place(self, site: Site) -> Placed:
+        """Tufts of a tile."""
+        near = site.distance_m < _GRASS_REACH_M
+        xy_m = self.pattern.points(site.ix, site.iy) if near else np.zeros((0, 2))
+        draws = site.draw(Purpose.GRASS).random((len(xy_m), 6))
+        height_m = between(self._height_m, draws[:, 0])
+        keep = site.path.distance_m(xy_m) < _GRASS_REACH_M
+        keep[keep] = site.clear(xy_m[keep], height_m[keep] / 2, np.zeros(keep.sum()))
+        place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
+        world_T = placements(place_m, turned(360 * draws[:, 1]), np.repeat(height_m[:, None], 3, axis=1))
+        return _placed(FloorKind.TUFT, keep, world_T, draws[:, 2:], np.zeros(len(xy_m)))
+
+
+_LABELS = {
+    FloorKind.STONE: (Semantic.STONE, PlantPart.NONE, "stone"),
+    FloorKind.LOG: (Semantic.DEADWOOD, PlantPart.STEM, "dead wood"),
+    FloorKind.STUMP: (Semantic.DEADWOOD, PlantPart.STEM, "dead wood"),
+    FloorKind.TUFT: (Semantic.GRASS, PlantPart.LEAF, "grass"),
+}
+"""Semantic class, part and material."""
+
+
+def _placed(
+    kind: FloorKind,
+    keep: NDArray[np.bool_],
+    world_T: Array,
+    draws: Array,
+    species: Array,
+    large: NDArray[np.bool_] | None = None,
+) -> Placed:
+    """Label those things that are kept; draws (n, 2 or more) choose variant and brightness."""
+    variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
+    larges = [False] * len(variants) if large is None else large[keep].tolist()
+    keys, shape = distinct([_key(kind, *how) for how in zip(variants, larges, strict=True)])
+    semantic, part, material = _LABELS[kind]
+    reflectance = _REFLECTANCE[material] + _REFLECTANCE_SPREAD * (2 * draws[keep, 1:2] - 1)
+    number = np.full(reflectance.shape, GROUND_MATERIALS.index(material))
+    rows = surface_rows(
+        parts=(part,), semantic=semantic, material=number, reflectance=reflectance, species=species[keep]
+    )
+    return Placed(keys, shape, world_T[keep], rows, NO_TREES)
+
+
+@cache
+def _key(kind: FloorKind, variant: int, large: bool) -> FloorKey:
+    """Keys are few; one object for each."""
+    return FloorKey(kind, variant, large)
+
+
+def _species_numbers(names: Sequence[str], plants: Flora | None, where: str) -> NDArray[np.int64]:
+    """Numbers of trees by name."""
+    return np.array([tree.number for tree in known(names, (plants or flora()).trees, where)], np.int64)

@@ -1,0 +1,380 @@
+"""A forest without edge: tiles of ground and stems, with instanced crowns and things, around wherever one walks."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.types import SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
+from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
+from vlp16emu.world.plants.flora import Flora, flora
+from vlp16emu.world.plants.sapling import SaplingKey, sapling_meshes
+from vlp16emu.world.plants.shrub import ShrubKey, shrub_meshes
+from vlp16emu.world.plants.stem import STEM_PARTS, StemKey, far_stems, stem_meshes
+from vlp16emu.world.polyline import Corridor
+from vlp16emu.world.stand.floor_shapes import FloorKey, floor_meshes
+from vlp16emu.world.stand.kept import by_tile, key_text
+from vlp16emu.world.stand.materials import bark_material, material_names
+from vlp16emu.world.stand.placed import NO_TREES, Layer, Placed, Site, distinct
+from vlp16emu.world.stand.stand import TREE, foot_discs
+from vlp16emu.world.stand.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
+
+__all__ = ["FIRST_FREE_INSTANCE", "ForestWorld", "Stems"]
+
+Array = NDArray[np.float64]
+Trees = NDArray[np.void]
+
+_LITTER_REFLECTANCE = 0.30
+"""Leaf litter and soil at 903 nm; assumption."""
+
+FIRST_FREE_INSTANCE = 0xFFFF0000
+"""Instance numbers of a forest stay below."""
+
+_NUMBERS_PER_TILE = 8192
+"""Numbers set aside for the trees and things of a tile."""
+
+_DENSEST_PER_HA = 125_000
+"""A tile then holds 5000 things on average; even in clusters of ten their number has a sigma under 240,
+far from `_NUMBERS_PER_TILE`."""
+
+_TILES_IN_GROWTH = 16
+"""Tiles whose stems are grown together, kept until all of them are taken: more than are in growth at once."""
+
+_OVERHANG_M = 10.0
+"""How far crowns reach beyond the tile of their stem at most."""
+
+_ASIDE_M = 35.0
+"""How far a sensor may stray from the path and still see numbered trees only."""
+
+_MARGIN_M = 80.0
+"""Beyond reach of the path, all that is numbered: as far as a sensor strays, crowns overhang, half a tile's diagonal,
+and a tile more, since voxels of a tile are made of the tiles around it too."""
+
+
+class Stems(Protocol):
+    """Trees of a forest, grown or given."""
+
+    @property
+    def per_ha(self) -> float:
+        """Mean number of stems per hectare."""
+
+    def trees(self, ix: int, iy: int) -> Trees:
+        """Trees whose foot lies in a tile, `TREE` with id still 0."""
+
+    def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
+        """Name the crown prototype of a tree."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Tile:
+    """A tile as a window takes it: the part that a `Window` is put together from."""
+
+    trees: Trees
+    """All trees, saplings last."""
+    keys: tuple[ShapeKey, ...]
+    """Different shapes, the tile's own first."""
+    shape: NDArray[np.int64]
+    """(n,) of each placement, index into `keys`."""
+    world_T_shape: Array
+    """(n, 3, 4)."""
+    first_surface: NDArray[np.int64]
+    """(n,) row of `surfaces`."""
+    surfaces: NDArray[np.void]
+    """(m,) `SURFACE`."""
+    far: NDArray[np.bool_]
+    """(n,) which of the placements are part of the `FarTile`."""
+
+
+class ForestWorld:
+    """Trees, and what grows and lies under them, on a terrain; a `World`.
+
+    The same tree and the same stone have the same shape and number in every window and from either end
+    of the path.
+
+    Parameters
+    ----------
+    seed : of the scenario
+    height_m : ground
+    stems : trees
+    layers : saplings, shrubs, stones and so on; a layer's order among them decides its numbers
+    path : of the sensor as a whole, fine enough that its chords are as good as the path itself
+    reach_m : how far the sensor sees
+    plants : trees and shrubs; those of the program if none are given
+    loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
+    near_m : as in `World`
+    name : of all that decides the forest, seed and path too, as a digest; empty where nothing is kept on disk
+    plants_name : of the plants, likewise
+
+    Raises
+    ------
+    GeometryError
+        for a path with numbers that are not finite, or more things than can be numbered
+    """
+
+    def __init__(
+        self,
+        *,
+        seed: int,
+        height_m: HeightField,
+        stems: Stems,
+        layers: Sequence[Layer],
+        path: Corridor,
+        reach_m: float,
+        plants: Flora | None = None,
+        loose_stems: bool = False,
+        near_m: float = math.inf,
+        name: str = "",
+        plants_name: str = "",
+    ) -> None:
+        per_ha = stems.per_ha + sum(layer.pattern.per_ha for layer in layers)
+        if per_ha > _DENSEST_PER_HA:
+            found = f"found {per_ha:.0f} trees and things per hectare"
+            raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
+        self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
+        self._path, self._reach_m = path, reach_m
+        self.height_m, self.plants = height_m, plants or flora()
+        self._layers, self._loose_stems = layers, loose_stems
+        self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
+        # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
+        kept = 2 * (4 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
+        self._tile = lru_cache(maxsize=kept)(by_tile(_Tile, name, self._grow_tile))
+        self.far_tile = lru_cache(maxsize=kept)(by_tile(FarTile, name, self._far_tile))
+        self._trees = lru_cache(maxsize=kept)(stems.trees)
+        self._crown = cache(stems.crown)
+        self._stem_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_stems)
+        self._discs = lru_cache(maxsize=kept)(
+            lambda ix, iy: foot_discs(self._trees(ix, iy), table=self.plants.trees)
+        )
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Names by `SURFACE` material number."""
+        return material_names(self.plants)
+
+    def trees(self, track_m: Array) -> Trees:
+        """Give the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
+        tiles = (self._tile(ix, iy) for ix, iy in self._in_view(track_m))
+        return np.concatenate([np.zeros(0, TREE), *(tile.trees for tile in tiles)])
+
+    def window(self, track_m: Array) -> Window:
+        """Everything within reach of sensor positions (n, 3).
+
+        Raises
+        ------
+        GeometryError
+            where the track leaves the surroundings of the path
+        """
+        names = self._in_view(track_m)
+        index_of = dict[ShapeKey, int]()
+        tiles = [self._tile(ix, iy) for ix, iy in names]
+        shape, first_surface, begins, rows = [], [], [], 0
+        for tile in tiles:
+            begins.append(rows)
+            index = np.array([index_of.setdefault(key, len(index_of)) for key in tile.keys])
+            shape.append(index[tile.shape])
+            first_surface.append(rows + tile.first_surface)
+            rows += len(tile.surfaces)
+        return Window(
+            origin_m=np.round(track_m.mean(axis=0)),
+            shapes=tuple(index_of),
+            shape=np.concatenate(shape).astype(np.int32),
+            world_T_shape=np.concatenate([tile.world_T_shape for tile in tiles]),
+            first_surface=np.concatenate(first_surface).astype(np.uint32),
+            surfaces=np.concatenate([tile.surfaces for tile in tiles]),
+            near=track_m,
+            tiles=tuple((ix, iy, row) for (ix, iy), row in zip(names, begins, strict=True)),
+            far=np.concatenate([tile.far for tile in tiles]),
+        )
+
+    def shape_name(self, key: ShapeKey) -> str:
+        """Name a shape: of tiles by all of the forest, of others by seed and plants alone."""
+        if not self.name:
+            return ""
+        own = isinstance(key, TileKey | StemKey)
+        return f"{self.name if own else f'{self.seed} {self._plants_name}'} {key_text(key)}"
+
+    def _far_tile(self, ix: int, iy: int) -> FarTile:
+        """Describe a tile as it is seen from afar; trees that sway, stems and all, are not in it."""
+        tile = self._tile(ix, iy)
+        origin_m = tile_origin_m(ix, iy, self.height_m)
+        corner_m = np.array([origin_m[0], origin_m[1], 2.0 * np.round(origin_m[2] / 2.0)])
+        edge_m = np.arange(-1, 42) * 0.5
+        x, y = np.meshgrid(origin_m[0] + edge_m, origin_m[1] + edge_m, indexing="ij")
+        own = np.flatnonzero(tile.far)[1:]  # the first is the tile's own shape
+        keys, shape = distinct([tile.keys[which] for which in tile.shape[own].tolist()])
+        begins, rows = np.append(np.unique(tile.first_surface), len(tile.surfaces)), tile.first_surface[own]
+        # Of each shape a placement, whose parts end where those of another begin.
+        some = rows[np.unique(shape, return_index=True)[1]]
+        ends = begins[np.searchsorted(begins, some, side="right")]
+        parts = [tile.surfaces["part"][row:end] for row, end in zip(some, ends, strict=True)]
+        trees = self._trees(ix, iy)
+        return FarTile(
+            corner_m=corner_m,
+            keys=keys,
+            shape=shape,
+            world_T_shape=tile.world_T_shape[own],
+            first_surface=tile.first_surface[own],
+            first_part=np.cumsum([0, *map(len, parts)]),
+            part=np.concatenate([np.zeros(0, np.uint8), *parts]),
+            stems=far_stems(trees[:0] if self._loose_stems else trees, 1, table=self.plants.trees),
+            ground_m=self.height_m(x, y),
+        )
+
+    def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
+        """Meshes of a tile (ground, then its stems), of a crown, or of a thing."""
+        match key:
+            case TileKey():
+                stems = [] if self._loose_stems else self._grow_stems(key)
+                return (ground_mesh(key, self.height_m), *stems)
+            case StemKey():
+                first = len(STEM_PARTS) * key.number
+                return tuple(self._stem_meshes(key.tile)[first : first + len(STEM_PARTS)])
+            case CrownKey():
+                return crown_meshes(self.seed, key, table=self.plants.trees)
+            case SaplingKey():
+                return sapling_meshes(self.seed, key, table=self.plants.trees)
+            case ShrubKey():
+                return shrub_meshes(self.seed, key, table=self.plants.shrubs)
+            case FloorKey():
+                return floor_meshes(self.seed, key)
+        raise KeyError(key)
+
+    def _in_view(self, track_m: Array) -> list[tuple[int, int]]:
+        """Names of the tiles whose plants may be within reach of a track, in ascending order."""
+        return [(ix, iy) for ix, iy in tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()]
+
+    def _grow_tile(self, ix: int, iy: int) -> _Tile:
+        """One tile with its trees and things numbered."""
+        column, row = ix - self._first_tile[0], iy - self._first_tile[1]
+        if not (0 <= column < self._tiles_across[0] and 0 <= row < self._tiles_across[1]):
+            raise GeometryError(
+                "track", f"reaches tile ({ix}, {iy})", f"no more than {_ASIDE_M:g} m off the path"
+            )
+        key = TileKey(ix, iy)
+        trees = self._trees(ix, iy).copy()
+        number = 1 + (column * self._tiles_across[1] + row) * _NUMBERS_PER_TILE
+        trees["id"] = number + np.arange(len(trees))
+        number += len(trees)
+        groups, rooted = [self._crowns(trees)], trees
+        if self._loose_stems:
+            groups, rooted = [self._stems_of(key, trees), *groups], trees[:0]
+        swaying = sum(len(placed.shape) for placed in groups) if self._loose_stems else 0
+        for placed in self._things(key):
+            numbers = number + np.arange(len(placed.shape))
+            placed.surfaces["instance"] = numbers[:, None]
+            if len(placed.trees):
+                placed.trees["id"] = numbers
+            number += len(placed.shape)
+            groups.append(placed)
+        return _packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, swaying, self.plants)
+
+    def _grow_stems(self, key: TileKey) -> list[Mesh]:
+        """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, in the tile's frame."""
+        trees, origin_m = self._trees(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
+        return stem_meshes(trees, origin_m, self.height_m, table=self.plants.trees)
+
+    def _stems_of(self, key: TileKey, trees: Trees) -> Placed:
+        """Place the stems of a tile's trees one by one, at rest where the tile has them."""
+        n = len(trees)
+        world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
+        return Placed(
+            tuple(StemKey(key, number) for number in range(n)),
+            np.arange(n),
+            np.repeat(world_T_tile[None], n, axis=0),
+            _plant_surfaces(trees, STEM_PARTS, self.plants),
+            NO_TREES,
+        )
+
+    def _crowns(self, trees: Trees) -> Placed:
+        """Place the crowns of a tile's trees."""
+        names = trees[["cohort", "crown_class", "crown_variant"]].tolist()
+        crowns = [self._crown(*name) for name in names]
+        keys, shape = distinct(crowns)
+        return Placed(
+            keys,
+            shape,
+            crown_placements(trees, crowns),
+            _plant_surfaces(trees, CROWN_PARTS, self.plants),
+            trees,
+        )
+
+    def _things(self, key: TileKey) -> list[Placed]:
+        """Everything else on a tile."""
+        if not self._layers:
+            return []
+        site = Site(
+            seed=self.seed,
+            ix=key.ix,
+            iy=key.iy,
+            height_m=self.height_m,
+            path=self._path,
+            trunks=self._trunks(key.ix, key.iy),
+        )
+        return [layer.place(site) for layer in self._layers]
+
+    def _trunks(self, ix: int, iy: int) -> Array:
+        """Feet of the trees on a tile and its neighbours: (n, 3) x, y, radius."""
+        return np.concatenate([self._discs(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+
+
+def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First tile and number of tiles, in x and y, of the box around all that the walk can see."""
+    if not np.isfinite(path_xy_m).all():
+        row = int(np.flatnonzero(~np.isfinite(path_xy_m).all(axis=1))[0])
+        raise GeometryError(f"path_xy_m[{row}]", f"found {path_xy_m[row].tolist()}", "finite numbers")
+    aside = reach_m + _MARGIN_M
+    low = np.floor((path_xy_m.min(axis=0) - aside) / TILE_M).astype(int)
+    across = np.floor((path_xy_m.max(axis=0) + aside) / TILE_M).astype(int) - low + 1
+    if int(across[0]) * int(across[1]) * _NUMBERS_PER_TILE >= FIRST_FREE_INSTANCE:
+        size = " x ".join(f"{n * TILE_M / 1000:.0f} km" for n in across)
+        raise GeometryError("path_xy_m", f"spans {size} with what is in reach", "at most 209 km2")
+    return (int(low[0]), int(low[1])), (int(across[0]), int(across[1]))
+
+
+def _packed(
+    key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[Placed], swaying: int, plants: Flora
+) -> _Tile:
+    """Put a tile together: first its own shape of ground and stems, then all that is placed on it."""
+    ground = np.zeros(1, SURFACE)
+    ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
+    own_T = np.concatenate([np.eye(3), origin_m[:, None]], axis=1)[None]
+    keys: list[ShapeKey] = [key]
+    shape, first_surface = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)]
+    tables = [ground, _plant_surfaces(trees, STEM_PARTS, plants).ravel()]
+    rows = 1 + len(STEM_PARTS) * len(trees)
+    for placed in groups:
+        n, parts = placed.surfaces.shape
+        shape.append(len(keys) + placed.shape)
+        keys += placed.keys
+        first_surface.append(rows + parts * np.arange(n))
+        tables.append(placed.surfaces.ravel())
+        rows += n * parts
+    far = np.ones(sum(map(len, shape)), np.bool_)
+    far[1 : 1 + swaying] = False
+    return _Tile(
+        trees=np.concatenate([placed.trees for placed in groups]),
+        keys=tuple(keys),
+        shape=np.concatenate(shape),
+        world_T_shape=np.concatenate([own_T, *(placed.world_T_shape for placed in groups)]),
+        first_surface=np.concatenate(first_surface),
+        surfaces=np.concatenate(tables),
+        far=far,
+    )
+
+
+def _plant_surfaces(trees: Trees, parts: Sequence[int], plants: Flora) -> NDArray[np.void]:
+    """`SURFACE` rows of trees, (n, parts)."""
+    leaf = np.array(parts) == PlantPart.LEAF
+    rows = np.zeros((len(trees), len(parts)), SURFACE)
+    rows["reflectance"] = np.where(
+        leaf, trees["leaf_reflectance"][:, None], trees["bark_reflectance"][:, None]
+    )
+    rows["semantic"], rows["part"] = Semantic.TREE, parts
+    rows["instance"], rows["species"] = trees["id"][:, None], trees["species"][:, None]
+    rows["material"] = bark_material(trees["species"], plants)[:, None] + leaf
+    return rows

@@ -1,0 +1,200 @@
+"""The truth about trees that stand: one row for each, reckoned from the meshes that are scanned."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import OutputError
+from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
+from vlp16emu.world.plants.crown import (
+    CROWN_PARTS,
+    CrownKey,
+    crown_meshes,
+    crown_placements,
+    crown_scale,
+    crown_wood_m3,
+)
+from vlp16emu.world.plants.flora import species_table
+from vlp16emu.world.plants.species import Species
+from vlp16emu.world.plants.stem import STEM_PARTS, StemRings, stem_meshes, stem_rings
+
+__all__ = ["INVENTORY", "inventory", "write_csv"]
+
+Array = NDArray[np.float64]
+Trees = NDArray[np.void]
+
+INVENTORY = np.dtype(
+    [
+        ("id", "<u4"),  # instance number in labels
+        ("species", "<u2"),  # number in the species table
+        ("x_m", "<f8"),  # foot: where the stem's axis leaves the ground
+        ("y_m", "<f8"),
+        ("z_m", "<f8"),
+        ("dbh_m", "<f8"),  # area-equivalent, across the axis where that is 1.3 m above the foot
+        ("dbh_us_m", "<f8"),  # the same at 1.37 m, where North America measures it
+        ("girth_over_pi_m", "<f8"),  # what a tape around the mesh at 1.3 m shows
+        ("height_m", "<f8"),  # of the stem's tip over the foot, vertical
+        ("top_m", "<f8"),  # of the highest point of all, tip, branch or leaf, over the foot, vertical
+        ("crown_base_m", "<f8"),  # of the lowest living branch over the foot, vertical
+        ("crown_width_m", "<f8"),
+        ("lean_deg", "<f8"),  # of the axis from the vertical
+        ("lean_towards_deg", "<f8"),  # counter-clockwise from east
+        ("stem_m3", "<f8"),  # volume of the stem over bark, from the ground at the axis to the tip
+        ("wood_m3", "<f8"),  # that and all branches; where they start inside the stem they count twice
+        ("leaf_m2", "<f8"),  # one-sided
+        ("biomass_kg", "<f8"),  # dry, above ground, by the species' equation; NaN where none is known
+        ("list_line", "<u4"),  # of the stem list that names the tree, 0 where it has grown
+    ]
+)
+"""One tree of the inventory. Tops, volumes and areas are those of its meshes."""
+
+_COPIED = (
+    "id",
+    "species",
+    "x_m",
+    "y_m",
+    "z_m",
+    "dbh_m",
+    "height_m",
+    "crown_base_m",
+    "crown_width_m",
+    "lean_deg",
+    "lean_towards_deg",
+    "list_line",
+)
+
+_DECIMALS = 4
+"""Of the numbers in a file: a tenth of a millimetre, a tenth of a litre."""
+
+
+def inventory(
+    trees: Trees,
+    crowns: Sequence[CrownKey],
+    *,
+    seed: int,
+    table: Mapping[str, Species] | None = None,
+) -> NDArray[np.void]:
+    """Take the inventory of trees.
+
+    Parameters
+    ----------
+    trees : (n,) `TREE` records
+    crowns : the crown prototype of each
+    seed : that the crowns are grown from
+    table : species; that of the program if none is given
+
+    Returns
+    -------
+    (n,) `INVENTORY`, in the order of the trees
+    """
+    table = table or species_table()
+    rows = np.zeros(len(trees), INVENTORY)
+    for name in _COPIED:
+        rows[name] = trees[name]
+    _measure_stems(rows, trees, table)
+    rows["top_m"] = _stem_tops_m(trees, table)
+    _measure_crowns(rows, trees, crowns, seed, table)
+    rows["biomass_kg"] = np.nan
+    for species in table.values():
+        own = trees["species"] == species.number
+        sizes = (trees[name][own] for name in ("dbh_m", "height_m", "crown_base_m"))
+        rows["biomass_kg"][own] = species.biomass_kg(*sizes)
+    return rows
+
+
+def write_csv(path: Path, rows: NDArray[np.void], *, table: Mapping[str, Species] | None = None) -> None:
+    """Write an inventory with its column names as header; species by name, nothing where a number is unknown.
+
+    Raises
+    ------
+    OutputError
+        if the file cannot be written
+    """
+    names = {species.number: name for name, species in (table or species_table()).items()}
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(INVENTORY.names or ())
+            for row in rows.tolist():
+                number, species, *values, line = row
+                texts = ("" if np.isnan(value) else f"{value:.{_DECIMALS}f}" for value in values)
+                writer.writerow([number, names[species], *texts, line or ""])
+    except OSError as error:
+        raise OutputError(str(path), error.strerror or str(error), "a file that can be written") from error
+
+
+def _measure_stems(rows: NDArray[np.void], trees: Trees, table: Mapping[str, Species]) -> None:
+    """Fill in what follows from the rings of the stems' meshes."""
+    rings = stem_rings(trees, table=table)
+    upright = np.cos(np.radians(trees["lean_deg"]))
+    rows["stem_m3"] = _volume_m3(rings, trees["height_m"]) / upright
+    at = (rings.above_ground_m, rings.radius_m)
+    us = [np.interp(US_BREAST_HEIGHT_M, z, r) for z, r in zip(*at, strict=True)]
+    rows["dbh_us_m"] = 2 * np.array(us)
+    breast = [np.interp(BREAST_HEIGHT_M, z, r) for z, r in zip(*at, strict=True)]
+    half = np.pi / rings.sides
+    # A polygon of n corners with the area of the circle has this girth over pi: facts of trigonometry.
+    rows["girth_over_pi_m"] = 2 * np.array(breast) * np.sqrt(np.tan(half) / half)
+
+
+def _volume_m3(rings: StemRings, height_m: Array) -> Array:
+    """Volume (n,) of upright stems above the ground: frusta between rings, and the tip on the last of them."""
+    z = np.column_stack([rings.above_ground_m[:, 1:], height_m])
+    r = np.column_stack([rings.radius_m[:, 1:], np.zeros(len(z))])
+    low, high = r[:, :-1], r[:, 1:]
+    volume: Array = (np.pi / 3 * np.diff(z, axis=1) * (low**2 + low * high + high**2)).sum(axis=1)
+    return volume
+
+
+def _measure_crowns(
+    rows: NDArray[np.void],
+    trees: Trees,
+    crowns: Sequence[CrownKey],
+    seed: int,
+    table: Mapping[str, Species],
+) -> None:
+    """Fill in wood, leaves and tops, prototype by prototype, each stretched as its trees stretch it."""
+    wide, long = crown_scale(trees, crowns)
+    rows["wood_m3"] = rows["stem_m3"]
+    to_height = crown_placements(trees, crowns)[:, 2]
+    to_height[:, 3] -= trees["z_m"]
+    own: dict[CrownKey, list[int]] = {}
+    for i, key in enumerate(crowns):
+        own.setdefault(key, []).append(i)
+    for key, which in own.items():
+        rows["wood_m3"][which] += crown_wood_m3(seed, key, table=table) * wide[which] ** 2 * long[which]
+        meshes = crown_meshes(seed, key, table=table)
+        rows["top_m"][which] = np.maximum(rows["top_m"][which], _tops_m(meshes, to_height[which]))
+        leaves = meshes[CROWN_PARTS.index(PlantPart.LEAF)]
+        foliage = table[key.species].foliage
+        if foliage is not None and len(leaves.faces):
+            areas = _stretched_m2(leaves, wide[which], long[which])
+            rows["leaf_m2"][which] = foliage.clumping * areas
+
+
+def _stretched_m2(leaves: Mesh, wide: Array, long: Array) -> Array:
+    """Area (n,) of planar quads after each of n stretches, across and along the axis."""
+    a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
+    x, y, z = (np.cross(c - a, d - b) / 2).T
+    level, steep = z**2, x**2 + y**2
+    return np.array([w * np.sqrt(level * w**2 + steep * h**2).sum() for w, h in zip(wide, long, strict=True)])
+
+
+def _stem_tops_m(trees: Trees, table: Mapping[str, Species]) -> Array:
+    """Height (n,) of the highest vertex of each stem over its foot."""
+    feet = trees.copy()  # at the origin, where single precision is finest; what is buried is not the top
+    feet["x_m"] = feet["y_m"] = feet["z_m"] = 0.0
+    meshes = stem_meshes(feet, np.zeros(3), lambda x, _y: np.zeros_like(x), table=table)
+    highest = np.array([mesh.vertices_m[:, 2].max() for mesh in meshes])
+    tops_m: Array = highest.reshape(-1, len(STEM_PARTS)).max(axis=1)
+    return tops_m
+
+
+def _tops_m(meshes: Sequence[Mesh], to_height: Array) -> Array:
+    """Greatest height (n,) of any vertex, by n rows (n, 4) of its transform; minus infinity where there is none."""
+    places = np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64)
+    return np.array([(places @ row[:3]).max(initial=-np.inf) + row[3] for row in to_height])

@@ -1,0 +1,192 @@
+"""Parts of a window: what stands near a way, and a piece cut out of the world."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.types import FarTile, Mesh, Semantic, ShapeKey, Window
+from vlp16emu.world.plants.sapling import SaplingKey
+from vlp16emu.world.polyline import Polyline
+from vlp16emu.world.stand.floor_shapes import FloorKey
+from vlp16emu.world.stand.tiles import TILE_M, TileKey
+
+__all__ = ["AllNear", "Thing", "cut_out", "things_near"]
+
+Array = NDArray[np.float64]
+Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class AllNear:
+    """World of one window, in which nothing is seen from afar."""
+
+    inside: Window
+    shape: Grow
+    near_m: float = math.inf
+    seed: int = 0
+    name: str = ""
+
+    def window(self, _track_m: Array) -> Window:
+        """Give the window, from wherever."""
+        return self.inside
+
+    def shape_name(self, _key: ShapeKey) -> str:
+        """Give none: no shape is kept on disk."""
+        return ""
+
+    def far_tile(self, ix: int, iy: int) -> FarTile:
+        """Give none: there is no such square."""
+        raise LookupError(f"far tile: found {ix}, {iy}; expected none")
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """What stands or lies there and is no tree of the stand."""
+
+    placement: int
+    """In the window."""
+    instance: int
+    species: int
+    kind: str
+    """`sapling`, `stone`, `log`, `stump` or `tuft`; of anything else its semantic class in small letters."""
+    place_m: Array
+    """(3,) origin of its shape in the world."""
+    outline_m: Array
+    """(k, 2) convex outline seen from above, counter-clockwise, in the world."""
+    size_m: tuple[float, float, float]
+    """Along the axes of its own shape: of stones length, width and height; of logs length and mean diameter; of
+    stumps the diameter at the top and the height; of anything else its extent."""
+
+
+def things_near(
+    window: Window, shape: Grow, *, trees: NDArray[np.uint32], way: Polyline, radius_m: float
+) -> list[Thing]:
+    """Things whose place is within a radius of a way, in the order of the window.
+
+    Parameters
+    ----------
+    window, shape : of the world
+    trees : (n,) instances that are trees and so no things
+    """
+    no_tile = np.array([not isinstance(key, TileKey) for key in window.shapes], np.bool_)[window.shape]
+    no_tree = ~np.isin(window.surfaces["instance"][window.first_surface], trees)
+    near = way.distance_m(window.world_T_shape[:, :2, 3]) <= radius_m
+    corners = cache(lambda key: _corners_m(shape(key)))
+    return [
+        _thing(window, int(i), corners(window.shapes[window.shape[i]]))
+        for i in np.flatnonzero(no_tile & no_tree & near)
+    ]
+
+
+def cut_out(
+    window: Window,
+    shape: Grow,
+    *,
+    instances: NDArray[np.uint32],
+    inside: Callable[[Array], NDArray[np.bool_]],
+) -> tuple[Window, Grow]:
+    """Leave of a window the ground of a place, and some instances whole.
+
+    Parameters
+    ----------
+    window, shape : of the world
+    instances : (n,) what is left besides ground
+    inside : tells of points (n, 2) which lie in the place
+
+    Returns
+    -------
+    A window of the same surfaces, and how its shapes grow: in tiles, meshes of other instances are left empty
+    """
+    wanted = np.isin(window.surfaces["instance"], instances)
+    keep, tile_at = _kept(window, wanted, inside)
+    used, which = np.unique(window.shape[keep], return_inverse=True)
+    left = replace(
+        window,
+        shapes=tuple(window.shapes[i] for i in used),
+        shape=which.astype(np.int32),
+        world_T_shape=window.world_T_shape[keep],
+        first_surface=window.first_surface[keep],
+        far=None,
+    )
+
+    def grow(key: ShapeKey) -> tuple[Mesh, ...]:
+        """Grow a shape; of a tile, only the ground of the place and the stems that are wanted."""
+        if not isinstance(key, TileKey):
+            return shape(key)
+        (ground, *stems), place = shape(key), tile_at[key]
+        corner_m, row = window.world_T_shape[place, :2, 3], int(window.first_surface[place]) + 1
+        middles_m = ground.vertices_m[ground.faces].mean(axis=1)[:, :2] + corner_m
+        stays = wanted[row : row + len(stems)].tolist()
+        told = zip(stems, stays, strict=True)
+        cut = (mesh if whole else Mesh(mesh.vertices_m, mesh.faces[:0]) for mesh, whole in told)
+        corners, faces = np.unique(ground.faces[inside(middles_m)], return_inverse=True)
+        return Mesh(ground.vertices_m[corners], faces.reshape(-1, 3).astype(np.uint32)), *cut
+
+    return left, grow
+
+
+def _kept(
+    window: Window, wanted: NDArray[np.bool_], inside: Callable[[Array], NDArray[np.bool_]]
+) -> tuple[NDArray[np.bool_], dict[TileKey, int]]:
+    """Which placements (n,) show a wanted surface or ground of the place; and the placement of each tile."""
+    keys = (window.shapes[which] for which in window.shape)
+    tile_at = {key: i for i, key in enumerate(keys) if isinstance(key, TileKey)}
+    keep = wanted[window.first_surface]
+    starts = np.append(np.sort(window.first_surface), len(wanted))
+    for key, i in tile_at.items():
+        first = window.first_surface[i]
+        end = starts[np.searchsorted(starts, first, side="right")]
+        # Points a metre apart miss no more of the place than a corner of it.
+        x_m, y_m = np.meshgrid(*(TILE_M * n + np.arange(TILE_M + 1) for n in (key.ix, key.iy)))
+        keep[i] = wanted[first:end].any() or inside(np.column_stack([x_m.ravel(), y_m.ravel()])).any()
+    return keep, tile_at
+
+
+def _thing(window: Window, placement: int, corners_m: Array) -> Thing:
+    """Look at one placement of a shape with these corners (k, 3)."""
+    key = window.shapes[window.shape[placement]]
+    row = window.surfaces[window.first_surface[placement]]
+    world_T_shape = window.world_T_shape[placement]
+    seen_m = (corners_m @ world_T_shape[:, :3].T + world_T_shape[:, 3])[:, :2]
+    # Shapes of the floor have unit size by what they are, not by their outermost corner.
+    unit_m = np.ones(3) if isinstance(key, FloorKey) else np.ptp(corners_m, axis=0)
+    size_m = unit_m * np.linalg.norm(world_T_shape[:, :3], axis=0)
+    return Thing(
+        placement=placement,
+        instance=int(row["instance"]),
+        species=int(row["species"]),
+        kind=_kind(key, Semantic(row["semantic"])),
+        place_m=world_T_shape[:, 3].copy(),
+        outline_m=_hull_m(seen_m),
+        size_m=(float(size_m[0]), float(size_m[1]), float(size_m[2])),
+    )
+
+
+def _kind(key: ShapeKey, semantic: Semantic) -> str:
+    """Say what a shape is."""
+    match key:
+        case FloorKey():
+            return key.kind.value
+        case SaplingKey():
+            return "sapling"
+    return semantic.name.lower()
+
+
+def _corners_m(meshes: Sequence[Mesh]) -> Array:
+    """Vertices (k, 3) that span the convex hull of a shape: all that outlines need, in any placement."""
+    return _hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
+
+
+def _hull_m(points_m: Array) -> Array:
+    """Those of the points (n, 2 or 3) that span their convex hull; all, where they span no area or volume."""
+    from scipy.spatial import ConvexHull, QhullError  # here: only reports on a forest need it
+
+    try:
+        hull: Array = points_m[ConvexHull(points_m).vertices]
+    except QhullError:
+        return points_m
+    return hull

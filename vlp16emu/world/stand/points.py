@@ -1,0 +1,210 @@
+"""Places of plants and stones: point patterns that fill the plane tile by tile.
+
+What falls into a tile depends on the seed and on the tile's surroundings only, so no pattern has an
+edge, and tiles can be asked for in any order. Source of the processes: Chiu, Stoyan, Kendall, Mecke,
+Stochastic Geometry and its Applications, 3rd ed., sections 5.3 and 5.4.
+"""
+
+import math
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.random import Purpose, generator, uniform
+from vlp16emu.world.stand.settings import Clusters, HardCore, Pattern, Plantation, Scattered
+from vlp16emu.world.stand.tiles import TILE_M
+
+__all__ = [
+    "ClusterPattern",
+    "HardCorePattern",
+    "PointPattern",
+    "RowPattern",
+    "ScatteredPattern",
+    "pattern_of",
+]
+
+Array = NDArray[np.float64]
+
+_SPACING_SHARE = 0.4
+"""Hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25."""
+
+_LARGEST_DISTANCE_M = 5.0
+"""Trees farther apart than this do not keep each other away; assumption."""
+
+_TILES_KEPT = 1024
+"""Tiles whose points are kept for their neighbours: more than one window and its border hold."""
+
+
+class PointPattern(Protocol):
+    """Points in the plane."""
+
+    per_ha: float
+    """Mean number of points per hectare."""
+
+    def points(self, ix: int, iy: int) -> Array:
+        """Points of a tile, (n, 2) x and y in m; the same ones however often asked."""
+
+
+class ScatteredPattern:
+    """Points that know nothing of each other (Poisson process).
+
+    Parameters
+    ----------
+    seed : of the scenario
+    purpose : what the points are for; patterns of different purpose are independent
+    per_ha : mean number of points per hectare
+    """
+
+    def __init__(self, *, seed: int, purpose: Purpose, per_ha: float) -> None:
+        self.per_ha = per_ha
+        self._seed, self._purpose = seed, purpose
+
+    def points(self, ix: int, iy: int) -> Array:
+        """Points of a tile, (n, 2)."""
+        rng = generator(self._seed, self._purpose, ix, iy)
+        count = rng.poisson(self.per_ha * TILE_M**2 / 10_000)
+        return (rng.random((count, 2)) + np.array([ix, iy])) * TILE_M
+
+
+class HardCorePattern:
+    """Points that keep apart.
+
+    Matern's second process: candidates fall like rain (Poisson), each with a random priority, and a
+    candidate survives if none of higher priority lies within the hard-core distance (Matern 1960).
+
+    Parameters
+    ----------
+    seed, purpose : as for `ScatteredPattern`
+    per_ha : mean number of points per hectare after thinning
+    """
+
+    def __init__(self, *, seed: int, purpose: Purpose, per_ha: float) -> None:
+        self.per_ha = per_ha
+        density = per_ha / 10_000
+        self.distance_m = min(_SPACING_SHARE / math.sqrt(density), _LARGEST_DISTANCE_M) if density else 0.0
+        area = math.pi * self.distance_m**2
+        # Density after thinning is (1 - exp(-intensity * area)) / area; solved for the intensity.
+        intensity = -math.log1p(-density * area) / area if density else 0.0
+        self._per_tile = intensity * TILE_M**2
+        self._seed, self._purpose = seed, purpose
+        self.candidates = lru_cache(maxsize=_TILES_KEPT)(self._candidates)
+        """Candidates of tile (ix, iy): (n, 3) with x and y in m, and a priority in [0, 1), low is high."""
+
+    def points(self, ix: int, iy: int) -> Array:
+        """Survivors of a tile, (n, 2)."""
+        own = self.candidates(ix, iy)
+        rivals = np.concatenate([self.candidates(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+        dx, dy = (own[:, None, axis] - rivals[:, axis] for axis in (0, 1))
+        beaten = (dx * dx + dy * dy < self.distance_m**2) & (rivals[:, 2] < own[:, None, 2])
+        return own[~beaten.any(axis=1), :2]
+
+    def _candidates(self, ix: int, iy: int) -> Array:
+        """Rain of one tile."""
+        rng = generator(self._seed, self._purpose, ix, iy)
+        candidates = rng.random((rng.poisson(self._per_tile), 3))
+        candidates[:, :2] = (candidates[:, :2] + (ix, iy)) * TILE_M
+        candidates.flags.writeable = False
+        return candidates
+
+
+class ClusterPattern:
+    """Points in clumps (Thomas process): clumps fall like rain, their members normally about the middle.
+
+    Members that fall beyond the neighbouring tile, one in 1e4 at the very most, are lost.
+
+    Parameters
+    ----------
+    section : what the user wrote
+    seed, purpose, per_ha : as for `ScatteredPattern`
+    """
+
+    def __init__(self, section: Clusters, *, seed: int, purpose: Purpose, per_ha: float) -> None:
+        self.per_ha, self._section = per_ha, section
+        self._seed, self._purpose = seed, purpose
+        self._members = lru_cache(maxsize=_TILES_KEPT)(self._grow_members)
+
+    def points(self, ix: int, iy: int) -> Array:
+        """Members of a tile, whatever tile their clump belongs to, (n, 2)."""
+        around = [self._members(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        return _inside(np.concatenate(around), ix, iy)
+
+    def _grow_members(self, ix: int, iy: int) -> Array:
+        """Members of the clumps whose middle lies in a tile."""
+        rng = generator(self._seed, self._purpose, ix, iy)
+        clumps = rng.poisson(self.per_ha / self._section.per_cluster * TILE_M**2 / 10_000)
+        middles = (rng.random((clumps, 2)) + np.array([ix, iy])) * TILE_M
+        each = rng.poisson(self._section.per_cluster, clumps)
+        return np.repeat(middles, each, axis=0) + rng.normal(0.0, self._section.sigma_m, (each.sum(), 2))
+
+
+class RowPattern:
+    """Points in planted rows, a random share of which is still there.
+
+    Parameters
+    ----------
+    section : what the user wrote
+    seed, purpose : as for `ScatteredPattern`
+    per_ha : mean number of points per hectare that are left
+
+    Raises
+    ------
+    GeometryError
+        where more are to be left than were planted
+    """
+
+    def __init__(self, section: Plantation, *, seed: int, purpose: Purpose, per_ha: float) -> None:
+        row_spacing_m, tree_spacing_m = section.row_spacing_m, section.tree_spacing_m
+        planted = 10_000 / (row_spacing_m * tree_spacing_m)
+        if per_ha > planted:
+            rows = f"{planted:.0f}, which rows of {row_spacing_m:g} m x {tree_spacing_m:g} m hold"
+            raise GeometryError("stems_per_ha", f"found {per_ha:g}", f"at most {rows}")
+        self.per_ha = per_ha
+        self._left = per_ha / planted
+        self._spacing_m = np.array([tree_spacing_m, row_spacing_m])
+        towards = math.radians(section.azimuth_deg)
+        # Rows of the matrix: along and across the planted rows.
+        self._row_R_world = np.array(
+            [[math.cos(towards), math.sin(towards)], [-math.sin(towards), math.cos(towards)]]
+        )
+        self._jitter_m, self._seed, self._purpose = section.jitter_m, seed, purpose
+
+    def points(self, ix: int, iy: int) -> Array:
+        """Plants of a tile that are left, (n, 2)."""
+        corners = (
+            np.array([(x, y) for x in (ix, ix + 1) for y in (iy, iy + 1)]) * TILE_M @ self._row_R_world.T
+        )
+        low = np.floor((corners.min(axis=0) - self._jitter_m) / self._spacing_m).astype(int)
+        high = np.ceil((corners.max(axis=0) + self._jitter_m) / self._spacing_m).astype(int)
+        plants = np.arange(low[0], high[0] + 1)
+        rows = [self._row(int(row), plants) for row in range(low[1], high[1] + 1)]
+        return _inside(np.concatenate(rows) @ self._row_R_world, ix, iy)
+
+    def _row(self, row: int, plants: NDArray[np.int64]) -> Array:
+        """Places of the plants of a stretch of one row, along and across it; each plant draws alone."""
+        lane = row & 0xFFFFFFFF
+        draws = uniform(self._seed, self._purpose, 4 * int(plants[0]), 4 * len(plants), lane).reshape(-1, 4)
+        planted = np.column_stack([plants, np.full(len(plants), row)]) * self._spacing_m
+        return (planted + self._jitter_m * (2 * draws[:, :2] - 1))[draws[:, 2] < self._left]
+
+
+def pattern_of(section: Pattern, *, seed: int, purpose: Purpose, per_ha: float) -> PointPattern:
+    """Make a point pattern of some density; the other arguments are those of `ScatteredPattern`."""
+    match section:
+        case Clusters():
+            return ClusterPattern(section, seed=seed, purpose=purpose, per_ha=per_ha)
+        case Plantation():
+            return RowPattern(section, seed=seed, purpose=purpose, per_ha=per_ha)
+        case HardCore():
+            return HardCorePattern(seed=seed, purpose=purpose, per_ha=per_ha)
+        case Scattered():
+            return ScatteredPattern(seed=seed, purpose=purpose, per_ha=per_ha)
+
+
+def _inside(points: Array, ix: int, iy: int) -> Array:
+    """Those of the points (n, 2) that lie on a tile."""
+    low = np.array([ix, iy]) * TILE_M
+    inside: Array = points[((points >= low) & (points < low + TILE_M)).all(axis=1)]
+    return inside
