@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Poses
 
-__all__ = ["Kinematics", "Motion", "body_rate", "rotate", "rotation", "rotations"]
+__all__ = ["Kinematics", "Motion", "body_rate", "fill_rotation", "rotate", "rotation", "rotations"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,17 +53,22 @@ class Motion(Protocol):
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+def fill_rotation(
+    cy: float, sy: float, cp: float, sp: float, cr: float, sr: float, out: NDArray[np.float64]
+) -> None:
+    """Fill the rotation (3, 3) of `rotate` from cosines and sines of yaw, pitch and roll."""
+    out[0, 0], out[0, 1], out[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    out[1, 0], out[1, 1], out[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    out[2, 0], out[2, 1], out[2, 2] = -sp, cp * sr, cp * cr
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def rotate(yaw_rad: float, pitch_rad: float, roll_rad: float, out: NDArray[np.float64]) -> None:
     """Fill a rotation (3, 3), body to world: about z, then y, then x.
 
     Yaw is counter-clockwise from east, positive pitch is nose down, positive roll is right side down.
     """
-    cy, sy = cos_sin(yaw_rad)
-    cp, sp = cos_sin(pitch_rad)
-    cr, sr = cos_sin(roll_rad)
-    out[0, 0], out[0, 1], out[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
-    out[1, 0], out[1, 1], out[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
-    out[2, 0], out[2, 1], out[2, 2] = -sp, cp * sr, cp * cr
+    fill_rotation(*cos_sin(yaw_rad), *cos_sin(pitch_rad), *cos_sin(roll_rad), out)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -19,6 +19,9 @@ __all__ = ["BODY_R_SENSOR", "Head", "turn"]
 BODY_R_SENSOR = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Mounting: the cable points back, so azimuth 0 (sensor +y) looks forward (body +x)."""
 
+_TOGETHER = 480
+"""Firing sequences that are aimed before the poses of others are asked for, so that these are still in the cache."""
+
 
 @dataclass(frozen=True, slots=True)
 class Head:
@@ -49,22 +52,24 @@ class Head:
         beams = self.beams
         elevation_rad = np.radians(beams.elevation_deg + beams.elevation_error_deg)
         t_ns = self.times_ns(first, count)
-        poses = poses_at(t_ns.reshape(-1))
         azimuth_deg = self.rotor.angle_deg(t_ns - self.start_ns)
         origin_m, direction = np.empty((*t_ns.shape, 3)), np.empty((*t_ns.shape, 3))
         level = np.empty((*t_ns.shape, 3) if across else (0, 0, 3))
-        _aim(
-            azimuth_deg,
+        table = (
             np.radians(beams.azimuth_error_deg),
             np.array([[math.cos(w), math.sin(w)] for w in elevation_rad.tolist()]),
             beams.vertical_offset_m,
             BODY_R_SENSOR,
-            poses.world_R_body,
-            poses.world_p_body_m,
-            origin_m,
-            direction,
-            level,
         )
+        for begin in range(0, count, _TOGETHER):
+            part = slice(begin, begin + _TOGETHER)
+            poses = poses_at(t_ns[part].reshape(-1))
+            _aim(
+                azimuth_deg[part],
+                *table,
+                *(poses.world_R_body, poses.world_p_body_m),
+                *(origin_m[part], direction[part], level[part]),
+            )
         return Firings(
             index=first,
             t_ns=t_ns,
@@ -104,12 +109,14 @@ def _aim(
     count, lasers = azimuth_deg.shape
     moving = len(world_p_body_m) > 1
     sensor, body = np.empty(3), np.empty(3)
+    cosine, sine = np.empty(lasers), np.empty(lasers)
     for i in range(count):
+        for j in range(lasers):  # four at once
+            cosine[j], sine[j] = cos_sin(math.radians(azimuth_deg[i, j]) + error_rad[j])
         for j in range(lasers):
             n = i * lasers + j if moving else 0
             R, p = world_R_body[n], world_p_body_m[n]
-            azimuth = math.radians(azimuth_deg[i, j]) + error_rad[j]
-            c, s = cos_sin(azimuth)
+            c, s = cosine[j], sine[j]
             sensor[0], sensor[1], sensor[2] = elevation[j, 0] * s, elevation[j, 0] * c, elevation[j, 1]
             turn(body_R_sensor, sensor, body)
             turn(R, body, direction[i, j])
