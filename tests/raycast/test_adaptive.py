@@ -76,8 +76,8 @@ def test_a_deep_group_needs_more_than_a_shallow_one():
 
 def test_the_narrower_the_lead_the_more_rays():
     """The more sub-rays speak for another echo, nearer or farther, the coarser the target that they are enough for."""
-    for other_m in (18.5, 25.0):
-        finest = [finest_m([20.0] * lead + [other_m] * (32 - lead)) for lead in (27, 24, 21, 18)]
+    for other_m in (18.5, 21.8):
+        finest = [finest_m([20.0] * lead + [other_m] * (32 - lead)) for lead in (24, 22, 20, 18)]
         assert (np.diff(finest) > 0).all(), other_m
 
 

@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -359,6 +360,19 @@ class Slab:
         )
 
 
+@pytest.fixture(scope="module")
+def leaves(lab, workers):
+    """Medium of a slab by its density of leaves, each made once."""
+
+    @cache
+    def of(lad):
+        world = Slab(lab, lad)
+        far, window = Far(world, workers), world.window(np.zeros((1, 3)))
+        return far.medium(window, far.tiles(window))
+
+    return of
+
+
 DENSE_UPRIGHT = pytest.param(
     90.0,
     1.0,
@@ -370,11 +384,9 @@ DENSE_UPRIGHT = pytest.param(
     ("elevation_deg", "lad"),
     [*((e, lad) for e in (0.0, 17.46, 90.0) for lad in (0.2, 0.5, 1.0) if e * lad != 90.0), DENSE_UPRIGHT],
 )
-def test_light_is_let_through_as_by_random_leaves(lab, workers, lad, elevation_deg):
+def test_light_is_let_through_as_by_random_leaves(leaves, lad, elevation_deg):
     """Through 4 m of leaves of all directions goes exp(-LAD / 2 * 4), within three standard errors and 4 % of the depth."""
-    world = Slab(lab, lad)
-    far, window = Far(world, workers), world.window(np.zeros((1, 3)))
-    medium = far.medium(window, far.tiles(window))
+    medium, near_m = leaves(lad), Slab.near_m
     rng, way_m, n = np.random.default_rng(6), 4.0, 4000
     sine = math.sin(math.radians(elevation_deg))
     level = math.sqrt(1 - sine * sine)
@@ -385,8 +397,8 @@ def test_light_is_let_through_as_by_random_leaves(lab, workers, lad, elevation_d
         start_m = rng.uniform([6.5, 6.5, 4.2], [13.5, 13.5, 7.8])  # all of the way lies within the box
         if sine > 0.9:
             start_m[2] = 6.0
-        origin_m = start_m - world.near_m * direction
-        through[number] = np.isinf(met_m(medium, origin_m, direction, world.near_m + way_m))
+        origin_m = start_m - near_m * direction
+        through[number] = np.isinf(met_m(medium, origin_m, direction, near_m + way_m))
     # Rays share voxels: the error is that of groups of places.
     error = through.std() / np.sqrt(n)
     depth = -math.log(through.mean())

@@ -15,7 +15,6 @@ KEYS = {
     name: ShrubKey(name, 1, 0.7 * shrub.height_m[1], 0.7 * shrub.height_m[1] * shrub.width_share, "leaf_on")
     for name, shrub in shrub_table().items()
 }
-EACH = pytest.mark.parametrize("key", KEYS.values(), ids=KEYS)
 
 
 @cache
@@ -27,55 +26,55 @@ def corners(mesh):
     return np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
 
 
-@EACH
-def test_leaf_area_is_that_of_the_covered_ground(key):
+def test_leaf_area_is_that_of_the_covered_ground():
     """Quads have the kind's leaf area index times the ground that the shrub covers, within 0.1 %."""
-    a, b, c, d = corners(grown(key)[2])
-    area_m2 = np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2
-    expected = shrub_table()[key.species].leaf_area_index * np.pi / 4 * key.width_m**2
-    assert area_m2 == pytest.approx(expected, rel=1e-3)
+    for name, key in KEYS.items():
+        a, b, c, d = corners(grown(key)[2])
+        area_m2 = np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2
+        expected = shrub_table()[key.species].leaf_area_index * np.pi / 4 * key.width_m**2
+        assert area_m2 == pytest.approx(expected, rel=1e-3), name
 
 
-@EACH
-def test_leaves_are_inclined_as_measured(key):
+def test_leaves_are_inclined_as_measured():
     """Leaf inclination passes a chi-square test with 20 equally likely classes against its beta distribution."""
-    a, b, c, d = corners(grown(key)[2])
-    normal = np.cross(c - a, d - b)
-    zenith = np.arccos(np.abs(normal[:, 2]) / np.linalg.norm(normal, axis=1))
-    mu, nu = shrub_table()[key.species].foliage.inclination
-    likely = stats.beta(nu, mu).cdf(zenith / (np.pi / 2))
-    assert stats.chisquare(np.histogram(likely, 20, (0, 1))[0]).pvalue > 0.001
+    for name, key in KEYS.items():
+        a, b, c, d = corners(grown(key)[2])
+        normal = np.cross(c - a, d - b)
+        zenith = np.arccos(np.abs(normal[:, 2]) / np.linalg.norm(normal, axis=1))
+        mu, nu = shrub_table()[key.species].foliage.inclination
+        likely = stats.beta(nu, mu).cdf(zenith / (np.pi / 2))
+        assert stats.chisquare(np.histogram(likely, 20, (0, 1))[0]).pvalue > 0.001, name
 
 
-@EACH
-def test_a_shrub_has_its_size(key):
+def test_a_shrub_has_its_size():
     """It stands on the ground, reaches its height within a quarter, and is no wider than a quarter more than its width."""
-    vertices = np.concatenate([mesh.vertices_m for mesh in grown(key)])
-    assert -0.25 * key.height_m < vertices[:, 2].min() < 0
-    assert vertices[:, 2].max() == pytest.approx(key.height_m, rel=0.25)
-    width_m = np.ptp(vertices[:, :2], axis=0)
-    assert (width_m > 0.6 * key.width_m).all()
-    assert (width_m < 1.25 * key.width_m).all()
+    for name, key in KEYS.items():
+        vertices = np.concatenate([mesh.vertices_m for mesh in grown(key)])
+        assert -0.25 * key.height_m < vertices[:, 2].min() < 0, name
+        assert vertices[:, 2].max() == pytest.approx(key.height_m, rel=0.25), name
+        width_m = np.ptp(vertices[:, :2], axis=0)
+        assert (width_m > 0.6 * key.width_m).all(), name
+        assert (width_m < 1.25 * key.width_m).all(), name
 
 
-@EACH
-def test_stems_come_out_of_the_ground_side_by_side(key):
+def test_stems_come_out_of_the_ground_side_by_side():
     """There are as many stems as the kind has, all within a tenth of the width of the middle, below the ground."""
-    assert SHRUB_PARTS == (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF)
-    stems = grown(key)[0].vertices_m.reshape(-1, 49, 3)
-    assert len(stems) == shrub_table()[key.species].stems
-    foot = stems[:, :6].mean(axis=1)
-    assert (np.hypot(foot[:, 0], foot[:, 1]) < 0.1 * key.width_m).all()
-    assert (foot[:, 2] < 0).all()
+    for name, key in KEYS.items():
+        assert SHRUB_PARTS == (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF), name
+        stems = grown(key)[0].vertices_m.reshape(-1, 49, 3)
+        assert len(stems) == shrub_table()[key.species].stems, name
+        foot = stems[:, :6].mean(axis=1)
+        assert (np.hypot(foot[:, 0], foot[:, 1]) < 0.1 * key.width_m).all(), name
+        assert (foot[:, 2] < 0).all(), name
 
 
-@EACH
-def test_winter_takes_the_leaves_only(key):
+def test_winter_takes_the_leaves_only():
     """Leaf-off a shrub has no leaf face and the same stems and twigs."""
-    winter = grown(replace(key, season="leaf_off"))
-    assert len(winter[2].faces) == 0
-    for cold, warm in zip(winter[:2], grown(key)[:2], strict=True):
-        assert cold.vertices_m.tobytes() == warm.vertices_m.tobytes()
+    for name, key in KEYS.items():
+        winter = grown(replace(key, season="leaf_off"))
+        assert len(winter[2].faces) == 0, name
+        for cold, warm in zip(winter[:2], grown(key)[:2], strict=True):
+            assert cold.vertices_m.tobytes() == warm.vertices_m.tobytes(), name
 
 
 def test_a_shrub_depends_on_seed_and_key_alone():

@@ -79,25 +79,25 @@ def test_a_placed_sapling_has_the_height_and_diameter_of_its_record():
     assert 2 * np.sqrt(area_m2 / np.pi) == pytest.approx(tree["dbh_m"], abs=1e-5)
 
 
-@pytest.mark.parametrize("key", KEYS, ids=str)
-def test_a_sapling_fills_its_crown(key):
+def test_a_sapling_fills_its_crown():
     """Branches and leaves begin above the ground and stay within about the height and half of it in width."""
-    _, first, second, leaves = sapling_meshes(6, key)
-    vertices = np.concatenate([mesh.vertices_m for mesh in (first, second, leaves)])
-    assert vertices[:, 2].min() > -0.25
-    assert vertices[:, 2].max() == pytest.approx(key.height_m, rel=0.25)
-    width = np.quantile(np.abs(leaves.vertices_m[:, :2]), 0.99)
-    assert 0.15 * key.height_m < width < 0.35 * key.height_m + 0.12
+    for key in KEYS:
+        _, first, second, leaves = sapling_meshes(6, key)
+        vertices = np.concatenate([mesh.vertices_m for mesh in (first, second, leaves)])
+        assert vertices[:, 2].min() > -0.25, key
+        assert vertices[:, 2].max() == pytest.approx(key.height_m, rel=0.25), key
+        width = np.quantile(np.abs(leaves.vertices_m[:, :2]), 0.99)
+        assert 0.15 * key.height_m < width < 0.35 * key.height_m + 0.12, key
 
 
-@pytest.mark.parametrize("name", YOUNG)
-def test_leaf_area_of_a_sapling_is_that_of_its_crown(name):
+def test_leaf_area_of_a_sapling_is_that_of_its_crown():
     """Leaves have twice the area of the crown's projection, over their clumping, within 2 %."""
-    leaves = sapling_meshes(6, SaplingKey(name, 1, 3.0, "leaf_on"))[3]
-    a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
-    area_m2 = np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2
-    expected = 2 * np.pi / 4 * 1.5**2 / species_table()[name].foliage.clumping
-    assert area_m2 == pytest.approx(expected, rel=0.02)
+    for name in YOUNG:
+        leaves = sapling_meshes(6, SaplingKey(name, 1, 3.0, "leaf_on"))[3]
+        a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
+        area_m2 = np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2
+        expected = 2 * np.pi / 4 * 1.5**2 / species_table()[name].foliage.clumping
+        assert area_m2 == pytest.approx(expected, rel=0.02), name
 
 
 def test_in_winter_beeches_are_bare_and_spruces_are_not():
