@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.assembly import assemble
-from vlp16emu.emulator import Emulator
+from vlp16emu.chain import Chain
 from vlp16emu.fidelity.answer import apart_m, joined
 from vlp16emu.fidelity.bench import Bench
 from vlp16emu.fidelity.sample import Group
@@ -53,7 +53,7 @@ def sweep():
     """One revolution: cast distances, closed-form distances, and which thing is nearest."""
     scenario = load("static_bench")
     world = scenario.world
-    returns = list(Emulator(scenario).returns(0, 0.1))
+    returns = list(Chain(scenario).returns(0, 0.1))
     o = np.concatenate([r.firings.origin_m for r in returns])
     d = np.concatenate([r.firings.direction for r in returns])
     things = [to_box_inside(o, d, (world.length_m / 2, world.width_m / 2), 0.0, world.height_m)]
@@ -128,7 +128,7 @@ def test_errors_that_accuracy_reports_are_the_true_ones():
     settings = [light for light in lights(scenario, unit.seed) if "target" not in light.name]
     exact, opened = ExactHall(scenario), []
     look = lambda *seen: opened.append(seen[3])  # noqa: E731  # the emulator's own scene
-    list(Emulator(scenario, audit=look).returns(0, 0.01))
+    list(Chain(scenario, audit=look).returns(0, 0.01))
     poses_at = unit.motion.poses_at
     groups = [Group(first, 8) for first in range(0, 1808, 192)]
     aimed = [bench.aimed(group, poses_at) for group in groups]

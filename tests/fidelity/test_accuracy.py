@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.assembly import assemble, window_of
-from vlp16emu.emulator import Emulator
+from vlp16emu.chain import Chain
 from vlp16emu.errors import RunError
 from vlp16emu.fidelity.accuracy import measure_accuracy
 from vlp16emu.fidelity.checks import repeats, strays
@@ -55,7 +55,7 @@ def test_the_setting_in_use_is_on_the_ladder(settings, name):
     scenario = load("static_bench", settings)
     in_use = [light for light in lights(scenario, scenario.seed) if light.in_use]
     assert [light.name for light in in_use] == [name]
-    assert in_use[0].beam == Emulator(scenario).parts.units[0].beam
+    assert in_use[0].beam == Chain(scenario).parts.units[0].beam
 
 
 def test_names_are_settings():
@@ -80,7 +80,7 @@ def test_the_distance_in_use_is_on_the_ladder(near_m, names):
 
 def test_a_held_pose_is_that_of_the_first_pulse():
     """Held over a packet of 24 sequences, all pulses have the pose of the packet's first one."""
-    unit = Emulator(load("birch_walk", ["world.stems_per_ha=50"])).parts.units[0]
+    unit = Chain(load("birch_walk", ["world.stems_per_ha=50"])).parts.units[0]
     t_ns = unit.head.times_ns(1920, 48)
     _, per_sequence, per_packet = (hold.poses_at(t_ns.reshape(-1)).world_p_body_m for hold in holds(unit))
     first_m = unit.motion.poses_at(t_ns[:, 0].copy()).world_p_body_m
@@ -91,7 +91,7 @@ def test_a_held_pose_is_that_of_the_first_pulse():
 def test_rounding_is_seen():
     """The hall's float32 ranges are within micrometres; ranges that are 0.1 mm off are found to be so."""
     looked = []
-    emulator = Emulator(load("static_bench"), audit=lambda *seen: looked.append(seen))
+    emulator = Chain(load("static_bench"), audit=lambda *seen: looked.append(seen))
     list(emulator.returns(0.0, 0.01))
     unit, _, _, scene = looked[0]
     world = emulator.parts.world

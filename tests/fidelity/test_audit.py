@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vlp16emu.emulator import Emulator
+from vlp16emu.chain import Chain
 from vlp16emu.fidelity import Audit
 from vlp16emu.fidelity.answer import apart_m, joined
 from vlp16emu.fidelity.bench import Bench
@@ -32,7 +32,7 @@ def test_an_audit_changes_no_byte_and_depends_on_no_thread(hall):
     """With an audit, on one thread or three, the packets are those without; and the audits find the same."""
     audits = [Audit.of(hall), Audit.of(hall)]
     found = {
-        digest(Emulator(hall, threads=threads, audit=audit).packets(0.0, 10 * BLOCK_S))
+        digest(Chain(hall, threads=threads, audit=audit).packets(0.0, 10 * BLOCK_S))
         for threads, audit in ((1, audits[0]), (3, audits[1]), (2, None))
     }
     assert len(found) == 1
@@ -44,7 +44,7 @@ def test_where_a_pulse_is_one_ray_nothing_is_looked_at():
     """A scene that chose one ray per pulse gets no answers, and is told to be exact."""
     scenario = load("static_bench")
     audit = Audit.of(scenario)
-    list(Emulator(scenario, audit=audit).packets(0.0, 0.01))
+    list(Chain(scenario, audit=audit).packets(0.0, 0.01))
     assert audit.exact
     assert audit.tally == Tally()
     assert (audit.tally.range_rmse_m, audit.tally.range_rmse_interval_m) == (None, None)
@@ -53,7 +53,7 @@ def test_where_a_pulse_is_one_ray_nothing_is_looked_at():
 def test_of_a_short_run_no_interval_is_claimed(hall):
     """One block is one cluster: there is an error, but nothing is said of how sure it is."""
     audit = Audit.of(hall)
-    list(Emulator(hall, audit=audit).packets(0.0, 0.01))
+    list(Chain(hall, audit=audit).packets(0.0, 0.01))
     assert audit.tally.pulses == 16
     assert audit.tally.range_rmse_interval_m is None
 
@@ -67,7 +67,7 @@ def test_audits_estimate_the_error_that_accuracy_measures(hall):
         for seed, audit in enumerate(audits):
             audit(replace(unit, seed=seed), firings, hits, scene)
 
-    emulator = Emulator(hall, audit=look)
+    emulator = Chain(hall, audit=look)
     list(emulator.returns(0.0, 60 * BLOCK_S))
     unit = emulator.parts.units[0]
     bench, poses_at = Bench(unit, 128), unit.motion.poses_at
