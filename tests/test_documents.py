@@ -53,13 +53,12 @@ def test_the_tables_of_the_documents_fit_into_a_scene(tables, tmp_path):
     assert load(str(path)).title == "Thirty seconds among birches"
 
 
-def test_the_python_of_the_readme_runs(capsys):
-    """The example in Python runs as printed, and prints packets and blocks of returns."""
+def test_the_python_of_the_readme_runs(capsys, tmp_path, monkeypatch):
+    """The example in Python runs as printed, and its capture is clean."""
     (code,) = re.findall(r"```python\n(.*?)```", DOCUMENTS["README.md"], re.DOTALL)
+    monkeypatch.chdir(tmp_path)
     exec(code, {})
-    printed = capsys.readouterr().out
-    assert " 1206\n" in printed
-    assert ", 16, 3)" in printed
+    assert " True\n" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("command", COMMANDS)
