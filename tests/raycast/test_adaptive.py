@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.raycast.adaptive import RayBudget, enough
+from vlp16emu.raycast.adaptive import RayBudget, enough, worth_of_ray_m
 from vlp16emu.raycast.beam import ROUND
 from vlp16emu.raycast.scene import EmbreeCaster
 from vlp16emu.types import NO_SURFACE
@@ -13,7 +13,7 @@ WHITE = np.ones(1, np.float32)
 
 def budget(target_m, threshold=0.0):
     """An adaptive beam's, with a receiver of the usual noise."""
-    return RayBudget(64, True, target_m, 1.0, threshold, threshold / 6)
+    return RayBudget(64, True, worth_of_ray_m(target_m), 1.0, threshold, threshold / 6)
 
 
 def asked(ranges_m, target_m=0.03, threshold=0.0):

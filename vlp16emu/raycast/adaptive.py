@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.types import NO_SURFACE
 
-__all__ = ["RayBudget", "enough"]
+__all__ = ["RayBudget", "enough", "worth_of_ray_m"]
 
 _NONE = np.uint32(NO_SURFACE)
 _LEAST_SQUARED = np.float32(1e-12)
@@ -43,12 +43,18 @@ class RayBudget(NamedTuple):
     """Of a pulse."""
     adaptive: bool
     """Whether `enough` is asked after each round if there must be more."""
-    target_m: float
+    worth_m: float
+    """Error that each ray must take off; see `worth_of_ray_m`."""
     resolution_m: float
     threshold: float
     """Amplitude at which an echo is seen by every second pulse, in m-2; 0 where every echo is seen."""
     amplitude_noise: float
     """One sigma."""
+
+
+def worth_of_ray_m(target_m: float) -> float:
+    """Error that each ray must take off, so that the mean error comes to a target."""
+    return float(_PER_RAY * target_m**3.5)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -69,7 +75,7 @@ def enough(
     order : (2, n or more) room to sort in
     """
     n, resolution_m = range_m.shape[0], budget.resolution_m
-    worth_m = n * _PER_RAY * budget.target_m**3.5
+    worth_m = n * budget.worth_m
     is_precise = worth_m >= _MOST * resolution_m
     if is_precise and _is_plain(range_m, surface, cos_incidence, reflectance, n * budget.threshold):
         return True

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, uniform_pair
-from vlp16emu.raycast.adaptive import RayBudget
+from vlp16emu.raycast.adaptive import RayBudget, worth_of_ray_m
 from vlp16emu.types import Firings
 
 __all__ = [
@@ -104,10 +104,13 @@ class Footprint:
     @property
     def budget(self) -> RayBudget:
         """How many sub-rays its pulses want."""
-        most = 1 if self.model is BeamModel.ANGLE else self.rays
-        is_adaptive = self.model is BeamModel.ADAPTIVE
         return RayBudget(
-            most, is_adaptive, self.target_m, self.resolution_m, self.threshold, self.amplitude_noise
+            most=1 if self.model is BeamModel.ANGLE else self.rays,
+            adaptive=self.model is BeamModel.ADAPTIVE,
+            worth_m=worth_of_ray_m(self.target_m),
+            resolution_m=self.resolution_m,
+            threshold=self.threshold,
+            amplitude_noise=self.amplitude_noise,
         )
 
     @property

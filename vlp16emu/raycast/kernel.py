@@ -58,6 +58,10 @@ class Light(NamedTuple):
     """Number of the first firing sequence."""
 
 
+_USUAL = 10
+"""Sub-rays of a pulse, for which there is room at first; memory of this size is used again and needs no clearing."""
+
+
 class _Hits(NamedTuple):
     """Hits: three arrays of one shape."""
 
@@ -75,6 +79,8 @@ class _Batch(NamedTuple):
     """(n, 8)."""
     axes: NDArray[np.float32]
     """(n, 4, 3) of the pulses; the first two make up the middle."""
+    axes_row: NDArray[np.float32]
+    """(n, 12) the same numbers."""
     missed: NDArray[np.bool_]
     """(n,) which pulses go on into the medium: of some of their rays nothing near is met."""
     todo: NDArray[np.int64]
@@ -95,12 +101,22 @@ def _hits(shape: tuple[int, int]) -> _Hits:
 
 
 @numba.njit(cache=True, nogil=True)
+def _longer(hits: _Hits, n: int, least: int) -> _Hits:
+    """Make room for twice as many, or for so many at least, and keep the first n."""
+    longer = _hits((ZERO + 1, max(2 * hits.range_m.shape[1], least)))
+    _copy(hits, ZERO, ZERO, longer, ZERO, n)
+    return longer
+
+
+@numba.njit(cache=True, nogil=True)
 def _batch(pulses: int, most: int) -> _Batch:
     """Make room for pulses of so many sub-rays."""
+    axes_row = np.zeros((pulses, 12), np.float32)
     return _Batch(
         np.zeros((pulses, COSINE + LANES), np.float32),
         np.zeros((pulses, LANES), np.uint32),
-        np.zeros((pulses, 4, 3), np.float32),
+        axes_row.reshape(pulses, 4, 3),
+        axes_row,
         np.zeros(pulses, np.bool_),
         np.arange(pulses),
         np.zeros(pulses, np.int64),
@@ -149,7 +165,7 @@ def cast_pulses(
     """
     packet, n, pulses = ray_packet(), ZERO, PACKET * count.shape[1]
     batch = _batch(pulses, -(-budget.most // ROUND) * ROUND)
-    room, begin = _hits((ZERO + 1, count.size * budget.most)), np.empty(count.shape, np.int64)
+    room, begin = _hits((ZERO + 1, count.size * _USUAL)), np.empty(count.shape, np.int64)
     for first in light.order:
         todo, have = pulses, ZERO
         for q in range(pulses):
@@ -161,6 +177,8 @@ def cast_pulses(
             todo, have = _settle(near, budget, batch, todo, have, rays), have + rays
         for q in range(pulses):
             i, j, own = first + q % PACKET, q // PACKET, batch.have[q]
+            if n + own > room.range_m.shape[1]:
+                room = _longer(room, n, n + own)
             count[i, j], begin[i, j] = own, n
             _copy(batch.hits, q, ZERO, room, n, own)
             n += own
@@ -285,7 +303,7 @@ def _march(medium: Medium, light: Light, batch: _Batch, todo: int, count: int, r
             own_row[a] = row[q, a]
         for lane in range(LANES):
             own_surface[lane] = surface[q, lane]
-        march(medium, L, count, batch.axes[q].reshape(12), aside_m, spread)
+        march(medium, L, count, batch.axes_row[q], aside_m, spread)
         for a in range(RANGE, COSINE + LANES):
             row[q, a] = own_row[a]
         for lane in range(LANES):
