@@ -52,14 +52,12 @@ def decode(
             writer = stack.enter_context(opened)
         for chunk in reader.points():
             if writer:
-                arrays = {name: getattr(chunk.points, name) for name in chunk.points.__slots__}
-                writer.write(arrays | {"clock_ns": chunk.clock_ns})
+                writer.write(chunk.columns)
             if stop.is_set():
                 break
     summary, interrupted = reader.summary, stop.is_set()
     if as_json:
-        tree = {"file": str(file), "out": out and str(out)} | _tree(summary)
-        print_json(tree | {"interrupted": interrupted})
+        print_json({"file": str(file), "out": out and str(out), **_tree(summary), "interrupted": interrupted})
     else:
         _print(file, out, summary, interrupted=interrupted)
     if interrupted:

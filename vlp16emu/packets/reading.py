@@ -62,6 +62,12 @@ class Chunk(NamedTuple):
     fields: NDArray[np.void]
     """(p,) `DATA_PAYLOAD`, the packets themselves."""
 
+    @property
+    def columns(self) -> dict[str, NDArray[np.generic]]:
+        """(n,) each of the points' arrays by name, and the clock."""
+        arrays = {name: getattr(self.points, name) for name in Points.__slots__}
+        return {**arrays, "clock_ns": self.clock_ns}
+
 
 @dataclass(frozen=True, slots=True)
 class Summary:
