@@ -259,7 +259,7 @@ def test_a_scene_is_read_without_numba():
 def test_descriptions_of_keys_are_read_for_the_schema_only():
     """No section's source is parsed at the start: the docstring of a key is no part of its field."""
     assert Scenario.model_fields["seed"].description is None
-    assert schema()["properties"]["seed"]["description"].startswith("Of all randomness")
+    assert schema()["properties"]["seed"]["description"].startswith("Seed of all random numbers")
 
 
 def test_no_garbage_is_looked_for_while_a_run_starts():
