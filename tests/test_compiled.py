@@ -2,6 +2,7 @@
 
 import os
 import time
+from pathlib import Path
 
 import pytest
 
@@ -16,7 +17,7 @@ def package(tmp_path, monkeypatch):
     (folder / "room").mkdir(parents=True)
     for name in ("__init__.py", "room/caller.py", "room/callee.py"):
         (folder / name).write_text("x = 1\n")
-    monkeypatch.setattr(compiled, "_PACKAGE", folder)
+    monkeypatch.setattr(compiled, "_PACKAGE", str(folder))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     monkeypatch.delenv("NUMBA_CACHE_DIR")
@@ -29,7 +30,7 @@ def kept():
     """Folder that is chosen now."""
     keep_compiled()
     assert os.environ["NUMBA_CACHE_DIR"] == os.CACHE_DIR
-    return compiled.Path(os.CACHE_DIR)
+    return Path(os.CACHE_DIR)
 
 
 def test_a_change_of_any_file_has_a_folder_of_its_own(package):

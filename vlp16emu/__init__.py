@@ -5,10 +5,10 @@
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from vlp16emu.compiled import keep_compiled
 
+TYPE_CHECKING = False  # not from typing, which takes a third of the package's start
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
     from vlp16emu.recording import Recording
@@ -49,7 +49,7 @@ _PLACES = {
 keep_compiled()
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Load a public name when it is first used."""
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

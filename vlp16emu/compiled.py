@@ -4,6 +4,8 @@ Numba looks for changes in the file of a kernel only, not in those of the kernel
 to one state of all files that kernels are made of: its folder is named by their times and sizes.
 """
 
+# pathlib takes as long to load as all else of the package's start.
+# ruff: noqa: PTH103, PTH116, PTH118, PTH120, PTH208
 import hashlib
 import os
 import re
@@ -11,15 +13,29 @@ import stat
 import sys
 import time
 from contextlib import suppress
-from pathlib import Path
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from pathlib import Path
 
 __all__ = ["compiled_files", "keep_compiled"]
 
-_PACKAGE = Path(__file__).parent
+_PACKAGE = os.path.dirname(__file__)
 _PREFIX = "kernels-"
 _WITHOUT_KERNELS = frozenset(
     {
-        *("__init__", "__main__", "__pycache__", "assembly", "chain", "cli", "device", "emulator", "engine"),
+        *(
+            "__init__",
+            "__main__",
+            "__pycache__",
+            "assembly",
+            "chain",
+            "cli",
+            "compiled",
+            "device",
+            "emulator",
+        ),
+        "engine",
         *(
             "pipeline",
             "points",
@@ -40,33 +56,35 @@ _UNUSED_S = 86_400.0
 
 
 def keep_compiled() -> None:
-    """Tell numba where to keep what it compiles, before any kernel is imported.
+    """Set where numba keeps what it compiles, before any kernel is imported.
 
     In `NUMBA_CACHE_DIR`, or beside the package; where that cannot be written in the user's cache, or in a folder of
     the user's own for temporary files.
     """
     name = _PREFIX + _state()
     for base in _bases():
-        folder = base / name
+        folder = os.path.join(base, name)
         try:
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            os.makedirs(folder, mode=0o700, exist_ok=True)
             # Whoever can write there can have us run what he likes.
-            if folder.stat().st_uid != os.getuid() or not os.access(folder, os.W_OK):
+            if os.stat(folder).st_uid != os.getuid() or not os.access(folder, os.W_OK):
                 continue
             os.utime(folder)
         except OSError:
             continue
         _remove_unused(base)
-        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+        os.environ["NUMBA_CACHE_DIR"] = folder
         if "numba" in sys.modules:  # it has looked at the environment already
-            sys.modules["numba"].config.CACHE_DIR = str(folder)
+            sys.modules["numba"].config.CACHE_DIR = folder
         return
 
 
-def compiled_files() -> dict[Path, list[Path]]:
+def compiled_files() -> "dict[Path, list[Path]]":
     """List what numba keeps in folders of ours, of any state of the package, by folder."""
+    from pathlib import Path  # here: it takes as long to load as all else of the package's start
+
     found = {}
-    for base in dict.fromkeys(_bases()):
+    for base in map(Path, dict.fromkeys(_bases())):
         for folder in base.glob(_PREFIX + "*"):
             with suppress(OSError):
                 state = folder.lstat()
@@ -89,33 +107,35 @@ def _state() -> str:
     states = []
     for folder, rooms, files in os.walk(_PACKAGE):  # twice as quick as globs, at each start
         rooms[:] = [room for room in rooms if room not in _WITHOUT_KERNELS]
-        if folder == str(_PACKAGE):
+        if folder == _PACKAGE:
             files[:] = [file for file in files if file.removesuffix(".py") not in _WITHOUT_KERNELS]
-        for path in (os.path.join(folder, file) for file in files if file.endswith(".py")):  # noqa: PTH118 - likewise
-            state = os.stat(path)  # noqa: PTH116 - likewise
+        for path in (os.path.join(folder, file) for file in files if file.endswith(".py")):
+            state = os.stat(path)
             states.append(f"{path} {state.st_mtime_ns} {state.st_size}\n")
     return hashlib.sha256("".join(sorted(states)).encode()).hexdigest()[:16]
 
 
-def _bases() -> list[Path]:
+def _bases() -> list[str]:
     """Folders to try, best first."""
-    bases = [_PACKAGE / "__pycache__"]
+    bases = [os.path.join(_PACKAGE, "__pycache__")]
     if cache := os.environ.get("XDG_CACHE_HOME"):
-        bases.append(Path(cache) / "vlp16emu")
+        bases.append(os.path.join(cache, "vlp16emu"))
     elif home := os.environ.get("HOME"):
-        bases.append(Path(home) / ".cache" / "vlp16emu")
-    bases.append(Path(os.environ.get("TMPDIR", "/tmp")) / f"vlp16emu-{os.getuid()}")  # noqa: S108 - checked to be our own
+        bases.append(os.path.join(home, ".cache", "vlp16emu"))
+    temporary = os.environ.get("TMPDIR", "/tmp")  # noqa: S108 - checked to be our own
+    bases.append(os.path.join(temporary, f"vlp16emu-{os.getuid()}"))
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        path = Path(chosen)  # a program that called us may have set it in this manner
-        bases.insert(0, path.parent if path.name.startswith(_PREFIX) else path)
+        above, name = os.path.split(chosen)  # a program that called us may have set it in this manner
+        bases.insert(0, above if name.startswith(_PREFIX) else chosen)
     return bases
 
 
-def _remove_unused(base: Path) -> None:
+def _remove_unused(base: str) -> None:
     """Remove folders of other states that nobody has used for long."""
-    for folder in base.glob(_PREFIX + "*"):
+    for name in os.listdir(base):
+        folder = os.path.join(base, name)
         with suppress(OSError):
-            if time.time() - folder.stat().st_mtime > _UNUSED_S:
+            if name.startswith(_PREFIX) and time.time() - os.stat(folder).st_mtime > _UNUSED_S:
                 from shutil import rmtree
 
                 rmtree(folder)

@@ -12,7 +12,7 @@ def folders(tmp_path, monkeypatch):
     """A store of one bundle and a folder of one kernel, with a foreign file in each."""
     world, kernels = tmp_path / "world", tmp_path / "kernels-0123456789abcdef"
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(world))
-    monkeypatch.setattr(compiled, "_bases", lambda: [tmp_path])
+    monkeypatch.setattr(compiled, "_bases", lambda: [str(tmp_path)])
     user_store.cache_clear()
     user_store().put("a", {"a": np.zeros(10)})
     user_store().flush()

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from vlp16emu.cli.survey import survey
+from vlp16emu.report.forest.survey import survey
 from vlp16emu.scenario import load
 from vlp16emu.world.ground.grid import read_grid
 
@@ -188,7 +188,7 @@ def nothing_heavy(monkeypatch):
     def survey(*arguments):
         raise AssertionError(arguments)
 
-    monkeypatch.setattr("vlp16emu.cli.survey.survey", survey)
+    monkeypatch.setattr("vlp16emu.report.forest.survey.survey", survey)
 
 
 @pytest.mark.usefixtures("nothing_heavy")

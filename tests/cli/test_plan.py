@@ -6,25 +6,29 @@ import sys
 import pytest
 
 from vlp16emu.assembly import assemble
+from vlp16emu.chain import Chain
 from vlp16emu.cli import plan
-from vlp16emu.cli.needs import needs
-from vlp16emu.cli.trial import peak_bytes
-from vlp16emu.emulator import Emulator
+from vlp16emu.report import Spent
+from vlp16emu.report.plan.geometry import Geometry
+from vlp16emu.report.plan.needs import needs
+from vlp16emu.report.plan.run import Measured, StreamOutlook
+from vlp16emu.report.plan.trial import peak_bytes
 from vlp16emu.scenario import load
 
 SMALL = ("--set", "sensor.max_range_m=20", "--set", "world.stems_per_ha=150", "--threads", "1")
 
 
-def on(scene, *settings, audit=False):
+def on(scene, *settings):
     """Names of what is on."""
-    return {need.name for need in needs(Emulator(scene, settings, threads=1, audit=audit)) if need.on}
+    return {need.name for need in needs(Chain(load(scene, settings), threads=1), audited=False) if need.on}
 
 
-def test_the_audit_is_told_where_it_looks():
+def test_the_audit_is_named_where_it_looks(cli):
     """A beam with a width is audited unless that is not wanted; one ray leaves nothing to look at."""
-    assert "audit" in on("static_bench", "beam.model=adaptive", audit=True)
-    assert "audit" not in on("static_bench", "beam.model=adaptive")
-    assert "audit" not in on("static_bench", audit=True)
+    wide = "--set", "beam.model=adaptive"
+    for options, is_on in ((wide, True), ((*wide, "--no-audit"), False), ((), False)):
+        features = cli("plan", "static_bench", "--duration", "1", *options, "--json").tree["features"]
+        assert {need["name"]: need["on"] for need in features}["audit"] is is_on
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +127,7 @@ def test_whether_a_stream_keeps_up_is_reported(birch):
 
 def test_people_read_what_is_faces_and_what_is_voxels(birch):
     """The page says up to which range there are faces and from where voxels, or that all are faces."""
-    rows = plan._geometry(birch["world"]["geometry"])
+    rows = plan._geometry(Geometry(**birch["world"]["geometry"]))
     assert rows["faces"].endswith(", within 15 m")
     assert rows["voxels"].endswith(" tiles, beyond 15 m")
 
@@ -138,15 +142,26 @@ def test_people_read_what_is_faces_and_what_is_voxels(birch):
 )
 def test_people_read_whether_a_stream_keeps_up(factor, line):
     """The page says yes or no, and the speed; a speed that leaves nothing to spare is called that."""
-    found = {"keeps_up": factor >= 1, "real_time_factor": factor, "sender_share": 0.05, "keeps_up_with": []}
+    found = StreamOutlook(factor >= 1, factor, 0.05, ())
     assert plan._stream_rows(found)["keeps up"] == line
 
 
-@pytest.mark.parametrize(("keeps_up", "advised"), [(False, True), (True, False)])
-def test_what_is_too_slow_to_stream_gets_an_advice(birch, capsys, keeps_up, advised):
+def test_the_page_says_what_its_figures_are_from():
+    """The page has how much was simulated in how many pieces, and the time of the second window where there is one."""
+    pieces = (Spent(1.0, 2.0, 0.5),) * 3
+    assert "1.5 s of the run in 3 pieces; " in plan._how(
+        Measured(1.5, pieces, Spent(0.0, 0.0)), keeps_up=True
+    )
+    assert ", the second window in 0.25 s; " in plan._how(
+        Measured(1.5, pieces, Spent(0.25, 0.3)), keeps_up=True
+    )
+
+
+def test_what_is_too_slow_to_stream_gets_an_advice():
     """A plan says what makes a run faster where a stream cannot keep up, and only there."""
-    plan._print_how(birch | {"stream": {"keeps_up": keeps_up}})
-    assert ("world.near_m" in capsys.readouterr().out) is advised
+    measured = Measured(1.5, (Spent(1.0, 2.0, 0.5),) * 3, Spent(0.0, 0.0))
+    assert "world.near_m" in plan._how(measured, keeps_up=False)
+    assert "world.near_m" not in plan._how(measured, keeps_up=True)
 
 
 def test_a_static_sensor_has_one_window(cli):
@@ -181,7 +196,7 @@ def test_the_peak_grows_with_what_is_held():
     """Memory that is touched raises the peak."""
     code = (  # in a process of its own, which has held little yet
         "import numpy as np\n"
-        "from vlp16emu.cli.trial import peak_bytes\n"
+        "from vlp16emu.report.plan.trial import peak_bytes\n"
         "before = peak_bytes()\n"
         "held = np.ones(before // 8 + 10**7)\n"
         "print(before, held.nbytes, peak_bytes())"

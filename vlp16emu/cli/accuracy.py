@@ -55,7 +55,7 @@ def accuracy(
 ) -> None:
     """Measure the error and the cost of settings of the beam, of poses and of foliage.
 
-    Pulses from all over the run are told with each setting and held against their converged answer, of
+    Pulses from all over the run are received with each setting and compared with their converged answer, of
     thousands of sub-rays, by a receiver without noise; so are poses that are held. A forest cast leaf by leaf to some
     distances is held against the explicit one by its distributions, with 16 times as many pulses.
     Of a rig, the first sensor is looked at.

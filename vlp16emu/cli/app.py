@@ -18,8 +18,7 @@ from vlp16emu.cli.interrupt import INTERRUPTED
 from vlp16emu.cli.plan import plan
 from vlp16emu.cli.points import points
 from vlp16emu.cli.record import record
-from vlp16emu.cli.scenes import scenes
-from vlp16emu.cli.schema import schema
+from vlp16emu.cli.scenes import scenes, schema
 from vlp16emu.cli.stream import stream
 from vlp16emu.cli.verify import verify
 from vlp16emu.errors import Vlp16emuError
@@ -135,7 +134,7 @@ def main() -> None:
         if error.filename is not None or error.errno is None:  # files are looked after where they are written
             raise
         _drop_output()
-        if not code:  # else the reason is told
+        if not code:  # else the reason has been printed
             _complain(f"standard output: {error.strerror}")
             code = 1
     sys.exit(1 if code is None else code)

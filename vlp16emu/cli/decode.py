@@ -3,6 +3,7 @@
 from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,7 +13,7 @@ from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
 from vlp16emu.cli.output import count, print_json, print_rows
 
 if TYPE_CHECKING:
-    from vlp16emu.packets import Summary
+    from vlp16emu.packets import CaptureReader, Summary
 
 __all__ = ["decode"]
 
@@ -41,11 +42,26 @@ def decode(
     valid file with the points before.
     """
     from vlp16emu.packets import CaptureReader, chosen_unit
+
+    chosen = chosen_unit(file, unit, where="--unit")
+    with CaptureReader(file, chosen) as reader, stop_on_ctrl_c() as stop:
+        _read(reader, out, stop)
+    summary, interrupted = reader.summary, stop.is_set()
+    if as_json:
+        tree = {"file": str(file), "out": out and str(out)} | _tree(summary)
+        print_json(tree | {"interrupted": interrupted})
+    else:
+        _print(file, out, summary, interrupted=interrupted)
+    if interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+def _read(reader: "CaptureReader", out: Path | None, stop: Event) -> None:
+    """Read a capture until it ends or reading is to stop, and write its points where they are wanted."""
     from vlp16emu.sinks.cloud import point_file
     from vlp16emu.sinks.columns import CAPTURE_COLUMNS, CAPTURE_COMMENTS
 
-    chosen = chosen_unit(file, unit, where="--unit")
-    with CaptureReader(file, chosen) as reader, stop_on_ctrl_c() as stop, ExitStack() as stack:
+    with ExitStack() as stack:
         writer = None
         if out:
             opened = point_file(out, CAPTURE_COLUMNS, CAPTURE_COMMENTS, where=f"--out {out}")
@@ -55,13 +71,6 @@ def decode(
                 writer.write(chunk.columns)
             if stop.is_set():
                 break
-    summary, interrupted = reader.summary, stop.is_set()
-    if as_json:
-        print_json({"file": str(file), "out": out and str(out), **_tree(summary), "interrupted": interrupted})
-    else:
-        _print(file, out, summary, interrupted=interrupted)
-    if interrupted:
-        raise typer.Exit(INTERRUPTED)
 
 
 def _tree(summary: "Summary") -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Self
 __all__ = ["Progress"]
 
 _REFRESH_S = 0.5
-"""Drawing takes a millisecond, which a packet on its way must not wait for more often."""
+"""Drawing takes a millisecond, which a packet that is due must not wait for more often."""
 
 
 class Progress:
@@ -53,7 +53,7 @@ class Progress:
             self._bar.stop()
 
     def show(self, task: str, done_s: float) -> None:
-        """Tell what is being done and how far it is; draws twice a second."""
+        """Show what is being done and how far it is; draws twice a second."""
         if self._bar is not None and (now_s := time.monotonic()) >= self._next_s:
             self._next_s = now_s + _REFRESH_S
             self._bar.update(self._task, description=task, completed=done_s, refresh=True)

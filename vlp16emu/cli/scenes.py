@@ -1,9 +1,9 @@
-"""`vlp16emu scenes`: what can be recorded by name."""
+"""`vlp16emu scenes` and `vlp16emu schema`: what can be recorded by name, and what a scene file may say."""
 
 from vlp16emu.cli.arguments import AsJson
 from vlp16emu.cli.output import print_json, print_rows
 
-__all__ = ["scenes"]
+__all__ = ["scenes", "schema"]
 
 
 def scenes(*, as_json: AsJson = False) -> None:
@@ -29,3 +29,13 @@ def scenes(*, as_json: AsJson = False) -> None:
         print_json({"scenes": rows})
         return
     print_rows("scenes", {name: f"{s.duration_s:g} s  {s.title}" for name, (s, _) in known.items()})
+
+
+def schema() -> None:
+    """Print the JSON Schema of the scene file.
+
+    Editors that know TOML complete keys and show errors with it.
+    """
+    from vlp16emu.scenario import schema as scene_schema
+
+    print_json(scene_schema())

@@ -11,7 +11,7 @@ import numpy as np
 from vlp16emu.chain import Chain
 from vlp16emu.errors import InputError
 from vlp16emu.packets import returns_in
-from vlp16emu.report import Spent
+from vlp16emu.report.plan.forecast import Spent
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
@@ -44,7 +44,7 @@ def spent_since(began: Spent | None = None) -> Spent:
 
 
 def peak_bytes() -> int | None:
-    """Greatest memory that this process has held so far, or None where the system does not tell.
+    """Greatest memory that this process has held so far, or None where the system does not report it.
 
     `VmHWM` (proc(5)) begins anew with the program; the figure of getrusage(2) would be that of the parent, if it
     was greater.

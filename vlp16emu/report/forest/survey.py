@@ -1,4 +1,4 @@
-"""What `vlp16emu forest` looks at: all that stands near the way of a sensor, gathered once."""
+"""What `vlp16emu forest` looks at: all that stands near the path of a sensor, gathered once."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -81,7 +81,7 @@ class Survey:
 
 
 def survey(scenario: Scenario, radius_m: float) -> Survey:
-    """Look around the way of a scenario's sensor.
+    """Look around the path of a scenario's sensor.
 
     Raises
     ------

@@ -1,15 +1,15 @@
-"""What a scene asks for and what it leaves out, and what stands in its windows."""
+"""What a scene asks for and what it leaves out, and what is in its windows."""
 
 import sys
 from collections import Counter
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 from vlp16emu.assembly import Unit
 from vlp16emu.assembly.windows import window_of
-from vlp16emu.cli.geometry import geometry_of
-from vlp16emu.emulator import Emulator
+from vlp16emu.chain import Chain
 from vlp16emu.motion import Walk
+from vlp16emu.report.plan.geometry import Geometry, geometry_of
 from vlp16emu.types import Window
 from vlp16emu.world.given.furnished import MeshKey
 from vlp16emu.world.plants.crown import CrownKey
@@ -19,7 +19,7 @@ from vlp16emu.world.plants.stem import StemKey
 from vlp16emu.world.stand.floor_shapes import FloorKey
 from vlp16emu.world.stand.tiles import TileKey
 
-__all__ = ["Need", "libraries", "needs", "surroundings"]
+__all__ = ["Need", "Surroundings", "libraries", "needs", "surroundings"]
 
 _KINDS = {
     CrownKey: "trees",
@@ -55,9 +55,29 @@ class Need:
     """What it costs, or what is not done without it."""
 
 
-def needs(emulator: Emulator) -> list[Need]:
-    """List what a recording of the scene has and has not."""
-    scenario, parts, audit = emulator.scenario, emulator.parts, emulator.audit
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What is in reach of the sensor."""
+
+    kind: str
+    """Of the world."""
+    windows: int
+    """Over the run."""
+    windows_looked_at: int
+    species: tuple[str, ...]
+    first_window: Mapping[str, int]
+    """Placements by kind."""
+    mean: Mapping[str, float]
+    """The same, on average over the windows looked at."""
+    surfaces: int
+    """Rows of the first window's table."""
+    geometry: Geometry
+    """Of the first window."""
+
+
+def needs(chain: Chain, *, audited: bool) -> list[Need]:
+    """List what a recording of the scene has and has not; `audited` if pulses of it are cast again."""
+    scenario, parts = chain.scenario, chain.parts
     motion = scenario.motion
     gait = isinstance(motion, Walk) and motion.gait.preset != "none"
     harness = isinstance(motion, Walk) and motion.harness is not None
@@ -85,7 +105,7 @@ def needs(emulator: Emulator) -> list[Need]:
             "none, trimesh stays unloaded",
         ),
         "audit": (
-            audit is not None and not audit.exact,
+            audited,
             "0.05 % of the pulses are cast again, with 512 rays each or more",
             "no pulse is cast again",
         ),
@@ -130,24 +150,29 @@ def _need(name: str, row: tuple[bool, str, str]) -> Need:
     return Need(name, on, costs if on else spares)
 
 
-def surroundings(emulator: Emulator, windows: int) -> dict[str, Any]:
-    """Count what stands in the first window and, on average, in windows over the walk, in the types of JSON."""
-    parts, start_ns, cut = emulator.parts, emulator.scenario.start_ns, emulator.cut
+def surroundings(chain: Chain, windows: int) -> Surroundings:
+    """Count what is in the first window and, on average, in windows over the walk.
+
+    Parameters
+    ----------
+    windows : of the whole run
+    """
+    parts, start_ns, cut = chain.parts, chain.scenario.start_ns, chain.cut
     numbers = sorted({round(i * (windows - 1) / (_LOOKS - 1)) for i in range(_LOOKS)})
     seen = [window_of(parts, start_ns, cut, number) for number in numbers]
     counts = [_counts(window) for window in seen]
     kinds = sorted({kind for count in counts for kind in count})
     named = (getattr(key, "species", None) for window in seen for key in window.shapes)
-    return {
-        "kind": emulator.scenario.world.kind,
-        "windows": windows,
-        "windows_looked_at": len(numbers),
-        "species": sorted({name for name in named if name is not None}),
-        "first_window": dict(counts[0]),
-        "mean": {kind: sum(count[kind] for count in counts) / len(counts) for kind in kinds},
-        "surfaces": len(seen[0].surfaces),
-        "geometry": asdict(geometry_of(emulator.windows.at_block(0).result())),
-    }
+    return Surroundings(
+        kind=chain.scenario.world.kind,
+        windows=windows,
+        windows_looked_at=len(numbers),
+        species=tuple(sorted({name for name in named if name is not None})),
+        first_window=dict(counts[0]),
+        mean={kind: sum(count[kind] for count in counts) / len(counts) for kind in kinds},
+        surfaces=len(seen[0].surfaces),
+        geometry=geometry_of(chain.windows.at_block(0).result()),
+    )
 
 
 def _counts(window: Window) -> Counter[str]:
@@ -161,5 +186,5 @@ def _counts(window: Window) -> Counter[str]:
 
 
 def libraries() -> dict[str, bool]:
-    """Tell which libraries this process has loaded."""
+    """Report which libraries this process has loaded."""
     return {name: name in sys.modules for name in _LIBRARIES}

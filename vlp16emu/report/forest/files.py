@@ -10,7 +10,6 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.cli.survey import Survey
 from vlp16emu.errors import RunError
 from vlp16emu.raycast import caster
 from vlp16emu.report.forest import (
@@ -22,6 +21,7 @@ from vlp16emu.report.forest import (
     strip_along,
     surface_colours,
 )
+from vlp16emu.report.forest.survey import Survey
 from vlp16emu.world.ground.grid import write_ascii
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.stand.inventory import write_csv
@@ -123,7 +123,7 @@ def write_picture(path: Path, seen: Survey, *, title: str, subtitle: str) -> Non
 
 @contextmanager
 def _writing(path: Path) -> Iterator[BinaryIO]:
-    """Open a file, and tell in one line when it cannot be written to its end."""
+    """Open a file; what cannot be written to its end is an error of one line."""
     try:
         with path.open("wb") as file:
             yield file
