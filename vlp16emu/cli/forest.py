@@ -80,10 +80,6 @@ def forest(
     wanted = {option: path for option, path in outputs.items() if path is not None}
     for option, path in wanted.items():
         _check_output(option, path)
-    if picture is not None:
-        from vlp16emu.report.forest import check_matplotlib
-
-        check_matplotlib()
     from vlp16emu.report.forest import files
     from vlp16emu.report.forest.summary import summary_of
     from vlp16emu.report.forest.survey import survey
@@ -91,9 +87,9 @@ def forest(
     seen = survey(scenario, radius)
     summary = summary_of(scene, scenario, seen)
     writers = files.write_inventory, files.write_ground, files.write_twin
-    for path, write in zip((inventory, ground, glb), writers, strict=True):
-        if path is not None:
-            write(path, seen)
+    for output, write in zip((inventory, ground, glb), writers, strict=True):
+        if output is not None:
+            write(output, seen)
     if picture is not None:
         files.write_picture(picture, seen, title=scenario.title, subtitle=_subtitle(summary))
     if as_json:
@@ -132,6 +128,8 @@ def _check_output(option: str, path: Path) -> None:
         where the suffix is another than the option's
     OutputError
         where the file cannot be opened for writing
+    MissingExtraError
+        where a picture is wanted without matplotlib
     """
     suffix = _SUFFIXES[option]
     if path.suffix != suffix:
@@ -140,6 +138,10 @@ def _check_output(option: str, path: Path) -> None:
         path.open("ab").close()
     except OSError as error:
         raise OutputError(f"{option} {path}", str(error.strerror), "a file that can be written") from error
+    if option == "--picture":
+        from vlp16emu.report.forest import check_matplotlib
+
+        check_matplotlib()
 
 
 def _subtitle(summary: "WorldSummary") -> str:
