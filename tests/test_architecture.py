@@ -174,13 +174,19 @@ def test_only_the_command_line_prints():
 
 
 def test_files_and_functions_are_short():
-    """No file exceeds 400 lines, no function 45; the main file stays under 120."""
+    """No file exceeds 400 lines, no function 45 beside its docstring; the main file stays under 120."""
+    found = []
     for name, tree in TREES.items():
         lines = len((PACKAGE / name).read_text(encoding="utf-8").splitlines())
-        assert lines <= (119 if name == "chain.py" else 400), f"{name} has {lines} lines"
+        if lines > (119 if name == "chain.py" else 400):
+            found.append(f"{name} has {lines} lines")
         for node in functions(tree):
-            length = (node.end_lineno or 0) - node.lineno + 1
-            assert length <= 45, f"{name}: {node.name} has {length} lines"
+            length, first = (node.end_lineno or 0) - node.lineno + 1, node.body[0]
+            if ast.get_docstring(node):
+                length -= (first.end_lineno or 0) - first.lineno + 1
+            if length > 45:
+                found.append(f"{name}: {node.name} has {length} lines")
+    assert found == []
 
 
 def test_public_things_have_docstrings():

@@ -94,11 +94,8 @@ def record_packets(
         as `PcapSink`
     """
     began_s, scenario, units = time.perf_counter(), chain.scenario, chain.parts.units
-    begin_ns, simulated_s, sent = (
-        scenario.start_ns + seconds_to_ns(span_s[0]),
-        0.0,
-        Counter[tuple[int, str]](),
-    )
+    begin_ns, simulated_s = scenario.start_ns + seconds_to_ns(span_s[0]), 0.0
+    sent = Counter[tuple[int, str]]()
     numbers, links = chain.first_position_packets(span_s[0]), [unit.link for unit in units]
     with PcapSink(path, numbers, links) as sink:
         for packet in packets:

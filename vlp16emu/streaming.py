@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from vlp16emu.assembly import Unit
 from vlp16emu.chain import Chain
 from vlp16emu.engine import Engine
 from vlp16emu.fidelity import AuditFinding
@@ -106,17 +107,8 @@ def summed_up(
     sent : what the sinks of all units have sent
     """
     scenario, lateness, skipped = chain.scenario, report.lateness, report.skipped + engine.skipped
-    units = tuple(
-        UnitStreamed(
-            unit=unit.number + 1,
-            data_port=unit.link.data_port,
-            position_port=unit.link.position_port,
-            packets=result.data_packets,
-            position_packets=result.position_packets,
-            turn=turn_of(unit.head, report.simulated_s),
-        )
-        for unit, result in zip(chain.parts.units, sent, strict=True)
-    )
+    pairs = zip(chain.parts.units, sent, strict=True)
+    units = tuple(_unit(*pair, report.simulated_s) for pair in pairs)
     return Streamed(
         scene=scene,
         seed=scenario.seed,
@@ -146,6 +138,18 @@ def summed_up(
         keeps_up_with=tuple(options_for(report.behind, scenario, speed)),
         interrupted=report.interrupted,
         audit=audit,
+    )
+
+
+def _unit(unit: Unit, sent: UdpResult, simulated_s: float) -> UnitStreamed:
+    """Sum up what a sensor sent."""
+    return UnitStreamed(
+        unit=unit.number + 1,
+        data_port=unit.link.data_port,
+        position_port=unit.link.position_port,
+        packets=sent.data_packets,
+        position_packets=sent.position_packets,
+        turn=turn_of(unit.head, simulated_s),
     )
 
 

@@ -1,7 +1,7 @@
 """`vlp16emu stream`: a scene over UDP, in real time."""
 
 import math
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,6 +27,9 @@ from vlp16emu.cli.progress import Progress
 from vlp16emu.cli.start import make_emulator, starting
 from vlp16emu.cli.stream_report import behind_line, stream_rows
 from vlp16emu.errors import InputError
+
+if TYPE_CHECKING:
+    from vlp16emu.emulator import Emulator
 
 __all__ = ["stream"]
 
@@ -103,13 +106,6 @@ def stream(
         emulator = make_emulator(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
         _, stop_s = emulator.scenario.span_s(0.0, duration)
 
-    def announce() -> None:
-        """Print what begins, at once."""
-        pairs = "; ".join(
-            f"{unit.link.data_port} and {unit.link.position_port}" for unit in emulator.parts.units
-        )
-        print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
-
     with stop_on_ctrl_c() as stop, Progress(stop_s) as progress:
         streamed = emulator.stream(
             to=to,
@@ -118,7 +114,7 @@ def stream(
             speed=speed,
             late=late,
             as_sensor=as_sensor,
-            opened=(lambda: None) if as_json else announce,
+            opened=lambda: None if as_json else _announce(scene, to, emulator),
             progress=lambda done_s: progress.show("streaming", done_s),
             notify=lambda behind: progress.say(behind_line(behind, emulator.scenario, late, speed)),
             stop=stop,
@@ -130,6 +126,12 @@ def stream(
         print_rows(f"{ended}: {streamed.scene} to {streamed.to}", stream_rows(streamed))
     if streamed.interrupted:
         raise typer.Exit(INTERRUPTED)
+
+
+def _announce(scene: str, to: str, emulator: "Emulator") -> None:
+    """Print what begins, at once."""
+    pairs = "; ".join(f"{unit.link.data_port} and {unit.link.position_port}" for unit in emulator.parts.units)
+    print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
 
 
 def _ports(data_port: int | None, position_port: int | None) -> list[str]:
