@@ -160,7 +160,7 @@ def arrivals():
 def test_a_stopped_stream_goes_on_without_a_burst(program, arrivals, late):
     """Stopped for 2 s, the stream goes on at the sensor's pace: n packets take 0.94 of their time less 10 ms, or more.
 
-    It says so at once on stderr, stdout stays one JSON object, and the report gives the delay or the packets skipped.
+    Another 5 ms may pass between a packet's time and its stamp, where other programs take the processor. It says so at once on stderr, stdout stays one JSON object, and the report gives the delay or the packets skipped.
     """
     port, receive = arrivals
     ports = "--data-port", port, "--position-port", 9  # discard
@@ -174,7 +174,7 @@ def test_a_stopped_stream_goes_on_without_a_burst(program, arrivals, late):
     out, err = process.communicate(timeout=30)
     for n in (20, 100):
         windows_ns = np.array(stamps_ns[n:]) - np.array(stamps_ns[:-n])
-        assert windows_ns.min() >= 0.94 * n * PERIOD_NS - 10_000_000
+        assert windows_ns.min() >= 0.94 * n * PERIOD_NS - 15_000_000
     report = json.loads(out)
     assert report["fell_behind"] >= 1
     assert report["most_behind_s"] > 0.9 * STOPPED_S
