@@ -74,7 +74,7 @@ class HardCore(Section):
 
 
 class Plantation(Section):
-    """Planted rows, of which the given density is left."""
+    """Planted rows, thinned to the given density."""
 
     kind: Literal["plantation"]
     """Selects rows."""
