@@ -166,8 +166,9 @@ class Grown:
         return self.seen.world.far_tile(ix, iy)
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
-        """Give a shape."""
-        return self.seen.shapes[key]
+        """Give a shape; those that are farther than the window's are grown."""
+        there = self.seen.shapes.get(key)
+        return self.seen.world.shape(key) if there is None else there
 
 
 def one_mesh(seen: View, mesh: Mesh) -> World:
