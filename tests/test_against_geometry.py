@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
-from vlp16emu.assembly import assemble
-from vlp16emu.chain import Chain
-from vlp16emu.fidelity.answer import apart_m, joined
-from vlp16emu.fidelity.bench import Bench
-from vlp16emu.fidelity.sample import Group
-from vlp16emu.fidelity.settings import lights
+from vlp16emu.accuracy.compare import compare, errors_of
+from vlp16emu.accuracy.converged import Bench, Group, apart_m, joined
+from vlp16emu.accuracy.settings import lights
+from vlp16emu.chain import assemble
+from vlp16emu.chain.chain import Chain
 from vlp16emu.raycast.slow import SlowScene
-from vlp16emu.report.accuracy import compare, errors_of
 from vlp16emu.scenario import load
 
 

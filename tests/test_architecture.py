@@ -16,13 +16,12 @@ FLOORS = (
     {"cli"},
     {"emulator"},
     {"streaming"},
-    {"engine", "points", "recording", "truth"},
-    {"fidelity"},
+    {"points", "recording", "truth"},
     {"report"},
-    {"chain"},
-    {"scan", "telemetry"},
-    {"assembly"},
-    {"sinks", "device", "scenario", "pipeline"},
+    {"accuracy"},
+    {"chain", "validator"},
+    {"scan"},
+    {"sinks", "device", "scenario"},
     {"packets"},
     {"returns"},
     {"raycast"},
@@ -35,7 +34,7 @@ FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floo
 
 LIBRARIES = {
     # third-party or system module: where it may be imported
-    "ctypes": ("raycast/embree", "sinks/timer_slack.py"),
+    "ctypes": ("raycast/embree", "sinks/pacing.py"),
     "embreex": ("raycast/embree", "raycast/slow.py"),
     "serial": ("sinks/", "device/"),
     "socket": ("sinks/", "device/"),
@@ -178,7 +177,7 @@ def test_files_and_functions_are_short():
     found = []
     for name, tree in TREES.items():
         lines = len((PACKAGE / name).read_text(encoding="utf-8").splitlines())
-        if lines > (119 if name == "chain.py" else 400):
+        if lines > (119 if name == "chain/chain.py" else 400):
             found.append(f"{name} has {lines} lines")
         for node in functions(tree):
             length, first = (node.end_lineno or 0) - node.lineno + 1, node.body[0]

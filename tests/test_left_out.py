@@ -3,22 +3,20 @@
 import heapq
 import subprocess
 import sys
-from importlib import import_module
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from vlp16emu import chain, telemetry
-from vlp16emu.assembly.windows import window_of
+from vlp16emu.chain import chain, position
+from vlp16emu.chain.windows import window_of
 from vlp16emu.emulator import Emulator
 from vlp16emu.motion import gait, harness, walk
 from vlp16emu.raycast import scene as fast
+from vlp16emu.returns import detect as detection
 from vlp16emu.scenario import Scenario, load, schema
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.plants.stem import StemKey
-
-detection = import_module("vlp16emu.returns.detect")  # the room calls its function so
 
 SPAN_S = 0.05
 """Less than one block."""
@@ -154,7 +152,7 @@ def test_without_a_harness_nothing_is_solved(monkeypatch):
 def test_without_canopy_loss_nobody_looks_at_the_sky(monkeypatch, setting):
     """No ray is cast at the sky without a receiver, or for one that sees through trees; else one look a second."""
     looks = []
-    monkeypatch.setattr(telemetry, "sky_cover", lambda *_: looks.append(1) or 0.0)
+    monkeypatch.setattr(position, "sky_cover", lambda *_: looks.append(1) or 0.0)
     list(Emulator(load("static_bench", [setting]), threads=1).packets(0.0, 0.5))
     assert not looks
     list(Emulator(load("static_bench", ["gps.connected=true"]), threads=1).packets(0.0, 0.5))
@@ -212,14 +210,14 @@ def test_a_lean_recording_loads_no_library_it_does_not_need(tmp_path):
     """A static, single-ray recording imports nothing that draws, reads meshes or grids, makes curves or talks."""
     unneeded = ["matplotlib", "tifffile", "PIL", "trimesh", "networkx", "rich.progress", "serial", "pynmea2"]
     unneeded += [f"scipy.{part}" for part in ("interpolate", "ndimage", "optimize", "spatial", "special")]
-    unneeded += ["velodyne_decoder", "vlp16emu.truth", "vlp16emu.fidelity.accuracy", "vlp16emu.report.verify"]
+    unneeded += ["velodyne_decoder", "vlp16emu.truth", "vlp16emu.accuracy.sweep", "vlp16emu.validator"]
     lean = "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1", "--set", "gps.connected=false"
     assert modules_of(*lean, "--json", names=["numba", *unneeded]) == "0 ['numba']"
 
 
 def test_a_stream_of_a_walk_loads_no_library_it_does_not_need():
     """A stream builds no frames, and the lint and the filters of scipy are for others."""
-    unneeded = ["dpkt", "scipy.ndimage", "rich.progress", "trimesh", "vlp16emu.report.verify"]
+    unneeded = ["dpkt", "scipy.ndimage", "rich.progress", "trimesh", "vlp16emu.validator"]
     walk = (
         "stream",
         "birch_walk",

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vlp16emu import store as module
-from vlp16emu.assembly import assemble
+from vlp16emu.chain import assemble
 from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.store import Store, recalled, user_store

@@ -27,10 +27,10 @@ from peer_casters import SETS, THREADS, Prepare, Work, measure
 from rich.box import MARKDOWN
 from rich.table import Table
 
+from vlp16emu.chain.windows import BLOCK
 from vlp16emu.emulator import Emulator
-from vlp16emu.pipeline import BLOCK
-from vlp16emu.raycast import LINE, Footprint, caster
-from vlp16emu.raycast.beam import sub_rays
+from vlp16emu.raycast.beam import LINE, Footprint, sub_rays
+from vlp16emu.raycast.caster import caster
 from vlp16emu.raycast.geometry import _triangles, relative_to_window
 from vlp16emu.scenario import load
 from vlp16emu.types import FarTile, Firings, Mesh, Semantic, ShapeKey, Window, World

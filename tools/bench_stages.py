@@ -13,13 +13,14 @@ import numpy as np
 from rich.box import MARKDOWN
 from rich.table import Table
 
+from vlp16emu.chain.windows import BLOCK, STRETCH
 from vlp16emu.emulator import Emulator
 from vlp16emu.packets import pack_data
-from vlp16emu.pipeline import BLOCK, STRETCH
-from vlp16emu.raycast import LINE, BeamModel, Scene
-from vlp16emu.returns import detect
+from vlp16emu.raycast.beam import LINE, BeamModel
+from vlp16emu.raycast.caster import Scene
+from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
-from vlp16emu.sensor import SEQUENCE_NS
+from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import Firings, Hits, ReturnMode, Returns, Semantic, SensorModel
 
 __all__ = ["tables"]

@@ -12,10 +12,10 @@ TYPE_CHECKING = False  # not from typing, which takes a third of the package's s
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
     from vlp16emu.recording import Recording
-    from vlp16emu.report.verify import Finding, Verification, verify
     from vlp16emu.scan import Labels, Scan, decode
     from vlp16emu.scenario import Scenario, load
     from vlp16emu.sinks import TruthTo
+    from vlp16emu.validator import Finding, Verification, verify
 
 __all__ = [
     "Emulator",
@@ -33,16 +33,16 @@ __all__ = [
 
 _PLACES = {
     "Emulator": "emulator",
-    "Finding": "report.verify",
+    "Finding": "validator",
     "Labels": "scan",
     "Recording": "recording",
     "Scan": "scan",
     "Scenario": "scenario",
     "TruthTo": "sinks",
-    "Verification": "report.verify",
+    "Verification": "validator",
     "decode": "scan",
     "load": "scenario",
-    "verify": "report.verify",
+    "verify": "validator",
 }
 """Module of each public name."""
 

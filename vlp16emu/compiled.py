@@ -23,32 +23,25 @@ __all__ = ["compiled_files", "keep_compiled"]
 _PACKAGE = os.path.dirname(__file__)
 _PREFIX = "kernels-"
 _WITHOUT_KERNELS = frozenset(
-    {
-        *(
-            "__init__",
-            "__main__",
-            "__pycache__",
-            "assembly",
-            "chain",
-            "cli",
-            "compiled",
-            "device",
-            "emulator",
-        ),
-        "engine",
-        *(
-            "pipeline",
-            "points",
-            "recording",
-            "report",
-            "scan",
-            "scenario",
-            "sinks",
-            "streaming",
-            "telemetry",
-            "truth",
-        ),
-    }
+    [
+        "__init__",
+        "__main__",
+        "__pycache__",
+        "chain",
+        "cli",
+        "compiled",
+        "device",
+        "emulator",
+        "points",
+        "recording",
+        "report",
+        "scan",
+        "scenario",
+        "sinks",
+        "streaming",
+        "truth",
+        "verify",
+    ]
 )
 """Folders and modules of no kernel, and of nothing that a kernel takes."""
 _UNUSED_S = 86_400.0

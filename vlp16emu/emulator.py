@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.assembly.files import named_files
-from vlp16emu.chain import Chain
-from vlp16emu.engine import Engine
+from vlp16emu.accuracy import Audit
+from vlp16emu.chain.chain import Chain
 from vlp16emu.errors import InputError, spare
-from vlp16emu.fidelity import Audit
 from vlp16emu.points import PointCloud, scans_of, world_T_sensor, write_cloud
 from vlp16emu.recording import Recording, record_packets
 from vlp16emu.scan import Scan
 from vlp16emu.scenario import Scenario, find, load
+from vlp16emu.scenario.find import named_files
 from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, FellBehind, Late, Pacer, RigSink, TruthTo, stream
-from vlp16emu.streaming import Streamed, summed_up
+from vlp16emu.streaming import Engine, Streamed, summed_up
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS
 

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.assembly import Unit
-from vlp16emu.chain import Chain
+from vlp16emu.chain import Unit
+from vlp16emu.chain.chain import Chain
 from vlp16emu.packets import SEQUENCES_PER_BLOCK
-from vlp16emu.report.turn import Turn, turn_of
 from vlp16emu.scan import Chunk, Scan, cut_scans
-from vlp16emu.sensor import BODY_R_SENSOR, place
-from vlp16emu.sinks.cloud import Block, point_file
-from vlp16emu.sinks.columns import RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS, scene_comments
+from vlp16emu.sensor.head import BODY_R_SENSOR, Turn, turn_of
+from vlp16emu.sensor.place import place
+from vlp16emu.sinks.cloud import RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS, Block, point_file, scene_comments
 from vlp16emu.types import SURFACE, PlantPart, ReturnMode, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
 

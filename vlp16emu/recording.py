@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 
-from vlp16emu.assembly import Unit
-from vlp16emu.chain import Chain
-from vlp16emu.fidelity import AuditFinding
+from vlp16emu.accuracy import AuditFinding
+from vlp16emu.chain import Unit
+from vlp16emu.chain.chain import Chain
 from vlp16emu.packets import returns_in
-from vlp16emu.report.turn import Turn, turn_of
-from vlp16emu.scenario.sensor import on_the_wire
+from vlp16emu.sensor.head import Turn, turn_of
+from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns

@@ -9,9 +9,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.assembly import Parts, Unit
-from vlp16emu.assembly.files import named_files
-from vlp16emu.chain import Chain
+from vlp16emu.chain import Parts, Unit
+from vlp16emu.chain.chain import Chain
 from vlp16emu.errors import RunError
 from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.gnss import Receiver, to_geodetic
@@ -19,8 +18,10 @@ from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.pose import Motion, rotation
 from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.sensor import on_the_wire
-from vlp16emu.sensor import BODY_R_SENSOR, SEQUENCE_NS
+from vlp16emu.scenario.find import named_files
+from vlp16emu.sensor.beams import SEQUENCE_NS
+from vlp16emu.sensor.head import BODY_R_SENSOR
+from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import TruthFolder, TruthTo, tum_rows
 from vlp16emu.sinks.truth import seconds_text
 from vlp16emu.types import Packet, PacketKind, Poses, ReturnMode

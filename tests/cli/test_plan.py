@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from vlp16emu.assembly import assemble
-from vlp16emu.chain import Chain
+from vlp16emu.chain import assemble
+from vlp16emu.chain.chain import Chain
 from vlp16emu.cli import plan
 from vlp16emu.report import Spent
 from vlp16emu.report.plan.geometry import Geometry
@@ -89,7 +89,7 @@ def test_what_is_in_reach_is_counted(birch):
     """Trees of the first window are as many as the world itself names."""
     scenario = load("birch_walk", ["sensor.max_range_m=20", "world.stems_per_ha=150"])
     parts = assemble(scenario)
-    from vlp16emu.pipeline import Cut
+    from vlp16emu.chain.windows import Cut
 
     edges_ns = scenario.start_ns + Cut(16, 55_296).edges_ns(0)
     trees = parts.world.trees(parts.motion.poses_at(edges_ns).world_p_body_m)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from vlp16emu.cli.stream_report import _times, behind_line
+from vlp16emu.cli.stream import _times, behind_line
 from vlp16emu.scenario import load
 from vlp16emu.sinks import FellBehind, Late
 from vlp16emu.streaming import Behind

@@ -4,8 +4,8 @@ import doctest
 
 import numpy as np
 
-from vlp16emu import sensor
 from vlp16emu.packets import decode, layout
+from vlp16emu.sensor import beams as sensor
 from vlp16emu.types import ReturnMode, SensorModel
 
 OFFSETS = [

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from vlp16emu import sensor
 from vlp16emu.packets import layout
+from vlp16emu.sensor import beams as sensor
 from vlp16emu.types import ReturnMode, SensorModel
 
 

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from vlp16emu.motion.carrier import StaticMotion
-from vlp16emu.raycast import BeamModel, Footprint
-from vlp16emu.sensor import BEAM_TABLES, Clock, Head, Rotor
+from vlp16emu.raycast.beam import BeamModel, Footprint
+from vlp16emu.sensor.beams import BEAM_TABLES
+from vlp16emu.sensor.head import Head
+from vlp16emu.sensor.rotor import Clock, Rotor
 from vlp16emu.types import STEM, SURFACE, FarTile, Firings, Mesh, PlantPart, Semantic, SensorModel, Window
 from vlp16emu.world.stand.tiles import TileKey, ground_mesh
 

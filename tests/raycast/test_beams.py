@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from vlp16emu.raycast import LINE
+from vlp16emu.raycast.beam import LINE
 from vlp16emu.raycast.scene import EmbreeCaster
 from vlp16emu.raycast.slow import PlainCaster, ReferenceCaster
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from vlp16emu.assembly import assemble
-from vlp16emu.raycast import caster
+from vlp16emu.chain import assemble
+from vlp16emu.raycast.caster import caster
 from vlp16emu.scenario import load
 from vlp16emu.types import NO_SURFACE, PlantPart
 

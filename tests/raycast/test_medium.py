@@ -11,12 +11,20 @@ import pytest
 from vlp16emu.raycast import cloud as clouds_room
 from vlp16emu.raycast import leaves as room
 from vlp16emu.raycast.cloud import Library, cloud_of
-from vlp16emu.raycast.clumps import kept_share
 from vlp16emu.raycast.far import NO_MEDIUM, Far
 from vlp16emu.raycast.lanes import lanes
 from vlp16emu.raycast.march import march
 from vlp16emu.raycast.medium import block_of
-from vlp16emu.raycast.voxel import COLUMNS, KNOTS, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
+from vlp16emu.raycast.voxel import (
+    COLUMNS,
+    KNOTS,
+    QUANTILES,
+    SHARE_BIT,
+    TAU_PER_M,
+    TILE_BIT,
+    VOXEL_M,
+    kept_share,
+)
 from vlp16emu.types import NO_SURFACE, Mesh, PlantPart
 
 PARTS = np.array([PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF], "u1")

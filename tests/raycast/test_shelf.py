@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vlp16emu.raycast.medium import Block
-from vlp16emu.raycast.shelf import Shelf
+from vlp16emu.raycast.medium import Block, Shelf
 
 
 def block(number, records, owners):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vlp16emu.raycast import caster
+from vlp16emu.raycast.caster import caster
 from vlp16emu.raycast.sky import sky_cover
 from vlp16emu.raycast.slow import PlainCaster
 from vlp16emu.types import SURFACE, Mesh, Window

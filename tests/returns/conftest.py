@@ -3,42 +3,30 @@
 import numpy as np
 import pytest
 
-from vlp16emu.returns import Detector, Noise, make_law
+from vlp16emu.returns import Detector, Noise, Weather
+from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.types import SURFACE, Firings, Hits, ReturnMode
 
 LASERS = 16
-IDEAL = {
-    "range_noise_m": 0.0,
-    "range_bias_m": 0.0,
-    "warm_up_m": 0.0,
-    "warm_up_s": 900.0,
-    "reflectivity_noise": 0.0,
-    "gain_spread": 0.0,
-    "weak_echoes_lost": False,
-    "no_return_reflectivity": False,
-}
+DETECTOR = Detector.model_fields.keys()
 
 
 @pytest.fixture(scope="session")
 def detector():
     """Detector of a perfect unit in dual return, but for what is given."""
 
-    def make(noise=None, **own):
-        settings = {
-            "seed": 1,
-            "mode": ReturnMode.DUAL,
-            "min_range_m": 0.5,
-            "max_range_m": 100.0,
-            "pulse_ns": 6.0,
-            "resolution_m": 1.0,
-            "range_at_10_percent_m": 40.0,
-            "threshold_snr": 6.0,
-            "visibility_m": None,
-            "rain_mm_h": 0.0,
-        }
-        errors = Noise(**{**IDEAL, **(noise or {})})
-        law = make_law(**{**settings, **own}, noise=errors)
-        return Detector.of_unit(law, errors, lasers=LASERS, power_up_ns=0)
+    def make(noise=None, *, seed=1, mode=ReturnMode.DUAL, min_range_m=0.5, max_range_m=100.0, **own):
+        return UnitDetector.of_unit(
+            Detector(**{key: own.pop(key) for key in DETECTOR & own.keys()}),
+            noise if isinstance(noise, Noise) else Noise(**{"preset": "ideal", **(noise or {})}),
+            Weather(**own),
+            seed=seed,
+            mode=mode,
+            min_range_m=min_range_m,
+            max_range_m=max_range_m,
+            lasers=LASERS,
+            power_up_ns=0,
+        )
 
     return make
 

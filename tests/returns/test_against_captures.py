@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vlp16emu.packets import DATA_PAYLOAD, DISTANCE_LSB_M
-from vlp16emu.returns import detect
-from vlp16emu.scenario.noise import Noise
+from vlp16emu.returns.detect import detect
+from vlp16emu.returns.settings import Noise
 from vlp16emu.types import NO_SURFACE, Hits
 
 CAPTURE = Path(__file__).resolve().parents[2].parent / "shared" / "captures" / "mrpt_vlp16_gps.pcap"
@@ -67,7 +67,7 @@ def test_white_noise_of_a_real_unit_is_that_of_the_typical_preset(detector, firi
         np.where(hit, percent / 100, 0).astype(np.float32),
     )
     k = len(mean_m)
-    unit = detector(Noise().model_dump(exclude={"preset", "elevation_error_deg", "azimuth_error_deg"}))
+    unit = detector(Noise())
     emulated = np.stack(
         [
             detect(firings(k, turn * k), hits, table(1.0), unit, truth=False).distance_m[..., 0].astype(float)

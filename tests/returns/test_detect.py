@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.returns import detect
+from vlp16emu.returns.detect import detect
 from vlp16emu.types import NO_SURFACE, Hits, ReturnMode
 
 K = 8

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from vlp16emu.packets import DATA_PAYLOAD, DISTANCE_LSB_M
 from vlp16emu.packets.data import data_payloads
-from vlp16emu.returns import detect
+from vlp16emu.returns.detect import detect
 from vlp16emu.returns.echoes import AMPLITUDE, COLUMNS, RANGE, find_peaks
 from vlp16emu.types import Hits, ReturnMode, SensorModel
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from vlp16emu.returns import detect
+from vlp16emu.returns.detect import detect
 from vlp16emu.returns.noise import BIAS_LIMIT_M, range_bias_m
-from vlp16emu.scenario.noise import Noise as NoiseSection
+from vlp16emu.returns.settings import Noise
 from vlp16emu.types import NO_SURFACE
 
 K = 4000
@@ -125,7 +125,7 @@ def test_no_returns_show_a_constant_of_their_laser(seen):
 
 def test_the_active_model_is_told_in_one_line():
     """The line names the preset and what it has become."""
-    section = NoiseSection(preset="typical", range_bias_m=0.0)
+    section = Noise(preset="typical", range_bias_m=0.0)
     assert section.summary == (
         "typical: 6.5 mm white, 0 mm bias per laser, 0.02 deg, 1.5 counts and 3 % on reflectivity, weak echoes lost"
     )
@@ -133,8 +133,8 @@ def test_the_active_model_is_told_in_one_line():
 
 def test_presets_are_what_they_say():
     """`ideal` has no error at all, `datasheet` stays within 3 cm at two sigmas, and keys given beside a preset count."""
-    ideal = NoiseSection(preset="ideal")
+    ideal = Noise(preset="ideal")
     assert not any(ideal.model_dump(exclude={"preset", "warm_up_s"}).values())
-    sheet = NoiseSection(preset="datasheet")
+    sheet = Noise(preset="datasheet")
     assert 2 * np.hypot(sheet.range_noise_m, sheet.range_bias_m) == pytest.approx(0.03, abs=0.001)
-    assert NoiseSection(preset="ideal", range_noise_m=0.02).range_noise_m == 0.02
+    assert Noise(preset="ideal", range_noise_m=0.02).range_noise_m == 0.02

@@ -5,7 +5,7 @@ import pytest
 
 from vlp16emu.errors import ScenarioError
 from vlp16emu.scenario import load
-from vlp16emu.scenario.sensor import on_the_wire
+from vlp16emu.sensor.settings import on_the_wire
 
 FREE = "sensor.model=free"
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vlp16emu.points import _LEAF_OR_WOOD
-from vlp16emu.sinks.columns import CAPTURE_COLUMNS, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
+from vlp16emu.sinks.cloud import CAPTURE_COLUMNS, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
 from vlp16emu.truth import _GNSS_COLUMNS, _IMU_COLUMNS
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.given.stem_list import _COLUMNS

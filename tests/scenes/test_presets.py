@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.assembly import assemble
+from vlp16emu.chain import assemble
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import ScenarioError
 from vlp16emu.scenario import load

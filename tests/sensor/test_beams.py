@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from vlp16emu.sensor import BEAM_TABLES, LENS_RADIUS_M, free_beams, with_angle_errors
+from vlp16emu.sensor.beams import BEAM_TABLES, LENS_RADIUS_M, free_beams, with_angle_errors
 from vlp16emu.types import SensorModel
 
 

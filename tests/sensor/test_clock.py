@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vlp16emu.sensor import Clock
+from vlp16emu.sensor.rotor import Clock
 from vlp16emu.units import HOUR_NS
 
 TEN_O_CLOCK_NS = 1_780_000_000 * 10**9 // HOUR_NS * HOUR_NS

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from vlp16emu.motion.pose import rotations
-from vlp16emu.sensor import BEAM_TABLES, Clock, Head, Rotor, free_beams, with_angle_errors
+from vlp16emu.sensor.beams import BEAM_TABLES, free_beams, with_angle_errors
+from vlp16emu.sensor.head import Head
+from vlp16emu.sensor.rotor import Clock, Rotor
 from vlp16emu.types import Poses, SensorModel
 
 START_NS = 1_780_000_000_123_456_789

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from vlp16emu.motion.pose import rotations
-from vlp16emu.sensor import BEAM_TABLES, BODY_R_SENSOR, Clock, Head, Rotor, place, with_angle_errors
+from vlp16emu.sensor.beams import BEAM_TABLES, with_angle_errors
+from vlp16emu.sensor.head import BODY_R_SENSOR, Head
+from vlp16emu.sensor.place import place
+from vlp16emu.sensor.rotor import Clock, Rotor
 from vlp16emu.types import Poses, SensorModel
 
 START_NS = 1_780_000_000 * 10**9

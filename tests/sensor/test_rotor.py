@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from vlp16emu.sensor import SEQUENCE_NS, Rotor
+from vlp16emu.sensor.beams import SEQUENCE_NS
+from vlp16emu.sensor.rotor import Rotor
 
 IDEAL = {"start_azimuth_deg": 0.0, "eccentricity_deg": 0.0, "eccentricity_phase_deg": 0.0, "noise_deg": 0.0}
 

@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from stability_cases.lab import PULSES, beam, cast, opened, pulses, quads, wall
 from stability_cases.row import Row, refused
-from vlp16emu.raycast import Scene
+from vlp16emu.raycast.caster import Scene
 from vlp16emu.types import Firings, Mesh
 from vlp16emu.world.given.furnished import Furnished, Furniture
 from vlp16emu.world.given.settings import MeshFile, MeshPlace

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from stability_cases.lab import PULSES, beam, decoded_m, detected, ideal_unit, opened, pulses, unit_of, wall
 from stability_cases.row import Row, refused
 from vlp16emu.packets import LASERS
-from vlp16emu.returns import detect
+from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
 from vlp16emu.types import SURFACE, Firings, Hits
 
@@ -64,7 +64,7 @@ def merge_limits() -> Iterator[Row]:
         "echoes at the resolution", "least distance of two less 1 m, m", abs(apart_m - resolution_m), 1e-3
     )
 
-    sigma_m = ideal_unit().detector.law.sigma_m
+    sigma_m = ideal_unit().detector.constants.sigma_m
     step_m = 2 * sigma_m + 1e-4 * (np.arange(4 * PULSES) - 2 * PULSES)
     even = 0.5, 0.5 * ((_FIRST_M + 2 * sigma_m) / _FIRST_M) ** 2
     two = _parted(_two_echoes_m(step_m, even, "detector.resolution_m=0"))

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from stability_cases.row import Row, refused
-from vlp16emu.assembly import assemble
+from vlp16emu.chain import assemble
 from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError

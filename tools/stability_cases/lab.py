@@ -6,13 +6,14 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.assembly import Unit, assemble
+from vlp16emu.chain import Unit, assemble
 from vlp16emu.packets import DATA_BYTES, LASERS, data_payloads, decode_data
-from vlp16emu.raycast import LINE, BeamModel, Footprint, Scene, caster
+from vlp16emu.raycast.beam import LINE, BeamModel, Footprint
+from vlp16emu.raycast.caster import Scene, caster
 from vlp16emu.raycast.slow import ReferenceCaster
-from vlp16emu.returns import detect
+from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
-from vlp16emu.sensor import LENS_RADIUS_M
+from vlp16emu.sensor.beams import LENS_RADIUS_M
 from vlp16emu.types import (
     SURFACE,
     Firings,

@@ -20,7 +20,7 @@ from vlp16emu.packets import (
     decode_data,
 )
 from vlp16emu.scenario import load
-from vlp16emu.sensor import BODY_R_SENSOR
+from vlp16emu.sensor.head import BODY_R_SENSOR
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, US_NS
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
-from vlp16emu.cli.output import count, print_json, size
-from vlp16emu.cli.progress import Progress
+from vlp16emu.cli.terminal import Progress, count, print_json, size
 from vlp16emu.errors import OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from vlp16emu.report.accuracy import Accuracy, Distributions, Row
+    from vlp16emu.accuracy.curve import Accuracy, Row
+    from vlp16emu.accuracy.distributions import Distributions
     from vlp16emu.scenario import Scenario
 
 __all__ = ["accuracy"]
@@ -83,8 +83,8 @@ def accuracy(
 
 def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
     """Measure a scene, with a progress bar."""
-    from vlp16emu.fidelity.accuracy import measure_accuracy
-    from vlp16emu.fidelity.medium import measure_medium
+    from vlp16emu.accuracy.medium import measure_medium
+    from vlp16emu.accuracy.sweep import measure_accuracy
 
     with Progress(scenario.duration_s) as progress:
         measured = measure_accuracy(
@@ -115,7 +115,7 @@ def _make_folder(out: Path) -> None:
 
 def _tree(measured: "Accuracy") -> dict[str, Any]:
     """Put the report into the types of JSON, which has no NaN."""
-    from vlp16emu.report.accuracy import Kind, choices, fitted_order, front
+    from vlp16emu.accuracy.curve import Kind, choices, fitted_order, front
 
     def clean(value: Any) -> Any:
         """JSON has no NaN: nothing stands for it."""
@@ -143,7 +143,7 @@ def _write(out: Path, measured: "Accuracy", tree: dict[str, Any]) -> list[Path]:
     """
     import json
 
-    from vlp16emu.report.accuracy import draw_accuracy
+    from vlp16emu.accuracy.curve import draw_accuracy
 
     report, picture = (out / f"accuracy_{measured.scene}{suffix}" for suffix in (".json", ".png"))
     try:
@@ -157,7 +157,7 @@ def _write(out: Path, measured: "Accuracy", tree: dict[str, Any]) -> list[Path]:
 
 def _print(measured: "Accuracy") -> None:
     """Print the report for people."""
-    from vlp16emu.report.accuracy import choices
+    from vlp16emu.accuracy.curve import choices
 
     errors, rounding = measured.rows[0].errors, measured.rounding
     print(f"{measured.scene}, seed {measured.seed}: error against run time")

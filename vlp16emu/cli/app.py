@@ -14,12 +14,12 @@ from vlp16emu.cli.accuracy import accuracy
 from vlp16emu.cli.cache import cache
 from vlp16emu.cli.decode import decode
 from vlp16emu.cli.forest import forest
-from vlp16emu.cli.interrupt import INTERRUPTED
 from vlp16emu.cli.plan import plan
 from vlp16emu.cli.points import points
 from vlp16emu.cli.record import record
 from vlp16emu.cli.scenes import scenes, schema
 from vlp16emu.cli.stream import stream
+from vlp16emu.cli.terminal import INTERRUPTED
 from vlp16emu.cli.verify import verify
 from vlp16emu.errors import Vlp16emuError
 

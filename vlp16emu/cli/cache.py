@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from vlp16emu.cli.arguments import AsJson
-from vlp16emu.cli.output import count, print_json, print_rows, size
+from vlp16emu.cli.terminal import count, print_json, print_rows, size
 
 __all__ = ["cache"]
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vlp16emu.cli.arguments import AsJson, CaptureFile
-from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
-from vlp16emu.cli.output import count, print_json, print_rows
+from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, stop_on_ctrl_c
 
 if TYPE_CHECKING:
     from vlp16emu.packets import CaptureReader, Summary
@@ -58,8 +57,7 @@ def decode(
 
 def _read(reader: "CaptureReader", out: Path | None, stop: Event) -> None:
     """Read a capture until it ends or reading is to stop, and write its points where they are wanted."""
-    from vlp16emu.sinks.cloud import point_file
-    from vlp16emu.sinks.columns import CAPTURE_COLUMNS, CAPTURE_COMMENTS
+    from vlp16emu.sinks.cloud import CAPTURE_COLUMNS, CAPTURE_COMMENTS, point_file
 
     with ExitStack() as stack:
         writer = None

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
-from vlp16emu.cli.output import count, print_json, print_rows, size, tree_of
+from vlp16emu.cli.terminal import count, print_json, print_rows, size, tree_of
 from vlp16emu.errors import InputError, OutputError
 
 if TYPE_CHECKING:
@@ -109,9 +109,9 @@ def _spare(scene: str, scenario: "Scenario", outputs: "Iterable[Path | None]") -
     OutputError
         where one is
     """
-    from vlp16emu.assembly.files import named_files
     from vlp16emu.errors import spare
     from vlp16emu.scenario import find
+    from vlp16emu.scenario.find import named_files
 
     inputs = [find(scene), *named_files(scenario)]
     for output in outputs:

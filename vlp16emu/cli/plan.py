@@ -5,8 +5,8 @@ import time
 from typing import TYPE_CHECKING
 
 from vlp16emu.cli.arguments import AsJson, Duration, Ideal, NoAudit, SceneName, Settings, Threads
-from vlp16emu.cli.output import count, print_json, print_rows, size, tree_of
 from vlp16emu.cli.start import make_emulator, starting
+from vlp16emu.cli.terminal import count, print_json, print_rows, size, tree_of
 
 if TYPE_CHECKING:
     from vlp16emu.report.plan.geometry import Geometry

@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vlp16emu.cli.arguments import AsJson, Duration, Ideal, SceneName, Settings, Start, Threads, checked
-from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
-from vlp16emu.cli.output import count, print_json, print_rows, revolutions, size, tree_of
-from vlp16emu.cli.progress import Progress
 from vlp16emu.cli.start import make_emulator
+from vlp16emu.cli.terminal import (
+    INTERRUPTED,
+    Progress,
+    count,
+    print_json,
+    print_rows,
+    revolutions,
+    size,
+    stop_on_ctrl_c,
+    tree_of,
+)
 
 if TYPE_CHECKING:
     from vlp16emu.points import PointCloud

@@ -23,8 +23,10 @@ from vlp16emu.cli.arguments import (
     TruthRate,
     truth_to,
 )
-from vlp16emu.cli.interrupt import INTERRUPTED, stop_on_ctrl_c
-from vlp16emu.cli.output import (
+from vlp16emu.cli.start import make_emulator, starting
+from vlp16emu.cli.terminal import (
+    INTERRUPTED,
+    Progress,
     audit_rows,
     count,
     light_rows,
@@ -32,10 +34,9 @@ from vlp16emu.cli.output import (
     print_rows,
     revolutions,
     size,
+    stop_on_ctrl_c,
     tree_of,
 )
-from vlp16emu.cli.progress import Progress
-from vlp16emu.cli.start import make_emulator, starting
 
 if TYPE_CHECKING:
     from vlp16emu.recording import Recording, UnitRecording

@@ -1,7 +1,7 @@
 """`vlp16emu scenes` and `vlp16emu schema`: what can be recorded by name, and what a scene file may say."""
 
 from vlp16emu.cli.arguments import AsJson
-from vlp16emu.cli.output import print_json, print_rows
+from vlp16emu.cli.terminal import print_json, print_rows
 
 __all__ = ["scenes", "schema"]
 

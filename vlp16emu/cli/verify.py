@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from vlp16emu.cli.arguments import AsJson, CaptureFile
-from vlp16emu.cli.output import count, print_json, print_rows
+from vlp16emu.cli.terminal import count, print_json, print_rows
 
 if TYPE_CHECKING:
-    from vlp16emu.report.verify import Verification
+    from vlp16emu.validator import Verification
 
 __all__ = ["verify"]
 
@@ -21,7 +21,7 @@ def verify(file: CaptureFile, *, as_json: AsJson = False) -> None:
     """
     from vlp16emu.errors import CaptureError
     from vlp16emu.packets import units_in
-    from vlp16emu.report.verify import verify_capture
+    from vlp16emu.validator import verify_capture
 
     if file.is_fifo():  # its units are looked for first
         raise CaptureError(str(file), "a pipe", "a file, which can be read twice")

@@ -47,6 +47,9 @@ from vlp16emu.packets.layout import (
     SEQUENCE_PERIOD_NS,
     SEQUENCES_PER_BLOCK,
     SEQUENCES_PER_PACKET,
+    CapturedUnit,
+    chosen_unit,
+    units_in,
 )
 from vlp16emu.packets.nmea import parse_rmc, rmc
 from vlp16emu.packets.position import (
@@ -57,7 +60,6 @@ from vlp16emu.packets.position import (
     position_due_ns,
 )
 from vlp16emu.packets.reading import CaptureReader, Chunk, Summary, returns_in
-from vlp16emu.packets.units import CapturedUnit, chosen_unit, units_in
 
 __all__ = [
     "AZIMUTH_CODES",

@@ -30,8 +30,8 @@ from vlp16emu.packets.layout import (
     POSITION_BYTES,
     RECORDS_PER_PACKET,
     RETURN_MODE_BYTE,
+    CapturedUnit,
 )
-from vlp16emu.packets.units import CapturedUnit
 from vlp16emu.types import Packet, PacketKind, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 

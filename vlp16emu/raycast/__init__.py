@@ -1,59 +1,8 @@
-"""Where light meets surfaces. The only border to float32."""
+"""Where light meets surfaces: sub-rays of each pulse through what is near and what is far. The only border to float32.
 
-import logging
-from concurrent.futures import Executor
-from typing import Protocol
+The settings are here by name, the models in the files of the room.
+"""
 
-import numpy as np
-from numpy.typing import NDArray
+from vlp16emu.raycast.settings import Beam
 
-from vlp16emu.raycast.beam import LINE, BeamModel, Footprint
-from vlp16emu.raycast.embree import EmbreeMissingError, library
-from vlp16emu.raycast.slow import PlainCaster
-from vlp16emu.types import Firings, Hits, Window, World
-
-__all__ = ["LINE", "BeamModel", "Caster", "Footprint", "Scene", "caster"]
-
-_log = logging.getLogger(__name__)
-
-
-class Scene(Protocol):
-    """A window ready to be cast against."""
-
-    @property
-    def surfaces(self) -> NDArray[np.void]:
-        """(m,) `SURFACE`, the window's table."""
-
-    def cast(
-        self,
-        firings: Firings,
-        near_m: NDArray[np.float64],
-        far_m: float,
-        beam: Footprint = LINE,
-    ) -> Hits:
-        """Cast the pulses of k sequences, k a multiple of 8."""
-
-
-class Caster(Protocol):
-    """Makes scenes of windows."""
-
-    def open(self, window: Window) -> Scene:
-        """Make a window ready for casting."""
-
-
-def caster(world: World, workers: Executor) -> Caster:
-    """Make the fast caster, or the plain `embreex` class where the library cannot be driven.
-
-    Parameters
-    ----------
-    world : describes what is far, and grows the meshes of shapes
-    workers : where shapes are grown and built side by side
-    """
-    try:
-        library()
-    except EmbreeMissingError as error:
-        _log.warning("falling back to the plain embreex class, slower and without instances: %s", error)
-        return PlainCaster(world.shape)
-    from vlp16emu.raycast.scene import EmbreeCaster  # its kernel binds to the library
-
-    return EmbreeCaster(world, workers)
+__all__ = ["Beam"]

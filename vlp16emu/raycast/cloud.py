@@ -13,8 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.clumps import kept_share
-from vlp16emu.raycast.voxel import KNOTS, QUANTILES, VOXEL_M
+from vlp16emu.raycast.voxel import KNOTS, QUANTILES, VOXEL_M, kept_share
 from vlp16emu.types import Mesh, PlantPart
 
 __all__ = ["PROJECTION", "TILTS", "Cloud", "Library", "cloud_of"]

@@ -6,7 +6,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.grid import Ground, Stems
 from vlp16emu.raycast.lanes import (
     AT,
     COSINE,
@@ -17,7 +16,9 @@ from vlp16emu.raycast.lanes import (
     LANES,
     ORIGIN,
     RANGE,
+    Ground,
     Lanes,
+    Stems,
 )
 from vlp16emu.raycast.voxel import BRICK, VOXEL_M
 

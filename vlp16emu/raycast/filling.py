@@ -7,8 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.cloud import TILTS, Library
-from vlp16emu.raycast.marks import mark_ground, mark_stem
-from vlp16emu.raycast.voxel import BRICK, CODES, COLUMNS, LAW_BIT, MOST_PER_M, SHARE_BIT, TILE_BIT, VOXEL_M
+from vlp16emu.raycast.voxel import (
+    BRICK,
+    CODES,
+    COLUMNS,
+    LAW_BIT,
+    MOST_PER_M,
+    SHARE_BIT,
+    TILE_BIT,
+    VOXEL_M,
+    mark_ground,
+    mark_stem,
+)
 from vlp16emu.trig import ZERO
 
 __all__ = ["filled"]

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast.adaptive import RayBudget, enough
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
-from vlp16emu.raycast.grid import Medium
-from vlp16emu.raycast.lanes import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Lanes, lanes
+from vlp16emu.raycast.lanes import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Lanes, Medium, lanes
 from vlp16emu.raycast.march import march
 from vlp16emu.raycast.packet import (
     DIR,

@@ -12,8 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.grid import Medium
-from vlp16emu.raycast.lanes import FAST, LANES, Lanes, lowest
+from vlp16emu.raycast.lanes import FAST, LANES, Lanes, Medium, lowest
 from vlp16emu.raycast.voxel import (
     COLUMNS,
     LAW_BIT,

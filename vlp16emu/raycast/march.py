@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.cuts import meet_ground, meet_stem
-from vlp16emu.raycast.grid import Medium
 from vlp16emu.raycast.lanes import (
     AHEAD,
     DIRECTION,
@@ -21,6 +20,7 @@ from vlp16emu.raycast.lanes import (
     LANES,
     RANGE,
     Lanes,
+    Medium,
     lowest,
     ones,
 )

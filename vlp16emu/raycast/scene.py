@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from vlp16emu.raycast import embree as rtc
 from vlp16emu.raycast.beam import LINE, BeamModel, Footprint, across_of, displace
 from vlp16emu.raycast.build import Motion, Solid, motion_of, placed
-from vlp16emu.raycast.far import NO_MEDIUM, STRAY_M, Far
+from vlp16emu.raycast.far import NO_MEDIUM, STRAY_M, Far, recalled_shape
 from vlp16emu.raycast.geometry import normal_matrices, relative_to_window
-from vlp16emu.raycast.grid import Medium
-from vlp16emu.raycast.kept import recalled_shape
 from vlp16emu.raycast.kernel import Light, cast_lines, cast_pulses
+from vlp16emu.raycast.lanes import Medium
 from vlp16emu.raycast.packet import PACKET, Target
 from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m

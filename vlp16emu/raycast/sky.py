@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast import Scene
+from vlp16emu.raycast.caster import Scene
 from vlp16emu.types import Firings
 
 __all__ = ["sky_cover"]

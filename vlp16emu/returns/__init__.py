@@ -1,7 +1,8 @@
-"""What the detector makes of the light that comes back."""
+"""What the detector makes of the light that comes back: echoes, their range and reflectivity, noise and weather.
 
-from vlp16emu.returns.detect import detect
-from vlp16emu.returns.detector import Detector, make_law, threshold_of
-from vlp16emu.returns.noise import Noise
+The settings are here by name, the models in the files of the room.
+"""
 
-__all__ = ["Detector", "Noise", "detect", "make_law", "threshold_of"]
+from vlp16emu.returns.settings import Detector, Noise, Weather
+
+__all__ = ["Detector", "Noise", "Weather"]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, box_muller, normal_pair, normal_pairs, uniform_pair
-from vlp16emu.returns.detector import Detector
+from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.returns.echoes import (
     AMPLITUDE,
     COLUMNS,
@@ -16,14 +16,13 @@ from vlp16emu.returns.echoes import (
     RANGE,
     add_node,
     brightest_group,
+    find_owners,
     find_peaks,
     gather,
     highest_peak,
 )
-from vlp16emu.returns.law import Law
-from vlp16emu.returns.noise import range_sigma_m
-from vlp16emu.returns.owners import find_owners
-from vlp16emu.returns.reflectivity import reflectivity_byte
+from vlp16emu.returns.noise import range_sigma_m, reflectivity_byte
+from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
 from vlp16emu.types import Firings, Hits, Returns
@@ -38,7 +37,7 @@ _LANE_BITS = 16  # a random number's lane: the laser, and above it the echo's ra
 
 
 def detect(
-    firings: Firings, hits: Hits, surfaces: NDArray[np.void], detector: Detector, *, truth: bool
+    firings: Firings, hits: Hits, surfaces: NDArray[np.void], detector: UnitDetector, *, truth: bool
 ) -> Returns:
     """Turn the hits of each pulse into its returns.
 
@@ -64,7 +63,7 @@ def detect(
     nodes, peaks = np.empty((COLUMNS, most)), np.empty((COLUMNS, _PEAKS_PER_NODE * most))
     rays = (hits.count, hits.range_m, hits.surface, hits.cos_incidence, reflectance)
     _detect(
-        detector.law,
+        detector.constants,
         firings.index,
         detector.range_bias_m,
         detector.drift_m(firings.t_ns[:, 0]),
@@ -79,13 +78,13 @@ def detect(
     if not truth:
         return Returns(firings, distance_m, reflectivity, None, None)
     surface = np.empty(shape, np.uint32)
-    find_owners(detector.law, firings.index, *rays, distance_m, surface)
+    find_owners(detector.constants, firings.index, *rays, distance_m, surface)
     return Returns(firings, distance_m, reflectivity, surface, surfaces)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _detect(
-    law: Law,
+    constants: DetectorConstants,
     first: int,
     bias_m: NDArray[np.float64],
     drift_m: NDArray[np.float64],
@@ -104,26 +103,26 @@ def _detect(
 ) -> None:
     """Fill the returns (k, L, 3), pulse by pulse; one node takes the short way."""
     stop = ZERO
-    columns = _LAST if law.strongest_only else _SECOND  # that a lone echo fills
+    columns = _LAST if constants.strongest_only else _SECOND  # that a lone echo fills
     for i in range(count.shape[0]):
         n = first + i
-        if law.range_noise_m > 0.0 or law.reflectivity_noise > 0.0:
-            normal_pairs(law.seed, _RANGE_NOISE, n, noise[0], noise[1])
+        if constants.range_noise_m > 0.0 or constants.reflectivity_noise > 0.0:
+            normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(count.shape[1]):
             start, stop, error_m = stop, stop + int(count[i, j]), bias_m[j] + drift_m[i]
-            lit = gather(law, start, stop, range_m, met, cos_incidence, reflectance, nodes)
-            if law.extinction_per_m > 0.0:
-                air_m, air = clutter_echo(law, n, j, start, stop, range_m)
+            lit = gather(constants, start, stop, range_m, met, cos_incidence, reflectance, nodes)
+            if constants.extinction_per_m > 0.0:
+                air_m, air = clutter_echo(constants, n, j, start, stop, range_m)
                 if air > 0.0:
                     lit = add_node(nodes, lit, air_m, air)
-            at_m, light = _only_echo(law, n, j, nodes, lit, peaks)
-            if light > 0.0 and _is_seen(law, n, j, at_m, light):
-                measured = _measure(law, noise[0, j], noise[1, j], at_m, light, error_m, gain[j])
+            at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
+            if light > 0.0 and _is_seen(constants, n, j, at_m, light):
+                measured = _measure(constants, noise[0, j], noise[1, j], at_m, light, error_m, gain[j])
                 for column in range(columns):
                     distance_m[i, j, column], reflectivity[i, j, column] = measured
             elif lit > 1 and light >= 0.0:  # or else the highest is not seen, and another one may be
-                _choose(law, n, j, peaks, find_peaks(nodes, lit, law.sigma_m, peaks), chosen)
-                _write(law, n, i, j, error_m, gain[j], peaks, chosen, distance_m, reflectivity)
+                _choose(constants, n, j, peaks, find_peaks(nodes, lit, constants.sigma_m, peaks), chosen)
+                _write(constants, n, i, j, error_m, gain[j], peaks, chosen, distance_m, reflectivity)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -142,7 +141,12 @@ def _mark_silent(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _only_echo(
-    law: Law, n: int, laser: int, nodes: NDArray[np.float64], lit: int, peaks: NDArray[np.float64]
+    constants: DetectorConstants,
+    n: int,
+    laser: int,
+    nodes: NDArray[np.float64],
+    lit: int,
+    peaks: NDArray[np.float64],
 ) -> tuple[float, float]:
     """Range and amplitude of the only echo that counts: of one node, or the highest where only the strongest is sent.
 
@@ -152,56 +156,56 @@ def _only_echo(
         return 0.0, -1.0
     if lit == 1:
         return nodes[RANGE, 0], nodes[AMPLITUDE, 0]
-    first, last, most, others = brightest_group(nodes, lit, law.sigma_m)
-    if _none_is_seen(law, n, laser, most, lit):
+    first, last, most, others = brightest_group(nodes, lit, constants.sigma_m)
+    if _none_is_seen(constants, n, laser, most, lit):
         return 0.0, -1.0
-    if law.strongest_only and most > law.threshold:
-        range_m, amplitude = highest_peak(nodes, first, last, law.sigma_m, peaks)
+    if constants.strongest_only and most > constants.threshold:
+        range_m, amplitude = highest_peak(nodes, first, last, constants.sigma_m, peaks)
         if amplitude > others:
             return range_m, amplitude
     return 0.0, 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _is_seen(law: Law, n: int, lane: int, range_m: float, amplitude: float) -> bool:
+def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, amplitude: float) -> bool:
     """Whether an echo is within reach, and its peak with the noise upon it above the threshold."""
-    excess, certain = amplitude - law.threshold, _CERTAIN_SIGMAS * law.amplitude_noise
-    if -certain < excess < certain and range_m <= law.max_range_m:
-        a, b = uniform_pair(law.seed, _DETECTION, n, lane)
-        if _falls_short(law, a, excess):
+    excess, certain = amplitude - constants.threshold, _CERTAIN_SIGMAS * constants.amplitude_noise
+    if -certain < excess < certain and range_m <= constants.max_range_m:
+        a, b = uniform_pair(constants.seed, _DETECTION, n, lane)
+        if _falls_short(constants, a, excess):
             return False
-        excess += law.amplitude_noise * box_muller(a, b)[0]
-    return excess >= 0.0 and range_m <= law.max_range_m
+        excess += constants.amplitude_noise * box_muller(a, b)[0]
+    return excess >= 0.0 and range_m <= constants.max_range_m
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _falls_short(law: Law, a: float, excess: float) -> bool:
+def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
     """Whether noise of the uniform number a misses the threshold whatever its partner is, which spares its logarithm.
 
     The radius of a normal pair is below t where 1 - a > exp(-t**2 / 2), which is less than the quotient here.
     """
-    t = excess / law.amplitude_noise
+    t = excess / constants.amplitude_noise
     x = 0.5 * t * t
     return excess < 0.0 and (1.0 - a) * (1.0 + x * (1.0 + x * (0.5 + x * (1.0 / 6.0)))) > 1.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _none_is_seen(law: Law, n: int, laser: int, most: float, count: int) -> bool:
+def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float, count: int) -> bool:
     """Whether no echo of a pulse is seen, of up to `count` and with amplitudes up to `most`: what many faint ones come to."""
-    excess = most - law.threshold
+    excess = most - constants.threshold
     if excess >= 0.0:
         return False
-    if excess > -_CERTAIN_SIGMAS * law.amplitude_noise:
+    if excess > -_CERTAIN_SIGMAS * constants.amplitude_noise:
         for rank in range(count):
-            a, _ = uniform_pair(law.seed, _DETECTION, n, laser | rank << _LANE_BITS)
-            if not _falls_short(law, a, excess):
+            a, _ = uniform_pair(constants.seed, _DETECTION, n, laser | rank << _LANE_BITS)
+            if not _falls_short(constants, a, excess):
                 return False
     return True
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _measure(
-    law: Law,
+    constants: DetectorConstants,
     range_noise: float,
     other_noise: float,
     range_m: float,
@@ -211,19 +215,24 @@ def _measure(
 ) -> tuple[np.float32, np.uint8]:
     """Distance and reflectivity as the unit reads them; distance 0 if that is too small, and nothing if it is too great."""
     reflectance = amplitude * range_m * range_m
-    measured_m, counts = range_m + error_m, other_noise * law.reflectivity_noise
-    if law.range_noise_m > 0.0:
-        measured_m += range_noise * range_sigma_m(law, reflectance, amplitude)
-    if measured_m > law.max_range_m:
+    measured_m, counts = range_m + error_m, other_noise * constants.reflectivity_noise
+    if constants.range_noise_m > 0.0:
+        measured_m += range_noise * range_sigma_m(constants, reflectance, amplitude)
+    if measured_m > constants.max_range_m:
         return np.float32(0.0), np.uint8(0)
-    if not measured_m >= law.min_range_m:
+    if not measured_m >= constants.min_range_m:
         measured_m = 0.0
     return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _choose(
-    law: Law, n: int, laser: int, peaks: NDArray[np.float64], found: int, chosen: NDArray[np.int64]
+    constants: DetectorConstants,
+    n: int,
+    laser: int,
+    peaks: NDArray[np.float64],
+    found: int,
+    chosen: NDArray[np.int64],
 ) -> None:
     """Tell which peaks are the strongest, last and second strongest return, -1 where there is none."""
     chosen[:] = -1
@@ -235,18 +244,18 @@ def _choose(
         if best < 0:
             return
         peaks[OPEN, best] = 0.0
-        if not _is_seen(law, n, laser | rank << _LANE_BITS, peaks[RANGE, best], peaks[AMPLITUDE, best]):
+        if not _is_seen(constants, n, laser | rank << _LANE_BITS, peaks[RANGE, best], peaks[AMPLITUDE, best]):
             continue
         if chosen[_STRONGEST] < 0:
             chosen[_STRONGEST] = best
-            if law.strongest_only:
+            if constants.strongest_only:
                 return
         elif chosen[_SECOND] < 0:
             chosen[_SECOND] = best
         if chosen[_LAST] < 0 or peaks[RANGE, best] > peaks[RANGE, chosen[_LAST]]:
             chosen[_LAST] = best
         for peak in range(found):
-            if abs(peaks[RANGE, peak] - peaks[RANGE, best]) < law.resolution_m:
+            if abs(peaks[RANGE, peak] - peaks[RANGE, best]) < constants.resolution_m:
                 peaks[OPEN, peak] = 0.0
 
 
@@ -266,7 +275,7 @@ def _leave_out(peaks: NDArray[np.float64], chosen: NDArray[np.int64], lost: int)
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _write(
-    law: Law,
+    constants: DetectorConstants,
     n: int,
     i: int,
     j: int,
@@ -283,12 +292,14 @@ def _write(
         if peak < 0:
             continue
         at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
-        sigma_m = range_sigma_m(law, light * at_m * at_m, light) if law.range_noise_m > 0.0 else 0.0
+        sigma_m = (
+            range_sigma_m(constants, light * at_m * at_m, light) if constants.range_noise_m > 0.0 else 0.0
+        )
         if (
-            at_m + error_m + _CERTAIN_SIGMAS * sigma_m > law.max_range_m
+            at_m + error_m + _CERTAIN_SIGMAS * sigma_m > constants.max_range_m
         ):  # or else noise does not put it beyond
-            drawn, _ = normal_pair(law.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
-            if at_m + error_m + drawn * sigma_m > law.max_range_m:
+            drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
+            if at_m + error_m + drawn * sigma_m > constants.max_range_m:
                 _leave_out(peaks, chosen, peak)
     for column in range(3):
         peak = chosen[column]
@@ -296,7 +307,7 @@ def _write(
             distance_m[i, j, column] = distance_m[i, j, column - 1]
             reflectivity[i, j, column] = reflectivity[i, j, column - 1]
         elif peak >= 0:
-            drawn, other = normal_pair(law.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
+            drawn, other = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
             distance_m[i, j, column], reflectivity[i, j, column] = _measure(
-                law, drawn, other, peaks[RANGE, peak], peaks[AMPLITUDE, peak], error_m, gain
+                constants, drawn, other, peaks[RANGE, peak], peaks[AMPLITUDE, peak], error_m, gain
             )

@@ -14,6 +14,8 @@ half-space that the receiver sees, and makes no echo. What shines past a leaf is
 
 Kernels make no arrays of their own, so numba need not count references (`_nrt=False`). They are compiled into their
 callers (`forceinline`): a call hands over each array as seven numbers, which takes as long as a node.
+
+`find_owners` is truth: whose light a return is.
 """
 
 import math
@@ -22,8 +24,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.returns.law import Law
+from vlp16emu.returns.settings import DetectorConstants
+from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
+from vlp16emu.types import NO_SURFACE
 
 __all__ = [
     "AMPLITUDE",
@@ -34,6 +38,7 @@ __all__ = [
     "add_node",
     "amplitude_of",
     "brightest_group",
+    "find_owners",
     "find_peaks",
     "gather",
     "highest_peak",
@@ -42,7 +47,7 @@ __all__ = [
 COLUMNS = 5
 """Of a table of nodes, or of peaks."""
 RANGE, AMPLITUDE = 0, 1
-"""Columns of both: in metres, and as in `Law`."""
+"""Columns of both: in metres, and as in `DetectorConstants`."""
 OPEN = 2
 """Column of peaks: the amplitude until somebody has dealt with the peak, then 0."""
 _RAY, _PART = 2, 3  # columns of nodes while they are gathered: sub-rays that are in none yet, and their light
@@ -55,22 +60,22 @@ _LAST_STEP_M = 1e-3  # of Newton's rule; what is left is about its square over s
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def amplitude_of(law: Law, energy: float, range_m: float) -> float:
-    """Amplitude that an energy has at the detector: the range law, and what the air takes on both ways.
+def amplitude_of(constants: DetectorConstants, energy: float, range_m: float) -> float:
+    """Amplitude that an energy has at the detector: the range equation, and what the air takes on both ways.
 
     Parameters
     ----------
     energy : reflectance times cosine of incidence, of a pulse's share
     """
     amplitude = max(energy, _FAINTEST) / (range_m * range_m)
-    if law.extinction_per_m > 0.0:
-        amplitude *= math.exp(-2.0 * law.extinction_per_m * range_m)
+    if constants.extinction_per_m > 0.0:
+        amplitude *= math.exp(-2.0 * constants.extinction_per_m * range_m)
     return amplitude
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def gather(
-    law: Law,
+    constants: DetectorConstants,
     start: int,
     stop: int,
     range_m: NDArray[np.float32],
@@ -99,7 +104,7 @@ def gather(
     while first_m < np.inf:
         at_m = first_m + moment / energy
         nodes[RANGE, found] = at_m
-        nodes[AMPLITUDE, found] = amplitude_of(law, energy / (stop - start), at_m)
+        nodes[AMPLITUDE, found] = amplitude_of(constants, energy / (stop - start), at_m)
         found += 1
         first_m, count = nodes[_RAY, 0] if left > 0 else np.inf, left
         left = 0
@@ -322,3 +327,49 @@ def _climb(
             low_m = x_m
         else:
             high_m = x_m
+
+
+_REACH_SIGMAS = 5.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def find_owners(
+    constants: DetectorConstants,
+    first: int,
+    count: NDArray[np.uint16],
+    range_m: NDArray[np.float32],
+    met: NDArray[np.uint32],
+    cos_incidence: NDArray[np.float32],
+    reflectance: NDArray[np.float32],
+    distance_m: NDArray[np.float32],
+    surface: NDArray[np.uint32],
+) -> None:
+    """Fill surface (k, L, 3) with that of the sub-ray which gives most of the light at each distance.
+
+    Light that the air gives, and distance 0, belong to no surface.
+    """
+    stop = 0
+    for i in range(count.shape[0]):
+        for j in range(count.shape[1]):
+            start, stop = stop, stop + int(count[i, j])
+            air_m, air = 0.0, 0.0
+            if constants.extinction_per_m > 0.0:
+                air_m, air = clutter_echo(constants, first + i, j, start, stop, range_m)
+            for column in range(3):
+                at_m = np.float64(distance_m[i, j, column])
+                surface[i, j, column] = NO_SURFACE
+                most = air * _pulse(constants, air_m - at_m)
+                for ray in range(start if at_m > 0.0 else stop, stop):
+                    ray_m = np.float64(range_m[ray])
+                    if abs(ray_m - at_m) < _REACH_SIGMAS * constants.sigma_m:
+                        energy = np.float64(reflectance[met[ray]]) * cos_incidence[ray] / (stop - start)
+                        light = amplitude_of(constants, energy, ray_m) * _pulse(constants, ray_m - at_m)
+                        if light > most:
+                            most, surface[i, j, column] = light, met[ray]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _pulse(constants: DetectorConstants, away_m: float) -> float:
+    """Height of a pulse at a distance from its middle."""
+    away = away_m / constants.sigma_m
+    return math.exp(-0.5 * away * away)

@@ -2,10 +2,10 @@
 
 from typing import NamedTuple
 
-__all__ = ["Law"]
+__all__ = ["DetectorConstants"]
 
 
-class Law(NamedTuple):
+class DetectorConstants(NamedTuple):
     """Constants of a run, in the form that compiled code takes.
 
     Amplitudes are those of a waveform: reflectance times cosine of incidence over the square of the range, in m-2.

@@ -1,22 +1,25 @@
-"""Errors of range and reflectivity: white ones of each echo, and those that a unit is born with."""
+"""Errors of range and reflectivity, white ones of each echo and those that a unit is born with.
+
+And the reflectivity byte.
+"""
 
 import math
-from dataclasses import dataclass
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, normal, uniform
-from vlp16emu.returns.law import Law
+from vlp16emu.returns.settings import DetectorConstants
 
 __all__ = [
     "BIAS_LIMIT_M",
-    "Noise",
+    "RETROREFLECTIVE",
     "gain",
     "no_return_reflectivity",
     "range_bias_m",
     "range_sigma_m",
+    "reflectivity_byte",
 ]
 
 BIAS_LIMIT_M = 0.03
@@ -25,28 +28,6 @@ _STEADY, _DARK = 0.88, 0.024
 _FAINTEST_REFLECTANCE = 0.01
 _NO_RETURN_CODES = 3, 24
 """Least and greatest on no-returns of two real units with 3.x firmware: 3..11 on one, 9..24 on the other."""
-
-
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """Errors of a unit. The order of magnitude of each is told with its default in the scenario."""
-
-    range_noise_m: float
-    """White, one sigma, of a target of 20 % reflectivity at short range."""
-    range_bias_m: float
-    """One sigma of the lasers' constant errors."""
-    warm_up_m: float
-    """By how much ranges are too long at power-up."""
-    warm_up_s: float
-    """Time constant with which that fades, more than 0."""
-    reflectivity_noise: float
-    """White, one sigma, in counts."""
-    gain_spread: float
-    """One sigma of the lasers' relative errors of reflectivity."""
-    weak_echoes_lost: bool
-    """Whether there is a detection threshold."""
-    no_return_reflectivity: bool
-    """Whether records without a return carry their laser's constant."""
 
 
 def range_bias_m(seed: int, lasers: int, sigma_m: float) -> NDArray[np.float64]:
@@ -70,7 +51,7 @@ def no_return_reflectivity(seed: int, lasers: int) -> NDArray[np.uint8]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def range_sigma_m(law: Law, reflectance: float, amplitude: float) -> float:
+def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: float) -> float:
     """White range noise of an echo, one sigma.
 
     sigma**2 = noise**2 (0.88 + 0.024 / reflectance) + (width / signal-to-noise ratio)**2. The first part was fitted to
@@ -85,5 +66,35 @@ def range_sigma_m(law: Law, reflectance: float, amplitude: float) -> float:
     amplitude : of the peak
     """
     shown = min(max(reflectance, _FAINTEST_REFLECTANCE), 1.0)
-    far_m = law.sigma_m * law.amplitude_noise / amplitude
-    return math.sqrt(law.range_noise_m * law.range_noise_m * (_STEADY + _DARK / shown) + far_m * far_m)
+    far_m = constants.sigma_m * constants.amplitude_noise / amplitude
+    return math.sqrt(
+        constants.range_noise_m * constants.range_noise_m * (_STEADY + _DARK / shown) + far_m * far_m
+    )
+
+
+RETROREFLECTIVE = 100.5
+"""Percent from which a target is no white wall any more; what rounds to 100 still is."""
+_IDEAL = 1000.0
+"""Reflectance, as a multiple of a white Lambertian surface, that is reported as 255. A coefficient of retroreflection
+R (cd/lx/m2) equals a reflectance of pi R: 255 stands for 318 cd/lx/m2, between high-intensity (about 250) and prismatic
+sheeting (about 700). The manual gives the ends of the scale only; that it is logarithmic between them is an assumption."""
+_COUNTS_PER_E_FOLD = (255 - 101) / math.log(_IDEAL)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def reflectivity_byte(percent: float, gain: float, noise: float) -> np.uint8:
+    """Code a reflectivity: 0..100 percent of a diffuse target, 101..255 of a retroreflector.
+
+    Source: 63-9243 Rev D, section 6.1. Neither gain nor noise moves a target from one class to the other,
+    since they stand for small errors of calibration.
+
+    Parameters
+    ----------
+    percent : brightness, corrected for range, of a white Lambertian surface at right angles
+    gain : of the laser
+    noise : in counts
+    """
+    if percent <= RETROREFLECTIVE:
+        return np.uint8(min(max(np.rint(gain * percent + noise), 0.0), 100.0))
+    code = 101.0 + _COUNTS_PER_E_FOLD * math.log(0.01 * gain * percent) + noise
+    return np.uint8(min(max(np.rint(code), 101.0), 255.0))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, uniform_pair
-from vlp16emu.returns.law import Law
+from vlp16emu.returns.settings import DetectorConstants
 
 __all__ = [
     "air_reflectance",
@@ -79,7 +79,7 @@ def air_reflectance(extinction_per_m: float, sigma_m: float) -> float:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def clutter_echo(
-    law: Law, n: int, laser: int, start: int, stop: int, range_m: NDArray[np.float32]
+    constants: DetectorConstants, n: int, laser: int, start: int, stop: int, range_m: NDArray[np.float32]
 ) -> tuple[float, float]:
     """Range and amplitude of the air's own echo in pulse (n, laser); the air must not be clear.
 
@@ -94,11 +94,11 @@ def clutter_echo(
     -------
     amplitude 0 where it is below the threshold of the detector, or behind all that was hit
     """
-    where, how_bright = uniform_pair(law.seed, _WEATHER, n, laser)
-    air_m = max(-math.log1p(-where) / law.extinction_per_m, _NEAREST_M)
+    where, how_bright = uniform_pair(constants.seed, _WEATHER, n, laser)
+    air_m = max(-math.log1p(-where) / constants.extinction_per_m, _NEAREST_M)
     passed = 1.0 - where  # exp(-extinction * range)
-    amplitude = -math.log1p(-how_bright) * law.clutter * passed * passed / (air_m * air_m)
-    if amplitude >= law.least_clutter:
+    amplitude = -math.log1p(-how_bright) * constants.clutter * passed * passed / (air_m * air_m)
+    if amplitude >= constants.least_clutter:
         for ray in range(start, stop):
             if range_m[ray] > air_m:
                 return air_m, amplitude

@@ -1,13 +1,15 @@
-"""From the name of a scene, or a path, to its file."""
+"""From the name of a scene, or a path, to its file; and the files that a scenario names."""
 
 import os
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 from vlp16emu.errors import ScenarioError
+from vlp16emu.settings import SceneFile, Section
 
-__all__ = ["find", "scene_files"]
+__all__ = ["find", "named_files", "scene_files"]
 
 
 def _folders() -> Iterator[Path]:
@@ -46,3 +48,21 @@ def find(scene: str) -> Path:
             f"scene '{scene}'", "unknown name", f"{', '.join(known)}, or a path ending in .toml"
         )
     return known[scene]
+
+
+def named_files(scenario: Section) -> list[Path]:
+    """List the files that a scenario is made of beside its own: poses, way points, heights, trees, meshes."""
+    return list(_named_in(scenario))
+
+
+def _named_in(value: object) -> Iterator[Path]:
+    """Find the files of a section and of all that it holds."""
+    if isinstance(value, Section):
+        kinds = get_type_hints(type(value), include_extras=True)
+        for key, inner in value:
+            if isinstance(inner, str) and SceneFile in (kinds[key], *get_args(kinds[key])):
+                yield Path(inner)
+            yield from _named_in(inner)
+    elif isinstance(value, list | tuple):
+        for inner in value:
+            yield from _named_in(inner)

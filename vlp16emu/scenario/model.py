@@ -7,13 +7,11 @@ from pydantic import AwareDatetime, Field, ValidationInfo, field_validator
 
 from vlp16emu.errors import InputError
 from vlp16emu.motion import Gps, Imu, Recorded, Static, Walk
-from vlp16emu.scenario.beam import Beam
-from vlp16emu.scenario.detector import Detector
-from vlp16emu.scenario.noise import Noise
+from vlp16emu.raycast import Beam
+from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.scenario.presets import with_preset
-from vlp16emu.scenario.rig import Unit, completed
-from vlp16emu.scenario.sensor import AnySensor, FreeSensor, Sensor
-from vlp16emu.scenario.weather import Weather
+from vlp16emu.scenario.rig import RigUnit, completed
+from vlp16emu.sensor import AnySensor, FreeSensor, Sensor
 from vlp16emu.settings import Section
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.world import Forest, Hall, Plot, Wind
@@ -49,7 +47,7 @@ class Scenario(Section):
     """How the sensor moves."""
     imu: Imu | None = None
     """An inertial measurement unit beside the sensor; its samples are part of the truth."""
-    rig: Annotated[list[Unit], Field(max_length=253, default_factory=list)]
+    rig: Annotated[list[RigUnit], Field(max_length=253, default_factory=list)]
     """Further sensors on the same carrier, numbered from 2; that of `[sensor]` is unit 1."""
     world: Annotated[Forest | Plot | Hall, Field(discriminator="kind")]
     """What the sensor sees."""
@@ -82,7 +80,7 @@ class Scenario(Section):
 
     @field_validator("rig")
     @classmethod
-    def _distinct(cls, rig: list[Unit], info: ValidationInfo) -> list[Unit]:
+    def _distinct(cls, rig: list[RigUnit], info: ValidationInfo) -> list[RigUnit]:
         first = info.data.get("sensor")
         units = [first, *rig] if isinstance(first, Sensor) else rig
         for key in ("name", "serial_number", "address"):

@@ -7,15 +7,15 @@ from pydantic import Field
 
 from vlp16emu.motion import Mount
 from vlp16emu.scenario.presets import merged
-from vlp16emu.scenario.sensor import Sensor
+from vlp16emu.sensor.settings import Sensor
 
-__all__ = ["Unit", "completed"]
+__all__ = ["RigUnit", "completed"]
 
 _OWN = frozenset({"name", "serial_number", "address", "data_port", "position_port"})
 """What no two units have in common, so none of it is taken from `[sensor]`."""
 
 
-class Unit(Sensor):
+class RigUnit(Sensor):
     """A sensor beside that of `[sensor]`, whose keys hold here too unless others are given.
 
     Name, serial number, address and ports count on from those of `[sensor]`.

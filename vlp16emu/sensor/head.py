@@ -1,4 +1,7 @@
-"""From firing numbers and poses to pulses: instants, angles, origins and directions."""
+"""From firing numbers and poses to pulses: instants, angles, origins and directions.
+
+`turn_of` says how far a run turns the rotor.
+"""
 
 import math
 from collections.abc import Callable
@@ -9,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.sensor.beams import BeamTable
-from vlp16emu.sensor.clock import Clock
-from vlp16emu.sensor.rotor import Rotor
+from vlp16emu.sensor.rotor import Clock, Rotor
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Firings, Poses
+from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["BODY_R_SENSOR", "Head", "turn"]
+__all__ = ["BODY_R_SENSOR", "Head", "Turn", "turn", "turn_of"]
 
 BODY_R_SENSOR = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """Mounting: the cable points back, so azimuth 0 (sensor +y) looks forward (body +x)."""
@@ -127,3 +130,28 @@ def _aim(
             for a in range(3):
                 # The spin axis is the body's z axis, also when the head is mounted turned about it.
                 origin_m[i, j, a] = p[a] + R[a, 2] * offset_m[j]
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """How fast a sensor turns, how finely it looks around, and how far it gets."""
+
+    rpm: float
+    azimuth_step_deg: float
+    """From one firing sequence to the next."""
+    sequences_per_revolution: float
+    revolutions: float
+    azimuth_steps: int
+    """Whole firing sequences."""
+
+
+def turn_of(head: Head, simulated_s: float) -> Turn:
+    """Measure the turning of a head over a run."""
+    rpm, sequences_per_s = head.rotor.rpm, S_NS / head.beams.sequence_ns
+    return Turn(
+        rpm=rpm,
+        azimuth_step_deg=6 * rpm / sequences_per_s,
+        sequences_per_revolution=sequences_per_s * 60 / rpm,
+        revolutions=simulated_s * rpm / 60.0,
+        azimuth_steps=seconds_to_ns(simulated_s) // head.beams.sequence_ns,
+    )

@@ -1,4 +1,7 @@
-"""The spinning head: its true angle as a function of time, and what the encoder reads."""
+"""The spinning head.
+
+Its true angle as a function of time and what the encoder reads; and what the sensor takes the time to be.
+"""
 
 import math
 from dataclasses import dataclass
@@ -8,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, normal
-from vlp16emu.units import S_NS
+from vlp16emu.units import HOUR_NS, S_NS
 
-__all__ = ["Rotor"]
+__all__ = ["Clock", "Rotor"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,3 +78,28 @@ def _eccentric(angle_deg: NDArray[np.float64], amplitude_deg: float, phase_deg: 
     for i in range(angle_deg.size):
         out[i] = angle_deg[i] + amplitude_deg * math.sin(math.radians(angle_deg[i] - phase_deg))
     return out
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The sensor's top-of-hour counter.
+
+    Locked to GPS it shows nanoseconds past the UTC hour; without GPS it runs from power-up on its own
+    oscillator and rolls over every 3600 s (63-9243 Rev D, appendix G). Before power-up it stands at zero: the stamp of a
+    position packet is older than the packet, and so may fall before there is a clock.
+    """
+
+    locked: bool
+    power_up_ns: int
+    """UTC at which the free-running counter stood at zero."""
+    error_ppm: float
+    """How much the free-running counter is fast."""
+
+    def reading_ns(self, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Nanoseconds past the counter's hour at UTC instants, any shape."""
+        if self.locked:
+            return np.asarray(t_ns % HOUR_NS)
+        since = np.maximum(t_ns - self.power_up_ns, 0)
+        if self.error_ppm:
+            since = since + np.rint(since * (self.error_ppm * 1e-6)).astype(np.int64)
+        return np.asarray(since % HOUR_NS)

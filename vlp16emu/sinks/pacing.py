@@ -1,16 +1,131 @@
-"""Letting packets leave at absolute deadlines, and measuring how late they are."""
+"""Packets leave at absolute deadlines, and how late they are is measured.
 
+Sleeps end on time, and each time that a stream fell behind is on record.
+"""
+
+import ctypes
 import math
+import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import StrEnum
 
 from vlp16emu.errors import InputError
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-__all__ = ["Lateness", "LatenessHistogram", "Pacer"]
+__all__ = [
+    "TOLERANCE_NS",
+    "DelayLog",
+    "FellBehind",
+    "Late",
+    "Lateness",
+    "LatenessHistogram",
+    "Pacer",
+    "prompt_sleeps",
+]
+
+# Numbers of prctl(2). Source: linux/prctl.h.
+_PR_SET_TIMERSLACK = 29
+_PR_GET_TIMERSLACK = 30
+_FINEST_NS = 1
+"""0 would restore the default of 50 us."""
+
+
+@contextmanager
+def prompt_sleeps() -> Iterator[None]:
+    """Let sleeps of the calling thread end at their time and not up to 50 us later; as before afterwards.
+
+    The timer slack of Linux joins wake-ups to save power. Elsewhere nothing changes: sleeps are then as
+    late as the system makes them, and the report of a stream says so.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    prctl = ctypes.CDLL(None).prctl
+    # The arguments are unsigned longs, and prctl is variadic: a plain int would leave half a register undefined.
+    before_ns = prctl(_PR_GET_TIMERSLACK, *[ctypes.c_ulong(0)] * 4)
+    prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(_FINEST_NS), *[ctypes.c_ulong(0)] * 3)
+    try:
+        yield
+    finally:
+        prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(max(before_ns, 0)), *[ctypes.c_ulong(0)] * 3)
+
+
+TOLERANCE_NS = 50_000_000
+"""Lateness up to which a stream is not behind: half a revolution at 600 rpm. Pauses of 5 to 40 ms are common where
+other programs want the same cores; the usual receive buffer of Linux, 208 KiB, holds 120 ms of packets."""
+
+_SETTLED_NS = 5 * S_NS
+"""Without a packet that is too late for so long, the next one is another time that the stream fell behind."""
+
+
+class Late(StrEnum):
+    """What happens to a packet that is late by more than the tolerance."""
+
+    PACE = "pace"
+    """It leaves, and the deadlines of all later ones move by as much: the delay stays."""
+    SKIP = "skip"
+    """It is dropped."""
+
+
+@dataclass(slots=True)
+class FellBehind:
+    """One time that a stream fell behind; grows while it lasts."""
+
+    at_s: float
+    """Deadline of the first packet that was too late, from the start of the stream."""
+    behind_s: float
+    """Lateness of that packet."""
+    engine: bool
+    """The packet was not computed in time; else it was ready, and the process stood still or could not send."""
+    engine_speed: float | None
+    """Simulated seconds per second that the engine computed since it was last ahead; None where that is unknown."""
+    total_s: float = 0.0
+    """Delay that came of it so far, with `pace`; greatest lateness, with `skip`."""
+
+
+class DelayLog:
+    """Times that a stream fell behind.
+
+    Parameters
+    ----------
+    late : how lateness adds up
+    notify : called at once, each time that the stream falls behind
+    """
+
+    def __init__(self, late: Late, notify: Callable[[FellBehind], None]) -> None:
+        self._late, self._notify = late, notify
+        self._last_ns = 0
+        self.times: list[FellBehind] = []
+
+    def overdue(self, late_ns: int, deadline_ns: int, *, engine_speed: float | None) -> None:
+        """Notify at once that a packet is late which the engine has still not computed; its delay comes with it."""
+        self._time(late_ns, deadline_ns, engine=True, engine_speed=engine_speed)
+
+    def add(self, late_ns: int, deadline_ns: int, *, engine: bool, engine_speed: float | None) -> None:
+        """Record a packet that is late by more than the tolerance; its deadline counts from the start."""
+        late_s = late_ns / S_NS
+        time = self._time(late_ns, deadline_ns, engine=engine, engine_speed=engine_speed)
+        time.total_s = time.total_s + late_s if self._late is Late.PACE else max(time.total_s, late_s)
+
+    def _time(
+        self, late_ns: int, deadline_ns: int, *, engine: bool, engine_speed: float | None
+    ) -> FellBehind:
+        """Give the time that lasts, or begin one and notify of it."""
+        now_ns = deadline_ns + late_ns
+        is_new = not self.times or now_ns - self._last_ns > _SETTLED_NS
+        self._last_ns = now_ns
+        if is_new:
+            self.times.append(FellBehind(deadline_ns / S_NS, late_ns / S_NS, engine, engine_speed))
+            self._notify(self.times[-1])
+        elif engine:
+            self.times[-1].engine_speed = engine_speed
+        return self.times[-1]
+
 
 _CLOSEST = 0.94
 """Share of the sensor's own spacing that packets of a unit and kind keep on average while they catch up. The shortest

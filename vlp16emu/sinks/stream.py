@@ -1,21 +1,161 @@
-"""Packets in real time: computed ahead by one thread, sent at their deadlines by another."""
+"""Packets in real time: computed ahead by one thread, sent at their deadlines by another; and what sending takes of a core."""
 
+import os
+import socket
 import sys
 import threading
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
 
-from vlp16emu.sinks.delay import TOLERANCE_NS, DelayLog, FellBehind, Late
-from vlp16emu.sinks.look_ahead import LookAhead
-from vlp16emu.sinks.pacing import Lateness, LatenessHistogram, Pacer
+from vlp16emu.sinks.pacing import (
+    TOLERANCE_NS,
+    DelayLog,
+    FellBehind,
+    Late,
+    Lateness,
+    LatenessHistogram,
+    Pacer,
+    prompt_sleeps,
+)
 from vlp16emu.sinks.sink import PacketSink
-from vlp16emu.sinks.timer_slack import prompt_sleeps
+from vlp16emu.sinks.udp import LOOPBACK, UdpSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-__all__ = ["LOOK_AHEAD_PACKETS", "Sender", "StreamReport", "stream"]
+__all__ = ["LOOK_AHEAD_PACKETS", "LookAhead", "Sender", "StreamReport", "sending_share", "stream"]
+
+_POLL_S = 0.05
+"""How often a thread that waits looks whether it shall stop."""
+_REFILLS = 8
+"""Share of the buffer that is taken before a full one is filled again: a wake-up of the thread that computes for each
+packet would cost the one that sends as much as the sending."""
+_NICE = 3
+"""By how much threads that compute are nicer. A driver that shares a core with one of them gets two thirds of it; at equal
+priority it gets half, and one that needs half loses packets. More would cost speed where other programs are at work, and the
+thread that sends would be late more often: it waits for the interpreter, which a thread without a core holds."""
+
+
+class LookAhead:
+    """Runs through packets in a thread of its own, at most `capacity` of them ahead of `take`.
+
+    A context manager; leaving it stops the thread as soon as the packet under way is done. The thread is
+    a daemon, so a second Ctrl-C need not wait for that. On Linux it gives way to other threads, and so do those that
+    it starts, as a new thread has the priority of the one that starts it; elsewhere a priority is one of the process.
+
+    Parameters
+    ----------
+    packets : in order of sending; used by the thread alone from now on
+    capacity : packets held at most
+    stop : ends the wait of both sides when somebody sets it
+    """
+
+    def __init__(self, packets: Iterable[Packet], capacity: int, stop: threading.Event) -> None:
+        self._capacity, self._stop = capacity, stop
+        self._room_at = capacity - max(capacity // _REFILLS, 1)
+        self._ready = deque[Packet]()
+        self._changed = threading.Condition()
+        self._done = False
+        self._left = False
+        self._error: BaseException | None = None
+        self._made_due_ns = 0
+        self._full: tuple[int, int] | None = None
+        self._thread = threading.Thread(target=self._run, args=(packets,), name="look-ahead", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._changed:
+            self._left = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether `take` would have to wait."""
+        return not self._ready
+
+    @property
+    def engine_speed(self) -> float | None:
+        """Simulated time per time in which it was computed, since the buffer was last full; None before."""
+        if (full := self._full) is None:
+            return None
+        clock_ns, due_ns = full
+        return (self._made_due_ns - due_ns) / max(time.monotonic_ns() - clock_ns, 1)
+
+    def fill(self) -> None:
+        """Wait until the buffer is full, the packets are at their end, or `stop` is set."""
+        with self._changed:
+            while len(self._ready) < self._capacity and not self._done and not self._over:
+                self._changed.wait(_POLL_S)
+
+    def take(self, waiting: Callable[[float | None], None] = lambda _: None) -> Packet | None:
+        """Next packet, waiting for it if need be; None at the end or when `stop` is set.
+
+        Parameters
+        ----------
+        waiting : called with the engine's speed every 50 ms as long as there is no packet
+
+        Raises
+        ------
+        BaseException
+            What the packets themselves raised, once those before it have been taken.
+        """
+        with self._changed:
+            while not self._ready and not self._done and not self._over:
+                if not self._changed.wait(_POLL_S):
+                    waiting(self.engine_speed)
+            if self._over:
+                return None
+            if self._ready:
+                packet = self._ready.popleft()
+                if len(self._ready) == self._room_at:
+                    self._changed.notify_all()
+                return packet
+        if self._error is not None:
+            raise self._error
+        return None
+
+    @property
+    def _over(self) -> bool:
+        """Whether nobody wants more packets."""
+        return self._left or self._stop.is_set()
+
+    def _wait_for_room(self) -> None:
+        """Wait until a share of the full buffer has been taken, or nobody wants more; holds the lock."""
+        while len(self._ready) > self._room_at and not self._over:
+            self._changed.wait(_POLL_S)
+
+    def _run(self, packets: Iterable[Packet]) -> None:
+        """Body of the thread."""
+        if sys.platform == "linux":
+            os.nice(_NICE)
+        try:
+            for packet in packets:
+                with self._changed:
+                    if len(self._ready) >= self._capacity:
+                        self._wait_for_room()
+                        self._full = time.monotonic_ns(), packet.due_ns
+                    if self._over:
+                        return
+                    self._made_due_ns = packet.due_ns
+                    self._ready.append(packet)
+                    self._changed.notify_all()
+        except BaseException as error:  # noqa: BLE001  # belongs to the thread that takes, which raises it
+            self._error = error
+        finally:
+            with self._changed:
+                self._done = True
+                self._changed.notify_all()
+
 
 LOOK_AHEAD_PACKETS = 2048
 """About 2.3 s of single return with its position packets, 1.2 s of dual; 2.6 MB."""
@@ -190,3 +330,22 @@ class Sender:
             self._gone_on_from_ns = self._pacer.due_in_ns(self._lead_ns)
             self._go_on_from(self._gone_on_from_ns)
             self._skipping_since_ns = now_ns
+
+
+def sending_share(packets: Sequence[Packet]) -> float:
+    """Processor seconds per second of the thread that sends packets in real time, measured by doing so.
+
+    They go to a socket of this process that nobody reads, so no other program is sent anything.
+
+    Parameters
+    ----------
+    packets : in order of sending
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind((LOOPBACK, 0))
+        port = receiver.getsockname()[1]
+        with UdpSink(data_port=port, position_port=port) as sink:
+            before_s = time.thread_time()
+            report = stream(packets, sink, Pacer(1.0))
+            took_s = time.thread_time() - before_s
+    return took_s / report.simulated_s if report.simulated_s > 0 else 0.0

@@ -1,18 +1,19 @@
-"""Packets as UDP datagrams."""
+"""Packets as UDP datagrams, from one sensor or from all sensors of a rig."""
 
 import ipaddress
 import socket
 from collections import Counter
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL
+from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL, Link
 from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["LOOPBACK", "UdpResult", "UdpSink"]
+__all__ = ["LOOPBACK", "RigSink", "UdpResult", "UdpSink"]
 
 LOOPBACK = "127.0.0.1"
 """Where packets go unless an address is given: nowhere but this machine."""
@@ -181,3 +182,67 @@ def _imitate_position(opened: socket.socket) -> None:
     """
     opened.setsockopt(socket.IPPROTO_IP, socket.IP_TTL, POSITION_TTL)
     opened.setsockopt(socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DONT)
+
+
+class RigSink:
+    """Sends the packets of each unit to the ports of its own link.
+
+    Parameters
+    ----------
+    links : of each unit
+    host : as `UdpSink` takes it
+    as_sensor : send from the units' own addresses, with their headers
+    sent : called after each packet with its due time, UTC ns
+
+    Raises
+    ------
+    OutputError
+        as `UdpSink`
+    """
+
+    def __init__(
+        self,
+        links: Sequence[Link],
+        host: str,
+        *,
+        as_sensor: bool = False,
+        sent: Callable[[int], None] = lambda _: None,
+    ) -> None:
+        self._sent = sent
+        with ExitStack() as stack:
+            self._sinks = [
+                stack.enter_context(
+                    UdpSink(
+                        host,
+                        data_port=link.data_port,
+                        position_port=link.position_port,
+                        as_sensor=link.source if as_sensor else None,
+                    )
+                )
+                for link in links
+            ]
+            self._open = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.close()
+
+    def send(self, packet: Packet) -> None:
+        """Send one packet.
+
+        Raises
+        ------
+        RunError
+            as `UdpSink.send`
+        """
+        self._sinks[packet.unit].send(packet)
+        self._sent(packet.due_ns)
+
+    @property
+    def results(self) -> list[UdpResult]:
+        """What each unit has sent so far."""
+        return [sink.result for sink in self._sinks]

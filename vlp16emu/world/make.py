@@ -23,8 +23,8 @@ from vlp16emu.world.stand.forest import ForestWorld
 from vlp16emu.world.stand.placed import Layer
 from vlp16emu.world.stand.settings import Wind
 from vlp16emu.world.stand.stand import Stand
-from vlp16emu.world.stand.sway import TreeSway
 from vlp16emu.world.stand.understorey import SaplingLayer, ShrubLayer
+from vlp16emu.world.stand.wind import TreeSway
 
 __all__ = ["ground_name", "ground_of", "layers_of", "world_of"]
 

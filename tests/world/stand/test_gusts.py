@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lsim
 
 from vlp16emu.world import Wind
-from vlp16emu.world.stand.gusts import ACROSS, ALONG, Trees, gust_lines, swings
+from vlp16emu.world.stand.wind import ACROSS, ALONG, Trees, gust_lines, swings
 
 SPEED_M_S, INTENSITY, LENGTH_M = 6.0, 0.5, 20.0
 KAIMAL = Wind(speed_m_s=SPEED_M_S, turbulence_intensity=INTENSITY, gust_length_m=LENGTH_M)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import RunError
-from vlp16emu.raycast import caster
+from vlp16emu.raycast.caster import caster
 from vlp16emu.report.forest import (
     Plan,
     Section,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.assembly import assemble
+from vlp16emu.chain import assemble
 from vlp16emu.errors import InputError
 from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import Scenario

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.raycast import Scene
+from vlp16emu.raycast.caster import Scene
 
 __all__ = ["Geometry", "geometry_of"]
 

@@ -5,9 +5,9 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from vlp16emu.assembly import Unit
-from vlp16emu.assembly.windows import window_of
-from vlp16emu.chain import Chain
+from vlp16emu.chain import Unit
+from vlp16emu.chain.chain import Chain
+from vlp16emu.chain.windows import window_of
 from vlp16emu.motion import Walk
 from vlp16emu.report.plan.geometry import Geometry, geometry_of
 from vlp16emu.types import Window
@@ -117,7 +117,7 @@ def needs(chain: Chain, *, audited: bool) -> list[Need]:
 
 def _of_sensor(unit: Unit) -> list[Need]:
     """List what is done for each pulse of a sensor."""
-    law, beam = unit.detector.law, unit.beam
+    detector, beam = unit.detector.constants, unit.beam
     rows = {
         "beam width": (
             beam.has_width,
@@ -125,18 +125,18 @@ def _of_sensor(unit: Unit) -> list[Need]:
             "one ray for each pulse, no axes of its footprint",
         ),
         "range and reflectivity noise": (
-            law.range_noise_m > 0.0 or law.reflectivity_noise > 0.0,
+            detector.range_noise_m > 0.0 or detector.reflectivity_noise > 0.0,
             "a pair of random numbers for each return",
             "no random number",
         ),
         "detection threshold": (
-            law.amplitude_noise > 0.0,
+            detector.amplitude_noise > 0.0,
             "a random number for each faint echo",
             "every echo is seen",
         ),
-        "weather": (law.extinction_per_m > 0.0, "a draw of the air for each pulse", "clear air"),
+        "weather": (detector.extinction_per_m > 0.0, "a draw of the air for each pulse", "clear air"),
         "last and second return": (
-            not law.strongest_only,
+            not detector.strongest_only,
             "all echoes of each pulse are ranked",
             "nothing is looked for behind the strongest echo",
         ),

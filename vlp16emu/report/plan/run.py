@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
-from vlp16emu.chain import Chain
+from vlp16emu.chain.chain import Chain
 from vlp16emu.report.keeping_up import settings_that_keep_up, speed_beside_sender
 from vlp16emu.report.plan.forecast import Forecast, Spent, forecast
 from vlp16emu.report.plan.needs import Need, Surroundings, libraries, needs, surroundings

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vlp16emu.chain import Chain
+from vlp16emu.chain.chain import Chain
 from vlp16emu.errors import InputError
 from vlp16emu.packets import returns_in
 from vlp16emu.report.plan.forecast import Spent

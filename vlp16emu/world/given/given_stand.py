@@ -12,11 +12,10 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.types import HeightField
 from vlp16emu.world.given.stem_list import read_stem_list
 from vlp16emu.world.plants.crown import VARIANTS, CrownKey
-from vlp16emu.world.plants.flora import Flora
+from vlp16emu.world.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora
 from vlp16emu.world.plants.species import Species
 from vlp16emu.world.polyline import Corridor, Polyline
 from vlp16emu.world.settings import Plot
-from vlp16emu.world.stand.materials import BARK_SPREAD, LEAF_SPREAD
 from vlp16emu.world.stand.stand import TREE, foot_discs, path_gap_m
 from vlp16emu.world.stand.tiles import TILE_M
 

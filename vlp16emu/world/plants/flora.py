@@ -1,4 +1,4 @@
-"""The species table: all plants that a world may hold."""
+"""The species table: all plants that a world may hold; and what surfaces are made of, by `SURFACE` material number."""
 
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,19 @@ from vlp16emu.errors import GeometryError, readable
 from vlp16emu.explain import explain
 from vlp16emu.world.plants.species import Plant, Shrub, Species
 
-__all__ = ["Flora", "flora", "known", "shrub_table", "species_table", "tapers"]
+__all__ = [
+    "BARK_SPREAD",
+    "GROUND_MATERIALS",
+    "LEAF_SPREAD",
+    "Flora",
+    "bark_material",
+    "flora",
+    "known",
+    "material_names",
+    "shrub_table",
+    "species_table",
+    "tapers",
+]
 
 _Kind = TypeVar("_Kind", bound=Plant)
 
@@ -129,3 +141,32 @@ def tapers(numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None =
     """Taper by species number, (n, 12) for `taper_radius_m`; `table` is that of the program if none is given."""
     rows = {species.number: species.taper.row for species in (table or species_table()).values()}
     return np.array([rows[int(number)] for number in numbers]).reshape(-1, 12)
+
+
+GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass")
+"""Names of the first numbers."""
+
+
+BARK_SPREAD, LEAF_SPREAD = 0.08, 0.04
+"""Half-range of reflectance between plants; assumptions (wide spread in the near infrared: Juola et al. 2020)."""
+
+
+def material_names(plants: Flora) -> tuple[str, ...]:
+    """All materials by number: those on the ground, then bark and leaf of each tree and shrub."""
+    parts = (f"{name} {what}" for name in (*plants.trees, *plants.shrubs) for what in ("bark", "leaf"))
+    return (*GROUND_MATERIALS, *parts)
+
+
+def bark_material(species: NDArray[np.uint16], plants: Flora) -> NDArray[np.int64]:
+    """Material numbers of the bark of species by number, (n,); that of the leaf is the next."""
+    row: NDArray[np.int64] = _rows(plants)[species]
+    return len(GROUND_MATERIALS) + 2 * row
+
+
+@cache
+def _rows(plants: Flora) -> NDArray[np.int64]:
+    """Place in the table by species number."""
+    numbers = list(plants.names)
+    row_of = np.zeros(max(numbers) + 1, np.int64)
+    row_of[numbers] = np.arange(len(numbers))
+    return row_of

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from vlp16emu.random import Purpose
 from vlp16emu.store import recalled
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.plants.flora import Flora, flora, known
+from vlp16emu.world.plants.flora import GROUND_MATERIALS, Flora, flora, known
 from vlp16emu.world.stand.floor_shapes import FLOOR_VARIANTS, FloorKey, FloorKind
-from vlp16emu.world.stand.materials import GROUND_MATERIALS
 from vlp16emu.world.stand.placed import (
     NO_TREES,
     Placed,

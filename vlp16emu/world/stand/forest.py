@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
 from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
-from vlp16emu.world.plants.flora import Flora, flora
+from vlp16emu.world.plants.flora import Flora, bark_material, flora, material_names
 from vlp16emu.world.plants.sapling import SaplingKey, sapling_meshes
 from vlp16emu.world.plants.shrub import ShrubKey, shrub_meshes
 from vlp16emu.world.plants.stem import STEM_PARTS, StemKey, far_stems, stem_meshes
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.floor_shapes import FloorKey, floor_meshes
-from vlp16emu.world.stand.kept import by_tile, key_text
-from vlp16emu.world.stand.materials import bark_material, material_names
+from vlp16emu.world.stand.nearby import by_tile, key_text
 from vlp16emu.world.stand.placed import NO_TREES, Layer, Placed, Site, distinct
 from vlp16emu.world.stand.stand import TREE, foot_discs
 from vlp16emu.world.stand.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within

@@ -12,11 +12,10 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.types import HeightField
 from vlp16emu.world.plants.allometry import taper_radius_m
 from vlp16emu.world.plants.crown import VARIANTS, CrownKey
-from vlp16emu.world.plants.flora import Flora, flora, known, tapers
+from vlp16emu.world.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora, known, tapers
 from vlp16emu.world.plants.species import Species
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.settings import Forest
-from vlp16emu.world.stand.materials import BARK_SPREAD, LEAF_SPREAD
 from vlp16emu.world.stand.points import PointPattern, pattern_of
 from vlp16emu.world.stand.settings import MOST_STEMS_PER_HA, SpeciesShare, Storey
 

@@ -11,7 +11,7 @@ from vlp16emu.random import Purpose
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.world.plants.crown import VARIANTS
-from vlp16emu.world.plants.flora import Flora, flora, known
+from vlp16emu.world.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, bark_material, flora, known
 from vlp16emu.world.plants.sapling import (
     CROWN_BASE_SHARE,
     CROWN_WIDTH_SHARE,
@@ -21,7 +21,6 @@ from vlp16emu.world.plants.sapling import (
 )
 from vlp16emu.world.plants.shrub import SHRUB_PARTS, ShrubKey
 from vlp16emu.world.plants.species import Shrub, Species
-from vlp16emu.world.stand.materials import BARK_SPREAD, LEAF_SPREAD, bark_material
 from vlp16emu.world.stand.placed import (
     NO_TREES,
     Placed,

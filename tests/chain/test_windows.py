@@ -1,0 +1,184 @@
+"""Work ahead, in order."""
+
+import gc
+import threading
+import time
+import weakref
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from vlp16emu.chain.windows import BLOCK, STRETCH, Cut, Windows, ahead
+
+
+def windows(*, per_stretch=4, threads=2, opened=None):
+    def open_stretch(stretch):
+        if opened is not None:
+            opened.append(stretch)
+        return f"stretch {stretch}"
+
+    cut = SimpleNamespace(block_ns=100, stretch=per_stretch or 4)
+    return Windows(open_stretch, cut, moves=per_stretch is not None, threads=threads)
+
+
+def run(work, blocks, *, per_stretch=4, threads=2, opened=None, together=1):
+    of = windows(per_stretch=per_stretch, threads=threads, opened=opened)
+    return ahead(work, of, blocks=blocks, threads=threads, together=together)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_results_come_in_order_with_their_stretch(threads):
+    """Each block is worked on once, with the stretch it belongs to, and handed out in order."""
+    out = list(run(lambda run, scene: (run.start, scene.result()), range(3, 14), threads=threads))
+    assert out == [(block, f"stretch {block // 4}") for block in range(3, 14)]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("span", [range(3), range(3, 14), range(50, 400)])
+def test_runs_hold_each_block_once_and_keep_to_stretches(threads, span):
+    """Runs follow each other without gaps, none crosses a stretch, and the first and last of every worker are single."""
+    runs = list(windows(per_stretch=64, threads=threads).runs(span, 8, threads))
+    assert [block for run in runs for block in run] == list(span)
+    assert all(run.start // 64 == (run.stop - 1) // 64 for run in runs)
+    assert all(len(run) == 1 for run in runs[:threads])
+    assert len(runs[-1]) == 1
+    longest = {3: (1, 1, 1), 11: (4, 2, 1), 350: (8, 8, 4)}[len(span)]
+    assert max(map(len, runs)) == dict(zip((1, 2, 5), longest, strict=True))[threads]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 7, 16, 24, 64, 100])
+def test_with_any_number_of_threads_windows_are_opened_once(threads):
+    """Neither workers far ahead nor who looks back 1.4 s, for the sky, make a window be opened again."""
+    opened = []
+    of = windows(per_stretch=64, threads=threads, opened=opened)
+    results = ahead(lambda run, _scene: run, of, blocks=range(640), threads=threads, together=8)
+    for run in results:
+        of.at_time(100 * (run.start - 13)).result()
+    assert opened == list(range(10))
+
+
+def test_each_stretch_is_opened_once_and_none_beyond_the_end():
+    """Stretches are opened in order, once each, and only those that the blocks need."""
+    opened = []
+    list(run(lambda _run, scene: scene.result(), range(3, 14), opened=opened))
+    assert opened == [0, 1, 2, 3]
+
+
+def test_all_blocks_may_share_one_stretch():
+    """Where nothing moves a single stretch serves all."""
+    opened = []
+    list(run(lambda _run, scene: scene.result(), range(100), per_stretch=None, opened=opened))
+    assert opened == [0]
+
+
+def test_work_runs_only_a_little_ahead():
+    """The number of blocks begun but not handed out stays bounded by the number of threads."""
+    begun, most = [], 0
+    for number, _ in enumerate(run(lambda run, _scene: begun.append(run), range(200), threads=2)):
+        most = max(most, len(begun) - number)
+    assert most <= 6
+
+
+def test_an_error_reaches_the_caller():
+    """An error in the work or in opening is raised where the result is taken."""
+
+    def fail(run, _scene):
+        if run.start == 5:
+            raise OSError("block five")
+        return run.start
+
+    results = run(fail, range(10))
+    assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
+    with pytest.raises(OSError, match="block five"):
+        next(results)
+
+
+def test_leaving_early_stops_the_work():
+    """A run that is left in the middle begins no further blocks and leaves no worker behind."""
+    begun = []
+    results = run(lambda run, _scene: begun.append(run), range(10_000))
+    next(results)
+    results.close()
+    assert len(begun) < 20
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("work")]
+
+
+def test_no_blocks_no_work():
+    """An empty span opens nothing."""
+    opened = []
+    assert list(run(lambda run, scene: run, range(0), opened=opened)) == []
+    assert opened == []
+
+
+def test_a_wire_sensor_is_cut_as_ever():
+    """A VLP-16 has blocks of 1920 sequences, whole packets in both return modes, and stretches of 64 of them."""
+    cut = Cut(16, 55_296)
+    assert (cut.block, cut.stretch) == (BLOCK, STRETCH) == (1_920, 64)
+    assert cut.block_ns == 1_920 * 55_296
+    assert cut.block % 24 == cut.block % 12 == 0
+
+
+@pytest.mark.parametrize("lasers", [1, 8, 64, 256, 1024])
+@pytest.mark.parametrize("sequence_ns", [2_315, 55_556, 5_555_556])
+def test_blocks_of_any_sensor_are_bounded(lasers, sequence_ns):
+    """Blocks are multiples of 8 sequences, with no more pulses than a VLP-16's and no longer unless that is the least."""
+    cut = Cut(lasers, sequence_ns)
+    assert cut.block % 8 == 0
+    assert cut.block == 8 or (cut.block * lasers <= 16 * BLOCK and cut.block_ns <= 110_000_000)
+    assert 6.5e9 < cut.stretch * cut.block_ns <= 6.8e9
+
+
+def test_blocks_hold_the_span_and_edges_the_blocks():
+    """The blocks of a span begin no later and end no earlier, and a stretch's edges are its blocks' beginnings."""
+    cut = Cut(64, 55_556)
+    blocks = cut.blocks(3 * cut.block_ns + 1, 5 * cut.block_ns)
+    assert list(blocks) == [3, 4]
+    edges_ns = cut.edges_ns(2)
+    assert len(edges_ns) == cut.stretch + 1
+    assert (edges_ns == (2 * cut.stretch + np.arange(cut.stretch + 1)) * cut.block_ns).all()
+
+
+def test_whoever_asks_gets_the_same_window():
+    """A window that the blocks use is not opened again for a time in it, nor one asked for by time for the blocks."""
+    opened = []
+    of = windows(opened=opened)
+    assert of.at_time(399).result() == "stretch 0"
+    results = ahead(lambda _run, scene: scene.result(), of, blocks=range(8), threads=1, together=1)
+    for block, scene in enumerate(results):
+        assert of.at_time(100 * block).result() == scene
+    assert opened == [0, 1]
+
+
+def test_before_the_run_the_first_window_serves():
+    """A time before the first pulse is looked at from the first stretch."""
+    assert windows().at_time(-12_000).result() == "stretch 0"
+
+
+def test_a_window_that_was_left_is_not_kept():
+    """Two windows are kept, so one asked for again after two others is opened again."""
+    opened = []
+    of = windows(opened=opened, per_stretch=64, threads=1)
+    for stretch in (0, 1, 0, 2, 1):
+        of.at_block(64 * stretch).result()
+    assert opened == [0, 1, 2, 1]
+
+
+def test_windows_are_let_go_with_their_owner():
+    """Nothing holds a window in a circle: it dies with the last who knows it, without the collector."""
+
+    class World:
+        pass
+
+    gc.disable()
+    try:
+        of = Windows(lambda _stretch: World(), SimpleNamespace(block_ns=1, stretch=4), moves=True, threads=1)
+        alive = weakref.ref(of.at_block(0).result())
+        assert alive() is not None
+        del of
+        until_s = time.monotonic() + 5.0
+        while alive() is not None and time.monotonic() < until_s:  # the thread that opened it lets go last
+            time.sleep(0.001)
+        assert alive() is None
+    finally:
+        gc.enable()

@@ -1,7 +1,0 @@
-"""From the sections of a scenario to the parts of an emulator. Builds no geometry yet."""
-
-from vlp16emu.assembly.parts import Look, Parts, Unit, assemble
-from vlp16emu.assembly.sensor import beam_of
-from vlp16emu.assembly.windows import window_of, windows_of
-
-__all__ = ["Look", "Parts", "Unit", "assemble", "beam_of", "window_of", "windows_of"]

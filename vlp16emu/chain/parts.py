@@ -1,0 +1,290 @@
+"""From the sections of a scenario to the parts of an emulator: heads, receivers, carrier and world.
+
+Builds no geometry yet.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from vlp16emu.device import GpsInput
+from vlp16emu.motion import Mount
+from vlp16emu.motion.carrier import make_carrier
+from vlp16emu.motion.imu import ImuSampler
+from vlp16emu.motion.mount import mounted
+from vlp16emu.motion.pose import Motion
+from vlp16emu.packets import FACTORY_LINK, Link
+from vlp16emu.random import Purpose, generator
+from vlp16emu.raycast.beam import LINE, BeamModel, Footprint
+from vlp16emu.raycast.caster import Scene
+from vlp16emu.returns.detector import UnitDetector, threshold_of
+from vlp16emu.scenario import Scenario
+from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable, free_beams, with_angle_errors
+from vlp16emu.sensor.head import Head
+from vlp16emu.sensor.rotor import Clock, Rotor
+from vlp16emu.sensor.settings import FreeSensor, Sensor, on_the_wire
+from vlp16emu.types import Firings, Hits, ReturnMode, SensorModel, World
+from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.world import Hall
+from vlp16emu.world.make import ground_name, ground_of, world_of
+from vlp16emu.world.stand.wind import TreeSway
+
+__all__ = [
+    "Look",
+    "Parts",
+    "Unit",
+    "assemble",
+    "beam_of",
+    "detector_of",
+    "gps_of",
+    "head_of",
+    "link_of",
+    "seed_of",
+]
+
+
+def seed_of(scenario: Scenario, unit: int) -> int:
+    """Seed of all that is random in a unit; that of the scene for unit 0."""
+    if unit == 0:
+        return scenario.seed
+    own = scenario.rig[unit - 1].seed
+    return int(generator(scenario.seed, Purpose.UNIT, unit).integers(2**63)) if own is None else own
+
+
+def link_of(section: Sensor, unit: int) -> Link:
+    """Give a unit its addresses; the factory numbers its MAC addresses on."""
+    return Link(
+        source_mac=FACTORY_LINK.source_mac[:-1] + bytes([FACTORY_LINK.source_mac[-1] + unit]),
+        destination_mac=FACTORY_LINK.destination_mac,
+        source=section.address,
+        destination=FACTORY_LINK.destination,
+        data_port=section.data_port,
+        position_port=section.position_port,
+    )
+
+
+def head_of(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
+    """Make a sensor proper."""
+    rotor = Rotor(
+        rpm=section.rpm,
+        start_azimuth_deg=_start_azimuth_deg(section, scenario.start_ns),
+        eccentricity_deg=section.eccentricity_deg,
+        eccentricity_phase_deg=section.eccentricity_phase_deg,
+        noise_deg=section.azimuth_noise_deg,
+        seed=seed,
+    )
+    clock = Clock(
+        locked=scenario.gps.connected,
+        power_up_ns=scenario.start_ns - seconds_to_ns(section.powered_for_s),
+        error_ppm=section.clock_error_ppm,
+    )
+    beams = with_angle_errors(
+        _beams(section),
+        elevation_error_deg=scenario.noise.elevation_error_deg,
+        azimuth_error_deg=scenario.noise.azimuth_error_deg,
+        seed=seed,
+    )
+    return Head(beams, rotor, clock, scenario.start_ns)
+
+
+def _start_azimuth_deg(section: Sensor | FreeSensor, start_ns: int) -> float:
+    """Where the rotor stands at the first pulse, also where it is where it must be at each UTC second."""
+    if not isinstance(section, Sensor) or section.phase_lock_deg is None:
+        return section.start_azimuth_deg
+    # Speeds are multiples of 60 rpm, so there are whole turns in a second.
+    turned_ns = start_ns % S_NS * (section.rpm // 60) % S_NS
+    return (section.phase_lock_deg + 360.0 * turned_ns / S_NS) % 360.0
+
+
+def _beams(section: Sensor | FreeSensor) -> BeamTable:
+    """Take the beam table of a model, or make the one that the scene describes."""
+    if isinstance(section, Sensor):
+        return BEAM_TABLES[SensorModel(section.model)]
+    return free_beams(
+        section.beam_elevations_deg,
+        lens_radius_m=section.lens_radius_m,
+        azimuth_resolution_deg=section.azimuth_resolution_deg,
+        rpm=section.rpm,
+    )
+
+
+def beam_of(scenario: Scenario, seed: int) -> Footprint:
+    """Make the light of a pulse; light without width where the scene wants no more."""
+    section = scenario.beam
+    if section.model == "none":
+        return LINE
+    detector = scenario.detector
+    seen, noise = 0.0, 0.0
+    if scenario.noise.weak_echoes_lost:
+        seen, noise = threshold_of(detector)
+    return Footprint(
+        model=BeamModel(section.model),
+        rays=section.rays,
+        target_m=section.target_m,
+        resolution_m=detector.resolution_m,
+        spot_m=(1e-3 * section.spot_mm[0], 1e-3 * section.spot_mm[1]),
+        divergence_rad=(1e-3 * section.divergence_mrad[0], 1e-3 * section.divergence_mrad[1]),
+        seed=seed,
+        threshold=seen,
+        amplitude_noise=noise,
+    )
+
+
+def detector_of(scenario: Scenario, sensor: Sensor | FreeSensor, seed: int, lasers: int) -> UnitDetector:
+    """Make the receiver of a sensor, in the weather of the run."""
+    return UnitDetector.of_unit(
+        scenario.detector,
+        scenario.noise,
+        scenario.weather,
+        seed=seed,
+        mode=ReturnMode(sensor.return_mode),
+        min_range_m=sensor.min_range_m,
+        max_range_m=sensor.max_range_m,
+        lasers=lasers,
+        power_up_ns=scenario.start_ns - seconds_to_ns(sensor.powered_for_s),
+    )
+
+
+def gps_of(scenario: Scenario) -> GpsInput:
+    """Make what is wired to the sensor."""
+    return GpsInput(scenario.gps.connected, seconds_to_ns(scenario.gps.sentence_delay_s))
+
+
+_STRAY_M = 1.0
+"""How far the carrier may be from its path over the ground: sway, and lasers off the centre."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A sensor on the carrier."""
+
+    number: int
+    """Place in the rig, from 0."""
+    section: Sensor | FreeSensor
+    mount: Mount
+    """How it sits on the carrier."""
+    seed: int
+    """Of all that is random in it."""
+    head: Head
+    motion: Motion
+    """Where it is."""
+    beam: Footprint
+    """How wide its pulses are."""
+    detector: UnitDetector
+
+    @property
+    def link(self) -> Link:
+        """From where to where it sends.
+
+        Raises
+        ------
+        ScenarioError
+            where it has no packets
+        """
+        return link_of(on_the_wire(self.section), self.number)
+
+
+Look = Callable[[Unit, Firings, Hits, Scene], None]
+"""A look at a block of pulses of a unit, and at what they met."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What an emulator is made of."""
+
+    units: tuple[Unit, ...]
+    """At least one."""
+    carrier: Motion
+    """Who carries the devices."""
+    imu: ImuSampler | None
+    world: World
+    """At rest."""
+    wind: TreeSway | None
+    """What moves its trees."""
+    gps: GpsInput
+
+    @property
+    def head(self) -> Head:
+        """That of the first unit, in most scenes the only one."""
+        return self.units[0].head
+
+    @property
+    def motion(self) -> Motion:
+        """That of the first unit."""
+        return self.units[0].motion
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything does: a sensor, or what it sees."""
+        return self.wind is not None or any(unit.motion.moves for unit in self.units)
+
+
+def assemble(scenario: Scenario) -> Parts:
+    """Make the parts that a scenario describes.
+
+    Raises
+    ------
+    InputError
+        where a part cannot be made of what its section says
+    """
+    sensors, section, seed = _sensors(scenario), scenario.world, scenario.seed
+    reach_m = _STRAY_M + max(sensor.max_range_m + math.hypot(*mount.lever_arm_m) for sensor, mount in sensors)
+    ground = ground_of(section, seed)
+    carrier, path_xy_m = make_carrier(
+        scenario.motion,
+        ground.height_m,
+        ground_name(section, seed),
+        origin_m=(0.0, 0.0, 0.0) if isinstance(section, Hall) else section.origin_m,
+        gps=scenario.gps,
+        reach_m=scenario.sensor.max_range_m,
+        start_ns=scenario.start_ns,
+        seed=seed,
+    )
+    world, wind = world_of(
+        section,
+        scenario.wind,
+        seed=seed,
+        start_ns=scenario.start_ns,
+        ground=ground,
+        path_xy_m=path_xy_m,
+        reach_m=reach_m,
+        farthest_m=max(sensor.max_range_m for sensor, _ in sensors),
+    )
+    return Parts(
+        units=tuple(_unit(scenario, number, carrier) for number in range(len(sensors))),
+        carrier=carrier,
+        imu=_imu(scenario, carrier),
+        world=world,
+        wind=wind,
+        gps=gps_of(scenario),
+    )
+
+
+def _imu(scenario: Scenario, carrier: Motion) -> ImuSampler | None:
+    """Mount the inertial measurement unit, if there is one."""
+    if (imu := scenario.imu) is None:
+        return None
+    motion = mounted(carrier, imu.mount, scenario.start_ns)
+    return ImuSampler(motion, imu, start_ns=scenario.start_ns, seed=scenario.seed)
+
+
+def _sensors(scenario: Scenario) -> list[tuple[Sensor | FreeSensor, Mount]]:
+    """Give the tables of all units, and how they are mounted."""
+    return [(scenario.sensor, scenario.motion.mount), *((unit, unit.mount) for unit in scenario.rig)]
+
+
+def _unit(scenario: Scenario, number: int, carrier: Motion) -> Unit:
+    """Make a sensor, and mount it."""
+    section, mount = _sensors(scenario)[number]
+    seed = seed_of(scenario, number)
+    head = head_of(scenario, section, seed)
+    return Unit(
+        number=number,
+        section=section,
+        mount=mount,
+        seed=seed,
+        head=head,
+        motion=mounted(carrier, mount, scenario.start_ns),
+        beam=beam_of(scenario, seed),
+        detector=detector_of(scenario, section, seed, len(head.beams.elevation_deg)),
+    )

@@ -1,0 +1,135 @@
+"""The `[detector]`, `[noise]` and `[weather]` tables: how the receiver detects echoes, its errors, and what is in the air.
+
+Also the constants that the kernels of this room take, which follow from them.
+"""
+
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import Field
+
+from vlp16emu.settings import Positive, Preset, Section
+
+__all__ = ["Detector", "DetectorConstants", "Noise", "Weather"]
+
+_Degrees = Annotated[float, Field(ge=0, le=1)]
+_Metres = Annotated[float, Field(ge=0, le=0.1)]
+_PRESETS: dict[str, dict[str, object]] = {
+    "ideal": {
+        "range_noise_m": 0.0,
+        "range_bias_m": 0.0,
+        "elevation_error_deg": 0.0,
+        "azimuth_error_deg": 0.0,
+        "reflectivity_noise": 0.0,
+        "gain_spread": 0.0,
+        "weak_echoes_lost": False,
+    },
+    "typical": {},
+    # Two sigmas of both together are the +-3 cm of the data sheet.
+    "datasheet": {"range_noise_m": 0.011, "range_bias_m": 0.010},
+}
+
+
+class Detector(Section):
+    """The receiver, as far as it is the same in all units."""
+
+    pulse_ns: Annotated[float, Field(ge=1, le=20)] = 6.0
+    """Full width of a pulse at half maximum; not in the data sheet (assumption, 5 ns in other simulators)."""
+    resolution_m: Annotated[float, Field(ge=0, le=10)] = 1.0
+    """Echoes nearer to each other are one; 1 m for the VLS-128, and a VLP-16 showed 1.19 m at least."""
+    range_at_10_percent_m: Annotated[float, Field(ge=1, le=500)] = 40.0
+    """Range at which a perpendicular target of 10 % that fills the beam is detected every second time. Assumption: a
+    white wall is then detected from 126 m, a leaf of 50 % from 89 m; the data sheet's 100 m come without a
+    reflectivity."""
+    threshold_snr: Annotated[float, Field(ge=3, le=20)] = 6.0
+    """Signal over noise at the detection threshold. Assumption: noise alone passes it once in some 1e9 samples."""
+
+
+class Noise(Preset):
+    """Errors of range and reflectivity, and what is lost for want of light."""
+
+    presets = _PRESETS
+
+    preset: Literal["ideal", "typical", "datasheet"] = "typical"
+    """Values of the keys that are not given beside it; `typical` is their defaults."""
+    range_noise_m: _Metres = 0.0065
+    """White, one sigma, at a reflectivity of 20; measured on a real unit."""
+    range_bias_m: _Metres = 0.010
+    """Constant error per laser, one sigma; assumption within the 3 cm of the data sheet, at which it is cut."""
+    elevation_error_deg: _Degrees = 0.02
+    """By how much each laser of a unit looks too high or low, one sigma; assumption."""
+    azimuth_error_deg: _Degrees = 0.02
+    """The same to the side, one sigma; assumption."""
+    warm_up_m: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
+    """How much too long ranges are at power-up; no measurement is known."""
+    warm_up_s: Positive = 900.0
+    """Time constant with which that fades."""
+    reflectivity_noise: Annotated[float, Field(ge=0, le=20)] = 1.5
+    """White, one sigma, in counts; real units show 1 to 2."""
+    gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.03
+    """Relative error of reflectivity per laser, one sigma; assumption."""
+    weak_echoes_lost: bool = True
+    """Whether there is a detection threshold, as `[detector]` has it."""
+    no_return_reflectivity: bool = False
+    """Whether records without a return carry a constant of their laser, as on real units; the manual has 0 there."""
+
+    @property
+    def summary(self) -> str:
+        """The active model in one line."""
+        parts = [
+            f"{1e3 * self.range_noise_m:g} mm white",
+            f"{1e3 * self.range_bias_m:g} mm bias per laser",
+            f"{max(self.elevation_error_deg, self.azimuth_error_deg):g} deg",
+            f"{self.reflectivity_noise:g} counts and {100 * self.gain_spread:g} % on reflectivity",
+            "weak echoes lost" if self.weak_echoes_lost else "every echo seen",
+        ]
+        if self.warm_up_m:
+            parts.append(f"{1e3 * self.warm_up_m:g} mm warm-up over {self.warm_up_s:g} s")
+        if self.no_return_reflectivity:
+            parts.append("reflectivity on no-returns")
+        return f"{self.preset}: " + ", ".join(parts)
+
+
+class Weather(Section):
+    """Clear air unless something is given."""
+
+    visibility_m: Annotated[float, Field(ge=10, le=100_000)] | None = None
+    """Meteorological visibility; fog below 1000 m, haze below 10 km."""
+    rain_mm_h: Annotated[float, Field(ge=0, le=200)] = 0.0
+    """Rate of rain: 2.5 light, 10 heavy, 50 violent."""
+
+    @property
+    def summary(self) -> str | None:
+        """What is in the air in one line; None where it is clear."""
+        told = []
+        if self.visibility_m is not None:
+            told.append(f"visibility {self.visibility_m:g} m")
+        if self.rain_mm_h:
+            told.append(f"rain of {self.rain_mm_h:g} mm/h")
+        return ", ".join(told) or None
+
+
+class DetectorConstants(NamedTuple):
+    """Constants of a unit's receiver in the weather of a run, in the form that compiled code takes.
+
+    Amplitudes are those of a waveform: reflectance times cosine of incidence over the square of the range, in m-2.
+    """
+
+    seed: int
+    strongest_only: bool
+    min_range_m: float
+    max_range_m: float
+    sigma_m: float
+    """Of a pulse, in range."""
+    resolution_m: float
+    threshold: float
+    """Amplitude that is seen with probability one half; 0 where every echo is seen."""
+    amplitude_noise: float
+    """One sigma; 0 where every echo is seen."""
+    extinction_per_m: float
+    """0 in clear air."""
+    clutter: float
+    """Reflectance of the air that a pulse fills."""
+    least_clutter: float
+    """Amplitude below which the air is not worth a look."""
+    range_noise_m: float
+    reflectivity_noise: float

@@ -1,0 +1,125 @@
+"""Rules about position packets. Source: 63-9243 Rev D, section 9.3.3, p. 60, and captures of real units."""
+
+import re
+from functools import lru_cache
+
+import numpy as np
+
+from vlp16emu.packets.capture import Datagram
+from vlp16emu.packets.layout import POSITION_PAYLOAD
+from vlp16emu.types import PpsState
+from vlp16emu.units import S_NS, US_NS
+from vlp16emu.validator.framing import HOUR_US, SENTENCE_OFFSET, ClockWatch
+from vlp16emu.validator.rules import Findings, Rule
+
+__all__ = ["PositionRules"]
+
+_HEAD_BYTES = 14
+"""Other sensors of the family report motion from here on; software takes the zeros for a mark."""
+_SHORTEST_INTERVAL_NS = 1_400_000
+"""Real units leave 1.47 ms or more between position packets."""
+_LATEST_S = 2
+"""The sentence of a second arrives during the next one, and until then its forerunner is echoed."""
+_SENTENCE_CHARACTERS = 82
+"""Longest sentence of NMEA 0183."""
+_SENTENCE = re.compile(
+    rb"\$GPRMC,"
+    rb"(?P<hour>[01]\d|2[0-3])(?P<minute>[0-5]\d)(?P<second>[0-5]\d)(\.\d{1,3})?,"
+    rb"(A,\d{4}\.\d+,[NS],\d{5}\.\d+,[EW]|V,(\d{4}\.\d+)?,[NS]?,(\d{5}\.\d+)?,[EW]?),"
+    rb"(\d+(\.\d*)?)?,(\d+(\.\d*)?)?,"  # speed, course
+    rb"([0-3]\d[01]\d\d\d),"
+    rb"(\d+(\.\d*)?)?,[EW]?"  # magnetic variation
+    rb"(,[ADEFMNPRS])?"  # mode, since NMEA 0183 version 2.3
+)
+_Fault = tuple[Rule, str, str]
+
+
+class PositionRules:
+    """Checks position packets one by one."""
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+        self._clock = ClockWatch(findings)
+        self._before: Datagram | None = None
+        self.lost_packets = 0
+
+    def check(self, datagram: Datagram) -> None:
+        """Check one packet of 512 bytes."""
+        number = datagram.number
+        fields = np.frombuffer(datagram.payload, POSITION_PAYLOAD)[0]
+        timestamp_us, pps = int(fields["timestamp_us"]), int(fields["pps"])
+        if any(datagram.payload[:_HEAD_BYTES]):
+            found = f"bytes {datagram.payload[:_HEAD_BYTES].hex(' ')}"
+            self._findings.add(Rule.POSITION_HEAD, number, found, f"{_HEAD_BYTES} zeros")
+        if pps not in set(PpsState):
+            self._findings.add(Rule.PPS, number, f"state {pps}", "0 .. 3")
+        if timestamp_us >= HOUR_US:
+            found = f"time stamp {timestamp_us} us"
+            self._findings.add(Rule.TIME_RANGE, number, found, f"0 .. {HOUR_US - 1}")
+        self._clock.check(number, datagram.stamp_ns, datagram.stamp_ns // US_NS - timestamp_us)
+        self._check_counter(datagram)
+        self._check_sentence(datagram, timestamp_us, is_locked=pps == PpsState.LOCKED)
+        self._before = datagram
+
+    def _check_counter(self, datagram: Datagram) -> None:
+        """Hold the identification to its count of position packets."""
+        if self._before is None:
+            return
+        ahead = (datagram.identification - self._before.identification) % 0x10000
+        most = 1 + max(datagram.stamp_ns - self._before.stamp_ns, 0) // _SHORTEST_INTERVAL_NS
+        if 1 < ahead <= most:
+            self.lost_packets += ahead - 1
+            found = f"{ahead - 1} position packets missing before it"
+            self._findings.add(Rule.LOST_PACKETS, datagram.number, found, "none")
+        elif ahead != 1:
+            found = f"position identification {datagram.identification}"
+            expected = f"{(self._before.identification + 1) % 0x10000}, one more than before"
+            self._findings.add(Rule.HEADER, datagram.number, found, expected)
+
+    def _check_sentence(self, datagram: Datagram, timestamp_us: int, *, is_locked: bool) -> None:
+        """Check the sentence, and its time where it is bound to the clock."""
+        area = datagram.payload[SENTENCE_OFFSET:]
+        if not any(area):
+            if is_locked:
+                self._findings.add(Rule.NMEA_FORMAT, datagram.number, "no sentence", "one when locked")
+            return
+        faults, second = _read_sentence(area)
+        for rule, found, expected in faults:
+            self._findings.add(rule, datagram.number, found, expected)
+        if not is_locked or second is None:
+            return
+        late_s = (timestamp_us * US_NS / S_NS - second) % 3600
+        if late_s >= _LATEST_S:
+            found = f"a sentence of {second // 60:02d}:{second % 60:02d} at {timestamp_us / 1e6:.3f} s"
+            expected = f"one less than {_LATEST_S} s old"
+            self._findings.add(Rule.NMEA_SECOND, datagram.number, found, expected)
+
+
+@lru_cache(16)
+def _read_sentence(area: bytes) -> tuple[tuple[_Fault, ...], int | None]:
+    """Faults of the sentence, and its second past the hour; one sentence fills some 146 packets.
+
+    Parameters
+    ----------
+    area : from the first character to the end of the payload
+    """
+    text, _, rest = area.partition(b"\0")
+    faults: list[_Fault] = []
+    if not text.endswith(b"\r\n") or any(rest):
+        found = "characters after a NUL" if any(rest) else f"an end of {text[-4:]!r}"
+        faults.append((Rule.NMEA_END, found, "CR LF, then NUL to the end"))
+    body, star, checksum = text.rstrip(b"\r\n").rpartition(b"*")
+    match = _SENTENCE.fullmatch(body)
+    if match is None or not star:
+        faults.append(
+            (
+                Rule.NMEA_FORMAT,
+                repr(text[:_SENTENCE_CHARACTERS]),
+                "$GPRMC,time,status,... with 12 or 13 fields",
+            )
+        )
+        return tuple(faults), None
+    wanted = f"{int(np.bitwise_xor.reduce(np.frombuffer(body[1:], np.uint8))):02X}"
+    if checksum != wanted.encode():
+        faults.append((Rule.NMEA_CHECKSUM, f"checksum {checksum.decode('ascii', 'replace')}", wanted))
+    return tuple(faults), 60 * int(match["minute"]) + int(match["second"])

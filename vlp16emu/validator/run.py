@@ -1,0 +1,224 @@
+"""From a capture file to the findings."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vlp16emu.errors import CaptureError
+from vlp16emu.packets.capture import Capture, Datagram
+from vlp16emu.packets.layout import (
+    DATA_PAYLOAD,
+    RETURN_MODE_BYTE,
+    SEQUENCE_PERIOD_NS,
+    SEQUENCES_PER_PACKET,
+    CapturedUnit,
+    chosen_unit,
+)
+from vlp16emu.types import PacketKind, ReturnMode
+from vlp16emu.units import S_NS, US_NS
+from vlp16emu.validator.framing import check_frame, kind_of
+from vlp16emu.validator.position import PositionRules
+from vlp16emu.validator.records import DataChunk, check_factory, check_records
+from vlp16emu.validator.rules import Finding, Findings, Rule
+from vlp16emu.validator.sweep import SweepRules
+
+__all__ = ["Verification", "verify", "verify_capture"]
+
+_CHUNK_PACKETS = 512
+"""Data packets looked at together: 0.6 MB, 0.7 s of single return."""
+_FACTORY_BYTES = 2
+_DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
+_SHORTEST_S = 2.0
+"""A shorter piece says too little about rates: position packets come at irregular intervals."""
+_RATE_TOLERANCE = 0.1
+_POSITION_RATES_HZ = (146.0, 53.8)
+"""Measured on two units in single return; 63-9243 Rev D, section 8.2.2, p. 50."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """What a capture holds and which rules it breaks."""
+
+    data_packets: int
+    position_packets: int
+    other_frames: int
+    """Of other traffic and of other units, not looked at."""
+    lost_packets: int
+    """Missing data and position packets."""
+    span_s: float
+    """From the first packet to the last, by the capture's stamps."""
+    rpm: float | None
+    """Mean rotor speed; None without data packets."""
+    is_cut: bool
+    """The file ends in the middle of a packet, as that of a killed program may; the rest has been checked."""
+    counts: Mapping[Rule, int]
+    """Findings of each broken rule."""
+    findings: tuple[Finding, ...]
+    """The first findings of each rule, by packet number."""
+
+    @property
+    def is_clean(self) -> bool:
+        """No rule is broken."""
+        return not self.counts
+
+
+def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule: int = 10) -> Verification:
+    """Check a sensor's packets in a capture against the rules of VLP-16 traffic.
+
+    Parameters
+    ----------
+    capture : classic pcap file
+    unit : which sensor, where there are several: its number from 1, or `address:port` with its data port
+    limit_per_rule : findings kept of each rule; all are counted
+
+    Raises
+    ------
+    CaptureError
+        where the file cannot be read, or holds no VLP-16 packets at all
+    InputError
+        where there is no such unit, or there are several and none is named
+    """
+    path = Path(capture)
+    chosen = chosen_unit(path, None if unit is None else str(unit))
+    return verify_capture(path, chosen, limit_per_rule=limit_per_rule)
+
+
+def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_rule: int = 10) -> Verification:
+    """Check a capture against all rules, in one pass and with little memory.
+
+    Parameters
+    ----------
+    path : classic pcap file
+    unit : whose packets are looked at where there are several; None for those of all
+    limit_per_rule : findings kept of each rule; all are counted
+
+    Raises
+    ------
+    CaptureError
+        If the file cannot be read, or holds no VLP-16 packets at all.
+    """
+    with Capture(path) as capture:
+        check = _Check(Findings(limit_per_rule))
+        for datagram in capture:
+            if unit is None or unit.owns(datagram):
+                check.take(datagram)
+        return check.finish(path, capture)
+
+
+class _Check:
+    """Sorts datagrams by kind, counts them, and hands data packets on in chunks."""
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+        self._sweep = SweepRules(findings)
+        self._position = PositionRules(findings)
+        self._chunk: list[Datagram] = []
+        self._continues = False
+        self._factory = b""
+        self._packets = Counter[PacketKind]()
+        self._first: dict[PacketKind, Datagram] = {}
+        self._last: dict[PacketKind, Datagram] = {}
+        self._stamp_ns: int | None = None
+
+    def take(self, datagram: Datagram) -> None:
+        """Check one datagram, or keep it for its chunk."""
+        kind = kind_of(datagram)
+        if kind is None:
+            return
+        if self._stamp_ns is not None and datagram.stamp_ns < self._stamp_ns:
+            found = f"{(self._stamp_ns - datagram.stamp_ns) / US_NS:.0f} us before the packet in front of it"
+            self._findings.add(Rule.STAMP_ORDER, datagram.number, found, "stamps that do not decrease")
+        self._stamp_ns = datagram.stamp_ns
+        self._packets[kind] += 1
+        self._first.setdefault(kind, datagram)
+        self._last[kind] = datagram
+        is_readable = check_frame(datagram, kind, self._findings)
+        if kind is PacketKind.DATA:
+            self._take_data(datagram, is_readable=is_readable)
+        elif is_readable:
+            self._position.check(datagram)
+
+    def finish(self, path: Path, capture: Capture) -> Verification:
+        """Check what is left, and sum up."""
+        if not self._packets:
+            raise CaptureError(str(path), "no VLP-16 packets", "data packets on UDP port 2368")
+        self._flush(ends=True)
+        self._check_data_rate()
+        self._check_position_rate()
+        stamps_ns = [d.stamp_ns for ends in (self._first, self._last) for d in ends.values()]
+        return Verification(
+            data_packets=self._packets[PacketKind.DATA],
+            position_packets=self._packets[PacketKind.POSITION],
+            other_frames=capture.frames - self._packets.total(),
+            lost_packets=self._sweep.lost_packets + self._position.lost_packets,
+            span_s=(max(stamps_ns) - min(stamps_ns)) / S_NS,
+            rpm=self._sweep.rpm,
+            is_cut=capture.cut,
+            counts=dict(self._findings.counts),
+            findings=tuple(sorted(self._findings.kept, key=lambda finding: finding.packet)),
+        )
+
+    def _take_data(self, datagram: Datagram, *, is_readable: bool) -> None:
+        """Collect a data packet; a chunk ends where the return mode changes or a packet is unreadable."""
+        if not is_readable:
+            self._flush(ends=True)
+            return
+        factory = datagram.payload[-_FACTORY_BYTES:]
+        if factory != self._factory:
+            check_factory(datagram.number, factory, self._factory, self._findings)
+            before, self._factory = self._factory, factory
+            if before and before[0] != factory[0]:
+                self._flush(ends=True)
+        self._chunk.append(datagram)
+        if len(self._chunk) >= _CHUNK_PACKETS:
+            self._flush(ends=False)
+
+    def _flush(self, *, ends: bool) -> None:
+        """Check the packets collected; the last one stays as the neighbour of those to come."""
+        if self._chunk:
+            payload = np.frombuffer(b"".join(d.payload for d in self._chunk), DATA_PAYLOAD)
+            chunk = DataChunk(
+                number=np.array([d.number for d in self._chunk]),
+                stamp_ns=np.array([d.stamp_ns for d in self._chunk]),
+                payload=payload,
+                dual=bool(payload["return_mode"][0] == _DUAL_BYTE),
+                continues=self._continues,
+                ends=ends,
+            )
+            check_records(chunk, self._findings)
+            self._sweep.check(chunk)
+        self._chunk = [] if ends else self._chunk[-1:]
+        self._continues = not ends
+
+    def _span_s(self, kind: PacketKind) -> float:
+        """Time between the first and the last packet of a kind, by the capture's stamps."""
+        if kind not in self._first:
+            return 0.0
+        return (self._last[kind].stamp_ns - self._first[kind].stamp_ns) / S_NS
+
+    def _check_data_rate(self) -> None:
+        """Time covered by data packets against the time that went by; lost packets have a rule of their own."""
+        active_s = self._span_s(PacketKind.DATA) - self._sweep.left_out_us * US_NS / S_NS
+        if active_s < _SHORTEST_S:
+            return
+        ratio = self._sweep.covered_us * US_NS / S_NS / active_s
+        if abs(ratio - 1) > _RATE_TOLERANCE:
+            mode = ReturnMode.DUAL if self._factory[0] == _DUAL_BYTE else ReturnMode.STRONGEST
+            nominal_hz = S_NS / (SEQUENCES_PER_PACKET[mode] * SEQUENCE_PERIOD_NS)
+            found = f"{ratio * nominal_hz:.1f} data packets per second"
+            expected = f"{nominal_hz:.1f} within {_RATE_TOLERANCE:.0%}"
+            self._findings.add(Rule.DATA_RATE, self._last[PacketKind.DATA].number, found, expected)
+
+    def _check_position_rate(self) -> None:
+        """Position packets per second, those lost included."""
+        span_s = self._span_s(PacketKind.POSITION)
+        if span_s < _SHORTEST_S:
+            return
+        rate_hz = (self._packets[PacketKind.POSITION] - 1 + self._position.lost_packets) / span_s
+        if not any(abs(rate_hz / hz - 1) <= _RATE_TOLERANCE for hz in _POSITION_RATES_HZ):
+            found = f"{rate_hz:.1f} position packets per second"
+            expected = " or ".join(str(hz) for hz in _POSITION_RATES_HZ) + f" within {_RATE_TOLERANCE:.0%}"
+            self._findings.add(Rule.POSITION_RATE, self._last[PacketKind.POSITION].number, found, expected)
