@@ -5,7 +5,7 @@ import pytest
 
 from vlp16emu.accuracy.compare import compare, errors_of
 from vlp16emu.accuracy.converged import Bench, Group, apart_m, joined
-from vlp16emu.accuracy.settings import lights
+from vlp16emu.accuracy.settings import beam_settings
 from vlp16emu.chain import assemble
 from vlp16emu.chain.chain import Chain
 from vlp16emu.raycast.slow import SlowScene
@@ -123,7 +123,7 @@ def test_errors_that_accuracy_reports_are_the_true_ones():
     scenario = load("static_bench")
     unit = assemble(scenario).units[0]
     bench, apart = Bench(unit, 512), apart_m(scenario.detector)
-    settings = [light for light in lights(scenario, unit.seed) if "target" not in light.name]
+    settings = [light for light in beam_settings(scenario, unit.seed) if "target" not in light.name]
     exact, opened = ExactHall(scenario), []
     look = lambda *seen: opened.append(seen[3])  # noqa: E731  # the emulator's own scene
     list(Chain(scenario, audit=look).returns(0, 0.01))

@@ -12,7 +12,7 @@ from vlp16emu.chain import chain, position
 from vlp16emu.chain.windows import window_of
 from vlp16emu.emulator import Emulator
 from vlp16emu.motion import gait, harness, walk
-from vlp16emu.raycast import scene as fast
+from vlp16emu.raycast import near as fast
 from vlp16emu.returns import detect as detection
 from vlp16emu.scenario import Scenario, load, schema
 from vlp16emu.world.hall import HallWorld
@@ -50,7 +50,7 @@ def birch(*settings):
 def test_a_beam_without_width_has_no_footprint(monkeypatch):
     """Without width no axis across the beam is made and no sub-ray laid or cast; with it both are."""
     axes = []
-    monkeypatch.setattr(chain, "detect", lambda firings, *_, **__: axes.append(firings.across))
+    monkeypatch.setattr(chain, "detect", lambda firings, *_, **__: axes.append(firings.beam_axis))
     first()
     first("beam.model=adaptive")
     assert axes[0] is None
@@ -58,7 +58,7 @@ def test_a_beam_without_width_has_no_footprint(monkeypatch):
     forbid(
         monkeypatch,
         (fast, "cast_pulses"),
-        (fast, "across_of"),
+        (fast, "beam_axis_of"),
     )
     first()
     with pytest.raises(TouchedError):
@@ -106,7 +106,7 @@ def test_in_strongest_return_nothing_else_is_looked_for():
 
 def test_without_truth_nobody_looks_for_surfaces(monkeypatch):
     """Without truth there is neither an array of surfaces nor the work of filling it."""
-    forbid(monkeypatch, (detection, "find_owners"))
+    forbid(monkeypatch, (detection, "find_source_surfaces"))
     returns = first()
     assert returns.surface is None
     assert returns.surfaces is None
@@ -162,7 +162,7 @@ def test_without_canopy_loss_nobody_looks_at_the_sky(monkeypatch, setting):
 def test_still_air_moves_nothing():
     """Without wind no placement of a window sways, and each tile's stems are one shape; in wind each is its own."""
     still, blown = (
-        window_of(emulator.parts, emulator.scenario.start_ns, emulator.cut, 0)
+        window_of(emulator.parts, emulator.scenario.start_ns, emulator.batching, 0)
         for emulator in (Emulator(birch(*wind), threads=1) for wind in ([], ["wind.speed_m_s=3"]))
     )
     assert still.sway is None

@@ -94,7 +94,7 @@ BAD = [
     (
         firings,
         {"across": np.zeros((K, L, 2))},
-        "Firings.across: found (3, 16, 2) float64, expected (3, 16, 3) float64",
+        "firings.beam_axis: found (3, 16, 2) float64, expected (3, 16, 3) float64",
     ),
     (
         hits,

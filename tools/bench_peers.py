@@ -31,7 +31,7 @@ from vlp16emu.chain.windows import BLOCK
 from vlp16emu.emulator import Emulator
 from vlp16emu.raycast.beam import LINE, Footprint, sub_rays
 from vlp16emu.raycast.caster import caster
-from vlp16emu.raycast.geometry import _triangles, relative_to_window
+from vlp16emu.raycast.quads import _triangles, relative_to_window
 from vlp16emu.scenario import load
 from vlp16emu.types import FarTile, Firings, Mesh, Semantic, ShapeKey, Window, World
 from vlp16emu.world.stand.nearby import AllNear
@@ -96,7 +96,7 @@ def view(scene: str, reach_m: float) -> View:
     """Look at a scene from the beginning of its walk."""
     emulator = Emulator(load(scene, [f"sensor.max_range_m={reach_m}", "beam.model=adaptive"]), threads=1)
     unit, world = emulator.parts.units[0], emulator.parts.world
-    firings = [unit.head.aim(n * BLOCK, BLOCK, unit.motion.poses_at, across=True) for n in range(BLOCKS)]
+    firings = [unit.head.aim(n * BLOCK, BLOCK, unit.motion.poses_at, beam_axis=True) for n in range(BLOCKS)]
     window = world.window(unit.motion.poses_at(firings[0].t_ns[:1, 0]).world_p_body_m)
     shapes = {key: world.shape(key) for key in window.shapes}
     beams = {"one": LINE, "eight": replace(unit.beam, rays=8)}

@@ -13,11 +13,11 @@ import numpy as np
 from rich.box import MARKDOWN
 from rich.table import Table
 
-from vlp16emu.chain.windows import BLOCK, STRETCH
+from vlp16emu.chain.windows import BLOCK, SEGMENT
 from vlp16emu.emulator import Emulator
 from vlp16emu.packets import pack_data
 from vlp16emu.raycast.beam import LINE, BeamModel
-from vlp16emu.raycast.caster import Scene
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import SEQUENCE_NS
@@ -55,17 +55,17 @@ def opening_s(emulator: Emulator) -> float:
     if not emulator.parts.moves:
         return 0.0
     start = time.process_time()
-    emulator.windows.at_block(STRETCH).result()
-    return (time.process_time() - start) / (STRETCH * BLOCK_S)
+    emulator.windows.at_block(SEGMENT).result()
+    return (time.process_time() - start) / (SEGMENT * BLOCK_S)
 
 
-def stages(emulator: Emulator, opened: Scene, repeats: int) -> dict[str, float]:
+def stages(emulator: Emulator, opened: Geometry, repeats: int) -> dict[str, float]:
     """Time each stage over the same runs of blocks of a window: seconds per simulated second."""
     unit, sensor = emulator.parts.units[0], emulator.scenario.sensor
     mode, model = ReturnMode(sensor.return_mode), SensorModel(sensor.model)
     head, poses_at, across = unit.head, unit.motion.poses_at, unit.beam.has_width
     together = unit.beam.together
-    firsts, count = range(0, STRETCH * BLOCK, STRETCH * BLOCK // RUNS), together * BLOCK
+    firsts, count = range(0, SEGMENT * BLOCK, SEGMENT * BLOCK // RUNS), together * BLOCK
     times = [head.times_ns(n, count).reshape(-1) for n in firsts]
     poses = [poses_at(t_ns) for t_ns in times]
     near_m, far_m = head.beams.near_m, sensor.max_range_m
@@ -97,10 +97,10 @@ def stages(emulator: Emulator, opened: Scene, repeats: int) -> dict[str, float]:
     return {name: best(do, repeats) / (RUNS * together * BLOCK_S) for name, do in work.items()}
 
 
-def beams(emulator: Emulator, opened: Scene, repeats: int) -> Table:
+def beams(emulator: Emulator, opened: Geometry, repeats: int) -> Table:
     """Cast one block with several beams."""
     unit, far_m = emulator.parts.units[0], emulator.scenario.sensor.max_range_m
-    firings = unit.head.aim(0, BLOCK, unit.motion.poses_at, across=True)
+    firings = unit.head.aim(0, BLOCK, unit.motion.poses_at, beam_axis=True)
     near_m, usual = unit.head.beams.near_m, unit.beam
     kinds = {"one ray": LINE, f"adaptive, {usual.target_m:g} m": usual}
     kinds |= {f"adaptive, {target_m:g} m": replace(usual, target_m=target_m) for target_m in TARGETS_M}

@@ -41,7 +41,7 @@ class Vlp16emuError(Exception):
 
 
 class InputError(Vlp16emuError):
-    """Bad input, told in one line.
+    """Bad input, reported in one line.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class RunError(Vlp16emuError):
 
 @contextmanager
 def readable(path: Path, expected: str, kind: type[InputError]) -> Iterator[None]:
-    """Tell a file of the user's that cannot be read, or is no text where text is read, as an error of a kind."""
+    """Report a user's file that cannot be read, or is no text where text is read, as an error of a kind."""
     try:
         yield
     except OSError as error:

@@ -99,7 +99,7 @@ def _path(keys: list[int | str]) -> str:
 
 
 def _nearest(key: int | str, names: list[str]) -> str:
-    """Tell the known key that was probably meant, or all there are."""
+    """Name the known key that was probably meant, or all there are."""
     near = difflib.get_close_matches(str(key), names, n=1)
     return f"{near[0]}, the nearest known one" if near else f"one of {', '.join(names)}"
 

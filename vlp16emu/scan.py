@@ -14,11 +14,11 @@ from vlp16emu.packets import (
     BLOCKS_PER_PACKET,
     RETURN_MODE_BYTE,
     CaptureReader,
+    PacketChunk,
     Points,
     chosen_unit,
     scan_starts,
 )
-from vlp16emu.packets import Chunk as PacketChunk
 from vlp16emu.types import ReturnMode
 from vlp16emu.units import HOUR_NS
 

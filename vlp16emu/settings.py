@@ -35,7 +35,7 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
     either_or: ClassVar[frozenset[str]] = frozenset()
-    """Keys of which one rules out the others."""
+    """Keys that exclude one another."""
 
     @model_serializer(mode="wrap")
     def _without_what_is_ruled_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:

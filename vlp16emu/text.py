@@ -30,7 +30,7 @@ def csv_lines(numbers: NDArray[np.int64], decimals: NDArray[np.int64]) -> bytes:
 
 @numba.njit(cache=True, nogil=True)
 def _write(numbers: NDArray[np.int64], decimals: NDArray[np.int64], out: NDArray[np.uint8]) -> int:
-    """Fill `out` and tell how far."""
+    """Fill `out` and return how far."""
     at = 0
     count, columns = numbers.shape
     for i in range(count):

@@ -165,10 +165,10 @@ class Firings:
     reading_deg: NDArray[np.float64]
     """(k,) what the encoder reads at the first laser, [0, 360); differs from the truth by its errors."""
     origin_m: NDArray[np.float64]
-    """(k, L, 3) world; the point on the spin axis from which the range is reckoned."""
+    """(k, L, 3) world; the point on the spin axis from which the range is measured."""
     direction: NDArray[np.float64]
     """(k, L, 3) world, unit length."""
-    across: NDArray[np.float64] | None
+    beam_axis: NDArray[np.float64] | None
     """(k, L, 3) like `direction`, perpendicular to it, level in the sensor, to greater azimuths; None for pulses of one line."""
 
     def __post_init__(self) -> None:
@@ -179,8 +179,8 @@ class Firings:
         _check(self, "reading_deg", self.reading_deg, "f8", k)
         _check(self, "origin_m", self.origin_m, "f8", k, lasers, 3)
         _check(self, "direction", self.direction, "f8", k, lasers, 3)
-        if self.across is not None:
-            _check(self, "across", self.across, "f8", k, lasers, 3)
+        if self.beam_axis is not None:
+            _check(self, "beam_axis", self.beam_axis, "f8", k, lasers, 3)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,11 +10,11 @@ from vlp16emu.accuracy.curve import Kind
 from vlp16emu.accuracy.distributions import RETURNS
 from vlp16emu.accuracy.medium import measure_medium
 from vlp16emu.accuracy.precision import repeats, rounding_of, strays
-from vlp16emu.accuracy.settings import drawings, holds, lights
+from vlp16emu.accuracy.settings import beam_settings, levels_of_detail, pose_rates
 from vlp16emu.accuracy.sweep import measure_accuracy
 from vlp16emu.chain import assemble, window_of
 from vlp16emu.chain.chain import Chain
-from vlp16emu.chain.windows import Cut
+from vlp16emu.chain.windows import Batching
 from vlp16emu.errors import RunError
 from vlp16emu.raycast.caster import caster
 from vlp16emu.scenario import load
@@ -53,15 +53,15 @@ def test_sub_rays_converge_to_the_answer():
 def test_the_setting_in_use_is_on_the_ladder(settings, name):
     """Whatever the scene says, one setting is that in use, and its light is that of the run."""
     scenario = load("static_bench", settings)
-    in_use = [light for light in lights(scenario, scenario.seed) if light.in_use]
+    in_use = [light for light in beam_settings(scenario, scenario.seed) if light.in_use]
     assert [light.name for light in in_use] == [name]
     assert in_use[0].beam == Chain(scenario).parts.units[0].beam
 
 
 def test_names_are_settings():
     """The name of each light, given as settings, makes it the one in use."""
-    for light in lights(load("static_bench"), 1):
-        again = lights(load("static_bench", light.name.split()), 1)
+    for light in beam_settings(load("static_bench"), 1):
+        again = beam_settings(load("static_bench", light.name.split()), 1)
         assert [one.beam for one in again if one.in_use] == [light.beam]
 
 
@@ -71,7 +71,7 @@ def test_names_are_settings():
 )
 def test_the_distance_in_use_is_on_the_ladder(near_m, names):
     """Whatever the scene says, its own distance is among those that are looked at, and each can be set."""
-    drawn = drawings(load("birch_walk", [f"world.near_m={near_m}"]))
+    drawn = levels_of_detail(load("birch_walk", [f"world.near_m={near_m}"]))
     assert [one.name for one in drawn] == [f"world.near_m={name}" for name in names.split()]
     assert [one.scenario.world.near_m for one in drawn if one.in_use] == [near_m]
     for one in drawn:
@@ -82,7 +82,9 @@ def test_a_held_pose_is_that_of_the_first_pulse():
     """Held over a packet of 24 sequences, all pulses have the pose of the packet's first one."""
     unit = Chain(load("birch_walk", ["world.stems_per_ha=50"])).parts.units[0]
     t_ns = unit.head.times_ns(1920, 48)
-    _, per_sequence, per_packet = (hold.poses_at(t_ns.reshape(-1)).world_p_body_m for hold in holds(unit))
+    _, per_sequence, per_packet = (
+        hold.poses_at(t_ns.reshape(-1)).world_p_body_m for hold in pose_rates(unit)
+    )
     first_m = unit.motion.poses_at(t_ns[:, 0].copy()).world_p_body_m
     assert (per_sequence.reshape(48, 16, 3) == first_m[:, None]).all()
     assert (per_packet.reshape(2, 24 * 16, 3) == first_m[::24, None]).all()
@@ -131,11 +133,11 @@ def wood():
     """A static sensor in a small wood, its window, two groups of its pulses, and the scene with a medium beyond 10 m."""
     scenario = load("birch_walk", SMALL)
     parts = assemble(scenario)
-    cut = Cut(16, parts.head.beams.sequence_ns)
-    window = window_of(parts, scenario.start_ns, cut, 0)
+    batching = Batching(16, parts.head.beams.sequence_ns)
+    window = window_of(parts, scenario.start_ns, batching, 0)
     with ThreadPoolExecutor(2) as workers:
         scene = caster(parts.world, workers).open(window)
-    firings = parts.head.aim(640, 128, parts.motion.poses_at, across=True)
+    firings = parts.head.aim(640, 128, parts.motion.poses_at, beam_axis=True)
     return parts, window, scene, firings, (parts.head.beams.near_m, 25.0)
 
 

@@ -10,7 +10,7 @@ from vlp16emu.accuracy import Audit
 from vlp16emu.accuracy.compare import Tally, compare, errors_of
 from vlp16emu.accuracy.converged import Bench, apart_m, draw_groups, joined
 from vlp16emu.chain.chain import Chain
-from vlp16emu.chain.windows import Cut
+from vlp16emu.chain.windows import Batching
 from vlp16emu.scenario import load
 
 BLOCK_S = 1920 * 55_296e-9
@@ -69,10 +69,10 @@ def test_audits_estimate_the_error_that_accuracy_measures(hall):
     list(emulator.returns(0.0, 60 * BLOCK_S))
     unit = emulator.parts.units[0]
     bench, poses_at = Bench(unit, 128), unit.motion.poses_at
-    ((_, groups),) = draw_groups(Cut(16, 55_296), 60, 16_384, 1, moves=False)
+    ((_, groups),) = draw_groups(Batching(16, 55_296), 60, 16_384, 1, moves=False)
     aimed = [bench.aimed(group, poses_at) for group in groups]
     answer = joined([bench.answer(scenes[0], pulses, unit.beam) for pulses in aimed])
-    told = joined([bench.told(scenes[0], pulses, unit.beam) for pulses in aimed])
+    told = joined([bench.detections(scenes[0], pulses, unit.beam) for pulses in aimed])
     measured_m = errors_of(compare(answer, told, apart_m(hall.detector)), apart_m(hall.detector)).range_rmse_m
     squares_um2, matched = (
         sum(getattr(audit.tally, of) for audit in audits) for of in ("squares_um2", "matched")

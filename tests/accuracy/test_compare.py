@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vlp16emu.accuracy.compare import Counts, Echoes, Tally, Told, compare, counted, errors_of
+from vlp16emu.accuracy.compare import Counts, Detections, Echoes, Tally, compare, counted, errors_of
 from vlp16emu.accuracy.curve import Accuracy, Kind, Rounding, Row, choices, draw_accuracy, fitted_order, front
 from vlp16emu.accuracy.distributions import distributions_of
 from vlp16emu.accuracy.precision import seam
@@ -14,11 +14,11 @@ from vlp16emu.accuracy.precision import seam
 RESOLUTION_M = 1.0
 
 
-def told(*distance_m, reflectivity=50):
+def detections_of(*distance_m, reflectivity=50):
     """One pulse per given distance or (strongest, last)."""
     rows = [(d, d) if np.isscalar(d) else d for d in distance_m]
     distance = np.array([(*row, 0.0) for row in rows], np.float32)
-    return Told(distance, np.where(distance > 0, reflectivity, 0).astype(np.uint8))
+    return Detections(distance, np.where(distance > 0, reflectivity, 0).astype(np.uint8))
 
 
 def errors(answer, got):
@@ -26,14 +26,16 @@ def errors(answer, got):
 
 
 def row(name, us, error_m, kind=Kind.FIXED, in_use=False):
-    some = replace(errors(told(10.0), told(10.1)), mean_error_m=error_m, range_rmse_m=error_m)
+    some = replace(
+        errors(detections_of(10.0), detections_of(10.1)), mean_error_m=error_m, range_rmse_m=error_m
+    )
     return Row(kind, name, in_use, some, us, 0.1 * us, 1.0)
 
 
 def test_each_pulse_counts_in_one_way():
     """Right, lost, invented, of another echo, and nothing in both: each is counted as what it is."""
-    answer = told(10.0, 10.0, 0.0, 10.0, 0.0)
-    found = errors(answer, told(10.3, 0.0, 10.0, 12.0, 0.0))
+    answer = detections_of(10.0, 10.0, 0.0, 10.0, 0.0)
+    found = errors(answer, detections_of(10.3, 0.0, 10.0, 12.0, 0.0))
     assert (found.pulses, found.returns) == (5, 3)
     assert (found.lost, found.invented, found.wrong_strongest) == (1 / 3, 1 / 3, 1 / 3)
     assert found.range_rmse_m == pytest.approx(0.3, rel=1e-5)
@@ -44,7 +46,7 @@ def test_statistics_are_those_of_the_right_echoes():
     """RMSE, bias and 95 % are those of known errors, and reflectivity is judged alike."""
     rng = np.random.default_rng(1)
     off_m = rng.normal(0.02, 0.05, 20_000).clip(-0.4, 0.4)
-    found = errors(told(*[50.0] * 20_000), told(*(50.0 + off_m), reflectivity=53))
+    found = errors(detections_of(*[50.0] * 20_000), detections_of(*(50.0 + off_m), reflectivity=53))
     assert found.range_bias_m == pytest.approx(off_m.mean(), abs=1e-5)
     assert found.range_rmse_m == pytest.approx(np.sqrt((off_m**2).mean()), rel=1e-3)
     assert found.range_p95_m == pytest.approx(np.quantile(np.abs(off_m), 0.95), rel=1e-3)
@@ -53,13 +55,13 @@ def test_statistics_are_those_of_the_right_echoes():
 
 def test_a_wrong_last_return_is_told_apart_from_a_wrong_strongest():
     """The last return is judged by itself."""
-    found = errors(told((10.0, 20.0), (10.0, 20.0)), told((10.0, 10.0), (20.0, 20.0)))
+    found = errors(detections_of((10.0, 20.0), (10.0, 20.0)), detections_of((10.0, 10.0), (20.0, 20.0)))
     assert (found.wrong_strongest, found.wrong_last) == (0.5, 0.5)
 
 
 def test_of_nothing_no_error_is_claimed():
     """Where the answer has no return, errors are NaN, not zero."""
-    found = errors(told(0.0, 0.0), told(0.0, 5.0))
+    found = errors(detections_of(0.0, 0.0), detections_of(0.0, 5.0))
     assert np.isnan([found.range_rmse_m, found.mean_error_m, found.lost, found.invented]).all()
 
 
@@ -69,12 +71,12 @@ def test_the_interval_holds_the_true_rmse_as_often_as_it_says(sigma, least):
     rng = np.random.default_rng(2)
     held, trials, size, clusters = 0, 200, 12, 60
     true_m = np.sqrt(np.exp(2 * -4.0 + 2 * sigma**2) / 2)  # E[x^2] of lognormal scale times half of uniform's
-    answer = told(*[30.0] * size)
+    answer = detections_of(*[30.0] * size)
     for _ in range(trials):
         tally = Tally()
         for scale_m in np.exp(rng.normal(-4.0, sigma, clusters)):
             off_m = scale_m * rng.choice([0.0, 1.0], size)
-            tally.add(compare(answer, told(*(30.0 + off_m)), RESOLUTION_M))
+            tally.add(compare(answer, detections_of(*(30.0 + off_m)), RESOLUTION_M))
         interval = tally.range_rmse_interval_m
         held += interval.low <= true_m <= interval.high
     assert least <= held / trials <= 0.99
@@ -83,9 +85,9 @@ def test_the_interval_holds_the_true_rmse_as_often_as_it_says(sigma, least):
 def test_a_tally_says_what_errors_of_all_pulses_say():
     """Clusters summed up one by one, in any order, give RMSE and shares of all pulses at once."""
     rng = np.random.default_rng(3)
-    answers = [told(*rng.choice([0.0, 20.0, 40.0], 16)) for _ in range(30)]
+    answers = [detections_of(*rng.choice([0.0, 20.0, 40.0], 16)) for _ in range(30)]
     tolds = [
-        told(*np.maximum(one.distance_m[:, 0] + rng.choice([-20.0, 0.0, 0.1, 0.2], 16), 0.0))
+        detections_of(*np.maximum(one.distance_m[:, 0] + rng.choice([-20.0, 0.0, 0.1, 0.2], 16), 0.0))
         for one in answers
     ]
     tally, turned = Tally(), Tally()
@@ -95,7 +97,9 @@ def test_a_tally_says_what_errors_of_all_pulses_say():
         turned.add(compare(answer, got, RESOLUTION_M))
     assert tally == turned
     both = [
-        Told(np.concatenate([one.distance_m for one in of]), np.concatenate([one.reflectivity for one in of]))
+        Detections(
+            np.concatenate([one.distance_m for one in of]), np.concatenate([one.reflectivity for one in of])
+        )
         for of in (answers, tolds)
     ]
     found = errors(*both)
@@ -107,7 +111,7 @@ def test_a_tally_says_what_errors_of_all_pulses_say():
 
 def test_of_too_few_clusters_nothing_is_said():
     """Seven clusters with errors are not enough for an interval."""
-    tally, right, wrong = Tally(), told(30.0, 30.0), told(30.1, 30.0)
+    tally, right, wrong = Tally(), detections_of(30.0, 30.0), detections_of(30.1, 30.0)
     for got in [wrong] * 7 + [right] * 13:
         tally.add(compare(right, got, RESOLUTION_M))
     assert tally.range_rmse_interval_m is None
@@ -118,7 +122,7 @@ def test_of_too_few_clusters_nothing_is_said():
 def test_clusters_that_err_alike_leave_no_doubt():
     """Where all clusters have the same mean square the interval is that square's root alone, however it is rounded."""
     for off_m in np.arange(1, 33) / 64:
-        tally, answer, got = Tally(), told(*[30.0] * 7), told(*[30.0 + off_m] * 7)
+        tally, answer, got = Tally(), detections_of(*[30.0] * 7), detections_of(*[30.0 + off_m] * 7)
         for _ in range(8):
             tally.add(compare(answer, got, RESOLUTION_M))
         assert tally.range_rmse_m == pytest.approx(off_m, abs=1e-6), off_m

@@ -69,7 +69,7 @@ def test_without_canopy_loss_no_window_is_opened(birch):
 
 
 def test_the_receivers_windows_are_those_of_the_run(birch):
-    """A run of two stretches with its receiver opens each window once."""
+    """A run of two segments with its receiver opens each window once."""
     opened = []
     emulator = Emulator(birch.scenario)
     world = emulator.parts.world

@@ -9,36 +9,36 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vlp16emu.chain.windows import BLOCK, STRETCH, Cut, Windows, ahead
+from vlp16emu.chain.windows import BLOCK, SEGMENT, Batching, Windows, prefetch
 
 
-def windows(*, per_stretch=4, threads=2, opened=None):
-    def open_stretch(stretch):
+def windows(*, per_segment=4, threads=2, opened=None):
+    def open_segment(segment):
         if opened is not None:
-            opened.append(stretch)
-        return f"stretch {stretch}"
+            opened.append(segment)
+        return f"segment {segment}"
 
-    cut = SimpleNamespace(block_ns=100, stretch=per_stretch or 4)
-    return Windows(open_stretch, cut, moves=per_stretch is not None, threads=threads)
+    batching = SimpleNamespace(block_ns=100, segment=per_segment or 4)
+    return Windows(open_segment, batching, moves=per_segment is not None, threads=threads)
 
 
-def run(work, blocks, *, per_stretch=4, threads=2, opened=None, together=1):
-    of = windows(per_stretch=per_stretch, threads=threads, opened=opened)
-    return ahead(work, of, blocks=blocks, threads=threads, together=together)
+def run(work, blocks, *, per_segment=4, threads=2, opened=None, together=1):
+    of = windows(per_segment=per_segment, threads=threads, opened=opened)
+    return prefetch(work, of, blocks=blocks, threads=threads, together=together)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_results_come_in_order_with_their_stretch(threads):
-    """Each block is worked on once, with the stretch it belongs to, and handed out in order."""
+def test_results_come_in_order_with_their_segment(threads):
+    """Each block is worked on once, with the segment it belongs to, and handed out in order."""
     out = list(run(lambda run, scene: (run.start, scene.result()), range(3, 14), threads=threads))
-    assert out == [(block, f"stretch {block // 4}") for block in range(3, 14)]
+    assert out == [(block, f"segment {block // 4}") for block in range(3, 14)]
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 @pytest.mark.parametrize("span", [range(3), range(3, 14), range(50, 400)])
-def test_runs_hold_each_block_once_and_keep_to_stretches(threads, span):
-    """Runs follow each other without gaps, none crosses a stretch, and the first and last of every worker are single."""
-    runs = list(windows(per_stretch=64, threads=threads).runs(span, 8, threads))
+def test_runs_hold_each_block_once_and_keep_to_segments(threads, span):
+    """Runs follow each other without gaps, none crosses a segment, and the first and last of every worker are single."""
+    runs = list(windows(per_segment=64, threads=threads).runs(span, 8, threads))
     assert [block for run in runs for block in run] == list(span)
     assert all(run.start // 64 == (run.stop - 1) // 64 for run in runs)
     assert all(len(run) == 1 for run in runs[:threads])
@@ -51,8 +51,8 @@ def test_runs_hold_each_block_once_and_keep_to_stretches(threads, span):
 def test_with_any_number_of_threads_windows_are_opened_once(threads):
     """Neither workers far ahead nor who looks back 1.4 s, for the sky, make a window be opened again."""
     opened = []
-    of = windows(per_stretch=64, threads=threads, opened=opened)
-    results = ahead(lambda run, _scene: run, of, blocks=range(640), threads=threads, together=8)
+    of = windows(per_segment=64, threads=threads, opened=opened)
+    results = prefetch(lambda run, _scene: run, of, blocks=range(640), threads=threads, together=8)
     for run in results:
         of.at_time(100 * (run.start - 13)).result()
     assert opened == list(range(10))
@@ -65,10 +65,10 @@ def test_each_stretch_is_opened_once_and_none_beyond_the_end():
     assert opened == [0, 1, 2, 3]
 
 
-def test_all_blocks_may_share_one_stretch():
-    """Where nothing moves a single stretch serves all."""
+def test_all_blocks_may_share_one_segment():
+    """Where nothing moves a single segment serves all."""
     opened = []
-    list(run(lambda _run, scene: scene.result(), range(100), per_stretch=None, opened=opened))
+    list(run(lambda _run, scene: scene.result(), range(100), per_segment=None, opened=opened))
     assert opened == [0]
 
 
@@ -112,55 +112,55 @@ def test_no_blocks_no_work():
 
 
 def test_a_wire_sensor_is_cut_as_ever():
-    """A VLP-16 has blocks of 1920 sequences, whole packets in both return modes, and stretches of 64 of them."""
-    cut = Cut(16, 55_296)
-    assert (cut.block, cut.stretch) == (BLOCK, STRETCH) == (1_920, 64)
-    assert cut.block_ns == 1_920 * 55_296
-    assert cut.block % 24 == cut.block % 12 == 0
+    """A VLP-16 has blocks of 1920 sequences, whole packets in both return modes, and segments of 64 of them."""
+    batching = Batching(16, 55_296)
+    assert (batching.block, batching.segment) == (BLOCK, SEGMENT) == (1_920, 64)
+    assert batching.block_ns == 1_920 * 55_296
+    assert batching.block % 24 == batching.block % 12 == 0
 
 
 @pytest.mark.parametrize("lasers", [1, 8, 64, 256, 1024])
 @pytest.mark.parametrize("sequence_ns", [2_315, 55_556, 5_555_556])
 def test_blocks_of_any_sensor_are_bounded(lasers, sequence_ns):
     """Blocks are multiples of 8 sequences, with no more pulses than a VLP-16's and no longer unless that is the least."""
-    cut = Cut(lasers, sequence_ns)
-    assert cut.block % 8 == 0
-    assert cut.block == 8 or (cut.block * lasers <= 16 * BLOCK and cut.block_ns <= 110_000_000)
-    assert 6.5e9 < cut.stretch * cut.block_ns <= 6.8e9
+    batching = Batching(lasers, sequence_ns)
+    assert batching.block % 8 == 0
+    assert batching.block == 8 or (batching.block * lasers <= 16 * BLOCK and batching.block_ns <= 110_000_000)
+    assert 6.5e9 < batching.segment * batching.block_ns <= 6.8e9
 
 
 def test_blocks_hold_the_span_and_edges_the_blocks():
-    """The blocks of a span begin no later and end no earlier, and a stretch's edges are its blocks' beginnings."""
-    cut = Cut(64, 55_556)
-    blocks = cut.blocks(3 * cut.block_ns + 1, 5 * cut.block_ns)
+    """The blocks of a span begin no later and end no earlier, and a segment's edges are its blocks' beginnings."""
+    batching = Batching(64, 55_556)
+    blocks = batching.blocks(3 * batching.block_ns + 1, 5 * batching.block_ns)
     assert list(blocks) == [3, 4]
-    edges_ns = cut.edges_ns(2)
-    assert len(edges_ns) == cut.stretch + 1
-    assert (edges_ns == (2 * cut.stretch + np.arange(cut.stretch + 1)) * cut.block_ns).all()
+    edges_ns = batching.edges_ns(2)
+    assert len(edges_ns) == batching.segment + 1
+    assert (edges_ns == (2 * batching.segment + np.arange(batching.segment + 1)) * batching.block_ns).all()
 
 
 def test_whoever_asks_gets_the_same_window():
     """A window that the blocks use is not opened again for a time in it, nor one asked for by time for the blocks."""
     opened = []
     of = windows(opened=opened)
-    assert of.at_time(399).result() == "stretch 0"
-    results = ahead(lambda _run, scene: scene.result(), of, blocks=range(8), threads=1, together=1)
+    assert of.at_time(399).result() == "segment 0"
+    results = prefetch(lambda _run, scene: scene.result(), of, blocks=range(8), threads=1, together=1)
     for block, scene in enumerate(results):
         assert of.at_time(100 * block).result() == scene
     assert opened == [0, 1]
 
 
 def test_before_the_run_the_first_window_serves():
-    """A time before the first pulse is looked at from the first stretch."""
-    assert windows().at_time(-12_000).result() == "stretch 0"
+    """A time before the first pulse is looked at from the first segment."""
+    assert windows().at_time(-12_000).result() == "segment 0"
 
 
 def test_a_window_that_was_left_is_not_kept():
     """Two windows are kept, so one asked for again after two others is opened again."""
     opened = []
-    of = windows(opened=opened, per_stretch=64, threads=1)
-    for stretch in (0, 1, 0, 2, 1):
-        of.at_block(64 * stretch).result()
+    of = windows(opened=opened, per_segment=64, threads=1)
+    for segment in (0, 1, 0, 2, 1):
+        of.at_block(64 * segment).result()
     assert opened == [0, 1, 2, 1]
 
 
@@ -172,7 +172,7 @@ def test_windows_are_let_go_with_their_owner():
 
     gc.disable()
     try:
-        of = Windows(lambda _stretch: World(), SimpleNamespace(block_ns=1, stretch=4), moves=True, threads=1)
+        of = Windows(lambda _segment: World(), SimpleNamespace(block_ns=1, segment=4), moves=True, threads=1)
         alive = weakref.ref(of.at_block(0).result())
         assert alive() is not None
         del of

@@ -52,7 +52,7 @@ def test_the_table_sums_up_the_inventory_near_the_way(written, rows):
     """Stems, basal area and leaf area of the report are those of the lines within the radius of the way."""
     report = written[1]
     # The way of the first four seconds is straight within centimetres.
-    start, end = (np.array(report["way"][name][:2]) for name in ("start_m", "end_m"))
+    start, end = (np.array(report["path"][name][:2]) for name in ("start_m", "end_m"))
     xy_m = np.array([(float(row["x_m"]), float(row["y_m"])) for row in rows])
     along = np.clip((xy_m - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
     near = np.linalg.norm(xy_m - start - along[:, None] * (end - start), axis=1) <= 12
@@ -70,7 +70,7 @@ def test_the_table_sums_up_the_inventory_near_the_way(written, rows):
 def test_the_ground_lies_where_trees_stand(written, rows):
     """The grid holds all ground within the radius of the way, and its cells have the height of the feet in them: 2 cm in the median."""
     grid = read_grid(written[0] / "ground.asc", cell_m=None, corner_m=None)
-    way_m = np.array([written[1]["way"][name][:2] for name in ("start_m", "end_m")])
+    way_m = np.array([written[1]["path"][name][:2] for name in ("start_m", "end_m")])
     lines, columns = grid.heights_m.shape
     low_m = np.array([grid.west_m, grid.north_m - (lines - 1) * grid.cell_m]) - grid.cell_m / 2
     high_m = low_m + np.array([columns, lines]) * grid.cell_m

@@ -89,9 +89,9 @@ def test_what_is_in_reach_is_counted(birch):
     """Trees of the first window are as many as the world itself names."""
     scenario = load("birch_walk", ["sensor.max_range_m=20", "world.stems_per_ha=150"])
     parts = assemble(scenario)
-    from vlp16emu.chain.windows import Cut
+    from vlp16emu.chain.windows import Batching
 
-    edges_ns = scenario.start_ns + Cut(16, 55_296).edges_ns(0)
+    edges_ns = scenario.start_ns + Batching(16, 55_296).edges_ns(0)
     trees = parts.world.trees(parts.motion.poses_at(edges_ns).world_p_body_m)
     world = birch["world"]
     assert world["first_window"]["trees"] == len(trees)

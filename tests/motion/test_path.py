@@ -21,7 +21,7 @@ def hilly(x_m, y_m):
 
 
 def test_path_passes_its_way_points():
-    """The curve comes within 1 mm of every way point, in order."""
+    """The curve comes within 1 mm of every waypoint, in order."""
     path = Path(WAY_POINTS_M, flat)
     point_m, _ = path.at(np.linspace(0, path.length_m, 200_001))
     gaps = np.linalg.norm(point_m[None, :, :2] - WAY_POINTS_M[:, None], axis=2)
@@ -37,7 +37,7 @@ def test_arc_length_is_the_parameter():
 
 
 def test_straight_path_has_the_length_of_the_line():
-    """Two way points give the straight line between them."""
+    """Two waypoints give the straight line between them."""
     path = Path(np.array([[1.0, 2.0], [4.0, 6.0]]), flat)
     assert path.length_m == pytest.approx(5.0, abs=1e-9)
     point_m, heading = path.at(np.array([2.5]))
@@ -119,7 +119,7 @@ def test_the_tangent_has_unit_length():
 
 
 def test_a_loop_closes_without_a_seam():
-    """Where the last way point is the first, point, heading and derivatives go on over the seam, lap after lap."""
+    """Where the last waypoint is the first, point, heading and derivatives go on over the seam, lap after lap."""
     path = Path(np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0], [0.0, 0.0]]), hilly)
     assert path.closed
     before, after = (path.derivatives_at(path.length_m * np.arange(1, 4) + h) for h in (-1e-9, 1e-9))
@@ -152,7 +152,7 @@ def test_a_point_does_not_depend_on_its_company():
 @given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=1, max_size=8))
 @settings(max_examples=60, deadline=None, derandomize=True)
 def test_any_way_points_give_a_smooth_path_or_a_refusal(points):
-    """Whatever the way points, the curve is finite and turns no tighter than about 0.1 m, or it is refused."""
+    """Whatever the waypoints, the curve is finite and turns no tighter than about 0.1 m, or it is refused."""
     try:
         path = Path(np.array(points), hilly)
     except TrajectoryError:
@@ -167,31 +167,31 @@ def test_any_way_points_give_a_smooth_path_or_a_refusal(points):
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        ([[0, 0], [np.nan, 1]], "way point 2 of 2: found (nan, 1.0); expected finite coordinates"),
+        ([[0, 0], [np.nan, 1]], "waypoint 2 of 2: found (nan, 1.0); expected finite coordinates"),
         (
             [[0, 0], [3, 1], [3, 1.001]],
-            "way point 3 of 3: coincides with the one before it; expected at least 1 cm between way points",
+            "waypoint 3 of 3: coincides with the one before it; expected at least 1 cm between waypoints",
         ),
-        ([[3, 4]], "way points: found 1; expected at least 2 of them"),
+        ([[3, 4]], "waypoints: found 1; expected at least 2 of them"),
         (
             [[0, 0], [2e6, 0]],
-            "way point 2 of 2: found (2000000.0, 0.0); expected within 1e+06 m of the origin",
+            "waypoint 2 of 2: found (2000000.0, 0.0); expected within 1e+06 m of the origin",
         ),
         (
             [[0, 0], [9e4, 0], [0, 9e4]],
-            "way points: found 217.3 km from first to last; expected at most 100 km",
+            "waypoints: found 217.3 km from first to last; expected at most 100 km",
         ),
         (
             [[0, 0], [10, 0], [0, 0]],
             (
-                "path at (10.00, 0.00) m, near way point 2: turns with a radius of 0.00024 m; "
-                "expected at least 0.1 m: more way points round the turn"
+                "path at (10.00, 0.00) m, near waypoint 2: turns with a radius of 0.00024 m; "
+                "expected at least 0.1 m: more waypoints round the turn"
             ),
         ),
     ],
 )
 def test_impossible_paths_are_refused(points, message):
-    """A way point that cannot be passed is named."""
+    """A waypoint that cannot be passed is named."""
     with pytest.raises(TrajectoryError) as error:
         Path(np.array(points, float), flat)
     assert str(error.value) == message
@@ -206,7 +206,7 @@ def test_a_cliff_is_refused():
 
 
 def test_a_path_from_the_store_is_the_same(tmp_path, monkeypatch):
-    """A path is laid once for each ground and way points: then it is read, bit by bit the same."""
+    """A path is laid once for each ground and waypoints: then it is read, bit by bit the same."""
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(tmp_path / "world"))
     user_store.cache_clear()
     try:

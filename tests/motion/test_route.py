@@ -76,12 +76,12 @@ def test_laps_go_round_without_a_halt():
 
 
 def test_stops_come_on_each_lap():
-    """A stop at the first and last way point of a loop of two laps is made at start, between, and at the end."""
+    """A stop at the first and last waypoint of a loop of two laps is made at start, between, and at the end."""
     made = route(LOOP_M, np.array([1.0, 0.0, 2.0, 0.0, 1.0]), laps=2)
     track = made.at(np.arange(0.0, made.run_time_s, 1e-3))
     rest = track.speed_m_s < 1e-12
     starts = np.flatnonzero(np.diff(rest.astype(int)) == 1)
-    assert len(starts) == 4  # twice at the third way point, once between the laps, once at the end
+    assert len(starts) == 4  # twice at the third waypoint, once between the laps, once at the end
 
 
 def test_an_open_path_has_one_lap():

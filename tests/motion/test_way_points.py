@@ -1,4 +1,4 @@
-"""Way points in files."""
+"""Waypoints in files."""
 
 import numpy as np
 import pytest
@@ -37,10 +37,10 @@ def test_csv_is_read_about_the_origin(tmp_path, mark):
 
 
 def test_pauses_are_added_by_number():
-    """A pause at way point 2 adds to what the file says, and a number beyond the last is refused."""
+    """A pause at waypoint 2 adds to what the file says, and a number beyond the last is refused."""
     points = WayPoints(np.zeros((2, 2)), np.array([0.0, 1.0]))
     np.testing.assert_array_equal(points.with_pause(2, 3.0).pause_s, [0.0, 4.0])
-    with pytest.raises(TrajectoryError, match="stop: found way point 3; expected from 1 to 2"):
+    with pytest.raises(TrajectoryError, match="stop: found waypoint 3; expected from 1 to 2"):
         points.with_pause(3, 1.0)
 
 

@@ -36,7 +36,7 @@ def make_returns() -> Callable[..., Returns]:
             reading_deg=np.zeros(sequences) if reading_deg is None else reading_deg,
             origin_m=np.zeros((sequences, lasers, 3)),
             direction=np.zeros((sequences, lasers, 3)),
-            across=None,
+            beam_axis=None,
         )
         none = np.zeros((sequences, lasers, 3))
         return Returns(

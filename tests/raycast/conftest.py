@@ -57,7 +57,7 @@ def pulses(count, *, first=0, at=UTM_M, tilt_deg=2.0):
     rotor = Rotor(600, 0.0, 0.0, 0.0, 0.0, 1)
     head = Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock(True, 0, 0.0), 10**18)
     standing = StaticMotion(np.asarray(at, float) + [0, 0, 0.1], 30.0, tilt_deg, 1.0)
-    return head.aim(first, count, standing.poses_at, across=True)
+    return head.aim(first, count, standing.poses_at, beam_axis=True)
 
 
 def beam(model, **changed):

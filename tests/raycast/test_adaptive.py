@@ -5,7 +5,7 @@ import pytest
 
 from vlp16emu.raycast.adaptive import RayBudget, enough, worth_of_ray_m
 from vlp16emu.raycast.beam import ROUND
-from vlp16emu.raycast.scene import EmbreeCaster
+from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.types import NO_SURFACE
 
 WHITE = np.ones(1, np.float32)

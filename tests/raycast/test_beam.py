@@ -138,9 +138,9 @@ def test_the_beam_is_as_wide_as_said(lab, distance_m):
     offset_m = (
         origin_m + lab.utm_m - firings.origin_m[:, :, None] + direction * (distance_m / along)[..., None]
     )
-    up = np.cross(firings.direction, firings.across)
+    up = np.cross(firings.direction, firings.beam_axis)
     for axis, width_m in (
-        (firings.across, 0.0127 + 0.003 * distance_m),
+        (firings.beam_axis, 0.0127 + 0.003 * distance_m),
         (up, 0.0095 + 0.0015 * distance_m),
     ):
         assert 4 * np.einsum("klsa,kla->kls", offset_m, axis).std() == pytest.approx(width_m, rel=0.01)
@@ -150,8 +150,10 @@ def test_firings_without_a_width_are_refused(lab):
     """Sub-rays of firings that were aimed as lines are a programming error and named."""
     from dataclasses import replace
 
-    with pytest.raises(ValueError, match="found firings without `across`, expected them for a beam of fixed"):
-        sub_rays(replace(lab.pulses(8), across=None), lab.beam("fixed"), np.zeros(3), 0, 1)
+    with pytest.raises(
+        ValueError, match="found firings without `beam_axis`, expected them for a beam of fixed"
+    ):
+        sub_rays(replace(lab.pulses(8), beam_axis=None), lab.beam("fixed"), np.zeros(3), 0, 1)
 
 
 def test_offset_displaces_evenly_inside_the_beam(lab):

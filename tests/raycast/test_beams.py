@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.raycast.beam import LINE
-from vlp16emu.raycast.scene import EmbreeCaster
+from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.slow import PlainCaster, ReferenceCaster
 
 WIDE = ["fixed", "adaptive", "angle", "offset"]

@@ -11,12 +11,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import vlp16emu.raycast as room
 from vlp16emu.errors import RunError
+from vlp16emu.raycast import caster as room
 from vlp16emu.raycast import embree
-from vlp16emu.raycast.build import Solid, placed, shape_of
+from vlp16emu.raycast.build import EmbreeMesh, placed, shape_of
 from vlp16emu.raycast.embree import EmbreeMissingError, library_path
-from vlp16emu.raycast.scene import EmbreeCaster
+from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.slow import PlainCaster
 
 TASKS = Path("/proc/self/task")
@@ -74,9 +74,9 @@ def test_what_fails_on_a_worker_is_raised_there(lab, workers, monkeypatch):
     _, shape = lab.upright((10.0, -1.0, 1.0, -1.0, 1.0))
     monkeypatch.setattr(embree, "BUFFER_INDEX", 99)
     with pytest.raises(RunError, match=r"^Embree could not build a shape: invalid operation$"):
-        workers.submit(Solid, shape_of(shape("all"))).result()
+        workers.submit(EmbreeMesh, shape_of(shape("all"))).result()
     monkeypatch.undo()
-    workers.submit(Solid, shape_of(shape("all"))).result()
+    workers.submit(EmbreeMesh, shape_of(shape("all"))).result()
 
 
 def test_a_window_that_fails_leaves_nothing_behind(monkeypatch):

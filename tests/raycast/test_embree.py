@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vlp16emu.raycast.scene import EmbreeCaster
+from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.slow import PlainCaster, ReferenceCaster
 from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, Window
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.raycast.far import Far
-from vlp16emu.raycast.scene import EmbreeCaster
+from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, PlantPart, Semantic, Sway
 
 AT_M = np.array([[10.0, 10.0, 6.0]])

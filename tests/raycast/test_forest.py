@@ -30,7 +30,7 @@ def met(window, hits):
 def test_a_static_sensor_sees_the_same_in_every_revolution(forest, workers):
     """Pulses that go where others went before, in another revolution, meet the same, bit by bit."""
     unit = forest.units[0]
-    first, again = (unit.head.aim(n, 1920, unit.motion.poses_at, across=True) for n in (0, AGAIN))
+    first, again = (unit.head.aim(n, 1920, unit.motion.poses_at, beam_axis=True) for n in (0, AGAIN))
     assert np.abs(first.direction - again.direction).max() < 1e-12
     window = forest.world.window(first.origin_m[:1, 0])
     scene = caster(forest.world, workers).open(window)
@@ -47,7 +47,7 @@ def test_a_static_sensor_sees_the_same_in_every_revolution(forest, workers):
 def test_a_pulse_meets_the_same_in_the_windows_that_hold_it(forest, workers):
     """From windows 4 m apart, of two casters, what is met up to 50 m is the same thing at the same range to 0.1 mm."""
     unit = forest.units[0]
-    firings = unit.head.aim(0, 1920, unit.motion.poses_at, across=True)
+    firings = unit.head.aim(0, 1920, unit.motion.poses_at, beam_axis=True)
     at_m = firings.origin_m[:1, 0]
     tracks = [np.concatenate([at_m, at_m + [[dx, 1.0, 0.0]]]) for dx in (8.0, -8.0)]
     windows = [forest.world.window(track) for track in tracks]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from vlp16emu.raycast.scene import EmbreeCaster
+from vlp16emu.raycast.near import EmbreeCaster
 
 HALF_M, PLATE_M, WALL_M = 0.005, 10.0, 15.0
 SIGMA_M = np.array([0.0127 + 0.003 * PLATE_M, 0.0095 + 0.0015 * PLATE_M]) / 4

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.raycast.geometry import faces_of, flatten
+from vlp16emu.raycast.quads import faces_of, flatten
 from vlp16emu.types import SURFACE, Mesh, Window
 from vlp16emu.world.plants.crown import CrownKey, crown_meshes
 

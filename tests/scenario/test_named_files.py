@@ -42,7 +42,7 @@ height_m = 5
 
 
 def test_all_files_of_a_scene_are_named(tmp_path):
-    """Poses and their times, way points, stems, species, heights and each mesh are found, and no other text."""
+    """Poses and their times, waypoints, stems, species, heights and each mesh are found, and no other text."""
     scene = tmp_path / "scene.toml"
     scene.write_text(KITTI)
     names = ("poses.txt", "times.txt", "stems.csv", "species.toml", "ground.asc", "hut.obj", "/srv/well.obj")

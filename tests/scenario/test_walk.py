@@ -21,7 +21,7 @@ def scene(folder, motion):
 
 
 def test_files_are_relative_to_the_scene(tmp_path):
-    """Way points and recorded poses are named relative to the scene file."""
+    """Waypoints and recorded poses are named relative to the scene file."""
     walk = load(scene(tmp_path, 'kind = "walk"\nway_points_file = "way.csv"')).motion
     assert walk.way_points_file == str(tmp_path / "way.csv")
     flown = load(scene(tmp_path, 'kind = "recorded"\nfile = "poses.txt"\nformat = "tum"')).motion
@@ -46,7 +46,7 @@ def test_files_are_relative_to_the_scene(tmp_path):
         (
             f'kind = "walk"\n{MOWER}\nstops = [{{ way_point = 2, pause_s = 3 }}]',
             "motion",
-            "stops given by at_m where lawn_mower makes the way points",
+            "stops given by at_m where lawn_mower makes the waypoints",
         ),
         ('kind = "recorded"\nfile = "p"\nformat = "kitti"', "motion", TIMES),
         ('kind = "recorded"\nfile = "p"\nformat = "tum"\nrate_hz = 10', "motion", TIMES),

@@ -135,5 +135,5 @@ def test_a_way_through_a_wall_is_told(caplog):
     hall.check(np.array([[0.0, 0.0], [15.0, 1.0], [16.0, 1.0]]))
     (record,) = caplog.records
     assert record.getMessage().startswith(
-        "hall: the way of the sensor leaves it at (15, 1) m; expected x between -15"
+        "hall: the path of the sensor leaves it at (15, 1) m; expected x between -15"
     )

@@ -25,7 +25,7 @@ def near(full_forest, track_m):
     window, way = full_forest.window(track_m), Polyline(track_m[:, :2])
     trees = full_forest.trees(track_m)
     trees = trees[trees["storey"] != REGENERATION]
-    things = things_near(window, full_forest.shape, trees=trees["id"], way=way, radius_m=RADIUS_M)
+    things = things_near(window, full_forest.shape, trees=trees["id"], path=way, radius_m=RADIUS_M)
     foot = np.column_stack([trees["x_m"], trees["y_m"]])
     return window, trees[way.distance_m(foot) <= RADIUS_M], things, way
 

@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from stability_cases.lab import PULSES, beam, cast, opened, pulses, quads, wall
 from stability_cases.row import Row, refused
-from vlp16emu.raycast.caster import Scene
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import Firings, Mesh
 from vlp16emu.world.given.furnished import Furnished, Furniture
 from vlp16emu.world.given.settings import MeshFile, MeshPlace
@@ -72,7 +72,7 @@ def _resident_kb() -> float:
     return pages * resource.getpagesize() / 1024
 
 
-def _cast_s(scene: Scene, firings: Firings) -> tuple[Array, float]:
+def _cast_s(scene: Geometry, firings: Firings) -> tuple[Array, float]:
     """Ranges of pulses, and the lesser of two times that casting them takes."""
     times_s = []
     for _ in range(2):

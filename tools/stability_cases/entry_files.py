@@ -91,7 +91,7 @@ def _verdicts(name: str, tries: Callable[[str], Iterator[tuple[Files, str]]], *,
 
 
 def trajectory_files() -> Iterator[Row]:
-    """Read recorded poses in TUM, CSV and KITTI, way points in CSV and GPX."""
+    """Read recorded poses in TUM, CSV and KITTI, waypoints in CSV and GPX."""
     yield from _verdicts("trajectories", _trajectories, plot=False)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from vlp16emu.chain import Unit, assemble
 from vlp16emu.packets import DATA_BYTES, LASERS, data_payloads, decode_data
 from vlp16emu.raycast.beam import LINE, BeamModel, Footprint
-from vlp16emu.raycast.caster import Scene, caster
+from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.raycast.slow import ReferenceCaster
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
@@ -102,7 +102,7 @@ def box(low_m: Sequence[float], high_m: Sequence[float]) -> Mesh:
 
 def opened(
     meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1, slowly: bool = False
-) -> Scene:
+) -> Geometry:
     """Scene of one shape whose meshes are surfaces of their own, about the origin.
 
     Parameters
@@ -146,12 +146,12 @@ def pulses(origin_m: Array, direction: Array, *, lasers: int = LASERS) -> Firing
     )
 
 
-def cast(scene: Scene, firings: Firings, light: Footprint = LINE) -> Hits:
+def cast(scene: Geometry, firings: Firings, light: Footprint = LINE) -> Hits:
     """Cast to beyond the largest code."""
     return scene.cast(firings, np.full(firings.t_ns.shape[1], LENS_RADIUS_M), 140.0, light)
 
 
-def detected(scene: Scene, firings: Firings, light: Footprint = LINE, unit: Unit | None = None) -> Returns:
+def detected(scene: Geometry, firings: Firings, light: Footprint = LINE, unit: Unit | None = None) -> Returns:
     """Detect pulses, by a perfect unit unless one is given."""
     detector = (unit or ideal_unit()).detector
     return detect(firings, cast(scene, firings, light), scene.surfaces, detector, truth=False)

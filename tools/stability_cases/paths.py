@@ -37,7 +37,7 @@ def _walk(points_m: Points, *settings: str) -> tuple[Motion, int]:
 def impossible_paths() -> Iterator[Row]:
     """Try paths that no person takes."""
     for name, points_m, says in (
-        ("way points that coincide", [(0, 0), (5, 0), (5, 0), (9, 1)], "coincides with the one before it"),
+        ("waypoints that coincide", [(0, 0), (5, 0), (5, 0), (9, 1)], "coincides with the one before it"),
         ("path of one point", [(1, 2)], "a list of at least 2"),
         ("path back on itself", [(0, 0), (9, 0), (0, 0)], "at least 0.1 m"),
         ("path of a million kilometres", [(0, 0), (1e9, 0)], "within 1e+06 m"),

@@ -12,12 +12,12 @@ from typing import Self
 import numpy as np
 
 from vlp16emu.accuracy.compare import Tally, compare
-from vlp16emu.accuracy.converged import answer_beam, apart_m, some_firings, some_hits, told
+from vlp16emu.accuracy.converged import answer_beam, apart_m, detections_of, some_firings, some_hits
 from vlp16emu.chain import Unit
-from vlp16emu.chain.windows import Cut
+from vlp16emu.chain.windows import Batching
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import BeamModel
-from vlp16emu.raycast.caster import Scene
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import Firings, Hits
 
@@ -88,16 +88,16 @@ class Audit:
             other_echo=other,
         )
 
-    def __call__(self, unit: Unit, firings: Firings, hits: Hits, scene: Scene) -> None:
+    def __call__(self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry) -> None:
         """Look at whole blocks: what their pulses met, in the scene that they were cast against."""
         if self.exact:
             return
-        block = Cut(firings.t_ns.shape[1], unit.head.beams.sequence_ns).block
+        block = Batching(firings.t_ns.shape[1], unit.head.beams.sequence_ns).block
         for begin in range(0, len(firings.t_ns), block):
-            self._look(unit, firings, hits, scene, begin, block)
+            self._look(unit, firings, hits, geometry, begin, block)
 
     def _look(
-        self, unit: Unit, firings: Firings, hits: Hits, scene: Scene, begin: int, sequences: int
+        self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry, begin: int, sequences: int
     ) -> None:
         """Look at the block that begins with sequence `begin` of those that were cast."""
         lasers = firings.t_ns.shape[1]
@@ -107,15 +107,15 @@ class Audit:
         rows = slice(first, first + _SEQUENCES)
         part, exact = some_firings(firings, rows, chosen), unit.detector.without_chance()
         rays = max(_RAYS, _TIMES * unit.beam.rays)
-        answer = scene.cast(
+        answer = geometry.cast(
             part,
             unit.head.beams.near_m[chosen],
             unit.section.max_range_m,
             answer_beam(unit.beam, rays, unit.seed),
         )
         compared = compare(
-            told(part, answer, scene.surfaces, exact),
-            told(part, some_hits(hits, rows, chosen), scene.surfaces, exact),
+            detections_of(part, answer, geometry.surfaces, exact),
+            detections_of(part, some_hits(hits, rows, chosen), geometry.surfaces, exact),
             self._apart_m,
         )
         with self._lock:

@@ -18,11 +18,11 @@ __all__ = [
     "HEIGHTS_M",
     "Comparison",
     "Counts",
+    "Detections",
     "Echoes",
     "Errors",
     "Interval",
     "Tally",
-    "Told",
     "compare",
     "counted",
     "errors_of",
@@ -32,8 +32,8 @@ _STRONGEST, _LAST = 0, 1
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """What a detector told of n pulses; columns as in `Returns`."""
+class Detections:
+    """What a detector reports of n pulses; columns as in `Returns`."""
 
     distance_m: NDArray[np.float32]
     """(n, 3), 0 where there is no such return."""
@@ -55,9 +55,9 @@ class Comparison:
     reflectivity_error: NDArray[np.float64]
     """Likewise, in counts."""
     lost: NDArray[np.bool_]
-    """Whether the answer has a return and nothing was told."""
+    """Whether the answer has a return and nothing was detected."""
     invented: NDArray[np.bool_]
-    """Whether something was told where the answer has nothing."""
+    """Whether something was detected where the answer has nothing."""
     wrong_strongest: NDArray[np.bool_]
     """Whether another echo was taken for the strongest."""
     wrong_last: NDArray[np.bool_]
@@ -75,7 +75,7 @@ class Errors:
 
     pulses: int
     returns: int
-    """Pulses of which the answer has a return."""
+    """Pulses that have a return in the answer."""
     range_rmse_m: float
     """Of strongest returns that are the answer's, as all that follow up to `range_p95_m`."""
     range_bias_m: float
@@ -91,19 +91,19 @@ class Errors:
     """In counts."""
 
 
-def compare(answer: Told, told: Told, resolution_m: float) -> Comparison:
-    """Hold what was told of n pulses against the answer.
+def compare(answer: Detections, detected: Detections, resolution_m: float) -> Comparison:
+    """Compare the detections of n pulses with the answer.
 
     Parameters
     ----------
     resolution_m : of the detector. Ranges that differ by more than half of it are those of different echoes.
     """
-    seen, got = answer.distance_m[:, _STRONGEST] > 0, told.distance_m[:, _STRONGEST] > 0
+    seen, got = answer.distance_m[:, _STRONGEST] > 0, detected.distance_m[:, _STRONGEST] > 0
     both = seen & got
-    off_m = told.distance_m.astype(np.float64) - answer.distance_m
+    off_m = detected.distance_m.astype(np.float64) - answer.distance_m
     other = np.abs(off_m) > resolution_m / 2
     right = both & ~other[:, _STRONGEST]
-    counts = told.reflectivity[:, _STRONGEST].astype(np.float64) - answer.reflectivity[:, _STRONGEST]
+    counts = detected.reflectivity[:, _STRONGEST].astype(np.float64) - answer.reflectivity[:, _STRONGEST]
     return Comparison(
         seen=seen,
         error_m=np.where(right, off_m[:, _STRONGEST], np.nan),
@@ -171,7 +171,7 @@ class Tally:
     """Clusters whose ranges are wrong at all."""
     pulses: int = 0
     returns: int = 0
-    """Pulses of which the answer has a return."""
+    """Pulses that have a return in the answer."""
     lost: int = 0
     invented: int = 0
     wrong_strongest: int = 0
@@ -208,7 +208,7 @@ class Tally:
 
     @property
     def range_rmse_interval_m(self) -> Interval | None:
-        """Where that lies in the whole of which the clusters are a sample; None where they are too few.
+        """Where that lies in the whole that the clusters are a sample of; None where they are too few.
 
         The mean square is a ratio of sums over clusters, whose variance is that of the clusters about the ratio
         (Cochran, Sampling Techniques, 3rd ed. 1977, section 6.3). Squares are lopsided, so Student's interval is laid
@@ -222,7 +222,7 @@ class Tally:
 
         mean = self.squares_um2 / self.matched
         away = self.squares_2_um4 - 2 * mean * self.squares_matched_um2 + mean**2 * self.matched_2
-        # Where all clusters err alike, rounding may leave a hair less than nothing.
+        # Where all clusters have the same error, rounding may leave a hair less than nothing.
         relative = math.sqrt(max(away, 0.0) * self.clusters / (self.clusters - 1)) / self.squares_um2
         carrying = self.squares_um2**2 / self.squares_2_um4
         reach = relative * float(stdtrit(max(carrying / 4, 1.0), 0.5 + _CONFIDENCE / 2))

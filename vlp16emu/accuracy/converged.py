@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.accuracy.compare import Told
+from vlp16emu.accuracy.compare import Detections
 from vlp16emu.accuracy.settings import PosesAt
 from vlp16emu.chain import Unit
-from vlp16emu.chain.windows import Cut
+from vlp16emu.chain.windows import Batching
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import BeamModel, Footprint
-from vlp16emu.raycast.caster import Scene
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.returns.settings import Detector
@@ -29,11 +29,11 @@ __all__ = [
     "Group",
     "answer_beam",
     "apart_m",
+    "detections_of",
     "draw_groups",
     "joined",
     "some_firings",
     "some_hits",
-    "told",
 ]
 
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
@@ -50,26 +50,28 @@ def answer_beam(beam: Footprint, rays: int, seed: int, number: int = 0) -> Footp
     Parameters
     ----------
     seed : of the unit
-    number : tells several answers apart
+    number : distinguishes several answers
     """
     own = int(generator(seed, Purpose.AUDIT, number).integers(2**63))
     return replace(beam, model=BeamModel.FIXED, rays=rays, seed=own)
 
 
-def told(firings: Firings, hits: Hits, surfaces: NDArray[np.void], exact: UnitDetector) -> Told:
-    """Tell all echoes of some pulses, in order of sequence, then of laser.
+def detections_of(
+    firings: Firings, hits: Hits, surfaces: NDArray[np.void], exact: UnitDetector
+) -> Detections:
+    """Detect all echoes of some pulses, in order of sequence, then of laser.
 
     Parameters
     ----------
     exact : by `UnitDetector.without_chance`
     """
     returns = detect(firings, hits, surfaces, exact, truth=False)
-    return Told(returns.distance_m.reshape(-1, 3), returns.reflectivity.reshape(-1, 3))
+    return Detections(returns.distance_m.reshape(-1, 3), returns.reflectivity.reshape(-1, 3))
 
 
-def joined(parts: Sequence[Told]) -> Told:
-    """Put what was told of several batches into one."""
-    return Told(
+def joined(parts: Sequence[Detections]) -> Detections:
+    """Join the detections of several batches."""
+    return Detections(
         np.concatenate([part.distance_m for part in parts]),
         np.concatenate([part.reflectivity for part in parts]),
     )
@@ -90,7 +92,7 @@ def some_firings(firings: Firings, rows: slice, lasers: NDArray[np.int64]) -> Fi
         reading_deg=firings.reading_deg[rows],
         origin_m=part(firings.origin_m),
         direction=part(firings.direction),
-        across=None if firings.across is None else part(firings.across),
+        beam_axis=None if firings.beam_axis is None else part(firings.beam_axis),
     )
 
 
@@ -107,7 +109,7 @@ def some_hits(hits: Hits, rows: slice, lasers: NDArray[np.int64]) -> Hits:
 
 GROUP = 8
 """Sequences of a group: an adaptive beam is judged among so many, and no others."""
-_MOST_STRETCHES = 8
+_MOST_SEGMENTS = 8
 """Of a long walk: each needs a window of the world of its own."""
 
 
@@ -121,28 +123,28 @@ class Group:
 
 
 def draw_groups(
-    cut: Cut, blocks: int, pulses: int, seed: int, *, moves: bool
+    batching: Batching, blocks: int, pulses: int, seed: int, *, moves: bool
 ) -> Iterator[tuple[int, list[Group]]]:
-    """Draw groups of the first blocks of a run, by stretches that share a window of the world.
+    """Draw groups of the first blocks of a run, by segments that share a window of the world.
 
     Parameters
     ----------
-    cut : of the run
+    batching : of the run
     blocks : in the run
     pulses : looked at in all, rounded up
-    moves : whether each stretch has a window of its own; else one serves all
+    moves : whether each segment has a window of its own; else one serves all
 
     Yields
     ------
-    Number of a stretch, and its groups in order of time.
+    Number of a segment, and its groups in order of time.
     """
     draw = generator(seed, Purpose.AUDIT, -1)
-    per_block, stretch = cut.block // GROUP, cut.stretch if moves else blocks
-    stretches = -(-blocks // stretch)
-    chosen = _one_of_each(draw, stretches, min(_MOST_STRETCHES, stretches))
-    most = -(-pulses // (GROUP * cut.lasers * len(chosen)))
+    per_block, segment = batching.block // GROUP, batching.segment if moves else blocks
+    segments = -(-blocks // segment)
+    chosen = _one_of_each(draw, segments, min(_MOST_SEGMENTS, segments))
+    most = -(-pulses // (GROUP * batching.lasers * len(chosen)))
     for number in chosen.tolist():
-        first, stop = number * stretch * per_block, min((number + 1) * stretch, blocks) * per_block
+        first, stop = number * segment * per_block, min((number + 1) * segment, blocks) * per_block
         places = first + _one_of_each(draw, stop - first, min(most, stop - first))
         yield number, [Group(place * GROUP, GROUP) for place in places.tolist()]
 
@@ -155,7 +157,7 @@ def _one_of_each(draw: np.random.Generator, things: int, strata: int) -> NDArray
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """Tells pulses of a unit."""
+    """Detects pulses of a unit."""
 
     unit: Unit
     rays: int
@@ -168,32 +170,32 @@ class Bench:
 
     def aimed(self, group: Group, poses_at: PosesAt) -> Firings:
         """Aim the sequences of a group."""
-        return self.unit.head.aim(group.first, group.count, poses_at, across=True)
+        return self.unit.head.aim(group.first, group.count, poses_at, beam_axis=True)
 
-    def told(self, scene: Scene, firings: Firings, beam: Footprint) -> Told:
-        """Cast pulses, and tell what an exact receiver makes of them."""
-        hits = scene.cast(firings, *self.limits_m, beam)
-        return told(firings, hits, scene.surfaces, self.unit.detector.without_chance())
+    def detections(self, geometry: Geometry, firings: Firings, beam: Footprint) -> Detections:
+        """Cast pulses, and detect them with an exact receiver."""
+        hits = geometry.cast(firings, *self.limits_m, beam)
+        return detections_of(firings, hits, geometry.surfaces, self.unit.detector.without_chance())
 
-    def answer(self, scene: Scene, firings: Firings, beam: Footprint, number: int = 0) -> Told:
-        """Tell the answer for some pulses.
+    def answer(self, geometry: Geometry, firings: Firings, beam: Footprint, number: int = 0) -> Detections:
+        """Compute the answer for some pulses.
 
         Parameters
         ----------
         beam : says how wide light is
-        number : tells answers with different sub-rays apart
+        number : distinguishes answers with different sub-rays
         """
-        return self.told(scene, firings, answer_beam(beam, self.rays, self.unit.seed, number))
+        return self.detections(geometry, firings, answer_beam(beam, self.rays, self.unit.seed, number))
 
-    def timed(self, scene: Scene, firings: Firings, beam: Footprint) -> tuple[float, float]:
+    def timed(self, geometry: Geometry, firings: Firings, beam: Footprint) -> tuple[float, float]:
         """Cast and detect as a run does: microseconds per pulse on one core, and rays per pulse."""
         began_s = time.thread_time()
-        hits = scene.cast(firings, *self.limits_m, beam)
-        detect(firings, hits, scene.surfaces, self.unit.detector, truth=False)
+        hits = geometry.cast(firings, *self.limits_m, beam)
+        detect(firings, hits, geometry.surfaces, self.unit.detector, truth=False)
         return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size, float(hits.count.mean())
 
     def timed_aim(self, block: Group, poses_at: PosesAt) -> float:
         """Pose and aim as a run does: microseconds per pulse on one core."""
         began_s = time.thread_time()
-        firings = self.unit.head.aim(block.first, block.count, poses_at, across=self.unit.beam.has_width)
+        firings = self.unit.head.aim(block.first, block.count, poses_at, beam_axis=self.unit.beam.has_width)
         return 1e6 * (time.thread_time() - began_s) / firings.t_ns.size

@@ -100,7 +100,7 @@ class Choice:
 
 
 def front(rows: Sequence[Row]) -> list[Row]:
-    """Rows of which no other is at once as quick and less wrong, by their mean errors; the quickest first.
+    """Rows that no other beats in both speed and error, by their mean errors; the quickest first.
 
     The paper's beam errors do not count: they are there to be compared with, and nobody should choose them.
     """
@@ -124,7 +124,7 @@ def fitted_order(rows: Sequence[Row], kind: Kind) -> Fit | None:
 
 
 def choices(rows: Sequence[Row]) -> list[Choice]:
-    """Tell what to take for some wanted mean errors; each setting once, for the least that it is good for."""
+    """Say what to take for some wanted mean errors; each setting once, for the least that it is good for."""
     found: dict[str, Choice] = {}
     for wanted_m in WANTED_M:
         good = [row for row in _to_choose(rows) if row.errors.mean_error_m <= wanted_m]

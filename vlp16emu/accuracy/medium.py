@@ -14,11 +14,11 @@ from vlp16emu.accuracy.compare import Counts, Echoes, counted
 from vlp16emu.accuracy.converged import GROUP, Group, answer_beam, draw_groups
 from vlp16emu.accuracy.curve import Kind
 from vlp16emu.accuracy.distributions import Distributions, distributions_of
-from vlp16emu.accuracy.settings import Drawing, drawings, lights
+from vlp16emu.accuracy.settings import LevelOfDetail, beam_settings, levels_of_detail
 from vlp16emu.chain import Unit, assemble, window_of
-from vlp16emu.chain.windows import Cut
+from vlp16emu.chain.windows import Batching
 from vlp16emu.raycast.beam import Footprint
-from vlp16emu.raycast.caster import Scene, caster
+from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import Firings, HeightField, Returns
@@ -49,23 +49,23 @@ class Look:
 
     def aimed(self, group: Group) -> Firings:
         """Aim the sequences of a group."""
-        return self.unit.head.aim(group.first, group.count, self.unit.motion.poses_at, across=True)
+        return self.unit.head.aim(group.first, group.count, self.unit.motion.poses_at, beam_axis=True)
 
-    def returns(self, scene: Scene, firings: Firings) -> tuple[Returns, float]:
+    def returns(self, geometry: Geometry, firings: Firings) -> tuple[Returns, float]:
         """Cast pulses and detect all echoes; with the run time of casting in microseconds per pulse."""
         began_s = time.thread_time()
-        hits = scene.cast(firings, self.unit.head.beams.near_m, self.unit.section.max_range_m, self.beam)
+        hits = geometry.cast(firings, self.unit.head.beams.near_m, self.unit.section.max_range_m, self.beam)
         us = 1e6 * (time.thread_time() - began_s) / firings.t_ns.size
-        return detect(firings, hits, scene.surfaces, self.unit.detector.without_chance(), truth=True), us
+        return detect(firings, hits, geometry.surfaces, self.unit.detector.without_chance(), truth=True), us
 
-    def counted(self, scene: Scene, group: Group, *, again: bool) -> tuple[Counts, float]:
+    def counted(self, geometry: Geometry, group: Group, *, again: bool) -> tuple[Counts, float]:
         """Count what a group shows, and measure the run time of casting it."""
         firings = self.aimed(group)
-        returns, us = self.returns(scene, firings)
+        returns, us = self.returns(geometry, firings)
         echoes = echoes_of(returns, self.height_m)
         changed = 0, 0
         if again:
-            later, _ = self.returns(scene, next_revolution(firings, self.unit))
+            later, _ = self.returns(geometry, next_revolution(firings, self.unit))
             there_m = echoes_of(later, self.height_m).distance_m[:, 0]
             moved = np.abs(there_m - echoes.distance_m[:, 0]) > _ELSEWHERE_M
             changed = len(moved), int(moved.sum())
@@ -80,13 +80,13 @@ def measure_medium(scenario: Scenario, *, pulses: int, done: Callable[[float], N
     pulses : looked at in each world, rounded up to whole groups
     done : receives the share of the work that is done
     """
-    drawn, section = drawings(scenario), scenario.world
+    drawn, section = levels_of_detail(scenario), scenario.world
     if isinstance(section, Hall):
         return None
     worlds, us = dict[float, Counts](), list[float]()
-    for number, drawing in enumerate(drawn):
-        counts, times_us = _world(drawing, pulses, partial(_part_done, done, number, len(drawn)))
-        worlds[drawing.near_m] = Counts(*(np.stack(of) for of in zip(*counts, strict=True)))
+    for number, level in enumerate(drawn):
+        counts, times_us = _world(level, pulses, partial(_part_done, done, number, len(drawn)))
+        worlds[level.near_m] = Counts(*(np.stack(of) for of in zip(*counts, strict=True)))
         us.append(float(np.median(times_us)))
     elevation_deg = assemble(scenario).head.beams.elevation_deg
     statistics, tests = distributions_of(
@@ -113,33 +113,37 @@ def _part_done(done: Callable[[float], None], number: int, of: int, share: float
     done((number + share) / of)
 
 
-def _world(drawing: Drawing, pulses: int, done: Callable[[float], None]) -> tuple[list[Counts], list[float]]:
-    """Count what all groups of a run show in one world, and tell the run time of casting."""
-    scenario, parts = drawing.scenario, assemble(drawing.scenario)
+def _world(
+    level: LevelOfDetail, pulses: int, done: Callable[[float], None]
+) -> tuple[list[Counts], list[float]]:
+    """Count what all groups of a run show in one world, and measure the run time of casting."""
+    scenario, parts = level.scenario, assemble(level.scenario)
     unit = parts.units[0]
     look = Look(unit, _beam(scenario, unit), ground_of(scenario.world, scenario.seed).height_m)
-    cut = Cut(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns)
+    batching = Batching(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns)
     run_ns = seconds_to_ns(min(scenario.duration_s, unit.motion.run_time_s))
     counts, us = list[Counts](), list[float]()
     with ThreadPoolExecutor(os.cpu_count() or 1, "medium") as workers:
         built = caster(parts.world, workers)
-        for stretch, groups in draw_groups(
-            cut, len(cut.blocks(0, run_ns)), pulses, unit.seed, moves=parts.moves
+        for segment, groups in draw_groups(
+            batching, len(batching.blocks(0, run_ns)), pulses, unit.seed, moves=parts.moves
         ):
-            scene = built.open(window_of(parts, scenario.start_ns, cut, stretch))
+            geometry = built.open(window_of(parts, scenario.start_ns, batching, segment))
             again = [number % _AGAIN == 0 for number in range(len(groups))]
             for one, time_us in workers.map(
-                lambda group, again, scene=scene: look.counted(scene, group, again=again), groups, again
+                lambda group, again, geometry=geometry: look.counted(geometry, group, again=again),
+                groups,
+                again,
             ):
                 counts.append(one)
                 us.append(time_us)
-            done((groups[-1].first + GROUP) * cut.sequence_ns / run_ns)
+            done((groups[-1].first + GROUP) * batching.sequence_ns / run_ns)
     return counts, us
 
 
 def _beam(scenario: Scenario, unit: Unit) -> Footprint:
     """Make the light that all worlds are seen by."""
-    wide = next(light.beam for light in lights(scenario, unit.seed) if light.kind is Kind.FIXED)
+    wide = next(setting.beam for setting in beam_settings(scenario, unit.seed) if setting.kind is Kind.FIXED)
     return answer_beam(wide, RAYS, unit.seed)
 
 
@@ -150,7 +154,7 @@ def next_revolution(firings: Firings, unit: Unit) -> Firings:
 
 
 def echoes_of(returns: Returns, height_m: HeightField) -> Echoes:
-    """Give what a sensor in dual return tells: the strongest and the last, or the second strongest if those are one."""
+    """Give what a sensor in dual return reports: the strongest and the last, or the second strongest if those are one."""
     distance_m = returns.distance_m.reshape(-1, 3).astype(np.float64)
     assert returns.surface is not None
     assert returns.surfaces is not None

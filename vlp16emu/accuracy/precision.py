@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from vlp16emu.accuracy.compare import FINE_M, Counts
 from vlp16emu.accuracy.curve import Rounding
 from vlp16emu.raycast.beam import LINE
-from vlp16emu.raycast.caster import Scene
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import Firings, Mesh, ShapeKey, Window
 
 __all__ = ["NOTHING_MET", "Seam", "Strays", "repeats", "rounding_of", "seam", "strays"]
@@ -50,10 +50,10 @@ class Strays:
     """Greatest distance between a far hit and its surface."""
 
 
-def repeats(scene: Scene, firings: Firings, near_m: Array, far_m: float, later: int) -> bool:
+def repeats(geometry: Geometry, firings: Firings, near_m: Array, far_m: float, later: int) -> bool:
     """Whether a static sensor meets the same a revolution later, `later` sequences on, by one ray per pulse."""
     again = replace(firings, index=firings.index + later)
-    one, other = (scene.cast(these, near_m, far_m, LINE) for these in (firings, again))
+    one, other = (geometry.cast(these, near_m, far_m, LINE) for these in (firings, again))
     return bool((one.range_m == other.range_m).all() and (one.surface == other.surface).all())
 
 
@@ -87,7 +87,7 @@ def seam(counts: Counts, explicit: Counts, near_m: float, seed: int = 0) -> Seam
 
 
 def strays(
-    scene: Scene,
+    geometry: Geometry,
     window: Window,
     shape: Callable[[ShapeKey], tuple[Mesh, ...]],
     firings: Firings,
@@ -102,13 +102,13 @@ def strays(
 
     Parameters
     ----------
-    window : of which the scene is made
+    window : that the geometry is made of
     shape : grows the meshes of a shape
     limits_m : as `cast` takes them
     near_m : beyond which a hit is far
-    within_m : of which the surface must come
+    within_m : how near the surface must come
     """
-    hits = scene.cast(firings, *limits_m, LINE)
+    hits = geometry.cast(firings, *limits_m, LINE)
     far = np.flatnonzero((hits.range_m > near_m) & np.isfinite(hits.range_m))
     place_m = firings.origin_m.reshape(-1, 3) + hits.range_m[:, None] * firings.direction.reshape(-1, 3)
     off_m = np.full(len(far), np.inf)
@@ -152,7 +152,7 @@ NOTHING_MET = Rounding(0, float("nan"), 0.0, float("nan"))
 
 
 def rounding_of(
-    scene: Scene,
+    geometry: Geometry,
     window: Window,
     shape: Callable[[ShapeKey], tuple[Mesh, ...]],
     firings: Firings,
@@ -165,10 +165,10 @@ def rounding_of(
 
     Parameters
     ----------
-    window : of which the scene was made
+    window : that the geometry was made of
     shape : grows the meshes of a shape
     """
-    hits = scene.cast(firings, near_m, far_m)
+    hits = geometry.cast(firings, near_m, far_m)
     grown = lru_cache(_KEPT_SHAPES)(shape)
     met = np.flatnonzero(np.isfinite(hits.range_m))
     origin_m, direction = firings.origin_m.reshape(-1, 3)[met], firings.direction.reshape(-1, 3)[met]

@@ -16,7 +16,15 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.types import Poses, ReturnMode
 from vlp16emu.world import Woods
 
-__all__ = ["Drawing", "Hold", "Light", "PosesAt", "drawings", "holds", "lights"]
+__all__ = [
+    "BeamSetting",
+    "LevelOfDetail",
+    "PoseRate",
+    "PosesAt",
+    "beam_settings",
+    "levels_of_detail",
+    "pose_rates",
+]
 
 PosesAt = Callable[[NDArray[np.int64]], Poses]
 Model = Literal["adaptive", "fixed", "none", "angle", "offset"]
@@ -29,7 +37,7 @@ _NEAR_M = (10.0, 15.0, 20.0, 30.0, math.inf)
 
 
 @dataclass(frozen=True, slots=True)
-class Light:
+class BeamSetting:
     """One way to follow the light of a pulse."""
 
     kind: Kind
@@ -40,7 +48,7 @@ class Light:
 
 
 @dataclass(frozen=True, slots=True)
-class Hold:
+class PoseRate:
     """One way to give pulses their poses."""
 
     name: str
@@ -49,7 +57,7 @@ class Hold:
 
 
 @dataclass(frozen=True, slots=True)
-class Drawing:
+class LevelOfDetail:
     """The world of a scene, cast leaf by leaf to some distance."""
 
     name: str
@@ -59,17 +67,17 @@ class Drawing:
     scenario: Scenario
 
 
-def lights(scenario: Scenario, seed: int) -> list[Light]:
+def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
     """List one ray, the paper's beam errors, fixed counts and adaptive targets, that of the scene among them."""
     section = scenario.beam
     counts = sorted({*_COUNTS, section.rays} if section.model == "fixed" else _COUNTS)
     targets_m = sorted({min(times * section.target_m, 1.0) for times in _TIMES_TARGET}, reverse=True)
 
-    def light(kind: Kind, model: Model, **own: float) -> Light:
+    def setting(kind: Kind, model: Model, **own: float) -> BeamSetting:
         """Make a setting of the beam from the section with some keys changed."""
         changed = section.model_copy(update={"model": model, **own})
         keys: dict[str, object] = {"model": model} | {key: f"{value:.4g}" for key, value in own.items()}
-        return Light(
+        return BeamSetting(
             kind,
             " ".join(f"beam.{key}={value}" for key, value in keys.items()),
             in_use=changed == section,
@@ -77,38 +85,38 @@ def lights(scenario: Scenario, seed: int) -> list[Light]:
         )
 
     return [
-        light(Kind.ONE_RAY, "none"),
-        light(Kind.BEAM_ERROR, "angle"),
-        light(Kind.BEAM_ERROR, "offset"),
-        *(light(Kind.FIXED, "fixed", rays=count) for count in counts),
-        *(light(Kind.ADAPTIVE, "adaptive", target_m=target_m) for target_m in targets_m),
+        setting(Kind.ONE_RAY, "none"),
+        setting(Kind.BEAM_ERROR, "angle"),
+        setting(Kind.BEAM_ERROR, "offset"),
+        *(setting(Kind.FIXED, "fixed", rays=count) for count in counts),
+        *(setting(Kind.ADAPTIVE, "adaptive", target_m=target_m) for target_m in targets_m),
     ]
 
 
-def holds(unit: Unit) -> list[Hold]:
+def pose_rates(unit: Unit) -> list[PoseRate]:
     """List a pose per pulse, per firing sequence and per packet; nothing where nothing moves."""
     if not unit.motion.moves:
         return []
     sequence_ns, start_ns = unit.head.beams.sequence_ns, unit.head.start_ns
     packet_ns = SEQUENCES_PER_PACKET[ReturnMode(unit.section.return_mode)] * sequence_ns
     return [
-        Hold("pose per pulse", in_use=True, poses_at=unit.motion.poses_at),
-        Hold(
+        PoseRate("pose per pulse", in_use=True, poses_at=unit.motion.poses_at),
+        PoseRate(
             "pose per firing sequence",
             in_use=False,
             poses_at=_held(unit.motion.poses_at, start_ns, sequence_ns),
         ),
-        Hold("pose per packet", in_use=False, poses_at=_held(unit.motion.poses_at, start_ns, packet_ns)),
+        PoseRate("pose per packet", in_use=False, poses_at=_held(unit.motion.poses_at, start_ns, packet_ns)),
     ]
 
 
-def drawings(scenario: Scenario) -> list[Drawing]:
+def levels_of_detail(scenario: Scenario) -> list[LevelOfDetail]:
     """List the scene with its world cast leaf by leaf to some distances, its own among them; nothing of a hall."""
     world = scenario.world
     if not isinstance(world, Woods):
         return []
     return [
-        Drawing(
+        LevelOfDetail(
             f"world.near_m={near_m:g}",
             near_m,
             in_use=near_m == world.near_m,

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 from concurrent.futures import Future
 from functools import partial
 
-from vlp16emu.chain import Look, Unit, assemble, windows_of
+from vlp16emu.chain import PulseHook, Unit, assemble, windows_of
 from vlp16emu.chain.position import make_receiver, position_number, position_packets
-from vlp16emu.chain.windows import Cut, ahead
+from vlp16emu.chain.windows import Batching, prefetch
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.packets import SEQUENCES_PER_PACKET, pack_data
-from vlp16emu.raycast.caster import Scene
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import SEQUENCE_NS
@@ -41,13 +41,13 @@ class Chain:
         where a part of the scenario cannot be made
     """
 
-    def __init__(self, scenario: Scenario, *, threads: int = 0, audit: Look | None = None) -> None:
+    def __init__(self, scenario: Scenario, *, threads: int = 0, audit: PulseHook | None = None) -> None:
         self.scenario = scenario
         self.parts = assemble(scenario)
         self._audit = audit
         self._threads = threads or os.cpu_count() or 1
-        self.cut = Cut(len(self.parts.head.beams.elevation_deg), self.parts.head.beams.sequence_ns)
-        self.windows = windows_of(self.parts, scenario.start_ns, self.cut, self._threads)
+        self.batching = Batching(len(self.parts.head.beams.elevation_deg), self.parts.head.beams.sequence_ns)
+        self.windows = windows_of(self.parts, scenario.start_ns, self.batching, self._threads)
         self.receiver = make_receiver(scenario, self.parts, self.windows)
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
@@ -71,9 +71,9 @@ class Chain:
         self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0, *, truth: bool = False
     ) -> Iterator[Returns]:
         """Give a unit's returns before packing, in whole blocks that hold at least the span; with their surfaces if `truth`."""
-        blocks, of = self.cut.blocks(*self._span_ns(start_s, stop_s)), self.parts.units[unit]
+        blocks, of = self.batching.blocks(*self._span_ns(start_s, stop_s)), self.parts.units[unit]
         scan, together = partial(self._scan, of, truth=truth), of.beam.together
-        return ahead(scan, self.windows, blocks=blocks, threads=self._threads, together=together)
+        return prefetch(scan, self.windows, blocks=blocks, threads=self._threads, together=together)
 
     def first_position_packets(self, start_s: float = 0.0) -> list[int]:
         """Find the number of each unit's first position packet from `start_s` on; a run's first has 0."""
@@ -88,24 +88,24 @@ class Chain:
             raise TrajectoryError("duration", f"found {stop_s:g} s", f"at most the walk's {end_s:.1f} s")
         return start_ns, seconds_to_ns(stop_s)
 
-    def _scan(self, unit: Unit, run: range, opened: Future[Scene], *, truth: bool = False) -> Returns:
+    def _scan(self, unit: Unit, run: range, opened: Future[Geometry], *, truth: bool = False) -> Returns:
         """Emit and receive a run of blocks of pulses."""
-        head, block, poses_at = unit.head, self.cut.block, unit.motion.poses_at
-        firings = head.aim(run.start * block, len(run) * block, poses_at, across=unit.beam.has_width)
-        scene = opened.result()
-        hits = scene.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
+        head, block, poses_at = unit.head, self.batching.block, unit.motion.poses_at
+        firings = head.aim(run.start * block, len(run) * block, poses_at, beam_axis=unit.beam.has_width)
+        geometry = opened.result()
+        hits = geometry.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
         if self._audit:
-            self._audit(unit, firings, hits, scene)
-        return detect(firings, hits, scene.surfaces, unit.detector, truth=truth)
+            self._audit(unit, firings, hits, geometry)
+        return detect(firings, hits, geometry.surfaces, unit.detector, truth=truth)
 
     def _data_packets(self, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[Packet]:
         """Yield the data packets of a unit due in a span since the first pulse."""
         sensor = on_the_wire(unit.section)
         mode, model = ReturnMode(sensor.return_mode), SensorModel(sensor.model)
         period_ns = SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS
-        per_block = self.cut.block // SEQUENCES_PER_PACKET[mode]
+        per_block = self.batching.block // SEQUENCES_PER_PACKET[mode]
 
-        def pack(run: range, opened: Future[Scene]) -> list[Packet]:
+        def pack(run: range, opened: Future[Geometry]) -> list[Packet]:
             """Scan blocks, and pack them."""
             return pack_data(self._scan(unit, run, opened), mode, model, unit.number)
 
@@ -113,6 +113,8 @@ class Chain:
         first, last = (max(0, -(-ns // period_ns) - 1) for ns in (start_ns, stop_ns))
         blocks = range(first // per_block, -(-last // per_block))
         number, threads = blocks.start * per_block, self._threads // len(self.parts.units) or 1
-        for packets in ahead(pack, self.windows, blocks=blocks, threads=threads, together=unit.beam.together):
+        for packets in prefetch(
+            pack, self.windows, blocks=blocks, threads=threads, together=unit.beam.together
+        ):
             yield from packets[max(0, first - number) : last - number]
             number += len(packets)

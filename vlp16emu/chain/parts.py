@@ -16,7 +16,7 @@ from vlp16emu.motion.pose import Motion
 from vlp16emu.packets import FACTORY_LINK, Link
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, BeamModel, Footprint
-from vlp16emu.raycast.caster import Scene
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable, free_beams, with_angle_errors
@@ -30,8 +30,8 @@ from vlp16emu.world.make import ground_name, ground_of, world_of
 from vlp16emu.world.stand.wind import TreeSway
 
 __all__ = [
-    "Look",
     "Parts",
+    "PulseHook",
     "Unit",
     "assemble",
     "beam_of",
@@ -184,7 +184,7 @@ class Unit:
         return link_of(on_the_wire(self.section), self.number)
 
 
-Look = Callable[[Unit, Firings, Hits, Scene], None]
+PulseHook = Callable[[Unit, Firings, Hits, Geometry], None]
 """A look at a block of pulses of a unit, and at what they met."""
 
 

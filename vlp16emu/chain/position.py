@@ -10,7 +10,7 @@ from vlp16emu.chain.windows import Windows
 from vlp16emu.device import GpsInput
 from vlp16emu.motion.gnss import Receiver
 from vlp16emu.packets import STAMP_LEAD_NS, first_position_packet, pack_position, position_due_ns, rmc
-from vlp16emu.raycast.caster import Scene
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.raycast.sky import sky_cover
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire
@@ -24,14 +24,14 @@ _LOWEST_DEG = 15.0
 """Elevation from which on receivers use satellites: the usual mask of forest surveys."""
 
 
-def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Scene]) -> Receiver:
+def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) -> Receiver:
     """Make the GPS receiver, which sees the sky through the windows of the run."""
     gps, start_ns, far_m = scenario.gps, scenario.start_ns, scenario.sensor.max_range_m
 
     def cover(t_ns: int, antenna_m: NDArray[np.float64]) -> float:
         """Share of the sky that is covered over the antenna."""
-        scene = windows.at_time(t_ns - start_ns).result()
-        return sky_cover(scene, t_ns, antenna_m, _LOWEST_DEG, far_m)
+        geometry = windows.at_time(t_ns - start_ns).result()
+        return sky_cover(geometry, t_ns, antenna_m, _LOWEST_DEG, far_m)
 
     sky = cover if gps.canopy_loss else None
     return Receiver(parts.motion, gps, seed=scenario.seed, sky=sky)

@@ -1,5 +1,4 @@
 """Work ahead: windows of the world and blocks of a run on several threads, handed out in order."""
-# MERGED DOCS: From the world and the ways of the sensors through it to its windows.
 
 import math
 from collections import deque
@@ -13,22 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.chain.parts import Parts
-from vlp16emu.raycast.caster import Scene, caster
+from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.types import Window
 
-__all__ = ["BLOCK", "STRETCH", "Cut", "Windows", "ahead", "window_of", "windows_of"]
+__all__ = ["BLOCK", "SEGMENT", "Batching", "Windows", "prefetch", "window_of", "windows_of"]
 
 BLOCK = 1_920
 """Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and of 8 rays."""
-STRETCH = 64
+SEGMENT = 64
 """Blocks of a VLP-16 that share a window of the world, 6.8 s or some 8 m of walking."""
 
 _RAYS = 8
 _PULSES = 16 * BLOCK
 _LONGEST_NS = 110_000_000
-_STRETCH_NS = 6_800_000_000
+_SEGMENT_NS = 6_800_000_000
 _LEAD, _LAG = 3 / 8, 1 / 4
-"""Shares of a stretch: how long before its use a window is opened, and how far behind the present the sky over the antenna
+"""Shares of a segment: how long before its use a window is opened, and how far behind the present the sky over the antenna
 is asked for, at most (1.4 s). Workers share the rest."""
 
 S = TypeVar("S")
@@ -36,8 +35,8 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class Cut:
-    """How the run of a sensor is cut: a VLP-16's into blocks of `BLOCK` and stretches of `STRETCH`.
+class Batching:
+    """How the run of a sensor is cut: a VLP-16's into blocks of `BLOCK` and segments of `SEGMENT`.
 
     Blocks of other sensors have no more pulses than that and last no longer, but have whole packets of 8 rays.
     """
@@ -58,60 +57,62 @@ class Cut:
         return self.block * self.sequence_ns
 
     @property
-    def stretch(self) -> int:
-        """Blocks of a stretch."""
-        return _STRETCH_NS // self.block_ns
+    def segment(self) -> int:
+        """Blocks of a segment."""
+        return _SEGMENT_NS // self.block_ns
 
     def blocks(self, start_ns: int, stop_ns: int) -> range:
         """Blocks that together hold a span of time since the first pulse."""
         return range(start_ns // self.block_ns, -(-stop_ns // self.block_ns))
 
-    def edges_ns(self, stretch: int) -> NDArray[np.int64]:
-        """(n,) times since the first pulse at which the blocks of a stretch begin, and the last one ends."""
-        edges = np.arange(stretch * self.stretch, (stretch + 1) * self.stretch + 1, dtype=np.int64)
+    def edges_ns(self, segment: int) -> NDArray[np.int64]:
+        """(n,) times since the first pulse at which the blocks of a segment begin, and the last one ends."""
+        edges = np.arange(segment * self.segment, (segment + 1) * self.segment + 1, dtype=np.int64)
         return edges * self.block_ns
 
 
 class Windows(Generic[S]):
     """The world in windows, each opened once as long as it is in use, whoever asks for it.
 
-    Two are kept: the one of the present stretch and the one before or after it; with very many threads more.
+    Two are kept: the one of the present segment and the one before or after it; with very many threads more.
 
     Parameters
     ----------
-    open_stretch : opens the window of a stretch; called on a thread of its own
-    cut : of the run
-    moves : whether each stretch needs a window; where nothing moves that of stretch 0 serves all
+    open_segment : opens the window of a segment; called on a thread of its own
+    batching : of the run
+    moves : whether each segment needs a window; where nothing moves that of segment 0 serves all
     threads : workers, which may be that many blocks ahead of whoever else asks
     """
 
-    def __init__(self, open_stretch: Callable[[int], S], cut: Cut, *, moves: bool, threads: int) -> None:
-        self._block_ns, self._per_stretch = cut.block_ns, cut.stretch if moves else None
-        self._free = int((1 - _LEAD - _LAG) * cut.stretch)
+    def __init__(
+        self, open_segment: Callable[[int], S], batching: Batching, *, moves: bool, threads: int
+    ) -> None:
+        self._block_ns, self._per_segment = batching.block_ns, batching.segment if moves else None
+        self._free = int((1 - _LEAD - _LAG) * batching.segment)
         opener, too_far = ThreadPoolExecutor(1, "open"), max(0, threads + 1 - self._free)
 
-        @lru_cache(2 + math.ceil(too_far / cut.stretch))
-        def opened(stretch: int) -> Future[S]:
-            """Open a stretch once, on the opener."""
-            return opener.submit(open_stretch, stretch)
+        @lru_cache(2 + math.ceil(too_far / batching.segment))
+        def opened(segment: int) -> Future[S]:
+            """Open a segment once, on the opener."""
+            return opener.submit(open_segment, segment)
 
         self._opened = opened
 
     def at_block(self, block: int) -> Future[S]:
         """Window of a block."""
-        return self._opened(block // self._per_stretch if self._per_stretch else 0)
+        return self._opened(block // self._per_segment if self._per_segment else 0)
 
     def at_time(self, since_ns: int) -> Future[S]:
-        """Window of a time since the first pulse; before it that of the first stretch, for nobody moves yet."""
+        """Window of a time since the first pulse; before it that of the first segment, for nobody moves yet."""
         return self.at_block(max(since_ns, 0) // self._block_ns)
 
     @property
     def lead(self) -> int:
         """Blocks between the opening of a window and its use."""
-        return int(_LEAD * self._per_stretch) if self._per_stretch else 0
+        return int(_LEAD * self._per_segment) if self._per_segment else 0
 
     def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:
-        """Cut blocks into runs of up to so many `together`, each within one stretch.
+        """Cut blocks into runs of up to so many `together`, each within one segment.
 
         They are short at first, so that the first packet comes soon, and at last, so that workers end together; and
         so short that workers do not get too far ahead.
@@ -120,13 +121,13 @@ class Windows(Generic[S]):
         first, number = blocks.start, 0
         while first < blocks.stop:
             size = min(together, 2 ** (number // threads), max(1, (blocks.stop - first) // (2 * threads)))
-            if self._per_stretch:
-                size = min(size, self._per_stretch - first % self._per_stretch)
+            if self._per_segment:
+                size = min(size, self._per_segment - first % self._per_segment)
             yield range(first, first + size)
             first, number = first + size, number + 1
 
 
-def ahead(
+def prefetch(
     work: Callable[[range, Future[S]], T],
     windows: Windows[S],
     *,
@@ -134,7 +135,7 @@ def ahead(
     threads: int,
     together: int,
 ) -> Iterator[T]:
-    """Yield the results of `work(run of blocks, window of their stretch)` in order of blocks, a few computed ahead.
+    """Yield the results of `work(run of blocks, window of their segment)` in order of blocks, a few computed ahead.
 
     Parameters
     ----------
@@ -159,28 +160,28 @@ def ahead(
                 waiting.cancel()
 
 
-def window_of(parts: Parts, start_ns: int, cut: Cut, stretch: int) -> Window:
-    """Give what is within reach of a stretch of the walk; the arguments are those of `windows_of`."""
-    edges_ns = start_ns + cut.edges_ns(stretch)
+def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> Window:
+    """Give what is within reach of a segment of the walk; the arguments are those of `windows_of`."""
+    edges_ns = start_ns + batching.edges_ns(segment)
     tracks_m = [unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units]
     track_m = np.concatenate(tracks_m)
     window = parts.world.window(track_m)
     return parts.wind.blown(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
 
 
-def windows_of(parts: Parts, start_ns: int, cut: Cut, threads: int) -> Windows[Scene]:
-    """Make the windows of a run, the same for all units; one serves all stretches where nothing moves.
+def windows_of(parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
+    """Make the windows of a run, the same for all units; one serves all segments where nothing moves.
 
     Parameters
     ----------
     start_ns : UTC of the first pulse
-    cut : of the run
+    batching : of the run
     threads : workers, which each unit may have
     """
     built = caster(parts.world, ThreadPoolExecutor(threads, "build"))
 
-    def open_stretch(stretch: int) -> Scene:
-        """Open what is within reach of a stretch of the walk."""
-        return built.open(window_of(parts, start_ns, cut, stretch))
+    def open_segment(segment: int) -> Geometry:
+        """Open what is within reach of a segment of the walk."""
+        return built.open(window_of(parts, start_ns, batching, segment))
 
-    return Windows(open_stretch, cut, moves=parts.moves, threads=threads)
+    return Windows(open_segment, batching, moves=parts.moves, threads=threads)

@@ -149,8 +149,8 @@ def _subtitle(summary: "WorldSummary") -> str:
     from vlp16emu.report.forest.summary import ForestSummary
 
     words = [f"{Path(summary.scene).stem}, seed {summary.seed}"]
-    if summary.way.length_m:
-        words.append(f"{summary.way.length_m:.0f} m of way")
+    if summary.path.length_m:
+        words.append(f"{summary.path.length_m:.0f} m of path")
     if isinstance(summary, ForestSummary):
         words.append(f"{summary.area_ha:.2f} ha within {summary.radius_m:g} m")
         if summary.trees:
@@ -165,8 +165,8 @@ def _print(summary: "WorldSummary") -> None:
     from vlp16emu.report.forest.summary import ForestSummary
 
     about = {"seed": str(summary.seed)}
-    if summary.way.length_m:
-        about["way"] = f"{summary.way.length_m:.0f} m"
+    if summary.path.length_m:
+        about["path"] = f"{summary.path.length_m:.0f} m"
     if isinstance(summary, ForestSummary):
         about |= _about(summary)
     print_rows(f"{summary.scene}: {summary.title}", about)
@@ -182,7 +182,7 @@ def _about(summary: "ForestSummary") -> dict[str, str]:
     """Write rows of area, ground and pattern."""
     ground = summary.relief
     rows = {
-        "looked at": f"{summary.area_ha:.2f} ha within {summary.radius_m:g} m of the way",
+        "looked at": f"{summary.area_ha:.2f} ha within {summary.radius_m:g} m of the path",
         "ground": f"from {ground.low_m:.1f} m to {ground.high_m:.1f} m, slope"
         f" {ground.slope_mean_deg:.0f} deg on average, {ground.slope_max_deg:.0f} deg at most",
     }

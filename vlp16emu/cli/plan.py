@@ -9,7 +9,7 @@ from vlp16emu.cli.start import make_emulator, starting
 from vlp16emu.cli.terminal import count, print_json, print_rows, size, tree_of
 
 if TYPE_CHECKING:
-    from vlp16emu.report.plan.geometry import Geometry
+    from vlp16emu.report.plan.geometry import GeometrySize
     from vlp16emu.report.plan.needs import Surroundings
     from vlp16emu.report.plan.run import Measured, Plan, StreamOutlook
 
@@ -109,11 +109,11 @@ def _reach(world: "Surroundings") -> dict[str, str]:
         rows[kind] = text
     rows["species"] = f"{len(world.species)} grown: {', '.join(world.species)}".rstrip(": ")
     rows |= _geometry(world.geometry)
-    rows["windows"] = f"{count(world.windows)} over the run, of which two at a time are kept"
+    rows["windows"] = f"{count(world.windows)} over the run, two at a time are kept"
     return rows
 
 
-def _geometry(held: "Geometry") -> dict[str, str]:
+def _geometry(held: "GeometrySize") -> dict[str, str]:
     """Write what is cast as faces, and what beyond them is a medium of voxels."""
     faces = f"{count(held.faces)} in {size(held.bytes)}, placed {count(held.placed)}"
     if held.near_m is None:

@@ -1,4 +1,4 @@
-"""The path of a person: a smooth curve through way points over the ground, by arc length."""
+"""The path of a person: a smooth curve through waypoints over the ground, by arc length."""
 
 import hashlib
 import math
@@ -21,7 +21,7 @@ __all__ = ["Path", "limit_slope", "taylor"]
 Array = NDArray[np.float64]
 
 _APART_M = 0.01
-"""Way points nearer than this are one."""
+"""Waypoints nearer than this are one."""
 _LONGEST_M = 100_000.0
 """What a person walks in a day; a longer path is a mistake of units."""
 _FARTHEST_M = 1e6
@@ -38,7 +38,7 @@ _KNOT_GROWTH = 0.2
 """How much the distance between knots may grow per metre: neighbours stay within a factor of about 1.2."""
 _SAMPLE_M = 0.05
 _FEWEST_SAMPLES = 16
-"""Between two way points: fine enough that no turn below the smallest radius hides between samples."""
+"""Between two waypoints: fine enough that no turn below the smallest radius hides between samples."""
 _PACE_M = 0.7
 """Length of a pace at a common walking speed (Perry and Burnfield, "Gait Analysis", 2nd ed., chapter 20)."""
 _HEIGHT_M = 0.1
@@ -47,7 +47,7 @@ _GAUSS_X, _GAUSS_WEIGHT = np.polynomial.legendre.leggauss(5)
 
 
 class Path:
-    """A curve through way points that follows the ground: four times continuously differentiable.
+    """A curve through waypoints that follows the ground: four times continuously differentiable.
 
     It is a quintic spline whose parameter is its length, up and down included; a walker's
     hip smooths the ground, so the curve takes the mean of the heights from a pace behind to one ahead.
@@ -62,7 +62,7 @@ class Path:
     Raises
     ------
     TrajectoryError
-        where a way point is not finite or coincides with the one before it, where the curve turns with a
+        where a waypoint is not finite or coincides with the one before it, where the curve turns with a
         radius below 0.1 m or climbs by more than 60 degrees, and where it is longer than 100 km
     """
 
@@ -78,7 +78,7 @@ class Path:
         self.closed = bool(laid["closed"])
         """Whether the path goes on at its start; then arc lengths may go on beyond the length."""
         self.way_points_at_m = laid["way_points_at_m"]
-        """(n,) arc length of each way point."""
+        """(n,) arc length of each waypoint."""
         self.xy_m = laid["xy_m"]
         """(m, 2) float64, points of the path 0.25 m apart at most."""
 
@@ -128,7 +128,7 @@ def limit_slope(values: NDArray[np.float64], step: NDArray[np.float64]) -> None:
 
 
 def _curve_through(way_points_m: Array, height_m: HeightField) -> Mapping[str, NDArray[Any]]:
-    """Curve through way points (w, 2) over the ground, as arrays; closed where the last way point is the first.
+    """Curve through waypoints (w, 2) over the ground, as arrays; closed where the last waypoint is the first.
 
     The plan is the natural (or, closed, the periodic) cubic spline, drawn again by arc length as a
     quintic, since the second time derivative of the heading takes three derivatives of the position.
@@ -136,7 +136,7 @@ def _curve_through(way_points_m: Array, height_m: HeightField) -> Mapping[str, N
     Raises
     ------
     TrajectoryError
-        where a person cannot walk through the way points
+        where a person cannot walk through the waypoints
     """
     from scipy.interpolate import CubicSpline
 
@@ -146,7 +146,7 @@ def _curve_through(way_points_m: Array, height_m: HeightField) -> Mapping[str, N
     points_m = way_points_m - way_points_m[0]
     if closed:
         points_m[-1] = points_m[0]
-    # Centripetal parameters keep the curve from looping where way points are unevenly spaced
+    # Centripetal parameters keep the curve from looping where waypoints are unevenly spaced
     # (Lee, "Choosing nodes in parametric curve interpolation", CAD 21(6), 1989).
     u = np.concatenate([[0.0], np.cumsum(np.sqrt(np.hypot(*np.diff(points_m, axis=0).T)))])
     cubic = CubicSpline(u, points_m, bc_type="periodic" if closed else "natural")
@@ -170,11 +170,11 @@ def _curve_through(way_points_m: Array, height_m: HeightField) -> Mapping[str, N
 
 
 def _check_way_points(way_points_m: Array) -> None:
-    """Let through only way points that a curve can pass."""
+    """Let through only waypoints that a curve can pass."""
     if len(way_points_m) < 2:
-        raise TrajectoryError("way points", f"found {len(way_points_m)}", "at least 2 of them")
+        raise TrajectoryError("waypoints", f"found {len(way_points_m)}", "at least 2 of them")
     for i, point in enumerate(way_points_m):
-        where = f"way point {i + 1} of {len(way_points_m)}"
+        where = f"waypoint {i + 1} of {len(way_points_m)}"
         if not np.isfinite(point).all():
             raise TrajectoryError(where, f"found {tuple(point.tolist())}", "finite coordinates")
         if np.abs(point).max() > _FARTHEST_M:
@@ -183,18 +183,18 @@ def _check_way_points(way_points_m: Array) -> None:
             )
         if i and math.dist(point, way_points_m[i - 1]) < _APART_M:
             raise TrajectoryError(
-                where, "coincides with the one before it", "at least 1 cm between way points"
+                where, "coincides with the one before it", "at least 1 cm between waypoints"
             )
     length_m = float(np.hypot(*np.diff(way_points_m, axis=0).T).sum())
     if length_m > _LONGEST_M:
         found = f"found {length_m / 1000:.4g} km from first to last"
-        raise TrajectoryError("way points", found, f"at most {_LONGEST_M / 1000:g} km")
+        raise TrajectoryError("waypoints", found, f"at most {_LONGEST_M / 1000:g} km")
 
 
 def _knots(
     cubic: "CubicSpline", u: Array, way_points_m: Array, closed: bool
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Parameters of the knots, dense in turns, and which of them are the way points."""
+    """Parameters of the knots, dense in turns, and which of them are the waypoints."""
     chords_m = np.hypot(*np.diff(way_points_m, axis=0).T)
     counts = np.maximum(_FEWEST_SAMPLES, np.ceil(chords_m / _SAMPLE_M)).astype(np.int64)
     at = np.concatenate([[0], np.cumsum(counts)])
@@ -203,7 +203,7 @@ def _knots(
     lengths_m = np.hypot(*steps.T)
     curvature = _curvature(steps, closed)
     _check_radius(curvature, cubic(fine) + way_points_m[0], np.searchsorted(at, np.arange(len(fine))))
-    # The curve bends most suddenly where way points are near each other, and a spline is least sure at its ends.
+    # The curve bends most suddenly where waypoints are near each other, and a spline is least sure at its ends.
     limit_m = np.minimum(_KNOT_M, lengths_m.sum() / 8.0)
     near_m = np.minimum(np.append(chords_m[0], chords_m), np.append(chords_m, chords_m[-1]))
     spacing_m = np.minimum(limit_m, _KNOT_RAD / np.maximum(curvature, 1e-9))
@@ -215,7 +215,7 @@ def _knots(
         spacing_m[0] = spacing_m[-1] = min(spacing_m[0], spacing_m[-1])
         limit_slope(spacing_m, _KNOT_GROWTH * lengths_m)
     measure = np.concatenate([[0.0], np.cumsum(lengths_m * 2 / (spacing_m[1:] + spacing_m[:-1]))])
-    # Whole numbers of knot intervals between way points, so that the curve passes them to the last bit.
+    # Whole numbers of knot intervals between waypoints, so that the curve passes them to the last bit.
     pieces = np.ceil(np.diff(measure[at])).astype(np.int64)
     at_way_points = np.concatenate([[0], np.cumsum(pieces)])
     wanted = np.interp(np.arange(at_way_points[-1] + 1), at_way_points, measure[at])
@@ -241,9 +241,9 @@ def _check_radius(curvature: Array, points_m: Array, number: NDArray[np.int64]) 
     if curvature[worst] * _SMALLEST_RADIUS_M > 1.0:
         x_m, y_m = points_m[worst]
         raise TrajectoryError(
-            f"path at ({x_m:.2f}, {y_m:.2f}) m, near way point {number[worst] + 1}",
+            f"path at ({x_m:.2f}, {y_m:.2f}) m, near waypoint {number[worst] + 1}",
             f"turns with a radius of {1.0 / curvature[worst]:.2g} m",
-            f"at least {_SMALLEST_RADIUS_M:g} m: more way points round the turn",
+            f"at least {_SMALLEST_RADIUS_M:g} m: more waypoints round the turn",
         )
 
 

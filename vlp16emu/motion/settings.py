@@ -102,7 +102,7 @@ class Stop(Section):
     """A halt; needs exactly one of `way_point` and `at_m`."""
 
     way_point: Annotated[int, Field(ge=1)] | None = None
-    """Number of the way point; the first is 1."""
+    """Number of the waypoint; the first is 1."""
     at_m: NonNegative | None = None
     """Distance along the path."""
     pause_s: NonNegative
@@ -210,7 +210,7 @@ class Walk(Section):
 
     either_or: ClassVar[frozenset[str]] = frozenset({"speed_m_s", "run_time_s"})
     one_of: ClassVar[tuple[str, ...]] = ("way_points_m", "way_points_file", "lawn_mower")
-    """Keys of which exactly one is needed."""
+    """Keys; exactly one of them is needed."""
 
     way_points_m: Annotated[list[_Point], Field(min_length=2)] | None = None
     """x and y in the world; the path is a smooth curve through them in this order."""
@@ -219,7 +219,7 @@ class Walk(Section):
     lawn_mower: LawnMower | None = None
     """A pattern over a plot."""
     laps: Annotated[int, Field(ge=1, le=1000)] = 1
-    """Number of laps, where the last way point is the first: such a path closes smoothly."""
+    """Number of laps, where the last waypoint is the first: such a path closes smoothly."""
     speed_m_s: Annotated[float, Field(gt=0, le=10)] = 1.2
     """Speed along the path, where nothing slows the person down."""
     run_time_s: Annotated[float, Field(gt=0, le=7 * 86400)] | None = None
@@ -244,13 +244,13 @@ class Walk(Section):
 
     @model_validator(mode="after")
     def _given_once(self) -> Self:
-        """Refuse way points or a pace that are missing or given twice."""
+        """Refuse waypoints or a pace that are missing or given twice."""
         if sum(getattr(self, source) is not None for source in self.one_of) != 1:
             raise ValueError("exactly one of way_points_m, way_points_file and lawn_mower in it")
         if self.either_or <= self.model_fields_set:
             raise ValueError("one of speed_m_s and run_time_s in it, not both")
         if self.lawn_mower is not None and any(stop.way_point is not None for stop in self.stops):
-            raise ValueError("stops given by at_m where lawn_mower makes the way points")
+            raise ValueError("stops given by at_m where lawn_mower makes the waypoints")
         return self
 
 

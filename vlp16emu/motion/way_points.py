@@ -1,4 +1,4 @@
-"""Way points of a walk: in the scene, in CSV or GPX files, or of a pattern over a plot."""
+"""Waypoints of a walk: in the scene, in CSV or GPX files, or of a pattern over a plot."""
 
 import math
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _FARTHEST_M = 100_000.0
 _CONTAINER = {"trkpt": "trk", "rtept": "rte"}
 """Elements of points, and of what they make up (GPX 1.1 schema, Topografix)."""
 _POINTS_PER_QUARTER = 6
-"""Way points in a quarter turn: the spline through them keeps within 0.2 % of the radius."""
+"""Waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,22 +33,22 @@ class WayPoints:
     """(n,) how long the person stops there, 0 where the walk goes on."""
 
     def with_pause(self, number: int, pause_s: float) -> "WayPoints":
-        """Give the same way points with a longer stop at one of them, the first having number 1.
+        """Give the same waypoints with a longer stop at one of them, the first having number 1.
 
         Raises
         ------
         TrajectoryError
-            where there is no such way point
+            where there is no such waypoint
         """
         if not 1 <= number <= len(self.pause_s):
-            raise TrajectoryError("stop", f"found way point {number}", f"from 1 to {len(self.pause_s)}")
+            raise TrajectoryError("stop", f"found waypoint {number}", f"from 1 to {len(self.pause_s)}")
         longer_s = self.pause_s.copy()
         longer_s[number - 1] += pause_s
         return WayPoints(self.xy_m, longer_s)
 
 
 def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:
-    """Way points of a walk, with the stops at them; the other arguments are those of `read_way_points`.
+    """Waypoints of a walk, with the stops at them; the other arguments are those of `read_way_points`.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints
 
 
 def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:
-    """Read way points from a file whose name ends in .csv or .gpx.
+    """Read waypoints from a file whose name ends in .csv or .gpx.
 
     A CSV has the columns x_m and y_m, and stop_s where the person is to stop. Of a GPX file the one track
     is read, or the one route if it has no track; its times and heights are left aside.
@@ -91,7 +91,7 @@ def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayP
 
 
 def _read_csv(path: Path, origin_m: tuple[float, float]) -> WayPoints:
-    """Read a table of way points."""
+    """Read a table of waypoints."""
     xy_m, pause_s = [], []
     for where, row in named_cells(path, ["x_m", "y_m"], ["stop_s"]):
         xy_m.append([finite(f"{where}, column {axis}", row[axis]) for axis in ("x_m", "y_m")])
@@ -165,7 +165,7 @@ class _GpxReader:
 
 
 def lawn_mower(plot: LawnMower) -> NDArray[np.float64]:
-    """Way points (n, 2) along parallel lines to and fro over a rectangle, joined by rounded turns inside it.
+    """Waypoints (n, 2) along parallel lines to and fro over a rectangle, joined by rounded turns inside it.
 
     The lines are as many as fit, in the middle of the width.
 

@@ -59,7 +59,7 @@ from vlp16emu.packets.position import (
     pack_position,
     position_due_ns,
 )
-from vlp16emu.packets.reading import CaptureReader, Chunk, Summary, returns_in
+from vlp16emu.packets.reading import CaptureReader, PacketChunk, Summary, returns_in
 
 __all__ = [
     "AZIMUTH_CODES",
@@ -95,10 +95,10 @@ __all__ = [
     "Capture",
     "CaptureReader",
     "CapturedUnit",
-    "Chunk",
     "Datagram",
     "Fault",
     "Link",
+    "PacketChunk",
     "Points",
     "PositionFields",
     "PositionRate",

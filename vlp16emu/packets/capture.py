@@ -1,7 +1,7 @@
 """Reading classic pcap files: numbered UDP datagrams with their stamps and headers.
 
 The records are walked here, with dpkt's structures, because dpkt's own reader turns stamps into floats,
-drops the length on the wire and does not tell when the last packet is cut. All of dpkt is loaded with the first of its
+drops the length on the wire and does not report when the last packet is cut. All of dpkt is loaded with the first of its
 names, for 40 ms, so it is imported where captures are read.
 """
 

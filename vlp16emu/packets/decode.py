@@ -260,7 +260,7 @@ def decode_position(payload: bytes) -> PositionFields:
 
 
 def _model(fields: NDArray[np.void]) -> SensorModel:
-    """Tell the model; refuse what is not a VLP-16's."""
+    """Give the model; refuse what is not a VLP-16's."""
     if fault := fault_in(fields):
         raise PacketError(f"data packet {fault.packet}: {fault.what}", fault.found, fault.expected)
     return _MODEL[int(fields["factory"][0])] if len(fields) else SensorModel.VLP_16

@@ -1,4 +1,4 @@
-"""Position packets: the 512 bytes that tell GPS state and sentence, and when they leave.
+"""Position packets: the 512 bytes that carry GPS state and sentence, and when they leave.
 
 What was measured on a real unit (57 packets in 0.38 s, January 2016, 600 rpm, strongest return): the
 packets come from two clocks. One ticks every 10.00 ms, the other every 16 data packets of single

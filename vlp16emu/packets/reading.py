@@ -35,7 +35,7 @@ from vlp16emu.packets.layout import (
 from vlp16emu.types import Packet, PacketKind, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
-__all__ = ["CaptureReader", "Chunk", "Summary", "returns_in"]
+__all__ = ["CaptureReader", "PacketChunk", "Summary", "returns_in"]
 
 _CHUNK = 2_000
 """Packets decoded at once: 0.8 million records, some 50 MB of points."""
@@ -50,7 +50,7 @@ def returns_in(packet: Packet) -> int:
     return int(np.count_nonzero(fields["blocks"]["records"]["distance_lsb"]))
 
 
-class Chunk(NamedTuple):
+class PacketChunk(NamedTuple):
     """Data packets decoded at once."""
 
     points: Points
@@ -134,7 +134,7 @@ class CaptureReader:
     ) -> None:
         self._capture.__exit__(kind, error, trace)
 
-    def points(self) -> Iterator[Chunk]:
+    def points(self) -> Iterator[PacketChunk]:
         """Read chunk by chunk; all points before a packet or record at fault come before the error is raised.
 
         Raises
@@ -212,13 +212,13 @@ class CaptureReader:
         if held:
             yield held
 
-    def _decoded(self, payloads: NDArray[np.uint8]) -> Chunk:
+    def _decoded(self, payloads: NDArray[np.uint8]) -> PacketChunk:
         """Decode packets, (n, 1206), and count them."""
         points, fields = decode_data(payloads, keep_no_returns=False), data_fields(payloads)
         packet_ns = self._unwrapped_ns(fields)
         since_ns = (points.time_ns - packet_ns[points.packet]) % HOUR_NS
         self._note(fields)
-        return Chunk(points, packet_ns[points.packet] + since_ns, packet_ns, fields)
+        return PacketChunk(points, packet_ns[points.packet] + since_ns, packet_ns, fields)
 
     def _note_other(self, datagram: Datagram) -> None:
         """Count what is no data packet."""

@@ -3,8 +3,8 @@
 At range D the beam is `spot + divergence * D` wide: on a VLP-16 horizontally 12.7 mm + 3.0 mrad, vertically
 9.5 mm + 1.5 mrad. Divergences are full angles, the growth of the beam's diameter (VLS-128 manual, appendix F.2.3,
 table F-1). Assumption: the diameter is that at 1/e2 of a Gaussian profile, so four standard deviations. A sub-ray
-with standard normal coordinates (x, y) starts x and y quarters of the spot off the middle of the lens, and leans
-x and y quarters of the divergence off the pulse's direction.
+with standard normal coordinates (x, y) starts x and y standard deviations of the spot off the middle of the lens, and leans
+x and y standard deviations of the divergence off the pulse's direction.
 
 Sub-rays of an adaptive beam are support points of that profile: of all sets of eight those with the least energy
 distance to it (Mak and Joseph, "Support points", Annals of Statistics 46, 2018), and each further eight the best beside
@@ -32,7 +32,7 @@ __all__ = [
     "ROUND",
     "BeamModel",
     "Footprint",
-    "across_of",
+    "beam_axis_of",
     "displace",
     "lay",
     "pulse_axes",
@@ -92,7 +92,7 @@ class Footprint:
 
     @property
     def has_width(self) -> bool:
-        """Whether casting needs `Firings.across`."""
+        """Whether casting needs `Firings.beam_axis`."""
         return self.model in (BeamModel.FIXED, BeamModel.ADAPTIVE, BeamModel.ANGLE)
 
     @property
@@ -114,7 +114,7 @@ class Footprint:
         )
 
     @property
-    def quarters(self) -> NDArray[np.float64]:
+    def sigmas(self) -> NDArray[np.float64]:
         """(4,) standard deviations: spot horizontal and vertical in metres, divergence likewise in radians."""
         return np.array([*self.spot_m, *self.divergence_rad]) / 4
 
@@ -217,7 +217,7 @@ def turn(seed: int, firing: int, laser: int) -> tuple[np.uint32, np.uint32]:
 def lay(
     rays: NDArray[np.float32],
     axes: NDArray[np.float32],
-    quarters: NDArray[np.float32],
+    sigmas: NDArray[np.float32],
     u: np.uint32,
     v: np.uint32,
     first: int,
@@ -229,7 +229,7 @@ def lay(
     ----------
     rays : (7 or more, 8)
     axes : (4, 3) origin, direction, horizontal and vertical axis of the pulse, by `pulse_axes`
-    quarters : (4,) as in `Footprint`
+    sigmas : (4,) as in `Footprint`
     u, v : of the pulse, by `turn`
     support : whether the first 64 are support points
     """
@@ -246,8 +246,8 @@ def lay(
             way = np.uint32(v + np.uint32(first + lane) * _STEP_V) >> _SHIFT
             x[lane], y[lane] = _RADIUS[ring] * _COS[way], _RADIUS[ring] * _SIN[way]
     for lane in range(ROUND):
-        x_m, y_m = x[lane] * quarters[0], y[lane] * quarters[1]
-        lean_x, lean_y = x[lane] * quarters[2], y[lane] * quarters[3]
+        x_m, y_m = x[lane] * sigmas[0], y[lane] * sigmas[1]
+        lean_x, lean_y = x[lane] * sigmas[2], y[lane] * sigmas[3]
         scale = np.float32(1.0) / np.float32(math.sqrt(np.float32(1.0) + lean_x * lean_x + lean_y * lean_y))
         for a in range(3):
             rays[a, lane] = axes[0, a] + axes[2, a] * x_m + axes[3, a] * y_m
@@ -264,7 +264,7 @@ def reach_of(first: int, support: bool) -> np.float32:
 def pulse_axes(
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float64],
-    across: NDArray[np.float64],
+    beam_axis: NDArray[np.float64],
     from_m: NDArray[np.float64],
     i: int,
     j: int,
@@ -274,11 +274,13 @@ def pulse_axes(
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
         axes[0, a] = np.float32(origin_m[i, j, a] - from_m[a])
-        axes[1, a], axes[2, a] = np.float32(direction[i, j, a]), np.float32(across[i, j, a])
-        axes[3, a] = np.float32(across[i, j, b] * direction[i, j, c] - across[i, j, c] * direction[i, j, b])
+        axes[1, a], axes[2, a] = np.float32(direction[i, j, a]), np.float32(beam_axis[i, j, a])
+        axes[3, a] = np.float32(
+            beam_axis[i, j, b] * direction[i, j, c] - beam_axis[i, j, c] * direction[i, j, b]
+        )
 
 
-def across_of(firings: Firings, beam: Footprint) -> NDArray[np.float64]:
+def beam_axis_of(firings: Firings, beam: Footprint) -> NDArray[np.float64]:
     """Horizontal axes of the footprints, (k, L, 3).
 
     Raises
@@ -286,9 +288,9 @@ def across_of(firings: Firings, beam: Footprint) -> NDArray[np.float64]:
     ValueError
         where the firings have none
     """
-    if firings.across is None:
-        raise ValueError(f"cast: found firings without `across`, expected them for a beam of {beam.model}")
-    return firings.across
+    if firings.beam_axis is None:
+        raise ValueError(f"cast: found firings without `beam_axis`, expected them for a beam of {beam.model}")
+    return firings.beam_axis
 
 
 def sub_rays(
@@ -307,17 +309,17 @@ def sub_rays(
     Raises
     ------
     ValueError
-        where the firings have no `across`
+        where the firings have no `beam_axis`
     """
-    across, support = across_of(firings, beam), beam.model is BeamModel.ADAPTIVE
+    beam_axis, support = beam_axis_of(firings, beam), beam.model is BeamModel.ADAPTIVE
     rays = np.empty((*firings.t_ns.shape, -(-count // ROUND) * ROUND, 6), np.float32)
-    quarters = beam.quarters.astype(np.float32)
+    sigmas = beam.sigmas.astype(np.float32)
     _sub_rays(
         firings.origin_m,
         firings.direction,
-        across,
+        beam_axis,
         from_m,
-        quarters,
+        sigmas,
         beam.seed,
         firings.index,
         first,
@@ -331,9 +333,9 @@ def sub_rays(
 def _sub_rays(
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float64],
-    across: NDArray[np.float64],
+    beam_axis: NDArray[np.float64],
     from_m: NDArray[np.float64],
-    quarters: NDArray[np.float32],
+    sigmas: NDArray[np.float32],
     seed: int,
     index: int,
     first: int,
@@ -344,10 +346,10 @@ def _sub_rays(
     axes, laid = np.empty((4, 3), np.float32), np.empty((7, ROUND), np.float32)
     for i in range(rays.shape[0]):
         for j in range(rays.shape[1]):
-            pulse_axes(origin_m, direction, across, from_m, i, j, axes)
+            pulse_axes(origin_m, direction, beam_axis, from_m, i, j, axes)
             u, v = turn(seed, index + i, j)
             for begin in range(0, rays.shape[2], ROUND):
-                lay(laid, axes, quarters, u, v, first + begin, support)
+                lay(laid, axes, sigmas, u, v, first + begin, support)
                 for lane in range(ROUND):
                     for a in range(3):
                         rays[i, j, begin + lane, a], rays[i, j, begin + lane, 3 + a] = (
@@ -361,13 +363,13 @@ def displace(range_m: NDArray[np.float32], beam: Footprint, index: int) -> None:
 
     The paper displaces "inside the ellipsoid whose axes are the divergence at that distance" (Lu et al.). Our
     reading: uniformly, within semi-axes of half the beam's horizontal and vertical width there, and along the
-    beam half of their geometric mean. What a sensor tells of the displaced point is its distance.
+    beam half of their geometric mean. What a sensor reports of the displaced point is its distance.
 
     Parameters
     ----------
     index : number of the first firing sequence
     """
-    _displace(range_m, 4.0 * beam.quarters, beam.seed, index)
+    _displace(range_m, 4.0 * beam.sigmas, beam.seed, index)
 
 
 @numba.njit(cache=True, nogil=True)

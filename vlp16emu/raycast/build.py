@@ -1,4 +1,4 @@
-"""What Embree scenes are built of: shapes with their buffers, and instances of them, some of which move."""
+"""What Embree casts against: shapes with their buffers, and instances of them at rest or in motion."""
 
 import weakref
 from collections.abc import Mapping, Sequence
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree as rtc
-from vlp16emu.raycast.geometry import Faces, faces_of, sheared
+from vlp16emu.raycast.quads import Faces, faces_of, sheared
 from vlp16emu.types import Mesh, Window
 
-__all__ = ["Motion", "Shape", "Solid", "motion_of", "placed", "shape_of", "tilt"]
+__all__ = ["EmbreeMesh", "InstanceMotion", "Shape", "motion_of", "placed", "shape_of", "tilt"]
 
 
 class Shape(NamedTuple):
@@ -33,7 +33,7 @@ def shape_of(meshes: Sequence[Mesh]) -> Shape:
     return Shape(tuple(faces_of(mesh) for mesh in meshes), max(radii_m, default=0.0))
 
 
-class Solid:
+class EmbreeMesh:
     """A committed scene of quads, and the buffers that it shares with numpy.
 
     Parameters
@@ -72,11 +72,11 @@ class Solid:
 
 
 def placed(
-    solids: Sequence[Solid],
+    meshes: Sequence[EmbreeMesh],
     transforms: NDArray[np.float32],
     moving: Mapping[int, NDArray[np.float32]],
 ) -> int:
-    """Build the scene of instances of solids at `transforms` (n, 3, 4), numbered in their order; give its address.
+    """Build the scene of instances of meshes at `transforms` (n, 3, 4), numbered in their order; give its address.
 
     Those that are `moving` have their own transforms (k, 3, 4), evenly over ray times 0 to 1.
 
@@ -89,7 +89,7 @@ def placed(
     scene: int = lib.rtcNewScene(device)
     lib.rtcSetSceneFlags(scene, rtc.SCENE_ROBUST)
     first = transforms.ctypes.data
-    for number, solid in enumerate(solids):
+    for number, solid in enumerate(meshes):
         geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_INSTANCE)
         lib.rtcSetGeometryInstancedScene(geometry, solid.scene)
         if number in moving:
@@ -119,7 +119,7 @@ _set_transform = types.ExternalFunction(
 )
 
 
-class Motion(NamedTuple):
+class InstanceMotion(NamedTuple):
     """How the instances of a scene move while it lasts."""
 
     start_ns: int
@@ -136,7 +136,7 @@ class Motion(NamedTuple):
         return np.clip((t_ns - self.start_ns) / self.span_ns, 0.0, 1.0).astype(np.float32)
 
 
-def motion_of(window: Window) -> tuple[Motion, dict[int, NDArray[np.float32]]]:
+def motion_of(window: Window) -> tuple[InstanceMotion, dict[int, NDArray[np.float32]]]:
     """Motion of a window's placements.
 
     Returns
@@ -149,7 +149,7 @@ def motion_of(window: Window) -> tuple[Motion, dict[int, NDArray[np.float32]]]:
         where a window lasts too long for Embree
     """
     if (sway := window.sway) is None:
-        return Motion(0, 0, np.empty((0, 0, 2), np.float32)), {}
+        return InstanceMotion(0, 0, np.empty((0, 0, 2), np.float32)), {}
     if len(sway.shear) > _MOST_KNOTS:
         raise RunError(f"wind: found {len(sway.shear)} knots in a window, Embree takes {_MOST_KNOTS}")
     shear = np.zeros((len(sway.shear), len(window.shape), 2), np.float32)
@@ -159,7 +159,7 @@ def motion_of(window: Window) -> tuple[Motion, dict[int, NDArray[np.float32]]]:
     by_instance = np.ascontiguousarray(transforms.swapaxes(0, 1), np.float32)
     span_ns = sway.step_ns * (len(sway.shear) - 1)
     moving = dict(zip(sway.placement.tolist(), by_instance, strict=True))
-    return Motion(sway.start_ns, span_ns, shear), moving
+    return InstanceMotion(sway.start_ns, span_ns, shear), moving
 
 
 @numba.njit(cache=True, nogil=True)

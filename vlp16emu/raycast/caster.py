@@ -12,12 +12,12 @@ from vlp16emu.raycast.embree import EmbreeMissingError, library
 from vlp16emu.raycast.slow import PlainCaster
 from vlp16emu.types import Firings, Hits, Window, World
 
-__all__ = ["Caster", "Scene", "caster"]
+__all__ = ["Caster", "Geometry", "caster"]
 
 _log = logging.getLogger(__name__)
 
 
-class Scene(Protocol):
+class Geometry(Protocol):
     """A window ready to be cast against."""
 
     @property
@@ -35,9 +35,9 @@ class Scene(Protocol):
 
 
 class Caster(Protocol):
-    """Makes scenes of windows."""
+    """Opens windows of the world for casting."""
 
-    def open(self, window: Window) -> Scene:
+    def open(self, window: Window) -> Geometry:
         """Make a window ready for casting."""
 
 
@@ -54,6 +54,6 @@ def caster(world: World, workers: Executor) -> Caster:
     except EmbreeMissingError as error:
         _log.warning("falling back to the plain embreex class, slower and without instances: %s", error)
         return PlainCaster(world.shape)
-    from vlp16emu.raycast.scene import EmbreeCaster  # its kernel binds to the library
+    from vlp16emu.raycast.near import EmbreeCaster  # its kernel binds to the library
 
     return EmbreeCaster(world, workers)

@@ -141,7 +141,7 @@ def _new_device() -> int:
 
 
 def check(doing: str) -> None:
-    """Look whether Embree failed on this thread: it tells errors to no other.
+    """Look whether Embree failed on this thread: it reports errors to no other.
 
     Parameters
     ----------

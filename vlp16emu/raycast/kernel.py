@@ -32,16 +32,16 @@ from vlp16emu.raycast.packet import (
 )
 from vlp16emu.trig import ZERO
 
-__all__ = ["Light", "cast_lines", "cast_pulses"]
+__all__ = ["PulseBatch", "cast_lines", "cast_pulses"]
 
 
-class Light(NamedTuple):
+class PulseBatch(NamedTuple):
     """What is cast: the pulses of a batch, and how wide they are."""
 
     origin_m: NDArray[np.float64]
-    """(k, L, 3), k a multiple of `PACKET`; `direction` and `across` alike, the latter empty for light without width."""
+    """(k, L, 3), k a multiple of `PACKET`; `direction` and `beam_axis` alike, the latter empty for light without width."""
     direction: NDArray[np.float64]
-    across: NDArray[np.float64]
+    beam_axis: NDArray[np.float64]
     time: NDArray[np.float32]
     """(k, L) between the scene's first knot and its last, 0..1."""
     near_m: NDArray[np.float64]
@@ -50,7 +50,7 @@ class Light(NamedTuple):
     """Where it is given up."""
     order: NDArray[np.int64]
     """(k / 8,) first sequence of each packet, in the order of casting."""
-    quarters: NDArray[np.float32]
+    sigmas: NDArray[np.float32]
     """(4,) as in `Footprint`; `seed` alike."""
     seed: int
     first: int
@@ -130,7 +130,7 @@ def cast_lines(
     near: Target,
     beyond: Target,
     medium: Medium,
-    light: Light,
+    light: PulseBatch,
     range_m: NDArray[np.float32],
     surface: NDArray[np.uint32],
     cos_incidence: NDArray[np.float32],
@@ -150,7 +150,12 @@ def cast_lines(
 
 @numba.njit(cache=True, nogil=True)
 def cast_pulses(
-    near: Target, beyond: Target, medium: Medium, light: Light, budget: RayBudget, count: NDArray[np.uint16]
+    near: Target,
+    beyond: Target,
+    medium: Medium,
+    light: PulseBatch,
+    budget: RayBudget,
+    count: NDArray[np.uint16],
 ) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]:
     """Cast the sub-rays of every pulse, by rounds of eight.
 
@@ -191,7 +196,7 @@ def _cast_middles(
     near: Target,
     beyond: Target,
     medium: Medium,
-    light: Light,
+    light: PulseBatch,
     packet: RayPacket,
     batch: _Batch,
     first: int,
@@ -219,7 +224,7 @@ def _cast_near(
     near: Target,
     beyond: Target,
     medium: Medium,
-    light: Light,
+    light: PulseBatch,
     budget: RayBudget,
     packet: RayPacket,
     batch: _Batch,
@@ -234,9 +239,9 @@ def _cast_near(
         q = batch.todo[t]
         i, j, axes = first + q % PACKET, q // PACKET, batch.axes[q]
         if not have:
-            pulse_axes(light.origin_m, light.direction, light.across, near.window_origin_m, i, j, axes)
+            pulse_axes(light.origin_m, light.direction, light.beam_axis, near.window_origin_m, i, j, axes)
         u, v = turn(light.seed, light.first + i, j)
-        lay(packet.rays, axes, light.quarters, u, v, have, budget.adaptive)
+        lay(packet.rays, axes, light.sigmas, u, v, have, budget.adaptive)
         for r in range(PACKET):
             reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
             valid[r] = -1 if r < count else 0
@@ -281,7 +286,7 @@ def _put_down(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _march(medium: Medium, light: Light, batch: _Batch, todo: int, count: int, reach: float) -> None:
+def _march(medium: Medium, light: PulseBatch, batch: _Batch, todo: int, count: int, reach: float) -> None:
     """Let the rays of pulses that have met nothing near go on through the medium.
 
     Parameters
@@ -292,8 +297,8 @@ def _march(medium: Medium, light: Light, batch: _Batch, todo: int, count: int, r
         return
     L, row, surface = batch.lanes, batch.row, batch.surface
     own_row, own_surface = L.row, L.surface
-    aside_m = np.float32(reach * max(light.quarters[0], light.quarters[1]))
-    spread = np.float32(reach * max(light.quarters[2], light.quarters[3]))
+    aside_m = np.float32(reach * max(light.sigmas[0], light.sigmas[1]))
+    spread = np.float32(reach * max(light.sigmas[2], light.sigmas[3]))
     for t in range(todo):
         q = batch.todo[t]
         if not batch.missed[q]:

@@ -58,7 +58,7 @@ class Target(NamedTuple):
     normal_matrix: NDArray[np.float32]
     """(n, 3, 3) per instance, as in `geometry`."""
     shear: NDArray[np.float32]
-    """(knots, n, 2) per instance, as in `build.Motion`."""
+    """(knots, n, 2) per instance, as in `build.InstanceMotion`."""
     reflectance: NDArray[np.float32]
     """(m,) of the surfaces."""
 

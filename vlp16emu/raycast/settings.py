@@ -40,8 +40,8 @@ class Beam(Section):
             "angle": "one ray, its direction drawn",
             "offset": "one ray, its hit displaced",
         }
-        told = f"{self.model}: {followed[self.model]}"
+        text = f"{self.model}: {followed[self.model]}"
         if self.model == "none":
-            return told
+            return text
         spot, divergence = (f"{w:g} x {h:g}" for w, h in (self.spot_mm, self.divergence_mrad))
-        return f"{told}, {spot} mm and {divergence} mrad wide"
+        return f"{text}, {spot} mm and {divergence} mrad wide"

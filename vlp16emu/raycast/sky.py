@@ -5,18 +5,18 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.caster import Scene
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import Firings
 
 __all__ = ["sky_cover"]
 
 _RINGS = 16
 _SECTORS = 16
-"""Rings of equal solid angle, and rays on each: 256 rays tell a share to 0.03."""
+"""Rings of equal solid angle, and rays on each: 256 rays measure a share to 0.03."""
 
 
 def sky_cover(
-    scene: Scene, t_ns: int, position_m: NDArray[np.float64], lowest_deg: float, far_m: float
+    geometry: Geometry, t_ns: int, position_m: NDArray[np.float64], lowest_deg: float, far_m: float
 ) -> float:
     """Share of the sky that surfaces hide, 0..1, each direction counting by its solid angle.
 
@@ -37,9 +37,9 @@ def sky_cover(
         reading_deg=np.zeros(shape[0]),
         origin_m=np.broadcast_to(position_m, direction.shape).copy(),
         direction=direction,
-        across=None,
+        beam_axis=None,
     )
-    hits = scene.cast(rays, np.zeros(shape[1]), far_m)
+    hits = geometry.cast(rays, np.zeros(shape[1]), far_m)
     return float(np.isfinite(hits.range_m).mean())
 
 

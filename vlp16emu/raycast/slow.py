@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from vlp16emu.errors import RunError
 from vlp16emu.raycast.adaptive import enough
 from vlp16emu.raycast.beam import LINE, ROUND, BeamModel, Footprint, displace, sub_rays
-from vlp16emu.raycast.geometry import flatten, frozen
+from vlp16emu.raycast.quads import flatten, frozen
 from vlp16emu.types import NO_SURFACE, Firings, Hits, Mesh, ShapeKey, Window
 
-__all__ = ["PlainCaster", "PlainScene", "ReferenceCaster", "ReferenceScene", "SlowScene"]
+__all__ = ["PlainCaster", "PlainGeometry", "ReferenceCaster", "ReferenceScene", "SlowScene"]
 
 Met = tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]
 """Range, surface and cosine of incidence (n,) of n rays, as in `Hits`."""
@@ -35,7 +35,7 @@ class SlowScene(ABC):
     def cast(
         self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
     ) -> Hits:
-        """Cast pulses; the arguments are those of `EmbreeScene.cast`."""
+        """Cast pulses; the arguments are those of `EmbreeGeometry.cast`."""
         shape = firings.t_ns.shape
         near = np.broadcast_to(near_m, shape)
 
@@ -95,16 +95,16 @@ class SlowScene(ABC):
         """Cast rays (n, 3) from origins relative to the window's."""
 
 
-class PlainScene(SlowScene):
+class PlainGeometry(SlowScene):
     """A window as one flat Embree mesh."""
 
     def __init__(self, window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
         super().__init__(window)
         from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
+        from embreex.rtcore_scene import EmbreeGeometry
 
         triangles_m, self._surface = flatten(window, shape)
-        self._scene = EmbreeScene(robust=True)
+        self._scene = EmbreeGeometry(robust=True)
         if len(triangles_m):
             TriangleMesh(self._scene, triangles_m.astype(np.float32))
 
@@ -144,7 +144,7 @@ class PlainCaster:
     def __init__(self, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
         self._shape = shape
 
-    def open(self, window: Window) -> PlainScene:
+    def open(self, window: Window) -> PlainGeometry:
         """Make a window ready for casting.
 
         Raises
@@ -154,7 +154,7 @@ class PlainCaster:
         """
         if window.sway is not None:
             raise RunError("wind: the plain embreex class casts against what stands still only")
-        return PlainScene(window, self._shape)
+        return PlainGeometry(window, self._shape)
 
 
 class ReferenceScene(SlowScene):

@@ -16,8 +16,8 @@ from vlp16emu.returns.echoes import (
     RANGE,
     add_node,
     brightest_group,
-    find_owners,
     find_peaks,
+    find_source_surfaces,
     gather,
     highest_peak,
 )
@@ -78,7 +78,7 @@ def detect(
     if not truth:
         return Returns(firings, distance_m, reflectivity, None, None)
     surface = np.empty(shape, np.uint32)
-    find_owners(detector.constants, firings.index, *rays, distance_m, surface)
+    find_source_surfaces(detector.constants, firings.index, *rays, distance_m, surface)
     return Returns(firings, distance_m, reflectivity, surface, surfaces)
 
 
@@ -234,7 +234,7 @@ def _choose(
     found: int,
     chosen: NDArray[np.int64],
 ) -> None:
-    """Tell which peaks are the strongest, last and second strongest return, -1 where there is none."""
+    """Find which peaks are the strongest, last and second strongest return, -1 where there is none."""
     chosen[:] = -1
     for rank in range(found):
         best = -1

@@ -15,7 +15,7 @@ half-space that the receiver sees, and makes no echo. What shines past a leaf is
 Kernels make no arrays of their own, so numba need not count references (`_nrt=False`). They are compiled into their
 callers (`forceinline`): a call hands over each array as seven numbers, which takes as long as a node.
 
-`find_owners` is truth: whose light a return is.
+`find_source_surfaces` is truth: whose light a return is.
 """
 
 import math
@@ -38,8 +38,8 @@ __all__ = [
     "add_node",
     "amplitude_of",
     "brightest_group",
-    "find_owners",
     "find_peaks",
+    "find_source_surfaces",
     "gather",
     "highest_peak",
 ]
@@ -215,7 +215,7 @@ def _exp(x: float) -> float:
 def _waveform(
     nodes: NDArray[np.float64], start: int, stop: int, x_m: float, sigma_m: float
 ) -> tuple[float, float, float]:
-    """Waveform at x_m: mean and variance of where its light comes from, reckoned from there, and its height."""
+    """Waveform at x_m: mean and variance of where its light comes from, relative to x_m, and its height."""
     height = first = second = 0.0
     sharpness = -0.5 / (sigma_m * sigma_m)
     for node in range(start, stop):
@@ -333,7 +333,7 @@ _REACH_SIGMAS = 5.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def find_owners(
+def find_source_surfaces(
     constants: DetectorConstants,
     first: int,
     count: NDArray[np.uint16],

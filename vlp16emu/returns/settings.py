@@ -100,12 +100,12 @@ class Weather(Section):
     @property
     def summary(self) -> str | None:
         """What is in the air in one line; None where it is clear."""
-        told = []
+        parts = []
         if self.visibility_m is not None:
-            told.append(f"visibility {self.visibility_m:g} m")
+            parts.append(f"visibility {self.visibility_m:g} m")
         if self.rain_mm_h:
-            told.append(f"rain of {self.rain_mm_h:g} mm/h")
-        return ", ".join(told) or None
+            parts.append(f"rain of {self.rain_mm_h:g} mm/h")
+        return ", ".join(parts) or None
 
 
 class DetectorConstants(NamedTuple):

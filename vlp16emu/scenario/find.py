@@ -51,7 +51,7 @@ def find(scene: str) -> Path:
 
 
 def named_files(scenario: Section) -> list[Path]:
-    """List the files that a scenario is made of beside its own: poses, way points, heights, trees, meshes."""
+    """List the files that a scenario is made of beside its own: poses, waypoints, heights, trees, meshes."""
     return list(_named_in(scenario))
 
 

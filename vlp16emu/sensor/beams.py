@@ -41,7 +41,7 @@ class BeamTable:
     elevation_deg: NDArray[np.float64]
     """(L,) over the horizon, as the sensor's makers say."""
     vertical_offset_m: NDArray[np.float64]
-    """(L,) height at which the beam's line meets the spin axis; ranges are reckoned from there."""
+    """(L,) height at which the beam's line meets the spin axis; ranges are measured from there."""
     lens_radius_m: float
     """Distance from the spin axis at which the light leaves."""
     sequence_ns: int
@@ -90,7 +90,7 @@ def free_beams(
 def with_angle_errors(
     table: BeamTable, *, elevation_error_deg: float, azimuth_error_deg: float, seed: int
 ) -> BeamTable:
-    """Build one unit after a table: each laser a little off, by errors that stay with the unit and no packet tells.
+    """Build one unit after a table: each laser a little off, by errors that stay with the unit and no packet reports.
 
     Parameters
     ----------

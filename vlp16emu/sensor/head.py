@@ -43,21 +43,26 @@ class Head:
         return np.asarray(sequence[:, None] + laser)
 
     def aim(
-        self, first: int, count: int, poses_at: Callable[[NDArray[np.int64]], Poses], *, across: bool = False
+        self,
+        first: int,
+        count: int,
+        poses_at: Callable[[NDArray[np.int64]], Poses],
+        *,
+        beam_axis: bool = False,
     ) -> Firings:
         """Point every pulse of `count` sequences from number `first` on.
 
         Parameters
         ----------
         poses_at : the body's poses at n instants, or one pose that holds for all
-        across : whether pulses have a width, and so need `Firings.across`
+        beam_axis : whether pulses have a width, and so need `Firings.beam_axis`
         """
         beams = self.beams
         elevation_rad = np.radians(beams.elevation_deg + beams.elevation_error_deg)
         t_ns = self.times_ns(first, count)
         azimuth_deg = self.rotor.angle_deg(t_ns - self.start_ns)
         origin_m, direction = np.empty((*t_ns.shape, 3)), np.empty((*t_ns.shape, 3))
-        level = np.empty((*t_ns.shape, 3) if across else (0, 0, 3))
+        level = np.empty((*t_ns.shape, 3) if beam_axis else (0, 0, 3))
         table = (
             np.radians(beams.azimuth_error_deg),
             np.array([[math.cos(w), math.sin(w)] for w in elevation_rad.tolist()]),
@@ -81,7 +86,7 @@ class Head:
             reading_deg=self.rotor.reading_deg(azimuth_deg[:, 0].copy(), first),
             origin_m=origin_m,
             direction=direction,
-            across=level if across else None,
+            beam_axis=level if beam_axis else None,
         )
 
 
@@ -103,11 +108,11 @@ def _aim(
     world_p_body_m: NDArray[np.float64],
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float64],
-    across: NDArray[np.float64],
+    beam_axis: NDArray[np.float64],
 ) -> None:
     """Fill origins and directions: x = cos w sin a, y = cos w cos a, z = sin w (63-9243 Rev D, section 9.2).
 
-    `elevation` (lasers, 2) has the cosine and sine of w. The level axis is the derivative of that by the azimuth, over cos w; left out where `across` is empty.
+    `elevation` (lasers, 2) has the cosine and sine of w. The level axis is the derivative of that by the azimuth, over cos w; left out where `beam_axis` is empty.
     """
     count, lasers = azimuth_deg.shape
     moving = len(world_p_body_m) > 1
@@ -123,10 +128,10 @@ def _aim(
             sensor[0], sensor[1], sensor[2] = elevation[j, 0] * s, elevation[j, 0] * c, elevation[j, 1]
             turn(body_R_sensor, sensor, body)
             turn(R, body, direction[i, j])
-            if len(across):
+            if len(beam_axis):
                 sensor[0], sensor[1], sensor[2] = c, -s, 0.0
                 turn(body_R_sensor, sensor, body)
-                turn(R, body, across[i, j])
+                turn(R, body, beam_axis[i, j])
             for a in range(3):
                 # The spin axis is the body's z axis, also when the head is mounted turned about it.
                 origin_m[i, j, a] = p[a] + R[a, 2] * offset_m[j]

@@ -1,4 +1,4 @@
-"""From returns to points, as whoever knows the sensor's table and its pose would reckon them."""
+"""From returns to points, computed as whoever knows the sensor's table and its pose computes them."""
 
 import math
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.head import BODY_R_SENSOR, turn
 from vlp16emu.types import Firings, Poses
 
-__all__ = ["Placed", "place"]
+__all__ = ["PlacedReturns", "place"]
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class PlacedReturns:
     """n points."""
 
     azimuth_deg: NDArray[np.float64]
@@ -35,10 +35,10 @@ def place(
     laser: NDArray[np.int64],
     distance_m: NDArray[np.float32],
     poses: Poses,
-) -> Placed:
+) -> PlacedReturns:
     """Place returns by the manual's formulas (63-9243 Rev D, section 9.2).
 
-    What the sensor does not tell, it does not know here either: encoder and angle errors displace the points.
+    What the sensor does not report is not known here either: encoder and angle errors displace the points.
     Without such errors a point in the world is the pulse's origin + distance * direction.
 
     Parameters
@@ -48,7 +48,7 @@ def place(
     poses : of the body at the pulses, n or one that holds for all
     """
     turned_deg = firings.azimuth_deg[sequence, laser] - firings.azimuth_deg[sequence, 0]
-    placed = Placed(
+    placed = PlacedReturns(
         azimuth_deg=(firings.reading_deg[sequence] + turned_deg) % 360.0,
         elevation_deg=beams.elevation_deg[laser],
         sensor_m=np.empty((len(laser), 3)),

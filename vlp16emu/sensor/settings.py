@@ -93,14 +93,14 @@ class Sensor(Lidar):
 
     @model_validator(mode="after")
     def _starts_once(self) -> Self:
-        """Refuse a start that is told twice."""
+        """Refuse a start that is given twice."""
         if self.either_or <= self.model_fields_set:
             raise ValueError("start_azimuth_deg or phase_lock_deg in it, not both")
         return self
 
     @model_validator(mode="after")
     def _has_two_ports(self) -> Self:
-        """Refuse one port for both: receivers tell data from position packets by it."""
+        """Refuse one port for both: receivers separate data from position packets by it."""
         if self.data_port == self.position_port:
             raise ValueError("a data_port and a position_port that differ")
         return self

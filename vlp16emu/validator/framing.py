@@ -87,7 +87,7 @@ _HEADER_FAULTS_CACHED = 64
 
 
 def kind_of(datagram: Datagram) -> PacketKind | None:
-    """Tell what a datagram is meant to be, by the port that it comes from, or else goes to, or by length and first mark."""
+    """Say what a datagram is meant to be, by the port that it comes from, or else goes to, or by length and first mark."""
     for port in (datagram.source_port, datagram.destination_port):
         for kind, usual in _PORT.items():
             if port == usual:

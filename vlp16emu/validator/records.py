@@ -79,7 +79,7 @@ def _check_ranges(payload: NDArray[np.void], number: NDArray[np.int64], findings
     bad_flag = flag != BLOCK_FLAG
 
     def found_flag(i: int) -> str:
-        """Tell the first wrong flag of a packet."""
+        """Find the first wrong flag of a packet."""
         block = int(bad_flag[i].argmax())
         return f"{int(flag[i, block]).to_bytes(2, 'little').hex(' ')} at block {block}"
 
@@ -111,7 +111,7 @@ def _check_pairs(
     twin_differs = azimuth_cdeg[:, ::2] != azimuth_cdeg[:, 1::2]
 
     def found_azimuths(i: int) -> str:
-        """Tell the first pair of blocks that should share an azimuth."""
+        """Find the first pair of blocks that should share an azimuth."""
         even = 2 * int(twin_differs[i].argmax())
         return f"azimuths {azimuth_cdeg[i, even]} and {azimuth_cdeg[i, even + 1]} at blocks {even} and {even + 1}"
 

@@ -146,7 +146,7 @@ class SweepRules:
         signed_cdeg = _signed(steps.forward_cdeg)
 
         def found_step(i: int) -> str:
-            """Tell a step, and where it is."""
+            """Describe a step, and where it is."""
             row, column = divmod(i, blocks)
             block = (column + 1) % blocks * (BLOCKS_PER_PACKET // blocks)
             return f"azimuth {signed_cdeg[row, column] / 100:+.2f} deg at block {block}"

@@ -60,7 +60,7 @@ def write_glb(
     ----------
     file : open for writing
     window, shape : of the world, or cut out of it
-    places_m : by instance, (3,) origin of its node in the world; where its placement is, if not told
+    places_m : by instance, (3,) origin of its node in the world; where its placement is, if not given
     species : names by number
     colours : (m, 3) sRGB of the window's surfaces
 

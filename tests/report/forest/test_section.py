@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from vlp16emu.report.forest import Section, draw_section, strip_along
+from vlp16emu.report.forest import StandSection, draw_section, strip_along
 from vlp16emu.types import NO_SURFACE, Hits
 
 PAPER = np.array([252, 251, 248])
 COLOURS = np.array([[200, 40, 20], [20, 40, 200]], np.uint8)
-SECTION = Section(np.array([5.0, -3.0]), np.array([0.6, 0.8]), 10.0, 4.0, -1.0, 5.0)
+SECTION = StandSection(np.array([5.0, -3.0]), np.array([0.6, 0.8]), 10.0, 4.0, -1.0, 5.0)
 
 
 class Wall:

@@ -9,19 +9,19 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from vlp16emu.errors import MissingExtraError
-from vlp16emu.report.forest import Plan, Section, check_matplotlib, colour_of_species, draw_sheet
+from vlp16emu.report.forest import PlanView, StandSection, check_matplotlib, colour_of_species, draw_sheet
 from vlp16emu.report.forest.plan import legend_entries
 from vlp16emu.report.forest.sheet import _draw_side
 
 TREE = [("x_m", "f8"), ("y_m", "f8"), ("dbh_m", "f8"), ("crown_width_m", "f8"), ("species", "u2")]
-SECTION = Section(np.array([0.0, 0.0]), np.array([1.0, 0.0]), 20.0, 8.0, -1.0, 9.0)
+SECTION = StandSection(np.array([0.0, 0.0]), np.array([1.0, 0.0]), 20.0, 8.0, -1.0, 9.0)
 
 
 def plan(**changes):
     values = {
         "low_m": np.array([-10.0, -10.0]),
         "high_m": np.array([30.0, 10.0]),
-        "way_m": np.column_stack([np.linspace(0, 20, 50), np.zeros(50), np.full(50, 2.0)]),
+        "path_m": np.column_stack([np.linspace(0, 20, 50), np.zeros(50), np.full(50, 2.0)]),
         "field_of_view_deg": (-15.0, 15.0),
         "radius_m": 9.0,
         "trees": np.array(
@@ -32,7 +32,7 @@ def plan(**changes):
         "names": [],
         "height_m": lambda x, y: 0.1 * x + 0.0 * y,
     }
-    return Plan(**(values | changes))
+    return PlanView(**(values | changes))
 
 
 def sheet(of):
@@ -68,9 +68,9 @@ def test_crowns_have_the_colour_of_their_species_and_their_size(picture):
 
 
 def test_the_way_is_red(picture):
-    """The way keeps its colour in spite of the palette, and without a way there is less of it."""
+    """The path keeps its colour in spite of the palette, and without a path there is less of it."""
     red = np.array([200, 55, 45])
-    assert share(picture, red) > 1.5 * share(sheet(plan(way_m=np.array([[0.0, 0.0, 2.0]]))), red) > 0
+    assert share(picture, red) > 1.5 * share(sheet(plan(path_m=np.array([[0.0, 0.0, 2.0]]))), red) > 0
 
 
 def test_the_field_of_view_is_that_of_the_sensor():
@@ -85,9 +85,9 @@ def test_the_field_of_view_is_that_of_the_sensor():
 
 
 def test_the_legend_names_what_is_there_and_nothing_else():
-    """Species come first, the most frequent at the top, then things of which there are any, then the way."""
+    """Species come first, the most frequent at the top, then things of which there are any, then the path."""
     labels = [entry.get_label() for entry in legend_entries(plan())]
-    assert labels == ["silver birch", "norway spruce", "stone", "way of the sensor"]
+    assert labels == ["silver birch", "norway spruce", "stone", "path of the sensor"]
 
 
 def test_an_empty_plain_can_be_drawn():

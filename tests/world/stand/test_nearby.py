@@ -28,7 +28,7 @@ def trees(full_forest, track_m):
 @pytest.fixture(scope="module")
 def things(full_forest, window, trees, track_m):
     way = Polyline(track_m[:, :2])
-    return things_near(window, full_forest.shape, trees=trees["id"], way=way, radius_m=RADIUS_M)
+    return things_near(window, full_forest.shape, trees=trees["id"], path=way, radius_m=RADIUS_M)
 
 
 def test_things_are_all_that_is_near_and_no_tree(window, things, trees, track_m):
@@ -72,7 +72,7 @@ def test_a_hall_keeps_its_sizes():
         hall.window(track_m),
         hall.shape,
         trees=np.zeros(0, np.uint32),
-        way=Polyline(track_m[:, :2]),
+        path=Polyline(track_m[:, :2]),
         radius_m=np.inf,
     )
     assert [one.kind for one in things] == ["ground", "other"]

@@ -10,16 +10,16 @@ from vlp16emu.report.forest.figures import (
     stand_rows,
 )
 from vlp16emu.report.forest.palette import colour_of_kind, colour_of_species, surface_colours
-from vlp16emu.report.forest.plan import Plan
-from vlp16emu.report.forest.section import Section, draw_section, strip_along
+from vlp16emu.report.forest.plan import PlanView
+from vlp16emu.report.forest.section import StandSection, draw_section, strip_along
 from vlp16emu.report.forest.sheet import check_matplotlib, draw_sheet, section_pixels_per_m
 
 __all__ = [
     "CELL_M",
-    "Plan",
+    "PlanView",
     "Relief",
-    "Section",
     "StandRow",
+    "StandSection",
     "cells_near",
     "check_matplotlib",
     "clark_evans",

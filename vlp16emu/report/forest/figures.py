@@ -14,7 +14,7 @@ __all__ = ["CELL_M", "Relief", "StandRow", "cells_near", "clark_evans", "relief"
 Array = NDArray[np.float64]
 
 CELL_M = 0.5
-"""Edge of the cells in which areas and slopes are reckoned: about as long as a foot that feels the slope."""
+"""Edge of the cells for areas and slopes: about as long as a foot that feels the slope."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ def clark_evans(xy_m: Array, all_xy_m: Array, ground_m2: float) -> float:
 def cells_near(way_xy_m: Array, radius_m: float) -> Array:
     """Middles (n, 2) of the cells of `CELL_M` whose distance from a dense line of points (m, 2) is a radius at most.
 
-    Their number times `CELL_M` squared is the area around the way.
+    Their number times `CELL_M` squared is the area around the path.
     """
     low = np.floor((way_xy_m.min(axis=0) - radius_m) / CELL_M)
     high = np.ceil((way_xy_m.max(axis=0) + radius_m) / CELL_M)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from vlp16emu.errors import RunError
 from vlp16emu.raycast.caster import caster
 from vlp16emu.report.forest import (
-    Plan,
-    Section,
+    PlanView,
+    StandSection,
     draw_section,
     draw_sheet,
     section_pixels_per_m,
@@ -131,14 +131,14 @@ def _writing(path: Path) -> Iterator[BinaryIO]:
         raise RunError(f"{path}: {error.strerror}; the file is not complete") from error
 
 
-def _plan(seen: Survey) -> Plan:
+def _plan(seen: Survey) -> PlanView:
     """Gather what the plan shows."""
     kinds = sorted({thing.kind for thing in seen.things}, key=_DRAWN_IN_ORDER.index)
     low_m, high_m = _around(seen)
-    return Plan(
+    return PlanView(
         low_m=low_m - _MARGIN_M,
         high_m=high_m + _MARGIN_M,
-        way_m=seen.way_m,
+        path_m=seen.path_m,
         field_of_view_deg=seen.field_of_view_deg,
         radius_m=None if seen.hall is not None else seen.radius_m,
         trees=seen.near,
@@ -156,15 +156,15 @@ def _around(seen: Survey) -> tuple[Array, Array]:
     if seen.hall is not None:
         corner_m = np.array(seen.hall.size_m[:2]) / 2
         return -corner_m, corner_m
-    way_xy_m = seen.way_m[:, :2]
+    way_xy_m = seen.path_m[:, :2]
     return way_xy_m.min(axis=0) - seen.radius_m, way_xy_m.max(axis=0) + seen.radius_m
 
 
-def _forest_section(seen: Survey) -> Section:
-    """Lay a section along the way, as deep as it needs to be to hold some trees."""
+def _forest_section(seen: Survey) -> StandSection:
+    """Lay a section along the path, as deep as it needs to be to hold some trees."""
     foot_m = np.column_stack([seen.trees["x_m"], seen.trees["y_m"]])
     for depth_m in _DEPTHS_M:
-        section = strip_along(seen.way_m, _SECTION_M, depth_m)
+        section = strip_along(seen.path_m, _SECTION_M, depth_m)
         holds = section.holds(foot_m, _LEAD_M)
         if holds.sum() >= _ENOUGH_TREES:
             break
@@ -176,10 +176,10 @@ def _forest_section(seen: Survey) -> Section:
     return replace(section, low_m=float(ground_m.min()) - _BELOW_M, high_m=high_m)
 
 
-def _hall_section(hall: HallWorld) -> Section:
+def _hall_section(hall: HallWorld) -> StandSection:
     """Look at a whole hall from its southern wall."""
     length_m, width_m, height_m = hall.size_m
-    return Section(
+    return StandSection(
         start_xy_m=np.array([-length_m / 2, 0.0]),
         along=np.array([1.0, 0.0]),
         length_m=length_m,
@@ -189,7 +189,7 @@ def _hall_section(hall: HallWorld) -> Section:
     )
 
 
-def _drawn(seen: Survey, section: Section) -> NDArray[np.uint8]:
+def _drawn(seen: Survey, section: StandSection) -> NDArray[np.uint8]:
     """Cast light at what stands in a section."""
     window, shape, overhang_m = seen.window, seen.grow, 0.0
     if seen.hall is None:

@@ -1,4 +1,4 @@
-"""The plan: crowns, stems, things on the ground, relief and the way, seen from above with north up."""
+"""The plan: crowns, stems, things on the ground, relief and the path, seen from above with north up."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,19 +10,19 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
 from vlp16emu.report.forest.palette import colour_of_kind, colour_of_species
-from vlp16emu.report.forest.section import Section
+from vlp16emu.report.forest.section import StandSection
 from vlp16emu.types import HeightField
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-__all__ = ["INK", "SOFT", "WALK", "Plan", "draw_plan", "legend_entries"]
+__all__ = ["INK", "SOFT", "WALK", "PlanView", "draw_plan", "legend_entries"]
 
 Array = NDArray[np.float64]
 
 INK, SOFT, WALK = "#26302b", "#747e78", "#c8372d"
-"""Colours of writing, of what is less important, and of the way."""
+"""Colours of writing, of what is less important, and of the path."""
 
 _LEAST_STEM_PX = 2.4
 """Stems that would be thinner on paper are drawn this wide, or nobody would see them."""
@@ -31,26 +31,26 @@ _SMOOTH_M = 2.0
 """One sigma of the smoothing of contour lines."""
 
 _ARROW_EVERY = 0.12
-"""Of the way's length."""
+"""Of the path's length."""
 
 _ROUND_M = (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Lengths that a scale bar or a contour interval may have."""
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class PlanView:
     """What the plan shows."""
 
     low_m: Array
     """(2,) south-west corner of the sheet."""
     high_m: Array
     """(2,) north-east corner."""
-    way_m: Array
+    path_m: Array
     """(n, 3) sensor positions in order of time; one for a sensor that stands."""
     field_of_view_deg: tuple[float, float]
     """Elevations of the sensor's lowest and highest beam."""
     radius_m: float | None
-    """How far around the way things are shown; None where all are."""
+    """How far around the path things are shown; None where all are."""
     trees: NDArray[np.void]
     """(n,) with `x_m`, `y_m`, `dbh_m`, `crown_width_m` and `species`."""
     species: Mapping[int, str]
@@ -63,7 +63,7 @@ class Plan:
     """Ground."""
 
 
-def draw_plan(axes: "Axes", plan: Plan, section: Section) -> None:
+def draw_plan(axes: "Axes", plan: PlanView, section: StandSection) -> None:
     """Draw a plan, with the strip of a section marked, into axes whose size is settled."""
     axes.set(
         xlim=(plan.low_m[0], plan.high_m[0]),
@@ -78,7 +78,7 @@ def draw_plan(axes: "Axes", plan: Plan, section: Section) -> None:
     _draw_ground(axes, plan)
     _draw_things(axes, plan)
     _draw_trees(axes, plan)
-    _draw_way(axes, plan.way_m[:, :2])
+    _draw_way(axes, plan.path_m[:, :2])
     _draw_strip(axes, section)
     _draw_scale_and_north(axes, float(plan.high_m[0] - plan.low_m[0]))
     for name, place_m in plan.names:
@@ -93,7 +93,7 @@ def draw_plan(axes: "Axes", plan: Plan, section: Section) -> None:
         )
 
 
-def legend_entries(plan: Plan) -> "list[Artist]":
+def legend_entries(plan: PlanView) -> "list[Artist]":
     """Make samples of what a plan shows, with names as labels: species first, the most frequent at the top."""
     from matplotlib.lines import Line2D
 
@@ -126,17 +126,17 @@ def legend_entries(plan: Plan) -> "list[Artist]":
         for kind, outlines in plan.outlines_m.items()
         if outlines
     ]
-    return [*entries, Line2D([], [], color=WALK, lw=1.6, label="way of the sensor")]
+    return [*entries, Line2D([], [], color=WALK, lw=1.6, label="path of the sensor")]
 
 
-def _draw_ground(axes: "Axes", plan: Plan) -> None:
+def _draw_ground(axes: "Axes", plan: PlanView) -> None:
     """Contour lines, and the border of the area considered."""
     low, high = plan.low_m, plan.high_m
     cell_m = float((high - low).max()) / 240
     x_m, y_m = np.meshgrid(*(np.arange(a, b + cell_m, cell_m) for a, b in zip(low, high, strict=True)))
     if plan.radius_m is not None:
         grid = np.column_stack([x_m.ravel(), y_m.ravel()])
-        gap_m = np.reshape(KDTree(plan.way_m[:, :2]).query(grid)[0], x_m.shape)
+        gap_m = np.reshape(KDTree(plan.path_m[:, :2]).query(grid)[0], x_m.shape)
         dashes = [(0, (6, 4))]
         axes.contour(
             x_m, y_m, gap_m, [plan.radius_m], colors=SOFT, linewidths=0.9, linestyles=dashes, zorder=6
@@ -160,7 +160,7 @@ def _draw_ground(axes: "Axes", plan: Plan) -> None:
         axes.clabel(lines, fontsize=6.5, fmt="%g m", inline_spacing=2)
 
 
-def _draw_things(axes: "Axes", plan: Plan) -> None:
+def _draw_things(axes: "Axes", plan: PlanView) -> None:
     """Outlines of everything that is no tree."""
     from matplotlib.collections import PolyCollection
 
@@ -178,7 +178,7 @@ def _draw_things(axes: "Axes", plan: Plan) -> None:
         )
 
 
-def _draw_trees(axes: "Axes", plan: Plan) -> None:
+def _draw_trees(axes: "Axes", plan: PlanView) -> None:
     """Crowns as discs of their width, small ones first, then stems at their diameter."""
     from matplotlib.collections import EllipseCollection
 
@@ -214,7 +214,7 @@ def _draw_trees(axes: "Axes", plan: Plan) -> None:
 
 
 def _draw_way(axes: "Axes", way_xy_m: Array) -> None:
-    """Draw the way with arrow heads along it, or the place where the sensor stands."""
+    """Draw the path with arrow heads along it, or the place where the sensor stands."""
     axes.plot(*way_xy_m[0], marker="o", ms=6, mfc="white", mec=WALK, mew=1.6, zorder=8)
     if len(way_xy_m) < 2:
         return
@@ -227,7 +227,7 @@ def _draw_way(axes: "Axes", way_xy_m: Array) -> None:
         axes.annotate("", way_xy_m[head], way_xy_m[back], arrowprops=arrow, zorder=8)
 
 
-def _draw_strip(axes: "Axes", section: Section) -> None:
+def _draw_strip(axes: "Axes", section: StandSection) -> None:
     """Outline of the section's strip, with its ends named."""
     half_m = section.depth_m / 2 * section.towards
     ends = section.start_xy_m, section.start_xy_m + section.length_m * section.along

@@ -1,14 +1,14 @@
 """A vertical section through a world, as light would draw it: parallel level rays, one per dot."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import NO_SURFACE, Firings, HeightField, Hits
 
-__all__ = ["Scene", "Section", "draw_section", "strip_along"]
+__all__ = ["StandSection", "draw_section", "strip_along"]
 
 Array = NDArray[np.float64]
 
@@ -25,21 +25,14 @@ _DARKEST = 0.6
 """Brightness of a surface seen edge on."""
 
 _LEAD = 0.06
-"""Share of a strip's length that lies before the way begins, and after it leaves."""
+"""Share of a strip's length that lies before the path begins, and after it leaves."""
 
 _ROWS = 8
 """Casters want sequences by the eight."""
 
 
-class Scene(Protocol):
-    """What can be cast against, as `raycast.Scene`."""
-
-    def cast(self, firings: Firings, near_m: Array, far_m: float) -> Hits:
-        """Cast one ray per pulse of k sequences, k a multiple of 8."""
-
-
 @dataclass(frozen=True, slots=True)
-class Section:
+class StandSection:
     """A strip of the world, seen level and from the side."""
 
     start_xy_m: Array
@@ -71,24 +64,24 @@ class Section:
         return offset @ self.along, offset @ self.towards
 
 
-def strip_along(way_m: Array, length_m: float, depth_m: float) -> Section:
-    """Lay a strip along the beginning of a way (n, 3); where it stands still, from west to east through it.
+def strip_along(path_m: Array, length_m: float, depth_m: float) -> StandSection:
+    """Lay a strip along the beginning of a path (n, 3); where it stands still, from west to east through it.
 
-    The middle of a way that is shorter is the strip's middle. Its heights are still those of the way.
+    The middle of a path that is shorter is the strip's middle. Its heights are still those of the path.
     """
-    xy_m = way_m[:, :2]
+    xy_m = path_m[:, :2]
     gone_m = np.hypot(*(xy_m - xy_m[0]).T)
     beyond = np.flatnonzero(gone_m > length_m * (1 - 2 * _LEAD))
     end = int(beyond[0]) if len(beyond) else int(gone_m.argmax())
     along = (xy_m[end] - xy_m[0]) / gone_m[end] if gone_m[end] > 0 else np.array([1.0, 0.0])
     start_xy_m = (xy_m[0] + xy_m[end]) / 2 - length_m / 2 * along
-    low_m, high_m = float(way_m[:, 2].min()), float(way_m[:, 2].max())
-    return Section(start_xy_m, along, length_m, depth_m, low_m, high_m)
+    low_m, high_m = float(path_m[:, 2].min()), float(path_m[:, 2].max())
+    return StandSection(start_xy_m, along, length_m, depth_m, low_m, high_m)
 
 
 def draw_section(
-    scene: Scene,
-    section: Section,
+    geometry: Geometry,
+    section: StandSection,
     overhang_m: float,
     *,
     colours: NDArray[np.uint8],
@@ -118,7 +111,7 @@ def draw_section(
     for row in range(0, rows, _ROWS):
         dots = np.arange(row * _DOTS, (row + _ROWS) * _DOTS)
         z_m = section.high_m - (dots + 0.5) / _DOTS / pixels_per_m
-        hits = _look(scene, section, near_xy_m, z_m, section.depth_m + 2 * overhang_m)
+        hits = _look(geometry, section, near_xy_m, z_m, section.depth_m + 2 * overhang_m)
         rgb = _shaded(hits, colours, overhang_m, section.depth_m)
         rgb[z_m[:, None] < ground_m] = _SOIL
         band = rgb.reshape(_ROWS, _DOTS, columns, _DOTS, 3).mean(axis=(1, 3))
@@ -126,7 +119,7 @@ def draw_section(
     return picture
 
 
-def _look(scene: Scene, section: Section, near_xy_m: Array, z_m: Array, far_m: float) -> Hits:
+def _look(geometry: Geometry, section: StandSection, near_xy_m: Array, z_m: Array, far_m: float) -> Hits:
     """Cast a row of rays at each of k heights."""
     k, lasers = len(z_m), len(near_xy_m)
     origin_m, direction = np.empty((k, lasers, 3)), np.zeros((k, lasers, 3))
@@ -140,9 +133,9 @@ def _look(scene: Scene, section: Section, near_xy_m: Array, z_m: Array, far_m: f
         reading_deg=np.zeros(k),
         origin_m=origin_m,
         direction=direction,
-        across=None,
+        beam_axis=None,
     )
-    return scene.cast(firings, np.zeros(lasers), far_m)
+    return geometry.cast(firings, np.zeros(lasers), far_m)
 
 
 def _shaded(hits: Hits, colours: NDArray[np.uint8], overhang_m: float, depth_m: float) -> Array:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import MissingExtraError
-from vlp16emu.report.forest.plan import INK, SOFT, WALK, Plan, draw_plan, legend_entries
-from vlp16emu.report.forest.section import Section
+from vlp16emu.report.forest.plan import INK, SOFT, WALK, PlanView, draw_plan, legend_entries
+from vlp16emu.report.forest.section import StandSection
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,13 +47,19 @@ def check_matplotlib() -> None:
     del mpl
 
 
-def section_pixels_per_m(section: Section) -> float:
+def section_pixels_per_m(section: StandSection) -> float:
     """Scale at which a section fills the sheet's width."""
     return (_WIDTH_IN - 2 * _EDGE_IN) * _DPI / section.length_m
 
 
 def draw_sheet(
-    file: BinaryIO, plan: Plan, section: Section, drawn: NDArray[np.uint8], *, title: str, subtitle: str
+    file: BinaryIO,
+    plan: PlanView,
+    section: StandSection,
+    drawn: NDArray[np.uint8],
+    *,
+    title: str,
+    subtitle: str,
 ) -> None:
     """Draw plan and section as PNG.
 
@@ -95,8 +101,8 @@ def draw_sheet(
     _save(figure, file)
 
 
-def _draw_side(axes: "Axes", plan: Plan, section: Section, drawn: NDArray[np.uint8]) -> None:
-    """Draw the section with heights, lengths, the sensor's way and the sensor."""
+def _draw_side(axes: "Axes", plan: PlanView, section: StandSection, drawn: NDArray[np.uint8]) -> None:
+    """Draw the section with heights, lengths, the sensor's path and the sensor."""
     axes.imshow(drawn, extent=(0.0, section.length_m, section.low_m, section.high_m), interpolation="none")
     axes.set(xlim=(0, section.length_m), ylim=(section.low_m, section.high_m))
     axes.tick_params(labelsize=8, colors=SOFT, length=3)
@@ -105,14 +111,14 @@ def _draw_side(axes: "Axes", plan: Plan, section: Section, drawn: NDArray[np.uin
         spine.set_color(SOFT)
     axes.set_xticks(np.arange(0, section.length_m + 0.1, _TICK_M))
     axes.set_yticks(np.arange(np.ceil(section.low_m / _TICK_M) * _TICK_M, section.high_m, _TICK_M))
-    along_m, _ = section.coordinates(plan.way_m[:, :2])
-    inside = section.holds(plan.way_m[:, :2], 0.0)
-    axes.plot(along_m, np.where(inside, plan.way_m[:, 2], np.nan), color=WALK, lw=0.9, ls=(0, (4, 2)))
+    along_m, _ = section.coordinates(plan.path_m[:, :2])
+    inside = section.holds(plan.path_m[:, :2], 0.0)
+    axes.plot(along_m, np.where(inside, plan.path_m[:, 2], np.nan), color=WALK, lw=0.9, ls=(0, (4, 2)))
     if inside.any():
         middle = np.flatnonzero(inside)[inside.sum() // 2]
-        ground_m = plan.height_m(plan.way_m[middle : middle + 1, 0], plan.way_m[middle : middle + 1, 1])[0]
-        place_m = float(along_m[middle]), float(ground_m), float(plan.way_m[middle, 2])
-        _draw_carrier(axes, *place_m, plan.field_of_view_deg, walks=len(plan.way_m) > 1)
+        ground_m = plan.height_m(plan.path_m[middle : middle + 1, 0], plan.path_m[middle : middle + 1, 1])[0]
+        place_m = float(along_m[middle]), float(ground_m), float(plan.path_m[middle, 2])
+        _draw_carrier(axes, *place_m, plan.field_of_view_deg, walks=len(plan.path_m) > 1)
     bearing = np.degrees(np.arctan2(*section.towards)) % 360
     points = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
     note = f"A - B: what stands in a strip {section.depth_m:.0f} m deep, seen towards {points[round(bearing / 45) % 8]}; metres"
@@ -158,6 +164,6 @@ def _save(figure: "Figure", file: BinaryIO) -> None:
     canvas: Any = FigureCanvasAgg(figure)  # its methods are untyped
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    # The way is thin and red, and a palette by frequency alone would lose it.
+    # The path is thin and red, and a palette by frequency alone would lose it.
     few = picture.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
     few.save(file, format="PNG", optimize=True)

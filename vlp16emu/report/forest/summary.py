@@ -18,7 +18,7 @@ from vlp16emu.report.forest.figures import (
 from vlp16emu.report.forest.survey import Survey
 from vlp16emu.scenario import Scenario
 
-__all__ = ["ForestSummary", "NamedThing", "Things", "Way", "WorldSummary", "summary_of"]
+__all__ = ["ForestSummary", "NamedThing", "PathSummary", "Things", "WorldSummary", "summary_of"]
 
 _MEASURES = {
     "sapling": ("height", 2),
@@ -32,7 +32,7 @@ _MEASURES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class PathSummary:
     """The path of the sensor."""
 
     length_m: float
@@ -76,7 +76,7 @@ class WorldSummary:
     seed: int
     world: str
     """Its kind."""
-    way: Way
+    path: PathSummary
     radius_m: float
     """Of the surroundings that are looked at."""
     named: tuple[NamedThing, ...]
@@ -99,14 +99,14 @@ class ForestSummary(WorldSummary):
 
 def summary_of(scene: str, scenario: Scenario, seen: Survey) -> WorldSummary:
     """Sum up a survey; `scene` is its name there."""
-    path_xy_m = seen.way_m[:, :2]
+    path_xy_m = seen.path_m[:, :2]
     length_m = float(np.hypot(*np.diff(path_xy_m, axis=0).T).sum())
     bare = WorldSummary(
         scene=scene,
         title=scenario.title,
         seed=scenario.seed,
         world=scenario.world.kind,
-        way=Way(length_m, seen.way_m[0].tolist(), seen.way_m[-1].tolist()),
+        path=PathSummary(length_m, seen.path_m[0].tolist(), seen.path_m[-1].tolist()),
         radius_m=seen.radius_m,
         named=tuple(
             NamedThing(

@@ -27,19 +27,19 @@ __all__ = ["Survey", "survey"]
 Array = NDArray[np.float64]
 
 _STEPS_PER_S = 10
-"""Points of the way: a hand's breadth apart at a walker's speed."""
+"""Points of the path: a hand's breadth apart at a walker's speed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What stands near the way."""
+    """What stands near the path."""
 
     grow: Callable[[ShapeKey], tuple[Mesh, ...]]
     """Meshes of a shape of the world."""
     hall: HallWorld | None
     """The hall, where the world is one."""
     height_m: HeightField
-    way_m: Array
+    path_m: Array
     """(n, 3) sensor positions; one where it stands."""
     field_of_view_deg: tuple[float, float]
     """Elevations of the sensor's lowest and highest beam."""
@@ -76,7 +76,7 @@ class Survey:
 
     def inside(self, xy_m: Array) -> NDArray[np.bool_]:
         """Which points (k, 2) lie in the surroundings."""
-        within: NDArray[np.bool_] = Polyline(self.way_m[:, :2]).distance_m(xy_m) <= self.radius_m
+        within: NDArray[np.bool_] = Polyline(self.path_m[:, :2]).distance_m(xy_m) <= self.radius_m
         return within
 
 
@@ -94,27 +94,27 @@ def survey(scenario: Scenario, radius_m: float) -> Survey:
             "--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach"
         )
     parts = assemble(scenario)
-    way_m, beams_deg = _way_m(scenario, parts.motion), parts.head.beams.elevation_deg
-    way, world = Polyline(way_m[:, :2]), parts.world
+    path_m, beams_deg = _way_m(scenario, parts.motion), parts.head.beams.elevation_deg
+    path, world = Polyline(path_m[:, :2]), parts.world
     bare = world.bare if isinstance(world, Furnished) else world
     assert isinstance(bare, ForestWorld | HallWorld)
-    window = world.window(way_m)
-    trees = bare.trees(way_m) if isinstance(bare, ForestWorld) else np.zeros(0, TREE)
+    window = world.window(path_m)
+    trees = bare.trees(path_m) if isinstance(bare, ForestWorld) else np.zeros(0, TREE)
     trees = trees[trees["storey"] != REGENERATION]
-    gap_m = way.distance_m(np.column_stack([trees["x_m"], trees["y_m"]]))
+    gap_m = path.distance_m(np.column_stack([trees["x_m"], trees["y_m"]]))
     far_m = np.inf if isinstance(bare, HallWorld) else radius_m
     names = (one.names for one in (world, bare) if isinstance(one, HallWorld | Furnished))
     return Survey(
         grow=world.shape,
         hall=bare if isinstance(bare, HallWorld) else None,
         height_m=bare.height_m,
-        way_m=way_m,
+        path_m=path_m,
         field_of_view_deg=(float(beams_deg.min()), float(beams_deg.max())),
         radius_m=radius_m,
         window=window,
         trees=trees[gap_m <= reach_m],
         near=trees[gap_m <= radius_m],
-        things=things_near(window, world.shape, trees=trees["id"], way=way, radius_m=far_m),
+        things=things_near(window, world.shape, trees=trees["id"], path=path, radius_m=far_m),
         plants=bare.plants if isinstance(bare, ForestWorld) else flora(),
         names={instance: name for known in names for instance, name in known.items()},
         seed=scenario.seed,

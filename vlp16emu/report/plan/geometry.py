@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.raycast.caster import Scene
+from vlp16emu.raycast.caster import Geometry
 
-__all__ = ["Geometry", "geometry_of"]
+__all__ = ["GeometrySize", "geometry_of"]
 
 
 @dataclass(frozen=True, slots=True)
-class Geometry:
+class GeometrySize:
     """Faces of a window that are near by, and the medium beyond them."""
 
     faces: int
@@ -33,25 +33,25 @@ class Geometry:
     """Of all arrays of the medium."""
 
 
-def geometry_of(scene: Scene) -> Geometry:
+def geometry_of(geometry: Geometry) -> GeometrySize:
     """Count the faces and the voxels of a window."""
-    from vlp16emu.raycast.slow import PlainScene
+    from vlp16emu.raycast.slow import PlainGeometry
 
-    if isinstance(scene, PlainScene):
-        triangles = len(scene._surface)  # noqa: SLF001  # counting is all that anybody wants of it
-        return Geometry(triangles, triangles, 36 * triangles, None, 0, 0, 0)
-    from vlp16emu.raycast.scene import EmbreeScene  # its kernel binds to the library
+    if isinstance(geometry, PlainGeometry):
+        triangles = len(geometry._surface)  # noqa: SLF001  # counting is all that anybody wants of it
+        return GeometrySize(triangles, triangles, 36 * triangles, None, 0, 0, 0)
+    from vlp16emu.raycast.near import EmbreeGeometry  # its kernel binds to the library
     from vlp16emu.raycast.voxel import BRICK, COLUMNS
 
-    assert isinstance(scene, EmbreeScene)
-    placed, solids = Counter(map(id, scene.solids)), {id(solid): solid.faces for solid in scene.solids}
-    quads = {name: sum(len(own) for _, own in faces) for name, faces in solids.items()}
-    medium = scene.medium
+    assert isinstance(geometry, EmbreeGeometry)
+    placed, meshes = Counter(map(id, geometry.meshes)), {id(mesh): mesh.faces for mesh in geometry.meshes}
+    quads = {name: sum(len(own) for _, own in faces) for name, faces in meshes.items()}
+    medium = geometry.medium
     has_medium = math.isfinite(medium.near_m)
-    return Geometry(
+    return GeometrySize(
         faces=sum(quads.values()),
         placed=sum(quads[name] * often for name, often in placed.items()),
-        bytes=sum(array.nbytes for faces in solids.values() for pair in faces for array in pair),
+        bytes=sum(array.nbytes for faces in meshes.values() for pair in faces for array in pair),
         near_m=medium.near_m if has_medium else None,
         tiles=math.prod(BRICK * bricks // COLUMNS for bricks in medium.brick.shape[:2]),
         voxels=len(medium.record),

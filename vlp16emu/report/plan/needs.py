@@ -9,7 +9,7 @@ from vlp16emu.chain import Unit
 from vlp16emu.chain.chain import Chain
 from vlp16emu.chain.windows import window_of
 from vlp16emu.motion import Walk
-from vlp16emu.report.plan.geometry import Geometry, geometry_of
+from vlp16emu.report.plan.geometry import GeometrySize, geometry_of
 from vlp16emu.types import Window
 from vlp16emu.world.given.furnished import MeshKey
 from vlp16emu.world.plants.crown import CrownKey
@@ -71,7 +71,7 @@ class Surroundings:
     """The same, on average over the windows looked at."""
     surfaces: int
     """Rows of the first window's table."""
-    geometry: Geometry
+    geometry: GeometrySize
     """Of the first window."""
 
 
@@ -157,9 +157,9 @@ def surroundings(chain: Chain, windows: int) -> Surroundings:
     ----------
     windows : of the whole run
     """
-    parts, start_ns, cut = chain.parts, chain.scenario.start_ns, chain.cut
+    parts, start_ns, batching = chain.parts, chain.scenario.start_ns, chain.batching
     numbers = sorted({round(i * (windows - 1) / (_LOOKS - 1)) for i in range(_LOOKS)})
-    seen = [window_of(parts, start_ns, cut, number) for number in numbers]
+    seen = [window_of(parts, start_ns, batching, number) for number in numbers]
     counts = [_counts(window) for window in seen]
     kinds = sorted({kind for count in counts for kind in count})
     named = (getattr(key, "species", None) for window in seen for key in window.shapes)

@@ -72,9 +72,9 @@ def try_out(chain: Chain, stop_s: float, threads: int, began: Spent) -> Trial:
     InputError
         where the walk is too short to measure on
     """
-    cut, motion = chain.cut, chain.parts.motion
-    block_s, run_time_s = cut.block_ns / S_NS, motion.run_time_s
-    least_s, window_s = 3 * threads * block_s, cut.stretch * block_s
+    batching, motion = chain.batching, chain.parts.motion
+    block_s, run_time_s = batching.block_ns / S_NS, motion.run_time_s
+    least_s, window_s = 3 * threads * block_s, batching.segment * block_s
     end_s = min(run_time_s, max(min(stop_s, 2 * window_s), least_s))
     if end_s < least_s:
         raise InputError("motion", f"found a walk of {run_time_s:.2f} s", f"{least_s:.2f} s to measure on")
@@ -90,11 +90,11 @@ def try_out(chain: Chain, stop_s: float, threads: int, began: Spent) -> Trial:
             first = Spent(reached.wall_s - began.wall_s, reached.cpu_s - began.cpu_s, block_s)
             if windows > 1:
                 before = spent_since()
-                chain.windows.at_block(cut.stretch).result()
+                chain.windows.at_block(batching.segment).result()
                 second = spent_since(before)
     assert first is not None
     if not pieces:
-        raise InputError("--threads", f"found {threads}", f"at most {cut.stretch // 3} to measure on")
+        raise InputError("--threads", f"found {threads}", f"at most {batching.segment // 3} to measure on")
     return Trial(first, tuple(pieces), second, windows, peak_bytes())
 
 
@@ -102,13 +102,13 @@ def _windows(chain: Chain, stop_s: float) -> int:
     """Count the windows of a run."""
     if not chain.parts.moves:
         return 1
-    return (chain.cut.blocks(0, seconds_to_ns(stop_s)).stop - 1) // chain.cut.stretch + 1
+    return (chain.batching.blocks(0, seconds_to_ns(stop_s)).stop - 1) // chain.batching.segment + 1
 
 
 def _piece(chain: Chain, span_s: tuple[float, float], limit_s: float, threads: int) -> tuple[Spent, Spent]:
     """Send packets to nowhere until the time is over: clocks at the first one, and what went by from there on."""
     first, piece, marks = None, Spent(0.0, 0.0), dict[int, int]()
-    links, block_ns = [unit.link for unit in chain.parts.units], chain.cut.block_ns
+    links, block_ns = [unit.link for unit in chain.parts.units], chain.batching.block_ns
     with PcapSink(Path(os.devnull), [0] * len(links), links) as sink:
         for packet in chain.packets(*span_s):
             sink.send(packet)
@@ -134,6 +134,6 @@ def _marks(chain: Chain, first_block: int, stop_s: float, threads: int) -> dict[
     of them comes, all have been worked on.
     """
     own = threads // len(chain.parts.units) or 1
-    blocks = range(first_block, chain.cut.blocks(0, seconds_to_ns(stop_s)).stop)
+    blocks = range(first_block, chain.batching.blocks(0, seconds_to_ns(stop_s)).stop)
     runs = list(chain.windows.runs(blocks, chain.parts.units[0].beam.together, own))
     return {runs[n].start: sum(map(len, runs[own : n + own])) for n in range(own, len(runs), own)}

@@ -51,7 +51,7 @@ def read_geotiff(path: Path) -> tuple[NDArray[np.float64], float, float, float]:
         import tifffile
     except ImportError:
         raise MissingExtraError("tifffile", "dem", f"reading {path.name}") from None
-    # What it stumbles over is told in a line of our own.
+    # Its failures are reported in a line of our own.
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)
     with readable(path, _EXPECTED, GeometryError):
         try:
@@ -71,7 +71,7 @@ def read_geotiff(path: Path) -> tuple[NDArray[np.float64], float, float, float]:
 
 
 def _unread(path: Path, error: Exception) -> GeometryError | MissingExtraError:
-    """Tell why a file could not be read: for want of a codec, or for what is in it."""
+    """Say why a file could not be read: for want of a codec, or for what is in it."""
     # Python before 3.14 has no Zstandard, and tifffile then looks for it in vain.
     wants_codec = isinstance(error, ModuleNotFoundError) or "imagecodecs" in str(error)
     if wants_codec and find_spec("imagecodecs") is None:
@@ -130,7 +130,7 @@ class Grid:
 
 
 def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float] | None) -> Grid:
-    """Read a grid, its kind told by the ending of its name: .asc, .npy, .tif or .tiff.
+    """Read a grid, of the format that the suffix names: .asc, .npy, .tif or .tiff.
 
     Parameters
     ----------

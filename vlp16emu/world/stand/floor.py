@@ -14,7 +14,7 @@ from vlp16emu.world.plants.flora import GROUND_MATERIALS, Flora, flora, known
 from vlp16emu.world.stand.floor_shapes import FLOOR_VARIANTS, FloorKey, FloorKind
 from vlp16emu.world.stand.placed import (
     NO_TREES,
-    Placed,
+    PlacedThings,
     Site,
     between,
     distinct,
@@ -101,7 +101,7 @@ class StoneLayer:
         per_ha = stones_per_ha(section.cover)
         self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.STONES, per_ha=per_ha)
 
-    def place(self, site: Site) -> Placed:
+    def place(self, site: Site) -> PlacedThings:
         """Stones of a tile."""
         xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.STONES)
         draws = rng.random((len(xy_m), 7))
@@ -139,7 +139,7 @@ class LogLayer:
         self._section = section
         self._numbers = _species_numbers(section.species or canopy, plants, "logs.species")
 
-    def place(self, site: Site) -> Placed:
+    def place(self, site: Site) -> PlacedThings:
         """Lay logs, whose middle is on a tile, along the ground under them."""
         xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.LOGS)
         own, draws = self._section, rng.random((len(xy_m), 8))
@@ -171,7 +171,7 @@ class StumpLayer:
         self._section = section
         self._numbers = _species_numbers(section.species or canopy, plants, "stumps.species")
 
-    def place(self, site: Site) -> Placed:
+    def place(self, site: Site) -> PlacedThings:
         """Stumps of a tile."""
         xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.STUMPS)
         own, draws = self._section, rng.random((len(xy_m), 8))
@@ -192,7 +192,7 @@ class GrassLayer:
         self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.GRASS, per_ha=per_ha)
         self._height_m = section.height_m
 
-    def place(self, site: Site) -> Placed:
+    def place(self, site: Site) -> PlacedThings:
         """Tufts of a tile."""
         near = site.distance_m < _GRASS_REACH_M
         xy_m = self.pattern.points(site.ix, site.iy) if near else np.zeros((0, 2))
@@ -221,7 +221,7 @@ def _placed(
     draws: Array,
     species: Array,
     large: NDArray[np.bool_] | None = None,
-) -> Placed:
+) -> PlacedThings:
     """Label those things that are kept; draws (n, 2 or more) choose variant and brightness."""
     variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
     larges = [False] * len(variants) if large is None else large[keep].tolist()
@@ -232,7 +232,7 @@ def _placed(
     rows = surface_rows(
         parts=(part,), semantic=semantic, material=number, reflectance=reflectance, species=species[keep]
     )
-    return Placed(keys, shape, world_T[keep], rows, NO_TREES)
+    return PlacedThings(keys, shape, world_T[keep], rows, NO_TREES)
 
 
 @cache

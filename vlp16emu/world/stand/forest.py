@@ -19,11 +19,11 @@ from vlp16emu.world.plants.stem import STEM_PARTS, StemKey, far_stems, stem_mesh
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.world.stand.nearby import by_tile, key_text
-from vlp16emu.world.stand.placed import NO_TREES, Layer, Placed, Site, distinct
+from vlp16emu.world.stand.placed import NO_TREES, Layer, PlacedThings, Site, distinct
 from vlp16emu.world.stand.stand import TREE, foot_discs
 from vlp16emu.world.stand.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
 
-__all__ = ["FIRST_FREE_INSTANCE", "ForestWorld", "Stems"]
+__all__ = ["FIRST_FREE_INSTANCE", "ForestWorld", "TreeSource"]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -55,7 +55,7 @@ _MARGIN_M = 80.0
 and a tile more, since voxels of a tile are made of the tiles around it too."""
 
 
-class Stems(Protocol):
+class TreeSource(Protocol):
     """Trees of a forest, grown or given."""
 
     @property
@@ -120,7 +120,7 @@ class ForestWorld:
         *,
         seed: int,
         height_m: HeightField,
-        stems: Stems,
+        stems: TreeSource,
         layers: Sequence[Layer],
         path: Corridor,
         reach_m: float,
@@ -277,11 +277,11 @@ class ForestWorld:
         trees, origin_m = self._trees(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
         return stem_meshes(trees, origin_m, self.height_m, table=self.plants.trees)
 
-    def _stems_of(self, key: TileKey, trees: Trees) -> Placed:
+    def _stems_of(self, key: TileKey, trees: Trees) -> PlacedThings:
         """Place the stems of a tile's trees one by one, at rest where the tile has them."""
         n = len(trees)
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
-        return Placed(
+        return PlacedThings(
             tuple(StemKey(key, number) for number in range(n)),
             np.arange(n),
             np.repeat(world_T_tile[None], n, axis=0),
@@ -289,12 +289,12 @@ class ForestWorld:
             NO_TREES,
         )
 
-    def _crowns(self, trees: Trees) -> Placed:
+    def _crowns(self, trees: Trees) -> PlacedThings:
         """Place the crowns of a tile's trees."""
         names = trees[["cohort", "crown_class", "crown_variant"]].tolist()
         crowns = [self._crown(*name) for name in names]
         keys, shape = distinct(crowns)
-        return Placed(
+        return PlacedThings(
             keys,
             shape,
             crown_placements(trees, crowns),
@@ -302,7 +302,7 @@ class ForestWorld:
             trees,
         )
 
-    def _things(self, key: TileKey) -> list[Placed]:
+    def _things(self, key: TileKey) -> list[PlacedThings]:
         """Everything else on a tile."""
         if not self._layers:
             return []
@@ -336,7 +336,7 @@ def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], 
 
 
 def _packed(
-    key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[Placed], swaying: int, plants: Flora
+    key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[PlacedThings], swaying: int, plants: Flora
 ) -> _Tile:
     """Put a tile together: first its own shape of ground and stems, then all that is placed on it."""
     ground = np.zeros(1, SURFACE)

@@ -1,4 +1,4 @@
-"""The truth about trees that stand: one row for each, reckoned from the meshes that are scanned."""
+"""The truth about trees that stand: one row for each, computed from the meshes that are scanned."""
 
 import csv
 from collections.abc import Mapping, Sequence

@@ -134,9 +134,9 @@ class Thing:
 
 
 def things_near(
-    window: Window, shape: Grow, *, trees: NDArray[np.uint32], way: Polyline, radius_m: float
+    window: Window, shape: Grow, *, trees: NDArray[np.uint32], path: Polyline, radius_m: float
 ) -> list[Thing]:
-    """Things whose place is within a radius of a way, in the order of the window.
+    """Things whose place is within a radius of a path, in the order of the window.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def things_near(
     """
     no_tile = np.array([not isinstance(key, TileKey) for key in window.shapes], np.bool_)[window.shape]
     no_tree = ~np.isin(window.surfaces["instance"][window.first_surface], trees)
-    near = way.distance_m(window.world_T_shape[:, :2, 3]) <= radius_m
+    near = path.distance_m(window.world_T_shape[:, :2, 3]) <= radius_m
     corners = cache(lambda key: _corners_m(shape(key)))
     return [
         _thing(window, int(i), corners(window.shapes[window.shape[i]]))
@@ -166,7 +166,7 @@ def cut_out(
     ----------
     window, shape : of the world
     instances : (n,) what is left besides ground
-    inside : tells of points (n, 2) which lie in the place
+    inside : which of points (n, 2) lie in the place
 
     Returns
     -------
@@ -192,8 +192,8 @@ def cut_out(
         corner_m, row = window.world_T_shape[place, :2, 3], int(window.first_surface[place]) + 1
         middles_m = ground.vertices_m[ground.faces].mean(axis=1)[:, :2] + corner_m
         stays = wanted[row : row + len(stems)].tolist()
-        told = zip(stems, stays, strict=True)
-        cut = (mesh if whole else Mesh(mesh.vertices_m, mesh.faces[:0]) for mesh, whole in told)
+        paired = zip(stems, stays, strict=True)
+        cut = (mesh if whole else Mesh(mesh.vertices_m, mesh.faces[:0]) for mesh, whole in paired)
         corners, faces = np.unique(ground.faces[inside(middles_m)], return_inverse=True)
         return Mesh(ground.vertices_m[corners], faces.reshape(-1, 3).astype(np.uint32)), *cut
 

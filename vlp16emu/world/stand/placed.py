@@ -1,4 +1,4 @@
-"""Things of which a tile holds many: the same few shapes, placed again and again."""
+"""Things that a tile holds many times: the same few shapes, placed again and again."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from vlp16emu.world.stand.tiles import tile_distance_m
 __all__ = [
     "NO_TREES",
     "Layer",
-    "Placed",
+    "PlacedThings",
     "Site",
     "between",
     "distinct",
@@ -34,7 +34,7 @@ NO_TREES = np.zeros(0, TREE)
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class PlacedThings:
     """Things of one kind on one tile."""
 
     keys: tuple[ShapeKey, ...]
@@ -87,7 +87,7 @@ class Layer(Protocol):
     def pattern(self) -> PointPattern:
         """Their places, before those on the path and in trunks are left out."""
 
-    def place(self, site: Site) -> Placed:
+    def place(self, site: Site) -> PlacedThings:
         """Things of a tile, a function of the site alone."""
 
 

@@ -141,7 +141,7 @@ class ClusterPattern:
 
 
 class RowPattern:
-    """Points in planted rows, a random share of which is still there.
+    """Points in planted rows; a random share of them is still there.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Trees and what grows and lies under them: how many, of which species and size, and where."""
+"""Trees and what grows and lies under them: how many, their species, size and place."""
 
 from typing import Annotated, ClassVar, Literal, Self
 

@@ -41,11 +41,11 @@ class TileKey:
 
 
 def tiles_within(line_xy_m: Array, reach_m: float) -> NDArray[np.int64]:
-    """Tiles of which some part may lie within `reach_m` of a polyline (m, 2).
+    """Tiles that may lie in part within `reach_m` of a polyline (m, 2).
 
     Returns
     -------
-    (n, 2) ix and iy, in ascending order. Distance is reckoned from the tile's centre less half its
+    (n, 2) ix and iy, in ascending order. Distance is measured from the tile's centre less half its
     diagonal, so that no tile in reach is left out.
     """
     reach = reach_m + _HALF_DIAGONAL_M

@@ -23,7 +23,7 @@ from vlp16emu.world.plants.shrub import SHRUB_PARTS, ShrubKey
 from vlp16emu.world.plants.species import Shrub, Species
 from vlp16emu.world.stand.placed import (
     NO_TREES,
-    Placed,
+    PlacedThings,
     Site,
     between,
     distinct,
@@ -85,7 +85,7 @@ class SaplingLayer:
             section.pattern, seed=seed, purpose=Purpose.REGENERATION, per_ha=section.stems_per_ha
         )
 
-    def place(self, site: Site) -> Placed:
+    def place(self, site: Site) -> PlacedThings:
         """Saplings of a tile."""
         xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.REGENERATION)
         draws = rng.random((len(xy_m), 6))
@@ -111,7 +111,7 @@ class SaplingLayer:
         names = [self._species[i].name for i in kind[keep]]
         return self._placed(trees[keep], names)
 
-    def _placed(self, trees: NDArray[np.void], names: Sequence[str]) -> Placed:
+    def _placed(self, trees: NDArray[np.void], names: Sequence[str]) -> PlacedThings:
         """Choose a prototype for each sapling."""
         sizes = trees[["crown_class", "crown_variant"]].tolist()
         prototype_m = [_class_height_m(size) for size, _ in sizes]
@@ -121,7 +121,7 @@ class SaplingLayer:
                 for name, (_, variant), height_m in zip(names, sizes, prototype_m, strict=True)
             ]
         )
-        return Placed(
+        return PlacedThings(
             keys,
             shape,
             _scaled(trees, np.array(prototype_m)),
@@ -138,7 +138,7 @@ class ShrubLayer:
         self._species = known(section.species, self._plants.shrubs, "shrubs.species")
         self.pattern = pattern_of(section.pattern, seed=seed, purpose=Purpose.SHRUBS, per_ha=section.per_ha)
 
-    def place(self, site: Site) -> Placed:
+    def place(self, site: Site) -> PlacedThings:
         """Shrubs of a tile."""
         xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.SHRUBS)
         draws = rng.random((len(xy_m), 6))
@@ -160,7 +160,7 @@ class ShrubLayer:
 
     def _placed(
         self, shrubs: NDArray[np.void], kind: NDArray[np.int64], variant: NDArray[np.int64]
-    ) -> Placed:
+    ) -> PlacedThings:
         """Choose a prototype for each shrub."""
         prototype_m = [_class_height_m(size) for size in _height_class(shrubs["height_m"]).tolist()]
         species = [self._species[i] for i in kind]
@@ -171,7 +171,7 @@ class ShrubLayer:
             ]
         )
         world_T = _scaled(shrubs, np.array(prototype_m))
-        return Placed(
+        return PlacedThings(
             keys, shape, world_T, _plant_rows(Semantic.SHRUB, SHRUB_PARTS, shrubs, self._plants), NO_TREES
         )
 

@@ -238,7 +238,7 @@ class TreeSway:
     def shear(self, trees: Stand, t_ns: NDArray[np.int64]) -> Array:
         """Lean of trees (m,) at UTC times (k,): (k, m, 2) metres east and north per metre over the foot.
 
-        Drag grows with the square of the speed, of which the mean and what is linear in the gusts are kept.
+        Drag grows with the square of the speed; the mean and the part linear in the gusts are kept.
         """
         own = mechanics(trees, self._forest.plants, self._season)
         along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)

@@ -10,49 +10,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast import embree as rtc
-from vlp16emu.raycast.beam import LINE, BeamModel, Footprint, across_of, displace
-from vlp16emu.raycast.build import Motion, Solid, motion_of, placed
+from vlp16emu.raycast.beam import LINE, BeamModel, Footprint, beam_axis_of, displace
+from vlp16emu.raycast.build import EmbreeMesh, InstanceMotion, motion_of, placed
 from vlp16emu.raycast.far import NO_MEDIUM, STRAY_M, Far, recalled_shape
-from vlp16emu.raycast.geometry import normal_matrices, relative_to_window
-from vlp16emu.raycast.kernel import Light, cast_lines, cast_pulses
+from vlp16emu.raycast.kernel import PulseBatch, cast_lines, cast_pulses
 from vlp16emu.raycast.lanes import Medium
 from vlp16emu.raycast.packet import PACKET, Target
+from vlp16emu.raycast.quads import normal_matrices, relative_to_window
 from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
 
-__all__ = ["EmbreeCaster", "EmbreeScene"]
+__all__ = ["EmbreeCaster", "EmbreeGeometry"]
 
 _SECTOR_DEG = 1.6
 """What is near in one direction stays in the cache from revolution to revolution: with eight of them a fifth less time for
 one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam. Sectors of 12 degrees gain half of that."""
 
 
-class EmbreeScene:
+class EmbreeGeometry:
     """A window ready to be cast against; any number of threads may cast at once.
 
     Parameters
     ----------
-    near, beyond : what is cast as faces up to where the medium begins, and at any range beyond; with a solid for each
+    near, beyond : what is cast as faces up to where the medium begins, and at any range beyond; with a mesh for each
         placement
     """
 
     def __init__(
         self,
-        near: tuple[Window, Sequence[Solid]],
-        beyond: tuple[Window, Sequence[Solid]] | None = None,
+        near: tuple[Window, Sequence[EmbreeMesh]],
+        beyond: tuple[Window, Sequence[EmbreeMesh]] | None = None,
         medium: Medium = NO_MEDIUM,
     ) -> None:
         self._kept = [near, beyond]
-        self.solids = near[1]
+        self.meshes = near[1]
         """Of the placements that are cast as faces near by."""
         self.surfaces, self.medium = near[0].surfaces, medium
         self._near, self._motion = self._target(*near)
         self._beyond = self._target(*beyond)[0] if beyond else self._near._replace(scene=0)
 
-    def _target(self, window: Window, solids: Sequence[Solid]) -> tuple[Target, Motion]:
+    def _target(self, window: Window, meshes: Sequence[EmbreeMesh]) -> tuple[Target, InstanceMotion]:
         """Build the scene of a window's placements."""
         motion, moving = motion_of(window)
-        scene = placed(solids, relative_to_window(window).astype(np.float32), moving)
+        scene = placed(meshes, relative_to_window(window).astype(np.float32), moving)
         weakref.finalize(self, rtc.library().rtcReleaseScene, scene)
         reflectance = np.ascontiguousarray(window.surfaces["reflectance"])
         normals = normal_matrices(window)
@@ -67,7 +67,7 @@ class EmbreeScene:
 
         Parameters
         ----------
-        firings : k sequences, k a multiple of 8, with `across` where the beam has a width
+        firings : k sequences, k a multiple of 8, with `beam_axis` where the beam has a width
         near_m : (L,) range at which each laser's light begins
         far_m : range at which it is given up
         beam : how wide a pulse is
@@ -80,24 +80,24 @@ class EmbreeScene:
         shape = firings.t_ns.shape
         if shape[0] % PACKET:
             raise ValueError(f"cast: found {shape[0]} sequences, expected a multiple of {PACKET}")
-        light = Light(
+        pulses = PulseBatch(
             firings.origin_m,
             firings.direction,
-            across_of(firings, beam) if beam.has_width else np.empty((0, 0, 0)),
+            beam_axis_of(firings, beam) if beam.has_width else np.empty((0, 0, 0)),
             self._motion.times(firings.t_ns),
             near_m,
             far_m,
             _by_sectors(firings.azimuth_deg),
-            beam.quarters.astype(np.float32),
+            beam.sigmas.astype(np.float32),
             beam.seed,
             firings.index,
         )
         world = self._near, self._beyond, self.medium
         if beam.has_width:
             count = np.empty(shape, np.uint16)
-            return Hits(count, *cast_pulses(*world, light, beam.budget, count))
+            return Hits(count, *cast_pulses(*world, pulses, beam.budget, count))
         met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
-        cast_lines(*world, light, *met)
+        cast_lines(*world, pulses, *met)
         if beam.model is BeamModel.OFFSET:
             displace(met[0], beam, firings.index)
         return Hits.one_ray_each(*met)
@@ -121,10 +121,10 @@ class EmbreeCaster:
     def __init__(self, world: World, workers: Executor) -> None:
         self._world, self._workers = world, workers
         self._far = Far(world, workers)
-        self._solids: weakref.WeakValueDictionary[ShapeKey, Solid] = weakref.WeakValueDictionary()
+        self._solids: weakref.WeakValueDictionary[ShapeKey, EmbreeMesh] = weakref.WeakValueDictionary()
         self._lock = threading.Lock()
 
-    def open(self, window: Window) -> EmbreeScene:
+    def open(self, window: Window) -> EmbreeGeometry:
         """Make a window ready for casting.
 
         Raises
@@ -134,7 +134,7 @@ class EmbreeCaster:
         """
         with self._lock:
             if window.far is None or not np.isfinite(self._world.near_m):
-                return EmbreeScene(self._built(window))
+                return EmbreeGeometry(self._built(window))
             tiles = self._far.tiles(window)
             beyond = self._built(_part(window, ~window.far))
             is_near = np.empty(len(window.shape), np.bool_)
@@ -143,31 +143,31 @@ class EmbreeCaster:
             part = _part(window, is_near)
             begun = self._begun(part)  # while what is far is put together
             medium = self._far.medium(window, tiles)
-            return EmbreeScene(self._built(part, begun), beyond if beyond[1] else None, medium)
+            return EmbreeGeometry(self._built(part, begun), beyond if beyond[1] else None, medium)
 
-    def _reached(self, window: Window, solids: Sequence[Solid]) -> NDArray[np.bool_]:
+    def _reached(self, window: Window, meshes: Sequence[EmbreeMesh]) -> NDArray[np.bool_]:
         """Which placements (n,) may be met by light that has not yet come to the medium."""
         assert window.near is not None
         stretch = np.sqrt((window.world_T_shape[:, :, :3] ** 2).sum(axis=1).max(axis=-1, initial=0.0))
-        reach_m = self._world.near_m + STRAY_M + stretch * [solid.radius_m for solid in solids]
+        reach_m = self._world.near_m + STRAY_M + stretch * [mesh.radius_m for mesh in meshes]
         return distance_m(window.world_T_shape[:, :2, 3], window.near[:, :2]) <= reach_m
 
-    def _begun(self, window: Window) -> list[Solid | Future[Solid]]:
+    def _begun(self, window: Window) -> list[EmbreeMesh | Future[EmbreeMesh]]:
         """Begin to build the shapes of a window that no other has; all of them in order."""
         return [self._solids.get(key) or self._workers.submit(self._solid, key) for key in window.shapes]
 
     def _built(
-        self, window: Window, begun: Sequence[Solid | Future[Solid]] | None = None
-    ) -> tuple[Window, list[Solid]]:
+        self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]] | None = None
+    ) -> tuple[Window, list[EmbreeMesh]]:
         """Give a window with the built shapes of its placements."""
         begun = self._begun(window) if begun is None else begun
-        solids = [each.result() if isinstance(each, Future) else each for each in begun]
-        self._solids.update(zip(window.shapes, solids, strict=True))
-        return window, [solids[which] for which in window.shape.tolist()]
+        meshes = [each.result() if isinstance(each, Future) else each for each in begun]
+        self._solids.update(zip(window.shapes, meshes, strict=True))
+        return window, [meshes[which] for which in window.shape.tolist()]
 
-    def _solid(self, key: ShapeKey) -> Solid:
+    def _solid(self, key: ShapeKey) -> EmbreeMesh:
         """Grow a shape and build it."""
-        return Solid(recalled_shape(self._world, key))
+        return EmbreeMesh(recalled_shape(self._world, key))
 
 
 def _part(window: Window, keep: NDArray[np.bool_]) -> Window:

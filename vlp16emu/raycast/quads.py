@@ -22,7 +22,7 @@ def faces_of(mesh: Mesh) -> Faces:
     """Quads that Embree cuts into the very triangles of a mesh.
 
     It walks one tree of quads faster than a tree of quads and another of triangles: in `scenes/reference_forest` a quarter
-    to a third more rays per second, of which a half comes from branches and stems as half as many faces.
+    to a third more rays per second, half of that comes from branches and stems as half as many faces.
 
     Embree cuts a quad (a, b, c, d) into (a, b, d) and (c, d, b), and takes one with c = d for a triangle
     (Embree 4 API, RTC_GEOMETRY_TYPE_QUAD). Triangles need not lie in one plane to be a pair.
