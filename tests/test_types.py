@@ -31,7 +31,7 @@ def firings(**changes):
         "reading_deg": np.zeros(K),
         "origin_m": np.zeros((K, L, 3)),
         "direction": np.zeros((K, L, 3)),
-        "across": None,
+        "beam_axis": None,
     }
     return Firings(**(fields | changes))
 
@@ -93,8 +93,8 @@ BAD = [
     ),
     (
         firings,
-        {"across": np.zeros((K, L, 2))},
-        "firings.beam_axis: found (3, 16, 2) float64, expected (3, 16, 3) float64",
+        {"beam_axis": np.zeros((K, L, 2))},
+        "Firings.beam_axis: found (3, 16, 2) float64, expected (3, 16, 3) float64",
     ),
     (
         hits,

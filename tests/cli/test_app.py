@@ -198,7 +198,9 @@ def test_warnings_are_lines_on_stderr(program):
     _, err = run.communicate(timeout=100)
     assert run.returncode == 0
     (line,) = err.splitlines()
-    assert line.startswith("warning: hall: the way of the sensor leaves it at (100, 0) m; expected x between")
+    assert line.startswith(
+        "warning: hall: the path of the sensor leaves it at (100, 0) m; expected x between"
+    )
 
 
 def test_a_request_to_end_is_as_ctrl_c(program):

@@ -9,7 +9,7 @@ from vlp16emu.chain import assemble
 from vlp16emu.chain.chain import Chain
 from vlp16emu.cli import plan
 from vlp16emu.report import Spent
-from vlp16emu.report.plan.geometry import Geometry
+from vlp16emu.report.plan.geometry import GeometrySize
 from vlp16emu.report.plan.needs import needs
 from vlp16emu.report.plan.run import Measured, StreamOutlook
 from vlp16emu.report.plan.trial import peak_bytes
@@ -127,7 +127,7 @@ def test_whether_a_stream_keeps_up_is_reported(birch):
 
 def test_people_read_what_is_faces_and_what_is_voxels(birch):
     """The page says up to which range there are faces and from where voxels, or that all are faces."""
-    rows = plan._geometry(Geometry(**birch["world"]["geometry"]))
+    rows = plan._geometry(GeometrySize(**birch["world"]["geometry"]))
     assert rows["faces"].endswith(", within 15 m")
     assert rows["voxels"].endswith(" tiles, beyond 15 m")
 

@@ -83,24 +83,24 @@ def test_directions_have_unit_length(head):
     np.testing.assert_allclose(np.linalg.norm(firings.direction, axis=-1), 1.0, atol=1e-15)
 
 
-def test_across_is_where_the_beam_moves(head):
+def test_the_beam_axis_is_where_the_beam_moves(head):
     """`across` is the direction's derivative by the rotor's angle at unit length, level in the sensor."""
     yaw, pitch, roll = 0.4, 0.2, -0.1
     aimed = head.aim(0, 8, pose(yaw, pitch, roll), beam_axis=True)
     later = replace(head, rotor=replace(head.rotor, start_azimuth_deg=10.0 + 1e-4))
     moved = later.aim(0, 8, pose(yaw, pitch, roll)).direction - aimed.direction
     moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
-    np.testing.assert_allclose(aimed.across, moved, atol=1e-5)
-    np.testing.assert_allclose(np.linalg.norm(aimed.across, axis=-1), 1.0, atol=1e-15)
-    np.testing.assert_allclose((aimed.across * aimed.direction).sum(axis=-1), 0.0, atol=1e-15)
+    np.testing.assert_allclose(aimed.beam_axis, moved, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(aimed.beam_axis, axis=-1), 1.0, atol=1e-15)
+    np.testing.assert_allclose((aimed.beam_axis * aimed.direction).sum(axis=-1), 0.0, atol=1e-15)
     up = rotations(np.array([yaw]), pitch, roll)[0][:, 2]
-    np.testing.assert_allclose(aimed.across @ up, 0.0, atol=1e-15)
+    np.testing.assert_allclose(aimed.beam_axis @ up, 0.0, atol=1e-15)
 
 
-def test_across_is_left_out_unless_wanted(head):
+def test_the_beam_axis_is_left_out_unless_wanted(head):
     """Lines need no `across`, and their directions are the same with and without."""
     line, wide = head.aim(5, 8, pose(0.3)), head.aim(5, 8, pose(0.3), beam_axis=True)
-    assert line.across is None
+    assert line.beam_axis is None
     assert (line.direction == wide.direction).all()
 
 

@@ -142,7 +142,7 @@ def pulses(origin_m: Array, direction: Array, *, lasers: int = LASERS) -> Firing
         reading_deg=zero[:, 0],
         origin_m=np.ascontiguousarray(origin_m, np.float64).reshape(*shape, 3),
         direction=np.ascontiguousarray(direction, np.float64).reshape(*shape, 3),
-        across=across.reshape(*shape, 3),
+        beam_axis=across.reshape(*shape, 3),
     )
 
 

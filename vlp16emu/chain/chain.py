@@ -113,8 +113,7 @@ class Chain:
         first, last = (max(0, -(-ns // period_ns) - 1) for ns in (start_ns, stop_ns))
         blocks = range(first // per_block, -(-last // per_block))
         number, threads = blocks.start * per_block, self._threads // len(self.parts.units) or 1
-        for packets in prefetch(
-            pack, self.windows, blocks=blocks, threads=threads, together=unit.beam.together
-        ):
+        together = unit.beam.together
+        for packets in prefetch(pack, self.windows, blocks=blocks, threads=threads, together=together):
             yield from packets[max(0, first - number) : last - number]
             number += len(packets)

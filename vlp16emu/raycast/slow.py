@@ -101,10 +101,10 @@ class PlainGeometry(SlowScene):
     def __init__(self, window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
         super().__init__(window)
         from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeGeometry
+        from embreex.rtcore_scene import EmbreeScene
 
         triangles_m, self._surface = flatten(window, shape)
-        self._scene = EmbreeGeometry(robust=True)
+        self._scene = EmbreeScene(robust=True)
         if len(triangles_m):
             TriangleMesh(self._scene, triangles_m.astype(np.float32))
 
