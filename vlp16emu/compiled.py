@@ -5,7 +5,7 @@ to one state of all files that kernels are made of: its folder is named by their
 """
 
 # pathlib takes as long to load as all else of the package's start.
-# ruff: noqa: PTH103, PTH116, PTH118, PTH120, PTH208
+# ruff: noqa: PTH100, PTH102, PTH103, PTH106, PTH108, PTH112, PTH113, PTH114, PTH116, PTH118, PTH120, PTH123, PTH208
 import hashlib
 import os
 import re
@@ -18,10 +18,14 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["compiled_files", "keep_compiled"]
+__all__ = ["compiled_files", "keep_compiled", "remove_compiled"]
 
 _PACKAGE = os.path.dirname(__file__)
 _PREFIX = "kernels-"
+_NAME = re.compile(_PREFIX + "[0-9a-f]{16}")
+_MARKER = "made-by-vlp16emu"
+"""Empty file in each folder of ours: others may keep something under such a name."""
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _WITHOUT_KERNELS = frozenset(
     [
         "__init__",
@@ -40,7 +44,7 @@ _WITHOUT_KERNELS = frozenset(
         "sinks",
         "streaming",
         "truth",
-        "verify",
+        "validator",
     ]
 )
 """Folders and modules of no kernel, and of nothing that a kernel takes."""
@@ -51,48 +55,110 @@ _UNUSED_S = 86_400.0
 def keep_compiled() -> None:
     """Set where numba keeps what it compiles, before any kernel is imported.
 
-    In `NUMBA_CACHE_DIR`, or beside the package; where that cannot be written in the user's cache, or in a folder of
-    the user's own for temporary files.
+    In `NUMBA_CACHE_DIR`, or beside the package; else in the user's cache, or in a folder of the user's own for temporary
+    files. What was compiled is code that is run unread: a folder is taken only if nobody else can write in it. Where
+    there is none, kernels are kept in a new private folder until the program ends.
     """
     name = _PREFIX + _state()
-    for base in _bases():
-        folder = os.path.join(base, name)
-        try:
-            os.makedirs(folder, mode=0o700, exist_ok=True)
-            # Whoever can write there can have us run what he likes.
-            if os.stat(folder).st_uid != os.getuid() or not os.access(folder, os.W_OK):
-                continue
-            os.utime(folder)
-        except OSError:
-            continue
-        _remove_unused(base)
-        os.environ["NUMBA_CACHE_DIR"] = folder
-        if "numba" in sys.modules:  # it has looked at the environment already
-            sys.modules["numba"].config.CACHE_DIR = folder
-        return
+    folder = next(filter(_is_private, (os.path.join(base, name) for base in _bases())), None)
+    if folder is None:
+        folder = os.path.join(_for_this_run(), name)
+        _is_private(folder)
+    _remove_unused(os.path.dirname(folder), folder)
+    os.environ["NUMBA_CACHE_DIR"] = folder
+    if "numba" in sys.modules:  # it has looked at the environment already
+        sys.modules["numba"].config.CACHE_DIR = folder
 
 
 def compiled_files() -> "dict[Path, list[Path]]":
     """List what numba keeps in folders of ours, of any state of the package, by folder."""
     from pathlib import Path  # here: it takes as long to load as all else of the package's start
 
-    found = {}
-    for base in map(Path, dict.fromkeys(_bases())):
-        for folder in base.glob(_PREFIX + "*"):
-            with suppress(OSError):
-                state = folder.lstat()
-                if (
-                    re.fullmatch(_PREFIX + "[0-9a-f]{16}", folder.name)
-                    and stat.S_ISDIR(state.st_mode)
-                    and state.st_uid == os.getuid()
-                ):
-                    found[folder] = [
-                        path
-                        for end in ("nbi", "nbc")
-                        for path in folder.glob(f"*/*.{end}")
-                        if not path.is_symlink()
-                    ]
-    return found
+    return {
+        Path(folder): list(map(Path, _files_in(folder))) for base in _bases() for folder in _folders_in(base)
+    }
+
+
+def remove_compiled(folder: "str | Path") -> None:
+    """Remove what numba keeps in a folder of ours, and the folder if nothing else is in it."""
+    for path in _files_in(folder):
+        with suppress(OSError):
+            os.unlink(path)
+    rooms = [room.path for room in os.scandir(folder) if room.is_dir(follow_symlinks=False)]
+    for room in rooms:
+        with suppress(OSError):  # where something else is in it
+            os.rmdir(room)
+    if os.listdir(folder) == [_MARKER]:
+        os.unlink(os.path.join(folder, _MARKER))
+        os.rmdir(folder)
+
+
+def _is_private(folder: str) -> bool:
+    """Whether a folder of ours is there or could be made, where nobody else can write in it or put another in its place."""
+    base = os.path.dirname(folder)
+    try:
+        os.makedirs(os.path.dirname(base), mode=0o700, exist_ok=True)
+        above = os.stat(os.path.dirname(base)).st_mode
+        if above & _OTHERS_WRITE and not above & stat.S_ISVTX:
+            return False
+        for level in (base, folder):
+            with suppress(FileExistsError):
+                os.mkdir(level, mode=0o700)
+            state = os.lstat(level)
+            if (
+                not stat.S_ISDIR(state.st_mode)
+                or state.st_uid != os.getuid()
+                or state.st_mode & _OTHERS_WRITE
+            ):
+                return False
+        if not os.access(folder, os.W_OK):
+            return False
+        with open(os.path.join(folder, _MARKER), "ab"):
+            os.utime(folder)
+    except OSError:
+        return False
+    return True
+
+
+def _for_this_run() -> str:
+    """Make a folder that goes when this program ends."""
+    import atexit
+    from shutil import rmtree
+    from tempfile import mkdtemp
+
+    folder, made_by = mkdtemp(prefix="vlp16emu-"), os.getpid()
+
+    def remove() -> None:
+        """Remove it, unless this is a fork."""
+        if os.getpid() == made_by:
+            rmtree(folder, ignore_errors=True)
+
+    atexit.register(remove)
+    return folder
+
+
+def _folders_in(base: str) -> list[str]:
+    """Folders of ours below a base, known by their names and by what marks them."""
+    names = os.listdir(base) if os.path.isdir(base) else []
+    folders = [os.path.join(base, name) for name in names if _NAME.fullmatch(name)]
+    return [
+        folder
+        for folder in folders
+        if not os.path.islink(folder)
+        and os.path.isfile(os.path.join(folder, _MARKER))
+        and os.stat(folder).st_uid == os.getuid()
+    ]
+
+
+def _files_in(folder: "str | Path") -> list[str]:
+    """Files of numba in a folder of ours."""
+    rooms = [room for room in os.scandir(folder) if room.is_dir(follow_symlinks=False)]
+    files = [file for room in rooms for file in os.scandir(room)]
+    return [
+        file.path
+        for file in files
+        if file.name.endswith((".nbi", ".nbc")) and file.is_file(follow_symlinks=False)
+    ]
 
 
 def _state() -> str:
@@ -118,17 +184,16 @@ def _bases() -> list[str]:
     temporary = os.environ.get("TMPDIR", "/tmp")  # noqa: S108 - checked to be our own
     bases.append(os.path.join(temporary, f"vlp16emu-{os.getuid()}"))
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        above, name = os.path.split(chosen)  # a program that called us may have set it in this manner
-        bases.insert(0, above if name.startswith(_PREFIX) else chosen)
-    return bases
+        above, name = os.path.split(os.path.abspath(chosen))
+        bases.insert(
+            0, above if _NAME.fullmatch(name) else chosen
+        )  # a program that called us may have set it
+    return list(dict.fromkeys(map(os.path.abspath, bases)))
 
 
-def _remove_unused(base: str) -> None:
+def _remove_unused(base: str, used: str) -> None:
     """Remove folders of other states that nobody has used for long."""
-    for name in os.listdir(base):
-        folder = os.path.join(base, name)
-        with suppress(OSError):
-            if name.startswith(_PREFIX) and time.time() - os.stat(folder).st_mtime > _UNUSED_S:
-                from shutil import rmtree
-
-                rmtree(folder)
+    with suppress(OSError):
+        for folder in _folders_in(base):
+            if folder != used and time.time() - os.stat(folder).st_mtime > _UNUSED_S:
+                remove_compiled(folder)

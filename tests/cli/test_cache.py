@@ -18,9 +18,11 @@ def folders(tmp_path, monkeypatch):
     user_store().flush()
     (kernels / "room").mkdir(parents=True)
     (kernels / "room" / "kernel.nbi").write_bytes(bytes(100))
+    (kernels / "made-by-vlp16emu").touch()
     (world / "notes.txt").write_text("mine")
-    (tmp_path / "kernels-of-mine").mkdir()
-    (tmp_path / "kernels-of-mine" / "kernel.nbi").write_text("mine")
+    for name in ("of-mine", "fedcba9876543210"):
+        (tmp_path / f"kernels-{name}" / "room").mkdir(parents=True)
+        (tmp_path / f"kernels-{name}" / "room" / "kernel.nbi").write_text("mine")
     yield world, kernels
     user_store.cache_clear()
 
@@ -41,7 +43,11 @@ def test_clearing_leaves_what_is_not_ours(cli, folders, tmp_path):
     tree = cli("cache", "--clear", "--json").tree
     assert (tree["cleared"], tree["worlds"]["files"], tree["kernels"]["files"]) == (True, 1, 1)
     left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
-    assert left == ["kernels-of-mine/kernel.nbi", "world/notes.txt"]
+    assert left == [
+        "kernels-fedcba9876543210/room/kernel.nbi",
+        "kernels-of-mine/room/kernel.nbi",
+        "world/notes.txt",
+    ]
     assert not folders[1].exists()
     assert cli("cache", "--json").tree["worlds"]["files"] == 0
 

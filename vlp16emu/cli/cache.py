@@ -1,6 +1,5 @@
 """`vlp16emu cache`: what is kept on disk from run to run."""
 
-from contextlib import suppress
 from typing import Annotated
 
 import typer
@@ -54,19 +53,10 @@ def cache(*, clear: Clear = False, as_json: AsJson = False) -> None:
 
 def _kernels(*, clear: bool) -> tuple[list[str], int, int]:
     """Folders, number and bytes of compiled kernels; remove them if wanted."""
-    from vlp16emu.compiled import compiled_files
+    from vlp16emu.compiled import compiled_files, remove_compiled
 
-    folders, files, used = list[str](), 0, 0
-    for folder, paths in compiled_files().items():
-        for path in paths:
-            with suppress(OSError):
-                used, files = used + path.stat().st_size, files + 1
-                if clear:
-                    path.unlink()
-        if paths:
-            folders.append(str(folder))
-        if clear:
-            for room in (*folder.glob("*"), folder):
-                with suppress(OSError):  # where something else is in it
-                    room.rmdir()
-    return folders, files, used
+    found = {folder: paths for folder, paths in compiled_files().items() if paths}
+    used = sum(path.stat().st_size for paths in found.values() for path in paths)
+    for folder in found if clear else ():
+        remove_compiled(folder)
+    return list(map(str, found)), sum(map(len, found.values())), used
