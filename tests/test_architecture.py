@@ -1,6 +1,8 @@
 """The house rules, read from the source with `ast`."""
 
 import ast
+import re
+from collections import Counter
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -193,3 +195,34 @@ def test_public_things_have_docstrings():
     for name, tree in TREES.items():
         assert ast.get_docstring(tree), name
         assert [node.name for node in public(tree.body) if not ast.get_docstring(node)] == [], name
+
+
+def test_a_class_name_stands_for_one_class():
+    """No two public classes of the package have one name, and no settings are imported under another."""
+    names = Counter(
+        node.name for tree in TREES.values() for node in public(tree.body) if isinstance(node, ast.ClassDef)
+    )
+    assert [name for name, count in names.items() if count > 1] == []
+    renamed = [
+        (name, alias.asname)
+        for name, tree in TREES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("vlp16emu")
+        for alias in node.names
+        if alias.asname and alias.name[0].isupper()
+    ]
+    assert renamed == []
+
+
+def test_words_are_the_fields_own():
+    """No docstring, message or document that users read has a word that this project has left behind."""
+    words = re.compile(r"\b(told|tells?|telling|reckon\w*|errs?|of which|none but|whence)\b", re.IGNORECASE)
+    root = PACKAGE.parent
+    documents = [root / "README.md", root / "tools/README.md", *sorted((root / "scenes").glob("*.md"))]
+    found = [
+        f"{path.relative_to(root)}: {line}"
+        for path in (*FILES, *documents)
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if words.search(line)
+    ]
+    assert found == []
