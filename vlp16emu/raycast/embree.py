@@ -5,6 +5,7 @@ its wheel carries offers all three. Numbers and signatures: Embree 4.4, `rtcore_
 """
 
 import ctypes
+import sys
 import threading
 from ctypes import c_char_p, c_int, c_size_t, c_uint, c_void_p
 from functools import cache
@@ -136,8 +137,24 @@ def _new_device() -> int:
     # One thread per build keeps the order of primitives, and so every tie between two faces, the same.
     handle: int | None = library().rtcNewDevice(b"threads=1,set_affinity=0")
     if handle is None:
-        raise RunError(f"Embree gave no device: {_told(library().rtcGetDeviceError(None))}")
+        raise RunError(f"Embree gave no device: {_meaning(library().rtcGetDeviceError(None))}")
     return handle
+
+
+@cache
+def _allocator() -> ctypes.CDLL | None:
+    """Give the C library where it is glibc, which keeps what is freed until it is asked for it."""
+    libc = ctypes.CDLL(None) if sys.platform == "linux" else None
+    return libc if hasattr(libc, "malloc_trim") else None
+
+
+def give_memory_back() -> None:
+    """Give freed memory back to the system: without this a long run, or many in one process, takes ever more.
+
+    Freed blocks of many threads and sizes are left between live ones. Where the allocator is not glibc nothing is done.
+    """
+    if libc := _allocator():
+        libc.malloc_trim(0)
 
 
 def check(doing: str) -> None:
@@ -153,9 +170,9 @@ def check(doing: str) -> None:
         where it failed, for instance because memory ran out
     """
     if error := library().rtcGetDeviceError(device()):
-        raise RunError(f"Embree could not {doing}: {_told(error)}")
+        raise RunError(f"Embree could not {doing}: {_meaning(error)}")
 
 
-def _told(error: int) -> str:
+def _meaning(error: int) -> str:
     """Say what an RTCError means."""
     return _ERRORS.get(error, f"error {error}")

@@ -132,6 +132,13 @@ class EmbreeCaster:
         RunError
             where Embree reports an error, for instance that memory ran out
         """
+        try:
+            return self._opened(window)
+        finally:
+            rtc.give_memory_back()
+
+    def _opened(self, window: Window) -> EmbreeGeometry:
+        """Make a window ready for casting, one at a time."""
         with self._lock:
             if window.far is None or not np.isfinite(self._world.near_m):
                 return EmbreeGeometry(self._built(window))
