@@ -15,8 +15,8 @@ from vlp16emu.packets import (
     pack_position,
     scan_starts,
 )
-from vlp16emu.packets.decode import ELEVATION_DEG, VERTICAL_CORRECTION_M
 from vlp16emu.packets.layout import DATA_PAYLOAD
+from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 
 VLP_16 = SensorModel.VLP_16
@@ -46,12 +46,19 @@ def slow_points(payloads, model):
             azimuth_deg = (
                 (azimuths[b // stride] + step * (r // 16 * 55.296 + j * 2.304) / 110.592) / 100 % 360
             )
-            a, w = math.radians(azimuth_deg), math.radians(ELEVATION_DEG[model][j])
+            a, w = math.radians(azimuth_deg), math.radians(BEAM_TABLES[model].elevation_deg[j])
             for twin in range(stride):
                 distance = packets[p]["blocks"][b + twin]["records"][r // 16, j]["distance_lsb"] * 0.002
                 x = distance * math.cos(w) * math.sin(a)
                 y = distance * math.cos(w) * math.cos(a)
-                yield p, j, azimuth_deg, x, y, distance * math.sin(w) + VERTICAL_CORRECTION_M[model][j]
+                yield (
+                    p,
+                    j,
+                    azimuth_deg,
+                    x,
+                    y,
+                    distance * math.sin(w) + BEAM_TABLES[model].vertical_offset_m[j],
+                )
 
 
 @pytest.mark.parametrize("mode", ReturnMode)
@@ -121,8 +128,8 @@ def test_rings():
     for factory, model in ((0x22, SensorModel.VLP_16), (0x24, SensorModel.PUCK_HI_RES)):
         payload[0, 1204:] = 0x37, factory
         points = decode_data(payload, keep_no_returns=True)
-        elevation_deg = ELEVATION_DEG[model][points.laser]
-        np.testing.assert_array_equal(np.sort(ELEVATION_DEG[model])[points.ring], elevation_deg)
+        elevation_deg = BEAM_TABLES[model].elevation_deg[points.laser]
+        np.testing.assert_array_equal(np.sort(BEAM_TABLES[model].elevation_deg)[points.ring], elevation_deg)
 
 
 def test_last_is_told(make_returns):

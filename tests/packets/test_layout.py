@@ -2,11 +2,9 @@
 
 import doctest
 
-import numpy as np
-
-from vlp16emu.packets import decode, layout
+from vlp16emu.packets import layout
 from vlp16emu.sensor import beams as sensor
-from vlp16emu.types import ReturnMode, SensorModel
+from vlp16emu.types import ReturnMode
 
 OFFSETS = [
     # dtype, field, offset, size in bytes
@@ -49,16 +47,6 @@ def test_byte_order_is_stated():
 def test_periods():
     """A packet lasts 1327.104 us, in dual return 663.552 us, and the sensor fires at the same pace."""
     sequences = layout.SEQUENCES_PER_PACKET
-    assert sequences[ReturnMode.STRONGEST] * layout.SEQUENCE_PERIOD_NS == 1_327_104
+    assert sequences[ReturnMode.STRONGEST] * sensor.SEQUENCE_NS == 1_327_104
     assert sequences[ReturnMode.LAST] == sequences[ReturnMode.STRONGEST]
-    assert sequences[ReturnMode.DUAL] * layout.SEQUENCE_PERIOD_NS == 663_552
-    assert (layout.SEQUENCE_PERIOD_NS, layout.LASER_PERIOD_NS) == (sensor.SEQUENCE_NS, sensor.LASER_NS)
-
-
-def test_beams_are_those_of_the_sensor():
-    """Points are decoded with the angles and offsets with which the sensor fires."""
-    for model in SensorModel:
-        np.testing.assert_array_equal(decode.ELEVATION_DEG[model], sensor.BEAM_TABLES[model].elevation_deg)
-        np.testing.assert_allclose(
-            decode.VERTICAL_CORRECTION_M[model], sensor.BEAM_TABLES[model].vertical_offset_m, atol=1e-15
-        )
+    assert sequences[ReturnMode.DUAL] * sensor.SEQUENCE_NS == 663_552

@@ -14,12 +14,11 @@ from vlp16emu.packets import (
     BLOCKS_PER_PACKET,
     DATA_BYTES,
     DISTANCE_LSB_M,
-    LASER_PERIOD_NS,
     LASERS,
-    SEQUENCE_PERIOD_NS,
     decode_data,
 )
 from vlp16emu.scenario import load
+from vlp16emu.sensor.beams import LASER_NS, SEQUENCE_NS
 from vlp16emu.sensor.head import BODY_R_SENSOR
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, US_NS
@@ -33,7 +32,7 @@ _AT_S = 300
 """Second at which the start is forgotten: straps of 0.5 Hz and ten times critical damping need 250 s."""
 _NODES_S = np.arange(1001) / 1000
 _TURN_DEG_S = 500.0
-_LAST_NS = SEQUENCE_PERIOD_NS + (LASERS - 1) * LASER_PERIOD_NS
+_LAST_NS = SEQUENCE_NS + (LASERS - 1) * LASER_NS
 _STEPS = 1 + _LAST_NS / BLOCK_PERIOD_NS / (BLOCKS_PER_PACKET - 1)
 """Of the azimuth: the one that is floored, and what the last pulse of a block adds to it over the gaps of a packet."""
 

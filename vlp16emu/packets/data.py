@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
 from vlp16emu.packets import layout
-from vlp16emu.packets.layout import LASERS, SEQUENCE_PERIOD_NS, SEQUENCES_PER_BLOCK, SEQUENCES_PER_PACKET
+from vlp16emu.packets.layout import LASERS, SEQUENCES_PER_BLOCK, SEQUENCES_PER_PACKET
+from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import Packet, PacketKind, ReturnMode, Returns, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
@@ -42,7 +43,7 @@ def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int 
     """
     payloads = data_payloads(returns, mode, model)
     sequences = SEQUENCES_PER_PACKET[mode]
-    due_ns = returns.firings.t_ns[::sequences, 0] + sequences * SEQUENCE_PERIOD_NS
+    due_ns = returns.firings.t_ns[::sequences, 0] + sequences * SEQUENCE_NS
     return [
         Packet(PacketKind.DATA, due, payload.tobytes(), unit)
         for due, payload in zip(due_ns.tolist(), payloads, strict=True)

@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import PacketError
 from vlp16emu.packets import layout
-from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET, LASER_PERIOD_NS, SEQUENCE_PERIOD_NS
+from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
+from vlp16emu.sensor.beams import BEAM_TABLES, LASER_NS, SEQUENCE_NS
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
 __all__ = [
-    "ELEVATION_DEG",
-    "VERTICAL_CORRECTION_M",
     "Fault",
     "Points",
     "PositionFields",
@@ -32,45 +31,6 @@ __all__ = [
     "fault_in",
     "scan_starts",
 ]
-
-_VLP_16_DEG = (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15)
-_VLP_16_MM = (11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2)
-_HI_RES_DEG = (
-    -10,
-    0.667,
-    -8.667,
-    2,
-    -7.333,
-    3.333,
-    -6,
-    4.667,
-    -4.667,
-    6,
-    -3.333,
-    7.333,
-    -2,
-    8.667,
-    -0.667,
-    10,
-)
-_HI_RES_MM = (7.4, -0.9, 6.5, -1.8, 5.5, -2.7, 4.6, -3.7, 3.7, -4.6, 2.7, -5.5, 1.8, -6.5, 0.9, -7.4)
-
-ELEVATION_DEG = MappingProxyType(
-    {
-        SensorModel.VLP_16: np.array(_VLP_16_DEG, np.float64),
-        SensorModel.PUCK_LITE: np.array(_VLP_16_DEG, np.float64),
-        SensorModel.PUCK_HI_RES: np.array(_HI_RES_DEG, np.float64),
-    }
-)
-"""(16,) in firing order. Source: 63-9243 Rev D, table 9-1, p. 53 and 54."""
-VERTICAL_CORRECTION_M = MappingProxyType(
-    {
-        SensorModel.VLP_16: np.array(_VLP_16_MM) / 1000,
-        SensorModel.PUCK_LITE: np.array(_VLP_16_MM) / 1000,
-        SensorModel.PUCK_HI_RES: np.array(_HI_RES_MM) / 1000,
-    }
-)
-"""(16,) in firing order. Source: 63-9243 Rev D, table 9-1; Puck Hi-Res 0 to 6 by symmetry from 9 to 15."""
 
 _MODEL = MappingProxyType(
     {layout.FACTORY_BYTE[model]: model for model in (SensorModel.VLP_16, SensorModel.PUCK_HI_RES)}
@@ -169,7 +129,7 @@ def decode_data(payloads: NDArray[np.uint8], *, keep_no_returns: bool) -> Points
     packet, record = np.divmod(source, layout.RECORDS_PER_PACKET)
     block, record = np.divmod(record, layout.SEQUENCES_PER_BLOCK * layout.LASERS)
     sequence, laser = np.divmod(record, layout.LASERS)
-    since_block_ns = sequence * SEQUENCE_PERIOD_NS + laser * LASER_PERIOD_NS
+    since_block_ns = sequence * SEQUENCE_NS + laser * LASER_NS
 
     dual = _is_dual(fields)
     block_ns = np.where(dual[packet], block // 2, block) * BLOCK_PERIOD_NS
@@ -183,7 +143,7 @@ def decode_data(payloads: NDArray[np.uint8], *, keep_no_returns: bool) -> Points
         packet=packet,
         time_ns=(clock_ns + block_ns + since_block_ns) % HOUR_NS,
         laser=laser.astype(np.uint8),
-        ring=np.argsort(np.argsort(ELEVATION_DEG[model])).astype(np.uint8)[laser],
+        ring=BEAM_TABLES[model].ring.astype(np.uint8)[laser],
         azimuth_deg=azimuth_deg,
         distance_m=distance_m.astype(np.float32),
         xyz_m=_xyz_m(distance_m, azimuth_deg, laser, model),
@@ -302,9 +262,10 @@ def _xyz_m(
     model: SensorModel,
 ) -> NDArray[np.float32]:
     """(n, 3) by the manual's formulas."""
-    elevation = np.radians(ELEVATION_DEG[model])
+    beams = BEAM_TABLES[model]
+    elevation = np.radians(beams.elevation_deg)
     xyz_m = np.empty((len(distance_m), 3), np.float32)
-    _fill_xyz(xyz_m, distance_m, azimuth_deg, laser, elevation, VERTICAL_CORRECTION_M[model])
+    _fill_xyz(xyz_m, distance_m, azimuth_deg, laser, elevation, beams.vertical_offset_m)
     return xyz_m
 
 

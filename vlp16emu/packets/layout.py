@@ -23,6 +23,7 @@ import numpy as np
 
 from vlp16emu.errors import InputError
 from vlp16emu.packets.capture import Capture, Datagram
+from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import ReturnMode, SensorModel
 
 __all__ = [
@@ -36,7 +37,6 @@ __all__ = [
     "DISTANCE_LSB_M",
     "FACTORY_BYTE",
     "LASERS",
-    "LASER_PERIOD_NS",
     "MIN_DISTANCE_LSB",
     "POSITION_BYTES",
     "POSITION_PAYLOAD",
@@ -46,7 +46,6 @@ __all__ = [
     "SENTENCE_BYTES",
     "SEQUENCES_PER_BLOCK",
     "SEQUENCES_PER_PACKET",
-    "SEQUENCE_PERIOD_NS",
     "CapturedUnit",
     "chosen_unit",
     "units_in",
@@ -141,11 +140,7 @@ RECORDS_PER_PACKET = BLOCKS_PER_PACKET * SEQUENCES_PER_BLOCK * LASERS
 SEQUENCES_PER_PACKET = MappingProxyType({ReturnMode.STRONGEST: 24, ReturnMode.LAST: 24, ReturnMode.DUAL: 12})
 """In dual return two blocks share their firing sequences. Source: 63-9243 Rev D, section 9.3.2, p. 57."""
 
-LASER_PERIOD_NS = 2_304
-"""From one laser to the next. Source: 63-9243 Rev D, section 8.1, p. 49."""
-SEQUENCE_PERIOD_NS = 55_296
-"""16 lasers and 18.432 us of recharge. Source: 63-9243 Rev D, section 8.1, p. 49."""
-BLOCK_PERIOD_NS = SEQUENCES_PER_BLOCK * SEQUENCE_PERIOD_NS
+BLOCK_PERIOD_NS = SEQUENCES_PER_BLOCK * SEQUENCE_NS
 """From the azimuth of one block to that of the next, the twin block of dual return left out."""
 
 DISTANCE_LSB_M = 0.002

@@ -22,10 +22,10 @@ from vlp16emu.packets.layout import (
     POSITION_BYTES,
     POSITION_PAYLOAD,
     SENTENCE_BYTES,
-    SEQUENCE_PERIOD_NS,
     SEQUENCES_PER_PACKET,
 )
 from vlp16emu.random import Purpose, uniform
+from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PpsState, ReturnMode
 from vlp16emu.units import US_NS
 
@@ -43,7 +43,7 @@ which is 1.327 ms from the first firing to the end of the packet.
 
 _TIMESTAMP_US = struct.Struct("<I")
 _AT = {name: field[1] for name, field in (POSITION_PAYLOAD.fields or {}).items()}
-_DATA_PERIOD_NS = SEQUENCES_PER_PACKET[ReturnMode.STRONGEST] * SEQUENCE_PERIOD_NS
+_DATA_PERIOD_NS = SEQUENCES_PER_PACKET[ReturnMode.STRONGEST] * SEQUENCE_NS
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,11 @@ from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.packets.layout import (
     DATA_PAYLOAD,
     RETURN_MODE_BYTE,
-    SEQUENCE_PERIOD_NS,
     SEQUENCES_PER_PACKET,
     CapturedUnit,
     chosen_unit,
 )
+from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.validator.framing import check_frame, kind_of
@@ -207,7 +207,7 @@ class _Check:
         ratio = self._sweep.covered_us * US_NS / S_NS / active_s
         if abs(ratio - 1) > _RATE_TOLERANCE:
             mode = ReturnMode.DUAL if self._factory[0] == _DUAL_BYTE else ReturnMode.STRONGEST
-            nominal_hz = S_NS / (SEQUENCES_PER_PACKET[mode] * SEQUENCE_PERIOD_NS)
+            nominal_hz = S_NS / (SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS)
             found = f"{ratio * nominal_hz:.1f} data packets per second"
             expected = f"{nominal_hz:.1f} within {_RATE_TOLERANCE:.0%}"
             self._findings.add(Rule.DATA_RATE, self._last[PacketKind.DATA].number, found, expected)
