@@ -17,7 +17,7 @@ FLOORS = (
     {"__main__"},
     {"cli"},
     {"emulator"},
-    {"streaming"},
+    {"replay", "streaming"},
     {"points", "recording", "truth"},
     {"report"},
     {"accuracy"},

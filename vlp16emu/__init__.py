@@ -12,6 +12,7 @@ TYPE_CHECKING = False  # not from typing, which takes a third of the package's s
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
     from vlp16emu.recording import Recording
+    from vlp16emu.replay import Replayed, replay
     from vlp16emu.scan import Labels, Scan, decode
     from vlp16emu.scenario import Scenario, load
     from vlp16emu.sinks import TruthTo
@@ -22,12 +23,14 @@ __all__ = [
     "Finding",
     "Labels",
     "Recording",
+    "Replayed",
     "Scan",
     "Scenario",
     "TruthTo",
     "Verification",
     "decode",
     "load",
+    "replay",
     "verify",
 ]
 
@@ -36,12 +39,14 @@ _PLACES = {
     "Finding": "validator",
     "Labels": "scan",
     "Recording": "recording",
+    "Replayed": "replay",
     "Scan": "scan",
     "Scenario": "scenario",
     "TruthTo": "sinks",
     "Verification": "validator",
     "decode": "scan",
     "load": "scenario",
+    "replay": "replay",
     "verify": "validator",
 }
 """Module of each public name."""

@@ -38,6 +38,7 @@ _WITHOUT_KERNELS = frozenset(
         "emulator",
         "points",
         "recording",
+        "replay",
         "report",
         "scan",
         "scenario",

@@ -18,7 +18,16 @@ from vlp16emu.recording import Recording, record_packets
 from vlp16emu.scan import Scan
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
-from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, FellBehind, Late, Pacer, RigSink, TruthTo, stream
+from vlp16emu.sinks import (
+    LOOK_AHEAD_PACKETS,
+    LOOPBACK,
+    FellBehind,
+    Late,
+    Pacer,
+    RigSink,
+    TruthTo,
+    stream,
+)
 from vlp16emu.streaming import Engine, Streamed, summed_up
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS
@@ -120,6 +129,8 @@ class Emulator(Chain):
         ------
         OutputError
             where file or folder cannot be written, or are an input of the scene
+        InputError
+            where the present is wanted at another speed than its own
         ScenarioError
             where the sensor has no packets
         TrajectoryError
@@ -188,6 +199,7 @@ class Emulator(Chain):
         speed: float = 1.0,
         late: Late | str = Late.PACE,
         as_sensor: bool = False,
+        now: bool = False,
         opened: Callable[[], None] = lambda: None,
         progress: Callable[[float], None] = lambda _: None,
         notify: Callable[[FellBehind], None] = lambda _: None,
@@ -203,6 +215,7 @@ class Emulator(Chain):
         speed : simulated seconds per second
         late : `pace` keeps the spacing of packets that are late by more than 50 ms, and the delay; `skip` drops them
         as_sensor : send from the sensor's address, which this machine must have, with its headers
+        now : move stamps and sentences by whole seconds into the present; truth stays at the time of the scene
         opened : called once before the first packet is computed, when the sockets are open
         progress : called with the simulated seconds so far, packet by packet
         notify : called each time that the stream falls behind
@@ -235,6 +248,7 @@ class Emulator(Chain):
                 late=policy,
                 notify=notify,
                 go_on_from=engine.go_on_from,
+                now=now,
                 stop=stop,
                 look_ahead_packets=LOOK_AHEAD_PACKETS * len(links),
             )

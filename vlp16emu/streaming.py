@@ -17,7 +17,16 @@ from vlp16emu.sinks import FellBehind, Late, StreamReport, UdpResult
 from vlp16emu.types import Packet, PacketKind, ReturnMode
 from vlp16emu.units import S_NS
 
-__all__ = ["Behind", "Engine", "Streamed", "UnitStreamed", "cause_of", "options_for", "summed_up"]
+__all__ = [
+    "Behind",
+    "Engine",
+    "Streamed",
+    "UnitStreamed",
+    "behind_of",
+    "cause_of",
+    "options_for",
+    "summed_up",
+]
 
 
 class Engine:
@@ -124,6 +133,8 @@ class Streamed:
     speed: float
     """Simulated seconds per second that were asked for."""
     late: Late
+    moved_s: int
+    """Whole seconds from the time of the scene, which truth has, to that of stamps and sentences."""
     beam: str
     """The active model in words, as the next two; None for clear air."""
     noise: str
@@ -175,14 +186,14 @@ def summed_up(
     sent : what the sinks of all units have sent
     """
     scenario, lateness, skipped = chain.scenario, report.lateness, report.skipped + engine.skipped
-    pairs = zip(chain.parts.units, sent, strict=True)
-    units = tuple(_unit(*pair, report.simulated_s) for pair in pairs)
+    units = tuple(_unit(*pair, report.simulated_s) for pair in zip(chain.parts.units, sent, strict=True))
     return Streamed(
         scene=scene,
         seed=scenario.seed,
         to=to,
         speed=speed,
         late=late,
+        moved_s=report.moved_s,
         beam=scenario.beam.summary,
         noise=scenario.noise.summary,
         weather=scenario.weather.summary,
@@ -199,7 +210,7 @@ def summed_up(
         late_max_us=lateness.max_ns * 1e-3,
         fell_behind=len(report.behind),
         most_behind_s=max((behind.total_s for behind in report.behind), default=0.0),
-        behind=tuple(map(_behind, report.behind)),
+        behind=tuple(map(behind_of, report.behind)),
         delay_s=report.delay_s,
         skipped_packets=skipped[PacketKind.DATA],
         skipped_position_packets=skipped[PacketKind.POSITION],
@@ -236,7 +247,7 @@ def cause_of(behind: FellBehind) -> str:
     return f"the engine computes {behind.engine_speed:.2f} x real time"
 
 
-def _behind(behind: FellBehind) -> Behind:
+def behind_of(behind: FellBehind) -> Behind:
     """Take what is of interest afterwards."""
     speed = behind.engine_speed if behind.engine else None
     return Behind(behind.at_s, behind.total_s, behind.engine, speed, cause_of(behind))

@@ -17,6 +17,7 @@ from vlp16emu.cli.forest import forest
 from vlp16emu.cli.plan import plan
 from vlp16emu.cli.points import points
 from vlp16emu.cli.record import record
+from vlp16emu.cli.replay import replay
 from vlp16emu.cli.scenes import scenes, schema
 from vlp16emu.cli.stream import stream
 from vlp16emu.cli.terminal import INTERRUPTED
@@ -34,6 +35,9 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
   vlp16emu stream birch_walk
   vlp16emu stream static_bench --to 192.168.1.10 --duration 3600
   vlp16emu stream birch_walk --to 192.168.1.255 --as-sensor""",
+    replay: """\b
+  vlp16emu replay walk.pcap
+  vlp16emu replay field_day.pcap --loop --now --to 192.168.1.10""",
     decode: """\b
   vlp16emu decode walk.pcap
   vlp16emu decode walk.pcap --out walk.ply""",

@@ -4,8 +4,8 @@ It reports at once where it falls behind, and at its end.
 """
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -40,13 +40,27 @@ from vlp16emu.cli.terminal import (
 )
 from vlp16emu.errors import InputError
 
-__all__ = ["behind_line", "stream", "stream_rows"]
+__all__ = [
+    "AsSensor",
+    "LatePolicy",
+    "Now",
+    "Speed",
+    "To",
+    "behind_line",
+    "close",
+    "lateness_rows",
+    "stream",
+    "stream_rows",
+]
 
 if TYPE_CHECKING:
+    from vlp16emu.replay import Replayed
     from vlp16emu.scenario import Scenario
     from vlp16emu.sinks import FellBehind
     from vlp16emu.streaming import Behind, Streamed
 
+
+T = TypeVar("T", "Streamed", "Replayed")
 
 _POLICY = {
     "pace": "the delay stays, at the sensor's own spacing (--late pace)",
@@ -73,20 +87,31 @@ def stream_rows(streamed: "Streamed") -> dict[str, str]:
         "position packets": count(streamed.position_packets),
         "simulated": f"{streamed.simulated_s:.1f} s in {streamed.wall_s:.1f} s",
         "revolutions": revolutions([unit.turn for unit in streamed.units]),
-        "lateness": (
-            f"median {_time(streamed.late_median_us)}, 99 % within {_time(streamed.late_p99_us)}, "
-            f"at most {_time(streamed.late_max_us)}"
-        ),
-        "fell behind": _times(streamed.behind, streamed.most_behind_s),
+        **lateness_rows(streamed),
     }
-    if streamed.delay_s:
-        rows["delay"] = f"late by {streamed.delay_s:.2f} s since {streamed.behind[-1].at_s:.1f} s"
+    if streamed.moved_s:
+        rows["moved"] = f"by {streamed.moved_s:+d} s, from the time of the scene into the present"
     if streamed.skipped_packets or streamed.skipped_position_packets:
         data, position = count(streamed.skipped_packets), count(streamed.skipped_position_packets)
         rows["skipped"] = f"{data} data packets, {position} position packets"
     if streamed.keeps_up_with:
         rows["to keep up"] = ", or ".join(streamed.keeps_up_with)
     return rows | audit_rows(streamed.audit)
+
+
+def lateness_rows(sent: "Streamed | Replayed") -> dict[str, str]:
+    """Write how punctual packets were."""
+    most_s = max((behind.behind_s for behind in sent.behind), default=0.0)
+    rows = {
+        "lateness": (
+            f"median {_time(sent.late_median_us)}, 99 % within {_time(sent.late_p99_us)}, "
+            f"at most {_time(sent.late_max_us)}"
+        ),
+        "fell behind": _times(sent.behind, most_s),
+    }
+    if sent.delay_s:
+        rows["delay"] = f"late by {sent.delay_s:.2f} s since {sent.behind[-1].at_s:.1f} s"
+    return rows
 
 
 def _times(times: "Sequence[Behind]", most_s: float) -> str:
@@ -124,6 +149,14 @@ Speed = Annotated[
             "--speed", float, lambda x: _SLOWEST <= x < math.inf, f"a number from {_SLOWEST:g} on"
         ),
         help="Simulated seconds per second.",
+    ),
+]
+
+Now = Annotated[
+    bool,
+    typer.Option(
+        "--now",
+        help="Move time stamps and sentences by whole seconds into the present, for drivers that trust GPS time.",
     ),
 ]
 
@@ -171,6 +204,7 @@ def stream(
     speed: Speed = 1.0,
     late: LatePolicy = "pace",
     as_sensor: AsSensor = False,
+    now: Now = False,
     as_json: AsJson = False,
 ) -> None:
     """Stream a scene over UDP, each packet at its time.
@@ -192,17 +226,22 @@ def stream(
             speed=speed,
             late=late,
             as_sensor=as_sensor,
+            now=now,
             opened=lambda: None if as_json else _announce(scene, to, emulator),
             progress=lambda done_s: progress.show("streaming", done_s),
             notify=lambda behind: progress.say(behind_line(behind, emulator.scenario, late, speed)),
             stop=stop,
         )
+    close(streamed, f"{streamed.scene} to {streamed.to}", stream_rows, as_json=as_json)
+
+
+def close(sent: T, what: str, rows: Callable[[T], dict[str, str]], *, as_json: bool) -> None:
+    """Print the report of a stream or a replay, and exit as its end asks for."""
     if as_json:
-        print_json(tree_of(streamed))
+        print_json(tree_of(sent))
     else:
-        ended = "interrupted" if streamed.interrupted else "done"
-        print_rows(f"{ended}: {streamed.scene} to {streamed.to}", stream_rows(streamed))
-    if streamed.interrupted:
+        print_rows(f"{'interrupted' if sent.interrupted else 'done'}: {what}", rows(sent))
+    if sent.interrupted:
         raise typer.Exit(INTERRUPTED)
 
 

@@ -28,6 +28,7 @@ __all__ = [
     "EmbreeMissingError",
     "check",
     "device",
+    "give_memory_back",
     "library",
     "library_path",
 ]

@@ -1,5 +1,6 @@
 """Where packets leave: a capture file, the network, or a list; and the clock that lets them leave in time."""
 
+from vlp16emu.sinks.now import NowSink
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import STDOUT, PcapResult, PcapSink
 from vlp16emu.sinks.sink import MemorySink, PacketSink
@@ -17,6 +18,7 @@ __all__ = [
     "Lateness",
     "LatenessHistogram",
     "MemorySink",
+    "NowSink",
     "Pacer",
     "PacketSink",
     "PcapResult",

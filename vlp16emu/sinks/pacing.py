@@ -202,7 +202,7 @@ class Pacer:
     ) -> None:
         if not (math.isfinite(speed) and speed > 0):
             raise InputError("speed", f"{speed}", "a finite number above 0")
-        self._speed, self._clock_ns, self._sleep = speed, clock_ns, sleep
+        self.speed, self._clock_ns, self._sleep = speed, clock_ns, sleep
         self._first_due_ns: int | None = None
         self._start_ns = 0
         self._planned_ns = 0
@@ -217,13 +217,13 @@ class Pacer:
         if self._first_due_ns is None:
             self._first_due_ns, self._start_ns = due_ns, self._clock_ns()
         simulated_ns = due_ns - self._first_due_ns
-        return self._start_ns + self.delay_ns + round(simulated_ns / self._speed)
+        return self._start_ns + self.delay_ns + round(simulated_ns / self.speed)
 
     def due_in_ns(self, ahead_ns: int) -> int:
         """Due time of a packet whose deadline is some time ahead of now; after the first deadline."""
         assert self._first_due_ns is not None
         ran_ns = self._clock_ns() - self._start_ns - self.delay_ns
-        return self._first_due_ns + round((ran_ns + ahead_ns) * self._speed)
+        return self._first_due_ns + round((ran_ns + ahead_ns) * self.speed)
 
     def behind_ns(self, deadline_ns: int) -> int:
         """Time since a deadline, 0 where it is still to come."""
@@ -249,7 +249,7 @@ class Pacer:
         has it as the generic cell rate algorithm.)
         """
         last_due_ns, planned_ns = self._last.get((packet.unit, packet.kind), (packet.due_ns, deadline_ns))
-        closest_ns = planned_ns + round(_CLOSEST * (packet.due_ns - last_due_ns) / self._speed)
+        closest_ns = planned_ns + round(_CLOSEST * (packet.due_ns - last_due_ns) / self.speed)
         self._planned_ns = max(deadline_ns, closest_ns)
         while (left_ns := self._planned_ns - (now_ns := self._clock_ns())) > 0:
             self._sleep(left_ns / S_NS)

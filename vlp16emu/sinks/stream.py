@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
+from vlp16emu.errors import InputError
+from vlp16emu.sinks.now import NowSink
 from vlp16emu.sinks.pacing import (
     TOLERANCE_NS,
     DelayLog,
@@ -77,6 +79,11 @@ class LookAhead:
             self._left = True
             self._changed.notify_all()
         self._thread.join()
+
+    @property
+    def first(self) -> Packet | None:
+        """The packet that `take` gives next, if it is there."""
+        return self._ready[0] if self._ready else None
 
     @property
     def is_empty(self) -> bool:
@@ -187,6 +194,8 @@ class StreamReport:
     """Time by which deadlines have been moved in all; 0 where late packets are skipped."""
     skipped: Counter[PacketKind]
     """Packets dropped because they were late."""
+    moved_s: int
+    """Whole seconds by which packets were moved into the present; 0 where they were not."""
     interrupted: bool
     """Ended by Ctrl-C or the stop event, not by the last packet."""
 
@@ -204,6 +213,7 @@ def stream(
     late: Late = Late.PACE,
     notify: Callable[[FellBehind], None] = lambda _: None,
     go_on_from: Callable[[int], None] | None = None,
+    now: bool = False,
     stop: threading.Event | None = None,
     look_ahead_packets: int = LOOK_AHEAD_PACKETS,
 ) -> StreamReport:
@@ -219,20 +229,28 @@ def stream(
     late : what happens to packets late by more than `TOLERANCE_NS`
     notify : called by the sending thread each time that the stream falls behind
     go_on_from : with `skip`, makes `packets` leave out those that are due before a UTC time in ns
+    now : send packets as of the present, as `NowSink` does
     stop : ends the stream from another thread
     look_ahead_packets : size of the buffer
 
     Raises
     ------
+    InputError
+        If the present is wanted at another speed than its own.
     RunError
         If the sink cannot send.
     """
+    if now and pacer.speed != 1.0:
+        raise InputError("--now", f"a speed of {pacer.speed:g}", "a speed of 1, which is that of the clock")
     stop = stop or threading.Event()
-    sender = Sender(sink, pacer, late=late, notify=notify, go_on_from=go_on_from)
+    present = NowSink(sink) if now else None
+    sender = Sender(present or sink, pacer, late=late, notify=notify, go_on_from=go_on_from)
     interrupted = False
     try:
         with _prompt_switching(), prompt_sleeps(), LookAhead(packets, look_ahead_packets, stop) as ahead:
             ahead.fill()
+            if present and (first := ahead.first):
+                present.begin(first, stop)
             had_to_wait = False
             while (packet := ahead.take(sender.watch)) is not None:
                 sender.send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
@@ -240,7 +258,7 @@ def stream(
             interrupted = stop.is_set()
     except KeyboardInterrupt:
         interrupted = True
-    return sender.report(interrupted=interrupted)
+    return sender.report(interrupted=interrupted, moved_s=present.moved_s if present else 0)
 
 
 @contextmanager
@@ -302,7 +320,7 @@ class Sender:
             since_ns = self._pacer.since_start_ns(deadline_ns)
             self._log.overdue(behind_ns, since_ns, engine_speed=engine_speed)
 
-    def report(self, *, interrupted: bool) -> StreamReport:
+    def report(self, *, interrupted: bool, moved_s: int = 0) -> StreamReport:
         """Sum up."""
         simulated_ns, wall_ns = self._pacer.elapsed_ns
         return StreamReport(
@@ -313,6 +331,7 @@ class Sender:
             delay_s=self._pacer.delay_ns / S_NS,
             skipped=self._skipped,
             interrupted=interrupted,
+            moved_s=moved_s,
         )
 
     def _skip(self, packet: Packet, now_ns: int, *, had_to_wait: bool) -> None:

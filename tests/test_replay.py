@@ -1,0 +1,107 @@
+"""Captures sent again."""
+
+import socket
+from itertools import islice
+from threading import Event
+
+import pytest
+
+from vlp16emu import Emulator, replay
+from vlp16emu.errors import CaptureError, InputError
+from vlp16emu.packets import Capture
+from vlp16emu.packets.retime import stamp_ns
+from vlp16emu.replay import Replay
+from vlp16emu.types import PacketKind
+
+S_NS, HOUR_NS = 1_000_000_000, 3_600_000_000_000
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    """A third of a second of the hall, with a receiver."""
+    path = tmp_path_factory.mktemp("replay") / "bench.pcap"
+    Emulator("static_bench", {"gps.connected": True}).record(path, duration_s=0.3)
+    return path
+
+
+@pytest.fixture
+def listening():
+    """A socket on a free port of the loopback."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4_000_000)
+        receiver.settimeout(0)
+        yield receiver
+
+
+def received(receiver):
+    """All that has arrived."""
+    payloads = []
+    while True:
+        try:
+            payloads.append(receiver.recv(2048))
+        except BlockingIOError:
+            return payloads
+
+
+def test_a_capture_is_sent_as_it_is(capture, listening):
+    """All payloads arrive in their order and unchanged, and the report counts them."""
+    port = listening.getsockname()[1]
+    report = replay(capture, data_port=port, position_port=port)
+    with Capture(capture) as datagrams:
+        payloads = [datagram.payload for datagram in datagrams]
+    assert received(listening) == payloads
+    assert report.packets + report.position_packets == len(payloads)
+    assert report.capture_s == pytest.approx(0.3, abs=0.01)
+    assert (report.passes, report.moved_s, report.left_out, report.interrupted) == (1, 0, 0, False)
+
+
+def test_time_goes_on_from_pass_to_pass(capture):
+    """A loop repeats all packets, a whole number of seconds later each time: deadlines, stamps and sentences."""
+    once = list(Replay(capture))
+    thrice = list(islice(Replay(capture, loop=True), 3 * len(once)))
+    assert thrice[: len(once)] == once
+    for number in (1, 2):
+        again = thrice[number * len(once) : (number + 1) * len(once)]
+        for before, after in zip(once, again, strict=True):
+            assert (after.due_ns - before.due_ns) == number * S_NS
+            assert (stamp_ns(after) - stamp_ns(before)) % HOUR_NS == number * S_NS
+    sentences = [p.payload[206:221] for p in thrice if p.kind is PacketKind.POSITION]
+    assert len({*sentences}) == 3
+
+
+def test_a_loop_ends_when_it_is_to_stop(capture, listening):
+    """The stop event ends a replay in its second pass."""
+    port, stop = listening.getsockname()[1], Event()
+    report = replay(
+        capture,
+        data_port=port,
+        position_port=port,
+        loop=True,
+        speed=20,
+        stop=stop,
+        progress=lambda done_s: stop.set() if done_s > 1 else None,
+    )
+    assert report.interrupted
+    assert report.passes >= 2
+
+
+def test_the_present_is_in_the_bytes(capture, listening):
+    """With `now` the stamps of all packets are the capture's, moved by the same whole seconds, and of this hour."""
+    port = listening.getsockname()[1]
+    report = replay(capture, data_port=port, position_port=port, now=True)
+    arrived = received(listening)
+    for packet, payload in zip(Replay(capture), arrived, strict=True):
+        stamp_us = int.from_bytes(payload[1200:1204] if len(payload) == 1206 else payload[198:202], "little")
+        assert stamp_us * 1000 == (stamp_ns(packet) + report.moved_s * S_NS) % HOUR_NS
+    assert report.moved_s != 0
+
+
+def test_what_cannot_be_replayed_is_refused(capture, tmp_path):
+    """A capture without a sensor's packets, and the present at another speed than its own, are errors of one line."""
+    empty = tmp_path / "empty.pcap"
+    empty.write_bytes(capture.read_bytes()[:24])
+    with pytest.raises(CaptureError, match=r"empty\.pcap: .*no data packets"):
+        replay(empty)
+    with pytest.raises(InputError, match="--now"):
+        replay(capture, now=True, speed=2.0)

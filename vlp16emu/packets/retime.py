@@ -1,0 +1,98 @@
+"""Time stamps and sentences of packets, moved by whole seconds, so that everything between two seconds stays as it is."""
+
+import re
+import struct
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from vlp16emu.packets.layout import (
+    DATA_PAYLOAD,
+    POSITION_PAYLOAD,
+    RETURN_MODE_BYTE,
+    SEQUENCES_PER_PACKET,
+)
+from vlp16emu.packets.position import STAMP_LEAD_NS
+from vlp16emu.sensor.beams import SEQUENCE_NS
+from vlp16emu.types import Packet, PacketKind, ReturnMode
+from vlp16emu.units import HOUR_NS, S_NS, US_NS
+
+__all__ = ["age_ns", "moved", "stamp_ns"]
+
+_STAMP = struct.Struct("<I")
+_RMC = re.compile(
+    rb"\$(?P<kind>G[A-Z]RMC),(?P<time>\d{6})(?P<decimals>(?:\.\d*)?)"
+    rb",(?P<place>(?:[^,*]*,){7})(?P<date>\d{6})(?P<rest>,[^*]*)\*[0-9A-Fa-f]{2}"
+)
+
+
+def _offset(payload: np.dtype[np.void], field: str) -> int:
+    """Where a field of a payload begins."""
+    assert payload.fields is not None
+    return payload.fields[field][1]
+
+
+_STAMP_AT = {
+    PacketKind.DATA: _offset(DATA_PAYLOAD, "timestamp_us"),
+    PacketKind.POSITION: _offset(POSITION_PAYLOAD, "timestamp_us"),
+}
+_MODE_AT = _offset(DATA_PAYLOAD, "return_mode")
+_SENTENCE = slice(_offset(POSITION_PAYLOAD, "sentence"), _offset(POSITION_PAYLOAD, "unused_tail"))
+
+
+def stamp_ns(packet: Packet) -> int:
+    """Time stamp of a data or position packet, ns past the hour of the sensor's clock."""
+    (stamp_us,) = _STAMP.unpack_from(packet.payload, _STAMP_AT[packet.kind])
+    return int(stamp_us) * US_NS
+
+
+def age_ns(packet: Packet) -> int:
+    """Time from the stamp of a packet to its sending: of a data packet how long it takes to fill."""
+    if packet.kind is PacketKind.POSITION:
+        return STAMP_LEAD_NS
+    is_dual = packet.payload[_MODE_AT] == RETURN_MODE_BYTE[ReturnMode.DUAL]
+    return SEQUENCES_PER_PACKET[ReturnMode.DUAL if is_dual else ReturnMode.STRONGEST] * SEQUENCE_NS
+
+
+def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
+    """Move the stamp of a data or position packet, and the time and date of its sentence, where it has one.
+
+    Parameters
+    ----------
+    by_s : whole seconds, of either sign
+    now_ns : UTC at which the packet is sent, where the date of the sentence may be another one than that of the
+        capture: then the sentence is moved by whole hours too, to that hour
+    """
+    at, payload = _STAMP_AT[packet.kind], bytearray(packet.payload)
+    _STAMP.pack_into(payload, at, (stamp_ns(packet) + by_s * S_NS) % HOUR_NS // US_NS)
+    if packet.kind is PacketKind.POSITION:
+        sentence = _moved_sentence(bytes(payload[_SENTENCE]), by_s, now_ns)
+        payload[_SENTENCE] = sentence
+    return replace(packet, payload=bytes(payload))
+
+
+def _moved_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
+    """Move a sentence in its field; what is no RMC sentence with time and date stays."""
+    found = _RMC.match(field)
+    if found is None:
+        return field
+    try:
+        utc = datetime.strptime((found["date"] + found["time"]).decode(), "%d%m%y%H%M%S").replace(tzinfo=UTC)
+    except ValueError:
+        return field
+    utc += timedelta(seconds=by_s)
+    if now_ns is not None:
+        utc += timedelta(hours=round((now_ns / S_NS - utc.timestamp()) / 3600))
+    body = b"%b,%b%b,%b%b%b" % (
+        found["kind"],
+        f"{utc:%H%M%S}".encode(),
+        found["decimals"],
+        found["place"],
+        f"{utc:%d%m%y}".encode(),
+        found["rest"],
+    )
+    checksum = 0
+    for byte in body:
+        checksum ^= byte
+    return b"$%b*%02X%b" % (body, checksum, field[found.end() :])
