@@ -40,7 +40,7 @@ def walk():
 
 def written(emulator, folder, start_s=0.0, stop_s=2.0, *, rate_hz=200, per_packet=False, most=None):
     """Run, and give the packets and the folder."""
-    with Truth(TruthTo(folder, rate_hz, per_packet), emulator, start_s) as truth:
+    with Truth(TruthTo(folder, rate_hz, per_packet), emulator, (start_s, stop_s)) as truth:
         return list(itertools.islice(truth.beside(emulator.packets(start_s, stop_s)), most))
 
 
@@ -54,7 +54,7 @@ def tum(path):
 def test_a_packet_that_was_taken_and_not_sent_has_no_row(walk, tmp_path):
     """Whoever stops at a packet, as a recording does on Ctrl-C, has rows for those before it only."""
     packets = walk.packets(0.0, 1.0)
-    with Truth(TruthTo(tmp_path, per_packet=True), walk, 0.0) as truth:
+    with Truth(TruthTo(tmp_path, per_packet=True), walk, (0.0, 1.0)) as truth:
         sent = 0
         for packet in truth.beside(packets):
             if sent == 100:
@@ -218,7 +218,7 @@ def test_truth_grows_with_the_run_and_not_in_memory(walk, tmp_path):
     held = []
     tracemalloc.start()
     try:
-        with Truth(TruthTo(tmp_path, 20, per_packet=True), walk, 0.0) as truth:
+        with Truth(TruthTo(tmp_path, 20, per_packet=True), walk, (0.0, 120.0)) as truth:
             for number, packet in enumerate(truth.beside(empty())):
                 if number in {300, 1199}:
                     held.append(tracemalloc.get_traced_memory()[0])
@@ -233,10 +233,13 @@ def test_the_resolved_scenario_is_a_scene(tmp_path):
     """Every scene of ours, written with all its values and read again, is the same scenario."""
     for name in scene_files():
         scenario = load(name, ["seed=77", "title=ä"])
-        unit = SimpleNamespace(number=0, section=scenario.sensor, mount=scenario.motion.mount, motion=None)
+        head = SimpleNamespace(beams=SimpleNamespace(sequence_ns=55_296))
+        unit = SimpleNamespace(
+            number=0, head=head, section=scenario.sensor, mount=scenario.motion.mount, motion=None
+        )
         parts = SimpleNamespace(units=(unit,), gps=SimpleNamespace(second_ns=lambda _t_ns: None))
         emulator = SimpleNamespace(scenario=scenario, parts=parts, receiver=None)
-        with Truth(TruthTo(tmp_path / name), emulator, 0.0) as truth:
+        with Truth(TruthTo(tmp_path / name), emulator, (0.0, scenario.duration_s)) as truth:
             truth._trajectories = []
         assert load(str(tmp_path / name / "scenario.json")) == scenario, name
 

@@ -32,6 +32,7 @@ _WITHOUT_KERNELS = frozenset(
         "compiled",
         "device",
         "emulator",
+        "output",
         "points",
         "recording",
         "report",

@@ -1,7 +1,7 @@
 """Where packets leave: a capture file, the network, or a list; and the clock that lets them leave in time."""
 
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
-from vlp16emu.sinks.pcap import STDOUT, PcapResult, PcapSink
+from vlp16emu.sinks.pcap import PcapResult, PcapSink
 from vlp16emu.sinks.sink import MemorySink, PacketSink
 from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, StreamReport, sending_share, stream
 from vlp16emu.sinks.truth import TruthFolder, TruthTo, tum_rows
@@ -10,7 +10,6 @@ from vlp16emu.sinks.udp import LOOPBACK, RigSink, UdpResult, UdpSink
 __all__ = [
     "LOOK_AHEAD_PACKETS",
     "LOOPBACK",
-    "STDOUT",
     "TOLERANCE_NS",
     "FellBehind",
     "Late",
