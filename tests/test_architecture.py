@@ -28,7 +28,19 @@ FLOORS = (
     {"returns"},
     {"raycast"},
     {"sensor", "motion", "world"},
-    {"compiled", "errors", "explain", "random", "settings", "store", "text", "trig", "types", "units"},
+    {
+        "compiled",
+        "errors",
+        "explain",
+        "output",
+        "random",
+        "settings",
+        "store",
+        "text",
+        "trig",
+        "types",
+        "units",
+    },
 )
 """From the top. Imports run down past any number of floors, or to a room beside; never in a circle."""
 

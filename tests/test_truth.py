@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from vlp16emu.emulator import Emulator
-from vlp16emu.errors import OutputError
+from vlp16emu.errors import OutputError, ScenarioError
 from vlp16emu.motion.gnss import to_geodetic
 from vlp16emu.packets import decode_data, decode_position, parse_rmc
 from vlp16emu.scenario import load, scene_files
@@ -40,7 +40,7 @@ def walk():
 
 def written(emulator, folder, start_s=0.0, stop_s=2.0, *, rate_hz=200, per_packet=False, most=None):
     """Run, and give the packets and the folder."""
-    with Truth(TruthTo(folder, rate_hz, per_packet), emulator, start_s) as truth:
+    with Truth(TruthTo(folder, rate_hz, per_packet), emulator, (start_s, stop_s)) as truth:
         return list(itertools.islice(truth.beside(emulator.packets(start_s, stop_s)), most))
 
 
@@ -54,7 +54,7 @@ def tum(path):
 def test_a_packet_that_was_taken_and_not_sent_has_no_row(walk, tmp_path):
     """Whoever stops at a packet, as a recording does on Ctrl-C, has rows for those before it only."""
     packets = walk.packets(0.0, 1.0)
-    with Truth(TruthTo(tmp_path, per_packet=True), walk, 0.0) as truth:
+    with Truth(TruthTo(tmp_path, per_packet=True), walk, (0.0, 1.0)) as truth:
         sent = 0
         for packet in truth.beside(packets):
             if sent == 100:
@@ -133,14 +133,21 @@ def test_the_inertial_unit_is_written_whole(tmp_path):
     emulator = Emulator(load("static_bench", ["imu.rate_hz=130", "imu.preset=consumer"]))
     packets = written(emulator, tmp_path, 0.0, 1.5)
     lines = (tmp_path / "imu.csv").read_text().splitlines()
-    assert lines[0] == "t_utc_s,wx_rad_s,wy_rad_s,wz_rad_s,fx_m_s2,fy_m_s2,fz_m_s2"
+    axes = "wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2"
+    columns = [f"{kind}{axis}" for kind in ("", "true_", "bias_") for axis in axes]
+    assert lines[0].split(",") == ["t_utc_s", *columns]
     rows = np.array([[float(word) for word in line.split(",")[1:]] for line in lines[1:]])
     t_ns = np.array([int(line.split(",")[0].replace(".", "")) for line in lines[1:]])
     read = emulator.parts.imu.read(0, len(rows))
     assert (t_ns == read.t_ns).all()
     assert packets[-1].due_ns - t_ns[-1] < S_NS / 130
-    true = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2])
-    np.testing.assert_allclose(rows, true, rtol=0, atol=1e-9)
+    said = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2])
+    np.testing.assert_allclose(rows[:, :6], said, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(rows[:, 6:12], [[0, 0, 0, 0, 0, 9.80665]] * len(rows), rtol=0, atol=1e-9)
+    white = rows[:, :6] - rows[:, 6:12] - rows[:, 12:]
+    sigma = np.array([2.4e-4] * 3 + [1.2e-3] * 3) * math.sqrt(130)
+    np.testing.assert_allclose(white.std(axis=0), sigma, rtol=0.3)
+    assert (np.abs(rows[0, 12:]) > 1e-5).all()
 
 
 def test_the_rig_holds_the_mounts(tmp_path):
@@ -218,7 +225,7 @@ def test_truth_grows_with_the_run_and_not_in_memory(walk, tmp_path):
     held = []
     tracemalloc.start()
     try:
-        with Truth(TruthTo(tmp_path, 20, per_packet=True), walk, 0.0) as truth:
+        with Truth(TruthTo(tmp_path, 20, per_packet=True), walk, (0.0, 120.0)) as truth:
             for number, packet in enumerate(truth.beside(empty())):
                 if number in {300, 1199}:
                     held.append(tracemalloc.get_traced_memory()[0])
@@ -233,10 +240,13 @@ def test_the_resolved_scenario_is_a_scene(tmp_path):
     """Every scene of ours, written with all its values and read again, is the same scenario."""
     for name in scene_files():
         scenario = load(name, ["seed=77", "title=ä"])
-        unit = SimpleNamespace(number=0, section=scenario.sensor, mount=scenario.motion.mount, motion=None)
+        head = SimpleNamespace(beams=SimpleNamespace(sequence_ns=55_296))
+        unit = SimpleNamespace(
+            number=0, head=head, section=scenario.sensor, mount=scenario.motion.mount, motion=None
+        )
         parts = SimpleNamespace(units=(unit,), gps=SimpleNamespace(second_ns=lambda _t_ns: None))
         emulator = SimpleNamespace(scenario=scenario, parts=parts, receiver=None)
-        with Truth(TruthTo(tmp_path / name), emulator, 0.0) as truth:
+        with Truth(TruthTo(tmp_path / name), emulator, (0.0, scenario.duration_s)) as truth:
             truth._trajectories = []
         assert load(str(tmp_path / name / "scenario.json")) == scenario, name
 
@@ -319,6 +329,43 @@ def test_poses_take_decoded_points_into_the_world_as_documented(tmp_path):
     np.testing.assert_array_equal(points.xyz_m[met] @ turn.T, np.column_stack([y, -x, z]))
     rig = json.loads((tmp_path / "rig.json").read_text())["manual"]["sensor_T_manual"]["matrix"]
     np.testing.assert_array_equal(np.array(rig)[:3, :3], turn)
+
+
+@pytest.mark.parametrize("start_s", [0.0, 0.7])
+def test_without_packets_the_truth_is_the_same(start_s, tmp_path):
+    """What is written without casting light is what is written beside packets, file by file and byte by byte."""
+    settings = ["gps.connected=true", "imu.preset=consumer", "rig=[{return_mode='dual'}]"]
+    walk = 'motion={kind="walk", way_points_m=[[-5, 0], [0, 3], [5, 0]]}'
+    emulator = Emulator(load("static_bench", [*settings, walk]))
+    written(emulator, tmp_path / "beside", start_s, 1.3, per_packet=True)
+    to = TruthTo(tmp_path / "alone", per_packet=True)
+    assert emulator.write_truth(to, start_s=start_s, duration_s=1.3 - start_s) == 1.3 - start_s
+    names = ["gnss.csv", "imu.csv", "packets.tum", "packets_2.tum", "rig.json", "scenario.json"]
+    names += ["trajectory.tum", "trajectory_2.tum"]
+    assert sorted(path.name for path in (tmp_path / "beside").iterdir()) == names
+    for name in names:
+        assert (tmp_path / "alone" / name).read_bytes() == (tmp_path / "beside" / name).read_bytes(), name
+
+
+def test_a_sensor_without_packets_has_truth(tmp_path):
+    """A free sensor has trajectory, rig and scenario; poses of packets, which it has not, are refused before any file."""
+    emulator = Emulator(load("static_bench", ["sensor.model=free", "sensor.beams=32"]))
+    emulator.write_truth(tmp_path / "t", duration_s=0.5)
+    t_ns, _ = tum(tmp_path / "t" / "trajectory.tum")
+    assert len(t_ns) in {101, 102}
+    assert json.loads((tmp_path / "t" / "rig.json").read_text())["units"][0]["model"] == "free"
+    with pytest.raises(ScenarioError, match=r'found "free", which has no packets'):
+        emulator.write_truth(TruthTo(tmp_path / "no", per_packet=True), duration_s=0.5)
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_run_that_is_left_can_be_repeated(walk, tmp_path):
+    """The scenario of a run that is ended early ends behind its last packet, and gives these packets again."""
+    packets = written(walk, tmp_path, 0.5, 10.0, most=1000)
+    tree = json.loads((tmp_path / "scenario.json").read_text())
+    assert tree["written_by"].endswith(", --start 0.5")
+    again = Emulator(load(str(tmp_path / "scenario.json")))
+    assert list(again.packets(0.5)) == packets[:-1]  # the last was taken and not sent
 
 
 def test_a_folder_with_other_things_is_refused(walk, tmp_path):

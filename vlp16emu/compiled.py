@@ -36,6 +36,7 @@ _WITHOUT_KERNELS = frozenset(
         "compiled",
         "device",
         "emulator",
+        "output",
         "points",
         "recording",
         "replay",

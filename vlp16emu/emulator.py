@@ -1,11 +1,11 @@
 """The public face: a scene's scans as arrays, into a capture, or over UDP."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,9 @@ from vlp16emu.sinks import (
 from vlp16emu.streaming import Engine, Streamed, summed_up
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS
+
+if TYPE_CHECKING:
+    from vlp16emu.truth import Truth
 
 __all__ = ["Emulator"]
 
@@ -141,10 +144,15 @@ class Emulator(Chain):
         spare(self._files, Path(path))
         span_s = self.scenario.span_s(start_s, duration_s)
         packets = self.packets(*span_s)  # checks the span before the file is touched
-        with self._with_truth(packets, start_s, truth) as beside:
-            recording = record_packets(
-                self, beside, Path(path), span_s, scene=self.name, progress=progress, stop=stop or Event()
-            )
+        recording = record_packets(
+            self,
+            self._with_truth(packets, span_s, truth),
+            Path(path),
+            span_s,
+            scene=self.name,
+            progress=progress,
+            stop=stop or Event(),
+        )
         return replace(recording, audit=self.audit.finding if self.audit else None)
 
     def write_points(
@@ -155,6 +163,7 @@ class Emulator(Chain):
         duration_s: float | None = None,
         unit: int = 1,
         truth: bool = False,
+        truth_to: str | Path | TruthTo | None = None,
         progress: Callable[[float], None] = lambda _: None,
         stop: Event | None = None,
     ) -> PointCloud:
@@ -166,29 +175,73 @@ class Emulator(Chain):
         start_s, duration_s, progress, stop : as of `record`
         unit : which sensor of a rig, from 1
         truth : whether points have labels
+        truth_to : folder for the ground truth of the run, as `truth` of `record`
 
         Raises
         ------
         InputError
             where there is no such unit, or the suffix names no format
         OutputError
-            where the file cannot be written, or is an input of the scene
+            where file or folder cannot be written, or are an input of the scene
         TrajectoryError
             where the walk is over before the span
         RunError
             where the disk is full; the file is not complete
         """
         spare(self._files, Path(path))
+        span_s = self.scenario.span_s(start_s, duration_s)
         return write_cloud(
             self,
             self._number(unit),
             Path(path),
-            self.scenario.span_s(start_s, duration_s),
+            span_s,
             truth=truth,
             scene=self.name,
-            progress=progress,
+            progress=self._with_truth_so_far(progress, span_s, truth_to),
             stop=stop or Event(),
         )
+
+    def write_truth(
+        self,
+        to: str | Path | TruthTo,
+        *,
+        start_s: float = 0.0,
+        duration_s: float | None = None,
+        progress: Callable[[float], None] = lambda _: None,
+        stop: Event | None = None,
+    ) -> float:
+        """Write the ground truth that `record` writes beside a run, byte for byte, without casting a pulse.
+
+        Parameters
+        ----------
+        to : folder
+        start_s, duration_s : as of `record`
+        progress : called with the simulated seconds so far, second by second
+        stop : ends it from another thread
+
+        Returns
+        -------
+        Simulated seconds
+
+        Raises
+        ------
+        OutputError
+            where the folder cannot be written, or holds an input of the scene
+        ScenarioError
+            where poses of packets are wanted of a sensor that has none
+        TrajectoryError
+            where the walk is over before the span
+        RunError
+            where the disk is full; the lines before are kept
+        """
+        begin_s, stop_s = span_s = self.scenario.span_s(start_s, duration_s)
+        self._span_ns(*span_s)  # checks the span before the folder is touched
+        done_s, stop = 0.0, stop or Event()
+        with self._with_truth_so_far(progress, span_s, to) as so_far:
+            while done_s < stop_s - begin_s and not stop.is_set():
+                done_s = min(done_s + 1.0, stop_s - begin_s)
+                so_far(done_s)
+        return done_s
 
     def stream(
         self,
@@ -237,7 +290,7 @@ class Emulator(Chain):
         links = [unit.link for unit in self.parts.units]
         policy = Late(late)
         with (
-            self._with_truth(engine, 0.0, truth) as packets,
+            self._with_truth(engine, span_s, truth) as packets,
             RigSink(links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS)) as sink,
         ):
             opened()
@@ -265,15 +318,34 @@ class Emulator(Chain):
 
     @contextmanager
     def _with_truth(
-        self, packets: Iterator[Packet], start_s: float, truth: str | Path | TruthTo | None
+        self, packets: Iterator[Packet], span_s: tuple[float, float], to: str | Path | TruthTo | None
     ) -> Iterator[Iterator[Packet]]:
         """Packets whose truth is written as they are taken, where a folder is given."""
-        if truth is None:
-            yield packets
-            return
+        with nullcontext() if to is None else self._truth(to, span_s) as truth:
+            yield packets if truth is None else truth.beside(packets)
+
+    @contextmanager
+    def _with_truth_so_far(
+        self,
+        progress: Callable[[float], None],
+        span_s: tuple[float, float],
+        to: str | Path | TruthTo | None,
+    ) -> Iterator[Callable[[float], None]]:
+        """Progress of a run without packets, whose truth is written as it is called, where a folder is given."""
+
+        def so_far(done_s: float) -> None:
+            """Write what was true until then."""
+            if truth is not None:
+                truth.up_to(span_s[0] + done_s)
+            progress(done_s)
+
+        with nullcontext() if to is None else self._truth(to, span_s) as truth:
+            yield so_far
+
+    def _truth(self, to: str | Path | TruthTo, span_s: tuple[float, float]) -> "Truth":
+        """Begin a folder of truth, beside the files that the run reads."""
         from vlp16emu.truth import Truth  # here: few runs need it
 
-        place = truth if isinstance(truth, TruthTo) else TruthTo(Path(truth))
+        place = to if isinstance(to, TruthTo) else TruthTo(Path(to))
         spare(self._files, place.scenario)
-        with Truth(place, self, start_s) as beside:
-            yield beside.beside(packets)
+        return Truth(place, self, span_s)

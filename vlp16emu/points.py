@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -67,7 +68,7 @@ def write_cloud(
     *,
     truth: bool,
     scene: str,
-    progress: Callable[[float], None],
+    progress: AbstractContextManager[Callable[[float], None]],
     stop: Event,
 ) -> PointCloud:
     """Write the points of all pulses fired in a span into a file.
@@ -78,7 +79,7 @@ def write_cloud(
     path : as `point_file` takes it
     truth : whether `TRUTH_COLUMNS` are written beside `SCENE_COLUMNS`
     scene : its name in the result
-    progress : called with the simulated seconds so far, block by block
+    progress : entered when the file is open; what it gives is called with the simulated seconds so far, block by block
     stop : ends the file between two blocks
 
     Raises
@@ -91,12 +92,13 @@ def write_cloud(
     began_s, scenario, unit = time.perf_counter(), chain.scenario, chain.parts.units[number]
     blocks = _blocks(chain, number, span_s, truth=truth)  # checks the span before the file is touched
     columns, returns, simulated_s = SCENE_COLUMNS + TRUTH_COLUMNS * truth, np.zeros(3, np.int64), 0.0
-    with point_file(path, columns, scene_comments(scenario.start_utc.isoformat()), where=str(path)) as writer:
+    comments = scene_comments(scenario.start_utc.isoformat())
+    with point_file(path, columns, comments, where=str(path)) as writer, progress as so_far:
         for block, end_ns in blocks:
             writer.write(block)
             returns += np.bincount(block["return_number"], minlength=3)
             simulated_s = end_ns / S_NS - span_s[0]
-            progress(simulated_s)
+            so_far(simulated_s)
             if stop.is_set():
                 break
     beams, wall_s = unit.head.beams, time.perf_counter() - began_s

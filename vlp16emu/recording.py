@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -69,7 +70,7 @@ class Recording:
 
 def record_packets(
     chain: Chain,
-    packets: Iterable[Packet],
+    packets: AbstractContextManager[Iterable[Packet]],
     path: Path,
     span_s: tuple[float, float],
     *,
@@ -81,7 +82,7 @@ def record_packets(
 
     Parameters
     ----------
-    packets : of the chain, over the span
+    packets : of the chain, over the span; entered when the file is open
     path : as `PcapSink` takes it
     span_s : of the run, since the first pulse
     scene : its name in the recording
@@ -97,8 +98,8 @@ def record_packets(
     begin_ns, simulated_s = scenario.start_ns + seconds_to_ns(span_s[0]), 0.0
     sent = Counter[tuple[int, str]]()
     numbers, links = chain.first_position_packets(span_s[0]), [unit.link for unit in units]
-    with PcapSink(path, numbers, links) as sink:
-        for packet in packets:
+    with PcapSink(path, numbers, links) as sink, packets as taken:
+        for packet in taken:
             if stop.is_set():
                 break
             sink.send(packet)

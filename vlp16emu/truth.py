@@ -1,5 +1,6 @@
 """What really was, beside what was sent: trajectory, inertial unit, GNSS, rig and scenario of a run."""
 
+import heapq
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from importlib.metadata import version
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.chain import Parts, Unit
 from vlp16emu.chain.chain import Chain
+from vlp16emu.chain.position import position_packets
 from vlp16emu.errors import RunError
 from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.gnss import Receiver, to_geodetic
@@ -19,9 +21,8 @@ from vlp16emu.motion.pose import Motion, rotation
 from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
-from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.head import BODY_R_SENSOR
-from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sensor.settings import Sensor, on_the_wire
 from vlp16emu.sinks import TruthFolder, TruthTo, tum_rows
 from vlp16emu.sinks.truth import seconds_text
 from vlp16emu.types import Packet, PacketKind, Poses, ReturnMode
@@ -45,37 +46,52 @@ _GNSS_COLUMNS = (
     "course_deg",
 )
 
-_IMU_COLUMNS = ("t_utc_s", "wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
+_IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 """Angular rate and specific force in the unit's own axes."""
+_IMU_COLUMNS = (
+    "t_utc_s",
+    *_IMU_AXES,
+    *(f"true_{axis}" for axis in _IMU_AXES),
+    *(f"bias_{axis}" for axis in _IMU_AXES),
+)
 
 Rows = Callable[[int, int], str]
 """Lines of samples first .. first + count - 1."""
 
 
 class Truth:
-    """Writes the truth of a run while its packets go by; a context manager.
+    """Writes the truth of a run, beside its packets or without them; a context manager.
+
+    It is the same in both cases: without packets it goes by the times at which they would leave.
 
     Parameters
     ----------
     to : where it goes
-    chain : whose packets they are
-    start_s : from which on they are asked for, since the first pulse
+    chain : of the run
+    span_s : of the run, since the first pulse
 
     Raises
     ------
     OutputError
         where the folder cannot be used, or holds a file that the scenario names
+    ScenarioError
+        where poses of packets are wanted of a sensor that has none
     RunError
         where it cannot be written: here, or later
     """
 
-    def __init__(self, to: TruthTo, chain: Chain, start_s: float) -> None:
+    def __init__(self, to: TruthTo, chain: Chain, span_s: tuple[float, float]) -> None:
         scenario, parts = chain.scenario, chain.parts
-        self._units = parts.units
+        self._units, self._to, self._scenario, self._span_s = parts.units, to, scenario, span_s
+        wanted = self._units if to.per_packet else ()
+        for unit in wanted:
+            on_the_wire(unit.section)
         self._step_ns = -(-S_NS // to.rate_hz)
-        self._seen_ns = self._next_ns = begin_ns = scenario.start_ns + seconds_to_ns(start_s)
+        self._seen_ns = self._next_ns = begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
+        self._is_whole = False
+        self._to_come = self.beside(_without_contents(chain, span_s))
         self._folder = TruthFolder(to.folder, named_files(scenario))
-        self._folder.write_json(to.scenario.name, _resolved(scenario))
+        self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
         self._folder.write_json("rig.json", _rig(scenario, parts))
         # The first packet may have begun before it was asked for.
         from_ns = max(begin_ns - max(map(_period_ns, self._units)) - self._step_ns, scenario.start_ns)
@@ -90,7 +106,6 @@ class Truth:
             for unit in self._units
         ]
         self._others = [*self._inertial(scenario, parts, from_ns), *self._fixes(chain, begin_ns)]
-        wanted = self._units if to.per_packet else ()
         self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in wanted}
         self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
 
@@ -104,6 +119,11 @@ class Truth:
             self._write()
             for samples in self._trajectories:
                 samples.up_to(self._seen_ns + self._step_ns)
+            if not self._is_whole and self._seen_ns > self._scenario.start_ns + seconds_to_ns(
+                self._span_s[0]
+            ):
+                begin_s, stop_s = self._span_s[0], (self._seen_ns + 1 - self._scenario.start_ns) / S_NS
+                self._folder.write_json(self._to.scenario.name, _resolved(self._scenario, (begin_s, stop_s)))
 
     def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
         """Pass packets on, and write what was true until each of them once a second.
@@ -119,6 +139,14 @@ class Truth:
             if packet.due_ns >= self._next_ns:
                 self._next_ns = packet.due_ns + S_NS
                 self._write()
+        self._is_whole = True
+
+    def up_to(self, since_s: float) -> None:
+        """Write what was true until a time since the first pulse, of a run whose packets do not go by."""
+        until_ns = self._scenario.start_ns + seconds_to_ns(since_s)
+        for packet in self._to_come:
+            if packet.due_ns >= until_ns:
+                break
 
     def _write(self) -> None:
         """Write all that was true so far."""
@@ -179,8 +207,27 @@ class _Samples:
 
 
 def _period_ns(unit: Unit) -> int:
-    """From the first pulse of a unit's packet to that of the next."""
-    return SEQUENCES_PER_PACKET[ReturnMode(unit.section.return_mode)] * SEQUENCE_NS
+    """From the first pulse of a unit's packet to that of the next; of a sensor without packets, of as many sequences."""
+    return SEQUENCES_PER_PACKET[ReturnMode(unit.section.return_mode)] * unit.head.beams.sequence_ns
+
+
+def _without_contents(chain: Chain, span_s: tuple[float, float]) -> Iterator[Packet]:
+    """Yield the packets of a run in order of sending, data packets without their bytes: for these light is cast."""
+    start_ns, span_ns = chain.scenario.start_ns, (seconds_to_ns(span_s[0]), seconds_to_ns(span_s[1]))
+
+    def data(unit: Unit) -> Iterator[Packet]:
+        """Yield data packets of a unit."""
+        period_ns = _period_ns(unit)  # packet p is due at (p + 1) periods
+        for number in range(*(max(0, -(-ns // period_ns) - 1) for ns in span_ns)):
+            yield Packet(PacketKind.DATA, start_ns + (number + 1) * period_ns, b"", unit.number)
+
+    units = chain.parts.units
+    position = [
+        position_packets(chain.scenario, chain.parts.gps, chain.receiver, unit, *span_ns)
+        for unit in units
+        if isinstance(unit.section, Sensor)
+    ]
+    return heapq.merge(*map(data, units), *position, key=lambda packet: packet.due_ns)
 
 
 def _file(name: str, unit: Unit) -> str:
@@ -211,7 +258,9 @@ def _inertial(imu: ImuSampler) -> Rows:
     def rows(first: int, count: int) -> str:
         """Lines of consecutive readings."""
         read = imu.read(first, count)
-        numbers = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2]).tolist()
+        readings = read.angular_rate_rad_s, read.specific_force_m_s2
+        true = read.true_angular_rate_rad_s, read.true_specific_force_m_s2
+        numbers = np.column_stack([*readings, *true, read.gyro_bias_rad_s, read.accel_bias_m_s2]).tolist()
         return "".join(
             f"{seconds_text(t_ns)},{','.join(f'{number:.9f}' for number in row)}\n"
             for t_ns, row in zip(read.t_ns.tolist(), numbers, strict=True)
@@ -237,10 +286,11 @@ def _fixes(receiver: Receiver, gps: Gps) -> Rows:
     return lambda first, count: "".join(row(second * S_NS) for second in range(first, first + count))
 
 
-def _resolved(scenario: Scenario) -> dict[str, Any]:
-    """Give the scenario with all its values, a scene file itself."""
-    tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return {"written_by": f"vlp16emu {version('vlp16emu')}"} | tree
+def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]:
+    """Give the scenario with all its values and the end of a run, a scene file itself."""
+    tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True) | {"duration_s": span_s[1]}
+    start = f", --start {span_s[0]!r}" if span_s[0] else ""
+    return {"written_by": f"vlp16emu {version('vlp16emu')}{start}"} | tree
 
 
 def _rig(scenario: Scenario, parts: Parts) -> dict[str, Any]:
@@ -266,15 +316,10 @@ def _rig(scenario: Scenario, parts: Parts) -> dict[str, Any]:
 
 def _unit(unit: Unit) -> dict[str, Any]:
     """Describe a unit, its addresses, and where it sits."""
-    sensor = on_the_wire(unit.section)
+    keys = ("name", "model", "serial_number", "address", "data_port", "position_port")
     return {
         "unit": unit.number + 1,
-        "name": sensor.name,
-        "model": sensor.model,
-        "serial_number": sensor.serial_number,
-        "address": sensor.address,
-        "data_port": sensor.data_port,
-        "position_port": sensor.position_port,
+        **{key: getattr(unit.section, key) for key in keys if hasattr(unit.section, key)},
         "trajectory": _file("trajectory", unit),
         "body_T_sensor": _mount(unit.mount),
     }

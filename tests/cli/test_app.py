@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 HEAVY = {"numpy", "numba", "scipy", "pydantic", "dpkt", "rich", "vlp16emu.emulator", "vlp16emu.scenario"}
-VERBS = ["record", "stream", "decode", "points", "verify", "scenes", "schema"]
+VERBS = ["record", "stream", "decode", "points", "truth", "verify", "scenes", "schema"]
 
 
 def test_help_loads_nothing_heavy():

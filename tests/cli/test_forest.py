@@ -210,6 +210,18 @@ def test_a_missing_matplotlib_is_told_before_anything_heavy(cli, monkeypatch, tm
     assert "pip install 'vlp16emu[picture]'" in outcome.err
 
 
+def test_a_run_that_fails_leaves_no_file(cli, tmp_path, monkeypatch):
+    """Where the picture fails, an inventory that was complete is kept, an earlier picture stays, and nothing is beside them."""
+    monkeypatch.setattr("vlp16emu.report.forest.files.draw_sheet", lambda *_, **__: 1 / 0)
+    (tmp_path / "x.png").write_bytes(b"earlier")
+    options = ["--radius", "1", "--set", "world.stems_per_ha=50", "--inventory", tmp_path / "x.csv"]
+    with pytest.raises(ZeroDivisionError):
+        cli("forest", "birch_walk", *options, "--picture", tmp_path / "x.png")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.csv", "x.png"]
+    assert (tmp_path / "x.csv").read_text().startswith("id,species,")
+    assert (tmp_path / "x.png").read_bytes() == b"earlier"
+
+
 def test_a_full_disk_is_told(cli, tmp_path):
     """Where the disk is full, the run fails with exit code 1 and says which file is not complete."""
     (tmp_path / "twin.glb").symlink_to("/dev/full")

@@ -222,6 +222,19 @@ def test_a_scene_without_a_return_makes_a_file_without_points(cli, tmp_path, suf
         )
 
 
+def test_points_have_the_truth_of_their_run(cli, tmp_path):
+    """`--truth-folder` writes beside the points what `truth` writes over the same span, also for a free sensor."""
+    for free in ([], FREE):
+        span = ["--start", "0.1", "--duration", "0.3", *free]
+        beside, alone = tmp_path / "beside", tmp_path / "alone"
+        outcome = cli("points", "static_bench", tmp_path / "x.npz", *span, "--truth-folder", beside)
+        assert outcome.code == 0
+        assert cli("truth", "static_bench", alone, *span).code == 0
+        assert len(list(alone.iterdir())) == 3
+        for path in alone.iterdir():
+            assert (beside / path.name).read_bytes() == path.read_bytes(), path.name
+
+
 def test_people_get_a_summary(cli, tmp_path):
     """Without --json the beams, the sequences of a turn and the pulses of a second stand in a few lines."""
     out = cli("points", "static_bench", tmp_path / "x.ply", "--duration", "0.02", *FREE).out

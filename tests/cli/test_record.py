@@ -147,7 +147,8 @@ def test_ctrl_c_leaves_a_valid_file(cli, program, tmp_path, number):
     """Ctrl-C or SIGTERM in the middle exits with 130, without a traceback, and the file holds what the report says."""
     path = tmp_path / "x.pcap"
     process = program("record", "static_bench", path, "--duration", "3600", "--json")
-    wait_for(path, 500_000)
+    wait_for(tmp_path / "x.pcap.part", 500_000)
+    assert not path.exists()
     process.send_signal(number)
     out, err = process.communicate(timeout=30)
     assert (process.returncode, err) == (130, "")
@@ -156,6 +157,34 @@ def test_ctrl_c_leaves_a_valid_file(cli, program, tmp_path, number):
     assert report["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
     assert 0 < report["simulated_s"] < 3600
     assert cli("verify", path, "--json").tree["packets"] == report["packets"]
+
+
+def test_two_recordings_into_one_file_are_refused(cli, program, tmp_path):
+    """The second names the process of the first and exits with 2, before it touches its own folder of truth."""
+    path, truth = tmp_path / "x.pcap", tmp_path / "t"
+    assert cli("truth", "static_bench", truth, "--duration", "0.1").code == 0
+    before = {file.name: file.read_bytes() for file in truth.iterdir()}
+    process = program("record", "static_bench", path, "--duration", "3600", "--json")
+    wait_for(tmp_path / "x.pcap.part", 100_000)
+    outcome = cli("record", "static_bench", path, "--duration", "0.1", "--truth", truth)
+    found = f"error: {path}: is being written by process {process.pid}; expected another place, or an end of that run\n"
+    assert (outcome.code, outcome.err) == (2, found)
+    assert {file.name: file.read_bytes() for file in truth.iterdir()} == before
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=30)
+    assert json.loads(out)["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_a_killed_recording_is_kept_beside_its_name(cli, program, tmp_path):
+    """After SIGKILL the earlier file stands, and OUT.pcap.part is decoded to its last whole packet."""
+    path = tmp_path / "x.pcap"
+    path.write_text("earlier")
+    process = program("record", "static_bench", path, "--duration", "3600")
+    wait_for(tmp_path / "x.pcap.part", 100_000)
+    process.kill()
+    process.communicate()
+    assert path.read_text() == "earlier"
+    assert cli("decode", tmp_path / "x.pcap.part", "--json").tree["packets"] > 50
 
 
 def test_a_terminal_gets_a_bar_with_the_time_left(program, tmp_path):

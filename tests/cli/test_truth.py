@@ -1,5 +1,6 @@
 """Truth beside a run, from the command line."""
 
+import json
 import signal
 import time
 
@@ -42,6 +43,47 @@ def test_truth_can_be_run_again(cli, tmp_path):
     ).tree
     again = cli("record", tmp_path / "t" / "scenario.json", tmp_path / "b.pcap", *options).tree
     assert again["sha256"] == first["sha256"]
+
+
+@pytest.mark.parametrize("start", [[], ["--start", "0.3"]])
+def test_truth_repeats_the_run_that_was_made(cli, tmp_path, start):
+    """Recorded without --duration, scenario.json is as long as the run was and not as its scene; a --start is named in it."""
+    options, folder = ["--json", *start], tmp_path / "t"
+    first = cli(
+        "record", "static_bench", tmp_path / "a.pcap", *options, "--duration", "0.2", "--truth", folder
+    ).tree
+    again = cli("record", folder / "scenario.json", tmp_path / "b.pcap", *options).tree
+    assert (again["sha256"], again["bytes"]) == (first["sha256"], first["bytes"])
+    assert ("--start 0.3" in (folder / "scenario.json").read_text()) is bool(start)
+
+
+def test_the_truth_alone_is_that_of_a_recording(cli, tmp_path):
+    """`truth` writes the files of `record --truth`, names them in its report, and repeats the options of a rate."""
+    options = ["--duration", "0.5", "--truth-rate", "50", "--truth-packets", "--set", "imu.preset=consumer"]
+    assert cli("record", "static_bench", tmp_path / "x.pcap", *options, "--truth", tmp_path / "a").code == 0
+    report = cli("truth", "static_bench", tmp_path / "b", *options, "--json").tree
+    assert (report["simulated_s"], report["interrupted"]) == (0.5, False)
+    for path in (tmp_path / "a").iterdir():
+        assert (tmp_path / "b" / path.name).read_bytes() == path.read_bytes(), path.name
+        assert report["files"].pop(path.name) == path.stat().st_size
+    assert report["files"] == {}
+    out = cli("truth", "static_bench", tmp_path / "b", *options).out
+    assert out.startswith(f"wrote {tmp_path}/b\n  simulated       0.5 s\n  imu.csv ")
+
+
+def test_ctrl_c_ends_the_truth_alone(program, tmp_path):
+    """Ctrl-C exits with 130, and the files end where the report says."""
+    process = program("truth", "static_bench", tmp_path / "t", "--duration", "600000", "--json")
+    path = tmp_path / "t" / "trajectory.tum"
+    deadline = time.monotonic() + 60
+    while not (path.exists() and path.stat().st_size > 100_000) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=30)
+    assert process.returncode == 130
+    report = json.loads(out)
+    assert report["interrupted"] is True
+    assert abs(len(rows(path)) - 200 * report["simulated_s"]) <= 3
 
 
 def test_truth_does_not_replace_the_poses_that_it_tells(cli, tmp_path):

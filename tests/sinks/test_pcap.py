@@ -120,9 +120,32 @@ def test_killed_program_leaves_all_packets_it_had_sent(tmp_path):
         assert process.stdout.readline() == b"sent\n"
         process.send_signal(signal.SIGKILL)
     assert process.returncode == -signal.SIGKILL
-    datagrams, _ = read(path)
+    assert not path.exists()
+    datagrams, _ = read(tmp_path / "out.pcap.part")
     assert len(datagrams) >= 1000
     assert all(d.payload == (i % 65_536).to_bytes(2) * 603 for i, d in enumerate(datagrams))
+
+
+def test_an_earlier_file_stays_until_the_new_one_is_whole(tmp_path, make_packets):
+    """While packets are written the file before can be read, and it stays where an error comes before the first packet."""
+    path = tmp_path / "out.pcap"
+    path.write_bytes(b"earlier")
+
+    def failing(packets):
+        with PcapSink(path, [0]) as sink:
+            for packet in packets:
+                sink.send(packet)
+                assert path.read_bytes() == b"earlier"
+            raise ValueError
+
+    for packets, left in (([], None), (make_packets(5), 5)):
+        with pytest.raises(ValueError):  # noqa: PT011
+            failing(packets)
+        if left is None:
+            assert path.read_bytes() == b"earlier"
+        else:
+            assert len(read(path)[0]) == left
+        assert [file.name for file in tmp_path.iterdir()] == ["out.pcap"]
 
 
 def test_full_disk_keeps_whole_packets_and_says_how_many(tmp_path):

@@ -1,5 +1,8 @@
 """A folder of truth."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -57,6 +60,45 @@ def test_a_full_disk_is_told(tmp_path):
         (tmp_path / "imu.csv").symlink_to("/dev/full")
         with pytest.raises(RunError, match=r"imu\.csv: No space left on device"):
             folder.append("imu.csv", "x\n")
+
+
+def test_on_a_full_disk_the_last_line_is_whole(tmp_path):
+    """Where half a line finds room it is cut off, and nothing is written behind it; a JSON file is whole or not there."""
+    program = (
+        "import resource, sys\n"
+        "from pathlib import Path\n"
+        "from vlp16emu.errors import RunError\n"
+        "from vlp16emu.sinks import TruthFolder\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (25, 25))\n"
+        "with TruthFolder(Path(sys.argv[1])) as folder:\n"
+        "    folder.append('imu.csv', 'one two\\n')\n"
+        "    for _ in range(2):\n"
+        "        try:\n"
+        "            folder.append('imu.csv', 'three four\\nfive six\\n')\n"
+        "        except RunError as error:\n"
+        "            print(error)\n"
+        "with TruthFolder(Path(sys.argv[1]) / 'more') as folder:\n"
+        "    try:\n"
+        "        folder.write_json('rig.json', {'key': 'of more than 25 letters'})\n"
+        "    except RunError as error:\n"
+        "        print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True
+    )
+    line = f"{tmp_path}/imu.csv: File too large; it ends with a whole line\n"
+    assert done.stdout == 2 * line + f"{tmp_path}/more/rig.json: File too large; no file is written\n"
+    assert (tmp_path / "imu.csv").read_text() == "one two\nthree four\n"
+    assert list((tmp_path / "more").iterdir()) == []
+
+
+def test_two_runs_into_one_folder_are_refused(tmp_path):
+    """While a run writes, another one neither removes nor replaces its files."""
+    with TruthFolder(tmp_path) as folder:
+        folder.append("imu.csv", "one\n")
+        with pytest.raises(OutputError, match=r": is being written by process \d+; expected another place"):
+            TruthFolder(tmp_path)
+        assert (tmp_path / "imu.csv").read_text() == "one\n"
 
 
 def test_a_file_is_no_folder(tmp_path):

@@ -1,6 +1,7 @@
 """`vlp16emu accuracy`: error against run time."""
 
 import math
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +11,7 @@ import typer
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
 from vlp16emu.cli.terminal import Progress, count, print_json, size
 from vlp16emu.errors import OutputError
+from vlp16emu.output import OutputFile
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,9 +70,14 @@ def accuracy(
 
         check_matplotlib()
         _make_folder(out)
-    measured = _measured(scenario, Path(scene).stem, pulses)
-    tree = _tree(measured)
-    files = [] if out is None else _write(out, measured, tree)
+    name = Path(scene).stem
+    files = [] if out is None else [out / f"accuracy_{name}{suffix}" for suffix in (".json", ".png")]
+    with ExitStack() as stack:
+        outputs = [stack.enter_context(OutputFile(file, where=f"--out {file}")) for file in files]
+        measured = _measured(scenario, name, pulses)
+        tree = _tree(measured)
+        if outputs:
+            _write(outputs, measured, tree)
     if as_json:
         print_json(tree | {"files": [str(file) for file in files]})
         return
@@ -133,26 +140,23 @@ def _tree(measured: "Accuracy") -> dict[str, Any]:
     }
 
 
-def _write(out: Path, measured: "Accuracy", tree: dict[str, Any]) -> list[Path]:
+def _write(outputs: "Sequence[OutputFile]", measured: "Accuracy", tree: dict[str, Any]) -> None:
     """Write the files of a report.
 
     Raises
     ------
-    OutputError
-        where one cannot be written
+    RunError
+        where one cannot be written to its end
     """
     import json
 
     from vlp16emu.accuracy.curve import draw_accuracy
 
-    report, picture = (out / f"accuracy_{measured.scene}{suffix}" for suffix in (".json", ".png"))
-    try:
-        report.write_text(json.dumps(tree, indent=2) + "\n", encoding="utf-8")
-        with picture.open("wb") as file:
-            draw_accuracy(file, measured)
-    except OSError as error:
-        raise OutputError(f"--out {out}", str(error.strerror), "a folder that can be written") from error
-    return [report, picture]
+    report, picture = outputs
+    with report.writing() as file:
+        file.write(f"{json.dumps(tree, indent=2)}\n".encode())
+    with picture.writing() as file:
+        draw_accuracy(file, measured)
 
 
 def _print(measured: "Accuracy") -> None:

@@ -21,6 +21,7 @@ from vlp16emu.cli.replay import replay
 from vlp16emu.cli.scenes import scenes, schema
 from vlp16emu.cli.stream import stream
 from vlp16emu.cli.terminal import INTERRUPTED
+from vlp16emu.cli.truth import truth
 from vlp16emu.cli.verify import verify
 from vlp16emu.errors import Vlp16emuError
 
@@ -45,6 +46,9 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
   vlp16emu points birch_walk walk.ply --duration 5 --truth
   vlp16emu points birch_walk walk.npz --set sensor.return_mode=dual
   vlp16emu points static_bench bench.csv --set sensor.model=free --set sensor.beams=64""",
+    truth: """\b
+  vlp16emu truth birch_walk truth --duration 3600
+  vlp16emu truth birch_walk truth --truth-rate 1000 --set imu.preset=consumer""",
     verify: """\b
   vlp16emu verify walk.pcap
   vlp16emu verify walk.pcap --json""",

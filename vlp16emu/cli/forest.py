@@ -1,5 +1,6 @@
 """`vlp16emu forest`: what stands along the path of a sensor."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -7,10 +8,10 @@ import typer
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
 from vlp16emu.cli.terminal import count, print_json, print_rows, size, tree_of
-from vlp16emu.errors import InputError, OutputError
+from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from vlp16emu.report.forest import StandRow
     from vlp16emu.report.forest.summary import ForestSummary, NamedThing, Things, WorldSummary
@@ -80,18 +81,7 @@ def forest(
     wanted = {option: path for option, path in outputs.items() if path is not None}
     for option, path in wanted.items():
         _check_output(option, path)
-    from vlp16emu.report.forest import files
-    from vlp16emu.report.forest.summary import summary_of
-    from vlp16emu.report.forest.survey import survey
-
-    seen = survey(scenario, radius)
-    summary = summary_of(scene, scenario, seen)
-    writers = files.write_inventory, files.write_ground, files.write_twin
-    for output, write in zip((inventory, ground, glb), writers, strict=True):
-        if output is not None:
-            write(output, seen)
-    if picture is not None:
-        files.write_picture(picture, seen, title=scenario.title, subtitle=_subtitle(summary))
+    summary = _surveyed(scene, scenario, radius, wanted)
     if as_json:
         written = {option.removeprefix("--"): str(path) for option, path in wanted.items()}
         print_json({**tree_of(summary), "files": written})
@@ -99,6 +89,32 @@ def forest(
     _print(summary)
     for path in wanted.values():
         print(f"wrote {path}, {size(path.stat().st_size)}")
+
+
+def _surveyed(
+    scene: str, scenario: "Scenario", radius_m: float, wanted: "Mapping[str, Path]"
+) -> "WorldSummary":
+    """Look at the world and write files, which are opened before anything heavy."""
+    from vlp16emu.output import OutputFile
+    from vlp16emu.report.forest import files
+    from vlp16emu.report.forest.summary import summary_of
+    from vlp16emu.report.forest.survey import survey
+
+    with ExitStack() as stack:
+        outputs = {
+            option: stack.enter_context(OutputFile(path, where=f"{option} {path}"))
+            for option, path in wanted.items()
+        }
+        seen = survey(scenario, radius_m)
+        summary = summary_of(scene, scenario, seen)
+        writers = files.write_inventory, files.write_ground, files.write_twin
+        for option, write in zip(_SUFFIXES, writers, strict=False):
+            if option in outputs:
+                write(outputs[option], seen)
+        if "--picture" in outputs:
+            title, subtitle = scenario.title, _subtitle(summary)
+            files.write_picture(outputs["--picture"], seen, title=title, subtitle=subtitle)
+    return summary
 
 
 def _spare(scene: str, scenario: "Scenario", outputs: "Iterable[Path | None]") -> None:
@@ -120,24 +136,18 @@ def _spare(scene: str, scenario: "Scenario", outputs: "Iterable[Path | None]") -
 
 
 def _check_output(option: str, path: Path) -> None:
-    """Refuse a file of the wrong kind or in a place that cannot be written, before anything heavy.
+    """Refuse a file of the wrong kind, before anything heavy.
 
     Raises
     ------
     InputError
         where the suffix is another than the option's
-    OutputError
-        where the file cannot be opened for writing
     MissingExtraError
         where a picture is wanted without matplotlib
     """
     suffix = _SUFFIXES[option]
     if path.suffix != suffix:
         raise InputError(f"{option} {path}", f"found suffix '{path.suffix}'", suffix)
-    try:
-        path.open("ab").close()
-    except OSError as error:
-        raise OutputError(f"{option} {path}", str(error.strerror), "a file that can be written") from error
     if option == "--picture":
         from vlp16emu.report.forest import check_matplotlib
 

@@ -47,6 +47,15 @@ Truth = Annotated[
     bool,
     typer.Option("--truth", help="Label what each point lies on: class, part, leaf or wood, plant, species."),
 ]
+ToFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--truth-folder",
+        metavar="DIR",
+        help="Write beside them what `record --truth` writes: trajectory, IMU, GNSS, rig, scenario.",
+        show_default=False,
+    ),
+]
 
 
 def points(
@@ -58,6 +67,7 @@ def points(
     settings: Settings = None,
     ideal: Ideal = False,
     truth: Truth = False,
+    truth_folder: ToFolder = None,
     unit: WhichUnit = 1,
     threads: Threads = 0,
     as_json: AsJson = False,
@@ -77,6 +87,7 @@ def points(
             duration_s=duration,
             unit=unit,
             truth=truth,
+            truth_to=truth_folder,
             progress=lambda done_s: progress.show("scanning", done_s),
             stop=stop,
         )

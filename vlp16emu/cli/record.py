@@ -71,7 +71,8 @@ def record(
     """Record a scene into a pcap file.
 
     The file holds data and position packets in order of sending, in the frames of a real sensor and
-    stamped with simulated time. Ctrl-C ends it early and leaves a valid file.
+    stamped with simulated time. Ctrl-C ends it early and leaves a valid file. Until its end it is
+    OUT.pcap.part, which after kill -9 holds all whole packets.
     """
     began_s = time.perf_counter()
     with starting():
@@ -99,7 +100,7 @@ def record(
 
 def _beside(out: Path) -> AbstractContextManager[object]:
     """Print to where the file does not go."""
-    from vlp16emu.sinks import STDOUT
+    from vlp16emu.output import STDOUT
 
     return redirect_stdout(sys.stderr) if out == STDOUT else nullcontext()
 

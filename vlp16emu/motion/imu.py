@@ -33,6 +33,12 @@ class Inertial:
     """(n, 3)."""
     specific_force_m_s2: NDArray[np.float64]
     """(n, 3) acceleration less gravity: at rest it points up."""
+    true_angular_rate_rad_s: NDArray[np.float64]
+    """(n, 3) without errors, as the next."""
+    true_specific_force_m_s2: NDArray[np.float64]
+    gyro_bias_rad_s: NDArray[np.float64]
+    """(n, 3) at switch-on, with what it has wandered since, as the next; what is left of an error is white noise."""
+    accel_bias_m_s2: NDArray[np.float64]
 
 
 class ImuSampler:
@@ -58,30 +64,37 @@ class ImuSampler:
         e = self._imu
         gyro = (e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz)
         accel = (e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz)
+        gyro_errors, gyro_bias = self._errors_of(gyro, first, count, 0)
+        accel_errors, accel_bias = self._errors_of(accel, first, count, 3)
         return Inertial(
             t_ns,
-            truth.body_w_rad_s + self._errors_of(gyro, first, count, 0),
-            force + self._errors_of(accel, first, count, 3),
+            truth.body_w_rad_s + gyro_errors,
+            force + accel_errors,
+            truth.body_w_rad_s,
+            force,
+            gyro_bias,
+            accel_bias,
         )
 
     def _errors_of(
         self, sizes: tuple[float, float, float], first: int, count: int, first_axis: int
-    ) -> NDArray[np.float64]:
-        """Bias, white noise and random walk (count, 3) of three axes; what is zero is not drawn."""
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Errors (count, 3) of three axes, white noise and bias; and the bias alone. What is zero is not drawn."""
         bias, noise, walk = sizes
-        out = np.zeros((count, 3))
+        out, slow = np.zeros((count, 3)), np.zeros((count, 3))
         for axis in range(3):
             lane = first_axis + axis
             if bias:
-                out[:, axis] += bias * normal(self._seed, Purpose.IMU_BIAS, 0, 1, lane)[0]
+                slow[:, axis] += bias * normal(self._seed, Purpose.IMU_BIAS, 0, 1, lane)[0]
+                out[:, axis] += slow[:, axis]
             if noise:
                 white = normal(self._seed, Purpose.IMU_NOISE, first, count, lane)
                 out[:, axis] += noise * math.sqrt(self._imu.rate_hz) * white
             if walk:
-                out[:, axis] += (
-                    walk / math.sqrt(self._imu.rate_hz) * _random_walk(self._seed, first, count, lane)
-                )
-        return out
+                wandered = walk / math.sqrt(self._imu.rate_hz) * _random_walk(self._seed, first, count, lane)
+                slow[:, axis] += wandered
+                out[:, axis] += wandered
+        return out, slow
 
 
 def _random_walk(seed: int, first: int, count: int, lane: int) -> NDArray[np.float64]:

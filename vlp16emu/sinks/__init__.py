@@ -2,7 +2,7 @@
 
 from vlp16emu.sinks.now import NowSink
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
-from vlp16emu.sinks.pcap import STDOUT, PcapResult, PcapSink
+from vlp16emu.sinks.pcap import PcapResult, PcapSink
 from vlp16emu.sinks.sink import MemorySink, PacketSink
 from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, StreamReport, sending_share, stream
 from vlp16emu.sinks.truth import TruthFolder, TruthTo, tum_rows
@@ -11,7 +11,6 @@ from vlp16emu.sinks.udp import LOOPBACK, RigSink, UdpResult, UdpSink
 __all__ = [
     "LOOK_AHEAD_PACKETS",
     "LOOPBACK",
-    "STDOUT",
     "TOLERANCE_NS",
     "FellBehind",
     "Late",

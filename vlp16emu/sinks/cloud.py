@@ -16,7 +16,8 @@ from typing import IO, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import InputError, OutputError, RunError
+from vlp16emu.errors import InputError
+from vlp16emu.output import OutputFile
 from vlp16emu.text import csv_lines
 from vlp16emu.types import PlantPart, Semantic
 
@@ -67,6 +68,9 @@ class Column:
 class PointWriter(Protocol):
     """Takes points block by block."""
 
+    points: int
+    """So far."""
+
     def write(self, block: Block) -> None:
         """Add points."""
 
@@ -82,12 +86,14 @@ class _Csv:
     ) -> None:
         self._file, self._columns = file, columns
         self._decimals = np.array([column.decimals for column in columns for _ in column.csv])
+        self.points = 0
         file.write(f"{','.join(name for column in columns for name in column.csv)}\n".encode())
 
     def write(self, block: Block) -> None:
         """Append lines."""
         numbers = [_whole(block[column.name], column) for column in self._columns]
         self._file.write(csv_lines(np.concatenate(numbers, axis=1), self._decimals))
+        self.points += len(numbers[0])
 
     def finish(self) -> None:
         """Nothing left to do."""
@@ -108,7 +114,7 @@ class _Ply:
         self._vertex = np.dtype(
             [(name, column.ply_dtype or column.dtype) for column in self._columns for name in column.ply]
         )
-        self._points = 0
+        self.points = 0
         file.write(self._header())
 
     def write(self, block: Block) -> None:
@@ -121,7 +127,7 @@ class _Ply:
             for part, name in enumerate(column.ply):
                 vertices[name] = values[:, part]
         self._file.write(vertices.tobytes())
-        self._points += len(vertices)
+        self.points += len(vertices)
 
     def finish(self) -> None:
         """Go back and write how many points there are."""
@@ -135,7 +141,7 @@ class _Ply:
             "ply",
             "format binary_little_endian 1.0",
             *(f"comment {comment}" for comment in self._comments),
-            f"element vertex {self._points:<20}",
+            f"element vertex {self.points:<20}",
             *(f"property {kind} {name}" for name, kind in kinds),
             "end_header\n",
         ]
@@ -152,7 +158,7 @@ class _Npz:
         self, file: IO[bytes], columns: Sequence[Column], _comments: Sequence[str], stack: ExitStack
     ) -> None:
         self._file, self._columns = file, columns
-        self._points = 0
+        self.points = 0
         folder = Path(file.name).parent
         self._waiting: list[IO[bytes]] = []
         for _ in columns:
@@ -163,13 +169,13 @@ class _Npz:
         """Put each array behind what there is of it."""
         for column, waiting in zip(self._columns, self._waiting, strict=True):
             waiting.write(np.ascontiguousarray(block[column.name], column.dtype).tobytes())
-        self._points += len(block[self._columns[0].name])
+        self.points += len(block[self._columns[0].name])
 
     def finish(self) -> None:
         """Write all arrays."""
         with zipfile.ZipFile(self._file, "w") as archive:
             for column, waiting in zip(self._columns, self._waiting, strict=True):
-                shape = (self._points, len(column.csv)) if len(column.csv) > 1 else (self._points,)
+                shape = (self.points, len(column.csv)) if len(column.csv) > 1 else (self.points,)
                 header = {"descr": np.dtype(column.dtype).str, "fortran_order": False, "shape": shape}
                 with archive.open(f"{column.name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array_header_1_0(member, header)
@@ -190,7 +196,8 @@ def point_file(
 ) -> Iterator[PointWriter]:
     """Open a file for points in the format that its suffix names.
 
-    Where the points end with an error, the file holds those that were written before it.
+    Where the points end with an error, the file holds those that were written before it; where there are none, or
+    the file itself cannot be written, there is none.
 
     Parameters
     ----------
@@ -202,25 +209,25 @@ def point_file(
     InputError
         where the suffix names no format
     OutputError
-        where the file cannot be opened
+        where the file cannot be opened, or another run writes it
     RunError
         where it cannot be written to its end
     """
     if path.suffix not in _WRITERS:
         raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(_WRITERS))
-    try:
-        file = path.open("wb")
-    except OSError as error:
-        raise OutputError(where, str(error.strerror), "a file that can be written") from error
-    try:
-        with file, ExitStack() as stack:
+    with OutputFile(path, where=where) as output:
+        failed: Exception | None = None
+        with output.writing() as file, ExitStack() as stack:
             writer = _WRITERS[path.suffix](file, columns, comments, stack)
             try:
                 yield writer
-            finally:
-                writer.finish()
-    except OSError as error:
-        raise RunError(f"{where}: {error.strerror}; the file is not complete") from error
+            except Exception as error:
+                if isinstance(error, OSError) or not writer.points:
+                    raise
+                failed = error
+            writer.finish()
+        if failed:
+            raise failed
 
 
 def _whole(values: NDArray[Any], column: Column) -> NDArray[np.int64]:

@@ -3,7 +3,6 @@
 import hashlib
 import os
 import struct
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -12,15 +11,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from vlp16emu.errors import OutputError, RunError
+from vlp16emu.errors import RunError
+from vlp16emu.output import STDOUT, OutputFile
 from vlp16emu.packets.frames import FACTORY_LINK, Link, data_header, position_frame
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS
 
-__all__ = ["STDOUT", "PcapResult", "PcapSink"]
-
-STDOUT = Path("-")
-"""Stands for standard output, as for tcpdump and tshark."""
+__all__ = ["PcapResult", "PcapSink"]
 
 _RECORD_HEADER = struct.Struct("<4I")
 
@@ -40,20 +37,20 @@ class PcapResult:
 class PcapSink:
     """Writes data and position packets to a file, stamped with the instants at which they are due.
 
-    Each record goes to the operating system by a write of its own, so that the file of a killed program
-    is readable up to the last whole packet. Closing cuts off what a failed write has left of a record.
-    An existing file is overwritten.
+    Each record goes to the operating system by a write of its own, so that what a killed program leaves, as
+    NAME.part, is readable up to the last whole packet. Closing cuts off what a failed write has left of a record,
+    and keeps the packets, also after an error; where there is none after an error, no file is left.
 
     Parameters
     ----------
-    path : the file, a pipe, or `STDOUT`
+    path : as `OutputFile` takes it; an existing file is replaced
     first_position_numbers : position packets of each unit between power-up and this file; number its frames
     links : of each unit
 
     Raises
     ------
     OutputError
-        If the file cannot be opened.
+        If the file cannot be opened, or another run writes it.
     RunError
         If it cannot be written: here, or later in `send`.
     """
@@ -69,18 +66,12 @@ class PcapSink:
         self._sent = Counter[PacketKind]()
         self._bytes = 0
         self._hash = hashlib.sha256()
-        try:
-            self._file = (
-                os.fdopen(os.dup(sys.stdout.fileno()), "wb", buffering=0)
-                if self._is_stdout
-                else path.open("wb", buffering=0)
-            )
-        except OSError as error:
-            raise OutputError(str(path), str(error.strerror), "a file that can be written") from error
+        self._output = OutputFile(path, buffering=0)
+        self._file = self._output.file
         try:
             self._write(_file_header())
         except RunError:
-            self._file.close()
+            self._output.discard()
             raise
 
     def __enter__(self) -> Self:
@@ -92,7 +83,9 @@ class PcapSink:
         if not self._is_stdout:  # which may hold more than what is ours
             with suppress(OSError):  # a pipe or a device has no end that could be cut
                 os.ftruncate(self._file.fileno(), self._bytes)
-        self._file.close()
+        if error is None or self._sent:
+            self._output.keep()
+        self._output.discard()
 
     def send(self, packet: Packet) -> None:
         """Append one packet.

@@ -1,9 +1,11 @@
 """Truth beside a run: a folder of text files that grow with it and are readable at any time."""
 
 import json
+import os
 import re
+import weakref
 from collections.abc import Collection, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
@@ -11,12 +13,13 @@ from types import TracebackType
 from typing import Any, Self
 
 from vlp16emu.errors import OutputError, RunError, spare
+from vlp16emu.output import OutputFile, lock
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
 __all__ = ["TruthFolder", "TruthTo", "seconds_text", "tum_rows"]
 
-_FILES = re.compile(r"(gnss|imu)\.csv|(rig|scenario)\.json|(packets|trajectory)(_\d+)?\.tum")
+_FILES = re.compile(r"(gnss|imu)\.csv|(rig|scenario)\.json(\.part)?|(packets|trajectory)(_\d+)?\.tum")
 """All that a run may write; those of an earlier run are replaced as a whole."""
 
 
@@ -48,15 +51,19 @@ class TruthFolder:
     Raises
     ------
     OutputError
-        where the folder cannot be made, or holds something else, or one of the inputs
+        where the folder cannot be made, holds something else or one of the inputs, or another run writes into it
     """
 
     def __init__(self, path: Path, inputs: Collection[Path] = ()) -> None:
         self.path = path
         self._files: dict[str, FileIO] = {}
+        self._failed: RunError | None = None
         self._open = ExitStack()
         try:
             path.mkdir(parents=True, exist_ok=True)
+            opened = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+            self._open.callback(weakref.finalize(self, os.close, opened))
+            lock(opened, str(path))
             present = sorted(path.iterdir())
             strange = [file.name for file in present if not _FILES.fullmatch(file.name)]
             if not strange and present and not _told_by_us(path / "scenario.json"):
@@ -85,26 +92,42 @@ class TruthFolder:
         Raises
         ------
         RunError
-            where they cannot be written
+            where they cannot all be written; those that fit stay, and nothing more is written
         """
+        if self._failed:
+            raise self._failed
         try:
             if name not in self._files:
                 self._files[name] = self._open.enter_context((self.path / name).open("wb", buffering=0))
-            rest = text.encode()
-            while rest:  # a full disk takes what fits and refuses only the next byte
-                rest = rest[self._files[name].write(rest) :]
+            _append(self._files[name], text.encode())
         except OSError as error:
-            raise RunError(f"{self.path / name}: {error.strerror}") from error
+            self._failed = RunError(f"{self.path / name}: {error.strerror}; it ends with a whole line")
+            raise self._failed from error
 
     def write_json(self, name: str, tree: Mapping[str, Any]) -> None:
-        """Write a whole file.
+        """Write a whole file, in place of the one that is there.
 
         Raises
         ------
         RunError
             where it cannot be written
         """
-        self.append(name, json.dumps(tree, indent=2, ensure_ascii=False) + "\n")
+        with OutputFile(self.path / name) as output, output.writing() as file:
+            file.write(f"{json.dumps(tree, indent=2, ensure_ascii=False)}\n".encode())
+
+
+def _append(file: FileIO, lines: bytes) -> None:
+    """Add lines; where that fails, or is interrupted, the file ends with a whole one."""
+    begin, written = file.tell(), 0
+    try:
+        while written < len(lines):  # a full disk takes what fits and refuses only the next byte
+            written += file.write(lines[written:])
+    except BaseException:
+        with suppress(OSError):  # a device has no end that could be cut
+            there = os.fstat(file.fileno()).st_size - begin
+            file.seek(begin + lines.rfind(b"\n", 0, there) + 1)
+            file.truncate()
+        raise
 
 
 def seconds_text(t_ns: int) -> str:

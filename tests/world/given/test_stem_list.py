@@ -63,7 +63,8 @@ def test_an_inventory_is_a_stem_list(tmp_path):
         trees[name] = [1.25, 2.5]
     trees["species"] = [species_table()[name].number for name in ("european_beech", "scots_pine")]
     trees["height_m"], trees["lean_towards_deg"] = [20.0, 30.0], [200.0, 45.0]
-    write_csv(tmp_path / "inventory.csv", trees)
+    with (tmp_path / "inventory.csv").open("wb") as file:
+        write_csv(file, trees)
     back = read_stem_list(tmp_path / "inventory.csv", species_table(), NO_ORIGIN)
     for name in set(INVENTORY.names) & set(TREE.names) - {"id", "z_m", "list_line"}:
         assert back[name] == pytest.approx(trees[name], abs=1e-4)

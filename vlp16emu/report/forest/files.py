@@ -1,16 +1,12 @@
 """Files that `vlp16emu forest` writes: inventory, ground, digital twin, picture."""
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import RunError
+from vlp16emu.output import OutputFile
 from vlp16emu.raycast.caster import caster
 from vlp16emu.report.forest import (
     PlanView,
@@ -63,18 +59,20 @@ _GROUND_CELL_M = 0.25
 """Of the ground that is written: the finest that is usual for forests."""
 
 
-def write_inventory(path: Path, seen: Survey) -> None:
+def write_inventory(output: OutputFile, seen: Survey) -> None:
     """Write all trees in reach.
 
     Raises
     ------
-    OutputError
-        where the file cannot be written
+    RunError
+        where the file cannot be written to its end
     """
-    write_csv(path, seen.inventory(seen.trees), table=seen.plants.trees)
+    rows = seen.inventory(seen.trees)
+    with output.writing() as file:
+        write_csv(file, rows, table=seen.plants.trees)
 
 
-def write_ground(path: Path, seen: Survey) -> None:
+def write_ground(output: OutputFile, seen: Survey) -> None:
     """Write the height of the ground of a rectangle that holds the surroundings.
 
     Raises
@@ -83,11 +81,11 @@ def write_ground(path: Path, seen: Survey) -> None:
         where the file cannot be written to its end
     """
     low_m, high_m = _around(seen)
-    with _writing(path) as file:
+    with output.writing() as file:
         write_ascii(file, seen.height_m, low_m, high_m, _GROUND_CELL_M)
 
 
-def write_twin(path: Path, seen: Survey) -> None:
+def write_twin(output: OutputFile, seen: Survey) -> None:
     """Write what is in the surroundings; of a hall, all.
 
     Raises
@@ -103,11 +101,11 @@ def write_twin(path: Path, seen: Survey) -> None:
         wanted = np.array(list(places_m), np.uint32)
         window, shape = cut_out(window, shape, instances=wanted, inside=seen.inside)
     colours = surface_colours(seen.window.surfaces, seen.species)
-    with _writing(path) as file:
+    with output.writing() as file:
         write_glb(file, window, shape, places_m=places_m, species=seen.species, colours=colours)
 
 
-def write_picture(path: Path, seen: Survey, *, title: str, subtitle: str) -> None:
+def write_picture(output: OutputFile, seen: Survey, *, title: str, subtitle: str) -> None:
     """Draw plan and section.
 
     Raises
@@ -117,18 +115,8 @@ def write_picture(path: Path, seen: Survey, *, title: str, subtitle: str) -> Non
     """
     section = _hall_section(seen.hall) if seen.hall is not None else _forest_section(seen)
     drawn = _drawn(seen, section)
-    with _writing(path) as file:
+    with output.writing() as file:
         draw_sheet(file, _plan(seen), section, drawn, title=title, subtitle=subtitle)
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[BinaryIO]:
-    """Open a file; what cannot be written to its end is an error of one line."""
-    try:
-        with path.open("wb") as file:
-            yield file
-    except OSError as error:
-        raise RunError(f"{path}: {error.strerror}; the file is not complete") from error
 
 
 def _plan(seen: Survey) -> PlanView:

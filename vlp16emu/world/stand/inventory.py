@@ -2,12 +2,12 @@
 
 import csv
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from io import TextIOWrapper
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import OutputError
 from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
 from vlp16emu.world.plants.crown import (
@@ -106,25 +106,23 @@ def inventory(
     return rows
 
 
-def write_csv(path: Path, rows: NDArray[np.void], *, table: Mapping[str, Species] | None = None) -> None:
+def write_csv(file: BinaryIO, rows: NDArray[np.void], *, table: Mapping[str, Species] | None = None) -> None:
     """Write an inventory with its column names as header; species by name, nothing where a number is unknown.
 
     Raises
     ------
-    OutputError
-        if the file cannot be written
+    OSError
+        where the file cannot be written to its end
     """
     names = {species.number: name for name, species in (table or species_table()).items()}
-    try:
-        with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(INVENTORY.names or ())
-            for row in rows.tolist():
-                number, species, *values, line = row
-                texts = ("" if np.isnan(value) else f"{value:.{_DECIMALS}f}" for value in values)
-                writer.writerow([number, names[species], *texts, line or ""])
-    except OSError as error:
-        raise OutputError(str(path), error.strerror or str(error), "a file that can be written") from error
+    text = TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(INVENTORY.names or ())
+    for row in rows.tolist():
+        number, species, *values, line = row
+        texts = ("" if np.isnan(value) else f"{value:.{_DECIMALS}f}" for value in values)
+        writer.writerow([number, names[species], *texts, line or ""])
+    text.detach()
 
 
 def _measure_stems(rows: NDArray[np.void], trees: Trees, table: Mapping[str, Species]) -> None:
