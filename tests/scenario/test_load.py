@@ -247,6 +247,15 @@ def test_json_is_no_deeper_than_a_scene(tmp_path, depth):
         load(tree)
 
 
+def test_half_a_character_in_json_is_refused(tmp_path):
+    """An escape that makes no character is named, and nothing else of the file is shown."""
+    path = tmp_path / "scene.json"
+    path.write_text('{"schema": 1, "title": "secret \\ud800"}')
+    with pytest.raises(ScenarioError) as caught:
+        load(str(path))
+    assert str(caught.value) == f"{path}: found '\\ud800'; expected text in Unicode"
+
+
 @pytest.mark.parametrize(
     "setting", ["a." * 100_000 + "a=1", "seed={" + "a." * 100_000 + "a=1}", "seed=" + "[" * 5000]
 )

@@ -98,7 +98,12 @@ def _checked(source: _Source) -> Scenario:
     context = {"folder": source.folder}  # so that a file is found from wherever it is named again
     if source.is_json:
         source.tree.pop("written_by", None)
-        return Scenario.model_validate_json(json.dumps(source.tree, default=str), context=context)
+        try:
+            text = json.dumps(source.tree, default=str, ensure_ascii=False).encode()
+        except UnicodeEncodeError as error:  # half a pair of surrogates, which \ud800 may write
+            found = f"found {error.object[error.start]!a}"
+            raise ScenarioError(source.where, found, "text in Unicode") from None
+        return Scenario.model_validate_json(text, context=context)
     return Scenario.model_validate(source.tree, context=context)
 
 
