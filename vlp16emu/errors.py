@@ -136,7 +136,10 @@ def readable(
     What is no file of finite length, or a longer one than `most_bytes`, is refused before it is opened.
     """
     try:
-        status = path.stat()
+        try:
+            status = path.stat()
+        except ValueError:  # a NUL, or half a character
+            raise kind(str(path), "no name of a file", expected) from None
         if not stat.S_ISREG(status.st_mode):
             raise kind(str(path), _KINDS[stat.S_IFMT(status.st_mode)], expected)
         if status.st_size > most_bytes:
