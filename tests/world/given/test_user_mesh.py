@@ -208,7 +208,7 @@ def glb_of_two_files():
         ("a.stl", b"solid caf\xe9\nendsolid\n", "a.stl: no UTF-8 text at byte 9; expected a mesh in STL"),
         ("a.stl", bytes(80) + struct.pack("<I", 10) + bytes(70), "a.stl: found 154 bytes with a header of 10 triangles; expected a mesh in STL: 584 bytes, or a text that begins with solid"),
         ("a.stl", b"solid " + bytes(74) + struct.pack("<I", 1) + bytes(51), "a.stl: found 135 bytes with a header of 1 triangles; expected a mesh in STL: 134 bytes, or a text that begins with solid"),
-        ("a.stl", b"", "a.stl: found 0 bytes; expected a mesh in STL: 84 bytes or more, or a text that begins with solid"),
+        ("a.stl", b"", "a.stl: found 0 bytes; expected a mesh in STL: 84 bytes, or a text that begins with solid"),
         ("a.glb", glb_of_two_files(), "a.glb: buffers: found the file 'ext.bin'; expected all data inside the GLB"),
         ("a.glb", glb_of_two_files().replace(b"ext.bin", b"\xe9xt.bin"), "a.glb: no UTF-8 text at byte "),
     ],

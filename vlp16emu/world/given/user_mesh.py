@@ -172,18 +172,19 @@ def _scene(path: Path) -> Any:
 
 def _is_stl_text(path: Path, content: bytes) -> bool:
     """Whether an STL file is text; a binary one must have the length that its header gives."""
-    if content.lstrip()[:5].lower() == b"solid" and b"\0" not in content:
-        return True
-    if len(content) < _STL_HEADER_BYTES:
-        expected = f"a mesh in STL: {_STL_HEADER_BYTES} bytes or more, or a text that begins with solid"
-        raise GeometryError(str(path), f"found {len(content)} bytes", expected)
     triangles = int.from_bytes(content[_STL_HEADER_BYTES - 4 : _STL_HEADER_BYTES], "little")
     whole = _STL_HEADER_BYTES + triangles * _STL_TRIANGLE_BYTES
-    if len(content) != whole:
-        found = f"found {len(content)} bytes with a header of {triangles} triangles"
-        expected = f"a mesh in STL: {whole} bytes, or a text that begins with solid"
-        raise GeometryError(str(path), found, expected)
-    return False
+    if len(content) == whole:
+        return False
+    if content.lstrip()[:5].lower() == b"solid" and b"\0" not in content:
+        return True
+    found = f"found {len(content)} bytes"
+    if len(content) >= _STL_HEADER_BYTES:
+        found += f" with a header of {triangles} triangles"
+    else:
+        whole = _STL_HEADER_BYTES
+    expected = f"a mesh in STL: {whole} bytes, or a text that begins with solid"
+    raise GeometryError(str(path), found, expected)
 
 
 def _check_buffers(path: Path, content: bytes) -> None:
