@@ -6,12 +6,14 @@ import sys
 import tomllib
 import zipfile
 from email.parser import Parser
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+TREE = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT, BUILD = TREE["project"], TREE["build-system"]["requires"]
 
 
 @pytest.fixture(scope="module")
@@ -62,16 +64,76 @@ def test_a_wheel_has_the_command_and_the_licence(wheel):
     metadata = Parser().parsestr(wheel.read(f"{info}/METADATA").decode())
     assert (metadata["License-Expression"], metadata["Requires-Python"]) == ("MIT", ">=3.11")
     assert f"{info}/licenses/LICENSE" in wheel.namelist()
+    versions = {name.rpartition(" ")[2] for name in metadata.get_all("Classifier") if "Python :: " in name}
+    assert versions == {"3.11", "3.12", "3.13"}
 
 
 def test_the_lock_file_names_every_requirement_and_no_place():
-    """The lock file pins each requirement of the project, and holds no index, host or path."""
+    """The lock file pins each requirement of the project with hashes, and holds no index, host or path."""
     lines = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
+    for line, after in pairwise(lines):
+        assert line.startswith((" ", "#")) or (line.endswith(" \\") and "--hash=sha256:" in after), line
     pinned = {line.partition("==")[0] for line in lines if "==" in line and not line.startswith((" ", "#"))}
     extras = PROJECT["optional-dependencies"]
     wanted = {
         requirement.partition(">=")[0].partition("[")[0]
-        for requirement in [*PROJECT["dependencies"], *extras["picture"], *extras["dev"]]
+        for requirement in [
+            *PROJECT["dependencies"],
+            *BUILD,
+            *extras["dem"],
+            *extras["picture"],
+            *extras["dev"],
+        ]
     }
     assert wanted - {"vlp16emu"} <= pinned
     assert not [line for line in lines if "://" in line or "index" in line or line.startswith(("-", "/"))]
+
+
+@pytest.fixture
+def set_up(tmp_path):
+    """`tools/setup` with a pip that writes down what it is called with, and installs nothing."""
+    for name in ("pyproject.toml", "requirements.lock", "tools/setup"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    programs = tmp_path / ".venv" / "bin"
+    programs.mkdir(parents=True)
+    (programs / "python").symlink_to(sys.executable)
+    note = 'for word; do [ -f "$word" ] && cat "$word" >>asked; done; echo "$@" >>asked'
+    (programs / "pip").write_text(f"#!/bin/sh\n{note}\nexit 0\n")
+    (programs / "pip").chmod(0o755)
+
+    def call(*arguments):
+        asked = tmp_path / "asked"
+        asked.write_text("")
+        done = subprocess.run(
+            [tmp_path / "tools" / "setup", *arguments], capture_output=True, text=True, check=False
+        )
+        lines = asked.read_text().splitlines()
+        calls = [line for line in lines if line.startswith(("install", "check"))]
+        first = lines[: lines.index(calls[0])] if calls else []
+        return done, calls, {line.partition("==")[0] for line in first if "==" in line}
+
+    return call
+
+
+def test_the_set_up_installs_what_was_hashed_and_no_more(set_up):
+    """Every package comes with its hash from the lock, what needs it included; those of an extra only for it."""
+    done, calls, plain = set_up()
+    assert (done.returncode, done.stderr) == (0, "")
+    hashed = [line for line in calls if "--require-hashes --no-deps" in line]
+    assert (len(hashed), len(calls)) == (2, 4)
+    assert "--no-deps -e ." in calls[2]
+    assert plain >= {"numpy", "llvmlite", "pydantic-core", "mdurl", "typing-inspection"}
+    assert not plain & {"pytest", "mypy", "matplotlib", "tifffile", "hatchling", "ruff"}
+    _, _, picture = set_up("picture")
+    assert picture - plain >= {"matplotlib", "pillow"}
+    assert not picture & {"pytest", "tifffile"}
+    _, _, dev = set_up("dev")
+    assert dev >= picture | {"pytest", "tifffile", "imagecodecs", "pluggy"}
+
+
+def test_the_set_up_refuses_an_extra_that_is_none(set_up):
+    """Another word than an extra is named with those there are, and nothing is installed."""
+    done, calls, _ = set_up("nope")
+    assert (done.returncode, calls) == (2, [])
+    assert done.stderr == "error: nope: no such extra; expected one of dem, picture, dev\n"

@@ -14,11 +14,14 @@
 Every message says where, what was found and what was expected.
 """
 
+import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 __all__ = [
+    "LARGEST_BYTES",
+    "LARGEST_TEXT_BYTES",
     "CaptureError",
     "GeometryError",
     "InputError",
@@ -33,6 +36,20 @@ __all__ = [
     "spare",
 ]
 
+LARGEST_BYTES = 1_000_000_000
+"""Of a mesh or a grid of heights: some 20 million triangles, 250 million cells."""
+LARGEST_TEXT_BYTES = 100_000_000
+"""Of a scene, a list or a table: a million lines."""
+_KINDS = {
+    stat.S_IFDIR: "is a directory",
+    stat.S_IFIFO: "is a FIFO",
+    stat.S_IFSOCK: "is a socket",
+    stat.S_IFCHR: "is a device",
+    stat.S_IFBLK: "is a device",
+}
+_LONGEST, _LONGEST_FOUND = 1_000, 120
+"""Characters shown of a part of an error line: the names of files and keys, and what stands there."""
+
 
 class Vlp16emuError(Exception):
     """Base of all errors that vlp16emu raises on purpose."""
@@ -41,7 +58,7 @@ class Vlp16emuError(Exception):
 
 
 class InputError(Vlp16emuError):
-    """Bad input, reported in one line.
+    """Bad input, reported in one line, the parts of which are cut where they are long.
 
     Parameters
     ----------
@@ -53,7 +70,8 @@ class InputError(Vlp16emuError):
     exit_code = 2
 
     def __init__(self, where: str, found: str, expected: str | None = None) -> None:
-        self.where, self.found, self.expected = where, found, expected
+        self.where, self.found = _shown(where, _LONGEST), _shown(found, _LONGEST_FOUND)
+        self.expected = None if expected is None else _shown(expected, _LONGEST)
         super().__init__(where, found, expected)
 
     def __str__(self) -> str:
@@ -110,9 +128,23 @@ class RunError(Vlp16emuError):
 
 
 @contextmanager
-def readable(path: Path, expected: str, kind: type[InputError]) -> Iterator[None]:
-    """Report a user's file that cannot be read, or is no text where text is read, as an error of a kind."""
+def readable(
+    path: Path, expected: str, kind: type[InputError], *, most_bytes: int = LARGEST_TEXT_BYTES
+) -> Iterator[None]:
+    """Report a user's file that cannot be read, or is no text where text is read, as an error of a kind.
+
+    What is no file of finite length, or a longer one than `most_bytes`, is refused before it is opened.
+    """
     try:
+        try:
+            status = path.stat()
+        except ValueError:  # a NUL, or half a character
+            raise kind(str(path), "no name of a file", expected) from None
+        if not stat.S_ISREG(status.st_mode):
+            raise kind(str(path), _KINDS[stat.S_IFMT(status.st_mode)], expected)
+        if status.st_size > most_bytes:
+            found = f"found {status.st_size} bytes"
+            raise kind(str(path), found, f"{expected} of at most {most_bytes} bytes")
         yield
     except OSError as error:
         raise kind(str(path), (error.strerror or "cannot be read").lower(), expected) from None
@@ -130,6 +162,12 @@ def spare(inputs: Iterable[Path], output: Path) -> None:
     """
     if any(_is_same(file, output) for file in inputs):
         raise OutputError(str(output), "is read by this run, and would be written over", "another place")
+
+
+def _shown(text: str, most: int) -> str:
+    """Write a text in one line, cut at a length."""
+    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: most + 1])
+    return line if len(line) <= most else f"{line[: most - 3]}..."
 
 
 def _is_same(one: Path, other: Path) -> bool:

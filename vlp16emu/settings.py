@@ -1,5 +1,7 @@
 """What all sections of a scenario have in common."""
 
+import re
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -16,6 +18,7 @@ from pydantic import (
 )
 
 __all__ = [
+    "DEEPEST",
     "Angle",
     "Fraction",
     "MapPoint",
@@ -26,7 +29,31 @@ __all__ = [
     "SceneFile",
     "Section",
     "Size",
+    "toml",
 ]
+
+DEEPEST = 100
+"""Tables and lists in one another; of a key, the names between its dots."""
+_DEEP_KEY = re.compile(
+    rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""", re.ASCII
+)
+"""A dotted key too deep to be read: the time for one grows with the square of its names."""
+
+
+def toml(text: str) -> dict[str, Any]:
+    """Parse TOML.
+
+    Raises
+    ------
+    ValueError
+        where it is none, or a key has more than `DEEPEST` names
+    RecursionError
+        where lists or tables are nested much deeper still
+    """
+    if deep := _DEEP_KEY.search(text):
+        line = text.count("\n", 0, deep.start()) + 1
+        raise ValueError(f"a key with more than {DEEPEST} names (at line {line})")
+    return tomllib.loads(text)
 
 
 class Section(BaseModel):

@@ -62,7 +62,7 @@ BAD = [
     (
         "record {tmp}/no.toml {tmp}/x.pcap",
         2,
-        "{tmp}/no.toml: No such file or directory; expected a scene file",
+        "{tmp}/no.toml: no such file or directory; expected a scene file",
     ),
     (
         "record static_bench {tmp}/no/x.pcap",

@@ -1,7 +1,11 @@
 """Captures of several sensors at the command line."""
 
+import struct
+
 import numpy as np
 import pytest
+
+from vlp16emu.packets import capture, layout
 
 RIG = "rig=[{mount={pitch_deg=-35.0}}, {return_mode='dual', address='10.0.0.7', data_port=2368, position_port=8308}]"
 
@@ -30,6 +34,29 @@ def test_the_recording_counts_each_unit(cli, tmp_path):
     for key in ("packets", "position_packets", "returns"):
         assert tree[key] == sum(unit[key] for unit in units)
     assert units[2]["packets"] == pytest.approx(2 * units[0]["packets"], abs=2)
+
+
+def test_verify_reads_a_capture_of_many_units_twice(cli, rig, tmp_path, monkeypatch):
+    """Each frame is looked at once to find the units and once to check it, however many units there are."""
+    content = rig.read_bytes()
+    (length,) = struct.unpack_from("<I", content, 24 + 8)
+    record = content[24 : 24 + 16 + length]
+    while length != 1248:
+        content = content[:24] + content[24 + 16 + length :]
+        (length,) = struct.unpack_from("<I", content, 24 + 8)
+        record = content[24 : 24 + 16 + length]
+    address = 16 + 14 + 12
+    frames = [record[:address] + struct.pack(">I", 0x0A000000 + i) + record[address + 4 :] for i in range(40)]
+    path = tmp_path / "crowd.pcap"
+    path.write_bytes(content[:24] + b"".join(frames))
+    parsed = []
+    parse = capture._datagram
+    monkeypatch.setattr(capture, "_datagram", lambda *frame: parsed.append(1) or parse(*frame))
+    tree = cli("verify", path, "--json").tree
+    assert (len(tree["units"]), len(parsed)) == (40, 80)
+    assert {unit["packets"] for unit in tree["units"]} == {1}
+    line = cli("decode", path).err
+    assert line.endswith(f"{layout._NAMED} (10.0.0.{layout._NAMED - 1}:2368), ... 40\n")
 
 
 def test_decode_wants_to_know_which(cli, rig):

@@ -171,7 +171,7 @@ BAD_SETTINGS = [
     ("world.species=[]", "--set world.species=[]: found a list of 0; expected a list of at least 1"),
     (
         "seed=1\ntitle='x'",
-        "--set seed=1\ntitle='x': found \"1\\ntitle='x'\"; expected a whole number at least 0 and below 9223372036854775808",
+        "--set seed=1\\ntitle='x': found \"1\\ntitle='x'\"; expected a whole number at least 0 and below 9223372036854775808",
     ),
 ]
 
@@ -204,11 +204,25 @@ def test_a_bad_setting_is_told_in_one_line(tmp_path, setting, line):
     ("content", "said"),
     [
         (b"a = = 1", "no valid TOML: Invalid value (at line 1, column 5); expected a TOML file"),
-        (b"\xff\xfe", "no UTF-8 text at byte 0; expected a TOML file"),
+        (b"\xff\xfe", "no UTF-8 text at byte 0; expected a scene file"),
         (b"seed = " + b"9" * 5000, "no valid TOML: Exceeds the limit (4300 digits)"),
         (b"seed = " + b"[" * 5000, "no valid TOML: maximum recursion depth exceeded"),
+        (
+            b"seed = 1\n" + b"a." * 100_000 + b"a = 1",
+            "no valid TOML: a key with more than 100 names (at line 2)",
+        ),
+        (b'[ "a\\""' + b" . b" * 100_000 + b"]", "no valid TOML: a key with more than 100 names (at line 1)"),
+        (
+            b"x = { " + b"'a'." * 100_000 + b"a = 1 }",
+            "no valid TOML: a key with more than 100 names (at line 1)",
+        ),
+        (b"x = " + b"[" * 150 + b"]" * 150, "tables or lists in one another, 100 deep; expected the tables"),
+        (
+            b"x = " + b"{a=" * 120 + b"1" + b"}" * 120,
+            "tables or lists in one another, 100 deep; expected the",
+        ),
     ],
-    ids=["syntax", "encoding", "vast integer", "vast nesting"],
+    ids=["syntax", "encoding", "integer", "nesting", "key", "table", "inline", "deep lists", "deep tables"],
 )
 def test_a_file_that_is_no_toml_is_told(tmp_path, content, said):
     """A file that the TOML parser refuses, for whatever reason, gives one error with its place."""
@@ -219,12 +233,55 @@ def test_a_file_that_is_no_toml_is_told(tmp_path, content, said):
     assert str(caught.value).startswith(f"{path}: {said}")
 
 
+@pytest.mark.parametrize("depth", [150, 700, 100_000])
+def test_json_is_no_deeper_than_a_scene(tmp_path, depth):
+    """Lists in one another are refused in a line, however many they are, and in a dictionary too."""
+    path = tmp_path / "scene.json"
+    path.write_text('{"x": ' + "[" * depth + "]" * depth + "}")
+    with pytest.raises(ScenarioError, match=r"100 deep; expected|no valid JSON: maximum recursion depth"):
+        load(str(path))
+    tree = {}
+    for _ in range(depth):
+        tree = {"x": tree}
+    with pytest.raises(ScenarioError, match="scene: tables or lists in one another, 100 deep"):
+        load(tree)
+
+
+def test_half_a_character_in_json_is_refused(tmp_path):
+    """An escape that makes no character is named, and nothing else of the file is shown."""
+    path = tmp_path / "scene.json"
+    path.write_text('{"schema": 1, "title": "secret \\ud800"}')
+    with pytest.raises(ScenarioError) as caught:
+        load(str(path))
+    assert str(caught.value) == f"{path}: found '\\ud800'; expected text in Unicode"
+
+
+@pytest.mark.parametrize(
+    "setting", ["a." * 100_000 + "a=1", "seed={" + "a." * 100_000 + "a=1}", "seed=" + "[" * 5000]
+)
+def test_a_setting_is_no_deeper_than_a_scene(tmp_path, setting):
+    """A key of 100 000 names, and a value of as many, are refused in a line of bounded length."""
+    with pytest.raises(ScenarioError) as caught:
+        load(str(written(tmp_path, SCENE)), [setting])
+    assert str(caught.value).startswith(f"--set {setting[:60]}")
+    assert len(str(caught.value)) < 2500
+
+
+def test_many_points_on_a_line_are_no_deep_key(tmp_path):
+    """A thousand coordinates on one line are read as before."""
+    points = ", ".join(f"[{i}.5, {i}.25]" for i in range(1000))
+    settings = ["motion.kind='walk'", f"motion.way_points_m=[{points}]"]
+    with pytest.raises(ScenarioError) as caught:
+        load(str(written(tmp_path, SCENE)), [*settings, "seed=-1"])
+    assert "seed" in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("none.toml", "No such file or directory"),
-        ("folder.toml", "Is a directory"),
-        ("x" * 300 + ".toml", "File name too long"),
+        ("none.toml", "no such file or directory"),
+        ("folder.toml", "is a directory"),
+        ("x" * 300 + ".toml", "file name too long"),
     ],
 )
 def test_a_file_that_cannot_be_read_is_told(tmp_path, name, said):

@@ -21,7 +21,7 @@ def verify(file: CaptureFile, *, as_json: AsJson = False) -> None:
     """
     from vlp16emu.errors import CaptureError
     from vlp16emu.packets import units_in
-    from vlp16emu.validator import verify_capture
+    from vlp16emu.validator import verify_capture, verify_units
 
     if file.is_fifo():  # its units are looked for first
         raise CaptureError(str(file), "a pipe", "a file, which can be read twice")
@@ -30,7 +30,7 @@ def verify(file: CaptureFile, *, as_json: AsJson = False) -> None:
         results = {str(file): verify_capture(file)}
         tree = {"file": str(file)} | _tree(results[str(file)])
     else:
-        results = {str(unit): verify_capture(file, unit) for unit in units}
+        results = dict(zip(map(str, units), verify_units(file, units), strict=True))
         trees = [{"unit": unit} | _tree(result) for unit, result in results.items()]
         tree = {"file": str(file), "clean": all(tree["clean"] for tree in trees), "units": trees}
     if as_json:

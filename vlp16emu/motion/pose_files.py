@@ -227,6 +227,8 @@ def named_cells(
         delimiter = next(mark for mark in ";\t," if mark in header or mark == ",")
         names = [name.strip().lower() for name in next(csv.reader([header], delimiter=delimiter), [])]
         known = [*needed, *optional]
+        if not set(names) & set(known):  # some other file, of which nothing is shown
+            raise TrajectoryError(f"{path}, line 1", "none of the columns", expected)
         for name in [*names, *needed]:
             if names.count(name) != 1 or name not in known:
                 found = (

@@ -53,6 +53,8 @@ __all__ = [
 
 _STRAY = 0.02
 """Less than this share of the data packets of the busiest unit is no unit but an accident."""
+_NAMED = 16
+"""Units listed in an error line; as many as a rig may have."""
 
 
 class CapturedUnit(NamedTuple):
@@ -125,7 +127,8 @@ def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> Capture
         if unit in (str(number), str(known)):
             return known
     found = f"{len(units)} units in {path}" if unit is None else f"found {unit}"
-    names = [f"{number} ({known})" for number, known in enumerate(units, start=1)]
+    names = [f"{number} ({known})" for number, known in enumerate(units[:_NAMED], start=1)]
+    names += [f"... {len(units)}"] if len(units) > _NAMED else []
     raise InputError(where, found, f"one of {', '.join(names)}")
 
 

@@ -1,7 +1,6 @@
 """TOML, JSON or a dictionary to `Scenario`, with errors that name file, key path, what was found and what was expected."""
 
 import json
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
@@ -9,12 +8,13 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from vlp16emu.errors import ScenarioError
+from vlp16emu.errors import ScenarioError, readable
 from vlp16emu.explain import explain
 from vlp16emu.motion import Walk
 from vlp16emu.scenario.find import find
 from vlp16emu.scenario.model import Scenario
 from vlp16emu.scenario.schema import schema
+from vlp16emu.settings import DEEPEST, toml
 
 __all__ = ["load"]
 
@@ -73,6 +73,7 @@ def load(
         _take_errors(source.tree)
     for change in changes:
         _apply(source.tree, change)
+    _check_depth(source.where, source.tree)
     try:
         return _checked(source)
     except ValidationError as error:
@@ -86,6 +87,7 @@ def _source(scene: str | Path | Mapping[str, Any] | Scenario) -> _Source:
         tree = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
         return _Source("scenario", tree, Path.cwd(), is_json=True)
     if isinstance(scene, Mapping):
+        _check_depth("scene", scene)
         return _Source("scene", deepcopy(dict(scene)), Path.cwd(), is_json=False)
     path = scene if isinstance(scene, Path) else find(scene)
     return _Source(str(path), _read(path), path.parent.absolute(), is_json=_is_json(path))
@@ -96,7 +98,12 @@ def _checked(source: _Source) -> Scenario:
     context = {"folder": source.folder}  # so that a file is found from wherever it is named again
     if source.is_json:
         source.tree.pop("written_by", None)
-        return Scenario.model_validate_json(json.dumps(source.tree, default=str), context=context)
+        try:
+            text = json.dumps(source.tree, default=str, ensure_ascii=False).encode()
+        except UnicodeEncodeError as error:  # half a pair of surrogates, which \ud800 may write
+            found = f"found {error.object[error.start]!a}"
+            raise ScenarioError(source.where, found, "text in Unicode") from None
+        return Scenario.model_validate_json(text, context=context)
     return Scenario.model_validate(source.tree, context=context)
 
 
@@ -107,18 +114,27 @@ def _is_json(path: Path) -> bool:
 
 def _read(path: Path) -> dict[str, Any]:
     """Parse the file."""
-    kind, parse = ("JSON", json.loads) if _is_json(path) else ("TOML", tomllib.loads)
+    kind, parse = ("JSON", json.loads) if _is_json(path) else ("TOML", toml)
+    with readable(path, "a scene file", ScenarioError):
+        text = path.read_text(encoding="utf-8-sig")
     try:
-        tree = parse(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise ScenarioError(str(path), str(error.strerror), "a scene file") from None
-    except UnicodeDecodeError as error:
-        raise ScenarioError(str(path), f"no UTF-8 text at byte {error.start}", f"a {kind} file") from None
+        tree = parse(text)
     except (ValueError, RecursionError) as error:  # the parser's own error, a vast integer, a vast nesting
         raise ScenarioError(str(path), f"no valid {kind}: {error}", f"a {kind} file") from None
     if not isinstance(tree, dict):
         raise ScenarioError(str(path), "no table", f"a {kind} file with the tables of a scene")
     return tree
+
+
+def _check_depth(where: str, tree: Any) -> None:
+    """Refuse a tree that is too deep to be followed."""
+    level = [tree]
+    for _ in range(DEEPEST):
+        inner = [one.values() if isinstance(one, Mapping) else one for one in level]
+        level = [one for group in inner for one in group if isinstance(one, Mapping | list)]
+        if not level:
+            return
+    raise ScenarioError(where, f"tables or lists in one another, {DEEPEST} deep", "the tables of a scene")
 
 
 def _take_errors(tree: dict[str, Any]) -> None:
@@ -150,6 +166,8 @@ def _apply(tree: dict[str, Any], setting: _Setting) -> None:
     names = setting.key.split(".")
     if not all(names):
         raise ScenarioError(setting.where, "no assignment", "key.path=value")
+    if len(names) > DEEPEST:
+        raise ScenarioError(setting.where, f"a key of {len(names)} names", "a key of a scene")
     for name in names[:-1]:
         _drop_rivals(tree, name)
         branch = tree.setdefault(name, {})
@@ -171,7 +189,7 @@ def _drop_rivals(tree: dict[str, Any], name: str) -> None:
 def _value(text: str) -> object:
     """Parse a value; what is no TOML is the bare word that was meant."""
     try:
-        parsed = tomllib.loads(f"value = {text}")
+        parsed = toml(f"value = {text}")
     except (ValueError, RecursionError):
         return text
     return parsed["value"] if len(parsed) == 1 else text

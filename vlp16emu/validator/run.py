@@ -1,7 +1,7 @@
 """From a capture file to the findings."""
 
-from collections import Counter
-from collections.abc import Mapping
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,10 +25,12 @@ from vlp16emu.validator.records import DataChunk, check_factory, check_records
 from vlp16emu.validator.rules import Finding, Findings, Rule
 from vlp16emu.validator.sweep import SweepRules
 
-__all__ = ["Verification", "verify", "verify_capture"]
+__all__ = ["Verification", "verify", "verify_capture", "verify_units"]
 
 _CHUNK_PACKETS = 512
 """Data packets looked at together: 0.6 MB, 0.7 s of single return."""
+_HELD_PACKETS, _SMALLEST_CHUNK = 16 * _CHUNK_PACKETS, 16
+"""Of several units their chunks together are so long, but no chunk is shorter than this."""
 _FACTORY_BYTES = 2
 _DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
 _SHORTEST_S = 2.0
@@ -100,19 +102,48 @@ def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_ru
     CaptureError
         If the file cannot be read, or holds no VLP-16 packets at all.
     """
+    if unit is not None:
+        return verify_units(path, [unit], limit_per_rule=limit_per_rule)[0]
     with Capture(path) as capture:
-        check = _Check(Findings(limit_per_rule))
+        check = _Check(Findings(limit_per_rule), _CHUNK_PACKETS)
         for datagram in capture:
-            if unit is None or unit.owns(datagram):
-                check.take(datagram)
+            check.take(datagram)
         return check.finish(path, capture)
+
+
+def verify_units(
+    path: Path, units: Sequence[CapturedUnit], *, limit_per_rule: int = 10
+) -> list[Verification]:
+    """Check each of several units by itself against all rules, all of them in one pass.
+
+    Parameters
+    ----------
+    path, limit_per_rule : as in `verify_capture`
+    units : of the capture
+
+    Raises
+    ------
+    CaptureError
+        If the file cannot be read, or holds no VLP-16 packets of a unit.
+    """
+    chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
+    checks = [_Check(Findings(limit_per_rule), chunk_packets) for _ in units]
+    checks_of = defaultdict[tuple[bytes, int], list[_Check]](list)
+    for unit, check in zip(units, checks, strict=True):
+        for port in {unit.data_port, *unit.position_ports}:
+            checks_of[unit.source, port].append(check)
+    with Capture(path) as capture:
+        for datagram in capture:
+            for check in checks_of.get((datagram.source, datagram.destination_port), ()):
+                check.take(datagram)
+        return [check.finish(path, capture) for check in checks]
 
 
 class _Check:
     """Sorts datagrams by kind, counts them, and hands data packets on in chunks."""
 
-    def __init__(self, findings: Findings) -> None:
-        self._findings = findings
+    def __init__(self, findings: Findings, chunk_packets: int) -> None:
+        self._findings, self._chunk_packets = findings, chunk_packets
         self._sweep = SweepRules(findings)
         self._position = PositionRules(findings)
         self._chunk: list[Datagram] = []
@@ -173,7 +204,7 @@ class _Check:
             if before and before[0] != factory[0]:
                 self._flush(ends=True)
         self._chunk.append(datagram)
-        if len(self._chunk) >= _CHUNK_PACKETS:
+        if len(self._chunk) >= self._chunk_packets:
             self._flush(ends=False)
 
     def _flush(self, *, ends: bool) -> None:

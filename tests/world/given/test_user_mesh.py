@@ -1,6 +1,8 @@
 """Meshes that the user brings."""
 
 import io
+import json
+import struct
 
 import numpy as np
 import pytest
@@ -181,6 +183,41 @@ def test_what_cannot_be_scanned_is_refused(tmp_path, name, content, message):
     """Coordinates that are not finite, corners that do not exist, and files without a face are named by file and element."""
     with pytest.raises(GeometryError, match=message):
         load(tmp_path, content, name)
+
+
+def glb_of_two_files():
+    """A GLB whose coordinates are in a file beside it."""
+    tree = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"uri": "ext.bin", "byteLength": 36}],
+    }
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    return b"glTF" + struct.pack("<3I", 2, 20 + len(text), len(text)) + b"JSON" + text
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "line"),
+    [
+        ("a.obj", b"# caf\xe9\n" + (CORNERS + TETRAHEDRON).encode(), "a.obj: no UTF-8 text at byte 5; expected a mesh in OBJ"),
+        ("a.stl", b"solid caf\xe9\nendsolid\n", "a.stl: no UTF-8 text at byte 9; expected a mesh in STL"),
+        ("a.stl", bytes(80) + struct.pack("<I", 10) + bytes(70), "a.stl: found 154 bytes with a header of 10 triangles; expected a mesh in STL: 584 bytes, or a text that begins with solid"),
+        ("a.stl", b"solid " + bytes(74) + struct.pack("<I", 1) + bytes(51), "a.stl: found 135 bytes with a header of 1 triangles; expected a mesh in STL: 134 bytes, or a text that begins with solid"),
+        ("a.stl", b"", "a.stl: found 0 bytes; expected a mesh in STL: 84 bytes, or a text that begins with solid"),
+        ("a.glb", glb_of_two_files(), "a.glb: buffers: found the file 'ext.bin'; expected all data inside the GLB"),
+        ("a.glb", glb_of_two_files().replace(b"ext.bin", b"\xe9xt.bin"), "a.glb: no UTF-8 text at byte "),
+    ],
+)  # fmt: skip
+def test_a_file_that_is_damaged_says_how(tmp_path, name, content, line):
+    """A byte that is no UTF-8, an STL cut short or too long, and a GLB without its data are named as such."""
+    with pytest.raises(GeometryError) as caught:
+        load(tmp_path, content, name)
+    assert str(caught.value).startswith(f"{tmp_path}/{line}")
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):

@@ -139,15 +139,16 @@ def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
 def _check_header(path: Path, names: list[str]) -> None:
     """See that each column that must be there is there once."""
     where = f"{path}, line 1"
-    wanted = [(tuple(c.units), c.every_column) for c in _COLUMNS.values()]
-    for choices, needed in [((_SPECIES,), True), (_DIRECTIONS, False), *wanted]:
+    wanted = [((_SPECIES,), True), (_DIRECTIONS, False)]
+    wanted += [(tuple(c.units), c.every_column) for c in _COLUMNS.values()]
+    is_list = any(name in choices for choices, _ in wanted for name in names)  # else nothing of it is shown
+    for choices, needed in wanted:
         found = [name for name in names if name in choices]
         if len(found) > 1:
             raise GeometryError(where, f"found {' and '.join(found)}", f"one of {' or '.join(choices)}")
         if needed and not found:
-            raise GeometryError(
-                where, f"no column {' or '.join(choices)}", f"it among {', '.join(names) or 'the columns'}"
-            )
+            listed = ", ".join(names) if is_list else "the columns"
+            raise GeometryError(where, f"no column {' or '.join(choices)}", f"it among {listed}")
 
 
 def _species(where: str, row: dict[str, str], table: Mapping[str, Species]) -> Species:

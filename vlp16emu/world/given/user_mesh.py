@@ -5,8 +5,10 @@ sizes that suggest a wrong unit. What is dropped, and reported: triangles withou
 holes and faces that look the wrong way, for light is cast against both sides.
 """
 
+import json
 import logging
 import re
+import struct
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -15,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import GeometryError, readable
+from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
 from vlp16emu.types import Mesh
 from vlp16emu.world.given.settings import LengthUnit, UpAxis
 
@@ -41,6 +43,13 @@ _OBJ_BAD_FACE = re.compile(
     rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE
 )
 """A face of an OBJ file that trimesh would pass over: fewer than three corners, or a corner 0 (they count from 1)."""
+
+
+_STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
+"""Of a binary STL: 80 bytes of text and a count; a normal, three corners and two bytes."""
+
+_GLB_HEADER_BYTES, _GLB_CHUNK = 12, struct.Struct("<I4s")
+"""Length and kind in front of each chunk; the first one is JSON (Khronos, glTF 2.0, section 4.4)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,8 +137,13 @@ def _scene(path: Path) -> Any:
     kind = path.suffix.lower()
     if kind not in _KINDS:
         raise GeometryError(str(path), f"found the ending {kind!r}", f"one of {', '.join(_KINDS)}")
-    with readable(path, f"a mesh in {kind[1:].upper()}", GeometryError):
+    expected = f"a mesh in {kind[1:].upper()}"
+    with readable(path, expected, GeometryError, most_bytes=LARGEST_BYTES):
         content = path.read_bytes()
+        if kind == ".obj" or (kind == ".stl" and _is_stl_text(path, content)):
+            content.decode()
+        if kind == ".glb":
+            _check_buffers(path, content)
     if kind == ".obj" and (bad := _OBJ_BAD_FACE.search(content)):
         raise _obj_error(path, content, bad.start(), "three corners or more, counted from 1")
     import trimesh
@@ -153,7 +167,40 @@ def _scene(path: Path) -> Any:
         ):
             expected = f"corners of {_obj_vertices(content)} vertices"
             raise _obj_error(path, content, place, expected) from None
-        raise GeometryError(str(path), f"cannot be read: {error}", f"a mesh in {kind[1:].upper()}") from None
+        raise GeometryError(str(path), f"cannot be read: {error}", expected) from None
+
+
+def _is_stl_text(path: Path, content: bytes) -> bool:
+    """Whether an STL file is text; a binary one must have the length that its header gives."""
+    triangles = int.from_bytes(content[_STL_HEADER_BYTES - 4 : _STL_HEADER_BYTES], "little")
+    whole = _STL_HEADER_BYTES + triangles * _STL_TRIANGLE_BYTES
+    if len(content) == whole:
+        return False
+    if content.lstrip()[:5].lower() == b"solid" and b"\0" not in content:
+        return True
+    found = f"found {len(content)} bytes"
+    if len(content) >= _STL_HEADER_BYTES:
+        found += f" with a header of {triangles} triangles"
+    else:
+        whole = _STL_HEADER_BYTES
+    expected = f"a mesh in STL: {whole} bytes, or a text that begins with solid"
+    raise GeometryError(str(path), found, expected)
+
+
+def _check_buffers(path: Path, content: bytes) -> None:
+    """Refuse a GLB file with coordinates in other files, which are not looked for."""
+    try:
+        length, kind = _GLB_CHUNK.unpack_from(content, _GLB_HEADER_BYTES)
+        start = _GLB_HEADER_BYTES + _GLB_CHUNK.size
+        tree = json.loads(content[start : start + length]) if kind == b"JSON" else {}
+        files = [buffer["uri"] for buffer in tree.get("buffers", []) if "uri" in buffer]
+        outside = [file for file in files if not file.startswith("data:")]
+    except UnicodeDecodeError:
+        raise
+    except (struct.error, ValueError, AttributeError, TypeError, RecursionError):
+        return  # no GLB: its reader says why
+    if outside:
+        raise GeometryError(f"{path}: buffers", f"found the file {outside[0]!r}", "all data inside the GLB")
 
 
 def _obj_vertices(content: bytes) -> int:

@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import GeometryError, MissingExtraError, readable
+from vlp16emu.errors import LARGEST_BYTES, GeometryError, MissingExtraError, readable
 from vlp16emu.types import HeightField
 
 __all__ = ["Grid", "read_geotiff", "read_grid", "write_ascii"]
@@ -53,7 +53,7 @@ def read_geotiff(path: Path) -> tuple[NDArray[np.float64], float, float, float]:
         raise MissingExtraError("tifffile", "dem", f"reading {path.name}") from None
     # Its failures are reported in a line of our own.
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)
-    with readable(path, _EXPECTED, GeometryError):
+    with readable(path, _EXPECTED, GeometryError, most_bytes=LARGEST_BYTES):
         try:
             with tifffile.TiffFile(path) as file:
                 page = file.pages[0]
@@ -202,7 +202,7 @@ def _checked(grid: Grid) -> Grid:
 
 def _read_npy(path: Path) -> Array:
     """Read an array, northernmost row first; NaN is no height."""
-    with readable(path, "a numpy array", GeometryError):
+    with readable(path, "a numpy array", GeometryError, most_bytes=LARGEST_BYTES):
         try:
             with path.open("rb") as file:
                 heights = np.load(file, allow_pickle=False)
@@ -223,7 +223,10 @@ def _read_npy(path: Path) -> Array:
 
 def _read_ascii(path: Path) -> Grid:
     """Read an ESRI ASCII grid with one row of cells to a line."""
-    with readable(path, _ASCII_EXPECTED, GeometryError), path.open(encoding="utf-8-sig") as file:
+    with (
+        readable(path, _ASCII_EXPECTED, GeometryError, most_bytes=LARGEST_BYTES),
+        path.open(encoding="utf-8-sig") as file,
+    ):
         lines = [(number, text) for number, text in enumerate(file, start=1) if text.strip()]
     header: dict[str, float] = {}
     for number, text in lines:
@@ -241,7 +244,8 @@ def _read_header_line(where: str, text: str, header: dict[str, float]) -> None:
     known = (*_ASCII_SIZE, *_ASCII_WEST, *_ASCII_SOUTH, _ASCII_NODATA)
     key, *values = text.lower().split()
     if key not in known:
-        raise GeometryError(where, f"unknown key {key!r}", f"one of {', '.join(known)}")
+        found = f"unknown key {key!r}" if header else "no key of a header"  # or else no such grid at all
+        raise GeometryError(where, found, f"one of {', '.join(known)}")
     if key in header:
         raise GeometryError(where, f"{key} a second time", "each key once")
     try:

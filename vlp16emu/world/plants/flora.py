@@ -1,6 +1,5 @@
 """The species table: all plants that a world may hold; and what surfaces are made of, by `SURFACE` material number."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -15,6 +14,7 @@ from pydantic import ValidationError
 
 from vlp16emu.errors import GeometryError, readable
 from vlp16emu.explain import explain
+from vlp16emu.settings import toml
 from vlp16emu.world.plants.species import Plant, Shrub, Species
 
 __all__ = [
@@ -90,8 +90,8 @@ def _plants(path: Path, first_number: int) -> tuple[dict[str, Species], dict[str
     with readable(path, "a species file", GeometryError):
         text = path.read_text(encoding="utf-8")
     try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        tables = toml(text)
+    except (ValueError, RecursionError) as error:
         raise GeometryError(str(path), str(error), "TOML") from None
     for kind in tables.keys() - {"tree", "shrub"}:
         raise GeometryError(f"{path}: [{kind}]", "unknown table", "[tree.NAME] or [shrub.NAME]")
@@ -114,7 +114,7 @@ def _of_kind(
     plants = {}
     for name, row in rows.items() if isinstance(rows, dict) else [("", rows)]:
         if not isinstance(row, dict):
-            raise GeometryError(f"{path}: {kind}.{name}", f"found {row!r}", f"a table [{kind}.NAME]")
+            raise GeometryError(f"{path}: {kind}.{name}", f"found {row!r:.80}", f"a table [{kind}.NAME]")
         try:
             plants[name] = section.model_validate(row, context={"name": name, "first_number": first_number})
         except ValidationError as error:
