@@ -18,7 +18,17 @@ from vlp16emu.recording import Recording, record_packets
 from vlp16emu.scan import Scan
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
-from vlp16emu.sinks import LOOK_AHEAD_PACKETS, LOOPBACK, FellBehind, Late, Pacer, RigSink, TruthTo, stream
+from vlp16emu.sinks import (
+    LOOK_AHEAD_PACKETS,
+    LOOPBACK,
+    FellBehind,
+    Late,
+    Pacer,
+    RigSink,
+    TruthTo,
+    check_ending,
+    stream,
+)
 from vlp16emu.streaming import Engine, Streamed, summed_up
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS
@@ -109,7 +119,7 @@ class Emulator(Chain):
 
         Parameters
         ----------
-        path : overwritten if it exists; `-` is standard output
+        path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard output
         start_s : since the first pulse
         duration_s : until the end of the scene if left out
         truth : folder for the ground truth of the run: trajectory, GNSS, rig, scenario
@@ -119,7 +129,7 @@ class Emulator(Chain):
         Raises
         ------
         OutputError
-            where file or folder cannot be written, or are an input of the scene
+            where file or folder cannot be written, or are an input of the scene, or the name is that of another format
         ScenarioError
             where the sensor has no packets
         TrajectoryError
@@ -128,11 +138,12 @@ class Emulator(Chain):
             where the disk is full; the packets before are kept
         """
         spare(self._files, Path(path))
-        span_s = self.scenario.span_s(start_s, duration_s)
+        check_ending(Path(path))
+        span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
         packets = self.packets(*span_s)  # checks the span before the file is touched
-        with self._with_truth(packets, start_s, truth) as beside:
+        with self.windows.stopped_by(stop), self._with_truth(packets, start_s, truth) as beside:
             recording = record_packets(
-                self, beside, Path(path), span_s, scene=self.name, progress=progress, stop=stop or Event()
+                self, beside, Path(path), span_s, scene=self.name, progress=progress, stop=stop
             )
         return replace(recording, audit=self.audit.finding if self.audit else None)
 
@@ -168,16 +179,18 @@ class Emulator(Chain):
             where the disk is full; the file is not complete
         """
         spare(self._files, Path(path))
-        return write_cloud(
-            self,
-            self._number(unit),
-            Path(path),
-            self.scenario.span_s(start_s, duration_s),
-            truth=truth,
-            scene=self.name,
-            progress=progress,
-            stop=stop or Event(),
-        )
+        stop = stop or Event()
+        with self.windows.stopped_by(stop):
+            return write_cloud(
+                self,
+                self._number(unit),
+                Path(path),
+                self.scenario.span_s(start_s, duration_s),
+                truth=truth,
+                scene=self.name,
+                progress=progress,
+                stop=stop,
+            )
 
     def stream(
         self,
@@ -219,11 +232,13 @@ class Emulator(Chain):
         RunError
             where the system cannot send any more
         """
+        stop = stop or Event()
         span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
         engine = Engine(self, *span_s)
         links = [unit.link for unit in self.parts.units]
         policy = Late(late)
         with (
+            self.windows.stopped_by(stop),
             self._with_truth(engine, 0.0, truth) as packets,
             RigSink(links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS)) as sink,
         ):

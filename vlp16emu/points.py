@@ -2,6 +2,8 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -91,7 +93,8 @@ def write_cloud(
     began_s, scenario, unit = time.perf_counter(), chain.scenario, chain.parts.units[number]
     blocks = _blocks(chain, number, span_s, truth=truth)  # checks the span before the file is touched
     columns, returns, simulated_s = SCENE_COLUMNS + TRUTH_COLUMNS * truth, np.zeros(3, np.int64), 0.0
-    with point_file(path, columns, scene_comments(scenario.start_utc.isoformat()), where=str(path)) as writer:
+    comments = scene_comments(scenario.start_utc.isoformat())
+    with point_file(path, columns, comments, where=str(path)) as writer, suppress(CancelledError):
         for block, end_ns in blocks:
             writer.write(block)
             returns += np.bincount(block["return_number"], minlength=3)

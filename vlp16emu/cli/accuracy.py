@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
+from vlp16emu.cli.start import announce_compiling
 from vlp16emu.cli.terminal import Progress, count, print_json, size
 from vlp16emu.errors import OutputError
 
@@ -68,6 +69,7 @@ def accuracy(
 
         check_matplotlib()
         _make_folder(out)
+    announce_compiling()
     measured = _measured(scenario, Path(scene).stem, pulses)
     tree = _tree(measured)
     files = [] if out is None else _write(out, measured, tree)

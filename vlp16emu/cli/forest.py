@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
+from vlp16emu.cli.start import announce_compiling
 from vlp16emu.cli.terminal import count, print_json, print_rows, size, tree_of
 from vlp16emu.errors import InputError, OutputError
 
@@ -80,6 +81,7 @@ def forest(
     wanted = {option: path for option, path in outputs.items() if path is not None}
     for option, path in wanted.items():
         _check_output(option, path)
+    announce_compiling()
     from vlp16emu.report.forest import files
     from vlp16emu.report.forest.summary import summary_of
     from vlp16emu.report.forest.survey import survey

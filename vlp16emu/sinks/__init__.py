@@ -1,7 +1,7 @@
 """Where packets leave: a capture file, the network, or a list; and the clock that lets them leave in time."""
 
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
-from vlp16emu.sinks.pcap import STDOUT, PcapResult, PcapSink
+from vlp16emu.sinks.pcap import STDOUT, PcapResult, PcapSink, check_ending
 from vlp16emu.sinks.sink import MemorySink, PacketSink
 from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, StreamReport, sending_share, stream
 from vlp16emu.sinks.truth import TruthFolder, TruthTo, tum_rows
@@ -27,6 +27,7 @@ __all__ = [
     "TruthTo",
     "UdpResult",
     "UdpSink",
+    "check_ending",
     "sending_share",
     "stream",
     "tum_rows",
