@@ -26,6 +26,7 @@ from vlp16emu.sinks import (
     Pacer,
     RigSink,
     TruthTo,
+    check_ending,
     stream,
 )
 from vlp16emu.streaming import Engine, Streamed, summed_up
@@ -121,7 +122,7 @@ class Emulator(Chain):
 
         Parameters
         ----------
-        path : overwritten if it exists; `-` is standard output
+        path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard output
         start_s : since the first pulse
         duration_s : until the end of the scene if left out
         truth : folder for the ground truth of the run: trajectory, GNSS, rig, scenario
@@ -131,9 +132,7 @@ class Emulator(Chain):
         Raises
         ------
         OutputError
-            where file or folder cannot be written, or are an input of the scene
-        InputError
-            where the present is wanted at another speed than its own
+            where file or folder cannot be written, or are an input of the scene, or the name is that of another format
         ScenarioError
             where the sensor has no packets
         TrajectoryError
@@ -142,17 +141,19 @@ class Emulator(Chain):
             where the disk is full; the packets before are kept
         """
         spare(self._files, Path(path))
-        span_s = self.scenario.span_s(start_s, duration_s)
+        check_ending(Path(path))
+        span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
         packets = self.packets(*span_s)  # checks the span before the file is touched
-        recording = record_packets(
-            self,
-            self._with_truth(packets, span_s, truth),
-            Path(path),
-            span_s,
-            scene=self.name,
-            progress=progress,
-            stop=stop or Event(),
-        )
+        with self.windows.stopped_by(stop):
+            recording = record_packets(
+                self,
+                self._with_truth(packets, span_s, truth),
+                Path(path),
+                span_s,
+                scene=self.name,
+                progress=progress,
+                stop=stop,
+            )
         return replace(recording, audit=self.audit.finding if self.audit else None)
 
     def write_points(
@@ -189,17 +190,18 @@ class Emulator(Chain):
             where the disk is full; the file is not complete
         """
         spare(self._files, Path(path))
-        span_s = self.scenario.span_s(start_s, duration_s)
-        return write_cloud(
-            self,
-            self._number(unit),
-            Path(path),
-            span_s,
-            truth=truth,
-            scene=self.name,
-            progress=self._with_truth_so_far(progress, span_s, truth_to),
-            stop=stop or Event(),
-        )
+        span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
+        with self.windows.stopped_by(stop):
+            return write_cloud(
+                self,
+                self._number(unit),
+                Path(path),
+                span_s,
+                truth=truth,
+                scene=self.name,
+                progress=self._with_truth_so_far(progress, span_s, truth_to),
+                stop=stop,
+            )
 
     def write_truth(
         self,
@@ -278,6 +280,8 @@ class Emulator(Chain):
         ------
         OutputError
             where the receiver is unknown or out of reach, or the sensor's address is not this machine's
+        InputError
+            where the present is wanted at another speed than its own
         ScenarioError
             where the sensor has no packets
         TrajectoryError
@@ -285,11 +289,13 @@ class Emulator(Chain):
         RunError
             where the system cannot send any more
         """
+        stop = stop or Event()
         span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
         engine = Engine(self, *span_s)
         links = [unit.link for unit in self.parts.units]
         policy = Late(late)
         with (
+            self.windows.stopped_by(stop),
             self._with_truth(engine, span_s, truth) as packets,
             RigSink(links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS)) as sink,
         ):

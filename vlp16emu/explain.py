@@ -3,6 +3,7 @@
 import difflib
 import json
 import math
+from collections.abc import Iterator
 from datetime import date, datetime, time
 from typing import Any
 
@@ -13,9 +14,15 @@ __all__ = ["expected", "explain", "resolved"]
 
 Node = dict[str, Any]
 
+_MISSING = "missing"
+_MOST_PLACES = 3
+"""Tables that have a key, beyond which it says too little where it was meant to be."""
+_MOST_KEYS = 8
+"""Of another kind of table, that one line can name."""
+
 
 def explain(error: ValidationError, schema: Node) -> tuple[str, str, str]:
-    """Key path, what was found there and what was expected, of the finding that helps most.
+    """Key path, what was found there and what was expected, of the finding that helps most; all keys that are missing.
 
     The message of a validator of our own says what was expected.
 
@@ -25,19 +32,32 @@ def explain(error: ValidationError, schema: Node) -> tuple[str, str, str]:
     schema : JSON Schema of the file
     """
     # A misspelt key is also a missing one; the misspelling is the better news.
-    finding = min(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
+    findings = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
+    first, *others = (_in_words(finding, schema) for finding in findings)
+    missing = [first, *(other for other in others if other[1] == first[1])]
+    if first[1] != _MISSING or len(missing) == 1:
+        return first
+    paths = ", ".join(path for path, _, _ in missing)
+    return paths, _MISSING, ", ".join(f"{path} = {words}" for path, _, words in missing)
+
+
+def _in_words(finding: ErrorDetails, schema: Node) -> tuple[str, str, str]:
+    """Key path, what was found there and what was expected, of one finding."""
     keys, parent, node = _walk(finding["loc"], schema)
     kind = finding["type"]
     if kind == "extra_forbidden":
-        return _path(keys), "unknown key", _nearest(keys[-1], list(parent["properties"]))
+        return _path(keys), "unknown key", _known(keys, parent, schema)
     if kind.startswith("union_tag"):
         tag = node["discriminator"]["propertyName"]
         choice = {"enum": list(node["discriminator"]["mapping"])}
-        found = f"found {_shown(finding['input'][tag])}" if tag in finding["input"] else "missing"
+        found = f"found {_shown(finding['input'][tag])}" if tag in finding["input"] else _MISSING
         return _path([*keys, tag]), found, expected(choice)
     if kind == "missing":
-        return _path(keys), "missing", expected(node)
-    return _path(keys), f"found {_shown(finding['input'])}", _wanted(finding, node)
+        return _path(keys), _MISSING, expected(node)
+    found = f"found {_shown(finding['input'])}"
+    if (key := _key_of(finding["input"], node, schema)) is not None:
+        return _path(keys), found, f"a table, as by {_path([*keys, key])} = {_shown(finding['input'])}"
+    return _path(keys), found, _wanted(finding, node)
 
 
 def expected(node: Node) -> str:
@@ -96,6 +116,56 @@ def _walk(loc: tuple[int | str, ...], schema: Node) -> tuple[list[int | str], No
 def _path(keys: list[int | str]) -> str:
     """Write keys as `world.species[0].share`."""
     return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".") or "scene"
+
+
+def _known(keys: list[int | str], parent: Node, schema: Node) -> str:
+    """Say for an unknown key what else its table must be, or in which other tables it is, or which one is near."""
+    homes = [(path, tag) for path, tag in _all_keys(schema, schema) if path[-1] == keys[-1]]
+    if beside := [tag for path, tag in homes if list(path) == keys and tag is not None]:
+        name, _, own = beside[0]
+        choice = f"{_path([*keys[:-1], name])} = {expected({'enum': [value for _, value, _ in beside]})}"
+        keys_of_it = [key for key in own if key not in parent["properties"]]
+        others = f", with {', '.join(keys_of_it)}" if len(keys_of_it) <= _MOST_KEYS else ""
+        return f"{choice} beside it{others}"
+    places = list(dict.fromkeys(_path(list(path)) for path, _ in homes))
+    if 0 < len(places) <= _MOST_PLACES:
+        return " or ".join(places)
+    return _nearest(keys[-1], list(parent["properties"]))
+
+
+Tag = tuple[str, str, list[str]]
+"""Key and value by which a table is one of several kinds, and its keys."""
+
+
+def _all_keys(
+    node: Node, schema: Node, path: tuple[str, ...] = (), tag: Tag | None = None
+) -> Iterator[tuple[tuple[str, ...], Tag | None]]:
+    """Paths of all keys outside lists, and what their table is to be for them."""
+    node = resolved(node, schema)
+    for value, variant in _variants(node):
+        kind = resolved(variant, schema)
+        yield from _all_keys(
+            kind, schema, path, (node["discriminator"]["propertyName"], value, list(kind["properties"]))
+        )
+    for name, inner in node.get("properties", {}).items():
+        yield (*path, name), tag
+        yield from _all_keys(inner, schema, (*path, name))
+
+
+def _variants(node: Node) -> list[tuple[str, Node]]:
+    """Kinds of a table by their tag, where there are several."""
+    return [(tag, {"$ref": ref}) for tag, ref in node.get("discriminator", {}).get("mapping", {}).items()]
+
+
+def _key_of(value: object, node: Node, schema: Node) -> str | None:
+    """Key of a table that may have a word that stands in place of the table."""
+    if isinstance(value, str):
+        for kind in (node, *(resolved(variant, schema) for _, variant in _variants(node))):
+            for name, inner in kind.get("properties", {}).items():
+                choice = resolved(inner, schema)
+                if value in choice.get("enum", [choice.get("const")]):
+                    return str(name)
+    return None
 
 
 def _nearest(key: int | str, names: list[str]) -> str:

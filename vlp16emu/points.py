@@ -2,7 +2,8 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
+from concurrent.futures import CancelledError
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -93,7 +94,11 @@ def write_cloud(
     blocks = _blocks(chain, number, span_s, truth=truth)  # checks the span before the file is touched
     columns, returns, simulated_s = SCENE_COLUMNS + TRUTH_COLUMNS * truth, np.zeros(3, np.int64), 0.0
     comments = scene_comments(scenario.start_utc.isoformat())
-    with point_file(path, columns, comments, where=str(path)) as writer, progress as so_far:
+    with (
+        point_file(path, columns, comments, where=str(path)) as writer,
+        progress as so_far,
+        suppress(CancelledError),
+    ):
         for block, end_ns in blocks:
             writer.write(block)
             returns += np.bincount(block["return_number"], minlength=3)

@@ -3,7 +3,8 @@
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager
+from concurrent.futures import CancelledError
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -98,7 +99,7 @@ def record_packets(
     begin_ns, simulated_s = scenario.start_ns + seconds_to_ns(span_s[0]), 0.0
     sent = Counter[tuple[int, str]]()
     numbers, links = chain.first_position_packets(span_s[0]), [unit.link for unit in units]
-    with PcapSink(path, numbers, links) as sink, packets as taken:
+    with PcapSink(path, numbers, links) as sink, packets as taken, suppress(CancelledError):
         for packet in taken:
             if stop.is_set():
                 break

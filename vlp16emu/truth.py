@@ -2,6 +2,7 @@
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from importlib.metadata import version
 from types import TracebackType
@@ -115,7 +116,7 @@ class Truth:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with self._folder, suppress(*([RunError] if error else [])):
+        with self._folder, suppress(CancelledError, *([RunError] if error else [])):
             self._write()
             for samples in self._trajectories:
                 samples.up_to(self._seen_ns + self._step_ns)

@@ -4,6 +4,7 @@ import gc
 import threading
 import time
 import weakref
+from concurrent.futures import CancelledError
 from types import SimpleNamespace
 
 import numpy as np
@@ -182,3 +183,16 @@ def test_windows_are_let_go_with_their_owner():
         assert alive() is None
     finally:
         gc.enable()
+
+
+def test_a_stop_ends_the_wait_for_a_window():
+    """Who waits for a block is let go when the run is stopped, and no thread that grows its window is waited for."""
+    grown, stop = threading.Event(), threading.Event()
+    batching = SimpleNamespace(block_ns=100, segment=4)
+    of = Windows(lambda _segment: grown.wait(), batching, moves=True, threads=2)
+    results = prefetch(lambda _run, scene: scene.result(), of, blocks=range(8), threads=2, together=1)
+    threading.Timer(0.0, stop.set).start()
+    with of.stopped_by(stop), pytest.raises(CancelledError):
+        next(results)
+    grown.set()
+    assert of.wait(of.at_block(0))

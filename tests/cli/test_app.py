@@ -125,6 +125,24 @@ BAD = [
         2,
         "--position-port: found 65536; expected a whole number from 1 to 65535",
     ),
+    (
+        "stream static_bench --to 10.0.0.1:2369",
+        2,
+        "--to: found 10.0.0.1:2369; expected 10.0.0.1, with --data-port 2369 or --position-port 2369",
+    ),
+    *(
+        (
+            f"record static_bench {{tmp}}/x{ending} --duration 0.1",
+            2,
+            f"{{tmp}}/x{ending}: found the ending {ending}; expected .pcap, or - for standard output{way}",
+        )
+        for ending, way in (
+            (".pcapng", ", which `editcap -F pcapng` converts\n"),
+            (".mcap", ", which velodyne_driver replays for `ros2 bag record`\n"),
+            (".las", "; `vlp16emu points` writes .ply, which PDAL converts\n"),
+            (".txt", "\n"),
+        )
+    ),
     ("stream static_bench --speed 0", 2, "--speed: found 0; expected a number from 0.001 on"),
     ("stream static_bench --speed 1e-300", 2, "--speed: found 1e-300; expected a number from 0.001 on"),
     (

@@ -1,10 +1,14 @@
 """Scenes into files."""
 
+import fcntl
 import hashlib
 import json
 import os
 import pty
 import signal
+import subprocess
+import sys
+import termios
 import time
 from pathlib import Path
 
@@ -107,6 +111,13 @@ def test_threads_change_no_byte(cli, tmp_path):
     assert reports[0]["sha256"] == reports[1]["sha256"]
 
 
+@pytest.mark.parametrize("name", ["x", "x.PCAP", "x.cap", "x.dump", "x.dmp"])
+def test_a_capture_may_have_its_usual_endings(cli, tmp_path, name):
+    """Names of classic pcap files, in any case, and names without an ending are written."""
+    assert cli("record", "static_bench", tmp_path / name, "--duration", "0.01").code == 0
+    assert (tmp_path / name).read_bytes()[:4] == bytes.fromhex("d4c3b2a1")
+
+
 def test_pieces_make_the_whole(cli, tmp_path):
     """A run recorded in two pieces has the same records as in one go."""
     spans = {"whole": ("0", "0.5"), "first": ("0", "0.2"), "second": ("0.2", "0.3")}
@@ -142,9 +153,9 @@ def wait_for(path, size):
     raise AssertionError(f"{path} never had {size} bytes")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_ctrl_c_leaves_a_valid_file(cli, program, tmp_path, number):
-    """Ctrl-C or SIGTERM in the middle exits with 130, without a traceback, and the file holds what the report says."""
+    """Ctrl-C, SIGTERM or a hangup in the middle exits with 130, without a traceback, and the file holds what the report says."""
     path = tmp_path / "x.pcap"
     process = program("record", "static_bench", path, "--duration", "3600", "--json")
     wait_for(tmp_path / "x.pcap.part", 500_000)
@@ -185,6 +196,121 @@ def test_a_killed_recording_is_kept_beside_its_name(cli, program, tmp_path):
     process.communicate()
     assert path.read_text() == "earlier"
     assert cli("decode", tmp_path / "x.pcap.part", "--json").tree["packets"] > 50
+
+
+def test_a_terminal_that_goes_leaves_a_report(program, tmp_path):
+    """A run whose terminal is closed ends with 130, a whole file, and its report where that does not go to the terminal."""
+    ours, theirs = pty.openpty()
+    path = tmp_path / "x.pcap"
+    with (tmp_path / "report").open("w") as report:
+        process = program(
+            *("record", "static_bench", path, "--duration", "3600", "--json"),
+            stdout=report,
+            stderr=theirs,
+            stdin=theirs,
+            start_new_session=True,
+            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+        )
+        os.close(theirs)
+        wait_for(tmp_path / "x.pcap.part", 500_000)
+        os.close(ours)
+        assert process.wait(timeout=30) == 130
+    tree = json.loads((tmp_path / "report").read_text())
+    assert tree["interrupted"] is True
+    assert tree["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_what_ignores_hangups_goes_on(program, tmp_path):
+    """Under nohup the end of the terminal is not that of the run."""
+    path, part = tmp_path / "x.pcap", tmp_path / "x.pcap.part"
+    process = program(
+        *("record", "static_bench", path, "--duration", "3600", "--json"),
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
+    )
+    wait_for(part, 100_000)
+    process.send_signal(signal.SIGHUP)
+    wait_for(part, part.stat().st_size + 500_000)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    assert process.returncode == 130
+
+
+GROWS_FOR_EVER = """
+from threading import Event
+import vlp16emu.chain.windows as windows
+
+def window_of(*_):
+    print("growing", file=sys.stderr, flush=True)
+    Event().wait()
+
+windows.window_of = window_of
+"""
+CASTS_AND_WRITES_FOR_EVER = """
+import os
+from threading import Event
+from vlp16emu.chain.chain import Chain
+from vlp16emu.sinks import PcapSink
+
+scan = Chain._scan
+def _scan(chain, unit, run, opened, **options):
+    return scan(chain, unit, run, opened, **options) if run.start == 0 else Event().wait()
+
+def send(_sink, _packet):
+    print("writing", file=sys.stderr, flush=True)
+    Event().wait()
+
+os.isatty = lambda _: True
+Chain._scan, PcapSink.send = _scan, send
+"""
+
+
+@pytest.fixture
+def hindered():
+    """Start a recording of the hall in a process of its own, with parts of it replaced by such as never end."""
+    running = []
+
+    def start(code, path):
+        code = f"import sys\n{code}\nfrom vlp16emu.cli import main\nmain()"
+        command = [sys.executable, "-c", code, "record", "static_bench", str(path), "--json"]
+        running.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        return running[-1]
+
+    yield start
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+def until(process, line):
+    """Read what a process says until it says a line."""
+    for said in process.stderr:
+        if said.strip() == line:
+            return
+    raise AssertionError(f"never said {line}")
+
+
+def test_ctrl_c_does_not_wait_for_the_world(hindered, tmp_path):
+    """Ctrl-C while the world grows ends the run at once, with a report and a capture without packets."""
+    path = tmp_path / "x.pcap"
+    process = hindered(GROWS_FOR_EVER, path)
+    until(process, "growing")
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=20)
+    assert (process.returncode, err, path.stat().st_size) == (130, "", 24)
+    report = json.loads(out)
+    assert (report["interrupted"], report["packets"], report["bytes"]) == (True, 0, 24)
+
+
+def test_a_second_ctrl_c_waits_for_nothing(hindered, tmp_path):
+    """Where the first Ctrl-C cannot end the run, the second does, whatever threads are at; what is written is whole."""
+    path = tmp_path / "x.pcap"
+    process = hindered(CASTS_AND_WRITES_FOR_EVER, path)
+    until(process, "writing")
+    process.send_signal(signal.SIGINT)
+    until(process, "finishing what is under way; Ctrl-C again stops at once")
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=20)
+    assert (process.returncode, out, (tmp_path / "x.pcap.part").stat().st_size) == (130, "", 24)
 
 
 def test_a_terminal_gets_a_bar_with_the_time_left(program, tmp_path):

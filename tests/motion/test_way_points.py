@@ -36,6 +36,12 @@ def test_csv_is_read_about_the_origin(tmp_path, mark):
     np.testing.assert_array_equal(points.pause_s, [0.0, 2.5])
 
 
+def test_axes_need_no_unit_in_their_names(tmp_path):
+    """Columns x and y are x_m and y_m, as in lists of stems."""
+    points = read(written(tmp_path, "way.csv", "Y,x\n2004,1001\n2005,1012\n"))
+    np.testing.assert_array_equal(points.xy_m, [[1.0, 4.0], [12.0, 5.0]])
+
+
 def test_pauses_are_added_by_number():
     """A pause at waypoint 2 adds to what the file says, and a number beyond the last is refused."""
     points = WayPoints(np.zeros((2, 2)), np.array([0.0, 1.0]))
@@ -64,6 +70,7 @@ BAD = [
     ("a.csv", "x_m,z_m\n1,2\n", ", line 1: unknown column 'z_m'; expected each of x_m, y_m, stop_s once"),
     ("b.csv", "x_m\n1\n", ", line 1: 0 columns 'y_m'; expected each of x_m, y_m, stop_s once"),
     ("c.csv", "x_m,y_m,x_m\n1,2,3\n", ", line 1: 2 columns 'x_m'; expected each of x_m, y_m, stop_s once"),
+    ("c2.csv", "x,y_m,x_m\n1,2,3\n", ", line 1: 2 columns 'x_m'; expected each of x_m, y_m, stop_s once"),
     ("d.csv", "x_m,y_m\n1,2\n3\n", ", line 3: found 1 cells; expected 2, as in line 1"),
     ("e.csv", "x_m,y_m\n1,2\nnan,3\n", ", line 3, column x_m: found nan; expected a finite number"),
     ("f.csv", "x_m,y_m\n1,two\n", ", line 2, column y_m: found 'two'; expected a number"),

@@ -33,10 +33,24 @@ def test_what_looks_like_a_path_is_a_path(path):
     assert find(path) == Path(path)
 
 
-@pytest.mark.parametrize("name", ["birch", ""])
+@pytest.mark.parametrize("name", ["meadow", ""])
 def test_an_unknown_name_lists_the_known_ones(name):
     """An unknown scene name is answered with those that exist."""
     with pytest.raises(ScenarioError) as caught:
         find(name)
     known = ", ".join(path.stem for path in sorted(CHECKOUT.glob("*.toml")))
     assert str(caught.value) == f"scene '{name}': unknown name; expected {known}, or a path ending in .toml"
+
+
+@pytest.mark.parametrize("name", ["birch_wlk", "birch-wlk", "Birch_Walk"])
+def test_a_misspelt_name_is_answered_with_the_nearest(name):
+    """Of all scenes the one that was probably meant is named, and none beside it."""
+    with pytest.raises(ScenarioError) as caught:
+        find(name)
+    expected = "birch_walk, the nearest of `vlp16emu scenes`, or a path ending in .toml"
+    assert str(caught.value) == f"scene '{name}': unknown name; expected {expected}"
+
+
+def test_a_hyphen_stands_for_an_underscore():
+    """`birch-walk` is `birch_walk`."""
+    assert find("birch-walk") == find("birch_walk")

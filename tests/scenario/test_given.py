@@ -36,13 +36,16 @@ def scene(tmp_path):
     return write
 
 
-def test_files_lie_beside_the_scene(scene, tmp_path):
-    """A relative path is reckoned from the folder of the scene, also in a setting; an absolute one stays as it is."""
+def test_files_lie_beside_the_scene(scene, tmp_path, monkeypatch):
+    """A relative path is from the folder of the scene, in a setting from the current one; an absolute one stays as it is."""
     world = load(scene()).world
     assert Path(world.stem_list) == tmp_path / "lists/plot.csv"
     assert Path(world.dem.file) == Path("/srv/ground.npy")
     assert Path(world.meshes[0].file) == tmp_path / "hut.obj"
-    assert Path(load(scene(), ["world.stem_list=other.csv"]).world.stem_list) == tmp_path / "other.csv"
+    monkeypatch.chdir("/")
+    assert load(scene(), ["world.stem_list=other.csv"]).world.stem_list == "/other.csv"
+    mesh = "{ file = 'a.obj', unit = 'm', up = 'z', places = [{ x_m = 1, y_m = 2 }] }"
+    assert load(scene(), [f"world.meshes=[{mesh}]"]).world.meshes[0].file == "/a.obj"
 
 
 def test_a_mesh_stands_upright_on_the_ground_unless_told(scene):

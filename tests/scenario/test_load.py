@@ -169,6 +169,48 @@ BAD_SETTINGS = [
     ),
     ("motion=3", '--set motion=3: found 3; expected a table with kind = "recorded", "static" or "walk"'),
     ("world.species=[]", "--set world.species=[]: found a list of 0; expected a list of at least 1"),
+    ("rpm=1200", "--set rpm=1200: unknown key; expected sensor.rpm"),
+    ("gait=strong", "--set gait=strong: unknown key; expected motion.gait"),
+    (
+        "sensor.beams=64",
+        (
+            '--set sensor.beams=64: unknown key; expected sensor.model = "free" beside it, with elevations_deg, beams, '
+            "vertical_fov_deg, azimuth_resolution_deg, lens_radius_m"
+        ),
+    ),
+    (
+        "motion.yaw_deg=3",
+        '--set motion.yaw_deg=3: unknown key; expected motion.kind = "recorded" or "static" beside it',
+    ),
+    (
+        "motion.gait=fast",
+        '--set motion.gait=fast: motion.gait.preset: found "fast"; expected "none", "paper", "natural" or "strong"',
+    ),
+    (
+        "world=old_growth",
+        '--set world=old_growth: found "old_growth"; expected a table, as by world.preset = "old_growth"',
+    ),
+    ("beam=fixed", '--set beam=fixed: found "fixed"; expected a table, as by beam.model = "fixed"'),
+    (
+        "sensor.rpm=600.5",
+        "--set sensor.rpm=600.5: found 600.5; expected a whole number from 300 to 1200 in steps of 60",
+    ),
+    (
+        "sensor.data_port=8308",
+        "--set sensor.data_port=8308: sensor: found a table; expected a data_port and a position_port that differ",
+    ),
+    (
+        "sensor.min_range_m=120",
+        "--set sensor.min_range_m=120: sensor.max_range_m: found 100.0; expected more than min_range_m = 120.0",
+    ),
+    (
+        "world={kind='hall'}",
+        (
+            "--set world={kind='hall'}: world.length_m, world.width_m, world.height_m: missing; expected "
+            "world.length_m = a number from 0.001 to 10000, world.width_m = a number from 0.001 to 10000, "
+            "world.height_m = a number from 0.001 to 10000"
+        ),
+    ),
     (
         "seed=1\ntitle='x'",
         "--set seed=1\\ntitle='x': found \"1\\ntitle='x'\"; expected a whole number at least 0 and below 9223372036854775808",
@@ -318,6 +360,66 @@ def test_a_setting_takes_the_place_of_what_it_rules_out(settings, told):
     """A scene that is told another way or pace by `--set` forgets its own."""
     motion = load("reference_forest", settings).motion
     assert motion.model_fields_set == told | {"kind"}
+
+
+@pytest.mark.parametrize(
+    ("settings", "same"),
+    [
+        (["sensor.return_mode=Dual"], ["sensor.return_mode=dual"]),
+        (["sensor.model=VLP-16"], []),
+        (["sensor.rpm=1200.0", "seed=1.0"], ["sensor.rpm=1200"]),
+        (["sensor={ rpm = 300.0, return_mode = 'LAST' }"], ["sensor.rpm=300", "sensor.return_mode=last"]),
+        (["motion.gait=strong"], ["motion.gait={ preset = 'strong' }"]),
+        (["motion.gait=strong", "motion.gait.yaw_deg=1"], ["motion.gait={ preset = 'strong', yaw_deg = 1 }"]),
+        (["noise=ideal", "imu=consumer"], ["noise.preset=ideal", "imu.preset=consumer"]),
+    ],
+)
+def test_a_setting_is_taken_as_it_is_meant(tmp_path, settings, same):
+    """Words in any case, whole numbers with a point, and a preset's name for its table are what they stand for."""
+    scene = str(written(tmp_path, WALK + "stems_per_ha = 500\n"))
+    assert load(scene, settings) == load(scene, same)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ["motion.way_points_file=way.csv"],
+        ["motion={ kind = 'walk', way_points_file = 'way.csv' }"],
+        {"motion.way_points_file": "way.csv"},
+    ],
+)
+def test_files_of_settings_are_found_from_here(tmp_path, monkeypatch, settings):
+    """A file that a setting names lies in the current folder, wherever the scene is."""
+    (tmp_path / "here").mkdir()
+    scene = str(written(tmp_path, WALK + "stems_per_ha = 500\n"))
+    monkeypatch.chdir(tmp_path / "here")
+    assert load(scene, settings).motion.way_points_file == str(tmp_path / "here" / "way.csv")
+
+
+def test_a_setting_is_not_blamed_for_a_fault_of_the_file(tmp_path):
+    """A file that is wrong by itself is named, whatever is set."""
+    scene = written(tmp_path, WALK + "stems_per_ha = 500\n[sensor]\nmin_range_m = 120.0\n")
+    with pytest.raises(ScenarioError, match=rf"^{scene}: sensor.max_range_m: found 100.0"):
+        load(scene, ["seed=7"])
+
+
+def test_all_missing_keys_are_told_at_once(tmp_path):
+    """A file that lacks several keys names all of them, with what each should be."""
+    path = written(tmp_path, '[motion]\nkind = "static"\n[world]\nkind = "hall"\nheight_m = 6\n')
+    with pytest.raises(ScenarioError) as caught:
+        load(path)
+    size = "a number from 0.001 to 10000"
+    assert str(caught.value) == (
+        f"{path}: schema, world.length_m, world.width_m: missing; "
+        f"expected schema = 1, world.length_m = {size}, world.width_m = {size}"
+    )
+
+
+def test_a_scene_without_a_title_has_that_of_its_file(tmp_path):
+    """The title is the file's name unless it is given."""
+    scene = written(tmp_path, WALK.replace('title = "A walk"\n', "") + "stems_per_ha = 500\n")
+    assert load(scene).title == "scene"
+    assert load(scene.rename(tmp_path / "my_walk.toml")).title == "my_walk"
 
 
 def test_settings_apply_in_order_and_create_tables(tmp_path):

@@ -34,10 +34,10 @@ def test_a_list_of_elevations_is_taken_as_it_stands():
 @pytest.mark.parametrize(
     ("settings", "line"),
     [
-        (["sensor.beams=8"], "--set sensor.beams=8: unknown key; expected one of "),
+        (["sensor.beams=8"], '--set sensor.beams=8: unknown key; expected sensor.model = "free" beside it, '),
         (
             [FREE, "sensor.position_rate=manual"],
-            "--set sensor.position_rate=manual: unknown key; expected one of ",
+            '--set sensor.position_rate=manual: unknown key; expected sensor.model = "puck-hi-res", "puck-lite" or "vlp-16" ',
         ),
         (
             ["sensor.model=vlp-32c"],

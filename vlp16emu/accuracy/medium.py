@@ -4,7 +4,6 @@ import math
 import os
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,7 +15,7 @@ from vlp16emu.accuracy.curve import Kind
 from vlp16emu.accuracy.distributions import Distributions, distributions_of
 from vlp16emu.accuracy.settings import LevelOfDetail, beam_settings, levels_of_detail
 from vlp16emu.chain import Unit, assemble, window_of
-from vlp16emu.chain.windows import Batching
+from vlp16emu.chain.windows import Batching, workers
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.returns.detect import detect
@@ -123,14 +122,14 @@ def _world(
     batching = Batching(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns)
     run_ns = seconds_to_ns(min(scenario.duration_s, unit.motion.run_time_s))
     counts, us = list[Counts](), list[float]()
-    with ThreadPoolExecutor(os.cpu_count() or 1, "medium") as workers:
-        built = caster(parts.world, workers)
+    with workers(os.cpu_count() or 1, "medium") as pool:
+        built = caster(parts.world, pool)
         for segment, groups in draw_groups(
             batching, len(batching.blocks(0, run_ns)), pulses, unit.seed, moves=parts.moves
         ):
             geometry = built.open(window_of(parts, scenario.start_ns, batching, segment))
             again = [number % _AGAIN == 0 for number in range(len(groups))]
-            for one, time_us in workers.map(
+            for one, time_us in pool.map(
                 lambda group, again, geometry=geometry: look.counted(geometry, group, again=again),
                 groups,
                 again,

@@ -13,7 +13,7 @@ from vlp16emu.accuracy.curve import Accuracy, Kind, Rounding, Row
 from vlp16emu.accuracy.precision import NOTHING_MET, rounding_of
 from vlp16emu.accuracy.settings import PosesAt, beam_settings, pose_rates
 from vlp16emu.chain import assemble, window_of
-from vlp16emu.chain.windows import Batching
+from vlp16emu.chain.windows import Batching, workers
 from vlp16emu.errors import RunError
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.scenario import Scenario
@@ -40,10 +40,10 @@ class _Ladder:
         self._detections = defaultdict[str, list[Detections]](list)
         self._us, self._rays = defaultdict[str, list[float]](list), defaultdict[str, list[float]](list)
 
-    def look(self, geometry: Geometry, groups: Sequence[Group], workers: ThreadPoolExecutor) -> None:
+    def look(self, geometry: Geometry, groups: Sequence[Group], pool: ThreadPoolExecutor) -> None:
         """Detect the groups of one window with all settings."""
         bench, poses_at = self._bench, self._bench.unit.motion.poses_at
-        answers = list(workers.map(lambda group: self._answer(geometry, group, poses_at), groups))
+        answers = list(pool.map(lambda group: self._answer(geometry, group, poses_at), groups))
         self._detections["answer"] += answers
         for setting in self._beams:
             found = self._detections[setting.name]
@@ -51,12 +51,12 @@ class _Ladder:
                 found.append(bench.detections(geometry, bench.aimed(group, poses_at), setting.beam))
         self._detections["answer of some"] += answers[::_POSED]
         some = groups[::_POSED]
-        self._detections["another answer"] += workers.map(
+        self._detections["another answer"] += pool.map(
             lambda group: self._answer(geometry, group, poses_at, 1), some
         )
         for rate in self._pose_rates:
             held = rate.poses_at
-            self._detections[rate.name] += workers.map(
+            self._detections[rate.name] += pool.map(
                 lambda group, held=held: self._answer(geometry, group, held), some
             )
 
@@ -139,12 +139,12 @@ def measure_accuracy(
     ladder = _Ladder(bench, scenario)
     nearest_m, farthest_m = bench.limits_m
     rounding = NOTHING_MET
-    with ThreadPoolExecutor(os.cpu_count() or 1, "accuracy") as workers:
-        built = caster(parts.world, workers)
+    with workers(os.cpu_count() or 1, "accuracy") as pool:
+        built = caster(parts.world, pool)
         for segment, groups in draw_groups(batching, blocks, pulses, unit.seed, moves=parts.moves):
             window = window_of(parts, scenario.start_ns, batching, segment)
             opened = built.open(window)  # only now is the one before let go: shapes of both are built once
-            ladder.look(opened, groups, workers)
+            ladder.look(opened, groups, pool)
             ladder.time(opened, Group(groups[0].first // batching.block * batching.block, batching.block))
             firings = bench.aimed(groups[0], unit.motion.poses_at)
             if not rounding.rays:

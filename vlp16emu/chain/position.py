@@ -30,7 +30,7 @@ def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) 
 
     def cover(t_ns: int, antenna_m: NDArray[np.float64]) -> float:
         """Share of the sky that is covered over the antenna."""
-        geometry = windows.at_time(t_ns - start_ns).result()
+        geometry = windows.wait(windows.at_time(t_ns - start_ns))
         return sky_cover(geometry, t_ns, antenna_m, _LOWEST_DEG, far_m)
 
     sky = cover if gps.canopy_loss else None

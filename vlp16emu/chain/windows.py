@@ -3,9 +3,11 @@
 import math
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Event
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -15,7 +17,7 @@ from vlp16emu.chain.parts import Parts
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.types import Window
 
-__all__ = ["BLOCK", "SEGMENT", "Batching", "Windows", "prefetch", "window_of", "windows_of"]
+__all__ = ["BLOCK", "SEGMENT", "Batching", "Windows", "prefetch", "window_of", "windows_of", "workers"]
 
 BLOCK = 1_920
 """Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and of 8 rays."""
@@ -26,6 +28,8 @@ _RAYS = 8
 _PULSES = 16 * BLOCK
 _LONGEST_NS = 110_000_000
 _SEGMENT_NS = 6_800_000_000
+_POLL_S = 0.05
+"""How often whoever waits looks whether the run shall end."""
 _LEAD, _LAG = 3 / 8, 1 / 4
 """Shares of a segment: how long before its use a window is opened, and how far behind the present the sky over the antenna
 is asked for, at most (1.4 s). Workers share the rest."""
@@ -97,6 +101,32 @@ class Windows(Generic[S]):
             return opener.submit(open_segment, segment)
 
         self._opened = opened
+        self.stop = Event()
+        """Of the run under way; see `stopped_by`."""
+
+    @contextmanager
+    def stopped_by(self, stop: Event) -> Iterator[None]:
+        """Let an event end what waits for windows, and for blocks, that are not made yet."""
+        before, self.stop = self.stop, stop
+        try:
+            yield
+        finally:
+            self.stop = before
+
+    def wait(self, future: Future[T]) -> T:
+        """Give the result of a future.
+
+        Raises
+        ------
+        CancelledError
+            where the event of `stopped_by` is set before there is one
+        """
+        while not future.done():
+            if self.stop.is_set():
+                raise CancelledError
+            with suppress(TimeoutError):
+                return future.result(_POLL_S)
+        return future.result()
 
     def at_block(self, block: int) -> Future[S]:
         """Window of a block."""
@@ -127,6 +157,19 @@ class Windows(Generic[S]):
             first, number = first + size, number + 1
 
 
+@contextmanager
+def workers(threads: int, name: str, stop: Event | None = None) -> Iterator[ThreadPoolExecutor]:
+    """Give a pool of threads, which are waited for at its end; but not where `stop` is set, or Ctrl-C is pressed."""
+    pool = ThreadPoolExecutor(threads, name)
+    try:
+        yield pool
+    except BaseException as error:
+        is_over = isinstance(error, KeyboardInterrupt) or (stop is not None and stop.is_set())
+        pool.shutdown(wait=not is_over, cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
 def prefetch(
     work: Callable[[range, Future[S]], T],
     windows: Windows[S],
@@ -143,21 +186,22 @@ def prefetch(
     blocks : numbers of the blocks, without gaps
     threads : workers
     together : blocks of a run at most
+
+    Raises
+    ------
+    CancelledError
+        where the windows are stopped; what is under way is left to itself
     """
     pending: deque[Future[T]] = deque()
-    with ThreadPoolExecutor(threads, "work") as workers:
-        try:
-            for run in windows.runs(blocks, together, threads):
-                pending.append(workers.submit(work, run, windows.at_block(run.start)))
-                # Now and not at once: the first packet should not wait for the second window.
-                windows.at_block(min(run.stop - 1 + windows.lead, blocks.stop - 1))
-                if len(pending) > threads:
-                    yield pending.popleft().result()
-            while pending:
-                yield pending.popleft().result()
-        finally:
-            for waiting in pending:
-                waiting.cancel()
+    with workers(threads, "work", windows.stop) as pool:
+        for run in windows.runs(blocks, together, threads):
+            pending.append(pool.submit(work, run, windows.at_block(run.start)))
+            # Now and not at once: the first packet should not wait for the second window.
+            windows.at_block(min(run.stop - 1 + windows.lead, blocks.stop - 1))
+            if len(pending) > threads:
+                yield windows.wait(pending.popleft())
+        while pending:
+            yield windows.wait(pending.popleft())
 
 
 def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> Window:

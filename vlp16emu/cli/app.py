@@ -20,7 +20,7 @@ from vlp16emu.cli.record import record
 from vlp16emu.cli.replay import replay
 from vlp16emu.cli.scenes import scenes, schema
 from vlp16emu.cli.stream import stream
-from vlp16emu.cli.terminal import INTERRUPTED
+from vlp16emu.cli.terminal import ENDINGS, INTERRUPTED
 from vlp16emu.cli.truth import truth
 from vlp16emu.cli.verify import verify
 from vlp16emu.errors import Vlp16emuError
@@ -128,7 +128,9 @@ def run(arguments: Sequence[str]) -> int:
 def main() -> None:
     """Carry out the command line of this process and exit."""
     logging.basicConfig(format="warning: %(message)s")
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in ENDINGS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _interrupt)
     for output in (sys.stdout, sys.stderr):
         if isinstance(output, io.TextIOWrapper):  # names of files may hold what a terminal cannot show
             output.reconfigure(errors="backslashreplace")
@@ -145,7 +147,16 @@ def main() -> None:
         if not code:  # else the reason has been printed
             _complain(f"standard output: {error.strerror}")
             code = 1
+    if code == INTERRUPTED:
+        os._exit(code)  # Python would wait for threads that grow and cast what nobody wants any more
     sys.exit(1 if code is None else code)
+
+
+def _interrupt(_signal: int, _frame: object) -> None:
+    """End the command; the next signal ends the process at once."""
+    for number in ENDINGS:
+        signal.signal(number, lambda *_: os._exit(INTERRUPTED))
+    raise KeyboardInterrupt
 
 
 def _drop_output() -> None:

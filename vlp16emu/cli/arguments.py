@@ -121,7 +121,7 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change a value of the scene, for instance sensor.rpm=1200. Files are found from its folder. "
+        help="Change a value of the scene, for instance sensor.rpm=1200. Files are found from the current folder. "
         "May be repeated.",
     ),
 ]

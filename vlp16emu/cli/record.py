@@ -47,7 +47,7 @@ OutFile = Annotated[
     Path,
     typer.Argument(
         metavar="OUT.pcap",
-        help="File to write; overwritten if it exists. - is standard output; the report then goes to stderr.",
+        help="File to write, classic pcap (.pcap, .cap, .dump or no ending); overwritten if it exists. - is standard output; the report then goes to stderr.",
         show_default=False,
     ),
 ]

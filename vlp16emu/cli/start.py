@@ -1,6 +1,7 @@
 """The start of a run: what it loads and makes stays until its end."""
 
 import gc
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
 
-__all__ = ["make_emulator", "starting"]
+__all__ = ["announce_compiling", "make_emulator", "starting"]
 
 
 def make_emulator(
@@ -24,10 +25,20 @@ def make_emulator(
     from vlp16emu.scenario import load
 
     load(scene, settings or (), ideal=ideal)  # first: no mistake in it should wait for numba
+    announce_compiling()
     _load_numba()
     from vlp16emu.emulator import Emulator
 
     return Emulator(scene, settings or (), ideal=ideal, threads=threads, audit=audit)
+
+
+def announce_compiling() -> None:
+    """Say on stderr that the first run takes longer, where no kernel has been compiled yet."""
+    from pathlib import Path
+
+    kept = os.environ.get("NUMBA_CACHE_DIR")
+    if sys.stderr is not None and (kept is None or next(Path(kept).glob("*/*.nbi"), None) is None):
+        print("compiling kernels, about a minute, once", file=sys.stderr, flush=True)
 
 
 @contextmanager

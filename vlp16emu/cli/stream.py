@@ -139,7 +139,25 @@ if TYPE_CHECKING:
 _SLOWEST = 0.001
 """A simulated second in a quarter of an hour."""
 
-To = Annotated[str, typer.Option("--to", metavar="HOST", help="Receiver; may be a broadcast address.")]
+
+def _host(text: str) -> str:
+    """Read a receiver; two kinds of packets go to two ports, so none stands behind it."""
+    host, colon, port = text.partition(":")
+    if colon and port.isdecimal():
+        expected = f"{host}, with --data-port {port} or --position-port {port}"
+        raise InputError("--to", f"found {text}", expected)
+    return text
+
+
+To = Annotated[
+    str,
+    typer.Option(
+        "--to",
+        metavar="HOST",
+        parser=_host,
+        help="Receiver; may be a broadcast address. Ports are those of --data-port and --position-port.",
+    ),
+]
 Speed = Annotated[
     float,
     typer.Option(

@@ -7,12 +7,13 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 __all__ = [
+    "ENDINGS",
     "INTERRUPTED",
     "Progress",
     "audit_rows",
@@ -29,20 +30,25 @@ __all__ = [
 INTERRUPTED = 130
 """Exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)."""
 
+ENDINGS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+"""By these a run is ended from outside."""
+
 _STDERR = 2
 
 
 @contextmanager
 def stop_on_ctrl_c() -> Iterator[threading.Event]:
-    """Event that Ctrl-C and SIGTERM set; a second one interrupts at once.
+    """Event that Ctrl-C, SIGTERM and a hangup set; a second one interrupts at once.
 
     An exception could come between a packet's write and its count, so that report and file would differ.
     """
     stop = threading.Event()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in ENDINGS}
+    if before[signal.SIGHUP] is signal.SIG_IGN:  # by nohup
+        del before[signal.SIGHUP]
 
     def restore() -> None:
-        """Let both do what they did before."""
+        """Let all do what they did before."""
         for number, handler in before.items():
             signal.signal(number, handler)
 
@@ -61,6 +67,7 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
         restore()
 
 
+_FIRST = "growing the world"
 _REFRESH_S = 0.5
 """Drawing takes a millisecond, which a packet that is due must not wait for more often."""
 
@@ -68,7 +75,8 @@ _REFRESH_S = 0.5
 class Progress:
     """Bar on stderr; nothing where stderr is no terminal.
 
-    Drawn by the thread that shows it: a thread of its own would disturb the pacing of packets.
+    Drawn by the thread that shows it: a thread of its own would disturb the pacing of packets. Before the first one it
+    counts the seconds by a thread of its own.
 
     Parameters
     ----------
@@ -78,6 +86,7 @@ class Progress:
     def __init__(self, total_s: float) -> None:
         self._total_s = total_s
         self._next_s = 0.0
+        self._begun = threading.Event()
         self._bar = None
         if sys.stderr is not None and sys.stderr.isatty():
             from rich.console import Console
@@ -92,25 +101,42 @@ class Progress:
                 TextColumn("left"),
             )
             self._bar = Bar(*columns, console=Console(stderr=True), auto_refresh=False, transient=True)
-            self._task = self._bar.add_task("growing the world", total=total_s)
+            self._task = self._bar.add_task(_FIRST, total=total_s)
 
     def __enter__(self) -> Self:
         if self._bar is not None:
             self._bar.start()
-            self._bar.refresh()
+            threading.Thread(target=self._show_life, name="progress", daemon=True).start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._begun.set()
         if self._bar is not None:
-            self._bar.stop()
+            with suppress(OSError):  # the terminal may be gone
+                self._bar.stop()
+
+    def _show_life(self) -> None:
+        """Count the seconds until the first packet, or whatever the run makes."""
+        began_s = time.monotonic()
+        while not self._begun.wait(_REFRESH_S):
+            self._draw(f"{_FIRST}, {time.monotonic() - began_s:.0f} s", 0.0)
+
+    def _draw(self, task: str, done_s: float) -> None:
+        """Draw the bar, until the terminal is gone."""
+        if (bar := self._bar) is not None:
+            try:
+                bar.update(self._task, description=task, completed=done_s, refresh=True)
+            except OSError:
+                self._bar = None
 
     def show(self, task: str, done_s: float) -> None:
         """Show what is being done and how far it is; draws twice a second."""
         if self._bar is not None and (now_s := time.monotonic()) >= self._next_s:
+            self._begun.set()
             self._next_s = now_s + _REFRESH_S
-            self._bar.update(self._task, description=task, completed=done_s, refresh=True)
+            self._draw(task, done_s)
 
     def say(self, line: str) -> None:
         """Print a line on stderr at once, above the bar where there is one."""
@@ -178,6 +204,10 @@ def revolutions(turns: "Sequence[Turn]") -> str:
     return "; ".join(dict.fromkeys(texts))
 
 
+_WIDEST = 10.0
+"""Quotient of the ends of an interval beyond which it does not give as much as the order of magnitude."""
+
+
 def audit_rows(found: "AuditFinding | None") -> dict[str, str]:
     """Row of what an audit found; none without one."""
     if found is None:
@@ -187,8 +217,11 @@ def audit_rows(found: "AuditFinding | None") -> dict[str, str]:
     if found.range_rmse_m is None:
         return {"range error": f"not known: {found.pulses} pulses cast again had no return"}
     sure = "interval not known from so few"
-    if found.range_rmse_low_m is not None and found.range_rmse_high_m is not None:
-        sure = f"95 %: {1e3 * found.range_rmse_low_m:.1f} to {1e3 * found.range_rmse_high_m:.1f} mm"
+    low_m, high_m = found.range_rmse_low_m, found.range_rmse_high_m
+    if low_m is not None and high_m is not None and high_m > _WIDEST * low_m:
+        sure = "run too short for an interval"
+    elif low_m is not None and high_m is not None:
+        sure = f"95 %: {1e3 * low_m:.1f} to {1e3 * high_m:.1f} mm"
     lost, invented, other = (
         f"{100 * (share or 0.0):.1f} %" for share in (found.lost, found.invented, found.other_echo)
     )

@@ -28,7 +28,8 @@ __all__ = [
 _UNIT_TOLERANCE = 1e-3
 """Of a quaternion's length and of a matrix times its transpose: what four written decimals leave."""
 _QUATERNION = ("qx", "qy", "qz", "qw")
-_POSITION = ("x_m", "y_m", "z_m")
+_AXES = ("x", "y", "z")
+_POSITION = tuple(f"{axis}_m" for axis in _AXES)
 _LARGEST_NS = 2**62
 
 
@@ -213,7 +214,8 @@ def named_cells(
 ) -> list[tuple[str, dict[str, str]]]:
     """File and number of each line of a CSV with a header, and its cells by the name of their column.
 
-    The delimiter is a semicolon or a tab where the header has one, and a comma otherwise.
+    The delimiter is a semicolon or a tab where the header has one, and a comma otherwise. `x`, `y` and `z` stand for
+    `x_m`, `y_m` and `z_m`.
 
     Raises
     ------
@@ -225,8 +227,9 @@ def named_cells(
     with readable(path, expected, TrajectoryError), path.open(encoding="utf-8-sig", newline="") as file:
         header = file.readline()
         delimiter = next(mark for mark in ";\t," if mark in header or mark == ",")
-        names = [name.strip().lower() for name in next(csv.reader([header], delimiter=delimiter), [])]
         known = [*needed, *optional]
+        names = [name.strip().lower() for name in next(csv.reader([header], delimiter=delimiter), [])]
+        names = [f"{name}_m" if name in _AXES and f"{name}_m" in known else name for name in names]
         if not set(names) & set(known):  # some other file, of which nothing is shown
             raise TrajectoryError(f"{path}, line 1", "none of the columns", expected)
         for name in [*names, *needed]:

@@ -215,7 +215,7 @@ class Walk(Section):
     way_points_m: Annotated[list[_Point], Field(min_length=2)] | None = None
     """x and y in the world; the path is a smooth curve through them in this order."""
     way_points_file: SceneFile | None = None
-    """CSV with the columns x_m, y_m and, if wanted, stop_s; or GPX with one track or route."""
+    """CSV with the columns x_m, y_m (or x, y) and, if wanted, stop_s; or GPX with one track or route."""
     lawn_mower: LawnMower | None = None
     """A pattern over a plot."""
     laps: Annotated[int, Field(ge=1, le=1000)] = 1

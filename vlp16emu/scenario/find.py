@@ -1,5 +1,6 @@
 """From the name of a scene, or a path, to its file; and the files that a scenario names."""
 
+import difflib
 import os
 from collections.abc import Iterator
 from importlib import resources
@@ -32,7 +33,7 @@ def scene_files() -> dict[str, Path]:
 
 
 def find(scene: str) -> Path:
-    """Path of a scene given by name or path; a path is not yet looked at.
+    """Path of a scene given by name, with _ or - in it, or by path; a path is not yet looked at.
 
     Raises
     ------
@@ -43,11 +44,12 @@ def find(scene: str) -> Path:
     if path.suffix in (".toml", ".json") or path.parent != Path():
         return path
     known = scene_files()
-    if scene not in known:
-        raise ScenarioError(
-            f"scene '{scene}'", "unknown name", f"{', '.join(known)}, or a path ending in .toml"
-        )
-    return known[scene]
+    name = scene if scene in known else scene.replace("-", "_")
+    if name not in known:
+        near = difflib.get_close_matches(name.lower(), known, n=1)
+        names = f"{near[0]}, the nearest of `vlp16emu scenes`" if near else ", ".join(known)
+        raise ScenarioError(f"scene '{scene}'", "unknown name", f"{names}, or a path ending in .toml")
+    return known[name]
 
 
 def named_files(scenario: Section) -> list[Path]:

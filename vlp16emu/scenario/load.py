@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from pydantic import ValidationError
 
@@ -14,7 +14,7 @@ from vlp16emu.motion import Walk
 from vlp16emu.scenario.find import find
 from vlp16emu.scenario.model import Scenario
 from vlp16emu.scenario.schema import schema
-from vlp16emu.settings import DEEPEST, toml
+from vlp16emu.settings import DEEPEST, Preset, SceneFile, Section, toml
 
 __all__ = ["load"]
 
@@ -57,7 +57,8 @@ def load(
     ----------
     scene : name or path (one that ends in .json is read as the truth beside a run gives it), the tables of a scene
         file as a dictionary, or a scenario
-    settings : values by `key.path`, or `key.path=value` with the value in TOML, in order
+    settings : values by `key.path`, or `key.path=value` with the value in TOML, in order; their files are found from
+        the current folder, words need not have the case of those in a scene, and 600.0 is the whole number 600
     ideal : light without width, in clear air, and sensors without errors, as far as no setting wants otherwise
 
     Raises
@@ -71,14 +72,20 @@ def load(
     changes = list(_changes(settings))
     if ideal:
         _take_errors(source.tree)
+    try:
+        return _checked(_changed(source, changes))
+    except ValidationError as error:
+        fault = explain(error, schema())
+        raise ScenarioError(_origin(source, changes, fault), *fault[1:]) from None
+
+
+def _changed(source: _Source, changes: Iterable[_Setting]) -> _Source:
+    """Give a scene of its own with values changed."""
+    source = source._replace(tree=deepcopy(source.tree))
     for change in changes:
         _apply(source.tree, change)
     _check_depth(source.where, source.tree)
-    try:
-        return _checked(source)
-    except ValidationError as error:
-        key, found, expected = explain(error, schema())
-        raise ScenarioError(_origin(source.where, changes, key), found, expected) from None
+    return source
 
 
 def _source(scene: str | Path | Mapping[str, Any] | Scenario) -> _Source:
@@ -90,7 +97,8 @@ def _source(scene: str | Path | Mapping[str, Any] | Scenario) -> _Source:
         _check_depth("scene", scene)
         return _Source("scene", deepcopy(dict(scene)), Path.cwd(), is_json=False)
     path = scene if isinstance(scene, Path) else find(scene)
-    return _Source(str(path), _read(path), path.parent.absolute(), is_json=_is_json(path))
+    tree = {"title": path.stem} | _read(path)
+    return _Source(str(path), tree, path.parent.absolute(), is_json=_is_json(path))
 
 
 def _checked(source: _Source) -> Scenario:
@@ -149,8 +157,49 @@ def _take_errors(tree: dict[str, Any]) -> None:
 def _changes(settings: Mapping[str, object] | Sequence[str]) -> Iterable[_Setting]:
     """Read settings of either kind."""
     if isinstance(settings, Mapping):
-        return [_Setting(key, value, f"setting {key} = {value!r}") for key, value in settings.items()]
-    return [_parsed(text) for text in settings]
+        read = [_Setting(key, value, f"setting {key} = {value!r}") for key, value in settings.items()]
+    else:
+        read = [_parsed(text) for text in settings]
+    for setting in read:
+        kinds: list[Any] = [Scenario]
+        for name in setting.key.split("."):
+            kinds = _kinds_of(kinds, name)
+        yield setting._replace(value=_as_meant(setting.value, kinds))
+
+
+def _kinds_of(kinds: Iterable[Any], key: str) -> list[Any]:
+    """List the types that a key may have in tables of some kinds."""
+    found = []
+    for kind in kinds:
+        if isinstance(kind, type) and issubclass(kind, Section):
+            hints = get_type_hints(kind, include_extras=True)
+            names = (name for name, field in kind.model_fields.items() if key == (field.alias or name))
+            found += [part for name in names for part in _parts_of(hints[name])]
+    return found
+
+
+def _parts_of(kind: Any) -> list[Any]:
+    """List a type and all that it is made of."""
+    parts = () if get_origin(kind) is Literal else get_args(kind)
+    return [kind, *(inner for part in parts for inner in _parts_of(part))]
+
+
+def _as_meant(value: object, kinds: Sequence[Any]) -> object:
+    """Take a value for what a key of some types can have: a whole number, a file from here, a word in its own case."""
+    if isinstance(value, dict):
+        return {key: _as_meant(inner, _kinds_of(kinds, key)) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_as_meant(inner, kinds) for inner in value]
+    if isinstance(value, float) and value.is_integer() and int in kinds and float not in kinds:
+        return int(value)
+    if isinstance(value, str) and value and SceneFile in kinds:
+        return str(Path.cwd() / value)
+    if isinstance(value, str) and any(isinstance(kind, type) and issubclass(kind, Preset) for kind in kinds):
+        return {"preset": value}
+    if isinstance(value, str):
+        words = [word for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
+        return next((word for word in words if str(word).lower() == value.lower()), value)
+    return value
 
 
 def _parsed(text: str) -> _Setting:
@@ -195,9 +244,22 @@ def _value(text: str) -> object:
     return parsed["value"] if len(parsed) == 1 else text
 
 
-def _origin(scene: str, settings: Sequence[_Setting], key: str) -> str:
-    """Where a key got its value: the last setting that touched it, or else the scene."""
+def _origin(source: _Source, settings: Sequence[_Setting], fault: tuple[str, str, str]) -> str:
+    """Where a fault comes from: the last setting that touched its key, or without which there is none, or the scene."""
+    key, _, _ = fault
     for setting in reversed(settings):
         if key == setting.key or key.startswith((f"{setting.key}.", f"{setting.key}[")):
             return setting.where if key == setting.key else f"{setting.where}: {key}"
-    return f"{scene}: {key}"
+    for count in reversed(range(len(settings))):
+        if _fault(source, settings[:count]) != fault:
+            return f"{settings[count].where}: {key}"
+    return f"{source.where}: {key}"
+
+
+def _fault(source: _Source, settings: Sequence[_Setting]) -> tuple[str, str, str] | None:
+    """Check a scene with settings, and explain what is wrong."""
+    try:
+        _checked(_changed(source, settings))
+    except ValidationError as error:
+        return explain(error, schema())
+    return None

@@ -28,8 +28,8 @@ class Scenario(Section):
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     """Version of this file format."""
-    title: str
-    """One line that reports and pictures show."""
+    title: str = "scene"
+    """One line that reports and pictures show; the name of the file unless given."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Seed of all random numbers: the same scenario and seed give the same bytes."""
     start_utc: AwareDatetime = datetime(2026, 5, 20, 9, 0, tzinfo=UTC)

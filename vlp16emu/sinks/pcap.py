@@ -11,14 +11,22 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from vlp16emu.errors import RunError
+from vlp16emu.errors import OutputError, RunError
 from vlp16emu.output import STDOUT, OutputFile
 from vlp16emu.packets.frames import FACTORY_LINK, Link, data_header, position_frame
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS
 
-__all__ = ["PcapResult", "PcapSink"]
+__all__ = ["PcapResult", "PcapSink", "check_ending"]
 
+_ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})
+"""Of names of classic pcap files; a name may have none."""
+_WAYS_TO = {
+    ".pcapng": ", which `editcap -F pcapng` converts",
+    **dict.fromkeys((".bag", ".db3", ".mcap"), ", which velodyne_driver replays for `ros2 bag record`"),
+    **dict.fromkeys((".npz", ".ply", ".csv"), "; `vlp16emu points` writes points"),
+    **dict.fromkeys((".las", ".laz", ".pcd"), "; `vlp16emu points` writes .ply, which PDAL converts"),
+}
 _RECORD_HEADER = struct.Struct("<4I")
 
 
@@ -135,6 +143,20 @@ class PcapSink:
             ) from error
         self._hash.update(record)
         self._bytes += len(record)
+
+
+def check_ending(path: Path) -> None:
+    """Refuse a name whose ending is that of another format than classic pcap.
+
+    Raises
+    ------
+    OutputError
+        with what makes the other format, where that is known
+    """
+    ending = path.suffix.lower()
+    if ending not in _ENDINGS:
+        expected = f".pcap, or - for standard output{_WAYS_TO.get(ending, '')}"
+        raise OutputError(str(path), f"found the ending {ending}", expected)
 
 
 def _file_header() -> bytes:

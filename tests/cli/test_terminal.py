@@ -1,0 +1,87 @@
+"""What is shown of a run while it goes on, and of its error."""
+
+import io
+import sys
+import threading
+
+import pytest
+
+from vlp16emu.accuracy import AuditFinding
+from vlp16emu.cli.start import announce_compiling
+from vlp16emu.cli.terminal import Progress, audit_rows
+
+
+class Terminal(io.StringIO):
+    """A terminal that notes when a text is written, or is gone."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.text, self.has_come, self.is_gone = text, threading.Event(), False
+
+    def isatty(self):
+        """Be a terminal."""
+        return True
+
+    def write(self, text):
+        """Note a text, or fail."""
+        if self.is_gone:
+            raise OSError(5, "Input/output error")
+        if self.text in text:
+            self.has_come.set()
+        return super().write(text)
+
+
+def test_growth_is_seen_to_go_on(monkeypatch):
+    """Until there is something to show, the bar counts the seconds of the growth of the world."""
+    terminal = Terminal("growing the world, 1 s")
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with Progress(10.0) as progress:
+        assert terminal.has_come.wait(30)
+        progress.show("recording", 1.0)
+    assert "1.0 of 10.0 s" in terminal.getvalue()
+
+
+def test_a_terminal_that_goes_ends_the_bar_alone(monkeypatch):
+    """Where the terminal can no longer be written, what shows its progress on it goes on."""
+    terminal = Terminal("recording")
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with Progress(10.0) as progress:
+        progress.show("recording", 1.0)
+        terminal.is_gone = True
+        progress._next_s = 0.0
+        progress.show("recording", 2.0)
+    assert terminal.has_come.is_set()
+
+
+def test_the_first_run_says_that_it_compiles(monkeypatch, tmp_path, capsys):
+    """One line on stderr where no kernel is kept, none where one is."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    announce_compiling()
+    assert capsys.readouterr() == ("", "compiling kernels, about a minute, once\n")
+    (tmp_path / "raycast").mkdir()
+    (tmp_path / "raycast" / "kernel.nbi").touch()
+    announce_compiling()
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("low_m", "high_m", "said"),
+    [
+        (0.0131, 0.0503, "95 %: 13.1 to 50.3 mm"),
+        (0.0002, 9.923, "run too short for an interval"),
+        (None, None, "interval not known from so few"),
+    ],
+)
+def test_an_interval_that_gives_no_order_of_magnitude_is_left_out(low_m, high_m, said):
+    """Ends of which one is ten times the other say nothing of the error."""
+    found = AuditFinding(
+        exact=False,
+        pulses=100,
+        range_rmse_m=0.0257,
+        range_rmse_low_m=low_m,
+        range_rmse_high_m=high_m,
+        lost=0.0,
+        invented=0.0,
+        other_echo=0.0,
+    )
+    assert f"RMSE 25.7 mm before noise ({said}), 0.0 % lost" in audit_rows(found)["range error"]
