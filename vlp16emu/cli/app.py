@@ -47,7 +47,7 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
   vlp16emu points birch_walk walk.npz --set sensor.return_mode=dual
   vlp16emu points static_bench bench.csv --set sensor.model=free --set sensor.beams=64""",
     truth: """\b
-  vlp16emu truth birch_walk truth --duration 3600
+  vlp16emu truth birch_walk truth --duration 60
   vlp16emu truth birch_walk truth --truth-rate 1000 --set imu.preset=consumer""",
     verify: """\b
   vlp16emu verify walk.pcap
