@@ -2,8 +2,8 @@
 
 Letters in shapes: k firing sequences in a batch, L lasers in **wire order** (16 on a VLP-16), m surfaces, n anything else.
 
-Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up; `sensor` is the manual's, azimuth 0 on
-+y and clockwise seen from above (63-9243 Rev D, section 9.1). `world_T_body` takes body coordinates to world coordinates,
+Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up, and so is `sensor`, whose azimuth 0 is
+forward and grows clockwise seen from above. `world_T_body` takes body coordinates to world coordinates,
 and `world_T_body @ body_T_sensor` reads left to right.
 """
 
@@ -28,6 +28,7 @@ __all__ = [
     "Packet",
     "PacketKind",
     "PlantPart",
+    "PointFrame",
     "Poses",
     "PpsState",
     "ReturnMode",
@@ -55,6 +56,15 @@ class SensorModel(StrEnum):
     VLP_16 = "vlp-16"
     PUCK_LITE = "puck-lite"
     PUCK_HI_RES = "puck-hi-res"
+
+
+class PointFrame(StrEnum):
+    """Axes of points in a sensor."""
+
+    SENSOR = "sensor"
+    """x forward at azimuth 0, y left, z up (REP 103), as ROS drivers have it."""
+    MANUAL = "manual"
+    """x right, y forward at azimuth 0, z up (63-9243 Rev D, section 9.1)."""
 
 
 class PpsState(IntEnum):

@@ -4,6 +4,7 @@ from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.packets.data import data_payloads, pack_data, timestamp_us
 from vlp16emu.packets.decode import (
     ELEVATION_DEG,
+    SENSOR_R_MANUAL,
     VERTICAL_CORRECTION_M,
     Fault,
     Points,
@@ -12,6 +13,7 @@ from vlp16emu.packets.decode import (
     decode_data,
     decode_position,
     fault_in,
+    frame_named,
     scan_starts,
 )
 from vlp16emu.packets.frames import (
@@ -86,6 +88,7 @@ __all__ = [
     "RECORD",
     "RECORDS_PER_PACKET",
     "RETURN_MODE_BYTE",
+    "SENSOR_R_MANUAL",
     "SENTENCE_BYTES",
     "SEQUENCES_PER_BLOCK",
     "SEQUENCES_PER_PACKET",
@@ -111,6 +114,7 @@ __all__ = [
     "decode_position",
     "fault_in",
     "first_position_packet",
+    "frame_named",
     "pack_data",
     "pack_position",
     "parse_rmc",

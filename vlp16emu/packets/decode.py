@@ -1,8 +1,8 @@
 """Both packets read back: data packets become points by the manual's formulas.
 
-Frame: the manual's `sensor` frame, azimuth 0 on +y and clockwise seen from above. With distance R,
-azimuth a, elevation w and the laser's vertical correction c: X = R cos w sin a, Y = R cos w cos a,
-Z = R sin w + c. Source: 63-9243 Rev D, sections 9.1 and 9.2, p. 52 to 54.
+With distance R, azimuth a, elevation w and the laser's vertical correction c the manual has X = R cos w sin a to the right,
+Y = R cos w cos a forward and Z = R sin w + c up (63-9243 Rev D, sections 9.1 and 9.2, p. 52 to 54). Points here are in the
+`sensor` frame, as those of ROS drivers: x = Y forward, y = -X left, z = Z.
 """
 
 import math
@@ -14,14 +14,15 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import PacketError
+from vlp16emu.errors import InputError, PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET, LASER_PERIOD_NS, SEQUENCE_PERIOD_NS
-from vlp16emu.types import PpsState, ReturnMode, SensorModel
+from vlp16emu.types import PointFrame, PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
 __all__ = [
     "ELEVATION_DEG",
+    "SENSOR_R_MANUAL",
     "VERTICAL_CORRECTION_M",
     "Fault",
     "Points",
@@ -30,6 +31,7 @@ __all__ = [
     "decode_data",
     "decode_position",
     "fault_in",
+    "frame_named",
     "scan_starts",
 ]
 
@@ -72,6 +74,9 @@ VERTICAL_CORRECTION_M = MappingProxyType(
 )
 """(16,) in firing order. Source: 63-9243 Rev D, table 9-1; Puck Hi-Res 0 to 6 by symmetry from 9 to 15."""
 
+SENSOR_R_MANUAL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""From the manual's frame, azimuth 0 on +y, to the sensor's, azimuth 0 on +x."""
+
 _MODEL = MappingProxyType(
     {layout.FACTORY_BYTE[model]: model for model in (SensorModel.VLP_16, SensorModel.PUCK_HI_RES)}
 )
@@ -106,7 +111,7 @@ class Points:
     distance_m: NDArray[np.float32]
     """(n,) from the centre of the sensor; 0 where there is no return."""
     xyz_m: NDArray[np.float32]
-    """(n, 3) sensor frame; NaN where there is no return."""
+    """(n, 3) sensor frame: x forward at azimuth 0, y left, z up; NaN where there is no return."""
     reflectivity: NDArray[np.uint8]
     """(n,) 0..100 diffuse, 101..255 retroreflective."""
     is_last: NDArray[np.bool_]
@@ -240,6 +245,23 @@ def scan_starts(azimuth_deg: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.flatnonzero(np.diff(scan, prepend=-1))
 
 
+def frame_named(name: str, *, where: str = "frame") -> PointFrame:
+    """Find the frame of points by its name.
+
+    Parameters
+    ----------
+    where : what error lines call the choice
+
+    Raises
+    ------
+    InputError
+        where there is none of that name
+    """
+    if name not in tuple(PointFrame):
+        raise InputError(where, f"found {name}", " or ".join(PointFrame))
+    return PointFrame(name)
+
+
 def decode_position(payload: bytes) -> PositionFields:
     """Read one position packet.
 
@@ -301,7 +323,7 @@ def _xyz_m(
     laser: NDArray[np.int64],
     model: SensorModel,
 ) -> NDArray[np.float32]:
-    """(n, 3) by the manual's formulas."""
+    """(n, 3) by the manual's formulas, turned to the sensor's frame."""
     elevation = np.radians(ELEVATION_DEG[model])
     xyz_m = np.empty((len(distance_m), 3), np.float32)
     _fill_xyz(xyz_m, distance_m, azimuth_deg, laser, elevation, VERTICAL_CORRECTION_M[model])
@@ -324,6 +346,6 @@ def _fill_xyz(
         if r == 0.0:
             xyz_m[i] = np.nan
         else:
-            xyz_m[i, 0] = r * cosine[j] * math.sin(a)
-            xyz_m[i, 1] = r * cosine[j] * math.cos(a)
+            xyz_m[i, 0] = r * cosine[j] * math.cos(a)
+            xyz_m[i, 1] = -r * cosine[j] * math.sin(a)
             xyz_m[i, 2] = r * sine[j] + correction_m[j]
