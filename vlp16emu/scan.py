@@ -15,12 +15,13 @@ from vlp16emu.packets import (
     RETURN_MODE_BYTE,
     CaptureReader,
     PacketChunk,
+    PointFrame,
     Points,
     chosen_unit,
     frame_named,
     scan_starts,
 )
-from vlp16emu.types import PointFrame, ReturnMode
+from vlp16emu.types import ReturnMode
 from vlp16emu.units import HOUR_NS
 
 __all__ = ["Chunk", "Labels", "Scan", "cut_scans", "decode"]

@@ -28,7 +28,6 @@ __all__ = [
     "Packet",
     "PacketKind",
     "PlantPart",
-    "PointFrame",
     "Poses",
     "PpsState",
     "ReturnMode",
@@ -56,15 +55,6 @@ class SensorModel(StrEnum):
     VLP_16 = "vlp-16"
     PUCK_LITE = "puck-lite"
     PUCK_HI_RES = "puck-hi-res"
-
-
-class PointFrame(StrEnum):
-    """Axes of points in a sensor."""
-
-    SENSOR = "sensor"
-    """x forward at azimuth 0, y left, z up (REP 103), as ROS drivers have it."""
-    MANUAL = "manual"
-    """x right, y forward at azimuth 0, z up (63-9243 Rev D, section 9.1)."""
 
 
 class PpsState(IntEnum):

@@ -12,8 +12,7 @@ from vlp16emu.cli.arguments import AsJson, CaptureFile
 from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, stop_on_ctrl_c
 
 if TYPE_CHECKING:
-    from vlp16emu.packets import CaptureReader, Summary
-    from vlp16emu.types import PointFrame
+    from vlp16emu.packets import CaptureReader, PointFrame, Summary
 
 __all__ = ["decode"]
 

@@ -7,6 +7,7 @@ Y = R cos w cos a forward and Z = R sin w + c up (63-9243 Rev D, sections 9.1 an
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import InputError, PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET, LASER_PERIOD_NS, SEQUENCE_PERIOD_NS
-from vlp16emu.types import PointFrame, PpsState, ReturnMode, SensorModel
+from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "SENSOR_R_MANUAL",
     "VERTICAL_CORRECTION_M",
     "Fault",
+    "PointFrame",
     "Points",
     "PositionFields",
     "data_fields",
@@ -82,6 +84,15 @@ _MODEL = MappingProxyType(
 )
 _MAX_STEP_CDEG = 100
 """A wider step from block to block is the edge of a limited field of view: 1200 rpm, the fastest, make 79.6."""
+
+
+class PointFrame(StrEnum):
+    """Axes of points in a sensor."""
+
+    SENSOR = "sensor"
+    """x forward at azimuth 0, y left, z up (REP 103), as ROS drivers have it."""
+    MANUAL = "manual"
+    """x right, y forward at azimuth 0, z up (63-9243 Rev D, section 9.1)."""
 
 
 class Fault(NamedTuple):

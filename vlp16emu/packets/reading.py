@@ -13,6 +13,7 @@ from vlp16emu.errors import CaptureError, PacketError
 from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.packets.decode import (
     SENSOR_R_MANUAL,
+    PointFrame,
     Points,
     PositionFields,
     data_fields,
@@ -33,7 +34,7 @@ from vlp16emu.packets.layout import (
     RETURN_MODE_BYTE,
     CapturedUnit,
 )
-from vlp16emu.types import Packet, PacketKind, PointFrame, ReturnMode, SensorModel
+from vlp16emu.types import Packet, PacketKind, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 __all__ = ["CaptureReader", "PacketChunk", "Summary", "returns_in"]

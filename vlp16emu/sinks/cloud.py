@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, OutputError, RunError
+from vlp16emu.packets import PointFrame
 from vlp16emu.text import csv_lines
-from vlp16emu.types import PlantPart, PointFrame, Semantic
+from vlp16emu.types import PlantPart, Semantic
 
 __all__ = [
     "CAPTURE_COLUMNS",
