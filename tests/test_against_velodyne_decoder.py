@@ -66,9 +66,8 @@ def test_both_decoders_find_the_same_points(scans, payloads):
     assert len(theirs) == (~repeats).sum()
     assert (theirs["ring"] == ours.ring[~repeats]).all()
     assert (theirs["intensity"] == ours.reflectivity[~repeats]).all()
-    x_m, y_m, z_m = ours.xyz_m[~repeats].T
-    # It also turns the manual's frame to x forward, y left.
-    gap_m = np.sqrt((theirs["x"] - y_m) ** 2 + (theirs["y"] + x_m) ** 2 + (theirs["z"] - z_m) ** 2)
+    their_m = np.stack([theirs[axis] for axis in "xyz"], axis=1)
+    gap_m = np.linalg.norm(their_m - ours.xyz_m[~repeats], axis=1)
     assert gap_m.max() < 0.015
 
 

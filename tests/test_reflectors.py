@@ -22,15 +22,9 @@ def decoded(scenario):
     return decode_data(np.frombuffer(payloads, np.uint8).reshape(-1, 1206), keep_no_returns=False)
 
 
-def in_the_hall(points):
-    """Coordinates along the hall, across it, and above the sensor: its azimuth 0 is along x, and its x to the right."""
-    right, ahead, up = points.xyz_m.T
-    return ahead, -right, up
-
-
 def on_the_plate(points):
     """Whether points lie on the face of the reflector, a centimetre within its edges."""
-    x, y, z = in_the_hall(points)
+    x, y, z = points.xyz_m.T
     return (np.abs(x) < 0.39) & (np.abs(y + PLATE_M) < 0.1) & (np.abs(z) < 0.49)
 
 
@@ -46,7 +40,7 @@ def test_a_reflector_shows_the_upper_half_of_the_scale():
     assert plate.sum() > 50
     cosine = PLATE_M / points.distance_m[plate]
     assert (np.abs(points.reflectivity[plate] - code(250 * cosine)) <= 1).all()
-    x, y, _ = in_the_hall(points)
+    x, y, _ = points.xyz_m.T
     assert points.reflectivity[(np.abs(x) > 0.41) | (y > 0)].max() <= 100
 
 
@@ -56,7 +50,7 @@ def test_noise_does_not_make_a_reflector_of_a_wall():
     plate = on_the_plate(points)
     assert plate.sum() > 50
     assert points.reflectivity[plate].min() > 200
-    x, y, _ = in_the_hall(points)
+    x, y, _ = points.xyz_m.T
     assert points.reflectivity[(np.abs(x) > 0.6) | (y > 0)].max() == 100
 
 
@@ -75,7 +69,7 @@ def test_a_part_of_a_mesh_can_be_a_reflector(tmp_path, share):
         f" parts = [{{ name = 'sign', {share} }}], places = [{{ x_m = 0.0, y_m = 0.0, z_m = 1.5 }}] }}"
     )
     points = decoded(load("static_bench", [f"world.meshes=[{mesh}]"]))
-    x, y, z = in_the_hall(points)
+    x, y, z = points.xyz_m.T
     face = (np.abs(x - 5.0) < 0.01) & (np.abs(z) < 0.6)
     sign, board = face & (y > 0.1) & (y < 0.9), face & (y < -0.1) & (y > -0.9)
     cosine = 5.0 / points.distance_m

@@ -16,7 +16,7 @@ from vlp16emu.chain import Unit
 from vlp16emu.chain.chain import Chain
 from vlp16emu.packets import SEQUENCES_PER_BLOCK
 from vlp16emu.scan import Chunk, Scan, cut_scans
-from vlp16emu.sensor.head import BODY_R_SENSOR, Turn, turn_of
+from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.place import place
 from vlp16emu.sinks.cloud import RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS, Block, point_file, scene_comments
 from vlp16emu.types import SURFACE, PlantPart, ReturnMode, Returns
@@ -161,10 +161,10 @@ def scans_of(chain: Chain, number: int, span_s: tuple[float, float], *, truth: b
 
 
 def world_T_sensor(unit: Unit, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(n, 4, 4) from the sensor's frame of the manual to the world, at instants (n,) UTC."""
+    """(n, 4, 4) from the sensor's frame to the world, at instants (n,) UTC."""
     poses = unit.motion.poses_at(t_ns)
     T = np.zeros((len(t_ns), 4, 4))
-    T[:, :3, :3] = poses.world_R_body @ BODY_R_SENSOR
+    T[:, :3, :3] = poses.world_R_body
     T[:, :3, 3], T[:, 3, 3] = poses.world_p_body_m, 1.0
     return T
 

@@ -15,8 +15,10 @@ from vlp16emu.packets import (
     RETURN_MODE_BYTE,
     CaptureReader,
     PacketChunk,
+    PointFrame,
     Points,
     chosen_unit,
+    frame_named,
     scan_starts,
 )
 from vlp16emu.types import ReturnMode
@@ -57,7 +59,7 @@ class Scan:
     """(n,) UTC of the pulse. Of a capture: by the sensor's clock, in whole microseconds for each packet, in the hour that
     is nearest to the capture's stamp; a sensor without GPS counts from its power-up."""
     xyz_m: NDArray[np.float32]
-    """(n, 3) sensor frame of the manual: azimuth 0 on +y, clockwise seen from above, z up."""
+    """(n, 3) in the sensor: x forward at azimuth 0, y left, z up."""
     distance_m: NDArray[np.float32]
     """(n,) from the centre of the sensor."""
     azimuth_deg: NDArray[np.float64]
@@ -151,13 +153,16 @@ def _scan(chunk: Chunk, pose_at: Callable[[int], NDArray[np.float64]] | None) ->
     return Scan(start_ns=start_ns, world_T_sensor=pose, labels=labels, **arrays)
 
 
-def decode(capture: str | Path, unit: str | int | None = None) -> Iterator[Scan]:
+def decode(
+    capture: str | Path, unit: str | int | None = None, *, frame: str | PointFrame = PointFrame.SENSOR
+) -> Iterator[Scan]:
     """Read the scans of a capture, by the formulas of the sensor's manual; recordings of real sensors are fine.
 
     Parameters
     ----------
     capture : a classic pcap file with the packets of a VLP-16, Puck LITE or Puck Hi-Res
     unit : which sensor, where there are several: its number from 1, or `address:port` with its data port
+    frame : of `xyz_m`: "sensor" (x forward, y left, z up) or "manual" (x right, y forward, z up)
 
     Returns
     -------
@@ -170,10 +175,11 @@ def decode(capture: str | Path, unit: str | int | None = None) -> Iterator[Scan]
     PacketError
         where a packet is not a VLP-16's
     InputError
-        where there is no such unit, or there are several and none is named
+        where there is no such frame, or no such unit, or there are several and none is named
     """
     path = Path(capture)
-    reader = CaptureReader(path, chosen_unit(path, None if unit is None else str(unit)))
+    chosen = chosen_unit(path, None if unit is None else str(unit))
+    reader = CaptureReader(path, chosen, frame_named(frame))
     return cut_scans(_chunks(reader))
 
 

@@ -19,10 +19,9 @@ from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.gnss import Receiver, to_geodetic
 from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.pose import Motion, rotation
-from vlp16emu.packets import SEQUENCES_PER_PACKET
+from vlp16emu.packets import SENSOR_R_MANUAL, SEQUENCES_PER_PACKET
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
-from vlp16emu.sensor.head import BODY_R_SENSOR
 from vlp16emu.sensor.settings import Sensor, on_the_wire
 from vlp16emu.sinks import TruthFolder, TruthTo, tum_rows
 from vlp16emu.sinks.truth import seconds_text
@@ -304,11 +303,13 @@ def _rig(scenario: Scenario, parts: Parts) -> dict[str, Any]:
             "longitude_deg": gps.longitude_deg,
             "height_m": gps.height_m,
         },
-        "sensor": {"axes": "x forward at azimuth 0, y left, z up; that of the trajectory"},
+        "sensor": {
+            "axes": "x forward at azimuth 0, y left, z up; that of the trajectory and of decoded points"
+        },
         "units": [_unit(unit) for unit in parts.units],
         "manual": {
             "axes": "azimuth 0 on +y, clockwise seen from above (63-9243 Rev D, section 9.1)",
-            "sensor_T_manual": _transform(BODY_R_SENSOR, np.zeros(3)),
+            "sensor_T_manual": _transform(SENSOR_R_MANUAL, np.zeros(3)),
         },
         "antenna": {"above_sensor_m": gps.antenna_above_m, "towards": "world up"},
     }

@@ -2,8 +2,8 @@
 
 Letters in shapes: k firing sequences in a batch, L lasers in **wire order** (16 on a VLP-16), m surfaces, n anything else.
 
-Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up; `sensor` is the manual's, azimuth 0 on
-+y and clockwise seen from above (63-9243 Rev D, section 9.1). `world_T_body` takes body coordinates to world coordinates,
+Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up, and so is `sensor`, whose azimuth 0 is
+forward and grows clockwise seen from above. `world_T_body` takes body coordinates to world coordinates,
 and `world_T_body @ body_T_sensor` reads left to right.
 """
 

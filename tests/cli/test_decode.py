@@ -285,3 +285,18 @@ def test_a_real_capture_is_read(cli):
     assert tree["rpm"] == pytest.approx(600, abs=3)
     assert tree["range_m"]["min"] == 0.5
     assert tree["gps"]["pps"] == "locked"
+
+
+@pytest.mark.parametrize(("frame", "axes"), [("sensor", "x forward"), ("manual", "x right")])
+def test_files_name_the_frame_of_their_points(bench, cli, tmp_path, frame, axes):
+    """The header of a PLY file has the axes that were chosen."""
+    assert cli("decode", bench, "--frame", frame, "--out", tmp_path / "x.ply").code == 0
+    header = (tmp_path / "x.ply").read_bytes().split(b"end_header")[0].decode()
+    assert f"in metres: {axes}" in header
+
+
+def test_a_frame_that_there_is_not_is_refused(bench, cli):
+    """One line names the frames that there are, with exit code 2."""
+    outcome = cli("decode", bench, "--frame", "ned")
+    assert outcome.code == 2
+    assert outcome.err == "error: --frame: found ned; expected sensor or manual\n"

@@ -53,8 +53,8 @@ def test_both_frames_are_told(points):
     """A sensor that stands turned has the same points in the world, turned back and lifted to its height."""
     own, _ = points("--set", "motion.yaw_deg=90.0", "--set", "motion.x_m=2.0")
     x, y, z = own["sensor_m"].T
-    # Azimuth 0, the sensor's y, looks along the body's x, which at 90 deg is north.
-    np.testing.assert_allclose(own["world_m"], np.column_stack([x + 2.0, y, z + 1.5]), atol=1e-5)
+    # Azimuth 0, the sensor's x, looks north.
+    np.testing.assert_allclose(own["world_m"], np.column_stack([2.0 - y, x, z + 1.5]), atol=1e-5)
 
 
 def test_a_walk_has_points_in_the_world_pulse_by_pulse(points):

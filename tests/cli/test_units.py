@@ -90,9 +90,9 @@ def test_a_unit_that_is_not_there_is_refused(cli, rig, unit):
 def test_points_of_a_tilted_unit_are_in_its_own_frame(cli, rig, tmp_path):
     """Turned by its pitch, nose up, what the tilted sensor saw of the hall's floor lies 1.5 m below it to 5 mm."""
     assert cli("decode", rig, "--unit", "192.168.1.202:2369", "--out", tmp_path / "x.npz").code == 0
-    _, y_m, z_m = np.load(tmp_path / "x.npz")["xyz_m"].T.astype(float)
+    x_m, _, z_m = np.load(tmp_path / "x.npz")["xyz_m"].T.astype(float)
     pitch = np.radians(35.0)
-    level_m = y_m * np.sin(pitch) + z_m * np.cos(pitch)  # the sensor's y looks forward
+    level_m = x_m * np.sin(pitch) + z_m * np.cos(pitch)
     assert level_m.min() > -1.505
     assert (level_m < -1.495).mean() > 0.1
 

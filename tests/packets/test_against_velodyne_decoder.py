@@ -1,6 +1,6 @@
 """Our packets as velodyne_decoder reads them, and its points against ours.
 
-velodyne_decoder 3.1 is by Martin Valgur and others; its x is forward (our y) and its y is left (our -x). It
+velodyne_decoder 3.1 is by Martin Valgur and others; its axes are ours. It
 rounds azimuths to 0.01 deg, which is 9 mm at 100 m.
 """
 
@@ -45,7 +45,7 @@ def compare(payloads, tolerance_m):
     np.testing.assert_array_equal(theirs["intensity"], ours.reflectivity[index])
     # Their times are float32 seconds within a scan: 0.2 us at most apart.
     np.testing.assert_allclose(times_s[their_order], ours.time_ns[index] / 1e9, atol=2e-7)
-    xyz_m = np.stack([-theirs["y"], theirs["x"], theirs["z"]], axis=1)
+    xyz_m = np.stack([theirs[axis] for axis in "xyz"], axis=1)
     off_m = np.linalg.norm(xyz_m - ours.xyz_m[index], axis=1)
     assert off_m.max() < tolerance_m
     return theirs

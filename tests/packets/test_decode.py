@@ -49,22 +49,16 @@ def slow_points(payloads, model):
             a, w = math.radians(azimuth_deg), math.radians(BEAM_TABLES[model].elevation_deg[j])
             for twin in range(stride):
                 distance = packets[p]["blocks"][b + twin]["records"][r // 16, j]["distance_lsb"] * 0.002
-                x = distance * math.cos(w) * math.sin(a)
-                y = distance * math.cos(w) * math.cos(a)
-                yield (
-                    p,
-                    j,
-                    azimuth_deg,
-                    x,
-                    y,
-                    distance * math.sin(w) + BEAM_TABLES[model].vertical_offset_m[j],
-                )
+                x = distance * math.cos(w) * math.cos(a)
+                y = -distance * math.cos(w) * math.sin(a)
+                z = distance * math.sin(w) + BEAM_TABLES[model].vertical_offset_m[j]
+                yield p, j, azimuth_deg, x, y, z
 
 
 @pytest.mark.parametrize("mode", ReturnMode)
 @pytest.mark.parametrize("model", [SensorModel.VLP_16, SensorModel.PUCK_HI_RES])
 def test_against_slow_twin(random_returns, mode, model):
-    """Azimuths and coordinates are those of a loop over the manual's formulas in plain Python."""
+    """Azimuths and coordinates are those of a loop over the manual's formulas, with its y as x and its -x as y."""
     payloads = data_payloads(random_returns(24 * 4, seed=21), mode, model)
     points = decode_data(payloads, keep_no_returns=True)
     packet, laser, azimuth_deg, *xyz_m = np.array(list(slow_points(payloads, model))).T

@@ -87,3 +87,13 @@ def test_leaf_or_wood_is_given_for_each_part():
 def test_the_species_are_given_with_their_numbers():
     """Every tree and shrub of the program is in the table under its number, and no other does."""
     assert {int(number): name for number, name in table("Species")} == flora().names
+
+
+def test_every_scene_has_a_row_and_a_picture():
+    """The table of `scenes/README.md` names all scenes, each with a heading and a picture that exists."""
+    text = (Path(__file__).parents[2] / "scenes" / "README.md").read_text(encoding="utf-8")
+    for name in sorted(path.stem for path in (Path(__file__).parents[2] / "scenes").glob("*.toml")):
+        assert f"\n| [`{name}`](#{name}) | " in text, name
+        assert f"\n### {name}\n" in text, name
+        assert f"](pictures/{name}.png)" in text, name
+        assert (Path(__file__).parents[2] / "scenes" / "pictures" / f"{name}.png").is_file(), name

@@ -7,7 +7,7 @@ import pytest
 
 from vlp16emu.motion.pose import rotations
 from vlp16emu.sensor.beams import BEAM_TABLES, with_angle_errors
-from vlp16emu.sensor.head import BODY_R_SENSOR, Head
+from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.place import place
 from vlp16emu.sensor.rotor import Clock, Rotor
 from vlp16emu.types import Poses, SensorModel
@@ -46,8 +46,7 @@ def test_both_frames_hold_the_same_points(head):
     """Turned and moved by the pose of the pulse's instant, the point in the sensor's frame is that in the world."""
     firings, points = placed(head)
     poses = carried(firings.t_ns.ravel())
-    turn = poses.world_R_body @ BODY_R_SENSOR
-    world_m = np.einsum("nab,nb->na", turn, points.sensor_m) + poses.world_p_body_m
+    world_m = np.einsum("nab,nb->na", poses.world_R_body, points.sensor_m) + poses.world_p_body_m
     np.testing.assert_allclose(points.world_m, world_m, atol=1e-11)
 
 
@@ -70,7 +69,7 @@ def test_points_are_where_the_sensor_believes(head):
     beams = with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.03, seed=1)
     firings, points = placed(replace(head, rotor=rotor, beams=beams))
     x, y, z = points.sensor_m.T
-    believed_deg = np.degrees(np.arctan2(x, y)) % 360
+    believed_deg = np.degrees(np.arctan2(-y, x)) % 360
     turned_deg = (firings.azimuth_deg - firings.azimuth_deg[:, :1]).ravel()
     np.testing.assert_allclose(believed_deg, firings.reading_deg[SEQUENCE] + turned_deg, atol=1e-9)
     np.testing.assert_allclose(points.azimuth_deg, believed_deg, atol=1e-9)

@@ -19,7 +19,6 @@ from vlp16emu.packets import (
 )
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import LASER_NS, SEQUENCE_NS
-from vlp16emu.sensor.head import BODY_R_SENSOR
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, US_NS
 
@@ -82,8 +81,7 @@ def fast_turns() -> Iterator[Row]:
         data = np.frombuffer(b"".join(payloads), np.uint8).reshape(-1, DATA_BYTES)
         points = decode_data(data, keep_no_returns=False)
         poses = emulator.parts.motion.poses_at(scenario.start_ns + points.time_ns)
-        body_m = points.xyz_m.astype(np.float64) @ BODY_R_SENSOR.T
-        world_m = np.einsum("nij,nj->ni", poses.world_R_body, body_m) + poses.world_p_body_m
+        world_m = np.einsum("nij,nj->ni", poses.world_R_body, points.xyz_m) + poses.world_p_body_m
         x, y, z = world_m.T
         gaps_m = np.abs([x - 15, x + 15, y - 9, y + 9, z, z - 6])
         off_m = gaps_m.min(axis=0)

@@ -12,7 +12,7 @@ from vlp16emu.cli.arguments import AsJson, CaptureFile
 from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, stop_on_ctrl_c
 
 if TYPE_CHECKING:
-    from vlp16emu.packets import CaptureReader, Summary
+    from vlp16emu.packets import CaptureReader, PointFrame, Summary
 
 __all__ = ["decode"]
 
@@ -32,19 +32,28 @@ def decode(
             help="Which sensor, where the capture holds several: its number, or its address and data port.",
         ),
     ] = None,
+    frame: Annotated[
+        str,
+        typer.Option(
+            "--frame",
+            metavar="sensor|manual",
+            help="Axes of the points: x forward, y left, as ROS drivers have them (sensor); or x right, y forward, as the manual "
+            "of Velodyne and VeloView do (manual).",
+        ),
+    ] = "sensor",
     as_json: AsJson = False,
 ) -> None:
     """Decode a capture by the formulas of the sensor's manual.
 
-    Works on recordings of real sensors too. Points are in the sensor's frame: metres, azimuth 0 on +y,
-    clockwise seen from above. Pulses without return become no points. Ctrl-C and a packet at fault leave a
+    Works on recordings of real sensors too. Points are in metres in the sensor: x forward (azimuth 0), y left,
+    z up, unless --frame chooses other axes. Pulses without return become no points. Ctrl-C and a packet at fault leave a
     valid file with the points before.
     """
-    from vlp16emu.packets import CaptureReader, chosen_unit
+    from vlp16emu.packets import CaptureReader, chosen_unit, frame_named
 
-    chosen = chosen_unit(file, unit, where="--unit")
-    with CaptureReader(file, chosen) as reader, stop_on_ctrl_c() as stop:
-        _read(reader, out, stop)
+    axes, chosen = frame_named(frame, where="--frame"), chosen_unit(file, unit, where="--unit")
+    with CaptureReader(file, chosen, axes) as reader, stop_on_ctrl_c() as stop:
+        _read(reader, out, axes, stop)
     summary, interrupted = reader.summary, stop.is_set()
     if as_json:
         tree = {"file": str(file), "out": out and str(out)} | _tree(summary)
@@ -55,14 +64,14 @@ def decode(
         raise typer.Exit(INTERRUPTED)
 
 
-def _read(reader: "CaptureReader", out: Path | None, stop: Event) -> None:
+def _read(reader: "CaptureReader", out: Path | None, axes: "PointFrame", stop: Event) -> None:
     """Read a capture until it ends or reading is to stop, and write its points where they are wanted."""
-    from vlp16emu.sinks.cloud import CAPTURE_COLUMNS, CAPTURE_COMMENTS, point_file
+    from vlp16emu.sinks.cloud import CAPTURE_COLUMNS, capture_comments, point_file
 
     with ExitStack() as stack:
         writer = None
         if out:
-            opened = point_file(out, CAPTURE_COLUMNS, CAPTURE_COMMENTS, where=f"--out {out}")
+            opened = point_file(out, CAPTURE_COLUMNS, capture_comments(axes), where=f"--out {out}")
             writer = stack.enter_context(opened)
         for chunk in reader.points():
             if writer:

@@ -3,13 +3,16 @@
 from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.packets.data import data_payloads, pack_data, timestamp_us
 from vlp16emu.packets.decode import (
+    SENSOR_R_MANUAL,
     Fault,
+    PointFrame,
     Points,
     PositionFields,
     data_fields,
     decode_data,
     decode_position,
     fault_in,
+    frame_named,
     scan_starts,
 )
 from vlp16emu.packets.frames import (
@@ -80,6 +83,7 @@ __all__ = [
     "RECORD",
     "RECORDS_PER_PACKET",
     "RETURN_MODE_BYTE",
+    "SENSOR_R_MANUAL",
     "SENTENCE_BYTES",
     "SEQUENCES_PER_BLOCK",
     "SEQUENCES_PER_PACKET",
@@ -91,6 +95,7 @@ __all__ = [
     "Fault",
     "Link",
     "PacketChunk",
+    "PointFrame",
     "Points",
     "PositionFields",
     "PositionRate",
@@ -103,6 +108,7 @@ __all__ = [
     "decode_position",
     "fault_in",
     "first_position_packet",
+    "frame_named",
     "pack_data",
     "pack_position",
     "parse_rmc",

@@ -1,12 +1,13 @@
 """Both packets read back: data packets become points by the manual's formulas.
 
-Frame: the manual's `sensor` frame, azimuth 0 on +y and clockwise seen from above. With distance R,
-azimuth a, elevation w and the laser's vertical correction c: X = R cos w sin a, Y = R cos w cos a,
-Z = R sin w + c. Source: 63-9243 Rev D, sections 9.1 and 9.2, p. 52 to 54.
+With distance R, azimuth a, elevation w and the laser's vertical correction c the manual has X = R cos w sin a to the right,
+Y = R cos w cos a forward and Z = R sin w + c up (63-9243 Rev D, sections 9.1 and 9.2, p. 52 to 54). Points here are in the
+`sensor` frame, as those of ROS drivers: x = Y forward, y = -X left, z = Z.
 """
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import PacketError
+from vlp16emu.errors import InputError, PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
 from vlp16emu.sensor.beams import BEAM_TABLES, LASER_NS, SEQUENCE_NS
@@ -22,21 +23,36 @@ from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
 __all__ = [
+    "SENSOR_R_MANUAL",
     "Fault",
+    "PointFrame",
     "Points",
     "PositionFields",
     "data_fields",
     "decode_data",
     "decode_position",
     "fault_in",
+    "frame_named",
     "scan_starts",
 ]
+
+SENSOR_R_MANUAL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""From the manual's frame, azimuth 0 on +y, to the sensor's, azimuth 0 on +x."""
 
 _MODEL = MappingProxyType(
     {layout.FACTORY_BYTE[model]: model for model in (SensorModel.VLP_16, SensorModel.PUCK_HI_RES)}
 )
 _MAX_STEP_CDEG = 100
 """A wider step from block to block is the edge of a limited field of view: 1200 rpm, the fastest, make 79.6."""
+
+
+class PointFrame(StrEnum):
+    """Axes of points in a sensor."""
+
+    SENSOR = "sensor"
+    """x forward at azimuth 0, y left, z up (REP 103), as ROS drivers have it."""
+    MANUAL = "manual"
+    """x right, y forward at azimuth 0, z up (63-9243 Rev D, section 9.1)."""
 
 
 class Fault(NamedTuple):
@@ -66,7 +82,7 @@ class Points:
     distance_m: NDArray[np.float32]
     """(n,) from the centre of the sensor; 0 where there is no return."""
     xyz_m: NDArray[np.float32]
-    """(n, 3) sensor frame; NaN where there is no return."""
+    """(n, 3) sensor frame: x forward at azimuth 0, y left, z up; NaN where there is no return."""
     reflectivity: NDArray[np.uint8]
     """(n,) 0..100 diffuse, 101..255 retroreflective."""
     is_last: NDArray[np.bool_]
@@ -200,6 +216,23 @@ def scan_starts(azimuth_deg: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.flatnonzero(np.diff(scan, prepend=-1))
 
 
+def frame_named(name: str, *, where: str = "frame") -> PointFrame:
+    """Find the frame of points by its name.
+
+    Parameters
+    ----------
+    where : what error lines call the choice
+
+    Raises
+    ------
+    InputError
+        where there is none of that name
+    """
+    if name not in tuple(PointFrame):
+        raise InputError(where, f"found {name}", " or ".join(PointFrame))
+    return PointFrame(name)
+
+
 def decode_position(payload: bytes) -> PositionFields:
     """Read one position packet.
 
@@ -261,7 +294,7 @@ def _xyz_m(
     laser: NDArray[np.int64],
     model: SensorModel,
 ) -> NDArray[np.float32]:
-    """(n, 3) by the manual's formulas."""
+    """(n, 3) by the manual's formulas, turned to the sensor's frame."""
     beams = BEAM_TABLES[model]
     elevation = np.radians(beams.elevation_deg)
     xyz_m = np.empty((len(distance_m), 3), np.float32)
@@ -285,6 +318,6 @@ def _fill_xyz(
         if r == 0.0:
             xyz_m[i] = np.nan
         else:
-            xyz_m[i, 0] = r * cosine[j] * math.sin(a)
-            xyz_m[i, 1] = r * cosine[j] * math.cos(a)
+            xyz_m[i, 0] = r * cosine[j] * math.cos(a)
+            xyz_m[i, 1] = -r * cosine[j] * math.sin(a)
             xyz_m[i, 2] = r * sine[j] + correction_m[j]

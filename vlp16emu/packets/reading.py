@@ -1,7 +1,7 @@
 """A capture as points, chunk by chunk, and what it holds in numbers."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Self
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from vlp16emu.errors import CaptureError, PacketError
 from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.packets.decode import (
+    SENSOR_R_MANUAL,
+    PointFrame,
     Points,
     PositionFields,
     data_fields,
@@ -105,6 +107,7 @@ class CaptureReader:
     ----------
     path : a classic pcap file
     unit : whose packets are read where there are several; None for those of all
+    frame : of the points
 
     Raises
     ------
@@ -112,8 +115,10 @@ class CaptureReader:
         where it is none
     """
 
-    def __init__(self, path: Path, unit: CapturedUnit | None = None) -> None:
-        self._path, self._unit = path, unit
+    def __init__(
+        self, path: Path, unit: CapturedUnit | None = None, frame: PointFrame = PointFrame.SENSOR
+    ) -> None:
+        self._path, self._unit, self._frame = path, unit, frame
         self._capture = Capture(path)
         self._codes = np.zeros(2**16, np.int64)
         self._azimuth_cdeg: list[NDArray[np.uint16]] = []
@@ -215,6 +220,8 @@ class CaptureReader:
     def _decoded(self, payloads: NDArray[np.uint8]) -> PacketChunk:
         """Decode packets, (n, 1206), and count them."""
         points, fields = decode_data(payloads, keep_no_returns=False), data_fields(payloads)
+        if self._frame is PointFrame.MANUAL:
+            points = replace(points, xyz_m=points.xyz_m @ SENSOR_R_MANUAL.astype(np.float32))
         packet_ns = self._unwrapped_ns(fields)
         since_ns = (points.time_ns - packet_ns[points.packet]) % HOUR_NS
         self._note(fields)

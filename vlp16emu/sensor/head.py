@@ -17,10 +17,7 @@ from vlp16emu.trig import cos_sin
 from vlp16emu.types import Firings, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["BODY_R_SENSOR", "Head", "Turn", "turn", "turn_of"]
-
-BODY_R_SENSOR = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""Mounting: the cable points back, so azimuth 0 (sensor +y) looks forward (body +x)."""
+__all__ = ["Head", "Turn", "turn", "turn_of"]
 
 _TOGETHER = 480
 """Firing sequences that are aimed before the poses of others are asked for, so that these are still in the cache."""
@@ -67,7 +64,6 @@ class Head:
             np.radians(beams.azimuth_error_deg),
             np.array([[math.cos(w), math.sin(w)] for w in elevation_rad.tolist()]),
             beams.vertical_offset_m,
-            BODY_R_SENSOR,
         )
         for begin in range(0, count, _TOGETHER):
             part = slice(begin, begin + _TOGETHER)
@@ -103,20 +99,19 @@ def _aim(
     error_rad: NDArray[np.float64],
     elevation: NDArray[np.float64],
     offset_m: NDArray[np.float64],
-    body_R_sensor: NDArray[np.float64],
     world_R_body: NDArray[np.float64],
     world_p_body_m: NDArray[np.float64],
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float64],
     beam_axis: NDArray[np.float64],
 ) -> None:
-    """Fill origins and directions: x = cos w sin a, y = cos w cos a, z = sin w (63-9243 Rev D, section 9.2).
+    """Fill origins and directions: x = cos w cos a, y = -cos w sin a, z = sin w, as azimuth 0 looks forward.
 
     `elevation` (lasers, 2) has the cosine and sine of w. The level axis is the derivative of that by the azimuth, over cos w; left out where `beam_axis` is empty.
     """
     count, lasers = azimuth_deg.shape
     moving = len(world_p_body_m) > 1
-    sensor, body = np.empty(3), np.empty(3)
+    body = np.empty(3)
     cosine, sine = np.empty(lasers), np.empty(lasers)
     for i in range(count):
         for j in range(lasers):  # four at once
@@ -125,12 +120,10 @@ def _aim(
             n = i * lasers + j if moving else 0
             R, p = world_R_body[n], world_p_body_m[n]
             c, s = cosine[j], sine[j]
-            sensor[0], sensor[1], sensor[2] = elevation[j, 0] * s, elevation[j, 0] * c, elevation[j, 1]
-            turn(body_R_sensor, sensor, body)
+            body[0], body[1], body[2] = elevation[j, 0] * c, -elevation[j, 0] * s, elevation[j, 1]
             turn(R, body, direction[i, j])
             if len(beam_axis):
-                sensor[0], sensor[1], sensor[2] = c, -s, 0.0
-                turn(body_R_sensor, sensor, body)
+                body[0], body[1], body[2] = -s, -c, 0.0
                 turn(R, body, beam_axis[i, j])
             for a in range(3):
                 # The spin axis is the body's z axis, also when the head is mounted turned about it.

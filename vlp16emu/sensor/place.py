@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.sensor.beams import BeamTable
-from vlp16emu.sensor.head import BODY_R_SENSOR, turn
+from vlp16emu.sensor.head import turn
 from vlp16emu.types import Firings, Poses
 
 __all__ = ["PlacedReturns", "place"]
@@ -23,7 +23,7 @@ class PlacedReturns:
     elevation_deg: NDArray[np.float64]
     """(n,) by the table."""
     sensor_m: NDArray[np.float64]
-    """(n, 3) in the sensor's frame at the instant of the pulse."""
+    """(n, 3) in the sensor's frame at the instant of the pulse: x forward at azimuth 0, y left, z up."""
     world_m: NDArray[np.float64]
     """(n, 3)."""
 
@@ -59,7 +59,6 @@ def place(
         placed.elevation_deg,
         beams.vertical_offset_m[laser],
         distance_m,
-        BODY_R_SENSOR,
         poses.world_R_body,
         poses.world_p_body_m,
         placed.sensor_m,
@@ -74,7 +73,6 @@ def _place(
     elevation_deg: NDArray[np.float64],
     offset_m: NDArray[np.float64],
     distance_m: NDArray[np.float32],
-    body_R_sensor: NDArray[np.float64],
     world_R_body: NDArray[np.float64],
     world_p_body_m: NDArray[np.float64],
     sensor_m: NDArray[np.float64],
@@ -82,14 +80,12 @@ def _place(
 ) -> None:
     """Fill points (n, 3) in both frames."""
     moving = len(world_p_body_m) > 1
-    body = np.empty(3)
     for i in range(len(distance_m)):
         n = i if moving else 0
         a, w, r = math.radians(azimuth_deg[i]), math.radians(elevation_deg[i]), float(distance_m[i])
-        sensor_m[i, 0] = r * math.cos(w) * math.sin(a)
-        sensor_m[i, 1] = r * math.cos(w) * math.cos(a)
+        sensor_m[i, 0] = r * math.cos(w) * math.cos(a)
+        sensor_m[i, 1] = -r * math.cos(w) * math.sin(a)
         sensor_m[i, 2] = r * math.sin(w) + offset_m[i]
-        turn(body_R_sensor, sensor_m[i], body)
-        turn(world_R_body[n], body, world_m[i])
+        turn(world_R_body[n], sensor_m[i], world_m[i])
         for axis in range(3):
             world_m[i, axis] += world_p_body_m[n, axis]

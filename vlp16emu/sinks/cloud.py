@@ -18,18 +18,19 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
 from vlp16emu.output import OutputFile
+from vlp16emu.packets import PointFrame
 from vlp16emu.text import csv_lines
 from vlp16emu.types import PlantPart, Semantic
 
 __all__ = [
     "CAPTURE_COLUMNS",
-    "CAPTURE_COMMENTS",
     "RETURN_NAMES",
     "SCENE_COLUMNS",
     "TRUTH_COLUMNS",
     "Block",
     "Column",
     "PointWriter",
+    "capture_comments",
     "point_file",
     "scene_comments",
 ]
@@ -251,10 +252,16 @@ CAPTURE_COLUMNS = (
     Column("is_last", "|b1", ("is_last",)),
 )
 """Of points of a capture: the arrays of `Points`, and the sensor's clock."""
-CAPTURE_COMMENTS = (
-    "VLP-16 sensor frame in metres: azimuth 0 on +y, clockwise seen from above",
-    "time in seconds on the sensor's clock",
-)
+_AXES = {
+    PointFrame.SENSOR: "x forward (azimuth 0), y left, z up",
+    PointFrame.MANUAL: "x right, y forward (azimuth 0), z up: the frame of Velodyne's manual",
+}
+
+
+def capture_comments(frame: PointFrame) -> tuple[str, ...]:
+    """Say what the columns of a capture's points mean, for formats that have a place for it."""
+    return f"x, y, z in the sensor, in metres: {_AXES[frame]}", "time in seconds on the sensor's clock"
+
 
 SCENE_COLUMNS = (
     Column("t_ns", "<i8", ("t_ns",)),
@@ -285,7 +292,7 @@ def scene_comments(start_utc: str) -> tuple[str, ...]:
     """Say what the columns mean, for formats that have a place for it."""
     return (
         "x, y, z in the world: local east, north, up in metres",
-        "sensor_x, sensor_y, sensor_z at the pulse's instant: azimuth 0 on +y, clockwise seen from above",
+        f"sensor_x, sensor_y, sensor_z at the pulse's instant: {_AXES[PointFrame.SENSOR]}",
         f"time in seconds since the first pulse of the run at {start_utc}",
         f"return_number: {', '.join(f'{n} {name}' for n, name in enumerate(RETURN_NAMES))}",
         f"semantic: {_codes(Semantic)}",

@@ -103,3 +103,24 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch):
         MissingExtraError, match=r"a picture needs matplotlib: pip install 'vlp16emu\[picture\]'"
     ):
         check_matplotlib()
+
+
+def test_a_section_and_its_marks_stay_within_a_small_plan():
+    """A strip longer than the plan is shortened about its middle, with room for the marks; a shorter one stays."""
+    low_m, high_m = np.array([-5.0, -5.0]), np.array([25.0, 5.0])
+    long = StandSection(np.array([-20.0, 0.0]), np.array([1.0, 0.0]), 60.0, 8.0, -1.0, 9.0).within(
+        low_m, high_m
+    )
+    assert long.start_xy_m[0] > -5.0
+    assert long.start_xy_m[0] + long.length_m / 2 == pytest.approx(10.0)
+    assert long.start_xy_m[0] + 1.02 * long.length_m < 25.0
+    assert SECTION.within(low_m, high_m).length_m == SECTION.length_m
+
+
+def test_the_line_of_the_sensor_has_no_gaps():
+    """Where the path leaves the strip sideways, the line of its height goes on."""
+    axes = Figure().add_subplot()
+    along_m = np.linspace(0, 20, 50)
+    path_m = np.column_stack([along_m, 6 * np.sin(along_m / 4), np.full(50, 2.0)])
+    _draw_side(axes, plan(path_m=path_m), SECTION, np.zeros((480, 960, 3), np.uint8))
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), path_m[:, 2])

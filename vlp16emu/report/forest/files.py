@@ -151,8 +151,9 @@ def _around(seen: Survey) -> tuple[Array, Array]:
 def _forest_section(seen: Survey) -> StandSection:
     """Lay a section along the path, as deep as it needs to be to hold some trees."""
     foot_m = np.column_stack([seen.trees["x_m"], seen.trees["y_m"]])
+    low_m, high_m = _around(seen)
     for depth_m in _DEPTHS_M:
-        section = strip_along(seen.path_m, _SECTION_M, depth_m)
+        section = strip_along(seen.path_m, _SECTION_M, depth_m).within(low_m, high_m)
         holds = section.holds(foot_m, _LEAD_M)
         if holds.sum() >= _ENOUGH_TREES:
             break
@@ -160,8 +161,8 @@ def _forest_section(seen: Survey) -> StandSection:
     strip_m = np.concatenate([ends_m + side * section.depth_m / 2 * section.towards for side in (-1, 0, 1)])
     ground_m = seen.height_m(strip_m[:, 0], strip_m[:, 1])
     tops_m = (seen.trees["z_m"] + seen.trees["height_m"])[holds]
-    high_m = max([*tops_m.tolist(), float(ground_m.max()) + _LEAST_HEIGHT_M]) + _ABOVE_M
-    return replace(section, low_m=float(ground_m.min()) - _BELOW_M, high_m=high_m)
+    top_m = max([*tops_m.tolist(), float(ground_m.max()) + _LEAST_HEIGHT_M]) + _ABOVE_M
+    return replace(section, low_m=float(ground_m.min()) - _BELOW_M, high_m=top_m)
 
 
 def _hall_section(hall: HallWorld) -> StandSection:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
 from vlp16emu.report.forest.palette import colour_of_kind, colour_of_species
-from vlp16emu.report.forest.section import StandSection
+from vlp16emu.report.forest.section import MARK_LEAD, StandSection
 from vlp16emu.types import HeightField
 
 if TYPE_CHECKING:
@@ -35,6 +35,9 @@ _ARROW_EVERY = 0.12
 
 _ROUND_M = (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Lengths that a scale bar or a contour interval may have."""
+
+_BELOW_PX = 14.0
+"""Middle of the scale bar under the plan, where it covers nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +83,7 @@ def draw_plan(axes: "Axes", plan: PlanView, section: StandSection) -> None:
     _draw_trees(axes, plan)
     _draw_way(axes, plan.path_m[:, :2])
     _draw_strip(axes, section)
-    _draw_scale_and_north(axes, float(plan.high_m[0] - plan.low_m[0]))
+    _draw_scale_and_north(axes, plan)
     for name, place_m in plan.names:
         axes.annotate(
             name,
@@ -234,33 +237,30 @@ def _draw_strip(axes: "Axes", section: StandSection) -> None:
     corners = np.array([ends[0] - half_m, ends[1] - half_m, ends[1] + half_m, ends[0] + half_m])
     axes.plot(*np.concatenate([corners, corners[:1]]).T, color=INK, lw=0.9, ls=(0, (3, 2)), zorder=7)
     for name, end, side in (("A", ends[0], -1), ("B", ends[1], 1)):
-        place_m = end + side * 0.02 * section.length_m * section.along
+        place_m = end + side * MARK_LEAD * section.length_m * section.along
         box = {"boxstyle": "circle,pad=0.15", "fc": "white", "ec": INK, "lw": 0.8}
         axes.text(
             place_m[0], place_m[1], name, size=9, color=INK, ha="center", va="center", bbox=box, zorder=9
         )
 
 
-def _draw_scale_and_north(axes: "Axes", across_m: float) -> None:
-    """Draw a bar of a round length, and an arrow to the north."""
+def _draw_scale_and_north(axes: "Axes", plan: PlanView) -> None:
+    """Draw a bar of a round length, and an arrow to the north, below the plan."""
     from matplotlib.patches import Rectangle
 
-    bar_m = _round_up_m(across_m / 12)
-    x_m, y_m = axes.get_xlim()[0] + 0.02 * across_m, axes.get_ylim()[0] + 0.02 * across_m
+    bar_m = _round_up_m(float(plan.high_m[0] - plan.low_m[0]) / 12)
+    x_m, pixel = float(plan.low_m[0]), 1.0 / axes.get_window_extent().height
+    below, y = axes.get_xaxis_transform(), -_BELOW_PX * pixel
     for i, colour in enumerate((INK, "white")):
-        box = Rectangle(
-            (x_m + i * bar_m / 2, y_m), bar_m / 2, 0.006 * across_m, fc=colour, ec=INK, lw=0.7, zorder=9
-        )
+        box = Rectangle((x_m + i * bar_m / 2, y - 2.5 * pixel), bar_m / 2, 5 * pixel, transform=below)
+        box.set(fc=colour, ec=INK, lw=0.7, clip_on=False)
         axes.add_patch(box)
-    backing = {"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.7}
-    axes.text(
-        x_m + 1.08 * bar_m, y_m, f"{bar_m:g} m", size=8.5, color=INK, va="bottom", bbox=backing, zorder=9
-    )
-    arrow = {"arrowstyle": "-|>", "color": INK, "lw": 1.4, "mutation_scale": 14}
-    axes.annotate("", (0.975, 0.975), (0.975, 0.88), "axes fraction", arrowprops=arrow, zorder=9)
-    axes.text(
-        0.975, 0.865, "N", size=10, color=INK, ha="center", va="top", transform=axes.transAxes, zorder=9
-    )
+    words: dict[str, Any] = {"color": INK, "va": "center_baseline", "transform": below}
+    axes.text(x_m + 1.08 * bar_m, y, f"{bar_m:g} m", size=8.5, **words)
+    arrow = {"arrowstyle": "-|>", "color": INK, "lw": 1.4, "mutation_scale": 12, "shrinkA": 0, "shrinkB": 0}
+    ends = (0.995, y + 10 * pixel), (0.995, y - 12 * pixel)
+    axes.annotate("", *ends, "axes fraction", arrowprops=arrow)
+    axes.text(0.985, y, "N", size=9, ha="right", **words | {"transform": axes.transAxes})
 
 
 def _round_up_m(length_m: float) -> float:

@@ -1,6 +1,6 @@
 """A vertical section through a world, as light would draw it: parallel level rays, one per dot."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import NO_SURFACE, Firings, HeightField, Hits
 
-__all__ = ["StandSection", "draw_section", "strip_along"]
+__all__ = ["MARK_LEAD", "StandSection", "draw_section", "strip_along"]
 
 Array = NDArray[np.float64]
 
@@ -26,6 +26,9 @@ _DARKEST = 0.6
 
 _LEAD = 0.06
 """Share of a strip's length that lies before the path begins, and after it leaves."""
+
+MARK_LEAD = 0.02
+"""Share of a strip's length between its ends and the marks that name them on a plan."""
 
 _ROWS = 8
 """Casters want sequences by the eight."""
@@ -57,6 +60,14 @@ class StandSection:
         lengthwise = (along_m >= -lead_m) & (along_m <= self.length_m + lead_m)
         inside: NDArray[np.bool_] = lengthwise & (np.abs(into_m) <= self.depth_m / 2)
         return inside
+
+    def within(self, low_m: Array, high_m: Array) -> "StandSection":
+        """Shorten the strip about its middle until its ends and their marks lie in a rectangle with corners (2,)."""
+        middle_m = self.start_xy_m + self.length_m / 2 * self.along
+        room_m = np.minimum(middle_m - low_m, high_m - middle_m)
+        reach_m = np.divide(room_m, np.abs(self.along), out=np.full(2, np.inf), where=self.along != 0).min()
+        length_m = min(self.length_m, 2 * float(reach_m) / (1 + 4 * MARK_LEAD))
+        return replace(self, start_xy_m=middle_m - length_m / 2 * self.along, length_m=length_m)
 
     def coordinates(self, xy_m: Array) -> tuple[Array, Array]:
         """Distances of points (n, 2) along the strip and into it, 0 at its middle line."""

@@ -21,7 +21,7 @@ _PAPER = "#fcfbf8"
 _DPI = 84
 _WIDTH_IN, _LEGEND_IN, _EDGE_IN = 12.0, 1.9, 0.35
 _HEAD_IN, _GAP_IN, _FOOT_IN = 0.85, 0.45, 0.45
-_TALLEST_PLAN_IN = 7.0
+_TALLEST_PLAN_IN, _TALLEST_SECTION_IN = 7.0, 9.0
 
 _COLOURS = 88
 """Of the file's palette: leaves fill pictures with noise, which is costly in more."""
@@ -48,8 +48,9 @@ def check_matplotlib() -> None:
 
 
 def section_pixels_per_m(section: StandSection) -> float:
-    """Scale at which a section fills the sheet's width."""
-    return (_WIDTH_IN - 2 * _EDGE_IN) * _DPI / section.length_m
+    """Scale at which a section fills the sheet's width, or is as tall as it may be."""
+    wide, tall = (_WIDTH_IN - 2 * _EDGE_IN) / section.length_m, section.high_m - section.low_m
+    return min(wide, _TALLEST_SECTION_IN / tall) * _DPI
 
 
 def draw_sheet(
@@ -74,8 +75,7 @@ def draw_sheet(
     across_m, tall_m = plan.high_m - plan.low_m
     plan_width_in = _WIDTH_IN - _LEGEND_IN - 2 * _EDGE_IN
     plan_in = min(plan_width_in * float(tall_m / across_m), _TALLEST_PLAN_IN)
-    side_width_in = _WIDTH_IN - 2 * _EDGE_IN
-    side_in = side_width_in * drawn.shape[0] / drawn.shape[1]
+    side_in, side_width_in = (pixels / _DPI for pixels in drawn.shape[:2])
     height_in = _HEAD_IN + plan_in + _GAP_IN + side_in + _FOOT_IN
     figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor=_PAPER)
 
@@ -113,7 +113,10 @@ def _draw_side(axes: "Axes", plan: PlanView, section: StandSection, drawn: NDArr
     axes.set_yticks(np.arange(np.ceil(section.low_m / _TICK_M) * _TICK_M, section.high_m, _TICK_M))
     along_m, _ = section.coordinates(plan.path_m[:, :2])
     inside = section.holds(plan.path_m[:, :2], 0.0)
-    axes.plot(along_m, np.where(inside, plan.path_m[:, 2], np.nan), color=WALK, lw=0.9, ls=(0, (4, 2)))
+    # From the first point on for as long as it keeps between the ends, also where it leaves the strip sideways.
+    left = np.flatnonzero((along_m < 0) | (along_m > section.length_m))
+    seen = slice(0, int(left[0]) + 1 if len(left) else None)
+    axes.plot(along_m[seen], plan.path_m[seen, 2], color=WALK, lw=0.9, ls=(0, (4, 2)))
     if inside.any():
         middle = np.flatnonzero(inside)[inside.sum() // 2]
         ground_m = plan.height_m(plan.path_m[middle : middle + 1, 0], plan.path_m[middle : middle + 1, 1])[0]
