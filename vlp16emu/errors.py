@@ -58,7 +58,7 @@ class Vlp16emuError(Exception):
 
 
 class InputError(Vlp16emuError):
-    """Bad input, reported in one line, the parts of which are cut where they are long.
+    """Bad input, reported in one line; its parts are cut where they are long.
 
     Parameters
     ----------

@@ -94,11 +94,8 @@ def write_cloud(
     blocks = _blocks(chain, number, span_s, truth=truth)  # checks the span before the file is touched
     columns, returns, simulated_s = SCENE_COLUMNS + TRUTH_COLUMNS * truth, np.zeros(3, np.int64), 0.0
     comments = scene_comments(scenario.start_utc.isoformat())
-    with (
-        point_file(path, columns, comments, where=str(path)) as writer,
-        progress as so_far,
-        suppress(CancelledError),
-    ):
+    file = point_file(path, columns, comments, where=str(path))
+    with file as writer, progress as so_far, suppress(CancelledError):
         for block, end_ns in blocks:
             writer.write(block)
             returns += np.bincount(block["return_number"], minlength=3)

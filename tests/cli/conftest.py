@@ -1,6 +1,7 @@
 """Command lines carried out in this process, and one short recording for all to read."""
 
 import json
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -40,13 +41,25 @@ def cli(capsys):
 
 
 @pytest.fixture
-def program():
+def heeds_signals():
+    """Let a child heed Ctrl-C and hangups where the tests run in the background, or under nohup, and ignore them."""
+
+    def reset():
+        for number in (signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
+
+    return reset
+
+
+@pytest.fixture
+def program(heeds_signals):
     """Start the program as a process of its own, with pipes."""
     running = []
 
     def start(*arguments, **options):
         command = [sys.executable, "-m", "vlp16emu", *map(str, arguments)]
-        options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "cwd": ROOT, "text": True} | options
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        options = {**pipes, "cwd": ROOT, "text": True, "preexec_fn": heeds_signals} | options
         running.append(subprocess.Popen(command, **options))
         return running[-1]
 

@@ -198,7 +198,7 @@ def test_a_killed_recording_is_kept_beside_its_name(cli, program, tmp_path):
     assert cli("decode", tmp_path / "x.pcap.part", "--json").tree["packets"] > 50
 
 
-def test_a_terminal_that_goes_leaves_a_report(program, tmp_path):
+def test_a_terminal_that_goes_leaves_a_report(program, heeds_signals, tmp_path):
     """A run whose terminal is closed ends with 130, a whole file, and its report where that does not go to the terminal."""
     ours, theirs = pty.openpty()
     path = tmp_path / "x.pcap"
@@ -209,7 +209,7 @@ def test_a_terminal_that_goes_leaves_a_report(program, tmp_path):
             stderr=theirs,
             stdin=theirs,
             start_new_session=True,
-            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+            preexec_fn=lambda: (heeds_signals(), fcntl.ioctl(0, termios.TIOCSCTTY, 0)),
         )
         os.close(theirs)
         wait_for(tmp_path / "x.pcap.part", 500_000)
@@ -220,12 +220,12 @@ def test_a_terminal_that_goes_leaves_a_report(program, tmp_path):
     assert tree["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def test_what_ignores_hangups_goes_on(program, tmp_path):
+def test_what_ignores_hangups_goes_on(program, heeds_signals, tmp_path):
     """Under nohup the end of the terminal is not that of the run."""
     path, part = tmp_path / "x.pcap", tmp_path / "x.pcap.part"
     process = program(
         *("record", "static_bench", path, "--duration", "3600", "--json"),
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
+        preexec_fn=lambda: (heeds_signals(), signal.signal(signal.SIGHUP, signal.SIG_IGN)),
     )
     wait_for(part, 100_000)
     process.send_signal(signal.SIGHUP)
@@ -265,14 +265,15 @@ Chain._scan, PcapSink.send = _scan, send
 
 
 @pytest.fixture
-def hindered():
+def hindered(heeds_signals):
     """Start a recording of the hall in a process of its own, with parts of it replaced by such as never end."""
     running = []
 
     def start(code, path):
         code = f"import sys\n{code}\nfrom vlp16emu.cli import main\nmain()"
         command = [sys.executable, "-c", code, "record", "static_bench", str(path), "--json"]
-        running.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        running.append(subprocess.Popen(command, **pipes, text=True, preexec_fn=heeds_signals))  # noqa: PLW1509
         return running[-1]
 
     yield start
@@ -310,7 +311,7 @@ def test_a_second_ctrl_c_waits_for_nothing(hindered, tmp_path):
     until(process, "finishing what is under way; Ctrl-C again stops at once")
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=20)
-    assert (process.returncode, out, (tmp_path / "x.pcap.part").stat().st_size) == (130, "", 24)
+    assert (process.returncode, out, path.stat().st_size) == (130, "", 24)
 
 
 def test_a_terminal_gets_a_bar_with_the_time_left(program, tmp_path):

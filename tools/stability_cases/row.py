@@ -49,7 +49,7 @@ def refused(case: str, act: Callable[[], object], says: str) -> Row:
         act()
     except InputError as error:
         line = str(error)
-        return Row(case, "not refused", 0.0 if says in line and "\n" not in line else math.inf, 0.0, line)
+        return Row(case, "not refused", 0.0 if says in line else math.inf, 0.0, line)
     return Row(case, "not refused", math.inf, 0.0)
 
 

@@ -230,7 +230,7 @@ def named_cells(
         known = [*needed, *optional]
         names = [name.strip().lower() for name in next(csv.reader([header], delimiter=delimiter), [])]
         names = [f"{name}_m" if name in _AXES and f"{name}_m" in known else name for name in names]
-        if not set(names) & set(known):  # some other file, of which nothing is shown
+        if not set(names) & set(known):  # some other file; nothing of it is shown
             raise TrajectoryError(f"{path}, line 1", "none of the columns", expected)
         for name in [*names, *needed]:
             if names.count(name) != 1 or name not in known:

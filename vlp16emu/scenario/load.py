@@ -98,6 +98,7 @@ def _source(scene: str | Path | Mapping[str, Any] | Scenario) -> _Source:
         return _Source("scene", deepcopy(dict(scene)), Path.cwd(), is_json=False)
     path = scene if isinstance(scene, Path) else find(scene)
     tree = {"title": path.stem} | _read(path)
+    _check_depth(str(path), tree)
     return _Source(str(path), tree, path.parent.absolute(), is_json=_is_json(path))
 
 
