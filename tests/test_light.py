@@ -13,7 +13,8 @@ PLATE_M, HALF_HOLE_M = 10.0, 0.005
 LASER = 1
 """It looks up by 1 degree."""
 HOLE_Z_M = 1.5 + (PLATE_M - 0.0419) * np.tan(np.radians(1.0))
-HOLES_M = np.arange(-20, 21) * 0.05
+HOLES_APART_M = 0.05
+HOLES_M = np.arange(-20, 21) * HOLES_APART_M
 EXACT = ("sensor.azimuth_noise_deg=0.0", "sensor.eccentricity_deg=0.0", "noise.preset=ideal")
 
 
@@ -96,8 +97,12 @@ def test_pulses_see_through_holes_as_often_as_the_profile_says(holes):
     """The wall is seen behind the holes with the probability of the profile's integral, at each distance off them (chi-square)."""
     off_m, seen = through_holes([*holes, "beam={model='angle'}"], 6.0)
     sigma_m = np.array([0.0127 + 0.003 * PLATE_M, 0.0095 + 0.0015 * PLATE_M]) / 4
-    edges = stats.norm.cdf((HALF_HOLE_M - off_m) / sigma_m) - stats.norm.cdf((-HALF_HOLE_M - off_m) / sigma_m)
-    p = edges.prod(axis=1)
+    # The holes beside the nearest one let a third of the light through that comes in between.
+    holes_m = off_m[:, None] - [[-HOLES_APART_M, 0.0], [0.0, 0.0], [HOLES_APART_M, 0.0]]
+    edges = stats.norm.cdf((HALF_HOLE_M - holes_m) / sigma_m) - stats.norm.cdf(
+        (-HALF_HOLE_M - holes_m) / sigma_m
+    )
+    p = edges.prod(axis=2).sum(axis=1)
     rings = np.digitize(np.abs(off_m[:, 0]), [0.005, 0.01, 0.015, 0.02])
     expected, found, variance = (np.bincount(rings, weights=w) for w in (p, seen, p * (1 - p)))
     assert expected.sum() > 300

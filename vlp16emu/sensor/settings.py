@@ -45,8 +45,9 @@ class Lidar(Section):
     """Nearer targets are blanked; no real unit sends less than 0.5 m."""
     max_range_m: Annotated[float, Field(gt=0.5, le=131.07, validate_default=True)] = 100.0
     """Farther targets are lost; 100 m in the data sheet, 131.07 m is the largest code."""
-    start_azimuth_deg: Degrees = 0.0
-    """True rotor angle at the first firing."""
+    start_azimuth_deg: Degrees = 0.1
+    """True rotor angle at the first firing. The default is just past north, and so are the encoder's readings: a recording begins
+    with a whole scan."""
     eccentricity_deg: Annotated[float, Field(ge=0, le=1)] = 0.06
     """Amplitude of the encoder's once-per-revolution error; real units show 0.03 to 0.09. 0 switches it off."""
     eccentricity_phase_deg: Degrees = 40.0
