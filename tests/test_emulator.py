@@ -130,3 +130,16 @@ def test_truth_names_what_was_hit(birch):
         parts |= set(np.unique(r.surfaces["part"][r.surface[..., 0][hit]]).tolist())
     assert {0, 1, 4} <= parts
     assert next(iter(Emulator(birch).returns(0, 0.1))).surface is None
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_run_begins_with_a_whole_scan(seed):
+    """By default the first readings of the encoder are past north, so that readers make no first scan of one packet."""
+    first = next(
+        p
+        for p in Emulator(load("static_bench", [f"seed={seed}"])).packets(0.0, 0.01)
+        if p.kind is PacketKind.DATA
+    )
+    azimuth_deg = np.frombuffer(first.payload, DATA_PAYLOAD)["blocks"]["azimuth_cdeg"][0] / 100
+    assert azimuth_deg[0] < 0.3
+    assert (np.diff(azimuth_deg) > 0.3).all()
