@@ -132,12 +132,16 @@ def test_truth_names_what_was_hit(birch):
     assert next(iter(Emulator(birch).returns(0, 0.1))).surface is None
 
 
+ENCODER = "sensor.eccentricity_deg=0.06", "sensor.azimuth_noise_deg=0.005"
+"""Errors that sensors have by default; the scene has none."""
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_a_run_begins_with_a_whole_scan(seed):
     """By default the first readings of the encoder are past north, so that readers make no first scan of one packet."""
     first = next(
         p
-        for p in Emulator(load("static_bench", [f"seed={seed}"])).packets(0.0, 0.01)
+        for p in Emulator(load("static_bench", [f"seed={seed}", *ENCODER])).packets(0.0, 0.01)
         if p.kind is PacketKind.DATA
     )
     azimuth_deg = np.frombuffer(first.payload, DATA_PAYLOAD)["blocks"]["azimuth_cdeg"][0] / 100
