@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field, ValidationInfo, field_validator
 
+from vlp16emu.device.events import AnyEvent
 from vlp16emu.errors import InputError
 from vlp16emu.motion import Gps, Imu, Recorded, Static, Walk
 from vlp16emu.raycast import Beam
@@ -49,6 +50,8 @@ class Scenario(Section):
     """An inertial measurement unit beside the sensor; its samples are part of the truth."""
     rig: Annotated[list[RigUnit], Field(max_length=253, default_factory=list)]
     """Further sensors on the same carrier, numbered from 2; that of `[sensor]` is unit 1."""
+    events: Annotated[list[AnyEvent], Field(max_length=10_000, default_factory=list)]
+    """What is set on the sensors while they run, and what goes wrong."""
     world: Annotated[Forest | Plot | Hall, Field(discriminator="kind")]
     """What the sensor sees."""
     wind: Wind | None = None
