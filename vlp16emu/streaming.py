@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from vlp16emu.accuracy import AuditFinding
 from vlp16emu.chain import Unit
 from vlp16emu.chain.chain import Chain
-from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.report.keeping_up import settings_that_keep_up
 from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.head import Turn, turn_of
-from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import FellBehind, Late, StreamReport, UdpResult
-from vlp16emu.types import Packet, PacketKind, ReturnMode
+from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
 __all__ = [
@@ -83,8 +80,7 @@ class Engine:
         since_ns = before_ns - self.scenario.start_ns
         data = 0
         for unit in units:
-            period_ns = SEQUENCES_PER_PACKET[ReturnMode(on_the_wire(unit.section).return_mode)] * SEQUENCE_NS
-            data += max(-(-since_ns // period_ns) - 1, 0)  # packet p is due at (p + 1) periods
+            data += unit.sending.count(0, since_ns)
         position = sum(self._chain.first_position_packets(since_s))
         return Counter({PacketKind.DATA: data, PacketKind.POSITION: position})
 

@@ -19,13 +19,13 @@ from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.gnss import Receiver, to_geodetic
 from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.pose import Motion, rotation
-from vlp16emu.packets import SENSOR_R_MANUAL, SEQUENCES_PER_PACKET
+from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
 from vlp16emu.sensor.settings import Sensor, on_the_wire
 from vlp16emu.sinks import TruthFolder, TruthTo, tum_rows
 from vlp16emu.sinks.truth import seconds_text
-from vlp16emu.types import Packet, PacketKind, Poses, ReturnMode
+from vlp16emu.types import Packet, PacketKind, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
 
 __all__ = ["Truth"]
@@ -94,7 +94,8 @@ class Truth:
         self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
         self._folder.write_json("rig.json", _rig(scenario, parts))
         # The first packet may have begun before it was asked for.
-        from_ns = max(begin_ns - max(map(_period_ns, self._units)) - self._step_ns, scenario.start_ns)
+        firsts_ns = (self._first_ns(unit, *span_s) for unit in self._units)
+        from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
         self._trajectories = [
             _Samples(
                 self._begun(_file("trajectory", unit), _TUM_HEADER),
@@ -133,9 +134,8 @@ class Truth:
         for packet in packets:
             yield packet
             self._seen_ns = packet.due_ns
-            if self._firsts_ns and packet.kind is PacketKind.DATA:
-                first_ns = packet.due_ns - _period_ns(self._units[packet.unit])
-                self._firsts_ns[packet.unit].append(first_ns)
+            if self._firsts_ns and packet.fired_ns is not None:
+                self._firsts_ns[packet.unit].append(packet.fired_ns)
             if packet.due_ns >= self._next_ns:
                 self._next_ns = packet.due_ns + S_NS
                 self._write()
@@ -147,6 +147,12 @@ class Truth:
         for packet in self._to_come:
             if packet.due_ns >= until_ns:
                 break
+
+    def _first_ns(self, unit: Unit, start_s: float, stop_s: float) -> int:
+        """UTC of the first pulse in the first packet of a unit, or of the end of the run."""
+        slots = unit.sending.slots(seconds_to_ns(start_s), seconds_to_ns(stop_s))
+        first = next((int(some[0, 0]) * unit.head.beams.sequence_ns for some in slots), None)
+        return self._scenario.start_ns + (seconds_to_ns(stop_s) if first is None else first)
 
     def _write(self) -> None:
         """Write all that was true so far."""
@@ -206,20 +212,17 @@ class _Samples:
         return -(-(t_ns - self._zero_ns) * self._rate_hz // S_NS)
 
 
-def _period_ns(unit: Unit) -> int:
-    """From the first pulse of a unit's packet to that of the next; of a sensor without packets, of as many sequences."""
-    return SEQUENCES_PER_PACKET[ReturnMode(unit.section.return_mode)] * unit.head.beams.sequence_ns
-
-
 def _without_contents(chain: Chain, span_s: tuple[float, float]) -> Iterator[Packet]:
     """Yield the packets of a run in order of sending, data packets without their bytes: for these light is cast."""
     start_ns, span_ns = chain.scenario.start_ns, (seconds_to_ns(span_s[0]), seconds_to_ns(span_s[1]))
 
     def data(unit: Unit) -> Iterator[Packet]:
-        """Yield data packets of a unit."""
-        period_ns = _period_ns(unit)  # packet p is due at (p + 1) periods
-        for number in range(*(max(0, -(-ns // period_ns) - 1) for ns in span_ns)):
-            yield Packet(PacketKind.DATA, start_ns + (number + 1) * period_ns, b"", unit.number)
+        """Yield data packets of a unit; of one without packets as many firing sequences at a time."""
+        sequence_ns = unit.head.beams.sequence_ns
+        for slots in unit.sending.slots(*span_ns):
+            for first, last in zip(slots[:, 0].tolist(), slots[:, -1].tolist(), strict=True):
+                due_ns, fired_ns = (start_ns + number * sequence_ns for number in (last + 1, first))
+                yield Packet(PacketKind.DATA, due_ns, b"", unit.number, fired_ns)
 
     units = chain.parts.units
     position = [

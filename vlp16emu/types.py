@@ -244,6 +244,8 @@ class Packet:
     payload: bytes
     unit: int = 0
     """Place in the rig of the sensor that sends it, from 0."""
+    fired_ns: int | None = None
+    """UTC of the first pulse in a data packet of ours."""
 
 
 @dataclass(frozen=True, slots=True)

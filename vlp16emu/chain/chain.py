@@ -6,21 +6,23 @@ blocks, so neither threads nor the span that is asked for can change a byte.
 
 import heapq
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
+from dataclasses import replace
 from functools import partial
 
-from vlp16emu.chain import PulseHook, Unit, assemble, windows_of
+from vlp16emu.chain import PulseHook, Unit, assemble, windows_of, with_events
 from vlp16emu.chain.position import make_receiver, position_number, position_packets
+from vlp16emu.chain.sending import SendingSpan, joined, rows_of
 from vlp16emu.chain.windows import Batching, prefetch
+from vlp16emu.device.events import Event
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.packets import SEQUENCES_PER_PACKET, pack_data
+from vlp16emu.packets import pack_data
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.settings import on_the_wire
-from vlp16emu.types import Packet, ReturnMode, Returns, SensorModel
+from vlp16emu.types import Packet, Returns, SensorModel
 from vlp16emu.units import seconds_to_ns
 
 __all__ = ["Chain"]
@@ -75,6 +77,11 @@ class Chain:
         scan, together = partial(self._scan, of, truth=truth), of.beam.together
         return prefetch(scan, self.windows, blocks=blocks, threads=self._threads, together=together)
 
+    def set_events(self, events: Sequence[Event]) -> None:
+        """Let other events happen; packets that are under way are those of the events before."""
+        self.scenario = self.scenario.model_copy(update={"events": list(events)})
+        self.parts = with_events(self.parts, self.scenario)
+
     def first_position_packets(self, start_s: float = 0.0) -> list[int]:
         """Find the number of each unit's first position packet from `start_s` on; a run's first has 0."""
         return [position_number(self.scenario, unit, seconds_to_ns(start_s)) for unit in self.parts.units]
@@ -96,24 +103,48 @@ class Chain:
         hits = geometry.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
         if self._audit:
             self._audit(unit, firings, hits, geometry)
-        return detect(firings, hits, geometry.surfaces, unit.detector, truth=truth)
+        hits = unit.optics.dimmed(firings, hits)
+        return unit.optics.received(detect(firings, hits, geometry.surfaces, unit.detector, truth=truth))
 
     def _data_packets(self, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[Packet]:
         """Yield the data packets of a unit due in a span since the first pulse."""
-        sensor = on_the_wire(unit.section)
-        mode, model = ReturnMode(sensor.return_mode), SensorModel(sensor.model)
-        period_ns = SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS
-        per_block = self.batching.block // SEQUENCES_PER_PACKET[mode]
+        model = SensorModel(on_the_wire(unit.section).model)
+        for span in unit.sending.spans:
+            slots = next(unit.sending.slots_of(span, start_ns, stop_ns), None)
+            if slots is not None:
+                first, stop = int(slots[0, 0]), unit.sending.stop_of(span, stop_ns)
+                if span.fov_deg is None:
+                    stop -= (stop - first) % span.per_packet
+                yield from self._of_span(unit, span, model, first, stop)
 
-        def pack(run: range, opened: Future[Geometry]) -> list[Packet]:
-            """Scan blocks, and pack them."""
-            return pack_data(self._scan(unit, run, opened), mode, model, unit.number)
+    def _of_span(
+        self, unit: Unit, span: SendingSpan, model: SensorModel, first: int, stop: int
+    ) -> Iterator[Packet]:
+        """Yield the packets that firing sequences fill, all of one span of settings; pulses of a block are cast together."""
+        block, blocks = (
+            self.batching.block,
+            range(first // self.batching.block, -(-stop // self.batching.block)),
+        )
+        detector = unit.detector.for_mode(span.mode)
 
-        # Packet p is due at (p + 1) periods.
-        first, last = (max(0, -(-ns // period_ns) - 1) for ns in (start_ns, stop_ns))
-        blocks = range(first // per_block, -(-last // per_block))
-        number, threads = blocks.start * per_block, self._threads // len(self.parts.units) or 1
-        together = unit.beam.together
-        for packets in prefetch(pack, self.windows, blocks=blocks, threads=threads, together=together):
-            yield from packets[max(0, first - number) : last - number]
-            number += len(packets)
+        def scan(run: range, opened: Future[Geometry]) -> list[Packet] | Returns:
+            """Scan blocks, and take what is sent; packed, where packets begin and end with blocks."""
+            returns = self._scan(replace(unit, detector=detector), run, opened)
+            begin = run.start * block
+            here, end = max(first, begin), min(stop, run.stop * block)
+            if span.fov_deg is None:
+                return pack_data(
+                    rows_of(returns, slice(here - begin, end - begin)), span.mode, model, unit.number
+                )
+            return rows_of(returns, unit.sending.chosen(span, here, end & ~1) - begin)
+
+        left: Returns | None = None
+        threads, together = self._threads // len(self.parts.units) or 1, unit.beam.together
+        for scanned in prefetch(scan, self.windows, blocks=blocks, threads=threads, together=together):
+            if isinstance(scanned, list):
+                yield from scanned
+                continue
+            left = scanned if left is None else joined(left, scanned)
+            whole = len(left.distance_m) // span.per_packet * span.per_packet
+            yield from pack_data(rows_of(left, slice(whole)), span.mode, model, unit.number)
+            left = rows_of(left, slice(whole, None))

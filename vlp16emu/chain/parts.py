@@ -4,10 +4,14 @@ Builds no geometry yet.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
+from vlp16emu.chain.sending import Sending
+from vlp16emu.chain.timeline import clock_spans, sending_spans, silences_ns, spins, wobbles
 from vlp16emu.device import GpsInput
+from vlp16emu.device.events import Event
+from vlp16emu.device.optics import Optics
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.imu import ImuSampler
@@ -24,7 +28,7 @@ from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.rotor import Clock, Rotor
 from vlp16emu.sensor.settings import FreeSensor, Sensor, on_the_wire
 from vlp16emu.types import Firings, Hits, ReturnMode, SensorModel, World
-from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.units import seconds_to_ns
 from vlp16emu.world import Hall
 from vlp16emu.world.make import ground_name, ground_of, world_of
 from vlp16emu.world.stand.wind import TreeSway
@@ -40,6 +44,7 @@ __all__ = [
     "head_of",
     "link_of",
     "seed_of",
+    "with_events",
 ]
 
 
@@ -63,20 +68,18 @@ def link_of(section: Sensor, unit: int) -> Link:
     )
 
 
-def head_of(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
+def head_of(
+    scenario: Scenario, section: Sensor | FreeSensor, seed: int, events: Sequence[Event], gps: GpsInput
+) -> Head:
     """Make a sensor proper."""
+    start_ns = scenario.start_ns
     rotor = Rotor(
-        rpm=section.rpm,
-        start_azimuth_deg=_start_azimuth_deg(section, scenario.start_ns),
+        spins=spins(section, events, start_ns),
         eccentricity_deg=section.eccentricity_deg,
         eccentricity_phase_deg=section.eccentricity_phase_deg,
         noise_deg=section.azimuth_noise_deg,
         seed=seed,
-    )
-    clock = Clock(
-        locked=scenario.gps.connected,
-        power_up_ns=scenario.start_ns - seconds_to_ns(section.powered_for_s),
-        error_ppm=section.clock_error_ppm,
+        wobbles=wobbles(events),
     )
     beams = with_angle_errors(
         _beams(section),
@@ -84,16 +87,8 @@ def head_of(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head
         azimuth_error_deg=scenario.noise.azimuth_error_deg,
         seed=seed,
     )
-    return Head(beams, rotor, clock, scenario.start_ns)
-
-
-def _start_azimuth_deg(section: Sensor | FreeSensor, start_ns: int) -> float:
-    """Where the rotor stands at the first pulse, also where it is where it must be at each UTC second."""
-    if not isinstance(section, Sensor) or section.phase_lock_deg is None:
-        return section.start_azimuth_deg
-    # Speeds are multiples of 60 rpm, so there are whole turns in a second.
-    turned_ns = start_ns % S_NS * (section.rpm // 60) % S_NS
-    return (section.phase_lock_deg + 360.0 * turned_ns / S_NS) % 360.0
+    clock = Clock(clock_spans(section, events, gps.locked_spans_ns, start_ns))
+    return Head(beams, rotor, clock, start_ns)
 
 
 def _beams(section: Sensor | FreeSensor) -> BeamTable:
@@ -171,6 +166,10 @@ class Unit:
     beam: Footprint
     """How wide its pulses are."""
     detector: UnitDetector
+    sending: Sending
+    """Which pulses are sent, and in which packets; nothing of a sensor without packets."""
+    optics: Optics
+    """What its window and its lasers let through."""
 
     @property
     def link(self) -> Link:
@@ -251,7 +250,10 @@ def assemble(scenario: Scenario) -> Parts:
         farthest_m=max(sensor.max_range_m for sensor, _ in sensors),
     )
     return Parts(
-        units=tuple(_unit(scenario, number, carrier) for number in range(len(sensors))),
+        units=tuple(
+            _unit(scenario, number, mounted(carrier, mount, scenario.start_ns))
+            for number, (_, mount) in enumerate(sensors)
+        ),
         carrier=carrier,
         imu=_imu(scenario, carrier),
         world=world,
@@ -273,18 +275,26 @@ def _sensors(scenario: Scenario) -> list[tuple[Sensor | FreeSensor, Mount]]:
     return [(scenario.sensor, scenario.motion.mount), *((unit, unit.mount) for unit in scenario.rig)]
 
 
-def _unit(scenario: Scenario, number: int, carrier: Motion) -> Unit:
-    """Make a sensor, and mount it."""
+def with_events(parts: Parts, scenario: Scenario) -> Parts:
+    """Give the parts of a run other events, those of the scenario; the carrier and the world are the same."""
+    return replace(parts, units=tuple(_unit(scenario, unit.number, unit.motion) for unit in parts.units))
+
+
+def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
+    """Make a sensor."""
     section, mount = _sensors(scenario)[number]
-    seed = seed_of(scenario, number)
-    head = head_of(scenario, section, seed)
+    seed, gps = seed_of(scenario, number), gps_of(scenario)
+    events = [event for event in scenario.events if event.unit == number + 1]
+    head = head_of(scenario, section, seed, events, gps)
     return Unit(
         number=number,
         section=section,
         mount=mount,
         seed=seed,
         head=head,
-        motion=mounted(carrier, mount, scenario.start_ns),
+        motion=motion,
         beam=beam_of(scenario, seed),
         detector=detector_of(scenario, section, seed, len(head.beams.elevation_deg)),
+        sending=Sending(head, sending_spans(section, events), tuple(silences_ns(events))),
+        optics=Optics.of(events, scenario.start_ns),
     )

@@ -58,5 +58,7 @@ def position_packets(
             second_ns = gps.second_ns(stamp)
             if second_ns is not None and second_ns != named_ns:
                 named_ns, sentence = second_ns, rmc(receiver.fix(second_ns))
+            if unit.sending.is_silent(due - scenario.start_ns):
+                continue
             payload = pack_position(reading, gps.pps, sentence)
             yield Packet(PacketKind.POSITION, due, payload, unit.number)

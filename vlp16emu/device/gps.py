@@ -25,6 +25,11 @@ class GpsInput:
         """
         return PpsState.LOCKED if self.connected else PpsState.ABSENT
 
+    @property
+    def locked_spans_ns(self) -> tuple[tuple[int, int], ...]:
+        """Spans of UTC in which pulse and sentences set the sensor's clock."""
+        return ((-(2**62), 2**62),) if self.connected else ()
+
     def second_ns(self, t_ns: int) -> int | None:
         """Whole UTC second that the sentence in the sensor's buffer names at `t_ns`; None without a receiver.
 

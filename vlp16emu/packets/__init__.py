@@ -1,7 +1,7 @@
 """The wire: how returns become the bytes of a VLP-16, and how those bytes are read back."""
 
 from vlp16emu.packets.capture import Capture, Datagram
-from vlp16emu.packets.data import data_payloads, pack_data, timestamp_us
+from vlp16emu.packets.data import azimuth_cdeg, data_payloads, pack_data, timestamp_us
 from vlp16emu.packets.decode import (
     SENSOR_R_MANUAL,
     Fault,
@@ -100,6 +100,7 @@ __all__ = [
     "PositionFields",
     "PositionRate",
     "Summary",
+    "azimuth_cdeg",
     "chosen_unit",
     "data_fields",
     "data_header",

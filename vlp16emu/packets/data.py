@@ -16,7 +16,7 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import Packet, PacketKind, ReturnMode, Returns, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
-__all__ = ["data_payloads", "pack_data", "timestamp_us"]
+__all__ = ["azimuth_cdeg", "data_payloads", "pack_data", "timestamp_us"]
 
 _Time = TypeVar("_Time", int, NDArray[np.int64])
 _STRONGEST, _LAST, _SECOND_STRONGEST = 0, 1, 2  # last axis of Returns
@@ -34,8 +34,8 @@ def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int 
 
     Returns
     -------
-    list of k / 24 (k / 12) packets. `due_ns` is the start of a packet's first firing sequence plus
-    the time of all its sequences: 1327.104 us, or 663.552 us in dual return.
+    list of k / 24 (k / 12) packets. `due_ns` is the end of a packet's last firing sequence: 1327.104 us after its first
+    pulse, or 663.552 us in dual return, where no sequence is left out.
 
     Raises
     ------
@@ -43,10 +43,11 @@ def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int 
     """
     payloads = data_payloads(returns, mode, model)
     sequences = SEQUENCES_PER_PACKET[mode]
-    due_ns = returns.firings.t_ns[::sequences, 0] + sequences * SEQUENCE_NS
+    fired_ns = returns.firings.t_ns[::sequences, 0]
+    due_ns = returns.firings.t_ns[sequences - 1 :: sequences, 0] + SEQUENCE_NS
     return [
-        Packet(PacketKind.DATA, due, payload.tobytes(), unit)
-        for due, payload in zip(due_ns.tolist(), payloads, strict=True)
+        Packet(PacketKind.DATA, due, payload.tobytes(), unit, fired)
+        for due, payload, fired in zip(due_ns.tolist(), payloads, fired_ns.tolist(), strict=True)
     ]
 
 
@@ -73,17 +74,17 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> NDA
     packets = np.zeros(len(firings.t_ns) // SEQUENCES_PER_PACKET[mode], layout.DATA_PAYLOAD)
     # One row per block that has firing sequences of its own: 12 in a packet, 6 in dual return.
     shape = (len(packets), SEQUENCES_PER_PACKET[mode] // SEQUENCES_PER_BLOCK)
-    azimuth_cdeg = _azimuth_cdeg(firings.reading_deg[::SEQUENCES_PER_BLOCK]).reshape(shape)
+    codes = azimuth_cdeg(firings.reading_deg[::SEQUENCES_PER_BLOCK]).reshape(shape)
     blocks = packets["blocks"]
     blocks["flag"] = layout.BLOCK_FLAG
     if mode is ReturnMode.DUAL:
         even, odd = blocks[:, 0::2], blocks[:, 1::2]
-        even["azimuth_cdeg"] = odd["azimuth_cdeg"] = azimuth_cdeg
+        even["azimuth_cdeg"] = odd["azimuth_cdeg"] = codes
         _write(even["records"], returns.distance_m[..., _LAST], returns.reflectivity[..., _LAST])
         _write(odd["records"], *_odd_returns(returns))
     else:
         which = _LAST if mode is ReturnMode.LAST else _STRONGEST
-        blocks["azimuth_cdeg"] = azimuth_cdeg
+        blocks["azimuth_cdeg"] = codes
         _write(blocks["records"], returns.distance_m[..., which], returns.reflectivity[..., which])
     packets["timestamp_us"] = timestamp_us(firings.clock_ns[:: SEQUENCES_PER_PACKET[mode]])
     packets["return_mode"] = layout.RETURN_MODE_BYTE[mode]
@@ -121,7 +122,7 @@ def _check(returns: Returns, mode: ReturnMode) -> None:
             raise InputError(f"pack_data: {name}", f"from {low} to {high}", "finite numbers from 0 upwards")
 
 
-def _azimuth_cdeg(reading_deg: NDArray[np.float64]) -> NDArray[np.uint16]:
+def azimuth_cdeg(reading_deg: NDArray[np.float64]) -> NDArray[np.uint16]:
     """Rotor angle in whole hundredths of a degree, 0 .. 35999."""
     # 1e-8 deg: else 0.29, which is a code of its own, becomes 28 because 0.29 * 100 < 29 in binary.
     code = np.floor(reading_deg * 100.0 + 1e-6)

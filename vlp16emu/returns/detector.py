@@ -86,6 +86,10 @@ class UnitDetector:
             warm_up_s=noise.warm_up_s,
         )
 
+    def for_mode(self, mode: ReturnMode) -> Self:
+        """Give a receiver that looks for the echoes of a return mode."""
+        return replace(self, constants=self.constants._replace(strongest_only=mode is ReturnMode.STRONGEST))
+
     def without_chance(self) -> Self:
         """Give a receiver of the same threshold in the same air that detects all echoes, without chance and without errors."""
         constants = self.constants._replace(

@@ -13,22 +13,79 @@ from numpy.typing import NDArray
 from vlp16emu.random import Purpose, normal
 from vlp16emu.units import HOUR_NS, S_NS
 
-__all__ = ["Clock", "Rotor"]
+__all__ = ["Clock", "ClockSpan", "Rotor", "Spin", "Wobbling"]
+
+_DEG_PER_NS_RPM = 360.0 / (60 * S_NS)
+
+
+@dataclass(frozen=True, slots=True)
+class Spin:
+    """The rotor from an instant on: at constant speed, or faster and faster."""
+
+    from_ns: int
+    """Since the start."""
+    angle_deg: float
+    """True angle at that instant."""
+    rpm: float
+    """Speed at that instant; a whole number where it stays constant."""
+    rpm_per_s: float = 0.0
+    """Change of speed."""
+
+    def at(self, elapsed_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Turn times since the start (n,) into true angles, [0, 360)."""
+        since_ns = elapsed_ns - self.from_ns
+        out = np.empty(elapsed_ns.shape)
+        if self.rpm_per_s:
+            since_s = since_ns / S_NS
+            out[:] = self.angle_deg + 6.0 * since_s * (self.rpm + 0.5 * self.rpm_per_s * since_s)
+            return np.asarray(out % 360.0)
+        # Only what is past the last whole turn on a whole second counts: no error grows with time.
+        rpm = round(self.rpm)
+        per_minute = math.gcd(rpm, 60)
+        span_ns, turns = 60 // per_minute * S_NS, rpm // per_minute
+        _turn(since_ns, span_ns, turns * 360.0 / span_ns, self.angle_deg, out)
+        return out
+
+    def rpm_at(self, elapsed_ns: int) -> float:
+        """Speed at a time since the start."""
+        return self.rpm + self.rpm_per_s * (elapsed_ns - self.from_ns) / S_NS
+
+
+@dataclass(frozen=True, slots=True)
+class Wobbling:
+    """A sine on top of the speed, for a time."""
+
+    from_ns: int
+    """Since the start."""
+    lasts_ns: int
+    amplitude_rpm: float
+    period_s: float
+
+    def ahead_deg(self, elapsed_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Integrate it: the angles (n,) by which the rotor is ahead."""
+        since_s = np.clip(elapsed_ns - self.from_ns, 0, self.lasts_ns) / S_NS
+        per_s = 2.0 * math.pi / self.period_s
+        return np.asarray(6.0 * self.amplitude_rpm / per_s * (1.0 - np.cos(per_s * since_s)))
+
+    def rpm_at(self, elapsed_ns: int) -> float:
+        """Its share of the speed at a time since the start."""
+        since_ns = elapsed_ns - self.from_ns
+        if not 0 <= since_ns < self.lasts_ns:
+            return 0.0
+        return self.amplitude_rpm * math.sin(2.0 * math.pi * since_ns / S_NS / self.period_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Rotor:
-    """A head that turns clockwise, seen from above, at constant speed.
+    """A head that turns clockwise, seen from above, at constant speed but for what happens to it.
 
     The true angle is a function of time alone. The encoder adds an error locked to the angle, one
     cycle per revolution, and white noise on each reading: on real units the steps between blocks
     have a lag-1 autocorrelation near -0.5, which is noise of the reading and not of the speed.
     """
 
-    rpm: int
-    """Whole turns per minute."""
-    start_azimuth_deg: float
-    """True angle at time zero."""
+    spins: tuple[Spin, ...]
+    """In order of time; the first is from the start on."""
     eccentricity_deg: float
     """Amplitude of the angle-locked error; 0 switches it off."""
     eccentricity_phase_deg: float
@@ -36,17 +93,32 @@ class Rotor:
     noise_deg: float
     """One sigma of a reading's white error; 0 switches it off."""
     seed: int
+    wobbles: tuple[Wobbling, ...] = ()
+
+    @property
+    def rpm(self) -> float:
+        """Speed at the start."""
+        return self.spins[0].rpm
 
     def angle_deg(self, elapsed_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Turn times since the start, any shape, into true angles in [0, 360), exact after any number of hours."""
-        # Only what is past the last whole turn on a whole second counts: no error grows with time.
-        per_minute = math.gcd(self.rpm, 60)
-        span_ns, turns = 60 // per_minute * S_NS, self.rpm // per_minute
-        out = np.empty(elapsed_ns.shape)
-        _turn(
-            elapsed_ns.reshape(-1), span_ns, turns * 360.0 / span_ns, self.start_azimuth_deg, out.reshape(-1)
-        )
-        return out
+        flat_ns = elapsed_ns.reshape(-1)
+        if len(self.spins) == 1:
+            out = self.spins[0].at(flat_ns)
+        else:
+            out = np.empty(len(flat_ns))
+            begins_ns = np.array([spin.from_ns for spin in self.spins[1:]])
+            of = np.searchsorted(begins_ns, flat_ns, side="right")
+            for number in np.unique(of).tolist():
+                out[of == number] = self.spins[number].at(flat_ns[of == number])
+        for wobble in self.wobbles:
+            out = (out + wobble.ahead_deg(flat_ns)) % 360.0
+        return out.reshape(elapsed_ns.shape)
+
+    def rpm_at(self, elapsed_ns: int) -> float:
+        """Speed at a time since the start."""
+        spin = [spin for spin in self.spins if spin.from_ns <= elapsed_ns or spin is self.spins[0]][-1]
+        return spin.rpm_at(elapsed_ns) + sum(wobble.rpm_at(elapsed_ns) for wobble in self.wobbles)
 
     def reading_deg(self, angle_deg: NDArray[np.float64], first: int) -> NDArray[np.float64]:
         """Read the encoder at (k,) true angles, those of firing sequences first .. first + k - 1."""
@@ -81,25 +153,41 @@ def _eccentric(angle_deg: NDArray[np.float64], amplitude_deg: float, phase_deg: 
 
 
 @dataclass(frozen=True, slots=True)
+class ClockSpan:
+    """The sensor's clock from an instant on."""
+
+    from_ns: int
+    """UTC."""
+    reading_ns: int | None = None
+    """What it shows at that instant, where it runs free; None where it is locked to GPS."""
+    error_ppm: float = 0.0
+    """How much it is fast, where it runs free."""
+
+    def reading(self, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Nanoseconds past the counter's hour at UTC instants, any shape; what it showed first before the span."""
+        if self.reading_ns is None:
+            return np.asarray(t_ns % HOUR_NS)
+        since = np.maximum(t_ns - self.from_ns, 0)
+        if self.error_ppm:
+            since = since + np.rint(since * (self.error_ppm * 1e-6)).astype(np.int64)
+        return np.asarray((self.reading_ns + since) % HOUR_NS)
+
+
+@dataclass(frozen=True, slots=True)
 class Clock:
     """The sensor's top-of-hour counter.
 
     Locked to GPS it shows nanoseconds past the UTC hour; without GPS it runs from power-up on its own
-    oscillator and rolls over every 3600 s (63-9243 Rev D, appendix G). Before power-up it stands at zero: the stamp of a
+    oscillator and rolls over every 3600 s (63-9243 Rev D, appendix G). Before power-up it stays at zero: the stamp of a
     position packet is older than the packet, and so may fall before there is a clock.
     """
 
-    locked: bool
-    power_up_ns: int
-    """UTC at which the free-running counter stood at zero."""
-    error_ppm: float
-    """How much the free-running counter is fast."""
+    spans: tuple[ClockSpan, ...]
+    """In order of time; the first holds for all times before the second."""
 
     def reading_ns(self, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Nanoseconds past the counter's hour at UTC instants, any shape."""
-        if self.locked:
-            return np.asarray(t_ns % HOUR_NS)
-        since = np.maximum(t_ns - self.power_up_ns, 0)
-        if self.error_ppm:
-            since = since + np.rint(since * (self.error_ppm * 1e-6)).astype(np.int64)
-        return np.asarray(since % HOUR_NS)
+        out = self.spans[0].reading(t_ns)
+        for span in self.spans[1:]:
+            out = np.where(t_ns >= span.from_ns, span.reading(t_ns), out)
+        return out

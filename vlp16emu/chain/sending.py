@@ -1,0 +1,123 @@
+"""Which firing sequences of a unit are sent, and in which packets."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.packets import SEQUENCES_PER_PACKET, azimuth_cdeg
+from vlp16emu.sensor.head import Head
+from vlp16emu.types import Firings, ReturnMode, Returns
+
+__all__ = ["Sending", "SendingSpan", "joined", "rows_of"]
+
+_AT_ONCE = 1 << 16
+"""Firing sequences whose azimuths are read at once, 3.6 s of them."""
+_BY_SEQUENCE = ("t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m", "direction")
+"""Arrays of `Firings`, one row each per firing sequence."""
+
+
+@dataclass(frozen=True, slots=True)
+class SendingSpan:
+    """A part of a run in which the settings of packets stay as they are."""
+
+    first: int
+    """Firing sequence, at which a packet begins."""
+    stop: int | None
+    """Firing sequence after the last; None for a span without end."""
+    mode: ReturnMode
+    fov_deg: tuple[int, int] | None
+    """First and last azimuth that is sent, in whole degrees; None for all around."""
+
+    @property
+    def per_packet(self) -> int:
+        """Firing sequences of a packet."""
+        return SEQUENCES_PER_PACKET[self.mode]
+
+
+@dataclass(frozen=True, slots=True)
+class Sending:
+    """What a unit sends over a run."""
+
+    head: Head
+    spans: tuple[SendingSpan, ...]
+    """In order of time, without overlap."""
+    silences_ns: tuple[tuple[int, int], ...] = ()
+    """Spans of time since the first pulse in which no packet of any kind leaves."""
+
+    def stop_of(self, span: SendingSpan, stop_ns: int) -> int:
+        """Find the firing sequence after the last of a span that a packet due before a time since the first pulse may have."""
+        last = -(-stop_ns // self.head.beams.sequence_ns) - 1
+        return last if span.stop is None else min(span.stop, last)
+
+    def chosen(self, span: SendingSpan, first: int, stop: int) -> NDArray[np.int64]:
+        """Find the firing sequences from `first` until before `stop`, both even, that lie in the field of view of a span.
+
+        Blocks are sent or not as a whole, by the azimuth in them; the last degree of the field of view is part of it.
+        """
+        every = np.arange(first, stop, dtype=np.int64)
+        if span.fov_deg is None:
+            return every
+        angle_deg = self.head.rotor.angle_deg(every * self.head.beams.sequence_ns)
+        code = azimuth_cdeg(self.head.rotor.reading_deg(angle_deg, first)[::2])
+        begin, end = 100 * span.fov_deg[0], 100 * (span.fov_deg[1] + 1)
+        inside = (code >= begin) & (code < end) if begin < end else (code >= begin) | (code < end)
+        return every[np.repeat(inside, 2)]
+
+    def slots(self, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
+        """Yield the firing sequences (n, 24) or (n, 12) of packets due in a span of time since the first pulse."""
+        for span in self.spans:
+            yield from self.slots_of(span, start_ns, stop_ns)
+
+    def slots_of(self, span: SendingSpan, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
+        """Yield those of a span of settings."""
+        sequence_ns = self.head.beams.sequence_ns
+        begin, stop = span.first, self.stop_of(span, stop_ns) & ~1
+        if span.fov_deg is None:
+            period_ns = span.per_packet * sequence_ns
+            begin += max(0, -(-(start_ns - span.first * sequence_ns) // period_ns) - 1) * span.per_packet
+        left = np.empty(0, np.int64)
+        for first in range(begin, stop, _AT_ONCE):
+            sequences = np.concatenate([left, self.chosen(span, first, min(first + _AT_ONCE, stop))])
+            whole = len(sequences) // span.per_packet * span.per_packet
+            slots, left = sequences[:whole].reshape(-1, span.per_packet), sequences[whole:]
+            slots = slots[(slots[:, -1] + 1) * sequence_ns >= start_ns]
+            if len(slots):
+                yield slots
+
+    def count(self, start_ns: int, stop_ns: int) -> int:
+        """Count the packets due in a span of time since the first pulse."""
+        return sum(map(len, self.slots(start_ns, stop_ns)))
+
+    def is_silent(self, since_ns: int) -> bool:
+        """Whether nothing is sent at a time since the first pulse."""
+        return any(begin <= since_ns < end for begin, end in self.silences_ns)
+
+
+def rows_of(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
+    """Take some firing sequences of returns, for packing: in order of time, not all of them in a row."""
+    arrays = {name: getattr(returns.firings, name)[rows] for name in _BY_SEQUENCE}
+    return Returns(
+        Firings(index=returns.firings.index, beam_axis=None, **arrays),
+        returns.distance_m[rows],
+        returns.reflectivity[rows],
+        None,
+        None,
+    )
+
+
+def joined(first: Returns, second: Returns) -> Returns:
+    """Put the rows of one behind those of the other."""
+    arrays = {
+        name: np.concatenate([getattr(first.firings, name), getattr(second.firings, name)])
+        for name in _BY_SEQUENCE
+    }
+    firings = Firings(index=first.firings.index, beam_axis=None, **arrays)
+    return Returns(
+        firings,
+        np.concatenate([first.distance_m, second.distance_m]),
+        np.concatenate([first.reflectivity, second.reflectivity]),
+        None,
+        None,
+    )
