@@ -245,7 +245,12 @@ def test_the_resolved_scenario_is_a_scene(tmp_path):
         scenario = load(name, ["seed=77", "title=ä"])
         head = SimpleNamespace(beams=SimpleNamespace(sequence_ns=55_296))
         unit = SimpleNamespace(
-            number=0, head=head, section=scenario.sensor, mount=scenario.motion.mount, motion=None
+            number=0,
+            head=head,
+            section=scenario.sensor,
+            mount=scenario.motion.mount,
+            motion=None,
+            sending=SimpleNamespace(slots=lambda *_span_ns: iter(())),
         )
         parts = SimpleNamespace(units=(unit,), gps=SimpleNamespace(second_ns=lambda _t_ns: None))
         emulator = SimpleNamespace(scenario=scenario, parts=parts, receiver=None)

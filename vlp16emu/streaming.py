@@ -2,11 +2,13 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
 from vlp16emu.accuracy import AuditFinding
 from vlp16emu.chain import Unit
 from vlp16emu.chain.chain import Chain
+from vlp16emu.device.events import Event
 from vlp16emu.report.keeping_up import settings_that_keep_up
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
@@ -42,12 +44,17 @@ class Engine:
 
     def __init__(self, chain: Chain, start_s: float, stop_s: float) -> None:
         self._chain, self._stop_s = chain, stop_s
-        self.scenario = chain.scenario
         self._packets = chain.packets(start_s, stop_s)
         self._reached_ns = chain.scenario.start_ns
+        self._at_reached = set[tuple[int, PacketKind]]()
         self._from_ns: int | None = None
         self.skipped = Counter[PacketKind]()
         """Packets that were left out."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """That of the run, with the events so far."""
+        return self._chain.scenario
 
     def __iter__(self) -> Iterator[Packet]:
         return self
@@ -57,12 +64,31 @@ class Engine:
         if from_ns is not None:
             self._leave_out(from_ns)
         packet = next(self._packets)
-        self._reached_ns = packet.due_ns + 1
+        if packet.due_ns > self._reached_ns:
+            self._reached_ns = packet.due_ns
+            self._at_reached.clear()
+        self._at_reached.add((packet.unit, packet.kind))
         return packet
 
     def go_on_from(self, due_ns: int) -> None:
         """Compute no packet that is due before a UTC time, from the next one on; from any thread."""
         self._from_ns = due_ns
+
+    def begin_again(self, from_ns: int, events: Sequence[Event]) -> None:
+        """Go on from a UTC time, or from where the run is if that is earlier, with other events; between two packets."""
+        self._packets = iter(())  # ends the workers of the packets before
+        self._chain.set_events(events)
+        if from_ns > self._reached_ns:
+            from_ns, there = self._reached_ns, self._at_reached
+        else:
+            there = set()
+        self._packets = self._after(from_ns, there)
+
+    def _after(self, from_ns: int, there: AbstractSet[tuple[int, PacketKind]]) -> Iterator[Packet]:
+        """Yield packets due from a UTC time on; of those due just then some are out already."""
+        for packet in self._chain.packets(self._since_s(from_ns), self._stop_s):
+            if packet.due_ns > from_ns or (packet.unit, packet.kind) not in there:
+                yield packet
 
     def _leave_out(self, from_ns: int) -> None:
         """Begin again further on."""
@@ -71,7 +97,7 @@ class Engine:
         if from_ns <= self._reached_ns:
             return
         self._packets = iter(())  # ends the workers of the packets before
-        self.skipped += self._count(from_ns) - self._count(self._reached_ns)
+        self.skipped += self._count(from_ns) - self._count(self._reached_ns + 1)
         self._packets = self._chain.packets(self._since_s(from_ns), self._stop_s)
 
     def _count(self, before_ns: int) -> Counter[PacketKind]:

@@ -11,7 +11,7 @@ from vlp16emu.motion.carrier import StaticMotion
 from vlp16emu.raycast.beam import BeamModel, Footprint
 from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.rotor import Clock, Rotor
+from vlp16emu.sensor.rotor import Clock, ClockSpan, Rotor, Spin
 from vlp16emu.types import STEM, SURFACE, FarTile, Firings, Mesh, PlantPart, Semantic, SensorModel, Window
 from vlp16emu.world.stand.tiles import TileKey, ground_mesh
 
@@ -54,8 +54,8 @@ def placed(count, *, at=UTM_M, scaled=True, seed=1):
 
 def pulses(count, *, first=0, at=UTM_M, tilt_deg=2.0):
     """Firings of a static sensor in the middle of it."""
-    rotor = Rotor(600, 0.0, 0.0, 0.0, 0.0, 1)
-    head = Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock(True, 0, 0.0), 10**18)
+    rotor = Rotor((Spin(0, 0.0, 600),), 0.0, 0.0, 0.0, 1)
+    head = Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock((ClockSpan(0),)), 10**18)
     standing = StaticMotion(np.asarray(at, float) + [0, 0, 0.1], 30.0, tilt_deg, 1.0)
     return head.aim(first, count, standing.poses_at, beam_axis=True)
 

@@ -9,7 +9,7 @@ import pytest
 from vlp16emu.motion.pose import rotations
 from vlp16emu.sensor.beams import BEAM_TABLES, free_beams, with_angle_errors
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.rotor import Clock, Rotor
+from vlp16emu.sensor.rotor import Clock, ClockSpan, Rotor, Spin
 from vlp16emu.types import Poses, SensorModel
 
 START_NS = 1_780_000_000_123_456_789
@@ -17,8 +17,8 @@ START_NS = 1_780_000_000_123_456_789
 
 @pytest.fixture
 def head():
-    rotor = Rotor(600, 10.0, 0.06, 40.0, 0.005, 1)
-    return Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock(True, 0, 0.0), START_NS)
+    rotor = Rotor((Spin(0, 10.0, 600),), 0.06, 40.0, 0.005, 1)
+    return Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock((ClockSpan(0),)), START_NS)
 
 
 def pose(yaw=0.0, pitch=0.0, roll=0.0, at=(0.0, 0.0, 0.0)):
@@ -87,7 +87,7 @@ def test_the_beam_axis_is_where_the_beam_moves(head):
     """`across` is the direction's derivative by the rotor's angle at unit length, level in the sensor."""
     yaw, pitch, roll = 0.4, 0.2, -0.1
     aimed = head.aim(0, 8, pose(yaw, pitch, roll), beam_axis=True)
-    later = replace(head, rotor=replace(head.rotor, start_azimuth_deg=10.0 + 1e-4))
+    later = replace(head, rotor=replace(head.rotor, spins=(Spin(0, 10.0 + 1e-4, 600),)))
     moved = later.aim(0, 8, pose(yaw, pitch, roll)).direction - aimed.direction
     moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
     np.testing.assert_allclose(aimed.beam_axis, moved, atol=1e-5)
@@ -126,7 +126,7 @@ def test_angle_errors_turn_the_beams_and_nothing_else(head):
 def test_a_free_head_turns_by_its_resolution():
     """From sequence to sequence 256 free beams turn by the resolution, to what half a nanosecond is at that speed."""
     beams = free_beams(np.linspace(-25, 15, 256), lens_radius_m=0.0, azimuth_resolution_deg=0.35, rpm=777)
-    free = Head(beams, Rotor(777, 0.0, 0.0, 0.0, 0.0, 1), Clock(True, 0, 0.0), START_NS)
+    free = Head(beams, Rotor((Spin(0, 0.0, 777),), 0.0, 0.0, 0.0, 1), Clock((ClockSpan(0),)), START_NS)
     firings = free.aim(0, 8, pose())
     assert firings.direction.shape == (8, 256, 3)
     np.testing.assert_allclose(np.diff(firings.azimuth_deg, axis=0), 0.35, atol=777 * 6 * 0.5e-9 + 1e-12)

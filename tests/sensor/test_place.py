@@ -9,7 +9,7 @@ from vlp16emu.motion.pose import rotations
 from vlp16emu.sensor.beams import BEAM_TABLES, with_angle_errors
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.place import place
-from vlp16emu.sensor.rotor import Clock, Rotor
+from vlp16emu.sensor.rotor import Clock, ClockSpan, Rotor, Spin
 from vlp16emu.types import Poses, SensorModel
 
 START_NS = 1_780_000_000 * 10**9
@@ -19,8 +19,8 @@ DISTANCE_M = np.linspace(0.5, 100.0, 128).astype(np.float32)
 
 @pytest.fixture
 def head():
-    rotor = Rotor(600, 350.0, 0.0, 0.0, 0.0, 1)
-    return Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock(True, 0, 0.0), START_NS)
+    rotor = Rotor((Spin(0, 350.0, 600),), 0.0, 0.0, 0.0, 1)
+    return Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock((ClockSpan(0),)), START_NS)
 
 
 def carried(t_ns):
@@ -80,7 +80,7 @@ def test_points_are_where_the_sensor_believes(head):
 
 def test_azimuths_stay_in_the_circle(head):
     """Where the rotor passes 0 between two lasers the azimuth goes on from there, never to 360."""
-    ahead = replace(head, rotor=replace(head.rotor, start_azimuth_deg=359.999))
+    ahead = replace(head, rotor=replace(head.rotor, spins=(Spin(0, 359.999, 600),)))
     _, points = placed(ahead)
     assert points.azimuth_deg.max() < 360
     assert points.azimuth_deg[0] == pytest.approx(359.999)

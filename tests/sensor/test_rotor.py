@@ -7,15 +7,15 @@ import pytest
 from scipy import stats
 
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.sensor.rotor import Rotor
+from vlp16emu.sensor.rotor import Rotor, Spin
 
-IDEAL = {"start_azimuth_deg": 0.0, "eccentricity_deg": 0.0, "eccentricity_phase_deg": 0.0, "noise_deg": 0.0}
+IDEAL = {"eccentricity_deg": 0.0, "eccentricity_phase_deg": 0.0, "noise_deg": 0.0}
 
 
 @pytest.mark.parametrize("rpm", [300, 420, 600, 1200])
 def test_a_block_turns_by_the_manuals_angle(rpm):
     """Two firing sequences turn the head by rpm * 6 * 110.592 us."""
-    rotor = Rotor(rpm=rpm, seed=1, **IDEAL)
+    rotor = Rotor(spins=(Spin(0, 0.0, rpm),), seed=1, **IDEAL)
     step = np.diff(rotor.angle_deg(np.arange(3) * 2 * SEQUENCE_NS))
     np.testing.assert_allclose(step, rpm * 6 * 110.592e-6, rtol=1e-12)
 
@@ -23,7 +23,7 @@ def test_a_block_turns_by_the_manuals_angle(rpm):
 @pytest.mark.parametrize("rpm", [300, 420, 1140])
 def test_angle_is_exact_after_a_day(rpm):
     """A day and a millisecond after the start the angle is that of the millisecond, to the last bit."""
-    rotor = Rotor(rpm=rpm, seed=1, **IDEAL)
+    rotor = Rotor(spins=(Spin(0, 0.0, rpm),), seed=1, **IDEAL)
     day = np.array([1_000_000, 86_400 * 10**9 + 1_000_000])
     first, later = rotor.angle_deg(day)
     assert first == later
@@ -32,7 +32,7 @@ def test_angle_is_exact_after_a_day(rpm):
 @pytest.mark.parametrize("rpm", [61, 90, 750, 3599])
 def test_any_whole_speed_is_exact_after_years(rpm):
     """At a speed that makes no whole turns in a second the angle still is the exact fraction, years later too."""
-    rotor = Rotor(rpm=rpm, seed=1, **IDEAL)
+    rotor = Rotor(spins=(Spin(0, 0.0, rpm),), seed=1, **IDEAL)
     elapsed_ns = np.array([1, 999_999_999, 59 * 10**9 + 1, 10 * 365 * 86_400 * 10**9 + 1_234_567_891])
     exact = [float(Fraction(int(ns) * rpm * 6, 10**9) % 360) for ns in elapsed_ns]
     np.testing.assert_allclose(rotor.angle_deg(elapsed_ns), exact, rtol=0, atol=1e-9)
@@ -40,14 +40,14 @@ def test_any_whole_speed_is_exact_after_years(rpm):
 
 def test_ideal_encoder_reads_the_truth():
     """With both errors off the reading is the angle itself."""
-    rotor = Rotor(rpm=600, seed=1, **IDEAL)
+    rotor = Rotor(spins=(Spin(0, 0.0, 600),), seed=1, **IDEAL)
     angle = rotor.angle_deg(np.arange(1000) * SEQUENCE_NS)
     assert (rotor.reading_deg(angle, 0) == angle).all()
 
 
 def test_noise_is_white_and_as_wide_as_set():
     """Reading errors are normal with the sigma that was set, and not correlated with their neighbours."""
-    rotor = Rotor(rpm=600, seed=3, **{**IDEAL, "noise_deg": 0.005})
+    rotor = Rotor(spins=(Spin(0, 0.0, 600),), seed=3, **{**IDEAL, "noise_deg": 0.005})
     angle = np.full(20_000, 180.0)
     error = rotor.reading_deg(angle, 0) - angle
     assert stats.kstest(error / 0.005, "norm").pvalue > 0.01
@@ -56,14 +56,18 @@ def test_noise_is_white_and_as_wide_as_set():
 
 def test_noise_belongs_to_the_firing_sequence():
     """A reading is the same whether its sequence is asked for alone or among others."""
-    rotor = Rotor(rpm=600, seed=3, **{**IDEAL, "noise_deg": 0.005})
+    rotor = Rotor(spins=(Spin(0, 0.0, 600),), seed=3, **{**IDEAL, "noise_deg": 0.005})
     angle = rotor.angle_deg(np.arange(100) * SEQUENCE_NS)
     assert (rotor.reading_deg(angle, 0)[60:70] == rotor.reading_deg(angle[60:70], 60)).all()
 
 
 def test_eccentricity_is_one_cycle_per_revolution():
     """The angle-locked error is a sine of the angle with the amplitude and phase that were set."""
-    rotor = Rotor(rpm=600, seed=1, **{**IDEAL, "eccentricity_deg": 0.06, "eccentricity_phase_deg": 40.0})
+    rotor = Rotor(
+        spins=(Spin(0, 0.0, 600),),
+        seed=1,
+        **{**IDEAL, "eccentricity_deg": 0.06, "eccentricity_phase_deg": 40.0},
+    )
     angle = np.linspace(1.0, 359.0, 500)
     error = rotor.reading_deg(angle, 0) - angle
     np.testing.assert_allclose(error, 0.06 * np.sin(np.radians(angle - 40.0)), atol=1e-12)
@@ -71,7 +75,7 @@ def test_eccentricity_is_one_cycle_per_revolution():
 
 def test_readings_stay_in_the_circle():
     """Errors at the wrap lead to readings in [0, 360), never to 360 or less than 0."""
-    rotor = Rotor(rpm=600, seed=5, **{**IDEAL, "noise_deg": 0.02})
+    rotor = Rotor(spins=(Spin(0, 0.0, 600),), seed=5, **{**IDEAL, "noise_deg": 0.02})
     reading = rotor.reading_deg(np.zeros(1000), 0)
     assert ((reading >= 0) & (reading < 360)).all()
     assert (reading > 359).any()

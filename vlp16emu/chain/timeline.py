@@ -116,18 +116,23 @@ class _Wanted:
 def spins(section: Sensor | FreeSensor, events: Sequence[Event], start_ns: int) -> tuple[Spin, ...]:
     """Find how the rotor turns: held at its speed, run up and down to another, and pulled into phase."""
     wanted = _Wanted(section.rpm, section.phase_lock_deg if isinstance(section, Sensor) else None)
-    first = section.start_azimuth_deg if wanted.phase_deg is None else _in_phase_deg(wanted, start_ns)
-    done = [Spin(0, first, float(wanted.rpm))]
     power_up = wanted
+
+    def started(t_ns: int) -> Spin:
+        """Give the rotor at its first pulse after power-up."""
+        free = wanted.phase_deg is None
+        angle_deg = section.start_azimuth_deg if free else _in_phase_deg(wanted, start_ns + t_ns)
+        return Spin(t_ns, angle_deg, float(wanted.rpm))
+
+    done = [started(0)]
     for t_ns, event in _in_order(events):
         before = wanted
         wanted = _after(event, wanted, power_up, stops=t_ns == seconds_to_ns(event.at_s))
-        if isinstance(event, PowerCycle):
-            done.append(replace(done[0], from_ns=t_ns))
-        elif wanted != before:
-            while done[-1].from_ns > t_ns:  # what it was doing, it does no more
+        if isinstance(event, PowerCycle) or wanted != before:
+            while len(done) > 1 and done[-1].from_ns > t_ns:  # what it was doing, it does no more
                 done.pop()
-            done += _led(done[-1], t_ns, wanted, start_ns)
+            is_on = isinstance(event, PowerCycle)
+            done += [started(t_ns)] if is_on else _led(done[-1], t_ns, wanted, start_ns)
     return tuple(done)
 
 

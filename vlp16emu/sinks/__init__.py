@@ -4,7 +4,7 @@ from vlp16emu.sinks.now import NowSink
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import PcapResult, PcapSink, check_ending
 from vlp16emu.sinks.sink import MemorySink, PacketSink
-from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, StreamReport, sending_share, stream
+from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, StreamReport, UnderWay, sending_share, stream
 from vlp16emu.sinks.truth import TruthFolder, TruthTo, tum_rows
 from vlp16emu.sinks.udp import LOOPBACK, RigSink, UdpResult, UdpSink
 
@@ -28,6 +28,7 @@ __all__ = [
     "TruthTo",
     "UdpResult",
     "UdpSink",
+    "UnderWay",
     "check_ending",
     "sending_share",
     "stream",

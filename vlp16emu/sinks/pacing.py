@@ -219,6 +219,11 @@ class Pacer:
         simulated_ns = due_ns - self._first_due_ns
         return self._start_ns + self.delay_ns + round(simulated_ns / self.speed)
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether the clock runs."""
+        return self._first_due_ns is not None
+
     def due_in_ns(self, ahead_ns: int) -> int:
         """Due time of a packet whose deadline is some time ahead of now; after the first deadline."""
         assert self._first_due_ns is not None

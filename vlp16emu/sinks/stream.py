@@ -29,7 +29,7 @@ from vlp16emu.sinks.udp import LOOPBACK, UdpSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-__all__ = ["LOOK_AHEAD_PACKETS", "LookAhead", "Sender", "StreamReport", "sending_share", "stream"]
+__all__ = ["LOOK_AHEAD_PACKETS", "LookAhead", "Sender", "StreamReport", "UnderWay", "sending_share", "stream"]
 
 _POLL_S = 0.05
 """How often a thread that waits looks whether it shall stop."""
@@ -66,7 +66,10 @@ class LookAhead:
         self._error: BaseException | None = None
         self._made_due_ns = 0
         self._full: tuple[int, int] | None = None
-        self._thread = threading.Thread(target=self._run, args=(packets,), name="look-ahead", daemon=True)
+        self._redo: tuple[int, Callable[[int], None]] | None = None
+        self._thread = threading.Thread(
+            target=self._run, args=(iter(packets),), name="look-ahead", daemon=True
+        )
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -131,6 +134,20 @@ class LookAhead:
             raise self._error
         return None
 
+    def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
+        """Compute anew what is due from a time on and not taken yet; from any thread.
+
+        Parameters
+        ----------
+        restart : makes the iterator of packets begin again at a due time; called by the thread that computes
+        """
+        with self._changed:
+            earliest_ns = min(due_ns, self._redo[0]) if self._redo else due_ns
+            while self._ready and self._ready[-1].due_ns >= earliest_ns:
+                self._ready.pop()
+            self._redo = earliest_ns, restart
+            self._changed.notify_all()
+
     @property
     def _over(self) -> bool:
         """Whether nobody wants more packets."""
@@ -138,24 +155,29 @@ class LookAhead:
 
     def _wait_for_room(self) -> None:
         """Wait until a share of the full buffer has been taken, or nobody wants more; holds the lock."""
-        while len(self._ready) > self._room_at and not self._over:
+        while len(self._ready) > self._room_at and not self._over and self._redo is None:
             self._changed.wait(_POLL_S)
 
-    def _run(self, packets: Iterable[Packet]) -> None:
+    def _run(self, packets: Iterator[Packet]) -> None:
         """Body of the thread."""
         if sys.platform == "linux":
             os.nice(_NICE)
         try:
-            for packet in packets:
+            while (packet := next(packets, None)) is not None:
                 with self._changed:
                     if len(self._ready) >= self._capacity:
                         self._wait_for_room()
                         self._full = time.monotonic_ns(), packet.due_ns
                     if self._over:
                         return
-                    self._made_due_ns = packet.due_ns
-                    self._ready.append(packet)
-                    self._changed.notify_all()
+                    redo, self._redo = self._redo, None
+                    if redo is None or packet.due_ns < redo[0]:
+                        self._made_due_ns = packet.due_ns
+                        self._ready.append(packet)
+                        self._changed.notify_all()
+                if redo is not None:
+                    due_ns, restart = redo
+                    restart(due_ns)
         except BaseException as error:  # noqa: BLE001  # belongs to the thread that takes, which raises it
             self._error = error
         finally:
@@ -176,6 +198,25 @@ _PATIENCE_NS = 250_000_000
 """For how long packets are computed only to be dropped, before the engine is asked to go on further ahead."""
 _LEAD_NS = 1_000_000_000
 """How far ahead of now that is at first: longer than the blocks under way take to end and new ones to begin."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnderWay:
+    """A stream that is being sent, for those who change it."""
+
+    _ahead: LookAhead
+    _pacer: Pacer
+    _first_due_ns: int
+
+    def due_in_ns(self, ahead_ns: int) -> int:
+        """Due time, UTC, of a packet that leaves some time ahead of now."""
+        if not self._pacer.has_begun:
+            return self._first_due_ns + round(ahead_ns * self._pacer.speed)
+        return self._pacer.due_in_ns(ahead_ns)
+
+    def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
+        """As of `LookAhead`."""
+        self._ahead.redo(due_ns, restart)
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,6 +255,7 @@ def stream(
     notify: Callable[[FellBehind], None] = lambda _: None,
     go_on_from: Callable[[int], None] | None = None,
     now: bool = False,
+    begun: Callable[[UnderWay], None] = lambda _: None,
     stop: threading.Event | None = None,
     look_ahead_packets: int = LOOK_AHEAD_PACKETS,
 ) -> StreamReport:
@@ -230,6 +272,7 @@ def stream(
     notify : called by the sending thread each time that the stream falls behind
     go_on_from : with `skip`, makes `packets` leave out those that are due before a UTC time in ns
     now : send packets as of the present, as `NowSink` does
+    begun : called before the first packet leaves
     stop : ends the stream from another thread
     look_ahead_packets : size of the buffer
 
@@ -249,8 +292,10 @@ def stream(
     try:
         with _prompt_switching(), prompt_sleeps(), LookAhead(packets, look_ahead_packets, stop) as ahead:
             ahead.fill()
-            if present and (first := ahead.first):
-                present.begin(first, stop)
+            if first := ahead.first:
+                begun(UnderWay(ahead, pacer, first.due_ns))
+                if present:
+                    present.begin(first, stop)
             had_to_wait = False
             while (packet := ahead.take(sender.watch)) is not None:
                 sender.send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
