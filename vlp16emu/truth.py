@@ -82,6 +82,7 @@ class Truth:
 
     def __init__(self, to: TruthTo, chain: Chain, span_s: tuple[float, float]) -> None:
         scenario, parts = chain.scenario, chain.parts
+        self._chain = chain
         self._units, self._to, self._scenario, self._span_s = parts.units, to, scenario, span_s
         wanted = self._units if to.per_packet else ()
         for unit in wanted:
@@ -120,11 +121,11 @@ class Truth:
             self._write()
             for samples in self._trajectories:
                 samples.up_to(self._seen_ns + self._step_ns)
-            if not self._is_whole and self._seen_ns > self._scenario.start_ns + seconds_to_ns(
-                self._span_s[0]
-            ):
-                begin_s, stop_s = self._span_s[0], (self._seen_ns + 1 - self._scenario.start_ns) / S_NS
-                self._folder.write_json(self._to.scenario.name, _resolved(self._scenario, (begin_s, stop_s)))
+            begin_s, stop_s = self._span_s
+            if not self._is_whole and self._seen_ns > self._scenario.start_ns + seconds_to_ns(begin_s):
+                stop_s = (self._seen_ns + 1 - self._scenario.start_ns) / S_NS
+            if (ran := self._chain.scenario) is not self._scenario or stop_s != self._span_s[1]:
+                self._folder.write_json(self._to.scenario.name, _resolved(ran, (begin_s, stop_s)))
 
     def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
         """Pass packets on, and write what was true until each of them once a second.

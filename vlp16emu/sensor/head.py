@@ -135,6 +135,7 @@ class Turn:
     """How fast a sensor turns, how finely it looks around, and how far it gets."""
 
     rpm: float
+    """At the start, as the next two."""
     azimuth_step_deg: float
     """From one firing sequence to the next."""
     sequences_per_revolution: float
@@ -150,6 +151,6 @@ def turn_of(head: Head, simulated_s: float) -> Turn:
         rpm=rpm,
         azimuth_step_deg=6 * rpm / sequences_per_s,
         sequences_per_revolution=sequences_per_s * 60 / rpm,
-        revolutions=simulated_s * rpm / 60.0,
+        revolutions=head.rotor.revolutions(seconds_to_ns(simulated_s)),
         azimuth_steps=seconds_to_ns(simulated_s) // head.beams.sequence_ns,
     )

@@ -15,8 +15,6 @@ from vlp16emu.units import HOUR_NS, S_NS
 
 __all__ = ["Clock", "ClockSpan", "Rotor", "Spin", "Wobbling"]
 
-_DEG_PER_NS_RPM = 360.0 / (60 * S_NS)
-
 
 @dataclass(frozen=True, slots=True)
 class Spin:
@@ -114,6 +112,16 @@ class Rotor:
         for wobble in self.wobbles:
             out = (out + wobble.ahead_deg(flat_ns)) % 360.0
         return out.reshape(elapsed_ns.shape)
+
+    def revolutions(self, elapsed_ns: int) -> float:
+        """Count the turns from the start to a time, without those of a wobble, which come back."""
+        stops_ns = [*(spin.from_ns for spin in self.spins[1:]), elapsed_ns]
+        turns = 0.0
+        for spin, stop_ns in zip(self.spins, stops_ns, strict=True):
+            stop_ns = min(stop_ns, elapsed_ns)
+            if stop_ns > spin.from_ns:
+                turns += (spin.rpm + spin.rpm_at(stop_ns)) / 2 * (stop_ns - spin.from_ns) / (60 * S_NS)
+        return turns
 
     def rpm_at(self, elapsed_ns: int) -> float:
         """Speed at a time since the start."""

@@ -64,6 +64,7 @@ class UdpSink:
     ) -> None:
         address = _resolve(host)
         broadcast = _is_broadcast(address, as_sensor)
+        self._as_sensor = as_sensor
         self._sent = Counter[PacketKind]()
         self._bytes = 0
         with ExitStack() as stack:
@@ -85,6 +86,21 @@ class UdpSink:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._sockets.close()
+
+    def redirect(self, host: str, data_port: int, position_port: int) -> None:
+        """Send to another receiver from now on; from any thread.
+
+        Raises
+        ------
+        OutputError
+            If the host is unknown or out of reach; then all stays as it is.
+        """
+        address = _resolve(host)
+        if _is_broadcast(address, self._as_sensor):
+            for way, _ in self._ways.values():
+                way.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        ports = {PacketKind.DATA: data_port, PacketKind.POSITION: position_port}
+        self._ways = {kind: (way, (address, ports[kind])) for kind, (way, _) in self._ways.items()}
 
     def send(self, packet: Packet) -> None:
         """Send one packet.
@@ -241,6 +257,10 @@ class RigSink:
         """
         self._sinks[packet.unit].send(packet)
         self._sent(packet.due_ns)
+
+    def redirect(self, unit: int, host: str, data_port: int, position_port: int) -> None:
+        """Send the packets of a unit to another receiver from now on; as `UdpSink.redirect`."""
+        self._sinks[unit].redirect(host, data_port, position_port)
 
     @property
     def results(self) -> list[UdpResult]:
