@@ -117,8 +117,8 @@ class Rotor:
         """Count the turns from the start to a time, without those of a wobble, which come back."""
         stops_ns = [*(spin.from_ns for spin in self.spins[1:]), elapsed_ns]
         turns = 0.0
-        for spin, stop_ns in zip(self.spins, stops_ns, strict=True):
-            stop_ns = min(stop_ns, elapsed_ns)
+        for spin, next_ns in zip(self.spins, stops_ns, strict=True):
+            stop_ns = min(next_ns, elapsed_ns)
             if stop_ns > spin.from_ns:
                 turns += (spin.rpm + spin.rpm_at(stop_ns)) / 2 * (stop_ns - spin.from_ns) / (60 * S_NS)
         return turns

@@ -61,7 +61,7 @@ class LookAhead:
         self._room_at = capacity - max(capacity // _REFILLS, 1)
         self._ready = deque[Packet]()
         self._changed = threading.Condition()
-        self._done = False
+        self._done = self._ended = False
         self._left = False
         self._error: BaseException | None = None
         self._made_due_ns = 0
@@ -127,7 +127,7 @@ class LookAhead:
                 return None
             if self._ready:
                 packet = self._ready.popleft()
-                if len(self._ready) == self._room_at:
+                if len(self._ready) == self._room_at or not self._ready:
                     self._changed.notify_all()
                 return packet
         if self._error is not None:
@@ -135,17 +135,19 @@ class LookAhead:
         return None
 
     def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
-        """Compute anew what is due from a time on and not taken yet; from any thread.
+        """Compute anew what is due from a time on and not taken yet; from any thread. At the end of all packets nothing is.
 
         Parameters
         ----------
         restart : makes the iterator of packets begin again at a due time; called by the thread that computes
         """
         with self._changed:
+            if self._ended:
+                return
             earliest_ns = min(due_ns, self._redo[0]) if self._redo else due_ns
             while self._ready and self._ready[-1].due_ns >= earliest_ns:
                 self._ready.pop()
-            self._redo = earliest_ns, restart
+            self._redo, self._done = (earliest_ns, restart), False
             self._changed.notify_all()
 
     @property
@@ -153,25 +155,35 @@ class LookAhead:
         """Whether nobody wants more packets."""
         return self._left or self._stop.is_set()
 
-    def _wait_for_room(self) -> None:
-        """Wait until a share of the full buffer has been taken, or nobody wants more; holds the lock."""
-        while len(self._ready) > self._room_at and not self._over and self._redo is None:
+    def _wait_for_room(self, packet: Packet | None) -> None:
+        """Wait until a share of the full buffer has been taken, after the last packet all of it; holds the lock.
+
+        It ends too where nobody wants more, or what is in the buffer is to be computed anew.
+        """
+        most = self._room_at
+        if packet is None:
+            most, self._done = 0, True
+            self._changed.notify_all()
+        elif len(self._ready) < self._capacity:
+            return
+        while len(self._ready) > most and not self._over and self._redo is None:
             self._changed.wait(_POLL_S)
+        if packet is not None:
+            self._full = time.monotonic_ns(), packet.due_ns
 
     def _run(self, packets: Iterator[Packet]) -> None:
         """Body of the thread."""
         if sys.platform == "linux":
             os.nice(_NICE)
         try:
-            while (packet := next(packets, None)) is not None:
+            while True:
+                packet = next(packets, None)
                 with self._changed:
-                    if len(self._ready) >= self._capacity:
-                        self._wait_for_room()
-                        self._full = time.monotonic_ns(), packet.due_ns
-                    if self._over:
-                        return
+                    self._wait_for_room(packet)
                     redo, self._redo = self._redo, None
-                    if redo is None or packet.due_ns < redo[0]:
+                    if self._over or (packet is None and redo is None):
+                        return
+                    if packet is not None and (redo is None or packet.due_ns < redo[0]):
                         self._made_due_ns = packet.due_ns
                         self._ready.append(packet)
                         self._changed.notify_all()
@@ -182,7 +194,7 @@ class LookAhead:
             self._error = error
         finally:
             with self._changed:
-                self._done = True
+                self._done = self._ended = True
                 self._changed.notify_all()
 
 
