@@ -45,11 +45,11 @@ def test_a_wheel_has_every_module_and_nothing_compiled(wheel):
 
 
 def test_a_wheel_has_its_data(wheel):
-    """Scenes, the species table and the marker for type checkers are shipped inside the package."""
+    """Scenes, the species table, the web page and the marker for type checkers are shipped inside the package."""
     names = set(wheel.namelist())
     scenes = {f"vlp16emu/scenes/{path.name}" for path in (ROOT / "scenes").glob("*.toml")}
     assert len(scenes) >= 3
-    assert names >= scenes | {"vlp16emu/py.typed", "vlp16emu/world/species.toml"}
+    assert names >= scenes | {"vlp16emu/py.typed", "vlp16emu/world/species.toml", "vlp16emu/device/page.html"}
 
 
 def test_a_wheel_has_the_command_and_the_licence(wheel):
@@ -80,9 +80,7 @@ def test_the_lock_file_names_every_requirement_and_no_place():
         for requirement in [
             *PROJECT["dependencies"],
             *BUILD,
-            *extras["dem"],
-            *extras["picture"],
-            *extras["dev"],
+            *(requirement for extra in extras.values() for requirement in extra),
         ]
     }
     assert wanted - {"vlp16emu"} <= pinned
@@ -136,4 +134,4 @@ def test_the_set_up_refuses_an_extra_that_is_none(set_up):
     """Another word than an extra is named with those there are, and nothing is installed."""
     done, calls, _ = set_up("nope")
     assert (done.returncode, calls) == (2, [])
-    assert done.stderr == "error: nope: no such extra; expected one of dem, picture, dev\n"
+    assert done.stderr == "error: nope: no such extra; expected one of bench, dem, picture, dev\n"

@@ -15,6 +15,8 @@ __all__ = ["expected", "explain", "resolved"]
 Node = dict[str, Any]
 
 _MISSING = "missing"
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+"""What pydantic calls a key that a model, or a dataclass, has not."""
 _MOST_PLACES = 3
 """Tables that have a key, beyond which it says too little where it was meant to be."""
 _MOST_KEYS = 8
@@ -32,7 +34,7 @@ def explain(error: ValidationError, schema: Node) -> tuple[str, str, str]:
     schema : JSON Schema of the file
     """
     # A misspelt key is also a missing one; the misspelling is the better news.
-    findings = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
+    findings = sorted(error.errors(include_url=False), key=lambda e: e["type"] not in _UNKNOWN)
     first, *others = (_in_words(finding, schema) for finding in findings)
     missing = [first, *(other for other in others if other[1] == first[1])]
     if first[1] != _MISSING or len(missing) == 1:
@@ -45,7 +47,7 @@ def _in_words(finding: ErrorDetails, schema: Node) -> tuple[str, str, str]:
     """Key path, what was found there and what was expected, of one finding."""
     keys, parent, node = _walk(finding["loc"], schema)
     kind = finding["type"]
-    if kind == "extra_forbidden":
+    if kind in _UNKNOWN:
         return _path(keys), "unknown key", _known(keys, parent, schema)
     if kind.startswith("union_tag"):
         tag = node["discriminator"]["propertyName"]

@@ -15,7 +15,7 @@ from pydantic import (
 from vlp16emu.errors import ScenarioError
 from vlp16emu.settings import Section
 
-__all__ = ["AnySensor", "FreeSensor", "Lidar", "Sensor", "on_the_wire"]
+__all__ = ["Address", "AnySensor", "FreeSensor", "Lidar", "Port", "Sensor", "on_the_wire"]
 
 Degrees = Annotated[float, Field(ge=0, lt=360)]
 Elevation = Annotated[float, Field(gt=-90, lt=90)]

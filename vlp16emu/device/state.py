@@ -1,0 +1,234 @@
+"""The sensor as its web interface sees it: what is set, what is saved, and how it is at an instant."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from ipaddress import IPv4Address
+from pathlib import Path
+from threading import Lock
+from typing import Annotated
+
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass as checked_dataclass
+
+from vlp16emu.errors import InputError, readable
+from vlp16emu.explain import explain
+from vlp16emu.output import OutputFile
+from vlp16emu.sensor.settings import Address, Port
+from vlp16emu.types import PpsState, ReturnMode, SensorModel
+
+__all__ = ["Device", "DeviceInfo", "DeviceSettings", "DeviceStatus", "explained"]
+
+_ALL_ONES = 0xFFFF_FFFF
+_MOST_BYTES = 10_000
+"""Of saved settings, which are some 400."""
+
+
+def _of_a_receiver(address: str) -> str:
+    """Refuse what no packet can be sent to."""
+    known = _ipv4(address, "the IPv4 address of a host, or 255.255.255.255")
+    if known.is_unspecified or known.is_multicast or (known.is_reserved and int(known) != _ALL_ONES):
+        raise ValueError("the IPv4 address of a host, or 255.255.255.255")
+    return str(known)
+
+
+def _of_a_gateway(address: str) -> str:
+    """Refuse what no router can have; 0.0.0.0 stands for none."""
+    known = _ipv4(address, "the IPv4 address of a router, or 0.0.0.0")
+    if known.is_multicast or known.is_reserved:
+        raise ValueError("the IPv4 address of a router, or 0.0.0.0")
+    return str(known)
+
+
+def _mask(text: str) -> str:
+    """Refuse a mask with ones after zeros."""
+    known = _ipv4(text, "a network mask such as 255.255.255.0")
+    zeros = int(known) ^ _ALL_ONES
+    if zeros & (zeros + 1) or not int(known):
+        raise ValueError("a network mask such as 255.255.255.0")
+    return str(known)
+
+
+def _ipv4(text: str, expected: str) -> IPv4Address:
+    try:
+        return IPv4Address(text)
+    except ValueError:
+        raise ValueError(expected) from None
+
+
+_WholeDegree = Annotated[int, Field(ge=0, le=359)]
+
+
+@checked_dataclass(frozen=True, slots=True, config=ConfigDict(strict=True, extra="forbid"))
+class DeviceSettings:
+    """What the web interface sets; the defaults are those of the factory (63-9243 Rev D, section 10.2).
+
+    Raises
+    ------
+    pydantic.ValidationError
+        where a value is none that the sensor takes; also from `dataclasses.replace`
+    """
+
+    rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] = 600
+    """Speed of the rotor; others upset speed control and phase lock (section 8.3)."""
+    return_mode: ReturnMode = ReturnMode.STRONGEST
+    """Echoes that are sent."""
+    laser_on: bool = True
+    """False: no data packets; position packets go on."""
+    fov_deg: tuple[_WholeDegree, _WholeDegree] = (0, 359)
+    """First and last azimuth that is sent; (0, 359) is all around."""
+    phase_lock_on: bool = False
+    """Whether the rotor follows the pulse of the GPS receiver."""
+    phase_lock_cdeg: Annotated[int, Field(ge=0, le=35_999)] = 0
+    """Rotor angle at each pulse, in 0.01 degree."""
+    host: Annotated[str, AfterValidator(_of_a_receiver)] = "255.255.255.255"
+    """IPv4 address that packets are sent to."""
+    data_port: Port = 2368
+    """Destination port of data packets."""
+    position_port: Port = 8308
+    """Destination port of position packets."""
+    address: Address = "192.168.1.201"
+    """IPv4 address of the sensor."""
+    mask: Annotated[str, AfterValidator(_mask)] = "255.255.255.0"
+    """Of its network."""
+    gateway: Annotated[str, AfterValidator(_of_a_gateway)] = "192.168.1.1"
+    """Of its network."""
+    dhcp: bool = False
+    """Whether it asks a server for them."""
+
+
+_SETTINGS: TypeAdapter[DeviceSettings] = TypeAdapter(DeviceSettings)
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceInfo:
+    """What does not change from power-up to power-up."""
+
+    serial: str
+    """Digits, as on the label."""
+    model: SensorModel
+    mac: bytes
+    """6 bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceStatus:
+    """The sensor at an instant."""
+
+    t_ns: int
+    """UTC of the emulated instant."""
+    pps: PpsState
+    position: str
+    """As the sensor writes it, such as `49 00.00N 200 .00W`; empty without a fix."""
+    motor_rpm: float
+    motor_on: bool
+    phase_locked: bool
+    phase_cdeg: int
+    """Rotor angle at the latest pulse, in 0.01 degree."""
+    laser_on: bool
+    powered_for_s: float
+    """Since power-up: boards warm up."""
+    is_up: bool = True
+    """False while it starts: nothing answers."""
+    disabled: bool = False
+    """Motor and laser are switched off by a fault; the web interface lives on, and shows zeros."""
+
+
+class Device:
+    """The settings of one sensor, for all threads that read and change them.
+
+    Parameters
+    ----------
+    factory : what is set where nothing has been saved
+    status : gives the sensor as it is now; called from the thread of the web server, and must not wait
+    changed : called after each change by `change`, with all settings; must not wait
+    reset : called by `restart` with the settings after power-up; must not wait
+    info : serial number and the like
+    saved : file that saved settings are kept in from run to run; None to keep them for this run
+
+    Raises
+    ------
+    InputError
+        where the file is none that has been saved
+    """
+
+    def __init__(
+        self,
+        factory: DeviceSettings,
+        *,
+        status: Callable[[], DeviceStatus],
+        changed: Callable[[DeviceSettings], None],
+        reset: Callable[[DeviceSettings], None],
+        info: DeviceInfo,
+        saved: Path | None = None,
+    ) -> None:
+        self.status, self.info = status, info
+        self._changed, self._reset, self._file = changed, reset, saved
+        self._lock = Lock()
+        self._power_up = _read(saved, factory) if saved is not None and saved.exists() else factory
+        self._settings = self._power_up
+
+    @property
+    def settings(self) -> DeviceSettings:
+        """What is set now."""
+        return self._settings
+
+    @property
+    def power_up(self) -> DeviceSettings:
+        """What will be set after the next power-up: what was saved last, otherwise what the factory has set."""
+        return self._power_up
+
+    def change(self, made: Callable[[DeviceSettings], DeviceSettings]) -> None:
+        """Set what is made of the settings as they are; whatever it raises leaves them so."""
+        with self._lock:
+            before, self._settings = self._settings, made(self._settings)
+            after = self._settings
+        if after != before:
+            self._changed(after)
+
+    def adopt(self, settings: DeviceSettings) -> None:
+        """Take over settings that the sensor has already been given by another way, such as an event of the scene."""
+        with self._lock:
+            self._settings = settings
+
+    def save(self) -> None:
+        """Keep what is set for the next power-up.
+
+        Raises
+        ------
+        OutputError, RunError
+            where the file cannot be written
+        """
+        with self._lock:
+            if self._file is not None:
+                with OutputFile(self._file) as output, output.writing() as file:
+                    file.write(_SETTINGS.dump_json(self._settings, indent=2) + b"\n")
+            self._power_up = self._settings
+
+    def restart(self) -> None:
+        """Start again from the settings after power-up; those that are not saved are lost."""
+        with self._lock:
+            self._settings = self._power_up
+        self._reset(self._power_up)
+
+
+def explained(error: ValidationError) -> tuple[str, str, str]:
+    """Field of the settings, what was found and what was expected."""
+    return explain(error, _SETTINGS.json_schema())
+
+
+def _read(path: Path, factory: DeviceSettings) -> DeviceSettings:
+    """Read settings that were saved; keys that are left out are the factory's."""
+    expected = "settings that a sensor has saved"
+    with readable(path, expected, InputError, most_bytes=_MOST_BYTES):
+        text = path.read_text(encoding="utf-8")
+    try:
+        tree = json.loads(text)
+        if isinstance(tree, dict):
+            tree = _SETTINGS.dump_python(factory, mode="json") | tree
+        return _SETTINGS.validate_json(json.dumps(tree))
+    except ValidationError as error:
+        key, found, wanted = explained(error)
+        raise InputError(f"{path}: {key}", found, wanted) from None
+    except (ValueError, RecursionError):
+        raise InputError(str(path), "no JSON", expected) from None
