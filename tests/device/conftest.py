@@ -7,11 +7,16 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from hypothesis import settings
 
 from vlp16emu.device.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.device.web import WebServer
 from vlp16emu.types import PpsState, SensorModel
 from vlp16emu.units import S_NS
+
+settings.register_profile(
+    "long", max_examples=10_000
+)  # pytest --hypothesis-profile=long tests/device/test_web_fuzz.py
 
 INFO = DeviceInfo("11001000000001", SensorModel.VLP_16, bytes.fromhex("607688380001"))
 
@@ -110,13 +115,13 @@ def web(make, tmp_path):
     engine, device = make(saved=tmp_path / "saved.json")
     bench = SimpleNamespace(engine=engine, device=device, fault=None, file=tmp_path / "saved.json")
     with WebServer(device, "127.0.0.1", 0, fault=lambda: bench.fault) as server:
-        bench.address = server.address
+        bench.server, bench.address = server, server.address
         bench.client = Client(server.address)
         yield bench
         bench.client.close()
 
 
-def spoken(address, sent, *, shut=False):
+def _spoken(address, sent, *, shut=False):
     """Send bytes, and receive all that comes until the line is closed; the segments as they arrive."""
     with socket.create_connection(address, timeout=10) as line:
         line.sendall(sent)
@@ -133,4 +138,4 @@ def spoken(address, sent, *, shut=False):
 
 @pytest.fixture
 def speak(web):
-    return lambda sent, **how: spoken(web.address, sent, **how)
+    return lambda sent, **how: _spoken(web.address, sent, **how)

@@ -10,7 +10,6 @@ import json
 import re
 import socket
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from http.client import responses
 from ipaddress import ip_address
@@ -152,11 +151,15 @@ class WebServer:
         self._connections += 1
         try:
             if self._connections <= MOST_CONNECTIONS:
-                with suppress(ConnectionError, TimeoutError):
-                    await self._converse(reader, writer)
+                await self._converse(reader, writer)
+                writer.close()
+                async with asyncio.timeout(LONGEST_S):
+                    await writer.wait_closed()
+        except (ConnectionError, TimeoutError):
+            pass
         finally:
+            writer.transport.abort()  # with answers that nobody takes
             self._connections -= 1
-            writer.close()
 
     async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Answer request after request."""
