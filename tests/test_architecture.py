@@ -17,6 +17,7 @@ FLOORS = (
     {"__main__"},
     {"cli"},
     {"emulator"},
+    {"control"},
     {"replay", "streaming"},
     {"points", "recording", "truth"},
     {"report"},

@@ -1,7 +1,7 @@
 """The public face: a scene's scans as arrays, into a capture, or over UDP."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
@@ -26,10 +26,11 @@ from vlp16emu.sinks import (
     Pacer,
     RigSink,
     TruthTo,
+    UnderWay,
     check_ending,
     stream,
 )
-from vlp16emu.streaming import Engine, Streamed, summed_up
+from vlp16emu.streaming import Engine, Http, Streamed, summed_up
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS
 
@@ -255,6 +256,7 @@ class Emulator(Chain):
         late: Late | str = Late.PACE,
         as_sensor: bool = False,
         now: bool = False,
+        http: Http | None = None,
         opened: Callable[[], None] = lambda: None,
         progress: Callable[[float], None] = lambda _: None,
         notify: Callable[[FellBehind], None] = lambda _: None,
@@ -271,6 +273,7 @@ class Emulator(Chain):
         late : `pace` keeps the spacing of packets that are late by more than 50 ms, and the delay; `skip` drops them
         as_sensor : send from the sensor's address, which this machine must have, with its headers
         now : move stamps and sentences by whole seconds into the present; truth stays at the time of the scene
+        http : where the web interfaces of the sensors are, through which the stream is set; None for none
         opened : called once before the first packet is computed, when the sockets are open
         progress : called with the simulated seconds so far, packet by packet
         notify : called each time that the stream falls behind
@@ -291,10 +294,11 @@ class Emulator(Chain):
         """
         stop = stop or Event()
         span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
-        engine = Engine(self, *span_s)
         links = [unit.link for unit in self.parts.units]
         policy = Late(late)
         with (
+            ExitStack() as stack,
+            closing(Engine(self, *span_s)) as engine,
             self.windows.stopped_by(stop),
             self._with_truth(engine, span_s, truth) as packets,
             RigSink(links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS)) as sink,
@@ -304,6 +308,7 @@ class Emulator(Chain):
                 packets,
                 sink,
                 Pacer(speed),
+                begun=lambda under_way: self._serve(http, engine, sink, under_way, stack) if http else None,
                 late=policy,
                 notify=notify,
                 go_on_from=engine.go_on_from,
@@ -315,6 +320,14 @@ class Emulator(Chain):
         return summed_up(
             self, engine, report, sink.results, scene=self.name, to=to, speed=speed, late=policy, audit=found
         )
+
+    def _serve(
+        self, http: Http, engine: Engine, sink: RigSink, under_way: UnderWay, until: ExitStack
+    ) -> None:
+        """Serve the web interfaces, as sensors do once they are up."""
+        from vlp16emu.control import Control, web_interfaces  # here: few streams have them
+
+        until.enter_context(web_interfaces(Control(self, engine, sink, under_way), http))
 
     def _number(self, unit: int) -> int:
         """Place in the rig of a unit, from 0."""

@@ -1,9 +1,10 @@
 """What a stream sends, and can leave out; how punctual it was, and why it fell behind."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from pathlib import Path
 
 from vlp16emu.accuracy import AuditFinding
 from vlp16emu.chain import Unit
@@ -19,6 +20,7 @@ from vlp16emu.units import S_NS
 __all__ = [
     "Behind",
     "Engine",
+    "Http",
     "Streamed",
     "UnitStreamed",
     "behind_of",
@@ -70,13 +72,17 @@ class Engine:
         self._at_reached.add((packet.unit, packet.kind))
         return packet
 
+    def close(self) -> None:
+        """End the workers."""
+        self._packets = iter(())
+
     def go_on_from(self, due_ns: int) -> None:
         """Compute no packet that is due before a UTC time, from the next one on; from any thread."""
         self._from_ns = due_ns
 
     def begin_again(self, from_ns: int, events: Sequence[Event]) -> None:
         """Go on from a UTC time, or from where the run is if that is earlier, with other events; between two packets."""
-        self._packets = iter(())  # ends the workers of the packets before
+        self.close()  # of the packets before
         self._chain.set_events(events)
         if from_ns > self._reached_ns:
             from_ns, there = self._reached_ns, self._at_reached
@@ -96,7 +102,7 @@ class Engine:
         from_ns = min(from_ns, stop_ns)
         if from_ns <= self._reached_ns:
             return
-        self._packets = iter(())  # ends the workers of the packets before
+        self.close()  # of the packets before
         self.skipped += self._count(from_ns) - self._count(self._reached_ns + 1)
         self._packets = self._chain.packets(self._since_s(from_ns), self._stop_s)
 
@@ -113,6 +119,19 @@ class Engine:
     def _since_s(self, utc_ns: int) -> float:
         """Put a UTC time into seconds since the first pulse."""
         return (utc_ns - self.scenario.start_ns) / S_NS
+
+
+@dataclass(frozen=True, slots=True)
+class Http:
+    """Where the web interfaces of a stream's sensors are."""
+
+    host: str
+    port: int
+    """Of the first sensor, those of others follow; 0 for free ones."""
+    saved: Path | None = None
+    """File that keeps the saved settings of the first sensor from run to run; others have its name with their number."""
+    serving: Callable[[list[tuple[str, int]]], None] = lambda _: None
+    """Called with the address and port of each, before the first packet leaves."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,8 @@
 
 Letters in shapes: k firing sequences in a batch, L lasers in **wire order** (16 on a VLP-16), m surfaces, n anything else.
 
-Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up, and so is `sensor`, whose azimuth 0 is
-forward and grows clockwise seen from above. `world_T_body` takes body coordinates to world coordinates,
-and `world_T_body @ body_T_sensor` reads left to right.
+Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up, and so is `sensor`, whose azimuth 0 is forward
+and grows clockwise seen from above. `world_T_body` takes body to world coordinates; `world_T_body @ body_T_sensor` reads left to right.
 """
 
 from collections.abc import Callable, Hashable
@@ -244,8 +243,7 @@ class Packet:
     payload: bytes
     unit: int = 0
     """Place in the rig of the sensor that sends it, from 0."""
-    fired_ns: int | None = None
-    """UTC of the first pulse in a data packet of ours."""
+    fired_ns: int | None = None  # UTC of the first pulse in a data packet of ours
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,14 +97,14 @@ def test_an_error_reaches_the_caller():
 
 def test_leaving_early_stops_the_work():
     """A run that is left in the middle begins no further blocks and leaves no worker behind."""
-    begun = []
+    begun, before = [], set(threading.enumerate())
     results = run(lambda run, _scene: begun.append(run), range(10_000))
     next(results)
+    workers = [thread for thread in threading.enumerate() if thread.name.startswith("work")]
     results.close()
-    for thread in threading.enumerate():
-        if thread.name.startswith("work"):
-            thread.join(10)
-            assert not thread.is_alive()
+    for thread in set(workers) - before:
+        thread.join(10)
+        assert not thread.is_alive()
     assert len(begun) < 20
 
 

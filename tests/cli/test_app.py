@@ -126,9 +126,14 @@ BAD = [
         "--position-port: found 65536; expected a whole number from 1 to 65535",
     ),
     (
-        "stream static_bench --to 10.0.0.1:2369",
+        "stream static_bench --to 10.0.0.1:x",
         2,
-        "--to: found 10.0.0.1:2369; expected 10.0.0.1, with --data-port 2369 or --position-port 2369",
+        "--to: found 10.0.0.1:x; expected HOST or HOST:PORT, with a port from 1 to 65535",
+    ),
+    (
+        "replay x.pcap --to 10.0.0.1:2369 --data-port 2368",
+        2,
+        "--to: found 10.0.0.1:2369 beside --data-port 2368; expected one port for data packets",
     ),
     *(
         (

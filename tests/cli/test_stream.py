@@ -160,11 +160,14 @@ def arrivals():
 def test_a_stopped_stream_goes_on_without_a_burst(program, arrivals, late):
     """Stopped for 2 s, the stream goes on at the sensor's pace: n packets take 0.94 of their time less 10 ms, or more.
 
-    Another 5 ms may pass between a packet's time and its stamp, where other programs take the processor. It says so at once on stderr, stdout stays one JSON object, and the report gives the delay or the packets skipped.
+    Another 5 ms may pass between a packet's time and its stamp, where other programs take the processor. It says so at once on stderr, stdout stays one JSON object, and the report gives the delay or the packets skipped. Where punctuality is a must, it ends with 1.
     """
     port, receive = arrivals
-    ports = "--data-port", port, "--position-port", 9  # discard
-    process = program("stream", "static_bench", "--duration", "3600", "--late", late, *ports, "--json")
+    ports = "--to", f"127.0.0.1:{port}", "--position-port", 9  # discard
+    strict = ["--strict"] if late == "skip" else []
+    process = program(
+        "stream", "static_bench", "--duration", "3600", "--late", late, *ports, *strict, "--json"
+    )
     stamps_ns = receive(200)
     process.send_signal(signal.SIGSTOP)
     time.sleep(STOPPED_S)  # the fact to prove is one of real time
@@ -179,6 +182,7 @@ def test_a_stopped_stream_goes_on_without_a_burst(program, arrivals, late):
     assert report["fell_behind"] >= 1
     assert report["most_behind_s"] > 0.9 * STOPPED_S
     assert err.startswith("behind: ")
+    assert process.returncode == (1 if strict else 130)
     if late == "pace":
         assert report["delay_s"] > 0.9 * STOPPED_S
         assert report["skipped_packets"] == 0

@@ -13,16 +13,14 @@ from functools import partial
 
 from vlp16emu.chain import PulseHook, Unit, assemble, windows_of, with_events
 from vlp16emu.chain.position import make_receiver, position_number, position_packets
-from vlp16emu.chain.sending import SendingSpan, joined, rows_of
 from vlp16emu.chain.windows import Batching, prefetch
 from vlp16emu.device.events import Event
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.packets import pack_data
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire
-from vlp16emu.types import Packet, Returns, SensorModel
+from vlp16emu.types import Packet, Returns
 from vlp16emu.units import seconds_to_ns
 
 __all__ = ["Chain"]
@@ -108,43 +106,11 @@ class Chain:
 
     def _data_packets(self, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[Packet]:
         """Yield the data packets of a unit due in a span since the first pulse."""
-        model = SensorModel(on_the_wire(unit.section).model)
-        for span in unit.sending.spans:
-            slots = next(unit.sending.slots_of(span, start_ns, stop_ns), None)
-            if slots is not None:
-                first, stop = int(slots[0, 0]), unit.sending.stop_of(span, stop_ns)
-                if span.fov_deg is None:
-                    stop -= (stop - first) % span.per_packet
-                yield from self._of_span(unit, span, model, first, stop)
-
-    def _of_span(
-        self, unit: Unit, span: SendingSpan, model: SensorModel, first: int, stop: int
-    ) -> Iterator[Packet]:
-        """Yield the packets that firing sequences fill, all of one span of settings; pulses of a block are cast together."""
-        block, blocks = (
-            self.batching.block,
-            range(first // self.batching.block, -(-stop // self.batching.block)),
-        )
-        detector = unit.detector.for_mode(span.mode)
-
-        def scan(run: range, opened: Future[Geometry]) -> list[Packet] | Returns:
-            """Scan blocks, and take what is sent; packed, where packets begin and end with blocks."""
-            returns = self._scan(replace(unit, detector=detector), run, opened)
-            begin = run.start * block
-            here, end = max(first, begin), min(stop, run.stop * block)
-            if span.fov_deg is None:
-                return pack_data(
-                    rows_of(returns, slice(here - begin, end - begin)), span.mode, model, unit.number
-                )
-            return rows_of(returns, unit.sending.chosen(span, here, end & ~1) - begin)
-
-        left: Returns | None = None
-        threads, together = self._threads // len(self.parts.units) or 1, unit.beam.together
-        for scanned in prefetch(scan, self.windows, blocks=blocks, threads=threads, together=together):
-            if isinstance(scanned, list):
-                yield from scanned
-                continue
-            left = scanned if left is None else joined(left, scanned)
-            whole = len(left.distance_m) // span.per_packet * span.per_packet
-            yield from pack_data(rows_of(left, slice(whole)), span.mode, model, unit.number)
-            left = rows_of(left, slice(whole, None))
+        threads, block = self._threads // len(self.parts.units) or 1, self.batching.block
+        for part in unit.sending.parts(start_ns, stop_ns):
+            scan = partial(self._scan, replace(unit, detector=unit.detector.for_mode(part.span.mode)))
+            take, blocks = partial(part.taken, scan, block), part.blocks(block)
+            together = unit.beam.together
+            yield from part.packets(
+                prefetch(take, self.windows, blocks=blocks, threads=threads, together=together)
+            )

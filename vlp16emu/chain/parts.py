@@ -295,6 +295,6 @@ def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
         motion=motion,
         beam=beam_of(scenario, seed),
         detector=detector_of(scenario, section, seed, len(head.beams.elevation_deg)),
-        sending=Sending(head, sending_spans(section, events), tuple(silences_ns(events))),
+        sending=Sending(number, section.model, head, sending_spans(section, events), silences_ns(events)),
         optics=Optics.of(events, scenario.start_ns),
     )

@@ -1,16 +1,20 @@
 """Which firing sequences of a unit are sent, and in which packets."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.packets import SEQUENCES_PER_PACKET, azimuth_cdeg
+from vlp16emu.packets import SEQUENCES_PER_PACKET, azimuth_cdeg, pack_data
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.sensor.head import Head
-from vlp16emu.types import Firings, ReturnMode, Returns
+from vlp16emu.types import Firings, Packet, ReturnMode, Returns, SensorModel
 
-__all__ = ["Sending", "SendingSpan", "joined", "rows_of"]
+__all__ = ["Sending", "SendingPart", "SendingSpan"]
+
+Opened = Future[Geometry]
 
 _AT_ONCE = 1 << 16
 """Firing sequences whose azimuths are read at once, 3.6 s of them."""
@@ -40,6 +44,10 @@ class SendingSpan:
 class Sending:
     """What a unit sends over a run."""
 
+    unit: int
+    """Place in the rig, from 0."""
+    model: str
+    """That decides the factory byte; "free" of a sensor without packets."""
     head: Head
     spans: tuple[SendingSpan, ...]
     """In order of time, without overlap."""
@@ -86,6 +94,16 @@ class Sending:
             if len(slots):
                 yield slots
 
+    def parts(self, start_ns: int, stop_ns: int) -> Iterator["SendingPart"]:
+        """Cut a span of time since the first pulse where settings change; without parts that no packet is due in."""
+        for span in self.spans:
+            slots = next(self.slots_of(span, start_ns, stop_ns), None)
+            if slots is not None:
+                first, stop = int(slots[0, 0]), self.stop_of(span, stop_ns)
+                if span.fov_deg is None:
+                    stop -= (stop - first) % span.per_packet
+                yield SendingPart(self, span, first, stop)
+
     def count(self, start_ns: int, stop_ns: int) -> int:
         """Count the packets due in a span of time since the first pulse."""
         return sum(map(len, self.slots(start_ns, stop_ns)))
@@ -95,7 +113,49 @@ class Sending:
         return any(begin <= since_ns < end for begin, end in self.silences_ns)
 
 
-def rows_of(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
+@dataclass(frozen=True, slots=True)
+class SendingPart:
+    """A part of a run in which the settings of packets stay as they are, from the first packet that is asked for."""
+
+    sending: Sending
+    span: SendingSpan
+    first: int
+    """Firing sequence at which that packet begins."""
+    stop: int
+    """Firing sequence after the last."""
+
+    def blocks(self, block: int) -> range:
+        """Blocks of so many firing sequences that hold it."""
+        return range(self.first // block, -(-self.stop // block))
+
+    def taken(
+        self, scan: Callable[[range, Opened], Returns], block: int, run: range, opened: Opened
+    ) -> list[Packet] | Returns:
+        """Scan a run of blocks, and take what is sent of it; packed, where packets begin and end with blocks."""
+        returns, begin = scan(run, opened), run.start * block
+        first, stop = max(self.first, begin), min(self.stop, run.stop * block)
+        if self.span.fov_deg is None:
+            return self._packed(_rows(returns, slice(first - begin, stop - begin)))
+        return _rows(returns, self.sending.chosen(self.span, first, stop & ~1) - begin)
+
+    def packets(self, taken: Iterable[list[Packet] | Returns]) -> Iterator[Packet]:
+        """Pack what is taken of successive firing sequences; a packet that does not fill is not sent."""
+        left: Returns | None = None
+        for some in taken:
+            if isinstance(some, list):
+                yield from some
+                continue
+            rows = some if left is None else _joined(left, some)
+            whole = len(rows.distance_m) // self.span.per_packet * self.span.per_packet
+            yield from self._packed(_rows(rows, slice(whole)))
+            left = _rows(rows, slice(whole, None))
+
+    def _packed(self, returns: Returns) -> list[Packet]:
+        """Pack whole packets."""
+        return pack_data(returns, self.span.mode, SensorModel(self.sending.model), self.sending.unit)
+
+
+def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
     """Take some firing sequences of returns, for packing: in order of time, not all of them in a row."""
     arrays = {name: getattr(returns.firings, name)[rows] for name in _BY_SEQUENCE}
     return Returns(
@@ -107,7 +167,7 @@ def rows_of(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
     )
 
 
-def joined(first: Returns, second: Returns) -> Returns:
+def _joined(first: Returns, second: Returns) -> Returns:
     """Put the rows of one behind those of the other."""
     arrays = {
         name: np.concatenate([getattr(first.firings, name), getattr(second.firings, name)])

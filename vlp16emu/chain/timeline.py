@@ -43,13 +43,13 @@ def end_ns(event: LastingEvent) -> int:
     return seconds_to_ns(event.at_s + event.duration_s)
 
 
-def silences_ns(events: Sequence[Event]) -> list[tuple[int, int]]:
+def silences_ns(events: Sequence[Event]) -> tuple[tuple[int, int], ...]:
     """Spans of time since the first pulse in which a unit without power, or one that starts, sends nothing."""
-    return [
+    return tuple(
         (seconds_to_ns(event.at_s), seconds_to_ns(event.at_s + event.off_s))
         for event in events
         if isinstance(event, PowerCycle)
-    ]
+    )
 
 
 def wobbles(events: Sequence[Event]) -> tuple[Wobbling, ...]:

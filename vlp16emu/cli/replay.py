@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vlp16emu.cli.arguments import AsJson, CaptureFile, DataPort, PositionPort
-from vlp16emu.cli.stream import AsSensor, LatePolicy, Now, Speed, To, close, lateness_rows
+from vlp16emu.cli.stream import (
+    AsSensor,
+    LatePolicy,
+    Now,
+    Speed,
+    Strict,
+    To,
+    close,
+    lateness_rows,
+    receiver_of,
+)
 from vlp16emu.cli.terminal import count, stop_on_ctrl_c
 
 if TYPE_CHECKING:
@@ -31,6 +41,7 @@ def replay(
     speed: Speed = 1.0,
     late: LatePolicy = "pace",
     as_sensor: AsSensor = False,
+    strict: Strict = False,
     as_json: AsJson = False,
 ) -> None:
     """Send a capture over UDP again, ours or a real sensor's.
@@ -40,6 +51,7 @@ def replay(
     """
     from vlp16emu.replay import replay as replayed_to
 
+    to, data_port = receiver_of(to, data_port)
     with stop_on_ctrl_c() as stop:
         replayed = replayed_to(
             file,
@@ -57,7 +69,7 @@ def replay(
             ),
             stop=stop,
         )
-    close(replayed, f"{replayed.file} to {replayed.to}", _rows, as_json=as_json)
+    close(replayed, f"{replayed.file} to {replayed.to}", _rows, strict=strict, as_json=as_json)
 
 
 def _announce(capture: "Replay", to: str) -> None:

@@ -5,6 +5,7 @@ It reports at once where it falls behind, and at its end.
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
@@ -45,10 +46,12 @@ __all__ = [
     "LatePolicy",
     "Now",
     "Speed",
+    "Strict",
     "To",
     "behind_line",
     "close",
     "lateness_rows",
+    "receiver_of",
     "stream",
     "stream_rows",
 ]
@@ -57,7 +60,7 @@ if TYPE_CHECKING:
     from vlp16emu.replay import Replayed
     from vlp16emu.scenario import Scenario
     from vlp16emu.sinks import FellBehind
-    from vlp16emu.streaming import Behind, Streamed
+    from vlp16emu.streaming import Behind, Http, Streamed
 
 
 T = TypeVar("T", "Streamed", "Replayed")
@@ -136,26 +139,30 @@ if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
 
 
+_LATE = 1
+"""Exit code of a strict stream that was late."""
 _SLOWEST = 0.001
 """A simulated second in a quarter of an hour."""
 
 
-def _host(text: str) -> str:
-    """Read a receiver; two kinds of packets go to two ports, so none stands behind it."""
-    host, colon, port = text.partition(":")
-    if colon and port.isdecimal():
-        expected = f"{host}, with --data-port {port} or --position-port {port}"
-        raise InputError("--to", f"found {text}", expected)
-    return text
+def receiver_of(to: str, data_port: int | None) -> tuple[str, int | None]:
+    """Split a receiver into its host and the port of data packets, which may be behind it."""
+    host, colon, port = to.partition(":")
+    if not colon:
+        return to, data_port
+    if not (port.isascii() and port.isdecimal() and 1 <= int(port) <= 65_535):
+        raise InputError("--to", f"found {to}", "HOST or HOST:PORT, with a port from 1 to 65535")
+    if data_port not in (None, int(port)):
+        raise InputError("--to", f"found {to} beside --data-port {data_port}", "one port for data packets")
+    return host, int(port)
 
 
 To = Annotated[
     str,
     typer.Option(
         "--to",
-        metavar="HOST",
-        parser=_host,
-        help="Receiver; may be a broadcast address. Ports are those of --data-port and --position-port.",
+        metavar="HOST[:PORT]",
+        help="Receiver; may be a broadcast address. The port is that of data packets, as --data-port.",
     ),
 ]
 Speed = Annotated[
@@ -170,11 +177,45 @@ Speed = Annotated[
     ),
 ]
 
+Strict = Annotated[
+    bool,
+    typer.Option("--strict", help="End with 1 where packets were late by more than 50 ms, or were skipped."),
+]
+
 Now = Annotated[
     bool,
     typer.Option(
         "--now",
         help="Move time stamps and sentences by whole seconds into the present, for drivers that trust GPS time.",
+    ),
+]
+
+
+def _http(text: str) -> tuple[str, int]:
+    """Read where the web interface shall listen."""
+    from vlp16emu.device.web import parse_http
+
+    return parse_http(text)
+
+
+HttpAt = Annotated[
+    tuple[str, int] | None,
+    typer.Option(
+        "--http",
+        metavar="HOST:PORT",
+        parser=_http,
+        help="Serve the sensor's web interface, which the stream follows; of a rig on this port and those behind it. "
+        "PORT alone is on 127.0.0.1. Needs the extra 'bench'.",
+        show_default=False,
+    ),
+]
+HttpSettings = Annotated[
+    Path | None,
+    typer.Option(
+        "--http-settings",
+        metavar="FILE",
+        help="Keep the settings that are saved in the web interface, from run to run.",
+        show_default=False,
     ),
 ]
 
@@ -223,6 +264,9 @@ def stream(
     late: LatePolicy = "pace",
     as_sensor: AsSensor = False,
     now: Now = False,
+    http: HttpAt = None,
+    http_settings: HttpSettings = None,
+    strict: Strict = False,
     as_json: AsJson = False,
 ) -> None:
     """Stream a scene over UDP, each packet at its time.
@@ -232,6 +276,7 @@ def stream(
     once, with settings that would keep up. Ctrl-C ends the stream.
     """
     with starting():
+        to, data_port = receiver_of(to, data_port)
         changes = [*(settings or ()), *_ports(data_port, position_port)]
         emulator = make_emulator(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
         _, stop_s = emulator.scenario.span_s(0.0, duration)
@@ -245,20 +290,23 @@ def stream(
             late=late,
             as_sensor=as_sensor,
             now=now,
+            http=_served(http, http_settings, quiet=as_json),
             opened=lambda: None if as_json else _announce(scene, to, emulator),
             progress=lambda done_s: progress.show("streaming", done_s),
             notify=lambda behind: progress.say(behind_line(behind, emulator.scenario, late, speed)),
             stop=stop,
         )
-    close(streamed, f"{streamed.scene} to {streamed.to}", stream_rows, as_json=as_json)
+    close(streamed, f"{streamed.scene} to {streamed.to}", stream_rows, strict=strict, as_json=as_json)
 
 
-def close(sent: T, what: str, rows: Callable[[T], dict[str, str]], *, as_json: bool) -> None:
+def close(sent: T, what: str, rows: Callable[[T], dict[str, str]], *, strict: bool, as_json: bool) -> None:
     """Print the report of a stream or a replay, and exit as its end asks for."""
     if as_json:
         print_json(tree_of(sent))
     else:
         print_rows(f"{'interrupted' if sent.interrupted else 'done'}: {what}", rows(sent))
+    if strict and sent.behind:  # also where packets were skipped
+        raise typer.Exit(_LATE)
     if sent.interrupted:
         raise typer.Exit(INTERRUPTED)
 
@@ -267,6 +315,23 @@ def _announce(scene: str, to: str, emulator: "Emulator") -> None:
     """Print what begins, at once."""
     pairs = "; ".join(f"{unit.link.data_port} and {unit.link.position_port}" for unit in emulator.parts.units)
     print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
+
+
+def _served(at: tuple[str, int] | None, saved: Path | None, *, quiet: bool) -> "Http | None":
+    """Serve web interfaces, and print where they are."""
+    from vlp16emu.streaming import Http
+
+    if at is None:
+        return None
+
+    def serving(places: "Sequence[tuple[str, int]]") -> None:
+        """Print their addresses."""
+        if not quiet:
+            print(
+                "web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True
+            )
+
+    return Http(*at, saved, serving)
 
 
 def _ports(data_port: int | None, position_port: int | None) -> list[str]:

@@ -1,18 +1,16 @@
 """Packets in real time: computed ahead by one thread, sent at their deadlines by another; and what sending takes of a core."""
 
-import os
 import socket
 import sys
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 from vlp16emu.errors import InputError
+from vlp16emu.sinks.look_ahead import LookAhead
 from vlp16emu.sinks.now import NowSink
 from vlp16emu.sinks.pacing import (
     TOLERANCE_NS,
@@ -29,174 +27,7 @@ from vlp16emu.sinks.udp import LOOPBACK, UdpSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-__all__ = ["LOOK_AHEAD_PACKETS", "LookAhead", "Sender", "StreamReport", "UnderWay", "sending_share", "stream"]
-
-_POLL_S = 0.05
-"""How often a thread that waits looks whether it shall stop."""
-_REFILLS = 8
-"""Share of the buffer that is taken before a full one is filled again: a wake-up of the thread that computes for each
-packet would cost the one that sends as much as the sending."""
-_NICE = 3
-"""By how much threads that compute are nicer. A driver that shares a core with one of them gets two thirds of it; at equal
-priority it gets half, and one that needs half loses packets. More would cost speed where other programs are at work, and the
-thread that sends would be late more often: it waits for the interpreter, which a thread without a core holds."""
-
-
-class LookAhead:
-    """Runs through packets in a thread of its own, at most `capacity` of them ahead of `take`.
-
-    A context manager; leaving it stops the thread as soon as the packet under way is done. The thread is
-    a daemon, so a second Ctrl-C need not wait for that. On Linux it gives way to other threads, and so do those that
-    it starts, as a new thread has the priority of the one that starts it; elsewhere a priority is one of the process.
-
-    Parameters
-    ----------
-    packets : in order of sending; used by the thread alone from now on
-    capacity : packets held at most
-    stop : ends the wait of both sides when somebody sets it
-    """
-
-    def __init__(self, packets: Iterable[Packet], capacity: int, stop: threading.Event) -> None:
-        self._capacity, self._stop = capacity, stop
-        self._room_at = capacity - max(capacity // _REFILLS, 1)
-        self._ready = deque[Packet]()
-        self._changed = threading.Condition()
-        self._done = self._ended = False
-        self._left = False
-        self._error: BaseException | None = None
-        self._made_due_ns = 0
-        self._full: tuple[int, int] | None = None
-        self._redo: tuple[int, Callable[[int], None]] | None = None
-        self._thread = threading.Thread(
-            target=self._run, args=(iter(packets),), name="look-ahead", daemon=True
-        )
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with self._changed:
-            self._left = True
-            self._changed.notify_all()
-        self._thread.join()
-
-    @property
-    def first(self) -> Packet | None:
-        """The packet that `take` gives next, if it is there."""
-        return self._ready[0] if self._ready else None
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether `take` would have to wait."""
-        return not self._ready
-
-    @property
-    def engine_speed(self) -> float | None:
-        """Simulated time per time in which it was computed, since the buffer was last full; None before."""
-        if (full := self._full) is None:
-            return None
-        clock_ns, due_ns = full
-        return (self._made_due_ns - due_ns) / max(time.monotonic_ns() - clock_ns, 1)
-
-    def fill(self) -> None:
-        """Wait until the buffer is full, the packets are at their end, or `stop` is set."""
-        with self._changed:
-            while len(self._ready) < self._capacity and not self._done and not self._over:
-                self._changed.wait(_POLL_S)
-
-    def take(self, waiting: Callable[[float | None], None] = lambda _: None) -> Packet | None:
-        """Next packet, waiting for it if need be; None at the end or when `stop` is set.
-
-        Parameters
-        ----------
-        waiting : called with the engine's speed every 50 ms as long as there is no packet
-
-        Raises
-        ------
-        BaseException
-            What the packets themselves raised, once those before it have been taken.
-        """
-        with self._changed:
-            while not self._ready and not self._done and not self._over:
-                if not self._changed.wait(_POLL_S):
-                    waiting(self.engine_speed)
-            if self._over:
-                return None
-            if self._ready:
-                packet = self._ready.popleft()
-                if len(self._ready) == self._room_at or not self._ready:
-                    self._changed.notify_all()
-                return packet
-        if self._error is not None:
-            raise self._error
-        return None
-
-    def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
-        """Compute anew what is due from a time on and not taken yet; from any thread. At the end of all packets nothing is.
-
-        Parameters
-        ----------
-        restart : makes the iterator of packets begin again at a due time; called by the thread that computes
-        """
-        with self._changed:
-            if self._ended:
-                return
-            earliest_ns = min(due_ns, self._redo[0]) if self._redo else due_ns
-            while self._ready and self._ready[-1].due_ns >= earliest_ns:
-                self._ready.pop()
-            self._redo, self._done = (earliest_ns, restart), False
-            self._changed.notify_all()
-
-    @property
-    def _over(self) -> bool:
-        """Whether nobody wants more packets."""
-        return self._left or self._stop.is_set()
-
-    def _wait_for_room(self, packet: Packet | None) -> None:
-        """Wait until a share of the full buffer has been taken, after the last packet all of it; holds the lock.
-
-        It ends too where nobody wants more, or what is in the buffer is to be computed anew.
-        """
-        most = self._room_at
-        if packet is None:
-            most, self._done = 0, True
-            self._changed.notify_all()
-        elif len(self._ready) < self._capacity:
-            return
-        while len(self._ready) > most and not self._over and self._redo is None:
-            self._changed.wait(_POLL_S)
-        if packet is not None:
-            self._full = time.monotonic_ns(), packet.due_ns
-
-    def _run(self, packets: Iterator[Packet]) -> None:
-        """Body of the thread."""
-        if sys.platform == "linux":
-            os.nice(_NICE)
-        try:
-            while True:
-                packet = next(packets, None)
-                with self._changed:
-                    self._wait_for_room(packet)
-                    redo, self._redo = self._redo, None
-                    if self._over or (packet is None and redo is None):
-                        return
-                    if packet is not None and (redo is None or packet.due_ns < redo[0]):
-                        self._made_due_ns = packet.due_ns
-                        self._ready.append(packet)
-                        self._changed.notify_all()
-                if redo is not None:
-                    due_ns, restart = redo
-                    restart(due_ns)
-        except BaseException as error:  # noqa: BLE001  # belongs to the thread that takes, which raises it
-            self._error = error
-        finally:
-            with self._changed:
-                self._done = self._ended = True
-                self._changed.notify_all()
-
+__all__ = ["LOOK_AHEAD_PACKETS", "Sender", "StreamReport", "UnderWay", "sending_share", "stream"]
 
 LOOK_AHEAD_PACKETS = 2048
 """About 2.3 s of single return with its position packets, 1.2 s of dual; 2.6 MB."""

@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Self
 
 from vlp16emu.errors import OutputError, RunError
+from vlp16emu.packets.decode import decode_position
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL, Link
 from vlp16emu.types import Packet, PacketKind
 
@@ -65,6 +66,8 @@ class UdpSink:
         address = _resolve(host)
         broadcast = _is_broadcast(address, as_sensor)
         self._as_sensor = as_sensor
+        self.latest_position = b""
+        """Payload of the position packet that was sent last."""
         self._sent = Counter[PacketKind]()
         self._bytes = 0
         with ExitStack() as stack:
@@ -86,6 +89,11 @@ class UdpSink:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._sockets.close()
+
+    @property
+    def address(self) -> str:
+        """IPv4 address that packets are sent to."""
+        return self._ways[PacketKind.DATA][1][0]
 
     def redirect(self, host: str, data_port: int, position_port: int) -> None:
         """Send to another receiver from now on; from any thread.
@@ -121,6 +129,8 @@ class UdpSink:
             where = f"{address}:{port}: {error.strerror} at packet {self._sent.total() + 1}"
             raise RunError(f"{where}; those before it have been sent") from error
         self._sent[packet.kind] += 1
+        if packet.kind is PacketKind.POSITION:
+            self.latest_position = packet.payload
 
     @property
     def result(self) -> UdpResult:
@@ -257,6 +267,16 @@ class RigSink:
         """
         self._sinks[packet.unit].send(packet)
         self._sent(packet.due_ns)
+
+    @property
+    def address(self) -> str:
+        """IPv4 address that packets of the first unit are sent to."""
+        return self._sinks[0].address
+
+    def sentence_of(self, unit: int) -> bytes:
+        """NMEA sentence in the latest position packet of a unit; empty before the first."""
+        payload = self._sinks[unit].latest_position
+        return decode_position(payload).sentence if payload else b""
 
     def redirect(self, unit: int, host: str, data_port: int, position_port: int) -> None:
         """Send the packets of a unit to another receiver from now on; as `UdpSink.redirect`."""

@@ -1,0 +1,199 @@
+"""The web interfaces of a run's sensors: what is set there becomes an event of the scene, a moment from now, and the stream follows."""
+
+import math
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vlp16emu.chain import Unit
+from vlp16emu.chain.chain import Chain
+from vlp16emu.device.events import Event, PowerCycle, Setting
+from vlp16emu.device.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
+from vlp16emu.device.web import WebServer
+from vlp16emu.errors import PacketError, Vlp16emuError
+from vlp16emu.packets import parse_rmc
+from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sinks import RigSink, UnderWay
+from vlp16emu.streaming import Engine, Http
+from vlp16emu.types import ReturnMode, SensorModel
+from vlp16emu.units import S_NS, seconds_to_ns
+
+__all__ = ["Control", "web_interfaces"]
+
+_LEAD_NS = 150_000_000
+"""From a setting to the first packet that follows it: by then the engine has made that packet anew."""
+_STEP_S = 0.001
+"""Times of events are rounded up to that."""
+
+
+@contextmanager
+def web_interfaces(control: "Control", http: Http) -> Iterator[None]:
+    """Serve the web interface of each sensor.
+
+    Raises
+    ------
+    MissingExtraError, OutputError, InputError
+        as `WebServer` and `Device`
+    """
+    with ExitStack() as stack:
+        servers = []
+        for number, device in enumerate(control.devices(http.saved)):
+            control.change(number, device.settings)  # what was saved, it has from its first moment on
+            servers.append(WebServer(device, http.host, http.port + number if http.port else 0))
+            stack.enter_context(servers[-1])
+        http.serving([server.address for server in servers])
+        yield
+
+
+def _settings_of(unit: Unit, host: str) -> DeviceSettings:
+    """Give what the scene sets on a sensor."""
+    sensor = on_the_wire(unit.section)
+    return DeviceSettings(
+        rpm=sensor.rpm,
+        return_mode=ReturnMode(sensor.return_mode),
+        phase_lock_on=sensor.phase_lock_deg is not None,
+        phase_lock_cdeg=round(100 * (sensor.phase_lock_deg or 0.0)) % 36_000,
+        host=host,
+        data_port=sensor.data_port,
+        position_port=sensor.position_port,
+        address=sensor.address,
+    )
+
+
+class Control:
+    """Makes a stream follow settings that come from other threads, and reports the state of its sensors.
+
+    Parameters
+    ----------
+    chain : of the run
+    engine : makes its packets
+    sink : sends them
+    under_way : the stream, which is about to send its first packet
+    """
+
+    def __init__(self, chain: Chain, engine: Engine, sink: RigSink, under_way: UnderWay) -> None:
+        self._chain, self._engine, self._sink = chain, engine, sink
+        self._under_way = under_way
+        self._factory = [_settings_of(unit, sink.address) for unit in chain.parts.units]
+        self._settings = list(self._factory)
+        self._lock = threading.Lock()
+        self._events: list[Event] = list(chain.scenario.events)
+
+    def devices(self, saved: Path | None) -> Iterator[Device]:
+        """Make what the web interface of each sensor shows and sets; a file keeps the saved settings of the first."""
+        for unit, factory in zip(self._chain.parts.units, self._factory, strict=True):
+            sensor, n = on_the_wire(unit.section), unit.number
+            yield Device(
+                factory,
+                status=partial(self.status, n),
+                changed=partial(self.change, n),
+                reset=partial(self.reset, n),
+                info=DeviceInfo(sensor.serial_number, SensorModel(sensor.model), unit.link.source_mac),
+                saved=saved.with_stem(f"{saved.stem}_{n + 1}") if saved and n else saved,
+            )
+
+    def change(self, unit: int, new: DeviceSettings) -> None:
+        """Set a unit anew; its packets follow within 0.2 s.
+
+        Raises
+        ------
+        OutputError
+            where the new receiver is unknown or out of reach; then nothing changes
+        """
+        with self._lock:
+            old, self._settings[unit] = self._settings[unit], new
+            where = [(each.host, each.data_port, each.position_port) for each in (old, new)]
+            if where[0] != where[1]:
+                try:
+                    self._sink.redirect(unit, *where[1])
+                except Vlp16emuError:
+                    self._settings[unit] = old
+                    raise
+            if keys := self._changed(old, new):
+                self._happen(lambda at_s: [Setting(kind="setting", at_s=at_s, unit=unit + 1, **keys)])
+
+    def reset(self, unit: int, power_up: DeviceSettings) -> None:
+        """Let a unit start again, with the settings that it has saved."""
+        with self._lock:
+            self._settings[unit] = power_up
+            self._sink.redirect(unit, power_up.host, power_up.data_port, power_up.position_port)
+            keys = self._changed(self._factory[unit], power_up)
+
+            def events(at_s: float) -> list[Event]:
+                """Power is lost; settings that are not those of the scene follow."""
+                lost = PowerCycle(kind="power_cycle", at_s=at_s, unit=unit + 1)
+                again_s = at_s + lost.off_s
+                saved = [Setting(kind="setting", at_s=again_s, unit=unit + 1, **keys)] if keys else []
+                return [lost, *saved]
+
+            self._happen(events)
+
+    def status(self, unit: int) -> DeviceStatus:
+        """Report the state of a unit."""
+        of, start_ns = self._chain.parts.units[unit], self._chain.scenario.start_ns
+        now_ns = self._under_way.due_in_ns(0)
+        since_ns = now_ns - start_ns
+        ends_ns = [end for _, end in of.sending.silences_ns if end <= since_ns]
+        powered_ns = (
+            since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s)
+        )
+        settings, rpm = self._settings[unit], of.head.rotor.rpm_at(since_ns)
+        return DeviceStatus(
+            t_ns=now_ns,
+            pps=self._chain.parts.gps.pps,
+            position=_place(self._sink.sentence_of(unit)),
+            motor_rpm=rpm,
+            motor_on=rpm > 0,
+            phase_locked=settings.phase_lock_on and self._chain.scenario.gps.connected,
+            phase_cdeg=self._phase_cdeg(of, now_ns),
+            laser_on=settings.laser_on,
+            powered_for_s=powered_ns / S_NS,
+            is_up=not of.sending.is_silent(since_ns),
+        )
+
+    def _phase_cdeg(self, unit: Unit, now_ns: int) -> int:
+        """Rotor angle at the latest UTC second, in 0.01 degree."""
+        second_ns = max(now_ns // S_NS * S_NS - self._chain.scenario.start_ns, 0)
+        return round(100 * float(unit.head.rotor.angle_deg(np.array([second_ns]))[0])) % 36_000
+
+    def _changed(self, old: DeviceSettings, new: DeviceSettings) -> dict[str, Any]:
+        """Keys of a setting that takes the one to the other."""
+        keys: dict[str, Any] = {
+            "rpm": new.rpm if new.rpm != old.rpm else None,
+            "return_mode": str(new.return_mode) if new.return_mode != old.return_mode else None,
+            "laser": new.laser_on if new.laser_on != old.laser_on else None,
+            "fov_deg": new.fov_deg if new.fov_deg != old.fov_deg else None,
+        }
+        phases = [each.phase_lock_cdeg / 100 if each.phase_lock_on else "off" for each in (old, new)]
+        if phases[0] != phases[1] and self._chain.scenario.gps.connected:
+            keys["phase_lock_deg"] = phases[1]
+        return {key: value for key, value in keys.items() if value is not None}
+
+    def _happen(self, events: Callable[[float], list[Event]]) -> None:
+        """Add events a moment from now, and have what is due from then on made anew; holds the lock."""
+        start_ns = self._chain.scenario.start_ns
+        from_ns = self._under_way.due_in_ns(_LEAD_NS) - start_ns
+        at_s = math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S
+        self._events = [*self._events, *events(round(at_s, 3))]
+        made = self._events
+        self._under_way.redo(start_ns + from_ns, lambda due_ns: self._engine.begin_again(due_ns, made))
+
+
+def _place(sentence: bytes) -> str:
+    """Write where the receiver is, as the sensor does: `49 00.00N 200 .00W`."""
+    try:
+        fix = parse_rmc(sentence)
+    except PacketError:
+        return ""
+    if not fix.valid:
+        return ""
+    parts = []
+    for angle_deg, letters in ((fix.latitude_deg, "NS"), (fix.longitude_deg, "EW")):
+        minutes = round(abs(angle_deg) * 60, 2)
+        parts.append(f"{int(minutes // 60):02d} {minutes % 60:05.2f}{letters[angle_deg < 0]}")
+    return " ".join(parts)
