@@ -10,7 +10,7 @@ from vlp16emu.errors import InputError, PacketError
 from vlp16emu.types import GnssFix
 from vlp16emu.units import S_NS, US_NS
 
-__all__ = ["parse_rmc", "rmc"]
+__all__ = ["parse_rmc", "rmc", "rmc_time"]
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _KNOT_M_S = 1852 / 3600
@@ -70,12 +70,8 @@ def parse_rmc(sentence: bytes) -> GnssFix:
     ------
     PacketError : no `$GPRMC`, a wrong checksum, no CR LF, or a field that is missing or no number
     """
-    import pynmea2
-
-    if not (sentence.startswith(b"$GPRMC,") and sentence.endswith(b"\r\n")):
-        raise PacketError("NMEA sentence", repr(sentence), "$GPRMC,... that ends with CR LF")
+    fields = _fields(sentence)
     try:
-        fields = pynmea2.parse(sentence.decode("ascii"), check=True).data
         return GnssFix(
             t_ns=_utc_ns(fields[8], fields[0]),
             valid={"A": True, "V": False}[fields[1]],
@@ -84,10 +80,46 @@ def parse_rmc(sentence: bytes) -> GnssFix:
             speed_m_s=_number(fields[6]) * _KNOT_M_S,
             course_deg=_number(fields[7]),
         )
-    except pynmea2.ChecksumError as error:
-        raise PacketError("NMEA sentence", repr(sentence), "a right checksum") from error
     except (ValueError, KeyError, IndexError) as error:
         raise PacketError("NMEA sentence", repr(sentence), "the fields of RMC, all filled") from error
+
+
+def rmc_time(sentence: bytes) -> tuple[int | None, bool]:
+    """Read the second that a sentence names, UTC in ns, and whether its status is A; fields of the place may be empty.
+
+    Parameters
+    ----------
+    sentence : as of `parse_rmc`
+
+    Returns
+    -------
+    None for the second where a receiver that has just been switched on does not know it
+
+    Raises
+    ------
+    PacketError : no `$GPRMC`, a wrong checksum, no CR LF, or no time, date and status where they belong
+    """
+    fields = _fields(sentence)
+    try:
+        valid = {"A": True, "V": False}[fields[1]]
+        return (_utc_ns(fields[8], fields[0]) // S_NS * S_NS if fields[0] and fields[8] else None), valid
+    except (ValueError, KeyError, IndexError) as error:
+        raise PacketError("NMEA sentence", repr(sentence), "time, status and date of RMC") from error
+
+
+def _fields(sentence: bytes) -> list[str]:
+    """Check a sentence, and take its fields."""
+    import pynmea2
+
+    if not (sentence.startswith(b"$GPRMC,") and sentence.endswith(b"\r\n")):
+        raise PacketError("NMEA sentence", repr(sentence), "$GPRMC,... that ends with CR LF")
+    try:
+        fields: list[str] = pynmea2.parse(sentence.decode("ascii"), check=True).data
+    except pynmea2.ChecksumError as error:
+        raise PacketError("NMEA sentence", repr(sentence), "a right checksum") from error
+    except ValueError as error:
+        raise PacketError("NMEA sentence", repr(sentence), "the fields of RMC, all filled") from error
+    return fields
 
 
 def _check(fix: GnssFix) -> None:

@@ -11,14 +11,15 @@ from vlp16emu.packets.layout import (
     DATA_PAYLOAD,
     POSITION_PAYLOAD,
     RETURN_MODE_BYTE,
+    SENTENCE_BYTES,
     SEQUENCES_PER_PACKET,
 )
 from vlp16emu.packets.position import STAMP_LEAD_NS
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.types import Packet, PacketKind, ReturnMode
+from vlp16emu.types import Packet, PacketKind, PpsState, ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
-__all__ = ["age_ns", "moved", "stamp_ns"]
+__all__ = ["age_ns", "moved", "restamped", "stamp_ns"]
 
 _STAMP = struct.Struct("<I")
 _RMC = re.compile(
@@ -37,6 +38,7 @@ _STAMP_AT = {
     PacketKind.DATA: _offset(DATA_PAYLOAD, "timestamp_us"),
     PacketKind.POSITION: _offset(POSITION_PAYLOAD, "timestamp_us"),
 }
+_PPS_AT = _offset(POSITION_PAYLOAD, "pps")
 _MODE_AT = _offset(DATA_PAYLOAD, "return_mode")
 _SENTENCE = slice(_offset(POSITION_PAYLOAD, "sentence"), _offset(POSITION_PAYLOAD, "unused_tail"))
 
@@ -69,6 +71,22 @@ def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
     if packet.kind is PacketKind.POSITION:
         sentence = _moved_sentence(bytes(payload[_SENTENCE]), by_s, now_ns)
         payload[_SENTENCE] = sentence
+    return replace(packet, payload=bytes(payload))
+
+
+def restamped(packet: Packet, clock_ns: int, pps: PpsState, sentence: bytes) -> Packet:
+    """Give a packet what another clock shows, and a position packet the state and sentence of another receiver too.
+
+    Parameters
+    ----------
+    clock_ns : at the instant of the packet's stamp, ns past the hour
+    sentence : with CR LF; its first 128 bytes are taken, empty for none
+    """
+    payload = bytearray(packet.payload)
+    _STAMP.pack_into(payload, _STAMP_AT[packet.kind], clock_ns % HOUR_NS // US_NS)
+    if packet.kind is PacketKind.POSITION:
+        payload[_PPS_AT] = pps
+        payload[_SENTENCE] = sentence[:SENTENCE_BYTES].ljust(SENTENCE_BYTES, b"\0")
     return replace(packet, payload=bytes(payload))
 
 

@@ -1,0 +1,140 @@
+"""A real GPS receiver on the sensor's serial input: its pulses and sentences set the clock, and the state that packets report."""
+
+import re
+import threading
+from dataclasses import dataclass
+
+from vlp16emu.errors import PacketError
+from vlp16emu.packets.nmea import rmc_time
+from vlp16emu.types import PpsState
+from vlp16emu.units import HOUR_NS, MS_NS, S_NS
+
+__all__ = ["GpsLine", "Heard"]
+
+_LINE = re.compile(rb"[^\r\n]*[\r\n]+")
+_LONGEST = 256
+"""Bytes without an end of line, after which they are no sentence: twice what a position packet holds."""
+_STEADY_NS = 5 * MS_NS
+"""By which pulses may miss their second and still be steady: what a program that looks at a line every millisecond, beside others,
+makes of a pulse that is exact to a microsecond (assumption)."""
+_LOST_NS = S_NS + S_NS // 2
+"""After so long without a pulse there is none."""
+_STALE_NS = 5 * S_NS
+"""After so long without a good sentence the clock is no longer set by it (assumption)."""
+_SHARE = 8
+"""A pulse moves the clock by this part of the time that it is off, so that the stamps do not show how late a line was looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What a receiver has sent so far."""
+
+    pulses: int
+    sentences: int
+    """Good ones."""
+    refused: int
+    """RMC sentences that were garbled; others are not looked at."""
+
+
+class GpsLine:
+    """The sensor's end of the line; instants are those of one clock of the host, in ns. Threads may share it.
+
+    Parameters
+    ----------
+    power_up_ns : when the sensor's own clock was at zero
+    window_ns : for so long pulses must be steady ("Require PPS lock", delay; 63-9243 Rev D, appendix G)
+    requires_valid : whether only sentences of status A set the clock ("Require GPS receiver valid")
+    sentence_delay_ns : where no pulse comes by a line, how long before its sentence a second began; None for a line that pulses
+    """
+
+    def __init__(
+        self, power_up_ns: int, *, window_ns: int, requires_valid: bool, sentence_delay_ns: int | None
+    ) -> None:
+        self._window_ns, self._requires_valid, self._delay_ns = window_ns, requires_valid, sentence_delay_ns
+        self._lock = threading.Lock()
+        self._buffer = b""
+        self._pulses = self._sentences = self._refused = 0
+        self._zero_ns = power_up_ns
+        """Instant at which the clock showed a whole hour."""
+        self._edge_ns: int | None = None
+        self._steady_since_ns: int | None = None
+        self._is_bad = False
+        self._set_ns: int | None = None
+        self.sentence = b""
+        """That came last, with CR and LF; empty before the first."""
+
+    def pulse(self, t_ns: int) -> None:
+        """Take the rising edge of a pulse."""
+        with self._lock:
+            self._pulse(t_ns)
+
+    def receive(self, data: bytes, t_ns: int) -> None:
+        """Take bytes of the serial line."""
+        with self._lock:
+            self._buffer += data
+            while found := _LINE.match(self._buffer):
+                self._buffer = self._buffer[found.end() :]
+                self._take(found[0].strip(), t_ns)
+            self._buffer = b"" if len(self._buffer) > _LONGEST else self._buffer
+
+    def state_at(self, t_ns: int) -> PpsState:
+        """State of the pulse, as position packets report it (63-9243 Rev D, section 9.3.3)."""
+        with self._lock:
+            return self._state(t_ns)
+
+    def clock_ns(self, t_ns: int) -> int:
+        """Read the sensor's clock, in ns past its hour."""
+        with self._lock:
+            return (t_ns - self._zero_ns) % HOUR_NS
+
+    @property
+    def heard(self) -> Heard:
+        """What came so far."""
+        with self._lock:
+            return Heard(self._pulses, self._sentences, self._refused)
+
+    def _state(self, t_ns: int) -> PpsState:
+        if self._edge_ns is None or t_ns - self._edge_ns > _LOST_NS:
+            return PpsState.ABSENT
+        if self._is_bad:
+            return PpsState.ERROR
+        steady = self._steady_since_ns is not None and t_ns - self._steady_since_ns >= self._window_ns
+        is_set = self._set_ns is not None and t_ns - self._set_ns < _STALE_NS
+        return PpsState.LOCKED if steady and is_set else PpsState.SYNCHRONIZING
+
+    def _pulse(self, t_ns: int) -> None:
+        """Pull the fraction of a second to the edge: at once at first, in small parts once pulses are steady."""
+        self._pulses += 1
+        since_ns = None if self._edge_ns is None else t_ns - self._edge_ns
+        off_ns = (t_ns - self._zero_ns + S_NS // 2) % S_NS - S_NS // 2
+        if since_ns is None or since_ns > _LOST_NS:
+            self._steady_since_ns, self._is_bad = t_ns, False
+            self._zero_ns += off_ns
+        elif abs(since_ns - S_NS) > _STEADY_NS:
+            self._steady_since_ns, self._is_bad = t_ns, True  # no second apart: a bad pulse
+            self._zero_ns += off_ns
+        else:
+            self._is_bad = False
+            self._zero_ns += off_ns // _SHARE
+        self._edge_ns = t_ns
+
+    def _take(self, line: bytes, t_ns: int) -> None:
+        """Take a line: an RMC sentence names the second of the edge before it."""
+        if not line.startswith(b"$GPRMC,"):
+            return
+        try:
+            named_ns, valid = rmc_time(line + b"\r\n")
+        except PacketError:
+            self._refused += 1
+            self._is_bad = True
+            return
+        self._sentences += 1
+        self.sentence = line + b"\r\n"
+        if self._delay_ns is not None:
+            self._pulse(t_ns - self._delay_ns)
+        if named_ns is not None and (valid or not self._requires_valid):
+            self._set_ns = t_ns
+            if self._edge_ns is not None and t_ns - self._edge_ns < _LOST_NS:
+                # Whole seconds alone: the fraction is that of the pulse.
+                shown_ns = (self._edge_ns - self._zero_ns + S_NS // 2) // S_NS * S_NS
+                self._zero_ns -= (named_ns - shown_ns) % HOUR_NS
