@@ -81,7 +81,7 @@ class Live:
 
     def __enter__(self):
         self.thread.start()
-        assert self.up.wait(60)
+        assert self.up.wait(240)
         return self
 
     def __exit__(self, *_error):

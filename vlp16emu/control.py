@@ -16,11 +16,11 @@ from vlp16emu.device.events import Event, PowerCycle, Setting
 from vlp16emu.device.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.device.web import WebServer
 from vlp16emu.errors import PacketError, Vlp16emuError
-from vlp16emu.packets import parse_rmc
+from vlp16emu.packets import decode_position, parse_rmc
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import RigSink, UnderWay
 from vlp16emu.streaming import Engine, Http
-from vlp16emu.types import ReturnMode, SensorModel
+from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import S_NS, seconds_to_ns
 
 __all__ = ["Control", "web_interfaces"]
@@ -143,10 +143,12 @@ class Control:
             since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s)
         )
         settings, rpm = self._settings[unit], of.head.rotor.rpm_at(since_ns)
+        payload = self._sink.latest_position(unit)
+        sent = decode_position(payload) if payload else None
         return DeviceStatus(
             t_ns=now_ns,
-            pps=self._chain.parts.gps.pps,
-            position=_place(self._sink.sentence_of(unit)),
+            pps=sent.pps if sent else PpsState.ABSENT,
+            position=_place(sent.sentence) if sent else "",
             motor_rpm=rpm,
             motor_on=rpm > 0,
             phase_locked=settings.phase_lock_on and self._chain.scenario.gps.connected,

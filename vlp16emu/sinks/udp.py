@@ -10,7 +10,6 @@ from types import TracebackType
 from typing import Self
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.packets.decode import decode_position
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL, Link
 from vlp16emu.types import Packet, PacketKind
 
@@ -273,10 +272,9 @@ class RigSink:
         """IPv4 address that packets of the first unit are sent to."""
         return self._sinks[0].address
 
-    def sentence_of(self, unit: int) -> bytes:
-        """NMEA sentence in the latest position packet of a unit; empty before the first."""
-        payload = self._sinks[unit].latest_position
-        return decode_position(payload).sentence if payload else b""
+    def latest_position(self, unit: int) -> bytes:
+        """Payload of the position packet that a unit has sent last; empty before the first."""
+        return self._sinks[unit].latest_position
 
     def redirect(self, unit: int, host: str, data_port: int, position_port: int) -> None:
         """Send the packets of a unit to another receiver from now on; as `UdpSink.redirect`."""
