@@ -22,7 +22,7 @@ INFO = DeviceInfo("11001000000001", SensorModel.VLP_16, bytes.fromhex("607688380
 
 
 class Engine:
-    """Stands for the stream: keeps what it is given, and turns its rotor by 10 rpm towards it at each look."""
+    """Stands for the stream: keeps what it is given, and turns its rotor by 20 rpm towards it at each look."""
 
     def __init__(self):
         self.settings, self.changes, self.resets = DeviceSettings(), [], []
@@ -54,7 +54,7 @@ class Engine:
         missing_rpm = self.settings.rpm - self.now.motor_rpm
         self.now = replace(
             self.now,
-            motor_rpm=self.now.motor_rpm + max(min(missing_rpm, 10.0), -10.0),
+            motor_rpm=self.now.motor_rpm + max(min(missing_rpm, 20.0), -20.0),
             laser_on=self.settings.laser_on,
             is_up=self.is_up,
         )

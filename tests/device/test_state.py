@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from vlp16emu.device.state import DeviceSettings
-from vlp16emu.errors import InputError, RunError
+from vlp16emu.errors import InputError, OutputError, RunError
 from vlp16emu.types import ReturnMode
 
 OTHERS = DeviceSettings(
@@ -50,6 +50,21 @@ def test_a_change_that_fails_leaves_the_settings(make):
     with pytest.raises(ValidationError):
         device.change(lambda settings: replace(settings, rpm=1))
     assert (device.settings, engine.changes) == (DeviceSettings(), [])
+
+
+@pytest.mark.parametrize("act", ["change", "restart"])
+def test_what_the_stream_cannot_follow_is_not_set(make, act):
+    """A receiver that is out of reach leaves the settings as they were, and the one who asks hears of it."""
+    _, device = make()
+    device.adopt(OTHERS)
+
+    def refused(settings):
+        raise OutputError("destination", "out of reach", "an address in reach")
+
+    device._changed = device._reset = refused
+    with pytest.raises(OutputError):
+        device.restart() if act == "restart" else device.change(lambda settings: replace(settings, rpm=300))
+    assert device.settings == OTHERS
 
 
 def test_what_an_event_has_set_is_shown_and_not_passed_on(make):

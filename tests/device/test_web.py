@@ -83,10 +83,10 @@ def test_the_status_follows_the_sensor(web):
         "motor": {"state": "On", "rpm": 600, "lock": "Off", "phase": 30755},
         "laser": {"state": "On"},
     }
-    web.client.post("/cgi/setting", "rpm=720&laser=off")
-    seen = [web.client.get("/cgi/status.json") for _ in range(15)]
+    web.client.post("/cgi/setting", "rpm=1200&laser=off")
+    seen = [web.client.get("/cgi/status.json") for _ in range(20)]
     speeds = [tree["motor"]["rpm"] for tree in seen]
-    assert 600 < speeds[0] < 720 == speeds[-1]
+    assert 600 < speeds[0] < 1200 == speeds[-1]
     assert speeds == sorted(speeds)
     assert seen[0]["laser"] == {"state": "Off"}
     web.engine.now = replace(web.engine.now, disabled=True, phase_locked=True)
@@ -187,6 +187,21 @@ def test_save_and_reset(web, save, reset):
     assert [settings.rpm for settings in web.engine.resets] == [300]
     assert web.client.get("/cgi/settings.json")["rpm"] == 300
     assert json.loads(web.file.read_text())["rpm"] == 300
+
+
+def test_what_the_stream_cannot_follow_is_an_error(web):
+    """A receiver that is out of reach gives 500 with the reason, and is not set."""
+
+    def refused(settings):
+        raise OutputError(f"destination {settings.host}", "out of reach", "an address in reach")
+
+    web.device._changed = refused
+    status, answer = web.client.post("/cgi/setting/host", "addr=10.0.0.7")
+    assert (status, json.loads(answer)) == (
+        500,
+        {"error": "destination 10.0.0.7: out of reach; expected an address in reach"},
+    )
+    assert web.client.get("/cgi/settings.json")["host"]["addr"] == "255.255.255.255"
 
 
 def test_what_cannot_be_saved_is_an_error(web):
@@ -292,7 +307,7 @@ def test_a_fault_of_the_web_interface(web, speak, monkeypatch):
     web.fault = HttpFault(None)
     assert speak(get("/cgi/info.json")) == []
     web.fault = None
-    assert web.client.post("/cgi/setting", "rpm=300") == (204, b"")
+    assert speak(get("/cgi/info.json", "Connection: close"))[0].startswith(b"HTTP/1.1 200 OK")
 
 
 def test_where_it_listens():

@@ -1,7 +1,8 @@
 """The sensor as its web interface sees it: what is set, what is saved, and how it is at an instant."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from ipaddress import IPv4Address
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Annotated
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from vlp16emu.errors import InputError, readable
+from vlp16emu.errors import InputError, Vlp16emuError, readable
 from vlp16emu.explain import explain
 from vlp16emu.output import OutputFile
 from vlp16emu.sensor.settings import Address, Port
@@ -141,8 +142,8 @@ class Device:
     ----------
     factory : what is set where nothing has been saved
     status : gives the sensor as it is now; called from the thread of the web server, and must not wait
-    changed : called after each change by `change`, with all settings; must not wait
-    reset : called by `restart` with the settings after power-up; must not wait
+    changed : called after each change by `change`, with all settings; must not wait; where it raises, nothing changes
+    reset : called by `restart` with the settings after power-up; must not wait; where it raises, nothing changes
     info : serial number and the like
     saved : file that saved settings are kept in from run to run; None to keep them for this run
 
@@ -179,12 +180,13 @@ class Device:
         return self._power_up
 
     def change(self, made: Callable[[DeviceSettings], DeviceSettings]) -> None:
-        """Set what is made of the settings as they are; whatever it raises leaves them so."""
+        """Set what is made of the settings as they are."""
         with self._lock:
-            before, self._settings = self._settings, made(self._settings)
-            after = self._settings
+            before, after = self._settings, made(self._settings)
+            self._settings = after
         if after != before:
-            self._changed(after)
+            with self._back_to(before):
+                self._changed(after)
 
     def adopt(self, settings: DeviceSettings) -> None:
         """Take over settings that the sensor has already been given by another way, such as an event of the scene."""
@@ -208,8 +210,19 @@ class Device:
     def restart(self) -> None:
         """Start again from the settings after power-up; those that are not saved are lost."""
         with self._lock:
-            self._settings = self._power_up
-        self._reset(self._power_up)
+            before, after = self._settings, self._power_up
+            self._settings = after
+        with self._back_to(before):
+            self._reset(after)
+
+    @contextmanager
+    def _back_to(self, before: DeviceSettings) -> Iterator[None]:
+        """Set what was set before where the stream cannot follow."""
+        try:
+            yield
+        except Vlp16emuError:
+            self.adopt(before)
+            raise
 
 
 def explained(error: ValidationError) -> tuple[str, str, str]:

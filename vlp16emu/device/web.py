@@ -183,6 +183,7 @@ class WebServer:
                         await _listen_out(reader, writer)
                     return
                 line.start_next_cycle()
+                await asyncio.sleep(0)  # others come in between where requests are sent without waiting
 
     async def _faulty(self) -> _Answer | None:
         """Answer as a fault makes it; None without one."""
