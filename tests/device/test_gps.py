@@ -6,18 +6,22 @@ from vlp16emu.device import GpsInput
 from vlp16emu.errors import PacketError
 from vlp16emu.motion import Gps
 from vlp16emu.packets import parse_rmc
-from vlp16emu.scenario import load
+from vlp16emu.scenario import Scenario
 from vlp16emu.types import GnssFix, PpsState
 from vlp16emu.units import MS_NS, S_NS
 
 START_NS = 1_795_255_199 * S_NS
+TABLES = {
+    "schema": 1,
+    "motion": {"kind": "static"},
+    "world": {"kind": "hall", "length_m": 20.0, "width_m": 16.0, "height_m": 5.0},
+}
 ABSENT, SYNC, LOCKED, ERROR = PpsState
 
 
 def gps_input(*events, **gps):
     """Give the input of a sensor, to which events happen."""
-    tables = {"schema": 1, "motion": {"kind": "static"}, "world": {"kind": "hall"}, "events": list(events)}
-    made = load(tables).events
+    made = Scenario.model_validate({**TABLES, "events": list(events)}).events
     return GpsInput.of(Gps(canopy_loss=False, **gps), made, START_NS)
 
 
