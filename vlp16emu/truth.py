@@ -295,7 +295,9 @@ def _event_row(one: Happening) -> str:
     """Write what happened as a line."""
     last = str(one.first + one.count - 1) if one.count else ""
     times = seconds_text(one.begin_ns), seconds_text(one.end_ns)
-    return f"{','.join(times)},{one.event},{one.unit},{one.kind},{one.packets},{one.first},{last},{one.count}\n"
+    return (
+        f"{','.join(times)},{one.event},{one.unit},{one.kind},{one.packets},{one.first},{last},{one.count}\n"
+    )
 
 
 def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]:

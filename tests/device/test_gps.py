@@ -105,7 +105,9 @@ def test_late_sentences_are_in_the_buffer_later():
     made = gps_input({"kind": "late_sentence", "at_s": 3.0, "duration_s": 2.0, "by_s": 0.5})
     assert states(made) == [(-1.0, LOCKED)]
     changes = [
-        ms for ms in range(1000, 8000, 10) if made.second_ns(START_NS + ms * MS_NS) != made.second_ns(START_NS + (ms - 10) * MS_NS)
+        ms
+        for ms in range(1000, 8000, 10)
+        if made.second_ns(START_NS + ms * MS_NS) != made.second_ns(START_NS + (ms - 10) * MS_NS)
     ]
     assert changes == [1350, 2350, 3850, 4850, 5350, 6350, 7350]
     later = gps_input({"kind": "late_sentence", "at_s": 3.0, "duration_s": 2.0, "by_s": 0.8})
@@ -132,9 +134,15 @@ def test_a_sensor_that_starts_has_no_sentence_and_waits_for_its_window():
 @pytest.mark.parametrize(
     "events",
     [
-        [{"kind": "pps_loss", "at_s": 2.2, "duration_s": 3.0}, {"kind": "pps_loss", "at_s": 4.0, "duration_s": 2.0}],
+        [
+            {"kind": "pps_loss", "at_s": 2.2, "duration_s": 3.0},
+            {"kind": "pps_loss", "at_s": 4.0, "duration_s": 2.0},
+        ],
         [{"kind": "wrong_sentence", "at_s": 2.2, "duration_s": 3.0}, {"kind": "power_cycle", "at_s": 15.1}],
-        [{"kind": "late_sentence", "at_s": 4.0, "duration_s": 9.0, "by_s": 3.3}, {"kind": "missing_sentence", "at_s": 8.0, "duration_s": 7.0}],
+        [
+            {"kind": "late_sentence", "at_s": 4.0, "duration_s": 9.0, "by_s": 3.3},
+            {"kind": "missing_sentence", "at_s": 8.0, "duration_s": 7.0},
+        ],
         [{"kind": "missing_sentence", "at_s": 4.0}],
         [],
     ],

@@ -63,9 +63,7 @@ def _is_random(event: Event) -> bool:
     return isinstance(event, Share) and event.share < 1.0
 
 
-def _whole(
-    scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: int
-) -> Iterator[Happening]:
+def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: int) -> Iterator[Happening]:
     """Give an event with all packets that are due meanwhile."""
     begin_ns = over_ns = seconds_to_ns(event.at_s)
     if isinstance(event, LastingEvent):

@@ -42,9 +42,7 @@ def position_number(scenario: Scenario, unit: Unit, since_ns: int) -> int:
     return first_position_packet(rate, unit.seed, start_ns, start_ns + since_ns)
 
 
-def position_due(
-    scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int
-) -> Iterator[tuple[int, int]]:
+def position_due(scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[tuple[int, int]]:
     """Yield number and UTC of the position packets of a unit due in a span since the first pulse."""
     rate = on_the_wire(unit.section).position_rate
     first, stop = (position_number(scenario, unit, since_ns) for since_ns in (start_ns, stop_ns))
