@@ -85,7 +85,7 @@ class PacketFault:
             case Delay(by_s=late_s) | Jitter(up_to_s=late_s) | Duplicate(after_s=late_s):
                 return seconds_to_ns(late_s)
             case Reorder(by=by):
-                return by * _LONGEST_NS
+                return by * _LONGEST_NS + 1
         return 0
 
     def change(self, packet: Packet, number: int) -> tuple[Packet, ...]:
@@ -111,12 +111,12 @@ class PacketFault:
         return int(self._random(Purpose.PACKET_JITTER, packet, number) * seconds_to_ns(self.event.up_to_s))
 
     def _behind_ns(self, packet: Packet, by: int) -> int:
-        """Time at which the packet leaves that is so many of its kind behind one."""
+        """Time just after the packet leaves that is so many of its kind behind one."""
         if packet.kind is PacketKind.POSITION:
             due_ns = position_due_ns(self.rate, self.seed, self.start_ns, packet.number, by + 1)
-            return packet.due_ns + int(due_ns[-1] - due_ns[0])
+            return packet.due_ns + int(due_ns[-1] - due_ns[0]) + 1
         assert packet.fired_ns is not None
-        return packet.due_ns + by * min(packet.due_ns - packet.fired_ns, _LONGEST_NS)
+        return packet.due_ns + by * min(packet.due_ns - packet.fired_ns, _LONGEST_NS) + 1
 
     def _flipped(self, packet: Packet, number: int, bits: int) -> bytes:
         """Flip different bits of the payload; none of one that was not cast."""
@@ -158,12 +158,12 @@ class Wire:
         self._left_ns = Counter[tuple[int, int, PacketKind]]()
 
     def passed(self, packets: Iterable[Packet]) -> Iterator[Packet]:
-        """Yield what arrives, in order of sending: of packets due at once, those without delay first."""
-        waiting = list[tuple[int, int, int, Packet]]()
+        """Yield what arrives, in order of sending."""
+        waiting = list[tuple[int, int, Packet]]()
         serial = 0
         for packet in packets:
             for sent in self._after_faults(packet):
-                heappush(waiting, (sent.due_ns, sent.due_ns - packet.due_ns, serial, sent))
+                heappush(waiting, (sent.due_ns, serial, sent))
                 serial += 1
             while waiting and waiting[0][0] <= packet.due_ns:
                 yield heappop(waiting)[-1]
