@@ -3,6 +3,7 @@
 from collections import Counter
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -154,7 +155,7 @@ def test_duplicates_follow_their_packet(clean):
     assert all(replace(copy, due_ns=copy.due_ns - late) in clean for copy in copies)
     assert abs(len(list(copies)) / len(since(clean, 0.5)) - 0.2) < 0.06
     at_once = sent({"kind": "duplicate", "at_s": 0.5, "count": 1})
-    place = next(i for i, pair in enumerate(zip(at_once, at_once[1:])) if pair[0] == pair[1])
+    place = next(i for i, pair in enumerate(pairwise(at_once)) if pair[0] == pair[1])
     assert at_once[:place] + at_once[place + 1 :] == clean
 
 

@@ -147,13 +147,8 @@ def _read_sentence(area: bytes) -> tuple[tuple[_Fault, ...], int | None, bool]:
     body, star, checksum = text.rstrip(b"\r\n").rpartition(b"*")
     match = _SENTENCE.fullmatch(body)
     if match is None or not star:
-        faults.append(
-            (
-                Rule.NMEA_FORMAT,
-                repr(text[:_SENTENCE_CHARACTERS]),
-                "$GPRMC,time,status,... with 12 or 13 fields",
-            )
-        )
+        expected = "$GPRMC,time,status,... with 12 or 13 fields"
+        faults.append((Rule.NMEA_FORMAT, repr(text[:_SENTENCE_CHARACTERS]), expected))
         return tuple(faults), None, False
     wanted = f"{int(np.bitwise_xor.reduce(np.frombuffer(body[1:], np.uint8))):02X}"
     if checksum != wanted.encode():
