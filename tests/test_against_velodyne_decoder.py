@@ -26,7 +26,7 @@ def walk(request, tmp_path_factory):
     ]
     scenario = load("birch_walk", settings)
     path = tmp_path_factory.mktemp("walk") / "walk.pcap"
-    with PcapSink(path, [0]) as sink:
+    with PcapSink(path) as sink:
         for packet in Emulator(scenario).packets(0.0, DURATION_S):
             sink.send(packet)
     return scenario, path

@@ -83,7 +83,7 @@ def test_a_file_of_two_is_told_apart_by_others(rig, tmp_path):
     """Frames have each unit's address and port; a decoder that is not ours reads either unit's packets."""
     emulator, packets = rig
     path = tmp_path / "rig.pcap"
-    with PcapSink(path, [0, 0], [unit.link for unit in emulator.parts.units]) as sink:
+    with PcapSink(path, [unit.link for unit in emulator.parts.units]) as sink:
         for packet in packets:
             sink.send(packet)
     with Capture(path) as capture:

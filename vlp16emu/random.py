@@ -70,6 +70,10 @@ class Purpose(IntEnum):
     GNSS_WANDER = 61
     UNIT = 70
     WIND = 71
+    PACKET_FAULT = 80
+    PACKET_JITTER = 81
+    BIT_FLIP = 82
+    SENTENCE = 83
     AUDIT = 90
 
 

@@ -98,8 +98,8 @@ def record_packets(
     began_s, scenario, units = time.perf_counter(), chain.scenario, chain.parts.units
     begin_ns, simulated_s = scenario.start_ns + seconds_to_ns(span_s[0]), 0.0
     sent = Counter[tuple[int, str]]()
-    numbers, links = chain.first_position_packets(span_s[0]), [unit.link for unit in units]
-    with PcapSink(path, numbers, links) as sink, packets as taken, suppress(CancelledError):
+    links = [unit.link for unit in units]
+    with PcapSink(path, links) as sink, packets as taken, suppress(CancelledError):
         for packet in taken:
             if stop.is_set():
                 break

@@ -1,9 +1,9 @@
 """What really was, beside what was sent: trajectory, inertial unit, GNSS, rig and scenario of a run."""
 
-import heapq
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import suppress
+from functools import partial
 from importlib.metadata import version
 from types import TracebackType
 from typing import Any, Self
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.chain import Parts, Unit
 from vlp16emu.chain.chain import Chain
-from vlp16emu.chain.position import position_packets
+from vlp16emu.chain.happenings import Happening, happenings
+from vlp16emu.chain.wire import arriving, timetable
 from vlp16emu.errors import RunError
 from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.gnss import Receiver, to_geodetic
@@ -22,10 +23,10 @@ from vlp16emu.motion.pose import Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
-from vlp16emu.sensor.settings import Sensor, on_the_wire
+from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import TruthFolder, TruthTo, tum_rows
 from vlp16emu.sinks.truth import seconds_text
-from vlp16emu.types import Packet, PacketKind, Poses
+from vlp16emu.types import Packet, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
 
 __all__ = ["Truth"]
@@ -46,6 +47,7 @@ _GNSS_COLUMNS = (
     "course_deg",
 )
 
+_EVENT_COLUMNS = ("t_utc_s", "until_utc_s", "event", "unit", "kind", "packets", "first", "last", "count")
 _IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 """Angular rate and specific force in the unit's own axes."""
 _IMU_COLUMNS = (
@@ -90,7 +92,12 @@ class Truth:
         self._step_ns = -(-S_NS // to.rate_hz)
         self._seen_ns = self._next_ns = begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
         self._is_whole = False
-        self._to_come = self.beside(_without_contents(chain, span_s))
+        self._listed_ns: int | None = None
+        self._to_come = self.beside(
+            arriving(
+                scenario, self._units, partial(timetable, scenario, self._units), *map(seconds_to_ns, span_s)
+            )
+        )
         self._folder = TruthFolder(to.folder, named_files(scenario))
         self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
         self._folder.write_json("rig.json", _rig(scenario, parts))
@@ -159,11 +166,26 @@ class Truth:
         """Write all that was true so far."""
         for samples in (*self._trajectories, *self._others):
             samples.up_to(self._seen_ns)
+        self._write_events()
         for number, firsts_ns in self._firsts_ns.items():
             if firsts_ns:
                 poses = _poses_at(self._units[number].motion, np.array(firsts_ns))
                 self._packets[number](tum_rows(poses))
                 firsts_ns.clear()
+
+    def _write_events(self) -> None:
+        """Write what happened so far, by the events that the run has by now."""
+        ran, stop_ns = self._chain.scenario, seconds_to_ns(self._span_s[1])
+        until_ns = stop_ns if self._is_whole else self._seen_ns + 1 - ran.start_ns
+        from_ns = self._listed_ns
+        if not ran.events or (from_ns is not None and until_ns <= from_ns):
+            return
+        if from_ns is None:
+            self._folder.append("events.csv", ",".join(_EVENT_COLUMNS) + "\n")
+        found = happenings(ran, self._chain.parts.units, from_ns, until_ns, stop_ns)
+        begin_ns = ran.start_ns + seconds_to_ns(self._span_s[0])
+        self._listed_ns = until_ns
+        self._folder.append("events.csv", "".join(_event_row(one) for one in found if one.end_ns >= begin_ns))
 
     def _begun(self, name: str, header: str) -> Callable[[str], None]:
         """Begin a file, and give what appends to it."""
@@ -211,27 +233,6 @@ class _Samples:
         """Count the samples, from sample 0 on, before an instant."""
         # Sample i lies i * S_NS // rate_hz after sample 0.
         return -(-(t_ns - self._zero_ns) * self._rate_hz // S_NS)
-
-
-def _without_contents(chain: Chain, span_s: tuple[float, float]) -> Iterator[Packet]:
-    """Yield the packets of a run in order of sending, data packets without their bytes: for these light is cast."""
-    start_ns, span_ns = chain.scenario.start_ns, (seconds_to_ns(span_s[0]), seconds_to_ns(span_s[1]))
-
-    def data(unit: Unit) -> Iterator[Packet]:
-        """Yield data packets of a unit; of one without packets as many firing sequences at a time."""
-        sequence_ns = unit.head.beams.sequence_ns
-        for slots in unit.sending.slots(*span_ns):
-            for first, last in zip(slots[:, 0].tolist(), slots[:, -1].tolist(), strict=True):
-                due_ns, fired_ns = (start_ns + number * sequence_ns for number in (last + 1, first))
-                yield Packet(PacketKind.DATA, due_ns, b"", unit.number, fired_ns)
-
-    units = chain.parts.units
-    position = [
-        position_packets(chain.scenario, chain.parts.gps, chain.receiver, unit, *span_ns)
-        for unit in units
-        if isinstance(unit.section, Sensor)
-    ]
-    return heapq.merge(*map(data, units), *position, key=lambda packet: packet.due_ns)
 
 
 def _file(name: str, unit: Unit) -> str:
@@ -288,6 +289,15 @@ def _fixes(receiver: Receiver, gps: Gps) -> Rows:
         )
 
     return lambda first, count: "".join(row(second * S_NS) for second in range(first, first + count))
+
+
+def _event_row(one: Happening) -> str:
+    """Write what happened as a line."""
+    last = str(one.first + one.count - 1) if one.count else ""
+    times = seconds_text(one.begin_ns), seconds_text(one.end_ns)
+    return (
+        f"{','.join(times)},{one.event},{one.unit},{one.kind},{one.packets},{one.first},{last},{one.count}\n"
+    )
 
 
 def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]:

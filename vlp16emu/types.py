@@ -112,7 +112,6 @@ SURFACE = np.dtype(
 
 NO_SURFACE = np.uint32(0xFFFFFFFF)
 """Surface of a pulse that hit nothing."""
-
 ShapeKey = Hashable
 """Name of a shape: the same key always means the same bytes of geometry."""
 
@@ -244,6 +243,9 @@ class Packet:
     unit: int = 0
     """Place in the rig of the sensor that sends it, from 0."""
     fired_ns: int | None = None  # UTC of the first pulse in a data packet of ours
+    number: int = (
+        0  # of a position packet: how many its unit could have sent since the run began; the frame carries it
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,10 +69,23 @@ def test_udp_checksum_that_sums_to_zero_is_sent_as_ones():
     assert position_frame(FACTORY_LINK, bytes(payload), 7)[40:42] == b"\xff\xff"
 
 
-def test_position_payload_of_another_length_is_refused():
-    """A payload that is not 512 bytes long is an error that names the packet and both lengths."""
-    with pytest.raises(PacketError, match=r"position packet 3: 511 bytes; expected 512"):
-        position_frame(FACTORY_LINK, bytes(511), 3)
+def test_position_payload_that_is_too_long_is_refused():
+    """A payload of more than 512 bytes is an error that names the packet and both lengths."""
+    with pytest.raises(PacketError, match=r"position packet 3: 513 bytes; expected at most 512"):
+        position_frame(FACTORY_LINK, bytes(513), 3)
+
+
+@pytest.mark.parametrize("size", [0, 1, 100, 511])
+def test_frames_of_cut_packets_are_whole_frames(size):
+    """IP and UDP lengths are those of what is left, and checksums right, also of an odd number of bytes."""
+    payload = bytes(range(1, 256)) * 3
+    position = position_frame(FACTORY_LINK, payload[:size], 7)
+    for frame in (data_header(FACTORY_LINK, size) + payload[:size], position):
+        ip = dpkt.ethernet.Ethernet(frame).data
+        assert (ip.len, ip.data.ulen, ip.data.data) == (28 + size, 8 + size, payload[:size])
+        assert slow_checksum(frame[14:34]) == 0
+    pseudo = position[26:34] + struct.pack(">2H", 17, 8 + size)
+    assert slow_checksum(pseudo + position[34:] + bytes(size % 2)) == 0
 
 
 @pytest.mark.skipif(not CAPTURE.exists(), reason="no real captures beside the repository")

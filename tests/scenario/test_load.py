@@ -474,7 +474,7 @@ def test_the_longest_run_from_the_first_and_the_last_start_fits_a_capture(tmp_pa
     start_ns = load(str(written(tmp_path, SCENE)), [f"start_utc={start}"]).start_ns
     due_ns = start_ns + 14 * 86_400 * 10**9
     path = tmp_path / "late.pcap"
-    with PcapSink(path, [0]) as sink:
+    with PcapSink(path) as sink:
         sink.send(Packet(PacketKind.DATA, start_ns, bytes(1206)))
         sink.send(Packet(PacketKind.DATA, due_ns, bytes(1206)))
     with path.open("rb") as file:

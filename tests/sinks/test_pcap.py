@@ -37,7 +37,7 @@ def read(path):
 def test_file_holds_the_frames_in_sending_order(tmp_path, make_packets):
     """Each packet is one record with its frame and its due time cut to microseconds."""
     packets = make_packets(20)
-    with PcapSink(tmp_path / "out.pcap", [0]) as sink:
+    with PcapSink(tmp_path / "out.pcap") as sink:
         for packet in packets:
             sink.send(packet)
     content = (tmp_path / "out.pcap").read_bytes()
@@ -60,7 +60,7 @@ def test_file_holds_the_frames_in_sending_order(tmp_path, make_packets):
 def test_result_tells_counts_size_and_hash_of_the_file(tmp_path, make_packets):
     """Counts, size and sha256 in the result are those of the file on disk, also when read after closing."""
     path = tmp_path / "out.pcap"
-    with PcapSink(path, [0]) as sink:
+    with PcapSink(path) as sink:
         for packet in make_packets(10):
             sink.send(packet)
     assert (sink.result.data_packets, sink.result.position_packets) == (8, 2)
@@ -69,14 +69,10 @@ def test_result_tells_counts_size_and_hash_of_the_file(tmp_path, make_packets):
 
 
 def test_piece_of_a_recording_continues_the_numbers(tmp_path, make_packets):
-    """Two pieces, the second begun with the right number, hold the same records as one file."""
-    packets = make_packets(30)
-    for name, piece, first in (
-        ("all", packets, 65_535),
-        ("a", packets[:15], 65_535),
-        ("b", packets[15:], 65_538),
-    ):
-        with PcapSink(tmp_path / name, [first]) as sink:
+    """Two pieces hold the same records as one file, whose identifications count on over 65535."""
+    packets = make_packets(30, first_number=65_535)
+    for name, piece in (("all", packets), ("a", packets[:15]), ("b", packets[15:])):
+        with PcapSink(tmp_path / name) as sink:
             for packet in piece:
                 sink.send(packet)
     whole, a, b = ((tmp_path / name).read_bytes() for name in ("all", "a", "b"))
@@ -87,7 +83,7 @@ def test_existing_file_is_overwritten(tmp_path):
     """Nothing is left of a longer file that stood at the same path."""
     path = tmp_path / "out.pcap"
     path.write_bytes(bytes(100_000))
-    with PcapSink(path, [0]):
+    with PcapSink(path):
         pass
     assert read(path) == ([], False)
 
@@ -99,7 +95,7 @@ def test_pipe_is_written_like_a_file(tmp_path, make_packets):
     received = []
     reader = threading.Thread(target=lambda: received.append(path.read_bytes()))
     reader.start()
-    with PcapSink(path, [0]) as sink:
+    with PcapSink(path) as sink:
         for packet in make_packets(200):
             sink.send(packet)
     reader.join()
@@ -110,7 +106,7 @@ def test_killed_program_leaves_all_packets_it_had_sent(tmp_path):
     """After SIGKILL in the middle of writing, every packet sent before is whole and in order in the file."""
     path = tmp_path / "out.pcap"
     program = PROGRAM + (
-        "sink = PcapSink(Path(sys.argv[1]), [0])\n"
+        "sink = PcapSink(Path(sys.argv[1]))\n"
         "for i in itertools.count():\n"
         "    send(sink, i % 65536)\n"
         "    if i == 999:\n"
@@ -132,7 +128,7 @@ def test_an_earlier_file_stays_until_the_new_one_is_whole(tmp_path, make_packets
     path.write_bytes(b"earlier")
 
     def failing(packets):
-        with PcapSink(path, [0]) as sink:
+        with PcapSink(path) as sink:
             for packet in packets:
                 sink.send(packet)
                 assert path.read_bytes() == b"earlier"
@@ -155,7 +151,7 @@ def test_full_disk_keeps_whole_packets_and_says_how_many(tmp_path):
     program = PROGRAM + (
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
         "from vlp16emu.errors import RunError\n"
-        "with PcapSink(Path(sys.argv[1]), [0]) as sink:\n"
+        "with PcapSink(Path(sys.argv[1])) as sink:\n"
         "    try:\n"
         "        for i in range(100):\n"
         "            send(sink, i)\n"
@@ -176,7 +172,7 @@ def test_device_without_room_is_a_failed_run(tmp_path):
     full = tmp_path / "full"
     full.symlink_to("/dev/full")
     with pytest.raises(RunError, match="No space left on device at packet 1; the 0 packets") as caught:
-        PcapSink(full, [0])
+        PcapSink(full)
     assert caught.value.exit_code == 1
 
 
@@ -184,11 +180,11 @@ def test_device_without_room_is_a_failed_run(tmp_path):
 def test_path_that_cannot_be_opened_is_bad_input(tmp_path, where):
     """A folder, or a file in a folder that is not there, is refused when the sink is made, with exit code 2."""
     with pytest.raises(OutputError, match=r"directory; expected a file that can be written") as caught:
-        PcapSink(tmp_path / where, [0])
+        PcapSink(tmp_path / where)
     assert caught.value.exit_code == 2
 
 
 def test_nmea_is_refused(tmp_path):
     """NMEA packets travel by serial line; sending one to a capture is a programming error."""
-    with PcapSink(tmp_path / "out.pcap", [0]) as sink, pytest.raises(ValueError, match="nmea"):
+    with PcapSink(tmp_path / "out.pcap") as sink, pytest.raises(ValueError, match="nmea"):
         sink.send(Packet(PacketKind.NMEA, 0, b"$GPRMC"))

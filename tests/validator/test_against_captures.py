@@ -25,7 +25,7 @@ def test_real_dual_payloads_break_no_rule(tmp_path):
     """603 dual payloads of another unit, put into frames at the times they arrived, are accepted too."""
     payloads = (CAPTURES / "nebula_vlp16_dual.bin").read_bytes()
     stamps = (CAPTURES / "nebula_vlp16_dual.stamps_ns.txt").read_text().split()
-    with PcapSink(tmp_path / "dual.pcap", [0]) as sink:
+    with PcapSink(tmp_path / "dual.pcap") as sink:
         for i, stamp_ns in enumerate(stamps):
             sink.send(Packet(PacketKind.DATA, int(stamp_ns), payloads[1206 * i : 1206 * (i + 1)]))
     result = verify_capture(tmp_path / "dual.pcap")

@@ -40,13 +40,14 @@ def test_lost_position_packets_are_one_finding(tmp_path, traffic):
 
 
 def test_outage_of_a_second_breaks_no_other_rule(tmp_path, traffic):
-    """When both streams are silent for a second, each tells its lost packets once, and rates count them."""
+    """When both streams are silent for a second, each tells its lost packets once, rates count them, and silence is named."""
     made = traffic(3.4)
     silent = [i for i, t in enumerate(made.stamps_us) if 10**6 < t - made.stamps_us[0] < 2 * 10**6]
     made.drop(silent)
     result = verify_capture(made.save(tmp_path / "outage.pcap"))
-    assert result.counts == {Rule.LOST_PACKETS: 2}
+    assert result.counts == {Rule.LOST_PACKETS: 2, Rule.SILENCE: 1}
     assert result.lost_packets == len(silent)
+    assert [f.found for f in result.findings if f.rule is Rule.SILENCE] == ["no packet for 1.00 s before it"]
 
 
 @pytest.mark.parametrize("first_block", [0, 6])
@@ -101,8 +102,9 @@ def test_clock_that_drifts_is_found_in_both_streams(tmp_path, traffic):
 
 
 def test_old_sentence_is_found_only_while_locked(tmp_path, traffic):
-    """A sentence of three seconds before is wrong when the state is locked, and right when it is not."""
-    for pps, broken in ((2, {Rule.NMEA_SECOND}), (0, set()), (1, set()), (3, set())):
+    """A sentence of three seconds before is wrong when the state is locked, and right when it is not; that it is not is a finding."""
+    lost = {Rule.PPS}
+    for pps, broken in ((2, {Rule.NMEA_SECOND}), (0, lost), (1, lost), (3, lost)):
         made = traffic()
         i = made.position(200)
         made.write_position(i, 206, made.sentence(-2))
@@ -133,7 +135,9 @@ def test_sentences_of_other_receivers_are_accepted(tmp_path, traffic, text):
     made = traffic(0.5)
     i = made.position(3)
     made.write_position(i, 202, b"\1\0\0\0" + text + b"\r\n" + bytes(80 - len(text)))
-    assert verify_capture(made.save(tmp_path / "other.pcap")).findings == ()
+    result = verify_capture(made.save(tmp_path / "other.pcap"))
+    assert [f.rule for f in result.findings] == [Rule.PPS]  # of a sensor that was locked before
+    assert result.void_sentences == (b",V," in text)
 
 
 def test_repeated_identification_is_found(tmp_path, traffic):

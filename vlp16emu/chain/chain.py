@@ -14,6 +14,7 @@ from functools import partial
 from vlp16emu.chain import PulseHook, Unit, assemble, windows_of, with_events
 from vlp16emu.chain.position import make_receiver, position_number, position_packets
 from vlp16emu.chain.windows import Batching, prefetch
+from vlp16emu.chain.wire import arriving
 from vlp16emu.device.events import Event
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.raycast.caster import Geometry
@@ -61,10 +62,15 @@ class Chain:
             where the span begins before the first pulse, or the walk is over before it ends
         """
         on_the_wire(self.scenario.sensor)
-        streams, span_ns = list[Iterator[Packet]](), self._span_ns(start_s, stop_s)
+        span_ns = self._span_ns(start_s, stop_s)
+        return arriving(self.scenario, self.parts.units, self._sent, *span_ns)
+
+    def _sent(self, start_ns: int, stop_ns: int) -> Iterator[Packet]:
+        """Yield the packets that leave in a span since the first pulse, before anything happens to them."""
+        streams = list[Iterator[Packet]]()
         for unit in self.parts.units:  # of packets due at once those of the first unit leave first
-            streams.append(self._data_packets(unit, *span_ns))
-            streams.append(position_packets(self.scenario, self.parts.gps, self.receiver, unit, *span_ns))
+            streams.append(self._data_packets(unit, start_ns, stop_ns))
+            streams.append(position_packets(self.scenario, self.receiver, unit, start_ns, stop_ns))
         return heapq.merge(*streams, key=lambda packet: packet.due_ns)
 
     def returns(

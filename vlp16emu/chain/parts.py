@@ -40,7 +40,6 @@ __all__ = [
     "assemble",
     "beam_of",
     "detector_of",
-    "gps_of",
     "head_of",
     "link_of",
     "seed_of",
@@ -140,11 +139,6 @@ def detector_of(scenario: Scenario, sensor: Sensor | FreeSensor, seed: int, lase
     )
 
 
-def gps_of(scenario: Scenario) -> GpsInput:
-    """Make what is wired to the sensor."""
-    return GpsInput(scenario.gps.connected, seconds_to_ns(scenario.gps.sentence_delay_s))
-
-
 _STRAY_M = 1.0
 """How far the carrier may be from its path over the ground: sway, and lasers off the centre."""
 
@@ -170,6 +164,8 @@ class Unit:
     """Which pulses are sent, and in which packets; nothing of a sensor without packets."""
     optics: Optics
     """What its window and its lasers let through."""
+    gps: GpsInput
+    """What it gets of the GPS receiver."""
 
     @property
     def link(self) -> Link:
@@ -201,6 +197,7 @@ class Parts:
     wind: TreeSway | None
     """What moves its trees."""
     gps: GpsInput
+    """What the receiver sends; what each unit gets of it is the unit's."""
 
     @property
     def head(self) -> Head:
@@ -258,7 +255,7 @@ def assemble(scenario: Scenario) -> Parts:
         imu=_imu(scenario, carrier),
         world=world,
         wind=wind,
-        gps=gps_of(scenario),
+        gps=GpsInput.of(scenario.gps, (), scenario.start_ns),
     )
 
 
@@ -283,8 +280,8 @@ def with_events(parts: Parts, scenario: Scenario) -> Parts:
 def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
     """Make a sensor."""
     section, mount = _sensors(scenario)[number]
-    seed, gps = seed_of(scenario, number), gps_of(scenario)
     events = [event for event in scenario.events if event.unit == number + 1]
+    seed, gps = seed_of(scenario, number), GpsInput.of(scenario.gps, events, scenario.start_ns)
     head = head_of(scenario, section, seed, events, gps)
     return Unit(
         number=number,
@@ -297,4 +294,5 @@ def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
         detector=detector_of(scenario, section, seed, len(head.beams.elevation_deg)),
         sending=Sending(number, section.model, head, sending_spans(section, events), silences_ns(events)),
         optics=Optics.of(events, scenario.start_ns),
+        gps=gps,
     )

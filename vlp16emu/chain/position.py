@@ -7,16 +7,15 @@ from numpy.typing import NDArray
 
 from vlp16emu.chain import Parts, Unit
 from vlp16emu.chain.windows import Windows
-from vlp16emu.device import GpsInput
 from vlp16emu.motion.gnss import Receiver
-from vlp16emu.packets import STAMP_LEAD_NS, first_position_packet, pack_position, position_due_ns, rmc
+from vlp16emu.packets import STAMP_LEAD_NS, first_position_packet, pack_position, position_due_ns
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.raycast.sky import sky_cover
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["make_receiver", "position_number", "position_packets"]
+__all__ = ["make_receiver", "position_due", "position_number", "position_packets"]
 
 _AT_ONCE = 128
 """Position packets whose times are found at once, a second of them."""
@@ -43,22 +42,28 @@ def position_number(scenario: Scenario, unit: Unit, since_ns: int) -> int:
     return first_position_packet(rate, unit.seed, start_ns, start_ns + since_ns)
 
 
-def position_packets(
-    scenario: Scenario, gps: GpsInput, receiver: Receiver, unit: Unit, start_ns: int, stop_ns: int
-) -> Iterator[Packet]:
-    """Yield the position packets of a unit due in a span since the first pulse."""
-    rate, clock = on_the_wire(unit.section).position_rate, unit.head.clock
-    named_ns, sentence = None, b""
+def position_due(scenario: Scenario, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[tuple[int, int]]:
+    """Yield number and UTC of the position packets of a unit due in a span since the first pulse."""
+    rate = on_the_wire(unit.section).position_rate
     first, stop = (position_number(scenario, unit, since_ns) for since_ns in (start_ns, stop_ns))
     for number in range(first, stop, _AT_ONCE):
         due_ns = position_due_ns(rate, unit.seed, scenario.start_ns, number, min(_AT_ONCE, stop - number))
+        for place, due in enumerate(due_ns.tolist()):
+            if not unit.sending.is_silent(due - scenario.start_ns):
+                yield number + place, due
+
+
+def position_packets(
+    scenario: Scenario, receiver: Receiver, unit: Unit, start_ns: int, stop_ns: int
+) -> Iterator[Packet]:
+    """Yield the position packets of a unit due in a span since the first pulse."""
+    named_ns, sentence = None, b""
+    for number, due_ns in position_due(scenario, unit, start_ns, stop_ns):
         stamp_ns = due_ns - STAMP_LEAD_NS
-        clock_ns = clock.reading_ns(stamp_ns).tolist()
-        for due, stamp, reading in zip(due_ns.tolist(), stamp_ns.tolist(), clock_ns, strict=True):
-            second_ns = gps.second_ns(stamp)
-            if second_ns is not None and second_ns != named_ns:
-                named_ns, sentence = second_ns, rmc(receiver.fix(second_ns))
-            if unit.sending.is_silent(due - scenario.start_ns):
-                continue
-            payload = pack_position(reading, gps.pps, sentence)
-            yield Packet(PacketKind.POSITION, due, payload, unit.number)
+        second_ns = unit.gps.second_ns(stamp_ns)
+        if second_ns != named_ns:
+            named_ns = second_ns
+            sentence = b"" if second_ns is None else unit.gps.sentence(receiver.fix(second_ns), unit.seed)
+        clock_ns = int(unit.head.clock.reading_ns(np.array([stamp_ns]))[0])
+        payload = pack_position(clock_ns, unit.gps.pps_at(stamp_ns), sentence)
+        yield Packet(PacketKind.POSITION, due_ns, payload, unit.number, number=number)

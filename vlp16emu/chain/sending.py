@@ -73,6 +73,14 @@ class Sending:
         inside = (code >= begin) & (code < end) if begin < end else (code >= begin) | (code < end)
         return every[np.repeat(inside, 2)]
 
+    def _begin_of(self, span: SendingSpan, start_ns: int) -> int:
+        """Find the firing sequence at which the packets of a span begin that may be due from a time on."""
+        if span.fov_deg is not None:
+            return span.first
+        period_ns = span.per_packet * self.head.beams.sequence_ns
+        behind_ns = start_ns - span.first * self.head.beams.sequence_ns
+        return span.first + max(0, -(-behind_ns // period_ns) - 1) * span.per_packet
+
     def slots(self, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
         """Yield the firing sequences (n, 24) or (n, 12) of packets due in a span of time since the first pulse."""
         for span in self.spans:
@@ -81,10 +89,7 @@ class Sending:
     def slots_of(self, span: SendingSpan, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
         """Yield those of a span of settings."""
         sequence_ns = self.head.beams.sequence_ns
-        begin, stop = span.first, self.stop_of(span, stop_ns) & ~1
-        if span.fov_deg is None:
-            period_ns = span.per_packet * sequence_ns
-            begin += max(0, -(-(start_ns - span.first * sequence_ns) // period_ns) - 1) * span.per_packet
+        begin, stop = self._begin_of(span, start_ns), self.stop_of(span, stop_ns) & ~1
         left = np.empty(0, np.int64)
         for first in range(begin, stop, _AT_ONCE):
             sequences = np.concatenate([left, self.chosen(span, first, min(first + _AT_ONCE, stop))])
@@ -106,7 +111,12 @@ class Sending:
 
     def count(self, start_ns: int, stop_ns: int) -> int:
         """Count the packets due in a span of time since the first pulse."""
-        return sum(map(len, self.slots(start_ns, stop_ns)))
+        return sum(
+            sum(map(len, self.slots_of(span, start_ns, stop_ns)))
+            if span.fov_deg
+            else max((self.stop_of(span, stop_ns) - self._begin_of(span, start_ns)) // span.per_packet, 0)
+            for span in self.spans
+        )
 
     def is_silent(self, since_ns: int) -> bool:
         """Whether nothing is sent at a time since the first pulse."""

@@ -28,8 +28,6 @@ RUN_UP_RPM_S = 300.0
 """Change of the rotor's speed per second (assumption: the manual has no figure)."""
 _PULL = 0.05
 """Share of the speed by which a rotor is faster or slower while it is pulled into its phase (assumption)."""
-_LOCKS_AFTER_NS = 5 * S_NS
-"""From power-up to a clock that is locked: the window over which the pulse must be steady (63-9243 Rev D, appendix G)."""
 _FOREVER_NS = 2**62
 _GRID = 24
 """Firing sequences: settings take effect between packets, in every return mode."""
@@ -69,7 +67,7 @@ def clock_spans(
 
     Parameters
     ----------
-    locked_ns : spans of UTC in which pulse and sentences of the receiver are good
+    locked_ns : spans of UTC in which pulse and sentences of the receiver set it; none without power
     start_ns : UTC of the first pulse
     """
     power_up_ns, ppm = start_ns - seconds_to_ns(section.powered_for_s), section.clock_error_ppm
@@ -79,16 +77,12 @@ def clock_spans(
         for event in events
         if isinstance(event, Oscillator | PowerCycle)
     ]
-    turns += [(t_ns + _LOCKS_AFTER_NS, None) for t_ns, event in turns if isinstance(event, PowerCycle)]
     spans = list[ClockSpan]()
-    unlocked_until_ns = -_FOREVER_NS
     turns = sorted((turn for turn in turns if power_up_ns < turn[0] < _FOREVER_NS), key=lambda turn: turn[0])
     for t_ns, event in [(power_up_ns, None), *turns]:
-        if isinstance(event, PowerCycle):
-            unlocked_until_ns = t_ns + _LOCKS_AFTER_NS
         if isinstance(event, Oscillator):
             ppm = section.clock_error_ppm + event.drift_ppm
-        locked = t_ns >= unlocked_until_ns and any(begin <= t_ns < end for begin, end in locked_ns)
+        locked = any(begin <= t_ns < end for begin, end in locked_ns)
         if locked:
             spans += [] if spans and spans[-1].reading_ns is None else [ClockSpan(t_ns)]
             continue

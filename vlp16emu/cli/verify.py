@@ -50,6 +50,7 @@ def _tree(result: "Verification") -> dict[str, Any]:
         "position_packets": result.position_packets,
         "other_frames": result.other_frames,
         "lost_packets": result.lost_packets,
+        "void_sentences": result.void_sentences,
         "duration_s": result.span_s,
         "rpm": result.rpm,
         "cut": result.is_cut,
@@ -71,6 +72,8 @@ def _print(whose: str, result: "Verification") -> None:
     }
     if result.rpm is not None:
         rows["rotor"] = f"{result.rpm:.1f} rpm"
+    if result.void_sentences:
+        rows["without a fix"] = f"{count(result.void_sentences)} sentences of status V"
     if result.other_frames:
         rows["passed over"] = f"{count(result.other_frames)} other frames"
     if result.is_cut:

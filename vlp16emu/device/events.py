@@ -8,15 +8,31 @@ from vlp16emu.settings import Fraction, NonNegative, Positive, Section
 
 __all__ = [
     "AnyEvent",
+    "Corrupt",
     "DeadLaser",
+    "Delay",
     "DirtyWindow",
+    "Drop",
+    "Duplicate",
     "Event",
+    "Freeze",
+    "GpsEvent",
+    "Jitter",
     "LastingEvent",
+    "LateSentence",
     "MotorStop",
     "Oscillator",
+    "PacketEvent",
     "PowerCycle",
+    "PpsLoss",
+    "Reorder",
+    "SentenceLoss",
     "Setting",
+    "Share",
+    "Truncate",
+    "VoidSentence",
     "Wobble",
+    "WrongSentence",
 ]
 
 _Degree = Annotated[int, Field(ge=0, le=359)]
@@ -25,6 +41,8 @@ _Degree = Annotated[int, Field(ge=0, le=359)]
 class Event(Section):
     """Something that happens to a sensor at a time."""
 
+    kind: str
+    """What happens."""
     at_s: NonNegative
     """When it begins, since the first pulse."""
     unit: Annotated[int, Field(ge=1)] = 1
@@ -120,8 +138,161 @@ class Oscillator(Event):
     """By which it runs fast from then on."""
 
 
+class GpsEvent(LastingEvent):
+    """Something that happens to what the GPS receiver sends to a sensor; sentences are those that would come meanwhile."""
+
+
+class PpsLoss(GpsEvent):
+    """Pulses that do not come."""
+
+    kind: Literal["pps_loss"]
+    """Selects a loss of the pulse per second."""
+
+
+class VoidSentence(GpsEvent):
+    """Sentences of status V, as of a receiver without a fix."""
+
+    kind: Literal["void_sentence"]
+    """Selects void sentences."""
+
+
+class WrongSentence(GpsEvent):
+    """Sentences that are garbled on the line, so that their checksum is wrong."""
+
+    kind: Literal["wrong_sentence"]
+    """Selects garbled sentences."""
+    characters: Annotated[int, Field(ge=1, le=60)] = 1
+    """Number of characters that are replaced."""
+
+
+class LateSentence(GpsEvent):
+    """Sentences that come late; one that comes after the next pulse names the wrong second."""
+
+    kind: Literal["late_sentence"]
+    """Selects late sentences."""
+    by_s: Annotated[float, Field(gt=0, le=60)] = 0.5
+    """Delay, beside `gps.sentence_delay_s`."""
+
+
+class SentenceLoss(GpsEvent):
+    """Sentences that do not come."""
+
+    kind: Literal["missing_sentence"]
+    """Selects missing sentences."""
+
+
+class PacketEvent(LastingEvent):
+    """Something that befalls packets."""
+
+    packets: Literal["data", "position", "both"] = "data"
+    """Kinds of packets that it befalls."""
+    count: Annotated[int, Field(ge=1)] | None = None
+    """Number of packets of a kind, one after the other, that it may befall, in place of `duration_s`."""
+
+    @model_validator(mode="after")
+    def _ends_once(self) -> Self:
+        """Refuse two ends."""
+        if self.count is not None and self.duration_s is not None:
+            raise ValueError("duration_s or count in it, not both")
+        return self
+
+
+class Freeze(PacketEvent):
+    """A sensor that hangs: it sends the same payload again and again."""
+
+    kind: Literal["freeze"]
+    """Selects a hanging sensor."""
+
+
+class Share(PacketEvent):
+    """Something that befalls a share of packets."""
+
+    share: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Probability with which it befalls each of them."""
+
+
+class Drop(Share):
+    """Packets that are lost."""
+
+    kind: Literal["drop"]
+    """Selects a loss of packets."""
+
+
+class Duplicate(Share):
+    """Packets that arrive twice."""
+
+    kind: Literal["duplicate"]
+    """Selects a repetition of packets."""
+    after_s: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """From the first one to the second."""
+
+
+class Reorder(Share):
+    """Packets that later ones overtake."""
+
+    kind: Literal["reorder"]
+    """Selects a change of order."""
+    by: Annotated[int, Field(ge=1, le=100)] = 1
+    """Number of packets of its kind behind which one arrives."""
+
+
+class Delay(Share):
+    """Packets that are late by the same time, each by itself: those that are not delayed overtake them."""
+
+    kind: Literal["delay"]
+    """Selects a constant delay."""
+    by_s: Annotated[float, Field(gt=0, le=10)] = 0.05
+    """How late they are."""
+
+
+class Jitter(Share):
+    """Packets that are late by a random time, in a queue: none overtakes another of its kind."""
+
+    kind: Literal["jitter"]
+    """Selects a random delay."""
+    up_to_s: Annotated[float, Field(gt=0, le=10)] = 0.02
+    """How late they are at most; all delays up to it are equally likely."""
+
+
+class Corrupt(Share):
+    """Packets with flipped bits, in the sensor: checksums are those of the wrong bytes."""
+
+    kind: Literal["corrupt"]
+    """Selects flipped bits."""
+    bits: Annotated[int, Field(ge=1, le=4096)] = 8
+    """Number of bits that are flipped in a packet."""
+
+
+class Truncate(Share):
+    """Packets whose payload is cut."""
+
+    kind: Literal["truncate"]
+    """Selects cut packets."""
+    to_bytes: Annotated[int, Field(ge=0, le=1205)] = 600
+    """Bytes of the payload that are left."""
+
+
 AnyEvent = Annotated[
-    Setting | Wobble | MotorStop | PowerCycle | DeadLaser | DirtyWindow | Oscillator,
+    Setting
+    | Wobble
+    | MotorStop
+    | PowerCycle
+    | DeadLaser
+    | DirtyWindow
+    | Oscillator
+    | PpsLoss
+    | VoidSentence
+    | WrongSentence
+    | LateSentence
+    | SentenceLoss
+    | Drop
+    | Duplicate
+    | Reorder
+    | Delay
+    | Jitter
+    | Corrupt
+    | Truncate
+    | Freeze,
     Field(discriminator="kind"),
 ]
 """A table of `[[events]]`."""

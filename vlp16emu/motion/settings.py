@@ -360,6 +360,10 @@ class Gps(Section):
     """Height of the scene's origin over the ellipsoid."""
     sentence_delay_s: Annotated[float, Field(gt=0, lt=1)] = 0.35
     """From the second's edge to the arrival of the sentence that names it."""
+    pps_window_s: Annotated[float, Field(ge=0, le=65535)] = 5.0
+    """For so long the pulse must be steady before the sensor is locked to it (63-9243 Rev D, appendix G)."""
+    requires_valid: bool = False
+    """Whether sentences of status V do not set the sensor's clock; true needs `canopy_loss = false`."""
     antenna_above_m: Annotated[float, Field(ge=0, le=100)] = 0.2
     """Height of the antenna over the sensor, straight up."""
     position_noise_m: _Error = 0.3
@@ -378,3 +382,10 @@ class Gps(Section):
     """Cover, as a share of the sky, at which every second fix fails."""
     canopy_cover_width: Annotated[float, Field(gt=0, le=1)] = 0.05
     """That much more or less cover makes 73 % or 27 % of it (a logistic curve)."""
+
+    @model_validator(mode="after")
+    def _is_known_beforehand(self) -> Self:
+        """Refuse a clock that would depend on what trees hide."""
+        if self.requires_valid and self.canopy_loss:
+            raise ValueError("canopy_loss = false beside requires_valid = true")
+        return self

@@ -72,16 +72,21 @@ FACTORY_LINK = Link(
 """A sensor as it leaves the box. Source: 63-9243 Rev D, section 10.2.3.12 (addresses)."""
 
 
-def data_header(link: Link) -> bytes:
+@lru_cache
+def data_header(link: Link, payload_bytes: int = DATA_BYTES) -> bytes:
     """Everything in front of the payload of a data packet, the same for each of them.
 
     Identification 0, don't fragment, and UDP checksum 0, which stands for none.
+
+    Parameters
+    ----------
+    payload_bytes : fewer than 1206 of a packet that is cut
 
     Returns
     -------
     42 bytes
     """
-    header = _header(link, DATA_PORT, link.data_port, DATA_BYTES, DATA_TTL, _DONT_FRAGMENT)
+    header = _header(link, DATA_PORT, link.data_port, payload_bytes, DATA_TTL, _DONT_FRAGMENT)
     header[_IP_CHECKSUM] = _checksum(header[_IP])
     return bytes(header)
 
@@ -91,30 +96,31 @@ def position_frame(link: Link, payload: bytes, number: int) -> bytes:
 
     Parameters
     ----------
-    payload : 512 bytes
-    number : position packets since power-up; its low 16 bits are the identification
+    payload : 512 bytes, fewer of a packet that is cut
+    number : position packets before it; its low 16 bits are the identification
 
     Raises
     ------
     PacketError
-        If the payload is not 512 bytes long.
+        If the payload is longer than 512 bytes.
     """
-    if len(payload) != POSITION_BYTES:
-        raise PacketError(f"position packet {number}", f"{len(payload)} bytes", f"{POSITION_BYTES}")
-    header = bytearray(_position_header(link))
+    if len(payload) > POSITION_BYTES:
+        raise PacketError(f"position packet {number}", f"{len(payload)} bytes", f"at most {POSITION_BYTES}")
+    header = bytearray(_position_header(link, len(payload)))
     header[_IDENTIFICATION] = (number & 0xFFFF).to_bytes(2)
     header[_IP_CHECKSUM] = _checksum(header[_IP])
     # Beside the datagram the sum takes in its addresses, protocol and length; a sum of 0 is sent as ones (RFC 768).
-    pseudo = header[_ADDRESSES] + struct.pack(">2H", _UDP, _UDP_HEADER_BYTES + POSITION_BYTES)
-    checksum = _checksum(pseudo + header[_ADDRESSES.stop :] + payload)
+    pseudo = header[_ADDRESSES] + struct.pack(">2H", _UDP, _UDP_HEADER_BYTES + len(payload))
+    padding = bytes(len(payload) % 2)
+    checksum = _checksum(pseudo + header[_ADDRESSES.stop :] + payload + padding)
     header[_UDP_CHECKSUM] = b"\xff\xff" if checksum == b"\0\0" else checksum
     return bytes(header) + payload
 
 
 @lru_cache
-def _position_header(link: Link) -> bytes:
+def _position_header(link: Link, payload_bytes: int) -> bytes:
     """Header of position packets, identification and checksums 0."""
-    return bytes(_header(link, POSITION_PORT, link.position_port, POSITION_BYTES, POSITION_TTL, 0))
+    return bytes(_header(link, POSITION_PORT, link.position_port, payload_bytes, POSITION_TTL, 0))
 
 
 def _header(link: Link, port: int, to_port: int, payload_bytes: int, ttl: int, fragment: int) -> bytearray:

@@ -45,8 +45,8 @@ _BLOCK_RECORDS = 32
 
 
 def returns_in(packet: Packet) -> int:
-    """Count the distances of a data packet that are not 0; none in other packets."""
-    if packet.kind is not PacketKind.DATA:
+    """Count the distances of a data packet that are not 0; none in other packets, and in one that is cut."""
+    if packet.kind is not PacketKind.DATA or len(packet.payload) != DATA_BYTES:
         return 0
     fields = np.frombuffer(packet.payload, DATA_PAYLOAD)
     return int(np.count_nonzero(fields["blocks"]["records"]["distance_lsb"]))

@@ -19,7 +19,7 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import Packet, PacketKind, PpsState, ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
-__all__ = ["age_ns", "moved", "restamped", "stamp_ns"]
+__all__ = ["age_ns", "has_stamp", "moved", "restamped", "stamp_ns"]
 
 _STAMP = struct.Struct("<I")
 _RMC = re.compile(
@@ -40,7 +40,13 @@ _STAMP_AT = {
 }
 _PPS_AT = _offset(POSITION_PAYLOAD, "pps")
 _MODE_AT = _offset(DATA_PAYLOAD, "return_mode")
+_DUAL = bytes([RETURN_MODE_BYTE[ReturnMode.DUAL]])
 _SENTENCE = slice(_offset(POSITION_PAYLOAD, "sentence"), _offset(POSITION_PAYLOAD, "unused_tail"))
+
+
+def has_stamp(packet: Packet) -> bool:
+    """Whether a packet is long enough to hold its time stamp; one that is cut may not be."""
+    return len(packet.payload) >= _STAMP_AT[packet.kind] + _STAMP.size
 
 
 def stamp_ns(packet: Packet) -> int:
@@ -53,12 +59,12 @@ def age_ns(packet: Packet) -> int:
     """Time from the stamp of a packet to its sending: of a data packet how long it takes to fill."""
     if packet.kind is PacketKind.POSITION:
         return STAMP_LEAD_NS
-    is_dual = packet.payload[_MODE_AT] == RETURN_MODE_BYTE[ReturnMode.DUAL]
+    is_dual = packet.payload[_MODE_AT:].startswith(_DUAL)
     return SEQUENCES_PER_PACKET[ReturnMode.DUAL if is_dual else ReturnMode.STRONGEST] * SEQUENCE_NS
 
 
 def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
-    """Move the stamp of a data or position packet, and the time and date of its sentence, where it has one.
+    """Move the stamp of a data or position packet, and the time and date of its sentence, where it has them.
 
     Parameters
     ----------
@@ -66,6 +72,8 @@ def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
     now_ns : UTC at which the packet is sent, where the date of the sentence may be another one than that of the
         capture: then the sentence is moved by whole hours too, to that hour
     """
+    if not has_stamp(packet):
+        return packet
     at, payload = _STAMP_AT[packet.kind], bytearray(packet.payload)
     _STAMP.pack_into(payload, at, (stamp_ns(packet) + by_s * S_NS) % HOUR_NS // US_NS)
     if packet.kind is PacketKind.POSITION:

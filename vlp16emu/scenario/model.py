@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field, ValidationInfo, field_validator
 
-from vlp16emu.device.events import AnyEvent
+from vlp16emu.device.events import AnyEvent, DeadLaser, DirtyWindow, GpsEvent
 from vlp16emu.errors import InputError
 from vlp16emu.motion import Gps, Imu, Recorded, Static, Walk
 from vlp16emu.raycast import Beam
@@ -95,6 +95,20 @@ class Scenario(Section):
         if gps is not None and not gps.connected and any(map(_is_locked, rig)):
             raise ValueError("no phase_lock_deg in it without the pulse of gps.connected = true")
         return rig
+
+    @field_validator("events")
+    @classmethod
+    def _can_happen(cls, events: list[AnyEvent], info: ValidationInfo) -> list[AnyEvent]:
+        sensor, rig, gps = (info.data.get(key) for key in ("sensor", "rig", "gps"))
+        for place, event in enumerate(events):
+            if rig is not None and event.unit > len(rig) + 1:
+                raise ValueError(f"events[{place}].unit of at most {len(rig) + 1}, the units of the scene")
+            has_wire = not isinstance(sensor, FreeSensor)
+            if not has_wire and not isinstance(event, DeadLaser | DirtyWindow):
+                raise ValueError(f'no {event.kind} (events[{place}]) beside sensor.model = "free"')
+            if gps is not None and not gps.connected and isinstance(event, GpsEvent):
+                raise ValueError(f"gps.connected = true beside {event.kind} (events[{place}])")
+        return events
 
     @field_validator("world", mode="before")
     @classmethod

@@ -6,7 +6,7 @@ from threading import Event
 from types import TracebackType
 from typing import Self
 
-from vlp16emu.packets.retime import age_ns, moved, stamp_ns
+from vlp16emu.packets.retime import age_ns, has_stamp, moved, stamp_ns
 from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.types import Packet
 from vlp16emu.units import HOUR_NS, S_NS
@@ -52,9 +52,11 @@ class NowSink:
 
     def begin(self, first: Packet, stop: Event) -> None:
         """Wait for the instant at which the first packet leaves, or until the stream is to stop."""
-        made_ns = stamp_ns(first)
-        hour_ns = (first.due_ns - age_ns(first) - made_ns + HOUR_NS // 2) // HOUR_NS * HOUR_NS
-        sent_ns = hour_ns + made_ns + age_ns(first)
+        sent_ns = first.due_ns
+        if has_stamp(first):
+            made_ns = stamp_ns(first)
+            hour_ns = (first.due_ns - age_ns(first) - made_ns + HOUR_NS // 2) // HOUR_NS * HOUR_NS
+            sent_ns = hour_ns + made_ns + age_ns(first)
         now_ns = self._clock_ns()
         at_ns = now_ns + (sent_ns - now_ns) % S_NS
         if (left_ns := at_ns - self._clock_ns()) > _ASLEEP_NS:

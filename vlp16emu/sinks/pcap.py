@@ -52,7 +52,6 @@ class PcapSink:
     Parameters
     ----------
     path : as `OutputFile` takes it; an existing file is replaced
-    first_position_numbers : position packets of each unit between power-up and this file; number its frames
     links : of each unit
 
     Raises
@@ -63,14 +62,10 @@ class PcapSink:
         If it cannot be written: here, or later in `send`.
     """
 
-    def __init__(
-        self, path: Path, first_position_numbers: Sequence[int], links: Sequence[Link] = (FACTORY_LINK,)
-    ) -> None:
+    def __init__(self, path: Path, links: Sequence[Link] = (FACTORY_LINK,)) -> None:
         self.path = path
         self._is_stdout = path == STDOUT
-        self._position_numbers = list(first_position_numbers)
         self._links = links
-        self._data_headers = [data_header(link) for link in links]
         self._sent = Counter[PacketKind]()
         self._bytes = 0
         self._hash = hashlib.sha256()
@@ -109,7 +104,6 @@ class PcapSink:
         seconds, rest_ns = divmod(packet.due_ns, S_NS)
         self._write(_RECORD_HEADER.pack(seconds, rest_ns // US_NS, len(frame), len(frame)) + frame)
         self._sent[packet.kind] += 1
-        self._position_numbers[packet.unit] += packet.kind is PacketKind.POSITION
 
     @property
     def result(self) -> PcapResult:
@@ -123,11 +117,11 @@ class PcapSink:
 
     def _frame(self, packet: Packet) -> bytes:
         """Frame of a data or position packet."""
+        link = self._links[packet.unit]
         if packet.kind is PacketKind.DATA:
-            return self._data_headers[packet.unit] + packet.payload
+            return data_header(link, len(packet.payload)) + packet.payload
         if packet.kind is PacketKind.POSITION:
-            number = self._position_numbers[packet.unit]
-            return position_frame(self._links[packet.unit], packet.payload, number)
+            return position_frame(link, packet.payload, packet.number)
         raise ValueError(f"found a packet of kind {packet.kind}, expected data or position")
 
     def _write(self, record: bytes) -> None:

@@ -19,7 +19,7 @@ from vlp16emu.units import S_NS
 
 __all__ = ["TruthFolder", "TruthTo", "seconds_text", "tum_rows"]
 
-_FILES = re.compile(r"(gnss|imu)\.csv|(rig|scenario)\.json(\.part)?|(packets|trajectory)(_\d+)?\.tum")
+_FILES = re.compile(r"(events|gnss|imu)\.csv|(rig|scenario)\.json(\.part)?|(packets|trajectory)(_\d+)?\.tum")
 """All that a run may write; those of an earlier run are replaced as a whole."""
 
 

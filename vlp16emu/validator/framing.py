@@ -26,12 +26,12 @@ from vlp16emu.types import PacketKind
 from vlp16emu.units import HOUR_NS, MS_NS, US_NS
 from vlp16emu.validator.rules import Findings, Rule
 
-__all__ = ["HOUR_US", "SENTENCE_OFFSET", "ClockWatch", "check_frame", "kind_of", "wrap_hour_us"]
+__all__ = ["HOUR_US", "JITTER_US", "SENTENCE_OFFSET", "ClockWatch", "check_frame", "kind_of", "wrap_hour_us"]
 
 Microseconds = TypeVar("Microseconds", int, NDArray[np.int64])
 
 HOUR_US = HOUR_NS // US_NS
-_JITTER_US = 5 * MS_NS // US_NS
+JITTER_US = 5 * MS_NS // US_NS
 """By how much a capturing host may be late with a stamp, bursts included; a quiet one stays below 0.1 ms."""
 _DRIFT_PPM = 150
 """Sensors were seen 2 to 20 ppm off the clocks of hosts; a cheap oscillator may be 100 ppm off."""
@@ -68,9 +68,9 @@ class ClockWatch:
             return
         since_ns = abs(stamp_ns - self._reference[0])
         moved_us = wrap_hour_us(offset_us - self._reference[1])
-        if abs(moved_us) > _JITTER_US + since_ns / US_NS * _DRIFT_PPM / 1e6:
+        if abs(moved_us) > JITTER_US + since_ns / US_NS * _DRIFT_PPM / 1e6:
             found = f"time stamps {-moved_us / 1e3:+.1f} ms off the capture stamps"
-            expected = f"within {_JITTER_US / 1e3:.0f} ms and {_DRIFT_PPM} ppm"
+            expected = f"within {JITTER_US / 1e3:.0f} ms and {_DRIFT_PPM} ppm"
             self._findings.add(Rule.CLOCK_DRIFT, packet, found, expected)
             self._reference = stamp_ns, offset_us
 

@@ -20,6 +20,8 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.validator.framing import check_frame, kind_of
+from vlp16emu.validator.optics import OpticsRules
+from vlp16emu.validator.order import InOrder
 from vlp16emu.validator.position import PositionRules
 from vlp16emu.validator.records import DataChunk, check_factory, check_records
 from vlp16emu.validator.rules import Finding, Findings, Rule
@@ -36,6 +38,8 @@ _DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
 _SHORTEST_S = 2.0
 """A shorter piece says too little about rates: position packets come at irregular intervals."""
 _RATE_TOLERANCE = 0.1
+_SILENCE_NS = S_NS // 2
+"""Position packets come every 20 ms or faster, also where lasers are off."""
 _POSITION_RATES_HZ = (146.0, 53.8)
 """Measured on two units in single return; 63-9243 Rev D, section 8.2.2, p. 50."""
 
@@ -50,6 +54,8 @@ class Verification:
     """Of other traffic and of other units, not looked at."""
     lost_packets: int
     """Missing data and position packets."""
+    void_sentences: int
+    """Seconds for which the GPS receiver had no fix, by the status V of its sentences, as trees make them too."""
     span_s: float
     """From the first packet to the last, by the capture's stamps."""
     rpm: float | None
@@ -146,6 +152,8 @@ class _Check:
         self._findings, self._chunk_packets = findings, chunk_packets
         self._sweep = SweepRules(findings)
         self._position = PositionRules(findings)
+        self._optics = OpticsRules(findings)
+        self._in_order = {kind: InOrder(kind, findings) for kind in (PacketKind.DATA, PacketKind.POSITION)}
         self._chunk: list[Datagram] = []
         self._continues = False
         self._factory = b""
@@ -162,20 +170,32 @@ class _Check:
         if self._stamp_ns is not None and datagram.stamp_ns < self._stamp_ns:
             found = f"{(self._stamp_ns - datagram.stamp_ns) / US_NS:.0f} us before the packet in front of it"
             self._findings.add(Rule.STAMP_ORDER, datagram.number, found, "stamps that do not decrease")
+        if self._stamp_ns is not None and datagram.stamp_ns - self._stamp_ns > _SILENCE_NS:
+            found = f"no packet for {(datagram.stamp_ns - self._stamp_ns) / S_NS:.2f} s before it"
+            self._findings.add(Rule.SILENCE, datagram.number, found, "data or position packets all the time")
         self._stamp_ns = datagram.stamp_ns
         self._packets[kind] += 1
         self._first.setdefault(kind, datagram)
         self._last[kind] = datagram
         is_readable = check_frame(datagram, kind, self._findings)
-        if kind is PacketKind.DATA:
-            self._take_data(datagram, is_readable=is_readable)
-        elif is_readable:
-            self._position.check(datagram)
+        if is_readable:
+            for each in self._in_order[kind].take(datagram):
+                self._take_ordered(kind, each)
+        elif kind is PacketKind.DATA:
+            self._take_rest(kind)
+            self._flush(ends=True)
+
+    def _take_rest(self, kind: PacketKind) -> None:
+        """Take the packets that have been held to be put in order."""
+        for datagram in self._in_order[kind].rest():
+            self._take_ordered(kind, datagram)
 
     def finish(self, path: Path, capture: Capture) -> Verification:
         """Check what is left, and sum up."""
         if not self._packets:
             raise CaptureError(str(path), "no VLP-16 packets", "data packets on UDP port 2368")
+        for kind in self._in_order:
+            self._take_rest(kind)
         self._flush(ends=True)
         self._check_data_rate()
         self._check_position_rate()
@@ -185,6 +205,7 @@ class _Check:
             position_packets=self._packets[PacketKind.POSITION],
             other_frames=capture.frames - self._packets.total(),
             lost_packets=self._sweep.lost_packets + self._position.lost_packets,
+            void_sentences=self._position.void_sentences,
             span_s=(max(stamps_ns) - min(stamps_ns)) / S_NS,
             rpm=self._sweep.rpm,
             is_cut=capture.cut,
@@ -192,10 +213,10 @@ class _Check:
             findings=tuple(sorted(self._findings.kept, key=lambda finding: finding.packet)),
         )
 
-    def _take_data(self, datagram: Datagram, *, is_readable: bool) -> None:
-        """Collect a data packet; a chunk ends where the return mode changes or a packet is unreadable."""
-        if not is_readable:
-            self._flush(ends=True)
+    def _take_ordered(self, kind: PacketKind, datagram: Datagram) -> None:
+        """Check a position packet, or collect a data packet; a chunk ends where the return mode changes."""
+        if kind is PacketKind.POSITION:
+            self._position.check(datagram)
             return
         factory = datagram.payload[-_FACTORY_BYTES:]
         if factory != self._factory:
@@ -221,6 +242,7 @@ class _Check:
             )
             check_records(chunk, self._findings)
             self._sweep.check(chunk)
+            self._optics.check(chunk)
         self._chunk = [] if ends else self._chunk[-1:]
         self._continues = not ends
 

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.packets.layout import AZIMUTH_CODES, BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
 from vlp16emu.units import US_NS
-from vlp16emu.validator.framing import ClockWatch, wrap_hour_us
+from vlp16emu.validator.framing import JITTER_US, ClockWatch, wrap_hour_us
 from vlp16emu.validator.records import DataChunk
+from vlp16emu.validator.rotor import check_speed, frozen_packets
 from vlp16emu.validator.rules import Findings, Rule
 
 __all__ = ["SweepRules"]
@@ -72,7 +73,11 @@ class SweepRules:
         steps = _azimuth_steps(chunk)
         is_regular = self._check_time(chunk, steps)
         judged = len(chunk.number) if chunk.ends else len(chunk.number) - 1
-        self._check_azimuth(chunk, steps, judged)
+        signed_cdeg = _signed(steps.forward_cdeg)
+        is_still = frozen_packets(chunk, signed_cdeg, self._findings)
+        steps.is_odd[is_still] = False
+        check_speed(chunk, signed_cdeg, is_regular, self._findings)
+        self._check_azimuth(chunk, steps, is_still, judged)
         self._measure_speed(chunk, steps, is_regular, judged)
 
     def _check_time(self, chunk: DataChunk, steps: _Steps) -> NDArray[np.bool_]:
@@ -113,28 +118,44 @@ class SweepRules:
         )
         steps.is_odd[:-1][is_gap] = False
         steps.is_odd[:-1, -1] &= is_regular
-        self._watch_clock(chunk, was_set=bool(is_broken.any()))
+        self._watch_clock(chunk, np.append(is_gap & odd_inside, False), was_set=bool(is_broken.any()))
         self.lost_packets += int((periods[is_lost] - 1).sum())
         self.left_out_us += float(left_out_us[is_gap].sum())
         self.covered_us += float((periods[is_lost] - 1).sum() + len(step_us)) * period_ns / US_NS
         return is_regular
 
-    def _watch_clock(self, chunk: DataChunk, *, was_set: bool) -> None:
-        """Compare time stamps with capture stamps by the chunk's median, which no burst can move."""
+    def _watch_clock(self, chunk: DataChunk, takes_longer: NDArray[np.bool_], *, was_set: bool) -> None:
+        """Compare time stamps with capture stamps by the chunk's median, which no burst can move.
+
+        Parameters
+        ----------
+        takes_longer : (n,) packets within which a part of the revolution is left out
+        """
         if was_set:
             self._clock.restart()
             return
         offset_us = chunk.stamp_ns // US_NS - chunk.payload["timestamp_us"].astype(np.int64)
         moved_us = wrap_hour_us(offset_us - offset_us[0])
+        after_us = np.minimum.accumulate(moved_us[::-1])[::-1]
+        late_us = moved_us - np.maximum(np.minimum.accumulate(moved_us), after_us)
+        self._findings.add_where(
+            Rule.LATENESS,
+            (late_us > JITTER_US) & ~takes_longer,
+            chunk.number,
+            lambda i: f"{late_us[i] / 1e3:.1f} ms later than others",
+            f"within {JITTER_US / 1e3:.0f} ms",
+        )
         middle_us = int(offset_us[0]) + round(float(np.median(moved_us)))
         self._clock.check(int(chunk.number[0]), int(chunk.stamp_ns[0]), middle_us)
 
-    def _check_azimuth(self, chunk: DataChunk, steps: _Steps, judged: int) -> None:
+    def _check_azimuth(
+        self, chunk: DataChunk, steps: _Steps, is_still: NDArray[np.bool_], judged: int
+    ) -> None:
         """Check the steps of the first `judged` packets."""
         blocks = steps.forward_cdeg.shape[1]
         is_odd = steps.is_odd[:judged]
         if not chunk.dual:
-            is_twin = steps.forward_cdeg[:judged, 0] == 0
+            is_twin = (steps.forward_cdeg[:judged, 0] == 0) & ~is_still[:judged]
             found = "blocks 0 and 1 with one azimuth"
             self._findings.add_where(
                 Rule.SINGLE_AS_DUAL, is_twin, chunk.number[:judged], lambda _: found, "two azimuths"

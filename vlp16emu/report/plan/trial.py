@@ -109,7 +109,7 @@ def _piece(chain: Chain, span_s: tuple[float, float], limit_s: float, threads: i
     """Send packets to nowhere until the time is over: clocks at the first one, and what went by from there on."""
     first, piece, marks = None, Spent(0.0, 0.0), dict[int, int]()
     links, block_ns = [unit.link for unit in chain.parts.units], chain.batching.block_ns
-    with PcapSink(Path(os.devnull), [0] * len(links), links) as sink:
+    with PcapSink(Path(os.devnull), links) as sink:
         for packet in chain.packets(*span_s):
             sink.send(packet)
             returns_in(packet)

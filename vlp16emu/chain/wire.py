@@ -1,0 +1,109 @@
+"""When packets leave, and the faults that happen to them on their way."""
+
+import heapq
+from collections.abc import Callable, Iterator, Sequence
+
+from vlp16emu.chain.parts import Unit
+from vlp16emu.chain.position import position_due, position_number
+from vlp16emu.chain.timeline import end_ns
+from vlp16emu.device.events import Freeze, PacketEvent
+from vlp16emu.device.faults import PacketFault, Wire, kinds_of
+from vlp16emu.scenario import Scenario
+from vlp16emu.sensor.settings import Sensor
+from vlp16emu.types import Packet, PacketKind
+from vlp16emu.units import seconds_to_ns
+
+__all__ = ["arriving", "faults_of", "number_at", "timetable"]
+
+Streams = Callable[[int, int], Iterator[Packet]]
+"""Packets of all units due in a span since the first pulse, in order of sending."""
+
+
+def number_at(scenario: Scenario, unit: Unit, kind: PacketKind, since_ns: int) -> int:
+    """Find the number of the first packet of a kind that a unit sends at a time since the first pulse, or later."""
+    if kind is PacketKind.DATA:
+        return unit.sending.count(0, since_ns)
+    return position_number(scenario, unit, since_ns)
+
+
+def faults_of(scenario: Scenario, units: Sequence[Unit]) -> list[PacketFault]:
+    """Make the faults of packets that the events of a run are."""
+    faults = list[PacketFault]()
+    for number, event in enumerate(scenario.events):
+        if not isinstance(event, PacketEvent):
+            continue
+        unit = units[event.unit - 1]
+        assert isinstance(unit.section, Sensor)  # others have no packets
+        begin_ns, counted = seconds_to_ns(event.at_s), dict[PacketKind, range]()
+        if event.count is not None:
+            for kind in kinds_of(event):
+                first = number_at(scenario, unit, kind, begin_ns)
+                counted[kind] = range(first, first + event.count)
+        faults.append(
+            PacketFault(
+                event,
+                number,
+                unit.number,
+                unit.seed,
+                unit.section.position_rate,
+                scenario.start_ns,
+                scenario.start_ns + begin_ns,
+                scenario.start_ns + end_ns(event),
+                counted,
+            )
+        )
+    return faults
+
+
+def arriving(
+    scenario: Scenario, units: Sequence[Unit], streams: Streams, start_ns: int, stop_ns: int
+) -> Iterator[Packet]:
+    """Give the packets that arrive in a span since the first pulse; those that leave in it, where nothing happens to them."""
+    faults = faults_of(scenario, units)
+    if not faults:
+        return streams(start_ns, stop_ns)
+    utc_ns = scenario.start_ns
+    late_ns = sum(fault.longest_ns for fault in faults if fault.begin_ns < utc_ns + start_ns)
+    from_ns = max(start_ns - late_ns, 0)
+    frozen = {
+        (fault.number, kind): packet
+        for fault in faults
+        if isinstance(fault.event, Freeze) and fault.begin_ns < utc_ns + from_ns < fault.end_ns
+        for kind in kinds_of(fault.event)
+        if (packet := _first(fault, kind, streams(fault.begin_ns - utc_ns, stop_ns)))
+    }
+    numbers = {unit.number: unit.sending.count(0, from_ns) for unit in units}
+    passed = Wire(faults, numbers, frozen).passed(streams(from_ns, stop_ns))
+    return (packet for packet in passed if start_ns <= packet.due_ns - utc_ns < stop_ns)
+
+
+def _first(fault: PacketFault, kind: PacketKind, packets: Iterator[Packet]) -> Packet | None:
+    """Find the packet of a kind at which a sensor hangs."""
+    return next((packet for packet in packets if packet.unit == fault.unit and packet.kind is kind), None)
+
+
+def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns: int) -> Iterator[Packet]:
+    """Yield the packets due in a span since the first pulse in order of sending, without their bytes: for these light is cast.
+
+    Of a sensor without packets, as many firing sequences at a time.
+    """
+
+    def data(unit: Unit) -> Iterator[Packet]:
+        """Yield data packets of a unit."""
+        sequence_ns = unit.head.beams.sequence_ns
+        for slots in unit.sending.slots(start_ns, stop_ns):
+            for first, last in zip(slots[:, 0].tolist(), slots[:, -1].tolist(), strict=True):
+                due_ns, fired_ns = (scenario.start_ns + number * sequence_ns for number in (last + 1, first))
+                yield Packet(PacketKind.DATA, due_ns, b"", unit.number, fired_ns)
+
+    def position(unit: Unit) -> Iterator[Packet]:
+        """Yield position packets of a unit."""
+        for number, due_ns in position_due(scenario, unit, start_ns, stop_ns):
+            yield Packet(PacketKind.POSITION, due_ns, b"", unit.number, number=number)
+
+    streams = list[Iterator[Packet]]()
+    for unit in units:
+        streams.append(data(unit))
+        if isinstance(unit.section, Sensor):
+            streams.append(position(unit))
+    return heapq.merge(*streams, key=lambda packet: packet.due_ns)
