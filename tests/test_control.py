@@ -3,6 +3,7 @@
 import json
 import socket
 import threading
+import urllib.error
 import urllib.request
 
 import numpy as np
@@ -33,7 +34,7 @@ class Receiver:
             opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
             opened.bind(("127.0.0.1", 0))
-            opened.settimeout(5.0)
+            opened.settimeout(30.0)
             self.sockets.append(opened)
         self.ports = [opened.getsockname()[1] for opened in self.sockets]
 
@@ -91,14 +92,14 @@ class Live:
     def get(self, path):
         """Read a document."""
         host, port = self.places[0]
-        with urllib.request.urlopen(f"http://{host}:{port}{path}", timeout=5) as answer:
+        with urllib.request.urlopen(f"http://{host}:{port}{path}", timeout=30) as answer:
             return json.load(answer)
 
     def post(self, path, body):
         """Set something; give the status of the answer."""
         host, port = self.places[0]
         request = urllib.request.Request(f"http://{host}:{port}{path}", body.encode(), method="POST")
-        with urllib.request.urlopen(request, timeout=5) as answer:
+        with urllib.request.urlopen(request, timeout=30) as answer:
             return answer.status
 
 
@@ -150,12 +151,12 @@ def test_speed_laser_and_field_of_view_are_followed(receiver):
         assert all((azimuths(payload) // 100 <= 200).all() for payload in payloads[-100:])
         live.post("/cgi/setting", "laser=off")
         receiver.rest()
-        receiver.sockets[1].settimeout(5.0)
+        receiver.sockets[1].settimeout(30.0)
         receiver.sockets[1].recv(2048)
         with pytest.raises(TimeoutError):
             receiver.sockets[0].recv(2048)
         live.post("/cgi/setting", "laser=on")
-        receiver.sockets[0].settimeout(5.0)
+        receiver.sockets[0].settimeout(30.0)
         receiver.data(lambda payload: True)
 
 
@@ -168,9 +169,37 @@ def test_another_receiver_gets_the_packets(receiver):
         other.data(lambda payload: True)
         receiver.rest()
         assert len(other.sockets[0].recv(2048)) == 1206
-        other.sockets[1].settimeout(5.0)
+        other.sockets[1].settimeout(30.0)
         assert len(other.sockets[1].recv(2048)) == 512
     other.close()
+
+
+def test_events_of_the_scene_show_in_the_web_interface(receiver):
+    """What an event has set is among the settings, and an error of the web interface is the answer while it lasts."""
+    events = [
+        {"kind": "setting", "at_s": 0.5, "return_mode": "dual", "phase_lock_deg": 90.0},
+        {"kind": "http_error", "at_s": 1.5, "status": 503},
+    ]
+    with Live(receiver, {**TABLES, "events": events}) as live:
+        receiver.data(lambda payload: payload[1204] == 0x39)
+        live.get("/cgi/status.json")
+        settings = live.get("/cgi/settings.json")
+        assert settings["returns"] == "Dual"
+        assert settings["phaselock"] == {"enabled": "On", "offset": "9000"}
+        first_us = stamps_us(receiver.data(lambda payload: True))[-1]
+        receiver.data(lambda payload: int.from_bytes(payload[1200:1204], "little") > first_us + 1_200_000)
+        with pytest.raises(urllib.error.HTTPError, match="503"):
+            live.get("/cgi/status.json")
+
+
+def test_a_stream_to_this_machine_is_sent_to_no_other(receiver):
+    """The web interface refuses a receiver on another machine, and the packets stay here, after a reset too."""
+    with Live(receiver) as live:
+        with pytest.raises(urllib.error.HTTPError, match="500"):
+            live.post("/cgi/setting/host", "addr=192.0.2.77")
+        assert live.get("/cgi/settings.json")["host"]["addr"] == "127.0.0.1"
+        receiver.rest()
+        assert len(receiver.sockets[0].recv(2048)) == 1206
 
 
 def test_a_reset_loses_what_was_not_saved(receiver, tmp_path):
@@ -184,7 +213,7 @@ def test_a_reset_loses_what_was_not_saved(receiver, tmp_path):
         receiver.rest()
         with pytest.raises((OSError, ValueError)):
             live.get("/cgi/status.json")
-        receiver.sockets[0].settimeout(10.0)
+        receiver.sockets[0].settimeout(30.0)
         payload = receiver.sockets[0].recv(2048)
         assert payload[1204] == 0x38
         assert int.from_bytes(payload[1200:1204], "little") < 100_000

@@ -4,7 +4,9 @@ import math
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import partial
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +14,11 @@ import numpy as np
 
 from vlp16emu.chain import Unit
 from vlp16emu.chain.chain import Chain
-from vlp16emu.device.events import Event, PowerCycle, Setting
+from vlp16emu.device.events import Event, HttpError, PowerCycle, Setting
 from vlp16emu.device.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
-from vlp16emu.device.web import WebServer
-from vlp16emu.errors import PacketError, Vlp16emuError
-from vlp16emu.packets import decode_position, parse_rmc
+from vlp16emu.device.web import HttpFault, WebServer
+from vlp16emu.errors import OutputError, PacketError, Vlp16emuError
+from vlp16emu.packets import POSITION_BYTES, decode_position, parse_rmc
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import RigSink, UnderWay
 from vlp16emu.streaming import Engine, Http
@@ -44,7 +46,8 @@ def web_interfaces(control: "Control", http: Http) -> Iterator[None]:
         servers = []
         for number, device in enumerate(control.devices(http.saved)):
             control.change(number, device.settings)  # what was saved, it has from its first moment on
-            servers.append(WebServer(device, http.host, http.port + number if http.port else 0))
+            port, fault = http.port + number if http.port else 0, partial(control.fault, number)
+            servers.append(WebServer(device, http.host, port, fault=fault))
             stack.enter_context(servers[-1])
         http.serving([server.address for server in servers])
         yield
@@ -83,12 +86,15 @@ class Control:
         self._settings = list(self._factory)
         self._lock = threading.Lock()
         self._events: list[Event] = list(chain.scenario.events)
+        self._to_come = sorted(self._events, key=lambda event: event.at_s)
+        """Events of the scene that the web interface does not show yet."""
+        self._devices = list[Device]()
 
     def devices(self, saved: Path | None) -> Iterator[Device]:
         """Make what the web interface of each sensor shows and sets; a file keeps the saved settings of the first."""
         for unit, factory in zip(self._chain.parts.units, self._factory, strict=True):
             sensor, n = on_the_wire(unit.section), unit.number
-            yield Device(
+            device = Device(
                 factory,
                 status=partial(self.status, n),
                 changed=partial(self.change, n),
@@ -96,6 +102,16 @@ class Control:
                 info=DeviceInfo(sensor.serial_number, SensorModel(sensor.model), unit.link.source_mac),
                 saved=saved.with_stem(f"{saved.stem}_{n + 1}") if saved and n else saved,
             )
+            self._devices.append(device)
+            yield device
+
+    def fault(self, unit: int) -> HttpFault | None:
+        """Find what is wrong with the web interface of a unit now."""
+        since_s = (self._under_way.due_in_ns(0) - self._chain.scenario.start_ns) / S_NS
+        for event in self._chain.scenario.events:
+            if isinstance(event, HttpError) and event.unit == unit + 1 and event.lasts_at(since_s):
+                return HttpFault(event.status)
+        return None
 
     def change(self, unit: int, new: DeviceSettings) -> None:
         """Set a unit anew; its packets follow within 0.2 s.
@@ -103,25 +119,23 @@ class Control:
         Raises
         ------
         OutputError
-            where the new receiver is unknown or out of reach; then nothing changes
+            where the new receiver is out of reach, or another machine, though the stream began on this one; then nothing changes
         """
         with self._lock:
             old, self._settings[unit] = self._settings[unit], new
-            where = [(each.host, each.data_port, each.position_port) for each in (old, new)]
-            if where[0] != where[1]:
-                try:
-                    self._sink.redirect(unit, *where[1])
-                except Vlp16emuError:
-                    self._settings[unit] = old
-                    raise
+            try:
+                self._redirect(unit, old, new)
+            except Vlp16emuError:
+                self._settings[unit] = old
+                raise
             if keys := self._changed(old, new):
                 self._happen(lambda at_s: [Setting(kind="setting", at_s=at_s, unit=unit + 1, **keys)])
 
     def reset(self, unit: int, power_up: DeviceSettings) -> None:
         """Let a unit start again, with the settings that it has saved."""
         with self._lock:
+            self._redirect(unit, self._settings[unit], power_up)
             self._settings[unit] = power_up
-            self._sink.redirect(unit, power_up.host, power_up.data_port, power_up.position_port)
             keys = self._changed(self._factory[unit], power_up)
 
             def events(at_s: float) -> list[Event]:
@@ -135,6 +149,7 @@ class Control:
 
     def status(self, unit: int) -> DeviceStatus:
         """Report the state of a unit."""
+        self._adopt()
         of, start_ns = self._chain.parts.units[unit], self._chain.scenario.start_ns
         now_ns = self._under_way.due_in_ns(0)
         since_ns = now_ns - start_ns
@@ -144,7 +159,7 @@ class Control:
         )
         settings, rpm = self._settings[unit], of.head.rotor.rpm_at(since_ns)
         payload = self._sink.latest_position(unit)
-        sent = decode_position(payload) if payload else None
+        sent = decode_position(payload) if len(payload) == POSITION_BYTES else None  # none is cut by an event
         return DeviceStatus(
             t_ns=now_ns,
             pps=sent.pps if sent else PpsState.ABSENT,
@@ -157,6 +172,34 @@ class Control:
             powered_for_s=powered_ns / S_NS,
             is_up=not of.sending.is_silent(since_ns),
         )
+
+    def _adopt(self) -> None:
+        """Show what events of the scene have set by now."""
+        since_s = (self._under_way.due_in_ns(0) - self._chain.scenario.start_ns) / S_NS
+        due = list[tuple[Device, DeviceSettings]]()
+        with self._lock:
+            while self._to_come and self._to_come[0].at_s <= since_s:
+                event = self._to_come.pop(0)
+                n = event.unit - 1
+                settings = self._settings[n]
+                if isinstance(event, PowerCycle):
+                    settings = self._factory[n]
+                elif isinstance(event, Setting):
+                    settings = _with(settings, event)
+                self._settings[n] = settings
+                due.append((self._devices[n], settings))
+        for device, settings in due:  # without the lock: a device that is being set waits for it
+            device.adopt(settings)
+
+    def _redirect(self, unit: int, old: DeviceSettings, new: DeviceSettings) -> None:
+        """Send to the receiver that is set; to another machine only where the run was begun to send to one."""
+        where = [(each.host, each.data_port, each.position_port) for each in (old, new)]
+        if where[0] == where[1]:
+            return
+        if ip_address(self._factory[unit].host).is_loopback and not ip_address(new.host).is_loopback:
+            expected = "an address of this machine, 127.0.0.0/8, unless the stream begins with another --to"
+            raise OutputError("host.addr", new.host, expected)
+        self._sink.redirect(unit, *where[1])
 
     def _phase_cdeg(self, unit: Unit, now_ns: int) -> int:
         """Rotor angle at the latest UTC second, in 0.01 degree."""
@@ -184,6 +227,20 @@ class Control:
         self._events = [*self._events, *events(round(at_s, 3))]
         made = self._events
         self._under_way.redo(start_ns + from_ns, lambda due_ns: self._engine.begin_again(due_ns, made))
+
+
+def _with(settings: DeviceSettings, event: Setting) -> DeviceSettings:
+    """Set what an event sets."""
+    phase = event.phase_lock_deg
+    keys: dict[str, Any] = {
+        "rpm": event.rpm,
+        "return_mode": event.return_mode and ReturnMode(event.return_mode),
+        "laser_on": event.laser,
+        "fov_deg": event.fov_deg,
+        "phase_lock_on": None if phase is None else phase != "off",
+        "phase_lock_cdeg": round(100 * phase) % 36_000 if isinstance(phase, float) else None,
+    }
+    return replace(settings, **{key: value for key, value in keys.items() if value is not None})
 
 
 def _place(sentence: bytes) -> str:

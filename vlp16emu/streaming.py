@@ -9,6 +9,7 @@ from pathlib import Path
 from vlp16emu.accuracy import AuditFinding
 from vlp16emu.chain import Unit
 from vlp16emu.chain.chain import Chain
+from vlp16emu.chain.position import position_number
 from vlp16emu.device.events import Event
 from vlp16emu.report.keeping_up import settings_that_keep_up
 from vlp16emu.scenario import Scenario
@@ -108,12 +109,11 @@ class Engine:
 
     def _count(self, before_ns: int) -> Counter[PacketKind]:
         """Count the packets of all units due from the first pulse until before a UTC time."""
-        since_s, units = self._since_s(before_ns), self._chain.parts.units
-        since_ns = before_ns - self.scenario.start_ns
+        units, since_ns = self._chain.parts.units, before_ns - self.scenario.start_ns
         data = 0
         for unit in units:
             data += unit.sending.count(0, since_ns)
-        position = sum(self._chain.first_position_packets(since_s))
+        position = sum(position_number(self.scenario, unit, since_ns) for unit in units)
         return Counter({PacketKind.DATA: data, PacketKind.POSITION: position})
 
     def _since_s(self, utc_ns: int) -> float:

@@ -243,9 +243,7 @@ class Packet:
     unit: int = 0
     """Place in the rig of the sensor that sends it, from 0."""
     fired_ns: int | None = None  # UTC of the first pulse in a data packet of ours
-    number: int = (
-        0  # of a position packet: how many its unit could have sent since the run began; the frame carries it
-    )
+    number: int = 0  # of a position packet: how many its unit could have sent before; the frame carries it
 
 
 @dataclass(frozen=True, slots=True)

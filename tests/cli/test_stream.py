@@ -8,6 +8,7 @@ import struct
 import sys
 import threading
 import time
+import urllib.request
 
 import numpy as np
 import pytest
@@ -52,6 +53,21 @@ def settled(received):
         before = now
         time.sleep(0.3)
     return received.values()
+
+
+def test_the_web_interface_is_where_the_line_says(program, listening):
+    """A stream with --http prints the address of its web interface, which answers with the settings of the scene."""
+    data_port, position_port = listening
+    ports = "--data-port", data_port, "--position-port", position_port
+    process = program("stream", "static_bench", "--duration", "3600", "--http", "127.0.0.1:0", *ports)
+    assert process.stdout.readline().startswith("streaming static_bench to 127.0.0.1")
+    line = process.stdout.readline()
+    assert line.startswith("web interface at http://127.0.0.1:")
+    with urllib.request.urlopen(f"{line.split()[-1]}cgi/settings.json", timeout=10) as answer:
+        assert json.load(answer)["rpm"] == 600
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    assert process.returncode == 130
 
 
 def test_a_stream_is_a_recording_on_the_wire(cli, bench, listening):

@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 
 from vlp16emu.chain import PulseHook, Unit, assemble, windows_of, with_events
-from vlp16emu.chain.position import make_receiver, position_number, position_packets
+from vlp16emu.chain.position import make_receiver, position_packets
 from vlp16emu.chain.windows import Batching, prefetch
 from vlp16emu.chain.wire import arriving
 from vlp16emu.device.events import Event
@@ -85,10 +85,6 @@ class Chain:
         """Let other events happen; packets that are under way are those of the events before."""
         self.scenario = self.scenario.model_copy(update={"events": list(events)})
         self.parts = with_events(self.parts, self.scenario)
-
-    def first_position_packets(self, start_s: float = 0.0) -> list[int]:
-        """Find the number of each unit's first position packet from `start_s` on; a run's first has 0."""
-        return [position_number(self.scenario, unit, seconds_to_ns(start_s)) for unit in self.parts.units]
 
     def _span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
         """Check a span and put it into nanoseconds since the first pulse."""

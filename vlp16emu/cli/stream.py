@@ -6,7 +6,7 @@ It reports at once where it falls behind, and at its end.
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar, cast
 
 import typer
 
@@ -199,7 +199,7 @@ def _http(text: str) -> tuple[str, int]:
 
 
 HttpAt = Annotated[
-    tuple[str, int] | None,
+    object | None,  # click would take two values for a tuple
     typer.Option(
         "--http",
         metavar="HOST:PORT",
@@ -290,7 +290,7 @@ def stream(
             late=late,
             as_sensor=as_sensor,
             now=now,
-            http=_served(http, http_settings, quiet=as_json),
+            http=_served(cast("tuple[str, int] | None", http), http_settings, quiet=as_json),
             opened=lambda: None if as_json else _announce(scene, to, emulator),
             progress=lambda done_s: progress.show("streaming", done_s),
             notify=lambda behind: progress.say(behind_line(behind, emulator.scenario, late, speed)),

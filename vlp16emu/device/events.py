@@ -17,6 +17,7 @@ __all__ = [
     "Event",
     "Freeze",
     "GpsEvent",
+    "HttpError",
     "Jitter",
     "LastingEvent",
     "LateSentence",
@@ -54,6 +55,10 @@ class LastingEvent(Event):
 
     duration_s: Positive | None = None
     """How long it lasts; until the end of the run where it is left out."""
+
+    def lasts_at(self, since_s: float) -> bool:
+        """Whether it lasts at a time since the first pulse."""
+        return self.at_s <= since_s and (self.duration_s is None or since_s < self.at_s + self.duration_s)
 
 
 class Setting(Event):
@@ -272,6 +277,15 @@ class Truncate(Share):
     """Bytes of the payload that are left."""
 
 
+class HttpError(LastingEvent):
+    """A web interface that answers every request with an error, or not at all; only of a stream that has one."""
+
+    kind: Literal["http_error"]
+    """Selects an error of the web interface."""
+    status: Annotated[int, Field(ge=400, le=599)] | None = None
+    """Status of the answers; no answer where it is left out."""
+
+
 AnyEvent = Annotated[
     Setting
     | Wobble
@@ -292,7 +306,8 @@ AnyEvent = Annotated[
     | Jitter
     | Corrupt
     | Truncate
-    | Freeze,
+    | Freeze
+    | HttpError,
     Field(discriminator="kind"),
 ]
 """A table of `[[events]]`."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from vlp16emu.packets.layout import (
     DATA_PAYLOAD,
+    POSITION_BYTES,
     POSITION_PAYLOAD,
     RETURN_MODE_BYTE,
     SENTENCE_BYTES,
@@ -90,12 +91,15 @@ def restamped(packet: Packet, clock_ns: int, pps: PpsState, sentence: bytes) -> 
     clock_ns : at the instant of the packet's stamp, ns past the hour
     sentence : with CR LF; its first 128 bytes are taken, empty for none
     """
+    if not has_stamp(packet):
+        return packet
     payload = bytearray(packet.payload)
     _STAMP.pack_into(payload, _STAMP_AT[packet.kind], clock_ns % HOUR_NS // US_NS)
     if packet.kind is PacketKind.POSITION:
+        payload += bytes(POSITION_BYTES - len(payload))
         payload[_PPS_AT] = pps
         payload[_SENTENCE] = sentence[:SENTENCE_BYTES].ljust(SENTENCE_BYTES, b"\0")
-    return replace(packet, payload=bytes(payload))
+    return replace(packet, payload=bytes(payload[: len(packet.payload)]))
 
 
 def _moved_sentence(field: bytes, by_s: int, now_ns: int | None) -> bytes:
