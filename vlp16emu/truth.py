@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vlp16emu.chain import Parts, Unit
 from vlp16emu.chain.chain import Chain
 from vlp16emu.chain.happenings import Happening, happenings
-from vlp16emu.chain.wire import arriving, timetable
+from vlp16emu.chain.wire import arriving, earliest_ns, faults_of, timetable
 from vlp16emu.errors import RunError
 from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.gnss import Receiver, to_geodetic
@@ -102,7 +102,9 @@ class Truth:
         self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
         self._folder.write_json("rig.json", _rig(scenario, parts))
         # The first packet may have begun before it was asked for.
-        firsts_ns = (self._first_ns(unit, *span_s) for unit in self._units)
+        faults = faults_of(scenario, self._units)
+        earliest_s = earliest_ns(scenario, faults, seconds_to_ns(span_s[0])) / S_NS
+        firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
         from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
         self._trajectories = [
             _Samples(

@@ -1,5 +1,6 @@
 """Faults of packets on their way, found in what a run sends."""
 
+import socket
 from collections import Counter
 from dataclasses import replace
 from functools import lru_cache
@@ -13,7 +14,9 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.errors import ScenarioError
 from vlp16emu.packets import position_due_ns
 from vlp16emu.scenario import load
-from vlp16emu.types import PacketKind
+from vlp16emu.sinks import MemorySink, Pacer, UdpSink, stream
+from vlp16emu.streaming import Engine
+from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, S_NS
 
 STOP_S = 1.5
@@ -289,3 +292,28 @@ def test_events_that_cannot_be_are_refused(tables, line):
         load({**TABLES, **tables})
     assert line in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("now", [False, True])
+def test_a_stream_sends_the_same(now):
+    """What a stream sends is what a recording holds, in its order; moved into the present too, where cut packets stay as they are."""
+    run, sink = emulator(*EVERY), MemorySink()
+    stream(Engine(run, 0.0, 0.4), sink, Pacer(1.0), now=now)
+    expected = list(run.packets(0.0, 0.4))
+    assert [(p.due_ns, p.kind) for p in sink.packets] == [(p.due_ns, p.kind) for p in expected]
+    same = [a.payload == b.payload for a, b in zip(sink.packets, expected, strict=True)]
+    cut = [len(packet.payload) < (1204 if packet.kind is DATA else 202) for packet in expected]
+    assert any(cut)
+    assert all(same) if not now else same == cut
+
+
+def test_cut_packets_leave_by_udp():
+    """A datagram holds what is left of its payload, even nothing."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(5.0)
+        port = receiver.getsockname()[1]
+        with UdpSink(data_port=port, position_port=port) as sink:
+            for size in (0, 1, 600):
+                sink.send(Packet(DATA, 0, bytes(range(200)) * 3 if size == 600 else bytes(size)))
+                assert len(receiver.recv(2000)) == size

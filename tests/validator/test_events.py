@@ -86,8 +86,8 @@ def test_reorder(tmp_path, by):
         faulty({"kind": "reorder", "at_s": 0.2, "count": 1, "by": by, "packets": "both"}),
     )
     assert found[Rule.PACKET_ORDER] == [
-        f"a data packet behind {by} later ones",
-        f"a position packet behind {by} later ones",
+        f"a data packet overtaken by {by}",
+        f"a position packet overtaken by {by}",
     ]
     assert set(found) - {Rule.CLOCK_DRIFT} == {Rule.PACKET_ORDER}  # position packets are 7 ms apart
     assert result.lost_packets == 0

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 from vlp16emu.chain.parts import Unit
 from vlp16emu.chain.timeline import end_ns
@@ -76,11 +77,17 @@ def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: in
     elif isinstance(event, PacketEvent):
         kinds = kinds_of(event)
     for kind in kinds:
-        first = number_at(scenario, unit, kind, begin_ns)
-        count = number_at(scenario, unit, kind, over_ns) - first
+        first, until_ns = number_at(scenario, unit, kind, begin_ns), over_ns
         if isinstance(event, PacketEvent) and event.count is not None:
-            count = min(event.count, count)
-        times = scenario.start_ns + begin_ns, scenario.start_ns + over_ns
+            due_ns = (
+                packet.due_ns
+                for packet in timetable(scenario, [unit], begin_ns, over_ns)
+                if packet.kind is kind
+            )
+            last_ns = max(islice(due_ns, event.count), default=scenario.start_ns + begin_ns)
+            until_ns = last_ns + 1 - scenario.start_ns
+        count = number_at(scenario, unit, kind, until_ns) - first
+        times = scenario.start_ns + begin_ns, scenario.start_ns + until_ns
         yield Happening(*times, place + 1, event.unit, event.kind, kind, first, count)
 
 

@@ -13,7 +13,7 @@ from vlp16emu.sensor.settings import Sensor
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import seconds_to_ns
 
-__all__ = ["arriving", "faults_of", "number_at", "timetable"]
+__all__ = ["arriving", "earliest_ns", "faults_of", "number_at", "timetable"]
 
 Streams = Callable[[int, int], Iterator[Packet]]
 """Packets of all units due in a span since the first pulse, in order of sending."""
@@ -55,6 +55,12 @@ def faults_of(scenario: Scenario, units: Sequence[Unit]) -> list[PacketFault]:
     return faults
 
 
+def earliest_ns(scenario: Scenario, faults: Sequence[PacketFault], start_ns: int) -> int:
+    """Find the time since the first pulse from which on packets may be so late that they arrive at a time, or later."""
+    utc_ns = scenario.start_ns + start_ns
+    return max(start_ns - sum(fault.longest_ns for fault in faults if fault.begin_ns < utc_ns), 0)
+
+
 def arriving(
     scenario: Scenario, units: Sequence[Unit], streams: Streams, start_ns: int, stop_ns: int
 ) -> Iterator[Packet]:
@@ -62,9 +68,7 @@ def arriving(
     faults = faults_of(scenario, units)
     if not faults:
         return streams(start_ns, stop_ns)
-    utc_ns = scenario.start_ns
-    late_ns = sum(fault.longest_ns for fault in faults if fault.begin_ns < utc_ns + start_ns)
-    from_ns = max(start_ns - late_ns, 0)
+    utc_ns, from_ns = scenario.start_ns, earliest_ns(scenario, faults, start_ns)
     frozen = {
         (fault.number, kind): packet
         for fault in faults

@@ -102,7 +102,7 @@ class InOrder:
         place = len(self._held)
         while place and wrap_hour_us(self._stamp_us(datagram) - self._stamp_us(self._held[place - 1])) < 0:
             place -= 1
-        found = f"a {self._kind} packet behind {len(self._held) - place} later ones"
+        found = f"a {self._kind} packet overtaken by {len(self._held) - place}"
         self._findings.add(Rule.PACKET_ORDER, datagram.number, found, "packets in order of their time stamps")
         self._held.insert(place, datagram)
 
