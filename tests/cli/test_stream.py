@@ -136,6 +136,22 @@ def test_an_unknown_policy_is_refused(cli):
     assert (outcome.code, outcome.err) == (2, "error: --late: found burst; expected pace or skip\n")
 
 
+@pytest.mark.parametrize("verb", ["stream", "replay"])
+def test_a_strict_stream_that_was_late_has_failed(cli, bench, listening, monkeypatch, verb):
+    """With --strict the exit code is 1 where a packet was late, after the same report; on time, and without it, 0."""
+    data_port, position_port = listening
+    what = ["static_bench", "--duration", "0.1"] if verb == "stream" else [bench]
+    line = verb, *what, "--data-port", data_port, "--position-port", position_port, "--json"
+    stream = sys.modules["vlp16emu.sinks.stream"]  # the room has a function of that name
+    monkeypatch.setattr(stream, "TOLERANCE_NS", 10**11)  # whatever other programs do to the cores
+    assert cli(*line, "--strict").code == 0
+    monkeypatch.setattr(stream, "TOLERANCE_NS", -1)  # what leaves at its deadline is late
+    loose, strict = cli(*line), cli(*line, "--strict")
+    assert (loose.code, strict.code) == (0, 1)
+    assert strict.tree["behind"]
+    assert strict.tree["packets"] == loose.tree["packets"]
+
+
 @pytest.fixture
 def arrivals():
     """A port of the loopback, and a function that waits for n data packets; the kernel stamps arrivals in ns."""
