@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from ipaddress import IPv4Address
 from pathlib import Path
 from threading import Event
 
@@ -14,7 +15,7 @@ from vlp16emu.streaming import Behind, behind_of
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-__all__ = ["Replay", "Replayed", "replay"]
+__all__ = ["Replay", "Replayed", "packets_of", "replay"]
 
 _KINDS = {DATA_BYTES: PacketKind.DATA, POSITION_BYTES: PacketKind.POSITION}
 
@@ -75,6 +76,29 @@ class Replay:
                     self.left_out += self.passes == 1
                 else:
                     yield Packet(kind, datagram.stamp_ns, datagram.payload, numbers[key])
+
+
+def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
+    """Yield all packets of a capture of our own, due at the stamps of their frames, which are in whole microseconds.
+
+    Parameters
+    ----------
+    links : of the units that the packets are from
+
+    Raises
+    ------
+    CaptureError
+        where the file is damaged
+    """
+    ways = {
+        (IPv4Address(link.source).packed, port): (kind, number)
+        for number, link in enumerate(links)
+        for kind, port in ((PacketKind.DATA, link.data_port), (PacketKind.POSITION, link.position_port))
+    }
+    with Capture(path) as capture:
+        for datagram in capture:
+            kind, number = ways[datagram.source, datagram.destination_port]
+            yield Packet(kind, datagram.stamp_ns, datagram.payload, number)
 
 
 @dataclass(frozen=True, slots=True)

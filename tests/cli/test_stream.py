@@ -152,6 +152,39 @@ def test_a_strict_stream_that_was_late_has_failed(cli, bench, listening, monkeyp
     assert strict.tree["packets"] == loose.tree["packets"]
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_prepared_stream_is_the_same_on_the_wire(cli, bench, listening, tmp_path, monkeypatch, kept):
+    """With --prepare the payloads of the recording arrive in their order; only a file that is named stays."""
+    data_port, position_port = listening
+    ports = "--data-port", data_port, "--position-port", position_port
+    file, temporary = tmp_path / "kept.pcap", tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    how = ("--prepare-to", file) if kept else ("--prepare",)
+    report = cli("stream", "static_bench", "--duration", "0.5", *how, *ports, "--json").tree
+    data, position = settled(listening)
+    with Capture(bench) as capture:
+        recorded = [datagram.payload for datagram in capture]
+    assert data == [payload for payload in recorded if len(payload) == 1206]
+    assert position == [payload for payload in recorded if len(payload) == 512]
+    assert (report["packets"], report["interrupted"]) == (len(data), False)
+    assert (file.exists(), list(temporary.iterdir())) == (kept, [])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("--prepare-to -", "-: no file that can be read again; expected the name of a file"),
+        ("--prepare-to x.mcap", "x.mcap: found the ending .mcap; expected .pcap"),
+    ],
+)
+def test_what_cannot_be_prepared_is_refused(cli, options, said):
+    """Places that cannot be read again, and names of other formats, are refused in one line."""
+    outcome = cli("stream", "static_bench", *options.split(), "--json")
+    assert (outcome.code, outcome.err.count("\n")) == (2, 1)
+    assert outcome.err.startswith(f"error: {said}")
+
+
 @pytest.fixture
 def arrivals():
     """A port of the loopback, and a function that waits for n data packets; the kernel stamps arrivals in ns."""
