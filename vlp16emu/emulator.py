@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
@@ -12,11 +13,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.accuracy import Audit
 from vlp16emu.chain.chain import Chain
-from vlp16emu.errors import InputError, OutputError, spare
-from vlp16emu.output import STDOUT
+from vlp16emu.errors import InputError, spare
 from vlp16emu.points import PointCloud, scans_of, world_T_sensor, write_cloud
-from vlp16emu.recording import Recording, record_packets
-from vlp16emu.replay import packets_of
+from vlp16emu.recording import Recording, prepared, record_packets
 from vlp16emu.scan import Scan
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
@@ -32,7 +31,7 @@ from vlp16emu.sinks import (
     check_ending,
     stream,
 )
-from vlp16emu.streaming import Engine, Http, Streamed, summed_up
+from vlp16emu.streaming import Engine, Http, Streamed, summed_up, write_times
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS
 
@@ -314,7 +313,8 @@ class Emulator(Chain):
         ):
             opened()
             if prepare is not None:
-                packets = self._prepared(Path(prepare), duration_s, truth, preparing, stop)
+                run = partial(self.record, duration_s=duration_s, truth=truth, progress=preparing, stop=stop)
+                packets = prepared(links, Path(prepare), run)
             else:
                 stack.enter_context(self.windows.stopped_by(stop))
                 packets = stack.enter_context(self._with_truth(engine, span_s, truth))
@@ -330,24 +330,12 @@ class Emulator(Chain):
                 stop=stop,
                 look_ahead_packets=LOOK_AHEAD_PACKETS * len(links),
             )
+        if truth is not None:
+            write_times(truth, report, speed)
         found = self.audit.finding if self.audit else None
         return summed_up(
             self, engine, report, sink.results, scene=self.name, to=to, speed=speed, late=policy, audit=found
         )
-
-    def _prepared(
-        self,
-        path: Path,
-        duration_s: float | None,
-        truth: str | Path | TruthTo | None,
-        progress: Callable[[float], None],
-        stop: Event,
-    ) -> Iterator[Packet]:
-        """Compute a whole run into a capture, and give its packets."""
-        if path == STDOUT or (path.exists() and not path.is_file()):
-            raise OutputError(str(path), "no file that can be read again", "the name of a file")
-        self.record(path, duration_s=duration_s, truth=truth, progress=progress, stop=stop)
-        return packets_of([unit.link for unit in self.parts.units], path)
 
     def _serve(
         self, http: Http, engine: Engine, sink: RigSink, under_way: UnderWay, until: ExitStack

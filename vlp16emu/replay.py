@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from ipaddress import IPv4Address
 from pathlib import Path
 from threading import Event
 
@@ -10,12 +9,22 @@ from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, Capture, CapturedUnit, units_in
 from vlp16emu.packets.frames import FACTORY_LINK, POSITION_PORT, Link
 from vlp16emu.packets.retime import moved
-from vlp16emu.sinks import LOOPBACK, FellBehind, Late, Pacer, RigSink, StreamReport, UdpResult, stream
+from vlp16emu.sinks import (
+    LOOPBACK,
+    FellBehind,
+    FirstPacket,
+    Late,
+    Pacer,
+    RigSink,
+    StreamReport,
+    UdpResult,
+    stream,
+)
 from vlp16emu.streaming import Behind, behind_of
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-__all__ = ["Replay", "Replayed", "packets_of", "replay"]
+__all__ = ["Replay", "Replayed", "replay"]
 
 _KINDS = {DATA_BYTES: PacketKind.DATA, POSITION_BYTES: PacketKind.POSITION}
 
@@ -78,29 +87,6 @@ class Replay:
                     yield Packet(kind, datagram.stamp_ns, datagram.payload, numbers[key])
 
 
-def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
-    """Yield all packets of a capture of our own, due at the stamps of their frames, which are in whole microseconds.
-
-    Parameters
-    ----------
-    links : of the units that the packets are from
-
-    Raises
-    ------
-    CaptureError
-        where the file is damaged
-    """
-    ways = {
-        (IPv4Address(link.source).packed, port): (kind, number)
-        for number, link in enumerate(links)
-        for kind, port in ((PacketKind.DATA, link.data_port), (PacketKind.POSITION, link.position_port))
-    }
-    with Capture(path) as capture:
-        for datagram in capture:
-            kind, number = ways[datagram.source, datagram.destination_port]
-            yield Packet(kind, datagram.stamp_ns, datagram.payload, number)
-
-
 @dataclass(frozen=True, slots=True)
 class Replayed:
     """What was sent of a capture, and how punctual it was."""
@@ -119,6 +105,8 @@ class Replayed:
     passes: int
     moved_s: int
     """Whole seconds by which stamps and sentences were moved into the present; 0 where they were kept."""
+    first: FirstPacket | None
+    """When the first packet left; None where none did."""
     capture_s: float
     """Time that the packets span in the capture."""
     wall_s: float
@@ -210,6 +198,7 @@ def _summed_up(
         left_out=packets.left_out,
         passes=packets.passes,
         moved_s=report.moved_s,
+        first=report.first,
         capture_s=report.simulated_s,
         wall_s=report.wall_s,
         late_median_us=report.lateness.median_ns * 1e-3,

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.packets import Capture
+from vlp16emu.packets.position import STAMP_LEAD_NS
 
 PERIOD_NS = 1_327_104
 STOPPED_S = 2.0
@@ -150,6 +151,28 @@ def test_a_strict_stream_that_was_late_has_failed(cli, bench, listening, monkeyp
     assert (loose.code, strict.code) == (0, 1)
     assert strict.tree["behind"]
     assert strict.tree["packets"] == loose.tree["packets"]
+
+
+@pytest.mark.parametrize("how", [[], ["--prepare"]])
+def test_clocks_of_packet_0_are_in_report_and_truth(cli, listening, tmp_path, how):
+    """With --now the first packet's time by the sensor's clock is that of its stamp, by this machine's the same, and by the truth `moved_s` earlier."""
+    data_port, position_port = listening
+    ports = "--data-port", data_port, "--position-port", position_port
+    gps = "--set", "gps.connected=true"
+    line = "stream", "static_bench", "--duration", "0.1", *gps, *ports, "--now", "--truth", tmp_path / "truth"
+    began_ns = time.time_ns()
+    report = cli(*line, *how, "--json").tree
+    _, position = settled(listening)
+    times = json.loads((tmp_path / "truth" / "time.json").read_text())
+    assert times == {"moved_s": report["moved_s"], "speed": 1.0, "packet_0": report["first"]}
+    first = report["first"]
+    assert first["sensor_ns"] == pytest.approx(first["truth_ns"] + report["moved_s"] * 10**9, abs=1000)
+    stamp_us = int.from_bytes(position[0][198:202], "little")
+    assert stamp_us + STAMP_LEAD_NS // 1000 == first["sensor_ns"] // 1000 % (3600 * 10**6)
+    assert (
+        began_ns < first["sensor_ns"] <= first["host_ns"] < first["sensor_ns"] + 50_000_000
+    )  # other programs
+    assert "s into the present; by this machine's clock packet 0 left " in cli(*line, *how).out
 
 
 @pytest.mark.parametrize("kept", [True, False])

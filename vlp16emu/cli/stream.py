@@ -53,6 +53,7 @@ __all__ = [
     "behind_line",
     "close",
     "lateness_rows",
+    "moved_row",
     "receiver_of",
     "stream",
     "stream_rows",
@@ -95,7 +96,7 @@ def stream_rows(streamed: "Streamed") -> dict[str, str]:
         **lateness_rows(streamed),
     }
     if streamed.moved_s:
-        rows["moved"] = f"by {streamed.moved_s:+d} s, from the time of the scene into the present"
+        rows["moved"] = moved_row(streamed)
     if streamed.skipped_packets or streamed.skipped_position_packets:
         data, position = count(streamed.skipped_packets), count(streamed.skipped_position_packets)
         rows["skipped"] = f"{data} data packets, {position} position packets"
@@ -117,6 +118,15 @@ def lateness_rows(sent: "Streamed | Replayed") -> dict[str, str]:
     if sent.delay_s:
         rows["delay"] = f"late by {sent.delay_s:.2f} s since {sent.behind[-1].at_s:.1f} s"
     return rows
+
+
+def moved_row(sent: "Streamed | Replayed") -> str:
+    """Write by how much packets were moved into the present, and how well the clocks agree there."""
+    row, first = f"by {sent.moved_s:+d} s into the present", sent.first
+    if first is None or first.sensor_ns is None:
+        return row
+    apart_ms = (first.host_ns - first.sensor_ns) * 1e-6
+    return f"{row}; by this machine's clock packet 0 left {apart_ms:.3f} ms after its time by the sensor's"
 
 
 def _times(times: "Sequence[Behind]", most_s: float) -> str:
