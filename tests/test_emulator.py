@@ -108,7 +108,8 @@ def test_wire_time_is_the_hour_of_a_locked_clock():
 def test_walk_ends_where_its_path_ends(birch):
     """A span beyond the walk's run time is refused before anything is computed."""
     with pytest.raises(
-        TrajectoryError, match=r"duration: found 600 s; expected at most the walk's 7\d\.\d s"
+        TrajectoryError,
+        match=r"duration: found 600 s; expected at most the walk's 7\d\.\d s; longer with motion.laps",
     ):
         Emulator(birch).packets(0, 600)
 

@@ -1,5 +1,6 @@
 """Several sensors on one carrier."""
 
+from dataclasses import replace
 from ipaddress import IPv4Address
 
 import numpy as np
@@ -7,9 +8,12 @@ import pytest
 import velodyne_decoder
 
 from vlp16emu.emulator import Emulator
+from vlp16emu.errors import InputError
 from vlp16emu.packets import Capture, decode_data
+from vlp16emu.recording import packets_of
 from vlp16emu.scenario import load
 from vlp16emu.sinks import PcapSink
+from vlp16emu.streaming import Http
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS
 
@@ -54,6 +58,22 @@ def test_a_unit_sends_what_it_would_send_alone(rig):
     assert of_unit(packets, 0) == of_unit(made()[1], 0)
     alone = [f"motion.mount={MOUNT}", "sensor.return_mode=dual", "sensor.phase_lock_deg=90.0", "seed=9"]
     assert data_of(packets, 1) == data_of(made(*alone)[1], 0)  # the GPS receiver rides on the first unit
+
+
+def test_a_prepared_rig_sends_what_it_sends_alive(rig, tmp_path):
+    """What is read back from a recording are the packets of both units in their order, with times in whole microseconds."""
+    emulator, packets = rig
+    path = tmp_path / "rig.pcap"
+    emulator.record(path, duration_s=SPAN_S)
+    read = list(packets_of([unit.link for unit in emulator.parts.units], path))
+    assert read == [replace(packet, due_ns=packet.due_ns // 1000 * 1000, fired_ns=None) for packet in packets]
+
+
+def test_what_is_prepared_cannot_be_set(rig, tmp_path):
+    """A prepared stream with web interfaces is refused before anything is computed."""
+    with pytest.raises(InputError, match="--http: found beside --prepare"):
+        rig[0].stream(prepare=tmp_path / "rig.pcap", http=Http("127.0.0.1", 0))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_units_without_a_seed_have_errors_of_their_own():

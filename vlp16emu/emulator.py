@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,7 @@ from vlp16emu.accuracy import Audit
 from vlp16emu.chain.chain import Chain
 from vlp16emu.errors import InputError, spare
 from vlp16emu.points import PointCloud, scans_of, world_T_sensor, write_cloud
-from vlp16emu.recording import Recording, record_packets
+from vlp16emu.recording import Recording, prepared, record_packets
 from vlp16emu.scan import Scan
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
@@ -30,7 +31,7 @@ from vlp16emu.sinks import (
     check_ending,
     stream,
 )
-from vlp16emu.streaming import Engine, Http, Streamed, summed_up
+from vlp16emu.streaming import Engine, Http, Streamed, summed_up, write_times
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS
 
@@ -256,8 +257,10 @@ class Emulator(Chain):
         late: Late | str = Late.PACE,
         as_sensor: bool = False,
         now: bool = False,
+        prepare: str | Path | None = None,
         http: Http | None = None,
         opened: Callable[[], None] = lambda: None,
+        preparing: Callable[[float], None] = lambda _: None,
         progress: Callable[[float], None] = lambda _: None,
         notify: Callable[[FellBehind], None] = lambda _: None,
         stop: Event | None = None,
@@ -273,8 +276,11 @@ class Emulator(Chain):
         late : `pace` keeps the spacing of packets that are late by more than 50 ms, and the delay; `skip` drops them
         as_sensor : send from the sensor's address, which this machine must have, with its headers
         now : move stamps and sentences by whole seconds into the present; truth stays at the time of the scene
+        prepare : capture that the whole run is computed into before the first packet leaves, and which stays; None to compute
+            while packets leave
         http : where the web interfaces of the sensors are, through which the stream is set; None for none
         opened : called once before the first packet is computed, when the sockets are open
+        preparing : called with the simulated seconds computed so far into `prepare`
         progress : called with the simulated seconds so far, packet by packet
         notify : called each time that the stream falls behind
         stop : ends the stream from another thread
@@ -284,7 +290,7 @@ class Emulator(Chain):
         OutputError
             where the receiver is unknown or out of reach, or the sensor's address is not this machine's
         InputError
-            where the present is wanted at another speed than its own
+            where the present is wanted at another speed than its own, or a prepared stream is to be set by web interfaces
         ScenarioError
             where the sensor has no packets
         TrajectoryError
@@ -296,14 +302,22 @@ class Emulator(Chain):
         span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
         links = [unit.link for unit in self.parts.units]
         policy = Late(late)
+        if prepare is not None and http is not None:
+            raise InputError(
+                "--http", "found beside --prepare", "one of both: what is prepared cannot be set"
+            )
         with (
             ExitStack() as stack,
             closing(Engine(self, *span_s)) as engine,
-            self.windows.stopped_by(stop),
-            self._with_truth(engine, span_s, truth) as packets,
             RigSink(links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS)) as sink,
         ):
             opened()
+            if prepare is not None:
+                run = partial(self.record, duration_s=duration_s, truth=truth, progress=preparing, stop=stop)
+                packets = prepared(links, Path(prepare), run)
+            else:
+                stack.enter_context(self.windows.stopped_by(stop))
+                packets = stack.enter_context(self._with_truth(engine, span_s, truth))
             report = stream(
                 packets,
                 sink,
@@ -311,11 +325,13 @@ class Emulator(Chain):
                 begun=lambda under_way: self._serve(http, engine, sink, under_way, stack) if http else None,
                 late=policy,
                 notify=notify,
-                go_on_from=engine.go_on_from,
+                go_on_from=engine.go_on_from if prepare is None else None,
                 now=now,
                 stop=stop,
                 look_ahead_packets=LOOK_AHEAD_PACKETS * len(links),
             )
+        if truth is not None:
+            write_times(truth, report, speed)
         found = self.audit.finding if self.audit else None
         return summed_up(
             self, engine, report, sink.results, scene=self.name, to=to, speed=speed, late=policy, audit=found

@@ -2,24 +2,28 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
+from ipaddress import IPv4Address
 from pathlib import Path
 from threading import Event
 
 from vlp16emu.accuracy import AuditFinding
 from vlp16emu.chain import Unit
 from vlp16emu.chain.chain import Chain
-from vlp16emu.packets import returns_in
+from vlp16emu.errors import OutputError
+from vlp16emu.output import STDOUT
+from vlp16emu.packets import Capture, returns_in
+from vlp16emu.packets.frames import Link
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["Recording", "UnitRecording", "record_packets"]
+__all__ = ["Recording", "UnitRecording", "packets_of", "prepared", "record_packets"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +133,47 @@ def record_packets(
         real_time_factor=simulated_s / wall_s,
         interrupted=interrupted,
     )
+
+
+def prepared(links: Sequence[Link], path: Path, record: Callable[[Path], object]) -> Iterator[Packet]:
+    """Record a whole run, and give its packets as `packets_of` does.
+
+    Parameters
+    ----------
+    record : writes the capture
+
+    Raises
+    ------
+    OutputError
+        where the place cannot be read again
+    """
+    if path == STDOUT or (path.exists() and not path.is_file()):
+        raise OutputError(str(path), "no file that can be read again", "the name of a file")
+    record(path)
+    return packets_of(links, path)
+
+
+def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
+    """Yield all packets of a capture of our own, due at the stamps of their frames, which are in whole microseconds.
+
+    Parameters
+    ----------
+    links : of the units that the packets are from
+
+    Raises
+    ------
+    CaptureError
+        where the file is damaged
+    """
+    ways = {
+        (IPv4Address(link.source).packed, port): (kind, number)
+        for number, link in enumerate(links)
+        for kind, port in ((PacketKind.DATA, link.data_port), (PacketKind.POSITION, link.position_port))
+    }
+    with Capture(path) as capture:
+        for datagram in capture:
+            kind, number = ways[datagram.source, datagram.destination_port]
+            yield Packet(kind, datagram.stamp_ns, datagram.payload, number)
 
 
 def _unit(unit: Unit, sent: Counter[tuple[int, str]], simulated_s: float) -> UnitRecording:

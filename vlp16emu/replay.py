@@ -9,7 +9,17 @@ from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, Capture, CapturedUnit, units_in
 from vlp16emu.packets.frames import FACTORY_LINK, POSITION_PORT, Link
 from vlp16emu.packets.retime import moved
-from vlp16emu.sinks import LOOPBACK, FellBehind, Late, Pacer, RigSink, StreamReport, UdpResult, stream
+from vlp16emu.sinks import (
+    LOOPBACK,
+    FellBehind,
+    FirstPacket,
+    Late,
+    Pacer,
+    RigSink,
+    StreamReport,
+    UdpResult,
+    stream,
+)
 from vlp16emu.streaming import Behind, behind_of
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
@@ -95,6 +105,8 @@ class Replayed:
     passes: int
     moved_s: int
     """Whole seconds by which stamps and sentences were moved into the present; 0 where they were kept."""
+    first: FirstPacket | None
+    """When the first packet left; None where none did."""
     capture_s: float
     """Time that the packets span in the capture."""
     wall_s: float
@@ -186,6 +198,7 @@ def _summed_up(
         left_out=packets.left_out,
         passes=packets.passes,
         moved_s=report.moved_s,
+        first=report.first,
         capture_s=report.simulated_s,
         wall_s=report.wall_s,
         late_median_us=report.lateness.median_ns * 1e-3,

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from vlp16emu.accuracy import AuditFinding
@@ -14,7 +14,7 @@ from vlp16emu.device.events import Event
 from vlp16emu.report.keeping_up import settings_that_keep_up
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
-from vlp16emu.sinks import FellBehind, Late, StreamReport, UdpResult
+from vlp16emu.sinks import FellBehind, FirstPacket, Late, StreamReport, TruthTo, UdpResult, write_json
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -28,6 +28,7 @@ __all__ = [
     "cause_of",
     "options_for",
     "summed_up",
+    "write_times",
 ]
 
 
@@ -176,6 +177,8 @@ class Streamed:
     late: Late
     moved_s: int
     """Whole seconds from the time of the scene, which truth has, to that of stamps and sentences."""
+    first: FirstPacket | None
+    """When the first packet left; None where none did."""
     beam: str
     """The active model in words, as the next two; None for clear air."""
     noise: str
@@ -235,6 +238,7 @@ def summed_up(
         speed=speed,
         late=late,
         moved_s=report.moved_s,
+        first=report.first,
         beam=scenario.beam.summary,
         noise=scenario.noise.summary,
         weather=scenario.weather.summary,
@@ -259,6 +263,20 @@ def summed_up(
         interrupted=report.interrupted,
         audit=audit,
     )
+
+
+def write_times(to: str | Path | TruthTo, report: StreamReport, speed: float) -> None:
+    """Write beside the truth of a stream when its first packet left, so that what was made of it live can be compared.
+
+    Raises
+    ------
+    OutputError, RunError
+        where the file cannot be written
+    """
+    if report.first is not None:
+        folder = to.folder if isinstance(to, TruthTo) else Path(to)
+        times = {"moved_s": report.moved_s, "speed": speed, "packet_0": asdict(report.first)}
+        write_json(folder / "time.json", times)
 
 
 def _unit(unit: Unit, sent: UdpResult, simulated_s: float) -> UnitStreamed:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.packets import Capture
+from vlp16emu.packets.position import STAMP_LEAD_NS
 
 PERIOD_NS = 1_327_104
 STOPPED_S = 2.0
@@ -150,6 +151,77 @@ def test_an_unknown_policy_is_refused(cli):
     """--late takes pace and skip, and names both where it is given something else."""
     outcome = cli("stream", "static_bench", "--late", "burst")
     assert (outcome.code, outcome.err) == (2, "error: --late: found burst; expected pace or skip\n")
+
+
+@pytest.mark.parametrize("verb", ["stream", "replay"])
+def test_a_strict_stream_that_was_late_has_failed(cli, bench, listening, monkeypatch, verb):
+    """With --strict the exit code is 1 where a packet was late, after the same report; on time, and without it, 0."""
+    data_port, position_port = listening
+    what = ["static_bench", "--duration", "0.1"] if verb == "stream" else [bench]
+    line = verb, *what, "--data-port", data_port, "--position-port", position_port, "--json"
+    stream = sys.modules["vlp16emu.sinks.stream"]  # the room has a function of that name
+    monkeypatch.setattr(stream, "TOLERANCE_NS", 10**11)  # whatever other programs do to the cores
+    assert cli(*line, "--strict").code == 0
+    monkeypatch.setattr(stream, "TOLERANCE_NS", -1)  # what leaves at its deadline is late
+    loose, strict = cli(*line), cli(*line, "--strict")
+    assert (loose.code, strict.code) == (0, 1)
+    assert strict.tree["behind"]
+    assert strict.tree["packets"] == loose.tree["packets"]
+
+
+@pytest.mark.parametrize("how", [[], ["--prepare"]])
+def test_clocks_of_packet_0_are_in_report_and_truth(cli, listening, tmp_path, how):
+    """With --now the first packet's time by the sensor's clock is that of its stamp, by this machine's the same, and by the truth `moved_s` earlier."""
+    data_port, position_port = listening
+    ports = "--data-port", data_port, "--position-port", position_port
+    gps = "--set", "gps.connected=true"
+    line = "stream", "static_bench", "--duration", "0.1", *gps, *ports, "--now", "--truth", tmp_path / "truth"
+    began_ns = time.time_ns()
+    report = cli(*line, *how, "--json").tree
+    _, position = settled(listening)
+    times = json.loads((tmp_path / "truth" / "time.json").read_text())
+    assert times == {"moved_s": report["moved_s"], "speed": 1.0, "packet_0": report["first"]}
+    first = report["first"]
+    assert first["sensor_ns"] == pytest.approx(first["truth_ns"] + report["moved_s"] * 10**9, abs=1000)
+    stamp_us = int.from_bytes(position[0][198:202], "little")
+    assert stamp_us + STAMP_LEAD_NS // 1000 == first["sensor_ns"] // 1000 % (3600 * 10**6)
+    assert (
+        began_ns < first["sensor_ns"] <= first["host_ns"] < first["sensor_ns"] + 50_000_000
+    )  # other programs
+    assert "s into the present; by this machine's clock packet 0 left " in cli(*line, *how).out
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_prepared_stream_is_the_same_on_the_wire(cli, bench, listening, tmp_path, monkeypatch, kept):
+    """With --prepare the payloads of the recording arrive in their order; only a file that is named stays."""
+    data_port, position_port = listening
+    ports = "--data-port", data_port, "--position-port", position_port
+    file, temporary = tmp_path / "kept.pcap", tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    how = ("--prepare-to", file) if kept else ("--prepare",)
+    report = cli("stream", "static_bench", "--duration", "0.5", *how, *ports, "--json").tree
+    data, position = settled(listening)
+    with Capture(bench) as capture:
+        recorded = [datagram.payload for datagram in capture]
+    assert data == [payload for payload in recorded if len(payload) == 1206]
+    assert position == [payload for payload in recorded if len(payload) == 512]
+    assert (report["packets"], report["interrupted"]) == (len(data), False)
+    assert (file.exists(), list(temporary.iterdir())) == (kept, [])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("--prepare-to -", "-: no file that can be read again; expected the name of a file"),
+        ("--prepare-to x.mcap", "x.mcap: found the ending .mcap; expected .pcap"),
+    ],
+)
+def test_what_cannot_be_prepared_is_refused(cli, options, said):
+    """Places that cannot be read again, and names of other formats, are refused in one line."""
+    outcome = cli("stream", "static_bench", *options.split(), "--json")
+    assert (outcome.code, outcome.err.count("\n")) == (2, 1)
+    assert outcome.err.startswith(f"error: {said}")
 
 
 @pytest.fixture

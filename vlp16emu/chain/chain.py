@@ -92,7 +92,9 @@ class Chain:
         if (start_ns := seconds_to_ns(start_s)) < 0:
             raise TrajectoryError("start", f"found {start_s:g} s", "0 s or later")
         if stop_s > (end_s := self.parts.motion.run_time_s):
-            raise TrajectoryError("duration", f"found {stop_s:g} s", f"at most the walk's {end_s:.1f} s")
+            keys = "; longer with motion.laps, and motion.back_and_forth where the path is open"
+            most = f"at most the walk's {end_s:.1f} s{keys if self.scenario.motion.kind == 'walk' else ''}"
+            raise TrajectoryError("duration", f"found {stop_s:g} s", most)
         return start_ns, seconds_to_ns(stop_s)
 
     def _scan(self, unit: Unit, run: range, opened: Future[Geometry], *, truth: bool = False) -> Returns:

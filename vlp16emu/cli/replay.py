@@ -15,6 +15,7 @@ from vlp16emu.cli.stream import (
     To,
     close,
     lateness_rows,
+    moved_row,
     receiver_of,
 )
 from vlp16emu.cli.terminal import count, stop_on_ctrl_c
@@ -96,5 +97,5 @@ def _rows(replayed: "Replayed") -> dict[str, str]:
     if replayed.left_out:
         rows["left out"] = f"{count(replayed.left_out)} datagrams that are no packets of a VLP-16"
     if replayed.moved_s:
-        rows["moved"] = f"by {replayed.moved_s:+d} s, into the present"
+        rows["moved"] = moved_row(replayed)
     return rows

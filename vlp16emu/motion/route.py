@@ -76,7 +76,7 @@ class Route:
     def __init__(self, path: Path, walk: Walk, pause_s: Array) -> None:
         if walk.laps > 1 and not path.closed:
             found = f"found {walk.laps} on an open path"
-            raise TrajectoryError("laps", found, "1, or a last waypoint on the first")
+            raise TrajectoryError("laps", found, "1, back_and_forth = true, or a last waypoint on the first")
         self._path = path
         self.length_m = walk.laps * path.length_m
         """Of all laps."""

@@ -219,7 +219,10 @@ class Walk(Section):
     lawn_mower: LawnMower | None = None
     """A pattern over a plot."""
     laps: Annotated[int, Field(ge=1, le=1000)] = 1
-    """Number of laps, where the last waypoint is the first: such a path closes smoothly."""
+    """Number of laps, where the last waypoint is the first: such a path closes smoothly. Of another one with
+    `back_and_forth`."""
+    back_and_forth: bool = False
+    """Whether a lap is the way there and back, with a small loop behind each end: the person turns round, and goes on."""
     speed_m_s: Annotated[float, Field(gt=0, le=10)] = 1.2
     """Speed along the path, where nothing slows the person down."""
     run_time_s: Annotated[float, Field(gt=0, le=7 * 86400)] | None = None

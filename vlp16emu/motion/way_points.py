@@ -22,6 +22,11 @@ _CONTAINER = {"trkpt": "trk", "rtept": "rte"}
 _POINTS_PER_QUARTER = 6
 """Waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius."""
 
+_LOOP_RADIUS_M = 0.5
+"""Of the turn behind each end of a way back and forth: a step to the side, and round (assumption)."""
+_LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7
+"""A way that is shorter from end to end is no way to go back on."""
+
 
 @dataclass(frozen=True, slots=True)
 class WayPoints:
@@ -63,7 +68,35 @@ def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints
     for stop in walk.stops:
         if stop.way_point is not None:
             points = points.with_pause(stop.way_point, stop.pause_s)
-    return points
+    return _there_and_back(points) if walk.back_and_forth else points
+
+
+def _there_and_back(points: WayPoints) -> WayPoints:
+    """Go back on the same way, round a small loop behind each end; stops are made there and back, at the ends once."""
+    xy_m, pause_s = points.xy_m, points.pause_s
+    if len(xy_m) < 2 or math.dist(xy_m[0], xy_m[-1]) < _LOOP_LENGTH_M:
+        found = f"found {len(xy_m)} waypoints, the last {math.dist(xy_m[0], xy_m[-1]):.2f} m from the first"
+        expected = f"at least 2, and {_LOOP_LENGTH_M:.1f} m; laps go round a closed path without it"
+        raise TrajectoryError("back_and_forth", found, expected)
+    ends = _turning_loop(xy_m[-2], xy_m[-1]), _turning_loop(xy_m[1], xy_m[0])
+    none = np.zeros(len(ends[0]))
+    return WayPoints(
+        np.concatenate([xy_m, ends[0], xy_m[::-1], ends[1], xy_m[:1]]),
+        np.concatenate([pause_s, none, [0.0], pause_s[-2:0:-1], [0.0], none, pause_s[:1]]),
+    )
+
+
+def _turning_loop(before_m: NDArray[np.float64], end_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Waypoints (n, 2) of a loop that leads back to the end of a way, straight against how one came there.
+
+    A sixth of a circle to the right, five sixths to the left round a centre straight ahead, and a sixth to the right, all
+    of one radius, with a waypoint at each sixth.
+    """
+    turns = math.pi / 3 * np.array([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0])
+    ahead_m = end_m - before_m
+    headings = math.atan2(ahead_m[1], ahead_m[0]) + np.cumsum(turns) - turns / 2
+    chords_m = _LOOP_RADIUS_M * np.column_stack([np.cos(headings), np.sin(headings)])  # as long as the radius
+    return np.asarray(end_m + np.cumsum(chords_m, axis=0)[:-1])
 
 
 def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:

@@ -4,8 +4,15 @@ from vlp16emu.sinks.now import NowSink
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import PcapResult, PcapSink, check_ending
 from vlp16emu.sinks.sink import MemorySink, PacketSink
-from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, StreamReport, UnderWay, sending_share, stream
-from vlp16emu.sinks.truth import TruthFolder, TruthTo, tum_rows
+from vlp16emu.sinks.stream import (
+    LOOK_AHEAD_PACKETS,
+    FirstPacket,
+    StreamReport,
+    UnderWay,
+    sending_share,
+    stream,
+)
+from vlp16emu.sinks.truth import TruthFolder, TruthTo, tum_rows, write_json
 from vlp16emu.sinks.udp import LOOPBACK, RigSink, UdpResult, UdpSink
 
 __all__ = [
@@ -13,6 +20,7 @@ __all__ = [
     "LOOPBACK",
     "TOLERANCE_NS",
     "FellBehind",
+    "FirstPacket",
     "Late",
     "Lateness",
     "LatenessHistogram",
@@ -33,4 +41,5 @@ __all__ = [
     "sending_share",
     "stream",
     "tum_rows",
+    "write_json",
 ]

@@ -40,7 +40,9 @@ class NowSink:
         self._sink, self._clock_ns, self._sleep = sink, clock_ns, sleep
         self._ahead_ns = 0
         self.moved_s = 0
-        """By how much, from the time of the packets; known when the first one leaves."""
+        """By how much, from the time of the packets; known when the first one leaves, as the next."""
+        self.began_ns = 0
+        """UTC at which that is by the sensor's clock."""
 
     def __enter__(self) -> Self:
         return self
@@ -50,10 +52,16 @@ class NowSink:
     ) -> None:
         """Nothing to close: the sink is the caller's."""
 
-    def begin(self, first: Packet, stop: Event) -> None:
-        """Wait for the instant at which the first packet leaves, or until the stream is to stop."""
+    def begin(self, first: Packet, stop: Event) -> int:
+        """Wait for the instant at which the first packet leaves, or until the stream is to stop.
+
+        Returns
+        -------
+        How long ago the instant is, in ns; negative where it has not come
+        """
         sent_ns = first.due_ns
         if has_stamp(first):
+            moved(first, 0, first.due_ns)  # Python loads what parses dates in the first one's time, 3 ms
             made_ns = stamp_ns(first)
             hour_ns = (first.due_ns - age_ns(first) - made_ns + HOUR_NS // 2) // HOUR_NS * HOUR_NS
             sent_ns = hour_ns + made_ns + age_ns(first)
@@ -63,7 +71,8 @@ class NowSink:
             stop.wait((left_ns - _ASLEEP_NS) / S_NS)
         while not stop.is_set() and (left_ns := at_ns - self._clock_ns()) > 0:
             self._sleep(left_ns / S_NS)
-        self.moved_s, self._ahead_ns = (at_ns - sent_ns) // S_NS, at_ns - first.due_ns
+        self.moved_s, self.began_ns, self._ahead_ns = (at_ns - sent_ns) // S_NS, at_ns, at_ns - first.due_ns
+        return self._clock_ns() - at_ns
 
     def send(self, packet: Packet) -> None:
         """Send one packet.

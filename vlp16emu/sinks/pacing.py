@@ -212,10 +212,15 @@ class Pacer:
         self.elapsed_ns = (0, 0)
         """Simulated time and clock time from the first packet that left to the last one."""
 
+    def begin(self, due_ns: int, ago_ns: int = 0) -> None:
+        """Start the clock as of some time ago, with the deadline of the first packet."""
+        self._first_due_ns, self._start_ns = due_ns, self._clock_ns() - ago_ns
+
     def deadline_ns(self, due_ns: int) -> int:
         """Instant on the pacer's clock at which a packet shall leave; the first call starts the clock."""
         if self._first_due_ns is None:
-            self._first_due_ns, self._start_ns = due_ns, self._clock_ns()
+            self.begin(due_ns)
+        assert self._first_due_ns is not None
         simulated_ns = due_ns - self._first_due_ns
         return self._start_ns + self.delay_ns + round(simulated_ns / self.speed)
 

@@ -27,7 +27,15 @@ from vlp16emu.sinks.udp import LOOPBACK, UdpSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-__all__ = ["LOOK_AHEAD_PACKETS", "Sender", "StreamReport", "UnderWay", "sending_share", "stream"]
+__all__ = [
+    "LOOK_AHEAD_PACKETS",
+    "FirstPacket",
+    "Sender",
+    "StreamReport",
+    "UnderWay",
+    "sending_share",
+    "stream",
+]
 
 LOOK_AHEAD_PACKETS = 2048
 """About 2.3 s of single return with its position packets, 1.2 s of dual; 2.6 MB."""
@@ -63,6 +71,18 @@ class UnderWay:
 
 
 @dataclass(frozen=True, slots=True)
+class FirstPacket:
+    """When the first packet of a stream left, by each clock in UTC ns since 1970."""
+
+    truth_ns: int
+    """In the scene or the capture; the time of the truth."""
+    sensor_ns: int | None
+    """By the sensor's clock, as its stamp and its age have it in the present; None where it was not moved there."""
+    host_ns: int
+    """By the clock of this system, read as soon as it had left."""
+
+
+@dataclass(frozen=True, slots=True)
 class StreamReport:
     """How a stream went."""
 
@@ -80,6 +100,8 @@ class StreamReport:
     """Packets dropped because they were late."""
     moved_s: int
     """Whole seconds by which packets were moved into the present; 0 where they were not."""
+    first: FirstPacket | None
+    """None where no packet left."""
     interrupted: bool
     """Ended by Ctrl-C or the stop event, not by the last packet."""
 
@@ -131,22 +153,24 @@ def stream(
     stop = stop or threading.Event()
     present = NowSink(sink) if now else None
     sender = Sender(present or sink, pacer, late=late, notify=notify, go_on_from=go_on_from)
-    interrupted = False
+    left, interrupted = None, False
     try:
         with _prompt_switching(), prompt_sleeps(), LookAhead(packets, look_ahead_packets, stop) as ahead:
             ahead.fill()
             if first := ahead.first:
                 begun(UnderWay(ahead, pacer, first.due_ns))
                 if present:
-                    present.begin(first, stop)
+                    pacer.begin(first.due_ns, present.begin(first, stop))
             had_to_wait = False
             while (packet := ahead.take(sender.watch)) is not None:
                 sender.send(packet, had_to_wait=had_to_wait, engine_speed=ahead.engine_speed)
+                if left is None:
+                    left = FirstPacket(packet.due_ns, present.began_ns if present else None, time.time_ns())
                 had_to_wait = ahead.is_empty
             interrupted = stop.is_set()
     except KeyboardInterrupt:
         interrupted = True
-    return sender.report(interrupted=interrupted, moved_s=present.moved_s if present else 0)
+    return sender.report(interrupted=interrupted, moved_s=present.moved_s if present else 0, first=left)
 
 
 @contextmanager
@@ -208,7 +232,9 @@ class Sender:
             since_ns = self._pacer.since_start_ns(deadline_ns)
             self._log.overdue(behind_ns, since_ns, engine_speed=engine_speed)
 
-    def report(self, *, interrupted: bool, moved_s: int = 0) -> StreamReport:
+    def report(
+        self, *, interrupted: bool, moved_s: int = 0, first: FirstPacket | None = None
+    ) -> StreamReport:
         """Sum up."""
         simulated_ns, wall_ns = self._pacer.elapsed_ns
         return StreamReport(
@@ -220,6 +246,7 @@ class Sender:
             skipped=self._skipped,
             interrupted=interrupted,
             moved_s=moved_s,
+            first=first,
         )
 
     def _skip(self, packet: Packet, now_ns: int, *, had_to_wait: bool) -> None:

@@ -17,9 +17,11 @@ from vlp16emu.output import OutputFile, lock
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["TruthFolder", "TruthTo", "seconds_text", "tum_rows"]
+__all__ = ["TruthFolder", "TruthTo", "seconds_text", "tum_rows", "write_json"]
 
-_FILES = re.compile(r"(events|gnss|imu)\.csv|(rig|scenario)\.json(\.part)?|(packets|trajectory)(_\d+)?\.tum")
+_FILES = re.compile(
+    r"(events|gnss|imu)\.csv|(rig|scenario|time)\.json(\.part)?|(packets|trajectory)(_\d+)?\.tum"
+)
 """All that a run may write; those of an earlier run are replaced as a whole."""
 
 
@@ -112,8 +114,19 @@ class TruthFolder:
         RunError
             where it cannot be written
         """
-        with OutputFile(self.path / name) as output, output.writing() as file:
-            file.write(f"{json.dumps(tree, indent=2, ensure_ascii=False)}\n".encode())
+        write_json(self.path / name, tree)
+
+
+def write_json(path: Path, tree: Mapping[str, Any]) -> None:
+    """Write a file of one JSON object, in place of the one that is there.
+
+    Raises
+    ------
+    OutputError, RunError
+        as `OutputFile`
+    """
+    with OutputFile(path) as output, output.writing() as file:
+        file.write(f"{json.dumps(tree, indent=2, ensure_ascii=False)}\n".encode())
 
 
 def _append(file: FileIO, lines: bytes) -> None:
