@@ -17,7 +17,7 @@ FLOORS = (
     {"__main__"},
     {"cli"},
     {"emulator"},
-    {"replay", "streaming"},
+    {"flight", "replay", "streaming"},
     {"points", "recording", "truth"},
     {"report"},
     {"accuracy"},

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,10 @@ from numpy.typing import NDArray
 
 from vlp16emu.accuracy import Audit
 from vlp16emu.chain.chain import Chain
-from vlp16emu.errors import InputError, spare
+from vlp16emu.errors import InputError, TrajectoryError, spare
+from vlp16emu.flight import PosesIn, flying
+from vlp16emu.motion.live import LiveMotion
+from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.points import PointCloud, scans_of, world_T_sensor, write_cloud
 from vlp16emu.recording import Recording, record_packets
 from vlp16emu.scan import Scan
@@ -51,7 +55,7 @@ class Emulator(Chain):
     settings : values of the scene that are changed, by key: `{"sensor.rpm": 1200, "seed": 7}`
     ideal : a sensor without errors: beams without width, no noise, clear air
     threads : workers, 0 for one per core; they change the speed only
-    audit : cast 0.05 % of the pulses of recordings and streams again, to estimate their error
+    audit : cast 0.05 % of the pulses of recordings and streams again, to estimate their error; not of a live run
 
     Raises
     ------
@@ -77,7 +81,7 @@ class Emulator(Chain):
         audit: bool = False,
     ) -> None:
         scenario = load(scene, settings, ideal=ideal)
-        self.audit = Audit.of(scenario) if audit else None
+        self.audit = Audit.of(scenario) if audit and not takes_poses(scenario.motion) else None
         super().__init__(scenario, threads=threads, audit=self.audit)
         self.name = str(scene) if isinstance(scene, str | Path) else scenario.title
         own = [find(str(scene))] if isinstance(scene, str | Path) else []
@@ -255,6 +259,7 @@ class Emulator(Chain):
         late: Late | str = Late.PACE,
         as_sensor: bool = False,
         now: bool = False,
+        poses: PosesIn | None = None,
         opened: Callable[[], None] = lambda: None,
         progress: Callable[[float], None] = lambda _: None,
         notify: Callable[[FellBehind], None] = lambda _: None,
@@ -271,6 +276,7 @@ class Emulator(Chain):
         late : `pace` keeps the spacing of packets that are late by more than 50 ms, and the delay; `skip` drops them
         as_sensor : send from the sensor's address, which this machine must have, with its headers
         now : move stamps and sentences by whole seconds into the present; truth stays at the time of the scene
+        poses : where those of a live scene come in; its stream begins with the first one, and drops what is late
         opened : called once before the first packet is computed, when the sockets are open
         progress : called with the simulated seconds so far, packet by packet
         notify : called each time that the stream falls behind
@@ -281,7 +287,7 @@ class Emulator(Chain):
         OutputError
             where the receiver is unknown or out of reach, or the sensor's address is not this machine's
         InputError
-            where the present is wanted at another speed than its own
+            where the present is wanted at another speed than its own, or either of a live scene, or poses of another one
         ScenarioError
             where the sensor has no packets
         TrajectoryError
@@ -289,32 +295,48 @@ class Emulator(Chain):
         RunError
             where the system cannot send any more
         """
-        stop = stop or Event()
+        stop, pacer, policy = stop or Event(), Pacer(speed), Late(late)
         span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
-        engine = Engine(self, *span_s)
         links = [unit.link for unit in self.parts.units]
-        policy = Late(late)
-        with (
-            self.windows.stopped_by(stop),
-            self._with_truth(engine, span_s, truth) as packets,
-            RigSink(links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS)) as sink,
-        ):
-            opened()
-            report = stream(
-                packets,
-                sink,
-                Pacer(speed),
-                late=policy,
-                notify=notify,
-                go_on_from=engine.go_on_from,
-                now=now,
-                stop=stop,
-                look_ahead_packets=LOOK_AHEAD_PACKETS * len(links),
-            )
+        with self.windows.stopped_by(stop), flying(self, poses, self._files) as flight:
+            policy = flight.prepare(stop, pacer, now=now) if flight else policy
+            engine = Engine(self, *span_s)
+            with (
+                self._with_truth(engine, span_s, truth) as packets,
+                RigSink(
+                    links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS)
+                ) as sink,
+            ):
+                opened()
+                report = stream(
+                    packets,
+                    flight.begun(sink, pacer) if flight else sink,
+                    pacer,
+                    late=policy,
+                    notify=notify,
+                    go_on_from=flight.going_on(engine.go_on_from, pacer) if flight else engine.go_on_from,
+                    now=now,
+                    stop=stop,
+                    look_ahead_packets=(flight.look_ahead if flight else LOOK_AHEAD_PACKETS) * len(links),
+                )
+            live = flight.report() if flight else None
+        sum_up = partial(summed_up, scene=self.name, to=to, speed=speed, late=policy)
         found = self.audit.finding if self.audit else None
-        return summed_up(
-            self, engine, report, sink.results, scene=self.name, to=to, speed=speed, late=policy, audit=found
-        )
+        return replace(sum_up(self, engine, report, sink.results, audit=found), live=live)
+
+    def put_pose(
+        self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None
+    ) -> bool:
+        """Bring a pose into a live scene, from any thread; parameters, result and errors as of `PoseInput.put`.
+
+        Raises
+        ------
+        TrajectoryError
+            where the scene is not live
+        """
+        if not isinstance(carrier := self.parts.carrier, LiveMotion):
+            raise TrajectoryError("motion.kind", f'found "{self.scenario.motion.kind}"', '"live"')
+        return carrier.poses.put(position_m, quaternion, t_ns)
 
     def _number(self, unit: int) -> int:
         """Place in the rig of a unit, from 0."""

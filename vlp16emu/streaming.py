@@ -9,6 +9,7 @@ from vlp16emu.accuracy import AuditFinding
 from vlp16emu.chain import Unit
 from vlp16emu.chain.chain import Chain
 from vlp16emu.device.events import Event
+from vlp16emu.flight import LiveReport
 from vlp16emu.report.keeping_up import settings_that_keep_up
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
@@ -187,6 +188,8 @@ class Streamed:
     interrupted: bool
     audit: AuditFinding | None
     """None without an audit."""
+    live: LiveReport | None = None
+    """None where no poses came in."""
 
 
 def summed_up(

@@ -11,7 +11,8 @@ from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 
-from vlp16emu.chain import PulseHook, Unit, assemble, windows_of, with_events
+from vlp16emu.chain import PulseHook, Unit, assemble, with_events
+from vlp16emu.chain.cells import cuts_of, require_poses, windows_for
 from vlp16emu.chain.position import make_receiver, position_number, position_packets
 from vlp16emu.chain.sending import SendingSpan, joined, rows_of
 from vlp16emu.chain.windows import Batching, prefetch
@@ -48,8 +49,9 @@ class Chain:
         self.parts = assemble(scenario)
         self._audit = audit
         self._threads = threads or os.cpu_count() or 1
-        self.batching = Batching(len(self.parts.head.beams.elevation_deg), self.parts.head.beams.sequence_ns)
-        self.windows = windows_of(self.parts, scenario.start_ns, self.batching, self._threads)
+        beams = self.parts.head.beams
+        self.batching = Batching(len(beams.elevation_deg), beams.sequence_ns, cuts_of(self.parts))
+        self.windows = windows_for(self.parts, scenario.start_ns, self.batching, self._threads)
         self.receiver = make_receiver(scenario, self.parts, self.windows)
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
@@ -88,6 +90,7 @@ class Chain:
 
     def _span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
         """Check a span and put it into nanoseconds since the first pulse."""
+        require_poses(self.parts)
         stop_s = self.scenario.duration_s if stop_s is None else stop_s
         if (start_ns := seconds_to_ns(start_s)) < 0:
             raise TrajectoryError("start", f"found {start_s:g} s", "0 s or later")

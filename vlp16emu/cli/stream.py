@@ -25,6 +25,7 @@ from vlp16emu.cli.arguments import (
     checked,
     truth_to,
 )
+from vlp16emu.cli.live import FlownFile, PoseIn, late_of, live_rows, poses_in
 from vlp16emu.cli.start import make_emulator, starting
 from vlp16emu.cli.terminal import (
     INTERRUPTED,
@@ -88,6 +89,7 @@ def stream_rows(streamed: "Streamed") -> dict[str, str]:
         "simulated": f"{streamed.simulated_s:.1f} s in {streamed.wall_s:.1f} s",
         "revolutions": revolutions([unit.turn for unit in streamed.units]),
         **lateness_rows(streamed),
+        **live_rows(streamed.live),
     }
     if streamed.moved_s:
         rows["moved"] = f"by {streamed.moved_s:+d} s, from the time of the scene into the present"
@@ -223,6 +225,8 @@ def stream(
     late: LatePolicy = "pace",
     as_sensor: AsSensor = False,
     now: Now = False,
+    pose_in: PoseIn = None,
+    flown: FlownFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Stream a scene over UDP, each packet at its time.
@@ -234,6 +238,7 @@ def stream(
     with starting():
         changes = [*(settings or ()), *_ports(data_port, position_port)]
         emulator = make_emulator(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
+        late = late_of(emulator.scenario, late)
         _, stop_s = emulator.scenario.span_s(0.0, duration)
 
     with stop_on_ctrl_c() as stop, Progress(stop_s) as progress:
@@ -245,6 +250,7 @@ def stream(
             late=late,
             as_sensor=as_sensor,
             now=now,
+            poses=poses_in(emulator.scenario, pose_in, flown, progress.say),
             opened=lambda: None if as_json else _announce(scene, to, emulator),
             progress=lambda done_s: progress.show("streaming", done_s),
             notify=lambda behind: progress.say(behind_line(behind, emulator.scenario, late, speed)),

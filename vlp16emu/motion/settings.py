@@ -21,7 +21,18 @@ from vlp16emu.settings import (
     Size,
 )
 
-__all__ = ["Gait", "Gps", "Harness", "Imu", "LawnMower", "Mount", "Recorded", "Static", "Stop", "Walk"]
+__all__ = [
+    "Gait",
+    "Gps",
+    "Harness",
+    "Imu",
+    "LawnMower",
+    "Mount",
+    "Recorded",
+    "Static",
+    "Stop",
+    "Walk",
+]
 
 _Amplitude = Annotated[float, Field(ge=0, le=1)]
 _Error = Annotated[float, Field(ge=0, le=1000)]

@@ -163,10 +163,10 @@ class LatenessHistogram:
     @property
     def summary(self) -> Lateness:
         """Median, 99th percentile and maximum; all 0 before the first packet."""
-        return Lateness(self._counts.total(), self._quantile(0.5), self._quantile(0.99), self._max_ns)
+        return Lateness(self._counts.total(), self.quantile_ns(0.5), self.quantile_ns(0.99), self._max_ns)
 
-    def _quantile(self, share: float) -> int:
-        """Middle of the bin that holds the given share's packet."""
+    def quantile_ns(self, share: float) -> int:
+        """Middle of the bin that holds the given share's packet; 0 before the first one."""
         rank = math.ceil(share * self._counts.total())
         seen = 0
         for middle_ns, count in sorted(self._counts.items()):
@@ -211,6 +211,10 @@ class Pacer:
         """Time by which deadlines have been moved in all."""
         self.elapsed_ns = (0, 0)
         """Simulated time and clock time from the first packet that left to the last one."""
+
+    def begin(self, due_ns: int, at_ns: int) -> None:
+        """Start the clock before there is a packet: one that is due at a time leaves at an instant of the clock."""
+        self._first_due_ns, self._start_ns = due_ns, at_ns
 
     def deadline_ns(self, due_ns: int) -> int:
         """Instant on the pacer's clock at which a packet shall leave; the first call starts the clock."""
