@@ -18,7 +18,7 @@ FLOORS = (
     {"cli"},
     {"emulator"},
     {"control"},
-    {"replay", "streaming"},
+    {"flight", "replay", "streaming"},
     {"points", "recording", "truth"},
     {"report"},
     {"accuracy"},

@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 
 from vlp16emu.accuracy import Audit
 from vlp16emu.chain.chain import Chain
-from vlp16emu.errors import InputError, spare
+from vlp16emu.errors import InputError, TrajectoryError, spare
+from vlp16emu.flight import PosesIn, flying
+from vlp16emu.motion.live import LiveMotion
+from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.points import PointCloud, scans_of, world_T_sensor, write_cloud
 from vlp16emu.recording import Recording, prepared, record_packets
 from vlp16emu.scan import Scan
@@ -53,7 +56,7 @@ class Emulator(Chain):
     settings : values of the scene that are changed, by key: `{"sensor.rpm": 1200, "seed": 7}`
     ideal : a sensor without errors: beams without width, no noise, clear air
     threads : workers, 0 for one per core; they change the speed only
-    audit : cast 0.05 % of the pulses of recordings and streams again, to estimate their error
+    audit : cast 0.05 % of the pulses of recordings and streams again, to estimate their error; not of a live run
 
     Raises
     ------
@@ -79,7 +82,7 @@ class Emulator(Chain):
         audit: bool = False,
     ) -> None:
         scenario = load(scene, settings, ideal=ideal)
-        self.audit = Audit.of(scenario) if audit else None
+        self.audit = Audit.of(scenario) if audit and not takes_poses(scenario.motion) else None
         super().__init__(scenario, threads=threads, audit=self.audit)
         self.name = str(scene) if isinstance(scene, str | Path) else scenario.title
         own = [find(str(scene))] if isinstance(scene, str | Path) else []
@@ -259,6 +262,7 @@ class Emulator(Chain):
         now: bool = False,
         prepare: str | Path | None = None,
         http: Http | None = None,
+        poses: PosesIn | None = None,
         opened: Callable[[], None] = lambda: None,
         preparing: Callable[[float], None] = lambda _: None,
         progress: Callable[[float], None] = lambda _: None,
@@ -276,9 +280,9 @@ class Emulator(Chain):
         late : `pace` keeps the spacing of packets that are late by more than 50 ms, and the delay; `skip` drops them
         as_sensor : send from the sensor's address, which this machine must have, with its headers
         now : move stamps and sentences by whole seconds into the present; truth stays at the time of the scene
-        prepare : capture that the whole run is computed into before the first packet leaves, and which stays; None to compute
-            while packets leave
+        prepare : capture that the whole run is computed into before the first packet leaves, and which stays
         http : where the web interfaces of the sensors are, through which the stream is set; None for none
+        poses : where those of a live scene come in; its stream begins with the first one, and drops what is late
         opened : called once before the first packet is computed, when the sockets are open
         preparing : called with the simulated seconds computed so far into `prepare`
         progress : called with the simulated seconds so far, packet by packet
@@ -290,7 +294,7 @@ class Emulator(Chain):
         OutputError
             where the receiver is unknown or out of reach, or the sensor's address is not this machine's
         InputError
-            where the present is wanted at another speed than its own, or a prepared stream is to be set by web interfaces
+            where arguments exclude each other, or poses are for a scene that is not live
         ScenarioError
             where the sensor has no packets
         TrajectoryError
@@ -298,52 +302,62 @@ class Emulator(Chain):
         RunError
             where the system cannot send any more
         """
-        stop = stop or Event()
+        if prepare is not None and http is not None:
+            raise InputError("--http", "found beside --prepare", "one of both")
+        stop, pacer, policy = stop or Event(), Pacer(speed), Late(late)
         span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
         links = [unit.link for unit in self.parts.units]
-        policy = Late(late)
-        if prepare is not None and http is not None:
-            raise InputError(
-                "--http", "found beside --prepare", "one of both: what is prepared cannot be set"
-            )
-        with (
-            ExitStack() as stack,
-            closing(Engine(self, *span_s)) as engine,
-            RigSink(links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS)) as sink,
-        ):
+        with ExitStack() as stack:
+            stack.enter_context(self.windows.stopped_by(stop))
+            flight = stack.enter_context(flying(self, poses, self._files))
+            policy = flight.prepare(stop, pacer, now=now) if flight else policy
+            engine = stack.enter_context(closing(Engine(self, *span_s)))
+            sent = RigSink(links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS))
+            sink = stack.enter_context(sent)
             opened()
-            if prepare is not None:
+            if prepare is None:
+                packets = stack.enter_context(self._with_truth(engine, span_s, truth))
+            else:
                 run = partial(self.record, duration_s=duration_s, truth=truth, progress=preparing, stop=stop)
                 packets = prepared(links, Path(prepare), run)
-            else:
-                stack.enter_context(self.windows.stopped_by(stop))
-                packets = stack.enter_context(self._with_truth(engine, span_s, truth))
+            go_on_from = None if prepare else engine.go_on_from
             report = stream(
                 packets,
-                sink,
-                Pacer(speed),
+                flight.begun(sink, pacer) if flight else sink,
+                pacer,
                 begun=lambda under_way: self._serve(http, engine, sink, under_way, stack) if http else None,
                 late=policy,
                 notify=notify,
-                go_on_from=engine.go_on_from if prepare is None else None,
+                go_on_from=flight.going_on(engine.go_on_from, pacer) if flight else go_on_from,
                 now=now,
                 stop=stop,
-                look_ahead_packets=LOOK_AHEAD_PACKETS * len(links),
+                look_ahead_packets=(flight.look_ahead if flight else LOOK_AHEAD_PACKETS) * len(links),
             )
+            live = flight.report() if flight else None
         if truth is not None:
             write_times(truth, report, speed)
-        found = self.audit.finding if self.audit else None
-        return summed_up(
-            self, engine, report, sink.results, scene=self.name, to=to, speed=speed, late=policy, audit=found
-        )
+        sum_up = partial(summed_up, scene=self.name, to=to, speed=speed, late=policy, live=live)
+        return sum_up(self, engine, report, sink.results, audit=self.audit.finding if self.audit else None)
 
-    def _serve(
-        self, http: Http, engine: Engine, sink: RigSink, under_way: UnderWay, until: ExitStack
-    ) -> None:
+    def put_pose(
+        self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None
+    ) -> bool:
+        """Bring a pose into a live scene, from any thread; parameters, result and errors as of `PoseInput.put`.
+
+        Raises
+        ------
+        TrajectoryError
+            where the scene is not live
+        """
+        if not isinstance(carrier := self.parts.carrier, LiveMotion):
+            raise TrajectoryError("motion.kind", f'found "{self.scenario.motion.kind}"', '"live"')
+        return carrier.poses.put(position_m, quaternion, t_ns)
+
+    def _serve(self, http: Http, engine: Engine, sink: RigSink, now: UnderWay, until: ExitStack) -> None:
         """Serve the web interfaces, as sensors do once they are up."""
         from vlp16emu.control import Control, web_interfaces  # here: few streams have them
 
-        until.enter_context(web_interfaces(Control(self, engine, sink, under_way), http))
+        until.enter_context(web_interfaces(Control(self, engine, sink, now), http))
 
     def _number(self, unit: int) -> int:
         """Place in the rig of a unit, from 0."""

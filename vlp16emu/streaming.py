@@ -11,6 +11,7 @@ from vlp16emu.chain import Unit
 from vlp16emu.chain.chain import Chain
 from vlp16emu.chain.position import position_number
 from vlp16emu.device.events import Event
+from vlp16emu.flight import LiveReport
 from vlp16emu.report.keeping_up import settings_that_keep_up
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
@@ -209,6 +210,8 @@ class Streamed:
     interrupted: bool
     audit: AuditFinding | None
     """None without an audit."""
+    live: LiveReport | None = None
+    """None where no poses came in."""
 
 
 def summed_up(
@@ -222,12 +225,14 @@ def summed_up(
     speed: float,
     late: Late,
     audit: AuditFinding | None,
+    live: LiveReport | None = None,
 ) -> Streamed:
     """Sum up a stream.
 
     Parameters
     ----------
     sent : what the sinks of all units have sent
+    live : where poses came in
     """
     scenario, lateness, skipped = chain.scenario, report.lateness, report.skipped + engine.skipped
     units = tuple(_unit(*pair, report.simulated_s) for pair in zip(chain.parts.units, sent, strict=True))
@@ -262,6 +267,7 @@ def summed_up(
         keeps_up_with=tuple(options_for(report.behind, scenario, speed)),
         interrupted=report.interrupted,
         audit=audit,
+        live=live,
     )
 
 

@@ -10,19 +10,19 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
+from itertools import chain as joined
 
-from vlp16emu.chain import PulseHook, Unit, assemble, windows_of, with_events
+from vlp16emu.chain import PulseHook, Unit, assemble, with_events
+from vlp16emu.chain.cells import checked_span_ns, cuts_of, windows_for
 from vlp16emu.chain.position import make_receiver, position_packets
 from vlp16emu.chain.windows import Batching, prefetch
 from vlp16emu.chain.wire import arriving
 from vlp16emu.device.events import Event
-from vlp16emu.errors import TrajectoryError
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Packet, Returns
-from vlp16emu.units import seconds_to_ns
 
 __all__ = ["Chain"]
 
@@ -47,8 +47,9 @@ class Chain:
         self.parts = assemble(scenario)
         self._audit = audit
         self._threads = threads or os.cpu_count() or 1
-        self.batching = Batching(len(self.parts.head.beams.elevation_deg), self.parts.head.beams.sequence_ns)
-        self.windows = windows_of(self.parts, scenario.start_ns, self.batching, self._threads)
+        beams = self.parts.head.beams
+        self.batching = Batching(len(beams.elevation_deg), beams.sequence_ns, cuts_of(self.parts))
+        self.windows = windows_for(self.parts, scenario.start_ns, self.batching, self._threads)
         self.receiver = make_receiver(scenario, self.parts, self.windows)
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
@@ -62,16 +63,19 @@ class Chain:
             where the span begins before the first pulse, or the walk is over before it ends
         """
         on_the_wire(self.scenario.sensor)
-        span_ns = self._span_ns(start_s, stop_s)
-        return arriving(self.scenario, self.parts.units, self._sent, *span_ns)
+        return arriving(self.scenario, self.parts.units, self._sent, *self._span_ns(start_s, stop_s))
 
-    def _sent(self, start_ns: int, stop_ns: int) -> Iterator[Packet]:
+    def _sent(self, *span_ns: int) -> Iterator[Packet]:
         """Yield the packets that leave in a span since the first pulse, before anything happens to them."""
-        streams = list[Iterator[Packet]]()
-        for unit in self.parts.units:  # of packets due at once those of the first unit leave first
-            streams.append(self._data_packets(unit, start_ns, stop_ns))
-            streams.append(position_packets(self.scenario, self.receiver, unit, start_ns, stop_ns))
-        return heapq.merge(*streams, key=lambda packet: packet.due_ns)
+        # Of packets due at once those of the first unit leave first, and its data packets first.
+        streams = (
+            (
+                self._data_packets(unit, *span_ns),
+                position_packets(self.scenario, self.receiver, unit, *span_ns),
+            )
+            for unit in self.parts.units
+        )
+        return heapq.merge(*joined.from_iterable(streams), key=lambda packet: packet.due_ns)
 
     def returns(
         self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0, *, truth: bool = False
@@ -88,14 +92,7 @@ class Chain:
 
     def _span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
         """Check a span and put it into nanoseconds since the first pulse."""
-        stop_s = self.scenario.duration_s if stop_s is None else stop_s
-        if (start_ns := seconds_to_ns(start_s)) < 0:
-            raise TrajectoryError("start", f"found {start_s:g} s", "0 s or later")
-        if stop_s > (end_s := self.parts.motion.run_time_s):
-            keys = "; longer with motion.laps, and motion.back_and_forth where the path is open"
-            most = f"at most the walk's {end_s:.1f} s{keys if self.scenario.motion.kind == 'walk' else ''}"
-            raise TrajectoryError("duration", f"found {stop_s:g} s", most)
-        return start_ns, seconds_to_ns(stop_s)
+        return checked_span_ns(self.scenario, self.parts, start_s, stop_s)
 
     def _scan(self, unit: Unit, run: range, opened: Future[Geometry], *, truth: bool = False) -> Returns:
         """Emit and receive a run of blocks of pulses."""
@@ -105,16 +102,14 @@ class Chain:
         hits = geometry.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
         if self._audit:
             self._audit(unit, firings, hits, geometry)
-        hits = unit.optics.dimmed(firings, hits)
-        return unit.optics.received(detect(firings, hits, geometry.surfaces, unit.detector, truth=truth))
+        lit = unit.optics.dimmed(firings, hits)
+        return unit.optics.received(detect(firings, lit, geometry.surfaces, unit.detector, truth=truth))
 
     def _data_packets(self, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[Packet]:
         """Yield the data packets of a unit due in a span since the first pulse."""
         threads, block = self._threads // len(self.parts.units) or 1, self.batching.block
         for part in unit.sending.parts(start_ns, stop_ns):
             scan = partial(self._scan, replace(unit, detector=unit.detector.for_mode(part.span.mode)))
-            take, blocks = partial(part.taken, scan, block), part.blocks(block)
-            together = unit.beam.together
-            yield from part.packets(
-                prefetch(take, self.windows, blocks=blocks, threads=threads, together=together)
-            )
+            of = {"threads": threads, "together": unit.beam.together}
+            taken = prefetch(partial(part.taken, scan, block), self.windows, blocks=part.blocks(block), **of)
+            yield from part.packets(taken)

@@ -2,13 +2,14 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import groupby
 from threading import Event
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,12 +49,14 @@ class Batching:
     lasers: int
     sequence_ns: int
     """From one firing sequence to the next."""
+    parts: int = 1
+    """Into which blocks are cut where packets may not wait for a whole one."""
 
     @property
     def block(self) -> int:
-        """Firing sequences of a block."""
+        """Firing sequences of a block, or of a part of one."""
         most = min(_PULSES // self.lasers, _LONGEST_NS // self.sequence_ns)
-        return max(most // _RAYS, 1) * _RAYS
+        return max(most // (_RAYS * self.parts), 1) * _RAYS
 
     @property
     def block_ns(self) -> int:
@@ -82,23 +85,26 @@ class Windows(Generic[S]):
 
     Parameters
     ----------
-    open_segment : opens the window of a segment; called on a thread of its own
+    open_segment : opens the window of a segment, or of what else `name_of` gives; called on a thread of its own
     batching : of the run
     moves : whether each segment needs a window; where nothing moves that of segment 0 serves all
     threads : workers, which may be that many blocks ahead of whoever else asks
     """
 
+    kept = 2
+    """Windows, with a few threads."""
+
     def __init__(
-        self, open_segment: Callable[[int], S], batching: Batching, *, moves: bool, threads: int
+        self, open_segment: Callable[[Any], S], batching: Batching, *, moves: bool, threads: int
     ) -> None:
         self._block_ns, self._per_segment = batching.block_ns, batching.segment if moves else None
         self._free = int((1 - _LEAD - _LAG) * batching.segment)
-        opener, too_far = ThreadPoolExecutor(1, "open"), max(0, threads + 1 - self._free)
+        opener, too_far = ThreadPoolExecutor(1, "open", self.yielding), max(0, threads + 1 - self._free)
 
-        @lru_cache(2 + math.ceil(too_far / batching.segment))
-        def opened(segment: int) -> Future[S]:
-            """Open a segment once, on the opener."""
-            return opener.submit(open_segment, segment)
+        @lru_cache(self.kept + math.ceil(too_far / batching.segment))
+        def opened(name: Hashable) -> Future[S]:
+            """Open a window once, on the opener."""
+            return opener.submit(open_segment, name)
 
         self._opened = opened
         self.stop = Event()
@@ -128,9 +134,17 @@ class Windows(Generic[S]):
                 return future.result(_POLL_S)
         return future.result()
 
+    @staticmethod
+    def yielding() -> None:
+        """Begin a thread that opens windows, with the priority of the others."""
+
+    def name_of(self, block: int) -> Hashable:
+        """Name of the window of a block: its segment."""
+        return block // self._per_segment if self._per_segment else 0
+
     def at_block(self, block: int) -> Future[S]:
         """Window of a block."""
-        return self._opened(block // self._per_segment if self._per_segment else 0)
+        return self._opened(self.name_of(block))
 
     def at_time(self, since_ns: int) -> Future[S]:
         """Window of a time since the first pulse; before it that of the first segment, for nobody moves yet."""
@@ -142,7 +156,7 @@ class Windows(Generic[S]):
         return int(_LEAD * self._per_segment) if self._per_segment else 0
 
     def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:
-        """Cut blocks into runs of up to so many `together`, each within one segment.
+        """Cut blocks into runs of up to so many `together`, each within one window.
 
         They are short at first, so that the first packet comes soon, and at last, so that workers end together; and
         so short that workers do not get too far ahead.
@@ -151,8 +165,8 @@ class Windows(Generic[S]):
         first, number = blocks.start, 0
         while first < blocks.stop:
             size = min(together, 2 ** (number // threads), max(1, (blocks.stop - first) // (2 * threads)))
-            if self._per_segment:
-                size = min(size, self._per_segment - first % self._per_segment)
+            _, same = next(groupby(range(first, first + size), self.name_of))
+            size = len(list(same))
             yield range(first, first + size)
             first, number = first + size, number + 1
 

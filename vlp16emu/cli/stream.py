@@ -28,6 +28,7 @@ from vlp16emu.cli.arguments import (
     checked,
     truth_to,
 )
+from vlp16emu.cli.live import FlownFile, PoseIn, late_of, live_rows, poses_in
 from vlp16emu.cli.start import make_emulator, starting
 from vlp16emu.cli.terminal import (
     INTERRUPTED,
@@ -94,6 +95,7 @@ def stream_rows(streamed: "Streamed") -> dict[str, str]:
         "simulated": f"{streamed.simulated_s:.1f} s in {streamed.wall_s:.1f} s",
         "revolutions": revolutions([unit.turn for unit in streamed.units]),
         **lateness_rows(streamed),
+        **live_rows(streamed.live),
     }
     if streamed.moved_s:
         rows["moved"] = moved_row(streamed)
@@ -295,6 +297,8 @@ def stream(
     http: HttpAt = None,
     http_settings: HttpSettings = None,
     strict: Strict = False,
+    pose_in: PoseIn = None,
+    flown: FlownFile = None,
     as_json: AsJson = False,
 ) -> None:
     """Stream a scene over UDP, each packet at its time.
@@ -307,6 +311,7 @@ def stream(
         to, data_port = receiver_of(to, data_port)
         changes = [*(settings or ()), *_ports(data_port, position_port)]
         emulator = make_emulator(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
+        late = late_of(emulator.scenario, late)
         _, stop_s = emulator.scenario.span_s(0.0, duration)
 
     with (
@@ -324,6 +329,7 @@ def stream(
             now=now,
             prepare=capture,
             http=_served(cast("tuple[str, int] | None", http), http_settings, quiet=as_json),
+            poses=poses_in(emulator.scenario, pose_in, flown, progress.say),
             opened=lambda: None if as_json else _announce(scene, to, emulator),
             preparing=lambda done_s: progress.show("preparing", done_s),
             progress=lambda done_s: progress.show("streaming", done_s),

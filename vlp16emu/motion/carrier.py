@@ -2,10 +2,14 @@
 
 import logging
 import math
+from pathlib import Path as FilePath
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.motion.flown import FlownMotion, read_flown
+from vlp16emu.motion.live import LiveMotion
+from vlp16emu.motion.live_settings import Live
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.motion.pose_files import read_poses
@@ -56,7 +60,7 @@ class StaticMotion:
 
 
 def make_carrier(
-    section: Static | Walk | Recorded,
+    section: Static | Walk | Recorded | Live,
     height_m: HeightField,
     ground: str,
     *,
@@ -92,6 +96,11 @@ def make_carrier(
         recorded = RecordedMotion(section, read_poses(section), start_ns=start_ns)
         _check_place(recorded.position_m, origin_m, height_m, reach_m)
         return recorded, np.ascontiguousarray(recorded.position_m[:, :2])
+    if isinstance(section, Live):
+        path_xy_m = np.array(section.path_m)
+        if section.flown is None:
+            return LiveMotion(section, start_ns=start_ns), path_xy_m
+        return FlownMotion(read_flown(FilePath(section.flown)), start_ns=start_ns), path_xy_m
     points = way_points(section, gps, origin_m[:2])
     path = Path(points.xy_m, height_m, ground)
     route = Route(path, section, points.pause_s)

@@ -16,6 +16,8 @@ from vlp16emu.motion.settings import Recorded
 from vlp16emu.units import S_NS
 
 __all__ = [
+    "RATES",
+    "UNIT_TOLERANCE",
     "RecordedPoses",
     "finite",
     "named_cells",
@@ -23,13 +25,16 @@ __all__ = [
     "read_poses",
     "read_trajectory_csv",
     "read_tum",
+    "seconds_ns",
 ]
 
-_UNIT_TOLERANCE = 1e-3
+UNIT_TOLERANCE = 1e-3
 """Of a quaternion's length and of a matrix times its transpose: what four written decimals leave."""
 _QUATERNION = ("qx", "qy", "qz", "qw")
 _AXES = ("x", "y", "z")
 _POSITION = tuple(f"{axis}_m" for axis in _AXES)
+RATES = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s", "cell")
+"""Columns that the table of a live run has besides; who wants its poses alone may leave them there."""
 _LARGEST_NS = 2**62
 
 
@@ -75,24 +80,24 @@ def read_tum(path: Path) -> RecordedPoses:
     return _checked(
         path,
         [where for where, _ in lines],
-        [_seconds_ns(where, cells[0]) for where, cells in lines],
+        [seconds_ns(where, cells[0]) for where, cells in lines],
         [[finite(where, cell) for cell in cells[1:]] for where, cells in lines],
     )
 
 
 def read_trajectory_csv(path: Path) -> RecordedPoses:
-    """Read a CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz and qw in any order.
+    """Read a CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz and qw in any order; a live run's has others too.
 
     Raises
     ------
     TrajectoryError
         where the file is no such table, holds a NaN, or a quaternion is not of unit length
     """
-    lines = named_cells(path, ["t_s", *_POSITION, *_QUATERNION], [])
+    lines = named_cells(path, ["t_s", *_POSITION, *_QUATERNION], RATES)
     return _checked(
         path,
         [where for where, _ in lines],
-        [_seconds_ns(f"{where}, column t_s", row["t_s"]) for where, row in lines],
+        [seconds_ns(f"{where}, column t_s", row["t_s"]) for where, row in lines],
         [
             [finite(f"{where}, column {name}", row[name]) for name in (*_POSITION, *_QUATERNION)]
             for where, row in lines
@@ -119,9 +124,9 @@ def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
     matrix = np.reshape(numbers, (-1, 3, 4))
     turns = matrix[:, :, :3]
     error = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    for i in np.flatnonzero((error > _UNIT_TOLERANCE) | (np.linalg.det(turns) < 0)):
+    for i in np.flatnonzero((error > UNIT_TOLERANCE) | (np.linalg.det(turns) < 0)):
         found = f"a matrix with determinant {np.linalg.det(turns[i]):.4g}, {error[i]:.2g} off orthonormal"
-        raise TrajectoryError(lines[i][0], found, f"a rotation, to {_UNIT_TOLERANCE:g}")
+        raise TrajectoryError(lines[i][0], found, f"a rotation, to {UNIT_TOLERANCE:g}")
     quaternions = Rotation.from_matrix(turns).as_quat() if len(lines) else np.empty((0, 4))
     return _checked(
         path,
@@ -138,10 +143,10 @@ def _times_ns(times: Path | float, count: int) -> list[int]:
     lines = _words(times, 1, "one time in seconds")
     if len(lines) != count:
         raise TrajectoryError(str(times), f"found {len(lines)} times", f"{count}, one for each pose")
-    return [_seconds_ns(where, cells[0]) for where, cells in lines]
+    return [seconds_ns(where, cells[0]) for where, cells in lines]
 
 
-def _seconds_ns(where: str, text: str) -> int:
+def seconds_ns(where: str, text: str) -> int:
     """Nanoseconds of a time in seconds, every digit of it: float64 keeps UTC to a microsecond only."""
     try:
         t_ns = Decimal(text).scaleb(9)
@@ -164,10 +169,10 @@ def _checked(path: Path, where: list[str], t_ns: list[int], numbers: list[list[f
             raise TrajectoryError(where[i], found, "times that grow")
     table = np.array(numbers)
     lengths = np.linalg.norm(table[:, 3:], axis=1)
-    if (off := np.abs(lengths - 1.0) > _UNIT_TOLERANCE).any():
+    if (off := np.abs(lengths - 1.0) > UNIT_TOLERANCE).any():
         i = int(off.argmax())
         raise TrajectoryError(
-            where[i], f"a quaternion of length {lengths[i]:.6g}", f"length 1, to {_UNIT_TOLERANCE:g}"
+            where[i], f"a quaternion of length {lengths[i]:.6g}", f"length 1, to {UNIT_TOLERANCE:g}"
         )
     return RecordedPoses(where, np.array(t_ns), table[:, :3].copy(), table[:, 3:] / lengths[:, None])
 

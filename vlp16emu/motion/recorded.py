@@ -13,7 +13,7 @@ from vlp16emu.motion.settings import Recorded
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["RecordedMotion"]
+__all__ = ["RecordedMotion", "fill_poses", "fill_rates"]
 
 Array = NDArray[np.float64]
 
@@ -70,14 +70,14 @@ class RecordedMotion:
     def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
         """Poses at UTC instants (n,)."""
         position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
-        _poses(self._knots_ns, self._coefficients, t_ns - self._start_ns, position_m, turn)
+        fill_poses(self._knots_ns, self._coefficients, t_ns - self._start_ns, position_m, turn)
         return Poses(t_ns, turn, position_m)
 
     def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
         """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
         poses = self.poses_at(t_ns)
         rates = np.empty((4, len(t_ns), 3))
-        _rates(self._knots_ns, self._coefficients, t_ns - self._start_ns, rates)
+        fill_rates(self._knots_ns, self._coefficients, t_ns - self._start_ns, rates)
         return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
 
     def _check_norm(self, poses: RecordedPoses) -> None:
@@ -153,7 +153,7 @@ def _piece(knots_ns: NDArray[np.int64], elapsed_ns: int) -> tuple[int, float]:
 
 
 @numba.njit(cache=True, nogil=True)
-def _poses(
+def fill_poses(
     knots_ns: NDArray[np.int64],
     coefficients: Array,
     elapsed_ns: NDArray[np.int64],
@@ -180,7 +180,7 @@ def _poses(
 
 
 @numba.njit(cache=True, nogil=True)
-def _rates(
+def fill_rates(
     knots_ns: NDArray[np.int64], coefficients: Array, elapsed_ns: NDArray[np.int64], rates: Array
 ) -> None:
     """Fill (4, n, 3): velocity, acceleration, angular rate and angular acceleration, the latter in body axes.

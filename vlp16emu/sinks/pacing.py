@@ -163,10 +163,10 @@ class LatenessHistogram:
     @property
     def summary(self) -> Lateness:
         """Median, 99th percentile and maximum; all 0 before the first packet."""
-        return Lateness(self._counts.total(), self._quantile(0.5), self._quantile(0.99), self._max_ns)
+        return Lateness(self._counts.total(), self.quantile_ns(0.5), self.quantile_ns(0.99), self._max_ns)
 
-    def _quantile(self, share: float) -> int:
-        """Middle of the bin that holds the given share's packet."""
+    def quantile_ns(self, share: float) -> int:
+        """Middle of the bin that holds the given share's packet; 0 before the first one."""
         rank = math.ceil(share * self._counts.total())
         seen = 0
         for middle_ns, count in sorted(self._counts.items()):
@@ -213,7 +213,7 @@ class Pacer:
         """Simulated time and clock time from the first packet that left to the last one."""
 
     def begin(self, due_ns: int, ago_ns: int = 0) -> None:
-        """Start the clock as of some time ago, with the deadline of the first packet."""
+        """Start the clock: what is due at a time leaves some time ago, or in some time where that is negative."""
         self._first_due_ns, self._start_ns = due_ns, self._clock_ns() - ago_ns
 
     def deadline_ns(self, due_ns: int) -> int:

@@ -1,0 +1,243 @@
+"""A trajectory of knots that grows at its end: each knot has a pose and its rates, and decides no more than the pieces beside it."""
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.motion.pose import Kinematics
+from vlp16emu.motion.recorded import fill_poses, fill_rates
+from vlp16emu.types import Poses
+from vlp16emu.units import S_NS
+
+__all__ = ["STATE", "STEP_NS", "Knots", "follow", "turn_between"]
+
+Array = NDArray[np.float64]
+
+STEP_NS = 5_308_416
+"""From knot to knot: 96 firing sequences of a VLP-16, four packets of single return."""
+STATE = 13
+"""Numbers of a knot: position (3,) and quaternion x, y, z, w (4,) in the world, velocity (3,) in the world, angular rate
+(3,) in body axes."""
+
+_MOST = 8192
+"""Knots of a live run that are kept, 43 s; nobody asks for poses that are older than 12 s."""
+_COAST_S = 0.15
+"""For how long after a pose the body is taken to go on as it did, and then the time constant with which it comes to
+rest: poses at 10 Hz are followed without a hitch, and 3 m/s end after 0.9 m."""
+_GAP_M, _GAP_RAD = 0.1, 0.2
+"""Off by more than that, the body is led back more slowly, with a speed that stays bounded."""
+_SMALL = 1e-6
+"""Angle in rad, below which series are exact to float64."""
+
+
+class Knots:
+    """Poses between knots: cubic Hermite pieces of position and quaternion, with velocity and rate without jumps.
+
+    Before its first knot the body is at rest, and after its last.
+
+    Parameters
+    ----------
+    start_ns : UTC of the first knot
+    states : (n, 13) the first knots, at least one
+    """
+
+    def __init__(self, start_ns: int, states: Array) -> None:
+        self._start_ns, self._first, self._count = start_ns, 0, 0
+        room = max(_MOST, len(states))
+        self._knots_ns = np.arange(room, dtype=np.int64) * STEP_NS
+        self._states, self._pieces = np.empty((room, STATE)), np.empty((4, room, 7))
+        self._arrays = self._knots_ns[:0], self._pieces
+        self.last_state = states[0]
+        """(13,)."""
+        for state in states:
+            self.append(state)
+
+    @property
+    def last(self) -> int:
+        """Number of the last knot, from 0."""
+        return self._first + self._count - 1
+
+    @property
+    def last_ns(self) -> int:
+        """Its time since the first one."""
+        return self.last * STEP_NS
+
+    def states(self, first: int, stop: int) -> Array:
+        """Knots (n, 13) from number `first` until before `stop`, not older than 20 s."""
+        return self._states[first - self._first : stop - self._first]
+
+    def append(self, state: Array) -> None:
+        """Add a knot (13,), a step after the last one."""
+        if self._count == len(self._states):
+            self._forget()
+        if self._count:
+            _fill_piece(
+                self._states[self._count - 1], state, STEP_NS / S_NS, self._pieces[:, self._count - 1]
+            )
+        self._states[self._count] = self.last_state = state
+        self._count += 1
+        # In one piece, as other threads read it.
+        self._arrays = self._knots_ns[: self._count], self._pieces
+
+    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
+        """Poses at UTC instants (n,); of two knots or more."""
+        position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
+        fill_poses(*self._arrays, t_ns - self._start_ns, position_m, turn)
+        return Poses(t_ns, turn, position_m)
+
+    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+        """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
+        poses, rates = self.poses_at(t_ns), np.empty((4, len(t_ns), 3))
+        fill_rates(*self._arrays, t_ns - self._start_ns, rates)
+        return Kinematics(t_ns, poses.world_R_body, poses.world_p_body_m, *rates)
+
+    def _forget(self) -> None:
+        """Drop the older half, in new arrays: others may be reading these."""
+        half = self._count // 2
+        self._first, self._count = self._first + half, self._count - half
+        self._knots_ns = self._knots_ns + half * STEP_NS
+        self._states, self._pieces = np.roll(self._states, -half, 0), np.roll(self._pieces, -half, 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _multiply(a: Array, b: Array, out: Array) -> None:
+    """Fill the product of two quaternions x, y, z, w."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    out[0] = aw * bx + ax * bw + ay * bz - az * by
+    out[1] = aw * by - ax * bz + ay * bw + az * bx
+    out[2] = aw * bz + ax * by - ay * bx + az * bw
+    out[3] = aw * bw - ax * bx - ay * by - az * bz
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_piece(begin: Array, end: Array, step_s: float, out: Array) -> None:
+    """Fill powers of the time into a piece (4, 7), highest first, from the knots (13,) at both ends."""
+    value, rate = np.empty((2, 7)), np.empty((2, 7))
+    turning = np.zeros(4)
+    for side, knot in enumerate((begin, end)):
+        value[side] = knot[:7]
+        rate[side, :3] = knot[7:10]
+        turning[:3] = 0.5 * knot[10:]
+        _multiply(knot[3:7], turning, rate[side, 3:])
+    if (value[0, 3:] * value[1, 3:]).sum() < 0.0:
+        value[1, 3:], rate[1, 3:] = -value[1, 3:], -rate[1, 3:]
+    for a in range(7):
+        slope = (value[1, a] - value[0, a]) / step_s
+        out[0, a] = (rate[0, a] + rate[1, a] - 2.0 * slope) / (step_s * step_s)
+        out[1, a] = (3.0 * slope - 2.0 * rate[0, a] - rate[1, a]) / step_s
+        out[2, a], out[3, a] = rate[0, a], value[0, a]
+
+
+@numba.njit(cache=True, nogil=True)
+def _exp(vector: Array, out: Array) -> None:
+    """Fill the quaternion of a rotation vector (3,)."""
+    angle = math.sqrt((vector * vector).sum())
+    share = 0.5 - angle * angle / 48.0 if angle < _SMALL else math.sin(0.5 * angle) / angle
+    out[:3], out[3] = share * vector, math.cos(0.5 * angle)
+
+
+@numba.njit(cache=True, nogil=True)
+def turn_between(old: Array, new: Array) -> Array:
+    """Rotation vector (3,), in body axes, from one quaternion (4,) to another, the short way round."""
+    q, back = np.empty(4), np.append(-old[:3], old[3])
+    _multiply(back, new, q)
+    sine = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+    sign = -1.0 if q[3] < 0.0 else 1.0
+    angle = 2.0 * math.atan2(sine, abs(q[3]))
+    return q[:3] * (sign * (2.0 if sine < _SMALL else angle / sine))
+
+
+@numba.njit(cache=True, nogil=True)
+def _cross(a: Array, b: Array) -> Array:
+    """Cross product (3,)."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@numba.njit(cache=True, nogil=True)
+def _turned_back(by: Array, vector: Array) -> Array:
+    """Apply the inverse of the rotation by a vector (3,) to a vector (3,)."""
+    angle = math.sqrt((by * by).sum())
+    if angle < _SMALL:
+        return vector - _cross(by, vector)
+    across = _cross(by, vector)
+    return vector - math.sin(angle) / angle * across + (1.0 - math.cos(angle)) / angle**2 * _cross(by, across)
+
+
+@numba.njit(cache=True, nogil=True)
+def _rate_of(phi: Array, change: Array) -> Array:
+    """Body rate (3,) of exp(phi) from the change of phi: the right Jacobian (Sola et al., arXiv:1812.01537, eq. 143)."""
+    angle = math.sqrt((phi * phi).sum())
+    across = _cross(phi, change)
+    if angle < 1e-4:
+        return change - 0.5 * across + _cross(phi, across) / 6.0
+    return (
+        change
+        - (1.0 - math.cos(angle)) / angle**2 * across
+        + (angle - math.sin(angle)) / angle**3 * _cross(phi, across)
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _change_of(phi: Array, rate: Array) -> Array:
+    """Change of phi from the body rate (3,) of exp(phi): the inverse of `_rate_of` (eq. 144)."""
+    angle = math.sqrt((phi * phi).sum())
+    across = _cross(phi, rate)
+    half = 0.5 * angle
+    share = 1.0 / 12.0 if angle < 1e-4 else (1.0 - half / math.tan(half)) / angle**2
+    return rate + 0.5 * across + share * _cross(phi, across)
+
+
+@numba.njit(cache=True, nogil=True)
+def _coast(since_s: float) -> tuple[float, float]:
+    """Seconds of motion at the speed of the last pose, and share of that speed, some time after it."""
+    late_s = since_s - _COAST_S
+    if late_s <= 0.0:
+        return since_s, 1.0
+    left = math.exp(-late_s / _COAST_S)
+    return _COAST_S + _COAST_S * (1.0 - left), left
+
+
+@numba.njit(cache=True, nogil=True)
+def _settle(error: Array, change: Array, per_s: float, step_s: float) -> tuple[Array, Array]:
+    """Solve e'' + 2 w e' + w^2 e = 0, critically damped, over a step: the error (3,) and its change."""
+    push = change + per_s * error
+    fade = math.exp(-per_s * step_s)
+    return (error + push * step_s) * fade, (change - per_s * push * step_s) * fade
+
+
+@numba.njit(cache=True, nogil=True)
+def follow(state: Array, seen: Array, since_s: float, step_s: float, smoothing_s: float, out: Array) -> None:
+    """Fill the next knot (13,): predicted from the last pose, and corrected towards it without a jump of pose or rate.
+
+    The last pose goes on as it did, and comes to rest where no other follows. What the body is off from it dies away as a
+    critically damped oscillator, which is solved exactly over the step.
+
+    Parameters
+    ----------
+    state : (13,) the knot before
+    seen : (13,) the last pose with its rates
+    since_s : time from that pose to the knot before
+    step_s : from knot to knot
+    smoothing_s : time constant of the correction
+    """
+    (begin_s, begin), (end_s, end) = _coast(since_s), _coast(since_s + step_s)
+    error, change = state[:3] - seen[:3] - begin_s * seen[7:10], state[7:10] - begin * seen[7:10]
+    off = math.sqrt((error * error).sum()) / _GAP_M
+    error, change = _settle(error, change, 1.0 / (smoothing_s * max(1.0, off)), step_s)
+    out[:3], out[7:10] = seen[:3] + end_s * seen[7:10] + error, end * seen[7:10] + change
+    target, turn, both = np.empty(4), np.empty(4), np.empty(4)
+    _exp(begin_s * seen[10:], turn)
+    _multiply(seen[3:7], turn, target)
+    phi = turn_between(target, state[3:7])
+    change = _change_of(phi, state[10:] - _turned_back(phi, begin * seen[10:]))
+    off = math.sqrt((phi * phi).sum()) / _GAP_RAD
+    phi, change = _settle(phi, change, 1.0 / (smoothing_s * max(1.0, off)), step_s)
+    _exp(end_s * seen[10:], turn)
+    _multiply(seen[3:7], turn, target)
+    _exp(phi, turn)
+    _multiply(target, turn, both)
+    out[3:7] = both / math.sqrt((both * both).sum())
+    out[10:] = _rate_of(phi, change) + _turned_back(phi, end * seen[10:])

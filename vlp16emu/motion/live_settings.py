@@ -1,0 +1,34 @@
+"""The table `[motion]` of a scene whose poses come in while it runs."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from vlp16emu.motion.settings import Mount
+from vlp16emu.settings import Place, SceneFile, Section
+
+__all__ = ["Live", "takes_poses"]
+
+_Point = Annotated[tuple[Place, Place], Field(strict=False)]
+
+
+class Live(Section):
+    """Poses that come in while the run is streamed, from a simulator, motion capture or a joystick."""
+
+    kind: Literal["live"]
+    """Selects poses that come in."""
+    path_m: Annotated[list[_Point], Field(min_length=1, default_factory=lambda: [(0.0, 0.0)])]
+    """x and y where the body is expected, one or more; plants keep clear of the line through them, and in a forest the body
+    stays within 35 m of the rectangle around them."""
+    smoothing_s: Annotated[float, Field(ge=0.005, le=1)] = 0.02
+    """Time constant with which the body is led to where poses show it. It lags by its square times the acceleration, and
+    not at all at constant speed."""
+    flown: SceneFile | None = None
+    """What a stream has flown, as its option --flown writes it: the run is repeated byte for byte, and no poses come in."""
+    mount: Mount = Mount()
+    """Mount of the sensor on the body of the poses."""
+
+
+def takes_poses(motion: Section) -> bool:
+    """Whether poses come in, and nothing is repeated."""
+    return isinstance(motion, Live) and motion.flown is None
