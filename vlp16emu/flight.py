@@ -11,6 +11,8 @@ from threading import Event
 from types import TracebackType
 from typing import Self
 
+import numpy as np
+
 from vlp16emu.chain.cells import KNOTS_PER_BLOCK, LiveWindows
 from vlp16emu.chain.chain import Chain
 from vlp16emu.chain.position import make_receiver
@@ -21,7 +23,7 @@ from vlp16emu.motion.live import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.output import OutputFile
 from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import Packet
-from vlp16emu.units import S_NS
+from vlp16emu.units import S_NS, seconds_to_ns
 
 __all__ = ["Flight", "FlightSink", "LiveReport", "PosesIn", "flying"]
 
@@ -181,8 +183,10 @@ class Flight:
             settled = KNOTS_PER_BLOCK * self._windows.decided
             self._write(min(settled, self._motion.knots.last + 1 if self._motion.knots else 0))
 
-    def report(self) -> LiveReport:
-        """Sum up."""
+    def report(self, until_s: float) -> LiveReport:
+        """Sum up, and fly on until a time since the first pulse, so that a run that is repeated gets there too."""
+        if self._motion.knots:
+            self._motion.poses_at(np.array([self._chain.scenario.start_ns + seconds_to_ns(until_s)]))
         poses, late = self._motion.poses, self._latency.summary
         gaps_ns = list(poses.gaps_ns)
         longest_ns = poses.longest_gap_ns

@@ -72,7 +72,11 @@ BAD_FILES = [
         "schema = 1\nseed = -1",
         "seed: found -1; expected a whole number at least 0 and below 9223372036854775808",
     ),
-    ('kind = "static"', 'kind = "run"', 'motion.kind: found "run"; expected "live", "recorded", "static" or "walk"'),
+    (
+        'kind = "static"',
+        'kind = "run"',
+        'motion.kind: found "run"; expected "live", "recorded", "static" or "walk"',
+    ),
     ('kind = "static"', "", 'motion.kind: missing; expected "live", "recorded", "static" or "walk"'),
     (
         'kind = "static"',
@@ -167,7 +171,10 @@ BAD_SETTINGS = [
         (f"world.near_m={found}", f"--set world.near_m={found}: found {found}; expected a number at least 5")
         for found in ("4.9", "nan", '"far"')
     ),
-    ("motion=3", '--set motion=3: found 3; expected a table with kind = "live", "recorded", "static" or "walk"'),
+    (
+        "motion=3",
+        '--set motion=3: found 3; expected a table with kind = "live", "recorded", "static" or "walk"',
+    ),
     ("world.species=[]", "--set world.species=[]: found a list of 0; expected a list of at least 1"),
     ("rpm=1200", "--set rpm=1200: unknown key; expected sensor.rpm"),
     ("gait=strong", "--set gait=strong: unknown key; expected motion.gait"),
