@@ -122,8 +122,10 @@ def test_what_was_flown_repeats_the_run_byte_for_byte(flown):
         repeated = iter(flown.repeated[kind])
         assert all(payload in repeated for payload in sent), kind  # `in` goes on from where it was
         assert len(sent) > 0.5 * len(flown.repeated[kind])
-    skipped = flown.streamed.skipped_packets
-    assert len(flown.sent[PacketKind.DATA]) + skipped == len(flown.repeated[PacketKind.DATA])
+    streamed = flown.streamed
+    missing = streamed.skipped_packets + 4 * round(streamed.live.left_out_s / 0.005308416)
+    short = len(flown.repeated[PacketKind.DATA]) - len(flown.sent[PacketKind.DATA]) - missing
+    assert -4 < short <= 0  # the last step has up to three packets less
 
 
 def test_points_lie_on_the_surfaces(flown):

@@ -19,6 +19,7 @@ from vlp16emu.chain.position import make_receiver
 from vlp16emu.device.poses import PoseReceiver
 from vlp16emu.errors import InputError, spare
 from vlp16emu.motion.flown import FLOWN_HEADER, flown_rows
+from vlp16emu.motion.knots import STEP_NS
 from vlp16emu.motion.live import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.output import OutputFile
 from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
@@ -62,6 +63,8 @@ class LiveReport:
     """Between arrivals."""
     lost: tuple[PosesLost, ...]
     """Times without a pose for more than a second."""
+    left_out_s: float
+    """Time of the run, of all units, whose pulses were not cast, as the engine was late."""
     latency_median_us: float
     """From the arrival of a pose to the sending of the first data packet that was computed with it, as the next ones."""
     latency_p95_us: float
@@ -201,6 +204,7 @@ class Flight:
             out_of_order=poses.out_of_order,
             longest_gap_s=longest_ns / S_NS,
             lost=tuple(PosesLost(since_s(begin), (end - begin) / S_NS) for begin, end in gaps_ns),
+            left_out_s=self._windows.left_out * STEP_NS / S_NS,
             latency_median_us=late.median_ns * 1e-3,
             latency_p95_us=self._latency.quantile_ns(0.95) * 1e-3,
             latency_p99_us=late.p99_ns * 1e-3,

@@ -240,6 +240,11 @@ class LiveMotion:
         return (instant_ns - self._zero_ns) / S_NS
 
     @property
+    def elapsed_ns(self) -> int:
+        """Time since the first pulse; 0 before the beginning."""
+        return 0 if self._knots is None else self._clock_ns() - self._zero_ns
+
+    @property
     def state(self) -> Array:
         """(13,) of the last knot, or before the beginning of the last pose."""
         return self._seen().state if self._knots is None else self._knots.last_state
