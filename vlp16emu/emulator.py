@@ -333,7 +333,7 @@ class Emulator(Chain):
                 stop=stop,
                 look_ahead_packets=(flight.look_ahead if flight else LOOK_AHEAD_PACKETS) * len(links),
             )
-            live = flight.report() if flight else None
+            live = flight.report(report.simulated_s if report.interrupted else span_s[1]) if flight else None
         if truth is not None:
             write_times(truth, report, speed)
         sum_up = partial(summed_up, scene=self.name, to=to, speed=speed, late=policy, live=live)

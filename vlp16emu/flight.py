@@ -11,17 +11,20 @@ from threading import Event
 from types import TracebackType
 from typing import Self
 
+import numpy as np
+
 from vlp16emu.chain.cells import KNOTS_PER_BLOCK, LiveWindows
 from vlp16emu.chain.chain import Chain
 from vlp16emu.chain.position import make_receiver
 from vlp16emu.device.poses import PoseReceiver
 from vlp16emu.errors import InputError, spare
 from vlp16emu.motion.flown import FLOWN_HEADER, flown_rows
+from vlp16emu.motion.knots import STEP_NS
 from vlp16emu.motion.live import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.output import OutputFile
 from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import Packet
-from vlp16emu.units import S_NS
+from vlp16emu.units import S_NS, seconds_to_ns
 
 __all__ = ["Flight", "FlightSink", "LiveReport", "PosesIn", "flying"]
 
@@ -60,6 +63,8 @@ class LiveReport:
     """Between arrivals."""
     lost: tuple[PosesLost, ...]
     """Times without a pose for more than a second."""
+    left_out_s: float
+    """Time of the run, of all units, whose pulses were not cast, as the engine was late."""
     latency_median_us: float
     """From the arrival of a pose to the sending of the first data packet that was computed with it, as the next ones."""
     latency_p95_us: float
@@ -181,8 +186,10 @@ class Flight:
             settled = KNOTS_PER_BLOCK * self._windows.decided
             self._write(min(settled, self._motion.knots.last + 1 if self._motion.knots else 0))
 
-    def report(self) -> LiveReport:
-        """Sum up."""
+    def report(self, until_s: float) -> LiveReport:
+        """Sum up, and fly on until a time since the first pulse, so that a run that is repeated gets there too."""
+        if self._motion.knots:
+            self._motion.poses_at(np.array([self._chain.scenario.start_ns + seconds_to_ns(until_s)]))
         poses, late = self._motion.poses, self._latency.summary
         gaps_ns = list(poses.gaps_ns)
         longest_ns = poses.longest_gap_ns
@@ -197,6 +204,7 @@ class Flight:
             out_of_order=poses.out_of_order,
             longest_gap_s=longest_ns / S_NS,
             lost=tuple(PosesLost(since_s(begin), (end - begin) / S_NS) for begin, end in gaps_ns),
+            left_out_s=self._windows.left_out * STEP_NS / S_NS,
             latency_median_us=late.median_ns * 1e-3,
             latency_p95_us=self._latency.quantile_ns(0.95) * 1e-3,
             latency_p99_us=late.p99_ns * 1e-3,

@@ -51,6 +51,8 @@ _SPARE_M, _SPARE_S = 2.0, 0.15
 _EXPECTED_S = 1.0
 """So far ahead the place is looked at whose window is opened."""
 
+_LATE_BLOCKS = 6
+"""So many steps late, 32 ms, a step is left out, and those after it until now: who waits for packets wants young ones."""
 _NICE = 10
 """By how much threads that open windows of a live run are nicer than those that cast, who then get nine tenths of a core."""
 
@@ -124,6 +126,8 @@ class LiveWindows(CellWindows):
         self._motion = motion
         self.decided = -1
         """Last block of the ordinary way whose window is settled."""
+        self.left_out = 0
+        """Blocks that were not cast, as their time was over."""
 
     @staticmethod
     def yielding() -> None:
@@ -151,11 +155,19 @@ class LiveWindows(CellWindows):
     def begin_again(self) -> None:
         """Settle anew where the run begins."""
         self.cells.clear()
-        self.decided = -1
+        self.decided, self.left_out = -1, 0
 
     def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time, whoever works
-        """Take blocks one by one, so that packets do not wait for each other."""
-        return (range(block, block + 1) for block in blocks)
+        """Take blocks one by one, so that packets do not wait for each other; and go on at now where it is too late."""
+        block = blocks.start
+        while block < blocks.stop:
+            late = self._motion.elapsed_ns // self._block_ns - block
+            if late > _LATE_BLOCKS:
+                self.left_out += min(late, blocks.stop - block)
+                block += late
+                continue
+            yield range(block, block + 1)
+            block += 1
 
     def _decide(self, block: int) -> None:
         """Choose the window that is used from a block on."""

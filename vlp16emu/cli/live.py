@@ -75,6 +75,8 @@ def live_rows(live: "LiveReport | None") -> dict[str, str]:
             f"99 % within {live.latency_p99_us * 1e-3:.1f} ms, at most {live.latency_max_us * 1e-3:.1f} ms"
         ),
     }
+    if live.left_out_s:
+        rows["left out"] = f"{live.left_out_s:.2f} s of pulses, as the engine was late"
     if live.lost:
         times = ", ".join(f"{lost.lasted_s:.1f} s from {lost.at_s:.1f} s on" for lost in live.lost[:3])
         rows["poses lost"] = f"{count(len(live.lost))} x: {times}{', ...' if len(live.lost) > 3 else ''}"

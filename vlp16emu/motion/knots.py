@@ -11,7 +11,7 @@ from vlp16emu.motion.recorded import fill_poses, fill_rates
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["STATE", "STEP_NS", "Knots", "follow", "turn_between"]
+__all__ = ["GAP_M", "GAP_RAD", "STATE", "STEP_NS", "Knots", "follow", "turn_between"]
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ _MOST = 8192
 _COAST_S = 0.15
 """For how long after a pose the body is taken to go on as it did, and then the time constant with which it comes to
 rest: poses at 10 Hz are followed without a hitch, and 3 m/s end after 0.9 m."""
-_GAP_M, _GAP_RAD = 0.1, 0.2
+GAP_M, GAP_RAD = 0.1, 0.2
 """Off by more than that, the body is led back more slowly, with a speed that stays bounded."""
 _SMALL = 1e-6
 """Angle in rad, below which series are exact to float64."""
@@ -225,7 +225,7 @@ def follow(state: Array, seen: Array, since_s: float, step_s: float, smoothing_s
     """
     (begin_s, begin), (end_s, end) = _coast(since_s), _coast(since_s + step_s)
     error, change = state[:3] - seen[:3] - begin_s * seen[7:10], state[7:10] - begin * seen[7:10]
-    off = math.sqrt((error * error).sum()) / _GAP_M
+    off = math.sqrt((error * error).sum()) / GAP_M
     error, change = _settle(error, change, 1.0 / (smoothing_s * max(1.0, off)), step_s)
     out[:3], out[7:10] = seen[:3] + end_s * seen[7:10] + error, end * seen[7:10] + change
     target, turn, both = np.empty(4), np.empty(4), np.empty(4)
@@ -233,7 +233,7 @@ def follow(state: Array, seen: Array, since_s: float, step_s: float, smoothing_s
     _multiply(seen[3:7], turn, target)
     phi = turn_between(target, state[3:7])
     change = _change_of(phi, state[10:] - _turned_back(phi, begin * seen[10:]))
-    off = math.sqrt((phi * phi).sum()) / _GAP_RAD
+    off = math.sqrt((phi * phi).sum()) / GAP_RAD
     phi, change = _settle(phi, change, 1.0 / (smoothing_s * max(1.0, off)), step_s)
     _exp(end_s * seen[10:], turn)
     _multiply(seen[3:7], turn, target)

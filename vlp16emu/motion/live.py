@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, TrajectoryError
-from vlp16emu.motion.knots import STATE, STEP_NS, Knots, follow, turn_between
+from vlp16emu.motion.knots import GAP_M, GAP_RAD, STATE, STEP_NS, Knots, follow, turn_between
 from vlp16emu.motion.live_settings import Live
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.motion.pose_files import UNIT_TOLERANCE
@@ -32,6 +32,8 @@ _BASE_NS = 20_000_000
 """Rates are taken from poses at least that far apart, where there are such: noise of 1 mm then makes 0.07 m/s."""
 _LEAST_BASE_NS, _MOST_BASE_NS = 2_000_000, 300_000_000
 """Poses closer together, or farther apart, say nothing of rates."""
+_MOST_PULL = 500.0
+"""Accelerations beyond that, in gaps that are led back slowly, per s2, are jumps: 50 m/s2 and 100 rad/s2."""
 _RESTART_NS = S_NS
 """A sender whose stamps are older than ever by more than that has begun a new clock."""
 _CREEP_NS_S = 100_000
@@ -76,15 +78,16 @@ class PoseInput:
         self._clock_ns, self._lock = clock_ns, threading.Lock()
         self._came = threading.Event()
         self._before = deque[tuple[int, Array]]()
+        self._jumped = False
         self._offset_ns: int | None = None
         self._offset_at_ns = 0
         self.last: SeenPose | None = None
         self.received = self.refused = self.out_of_order = 0
         """Poses: taken, malformed, and with a stamp that is not after that of the pose before."""
         self.longest_gap_ns = 0
-        """Between one arrival and the next."""
+        """Between one arrival and the next, since the run began."""
         self.gaps_ns: list[tuple[int, int]] = []
-        """Arrivals before and after each time without poses for more than a second."""
+        """Arrivals before and after each time without poses for more than a second, since the run began."""
 
     def put(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
         """Take a pose.
@@ -147,12 +150,27 @@ class PoseInput:
             before.popleft()
         state = np.zeros(STATE)
         state[:7] = pose
-        if before and (base_ns := at_ns - before[0][0]) >= _LEAST_BASE_NS:
+        self._jumped = not self._jumped and self._is_jump(at_ns, pose)
+        if self._jumped:
+            before.clear()
+            assert self.last is not None
+            state[7:] = self.last.state[7:]
+        elif before and (base_ns := at_ns - before[0][0]) >= _LEAST_BASE_NS:
             old, per_s = before[0][1], S_NS / base_ns
             state[7:10] = (pose[:3] - old[:3]) * per_s
             state[10:] = turn_between(old[3:], pose[3:]) * per_s
         before.append((at_ns, pose))
         return state
+
+    def _is_jump(self, at_ns: int, pose: Array) -> bool:
+        """Whether no body gets from the last pose to a pose (7,) in time: then the step says nothing of its rates."""
+        if self.last is None:
+            return False
+        last, since_s = self.last.state, (at_ns - self.last.at_ns) / S_NS
+        off_m = np.linalg.norm(pose[:3] - last[:3] - since_s * last[7:10])
+        off_rad = np.linalg.norm(turn_between(last[3:7], pose[3:]) - since_s * last[10:])
+        most = 1.0 + _MOST_PULL * since_s * since_s
+        return bool(off_m > GAP_M * most or off_rad > GAP_RAD * most)
 
 
 class LiveMotion:
@@ -192,6 +210,8 @@ class LiveMotion:
     def begin(self, zero_ns: int) -> None:
         """Begin to move: the first pulse is fired at an instant of the monotonic clock."""
         self._zero_ns = zero_ns
+        self.poses.longest_gap_ns = 0
+        self.poses.gaps_ns.clear()
         self._knots = Knots(self._start_ns, self._seen().state[None])
 
     def end(self) -> None:
@@ -218,6 +238,11 @@ class LiveMotion:
     def since_s(self, instant_ns: int) -> float:
         """Turn an instant of the monotonic clock into seconds since the first pulse."""
         return (instant_ns - self._zero_ns) / S_NS
+
+    @property
+    def elapsed_ns(self) -> int:
+        """Time since the first pulse; 0 before the beginning."""
+        return 0 if self._knots is None else self._clock_ns() - self._zero_ns
 
     @property
     def state(self) -> Array:
