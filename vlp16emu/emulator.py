@@ -256,6 +256,7 @@ class Emulator(Chain):
         speed: float = 1.0,
         late: Late | str = Late.PACE,
         as_sensor: bool = False,
+        interface: str | None = None,
         now: bool = False,
         prepare: str | Path | None = None,
         http: Http | None = None,
@@ -275,6 +276,7 @@ class Emulator(Chain):
         speed : simulated seconds per second
         late : `pace` keeps the spacing of packets that are late by more than 50 ms, and the delay; `skip` drops them
         as_sensor : send from the sensor's address, which this machine must have, with its headers
+        interface : by which all leaves, for instance `eth0`; None for that which the system's routes give
         now : move stamps and sentences by whole seconds into the present; truth stays at the time of the scene
         prepare : capture that the whole run is computed into before the first packet leaves, and which stays; None to compute
             while packets leave
@@ -302,6 +304,11 @@ class Emulator(Chain):
         span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
         links = [unit.link for unit in self.parts.units]
         policy = Late(late)
+
+        def sent(due_ns: int) -> None:
+            """Report how far the stream is."""
+            progress((due_ns - start_ns) / S_NS)
+
         if prepare is not None and http is not None:
             raise InputError(
                 "--http", "found beside --prepare", "one of both: what is prepared cannot be set"
@@ -309,7 +316,7 @@ class Emulator(Chain):
         with (
             ExitStack() as stack,
             closing(Engine(self, *span_s)) as engine,
-            RigSink(links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS)) as sink,
+            RigSink(links, to, as_sensor=as_sensor, interface=interface, sent=sent) as sink,
         ):
             opened()
             if prepare is not None:
