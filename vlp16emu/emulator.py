@@ -15,7 +15,7 @@ from vlp16emu.accuracy import Audit
 from vlp16emu.chain.chain import Chain
 from vlp16emu.errors import InputError, spare
 from vlp16emu.points import PointCloud, scans_of, world_T_sensor, write_cloud
-from vlp16emu.recording import Recording, prepared, record_packets
+from vlp16emu.recording import Recording, paths_of_units, prepared, record_packets
 from vlp16emu.scan import Scan
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
@@ -116,6 +116,7 @@ class Emulator(Chain):
         *,
         start_s: float = 0.0,
         duration_s: float | None = None,
+        split: bool = False,
         truth: str | Path | TruthTo | None = None,
         progress: Callable[[float], None] = lambda _: None,
         stop: Event | None = None,
@@ -127,6 +128,7 @@ class Emulator(Chain):
         path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard output
         start_s : since the first pulse
         duration_s : until the end of the scene if left out
+        split : write the packets of each unit into a file of its own, `NAME_1.pcap` and so on
         truth : folder for the ground truth of the run: trajectory, GNSS, rig, scenario
         progress : called with the simulated seconds so far, packet by packet
         stop : ends the recording from another thread; the file is valid
@@ -142,15 +144,17 @@ class Emulator(Chain):
         RunError
             where the disk is full; the packets before are kept
         """
-        spare(self._files, Path(path))
         check_ending(Path(path))
+        paths = paths_of_units(Path(path), len(self.parts.units)) if split else [Path(path)]
+        for one in paths:
+            spare(self._files, one)
         span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
         packets = self.packets(*span_s)  # checks the span before the file is touched
         with self.windows.stopped_by(stop):
             recording = record_packets(
                 self,
                 self._with_truth(packets, span_s, truth),
-                Path(path),
+                paths,
                 span_s,
                 scene=self.name,
                 progress=progress,
