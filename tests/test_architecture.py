@@ -17,6 +17,8 @@ FLOORS = (
     {"__main__"},
     {"cli"},
     {"emulator"},
+    {"streams"},
+    {"run"},
     {"control"},
     {"flight", "replay", "streaming"},
     {"points", "recording", "truth"},

@@ -66,7 +66,27 @@ def test_a_prepared_rig_sends_what_it_sends_alive(rig, tmp_path):
     path = tmp_path / "rig.pcap"
     emulator.record(path, duration_s=SPAN_S)
     read = list(packets_of([unit.link for unit in emulator.parts.units], path))
-    assert read == [replace(packet, due_ns=packet.due_ns // 1000 * 1000, fired_ns=None) for packet in packets]
+    times = [
+        replace(packet, due_ns=packet.due_ns // 1000 * 1000, fired_ns=None, number=0) for packet in packets
+    ]
+    assert read == times
+
+
+def test_each_unit_has_a_capture_of_its_own(rig, tmp_path):
+    """Split, a recording is a file for each unit, with that unit's records as they are in the file of both, byte for byte."""
+    emulator, _ = rig
+    whole = emulator.record(tmp_path / "rig.pcap", duration_s=SPAN_S)
+    split = emulator.record(tmp_path / "own.pcap", duration_s=SPAN_S, split=True)
+    with Capture(tmp_path / "rig.pcap") as capture:
+        all_of = [datagram._replace(number=0) for datagram in capture]
+    for number, unit in enumerate(emulator.parts.units, start=1):
+        with Capture(tmp_path / f"own_{number}.pcap") as capture:
+            own = [datagram._replace(number=0) for datagram in capture]
+        address = IPv4Address(unit.link.source).packed
+        assert own == [datagram for datagram in all_of if datagram.source == address]
+    assert (split.packets, split.position_packets) == (whole.packets, whole.position_packets)
+    assert split.bytes == whole.bytes + 24  # a second head
+    assert split.file == f"{tmp_path / 'own_1.pcap'}, {tmp_path / 'own_2.pcap'}"
 
 
 def test_what_is_prepared_cannot_be_set(rig, tmp_path):

@@ -1,50 +1,22 @@
 """The public face: a scene's scans as arrays, into a capture, or over UDP."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager, nullcontext
-from dataclasses import replace
-from functools import partial
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.accuracy import Audit
-from vlp16emu.chain.chain import Chain
-from vlp16emu.errors import InputError, TrajectoryError, spare
-from vlp16emu.flight import PosesIn, flying
-from vlp16emu.motion.live import LiveMotion
-from vlp16emu.motion.live_settings import takes_poses
+from vlp16emu.errors import spare
 from vlp16emu.points import PointCloud, scans_of, world_T_sensor, write_cloud
-from vlp16emu.recording import Recording, prepared, record_packets
 from vlp16emu.scan import Scan
-from vlp16emu.scenario import Scenario, find, load
-from vlp16emu.scenario.find import named_files
-from vlp16emu.sinks import (
-    LOOK_AHEAD_PACKETS,
-    LOOPBACK,
-    FellBehind,
-    Late,
-    Pacer,
-    RigSink,
-    TruthTo,
-    UnderWay,
-    check_ending,
-    stream,
-)
-from vlp16emu.streaming import Engine, Http, Streamed, summed_up, write_times
-from vlp16emu.types import Packet
-from vlp16emu.units import S_NS
-
-if TYPE_CHECKING:
-    from vlp16emu.truth import Truth
+from vlp16emu.sinks import TruthTo
+from vlp16emu.streams import Streams
 
 __all__ = ["Emulator"]
 
 
-class Emulator(Chain):
+class Emulator(Streams):
     """A sensor, or several on one carrier, in the world of a scene.
 
     Nothing random is drawn but from the scene's seed: the same scene and settings give the same scans and the same
@@ -72,22 +44,6 @@ class Emulator(Chain):
     (2, (14464, 3), (4, 4))
     """
 
-    def __init__(
-        self,
-        scene: str | Path | Mapping[str, Any] | Scenario,
-        settings: Mapping[str, object] | Sequence[str] = (),
-        *,
-        ideal: bool = False,
-        threads: int = 0,
-        audit: bool = False,
-    ) -> None:
-        scenario = load(scene, settings, ideal=ideal)
-        self.audit = Audit.of(scenario) if audit and not takes_poses(scenario.motion) else None
-        super().__init__(scenario, threads=threads, audit=self.audit)
-        self.name = str(scene) if isinstance(scene, str | Path) else scenario.title
-        own = [find(str(scene))] if isinstance(scene, str | Path) else []
-        self._files = [*own, *named_files(scenario)]
-
     def scans(
         self, *, start_s: float = 0.0, duration_s: float | None = None, unit: int = 1, truth: bool = False
     ) -> Iterator[Scan]:
@@ -112,54 +68,6 @@ class Emulator(Chain):
     def world_T_sensor(self, t_ns: NDArray[np.int64], *, unit: int = 1) -> NDArray[np.float64]:
         """(n, 4, 4) poses of a sensor at instants (n,) UTC; they take `Scan.xyz_m` to the world."""
         return world_T_sensor(self.parts.units[self._number(unit)], t_ns)
-
-    def record(
-        self,
-        path: str | Path,
-        *,
-        start_s: float = 0.0,
-        duration_s: float | None = None,
-        truth: str | Path | TruthTo | None = None,
-        progress: Callable[[float], None] = lambda _: None,
-        stop: Event | None = None,
-    ) -> Recording:
-        """Write data and position packets into a pcap file, in the frames of a real sensor.
-
-        Parameters
-        ----------
-        path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard output
-        start_s : since the first pulse
-        duration_s : until the end of the scene if left out
-        truth : folder for the ground truth of the run: trajectory, GNSS, rig, scenario
-        progress : called with the simulated seconds so far, packet by packet
-        stop : ends the recording from another thread; the file is valid
-
-        Raises
-        ------
-        OutputError
-            where file or folder cannot be written, or are an input of the scene, or the name is that of another format
-        ScenarioError
-            where the sensor has no packets
-        TrajectoryError
-            where the walk is over before the span
-        RunError
-            where the disk is full; the packets before are kept
-        """
-        spare(self._files, Path(path))
-        check_ending(Path(path))
-        span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
-        packets = self.packets(*span_s)  # checks the span before the file is touched
-        with self.windows.stopped_by(stop):
-            recording = record_packets(
-                self,
-                self._with_truth(packets, span_s, truth),
-                Path(path),
-                span_s,
-                scene=self.name,
-                progress=progress,
-                stop=stop,
-            )
-        return replace(recording, audit=self.audit.finding if self.audit else None)
 
     def write_points(
         self,
@@ -249,152 +157,3 @@ class Emulator(Chain):
                 done_s = min(done_s + 1.0, stop_s - begin_s)
                 so_far(done_s)
         return done_s
-
-    def stream(
-        self,
-        *,
-        to: str = LOOPBACK,
-        duration_s: float | None = None,
-        truth: str | Path | TruthTo | None = None,
-        speed: float = 1.0,
-        late: Late | str = Late.PACE,
-        as_sensor: bool = False,
-        now: bool = False,
-        prepare: str | Path | None = None,
-        http: Http | None = None,
-        poses: PosesIn | None = None,
-        opened: Callable[[], None] = lambda: None,
-        preparing: Callable[[float], None] = lambda _: None,
-        progress: Callable[[float], None] = lambda _: None,
-        notify: Callable[[FellBehind], None] = lambda _: None,
-        stop: Event | None = None,
-    ) -> Streamed:
-        """Send packets over UDP, each at its time; nothing leaves this machine unless `to` names another one.
-
-        Parameters
-        ----------
-        to : receiver; may be a broadcast address
-        duration_s : until the end of the scene if left out
-        truth : as of `record`
-        speed : simulated seconds per second
-        late : `pace` keeps the spacing of packets that are late by more than 50 ms, and the delay; `skip` drops them
-        as_sensor : send from the sensor's address, which this machine must have, with its headers
-        now : move stamps and sentences by whole seconds into the present; truth stays at the time of the scene
-        prepare : capture that the whole run is computed into before the first packet leaves, and which stays
-        http : where the web interfaces of the sensors are, through which the stream is set; None for none
-        poses : where those of a live scene come in; its stream begins with the first one, and drops what is late
-        opened : called once before the first packet is computed, when the sockets are open
-        preparing : called with the simulated seconds computed so far into `prepare`
-        progress : called with the simulated seconds so far, packet by packet
-        notify : called each time that the stream falls behind
-        stop : ends the stream from another thread
-
-        Raises
-        ------
-        OutputError
-            where the receiver is unknown or out of reach, or the sensor's address is not this machine's
-        InputError
-            where arguments exclude each other, or poses are for a scene that is not live
-        ScenarioError
-            where the sensor has no packets
-        TrajectoryError
-            where the walk is over before the span
-        RunError
-            where the system cannot send any more
-        """
-        if prepare is not None and http is not None:
-            raise InputError("--http", "found beside --prepare", "one of both")
-        stop, pacer, policy = stop or Event(), Pacer(speed), Late(late)
-        span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
-        links = [unit.link for unit in self.parts.units]
-        with ExitStack() as stack:
-            stack.enter_context(self.windows.stopped_by(stop))
-            flight = stack.enter_context(flying(self, poses, self._files))
-            policy = flight.prepare(stop, pacer, now=now) if flight else policy
-            engine = stack.enter_context(closing(Engine(self, *span_s)))
-            sent = RigSink(links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS))
-            sink = stack.enter_context(sent)
-            opened()
-            if prepare is None:
-                packets = stack.enter_context(self._with_truth(engine, span_s, truth))
-            else:
-                run = partial(self.record, duration_s=duration_s, truth=truth, progress=preparing, stop=stop)
-                packets = prepared(links, Path(prepare), run)
-            go_on_from = None if prepare else engine.go_on_from
-            report = stream(
-                packets,
-                flight.begun(sink, pacer) if flight else sink,
-                pacer,
-                begun=lambda under_way: self._serve(http, engine, sink, under_way, stack) if http else None,
-                late=policy,
-                notify=notify,
-                go_on_from=flight.going_on(engine.go_on_from, pacer) if flight else go_on_from,
-                now=now,
-                stop=stop,
-                look_ahead_packets=(flight.look_ahead if flight else LOOK_AHEAD_PACKETS) * len(links),
-            )
-            live = flight.report(report.simulated_s if report.interrupted else span_s[1]) if flight else None
-        if truth is not None:
-            write_times(truth, report, speed)
-        sum_up = partial(summed_up, scene=self.name, to=to, speed=speed, late=policy, live=live)
-        return sum_up(self, engine, report, sink.results, audit=self.audit.finding if self.audit else None)
-
-    def put_pose(
-        self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None
-    ) -> bool:
-        """Bring a pose into a live scene, from any thread; parameters, result and errors as of `PoseInput.put`.
-
-        Raises
-        ------
-        TrajectoryError
-            where the scene is not live
-        """
-        if not isinstance(carrier := self.parts.carrier, LiveMotion):
-            raise TrajectoryError("motion.kind", f'found "{self.scenario.motion.kind}"', '"live"')
-        return carrier.poses.put(position_m, quaternion, t_ns)
-
-    def _serve(self, http: Http, engine: Engine, sink: RigSink, now: UnderWay, until: ExitStack) -> None:
-        """Serve the web interfaces, as sensors do once they are up."""
-        from vlp16emu.control import Control, web_interfaces  # here: few streams have them
-
-        until.enter_context(web_interfaces(Control(self, engine, sink, now), http))
-
-    def _number(self, unit: int) -> int:
-        """Place in the rig of a unit, from 0."""
-        if not 1 <= unit <= (units := len(self.parts.units)):
-            raise InputError("unit", f"found {unit}", f"1 to {units}, as the scene has {units} units")
-        return unit - 1
-
-    @contextmanager
-    def _with_truth(
-        self, packets: Iterator[Packet], span_s: tuple[float, float], to: str | Path | TruthTo | None
-    ) -> Iterator[Iterator[Packet]]:
-        """Packets whose truth is written as they are taken, where a folder is given."""
-        with nullcontext() if to is None else self._truth(to, span_s) as truth:
-            yield packets if truth is None else truth.beside(packets)
-
-    @contextmanager
-    def _with_truth_so_far(
-        self,
-        progress: Callable[[float], None],
-        span_s: tuple[float, float],
-        to: str | Path | TruthTo | None,
-    ) -> Iterator[Callable[[float], None]]:
-        """Progress of a run without packets, whose truth is written as it is called, where a folder is given."""
-
-        def so_far(done_s: float) -> None:
-            """Write what was true until then."""
-            if truth is not None:
-                truth.up_to(span_s[0] + done_s)
-            progress(done_s)
-
-        with nullcontext() if to is None else self._truth(to, span_s) as truth:
-            yield so_far
-
-    def _truth(self, to: str | Path | TruthTo, span_s: tuple[float, float]) -> "Truth":
-        """Begin a folder of truth, beside the files that the run reads."""
-        from vlp16emu.truth import Truth  # here: few runs need it
-
-        place = to if isinstance(to, TruthTo) else TruthTo(Path(to))
-        spare(self._files, place.scenario)
-        return Truth(place, self, span_s)

@@ -4,7 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass
 from ipaddress import IPv4Address
 from pathlib import Path
@@ -23,7 +23,7 @@ from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["Recording", "UnitRecording", "packets_of", "prepared", "record_packets"]
+__all__ = ["Recording", "UnitRecording", "packets_of", "paths_of_units", "prepared", "record_packets"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class Recording:
     units: tuple[UnitRecording, ...]
     bytes: int
     sha256: str
-    """Of the whole file."""
+    """Of the whole file; of several in their order."""
     simulated_s: float
     wall_s: float
     real_time_factor: float
@@ -73,22 +73,35 @@ class Recording:
     """Ended by its stop event."""
 
 
+def paths_of_units(path: Path, units: int) -> list[Path]:
+    """Name a capture for each unit after one for all: `walk_1.pcap` and so on after `walk.pcap`.
+
+    Raises
+    ------
+    OutputError
+        where that is standard output
+    """
+    if path == STDOUT:
+        raise OutputError("-", "one standard output for the captures of all units", "the name of a file")
+    return [path.with_stem(f"{path.stem}_{number + 1}") for number in range(units)]
+
+
 def record_packets(
     chain: Chain,
     packets: AbstractContextManager[Iterable[Packet]],
-    path: Path,
+    paths: Sequence[Path],
     span_s: tuple[float, float],
     *,
     scene: str,
     progress: Callable[[float], None],
     stop: Event,
 ) -> Recording:
-    """Write packets into a file until they end or are to stop.
+    """Write packets into a file, or those of each unit into one of its own, until they end or are to stop.
 
     Parameters
     ----------
-    packets : of the chain, over the span; entered when the file is open
-    path : as `PcapSink` takes it
+    packets : of the chain, over the span; entered when the files are open
+    paths : as `PcapSink` takes them; one for all units, or one for each
     span_s : of the run, since the first pulse
     scene : its name in the recording
     progress : called with the simulated seconds so far, packet by packet
@@ -103,31 +116,34 @@ def record_packets(
     begin_ns, simulated_s = scenario.start_ns + seconds_to_ns(span_s[0]), 0.0
     sent = Counter[tuple[int, str]]()
     links = [unit.link for unit in units]
-    with PcapSink(path, links) as sink, packets as taken, suppress(CancelledError):
+    with ExitStack() as stack:
+        sinks = [stack.enter_context(PcapSink(path, links)) for path in paths]
+        taken = stack.enter_context(packets)
+        stack.enter_context(suppress(CancelledError))
         for packet in taken:
             if stop.is_set():
                 break
-            sink.send(packet)
+            sinks[min(packet.unit, len(sinks) - 1)].send(packet)
             sent[packet.unit, packet.kind] += 1
             sent[packet.unit, "returns"] += returns_in(packet)
             simulated_s = (packet.due_ns - begin_ns) / S_NS
             progress(simulated_s)
     interrupted, wall_s = stop.is_set(), time.perf_counter() - began_s
     simulated_s = simulated_s if interrupted else span_s[1] - span_s[0]
-    written, parts = sink.result, tuple(_unit(unit, sent, simulated_s) for unit in units)
+    written, parts = [sink.result for sink in sinks], tuple(_unit(unit, sent, simulated_s) for unit in units)
     return Recording(
-        file=str(path),
+        file=", ".join(map(str, paths)),
         scene=scene,
         seed=scenario.seed,
         beam=scenario.beam.summary,
         noise=scenario.noise.summary,
         weather=scenario.weather.summary,
-        packets=written.data_packets,
-        position_packets=written.position_packets,
+        packets=sum(file.data_packets for file in written),
+        position_packets=sum(file.position_packets for file in written),
         returns=sum(unit.returns for unit in parts),
         units=parts,
-        bytes=written.bytes,
-        sha256=written.sha256,
+        bytes=sum(file.bytes for file in written),
+        sha256=", ".join(file.sha256 for file in written),
         simulated_s=simulated_s,
         wall_s=wall_s,
         real_time_factor=simulated_s / wall_s,

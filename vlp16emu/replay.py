@@ -132,6 +132,7 @@ def replay(
     speed: float = 1.0,
     late: Late | str = Late.PACE,
     as_sensor: bool = False,
+    interface: str | None = None,
     opened: Callable[[Replay], None] = lambda _: None,
     progress: Callable[[float], None] = lambda _: None,
     notify: Callable[[FellBehind], None] = lambda _: None,
@@ -147,6 +148,7 @@ def replay(
     loop : as of `Replay`
     now : move stamps and sentences into the present
     as_sensor : send from the sensors' own addresses, which this machine must have, with their headers
+    interface : as of `Emulator.stream`
     opened : called once before the first packet
     progress : called with the seconds of the capture so far, packet by packet
 
@@ -170,7 +172,7 @@ def replay(
         first.append(due_ns) if not first else None
         progress((due_ns - first[0]) / S_NS)
 
-    with RigSink(links, to, as_sensor=as_sensor, sent=sent) as rig:
+    with RigSink(links, to, as_sensor=as_sensor, interface=interface, sent=sent) as rig:
         opened(packets)
         report = stream(
             packets,

@@ -52,6 +52,11 @@ OutFile = Annotated[
     ),
 ]
 
+Split = Annotated[
+    bool,
+    typer.Option("--split", help="Write each sensor of a rig into a file of its own: OUT_1.pcap and so on."),
+]
+
 
 def record(
     scene: SceneName,
@@ -59,6 +64,7 @@ def record(
     *,
     duration: Duration = None,
     start: Start = 0.0,
+    split: Split = False,
     settings: Settings = None,
     ideal: Ideal = False,
     threads: Threads = 0,
@@ -83,6 +89,7 @@ def record(
             out,
             start_s=start,
             duration_s=duration,
+            split=split,
             truth=truth_to(truth, truth_rate, per_packet=truth_packets),
             progress=lambda done_s: progress.show("recording", done_s),
             stop=stop,

@@ -8,6 +8,7 @@ import typer
 from vlp16emu.cli.arguments import AsJson, CaptureFile, DataPort, PositionPort
 from vlp16emu.cli.stream import (
     AsSensor,
+    Interface,
     LatePolicy,
     Now,
     Speed,
@@ -34,7 +35,7 @@ Loop = Annotated[
 def replay(
     file: CaptureFile,
     *,
-    to: To = "127.0.0.1",
+    to: To = None,
     data_port: DataPort = None,
     position_port: PositionPort = None,
     loop: Loop = False,
@@ -42,6 +43,7 @@ def replay(
     speed: Speed = 1.0,
     late: LatePolicy = "pace",
     as_sensor: AsSensor = False,
+    interface: Interface = None,
     strict: Strict = False,
     as_json: AsJson = False,
 ) -> None:
@@ -52,7 +54,7 @@ def replay(
     """
     from vlp16emu.replay import replay as replayed_to
 
-    to, data_port = receiver_of(to, data_port)
+    to, data_port = receiver_of(to, data_port, interface)
     with stop_on_ctrl_c() as stop:
         replayed = replayed_to(
             file,
@@ -63,7 +65,8 @@ def replay(
             now=now,
             speed=speed,
             late=late,
-            as_sensor=as_sensor,
+            as_sensor=as_sensor or interface is not None,
+            interface=interface,
             opened=lambda capture: None if as_json else _announce(capture, to),
             notify=lambda behind: print(
                 f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s", file=sys.stderr, flush=True

@@ -46,6 +46,7 @@ from vlp16emu.errors import InputError
 
 __all__ = [
     "AsSensor",
+    "Interface",
     "LatePolicy",
     "Now",
     "Speed",
@@ -159,8 +160,12 @@ _SLOWEST = 0.001
 """A simulated second in a quarter of an hour."""
 
 
-def receiver_of(to: str, data_port: int | None) -> tuple[str, int | None]:
-    """Split a receiver into its host and the port of data packets, which may be behind it."""
+def receiver_of(to: str | None, data_port: int | None, interface: str | None) -> tuple[str, int | None]:
+    """Split a receiver into its host and the port of data packets, which may be behind it; by default all stations."""
+    from vlp16emu.sinks import BROADCAST, LOOPBACK
+
+    if to is None:
+        to = LOOPBACK if interface is None else BROADCAST
     host, colon, port = to.partition(":")
     if not colon:
         return to, data_port
@@ -172,11 +177,13 @@ def receiver_of(to: str, data_port: int | None) -> tuple[str, int | None]:
 
 
 To = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--to",
         metavar="HOST[:PORT]",
-        help="Receiver; may be a broadcast address. The port is that of data packets, as --data-port.",
+        help="Receiver; may be a broadcast address. The port is that of data packets, as --data-port. "
+        "Left out it is this machine, 127.0.0.1, and with --interface all stations behind that, 255.255.255.255.",
+        show_default=False,
     ),
 ]
 Speed = Annotated[
@@ -273,11 +280,21 @@ AsSensor = Annotated[
     ),
 ]
 
+Interface = Annotated[
+    str | None,
+    typer.Option(
+        "--interface",
+        metavar="IFACE",
+        help="The same by this network interface of the machine, for instance eth0, whatever its routes are.",
+        show_default=False,
+    ),
+]
+
 
 def stream(
     scene: SceneName,
     *,
-    to: To = "127.0.0.1",
+    to: To = None,
     data_port: DataPort = None,
     position_port: PositionPort = None,
     duration: Duration = None,
@@ -291,6 +308,7 @@ def stream(
     speed: Speed = 1.0,
     late: LatePolicy = "pace",
     as_sensor: AsSensor = False,
+    interface: Interface = None,
     now: Now = False,
     prepare: Prepare = False,
     prepare_to: PrepareTo = None,
@@ -308,7 +326,7 @@ def stream(
     once, with settings that would keep up. Ctrl-C ends the stream.
     """
     with starting():
-        to, data_port = receiver_of(to, data_port)
+        to, data_port = receiver_of(to, data_port, interface)
         changes = [*(settings or ()), *_ports(data_port, position_port)]
         emulator = make_emulator(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
         late = late_of(emulator.scenario, late)
@@ -325,7 +343,8 @@ def stream(
             truth=truth_to(truth, truth_rate, per_packet=truth_packets),
             speed=speed,
             late=late,
-            as_sensor=as_sensor,
+            as_sensor=as_sensor or interface is not None,
+            interface=interface,
             now=now,
             prepare=capture,
             http=_served(cast("tuple[str, int] | None", http), http_settings, quiet=as_json),

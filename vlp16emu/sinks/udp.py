@@ -1,5 +1,6 @@
 """Packets as UDP datagrams, from one sensor or from all sensors of a rig."""
 
+import errno
 import ipaddress
 import socket
 from collections import Counter
@@ -13,10 +14,13 @@ from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL, Link
 from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["LOOPBACK", "RigSink", "UdpResult", "UdpSink"]
+__all__ = ["BROADCAST", "LOOPBACK", "RigSink", "UdpResult", "UdpSink"]
 
 LOOPBACK = "127.0.0.1"
 """Where packets go unless an address is given: nowhere but this machine."""
+
+BROADCAST = "255.255.255.255"
+"""Where a sensor sends until it is set otherwise: to all stations of its network."""
 
 # Linux socket options that Python does not name. Source: linux/in.h and asm-generic/socket.h.
 _SO_NO_CHECK = 11
@@ -47,11 +51,12 @@ class UdpSink:
     data_port, position_port : UDP ports of the receiver
     as_sensor : address of this machine to send from, with the ports and header fields of a real sensor;
         None for any address, any free ports, and headers as the system makes them
+    interface : by which all leaves; None for that which the system's routes give
 
     Raises
     ------
     OutputError
-        If the host is unknown or out of reach, or the address or port to send from is not to be had.
+        If the host is unknown or out of reach, or the interface, address or port to send from is not to be had.
     """
 
     def __init__(
@@ -61,17 +66,18 @@ class UdpSink:
         data_port: int = DATA_PORT,
         position_port: int = POSITION_PORT,
         as_sensor: str | None = None,
+        interface: str | None = None,
     ) -> None:
         address = _resolve(host)
-        broadcast = _is_broadcast(address, as_sensor)
-        self._as_sensor = as_sensor
+        self._source = as_sensor, interface
+        broadcast = _is_broadcast(address, *self._source)
         self.latest_position = b""
         """Payload of the position packet that was sent last."""
         self._sent = Counter[PacketKind]()
         self._bytes = 0
         with ExitStack() as stack:
-            data = stack.enter_context(_open(DATA_PORT, as_sensor, broadcast=broadcast))
-            position = stack.enter_context(_open(POSITION_PORT, as_sensor, broadcast=broadcast))
+            data = stack.enter_context(_open(DATA_PORT, *self._source, broadcast=broadcast))
+            position = stack.enter_context(_open(POSITION_PORT, *self._source, broadcast=broadcast))
             if as_sensor is not None:
                 _imitate_data(data)
                 _imitate_position(position)
@@ -103,7 +109,7 @@ class UdpSink:
             If the host is unknown or out of reach; then all stays as it is.
         """
         address = _resolve(host)
-        if _is_broadcast(address, self._as_sensor):
+        if _is_broadcast(address, *self._source):
             for way, _ in self._ways.values():
                 way.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         ports = {PacketKind.DATA: data_port, PacketKind.POSITION: position_port}
@@ -152,14 +158,14 @@ def _resolve(host: str) -> str:
     return address
 
 
-def _is_broadcast(address: str, as_sensor: str | None) -> bool:
+def _is_broadcast(address: str, as_sensor: str | None, interface: str | None) -> bool:
     """Ask the routing table, by a socket that is thrown away and sends nothing.
 
     Whether 192.168.1.255 is a broadcast address depends on the netmask of the interface, and the system
     alone knows it: it forbids the way there to a socket without SO_BROADCAST.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        _bind(probe, as_sensor, 0)
+        _bind(probe, as_sensor, interface, 0)
         try:
             probe.connect((address, DATA_PORT))
         except PermissionError:
@@ -169,11 +175,13 @@ def _is_broadcast(address: str, as_sensor: str | None) -> bool:
     return False
 
 
-def _open(sensor_port: int, as_sensor: str | None, *, broadcast: bool) -> socket.socket:
+def _open(
+    sensor_port: int, as_sensor: str | None, interface: str | None, *, broadcast: bool
+) -> socket.socket:
     """Socket that sends from the sensor's own port, or from any free one."""
     opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        _bind(opened, as_sensor, sensor_port)
+        _bind(opened, as_sensor, interface, sensor_port)
         if broadcast:
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
     except OutputError:
@@ -182,15 +190,30 @@ def _open(sensor_port: int, as_sensor: str | None, *, broadcast: bool) -> socket
     return opened
 
 
-def _bind(opened: socket.socket, as_sensor: str | None, port: int) -> None:
-    """Give the socket the sensor's address, if there is one."""
+def _bind(opened: socket.socket, as_sensor: str | None, interface: str | None, port: int) -> None:
+    """Give the socket the interface and the sensor's address, where they are given."""
+    if interface is not None:
+        try:
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, interface.encode())
+        except OSError as error:
+            expected = f"one of {', '.join(interfaces())}, and Linux 5.7 or the capability CAP_NET_RAW"
+            raise OutputError(f"interface {interface}", str(error.strerror), expected) from error
     if as_sensor is None:
         return
     try:
         opened.bind((as_sensor, port))
     except OSError as error:
-        expected = "an address of this machine and a free port"
+        expected = "a free port"
+        if error.errno == errno.EADDRNOTAVAIL:
+            device = interface or interfaces()[0]
+            expected = f"an address of this machine: sudo ip addr add {as_sensor}/24 dev {device}"
         raise OutputError(f"{as_sensor}:{port}", str(error.strerror), expected) from error
+
+
+def interfaces() -> list[str]:
+    """Names of this machine's network interfaces, the loopback last."""
+    names = sorted(name for _, name in socket.if_nameindex())
+    return sorted(names, key=lambda name: name == "lo")
 
 
 def _imitate_data(opened: socket.socket) -> None:
@@ -217,6 +240,7 @@ class RigSink:
     links : of each unit
     host : as `UdpSink` takes it
     as_sensor : send from the units' own addresses, with their headers
+    interface : as `UdpSink` takes it
     sent : called after each packet with its due time, UTC ns
 
     Raises
@@ -231,6 +255,7 @@ class RigSink:
         host: str,
         *,
         as_sensor: bool = False,
+        interface: str | None = None,
         sent: Callable[[int], None] = lambda _: None,
     ) -> None:
         self._sent = sent
@@ -242,6 +267,7 @@ class RigSink:
                         data_port=link.data_port,
                         position_port=link.position_port,
                         as_sensor=link.source if as_sensor else None,
+                        interface=interface,
                     )
                 )
                 for link in links

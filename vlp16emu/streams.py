@@ -1,0 +1,150 @@
+"""A scene over UDP in real time."""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
+from functools import partial
+from pathlib import Path
+from threading import Event
+
+from vlp16emu.errors import InputError, TrajectoryError
+from vlp16emu.flight import PosesIn, flying
+from vlp16emu.motion.live import LiveMotion
+from vlp16emu.recording import prepared
+from vlp16emu.run import Run
+from vlp16emu.sinks import (
+    LOOK_AHEAD_PACKETS,
+    LOOPBACK,
+    FellBehind,
+    Late,
+    Pacer,
+    RigSink,
+    TruthTo,
+    UnderWay,
+    stream,
+)
+from vlp16emu.streaming import Engine, Http, Streamed, summed_up, write_times
+from vlp16emu.units import S_NS
+
+__all__ = ["Streams"]
+
+
+class Streams(Run):
+    """A run whose packets are sent; parameters and errors as of `Emulator`."""
+
+    def stream(
+        self,
+        *,
+        to: str = LOOPBACK,
+        duration_s: float | None = None,
+        truth: str | Path | TruthTo | None = None,
+        speed: float = 1.0,
+        late: Late | str = Late.PACE,
+        as_sensor: bool = False,
+        interface: str | None = None,
+        now: bool = False,
+        prepare: str | Path | None = None,
+        http: Http | None = None,
+        poses: PosesIn | None = None,
+        opened: Callable[[], None] = lambda: None,
+        preparing: Callable[[float], None] = lambda _: None,
+        progress: Callable[[float], None] = lambda _: None,
+        notify: Callable[[FellBehind], None] = lambda _: None,
+        stop: Event | None = None,
+    ) -> Streamed:
+        """Send packets over UDP, each at its time; nothing leaves this machine unless `to` names another one.
+
+        Parameters
+        ----------
+        to : receiver; may be a broadcast address
+        duration_s : until the end of the scene if left out
+        truth : as of `record`
+        speed : simulated seconds per second
+        late : `pace` keeps the spacing of packets that are late by more than 50 ms, and the delay; `skip` drops them
+        as_sensor : send from the sensor's address, which this machine must have, with its headers
+        interface : by which all leaves, for instance `eth0`; None for that which the system's routes give
+        now : move stamps and sentences by whole seconds into the present; truth stays at the time of the scene
+        prepare : capture that the whole run is computed into before the first packet leaves, and which stays
+        http : where the web interfaces of the sensors are, through which the stream is set; None for none
+        poses : where those of a live scene come in; its stream begins with the first one, and drops what is late
+        opened : called once before the first packet is computed, when the sockets are open
+        preparing : called with the simulated seconds computed so far into `prepare`
+        progress : called with the simulated seconds so far, packet by packet
+        notify : called each time that the stream falls behind
+        stop : ends the stream from another thread
+
+        Raises
+        ------
+        OutputError
+            where the receiver is unknown or out of reach, or the sensor's address is not this machine's
+        InputError
+            where arguments exclude each other, or poses are for a scene that is not live
+        ScenarioError
+            where the sensor has no packets
+        TrajectoryError
+            where the walk is over before the span
+        RunError
+            where the system cannot send any more
+        """
+        if prepare is not None and http is not None:
+            raise InputError("--http", "found beside --prepare", "one of both")
+        stop, pacer, policy = stop or Event(), Pacer(speed), Late(late)
+        span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
+        links = [unit.link for unit in self.parts.units]
+        with ExitStack() as stack:
+            stack.enter_context(self.windows.stopped_by(stop))
+            flight = stack.enter_context(flying(self, poses, self._files))
+            policy = flight.prepare(stop, pacer, now=now) if flight else policy
+            engine = stack.enter_context(closing(Engine(self, *span_s)))
+            sink = stack.enter_context(
+                RigSink(
+                    links,
+                    to,
+                    as_sensor=as_sensor,
+                    interface=interface,
+                    sent=lambda due_ns: progress((due_ns - start_ns) / S_NS),
+                )
+            )
+            opened()
+            if prepare is None:
+                packets = stack.enter_context(self._with_truth(engine, span_s, truth))
+            else:
+                run = partial(self.record, duration_s=duration_s, truth=truth, progress=preparing, stop=stop)
+                packets = prepared(links, Path(prepare), run)
+            go_on_from = None if prepare else engine.go_on_from
+            report = stream(
+                packets,
+                flight.begun(sink, pacer) if flight else sink,
+                pacer,
+                begun=lambda under_way: self._serve(http, engine, sink, under_way, stack) if http else None,
+                late=policy,
+                notify=notify,
+                go_on_from=flight.going_on(engine.go_on_from, pacer) if flight else go_on_from,
+                now=now,
+                stop=stop,
+                look_ahead_packets=(flight.look_ahead if flight else LOOK_AHEAD_PACKETS) * len(links),
+            )
+            live = flight.report(report.simulated_s if report.interrupted else span_s[1]) if flight else None
+        if truth is not None:
+            write_times(truth, report, speed)
+        sum_up = partial(summed_up, scene=self.name, to=to, speed=speed, late=policy, live=live)
+        return sum_up(self, engine, report, sink.results, audit=self.audit.finding if self.audit else None)
+
+    def put_pose(
+        self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None
+    ) -> bool:
+        """Bring a pose into a live scene, from any thread; parameters, result and errors as of `PoseInput.put`.
+
+        Raises
+        ------
+        TrajectoryError
+            where the scene is not live
+        """
+        if not isinstance(carrier := self.parts.carrier, LiveMotion):
+            raise TrajectoryError("motion.kind", f'found "{self.scenario.motion.kind}"', '"live"')
+        return carrier.poses.put(position_m, quaternion, t_ns)
+
+    def _serve(self, http: Http, engine: Engine, sink: RigSink, now: UnderWay, until: ExitStack) -> None:
+        """Serve the web interfaces, as sensors do once they are up."""
+        from vlp16emu.control import Control, web_interfaces  # here: few streams have them
+
+        until.enter_context(web_interfaces(Control(self, engine, sink, now), http))
