@@ -71,6 +71,11 @@ class PacketKind(StrEnum):
     DATA = "data"
     POSITION = "position"
     NMEA = "nmea"
+    """A sentence of the GPS receiver."""
+    PPS = "pps"
+    """An edge of its pulse, one byte: the level from then on."""
+    IMU = "imu"
+    """A sample of the inertial unit."""
 
 
 class Semantic(IntEnum):
