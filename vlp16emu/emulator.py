@@ -23,14 +23,16 @@ from vlp16emu.sinks import (
     LOOPBACK,
     FellBehind,
     Late,
+    Outlets,
     Pacer,
     RigSink,
+    SinkByKind,
     TruthTo,
     UnderWay,
     check_ending,
     stream,
 )
-from vlp16emu.streaming import Engine, Http, Streamed, summed_up
+from vlp16emu.streaming import Engine, Http, Streamed, summed_up, with_outlets
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS
 
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
     from vlp16emu.truth import Truth
 
 __all__ = ["Emulator"]
+
+_NONE = Outlets()
 
 
 class Emulator(Chain):
@@ -257,6 +261,7 @@ class Emulator(Chain):
         as_sensor: bool = False,
         now: bool = False,
         http: Http | None = None,
+        outlets: Outlets = _NONE,
         opened: Callable[[], None] = lambda: None,
         progress: Callable[[float], None] = lambda _: None,
         notify: Callable[[FellBehind], None] = lambda _: None,
@@ -274,6 +279,7 @@ class Emulator(Chain):
         as_sensor : send from the sensor's address, which this machine must have, with its headers
         now : move stamps and sentences by whole seconds into the present; truth stays at the time of the scene
         http : where the web interfaces of the sensors are, through which the stream is set; None for none
+        outlets : what leaves beside the packets of the sensors: sentences and pulses of the receiver, inertial samples
         opened : called once before the first packet is computed, when the sockets are open
         progress : called with the simulated seconds so far, packet by packet
         notify : called each time that the stream falls behind
@@ -286,7 +292,7 @@ class Emulator(Chain):
         InputError
             where the present is wanted at another speed than its own
         ScenarioError
-            where the sensor has no packets
+            where the sensor has no packets, or the scene no device that an outlet is for
         TrajectoryError
             where the walk is over before the span
         RunError
@@ -298,15 +304,16 @@ class Emulator(Chain):
         policy = Late(late)
         with (
             ExitStack() as stack,
-            closing(Engine(self, *span_s)) as engine,
+            closing(Engine(self, *span_s, also=outlets.kinds)) as engine,
             self.windows.stopped_by(stop),
             self._with_truth(engine, span_s, truth) as packets,
             RigSink(links, to, as_sensor=as_sensor, sent=lambda ns: progress((ns - start_ns) / S_NS)) as sink,
+            outlets.opened(self.scenario.imu) as ways,
         ):
             opened()
             report = stream(
                 packets,
-                sink,
+                SinkByKind(sink, ways) if ways else sink,
                 Pacer(speed),
                 begun=lambda under_way: self._serve(http, engine, sink, under_way, stack) if http else None,
                 late=policy,
@@ -314,12 +321,11 @@ class Emulator(Chain):
                 go_on_from=engine.go_on_from,
                 now=now,
                 stop=stop,
-                look_ahead_packets=LOOK_AHEAD_PACKETS * len(links),
+                look_ahead_packets=LOOK_AHEAD_PACKETS * len(links) + outlets.look_ahead(self.scenario.imu),
             )
-        found = self.audit.finding if self.audit else None
-        return summed_up(
-            self, engine, report, sink.results, scene=self.name, to=to, speed=speed, late=policy, audit=found
-        )
+        found, how = self.audit.finding if self.audit else None, (self.name, to, speed, policy)
+        streamed = summed_up(self, engine, report, sink.results, *how, audit=found)
+        return with_outlets(streamed, ways, report.skipped + engine.skipped)
 
     def _serve(
         self, http: Http, engine: Engine, sink: RigSink, under_way: UnderWay, until: ExitStack

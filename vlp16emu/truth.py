@@ -55,6 +55,9 @@ _IMU_COLUMNS = (
     *(f"bias_{axis}" for axis in _IMU_AXES),
 )
 
+_OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
+"""Kinds of packets by which the truth goes; what leaves beside them changes no line."""
+
 Rows = Callable[[int, int], str]
 """Lines of samples first .. first + count - 1."""
 
@@ -134,6 +137,8 @@ class Truth:
         """
         for packet in packets:
             yield packet
+            if packet.kind not in _OF_SENSORS:
+                continue
             self._seen_ns = packet.due_ns
             if self._firsts_ns and packet.fired_ns is not None:
                 self._firsts_ns[packet.unit].append(packet.fired_ns)

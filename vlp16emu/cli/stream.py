@@ -5,6 +5,7 @@ It reports at once where it falls behind, and at its end.
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -26,6 +27,7 @@ from vlp16emu.cli.arguments import (
     checked,
     truth_to,
 )
+from vlp16emu.cli.outlets import GpsOut, GpsPps, ImuOut, outlet_rows, outlets_of
 from vlp16emu.cli.start import make_emulator, starting
 from vlp16emu.cli.terminal import (
     INTERRUPTED,
@@ -90,6 +92,7 @@ def stream_rows(streamed: "Streamed") -> dict[str, str]:
         "position packets": count(streamed.position_packets),
         "simulated": f"{streamed.simulated_s:.1f} s in {streamed.wall_s:.1f} s",
         "revolutions": revolutions([unit.turn for unit in streamed.units]),
+        **outlet_rows(streamed),
         **lateness_rows(streamed),
     }
     if streamed.moved_s:
@@ -267,6 +270,9 @@ def stream(
     http: HttpAt = None,
     http_settings: HttpSettings = None,
     strict: Strict = False,
+    gps_out: GpsOut = None,
+    gps_pps: GpsPps = "dtr",
+    imu_out: ImuOut = None,
     as_json: AsJson = False,
 ) -> None:
     """Stream a scene over UDP, each packet at its time.
@@ -275,13 +281,9 @@ def stream(
     starts the clock, and all deadlines count from there. Where the engine falls behind, a line says so at
     once, with settings that would keep up. Ctrl-C ends the stream.
     """
-    with starting():
-        to, data_port = receiver_of(to, data_port)
-        changes = [*(settings or ()), *_ports(data_port, position_port)]
-        emulator = make_emulator(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
-        _, stop_s = emulator.scenario.span_s(0.0, duration)
-
-    with stop_on_ctrl_c() as stop, Progress(stop_s) as progress:
+    to, changes = _changes(settings, to, data_port, position_port)
+    emulator = starting()(make_emulator)(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
+    with stop_on_ctrl_c() as stop, Progress(emulator.scenario.span_s(0.0, duration)[1]) as progress:
         streamed = emulator.stream(
             to=to,
             duration_s=duration,
@@ -291,8 +293,9 @@ def stream(
             as_sensor=as_sensor,
             now=now,
             http=_served(http, http_settings, quiet=as_json),
+            outlets=outlets_of(gps_out, gps_pps, imu_out),
             opened=lambda: None if as_json else _announce(scene, to, emulator),
-            progress=lambda done_s: progress.show("streaming", done_s),
+            progress=partial(progress.show, "streaming"),
             notify=lambda behind: progress.say(behind_line(behind, emulator.scenario, late, speed)),
             stop=stop,
         )
@@ -334,7 +337,13 @@ def _served(at: tuple[str, int] | None, saved: Path | None, *, quiet: bool) -> "
     return Http(*at, saved, serving)
 
 
-def _ports(data_port: int | None, position_port: int | None) -> list[str]:
-    """Make settings of the ports of the command line."""
+def _changes(
+    settings: list[str] | None, to: str, data_port: int | None, position_port: int | None
+) -> tuple[str, list[str]]:
+    """Split the host off, and put the ports of the command line to the settings."""
+    to, data_port = receiver_of(to, data_port)
     ports = {"data_port": data_port, "position_port": position_port}
-    return [f"sensor.{key}={port}" for key, port in ports.items() if port is not None]
+    return to, [
+        *(settings or ()),
+        *(f"sensor.{key}={port}" for key, port in ports.items() if port is not None),
+    ]

@@ -1,9 +1,10 @@
 """Where packets leave: a capture file, the network, or a list; and the clock that lets them leave in time."""
 
 from vlp16emu.sinks.now import NowSink
+from vlp16emu.sinks.outlets import Outlets
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import PcapResult, PcapSink, check_ending
-from vlp16emu.sinks.sink import MemorySink, PacketSink
+from vlp16emu.sinks.sink import Away, MemorySink, Outlet, OutletResult, PacketSink, SinkByKind
 from vlp16emu.sinks.stream import LOOK_AHEAD_PACKETS, StreamReport, UnderWay, sending_share, stream
 from vlp16emu.sinks.truth import TruthFolder, TruthTo, tum_rows
 from vlp16emu.sinks.udp import LOOPBACK, RigSink, UdpResult, UdpSink
@@ -12,17 +13,22 @@ __all__ = [
     "LOOK_AHEAD_PACKETS",
     "LOOPBACK",
     "TOLERANCE_NS",
+    "Away",
     "FellBehind",
     "Late",
     "Lateness",
     "LatenessHistogram",
     "MemorySink",
     "NowSink",
+    "Outlet",
+    "OutletResult",
+    "Outlets",
     "Pacer",
     "PacketSink",
     "PcapResult",
     "PcapSink",
     "RigSink",
+    "SinkByKind",
     "StreamReport",
     "TruthFolder",
     "TruthTo",

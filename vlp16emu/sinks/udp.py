@@ -13,7 +13,7 @@ from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL, Link
 from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["LOOPBACK", "RigSink", "UdpResult", "UdpSink"]
+__all__ = ["LOOPBACK", "RigSink", "UdpResult", "UdpSink", "resolve"]
 
 LOOPBACK = "127.0.0.1"
 """Where packets go unless an address is given: nowhere but this machine."""
@@ -62,7 +62,7 @@ class UdpSink:
         position_port: int = POSITION_PORT,
         as_sensor: str | None = None,
     ) -> None:
-        address = _resolve(host)
+        address = resolve(host)
         broadcast = _is_broadcast(address, as_sensor)
         self._as_sensor = as_sensor
         self.latest_position = b""
@@ -102,7 +102,7 @@ class UdpSink:
         OutputError
             If the host is unknown or out of reach; then all stays as it is.
         """
-        address = _resolve(host)
+        address = resolve(host)
         if _is_broadcast(address, self._as_sensor):
             for way, _ in self._ways.values():
                 way.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
@@ -137,7 +137,7 @@ class UdpSink:
         return UdpResult(self._sent[PacketKind.DATA], self._sent[PacketKind.POSITION], self._bytes)
 
 
-def _resolve(host: str) -> str:
+def resolve(host: str) -> str:
     """IPv4 address of a host; a VLP-16 speaks no IPv6."""
     expected = "the IPv4 address or the name of a host"
     if not host or host.isspace():
