@@ -15,13 +15,14 @@ if TYPE_CHECKING:
     from vlp16emu.replay import Replayed, replay
     from vlp16emu.scan import Labels, Scan, decode
     from vlp16emu.scenario import Scenario, load
-    from vlp16emu.sinks import TruthTo
+    from vlp16emu.sinks import Outlets, TruthTo
     from vlp16emu.validator import Finding, Verification, verify
 
 __all__ = [
     "Emulator",
     "Finding",
     "Labels",
+    "Outlets",
     "Recording",
     "Replayed",
     "Scan",
@@ -38,6 +39,7 @@ _PLACES = {
     "Emulator": "emulator",
     "Finding": "validator",
     "Labels": "scan",
+    "Outlets": "sinks",
     "Recording": "recording",
     "Replayed": "replay",
     "Scan": "scan",

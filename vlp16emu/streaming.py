@@ -1,13 +1,14 @@
 """What a stream sends, and can leave out; how punctual it was, and why it fell behind."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from vlp16emu.accuracy import AuditFinding
 from vlp16emu.chain import Unit
+from vlp16emu.chain.beside import Beside
 from vlp16emu.chain.chain import Chain
 from vlp16emu.chain.position import position_number
 from vlp16emu.device.events import Event
@@ -15,9 +16,19 @@ from vlp16emu.flight import LiveReport
 from vlp16emu.report.keeping_up import settings_that_keep_up
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
-from vlp16emu.sinks import FellBehind, FirstPacket, Late, StreamReport, TruthTo, UdpResult, write_json
+from vlp16emu.sinks import (
+    FellBehind,
+    FirstPacket,
+    Late,
+    Outlet,
+    OutletResult,
+    StreamReport,
+    TruthTo,
+    UdpResult,
+    write_json,
+)
 from vlp16emu.types import Packet, PacketKind
-from vlp16emu.units import S_NS
+from vlp16emu.units import S_NS, seconds_to_ns
 
 __all__ = [
     "Behind",
@@ -29,6 +40,7 @@ __all__ = [
     "cause_of",
     "options_for",
     "summed_up",
+    "with_outlets",
     "write_times",
 ]
 
@@ -40,16 +52,20 @@ class Engine:
     ----------
     chain : makes them
     start_s, stop_s : span of the run, since the first pulse
+    also : kinds that leave beside the packets of the sensors
 
     Raises
     ------
     InputError
-        where the chain has no such span
+        where the chain has no such span, or the scene no device that `also` asks for
     """
 
-    def __init__(self, chain: Chain, start_s: float, stop_s: float) -> None:
+    def __init__(
+        self, chain: Chain, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()
+    ) -> None:
         self._chain, self._stop_s = chain, stop_s
-        self._packets = chain.packets(start_s, stop_s)
+        self._beside = Beside(chain.scenario, chain.parts, chain.receiver, also)
+        self._packets = self._from(start_s)
         self._reached_ns = chain.scenario.start_ns
         self._at_reached = set[tuple[int, PacketKind]]()
         self._from_ns: int | None = None
@@ -93,9 +109,14 @@ class Engine:
             there = set()
         self._packets = self._after(from_ns, there)
 
+    def _from(self, start_s: float) -> Iterator[Packet]:
+        """Make packets from a time since the first pulse on, with what leaves beside them."""
+        packets = self._chain.packets(start_s, self._stop_s)
+        return self._beside.among(packets, seconds_to_ns(start_s), seconds_to_ns(self._stop_s))
+
     def _after(self, from_ns: int, there: AbstractSet[tuple[int, PacketKind]]) -> Iterator[Packet]:
         """Yield packets due from a UTC time on; of those due just then some are out already."""
-        for packet in self._chain.packets(self._since_s(from_ns), self._stop_s):
+        for packet in self._from(self._since_s(from_ns)):
             if packet.due_ns > from_ns or (packet.unit, packet.kind) not in there:
                 yield packet
 
@@ -107,7 +128,7 @@ class Engine:
             return
         self.close()  # of the packets before
         self.skipped += self._count(from_ns) - self._count(self._reached_ns + 1)
-        self._packets = self._chain.packets(self._since_s(from_ns), self._stop_s)
+        self._packets = self._from(self._since_s(from_ns))
 
     def _count(self, before_ns: int) -> Counter[PacketKind]:
         """Count the packets of all units due from the first pulse until before a UTC time."""
@@ -116,7 +137,8 @@ class Engine:
         for unit in units:
             data += unit.sending.count(0, since_ns)
         position = sum(position_number(self.scenario, unit, since_ns) for unit in units)
-        return Counter({PacketKind.DATA: data, PacketKind.POSITION: position})
+        beside = self._beside.count(0, since_ns)
+        return Counter({PacketKind.DATA: data, PacketKind.POSITION: position, **beside})
 
     def _since_s(self, utc_ns: int) -> float:
         """Put a UTC time into seconds since the first pulse."""
@@ -212,6 +234,10 @@ class Streamed:
     """None without an audit."""
     live: LiveReport | None = None
     """None where no poses came in."""
+    gps_out: OutletResult | None = None
+    """Sentences and pulses of the receiver; None unless asked for, as the next."""
+    imu_out: OutletResult | None = None
+    """Samples of the inertial unit."""
 
 
 def summed_up(
@@ -219,11 +245,11 @@ def summed_up(
     engine: Engine,
     report: StreamReport,
     sent: Sequence[UdpResult],
-    *,
     scene: str,
     to: str,
     speed: float,
     late: Late,
+    *,
     audit: AuditFinding | None,
     live: LiveReport | None = None,
 ) -> Streamed:
@@ -283,6 +309,19 @@ def write_times(to: str | Path | TruthTo, report: StreamReport, speed: float) ->
         folder = to.folder if isinstance(to, TruthTo) else Path(to)
         times = {"moved_s": report.moved_s, "speed": speed, "packet_0": asdict(report.first)}
         write_json(folder / "time.json", times)
+
+
+def with_outlets(
+    streamed: Streamed, sent: Mapping[PacketKind, Outlet], skipped: Counter[PacketKind]
+) -> Streamed:
+    """Add what left beside the packets of the sensors to a summary, and count what the stream skipped as dropped."""
+
+    def found(kind: PacketKind) -> OutletResult | None:
+        """Sum up an outlet."""
+        result = sent[kind].result if kind in sent else None
+        return result and replace(result, dropped=result.dropped + skipped[kind])
+
+    return replace(streamed, gps_out=found(PacketKind.NMEA), imu_out=found(PacketKind.IMU))
 
 
 def _unit(unit: Unit, sent: UdpResult, simulated_s: float) -> UnitStreamed:

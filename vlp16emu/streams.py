@@ -16,16 +16,25 @@ from vlp16emu.sinks import (
     LOOPBACK,
     FellBehind,
     Late,
+    Outlets,
     Pacer,
     RigSink,
+    SinkByKind,
     TruthTo,
     UnderWay,
     stream,
 )
-from vlp16emu.streaming import Engine, Http, Streamed, summed_up, write_times
+from vlp16emu.streaming import Engine, Http, Streamed, summed_up, with_outlets, write_times
 from vlp16emu.units import S_NS
 
 __all__ = ["Streams"]
+
+_NONE = Outlets()
+
+
+def _report(progress: Callable[[float], None], start_ns: int, due_ns: int) -> None:
+    """Report how far the stream is."""
+    progress((due_ns - start_ns) / S_NS)
 
 
 class Streams(Run):
@@ -45,6 +54,7 @@ class Streams(Run):
         prepare: str | Path | None = None,
         http: Http | None = None,
         poses: PosesIn | None = None,
+        outlets: Outlets = _NONE,
         opened: Callable[[], None] = lambda: None,
         preparing: Callable[[float], None] = lambda _: None,
         progress: Callable[[float], None] = lambda _: None,
@@ -66,6 +76,7 @@ class Streams(Run):
         prepare : capture that the whole run is computed into before the first packet leaves, and which stays
         http : where the web interfaces of the sensors are, through which the stream is set; None for none
         poses : where those of a live scene come in; its stream begins with the first one, and drops what is late
+        outlets : what leaves beside the packets of the sensors: sentences and pulses of the receiver, inertial samples
         opened : called once before the first packet is computed, when the sockets are open
         preparing : called with the simulated seconds computed so far into `prepare`
         progress : called with the simulated seconds so far, packet by packet
@@ -94,26 +105,22 @@ class Streams(Run):
             stack.enter_context(self.windows.stopped_by(stop))
             flight = stack.enter_context(flying(self, poses, self._files))
             policy = flight.prepare(stop, pacer, now=now) if flight else policy
-            engine = stack.enter_context(closing(Engine(self, *span_s)))
-            sink = stack.enter_context(
-                RigSink(
-                    links,
-                    to,
-                    as_sensor=as_sensor,
-                    interface=interface,
-                    sent=lambda due_ns: progress((due_ns - start_ns) / S_NS),
-                )
-            )
+            engine = stack.enter_context(closing(Engine(self, *span_s, also=outlets.kinds)))
+            sent = partial(_report, progress, start_ns)
+            rig = RigSink(links, to, as_sensor=as_sensor, interface=interface, sent=sent)
+            sink = stack.enter_context(rig)
+            ways = stack.enter_context(outlets.opened(self.scenario.imu))
             opened()
             if prepare is None:
                 packets = stack.enter_context(self._with_truth(engine, span_s, truth))
             else:
                 run = partial(self.record, duration_s=duration_s, truth=truth, progress=preparing, stop=stop)
                 packets = prepared(links, Path(prepare), run)
+            way = SinkByKind(sink, ways) if ways else sink
             go_on_from = None if prepare else engine.go_on_from
             report = stream(
                 packets,
-                flight.begun(sink, pacer) if flight else sink,
+                flight.begun(way, pacer) if flight else way,
                 pacer,
                 begun=lambda under_way: self._serve(http, engine, sink, under_way, stack) if http else None,
                 late=policy,
@@ -121,13 +128,15 @@ class Streams(Run):
                 go_on_from=flight.going_on(engine.go_on_from, pacer) if flight else go_on_from,
                 now=now,
                 stop=stop,
-                look_ahead_packets=(flight.look_ahead if flight else LOOK_AHEAD_PACKETS) * len(links),
+                look_ahead_packets=(flight.look_ahead if flight else LOOK_AHEAD_PACKETS) * len(links)
+                + outlets.look_ahead(self.scenario.imu),
             )
             live = flight.report(report.simulated_s if report.interrupted else span_s[1]) if flight else None
         if truth is not None:
             write_times(truth, report, speed)
-        sum_up = partial(summed_up, scene=self.name, to=to, speed=speed, late=policy, live=live)
-        return sum_up(self, engine, report, sink.results, audit=self.audit.finding if self.audit else None)
+        found, how = self.audit.finding if self.audit else None, (self.name, to, speed, policy)
+        streamed = summed_up(self, engine, report, sink.results, *how, audit=found, live=live)
+        return with_outlets(streamed, ways, report.skipped + engine.skipped)
 
     def put_pose(
         self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None

@@ -26,7 +26,7 @@ from vlp16emu.scenario.find import named_files
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import TruthFolder, TruthTo, tum_rows
 from vlp16emu.sinks.truth import seconds_text
-from vlp16emu.types import Packet, Poses
+from vlp16emu.types import Packet, PacketKind, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
 
 __all__ = ["Truth"]
@@ -56,6 +56,9 @@ _IMU_COLUMNS = (
     *(f"true_{axis}" for axis in _IMU_AXES),
     *(f"bias_{axis}" for axis in _IMU_AXES),
 )
+
+_OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
+"""Kinds of packets by which the truth goes; what leaves beside them changes no line."""
 
 Rows = Callable[[int, int], str]
 """Lines of samples first .. first + count - 1."""
@@ -143,6 +146,8 @@ class Truth:
         """
         for packet in packets:
             yield packet
+            if packet.kind not in _OF_SENSORS:
+                continue
             self._seen_ns = packet.due_ns
             if self._firsts_ns and packet.fired_ns is not None:
                 self._firsts_ns[packet.unit].append(packet.fired_ns)

@@ -1,7 +1,6 @@
 """The types that travel between the rooms. Frozen, slots, shapes checked once when made.
 
 Letters in shapes: k firing sequences in a batch, L lasers in **wire order** (16 on a VLP-16), m surfaces, n anything else.
-
 Frames: `world` is local east-north-up in metres; `body` is x forward, y left, z up, and so is `sensor`, whose azimuth 0 is forward
 and grows clockwise seen from above. `world_T_body` takes body to world coordinates; `world_T_body @ body_T_sensor` reads left to right.
 """
@@ -66,11 +65,13 @@ class PpsState(IntEnum):
 
 
 class PacketKind(StrEnum):
-    """What a packet is."""
+    """What a packet is: a sensor's, a sentence of the receiver, the level after an edge of its pulse, an inertial sample."""
 
     DATA = "data"
     POSITION = "position"
     NMEA = "nmea"
+    PPS = "pps"
+    IMU = "imu"
 
 
 class Semantic(IntEnum):
@@ -361,11 +362,10 @@ class Window:
     """(n,) which placements `tiles` stand for; None where they stand for none."""
 
     def __post_init__(self) -> None:
-        n = len(self.shape)
         _check(self, "origin_m", self.origin_m, "f8", 3)
-        _check(self, "shape", self.shape, "i4", n)
-        _check(self, "world_T_shape", self.world_T_shape, "f8", n, 3, 4)
-        _check(self, "first_surface", self.first_surface, "u4", n)
+        _check(self, "shape", self.shape, "i4", None)
+        _check(self, "world_T_shape", self.world_T_shape, "f8", len(self.shape), 3, 4)
+        _check(self, "first_surface", self.first_surface, "u4", len(self.shape))
 
 
 HeightField = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]

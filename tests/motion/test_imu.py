@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from vlp16emu.motion import Imu, Mount
-from vlp16emu.motion.carrier import StaticMotion
+from vlp16emu.motion import Gps, Harness, Imu, Mount, Walk
+from vlp16emu.motion.carrier import StaticMotion, make_carrier
 from vlp16emu.motion.imu import GRAVITY_M_S2, ImuSampler
 from vlp16emu.motion.mount import mounted
 
@@ -109,3 +109,23 @@ def test_bias_is_constant_and_differs_by_axis_and_seed(unit):
     assert len(np.unique(np.concatenate([first[0], second[0]]))) == 6
     many = [unit(gyro_bias_rad_s=0.1, seed=s).read(0, 1).angular_rate_rad_s / 0.1 for s in range(300)]
     assert stats.kstest(np.ravel(many), "norm").pvalue > 0.001
+
+
+def test_one_who_stands_reads_gravity_alone(unit, start_ns):
+    """While the person stands before the first step, gait and straps are at rest: no turn, and 1 g along one axis."""
+    walk = Walk(kind="walk", way_points_m=[[0, 0], [30, 0]], stand_s=4.0, harness=Harness())
+    motion, _ = make_carrier(
+        walk,
+        lambda x_m, _: 0.0 * x_m,
+        "flat",
+        origin_m=(0.0, 0.0, 0.0),
+        gps=Gps(),
+        reach_m=50.0,
+        start_ns=start_ns,
+        seed=3,
+    )
+    read = unit(motion=motion)
+    standing, walking = read.read(0, 800), read.read(900, 800)
+    np.testing.assert_allclose(standing.angular_rate_rad_s, 0.0, atol=1e-12)  # straps are solved to rounding
+    np.testing.assert_allclose(standing.specific_force_m_s2, [[0, 0, GRAVITY_M_S2]] * 800, atol=1e-11)
+    assert np.ptp(walking.specific_force_m_s2[:, 2]) > 1.0

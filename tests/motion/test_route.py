@@ -102,3 +102,16 @@ def test_a_path_of_two_kilometres_is_made_at_once():
         took_s.append(time.thread_time() - begin)
     assert made.length_m > 1950.0
     assert min(took_s) < 0.3
+
+
+def test_a_person_stands_before_the_first_step():
+    """For `stand_s` nothing moves; from then on it is the walk that it is without, also where its time is given."""
+    for pace in ({}, {"run_time_s": 90.0}):
+        plain, standing = route(**pace), route(stand_s=7.5, **pace)
+        assert standing.run_time_s == plain.run_time_s + 7.5
+        t_s = np.arange(0.0, plain.run_time_s, 0.125)  # whole steps of 7.5 s, so that no bit is lost
+        walked, later, before = plain.at(t_s), standing.at(t_s + 7.5), standing.at(t_s[t_s <= 7.5])
+        assert (walked.position_m == later.position_m).all()
+        assert (walked.velocity_m_s == later.velocity_m_s).all()
+        assert not before.speed_m_s.any()
+        assert (before.position_m == walked.position_m[0]).all()

@@ -78,3 +78,12 @@ def bench_payload():
     payload[1200:1204] = (3_599_999_000).to_bytes(4, "little")
     payload[1204:] = b"\x37\x22"
     return bytes(payload)
+
+
+def test_a_sentence_of_its_own_is_moved_as_in_a_packet():
+    """What leaves by serial line stays byte for byte what position packets echo; an edge of the pulse has no time in it."""
+    sentence = Packet(PacketKind.NMEA, 0, with_checksum(SENTENCE))
+    for by_s in (1, 86_399, 342_026_366):
+        assert moved(sentence, by_s).payload == decode_position(moved(position(), by_s).payload).sentence
+    edge = Packet(PacketKind.PPS, 5, b"\1")
+    assert moved(edge, 7) == edge

@@ -96,6 +96,12 @@ def position_packet():
 
 
 @pytest.fixture(scope="session")
+def imu_frame():
+    """Table of the inertial frame."""
+    return load("imu_frame.toml")
+
+
+@pytest.fixture(scope="session")
 def timing():
     return load("timing.toml")
 

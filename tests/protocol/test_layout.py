@@ -3,11 +3,20 @@
 import dpkt
 import numpy as np
 
-from vlp16emu.packets import layout
+from vlp16emu.packets import IMU_FRAME, layout
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 
-DTYPES = {"u1": "u1", "u2": "<u2", "u4": "<u4", "i2": "<i2"}
+DTYPES = {
+    "u1": "u1",
+    "u2": "<u2",
+    "u4": "<u4",
+    "i2": "<i2",
+    "S3": "S3",
+    "u8": "<u8",
+    "i8": "<i8",
+    "f8": "<f8",
+}
 UNIT_SUFFIXES = ("_us", "_cdeg", "_lsb")
 
 
@@ -62,6 +71,17 @@ def test_data_rows_fill_their_table(data_packet):
             assert row["offset"] == end, row["name"]
             end += size_bytes(row)
         assert end == size, table
+
+
+def test_imu_rows_are_the_frame(imu_frame):
+    """The rows of the inertial frame follow each other without gap or overlap, and are the dtype of packets/."""
+    rows, end = imu_frame["payload"], 0
+    for row in rows:
+        assert row["offset"] == end, row["name"]
+        end += size_bytes(row)
+    assert end == imu_frame["size_bytes"] == IMU_FRAME.itemsize
+    stated = [(row["offset"], np.dtype(DTYPES[row["type"]])) for row in rows]
+    assert [(offset, dtype) for _, offset, dtype in leaves(IMU_FRAME)] == stated
 
 
 def test_position_rows_fill_the_payload(position_packet):

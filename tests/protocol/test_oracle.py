@@ -11,7 +11,7 @@ from vlp16emu.packets.decode import decode_data, decode_position
 
 GOLDEN = Path(__file__).parents[2] / "protocol" / "golden"
 NAMES = sorted(path.stem for path in GOLDEN.glob("*.hex"))
-DATA_NAMES = [name for name in NAMES if not name.startswith(("pose", "position"))]
+DATA_NAMES = [name for name in NAMES if not name.startswith(("imu", "pose", "position"))]
 POSITION_NAMES = [name for name in NAMES if name.startswith("position")]
 
 

@@ -6,9 +6,10 @@ It reports at once where it falls behind, and at its end.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -29,6 +30,7 @@ from vlp16emu.cli.arguments import (
     truth_to,
 )
 from vlp16emu.cli.live import FlownFile, PoseIn, late_of, live_rows, poses_in
+from vlp16emu.cli.outlets import GpsOut, GpsPps, ImuOut, outlet_rows, outlets_of
 from vlp16emu.cli.start import make_emulator, starting
 from vlp16emu.cli.terminal import (
     INTERRUPTED,
@@ -42,6 +44,7 @@ from vlp16emu.cli.terminal import (
     stop_on_ctrl_c,
     tree_of,
 )
+from vlp16emu.cli.web import HttpAt, HttpSettings, served
 from vlp16emu.errors import InputError
 
 __all__ = [
@@ -65,7 +68,7 @@ if TYPE_CHECKING:
     from vlp16emu.replay import Replayed
     from vlp16emu.scenario import Scenario
     from vlp16emu.sinks import FellBehind
-    from vlp16emu.streaming import Behind, Http, Streamed
+    from vlp16emu.streaming import Behind, Streamed
 
 
 T = TypeVar("T", "Streamed", "Replayed")
@@ -95,6 +98,7 @@ def stream_rows(streamed: "Streamed") -> dict[str, str]:
         "position packets": count(streamed.position_packets),
         "simulated": f"{streamed.simulated_s:.1f} s in {streamed.wall_s:.1f} s",
         "revolutions": revolutions([unit.turn for unit in streamed.units]),
+        **outlet_rows(streamed),
         **lateness_rows(streamed),
         **live_rows(streamed.live),
     }
@@ -212,35 +216,6 @@ Now = Annotated[
 ]
 
 
-def _http(text: str) -> tuple[str, int]:
-    """Read where the web interface shall listen."""
-    from vlp16emu.device.web import parse_http
-
-    return parse_http(text)
-
-
-HttpAt = Annotated[
-    object | None,  # click would take two values for a tuple
-    typer.Option(
-        "--http",
-        metavar="HOST:PORT",
-        parser=_http,
-        help="Serve the sensor's web interface, which the stream follows; of a rig on this port and those behind it. "
-        "PORT alone is on 127.0.0.1. Needs the extra 'bench'.",
-        show_default=False,
-    ),
-]
-HttpSettings = Annotated[
-    Path | None,
-    typer.Option(
-        "--http-settings",
-        metavar="FILE",
-        help="Keep the settings that are saved in the web interface, from run to run.",
-        show_default=False,
-    ),
-]
-
-
 def _policy(text: str) -> str:
     """Read what happens to late packets."""
     if text not in ("pace", "skip"):
@@ -317,6 +292,9 @@ def stream(
     strict: Strict = False,
     pose_in: PoseIn = None,
     flown: FlownFile = None,
+    gps_out: GpsOut = None,
+    gps_pps: GpsPps = "dtr",
+    imu_out: ImuOut = None,
     as_json: AsJson = False,
 ) -> None:
     """Stream a scene over UDP, each packet at its time.
@@ -325,13 +303,10 @@ def stream(
     starts the clock, and all deadlines count from there. Where the engine falls behind, a line says so at
     once, with settings that would keep up. Ctrl-C ends the stream.
     """
-    with starting():
-        to, data_port = receiver_of(to, data_port, interface)
-        changes = [*(settings or ()), *_ports(data_port, position_port)]
-        emulator = make_emulator(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
-        late = late_of(emulator.scenario, late)
-        _, stop_s = emulator.scenario.span_s(0.0, duration)
-
+    to, changes = _changes(settings, to, interface, data_port, position_port)
+    emulator = starting()(make_emulator)(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
+    late = late_of(emulator.scenario, late)
+    _, stop_s = emulator.scenario.span_s(0.0, duration)
     with (
         stop_on_ctrl_c() as stop,
         Progress(stop_s) as progress,
@@ -347,11 +322,12 @@ def stream(
             interface=interface,
             now=now,
             prepare=capture,
-            http=_served(cast("tuple[str, int] | None", http), http_settings, quiet=as_json),
+            http=served(http, http_settings, quiet=as_json),
             poses=poses_in(emulator.scenario, pose_in, flown, progress.say),
+            outlets=outlets_of(gps_out, gps_pps, imu_out),
             opened=lambda: None if as_json else _announce(scene, to, emulator),
-            preparing=lambda done_s: progress.show("preparing", done_s),
-            progress=lambda done_s: progress.show("streaming", done_s),
+            preparing=partial(progress.show, "preparing"),
+            progress=partial(progress.show, "streaming"),
             notify=lambda behind: progress.say(behind_line(behind, emulator.scenario, late, speed)),
             stop=stop,
         )
@@ -386,24 +362,17 @@ def _announce(scene: str, to: str, emulator: "Emulator") -> None:
     print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
 
 
-def _served(at: tuple[str, int] | None, saved: Path | None, *, quiet: bool) -> "Http | None":
-    """Serve web interfaces, and print where they are."""
-    from vlp16emu.streaming import Http
-
-    if at is None:
-        return None
-
-    def serving(places: "Sequence[tuple[str, int]]") -> None:
-        """Print their addresses."""
-        if not quiet:
-            print(
-                "web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True
-            )
-
-    return Http(*at, saved, serving)
-
-
-def _ports(data_port: int | None, position_port: int | None) -> list[str]:
-    """Make settings of the ports of the command line."""
+def _changes(
+    settings: list[str] | None,
+    to: str | None,
+    interface: str | None,
+    data_port: int | None,
+    position_port: int | None,
+) -> tuple[str, list[str]]:
+    """Split the host off, and put the ports of the command line to the settings."""
+    to, data_port = receiver_of(to, data_port, interface)
     ports = {"data_port": data_port, "position_port": position_port}
-    return [f"sensor.{key}={port}" for key, port in ports.items() if port is not None]
+    return to, [
+        *(settings or ()),
+        *(f"sensor.{key}={port}" for key, port in ports.items() if port is not None),
+    ]

@@ -90,14 +90,15 @@ class Route:
             for at_m, stop_s in stops
         ]
         self._profile = Profile(self.length_m, lambda s_m: path.derivatives_at(s_m)[1][:, 1], walk, laps)
-        self.run_time_s = self._profile.run_time_s
-        """From the first motion to the last."""
+        self._stand_s = walk.stand_s
+        self.run_time_s = walk.stand_s + self._profile.run_time_s
+        """From the start to the last motion."""
         self.speed_m_s = self._profile.speed_m_s
         """Cruise speed."""
 
     def at(self, elapsed_s: Array) -> Track:
-        """Track at times (n,) since the start; before it and after the run time the person is at rest."""
-        along_m, speed_m_s, acceleration_m_s2 = self._profile.at(elapsed_s)
+        """Track at times (n,) since the start; before the first step and after the run time the person is at rest."""
+        along_m, speed_m_s, acceleration_m_s2 = self._profile.at(elapsed_s - self._stand_s)
         point_m, heading_rad = self._path.derivatives_at(along_m)
         speed2 = speed_m_s * speed_m_s
         return Track(

@@ -233,6 +233,9 @@ class Walk(Section):
     """Greatest turn rate: a right angle takes 1.5 s (assumption). In tighter turns the person slows down."""
     stops: list[Stop] = Field(default_factory=list)
     """Halts on each lap."""
+    stand_s: Annotated[float, Field(ge=0, le=86_400)] = 0.0
+    """How long the person stands still before the first step, as programs that begin with gravity and biases want; not
+    part of `run_time_s`."""
     kind: Literal["walk"]
     """Selects a walking person."""
     sensor_height_m: Size = 2.0

@@ -26,6 +26,7 @@ from vlp16emu.packets.frames import (
     data_header,
     position_frame,
 )
+from vlp16emu.packets.imu import IMU_FRAME, decode_imu, imu_frames
 from vlp16emu.packets.layout import (
     AZIMUTH_CODES,
     BLOCK,
@@ -74,6 +75,7 @@ __all__ = [
     "FACTORY_BYTE",
     "FACTORY_LINK",
     "HEADER_BYTES",
+    "IMU_FRAME",
     "LASERS",
     "MIN_DISTANCE_LSB",
     "POSITION_BYTES",
@@ -106,10 +108,12 @@ __all__ = [
     "data_header",
     "data_payloads",
     "decode_data",
+    "decode_imu",
     "decode_position",
     "fault_in",
     "first_position_packet",
     "frame_named",
+    "imu_frames",
     "pack_data",
     "pack_position",
     "parse_rmc",

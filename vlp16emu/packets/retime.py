@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
+from vlp16emu.packets.imu import moved_imu
 from vlp16emu.packets.layout import (
     DATA_PAYLOAD,
     POSITION_BYTES,
@@ -47,25 +48,27 @@ _SENTENCE = slice(_offset(POSITION_PAYLOAD, "sentence"), _offset(POSITION_PAYLOA
 
 def has_stamp(packet: Packet) -> bool:
     """Whether a packet is long enough to hold its time stamp; one that is cut may not be."""
-    return len(packet.payload) >= _STAMP_AT[packet.kind] + _STAMP.size
+    return packet.kind in _STAMP_AT and len(packet.payload) >= _STAMP_AT[packet.kind] + _STAMP.size
 
 
 def stamp_ns(packet: Packet) -> int:
-    """Time stamp of a data or position packet, ns past the hour of the sensor's clock."""
+    """Time stamp of a data or position packet, ns past the hour of the sensor's clock; of others that of UTC."""
+    if packet.kind not in _STAMP_AT:
+        return packet.due_ns % HOUR_NS
     (stamp_us,) = _STAMP.unpack_from(packet.payload, _STAMP_AT[packet.kind])
     return int(stamp_us) * US_NS
 
 
 def age_ns(packet: Packet) -> int:
     """Time from the stamp of a packet to its sending: of a data packet how long it takes to fill."""
-    if packet.kind is PacketKind.POSITION:
-        return STAMP_LEAD_NS
+    if packet.kind is not PacketKind.DATA:
+        return STAMP_LEAD_NS if packet.kind is PacketKind.POSITION else 0
     is_dual = packet.payload[_MODE_AT:].startswith(_DUAL)
     return SEQUENCES_PER_PACKET[ReturnMode.DUAL if is_dual else ReturnMode.STRONGEST] * SEQUENCE_NS
 
 
 def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
-    """Move the stamp of a data or position packet, and the time and date of its sentence, where it has them.
+    """Move the stamp of a packet, and the time and date of its sentence, where it has them.
 
     Parameters
     ----------
@@ -73,6 +76,12 @@ def moved(packet: Packet, by_s: int, now_ns: int | None = None) -> Packet:
     now_ns : UTC at which the packet is sent, where the date of the sentence may be another one than that of the
         capture: then the sentence is moved by whole hours too, to that hour
     """
+    if packet.kind is PacketKind.PPS:
+        return packet
+    if packet.kind is PacketKind.NMEA:
+        return replace(packet, payload=_moved_sentence(packet.payload, by_s, now_ns))
+    if packet.kind is PacketKind.IMU:
+        return replace(packet, payload=moved_imu(packet.payload, by_s))
     if not has_stamp(packet):
         return packet
     at, payload = _STAMP_AT[packet.kind], bytearray(packet.payload)

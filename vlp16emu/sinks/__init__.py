@@ -1,9 +1,10 @@
 """Where packets leave: a capture file, the network, or a list; and the clock that lets them leave in time."""
 
 from vlp16emu.sinks.now import NowSink
+from vlp16emu.sinks.outlets import Outlets
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import PcapResult, PcapSink, check_ending
-from vlp16emu.sinks.sink import MemorySink, PacketSink
+from vlp16emu.sinks.sink import Away, MemorySink, Outlet, OutletResult, PacketSink, SinkByKind
 from vlp16emu.sinks.stream import (
     LOOK_AHEAD_PACKETS,
     FirstPacket,
@@ -20,6 +21,7 @@ __all__ = [
     "LOOK_AHEAD_PACKETS",
     "LOOPBACK",
     "TOLERANCE_NS",
+    "Away",
     "FellBehind",
     "FirstPacket",
     "Late",
@@ -27,11 +29,15 @@ __all__ = [
     "LatenessHistogram",
     "MemorySink",
     "NowSink",
+    "Outlet",
+    "OutletResult",
+    "Outlets",
     "Pacer",
     "PacketSink",
     "PcapResult",
     "PcapSink",
     "RigSink",
+    "SinkByKind",
     "StreamReport",
     "TruthFolder",
     "TruthTo",

@@ -1,14 +1,13 @@
-"""What a sink is, and the simplest one.
+"""What a sink is; the simplest one, a list of packets; and one that parts packets by their kind."""
 
-A list of packets, for tests and for anybody who wants to look at them.
-"""
-
+from collections.abc import Mapping
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
 
-from vlp16emu.types import Packet
+from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["MemorySink", "PacketSink"]
+__all__ = ["Away", "MemorySink", "Outlet", "OutletResult", "PacketSink", "SinkByKind"]
 
 
 class PacketSink(Protocol):
@@ -41,3 +40,69 @@ class MemorySink:
     def send(self, packet: Packet) -> None:
         """Append the packet."""
         self.packets.append(packet)
+
+
+@dataclass(frozen=True, slots=True)
+class Away:
+    """One time that a device was not there."""
+
+    at_s: float
+    """From the opening of the port."""
+    away_s: float
+    """Until it was there again, or the stream ended."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutletResult:
+    """What has left by an outlet."""
+
+    to: str
+    messages: int
+    """Sentences, or samples."""
+    bytes: int
+    dropped: int
+    """Messages that were too late: the device was away, or took no more."""
+    away: tuple[Away, ...] = ()
+    line: str | None = None
+    """On which pulses were to be, rts or dtr."""
+    pulses: int | None = None
+    """On that line; None where the port has none."""
+
+
+class Outlet(PacketSink, Protocol):
+    """A sink that reports what it sent."""
+
+    @property
+    def result(self) -> OutletResult:
+        """What has left so far."""
+
+
+class SinkByKind:
+    """Gives packets to the sink of their kind. Sinks are the caller's, who opens and closes them.
+
+    Parameters
+    ----------
+    sensors : of data and position packets
+    others : of other kinds
+    """
+
+    def __init__(self, sensors: PacketSink, others: Mapping[PacketKind, PacketSink]) -> None:
+        self._sensors, self._others = sensors, others
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Nothing to close."""
+
+    def send(self, packet: Packet) -> None:
+        """Send one packet.
+
+        Raises
+        ------
+        RunError
+            as of the sink
+        """
+        self._others.get(packet.kind, self._sensors).send(packet)

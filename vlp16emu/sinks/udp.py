@@ -14,7 +14,7 @@ from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL, Link
 from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["BROADCAST", "LOOPBACK", "RigSink", "UdpResult", "UdpSink"]
+__all__ = ["BROADCAST", "LOOPBACK", "RigSink", "UdpResult", "UdpSink", "interfaces", "resolve"]
 
 LOOPBACK = "127.0.0.1"
 """Where packets go unless an address is given: nowhere but this machine."""
@@ -68,7 +68,7 @@ class UdpSink:
         as_sensor: str | None = None,
         interface: str | None = None,
     ) -> None:
-        address = _resolve(host)
+        address = resolve(host)
         self._source = as_sensor, interface
         broadcast = _is_broadcast(address, *self._source)
         self.latest_position = b""
@@ -108,7 +108,7 @@ class UdpSink:
         OutputError
             If the host is unknown or out of reach; then all stays as it is.
         """
-        address = _resolve(host)
+        address = resolve(host)
         if _is_broadcast(address, *self._source):
             for way, _ in self._ways.values():
                 way.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
@@ -143,7 +143,7 @@ class UdpSink:
         return UdpResult(self._sent[PacketKind.DATA], self._sent[PacketKind.POSITION], self._bytes)
 
 
-def _resolve(host: str) -> str:
+def resolve(host: str) -> str:
     """IPv4 address of a host; a VLP-16 speaks no IPv6."""
     expected = "the IPv4 address or the name of a host"
     if not host or host.isspace():

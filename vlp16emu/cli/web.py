@@ -1,0 +1,59 @@
+"""Options of `vlp16emu stream` for the web interface of the sensor."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+if TYPE_CHECKING:
+    from vlp16emu.streaming import Http
+
+__all__ = ["HttpAt", "HttpSettings", "served"]
+
+
+def _http(text: str) -> tuple[str, int]:
+    """Read where the web interface shall listen."""
+    from vlp16emu.device.web import parse_http
+
+    return parse_http(text)
+
+
+HttpAt = Annotated[
+    object | None,  # click would take two values for a tuple
+    typer.Option(
+        "--http",
+        metavar="HOST:PORT",
+        parser=_http,
+        help="Serve the sensor's web interface, which the stream follows; of a rig on this port and those behind it. "
+        "PORT alone is on 127.0.0.1. Needs the extra 'bench'.",
+        show_default=False,
+    ),
+]
+HttpSettings = Annotated[
+    Path | None,
+    typer.Option(
+        "--http-settings",
+        metavar="FILE",
+        help="Keep the settings that are saved in the web interface, from run to run.",
+        show_default=False,
+    ),
+]
+
+
+def served(at: object | None, saved: Path | None, *, quiet: bool) -> "Http | None":
+    """Serve web interfaces, and print where they are."""
+    from vlp16emu.streaming import Http
+
+    if at is None:
+        return None
+
+    def serving(places: Sequence[tuple[str, int]]) -> None:
+        """Print their addresses."""
+        if not quiet:
+            print(
+                "web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True
+            )
+
+    host, port = cast("tuple[str, int]", at)
+    return Http(host, port, saved, serving)

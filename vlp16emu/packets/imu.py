@@ -1,0 +1,81 @@
+"""The frame in which a sample of the inertial unit leaves, the same by UDP and on a serial line.
+
+>>> IMU_FRAME.itemsize, IMU_FRAME.isalignedstruct
+(72, True)
+
+Ours, as no sensor of Velodyne's has one; `protocol/imu_frame.toml` is its table. Every field lies at a multiple of its size,
+so that it is a plain struct in C, and numbers are those of the truth to the last bit.
+"""
+
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import PacketError
+from vlp16emu.units import S_NS
+
+__all__ = ["IMU_FRAME", "decode_imu", "imu_frames", "moved_imu"]
+
+IMU_FRAME = np.dtype(
+    [
+        ("magic", "S3"),
+        ("version", "u1"),
+        ("checksum", "<u4"),  # CRC-32 of all bytes behind it, as in zlib and Ethernet
+        ("sequence", "<u8"),  # number of the sample since the start of the scene
+        ("t_ns", "<i8"),
+        ("angular_rate_rad_s", "<f8", 3),
+        ("specific_force_m_s2", "<f8", 3),
+    ],
+    align=True,
+)
+_MAGIC, _VERSION = b"IMU", 1
+_CHECKED = 8
+"""Where the bytes begin that the checksum is of."""
+
+
+def imu_frames(
+    first: int, t_ns: NDArray[np.int64], rate_rad_s: NDArray[np.float64], force_m_s2: NDArray[np.float64]
+) -> list[bytes]:
+    """Write n samples in a row, a frame each.
+
+    Parameters
+    ----------
+    first : number of the first sample
+    t_ns : (n,) UTC
+    rate_rad_s, force_m_s2 : (n, 3) in the unit's own axes
+    """
+    frames = np.zeros(len(t_ns), IMU_FRAME)
+    frames["sequence"] = np.arange(first, first + len(t_ns))
+    frames["t_ns"], frames["angular_rate_rad_s"], frames["specific_force_m_s2"] = t_ns, rate_rad_s, force_m_s2
+    return [_sealed(frame) for frame in frames]
+
+
+def decode_imu(frame: bytes) -> np.void:
+    """Read a frame: an `IMU_FRAME`.
+
+    Raises
+    ------
+    PacketError : another length, magic or version, or a wrong checksum
+    """
+    if len(frame) != IMU_FRAME.itemsize:
+        raise PacketError("IMU frame", f"found {len(frame)} bytes", f"{IMU_FRAME.itemsize}")
+    fields: np.void = np.frombuffer(frame, IMU_FRAME)[0]
+    if (fields["magic"], fields["version"]) != (_MAGIC, _VERSION):
+        raise PacketError("IMU frame", f"begins with {frame[:4]!r}", f"{_MAGIC + bytes([_VERSION])!r}")
+    if fields["checksum"] != (crc := zlib.crc32(frame[_CHECKED:])):
+        raise PacketError("IMU frame", f"has the checksum {fields['checksum']:08x}", f"{crc:08x}")
+    return fields
+
+
+def moved_imu(frame: bytes, by_s: int) -> bytes:
+    """Move the time of a frame by whole seconds."""
+    fields = np.frombuffer(frame, IMU_FRAME).copy()
+    fields["t_ns"] += by_s * S_NS
+    return _sealed(fields[0])
+
+
+def _sealed(fields: np.void) -> bytes:
+    """Bytes of a frame, with what it begins with."""
+    behind = fields.tobytes()[_CHECKED:]
+    return _MAGIC + bytes([_VERSION]) + zlib.crc32(behind).to_bytes(4, "little") + behind

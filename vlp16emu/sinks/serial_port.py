@@ -1,0 +1,230 @@
+"""Serial ports: one that is kept open whatever becomes of its device, and a thread that writes to it in time."""
+
+import errno
+import os
+import queue
+import select
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from io import UnsupportedOperation
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from vlp16emu.errors import OutputError
+from vlp16emu.sinks.sink import Away, OutletResult
+from vlp16emu.types import Packet, PacketKind
+
+__all__ = ["SerialPort", "SerialSink"]
+
+T = TypeVar("T")
+
+_RETRY_S = 1.0
+"""How often a device that is away is looked for."""
+_PATIENCE_S = 0.25
+"""How long a message may wait for the line, and for how long one is written at most: a quarter of a receiver's second."""
+_WAITING = 4096
+"""Messages that wait at most: more than an inertial unit takes in that time."""
+_LINELESS = ("socket://",)
+"""Ports that take the setting of a line without an error, and have none."""
+
+
+class SerialPort:
+    """A port at 8N1 without flow control that is opened again, once a second, when its device has vanished.
+
+    Of one thread. Reading and writing is done by `use`.
+
+    Parameters
+    ----------
+    name : of a device, or a URL of pyserial: socket://HOST:PORT, rfc2217://HOST:PORT, loop://
+    baud : bits per second
+    where : option or key that names the port
+    line : rts or dtr, low from the start; None leaves both as they are
+
+    Raises
+    ------
+    OutputError
+        where it cannot be opened at first
+    """
+
+    def __init__(self, name: str, baud: int, where: str, line: str | None = None) -> None:
+        import serial  # here: few runs need it
+
+        self.name, self._baud, self.line = name, baud, line
+        self._error, self._slow = _errors(), serial.SerialTimeoutException
+        self._away_since_s: float | None = None
+        self._opened_s = self._tried_s = time.monotonic()
+        self._away = list[Away]()
+        try:
+            self._port: Any = self._open()
+        except self._error as error:
+            code = getattr(error, "errno", None)
+            found = os.strerror(code) if code else str(error)
+            expected = "a serial port of this machine, or a URL such as socket://HOST:PORT"
+            raise OutputError(f"{where} {name}", found, expected) from None
+        except ValueError as error:
+            raise OutputError(f"{where} {name}", str(error), "a device, or a URL of pyserial") from None
+        self.has_line = line is not None and self._has(line)
+        """Whether the port has it; a pseudo-terminal has none."""
+
+    def use(self, act: Callable[[Any], T]) -> T | None:
+        """Let `act` read or write: the port is pyserial's. None where the device is away, or takes no more."""
+        if self._away_since_s is not None and not self._is_back():
+            return None
+        try:
+            return act(self._port)
+        except self._slow:
+            return None
+        except self._error:
+            self._away_since_s = self._tried_s = time.monotonic()
+            self._shut()
+            return None
+
+    def close(self) -> None:
+        """Close the port, if it is open."""
+        if self._away_since_s is not None:
+            self._note_away()
+        self._shut()
+
+    @property
+    def away(self) -> tuple[Away, ...]:
+        """Times at which the device was not there, that of now left out."""
+        return tuple(self._away)
+
+    def _open(self) -> Any:  # a class of pyserial, which has no types
+        """Open the port."""
+        import serial
+
+        port = serial.serial_for_url(
+            self.name, self._baud, timeout=_PATIENCE_S, write_timeout=_PATIENCE_S, do_not_open=True
+        )
+        if self.line:
+            setattr(port, self.line, False)
+        port.open()
+        return port
+
+    def _has(self, line: str) -> bool:
+        """Whether the port has a line that can be set."""
+        if self.name.startswith(_LINELESS):
+            return False
+        try:
+            setattr(self._port, line, False)
+        except OSError as error:
+            if error.errno in (errno.ENOTTY, errno.EINVAL):
+                return False
+            raise
+        return True
+
+    def _is_back(self) -> bool:
+        """Look for the device, once a second."""
+        if time.monotonic() < self._tried_s + _RETRY_S:
+            return False
+        self._tried_s = time.monotonic()
+        with suppress(*self._error, ValueError):
+            self._port = self._open()
+            self._note_away()
+            return True
+        return False
+
+    def _note_away(self) -> None:
+        """Note that the device is no longer away."""
+        assert self._away_since_s is not None
+        now_s = time.monotonic()
+        self._away.append(Away(self._away_since_s - self._opened_s, now_s - self._away_since_s))
+        self._away_since_s = None
+
+    def _shut(self) -> None:
+        """Close what may be gone already."""
+        with suppress(*self._error):
+            self._port.close()
+
+
+def _errors() -> tuple[type[Exception], ...]:
+    """Errors that a port raises whose device is gone."""
+    import serial
+
+    try:
+        import termios
+    except ImportError:  # Windows has none
+        return serial.SerialException, OSError
+    return serial.SerialException, OSError, termios.error
+
+
+class SerialSink:
+    """Writes packets to a serial port, and pulses to its line; a thread of its own does it, so that a port never holds up others.
+
+    Parameters
+    ----------
+    port : of the thread from now on
+    """
+
+    def __init__(self, port: SerialPort) -> None:
+        self._port = port
+        self._waiting = queue.Queue[tuple[float, Packet] | None](_WAITING)
+        self._messages = self._bytes = self._dropped = self._pulses = 0
+        self._thread = threading.Thread(target=self._run, name=f"serial {port.name}", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(queue.Full):
+            self._waiting.put_nowait(None)
+        self._thread.join(2 * _PATIENCE_S)  # a daemon: one that hangs in a driver is left behind
+
+    def send(self, packet: Packet) -> None:
+        """Let one packet leave as soon as the line is free; returns at once."""
+        try:
+            self._waiting.put_nowait((time.monotonic(), packet))
+        except queue.Full:
+            self._dropped += packet.kind is not PacketKind.PPS
+
+    @property
+    def result(self) -> OutletResult:
+        """What has left so far."""
+        port, counts = self._port, (self._messages, self._bytes, self._dropped)
+        pulses = self._pulses if port.has_line else None
+        return OutletResult(port.name, *counts, port.away, port.line, pulses)
+
+    def _run(self) -> None:
+        """Body of the thread."""
+        while (item := self._waiting.get()) is not None:
+            since_s, packet = item
+            if packet.kind is PacketKind.PPS:
+                self._set_line(high=any(packet.payload))
+            elif time.monotonic() - since_s > _PATIENCE_S or not self._write(packet.payload):
+                self._dropped += 1
+        self._set_line(high=False)
+        self._port.close()
+
+    def _write(self, payload: bytes) -> bool:
+        """Write a message; whether it is out."""
+
+        def put(port: Any) -> int | None:
+            """Wait for room first: pyserial would ask for it again and again, and take a core for that."""
+            with suppress(UnsupportedOperation):  # a port without descriptor, such as loop://
+                if not select.select([], [port.fileno()], [], _PATIENCE_S)[1]:
+                    return None
+            written: int = port.write(payload)
+            return written
+
+        if (written := self._port.use(put)) is None:
+            return False
+        self._messages, self._bytes = self._messages + 1, self._bytes + written
+        return True
+
+    def _set_line(self, *, high: bool) -> None:
+        """Raise or lower the line of the pulse, where there is one."""
+        line = self._port.line
+        if line and self._port.has_line:
+
+            def set_line(port: Any) -> bool:
+                """Whether it could be set."""
+                setattr(port, line, high)
+                return True
+
+            self._pulses += bool(self._port.use(set_line)) and high
