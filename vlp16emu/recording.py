@@ -4,7 +4,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import AbstractContextManager, ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from ipaddress import IPv4Address
 from pathlib import Path
@@ -116,10 +116,7 @@ def record_packets(
     begin_ns, simulated_s = scenario.start_ns + seconds_to_ns(span_s[0]), 0.0
     sent = Counter[tuple[int, str]]()
     links = [unit.link for unit in units]
-    with ExitStack() as stack:
-        sinks = [stack.enter_context(PcapSink(path, links)) for path in paths]
-        taken = stack.enter_context(packets)
-        stack.enter_context(suppress(CancelledError))
+    with _sinks(paths, links) as sinks, packets as taken, suppress(CancelledError):
         for packet in taken:
             if stop.is_set():
                 break
@@ -149,6 +146,13 @@ def record_packets(
         real_time_factor=simulated_s / wall_s,
         interrupted=interrupted,
     )
+
+
+@contextmanager
+def _sinks(paths: Sequence[Path], links: Sequence[Link]) -> Iterator[list[PcapSink]]:
+    """Open all files of a recording."""
+    with ExitStack() as stack:
+        yield [stack.enter_context(PcapSink(path, links)) for path in paths]
 
 
 def prepared(links: Sequence[Link], path: Path, record: Callable[[Path], object]) -> Iterator[Packet]:

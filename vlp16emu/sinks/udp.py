@@ -196,7 +196,7 @@ def _bind(opened: socket.socket, as_sensor: str | None, interface: str | None, p
         try:
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, interface.encode())
         except OSError as error:
-            expected = f"one of {', '.join(interfaces())}, and Linux 5.7 or the capability CAP_NET_RAW"
+            expected = f"one of {', '.join(_interfaces())}, and Linux 5.7 or the capability CAP_NET_RAW"
             raise OutputError(f"interface {interface}", str(error.strerror), expected) from error
     if as_sensor is None:
         return
@@ -205,12 +205,12 @@ def _bind(opened: socket.socket, as_sensor: str | None, interface: str | None, p
     except OSError as error:
         expected = "a free port"
         if error.errno == errno.EADDRNOTAVAIL:
-            device = interface or interfaces()[0]
+            device = interface or _interfaces()[0]
             expected = f"an address of this machine: sudo ip addr add {as_sensor}/24 dev {device}"
         raise OutputError(f"{as_sensor}:{port}", str(error.strerror), expected) from error
 
 
-def interfaces() -> list[str]:
+def _interfaces() -> list[str]:
     """Names of this machine's network interfaces, the loopback last."""
     names = sorted(name for _, name in socket.if_nameindex())
     return sorted(names, key=lambda name: name == "lo")
