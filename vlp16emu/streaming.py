@@ -19,6 +19,7 @@ from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sinks import (
     FellBehind,
     FirstPacket,
+    GpsInResult,
     Late,
     Outlet,
     OutletResult,
@@ -234,6 +235,8 @@ class Streamed:
     """None without an audit."""
     live: LiveReport | None = None
     """None where no poses came in."""
+    gps_in: GpsInResult | None = None
+    """None without a real receiver."""
     gps_out: OutletResult | None = None
     """Sentences and pulses of the receiver; None unless asked for, as the next."""
     imu_out: OutletResult | None = None

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -15,9 +16,13 @@ from vlp16emu.sinks import (
     LOOK_AHEAD_PACKETS,
     LOOPBACK,
     FellBehind,
+    GpsIn,
+    GpsInSink,
+    GpsReader,
     Late,
     Outlets,
     Pacer,
+    PacketSink,
     RigSink,
     SinkByKind,
     TruthTo,
@@ -55,6 +60,7 @@ class Streams(Run):
         http: Http | None = None,
         poses: PosesIn | None = None,
         outlets: Outlets = _NONE,
+        gps_in: GpsIn | None = None,
         opened: Callable[[], None] = lambda: None,
         preparing: Callable[[float], None] = lambda _: None,
         progress: Callable[[float], None] = lambda _: None,
@@ -77,6 +83,7 @@ class Streams(Run):
         http : where the web interfaces of the sensors are, through which the stream is set; None for none
         poses : where those of a live scene come in; its stream begins with the first one, and drops what is late
         outlets : what leaves beside the packets of the sensors: sentences and pulses of the receiver, inertial samples
+        gps_in : a real receiver, which sets the clock of the sensors instead of that of the scene
         opened : called once before the first packet is computed, when the sockets are open
         preparing : called with the simulated seconds computed so far into `prepare`
         progress : called with the simulated seconds so far, packet by packet
@@ -98,6 +105,8 @@ class Streams(Run):
         """
         if prepare is not None and http is not None:
             raise InputError("--http", "found beside --prepare", "one of both")
+        if gps_in is not None and now:
+            raise InputError("--gps-in", "found beside --now", "one of both, as either sets the time")
         stop, pacer, policy = stop or Event(), Pacer(speed), Late(late)
         span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
         links = [unit.link for unit in self.parts.units]
@@ -116,7 +125,9 @@ class Streams(Run):
             else:
                 run = partial(self.record, duration_s=duration_s, truth=truth, progress=preparing, stop=stop)
                 packets = prepared(links, Path(prepare), run)
-            way = SinkByKind(sink, ways) if ways else sink
+            reader = stack.enter_context(self._listening(gps_in)) if gps_in else None
+            way: PacketSink = SinkByKind(sink, ways) if ways else sink
+            way = GpsInSink(way, reader.line) if reader else way
             go_on_from = None if prepare else engine.go_on_from
             report = stream(
                 packets,
@@ -136,6 +147,7 @@ class Streams(Run):
             write_times(truth, report, speed)
         found, how = self.audit.finding if self.audit else None, (self.name, to, speed, policy)
         streamed = summed_up(self, engine, report, sink.results, *how, audit=found, live=live)
+        streamed = replace(streamed, gps_in=reader.result if reader else None)
         return with_outlets(streamed, ways, report.skipped + engine.skipped)
 
     def put_pose(
@@ -151,6 +163,10 @@ class Streams(Run):
         if not isinstance(carrier := self.parts.carrier, LiveMotion):
             raise TrajectoryError("motion.kind", f'found "{self.scenario.motion.kind}"', '"live"')
         return carrier.poses.put(position_m, quaternion, t_ns)
+
+    def _listening(self, gps_in: GpsIn) -> GpsReader:
+        """Listen to a real receiver."""
+        return GpsReader(gps_in, self.scenario.gps, self.scenario.sensor.powered_for_s)
 
     def _serve(self, http: Http, engine: Engine, sink: RigSink, now: UnderWay, until: ExitStack) -> None:
         """Serve the web interfaces, as sensors do once they are up."""

@@ -1,5 +1,6 @@
 """Options of `vlp16emu stream` for what leaves beside the packets, and the rows of its report."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
@@ -8,10 +9,10 @@ from vlp16emu.cli.terminal import count
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
-    from vlp16emu.sinks import OutletResult, Outlets
+    from vlp16emu.sinks import Away, GpsIn, OutletResult, Outlets
     from vlp16emu.streaming import Streamed
 
-__all__ = ["GpsOut", "GpsPps", "ImuOut", "outlet_rows", "outlets_of"]
+__all__ = ["GpsInPort", "GpsInPulse", "GpsOut", "GpsPps", "ImuOut", "gps_in_of", "outlet_rows", "outlets_of"]
 
 Line = Literal["dtr", "rts", "off"]
 _LINES: tuple[Line, ...] = get_args(Line)
@@ -23,6 +24,18 @@ def _line(text: str) -> Line:
         if text == line:
             return line
     raise InputError("--gps-pps", f"found {text}", "dtr, rts or off")
+
+
+Pulse = Literal["sentence", "cd", "cts", "dsr", "ri"]
+_PULSES: tuple[Pulse, ...] = get_args(Pulse)
+
+
+def _pulse(text: str) -> Pulse:
+    """Read the line of a receiver's pulse."""
+    for pulse in _PULSES:
+        if text == pulse:
+            return pulse
+    raise InputError("--gps-in-pulse", f"found {text}", "sentence, cd, cts, dsr or ri")
 
 
 GpsOut = Annotated[
@@ -53,6 +66,33 @@ ImuOut = Annotated[
 ]
 
 
+GpsInPort = Annotated[
+    str | None,
+    typer.Option(
+        "--gps-in",
+        metavar="PORT",
+        help="Take pulse and sentences from a real GPS receiver, 9600 8N1, which then sets the sensor's clock: a device, or a URL "
+        "of pyserial.",
+    ),
+]
+GpsInPulse = Annotated[
+    Pulse,
+    typer.Option(
+        "--gps-in-pulse",
+        metavar="sentence|cd|cts|dsr|ri",
+        parser=_pulse,
+        help="Line of that port that carries the pulse; sentence where none is wired.",
+    ),
+]
+
+
+def gps_in_of(port: str | None, pulse: Pulse) -> "GpsIn | None":
+    """Take the options together."""
+    from vlp16emu.sinks import GpsIn
+
+    return None if port is None else GpsIn(port, pulse)
+
+
 def outlets_of(gps_out: str | None, gps_pps: Line, imu_out: str | None) -> "Outlets":
     """Take the options together."""
     from vlp16emu.sinks import Outlets
@@ -68,6 +108,12 @@ def outlet_rows(streamed: "Streamed") -> dict[str, str]:
         if gps.line:
             has_none = f"none, as {gps.to} has no such line as {gps.line.upper()}"
             rows["pulses"] = has_none if gps.pulses is None else f"{count(gps.pulses)} on {gps.line.upper()}"
+    if gps_in := streamed.gps_in:
+        heard = gps_in.heard
+        rows["receiver"] = (
+            f"{count(heard.sentences)} sentences from {gps_in.port}, {count(heard.pulses)} pulses, "
+            f"{count(heard.refused)} garbled; {gps_in.state.name.lower()}{_away(gps_in.away)}"
+        )
     if imu := streamed.imu_out:
         rows["samples"] = _row(imu)
     return rows
@@ -78,7 +124,12 @@ def _row(sent: "OutletResult") -> str:
     row = f"{count(sent.messages)} to {sent.to}"
     if sent.dropped:
         row += f", {count(sent.dropped)} dropped"
-    if sent.away:
-        often = "once" if len(sent.away) == 1 else f"{count(len(sent.away))} times"
-        row += f"; the device was away {often}, for {sum(time.away_s for time in sent.away):.1f} s"
-    return row
+    return row + _away(sent.away)
+
+
+def _away(times: Sequence["Away"]) -> str:
+    """Write how often and for how long a device was away."""
+    if not times:
+        return ""
+    often = "once" if len(times) == 1 else f"{count(len(times))} times"
+    return f"; the device was away {often}, for {sum(time.away_s for time in times):.1f} s"

@@ -30,7 +30,16 @@ from vlp16emu.cli.arguments import (
     truth_to,
 )
 from vlp16emu.cli.live import FlownFile, PoseIn, late_of, live_rows, poses_in
-from vlp16emu.cli.outlets import GpsOut, GpsPps, ImuOut, outlet_rows, outlets_of
+from vlp16emu.cli.outlets import (
+    GpsInPort,
+    GpsInPulse,
+    GpsOut,
+    GpsPps,
+    ImuOut,
+    gps_in_of,
+    outlet_rows,
+    outlets_of,
+)
 from vlp16emu.cli.start import make_emulator, starting
 from vlp16emu.cli.terminal import (
     INTERRUPTED,
@@ -295,6 +304,8 @@ def stream(
     gps_out: GpsOut = None,
     gps_pps: GpsPps = "dtr",
     imu_out: ImuOut = None,
+    gps_in: GpsInPort = None,
+    gps_in_pulse: GpsInPulse = "sentence",
     as_json: AsJson = False,
 ) -> None:
     """Stream a scene over UDP, each packet at its time.
@@ -325,6 +336,7 @@ def stream(
             http=served(http, http_settings, quiet=as_json),
             poses=poses_in(emulator.scenario, pose_in, flown, progress.say),
             outlets=outlets_of(gps_out, gps_pps, imu_out),
+            gps_in=gps_in_of(gps_in, gps_in_pulse),
             opened=lambda: None if as_json else _announce(scene, to, emulator),
             preparing=partial(progress.show, "preparing"),
             progress=partial(progress.show, "streaming"),

@@ -1,5 +1,6 @@
 """Where packets leave: a capture file, the network, or a list; and the clock that lets them leave in time."""
 
+from vlp16emu.sinks.gps_in import GpsIn, GpsInResult, GpsInSink, GpsReader
 from vlp16emu.sinks.now import NowSink
 from vlp16emu.sinks.outlets import Outlets
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
@@ -24,6 +25,10 @@ __all__ = [
     "Away",
     "FellBehind",
     "FirstPacket",
+    "GpsIn",
+    "GpsInResult",
+    "GpsInSink",
+    "GpsReader",
     "Late",
     "Lateness",
     "LatenessHistogram",

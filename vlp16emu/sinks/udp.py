@@ -14,7 +14,7 @@ from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL, Link
 from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["BROADCAST", "LOOPBACK", "RigSink", "UdpResult", "UdpSink", "interfaces", "resolve"]
+__all__ = ["BROADCAST", "LOOPBACK", "RigSink", "UdpResult", "UdpSink", "resolve"]
 
 LOOPBACK = "127.0.0.1"
 """Where packets go unless an address is given: nowhere but this machine."""
