@@ -3,6 +3,7 @@
 from vlp16emu.sinks.now import NowSink
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import PcapResult, PcapSink, check_ending
+from vlp16emu.sinks.readiness import Check, Condition, sending_checks
 from vlp16emu.sinks.sink import MemorySink, PacketSink
 from vlp16emu.sinks.stream import (
     LOOK_AHEAD_PACKETS,
@@ -20,6 +21,8 @@ __all__ = [
     "LOOK_AHEAD_PACKETS",
     "LOOPBACK",
     "TOLERANCE_NS",
+    "Check",
+    "Condition",
     "FellBehind",
     "FirstPacket",
     "Late",
@@ -39,6 +42,7 @@ __all__ = [
     "UdpSink",
     "UnderWay",
     "check_ending",
+    "sending_checks",
     "sending_share",
     "stream",
     "tum_rows",
