@@ -13,6 +13,7 @@ import typer
 from vlp16emu.cli.accuracy import accuracy
 from vlp16emu.cli.cache import cache
 from vlp16emu.cli.decode import decode
+from vlp16emu.cli.doctor import doctor
 from vlp16emu.cli.forest import forest
 from vlp16emu.cli.plan import plan
 from vlp16emu.cli.points import points
@@ -64,6 +65,9 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
   vlp16emu plan birch_walk
   vlp16emu plan old_growth --duration 600 --set sensor.return_mode=dual
   vlp16emu plan reference_forest --ideal --json""",
+    doctor: """\b
+  vlp16emu doctor
+  vlp16emu doctor --json""",
     cache: """\b
   vlp16emu cache
   vlp16emu cache --clear""",

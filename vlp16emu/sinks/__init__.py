@@ -5,6 +5,7 @@ from vlp16emu.sinks.now import NowSink
 from vlp16emu.sinks.outlets import Outlets
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import PcapResult, PcapSink, check_ending
+from vlp16emu.sinks.readiness import Check, Condition, sending_checks
 from vlp16emu.sinks.sink import Away, MemorySink, Outlet, OutletResult, PacketSink, SinkByKind
 from vlp16emu.sinks.stream import (
     LOOK_AHEAD_PACKETS,
@@ -23,6 +24,8 @@ __all__ = [
     "LOOPBACK",
     "TOLERANCE_NS",
     "Away",
+    "Check",
+    "Condition",
     "FellBehind",
     "FirstPacket",
     "GpsIn",
@@ -50,6 +53,7 @@ __all__ = [
     "UdpSink",
     "UnderWay",
     "check_ending",
+    "sending_checks",
     "sending_share",
     "stream",
     "tum_rows",

@@ -1,0 +1,113 @@
+"""Whether this machine is fit for each verb, and what mends what is not."""
+
+import os
+import platform
+import shutil
+import tempfile
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+from vlp16emu.compiled import compiled_files
+from vlp16emu.errors import Vlp16emuError
+from vlp16emu.sinks import Check, Condition, sending_checks
+from vlp16emu.store import user_store
+
+__all__ = ["all_checks"]
+
+_EXTRAS = {
+    "bench": (("h11",), "stream --http"),
+    "dem": (("tifffile", "imagecodecs"), "heights from GeoTIFF files (world.dem)"),
+    "picture": (("matplotlib",), "forest --picture"),
+}
+"""Libraries of each extra in pyproject.toml, and what needs them."""
+_WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
+"""Instruction sets that Embree has kernels for, by their names in /proc/cpuinfo, the widest first (Embree 4 manual, rtcNewDevice)."""
+_FEWEST_CORES = 2
+_CASTER = "raycast_"
+"""How numba names the folder of compiled kernels of that room."""
+
+
+def all_checks() -> Iterator[Check]:
+    """Look at all that any verb needs, one thing after the other."""
+    yield _cores()
+    yield _kernels()
+    yield _embree()
+    yield from sending_checks()
+    for extra, (libraries, purpose) in _EXTRAS.items():
+        yield _extra(extra, libraries, purpose)
+    yield _disk()
+
+
+def _cores() -> Check:
+    """How many cores this process may use."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if cores >= _FEWEST_CORES:
+        return Check("cores", Condition.OK, f"{cores}")
+    return Check(
+        "cores", Condition.WARNING, f"{cores}", "stream --prepare: the engine then has it before the sender"
+    )
+
+
+def _kernels() -> Check:
+    """Where compiled kernels are kept, and whether they are there."""
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR", ""))
+    found = {path: files for path, files in compiled_files().items() if path == folder}
+    if not found:
+        mend = "export NUMBA_CACHE_DIR=FOLDER, of one in which nobody else can write"
+        return Check(
+            "kernel cache", Condition.WARNING, "no safe folder: each run compiles for a minute", mend
+        )
+    if not any(file.parent.name.startswith(_CASTER) for file in found[folder]):
+        lacking = f"{folder} lacks those of casting: the next run compiles for a minute"
+        return Check("kernel cache", Condition.WARNING, lacking, "vlp16emu plan birch_walk")
+    return Check("kernel cache", Condition.OK, f"{len(found[folder])} files in {folder}")
+
+
+def _embree() -> Check:
+    """Whether Embree can be loaded, and by which instructions it computes."""
+    from vlp16emu.raycast.embree import device
+
+    try:
+        device()
+    except (Vlp16emuError, ImportError, OSError) as error:
+        return Check("Embree", Condition.PROBLEM, str(error), "pip install --force-reinstall embreex")
+    return Check("Embree", Condition.OK, f"loads; {_instructions()}")
+
+
+def _instructions() -> str:
+    """Name the widest instructions of this processor that Embree has kernels for."""
+    try:
+        flags = set(Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").split())
+    except OSError:
+        flags = set()
+    return next((name for name in _WIDEST if name in flags), platform.machine())
+
+
+def _extra(extra: str, libraries: tuple[str, ...], purpose: str) -> Check:
+    """Whether an extra is installed."""
+    missing = [library for library in libraries if find_spec(library) is None]
+    if not missing:
+        return Check(f"extra {extra}", Condition.OK, f"installed, for {purpose}")
+    found = f"without {', '.join(missing)}: no {purpose}"
+    return Check(f"extra {extra}", Condition.WARNING, found, f"pip install 'vlp16emu[{extra}]'")
+
+
+def _disk() -> Check:
+    """How much room there is where grown worlds are kept."""
+    store = user_store()
+    if store.folder is None:
+        return Check(
+            "world cache", Condition.WARNING, "off: each run grows its world", "unset VLP16EMU_CACHE_DIR"
+        )
+    there = next(folder for folder in (store.folder, *store.folder.parents) if folder.is_dir())
+    free = shutil.disk_usage(there).free
+    found = f"{free / 1e9:.1f} GB free for at most {store.most_bytes / 1e9:.1f} GB in {store.folder}"
+    if not os.access(there, os.W_OK):
+        mend = f"export VLP16EMU_CACHE_DIR={tempfile.gettempdir()}/vlp16emu-worlds"
+        return Check("world cache", Condition.WARNING, f"{there} cannot be written", mend)
+    if free >= store.most_bytes:
+        return Check("world cache", Condition.OK, found)
+    return Check(
+        "world cache", Condition.WARNING, found, "export VLP16EMU_CACHE_MB=100, or another VLP16EMU_CACHE_DIR"
+    )
