@@ -26,7 +26,10 @@ wire.setsockopt(socket.SOL_SOCKET, 33, 16_000_000)  # SO_RCVBUFFORCE: frames wai
 wire.bind(("host0", 0x0800))
 line("up")
 while True:
-    line(wire.recv(2000).hex())
+    try:
+        line(wire.recv(2000).hex())
+    except OSError:
+        line("down")
 """
 
 IN_NAMESPACE = """
@@ -69,6 +72,13 @@ told["frames"] = [receiver.stdout.readline().strip() for _ in range(report["pack
 going = stream("--interface", "sensor0", "--duration", "3600")
 for _ in range(50):
     receiver.stdout.readline()
+other_end = ["nsenter", f"--net=/proc/{receiver.pid}/ns/net", "ip", "link", "set", "host0"]
+subprocess.run([*other_end, "down"], check=True)
+while receiver.stdout.readline() != "down\\n":
+    pass
+told["unplugged"] = going.poll()
+subprocess.run([*other_end, "up"], check=True)
+told["plugged in"] = [receiver.stdout.readline().strip() for _ in range(50)]
 ip("link del sensor0")
 told["vanished"] = ended(going)
 receiver.kill()
@@ -78,7 +88,7 @@ print(json.dumps(told))
 pytestmark = [
     pytest.mark.skipif(os.geteuid() != 0, reason="a private network needs root"),
     pytest.mark.skipif(
-        not (shutil.which("ip") and shutil.which("unshare")), reason="needs iproute2 and unshare"
+        not all(map(shutil.which, ("ip", "unshare", "nsenter"))), reason="needs iproute2, unshare and nsenter"
     ),
 ]
 
@@ -134,6 +144,12 @@ def test_each_unit_of_a_rig_is_a_sensor_on_the_wire(seen):
         ("192.168.1.202", 2369, 1206),
         ("192.168.1.202", 8309, 512),
     }
+
+
+def test_an_unplugged_cable_is_survived(seen):
+    """While the other end of the cable is down the stream goes on, and frames arrive as soon as it is up again."""
+    assert seen["unplugged"] is None
+    assert {len(bytes.fromhex(frame)) for frame in seen["plugged in"]} <= {1248, 554}
 
 
 def test_a_stream_whose_interface_vanishes_ends_at_once(seen):

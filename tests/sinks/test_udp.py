@@ -53,14 +53,19 @@ def test_loopback_is_the_default():
 
 
 def test_nobody_listening_does_not_end_the_stream(make_packets):
-    """Sending on goes well where every datagram is answered by port unreachable."""
+    """Sending on goes well where every datagram is answered by port unreachable; who listens then gets what comes next."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as closed:
         closed.bind((LOOPBACK, 0))
         port = closed.getsockname()[1]
     with UdpSink(data_port=port, position_port=port) as sink:
         for packet in make_packets(200):
             sink.send(packet)
-    assert sink.result.data_packets == 160
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as late:
+            late.bind((LOOPBACK, port))
+            late.settimeout(5)
+            sink.send(packet)
+            assert late.recv(2000) == packet.payload
+    assert sink.result.data_packets + sink.result.position_packets == 201
 
 
 def test_broadcast_is_asked_for_only_where_it_is_meant():
