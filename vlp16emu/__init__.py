@@ -11,18 +11,23 @@ from vlp16emu.compiled import keep_compiled
 TYPE_CHECKING = False  # not from typing, which takes a third of the package's start
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
+    from vlp16emu.flight import PosesIn
     from vlp16emu.recording import Recording
     from vlp16emu.replay import Replayed, replay
     from vlp16emu.scan import Labels, Scan, decode
     from vlp16emu.scenario import Scenario, load
-    from vlp16emu.sinks import Outlets, TruthTo
+    from vlp16emu.sinks import GpsIn, Outlets, TruthTo
+    from vlp16emu.streaming import Http
     from vlp16emu.validator import Finding, Verification, verify
 
 __all__ = [
     "Emulator",
     "Finding",
+    "GpsIn",
+    "Http",
     "Labels",
     "Outlets",
+    "PosesIn",
     "Recording",
     "Replayed",
     "Scan",
@@ -38,8 +43,11 @@ __all__ = [
 _PLACES = {
     "Emulator": "emulator",
     "Finding": "validator",
+    "GpsIn": "sinks",
+    "Http": "streaming",
     "Labels": "scan",
     "Outlets": "sinks",
+    "PosesIn": "flight",
     "Recording": "recording",
     "Replayed": "replay",
     "Scan": "scan",

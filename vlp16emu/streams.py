@@ -103,8 +103,9 @@ class Streams(Run):
         RunError
             where the system cannot send any more
         """
-        if prepare is not None and http is not None:
-            raise InputError("--http", "found beside --prepare", "one of both")
+        for option, given in (("--http", http), ("--gps-out or --imu-out", outlets.kinds)):
+            if prepare is not None and given:
+                raise InputError(option, "found beside --prepare", "one of both")
         if gps_in is not None and now:
             raise InputError("--gps-in", "found beside --now", "one of both, as either sets the time")
         stop, pacer, policy = stop or Event(), Pacer(speed), Late(late)
