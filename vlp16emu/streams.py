@@ -1,6 +1,6 @@
 """A scene over UDP in real time."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import partial
@@ -40,6 +40,13 @@ _NONE = Outlets()
 def _report(progress: Callable[[float], None], start_ns: int, due_ns: int) -> None:
     """Report how far the stream is."""
     progress((due_ns - start_ns) / S_NS)
+
+
+def _exclude(given: bool, option: str, others: Mapping[str, object]) -> None:  # the value of an option
+    """Refuse options beside one that rules them out."""
+    for other, value in others.items():
+        if given and value:
+            raise InputError(other, f"found beside {option}", "one of both")
 
 
 class Streams(Run):
@@ -103,11 +110,8 @@ class Streams(Run):
         RunError
             where the system cannot send any more
         """
-        for option, given in (("--http", http), ("--gps-out or --imu-out", outlets.kinds)):
-            if prepare is not None and given:
-                raise InputError(option, "found beside --prepare", "one of both")
-        if gps_in is not None and now:
-            raise InputError("--gps-in", "found beside --now", "one of both, as either sets the time")
+        _exclude(prepare is not None, "--prepare", {"--http": http, "--gps-out or --imu-out": outlets.kinds})
+        _exclude(now, "--now", {"--gps-in": gps_in})
         stop, pacer, policy = stop or Event(), Pacer(speed), Late(late)
         span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
         links = [unit.link for unit in self.parts.units]

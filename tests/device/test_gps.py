@@ -2,7 +2,7 @@
 
 import pytest
 
-from vlp16emu.device import GpsInput
+from vlp16emu.device.gps import GpsInput
 from vlp16emu.errors import PacketError
 from vlp16emu.motion import Gps
 from vlp16emu.packets import parse_rmc

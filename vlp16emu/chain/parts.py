@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 from vlp16emu.chain.sending import Sending
 from vlp16emu.chain.timeline import clock_spans, sending_spans, silences_ns, spins, wobbles
-from vlp16emu.device import GpsInput
 from vlp16emu.device.events import Event
+from vlp16emu.device.gps import GpsInput
 from vlp16emu.device.optics import Optics
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier

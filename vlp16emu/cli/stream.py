@@ -175,10 +175,8 @@ _SLOWEST = 0.001
 
 def receiver_of(to: str | None, data_port: int | None, interface: str | None) -> tuple[str, int | None]:
     """Split a receiver into its host and the port of data packets, which may be behind it; by default all stations."""
-    from vlp16emu.sinks import BROADCAST, LOOPBACK
-
     if to is None:
-        to = LOOPBACK if interface is None else BROADCAST
+        to = "127.0.0.1" if interface is None else "255.255.255.255"
     host, colon, port = to.partition(":")
     if not colon:
         return to, data_port

@@ -16,10 +16,9 @@ from vlp16emu.sinks.stream import (
     stream,
 )
 from vlp16emu.sinks.truth import TruthFolder, TruthTo, tum_rows, write_json
-from vlp16emu.sinks.udp import BROADCAST, LOOPBACK, RigSink, UdpResult, UdpSink
+from vlp16emu.sinks.udp import LOOPBACK, RigSink, UdpResult, UdpSink
 
 __all__ = [
-    "BROADCAST",
     "LOOK_AHEAD_PACKETS",
     "LOOPBACK",
     "TOLERANCE_NS",

@@ -14,13 +14,10 @@ from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL, Link
 from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["BROADCAST", "LOOPBACK", "RigSink", "UdpResult", "UdpSink", "resolve"]
+__all__ = ["LOOPBACK", "RigSink", "UdpResult", "UdpSink", "resolve"]
 
 LOOPBACK = "127.0.0.1"
 """Where packets go unless an address is given: nowhere but this machine."""
-
-BROADCAST = "255.255.255.255"
-"""Where a sensor sends until it is set otherwise: to all stations of its network."""
 
 # Linux socket options that Python does not name. Source: linux/in.h and asm-generic/socket.h.
 _SO_NO_CHECK = 11
