@@ -147,7 +147,7 @@ def test_a_mesh_of_pentagons_is_refused():
 def test_names_that_users_write_are_the_wires_own():
     """Return modes, packet kinds and PPS states keep the words and numbers that files and packets use."""
     assert [mode.value for mode in ReturnMode] == ["strongest", "last", "dual"]
-    assert [kind.value for kind in PacketKind] == ["data", "position", "nmea"]
+    assert [kind.value for kind in PacketKind] == ["data", "position", "nmea", "pps", "imu"]
     assert [state.value for state in PpsState] == [0, 1, 2, 3]
 
 

@@ -79,10 +79,10 @@ class Run(Chain):
         RunError
             where the disk is full; the packets before are kept
         """
-        check_ending(Path(path))
         paths = paths_of_units(Path(path), len(self.parts.units)) if split else [Path(path)]
         for one in paths:
             spare(self._files, one)
+        check_ending(Path(path))
         span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
         packets = self.packets(*span_s)  # checks the span before the file is touched
         with self.windows.stopped_by(stop):

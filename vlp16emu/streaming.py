@@ -1,10 +1,11 @@
 """What a stream sends, and can leave out; how punctual it was, and why it fell behind."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from threading import Thread
 
 from vlp16emu.accuracy import AuditFinding
 from vlp16emu.chain import Unit
@@ -93,8 +94,14 @@ class Engine:
         return packet
 
     def close(self) -> None:
-        """End the workers."""
+        """End the workers, and wait for what they have begun."""
         self._packets = iter(())
+
+    def _let_go(self) -> None:
+        """End the workers without waiting: what comes next is wanted at once."""
+        before, self._packets = self._packets, iter(())
+        if isinstance(before, Generator):
+            Thread(target=before.close, name="let go", daemon=True).start()
 
     def go_on_from(self, due_ns: int) -> None:
         """Compute no packet that is due before a UTC time, from the next one on; from any thread."""
@@ -102,7 +109,7 @@ class Engine:
 
     def begin_again(self, from_ns: int, events: Sequence[Event]) -> None:
         """Go on from a UTC time, or from where the run is if that is earlier, with other events; between two packets."""
-        self.close()  # of the packets before
+        self._let_go()
         self._chain.set_events(events)
         if from_ns > self._reached_ns:
             from_ns, there = self._reached_ns, self._at_reached

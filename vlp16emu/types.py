@@ -363,9 +363,9 @@ class Window:
 
     def __post_init__(self) -> None:
         _check(self, "origin_m", self.origin_m, "f8", 3)
-        _check(self, "shape", self.shape, "i4", None)
-        _check(self, "world_T_shape", self.world_T_shape, "f8", len(self.shape), 3, 4)
-        _check(self, "first_surface", self.first_surface, "u4", len(self.shape))
+        _check(self, "shape", self.shape, "i4", n := len(self.shape))
+        _check(self, "world_T_shape", self.world_T_shape, "f8", n, 3, 4)
+        _check(self, "first_surface", self.first_surface, "u4", n)
 
 
 HeightField = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]

@@ -173,15 +173,12 @@ class Windows(Generic[S]):
 
 @contextmanager
 def workers(threads: int, name: str, stop: Event | None = None) -> Iterator[ThreadPoolExecutor]:
-    """Give a pool of threads, which are waited for at its end; but not where nobody waits for their results any more.
-
-    So it is where `stop` is set, Ctrl-C is pressed, or a generator that uses them is closed.
-    """
+    """Give a pool of threads, which are waited for at its end; but not where `stop` is set, or Ctrl-C is pressed."""
     pool = ThreadPoolExecutor(threads, name)
     try:
         yield pool
     except BaseException as error:
-        is_over = isinstance(error, KeyboardInterrupt | GeneratorExit) or (stop is not None and stop.is_set())
+        is_over = isinstance(error, KeyboardInterrupt) or (stop is not None and stop.is_set())
         pool.shutdown(wait=not is_over, cancel_futures=True)
         raise
     pool.shutdown()
