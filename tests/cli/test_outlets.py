@@ -36,7 +36,7 @@ def receiver():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
         opened.bind(("127.0.0.1", 0))
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-        opened.settimeout(5.0)
+        opened.settimeout(240.0)
         yield opened
 
 
