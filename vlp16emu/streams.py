@@ -119,6 +119,7 @@ class Streams(Run):
             stack.enter_context(self.windows.stopped_by(stop))
             flight = stack.enter_context(flying(self, poses, self._files))
             policy = flight.prepare(stop, pacer, now=now) if flight else policy
+            self.prompt = http is not None
             engine = stack.enter_context(closing(Engine(self, *span_s, also=outlets.kinds)))
             sent = partial(_report, progress, start_ns)
             rig = RigSink(links, to, as_sensor=as_sensor, interface=interface, sent=sent)

@@ -209,6 +209,20 @@ def test_a_free_clock_steps_and_drifts():
     assert abs(ahead_us - expected).max() <= 1.5
 
 
+def test_pulses_without_sentences_set_the_part_below_a_second():
+    """After a loss of power minutes and seconds count from it, and stamps begin anew with the edge of each pulse."""
+    lost, missing = (
+        {"kind": "power_cycle", "at_s": 0.2, "off_s": 0.3},
+        {"kind": "missing_sentence", "at_s": 0.0},
+    )
+    payloads, due_ns = data_of(emulator(lost, missing, clock_error_ppm=100.0).packets(0.0, 4.0))
+    stamp_us = payloads[:, 1200:1204].copy().view("<u4")[:, 0].astype(float)
+    fired_us = (due_ns - 1_327_104) / US_NS  # the first pulse is fired at a whole second
+    free, pulled = (due_ns > 0.6 * S_NS) & (due_ns < S_NS), due_ns > 1.01 * S_NS
+    assert stamp_us[free] == pytest.approx((fired_us[free] - 0.5e6) * 1.0001, abs=1.5)
+    assert stamp_us[pulled] == pytest.approx(fired_us[pulled], abs=1.0)
+
+
 def test_truth_knows_the_first_pulse_of_each_packet(tmp_path):
     """Poses of packets are those of their first pulses, also where the field of view leaves some out."""
     run = emulator(setting(0.1, fov_deg=[90, 180]), setting(0.5, return_mode="dual"))

@@ -19,7 +19,7 @@ def windows(*, per_segment=4, threads=2, opened=None):
             opened.append(segment)
         return f"segment {segment}"
 
-    batching = SimpleNamespace(block_ns=100, segment=per_segment or 4)
+    batching = SimpleNamespace(block_ns=100, segment=per_segment or 4, parts=1)
     return Windows(open_segment, batching, moves=per_segment is not None, threads=threads)
 
 
@@ -123,6 +123,14 @@ def test_a_wire_sensor_is_cut_as_ever():
     assert batching.block % 24 == batching.block % 12 == 0
 
 
+def test_parts_of_blocks_leave_windows_where_they_are():
+    """Blocks of a VLP-16 in 20 parts, whole packets as well, have the same segments and the same edges to look from."""
+    whole, parts = Batching(16, 55_296), Batching(16, 55_296, 20)
+    assert (parts.block, parts.block % 24) == (96, 0)
+    assert parts.segment == 20 * whole.segment
+    assert (parts.edges_ns(3) == whole.edges_ns(3)).all()
+
+
 @pytest.mark.parametrize("lasers", [1, 8, 64, 256, 1024])
 @pytest.mark.parametrize("sequence_ns", [2_315, 55_556, 5_555_556])
 def test_blocks_of_any_sensor_are_bounded(lasers, sequence_ns):
@@ -176,7 +184,9 @@ def test_windows_are_let_go_with_their_owner():
 
     gc.disable()
     try:
-        of = Windows(lambda _segment: World(), SimpleNamespace(block_ns=1, segment=4), moves=True, threads=1)
+        of = Windows(
+            lambda _segment: World(), SimpleNamespace(block_ns=1, segment=4, parts=1), moves=True, threads=1
+        )
         alive = weakref.ref(of.at_block(0).result())
         assert alive() is not None
         del of
@@ -191,7 +201,7 @@ def test_windows_are_let_go_with_their_owner():
 def test_a_stop_ends_the_wait_for_a_window():
     """Who waits for a block is let go when the run is stopped, and no thread that grows its window is waited for."""
     grown, stop = threading.Event(), threading.Event()
-    batching = SimpleNamespace(block_ns=100, segment=4)
+    batching = SimpleNamespace(block_ns=100, segment=4, parts=1)
     of = Windows(lambda _segment: grown.wait(), batching, moves=True, threads=2)
     results = prefetch(lambda _run, scene: scene.result(), of, blocks=range(8), threads=2, together=1)
     threading.Timer(0.0, stop.set).start()

@@ -54,7 +54,7 @@ def test_without_receiver_there_is_no_second():
     gps = GpsInput(False, 350 * MS_NS)
     assert gps.pps_at(100 * S_NS) is ABSENT
     assert gps.second_ns(100 * S_NS) is None
-    assert gps.locked_spans_ns == ()
+    assert gps.spans_ns(LOCKED) == ()
 
 
 def test_a_lost_pulse_is_absent_and_then_synchronizing():
@@ -147,13 +147,14 @@ def test_a_sensor_that_starts_has_no_sentence_and_waits_for_its_window():
         [],
     ],
 )
-def test_locked_spans_are_those_of_the_state(events, window_s):
-    """The clock is set at just the instants at which the state is locked, every 10 ms of a minute."""
+def test_spans_are_those_of_the_state(events, window_s):
+    """Each instant is in the spans of its state alone, every 10 ms of a minute."""
     made = gps_input(*events, pps_window_s=window_s)
-    spans = made.locked_spans_ns
+    spans = {state: made.spans_ns(state) for state in PpsState}
     for ms in range(-5_000, 60_000, 10):
         t_ns = START_NS + ms * MS_NS
-        assert any(begin <= t_ns < end for begin, end in spans) == (made.pps_at(t_ns) is LOCKED), ms
+        there = [state for state in PpsState if any(begin <= t_ns < end for begin, end in spans[state])]
+        assert there == [made.pps_at(t_ns)], ms
 
 
 def test_a_valid_sentence_cannot_be_required_where_trees_decide():

@@ -310,6 +310,18 @@ def test_a_fault_of_the_web_interface(web, speak, monkeypatch):
     assert speak(get("/cgi/info.json", "Connection: close"))[0].startswith(b"HTTP/1.1 200 OK")
 
 
+def test_a_connection_that_is_kept_open_does_not_disturb_the_end(make, caplog):
+    """A client that still has its connection when the sensor goes is cut off without a word in the log."""
+    _, device = make()
+    with socket.socket() as line:
+        with WebServer(device, "127.0.0.1", 0) as server:
+            line.connect(server.address)
+            line.sendall(get("/cgi/info.json"))
+            assert line.recv(65_536).startswith(b"HTTP/1.1 200 OK")
+        assert line.recv(65_536) == b""
+    assert caplog.records == []
+
+
 def test_where_it_listens():
     """A host and a port, or a port of this machine alone; other texts are refused with an example."""
     assert parse_http("127.0.0.1:8080") == ("127.0.0.1", 8080)

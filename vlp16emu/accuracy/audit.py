@@ -89,20 +89,22 @@ class Audit:
         )
 
     def __call__(self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry) -> None:
-        """Look at whole blocks: what their pulses met, in the scene that they were cast against."""
+        """Look at blocks, whole or in parts: what their pulses met, in the scene that they were cast against."""
         if self.exact:
             return
-        block = Batching(firings.t_ns.shape[1], unit.head.beams.sequence_ns).block
-        for begin in range(0, len(firings.t_ns), block):
+        block, index = Batching(firings.t_ns.shape[1], unit.head.beams.sequence_ns).block, firings.index
+        for begin in range(index // block * block, index + len(firings.t_ns), block):
             self._look(unit, firings, hits, geometry, begin, block)
 
     def _look(
         self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry, begin: int, sequences: int
     ) -> None:
-        """Look at the block that begins with sequence `begin` of those that were cast."""
+        """Look at the place of the block that begins with sequence `begin`, where it is among those that were cast."""
         lasers = firings.t_ns.shape[1]
-        draw = generator(unit.seed, Purpose.AUDIT, unit.number, firings.index + begin)
-        first = begin + _SEQUENCES * int(draw.integers(sequences // _SEQUENCES))
+        draw = generator(unit.seed, Purpose.AUDIT, unit.number, begin)
+        first = begin + _SEQUENCES * int(draw.integers(sequences // _SEQUENCES)) - firings.index
+        if not 0 <= first < len(firings.t_ns):
+            return
         chosen = np.sort(draw.choice(lasers, min(_LASERS, lasers), replace=False))
         rows = slice(first, first + _SEQUENCES)
         part, exact = some_firings(firings, rows, chosen), unit.detector.without_chance()

@@ -104,7 +104,6 @@ class CellWindows(Windows[Geometry]):
 
         super().__init__(open_cell, batching, moves=True, threads=threads)
         self.cells, self._sways, self._segment = cells, parts.wind is not None, batching.segment
-        self._parts = batching.parts
 
     def name_of(self, block: int) -> Hashable:
         """Name of the window of a block."""
@@ -194,8 +193,8 @@ def _serves(cell: Cell, place_m: NDArray[np.float64], velocity_m_s: NDArray[np.f
 
 
 def cuts_of(parts: Parts) -> int:
-    """Into how many parts blocks of a run are cut: into steps, where poses come in."""
-    return KNOTS_PER_BLOCK if isinstance(parts.carrier, LiveMotion) else 1
+    """Into how many parts blocks of a run are cut: those of sensors with packets into steps of a live run."""
+    return KNOTS_PER_BLOCK if parts.head.beams.sequence_ns == SEQUENCE_NS else 1
 
 
 def checked_span_ns(

@@ -51,6 +51,8 @@ class Chain:
         self.batching = Batching(len(beams.elevation_deg), beams.sequence_ns, cuts_of(self.parts))
         self.windows = windows_for(self.parts, scenario.start_ns, self.batching, self._threads)
         self.receiver = make_receiver(scenario, self.parts, self.windows)
+        self.prompt = False
+        """Whether blocks are cast one by one, so that what is set anew shows soon; it changes the speed only."""
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
         """Packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
@@ -110,6 +112,6 @@ class Chain:
         threads, block = self._threads // len(self.parts.units) or 1, self.batching.block
         for part in unit.sending.parts(start_ns, stop_ns):
             scan = partial(self._scan, replace(unit, detector=unit.detector.for_mode(part.span.mode)))
-            of = {"threads": threads, "together": unit.beam.together}
+            of = {"threads": threads, "together": 1 if self.prompt else unit.beam.together}
             taken = prefetch(partial(part.taken, scan, block), self.windows, blocks=part.blocks(block), **of)
             yield from part.packets(taken)

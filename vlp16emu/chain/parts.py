@@ -86,7 +86,7 @@ def head_of(
         azimuth_error_deg=scenario.noise.azimuth_error_deg,
         seed=seed,
     )
-    clock = Clock(clock_spans(section, events, gps.locked_spans_ns, start_ns))
+    clock = Clock(clock_spans(section, events, gps, start_ns))
     return Head(beams, rotor, clock, start_ns)
 
 

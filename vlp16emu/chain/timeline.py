@@ -16,10 +16,11 @@ from vlp16emu.device.events import (
     Setting,
     Wobble,
 )
+from vlp16emu.device.gps import GpsInput
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.rotor import ClockSpan, Spin, Wobbling
 from vlp16emu.sensor.settings import FreeSensor, Sensor
-from vlp16emu.types import ReturnMode
+from vlp16emu.types import PpsState, ReturnMode
 from vlp16emu.units import S_NS, seconds_to_ns
 
 __all__ = ["RUN_UP_RPM_S", "clock_spans", "end_ns", "sending_spans", "silences_ns", "spins", "wobbles"]
@@ -61,17 +62,21 @@ def wobbles(events: Sequence[Event]) -> tuple[Wobbling, ...]:
 
 
 def clock_spans(
-    section: Sensor | FreeSensor, events: Sequence[Event], locked_ns: Sequence[tuple[int, int]], start_ns: int
+    section: Sensor | FreeSensor, events: Sequence[Event], gps: GpsInput, start_ns: int
 ) -> tuple[ClockSpan, ...]:
     """Find how the clock runs: locked to GPS where it can be, otherwise free from where it was, or from power-up.
 
+    Pulses without sentences pull the part below a second to their edge (63-9243 Rev D, appendix G).
+
     Parameters
     ----------
-    locked_ns : spans of UTC in which pulse and sentences of the receiver set it; none without power
-    start_ns : UTC of the first pulse
+    gps : the receiver's pulse and sentences
+    start_ns : UTC of the first pulse of a laser
     """
     power_up_ns, ppm = start_ns - seconds_to_ns(section.powered_for_s), section.clock_error_ppm
-    turns: list[tuple[int, Event | None]] = [(t_ns, None) for span in locked_ns for t_ns in span]
+    locked_ns = gps.spans_ns(PpsState.LOCKED)
+    pulsed_ns = tuple((-(-begin // S_NS) * S_NS, end) for begin, end in gps.spans_ns(PpsState.SYNCHRONIZING))
+    turns: list[tuple[int, Event | None]] = [(t_ns, None) for span in locked_ns + pulsed_ns for t_ns in span]
     turns += [
         (start_ns + seconds_to_ns(event.at_s + getattr(event, "off_s", 0.0)), event)
         for event in events
@@ -82,15 +87,21 @@ def clock_spans(
     for t_ns, event in [(power_up_ns, None), *turns]:
         if isinstance(event, Oscillator):
             ppm = section.clock_error_ppm + event.drift_ppm
-        locked = any(begin <= t_ns < end for begin, end in locked_ns)
-        if locked:
+        if _among(locked_ns, t_ns):
             spans += [] if spans and spans[-1].reading_ns is None else [ClockSpan(t_ns)]
             continue
         reading_ns = 0 if not spans or isinstance(event, PowerCycle) else _shown(spans[-1], t_ns)
         if isinstance(event, Oscillator):
             reading_ns += round(event.offset_us * 1000)
-        spans.append(ClockSpan(t_ns, reading_ns, ppm))
+        if pulsed := _among(pulsed_ns, t_ns):
+            reading_ns = t_ns % S_NS + round((reading_ns - t_ns % S_NS) / S_NS) * S_NS
+        spans.append(ClockSpan(t_ns, reading_ns, 0.0 if pulsed else ppm))
     return tuple(spans)
+
+
+def _among(spans_ns: Sequence[tuple[int, int]], t_ns: int) -> bool:
+    """Whether an instant is in one of the spans."""
+    return any(begin <= t_ns < end for begin, end in spans_ns)
 
 
 def _shown(span: ClockSpan, t_ns: int) -> int:

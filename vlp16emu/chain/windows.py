@@ -50,7 +50,7 @@ class Batching:
     sequence_ns: int
     """From one firing sequence to the next."""
     parts: int = 1
-    """Into which blocks are cut where packets may not wait for a whole one."""
+    """Into which blocks are cut for packets that do not wait for a whole one; they change no byte."""
 
     @property
     def block(self) -> int:
@@ -73,9 +73,9 @@ class Batching:
         return range(start_ns // self.block_ns, -(-stop_ns // self.block_ns))
 
     def edges_ns(self, segment: int) -> NDArray[np.int64]:
-        """(n,) times since the first pulse at which the blocks of a segment begin, and the last one ends."""
-        edges = np.arange(segment * self.segment, (segment + 1) * self.segment + 1, dtype=np.int64)
-        return edges * self.block_ns
+        """(n,) times since the first pulse at which the whole blocks of a segment begin, and the last one ends."""
+        first, stop = segment * self.segment, (segment + 1) * self.segment
+        return np.arange(first, stop + 1, self.parts, dtype=np.int64) * self.block_ns
 
 
 class Windows(Generic[S]):
@@ -98,7 +98,7 @@ class Windows(Generic[S]):
         self, open_segment: Callable[[Any], S], batching: Batching, *, moves: bool, threads: int
     ) -> None:
         self._block_ns, self._per_segment = batching.block_ns, batching.segment if moves else None
-        self._free = int((1 - _LEAD - _LAG) * batching.segment)
+        self._free, self._parts = int((1 - _LEAD - _LAG) * batching.segment), batching.parts
         opener, too_far = ThreadPoolExecutor(1, "open", self.yielding), max(0, threads + 1 - self._free)
 
         @lru_cache(self.kept + math.ceil(too_far / batching.segment))
@@ -156,12 +156,12 @@ class Windows(Generic[S]):
         return int(_LEAD * self._per_segment) if self._per_segment else 0
 
     def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:
-        """Cut blocks into runs of up to so many `together`, each within one window.
+        """Cut blocks into runs of up to so many whole ones `together`, each within one window.
 
         They are short at first, so that the first packet comes soon, and at last, so that workers end together; and
         so short that workers do not get too far ahead.
         """
-        together = max(1, min(together, self._free // (threads + 1)))
+        together = max(1, min(together * self._parts, self._free // (threads + 1)))
         first, number = blocks.start, 0
         while first < blocks.stop:
             size = min(together, 2 ** (number // threads), max(1, (blocks.stop - first) // (2 * threads)))
@@ -199,7 +199,7 @@ def prefetch(
     work : called on a worker thread; the future may still be running
     blocks : numbers of the blocks, without gaps
     threads : workers
-    together : blocks of a run at most
+    together : whole blocks of a run at most
 
     Raises
     ------

@@ -67,17 +67,14 @@ class GpsInput:
             start_ns,
         )
 
-    @property
-    def locked_spans_ns(self) -> _Spans:
-        """Spans of UTC in which pulse and sentences set the sensor's clock."""
-        if not self.connected:
-            return ()
+    def spans_ns(self, state: PpsState) -> _Spans:
+        """Spans of UTC in which the pulse is in a state, in order."""
         spans, begin_ns = list[tuple[int, int]](), None
         for t_ns in (-_FOREVER_NS, *sorted(set(self._turns_ns())), _FOREVER_NS):
-            locked = t_ns < _FOREVER_NS and self.pps_at(t_ns) is PpsState.LOCKED
-            if locked and begin_ns is None:
+            is_so = t_ns < _FOREVER_NS and self.pps_at(t_ns) is state
+            if is_so and begin_ns is None:
                 begin_ns = t_ns
-            elif not locked and begin_ns is not None:
+            elif not is_so and begin_ns is not None:
                 spans.append((begin_ns, t_ns))
                 begin_ns = None
         return tuple(spans)

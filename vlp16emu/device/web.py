@@ -155,8 +155,8 @@ class WebServer:
                 writer.close()
                 async with asyncio.timeout(LONGEST_S):
                     await writer.wait_closed()
-        except (ConnectionError, TimeoutError):
-            pass
+        except (ConnectionError, TimeoutError, asyncio.CancelledError):
+            pass  # the last one at the end of all, which asyncio would log as a failure of this connection
         finally:
             writer.transport.abort()  # with answers that nobody takes
             self._connections -= 1

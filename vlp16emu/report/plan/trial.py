@@ -70,9 +70,11 @@ def try_out(chain: Chain, stop_s: float, threads: int, began: Spent) -> Trial:
     Raises
     ------
     InputError
-        where the walk is too short to measure on
+        where the walk is too short to measure on, or a window for so many threads
     """
     batching, motion = chain.batching, chain.parts.motion
+    if threads > (most := batching.segment // 3):
+        raise InputError("--threads", f"found {threads}", f"at most {most} to measure on")
     block_s, run_time_s = batching.block_ns / S_NS, motion.run_time_s
     least_s, window_s = 3 * threads * block_s, batching.segment * block_s
     end_s = min(run_time_s, max(min(stop_s, 2 * window_s), least_s))
@@ -93,8 +95,6 @@ def try_out(chain: Chain, stop_s: float, threads: int, began: Spent) -> Trial:
                 chain.windows.at_block(batching.segment).result()
                 second = spent_since(before)
     assert first is not None
-    if not pieces:
-        raise InputError("--threads", f"found {threads}", f"at most {batching.segment // 3} to measure on")
     return Trial(first, tuple(pieces), second, windows, peak_bytes())
 
 
