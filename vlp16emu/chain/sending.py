@@ -124,6 +124,15 @@ class Sending:
 
 
 @dataclass(frozen=True, slots=True)
+class _Chosen:
+    """What is sent of the firing sequences `first` to `stop` - 1."""
+
+    first: int
+    stop: int
+    returns: Returns
+
+
+@dataclass(frozen=True, slots=True)
 class SendingPart:
     """A part of a run in which the settings of packets stay as they are, from the first packet that is asked for."""
 
@@ -140,25 +149,35 @@ class SendingPart:
 
     def taken(
         self, scan: Callable[[range, Opened], Returns], block: int, run: range, opened: Opened
-    ) -> list[Packet] | Returns:
+    ) -> "list[Packet] | _Chosen":
         """Scan a run of blocks, and take what is sent of it; packed, where packets begin and end with blocks."""
         returns, begin = scan(run, opened), run.start * block
         first, stop = max(self.first, begin), min(self.stop, run.stop * block)
         if self.span.fov_deg is None:
             return self._packed(_rows(returns, slice(first - begin, stop - begin)))
-        return _rows(returns, self.sending.chosen(self.span, first, stop & ~1) - begin)
+        chosen = self.sending.chosen(self.span, first, stop & ~1)
+        return _Chosen(first, stop, _rows(returns, chosen - begin))
 
-    def packets(self, taken: Iterable[list[Packet] | Returns]) -> Iterator[Packet]:
-        """Pack what is taken of successive firing sequences; a packet that does not fill is not sent."""
-        left: Returns | None = None
+    def packets(self, taken: "Iterable[list[Packet] | _Chosen]") -> Iterator[Packet]:
+        """Pack what is taken of successive firing sequences; a packet that does not fill is not sent.
+
+        Where some were left out, packets go on as if they had been sent.
+        """
+        left, reached, lost = list[Returns](), self.first, 0
         for some in taken:
             if isinstance(some, list):
                 yield from some
                 continue
-            rows = some if left is None else _joined(left, some)
-            whole = len(rows.distance_m) // self.span.per_packet * self.span.per_packet
+            if some.first > reached:
+                lost += sum(map(_count, left)) + len(self.sending.chosen(self.span, reached, some.first & ~1))
+                left.clear()
+            reached, missed = some.stop, min(-lost % self.span.per_packet, _count(some.returns))
+            lost += missed
+            left.append(_rows(some.returns, slice(missed, None)))
+            rows = _joined(left)
+            whole = _count(rows) // self.span.per_packet * self.span.per_packet
             yield from self._packed(_rows(rows, slice(whole)))
-            left = _rows(rows, slice(whole, None))
+            left = [_rows(rows, slice(whole, None))]
 
     def _packed(self, returns: Returns) -> list[Packet]:
         """Pack whole packets."""
@@ -177,17 +196,16 @@ def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
     )
 
 
-def _joined(first: Returns, second: Returns) -> Returns:
-    """Put the rows of one behind those of the other."""
-    arrays = {
-        name: np.concatenate([getattr(first.firings, name), getattr(second.firings, name)])
-        for name in _BY_SEQUENCE
-    }
-    firings = Firings(index=first.firings.index, beam_axis=None, **arrays)
-    return Returns(
-        firings,
-        np.concatenate([first.distance_m, second.distance_m]),
-        np.concatenate([first.reflectivity, second.reflectivity]),
-        None,
-        None,
+def _joined(some: list[Returns]) -> Returns:
+    """Put the rows of returns behind each other."""
+    arrays = {name: np.concatenate([getattr(each.firings, name) for each in some]) for name in _BY_SEQUENCE}
+    firings = Firings(index=some[0].firings.index, beam_axis=None, **arrays)
+    distance_m, reflectivity = (
+        [getattr(each, name) for each in some] for name in ("distance_m", "reflectivity")
     )
+    return Returns(firings, np.concatenate(distance_m), np.concatenate(reflectivity), None, None)
+
+
+def _count(returns: Returns) -> int:
+    """Count firing sequences."""
+    return len(returns.distance_m)
