@@ -4,6 +4,7 @@ import math
 import socket
 import threading
 import time
+from functools import partial
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
@@ -18,6 +19,7 @@ from vlp16emu.flight import PosesIn
 from vlp16emu.packets import DATA_BYTES, decode_data
 from vlp16emu.packets.pose import pack_pose
 from vlp16emu.types import PacketKind
+from vlp16emu.units import MS_NS, S_NS, US_NS
 
 TOOLS = Path(__file__).resolve().parents[1] / "tools"
 LIVE = 'motion={kind="live"}'
@@ -179,6 +181,24 @@ def test_poses_come_by_a_call_too():
     streamed = emulator.stream(duration_s=0.2, poses=PosesIn(news=bring), stop=stop)
     assert streamed.live.poses == 1
     assert streamed.packets > 0
+
+
+def test_a_flight_is_put_into_the_present():
+    """With `now` the stamp of each packet is the clock of the system when its first pulse was fired; nobody waits a second."""
+    data = Listener()
+    ports = [f"sensor.data_port={data.port}", "sensor.position_port=10", "gps.connected=true"]
+    emulator = Emulator("static_bench", [LIVE, *ports])
+    data.start()
+    bring = partial(emulator.put_pose, (0.0, 0.0, 1.5), (0.0, 0.0, 0.0, 1.0))
+    streamed = emulator.stream(duration_s=0.3, poses=PosesIn(news=lambda _: bring()), now=True)
+    data.over.set()
+    data.join()
+    first = streamed.first
+    assert streamed.moved_s > 0
+    assert abs(first.sensor_ns - first.truth_ns - streamed.moved_s * S_NS) < US_NS  # stamps are whole us
+    assert abs(first.host_ns - first.sensor_ns) < 100 * MS_NS  # a busy machine; idle it is below ten
+    start_us = (emulator.scenario.start_ns // US_NS + streamed.moved_s * 1_000_000) % 3_600_000_000
+    assert int.from_bytes(data.payloads[0][1200:1204], "little") - start_us < 50_000
 
 
 def test_a_stream_that_waits_for_poses_can_be_stopped():

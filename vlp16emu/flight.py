@@ -127,7 +127,7 @@ class Flight:
     look_ahead = 8
     """Packets of a unit that are computed before the first leaves: two steps, or one of dual return."""
 
-    def prepare(self, stop: Event, pacer: Pacer, *, now: bool) -> Late:
+    def prepare(self, stop: Event, pacer: Pacer) -> Late:
         """Wait for the first pose, open the world around it, and compute once what leaves first; or until `stop` is set.
 
         Returns
@@ -137,11 +137,10 @@ class Flight:
         Raises
         ------
         InputError
-            where the speed is not 1, or stamps are to be moved into the present
+            where the speed is not 1
         """
-        if pacer.speed != 1.0 or now:
-            where, found = ("--now", "found it") if now else ("--speed", f"found {pacer.speed:g}")
-            raise InputError(where, found, "neither --now nor another speed than 1 in a live scene")
+        if pacer.speed != 1.0:
+            raise InputError("--speed", f"found {pacer.speed:g}", "1 in a live scene")
         self._news(f"waiting for poses{f' on {self._receiver.where}' if self._receiver else ''}")
         while not self._motion.poses.wait(_POLL_S):
             if stop.is_set():
@@ -159,12 +158,19 @@ class Flight:
             self._windows.begin_again()
             self._windows.wait(self._windows.at_block(0))
 
-    def begun(self, sink: PacketSink, pacer: Pacer) -> "FlightSink":
-        """Let the first pulse be fired in a moment, and packets leave by the same clock: to a sink that this follows."""
+    def begun(self, sink: PacketSink, pacer: Pacer, *, now: bool) -> "FlightSink":
+        """Let the first pulse be fired in a moment, and packets leave by the same clock: to a sink that this follows.
+
+        Parameters
+        ----------
+        now : fire it where the clock of the system has the fraction of a second that the scene begins with
+        """
         if self._motion.poses.last is not None:
-            zero_ns = self._clock_ns() + _START_NS
-            self._motion.begin(zero_ns)
-            pacer.begin(self._chain.scenario.start_ns, -_START_NS)
+            start_ns, in_ns = self._chain.scenario.start_ns, _START_NS
+            if now:
+                in_ns += (start_ns - time.time_ns() - in_ns) % S_NS
+            self._motion.begin(self._clock_ns() + in_ns)
+            pacer.begin(start_ns, -in_ns)
         return FlightSink(sink, self)
 
     def going_on(self, go_on_from: Callable[[int], None], pacer: Pacer) -> Callable[[int], None]:

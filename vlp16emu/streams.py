@@ -118,7 +118,7 @@ class Streams(Run):
         with ExitStack() as stack:
             stack.enter_context(self.windows.stopped_by(stop))
             flight = stack.enter_context(flying(self, poses, self._files))
-            policy = flight.prepare(stop, pacer, now=now) if flight else policy
+            policy = flight.prepare(stop, pacer) if flight else policy
             self.prompt = http is not None
             engine = stack.enter_context(closing(Engine(self, *span_s, also=outlets.kinds)))
             sent = partial(_report, progress, start_ns)
@@ -137,7 +137,7 @@ class Streams(Run):
             go_on_from = None if prepare else engine.go_on_from
             report = stream(
                 packets,
-                flight.begun(way, pacer) if flight else way,
+                flight.begun(way, pacer, now=now) if flight else way,
                 pacer,
                 begun=lambda under_way: self._serve(http, engine, sink, under_way, stack) if http else None,
                 late=policy,

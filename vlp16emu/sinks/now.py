@@ -59,20 +59,32 @@ class NowSink:
         -------
         How long ago the instant is, in ns; negative where it has not come
         """
-        sent_ns = first.due_ns
-        if has_stamp(first):
-            moved(first, 0, first.due_ns)  # Python loads what parses dates in the first one's time, 3 ms
-            made_ns = stamp_ns(first)
-            hour_ns = (first.due_ns - age_ns(first) - made_ns + HOUR_NS // 2) // HOUR_NS * HOUR_NS
-            sent_ns = hour_ns + made_ns + age_ns(first)
-        now_ns = self._clock_ns()
+        sent_ns, now_ns = self._sent_ns(first), self._clock_ns()
         at_ns = now_ns + (sent_ns - now_ns) % S_NS
         if (left_ns := at_ns - self._clock_ns()) > _ASLEEP_NS:
             stop.wait((left_ns - _ASLEEP_NS) / S_NS)
         while not stop.is_set() and (left_ns := at_ns - self._clock_ns()) > 0:
             self._sleep(left_ns / S_NS)
-        self.moved_s, self.began_ns, self._ahead_ns = (at_ns - sent_ns) // S_NS, at_ns, at_ns - first.due_ns
+        self._start(first, sent_ns, at_ns)
         return self._clock_ns() - at_ns
+
+    def join(self, first: Packet, left_ns: int) -> None:
+        """Begin where a clock runs already, by which the first packet leaves in some time, or left some time ago."""
+        sent_ns, due_ns = self._sent_ns(first), self._clock_ns() + left_ns
+        self._start(first, sent_ns, sent_ns + round((due_ns - sent_ns) / S_NS) * S_NS)
+
+    def _sent_ns(self, first: Packet) -> int:
+        """UTC at which a packet leaves by its own stamp, where it has one."""
+        if not has_stamp(first):
+            return first.due_ns
+        moved(first, 0, first.due_ns)  # Python loads what parses dates in the first one's time, 3 ms
+        made_ns = stamp_ns(first)
+        hour_ns = (first.due_ns - age_ns(first) - made_ns + HOUR_NS // 2) // HOUR_NS * HOUR_NS
+        return hour_ns + made_ns + age_ns(first)
+
+    def _start(self, first: Packet, sent_ns: int, at_ns: int) -> None:
+        """Let the first packet, which was sent at a time, leave at another."""
+        self.moved_s, self.began_ns, self._ahead_ns = (at_ns - sent_ns) // S_NS, at_ns, at_ns - first.due_ns
 
     def send(self, packet: Packet) -> None:
         """Send one packet.

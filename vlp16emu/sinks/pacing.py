@@ -235,6 +235,10 @@ class Pacer:
         ran_ns = self._clock_ns() - self._start_ns - self.delay_ns
         return self._first_due_ns + round((ran_ns + ahead_ns) * self.speed)
 
+    def left_ns(self, due_ns: int) -> int:
+        """Time until a packet shall leave that is due at a time; negative where it should have left."""
+        return self.deadline_ns(due_ns) - self._clock_ns()
+
     def behind_ns(self, deadline_ns: int) -> int:
         """Time since a deadline, 0 where it is still to come."""
         return max(self._clock_ns() - deadline_ns, 0)

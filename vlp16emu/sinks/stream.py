@@ -159,7 +159,9 @@ def stream(
             ahead.fill()
             if first := ahead.first:
                 begun(UnderWay(ahead, pacer, first.due_ns))
-                if present:
+                if present and pacer.has_begun:
+                    present.join(first, pacer.left_ns(first.due_ns))
+                elif present:
                     pacer.begin(first.due_ns, present.begin(first, stop))
             had_to_wait = False
             while (packet := ahead.take(sender.watch)) is not None:
