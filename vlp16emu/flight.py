@@ -243,19 +243,11 @@ class Flight:
         self._written = stop
 
 
-class FlightSink:
+class FlightSink(PacketSink):
     """Passes packets on, and lets a flight know of each."""
 
     def __init__(self, sink: PacketSink, flight: Flight) -> None:
         self._sink, self._flight = sink, flight
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Nothing to close: the sink is the caller's."""
 
     def send(self, packet: Packet) -> None:
         """Send one packet.

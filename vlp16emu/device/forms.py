@@ -45,6 +45,7 @@ def submit(path: str, body: bytes, device: Device) -> None:
     pairs = _pairs(body)
 
     def made(settings: DeviceSettings) -> DeviceSettings:
+        """Set one key after another."""
         for key, text in pairs:
             settings = _with(settings, _FORMS[path], key, text)
         return settings

@@ -139,7 +139,7 @@ class GpsReader:
         )
 
 
-class GpsInSink:
+class GpsInSink(PacketSink):
     """Passes packets on with the stamps, state and sentence that the sensor would have with that receiver on its line.
 
     Instants of packets are as far apart as they are due, however late each is sent: stamps show no jitter of the host. Only where
@@ -157,14 +157,6 @@ class GpsInSink:
     ) -> None:
         self._sink, self._line, self._clock_ns = sink, line, clock_ns
         self._ahead_ns: int | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Nothing to close: the sink is the caller's."""
 
     def send(self, packet: Packet) -> None:
         """Send one packet.

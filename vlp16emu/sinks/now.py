@@ -3,8 +3,6 @@
 import time
 from collections.abc import Callable
 from threading import Event
-from types import TracebackType
-from typing import Self
 
 from vlp16emu.packets.retime import age_ns, has_stamp, moved, stamp_ns
 from vlp16emu.sinks.sink import PacketSink
@@ -17,7 +15,7 @@ _ASLEEP_NS = 20_000_000
 """How long before its instant the clock is looked at by this thread alone, and no longer the stop event."""
 
 
-class NowSink:
+class NowSink(PacketSink):
     """Passes packets on, moved by a whole number of seconds into the present of the system's clock.
 
     Because seconds stay whole, the pulses of the receiver, its sentences and the stamps stay as far apart as they were. For that
@@ -43,14 +41,6 @@ class NowSink:
         """By how much, from the time of the packets; known when the first one leaves, as the next."""
         self.began_ns = 0
         """UTC at which that is by the sensor's clock."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Nothing to close: the sink is the caller's."""
 
     def begin(self, first: Packet, stop: Event) -> int:
         """Wait for the instant at which the first packet leaves, or until the stream is to stop.

@@ -11,23 +11,10 @@ __all__ = ["Away", "MemorySink", "Outlet", "OutletResult", "PacketSink", "SinkBy
 
 
 class PacketSink(Protocol):
-    """Where packets leave: a context manager that is open from the moment it is made."""
+    """Where packets leave: a context manager that is open from the moment it is made.
 
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
-    def send(self, packet: Packet) -> None:
-        """Let one packet leave at once."""
-
-
-class MemorySink:
-    """Keeps every packet it is sent, in `packets`."""
-
-    def __init__(self) -> None:
-        self.packets: list[Packet] = []
+    Classes derived from it have nothing to close unless they say so.
+    """
 
     def __enter__(self) -> Self:
         return self
@@ -35,7 +22,18 @@ class MemorySink:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Nothing to close."""
+        """Close what was opened."""
+        return
+
+    def send(self, packet: Packet) -> None:
+        """Let one packet leave at once."""
+
+
+class MemorySink(PacketSink):
+    """Keeps every packet it is sent, in `packets`."""
+
+    def __init__(self) -> None:
+        self.packets: list[Packet] = []
 
     def send(self, packet: Packet) -> None:
         """Append the packet."""
@@ -77,7 +75,7 @@ class Outlet(PacketSink, Protocol):
         """What has left so far."""
 
 
-class SinkByKind:
+class SinkByKind(PacketSink):
     """Gives packets to the sink of their kind. Sinks are the caller's, who opens and closes them.
 
     Parameters
@@ -88,14 +86,6 @@ class SinkByKind:
 
     def __init__(self, sensors: PacketSink, others: Mapping[PacketKind, PacketSink]) -> None:
         self._sensors, self._others = sensors, others
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Nothing to close."""
 
     def send(self, packet: Packet) -> None:
         """Send one packet.
