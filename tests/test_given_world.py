@@ -143,7 +143,8 @@ def test_packets_carry_it(folder):
     emulator = Emulator(load(str(folder / "plot.toml")), threads=1)
     data = [p.payload for p in emulator.packets(0.0, 0.02) if p.kind == PacketKind.DATA]
     points = decode_data(np.array([list(payload) for payload in data], np.uint8), keep_no_returns=True)
-    returns = next(emulator.returns(0.0, 0.02)).distance_m[..., 0].ravel()[: len(points.distance_m)]
+    blocks = [block.distance_m[..., 0].ravel() for block in emulator.returns(0.0, 0.02)]
+    returns = np.concatenate(blocks)[: len(points.distance_m)]
     assert np.abs(points.distance_m - returns).max() < 0.001 + 1e-5
     assert np.count_nonzero(returns) > 500
 
@@ -151,13 +152,13 @@ def test_packets_carry_it(folder):
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("sensor.max_range_m=60", r"ground.asc: ends in column 1 at x = -50.0 m, 50.0 m from the path at \(0.0, 0.0\) m; expected ground 61 m"),
-        ("motion.x_m=5.9", r"plot.csv: tree at \(6, 4\) m"),
+        ("motion.x_m=-51", r"ground.asc: ends in column 1 at x = -50.0 m, 1.0 m short of the path at \(-51.0, 4.0\) m; expected ground under"),
+        ("motion.x_m=5.9", r"plot.csv: 1 of 5 trees nearer to the path than path_clearance_m = 0.8: line 2 at \(6, 4\) m, 0.00 m away; expected none, or on_conflict"),
         ('world.stem_list="absent.csv"', "absent.csv: no such file or directory"),
     ],
 )  # fmt: skip
 def test_files_that_do_not_fit_the_walk_are_refused(folder, setting, message):
-    """Ground that ends in sight, a tree in the way, and a file that is not there are told before anything is cast."""
+    """Ground that ends before the path, a tree in the way, and a file that is not there are named before anything is cast."""
     settings = [setting, "motion.y_m=4.0"] if setting.startswith("motion") else [setting]
     with pytest.raises(GeometryError, match=message):
         Emulator(load(str(folder / "plot.toml"), settings), threads=1)

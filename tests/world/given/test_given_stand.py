@@ -22,11 +22,11 @@ FAR_AWAY = np.array([[500.0, 500.0], [510.0, 500.0]])
 
 @pytest.fixture
 def make(tmp_path):
-    def make_stand(rows=ROWS, path_xy_m=FAR_AWAY, path_clearance_m=0.8):
+    def make_stand(rows=ROWS, path_xy_m=FAR_AWAY, path_clearance_m=0.8, on_conflict="refuse"):
         path = tmp_path / "stems.csv"
         path.write_text(HEADER + rows, encoding="utf-8")
         return GivenStand(
-            Plot(kind="plot", stem_list=str(path)),
+            Plot(kind="plot", stem_list=str(path), on_conflict=on_conflict),
             seed=1,
             height_m=lambda x, y: 0.1 * x + 0.01 * y,
             path=Corridor(path_xy_m, path_clearance_m),
@@ -74,13 +74,22 @@ def test_a_tree_more_at_the_end_changes_no_other(make):
     assert len(long.trees(0, 0)) == 3
 
 
-def test_a_tree_in_the_way_is_refused(make):
-    """A stem whose surface comes nearer to the path than the clearance is named by file and place."""
+def test_trees_in_the_way_are_refused_all_at_once(make):
+    """Stems whose surface comes nearer to the path than the clearance are named by line and place, with their distance."""
     path = np.array([[0.0, 4.7], [10.0, 4.7]])
-    message = r"stems.csv: tree at \(4, 5\) m in the scene: its surface is 0.1\d m from the path; expected path_clearance_m = 0.3"
+    rows = ROWS + "8,5,silver_birch,20,20,9,4,0,0\n"
+    message = r"2 of 6 trees nearer to the path than path_clearance_m = 0.3: line 6 at \(4, 5\) m, 0.1\d m away; line 7 at \(8, 5\) m, 0.1"
     with pytest.raises(GeometryError, match=message):
-        make(path_xy_m=path, path_clearance_m=0.3)
-    make(path_xy_m=path, path_clearance_m=0.1)
+        make(rows, path_xy_m=path, path_clearance_m=0.3)
+    make(rows, path_xy_m=path, path_clearance_m=0.1)
+
+
+def test_trees_in_the_way_are_dropped_on_request(make, caplog):
+    """They are left out with a warning that names them; the others are the same trees as without them."""
+    path, rows = np.array([[0.0, 4.7], [10.0, 4.7]]), ROWS + "8,5,silver_birch,20,20,9,4,0,0\n"
+    stand = make(rows, path, 0.3, on_conflict="drop")
+    assert "left out 2 of 6 trees nearer to the path than path_clearance_m = 0.3: line 6 at" in caplog.text
+    assert stand.trees(0, 0).tolist() == make(rows).trees(0, 0)[:1].tolist()
 
 
 def test_a_leaning_stem_must_keep_clear_above_too(make):
@@ -88,5 +97,5 @@ def test_a_leaning_stem_must_keep_clear_above_too(make):
     path = np.array([[4.0, -5.0], [4.0, 5.0]])
     row = "2,0,silver_birch,20,20,9,4,{},90\n"
     make(row.format(0), path)
-    with pytest.raises(GeometryError, match="from the path"):
+    with pytest.raises(GeometryError, match="m away"):
         make(row.format(30), path)

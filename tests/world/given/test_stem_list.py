@@ -49,6 +49,22 @@ def test_columns_have_units_and_no_order(tmp_path):
     assert one["dbh_m"] == pytest.approx(other["dbh_m"])
 
 
+@pytest.mark.parametrize("name", ["Picea abies", "norway spruce", "Norway-Spruce", " NORWAY_SPRUCE "])
+def test_species_have_their_names_in_any_spelling(tmp_path, name):
+    """The name of the table is found with any case and any space, and so is the scientific one."""
+    (number,) = read(tmp_path, f"x,y,species,dbh_cm,height_m\n1,2,{name},30,25\n")["species"].tolist()
+    assert number == species_table()["norway_spruce"].number
+
+
+def test_diameters_in_millimetres_are_refused(tmp_path):
+    """A list whose middle tree is less than 12 times as high as thick is one of millimetres; a single such tree is not."""
+    rows = "x,y,species,dbh_cm,height_m\n1,2,silver_birch,{},21\n5,2,silver_birch,{},22\n9,2,silver_birch,{},20\n"
+    message = "line 4, DBH: found 222 cm at a height of 20 m; half of all trees are less than 10 times"
+    with pytest.raises(GeometryError, match=message):
+        read(tmp_path, rows.format(205, 210, 222))
+    assert read(tmp_path, rows.format(20.5, 210, 22.2))["dbh_m"].max() == 2.1
+
+
 def test_the_origin_moves_the_map_into_the_scene(tmp_path):
     """Easting and northing of the origin are taken off the places."""
     trees = read(tmp_path, origin_m=(1.0, 2.0, 300.0))

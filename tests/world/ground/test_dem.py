@@ -125,17 +125,28 @@ def test_a_grid_that_reaches_far_enough_passes(bumpy):
 @pytest.mark.parametrize(
     ("path", "reach_m", "message"),
     [
-        ([[15.0, 15.0], [30.0, 15.0]], 9.5, r"ground.npy: ends in column 40 at x = 39.0 m, 9.0 m from the path at \(30.0, 15.0\) m; expected ground 9.5 m around the path"),
-        ([[3.0, 15.0]], 4.0, r"ends in column 1 at x = 0.0 m, 3.0 m from"),
-        ([[20.0, 26.0]], 4.0, r"ends in row 1 at y = 29.0 m, 3.0 m from"),
-        ([[20.0, 2.0]], 4.0, r"ends in row 30 at y = 0.0 m, 2.0 m from"),
-        ([[20.0, 15.0], [50.0, 15.0]], 4.0, r"ends in column 40 at x = 39.0 m, 11.0 m short of the path at \(50.0, 15.0\) m"),
+        ([[15.0, 15.0], [30.0, 15.0]], 9.5, "ground.npy: ends in column 40 at x = 39.0 m, 9.0 m from the path, and goes on level from there; the sensor sees 9.5 m"),
+        ([[3.0, 15.0]], 4.0, "ends in column 1 at x = 0.0 m, 3.0 m from"),
+        ([[20.0, 26.0]], 4.0, "ends in row 1 at y = 29.0 m, 3.0 m from"),
+        ([[20.0, 2.0]], 4.0, "ends in row 30 at y = 0.0 m, 2.0 m from"),
     ],
 )  # fmt: skip
-def test_an_edge_within_reach_is_refused(bumpy, path, reach_m, message):
-    """A grid that ends within reach is refused with its last row or column, its place and the nearest place of the path."""
+def test_ground_goes_on_level_beyond_the_file(bumpy, caplog, path, reach_m, message):
+    """Where a grid ends within reach a warning names its last row or column, and heights stay those of its edge."""
+    dem, _ = bumpy
+    dem.check(np.array(path), reach_m)
+    assert message in caplog.text
+    west, east = (
+        dem.height_m(np.array(x), np.full(3, 12.0)) for x in ([0.0, -5.0, -80.0], [39.0, 44.0, 90.0])
+    )
+    assert np.ptp(west) == np.ptp(east) == 0.0
+
+
+def test_a_path_beyond_the_file_is_refused(bumpy):
+    """A walk needs ground of the file under it all along."""
+    message = r"ends in column 40 at x = 39.0 m, 11.0 m short of the path at \(50.0, 15.0\) m; expected ground under the whole path"
     with pytest.raises(GeometryError, match=message):
-        bumpy[0].check(np.array(path), reach_m)
+        bumpy[0].check(np.array([[20.0, 15.0], [50.0, 15.0]]), 4.0)
 
 
 def test_a_gap_within_reach_is_refused_and_one_beyond_is_not(tmp_path):

@@ -178,7 +178,9 @@ def test_labels_say_what_it_is(layer, semantic, part, species):
 
 def test_unknown_log_species_is_named():
     """Logs of an unknown tree are refused with the names that exist."""
-    with pytest.raises(GeometryError, match="found 'larch'; expected one of silver_birch"):
+    with pytest.raises(
+        GeometryError, match=r"logs.species: unknown species 'larch'; expected one of silver_birch"
+    ):
         LogLayer(Logs(per_ha=10.0, species=["larch"]), seed=6)
 
 

@@ -16,18 +16,20 @@ from vlp16emu.world.stand.settings import Clusters, Scattered, SpeciesShare, Sto
 from vlp16emu.world.stand.stand import Stand, density_per_ha, foot_discs
 
 FAR_XY_M = np.array([[0.0, 1e5]])
-BIRCH = SpeciesShare(species="silver_birch", share=2.0, dbh_cm=18.0, height_m=19.0)
-SPRUCE = SpeciesShare(species="norway_spruce", share=6.0, dbh_cm=24.0, height_m=21.0)
+BIRCH = SpeciesShare(species="silver_birch", share=0.25, dbh_cm=18.0, height_m=19.0)
+SPRUCE = SpeciesShare(species="norway_spruce", share=0.75, dbh_cm=24.0, height_m=21.0)
 
 
 def make_stand(
     *, stems_per_ha=800.0, species=(BIRCH, SPRUCE), path_xy_m=FAR_XY_M, clearance_m=0.8, **section
 ):
+    whole = sum(one.share for one in species)
+    species = [one.model_copy(update={"share": one.share / whole}) for one in species]
     return Stand(
         Forest(
             kind="forest",
             stems_per_ha=stems_per_ha,
-            species=[*species],
+            species=species,
             path_clearance_m=clearance_m,
             **section,
         ),
@@ -55,6 +57,16 @@ def test_diameters_follow_their_truncated_weibull(trees, mix):
     dbh_cm = 100 * trees["dbh_m"][trees["species"] == species.number]
     assert np.sqrt((dbh_cm**2).mean()) == pytest.approx(mix.dbh_cm, rel=0.02)
     assert stats.kstest(dbh_cm / scale, lambda d: (weibull.cdf(d) - cut) / (1 - cut)).pvalue > 0.01
+
+
+def test_shares_and_sizes_must_be_plausible():
+    """Shares that do not sum to 1 are refused, three thirds pass; and so are diameters in millimetres."""
+    with pytest.raises(ValueError, match="shares that sum to 1"):
+        Storey(stems_per_ha=100, species=[BIRCH, BIRCH])
+    third = {"share": 0.33, "dbh_cm": 18.0, "height_m": 19.0}
+    Storey(stems_per_ha=100, species=[SpeciesShare(species=one, **third) for one in ("a", "b", "c")])
+    with pytest.raises(ValueError, match=r"is dbh_cm in mm\?"):
+        SpeciesShare(species="silver_birch", share=1.0, dbh_cm=110.0, height_m=12.0)
 
 
 def test_species_come_in_their_shares(trees):
@@ -193,5 +205,7 @@ def test_path_is_kept_clear_of_stems():
 
 def test_unknown_species_is_named():
     """An unknown species is refused with the names that exist."""
-    with pytest.raises(GeometryError, match="found 'larch'; expected one of silver_birch, norway_spruce"):
+    with pytest.raises(
+        GeometryError, match="unknown species 'larch'; expected one of silver_birch, norway_spruce"
+    ):
         make_stand(species=(BIRCH.model_copy(update={"species": "larch"}),))

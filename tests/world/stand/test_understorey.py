@@ -157,8 +157,10 @@ def test_labels_name_class_parts_and_species(kind, semantic, parts):
 def test_unknown_plants_are_named():
     """Unknown saplings and shrubs are refused with the key and the names that exist."""
     with pytest.raises(
-        GeometryError, match=r"regeneration.species: found 'larch'; expected one of silver_birch"
+        GeometryError, match=r"regeneration.species: unknown species 'larch'; expected one of silver_birch"
     ):
         saplings("larch")
-    with pytest.raises(GeometryError, match=r"shrubs.species: found 'broom'; expected one of hazel"):
+    with pytest.raises(
+        GeometryError, match=r"shrubs.species: unknown species 'broom'; expected one of hazel"
+    ):
         shrubs("broom")

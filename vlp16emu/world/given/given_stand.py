@@ -1,5 +1,6 @@
 """A stand whose trees are measured, in place of one that grows itself."""
 
+import logging
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,6 +29,10 @@ _CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
 """Crown class c is that of trees with a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
 
 _HA_PER_TILE = TILE_M**2 / 10_000
+_NAMED = 20
+"""Trees in the way that are named one by one."""
+
+_log = logging.getLogger(__name__)
 
 
 class GivenStand:
@@ -48,7 +53,7 @@ class GivenStand:
     Raises
     ------
     GeometryError
-        for a list that is wrong, and where a tree is on the path
+        for a list that is wrong, and where trees are on the path that are not to be dropped
     """
 
     def __init__(
@@ -58,9 +63,8 @@ class GivenStand:
         trees = read_stem_list(self._source, plants.trees, section.origin_m)
         self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
         self._season, self._dead_branches = section.season, section.dead_branches
-        trees = _completed(seed, trees, self._species)
+        trees = _clear_of_path(section, _completed(seed, trees, self._species), plants.trees, path)
         trees["z_m"] = height_m(trees["x_m"], trees["y_m"])
-        _check_path(self._source, trees, plants.trees, path)
         tile = np.floor(np.column_stack([trees["x_m"], trees["y_m"]]) / TILE_M).astype(np.int64)
         tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
         names = [(int(ix), int(iy)) for ix, iy in tiles]
@@ -137,14 +141,28 @@ def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
     return trees
 
 
-def _check_path(source: Path, trees: Trees, table: Mapping[str, Species], path: Corridor) -> None:
-    """Refuse a tree that a walker would run into."""
+def _clear_of_path(section: Plot, trees: Trees, table: Mapping[str, Species], path: Corridor) -> Trees:
+    """Leave out the trees that a walker would run into, or refuse them."""
     gap_m = path_gap_m(trees, foot_discs(trees, table=table)[:, 2], path)
-    if gap_m.min() < path.clearance_m:
-        i = int(gap_m.argmin())
-        where = f"{source}: tree at ({trees['x_m'][i]:g}, {trees['y_m'][i]:g}) m in the scene"
-        found = f"its surface is {gap_m[i]:.2f} m from the path"
-        raise GeometryError(where, found, f"path_clearance_m = {path.clearance_m:g} or more")
+    in_the_way = gap_m < path.clearance_m
+    if not in_the_way.any():
+        return trees
+    named = [
+        f"line {tree['list_line']} at ({tree['x_m']:g}, {tree['y_m']:g}) m, {max(gap, 0.0):.2f} m away"
+        for tree, gap in zip(trees[in_the_way], gap_m[in_the_way], strict=True)
+    ]
+    more = f", and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+    found = (
+        f"nearer to the path than path_clearance_m = {path.clearance_m:g}: {'; '.join(named[:_NAMED])}{more}"
+    )
+    if section.on_conflict == "refuse":
+        raise GeometryError(
+            section.stem_list, f"{len(named)} of {len(trees)} trees {found}", 'none, or on_conflict = "drop"'
+        )
+    if in_the_way.all():
+        raise GeometryError(section.stem_list, f"all trees {found}", "one that is left")
+    _log.warning("%s: left out %d of %d trees %s", section.stem_list, len(named), len(trees), found)
+    return trees[~in_the_way]
 
 
 def _prototypes(trees: Trees) -> dict[tuple[int, int], tuple[float, float, float, float]]:

@@ -1,7 +1,6 @@
 """Measured trees: a stem list in CSV, and what it leaves out from the species' own curves."""
 
 import csv
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError, readable
+from vlp16emu.world.plants.flora import known
 from vlp16emu.world.plants.species import Species
+from vlp16emu.world.stand.settings import LEAST_SLENDERNESS
 from vlp16emu.world.stand.stand import TREE
 
 __all__ = ["read_stem_list"]
@@ -61,7 +62,7 @@ def read_stem_list(path: Path, table: Mapping[str, Species], origin_m: tuple[flo
     """Read a stem list.
 
     The first line names the columns, in any order, between commas, semicolons or tabs: x and y (in m; also
-    `x_m`, `y_m`), `species` (a name of the species table), `dbh_cm` or `dbh_m`, `height_m`, and if known
+    `x_m`, `y_m`), `species` (a name of the species table, common or scientific), `dbh_cm` or `dbh_m`, `height_m`, and if known
     `crown_base_m`, `crown_width_m`, `lean_deg` and `lean_azimuth_deg` (clockwise from north) or
     `lean_towards_deg` (counter-clockwise from east). So an inventory of a forest is a stem list too. Others
     are ignored, heights above sea level too: trees stand on the scene's ground.
@@ -90,7 +91,9 @@ def read_stem_list(path: Path, table: Mapping[str, Species], origin_m: tuple[flo
     rows = _read_rows(path)
     lines = np.array([line for line, _ in rows])
     trees = np.zeros(len(rows), TREE)
-    species = [_species(f"{path}, line {line}, column {_SPECIES}", row, table) for line, row in rows]
+    species = [
+        known([row[_SPECIES]], table, f"{path}, line {line}, column {_SPECIES}")[0] for line, row in rows
+    ]
     trees["species"], trees["list_line"] = [one.number for one in species], lines
     numbers = {name: _numbers(path, rows, column) for name, column in _COLUMNS.items()}
     trees["x_m"], trees["y_m"] = numbers["x_m"] - origin_m[0], numbers["y_m"] - origin_m[1]
@@ -98,6 +101,7 @@ def read_stem_list(path: Path, table: Mapping[str, Species], origin_m: tuple[flo
     trees["height_m"] = _with_heights(path, numbers, species)
     trees["crown_base_m"], trees["crown_width_m"] = _with_crowns(trees, numbers, species)
     trees["lean_deg"], trees["lean_towards_deg"] = _leans(numbers)
+    _check_slender(path, lines, trees)
     _check_crown_bases(path, lines, trees)
     _check_twice(path, lines, trees)
     return trees
@@ -149,16 +153,6 @@ def _check_header(path: Path, names: list[str]) -> None:
         if needed and not found:
             listed = ", ".join(names) if is_list else "the columns"
             raise GeometryError(where, f"no column {' or '.join(choices)}", f"it among {listed}")
-
-
-def _species(where: str, row: dict[str, str], table: Mapping[str, Species]) -> Species:
-    """Look up the species of one tree."""
-    name = row[_SPECIES]
-    if name not in table:
-        near = difflib.get_close_matches(name, table, n=1)
-        expected = f"{near[0]}, the nearest known one" if near else f"one of {', '.join(table)}"
-        raise GeometryError(where, f"unknown species {name!r}", expected)
-    return table[name]
 
 
 def _numbers(path: Path, rows: list[tuple[int, dict[str, str]]], column: _Column) -> Array:
@@ -218,6 +212,16 @@ def _with_crowns(trees: Trees, numbers: dict[str, Array], species: list[Species]
         without = own & np.isnan(width_m)
         width_m[without] = one.crown_width_m(dbh_cm[without])
     return base_m, width_m
+
+
+def _check_slender(path: Path, lines: NDArray[np.int64], trees: Trees) -> None:
+    """Refuse a list of trees that are far too thick for their height: their DBH is in millimetres."""
+    slenderness = trees["height_m"] / trees["dbh_m"]
+    if (middle := float(np.median(slenderness))) < LEAST_SLENDERNESS:
+        i = int(slenderness.argmin())
+        found = f"found {100 * trees['dbh_m'][i]:g} cm at a height of {trees['height_m'][i]:g} m; half of all trees are less than {middle:.0f} times as high as thick"
+        expected = f"{LEAST_SLENDERNESS:g} times or more (is the DBH in mm?)"
+        raise GeometryError(f"{path}, line {lines[i]}, DBH", found, expected)
 
 
 def _check_crown_bases(path: Path, lines: NDArray[np.int64], trees: Trees) -> None:

@@ -5,6 +5,7 @@ interpolation for digital image processing", equation 15 with a = -1/2: it goes 
 the grid, its slope is continuous, and planes come out as planes.
 """
 
+import logging
 from pathlib import Path
 
 import numba
@@ -18,6 +19,8 @@ from vlp16emu.world.polyline import distance_m
 
 __all__ = ["DemHeights"]
 
+_log = logging.getLogger(__name__)
+
 Array = NDArray[np.float64]
 
 _SUPPORT_CELLS = 2 * 2**0.5
@@ -27,8 +30,8 @@ _SUPPORT_CELLS = 2 * 2**0.5
 class DemHeights:
     """Ground height from a file, in the scene's own coordinates.
 
-    Outside the grid and where the file has no height, the nearest height goes on: `check` makes sure that
-    it is out of sight.
+    Outside the grid and where the file has no height, the nearest height goes on. `check` warns of the former in sight, and
+    makes sure that the latter is out of it.
 
     Parameters
     ----------
@@ -70,7 +73,7 @@ class DemHeights:
         return height
 
     def check(self, path_xy_m: Array, reach_m: float) -> None:
-        """Make sure that every height within reach of the path comes from the file.
+        """Make sure that the heights under the path come from the file, and warn where those farther off do not.
 
         Parameters
         ----------
@@ -80,13 +83,13 @@ class DemHeights:
         Raises
         ------
         GeometryError
-            where the grid ends within reach, or a cell within reach has no height
+            where the path leaves the grid, or a cell within reach has no height
         """
         self._check_edges(path_xy_m, reach_m)
         self._check_gaps(path_xy_m, reach_m)
 
     def _check_edges(self, path_xy_m: Array, reach_m: float) -> None:
-        """Refuse a grid that ends within reach."""
+        """Refuse a path that leaves the grid; beyond its edges the ground goes on level."""
         rows, columns = self._grid.heights_m.shape
         x, y = path_xy_m.T
         sides = (
@@ -96,14 +99,17 @@ class DemHeights:
             (f"row {rows}", "y", self._south_m, y - self._south_m),
         )
         for line, axis, edge_m, gap_m in sides:
-            if gap_m.min() < reach_m:
-                px, py = path_xy_m[gap_m.argmin()]
-                where = f"{gap_m.min():.1f} m from" if gap_m.min() >= 0 else f"{-gap_m.min():.1f} m short of"
-                raise GeometryError(
-                    str(self._grid.path),
-                    f"ends in {line} at {axis} = {edge_m:.1f} m, {where} the path at ({px:.1f}, {py:.1f}) m",
-                    f"ground {reach_m:g} m around the path, as far as the sensor sees",
-                )
+            if gap_m.min() >= reach_m:
+                continue
+            px, py = path_xy_m[gap_m.argmin()]
+            ends = f"ends in {line} at {axis} = {edge_m:.1f} m"
+            if gap_m.min() < 0:
+                found = f"{ends}, {-gap_m.min():.1f} m short of the path at ({px:.1f}, {py:.1f}) m"
+                raise GeometryError(str(self._grid.path), found, "ground under the whole path")
+            _log.warning(
+                "%s: %s, %.1f m from the path, and goes on level from there; the sensor sees %g m",
+                *(self._grid.path, ends, gap_m.min(), reach_m),
+            )
 
     def _check_gaps(self, path_xy_m: Array, reach_m: float) -> None:
         """Refuse a grid with a cell within reach that has no height."""

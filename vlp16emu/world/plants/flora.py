@@ -1,5 +1,6 @@
 """The species table: all plants that a world may hold; and what surfaces are made of, by `SURFACE` material number."""
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -124,17 +125,30 @@ def _of_kind(
 
 
 def known(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[_Kind]:
-    """Rows of a species table by name.
+    """Rows of a species table by name: that of the table, with any case and any space, or the scientific one.
 
     Raises
     ------
     GeometryError
         for a name that is not in the table
     """
+    latin = {
+        " ".join(_plain(row.scientific_name).split()[:2]): row for row in table.values()
+    }  # without author
+    rows = latin | {_plain(row.name): row for row in table.values()}
     for name in names:
-        if name not in table:
-            raise GeometryError(where, f"found {name!r}", f"one of {', '.join(table)}")
-    return [table[name] for name in names]
+        if _plain(name) not in rows:
+            near = difflib.get_close_matches(_plain(name), rows, n=1)
+            expected = (
+                f"{rows[near[0]].name}, the nearest known one" if near else f"one of {', '.join(table)}"
+            )
+            raise GeometryError(where, f"unknown species {name!r}", expected)
+    return [rows[_plain(name)] for name in names]
+
+
+def _plain(name: str) -> str:
+    """Write a name as all spellings of it are."""
+    return " ".join(name.replace("_", " ").replace("-", " ").lower().split())
 
 
 def tapers(numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None = None) -> NDArray[np.float64]:

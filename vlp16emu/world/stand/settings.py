@@ -2,12 +2,13 @@
 
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from vlp16emu.settings import Section, Size
 
 __all__ = [
     "DENSITY_KEYS",
+    "LEAST_SLENDERNESS",
     "MOST_STEMS_PER_HA",
     "Clusters",
     "Grass",
@@ -32,6 +33,13 @@ Season = Literal["leaf_on", "leaf_off"]
 DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
 """Two measures of how dense a storey is; a scene that gives one does not want the other."""
 
+LEAST_SLENDERNESS = 12.0
+"""Height over DBH, at least, of the tree of mean diameter: trees in stands have 50 to 120 and open-grown ones 25 to 50 (Wang, Titus and
+LeMay 1998, "Relationships between tree slenderness coefficients and tree or stand characteristics"), with a DBH in millimetres a tenth."""
+
+_SHARE_ERROR = 0.015
+"""By which shares may fail to sum to 1: three of 0.33 do."""
+
 MOST_STEMS_PER_HA = 5000
 """Of a storey, whichever key gives its density."""
 
@@ -51,12 +59,20 @@ class SpeciesShare(Section):
 
     species: str
     """Name in the species table, for instance `silver_birch`."""
-    share: Annotated[float, Field(ge=1e-6, le=1e6)]
-    """Share of stems; shares are scaled to sum to one."""
+    share: Annotated[float, Field(ge=1e-6, le=1)]
+    """Share of stems; those of a storey sum to 1."""
     dbh_cm: Annotated[float, Field(ge=5, le=120)]
     """Quadratic mean diameter at breast height."""
     height_m: Annotated[float, Field(ge=3, le=60)]
     """Height of the tree of that diameter."""
+
+    @model_validator(mode="after")
+    def _slender(self) -> Self:
+        """Refuse a diameter in millimetres."""
+        if self.height_m < LEAST_SLENDERNESS * self.dbh_cm / 100:
+            expected = f"a height of {LEAST_SLENDERNESS:g} diameters or more (is dbh_cm in mm?)"
+            raise ValueError(f"{expected} beside dbh_cm = {self.dbh_cm:g}")
+        return self
 
 
 class Scattered(Section):
@@ -122,6 +138,14 @@ class Storey(Section):
         if len(DENSITY_KEYS & self.model_fields_set) != 1:
             raise ValueError(f"exactly one of {' and '.join(sorted(DENSITY_KEYS))} in it")
         return self
+
+    @field_validator("species")
+    @classmethod
+    def _whole(cls, species: list[SpeciesShare]) -> list[SpeciesShare]:
+        """Refuse shares that are not those of a whole."""
+        if abs(sum(one.share for one in species) - 1.0) > _SHARE_ERROR:
+            raise ValueError("shares that sum to 1")
+        return species
 
 
 class Regeneration(Section):
