@@ -1,5 +1,6 @@
 """A run into a capture file, and what it made."""
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -64,6 +65,8 @@ class Recording:
     sha256: str
     """Of the whole file; of several in their order."""
     simulated_s: float
+    walk_share: float | None
+    """Of the whole motion, in time; None of one without end."""
     wall_s: float
     real_time_factor: float
     """Simulated seconds per second."""
@@ -142,6 +145,7 @@ def record_packets(
         bytes=sum(file.bytes for file in written),
         sha256=", ".join(file.sha256 for file in written),
         simulated_s=simulated_s,
+        walk_share=None if math.isinf(run_s := chain.parts.motion.run_time_s) else simulated_s / run_s,
         wall_s=wall_s,
         real_time_factor=simulated_s / wall_s,
         interrupted=interrupted,

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from vlp16emu import Emulator
+
 KEYS = [
     "file",
     "scene",
@@ -28,6 +30,7 @@ KEYS = [
     "bytes",
     "sha256",
     "simulated_s",
+    "walk_share",
     "wall_s",
     "real_time_factor",
     "audit",
@@ -47,7 +50,15 @@ def test_the_report_tells_the_truth_about_the_file(cli, tmp_path):
     assert report["returns"] == read["points"]
     assert report["packets"] == int(0.2e9 // 1_327_104)
     assert report["simulated_s"] == 0.2
+    assert report["walk_share"] is None
     assert report["real_time_factor"] == pytest.approx(0.2 / report["wall_s"])
+
+
+def test_a_walk_that_is_cut_off_says_how_much_of_it_there_is(cli, tmp_path):
+    """The report has the share of the walk's time that was recorded, and its line names it."""
+    run_s = Emulator("birch_walk", ["beam.model=none"]).parts.motion.run_time_s
+    out = cli("record", "birch_walk", tmp_path / "x.pcap", "--duration", "1", "--set", "beam.model=none").out
+    assert f"simulated         1.0 s, {100 / run_s:.0f} % of the walk\n" in out
 
 
 def test_a_recording_goes_through_a_pipe(program, cli, tmp_path):

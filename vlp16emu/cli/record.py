@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 __all__ = ["record"]
 
+_WHOLE = 0.995
+
 OutFile = Annotated[
     Path,
     typer.Argument(
@@ -120,7 +122,7 @@ def _print(recording: "Recording") -> None:
         {
             "scene": f"{recording.scene}, seed {recording.seed}",
             **light_rows(recording.beam, recording.noise, recording.weather),
-            "simulated": f"{recording.simulated_s:.1f} s",
+            "simulated": f"{recording.simulated_s:.1f} s{_of_walk(recording.walk_share)}",
             "revolutions": revolutions([unit.turn for unit in recording.units]),
             "data packets": count(recording.packets),
             "position packets": count(recording.position_packets),
@@ -132,6 +134,11 @@ def _print(recording: "Recording") -> None:
             **audit_rows(recording.audit),
         },
     )
+
+
+def _of_walk(share: float | None) -> str:
+    """Write how much of the walk that is, where it is not all of it."""
+    return f", {100 * share:.0f} % of the walk" if share is not None and share < _WHOLE else ""
 
 
 def _line(unit: "UnitRecording") -> str:
