@@ -48,7 +48,8 @@ def test_a_wheel_has_its_data(wheel):
     """Scenes, the species table, the web page and the marker for type checkers are shipped inside the package."""
     names = set(wheel.namelist())
     scenes = {f"vlp16emu/scenes/{path.name}" for path in (ROOT / "scenes").glob("*.toml")}
-    assert len(scenes) >= 3
+    scenes |= {f"vlp16emu/scenes/own_plot/{path.name}" for path in (ROOT / "scenes" / "own_plot").iterdir()}
+    assert len(scenes) >= 7
     assert names >= scenes | {"vlp16emu/py.typed", "vlp16emu/world/species.toml", "vlp16emu/device/page.html"}
 
 

@@ -38,7 +38,7 @@ def test_an_unknown_name_lists_the_known_ones(name):
     """An unknown scene name is answered with those that exist."""
     with pytest.raises(ScenarioError) as caught:
         find(name)
-    known = ", ".join(path.stem for path in sorted(CHECKOUT.glob("*.toml")))
+    known = ", ".join(scene_files())
     assert str(caught.value) == f"scene '{name}': unknown name; expected {known}, or a path ending in .toml"
 
 

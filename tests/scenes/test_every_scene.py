@@ -1,17 +1,16 @@
 """Every scene that ships."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.packets import DATA_BYTES, data_fields, decode_data
 from vlp16emu.scenario import load
+from vlp16emu.scenario.find import scene_files
 from vlp16emu.types import PacketKind
 
-SCENES = sorted((Path(__file__).resolve().parents[2] / "scenes").glob("*.toml"))
-NAMES = [path.stem for path in SCENES]
+SCENES = list(scene_files().values())
+NAMES = list(scene_files())
 
 
 def test_there_are_scenes():

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from vlp16emu.points import _LEAF_OR_WOOD
+from vlp16emu.scenario.find import scene_files
 from vlp16emu.sinks.cloud import CAPTURE_COLUMNS, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
 from vlp16emu.truth import _GNSS_COLUMNS, _IMU_COLUMNS
 from vlp16emu.types import PlantPart, Semantic
@@ -92,7 +93,7 @@ def test_the_species_are_given_with_their_numbers():
 def test_every_scene_has_a_row_and_a_picture():
     """The table of `scenes/README.md` names all scenes, each with a heading and a picture that exists."""
     text = (Path(__file__).parents[2] / "scenes" / "README.md").read_text(encoding="utf-8")
-    for name in sorted(path.stem for path in (Path(__file__).parents[2] / "scenes").glob("*.toml")):
+    for name in scene_files():
         assert f"\n| [`{name}`](#{name}) | " in text, name
         assert f"\n### {name}\n" in text, name
         assert f"](pictures/{name}.png)" in text, name

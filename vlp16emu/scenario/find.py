@@ -24,10 +24,11 @@ def _folders() -> Iterator[Path]:
 
 
 def scene_files() -> dict[str, Path]:
-    """All scenes that can be called by name, sorted."""
+    """All scenes that can be called by name, sorted: files, and folders with a file of their name in them."""
     found: dict[str, Path] = {}
     for folder in _folders():
-        for path in folder.glob("*.toml"):
+        own = (path for path in folder.glob("*/*.toml") if path.stem == path.parent.name)
+        for path in (*folder.glob("*.toml"), *own):
             found.setdefault(path.stem, path)
     return dict(sorted(found.items()))
 

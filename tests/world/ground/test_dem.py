@@ -125,7 +125,7 @@ def test_a_grid_that_reaches_far_enough_passes(bumpy):
 @pytest.mark.parametrize(
     ("path", "reach_m", "message"),
     [
-        ([[15.0, 15.0], [30.0, 15.0]], 9.5, "ground.npy: ends in column 40 at x = 39.0 m, 9.0 m from the path, and goes on level from there; the sensor sees 9.5 m"),
+        ([[15.0, 15.0], [30.0, 15.0]], 9.5, "ground.npy: ends in column 40 at x = 39.0 m, 9.0 m from the path at the nearest, and goes on level from there; the sensor sees 9.5 m"),
         ([[3.0, 15.0]], 4.0, "ends in column 1 at x = 0.0 m, 3.0 m from"),
         ([[20.0, 26.0]], 4.0, "ends in row 1 at y = 29.0 m, 3.0 m from"),
         ([[20.0, 2.0]], 4.0, "ends in row 30 at y = 0.0 m, 2.0 m from"),

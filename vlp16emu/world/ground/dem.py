@@ -98,17 +98,17 @@ class DemHeights:
             ("row 1", "y", self._north_m, self._north_m - y),
             (f"row {rows}", "y", self._south_m, y - self._south_m),
         )
-        for line, axis, edge_m, gap_m in sides:
-            if gap_m.min() >= reach_m:
-                continue
-            px, py = path_xy_m[gap_m.argmin()]
-            ends = f"ends in {line} at {axis} = {edge_m:.1f} m"
+        in_sight = [side for side in sides if side[3].min() < reach_m]
+        ends = ", ".join(f"{line} at {axis} = {edge_m:.1f} m" for line, axis, edge_m, _ in in_sight)
+        for line, axis, edge_m, gap_m in in_sight:
             if gap_m.min() < 0:
-                found = f"{ends}, {-gap_m.min():.1f} m short of the path at ({px:.1f}, {py:.1f}) m"
+                px, py = path_xy_m[gap_m.argmin()]
+                found = f"ends in {line} at {axis} = {edge_m:.1f} m, {-gap_m.min():.1f} m short of the path at ({px:.1f}, {py:.1f}) m"
                 raise GeometryError(str(self._grid.path), found, "ground under the whole path")
+        if in_sight:
             _log.warning(
-                "%s: %s, %.1f m from the path, and goes on level from there; the sensor sees %g m",
-                *(self._grid.path, ends, gap_m.min(), reach_m),
+                "%s: ends in %s, %.1f m from the path at the nearest, and goes on level from there; the sensor sees %g m",
+                *(self._grid.path, ends, min(side[3].min() for side in in_sight), reach_m),
             )
 
     def _check_gaps(self, path_xy_m: Array, reach_m: float) -> None:
