@@ -2,18 +2,12 @@
 
 import itertools
 import math
-from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 
 from vlp16emu.raycast import cloud as clouds_room
-from vlp16emu.raycast import leaves as room
 from vlp16emu.raycast.cloud import Library, cloud_of
-from vlp16emu.raycast.far import NO_MEDIUM, Far
-from vlp16emu.raycast.lanes import lanes
-from vlp16emu.raycast.march import march
 from vlp16emu.raycast.medium import block_of
 from vlp16emu.raycast.voxel import (
     COLUMNS,
@@ -25,7 +19,7 @@ from vlp16emu.raycast.voxel import (
     VOXEL_M,
     kept_share,
 )
-from vlp16emu.types import NO_SURFACE, Mesh, PlantPart
+from vlp16emu.types import Mesh, PlantPart
 
 PARTS = np.array([PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF], "u1")
 AZIMUTHS = 2 * np.pi * (np.arange(720) + 0.5) / 720
@@ -234,180 +228,3 @@ def test_a_block_depends_on_its_neighbours_only(blocks):
         "owner",
     ):
         assert getattr(again, name).tobytes() == getattr(made[0, 0], name).tobytes()
-
-
-def test_leaves_are_latin_squares():
-    """In every variant a leaf has one cell whichever way it is seen, and each column along each axis has one leaf."""
-    for variant in range(32):
-        cells = room._PLACE[variant].astype(int) >> 5
-        assert len(np.unique(cells, axis=0)) == 64
-        for axis in range(3):
-            one, two = (other for other in range(3) if other != axis)
-            column = 8 * cells[:, one] + cells[:, two]
-            assert (np.sort(column) == np.arange(64)).all()
-            assert (room._LEAF_OF[axis, variant][column] == np.arange(64)).all()
-            for n in range(65):
-                bits = int(room._MASK[axis, variant, n])
-                assert {c for c in range(64) if bits >> c & 1} == set(column[:n].tolist())
-
-
-def one_voxel(code, cell=(2, 1, 3), corner=(40, -7, 11)):
-    """Medium of one brick with foliage in one of its voxels, the same for light of any elevation."""
-    bit = 16 * cell[0] + 4 * cell[1] + cell[2]
-    return NO_MEDIUM._replace(
-        near_m=0.0,
-        corner=corner,
-        brick=np.array([[[[1 << bit, 0]]]], "u8"),
-        record=np.array([code | code << 7 | code << 14], "u4"),
-        first_owner=np.zeros(1, "u4"),
-        owner=np.array([255 << 56 | 5], "u8"),
-        cosine=np.ones((1, 3, QUANTILES), "f4"),
-        seed=7,
-    )
-
-
-def met_m(medium, origin_m, direction, far_m=60.0):
-    """Range of one ray, inf where it meets nothing."""
-    L = lanes()
-    L.origin_m[:, 0], L.direction[:, 0], L.range_m[0], L.surface[0] = origin_m, direction, far_m, NO_SURFACE
-    march(medium, L, 1, np.array([*origin_m, *direction], "f4"), np.float32(0), np.float32(0))
-    return float(L.range_m[0]) if L.surface[0] != NO_SURFACE else np.inf
-
-
-@pytest.mark.parametrize("code", [10, 40, 90])
-@pytest.mark.parametrize("corner", [(40, -7, 11), (0, 0, 0), (-3, 5, -900)])
-def test_a_voxels_leaves_have_one_place_in_space(code, corner):
-    """Rays through all columns of a voxel, along x, y and z and both ways, meet leaves at the same places, to 0.1 mm."""
-    cell = np.array([2, 1, 3])
-    medium = one_voxel(code, tuple(cell.tolist()), corner)
-    low_m = cell * VOXEL_M
-    found = []
-    for axis in range(3):
-        one, two = (other for other in range(3) if other != axis)
-        for way in (1.0, -1.0):
-            places = []
-            for a, b in itertools.product(range(8), repeat=2):
-                origin_m, direction = np.zeros(3, "f4"), np.zeros(3, "f4")
-                origin_m[one], origin_m[two] = low_m[[one, two]] + (np.array([a, b]) + 0.5) * VOXEL_M / 8
-                origin_m[axis], direction[axis] = low_m[axis] - 3.0 * way, way
-                if np.isfinite(range_m := met_m(medium, origin_m, direction)):
-                    place = origin_m.astype(float)
-                    place[axis] += way * range_m
-                    places.append(place)
-            places = np.array(places)
-            found.append(places[np.lexsort(np.floor((places - low_m) / VOXEL_M * 8).T)])
-    assert len(found[0]) > (1 if code == 10 else 15)
-    for axis in range(3):
-        assert np.abs(found[2 * axis] - found[2 * axis + 1]).max() < 1e-4
-    cells = [np.floor((places - low_m) / VOXEL_M * 8).astype(int) for places in found]
-    for other in cells[1:]:
-        assert (other == cells[0]).all()
-
-
-def slab(lad, leaf_m=0.06, size_m=(16.0, 16.0, 8.0)):
-    """Square leaves of all directions evenly in a box that begins at the origin, `lad` m2 per m3."""
-    rng = np.random.default_rng(3)
-    n = round(lad * np.prod(size_m) / leaf_m**2)
-    u, v = (rng.normal(size=(n, 3)) for _ in range(2))
-    v -= (u * v).sum(1)[:, None] / (u * u).sum(1)[:, None] * u
-    u, v = (leaf_m / 2 * w / np.linalg.norm(w, axis=1)[:, None] for w in (u, v))
-    at_m = rng.random((n, 3)) * size_m
-    corners_m = np.stack([at_m - u - v, at_m + u - v, at_m + u + v, at_m - u + v], axis=1)
-    return Mesh(corners_m.reshape(-1, 3).astype("f4"), np.arange(4 * n, dtype="u4").reshape(-1, 4))
-
-
-class Slab:
-    """A tile with such a box 4 m over its level ground; a `World`."""
-
-    near_m, seed, name = 0.5, 3, ""
-
-    def __init__(self, lab, lad):
-        self._bare, self._mesh = (
-            lab.tiles(per_tile=0, things=False, height_m=lambda x, y: 0.0 * x + 0.0 * y),
-            slab(lad),
-        )
-
-    def shape_name(self, _key):
-        """Nothing of it is kept on disk."""
-        return ""
-
-    def shape(self, key):
-        """Meshes of the box, or of the tile."""
-        return (self._mesh,) if key == "slab" else self._bare.shape(key)
-
-    def far_tile(self, ix, iy):
-        """Describe the tile, and bare ones around it."""
-        tile = self._bare.far_tile(ix, iy)
-        if (ix, iy) != (0, 0):
-            return tile
-        place = np.column_stack([np.eye(3), [2.0, 2.0, 4.0]])[None]
-        return replace(
-            tile,
-            keys=("slab",),
-            shape=np.zeros(1, np.int64),
-            world_T_shape=place,
-            first_surface=np.ones(1, np.int64),
-            first_part=np.array([0, 1]),
-            part=np.array([PlantPart.LEAF], "u1"),
-        )
-
-    def window(self, track_m):
-        """One tile."""
-        bare = self._bare.window(track_m, tiles=[(0, 0)])
-        surfaces = np.concatenate([bare.surfaces, bare.surfaces])
-        surfaces["part"][1] = PlantPart.LEAF
-        place = np.column_stack([np.eye(3), [2.0, 2.0, 4.0]])[None]
-        return replace(
-            bare,
-            shapes=(*bare.shapes, "slab"),
-            shape=np.array([0, 1], "i4"),
-            world_T_shape=np.concatenate([bare.world_T_shape, place]),
-            first_surface=np.array([0, 1], "u4"),
-            surfaces=surfaces,
-            far=np.ones(2, np.bool_),
-        )
-
-
-@pytest.fixture(scope="module")
-def leaves(lab, workers):
-    """Medium of a slab by its density of leaves, each made once."""
-
-    @cache
-    def of(lad):
-        world = Slab(lab, lad)
-        far, window = Far(world, workers), world.window(np.zeros((1, 3)))
-        return far.medium(window, far.tiles(window))
-
-    return of
-
-
-DENSE_UPRIGHT = pytest.param(
-    90.0,
-    1.0,
-    marks=pytest.mark.xfail(reason="upright light through dense leaves goes 7 % less deep than it should"),
-)
-
-
-@pytest.mark.parametrize(
-    ("elevation_deg", "lad"),
-    [*((e, lad) for e in (0.0, 17.46, 90.0) for lad in (0.2, 0.5, 1.0) if e * lad != 90.0), DENSE_UPRIGHT],
-)
-def test_light_is_let_through_as_by_random_leaves(leaves, lad, elevation_deg):
-    """Through 4 m of leaves of all directions goes exp(-LAD / 2 * 4), within three standard errors and 4 % of the depth."""
-    medium, near_m = leaves(lad), Slab.near_m
-    rng, way_m, n = np.random.default_rng(6), 4.0, 4000
-    sine = math.sin(math.radians(elevation_deg))
-    level = math.sqrt(1 - sine * sine)
-    through = np.zeros(n)
-    for number in range(n):
-        azimuth = rng.uniform(0, 2 * np.pi)
-        direction = np.array([level * math.cos(azimuth), level * math.sin(azimuth), sine])
-        start_m = rng.uniform([6.5, 6.5, 4.2], [13.5, 13.5, 7.8])  # all of the way lies within the box
-        if sine > 0.9:
-            start_m[2] = 6.0
-        origin_m = start_m - near_m * direction
-        through[number] = np.isinf(met_m(medium, origin_m, direction, near_m + way_m))
-    # Rays share voxels: the error is that of groups of places.
-    error = through.std() / np.sqrt(n)
-    depth = -math.log(through.mean())
-    assert depth == pytest.approx(lad / 2 * way_m, abs=3 * error / through.mean(), rel=0.04)
