@@ -135,8 +135,8 @@ def test_errors_that_accuracy_reports_are_the_true_ones():
         for scene in (opened[0], exact)
     }
     for light in settings:
-        told = joined([bench.detections(opened[0], firings, light.beam) for firings in aimed])
-        reported, true = (errors_of(compare(answer, told, apart), apart) for answer in answers.values())
+        returns = joined([bench.detections(opened[0], firings, light.beam) for firings in aimed])
+        reported, true = (errors_of(compare(answer, returns, apart), apart) for answer in answers.values())
         assert reported.returns == true.returns > 1000
         assert reported.mean_error_m == pytest.approx(true.mean_error_m, rel=0.05, abs=1e-4), light.name
         assert reported.range_rmse_m == pytest.approx(true.range_rmse_m, rel=0.05, abs=3e-4), light.name

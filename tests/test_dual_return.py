@@ -32,16 +32,16 @@ def pairs(dual_returns, request):
 
 def test_every_pair_of_a_forest_is_lawful(dual_returns, pairs):
     """No pair breaks a rule of dual return, and there are thousands with no, one and two returns."""
-    blocks, told = pairs
-    assert set(dual_returns.broken(blocks, told, RESOLUTION_M).values()) == {0}
+    blocks, distances = pairs
+    assert set(dual_returns.broken(blocks, distances, RESOLUTION_M).values()) == {0}
     numbers = dual_returns.shares(blocks) * blocks[:, ::2]["records"].size
     assert numbers[:3].min() > 1000
 
 
 def test_swapped_blocks_are_found_out(dual_returns, pairs):
     """The rules would break if odd blocks were even ones."""
-    blocks, told = pairs
+    blocks, distances = pairs
     swapped = blocks.reshape(-1, 6, 2)[:, :, ::-1].reshape(blocks.shape)
-    wrong = dual_returns.broken(swapped, told, RESOLUTION_M)
+    wrong = dual_returns.broken(swapped, distances, RESOLUTION_M)
     for rule in ("the last return is nearer", "even block is not the last", "the strongest is outshone"):
         assert wrong[rule] > 300

@@ -165,7 +165,7 @@ def test_files_that_do_not_fit_the_walk_are_refused(folder, setting, message):
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "warning"),
     [
         (["motion.x_m=-5e5", "motion.y_m=-5.7e6"], "motion: recorded poses lie from 211.5 to 211.5 m above"),
         (["motion.x_m=-5e5", "motion.y_m=-5.7e6", "motion.z_m=-212.0"], "motion: recorded poses lie from -0.5"),
@@ -173,7 +173,7 @@ def test_files_that_do_not_fit_the_walk_are_refused(folder, setting, message):
         (["world.dem={file='wide.npy', cell_m=1e6, corner_m=[-1e7, -1e7]}"], "motion: recorded poses begin at (500000.0, 5700000.0, 211.5) m, as if in map"),
     ],
 )  # fmt: skip
-def test_recorded_poses_that_are_not_in_the_scene_are_told(folder, caplog, monkeypatch, settings, told):
+def test_recorded_poses_that_are_not_in_the_scene_are_told(folder, caplog, monkeypatch, settings, warning):
     """Poses in map coordinates, below the ground or out of its sight are warned of, with what moves them."""
     poses = [f"{t} {EAST_M} {NORTH_M} {UP_M + 1.5} 0 0 0 1" for t in (0.0, 0.5, 1.0)]
     (folder / "poses.tum").write_text("\n".join(poses))
@@ -183,7 +183,7 @@ def test_recorded_poses_that_are_not_in_the_scene_are_told(folder, caplog, monke
     with suppress(GeometryError):  # the ground of the scene, or its trees, may be out of sight as well
         Emulator(load(str(folder / "plot.toml"), changed), threads=1)
     lines = [record.getMessage() for record in caplog.records if record.getMessage().startswith("motion")]
-    assert [line[: len(told)] for line in lines] == [told] if told else not lines
+    assert [line[: len(warning)] for line in lines] == [warning] if warning else not lines
 
 
 def test_a_stem_list_that_nobody_sees_is_refused(folder):
@@ -203,12 +203,12 @@ def test_a_mesh_that_nobody_sees_is_told(folder, caplog, monkeypatch):
     """A mesh at map coordinates is warned of in one line, and one in reach is not; the reach ends at its surface."""
     monkeypatch.chdir(folder)
     mesh = '{file="box.obj",unit="cm",up="y",reflectance=0.3,places=[{x_m=%r,y_m=0.0,scale=2.0}]}'
-    for x_m, told in ((EAST_M, 1), (33.0, 1), (31.5, 0)):
+    for x_m, warnings in ((EAST_M, 1), (33.0, 1), (31.5, 0)):
         caplog.clear()
         Emulator(load(str(folder / "plot.toml"), [f"world.meshes=[{mesh % x_m}]"]), threads=1)
         lines = [record.getMessage() for record in caplog.records if "not in sight" in record.getMessage()]
-        assert len(lines) == told
-        if told:
+        assert len(lines) == warnings
+        if warnings:
             gap_m = x_m - np.linalg.norm(BOX_M) / 2
             assert (
                 f"box.obj: not in sight, {gap_m:.1f} m from the path at the nearest; expected a place 31 m"

@@ -72,8 +72,10 @@ def test_audits_estimate_the_error_that_accuracy_measures(hall):
     ((_, groups),) = draw_groups(Batching(16, 55_296), 60, 16_384, 1, moves=False)
     aimed = [bench.aimed(group, poses_at) for group in groups]
     answer = joined([bench.answer(scenes[0], pulses, unit.beam) for pulses in aimed])
-    told = joined([bench.detections(scenes[0], pulses, unit.beam) for pulses in aimed])
-    measured_m = errors_of(compare(answer, told, apart_m(hall.detector)), apart_m(hall.detector)).range_rmse_m
+    returns = joined([bench.detections(scenes[0], pulses, unit.beam) for pulses in aimed])
+    measured_m = errors_of(
+        compare(answer, returns, apart_m(hall.detector)), apart_m(hall.detector)
+    ).range_rmse_m
     squares_um2, matched = (
         sum(getattr(audit.tally, of) for audit in audits) for of in ("squares_um2", "matched")
     )

@@ -104,10 +104,10 @@ WORST = [
 def test_no_error_of_the_receiver_ends_a_run(settings):
     """With the greatest errors that a scene may give, and under a roof, each second still has a sentence of at most 82 bytes."""
     emulator = Emulator(load("static_bench", ["gps.connected=true", *settings]))
-    told = set(sentences(emulator, emulator.receiver, 0.0, 30.0))
-    assert len(told) == 31
-    assert max(map(len, told)) <= 82
-    assert 50.0 < max(parse_rmc(sentence).speed_m_s for sentence in told) < 514.0
+    spoken = set(sentences(emulator, emulator.receiver, 0.0, 30.0))
+    assert len(spoken) == 31
+    assert max(map(len, spoken)) <= 82
+    assert 50.0 < max(parse_rmc(sentence).speed_m_s for sentence in spoken) < 514.0
 
 
 @pytest.mark.parametrize("rate", ["measured", "manual"])
@@ -117,8 +117,8 @@ def test_no_position_packet_is_older_than_its_sensor(rate, seed):
     settings = [f"seed={seed}", f"sensor.position_rate={rate}", "gps.connected=false"]
     scenario = load("static_bench", settings)
     emulator = Emulator(scenario)
-    told = position_packets(scenario, None, emulator.parts.units[0], 0, S_NS)
-    stamps_ns = [decode_position(packet.payload).time_ns for packet in told]
+    packets = position_packets(scenario, None, emulator.parts.units[0], 0, S_NS)
+    stamps_ns = [decode_position(packet.payload).time_ns for packet in packets]
     assert 0 <= stamps_ns[0] <= 30_000
     assert stamps_ns == sorted(stamps_ns)
     assert stamps_ns[-1] < S_NS

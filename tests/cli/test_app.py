@@ -253,6 +253,6 @@ def test_what_a_terminal_cannot_show_is_told_all_the_same(program, tmp_path):
     out = tmp_path / "f\N{LATIN SMALL LETTER O WITH DIAERESIS}n.pcap"
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     run = program("record", "static_bench", out, "--duration", "0.01", env=environment)
-    told, err = run.communicate(timeout=100)
+    out, err = run.communicate(timeout=100)
     assert (run.returncode, err) == (0, "")
-    assert "f\\xf6n.pcap" in told
+    assert "f\\xf6n.pcap" in out

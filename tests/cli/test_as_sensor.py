@@ -61,14 +61,14 @@ assert receiver.stdout.readline() == "up\\n"
 value = array.array("I", [0x17, 0])
 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
     fcntl.ioctl(control, 0x8946, struct.pack("16sP", b"sensor0", value.buffer_info()[0]))
-told = {}
-told["without address"] = ended(stream("--as-sensor"))
-told["without interface"] = ended(stream("--interface", "sensor9"))
+outcomes = {}
+outcomes["without address"] = ended(stream("--as-sensor"))
+outcomes["without interface"] = ended(stream("--interface", "sensor9"))
 ip("addr add 192.168.1.201/24 dev sensor0")
 ip("addr add 192.168.1.202/24 dev sensor0")
-told["whole"] = ended(stream("--interface", "sensor0", "--duration", "0.1", "--set", "rig=[{}]"))
-report = json.loads(told["whole"]["out"])
-told["frames"] = [receiver.stdout.readline().strip() for _ in range(report["packets"] + report["position_packets"])]
+outcomes["whole"] = ended(stream("--interface", "sensor0", "--duration", "0.1", "--set", "rig=[{}]"))
+report = json.loads(outcomes["whole"]["out"])
+outcomes["frames"] = [receiver.stdout.readline().strip() for _ in range(report["packets"] + report["position_packets"])]
 going = stream("--interface", "sensor0", "--duration", "3600")
 for _ in range(50):
     receiver.stdout.readline()
@@ -76,13 +76,13 @@ other_end = ["nsenter", f"--net=/proc/{receiver.pid}/ns/net", "ip", "link", "set
 subprocess.run([*other_end, "down"], check=True)
 while receiver.stdout.readline() != "down\\n":
     pass
-told["unplugged"] = going.poll()
+outcomes["unplugged"] = going.poll()
 subprocess.run([*other_end, "up"], check=True)
-told["plugged in"] = [receiver.stdout.readline().strip() for _ in range(50)]
+outcomes["plugged in"] = [receiver.stdout.readline().strip() for _ in range(50)]
 ip("link del sensor0")
-told["vanished"] = ended(going)
+outcomes["vanished"] = ended(going)
 receiver.kill()
-print(json.dumps(told))
+print(json.dumps(outcomes))
 """
 
 pytestmark = [

@@ -106,14 +106,14 @@ def test_what_is_in_reach_is_counted(birch):
 
 def test_the_forecast_is_of_what_was_measured(birch):
     """Pieces lie in both windows, and the whole takes longer than its start."""
-    told, measured = birch["forecast"], birch["measured"]
+    forecast, measured = birch["forecast"], birch["measured"]
     assert measured["simulated_s"] == pytest.approx(sum(p["simulated_s"] for p in measured["pieces"]))
     assert len(measured["pieces"]) >= 4
     assert measured["second_window"]["wall_s"] > 0
-    assert told["wall_s"] > told["first_packet_s"]
-    assert told["real_time_factor"] == pytest.approx(8 / told["wall_s"])
-    assert told["real_time_factor"] < told["steady_factor"]
-    assert told["peak_memory_bytes"] <= 1.01 * peak_bytes()
+    assert forecast["wall_s"] > forecast["first_packet_s"]
+    assert forecast["real_time_factor"] == pytest.approx(8 / forecast["wall_s"])
+    assert forecast["real_time_factor"] < forecast["steady_factor"]
+    assert forecast["peak_memory_bytes"] <= 1.01 * peak_bytes()
 
 
 def test_whether_a_stream_keeps_up_is_reported(birch):

@@ -198,8 +198,8 @@ def test_a_ply_says_what_its_labels_mean(cli, tmp_path):
     """The header lists classes, parts, and leaf or wood with their numbers."""
     cli("points", "static_bench", tmp_path / "x.ply", "--duration", "0.02", "--truth")
     lines = (tmp_path / "x.ply").read_bytes().partition(b"end_header")[0].decode().splitlines()
-    told = [line for line in lines if line.startswith(("comment semantic: ", "comment part: "))]
-    for line, labels in zip(told, (Semantic, PlantPart), strict=True):
+    comments = [line for line in lines if line.startswith(("comment semantic: ", "comment part: "))]
+    for line, labels in zip(comments, (Semantic, PlantPart), strict=True):
         codes = dict(code.split(" ") for code in line.partition(": ")[2].split(", "))
         assert codes == {str(int(label)): label.name.lower() for label in labels}
     assert "comment leaf_wood: 0 neither, 1 wood, 2 leaf" in lines

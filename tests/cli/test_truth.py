@@ -15,7 +15,7 @@ def rows(path):
 def test_record_writes_truth_on_request(cli, tmp_path):
     """Files appear with --truth; the recording is the same as without."""
     plain = cli("record", "static_bench", tmp_path / "a.pcap", "--duration", "0.2", "--json").tree
-    told = cli(
+    outcome = cli(
         "record",
         "static_bench",
         tmp_path / "b.pcap",
@@ -25,7 +25,7 @@ def test_record_writes_truth_on_request(cli, tmp_path):
         tmp_path / "t",
         "--json",
     )
-    assert told.tree["sha256"] == plain["sha256"]
+    assert outcome.tree["sha256"] == plain["sha256"]
     assert sorted(path.name for path in (tmp_path / "t").iterdir()) == [
         "rig.json",
         "scenario.json",

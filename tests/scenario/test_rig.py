@@ -48,10 +48,10 @@ def test_a_start_azimuth_rules_out_the_firsts_phase():
 )
 def test_what_cannot_be_is_told_in_one_line(table, message):
     """A wrong unit is named by its key path, with what was expected."""
-    with pytest.raises(ScenarioError) as told:
+    with pytest.raises(ScenarioError) as caught:
         rig(table)
-    assert message in str(told.value)
-    assert "\n" not in str(told.value)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_a_sensor_without_packets_has_no_rig():

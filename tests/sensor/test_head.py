@@ -109,18 +109,18 @@ def test_angle_errors_turn_the_beams_and_nothing_else(head):
     unit = replace(
         head, beams=with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.05, seed=3)
     )
-    told, true = head.aim(0, 8, pose()), unit.aim(0, 8, pose())
+    reported, true = head.aim(0, 8, pose()), unit.aim(0, 8, pose())
     # Body x is forward at azimuth 0 and y is left, so azimuths count from x to -y.
     azimuth_deg = np.degrees(np.arctan2(-true.direction[..., 1], true.direction[..., 0]))
     elevation_deg = np.degrees(np.arcsin(true.direction[..., 2]))
     np.testing.assert_allclose(
-        azimuth_deg - told.azimuth_deg, np.tile(unit.beams.azimuth_error_deg, (8, 1)), atol=1e-9
+        azimuth_deg - reported.azimuth_deg, np.tile(unit.beams.azimuth_error_deg, (8, 1)), atol=1e-9
     )
     np.testing.assert_allclose(
         elevation_deg - head.beams.elevation_deg, np.tile(unit.beams.elevation_error_deg, (8, 1)), atol=1e-9
     )
     for name in ("t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m"):
-        np.testing.assert_array_equal(getattr(true, name), getattr(told, name))
+        np.testing.assert_array_equal(getattr(true, name), getattr(reported, name))
 
 
 def test_a_free_head_turns_by_its_resolution():
