@@ -19,14 +19,11 @@ from vlp16emu.scan import Chunk, Scan, cut_scans
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.place import place
 from vlp16emu.sinks.cloud import RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS, Block, point_file, scene_comments
-from vlp16emu.types import SURFACE, PlantPart, ReturnMode, Returns
+from vlp16emu.types import LEAF_OR_WOOD, SURFACE, ReturnMode, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
 
 __all__ = ["PointCloud", "scans_of", "world_T_sensor", "write_cloud"]
 
-_LEAF_OR_WOOD = np.array(
-    [0 if p is PlantPart.NONE else 2 if p is PlantPart.LEAF else 1 for p in PlantPart], "u1"
-)
 _LABELS = ("semantic", "part", "instance", "species")
 
 
@@ -252,5 +249,5 @@ def _labels(returns: Returns, sent: NDArray[np.bool_]) -> dict[str, NDArray[Any]
     surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row is that of `NO_SURFACE`
     rows = surfaces[np.minimum(returns.surface[sent], len(returns.surfaces))]
     return {name: rows[name] for name in (*_LABELS, "reflectance")} | {
-        "leaf_wood": _LEAF_OR_WOOD[rows["part"]]
+        "leaf_wood": LEAF_OR_WOOD[rows["part"]]
     }

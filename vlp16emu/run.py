@@ -135,4 +135,5 @@ class Run(Chain):
 
         place = to if isinstance(to, TruthTo) else TruthTo(Path(to))
         spare(self._files, place.scenario)
+        self.with_slots = place.per_return
         return Truth(place, self, span_s)

@@ -112,6 +112,8 @@ class Streams(Run):
         """
         _exclude(prepare is not None, "--prepare", {"--http": http, "--gps-out or --imu-out": outlets.kinds})
         _exclude(now, "--now", {"--gps-in": gps_in})
+        fine = isinstance(truth, TruthTo) and (truth.per_packet or truth.per_return)
+        _exclude(http is not None, "--http", {"--truth-packets or --truth-returns": fine})
         stop, pacer, policy = stop or Event(), Pacer(speed), Late(late)
         span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
         links = [unit.link for unit in self.parts.units]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from importlib.metadata import version
 from types import TracebackType
@@ -25,6 +25,7 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import TruthFolder, TruthTo, tum_rows
+from vlp16emu.sinks.slots import SlotTable
 from vlp16emu.sinks.truth import seconds_text
 from vlp16emu.types import Packet, PacketKind, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
@@ -90,16 +91,15 @@ class Truth:
         self._chain = chain
         self._units, self._to, self._scenario, self._span_s = parts.units, to, scenario, span_s
         wanted = self._units if to.per_packet else ()
-        for unit in wanted:
+        for unit in self._units if to.per_packet or to.per_return else ():
             on_the_wire(unit.section)
         self._step_ns = -(-S_NS // to.rate_hz)
         self._seen_ns = self._next_ns = begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
         self._is_whole = False
         self._listed_ns: int | None = None
+        times, span_ns = partial(timetable, scenario, self._units), map(seconds_to_ns, span_s)
         self._to_come = self.beside(
-            arriving(
-                scenario, self._units, partial(timetable, scenario, self._units), *map(seconds_to_ns, span_s)
-            )
+            chain.packets(*span_s) if to.per_return else arriving(scenario, self._units, times, *span_ns)
         )
         self._folder = TruthFolder(to.folder, named_files(scenario))
         self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
@@ -122,6 +122,10 @@ class Truth:
         self._others = [*self._inertial(scenario, parts, from_ns), *self._fixes(chain, begin_ns)]
         self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in wanted}
         self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
+        self._returns, self._open = dict[int, SlotTable](), ExitStack()
+        for unit in self._units if to.per_return else ():
+            table = SlotTable(to.folder / _file("returns", unit, "parquet"))
+            self._returns[unit.number] = self._open.enter_context(table)
 
     def __enter__(self) -> Self:
         return self
@@ -129,7 +133,7 @@ class Truth:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with self._folder, suppress(CancelledError, *([RunError] if error else [])):
+        with self._folder, suppress(CancelledError, *([RunError] if error else [])), self._open:
             self._write()
             for samples in self._trajectories:
                 samples.up_to(self._seen_ns + self._step_ns)
@@ -151,6 +155,8 @@ class Truth:
             self._seen_ns = packet.due_ns
             if self._firsts_ns and packet.fired_ns is not None:
                 self._firsts_ns[packet.unit].append(packet.fired_ns)
+            if packet.slots is not None and self._returns:
+                self._returns[packet.unit].add(packet)
             if packet.due_ns >= self._next_ns:
                 self._next_ns = packet.due_ns + S_NS
                 self._write()
@@ -242,9 +248,9 @@ class _Samples:
         return -(-(t_ns - self._zero_ns) * self._rate_hz // S_NS)
 
 
-def _file(name: str, unit: Unit) -> str:
+def _file(name: str, unit: Unit, suffix: str = "tum") -> str:
     """Name a file of a unit; the first has no number in it."""
-    return f"{name}_{unit.number + 1}.tum" if unit.number else f"{name}.tum"
+    return f"{name}_{unit.number + 1}.{suffix}" if unit.number else f"{name}.{suffix}"
 
 
 def _poses_at(motion: Motion, t_ns: NDArray[np.int64]) -> Poses:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "LEAF_OR_WOOD",
     "NO_SURFACE",
     "STEM",
     "SURFACE",
@@ -98,6 +99,9 @@ class PlantPart(IntEnum):
     ROOT_FLARE = 5
     DEAD_BRANCH = 6
 
+
+LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)
+"""Leaf (2) or wood (1) by `PlantPart`; 0 neither."""
 
 SURFACE = np.dtype(
     [
@@ -220,10 +224,14 @@ class Returns:
     """(k, L, 3) not yet on the 2 mm grid; 0 where there is no such return."""
     reflectivity: NDArray[np.uint8]
     """(k, L, 3) 0..100 diffuse, 101..255 retroreflective."""
-    surface: NDArray[np.uint32] | None
-    """(k, L, 3) truth, only when asked for."""
-    surfaces: NDArray[np.void] | None
+    surface: NDArray[np.uint32] | None = None
+    """(k, L, 3) truth, only when asked for, as all that follows."""
+    surfaces: NDArray[np.void] | None = None
     """(m,) `SURFACE`, the table that `surface` points into."""
+    range_m: NDArray[np.float32] | None = None
+    """(k, L, 3) before errors of range; 0 where there is no such return."""
+    share: NDArray[np.float32] | None = None
+    """(k, L, 3) of the footprint that met the surface, wherever."""
 
     def __post_init__(self) -> None:
         k, lasers = self.firings.t_ns.shape
@@ -231,6 +239,9 @@ class Returns:
         _check(self, "reflectivity", self.reflectivity, "u1", k, lasers, 3)
         if self.surface is not None:
             _check(self, "surface", self.surface, "u4", k, lasers, 3)
+        for name, values in (("range_m", self.range_m), ("share", self.share)):
+            if values is not None:
+                _check(self, name, values, "f4", k, lasers, 3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,6 +256,9 @@ class Packet:
     """Place in the rig of the sensor that sends it, from 0."""
     fired_ns: int | None = None  # UTC of the first pulse in a data packet of ours
     number: int = 0  # of a position packet: how many its unit could have sent before; the frame carries it
+    slots: NDArray[np.void] | None = (
+        None  # (384,) of a data packet: what is behind each record, only when asked for
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from vlp16emu.points import _LEAF_OR_WOOD
 from vlp16emu.scenario.find import scene_files
 from vlp16emu.sinks.cloud import CAPTURE_COLUMNS, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
 from vlp16emu.truth import _GNSS_COLUMNS, _IMU_COLUMNS
-from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.types import LEAF_OR_WOOD, PlantPart, Semantic
 from vlp16emu.world.given.stem_list import _COLUMNS
 from vlp16emu.world.plants.flora import flora
 from vlp16emu.world.stand.inventory import INVENTORY
@@ -82,7 +81,7 @@ def test_the_columns_of_the_truth_are_given():
 
 def test_leaf_or_wood_is_given_for_each_part():
     """The column `leaf_wood` of the table is that of labelled points."""
-    assert [int(row[2]) for row in table("Labels", 2)] == _LEAF_OR_WOOD.tolist()
+    assert [int(row[2]) for row in table("Labels", 2)] == LEAF_OR_WOOD.tolist()
 
 
 def test_the_species_are_given_with_their_numbers():

@@ -15,6 +15,7 @@ from itertools import chain as joined
 from vlp16emu.chain import PulseHook, Unit, assemble, with_events
 from vlp16emu.chain.cells import checked_span_ns, cuts_of, windows_for
 from vlp16emu.chain.position import make_receiver, position_packets
+from vlp16emu.chain.slots import slots_of
 from vlp16emu.chain.windows import Batching, prefetch
 from vlp16emu.chain.wire import arriving
 from vlp16emu.device.events import Event
@@ -53,6 +54,8 @@ class Chain:
         self.receiver = make_receiver(scenario, self.parts, self.windows)
         self.prompt = False
         """Whether blocks are cast one by one, so that what is set anew shows soon; it changes the speed only."""
+        self.with_slots = False
+        """Whether data packets carry the truth behind their records."""
 
     def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
         """Packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
@@ -110,8 +113,10 @@ class Chain:
     def _data_packets(self, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[Packet]:
         """Yield the data packets of a unit due in a span since the first pulse."""
         threads, block = self._threads // len(self.parts.units) or 1, self.batching.block
-        for part in unit.sending.parts(start_ns, stop_ns):
-            scan = partial(self._scan, replace(unit, detector=unit.detector.for_mode(part.span.mode)))
+        slots = partial(slots_of, unit) if self.with_slots else None
+        for part in unit.sending.parts(start_ns, stop_ns, slots):
+            of_mode = replace(unit, detector=unit.detector.for_mode(part.span.mode))
+            scan = partial(self._scan, of_mode, truth=self.with_slots)
             of = {"threads": threads, "together": 1 if self.prompt else unit.beam.together}
             taken = prefetch(partial(part.taken, scan, block), self.windows, blocks=part.blocks(block), **of)
             yield from part.packets(taken)

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +11,13 @@ from numpy.typing import NDArray
 from vlp16emu.packets import SEQUENCES_PER_PACKET, azimuth_cdeg, pack_data
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.sensor.head import Head
-from vlp16emu.types import Firings, Packet, ReturnMode, Returns, SensorModel
+from vlp16emu.types import NO_SURFACE, Firings, Packet, ReturnMode, Returns, SensorModel
 
 __all__ = ["Sending", "SendingPart", "SendingSpan"]
 
 Opened = Future[Geometry]
+SlotsOf = Callable[[Returns, ReturnMode], NDArray[np.void]]
+"""What is behind the records of returns that are packed in a mode."""
 
 _AT_ONCE = 1 << 16
 """Firing sequences whose azimuths are read at once, 3.6 s of them."""
@@ -99,7 +102,7 @@ class Sending:
             if len(slots):
                 yield slots
 
-    def parts(self, start_ns: int, stop_ns: int) -> Iterator["SendingPart"]:
+    def parts(self, start_ns: int, stop_ns: int, slots_of: SlotsOf | None = None) -> Iterator["SendingPart"]:
         """Cut a span of time since the first pulse where settings change; without parts that no packet is due in."""
         for span in self.spans:
             slots = next(self.slots_of(span, start_ns, stop_ns), None)
@@ -107,7 +110,7 @@ class Sending:
                 first, stop = int(slots[0, 0]), self.stop_of(span, stop_ns)
                 if span.fov_deg is None:
                     stop -= (stop - first) % span.per_packet
-                yield SendingPart(self, span, first, stop)
+                yield SendingPart(self, span, first, stop, slots_of)
 
     def count(self, start_ns: int, stop_ns: int) -> int:
         """Count the packets due in a span of time since the first pulse."""
@@ -142,6 +145,8 @@ class SendingPart:
     """Firing sequence at which that packet begins."""
     stop: int
     """Firing sequence after the last."""
+    slots_of: SlotsOf | None = None
+    """Where packets carry the truth behind their records."""
 
     def blocks(self, block: int) -> range:
         """Blocks of so many firing sequences that hold it."""
@@ -181,29 +186,44 @@ class SendingPart:
 
     def _packed(self, returns: Returns) -> list[Packet]:
         """Pack whole packets."""
-        return pack_data(returns, self.span.mode, SensorModel(self.sending.model), self.sending.unit)
+        packets = pack_data(returns, self.span.mode, SensorModel(self.sending.model), self.sending.unit)
+        if self.slots_of is None:
+            return packets
+        slots = self.slots_of(returns, self.span.mode)
+        return [replace(packet, slots=rows) for packet, rows in zip(packets, slots, strict=True)]
+
+
+_BY_RETURN = ("distance_m", "reflectivity", "surface", "range_m", "share")
 
 
 def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
     """Take some firing sequences of returns, for packing: in order of time, not all of them in a row."""
     arrays = {name: getattr(returns.firings, name)[rows] for name in _BY_SEQUENCE}
-    return Returns(
-        Firings(index=returns.firings.index, beam_axis=None, **arrays),
-        returns.distance_m[rows],
-        returns.reflectivity[rows],
-        None,
-        None,
-    )
+    taken = {name: whole[rows] for name in _BY_RETURN if (whole := getattr(returns, name)) is not None}
+    firings = Firings(index=returns.firings.index, beam_axis=None, **arrays)
+    return Returns(firings, surfaces=returns.surfaces, **taken)
 
 
 def _joined(some: list[Returns]) -> Returns:
-    """Put the rows of returns behind each other."""
-    arrays = {name: np.concatenate([getattr(each.firings, name) for each in some]) for name in _BY_SEQUENCE}
-    firings = Firings(index=some[0].firings.index, beam_axis=None, **arrays)
-    distance_m, reflectivity = (
-        [getattr(each, name) for each in some] for name in ("distance_m", "reflectivity")
-    )
-    return Returns(firings, np.concatenate(distance_m), np.concatenate(reflectivity), None, None)
+    """Put the rows of returns behind each other, and their tables of surfaces."""
+    first, arrays = some[0], dict[str, NDArray[Any]]()
+    for name in _BY_SEQUENCE:
+        arrays[name] = np.concatenate([getattr(each.firings, name) for each in some])
+    firings = Firings(index=first.firings.index, beam_axis=None, **arrays)
+    if first.surfaces is None:
+        joined = {name: np.concatenate([getattr(each, name) for each in some]) for name in _BY_RETURN[:2]}
+        return Returns(firings, **joined)
+    tables = [each.surfaces for each in some if each.surfaces is not None]
+    begins = np.cumsum([0, *map(len, tables[:-1])])
+    moved = [
+        replace(
+            each, surface=np.where(each.surface == NO_SURFACE, NO_SURFACE, each.surface + np.uint32(begin))
+        )
+        for each, begin in zip(some, begins.tolist(), strict=True)
+        if each.surface is not None
+    ]
+    joined = {name: np.concatenate([getattr(each, name) for each in moved]) for name in _BY_RETURN}
+    return Returns(firings, surfaces=np.concatenate(tables), **joined)
 
 
 def _count(returns: Returns) -> int:

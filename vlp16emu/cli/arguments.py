@@ -26,6 +26,7 @@ __all__ = [
     "TruthFolder",
     "TruthPackets",
     "TruthRate",
+    "TruthReturns",
     "checked",
     "truth_to",
 ]
@@ -54,7 +55,7 @@ def checked(
     return parse
 
 
-def truth_to(folder: Path | None, rate_hz: int, *, per_packet: bool) -> "TruthTo | None":
+def truth_to(folder: Path | None, rate_hz: int, *, per_packet: bool, per_return: bool) -> "TruthTo | None":
     """Where the truth of a run goes, if it is wanted.
 
     Raises
@@ -63,12 +64,16 @@ def truth_to(folder: Path | None, rate_hz: int, *, per_packet: bool) -> "TruthTo
         where a part of it is wanted and no folder
     """
     if folder is None:
-        if per_packet:
-            raise InputError("--truth-packets", "found no --truth", "--truth DIR, where packets.tum goes")
+        for given, option, file in (
+            (per_packet, "--truth-packets", "packets.tum"),
+            (per_return, "--truth-returns", "returns.parquet"),
+        ):
+            if given:
+                raise InputError(option, "found no --truth", f"--truth DIR, where {file} goes")
         return None
     from vlp16emu.sinks import TruthTo
 
-    return TruthTo(folder, rate_hz, per_packet)
+    return TruthTo(folder, rate_hz, per_packet, per_return)
 
 
 def _port(option: str, about: str) -> Any:
@@ -165,5 +170,12 @@ TruthRate = Annotated[
 TruthPackets = Annotated[
     bool,
     typer.Option("--truth-packets", help="Also write packets.tum, one pose for each data packet."),
+]
+TruthReturns = Annotated[
+    bool,
+    typer.Option(
+        "--truth-returns",
+        help="Also write returns.parquet, one row for each record of a data packet: range, place, labels.",
+    ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]

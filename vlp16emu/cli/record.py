@@ -21,6 +21,7 @@ from vlp16emu.cli.arguments import (
     TruthFolder,
     TruthPackets,
     TruthRate,
+    TruthReturns,
     truth_to,
 )
 from vlp16emu.cli.start import make_emulator, starting
@@ -74,6 +75,7 @@ def record(
     truth: TruthFolder = None,
     truth_rate: TruthRate = 200,
     truth_packets: TruthPackets = False,
+    truth_returns: TruthReturns = False,
     as_json: AsJson = False,
 ) -> None:
     """Record a scene into a pcap file.
@@ -92,7 +94,7 @@ def record(
             start_s=start,
             duration_s=duration,
             split=split,
-            truth=truth_to(truth, truth_rate, per_packet=truth_packets),
+            truth=truth_to(truth, truth_rate, per_packet=truth_packets, per_return=truth_returns),
             progress=lambda done_s: progress.show("recording", done_s),
             stop=stop,
         )

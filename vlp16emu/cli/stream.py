@@ -26,6 +26,7 @@ from vlp16emu.cli.arguments import (
     TruthFolder,
     TruthPackets,
     TruthRate,
+    TruthReturns,
     checked,
     truth_to,
 )
@@ -287,6 +288,7 @@ def stream(
     truth: TruthFolder = None,
     truth_rate: TruthRate = 200,
     truth_packets: TruthPackets = False,
+    truth_returns: TruthReturns = False,
     speed: Speed = 1.0,
     late: LatePolicy = "pace",
     as_sensor: AsSensor = False,
@@ -324,7 +326,7 @@ def stream(
         streamed = emulator.stream(
             to=to,
             duration_s=duration,
-            truth=truth_to(truth, truth_rate, per_packet=truth_packets),
+            truth=truth_to(truth, truth_rate, per_packet=truth_packets, per_return=truth_returns),
             speed=speed,
             late=late,
             as_sensor=as_sensor or interface is not None,

@@ -14,6 +14,7 @@ from vlp16emu.cli.arguments import (
     Start,
     TruthPackets,
     TruthRate,
+    TruthReturns,
 )
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import INTERRUPTED, Progress, print_json, print_rows, size, stop_on_ctrl_c
@@ -38,6 +39,7 @@ def truth(
     ideal: Ideal = False,
     truth_rate: TruthRate = 200,
     truth_packets: TruthPackets = False,
+    truth_returns: TruthReturns = False,
     as_json: AsJson = False,
 ) -> None:
     """Write the ground truth of a run without casting its pulses: trajectory, IMU, GNSS, rig, scenario.
@@ -50,7 +52,7 @@ def truth(
     start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")
     with stop_on_ctrl_c() as stop, Progress(stop_s - start_s) as progress:
         simulated_s = emulator.write_truth(
-            TruthTo(folder, truth_rate, truth_packets),
+            TruthTo(folder, truth_rate, truth_packets, truth_returns),
             start_s=start,
             duration_s=duration,
             progress=lambda done_s: progress.show("writing", done_s),

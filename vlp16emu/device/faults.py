@@ -185,7 +185,8 @@ class Wire:
                 out = [self._queued(fault, each, number, hit=hit) for each in out]
             elif hit and isinstance(fault.event, Freeze):
                 first = self._frozen.setdefault((fault.number, packet.kind), packet)
-                out = [replace(each, payload=first.payload, fired_ns=first.fired_ns) for each in out]
+                as_first = {"payload": first.payload, "fired_ns": first.fired_ns, "slots": first.slots}
+                out = [replace(each, **as_first) for each in out]  # type: ignore[arg-type]  # each of its own type
             elif hit:
                 out = [changed for each in out for changed in fault.change(each, number)]
         return out

@@ -16,7 +16,7 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import Packet, PacketKind, ReturnMode, Returns, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
-__all__ = ["azimuth_cdeg", "data_payloads", "pack_data", "timestamp_us"]
+__all__ = ["azimuth_cdeg", "data_payloads", "distance_lsb", "odd_column", "pack_data", "timestamp_us"]
 
 _Time = TypeVar("_Time", int, NDArray[np.int64])
 _STRONGEST, _LAST, _SECOND_STRONGEST = 0, 1, 2  # last axis of Returns
@@ -130,7 +130,14 @@ def azimuth_cdeg(reading_deg: NDArray[np.float64]) -> NDArray[np.uint16]:
 
 
 def _odd_returns(returns: Returns) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Distance in metres and reflectivity, (k, 16) each, of the odd blocks of dual return.
+    """Distance in metres and reflectivity, (k, 16) each, of the odd blocks of dual return."""
+    which = odd_column(returns)[..., None]
+    distance_m = np.take_along_axis(returns.distance_m, which, axis=-1)[..., 0]
+    return distance_m, np.take_along_axis(returns.reflectivity, which, axis=-1)[..., 0]
+
+
+def odd_column(returns: Returns) -> NDArray[np.int64]:
+    """Place (k, 16) on the last axis of `Returns` of what the odd blocks of dual return have.
 
     The strongest return; the second strongest where the strongest is also the last; and where there is
     only one return, that one again. Source: 63-9243 Rev D, section 9.3.2, p. 57; the repetition as on
@@ -143,18 +150,20 @@ def _odd_returns(returns: Returns) -> tuple[NDArray[np.float32], NDArray[np.uint
         returns.reflectivity[..., _SECOND_STRONGEST],
     )
     has_second = (second_m > 0) | (second > 0)
-    which = np.where(strongest_is_last & has_second, _SECOND_STRONGEST, _STRONGEST)[..., None]
-    distance_m = np.take_along_axis(returns.distance_m, which, axis=-1)[..., 0]
-    return distance_m, np.take_along_axis(returns.reflectivity, which, axis=-1)[..., 0]
+    return np.where(strongest_is_last & has_second, _SECOND_STRONGEST, _STRONGEST)
 
 
 def _write(records: NDArray[Any], distance_m: NDArray[np.float32], reflectivity: NDArray[np.uint8]) -> None:
     """Fill records (n, blocks, 2, 16) from metres and reflectivity (k, 16).
 
-    Distances are rounded to 2 mm. What is nearer than 0.5 m or beyond the largest code has none; its
-    reflectivity is written as it is, since real units send one there too.
+    What has no distance has its reflectivity written as it is, since real units send one there too.
     """
+    records["distance_lsb"] = distance_lsb(distance_m).reshape(records.shape)
+    records["reflectivity"] = reflectivity.reshape(records.shape)
+
+
+def distance_lsb(distance_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Distances in steps of 2 mm; 0 for what is nearer than 0.5 m or beyond the largest code."""
     code = np.rint(distance_m.astype(np.float64) / layout.DISTANCE_LSB_M)
     seen = (code >= layout.MIN_DISTANCE_LSB) & (code <= np.iinfo(np.uint16).max)
-    records["distance_lsb"] = np.where(seen, code, 0).astype(np.uint16).reshape(records.shape)
-    records["reflectivity"] = reflectivity.reshape(records.shape)
+    return np.where(seen, code, 0).astype(np.uint16)

@@ -54,9 +54,10 @@ def detect(
     Parameters
     ----------
     surfaces : (m,) `SURFACE`, the window's table
-    truth : whether to keep the surface of the sub-ray that gave most of the light of each return
+    truth : whether to keep of each return its range before errors, and the surface of the sub-ray that gave most of its light
     """
     shape = (*firings.t_ns.shape, 3)
+    range_m = np.zeros(shape if truth else (0, 0, 3), np.float32)
     distance_m, reflectivity = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     most = int(hits.count.max(initial=1)) + 1  # the air's own echo is one more
     reflectance = np.ascontiguousarray(surfaces["reflectance"])
@@ -72,14 +73,15 @@ def detect(
         *(nodes, peaks, np.empty(3, np.int64), np.zeros((2, shape[1]))),
         distance_m,
         reflectivity,
+        range_m,
     )
     if detector.no_return is not None:
         _mark_silent(detector.no_return, distance_m, reflectivity)
     if not truth:
-        return Returns(firings, distance_m, reflectivity, None, None)
-    surface = np.empty(shape, np.uint32)
-    find_source_surfaces(detector.constants, firings.index, *rays, distance_m, surface)
-    return Returns(firings, distance_m, reflectivity, surface, surfaces)
+        return Returns(firings, distance_m, reflectivity)
+    surface, share = np.empty(shape, np.uint32), np.empty(shape, np.float32)
+    find_source_surfaces(detector.constants, firings.index, *rays, distance_m, surface, share)
+    return Returns(firings, distance_m, reflectivity, surface, surfaces, range_m, share)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
@@ -100,9 +102,13 @@ def _detect(
     noise: NDArray[np.float64],
     distance_m: NDArray[np.float32],
     reflectivity: NDArray[np.uint8],
+    exact_m: NDArray[np.float32],
 ) -> None:
-    """Fill the returns (k, L, 3), pulse by pulse; one node takes the short way."""
-    stop = ZERO
+    """Fill the returns (k, L, 3), pulse by pulse; one node takes the short way.
+
+    `exact_m`, which may be empty, takes ranges before errors.
+    """
+    stop, keeps_exact = ZERO, exact_m.shape[0] > 0
     columns = _LAST if constants.strongest_only else _SECOND  # that a lone echo fills
     for i in range(count.shape[0]):
         n = first + i
@@ -120,9 +126,14 @@ def _detect(
                 measured = _measure(constants, noise[0, j], noise[1, j], at_m, light, error_m, gain[j])
                 for column in range(columns):
                     distance_m[i, j, column], reflectivity[i, j, column] = measured
+                    if keeps_exact:
+                        exact_m[i, j, column] = at_m
             elif lit > 1 and light >= 0.0:  # or else the highest is not seen, and another one may be
                 _choose(constants, n, j, peaks, find_peaks(nodes, lit, constants.sigma_m, peaks), chosen)
                 _write(constants, n, i, j, error_m, gain[j], peaks, chosen, distance_m, reflectivity)
+                for column in range(3 if keeps_exact else 0):
+                    if chosen[column] >= 0:
+                        exact_m[i, j, column] = peaks[RANGE, chosen[column]]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)

@@ -343,10 +343,12 @@ def find_source_surfaces(
     reflectance: NDArray[np.float32],
     distance_m: NDArray[np.float32],
     surface: NDArray[np.uint32],
+    share: NDArray[np.float32],
 ) -> None:
     """Fill surface (k, L, 3) with that of the sub-ray which gives most of the light at each distance.
 
-    Light that the air gives, and distance 0, belong to no surface.
+    And share (k, L, 3) with that of the pulse's sub-rays which met this surface, wherever. Light that the air gives, and
+    distance 0, belong to no surface.
     """
     stop = 0
     for i in range(count.shape[0]):
@@ -366,6 +368,10 @@ def find_source_surfaces(
                         light = amplitude_of(constants, energy, ray_m) * _pulse(constants, ray_m - at_m)
                         if light > most:
                             most, surface[i, j, column] = light, met[ray]
+                same = 0
+                for ray in range(start if surface[i, j, column] != NO_SURFACE else stop, stop):
+                    same += met[ray] == surface[i, j, column]
+                share[i, j, column] = same / (stop - start)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -21,6 +21,7 @@ __all__ = ["TruthFolder", "TruthTo", "seconds_text", "tum_rows", "write_json"]
 
 _FILES = re.compile(
     r"(events|gnss|imu)\.csv|(rig|scenario|time)\.json(\.part)?|(packets|trajectory)(_\d+)?\.tum"
+    r"|returns(_\d+)?\.parquet(\.part)?"
 )
 """All that a run may write; those of an earlier run are replaced as a whole."""
 
@@ -35,6 +36,8 @@ class TruthTo:
     """Of the trajectory; samples count from the first pulse."""
     per_packet: bool = False
     """Also write the pose at the first firing of each data packet."""
+    per_return: bool = False
+    """Also write what is behind each record of the data packets, which must be cast for it."""
 
     @property
     def scenario(self) -> Path:
