@@ -35,6 +35,8 @@ FLOORS = (
         "compiled",
         "errors",
         "explain",
+        "gps_time",
+        "labels",
         "output",
         "random",
         "settings",

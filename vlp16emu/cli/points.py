@@ -30,7 +30,7 @@ OutFile = Annotated[
     Path,
     typer.Argument(
         metavar="OUT",
-        help="File to write, .npz, .ply or .csv by its suffix; overwritten if it exists.",
+        help="File to write, .npz, .ply, .csv, .pcd, .las, .laz or .e57 by its suffix; overwritten if it exists.",
         show_default=False,
     ),
 ]
@@ -46,6 +46,16 @@ WhichUnit = Annotated[
 Truth = Annotated[
     bool,
     typer.Option("--truth", help="Label what each point lies on: class, part, leaf or wood, plant, species."),
+]
+Labels = Annotated[
+    str | None,
+    typer.Option(
+        "--labels",
+        metavar="SCHEME",
+        help="Classes as data sets have them: for-instance, digiforests, asprs or semantickitti. Beside them dense numbers of trees, "
+        "height above the ground and the viewpoint.",
+        show_default=False,
+    ),
 ]
 ToFolder = Annotated[
     Path | None,
@@ -67,6 +77,7 @@ def points(
     settings: Settings = None,
     ideal: Ideal = False,
     truth: Truth = False,
+    labels: Labels = None,
     truth_folder: ToFolder = None,
     unit: WhichUnit = 1,
     threads: Threads = 0,
@@ -87,6 +98,7 @@ def points(
             duration_s=duration,
             unit=unit,
             truth=truth,
+            labels=labels,
             truth_to=truth_folder,
             progress=lambda done_s: progress.show("scanning", done_s),
             stop=stop,
