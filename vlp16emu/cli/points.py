@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, Duration, Ideal, SceneName, Settings, Start, Threads, checked
+from vlp16emu.cli.arguments import AsJson, Duration, Ideal, Settings, Start, Threads, checked
+from vlp16emu.cli.deskew import Drift, MountedAt, TimeOffset, TrajectoryFile, deskew
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import (
     INTERRUPTED,
@@ -20,12 +21,21 @@ from vlp16emu.cli.terminal import (
     stop_on_ctrl_c,
     tree_of,
 )
+from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
     from vlp16emu.points import PointCloud
 
 __all__ = ["points"]
 
+SceneOrCapture = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE|FILE.pcap",
+        help="Name of a scene (see `vlp16emu scenes`) or path of a .toml file; or a capture, with --trajectory.",
+        show_default=False,
+    ),
+]
 OutFile = Annotated[
     Path,
     typer.Argument(
@@ -69,7 +79,7 @@ ToFolder = Annotated[
 
 
 def points(
-    scene: SceneName,
+    scene: SceneOrCapture,
     out: OutFile,
     *,
     duration: Duration = None,
@@ -80,6 +90,10 @@ def points(
     labels: Labels = None,
     truth_folder: ToFolder = None,
     unit: WhichUnit = 1,
+    trajectory: TrajectoryFile = None,
+    mount: MountedAt = None,
+    drift: Drift = None,
+    time_offset: TimeOffset = 0.0,
     threads: Threads = 0,
     as_json: AsJson = False,
 ) -> None:
@@ -87,7 +101,34 @@ def points(
 
     Each point is in the world and in the sensor's frame at the instant of its pulse, as a user would
     compute it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
+    A capture is put into the world by a trajectory, the true one, an estimate, or one with errors on purpose.
     """
+    if trajectory is not None or Path(scene).suffix == ".pcap":
+        of_scenes = {
+            "--duration": duration is not None,
+            "--start": start > 0,
+            "--set": bool(settings),
+            "--ideal": ideal,
+            "--truth": truth,
+            "--labels": labels is not None,
+            "--truth-folder": truth_folder is not None,
+            "--threads": threads > 0,
+        }
+        deskew(
+            Path(scene),
+            out,
+            trajectory,
+            unit=unit,
+            mount=mount,
+            drift=drift,
+            time_offset_s=time_offset,
+            of_scenes=of_scenes,
+            as_json=as_json,
+        )
+        return
+    for option, value in {"--mount": mount, "--drift": drift, "--time-offset": time_offset}.items():
+        if value:
+            raise InputError(option, "found beside a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
     emulator = make_emulator(scene, settings, ideal=ideal, threads=threads)
     start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")

@@ -136,7 +136,7 @@ _VIEWPOINT = Column(
     "viewpoint_m", "<f8", ("viewpoint_x_m", "viewpoint_y_m", "viewpoint_z_m"), 4, ("vp_x", "vp_y", "vp_z")
 )
 DESKEWED_COLUMNS = (
-    *(column for column in SCENE_COLUMNS if column.name != "return_number"),
+    *(column for column in SCENE_COLUMNS if column.name not in ("elevation_deg", "return_number")),
     Column("is_last", "|u1", ("is_last",), 0, ("is_last",)),
     _VIEWPOINT,
 )

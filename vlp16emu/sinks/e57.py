@@ -55,6 +55,7 @@ class E57File:
         except ImportError:
             raise MissingExtraError("pye57", "cloud", "writing E57") from None
         self._lib, self._about, self.points = libe57, about, 0
+        self._held = 0
         self._image = libe57.ImageFile(file.name, "w")
         stack.callback(self._image.close)
         self._low_m, self._high_m = np.full(3, np.inf), np.full(3, -np.inf)
@@ -146,7 +147,7 @@ class E57File:
         """Make the table of points, with fields of some types."""
         lib, image = self._lib, self._image
         row, buffers = lib.StructureNode(image), lib.VectorSourceDestBuffer()
-        self._waiting, self._held = {}, 0
+        self._waiting = {}
         for name, kind in kinds.items():
             dtype = np.dtype(kind)
             if dtype.kind == "f":
