@@ -20,10 +20,8 @@ _FARTHEST = 1e6
 _MOUNT, _DRIFT = "X,Y,Z,ROLL,PITCH,YAW", "EAST,NORTH,UP,YAW"
 
 
-def _numbers(option: str, text: str | None, names: str) -> tuple[float, ...] | None:
+def _numbers(option: str, text: str, names: str) -> tuple[float, ...]:
     """Read as many numbers as there are names."""
-    if text is None:
-        return None
     expected = f"the numbers {names}"
     number = checked(option, float, lambda n: abs(n) <= _FARTHEST, expected)
     words = text.split(",")
@@ -78,26 +76,23 @@ def deskew(
     capture: Path,
     out: Path,
     trajectory: Path | None,
+    errors: Mapping[str, str | None],
+    time_offset_s: float,
     *,
     unit: int,
-    mount: str | None,
-    drift: str | None,
-    time_offset_s: float,
-    of_scenes: Mapping[str, bool],
     as_json: bool,
 ) -> None:
-    """Write the points of a capture; `of_scenes` has the options that only a scene takes, and whether they are given."""
-    for option in (option for option, is_given in of_scenes.items() if is_given):
-        raise InputError(option, f"found beside the capture {capture}", "a scene, or no such option")
+    """Write the points of a capture; `errors` has the numbers of `--mount` and `--drift` as they are given."""
     if trajectory is None:
         expected = "--trajectory DIR or FILE.tum; `vlp16emu decode` leaves points in the sensor"
         raise InputError(str(capture), "is a capture", expected)
     from vlp16emu.deskew import TrajectoryErrors, write_deskewed
 
-    given = {"mount": _numbers("--mount", mount, _MOUNT), "drift": _numbers("--drift", drift, _DRIFT)}
-    errors = TrajectoryErrors(time_offset_s, **{key: value for key, value in given.items() if value})  # type: ignore[arg-type]
+    names = {"mount": _MOUNT, "drift": _DRIFT}
+    given = {key: _numbers(f"--{key}", text, names[key]) for key, text in errors.items() if text is not None}
+    wrong = TrajectoryErrors(time_offset_s, **given)  # type: ignore[arg-type]
     with stop_on_ctrl_c() as stop:
-        cloud = write_deskewed(capture, out, trajectory, unit=unit, errors=errors, stop=stop)
+        cloud = write_deskewed(capture, out, trajectory, unit=unit, errors=wrong, stop=stop)
     if as_json:
         print_json(tree_of(cloud))
     else:

@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 
 __all__ = ["points"]
 
+_OF_SCENES = frozenset(
+    {"duration", "start", "settings", "ideal", "truth", "labels", "truth_folder", "threads"}
+)
+_OF_CAPTURES = frozenset({"mount", "drift", "time_offset"})
+
 SceneOrCapture = Annotated[
     str,
     typer.Argument(
@@ -79,6 +84,7 @@ ToFolder = Annotated[
 
 
 def points(
+    context: typer.Context,
     scene: SceneOrCapture,
     out: OutFile,
     *,
@@ -104,31 +110,11 @@ def points(
     A capture is put into the world by a trajectory, the true one, an estimate, or one with errors on purpose.
     """
     if trajectory is not None or Path(scene).suffix == ".pcap":
-        of_scenes = {
-            "--duration": duration is not None,
-            "--start": start > 0,
-            "--set": bool(settings),
-            "--ideal": ideal,
-            "--truth": truth,
-            "--labels": labels is not None,
-            "--truth-folder": truth_folder is not None,
-            "--threads": threads > 0,
-        }
-        deskew(
-            Path(scene),
-            out,
-            trajectory,
-            unit=unit,
-            mount=mount,
-            drift=drift,
-            time_offset_s=time_offset,
-            of_scenes=of_scenes,
-            as_json=as_json,
-        )
+        _refuse(context, _OF_SCENES, f"found beside the capture {scene}", "a scene, or no such option")
+        errors = {"mount": mount, "drift": drift}
+        deskew(Path(scene), out, trajectory, errors, time_offset, unit=unit, as_json=as_json)
         return
-    for option, value in {"--mount": mount, "--drift": drift, "--time-offset": time_offset}.items():
-        if value:
-            raise InputError(option, "found beside a scene", "a capture and its --trajectory")
+    _refuse(context, _OF_CAPTURES, "found beside a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
     emulator = make_emulator(scene, settings, ideal=ideal, threads=threads)
     start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")
@@ -152,6 +138,14 @@ def points(
         _print(cloud)
     if cloud.interrupted:
         raise typer.Exit(INTERRUPTED)
+
+
+def _refuse(context: typer.Context, names: frozenset[str], found: str, expected: str) -> None:
+    """Refuse options that are given where they mean nothing."""
+    for option in context.command.params:
+        source = context.get_parameter_source(option.name or "")
+        if option.name in names and source is not None and source.name == "COMMANDLINE":
+            raise InputError(option.opts[0], found, expected)
 
 
 def _print(cloud: "PointCloud") -> None:
