@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import spare
+from vlp16emu.labels import label_scheme
 from vlp16emu.points import PointCloud, scans_of, world_T_sensor, write_cloud
 from vlp16emu.scan import Scan
 from vlp16emu.sinks import TruthTo
@@ -77,6 +78,7 @@ class Emulator(Streams):
         duration_s: float | None = None,
         unit: int = 1,
         truth: bool = False,
+        labels: str | None = None,
         truth_to: str | Path | TruthTo | None = None,
         progress: Callable[[float], None] = lambda _: None,
         stop: Event | None = None,
@@ -85,16 +87,19 @@ class Emulator(Streams):
 
         Parameters
         ----------
-        path : .npz, .ply or .csv by its suffix; overwritten if it exists
+        path : .npz, .ply, .csv, .pcd, .las, .laz or .e57 by its suffix; overwritten if it exists
         start_s, duration_s, progress, stop : as of `record`
         unit : which sensor of a rig, from 1
         truth : whether points have labels
+        labels : scheme of labels beside them: "for-instance", "digiforests", "asprs" or "semantickitti"
         truth_to : folder for the ground truth of the run, as `truth` of `record`
 
         Raises
         ------
         InputError
-            where there is no such unit, or the suffix names no format
+            where there is no such unit or scheme, or the suffix names no format
+        MissingExtraError
+            where the library for a format is not there
         OutputError
             where file or folder cannot be written, or are an input of the scene
         TrajectoryError
@@ -103,6 +108,7 @@ class Emulator(Streams):
             where the disk is full; the file is not complete
         """
         spare(self._files, Path(path))
+        scheme = None if labels is None else label_scheme(labels)
         span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
         with self.windows.stopped_by(stop):
             return write_cloud(
@@ -111,6 +117,7 @@ class Emulator(Streams):
                 Path(path),
                 span_s,
                 truth=truth,
+                labels=scheme,
                 scene=self.name,
                 progress=self._with_truth_so_far(progress, span_s, truth_to),
                 stop=stop,

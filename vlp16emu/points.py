@@ -14,13 +14,25 @@ from numpy.typing import NDArray
 
 from vlp16emu.chain import Unit
 from vlp16emu.chain.chain import Chain
+from vlp16emu.labels import LabelScheme, PointLabels
 from vlp16emu.packets import SEQUENCES_PER_BLOCK
 from vlp16emu.scan import Chunk, Scan, cut_scans
+from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.place import place
-from vlp16emu.sinks.cloud import RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS, Block, point_file, scene_comments
+from vlp16emu.sinks.cloud import point_file
+from vlp16emu.sinks.columns import (
+    LABEL_COLUMNS,
+    RETURN_NAMES,
+    SCENE_COLUMNS,
+    TRUTH_COLUMNS,
+    Block,
+    CloudAbout,
+    scene_comments,
+)
 from vlp16emu.types import LEAF_OR_WOOD, SURFACE, ReturnMode, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.world.make import ground_of
 
 __all__ = ["PointCloud", "scans_of", "world_T_sensor", "write_cloud"]
 
@@ -65,6 +77,7 @@ def write_cloud(
     span_s: tuple[float, float],
     *,
     truth: bool,
+    labels: LabelScheme | None,
     scene: str,
     progress: AbstractContextManager[Callable[[float], None]],
     stop: Event,
@@ -76,6 +89,7 @@ def write_cloud(
     number : of the unit, from 0
     path : as `point_file` takes it
     truth : whether `TRUTH_COLUMNS` are written beside `SCENE_COLUMNS`
+    labels : scheme by which `LABEL_COLUMNS` are written beside them, and the truth in any case
     scene : its name in the result
     progress : entered when the file is open; what it gives is called with the simulated seconds so far, block by block
     stop : ends the file between two blocks
@@ -88,10 +102,13 @@ def write_cloud(
         as `point_file`
     """
     began_s, scenario, unit = time.perf_counter(), chain.scenario, chain.parts.units[number]
-    blocks = _blocks(chain, number, span_s, truth=truth)  # checks the span before the file is touched
-    columns, returns, simulated_s = SCENE_COLUMNS + TRUTH_COLUMNS * truth, np.zeros(3, np.int64), 0.0
-    comments = scene_comments(scenario.start_utc.isoformat())
-    file = point_file(path, columns, comments, where=str(path))
+    truth = truth or labels is not None
+    blocks = _blocks(
+        chain, number, span_s, truth=truth, labels=labels
+    )  # checks the span before the file is touched
+    columns = SCENE_COLUMNS + TRUTH_COLUMNS * truth + LABEL_COLUMNS * (labels is not None)
+    returns, simulated_s = np.zeros(3, np.int64), 0.0
+    file = point_file(path, columns, _about(scenario, number, labels), where=str(path))
     with file as writer, progress as so_far, suppress(CancelledError):
         for block, end_ns in blocks:
             writer.write(block)
@@ -122,18 +139,34 @@ def write_cloud(
     )
 
 
+def _about(scenario: Scenario, number: int, labels: LabelScheme | None) -> CloudAbout:
+    """Say what a file holds."""
+    comments = scene_comments(scenario.start_utc.isoformat())
+    gps = scenario.gps
+    return CloudAbout(
+        comments=comments if labels is None else (*comments, f"label: {labels.name}, {labels.source}"),
+        start_utc=scenario.start_utc,
+        origin=(gps.latitude_deg, gps.longitude_deg, gps.height_m),
+        unit=number + 1,
+    )
+
+
 def _blocks(
-    chain: Chain, number: int, span_s: tuple[float, float], *, truth: bool
+    chain: Chain, number: int, span_s: tuple[float, float], *, truth: bool, labels: LabelScheme | None
 ) -> Iterator[tuple[Block, int]]:
     """Points of each block of a span, and the time in ns since the first pulse until which they reach."""
     start_ns, unit = chain.scenario.start_ns, chain.parts.units[number]
     begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
+    scenario = chain.scenario
+    labelled = labels and PointLabels(labels, ground_of(scenario.world, scenario.world_seed).height_m)
 
     def made(block: Returns) -> tuple[Block, int]:
         """Points of one block."""
         t_ns = block.firings.t_ns
         points, _ = _points(unit, block, (t_ns >= begin_ns) & (t_ns < end_ns), truth=truth)
         points["since_start_ns"] = points["t_ns"] - start_ns
+        if labelled:
+            points |= labelled.of(points)
         return points, min(int(t_ns[-1, 0]) + unit.head.beams.sequence_ns, end_ns) - start_ns
 
     return map(made, chain.returns(*span_s, number, truth=truth))
@@ -211,7 +244,8 @@ def _points(
     sent = _sent(returns.distance_m, ReturnMode(unit.section.return_mode)) & inside[..., None]
     sequence, laser, number = np.nonzero(sent)
     distance_m, pulse_ns = returns.distance_m[sent], t_ns[sequence, laser]
-    placed = place(beams, firings, sequence, laser, distance_m, unit.motion.poses_at(pulse_ns))
+    poses = unit.motion.poses_at(pulse_ns)
+    placed = place(beams, firings, sequence, laser, distance_m, poses)
     points: dict[str, NDArray[Any]] = {
         "t_ns": pulse_ns,
         "world_m": placed.world_m,
@@ -223,6 +257,7 @@ def _points(
         "ring": beams.ring[laser],
         "laser": laser,
         "return_number": number,
+        "viewpoint_m": np.broadcast_to(poses.world_p_body_m, placed.world_m.shape),
     }
     return points | (_labels(returns, sent) if truth else {}), sequence
 

@@ -24,7 +24,7 @@ from vlp16emu.packets import (
 from vlp16emu.types import ReturnMode
 from vlp16emu.units import HOUR_NS
 
-__all__ = ["Chunk", "Labels", "Scan", "cut_scans", "decode"]
+__all__ = ["Chunk", "Labels", "Scan", "clock_zero_ns", "cut_scans", "decode", "twins"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,8 +189,13 @@ def _chunks(reader: CaptureReader) -> Iterator[Chunk]:
         zero_ns = None
         for chunk in reader.points():
             if zero_ns is None:
-                zero_ns = round((reader.first_stamp_ns - int(chunk.packet_ns[0])) / HOUR_NS) * HOUR_NS
+                zero_ns = clock_zero_ns(reader, chunk)
             yield _chunk(chunk, zero_ns)
+
+
+def clock_zero_ns(reader: CaptureReader, first: PacketChunk) -> int:
+    """UTC from which a sensor's clock counts: the hour that brings its first packet nearest to the capture's stamp."""
+    return round((reader.first_stamp_ns - int(first.packet_ns[0])) / HOUR_NS) * HOUR_NS
 
 
 def _chunk(chunk: PacketChunk, zero_ns: int) -> Chunk:
@@ -202,7 +207,7 @@ def _chunk(chunk: PacketChunk, zero_ns: int) -> Chunk:
     block_ns = np.where(dual[:, None], block // 2, block) * BLOCK_PERIOD_NS
     first = np.concatenate([[0], np.cumsum(is_reading.sum(axis=1))])
     since_ns = chunk.clock_ns - chunk.packet_ns[points.packet]
-    kept = ~_twins(points)
+    kept = ~twins(points)
     arrays: dict[str, NDArray[Any]] = {
         "t_ns": chunk.clock_ns + zero_ns,
         "xyz_m": points.xyz_m,
@@ -220,7 +225,7 @@ def _chunk(chunk: PacketChunk, zero_ns: int) -> Chunk:
     )
 
 
-def _twins(points: Points) -> NDArray[np.bool_]:
+def twins(points: Points) -> NDArray[np.bool_]:
     """(n,) records of dual return that repeat the one before, as a lone return is sent (63-9243 Rev D, section 9.3.2)."""
     same = points.is_last[:-1] & ~points.is_last[1:]
     same &= np.diff(points.packet) == 0

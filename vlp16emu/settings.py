@@ -28,6 +28,7 @@ __all__ = [
     "Preset",
     "SceneFile",
     "Section",
+    "Seed",
     "Size",
     "toml",
 ]
@@ -92,6 +93,7 @@ def _beside_the_scene(file: str, info: ValidationInfo) -> str:
 
 
 SceneFile = Annotated[str, Field(min_length=1), AfterValidator(_beside_the_scene)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Angle = Annotated[float, Field(ge=-180, le=180)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]

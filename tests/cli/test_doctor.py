@@ -19,6 +19,7 @@ NAMES = [
     "wake-ups",
     "receive buffer",
     "extra bench",
+    "extra cloud",
     "extra dem",
     "extra picture",
     "world cache",

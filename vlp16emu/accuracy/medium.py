@@ -118,7 +118,7 @@ def _world(
     """Count what all groups of a run show in one world, and measure the run time of casting."""
     scenario, parts = level.scenario, assemble(level.scenario)
     unit = parts.units[0]
-    look = Look(unit, _beam(scenario, unit), ground_of(scenario.world, scenario.seed).height_m)
+    look = Look(unit, _beam(scenario, unit), ground_of(scenario.world, scenario.world_seed).height_m)
     batching = Batching(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns)
     run_ns = seconds_to_ns(min(scenario.duration_s, unit.motion.run_time_s))
     counts, us = list[Counts](), list[float]()

@@ -48,11 +48,11 @@ __all__ = [
 
 
 def seed_of(scenario: Scenario, unit: int) -> int:
-    """Seed of all that is random in a unit; that of the scene for unit 0."""
+    """Seed of all that is random in a unit."""
     if unit == 0:
-        return scenario.seed
+        return scenario.sensor_seed
     own = scenario.rig[unit - 1].seed
-    return int(generator(scenario.seed, Purpose.UNIT, unit).integers(2**63)) if own is None else own
+    return int(generator(scenario.sensor_seed, Purpose.UNIT, unit).integers(2**63)) if own is None else own
 
 
 def link_of(section: Sensor, unit: int) -> Link:
@@ -223,7 +223,7 @@ def assemble(scenario: Scenario) -> Parts:
     InputError
         where a part cannot be made of what its section says
     """
-    sensors, section, seed = _sensors(scenario), scenario.world, scenario.seed
+    sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
     reach_m = _STRAY_M + max(sensor.max_range_m + math.hypot(*mount.lever_arm_m) for sensor, mount in sensors)
     ground = ground_of(section, seed)
     carrier, path_xy_m = make_carrier(
@@ -234,7 +234,7 @@ def assemble(scenario: Scenario) -> Parts:
         gps=scenario.gps,
         reach_m=scenario.sensor.max_range_m,
         start_ns=scenario.start_ns,
-        seed=seed,
+        seed=scenario.motion_seed,
     )
     world, wind = world_of(
         section,
@@ -264,7 +264,7 @@ def _imu(scenario: Scenario, carrier: Motion) -> ImuSampler | None:
     if (imu := scenario.imu) is None:
         return None
     motion = mounted(carrier, imu.mount, scenario.start_ns)
-    return ImuSampler(motion, imu, start_ns=scenario.start_ns, seed=scenario.seed)
+    return ImuSampler(motion, imu, start_ns=scenario.start_ns, seed=scenario.sensor_seed)
 
 
 def _sensors(scenario: Scenario) -> list[tuple[Sensor | FreeSensor, Mount]]:

@@ -33,7 +33,7 @@ def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) 
         return sky_cover(geometry, t_ns, antenna_m, _LOWEST_DEG, far_m)
 
     sky = cover if gps.canopy_loss else None
-    return Receiver(parts.motion, gps, seed=scenario.seed, sky=sky)
+    return Receiver(parts.motion, gps, seed=scenario.sensor_seed, sky=sky)
 
 
 def position_number(scenario: Scenario, unit: Unit, since_ns: int) -> int:

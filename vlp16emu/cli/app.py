@@ -45,6 +45,7 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
   vlp16emu decode walk.pcap --out walk.ply""",
     points: """\b
   vlp16emu points birch_walk walk.ply --duration 5 --truth
+  vlp16emu points walk.pcap walk.laz --trajectory truth
   vlp16emu points birch_walk walk.npz --set sensor.return_mode=dual
   vlp16emu points static_bench bench.csv --set sensor.model=free --set sensor.beams=64""",
     truth: """\b

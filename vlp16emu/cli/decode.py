@@ -22,7 +22,11 @@ def decode(
     *,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="FILE", help="Write the points too: .npz, .ply or .csv by its suffix."),
+        typer.Option(
+            "--out",
+            metavar="FILE",
+            help="Write the points too: .npz, .ply, .csv, .pcd, .las, .laz or .e57 by its suffix.",
+        ),
     ] = None,
     unit: Annotated[
         str | None,
@@ -66,12 +70,14 @@ def decode(
 
 def _read(reader: "CaptureReader", out: Path | None, axes: "PointFrame", stop: Event) -> None:
     """Read a capture until it ends or reading is to stop, and write its points where they are wanted."""
-    from vlp16emu.sinks.cloud import CAPTURE_COLUMNS, capture_comments, point_file
+    from vlp16emu.sinks.cloud import point_file
+    from vlp16emu.sinks.columns import CAPTURE_COLUMNS, CloudAbout, capture_comments
 
     with ExitStack() as stack:
         writer = None
         if out:
-            opened = point_file(out, CAPTURE_COLUMNS, capture_comments(axes), where=f"--out {out}")
+            about = CloudAbout(capture_comments(axes))
+            opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}")
             writer = stack.enter_context(opened)
         for chunk in reader.points():
             if writer:

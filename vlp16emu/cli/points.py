@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, Duration, Ideal, SceneName, Settings, Start, Threads, checked
+from vlp16emu.cli.arguments import AsJson, Duration, Ideal, Settings, Start, Threads, checked
+from vlp16emu.cli.deskew import Drift, MountedAt, TimeOffset, TrajectoryFile, deskew
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import (
     INTERRUPTED,
@@ -20,17 +21,31 @@ from vlp16emu.cli.terminal import (
     stop_on_ctrl_c,
     tree_of,
 )
+from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
     from vlp16emu.points import PointCloud
 
 __all__ = ["points"]
 
+_OF_SCENES = frozenset(
+    {"duration", "start", "settings", "ideal", "truth", "labels", "truth_folder", "threads"}
+)
+_OF_CAPTURES = frozenset({"mount", "drift", "time_offset"})
+
+SceneOrCapture = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE|FILE.pcap",
+        help="Name of a scene (see `vlp16emu scenes`) or path of a .toml file; or a capture, with --trajectory.",
+        show_default=False,
+    ),
+]
 OutFile = Annotated[
     Path,
     typer.Argument(
         metavar="OUT",
-        help="File to write, .npz, .ply or .csv by its suffix; overwritten if it exists.",
+        help="File to write, .npz, .ply, .csv, .pcd, .las, .laz or .e57 by its suffix; overwritten if it exists.",
         show_default=False,
     ),
 ]
@@ -47,6 +62,16 @@ Truth = Annotated[
     bool,
     typer.Option("--truth", help="Label what each point lies on: class, part, leaf or wood, plant, species."),
 ]
+Labels = Annotated[
+    str | None,
+    typer.Option(
+        "--labels",
+        metavar="SCHEME",
+        help="Classes as data sets have them: for-instance, digiforests, asprs or semantickitti. Beside them dense numbers of trees, "
+        "height above the ground and the viewpoint.",
+        show_default=False,
+    ),
+]
 ToFolder = Annotated[
     Path | None,
     typer.Option(
@@ -59,7 +84,8 @@ ToFolder = Annotated[
 
 
 def points(
-    scene: SceneName,
+    context: typer.Context,
+    scene: SceneOrCapture,
     out: OutFile,
     *,
     duration: Duration = None,
@@ -67,8 +93,13 @@ def points(
     settings: Settings = None,
     ideal: Ideal = False,
     truth: Truth = False,
+    labels: Labels = None,
     truth_folder: ToFolder = None,
     unit: WhichUnit = 1,
+    trajectory: TrajectoryFile = None,
+    mount: MountedAt = None,
+    drift: Drift = None,
+    time_offset: TimeOffset = 0.0,
     threads: Threads = 0,
     as_json: AsJson = False,
 ) -> None:
@@ -76,7 +107,14 @@ def points(
 
     Each point is in the world and in the sensor's frame at the instant of its pulse, as a user would
     compute it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
+    A capture is put into the world by a trajectory, the true one, an estimate, or one with errors on purpose.
     """
+    if trajectory is not None or Path(scene).suffix == ".pcap":
+        _refuse(context, _OF_SCENES, f"found beside the capture {scene}", "a scene, or no such option")
+        errors = {"mount": mount, "drift": drift}
+        deskew(Path(scene), out, trajectory, errors, time_offset, unit=unit, as_json=as_json)
+        return
+    _refuse(context, _OF_CAPTURES, "found beside a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
     emulator = make_emulator(scene, settings, ideal=ideal, threads=threads)
     start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")
@@ -87,6 +125,7 @@ def points(
             duration_s=duration,
             unit=unit,
             truth=truth,
+            labels=labels,
             truth_to=truth_folder,
             progress=lambda done_s: progress.show("scanning", done_s),
             stop=stop,
@@ -99,6 +138,14 @@ def points(
         _print(cloud)
     if cloud.interrupted:
         raise typer.Exit(INTERRUPTED)
+
+
+def _refuse(context: typer.Context, names: frozenset[str], found: str, expected: str) -> None:
+    """Refuse options that are given where they mean nothing."""
+    for option in context.command.params:
+        source = context.get_parameter_source(option.name or "")
+        if option.name in names and source is not None and source.name == "COMMANDLINE":
+            raise InputError(option.opts[0], found, expected)
 
 
 def _print(cloud: "PointCloud") -> None:

@@ -18,6 +18,7 @@ from vlp16emu.settings import (
     Preset,
     SceneFile,
     Section,
+    Seed,
     Size,
 )
 
@@ -238,6 +239,8 @@ class Walk(Section):
     part of `run_time_s`."""
     kind: Literal["walk"]
     """Selects a walking person."""
+    seed: Seed | None = None
+    """Seed of how the steps vary: scenes that share it, and the ground, walk one walk; the scene's seed if not set."""
     sensor_height_m: Size = 2.0
     """Height of the pack's origin over the ground under it; the origin is the sensor's centre unless it is mounted
     elsewhere."""

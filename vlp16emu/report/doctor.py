@@ -17,6 +17,7 @@ __all__ = ["all_checks"]
 
 _EXTRAS = {
     "bench": (("h11",), "stream --http"),
+    "cloud": (("laspy", "lazrs", "pye57"), "points in LAS, LAZ and E57"),
     "dem": (("tifffile", "imagecodecs"), "heights from GeoTIFF files (world.dem)"),
     "picture": (("matplotlib",), "forest --picture"),
 }

@@ -13,7 +13,7 @@ from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.scenario.presets import with_preset
 from vlp16emu.scenario.rig import RigUnit, completed
 from vlp16emu.sensor import AnySensor, FreeSensor, Sensor
-from vlp16emu.settings import Section
+from vlp16emu.settings import Section, Seed
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.world import Forest, Hall, Plot, Wind
 
@@ -31,8 +31,9 @@ class Scenario(Section):
     """Version of this file format."""
     title: str = "scene"
     """One line that reports and pictures show; the name of the file unless given."""
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    """Seed of all random numbers: the same scenario and seed give the same bytes."""
+    seed: Seed = 1
+    """Seed of all random numbers: the same scenario and seed give the same bytes. `world.seed`, `motion.seed` and `sensor.seed`
+    take its place for the stand, the walk and the sensor."""
     start_utc: AwareDatetime = datetime(2026, 5, 20, 9, 0, tzinfo=UTC)
     """When the first pulse is fired, from 1970 to 2105."""
     duration_s: Annotated[float, Field(gt=0, le=7 * 86400)] = 10.0
@@ -121,6 +122,23 @@ class Scenario(Section):
         if wind is not None and isinstance(info.data.get("world"), Hall):
             raise ValueError("none in a hall, which has no trees")
         return wind
+
+    @property
+    def world_seed(self) -> int:
+        """Seed of what the sensor sees."""
+        own = None if isinstance(self.world, Hall) else self.world.seed
+        return self.seed if own is None else own
+
+    @property
+    def motion_seed(self) -> int:
+        """Seed of how the carrier moves."""
+        own = self.motion.seed if isinstance(self.motion, Walk) else None
+        return self.seed if own is None else own
+
+    @property
+    def sensor_seed(self) -> int:
+        """Seed of the first sensor and of the instruments beside it."""
+        return self.seed if self.sensor.seed is None else self.sensor.seed
 
     @property
     def start_ns(self) -> int:

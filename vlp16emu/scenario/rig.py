@@ -1,17 +1,16 @@
 """The `[[rig]]` tables: further sensors on the same carrier."""
 
 from ipaddress import IPv4Address
-from typing import Annotated, Any
-
-from pydantic import Field
+from typing import Any
 
 from vlp16emu.motion import Mount
 from vlp16emu.scenario.presets import merged
 from vlp16emu.sensor.settings import Sensor
+from vlp16emu.settings import Seed
 
 __all__ = ["RigUnit", "completed"]
 
-_OWN = frozenset({"name", "serial_number", "address", "data_port", "position_port"})
+_OWN = frozenset({"name", "serial_number", "address", "data_port", "position_port", "seed"})
 """What no two units have in common, so none of it is taken from `[sensor]`."""
 
 
@@ -23,8 +22,8 @@ class RigUnit(Sensor):
 
     mount: Mount = Mount()
     """Mount on the carrier of `[motion]`, whose own `mount` is that of `[sensor]`."""
-    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
-    """Seed of its errors and all else that is random in it; from the scene's seed if not set."""
+    seed: Seed | None = None
+    """Seed of its errors and all else that is random in it; from that of `[sensor]` if not set."""
 
 
 def completed(table: Any, first: Sensor, place: int) -> Any:

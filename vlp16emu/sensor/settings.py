@@ -13,7 +13,7 @@ from pydantic import (
 )
 
 from vlp16emu.errors import ScenarioError
-from vlp16emu.settings import Section
+from vlp16emu.settings import Section, Seed
 
 __all__ = ["Address", "AnySensor", "FreeSensor", "Lidar", "Port", "Sensor", "on_the_wire"]
 
@@ -39,6 +39,8 @@ Address = Annotated[str, AfterValidator(_of_a_host)]
 class Lidar(Section):
     """What all lidars have in common."""
 
+    seed: Seed | None = None
+    """Seed of the errors of this sensor, and of the GPS receiver and inertial unit beside it; the scene's seed if not set."""
     return_mode: Literal["strongest", "last", "dual"] = "strongest"
     """Echoes that are sent: the strongest, the last, or both."""
     min_range_m: Annotated[float, Field(ge=0.5, le=131.07)] = 0.5

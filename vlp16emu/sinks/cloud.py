@@ -1,15 +1,11 @@
-"""Point clouds into files for other programs, block by block.
-
-Their columns, and how each file format shows them.
-"""
+"""Point clouds into files for other programs, block by block, in the format that the suffix names."""
 
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from enum import IntEnum
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, Protocol
 
@@ -18,52 +14,10 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
 from vlp16emu.output import OutputFile
-from vlp16emu.packets import PointFrame
+from vlp16emu.sinks.columns import Block, CloudAbout, Column
 from vlp16emu.text import csv_lines
-from vlp16emu.types import PlantPart, Semantic
 
-__all__ = [
-    "CAPTURE_COLUMNS",
-    "RETURN_NAMES",
-    "SCENE_COLUMNS",
-    "TRUTH_COLUMNS",
-    "Block",
-    "Column",
-    "PointWriter",
-    "capture_comments",
-    "point_file",
-    "scene_comments",
-]
-
-Block = Mapping[str, NDArray[Any]]
-"""Arrays of one length by the names of their columns."""
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """One array of the points, and how each format shows it."""
-
-    name: str
-    """In .npz."""
-    dtype: str
-    csv: tuple[str, ...]
-    """Headers, one for each number that a point has in this column."""
-    decimals: int = 0
-    """Behind the point in .csv. Whole numbers with decimals count units of the last one."""
-    ply: tuple[str, ...] = ()
-    """Names of properties, as many; empty for a column that .ply leaves out."""
-    ply_dtype: str = ""
-    """Type of the properties where it is not that of the array."""
-
-    @property
-    def is_fixed_point(self) -> bool:
-        """Whether whole numbers stand for fractions."""
-        return self.decimals > 0 and not self.is_float
-
-    @property
-    def is_float(self) -> bool:
-        """Whether the array holds floating-point numbers."""
-        return np.dtype(self.dtype).kind == "f"
+__all__ = ["PointWriter", "point_file"]
 
 
 class PointWriter(Protocol):
@@ -83,7 +37,7 @@ class _Csv:
     """One line per point; the header names the units."""
 
     def __init__(
-        self, file: IO[bytes], columns: Sequence[Column], _comments: Sequence[str], _stack: ExitStack
+        self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, _stack: ExitStack
     ) -> None:
         self._file, self._columns = file, columns
         self._decimals = np.array([column.decimals for column in columns for _ in column.csv])
@@ -107,13 +61,13 @@ class _Ply:
     """Binary little-endian PLY; the number of points is filled in at the end."""
 
     def __init__(
-        self, file: IO[bytes], columns: Sequence[Column], comments: Sequence[str], _stack: ExitStack
+        self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack
     ) -> None:
-        self._file, self._comments = file, comments
+        self._file, self._comments = file, about.comments
         # Coordinates first, as some readers take for granted.
         self._columns = sorted((column for column in columns if column.ply), key=lambda c: c.ply[0] != "x")
         self._vertex = np.dtype(
-            [(name, column.ply_dtype or column.dtype) for column in self._columns for name in column.ply]
+            [(name, self._dtype(column)) for column in self._columns for name in column.ply]
         )
         self.points = 0
         file.write(self._header())
@@ -122,11 +76,8 @@ class _Ply:
         """Append vertices."""
         vertices = np.empty(len(block[self._columns[0].name]), self._vertex)
         for column in self._columns:
-            values = block[column.name].reshape(len(vertices), len(column.ply))
-            if column.is_fixed_point:
-                values = values / 10**column.decimals
-            for part, name in enumerate(column.ply):
-                vertices[name] = values[:, part]
+            for name, values in column.properties(block[column.name]).items():
+                vertices[name] = values
         self._file.write(vertices.tobytes())
         self.points += len(vertices)
 
@@ -134,6 +85,11 @@ class _Ply:
         """Go back and write how many points there are."""
         self._file.seek(0)
         self._file.write(self._header())
+
+    @staticmethod
+    def _dtype(column: Column) -> str:
+        """Type of the properties of a column."""
+        return column.ply_dtype or column.dtype
 
     def _header(self) -> bytes:
         """Header of a length that does not depend on the number of points."""
@@ -149,6 +105,37 @@ class _Ply:
         return "\n".join(lines).encode("ascii")
 
 
+class _Pcd(_Ply):
+    """Binary PCD 0.7, which differs from PLY in its header alone; coordinates are float32, which PCL's types have.
+
+    Source: pointclouds.org, The PCD (Point Cloud Data) file format.
+    """
+
+    @staticmethod
+    def _dtype(column: Column) -> str:
+        """Type of the fields of a column."""
+        return "<f4" if column.ply[0] == "x" else column.ply_dtype or column.dtype
+
+    def _header(self) -> bytes:
+        """Header of a length that does not depend on the number of points."""
+        fields = [self._vertex[name] for name in self._vertex.names or ()]
+        lines = [
+            "# .PCD v0.7 - Point Cloud Data file format",
+            *(f"# {comment}" for comment in self._comments),
+            "VERSION 0.7",
+            f"FIELDS {' '.join(self._vertex.names or ())}",
+            f"SIZE {' '.join(str(field.itemsize) for field in fields)}",
+            f"TYPE {' '.join(field.kind.upper() for field in fields)}",
+            f"COUNT {' '.join('1' for _ in fields)}",
+            f"WIDTH {self.points:<20}",
+            "HEIGHT 1",
+            "VIEWPOINT 0 0 0 1 0 0 0",
+            f"POINTS {self.points:<20}",
+            "DATA binary\n",
+        ]
+        return "\n".join(lines).encode("ascii")
+
+
 class _Npz:
     """Numpy arrays by the names of the columns.
 
@@ -156,7 +143,7 @@ class _Npz:
     """
 
     def __init__(
-        self, file: IO[bytes], columns: Sequence[Column], _comments: Sequence[str], stack: ExitStack
+        self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, stack: ExitStack
     ) -> None:
         self._file, self._columns = file, columns
         self.points = 0
@@ -184,16 +171,36 @@ class _Npz:
                     shutil.copyfileobj(waiting, member, 1 << 20)
 
 
-_WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], Sequence[str], ExitStack], PointWriter]] = {
+def _las(
+    file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack, *, laz: bool = False
+) -> PointWriter:
+    """Open a LAS file, for which a library must be there."""
+    from vlp16emu.sinks.las import LasFile
+
+    return LasFile(file, columns, about, compressed=laz)
+
+
+def _e57(file: IO[bytes], columns: Sequence[Column], about: CloudAbout, stack: ExitStack) -> PointWriter:
+    """Open an E57 file, for which a library must be there."""
+    from vlp16emu.sinks.e57 import E57File
+
+    return E57File(file, columns, about, stack)
+
+
+_WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], CloudAbout, ExitStack], PointWriter]] = {
     ".csv": _Csv,
     ".npz": _Npz,
     ".ply": _Ply,
+    ".pcd": _Pcd,
+    ".las": _las,
+    ".laz": partial(_las, laz=True),
+    ".e57": _e57,
 }
 
 
 @contextmanager
 def point_file(
-    path: Path, columns: Sequence[Column], comments: Sequence[str], *, where: str
+    path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str
 ) -> Iterator[PointWriter]:
     """Open a file for points in the format that its suffix names.
 
@@ -202,13 +209,15 @@ def point_file(
 
     Parameters
     ----------
-    comments : lines for people, in formats that have a place for them
+    about : of all points
     where : what error lines call the file
 
     Raises
     ------
     InputError
         where the suffix names no format
+    MissingExtraError
+        where the library for a format is not there
     OutputError
         where the file cannot be opened, or another run writes it
     RunError
@@ -219,7 +228,7 @@ def point_file(
     with OutputFile(path, where=where) as output:
         failed: Exception | None = None
         with output.writing() as file, ExitStack() as stack:
-            writer = _WRITERS[path.suffix](file, columns, comments, stack)
+            writer = _WRITERS[path.suffix](file, columns, about, stack)
             try:
                 yield writer
             except Exception as error:
@@ -236,71 +245,3 @@ def _whole(values: NDArray[Any], column: Column) -> NDArray[np.int64]:
     if column.is_float:
         values = np.rint(values.astype(np.float64) * 10**column.decimals)
     return values.reshape(len(values), len(column.csv)).astype(np.int64)
-
-
-RETURN_NAMES = ("strongest", "last", "second_strongest")
-"""What the numbers in the column `return_number` mean."""
-
-CAPTURE_COLUMNS = (
-    Column("clock_ns", "<i8", ("time_s",), 9, ("time",), "<f8"),
-    Column("xyz_m", "<f4", ("x_m", "y_m", "z_m"), 4, ("x", "y", "z")),
-    Column("distance_m", "<f4", ("distance_m",), 3),
-    Column("azimuth_deg", "<f8", ("azimuth_deg",), 4),
-    Column("reflectivity", "|u1", ("reflectivity",), 0, ("intensity",), "<f4"),
-    Column("ring", "|u1", ("ring",), 0, ("ring",), "<u2"),
-    Column("laser", "|u1", ("laser",)),
-    Column("is_last", "|b1", ("is_last",)),
-)
-"""Of points of a capture: the arrays of `Points`, and the sensor's clock."""
-_AXES = {
-    PointFrame.SENSOR: "x forward (azimuth 0), y left, z up",
-    PointFrame.MANUAL: "x right, y forward (azimuth 0), z up: the frame of Velodyne's manual",
-}
-
-
-def capture_comments(frame: PointFrame) -> tuple[str, ...]:
-    """Say what the columns of a capture's points mean, for formats that have a place for it."""
-    return f"x, y, z in the sensor, in metres: {_AXES[frame]}", "time in seconds on the sensor's clock"
-
-
-SCENE_COLUMNS = (
-    Column("t_ns", "<i8", ("t_ns",)),
-    Column("since_start_ns", "<i8", ("time_s",), 9, ("time",), "<f8"),
-    Column("world_m", "<f8", ("world_x_m", "world_y_m", "world_z_m"), 4, ("x", "y", "z")),
-    Column("sensor_m", "<f4", ("x_m", "y_m", "z_m"), 4, ("sensor_x", "sensor_y", "sensor_z")),
-    Column("distance_m", "<f4", ("distance_m",), 4, ("distance",)),
-    Column("azimuth_deg", "<f8", ("azimuth_deg",), 4, ("azimuth",), "<f4"),
-    Column("elevation_deg", "<f4", ("elevation_deg",), 4, ("elevation",)),
-    Column("reflectivity", "|u1", ("reflectivity",), 0, ("intensity",), "<f4"),
-    Column("ring", "<u2", ("ring",), 0, ("ring",)),
-    Column("laser", "<u2", ("laser",), 0, ("laser",)),
-    Column("return_number", "|u1", ("return_number",), 0, ("return_number",)),
-)
-"""Of points of a scene."""
-TRUTH_COLUMNS = (
-    Column("semantic", "|u1", ("semantic",), 0, ("semantic",)),
-    Column("part", "|u1", ("part",), 0, ("part",)),
-    Column("leaf_wood", "|u1", ("leaf_wood",), 0, ("leaf_wood",)),
-    Column("instance", "<u4", ("instance",), 0, ("instance",)),
-    Column("species", "<u2", ("species",), 0, ("species",)),
-    Column("reflectance", "<f4", ("reflectance",), 4, ("reflectance",)),
-)
-"""Of the surface behind each point of a scene."""
-
-
-def scene_comments(start_utc: str) -> tuple[str, ...]:
-    """Say what the columns mean, for formats that have a place for it."""
-    return (
-        "x, y, z in the world: local east, north, up in metres",
-        f"sensor_x, sensor_y, sensor_z at the pulse's instant: {_AXES[PointFrame.SENSOR]}",
-        f"time in seconds since the first pulse of the run at {start_utc}",
-        f"return_number: {', '.join(f'{n} {name}' for n, name in enumerate(RETURN_NAMES))}",
-        f"semantic: {_codes(Semantic)}",
-        f"part: {_codes(PlantPart)}",
-        "leaf_wood: 0 neither, 1 wood, 2 leaf",
-    )
-
-
-def _codes(labels: type[IntEnum]) -> str:
-    """List numbers with their names."""
-    return ", ".join(f"{label} {label.name.lower()}" for label in labels)

@@ -146,7 +146,11 @@ def _name(section: Forest | Plot, seed: int, path: Corridor, reach_m: float, *, 
     dem_file = section.dem.file if section.dem else None
     stem_list = section.stem_list if isinstance(section, Plot) else None
     files: list[str | None] = [section.species_file, dem_file, stem_list]
-    parts = [section.model_dump_json(exclude={"meshes", "near_m"}), str(seed), f"{reach_m!r} {loose_stems}"]
+    parts = [
+        section.model_dump_json(exclude={"meshes", "near_m", "seed"}),
+        str(seed),
+        f"{reach_m!r} {loose_stems}",
+    ]
     digest = hashlib.sha256("\n".join([*parts, *map(_content, files), ""]).encode())
     digest.update(path.xy_m.tobytes())
     return digest.hexdigest()[:32]

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, PlainSerializer
 
-from vlp16emu.settings import Fraction, MapPoint, NonNegative, SceneFile, Section, Size
+from vlp16emu.settings import Fraction, MapPoint, NonNegative, SceneFile, Section, Seed, Size
 from vlp16emu.world.given.settings import Finish, MeshFile
 from vlp16emu.world.ground.settings import Dem, Terrain
 from vlp16emu.world.stand.settings import Grass, Logs, Regeneration, Season, Shrubs, Stones, Storey, Stumps
@@ -25,6 +25,8 @@ Near = Annotated[
 class Woods(Section):
     """Ground and undergrowth, whatever trees stand on it."""
 
+    seed: Seed | None = None
+    """Seed of ground, plants, stones and gusts: scenes that share it see one stand; the scene's seed if not set."""
     season: Season = "leaf_on"
     """Whether broadleaved trees and shrubs bear leaves."""
     dead_branches: bool = False

@@ -117,7 +117,7 @@ def survey(scenario: Scenario, radius_m: float) -> Survey:
         things=things_near(window, world.shape, trees=trees["id"], path=path, radius_m=far_m),
         plants=bare.plants if isinstance(bare, ForestWorld) else flora(),
         names={instance: name for known in names for instance, name in known.items()},
-        seed=scenario.seed,
+        seed=scenario.world_seed,
     )
 
 

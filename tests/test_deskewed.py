@@ -1,0 +1,204 @@
+"""Captures put into the world by `vlp16emu points` with a trajectory."""
+
+import json
+from threading import Event
+
+import numpy as np
+import pytest
+
+from vlp16emu.cli.app import run
+from vlp16emu.deskew import Trajectory, TrajectoryErrors, write_deskewed
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import InputError, TrajectoryError
+from vlp16emu.motion.pose_files import read_tum
+from vlp16emu.packets import DISTANCE_LSB_M
+
+SETTINGS = {
+    "world.stems_per_ha": 300,
+    "sensor.max_range_m": 25.0,
+    "sensor.return_mode": "dual",
+    "sensor.eccentricity_deg": 0.0,
+    "sensor.azimuth_noise_deg": 0.0,
+    "beam.model": "fixed",
+    "beam.rays": 8,
+}
+
+
+def deskewed(capture, trajectory, out, unit=1, **errors):
+    """Arrays of a capture's points in the world, and the report."""
+    errors = TrajectoryErrors(**errors)
+    report = write_deskewed(capture, out, trajectory, unit=unit, errors=errors, stop=Event())
+    with np.load(out) as arrays:
+        return dict(arrays), report
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    """Folder with walk.pcap and its truth of 0.3 s of a walk; the emulator; and the points of the scene itself."""
+    folder, emulator = tmp_path_factory.mktemp("walk"), Emulator("birch_walk", SETTINGS)
+    emulator.record(folder / "walk.pcap", start_s=4.0, duration_s=0.3, truth=folder / "truth")
+    emulator.write_points(folder / "own.npz", start_s=4.0, duration_s=0.3)
+    with np.load(folder / "own.npz") as own:
+        return folder, emulator, dict(own)
+
+
+@pytest.fixture(scope="module")
+def true(walk):
+    """Points of the capture by the true trajectory."""
+    folder, _, _ = walk
+    return deskewed(folder / "walk.pcap", folder / "truth", folder / "true.npz")
+
+
+def test_the_true_trajectory_gives_the_points_of_the_scene(walk, true):
+    """Every echo is there once, at its own time, where `points` of the scene has it but for the steps of the wire."""
+    _, _, own = walk
+    points, report = true
+    assert report.without_pose == 0
+    assert report.points == len(points["t_ns"]) > 40_000
+    # The first packet has begun before the span, and at its end the last one is not full.
+    inside = points["t_ns"] > own["t_ns"][0] - 1_100
+    held = own["t_ns"] < points["t_ns"][-1] + 1_100
+    order, own_order = (
+        np.lexsort((of["distance_m"][which], of["laser"][which], of["t_ns"][which]))
+        for of, which in ((points, inside), (own, held))
+    )
+    points = {name: array[inside][order] for name, array in points.items()}
+    own = {name: array[held][own_order] for name, array in own.items()}
+    late_ns = own["t_ns"] - points["t_ns"]
+    assert 0 <= late_ns.min() <= late_ns.max() < 1_100  # whole microseconds, cut off
+    gap_m = np.linalg.norm(own["world_m"] - points["world_m"], axis=1)
+    bound_m = DISTANCE_LSB_M / 2 + np.radians(0.012) * own["distance_m"] + 2e-5
+    assert (gap_m < bound_m).all()
+    assert gap_m.max() > 0.5 * bound_m.max()  # or the steps would not be seen at all
+
+
+def test_poses_between_those_of_the_file_are_right(walk):
+    """At 200 poses per second a pose between two is within 10 um and 1e-6 rad of the truth."""
+    folder, emulator, own = walk
+    t_ns = own["t_ns"][::101]
+    turn, place_m = Trajectory(folder / "truth", 1, TrajectoryErrors()).poses_at(t_ns)
+    truth = emulator.world_T_sensor(t_ns)
+    assert np.abs(truth[:, :3, 3] - place_m).max() < 1e-5
+    assert np.abs(truth[:, :3, :3] - turn).max() < 1e-6
+
+
+def test_a_wrong_mount_moves_points_in_the_sensor(walk, true):
+    """A boresight of 2 degrees of yaw and a lever arm of 0.1 m turn and shift the points before they come into the world."""
+    folder, emulator, _ = walk
+    wrong, _ = deskewed(
+        folder / "walk.pcap", folder / "truth", folder / "w.npz", mount=(0.1, 0, 0, 0, 0, 2.0)
+    )
+    points, _ = true
+    c, s = np.cos(np.radians(2.0)), np.sin(np.radians(2.0))
+    x, y, z = points["sensor_m"].astype(float).T
+    in_body_m = np.column_stack([c * x - s * y + 0.1, s * x + c * y, z])
+    poses = emulator.world_T_sensor(points["t_ns"])
+    expected_m = np.einsum("nij,nj->ni", poses[:, :3, :3], in_body_m) + poses[:, :3, 3]
+    np.testing.assert_allclose(wrong["world_m"], expected_m, atol=1e-4)
+
+
+def test_drift_grows_with_time(walk, true):
+    """With 6 m to the east and 60 degrees per minute the map is off by both, times the time since the first pose."""
+    folder, _, _ = walk
+    wrong, _ = deskewed(folder / "walk.pcap", folder / "truth", folder / "w.npz", drift=(6.0, 0, 0, 60.0))
+    points, _ = true
+    first = read_tum(folder / "truth" / "trajectory.tum")
+    first_ns, pivot_m = first.t_ns[0], first.position_m[0]
+    since_s = (points["t_ns"] - first_ns) / 1e9
+    angle = np.radians(since_s)  # 60 deg per minute
+    x, y, z = (points["world_m"] - pivot_m).T
+    x, y = np.cos(angle) * x - np.sin(angle) * y + 0.1 * since_s, np.sin(angle) * x + np.cos(angle) * y
+    np.testing.assert_allclose(wrong["world_m"], np.column_stack([x, y, z]) + pivot_m, atol=1e-5)
+
+
+def test_a_time_offset_takes_later_poses(walk):
+    """With 50 ms each pulse has the pose of 50 ms later; pulses that have none there are left out and counted."""
+    folder, emulator, _ = walk
+    late, report = deskewed(folder / "walk.pcap", folder / "truth", folder / "w.npz", time_offset_s=0.05)
+    truth = emulator.world_T_sensor(late["t_ns"] + 50_000_000)
+    assert np.abs(late["viewpoint_m"] - truth[:, :3, 3]).max() < 1e-5
+    assert 0.1 < report.without_pose / (report.without_pose + report.points) < 0.2
+
+
+def test_laz_of_a_capture_has_returns_time_and_place(walk, true):
+    """Of a capture too, LAZ has numbered returns, GPS time and the coordinate system of the scene."""
+    laspy = pytest.importorskip("laspy")
+    folder, _, _ = walk
+    points, _ = true
+    arguments = ["points", folder / "walk.pcap", folder / "a.laz", "--trajectory", folder / "truth"]
+    assert run([str(argument) for argument in arguments]) == 0
+    read = laspy.read(folder / "a.laz")
+    assert set(np.unique(np.asarray(read.number_of_returns))) == {1, 2}
+    assert (np.asarray(read.return_number)[np.asarray(read.number_of_returns) == 1] == 1).all()
+    assert read.gps_time[0] == pytest.approx(points["t_ns"][0] / 1e9 - 315_964_800 + 18 - 1e9, abs=3e-7)
+    assert "62.24" in read.header.vlrs.get("WktCoordinateSystemVlr")[0].string
+    assert set(np.unique(np.asarray(read.user_data))) == {0, 1}
+
+
+def test_each_unit_of_a_rig_has_its_own_trajectory(tmp_path):
+    """Of two sensors in one capture the second's points are found by its address, and placed by its own trajectory."""
+    rig = [{"mount": {"lever_arm_m": [0.5, 0.0, 0.0], "yaw_deg": 90.0}}]
+    emulator = Emulator("static_bench", {"rig": rig, "sensor.max_range_m": 20.0})
+    emulator.record(tmp_path / "two.pcap", duration_s=0.1, truth=tmp_path / "truth")
+    emulator.write_points(tmp_path / "own.npz", duration_s=0.1, unit=2)
+    points, _ = deskewed(tmp_path / "two.pcap", tmp_path / "truth", tmp_path / "b.npz", unit=2)
+    with np.load(tmp_path / "own.npz") as own:
+        n = len(points["t_ns"])
+        gap_m = np.linalg.norm(own["world_m"][:n] - points["world_m"], axis=1)
+    assert n > 20_000
+    assert gap_m.max() < 0.005
+    with pytest.raises(InputError, match="--unit: found 3; expected at most 2"):
+        Trajectory(tmp_path / "truth", 3, TrajectoryErrors())
+
+
+def test_a_trajectory_of_another_day_is_refused(walk, tmp_path):
+    """Where no pulse has a pose the line has both spans, and no file is left."""
+    folder, _, _ = walk
+    other = tmp_path / "other.tum"
+    other.write_text("".join(f"{t} 0 0 0 0 0 0 1\n" for t in (100.0, 100.5, 101.0)))
+    with pytest.raises(
+        TrajectoryError, match=r"poses from 100.000 to 101.000 s; expected poses at the pulses, from 17"
+    ):
+        deskewed(folder / "walk.pcap", other, tmp_path / "none.npz")
+    assert not (tmp_path / "none.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (["{pcap}", "{out}"], "is a capture; expected --trajectory"),
+        (
+            ["{pcap}", "{out}", "--trajectory", "{truth}", "--set", "seed=3"],
+            "--set: found beside the capture",
+        ),
+        (["{pcap}", "{out}", "--trajectory", "{out}"], "no such file"),
+        (["{pcap}", "{out}", "--trajectory", "{folder}"], "rig.json: no such file"),
+        (
+            ["{pcap}", "{out}", "--trajectory", "{truth}", "--drift", "1,2"],
+            "--drift: found 1,2; expected the numbers EAST",
+        ),
+        (["{pcap}", "{out}", "--trajectory", "{truth}", "--mount", "0,0,0,0,0,nan"], "--mount: found nan"),
+        (["static_bench", "{out}", "--drift", "1,0,0,0"], "--drift: found beside a scene"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_line(walk, capsys, options, line):
+    """Options that do not fit exit with 2 and name what was found."""
+    folder, _, _ = walk
+    names = {
+        "pcap": folder / "walk.pcap",
+        "truth": folder / "truth",
+        "out": folder / "no.ply",
+        "folder": folder,
+    }
+    assert run(["points", *(option.format(**names) for option in options)]) == 2
+    err = capsys.readouterr().err
+    assert line in err
+    assert err.count("\n") == 1
+    assert not (folder / "no.ply").exists()
+
+
+def test_a_damaged_rig_is_named(tmp_path):
+    """A rig.json of something else is no truth of ours."""
+    (tmp_path / "rig.json").write_text(json.dumps({"units": 3}))
+    with pytest.raises(InputError, match="no description of a rig"):
+        Trajectory(tmp_path, 1, TrajectoryErrors())
