@@ -21,7 +21,7 @@ FLOORS = (
     {"run"},
     {"control"},
     {"flight", "replay", "streaming"},
-    {"points", "recording", "truth"},
+    {"bag", "points", "recording", "truth"},
     {"report"},
     {"accuracy"},
     {"chain", "validator"},
