@@ -272,8 +272,6 @@ def _fixed(bag: BagFile, rig: dict[str, Any], frames: list[str], begin_ns: int) 
 
 def _odometry(bag: BagFile, path: Path, frame: str, begin_ns: int) -> Iterator[_Beat]:
     """Yield true poses as odometry and as transform; the velocity is that to the next pose, in the sensor's axes."""
-    from scipy.spatial.transform import Rotation
-
     topic = f"/{frame}".removesuffix("/velodyne") + "/ground_truth/odom"
     make, exact = bag.make, np.zeros(36)
 
@@ -304,6 +302,15 @@ def _odometry(bag: BagFile, path: Path, frame: str, begin_ns: int) -> Iterator[_
         moved = _transform(bag, bag.header(t_ns, "map", "/tf"), frame, pose[:3], pose[3:])
         bag.write("/tf", t_ns, make("tf2_msgs/msg/TFMessage", transforms=[moved]))
 
+    for t_ns, pose, rates in _poses(path):
+        if t_ns >= begin_ns:
+            yield t_ns, partial(write, t_ns, pose, rates)
+
+
+def _poses(path: Path) -> Iterator[tuple[int, list[float], list[list[float]]]]:
+    """Yield poses, and velocity and angular rate until the next one; the last one keeps those before."""
+    from scipy.spatial.transform import Rotation
+
     before: tuple[int, list[float]] | None = None
     rates = [[0.0] * 3] * 2
     with (
@@ -321,11 +328,10 @@ def _odometry(bag: BagFile, path: Path, frame: str, begin_ns: int) -> Iterator[_
                 moved_m = turn.inv().apply(np.subtract(pose[:3], pose0[:3]))
                 turned_rad = (turn.inv() * Rotation.from_quat(pose[3:])).as_rotvec()
                 rates = [(moved_m / step_s).tolist(), (turned_rad / step_s).tolist()]
-                if t0_ns >= begin_ns:
-                    yield t0_ns, partial(write, t0_ns, pose0, rates)
+                yield t0_ns, pose0, rates
             before = t_ns, pose
-    if before is not None and before[0] >= begin_ns:
-        yield before[0], partial(write, *before, rates)
+    if before is not None:
+        yield *before, rates
 
 
 def _rows(path: Path, begin_ns: int) -> Iterator[tuple[int, dict[str, str]]]:
