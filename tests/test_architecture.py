@@ -21,7 +21,7 @@ FLOORS = (
     {"run"},
     {"control"},
     {"flight", "replay", "streaming"},
-    {"deskew", "points", "recording", "truth"},
+    {"bag", "deskew", "points", "recording", "truth"},
     {"report"},
     {"accuracy"},
     {"chain", "validator"},

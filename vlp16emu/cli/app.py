@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from vlp16emu.cli.accuracy import accuracy
+from vlp16emu.cli.bag import bag
 from vlp16emu.cli.cache import cache
 from vlp16emu.cli.decode import decode
 from vlp16emu.cli.doctor import doctor
@@ -43,6 +44,9 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
     decode: """\b
   vlp16emu decode walk.pcap
   vlp16emu decode walk.pcap --out walk.ply""",
+    bag: """\b
+  vlp16emu bag walk.pcap walk.mcap --truth truth
+  vlp16emu bag field_day.pcap field_day.bag""",
     points: """\b
   vlp16emu points birch_walk walk.ply --duration 5 --truth
   vlp16emu points walk.pcap walk.laz --trajectory truth

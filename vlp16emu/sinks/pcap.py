@@ -23,7 +23,7 @@ _ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})
 """Of names of classic pcap files; a name may have none."""
 _WAYS_TO = {
     ".pcapng": ", which `editcap -F pcapng` converts",
-    **dict.fromkeys((".bag", ".db3", ".mcap"), ", which velodyne_driver replays for `ros2 bag record`"),
+    **dict.fromkeys((".bag", ".db3", ".mcap"), "; `vlp16emu bag` makes a bag of it"),
     **dict.fromkeys((".npz", ".ply", ".csv"), "; `vlp16emu points` writes points"),
     **dict.fromkeys((".las", ".laz", ".pcd"), "; `vlp16emu points` writes .ply, which PDAL converts"),
 }

@@ -1,0 +1,165 @@
+"""Bags, read back by software of others."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vlp16emu import Emulator
+from vlp16emu.bag import write_bag
+from vlp16emu.cli.app import run
+from vlp16emu.packets import CaptureReader
+
+pytest.importorskip("rosbags", reason="the extra ros is not installed")
+from rosbags.highlevel import AnyReader
+
+SETTINGS = {"beam.model": "none", "gps.connected": True, "imu.preset": "consumer"}
+TOPICS = [
+    "/fix",
+    "/ground_truth/odom",
+    "/imu/data",
+    "/nmea_sentence",
+    "/tf",
+    "/tf_static",
+    "/velodyne_packets",
+]
+KINDS = ("walk.mcap", "walk.bag", "walk")
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    """Folder with a capture of 1 s, its truth, and a bag of each kind."""
+    folder = tmp_path_factory.mktemp("bags")
+    emulator = Emulator("static_bench", SETTINGS)
+    emulator.record(folder / "walk.pcap", duration_s=1.0, truth=folder / "truth")
+    for name in KINDS:
+        write_bag(folder / "walk.pcap", folder / name, folder / "truth")
+    return folder
+
+
+def messages(path: Path) -> dict[str, list]:
+    """Messages by topic."""
+    found = {}
+    with AnyReader([path]) as reader:
+        for connection, _, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append(message)
+    return found
+
+
+def stamp_ns(message) -> int:
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_points_and_packets_are_those_of_the_capture(walk, name):
+    """Packets are the capture's, bit by bit, and points are our decoder's, in the driver's layout and with its times."""
+    found = messages(walk / name)
+    assert sorted(found) == [*TOPICS, "/velodyne_points"]
+    with CaptureReader(walk / "walk.pcap") as reader:
+        (chunk,) = reader.points()
+    packets = [packet for scan in found["/velodyne_packets"] for packet in scan.packets]
+    sent = chunk.fields.view(np.uint8).reshape(len(chunk.fields), -1)
+    assert np.array_equal(np.array([packet.data for packet in packets]), sent[: len(packets)])
+    assert len(sent) - len(packets) < 76
+    kinds = {7: "<f4", 4: "<u2"}
+    clouds = found["/velodyne_points"]
+    fields = [(one.name, one.offset, kinds[one.datatype], one.count) for one in clouds[0].fields]
+    assert fields == [
+        ("x", 0, "<f4", 1), ("y", 4, "<f4", 1), ("z", 8, "<f4", 1),
+        ("intensity", 12, "<f4", 1), ("ring", 16, "<u2", 1), ("time", 18, "<f4", 1),
+    ]  # fmt: skip
+    layout = np.dtype([(name, kind) for name, _, kind, _ in fields])
+    points = [cloud.data.view(layout) for cloud in clouds]
+    assert all(
+        (c.point_step, c.row_step, c.height, c.width, c.is_dense, c.header.frame_id)
+        == (22, 22 * len(p), 1, len(p), True, "velodyne")
+        for c, p in zip(clouds, points, strict=True)
+    )
+    hour_ns = 3600 * 10**9
+    t_ns = [
+        stamp_ns(c) % hour_ns + p["time"].astype(float) * 1e9 for c, p in zip(clouds, points, strict=True)
+    ]
+    joined, n = np.concatenate(points), sum(map(len, points))
+    assert np.array_equal(np.stack([joined[axis] for axis in "xyz"], axis=1), chunk.points.xyz_m[:n])
+    assert np.array_equal(joined["ring"], chunk.points.ring[:n])
+    assert np.array_equal(joined["intensity"], chunk.points.reflectivity[:n])
+    assert np.abs(np.concatenate(t_ns) - chunk.clock_ns[:n]).max() < 10
+    assert min(point["time"].min() for point in points) >= 0
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_truth_is_in_the_bag(walk, name):
+    """Odometry, transforms, inertial readings and fixes have the numbers of the truth."""
+    found, truth = messages(walk / name), walk / "truth"
+    poses = np.loadtxt(truth / "trajectory.tum")[:, 1:]
+    odometry = [one.pose.pose for one in found["/ground_truth/odom"]]
+    said = [
+        [*(getattr(one.position, a) for a in "xyz"), *(getattr(one.orientation, a) for a in "xyzw")]
+        for one in odometry
+    ]
+    assert len(said) >= 200
+    assert np.array_equal(said, poses[-len(said) :])
+    moved = [one.transforms[0] for one in found["/tf"]]
+    assert {(one.header.frame_id, one.child_frame_id) for one in moved} == {("map", "velodyne")}
+    assert [one.transform.translation.x for one in moved] == [row[0] for row in said]
+    imu = np.genfromtxt(truth / "imu.csv", delimiter=",", skip_header=1)
+    assert [one.linear_acceleration.z for one in found["/imu/data"]] == imu[
+        -len(found["/imu/data"]) :, 6
+    ].tolist()
+    assert [one.angular_velocity.x for one in found["/imu/data"]] == imu[
+        -len(found["/imu/data"]) :, 1
+    ].tolist()
+    fixes = np.genfromtxt(truth / "gnss.csv", delimiter=",", skip_header=1)
+    assert [one.latitude for one in found["/fix"]] == fixes[-len(found["/fix"]) :, 8].tolist()
+    assert [one.child_frame_id for one in found["/tf_static"][0].transforms] == ["base_link", "imu"]
+    assert all(one.sentence.startswith("$GPRMC,") for one in found["/nmea_sentence"])
+    assert hasattr(found["/imu/data"][0].header, "seq") == name.endswith(".bag")
+
+
+def test_mcap_reader(walk):
+    """The MCAP project's own reader finds the messages, their schemas, and the fixed transforms' durability."""
+    reading = pytest.importorskip("mcap.reader", reason="mcap is not installed")
+    with (walk / "walk.mcap").open("rb") as file:
+        summary = reading.make_reader(file, validate_crcs=True).get_summary()
+        counts = {summary.channels[n].topic: c for n, c in summary.statistics.channel_message_counts.items()}
+        read = sum(1 for _ in reading.make_reader(file).iter_messages())
+    assert counts == {topic: len(found) for topic, found in messages(walk / "walk.mcap").items()}
+    assert read == summary.statistics.message_count
+    offered = {one.topic: one.metadata["offered_qos_profiles"] for one in summary.channels.values()}
+    assert "durability: 1" in offered["/tf_static"]
+    assert "durability: 2" in offered["/tf"]
+
+
+def test_same_bytes_again(walk, tmp_path):
+    """A bag of the same name has the same bytes."""
+    for name in KINDS[:2]:
+        write_bag(walk / "walk.pcap", tmp_path / name, walk / "truth")
+        assert (tmp_path / name).read_bytes() == (walk / name).read_bytes()
+
+
+def test_units_have_topics_of_their_own(tmp_path):
+    """Each of two sensors has its topics, its frame and its trajectory, at its own place."""
+    rig = {"rig": [{"mount": {"lever_arm_m": [0.0, 0.0, 1.0]}}]}
+    Emulator("static_bench", SETTINGS | rig).record(
+        tmp_path / "rig.pcap", duration_s=0.3, truth=tmp_path / "truth"
+    )
+    write_bag(tmp_path / "rig.pcap", tmp_path / "rig.mcap", tmp_path / "truth")
+    found = messages(tmp_path / "rig.mcap")
+    for number in (1, 2):
+        assert found[f"/unit_{number}/velodyne_points"][0].header.frame_id == f"unit_{number}/velodyne"
+    heights = [found[f"/unit_{n}/ground_truth/odom"][0].pose.pose.position.z for n in (1, 2)]
+    assert heights[1] - heights[0] == pytest.approx(1.0)
+
+
+def test_a_wrong_name_or_truth_is_refused(walk, capsys):
+    """Another ending, a folder that is there and a folder without truth are refused in one line, and nothing is written."""
+    before = sorted(walk.iterdir())
+    pcap = str(walk / "walk.pcap")
+    assert run(["bag", pcap, str(walk / "walk.db")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert run(["bag", pcap, str(walk / "walk")]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert run(["bag", pcap, str(walk / "new.mcap"), "--truth", str(walk / "nothing")]) == 2
+    assert "rig.json" in capsys.readouterr().err
+    assert sorted(walk.iterdir()) == before

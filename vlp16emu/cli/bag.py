@@ -1,0 +1,52 @@
+"""`vlp16emu bag`: a capture and its truth into a bag for ROS."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vlp16emu.cli.arguments import AsJson, CaptureFile
+from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, stop_on_ctrl_c, tree_of
+
+__all__ = ["bag"]
+
+
+def bag(
+    file: CaptureFile,
+    out: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT",
+            help="Bag to write: .mcap (ROS 2), .bag (ROS 1), or a new folder without ending (ROS 2, SQLite).",
+            show_default=False,
+        ),
+    ],
+    *,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth",
+            metavar="DIR",
+            help="Folder of truth of the same run: odometry, transforms, inertial unit and fixes go into the bag.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a capture as a bag for ROS 1 or ROS 2, without ROS.
+
+    Works on recordings of real sensors too. Topics and frames are those of the velodyne driver, with stamps of the sensor's
+    clock. Ctrl-C ends it early and leaves a valid bag.
+    """
+    from vlp16emu.bag import write_bag
+
+    with stop_on_ctrl_c() as stop:
+        made = write_bag(file, out, truth, stop=stop)
+    if as_json:
+        print_json(tree_of(made))
+    else:
+        rows = {"duration": f"{made.duration_s:.3f} s"}
+        rows |= {topic: f"{count(number)} messages" for topic, number in made.messages.items()}
+        print_rows(f"{'interrupted, kept' if made.interrupted else 'wrote'} {made.file}", rows)
+    if made.interrupted:
+        raise typer.Exit(INTERRUPTED)

@@ -1,0 +1,165 @@
+"""Messages of ROS 1 and ROS 2 into a bag, without ROS."""
+
+import shutil
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from vlp16emu.errors import MissingExtraError, OutputError, RunError
+from vlp16emu.units import S_NS
+
+__all__ = ["BagFile"]
+
+_SUFFIXES = (".mcap", ".bag", "")
+"""MCAP of ROS 2, bag of ROS 1, and a folder with SQLite of ROS 2, which every ROS 2 reads without a plugin."""
+_OWN_TYPES = {
+    "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data\n",
+    "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets\n",
+    "nmea_msgs/msg/Sentence": "std_msgs/Header header\nstring sentence\n",
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
+}
+"""Definitions in github.com/ros-drivers/velodyne (velodyne_msgs/msg) and nmea_msgs (msg), and in
+github.com/ros/geometry2 (tf2_msgs/msg), which the types of ROS 1 in rosbags leave out."""
+_METADATA_VERSION = 8
+"""Of rosbag2: the last one whose quality of service is a text."""
+
+
+class BagFile:
+    """A bag, which takes its name when it is closed without error; a context manager.
+
+    Parameters
+    ----------
+    path : .mcap (ROS 2), .bag (ROS 1), or a folder without suffix (ROS 2, SQLite); a file is replaced, a folder is not
+
+    Raises
+    ------
+    OutputError
+        where the suffix is another, the folder is there already, or nothing can be written there
+    MissingExtraError
+        where rosbags is not installed
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, suffix = path, path.suffix.lower()
+        if suffix not in _SUFFIXES or not path.name:
+            raise OutputError(
+                str(path), f"found the ending {suffix}", ".mcap, .bag or a folder without ending"
+            )
+        if path.exists() and (not suffix or not path.is_file()):
+            raise OutputError(str(path), "is there already", "a new name")
+        try:
+            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+        except ImportError:
+            raise MissingExtraError("rosbags", "ros", "writing bags") from None
+        self.is_ros1 = suffix == ".bag"
+        self._store = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
+        for name, text in _OWN_TYPES.items():
+            self._store.register(get_types_from_msg(text, name))
+        try:
+            self._beside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        except OSError as error:
+            raise OutputError(str(path), str(error.strerror), "a place that can be written") from error
+        self._writer = self._opened(self._beside / path.stem, suffix)
+        self._connections: dict[str, Any] = {}
+        self.counts: dict[str, int] = {}
+        """Messages by topic."""
+        self.span_ns: tuple[int, int] | None = None
+        """UTC of the first and the last message."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._writer.close()
+            if error is None:
+                made = self._beside / self.path.stem
+                made = made / f"{made.name}.mcap" if self.path.suffix.lower() == ".mcap" else made
+                made.replace(self.path)
+        except OSError as failed:
+            raise RunError(f"{self.path}: {failed.strerror}; no bag is written") from failed
+        finally:
+            shutil.rmtree(self._beside, ignore_errors=True)
+
+    def make(self, name: str, /, **fields: object) -> Any:
+        """Make a message by the name of its type, such as `sensor_msgs/msg/Imu`."""
+        return self._store.types[name](**fields)
+
+    def time(self, t_ns: int) -> Any:
+        """Make the stamp of an instant UTC."""
+        return self.make("builtin_interfaces/msg/Time", sec=t_ns // S_NS, nanosec=t_ns % S_NS)
+
+    def header(self, t_ns: int, frame: str, topic: str) -> Any:
+        """Make a header; the one of ROS 1 numbers the messages of its topic."""
+        number = {"seq": self.counts.get(topic, 0)} if self.is_ros1 else {}
+        return self.make("std_msgs/msg/Header", stamp=self.time(t_ns), frame_id=frame, **number)
+
+    def write(self, topic: str, t_ns: int, message: Any) -> None:
+        """Append a message, stamped with an instant UTC.
+
+        Raises
+        ------
+        RunError
+            where the disk is full
+        """
+        name = message.__msgtype__
+        if topic not in self._connections:
+            self._connections[topic] = self._connection(topic, name)
+        serialize = self._store.serialize_ros1 if self.is_ros1 else self._store.serialize_cdr
+        try:
+            self._writer.write(self._connections[topic], t_ns, serialize(message, name))
+        except OSError as error:
+            raise RunError(f"{self.path}: {error.strerror}; no bag is written") from error
+        self.counts[topic] = self.counts.get(topic, 0) + 1
+        first_ns, last_ns = self.span_ns or (t_ns, t_ns)
+        self.span_ns = min(first_ns, t_ns), max(last_ns, t_ns)
+
+    def _opened(self, made: Path, suffix: str) -> Any:
+        """Open the writer of a kind of bag."""
+        from rosbags.rosbag1 import Writer as Writer1
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as Writer2
+
+        plugin = StoragePlugin.MCAP if suffix else StoragePlugin.SQLITE3
+        writer: Any = (
+            Writer1(made) if self.is_ros1 else Writer2(made, version=_METADATA_VERSION, storage_plugin=plugin)
+        )
+        writer.open()
+        return writer
+
+    def _connection(self, topic: str, name: str) -> Any:
+        """Announce a topic; fixed transforms are kept for whoever comes later."""
+        is_fixed = topic == "/tf_static"
+        if self.is_ros1:
+            more: dict[str, object] = {"latching": 1} if is_fixed else {}
+        else:
+            more = {"offered_qos_profiles": [_qos(is_fixed=is_fixed)]}
+        return self._writer.add_connection(topic, name, typestore=self._store, **more)
+
+
+def _qos(*, is_fixed: bool) -> Any:
+    """Reliable, the last ten; of fixed transforms transient local, as tf2_ros offers them."""
+    from rosbags.interfaces import (
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
+
+    durability = QosDurability.TRANSIENT_LOCAL if is_fixed else QosDurability.VOLATILE
+    return Qos(
+        QosHistory.KEEP_LAST,
+        1 if is_fixed else 10,
+        QosReliability.RELIABLE,
+        durability,
+        QosTime(0, 0),
+        QosTime(0, 0),
+        QosLiveliness.SYSTEM_DEFAULT,
+        QosTime(0, 0),
+        avoid_ros_namespace_conventions=False,
+    )
