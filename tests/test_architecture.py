@@ -16,6 +16,7 @@ NAMES = [str(path.relative_to(PACKAGE)) for path in FILES]
 FLOORS = (
     {"__main__"},
     {"cli"},
+    {"dataset"},
     {"emulator"},
     {"streams"},
     {"run"},

@@ -34,6 +34,7 @@ _WITHOUT_KERNELS = frozenset(
         "chain",
         "cli",
         "compiled",
+        "dataset",
         "device",
         "emulator",
         "output",

@@ -75,6 +75,7 @@ class Purpose(IntEnum):
     BIT_FLIP = 82
     SENTENCE = 83
     AUDIT = 90
+    DATASET_SPLIT = 91
 
 
 _Word = int | np.uint32

@@ -13,6 +13,7 @@ import typer
 from vlp16emu.cli.accuracy import accuracy
 from vlp16emu.cli.bag import bag
 from vlp16emu.cli.cache import cache
+from vlp16emu.cli.dataset import dataset
 from vlp16emu.cli.decode import decode
 from vlp16emu.cli.doctor import doctor
 from vlp16emu.cli.forest import forest
@@ -55,6 +56,9 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
     truth: """\b
   vlp16emu truth birch_walk truth --duration 60
   vlp16emu truth birch_walk truth --truth-rate 1000 --set imu.preset=consumer""",
+    dataset: """\b
+  vlp16emu dataset bench_set.toml bench_set
+  vlp16emu dataset bench_set.toml bench_set --workers 0""",
     verify: """\b
   vlp16emu verify walk.pcap
   vlp16emu verify walk.pcap --json""",

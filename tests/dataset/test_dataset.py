@@ -1,0 +1,152 @@
+"""Datasets: the same bytes by any number of workers, whole after a death, and split by stand."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from vlp16emu import Emulator
+from vlp16emu.dataset import load_spec, make_dataset, walks_of
+from vlp16emu.errors import ScenarioError
+
+SPEC = """
+schema = 1
+layout = "semantickitti"
+seeds = [1, 2]
+stands = [
+    { name = "a", scene = "static_bench", set = ["duration_s=0.25"] },
+    { name = "b", scene = "static_bench", set = ["duration_s=0.25", "world.width_m=20.0"] },
+]
+paths = [{ name = "middle" }]
+sensors = [{ name = "puck" }, { name = "four", set = ["sensor.model=free", "sensor.beams=4"] }]
+splits = { train = 0.5, val = 0.0, test = 0.5 }
+"""
+DASK = pytest.mark.skipif(find_spec("distributed") is None, reason="dask.distributed is not installed")
+
+
+def spec_file(folder, text=SPEC):
+    path = folder / "spec.toml"
+    path.write_text(text)
+    return path
+
+
+def walks_in(folder, text=SPEC):
+    return walks_of(load_spec(spec_file(folder, text)), folder)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A dataset made by this process."""
+    folder = tmp_path_factory.mktemp("made")
+    walks = walks_in(folder)
+    return walks, folder / "out", make_dataset(walks, folder / "out", workers=0)
+
+
+def test_a_sequence_takes_its_points_to_where_the_sensor_saw_them(made):
+    """Scan, pose and label of a sequence are those of the scene's scans, point for point."""
+    walks, out, _ = made
+    scans = list(Emulator(walks[0].scenario).scans(truth=True))
+    folder = out / "sequences" / "00"
+    poses = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
+    assert len(scans) == len(poses) == len(list((folder / "velodyne").iterdir())) == 2
+    for number, scan in enumerate(scans):
+        points = np.fromfile(folder / "velodyne" / f"{number:06d}.bin", "<f4").reshape(-1, 4)
+        labels = np.fromfile(folder / "labels" / f"{number:06d}.label", "<u4")
+        np.testing.assert_allclose(points[:, :3], scan.xyz_m, atol=1e-5)  # the sensor does not move
+        np.testing.assert_allclose(poses[number], scan.world_T_sensor[:3], atol=1e-9)
+        assert np.array_equal(labels >> 16 == 0, scan.labels.instance == 0)
+        assert len(np.unique(labels >> 16)) == len(np.unique(scan.labels.instance))
+
+
+def test_a_moving_sensor_s_scan_is_that_of_its_first_pose(tmp_path):
+    """With the pose of its scan, a point of a walk comes to where the pulse's own pose puts it."""
+    moving = """duration_s=1.3", "motion={kind='walk', way_points_m=[[-8, 0], [4, 0]]}"""
+    (walk, *_) = walks_in(tmp_path, SPEC.replace('duration_s=0.25"', f'{moving}"'))
+    make_dataset([walk], tmp_path / "out", workers=0)
+    emulator, folder = Emulator(walk.scenario), tmp_path / "out" / "sequences" / "00"
+    scan = list(emulator.scans())[10]  # the first ones stand still
+    pose = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)[10]
+    points = np.fromfile(folder / "velodyne" / "000010.bin", "<f4").reshape(-1, 4)[:, :3]
+    own = emulator.world_T_sensor(scan.t_ns)
+    world_m = np.einsum("nij,nj->ni", own[:, :3, :3], scan.xyz_m) + own[:, :3, 3]
+    skewed_m = scan.xyz_m @ pose[:, :3].T + pose[:, 3]
+    np.testing.assert_allclose(points @ pose[:, :3].T + pose[:, 3], world_m, atol=1e-4)
+    assert np.abs(skewed_m - world_m).max() > 0.01
+
+
+def test_stands_are_in_one_split_each(made):
+    """All walks of a stand share its split, and the shares are kept."""
+    walks, _, _ = made
+    splits = {(walk.stand, walk.split) for walk in walks}
+    assert sorted(split for _, split in splits) == ["test", "train"]
+
+
+def test_only_what_is_missing_or_damaged_is_made_again(made):
+    """A second run makes nothing; after a flipped byte it makes that walk, and the manifest is the same."""
+    walks, out, first = made
+    assert make_dataset(walks, out, workers=0).made == 0
+    scan = out / "sequences" / "03" / "velodyne" / "000001.bin"
+    right = scan.read_bytes()
+    scan.write_bytes(bytes([right[0] ^ 1]) + right[1:])
+    again = make_dataset(walks, out, workers=0)
+    assert (again.made, again.sha256) == (1, first.sha256)
+    assert scan.read_bytes() == right
+
+
+@DASK
+def test_workers_that_are_killed_lose_nothing(tmp_path):
+    """Two Dask workers, two of which are killed on the way, make the manifest of one process."""
+    text = SPEC.replace("0.25", "2.0")  # long enough to be seen
+    first = make_dataset(walks_in(tmp_path, text), tmp_path / "alone", workers=0)
+    spec, out = tmp_path / "spec.toml", tmp_path / "out"
+    command = [sys.executable, "-m", "vlp16emu", "dataset", spec, out, "--workers", "2", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+        killed = set()
+        while run.poll() is None and len(killed) < 2:
+            started = list(out.glob("sequences/*.part"))
+            workers = workers_of(run.pid) - killed
+            if len(started) > 0 and workers:
+                os.kill(worker := workers.pop(), signal.SIGKILL)
+                killed.add(worker)
+            time.sleep(0.01)
+        written, said = run.communicate(timeout=300)
+    assert run.returncode == 0, said
+    assert len(killed) == 2
+    assert json.loads(written)["sha256"] == first.sha256
+    assert not list(out.glob("*/*.part"))
+
+
+def workers_of(pid):
+    """Processes below a process that hold the world of a walk: spawned, and no resource tracker."""
+    listed = subprocess.run(
+        ["ps", "-ww", "--ppid", str(pid), "-o", "pid=", "-o", "args="],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    rows = [line.split(None, 1) for line in listed.stdout.splitlines()]
+    return {int(number) for number, words in rows if "spawn_main" in words}
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ('name = "b"', 'name = "a"', "each name and each number once"),
+        ("seeds = [1, 2]", "seeds = [1, 1]", "each name and each number once"),
+        ("val = 0.0", "val = 0.1", "sum to 1"),
+        ("semantickitti", "pcap+truth", "no packets"),
+        ("semantickitti", "kitti", "pcap\\+truth"),
+        ("sensor.beams", "sensor.beans", "beams"),
+        ("schema = 1", "schema = 1\nstand = 1", "unknown key"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_line(tmp_path, right, wrong, said):
+    """What is wrong in the file of a dataset is named before anything is made."""
+    with pytest.raises(ScenarioError, match=said):
+        walks_in(tmp_path, SPEC.replace(right, wrong))

@@ -1,0 +1,163 @@
+"""The file that describes a dataset, and the walks that it is made of."""
+
+from dataclasses import dataclass
+from itertools import pairwise, product
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, ValidationError
+
+from vlp16emu.errors import ScenarioError, readable
+from vlp16emu.explain import explain
+from vlp16emu.random import Purpose, generator
+from vlp16emu.scenario import Scenario, load
+from vlp16emu.scenario.find import find
+from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.settings import Fraction, Section, toml
+
+__all__ = ["DatasetSpec", "DatasetWalk", "load_spec", "walks_of"]
+
+_SPLITS = ("train", "val", "test")
+_ONE = 1e-9
+
+
+def _each_once(values: list[Any]) -> list[Any]:
+    """Refuse what is there twice."""
+    names = [value.name if isinstance(value, _Variant) else value for value in values]
+    if len(set(names)) < len(names):
+        raise ValueError("each name and each number once")
+    return values
+
+
+class _Variant(Section):
+    """A name and settings of a scene."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,60}$")]
+    """In the names of walks."""
+    set: Annotated[list[str], Field(default_factory=list)]
+    """Settings, each `key.path=value` as of `--set`; their files are found from the current folder."""
+
+
+class _Stand(_Variant):
+    """A stand: a scene, whose other parts sensors and paths may change."""
+
+    scene: Annotated[str, Field(min_length=1)]
+    """Name of a scene, or path of a scene file, which is relative to the folder of the dataset's file."""
+
+
+class _Splits(Section):
+    """Shares of the stands; a stand is in one split with all its walks."""
+
+    train: Fraction = 0.7
+    val: Fraction = 0.15
+    test: Fraction = 0.15
+
+
+def _all_of_it(splits: _Splits) -> _Splits:
+    """Refuse shares that leave stands over."""
+    if abs(splits.train + splits.val + splits.test - 1) > _ONE:
+        raise ValueError("train, val and test that sum to 1")
+    return splits
+
+
+class DatasetSpec(Section):
+    """The file of a dataset: each stand with each seed, path and sensor is a walk."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")]
+    """Version of this format."""
+    layout: Literal["semantickitti", "pcap+truth", "plots"]
+    """Which files are written."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    """Decides which stand is in which split."""
+    seeds: Annotated[
+        list[Annotated[int, Field(ge=0, lt=2**63)]], Field(min_length=1), AfterValidator(_each_once)
+    ] = [1]  # noqa: RUF012  # pydantic copies it
+    """Seeds of the scenes."""
+    stands: Annotated[list[_Stand], Field(min_length=1), AfterValidator(_each_once)]
+    """Scenes to walk in."""
+    paths: Annotated[list[_Variant], Field(min_length=1), AfterValidator(_each_once)]
+    """Paths through each stand."""
+    sensors: Annotated[list[_Variant], Field(min_length=1), AfterValidator(_each_once)]
+    """Sensors on each path."""
+    splits: Annotated[_Splits, AfterValidator(_all_of_it)] = _Splits()
+    """Shares of the stands in train, val and test."""
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetWalk:
+    """One sensor on one path through one stand."""
+
+    number: int
+    """From 0, in the order of stands, seeds, paths and sensors."""
+    stand: str
+    path: str
+    sensor: str
+    split: str
+    layout: str
+    scenario: Scenario
+
+    @property
+    def name(self) -> str:
+        """Name that no other walk of the dataset has."""
+        return f"{self.stand}.{self.scenario.seed}.{self.path}.{self.sensor}"
+
+
+def load_spec(path: Path) -> DatasetSpec:
+    """Read the file of a dataset.
+
+    Raises
+    ------
+    ScenarioError
+        where it cannot be read, or is none
+    """
+    with readable(path, "a file of a dataset", ScenarioError):
+        text = path.read_text(encoding="utf-8-sig")
+    try:
+        tree = toml(text)
+    except (ValueError, RecursionError) as error:
+        raise ScenarioError(str(path), f"no valid TOML: {error}", "a TOML file") from None
+    try:
+        return DatasetSpec.model_validate(tree)
+    except ValidationError as error:
+        key, found, expected = explain(error, DatasetSpec.model_json_schema())
+        raise ScenarioError(f"{path}: {key}", found, expected) from None
+
+
+def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
+    """List the walks of a dataset, each with its scene, which is checked.
+
+    Parameters
+    ----------
+    folder : from which the scenes' files are found
+
+    Raises
+    ------
+    ScenarioError
+        where a scene or a setting is wrong, or a sensor has no packets and the layout needs them
+    """
+    split_of, walks = _split_of(spec), list[DatasetWalk]()
+    for stand, seed, path, sensor in product(spec.stands, spec.seeds, spec.paths, spec.sensors):
+        settings = [*stand.set, *path.set, *sensor.set, f"seed={seed}"]
+        scene = find(stand.scene)
+        own = scene == Path(stand.scene)  # a path, and no name
+        scenario = load(folder / scene if own else scene, settings)
+        if spec.layout == "pcap+truth":
+            on_the_wire(scenario.sensor)
+        walks.append(
+            DatasetWalk(
+                len(walks), stand.name, path.name, sensor.name, split_of[stand.name], spec.layout, scenario
+            )
+        )
+    return walks
+
+
+def _split_of(spec: DatasetSpec) -> dict[str, str]:
+    """Assign each stand to a split: the order of their names is shuffled, and cut at the shares."""
+    names = sorted(stand.name for stand in spec.stands)
+    shuffled = [names[i] for i in generator(spec.seed, Purpose.DATASET_SPLIT).permutation(len(names))]
+    ends = [0, *(round(end * len(names)) for end in (spec.splits.train, 1 - spec.splits.test, 1.0))]
+    return {
+        name: split
+        for split, (begin, end) in zip(_SPLITS, pairwise(ends), strict=True)
+        for name in shuffled[begin:end]
+    }
