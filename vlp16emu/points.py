@@ -23,6 +23,7 @@ from vlp16emu.sensor.place import place
 from vlp16emu.sinks.cloud import point_file
 from vlp16emu.sinks.columns import (
     LABEL_COLUMNS,
+    LEAF_OR_WOOD,
     RETURN_NAMES,
     SCENE_COLUMNS,
     TRUTH_COLUMNS,
@@ -30,7 +31,7 @@ from vlp16emu.sinks.columns import (
     CloudAbout,
     scene_comments,
 )
-from vlp16emu.types import LEAF_OR_WOOD, SURFACE, ReturnMode, Returns
+from vlp16emu.types import SURFACE, ReturnMode, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.make import ground_of
 

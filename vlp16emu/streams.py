@@ -8,7 +8,7 @@ from pathlib import Path
 from threading import Event
 
 from vlp16emu.errors import InputError, TrajectoryError
-from vlp16emu.flight import PosesIn, flying
+from vlp16emu.flight import Flight, PosesIn, flying
 from vlp16emu.motion.live import LiveMotion
 from vlp16emu.recording import prepared
 from vlp16emu.run import Run
@@ -47,6 +47,11 @@ def _exclude(given: bool, option: str, others: Mapping[str, object]) -> None:  #
     for other, value in others.items():
         if given and value:
             raise InputError(other, f"found beside {option}", "one of both")
+
+
+def _going_on(engine: Engine, flight: Flight | None, pacer: Pacer) -> Callable[[int], None]:
+    """Give what lets an engine go on further ahead."""
+    return flight.going_on(engine.go_on_from, pacer) if flight else engine.go_on_from
 
 
 class Streams(Run):
@@ -110,20 +115,19 @@ class Streams(Run):
         RunError
             where the system cannot send any more
         """
+        fine = isinstance(truth, TruthTo) and (truth.per_packet or truth.per_return)
         _exclude(prepare is not None, "--prepare", {"--http": http, "--gps-out or --imu-out": outlets.kinds})
         _exclude(now, "--now", {"--gps-in": gps_in})
-        fine = isinstance(truth, TruthTo) and (truth.per_packet or truth.per_return)
         _exclude(http is not None, "--http", {"--truth-packets or --truth-returns": fine})
         stop, pacer, policy = stop or Event(), Pacer(speed), Late(late)
-        span_s, start_ns = self.scenario.span_s(0.0, duration_s), self.scenario.start_ns
-        links = [unit.link for unit in self.parts.units]
+        span_s, links = self.scenario.span_s(0.0, duration_s), [unit.link for unit in self.parts.units]
         with ExitStack() as stack:
             stack.enter_context(self.windows.stopped_by(stop))
             flight = stack.enter_context(flying(self, poses, self._files))
             policy = flight.prepare(stop, pacer) if flight else policy
             self.prompt = http is not None
             engine = stack.enter_context(closing(Engine(self, *span_s, also=outlets.kinds)))
-            sent = partial(_report, progress, start_ns)
+            sent = partial(_report, progress, self.scenario.start_ns)
             rig = RigSink(links, to, as_sensor=as_sensor, interface=interface, sent=sent)
             sink = stack.enter_context(rig)
             ways = stack.enter_context(outlets.opened(self.scenario.imu))
@@ -136,7 +140,6 @@ class Streams(Run):
             reader = stack.enter_context(self._listening(gps_in)) if gps_in else None
             way: PacketSink = SinkByKind(sink, ways) if ways else sink
             way = GpsInSink(way, reader.line) if reader else way
-            go_on_from = None if prepare else engine.go_on_from
             report = stream(
                 packets,
                 flight.begun(way, pacer, now=now) if flight else way,
@@ -144,7 +147,7 @@ class Streams(Run):
                 begun=lambda under_way: self._serve(http, engine, sink, under_way, stack) if http else None,
                 late=policy,
                 notify=notify,
-                go_on_from=flight.going_on(engine.go_on_from, pacer) if flight else go_on_from,
+                go_on_from=None if prepare else _going_on(engine, flight, pacer),
                 now=now,
                 stop=stop,
                 look_ahead_packets=(flight.look_ahead if flight else LOOK_AHEAD_PACKETS) * len(links)

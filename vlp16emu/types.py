@@ -14,9 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "LEAF_OR_WOOD",
     "NO_SURFACE",
-    "STEM",
     "SURFACE",
     "FarTile",
     "Firings",
@@ -99,9 +97,6 @@ class PlantPart(IntEnum):
     ROOT_FLARE = 5
     DEAD_BRANCH = 6
 
-
-LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)
-"""Leaf (2) or wood (1) by `PlantPart`; 0 neither."""
 
 SURFACE = np.dtype(
     [
@@ -311,19 +306,6 @@ class Sway:
         _check(self, "shear", self.shear, "f8", None, m, 2)
 
 
-STEM = np.dtype(
-    [
-        ("foot_m", "<f8", 3),  # world: where the axis leaves the ground
-        ("axis", "<f8", 3),  # unit vector, upwards
-        ("along_m", "<f4", 16),  # knots of the profile, from the foot along the axis, ascending
-        ("radius_m", "<f4", 16),  # at the knots, in between linear; 0 at a whole tree's tip
-        ("flare_m", "<f4"),  # along the axis: where the root flare ends
-        ("row", "<u4", 2),  # of the tile's surfaces: root flare, and the stem above it
-    ]
-)
-"""A stem from afar: circles across its axis."""
-
-
 @dataclass(frozen=True, slots=True)
 class FarTile:
     """A square of the world as it is seen from afar: what becomes a medium, and what stays exact."""
@@ -343,7 +325,7 @@ class FarTile:
     part: NDArray[np.uint8]
     """(meshes,) `PlantPart` of each."""
     stems: NDArray[np.void]
-    """(s,) `STEM`."""
+    """(s,) `STEM` of `vlp16emu.world.stand.tiles`."""
     ground_m: NDArray[np.float64]
     """(43, 43) heights every 0.5 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite one."""
 

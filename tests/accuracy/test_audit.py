@@ -51,7 +51,7 @@ def test_where_a_pulse_is_one_ray_nothing_is_looked_at():
 def test_of_a_short_run_no_interval_is_claimed(hall):
     """One block is one cluster: there is an error, but nothing is said of how sure it is."""
     audit = Audit.of(hall)
-    list(Chain(hall, audit=audit).packets(0.0, 0.01))
+    list(Chain(hall, audit=audit).packets(0.0, 0.1061))
     assert audit.tally.pulses == 16
     assert audit.tally.range_rmse_interval_m is None
 

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
-from itertools import chain as joined
 
 from vlp16emu.chain import PulseHook, Unit, assemble, with_events
 from vlp16emu.chain.cells import checked_span_ns, cuts_of, windows_for
@@ -73,14 +72,11 @@ class Chain:
     def _sent(self, *span_ns: int) -> Iterator[Packet]:
         """Yield the packets that leave in a span since the first pulse, before anything happens to them."""
         # Of packets due at once those of the first unit leave first, and its data packets first.
-        streams = (
-            (
-                self._data_packets(unit, *span_ns),
-                position_packets(self.scenario, self.receiver, unit, *span_ns),
-            )
-            for unit in self.parts.units
-        )
-        return heapq.merge(*joined.from_iterable(streams), key=lambda packet: packet.due_ns)
+        streams = list[Iterator[Packet]]()
+        for unit in self.parts.units:
+            streams.append(self._data_packets(unit, *span_ns))
+            streams.append(position_packets(self.scenario, self.receiver, unit, *span_ns))
+        return heapq.merge(*streams, key=lambda packet: packet.due_ns)
 
     def returns(
         self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0, *, truth: bool = False
@@ -117,6 +113,7 @@ class Chain:
         for part in unit.sending.parts(start_ns, stop_ns, slots):
             of_mode = replace(unit, detector=unit.detector.for_mode(part.span.mode))
             scan = partial(self._scan, of_mode, truth=self.with_slots)
-            of = {"threads": threads, "together": 1 if self.prompt else unit.beam.together}
-            taken = prefetch(partial(part.taken, scan, block), self.windows, blocks=part.blocks(block), **of)
+            take, together = partial(part.taken, scan, block), 1 if self.prompt else unit.beam.together
+            blocks, windows = part.blocks(block), self.windows
+            taken = prefetch(take, windows, blocks=blocks, threads=threads, together=together)
             yield from part.packets(taken)

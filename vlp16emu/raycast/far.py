@@ -30,9 +30,9 @@ from vlp16emu.raycast.voxel import (
     stem_lines,
 )
 from vlp16emu.store import Bundle, recalled
-from vlp16emu.types import STEM, FarTile, Mesh, ShapeKey, Window, World
+from vlp16emu.types import FarTile, Mesh, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
-from vlp16emu.world.stand.tiles import TILE_M
+from vlp16emu.world.stand.tiles import STEM, TILE_M
 
 __all__ = [
     "NO_MEDIUM",

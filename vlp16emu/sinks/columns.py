@@ -16,6 +16,7 @@ __all__ = [
     "CAPTURE_COLUMNS",
     "DESKEWED_COLUMNS",
     "LABEL_COLUMNS",
+    "LEAF_OR_WOOD",
     "RETURN_NAMES",
     "SCENE_COLUMNS",
     "TRUTH_COLUMNS",
@@ -81,6 +82,9 @@ class CloudAbout:
     unit: int = 1
     """Which sensor of a rig, from 1."""
 
+
+LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)
+"""Leaf (2) or wood (1) by `PlantPart`; 0 neither."""
 
 RETURN_NAMES = ("strongest", "last", "second_strongest")
 """What the numbers in the column `return_number` mean."""

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from vlp16emu.errors import MissingExtraError, RunError
 from vlp16emu.output import OutputFile
 from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, NO_ECHO
-from vlp16emu.types import LEAF_OR_WOOD, Packet
+from vlp16emu.sinks.columns import LEAF_OR_WOOD
+from vlp16emu.types import Packet
 
 __all__ = ["SLOT_COLUMNS", "SlotTable"]
 

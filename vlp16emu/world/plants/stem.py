@@ -12,11 +12,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.types import STEM, HeightField, Mesh, PlantPart
+from vlp16emu.types import HeightField, Mesh, PlantPart
 from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M, taper_radius_m
 from vlp16emu.world.plants.flora import tapers
 from vlp16emu.world.plants.species import Species
-from vlp16emu.world.stand.tiles import TileKey
+from vlp16emu.world.stand.tiles import STEM, TileKey
 
 __all__ = ["STEM_PARTS", "StemKey", "StemRings", "far_stems", "lean_rotation", "stem_meshes", "stem_rings"]
 

@@ -10,6 +10,7 @@ from vlp16emu.types import HeightField, Mesh
 from vlp16emu.world.polyline import Polyline
 
 __all__ = [
+    "STEM",
     "TILE_M",
     "TileKey",
     "ground_mesh",
@@ -30,6 +31,19 @@ _CELLS = 40
 
 _SKIRT_M = 0.5
 """Depth of the hem under a tile's border, which hides the seams that rounding leaves."""
+
+
+STEM = np.dtype(
+    [
+        ("foot_m", "<f8", 3),  # world: where the axis leaves the ground
+        ("axis", "<f8", 3),  # unit vector, upwards
+        ("along_m", "<f4", 16),  # knots of the profile, from the foot along the axis, ascending
+        ("radius_m", "<f4", 16),  # at the knots, in between linear; 0 at a whole tree's tip
+        ("flare_m", "<f4"),  # along the axis: where the root flare ends
+        ("row", "<u4", 2),  # of the tile's surfaces: root flare, and the stem above it
+    ]
+)
+"""A stem from afar: circles across its axis."""
 
 
 @dataclass(frozen=True, slots=True)
