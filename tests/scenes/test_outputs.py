@@ -8,6 +8,7 @@ import pytest
 
 from vlp16emu.scenario.find import scene_files
 from vlp16emu.sinks.columns import CAPTURE_COLUMNS, LEAF_OR_WOOD, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
+from vlp16emu.sinks.slots import SLOT_COLUMNS
 from vlp16emu.truth import _GNSS_COLUMNS, _IMU_COLUMNS
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.given.stem_list import _COLUMNS
@@ -68,7 +69,7 @@ def test_the_numbers_of_returns_are_given():
 @pytest.mark.parametrize(("number", "labels"), [(0, Semantic), (1, PlantPart)])
 def test_the_labels_are_given_with_their_numbers(number, labels):
     """Every class and every part is in its table under its number, and no other does."""
-    rows = table("Labels", number + 1)
+    rows = table("Labels", number + 3)
     assert {int(row[0]): row[1] for row in rows} == {int(label): label.name.lower() for label in labels}
 
 
@@ -77,11 +78,12 @@ def test_the_columns_of_the_truth_are_given():
     assert [name for row in table("Labels") for name in names(row[0])] == [c.name for c in TRUTH_COLUMNS]
     assert [name for row in table("imu.csv") for name in names(row[0])] == list(_IMU_COLUMNS)
     assert [name for row in table("gnss.csv") for name in names(row[0])] == list(_GNSS_COLUMNS)
+    assert [name for row in table("returns.parquet") for name in names(row[0])] == list(SLOT_COLUMNS)
 
 
 def test_leaf_or_wood_is_given_for_each_part():
     """The column `leaf_wood` of the table is that of labelled points."""
-    assert [int(row[2]) for row in table("Labels", 2)] == LEAF_OR_WOOD.tolist()
+    assert [int(row[2]) for row in table("Labels", 4)] == LEAF_OR_WOOD.tolist()
 
 
 def test_the_species_are_given_with_their_numbers():
