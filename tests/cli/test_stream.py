@@ -17,7 +17,7 @@ from vlp16emu.packets import Capture
 from vlp16emu.packets.position import STAMP_LEAD_NS
 
 PERIOD_NS = 1_327_104
-STOPPED_S = 2.0
+STOPPED_S = 5.0
 SO_TIMESTAMPNS = 35
 """Source: asm-generic/socket.h."""
 

@@ -15,8 +15,8 @@ from vlp16emu.types import Packet
 
 __all__ = ["SLOT_COLUMNS", "SlotTable"]
 
-_GROUP = 1024
-"""Packets of a row group, 393 216 rows: what is held in memory, some 40 MB."""
+_GROUP = 256
+"""Packets of a row group, 98 304 rows: what is held in memory, some 20 MB."""
 _CHANNELS = 32
 _BLOCKS = 12
 
