@@ -138,6 +138,20 @@ def test_trees_are_joined_with_their_lines_of_the_list(folder, tmp_path):
         assert (float(tree["x_m"]), float(tree["y_m"])) == TREES_M[int(tree["list_line"]) - 2]
 
 
+def test_the_path_of_a_walk_leads_around_the_trees_of_the_list(folder):
+    """With `on_conflict = "move_path"` a walk right through a listed stem keeps its clearance from all of them."""
+    walk = "motion={kind='walk', way_points_m=[[-10, 5.0], [11, 3.2]]}"
+    settings = [walk, 'world.on_conflict="move_path"', "world.meshes=[]"]
+    carrier = Emulator(load(str(folder / "plot.toml"), settings), threads=1).parts.carrier
+    start_ns = load(str(folder / "plot.toml")).start_ns
+    at_ns = start_ns + np.arange(0, int(carrier.run_time_s * 1e9), 10**8)
+    body_m = carrier.poses_at(at_ns).world_p_body_m[:, :2]
+    gap_m = np.linalg.norm(body_m[:, None] - np.array(TREES_M), axis=2).min(axis=0)
+    assert gap_m.min() > 0.8  # with 0.15 m of stem, less the sway of a walker
+    with pytest.raises(GeometryError, match="1 of 5 trees nearer"):
+        Emulator(load(str(folder / "plot.toml"), [walk, "world.meshes=[]"]), threads=1)
+
+
 def test_packets_carry_it(folder):
     """The same scene gives data packets with the distances of the returns, to half a step of 2 mm."""
     emulator = Emulator(load(str(folder / "plot.toml")), threads=1)

@@ -30,7 +30,7 @@ from vlp16emu.sensor.settings import FreeSensor, Sensor, on_the_wire
 from vlp16emu.types import Firings, Hits, ReturnMode, SensorModel, World
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world import Hall
-from vlp16emu.world.make import ground_name, ground_of, world_of
+from vlp16emu.world.make import ground_name, ground_of, obstacles_of, world_of
 from vlp16emu.world.stand.wind import TreeSway
 
 __all__ = [
@@ -235,6 +235,7 @@ def assemble(scenario: Scenario) -> Parts:
         reach_m=scenario.sensor.max_range_m,
         start_ns=scenario.start_ns,
         seed=scenario.motion_seed,
+        obstacles=obstacles_of(section),
     )
     world, wind = world_of(
         section,

@@ -7,6 +7,7 @@ from pathlib import Path as FilePath
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.motion.detour import around
 from vlp16emu.motion.flown import FlownMotion, read_flown
 from vlp16emu.motion.live import LiveMotion
 from vlp16emu.motion.live_settings import Live
@@ -69,6 +70,7 @@ def make_carrier(
     reach_m: float,
     start_ns: int,
     seed: int,
+    obstacles: tuple[Array, Array] | None = None,
 ) -> tuple[Motion, Array]:
     """Motion of what carries the devices over the ground, and points (n, 2) of its path on the map.
 
@@ -82,6 +84,7 @@ def make_carrier(
     reach_m : how far the sensor sees
     start_ns : UTC of the first pulse
     seed : of the scenario
+    obstacles : places (n, 2) that waypoints lead around, and how far (n,) from each; as of `around`
 
     Raises
     ------
@@ -102,6 +105,8 @@ def make_carrier(
             return LiveMotion(section, start_ns=start_ns), path_xy_m
         return FlownMotion(read_flown(FilePath(section.flown)), start_ns=start_ns), path_xy_m
     points = way_points(section, gps, origin_m[:2])
+    if obstacles is not None:
+        points = around(points, *obstacles)
     path = Path(points.xy_m, height_m, ground)
     route = Route(path, section, points.pause_s)
     return WalkMotion(section, route, start_ns=start_ns, seed=seed), path.xy_m

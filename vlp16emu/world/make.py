@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.types import HeightField, World
 from vlp16emu.world.given.furnished import Furnished, Furniture
-from vlp16emu.world.given.given_stand import GivenStand
+from vlp16emu.world.given.given_stand import GivenStand, stems_in_the_way
 from vlp16emu.world.given.settings import MeshFile
 from vlp16emu.world.given.user_mesh import load_mesh
 from vlp16emu.world.ground.dem import DemHeights
@@ -26,7 +26,7 @@ from vlp16emu.world.stand.stand import Stand
 from vlp16emu.world.stand.understorey import SaplingLayer, ShrubLayer
 from vlp16emu.world.stand.wind import TreeSway
 
-__all__ = ["ground_name", "ground_of", "layers_of", "world_of"]
+__all__ = ["ground_name", "ground_of", "layers_of", "obstacles_of", "world_of"]
 
 Array = NDArray[np.float64]
 
@@ -47,6 +47,19 @@ def ground_name(section: Forest | Plot | Hall, seed: int) -> str:
     own = section.model_dump_json(include={"dem", "origin_m", "terrain"})
     text = "\n".join([own, _content(section.dem.file if section.dem else None), str(seed)])
     return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def obstacles_of(section: Forest | Plot | Hall) -> tuple[Array, Array] | None:
+    """Find what the path is to lead around, as of `stems_in_the_way`; None where it keeps its way.
+
+    Raises
+    ------
+    GeometryError
+        where the list of trees is wrong
+    """
+    if isinstance(section, Plot) and section.on_conflict == "move_path":
+        return stems_in_the_way(section)
+    return None
 
 
 def world_of(

@@ -73,9 +73,9 @@ class Plot(Woods):
     """Selects measured trees."""
     stem_list: SceneFile
     """CSV whose first line names the columns: x, y, species, dbh_cm, height_m, and more if known."""
-    on_conflict: Literal["refuse", "drop"] = "refuse"
-    """What happens to stems nearer to the path than `path_clearance_m`: the scene is refused with all of them named, or they
-    are left out with a warning."""
+    on_conflict: Literal["refuse", "drop", "move_path"] = "refuse"
+    """What happens to stems nearer to the path than `path_clearance_m`: the scene is refused with all of them named, they are
+    left out with a warning, or the path of a walk leads around them."""
 
 
 class HallBox(Finish):

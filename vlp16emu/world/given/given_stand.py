@@ -13,14 +13,14 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.types import HeightField
 from vlp16emu.world.given.stem_list import read_stem_list
 from vlp16emu.world.plants.crown import VARIANTS, CrownKey
-from vlp16emu.world.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora
+from vlp16emu.world.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora
 from vlp16emu.world.plants.species import Species
 from vlp16emu.world.polyline import Corridor, Polyline
 from vlp16emu.world.settings import Plot
-from vlp16emu.world.stand.stand import TREE, foot_discs, path_gap_m
+from vlp16emu.world.stand.stand import TREE, foot_discs, in_the_way_m, path_gap_m
 from vlp16emu.world.stand.tiles import TILE_M
 
-__all__ = ["GivenStand"]
+__all__ = ["GivenStand", "stems_in_the_way"]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -141,6 +141,20 @@ def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
     return trees
 
 
+def stems_in_the_way(section: Plot) -> tuple[Array, Array]:
+    """Places (n, 2) that the path must keep clear of, feet of stems and where they are over a head, and how far (n,) from each.
+
+    Raises
+    ------
+    GeometryError
+        for a list that is wrong
+    """
+    table = flora(section.species_file).trees
+    trees = read_stem_list(Path(section.stem_list), table, section.origin_m)
+    gap_m = foot_discs(trees, table=table)[:, 2] + section.path_clearance_m
+    return np.concatenate(in_the_way_m(trees)), np.tile(gap_m, 2)
+
+
 def _clear_of_path(section: Plot, trees: Trees, table: Mapping[str, Species], path: Corridor) -> Trees:
     """Leave out the trees that a walker would run into, or refuse them."""
     gap_m = path_gap_m(trees, foot_discs(trees, table=table)[:, 2], path)
@@ -155,9 +169,11 @@ def _clear_of_path(section: Plot, trees: Trees, table: Mapping[str, Species], pa
     found = (
         f"nearer to the path than path_clearance_m = {path.clearance_m:g}: {'; '.join(named[:_NAMED])}{more}"
     )
-    if section.on_conflict == "refuse":
+    if section.on_conflict != "drop":
         raise GeometryError(
-            section.stem_list, f"{len(named)} of {len(trees)} trees {found}", 'none, or on_conflict = "drop"'
+            section.stem_list,
+            f"{len(named)} of {len(trees)} trees {found}",
+            'none, or on_conflict = "drop" or "move_path"',
         )
     if in_the_way.all():
         raise GeometryError(section.stem_list, f"all trees {found}", "one that is left")

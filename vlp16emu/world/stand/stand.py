@@ -19,7 +19,7 @@ from vlp16emu.world.settings import Forest
 from vlp16emu.world.stand.points import PointPattern, pattern_of
 from vlp16emu.world.stand.settings import MOST_STEMS_PER_HA, SpeciesShare, Storey
 
-__all__ = ["REGENERATION", "TREE", "Stand", "density_per_ha", "foot_discs", "path_gap_m"]
+__all__ = ["REGENERATION", "TREE", "Stand", "density_per_ha", "foot_discs", "in_the_way_m", "path_gap_m"]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -112,12 +112,17 @@ def foot_discs(trees: Trees, *, table: Mapping[str, Species] | None = None) -> A
     return np.column_stack([trees["x_m"], trees["y_m"], radius_m])
 
 
-def path_gap_m(trees: Trees, radius_m: Array, path: Corridor) -> Array:
-    """Distance (n,) from a path to the surfaces of stems, from the ground to above a walker's head."""
+def in_the_way_m(trees: Trees) -> tuple[Array, Array]:
+    """Where stems are in a walker's way, (n, 2) each: at the foot, and above the head."""
     foot = np.column_stack([trees["x_m"], trees["y_m"]])
     towards = np.radians(trees["lean_towards_deg"])
     shift = _HEAD_ROOM_M * np.tan(np.radians(trees["lean_deg"]))
-    above = foot + shift[:, None] * np.column_stack([np.cos(towards), np.sin(towards)])
+    return foot, foot + shift[:, None] * np.column_stack([np.cos(towards), np.sin(towards)])
+
+
+def path_gap_m(trees: Trees, radius_m: Array, path: Corridor) -> Array:
+    """Distance (n,) from a path to the surfaces of stems, from the ground to above a walker's head."""
+    foot, above = in_the_way_m(trees)
     gap_m: Array = np.minimum(path.distance_m(foot), path.distance_m(above)) - radius_m
     return gap_m
 
