@@ -14,13 +14,20 @@ from vlp16emu.errors import InputError, MissingExtraError, OutputError
 OpenEXR = pytest.importorskip("OpenEXR", reason="extra images")
 Image = pytest.importorskip("PIL.Image", reason="extra images")
 
+TILTED = {
+    "motion.x_m": 1.0,
+    "motion.y_m": -1.5,
+    "motion.yaw_deg": 50.0,
+    "motion.pitch_deg": 12.0,
+    "motion.roll_deg": -7.0,
+}
 KINDS = {"panorama": (1024, 256), "pinhole": (640, 480)}
 
 
 @pytest.fixture(scope="module")
 def hall():
-    """The hall, seen without errors."""
-    return Emulator("static_bench", ideal=True)
+    """The hall, seen without errors by a sensor that is not upright."""
+    return Emulator("static_bench", TILTED, ideal=True)
 
 
 @pytest.fixture(scope="module", params=KINDS)
@@ -93,7 +100,7 @@ def test_png_and_exr_agree(seen):
 def test_threads_change_no_byte(hall, seen, tmp_path):
     """One thread gives the bytes that several give."""
     kind = json.loads((seen / "cameras.json").read_text())["kind"]
-    Emulator("static_bench", ideal=True, threads=1).write_images(
+    Emulator("static_bench", TILTED, ideal=True, threads=1).write_images(
         tmp_path / "views", kind=kind, size=KINDS[kind], duration_s=0.1
     )
     digests = [
