@@ -22,7 +22,7 @@ FLOORS = (
     {"run"},
     {"control"},
     {"flight", "replay", "streaming"},
-    {"bag", "deskew", "points", "recording", "truth"},
+    {"bag", "deskew", "images", "points", "recording", "truth"},
     {"report"},
     {"accuracy"},
     {"chain", "validator"},

@@ -7,7 +7,8 @@ from threading import Event
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import spare
+from vlp16emu.errors import InputError, spare
+from vlp16emu.images import Camera, ImageRun, write_images
 from vlp16emu.labels import label_scheme
 from vlp16emu.points import PointCloud, scans_of, world_T_sensor, write_cloud
 from vlp16emu.scan import Scan
@@ -15,6 +16,9 @@ from vlp16emu.sinks import TruthTo
 from vlp16emu.streams import Streams
 
 __all__ = ["Emulator"]
+
+_SHORTEST_S = 0.001
+"""Between two images."""
 
 
 class Emulator(Streams):
@@ -120,6 +124,63 @@ class Emulator(Streams):
                 labels=scheme,
                 scene=self.name,
                 progress=self._with_truth_so_far(progress, span_s, truth_to),
+                stop=stop,
+            )
+
+    def write_images(
+        self,
+        folder: str | Path,
+        *,
+        kind: str = "panorama",
+        size: tuple[int, int] | None = None,
+        fov_deg: float | None = None,
+        every_s: float = 1.0,
+        start_s: float = 0.0,
+        duration_s: float | None = None,
+        unit: int = 1,
+        progress: Callable[[float], None] = lambda _: None,
+        stop: Event | None = None,
+    ) -> ImageRun:
+        """Write depth, labels and colours as images from the place of a sensor, each of one instant.
+
+        Parameters
+        ----------
+        folder : new or empty
+        kind : "panorama" or "pinhole", which looks to the sensor's azimuth 0
+        size : width and height in pixels; 2048 x 512 of a panorama, 1024 x 768 of a pinhole camera, if left out
+        fov_deg : of a pinhole camera, from left to right; 90 if left out
+        every_s : from image to image
+        start_s, duration_s, progress, stop : as of `record`
+        unit : which sensor of a rig, from 1
+
+        Raises
+        ------
+        InputError
+            where there is no such unit or camera
+        MissingExtraError
+            where Pillow or OpenEXR is not there
+        OutputError
+            where the folder cannot be written, or is not empty
+        TrajectoryError
+            where the walk is over before the span
+        RunError
+            where the disk is full; the images before are kept
+        """
+        if not every_s >= _SHORTEST_S:
+            raise InputError("--every", f"found {every_s:g}", f"a number of seconds from {_SHORTEST_S:g}")
+        camera = Camera.of(kind, size, fov_deg)
+        span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
+        with self.windows.stopped_by(stop):
+            return write_images(
+                self,
+                self._number(unit),
+                Path(folder),
+                span_s,
+                camera,
+                every_s=every_s,
+                scene=self.name,
+                threads=self._threads,
+                progress=progress,
                 stop=stop,
             )
 

@@ -17,6 +17,7 @@ from vlp16emu.cli.dataset import dataset
 from vlp16emu.cli.decode import decode
 from vlp16emu.cli.doctor import doctor
 from vlp16emu.cli.forest import forest
+from vlp16emu.cli.images import images
 from vlp16emu.cli.plan import plan
 from vlp16emu.cli.points import points
 from vlp16emu.cli.record import record
@@ -53,6 +54,9 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
   vlp16emu points walk.pcap walk.laz --trajectory truth
   vlp16emu points birch_walk walk.npz --set sensor.return_mode=dual
   vlp16emu points static_bench bench.csv --set sensor.model=free --set sensor.beams=64""",
+    images: """\b
+  vlp16emu images birch_walk views --duration 5
+  vlp16emu images birch_walk views --kind pinhole --size 1280x720 --fov 75 --every 0.1""",
     truth: """\b
   vlp16emu truth birch_walk truth --duration 60
   vlp16emu truth birch_walk truth --truth-rate 1000 --set imu.preset=consumer""",

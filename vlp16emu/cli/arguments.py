@@ -27,6 +27,7 @@ __all__ = [
     "TruthPackets",
     "TruthRate",
     "TruthReturns",
+    "WhichUnit",
     "checked",
     "truth_to",
 ]
@@ -176,6 +177,15 @@ TruthReturns = Annotated[
     typer.Option(
         "--truth-returns",
         help="Also write returns.parquet, one row for each record of a data packet: range, place, labels.",
+    ),
+]
+WhichUnit = Annotated[
+    int,
+    typer.Option(
+        "--unit",
+        metavar="N",
+        parser=checked("--unit", int, lambda n: n >= 1, "a whole number from 1"),
+        help="Which sensor of a rig; 1 is that of [sensor].",
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, Duration, Ideal, Settings, Start, Threads, checked
+from vlp16emu.cli.arguments import AsJson, Duration, Ideal, Settings, Start, Threads, WhichUnit
 from vlp16emu.cli.deskew import Drift, MountedAt, TimeOffset, TrajectoryFile, deskew
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import (
@@ -47,15 +47,6 @@ OutFile = Annotated[
         metavar="OUT",
         help="File to write, .npz, .ply, .csv, .pcd, .las, .laz or .e57 by its suffix; overwritten if it exists.",
         show_default=False,
-    ),
-]
-WhichUnit = Annotated[
-    int,
-    typer.Option(
-        "--unit",
-        metavar="N",
-        parser=checked("--unit", int, lambda n: n >= 1, "a whole number from 1"),
-        help="Which sensor of a rig; 1 is that of [sensor].",
     ),
 ]
 Truth = Annotated[

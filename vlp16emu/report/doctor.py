@@ -19,6 +19,7 @@ _EXTRAS = {
     "bench": (("h11",), "stream --http"),
     "cloud": (("laspy", "lazrs", "pye57"), "points in LAS, LAZ and E57"),
     "dem": (("tifffile", "imagecodecs"), "heights from GeoTIFF files (world.dem)"),
+    "images": (("OpenEXR", "PIL"), "images"),
     "picture": (("matplotlib",), "forest --picture"),
 }
 """Libraries of each extra in pyproject.toml, and what needs them."""

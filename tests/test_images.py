@@ -1,0 +1,165 @@
+"""Images that lie on the points."""
+
+import hashlib
+import json
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import InputError, MissingExtraError, OutputError
+
+OpenEXR = pytest.importorskip("OpenEXR", reason="extra images")
+Image = pytest.importorskip("PIL.Image", reason="extra images")
+
+TILTED = {
+    "motion.x_m": 1.0,
+    "motion.y_m": -1.5,
+    "motion.yaw_deg": 50.0,
+    "motion.pitch_deg": 12.0,
+    "motion.roll_deg": -7.0,
+}
+KINDS = {"panorama": (1024, 256), "pinhole": (640, 480)}
+
+
+@pytest.fixture(scope="module")
+def hall():
+    """The hall, seen without errors by a sensor that is not upright."""
+    return Emulator("static_bench", TILTED, ideal=True)
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def seen(request, hall, tmp_path_factory):
+    """A folder with one image of a kind."""
+    folder = tmp_path_factory.mktemp(request.param) / "views"
+    run = hall.write_images(folder, kind=request.param, size=KINDS[request.param], duration_s=0.1)
+    assert (run.images, run.interrupted) == (1, False)
+    return folder
+
+
+def exact(folder):
+    with OpenEXR.File(str(folder / "exr" / "000000.exr"), separate_channels=True) as image:
+        return {name: channel.pixels.copy() for name, channel in image.channels().items()}
+
+
+def png(folder, layer):
+    with Image.open(folder / layer / "000000.png") as image:
+        return np.array(image)
+
+
+def pixels_of(folder, world_m):
+    """Column, row and depth of points, by the formulas of scenes/OUTPUTS.md and the files alone."""
+    camera = json.loads((folder / "cameras.json").read_text())
+    pose = np.loadtxt(folder / "poses.tum", ndmin=2)[0]
+    x, y, z = ((world_m - pose[1:4]) @ Rotation.from_quat(pose[4:]).as_matrix()).T
+    if camera["kind"] == "pinhole":
+        z = np.where(z > 0.1, z, np.nan)
+        a, b, depth_m = x / z, y / z, z
+    else:
+        a, b = np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))
+        depth_m = np.sqrt(x**2 + y**2 + z**2)
+    column, row = camera["fx"] * a + camera["cx"], camera["fy"] * b + camera["cy"]
+    inside = (column >= 1) & (column < camera["width"] - 1) & (row >= 1) & (row < camera["height"] - 1)
+    return np.floor(column[inside]).astype(int), np.floor(row[inside]).astype(int), depth_m[inside], inside
+
+
+def test_points_lie_on_their_pixels(hall, seen):
+    """A point's pixel has its class and instance and a depth as around it, wherever eight neighbours have that instance."""
+    points = next(iter(hall.scans(duration_s=0.2, truth=True)))
+    T = points.world_T_sensor
+    column, row, depth_m, inside = pixels_of(seen, points.xyz_m @ T[:3, :3].T + T[:3, 3])
+    layers, around = exact(seen), [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    near = np.array([layers["instance"][row + i, column + j] for i, j in around])
+    depths_m = np.array([layers["Z"][row + i, column + j] for i, j in around])
+    even = (near == near[4]).all(axis=0)
+    labels = points.labels
+    assert even.mean() > 0.9
+    assert len(np.unique(near[4][even])) >= 3
+    np.testing.assert_array_equal(near[4][even], labels.instance[inside][even])
+    np.testing.assert_array_equal(layers["semantic"][row, column][even], labels.semantic[inside][even])
+    # Lasers of a VLP-16 start up to 11.2 mm above or below the origin (63-9243 Rev D, table 9-1).
+    # Into a corner of the room half a pixel more is as much deeper at most: its walls are one instance.
+    spare_m = 0.012 + depth_m / json.loads((seen / "cameras.json").read_text())["fx"] / 2
+    assert (depth_m > depths_m.min(axis=0) - spare_m)[even].all()
+    assert (depth_m < depths_m.max(axis=0) + spare_m)[even].all()
+
+
+def test_png_and_exr_agree(seen):
+    """PNG files have the labels of the OpenEXR file, and its depth in steps of 2 mm; all files are of one size."""
+    layers = exact(seen)
+    for name in ("semantic", "part", "species"):
+        np.testing.assert_array_equal(png(seen, name), layers[name])
+    assert np.abs(png(seen, "depth") * 0.002 - layers["Z"]).max() < 0.00101
+    assert layers["Z"].max() > 3
+    assert png(seen, "rgb").shape == (*layers["Z"].shape, 3)
+    assert len(np.unique(png(seen, "rgb").reshape(-1, 3), axis=0)) > 50
+
+
+def test_threads_change_no_byte(hall, seen, tmp_path):
+    """One thread gives the bytes that several give."""
+    kind = json.loads((seen / "cameras.json").read_text())["kind"]
+    Emulator("static_bench", TILTED, ideal=True, threads=1).write_images(
+        tmp_path / "views", kind=kind, size=KINDS[kind], duration_s=0.1
+    )
+    digests = [
+        {
+            str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in sorted(folder.rglob("*.*"))
+        }
+        for folder in (seen, tmp_path / "views")
+    ]
+    assert digests[0] == digests[1]
+    assert len(digests[0]) == 8
+
+
+def test_each_image_has_its_pose(hall, tmp_path):
+    """Images are taken at the beginning of the span and every so often before its end."""
+    run = hall.write_images(tmp_path / "views", size=(64, 16), start_s=0.5, duration_s=0.35, every_s=0.1)
+    poses = np.loadtxt(tmp_path / "views" / "poses.tum")
+    assert run.images == len(poses) == 4
+    seconds = poses[:, 0] - hall.scenario.start_ns / 1e9
+    np.testing.assert_allclose(seconds, [0.5, 0.6, 0.7, 0.8], atol=1e-6)
+    assert sorted(path.name for path in (tmp_path / "views" / "rgb").iterdir()) == [
+        f"{number:06d}.png" for number in range(4)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("asked", "line"),
+    [
+        ({"kind": "fisheye"}, "--kind: found fisheye; expected panorama or pinhole"),
+        ({"size": (1001, 100)}, "--size: found 1001x100"),
+        ({"size": (64, 64)}, "--size: found 64x64; expected a panorama at most half as high"),
+        ({"fov_deg": 90.0}, "--fov: found 90; expected 360 of a panorama"),
+        (
+            {"kind": "pinhole", "fov_deg": 180.0},
+            "--fov: found 180; expected a number of degrees from 1 to 170",
+        ),
+        ({"every_s": 0.0}, "--every: found 0"),
+    ],
+)
+def test_cameras_that_cannot_be_are_refused(hall, tmp_path, asked, line):
+    """What is wrong is named, and no folder is made."""
+    with pytest.raises(InputError) as error:
+        hall.write_images(tmp_path / "views", **asked)
+    assert line in str(error.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_with_something_in_it_is_left_alone(hall, tmp_path):
+    """Images never go beside other files."""
+    (tmp_path / "mine").write_text("kept")
+    with pytest.raises(OutputError, match="holds mine"):
+        hall.write_images(tmp_path, duration_s=0.1)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize(("module", "library"), [("OpenEXR", "OpenEXR"), ("PIL", "Pillow")])
+def test_a_missing_library_is_named(hall, monkeypatch, tmp_path, module, library):
+    """Without a library the line says what to install, and no folder is made."""
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=rf"{library}: pip install 'vlp16emu\[images\]'"):
+        hall.write_images(tmp_path / "views", duration_s=0.1)
+    assert list(tmp_path.iterdir()) == []

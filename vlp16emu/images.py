@@ -1,0 +1,269 @@
+"""Images of a scene from the place of a sensor, each of one instant: depth, labels and colours, by the rays of the lidar."""
+
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from threading import Event
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.chain import Unit
+from vlp16emu.chain.cells import checked_span_ns
+from vlp16emu.chain.chain import Chain
+from vlp16emu.chain.windows import workers
+from vlp16emu.errors import InputError
+from vlp16emu.packets import DISTANCE_LSB_M
+from vlp16emu.raycast.caster import Geometry
+from vlp16emu.report.forest import surface_colours
+from vlp16emu.sinks.pictures import PictureFolder
+from vlp16emu.types import SURFACE, Firings, Hits, PlantPart, Poses, Semantic, World
+from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.world.given.furnished import Furnished
+from vlp16emu.world.stand.forest import ForestWorld
+
+__all__ = ["Camera", "CameraKind", "ImageRun", "write_images"]
+
+_BODY_R_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""From camera (x right, y down, z forward) to sensor (x forward, y left, z up)."""
+_SKY = (176, 204, 232)
+_AMBIENT = 0.35
+"""Share of light that comes from all around; the rest falls from the camera, by the cosine of its incidence."""
+_BAND = 1 << 16
+"""Pixels cast at once, about; whole rows, whatever the threads."""
+_LARGEST_PX = 16_384
+_ALL_ROUND_DEG = 360.0
+_LABELS = ("semantic", "part", "species", "instance")
+
+
+class CameraKind(StrEnum):
+    """How directions become pixels."""
+
+    PANORAMA = "panorama"
+    """All around, the same angle for each column and row (equirectangular)."""
+    PINHOLE = "pinhole"
+    """A plane at right angles to the optical axis, which is the sensor's azimuth 0."""
+
+
+_USUAL = {CameraKind.PANORAMA: ((2048, 512), _ALL_ROUND_DEG), CameraKind.PINHOLE: ((1024, 768), 90.0)}
+"""Size in pixels, and field of view, where none is wanted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A camera without distortion, whose principal point is the middle of its image.
+
+    Raises
+    ------
+    InputError
+        where there is no such camera
+    """
+
+    kind: CameraKind
+    width: int
+    """Pixels, a multiple of 8, as rows are cast eight rays at a time."""
+    height: int
+    fov_deg: float
+    """From the left edge to the right one; 360 of a panorama."""
+
+    def __post_init__(self) -> None:
+        size, is_panorama = f"found {self.width}x{self.height}", self.kind is CameraKind.PANORAMA
+        if self.width % 8 or not 8 <= self.width <= _LARGEST_PX or not 1 <= self.height <= _LARGEST_PX:
+            raise InputError("--size", size, f"at most {_LARGEST_PX} pixels, the width a multiple of 8")
+        if is_panorama and 2 * self.height > self.width:
+            raise InputError("--size", size, "a panorama at most half as high as wide, which is the sphere")
+        if is_panorama != (self.fov_deg == _ALL_ROUND_DEG) or not (is_panorama or 1 <= self.fov_deg <= 170):
+            expected = "360 of a panorama" if is_panorama else "a number of degrees from 1 to 170"
+            raise InputError("--fov", f"found {self.fov_deg:g}", expected)
+
+    @classmethod
+    def of(cls, kind: str, size: tuple[int, int] | None = None, fov_deg: float | None = None) -> Self:
+        """Make a camera of a kind; what is left out is as usual for it."""
+        if kind not in tuple(CameraKind):
+            raise InputError("--kind", f"found {kind}", " or ".join(CameraKind))
+        usual_px, usual_deg = _USUAL[CameraKind(kind)]
+        return cls(CameraKind(kind), *(size or usual_px), usual_deg if fov_deg is None else fov_deg)
+
+    @property
+    def focal_px(self) -> float:
+        """Pixels per unit of X/Z of a pinhole camera, per radian of a panorama."""
+        half_rad = math.radians(self.fov_deg) / 2
+        return self.width / 2 / (math.tan(half_rad) if self.kind is CameraKind.PINHOLE else half_rad)
+
+    def rays(self, rows: range) -> NDArray[np.float64]:
+        """Give unit directions (rows * width, 3) in the camera through the middles of pixels, row by row."""
+        u = (np.arange(self.width) + 0.5 - self.width / 2) / self.focal_px
+        v = (np.array(rows)[:, None] + 0.5 - self.height / 2) / self.focal_px
+        u, v = np.broadcast_arrays(u, v)
+        if self.kind is CameraKind.PINHOLE:
+            xyz = np.stack([u, v, np.ones_like(u)], axis=-1)
+            xyz /= np.linalg.norm(xyz, axis=-1, keepdims=True)
+        else:
+            xyz = np.stack([np.cos(v) * np.sin(u), np.sin(v), np.cos(v) * np.cos(u)], axis=-1)
+        return xyz.reshape(-1, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class ImageRun:
+    """What a folder of images holds."""
+
+    folder: str
+    scene: str
+    unit: int
+    """Which sensor of a rig, from 1."""
+    kind: str
+    width: int
+    height: int
+    images: int
+    bytes: int
+    """Of all images."""
+    interrupted: bool
+    """Ended by its stop event."""
+
+
+def write_images(
+    chain: Chain,
+    number: int,
+    folder: Path,
+    span_s: tuple[float, float],
+    camera: Camera,
+    *,
+    every_s: float,
+    scene: str,
+    threads: int,
+    progress: Callable[[float], None],
+    stop: Event,
+) -> ImageRun:
+    """Write images from the origin of a unit's frame, the first at the beginning of a span.
+
+    Parameters
+    ----------
+    number : of the unit, from 0
+    folder : as `PictureFolder` takes it
+    every_s : from image to image
+    scene : its name in the result
+    threads : workers; they change the speed only
+    progress : called with the simulated seconds so far
+    stop : ends the folder between two images
+
+    Raises
+    ------
+    TrajectoryError
+        where the walk is over before the span
+    MissingExtraError, OutputError, RunError
+        as `PictureFolder`
+    """
+    scenario, unit = chain.scenario, chain.parts.units[number]
+    begin_ns, end_ns = checked_span_ns(scenario, chain.parts, *span_s)
+    species = _species(chain.parts.world)
+    pictures = PictureFolder(folder, _cameras(camera, species))
+    with pictures, workers(threads, "image", stop) as pool, suppress(CancelledError):
+        for since_ns in range(begin_ns, end_ns, seconds_to_ns(every_s)):
+            geometry = chain.windows.wait(chain.windows.at_time(since_ns))
+            pose = _camera_pose(unit, scenario.start_ns + since_ns)
+            band = max(_BAND // camera.width, 1)
+            rows = [range(r, min(r + band, camera.height)) for r in range(0, camera.height, band)]
+            bands = list(pool.map(partial(_pixels, camera, pose, geometry, unit, species), rows))
+            rgb, depth_m, *labels = (np.concatenate(parts) for parts in zip(*bands, strict=True))
+            pictures.add(pose, rgb, depth_m, dict(zip(_LABELS, labels, strict=True)))
+            progress((since_ns - begin_ns) / S_NS)
+            if stop.is_set():
+                break
+    return ImageRun(
+        folder=str(folder),
+        scene=scene,
+        unit=number + 1,
+        kind=camera.kind,
+        width=camera.width,
+        height=camera.height,
+        images=pictures.images,
+        bytes=pictures.bytes,
+        interrupted=stop.is_set(),
+    )
+
+
+def _species(world: World) -> dict[int, str]:
+    """Names of species by number."""
+    bare = world.bare if isinstance(world, Furnished) else world
+    return dict(bare.plants.names) if isinstance(bare, ForestWorld) else {}
+
+
+def _cameras(camera: Camera, species: Mapping[int, str]) -> dict[str, Any]:
+    """Say what the images are: intrinsics, axes, units and the meaning of labels."""
+    sensor_T_camera = np.eye(4)
+    sensor_T_camera[:3, :3] = _BODY_R_CAMERA
+    return {
+        "kind": camera.kind,
+        "width": camera.width,
+        "height": camera.height,
+        "fx": camera.focal_px,
+        "fy": camera.focal_px,
+        "cx": camera.width / 2,
+        "cy": camera.height / 2,
+        "shutter": "global",
+        "depth": "along the optical axis" if camera.kind is CameraKind.PINHOLE else "along the ray",
+        "depth_png_m": DISTANCE_LSB_M,
+        "sensor_T_camera": sensor_T_camera.tolist(),
+        "semantic": {int(one): one.name.lower() for one in Semantic},
+        "part": {int(one): one.name.lower() for one in PlantPart},
+        "species": dict(species),
+    }
+
+
+def _camera_pose(unit: Unit, t_ns: int) -> Poses:
+    """Pose of the camera: at the origin of the unit's frame, and as `_BODY_R_CAMERA` turns it."""
+    poses = unit.motion.poses_at(np.array([t_ns]))
+    return Poses(np.array([t_ns]), poses.world_R_body @ _BODY_R_CAMERA, poses.world_p_body_m)
+
+
+def _pixels(
+    camera: Camera,
+    pose: Poses,
+    geometry: Geometry,
+    unit: Unit,
+    species: Mapping[int, str],
+    rows: range,
+) -> tuple[NDArray[Any], ...]:
+    """Colours, depth and labels of some rows of an image."""
+    rays, shape = camera.rays(rows), (len(rows), camera.width)
+    firings = _firings(pose, rays)
+    hits = geometry.cast(firings, unit.head.beams.near_m[:1], unit.section.max_range_m)
+    is_met = np.isfinite(hits.range_m)
+    forward = rays[:, 2] if camera.kind is CameraKind.PINHOLE else 1.0
+    depth_m = np.where(is_met, hits.range_m * forward, 0.0).astype(np.float32)
+    surfaces = np.append(geometry.surfaces, np.zeros(1, SURFACE))  # the last row is that of `NO_SURFACE`
+    met = surfaces[np.minimum(hits.surface, len(geometry.surfaces))]
+    rgb = _rgb(hits, geometry, species, is_met=is_met).reshape(*shape, 3)
+    return rgb, depth_m.reshape(shape), *(met[name].reshape(shape) for name in _LABELS)
+
+
+def _firings(pose: Poses, rays: NDArray[np.float64]) -> Firings:
+    """Pulses of one laser, one for each ray (n, 3) in the camera, all at the same instant."""
+    n = len(rays)
+    return Firings(
+        index=0,
+        t_ns=np.repeat(pose.t_ns, n)[:, None],
+        clock_ns=np.zeros(n, np.int64),
+        azimuth_deg=np.zeros((n, 1)),
+        reading_deg=np.zeros(n),
+        origin_m=np.repeat(pose.world_p_body_m, n, axis=0)[:, None],
+        direction=(rays @ pose.world_R_body[0].T)[:, None],
+        beam_axis=None,
+    )
+
+
+def _rgb(
+    hits: Hits, geometry: Geometry, species: Mapping[int, str], *, is_met: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    """Colours (n, 3) of what was met, darker where it is seen at a slant."""
+    colours = surface_colours(geometry.surfaces, species)[hits.surface[is_met]]
+    light = _AMBIENT + (1 - _AMBIENT) * hits.cos_incidence[is_met, None]
+    rgb = np.tile(np.array(_SKY, np.uint8), (len(is_met), 1))
+    rgb[is_met] = np.rint(colours * light)
+    return rgb
