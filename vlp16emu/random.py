@@ -80,6 +80,8 @@ class Purpose(IntEnum):
     DISTANCE_PARITY = 102
     MOTOR_SPEED = 103
     AZIMUTH_PATTERN = 104
+    CAPTURE_STAMP = 105
+    CAPTURE_LATE = 106
 
 
 _Word = int | np.uint32

@@ -1,4 +1,4 @@
-"""What distinguishes one unit from another: statistics of captures that do not depend on the scene, and the settings they imply."""
+"""What distinguishes one unit from another: statistics of captures, and the settings they imply."""
 
 from vlp16emu.compare.fit import fitted
 from vlp16emu.compare.sequences import Sequences, read_sequences

@@ -1,4 +1,4 @@
-"""Statistics of a unit, from its packets alone: what does not depend on what stood before it.
+"""Statistics of a unit, from its packets alone, which depend little on what stood before it.
 
 Ranges are held against a cubic through fifteen pulses of the same laser, where all of them met a smooth surface. Each
 statistic is absent where the capture has too little for it.

@@ -35,7 +35,7 @@ _PRESETS: dict[str, dict[str, object]] = {
         "reflectivity_step": 2.0,
         "odd_codes_spread": 0.1,
         "no_return_reflectivity": True,
-        "no_return_wander": 2.0,
+        "no_return_wander": 1.0,
     },
 }
 
