@@ -25,7 +25,7 @@ FLOORS = (
     {"bag", "deskew", "images", "points", "recording", "truth"},
     {"report"},
     {"accuracy"},
-    {"chain", "validator"},
+    {"chain", "compare", "validator"},
     {"scan"},
     {"sinks", "device", "scenario"},
     {"packets"},

@@ -76,6 +76,12 @@ class Purpose(IntEnum):
     SENTENCE = 83
     AUDIT = 90
     DATASET_SPLIT = 91
+    RANGE_BEAT = 101
+    DISTANCE_PARITY = 102
+    MOTOR_SPEED = 103
+    AZIMUTH_PATTERN = 104
+    CAPTURE_STAMP = 105
+    CAPTURE_LATE = 106
 
 
 _Word = int | np.uint32

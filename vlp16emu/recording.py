@@ -18,6 +18,7 @@ from vlp16emu.errors import OutputError
 from vlp16emu.output import STDOUT
 from vlp16emu.packets import Capture, returns_in
 from vlp16emu.packets.frames import Link
+from vlp16emu.packets.host_clock import HostClock
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import PcapSink
@@ -96,6 +97,7 @@ def record_packets(
     span_s: tuple[float, float],
     *,
     scene: str,
+    host: HostClock,
     progress: Callable[[float], None],
     stop: Event,
 ) -> Recording:
@@ -107,6 +109,7 @@ def record_packets(
     paths : as `PcapSink` takes them; one for all units, or one for each
     span_s : of the run, since the first pulse
     scene : its name in the recording
+    host : whose stamps the files have
     progress : called with the simulated seconds so far, packet by packet
     stop : ends the recording between two packets
 
@@ -123,7 +126,7 @@ def record_packets(
         for packet in taken:
             if stop.is_set():
                 break
-            sinks[min(packet.unit, len(sinks) - 1)].send(packet)
+            sinks[min(packet.unit, len(sinks) - 1)].send(host.stamped(packet))
             sent[packet.unit, packet.kind] += 1
             sent[packet.unit, "returns"] += returns_in(packet)
             simulated_s = (packet.due_ns - begin_ns) / S_NS

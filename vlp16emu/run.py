@@ -11,6 +11,7 @@ from vlp16emu.accuracy import Audit
 from vlp16emu.chain.chain import Chain
 from vlp16emu.errors import InputError, spare
 from vlp16emu.motion.live_settings import takes_poses
+from vlp16emu.packets.host_clock import CaptureClock, HostClock
 from vlp16emu.recording import Recording, paths_of_units, record_packets
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
@@ -53,6 +54,7 @@ class Run(Chain):
         duration_s: float | None = None,
         split: bool = False,
         truth: str | Path | TruthTo | None = None,
+        as_due: bool = False,
         progress: Callable[[float], None] = lambda _: None,
         stop: Event | None = None,
     ) -> Recording:
@@ -65,6 +67,7 @@ class Run(Chain):
         duration_s : until the end of the scene if left out
         split : write the packets of each unit into a file of its own, `NAME_1.pcap` and so on
         truth : folder for the ground truth of the run: trajectory, GNSS, rig, scenario
+        as_due : stamp packets when they are due, whatever `[capture]` says
         progress : called with the simulated seconds so far, packet by packet
         stop : ends the recording from another thread; the file is valid
 
@@ -84,6 +87,7 @@ class Run(Chain):
             spare(self._files, one)
         check_ending(Path(path))
         span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
+        clock = CaptureClock() if as_due else self.scenario.capture
         packets = self.packets(*span_s)  # checks the span before the file is touched
         with self.windows.stopped_by(stop):
             recording = record_packets(
@@ -92,6 +96,7 @@ class Run(Chain):
                 paths,
                 span_s,
                 scene=self.name,
+                host=HostClock(clock, self.scenario.seed, self.scenario.start_ns),
                 progress=progress,
                 stop=stop,
             )

@@ -135,8 +135,8 @@ class Streams(Run):
             if prepare is None:
                 packets = stack.enter_context(self._with_truth(engine, span_s, truth))
             else:
-                run = partial(self.record, duration_s=duration_s, truth=truth, progress=preparing, stop=stop)
-                packets = prepared(links, Path(prepare), run)
+                run = partial(self.record, as_due=True, progress=preparing, stop=stop)
+                packets = prepared(links, Path(prepare), partial(run, duration_s=duration_s, truth=truth))
             reader = stack.enter_context(self._listening(gps_in)) if gps_in else None
             way: PacketSink = SinkByKind(sink, ways) if ways else sink
             way = GpsInSink(way, reader.line) if reader else way

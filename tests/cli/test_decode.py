@@ -300,3 +300,19 @@ def test_a_frame_that_there_is_not_is_refused(bench, cli):
     outcome = cli("decode", bench, "--frame", "ned")
     assert outcome.code == 2
     assert outcome.err == "error: --frame: found ned; expected sensor or manual\n"
+
+
+def test_a_unit_before_release_is_read_with_its_model(bench, cli, tmp_path):
+    """Product 0x21 names another sensor too: the line asks for --model, with which all points are as before."""
+    content = bytearray(bench.read_bytes())
+    for payload in payloads(bench):
+        content[content.index(payload.tobytes()) + 1205] = 0x21
+    (old := tmp_path / "old.pcap").write_bytes(content)
+    refused = cli("decode", old)
+    assert refused.code == 2
+    assert refused.err.endswith(
+        "product: 0x21; expected 0x22 or 0x24, or --model for a VLP-16 from before release\n"
+    )
+    tree, before = cli("decode", old, "--model", "vlp-16", "--json").tree, cli("decode", bench, "--json").tree
+    assert tree | {"file": ""} == before | {"file": ""}
+    assert "vlp-16 or puck-hi-res" in cli("decode", old, "--model", "hdl-32e").err

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.sensor.rotor import Rotor, Spin
+from vlp16emu.sensor.rotor import Pattern, Rotor, Spin, Swing
 
 IDEAL = {"eccentricity_deg": 0.0, "eccentricity_phase_deg": 0.0, "noise_deg": 0.0}
 
@@ -80,3 +80,39 @@ def test_readings_stay_in_the_circle():
     assert ((reading >= 0) & (reading < 360)).all()
     assert (reading > 359).any()
     assert (reading < 1).any()
+
+
+def test_a_motor_swings_about_its_speed():
+    """It begins where a steady one does, is ahead by the integral of its speed, and comes back after a period."""
+    swing = Swing(amplitude_ns=50_000.0, period_ns=1e9, phase_rad=0.5)
+    spin = Spin(0, 10.0, 600)
+    steady, swinging = (Rotor(spins=(spin,), seed=1, swings=swings, **IDEAL) for swings in ((), (swing,)))
+    t_ns = np.arange(0, 10**9 + 1, 10**6)
+    ahead_deg = (swinging.angle_deg(t_ns) - steady.angle_deg(t_ns) + 180) % 360 - 180
+    assert ahead_deg[0] == 0
+    assert ahead_deg[-1] == pytest.approx(0, abs=1e-5)
+    expected_deg = 3600 * 50e-6 * (np.sin(2e-9 * np.pi * t_ns + 0.5) - np.sin(0.5))
+    np.testing.assert_allclose(ahead_deg, expected_deg, atol=2e-5)
+    assert swinging.rpm_at(0) == pytest.approx(600 * (1 + 50e-6 * 2 * np.pi * np.cos(0.5)))
+    np.testing.assert_array_equal(swinging.angle_deg(t_ns[500:]), swinging.angle_deg(t_ns)[500:])
+
+
+def test_a_stopped_motor_does_not_swing():
+    """Where the rotor is at rest its angle is one."""
+    swing = Swing(amplitude_ns=50_000.0, period_ns=1e9, phase_rad=0.5)
+    rotor = Rotor(spins=(Spin(0, 10.0, 0),), seed=1, swings=(swing,), **IDEAL)
+    assert set(rotor.angle_deg(np.arange(0, 10**9, 10**7))) == {10.0}
+
+
+def test_readings_hum_and_are_cut():
+    """The hum repeats every 25 sequences wherever a window begins, and no reading is farther off than the limit."""
+    pattern = Pattern(0.0, 0.0, 0.002, 30.0)
+    rotor = Rotor(spins=(Spin(0, 0.0, 600),), seed=1, pattern=pattern, **IDEAL)
+    off = rotor.reading_deg(np.full(100, 90.0), 5) - 90.0
+    np.testing.assert_allclose(off[:25], off[25:50], atol=1e-12)
+    assert np.ptp(off) == pytest.approx(0.004, rel=0.02)
+    np.testing.assert_array_equal(off[10:], rotor.reading_deg(np.full(90, 90.0), 15) - 90.0)
+    noisy = Rotor(spins=(Spin(0, 0.0, 600),), seed=1, noise_limit_deg=0.01, **IDEAL | {"noise_deg": 0.005})
+    off = noisy.reading_deg(np.full(20_000, 90.0), 0) - 90.0
+    assert np.abs(off).max() == pytest.approx(0.01)
+    assert (np.abs(off) > 0.00999).mean() == pytest.approx(2 * stats.norm.sf(2), rel=0.15)

@@ -6,7 +6,7 @@ import pytest
 
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
-from vlp16emu.validator import verify_capture
+from vlp16emu.validator import Rule, verify_capture
 
 CAPTURES = Path(__file__).parents[2] / ".." / "shared" / "captures"
 
@@ -31,3 +31,9 @@ def test_real_dual_payloads_break_no_rule(tmp_path):
     result = verify_capture(tmp_path / "dual.pcap")
     assert (result.findings, result.data_packets) == ((), 603)
     assert result.rpm == pytest.approx(599.97, abs=0.05)
+
+
+def test_a_unit_before_release_breaks_no_rule():
+    """Product byte and VeloView's headers of 2014 are notes; there is no error."""
+    result = verify_capture(CAPTURES / "rust_lidar_vlp16_2014.pcap")
+    assert (result.counts, set(result.notes)) == ({}, {Rule.FACTORY, Rule.HEADER})

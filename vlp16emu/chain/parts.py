@@ -25,7 +25,7 @@ from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable, free_beams, with_angle_errors
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.rotor import Clock, Rotor
+from vlp16emu.sensor.rotor import Clock, Pattern, Rotor, Swing, rotation_draws
 from vlp16emu.sensor.settings import FreeSensor, Sensor, on_the_wire
 from vlp16emu.types import Firings, Hits, ReturnMode, SensorModel, World
 from vlp16emu.units import seconds_to_ns
@@ -72,13 +72,20 @@ def head_of(
 ) -> Head:
     """Make a sensor proper."""
     start_ns = scenario.start_ns
+    spread, held = section.rotation_spread, getattr(section, "phase_lock_deg", None) is not None
+    share, turned_deg = rotation_draws(seed, spread)
     rotor = Rotor(
         spins=spins(section, events, start_ns),
-        eccentricity_deg=section.eccentricity_deg,
-        eccentricity_phase_deg=section.eccentricity_phase_deg,
+        eccentricity_deg=section.eccentricity_deg * share[0],
+        eccentricity_phase_deg=(section.eccentricity_phase_deg + turned_deg[0]) % 360.0,
         noise_deg=section.azimuth_noise_deg,
         seed=seed,
         wobbles=wobbles(events),
+        swings=Swing.drawn(seed, 0.0 if held else section.speed_error_rpm, section.speed_wander_rpm),
+        noise_limit_deg=section.azimuth_noise_limit_deg,
+        pattern=Pattern(
+            section.twice_per_turn_deg * share[1], turned_deg[1], section.hum_deg * share[2], turned_deg[2]
+        ),
     )
     beams = with_angle_errors(
         _beams(section),

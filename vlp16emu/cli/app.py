@@ -13,6 +13,7 @@ import typer
 from vlp16emu.cli.accuracy import accuracy
 from vlp16emu.cli.bag import bag
 from vlp16emu.cli.cache import cache
+from vlp16emu.cli.compare import compare, fit
 from vlp16emu.cli.dataset import dataset
 from vlp16emu.cli.decode import decode
 from vlp16emu.cli.doctor import doctor
@@ -66,6 +67,11 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
     verify: """\b
   vlp16emu verify walk.pcap
   vlp16emu verify walk.pcap --json""",
+    compare: """\b
+  vlp16emu compare walk.pcap field_day.pcap
+  vlp16emu compare walk.pcap field_day.pcap --picture units.png --json""",
+    fit: """\b
+  vlp16emu fit field_day.pcap --out unit.toml""",
     forest: """\b
   vlp16emu forest birch_walk
   vlp16emu forest old_growth --picture old_growth.png --inventory trees.csv

@@ -13,6 +13,7 @@ from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, st
 
 if TYPE_CHECKING:
     from vlp16emu.packets import CaptureReader, PointFrame, Summary
+    from vlp16emu.types import SensorModel
 
 __all__ = ["decode"]
 
@@ -45,6 +46,14 @@ def decode(
             "of Velodyne and VeloView do (manual).",
         ),
     ] = "sensor",
+    model: Annotated[
+        str | None,
+        typer.Option(
+            "--model",
+            metavar="vlp-16|puck-hi-res",
+            help="What a unit from before release is, whose packets name an HDL-32E (product 0x21).",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Decode a capture by the formulas of the sensor's manual.
@@ -56,7 +65,7 @@ def decode(
     from vlp16emu.packets import CaptureReader, chosen_unit, frame_named
 
     axes, chosen = frame_named(frame, where="--frame"), chosen_unit(file, unit, where="--unit")
-    with CaptureReader(file, chosen, axes) as reader, stop_on_ctrl_c() as stop:
+    with CaptureReader(file, chosen, axes, _model_named(model)) as reader, stop_on_ctrl_c() as stop:
         _read(reader, out, axes, stop)
     summary, interrupted = reader.summary, stop.is_set()
     if as_json:
@@ -66,6 +75,23 @@ def decode(
         _print(file, out, summary, interrupted=interrupted)
     if interrupted:
         raise typer.Exit(INTERRUPTED)
+
+
+def _model_named(name: str | None) -> "SensorModel | None":
+    """Find a model by its name.
+
+    Raises
+    ------
+    InputError
+        where it is none that packets can be of
+    """
+    from vlp16emu.errors import InputError
+    from vlp16emu.types import SensorModel
+
+    known = {str(model): model for model in (SensorModel.VLP_16, SensorModel.PUCK_HI_RES)}
+    if name is not None and name not in known:
+        raise InputError("--model", f"found {name}", " or ".join(known))
+    return known.get(name or "")
 
 
 def _read(reader: "CaptureReader", out: Path | None, axes: "PointFrame", stop: Event) -> None:

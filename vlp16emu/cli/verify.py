@@ -17,7 +17,8 @@ def verify(file: CaptureFile, *, as_json: AsJson = False) -> None:
     """Check a capture against the rules of VLP-16 traffic.
 
     Names each broken rule with the number of the packet, as Wireshark counts. Where several units have
-    sent, each is checked by itself. Exits with 0 where no rule is broken, else with 1.
+    sent, each is checked by itself. Notes are what units before firmware 3 and their recorders did. Exits with 0 where
+    no rule is broken, whatever the notes, else with 1.
     """
     from vlp16emu.errors import CaptureError
     from vlp16emu.packets import units_in
@@ -55,8 +56,9 @@ def _tree(result: "Verification") -> dict[str, Any]:
         "rpm": result.rpm,
         "cut": result.is_cut,
         "broken_rules": dict(result.counts),
+        "notes": dict(result.notes),
         "findings": [
-            {"rule": f.rule, "packet": f.packet, "found": f.found, "expected": f.expected}
+            {"rule": f.rule, "level": f.level, "packet": f.packet, "found": f.found, "expected": f.expected}
             for f in result.findings
         ],
     }
@@ -79,4 +81,5 @@ def _print(whose: str, result: "Verification") -> None:
     if result.is_cut:
         rows["end"] = "in the middle of a packet, which was left out"
     rows |= {f"broken: {rule}": count(number) for rule, number in result.counts.items()}
+    rows |= {f"note: {rule}": count(number) for rule, number in result.notes.items()}
     print_rows(f"{whose}: {'clean' if result.is_clean else 'not what a VLP-16 sends'}", rows)

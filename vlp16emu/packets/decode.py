@@ -23,6 +23,7 @@ from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
 __all__ = [
+    "PRODUCT_BEFORE_RELEASE",
     "SENSOR_R_MANUAL",
     "Fault",
     "PointFrame",
@@ -42,6 +43,8 @@ SENSOR_R_MANUAL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _MODEL = MappingProxyType(
     {layout.FACTORY_BYTE[model]: model for model in (SensorModel.VLP_16, SensorModel.PUCK_HI_RES)}
 )
+PRODUCT_BEFORE_RELEASE = 0x21
+"""Of a VLP-16 of 2014; else that of an HDL-32E (63-9243 Rev D, table 9-2), so the byte alone does not say."""
 _MAX_STEP_CDEG = 100
 """A wider step from block to block is the edge of a limited field of view: 1200 rpm, the fastest, make 79.6."""
 
@@ -121,13 +124,16 @@ def data_fields(payloads: NDArray[np.uint8]) -> NDArray[np.void]:
     return np.ascontiguousarray(payloads).view(layout.DATA_PAYLOAD)[:, 0]
 
 
-def decode_data(payloads: NDArray[np.uint8], *, keep_no_returns: bool) -> Points:
+def decode_data(
+    payloads: NDArray[np.uint8], *, keep_no_returns: bool, model: SensorModel | None = None
+) -> Points:
     """Turn data packets into points.
 
     Parameters
     ----------
     payloads : (n, 1206) uint8, of one sensor, in order of sending; the return mode may change
     keep_no_returns : whether pulses without return become records too
+    model : of units from before release, whose product byte is that of another sensor
 
     Returns
     -------
@@ -139,7 +145,7 @@ def decode_data(payloads: NDArray[np.uint8], *, keep_no_returns: bool) -> Points
     PacketError : no data packet of a VLP-16 or Puck Hi-Res, or packets of two models
     """
     fields = data_fields(payloads)
-    model = _model(fields)
+    known = _model(fields, model)
     records = fields["blocks"]["records"]
     source = _pulse_order(fields, keep_no_returns=keep_no_returns)
     packet, record = np.divmod(source, layout.RECORDS_PER_PACKET)
@@ -159,22 +165,25 @@ def decode_data(payloads: NDArray[np.uint8], *, keep_no_returns: bool) -> Points
         packet=packet,
         time_ns=(clock_ns + block_ns + since_block_ns) % HOUR_NS,
         laser=laser.astype(np.uint8),
-        ring=BEAM_TABLES[model].ring.astype(np.uint8)[laser],
+        ring=BEAM_TABLES[known].ring.astype(np.uint8)[laser],
         azimuth_deg=azimuth_deg,
         distance_m=distance_m.astype(np.float32),
-        xyz_m=_xyz_m(distance_m, azimuth_deg, laser, model),
+        xyz_m=_xyz_m(distance_m, azimuth_deg, laser, known),
         reflectivity=records["reflectivity"].ravel()[source],
         is_last=np.where(dual[packet], block % 2 == 0, last_mode[packet]),
     )
 
 
-def fault_in(fields: NDArray[np.void], factory: int | None = None) -> Fault | None:
+def fault_in(
+    fields: NDArray[np.void], factory: int | None = None, model: SensorModel | None = None
+) -> Fault | None:
     """Find the first packet that is not a VLP-16's, or of another model than the others.
 
     Parameters
     ----------
     fields : (n,) `DATA_PAYLOAD`
     factory : product byte of packets before these, if there are any
+    model : of units from before release, whose product byte is that of another sensor
     """
     flags, azimuth_cdeg, products = (
         fields["blocks"]["flag"],
@@ -182,11 +191,15 @@ def fault_in(fields: NDArray[np.void], factory: int | None = None) -> Fault | No
         fields["factory"],
     )
     modes, first = [*layout.RETURN_MODE_BYTE.values()], products[:1] if factory is None else factory
+    known = [*_MODEL] if model is None else [*_MODEL, PRODUCT_BEFORE_RELEASE]
+    expected_product = "0x22 or 0x24"
+    if factory is None and model is None and (products == PRODUCT_BEFORE_RELEASE).all():
+        expected_product += ", or --model for a VLP-16 from before release"
     faults = []
     for what, codes, right, expected in (
         ("block flag", flags, flags == layout.BLOCK_FLAG, "0xeeff"),
         ("return mode", fields["return_mode"], np.isin(fields["return_mode"], modes), "0x37, 0x38 or 0x39"),
-        ("product", products, np.isin(products, [*_MODEL]), "0x22 or 0x24"),
+        ("product", products, np.isin(products, known), expected_product),
         ("product", products, products == first, "the first packet's"),
         # Old firmware was seen to send 36000 for 0.
         ("azimuth", azimuth_cdeg, azimuth_cdeg <= layout.AZIMUTH_CODES, "0 to 36000 hundredths of a degree"),
@@ -252,11 +265,15 @@ def decode_position(payload: bytes) -> PositionFields:
     )
 
 
-def _model(fields: NDArray[np.void]) -> SensorModel:
-    """Give the model; refuse what is not a VLP-16's."""
-    if fault := fault_in(fields):
+def _model(fields: NDArray[np.void], model: SensorModel | None) -> SensorModel:
+    """Give the model, by the product byte or, where that is of before release, as given; refuse what is not a VLP-16's."""
+    if fault := fault_in(fields, None, model):
         raise PacketError(f"data packet {fault.packet}: {fault.what}", fault.found, fault.expected)
-    return _MODEL[int(fields["factory"][0])] if len(fields) else SensorModel.VLP_16
+    return (
+        _MODEL.get(int(fields["factory"][0]), model or SensorModel.VLP_16)
+        if len(fields)
+        else SensorModel.VLP_16
+    )
 
 
 def _is_dual(fields: NDArray[np.void]) -> NDArray[np.bool_]:

@@ -108,6 +108,7 @@ class CaptureReader:
     path : a classic pcap file
     unit : whose packets are read where there are several; None for those of all
     frame : of the points
+    model : of units from before release, whose product byte is that of another sensor
 
     Raises
     ------
@@ -116,8 +117,13 @@ class CaptureReader:
     """
 
     def __init__(
-        self, path: Path, unit: CapturedUnit | None = None, frame: PointFrame = PointFrame.SENSOR
+        self,
+        path: Path,
+        unit: CapturedUnit | None = None,
+        frame: PointFrame = PointFrame.SENSOR,
+        model: SensorModel | None = None,
     ) -> None:
+        self._model = model
         self._path, self._unit, self._frame = path, unit, frame
         self._capture = Capture(path)
         self._codes = np.zeros(2**16, np.int64)
@@ -152,7 +158,7 @@ class CaptureReader:
         for held in self._chunks():
             payloads = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)
             payloads = payloads.reshape(len(held), DATA_BYTES)
-            fault = fault_in(data_fields(payloads), self._factory)
+            fault = fault_in(data_fields(payloads), self._factory, self._model)
             sound = payloads if fault is None else payloads[: fault.packet]
             if len(sound):
                 yield self._decoded(sound)
@@ -180,7 +186,10 @@ class CaptureReader:
             packets=len(azimuth_cdeg),
             position_packets=self._positions,
             other_datagrams=self._others,
-            model=next(model for model in SensorModel if FACTORY_BYTE[model] == self._factory),
+            model=next(
+                (model for model in SensorModel if FACTORY_BYTE[model] == self._factory),
+                self._model or SensorModel.VLP_16,
+            ),
             return_mode=", ".join(modes[code] for code in self._modes),
             points=points,
             no_returns=len(azimuth_cdeg) * RECORDS_PER_PACKET - points,
@@ -219,7 +228,10 @@ class CaptureReader:
 
     def _decoded(self, payloads: NDArray[np.uint8]) -> PacketChunk:
         """Decode packets, (n, 1206), and count them."""
-        points, fields = decode_data(payloads, keep_no_returns=False), data_fields(payloads)
+        points, fields = (
+            decode_data(payloads, keep_no_returns=False, model=self._model),
+            data_fields(payloads),
+        )
         if self._frame is PointFrame.MANUAL:
             points = replace(points, xyz_m=points.xyz_m @ SENSOR_R_MANUAL.astype(np.float32))
         packet_ns = self._unwrapped_ns(fields)

@@ -21,7 +21,12 @@ from vlp16emu.returns.echoes import (
     gather,
     highest_peak,
 )
-from vlp16emu.returns.noise import range_sigma_m, reflectivity_byte
+from vlp16emu.returns.noise import (
+    NO_RETURN_KNOT,
+    no_return_multiples,
+    range_sigma_m,
+    reflectivity_byte,
+)
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
@@ -33,6 +38,8 @@ _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
 _PEAKS_PER_NODE = 3  # at most: one at it, and one at either side
 _CERTAIN_SIGMAS = 6.0  # noise does not reach so far: 2e-9
 _DETECTION, _RANGE_NOISE = ZERO + Purpose.DETECTION, ZERO + Purpose.RANGE_NOISE
+_CODES_PER_M = 500.0  # of the distance on the wire, 2 mm
+_MOST_SILENT = 100.0  # where the reflectivity of no-returns ends on einride
 _LANE_BITS = 16  # a random number's lane: the laser, and above it the echo's rank or column
 
 
@@ -67,6 +74,7 @@ def detect(
         detector.constants,
         firings.index,
         detector.range_bias_m,
+        detector.range_beat_m,
         detector.drift_m(firings.t_ns[:, 0]),
         detector.gain,
         *rays,
@@ -75,8 +83,15 @@ def detect(
         reflectivity,
         range_m,
     )
+    if detector.parity is not None:
+        _count_unevenly(detector.parity, distance_m)
     if detector.no_return is not None:
-        _mark_silent(detector.no_return, distance_m, reflectivity)
+        wander = detector.no_return_wander
+        seed, first, lasers = detector.constants.seed, firings.index, shape[1]
+        knots = (
+            no_return_multiples(seed, first, shape[0], lasers, wander) if wander else np.zeros((0, lasers))
+        )
+        _mark_silent(detector.no_return, knots, first, distance_m, reflectivity)
     if not truth:
         return Returns(firings, distance_m, reflectivity)
     surface, share = np.empty(shape, np.uint32), np.empty(shape, np.float32)
@@ -89,6 +104,7 @@ def _detect(
     constants: DetectorConstants,
     first: int,
     bias_m: NDArray[np.float64],
+    beat_m: NDArray[np.float64],
     drift_m: NDArray[np.float64],
     gain: NDArray[np.float64],
     count: NDArray[np.uint16],
@@ -112,10 +128,18 @@ def _detect(
     columns = _LAST if constants.strongest_only else _SECOND  # that a lone echo fills
     for i in range(count.shape[0]):
         n = first + i
-        if constants.range_noise_m > 0.0 or constants.reflectivity_noise > 0.0:
+        slot = 24 * n % 5
+        if (
+            constants.range_noise_m > 0.0
+            or constants.reflectivity_noise + constants.reflectivity_noise_share > 0.0
+        ):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(count.shape[1]):
-            start, stop, error_m = stop, stop + int(count[i, j]), bias_m[j] + drift_m[i]
+            start, stop, error_m = (
+                stop,
+                stop + int(count[i, j]),
+                bias_m[j] + drift_m[i] + beat_m[(slot + j) % 5],
+            )
             lit = gather(constants, start, stop, range_m, met, cos_incidence, reflectance, nodes)
             if constants.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(constants, n, j, start, stop, range_m)
@@ -138,16 +162,40 @@ def _detect(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _mark_silent(
-    no_return: NDArray[np.uint8], distance_m: NDArray[np.float32], reflectivity: NDArray[np.uint8]
+    no_return: NDArray[np.float64],
+    knots: NDArray[np.float64],
+    first: int,
+    distance_m: NDArray[np.float32],
+    reflectivity: NDArray[np.uint8],
 ) -> None:
-    """Fill in the reflectivity of pulses without any return."""
+    """Fill in the reflectivity of pulses without any return: constant, or between knots (m, L) a multiple of that."""
+    origin = first // NO_RETURN_KNOT
     for i in range(distance_m.shape[0]):
+        knot, rest = (first + i) // NO_RETURN_KNOT - origin, (first + i) % NO_RETURN_KNOT / NO_RETURN_KNOT
         for j in range(distance_m.shape[1]):
             silent = True
             for column in range(3):
                 silent &= distance_m[i, j, column] == 0.0 and reflectivity[i, j, column] == 0
             if silent:
-                reflectivity[i, j, :_SECOND] = no_return[j]
+                code = no_return[j]
+                if knots.shape[0] > 0:
+                    wandered = knots[knot, j] + rest * (knots[knot + 1, j] - knots[knot, j])
+                    code = min(code * max(1.0, np.floor(wandered)), _MOST_SILENT)
+                reflectivity[i, j, :_SECOND] = np.uint8(code)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def _count_unevenly(parity: NDArray[np.float64], distance_m: NDArray[np.float32]) -> None:
+    """Push distances that are at the edge of an odd code into it, or out of it, by each laser's excess of odd codes."""
+    for i in range(distance_m.shape[0]):
+        for j in range(distance_m.shape[1]):
+            for column in range(3):
+                if distance_m[i, j, column] > 0.0:
+                    code = distance_m[i, j, column] * _CODES_PER_M
+                    below = np.floor(code)
+                    # Codes are rounded: halfway between two is the edge, below an odd code or above it.
+                    upward = 1.0 if below % 2.0 == 0.0 else -1.0
+                    distance_m[i, j, column] = np.float32((code + upward * parity[j]) / _CODES_PER_M)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
@@ -226,14 +274,20 @@ def _measure(
 ) -> tuple[np.float32, np.uint8]:
     """Distance and reflectivity as the unit reads them; distance 0 if that is too small, and nothing if it is too great."""
     reflectance = amplitude * range_m * range_m
-    measured_m, counts = range_m + error_m, other_noise * constants.reflectivity_noise
+    measured_m = range_m + error_m
+    sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * min(
+        100.0 * reflectance, 100.0
+    )
+    counts = other_noise * sigma
     if constants.range_noise_m > 0.0:
         measured_m += range_noise * range_sigma_m(constants, reflectance, amplitude)
     if measured_m > constants.max_range_m:
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
-    return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts)
+    return np.float32(measured_m), reflectivity_byte(
+        100.0 * reflectance, gain, counts, constants.reflectivity_step
+    )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)

@@ -8,7 +8,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.returns.noise import gain, no_return_reflectivity, range_bias_m
+from vlp16emu.random import Purpose, normal
+from vlp16emu.returns.noise import gain, no_return_reflectivity, range_beat_m, range_bias_m
 from vlp16emu.returns.settings import Detector, DetectorConstants, Noise, Weather
 from vlp16emu.returns.weather import air_reflectance, extinction_per_m
 from vlp16emu.types import ReturnMode
@@ -18,6 +19,7 @@ __all__ = ["UnitDetector", "threshold_of"]
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 _FWHM_SIGMAS = 2.0 * math.sqrt(2.0 * math.log(2.0))
 _CALIBRATION_REFLECTANCE = 0.1
+_MOST_PARITY = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +31,13 @@ class UnitDetector:
     """(L,)."""
     gain: NDArray[np.float64]
     """(L,) factor on reflectivity."""
-    no_return: NDArray[np.uint8] | None
-    """(L,) reflectivity of records without a return; None where that is 0."""
+    range_beat_m: NDArray[np.float64]
+    """(5,) error of the range by (24 sequence + laser) mod 5."""
+    parity: NDArray[np.float64] | None
+    """(L,) by how much the share of odd distance codes is above one half; None where it is one half."""
+    no_return: NDArray[np.float64] | None
+    """(L,) reflectivity of records without a return, cut to whole numbers when sent; None where that is 0."""
+    no_return_wander: float
     power_up_ns: int
     """UTC, from which warm-up counts."""
     warm_up_m: float
@@ -75,12 +82,17 @@ class UnitDetector:
             least_clutter=least,
             range_noise_m=noise.range_noise_m,
             reflectivity_noise=noise.reflectivity_noise,
+            reflectivity_noise_share=noise.reflectivity_noise_share,
+            reflectivity_step=noise.reflectivity_step,
         )
         return cls(
             constants=constants,
             range_bias_m=range_bias_m(seed, lasers, noise.range_bias_m),
             gain=gain(seed, lasers, noise.gain_spread),
+            range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
+            parity=_parity(seed, lasers, noise.odd_codes_spread) if noise.odd_codes_spread else None,
             no_return=no_return_reflectivity(seed, lasers) if noise.no_return_reflectivity else None,
+            no_return_wander=noise.no_return_wander,
             power_up_ns=power_up_ns,
             warm_up_m=noise.warm_up_m,
             warm_up_s=noise.warm_up_s,
@@ -93,10 +105,25 @@ class UnitDetector:
     def without_chance(self) -> Self:
         """Give a receiver of the same threshold in the same air that detects all echoes, without chance and without errors."""
         constants = self.constants._replace(
-            strongest_only=False, amplitude_noise=0.0, clutter=0.0, range_noise_m=0.0, reflectivity_noise=0.0
+            strongest_only=False,
+            amplitude_noise=0.0,
+            clutter=0.0,
+            range_noise_m=0.0,
+            reflectivity_noise=0.0,
+            reflectivity_noise_share=0.0,
+            reflectivity_step=0.0,
         )
         none, one = np.zeros_like(self.range_bias_m), np.ones_like(self.gain)
-        return replace(self, constants=constants, range_bias_m=none, gain=one, no_return=None, warm_up_m=0.0)
+        return replace(
+            self,
+            constants=constants,
+            range_bias_m=none,
+            gain=one,
+            range_beat_m=np.zeros(5),
+            parity=None,
+            no_return=None,
+            warm_up_m=0.0,
+        )
 
     def drift_m(self, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Warm-up error of ranges at some instants, same shape; fades exponentially from power-up on."""
@@ -111,6 +138,11 @@ def _fade(since_ns: NDArray[np.int64], from_m: float, in_s: float, out: NDArray[
     """Fill an exponential (n,)."""
     for i in range(out.shape[0]):
         out[i] = from_m * math.exp(-1e-9 * since_ns[i] / in_s)
+
+
+def _parity(seed: int, lasers: int, spread: float) -> NDArray[np.float64]:
+    """Draw the excess of odd codes of each laser, (lasers,); real ones have 20 to 82 % of odd codes."""
+    return np.clip(spread * normal(seed, Purpose.DISTANCE_PARITY, 0, lasers), -_MOST_PARITY, _MOST_PARITY)
 
 
 def threshold_of(detector: Detector) -> tuple[float, float]:

@@ -14,9 +14,12 @@ from vlp16emu.returns.settings import DetectorConstants
 
 __all__ = [
     "BIAS_LIMIT_M",
+    "NO_RETURN_KNOT",
     "RETROREFLECTIVE",
     "gain",
+    "no_return_multiples",
     "no_return_reflectivity",
+    "range_beat_m",
     "range_bias_m",
     "range_sigma_m",
     "reflectivity_byte",
@@ -26,6 +29,11 @@ BIAS_LIMIT_M = 0.03
 """Accuracy of the data sheet, which no laser exceeds."""
 _STEADY, _DARK = 0.88, 0.024
 _FAINTEST_REFLECTANCE = 0.01
+_OVERTONE_RAD = math.radians(85.0)
+_COARSE = 50.0
+"""Reflectivity from which on codes are wider apart."""
+NO_RETURN_KNOT = 64
+"""Firing sequences between two knots of what no-returns carry; assumption, after einride: 78 % of neighbours are equal."""
 _NO_RETURN_CODES = 3, 24
 """Least and greatest on no-returns of two real units with 3.x firmware: 3..11 on one, 9..24 on the other."""
 
@@ -40,14 +48,50 @@ def gain(seed: int, lasers: int, spread: float) -> NDArray[np.float64]:
     return np.exp(spread * normal(seed, Purpose.REFLECTIVITY, 0, lasers))
 
 
-def no_return_reflectivity(seed: int, lasers: int) -> NDArray[np.uint8]:
-    """Reflectivity of each laser's records without a return, (lasers,).
+def no_return_reflectivity(seed: int, lasers: int) -> NDArray[np.float64]:
+    """Reflectivity of each laser's records without a return, (lasers,), before it is cut to whole numbers.
 
-    Real units send it in 50 to 98 % of such records, and multiples of it in the others; here it is constant.
+    Real units send it in 50 to 98 % of such records, and multiples of it in the others.
     """
     low, high = _NO_RETURN_CODES
-    drawn = low + (high - low + 1) * uniform(seed, Purpose.NO_RETURN, 0, lasers)
-    return drawn.astype(np.uint8)
+    return np.asarray(low + (high - low + 1) * uniform(seed, Purpose.NO_RETURN, 0, lasers))
+
+
+def no_return_multiples(seed: int, first: int, count: int, lasers: int, wander: float) -> NDArray[np.float64]:
+    """How many times the constant of `no_return_reflectivity` firing sequences first .. first + count - 1 carry.
+
+    It wanders smoothly and stays at 1 where it would be less: on real units it changes by one step at a time, and a steady
+    unit is at 1 in 98 % of its records (mrpt), a restless one (einride) through ten multiples.
+
+    Parameters
+    ----------
+    wander : of a unit in the middle; units differ by an e-fold, one sigma
+
+    Returns
+    -------
+    (knots, lasers), one row for each `NO_RETURN_KNOT` sequences, from that of `first` on to one past the last
+    """
+    begin, stop = first // NO_RETURN_KNOT, (first + count - 1) // NO_RETURN_KNOT + 2
+    own = wander * math.exp(normal(seed, Purpose.NO_RETURN, lasers, 1)[0])
+    drawn = [normal(seed, Purpose.NO_RETURN, begin, stop - begin, 1 + laser) for laser in range(lasers)]
+    return np.asarray(own * np.stack(drawn, axis=1))
+
+
+def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> NDArray[np.float64]:
+    """Error of the range by (24 sequence + laser) mod 5, (5,) m.
+
+    A sine and its first overtone, whose phase follows: 78 to 98 deg more than twice that of the sine on four units,
+    with 0.17 to 0.36 of its amplitude. As if a clock of the receiver beat with the pulses.
+
+    Parameters
+    ----------
+    phase_deg : of a unit of exactly this amplitude; None to draw both
+    """
+    one, two, three = uniform(seed, Purpose.RANGE_BEAT, 0, 3)
+    own_m = amplitude_m * (0.75 + 0.5 * one) if phase_deg is None else amplitude_m
+    overtone = 0.17 + 0.19 * three if phase_deg is None else 0.25
+    angle = 2.0 * math.pi * (np.arange(5) / 5.0 + (two if phase_deg is None else phase_deg / 360.0))
+    return np.asarray(own_m * (np.cos(angle) + overtone * np.cos(2.0 * angle + _OVERTONE_RAD)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
@@ -82,7 +126,7 @@ _COUNTS_PER_E_FOLD = (255 - 101) / math.log(_IDEAL)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def reflectivity_byte(percent: float, gain: float, noise: float) -> np.uint8:
+def reflectivity_byte(percent: float, gain: float, noise: float, step: float) -> np.uint8:
     """Code a reflectivity: 0..100 percent of a diffuse target, 101..255 of a retroreflector.
 
     Source: 63-9243 Rev D, section 6.1. Neither gain nor noise moves a target from one class to the other,
@@ -93,8 +137,12 @@ def reflectivity_byte(percent: float, gain: float, noise: float) -> np.uint8:
     percent : brightness, corrected for range, of a white Lambertian surface at right angles
     gain : of the laser
     noise : in counts
+    step : of codes from 50 on, before the gain; 0 for none
     """
     if percent <= RETROREFLECTIVE:
-        return np.uint8(min(max(np.rint(gain * percent + noise), 0.0), 100.0))
+        counts = gain * percent + noise
+        if step > 0.0 and counts >= _COARSE:
+            counts = np.rint(counts / (step * gain)) * step * gain
+        return np.uint8(min(max(np.rint(counts), 0.0), 100.0))
     code = 101.0 + _COUNTS_PER_E_FOLD * math.log(0.01 * gain * percent) + noise
     return np.uint8(min(max(np.rint(code), 101.0), 255.0))

@@ -26,6 +26,17 @@ _PRESETS: dict[str, dict[str, object]] = {
     "typical": {},
     # Two sigmas of both together are the +-3 cm of the data sheet.
     "datasheet": {"range_noise_m": 0.011, "range_bias_m": 0.010},
+    # Measured on captures of real units: protocol/README.md, "The character of a unit".
+    "unit": {
+        "range_noise_m": 0.0058,
+        "range_beat_m": 0.006,
+        "reflectivity_noise": 0.3,
+        "reflectivity_noise_share": 0.028,
+        "reflectivity_step": 2.0,
+        "odd_codes_spread": 0.1,
+        "no_return_reflectivity": True,
+        "no_return_wander": 1.0,
+    },
 }
 
 
@@ -49,10 +60,15 @@ class Noise(Preset):
 
     presets = _PRESETS
 
-    preset: Literal["ideal", "typical", "datasheet"] = "typical"
-    """Values of the keys that are not given beside it; `typical` is their defaults."""
+    preset: Literal["ideal", "typical", "datasheet", "unit"] = "typical"
+    """Values of the keys that are not given beside it; `typical` is their defaults, `unit` has what makes real units differ."""
     range_noise_m: _Metres = 0.0065
     """White, one sigma, at a reflectivity of 20; measured on a real unit."""
+    range_beat_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
+    """Amplitude of the error that repeats every five pulses of 2.304 us, the same for all lasers and ranges; 4 to 7 mm on
+    real units. Units differ by a quarter, and in phase. 0 switches it off."""
+    range_beat_phase_deg: Annotated[float, Field(ge=0, lt=360)] | None = None
+    """Phase of that error at the first pulse, of a unit whose amplitude is exactly `range_beat_m`; drawn unless given."""
     range_bias_m: _Metres = 0.010
     """Constant error per laser, one sigma; assumption within the 3 cm of the data sheet, at which it is cut."""
     elevation_error_deg: _Degrees = 0.02
@@ -65,12 +81,21 @@ class Noise(Preset):
     """Time constant with which that fades."""
     reflectivity_noise: Annotated[float, Field(ge=0, le=20)] = 1.5
     """White, one sigma, in counts; real units show 1 to 2."""
+    reflectivity_noise_share: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    """The same as a share of the reflectivity, added to it; some 3 % on real units."""
+    reflectivity_step: Annotated[float, Field(ge=0, le=10)] = 0.0
+    """Spacing of codes from 50 on, before the gain of the laser; 2 on real units, where neighbours then are equal more
+    often. 0 sends every code."""
+    odd_codes_spread: Annotated[float, Field(ge=0, le=0.4)] = 0.0
+    """By how much the share of odd distance codes differs between lasers, one sigma; 0.08 to 0.17 on real units."""
     gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.03
     """Relative error of reflectivity per laser, one sigma; assumption."""
     weak_echoes_lost: bool = True
     """Whether there is a detection threshold, as `[detector]` has it."""
     no_return_reflectivity: bool = False
     """Whether records without a return carry a constant of their laser, as on real units; the manual has 0 there."""
+    no_return_wander: Annotated[float, Field(ge=0, le=20)] = 0.0
+    """How many multiples of that constant they wander through, for a unit in the middle of the real ones; 0 for none."""
 
     @property
     def summary(self) -> str:
@@ -79,6 +104,7 @@ class Noise(Preset):
             f"{1e3 * self.range_noise_m:g} mm white",
             f"{1e3 * self.range_bias_m:g} mm bias per laser",
             f"{max(self.elevation_error_deg, self.azimuth_error_deg):g} deg",
+            *([f"{1e3 * self.range_beat_m:g} mm beat"] if self.range_beat_m else []),
             f"{self.reflectivity_noise:g} counts and {100 * self.gain_spread:g} % on reflectivity",
             "weak echoes lost" if self.weak_echoes_lost else "every echo seen",
         ]
@@ -133,3 +159,6 @@ class DetectorConstants(NamedTuple):
     """Amplitude below which the air is not worth a look."""
     range_noise_m: float
     reflectivity_noise: float
+    reflectivity_noise_share: float
+    reflectivity_step: float
+    """0 where every code is sent."""

@@ -20,7 +20,15 @@ __all__ = ["load"]
 
 _RIVALS = frozenset(Walk.one_of), Walk.either_or
 """Keys that exclude each other: a setting of one takes the place of the others."""
-_UNIT_ERRORS = ("eccentricity_deg", "azimuth_noise_deg", "clock_error_ppm")
+_UNIT_ERRORS = (
+    "eccentricity_deg",
+    "azimuth_noise_deg",
+    "clock_error_ppm",
+    "twice_per_turn_deg",
+    "hum_deg",
+    "speed_error_rpm",
+    "speed_wander_rpm",
+)
 """Errors among the keys of `[sensor]` and `[[rig]]`."""
 
 

@@ -10,10 +10,15 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.random import Purpose, normal
+from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.units import HOUR_NS, S_NS
 
-__all__ = ["Clock", "ClockSpan", "Rotor", "Spin", "Wobbling"]
+__all__ = ["Clock", "ClockSpan", "Pattern", "Rotor", "Spin", "Swing", "Wobbling", "rotation_draws"]
+
+_HUM_SEQUENCES = 25
+"""Firing sequences of two periods of the hum; one is 12.5 x 55.296 us."""
+_KNOT_BITS = 20
+"""A swing is straight between multiples of 2**20 ns, 1 ms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +79,78 @@ class Wobbling:
 
 
 @dataclass(frozen=True, slots=True)
+class Swing:
+    """A sine by which the motor is ahead of or behind its set speed, as a time; it stops where the motor stops."""
+
+    amplitude_ns: float
+    period_ns: float
+    phase_rad: float
+
+    def rate_at(self, elapsed_ns: int) -> float:
+        """Its share of the set speed at a time since the start."""
+        per_ns = 2.0 * math.pi / self.period_ns
+        return self.amplitude_ns * per_ns * math.cos(per_ns * elapsed_ns + self.phase_rad)
+
+    @classmethod
+    def drawn(cls, seed: int, error_rpm: float, wander_rpm: float) -> "tuple[Swing, ...]":
+        """Draw those of a unit: of its mean speed, over minutes, and two within seconds; amplitudes are at 600 rpm.
+
+        A unit (einride) was 0.04 deg off an even turn within half a second, others 0.02.
+        """
+        draws = uniform(seed, Purpose.MOTOR_SPEED, 0, 8)
+        sigmas = normal(seed, Purpose.MOTOR_SPEED, 0, 1, 1)
+        wanted = (
+            (error_rpm * float(sigmas[0]), 60.0 + 120.0 * draws[0], (draws[1] - 0.5) * 0.5),
+            (wander_rpm * 2.0 * draws[2], 0.3 + 0.5 * draws[3], 2.0 * math.pi * draws[4]),
+            (wander_rpm * 2.0 * draws[5], 0.9 + 2.0 * draws[6], 2.0 * math.pi * draws[7]),
+        )
+        return tuple(
+            cls(rpm / 600.0 * period_s * S_NS / (2.0 * math.pi), period_s * S_NS, float(phase_rad))
+            for rpm, period_s, phase_rad in wanted
+            if rpm
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """Errors of the encoder's reading that repeat: with the turn, twice a turn, and with time."""
+
+    twice_deg: float
+    twice_phase_deg: float
+    hum_deg: float
+    hum_phase_deg: float
+
+    def added(self, reading_deg: NDArray[np.float64], first: int) -> NDArray[np.float64]:
+        """Add them to the readings (k,) of firing sequences from `first` on."""
+        out = reading_deg
+        if self.twice_deg:
+            out = out + self.twice_deg * np.sin(np.radians(2.0 * reading_deg - self.twice_phase_deg))
+        if self.hum_deg:
+            number = (first + np.arange(len(out))) % _HUM_SEQUENCES
+            out = out + self.hum_deg * np.sin(
+                4.0 * np.pi / _HUM_SEQUENCES * number + np.radians(self.hum_phase_deg)
+            )
+        return np.asarray(out)
+
+
+def rotation_draws(seed: int, spread: float) -> tuple[list[float], list[float]]:
+    """Draw what a unit has of its own in the errors once and twice a turn and in the hum.
+
+    Parameters
+    ----------
+    spread : of the factors; without it nothing is drawn
+
+    Returns
+    -------
+    Three factors on amplitudes, and three additions to phases, deg
+    """
+    if not spread:
+        return [1.0] * 3, [0.0] * 3
+    drawn = uniform(seed, Purpose.AZIMUTH_PATTERN, 0, 6)
+    return (1.0 + spread * (2.0 * drawn[:3] - 1.0)).tolist(), (360.0 * drawn[3:]).tolist()
+
+
+@dataclass(frozen=True, slots=True)
 class Rotor:
     """A head that turns clockwise, seen from above, at constant speed but for what happens to it.
 
@@ -92,6 +169,10 @@ class Rotor:
     """One sigma of a reading's white error; 0 switches it off."""
     seed: int
     wobbles: tuple[Wobbling, ...] = ()
+    swings: tuple[Swing, ...] = ()
+    noise_limit_deg: float = math.inf
+    """At which that error is cut."""
+    pattern: Pattern = Pattern(0.0, 0.0, 0.0, 0.0)
 
     @property
     def rpm(self) -> float:
@@ -101,6 +182,10 @@ class Rotor:
     def angle_deg(self, elapsed_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Turn times since the start, any shape, into true angles in [0, 360), exact after any number of hours."""
         flat_ns = elapsed_ns.reshape(-1)
+        if self.swings:
+            flat_ns = _swung(
+                flat_ns, *np.array([(s.amplitude_ns, s.period_ns, s.phase_rad) for s in self.swings]).T
+            )
         if len(self.spins) == 1:
             out = self.spins[0].at(flat_ns)
         else:
@@ -126,17 +211,18 @@ class Rotor:
     def rpm_at(self, elapsed_ns: int) -> float:
         """Speed at a time since the start."""
         spin = [spin for spin in self.spins if spin.from_ns <= elapsed_ns or spin is self.spins[0]][-1]
-        return spin.rpm_at(elapsed_ns) + sum(wobble.rpm_at(elapsed_ns) for wobble in self.wobbles)
+        rate = 1.0 + sum(swing.rate_at(elapsed_ns) for swing in self.swings)
+        return spin.rpm_at(elapsed_ns) * rate + sum(wobble.rpm_at(elapsed_ns) for wobble in self.wobbles)
 
     def reading_deg(self, angle_deg: NDArray[np.float64], first: int) -> NDArray[np.float64]:
         """Read the encoder at (k,) true angles, those of firing sequences first .. first + k - 1."""
         reading = angle_deg
         if self.eccentricity_deg:
             reading = _eccentric(reading, self.eccentricity_deg, self.eccentricity_phase_deg)
+        reading = self.pattern.added(reading, first)
         if self.noise_deg:
-            reading = reading + self.noise_deg * normal(
-                self.seed, Purpose.AZIMUTH_READING, first, len(reading)
-            )
+            drawn_deg = self.noise_deg * normal(self.seed, Purpose.AZIMUTH_READING, first, len(reading))
+            reading = reading + np.clip(drawn_deg, -self.noise_limit_deg, self.noise_limit_deg)
         return np.asarray(reading % 360.0)
 
 
@@ -149,6 +235,30 @@ def _turn(
         angle_deg = start_deg + (elapsed_ns[i] % span_ns) * deg_per_ns
         angle_deg -= 360.0 * math.floor(angle_deg / 360.0)
         out[i] = angle_deg + 360.0 if angle_deg < 0.0 else angle_deg
+
+
+@numba.njit(cache=True, nogil=True)
+def _swung(
+    elapsed_ns: NDArray[np.int64],
+    amplitude_ns: NDArray[np.float64],
+    period_ns: NDArray[np.float64],
+    phase_rad: NDArray[np.float64],
+) -> NDArray[np.int64]:
+    """Turn times (n,) into those at which a motor of even speed is where this one is; nothing at 0."""
+    out = np.empty_like(elapsed_ns)
+    last, at_ns, further_ns = np.int64(np.iinfo(np.int64).min), 0.0, 0.0
+    for i in range(elapsed_ns.shape[0]):
+        knot = elapsed_ns[i] >> _KNOT_BITS
+        if knot != last:
+            at_ns = further_ns = 0.0
+            for s in range(amplitude_ns.shape[0]):
+                per_knot, zero = 2.0 * math.pi / period_ns[s] * 2**_KNOT_BITS, math.sin(phase_rad[s])
+                at_ns += amplitude_ns[s] * (math.sin(per_knot * knot + phase_rad[s]) - zero)
+                further_ns += amplitude_ns[s] * (math.sin(per_knot * (knot + 1) + phase_rad[s]) - zero)
+            last = knot
+        rest = (elapsed_ns[i] - (knot << _KNOT_BITS)) * 2.0**-_KNOT_BITS
+        out[i] = elapsed_ns[i] + np.int64(np.rint(at_ns + rest * (further_ns - at_ns)))
+    return out
 
 
 @numba.njit(cache=True, nogil=True)

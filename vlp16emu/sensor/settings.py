@@ -13,13 +13,27 @@ from pydantic import (
 )
 
 from vlp16emu.errors import ScenarioError
-from vlp16emu.settings import Section, Seed
+from vlp16emu.settings import Preset, Seed
 
 __all__ = ["Address", "AnySensor", "FreeSensor", "Lidar", "Port", "Sensor", "on_the_wire"]
 
 Degrees = Annotated[float, Field(ge=0, lt=360)]
 Elevation = Annotated[float, Field(gt=-90, lt=90)]
 Port = Annotated[int, Field(ge=1, le=65_535)]
+
+
+_PRESETS: dict[str, dict[str, object]] = {
+    "steady": {},
+    # Measured on captures of real units: protocol/README.md, "The character of a unit".
+    "unit": {
+        "azimuth_noise_limit_deg": 0.01,
+        "twice_per_turn_deg": 0.0078,
+        "hum_deg": 0.0012,
+        "rotation_spread": 0.45,
+        "speed_error_rpm": 0.5,
+        "speed_wander_rpm": 0.08,
+    },
+}
 
 
 def _of_a_host(address: str) -> str:
@@ -36,11 +50,16 @@ def _of_a_host(address: str) -> str:
 Address = Annotated[str, AfterValidator(_of_a_host)]
 
 
-class Lidar(Section):
+class Lidar(Preset):
     """What all lidars have in common."""
 
     seed: Seed | None = None
     """Seed of the errors of this sensor, and of the GPS receiver and inertial unit beside it; the scene's seed if not set."""
+    presets = _PRESETS
+
+    preset: Literal["steady", "unit"] = "steady"
+    """Values of the errors of rotation that are not given beside it; `steady` is their defaults, `unit` has those that make
+    real units differ."""
     return_mode: Literal["strongest", "last", "dual"] = "strongest"
     """Echoes that are sent: the strongest, the last, or both."""
     min_range_m: Annotated[float, Field(ge=0.5, le=131.07)] = 0.5
@@ -56,6 +75,20 @@ class Lidar(Section):
     """Rotor angle at which that error crosses zero upwards."""
     azimuth_noise_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.005
     """White error of each azimuth reading, one sigma. 0 switches it off."""
+    azimuth_noise_limit_deg: Annotated[float, Field(ge=0, le=0.1)] = 0.1
+    """At which that error is cut; steps of real units are within 0.02 deg of the commonest, or 0.03."""
+    twice_per_turn_deg: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """Amplitude of the encoder's twice-per-revolution error; real units show 0.006 to 0.010. 0 switches it off."""
+    hum_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.0
+    """Amplitude of an error of the reading that repeats every 12.5 firing sequences, 1447 Hz, at all speeds; real units show
+    0.001 to 0.003."""
+    rotation_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """By how much the amplitudes of these three errors are a unit's own, as a share of them; with it, so are their phases."""
+    speed_error_rpm: Annotated[float, Field(ge=0, le=3)] = 0.0
+    """How far the mean speed is off at 600 rpm, one sigma, in proportion at others. It swings over minutes; with a phase lock it is
+    held."""
+    speed_wander_rpm: Annotated[float, Field(ge=0, le=3)] = 0.0
+    """Amplitude of the change of speed within seconds, in the same way."""
     powered_for_s: Annotated[float, Field(ge=0, le=1_000_000_000)] = 0.0
     """Time since power-up when the run begins; without GPS the sensor's clock counts from power-up."""
     clock_error_ppm: Annotated[float, Field(ge=-100, le=100)] = 0.0

@@ -24,9 +24,18 @@ from vlp16emu.packets.frames import (
 from vlp16emu.packets.layout import BLOCK_FLAG, DATA_BYTES, POSITION_BYTES, POSITION_PAYLOAD
 from vlp16emu.types import PacketKind
 from vlp16emu.units import HOUR_NS, MS_NS, US_NS
-from vlp16emu.validator.rules import Findings, Rule
+from vlp16emu.validator.rules import Findings, Level, Rule
 
-__all__ = ["HOUR_US", "JITTER_US", "SENTENCE_OFFSET", "ClockWatch", "check_frame", "kind_of", "wrap_hour_us"]
+__all__ = [
+    "HOUR_US",
+    "JITTER_US",
+    "SENTENCE_OFFSET",
+    "ClockWatch",
+    "check_frame",
+    "is_rewritten",
+    "kind_of",
+    "wrap_hour_us",
+]
 
 Microseconds = TypeVar("Microseconds", int, NDArray[np.int64])
 
@@ -84,6 +93,9 @@ _PAYLOAD_BYTES = {PacketKind.DATA: DATA_BYTES, PacketKind.POSITION: POSITION_BYT
 _TTL = {PacketKind.DATA: DATA_TTL, PacketKind.POSITION: POSITION_TTL}
 _FLAGS = {PacketKind.DATA: dpkt.ip.IP_DF, PacketKind.POSITION: 0}
 _HEADER_FAULTS_CACHED = 64
+_VELOVIEW = bytes.fromhex("607688000000 0800 4500 04d2 0000 4000 ff11 b4aa c0a801c8")
+"""From the source MAC to the source address: the one header of its old versions for all packets. Source: Kitware/VeloView,
+LidarPlugin/Common/Network/NetworkPacket.cxx; so has a capture of 2014."""
 
 
 def kind_of(datagram: Datagram) -> PacketKind | None:
@@ -116,9 +128,18 @@ def check_frame(datagram: Datagram, kind: PacketKind, findings: Findings) -> boo
     if datagram.source_port != _PORT[kind]:
         found = f"a {kind} packet from {datagram.source_port}"
         findings.add(Rule.PORTS, datagram.number, found, f"from {_PORT[kind]}")
+    if kind is PacketKind.POSITION and is_rewritten(datagram):
+        found = "position header that VeloView writes, that of data packets"
+        findings.add(Rule.HEADER, datagram.number, found, "the sensor's own", Level.NOTE)
+        return True
     for found, expected in _header_faults(datagram, kind):
         findings.add(Rule.HEADER, datagram.number, f"{kind} {found}", expected)
     return True
+
+
+def is_rewritten(datagram: Datagram) -> bool:
+    """Whether VeloView has put its own header around a packet: nothing is known of that of the sensor."""
+    return datagram.header[6:30] == _VELOVIEW
 
 
 def _header_faults(datagram: Datagram, kind: PacketKind) -> tuple[tuple[str, str], ...]:

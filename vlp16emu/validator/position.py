@@ -9,7 +9,7 @@ from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.layout import POSITION_PAYLOAD
 from vlp16emu.types import PpsState
 from vlp16emu.units import MS_NS, S_NS, US_NS
-from vlp16emu.validator.framing import HOUR_US, SENTENCE_OFFSET, ClockWatch
+from vlp16emu.validator.framing import HOUR_US, SENTENCE_OFFSET, ClockWatch, is_rewritten
 from vlp16emu.validator.rules import Findings, Rule
 
 __all__ = ["PositionRules"]
@@ -82,7 +82,7 @@ class PositionRules:
 
     def _check_counter(self, datagram: Datagram) -> None:
         """Hold the identification to its count of position packets."""
-        if self._before is None:
+        if self._before is None or is_rewritten(datagram):
             return
         ahead = (datagram.identification - self._before.identification) % 0x10000
         most = 1 + max(datagram.stamp_ns - self._before.stamp_ns, 0) // _SHORTEST_INTERVAL_NS

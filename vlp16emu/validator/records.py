@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE
 from vlp16emu.packets.layout import (
     AZIMUTH_CODES,
     BLOCK_FLAG,
@@ -13,7 +14,7 @@ from vlp16emu.packets.layout import (
     RETURN_MODE_BYTE,
 )
 from vlp16emu.validator.framing import HOUR_US
-from vlp16emu.validator.rules import Findings, Rule
+from vlp16emu.validator.rules import Findings, Level, Rule
 
 __all__ = ["DataChunk", "check_factory", "check_records"]
 
@@ -48,7 +49,10 @@ def check_factory(number: int, factory: bytes, before: bytes, findings: Findings
     if factory[0] not in RETURN_MODE_BYTE.values():
         findings.add(Rule.FACTORY, number, f"return mode 0x{factory[0]:02x}", "0x37, 0x38 or 0x39")
     if factory[1] not in FACTORY_BYTE.values():
-        findings.add(Rule.FACTORY, number, f"product 0x{factory[1]:02x}", "0x22 or 0x24")
+        # In the first packet it may be that of a unit from before release; a change to it is an error below.
+        old = factory[1] == PRODUCT_BEFORE_RELEASE and before[1:] in (b"", factory[1:])
+        level = Level.NOTE if old else Level.ERROR
+        findings.add(Rule.FACTORY, number, f"product 0x{factory[1]:02x}", "0x22 or 0x24", level)
     if before:
         findings.add(Rule.FACTORY, number, f"bytes {factory.hex(' ')}", f"{before.hex(' ')} as before")
 
@@ -84,13 +88,16 @@ def _check_ranges(payload: NDArray[np.void], number: NDArray[np.int64], findings
         return f"{int(flag[i, block]).to_bytes(2, 'little').hex(' ')} at block {block}"
 
     findings.add_where(Rule.FLAG, np.any(bad_flag, axis=1), number, found_flag, "ff ee")
-    findings.add_where(
-        Rule.AZIMUTH_RANGE,
-        np.any(azimuth_cdeg >= AZIMUTH_CODES, axis=1),
-        number,
-        lambda i: f"azimuth {azimuth_cdeg[i].max()} at block {azimuth_cdeg[i].argmax()}",
-        f"0 .. {AZIMUTH_CODES - 1}",
-    )
+    most_cdeg = azimuth_cdeg.max(axis=1)
+    for wrong, level in ((most_cdeg > AZIMUTH_CODES, Level.ERROR), (most_cdeg == AZIMUTH_CODES, Level.NOTE)):
+        findings.add_where(
+            Rule.AZIMUTH_RANGE,
+            wrong,
+            number,
+            lambda i: f"azimuth {most_cdeg[i]} at block {azimuth_cdeg[i].argmax()}",
+            f"0 .. {AZIMUTH_CODES - 1}",
+            level,
+        )
     findings.add_where(
         Rule.TIME_RANGE,
         timestamp_us >= HOUR_US,

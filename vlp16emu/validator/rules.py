@@ -8,7 +8,16 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Finding", "Findings", "Rule"]
+__all__ = ["Finding", "Findings", "Level", "Rule"]
+
+
+class Level(StrEnum):
+    """How much a finding weighs."""
+
+    ERROR = "error"
+    """No sensor sends it."""
+    NOTE = "note"
+    """Real units or recorders have sent it, but no unit with firmware 3 does."""
 
 
 class Rule(StrEnum):
@@ -100,9 +109,11 @@ class Finding:
     """Number of the frame in the capture, from 1, as Wireshark counts."""
     found: str
     expected: str
+    level: Level = Level.ERROR
 
     def __str__(self) -> str:
-        return f"packet {self.packet}: {self.rule}: {self.found}; expected {self.expected}"
+        rule = f"{self.rule} (note)" if self.level is Level.NOTE else self.rule
+        return f"packet {self.packet}: {rule}: {self.found}; expected {self.expected}"
 
 
 class Findings:
@@ -116,13 +127,16 @@ class Findings:
     def __init__(self, limit_per_rule: int) -> None:
         self._limit = limit_per_rule
         self.counts = Counter[Rule]()
+        """Of errors."""
+        self.notes = Counter[Rule]()
         self.kept: list[Finding] = []
 
-    def add(self, rule: Rule, packet: int, found: str, expected: str) -> None:
+    def add(self, rule: Rule, packet: int, found: str, expected: str, level: Level = Level.ERROR) -> None:
         """Add one finding."""
-        self.counts[rule] += 1
-        if self.counts[rule] <= self._limit:
-            self.kept.append(Finding(rule, packet, found, expected))
+        counts = self.notes if level is Level.NOTE else self.counts
+        counts[rule] += 1
+        if counts[rule] <= self._limit:
+            self.kept.append(Finding(rule, packet, found, expected, level))
 
     def add_where(
         self,
@@ -131,6 +145,7 @@ class Findings:
         packets: NDArray[np.int64],
         found: Callable[[int], str],
         expected: str,
+        level: Level = Level.ERROR,
     ) -> None:
         """Add a finding for each element that is true.
 
@@ -143,6 +158,7 @@ class Findings:
         where = np.flatnonzero(broken)
         if not len(where):
             return
-        room = max(self._limit - self.counts[rule], 0)
-        self.counts[rule] += len(where)
-        self.kept.extend(Finding(rule, int(packets[i]), found(int(i)), expected) for i in where[:room])
+        counts = self.notes if level is Level.NOTE else self.counts
+        room = max(self._limit - counts[rule], 0)
+        counts[rule] += len(where)
+        self.kept.extend(Finding(rule, int(packets[i]), found(int(i)), expected, level) for i in where[:room])

@@ -63,13 +63,15 @@ class Verification:
     is_cut: bool
     """The file ends in the middle of a packet, as that of a killed program may; the rest has been checked."""
     counts: Mapping[Rule, int]
-    """Findings of each broken rule."""
+    """Errors of each broken rule."""
+    notes: Mapping[Rule, int]
+    """Findings of each rule that units before firmware 3, or programs that record them, do not keep."""
     findings: tuple[Finding, ...]
     """The first findings of each rule, by packet number."""
 
     @property
     def is_clean(self) -> bool:
-        """No rule is broken."""
+        """No rule is broken; there may be notes."""
         return not self.counts
 
 
@@ -210,6 +212,7 @@ class _Check:
             rpm=self._sweep.rpm,
             is_cut=capture.cut,
             counts=dict(self._findings.counts),
+            notes=dict(self._findings.notes),
             findings=tuple(sorted(self._findings.kept, key=lambda finding: finding.packet)),
         )
 

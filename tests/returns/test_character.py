@@ -1,0 +1,68 @@
+"""What makes units differ in their returns: beat, odd codes, reflectivity and no-returns."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from vlp16emu.returns.detect import detect
+
+
+@pytest.fixture
+def wall(detector, firings, pulses, table):
+    """Detect a wall of some reflectance 10 m away, in front of a unit with some noise."""
+
+    def see(noise, k=400, *, index=0, range_m=10.0, reflectance=0.7, seed=1):
+        unit = detector(noise, seed=seed)
+        return detect(firings(k, index), pulses(k, [range_m]), table(reflectance), unit, truth=False)
+
+    return see
+
+
+def test_the_beat_repeats_every_five_pulses(wall):
+    """The range of a wall has five values, by (24 sequence + laser) mod 5, also where a run begins elsewhere."""
+    noise = {"range_beat_m": 0.006, "range_beat_phase_deg": 0.0}
+    seen_m = wall(noise, 20, index=7).distance_m[..., 0]
+    slot = (24 * np.arange(7, 27)[:, None] + np.arange(16)) % 5
+    by_slot = [np.unique(seen_m[slot == s]) for s in range(5)]
+    assert [len(values) for values in by_slot] == [1] * 5
+    first_mm = float(by_slot[0][0] - 10.0) * 1e3
+    assert first_mm == pytest.approx(6.0 * (1.0 + 0.25 * np.cos(np.radians(85.0))), abs=0.01)
+
+
+def test_odd_codes_have_their_share(wall):
+    """Over a smooth spread of ranges each laser's share of odd codes is that of the unit, by the binomial law."""
+    noise = {"odd_codes_spread": 0.15, "range_noise_m": 0.02}
+    odd = np.rint(wall(noise, 3000).distance_m[..., 0].astype(float) * 500) % 2
+    plain = np.rint(wall({"range_noise_m": 0.02}, 3000).distance_m[..., 0].astype(float) * 500) % 2
+    assert 0.08 < odd.mean(axis=0).std() < 0.25
+    assert stats.binomtest(int(plain.sum()), plain.size).pvalue > 1e-3
+    assert abs(plain.mean(axis=0) - 0.5).max() < 0.04
+
+
+def test_bright_codes_are_coarse_and_dark_ones_sticky(wall):
+    """Of a bright wall neighbours are a step apart; of a dark one nearly all are equal."""
+    noise = {
+        "reflectivity_noise": 0.3,
+        "reflectivity_noise_share": 0.028,
+        "reflectivity_step": 2.0,
+        "range_noise_m": 0.0058,
+    }
+    bright = wall(noise, reflectance=0.8).reflectivity[..., 0].astype(int)
+    assert set(np.unique(bright % 2)) == {0}
+    assert bright.std() == pytest.approx(0.3 + 0.028 * 80, rel=0.1)
+    dark = wall(noise, reflectance=0.02).reflectivity[..., 0].astype(int)
+    assert (np.diff(dark, axis=0) == 0).mean() > 0.6
+
+
+def test_no_returns_wander_through_multiples(wall):
+    """They are the laser's constant or multiples of it, mostly equal to their neighbour, and the same however a run is cut."""
+    noise = {"no_return_reflectivity": True, "no_return_wander": 10.0}
+    codes = wall(noise, 4000, range_m=np.inf).reflectivity[..., 0]
+    changes = (np.diff(codes.astype(int), axis=0) != 0).mean()
+    assert 0.002 < changes < 0.3
+    assert (codes > 0).all()
+    least = codes.min(axis=0)
+    assert ((codes > least) & (codes < 100)).mean() > 0.05
+    np.testing.assert_array_equal(
+        codes[1111:], wall(noise, 2889, index=1111, range_m=np.inf).reflectivity[..., 0]
+    )

@@ -1,0 +1,103 @@
+"""`vlp16emu compare` and `vlp16emu fit`: what distinguishes two units, and the settings of one."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vlp16emu.cli.arguments import AsJson, CaptureFile
+from vlp16emu.cli.terminal import print_json, print_rows
+
+if TYPE_CHECKING:
+    from vlp16emu.compare import Compared
+
+__all__ = ["compare", "fit"]
+
+
+def compare(
+    file: CaptureFile,
+    other: CaptureFile,
+    *,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            "--picture", metavar="OUT.png", help="Draw spectra and histograms; needs the extra 'picture'."
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare two captures, ours or real ones, by what distinguishes units.
+
+    Each statistic comes with the difference as a multiple of the spread of real units; above 1 real units do not differ so much. A
+    minute of each capture is read at most. Scatter of ranges and of reflectivity also depends on what a capture shows:
+    walls compare with walls, foliage with foliage.
+    """
+    from vlp16emu.compare import compared, draw, read_sequences
+    from vlp16emu.errors import spare
+    from vlp16emu.output import OutputFile
+    from vlp16emu.report.forest import check_matplotlib
+
+    if picture is not None:
+        check_matplotlib()
+        spare((file, other), picture)
+    sequences = read_sequences(file), read_sequences(other)
+    rows = compared(*sequences)
+    if picture is not None:
+        with OutputFile(picture, where=f"--picture {picture}") as output, output.writing() as opened:
+            draw(opened, *sequences, (file.name, other.name))
+    apart = [row.name for row in rows if row.apart]
+    if as_json:
+        found = [row._asdict() for row in rows]
+        print_json({"files": [str(file), str(other)], "apart": apart, "statistics": found})
+        return
+    print_rows(
+        f"{file} and {other}",
+        {"": "     first     second   distance", **{row.name: _line(row) for row in rows}},
+    )
+    print(f"{len(apart)} of {len(rows)} statistics differ by more than real units do")
+
+
+def _line(row: "Compared") -> str:
+    """Write a statistic for people."""
+    unlike = [name for name, is_unlike in zip(("first", "second"), row.unlike, strict=True) if is_unlike]
+    notes = (["differs"] if row.apart else []) + [f"{name} like no real unit" for name in unlike]
+    return f"{row.first:10.4g} {row.second:10.4g} {row.distance:10.2f}  {', '.join(notes)}".rstrip()
+
+
+def fit(
+    file: CaptureFile,
+    *,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="UNIT.toml", help="Write them to a file instead.")
+    ] = None,
+) -> None:
+    """Print the [noise] and [sensor] tables of the unit that made a capture, for a scene file.
+
+    The beat of its ranges has the phase of the capture's first pulse. A minute is read at most.
+    """
+    from vlp16emu.compare import fitted, read_sequences
+    from vlp16emu.errors import spare
+    from vlp16emu.output import OutputFile
+
+    if out is not None:
+        spare((file,), out)
+    text = _toml(fitted(read_sequences(file)))
+    if out is None:
+        print(text, end="")
+        return
+    with OutputFile(out, where=f"--out {out}") as output, output.writing() as opened:
+        opened.write(text.encode())
+    print(f"wrote {out}")
+
+
+def _toml(tables: dict[str, dict[str, object]]) -> str:
+    """Write tables of numbers, texts and truths."""
+    lines = []
+    for name, table in tables.items():
+        lines.append(f"[{name}]")
+        for key, value in table.items():
+            lines.append(
+                f"{key} = {str(value).lower() if isinstance(value, bool) else repr(value)}".replace("'", '"')
+            )
+        lines.append("")
+    return "\n".join(lines)

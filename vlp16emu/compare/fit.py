@@ -1,0 +1,91 @@
+"""From a capture to the settings of the unit that made it."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from vlp16emu.compare.sequences import Sequences
+from vlp16emu.compare.statistics import (
+    Statistics,
+    beat_of,
+    hum_cdeg,
+    local,
+    smooth_of,
+    statistics_of,
+    turning_of,
+)
+from vlp16emu.returns import Noise
+from vlp16emu.sensor import Sensor
+
+__all__ = ["fitted"]
+
+_QUANTUM_CDEG = 1.0 / math.sqrt(12.0)
+_LEVEL = 80.0
+"""Reflectivity in the middle of those whose neighbours are compared."""
+_STEP, _FLOOR = 2.0, 0.3
+"""Of reflectivity codes, and their noise in the dark: those of the preset `unit`."""
+_SET_RPM = 60
+
+Table = Mapping[str, object]
+
+
+def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
+    """Find the `[noise]` and `[sensor]` keys of the unit that made a capture.
+
+    Bias and gain of each laser are not among them: without a target at a known place nothing shows them. A mean speed that
+    is off is given as the spread from which a unit's own is drawn.
+
+    Returns
+    -------
+    Tables by name, checked against the scene's own limits
+    """
+    noise, sensor = _noise(sequences, statistics_of(sequences)), _rotor(sequences)
+    return {"noise": _checked(Noise, noise), "sensor": _checked(Sensor, sensor)}
+
+
+def _noise(sequences: Sequences, found: Statistics) -> Table:
+    """Find the keys of `[noise]`, as far as the capture shows them."""
+    out: dict[str, object] = {"preset": "unit"}
+    if (smooth := smooth_of(sequences)) is not None:
+        sine, _ = beat_of(smooth)
+        out["range_noise_m"] = round(found["range.sigma_without_beat_mm"] * 1e-3, 5)
+        out["range_beat_m"] = round(float(abs(sine)) * 1e-3, 5)
+        out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
+    if equal := found.get("reflectivity.equal_60_99"):
+        # Of two values with white noise, rounded to a step: how often they are equal.
+        sigma = _STEP / (2.0 * math.sqrt(math.pi) * equal)
+        out["reflectivity_noise_share"] = round(max(sigma - _FLOOR, 0.0) / _LEVEL, 4)
+    if "residue.odd_spread" in found:
+        out["odd_codes_spread"] = round(found["residue.odd_spread"], 3)
+    if "no_return.above_0" in found:
+        out["no_return_reflectivity"] = found["no_return.above_0"] > 0.5
+    return out
+
+
+def _rotor(sequences: Sequences) -> Table:
+    """Find the keys of the rotor in `[sensor]`."""
+    turning = turning_of(sequences)
+    hum = hum_cdeg(sequences, turning.rest_cdeg)
+    set_rpm = _SET_RPM * round(turning.rpm / _SET_RPM)
+    # Nine values around each take a ninth of white noise.
+    white = local(turning.rest_cdeg).var() * 9.0 / 8.0 - _QUANTUM_CDEG**2 - 0.5 * hum**2
+    once, twice = turning.once_cdeg, turning.twice_cdeg
+    return {
+        "preset": "unit",
+        "rotation_spread": 0.0,
+        "rpm": set_rpm,
+        "return_mode": "dual" if sequences.is_dual else "strongest",
+        "eccentricity_deg": round(abs(once) / 100, 4),
+        "eccentricity_phase_deg": round(math.degrees(math.atan2(-once.real, once.imag)) % 360.0, 1) % 360.0,
+        "twice_per_turn_deg": round(abs(twice) / 100, 4),
+        "hum_deg": round(hum / 100, 5),
+        "azimuth_noise_deg": round(math.sqrt(max(white, 0.0)) / 100, 5),
+        "speed_error_rpm": round(abs(turning.rpm - set_rpm) * 600.0 / set_rpm, 3),
+    }
+
+
+def _checked(kind: type[Noise] | type[Sensor], table: Table) -> dict[str, object]:
+    """Hold a table against the limits of its section."""
+    kind.model_validate(table)
+    return dict(table)

@@ -1,0 +1,99 @@
+"""A capture as firing sequences, numbered through gaps."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import CaptureError
+from vlp16emu.packets.capture import Capture
+from vlp16emu.packets.layout import (
+    BLOCK_PERIOD_NS,
+    BLOCKS_PER_PACKET,
+    DATA_BYTES,
+    DATA_PAYLOAD,
+    RETURN_MODE_BYTE,
+    SEQUENCES_PER_BLOCK,
+    CapturedUnit,
+)
+from vlp16emu.types import ReturnMode
+from vlp16emu.units import HOUR_NS, US_NS
+
+__all__ = ["Sequences", "read_sequences"]
+
+_LEAST_PACKETS = 80
+"""One revolution at 600 rpm has 75."""
+_MOST_PACKETS = 50_000
+"""One minute; more would change no figure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sequences:
+    """n firing sequences of b blocks and p packets; in dual return, of the odd blocks."""
+
+    number: NDArray[np.int64]
+    """(n,) from 0, in units of 55.296 us: lost packets leave gaps."""
+    distance_lsb: NDArray[np.int64]
+    """(n, 16)."""
+    reflectivity: NDArray[np.int64]
+    """(n, 16)."""
+    azimuth_cdeg: NDArray[np.int64]
+    """(b,) without the jump at north: it goes on rising."""
+    block: NDArray[np.int64]
+    """(b,) number of the blocks, in units of 110.592 us."""
+    clock_ns: NDArray[np.int64]
+    """(p,) the sensor's clock, hours added."""
+    stamp_ns: NDArray[np.int64]
+    """(p,) of the capture."""
+    is_dual: bool
+
+
+def read_sequences(path: Path, unit: CapturedUnit | None = None) -> Sequences:
+    """Read a minute of a capture at most; product and mode bytes of old firmware are not looked at.
+
+    Raises
+    ------
+    CaptureError
+        where it is none, or holds less than a revolution of a VLP-16, or its return mode changes
+    """
+    payloads, stamps_ns = [], []
+    with Capture(path) as capture:
+        for datagram in capture:
+            if len(datagram.payload) != DATA_BYTES or not (unit is None or unit.owns(datagram)):
+                continue
+            payloads.append(datagram.payload)
+            stamps_ns.append(datagram.stamp_ns)
+            if len(payloads) == _MOST_PACKETS:
+                break
+    if len(payloads) < _LEAST_PACKETS:
+        raise CaptureError(str(path), f"{len(payloads)} data packets", f"{_LEAST_PACKETS} at least")
+    fields = np.frombuffer(b"".join(payloads), DATA_PAYLOAD)
+    if len(modes := np.unique(fields["return_mode"])) > 1:
+        raise CaptureError(str(path), f"{len(modes)} return modes", "one")
+    return _numbered(path, fields, np.array(stamps_ns, np.int64))
+
+
+def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: NDArray[np.int64]) -> Sequences:
+    """Count sequences and blocks by the time stamps of packets."""
+    dual = bool(fields["return_mode"][0] == RETURN_MODE_BYTE[ReturnMode.DUAL])
+    blocks = fields["blocks"][:, 1::2] if dual else fields["blocks"]
+    per_packet = BLOCKS_PER_PACKET // 2 if dual else BLOCKS_PER_PACKET
+    clock_ns = fields["timestamp_us"].astype(np.int64) * US_NS
+    since_ns = np.cumsum(np.diff(clock_ns, prepend=clock_ns[:1]) % HOUR_NS)
+    packet = np.rint(since_ns / (per_packet * BLOCK_PERIOD_NS)).astype(np.int64)
+    if (np.diff(packet) < 1).any():
+        raise CaptureError(str(path), "time stamps that stand still or fall", "those of one sensor in order")
+    block = (packet[:, None] * per_packet + np.arange(per_packet)).ravel()
+    number = (block[:, None] * SEQUENCES_PER_BLOCK + np.arange(SEQUENCES_PER_BLOCK)).ravel()
+    records, azimuth_deg = blocks["records"], blocks["azimuth_cdeg"].ravel() / 100
+    return Sequences(
+        number=number,
+        distance_lsb=records["distance_lsb"].reshape(len(number), -1).astype(np.int64),
+        reflectivity=records["reflectivity"].reshape(len(number), -1).astype(np.int64),
+        azimuth_cdeg=np.rint(100 * np.unwrap(azimuth_deg, period=360.0)).astype(np.int64),
+        block=block,
+        clock_ns=clock_ns[0] + since_ns,
+        stamp_ns=stamp_ns,
+        is_dual=dual,
+    )

@@ -1,0 +1,230 @@
+"""Statistics of a unit, from its packets alone, which depend little on what stood before it.
+
+Ranges are held against a cubic through fifteen pulses of the same laser, where all of them met a smooth surface. Each
+statistic is absent where the capture has too little for it.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from vlp16emu.compare.sequences import Sequences
+from vlp16emu.packets.layout import BLOCK_PERIOD_NS
+from vlp16emu.units import S_NS, US_NS
+
+__all__ = [
+    "Smooth",
+    "Statistics",
+    "Turning",
+    "beat_of",
+    "hum_cdeg",
+    "local",
+    "smooth_of",
+    "statistics_of",
+    "turning_of",
+]
+
+_WINDOW = 15
+_SMOOTHEST_MM, _FARTHEST_MM = 20.0, 35.0
+"""Least scatter and residual in a window from which on a surface is no smooth one."""
+_SLOTS = 5
+_LEAST = 500
+"""Records, from which on a statistic is worth its name."""
+_HUM_CYCLES_PER_BLOCK = 0.16
+_SAME_SURFACE_LSB = 40
+_MOST_COUNTS = 15
+
+Statistics = dict[str, float]
+
+
+class Smooth:
+    """Residuals of the ranges on smooth surfaces, in mm, with their slot of the beat.
+
+    Parameters
+    ----------
+    sequences : of one capture
+    """
+
+    def __init__(self, sequences: Sequences) -> None:
+        powers = np.vander(np.arange(_WINDOW) - _WINDOW // 2, 4).astype(float)
+        smoother = powers @ np.linalg.pinv(powers)
+        centre = _WINDOW // 2
+        span = sliding_window_view(sequences.number, _WINDOW)
+        gapless = span[:, -1] - span[:, 0] == _WINDOW - 1
+        residuals, slots = [], []
+        for laser in range(sequences.distance_lsb.shape[1]):
+            codes = sliding_window_view(sequences.distance_lsb[:, laser], _WINDOW)[gapless]
+            numbers = span[gapless, centre]
+            seen = (codes > 0).all(axis=1)
+            rest_mm = 2.0 * (codes[seen] @ (np.eye(_WINDOW) - smoother))
+            smooth = (rest_mm.std(axis=1) < _SMOOTHEST_MM) & (np.abs(rest_mm).max(axis=1) < _FARTHEST_MM)
+            residuals.append(rest_mm[smooth, centre])
+            slots.append((24 * numbers[seen][smooth] + laser) % _SLOTS)
+        self.residual_mm = np.concatenate(residuals)
+        """(r,)."""
+        self.slot = np.concatenate(slots)
+        """(r,) of the beat, 0 to 4, from the first pulse of the capture."""
+        own = (np.eye(_WINDOW) - smoother)[centre]
+        self.white_gain = math.sqrt(float((own**2).sum()))
+        """Share of white noise that is left in a residual."""
+        self.own = own
+        """(15,) weight of each pulse of a window in the residual of its middle."""
+
+
+def smooth_of(sequences: Sequences) -> Smooth | None:
+    """Take the residuals of a capture; None where it shows too little of smooth surfaces."""
+    smooth = Smooth(sequences)
+    return smooth if len(smooth.slot) >= _LEAST else None
+
+
+def beat_of(smooth: Smooth) -> NDArray[np.complex128]:
+    """Find the beat of period five: the complex amplitudes of the sine and of its overtone, (2,) mm."""
+    means_mm = np.array([smooth.residual_mm[smooth.slot == slot].mean() for slot in range(_SLOTS)])
+    seen = np.fft.fft(means_mm)[1:3] * 2.0 / _SLOTS
+    # From one sequence to the next the slot falls by one: by so much the smoothing has taken of each.
+    steps = np.arange(_WINDOW) - _WINDOW // 2
+    left = [abs(np.sum(smooth.own * np.exp(2j * np.pi * k * steps / _SLOTS))) for k in (1, 2)]
+    return np.asarray(seen / left)
+
+
+def statistics_of(sequences: Sequences) -> Statistics:
+    """Find all statistics that a capture has, by name."""
+    every = (
+        _range_noise(sequences)
+        | _reflectivity(sequences)
+        | _silence(sequences)
+        | _rotation(sequences)
+        | _residues(sequences)
+        | _stamps(sequences)
+    )
+    return {name: float(value) for name, value in every.items() if math.isfinite(value)}
+
+
+def _range_noise(sequences: Sequences) -> Statistics:
+    """Beat and white noise of ranges."""
+    smooth = smooth_of(sequences)
+    if smooth is None:
+        return {}
+    beat = beat_of(smooth)
+    rest = (
+        smooth.residual_mm
+        - np.bincount(smooth.slot, smooth.residual_mm)[smooth.slot] / np.bincount(smooth.slot)[smooth.slot]
+    )
+    return {
+        "range.beat_mm": abs(beat[0]),
+        "range.sigma_mm": smooth.residual_mm.std() / smooth.white_gain,
+        "range.sigma_without_beat_mm": rest.std() / smooth.white_gain,
+    }
+
+
+def _reflectivity(sequences: Sequences) -> Statistics:
+    """Equal neighbours and scatter by level, and how rugged the histogram is."""
+    d, r = sequences.distance_lsb, sequences.reflectivity
+    near = (d[1:] > 0) & (d[:-1] > 0) & (np.abs(np.diff(d, axis=0)) < _SAME_SURFACE_LSB)
+    change, level, out = np.diff(r, axis=0), r[:-1], {}
+    for name, low, high in (("1_4", 1, 4), ("20_59", 20, 59), ("60_99", 60, 99)):
+        of = change[near & (level >= low) & (level <= high)]
+        if len(of) >= _LEAST:
+            out[f"reflectivity.equal_{name}"] = (of == 0).mean()
+            out[f"reflectivity.scatter_{name}"] = of[np.abs(of) <= _MOST_COUNTS].std() / math.sqrt(2.0)
+    codes = np.bincount(r[d > 0], minlength=100)[50:100]
+    if codes.sum() >= 10 * _LEAST:
+        out["reflectivity.comb"] = np.abs(np.diff(codes, 2)).mean() / codes.mean()
+    return out
+
+
+def _silence(sequences: Sequences) -> Statistics:
+    """Find what records without a return carry."""
+    silent, r = sequences.distance_lsb == 0, sequences.reflectivity
+    both = silent[1:] & silent[:-1]
+    if both.sum() < _LEAST:
+        return {}
+    return {
+        "no_return.above_0": (r[silent] > 0).mean(),
+        "no_return.equal": (r[1:] == r[:-1])[both].mean(),
+        "no_return.mean": r[silent].mean(),
+    }
+
+
+class Turning(NamedTuple):
+    """The readings of the encoder against an even turn that changes its speed evenly."""
+
+    rpm: float
+    """Mean."""
+    once_cdeg: complex
+    """Amplitudes of the sine (imaginary) and the cosine (real) of the azimuth."""
+    twice_cdeg: complex
+    rest_cdeg: NDArray[np.float64]
+    """(b,) what is left."""
+
+
+def turning_of(sequences: Sequences) -> Turning:
+    """Find speed and errors that repeat with the turn."""
+    azimuth, block = sequences.azimuth_cdeg, sequences.block
+    span = block / block[-1]
+    turn = 2.0 * np.pi * azimuth / 36_000
+    columns = [
+        np.ones(len(block)),
+        span,
+        span**2,
+        np.cos(turn),
+        np.sin(turn),
+        np.cos(2 * turn),
+        np.sin(2 * turn),
+    ]
+    basis = np.stack(columns, axis=1)
+    found, *_ = np.linalg.lstsq(basis, azimuth.astype(float), rcond=None)
+    rpm = (azimuth[-1] - azimuth[0]) / 36_000 / (block[-1] * BLOCK_PERIOD_NS / S_NS) * 60
+    return Turning(float(rpm), complex(*found[3:5]), complex(*found[5:7]), azimuth - basis @ found)
+
+
+def hum_cdeg(sequences: Sequences, rest_cdeg: NDArray[np.float64]) -> float:
+    """Find the amplitude of the line at 1447 Hz in the residuals of the azimuth."""
+    wave = np.exp(2j * np.pi * _HUM_CYCLES_PER_BLOCK * sequences.block)
+    return float(2.0 * abs(np.mean(local(rest_cdeg) * local(wave))))
+
+
+def local(series: NDArray[Any]) -> NDArray[Any]:
+    """Take a series without its ends, less the mean of nine around each value."""
+    return np.asarray(series[9:-9] - np.convolve(series, np.ones(9) / 9, "same")[9:-9])
+
+
+def _rotation(sequences: Sequences) -> Statistics:
+    """Speed, errors that repeat with the turn, the hum, and the noise of readings."""
+    azimuth, block = sequences.azimuth_cdeg, sequences.block
+    rpm, once, twice, rest = turning_of(sequences)
+    step = np.diff(azimuth)[np.diff(block) == 1]
+    mode = int(np.bincount(np.clip(step, 0, None)).argmax())
+    out = {
+        "rotation.speed_off_percent": abs(rpm / (60 * round(rpm / 60)) - 1) * 100,
+        "rotation.once_cdeg": abs(once),
+        "rotation.twice_cdeg": abs(twice),
+        "rotation.hum_cdeg": hum_cdeg(sequences, rest),
+        "rotation.reading_cdeg": local(rest).std(),
+        "rotation.commonest_step": (step == mode).mean(),
+    }
+    turns = (azimuth - azimuth[0]) // 36_000
+    if turns[-1] >= 3:
+        starts = np.searchsorted(turns, np.arange(turns[-1] + 1))
+        each = np.diff(azimuth[starts]) / np.diff(block[starts])
+        out["rotation.speed_sd_percent"] = (each / each.mean()).std() * 100
+    return out
+
+
+def _residues(sequences: Sequences) -> Statistics:
+    """How evenly codes of distance are used."""
+    d = sequences.distance_lsb
+    odd = [(codes[codes > 0] % 2).mean() for codes in d.T if (codes > 0).sum() >= _LEAST]
+    if len(odd) < _SLOTS:
+        return {}
+    by_four = np.bincount(d[d > 0] % 4, minlength=4) / (d > 0).sum()
+    return {"residue.odd_spread": np.std(odd), "residue.mod_4": np.abs(by_four - 0.25).max()}
+
+
+def _stamps(sequences: Sequences) -> Statistics:
+    """How the stamps of the capture follow the sensor's clock."""
+    clock, stamp = sequences.clock_ns - sequences.clock_ns[0], sequences.stamp_ns - sequences.stamp_ns[0]
+    return {"stamp.spacing_us": (np.diff(stamp) - np.diff(clock)).std() / US_NS}

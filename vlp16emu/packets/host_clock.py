@@ -1,0 +1,83 @@
+"""The `[capture]` table: when the host that records packets takes them to have come."""
+
+import math
+from dataclasses import replace
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from vlp16emu.random import Purpose, normal, uniform
+from vlp16emu.settings import Preset
+from vlp16emu.types import Packet
+from vlp16emu.units import US_NS
+
+__all__ = ["CaptureClock", "HostClock"]
+
+_LONGEST_US = 4_500.0
+"""Later than any host that keeps up: `verify` takes 5 ms for a delay of the network."""
+_LANES_PER_UNIT = 8
+_PRESETS: dict[str, dict[str, object]] = {
+    "ideal": {},
+    # Spacing of arrivals differs by 14 us (mrpt) to 34 us (nebula), one sigma: that of two delays.
+    "quiet_pc": {"ppm": 6.0, "jitter_us": 15.0},
+    # Up to 640 us were seen; the law of it is an assumption.
+    "busy_pc": {"ppm": 6.0, "jitter_us": 40.0, "late_share": 0.04, "late_us": 1500.0},
+}
+
+
+class CaptureClock(Preset):
+    """The clock of the host that records; only stamps of pcap files follow it."""
+
+    presets = _PRESETS
+
+    preset: Literal["ideal", "quiet_pc", "busy_pc"] = "ideal"
+    """Values of the keys that are not given beside it; `ideal` stamps packets when they are due."""
+    ppm: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    """How much the host's clock is fast against the sensor's; -8 to 17 in captures of real units."""
+    jitter_us: Annotated[float, Field(ge=0, le=500)] = 0.0
+    """Delay of a stamp, one sigma of the normal law whose absolute value it has."""
+    late_share: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    """Share of packets that the host is late with; those behind them come in a burst."""
+    late_us: Annotated[float, Field(ge=0, le=3000)] = 0.0
+    """Mean of that delay, exponential, up to 4.5 ms."""
+
+
+class HostClock:
+    """Stamps the packets of a recording, in their order.
+
+    A stamp follows from the seed and the packet alone, but where it would be before the one in front of it.
+
+    Parameters
+    ----------
+    section : of the scene
+    seed : of the scene
+    start_ns : UTC of the first pulse, at which both clocks agree
+    """
+
+    def __init__(self, section: CaptureClock, seed: int, start_ns: int) -> None:
+        self._section, self._seed, self._start_ns = section, seed, start_ns
+        self._is_ideal = not (section.ppm or section.jitter_us or section.late_share)
+        self._latest_ns = 0
+
+    def stamped(self, packet: Packet) -> Packet:
+        """Give a packet the instant at which it is captured instead of that at which it is due."""
+        if self._is_ideal:
+            return packet
+        since_ns = packet.due_ns - self._start_ns
+        moved_ns = round(since_ns * self._section.ppm * 1e-6 + self._delay_us(packet) * US_NS)
+        self._latest_ns = max(self._latest_ns, packet.due_ns + moved_ns)
+        return replace(packet, due_ns=self._latest_ns)
+
+    def _delay_us(self, packet: Packet) -> float:
+        """Draw by how much a packet is late."""
+        section, number = self._section, packet.due_ns // US_NS
+        lane = packet.unit * _LANES_PER_UNIT + list(type(packet.kind)).index(packet.kind)
+        delay_us = section.jitter_us * abs(
+            float(normal(self._seed, Purpose.CAPTURE_STAMP, number, 1, lane)[0])
+        )
+        is_late, how = (
+            float(uniform(self._seed, Purpose.CAPTURE_LATE, 2 * number + i, 1, lane)[0]) for i in (0, 1)
+        )
+        if is_late < section.late_share:
+            delay_us += -section.late_us * math.log(1.0 - how)
+        return min(delay_us, _LONGEST_US)
