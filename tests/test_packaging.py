@@ -135,4 +135,7 @@ def test_the_set_up_refuses_an_extra_that_is_none(set_up):
     """Another word than an extra is named with those there are, and nothing is installed."""
     done, calls, _ = set_up("nope")
     assert (done.returncode, calls) == (2, [])
-    assert done.stderr == "error: nope: no such extra; expected one of bench, cloud, cluster, data, dem, images, picture, ros, dev\n"
+    assert (
+        done.stderr
+        == "error: nope: no such extra; expected one of bench, cloud, cluster, data, dem, images, picture, ros, dev\n"
+    )
