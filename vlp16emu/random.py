@@ -82,6 +82,7 @@ class Purpose(IntEnum):
     AZIMUTH_PATTERN = 104
     CAPTURE_STAMP = 105
     CAPTURE_LATE = 106
+    SCORE_DISK = 92
 
 
 _Word = int | np.uint32

@@ -24,6 +24,7 @@ from vlp16emu.cli.points import points
 from vlp16emu.cli.record import record
 from vlp16emu.cli.replay import replay
 from vlp16emu.cli.scenes import scenes, schema
+from vlp16emu.cli.score import score
 from vlp16emu.cli.stream import stream
 from vlp16emu.cli.terminal import ENDINGS, INTERRUPTED
 from vlp16emu.cli.truth import truth
@@ -64,6 +65,9 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
     dataset: """\b
   vlp16emu dataset bench_set.toml bench_set
   vlp16emu dataset bench_set.toml bench_set --workers 0""",
+    score: """\b
+  vlp16emu score truth --trajectory estimate.tum --align se3 --out report --require "ate_m<0.3"
+  vlp16emu score truth --stems stems.csv --inventory trees.csv --truth-points labelled.npz""",
     verify: """\b
   vlp16emu verify walk.pcap
   vlp16emu verify walk.pcap --json""",

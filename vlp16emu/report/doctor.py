@@ -21,6 +21,7 @@ _EXTRAS = {
     "dem": (("tifffile", "imagecodecs"), "heights from GeoTIFF files (world.dem)"),
     "images": (("OpenEXR", "PIL"), "images"),
     "picture": (("matplotlib",), "forest --picture"),
+    "score": (("evo", "matplotlib"), "score"),
 }
 """Libraries of each extra in pyproject.toml, and what needs them."""
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
