@@ -12,7 +12,7 @@ from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.motion.pose_files import RecordedPoses, read_kitti, read_tum
 from vlp16emu.units import S_NS
 
-__all__ = ["ALIGNMENTS", "PathScore", "score_path"]
+__all__ = ["ALIGNMENTS", "RPE_DELTA_M", "PathScore", "score_path"]
 
 Array = NDArray[np.float64]
 
