@@ -10,7 +10,7 @@ from vlp16emu.cli import app
 from vlp16emu.errors import InputError
 from vlp16emu.score.card import limits_of
 from vlp16emu.score.clouds import cloud_distances, density_per_m2, uniformity
-from vlp16emu.score.files import Stem, read_stems
+from vlp16emu.score.files import Stem, read_cloud, read_stems
 from vlp16emu.score.trees import box_scores, instance_scores, leaf_wood_scores, match_stems, stem_scores
 
 POINTS = "x,y,z,semantic,part,leaf_wood,instance\n"
@@ -235,3 +235,25 @@ def test_a_wrong_stem_is_named(tmp_path, row):
     (tmp_path / "stems.csv").write_text(f"number,x,y,dbh\n{row}\n")
     with pytest.raises(InputError, match="line 2: found"):
         read_stems(tmp_path / "stems.csv")
+
+
+def test_clouds_of_other_tools_are_read(tmp_path):
+    """An ASCII PLY, and a LAZ with `treeID` and `leaf_wood` as laspy writes them, give their places and labels."""
+    laspy = pytest.importorskip("laspy")
+    xyz_m = np.random.default_rng(4).random((50, 3))
+    header = laspy.LasHeader(point_format=6)
+    header.scales = [1e-4] * 3
+    header.add_extra_dims([laspy.ExtraBytesParams("treeID", "u4"), laspy.ExtraBytesParams("leaf_wood", "u1")])
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = xyz_m.T
+    las["treeID"], las["leaf_wood"] = np.arange(50), np.full(50, 2)
+    las.write(tmp_path / "a.laz")
+    cloud = read_cloud(tmp_path / "a.laz")
+    np.testing.assert_allclose(cloud["xyz"], xyz_m, atol=6e-5)
+    assert cloud["instance"].tolist() == list(range(50))
+    axes = "".join(f"property double {axis}\n" for axis in "xyz")
+    (tmp_path / "a.ply").write_text(
+        f"ply\nformat ascii 1.0\nelement vertex 2\n{axes}property uchar leaf_wood\nend_header\n1 2 3 1\n4 5 6 2\n"
+    )
+    cloud = read_cloud(tmp_path / "a.ply")
+    assert (cloud["xyz"].tolist(), cloud["leaf_wood"].tolist()) == ([[1, 2, 3], [4, 5, 6]], [1, 2])
