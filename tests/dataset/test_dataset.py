@@ -2,11 +2,13 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -194,6 +196,16 @@ def workers_of(pid):
     )
     rows = [line.split(None, 1) for line in listed.stdout.splitlines()]
     return {int(number) for number, words in rows if "spawn_main" in words}
+
+
+def test_the_dataset_of_the_documents_has_24_walks(tmp_path):
+    """The file that `scenes/OUTPUTS.md` shows is one, and so is that of the four sensors, from one viewpoint."""
+    root = Path(__file__).resolve().parents[2]
+    (text,) = re.findall(r"```toml\n(schema.*?)```", (root / "scenes" / "OUTPUTS.md").read_text(), re.DOTALL)
+    assert len(walks_in(tmp_path, text)) == 24
+    four = walks_in(tmp_path, (root / "tools" / "four_sensors.toml").read_text())
+    assert [walk.scenario.sensor.beams for walk in four] == [8, 16, 64, 256]
+    assert all(walk.scenario.motion == four[0].scenario.motion for walk in four)
 
 
 @pytest.mark.parametrize(
