@@ -2,11 +2,13 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,6 +30,9 @@ sensors = [{ name = "puck" }, { name = "four", set = ["sensor.model=free", "sens
 splits = { train = 0.5, val = 0.0, test = 0.5 }
 """
 DASK = pytest.mark.skipif(find_spec("distributed") is None, reason="dask.distributed is not installed")
+
+
+PUCK_ALONE = SPEC.replace(', { name = "four", set = ["sensor.model=free", "sensor.beams=4"] }', "")
 
 
 def spec_file(folder, text=SPEC):
@@ -99,6 +104,65 @@ def test_only_what_is_missing_or_damaged_is_made_again(made):
     assert scan.read_bytes() == right
 
 
+@pytest.mark.parametrize("layout", ["semantickitti", "pcap+truth"])
+def test_walks_in_stretches_have_the_bytes_of_whole_ones(tmp_path, layout):
+    """Cut within revolutions and packets, a walk gives the same manifest; stretches of a run that ended are kept."""
+    walking = """duration_s=2.5", "motion={kind='walk', way_points_m=[[-8, 0], [4, 0]]}"""
+    text = PUCK_ALONE.replace('duration_s=0.25"', f'{walking}"').replace("semantickitti", layout)
+    (walk, *_) = walks_in(tmp_path, text)
+    whole = make_dataset([walk], tmp_path / "whole", workers=0)
+    with pytest.raises(EndError):
+        make_dataset([walk], tmp_path / "cut", workers=0, stretch_s=0.77, progress=stop_after(1.5))
+    assert len(list((tmp_path / "cut").glob(".stretches/*"))) == 2
+    done_s = []
+    cut = make_dataset([walk], tmp_path / "cut", workers=0, stretch_s=0.77, progress=done_s.append)
+    assert cut.sha256 == whole.sha256
+    np.testing.assert_allclose(done_s, [0, 0.77, 1.54, 2.31, 2.5, 2.5])
+    assert not list((tmp_path / "cut").glob(".stretches"))
+
+
+class EndError(Exception):
+    """Ends a run from its progress."""
+
+
+def stop_after(end_s):
+    """Progress that ends a run."""
+
+    def progress(done_s):
+        if done_s > end_s:
+            raise EndError
+
+    return progress
+
+
+def test_a_capture_of_a_dataset_is_that_of_record(tmp_path):
+    """Capture and truth of a walk in stretches are, byte for byte, those that `record` writes."""
+    (walk, *_) = walks_in(tmp_path, PUCK_ALONE.replace("semantickitti", "pcap+truth"))
+    make_dataset([walk], tmp_path / "out", workers=0, stretch_s=0.1)
+    Emulator(walk.scenario).record(tmp_path / "walk.pcap", truth=tmp_path / "truth")
+    made = tmp_path / "out" / "walks" / "0000"
+    assert (made / "walk.pcap").read_bytes() == (tmp_path / "walk.pcap").read_bytes()
+    names = sorted(file.name for file in (tmp_path / "truth").iterdir())
+    assert sorted(file.name for file in (made / "truth").iterdir()) == names
+    for name in names:
+        assert (made / "truth" / name).read_bytes() == (tmp_path / "truth" / name).read_bytes(), name
+
+
+def test_a_plot_is_a_laz_file_that_others_read(tmp_path):
+    """Points and classes of a plot are those of the scene's points."""
+    laspy = pytest.importorskip("laspy")
+    (walk, *_) = walks_in(tmp_path, SPEC.replace("semantickitti", "las-plots"))
+    make_dataset([walk], tmp_path / "out", workers=0)
+    Emulator(walk.scenario).write_points(tmp_path / "points.npz", truth=True)
+    points, cloud = (
+        np.load(tmp_path / "points.npz"),
+        laspy.read(tmp_path / "out" / "walks" / "0000" / "points.laz"),
+    )
+    np.testing.assert_allclose(cloud.xyz, points["world_m"], atol=1e-3)
+    assert np.array_equal(cloud["instance"], points["instance"])
+    assert set(cloud.classification) >= {2}  # ground
+
+
 @DASK
 def test_workers_that_are_killed_lose_nothing(tmp_path):
     """Two Dask workers, two of which are killed on the way, make the manifest of one process."""
@@ -109,7 +173,7 @@ def test_workers_that_are_killed_lose_nothing(tmp_path):
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
         killed = set()
         while run.poll() is None and len(killed) < 2:
-            started = list(out.glob("sequences/*.part"))
+            started = list(out.glob("*/*.part"))
             workers = workers_of(run.pid) - killed
             if len(started) > 0 and workers:
                 os.kill(worker := workers.pop(), signal.SIGKILL)
@@ -132,6 +196,16 @@ def workers_of(pid):
     )
     rows = [line.split(None, 1) for line in listed.stdout.splitlines()]
     return {int(number) for number, words in rows if "spawn_main" in words}
+
+
+def test_the_dataset_of_the_documents_has_24_walks(tmp_path):
+    """The file that `scenes/OUTPUTS.md` shows is one, and so is that of the four sensors, from one viewpoint."""
+    root = Path(__file__).resolve().parents[2]
+    (text,) = re.findall(r"```toml\n(schema.*?)```", (root / "scenes" / "OUTPUTS.md").read_text(), re.DOTALL)
+    assert len(walks_in(tmp_path, text)) == 24
+    four = walks_in(tmp_path, (root / "tools" / "four_sensors.toml").read_text())
+    assert [walk.scenario.sensor.beams for walk in four] == [8, 16, 64, 256]
+    assert all(walk.scenario.motion == four[0].scenario.motion for walk in four)
 
 
 @pytest.mark.parametrize(

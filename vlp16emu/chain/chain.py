@@ -113,10 +113,7 @@ class Chain:
         for part in unit.sending.parts(start_ns, stop_ns, slots):
             of_mode = replace(unit, detector=unit.detector.for_mode(part.span.mode))
             scan = partial(self._scan, of_mode, truth=self.with_slots)
-            take, together = (
-                partial(part.taken, scan, block),
-                1 if self.prompt or slots else unit.beam.together,
-            )
-            blocks, windows = part.blocks(block), self.windows
-            taken = prefetch(take, windows, blocks=blocks, threads=threads, together=together)
+            take, blocks = partial(part.taken, scan, block), part.blocks(block)
+            together = 1 if self.prompt or slots else unit.beam.together
+            taken = prefetch(take, self.windows, blocks=blocks, threads=threads, together=together)
             yield from part.packets(taken)

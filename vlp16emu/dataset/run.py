@@ -2,13 +2,15 @@
 
 import hashlib
 import json
+import math
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +19,12 @@ from vlp16emu.dataset.spec import DatasetWalk
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
 from vlp16emu.output import OutputFile, lock
+from vlp16emu.units import seconds_to_ns
 
 __all__ = ["DatasetResult", "make_dataset"]
 
 _RECORDS = ".records"
+_STRETCHES = ".stretches"
 _PART = ".part"
 _DEATHS = 10
 """Workers that may die over one walk before the walk is held to be the cause."""
@@ -46,6 +50,7 @@ def make_dataset(
     *,
     workers: int | None = None,
     scheduler: str | None = None,
+    stretch_s: float = 30.0,
     progress: Callable[[float], None] = lambda _: None,
 ) -> DatasetResult:
     """Make the walks of a dataset that are not there yet, and its manifest.
@@ -57,7 +62,9 @@ def make_dataset(
     out : folder, new or of an earlier run; workers of a scheduler see it under the same path
     workers : processes on this machine; 0 is this process alone, which needs no Dask; one per core if left out
     scheduler : address of a Dask scheduler, instead of processes on this machine
-    progress : called with the simulated seconds so far, walk by walk
+    stretch_s : walks that are longer are made in stretches, which are all that a killed worker or run loses; never changes
+        a byte, and is of no use for LAZ
+    progress : called with the simulated seconds so far, stretch by stretch
 
     Raises
     ------
@@ -74,13 +81,17 @@ def make_dataset(
         missing = [walk for walk in walks if walk.number not in there]
         done_s = sum(walk.scenario.duration_s for walk in walks if walk.number in there)
         progress(done_s)
-        run = _here if workers == 0 and scheduler is None else _on_dask
-        for walk in run(missing, out, workers, scheduler) if missing else ():
-            done_s += walk.scenario.duration_s
+        jobs = [_Job(walk, out, stretch_s) for walk in missing]
+        run = _here(jobs) if workers == 0 and scheduler is None else _on_dask(jobs, workers, scheduler)
+        for piece_s in run if jobs else ():
+            done_s += piece_s
             progress(done_s)
         entries = [_read(out / _RECORDS / f"{walk.number}.json") for walk in walks]
         text = json.dumps({"written_by": _written_by(), "walks": entries}, indent=2) + "\n"
         _write(out / "manifest.json", text)
+        shutil.rmtree(
+            out / _STRETCHES, ignore_errors=True
+        )  # what is left is of walks that are no longer wanted
     return DatasetResult(
         manifest=str(out / "manifest.json"),
         sha256=hashlib.sha256(text.encode()).hexdigest(),
@@ -107,29 +118,121 @@ def _folder(out: Path) -> Iterator[None]:
 
 
 def _sweep(out: Path) -> None:
-    """Remove what walks that were not finished have left."""
+    """Remove what walks and stretches that were not finished have left."""
     for left in out.glob(f"*/*{_PART}"):
         shutil.rmtree(left, ignore_errors=True)
 
 
-def _here(
-    walks: Sequence[DatasetWalk], out: Path, _workers: int | None, _scheduler: str | None
-) -> Iterator[DatasetWalk]:
-    """Make walks in this process."""
-    for walk in walks:
-        _make(walk, out, threads=0)
-        yield walk
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """A walk that is to be made; sent to workers."""
+
+    walk: DatasetWalk
+    out: Path
+    stretch_s: float
+
+    @property
+    def spans_s(self) -> list[tuple[float, float]]:
+        """Begin and end of each stretch; none where the layout has the walk made in one piece."""
+        if LAYOUTS[self.walk.layout].stretch is None:
+            return []
+        end_s = self.walk.scenario.duration_s
+        begins_s = [i * self.stretch_s for i in range(math.ceil(end_s / self.stretch_s))]
+        return list(pairwise([*begins_s, end_s]))
+
+    def stretch(self, span_s: tuple[float, float]) -> Path:
+        """Folder of a stretch, by all that decides its bytes."""
+        begin_ns, end_ns = map(seconds_to_ns, span_s)
+        return self.out / _STRETCHES / f"{_digest(_identity(self.walk))}.{begin_ns}.{end_ns}"
+
+    def cut(self, span_s: tuple[float, float], threads: int) -> None:
+        """Make a stretch, if it is not there yet."""
+        cast = LAYOUTS[self.walk.layout].stretch
+        assert cast is not None
+        if not self.stretch(span_s).exists():
+            with self._folder(self.stretch(span_s)) as part:
+                cast(Emulator(self.walk.scenario, threads=threads), span_s, part)
+
+    def join(self, _cuts: Sequence[None], threads: int) -> None:
+        """Write the files of the walk, and then its record; all stretches are there."""
+        stretches = [self.stretch(span_s) for span_s in self.spans_s]
+        final = self.out / walk_folder(self.walk.layout, self.walk.number)
+        emulator = Emulator(self.walk.scenario, threads=threads)
+        with self._folder(final) as part:
+            LAYOUTS[self.walk.layout].walk(emulator, stretches, part)
+            entry = _identity(self.walk) | {
+                "beams": len(emulator.parts.units[0].head.beams.elevation_deg),
+                "files": [_described(path, part) for path in sorted(part.rglob("*")) if path.is_file()],
+            }
+        _write(self.out / _RECORDS / f"{self.walk.number}.json", json.dumps(entry))
+
+    def clear(self) -> None:
+        """Remove the stretches."""
+        for span_s in self.spans_s:
+            shutil.rmtree(self.stretch(span_s), ignore_errors=True)
+
+    @contextmanager
+    def _folder(self, final: Path) -> Iterator[Path]:
+        """Give a folder that takes its name when it is whole."""
+        try:
+            final.parent.mkdir(exist_ok=True)
+            part = Path(tempfile.mkdtemp(_PART, f"{final.name}.", final.parent))
+            part.chmod(0o755)
+            yield part
+            shutil.rmtree(final, ignore_errors=True)
+            part.rename(final)
+        except OSError as error:
+            raise RunError(f"walk {self.walk.name}: {error.strerror}; what is made so far is kept") from None
 
 
-def _on_dask(
-    walks: Sequence[DatasetWalk], out: Path, workers: int | None, scheduler: str | None
-) -> Iterator[DatasetWalk]:
-    """Make walks on the workers of a scheduler, or in processes of this machine; a walk whose worker dies is made again."""
+def _here(jobs: Sequence[_Job]) -> Iterator[float]:
+    """Make walks in this process, and give the simulated seconds of each piece."""
+    for job in jobs:
+        for begin_s, end_s in job.spans_s:
+            job.cut((begin_s, end_s), threads=0)
+            yield end_s - begin_s
+        job.join([], threads=0)
+        job.clear()
+        yield 0.0 if job.spans_s else job.walk.scenario.duration_s
+
+
+def _on_dask(jobs: Sequence[_Job], workers: int | None, scheduler: str | None) -> Iterator[float]:
+    """Make walks on the workers of a scheduler, or in processes of this machine, and give the simulated seconds of each piece.
+
+    A piece whose worker dies is made again.
+    """
+    with _client(workers, scheduler) as client:
+        from distributed import KilledWorker, as_completed
+
+        piece_s: dict[Any, float] = {}
+        joins: dict[Any, tuple[_Job, list[Any]]] = {}
+        for job in jobs:
+            cuts = [client.submit(job.cut, span_s, threads=1, pure=False) for span_s in job.spans_s]
+            piece_s |= {cut: end_s - begin_s for cut, (begin_s, end_s) in zip(cuts, job.spans_s, strict=True)}
+            join = client.submit(job.join, cuts, threads=1, pure=False)
+            piece_s[join] = 0.0 if cuts else job.walk.scenario.duration_s
+            joins[join] = job, cuts
+        try:
+            for future in as_completed(list(piece_s)):
+                if future in joins:
+                    future.result()
+                    job, cuts = joins[future]
+                    for done in (*cuts, future):
+                        done.release()  # or the death of a worker that has held it would have it made again
+                    job.clear()
+                yield piece_s[future]
+        except KilledWorker as error:
+            raise RunError(f"{error.allowed_failures + 1} workers died over one walk") from None
+
+
+@contextmanager
+def _client(workers: int | None, scheduler: str | None) -> Iterator[Any]:
+    """Open a scheduler, or processes of this machine."""
     try:
         import dask
 
         dask.config.set({"logging.distributed": "critical"})  # read once, when distributed is imported
-        from distributed import Client, KilledWorker, LocalCluster, as_completed
+        from distributed import Client, LocalCluster
     except ImportError:
         raise MissingExtraError("distributed", "cluster", "a dataset made by more than one process") from None
     with ExitStack() as stack:
@@ -150,33 +253,7 @@ def _on_dask(
             client = stack.enter_context(Client(address))
         except (OSError, ValueError) as error:
             raise RunError(f"{scheduler or 'local cluster'}: {error}") from None
-        futures = {client.submit(_make, walk, out, threads=1, pure=False): walk for walk in walks}
-        try:
-            for future in as_completed(futures):
-                future.result()
-                yield futures[future]
-        except KilledWorker as error:
-            raise RunError(f"{error.allowed_failures + 1} workers died over one walk") from None
-
-
-def _make(walk: DatasetWalk, out: Path, *, threads: int) -> None:
-    """Write the files of a walk, and then its record."""
-    final = out / walk_folder(walk.layout, walk.number)
-    try:
-        final.parent.mkdir(exist_ok=True)
-        part = Path(tempfile.mkdtemp(_PART, f"{final.name}.", final.parent))
-        part.chmod(0o755)
-        emulator = Emulator(walk.scenario, threads=threads)
-        LAYOUTS[walk.layout](emulator, part)
-        entry = _identity(walk) | {
-            "beams": len(emulator.parts.units[0].head.beams.elevation_deg),
-            "files": [_described(path, part) for path in sorted(part.rglob("*")) if path.is_file()],
-        }
-        shutil.rmtree(final, ignore_errors=True)
-        part.rename(final)
-    except OSError as error:
-        raise RunError(f"walk {walk.name}: {error.strerror}; what is made so far is kept") from None
-    _write(out / _RECORDS / f"{walk.number}.json", json.dumps(entry))
+        yield client
 
 
 def _identity(walk: DatasetWalk) -> dict[str, Any]:
@@ -192,8 +269,13 @@ def _identity(walk: DatasetWalk) -> dict[str, Any]:
         "sensor": walk.sensor,
         "layout": walk.layout,
         "written_by": _written_by(),
-        "scenario_sha256": hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest(),
+        "scenario_sha256": _digest(tree),
     }
+
+
+def _digest(tree: Mapping[str, Any]) -> str:
+    """Give the sha256 of a tree."""
+    return hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest()
 
 
 def _is_there(walk: DatasetWalk, out: Path) -> bool:

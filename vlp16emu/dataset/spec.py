@@ -65,7 +65,7 @@ class DatasetSpec(Section):
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     """Version of this format."""
-    layout: Literal["semantickitti", "pcap+truth", "plots"]
+    layout: Literal["semantickitti", "pcap+truth", "las-plots"]
     """Which files are written."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Decides which stand is in which split."""
