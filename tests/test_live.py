@@ -198,7 +198,7 @@ def test_a_flight_is_put_into_the_present():
     assert abs(first.sensor_ns - first.truth_ns - streamed.moved_s * S_NS) < US_NS  # stamps are whole us
     assert abs(first.host_ns - first.sensor_ns) < 100 * MS_NS  # a busy machine; idle it is below ten
     start_us = (emulator.scenario.start_ns // US_NS + streamed.moved_s * 1_000_000) % 3_600_000_000
-    assert int.from_bytes(data.payloads[0][1200:1204], "little") - start_us < 50_000
+    assert int.from_bytes(data.payloads[0][1200:1204], "little") - start_us < 250_000
 
 
 def test_a_stream_that_waits_for_poses_can_be_stopped():

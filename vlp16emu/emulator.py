@@ -3,17 +3,20 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, spare
-from vlp16emu.images import Camera, ImageRun, write_images
 from vlp16emu.labels import label_scheme
 from vlp16emu.points import PointCloud, scans_of, world_T_sensor, write_cloud
 from vlp16emu.scan import Scan
 from vlp16emu.sinks import TruthTo
 from vlp16emu.streams import Streams
+
+if TYPE_CHECKING:
+    from vlp16emu.images import ImageRun
 
 __all__ = ["Emulator"]
 
@@ -140,7 +143,7 @@ class Emulator(Streams):
         unit: int = 1,
         progress: Callable[[float], None] = lambda _: None,
         stop: Event | None = None,
-    ) -> ImageRun:
+    ) -> "ImageRun":
         """Write depth, labels and colours as images from the place of a sensor, each of one instant.
 
         Parameters
@@ -168,6 +171,8 @@ class Emulator(Streams):
         """
         if not every_s >= _SHORTEST_S:
             raise InputError("--every", f"found {every_s:g}", f"a number of seconds from {_SHORTEST_S:g}")
+        from vlp16emu.images import Camera, write_images  # here: few runs need them
+
         camera = Camera.of(kind, size, fov_deg)
         span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
         with self.windows.stopped_by(stop):

@@ -14,11 +14,11 @@ from threading import Event
 from vlp16emu.accuracy import AuditFinding
 from vlp16emu.chain import Unit
 from vlp16emu.chain.chain import Chain
+from vlp16emu.device.host_clock import HostClock
 from vlp16emu.errors import OutputError
 from vlp16emu.output import STDOUT
 from vlp16emu.packets import Capture, returns_in
 from vlp16emu.packets.frames import Link
-from vlp16emu.packets.host_clock import HostClock
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import PcapSink

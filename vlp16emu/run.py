@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from vlp16emu.accuracy import Audit
 from vlp16emu.chain.chain import Chain
+from vlp16emu.device.host_clock import CaptureClock, HostClock
 from vlp16emu.errors import InputError, spare
 from vlp16emu.motion.live_settings import takes_poses
-from vlp16emu.packets.host_clock import CaptureClock, HostClock
 from vlp16emu.recording import Recording, paths_of_units, record_packets
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files

@@ -143,8 +143,8 @@ BAD = [
         )
         for ending, way in (
             (".pcapng", ", which `editcap -F pcapng` converts\n"),
-            (".mcap", ", which velodyne_driver replays for `ros2 bag record`\n"),
-            (".las", "; `vlp16emu points` writes .ply, which PDAL converts\n"),
+            (".mcap", "; `vlp16emu bag` makes a bag of it\n"),
+            (".las", "; `vlp16emu points` writes points\n"),
             (".txt", "\n"),
         )
     ),

@@ -23,6 +23,7 @@ NAMES = [
     "extra dem",
     "extra images",
     "extra picture",
+    "extra score",
     "world cache",
 ]
 

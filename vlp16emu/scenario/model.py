@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal
 from pydantic import AwareDatetime, Field, ValidationInfo, field_validator
 
 from vlp16emu.device.events import AnyEvent, DeadLaser, DirtyWindow, GpsEvent
+from vlp16emu.device.host_clock import CaptureClock
 from vlp16emu.errors import InputError
 from vlp16emu.motion import Gps, Imu, Live, Recorded, Static, Walk
-from vlp16emu.packets.host_clock import CaptureClock
 from vlp16emu.raycast import Beam
 from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.scenario.presets import with_preset

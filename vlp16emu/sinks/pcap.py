@@ -24,8 +24,9 @@ _ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})
 _WAYS_TO = {
     ".pcapng": ", which `editcap -F pcapng` converts",
     **dict.fromkeys((".bag", ".db3", ".mcap"), "; `vlp16emu bag` makes a bag of it"),
-    **dict.fromkeys((".npz", ".ply", ".csv"), "; `vlp16emu points` writes points"),
-    **dict.fromkeys((".las", ".laz", ".pcd"), "; `vlp16emu points` writes .ply, which PDAL converts"),
+    **dict.fromkeys(
+        (".npz", ".ply", ".csv", ".las", ".laz", ".pcd", ".e57"), "; `vlp16emu points` writes points"
+    ),
 }
 _RECORD_HEADER = struct.Struct("<4I")
 

@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.settings import Preset
 from vlp16emu.types import Packet
 from vlp16emu.units import US_NS
@@ -70,6 +69,8 @@ class HostClock:
 
     def _delay_us(self, packet: Packet) -> float:
         """Draw by how much a packet is late."""
+        from vlp16emu.random import Purpose, normal, uniform  # here: a scene is read without numba
+
         section, number = self._section, packet.due_ns // US_NS
         lane = packet.unit * _LANES_PER_UNIT + list(type(packet.kind)).index(packet.kind)
         delay_us = section.jitter_us * abs(
