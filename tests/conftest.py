@@ -1,9 +1,14 @@
 """Tests grow their worlds themselves, unless they are about what is kept; and what order they come in."""
 
 import os
+import tempfile
 from pathlib import Path
 
 os.environ["VLP16EMU_CACHE_DIR"] = "off"
+# Hypothesis keeps paths of the machine beside the examples that it found: not in the checkout.
+os.environ.setdefault(
+    "HYPOTHESIS_STORAGE_DIRECTORY", str(Path(tempfile.gettempdir()) / "vlp16emu-hypothesis")
+)
 
 WITHOUT_CASTING = ("device", "motion", "packets", "protocol", "report", "scenario", "sensor", "world")
 """Rooms whose tests cast no ray."""

@@ -168,7 +168,7 @@ def test_packets_follow_poses_soon(flown):
 
 
 def test_poses_come_by_a_call_too():
-    """A live stream begins with the first pose that `put_pose` brings, and ends where it is told to."""
+    """A live stream begins with the first pose that `put_pose` brings, and ends after the duration that is asked for."""
     emulator, stop = (
         Emulator("static_bench", [LIVE, "sensor.data_port=9", "sensor.position_port=10"]),
         threading.Event(),

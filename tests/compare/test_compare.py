@@ -1,4 +1,4 @@
-"""Statistics that tell units apart, on our captures and on real ones."""
+"""Statistics that distinguish units, on our captures and on real ones."""
 
 from pathlib import Path
 
@@ -63,7 +63,7 @@ def test_the_beat_comes_back_from_our_own_packets(recorded):
 
 
 def test_a_capture_does_not_differ_from_itself(recorded):
-    """Each distance is 0, and none tells apart."""
+    """Each distance is 0, and none distinguishes them."""
     sequences = recorded("same", UNIT)
     rows = compared(sequences, sequences)
     assert len(rows) > 12
@@ -107,7 +107,7 @@ def test_a_fitted_unit_is_like_the_real_one(real, recorded):
 
 
 def test_what_is_too_short_is_refused(tmp_path):
-    """Less than a revolution tells nothing: one line says how many packets there are."""
+    """Less than a revolution is not enough: one line reports how many packets there are."""
     with PcapSink(tmp_path / "short.pcap") as sink:
         sink.send(Packet(PacketKind.DATA, 0, bytes(np.zeros(1206, np.uint8))))
     with pytest.raises(CaptureError, match=r"1 data packets.*80 at least"):

@@ -94,7 +94,7 @@ def points(
     threads: Threads = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Write the points of a scene, for a sensor of any beam table.
+    """Write the points of a scene, for a sensor of any beam table, or of a capture with a trajectory.
 
     Each point is in the world and in the sensor's frame at the instant of its pulse, as a user would
     compute it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
