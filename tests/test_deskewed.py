@@ -24,10 +24,10 @@ SETTINGS = {
 }
 
 
-def deskewed(capture, trajectory, out, unit=1, **errors):
+def deskewed(capture, trajectory, out, unit=1, truth=None, **errors):
     """Arrays of a capture's points in the world, and the report."""
-    errors = TrajectoryErrors(**errors)
-    report = write_deskewed(capture, out, trajectory, unit=unit, errors=errors, stop=Event())
+    way = Trajectory(trajectory, unit, TrajectoryErrors(**errors))
+    report = write_deskewed(capture, out, way, truth, stop=Event())
     with np.load(out) as arrays:
         return dict(arrays), report
 

@@ -13,17 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, TrajectoryError, readable
+from vlp16emu.labels import LabelScheme, PointLabels
 from vlp16emu.motion import Recorded
 from vlp16emu.motion.pose import rotation, rotations
 from vlp16emu.motion.pose_files import read_tum
 from vlp16emu.motion.recorded import RecordedMotion
 from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit
 from vlp16emu.scan import clock_zero_ns, twins
+from vlp16emu.scenario import load
 from vlp16emu.sinks.cloud import point_file
-from vlp16emu.sinks.columns import DESKEWED_COLUMNS, CloudAbout
+from vlp16emu.sinks.columns import DESKEWED_COLUMNS, LABEL_COLUMNS, TRUTH_COLUMNS, CloudAbout, Column
+from vlp16emu.sinks.slots import SlotReader
 from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.world.make import ground_of
 
-__all__ = ["Deskewed", "Trajectory", "TrajectoryErrors", "write_deskewed"]
+__all__ = ["CaptureTruth", "Deskewed", "Trajectory", "TrajectoryErrors", "write_deskewed"]
 
 _MINUTE_NS = 60 * S_NS
 _PACKETS = 100
@@ -62,7 +66,7 @@ class Trajectory:
     """
 
     def __init__(self, path: Path, unit: int, errors: TrajectoryErrors) -> None:
-        self.path, self.origin, self.sensor = path, None, None
+        self.path, self.unit, self.origin, self.sensor = path, unit, None, None
         if path.is_dir():
             self.path, self.origin, self.sensor = _of_truth(path, unit)
         poses = read_tum(self.path)
@@ -101,6 +105,48 @@ class Trajectory:
         return turn @ self._body_R_sensor, place_m
 
 
+class CaptureTruth:
+    """What each point of a capture lies on, from the truth of its run.
+
+    Parameters
+    ----------
+    folder : that `record --truth --truth-returns` has written
+    unit : of the run, from 1
+    scheme : by which points are labelled besides
+
+    Raises
+    ------
+    MissingExtraError
+        where pyarrow is not installed
+    InputError, ScenarioError
+        where the folder does not hold the returns, or for a scheme the scene
+    """
+
+    def __init__(self, folder: Path, unit: int, scheme: LabelScheme | None) -> None:
+        self._rows = SlotReader(folder / f"returns{'' if unit == 1 else f'_{unit}'}.parquet")
+        self._labels: PointLabels | None = None
+        if scheme is not None:
+            scenario = load(folder / "scenario.json")
+            self._labels = PointLabels(scheme, ground_of(scenario.world, scenario.world_seed).height_m)
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Of the points, beside `DESKEWED_COLUMNS`."""
+        known = {column.name for column in DESKEWED_COLUMNS} | {"reflectance"}
+        wanted = TRUTH_COLUMNS + LABEL_COLUMNS * (self._labels is not None)
+        return tuple(column for column in wanted if column.name not in known)
+
+    def of(self, chunk: PacketChunk, packets: slice, points: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Arrays (n,) of points, which are those of a slice of the chunk's packets; height is that of the true place."""
+        stamps_us = chunk.fields["timestamp_us"][packets]
+        packet = chunk.points.packet[points] - packets.start
+        rows = self._rows.rows(stamps_us, packet, chunk.points.slot[points])
+        if self._labels is None or not rows:
+            return rows
+        world_m = np.column_stack([rows[f"world_{axis}_m"] for axis in "xyz"])
+        return rows | self._labels.of(rows | {"world_m": world_m})
+
+
 @dataclass(frozen=True, slots=True)
 class Deskewed:
     """What a file of points of a capture holds."""
@@ -111,6 +157,8 @@ class Deskewed:
     points: int
     without_pose: int
     """Points left out, as the trajectory has no pose at their pulses."""
+    truth: bool
+    """Whether points have labels."""
     simulated_s: float
     """From the first pulse of the capture to the last."""
     bytes: int
@@ -119,27 +167,27 @@ class Deskewed:
 
 
 def write_deskewed(
-    capture: Path, path: Path, trajectory: Path, *, unit: int, errors: TrajectoryErrors, stop: Event
+    capture: Path, path: Path, way: Trajectory, truth: CaptureTruth | None, *, stop: Event
 ) -> Deskewed:
     """Write the points of a capture, in the world and in the sensor's frame.
 
     Parameters
     ----------
     path : as `point_file` takes it
-    trajectory, unit, errors : as `Trajectory` takes them
+    way : of the sensor
+    truth : labels points with what they lie on
     stop : ends the file between two parts of the capture
 
     Raises
     ------
     InputError, TrajectoryError
-        as `Trajectory`, or where no pulse has a pose
+        where the truth is that of another run, or no pulse has a pose
     CaptureError, PacketError
         where the capture cannot be read, or is damaged; the file holds the points before
     OutputError, RunError, MissingExtraError
         as `point_file`
     """
-    way = Trajectory(trajectory, unit, errors)
-    known = chosen_unit(capture, way.sensor or str(unit), where="--unit")
+    known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
     with CaptureReader(capture, known) as reader:
         chunks = reader.points()
         first = next(chunks)
@@ -148,25 +196,27 @@ def write_deskewed(
             ("x, y, z in the world by a trajectory", "time in seconds since the first pulse of the capture"),
             start_utc=datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=(start_ns + zero_ns) // 1000),
             origin=way.origin,
-            unit=unit,
+            unit=way.unit,
         )
+        columns = DESKEWED_COLUMNS + (truth.columns if truth else ())
         points = without_pose = last_ns = 0
-        with point_file(path, DESKEWED_COLUMNS, about, where=str(path)) as writer:
+        with point_file(path, columns, about, where=str(path)) as writer:
             for chunk in chain([first], chunks):
-                for block, left_out in _blocks(chunk, way, zero_ns, start_ns):
+                for block, left_out in _blocks(chunk, way, truth, (zero_ns, start_ns)):
                     writer.write(block)
                     points, without_pose = points + len(block["t_ns"]), without_pose + left_out
                 last_ns = int(chunk.packet_ns[-1]) - start_ns
                 if stop.is_set():
                     break
             if without_pose and not points:
-                raise _no_pose(trajectory, way, (start_ns + zero_ns) / S_NS, last_ns / S_NS)
+                raise _no_pose(way, (start_ns + zero_ns) / S_NS, last_ns / S_NS)
     return Deskewed(
         file=str(path),
         capture=str(capture),
         trajectory=str(way.path),
         points=points,
         without_pose=without_pose,
+        truth=truth is not None,
         simulated_s=last_ns / S_NS,
         bytes=path.stat().st_size,
         interrupted=stop.is_set(),
@@ -174,12 +224,16 @@ def write_deskewed(
 
 
 def _blocks(
-    chunk: PacketChunk, way: Trajectory, zero_ns: int, start_ns: int
+    chunk: PacketChunk, way: Trajectory, truth: CaptureTruth | None, clock_ns: tuple[int, int]
 ) -> Iterator[tuple[dict[str, NDArray[Any]], int]]:
-    """Place the points of data packets, each echo once, some packets at a time; beside them how many have no pose."""
+    """Place the points of data packets, each echo once, some packets at a time; beside them how many have no pose.
+
+    `clock_ns` are UTC of the zero of the sensor's clock, and the first pulse of the capture by that clock.
+    """
+    zero_ns, start_ns = clock_ns
     points, once = chunk.points, ~twins(chunk.points)
     cuts = np.searchsorted(points.packet, np.arange(0, len(chunk.fields) + _PACKETS, _PACKETS)).tolist()
-    for begin, end in pairwise(cuts):
+    for number, (begin, end) in enumerate(pairwise(cuts)):
         part = begin + np.flatnonzero(once[begin:end])
         has_pose = way.has(chunk.clock_ns[part] + zero_ns)
         kept = part[has_pose]
@@ -192,7 +246,11 @@ def _blocks(
             "sensor_m": sensor_m,
             "viewpoint_m": place_m,
         }
-        yield block | {name: getattr(points, name)[kept] for name in _TAKEN}, int((~has_pose).sum())
+        block |= {name: getattr(points, name)[kept] for name in _TAKEN}
+        if truth:
+            packets = slice(number * _PACKETS, min((number + 1) * _PACKETS, len(chunk.fields)))
+            block |= truth.of(chunk, packets, kept)
+        yield block, int((~has_pose).sum())
 
 
 def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float] | None, str | None]:
@@ -214,11 +272,11 @@ def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float]
     return file, origin, sensor if len(known) > 1 else None
 
 
-def _no_pose(trajectory: Path, way: Trajectory, start_s: float, duration_s: float) -> TrajectoryError:
+def _no_pose(way: Trajectory, start_s: float, duration_s: float) -> TrajectoryError:
     """Say that capture and trajectory are of different times."""
     begin_s, end_s = way.span_s
     return TrajectoryError(
-        str(trajectory),
+        str(way.path),
         f"poses from {begin_s:.3f} to {end_s:.3f} s",
         f"poses at the pulses, from {start_s:.3f} to {start_s + duration_s:.3f} s by the sensor's clock (see --time-offset)",
     )

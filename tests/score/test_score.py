@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.cli import app
+from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError
 from vlp16emu.score.card import limits_of
 from vlp16emu.score.clouds import cloud_distances, density_per_m2, uniformity
@@ -257,3 +258,29 @@ def test_clouds_of_other_tools_are_read(tmp_path):
     )
     cloud = read_cloud(tmp_path / "a.ply")
     assert (cloud["xyz"].tolist(), cloud["leaf_wood"].tolist()) == ([[1, 2, 3], [4, 5, 6]], [1, 2])
+
+
+@pytest.mark.parametrize("suffix", ["ply", "npz", "csv", "pcd", "las", "laz", "e57"])
+def test_clouds_of_ours_are_read(tmp_path, suffix):
+    """Each format that `points --truth` writes gives the places of the world to 0.1 mm, and but for E57 the labels."""
+    pytest.importorskip("laspy")
+    emulator = Emulator("static_bench", {"sensor.max_range_m": 8.0})
+    clouds = []
+    for name in ("own.npz", f"a.{suffix}"):
+        emulator.write_points(tmp_path / name, duration_s=0.02, truth=True)
+        clouds.append(read_cloud(tmp_path / name))
+    own, other = clouds
+    np.testing.assert_allclose(other["xyz"], own["xyz"], atol=1e-4)
+    for name in () if suffix == "e57" else ("semantic", "leaf_wood", "instance"):
+        assert (other[name] == own[name]).all()
+
+
+@pytest.mark.parametrize("suffix", ["pcd", "e57", "laz", "npz", "ply", "csv"])
+def test_a_damaged_cloud_is_one_line(tmp_path, suffix):
+    """A file of words is named as what it should be, in one line."""
+    pytest.importorskip("laspy")
+    file = tmp_path / f"a.{suffix}"
+    file.write_text("no points\n" * 300)
+    with pytest.raises(InputError, match=r"a\.") as caught:
+        read_cloud(file)
+    assert "\n" not in str(caught.value)

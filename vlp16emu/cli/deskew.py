@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -13,7 +13,7 @@ from vlp16emu.errors import InputError
 if TYPE_CHECKING:
     from vlp16emu.deskew import Deskewed
 
-__all__ = ["Drift", "MountedAt", "TimeOffset", "TrajectoryFile", "deskew"]
+__all__ = ["Drift", "LabelsWanted", "MountedAt", "TimeOffset", "TrajectoryFile", "deskew"]
 
 _MOST_S = 7 * 86_400
 _FARTHEST = 1e6
@@ -72,12 +72,23 @@ TimeOffset = Annotated[
 ]
 
 
+class LabelsWanted(NamedTuple):
+    """What points are labelled with, as it is given."""
+
+    truth: bool
+    labels: str | None
+    """Name of a scheme."""
+    folder: Path | None
+    """Truth of the run, where it is not the trajectory's folder."""
+
+
 def deskew(
     capture: Path,
     out: Path,
     trajectory: Path | None,
     errors: Mapping[str, str | None],
     time_offset_s: float,
+    wanted: LabelsWanted,
     *,
     unit: int,
     as_json: bool,
@@ -86,13 +97,22 @@ def deskew(
     if trajectory is None:
         expected = "--trajectory DIR or FILE.tum; `vlp16emu decode` leaves points in the sensor"
         raise InputError(str(capture), "is a capture", expected)
-    from vlp16emu.deskew import TrajectoryErrors, write_deskewed
+    from vlp16emu.deskew import CaptureTruth, Trajectory, TrajectoryErrors, write_deskewed
+    from vlp16emu.labels import label_scheme
 
     names = {"mount": _MOUNT, "drift": _DRIFT}
     given = {key: _numbers(f"--{key}", text, names[key]) for key, text in errors.items() if text is not None}
     wrong = TrajectoryErrors(time_offset_s, **given)  # type: ignore[arg-type]
+    way, truth = Trajectory(trajectory, unit, wrong), None
+    if wanted.truth or wanted.labels:
+        folder = wanted.folder or trajectory
+        if not folder.is_dir():
+            expected = "--truth-folder DIR beside it, the folder that `record --truth-returns` has written"
+            raise InputError("--labels" if wanted.labels else "--truth", "found a trajectory alone", expected)
+        scheme = label_scheme(wanted.labels, where="--labels") if wanted.labels else None
+        truth = CaptureTruth(folder, unit, scheme)
     with stop_on_ctrl_c() as stop:
-        cloud = write_deskewed(capture, out, trajectory, unit=unit, errors=wrong, stop=stop)
+        cloud = write_deskewed(capture, out, way, truth, stop=stop)
     if as_json:
         print_json(tree_of(cloud))
     else:
@@ -110,6 +130,7 @@ def _print(cloud: "Deskewed") -> None:
             "trajectory": cloud.trajectory,
             "points": count(cloud.points),
             "without pose": f"{count(cloud.without_pose)} left out",
+            "labels": "yes" if cloud.truth else "no, see --truth",
             "size": size(cloud.bytes),
         },
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vlp16emu.cli.arguments import AsJson, Duration, Ideal, Settings, Start, Threads, WhichUnit
-from vlp16emu.cli.deskew import Drift, MountedAt, TimeOffset, TrajectoryFile, deskew
+from vlp16emu.cli.deskew import Drift, LabelsWanted, MountedAt, TimeOffset, TrajectoryFile, deskew
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import (
     INTERRUPTED,
@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["points"]
 
-_OF_SCENES = frozenset(
-    {"duration", "start", "settings", "ideal", "truth", "labels", "truth_folder", "threads"}
-)
+_OF_SCENES = frozenset({"duration", "start", "settings", "ideal", "threads"})
 _OF_CAPTURES = frozenset({"mount", "drift", "time_offset"})
 
 SceneOrCapture = Annotated[
@@ -68,7 +66,8 @@ ToFolder = Annotated[
     typer.Option(
         "--truth-folder",
         metavar="DIR",
-        help="Write beside them what `record --truth` writes: trajectory, IMU, GNSS, rig, scenario.",
+        help="Of a scene: write beside them what `record --truth` writes: trajectory, IMU, GNSS, rig, scenario. Of a capture: read "
+        "from there what `record --truth-returns` has written, for --truth and --labels; by default from the folder of --trajectory.",
         show_default=False,
     ),
 ]
@@ -102,8 +101,8 @@ def points(
     """
     if trajectory is not None or Path(scene).suffix == ".pcap":
         _refuse(context, _OF_SCENES, f"found beside the capture {scene}", "a scene, or no such option")
-        errors = {"mount": mount, "drift": drift}
-        deskew(Path(scene), out, trajectory, errors, time_offset, unit=unit, as_json=as_json)
+        errors, wanted = {"mount": mount, "drift": drift}, LabelsWanted(truth, labels, truth_folder)
+        deskew(Path(scene), out, trajectory, errors, time_offset, wanted, unit=unit, as_json=as_json)
         return
     _refuse(context, _OF_CAPTURES, "found beside a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()

@@ -32,7 +32,9 @@ Align = Annotated[
 ]
 MapFile = Annotated[
     Path | None,
-    typer.Option("--map", metavar="FILE", help="Points in the world: .ply, .npz, .csv, .las or .laz."),
+    typer.Option(
+        "--map", metavar="FILE", help="Points in the world: .ply, .npz, .csv, .pcd, .las, .laz or .e57."
+    ),
 ]
 Labelled = Annotated[
     Path | None,

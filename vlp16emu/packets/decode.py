@@ -74,6 +74,8 @@ class Points:
 
     packet: NDArray[np.int64]
     """(n,) row of the payload."""
+    slot: NDArray[np.int64]
+    """(n,) place of the record in its packet: 32 times the block, and the channel."""
     time_ns: NDArray[np.int64]
     """(n,) of the pulse, on the sensor's clock, ns past its hour."""
     laser: NDArray[np.uint8]
@@ -148,8 +150,8 @@ def decode_data(
     known = _model(fields, model)
     records = fields["blocks"]["records"]
     source = _pulse_order(fields, keep_no_returns=keep_no_returns)
-    packet, record = np.divmod(source, layout.RECORDS_PER_PACKET)
-    block, record = np.divmod(record, layout.SEQUENCES_PER_BLOCK * layout.LASERS)
+    packet, slot = np.divmod(source, layout.RECORDS_PER_PACKET)
+    block, record = np.divmod(slot, layout.SEQUENCES_PER_BLOCK * layout.LASERS)
     sequence, laser = np.divmod(record, layout.LASERS)
     since_block_ns = sequence * SEQUENCE_NS + laser * LASER_NS
 
@@ -163,6 +165,7 @@ def decode_data(
     last_mode = fields["return_mode"] == layout.RETURN_MODE_BYTE[ReturnMode.LAST]
     return Points(
         packet=packet,
+        slot=slot,
         time_ns=(clock_ns + block_ns + since_block_ns) % HOUR_NS,
         laser=laser.astype(np.uint8),
         ring=BEAM_TABLES[known].ring.astype(np.uint8)[laser],

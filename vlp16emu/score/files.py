@@ -54,7 +54,7 @@ def read_cloud(path: Path, needed: tuple[str, ...] = ()) -> Cloud:
 
     Parameters
     ----------
-    path : .ply, .npz, .csv, .las or .laz
+    path : .ply, .npz, .csv, .pcd, .las, .laz or .e57; an E57 gives the places of all its scans, without labels
     needed : labels that must be there
 
     Raises
@@ -62,16 +62,25 @@ def read_cloud(path: Path, needed: tuple[str, ...] = ()) -> Cloud:
     InputError
         where it is no such file, has no points, a NaN, or lacks a label
     MissingExtraError
-        where a .las or .laz is given without laspy
+        where the library for .pcd, .las, .laz or .e57 is not installed
     """
-    readers = {".ply": _ply, ".npz": _npz, ".csv": _csv, ".las": _las, ".laz": _las}
+    readers = {
+        ".ply": _ply,
+        ".npz": _npz,
+        ".csv": _csv,
+        ".pcd": _pcd,
+        ".las": _las,
+        ".laz": _las,
+        ".e57": _e57,
+    }
     if path.suffix not in readers:
         raise InputError(str(path), f"found suffix '{path.suffix}'", ", ".join(readers))
     with readable(path, f"points as {path.suffix}", InputError, most_bytes=LARGEST_BYTES):
         try:
             columns = readers[path.suffix](path)
         except (ValueError, KeyError, IndexError, TypeError, EOFError) as error:
-            raise InputError(str(path), f"cannot be read ({error})", f"points as {path.suffix}") from None
+            reason = next(iter(str(error).splitlines()), type(error).__name__)
+            raise InputError(str(path), f"cannot be read ({reason})", f"points as {path.suffix}") from None
     columns = {_LABELS.get(name, name): values for name, values in columns.items()}
     place = next((names for names in _PLACES if all(name in columns for name in names)), None)
     if place is None:
@@ -129,6 +138,31 @@ def _las(path: Path) -> Cloud:
         raise ValueError(str(error)) from None
     names = [name for name in las.point_format.dimension_names if name in (*_KEPT, *_LABELS)]
     return {"xyz": np.asarray(las.xyz)} | {name: np.asarray(las[name]) for name in names}
+
+
+def _pcd(path: Path) -> Cloud:
+    """Read the fields of a PCD."""
+    try:
+        from pypcd4.pypcd4 import PointCloud
+    except ImportError:
+        raise MissingExtraError("pypcd4", "cloud", "reading .pcd") from None
+    cloud = PointCloud.from_path(path)
+    data = np.atleast_1d(cloud.pc_data)
+    return {name: data[name].reshape(len(data), -1)[:, 0] for name in cloud.fields}
+
+
+def _e57(path: Path) -> Cloud:
+    """Read the places of all scans of an E57."""
+    try:
+        import pye57
+    except ImportError:
+        raise MissingExtraError("pye57", "cloud", "reading .e57") from None
+    try:
+        file = pye57.E57(str(path))
+        scans = [file.read_scan(n, ignore_missing_fields=True) for n in range(file.scan_count)]
+    except pye57.libe57.E57Exception as error:
+        raise ValueError(str(error)) from None
+    return {axis: np.concatenate([scan[f"cartesian{axis.upper()}"] for scan in scans]) for axis in "xyz"}
 
 
 def read_stems(path: Path) -> tuple[Stem, ...]:

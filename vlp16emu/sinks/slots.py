@@ -1,4 +1,4 @@
-"""The truth behind each record of the data packets of a run, as a table in Parquet."""
+"""The truth behind each record of the data packets of a run, as a table in Parquet: written, and read beside its capture."""
 
 from pathlib import Path
 from types import TracebackType
@@ -7,18 +7,20 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import MissingExtraError, RunError
+from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
 from vlp16emu.output import OutputFile
-from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, NO_ECHO
+from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, NO_ECHO, RECORDS_PER_PACKET
 from vlp16emu.sinks.columns import LEAF_OR_WOOD
 from vlp16emu.types import Packet
 
-__all__ = ["SLOT_COLUMNS", "SlotTable"]
+__all__ = ["SLOT_COLUMNS", "SlotReader", "SlotTable"]
 
 _GROUP = 256
 """Packets of a row group, 98 304 rows: what is held in memory, some 20 MB."""
 _CHANNELS = 32
-_BLOCKS = 12
+_LATE = 64
+"""By how many packets one may be late in a capture."""
+_EXPECTED = "the returns.parquet of the run that made the capture (`record --truth DIR --truth-returns`)"
 
 SLOT_COLUMNS = {
     "packet": "uint32",
@@ -64,11 +66,7 @@ class SlotTable:
     """
 
     def __init__(self, path: Path) -> None:
-        try:
-            import pyarrow as pa
-            from pyarrow import parquet
-        except ImportError:
-            raise MissingExtraError("pyarrow", "data", "truth of each return") from None
+        pa, parquet = _pyarrow()
         self._arrow, self._path = pa, path
         self._schema = pa.schema([(name, pa.type_for_alias(kind)) for name, kind in SLOT_COLUMNS.items()])
         self._output = OutputFile(path)
@@ -112,11 +110,11 @@ class SlotTable:
         if not packets:
             return
         rows = np.array([packet.slots for packet in packets]).reshape(-1)
-        slot = np.tile(np.arange(_BLOCKS * _CHANNELS), len(packets))
+        slot = np.tile(np.arange(RECORDS_PER_PACKET), len(packets))
         miss = rows["echo"] == NO_ECHO
         columns = {
-            "packet": np.repeat(np.arange(len(packets)) + self._number, _BLOCKS * _CHANNELS),
-            "stamp_us": np.repeat([_stamp_us(packet.payload) for packet in packets], _BLOCKS * _CHANNELS),
+            "packet": np.repeat(np.arange(len(packets)) + self._number, RECORDS_PER_PACKET),
+            "stamp_us": np.repeat([_stamp_us(packet.payload) for packet in packets], RECORDS_PER_PACKET),
             "block": slot // _CHANNELS,
             "channel": slot % _CHANNELS,
             **{
@@ -147,6 +145,110 @@ class SlotTable:
         """Make a column, null where there is no return."""
         kind = self._schema.field(name).type
         return self._arrow.array(np.ascontiguousarray(values).astype(kind.to_pandas_dtype()), kind, mask=miss)
+
+
+class SlotReader:
+    """Rows of a table behind the records of a capture of the same run, in the order of the capture.
+
+    A packet of the capture is found by its time stamp, from the one before on, so that some of the run's packets may be
+    missing, twice, or late by up to 64.
+
+    Parameters
+    ----------
+    path : of the table
+
+    Raises
+    ------
+    MissingExtraError
+        where pyarrow is not installed
+    InputError
+        where the file is no such table
+    """
+
+    def __init__(self, path: Path) -> None:
+        pa, parquet = _pyarrow()
+        self._path, self._next = path, 0
+        try:
+            with readable(path, _EXPECTED, InputError):
+                self._file = parquet.ParquetFile(path)
+            groups = range(self._file.num_row_groups)
+            stamps = [self._read(group, ["stamp_us"])["stamp_us"][::RECORDS_PER_PACKET] for group in groups]
+            if missing := set(SLOT_COLUMNS) - set(self._file.schema_arrow.names):
+                raise InputError(str(path), f"no column {min(missing)}", _EXPECTED)
+        except pa.ArrowException as error:
+            raise InputError(str(path), str(error).splitlines()[0], _EXPECTED) from None
+        self._begin = np.cumsum([0, *map(len, stamps)])  # of the row groups, in packets
+        self._stamps_us = np.concatenate([np.zeros(0, np.uint32), *stamps])
+        self._held: tuple[int, dict[str, NDArray[Any]]] = (-1, {})
+
+    def rows(
+        self, stamp_us: NDArray[np.uint32], packet: NDArray[np.int64], slot: NDArray[np.int64]
+    ) -> dict[str, NDArray[Any]]:
+        """Give the columns (n,) from `echo` to `share` of records that have a distance.
+
+        Parameters
+        ----------
+        stamp_us : (p,) of the packets, which follow on those of the call before
+        packet : (n,) row of `stamp_us`, rising
+        slot : (n,) place in the packet, 32 times the block and the channel
+
+        Raises
+        ------
+        InputError
+            where the table does not hold such a packet, or has no return there: the capture is of another run
+        """
+        number = self._numbers(stamp_us)[packet]
+        group = np.searchsorted(self._begin, number, side="right") - 1
+        found: dict[str, NDArray[Any]] = {}
+        for one in np.unique(group).tolist():
+            if self._held[0] != one:
+                self._held = one, self._read(one, [*_OF_RETURNS, "miss"])
+            inside = np.flatnonzero(group == one)
+            row = (number[inside] - self._begin[one]) * RECORDS_PER_PACKET + slot[inside]
+            for name, array in self._held[1].items():
+                found.setdefault(name, np.empty(len(number), array.dtype))[inside] = array[row]
+        if found and found["miss"].any():
+            first = int(found["miss"].argmax())
+            block, channel = divmod(int(slot[first]), _CHANNELS)
+            what = f"no return in packet {number[first]}, block {block}, channel {channel}"
+            raise InputError(str(self._path), what, "one as in the capture, which is of another run")
+        return found
+
+    def _numbers(self, stamp_us: NDArray[np.uint32]) -> NDArray[np.int64]:
+        """Find the numbers (p,) of packets."""
+        expected = self._stamps_us[self._next : self._next + len(stamp_us)]
+        if np.array_equal(expected, stamp_us):
+            self._next += len(stamp_us)
+            return np.arange(self._next - len(stamp_us), self._next)
+        numbers = np.empty(len(stamp_us), np.int64)
+        for i, stamp in enumerate(stamp_us.tolist()):
+            begin = max(0, self._next - _LATE)
+            same = np.flatnonzero(self._stamps_us[begin:] == stamp)
+            if not len(same):
+                found = f"no packet of time stamp {stamp} us, which the capture has"
+                raise InputError(str(self._path), found, _EXPECTED)
+            numbers[i] = begin + same[0]
+            self._next = max(self._next, int(numbers[i]) + 1)
+        return numbers
+
+    def _read(self, group: int, names: list[str]) -> dict[str, NDArray[Any]]:
+        """Read columns of a row group; 0 where there is no return."""
+        table = self._file.read_row_group(group, columns=names)
+        columns = {name: table[name] for name in names}
+        return {
+            name: (column.fill_null(0) if column.null_count else column).to_numpy()
+            for name, column in columns.items()
+        }
+
+
+def _pyarrow() -> tuple[Any, Any]:  # it has no types
+    """Import it."""
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise MissingExtraError("pyarrow", "data", "truth of each return") from None
+    return pa, parquet
 
 
 def _stamp_us(payload: bytes) -> int:
