@@ -1,6 +1,10 @@
 """Bags, read back by software of others."""
 
+import hashlib
+import shutil
+from datetime import UTC, datetime
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -8,6 +12,7 @@ import pytest
 from vlp16emu import Emulator
 from vlp16emu.bag import write_bag
 from vlp16emu.cli.app import run
+from vlp16emu.errors import RunError
 from vlp16emu.packets import CaptureReader
 
 pytest.importorskip("rosbags", reason="the extra ros is not installed")
@@ -163,3 +168,90 @@ def test_a_wrong_name_or_truth_is_refused(walk, capsys):
     assert run(["bag", pcap, str(walk / "new.mcap"), "--truth", str(walk / "nothing")]) == 2
     assert "rig.json" in capsys.readouterr().err
     assert sorted(walk.iterdir()) == before
+
+
+@pytest.mark.parametrize("name", ["new.mcap", "new.bag", "new/"])
+def test_a_run_goes_straight_into_a_bag(walk, tmp_path, name):
+    """`record` with the name of a bag writes what `bag` makes of the capture and truth of the same run, and nothing beside it."""
+    settings = [
+        word
+        for key, value in SETTINGS.items()
+        for word in ("--set", f"{key}={value}".replace("True", "true"))
+    ]
+    assert run(["record", "static_bench", f"{tmp_path}/{name}", "--duration", "1", *settings, "--json"]) == 0
+    kind = KINDS[["new.mcap", "new.bag", "new/"].index(name)]
+    ours, theirs = messages(tmp_path / name), messages(walk / kind)
+    assert ours.keys() == theirs.keys()
+    for topic, found in ours.items():
+        assert list(map(repr, found)) == list(map(repr, theirs[topic]))
+    assert [one.name for one in tmp_path.iterdir()] == [name.strip("/")]
+
+
+def test_a_bag_of_a_run_has_its_size_and_digest(tmp_path):
+    """The report of `record` is of the bag: bytes, sha256, and messages by topic."""
+    result = Emulator("static_bench", SETTINGS).record(tmp_path / "a.mcap", duration_s=0.3)
+    data = (tmp_path / "a.mcap").read_bytes()
+    assert (result.bytes, result.sha256) == (len(data), hashlib.sha256(data).hexdigest())
+    assert result.messages["/velodyne_packets"] == len(messages(tmp_path / "a.mcap")["/velodyne_packets"])
+
+
+def test_a_stop_leaves_a_bag_of_what_was_recorded(tmp_path):
+    """A run that is stopped at 0.4 of 5 s gives a bag of 0.4 s."""
+    stop = Event()
+    emulator = Emulator("static_bench", SETTINGS)
+    result = emulator.record(
+        tmp_path / "a.mcap", duration_s=5.0, stop=stop, progress=lambda s: stop.set() if s > 0.4 else None
+    )
+    assert result.interrupted
+    assert 2 <= len(messages(tmp_path / "a.mcap")["/velodyne_points"]) <= 6
+
+
+def test_a_full_disk_keeps_the_packets(tmp_path, monkeypatch):
+    """Where the bag cannot be written the capture is kept, and the line says where."""
+
+    def full(*_):
+        raise RunError("no space left on device; no bag is written")
+
+    monkeypatch.setattr("vlp16emu.bag.recorded.write_bag", full)
+    with pytest.raises(RunError, match=r"no bag is written; its packets are in .*a\.pcap"):
+        Emulator("static_bench", SETTINGS).record(tmp_path / "a.mcap", duration_s=0.1)
+    with CaptureReader(tmp_path / "a.pcap") as reader:
+        assert sum(len(chunk.fields) for chunk in reader.points()) > 50
+
+
+def test_bags_of_runs_are_refused_before_they_begin(walk, capsys):
+    """A folder that is there, and a bag to be split, give a line at once."""
+    assert run(["record", "static_bench", f"{walk}/walk/"]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert run(["record", "static_bench", f"{walk}/b.mcap", "--split"]) == 2
+    assert "one bag for all sensors" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("file", "number", "line", "message"),
+    [
+        ("trajectory.tum", 6, "12.5 nonsense", "trajectory.tum, line 6: found 12.5 nonsense"),
+        ("imu.csv", 1, "a,b", "imu.csv, line 1: no column"),
+        ("imu.csv", 9, "1781254795.000000000,x,0,0,0,0,0", "imu.csv, line 9: found"),
+        ("gnss.csv", 2, "1781254795.000000000", "gnss.csv, line 2: found"),
+    ],
+)
+def test_damaged_truth_is_named_by_its_line(walk, tmp_path, capsys, file, number, line, message):
+    """A line that is no pose or no row is named with file and number; exit code 2 and no bag."""
+    shutil.copytree(walk / "truth", tmp_path / "truth")
+    lines = (tmp_path / "truth" / file).read_text().splitlines()
+    lines[number - 1] = line
+    (tmp_path / "truth" / file).write_text("\n".join(lines) + "\n")
+    assert run(["bag", str(walk / "walk.pcap"), f"{tmp_path}/a.mcap", "--truth", f"{tmp_path}/truth"]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_the_truth_of_an_earlier_run_is_refused(walk, tmp_path, capsys):
+    """Poses that end before the capture begins are named with both times."""
+    earlier = Emulator("static_bench", {**SETTINGS, "start_utc": datetime(2020, 1, 1, tzinfo=UTC)})
+    earlier.record(tmp_path / "old.pcap", duration_s=0.1, truth=tmp_path / "truth")
+    assert run(["bag", str(walk / "walk.pcap"), f"{tmp_path}/a.mcap", "--truth", f"{tmp_path}/truth"]) == 2
+    assert "expected poses from the capture's first pulse on" in capsys.readouterr().err

@@ -3,7 +3,7 @@
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from vlp16emu.packets import Capture, returns_in
 from vlp16emu.packets.frames import Link
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.settings import on_the_wire
-from vlp16emu.sinks import PcapSink
+from vlp16emu.sinks import PcapSink, check_ending
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -75,6 +75,8 @@ class Recording:
     """None without an audit."""
     interrupted: bool = False
     """Ended by its stop event."""
+    messages: Mapping[str, int] | None = None
+    """Of a bag, by topic."""
 
 
 def paths_of_units(path: Path, units: int) -> list[Path]:
@@ -172,10 +174,11 @@ def prepared(links: Sequence[Link], path: Path, record: Callable[[Path], object]
     Raises
     ------
     OutputError
-        where the place cannot be read again
+        where the place cannot be read again, or has the ending of another format
     """
     if path == STDOUT or (path.exists() and not path.is_file()):
         raise OutputError(str(path), "no file that can be read again", "the name of a file")
+    check_ending(path)
     record(path)
     return packets_of(links, path)
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
@@ -10,15 +11,13 @@ from typing import TYPE_CHECKING, Any
 from vlp16emu.accuracy import Audit
 from vlp16emu.chain.chain import Chain
 from vlp16emu.device.host_clock import CaptureClock, HostClock
-from vlp16emu.errors import InputError, spare
+from vlp16emu.errors import InputError, OutputError, spare
 from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.recording import Recording, paths_of_units, record_packets
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
-from vlp16emu.sinks import (
-    TruthTo,
-    check_ending,
-)
+from vlp16emu.sinks import TruthTo, check_ending
+from vlp16emu.sinks.bag import is_bag
 from vlp16emu.types import Packet
 
 if TYPE_CHECKING:
@@ -58,11 +57,12 @@ class Run(Chain):
         progress: Callable[[float], None] = lambda _: None,
         stop: Event | None = None,
     ) -> Recording:
-        """Write data and position packets into a pcap file, in the frames of a real sensor.
+        """Write data and position packets into a pcap file, in the frames of a real sensor; or all that a robot has into a bag.
 
         Parameters
         ----------
-        path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard output
+        path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard output; a bag with
+            .mcap, .bag, or as a new folder with a slash at its end
         start_s : since the first pulse
         duration_s : until the end of the scene if left out
         split : write the packets of each unit into a file of its own, `NAME_1.pcap` and so on
@@ -81,7 +81,19 @@ class Run(Chain):
             where the walk is over before the span
         RunError
             where the disk is full; the packets before are kept
+        MissingExtraError
+            where rosbags is not there for a bag
         """
+        if is_bag(path):
+            from vlp16emu.bag import record_bag  # here: few runs need it
+
+            if split:
+                raise OutputError(str(path), "found a bag to be split", "one bag for all sensors, or .pcap")
+            to = truth if isinstance(truth, TruthTo | None) else TruthTo(Path(truth))
+            recorded = partial(
+                self.record, start_s=start_s, duration_s=duration_s, as_due=True, progress=progress, stop=stop
+            )
+            return record_bag(Path(path), to, lambda capture, to: recorded(capture, truth=to))
         paths = paths_of_units(Path(path), len(self.parts.units)) if split else [Path(path)]
         for one in paths:
             spare(self._files, one)

@@ -52,7 +52,7 @@ def test_the_version_is_that_of_the_package(cli):
 BAD = [
     # command line, exit code, the line after "error: "; {tmp} is an empty folder
     ("bogus", 2, "No such command 'bogus'; see `vlp16emu --help`"),
-    ("record static_bench", 2, "Missing argument 'OUT.pcap'; see `vlp16emu record --help`"),
+    ("record static_bench", 2, "Missing argument 'OUT'; see `vlp16emu record --help`"),
     ("record static_bench x --bad", 2, "No such option: --bad; see `vlp16emu record --help`"),
     (
         "record nope {tmp}/x.pcap",
@@ -143,7 +143,7 @@ BAD = [
         )
         for ending, way in (
             (".pcapng", ", which `editcap -F pcapng` converts\n"),
-            (".mcap", "; `vlp16emu bag` makes a bag of it\n"),
+            (".db3", "; a name that ends in / is a bag of ROS 2, a folder with SQLite\n"),
             (".las", "; `vlp16emu points` writes points\n"),
             (".txt", "\n"),
         )

@@ -35,6 +35,7 @@ KEYS = [
     "real_time_factor",
     "audit",
     "interrupted",
+    "messages",
 ]
 
 

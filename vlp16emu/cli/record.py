@@ -47,10 +47,11 @@ __all__ = ["record"]
 _WHOLE = 0.995
 
 OutFile = Annotated[
-    Path,
+    str,
     typer.Argument(
-        metavar="OUT.pcap",
-        help="File to write, classic pcap (.pcap, .cap, .dump or no ending); overwritten if it exists. - is standard output; the report then goes to stderr.",
+        metavar="OUT",
+        help="File to write, classic pcap (.pcap, .cap, .dump or no ending); overwritten if it exists. - is standard output; the report "
+        "then goes to stderr. With .mcap (ROS 2), .bag (ROS 1), or a slash at its end (new folder, ROS 2) a bag, with the truth in it.",
         show_default=False,
     ),
 ]
@@ -78,7 +79,7 @@ def record(
     truth_returns: TruthReturns = False,
     as_json: AsJson = False,
 ) -> None:
-    """Record a scene into a pcap file.
+    """Record a scene into a pcap file, or a bag.
 
     The file holds data and position packets in order of sending, in the frames of a real sensor and
     stamped with simulated time. Ctrl-C ends it early and leaves a valid file. Until its end it is
@@ -100,7 +101,7 @@ def record(
         )
     wall_s = time.perf_counter() - began_s  # of the whole command
     recording = replace(recording, wall_s=wall_s, real_time_factor=recording.simulated_s / wall_s)
-    with _beside(out):
+    with _beside(Path(out)):
         if as_json:
             print_json(tree_of(recording))
         else:
@@ -129,6 +130,7 @@ def _print(recording: "Recording") -> None:
             "data packets": count(recording.packets),
             "position packets": count(recording.position_packets),
             "returns": count(recording.returns),
+            **{topic: f"{count(number)} messages" for topic, number in (recording.messages or {}).items()},
             **{f"unit {unit.unit}": _line(unit) for unit in units},
             "size": size(recording.bytes),
             "sha256": recording.sha256,

@@ -2,6 +2,8 @@
 
 import shutil
 import tempfile
+from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -9,7 +11,10 @@ from typing import Any, Self
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
 from vlp16emu.units import S_NS
 
-__all__ = ["BagFile"]
+__all__ = ["BagFile", "Beat", "check_bag", "is_bag"]
+
+Beat = tuple[int, Callable[[], None]]
+"""UTC of a message, and what writes it."""
 
 _SUFFIXES = (".mcap", ".bag", "")
 """MCAP of ROS 2, bag of ROS 1, and a folder with SQLite of ROS 2, which every ROS 2 reads without a plugin."""
@@ -23,6 +28,30 @@ _OWN_TYPES = {
 github.com/ros/geometry2 (tf2_msgs/msg), which the types of ROS 1 in rosbags leave out."""
 _METADATA_VERSION = 8
 """Of rosbag2: the last one whose quality of service is a text."""
+
+
+def is_bag(name: str | Path) -> bool:
+    """Whether a name is that of a bag where it might be another file: by its ending, of a folder a slash."""
+    return Path(name).suffix.lower() in _SUFFIXES[:2] or str(name).endswith("/")
+
+
+def check_bag(path: Path) -> None:
+    """Refuse what no bag can be written to.
+
+    Raises
+    ------
+    OutputError
+        where the ending is another, or the folder is there already
+    MissingExtraError
+        where rosbags is not installed
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _SUFFIXES or not path.name:
+        raise OutputError(str(path), f"found the ending {suffix}", ".mcap, .bag or a folder without ending")
+    if path.exists() and (not suffix or not path.is_file()):
+        raise OutputError(str(path), "is there already", "a new name")
+    if not find_spec("rosbags"):
+        raise MissingExtraError("rosbags", "ros", "writing bags")
 
 
 class BagFile:
@@ -41,17 +70,10 @@ class BagFile:
     """
 
     def __init__(self, path: Path) -> None:
+        check_bag(path)
         self.path, suffix = path, path.suffix.lower()
-        if suffix not in _SUFFIXES or not path.name:
-            raise OutputError(
-                str(path), f"found the ending {suffix}", ".mcap, .bag or a folder without ending"
-            )
-        if path.exists() and (not suffix or not path.is_file()):
-            raise OutputError(str(path), "is there already", "a new name")
-        try:
-            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-        except ImportError:
-            raise MissingExtraError("rosbags", "ros", "writing bags") from None
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
         self.is_ros1 = suffix == ".bag"
         self._store = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
         for name, text in _OWN_TYPES.items():

@@ -23,7 +23,7 @@ _ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})
 """Of names of classic pcap files; a name may have none."""
 _WAYS_TO = {
     ".pcapng": ", which `editcap -F pcapng` converts",
-    **dict.fromkeys((".bag", ".db3", ".mcap"), "; `vlp16emu bag` makes a bag of it"),
+    ".db3": "; a name that ends in / is a bag of ROS 2, a folder with SQLite",
     **dict.fromkeys(
         (".npz", ".ply", ".csv", ".las", ".laz", ".pcd", ".e57"), "; `vlp16emu points` writes points"
     ),
