@@ -37,6 +37,8 @@ class Emulator(Streams):
     ideal : a sensor without errors: beams without width, no noise, clear air
     threads : workers, 0 for one per core; they change the speed only
     audit : cast 0.05 % of the pulses of recordings and streams again, to estimate their error; not of a live run
+    like : another emulator; where both go the same way through the same world, what that one has grown and built is used
+        again. Never changes a byte.
 
     Raises
     ------

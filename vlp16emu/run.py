@@ -37,10 +37,11 @@ class Run(Chain):
         ideal: bool = False,
         threads: int = 0,
         audit: bool = False,
+        like: Chain | None = None,
     ) -> None:
         scenario = load(scene, settings, ideal=ideal)
         self.audit = Audit.of(scenario) if audit and not takes_poses(scenario.motion) else None
-        super().__init__(scenario, threads=threads, audit=self.audit)
+        super().__init__(scenario, threads=threads, audit=self.audit, like=like)
         self.name = str(scene) if isinstance(scene, str | Path) else scenario.title
         own = [find(str(scene))] if isinstance(scene, str | Path) else []
         self._files = [*own, *named_files(scenario)]

@@ -1,6 +1,16 @@
 """From the sections of a scenario to the parts of an emulator. Builds no geometry yet."""
 
-from vlp16emu.chain.parts import Parts, PulseHook, Unit, assemble, beam_of, with_events
+from vlp16emu.chain.parts import Parts, PulseHook, Unit, assemble, beam_of, in_one_world, with_events
 from vlp16emu.chain.windows import window_of, windows_of
 
-__all__ = ["Parts", "PulseHook", "Unit", "assemble", "beam_of", "window_of", "windows_of", "with_events"]
+__all__ = [
+    "Parts",
+    "PulseHook",
+    "Unit",
+    "assemble",
+    "beam_of",
+    "in_one_world",
+    "window_of",
+    "windows_of",
+    "with_events",
+]

@@ -11,14 +11,14 @@ from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 
-from vlp16emu.chain import PulseHook, Unit, assemble, with_events
+from vlp16emu.chain import Parts, PulseHook, Unit, assemble, in_one_world, with_events
 from vlp16emu.chain.cells import checked_span_ns, cuts_of, windows_for
 from vlp16emu.chain.position import make_receiver, position_packets
 from vlp16emu.chain.slots import slots_of
-from vlp16emu.chain.windows import Batching, prefetch
+from vlp16emu.chain.windows import Batching, Windows, prefetch
 from vlp16emu.chain.wire import arriving
 from vlp16emu.device.events import Event
-from vlp16emu.raycast.caster import Geometry
+from vlp16emu.raycast.caster import Caster, Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire
@@ -35,6 +35,7 @@ class Chain:
     scenario : decides every byte
     threads : workers, 0 for one per core; they change the speed only
     audit : looks at what the pulses of each block met, on the thread that cast them
+    like : another run; where it is in one world with this one, what it has grown and built is used again
 
     Raises
     ------
@@ -42,14 +43,27 @@ class Chain:
         where a part of the scenario cannot be made
     """
 
-    def __init__(self, scenario: Scenario, *, threads: int = 0, audit: PulseHook | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        threads: int = 0,
+        audit: PulseHook | None = None,
+        like: "Chain | None" = None,
+    ) -> None:
         self.scenario = scenario
-        self.parts = assemble(scenario)
+        known: Parts | None = None
+        built: Caster | None = None
+        if like and in_one_world(scenario, like.scenario):
+            known, built = like.parts, like.windows.built
+        self.parts: Parts = assemble(scenario, known)
         self._audit = audit
         self._threads = threads or os.cpu_count() or 1
         beams = self.parts.head.beams
         self.batching = Batching(len(beams.elevation_deg), beams.sequence_ns, cuts_of(self.parts))
-        self.windows = windows_for(self.parts, scenario.start_ns, self.batching, self._threads)
+        self.windows: Windows[Geometry] = windows_for(
+            self.parts, scenario.start_ns, self.batching, self._threads, built
+        )
         self.receiver = make_receiver(scenario, self.parts, self.windows)
         self.prompt = False
         """Whether blocks are cast one by one, so that what is set anew shows soon; it changes the speed only."""

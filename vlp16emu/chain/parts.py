@@ -15,6 +15,7 @@ from vlp16emu.device.optics import Optics
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.imu import ImuSampler
+from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.motion.mount import mounted
 from vlp16emu.motion.pose import Motion
 from vlp16emu.packets import FACTORY_LINK, Link
@@ -33,6 +34,13 @@ from vlp16emu.world import Hall
 from vlp16emu.world.make import ground_name, ground_of, obstacles_of, world_of
 from vlp16emu.world.stand.wind import TreeSway
 
+_OF_WORLD: tuple[Callable[[Scenario], object], ...] = (
+    lambda scenario: (scenario.world, scenario.world_seed, scenario.wind),
+    lambda scenario: (scenario.motion, scenario.motion_seed, scenario.gps, scenario.start_ns),
+    lambda scenario: [(sensor.max_range_m, mount) for sensor, mount in _sensors(scenario)],
+)
+"""What decides it."""
+
 __all__ = [
     "Parts",
     "PulseHook",
@@ -41,6 +49,7 @@ __all__ = [
     "beam_of",
     "detector_of",
     "head_of",
+    "in_one_world",
     "link_of",
     "seed_of",
     "with_events",
@@ -222,14 +231,39 @@ class Parts:
         return self.wind is not None or any(unit.motion.moves for unit in self.units)
 
 
-def assemble(scenario: Scenario) -> Parts:
+def in_one_world(one: Scenario, other: Scenario) -> bool:
+    """Whether runs go the same way through the same world, so that only their sensors may differ."""
+    return all(of_world(one) == of_world(other) for of_world in _OF_WORLD) and not takes_poses(one.motion)
+
+
+def assemble(scenario: Scenario, like: Parts | None = None) -> Parts:
     """Make the parts that a scenario describes.
+
+    Parameters
+    ----------
+    like : of another run in one world with this one, whose carrier and world are these too
 
     Raises
     ------
     InputError
         where a part cannot be made of what its section says
     """
+    carrier, world, wind = _world(scenario) if like is None else (like.carrier, like.world, like.wind)
+    return Parts(
+        units=tuple(
+            _unit(scenario, number, mounted(carrier, mount, scenario.start_ns))
+            for number, (_, mount) in enumerate(_sensors(scenario))
+        ),
+        carrier=carrier,
+        imu=_imu(scenario, carrier),
+        world=world,
+        wind=wind,
+        gps=GpsInput.of(scenario.gps, (), scenario.start_ns),
+    )
+
+
+def _world(scenario: Scenario) -> tuple[Motion, World, TreeSway | None]:
+    """Make the carrier, the world that it goes through, and what moves its trees."""
     sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
     reach_m = _STRAY_M + max(sensor.max_range_m + math.hypot(*mount.lever_arm_m) for sensor, mount in sensors)
     ground = ground_of(section, seed)
@@ -254,17 +288,7 @@ def assemble(scenario: Scenario) -> Parts:
         reach_m=reach_m,
         farthest_m=max(sensor.max_range_m for sensor, _ in sensors),
     )
-    return Parts(
-        units=tuple(
-            _unit(scenario, number, mounted(carrier, mount, scenario.start_ns))
-            for number, (_, mount) in enumerate(sensors)
-        ),
-        carrier=carrier,
-        imu=_imu(scenario, carrier),
-        world=world,
-        wind=wind,
-        gps=GpsInput.of(scenario.gps, (), scenario.start_ns),
-    )
+    return carrier, world, wind
 
 
 def _imu(scenario: Scenario, carrier: Motion) -> ImuSampler | None:

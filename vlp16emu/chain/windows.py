@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.chain.parts import Parts
-from vlp16emu.raycast.caster import Geometry, caster
+from vlp16emu.raycast.caster import Caster, Geometry, caster
 from vlp16emu.types import Window
 
 __all__ = ["BLOCK", "SEGMENT", "Batching", "Windows", "prefetch", "window_of", "windows_of", "workers"]
@@ -107,6 +107,8 @@ class Windows(Generic[S]):
             return opener.submit(open_segment, name)
 
         self._opened = opened
+        self.built: Caster | None = None
+        """That opens them, where another run may use it."""
         self.stop = Event()
         """Of the run under way; see `stopped_by`."""
 
@@ -227,7 +229,9 @@ def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> 
     return parts.wind.blown(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
 
 
-def windows_of(parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
+def windows_of(
+    parts: Parts, start_ns: int, batching: Batching, threads: int, built: Caster | None = None
+) -> Windows[Geometry]:
     """Make the windows of a run, the same for all units; one serves all segments where nothing moves.
 
     Parameters
@@ -235,11 +239,14 @@ def windows_of(parts: Parts, start_ns: int, batching: Batching, threads: int) ->
     start_ns : UTC of the first pulse
     batching : of the run
     threads : workers, which each unit may have
+    built : caster of another run with this world
     """
-    built = caster(parts.world, ThreadPoolExecutor(threads, "build"))
+    built = built or caster(parts.world, ThreadPoolExecutor(threads, "build"))
 
     def open_segment(segment: int) -> Geometry:
         """Open what is within reach of a segment of the walk."""
         return built.open(window_of(parts, start_ns, batching, segment))
 
-    return Windows(open_segment, batching, moves=parts.moves, threads=threads)
+    windows = Windows(open_segment, batching, moves=parts.moves, threads=threads)
+    windows.built = built
+    return windows

@@ -36,6 +36,8 @@ _BEFORE_S = 0.01
 _CAPTURE = "walk.pcap"
 _PCAP_HEADER_BYTES = 24
 """Of the file header of classic pcap (draft-ietf-opsawg-pcap, section 4)."""
+_AT_ONCE = 500_000
+"""Points of a plot in memory."""
 _IDENTITY = " ".join(f"{value:g}" for value in np.eye(3, 4).ravel())
 
 
@@ -128,17 +130,32 @@ def _pcap_and_truth(emulator: Emulator, stretches: Sequence[Path], folder: Path)
     emulator.write_truth(folder / "truth")
 
 
-def _las_plots(emulator: Emulator, _stretches: Sequence[Path], folder: Path) -> None:
+def _points(emulator: Emulator, span_s: tuple[float, float], folder: Path) -> None:
+    """Write the points of a span, uncompressed."""
+    emulator.write_points(
+        folder / "points.las", start_s=span_s[0], duration_s=span_s[1] - span_s[0], truth=True
+    )
+
+
+def _las_plots(_emulator: Emulator, stretches: Sequence[Path], folder: Path) -> None:
     """Write the walk as one labelled cloud in the world; its classes are those of ASPRS, the rest extra dimensions."""
-    emulator.write_points(folder / "points.laz", truth=True)
+    import laspy  # is there, or the stretches would not be
+
+    with laspy.open(stretches[0] / "points.las") as first:
+        header = first.header
+    with laspy.open(folder / "points.laz", "w", header=header) as plot:
+        for stretch in stretches:
+            with laspy.open(stretch / "points.las") as part:
+                for points in part.chunk_iterator(_AT_ONCE):
+                    plot.write_points(points)
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
     """How the files of a walk are made; folders are there and empty."""
 
-    stretch: Callable[[Emulator, tuple[float, float], Path], None] | None
-    """Casts a span in seconds since the first pulse, into a folder of its own; None where a walk is made in one piece."""
+    stretch: Callable[[Emulator, tuple[float, float], Path], None]
+    """Casts a span in seconds since the first pulse, into a folder of its own."""
     walk: Callable[[Emulator, Sequence[Path], Path], None]
     """Makes the files of the walk of those of its stretches."""
 
@@ -146,8 +163,6 @@ class Layout:
 LAYOUTS = {
     "semantickitti": Layout(_scans, _semantic_kitti),
     "pcap+truth": Layout(_packets, _pcap_and_truth),
-    "las-plots": Layout(
-        None, _las_plots
-    ),  # a LAZ file cannot be appended to without another pass of compression
+    "las-plots": Layout(_points, _las_plots),
 }
 """By their names in the file of a dataset."""

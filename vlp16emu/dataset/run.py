@@ -14,11 +14,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from vlp16emu.chain import in_one_world
 from vlp16emu.dataset.layouts import LAYOUTS, walk_folder
 from vlp16emu.dataset.spec import DatasetWalk
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
 from vlp16emu.output import OutputFile, lock
+from vlp16emu.scenario import Scenario
 from vlp16emu.units import seconds_to_ns
 
 __all__ = ["DatasetResult", "make_dataset"]
@@ -63,7 +65,7 @@ def make_dataset(
     workers : processes on this machine; 0 is this process alone, which needs no Dask; one per core if left out
     scheduler : address of a Dask scheduler, instead of processes on this machine
     stretch_s : walks that are longer are made in stretches, which are all that a killed worker or run loses; never changes
-        a byte, and is of no use for LAZ
+        a byte
     progress : called with the simulated seconds so far, stretch by stretch
 
     Raises
@@ -87,6 +89,7 @@ def make_dataset(
             done_s += piece_s
             progress(done_s)
         entries = [_read(out / _RECORDS / f"{walk.number}.json") for walk in walks]
+        _LAST.clear()
         text = json.dumps({"written_by": _written_by(), "walks": entries}, indent=2) + "\n"
         _write(out / "manifest.json", text)
         shutil.rmtree(
@@ -123,6 +126,18 @@ def _sweep(out: Path) -> None:
         shutil.rmtree(left, ignore_errors=True)
 
 
+_LAST = list[Emulator]()
+"""Of this process, at most one."""
+
+
+def _emulator(scenario: Scenario, threads: int) -> Emulator:
+    """Make an emulator, of what the last one has grown and built where that is in one world with it."""
+    if _LAST and not in_one_world(scenario, _LAST[0].scenario):
+        _LAST.clear()
+    _LAST[:] = [Emulator(scenario, threads=threads, like=next(iter(_LAST), None))]
+    return _LAST[0]
+
+
 @dataclass(frozen=True, slots=True)
 class _Job:
     """A walk that is to be made; sent to workers."""
@@ -133,9 +148,7 @@ class _Job:
 
     @property
     def spans_s(self) -> list[tuple[float, float]]:
-        """Begin and end of each stretch; none where the layout has the walk made in one piece."""
-        if LAYOUTS[self.walk.layout].stretch is None:
-            return []
+        """Begin and end of each stretch."""
         end_s = self.walk.scenario.duration_s
         begins_s = [i * self.stretch_s for i in range(math.ceil(end_s / self.stretch_s))]
         return list(pairwise([*begins_s, end_s]))
@@ -147,17 +160,15 @@ class _Job:
 
     def cut(self, span_s: tuple[float, float], threads: int) -> None:
         """Make a stretch, if it is not there yet."""
-        cast = LAYOUTS[self.walk.layout].stretch
-        assert cast is not None
         if not self.stretch(span_s).exists():
             with self._folder(self.stretch(span_s)) as part:
-                cast(Emulator(self.walk.scenario, threads=threads), span_s, part)
+                LAYOUTS[self.walk.layout].stretch(_emulator(self.walk.scenario, threads), span_s, part)
 
     def join(self, _cuts: Sequence[None], threads: int) -> None:
         """Write the files of the walk, and then its record; all stretches are there."""
         stretches = [self.stretch(span_s) for span_s in self.spans_s]
         final = self.out / walk_folder(self.walk.layout, self.walk.number)
-        emulator = Emulator(self.walk.scenario, threads=threads)
+        emulator = _emulator(self.walk.scenario, threads)
         with self._folder(final) as part:
             LAYOUTS[self.walk.layout].walk(emulator, stretches, part)
             entry = _identity(self.walk) | {
@@ -193,7 +204,6 @@ def _here(jobs: Sequence[_Job]) -> Iterator[float]:
             yield end_s - begin_s
         job.join([], threads=0)
         job.clear()
-        yield 0.0 if job.spans_s else job.walk.scenario.duration_s
 
 
 def _on_dask(jobs: Sequence[_Job], workers: int | None, scheduler: str | None) -> Iterator[float]:
@@ -210,7 +220,7 @@ def _on_dask(jobs: Sequence[_Job], workers: int | None, scheduler: str | None) -
             cuts = [client.submit(job.cut, span_s, threads=1, pure=False) for span_s in job.spans_s]
             piece_s |= {cut: end_s - begin_s for cut, (begin_s, end_s) in zip(cuts, job.spans_s, strict=True)}
             join = client.submit(job.join, cuts, threads=1, pure=False)
-            piece_s[join] = 0.0 if cuts else job.walk.scenario.duration_s
+            piece_s[join] = 0.0
             joins[join] = job, cuts
         try:
             for future in as_completed(list(piece_s)):
