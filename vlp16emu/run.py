@@ -41,7 +41,8 @@ class Run(Chain):
     ) -> None:
         scenario = load(scene, settings, ideal=ideal)
         self.audit = Audit.of(scenario) if audit and not takes_poses(scenario.motion) else None
-        super().__init__(scenario, threads=threads, audit=self.audit, like=like)
+        world_of = (like.scenario, like.parts) if like else None
+        super().__init__(scenario, threads=threads, audit=self.audit, like=world_of)
         self.name = str(scene) if isinstance(scene, str | Path) else scenario.title
         own = [find(str(scene))] if isinstance(scene, str | Path) else []
         self._files = [*own, *named_files(scenario)]

@@ -21,7 +21,7 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.flown import Cell, FlownMotion
 from vlp16emu.motion.knots import STEP_NS
 from vlp16emu.motion.live import LiveMotion
-from vlp16emu.raycast.caster import Caster, Geometry, caster
+from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.units import seconds_to_ns
@@ -219,9 +219,7 @@ def checked_span_ns(
     return start_ns, seconds_to_ns(stop_s)
 
 
-def windows_for(
-    parts: Parts, start_ns: int, batching: Batching, threads: int, built: Caster | None = None
-) -> Windows[Geometry]:
+def windows_for(parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
     """Make the windows of any run: of boxes, where it is or was flown; parameters as of `windows_of`."""
     of_run = parts, start_ns, batching, threads
     match parts.carrier:
@@ -229,4 +227,4 @@ def windows_for(
             return LiveWindows(*of_run, motion)
         case FlownMotion(flown=flown):
             return CellWindows(*of_run, [(number // KNOTS_PER_BLOCK, cell) for number, cell in flown.cells])
-    return windows_of(*of_run, built)
+    return windows_of(*of_run)

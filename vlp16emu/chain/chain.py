@@ -11,14 +11,14 @@ from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 
-from vlp16emu.chain import Parts, PulseHook, Unit, assemble, in_one_world, with_events
+from vlp16emu.chain import Like, PulseHook, Unit, assemble, with_events
 from vlp16emu.chain.cells import checked_span_ns, cuts_of, windows_for
 from vlp16emu.chain.position import make_receiver, position_packets
 from vlp16emu.chain.slots import slots_of
-from vlp16emu.chain.windows import Batching, Windows, prefetch
+from vlp16emu.chain.windows import Batching, prefetch
 from vlp16emu.chain.wire import arriving
 from vlp16emu.device.events import Event
-from vlp16emu.raycast.caster import Caster, Geometry
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire
@@ -35,7 +35,7 @@ class Chain:
     scenario : decides every byte
     threads : workers, 0 for one per core; they change the speed only
     audit : looks at what the pulses of each block met, on the thread that cast them
-    like : another run; where it is in one world with this one, what it has grown and built is used again
+    like : another run; what it has grown and built of the same world is used again
 
     Raises
     ------
@@ -44,26 +44,16 @@ class Chain:
     """
 
     def __init__(
-        self,
-        scenario: Scenario,
-        *,
-        threads: int = 0,
-        audit: PulseHook | None = None,
-        like: "Chain | None" = None,
+        self, scenario: Scenario, *, threads: int = 0, audit: PulseHook | None = None, like: Like = None
     ) -> None:
         self.scenario = scenario
-        known: Parts | None = None
-        built: Caster | None = None
-        if like and in_one_world(scenario, like.scenario):
-            known, built = like.parts, like.windows.built
-        self.parts: Parts = assemble(scenario, known)
+        self.parts = assemble(scenario, like)
+        self._span_ns = partial(checked_span_ns, scenario, self.parts)
         self._audit = audit
         self._threads = threads or os.cpu_count() or 1
         beams = self.parts.head.beams
         self.batching = Batching(len(beams.elevation_deg), beams.sequence_ns, cuts_of(self.parts))
-        self.windows: Windows[Geometry] = windows_for(
-            self.parts, scenario.start_ns, self.batching, self._threads, built
-        )
+        self.windows = windows_for(self.parts, scenario.start_ns, self.batching, self._threads)
         self.receiver = make_receiver(scenario, self.parts, self.windows)
         self.prompt = False
         """Whether blocks are cast one by one, so that what is set anew shows soon; it changes the speed only."""
@@ -104,10 +94,6 @@ class Chain:
         """Let other events happen; packets that are under way are those of the events before."""
         self.scenario = self.scenario.model_copy(update={"events": list(events)})
         self.parts = with_events(self.parts, self.scenario)
-
-    def _span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
-        """Check a span and put it into nanoseconds since the first pulse."""
-        return checked_span_ns(self.scenario, self.parts, start_s, stop_s)
 
     def _scan(self, unit: Unit, run: range, opened: Future[Geometry], *, truth: bool = False) -> Returns:
         """Emit and receive a run of blocks of pulses."""

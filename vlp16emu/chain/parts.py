@@ -42,6 +42,7 @@ _OF_WORLD: tuple[Callable[[Scenario], object], ...] = (
 """What decides it."""
 
 __all__ = [
+    "Like",
     "Parts",
     "PulseHook",
     "Unit",
@@ -231,24 +232,31 @@ class Parts:
         return self.wind is not None or any(unit.motion.moves for unit in self.units)
 
 
+Like = tuple[Scenario, Parts] | None
+"""Another run, whose world may be this one's too."""
+
+
 def in_one_world(one: Scenario, other: Scenario) -> bool:
     """Whether runs go the same way through the same world, so that only their sensors may differ."""
     return all(of_world(one) == of_world(other) for of_world in _OF_WORLD) and not takes_poses(one.motion)
 
 
-def assemble(scenario: Scenario, like: Parts | None = None) -> Parts:
+def assemble(scenario: Scenario, like: Like = None) -> Parts:
     """Make the parts that a scenario describes.
 
     Parameters
     ----------
-    like : of another run in one world with this one, whose carrier and world are these too
+    like : where it is in one world with this one its carrier and world are these too
 
     Raises
     ------
     InputError
         where a part cannot be made of what its section says
     """
-    carrier, world, wind = _world(scenario) if like is None else (like.carrier, like.world, like.wind)
+    if like and in_one_world(scenario, like[0]):
+        carrier, world, wind = like[1].carrier, like[1].world, like[1].wind
+    else:
+        carrier, world, wind = _world(scenario)
     return Parts(
         units=tuple(
             _unit(scenario, number, mounted(carrier, mount, scenario.start_ns))

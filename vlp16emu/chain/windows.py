@@ -10,6 +10,7 @@ from functools import lru_cache
 from itertools import groupby
 from threading import Event
 from typing import Any, Generic, TypeVar
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,9 @@ _POLL_S = 0.05
 _LEAD, _LAG = 3 / 8, 1 / 4
 """Shares of a segment: how long before its use a window is opened, and how far behind the present the sky over the antenna
 is asked for, at most (1.4 s). Workers share the rest."""
+
+_CASTERS: WeakValueDictionary[int, Caster] = WeakValueDictionary()
+"""Of runs that are kept, by their world's identity: runs in one world share what is built of it."""
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -107,8 +111,6 @@ class Windows(Generic[S]):
             return opener.submit(open_segment, name)
 
         self._opened = opened
-        self.built: Caster | None = None
-        """That opens them, where another run may use it."""
         self.stop = Event()
         """Of the run under way; see `stopped_by`."""
 
@@ -229,9 +231,7 @@ def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> 
     return parts.wind.blown(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
 
 
-def windows_of(
-    parts: Parts, start_ns: int, batching: Batching, threads: int, built: Caster | None = None
-) -> Windows[Geometry]:
+def windows_of(parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
     """Make the windows of a run, the same for all units; one serves all segments where nothing moves.
 
     Parameters
@@ -239,14 +239,12 @@ def windows_of(
     start_ns : UTC of the first pulse
     batching : of the run
     threads : workers, which each unit may have
-    built : caster of another run with this world
     """
-    built = built or caster(parts.world, ThreadPoolExecutor(threads, "build"))
+    built = _CASTERS.get(id(parts.world)) or caster(parts.world, ThreadPoolExecutor(threads, "build"))
+    _CASTERS[id(parts.world)] = built
 
     def open_segment(segment: int) -> Geometry:
         """Open what is within reach of a segment of the walk."""
         return built.open(window_of(parts, start_ns, batching, segment))
 
-    windows = Windows(open_segment, batching, moves=parts.moves, threads=threads)
-    windows.built = built
-    return windows
+    return Windows(open_segment, batching, moves=parts.moves, threads=threads)
