@@ -33,8 +33,19 @@ __all__ = ["Camera", "CameraKind", "ImageRun", "write_images"]
 _BODY_R_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """From camera (x right, y down, z forward) to sensor (x forward, y left, z up)."""
 _SKY = (176, 204, 232)
-_AMBIENT = 0.35
-"""Share of light that comes from all around; the rest falls from the camera, by the cosine of its incidence."""
+_FROM_SKY, _FROM_CAMERA, _FROM_SUN = 0.35, 0.25, 0.4
+"""Shares of light: from all around; from the camera, by the cosine of its incidence, so that shapes show; and from the sun, where
+nothing is between. What is met has no normals, so sunlight knows no incidence."""
+_SUN = np.array(
+    [
+        math.cos(math.radians(40)) * math.sin(math.radians(150)),
+        math.cos(math.radians(40)) * math.cos(math.radians(150)),
+        math.sin(math.radians(40)),
+    ]
+)
+"""Direction in the world: in the south-south-east, 40 degrees high."""
+_CLEAR_M = 0.02
+"""Between what is met and where the way to the sun begins."""
 _BAND = 1 << 16
 """Pixels cast at once, about; whole rows, whatever the threads."""
 _LARGEST_PX = 16_384
@@ -232,38 +243,56 @@ def _pixels(
 ) -> tuple[NDArray[Any], ...]:
     """Colours, depth and labels of some rows of an image."""
     rays, shape = camera.rays(rows), (len(rows), camera.width)
-    firings = _firings(pose, rays)
+    from_m = np.repeat(pose.world_p_body_m, len(rays), axis=0)
+    firings = _firings(pose.t_ns, from_m, rays @ pose.world_R_body[0].T)
     hits = geometry.cast(firings, unit.head.beams.near_m[:1], unit.section.max_range_m)
     is_met = np.isfinite(hits.range_m)
     forward = rays[:, 2] if camera.kind is CameraKind.PINHOLE else 1.0
     depth_m = np.where(is_met, hits.range_m * forward, 0.0).astype(np.float32)
     surfaces = np.append(geometry.surfaces, np.zeros(1, SURFACE))  # the last row is that of `NO_SURFACE`
     met = surfaces[np.minimum(hits.surface, len(geometry.surfaces))]
-    rgb = _rgb(hits, geometry, species, is_met=is_met).reshape(*shape, 3)
+    is_lit = _in_sun(firings, hits, geometry, unit) if species else np.ones(len(rays), np.bool_)
+    rgb = _rgb(hits, geometry, species, is_met=is_met, is_lit=is_lit).reshape(*shape, 3)
     return rgb, depth_m.reshape(shape), *(met[name].reshape(shape) for name in _LABELS)
 
 
-def _firings(pose: Poses, rays: NDArray[np.float64]) -> Firings:
-    """Pulses of one laser, one for each ray (n, 3) in the camera, all at the same instant."""
-    n = len(rays)
+def _firings(
+    t_ns: NDArray[np.int64], origin_m: NDArray[np.float64], direction: NDArray[np.float64]
+) -> Firings:
+    """Pulses of one laser, from places (n, 3) in directions (n, 3), all at the same instant (1,)."""
+    n = len(direction)
     return Firings(
         index=0,
-        t_ns=np.repeat(pose.t_ns, n)[:, None],
+        t_ns=np.repeat(t_ns, n)[:, None],
         clock_ns=np.zeros(n, np.int64),
         azimuth_deg=np.zeros((n, 1)),
         reading_deg=np.zeros(n),
-        origin_m=np.repeat(pose.world_p_body_m, n, axis=0)[:, None],
-        direction=(rays @ pose.world_R_body[0].T)[:, None],
+        origin_m=origin_m[:, None],
+        direction=direction[:, None],
         beam_axis=None,
     )
 
 
+def _in_sun(firings: Firings, hits: Hits, geometry: Geometry, unit: Unit) -> NDArray[np.bool_]:
+    """(n,) whether nothing is between what was met and the sun."""
+    range_m = np.where(np.isfinite(hits.range_m), hits.range_m, 0.0).reshape(-1, 1)
+    met_m = firings.origin_m[:, 0] + firings.direction[:, 0] * (range_m - _CLEAR_M)
+    to_sun = _firings(firings.t_ns[:1, 0], met_m, np.tile(_SUN, (len(met_m), 1)))
+    between = geometry.cast(to_sun, np.array([_CLEAR_M]), unit.section.max_range_m)
+    return ~np.isfinite(between.range_m)
+
+
 def _rgb(
-    hits: Hits, geometry: Geometry, species: Mapping[int, str], *, is_met: NDArray[np.bool_]
+    hits: Hits,
+    geometry: Geometry,
+    species: Mapping[int, str],
+    *,
+    is_met: NDArray[np.bool_],
+    is_lit: NDArray[np.bool_],
 ) -> NDArray[np.uint8]:
-    """Colours (n, 3) of what was met, darker where it is seen at a slant."""
+    """Colours (n, 3) of what was met, in light and shade."""
     colours = surface_colours(geometry.surfaces, species)[hits.surface[is_met]]
-    light = _AMBIENT + (1 - _AMBIENT) * hits.cos_incidence[is_met, None]
+    light = _FROM_SKY + _FROM_CAMERA * hits.cos_incidence[is_met, None] + _FROM_SUN * is_lit[is_met, None]
     rgb = np.tile(np.array(_SKY, np.uint8), (len(is_met), 1))
     rgb[is_met] = np.rint(colours * light)
     return rgb
