@@ -86,6 +86,37 @@ def test_points_lie_on_their_pixels(hall, seen):
     assert (depth_m < depths_m.max(axis=0) + spare_m)[even].all()
 
 
+def test_points_of_a_walk_lie_on_the_pixels_of_a_forest(tmp_path):
+    """From a walking sensor, 99 % of the points of the next 20 ms that are off edges have their pixel's instance and depth."""
+    settings = {"world.stems_per_ha": 300, "sensor.max_range_m": 20.0}
+    walk = Emulator("birch_walk", settings, ideal=True)
+    walk.write_images(tmp_path / "views", kind="panorama", size=(2048, 512), start_s=5.0, duration_s=0.1)
+    walk.write_points(tmp_path / "points.npz", start_s=5.0, duration_s=0.02, truth=True)
+    with np.load(tmp_path / "points.npz") as points:
+        column, row, depth_m, inside = pixels_of(tmp_path / "views", points["world_m"])
+        instance = points["instance"][inside]
+    layers = exact(tmp_path / "views")
+    around = [(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1)]
+    seen = np.stack([layers["instance"][row + r, column + c] for r, c in around])
+    off_edges = (seen == seen[0]).all(axis=0)
+    depths_m = np.stack([layers["Z"][row + r, column + c] for r, c in around])
+    near = (depth_m > depths_m.min(axis=0) - 0.05) & (depth_m < depths_m.max(axis=0) + 0.05)
+    agree = (instance == seen[0]) & near
+    assert off_edges.sum() > 1000
+    assert agree[off_edges].mean() > 0.99
+
+
+def test_sunlit_ground_is_brighter_than_shade(tmp_path):
+    """Under trees the same surface seen at the same slant comes in light and in shade; in a hall there is no sun."""
+    walk = Emulator("birch_walk", {"world.stems_per_ha": 300, "sensor.max_range_m": 20.0}, ideal=True)
+    walk.write_images(tmp_path / "views", kind="pinhole", size=(320, 240), duration_s=0.1)
+    ground = png(tmp_path / "views", "semantic") == 1
+    rows = np.flatnonzero(ground.sum(axis=1) > 100)[-5:]
+    rgb = png(tmp_path / "views", "rgb")[rows].sum(axis=2)[ground[rows]]
+    assert 0.05 < (rgb > (int(rgb.min()) + int(rgb.max())) / 2).mean() < 0.95
+    assert rgb.max() > 1.5 * rgb.min()
+
+
 def test_png_and_exr_agree(seen):
     """PNG files have the labels of the OpenEXR file, and its depth in steps of 2 mm; all files are of one size."""
     layers = exact(seen)
