@@ -82,6 +82,7 @@ class Purpose(IntEnum):
     AZIMUTH_PATTERN = 104
     CAPTURE_STAMP = 105
     CAPTURE_LATE = 106
+    UNIT_NOISE = 107
     SCORE_DISK = 92
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.sensor.rotor import Pattern, Rotor, Spin, Swing
+from vlp16emu.sensor.rotor import EncoderLines, Pattern, Rotor, Spin, Swing
 
 IDEAL = {"eccentricity_deg": 0.0, "eccentricity_phase_deg": 0.0, "noise_deg": 0.0}
 
@@ -116,3 +116,36 @@ def test_readings_hum_and_are_cut():
     off = noisy.reading_deg(np.full(20_000, 90.0), 0) - 90.0
     assert np.abs(off).max() == pytest.approx(0.01)
     assert (np.abs(off) > 0.00999).mean() == pytest.approx(2 * stats.norm.sf(2), rel=0.15)
+
+
+def test_an_encoder_of_lines_reads_as_real_ones_do():
+    """Codes modulo five and steps between blocks have the shares of real units, cut anywhere, and on a line readings are exact."""
+    lines = EncoderLines(pitch_deg=0.05, rate_error=0.2, first_deg=0.02)
+    rotor = Rotor(spins=(Spin(0, 0.0, 600),), seed=1, lines=lines, **IDEAL | {"noise_deg": 0.001})
+    angle_deg = rotor.angle_deg(np.arange(60_000) * 2 * SEQUENCE_NS)
+    read_deg = rotor.reading_deg(angle_deg, 0)
+    code = np.floor(read_deg * 100 + 1e-6).astype(int)
+    shares = np.bincount((code - 2) % 5) / len(code)
+    np.testing.assert_allclose(
+        shares, [0.222, 0.224, 0.220, 0.190, 0.144], atol=0.012
+    )  # mean of mrpt, nebula, einride
+    steps = np.diff(code) % 36_000
+    found = [(steps == step).mean() for step in (38, 39, 40, 41, 42)]
+    np.testing.assert_allclose(found, [0.079, 0.224, 0.548, 0.124, 0.025], atol=0.03)
+    np.testing.assert_array_equal(read_deg[777:], rotor.reading_deg(angle_deg[777:], 777))
+    exact = Rotor(spins=(Spin(0, 0.0, 600),), seed=1, lines=lines, **IDEAL)
+    on_lines_deg = 0.02 + 0.05 * np.arange(1, 50) + 1e-9
+    np.testing.assert_allclose(exact.reading_deg(on_lines_deg, 0), on_lines_deg, atol=1e-8)
+
+
+def test_an_even_encoder_draws_nothing():
+    """Without lines readings are those of before, bit by bit."""
+    plain = Rotor(spins=(Spin(0, 0.0, 600),), seed=1, **IDEAL | {"noise_deg": 0.005})
+    even = Rotor(
+        spins=(Spin(0, 0.0, 600),),
+        seed=1,
+        lines=EncoderLines.drawn(1, 0.0, 0.2),
+        **IDEAL | {"noise_deg": 0.005},
+    )
+    angle_deg = plain.angle_deg(np.arange(1000) * SEQUENCE_NS)
+    np.testing.assert_array_equal(plain.reading_deg(angle_deg, 0), even.reading_deg(angle_deg, 0))

@@ -26,7 +26,7 @@ from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable, free_beams, with_angle_errors
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.rotor import Clock, Pattern, Rotor, Swing, rotation_draws
+from vlp16emu.sensor.rotor import Clock, EncoderLines, Pattern, Rotor, Swing, rotation_draws
 from vlp16emu.sensor.settings import FreeSensor, Sensor, on_the_wire
 from vlp16emu.types import Firings, Hits, ReturnMode, SensorModel, World
 from vlp16emu.units import seconds_to_ns
@@ -96,6 +96,7 @@ def head_of(
         pattern=Pattern(
             section.twice_per_turn_deg * share[1], turned_deg[1], section.hum_deg * share[2], turned_deg[2]
         ),
+        lines=EncoderLines.drawn(seed, section.encoder_pitch_deg, section.encoder_rate_error),
     )
     beams = with_angle_errors(
         _beams(section),

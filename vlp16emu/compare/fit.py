@@ -20,11 +20,9 @@ from vlp16emu.sensor import Sensor
 
 __all__ = ["fitted"]
 
-_QUANTUM_CDEG = 1.0 / math.sqrt(12.0)
+_EVEN_CDEG2, _PER_RATE_CDEG2 = 0.11, 5.0
 _LEVEL = 80.0
 """Reflectivity in the middle of those whose neighbours are compared."""
-_STEP, _FLOOR = 2.0, 0.3
-"""Of reflectivity codes, and their noise in the dark: those of the preset `unit`."""
 _SET_RPM = 60
 
 Table = Mapping[str, object]
@@ -46,16 +44,14 @@ def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
 
 def _noise(sequences: Sequences, found: Statistics) -> Table:
     """Find the keys of `[noise]`, as far as the capture shows them."""
-    out: dict[str, object] = {"preset": "unit"}
+    out: dict[str, object] = {"preset": "unit", "unit_spread": 0.0}
     if (smooth := smooth_of(sequences)) is not None:
         sine, _ = beat_of(smooth)
         out["range_noise_m"] = round(found["range.sigma_without_beat_mm"] * 1e-3, 5)
         out["range_beat_m"] = round(float(abs(sine)) * 1e-3, 5)
         out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
-    if equal := found.get("reflectivity.equal_60_99"):
-        # Of two values with white noise, rounded to a step: how often they are equal.
-        sigma = _STEP / (2.0 * math.sqrt(math.pi) * equal)
-        out["reflectivity_noise_share"] = round(max(sigma - _FLOOR, 0.0) / _LEVEL, 4)
+    if scatter := found.get("reflectivity.scatter_60_99"):
+        out["reflectivity_noise_root"] = round(scatter / math.sqrt(_LEVEL), 3)
     if "residue.odd_spread" in found:
         out["odd_codes_spread"] = round(found["residue.odd_spread"], 3)
     if "no_return.above_0" in found:
@@ -68,8 +64,8 @@ def _rotor(sequences: Sequences) -> Table:
     turning = turning_of(sequences)
     hum = hum_cdeg(sequences, turning.rest_cdeg)
     set_rpm = _SET_RPM * round(turning.rpm / _SET_RPM)
-    # Nine values around each take a ninth of white noise.
-    white = local(turning.rest_cdeg).var() * 9.0 / 8.0 - _QUANTUM_CDEG**2 - 0.5 * hum**2
+    # Local variance of the readings of an encoder whose rate is right, and what its error adds: from our own packets.
+    excess = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0)
     once, twice = turning.once_cdeg, turning.twice_cdeg
     return {
         "preset": "unit",
@@ -80,7 +76,7 @@ def _rotor(sequences: Sequences) -> Table:
         "eccentricity_phase_deg": round(math.degrees(math.atan2(-once.real, once.imag)) % 360.0, 1) % 360.0,
         "twice_per_turn_deg": round(abs(twice) / 100, 4),
         "hum_deg": round(hum / 100, 5),
-        "azimuth_noise_deg": round(math.sqrt(max(white, 0.0)) / 100, 5),
+        "encoder_rate_error": round(min(math.sqrt(excess / _PER_RATE_CDEG2), 0.5), 3),
         "speed_error_rpm": round(abs(turning.rpm - set_rpm) * 600.0 / set_rpm, 3),
     }
 

@@ -205,6 +205,7 @@ def _rotation(sequences: Sequences) -> Statistics:
         "rotation.hum_cdeg": hum_cdeg(sequences, rest),
         "rotation.reading_cdeg": local(rest).std(),
         "rotation.commonest_step": (step == mode).mean(),
+        "rotation.rarest_of_five": (np.bincount(azimuth % 5, minlength=5) / len(azimuth)).min(),
     }
     turns = (azimuth - azimuth[0]) // 36_000
     if turns[-1] >= 3:

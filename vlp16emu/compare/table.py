@@ -35,6 +35,7 @@ REAL: Mapping[str, tuple[float, float]] = MappingProxyType(
         "rotation.hum_cdeg": (0.01416, 0.2371),
         "rotation.reading_cdeg": (0.5642, 0.6016),
         "rotation.commonest_step": (0.53, 0.5599),
+        "rotation.rarest_of_five": (0.136, 0.154),
         "rotation.speed_sd_percent": (0.002295, 0.01741),
         "residue.odd_spread": (0.07482, 0.1666),
         "residue.mod_4": (0.005477, 0.01426),

@@ -3,6 +3,8 @@
 Kernels make no arrays of their own, so numba need not count references (`_nrt=False`): a sixth of the time.
 """
 
+import math
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ from vlp16emu.returns.echoes import (
 )
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOT,
+    heavier,
     no_return_multiples,
     range_sigma_m,
     reflectivity_byte,
@@ -131,7 +134,7 @@ def _detect(
         slot = 24 * n % 5
         if (
             constants.range_noise_m > 0.0
-            or constants.reflectivity_noise + constants.reflectivity_noise_share > 0.0
+            or constants.reflectivity_noise + constants.reflectivity_noise_root > 0.0
         ):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(count.shape[1]):
@@ -275,9 +278,11 @@ def _measure(
     """Distance and reflectivity as the unit reads them; distance 0 if that is too small, and nothing if it is too great."""
     reflectance = amplitude * range_m * range_m
     measured_m = range_m + error_m
-    sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * min(
-        100.0 * reflectance, 100.0
-    )
+    sigma = constants.reflectivity_noise
+    if constants.reflectivity_noise_root > 0.0:
+        sigma += constants.reflectivity_noise_root * math.sqrt(min(100.0 * reflectance, 100.0))
+    if constants.heavy_tails:
+        range_noise, other_noise = heavier(range_noise), heavier(other_noise)
     counts = other_noise * sigma
     if constants.range_noise_m > 0.0:
         measured_m += range_noise * range_sigma_m(constants, reflectance, amplitude)
@@ -361,9 +366,10 @@ def _write(
             range_sigma_m(constants, light * at_m * at_m, light) if constants.range_noise_m > 0.0 else 0.0
         )
         if (
-            at_m + error_m + _CERTAIN_SIGMAS * sigma_m > constants.max_range_m
+            at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m
         ):  # or else noise does not put it beyond
             drawn, _ = normal_pair(constants.seed, _RANGE_NOISE, n, j | column << _LANE_BITS)
+            drawn = heavier(drawn) if constants.heavy_tails else drawn
             if at_m + error_m + drawn * sigma_m > constants.max_range_m:
                 _leave_out(peaks, chosen, peak)
     for column in range(3):

@@ -67,6 +67,7 @@ class UnitDetector:
         """
         sigma_m = _HALF_LIGHT_M_PER_NS * detector.pulse_ns / _FWHM_SIGMAS
         least, amplitude_noise = threshold_of(detector)
+        own = [math.exp(noise.unit_spread * drawn) for drawn in normal(seed, Purpose.UNIT_NOISE, 0, 2)]
         air_per_m = extinction_per_m(weather.visibility_m, weather.rain_mm_h)
         constants = DetectorConstants(
             seed=seed,
@@ -80,10 +81,11 @@ class UnitDetector:
             extinction_per_m=air_per_m,
             clutter=air_reflectance(air_per_m, sigma_m),
             least_clutter=least,
-            range_noise_m=noise.range_noise_m,
-            reflectivity_noise=noise.reflectivity_noise,
-            reflectivity_noise_share=noise.reflectivity_noise_share,
+            range_noise_m=noise.range_noise_m * own[0],
+            reflectivity_noise=noise.reflectivity_noise * own[1],
+            reflectivity_noise_root=noise.reflectivity_noise_root * own[1],
             reflectivity_step=noise.reflectivity_step,
+            heavy_tails=noise.heavy_tails,
         )
         return cls(
             constants=constants,
@@ -110,7 +112,7 @@ class UnitDetector:
             clutter=0.0,
             range_noise_m=0.0,
             reflectivity_noise=0.0,
-            reflectivity_noise_share=0.0,
+            reflectivity_noise_root=0.0,
             reflectivity_step=0.0,
         )
         none, one = np.zeros_like(self.range_bias_m), np.ones_like(self.gain)

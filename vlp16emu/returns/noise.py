@@ -17,6 +17,7 @@ __all__ = [
     "NO_RETURN_KNOT",
     "RETROREFLECTIVE",
     "gain",
+    "heavier",
     "no_return_multiples",
     "no_return_reflectivity",
     "range_beat_m",
@@ -114,6 +115,20 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
     return math.sqrt(
         constants.range_noise_m * constants.range_noise_m * (_STEADY + _DARK / shown) + far_m * far_m
     )
+
+
+_UNIT = math.sqrt(math.sqrt(math.pi / 8.0))
+"""E |z|**3 of a normal number is the root of 8 / pi."""
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def heavier(z: float) -> float:
+    """Turn a normal number into one of the same variance and a kurtosis of 15 pi / 8 = 5.9.
+
+    Between revolutions of a static scene ranges of mrpt, nebula and einride change with a kurtosis of 4.8, 4.4 and 5.2,
+    where the change of two such numbers has 4.5.
+    """
+    return _UNIT * z * math.sqrt(abs(z))
 
 
 RETROREFLECTIVE = 100.5

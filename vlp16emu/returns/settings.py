@@ -28,11 +28,13 @@ _PRESETS: dict[str, dict[str, object]] = {
     "datasheet": {"range_noise_m": 0.011, "range_bias_m": 0.010},
     # Measured on captures of real units: protocol/README.md, "The character of a unit".
     "unit": {
-        "range_noise_m": 0.0058,
+        "range_noise_m": 0.0052,
         "range_beat_m": 0.006,
-        "reflectivity_noise": 0.3,
-        "reflectivity_noise_share": 0.028,
-        "reflectivity_step": 2.0,
+        "reflectivity_noise": 0.0,
+        "reflectivity_noise_root": 0.25,
+        "reflectivity_step": 1.7,
+        "heavy_tails": True,
+        "unit_spread": 0.15,
         "odd_codes_spread": 0.1,
         "no_return_reflectivity": True,
         "no_return_wander": 1.0,
@@ -81,11 +83,16 @@ class Noise(Preset):
     """Time constant with which that fades."""
     reflectivity_noise: Annotated[float, Field(ge=0, le=20)] = 1.5
     """White, one sigma, in counts; real units show 1 to 2."""
-    reflectivity_noise_share: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """The same as a share of the reflectivity, added to it; some 3 % on real units."""
+    reflectivity_noise_root: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """The same at a reflectivity of 1, growing with its square root, added to it; 0.25 on real units."""
     reflectivity_step: Annotated[float, Field(ge=0, le=10)] = 0.0
-    """Spacing of codes from 50 on, before the gain of the laser; 2 on real units, where neighbours then are equal more
+    """Spacing of codes from 50 on, before the gain of the laser; 1.7 on real units, where neighbours then are equal more
     often. 0 sends every code."""
+    heavy_tails: bool = False
+    """Whether white errors of range and reflectivity are often small and now and then great, with a kurtosis of 5.9, as on real
+    units, instead of Gaussian."""
+    unit_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """By how much the white errors of a unit differ from these, one sigma of the logarithm. 0 for exactly these."""
     odd_codes_spread: Annotated[float, Field(ge=0, le=0.4)] = 0.0
     """By how much the share of odd distance codes differs between lasers, one sigma; 0.08 to 0.17 on real units."""
     gain_spread: Annotated[float, Field(ge=0, le=0.3)] = 0.03
@@ -159,6 +166,7 @@ class DetectorConstants(NamedTuple):
     """Amplitude below which the air is not worth a look."""
     range_noise_m: float
     reflectivity_noise: float
-    reflectivity_noise_share: float
+    reflectivity_noise_root: float
     reflectivity_step: float
     """0 where every code is sent."""
+    heavy_tails: bool

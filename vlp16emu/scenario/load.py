@@ -26,6 +26,7 @@ _UNIT_ERRORS = (
     "clock_error_ppm",
     "twice_per_turn_deg",
     "hum_deg",
+    "encoder_pitch_deg",
     "speed_error_rpm",
     "speed_wander_rpm",
 )

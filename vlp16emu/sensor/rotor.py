@@ -13,10 +13,25 @@ from numpy.typing import NDArray
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.units import HOUR_NS, S_NS
 
-__all__ = ["Clock", "ClockSpan", "Pattern", "Rotor", "Spin", "Swing", "Wobbling", "rotation_draws"]
+__all__ = [
+    "Clock",
+    "ClockSpan",
+    "EncoderLines",
+    "Pattern",
+    "Rotor",
+    "Spin",
+    "Swing",
+    "Wobbling",
+    "rotation_draws",
+]
 
 _HUM_SEQUENCES = 25
 """Firing sequences of two periods of the hum; one is 12.5 x 55.296 us."""
+_SLOW = 1.08
+"""By how much the speed is taken too low between the lines of an encoder: of five codes between two lines the last one then has
+14 % of the readings and the others 20 to 22, as on mrpt, nebula, einride and a unit of 2014."""
+_SHORT_DEG = 1e-5
+"""How far before the next line a reading ends."""
 _KNOT_BITS = 20
 """A swing is straight between multiples of 2**20 ns, 1 ms."""
 
@@ -133,6 +148,31 @@ class Pattern:
         return np.asarray(out)
 
 
+@dataclass(frozen=True, slots=True)
+class EncoderLines:
+    """An encoder of lines, between which the reading goes on with time, at a speed that is not quite the rotor's."""
+
+    pitch_deg: float
+    """From line to line; 0 for an even encoder."""
+    rate_error: float
+    """Of the speed, which is too low or too high by this share with equal chance, reading by reading."""
+    first_deg: float
+    """Reading of a line."""
+
+    def read(self, angle_deg: NDArray[np.float64], seed: int, first: int) -> NDArray[np.float64]:
+        """Read (k,) angles, those of firing sequences from `first` on."""
+        since_deg = (angle_deg - self.first_deg) % self.pitch_deg
+        is_low = uniform(seed, Purpose.AZIMUTH_READING, first, len(angle_deg), 1) < 0.5
+        rate = (1.0 + np.where(is_low, -self.rate_error, self.rate_error)) / _SLOW
+        return np.asarray(angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _SHORT_DEG))
+
+    @classmethod
+    def drawn(cls, seed: int, pitch_deg: float, rate_error: float) -> "EncoderLines":
+        """Draw on which hundredth of a degree the lines of a unit are."""
+        first = math.floor(5.0 * float(uniform(seed, Purpose.AZIMUTH_PATTERN, 6, 1)[0]))
+        return cls(pitch_deg, rate_error, first / 100)
+
+
 def rotation_draws(seed: int, spread: float) -> tuple[list[float], list[float]]:
     """Draw what a unit has of its own in the errors once and twice a turn and in the hum.
 
@@ -173,6 +213,7 @@ class Rotor:
     noise_limit_deg: float = math.inf
     """At which that error is cut."""
     pattern: Pattern = Pattern(0.0, 0.0, 0.0, 0.0)
+    lines: EncoderLines = EncoderLines(0.0, 0.0, 0.0)
 
     @property
     def rpm(self) -> float:
@@ -223,6 +264,8 @@ class Rotor:
         if self.noise_deg:
             drawn_deg = self.noise_deg * normal(self.seed, Purpose.AZIMUTH_READING, first, len(reading))
             reading = reading + np.clip(drawn_deg, -self.noise_limit_deg, self.noise_limit_deg)
+        if self.lines.pitch_deg:
+            reading = self.lines.read(reading, self.seed, first)
         return np.asarray(reading % 360.0)
 
 
