@@ -29,6 +29,7 @@ from vlp16emu.cli.stream import stream
 from vlp16emu.cli.terminal import ENDINGS, INTERRUPTED
 from vlp16emu.cli.truth import truth
 from vlp16emu.cli.verify import verify
+from vlp16emu.cli.view import view
 from vlp16emu.errors import Vlp16emuError
 
 __all__ = ["main", "run"]
@@ -59,6 +60,10 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
     images: """\b
   vlp16emu images birch_walk views --duration 5
   vlp16emu images birch_walk views --kind pinhole --size 1280x720 --fov 75 --every 0.1""",
+    view: """\b
+  vlp16emu view birch_walk
+  vlp16emu view my_forest.toml --save my_path.toml
+  vlp16emu view field_day.pcap""",
     truth: """\b
   vlp16emu truth birch_walk truth --duration 60
   vlp16emu truth birch_walk truth --truth-rate 1000 --set imu.preset=consumer""",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.chain import assemble
+from vlp16emu.chain import Parts, assemble
 from vlp16emu.errors import InputError
 from vlp16emu.motion.pose import Motion
 from vlp16emu.scenario import Scenario
@@ -22,7 +22,7 @@ from vlp16emu.world.stand.inventory import inventory
 from vlp16emu.world.stand.nearby import Thing, things_near
 from vlp16emu.world.stand.stand import REGENERATION, TREE
 
-__all__ = ["Survey", "survey"]
+__all__ = ["Survey", "survey", "way_m"]
 
 Array = NDArray[np.float64]
 
@@ -80,8 +80,8 @@ class Survey:
         return within
 
 
-def survey(scenario: Scenario, radius_m: float) -> Survey:
-    """Look around the path of a scenario's sensor.
+def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> Survey:
+    """Look around the path of a scenario's sensor; its parts are made where they are not given.
 
     Raises
     ------
@@ -93,8 +93,8 @@ def survey(scenario: Scenario, radius_m: float) -> Survey:
         raise InputError(
             "--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach"
         )
-    parts = assemble(scenario)
-    path_m, beams_deg = _way_m(scenario, parts.motion), parts.head.beams.elevation_deg
+    parts = parts or assemble(scenario)
+    path_m, beams_deg = way_m(scenario, parts.motion), parts.head.beams.elevation_deg
     path, world = Polyline(path_m[:, :2]), parts.world
     bare = world.bare if isinstance(world, Furnished) else world
     assert isinstance(bare, ForestWorld | HallWorld)
@@ -121,7 +121,7 @@ def survey(scenario: Scenario, radius_m: float) -> Survey:
     )
 
 
-def _way_m(scenario: Scenario, motion: Motion) -> Array:
+def way_m(scenario: Scenario, motion: Motion) -> Array:
     """Positions (n, 3) of the sensor over the scene's duration."""
     if not motion.moves:
         return motion.poses_at(np.array([scenario.start_ns])).world_p_body_m

@@ -1,7 +1,7 @@
 """A forest without edge: tiles of ground and stems, with instanced crowns and things, around wherever one walks."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Protocol
@@ -159,6 +159,13 @@ class ForestWorld:
         """Give the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
         tiles = (self._tile(ix, iy) for ix, iy in self._in_view(track_m))
         return np.concatenate([np.zeros(0, TREE), *(tile.trees for tile in tiles)])
+
+    def growing(self, track_m: Array) -> Iterator[float]:
+        """Grow the tiles in the window of positions (m, 2 or 3) one by one, and give the share that is there after each."""
+        names = self._in_view(track_m)
+        for done, (ix, iy) in enumerate(names, 1):
+            self._tile(ix, iy)
+            yield done / len(names)
 
     def window(self, track_m: Array) -> Window:
         """Everything within reach of sensor positions (n, 3).

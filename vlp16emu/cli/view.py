@@ -1,0 +1,144 @@
+"""`vlp16emu view`: a page in the browser with the stand, the path and what the sensor sees."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vlp16emu.cli.arguments import Settings, checked
+from vlp16emu.cli.start import make_emulator
+from vlp16emu.cli.terminal import Progress, stop_on_ctrl_c
+from vlp16emu.errors import InputError, MissingExtraError
+
+if TYPE_CHECKING:
+    from threading import Event
+
+    import viser
+
+__all__ = ["view"]
+
+SceneOrCapture = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE|FILE.pcap",
+        help="Name of a scene (see `vlp16emu scenes`) or path of a .toml file; or a capture, ours or a real sensor's.",
+        show_default=False,
+    ),
+]
+Save = Annotated[
+    Path | None,
+    typer.Option(
+        "--save",
+        metavar="OUT.toml",
+        help="File to which the page saves the scene with the path drawn in it; comments stay.",
+        show_default=False,
+    ),
+]
+Radius = Annotated[
+    float,
+    typer.Option(
+        "--radius",
+        metavar="M",
+        parser=checked("--radius", float, lambda m: 1 <= m <= 100, "a number from 1 to 100"),
+        help="How far from the path the stand is drawn.",
+        show_default="25",
+    ),
+]
+Host = Annotated[
+    str,
+    typer.Option(
+        "--host",
+        metavar="ADDRESS",
+        help="Address of this machine to listen on; others can then see the page.",
+    ),
+]
+Port = Annotated[
+    int,
+    typer.Option(
+        "--port",
+        metavar="N",
+        parser=checked("--port", int, lambda n: 0 <= n <= 65_535, "a whole number from 0 to 65535"),
+        help="Port of the page, 0 for any that is free.",
+    ),
+]
+
+
+def view(
+    scene: SceneOrCapture,
+    *,
+    settings: Settings = None,
+    save: Save = None,
+    radius: Radius = 25.0,
+    host: Host = "127.0.0.1",
+    port: Port = 8016,
+) -> None:
+    """Show a scene in the browser: the stand, the path, and the sweep at any time; draw the path anew.
+
+    Of a capture its sweeps, one by one. Needs the extra 'viewer'. Ctrl-C ends it.
+    """
+    capture = Path(scene) if Path(scene).suffix == ".pcap" else None
+    if save is not None and (settings or capture):
+        raise InputError("--save", "found beside --set or a capture", "a scene as its file has it")
+    try:
+        from vlp16emu.viewer.guard import guarded_server
+    except ImportError as error:
+        raise MissingExtraError(error.name or "viser", "viewer", "the page in the browser") from None
+    with stop_on_ctrl_c() as stop, guarded_server(host, port, "vlp16emu") as server:
+        print(f"http://{host}:{server.get_port()}/  Ctrl-C ends it", flush=True)
+        if capture is not None:
+            _show_capture(server, capture, stop)
+        else:
+            _show_scene(server, scene, settings, radius, save, stop)
+
+
+def _show_capture(server: "viser.ViserServer", capture: Path, stop: "Event") -> None:
+    """Show the sweeps of a capture."""
+    from vlp16emu.viewer.page import Page, look_from
+    from vlp16emu.viewer.sweeps import CaptureSweeps
+
+    sweeps = CaptureSweeps(capture)
+    import numpy as np
+
+    look_from(server, np.zeros(3), np.array([1.0, 0.0, 0.0]))
+    Page(server, sweeps, {}).run(stop)
+
+
+def _show_scene(
+    server: "viser.ViserServer",
+    scene: str,
+    settings: list[str] | None,
+    radius_m: float,
+    save: Path | None,
+    stop: "Event",
+) -> None:
+    """Grow the world, and show it."""
+    from vlp16emu.motion.live_settings import takes_poses
+    from vlp16emu.motion.settings import Walk
+    from vlp16emu.report.forest.survey import survey, way_m
+    from vlp16emu.viewer.draft import Draft
+    from vlp16emu.viewer.editor import Editor
+    from vlp16emu.viewer.page import Page, draw_stand
+    from vlp16emu.viewer.sweeps import SceneSweeps
+    from vlp16emu.world.stand.forest import ForestWorld
+
+    text = server.gui.add_markdown("growing the world")
+    emulator = make_emulator(scene, settings)
+    scenario, parts = emulator.scenario, emulator.parts
+    if takes_poses(scenario.motion):
+        raise InputError("motion.kind", "found live", "a scene whose path is known before it runs")
+    bare = getattr(parts.world, "bare", parts.world)
+    with Progress(100.0) as progress:
+        if isinstance(bare, ForestWorld):
+            for share in bare.growing(way_m(scenario, parts.motion)):
+                progress.show("growing the world, % of tiles", 100 * share)
+                text.content = f"growing the world, {share:.0%} of its tiles"
+                if stop.is_set():
+                    return
+    seen = survey(scenario, min(radius_m, scenario.sensor.max_range_m), parts)
+    root = draw_stand(server, seen)
+    text.remove()
+    editor = None
+    if isinstance(scenario.motion, Walk):
+        draft = Draft(scene, scenario, seen)
+        editor = Editor(server, draft, seen.height_m, scenario.duration_s, save)
+    Page(server, SceneSweeps(emulator), seen.species, root, editor).run(stop)

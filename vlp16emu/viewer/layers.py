@@ -1,0 +1,90 @@
+"""Colours of points by what is known of them."""
+
+import colorsys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.report.forest import colour_of_kind, colour_of_species
+from vlp16emu.scan import Scan
+from vlp16emu.types import PlantPart, Semantic
+
+__all__ = ["LAYERS", "colours_of", "layers_of_scan"]
+
+Rgb = NDArray[np.uint8]
+
+_LABELLED = ("class", "part", "species", "instance")
+_MEASURED = ("range", "reflectivity", "ring", "time")
+LAYERS = (*_LABELLED, *_MEASURED)
+
+_PART: dict[PlantPart, tuple[int, int, int]] = {
+    PlantPart.NONE: (150, 128, 94),
+    PlantPart.STEM: (122, 72, 40),
+    PlantPart.BRANCH_FIRST_ORDER: (206, 128, 46),
+    PlantPart.BRANCH_HIGHER_ORDER: (236, 190, 84),
+    PlantPart.LEAF: (70, 150, 70),
+    PlantPart.ROOT_FLARE: (160, 40, 60),
+    PlantPart.DEAD_BRANCH: (130, 110, 150),
+}
+_SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
+"""Viridis at five places (matplotlib, `_cm_listed.py`)."""
+_GOLDEN = 0.618034
+"""Turn of the hue from one instance to the next: neighbours in number differ most."""
+
+
+def layers_of_scan(scan: Scan) -> tuple[str, ...]:
+    """Layers that a sweep has; a capture has no labels."""
+    return _MEASURED if scan.labels is None else LAYERS
+
+
+def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Rgb:
+    """Colours (n, 3) of the points of a sweep.
+
+    Parameters
+    ----------
+    layer : one of those that the sweep has
+    species : names by number
+    """
+    if layer in _LABELLED and (labels := scan.labels) is not None:
+        if layer == "class":
+            return _each(labels.semantic, _of_class)
+        if layer == "part":
+            return _each(labels.part, lambda part: _PART[PlantPart(part)])
+        if layer == "instance":
+            return _each(labels.instance, _of_instance)
+        none = colour_of_kind("ground")
+        return _each(labels.species, lambda n: colour_of_species(species[n]) if n in species else none)
+    since_ns = scan.t_ns - scan.start_ns
+    # Ranges of metres beyond 40 are few in a forest, reflectivities beyond 100 are of retroreflectors.
+    values: dict[str, tuple[NDArray[Any], float]] = {
+        "range": (scan.distance_m, 40.0),
+        "reflectivity": (scan.reflectivity, 100.0),
+        "ring": (scan.ring, float(scan.ring.max(initial=1))),
+        "time": (since_ns, float(since_ns.max(initial=1))),
+    }
+    value, most = values[layer]
+    share = np.clip(value / most, 0.0, 1.0) * (len(_SCALE) - 1)
+    bands = [np.interp(share, range(len(_SCALE)), band) for band in _SCALE.T]
+    return np.column_stack(bands).astype(np.uint8)
+
+
+def _each(values: NDArray[Any], of: Callable[[int], tuple[int, int, int]]) -> Rgb:
+    """Look up the colour of each different value once."""
+    different, which = np.unique(values, return_inverse=True)
+    return np.array([of(value) for value in different.tolist()], np.uint8).reshape(-1, 3)[which.ravel()]
+
+
+def _of_class(value: int) -> tuple[int, int, int]:
+    """Colour of a semantic class; a tree is green as a beech is."""
+    kind = Semantic(value)
+    return colour_of_species("european_beech") if kind is Semantic.TREE else colour_of_kind(kind.name.lower())
+
+
+def _of_instance(number: int) -> tuple[int, int, int]:
+    """Colour of a plant or thing; what is none is grey."""
+    if not number:
+        return (140, 140, 140)
+    red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, 0.75, 0.95 - 0.25 * (number % 2))
+    return round(255 * red), round(255 * green), round(255 * blue)

@@ -1,0 +1,159 @@
+"""The page: the stand, the path, and the sweep at the cursor's time."""
+
+import math
+import time
+from threading import Event
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from vlp16emu.report.forest.survey import Survey
+from vlp16emu.viewer.editor import Editor
+from vlp16emu.viewer.layers import LAYERS, colours_of, layers_of_scan
+from vlp16emu.viewer.stand import pieces_of
+from vlp16emu.viewer.sweeps import Sweeps
+
+__all__ = ["Page", "draw_stand"]
+
+_POLL_S = 0.1
+"""How often the page looks whether it shall end."""
+_PATH_COLOUR = (220, 60, 40)
+
+
+def draw_stand(server: viser.ViserServer, seen: Survey) -> viser.FrameHandle:
+    """Draw what stands along the path, look at it from behind the start, and give the node above it."""
+    scene = server.scene
+    root = scene.add_frame("/stand", show_axes=False)
+    scene.configure_default_lights(enabled=True, cast_shadow=False)
+    for piece in pieces_of(seen):
+        scene.add_batched_meshes_simple(
+            f"/stand/{piece.name}",
+            piece.vertices_m,
+            piece.faces,
+            piece.wxyz,
+            piece.position_m,
+            batched_scales=piece.scale,
+            batched_colors=piece.colour,
+            lod="off",
+            flat_shading=True,
+            side="front" if seen.hall else "double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+    way_m = seen.path_m
+    if len(way_m) > 1:
+        scene.add_line_segments(
+            "/walk", np.stack([way_m[:-1], way_m[1:]], axis=1), _PATH_COLOUR, thickness=0.06
+        )
+    look_from(server, way_m[0], way_m[min(len(way_m) - 1, 60)] - way_m[0])
+    return root
+
+
+def look_from(server: viser.ViserServer, place_m: NDArray[np.float64], ahead_m: NDArray[np.float64]) -> None:
+    """Put the camera of whoever comes behind a place, and over it."""
+    away_m = math.hypot(*ahead_m[:2])
+    east, north = ahead_m[:2] / away_m if away_m > 0 else (1.0, 0.0)
+    camera = server.initial_camera
+    camera.position = (place_m[0] - 22 * east, place_m[1] - 22 * north, place_m[2] + 16)
+    camera.look_at = (place_m[0] + 6 * east, place_m[1] + 6 * north, place_m[2])
+
+
+class Page:
+    """Controls over sweeps, and the points of the present one.
+
+    Parameters
+    ----------
+    sweeps : where they come from
+    species : names by number
+    root : node of what stands there, where anything is drawn
+    editor : of the path, where there is one
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        sweeps: Sweeps,
+        species: dict[int, str],
+        root: viser.FrameHandle | None = None,
+        editor: Editor | None = None,
+    ) -> None:
+        self._server, self._sweeps, self._species = server, sweeps, species
+        self._root, self._editor = root, editor
+        self._wake = Event()
+        self._wake.set()
+        self._time_s = 0.0
+        self._scan, self._points_m = sweeps.at(0.0)
+        layers = layers_of_scan(self._scan)
+        gui = server.gui
+        with gui.add_folder("Sweep"):
+            last_s = max(sweeps.last_s, sweeps.step_s)
+            self._slider = gui.add_slider("time, s", 0.0, last_s, min(0.1, last_s), 0.0)
+            self._play = gui.add_checkbox("play", initial_value=False)
+            self._layer = gui.add_dropdown("colour by", layers, initial_value=layers[0])
+            self._size = gui.add_slider("point, cm", 1.0, 20.0, 1.0, 5.0)
+            self._stand = gui.add_checkbox("stand", initial_value=True)
+            self._text = gui.add_markdown("")
+        for control in (self._slider, self._play, self._layer, self._size, self._stand):
+            control.on_update(lambda _: self._wake.set())
+        self._frame = server.scene.add_frame("/sensor", axes_length=0.6, axes_radius=0.02)
+        if editor is not None:
+            editor.wake = self._wake.set
+
+    def run(self, stop: Event) -> None:
+        """Draw what is wanted, until the end."""
+        while not stop.is_set():
+            if not self._wake.wait(_POLL_S):
+                continue
+            self._wake.clear()
+            began_s = time.monotonic()
+            if self._editor is not None and self._editor.step():
+                self._wake.set()  # the path first: it follows a hand
+                continue
+            self._draw()
+            if self._play.value is True:
+                self._go_on(began_s, stop)
+
+    def _draw(self) -> None:
+        """Draw the sweep at the cursor, if the controls have values that they can have."""
+        time_s, layer, size_cm = self._slider.value, self._layer.value, self._size.value
+        if not _is_number(time_s) or not _is_number(size_cm) or layer not in LAYERS:
+            return
+        if time_s != self._time_s:
+            self._scan, self._points_m = self._sweeps.at(float(time_s))
+            self._time_s = time_s
+        if layer not in layers_of_scan(self._scan):
+            return
+        scan, points_m = self._scan, self._points_m
+        middle_m = points_m.mean(axis=0) if len(points_m) else np.zeros(3)
+        with self._server.atomic():
+            self._server.scene.add_point_cloud(
+                "/sweep",
+                (points_m - middle_m).astype(np.float32),
+                colours_of(scan, layer, self._species),
+                point_size=max(float(size_cm), 0.1) / 100,
+                precision="float32",
+                point_shape="circle",
+                point_shading="flat",
+                position=middle_m,
+            )
+            if scan.world_T_sensor is not None:
+                self._frame.position = scan.world_T_sensor[:3, 3]
+            if self._root is not None:
+                self._root.visible = self._stand.value is True
+        self._text.content = f"{len(points_m):,} points by {layer}, sweep at {time_s:.1f} s".replace(",", " ")
+
+    def _go_on(self, began_s: float, stop: Event) -> None:
+        """Set the cursor to the next sweep, no faster than in real time."""
+        time_s = self._time_s + self._sweeps.step_s
+        if time_s > self._sweeps.last_s:
+            self._play.value = False
+            return
+        stop.wait(began_s + self._sweeps.step_s - time.monotonic())
+        self._slider.value = time_s
+        self._wake.set()
+
+
+def _is_number(value: object) -> bool:
+    """Whether a value is a finite number; a stranger's message may say anything."""
+    return isinstance(value, int | float) and math.isfinite(value)
