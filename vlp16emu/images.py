@@ -28,7 +28,7 @@ from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.given.furnished import Furnished
 from vlp16emu.world.stand.forest import ForestWorld
 
-__all__ = ["Camera", "CameraKind", "ImageRun", "write_images"]
+__all__ = ["Camera", "CameraKind", "ImageRun", "species_of", "write_images"]
 
 _BODY_R_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """From camera (x right, y down, z forward) to sensor (x forward, y left, z up)."""
@@ -172,7 +172,7 @@ def write_images(
     """
     scenario, unit = chain.scenario, chain.parts.units[number]
     begin_ns, end_ns = checked_span_ns(scenario, chain.parts, *span_s)
-    species = _species(chain.parts.world)
+    species = species_of(chain.parts.world)
     pictures = PictureFolder(folder, _cameras(camera, species))
     with pictures, workers(threads, "image", stop) as pool, suppress(CancelledError):
         for since_ns in range(begin_ns, end_ns, seconds_to_ns(every_s)):
@@ -199,8 +199,8 @@ def write_images(
     )
 
 
-def _species(world: World) -> dict[int, str]:
-    """Names of species by number."""
+def species_of(world: World) -> dict[int, str]:
+    """Give the names of species by number."""
     bare = world.bare if isinstance(world, Furnished) else world
     return dict(bare.plants.names) if isinstance(bare, ForestWorld) else {}
 

@@ -19,6 +19,7 @@ from vlp16emu.cli.decode import decode
 from vlp16emu.cli.doctor import doctor
 from vlp16emu.cli.forest import forest
 from vlp16emu.cli.images import images
+from vlp16emu.cli.picture import picture
 from vlp16emu.cli.plan import plan
 from vlp16emu.cli.points import points
 from vlp16emu.cli.record import record
@@ -60,6 +61,10 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
     images: """\b
   vlp16emu images birch_walk views --duration 5
   vlp16emu images birch_walk views --kind pinhole --size 1280x720 --fov 75 --every 0.1""",
+    picture: """\b
+  vlp16emu picture birch_walk walk.png --duration 20
+  vlp16emu picture reference_forest walk.gif --duration 10 --colour species
+  vlp16emu picture walk.pcap walk.png --trajectory truth""",
     view: """\b
   vlp16emu view birch_walk
   vlp16emu view my_forest.toml --save my_path.toml

@@ -7,15 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.report.forest import colour_of_kind, colour_of_species
+from vlp16emu.report.forest import colour_of_kind, colour_of_species, surface_colours
 from vlp16emu.scan import Scan
-from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.types import SURFACE, PlantPart, Semantic
+from vlp16emu.units import S_NS
 
-__all__ = ["LAYERS", "colours_of", "layers_of_scan"]
+__all__ = ["LAYERS", "Entries", "colours_of", "colours_of_scale", "entries_of", "layers_of_scan"]
 
 Rgb = NDArray[np.uint8]
 
-_LABELLED = ("class", "part", "species", "instance")
+Entries = Mapping[str, tuple[int, int, int]] | tuple[float, float, str] | None
+"""Legend of a layer: colours by name, or the ends of a scale with their unit; None of what has no names."""
+
+_LABELLED = ("natural", "class", "part", "species", "instance")
 _MEASURED = ("range", "reflectivity", "ring", "time")
 LAYERS = (*_LABELLED, *_MEASURED)
 
@@ -48,6 +52,8 @@ def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Rgb:
     species : names by number
     """
     if layer in _LABELLED and (labels := scan.labels) is not None:
+        if layer == "natural":
+            return surface_colours(_surfaces(scan), species)
         if layer == "class":
             return _each(labels.semantic, _of_class)
         if layer == "part":
@@ -56,18 +62,52 @@ def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Rgb:
             return _each(labels.instance, _of_instance)
         none = colour_of_kind("ground")
         return _each(labels.species, lambda n: colour_of_species(species[n]) if n in species else none)
-    since_ns = scan.t_ns - scan.start_ns
+    value, (least, most, _) = _measured(scan, layer)
+    return colours_of_scale((value - least) / max(most - least, 1e-9))
+
+
+def colours_of_scale(share: NDArray[np.float64]) -> Rgb:
+    """Colours (n, 3) of values between 0 and 1, the ends of a scale."""
+    place = np.clip(share, 0.0, 1.0) * (len(_SCALE) - 1)
+    return np.column_stack([np.interp(place, range(len(_SCALE)), band) for band in _SCALE.T]).astype(np.uint8)
+
+
+def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
+    """Give the legend of a layer, as far as a sweep shows it."""
+    labels = scan.labels
+    if layer not in _LABELLED or labels is None:
+        return _measured(scan, layer)[1]
+    if layer == "class":
+        return {Semantic(one).name.lower(): _of_class(one) for one in np.unique(labels.semantic).tolist()}
+    if layer == "part":
+        return {PlantPart(one).name.lower(): _PART[PlantPart(one)] for one in np.unique(labels.part).tolist()}
+    if layer == "instance":
+        return None
+    shown = [species[one] for one in np.unique(labels.species).tolist() if one in species]
+    return {name: colour_of_species(name) for name in shown}
+
+
+def _measured(scan: Scan, layer: str) -> tuple[NDArray[np.float64], tuple[float, float, str]]:
+    """Values (n,) of a layer, and the ends of its scale with their unit."""
+    since_s = (scan.t_ns - scan.start_ns) / S_NS
     # Ranges of metres beyond 40 are few in a forest, reflectivities beyond 100 are of retroreflectors.
-    values: dict[str, tuple[NDArray[Any], float]] = {
-        "range": (scan.distance_m, 40.0),
-        "reflectivity": (scan.reflectivity, 100.0),
-        "ring": (scan.ring, float(scan.ring.max(initial=1))),
-        "time": (since_ns, float(since_ns.max(initial=1))),
+    values: dict[str, tuple[NDArray[Any], float, str]] = {
+        "range": (scan.distance_m, 40.0, "m"),
+        "reflectivity": (scan.reflectivity, 100.0, ""),
+        "ring": (scan.ring, float(scan.ring.max(initial=1)), ""),
+        "time": (since_s, float(since_s.max(initial=1e-3)), "s"),
     }
-    value, most = values[layer]
-    share = np.clip(value / most, 0.0, 1.0) * (len(_SCALE) - 1)
-    bands = [np.interp(share, range(len(_SCALE)), band) for band in _SCALE.T]
-    return np.column_stack(bands).astype(np.uint8)
+    value, most, unit = values[layer]
+    return np.asarray(value, np.float64), (0.0, most, unit)
+
+
+def _surfaces(scan: Scan) -> NDArray[np.void]:
+    """(n,) `SURFACE` of the labels of a sweep."""
+    assert scan.labels is not None
+    surfaces = np.zeros(len(scan.labels.semantic), SURFACE)
+    for name in ("semantic", "part", "species"):
+        surfaces[name] = getattr(scan.labels, name)
+    return surfaces
 
 
 def _each(values: NDArray[Any], of: Callable[[int], tuple[int, int, int]]) -> Rgb:

@@ -1,0 +1,152 @@
+"""`vlp16emu picture`: what a sensor saw, as a picture or a film."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from vlp16emu.cli.arguments import AsJson, Duration, Ideal, Settings, Start, checked
+from vlp16emu.cli.deskew import TrajectoryFile
+from vlp16emu.cli.start import make_emulator
+from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, size, stop_on_ctrl_c, tree_of
+from vlp16emu.errors import InputError
+
+if TYPE_CHECKING:
+    from threading import Event
+
+    from vlp16emu.viewer.picture import Look, PictureRun
+
+__all__ = ["picture"]
+
+_LARGEST_PX = 8_192
+
+
+def _pixels(text: str) -> tuple[int, int]:
+    """Read WIDTHxHEIGHT."""
+    parts = text.lower().split("x")
+    numbers = [int(part) for part in parts if part.isdigit()]
+    if (
+        len(parts) != 2
+        or len(numbers) != 2
+        or not all(64 <= n <= _LARGEST_PX and n % 2 == 0 for n in numbers)
+    ):
+        raise InputError("--size", f"found {text}", f"WIDTHxHEIGHT, even numbers from 64 to {_LARGEST_PX}")
+    return numbers[0], numbers[1]
+
+
+def picture(
+    scene: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE|FILE.pcap",
+            help="Name of a scene (see `vlp16emu scenes`) or path of a .toml file; or a capture, ours or a real sensor's.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT",
+            help="File to write: .png, or as a film of the walk .gif or .mp4; overwritten if it exists.",
+            show_default=False,
+        ),
+    ],
+    *,
+    colour: Annotated[
+        str | None,
+        typer.Option(
+            "--colour",
+            metavar="LAYER",
+            help="natural, class, part, species, instance, range, reflectivity, ring or time; the last four of a capture.",
+            show_default="natural, of a capture reflectivity",
+        ),
+    ] = None,
+    look_from: Annotated[
+        float,
+        typer.Option(
+            "--from",
+            metavar="DEG",
+            parser=checked("--from", float, lambda deg: 0 <= deg < 360, "a number from 0 to 360"),
+            help="Where the eye is, clockwise from north.",
+            show_default="205",
+        ),
+    ] = 205.0,
+    pixels: Annotated[
+        str, typer.Option("--size", metavar="WxH", help="Of the picture, in pixels.")
+    ] = "1280x720",
+    duration: Duration = None,
+    start: Start = 0.0,
+    settings: Settings = None,
+    ideal: Ideal = False,
+    trajectory: TrajectoryFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Draw what a sensor sees of a scene, or saw in a capture, from above at a slant.
+
+    Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
+    revolution. A film shows how they add up, ten revolutions per second. Needs the extra 'picture'.
+    """
+    from vlp16emu.viewer.picture import Look
+
+    is_capture = Path(scene).suffix == ".pcap"
+    if trajectory is not None and not is_capture:
+        raise InputError("--trajectory", "found beside a scene", "a capture")
+    look = Look(colour or ("reflectivity" if is_capture else "natural"), look_from, _pixels(pixels))
+    with stop_on_ctrl_c() as stop:
+        if is_capture:
+            made = _of_capture(Path(scene), trajectory, (start, duration), out, look, stop)
+        else:
+            made = _of_scene(scene, settings, (start, duration), out, look, stop, ideal=ideal)
+    if as_json:
+        print_json(tree_of(made))
+    else:
+        rows = {
+            "revolutions": count(made.revolutions),
+            "points": f"{count(made.points)}, by {made.colour}",
+            "size": size(made.bytes),
+        }
+        print_rows(f"{'interrupted, kept' if made.interrupted else 'wrote'} {made.file}", rows)
+    if made.interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+def _of_capture(
+    capture: Path,
+    trajectory: Path | None,
+    span: tuple[float, float | None],
+    out: Path,
+    look: "Look",
+    stop: "Event",
+) -> "PictureRun":
+    """Draw a capture; without poses its first revolution, or as a film all of them."""
+    from vlp16emu.viewer.picture import draw_picture, scans_of_capture, way_of
+
+    is_film = out.suffix.lower() != ".png"
+    scans = scans_of_capture(capture, trajectory, *span)
+    if trajectory is None and not is_film:
+        scans = iter([next(scans)])
+    return draw_picture(scans, out, look, way_m=way_of(trajectory), species={}, stop=stop)
+
+
+def _of_scene(
+    scene: str,
+    settings: list[str] | None,
+    span: tuple[float, float | None],
+    out: Path,
+    look: "Look",
+    stop: "Event",
+    *,
+    ideal: bool,
+) -> "PictureRun":
+    """Draw a scene."""
+    import numpy as np
+
+    from vlp16emu.images import species_of
+    from vlp16emu.viewer.picture import draw_picture, scans_of_scene
+
+    emulator = make_emulator(scene, settings, ideal=ideal)
+    start_s, stop_s = emulator.scenario.span_s(*span, where="--start")
+    t_ns = emulator.scenario.start_ns + (np.linspace(start_s, stop_s, 200) * 1e9).astype(np.int64)
+    way_m = emulator.parts.motion.poses_at(t_ns).world_p_body_m
+    species = species_of(emulator.parts.world)
+    return draw_picture(scans_of_scene(emulator, *span), out, look, way_m=way_m, species=species, stop=stop)
