@@ -93,12 +93,12 @@ def view(
 
 def _show_capture(server: "viser.ViserServer", capture: Path, stop: "Event") -> None:
     """Show the sweeps of a capture."""
+    import numpy as np
+
     from vlp16emu.viewer.page import Page, look_from
     from vlp16emu.viewer.sweeps import CaptureSweeps
 
     sweeps = CaptureSweeps(capture)
-    import numpy as np
-
     look_from(server, np.zeros(3), np.array([1.0, 0.0, 0.0]))
     Page(server, sweeps, {}).run(stop)
 
