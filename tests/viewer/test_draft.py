@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-tomlkit = pytest.importorskip("tomlkit", reason="the extra viewer is not installed")
+pytest.importorskip("tomlkit", reason="the extra viewer is not installed")
 
 from vlp16emu.errors import OutputError
 from vlp16emu.report.forest.survey import survey

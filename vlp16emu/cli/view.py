@@ -1,18 +1,17 @@
 """`vlp16emu view`: a page in the browser with the stand, the path and what the sensor sees."""
 
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vlp16emu.cli.arguments import Settings, checked
 from vlp16emu.cli.start import make_emulator
-from vlp16emu.cli.terminal import Progress, stop_on_ctrl_c
+from vlp16emu.cli.terminal import Progress
 from vlp16emu.errors import InputError, MissingExtraError
 
 if TYPE_CHECKING:
-    from threading import Event
-
     import viser
 
 __all__ = ["view"]
@@ -83,7 +82,10 @@ def view(
         from vlp16emu.viewer.guard import guarded_server
     except ImportError as error:
         raise MissingExtraError(error.name or "viser", "viewer", "the page in the browser") from None
-    with stop_on_ctrl_c() as stop, guarded_server(host, port, "vlp16emu") as server:
+    stop = (
+        Event()
+    )  # never set: Ctrl-C interrupts at once, also while the world grows; what is saved is written whole
+    with guarded_server(host, port, "vlp16emu") as server:
         print(f"http://{host}:{server.get_port()}/  Ctrl-C ends it", flush=True)
         if capture is not None:
             _show_capture(server, capture, stop)
@@ -91,14 +93,14 @@ def view(
             _show_scene(server, scene, settings, radius, save, stop)
 
 
-def _show_capture(server: "viser.ViserServer", capture: Path, stop: "Event") -> None:
+def _show_capture(server: "viser.ViserServer", capture: Path, stop: Event) -> None:
     """Show the sweeps of a capture."""
+    import numpy as np
+
     from vlp16emu.viewer.page import Page, look_from
     from vlp16emu.viewer.sweeps import CaptureSweeps
 
     sweeps = CaptureSweeps(capture)
-    import numpy as np
-
     look_from(server, np.zeros(3), np.array([1.0, 0.0, 0.0]))
     Page(server, sweeps, {}).run(stop)
 
@@ -109,7 +111,7 @@ def _show_scene(
     settings: list[str] | None,
     radius_m: float,
     save: Path | None,
-    stop: "Event",
+    stop: Event,
 ) -> None:
     """Grow the world, and show it."""
     from vlp16emu.motion.live_settings import takes_poses

@@ -20,7 +20,7 @@ from websockets.http11 import Response
 
 from vlp16emu.errors import OutputError
 
-__all__ = ["guarded_server", "is_ours"]
+__all__ = ["LOOPBACK", "guarded_server", "is_ours"]
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost"})
 _LONGEST_BYTES = 1 << 16

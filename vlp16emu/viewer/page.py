@@ -14,7 +14,7 @@ from vlp16emu.viewer.layers import LAYERS, colours_of, layers_of_scan
 from vlp16emu.viewer.stand import pieces_of
 from vlp16emu.viewer.sweeps import Sweeps
 
-__all__ = ["Page", "draw_stand"]
+__all__ = ["Page", "draw_stand", "look_from"]
 
 _POLL_S = 0.1
 """How often the page looks whether it shall end."""
@@ -37,7 +37,7 @@ def draw_stand(server: viser.ViserServer, seen: Survey) -> viser.FrameHandle:
             batched_colors=piece.colour,
             lod="off",
             flat_shading=True,
-            side="front" if seen.hall else "double",
+            side="front" if seen.hall else "double",  # a hall is looked into through its ceiling
             cast_shadow=False,
             receive_shadow=False,
         )

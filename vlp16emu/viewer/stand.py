@@ -15,7 +15,7 @@ from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.stand.tiles import TILE_M, TileKey
 
-__all__ = ["Piece", "pieces_of"]
+__all__ = ["Piece", "fewer_faces", "pieces_of"]
 
 Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]

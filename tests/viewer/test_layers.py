@@ -1,0 +1,63 @@
+"""Colours of points, and what a browser draws of a mesh."""
+
+import numpy as np
+import pytest
+
+from vlp16emu import Emulator
+from vlp16emu.types import Mesh
+from vlp16emu.viewer.layers import LAYERS, colours_of, layers_of_scan
+
+pytest.importorskip("viser", reason="the extra viewer is not installed")
+
+from vlp16emu.viewer.stand import fewer_faces
+from vlp16emu.viewer.sweeps import CaptureSweeps, SceneSweeps
+
+
+@pytest.fixture(scope="module")
+def emulator():
+    return Emulator("static_bench", {"duration_s": 0.5})
+
+
+def test_every_layer_shows_a_difference(emulator):
+    """Each layer colours each point; things, classes and ranges of a hall differ in colour."""
+    scan, world_m = SceneSweeps(emulator).at(0.1)
+    assert layers_of_scan(scan) == LAYERS
+    for layer in LAYERS:
+        colours = colours_of(scan, layer, {})
+        assert colours.shape == world_m.shape
+        if layer not in ("part", "species", "class"):  # nothing grows in a hall
+            assert len(np.unique(colours, axis=0)) > 3, layer
+
+
+def test_points_are_in_the_world(emulator):
+    """No point of a sweep lies outside the hall."""
+    _, world_m = SceneSweeps(emulator).at(0.0)
+    assert (np.abs(world_m) <= [15.01, 9.01, 6.01]).all()
+
+
+def test_sweeps_of_a_capture_are_found_back_and_forth(emulator, tmp_path):
+    """Going back gives the sweep that was there; it has no labels."""
+    emulator.record(tmp_path / "bench.pcap")
+    sweeps = CaptureSweeps(tmp_path / "bench.pcap")
+    late, _ = sweeps.at(sweeps.last_s)
+    early, _ = sweeps.at(0.0)
+    assert early.start_ns < late.start_ns
+    assert sweeps.at(sweeps.last_s)[0].start_ns == late.start_ns
+    assert "class" not in layers_of_scan(early)
+
+
+def test_fewer_leaves_have_the_area_of_all():
+    """Of a thousand equal leaves fifty are left, whose area is that of all; of others the largest are left as they are."""
+    corner_m = np.random.default_rng(1).random((1000, 1, 3))
+    leaf_m = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])
+    faces = np.arange(3000, dtype=np.uint32).reshape(-1, 3)
+    mesh = Mesh((corner_m + leaf_m).reshape(-1, 3).astype(np.float32), faces)
+
+    def area_m2(mesh):
+        a, b, c = mesh.vertices_m[mesh.faces].transpose(1, 0, 2)
+        return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+
+    few = fewer_faces(mesh, 50, grown=True)
+    assert len(few.faces) == 50
+    assert area_m2(few) == pytest.approx(area_m2(mesh), rel=1e-3)
+    assert area_m2(fewer_faces(mesh, 50, grown=False)) == pytest.approx(area_m2(mesh) / 20, rel=1e-3)
