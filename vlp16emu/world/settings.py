@@ -29,8 +29,8 @@ class Woods(Section):
     """Seed of ground, plants, stones and gusts: scenes that share it see one stand; the scene's seed if not set."""
     season: Season = "leaf_on"
     """Whether broadleaved trees and shrubs bear leaves."""
-    dead_branches: bool = False
-    """Whether stems have dead branches below the crowns."""
+    dead_branches: bool = True
+    """Whether stems have dead branches with twigs below the crowns, spruces nearly down to the ground."""
     regeneration: Regeneration = Regeneration()
     shrubs: Shrubs = Shrubs()
     stones: Stones = Stones()

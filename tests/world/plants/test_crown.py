@@ -11,8 +11,11 @@ from scipy.sparse.csgraph import connected_components
 
 from vlp16emu.types import PlantPart
 from vlp16emu.world.plants.allometry import taper_radius_m
+from vlp16emu.world.plants.bole import bole_branches
+from vlp16emu.world.plants.branches import Branches
 from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_wood_m3
 from vlp16emu.world.plants.flora import species_table
+from vlp16emu.world.plants.foliage import foliage_mesh
 
 
 def tree_of(species):
@@ -94,12 +97,13 @@ def test_crown_fills_its_width_and_length():
         vertices = grown(key)[2].vertices_m
         width = np.ptp(vertices[:, :2], axis=0)
         assert width / key.crown_width_m == pytest.approx([1.1, 1.1], abs=0.25), name
-        assert vertices[:, 2].min() == pytest.approx(-0.4, abs=1.0), name
+        assert vertices[:, 2].min() < 0.6, name
+        assert (vertices[:, 2] < -1.4).mean() < 0.12, name
         assert vertices[:, 2].max() == pytest.approx(key.crown_length_m + 0.4, abs=0.8), name
 
 
 def test_branches_begin_on_the_axis_inside_the_stem():
-    """Each first-order tube begins with a ring around the axis that is narrower than the stem there."""
+    """Each first-order tube begins with a ring around the axis that is narrower than the stem there; few are below the base."""
     for name, key in LIVING.items():
         first = grown(key)[0]
         sides, rings = 6, 8
@@ -111,7 +115,7 @@ def test_branches_begin_on_the_axis_inside_the_stem():
         stem = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
         branch = np.linalg.norm(ring - middle[:, None], axis=2).max(axis=1)
         assert (branch < np.maximum(0.65 * stem, 0.0011)).all(), name
-        assert (middle[:, 2] >= 0).all(), name
+        assert (middle[:, 2] >= 0).mean() > 0.75, name
 
 
 def test_branches_are_together_as_thick_as_the_stem():
@@ -119,6 +123,7 @@ def test_branches_are_together_as_thick_as_the_stem():
     for name, key in LIVING.items():
         first = grown(key)[0]
         ring = first.vertices_m.reshape(-1, 49, 3)[:, :6].astype(np.float64)
+        ring = ring[ring[:, :, 2].mean(axis=1) >= 0]
         corner = np.linalg.norm(ring - ring.mean(axis=1, keepdims=True), axis=2).mean(axis=1)
         radius = corner * np.sin(np.pi / 6) / (np.pi / 6)
         taper = species_table()[key.species].taper.row[None]
@@ -169,22 +174,75 @@ def test_winter_takes_the_leaves_of_broadleaves_and_nothing_else():
             assert len(winter[2].faces) == 0, key.species
 
 
+def bole(name):
+    """Living and dead branches below 40 crowns of a tree of 24 cm and 21 m, and twigs of the dead ones."""
+    species, key = species_table()[name], KEYS[name]
+    longest_m = species.crown.base_fraction * key.crown_width_m / 2
+    return [
+        bole_branches(np.random.default_rng(n), species.crown, key.crown_base_m, longest_m) for n in range(40)
+    ]
+
+
 def test_dead_branches_sit_below_the_crown_and_only_when_wanted():
-    """Off by default; on, they start on the axis between the crown base and a third of the way to the ground."""
+    """Off, they are missing and all else is the same to the byte; on, they start on the axis below the crown base."""
     for name, key in KEYS.items():
         assert CROWN_PARTS[3] == PlantPart.DEAD_BRANCH, name
         living, bare = grown(key), grown(replace(key, dead_branches=True))
         assert [m.vertices_m.tobytes() for m in bare[:3]] == [m.vertices_m.tobytes() for m in living[:3]], (
             name
         )
-        added = bare[3].vertices_m[len(living[3].vertices_m) :]
-        assert len(bare[3].faces) > len(living[3].faces), name
+        assert len(bare[3].faces) > len(living[3].faces) or key in BROAD.values(), name
         assert (len(living[3].faces) == 0) == (key.species != "snag"), name
-        assert added[:, 2].max() < 1.0, name
-        assert added[:, 2].min() > -0.85 * key.crown_base_m, name
-        middle = added.reshape(-1, 17, 3)[:, :4].astype(np.float64).mean(axis=1)
-        assert np.abs(middle[:, :2]).max() < 1e-6, name
-        assert (middle[:, 2] <= 0).all(), name
+    for _, dead, _ in bole("norway_spruce"):
+        assert np.abs(dead.nodes_m[:, 0, :2]).max() == 0
+        assert (dead.nodes_m[:, 0, 2] <= 0).all()
+
+
+def test_spruce_keeps_dead_branches_down_to_a_foot_as_free_as_measured():
+    """The lowest branches of 40 spruces begin 0.3 m above the ground or on average 0.2 m higher; of pines above 5 m."""
+    lowest_m = {
+        name: np.array(
+            [
+                KEYS[name].crown_base_m + min(part.nodes_m[:, 0, 2].min(initial=0.0) for part in parts[:2])
+                for parts in bole(name)
+            ]
+        )
+        for name in ("norway_spruce", "scots_pine")
+    }
+    assert lowest_m["norway_spruce"].min() > 0.29
+    assert lowest_m["norway_spruce"].mean() == pytest.approx(0.5, abs=0.2)
+    assert lowest_m["scots_pine"].min() > 5.0
+
+
+def test_branches_below_the_crown_die_and_fall_with_depth():
+    """Within one `living_depth_m` 1 - 1/e live, in the next 1/e of that; the lower half bears fewer; dead ones have twigs."""
+    habit = species_table()["norway_spruce"].crown
+    living, dead, twigs = (
+        [-part.nodes_m[:, 0, 2] for part in parts] for parts in zip(*bole("norway_spruce"), strict=True)
+    )
+    alive, all_m = np.concatenate(living), np.concatenate([*living, *dead])
+    for stretch in (0, 1):
+        limits = habit.living_depth_m * np.array([stretch, stretch + 1])
+        share = np.histogram(alive, limits)[0].sum() / np.histogram(all_m, limits)[0].sum()
+        assert share == pytest.approx((1 - np.exp(-1)) * np.exp(-stretch), abs=0.08), stretch
+    half_m = (KEYS["norway_spruce"].crown_base_m - 0.3) / 2
+    assert 0.6 < (all_m > half_m).sum() / (all_m <= half_m).sum() < 0.8
+    assert len(np.concatenate(twigs)) > 2 * len(np.concatenate(dead))
+
+
+def test_needles_of_pine_sit_in_tufts_at_the_ends_of_twigs():
+    """No shoot of a pine leaves the first half of its twig, and those of a spruce leave all of it."""
+    twigs = Branches(
+        np.linspace([0.0, 0, 0], [1, 0, 0], 3)[None].repeat(50, 0),
+        np.zeros(50),
+        np.ones(50),
+        np.full(50, 0.01),
+    )
+    for name, bare in (("scots_pine", 0.55), ("norway_spruce", 0.0)):
+        mesh = foliage_mesh(np.random.default_rng(1), species_table()[name].foliage, twigs, 5.0)
+        base_m = corners(mesh)[:, :2].mean(axis=1)[:, 0]
+        assert base_m.min() == pytest.approx(bare, abs=0.02), name
+        assert base_m.max() == pytest.approx(1.0, abs=0.02), name
 
 
 def test_a_snag_bears_only_dead_branches():

@@ -13,10 +13,13 @@ from vlp16emu.types import Mesh
 from vlp16emu.world.plants.species import Habit, Twigs
 
 __all__ = [
+    "GOLDEN_ANGLE",
+    "THINNEST_M",
     "Branches",
-    "dead_stubs",
+    "curves",
     "first_order",
     "ground_stems",
+    "joined",
     "merged",
     "points_along",
     "side_branches",
@@ -29,13 +32,13 @@ Array = NDArray[np.float64]
 _NODES = {1: 9, 2: 5, 3: 3}
 """Nodes of a branch's curve, by order: odd, so that saplings can do with every other."""
 
-_GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Between successive branches or whorls, so that none stands right above another."""
 
 _STEEPEST = np.radians(85.0)
 """Branches hang or rise no steeper; keeps the azimuth of a branch defined."""
 
-_THINNEST_M = 0.001
+THINNEST_M = 0.001
 """Least radius of a branch at its base; assumption."""
 
 _TIP_SHARE = 0.2
@@ -43,13 +46,6 @@ _TIP_SHARE = 0.2
 
 _BISECTIONS = 16
 """Enough to find the length of a branch to a millimetre."""
-
-_PRUNED_SHARE = 0.65
-"""Dead branches have fallen from the lower part of the stem, up to this share of the way down from the crown
-base to the ground left over; assumption."""
-
-_DEAD_LENGTH_M, _DEAD_SLENDERNESS = (0.15, 1.4), 45.0
-"""Of dead branches: least and greatest length, and length over diameter; assumptions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +78,7 @@ def first_order(
     n = len(whorl)
     relative = (whorl + rng.uniform(0.0, 0.5, n)) / whorls
     turn = 2 * np.pi / habit.branches_per_whorl
-    azimuth = whorl * _GOLDEN_ANGLE + turn * (np.arange(n) % habit.branches_per_whorl)
+    azimuth = whorl * GOLDEN_ANGLE + turn * (np.arange(n) % habit.branches_per_whorl)
     azimuth += rng.normal(0.0, 0.2, n)
 
     def between(pair_deg: Sequence[float]) -> Array:
@@ -94,14 +90,14 @@ def first_order(
     elevation = rise - between(habit.droop_deg) * way + between(habit.upturn_deg) * way**3
     base = np.zeros((n, 3))
     base[:, 2] = relative * length_m
-    unit = _curves(rng, base * 0, azimuth, elevation, np.ones(n), habit.crook_deg)
+    unit = curves(rng, base * 0, azimuth, elevation, np.ones(n), habit.crook_deg)
     branch_m = _lengths_m(habit, size_m, base[:, 2], unit) * rng.uniform(0.75, 1.05, n)
     nodes = base[:, None] + unit * branch_m[:, None, None]
     # Pipe model: the branches together are as thick as the stem that feeds them (Shinozaki et al. 1964),
     # each in proportion to its length; none is thicker than most of the stem it sits on.
     radius = stem_m[0] * branch_m / np.linalg.norm(branch_m)
     here = np.interp(relative, np.linspace(0, 1, len(stem_m)), stem_m)
-    return Branches(nodes, azimuth, branch_m, np.clip(radius, _THINNEST_M, 0.6 * here))
+    return Branches(nodes, azimuth, branch_m, np.clip(radius, THINNEST_M, 0.6 * here))
 
 
 def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, order: int) -> Branches:
@@ -127,26 +123,11 @@ def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, ord
     elevation = np.arcsin(np.clip(heading[:, 2], -1, 1))[:, None] - np.radians(twigs.droop_deg) * steps
     share = twigs.length_share * (1 - 0.7 * way) * rng.uniform(0.7, 1.2, n)
     length = np.clip(bearers.length_m[bearer] * share, *twigs.length_m)
-    nodes = _curves(rng, base, azimuth, elevation, length, 0.0)
+    nodes = curves(rng, base, azimuth, elevation, length, 0.0)
     together = np.sqrt(np.bincount(bearer, length**2))[bearer]
     thickest = bearers.radius_m[bearer]
     radius = np.minimum(thickest * length / together, thickest * _taper(way))
-    return Branches(nodes, azimuth, length, np.maximum(radius, _THINNEST_M))
-
-
-def dead_stubs(rng: np.random.Generator, habit: Habit, crown_base_m: float) -> Branches:
-    """Dead branches on the stem below the crown, bare and nearly straight."""
-    span_m = _PRUNED_SHARE * crown_base_m
-    n = round(span_m * habit.dead_per_m)
-    base = np.zeros((n, 3))
-    base[:, 2] = -span_m * (np.arange(n) + rng.random(n)) / max(n, 1)
-    azimuth = _GOLDEN_ANGLE * np.arange(n) + rng.normal(0.0, 0.4, n)
-    rise = (habit.rise_deg[0] + rng.normal(0.0, 12.0, n))[:, None]
-    elevation = np.radians(rise - 8.0 * np.arange(_NODES[2] - 1))
-    low, high = _DEAD_LENGTH_M
-    length_m = low + (high - low) * rng.beta(1.2, 3.0, n)
-    nodes = _curves(rng, base, azimuth, elevation, length_m, habit.crook_deg)
-    return Branches(nodes, azimuth, length_m, length_m / _DEAD_SLENDERNESS / 2 + _THINNEST_M)
+    return Branches(nodes, azimuth, length, np.maximum(radius, THINNEST_M))
 
 
 def ground_stems(
@@ -167,14 +148,14 @@ def ground_stems(
     """
     height_m, width_m = size_m
     inward = (np.arange(stems) + rng.random(stems)) / stems
-    azimuth = _GOLDEN_ANGLE * np.arange(stems) + rng.normal(0.0, 0.3, stems)
+    azimuth = GOLDEN_ANGLE * np.arange(stems) + rng.normal(0.0, 0.3, stems)
     base = np.zeros((stems, 3))
     base[:, 0], base[:, 1] = np.cos(azimuth), np.sin(azimuth)
     base *= (0.08 * width_m * np.sqrt(1 - inward))[:, None]
     way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
     rise = rise_deg[0] + (rise_deg[1] - rise_deg[0]) * inward + rng.normal(0.0, 4.0, stems)
     elevation = np.radians(rise[:, None] - bend_deg[0] * way)
-    unit = _curves(rng, base * 0, azimuth, elevation, np.ones(stems), bend_deg[1])
+    unit = curves(rng, base * 0, azimuth, elevation, np.ones(stems), bend_deg[1])
     # As long as height or width allow, whichever binds first.
     up = unit[:, :, 2].max(axis=1) / height_m
     out = np.hypot(unit[..., 0], unit[..., 1]).max(axis=1) / (0.45 * width_m)
@@ -182,7 +163,7 @@ def ground_stems(
     # Below the ground as far as a slope may fall away under the foot.
     base[:, 2] = -0.03 * width_m
     nodes = base[:, None] + unit * length_m[:, None, None]
-    return Branches(nodes, azimuth, length_m, length_m / slenderness / 2 + _THINNEST_M)
+    return Branches(nodes, azimuth, length_m, length_m / slenderness / 2 + THINNEST_M)
 
 
 def volume_m3(branches: Branches) -> float:
@@ -192,6 +173,16 @@ def volume_m3(branches: Branches) -> float:
     radius = branches.radius_m[:, None] * np.append(_taper(np.arange(rings) / rings), 0.0)
     low, high = radius[:, :-1], radius[:, 1:]
     return float((np.pi / 3 * step_m * (low**2 + low * high + high**2)).sum())
+
+
+def joined(*parts: Branches) -> Branches:
+    """Branches of one order, in order."""
+    return Branches(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("nodes_m", "azimuth", "length_m", "radius_m")
+        )
+    )
 
 
 def merged(*parts: Mesh) -> Mesh:
@@ -277,7 +268,7 @@ def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: Array, unit: A
     return low
 
 
-def _curves(
+def curves(
     rng: np.random.Generator,
     base: Array,
     azimuth: Array,

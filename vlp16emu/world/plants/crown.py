@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.plants.allometry import taper_radius_m
+from vlp16emu.world.plants.bole import bole_branches
 from vlp16emu.world.plants.branches import (
     Branches,
-    dead_stubs,
     first_order,
+    joined,
     merged,
     side_branches,
     tubes,
@@ -85,25 +86,26 @@ def crown_meshes(
     and dead branches change nothing else about a crown.
     """
     species = (table or species_table())[key.species]
-    rng = _generator(seed, key, species)
-    orders = _orders(rng, key, species)
+    rng = generator(seed, Purpose.CROWN, *_name(key, species))
+    orders, dead = _orders(rng, seed, key, species)
     leaves = _NOTHING
     if species.foliage and (key.season == "leaf_on" or species.foliage.kind == "shoot"):
         leaves = foliage_mesh(rng, species.foliage, orders[-1], key.leaf_area_m2)
     first, *others = (tubes(branches, sides) for branches, sides in zip(orders, _SIDES, strict=False))
     higher = merged(*others)
-    dead = [tubes(_dead(seed, key, species), _SIDES[1])] if key.dead_branches else []
+    bare = []
+    if key.dead_branches:
+        bare = [tubes(dead[0], _SIDES[1], every=2), tubes(dead[1], _SIDES[2])]
     if species.foliage is None:
-        return _NOTHING, _NOTHING, _NOTHING, merged(first, higher, *dead)
-    return first, higher, leaves, merged(*dead) if dead else _NOTHING
+        return _NOTHING, _NOTHING, _NOTHING, merged(first, higher, *bare)
+    return first, higher, leaves, merged(*bare) if bare else _NOTHING
 
 
 def crown_wood_m3(seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None) -> float:
     """Volume of all branches of a prototype, dead ones too."""
     species = (table or species_table())[key.species]
-    orders = _orders(_generator(seed, key, species), key, species)
-    dead = (_dead(seed, key, species),) if key.dead_branches else ()
-    return sum(volume_m3(branches) for branches in (*orders, *dead))
+    orders, dead = _orders(generator(seed, Purpose.CROWN, *_name(key, species)), seed, key, species)
+    return sum(volume_m3(branches) for branches in (*orders, *(dead if key.dead_branches else ())))
 
 
 def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[Array, Array]:
@@ -133,25 +135,26 @@ def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
     return np.concatenate([lean @ stem_T, base[..., None]], axis=2)
 
 
-def _generator(seed: int, key: CrownKey, species: Species) -> np.random.Generator:
-    """Random numbers that all seasons and states of one crown share."""
-    return generator(seed, Purpose.CROWN, species.number, key.variant, round(key.dbh_m * 1e4))
+def _name(key: CrownKey, species: Species) -> tuple[int, int, int]:
+    """Name of a crown in random numbers, which all its seasons and states share."""
+    return species.number, key.variant, round(key.dbh_m * 1e4)
 
 
-def _orders(rng: np.random.Generator, key: CrownKey, species: Species) -> list[Branches]:
-    """Branches of the first, second and, on broad crowns, third order."""
+def _orders(
+    rng: np.random.Generator, seed: int, key: CrownKey, species: Species
+) -> tuple[list[Branches], tuple[Branches, Branches]]:
+    """Branches of the first, second and, on broad crowns, third order; and dead ones below with their twigs."""
     at_m = np.linspace(key.crown_base_m, key.height_m, 16)[None]
     taper = species.taper.row[None]
     stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m)[0]
     habit = species.crown
-    orders = [first_order(rng, habit, (key.crown_length_m, key.crown_width_m), stem_m)]
-    orders.append(side_branches(rng, habit.twigs, orders[0], 2))
-    if habit.twiglets is not None:
-        orders.append(side_branches(rng, habit.twiglets, orders[1], 3))
-    return orders
-
-
-def _dead(seed: int, key: CrownKey, species: Species) -> Branches:
-    """Dead branches below the crown."""
-    rng = generator(seed, Purpose.DEAD_BRANCH, species.number, key.variant, round(key.dbh_m * 1e4))
-    return dead_stubs(rng, species.crown, key.crown_base_m)
+    bole_rng = generator(seed, Purpose.DEAD_BRANCH, *_name(key, species))
+    longest_m = habit.base_fraction * key.crown_width_m / 2
+    living, *dead = bole_branches(bole_rng, habit, key.crown_base_m, longest_m)
+    crown = [first_order(rng, habit, (key.crown_length_m, key.crown_width_m), stem_m)]
+    below = [living]
+    for order, twigs in enumerate((habit.twigs, habit.twiglets), start=2):
+        if twigs is not None:
+            crown.append(side_branches(rng, twigs, crown[-1], order))
+            below.append(side_branches(bole_rng, twigs, below[-1], order))
+    return [joined(*both) for both in zip(crown, below, strict=True)], (dead[0], dead[1])

@@ -32,7 +32,7 @@ def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, le
 
     Parameters
     ----------
-    twigs : branches that the leaves sit on, evenly along their length
+    twigs : branches that the leaves sit on, evenly along their leafy part
     leaf_area_m2 : one-sided; quads have this area over the species' clumping
     """
     area_m2 = leaf_area_m2 / foliage.clumping
@@ -44,6 +44,7 @@ def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, le
     position = (np.arange(n) + rng.random(n)) / n * ends_m[-1]
     twig = np.minimum(np.searchsorted(ends_m, position, side="right"), len(ends_m) - 1)
     way = np.clip(1 - (ends_m[twig] - position) / twigs.length_m[twig], 0.0, 1.0)
+    way = foliage.bare_share + (1 - foliage.bare_share) * way
     place, tangent = points_along(twigs.nodes_m, twig, way)
     length, width = foliage.length_m * size[:, None], foliage.width_m * size[:, None]
     if foliage.kind == "leaf":

@@ -40,6 +40,8 @@ class Foliage(Section):
     """One-sided leaf area over the area that is modelled."""
     spread_m: Annotated[float, Field(ge=0, le=2)]
     """Greatest distance of a leaf from its twig."""
+    bare_share: Annotated[float, Field(ge=0, le=0.95)] = 0.0
+    """Share of a twig, from its base, whose leaves have fallen: those that are left sit in a tuft."""
     inclination: Annotated[tuple[float, ...], Field(strict=False, validate_default=True)] = ()
     """mu and nu of the beta distribution of leaf inclination; none for shoots, which follow their twig."""
 
@@ -89,7 +91,11 @@ class Habit(Section):
     crook_deg: Crook
     """One sigma of the bend from one stretch of a branch to the next."""
     dead_per_m: Annotated[float, Field(ge=0, le=50)]
-    """Dead branches on each metre of stem below the crown, where they are wanted."""
+    """Branches on each metre of stem right below the crown, nearly all dead; further down some have fallen."""
+    dead_reach: Fraction = 0.35
+    """Share of the way from the crown base to the ground down to which dead branches have not all fallen."""
+    living_depth_m: Annotated[float, Field(gt=0, le=50)] = 1.0
+    """Each so much further down, of the branches below the crown a share of 1/e of those above lives."""
     twigs: Twigs
     twiglets: Twigs | None = None
     """Third order, for broad crowns."""

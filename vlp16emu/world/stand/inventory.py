@@ -39,7 +39,7 @@ INVENTORY = np.dtype(
         ("girth_over_pi_m", "<f8"),  # what a tape around the mesh at 1.3 m shows
         ("height_m", "<f8"),  # of the stem's tip over the foot, vertical
         ("top_m", "<f8"),  # of the highest point of all, tip, branch or leaf, over the foot, vertical
-        ("crown_base_m", "<f8"),  # of the lowest living branch over the foot, vertical
+        ("crown_base_m", "<f8"),  # of the crown's lowest branch over the foot, vertical
         ("crown_width_m", "<f8"),
         ("lean_deg", "<f8"),  # of the axis from the vertical
         ("lean_towards_deg", "<f8"),  # counter-clockwise from east

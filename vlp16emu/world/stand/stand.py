@@ -33,7 +33,7 @@ TREE = np.dtype(
         ("z_m", "<f8"),
         ("dbh_m", "<f8"),  # area-equivalent, across the axis where that is 1.3 m above the foot
         ("height_m", "<f8"),  # of the tip over the foot, vertical
-        ("crown_base_m", "<f8"),  # of the lowest branch over the foot, vertical
+        ("crown_base_m", "<f8"),  # of the crown's lowest branch over the foot, vertical
         ("crown_width_m", "<f8"),
         ("lean_deg", "<f8"),  # of the axis from the vertical
         ("lean_towards_deg", "<f8"),  # counter-clockwise from east
