@@ -14,7 +14,7 @@ from vlp16emu.errors import InputError
 if TYPE_CHECKING:
     from threading import Event
 
-    from vlp16emu.viewer.picture import Look, PictureRun
+    from vlp16emu.viewer.picture import PictureLook, PictureRun
 
 __all__ = ["picture"]
 
@@ -86,12 +86,12 @@ def picture(
     Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
     revolution. A film shows how they add up, ten revolutions per second. Needs the extra 'picture'.
     """
-    from vlp16emu.viewer.picture import Look
+    from vlp16emu.viewer.picture import PictureLook
 
     is_capture = Path(scene).suffix == ".pcap"
     if trajectory is not None and not is_capture:
         raise InputError("--trajectory", "found beside a scene", "a capture")
-    look = Look(colour or ("reflectivity" if is_capture else "natural"), look_from, _pixels(pixels))
+    look = PictureLook(colour or ("reflectivity" if is_capture else "natural"), look_from, _pixels(pixels))
     with stop_on_ctrl_c() as stop:
         if is_capture:
             made = _of_capture(Path(scene), trajectory, (start, duration), out, look, stop)
@@ -115,7 +115,7 @@ def _of_capture(
     trajectory: Path | None,
     span: tuple[float, float | None],
     out: Path,
-    look: "Look",
+    look: "PictureLook",
     stop: "Event",
 ) -> "PictureRun":
     """Draw a capture; without poses its first revolution, or as a film all of them."""
@@ -133,7 +133,7 @@ def _of_scene(
     settings: list[str] | None,
     span: tuple[float, float | None],
     out: Path,
-    look: "Look",
+    look: "PictureLook",
     stop: "Event",
     *,
     ideal: bool,

@@ -21,7 +21,7 @@ from vlp16emu.viewer.layers import Entries, colours_of, colours_of_scale, entrie
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Look", "PictureRun", "draw_picture", "scans_of_capture", "scans_of_scene", "way_of"]
+__all__ = ["PictureLook", "PictureRun", "draw_picture", "scans_of_capture", "scans_of_scene", "way_of"]
 
 Placed = tuple[Scan, NDArray[np.float64]]
 """A revolution, and its points (n, 3) in the world."""
@@ -41,7 +41,7 @@ _STATIONS = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class PictureLook:
     """How a picture is made."""
 
     colour: str
@@ -104,7 +104,7 @@ def way_of(trajectory: Path | None) -> NDArray[np.float64] | None:
 def draw_picture(
     scans: Iterator[Placed],
     path: Path,
-    look: Look,
+    look: PictureLook,
     *,
     way_m: NDArray[np.float64] | None,
     species: Mapping[int, str],
@@ -166,7 +166,7 @@ class _Drawing:
     """A canvas that revolutions are drawn on."""
 
     def __init__(
-        self, canvas: Canvas, look: Look, species: Mapping[int, str], box_m: NDArray[np.float64]
+        self, canvas: Canvas, look: PictureLook, species: Mapping[int, str], box_m: NDArray[np.float64]
     ) -> None:
         self.canvas, self.look, self._species, self._box_m = canvas, look, species, box_m
         self.revolutions = self.points = 0
