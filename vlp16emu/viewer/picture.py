@@ -229,12 +229,14 @@ def _still(file: Any, drawing: _Drawing, entries: Entries) -> None:
     axes.set(xlim=(0, width), ylim=(0, height))
     axes.axis("off")
     axes.plot([30, 30 + 10 * px_per_m], [30, 30], color=_INK, lw=2.5, solid_capstyle="butt")
+    colour = drawing.look.colour
+    shown_by = "in natural colours" if colour == "natural" else f"by {colour}"
     box = {"facecolor": _BACK, "edgecolor": "none", "alpha": 0.7, "pad": 2.0}
     axes.text(30, 40, "10 m", color=_INK, fontsize=10, bbox=box)
     axes.text(
         30,
         height - 18,
-        f"{drawing.points / 1e6:.2f} million points, by {drawing.look.colour}",
+        f"{drawing.points / 1e6:.2f} million points, {shown_by}",
         color=_INK,
         fontsize=10,
         va="top",
@@ -255,7 +257,7 @@ def _still(file: Any, drawing: _Drawing, entries: Entries) -> None:
         )
     elif entries is not None:
         _scale(figure, *entries)
-    figure.savefig(file, format="png", metadata={"Software": None})
+    figure.savefig(file, format="png", metadata={"Software": None}, pil_kwargs={"optimize": True})
 
 
 def _scale(figure: "Figure", least: float, most: float, unit: str) -> None:
