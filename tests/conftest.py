@@ -24,10 +24,10 @@ def pytest_sessionstart():
 def pytest_collection_modifyitems(items):
     """Let one of two workers compile the caster's kernels while the other is at tests that need none of them.
 
-    Each worker begins with an eighth of all tests; what is left is handed out in order.
+    Files are handed out whole and in order, so that what a file has set up serves all of its tests.
     """
     rooms = Path(__file__).parent
     light = [item for item in items if item.path.relative_to(rooms).parts[0] in WITHOUT_CASTING]
     casting = [item for item in items if item not in set(light)]
-    first = len(items) // 8
-    items[:] = casting[:first] + light + casting[first:]
+    first = [item for item in casting if item.path == casting[0].path] if casting else []
+    items[:] = first + light + casting[len(first) :]

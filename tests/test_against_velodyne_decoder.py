@@ -23,6 +23,7 @@ def walk(request, tmp_path_factory):
         "sensor.eccentricity_deg=0.0",
         "sensor.azimuth_noise_deg=0.0",
         f"sensor.return_mode={request.param}",
+        "beam.model=none",
     ]
     scenario = load("birch_walk", settings)
     path = tmp_path_factory.mktemp("walk") / "walk.pcap"

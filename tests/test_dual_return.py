@@ -23,11 +23,21 @@ def dual_returns():
     return module
 
 
+@pytest.fixture(scope="module")
+def forest(dual_returns):
+    """Emulators of the reference forest by the preset of their noise, in one world."""
+    typical, ideal = (
+        load("reference_forest", [*dual_returns.OWN, f"noise.preset={preset}", "sensor.max_range_m=30.0"])
+        for preset in ("typical", "ideal")
+    )
+    first = Emulator(typical)
+    return {"typical": first, "ideal": Emulator(ideal, like=first)}
+
+
 @pytest.fixture(scope="module", params=["typical", "ideal"])
-def pairs(dual_returns, request):
+def pairs(dual_returns, forest, request):
     """Two revolutions of the reference forest."""
-    own = [*dual_returns.OWN, f"noise.preset={request.param}", "sensor.max_range_m=30.0"]
-    return dual_returns.pairs(Emulator(load("reference_forest", own)), *SPAN_S)
+    return dual_returns.pairs(forest[request.param], *SPAN_S)
 
 
 def test_every_pair_of_a_forest_is_lawful(dual_returns, pairs):
