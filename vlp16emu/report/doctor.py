@@ -17,11 +17,15 @@ __all__ = ["all_checks"]
 
 _EXTRAS = {
     "bench": (("h11",), "stream --http"),
-    "cloud": (("laspy", "lazrs", "pye57"), "points in LAS, LAZ and E57"),
+    "cloud": (("laspy", "lazrs", "pye57", "pypcd4"), "points in LAS, LAZ and E57, score of PCD"),
+    "cluster": (("distributed",), "dataset by more than one process"),
+    "data": (("pyarrow",), "--truth-returns, labels of captures"),
     "dem": (("tifffile", "imagecodecs"), "heights from GeoTIFF files (world.dem)"),
     "images": (("OpenEXR", "PIL"), "images"),
-    "picture": (("matplotlib",), "forest --picture"),
+    "picture": (("matplotlib", "PIL", "imageio_ffmpeg"), "picture, forest --picture"),
+    "ros": (("rosbags",), "bag, record into bags"),
     "score": (("evo", "matplotlib"), "score"),
+    "viewer": (("viser", "tomlkit", "websockets"), "view"),
 }
 """Libraries of each extra in pyproject.toml, and what needs them."""
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
