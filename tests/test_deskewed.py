@@ -17,8 +17,10 @@ SETTINGS = {
     "world.stems_per_ha": 300,
     "sensor.max_range_m": 25.0,
     "sensor.return_mode": "dual",
+    "sensor.preset": "steady",
     "sensor.eccentricity_deg": 0.0,
     "sensor.azimuth_noise_deg": 0.0,
+    "capture.preset": "ideal",
     "beam.model": "fixed",
     "beam.rays": 8,
 }

@@ -36,7 +36,7 @@ def distances_m(scenario, stop_s):
     ],
 )
 def test_a_step_edge_is_one_return_or_two(gap_m, behind_m):
-    """With the beam half on each of two plates, packets show one return between them below 1 m, and both plates above."""
+    """With the beam half on each of two plates, packets show one return between them below 1.4 m, and both plates above."""
     middle_m = PLATE_M + 0.05
     near = f"{{ name = 'near', centre_m = [{middle_m}, -2.5, 3.0], size_m = [0.1, 5.0, 6.0] }}"
     far = f"{{ name = 'far', centre_m = [{middle_m + gap_m}, 0.0, 3.0], size_m = [0.1, 10.0, 6.0] }}"
@@ -123,7 +123,8 @@ def test_without_width_holes_are_sharp(holes):
 def errors():
     """Errors of ranges on the walls (turns, pulses, 16) before packing, in packets, and the sigma that is due."""
     own = ["world.poles=[]", "world.boxes=[]", "world.spheres=[]"]
-    unit = [*own, "noise={elevation_error_deg=0.0, azimuth_error_deg=0.0}"]
+    unit = [*own, "noise={preset='typical', elevation_error_deg=0.0, azimuth_error_deg=0.0}"]
+    own.append("noise.preset=ideal")
     stop_s = 1.0
     true, real = (
         list(Emulator(load("static_bench", settings)).returns(0.0, stop_s)) for settings in (own, unit)

@@ -83,6 +83,7 @@ class Purpose(IntEnum):
     CAPTURE_STAMP = 105
     CAPTURE_LATE = 106
     UNIT_NOISE = 107
+    CAPTURE_HOST = 110
     SCORE_DISK = 92
 
 

@@ -93,7 +93,12 @@ class Run(Chain):
                 raise OutputError(str(path), "found a bag to be split", "one bag for all sensors, or .pcap")
             to = truth if isinstance(truth, TruthTo | None) else TruthTo(Path(truth))
             recorded = partial(
-                self.record, start_s=start_s, duration_s=duration_s, as_due=True, progress=progress, stop=stop
+                self.record,
+                start_s=start_s,
+                duration_s=duration_s,
+                as_due=as_due,
+                progress=progress,
+                stop=stop,
             )
             return record_bag(Path(path), to, lambda capture, to: recorded(capture, truth=to))
         paths = paths_of_units(Path(path), len(self.parts.units)) if split else [Path(path)]
@@ -101,7 +106,7 @@ class Run(Chain):
             spare(self._files, one)
         check_ending(Path(path))
         span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
-        clock = CaptureClock() if as_due else self.scenario.capture
+        clock = CaptureClock(preset="ideal") if as_due else self.scenario.capture
         packets = self.packets(*span_s)  # checks the span before the file is touched
         with self.windows.stopped_by(stop):
             recording = record_packets(

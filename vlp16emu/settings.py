@@ -83,7 +83,9 @@ class Preset(Section):
     @classmethod
     def _from_preset(cls, table: Any) -> Any:
         """Fill in what the preset gives; one that is unknown is named by the check of its key."""
-        preset = table.get("preset") if isinstance(table, dict) else None
+        if not isinstance(table, dict):
+            return table
+        preset = table.get("preset", cls.model_fields["preset"].default)
         return {**cls.presets.get(preset, {}), **table} if isinstance(preset, str) else table
 
 

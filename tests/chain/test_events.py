@@ -21,7 +21,7 @@ def emulator(*events, threads=2, gps=True, **sensor):
         "schema": 1,
         "seed": 5,
         "duration_s": 8.0,
-        "sensor": {"model": "vlp-16", **sensor},
+        "sensor": {"preset": "steady", "model": "vlp-16", **sensor},
         "beam": {"model": "none"},
         "gps": {"connected": gps},
         "motion": {"kind": "static"},

@@ -60,7 +60,8 @@ def test_both_frames_are_told(points):
 def test_a_walk_has_points_in_the_world_pulse_by_pulse(points):
     """On a walk a point in the world is origin + distance * direction of its own pulse."""
     settings = ["seed=5", "world.stems_per_ha=150", "sensor.max_range_m=30.0"]
-    settings += ["sensor.eccentricity_deg=0.0", "sensor.azimuth_noise_deg=0.0", "noise.preset=ideal"]
+    settings += ["sensor.preset=steady", "noise.preset=ideal"]
+    settings += ["sensor.eccentricity_deg=0.0", "sensor.azimuth_noise_deg=0.0"]
     own, _ = points(*(word for setting in settings for word in ("--set", setting)), scene="birch_walk")
     emulator, world_m = Emulator(load("birch_walk", settings)), []
     for block in emulator.returns(0, 0.05):

@@ -67,7 +67,7 @@ def test_white_noise_of_a_real_unit_is_that_of_the_typical_preset(detector, firi
         np.where(hit, percent / 100, 0).astype(np.float32),
     )
     k = len(mean_m)
-    unit = detector(Noise())
+    unit = detector(Noise(preset="typical"))
     emulated = np.stack(
         [
             detect(firings(k, turn * k), hits, table(1.0), unit, truth=False).distance_m[..., 0].astype(float)

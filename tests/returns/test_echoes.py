@@ -14,7 +14,7 @@ from vlp16emu.types import Hits, ReturnMode, SensorModel
 
 SIGMA_M = 0.299792458 / 2 * 6.0 / 2.3548200450309493
 STEP_M = 0.001
-RESOLUTION_M = 1.0
+RESOLUTION_M = 1.4
 
 
 def waveform(x_m, range_m, amplitude):

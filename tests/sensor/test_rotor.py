@@ -120,7 +120,7 @@ def test_readings_hum_and_are_cut():
 
 def test_an_encoder_of_lines_reads_as_real_ones_do():
     """Codes modulo five and steps between blocks have the shares of real units, cut anywhere, and on a line readings are exact."""
-    lines = EncoderLines(pitch_deg=0.05, rate_error=0.2, first_deg=0.02)
+    lines = EncoderLines(pitch_deg=0.05, rate_error=0.21, first_deg=0.02)
     rotor = Rotor(spins=(Spin(0, 0.0, 600),), seed=1, lines=lines, **IDEAL | {"noise_deg": 0.001})
     angle_deg = rotor.angle_deg(np.arange(60_000) * 2 * SEQUENCE_NS)
     read_deg = rotor.reading_deg(angle_deg, 0)
@@ -144,7 +144,7 @@ def test_an_even_encoder_draws_nothing():
     even = Rotor(
         spins=(Spin(0, 0.0, 600),),
         seed=1,
-        lines=EncoderLines.drawn(1, 0.0, 0.2),
+        lines=EncoderLines.drawn(1, 0.0, 0.2, 0.0),
         **IDEAL | {"noise_deg": 0.005},
     )
     angle_deg = plain.angle_deg(np.arange(1000) * SEQUENCE_NS)

@@ -10,6 +10,7 @@ from stability_cases.lab import PULSES, beam, decoded_m, detected, ideal_unit, o
 from stability_cases.row import Row, refused
 from vlp16emu.packets import LASERS
 from vlp16emu.returns.detect import detect
+from vlp16emu.returns.settings import Detector
 from vlp16emu.scenario import load
 from vlp16emu.types import SURFACE, Firings, Hits
 
@@ -53,7 +54,7 @@ def _parted(returns_m: Array) -> NDArray[np.bool_]:
 
 def merge_limits() -> Iterator[Row]:
     """Draw two plates apart, by tenths of a millimetre about each limit."""
-    resolution_m = 1.0
+    resolution_m = Detector().resolution_m
     step_m = resolution_m + 1e-4 * (np.arange(8 * PULSES) - 4 * PULSES)
     returns_m = _two_echoes_m(step_m, (0.5, 0.5))
     two = _parted(returns_m)
@@ -61,7 +62,10 @@ def merge_limits() -> Iterator[Row]:
     other_m = np.where(returns_m[:, 2] > 0, returns_m[:, 2], returns_m[:, 1])
     apart_m = np.abs(other_m - returns_m[:, 0])[two].min()
     yield Row(
-        "echoes at the resolution", "least distance of two less 1 m, m", abs(apart_m - resolution_m), 1e-3
+        "echoes at the resolution",
+        "least distance of two less the resolution, m",
+        abs(apart_m - resolution_m),
+        1e-3,
     )
 
     sigma_m = ideal_unit().detector.constants.sigma_m

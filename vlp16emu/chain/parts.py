@@ -96,7 +96,7 @@ def head_of(
         pattern=Pattern(
             section.twice_per_turn_deg * share[1], turned_deg[1], section.hum_deg * share[2], turned_deg[2]
         ),
-        lines=EncoderLines.drawn(seed, section.encoder_pitch_deg, section.encoder_rate_error),
+        lines=EncoderLines.drawn(seed, section.encoder_pitch_deg, section.encoder_rate_error, spread),
     )
     beams = with_angle_errors(
         _beams(section),

@@ -20,7 +20,7 @@ from vlp16emu.sensor import Sensor
 
 __all__ = ["fitted"]
 
-_EVEN_CDEG2, _PER_RATE_CDEG2 = 0.11, 5.0
+_EVEN_CDEG2, _PER_RATE_CDEG2 = 0.103, 6.0
 _LEVEL = 80.0
 """Reflectivity in the middle of those whose neighbours are compared."""
 _SET_RPM = 60
@@ -51,7 +51,7 @@ def _noise(sequences: Sequences, found: Statistics) -> Table:
         out["range_beat_m"] = round(float(abs(sine)) * 1e-3, 5)
         out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
     if scatter := found.get("reflectivity.scatter_60_99"):
-        out["reflectivity_noise_root"] = round(scatter / math.sqrt(_LEVEL), 3)
+        out["reflectivity_noise_share"] = round(scatter / _LEVEL, 4)
     if "residue.odd_spread" in found:
         out["odd_codes_spread"] = round(found["residue.odd_spread"], 3)
     if "no_return.above_0" in found:

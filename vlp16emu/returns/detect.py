@@ -3,8 +3,6 @@
 Kernels make no arrays of their own, so numba need not count references (`_nrt=False`): a sixth of the time.
 """
 
-import math
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -134,7 +132,7 @@ def _detect(
         slot = 24 * n % 5
         if (
             constants.range_noise_m > 0.0
-            or constants.reflectivity_noise + constants.reflectivity_noise_root > 0.0
+            or constants.reflectivity_noise + constants.reflectivity_noise_share > 0.0
         ):
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(count.shape[1]):
@@ -278,9 +276,9 @@ def _measure(
     """Distance and reflectivity as the unit reads them; distance 0 if that is too small, and nothing if it is too great."""
     reflectance = amplitude * range_m * range_m
     measured_m = range_m + error_m
-    sigma = constants.reflectivity_noise
-    if constants.reflectivity_noise_root > 0.0:
-        sigma += constants.reflectivity_noise_root * math.sqrt(min(100.0 * reflectance, 100.0))
+    sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * min(
+        100.0 * reflectance, 100.0
+    )
     if constants.heavy_tails:
         range_noise, other_noise = heavier(range_noise), heavier(other_noise)
     counts = other_noise * sigma

@@ -83,7 +83,7 @@ class UnitDetector:
             least_clutter=least,
             range_noise_m=noise.range_noise_m * own[0],
             reflectivity_noise=noise.reflectivity_noise * own[1],
-            reflectivity_noise_root=noise.reflectivity_noise_root * own[1],
+            reflectivity_noise_share=noise.reflectivity_noise_share * own[1],
             reflectivity_step=noise.reflectivity_step,
             heavy_tails=noise.heavy_tails,
         )
@@ -112,7 +112,7 @@ class UnitDetector:
             clutter=0.0,
             range_noise_m=0.0,
             reflectivity_noise=0.0,
-            reflectivity_noise_root=0.0,
+            reflectivity_noise_share=0.0,
             reflectivity_step=0.0,
         )
         none, one = np.zeros_like(self.range_bias_m), np.ones_like(self.gain)

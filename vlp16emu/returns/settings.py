@@ -31,13 +31,13 @@ _PRESETS: dict[str, dict[str, object]] = {
         "range_noise_m": 0.0052,
         "range_beat_m": 0.006,
         "reflectivity_noise": 0.0,
-        "reflectivity_noise_root": 0.25,
+        "reflectivity_noise_share": 0.036,
         "reflectivity_step": 1.7,
         "heavy_tails": True,
         "unit_spread": 0.15,
         "odd_codes_spread": 0.1,
         "no_return_reflectivity": True,
-        "no_return_wander": 1.0,
+        "no_return_wander": 3.0,
     },
 }
 
@@ -47,8 +47,8 @@ class Detector(Section):
 
     pulse_ns: Annotated[float, Field(ge=1, le=20)] = 6.0
     """Full width of a pulse at half maximum; not in the data sheet (assumption, 5 ns in other simulators)."""
-    resolution_m: Annotated[float, Field(ge=0, le=10)] = 1.0
-    """Echoes nearer to each other are one; 1 m for the VLS-128, and a VLP-16 showed 1.19 m at least."""
+    resolution_m: Annotated[float, Field(ge=0, le=10)] = 1.4
+    """Echoes nearer to each other are one; gaps of a VLP-16 begin here: protocol/README.md, "The character of a unit"."""
     range_at_10_percent_m: Annotated[float, Field(ge=1, le=500)] = 40.0
     """Range at which a perpendicular target of 10 % that fills the beam is detected every second time. Assumption: a
     white wall is then detected from 126 m, a leaf of 50 % from 89 m; the data sheet's 100 m come without a
@@ -62,8 +62,9 @@ class Noise(Preset):
 
     presets = _PRESETS
 
-    preset: Literal["ideal", "typical", "datasheet", "unit"] = "typical"
-    """Values of the keys that are not given beside it; `typical` is their defaults, `unit` has what makes real units differ."""
+    preset: Literal["ideal", "typical", "datasheet", "unit"] = "unit"
+    """Values of the keys that are not given beside it: `unit` draws one like those that were measured, `typical` has white errors
+    and constant ones per laser only."""
     range_noise_m: _Metres = 0.0065
     """White, one sigma, at a reflectivity of 20; measured on a real unit."""
     range_beat_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
@@ -83,13 +84,13 @@ class Noise(Preset):
     """Time constant with which that fades."""
     reflectivity_noise: Annotated[float, Field(ge=0, le=20)] = 1.5
     """White, one sigma, in counts; real units show 1 to 2."""
-    reflectivity_noise_root: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """The same at a reflectivity of 1, growing with its square root, added to it; 0.25 on real units."""
+    reflectivity_noise_share: Annotated[float, Field(ge=0, le=0.2)] = 0.0
+    """The same as a share of the reflectivity, added to it; 0.03 to 0.04 on real units."""
     reflectivity_step: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Spacing of codes from 50 on, before the gain of the laser; 1.7 on real units, where neighbours then are equal more
     often. 0 sends every code."""
     heavy_tails: bool = False
-    """Whether white errors of range and reflectivity are often small and now and then great, with a kurtosis of 5.9, as on real
+    """Whether white errors of range and reflectivity are often small and now and then great, with a kurtosis of 6.6, as on real
     units, instead of Gaussian."""
     unit_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
     """By how much the white errors of a unit differ from these, one sigma of the logarithm. 0 for exactly these."""
@@ -105,6 +106,13 @@ class Noise(Preset):
     """How many multiples of that constant they wander through, for a unit in the middle of the real ones; 0 for none."""
 
     @property
+    def _scatter(self) -> str:
+        """White error of reflectivity in words."""
+        share = [f"{100 * self.reflectivity_noise_share:g} % white"] if self.reflectivity_noise_share else []
+        counts = [f"{self.reflectivity_noise:g} counts"] if self.reflectivity_noise or not share else []
+        return ", ".join(counts + share)
+
+    @property
     def summary(self) -> str:
         """The active model in one line."""
         parts = [
@@ -112,7 +120,7 @@ class Noise(Preset):
             f"{1e3 * self.range_bias_m:g} mm bias per laser",
             f"{max(self.elevation_error_deg, self.azimuth_error_deg):g} deg",
             *([f"{1e3 * self.range_beat_m:g} mm beat"] if self.range_beat_m else []),
-            f"{self.reflectivity_noise:g} counts and {100 * self.gain_spread:g} % on reflectivity",
+            f"{self._scatter} and {100 * self.gain_spread:g} % on reflectivity",
             "weak echoes lost" if self.weak_echoes_lost else "every echo seen",
         ]
         if self.warm_up_m:
@@ -166,7 +174,7 @@ class DetectorConstants(NamedTuple):
     """Amplitude below which the air is not worth a look."""
     range_noise_m: float
     reflectivity_noise: float
-    reflectivity_noise_root: float
+    reflectivity_noise_share: float
     reflectivity_step: float
     """0 where every code is sent."""
     heavy_tails: bool

@@ -157,7 +157,7 @@ def _check_depth(where: str, tree: Any) -> None:
 
 def _take_errors(tree: dict[str, Any]) -> None:
     """Make a scene's light, air and sensors ideal."""
-    tree.update(beam={"model": "none"}, noise={"preset": "ideal"}, weather={})
+    tree.update(beam={"model": "none"}, noise={"preset": "ideal"}, weather={}, capture={"preset": "ideal"})
     units = rig if isinstance(rig := tree.get("rig"), list) else []
     for unit in (tree.setdefault("sensor", {}), *units):
         if isinstance(unit, dict):  # what is no table is found when the scene is checked

@@ -4,7 +4,8 @@ Its true angle as a function of time and what the encoder reads; and what the se
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numba
 import numpy as np
@@ -27,9 +28,18 @@ __all__ = [
 
 _HUM_SEQUENCES = 25
 """Firing sequences of two periods of the hum; one is 12.5 x 55.296 us."""
-_SLOW = 1.08
-"""By how much the speed is taken too low between the lines of an encoder: of five codes between two lines the last one then has
-14 % of the readings and the others 20 to 22, as on mrpt, nebula, einride and a unit of 2014."""
+# Fitted to the readings of mrpt, nebula and einride, by the distribution of their errors by the code modulo 5, and of the
+# steps between blocks. Units differ in the first three, here evenly between the two values.
+_SLOW = 1.03, 1.09
+"""By how much the speed is taken too low between the lines of an encoder."""
+_OFTEN_LOW = 0.5, 0.6
+"""Share of readings with too low a rate."""
+_MEMORY = -0.3, 0.3
+"""Weight of the reading before in whether the rate is too low."""
+_UNEVEN = 0.22
+"""By how much errors of the rate differ, one sigma, as a share of them."""
+_PER_BLOCK = 2
+"""Firing sequences from one reading on the wire to the next."""
 _SHORT_DEG = 1e-5
 """How far before the next line a reading ends."""
 _KNOT_BITS = 20
@@ -158,19 +168,35 @@ class EncoderLines:
     """Of the speed, which is too low or too high by this share with equal chance, reading by reading."""
     first_deg: float
     """Reading of a line."""
+    slow: float = sum(_SLOW) / 2
+    """Factor by which the speed is taken too low."""
+    often_low: float = sum(_OFTEN_LOW) / 2
+    """Share of readings with too low a rate."""
+    memory: float = sum(_MEMORY) / 2
+    """Weight of the reading before in that."""
 
     def read(self, angle_deg: NDArray[np.float64], seed: int, first: int) -> NDArray[np.float64]:
         """Read (k,) angles, those of firing sequences from `first` on."""
-        since_deg = (angle_deg - self.first_deg) % self.pitch_deg
-        is_low = uniform(seed, Purpose.AZIMUTH_READING, first, len(angle_deg), 1) < 0.5
-        rate = (1.0 + np.where(is_low, -self.rate_error, self.rate_error)) / _SLOW
+        since_deg, count = (angle_deg - self.first_deg) % self.pitch_deg, len(angle_deg)
+        drawn = normal(seed, Purpose.AZIMUTH_READING, first, count + _PER_BLOCK, 1)
+        z = (drawn[_PER_BLOCK:] + self.memory * drawn[:-_PER_BLOCK]) / math.hypot(1.0, self.memory)
+        error = self.rate_error * (1.0 + _UNEVEN * normal(seed, Purpose.AZIMUTH_READING, first, count, 2))
+        rate = (1.0 + np.where(z < NormalDist().inv_cdf(self.often_low), -error, error)) / self.slow
         return np.asarray(angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _SHORT_DEG))
 
     @classmethod
-    def drawn(cls, seed: int, pitch_deg: float, rate_error: float) -> "EncoderLines":
-        """Draw on which hundredth of a degree the lines of a unit are."""
-        first = math.floor(5.0 * float(uniform(seed, Purpose.AZIMUTH_PATTERN, 6, 1)[0]))
-        return cls(pitch_deg, rate_error, first / 100)
+    def drawn(cls, seed: int, pitch_deg: float, rate_error: float, spread: float) -> "EncoderLines":
+        """Draw on which hundredth of a degree the lines of a unit are; with a spread, also what units differ in."""
+        first, own, *others = uniform(seed, Purpose.AZIMUTH_PATTERN, 6, 5)
+        lines = cls(pitch_deg, rate_error, math.floor(5.0 * first) / 100)
+        if not spread:
+            return lines
+        slow, often_low, memory = (
+            low + (high - low) * u
+            for (low, high), u in zip((_SLOW, _OFTEN_LOW, _MEMORY), others, strict=True)
+        )
+        rate_error *= 1.0 + spread * (0.25 * own - 0.125)
+        return replace(lines, rate_error=rate_error, slow=slow, often_low=often_low, memory=memory)
 
 
 def rotation_draws(seed: int, spread: float) -> tuple[list[float], list[float]]:

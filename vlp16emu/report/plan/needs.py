@@ -125,7 +125,7 @@ def _of_sensor(unit: Unit) -> list[Need]:
             "one ray for each pulse, no axes of its footprint",
         ),
         "range and reflectivity noise": (
-            detector.range_noise_m > 0.0 or detector.reflectivity_noise > 0.0,
+            max(detector.range_noise_m, detector.reflectivity_noise, detector.reflectivity_noise_share) > 0.0,
             "a pair of random numbers for each return",
             "no random number",
         ),
