@@ -35,8 +35,9 @@ _COARSE = 50.0
 """Reflectivity from which on codes are wider apart."""
 NO_RETURN_KNOT = 32
 """Firing sequences between two knots of what no-returns carry; assumption, after einride: 78 % of neighbours are equal."""
-_NO_RETURN_CODES = 3, 24
-"""Least and greatest on no-returns of two real units with 3.x firmware: 3..11 on one, 9..24 on the other."""
+_NO_RETURN_MIDDLE, _NO_RETURN_SPREAD = (6.0, 17.0), 0.5
+"""On no-returns of two real units with 3.x firmware: 3..11 on one, 9..24 on the other. That others are between is an
+assumption."""
 
 
 def range_bias_m(seed: int, lasers: int, sigma_m: float) -> NDArray[np.float64]:
@@ -54,8 +55,10 @@ def no_return_reflectivity(seed: int, lasers: int) -> NDArray[np.float64]:
 
     Real units send it in 50 to 98 % of such records, and multiples of it in the others.
     """
-    low, high = _NO_RETURN_CODES
-    return np.asarray(low + (high - low + 1) * uniform(seed, Purpose.NO_RETURN, 0, lasers))
+    drawn = uniform(seed, Purpose.NO_RETURN, 0, lasers + 1)
+    low, high = _NO_RETURN_MIDDLE
+    middle = low * (high / low) ** drawn[-1]
+    return np.asarray(middle * (1.0 + _NO_RETURN_SPREAD * (2.0 * drawn[:-1] - 1.0)))
 
 
 def no_return_multiples(seed: int, first: int, count: int, lasers: int, wander: float) -> NDArray[np.float64]:
