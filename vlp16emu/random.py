@@ -62,6 +62,7 @@ class Purpose(IntEnum):
     FLOOR_SHAPE = 39
     MOUND = 40
     GIVEN_TREE = 41
+    STEM_FORM = 42
     GAIT = 50
     IMU_NOISE = 51
     IMU_BIAS = 52

@@ -38,24 +38,29 @@ def meet_stem(
     spread: np.float32,
     aside_m: np.float32,
 ) -> bool:
-    """Cut the lanes with a stem: across its axis a circle whose radius is that of the height at which it is met."""
+    """Cut the lanes with a stem: a circle about its axis, where that is and as wide as it is at the height where it is met."""
     s, profile = stems.line[stem], stems.profile[stem]
     sx, sy, sz = s[3], s[4], s[5]
-    qx, qy, qz = axis[0] - s[0], axis[1] - s[1], axis[2] - s[2]
-    up, lift = axis[3] * sx + axis[4] * sy + axis[5] * sz, qx * sx + qy * sy + qz * sz
+    up = axis[3] * sx + axis[4] * sy + axis[5] * sz
     wx, wy, wz = axis[3] - up * sx, axis[4] - up * sy, axis[5] - up * sz
     square = wx * wx + wy * wy + wz * wz
     if square < 1e-9:
         return False
     # Range and height at which the middle of the pulse is nearest to the axis, and how far it is from it there.
-    nearest_m = -(qx * wx + qy * wy + qz * wz) / square
-    height_m = lift + nearest_m * up
-    px, py, pz = (
-        qx - lift * sx + nearest_m * wx,
-        qy - lift * sy + nearest_m * wy,
-        qz - lift * sz + nearest_m * wz,
-    )
-    off2, margin_m = px * px + py * py + pz * pz, spread * abs(nearest_m) + aside_m
+    q = axis[0] - s[0], axis[1] - s[1], axis[2] - s[2]
+    nearest_m, height_m, off2 = _nearest(q, (sx, sy, sz), (wx, wy, wz), up, square)
+    margin_m = spread * abs(nearest_m) + aside_m
+    within_m = s[6] + s[7] + margin_m
+    if off2 > within_m * within_m:
+        return False
+    # The same of the axis as it runs at that height.
+    knot = _knot(profile, height_m)
+    share = (height_m - profile[0, knot]) / (profile[0, knot + 1] - profile[0, knot])
+    share = min(max(share, 0.0), 1.0)
+    bent_x = profile[3, knot] + share * (profile[3, knot + 1] - profile[3, knot])
+    bent_y = profile[4, knot] + share * (profile[4, knot + 1] - profile[4, knot])
+    q = q[0] - bent_x, q[1] - bent_y, q[2]
+    nearest_m, height_m, off2 = _nearest(q, (sx, sy, sz), (wx, wy, wz), up, square)
     widest_m = profile[2, _knot(profile, height_m - margin_m - s[6] * abs(up))]
     within_m = widest_m + margin_m
     if off2 > within_m * within_m:
@@ -65,7 +70,7 @@ def meet_stem(
     taper = (profile[1, knot + 1] - profile[1, knot]) / (profile[0, knot + 1] - profile[0, knot])
     _cut_cone(
         L.row,
-        (f4(s[0] + height_m * sx), f4(s[1] + height_m * sy), f4(s[2] + height_m * sz)),
+        (f4(s[0] + bent_x + height_m * sx), f4(s[1] + bent_y + height_m * sy), f4(s[2] + height_m * sz)),
         (f4(sx), f4(sy), f4(sz)),
         f4(nearest_m),
         f4(height_m),
@@ -73,6 +78,28 @@ def meet_stem(
         taper,
     )
     return _keep_nearest(stems, L, n, near_m, stem)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+def _nearest(
+    q: tuple[float, float, float],
+    s: tuple[float, float, float],
+    w: tuple[float, float, float],
+    up: float,
+    square: float,
+) -> tuple[float, float, float]:
+    """Where a ray from `q` is nearest to an axis along `s`: range, height along the axis, and distance squared.
+
+    Of the ray's direction `up` is along the axis and `w`, `square` long squared, is across it.
+    """
+    lift = q[0] * s[0] + q[1] * s[1] + q[2] * s[2]
+    nearest_m = -(q[0] * w[0] + q[1] * w[1] + q[2] * w[2]) / square
+    px, py, pz = (
+        q[0] - lift * s[0] + nearest_m * w[0],
+        q[1] - lift * s[1] + nearest_m * w[1],
+        q[2] - lift * s[2] + nearest_m * w[2],
+    )
+    return nearest_m, lift + nearest_m * up, px * px + py * py + pz * pz
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)

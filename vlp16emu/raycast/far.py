@@ -134,8 +134,8 @@ def _no_medium() -> Medium:
         Stems(
             np.zeros((1, 1, 2), np.int32),
             np.zeros(0, np.int32),
-            np.zeros((0, 7)),
-            np.zeros((0, 3, 16), np.float32),
+            np.zeros((0, 8)),
+            np.zeros((0, 5, 16), np.float32),
             np.zeros((0, 2), np.uint32),
             np.zeros(0, np.float32),
         ),
@@ -321,8 +321,11 @@ def _stems(
     foot_m = stems["foot_m"] - window.origin_m
     radius_m = stems["radius_m"]
     widest_m = np.maximum.accumulate(radius_m[:, ::-1], axis=1)[:, ::-1]
-    profile = np.ascontiguousarray(np.stack([stems["along_m"], radius_m, widest_m], axis=1))
-    line = np.column_stack([foot_m, stems["axis"], radius_m.max(axis=1)])
+    profile = np.concatenate(
+        [np.stack([stems["along_m"], radius_m, widest_m], axis=1), stems["aside_m"]], axis=1
+    )
+    bent_m = np.hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1]).max(axis=1)
+    line = np.column_stack([foot_m, stems["axis"], radius_m.max(axis=1), bent_m])
     return Stems(first, of, line, profile, stems["row"] + base[:, None], stems["flare_m"].copy())
 
 

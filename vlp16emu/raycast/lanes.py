@@ -53,9 +53,10 @@ class Stems(NamedTuple):
     of: NDArray[np.int32]
     """Stems of the columns, one column after the other."""
     line: NDArray[np.float64]
-    """(n, 7) foot, unit axis, and widest radius."""
+    """(n, 8) foot, unit axis, widest radius, and how far the stem bends off the axis at most."""
     profile: NDArray[np.float32]
-    """(n, 3, knots) heights along the axis, radii, and the greatest radius from there upwards."""
+    """(n, 5, knots) heights along the axis, radii, the greatest radius from there upwards, and how far in x and y the
+    middle of the circle is off the axis."""
     surface: NDArray[np.uint32]
     """(n, 2) of root flare and stem."""
     flare_m: NDArray[np.float32]

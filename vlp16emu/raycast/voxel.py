@@ -67,19 +67,25 @@ Array = NDArray[np.float64]
 
 
 def stem_lines(stems: NDArray[np.void], origin_m: Array) -> Array:
-    """Axes of stems: (n, 7) lower end relative to an origin, rise per metre of height in x and y, height, widest radius."""
+    """Axes of stems: (n, 7) lower end relative to an origin, rise per metre of height in x and y, height, widest reach."""
     axis = stems["axis"]
     low_m, high_m = stems["along_m"][:, 0] * axis[:, 2], stems["along_m"][:, -1] * axis[:, 2]
     slope = axis[:, :2] / axis[:, 2:]
     foot_m = stems["foot_m"] - origin_m
     lower = foot_m + np.column_stack([slope * low_m[:, None], low_m])
-    return np.column_stack([lower, slope, high_m - low_m, stems["radius_m"].max(axis=1)])
+    return np.column_stack([lower, slope, high_m - low_m, _reach_m(stems).max(axis=1)])
+
+
+def _reach_m(stems: NDArray[np.void]) -> NDArray[np.float32]:
+    """How far stems reach from their axes at the knots, (n, knots), bent as they are."""
+    reach_m: NDArray[np.float32] = stems["radius_m"] + np.hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1])
+    return reach_m
 
 
 def stem_radii(stems: NDArray[np.void]) -> NDArray[np.float32]:
-    """Radii of stems, (n, 2, knots): heights over the lower end, and the greatest radius from there upwards."""
+    """Reach of stems, (n, 2, knots): heights over the lower end, and how far they are from the axis from there upwards."""
     height_m = (stems["along_m"] - stems["along_m"][:, :1]) * stems["axis"][:, 2:]
-    widest_m = np.maximum.accumulate(stems["radius_m"][:, ::-1], axis=1)[:, ::-1]
+    widest_m = np.maximum.accumulate(_reach_m(stems)[:, ::-1], axis=1)[:, ::-1]
     return np.stack([height_m, widest_m], axis=1).astype(np.float32)
 
 

@@ -31,6 +31,8 @@ class Woods(Section):
     """Whether broadleaved trees and shrubs bear leaves."""
     dead_branches: bool = True
     """Whether stems have dead branches with twigs below the crowns, spruces nearly down to the ground."""
+    crooked_stems: bool = True
+    """Whether stems sweep, fork and have sections with lobes and bark, as the species table says; else straight and round."""
     regeneration: Regeneration = Regeneration()
     shrubs: Shrubs = Shrubs()
     stones: Stones = Stones()

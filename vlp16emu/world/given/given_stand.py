@@ -63,7 +63,10 @@ class GivenStand:
         trees = read_stem_list(self._source, plants.trees, section.origin_m)
         self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
         self._season, self._dead_branches = section.season, section.dead_branches
-        trees = _clear_of_path(section, _completed(seed, trees, self._species), plants.trees, path)
+        trees = _completed(seed, trees, self._species)
+        if section.crooked_stems:
+            trees["form"] = generator(seed, Purpose.STEM_FORM).integers(1, 2**63, len(trees))
+        trees = _clear_of_path(section, trees, plants.trees, path)
         trees["z_m"] = height_m(trees["x_m"], trees["y_m"])
         tile = np.floor(np.column_stack([trees["x_m"], trees["y_m"]]) / TILE_M).astype(np.int64)
         tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)

@@ -29,6 +29,7 @@ __all__ = [
     "material_names",
     "shrub_table",
     "species_table",
+    "stem_keys",
     "tapers",
 ]
 
@@ -153,8 +154,17 @@ def _plain(name: str) -> str:
 
 def tapers(numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None = None) -> NDArray[np.float64]:
     """Taper by species number, (n, 12) for `taper_radius_m`; `table` is that of the program if none is given."""
-    rows = {species.number: species.taper.row for species in (table or species_table()).values()}
-    return np.array([rows[int(number)] for number in numbers]).reshape(-1, 12)
+    return _by_number(numbers, {one.number: one.taper.row for one in (table or species_table()).values()}, 12)
+
+
+def stem_keys(numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None = None) -> NDArray[np.float64]:
+    """Row of `StemForm` by species number, (n, 9)."""
+    return _by_number(numbers, {one.number: one.stem.row for one in (table or species_table()).values()}, 9)
+
+
+def _by_number(numbers: NDArray[np.uint16], rows: Mapping[int, NDArray[np.float64]], width: int) -> NDArray[np.float64]:
+    """Rows (n, width) of species."""
+    return np.array([rows[int(number)] for number in numbers]).reshape(-1, width)
 
 
 GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass")

@@ -17,7 +17,7 @@ from vlp16emu.world.plants.allometry import (
     truncated_weibull_cm,
 )
 
-__all__ = ["Foliage", "Habit", "Plant", "Shrub", "Species", "Twigs"]
+__all__ = ["Foliage", "Habit", "Plant", "Shrub", "Species", "StemForm", "Twigs"]
 
 Array = NDArray[np.float64]
 Pair = Annotated[tuple[float, float], Field(strict=False)]
@@ -101,6 +101,32 @@ class Habit(Section):
     """Third order, for broad crowns."""
 
 
+class StemForm(Section):
+    """How stems differ from straight and round ones: means over trees, nothing where all are 0."""
+
+    bow: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """Distance of the bole from the line between its foot and the crown base, where that is greatest, over its length."""
+    butt_sweep_deg: Annotated[float, Field(ge=0, le=30)] = 0.0
+    """How much more a stem leans at the ground than above the butt."""
+    fork_share: Fraction = 0.0
+    """Share of trees with two leaders."""
+    fork_height: Annotated[tuple[Fraction, Fraction], Field(strict=False)] = (0.25, 0.6)
+    """Lowest and highest fork over the height of the tree."""
+    ovality: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    """Longest diameter of a section less the one across it, over the latter; without lobes and bark."""
+    lobes: Annotated[float, Field(ge=0, le=0.3)] = 0.0
+    """Amplitude of the lobes that roots make of the butt, at the ground, over the radius there."""
+    bark_mm_per_cm: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Depth of furrows, from ridge to bottom at breast height, for each cm of DBH: bark grows rougher with age."""
+    bark_period_mm: Annotated[float, Field(ge=5, le=1000)] = 50.0
+    """From ridge to ridge around the stem; coarser where the mesh has fewer than three vertices to a ridge."""
+
+    @property
+    def row(self) -> Array:
+        """(9,) of all numbers in order."""
+        return np.hstack([getattr(self, name) for name in type(self).model_fields])
+
+
 class Plant(Section):
     """What trees and shrubs have in common. Sources are in `species.toml`, value by value."""
 
@@ -153,6 +179,7 @@ class Species(Plant):
     diameters: Annotated[tuple[float, float, float, float, float], Field(strict=False)]
     """Coefficients of `truncated_weibull_cm`."""
     taper: Taper
+    stem: StemForm = StemForm()
     crown: Habit
     foliage: Foliage | None = None
     """None on a dead tree."""

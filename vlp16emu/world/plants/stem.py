@@ -1,33 +1,44 @@
 """Stems: two meshes for each tree, root flare and stem, which together are closed and exact at breast height.
 
-Where a stem's axis is 1.3 m above the ground at its foot there is a ring of vertices, and across the
-axis there the mesh's cross-section has exactly the area of a circle of the recorded diameter.
+Where a stem's axis is 1.3 m above the ground at its foot there is a ring of vertices, and across the axis as it runs
+there the mesh's cross-section has exactly the area of a circle of the recorded diameter. A second leader is a closed
+piece of the stem's mesh that begins within the first.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from itertools import pairwise
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.types import HeightField, Mesh, PlantPart
-from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M, taper_radius_m
-from vlp16emu.world.plants.flora import tapers
-from vlp16emu.world.plants.species import Species
-from vlp16emu.world.stand.tiles import STEM, TileKey
+from vlp16emu.world.plants.branches import merged
+from vlp16emu.world.plants.stem_rings import (
+    StemRings,
+    Table,
+    Trees,
+    axis_m,
+    second_leaders,
+    stem_rings,
+    tip_radius_m,
+)
+from vlp16emu.world.stand.tiles import TileKey
 
-__all__ = ["STEM_PARTS", "StemKey", "StemRings", "far_stems", "lean_rotation", "stem_meshes", "stem_rings"]
+__all__ = [
+    "STEM_PARTS",
+    "StemKey",
+    "lean_rotation",
+    "stem_meshes",
+    "stem_slopes",
+    "stems_above_ground",
+    "vertex_angles",
+]
 
 Array = NDArray[np.float64]
-Trees = NDArray[np.void]
 
 STEM_PARTS = (PlantPart.ROOT_FLARE, PlantPart.STEM)
 """Of the meshes of a stem, in order."""
-
-_FLARE_TOP_M = 0.5
-"""Where the root flare ends and the stem begins, at a ring that both share; assumption."""
 
 _SPLINTER_SHARE = 0.8
 """How far off the axis the tip of a broken stem is, over the radius of the highest ring: a slanting break."""
@@ -35,17 +46,14 @@ _SPLINTER_SHARE = 0.8
 _BURIED_M = 0.1
 """How far the foot reaches below the lowest ground around it."""
 
-_THICK_DBH_M = 0.5
-"""Thicker stems get `_THICK_SIDES`."""
+_WIDEST = 1.3
+"""Reach of a butt's lobes over the radius of its circle."""
 
-_SIDES, _THICK_SIDES = 24, 32
-"""Of a stem's cross-section."""
+_LEADER_SIDES, _LEADER_RINGS = 16, (0.0, 0.06, 0.15, 0.3, 0.5, 0.75, 0.92)
+"""Of a second leader: sides, and rings as shares of the way from fork to tip."""
 
-_BUTT_M = (0.0, 0.12, 0.28, _FLARE_TOP_M, 0.85, BREAST_HEIGHT_M)
-"""Heights of rings from the ground to breast height."""
-
-_UPPER = (0.08, 0.18, 0.3, 0.45, 0.6, 0.75, 0.88, 0.96)
-"""Rings above, as shares of the way from breast height to the tip."""
+_STEP_M = 1e-3
+"""Over which the slope of an axis is taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,20 +63,6 @@ class StemKey:
     tile: TileKey
     number: int
     """Among the trees of the tile."""
-
-
-@dataclass(frozen=True, slots=True)
-class StemRings:
-    """What the stems of n trees are made of."""
-
-    above_ground_m: Array
-    """(n, r) height of each ring over the foot, vertical where it meets the axis; the first is buried."""
-    radius_m: Array
-    """(n, r) of the circle that has the ring's area."""
-    sides: NDArray[np.int64]
-    """(n,) of the cross-section."""
-    flare_rings: int
-    """How many of the rings belong to the root flare."""
 
 
 def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:
@@ -85,130 +79,133 @@ def stem_meshes(
     origin_m: Array,
     height_m: HeightField,
     *,
-    table: Mapping[str, Species] | None = None,
+    table: Table | None = None,
 ) -> list[Mesh]:
     """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,)."""
-    buried_m = _buried_m(trees, height_m, table)
-    rings = stem_rings(trees, buried_m=buried_m, table=table)
-    foot = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]]) - origin_m
-    frame = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
-    along_m = rings.above_ground_m / frame[:, 2, 2, None]
-    tip_m = trees["height_m"] / frame[:, 2, 2]
-    # A tip of no radius is that of a whole tree; any other is off the axis.
-    taper = tapers(trees["species"], table=table)
-    at_tip_m = taper_radius_m(taper, trees["dbh_m"], trees["height_m"], trees["height_m"][:, None])[:, 0]
-    aside_m = np.where(at_tip_m > 0, _SPLINTER_SHARE * rings.radius_m[:, -1], 0.0)
-    phase = np.radians(trees["crown_azimuth_deg"])
-    meshes: dict[int, tuple[Mesh, Mesh]] = {}
-    for count in np.unique(rings.sides):
-        own = np.flatnonzero(rings.sides == count)
-        ends_m = along_m[own, 0], tip_m[own], aside_m[own]
-        local = _stems(int(count), rings.radius_m[own], along_m[own], ends_m, phase[own])
-        vertices = (np.einsum("nij,nvj->nvi", frame[own], local) + foot[own, None]).astype(np.float32)
-        upper_rings = rings.radius_m.shape[1] - rings.flare_rings + 1
-        flare, upper = _flare_faces(int(count), rings.flare_rings), _stem_faces(int(count), upper_rings)
-        shared = 1 + int(count) * (rings.flare_rings - 1)
-        for tree, mesh in zip(own, vertices, strict=True):
-            meshes[int(tree)] = Mesh(mesh[: shared + count], flare), Mesh(mesh[shared:], upper)
-    return [mesh for tree in range(len(trees)) for mesh in meshes[tree]]
-
-
-def stem_rings(
-    trees: Trees, *, buried_m: Array | None = None, table: Mapping[str, Species] | None = None
-) -> StemRings:
-    """Rings of stems; `buried_m` (n,) is how far each foot reaches below the ground."""
-    n = len(trees)
-    sunk = np.full(n, _BURIED_M) if buried_m is None else buried_m
-    butt = np.broadcast_to(_BUTT_M, (n, len(_BUTT_M)))
-    upper = BREAST_HEIGHT_M + (trees["height_m"][:, None] - BREAST_HEIGHT_M) * np.array(_UPPER)
-    above_m = np.concatenate([-sunk[:, None], butt, upper], axis=1)
-    taper = tapers(trees["species"], table=table)
-    return StemRings(
-        above_ground_m=above_m,
-        radius_m=taper_radius_m(taper, trees["dbh_m"], trees["height_m"], above_m),
-        sides=np.where(trees["dbh_m"] > _THICK_DBH_M, _THICK_SIDES, _SIDES),
-        flare_rings=2 + _BUTT_M.index(_FLARE_TOP_M),
-    )
-
-
-def far_stems(
-    trees: Trees, first_row: int, *, table: Mapping[str, Species] | None = None
-) -> NDArray[np.void]:
-    """Stems of n trees as `STEM`, circles in place of their polygons; rows of `STEM_PARTS` count on from the first."""
     rings = stem_rings(trees, table=table)
-    stems = np.zeros(len(trees), STEM)
-    axis = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[:, :, 2]
-    stems["foot_m"], stems["axis"] = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]]), axis
-    above_m = np.column_stack([rings.above_ground_m, trees["height_m"]])
-    stems["along_m"] = above_m / axis[:, 2:]
-    taper = tapers(trees["species"], table=table)
-    stems["radius_m"] = taper_radius_m(taper, trees["dbh_m"], trees["height_m"], above_m)
-    stems["flare_m"] = _FLARE_TOP_M / axis[:, 2]
-    stems["row"] = first_row + len(STEM_PARTS) * np.arange(len(trees))[:, None] + [0, 1]
-    return stems
+    rings.above_ground_m[:, 0] = -_buried_m(trees, rings, height_m)
+    foot_m = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]]) - origin_m
+    return _meshes(trees, rings, foot_m, table)
 
 
-def _buried_m(trees: Trees, height_m: HeightField, table: Mapping[str, Species] | None) -> Array:
-    """How far each foot (n,) must reach down to lie in the ground all around the flare."""
-    n = len(trees)
-    taper = tapers(trees["species"], table=table)
-    flare = taper_radius_m(taper, trees["dbh_m"], trees["height_m"], np.zeros((n, 1)))
-    around = np.arange(8) * (np.pi / 4)
-    ground = height_m(
-        trees["x_m"][:, None] + flare * np.cos(around), trees["y_m"][:, None] + flare * np.sin(around)
+def stems_above_ground(trees: Trees, *, table: Table | None = None) -> list[Mesh]:
+    """Meshes as `stem_meshes` makes them, but with all feet at the origin and nothing buried."""
+    rings = stem_rings(trees, table=table)
+    rings.above_ground_m[:, 0] = 0.0
+    return _meshes(trees, rings, np.zeros((len(trees), 3)), table)
+
+
+def stem_slopes(axis: Callable[[Array], Array], above_m: Array) -> Array:
+    """How far axes go aside, east and north (n, r, 2), for each metre up at heights (n, r)."""
+    slope: Array = (axis(above_m + _STEP_M) - axis(above_m - _STEP_M))[..., :2] / (2 * _STEP_M)
+    return slope
+
+
+def vertex_angles(trees: Trees, sides: int) -> Array:
+    """Angles (n, sides) of a ring's vertices around the axis, from east, counter-clockwise."""
+    angle: Array = (
+        np.radians(trees["crown_azimuth_deg"])[:, None] + np.arange(sides) * 2 * np.pi / sides
     )
-    buried: Array = _BURIED_M - np.minimum(ground.min(axis=1) - trees["z_m"], 0.0)
+    return angle
+
+
+def _buried_m(trees: Trees, rings: StemRings, height_m: HeightField) -> Array:
+    """How far each foot (n,) must reach down to lie in the ground all around the flare, lobes and all."""
+    flare_m = _WIDEST * rings.radius_m[:, :1]
+    around = np.arange(8) * (np.pi / 4)
+    ground_m = height_m(
+        trees["x_m"][:, None] + flare_m * np.cos(around), trees["y_m"][:, None] + flare_m * np.sin(around)
+    )
+    slope = stem_slopes(partial(axis_m, trees, rings.forms), np.zeros((len(trees), 1)))
+    raised_m = (flare_m * np.hypot(*np.moveaxis(slope, -1, 0)))[:, 0]
+    buried: Array = _BURIED_M + raised_m - np.minimum(ground_m.min(axis=1) - trees["z_m"], 0.0)
     return buried
 
 
-def _stems(
-    sides: int, radius_m: Array, along_m: Array, ends_m: tuple[Array, Array, Array], phase: Array
-) -> Array:
-    """Vertices with the axis upright: the bottom's middle, rings from the bottom up, then the tip.
+def _meshes(trees: Trees, rings: StemRings, foot_m: Array, table: Table | None) -> list[Mesh]:
+    """Meshes of `STEM_PARTS`, tree by tree, of stems whose feet are at (n, 3)."""
+    tip_m = _tips_m(trees, rings, table)
+    second = dict(zip(rings.forked.tolist(), _leaders(trees, rings, table), strict=True))
+    meshes: dict[int, tuple[Mesh, Mesh]] = {}
+    for count in np.unique(rings.sides):
+        own, sides = np.flatnonzero(rings.sides == count), int(count)
+        angle, forms = vertex_angles(trees[own], sides), rings.forms.of(own)
+        above_m, breast_m = rings.above_ground_m[own], trees["dbh_m"][own] / 2
+        away_m = forms.outline(angle, above_m, rings.radius_m[own], breast_m)
+        pipes_m = _pipes(partial(axis_m, trees[own], forms), above_m, away_m, angle)
+        flare = _faces(sides, rings.flare_rings, top=False)
+        upper = _faces(sides, above_m.shape[1] - rings.flare_rings + 1, bottom=False)
+        shared = 1 + sides * (rings.flare_rings - 1)
+        for tree, points_m in zip(own.tolist(), pipes_m, strict=True):
+            top_m = np.concatenate([points_m[shared:], tip_m[tree : tree + 1]])
+            stem = [(top_m, upper), *second.get(tree, ())]
+            pieces = (Mesh((at_m + foot_m[tree]).astype(np.float32), faces) for at_m, faces in stem)
+            below = (points_m[: shared + sides] + foot_m[tree]).astype(np.float32)
+            meshes[tree] = Mesh(below, flare), merged(*pieces)
+    return [mesh for tree in range(len(trees)) for mesh in meshes[tree]]
 
-    `ends_m` holds for each stem how high bottom and tip are, and how far the tip is off the axis.
+
+def _leaders(
+    trees: Trees, rings: StemRings, table: Table | None
+) -> list[list[tuple[Array, NDArray[np.uint32]]]]:
+    """Vertices relative to the foot, and faces, of the second leader of each stem that forks."""
+    leaders = second_leaders(trees, rings, np.array([*_LEADER_RINGS, 1.0]), table=table)
+    above_m, radius_m = leaders.above_ground_m[:, :-1], leaders.radius_m[:, :-1]
+    angle = vertex_angles(leaders.trees, _LEADER_SIDES)
+    away_m = leaders.forms.outline(angle, above_m, radius_m, leaders.trees["dbh_m"] / 2)
+    pipes_m = _pipes(leaders.axis_m, above_m, away_m, angle)
+    tips_m = leaders.axis_m(leaders.above_ground_m[:, -1:])
+    faces = _faces(_LEADER_SIDES, len(_LEADER_RINGS))
+    return [[(points_m, faces)] for points_m in np.concatenate([pipes_m, tips_m], axis=1)]
+
+
+def _tips_m(trees: Trees, rings: StemRings, table: Table | None) -> Array:
+    """Tips (n, 3) relative to the feet; that of a broken stem is off the axis."""
+    tip_m = axis_m(trees, rings.forms, trees["height_m"][:, None])[:, 0]
+    phase = np.radians(trees["crown_azimuth_deg"])
+    broken = tip_radius_m(trees, table=table) > 0
+    aside_m = np.where(broken, _SPLINTER_SHARE * rings.radius_m[:, -1], 0.0)
+    across = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[:, :, :2]
+    splinter_m = aside_m[:, None] * np.column_stack([np.cos(phase), np.sin(phase)])
+    return tip_m + np.einsum("nij,nj->ni", across, splinter_m)
+
+
+def _pipes(axis: Callable[[Array], Array], above_m: Array, away_m: Array, angle: Array) -> Array:
+    """Vertices (n, 1 + rings * sides, 3): the bottom's middle, and rings across the axis from the bottom up.
+
+    Parameters
+    ----------
+    axis : gives points (n, r, 3) at heights (n, r)
+    above_m : (n, rings)
+    away_m : (n, rings, sides) distance of each vertex from the axis
+    angle : (n, sides)
     """
-    n, rings = radius_m.shape
-    step = 2 * np.pi / sides
-    # The polygon's corners stand out so far that its area is that of the circle.
-    corner_m = radius_m[..., None] * np.sqrt(step / np.sin(step))
-    angle = (phase[:, None] + step * np.arange(sides))[:, None]
-    z = np.broadcast_to(along_m[..., None], (n, rings, sides))
-    ring = np.stack([corner_m * np.cos(angle), corner_m * np.sin(angle), z], axis=-1)
-    ends = np.zeros((n, 2, 3))
-    ends[:, 0, 2], ends[:, 1, 2], aside_m = ends_m
-    ends[:, 1, 0], ends[:, 1, 1] = aside_m * np.cos(phase), aside_m * np.sin(phase)
-    return np.concatenate([ends[:, :1], ring.reshape(n, rings * sides, 3), ends[:, 1:]], axis=1)
+    n, rings, sides = away_m.shape
+    east, north = np.moveaxis(stem_slopes(axis, above_m), -1, 0)
+    tilt, towards = np.degrees(np.arctan(np.hypot(east, north))), np.degrees(np.arctan2(north, east))
+    across = lean_rotation(tilt.ravel(), towards.ravel())[:, :, :2].reshape(n, rings, 3, 2)
+    flat_m = away_m[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)[:, None]
+    middle_m = axis(above_m)
+    ring_m = middle_m[:, :, None] + np.einsum("nrij,nrsj->nrsi", across, flat_m)
+    return np.concatenate([middle_m[:, :1], ring_m.reshape(n, rings * sides, 3)], axis=1)
 
 
 @cache
-def _flare_faces(sides: int, rings: int) -> NDArray[np.uint32]:
-    """Triangles of a flare, open at the top, whose first vertex is the middle of its bottom."""
-    here = np.arange(sides)
-    bottom = np.column_stack([np.roll(here, -1) + 1, here + 1, np.zeros(sides, np.int64)])
-    return _frozen(bottom, 1 + _walls(sides, rings))
+def _faces(sides: int, rings: int, *, bottom: bool = True, top: bool = True) -> NDArray[np.uint32]:
+    """Triangles of a pipe whose first vertex is the middle of its bottom and whose last is its tip, if it has them.
 
-
-@cache
-def _stem_faces(sides: int, rings: int) -> NDArray[np.uint32]:
-    """Triangles of a stem, open at the bottom, whose last vertex is the tip."""
-    here = (rings - 1) * sides + np.arange(sides)
-    tip = np.column_stack([here, np.roll(here, -1), np.full(sides, rings * sides)])
-    return _frozen(_walls(sides, rings), tip)
-
-
-def _walls(sides: int, rings: int) -> NDArray[np.int64]:
-    """Triangles between the rings of a pipe."""
+    They are not to be written to: stems with as many sides and rings share them.
+    """
     here = np.arange(sides)
     after = np.roll(here, -1)
-    triangles: list[Sequence[NDArray[np.int64]]] = []
-    for low, high in pairwise(np.arange(rings) * sides):
-        triangles += [(low + here, low + after, high + after), (low + here, high + after, high + here)]
-    return np.concatenate([np.column_stack(t) for t in triangles])
-
-
-def _frozen(*triangles: NDArray[np.int64]) -> NDArray[np.uint32]:
-    """All the triangles, not to be written to: stems with as many sides and rings share them."""
+    low = int(bottom) + (np.arange(rings - 1) * sides)[:, None]
+    high, last = low + sides, int(bottom) + (rings - 1) * sides
+    walls = [(low + here, low + after, high + after), (low + here, high + after, high + here)]
+    triangles = [np.stack(corners, axis=-1).reshape(-1, 3) for corners in walls]
+    if bottom:
+        triangles.insert(0, np.column_stack([after + 1, here + 1, np.zeros(sides, np.int64)]))
+    if top:
+        triangles.append(np.column_stack([last + here, last + after, np.full(sides, last + sides)]))
     faces = np.concatenate(triangles).astype(np.uint32)
     faces.flags.writeable = False
     return faces

@@ -20,7 +20,9 @@ from vlp16emu.world.plants.crown import (
 )
 from vlp16emu.world.plants.flora import species_table
 from vlp16emu.world.plants.species import Species
-from vlp16emu.world.plants.stem import STEM_PARTS, StemRings, stem_meshes, stem_rings
+from vlp16emu.world.plants.stem import STEM_PARTS, stems_above_ground, vertex_angles
+from vlp16emu.world.plants.stem_form import polygon_m2, tape_m
+from vlp16emu.world.plants.stem_rings import axis_m, stem_rings
 
 __all__ = ["INVENTORY", "inventory", "write_csv"]
 
@@ -34,14 +36,16 @@ INVENTORY = np.dtype(
         ("x_m", "<f8"),  # foot: where the stem's axis leaves the ground
         ("y_m", "<f8"),
         ("z_m", "<f8"),
-        ("dbh_m", "<f8"),  # area-equivalent, across the axis where that is 1.3 m above the foot
+        ("x_breast_m", "<f8"),  # middle of the section at breast height, 1.3 m above the foot
+        ("y_breast_m", "<f8"),
+        ("dbh_m", "<f8"),  # area-equivalent, across the axis as it runs there
         ("dbh_us_m", "<f8"),  # the same at 1.37 m, where North America measures it
-        ("girth_over_pi_m", "<f8"),  # what a tape around the mesh at 1.3 m shows
+        ("girth_over_pi_m", "<f8"),  # what a taut tape around that section shows
         ("height_m", "<f8"),  # of the stem's tip over the foot, vertical
         ("top_m", "<f8"),  # of the highest point of all, tip, branch or leaf, over the foot, vertical
         ("crown_base_m", "<f8"),  # of the crown's lowest branch over the foot, vertical
         ("crown_width_m", "<f8"),
-        ("lean_deg", "<f8"),  # of the axis from the vertical
+        ("lean_deg", "<f8"),  # of the line from foot to tip from the vertical
         ("lean_towards_deg", "<f8"),  # counter-clockwise from east
         ("stem_m3", "<f8"),  # volume of the stem over bark, from the ground at the axis to the tip
         ("wood_m3", "<f8"),  # that and all branches; where they start inside the stem they count twice
@@ -95,8 +99,10 @@ def inventory(
     rows = np.zeros(len(trees), INVENTORY)
     for name in _COPIED:
         rows[name] = trees[name]
-    _measure_stems(rows, trees, table)
-    rows["top_m"] = _stem_tops_m(trees, table)
+    _measure_sections(rows, trees, table)
+    meshes = stems_above_ground(trees, table=table)
+    rows["top_m"] = _per_tree([mesh.vertices_m[:, 2].max() for mesh in meshes]).max(axis=1)
+    rows["stem_m3"] = _per_tree([_volume_m3(mesh) for mesh in meshes]).sum(axis=1)
     _measure_crowns(rows, trees, crowns, seed, table)
     rows["biomass_kg"] = np.nan
     for species in table.values():
@@ -125,27 +131,31 @@ def write_csv(file: BinaryIO, rows: NDArray[np.void], *, table: Mapping[str, Spe
     text.detach()
 
 
-def _measure_stems(rows: NDArray[np.void], trees: Trees, table: Mapping[str, Species]) -> None:
-    """Fill in what follows from the rings of the stems' meshes."""
+def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Mapping[str, Species]) -> None:
+    """Fill in what follows from the sections of the stems at breast height."""
     rings = stem_rings(trees, table=table)
-    upright = np.cos(np.radians(trees["lean_deg"]))
-    rows["stem_m3"] = _volume_m3(rings, trees["height_m"]) / upright
-    at = (rings.above_ground_m, rings.radius_m)
-    us = [np.interp(US_BREAST_HEIGHT_M, z, r) for z, r in zip(*at, strict=True)]
-    rows["dbh_us_m"] = 2 * np.array(us)
-    breast = [np.interp(BREAST_HEIGHT_M, z, r) for z, r in zip(*at, strict=True)]
-    half = np.pi / rings.sides
-    # A polygon of n corners with the area of the circle has this girth over pi: facts of trigonometry.
-    rows["girth_over_pi_m"] = 2 * np.array(breast) * np.sqrt(np.tan(half) / half)
+    at = BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
+    middle_m = axis_m(trees, rings.forms, np.full((len(trees), 1), BREAST_HEIGHT_M))[:, 0]
+    rows["x_breast_m"], rows["y_breast_m"] = trees["x_m"] + middle_m[:, 0], trees["y_m"] + middle_m[:, 1]
+    for i, sides in enumerate(rings.sides.tolist()):
+        one = slice(i, i + 1)
+        above_m, radius_m = rings.above_ground_m[one], rings.radius_m[one]
+        angle, breast_m = vertex_angles(trees[one], sides), trees["dbh_m"][one] / 2
+        away_m = rings.forms.of(np.array([i])).outline(angle, above_m, radius_m, breast_m)[0]
+        breast, us = np.array([[np.interp(z, above_m[0], side) for side in away_m.T] for z in at])
+        rows["girth_over_pi_m"][i] = tape_m(breast[None])[0]
+        rows["dbh_us_m"][i] = 2 * np.sqrt(polygon_m2(us, 2 * np.pi / sides) / np.pi)
 
 
-def _volume_m3(rings: StemRings, height_m: Array) -> Array:
-    """Volume (n,) of upright stems above the ground: frusta between rings, and the tip on the last of them."""
-    z = np.column_stack([rings.above_ground_m[:, 1:], height_m])
-    r = np.column_stack([rings.radius_m[:, 1:], np.zeros(len(z))])
-    low, high = r[:, :-1], r[:, 1:]
-    volume: Array = (np.pi / 3 * np.diff(z, axis=1) * (low**2 + low * high + high**2)).sum(axis=1)
-    return volume
+def _per_tree(values: list[float]) -> Array:
+    """Values of the meshes of `STEM_PARTS`, tree by tree, (n, parts)."""
+    return np.array(values).reshape(-1, len(STEM_PARTS))
+
+
+def _volume_m3(mesh: Mesh) -> float:
+    """Volume of a mesh, or of the cone from the origin to it where it is open."""
+    a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
+    return float(np.einsum("fi,fi->f", a, np.cross(b, c)).sum() / 6)
 
 
 def _measure_crowns(
@@ -180,16 +190,6 @@ def _stretched_m2(leaves: Mesh, wide: Array, long: Array) -> Array:
     x, y, z = (np.cross(c - a, d - b) / 2).T
     level, steep = z**2, x**2 + y**2
     return np.array([w * np.sqrt(level * w**2 + steep * h**2).sum() for w, h in zip(wide, long, strict=True)])
-
-
-def _stem_tops_m(trees: Trees, table: Mapping[str, Species]) -> Array:
-    """Height (n,) of the highest vertex of each stem over its foot."""
-    feet = trees.copy()  # at the origin, where single precision is finest; what is buried is not the top
-    feet["x_m"] = feet["y_m"] = feet["z_m"] = 0.0
-    meshes = stem_meshes(feet, np.zeros(3), lambda x, _y: np.zeros_like(x), table=table)
-    highest = np.array([mesh.vertices_m[:, 2].max() for mesh in meshes])
-    tops_m: Array = highest.reshape(-1, len(STEM_PARTS)).max(axis=1)
-    return tops_m
 
 
 def _tops_m(meshes: Sequence[Mesh], to_height: Array) -> Array:

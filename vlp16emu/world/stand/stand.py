@@ -45,6 +45,7 @@ TREE = np.dtype(
         ("leaf_reflectance", "<f4"),
         ("storey", "u1"),  # 0 canopy, 1 and 2 the storeys under it, REGENERATION saplings
         ("list_line", "<u4"),  # of the stem list that names it, 0 where it has grown
+        ("form", "<u8"),  # seed of the stem's form; 0 is straight and round
     ]
 )
 """One tree."""
@@ -193,6 +194,7 @@ class Stand:
         self._crown_base = _LONE_CROWN_BASE + (1 - _LONE_CROWN_BASE) * min(cover, 1.0)
         self._path = path
         self._season, self._dead_branches = section.season, section.dead_branches
+        self._crooked = section.crooked_stems
         self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
 
     def trees(self, ix: int, iy: int) -> Trees:
@@ -226,6 +228,8 @@ class Stand:
         trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
         trees["crown_variant"] = VARIANTS * uniform[:, 1]
         trees["storey"] = number
+        if self._crooked:
+            trees["form"] = rng.integers(1, 2**63, len(position))
         cohorts = self._cohorts[number]
         share = np.array([cohort.share.share for cohort in cohorts])
         cohort_of = np.searchsorted(np.cumsum(share / share.sum())[:-1], uniform[:, 2], side="right")

@@ -1,0 +1,51 @@
+"""Stems as they are seen from afar: circles along a line."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.world.plants.stem_rings import (
+    FLARE_TOP_M,
+    Table,
+    Trees,
+    axis_m,
+    second_leaders,
+    stem_rings,
+    tip_radius_m,
+)
+from vlp16emu.world.stand.tiles import STEM
+
+__all__ = ["far_stems"]
+
+Array = NDArray[np.float64]
+
+
+def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> NDArray[np.void]:
+    """Stems of n trees as `STEM`, circles in place of their polygons, and then their second leaders.
+
+    Rows of root flares and stems count on from the first.
+    """
+    rings = stem_rings(trees, table=table)
+    above_m = np.column_stack([rings.above_ground_m, trees["height_m"]])
+    radius_m = np.column_stack([rings.radius_m, tip_radius_m(trees, table=table)])
+    first = _profiles(trees, axis_m(trees, rings.forms, above_m), radius_m, 1)
+    first["flare_m"] = FLARE_TOP_M / first["axis"][:, 2]
+    first["row"] = first_row + 2 * np.arange(len(trees))[:, None] + [0, 1]
+    leaders = second_leaders(trees, rings, np.linspace(0.0, 1.0, above_m.shape[1]), table=table)
+    middle_m = leaders.axis_m(leaders.above_ground_m)
+    second = _profiles(leaders.trees, middle_m, leaders.radius_m, 0)
+    second["flare_m"], second["row"] = -1.0, first["row"][rings.forked]
+    return np.concatenate([first, second])
+
+
+def _profiles(trees: Trees, middle_m: Array, radius_m: Array, begin: int) -> NDArray[np.void]:
+    """Make `STEM`s of circles (n, k) with middles (n, k, 3) relative to the feet; `begin` is that of their lines."""
+    stems = np.zeros(len(trees), STEM)
+    from_m = middle_m[:, begin]
+    axis = middle_m[:, -1] - from_m
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    along_m = (middle_m[..., 2] - from_m[:, None, 2]) / axis[:, 2:]
+    stems["foot_m"] = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]]) + from_m
+    stems["axis"], stems["along_m"], stems["radius_m"] = axis, along_m, radius_m
+    aside_m = middle_m - from_m[:, None] - along_m[..., None] * axis[:, None]
+    stems["aside_m"] = np.moveaxis(aside_m[..., :2], 2, 1)
+    return stems
