@@ -13,10 +13,10 @@ SPRUCE = ["sensor.max_range_m=30.0", "sensor.return_mode=strongest", "seed=3"]
 WALK_S = 12.0
 
 
-@pytest.fixture(scope="module")
-def seen():
-    """Points of stems about breast height, by tree, and the trees' records."""
-    scenario = load("spruce_walk", SPRUCE, ideal=True)
+@pytest.fixture(scope="module", params=["false", "true"], ids=["round", "crooked"])
+def seen(request):
+    """Points of stems about breast height, by tree, the trees' records, and whether they are straight and round."""
+    scenario = load("spruce_walk", [*SPRUCE, f"world.crooked_stems={request.param}"], ideal=True)
     emulator = Emulator(scenario)
     points_m, instance = [], []
     for returns in emulator.returns(0.0, WALK_S, truth=True):
@@ -29,7 +29,7 @@ def seen():
         instance.append(row["instance"][stem])
     points_m, instance = np.concatenate(points_m), np.concatenate(instance)
     trees = emulator.parts.world.trees(emulator.parts.motion.poses_at(f.t_ns[0]).world_p_body_m)
-    return points_m, instance, trees
+    return points_m, instance, trees, request.param == "false"
 
 
 def across(tree, points_m):
@@ -52,8 +52,11 @@ def fitted_diameter_m(xy_m):
 
 
 def test_circles_through_noise_free_returns_give_dbh(seen):
-    """On every stem seen well at breast height the fitted diameter is within 3 mm of DBH, on average within 1 mm."""
-    points_m, instance, trees = seen
+    """On every round stem seen well at breast height the fitted diameter is within 3 mm of DBH, on average within 1 mm.
+
+    Crooked spruces are oval, with lobes and bark: what is seen of one fits a circle up to 15 mm off, on average within 1 mm.
+    """
+    points_m, instance, trees, is_round = seen
     errors_m = []
     for tree in trees:
         local_m = across(tree, points_m[instance == tree["id"]])
@@ -61,5 +64,5 @@ def test_circles_through_noise_free_returns_give_dbh(seen):
         if slab.sum() >= 40:
             errors_m.append(fitted_diameter_m(local_m[slab, :2]) - tree["dbh_m"])
     assert len(errors_m) >= 20
-    assert np.abs(errors_m).max() < 0.003
+    assert np.abs(errors_m).max() < (0.003 if is_round else 0.015)
     assert abs(np.mean(errors_m)) < 0.001

@@ -50,7 +50,11 @@ def test_swaying_stems_are_where_the_formula_has_them_at_each_pulse():
         "seed=5",
         "sensor.max_range_m=25.0",
     ]
-    settings += ["wind={speed_m_s=9.0, towards_deg=70.0}", "world.stems_per_ha=400"]
+    settings += [
+        "wind={speed_m_s=9.0, towards_deg=70.0}",
+        "world.stems_per_ha=400",
+        "world.crooked_stems=false",
+    ]
     scenario = load("birch_walk", settings, ideal=True)
     emulator = Emulator(scenario)
     wind, checked, left_m = emulator.parts.wind, 0, []

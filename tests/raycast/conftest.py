@@ -123,6 +123,7 @@ def stem_mesh(stem, corner_m):
     circle = np.cos(angle)[:, None] * one + np.sin(angle)[:, None] * np.cross(axis, one)
     circle *= np.sqrt(2 * np.pi / SIDES / np.sin(2 * np.pi / SIDES))
     at_m = stem["foot_m"] - corner_m + stem["along_m"][:, None] * axis
+    at_m[:, :2] += stem["aside_m"].T
     rings_m = (at_m[:, None] + stem["radius_m"][:, None, None] * circle).astype("f4")
     top = int(np.flatnonzero(stem["along_m"] == stem["flare_m"])[0])
     parts = rings_m[: top + 1], rings_m[top:]
@@ -192,8 +193,14 @@ class Tiles:
 
     name = ""
 
-    def __init__(self, near_m=2.0, across=1, *, per_tile=4, things=True, height_m=bumpy, seed=99):
-        self.near_m, self.seed, self.height_m, self.across = near_m, seed, height_m, across
+    def __init__(self, near_m=2.0, across=1, *, per_tile=4, things=True, height_m=bumpy, seed=99, bow_m=0.0):
+        self.near_m, self.seed, self.height_m, self.across, self._bow_m = (
+            near_m,
+            seed,
+            height_m,
+            across,
+            bow_m,
+        )
         self._kept, self._per_tile, self._things = {}, per_tile, things
         self._shapes = {"crown": crown(), "stone": stone()}
 
@@ -211,6 +218,8 @@ class Tiles:
             stem["along_m"] = np.concatenate([[-0.6, 0.0, 0.4], np.linspace(1.0, high_m, 13)])
             stem["radius_m"] = dbh_m / 2 * np.clip((high_m - stem["along_m"]) / (high_m - 1.3), 0.0, 1.2)
             stem["radius_m"][:2] *= [1.7, 1.3]
+            bent = self._bow_m * np.sin(np.pi * np.clip(stem["along_m"] / high_m, 0.0, 1.0))
+            stem["aside_m"] = bent * np.array([[np.cos(n)], [np.sin(n)]])
             stem["flare_m"], stem["row"] = stem["along_m"][2], [1 + 2 * n, 2 + 2 * n]
             if n % 2 == 0 and self._things:
                 turn, size = rng.uniform(0, 2 * np.pi), rng.uniform(0.8, 1.3)

@@ -58,6 +58,23 @@ def test_stems_from_afar_are_those_of_the_mesh(lab, both):
     assert np.median(off) < 0.03  # a polygon's faces are flat
 
 
+def test_bent_stems_from_afar_are_those_of_the_mesh(lab, workers):
+    """Stems that bow by 0.25 m are met where their polygons are, within 3 mm in the median; as straight ones they would not."""
+    worlds = [lab.tiles(near_m, things=False, per_tile=8, bow_m=0.25) for near_m in (2.0, math.inf)]
+    straight = lab.tiles(2.0, things=False, per_tile=8)
+    window = worlds[0].window(AT_M)
+    scenes = [EmbreeCaster(world, workers).open(world.window(AT_M)) for world in (*worlds, straight)]
+    ours, true, other = (cast(lab, scene, *around(40_000, AT_M[0])) for scene in scenes)
+    stem = np.isin(part_of(window, true.surface), [PlantPart.STEM, PlantPart.ROOT_FLARE])
+    assert stem.sum() > 2000
+    same = ours.surface == true.surface
+    assert same[stem].mean() > 0.985
+    off_m = np.abs(ours.range_m[stem & same] - true.range_m[stem & same])
+    assert np.median(off_m) < 0.003
+    assert np.quantile(off_m, 0.95) < 0.03
+    assert (other.surface == true.surface)[stem].mean() < 0.9
+
+
 def test_the_ground_from_afar_is_that_of_the_mesh(lab, both):
     """Ranges to the ground equal those of its triangles within 2 mm in the median, incidence alike; labels agree."""
     window, far, near = both

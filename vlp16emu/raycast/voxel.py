@@ -78,7 +78,9 @@ def stem_lines(stems: NDArray[np.void], origin_m: Array) -> Array:
 
 def _reach_m(stems: NDArray[np.void]) -> NDArray[np.float32]:
     """How far stems reach from their axes at the knots, (n, knots), bent as they are."""
-    reach_m: NDArray[np.float32] = stems["radius_m"] + np.hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1])
+    reach_m: NDArray[np.float32] = stems["radius_m"] + np.hypot(
+        stems["aside_m"][:, 0], stems["aside_m"][:, 1]
+    )
     return reach_m
 
 

@@ -38,6 +38,11 @@ def grow(trees):
     return origin_m, list(zip(meshes[::2], meshes[1::2], strict=True))
 
 
+def sides_of(tree):
+    """How many sides a section has."""
+    return 16 + 8 * int(np.searchsorted([0.16, 0.3, 0.45], tree["dbh_m"]))
+
+
 def joined(flare, stem):
     """One solid of both meshes, whose shared ring becomes one."""
     vertices = np.concatenate([flare.vertices_m, stem.vertices_m])
@@ -86,7 +91,7 @@ def test_the_root_flare_ends_half_a_metre_up():
     trees = make_trees(0.0)
     origin_m, stems = grow(trees)
     for tree, (flare, stem) in zip(trees, stems, strict=True):
-        sides = 32 if tree["dbh_m"] > 0.5 else 24
+        sides = sides_of(tree)
         assert np.array_equal(flare.vertices_m[-sides:], stem.vertices_m[:sides])
         above = stem.vertices_m[:sides, 2] + origin_m[2] - tree["z_m"]
         assert above == pytest.approx(np.full(sides, 0.5), abs=5e-6)
@@ -98,7 +103,7 @@ def test_a_ring_lies_exactly_at_breast_height():
     origin_m, stems = grow(trees)
     for tree, (_, stem) in zip(trees, stems, strict=True):
         above = stem.vertices_m[:, 2] + origin_m[2] - tree["z_m"]
-        assert (np.abs(above - 1.3) < 5e-6).sum() == (32 if tree["dbh_m"] > 0.5 else 24)
+        assert (np.abs(above - 1.3) < 5e-6).sum() == sides_of(tree)
 
 
 def test_foot_is_buried_all_around():
@@ -106,7 +111,7 @@ def test_foot_is_buried_all_around():
     trees = make_trees(3.0)
     origin_m, stems = grow(trees)
     for tree, (flare, _) in zip(trees, stems, strict=True):
-        sides = 32 if tree["dbh_m"] > 0.5 else 24
+        sides = sides_of(tree)
         ring = flare.vertices_m[1 : 1 + sides].astype(np.float64) + origin_m
         assert (ring[:, 2] < slope(ring[:, 0], ring[:, 1])).all()
 
@@ -127,7 +132,7 @@ def test_a_snag_breaks_off_at_full_width():
     origin_m, stems = grow(trees)
     for tree, (_, stem) in zip(trees, stems, strict=True):
         foot = np.array([tree["x_m"], tree["y_m"], tree["z_m"]]) - origin_m
-        sides = 32 if tree["dbh_m"] > 0.5 else 24
+        sides = sides_of(tree)
         ring, tip = stem.vertices_m[-1 - sides : -1] - foot, stem.vertices_m[-1] - foot
         width_m = 2 * np.hypot(*ring[:, :2].T).mean()
         assert width_m > 0.4 * tree["dbh_m"]

@@ -157,12 +157,16 @@ def tapers(numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None =
     return _by_number(numbers, {one.number: one.taper.row for one in (table or species_table()).values()}, 12)
 
 
-def stem_keys(numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None = None) -> NDArray[np.float64]:
+def stem_keys(
+    numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None = None
+) -> NDArray[np.float64]:
     """Row of `StemForm` by species number, (n, 9)."""
     return _by_number(numbers, {one.number: one.stem.row for one in (table or species_table()).values()}, 9)
 
 
-def _by_number(numbers: NDArray[np.uint16], rows: Mapping[int, NDArray[np.float64]], width: int) -> NDArray[np.float64]:
+def _by_number(
+    numbers: NDArray[np.uint16], rows: Mapping[int, NDArray[np.float64]], width: int
+) -> NDArray[np.float64]:
     """Rows (n, width) of species."""
     return np.array([rows[int(number)] for number in numbers]).reshape(-1, width)
 

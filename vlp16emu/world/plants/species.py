@@ -105,7 +105,8 @@ class StemForm(Section):
     """How stems differ from straight and round ones: means over trees, nothing where all are 0."""
 
     bow: Annotated[float, Field(ge=0, le=0.1)] = 0.0
-    """Distance of the bole from the line between its foot and the crown base, where that is greatest, over its length."""
+    """Distance of the bole from the line between its foot and the crown base, where that is greatest, over its length; half
+    the DBH at most."""
     butt_sweep_deg: Annotated[float, Field(ge=0, le=30)] = 0.0
     """How much more a stem leans at the ground than above the butt."""
     fork_share: Fraction = 0.0

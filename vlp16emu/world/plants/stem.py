@@ -2,7 +2,7 @@
 
 Where a stem's axis is 1.3 m above the ground at its foot there is a ring of vertices, and across the axis as it runs
 there the mesh's cross-section has exactly the area of a circle of the recorded diameter. A second leader is a closed
-piece of the stem's mesh that begins within the first.
+piece of the stem's mesh that begins within the first, whose tip is the mesh's last vertex.
 """
 
 from collections.abc import Callable
@@ -103,9 +103,7 @@ def stem_slopes(axis: Callable[[Array], Array], above_m: Array) -> Array:
 
 def vertex_angles(trees: Trees, sides: int) -> Array:
     """Angles (n, sides) of a ring's vertices around the axis, from east, counter-clockwise."""
-    angle: Array = (
-        np.radians(trees["crown_azimuth_deg"])[:, None] + np.arange(sides) * 2 * np.pi / sides
-    )
+    angle: Array = np.radians(trees["crown_azimuth_deg"])[:, None] + np.arange(sides) * 2 * np.pi / sides
     return angle
 
 
@@ -138,7 +136,7 @@ def _meshes(trees: Trees, rings: StemRings, foot_m: Array, table: Table | None) 
         shared = 1 + sides * (rings.flare_rings - 1)
         for tree, points_m in zip(own.tolist(), pipes_m, strict=True):
             top_m = np.concatenate([points_m[shared:], tip_m[tree : tree + 1]])
-            stem = [(top_m, upper), *second.get(tree, ())]
+            stem = [*second.get(tree, ()), (top_m, upper)]
             pieces = (Mesh((at_m + foot_m[tree]).astype(np.float32), faces) for at_m, faces in stem)
             below = (points_m[: shared + sides] + foot_m[tree]).astype(np.float32)
             meshes[tree] = Mesh(below, flare), merged(*pieces)

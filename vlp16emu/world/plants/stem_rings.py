@@ -78,12 +78,13 @@ def stem_rings(trees: Trees, *, table: Table | None = None) -> StemRings:
     butt = np.broadcast_to((-_BURIED_M, *_BUTT_M), (len(trees), 1 + len(_BUTT_M)))
     upper = BREAST_HEIGHT_M + (trees["height_m"][:, None] - BREAST_HEIGHT_M) * np.array(_UPPER)
     above_m = np.concatenate([butt, upper], axis=1)
-    radius_m = _radius_m(trees, above_m, table)
     forms = stem_forms(trees, table=table)
     forked = np.flatnonzero(forms.forks[:, 0])
-    # A fork is at the ring nearest to where it has been drawn, so that the first leader thins from there on.
-    wanted_m = forms.forks[forked, 1] * trees["height_m"][forked]
-    at = 1 + len(_BUTT_M) + np.abs(upper[forked, :-1] - wanted_m[:, None]).argmin(axis=1)
+    # The ring that is nearest to a fork moves there: the first leader thins from it to the next.
+    fork_m = np.maximum(forms.forks[forked, 1] * trees["height_m"][forked], upper[forked, 0])
+    at = butt.shape[1] + np.abs(upper[forked, :-1] - fork_m[:, None]).argmin(axis=1)
+    above_m[forked, at] = fork_m
+    radius_m = _radius_m(trees, above_m, table)
     over = np.arange(above_m.shape[1]) > at[:, None]
     radius_m[forked] *= np.sqrt(np.where(over, 1 - forms.forks[forked, 2:3], 1.0))
     return StemRings(
@@ -93,7 +94,7 @@ def stem_rings(trees: Trees, *, table: Table | None = None) -> StemRings:
         flare_rings=2 + _BUTT_M.index(FLARE_TOP_M),
         forms=forms,
         forked=forked,
-        fork_m=above_m[forked, at],
+        fork_m=fork_m,
     )
 
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
 from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
+from vlp16emu.world.plants.far_stem import far_stems
 from vlp16emu.world.plants.flora import Flora, bark_material, flora, material_names
 from vlp16emu.world.plants.sapling import SaplingKey, sapling_meshes
 from vlp16emu.world.plants.shrub import ShrubKey, shrub_meshes
-from vlp16emu.world.plants.far_stem import far_stems
 from vlp16emu.world.plants.stem import STEM_PARTS, StemKey, stem_meshes
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.floor_shapes import FloorKey, floor_meshes
