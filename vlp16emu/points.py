@@ -214,7 +214,7 @@ def _chunk(unit: Unit, returns: Returns, begin_ns: int, end_ns: int, *, truth: b
         "ring": points["ring"],
         "reflectivity": points["reflectivity"],
         "is_last": is_last,
-    } | ({name: points[name] for name in _LABELS} if truth else {})
+    } | ({name: points[name] for name in (*_LABELS, "range_m")} if truth else {})
     return Chunk(
         t_ns=reading_ns[taken],
         azimuth_deg=firings.reading_deg[::step][taken],
@@ -282,8 +282,10 @@ def _labels(returns: Returns, sent: NDArray[np.bool_]) -> dict[str, NDArray[Any]
     """Look up the surface behind each point; what fog or rain throws back is of no class."""
     assert returns.surface is not None
     assert returns.surfaces is not None
+    assert returns.range_m is not None
     surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row is that of `NO_SURFACE`
     rows = surfaces[np.minimum(returns.surface[sent], len(returns.surfaces))]
     return {name: rows[name] for name in (*_LABELS, "reflectance")} | {
-        "leaf_wood": LEAF_OR_WOOD[rows["part"]]
+        "leaf_wood": LEAF_OR_WOOD[rows["part"]],
+        "range_m": returns.range_m[sent],
     }

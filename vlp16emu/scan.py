@@ -24,7 +24,10 @@ from vlp16emu.packets import (
 from vlp16emu.types import ReturnMode
 from vlp16emu.units import HOUR_NS
 
-__all__ = ["Chunk", "Labels", "Scan", "clock_zero_ns", "cut_scans", "decode", "twins"]
+__all__ = ["Chunk", "Labels", "LabelsOf", "Scan", "clock_zero_ns", "cut_scans", "decode", "scans_in", "twins"]
+
+LabelsOf = Callable[[PacketChunk], Mapping[str, NDArray[Any]]]
+"""Gives the arrays of `Labels` of the n points of packets, or none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +42,8 @@ class Labels:
     """(n,) unique per plant, stone or object; 0 none."""
     species: NDArray[np.uint16]
     """(n,) number in the species table; 0 none."""
+    range_m: NDArray[np.float32]
+    """(n,) distance before errors of range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,18 +184,22 @@ def decode(
     """
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
-    reader = CaptureReader(path, chosen, frame_named(frame))
-    return cut_scans(_chunks(reader))
+    return scans_in(CaptureReader(path, chosen, frame_named(frame)), lambda _: {})
 
 
-def _chunks(reader: CaptureReader) -> Iterator[Chunk]:
+def scans_in(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Scan]:
+    """Read the scans of a capture that is open, and close it; errors come as of `decode`."""
+    return cut_scans(_chunks(reader, labels_of))
+
+
+def _chunks(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Chunk]:
     """Points of a capture by their azimuth readings."""
     with reader:
         zero_ns = None
         for chunk in reader.points():
             if zero_ns is None:
                 zero_ns = clock_zero_ns(reader, chunk)
-            yield _chunk(chunk, zero_ns)
+            yield _chunk(chunk, zero_ns, labels_of(chunk))
 
 
 def clock_zero_ns(reader: CaptureReader, first: PacketChunk) -> int:
@@ -198,7 +207,7 @@ def clock_zero_ns(reader: CaptureReader, first: PacketChunk) -> int:
     return round((reader.first_stamp_ns - int(first.packet_ns[0])) / HOUR_NS) * HOUR_NS
 
 
-def _chunk(chunk: PacketChunk, zero_ns: int) -> Chunk:
+def _chunk(chunk: PacketChunk, zero_ns: int, labels: Mapping[str, NDArray[Any]]) -> Chunk:
     """Sort the points of data packets by azimuth readings; `zero_ns` is the hour from which the clock counts, UTC."""
     points, blocks = chunk.points, chunk.fields["blocks"]
     dual = chunk.fields["return_mode"] == RETURN_MODE_BYTE[ReturnMode.DUAL]
@@ -216,6 +225,7 @@ def _chunk(chunk: PacketChunk, zero_ns: int) -> Chunk:
         "ring": points.ring.astype(np.uint16),
         "reflectivity": points.reflectivity,
         "is_last": points.is_last,
+        **labels,
     }
     return Chunk(
         t_ns=(chunk.packet_ns[:, None] + block_ns + zero_ns)[is_reading],

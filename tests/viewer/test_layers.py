@@ -10,7 +10,8 @@ from vlp16emu.viewer.layers import LAYERS, colours_of, layers_of_scan
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
 from vlp16emu.viewer.stand import fewer_faces
-from vlp16emu.viewer.sweeps import CaptureSweeps, SceneSweeps
+from vlp16emu.viewer.capture import CaptureSweeps
+from vlp16emu.viewer.sweeps import SceneSweeps
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +21,7 @@ def emulator():
 
 def test_every_layer_shows_a_difference(emulator):
     """Each layer colours each point; things, classes and ranges of a hall differ in colour."""
-    scan, world_m = SceneSweeps(emulator).at(0.1)
+    scan, world_m, _ = SceneSweeps(emulator).at(0.1)
     assert layers_of_scan(scan) == LAYERS
     for layer in LAYERS:
         colours = colours_of(scan, layer, {})
@@ -31,7 +32,7 @@ def test_every_layer_shows_a_difference(emulator):
 
 def test_points_are_in_the_world(emulator):
     """No point of a sweep lies outside the hall."""
-    _, world_m = SceneSweeps(emulator).at(0.0)
+    world_m = SceneSweeps(emulator).at(0.0).world_m
     assert (np.abs(world_m) <= [15.01, 9.01, 6.01]).all()
 
 
@@ -39,10 +40,10 @@ def test_sweeps_of_a_capture_are_found_back_and_forth(emulator, tmp_path):
     """Going back gives the sweep that was there; it has no labels."""
     emulator.record(tmp_path / "bench.pcap")
     sweeps = CaptureSweeps(tmp_path / "bench.pcap")
-    late, _ = sweeps.at(sweeps.last_s)
-    early, _ = sweeps.at(0.0)
+    late = sweeps.at(sweeps.last_s).scan
+    early = sweeps.at(0.0).scan
     assert early.start_ns < late.start_ns
-    assert sweeps.at(sweeps.last_s)[0].start_ns == late.start_ns
+    assert sweeps.at(sweeps.last_s).scan.start_ns == late.start_ns
     assert "class" not in layers_of_scan(early)
 
 

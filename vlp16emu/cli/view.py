@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vlp16emu.cli.arguments import Settings, checked
+from vlp16emu.cli.arguments import Settings, WhichUnit, checked
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import Progress
 from vlp16emu.errors import InputError, MissingExtraError
@@ -30,6 +30,15 @@ Save = Annotated[
         "--save",
         metavar="OUT.toml",
         help="File to which the page saves the scene with the path drawn in it; comments stay.",
+        show_default=False,
+    ),
+]
+Truth = Annotated[
+    Path | None,
+    typer.Option(
+        "--truth",
+        metavar="DIR",
+        help="Of a capture: what `record --truth DIR --truth-returns` has written beside it, for places in the world and labels.",
         show_default=False,
     ),
 ]
@@ -66,6 +75,8 @@ def view(
     scene: SceneOrCapture,
     *,
     settings: Settings = None,
+    unit: WhichUnit = 1,
+    truth: Truth = None,
     save: Save = None,
     radius: Radius = 25.0,
     host: Host = "127.0.0.1",
@@ -73,11 +84,13 @@ def view(
 ) -> None:
     """Show a scene in the browser: the stand, the path, and the sweep at any time; draw the path anew.
 
-    Of a capture its sweeps, one by one. Needs the extra 'viewer'. Ctrl-C ends it.
+    Of a capture its sweeps, with what is wrong with its packets marked. Needs the extra 'viewer'. Ctrl-C ends it.
     """
     capture = Path(scene) if Path(scene).suffix == ".pcap" else None
     if save is not None and (settings or capture):
         raise InputError("--save", "found beside --set or a capture", "a scene as its file has it")
+    if truth is not None and capture is None:
+        raise InputError("--truth", "found beside a scene", "a capture; a scene knows its own")
     try:
         from vlp16emu.viewer.guard import guarded_server
     except ImportError as error:
@@ -88,27 +101,34 @@ def view(
     with guarded_server(host, port, "vlp16emu") as server:
         print(f"http://{host}:{server.get_port()}/  Ctrl-C ends it", flush=True)
         if capture is not None:
-            _show_capture(server, capture, stop)
+            _show_capture(server, capture, truth, unit, stop)
         else:
-            _show_scene(server, scene, settings, radius, save, stop)
+            _show_scene(server, scene, settings, unit, radius, save, stop)
 
 
-def _show_capture(server: "viser.ViserServer", capture: Path, stop: Event) -> None:
+def _show_capture(
+    server: "viser.ViserServer", capture: Path, truth: Path | None, unit: int, stop: Event
+) -> None:
     """Show the sweeps of a capture."""
     import numpy as np
 
+    from vlp16emu.viewer.capture import CaptureSweeps
     from vlp16emu.viewer.page import Page, look_from
-    from vlp16emu.viewer.sweeps import CaptureSweeps
 
-    sweeps = CaptureSweeps(capture)
-    look_from(server, np.zeros(3), np.array([1.0, 0.0, 0.0]))
-    Page(server, sweeps, {}).run(stop)
+    text = server.gui.add_markdown("reading the capture")
+    sweeps = CaptureSweeps(capture, truth, unit)
+    text.content = "  \n".join(sweeps.health or ["packets as a sensor sends them"])
+    pose = sweeps.at(0.0).scan.world_T_sensor
+    world_T_sensor = np.eye(4) if pose is None else pose
+    look_from(server, world_T_sensor[:3, 3], world_T_sensor[:3, 0])
+    Page(server, sweeps, sweeps.species).run(stop)
 
 
 def _show_scene(
     server: "viser.ViserServer",
     scene: str,
     settings: list[str] | None,
+    unit: int,
     radius_m: float,
     save: Path | None,
     stop: Event,
@@ -143,4 +163,4 @@ def _show_scene(
     if isinstance(scenario.motion, Walk):
         draft = Draft(scene, scenario, seen)
         editor = Editor(server, draft, seen.height_m, scenario.duration_s, save)
-    Page(server, SceneSweeps(emulator), seen.species, root, editor).run(stop)
+    Page(server, SceneSweeps(emulator, unit), seen.species, root, editor).run(stop)

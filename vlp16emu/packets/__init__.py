@@ -11,7 +11,7 @@ from vlp16emu.packets.decode import (
     data_fields,
     decode_data,
     decode_position,
-    fault_in,
+    faults_in,
     frame_named,
     scan_starts,
 )
@@ -110,7 +110,7 @@ __all__ = [
     "decode_data",
     "decode_imu",
     "decode_position",
-    "fault_in",
+    "faults_in",
     "first_position_packet",
     "frame_named",
     "imu_frames",

@@ -32,7 +32,7 @@ __all__ = [
     "data_fields",
     "decode_data",
     "decode_position",
-    "fault_in",
+    "faults_in",
     "frame_named",
     "scan_starts",
 ]
@@ -177,10 +177,10 @@ def decode_data(
     )
 
 
-def fault_in(
+def faults_in(
     fields: NDArray[np.void], factory: int | None = None, model: SensorModel | None = None
-) -> Fault | None:
-    """Find the first packet that is not a VLP-16's, or of another model than the others.
+) -> list[Fault]:
+    """Find the packets that are not a VLP-16's, or of another model than the others; of each its first fault, in order.
 
     Parameters
     ----------
@@ -193,12 +193,14 @@ def fault_in(
         fields["blocks"]["azimuth_cdeg"],
         fields["factory"],
     )
-    modes, first = [*layout.RETURN_MODE_BYTE.values()], products[:1] if factory is None else factory
+    modes = [*layout.RETURN_MODE_BYTE.values()]
     known = [*_MODEL] if model is None else [*_MODEL, PRODUCT_BEFORE_RELEASE]
+    ours = products[np.isin(products, known)]
+    first = (ours if len(ours) else products)[:1] if factory is None else factory
     expected_product = "0x22 or 0x24"
     if factory is None and model is None and (products == PRODUCT_BEFORE_RELEASE).all():
         expected_product += ", or --model for a VLP-16 from before release"
-    faults = []
+    faults = dict[int, Fault]()
     for what, codes, right, expected in (
         ("block flag", flags, flags == layout.BLOCK_FLAG, "0xeeff"),
         ("return mode", fields["return_mode"], np.isin(fields["return_mode"], modes), "0x37, 0x38 or 0x39"),
@@ -207,10 +209,9 @@ def fault_in(
         # Old firmware was seen to send 36000 for 0.
         ("azimuth", azimuth_cdeg, azimuth_cdeg <= layout.AZIMUTH_CODES, "0 to 36000 hundredths of a degree"),
     ):
-        if not right.all():
-            wrong = tuple(np.argwhere(~right)[0])
-            faults.append(Fault(int(wrong[0]), what, f"{codes[wrong]:#x}", expected))
-    return min(faults, key=lambda fault: fault.packet, default=None)
+        for packet, *place in np.argwhere(~right).tolist():
+            faults.setdefault(packet, Fault(packet, what, f"{codes[packet, *place]:#x}", expected))
+    return [faults[packet] for packet in sorted(faults)]
 
 
 def scan_starts(azimuth_deg: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -270,8 +271,8 @@ def decode_position(payload: bytes) -> PositionFields:
 
 def _model(fields: NDArray[np.void], model: SensorModel | None) -> SensorModel:
     """Give the model, by the product byte or, where that is of before release, as given; refuse what is not a VLP-16's."""
-    if fault := fault_in(fields, None, model):
-        raise PacketError(f"data packet {fault.packet}: {fault.what}", fault.found, fault.expected)
+    if faults := faults_in(fields, None, model):
+        raise PacketError(f"data packet {faults[0].packet}: {faults[0].what}", *faults[0][2:])
     return (
         _MODEL.get(int(fields["factory"][0]), model or SensorModel.VLP_16)
         if len(fields)

@@ -19,7 +19,7 @@ from vlp16emu.packets.decode import (
     data_fields,
     decode_data,
     decode_position,
-    fault_in,
+    faults_in,
     scan_starts,
 )
 from vlp16emu.packets.layout import (
@@ -63,6 +63,8 @@ class PacketChunk(NamedTuple):
     """(p,) the same of the packets' first pulses."""
     fields: NDArray[np.void]
     """(p,) `DATA_PAYLOAD`, the packets themselves."""
+    number: NDArray[np.int64]
+    """(p,) of their frames in the file, from 1."""
 
     @property
     def columns(self) -> dict[str, NDArray[np.generic]]:
@@ -109,6 +111,7 @@ class CaptureReader:
     unit : whose packets are read where there are several; None for those of all
     frame : of the points
     model : of units from before release, whose product byte is that of another sensor
+    passes_over : packets at fault, of which the first ends the reading otherwise
 
     Raises
     ------
@@ -122,8 +125,10 @@ class CaptureReader:
         unit: CapturedUnit | None = None,
         frame: PointFrame = PointFrame.SENSOR,
         model: SensorModel | None = None,
+        *,
+        passes_over: bool = False,
     ) -> None:
-        self._model = model
+        self._model, self._passes_over = model, passes_over
         self._path, self._unit, self._frame = path, unit, frame
         self._capture = Capture(path)
         self._codes = np.zeros(2**16, np.int64)
@@ -158,13 +163,17 @@ class CaptureReader:
         for held in self._chunks():
             payloads = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)
             payloads = payloads.reshape(len(held), DATA_BYTES)
-            fault = fault_in(data_fields(payloads), self._factory, self._model)
-            sound = payloads if fault is None else payloads[: fault.packet]
-            if len(sound):
-                yield self._decoded(sound)
-            if fault is not None:
-                where = f"{self._path}: frame {held[fault.packet].number}: {fault.what}"
-                raise PacketError(where, fault.found, fault.expected)
+            faults = faults_in(data_fields(payloads), self._factory, self._model)
+            sound = np.ones(len(held), np.bool_)
+            sound[[fault.packet for fault in faults]] = False
+            if faults and not self._passes_over:
+                sound[faults[0].packet :] = False
+            if sound.any():
+                numbers = np.array([datagram.number for datagram in held])
+                yield self._decoded(payloads[sound], numbers[sound])
+            if faults and not (self._passes_over and self._azimuth_cdeg):
+                where = f"{self._path}: frame {held[faults[0].packet].number}: {faults[0].what}"
+                raise PacketError(where, *faults[0][2:])
         if not self._azimuth_cdeg:
             raise CaptureError(str(self._path), "no data packet", f"UDP payloads of {DATA_BYTES} bytes")
 
@@ -226,7 +235,7 @@ class CaptureReader:
         if held:
             yield held
 
-    def _decoded(self, payloads: NDArray[np.uint8]) -> PacketChunk:
+    def _decoded(self, payloads: NDArray[np.uint8], number: NDArray[np.int64]) -> PacketChunk:
         """Decode packets, (n, 1206), and count them."""
         points, fields = (
             decode_data(payloads, keep_no_returns=False, model=self._model),
@@ -237,7 +246,7 @@ class CaptureReader:
         packet_ns = self._unwrapped_ns(fields)
         since_ns = (points.time_ns - packet_ns[points.packet]) % HOUR_NS
         self._note(fields)
-        return PacketChunk(points, packet_ns[points.packet] + since_ns, packet_ns, fields)
+        return PacketChunk(points, packet_ns[points.packet] + since_ns, packet_ns, fields, number)
 
     def _note_other(self, datagram: Datagram) -> None:
         """Count what is no data packet."""
@@ -248,6 +257,8 @@ class CaptureReader:
         try:
             self._gps = decode_position(datagram.payload)
         except PacketError as error:
+            if self._passes_over:
+                return
             where = f"{self._path}: frame {datagram.number}: {error.where}"
             raise PacketError(where, error.found, error.expected) from None
 

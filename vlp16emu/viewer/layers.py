@@ -21,7 +21,7 @@ Entries = Mapping[str, tuple[int, int, int]] | tuple[float, float, str] | None
 
 _LABELLED = ("natural", "class", "part", "species", "instance")
 _MEASURED = ("range", "reflectivity", "ring", "time")
-LAYERS = (*_LABELLED, *_MEASURED)
+LAYERS = (*_LABELLED, *_MEASURED, "range error")
 
 _PART: dict[PlantPart, tuple[int, int, int]] = {
     PlantPart.NONE: (150, 128, 94),
@@ -34,6 +34,10 @@ _PART: dict[PlantPart, tuple[int, int, int]] = {
 }
 _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
 """Viridis at five places (matplotlib, `_cm_listed.py`)."""
+_EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
+"""Of values about 0: ends of coolwarm (K. Moreland, "Diverging color maps", ISVC 2009) about a grey that shows on white."""
+_ERROR_CM = 6.0
+"""End of the scale of range errors: twice the +-3 cm of the data sheet."""
 _GOLDEN = 0.618034
 """Turn of the hue from one instance to the next: neighbours in number differ most."""
 
@@ -63,13 +67,14 @@ def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Rgb:
         none = colour_of_kind("ground")
         return _each(labels.species, lambda n: colour_of_species(species[n]) if n in species else none)
     value, (least, most, _) = _measured(scan, layer)
-    return colours_of_scale((value - least) / max(most - least, 1e-9))
+    return colours_of_scale(value, least, most)
 
 
-def colours_of_scale(share: NDArray[np.float64]) -> Rgb:
-    """Colours (n, 3) of values between 0 and 1, the ends of a scale."""
-    place = np.clip(share, 0.0, 1.0) * (len(_SCALE) - 1)
-    return np.column_stack([np.interp(place, range(len(_SCALE)), band) for band in _SCALE.T]).astype(np.uint8)
+def colours_of_scale(values: NDArray[np.float64], least: float, most: float) -> Rgb:
+    """Colours (n, 3) of values (n,) on a scale between two ends, about its middle where it begins below 0."""
+    scale = _EITHER_WAY if least < 0 else _SCALE
+    place = np.clip((values - least) / max(most - least, 1e-9), 0.0, 1.0) * (len(scale) - 1)
+    return np.column_stack([np.interp(place, range(len(scale)), band) for band in scale.T]).astype(np.uint8)
 
 
 def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
@@ -89,6 +94,9 @@ def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
 
 def _measured(scan: Scan, layer: str) -> tuple[NDArray[np.float64], tuple[float, float, str]]:
     """Values (n,) of a layer, and the ends of its scale with their unit."""
+    if layer == "range error" and scan.labels is not None:
+        error_cm = 100.0 * (scan.distance_m.astype(np.float64) - scan.labels.range_m)
+        return error_cm, (-_ERROR_CM, _ERROR_CM, "cm")
     since_s = (scan.t_ns - scan.start_ns) / S_NS
     # Ranges of metres beyond 40 are few in a forest, reflectivities beyond 100 are of retroreflectors.
     values: dict[str, tuple[NDArray[Any], float, str]] = {

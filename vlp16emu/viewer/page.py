@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections import deque
 from threading import Event
 
 import numpy as np
@@ -10,14 +11,20 @@ from numpy.typing import NDArray
 
 from vlp16emu.report.forest.survey import Survey
 from vlp16emu.viewer.editor import Editor
-from vlp16emu.viewer.layers import LAYERS, colours_of, layers_of_scan
+from vlp16emu.viewer.layers import LAYERS, colours_of, entries_of, layers_of_scan
+from vlp16emu.viewer.legend import legend_of, list_of
+from vlp16emu.viewer.sensor import DrawnSensor
 from vlp16emu.viewer.stand import pieces_of
-from vlp16emu.viewer.sweeps import Sweeps
+from vlp16emu.viewer.sweeps import Sweep, Sweeps
 
 __all__ = ["Page", "draw_stand", "look_from"]
 
 _POLL_S = 0.1
 """How often the page looks whether it shall end."""
+_MOST_KEPT = 50
+"""Sweeps drawn together: 1.2 million points."""
+_LISTED = 6
+"""Faults of a sweep, line by line."""
 _PATH_COLOUR = (220, 60, 40)
 
 
@@ -83,22 +90,35 @@ class Page:
         self._wake = Event()
         self._wake.set()
         self._time_s = 0.0
-        self._scan, self._points_m = sweeps.at(0.0)
-        layers = layers_of_scan(self._scan)
-        gui = server.gui
+        self._kept = deque[Sweep]([sweeps.at(0.0)], maxlen=_MOST_KEPT)
+        self._sensor = DrawnSensor(server, sweeps.beams)
+        self._panel()
+        if editor is not None:
+            editor.wake = self._wake.set
+
+    def _panel(self) -> None:
+        """Lay out the controls."""
+        gui, sweeps = self._server.gui, self._sweeps
+        layers = layers_of_scan(self._kept[-1].scan)
         with gui.add_folder("Sweep"):
             last_s = max(sweeps.last_s, sweeps.step_s)
             self._slider = gui.add_slider("time, s", 0.0, last_s, min(0.1, last_s), 0.0)
             self._play = gui.add_checkbox("play", initial_value=False)
             self._layer = gui.add_dropdown("colour by", layers, initial_value=layers[0])
+            self._legend = gui.add_html("")
+            self._together = gui.add_slider(
+                "sweeps", 1, _MOST_KEPT, 1, 1, hint="how many stay as they are played"
+            )
             self._size = gui.add_slider("point, cm", 1.0, 20.0, 1.0, 5.0)
-            self._stand = gui.add_checkbox("stand", initial_value=True)
+            self._beams = gui.add_checkbox("beams", initial_value=True)
+            self._stand = gui.add_checkbox("stand", initial_value=True, visible=self._root is not None)
             self._text = gui.add_markdown("")
-        for control in (self._slider, self._play, self._layer, self._size, self._stand):
+            self._faults = gui.add_html("")
+        for control in (
+            *(self._slider, self._play, self._layer, self._together),
+            *(self._size, self._beams, self._stand),
+        ):
             control.on_update(lambda _: self._wake.set())
-        self._frame = server.scene.add_frame("/sensor", axes_length=0.6, axes_radius=0.02)
-        if editor is not None:
-            editor.wake = self._wake.set
 
     def run(self, stop: Event) -> None:
         """Draw what is wanted, until the end."""
@@ -115,33 +135,44 @@ class Page:
                 self._go_on(began_s, stop)
 
     def _draw(self) -> None:
-        """Draw the sweep at the cursor, if the controls have values that they can have."""
-        time_s, layer, size_cm = self._slider.value, self._layer.value, self._size.value
-        if not _is_number(time_s) or not _is_number(size_cm) or layer not in LAYERS:
+        """Draw the sweeps at the cursor, if the controls have values that they can have."""
+        time_s, size_cm, together = self._slider.value, self._size.value, self._together.value
+        layer = self._layer.value
+        if not all(map(_is_number, (time_s, size_cm, together))) or layer not in LAYERS:
             return
         if time_s != self._time_s:
-            self._scan, self._points_m = self._sweeps.at(float(time_s))
+            if not 0.0 < time_s - self._time_s < 1.5 * self._sweeps.step_s:
+                self._kept.clear()
+            self._kept.append(self._sweeps.at(float(time_s)))
             self._time_s = time_s
-        if layer not in layers_of_scan(self._scan):
+        if layer not in layers_of_scan(self._kept[-1].scan):
             return
-        scan, points_m = self._scan, self._points_m
-        middle_m = points_m.mean(axis=0) if len(points_m) else np.zeros(3)
+        shown = list(self._kept)[-max(int(together), 1) :]
         with self._server.atomic():
-            self._server.scene.add_point_cloud(
-                "/sweep",
-                (points_m - middle_m).astype(np.float32),
-                colours_of(scan, layer, self._species),
-                point_size=max(float(size_cm), 0.1) / 100,
-                precision="float32",
-                point_shape="circle",
-                point_shading="flat",
-                position=middle_m,
-            )
-            if scan.world_T_sensor is not None:
-                self._frame.position = scan.world_T_sensor[:3, 3]
+            self._draw_points(shown, layer, max(float(size_cm), 0.1) / 100)
+            self._sensor.show(shown[-1], with_beams=self._beams.value is True)
             if self._root is not None:
                 self._root.visible = self._stand.value is True
-        self._text.content = f"{len(points_m):,} points by {layer}, sweep at {time_s:.1f} s".replace(",", " ")
+        points = sum(len(sweep.world_m) for sweep in shown)
+        counted = f"{points:,}".replace(",", " ")
+        self._text.content = f"{counted} points by {layer}, sweep at {time_s:.1f} s"
+        self._legend.content = legend_of(entries_of(shown[-1].scan, layer, self._species))
+        self._faults.content = list_of([mark.what for mark in shown[-1].marks[:_LISTED]])
+
+    def _draw_points(self, shown: list[Sweep], layer: str, size_m: float) -> None:
+        """Draw the points of sweeps."""
+        points_m = np.concatenate([sweep.world_m for sweep in shown])
+        middle_m = points_m.mean(axis=0) if len(points_m) else np.zeros(3)
+        self._server.scene.add_point_cloud(
+            "/sweep",
+            (points_m - middle_m).astype(np.float32),
+            np.concatenate([colours_of(sweep.scan, layer, self._species) for sweep in shown]),
+            point_size=size_m,
+            precision="float32",
+            point_shape="circle",
+            point_shading="flat",
+            position=middle_m,
+        )
 
     def _go_on(self, began_s: float, stop: Event) -> None:
         """Set the cursor to the next sweep, no faster than in real time."""

@@ -264,7 +264,7 @@ def _scale(figure: "Figure", least: float, most: float, unit: str) -> None:
     """Draw a scale of colours at the right."""
     bar = figure.add_axes((0.955, 0.25, 0.012, 0.5))
     bar.imshow(
-        colours_of_scale(np.linspace(0, 1, 256))[:, None],
+        colours_of_scale(np.linspace(least, most, 256), least, most)[:, None],
         origin="lower",
         aspect="auto",
         extent=(0, 1, least, most),
