@@ -9,14 +9,14 @@ from vlp16emu.viewer.layers import LAYERS, colours_of, layers_of_scan
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
-from vlp16emu.viewer.stand import fewer_faces
 from vlp16emu.viewer.capture import CaptureSweeps
+from vlp16emu.viewer.stand import fewer_faces
 from vlp16emu.viewer.sweeps import SceneSweeps
 
 
 @pytest.fixture(scope="module")
 def emulator():
-    return Emulator("static_bench", {"duration_s": 0.5})
+    return Emulator("static_bench", {"duration_s": 0.5, "noise.preset": "typical"})
 
 
 def test_every_layer_shows_a_difference(emulator):

@@ -111,7 +111,7 @@ class CaptureReader:
     unit : whose packets are read where there are several; None for those of all
     frame : of the points
     model : of units from before release, whose product byte is that of another sensor
-    passes_over : packets at fault, of which the first ends the reading otherwise
+    passes_over : whether packets at fault are passed over; else the first one ends the reading
 
     Raises
     ------
