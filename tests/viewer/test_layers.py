@@ -33,7 +33,7 @@ def test_every_layer_shows_a_difference(emulator):
 def test_points_are_in_the_world(emulator):
     """No point of a sweep lies outside the hall."""
     world_m = SceneSweeps(emulator).at(0.0).world_m
-    assert (np.abs(world_m) <= [15.01, 9.01, 6.01]).all()
+    assert (np.abs(world_m) <= [15.1, 9.1, 6.1]).all()
 
 
 def test_sweeps_of_a_capture_are_found_back_and_forth(emulator, tmp_path):
