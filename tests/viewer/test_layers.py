@@ -1,5 +1,7 @@
 """Colours of points, and what a browser draws of a mesh."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 
@@ -39,11 +41,11 @@ def test_points_are_in_the_world(emulator):
 def test_sweeps_of_a_capture_are_found_back_and_forth(emulator, tmp_path):
     """Going back gives the sweep that was there; it has no labels."""
     emulator.record(tmp_path / "bench.pcap")
-    sweeps = CaptureSweeps(tmp_path / "bench.pcap")
-    late = sweeps.at(sweeps.last_s).scan
-    early = sweeps.at(0.0).scan
-    assert early.start_ns < late.start_ns
-    assert sweeps.at(sweeps.last_s).scan.start_ns == late.start_ns
+    with closing(CaptureSweeps(tmp_path / "bench.pcap")) as sweeps:
+        late = sweeps.at(sweeps.last_s).scan
+        early = sweeps.at(0.0).scan
+        assert early.start_ns < late.start_ns
+        assert sweeps.at(sweeps.last_s).scan.start_ns == late.start_ns
     assert "class" not in layers_of_scan(early)
 
 

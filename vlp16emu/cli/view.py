@@ -1,5 +1,6 @@
 """`vlp16emu view`: a page in the browser with the stand, the path and what the sensor sees."""
 
+from contextlib import closing
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
@@ -116,12 +117,12 @@ def _show_capture(
     from vlp16emu.viewer.page import Page, look_from
 
     text = server.gui.add_markdown("reading the capture")
-    sweeps = CaptureSweeps(capture, truth, unit)
-    text.content = "  \n".join(sweeps.health or ["packets as a sensor sends them"])
-    pose = sweeps.at(0.0).scan.world_T_sensor
-    world_T_sensor = np.eye(4) if pose is None else pose
-    look_from(server, world_T_sensor[:3, 3], world_T_sensor[:3, 0])
-    Page(server, sweeps, sweeps.species).run(stop)
+    with closing(CaptureSweeps(capture, truth, unit)) as sweeps:
+        text.content = "  \n".join(sweeps.health or ["packets as a sensor sends them"])
+        pose = sweeps.at(0.0).scan.world_T_sensor
+        world_T_sensor = np.eye(4) if pose is None else pose
+        look_from(server, world_T_sensor[:3, 3], world_T_sensor[:3, 0])
+        Page(server, sweeps, sweeps.species).run(stop)
 
 
 def _show_scene(

@@ -1,6 +1,6 @@
 """Sweeps of a capture, ours or a real sensor's: with what is wrong with its packets, and with the truth of its run if there is one."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -73,28 +73,35 @@ class CaptureSweeps:
         self._marks = log.marks(found.findings)
         self.last_s = (self._starts_ns[-1] - self._starts_ns[0]) / 1e9
         self.step_s = self.last_s / max(len(self._starts_ns) - 1, 1) or 0.1
-        self._reading: Iterator[Scan] = iter(())
+        self._reading: Generator[Scan] | None = None
         self._next, self._held = len(self._starts_ns), dict[int, Scan]()
 
     def at(self, time_s: float) -> Sweep:
         """See `Sweeps`."""
         wanted = int(np.searchsorted(self._starts_ns, self._starts_ns[0] + int(time_s * 1e9)))
         wanted = min(wanted, len(self._starts_ns) - 1)
-        if wanted not in self._held and wanted < self._next:
+        if wanted not in self._held and (self._reading is None or wanted < self._next):
+            self.close()
             truth = None if self._folder is None else CaptureTruth(self._folder, self._number, None)
             self._reading, self._next = self._scans(self._reader(), partial(_labels, truth)), 0
-        while wanted not in self._held:
+        while self._reading is not None and wanted not in self._held:
             self._held[self._next] = next(self._reading)
             self._next += 1
             if len(self._held) > _KEPT:
                 del self._held[min(self._held)]
         return self._placed(self._held[wanted], wanted)
 
+    def close(self) -> None:
+        """Close the file."""
+        if self._reading is not None:
+            self._reading.close()
+            self._reading = None
+
     def _reader(self) -> CaptureReader:
         """Open the capture."""
         return CaptureReader(self._path, self._unit, passes_over=True)
 
-    def _scans(self, reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Scan]:
+    def _scans(self, reader: CaptureReader, labels_of: LabelsOf) -> Generator[Scan]:
         """Read the scans that have poses."""
         for scan in scans_in(reader, labels_of):
             if self._way is None or self._way.has(scan.t_ns).all():
