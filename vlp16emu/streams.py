@@ -73,6 +73,7 @@ class Streams(Run):
         poses: PosesIn | None = None,
         outlets: Outlets = _NONE,
         gps_in: GpsIn | None = None,
+        watched: Callable[[PacketSink, Pacer], PacketSink] | None = None,
         opened: Callable[[], None] = lambda: None,
         preparing: Callable[[float], None] = lambda _: None,
         progress: Callable[[float], None] = lambda _: None,
@@ -96,6 +97,7 @@ class Streams(Run):
         poses : where those of a live scene come in; its stream begins with the first one, and drops what is late
         outlets : what leaves beside the packets of the sensors: sentences and pulses of the receiver, inertial samples
         gps_in : a real receiver, which sets the clock of the sensors instead of that of the scene
+        watched : called with the sink of the packets and their clock; gives the sink that takes them instead
         opened : called once before the first packet is computed, when the sockets are open
         preparing : called with the simulated seconds computed so far into `prepare`
         progress : called with the simulated seconds so far, packet by packet
@@ -139,6 +141,7 @@ class Streams(Run):
                 packets = prepared(links, Path(prepare), partial(run, duration_s=duration_s, truth=truth))
             reader = stack.enter_context(self._listening(gps_in)) if gps_in else None
             way: PacketSink = SinkByKind(sink, ways) if ways else sink
+            way = watched(way, pacer) if watched else way
             way = GpsInSink(way, reader.line) if reader else way
             report = stream(
                 packets,

@@ -1,19 +1,24 @@
 """What `vlp16emu stream` takes and reports where poses come in while it runs."""
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vlp16emu.cli.terminal import count
-from vlp16emu.errors import InputError
+from vlp16emu.cli.terminal import Progress, count
+from vlp16emu.errors import InputError, MissingExtraError
 
 if TYPE_CHECKING:
+    from vlp16emu.emulator import Emulator
     from vlp16emu.flight import LiveReport, PosesIn
     from vlp16emu.scenario import Scenario
+    from vlp16emu.viewer.watch import Watch
 
-__all__ = ["FlownFile", "PoseIn", "late_of", "live_rows", "poses_in"]
+__all__ = ["FlownFile", "PoseIn", "View", "late_of", "live_rows", "poses_in", "watched"]
 
 PoseIn = Annotated[
     str | None,
@@ -33,12 +38,47 @@ FlownFile = Annotated[
         show_default=False,
     ),
 ]
+View = Annotated[
+    bool,
+    typer.Option(
+        "--view",
+        help="Show stand, sensor, sweep and lateness in the browser while packets leave, by a process that they do not wait for; "
+        "of a live scene without --pose-in its keys walk. Needs the extra 'viewer'.",
+    ),
+]
+
+
+@contextmanager
+def watched(emulator: "Emulator", *, view: bool, duration_s: float, quiet: bool) -> "Iterator[Watch | None]":
+    """Show a stream in the browser, and print where; None where that is not wanted.
+
+    Raises
+    ------
+    MissingExtraError
+        where viser is not there
+    """
+    if not view:
+        yield None
+        return
+    if find_spec("viser") is None:
+        raise MissingExtraError("viser", "viewer", "the page in the browser")
+    from vlp16emu.viewer.watch import backdrop_of, watching
+
+    with Progress(duration_s):
+        backdrop = backdrop_of(emulator, duration_s)
+    with watching(emulator, backdrop) as watch:
+        print(f"page at {watch.url}", file=sys.stderr if quiet else sys.stdout, flush=True)
+        yield watch
 
 
 def poses_in(
-    scenario: "Scenario", where: str | None, flown: Path | None, news: Callable[[str], None]
+    scenario: "Scenario",
+    where: str | None,
+    flown: Path | None,
+    news: Callable[[str], None],
+    watch: "Watch | None",
 ) -> "PosesIn | None":
-    """Take where poses come in; None where they do not.
+    """Take where poses come in, from a page if from nowhere else; None where they do not.
 
     Raises
     ------
@@ -47,12 +87,16 @@ def poses_in(
     """
     from vlp16emu.motion.live_settings import takes_poses
 
-    if takes_poses(scenario.motion) and where is None:
-        raise InputError("--pose-in", 'found motion.kind = "live" without it', "udp://127.0.0.1:PORT")
-    if where is None and flown is None:
+    steered = takes_poses(scenario.motion) and where is None
+    if steered and watch is None:
+        expected = "udp://127.0.0.1:PORT, or --view, whose page steers"
+        raise InputError("--pose-in", 'found motion.kind = "live" without it', expected)
+    if where is None and flown is None and not steered:
         return None
     from vlp16emu.flight import PosesIn
 
+    if steered and watch is not None:
+        return PosesIn("udp://127.0.0.1:0", flown, news, opened=watch.steer)
     return PosesIn(where, flown, news)
 
 

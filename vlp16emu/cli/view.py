@@ -141,6 +141,7 @@ def _show_scene(
     from vlp16emu.viewer.draft import Draft
     from vlp16emu.viewer.editor import Editor
     from vlp16emu.viewer.page import Page, draw_stand
+    from vlp16emu.viewer.stand import pieces_of
     from vlp16emu.viewer.sweeps import SceneSweeps
     from vlp16emu.world.stand.forest import ForestWorld
 
@@ -158,7 +159,7 @@ def _show_scene(
                 if stop.is_set():
                     return
     seen = survey(scenario, min(radius_m, scenario.sensor.max_range_m), parts)
-    root = draw_stand(server, seen)
+    root = draw_stand(server, pieces_of(seen), seen.path_m, hall=seen.hall is not None)
     text.remove()
     editor = None
     if isinstance(scenario.motion, Walk):

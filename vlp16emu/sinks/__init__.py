@@ -1,5 +1,6 @@
 """Where packets leave: a capture file, the network, or a list; and the clock that lets them leave in time."""
 
+from vlp16emu.sinks.channel import Channel
 from vlp16emu.sinks.gps_in import GpsIn, GpsInResult, GpsInSink, GpsReader
 from vlp16emu.sinks.now import NowSink
 from vlp16emu.sinks.outlets import Outlets
@@ -23,6 +24,7 @@ __all__ = [
     "LOOPBACK",
     "TOLERANCE_NS",
     "Away",
+    "Channel",
     "Check",
     "Condition",
     "FellBehind",

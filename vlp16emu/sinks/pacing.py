@@ -209,6 +209,8 @@ class Pacer:
         self._last = dict[tuple[int, PacketKind], tuple[int, int]]()
         self.delay_ns = 0
         """Time by which deadlines have been moved in all."""
+        self.late_ns = 0
+        """By how much the packet that was waited for last missed its deadline."""
         self.elapsed_ns = (0, 0)
         """Simulated time and clock time from the first packet that left to the last one."""
 
@@ -267,7 +269,8 @@ class Pacer:
         self._planned_ns = max(deadline_ns, closest_ns)
         while (left_ns := self._planned_ns - (now_ns := self._clock_ns())) > 0:
             self._sleep(left_ns / S_NS)
-        return now_ns - deadline_ns
+        self.late_ns = now_ns - deadline_ns
+        return self.late_ns
 
     def left(self, packet: Packet) -> None:
         """Note that the packet that was waited for has left just now."""

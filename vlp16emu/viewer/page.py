@@ -3,18 +3,18 @@
 import math
 import time
 from collections import deque
+from collections.abc import Iterable
 from threading import Event
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from vlp16emu.report.forest.survey import Survey
 from vlp16emu.viewer.editor import Editor
 from vlp16emu.viewer.layers import LAYERS, colours_of, entries_of, layers_of_scan
 from vlp16emu.viewer.legend import legend_of, list_of
 from vlp16emu.viewer.sensor import DrawnSensor
-from vlp16emu.viewer.stand import pieces_of
+from vlp16emu.viewer.stand import Piece
 from vlp16emu.viewer.sweeps import Sweep, Sweeps
 
 __all__ = ["Page", "draw_stand", "look_from"]
@@ -28,12 +28,14 @@ _LISTED = 6
 _PATH_COLOUR = (220, 60, 40)
 
 
-def draw_stand(server: viser.ViserServer, seen: Survey) -> viser.FrameHandle:
-    """Draw what stands along the path, look at it from behind the start, and give the node above it."""
+def draw_stand(
+    server: viser.ViserServer, pieces: Iterable[Piece], way_m: NDArray[np.float64], *, hall: bool
+) -> viser.FrameHandle:
+    """Draw what stands along a path (n, 3), look at it from behind the start, and give the node above it."""
     scene = server.scene
     root = scene.add_frame("/stand", show_axes=False)
     scene.configure_default_lights(enabled=True, cast_shadow=False)
-    for piece in pieces_of(seen):
+    for piece in pieces:
         scene.add_batched_meshes_simple(
             f"/stand/{piece.name}",
             piece.vertices_m,
@@ -44,11 +46,10 @@ def draw_stand(server: viser.ViserServer, seen: Survey) -> viser.FrameHandle:
             batched_colors=piece.colour,
             lod="off",
             flat_shading=True,
-            side="front" if seen.hall else "double",  # a hall is looked into through its ceiling
+            side="front" if hall else "double",  # a hall is looked into through its ceiling
             cast_shadow=False,
             receive_shadow=False,
         )
-    way_m = seen.path_m
     if len(way_m) > 1:
         scene.add_line_segments(
             "/walk", np.stack([way_m[:-1], way_m[1:]], axis=1), _PATH_COLOUR, thickness=0.06

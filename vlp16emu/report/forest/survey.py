@@ -80,8 +80,14 @@ class Survey:
         return within
 
 
-def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> Survey:
+def survey(
+    scenario: Scenario, radius_m: float, parts: Parts | None = None, path_xy_m: Array | None = None
+) -> Survey:
     """Look around the path of a scenario's sensor; its parts are made where they are not given.
+
+    Parameters
+    ----------
+    path_xy_m : (n, 2) to look around instead, for a motion that is not known yet
 
     Raises
     ------
@@ -94,10 +100,14 @@ def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None) -> S
             "--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach"
         )
     parts = parts or assemble(scenario)
-    path_m, beams_deg = way_m(scenario, parts.motion), parts.head.beams.elevation_deg
-    path, world = Polyline(path_m[:, :2]), parts.world
+    beams_deg, world = parts.head.beams.elevation_deg, parts.world
     bare = world.bare if isinstance(world, Furnished) else world
     assert isinstance(bare, ForestWorld | HallWorld)
+    if path_xy_m is None:
+        path_m = way_m(scenario, parts.motion)
+    else:
+        path_m = np.column_stack([path_xy_m, bare.height_m(*path_xy_m.T)])
+    path = Polyline(path_m[:, :2])
     window = world.window(path_m)
     trees = bare.trees(path_m) if isinstance(bare, ForestWorld) else np.zeros(0, TREE)
     trees = trees[trees["storey"] != REGENERATION]

@@ -1,0 +1,58 @@
+"""A way between two processes of this machine that holds little, and that nobody waits for who writes to it."""
+
+import pickle
+import socket
+from typing import Self
+
+__all__ = ["CHANNEL_BYTES", "Channel"]
+
+CHANNEL_BYTES = 150_000
+"""Of a message at most; a socket of Linux holds 212 992 at a time unless net.core.wmem_default is less."""
+
+
+class Channel:
+    """One end of a pair; may be given to a process that is started.
+
+    Whatever is written while the other end is slow, hangs, or is gone is lost. Messages come whole, and in order.
+    """
+
+    def __init__(self, way: socket.socket) -> None:
+        self._way = way
+
+    @classmethod
+    def pair(cls) -> tuple[Self, Self]:
+        """Make both ends."""
+        # SOCK_SEQPACKET keeps messages apart, and a reader learns that the writer is gone (unix(7)).
+        one, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        return cls(one), cls(other)
+
+    def offer(self, message: object) -> bool:
+        """Send a message if there is room for it now, and say whether there was."""
+        try:
+            self._way.send(pickle.dumps(message), socket.MSG_DONTWAIT)
+        except OSError:
+            return False
+        return True
+
+    def take(self, timeout_s: float | None = None) -> object:
+        """Wait for the next message.
+
+        Raises
+        ------
+        TimeoutError
+            where none comes in time
+        EOFError
+            where the other end is gone, and nothing is left
+        """
+        self._way.settimeout(timeout_s)
+        try:
+            data = self._way.recv(CHANNEL_BYTES)
+        except ConnectionError:
+            data = b""
+        if not data:
+            raise EOFError
+        return pickle.loads(data)  # noqa: S301  # the other end is a process of ours
+
+    def close(self) -> None:
+        """Close this end."""
+        self._way.close()
