@@ -169,9 +169,10 @@ class LivePage:
             return
         for client in self._server.get_clients().values():
             camera = client.camera
+            away_m = camera.position - camera.look_at
             if np.linalg.norm(camera.look_at - place_m) > _NEAR_M:
-                camera.position = place_m + camera.position - camera.look_at
-                camera.look_at = place_m
+                with client.atomic():  # or a slow browser answers between the two, and comes nearer each time
+                    camera.position, camera.look_at = place_m + away_m, place_m
 
     def _steer(self, where: str) -> None:
         """Walk by keys and buttons, from when somebody has opened the page."""
