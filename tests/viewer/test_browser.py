@@ -1,6 +1,9 @@
 """The page in a real browser: Chromium without a screen, drawing by software."""
 
+import re
 import shutil
+import signal
+import socket
 import subprocess
 import sys
 import tomllib
@@ -11,6 +14,7 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
+from vlp16emu.motion.flown import read_flown
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -41,20 +45,20 @@ species = [{ species = "silver_birch", share = 1.0, dbh_cm = 18.0, height_m = 9.
 
 @contextmanager
 def page_of(*words):
-    """Page of a `vlp16emu view` when the first sweep is drawn."""
-    command = [sys.executable, "-m", "vlp16emu", "view", *map(str, words), "--port", "0"]
+    """Page of a command when the first points are drawn."""
+    command = [sys.executable, "-m", "vlp16emu", *map(str, words)]
     with (
-        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view,
+        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program,
         sync_api.sync_playwright() as playwright,
         playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE) as browser,
     ):
         try:
             page = browser.new_page(viewport=SIZE)
-            page.goto(view.stdout.readline().split()[0])
-            page.get_by_text("points by").wait_for(timeout=WAIT_MS)
+            page.goto(re.search(r"http\S+", program.stdout.readline())[0])
+            page.get_by_text(re.compile("points (by|in)")).wait_for(timeout=WAIT_MS)
             yield page
         finally:
-            view.terminate()
+            program.send_signal(signal.SIGINT)
 
 
 def pixels_of(page):
@@ -64,7 +68,7 @@ def pixels_of(page):
 
 def seen_by(page, is_there, least=20):
     """Wait until so many pixels are there, and give their rows and columns."""
-    for _ in range(100):
+    for _ in range(30):
         found = np.argwhere(is_there(*np.moveaxis(pixels_of(page), -1, 0)))
         if len(found) >= least:
             return found
@@ -86,11 +90,16 @@ def stem(r, g, b):
     return (abs(r - b) < 12) & (abs(g - r) < 12) & (r > 90) & (r < 190)
 
 
+def near(r, g, b):
+    """Pixels of points that are near, by their range."""
+    return (b > g + 40) & (r < 110) & (b > 80)
+
+
 def test_a_way_point_is_dragged_and_saved(tmp_path):
     """The page shows trees and points; a way point that the mouse drags is in the file, whose comments are kept, and the walk goes there."""
     scene, out = tmp_path / "mine.toml", tmp_path / "drawn.toml"
     scene.write_text(SCENE)
-    with page_of(scene, "--save", out, "--radius", "8") as page:
+    with page_of("view", scene, "--save", out, "--radius", "8", "--port", "0") as page:
         seen_by(page, stem, 1000)
         seen_by(page, leaf, 200)
         arrows = seen_by(page, arrow)
@@ -113,3 +122,24 @@ def test_a_way_point_is_dragged_and_saved(tmp_path):
     walked = Emulator(out)
     start_m = walked.world_T_sensor(np.array([walked.scenario.start_ns]))[0, :2, 3]
     np.testing.assert_allclose(start_m, [x_m, y_m], atol=0.3)
+
+
+def test_keys_walk_through_a_live_scene(tmp_path):
+    """While packets leave, the page shows points, and a key that is pressed twice lets the sensor walk: what is flown goes ahead."""
+    scene, flown = tmp_path / "mine.toml", tmp_path / "flown.csv"
+    scene.write_text(re.sub(r"(?s)kind = \"walk\".*?\[world\]", 'kind = "live"\n[world]', SCENE))
+    listening = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
+    for one in listening:
+        one.bind(("127.0.0.1", 0))
+    data, position = (one.getsockname()[1] for one in listening)
+    ports = "--data-port", data, "--position-port", position
+    with page_of("stream", scene, "--view", "--duration", "300", "--flown", flown, *ports) as page:
+        seen_by(page, near)
+        page.keyboard.press("w")
+        page.keyboard.press("w")
+        page.get_by_text(re.compile("0.8 m/s to 0 deg")).wait_for(timeout=WAIT_MS)
+    for one in listening:
+        one.close()
+    place_m = read_flown(flown).states[:, :3]
+    assert place_m[-1, 0] - place_m[0, 0] > 0.2
+    assert np.ptp(place_m[:, 1]) < 0.2

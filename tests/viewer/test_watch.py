@@ -1,0 +1,137 @@
+"""Streams that are looked on: nothing waits for the page, and nothing of the packets changes."""
+
+import multiprocessing
+import urllib.request
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="the extra viewer is not installed")
+
+from vlp16emu import Emulator
+from vlp16emu.cli.app import run
+from vlp16emu.packets import DATA_BYTES
+from vlp16emu.sinks import Channel, Pacer, PacketSink
+from vlp16emu.types import PacketKind
+from vlp16emu.viewer.stroll import Stroll
+from vlp16emu.viewer.watch import Glimpse, WatchedSink, backdrop_of, watching
+
+
+class Listed(PacketSink):
+    """Keeps packets."""
+
+    def __init__(self):
+        self.packets = []
+
+    def send(self, packet):
+        """Keep one."""
+        self.packets.append(packet)
+
+
+@pytest.fixture(scope="module")
+def emulator():
+    return Emulator("static_bench", {"duration_s": 0.3})
+
+
+@pytest.fixture
+def ends():
+    both = Channel.pair()
+    yield both
+    for end in both:
+        end.close()
+
+
+def test_a_reader_that_hangs_costs_messages_and_no_time(ends):
+    """Once the way is full, messages are lost; those before come whole and in order, then the end."""
+    ours, theirs = ends
+    sent = [number for number in range(5_000) if ours.offer((number, bytes(1_000)))]
+    assert 10 < len(sent) < 1_000
+    ours.close()
+    assert [number for number, _ in until_the_end(theirs)] == sent
+
+
+def test_a_page_that_is_gone_takes_nothing(ends):
+    """To offer to a closed end is no error."""
+    ours, theirs = ends
+    theirs.close()
+    assert not ours.offer("anything")
+
+
+def until_the_end(channel):
+    """Take all messages."""
+    with suppress(EOFError):
+        while True:
+            yield channel.take()
+
+
+def test_packets_pass_as_they_are(emulator, ends):
+    """With somebody who looks on, the same packets come in the same order; glimpses hold data packets and their poses."""
+    ours, theirs = ends
+    plain = list(emulator.packets())
+    listed = Listed()
+    watched = WatchedSink(listed, Pacer(1.0), emulator, ours)
+    for packet in plain:
+        watched.send(packet)
+    assert [id(packet) for packet in listed.packets] == [id(packet) for packet in plain]
+    ours.close()
+    glimpses = list(until_the_end(theirs))
+    data = [packet for packet in plain if packet.kind is PacketKind.DATA]
+    seen = b"".join(glimpse.payloads for glimpse in glimpses)
+    assert len(seen) > 100 * DATA_BYTES
+    assert b"".join(packet.payload for packet in data).startswith(seen)
+    for glimpse in glimpses:
+        assert isinstance(glimpse, Glimpse)
+        assert len(glimpse.world_T_sensor) == len(glimpse.since_ns) == len(glimpse.payloads) // DATA_BYTES
+    assert glimpses[0].since_ns[0] == 0
+
+
+def test_the_page_is_served_and_ends_with_the_stream(emulator, ends):
+    """It answers while the context is open, nothing waits when its process is killed, and no process is left."""
+    with watching(emulator, backdrop_of(emulator, 0.3)) as watch:
+        with urllib.request.urlopen(watch.url) as answer:
+            assert answer.status == 200
+        (page,) = multiprocessing.active_children()
+        page.kill()
+        page.join()
+        sink = watch.sink(Listed(), Pacer(1.0))
+        for packet in emulator.packets():
+            sink.send(packet)
+    assert not multiprocessing.active_children()
+
+
+def walked(*keys, seconds=5.0, slope=0.0):
+    """Place and heading after keys and some seconds of walking."""
+    stroll = Stroll(np.array([[0.0, 0.0], [50.0, 0.0]]), lambda x, y: slope * x, 5)
+    for key in keys:
+        stroll.press(key)
+    for _ in range(round(seconds * 100)):
+        stroll.step(0.01)
+    return stroll.pose()
+
+
+def test_keys_walk_where_they_say():
+    """Three keys ahead are 1.2 m/s to the east, six to the left then lead north; without a key nobody moves; the pack stays 2 m over the ground."""
+    place_m, _ = walked("faster", "faster", "faster", slope=0.1)
+    assert place_m[0] == pytest.approx(1.2 * 5 - 1.2**2 / 2 / 1.2, abs=0.15)
+    assert abs(place_m[1]) < 0.1
+    assert place_m[2] == pytest.approx(2.0 + 0.1 * place_m[0], abs=0.1)
+    north_m, turn = walked(*["left"] * 6, "faster", "faster", "faster", seconds=8.0)
+    assert north_m[1] > 6
+    assert 2 * np.degrees(np.arctan2(turn[2], turn[3])) == pytest.approx(90, abs=5)
+    still_m, _ = walked("faster", "stop")
+    assert np.hypot(*still_m[:2]) < 0.05
+
+
+def test_nobody_walks_out_of_the_world():
+    """A walker who goes on for ever stops 30 m from where the scene expects one."""
+    place_m, _ = walked(*["faster"] * 5, seconds=60.0)
+    assert place_m[0] == pytest.approx(80.0, abs=0.2)
+
+
+def test_a_live_scene_wants_poses_or_a_page(capsys):
+    """Without either a stream is refused in one line that names both."""
+    assert run(["stream", "static_bench", "--set", 'motion={kind="live"}', "--duration", "1"]) == 2
+    found = capsys.readouterr().err
+    assert "--pose-in" in found
+    assert "--view" in found
