@@ -73,7 +73,7 @@ class Streams(Run):
         poses: PosesIn | None = None,
         outlets: Outlets = _NONE,
         gps_in: GpsIn | None = None,
-        watched: Callable[[PacketSink, Pacer], PacketSink] | None = None,
+        watched: Callable[[PacketSink, Pacer], PacketSink] = lambda sink, _: sink,
         opened: Callable[[], None] = lambda: None,
         preparing: Callable[[float], None] = lambda _: None,
         progress: Callable[[float], None] = lambda _: None,
@@ -140,8 +140,7 @@ class Streams(Run):
                 run = partial(self.record, as_due=True, progress=preparing, stop=stop)
                 packets = prepared(links, Path(prepare), partial(run, duration_s=duration_s, truth=truth))
             reader = stack.enter_context(self._listening(gps_in)) if gps_in else None
-            way: PacketSink = SinkByKind(sink, ways) if ways else sink
-            way = watched(way, pacer) if watched else way
+            way: PacketSink = watched(SinkByKind(sink, ways) if ways else sink, pacer)
             way = GpsInSink(way, reader.line) if reader else way
             report = stream(
                 packets,

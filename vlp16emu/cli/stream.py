@@ -339,7 +339,7 @@ def stream(
             poses=poses_in(emulator.scenario, pose_in, flown, progress.say, watch),
             outlets=outlets_of(gps_out, gps_pps, imu_out),
             gps_in=gps_in_of(gps_in, gps_in_pulse),
-            watched=watch.sink if watch else None,
+            watched=watch.sink if watch else lambda sink, _: sink,
             opened=lambda: None if as_json else _announce(scene, to, emulator),
             preparing=partial(progress.show, "preparing"),
             progress=partial(progress.show, "streaming"),

@@ -23,7 +23,7 @@ from vlp16emu.viewer.page import draw_stand
 from vlp16emu.viewer.stroll import KEYS, Stroll, stroll_on
 from vlp16emu.viewer.watch import Backdrop, Glimpse
 
-__all__ = ["serve"]
+__all__ = ["LivePage", "serve"]
 
 _HOST, _PORT = "127.0.0.1", 8016
 """The port of `vlp16emu view`; another one where that is in use."""
