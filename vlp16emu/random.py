@@ -85,6 +85,11 @@ class Purpose(IntEnum):
     CAPTURE_LATE = 106
     UNIT_NOISE = 107
     CAPTURE_HOST = 110
+    HERBS = 111
+    FERNS = 112
+    DWARF_SHRUBS = 113
+    MOSS = 114
+    LITTER = 115
     SCORE_DISK = 92
 
 

@@ -63,7 +63,10 @@ def test_a_scene_has_all_that_its_table_names(name):
         Semantic.SHRUB: section.shrubs.per_ha,
         Semantic.STONE: section.stones.cover,
         Semantic.DEADWOOD: section.logs.per_ha + section.stumps.per_ha,
-        Semantic.GRASS: section.grass.tufts_per_m2,
+        Semantic.GRASS: section.grass.tufts_per_m2
+        + section.herbs.cover
+        + section.ferns.cover
+        + section.dwarf_shrubs.cover,
     }
     assert found == {Semantic.GROUND, Semantic.TREE, *(kind for kind, amount in wanted.items() if amount)}
     assert (trees["storey"] == REGENERATION).any() == (section.regeneration.stems_per_ha > 0)

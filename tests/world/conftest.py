@@ -12,8 +12,13 @@ from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.forest import ForestWorld
 from vlp16emu.world.stand.settings import (
     Clusters,
+    DwarfShrubs,
+    Ferns,
     Grass,
+    Herbs,
+    Litter,
     Logs,
+    Moss,
     Regeneration,
     Scattered,
     Shrubs,
@@ -37,6 +42,11 @@ FULL = Forest(
     logs=Logs(per_ha=150.0, species=["norway_spruce"], diameter_m=(0.2, 0.5), length_m=(3.0, 12.0)),
     stumps=Stumps(per_ha=150.0, species=["silver_birch"], diameter_m=(0.2, 0.5)),
     grass=Grass(tufts_per_m2=0.5),
+    herbs=Herbs(cover=0.05),
+    ferns=Ferns(cover=0.03),
+    dwarf_shrubs=DwarfShrubs(cover=0.03),
+    moss=Moss(cover=0.1),
+    litter=Litter(cover=0.1),
 )
 """Trees with one of each kind of thing that grows or lies under them."""
 

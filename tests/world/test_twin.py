@@ -65,9 +65,8 @@ def test_every_instance_is_one_node_with_its_labels(glb, header, near):
     names = {node["name"] for node in header["nodes"]}
     wanted = {f"tree_{t['id']:06d}/{SPECIES[int(t['species'])]}" for t in trees}
     for one in things:
-        kind = {"log": "deadwood", "stump": "deadwood", "tuft": "grass", "sapling": "tree"}.get(
-            one.kind, one.kind
-        )
+        grass = dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), "grass")
+        kind = {"log": "deadwood", "stump": "deadwood", "sapling": "tree", **grass}.get(one.kind, one.kind)
         wanted.add(f"{kind}_{one.instance:06d}" + (f"/{SPECIES[one.species]}" if one.species else ""))
     assert wanted <= names
     assert glb[1] == len(wanted)

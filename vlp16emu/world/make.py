@@ -18,7 +18,8 @@ from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.plants.flora import Flora, flora
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.settings import Forest, Hall, Plot
-from vlp16emu.world.stand.floor import GrassLayer, LogLayer, StoneLayer, StumpLayer
+from vlp16emu.world.stand.floor import LogLayer, LowLayer, StoneLayer, StumpLayer
+from vlp16emu.world.stand.floor_shapes import FloorKind
 from vlp16emu.world.stand.forest import ForestWorld
 from vlp16emu.world.stand.placed import Layer
 from vlp16emu.world.stand.settings import Wind
@@ -150,7 +151,12 @@ def layers_of(section: Forest | Plot, seed: int, canopy: list[str], plants: Flor
         StoneLayer(section.stones, seed=seed),
         LogLayer(section.logs, seed=seed, canopy=canopy, plants=plants),
         StumpLayer(section.stumps, seed=seed, canopy=canopy, plants=plants),
-        GrassLayer(section.grass, seed=seed),
+        LowLayer(FloorKind.TUFT, section.grass, seed=seed),
+        LowLayer(FloorKind.HERB, section.herbs, seed=seed),
+        LowLayer(FloorKind.FERN, section.ferns, seed=seed),
+        LowLayer(FloorKind.DWARF_SHRUB, section.dwarf_shrubs, seed=seed),
+        LowLayer(FloorKind.MOSS_CUSHION, section.moss, seed=seed),
+        LowLayer(FloorKind.LITTER_HEAP, section.litter, seed=seed),
     ]
 
 

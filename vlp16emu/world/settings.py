@@ -8,7 +8,21 @@ from pydantic import BeforeValidator, Field, PlainSerializer
 from vlp16emu.settings import Fraction, MapPoint, NonNegative, SceneFile, Section, Seed, Size
 from vlp16emu.world.given.settings import Finish, MeshFile
 from vlp16emu.world.ground.settings import Dem, Terrain
-from vlp16emu.world.stand.settings import Grass, Logs, Regeneration, Season, Shrubs, Stones, Storey, Stumps
+from vlp16emu.world.stand.settings import (
+    DwarfShrubs,
+    Ferns,
+    Grass,
+    Herbs,
+    Litter,
+    Logs,
+    Moss,
+    Regeneration,
+    Season,
+    Shrubs,
+    Stones,
+    Storey,
+    Stumps,
+)
 
 __all__ = ["Forest", "Hall", "HallBox", "HallPole", "HallSphere", "Plot", "Woods"]
 
@@ -39,6 +53,11 @@ class Woods(Section):
     logs: Logs = Logs()
     stumps: Stumps = Stumps()
     grass: Grass = Grass()
+    herbs: Herbs = Herbs()
+    ferns: Ferns = Ferns()
+    dwarf_shrubs: DwarfShrubs = DwarfShrubs()
+    moss: Moss = Moss()
+    litter: Litter = Litter()
     species_file: SceneFile | None = None
     """Plants of the user's own, in the form of the program's `world/species.toml`, numbered from 1000."""
     path_clearance_m: NonNegative = 0.8

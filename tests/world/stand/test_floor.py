@@ -1,4 +1,4 @@
-"""Stones, logs, stumps and grass where they lie."""
+"""Stones, logs, stumps, grass and other low plants where they lie."""
 
 from itertools import product
 
@@ -11,10 +11,10 @@ from scipy.spatial import KDTree
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.polyline import Corridor, distance_m
-from vlp16emu.world.stand.floor import GrassLayer, LogLayer, StoneLayer, StumpLayer
-from vlp16emu.world.stand.floor_shapes import floor_meshes
+from vlp16emu.world.stand.floor import LogLayer, LowLayer, StoneLayer, StumpLayer
+from vlp16emu.world.stand.floor_shapes import FloorKind, floor_meshes
 from vlp16emu.world.stand.placed import Site
-from vlp16emu.world.stand.settings import Grass, Logs, Stones, Stumps
+from vlp16emu.world.stand.settings import DwarfShrubs, Ferns, Grass, Herbs, Litter, Logs, Moss, Stones, Stumps
 
 FAR = np.array([[0.0, 1e5]])
 NEAR = np.array([[-10.0, 10.0], [60.0, 30.0]])
@@ -42,9 +42,21 @@ WOOD = ["norway_spruce", "european_beech"]
 STONES = StoneLayer(Stones(cover=0.05), seed=6)
 LOGS = LogLayer(Logs(per_ha=200.0, species=WOOD, diameter_m=(0.2, 0.6), length_m=(3.0, 12.0)), seed=6)
 STUMPS = StumpLayer(Stumps(per_ha=200.0, species=["silver_birch"], diameter_m=(0.2, 0.5)), seed=6)
-GRASS = GrassLayer(Grass(tufts_per_m2=1.0, height_m=(0.15, 0.5)), seed=6)
+GRASS = LowLayer(FloorKind.TUFT, Grass(tufts_per_m2=1.0, height_m=(0.15, 0.5)), seed=6)
+FERNS = LowLayer(FloorKind.FERN, Ferns(cover=0.3), seed=6)
 ALL = pytest.mark.parametrize(
-    "layer", [STONES, LOGS, STUMPS, GRASS], ids=["stones", "logs", "stumps", "grass"]
+    "layer", [STONES, LOGS, STUMPS, GRASS, FERNS], ids=["stones", "logs", "stumps", "grass", "ferns"]
+)
+COVERS = pytest.mark.parametrize(
+    ("kind", "section", "reach_m"),
+    [
+        (FloorKind.HERB, Herbs(cover=0.2), 25),
+        (FloorKind.FERN, Ferns(cover=0.1), 25),
+        (FloorKind.DWARF_SHRUB, DwarfShrubs(cover=0.15), 25),
+        (FloorKind.MOSS_CUSHION, Moss(cover=0.5), 12),
+        (FloorKind.LITTER_HEAP, Litter(cover=0.3), 12),
+    ],
+    ids=str,
 )
 
 
@@ -130,6 +142,48 @@ def test_grass_grows_beside_the_path_alone():
     assert len(GRASS.place(plot(1, 4, path=NEAR)).shape) == 0
 
 
+@COVERS
+def test_plants_cover_the_share_that_was_asked_for(kind, section, reach_m):
+    """Of the ground beside the path, up to their reach, outlines cover the share of the scene, within 6 %; heights are even in their range."""
+    at_m = np.random.default_rng(1).uniform(2, 158, (100_000, 2))
+    away = distance_m(at_m, NEAR)
+    at_m, shares = at_m[(away > 2.5) & (away < reach_m - 1)], []
+    for seed in (6, 7, 8):
+        placed = world_T(LowLayer(kind, section, seed=seed), path=NEAR, height_m=lambda x, y: 0 * x)
+        wide, _, high = size_m(placed).T
+        assert reach_m - 0.5 < distance_m(placed[:, :2, 3], NEAR).max() < reach_m
+        low_m, high_m = section.height_m
+        assert stats.kstest(high, stats.uniform(low_m, high_m - low_m).cdf).pvalue > 0.01
+        within = KDTree(at_m).query_ball_point(placed[:, :2, 3], wide / 2)
+        shares.append(len(set().union(*within)) / len(at_m))
+    assert np.mean(shares) == pytest.approx(section.cover, rel=0.06)
+
+
+def test_moss_and_litter_are_ground_and_lie_along_it():
+    """On a slope their axes are across it; they are on the path too, and labelled as ground."""
+    for kind, section in (
+        (FloorKind.MOSS_CUSHION, Moss(cover=0.3)),
+        (FloorKind.LITTER_HEAP, Litter(cover=0.3)),
+    ):
+        layer = LowLayer(kind, section, seed=6)
+        placed = [
+            layer.place(plot(*tile, path=NEAR, height_m=lambda x, y: 0.2 * x + 0.1 * y)) for tile in TILES
+        ]
+        world = np.concatenate([one.world_T_shape for one in placed])
+        up = world[:, :, 2] / np.linalg.norm(world[:, :, 2], axis=1, keepdims=True)
+        np.testing.assert_allclose(
+            up, np.tile(np.array([-0.2, -0.1, 1.0]) / np.sqrt(1.05), (len(up), 1)), atol=1e-9
+        )
+        assert distance_m(world[:, :2, 3], NEAR).min() < 0.3
+        assert layer.is_ground
+        assert all(one.is_ground and (one.surfaces["semantic"] == Semantic.GROUND).all() for one in placed)
+
+
+def test_no_cover_is_nothing():
+    """A cover of 0 places nothing."""
+    assert LowLayer(FloorKind.HERB, Herbs(), seed=6).pattern.per_ha == 0
+
+
 @ALL
 def test_nothing_lies_in_the_way(layer):
     """With a path through the tiles things keep their own extent and 0.8 m away; farther ones stay as they were."""
@@ -164,6 +218,7 @@ def test_nothing_lies_in_a_trunk(layer):
         (LOGS, Semantic.DEADWOOD, PlantPart.STEM, {2, 4}),
         (STUMPS, Semantic.DEADWOOD, PlantPart.STEM, {1}),
         (GRASS, Semantic.GRASS, PlantPart.LEAF, {0}),
+        (FERNS, Semantic.GRASS, PlantPart.LEAF, {0}),
     ],
 )
 def test_labels_say_what_it_is(layer, semantic, part, species):

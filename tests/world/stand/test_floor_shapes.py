@@ -10,7 +10,8 @@ from vlp16emu.world.stand.floor_shapes import FLOOR_VARIANTS, FloorKey, FloorKin
 
 KEYS = [FloorKey(kind, variant) for kind in FloorKind for variant in (0, 5)]
 KEYS += [FloorKey(FloorKind.STONE, variant, large=True) for variant in (0, 5)]
-SOLID = [key for key in KEYS if key.kind is not FloorKind.TUFT]
+SOLID = [key for key in KEYS if key.kind in (FloorKind.STONE, FloorKind.LOG, FloorKind.STUMP)]
+LOW = [key for key in KEYS if key not in SOLID and key.kind is not FloorKind.TUFT]
 
 
 def of_kind(kind):
@@ -77,6 +78,16 @@ def test_a_tuft_has_its_leaf_area():
         assert area == pytest.approx(22 * 0.012, rel=0.03), key
         assert mesh.vertices_m[:, 2].max() == pytest.approx(1.0, abs=1e-6), key
         assert mesh.vertices_m[:, 2].min() == pytest.approx(0.0, abs=1e-6), key
+
+
+def test_what_covers_the_ground_has_unit_size():
+    """Ferns, herbs, dwarf shrubs, moss and litter are 1 high and reach to 0.5 aside; only moss reaches into the ground."""
+    for key in LOW:
+        vertices_m = floor_meshes(8, key)[0].vertices_m
+        assert vertices_m[:, 2].max() == pytest.approx(1.0, abs=1e-6), key
+        assert np.hypot(*vertices_m[:, :2].T).max() == pytest.approx(0.5, abs=1e-6), key
+        assert (vertices_m[:, 2].min() < -0.2) == (key.kind is FloorKind.MOSS_CUSHION), key
+        assert vertices_m[:, 2].min() > -0.6, key
 
 
 def test_variants_differ_and_depend_on_the_seed_alone():

@@ -6,6 +6,7 @@ import pytest
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey
+from vlp16emu.world.stand.floor_shapes import GROUND_KINDS, FloorKey
 from vlp16emu.world.stand.stand import REGENERATION
 from vlp16emu.world.stand.tiles import TileKey
 
@@ -131,9 +132,14 @@ def test_geometry_is_near_the_windows_origin(make_forest, terrain, track_m):
     assert np.abs(window.world_T_shape[:, 2, 3] - window.origin_m[2]).max() < 50
 
 
+def is_ground(key):
+    """Whether a shape is a tile, moss or litter."""
+    return isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS)
+
+
 def instances(window):
-    """What stands and lies in a window, tiles apart: instance -> its surface rows."""
-    names = np.array([isinstance(key, TileKey) for key in window.shapes])
+    """What stands and lies in a window, ground apart: instance -> its surface rows."""
+    names = np.array([is_ground(key) for key in window.shapes])
     rows = {}
     for shape, first in zip(window.shape, window.first_surface, strict=True):
         if not names[shape]:
@@ -143,10 +149,10 @@ def instances(window):
 
 
 def test_everything_has_one_number_and_its_own_class(full_forest, track_m):
-    """Trees, saplings, shrubs, stones, logs, stumps and tufts have numbers of their own, each with its semantic class."""
+    """Trees, saplings, shrubs, stones, logs, stumps and low plants have numbers of their own, each with its semantic class."""
     window, trees = full_forest.window(track_m), full_forest.trees(track_m)
     rows = instances(window)
-    placements = sum(not isinstance(window.shapes[i], TileKey) for i in window.shape)
+    placements = sum(not is_ground(window.shapes[i]) for i in window.shape)
     assert len(rows) == placements
     assert min(rows) > 0
     kinds = np.array([row["semantic"] for row in rows.values()])
@@ -159,10 +165,20 @@ def test_everything_has_one_number_and_its_own_class(full_forest, track_m):
 
 def forest_material_fits(name, row):
     """Say whether a material's name goes with the semantic class of a row."""
-    fixed = {Semantic.STONE: "stone", Semantic.DEADWOOD: "dead wood", Semantic.GRASS: "grass"}
-    return name == fixed.get(Semantic(int(row["semantic"])), name) and (
-        " bark" in name or name in fixed.values()
+    low = ("grass", "herb", "fern", "dwarf shrub")
+    fixed = {Semantic.STONE: ("stone",), Semantic.DEADWOOD: ("dead wood",), Semantic.GRASS: low}
+    return name in fixed.get(Semantic(int(row["semantic"])), (name,)) and (
+        " bark" in name or name in (*low, "stone", "dead wood")
     )
+
+
+def test_moss_and_litter_are_not_seen_from_afar(full_forest, track_m):
+    """They are near geometry alone, without a number; herbs and all else are in the far medium too."""
+    window = full_forest.window(track_m)
+    low = np.array([is_ground(key) and not isinstance(key, TileKey) for key in window.shapes])[window.shape]
+    assert low.sum() > 100
+    assert (window.far == ~low).all()
+    assert (window.surfaces["instance"][window.first_surface[low]] == 0).all()
 
 
 def test_saplings_are_trees_with_a_flag(full_forest, forest, track_m):

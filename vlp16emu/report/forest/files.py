@@ -29,7 +29,7 @@ __all__ = ["write_ground", "write_inventory", "write_picture", "write_twin"]
 Array = NDArray[np.float64]
 
 _DRAWN_IN_ORDER = (
-    *("none", "ground", "grass", "tuft", "stone", "log", "stump", "deadwood"),
+    *("none", "ground", "grass", "tuft", "herb", "dwarf_shrub", "fern", "stone", "log", "stump", "deadwood"),
     *("sapling", "shrub", "tree", "other"),
 )
 """Kinds of things, the lowest first."""

@@ -26,7 +26,7 @@ _MEASURES = {
     "stone": ("length", 0),
     "log": ("length", 0),
     "stump": ("diameter", 0),
-    "tuft": ("height", 2),
+    **dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), ("height", 2)),
 }
 """What is reported of the size of a kind, and along which axis it lies."""
 

@@ -171,7 +171,7 @@ def _by_number(
     return np.array([rows[int(number)] for number in numbers]).reshape(-1, width)
 
 
-GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass")
+GROUND_MATERIALS = ("litter", "stone", "dead wood", "grass", "herb", "fern", "dwarf shrub", "moss")
 """Names of the first numbers."""
 
 

@@ -1,4 +1,4 @@
-"""What is on the ground: stones, logs, stumps and grass."""
+"""What is on the ground: stones, logs, stumps, and all that covers it."""
 
 import math
 from collections.abc import Sequence
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose
 from vlp16emu.store import recalled
-from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.types import HeightField, PlantPart, Semantic
 from vlp16emu.world.plants.flora import GROUND_MATERIALS, Flora, flora, known
-from vlp16emu.world.stand.floor_shapes import FLOOR_VARIANTS, FloorKey, FloorKind
+from vlp16emu.world.stand.floor_shapes import FLOOR_VARIANTS, GROUND_KINDS, FloorKey, FloorKind
 from vlp16emu.world.stand.placed import (
     NO_TREES,
     PlacedThings,
@@ -24,14 +24,20 @@ from vlp16emu.world.stand.placed import (
     turned,
 )
 from vlp16emu.world.stand.points import ScatteredPattern
-from vlp16emu.world.stand.settings import Grass, Logs, Stones, Stumps
+from vlp16emu.world.stand.settings import Cover, Grass, Logs, Stones, Stumps
 
-__all__ = ["GrassLayer", "LogLayer", "StoneLayer", "StumpLayer", "stones_per_ha"]
+__all__ = ["LogLayer", "LowLayer", "StoneLayer", "StumpLayer", "plants_per_ha", "stones_per_ha"]
 
 Array = NDArray[np.float64]
 
-_REFLECTANCE = {"stone": 0.30, "dead wood": 0.40, "grass": 0.45}
-"""At 903 nm: rock, weathered wood like oak bark, blades like shrub leaves; assumptions."""
+_REFLECTANCE = {
+    "stone": 0.30,
+    "dead wood": 0.40,
+    "litter": 0.30,
+    "moss": 0.35,
+    **dict.fromkeys(("grass", "herb", "fern", "dwarf shrub"), 0.45),
+}
+"""At 903 nm: rock, weathered wood like oak bark, dry leaves like the ground, green ones like those of shrubs; assumptions."""
 
 _REFLECTANCE_SPREAD = 0.08
 """Half-range between things, as between the barks of trees; assumption."""
@@ -50,9 +56,6 @@ _STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6
 
 _LARGE_STONE_M = 0.4
 """Stones that long have four times the faces; those of shorter ones are off by less than 3 mm."""
-
-_GRASS_REACH_M = 25.0
-"""From the path; farther off the beam is wider than a tuft, and litter takes the place of grass."""
 
 _LOG_STATIONS = np.linspace(-0.5, 0.5, 9)
 """Along a log, where the ground under it and the distance from the path are looked at."""
@@ -97,6 +100,8 @@ def _stone_length_m(probability: Array) -> Array:
 class StoneLayer:
     """Stones that lie half in the ground."""
 
+    is_ground = False
+
     def __init__(self, section: Stones, *, seed: int) -> None:
         per_ha = stones_per_ha(section.cover)
         self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.STONES, per_ha=per_ha)
@@ -132,6 +137,8 @@ class LogLayer:
         for a species that is not in the table
     """
 
+    is_ground = False
+
     def __init__(
         self, section: Logs, *, seed: int, canopy: Sequence[str] = (), plants: Flora | None = None
     ) -> None:
@@ -164,6 +171,8 @@ class LogLayer:
 class StumpLayer:
     """What felled trees left; arguments and errors are those of `LogLayer`."""
 
+    is_ground = False
+
     def __init__(
         self, section: Stumps, *, seed: int, canopy: Sequence[str] = (), plants: Flora | None = None
     ) -> None:
@@ -184,32 +193,90 @@ class StumpLayer:
         return _placed(FloorKind.STUMP, keep, world_T, draws[:, 4:], species)
 
 
-class GrassLayer:
-    """Tufts beside the path."""
+class LowLayer:
+    """What is lower than a person and covers the ground beside the path; moss and litter also on it.
 
-    def __init__(self, section: Grass, *, seed: int) -> None:
-        per_ha = 10_000 * section.tufts_per_m2
-        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.GRASS, per_ha=per_ha)
-        self._height_m = section.height_m
+    Parameters
+    ----------
+    kind : tufts, herbs, ferns, dwarf shrubs, moss or litter
+    section : what the user wrote
+    seed : of the scenario
+    """
+
+    def __init__(self, kind: FloorKind, section: Grass | Cover, *, seed: int) -> None:
+        self._kind, self._height_m = kind, section.height_m
+        self._spread, self._reach_m, self._purpose = _LOW[kind]
+        self.is_ground = kind in GROUND_KINDS
+        if isinstance(section, Grass):
+            per_ha = 10_000 * section.tufts_per_m2
+        else:
+            per_ha = plants_per_ha(section.cover, section.height_m, self._spread)
+        self.pattern = ScatteredPattern(seed=seed, purpose=self._purpose, per_ha=per_ha)
 
     def place(self, site: Site) -> PlacedThings:
-        """Tufts of a tile."""
-        near = site.distance_m < _GRASS_REACH_M
+        """Plants of a tile; those that are ground lie on its slope."""
+        near = site.distance_m < self._reach_m
         xy_m = self.pattern.points(site.ix, site.iy) if near else np.zeros((0, 2))
-        draws = site.draw(Purpose.GRASS).random((len(xy_m), 6))
+        draws = site.draw(self._purpose).random((len(xy_m), 6))
         height_m = between(self._height_m, draws[:, 0])
-        keep = site.path.distance_m(xy_m) < _GRASS_REACH_M
-        keep[keep] = site.clear(xy_m[keep], height_m[keep] / 2, np.zeros(keep.sum()))
+        keep = site.path.distance_m(xy_m) < self._reach_m
+        world_R_thing = turned(360 * draws[:, 1])
+        if self.is_ground:
+            world_R_thing = _along(site.height_m, xy_m) @ world_R_thing
+        else:
+            keep[keep] = site.clear(xy_m[keep], self._spread * height_m[keep] / 2, np.zeros(keep.sum()))
         place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
-        world_T = placements(place_m, turned(360 * draws[:, 1]), np.repeat(height_m[:, None], 3, axis=1))
-        return _placed(FloorKind.TUFT, keep, world_T, draws[:, 2:], np.zeros(len(xy_m)))
+        size = height_m[:, None] * [self._spread, self._spread, 1.0]
+        world_T = placements(place_m, world_R_thing, size)
+        return _placed(self._kind, keep, world_T, draws[:, 2:], np.zeros(len(xy_m)))
 
+
+def plants_per_ha(cover: float, height_m: tuple[float, float], spread: float) -> float:
+    """Plants per hectare whose outlines cover a share of the ground, overlaps counted once as of stones.
+
+    Parameters
+    ----------
+    height_m : least and greatest, evenly between
+    spread : width over height
+    """
+    low, high = height_m
+    area_m2 = math.pi / 4 * spread**2 * (low * low + low * high + high * high) / 3
+    return -math.log1p(-cover) / area_m2 * 10_000
+
+
+def _along(height_m: HeightField, xy_m: Array) -> Array:
+    """Rotations (n, 3, 3) from level to the slope of the ground at points (n, 2)."""
+    x, y = xy_m.T
+    east = (height_m(x + _SLOPE_M, y) - height_m(x - _SLOPE_M, y)) / (2 * _SLOPE_M)
+    north = (height_m(x, y + _SLOPE_M) - height_m(x, y - _SLOPE_M)) / (2 * _SLOPE_M)
+    towards = np.arctan2(north, east)
+    return laid(towards, np.hypot(east, north)) @ turned(np.degrees(-towards))
+
+
+_LOW = {
+    FloorKind.TUFT: (1.0, 25.0, Purpose.GRASS),
+    FloorKind.HERB: (2.0, 25.0, Purpose.HERBS),
+    FloorKind.FERN: (1.3, 25.0, Purpose.FERNS),
+    FloorKind.DWARF_SHRUB: (1.2, 25.0, Purpose.DWARF_SHRUBS),
+    FloorKind.MOSS_CUSHION: (8.0, 12.0, Purpose.MOSS),
+    FloorKind.LITTER_HEAP: (8.0, 12.0, Purpose.LITTER),
+}
+"""Width over height, which for a tuft is that of its shape already; how far from the path, in m, as farther off the beam is
+wider than such a plant; and what draws them. Widths and reaches are assumptions."""
+
+_SLOPE_M = 0.2
+"""Over which the slope under a cushion or heap is taken, either way."""
 
 _LABELS = {
     FloorKind.STONE: (Semantic.STONE, PlantPart.NONE, "stone"),
     FloorKind.LOG: (Semantic.DEADWOOD, PlantPart.STEM, "dead wood"),
     FloorKind.STUMP: (Semantic.DEADWOOD, PlantPart.STEM, "dead wood"),
     FloorKind.TUFT: (Semantic.GRASS, PlantPart.LEAF, "grass"),
+    FloorKind.HERB: (Semantic.GRASS, PlantPart.LEAF, "herb"),
+    FloorKind.FERN: (Semantic.GRASS, PlantPart.LEAF, "fern"),
+    FloorKind.DWARF_SHRUB: (Semantic.GRASS, PlantPart.LEAF, "dwarf shrub"),
+    FloorKind.MOSS_CUSHION: (Semantic.GROUND, PlantPart.NONE, "moss"),
+    FloorKind.LITTER_HEAP: (Semantic.GROUND, PlantPart.NONE, "litter"),
 }
 """Semantic class, part and material."""
 
@@ -232,7 +299,7 @@ def _placed(
     rows = surface_rows(
         parts=(part,), semantic=semantic, material=number, reflectance=reflectance, species=species[keep]
     )
-    return PlacedThings(keys, shape, world_T[keep], rows, NO_TREES)
+    return PlacedThings(keys, shape, world_T[keep], rows, NO_TREES, is_ground=kind in GROUND_KINDS)
 
 
 @cache

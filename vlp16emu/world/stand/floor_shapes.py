@@ -1,4 +1,4 @@
-"""Shapes of what lies on the ground: stones, logs, stumps and tufts of grass, all of unit size.
+"""Shapes of what lies on the ground: stones, logs, stumps, tufts of grass and what else covers it, all of unit size.
 
 They are grown once for each variant, and stretched to size where they are placed.
 """
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh
+from vlp16emu.world.stand.low_shapes import dwarf_shrub, fern, herb, litter_heap, moss_cushion
 
-__all__ = ["FLOOR_VARIANTS", "STUMP_DEPTH", "FloorKey", "FloorKind", "floor_meshes"]
+__all__ = ["FLOOR_VARIANTS", "GROUND_KINDS", "STUMP_DEPTH", "FloorKey", "FloorKind", "floor_meshes"]
 
 Array = NDArray[np.float64]
 
@@ -48,6 +49,15 @@ class FloorKind(StrEnum):
     LOG = "log"
     STUMP = "stump"
     TUFT = "tuft"
+    HERB = "herb"
+    FERN = "fern"
+    DWARF_SHRUB = "dwarf_shrub"
+    MOSS_CUSHION = "moss_cushion"
+    LITTER_HEAP = "litter_heap"
+
+
+GROUND_KINDS = frozenset({FloorKind.MOSS_CUSHION, FloorKind.LITTER_HEAP})
+"""What is part of the ground."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +75,7 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
 
     A stone spans -0.5 to 0.5 in z, and its outline seen from above has the area of a circle of diameter
     1. A log lies along x from -0.5 to 0.5 with mean diameter 1. A stump is 1 high over the ground and 1
-    wide at the top. A tuft is 1 high and stands at the origin.
+    wide at the top. All others are 1 high and have their foot at the origin.
     """
     rng = generator(seed, Purpose.FLOOR_SHAPE, list(FloorKind).index(key.kind), key.variant)
     match key.kind:
@@ -77,6 +87,16 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
             return (_stump(rng),)
         case FloorKind.TUFT:
             return (_tuft(rng),)
+        case FloorKind.HERB:
+            return (herb(rng),)
+        case FloorKind.FERN:
+            return (fern(rng),)
+        case FloorKind.DWARF_SHRUB:
+            return (dwarf_shrub(rng),)
+        case FloorKind.MOSS_CUSHION:
+            return (moss_cushion(rng),)
+        case FloorKind.LITTER_HEAP:
+            return (litter_heap(rng),)
 
 
 def _stone(rng: np.random.Generator, splits: int) -> Mesh:

@@ -131,7 +131,7 @@ class ForestWorld:
         name: str = "",
         plants_name: str = "",
     ) -> None:
-        per_ha = stems.per_ha + sum(layer.pattern.per_ha for layer in layers)
+        per_ha = stems.per_ha + sum(layer.pattern.per_ha for layer in layers if not layer.is_ground)
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
@@ -272,12 +272,14 @@ class ForestWorld:
             groups, rooted = [self._stems_of(key, trees), *groups], trees[:0]
         swaying = sum(len(placed.shape) for placed in groups) if self._loose_stems else 0
         for placed in self._things(key):
+            groups.append(placed)
+            if placed.is_ground:
+                continue
             numbers = number + np.arange(len(placed.shape))
             placed.surfaces["instance"] = numbers[:, None]
             if len(placed.trees):
                 placed.trees["id"] = numbers
             number += len(placed.shape)
-            groups.append(placed)
         return _packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, swaying, self.plants)
 
     def _grow_stems(self, key: TileKey) -> list[Mesh]:
@@ -361,7 +363,9 @@ def _packed(
         first_surface.append(rows + parts * np.arange(n))
         tables.append(placed.surfaces.ravel())
         rows += n * parts
-    far = np.ones(sum(map(len, shape)), np.bool_)
+    far = np.concatenate(
+        [np.ones(1, np.bool_), *(np.full(len(one.shape), not one.is_ground) for one in groups)]
+    )
     far[1 : 1 + swaying] = False
     return _Tile(
         trees=np.concatenate([placed.trees for placed in groups]),

@@ -20,7 +20,7 @@ from vlp16emu.world.plants.sapling import SaplingKey
 from vlp16emu.world.plants.shrub import ShrubKey
 from vlp16emu.world.plants.stem import StemKey
 from vlp16emu.world.polyline import Polyline
-from vlp16emu.world.stand.floor_shapes import FloorKey, FloorKind
+from vlp16emu.world.stand.floor_shapes import GROUND_KINDS, FloorKey, FloorKind
 from vlp16emu.world.stand.tiles import TILE_M, TileKey
 
 __all__ = ["AllNear", "Thing", "by_tile", "cut_out", "key_text", "things_near"]
@@ -123,7 +123,7 @@ class Thing:
     instance: int
     species: int
     kind: str
-    """`sapling`, `stone`, `log`, `stump` or `tuft`; of anything else its semantic class in small letters."""
+    """`sapling`, or of what lies or is low the `FloorKind`; of anything else its semantic class in small letters."""
     place_m: Array
     """(3,) origin of its shape in the world."""
     outline_m: Array
@@ -143,14 +143,19 @@ def things_near(
     window, shape : of the world
     trees : (n,) instances that are trees and so no things
     """
-    no_tile = np.array([not isinstance(key, TileKey) for key in window.shapes], np.bool_)[window.shape]
+    is_thing = np.array([not _is_ground(key) for key in window.shapes], np.bool_)[window.shape]
     no_tree = ~np.isin(window.surfaces["instance"][window.first_surface], trees)
     near = path.distance_m(window.world_T_shape[:, :2, 3]) <= radius_m
     corners = cache(lambda key: _corners_m(shape(key)))
     return [
         _thing(window, int(i), corners(window.shapes[window.shape[i]]))
-        for i in np.flatnonzero(no_tile & no_tree & near)
+        for i in np.flatnonzero(is_thing & no_tree & near)
     ]
+
+
+def _is_ground(key: ShapeKey) -> bool:
+    """Whether a shape is a tile, or lies on it as part of it."""
+    return isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS)
 
 
 def cut_out(

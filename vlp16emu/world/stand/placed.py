@@ -47,6 +47,8 @@ class PlacedThings:
     """(n, parts) `SURFACE`, of each thing's meshes in order; instance still 0."""
     trees: NDArray[np.void]
     """(n,) `TREE` with id still 0 where the things are trees, else (0,)."""
+    is_ground: bool = False
+    """As of their layer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +88,10 @@ class Layer(Protocol):
     @property
     def pattern(self) -> PointPattern:
         """Their places, before those on the path and in trunks are left out."""
+
+    @property
+    def is_ground(self) -> bool:
+        """Whether they are part of the ground: without numbers, and too low to be seen from afar."""
 
     def place(self, site: Site) -> PlacedThings:
         """Things of a tile, a function of the site alone."""

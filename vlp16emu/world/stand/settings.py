@@ -11,9 +11,15 @@ __all__ = [
     "LEAST_SLENDERNESS",
     "MOST_STEMS_PER_HA",
     "Clusters",
+    "Cover",
+    "DwarfShrubs",
+    "Ferns",
     "Grass",
     "HardCore",
+    "Herbs",
+    "Litter",
     "Logs",
+    "Moss",
     "Pattern",
     "Plantation",
     "Regeneration",
@@ -214,6 +220,51 @@ class Grass(Section):
     """Density of tufts."""
     height_m: Range = (0.15, 0.5)
     """Minimum and maximum height of a tuft."""
+
+
+class Cover(Section):
+    """What covers a share of the ground near the path."""
+
+    cover: Annotated[float, Field(ge=0, le=0.8)] = 0.0
+    """Share of the ground under their outlines, seen from above."""
+    height_m: Range
+    """Minimum and maximum height over the ground."""
+
+
+class Herbs(Cover):
+    """Patches of broadleaved herbs within 25 m of the path, twice as wide as high."""
+
+    height_m: Range = (0.1, 0.3)
+    """Minimum and maximum height of a patch; wood sorrel has 0.05 to 0.15 m, wood anemone 0.1 to 0.3 m, dog's mercury 0.15 to
+    0.4 m (Stace, New Flora of the British Isles)."""
+
+
+class Ferns(Cover):
+    """Ferns whose fronds spread from a crown, within 25 m of the path, a little wider than high."""
+
+    height_m: Range = (0.35, 1.0)
+    """Minimum and maximum height; broad buckler-fern and male-fern have fronds of 0.3 to 1.2 m (Stace)."""
+
+
+class DwarfShrubs(Cover):
+    """Low bushes such as bilberry within 25 m of the path, a little wider than high."""
+
+    height_m: Range = (0.15, 0.4)
+    """Minimum and maximum height; bilberry has up to 0.6 m (Stace), under trees less."""
+
+
+class Moss(Cover):
+    """Cushions of moss within 12 m of the path, eight times as wide as high; ground by their label."""
+
+    height_m: Range = (0.03, 0.08)
+    """Minimum and maximum height of a cushion; feather mosses of spruce forest are that deep (assumption)."""
+
+
+class Litter(Cover):
+    """Heaps of leaves and twigs within 12 m of the path, eight times as wide as high; ground by their label."""
+
+    height_m: Range = (0.03, 0.08)
+    """Minimum and maximum height of a heap; assumption."""
 
 
 class Wind(Section):

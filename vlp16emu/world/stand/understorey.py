@@ -63,6 +63,8 @@ class SaplingLayer:
         for a species that is not in the table, and for none
     """
 
+    is_ground = False
+
     def __init__(
         self,
         section: Regeneration,
@@ -132,6 +134,8 @@ class SaplingLayer:
 
 class ShrubLayer:
     """Bushes of several stems; the arguments are those of `SaplingLayer`."""
+
+    is_ground = False
 
     def __init__(self, section: Shrubs, *, seed: int, season: Season, plants: Flora | None = None) -> None:
         self._season, self._plants = season, plants or flora()
