@@ -21,6 +21,17 @@ def test_a_unit_is_like_the_first_unless_it_says_otherwise():
     assert (other.rpm, other.return_mode, other.max_range_m) == (1200, "dual", 50.0)
 
 
+def test_a_preset_of_its_own_takes_the_place_of_the_firsts():
+    """Beside a unit with the errors of a real rotor another one turns evenly, and a third has what it gives itself."""
+    like, even, own = rig(
+        "{}", '{preset="steady"}', '{preset="unit", hum_deg=0.01}', sensor=["preset='unit'", "rpm=300"]
+    )
+    assert like.hum_deg > 0
+    assert like.encoder_pitch_deg > 0
+    assert (even.hum_deg, even.encoder_pitch_deg, even.rpm) == (0.0, 0.0, 300)
+    assert (own.hum_deg, own.encoder_pitch_deg) == (0.01, like.encoder_pitch_deg)
+
+
 def test_what_no_two_have_in_common_counts_on():
     """Name, address, ports and serial number count on from those of `[sensor]`."""
     _, third = rig("{}", "{}", sensor=["address='10.1.0.5'", "data_port=3000", "serial_number='0041'"])

@@ -17,7 +17,7 @@ _OWN = frozenset({"name", "serial_number", "address", "data_port", "position_por
 class RigUnit(Sensor):
     """A sensor beside that of `[sensor]`, whose keys hold here too unless others are given.
 
-    Name, serial number, address and ports count on from those of `[sensor]`.
+    Name, serial number, address and ports count on from those of `[sensor]`; a preset of its own takes the place of that one's.
     """
 
     mount: Mount = Mount()
@@ -38,6 +38,8 @@ def completed(table: Any, first: Sensor, place: int) -> Any:
     if not isinstance(table, dict):
         return table
     not_taken = _OWN | (Sensor.either_or if Sensor.either_or & table.keys() else frozenset())
+    if "preset" in table:  # in place of all that a preset of the first one gives
+        not_taken |= {key for values in Sensor.presets.values() for key in values}
     given = first.model_dump(exclude_unset=True, exclude=set(not_taken))
     counted = {
         "name": f"unit_{place + 1}",

@@ -49,10 +49,12 @@ def test_a_log_has_unit_length_and_mean_diameter():
         areas = []
         for x in (-0.3, 0.001, 0.3):
             cut = mesh_plane(body, plane_normal=[1, 0, 0], plane_origin=[x, 0, 0])
-            a, b = np.moveaxis(cut[..., 1:], 1, 0)
+            a, b = np.moveaxis(cut[..., 1:] - cut[..., 1:].mean(axis=(0, 1)), 1, 0)
             areas.append(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2)
         assert areas[1] == pytest.approx(np.pi / 4, rel=0.01), key
         assert areas[0] > areas[1] > areas[2], key
+        middle = [body.vertices[np.abs(body.vertices[:, 0] - x) < 0.05, 1].mean() for x in (-0.5, 0, 0.5)]
+        assert 0.02 < abs(middle[1] - (middle[0] + middle[2]) / 2) < 3, key
 
 
 def test_a_stump_flares():

@@ -74,9 +74,21 @@ def test_a_placed_sapling_has_the_height_and_diameter_of_its_record():
     assert body.is_watertight
     assert body.bounds[1, 2] == pytest.approx(tree["z_m"] + tree["height_m"], abs=1e-5)
     cut = mesh_plane(body, plane_normal=[0, 0, 1], plane_origin=[0, 0, tree["z_m"] + 1.3])
-    a, b = np.moveaxis(cut[..., :2] - T[:2, 3], 1, 0)
+    a, b = np.moveaxis(cut[..., :2] - cut[..., :2].mean(axis=(0, 1)), 1, 0)
     area_m2 = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2
     assert 2 * np.sqrt(area_m2 / np.pi) == pytest.approx(tree["dbh_m"], abs=1e-5)
+
+
+def test_saplings_are_no_symmetric_stars():
+    """Their tips are up to 0.15 of the height aside, and their leaves reach further to one side, differently each."""
+    tips, middles = [], []
+    for variant in range(4):
+        stem, _, _, leaves = sapling_meshes(6, SaplingKey("european_beech", variant, 3.0, "leaf_on"))
+        tips.append(stem.vertices_m[stem.vertices_m[:, 2].argmax(), :2])
+        middles.append(leaves.vertices_m[:, :2].mean(axis=0))
+    aside_m = np.linalg.norm(tips, axis=1)
+    assert 0.05 < aside_m.max() <= 0.15 * 3.0 + 1e-6
+    assert np.ptp(middles, axis=0).min() > 0.05
 
 
 def test_a_sapling_fills_its_crown():

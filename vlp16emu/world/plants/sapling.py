@@ -2,8 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh, PlantPart
@@ -47,6 +49,13 @@ _STEM_SIDES, _BRANCH_SIDES = 6, 4
 _EVERY = 2
 """Of the nodes of a branch's curve, one in so many is used."""
 
+_LEAN, _BOW, _SWAY, _LOPSIDED = 0.15, 0.08, 0.03, 0.5
+"""Of saplings at most: how far the tip is aside, how far the stem bows one way and to and fro, all over the height, and by how
+much the crown reaches further on one side; assumptions."""
+
+_CONE = (0.0, 0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88)
+"""Heights of a stem's rings over its own."""
+
 _BURIED_SHARE = 0.05
 """Of the height, how far the stem reaches into the ground."""
 
@@ -74,17 +83,51 @@ def sapling_meshes(
     habit = _small(species.crown, crown_m)
     first = first_order(rng, habit, (crown_m, width_m), stem_m)
     second = side_branches(rng, habit.twigs, first, 2)
+    crooked = partial(_crooked, key.height_m, rng.uniform(0.0, 1.0, 8))
     leaves = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 4), np.uint32))
     foliage = species.foliage
     if foliage and (key.season == "leaf_on" or foliage.kind == "shoot"):
         leaf_area_m2 = _LEAF_AREA_INDEX * np.pi / 4 * width_m**2
         leaves = foliage_mesh(rng, foliage, second, leaf_area_m2)
     return (
-        _cone(foot_m, key.height_m),
-        _raised(tubes(first, _BRANCH_SIDES, every=_EVERY), base_m),
-        _raised(tubes(second, _BRANCH_SIDES, every=_EVERY), base_m),
-        _raised(leaves, base_m),
+        crooked(_cone(foot_m, key.height_m)),
+        crooked(_raised(tubes(first, _BRANCH_SIDES, every=_EVERY), base_m)),
+        crooked(_raised(tubes(second, _BRANCH_SIDES, every=_EVERY), base_m)),
+        crooked(_raised(leaves, base_m)),
     )
+
+
+def _crooked(height_m: float, drawn: NDArray[np.float64], mesh: Mesh) -> Mesh:
+    """Let a sapling lean, bow and reach further to one side, to the light; its stem has the same sections and height.
+
+    Parameters
+    ----------
+    drawn : (8,) even from 0 to 1
+    """
+    vertices_m = mesh.vertices_m.astype(np.float64)
+    at_m = vertices_m
+    if len(vertices_m) == 4 * len(mesh.faces):  # leaves are moved, not stretched
+        at_m = np.empty_like(vertices_m)
+        at_m[mesh.faces] = vertices_m[mesh.faces].mean(axis=1, keepdims=True)
+    x, y, z = at_m.T
+    u = np.clip(z / height_m, 0.0, 1.0)
+    lean, bow, sway, light = 2 * np.pi * drawn[:4]
+    away_m, lopsided = np.hypot(x, y), _LOPSIDED * drawn[4]
+    # Nothing at the stem, which stays as round as it is.
+    reach = 1 + lopsided * np.cos(np.arctan2(y, x) - light) * np.clip(away_m / (0.05 * height_m) - 0.3, 0, 1)
+    shift_m = height_m * np.stack(
+        [
+            share * draw * np.outer([np.cos(towards), np.sin(towards)], course)
+            for share, draw, towards, course in (
+                (_LEAN, drawn[5], lean, u),
+                (_BOW, drawn[6], bow, 4 * u * (1 - u)),
+                (_SWAY, drawn[7], sway, np.sin(2 * np.pi * u)),
+            )
+        ]
+    ).sum(axis=0)
+    vertices_m[:, 0] += x * (reach - 1) + shift_m[0]
+    vertices_m[:, 1] += y * (reach - 1) + shift_m[1]
+    return Mesh(vertices_m.astype(np.float32), mesh.faces)
 
 
 def _small(habit: Habit, crown_m: float) -> Habit:
@@ -101,17 +144,28 @@ def _raised(mesh: Mesh, by_m: float) -> Mesh:
 
 def _cone(foot_m: float, height_m: float) -> Mesh:
     """Make a closed stem whose cross-section at any height has the area of its circle."""
-    step = 2 * np.pi / _STEM_SIDES
-    corner_m = foot_m * (1 + _BURIED_SHARE) * np.sqrt(step / np.sin(step))
+    step, rings = 2 * np.pi / _STEM_SIDES, len(_CONE) + 1
+    z = height_m * np.array([-_BURIED_SHARE, *_CONE])
+    corner_m = foot_m * (1 - z / height_m) * np.sqrt(step / np.sin(step))
     angle = step * np.arange(_STEM_SIDES)
-    ring = np.column_stack([corner_m * np.cos(angle), corner_m * np.sin(angle), np.zeros(_STEM_SIDES)])
-    ring[:, 2] = -_BURIED_SHARE * height_m
-    vertices = np.concatenate([ring, [[0, 0, -_BURIED_SHARE * height_m], [0, 0, height_m]]])
-    here = np.arange(_STEM_SIDES)
+    ring = np.stack(
+        [
+            np.outer(corner_m, np.cos(angle)),
+            np.outer(corner_m, np.sin(angle)),
+            np.repeat(z[:, None], _STEM_SIDES, 1),
+        ],
+        axis=-1,
+    )
+    vertices = np.concatenate([ring.reshape(-1, 3), [[0, 0, z[0]], [0, 0, height_m]]])
+    here, last = np.arange(_STEM_SIDES), _STEM_SIDES * (rings - 1)
     after, middle, tip = (
         np.roll(here, -1),
-        np.full(_STEM_SIDES, _STEM_SIDES),
-        np.full(_STEM_SIDES, _STEM_SIDES + 1),
+        np.full(_STEM_SIDES, last + _STEM_SIDES),
+        np.full(_STEM_SIDES, last + _STEM_SIDES + 1),
     )
-    faces = np.concatenate([np.column_stack([after, here, middle]), np.column_stack([here, after, tip])])
-    return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
+    faces = [np.column_stack([after, here, middle]), np.column_stack([last + here, last + after, tip])]
+    for low in range(0, last, _STEM_SIDES):
+        high = low + _STEM_SIDES
+        faces += [np.column_stack([low + here, low + after, high + after])]
+        faces += [np.column_stack([low + here, high + after, high + here])]
+    return Mesh(vertices.astype(np.float32), np.concatenate(faces).astype(np.uint32))

@@ -35,6 +35,9 @@ _ROUND_SIDES = 16
 _LOG_TAPER = 0.2
 """Difference of a log's end diameters from its mean one, either way; assumption: 1 cm per metre and broken tips."""
 
+_LOG_BOW = 0.5
+"""Of a log to one side and the other, one sigma over its diameter; half of that to and fro besides: assumptions."""
+
 _BLADES = 22
 """Of a tuft."""
 
@@ -139,10 +142,14 @@ def _icosphere(splits: int) -> tuple[Array, NDArray[np.uint32]]:
 
 
 def _log(rng: np.random.Generator) -> Mesh:
-    """Tapering trunk with broken ends, its thick end at -x."""
-    along = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
+    """Tapering trunk with broken ends, its thick end at -x, which lies bowed to one side."""
+    along = np.linspace(-0.5, 0.5, 9)
     mesh = _drum(rng, along, 0.5 * (1 - 2 * _LOG_TAPER * along), slant=0.01)
-    return Mesh(np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]]), mesh.faces)
+    vertices = np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]])
+    bow, sway = rng.normal(0.0, _LOG_BOW, 2) * [1.0, 0.4]
+    x = vertices[:, 0]
+    vertices[:, 1] += bow * (1 / 3 - 4 * x * x) + sway * np.sin(2 * np.pi * x)
+    return Mesh(vertices, mesh.faces)
 
 
 def _stump(rng: np.random.Generator) -> Mesh:
