@@ -142,7 +142,7 @@ def test_leaf_area_is_that_of_the_placed_crown(rows, trees, crowns):
 
 
 def test_the_top_is_the_highest_vertex(rows, solids, trees, crowns):
-    """`top_m` is the height over the foot of the highest vertex of stem and placed crown to 10 um, not below the tip."""
+    """`top_m` is the height over the foot of the highest vertex of stem and placed crown to 10 um, not below the tip; the box holds all of them."""
     wide, long = crown_scale(trees, crowns)
     for i, (tree, key, solid) in enumerate(zip(trees, crowns, solids, strict=True)):
         lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[i]
@@ -156,6 +156,9 @@ def test_the_top_is_the_highest_vertex(rows, solids, trees, crowns):
         along_m = tree["crown_base_m"] / np.cos(np.radians(tree["lean_deg"]))
         places = np.concatenate([mesh.vertices + [0, 0, along_m], solid.vertices]) @ lean.T
         assert rows["top_m"][i] == pytest.approx(places[:, 2].max(), abs=1e-5)
+        for axis, name in enumerate("xy"):
+            ends_m = [rows[f"{name}_{end}_m"][i] - tree[f"{name}_m"] for end in ("min", "max")]
+            assert ends_m == pytest.approx([places[:, axis].min(), places[:, axis].max()], abs=1e-5)
         assert rows["top_m"][i] >= tree["height_m"] - 1e-5
 
 

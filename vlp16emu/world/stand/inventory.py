@@ -43,6 +43,10 @@ INVENTORY = np.dtype(
         ("girth_over_pi_m", "<f8"),  # what a taut tape around that section shows
         ("height_m", "<f8"),  # of the stem's tip over the foot, vertical
         ("top_m", "<f8"),  # of the highest point of all, tip, branch or leaf, over the foot, vertical
+        ("x_min_m", "<f8"),  # box around stem, branches and leaves; from z_m up by top_m
+        ("x_max_m", "<f8"),
+        ("y_min_m", "<f8"),
+        ("y_max_m", "<f8"),
         ("crown_base_m", "<f8"),  # of the crown's lowest branch over the foot, vertical
         ("crown_width_m", "<f8"),
         ("lean_deg", "<f8"),  # of the line from foot to tip from the vertical
@@ -101,9 +105,16 @@ def inventory(
         rows[name] = trees[name]
     _measure_sections(rows, trees, table)
     meshes = stems_above_ground(trees, table=table)
-    rows["top_m"] = _per_tree([mesh.vertices_m[:, 2].max() for mesh in meshes]).max(axis=1)
+    ends_m = np.array([[mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)] for mesh in meshes])
+    span_m = ends_m.reshape(-1, len(STEM_PARTS), 2, 3)
+    span_m = np.stack([span_m[:, :, 0].min(axis=1), span_m[:, :, 1].max(axis=1)], axis=1, dtype=np.float64)
     rows["stem_m3"] = _per_tree([_volume_m3(mesh) for mesh in meshes]).sum(axis=1)
-    _measure_crowns(rows, trees, crowns, seed, table)
+    _measure_crowns(rows, span_m, trees, crowns, seed, table)
+    rows["top_m"] = span_m[:, 1, 2]
+    for axis, name in enumerate("xy"):
+        rows[f"{name}_min_m"], rows[f"{name}_max_m"] = (
+            trees[f"{name}_m"] + end_m for end_m in span_m[..., axis].T
+        )
     rows["biomass_kg"] = np.nan
     for species in table.values():
         own = trees["species"] == species.number
@@ -160,23 +171,26 @@ def _volume_m3(mesh: Mesh) -> float:
 
 def _measure_crowns(
     rows: NDArray[np.void],
+    span_m: Array,
     trees: Trees,
     crowns: Sequence[CrownKey],
     seed: int,
     table: Mapping[str, Species],
 ) -> None:
-    """Fill in wood, leaves and tops, prototype by prototype, each stretched as its trees stretch it."""
+    """Fill in wood and leaves, prototype by prototype, each stretched as its trees stretch it; widen spans (n, 2, 3) to them."""
     wide, long = crown_scale(trees, crowns)
     rows["wood_m3"] = rows["stem_m3"]
-    to_height = crown_placements(trees, crowns)[:, 2]
-    to_height[:, 3] -= trees["z_m"]
+    foot_T_crown = crown_placements(trees, crowns)
+    foot_T_crown[:, :, 3] -= np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
     own: dict[CrownKey, list[int]] = {}
     for i, key in enumerate(crowns):
         own.setdefault(key, []).append(i)
     for key, which in own.items():
         rows["wood_m3"][which] += crown_wood_m3(seed, key, table=table) * wide[which] ** 2 * long[which]
         meshes = crown_meshes(seed, key, table=table)
-        rows["top_m"][which] = np.maximum(rows["top_m"][which], _tops_m(meshes, to_height[which]))
+        low_m, high_m = _spans_m(meshes, foot_T_crown[which])
+        span_m[which, 0] = np.minimum(span_m[which, 0], low_m)
+        span_m[which, 1] = np.maximum(span_m[which, 1], high_m)
         leaves = meshes[CROWN_PARTS.index(PlantPart.LEAF)]
         foliage = table[key.species].foliage
         if foliage is not None and len(leaves.faces):
@@ -192,7 +206,12 @@ def _stretched_m2(leaves: Mesh, wide: Array, long: Array) -> Array:
     return np.array([w * np.sqrt(level * w**2 + steep * h**2).sum() for w, h in zip(wide, long, strict=True)])
 
 
-def _tops_m(meshes: Sequence[Mesh], to_height: Array) -> Array:
-    """Greatest height (n,) of any vertex, by n rows (n, 4) of its transform; minus infinity where there is none."""
+def _spans_m(meshes: Sequence[Mesh], foot_T_crown: Array) -> tuple[Array, Array]:
+    """Least and greatest coordinates (n, 3) of any vertex by n transforms (n, 3, 4); infinite where there is none."""
     places = np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64)
-    return np.array([(places @ row[:3]).max(initial=-np.inf) + row[3] for row in to_height])
+    low_m, high_m = np.full((2, len(foot_T_crown), 3), [[[np.inf]], [[-np.inf]]])
+    for i, transform in enumerate(foot_T_crown):
+        at_m = places @ transform[:, :3].T + transform[:, 3]
+        low_m[i] = at_m.min(axis=0, initial=np.inf)
+        high_m[i] = at_m.max(axis=0, initial=-np.inf)
+    return low_m, high_m
