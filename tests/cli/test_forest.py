@@ -23,8 +23,8 @@ def written(tmp_path_factory):
     from vlp16emu.cli.app import run
 
     folder = tmp_path_factory.mktemp("forest")
-    names = ("trees.csv", "ground.asc", "twin.glb", "sheet.png")
-    files = dict(zip(("--inventory", "--ground", "--glb", "--picture"), names, strict=True))
+    names = ("trees.csv", "stems.csv", "ground.asc", "twin.glb", "sheet.png")
+    files = dict(zip(("--inventory", "--stems", "--ground", "--glb", "--picture"), names, strict=True))
     options = [word for option, name in files.items() for word in (option, str(folder / name))]
     with pytest.MonkeyPatch.context() as patch, (folder / "out.json").open("w") as out:
         patch.setattr(sys, "stdout", out)
@@ -46,6 +46,19 @@ def test_the_inventory_has_every_tree_in_reach_once(written, rows):
     assert {"species", "x_m", "dbh_m", "height_m", "top_m", "stem_m3", "leaf_m2", "biomass_kg"} <= set(
         rows[0]
     )
+
+
+def test_stems_are_circles_with_the_diameter_of_the_inventory(written, rows):
+    """Each tree's first leader goes from the ground to its height; at 1.3 m the circle has its DBH and is where the inventory says."""
+    circles = np.genfromtxt(written[0] / "stems.csv", delimiter=",", names=True)
+    assert set(circles["tree"]) == {int(row["id"]) for row in rows}
+    for row in rows[::10]:
+        own = circles[(circles["tree"] == int(row["id"])) & (circles["leader"] == 1)]
+        assert (own["above_foot_m"][0], own["above_foot_m"][-1]) == (0, pytest.approx(float(row["height_m"])))
+        (breast,) = own[own["above_foot_m"] == 1.3]
+        assert 2 * breast["radius_m"] == pytest.approx(float(row["dbh_m"]), abs=2e-4)
+        where = [float(row[name]) for name in ("x_breast_m", "y_breast_m")]
+        assert [breast["x_m"], breast["y_m"]] == pytest.approx(where, abs=2e-4)
 
 
 def test_the_table_sums_up_the_inventory_near_the_way(written, rows):

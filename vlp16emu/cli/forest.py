@@ -36,6 +36,14 @@ InventoryFile = Annotated[
         "--inventory", metavar="OUT.csv", help="Write all trees in the sensor's reach, one per line."
     ),
 ]
+StemsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--stems",
+        metavar="OUT.csv",
+        help="Write the stems of those trees as circles along their axes, with radii, for QSM and taper.",
+    ),
+]
 GroundFile = Annotated[
     Path | None,
     typer.Option(
@@ -55,7 +63,13 @@ PictureFile = Annotated[
     ),
 ]
 
-_SUFFIXES = {"--inventory": ".csv", "--ground": ".asc", "--glb": ".glb", "--picture": ".png"}
+_SUFFIXES = {
+    "--inventory": ".csv",
+    "--stems": ".csv",
+    "--ground": ".asc",
+    "--glb": ".glb",
+    "--picture": ".png",
+}
 
 
 def forest(
@@ -64,6 +78,7 @@ def forest(
     settings: Settings = None,
     radius: Radius = 30.0,
     inventory: InventoryFile = None,
+    stems: StemsFile = None,
     ground: GroundFile = None,
     glb: TwinFile = None,
     picture: PictureFile = None,
@@ -76,7 +91,7 @@ def forest(
     """
     from vlp16emu.scenario import load
 
-    outputs = {"--inventory": inventory, "--ground": ground, "--glb": glb, "--picture": picture}
+    outputs = dict(zip(_SUFFIXES, (inventory, stems, ground, glb, picture), strict=True))
     scenario = load(scene, settings or ())
     _spare(scene, scenario, outputs.values())
     wanted = {option: path for option, path in outputs.items() if path is not None}
@@ -109,7 +124,7 @@ def _surveyed(
         }
         seen = survey(scenario, radius_m)
         summary = summary_of(scene, scenario, seen)
-        writers = files.write_inventory, files.write_ground, files.write_twin
+        writers = files.write_inventory, files.write_stems, files.write_ground, files.write_twin
         for option, write in zip(_SUFFIXES, writers, strict=False):
             if option in outputs:
                 write(outputs[option], seen)

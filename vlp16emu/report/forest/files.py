@@ -20,11 +20,12 @@ from vlp16emu.report.forest import (
 from vlp16emu.report.forest.survey import Survey
 from vlp16emu.world.ground.grid import write_ascii
 from vlp16emu.world.hall import HallWorld
+from vlp16emu.world.plants.stem_rings import STEM_CIRCLE, stem_circles
 from vlp16emu.world.stand.inventory import write_csv
 from vlp16emu.world.stand.nearby import AllNear, cut_out
 from vlp16emu.world.twin import write_glb
 
-__all__ = ["write_ground", "write_inventory", "write_picture", "write_twin"]
+__all__ = ["write_ground", "write_inventory", "write_picture", "write_stems", "write_twin"]
 
 Array = NDArray[np.float64]
 
@@ -70,6 +71,20 @@ def write_inventory(output: OutputFile, seen: Survey) -> None:
     rows = seen.inventory(seen.trees)
     with output.writing() as file:
         write_csv(file, rows, table=seen.plants.trees)
+
+
+def write_stems(output: OutputFile, seen: Survey) -> None:
+    """Write the circles of all stems in reach: skeletons with radii, as a quantitative structure model has them.
+
+    Raises
+    ------
+    RunError
+        where the file cannot be written to its end
+    """
+    circles = stem_circles(seen.trees, table=seen.plants.trees)
+    with output.writing() as file:
+        header = ",".join(STEM_CIRCLE.names or ())
+        np.savetxt(file, circles, fmt=["%d", "%d", *["%.4f"] * 5], delimiter=",", header=header, comments="")
 
 
 def write_ground(output: OutputFile, seen: Survey) -> None:

@@ -13,12 +13,14 @@ from vlp16emu.world.plants.stem_form import StemForms, stem_forms
 
 __all__ = [
     "FLARE_TOP_M",
+    "STEM_CIRCLE",
     "Leaders",
     "StemRings",
     "Table",
     "Trees",
     "axis_m",
     "second_leaders",
+    "stem_circles",
     "stem_rings",
     "tip_radius_m",
 ]
@@ -41,6 +43,22 @@ _BUTT_M = (0.0, 0.12, 0.28, FLARE_TOP_M, 0.85, BREAST_HEIGHT_M)
 
 _UPPER = (0.035, 0.1, 0.2, 0.33, 0.48, 0.64, 0.8, 0.93)
 """Rings above, as shares of the way from breast height to the tip."""
+
+
+_LEADER_CIRCLES = 9
+
+STEM_CIRCLE = np.dtype(
+    [
+        ("tree", "<u4"),  # instance
+        ("leader", "u1"),  # 1 of the stem, 2 of its second leader
+        ("x_m", "<f8"),  # middle, in the world
+        ("y_m", "<f8"),
+        ("z_m", "<f8"),
+        ("above_foot_m", "<f8"),
+        ("radius_m", "<f8"),  # of the circle with the section's area, over bark
+    ]
+)
+"""One circle of a stem."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +136,28 @@ def second_leaders(trees: Trees, rings: StemRings, shares: Array, *, table: Tabl
     above_m = rings.fork_m[:, None] + length_m[:, None] * shares
     radius_m = _radius_m(own, above_m, table) * np.sqrt(forms.forks[:, 2:3]) * (shares < 1)
     return Leaders(own, forms, rings.fork_m, above_m, radius_m)
+
+
+def stem_circles(trees: Trees, *, table: Table | None = None) -> NDArray[np.void]:
+    """Circles (n,) `STEM_CIRCLE` along stems and their second leaders, tree by tree, from the ground to the tip."""
+    rings = stem_rings(trees, table=table)
+    above_m = np.column_stack([rings.above_ground_m[:, 1:], trees["height_m"]])
+    radius_m = np.column_stack([rings.radius_m[:, 1:], tip_radius_m(trees, table=table)])
+    second = second_leaders(trees, rings, np.linspace(0.0, 1.0, _LEADER_CIRCLES), table=table)
+    both = [
+        (trees, 1, above_m, radius_m, axis_m(trees, rings.forms, above_m)),
+        (second.trees, 2, second.above_ground_m, second.radius_m, second.axis_m(second.above_ground_m)),
+    ]
+    parts = []
+    for own, leader, up_m, half_m, middle_m in both:
+        circles = np.zeros(up_m.shape, STEM_CIRCLE)
+        circles["tree"], circles["leader"] = own["id"][:, None], leader
+        for axis, name in enumerate("xyz"):
+            circles[f"{name}_m"] = own[f"{name}_m"][:, None] + middle_m[..., axis]
+        circles["above_foot_m"], circles["radius_m"] = up_m, half_m
+        parts.append(circles.ravel())
+    circles = np.concatenate(parts)
+    return circles[np.lexsort((circles["above_foot_m"], circles["leader"], circles["tree"]))]
 
 
 def axis_m(trees: Trees, forms: StemForms, above_m: Array) -> Array:
