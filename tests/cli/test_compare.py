@@ -1,0 +1,62 @@
+"""`vlp16emu compare` and `vlp16emu fit`: units held against each other, and one put into a scene."""
+
+import json
+import tomllib
+
+import pytest
+
+from vlp16emu import Emulator
+from vlp16emu.scenario import load
+
+UNIT = [
+    "noise.preset=unit",
+    "sensor.preset=unit",
+    "sensor.azimuth_noise_deg=0.0014",
+    "capture.preset=quiet_pc",
+]
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory):
+    """Captures of two units and of one without errors."""
+    folder = tmp_path_factory.mktemp("units")
+    for name, settings in (("a", [*UNIT, "seed=1"]), ("b", [*UNIT, "seed=2"]), ("ideal", [])):
+        Emulator("static_bench", settings).record(folder / f"{name}.pcap", duration_s=0.7)
+    return folder
+
+
+def test_units_are_compared_in_a_table_as_json_and_as_a_picture(cli, captures, tmp_path):
+    """JSON has each statistic of both with its distance, what differs is said by name, and the picture is a PNG."""
+    pytest.importorskip("matplotlib", reason="the extra picture is not installed")
+    pair = captures / "a.pcap", captures / "ideal.pcap"
+    outcome = cli("compare", *pair, "--json", "--picture", tmp_path / "units.png")
+    tree = json.loads(outcome.out)
+    assert outcome.code == 0
+    by_name = {one["name"]: one for one in tree["statistics"]}
+    assert {"range.beat_mm", "rotation.once_cdeg", "residue.odd_spread", "stamp.spacing_us"} <= by_name.keys()
+    assert "range.beat_mm" in tree["apart"]
+    assert by_name["range.beat_mm"]["first"] > 3 > by_name["range.beat_mm"]["second"]
+    assert (tmp_path / "units.png").read_bytes().startswith(b"\x89PNG")
+    text = cli("compare", *pair).out
+    assert "second like no real unit" in text
+    assert f"{len(tree['apart'])} of {len(tree['statistics'])} statistics differ" in text
+
+
+def test_a_fitted_unit_goes_into_a_scene(cli, captures, tmp_path):
+    """What `fit` prints is what it writes, and its tables are settings of a scene."""
+    printed = cli("fit", captures / "a.pcap").out
+    assert cli("fit", captures / "a.pcap", "--out", tmp_path / "unit.toml").code == 0
+    assert (tmp_path / "unit.toml").read_text() == printed
+    tables = tomllib.loads(printed)
+    settings = {f"{table}.{key}": value for table, keys in tables.items() for key, value in keys.items()}
+    assert load("birch_walk", settings).noise.range_beat_m == tables["noise"]["range_beat_m"]
+
+
+@pytest.mark.parametrize("verb", [("compare", "{}", "{}"), ("fit", "{}")])
+def test_what_is_no_capture_is_one_line(cli, tmp_path, verb):
+    """A text file ends with exit code 2 and one line that names it."""
+    (tmp_path / "a.pcap").write_text("no capture")
+    outcome = cli(*(word.format(tmp_path / "a.pcap") for word in verb))
+    assert outcome.code == 2
+    assert "a.pcap" in outcome.err
+    assert len(outcome.err.strip().splitlines()) == 1
