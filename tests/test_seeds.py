@@ -6,6 +6,7 @@ import pytest
 from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.scenario.model import Scenario
+from vlp16emu.types import Semantic
 
 SHORT = ["world.stems_per_ha=150", "sensor.max_range_m=15.0", "beam.model=none", "seed=5"]
 
@@ -15,7 +16,8 @@ def scan(*settings):
     emulator = Emulator(load("birch_walk", [*SHORT, *settings]))
     first = next(iter(emulator.scans(duration_s=0.15, truth=True)))
     pose = emulator.world_T_sensor(np.array([emulator.scenario.start_ns + 2_000_000_000]))
-    return first, set(first.labels.instance.tolist()), pose
+    trees = first.labels.instance[first.labels.semantic == Semantic.TREE]
+    return first, set(trees.tolist()), pose
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -58,7 +57,7 @@ def page_of(*words):
             page.get_by_text(re.compile("points (by|in)")).wait_for(timeout=WAIT_MS)
             yield page
         finally:
-            program.send_signal(signal.SIGINT)
+            program.terminate()
 
 
 def pixels_of(page):
