@@ -94,9 +94,11 @@ def test_the_page_is_served_and_ends_with_the_stream(emulator, ends):
         page = next(one for one in multiprocessing.active_children() if one.name == "page")
         page.kill()
         page.join()
-        sink = watch.sink(Listed(), Pacer(1.0))
-        for packet in emulator.packets():
+        listed, packets = Listed(), list(emulator.packets())
+        sink = watch.sink(listed, Pacer(1.0))
+        for packet in packets:
             sink.send(packet)
+        assert len(listed.packets) == len(packets) > 200
     assert "page" not in [one.name for one in multiprocessing.active_children()]
 
 
@@ -127,6 +129,13 @@ def test_nobody_walks_out_of_the_world():
     """A walker who goes on for ever stops 30 m from where the scene expects one."""
     place_m, _ = walked(*["faster"] * 5, seconds=60.0)
     assert place_m[0] == pytest.approx(80.0, abs=0.2)
+
+
+def test_without_the_extra_one_line_names_it(capsys, monkeypatch):
+    """Where viser is missing, `--view` ends with exit code 2 and the extra to install."""
+    monkeypatch.setattr("vlp16emu.cli.live.find_spec", lambda _: None)
+    assert run(["stream", "static_bench", "--view", "--duration", "0.1"]) == 2
+    assert "viewer" in capsys.readouterr().err
 
 
 def test_a_live_scene_wants_poses_or_a_page(capsys):
