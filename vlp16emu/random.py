@@ -90,6 +90,7 @@ class Purpose(IntEnum):
     DWARF_SHRUBS = 113
     MOSS = 114
     LITTER = 115
+    TEXTURE = 116
     SCORE_DISK = 92
 
 

@@ -106,6 +106,7 @@ SURFACE = np.dtype(
         ("part", "u1"),  # PlantPart
         ("instance", "<u4"),  # 0 none, else unique per plant, stone or object
         ("species", "<u2"),  # 0 none, else number in the species table
+        ("texture", "<f4"),  # by what share its reflectance varies from place to place, one sigma
     ]
 )
 """One row of a window's surface table."""

@@ -19,6 +19,7 @@ from vlp16emu.chain.windows import Batching, prefetch
 from vlp16emu.chain.wire import arriving
 from vlp16emu.device.events import Event
 from vlp16emu.raycast.caster import Geometry
+from vlp16emu.raycast.texture import textured
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire
@@ -76,10 +77,8 @@ class Chain:
     def _sent(self, *span_ns: int) -> Iterator[Packet]:
         """Yield the packets that leave in a span since the first pulse, before anything happens to them."""
         # Of packets due at once those of the first unit leave first, and its data packets first.
-        streams = list[Iterator[Packet]]()
-        for unit in self.parts.units:
-            streams.append(self._data_packets(unit, *span_ns))
-            streams.append(position_packets(self.scenario, self.receiver, unit, *span_ns))
+        sources = (self._data_packets, partial(position_packets, self.scenario, self.receiver))
+        streams = [source(unit, *span_ns) for unit in self.parts.units for source in sources]
         return heapq.merge(*streams, key=lambda packet: packet.due_ns)
 
     def returns(
@@ -103,7 +102,7 @@ class Chain:
         hits = geometry.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
         if self._audit:
             self._audit(unit, firings, hits, geometry)
-        lit = unit.optics.dimmed(firings, hits)
+        lit = unit.optics.dimmed(firings, textured(firings, hits, geometry.surfaces, self.parts.world.seed))
         return unit.optics.received(detect(firings, lit, geometry.surfaces, unit.detector, truth=truth))
 
     def _data_packets(self, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[Packet]:

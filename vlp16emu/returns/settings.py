@@ -31,7 +31,7 @@ _PRESETS: dict[str, dict[str, object]] = {
         "range_noise_m": 0.0052,
         "range_beat_m": 0.006,
         "reflectivity_noise": 0.0,
-        "reflectivity_noise_share": 0.043,
+        "reflectivity_noise_share": 0.031,
         "reflectivity_step": 1.7,
         "heavy_tails": True,
         "unit_spread": 0.15,
@@ -85,7 +85,7 @@ class Noise(Preset):
     reflectivity_noise: Annotated[float, Field(ge=0, le=20)] = 1.5
     """White, one sigma, in counts; real units show 1 to 2."""
     reflectivity_noise_share: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """The same as a share of the reflectivity, added to it; 0.03 to 0.045 on real units."""
+    """The same as a share of the reflectivity, added to it; 0.03 to 0.04 on real units."""
     reflectivity_step: Annotated[float, Field(ge=0, le=10)] = 0.0
     """Spacing of codes from 50 on, before the gain of the laser; 1.7 on real units, where neighbours then are equal more
     often. 0 sends every code."""

@@ -139,6 +139,7 @@ def _forest(
         plants=plants,
         loose_stems=loose_stems,
         near_m=near_m,
+        texture=section.texture,
     )
 
 

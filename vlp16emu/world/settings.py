@@ -36,6 +36,9 @@ Near = Annotated[
 """A distance, in m, that may be infinite; JSON, which has no such number, has the text "inf"."""
 
 
+Texture = Annotated[float, Field(ge=0, le=0.3)]
+
+
 class Woods(Section):
     """Ground and undergrowth, whatever trees stand on it."""
 
@@ -58,6 +61,9 @@ class Woods(Section):
     dwarf_shrubs: DwarfShrubs = DwarfShrubs()
     moss: Moss = Moss()
     litter: Litter = Litter()
+    texture: Texture = 0.0
+    """Share by which the reflectance of ground, bark and stones varies over patches of some 0.2 m, one sigma; leaves have
+    none, as each lies at an angle of its own. No measurement in a forest is known; walls have 0.1."""
     species_file: SceneFile | None = None
     """Plants of the user's own, in the form of the program's `world/species.toml`, numbered from 1000."""
     path_clearance_m: NonNegative = 0.8
@@ -147,6 +153,9 @@ class Hall(Section):
     """Height of the ceiling."""
     wall_reflectance: Fraction = 0.6
     """Lambertian reflectance of walls, floor and ceiling at 903 nm."""
+    texture: Texture = 0.1
+    """Share by which it varies over patches of some 0.2 m, one sigma; things in the hall have none. Neighbouring returns
+    of real sensors from walls scatter as with 0.1."""
     boxes: list[HallBox] = Field(default_factory=list)
     """Upright boxes."""
     poles: list[HallPole] = Field(default_factory=list)

@@ -107,6 +107,7 @@ class ForestWorld:
     plants : trees and shrubs; those of the program if none are given
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
     near_m : as in `World`
+    texture : share by which the reflectance of all but leaves varies from place to place, one sigma
     name : of all that decides the forest, seed and path too, as a digest; empty where nothing is kept on disk
     plants_name : of the plants, likewise
 
@@ -128,6 +129,7 @@ class ForestWorld:
         plants: Flora | None = None,
         loose_stems: bool = False,
         near_m: float = math.inf,
+        texture: float = 0.0,
         name: str = "",
         plants_name: str = "",
     ) -> None:
@@ -138,7 +140,7 @@ class ForestWorld:
         self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
         self._path, self._reach_m = path, reach_m
         self.height_m, self.plants = height_m, plants or flora()
-        self._layers, self._loose_stems = layers, loose_stems
+        self._layers, self._loose_stems, self._texture = layers, loose_stems, texture
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         kept = 2 * (4 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
@@ -280,7 +282,9 @@ class ForestWorld:
             if len(placed.trees):
                 placed.trees["id"] = numbers
             number += len(placed.shape)
-        return _packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, swaying, self.plants)
+        tile = _packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, swaying, self.plants)
+        tile.surfaces["texture"] = np.where(tile.surfaces["part"] == PlantPart.LEAF, 0.0, self._texture)
+        return tile
 
     def _grow_stems(self, key: TileKey) -> list[Mesh]:
         """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, in the tile's frame."""

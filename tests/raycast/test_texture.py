@@ -1,0 +1,94 @@
+"""Patches of brighter and darker surface."""
+
+import numpy as np
+import pytest
+
+from vlp16emu.raycast.texture import textured
+from vlp16emu.types import SURFACE, Firings, Hits
+
+FAR_M = 30.0
+
+
+def pulses(at_m, origin_m=(0.0, 0.0, 0.0)):
+    """One sub-ray each (k, 1) from a place to points (k, 3), all on surface 0."""
+    away = at_m - np.array(origin_m)
+    range_m = np.linalg.norm(away, axis=1)
+    k = len(at_m)
+    firings = Firings(
+        0,
+        np.zeros((k, 1), np.int64),
+        np.zeros(k, np.int64),
+        np.zeros((k, 1)),
+        np.zeros(k),
+        np.broadcast_to(np.array(origin_m), (k, 1, 3)).copy(),
+        (away / range_m[:, None])[:, None],
+        None,
+    )
+    met = np.zeros((k, 1), np.uint32), np.full((k, 1), 0.5, np.float32)
+    return firings, Hits.one_ray_each(range_m.astype(np.float32)[:, None], *met)
+
+
+def factors(at_m, texture=0.1, *, reflectance=0.4, seed=3, **more):
+    surfaces = np.zeros(1, SURFACE)
+    surfaces["texture"], surfaces["reflectance"] = texture, reflectance
+    firings, hits = pulses(at_m, **more)
+    return textured(firings, hits, surfaces, seed).cos_incidence / hits.cos_incidence
+
+
+@pytest.fixture(scope="module")
+def places_m():
+    return np.random.default_rng(1).uniform(-FAR_M, FAR_M, (20_000, 3))
+
+
+def test_brightness_varies_by_the_texture(places_m):
+    """Over a space of many patches the factor has mean 1, the standard deviation asked for, and nothing beyond sqrt(3) of it."""
+    factor = factors(places_m)
+    assert factor.mean() == pytest.approx(1.0, abs=0.003)
+    assert factor.std() == pytest.approx(0.1, abs=0.002)
+    assert np.abs(factor - 1).max() < 0.1 * np.sqrt(3) + 1e-6
+
+
+def test_patches_are_two_tenths_of_a_metre(places_m):
+    """Places 1 cm apart are mostly of one patch, places 0.2 m apart mostly not, places 1 m apart have nothing to do with each other."""
+    step = np.random.default_rng(2).normal(size=places_m.shape)
+    step /= np.linalg.norm(step, axis=1, keepdims=True)
+    one = factors(places_m)
+    same = {m: np.isclose(factors(places_m + m * step), one, atol=1e-4).mean() for m in (0.01, 0.2)}
+    assert same[0.01] > 0.9
+    assert 0.2 < same[0.2] < 0.5
+    assert abs(np.corrcoef(one, factors(places_m + step))[0, 1]) < 0.03
+
+
+def test_a_patch_looks_the_same_from_everywhere(places_m):
+    """From two places 50 m apart the same points are as bright, but for those at a border."""
+    there = factors(places_m, origin_m=(40.0, -30.0, 2.0))
+    assert np.isclose(factors(places_m), there, atol=1e-4).mean() > 0.9999
+
+
+def test_worlds_differ(places_m):
+    """Another seed gives other patches."""
+    assert abs(np.corrcoef(factors(places_m), factors(places_m, seed=4))[0, 1]) < 0.03
+
+
+def test_nothing_is_brighter_than_white(places_m):
+    """A reflectance of 0.95 never exceeds 1; of a retroreflector nothing grows; without texture nothing changes."""
+    assert (0.95 * factors(places_m, 0.3, reflectance=0.95)).max() <= 1 + 1e-6
+    assert factors(places_m, 0.3, reflectance=2.0).max() <= 1
+    assert (factors(places_m, 0.0) == 1).all()
+
+
+def test_a_sub_ray_that_meets_nothing_stays_so():
+    """Sub-rays without a hit keep their cosine of 0; the others of the pulse are varied, each by its own surface."""
+    surfaces = np.zeros(2, SURFACE)
+    surfaces["texture"], surfaces["reflectance"] = (0.1, 0.0), 0.4
+    firings, _ = pulses(np.array([[10.0, 0.0, 0.0]]))
+    nothing = np.uint32(0xFFFFFFFF)
+    hits = Hits(
+        np.array([[3]], np.uint16),
+        np.array([10.0, np.inf, 12.0], np.float32),
+        np.array([0, nothing, 1], np.uint32),
+        np.array([0.5, 0.0, 0.5], np.float32),
+    )
+    first, second, third = textured(firings, hits, surfaces, 3).cos_incidence.tolist()
+    assert first != 0.5
+    assert (second, third) == (0.0, 0.5)
