@@ -324,7 +324,7 @@ class FarTile:
     first_part: NDArray[np.int64]
     """(shapes + 1,) where the meshes of each shape begin in `part`."""
     part: NDArray[np.uint8]
-    """(meshes,) `PlantPart` of each."""
+    """(meshes,) `PlantPart` of each; 255 of those that `stems` stand for."""
     stems: NDArray[np.void]
     """(s,) `STEM` of `vlp16emu.world.stand.tiles`."""
     ground_m: NDArray[np.float64]

@@ -80,7 +80,7 @@ def test_the_receivers_windows_are_those_of_the_run(birch):
             opened.append(track_m)
             return world.window(track_m)
 
-        shape = world.shape
+        shape, seed = world.shape, world.seed
 
     parts = emulator.parts
     object.__setattr__(parts, "world", Counting())

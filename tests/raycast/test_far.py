@@ -43,17 +43,23 @@ def part_of(window, surface):
     return np.where(surface == NO_SURFACE, 255, window.surfaces["part"][known])
 
 
+def stems_alike(window, ours, true, *, same_share, high_m):
+    """Which true hits are of stems, and which agree in surface, after both casts are seen to agree on stems."""
+    stem = np.isin(part_of(window, true.surface), [PlantPart.STEM, PlantPart.ROOT_FLARE])
+    assert stem.sum() > 2000
+    same = ours.surface == true.surface
+    assert same[stem].mean() > same_share
+    off_m = np.abs(ours.range_m[stem & same] - true.range_m[stem & same])
+    assert np.median(off_m) < 0.003
+    assert np.quantile(off_m, 0.95) < high_m
+    return stem, same
+
+
 def test_stems_from_afar_are_those_of_the_mesh(lab, both):
     """Ranges to stems equal those of polygons with as much area within 3 mm in the median; labels agree for 99 % of rays."""
     window, far, near = both
     ours, true = (cast(lab, scene, *around(40_000, AT_M[0])) for scene in (far, near))
-    stem = np.isin(part_of(window, true.surface), [PlantPart.STEM, PlantPart.ROOT_FLARE])
-    assert stem.sum() > 2000
-    same = ours.surface == true.surface
-    assert same[stem].mean() > 0.99
-    off_m = np.abs(ours.range_m[stem & same] - true.range_m[stem & same])
-    assert np.median(off_m) < 0.003
-    assert np.quantile(off_m, 0.95) < 0.02
+    stem, same = stems_alike(window, ours, true, same_share=0.99, high_m=0.02)
     off = np.abs(ours.cos_incidence - true.cos_incidence)[stem & same]
     assert np.median(off) < 0.03  # a polygon's faces are flat
 
@@ -65,13 +71,7 @@ def test_bent_stems_from_afar_are_those_of_the_mesh(lab, workers):
     window = worlds[0].window(AT_M)
     scenes = [EmbreeCaster(world, workers).open(world.window(AT_M)) for world in (*worlds, straight)]
     ours, true, other = (cast(lab, scene, *around(40_000, AT_M[0])) for scene in scenes)
-    stem = np.isin(part_of(window, true.surface), [PlantPart.STEM, PlantPart.ROOT_FLARE])
-    assert stem.sum() > 2000
-    same = ours.surface == true.surface
-    assert same[stem].mean() > 0.985
-    off_m = np.abs(ours.range_m[stem & same] - true.range_m[stem & same])
-    assert np.median(off_m) < 0.003
-    assert np.quantile(off_m, 0.95) < 0.03
+    stem, _ = stems_alike(window, ours, true, same_share=0.985, high_m=0.03)
     assert (other.surface == true.surface)[stem].mean() < 0.9
 
 

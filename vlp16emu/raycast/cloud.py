@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast.voxel import KNOTS, QUANTILES, VOXEL_M, kept_share
 from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.world.stand.tiles import EXACT
 
 __all__ = ["PROJECTION", "TILTS", "Cloud", "Library", "cloud_of"]
 
@@ -71,8 +72,13 @@ def cloud_of(meshes: Sequence[Mesh], parts: NDArray[np.uint8]) -> Cloud:
 
     Parameters
     ----------
-    parts : (meshes,) `PlantPart` of each
+    parts : (meshes,) `PlantPart` of each; what is `EXACT` is left out
     """
+    exact = (parts == EXACT).tolist()
+    meshes = [
+        Mesh(mesh.vertices_m, mesh.faces[: 0 if out else None])
+        for mesh, out in zip(meshes, exact, strict=True)
+    ]
     share = np.where(parts == PlantPart.LEAF, 1.0, 0.5).astype(np.float32)
     first = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])
     corners_m = np.empty((first[-1], 4, 3))

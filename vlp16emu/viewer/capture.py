@@ -145,6 +145,7 @@ class _PacketLog:
         """Make what notes the packets that a reader reads."""
 
         def note(chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
+            """Keep what marks need of the packets; labels of points are none."""
             if not self._parts:
                 self._zero_ns = clock_zero_ns(reader, chunk)
             azimuth_cdeg = chunk.fields["blocks"]["azimuth_cdeg"][:, [0, -1]]

@@ -11,6 +11,7 @@ from vlp16emu.types import HeightField, World
 from vlp16emu.world.given.furnished import Furnished, Furniture
 from vlp16emu.world.given.given_stand import GivenStand, stems_in_the_way
 from vlp16emu.world.given.settings import MeshFile
+from vlp16emu.world.given.tree_model import TreeModels
 from vlp16emu.world.given.user_mesh import load_mesh
 from vlp16emu.world.ground.dem import DemHeights
 from vlp16emu.world.ground.terrain import TerrainHeights
@@ -137,6 +138,7 @@ def _forest(
         path=path,
         reach_m=reach_m,
         plants=plants,
+        models=TreeModels(section.tree_models, plants, section.season),
         loose_stems=loose_stems,
         near_m=near_m,
         texture=section.texture,
@@ -165,7 +167,8 @@ def _name(section: Forest | Plot, seed: int, path: Corridor, reach_m: float, *, 
     """Digest of all that decides a forest, files by what they hold."""
     dem_file = section.dem.file if section.dem else None
     stem_list = section.stem_list if isinstance(section, Plot) else None
-    files: list[str | None] = [section.species_file, dem_file, stem_list]
+    models = [model.file for model in section.tree_models]
+    files: list[str | None] = [section.species_file, dem_file, stem_list, *models]
     parts = [
         section.model_dump_json(exclude={"meshes", "near_m", "seed"}),
         str(seed),

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, PlainSerializer
 
 from vlp16emu.settings import Fraction, MapPoint, NonNegative, SceneFile, Section, Seed, Size
-from vlp16emu.world.given.settings import Finish, MeshFile
+from vlp16emu.world.given.settings import Finish, MeshFile, TreeModelFile
 from vlp16emu.world.ground.settings import Dem, Terrain
 from vlp16emu.world.stand.settings import (
     DwarfShrubs,
@@ -66,6 +66,8 @@ class Woods(Section):
     none, as each lies at an angle of its own. No measurement in a forest is known; walls have 0.1."""
     species_file: SceneFile | None = None
     """Plants of the user's own, in the form of the program's `world/species.toml`, numbered from 1000."""
+    tree_models: list[TreeModelFile] = Field(default_factory=list)
+    """Trees of the user's own that take the place of the grown ones of a species; inventory and labels follow their meshes."""
     path_clearance_m: NonNegative = 0.8
     """Nothing that grows or lies on the ground is nearer to the path than this."""
     near_m: Near = 15.0

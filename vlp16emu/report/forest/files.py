@@ -20,7 +20,7 @@ from vlp16emu.report.forest import (
 from vlp16emu.report.forest.survey import Survey
 from vlp16emu.world.ground.grid import write_ascii
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.plants.stem_rings import STEM_CIRCLE, stem_circles
+from vlp16emu.world.plants.stem_rings import STEM_CIRCLE
 from vlp16emu.world.stand.inventory import write_csv
 from vlp16emu.world.stand.nearby import AllNear, cut_out
 from vlp16emu.world.twin import write_glb
@@ -81,7 +81,7 @@ def write_stems(output: OutputFile, seen: Survey) -> None:
     RunError
         where the file cannot be written to its end
     """
-    circles = stem_circles(seen.trees, table=seen.plants.trees)
+    circles = seen.stem_circles(seen.trees)
     with output.writing() as file:
         header = ",".join(STEM_CIRCLE.names or ())
         np.savetxt(file, circles, fmt=["%d", "%d", *["%.4f"] * 5], delimiter=",", header=header, comments="")

@@ -13,12 +13,14 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.types import HeightField, Mesh, ShapeKey, Window
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.given.furnished import Furnished
+from vlp16emu.world.given.tree_model import TreeModels
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.plants.crown import CrownKey
 from vlp16emu.world.plants.flora import Flora, flora
+from vlp16emu.world.plants.stem_rings import stem_circles
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.stand.forest import ForestWorld
-from vlp16emu.world.stand.inventory import inventory
+from vlp16emu.world.stand.inventory import INVENTORY, inventory
 from vlp16emu.world.stand.nearby import Thing, things_near
 from vlp16emu.world.stand.stand import REGENERATION, TREE
 
@@ -55,6 +57,8 @@ class Survey:
     """Everything else in the surroundings."""
     plants: Flora
     """Trees and shrubs."""
+    models: TreeModels
+    """The user's own, some of the trees."""
     names: Mapping[int, str]
     """Of things that have one, by instance."""
     seed: int
@@ -66,13 +70,22 @@ class Survey:
 
     def inventory(self, trees: NDArray[np.void]) -> NDArray[np.void]:
         """Take the inventory of some of the trees (k,)."""
-        window = self.window
+        window, is_modelled = self.window, self.models.has(trees)
         instance = window.surfaces["instance"][window.first_surface].tolist()
         shapes = (window.shapes[i] for i in window.shape)
         crowns = {i: key for i, key in zip(instance, shapes, strict=True) if isinstance(key, CrownKey)}
-        return inventory(
-            trees, [crowns[i] for i in trees["id"].tolist()], seed=self.seed, table=self.plants.trees
-        )
+        grown, rows = trees[~is_modelled], np.zeros(len(trees), INVENTORY)
+        own = [crowns[i] for i in grown["id"].tolist()]
+        rows[~is_modelled] = inventory(grown, own, seed=self.seed, table=self.plants.trees)
+        rows[is_modelled] = self.models.inventory(trees[is_modelled])
+        return rows
+
+    def stem_circles(self, trees: NDArray[np.void]) -> NDArray[np.void]:
+        """Circles `STEM_CIRCLE` along the stems of some of the trees (k,), by tree."""
+        is_modelled = self.models.has(trees)
+        grown = stem_circles(trees[~is_modelled], table=self.plants.trees)
+        circles = np.concatenate([grown, self.models.circles(trees[is_modelled])])
+        return circles[np.argsort(circles["tree"], kind="stable")]
 
     def inside(self, xy_m: Array) -> NDArray[np.bool_]:
         """Which points (k, 2) lie in the surroundings."""
@@ -126,6 +139,7 @@ def survey(
         near=trees[gap_m <= radius_m],
         things=things_near(window, world.shape, trees=trees["id"], path=path, radius_m=far_m),
         plants=bare.plants if isinstance(bare, ForestWorld) else flora(),
+        models=bare.models if isinstance(bare, ForestWorld) else TreeModels((), flora()),
         names={instance: name for known in names for instance, name in known.items()},
         seed=scenario.world_seed,
     )

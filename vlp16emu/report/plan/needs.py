@@ -12,6 +12,7 @@ from vlp16emu.motion import Walk
 from vlp16emu.report.plan.geometry import GeometrySize, geometry_of
 from vlp16emu.types import Window
 from vlp16emu.world.given.furnished import MeshKey
+from vlp16emu.world.given.tree_model import ModelKey
 from vlp16emu.world.plants.crown import CrownKey
 from vlp16emu.world.plants.sapling import SaplingKey
 from vlp16emu.world.plants.shrub import ShrubKey
@@ -23,6 +24,7 @@ __all__ = ["Need", "Surroundings", "libraries", "needs", "surroundings"]
 
 _KINDS = {
     CrownKey: "trees",
+    ModelKey: "tree models",
     SaplingKey: "saplings",
     ShrubKey: "shrubs",
     TileKey: "tiles",
@@ -100,7 +102,7 @@ def needs(chain: Chain, *, audited: bool) -> list[Need]:
             "one sensor, nothing is merged",
         ),
         "meshes of your own": (
-            bool(scenario.world.meshes),
+            bool(scenario.world.meshes or getattr(scenario.world, "tree_models", ())),
             "read once, placed where in reach",
             "none, trimesh stays unloaded",
         ),

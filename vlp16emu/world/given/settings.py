@@ -7,7 +7,18 @@ from pydantic import Field, model_validator
 
 from vlp16emu.settings import Angle, Fraction, Place, SceneFile, Section
 
-__all__ = ["Finish", "LengthUnit", "MeshFile", "MeshPart", "MeshPlace", "PartFinish", "UpAxis"]
+__all__ = [
+    "Finish",
+    "LengthUnit",
+    "MeshFile",
+    "MeshPart",
+    "MeshPlace",
+    "MeshSource",
+    "ModelPart",
+    "PartFinish",
+    "TreeModelFile",
+    "UpAxis",
+]
 
 _KEYS = frozenset({"reflectance", "retroreflection_cd_lx_m2"})
 
@@ -87,8 +98,8 @@ class MeshPlace(Section):
     """Factor on the size."""
 
 
-class MeshFile(Finish):
-    """A mesh of the user's own: OBJ, PLY, GLB or STL."""
+class MeshSource(Section):
+    """A file of meshes: OBJ, PLY, GLB or STL."""
 
     file: SceneFile
     """Path of the file, from the folder of the scene file."""
@@ -96,6 +107,30 @@ class MeshFile(Finish):
     """Unit of the file's coordinates."""
     up: UpAxis
     """Axis of the file that points upwards."""
+
+
+class ModelPart(Section):
+    """What one part of the file of a tree is."""
+
+    name: str
+    """Name of the object or group (OBJ) or node (GLB)."""
+    part: Literal["stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"]
+    """Part of a tree that it is."""
+
+
+class TreeModelFile(MeshSource):
+    """A tree of the user's own, which takes the place of the grown trees of a species, scaled to the size of each."""
+
+    species: str
+    """Trees that look like it: name in the species table, or scientific name. Of several models of a species each tree has one
+    at random among those that it stretches least."""
+    parts: list[ModelPart] = Field(default_factory=list)
+    """Parts of the file that are no stem."""
+
+
+class MeshFile(Finish, MeshSource):
+    """A mesh of the user's own: OBJ, PLY, GLB or STL."""
+
     semantic: SemanticName = "other"
     """Class of the points on it."""
     part: PartName = "none"

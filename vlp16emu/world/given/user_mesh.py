@@ -21,7 +21,7 @@ from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
 from vlp16emu.types import Mesh
 from vlp16emu.world.given.settings import LengthUnit, UpAxis
 
-__all__ = ["PartMesh", "UserMesh", "load_mesh"]
+__all__ = ["PartMesh", "UserMesh", "load_mesh", "welded"]
 
 _log = logging.getLogger(__name__)
 
@@ -286,7 +286,7 @@ def _check_size(path: Path, extent_m: Array, unit: LengthUnit) -> None:
 def _findings(vertices: Array, faces: Faces, dropped: int) -> list[str]:
     """Say what is not as it should be about one part."""
     found = [f"dropped {dropped} of {dropped + len(faces)} faces, which have no area"] if dropped else []
-    corner = _welded(vertices)[faces]
+    corner = welded(vertices)[faces]
     start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
     _, faces_at = np.unique(
         np.minimum(start, end) * len(vertices) + np.maximum(start, end), return_counts=True
@@ -302,7 +302,7 @@ def _findings(vertices: Array, faces: Faces, dropped: int) -> list[str]:
     return found
 
 
-def _welded(vertices: Array) -> NDArray[np.int64]:
+def welded(vertices: Array) -> NDArray[np.int64]:
     """Give vertices numbers (n,), the same to those at the same place."""
     order = np.lexsort(vertices.T)
     apart = (vertices[order[1:]] != vertices[order[:-1]]).any(axis=1)

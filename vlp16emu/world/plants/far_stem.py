@@ -14,7 +14,7 @@ from vlp16emu.world.plants.stem_rings import (
 )
 from vlp16emu.world.stand.tiles import STEM
 
-__all__ = ["far_stems"]
+__all__ = ["far_stems", "profiles"]
 
 Array = NDArray[np.float64]
 
@@ -27,24 +27,26 @@ def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> ND
     rings = stem_rings(trees, table=table)
     above_m = np.column_stack([rings.above_ground_m, trees["height_m"]])
     radius_m = np.column_stack([rings.radius_m, tip_radius_m(trees, table=table)])
-    first = _profiles(trees, axis_m(trees, rings.forms, above_m), radius_m, 1)
+    foot_m = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
+    first = profiles(foot_m, axis_m(trees, rings.forms, above_m), radius_m, 1)
     first["flare_m"] = FLARE_TOP_M / first["axis"][:, 2]
     first["row"] = first_row + 2 * np.arange(len(trees))[:, None] + [0, 1]
     leaders = second_leaders(trees, rings, np.linspace(0.0, 1.0, above_m.shape[1]), table=table)
     middle_m = leaders.axis_m(leaders.above_ground_m)
-    second = _profiles(leaders.trees, middle_m, leaders.radius_m, 0)
+    foot_m = foot_m[rings.forked]
+    second = profiles(foot_m, middle_m, leaders.radius_m, 0)
     second["flare_m"], second["row"] = -1.0, first["row"][rings.forked]
     return np.concatenate([first, second])
 
 
-def _profiles(trees: Trees, middle_m: Array, radius_m: Array, begin: int) -> NDArray[np.void]:
-    """Make `STEM`s of circles (n, k) with middles (n, k, 3) relative to the feet; `begin` is that of their lines."""
-    stems = np.zeros(len(trees), STEM)
+def profiles(foot_m: Array, middle_m: Array, radius_m: Array, begin: int) -> NDArray[np.void]:
+    """Make `STEM`s of circles (n, 16) with middles (n, 16, 3) relative to feet (n, 3); `begin` is that of their lines."""
+    stems = np.zeros(len(foot_m), STEM)
     from_m = middle_m[:, begin]
     axis = middle_m[:, -1] - from_m
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     along_m = (middle_m[..., 2] - from_m[:, None, 2]) / axis[:, 2:]
-    stems["foot_m"] = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]]) + from_m
+    stems["foot_m"] = foot_m + from_m
     stems["axis"], stems["along_m"], stems["radius_m"] = axis, along_m, radius_m
     aside_m = middle_m - from_m[:, None] - along_m[..., None] * axis[:, None]
     stems["aside_m"] = np.moveaxis(aside_m[..., :2], 2, 1)

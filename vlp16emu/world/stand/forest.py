@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Protocol
 
@@ -10,17 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
+from vlp16emu.types import FarTile, HeightField, Mesh, PlantPart, ShapeKey, Window
+from vlp16emu.world.given.tree_model import ModelKey, TreeModels
 from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.world.plants.far_stem import far_stems
-from vlp16emu.world.plants.flora import Flora, bark_material, flora, material_names
+from vlp16emu.world.plants.flora import Flora, flora, material_names
 from vlp16emu.world.plants.sapling import SaplingKey, sapling_meshes
 from vlp16emu.world.plants.shrub import ShrubKey, shrub_meshes
 from vlp16emu.world.plants.stem import STEM_PARTS, StemKey, stem_meshes
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.world.stand.nearby import by_tile, key_text
-from vlp16emu.world.stand.placed import NO_TREES, Layer, PlacedThings, Site, distinct
+from vlp16emu.world.stand.placed import (
+    NO_TREES,
+    Layer,
+    PlacedThings,
+    Site,
+    Tile,
+    distinct,
+    packed,
+    plant_surfaces,
+)
 from vlp16emu.world.stand.stand import TREE, foot_discs
 from vlp16emu.world.stand.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
 
@@ -28,9 +37,6 @@ __all__ = ["FIRST_FREE_INSTANCE", "ForestWorld", "TreeSource"]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
-
-_LITTER_REFLECTANCE = 0.30
-"""Leaf litter and soil at 903 nm; assumption."""
 
 FIRST_FREE_INSTANCE = 0xFFFF0000
 """Instance numbers of a forest stay below."""
@@ -70,26 +76,6 @@ class TreeSource(Protocol):
         """Name the crown prototype of a tree."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Tile:
-    """A tile as a window takes it: the part that a `Window` is put together from."""
-
-    trees: Trees
-    """All trees, saplings last."""
-    keys: tuple[ShapeKey, ...]
-    """Different shapes, the tile's own first."""
-    shape: NDArray[np.int64]
-    """(n,) of each placement, index into `keys`."""
-    world_T_shape: Array
-    """(n, 3, 4)."""
-    first_surface: NDArray[np.int64]
-    """(n,) row of `surfaces`."""
-    surfaces: NDArray[np.void]
-    """(m,) `SURFACE`."""
-    far: NDArray[np.bool_]
-    """(n,) which of the placements are part of the `FarTile`."""
-
-
 class ForestWorld:
     """Trees, and what grows and lies under them, on a terrain; a `World`.
 
@@ -105,6 +91,7 @@ class ForestWorld:
     path : of the sensor as a whole, fine enough that its chords are as good as the path itself
     reach_m : how far the sensor sees
     plants : trees and shrubs; those of the program if none are given
+    models : trees of the user's own
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
     near_m : as in `World`
     texture : share by which the reflectance of all but leaves varies from place to place, one sigma
@@ -127,6 +114,7 @@ class ForestWorld:
         path: Corridor,
         reach_m: float,
         plants: Flora | None = None,
+        models: TreeModels | None = None,
         loose_stems: bool = False,
         near_m: float = math.inf,
         texture: float = 0.0,
@@ -140,11 +128,12 @@ class ForestWorld:
         self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
         self._path, self._reach_m = path, reach_m
         self.height_m, self.plants = height_m, plants or flora()
+        self.models = models or TreeModels((), self.plants)
         self._layers, self._loose_stems, self._texture = layers, loose_stems, texture
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         kept = 2 * (4 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
-        self._tile = lru_cache(maxsize=kept)(by_tile(_Tile, name, self._grow_tile))
+        self._tile = lru_cache(maxsize=kept)(by_tile(Tile, name, self._grow_tile))
         self.far_tile = lru_cache(maxsize=kept)(by_tile(FarTile, name, self._far_tile))
         self._trees = lru_cache(maxsize=kept)(stems.trees)
         self._crown = cache(stems.crown)
@@ -220,8 +209,15 @@ class ForestWorld:
         # Of each shape a placement, whose parts end where those of another begin.
         some = rows[np.unique(shape, return_index=True)[1]]
         ends = begins[np.searchsorted(begins, some, side="right")]
-        parts = [tile.surfaces["part"][row:end] for row, end in zip(some, ends, strict=True)]
-        trees = self._trees(ix, iy)
+        parts = [
+            self.models.far_parts(key) or tile.surfaces["part"][row:end]
+            for key, row, end in zip(keys, some, ends, strict=True)
+        ]
+        trees = self._grown(ix, iy)
+        stems = far_stems(trees[:0] if self._loose_stems else trees, 1, table=self.plants.trees)
+        modelled = self.models.far_stems(
+            [keys[i] for i in shape], tile.world_T_shape[own], tile.first_surface[own]
+        )
         return FarTile(
             corner_m=corner_m,
             keys=keys,
@@ -230,7 +226,7 @@ class ForestWorld:
             first_surface=tile.first_surface[own],
             first_part=np.cumsum([0, *map(len, parts)]),
             part=np.concatenate([np.zeros(0, np.uint8), *parts]),
-            stems=far_stems(trees[:0] if self._loose_stems else trees, 1, table=self.plants.trees),
+            stems=np.concatenate([stems, modelled]),
             ground_m=self.height_m(x, y),
         )
 
@@ -243,6 +239,8 @@ class ForestWorld:
             case StemKey():
                 first = len(STEM_PARTS) * key.number
                 return tuple(self._stem_meshes(key.tile)[first : first + len(STEM_PARTS)])
+            case ModelKey():
+                return self.models.shape(key)
             case CrownKey():
                 return crown_meshes(self.seed, key, table=self.plants.trees)
             case SaplingKey():
@@ -257,7 +255,7 @@ class ForestWorld:
         """Names of the tiles whose plants may be within reach of a track, in ascending order."""
         return [(ix, iy) for ix, iy in tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()]
 
-    def _grow_tile(self, ix: int, iy: int) -> _Tile:
+    def _grow_tile(self, ix: int, iy: int) -> Tile:
         """One tile with its trees and things numbered."""
         column, row = ix - self._first_tile[0], iy - self._first_tile[1]
         if not (0 <= column < self._tiles_across[0] and 0 <= row < self._tiles_across[1]):
@@ -269,10 +267,14 @@ class ForestWorld:
         number = 1 + (column * self._tiles_across[1] + row) * _NUMBERS_PER_TILE
         trees["id"] = number + np.arange(len(trees))
         number += len(trees)
-        groups, rooted = [self._crowns(trees)], trees
+        is_modelled = self.models.has(trees)
+        grown = trees[~is_modelled]
+        groups, rooted = (
+            [self._crowns(grown), *self.models.placed(trees[is_modelled], is_exact=self._loose_stems)],
+            grown,
+        )
         if self._loose_stems:
-            groups, rooted = [self._stems_of(key, trees), *groups], trees[:0]
-        swaying = sum(len(placed.shape) for placed in groups) if self._loose_stems else 0
+            groups, rooted = [self._stems_of(key, grown), *groups], grown[:0]
         for placed in self._things(key):
             groups.append(placed)
             if placed.is_ground:
@@ -282,13 +284,19 @@ class ForestWorld:
             if len(placed.trees):
                 placed.trees["id"] = numbers
             number += len(placed.shape)
-        tile = _packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, swaying, self.plants)
+        tile = packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
         tile.surfaces["texture"] = np.where(tile.surfaces["part"] == PlantPart.LEAF, 0.0, self._texture)
         return tile
 
+    def _grown(self, ix: int, iy: int) -> Trees:
+        """Trees of a tile that are no models."""
+        trees = self._trees(ix, iy)
+        grown: Trees = trees[~self.models.has(trees)]
+        return grown
+
     def _grow_stems(self, key: TileKey) -> list[Mesh]:
         """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, in the tile's frame."""
-        trees, origin_m = self._trees(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
+        trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
         return stem_meshes(trees, origin_m, self.height_m, table=self.plants.trees)
 
     def _stems_of(self, key: TileKey, trees: Trees) -> PlacedThings:
@@ -299,8 +307,9 @@ class ForestWorld:
             tuple(StemKey(key, number) for number in range(n)),
             np.arange(n),
             np.repeat(world_T_tile[None], n, axis=0),
-            _plant_surfaces(trees, STEM_PARTS, self.plants),
+            plant_surfaces(trees, STEM_PARTS, self.plants),
             NO_TREES,
+            is_exact=True,
         )
 
     def _crowns(self, trees: Trees) -> PlacedThings:
@@ -312,8 +321,9 @@ class ForestWorld:
             keys,
             shape,
             crown_placements(trees, crowns),
-            _plant_surfaces(trees, CROWN_PARTS, self.plants),
+            plant_surfaces(trees, CROWN_PARTS, self.plants),
             trees,
+            is_exact=self._loose_stems,
         )
 
     def _things(self, key: TileKey) -> list[PlacedThings]:
@@ -347,49 +357,3 @@ def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], 
         size = " x ".join(f"{n * TILE_M / 1000:.0f} km" for n in across)
         raise GeometryError("path_xy_m", f"spans {size} with what is in reach", "at most 209 km2")
     return (int(low[0]), int(low[1])), (int(across[0]), int(across[1]))
-
-
-def _packed(
-    key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[PlacedThings], swaying: int, plants: Flora
-) -> _Tile:
-    """Put a tile together: first its own shape of ground and stems, then all that is placed on it."""
-    ground = np.zeros(1, SURFACE)
-    ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
-    own_T = np.concatenate([np.eye(3), origin_m[:, None]], axis=1)[None]
-    keys: list[ShapeKey] = [key]
-    shape, first_surface = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)]
-    tables = [ground, _plant_surfaces(trees, STEM_PARTS, plants).ravel()]
-    rows = 1 + len(STEM_PARTS) * len(trees)
-    for placed in groups:
-        n, parts = placed.surfaces.shape
-        shape.append(len(keys) + placed.shape)
-        keys += placed.keys
-        first_surface.append(rows + parts * np.arange(n))
-        tables.append(placed.surfaces.ravel())
-        rows += n * parts
-    far = np.concatenate(
-        [np.ones(1, np.bool_), *(np.full(len(one.shape), not one.is_ground) for one in groups)]
-    )
-    far[1 : 1 + swaying] = False
-    return _Tile(
-        trees=np.concatenate([placed.trees for placed in groups]),
-        keys=tuple(keys),
-        shape=np.concatenate(shape),
-        world_T_shape=np.concatenate([own_T, *(placed.world_T_shape for placed in groups)]),
-        first_surface=np.concatenate(first_surface),
-        surfaces=np.concatenate(tables),
-        far=far,
-    )
-
-
-def _plant_surfaces(trees: Trees, parts: Sequence[int], plants: Flora) -> NDArray[np.void]:
-    """`SURFACE` rows of trees, (n, parts)."""
-    leaf = np.array(parts) == PlantPart.LEAF
-    rows = np.zeros((len(trees), len(parts)), SURFACE)
-    rows["reflectance"] = np.where(
-        leaf, trees["leaf_reflectance"][:, None], trees["bark_reflectance"][:, None]
-    )
-    rows["semantic"], rows["part"] = Semantic.TREE, parts
-    rows["instance"], rows["species"] = trees["id"][:, None], trees["species"][:, None]
-    rows["material"] = bark_material(trees["species"], plants)[:, None] + leaf
-    return rows

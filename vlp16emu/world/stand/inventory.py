@@ -24,7 +24,7 @@ from vlp16emu.world.plants.stem import STEM_PARTS, stems_above_ground, vertex_an
 from vlp16emu.world.plants.stem_form import polygon_m2, tape_m
 from vlp16emu.world.plants.stem_rings import axis_m, stem_rings
 
-__all__ = ["INVENTORY", "inventory", "write_csv"]
+__all__ = ["COPIED", "INVENTORY", "inventory", "volume_m3", "write_csv"]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -60,7 +60,7 @@ INVENTORY = np.dtype(
 )
 """One tree of the inventory. Tops, volumes and areas are those of its meshes."""
 
-_COPIED = (
+COPIED = (
     "id",
     "species",
     "x_m",
@@ -74,6 +74,7 @@ _COPIED = (
     "lean_towards_deg",
     "list_line",
 )
+"""What rows have from `TREE` as it is."""
 
 _DECIMALS = 4
 """Of the numbers in a file: a tenth of a millimetre, a tenth of a litre."""
@@ -101,14 +102,14 @@ def inventory(
     """
     table = table or species_table()
     rows = np.zeros(len(trees), INVENTORY)
-    for name in _COPIED:
+    for name in COPIED:
         rows[name] = trees[name]
     _measure_sections(rows, trees, table)
     meshes = stems_above_ground(trees, table=table)
     ends_m = np.array([[mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)] for mesh in meshes])
     span_m = ends_m.reshape(-1, len(STEM_PARTS), 2, 3)
     span_m = np.stack([span_m[:, :, 0].min(axis=1), span_m[:, :, 1].max(axis=1)], axis=1, dtype=np.float64)
-    rows["stem_m3"] = _per_tree([_volume_m3(mesh) for mesh in meshes]).sum(axis=1)
+    rows["stem_m3"] = _per_tree([volume_m3(mesh) for mesh in meshes]).sum(axis=1)
     _measure_crowns(rows, span_m, trees, crowns, seed, table)
     rows["top_m"] = span_m[:, 1, 2]
     for axis, name in enumerate("xy"):
@@ -163,7 +164,7 @@ def _per_tree(values: list[float]) -> Array:
     return np.array(values).reshape(-1, len(STEM_PARTS))
 
 
-def _volume_m3(mesh: Mesh) -> float:
+def volume_m3(mesh: Mesh) -> float:
     """Volume of a mesh, or of the cone from the origin to it where it is open."""
     a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
     return float(np.einsum("fi,fi->f", a, np.cross(b, c)).sum() / 6)

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import FarTile, Mesh, Semantic, ShapeKey, Window
+from vlp16emu.world.given.section import hull_m
+from vlp16emu.world.given.tree_model import ModelKey
 from vlp16emu.world.plants.crown import CrownKey
 from vlp16emu.world.plants.sapling import SaplingKey
 from vlp16emu.world.plants.shrub import ShrubKey
@@ -30,6 +32,7 @@ T = TypeVar("T")
 _KINDS: dict[str, Callable[..., ShapeKey]] = {
     "CrownKey": CrownKey,
     "FloorKey": lambda kind, *rest: FloorKey(FloorKind(kind), *rest),
+    "ModelKey": ModelKey,
     "SaplingKey": SaplingKey,
     "ShrubKey": ShrubKey,
     "StemKey": lambda tile, number: StemKey(TileKey(*tile), number),
@@ -237,7 +240,7 @@ def _thing(window: Window, placement: int, corners_m: Array) -> Thing:
         species=int(row["species"]),
         kind=_kind(key, Semantic(row["semantic"])),
         place_m=world_T_shape[:, 3].copy(),
-        outline_m=_hull_m(seen_m),
+        outline_m=hull_m(seen_m),
         size_m=(float(size_m[0]), float(size_m[1]), float(size_m[2])),
     )
 
@@ -254,15 +257,4 @@ def _kind(key: ShapeKey, semantic: Semantic) -> str:
 
 def _corners_m(meshes: Sequence[Mesh]) -> Array:
     """Vertices (k, 3) that span the convex hull of a shape: all that outlines need, in any placement."""
-    return _hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
-
-
-def _hull_m(points_m: Array) -> Array:
-    """Those of the points (n, 2 or 3) that span their convex hull; all, where they span no area or volume."""
-    from scipy.spatial import ConvexHull, QhullError  # here: only reports on a forest need it
-
-    try:
-        hull: Array = points_m[ConvexHull(points_m).vertices]
-    except QhullError:
-        return points_m
-    return hull
+    return hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))

@@ -1,4 +1,4 @@
-"""Things that a tile holds many times: the same few shapes, placed again and again."""
+"""What a tile holds: its ground and stems, and things of the same few shapes, placed again and again."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,26 +8,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, generator
-from vlp16emu.types import SURFACE, HeightField, ShapeKey
+from vlp16emu.types import SURFACE, HeightField, PlantPart, Semantic, ShapeKey
+from vlp16emu.world.plants.flora import Flora, bark_material
+from vlp16emu.world.plants.stem import STEM_PARTS
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.points import PointPattern
 from vlp16emu.world.stand.stand import TREE
-from vlp16emu.world.stand.tiles import tile_distance_m
+from vlp16emu.world.stand.tiles import TileKey, tile_distance_m
 
 __all__ = [
     "NO_TREES",
     "Layer",
     "PlacedThings",
     "Site",
+    "Tile",
     "between",
     "distinct",
     "laid",
+    "packed",
     "placements",
+    "plant_surfaces",
     "surface_rows",
     "turned",
 ]
 
 Array = NDArray[np.float64]
+Trees = NDArray[np.void]
+
+_LITTER_REFLECTANCE = 0.30
+"""Leaf litter and soil at 903 nm; assumption."""
 
 NO_TREES = np.zeros(0, TREE)
 """Trees of a layer that has none."""
@@ -49,6 +58,8 @@ class PlacedThings:
     """(n,) `TREE` with id still 0 where the things are trees, else (0,)."""
     is_ground: bool = False
     """As of their layer."""
+    is_exact: bool = False
+    """Whether they are cast as they are from any distance, and are no part of the `FarTile`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,3 +148,67 @@ def laid(towards: Array, slope: Array) -> Array:
     along = np.stack([c * flat, s * flat, slope * flat], axis=-1)
     across = np.stack([-s, c, zero], axis=-1)
     return np.stack([along, across, np.cross(along, across)], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """A tile as a window takes it: the part that a `Window` is put together from."""
+
+    trees: Trees
+    """All trees by number, saplings last."""
+    keys: tuple[ShapeKey, ...]
+    """Different shapes, the tile's own first."""
+    shape: NDArray[np.int64]
+    """(n,) of each placement, index into `keys`."""
+    world_T_shape: Array
+    """(n, 3, 4)."""
+    first_surface: NDArray[np.int64]
+    """(n,) row of `surfaces`."""
+    surfaces: NDArray[np.void]
+    """(m,) `SURFACE`."""
+    far: NDArray[np.bool_]
+    """(n,) which of the placements are part of the `FarTile`."""
+
+
+def packed(
+    key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[PlacedThings], plants: Flora
+) -> Tile:
+    """Put a tile together: first its own shape of ground and stems, those of `trees`, then all that is placed on it."""
+    ground = np.zeros(1, SURFACE)
+    ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
+    own_T = np.concatenate([np.eye(3), origin_m[:, None]], axis=1)[None]
+    keys: list[ShapeKey] = [key]
+    shape, first_surface = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)]
+    tables = [ground, plant_surfaces(trees, STEM_PARTS, plants).ravel()]
+    rows = 1 + len(STEM_PARTS) * len(trees)
+    for placed in groups:
+        n, parts = placed.surfaces.shape
+        shape.append(len(keys) + placed.shape)
+        keys += placed.keys
+        first_surface.append(rows + parts * np.arange(n))
+        tables.append(placed.surfaces.ravel())
+        rows += n * parts
+    seen_far = (np.full(len(one.shape), not (one.is_ground or one.is_exact)) for one in groups)
+    placed_trees = np.concatenate([placed.trees for placed in groups])
+    return Tile(
+        trees=placed_trees[np.argsort(placed_trees["id"])],
+        keys=tuple(keys),
+        shape=np.concatenate(shape),
+        world_T_shape=np.concatenate([own_T, *(placed.world_T_shape for placed in groups)]),
+        first_surface=np.concatenate(first_surface),
+        surfaces=np.concatenate(tables),
+        far=np.concatenate([np.ones(1, np.bool_), *seen_far]),
+    )
+
+
+def plant_surfaces(trees: Trees, parts: Sequence[int], plants: Flora) -> NDArray[np.void]:
+    """`SURFACE` rows of trees, (n, parts)."""
+    leaf = np.array(parts) == PlantPart.LEAF
+    rows = np.zeros((len(trees), len(parts)), SURFACE)
+    rows["reflectance"] = np.where(
+        leaf, trees["leaf_reflectance"][:, None], trees["bark_reflectance"][:, None]
+    )
+    rows["semantic"], rows["part"] = Semantic.TREE, parts
+    rows["instance"], rows["species"] = trees["id"][:, None], trees["species"][:, None]
+    rows["material"] = bark_material(trees["species"], plants)[:, None] + leaf
+    return rows

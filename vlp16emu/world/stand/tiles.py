@@ -10,6 +10,7 @@ from vlp16emu.types import HeightField, Mesh
 from vlp16emu.world.polyline import Polyline
 
 __all__ = [
+    "EXACT",
     "STEM",
     "TILE_M",
     "TileKey",
@@ -49,6 +50,9 @@ STEM = np.dtype(
     ]
 )
 """A stem from afar, or the second leader of one: circles across its axis."""
+
+EXACT = 255
+"""In place of the `PlantPart` of a `FarTile`'s mesh: `STEM`s stand for it, and it is no medium."""
 
 
 @dataclass(frozen=True, slots=True)
