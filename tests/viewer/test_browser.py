@@ -95,7 +95,10 @@ def near(r, g, b):
 
 
 def test_a_way_point_is_dragged_and_saved(tmp_path):
-    """The page shows trees and points; a way point that the mouse drags is in the file, whose comments are kept, and the walk goes there."""
+    """The page shows trees and points; a way point that the mouse drags and another density are in the file, whose comments are kept.
+
+    The walk goes there.
+    """
     scene, out = tmp_path / "mine.toml", tmp_path / "drawn.toml"
     scene.write_text(SCENE)
     with page_of("view", scene, "--save", out, "--radius", "8", "--port", "0") as page:
@@ -109,6 +112,12 @@ def test_a_way_point_is_dragged_and_saved(tmp_path):
         page.mouse.move(x - 70, y, steps=8)
         page.mouse.up()
         page.get_by_text("path: 8.2 m").wait_for(state="detached", timeout=WAIT_MS)
+        density = page.get_by_label("stems per ha")
+        density.fill("200")
+        density.press("Enter")
+        page.get_by_text("not grown yet").wait_for(timeout=WAIT_MS)
+        page.get_by_role("button", name="grow it").click(timeout=WAIT_MS)
+        page.get_by_text("not grown yet").wait_for(state="detached", timeout=WAIT_MS)
         page.get_by_role("button", name="save").click(timeout=WAIT_MS)
         page.get_by_text("saved drawn.toml").wait_for(timeout=WAIT_MS)
     text = out.read_text()
@@ -116,6 +125,7 @@ def test_a_way_point_is_dragged_and_saved(tmp_path):
     assert "# on foot" in text
     (x_m, y_m), *rest = tomllib.loads(text)["motion"]["way_points_m"]
     assert rest == [[4, 0], [8, 1]]
+    assert tomllib.loads(text)["world"]["stems_per_ha"] == 200.0
     assert abs(x_m) < 0.3
     assert 0.5 < y_m < 5.0
     walked = Emulator(out)

@@ -136,33 +136,20 @@ def _show_scene(
 ) -> None:
     """Grow the world, and show it."""
     from vlp16emu.motion.live_settings import takes_poses
-    from vlp16emu.motion.settings import Walk
-    from vlp16emu.report.forest.survey import survey, way_m
-    from vlp16emu.viewer.draft import Draft
-    from vlp16emu.viewer.editor import Editor
-    from vlp16emu.viewer.page import Page, draw_stand
-    from vlp16emu.viewer.stand import pieces_of
-    from vlp16emu.viewer.sweeps import SceneSweeps
-    from vlp16emu.world.stand.forest import ForestWorld
+    from vlp16emu.viewer.scene import ScenePage
 
-    text = server.gui.add_markdown("growing the world")
     emulator = make_emulator(scene, settings)
-    scenario, parts = emulator.scenario, emulator.parts
-    if takes_poses(scenario.motion):
+    if takes_poses(emulator.scenario.motion):
         raise InputError("motion.kind", "found live", "a scene whose path is known before it runs")
-    bare = getattr(parts.world, "bare", parts.world)
-    with Progress(100.0) as progress:
-        if isinstance(bare, ForestWorld):
-            for share in bare.growing(way_m(scenario, parts.motion)):
-                progress.show("growing the world, % of tiles", 100 * share)
-                text.content = f"growing the world, {share:.0%} of its tiles"
-                if stop.is_set():
-                    return
-    seen = survey(scenario, min(radius_m, scenario.sensor.max_range_m), parts)
-    root = draw_stand(server, pieces_of(seen), seen.path_m, hall=seen.hall is not None)
-    text.remove()
-    editor = None
-    if isinstance(scenario.motion, Walk):
-        draft = Draft(scene, scenario, seen)
-        editor = Editor(server, draft, seen.height_m, scenario.duration_s, save)
-    Page(server, SceneSweeps(emulator, unit), seen.species, root, editor).run(stop)
+    with Progress(100.0) as bar:
+        page = ScenePage(
+            server,
+            scene,
+            emulator,
+            settings=settings or (),
+            unit=unit,
+            radius_m=radius_m,
+            save=save,
+            progress=lambda share: bar.show("growing the world, % of tiles", 100 * share),
+        )
+    page.run(stop)

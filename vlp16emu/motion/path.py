@@ -182,9 +182,9 @@ def _check_way_points(way_points_m: Array) -> None:
                 where, f"found {tuple(point.tolist())}", f"within {_FARTHEST_M:g} m of the origin"
             )
         if i and math.dist(point, way_points_m[i - 1]) < _APART_M:
-            raise TrajectoryError(
-                where, "coincides with the one before it", "at least 1 cm between waypoints"
-            )
+            place_m = float(point[0]), float(point[1])
+            expected = "at least 1 cm between waypoints"
+            raise TrajectoryError(where, "coincides with the one before it", expected, at_m=place_m)
     length_m = float(np.hypot(*np.diff(way_points_m, axis=0).T).sum())
     if length_m > _LONGEST_M:
         found = f"found {length_m / 1000:.4g} km from first to last"
@@ -244,6 +244,7 @@ def _check_radius(curvature: Array, points_m: Array, number: NDArray[np.int64]) 
             f"path at ({x_m:.2f}, {y_m:.2f}) m, near waypoint {number[worst] + 1}",
             f"turns with a radius of {1.0 / curvature[worst]:.2g} m",
             f"at least {_SMALLEST_RADIUS_M:g} m: more waypoints round the turn",
+            at_m=(float(x_m), float(y_m)),
         )
 
 
@@ -301,6 +302,7 @@ def _check_slope(solid: "BSpline", along_m: Array, origin_m: Array) -> None:
             f"path at ({x_m:.2f}, {y_m:.2f}) m",
             f"the ground rises or falls by {math.degrees(math.atan(slope[worst])):.0f} degrees",
             f"at most {_STEEPEST_DEG:g} degrees",
+            at_m=(float(x_m), float(y_m)),
         )
 
 

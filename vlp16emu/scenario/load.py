@@ -59,6 +59,7 @@ def load(
     settings: Mapping[str, object] | Sequence[str] = (),
     *,
     ideal: bool = False,
+    folder: Path | None = None,
 ) -> Scenario:
     """Read a scene and apply settings to it.
 
@@ -69,6 +70,7 @@ def load(
     settings : values by `key.path`, or `key.path=value` with the value in TOML, in order; their files are found from
         the current folder, words need not have the case of those in a scene, and 600.0 is the whole number 600
     ideal : light without width, in clear air, and sensors without errors, as far as no setting wants otherwise
+    folder : from which the files that a dictionary names are found; the current one if not given
 
     Raises
     ------
@@ -77,7 +79,7 @@ def load(
     """
     if isinstance(scene, Scenario) and not settings and not ideal:
         return scene
-    source = _source(scene)
+    source = _source(scene, folder or Path.cwd())
     changes = list(_changes(settings))
     if ideal:
         _take_errors(source.tree)
@@ -97,14 +99,14 @@ def _changed(source: _Source, changes: Iterable[_Setting]) -> _Source:
     return source
 
 
-def _source(scene: str | Path | Mapping[str, Any] | Scenario) -> _Source:
-    """Read a scene of any kind."""
+def _source(scene: str | Path | Mapping[str, Any] | Scenario, folder: Path) -> _Source:
+    """Read a scene of any kind; `folder` is that of a dictionary."""
     if isinstance(scene, Scenario):
         tree = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
         return _Source("scenario", tree, Path.cwd(), is_json=True)
     if isinstance(scene, Mapping):
         _check_depth("scene", scene)
-        return _Source("scene", deepcopy(dict(scene)), Path.cwd(), is_json=False)
+        return _Source("scene", deepcopy(dict(scene)), folder, is_json=False)
     path = scene if isinstance(scene, Path) else find(scene)
     tree = {"title": path.stem} | _read(path)
     _check_depth(str(path), tree)

@@ -1,7 +1,7 @@
-"""A path that is being drawn: what it is at each step, what it leads to, and the scene file with it."""
+"""A scene that is being drawn: path and stand at each step, what they lead to, and the scene file with them."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -18,8 +18,10 @@ from vlp16emu.packets import BLOCKS_PER_PACKET, SEQUENCES_PER_BLOCK
 from vlp16emu.report.forest.survey import Survey
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
+from vlp16emu.scenario.presets import presets
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.settings import Sensor
+from vlp16emu.settings import toml
 from vlp16emu.units import S_NS
 from vlp16emu.world.ground.dem import DemHeights
 from vlp16emu.world.make import ground_of
@@ -37,7 +39,7 @@ _LIKE_A_MM = 3
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What a person is to walk, and how."""
+    """What a person is to walk, how, and among what."""
 
     points: tuple[tuple[float, float, float], ...]
     """x and y in the world, and how long the person stops there."""
@@ -47,6 +49,18 @@ class Course:
     """Preset; None for that of the scene."""
     harness: bool
     """Whether the pack hangs loose."""
+    world: Mapping[str, Any] = field(default_factory=dict)
+    """Keys of `[world]` that are not as in the file; None of one that is left out."""
+
+    def planted(self, **keys: Any) -> "Course":
+        """Give it with keys of `[world]` changed."""
+        return replace(self, world={**self.world, **keys})
+
+    def preset(self, name: str | None) -> "Course":
+        """Give it with a preset in place of all keys that presets give; None for what the file has of them."""
+        given = {"preset", "kind"}.union(*presets().values()) - {"kind"}
+        others = {key: value for key, value in self.world.items() if key not in given}
+        return replace(self, world=others | (dict.fromkeys(given) | {"preset": name} if name else {}))
 
     def moved(self, number: int, x_m: float, y_m: float) -> "Course":
         """Give it with one way point elsewhere; the stop there goes with it."""
@@ -92,6 +106,8 @@ class Outlook:
     """(m, 3) feet of stems that are nearer than `path_clearance_m`."""
     fault: str = ""
     """Why nobody can walk so."""
+    fault_m: Array | None = None
+    """(1, 3) where that is, on the ground."""
 
 
 class Draft:
@@ -109,12 +125,16 @@ class Draft:
         where it is no walk
     """
 
-    def __init__(self, scene: str, scenario: Scenario, seen: Survey) -> None:
+    def __init__(self, scene: str, scenario: Scenario, seen: Survey, settings: Sequence[str] = ()) -> None:
         walk = scenario.motion
         if not isinstance(walk, Walk):
             raise InputError("motion.kind", f"found {walk.kind}", "walk, for a path to be drawn")
-        self._file, self._scenario, self._seen, self._walk = find(scene), scenario, seen, walk
-        self._ground = ground_of(scenario.world, scenario.world_seed)
+        self._file, self._settings, self._scenario, self._walk = find(scene), settings, scenario, walk
+        self._tables = (
+            toml(self._file.read_text(encoding="utf-8-sig")) if self._file.suffix == ".toml" else {}
+        )
+        self._based: tuple[Mapping[str, Any], Scenario] = {}, scenario
+        self.grown(scenario, seen)
         origin_m = (0.0, 0.0) if isinstance(scenario.world, Hall) else scenario.world.origin_m[:2]
         plain = way_points(walk.model_copy(update={"back_and_forth": False}), scenario.gps, origin_m)
         rows = np.column_stack([plain.xy_m, plain.pause_s]).tolist()
@@ -126,6 +146,31 @@ class Draft:
             walk.harness is not None,
         )
         self._courses, self._at = [first], 0
+
+    def grown(self, scenario: Scenario, seen: Survey) -> None:
+        """Look at the stand of a scenario from now on."""
+        self._grown, self._seen = scenario.world, seen
+        self._ground = ground_of(scenario.world, scenario.world_seed)
+
+    def height_m(self, x_m: float, y_m: float) -> float:
+        """Give the height of the ground at a place."""
+        return float(self._ground.height_m(np.array([x_m]), np.array([y_m]))[0])
+
+    @property
+    def world(self) -> dict[str, Any]:
+        """Table `[world]` of the file with the present changes; empty where the file is no TOML."""
+        if "world" not in self._tables:
+            return {}
+        both = {**self._tables["world"], **self.course.world}
+        return {key: value for key, value in both.items() if value is not None}
+
+    @property
+    def is_grown(self) -> bool:
+        """Whether the stand that is looked at is that of the present course."""
+        try:
+            return self.scenario(self.course).world == self._grown
+        except InputError:
+            return False
 
     @property
     def course(self) -> Course:
@@ -179,15 +224,26 @@ class Draft:
         """
         changes = self.changes(course)
         dropped = {key: Walk.model_fields[key].get_default(call_default_factory=True) for key in changes}
-        base = self._scenario.model_copy(update={"motion": self._walk.model_copy(update=dropped)})
+        base = self._base(course).model_copy(update={"motion": self._walk.model_copy(update=dropped)})
         return load(base, {f"motion.{key}": value for key, value in changes.items() if value is not None})
+
+    def _base(self, course: Course) -> Scenario:
+        """Give the scene with the stand of a course; the last one is remembered, as paths change more often."""
+        if course.world != self._based[0]:
+            own = {**self._tables["world"], **course.world}
+            world = {key: value for key, value in own.items() if value is not None}
+            folder = self._file.parent.absolute()
+            scenario = load({**self._tables, "world": world}, self._settings, folder=folder)
+            self._based = dict(course.world), scenario
+        return self._based[1]
 
     def outlook(self, course: Course) -> Outlook:
         """Find out what a course leads to, without growing anything."""
         try:
             return self._outlook(self.scenario(course))
         except InputError as error:
-            return Outlook(fault=str(error))
+            place = None if error.at_m is None else np.array([[*error.at_m, self.height_m(*error.at_m)]])
+            return Outlook(fault=str(error), fault_m=place)
 
     def _outlook(self, scenario: Scenario) -> Outlook:
         """Lay the path, and look at what is near it."""
@@ -239,11 +295,15 @@ class Draft:
         self._check_place(to, scenario)
         document = tomlkit.parse(self._file.read_text(encoding="utf-8-sig"))
         motion: Any = document["motion"]
-        for key, value in self.changes(self.course).items():
-            if value is None:
-                motion.pop(key, None)
-            else:
-                motion[key] = value
+        for table, changes in ((motion, self.changes(self.course)), (document["world"], self.course.world)):
+            for key, value in changes.items():
+                if value is None:
+                    table.pop(key, None)
+                elif key == "meshes":
+                    for own, mesh in zip(table[key], value, strict=True):
+                        own["places"] = _written(mesh["places"])
+                else:
+                    table[key] = _written(value)
         text = tomlkit.dumps(document)
         with OutputFile(to) as output, output.writing() as file:
             file.write(text.encode())
@@ -253,6 +313,20 @@ class Draft:
         folder = self._file.parent.absolute()
         if to.suffix != ".toml" or (named_files(scenario) and to.parent.absolute() != folder):
             raise OutputError(str(to), "cannot hold the scene", f"a .toml file in {folder}, beside its files")
+
+
+def _written(value: Any) -> Any:
+    """Write a list of tables line by line, each on its own; anything else as it is."""
+    import tomlkit
+
+    if not isinstance(value, list) or not all(isinstance(row, dict) for row in value):
+        return value
+    rows = tomlkit.array().multiline(len(value) > 1)
+    for row in value:
+        table = tomlkit.inline_table()
+        table.update(row)
+        rows.append(table)
+    return rows
 
 
 def summary_of(outlook: Outlook, duration_s: float) -> Mapping[str, str]:

@@ -10,7 +10,6 @@ import numpy as np
 import viser
 
 from vlp16emu.errors import Vlp16emuError
-from vlp16emu.types import HeightField
 from vlp16emu.viewer.draft import Course, Draft, Outlook, summary_of
 
 __all__ = ["Editor"]
@@ -27,7 +26,6 @@ class Editor:
 
     Parameters
     ----------
-    height_m : ground
     duration_s : of the scene
     to : file to save to; None where nothing is to be saved
     """
@@ -36,16 +34,16 @@ class Editor:
         self,
         server: viser.ViserServer,
         draft: Draft,
-        height_m: HeightField,
         duration_s: float,
         to: Path | None,
     ) -> None:
         self.wake: Callable[[], None] = lambda: None
-        self._server, self._draft, self._height_m = server, draft, height_m
+        self._server, self._draft = server, draft
         self._duration_s, self._to = duration_s, to
         self._asked: list[Callable[[], Course | None]] = []
         self._gizmos: list[viser.TransformControlsHandle] = []
         self._note = ""
+        self._followers: list[Callable[[Course], None]] = []
         self._panel()
         self._show()
 
@@ -66,21 +64,26 @@ class Editor:
             self._harness = gui.add_checkbox("loose harness", course.harness)
             for control in (self._pause, self._speed, self._laps, self._gait, self._harness):
                 self._ask_on(control.on_update, self._as_in_panel)
-            self._number.on_update(lambda _: self._ask(lambda: None))
-            gui.add_button("undo").on_click(lambda _: self._ask(self._draft.undo))
-            gui.add_button("redo").on_click(lambda _: self._ask(self._draft.redo))
+            self._number.on_update(lambda _: self.ask(lambda: None))
+            gui.add_button("undo").on_click(lambda _: self.ask(self._draft.undo))
+            gui.add_button("redo").on_click(lambda _: self.ask(self._draft.redo))
             save = gui.add_button("save", disabled=self._to is None, hint="to the file of --save")
-            save.on_click(lambda _: self._ask(self._save))
+            save.on_click(lambda _: self.ask(self._save))
             self._text = gui.add_markdown("")
 
     def _ask_on(self, event: Callable[[Any], Any], make: Callable[[Course, int], Course]) -> None:
         """Make another course of the present one when something happens."""
-        event(lambda _: self._ask(lambda: make(self._draft.course, self._chosen())))
+        event(lambda _: self.ask(lambda: make(self._draft.course, self._chosen())))
 
-    def _ask(self, what: Callable[[], Course | None]) -> None:
-        """Have something done by the thread that draws."""
+    def ask(self, what: Callable[[], Course | None]) -> None:
+        """Have something done by the thread that draws: it may give another course."""
         self._asked.append(what)
         self.wake()
+
+    def follow(self, show: Callable[[Course], None]) -> None:
+        """Show each course, from the present one on, to somebody else too."""
+        self._followers.append(show)
+        show(self._draft.course)
 
     def _chosen(self) -> int:
         """Way point that the panel is about, from 0."""
@@ -109,7 +112,15 @@ class Editor:
         for what in asked:
             try:
                 course = what()
-            except (TypeError, ValueError, OverflowError):  # a stranger's message may say anything
+            except Vlp16emuError as error:
+                self._note = str(error)
+                continue
+            except (
+                TypeError,
+                ValueError,
+                OverflowError,
+                AttributeError,
+            ):  # a stranger's message may say anything
                 continue
             if course is not None:
                 self._draft.change(course)
@@ -120,11 +131,8 @@ class Editor:
         """Write the scene file."""
         if self._to is None:
             return
-        try:
-            self._draft.save(self._to)
-            self._note = f"saved {self._to.name}"
-        except Vlp16emuError as error:
-            self._note = str(error)
+        self._draft.save(self._to)
+        self._note = f"saved {self._to.name}"
 
     def _show(self) -> None:
         """Draw the course, and say what it leads to."""
@@ -133,6 +141,11 @@ class Editor:
         with self._server.atomic():
             self._show_points(course)
             self._show_path(outlook)
+        for show in self._followers:
+            show(course)
+        self._speed.value, self._laps.value = course.speed_m_s, course.laps
+        self._gait.value, self._harness.value = course.gait or _GAITS[0], course.harness
+        self._pause.value = course.points[self._chosen()][2]
         rows = summary_of(outlook, self._duration_s)
         stems = 0 if outlook.in_the_way_m is None else len(outlook.in_the_way_m)
         lines = [outlook.fault] if outlook.fault else [f"{name}: {text}" for name, text in rows.items()]
@@ -144,7 +157,7 @@ class Editor:
         while len(self._gizmos) > len(course.points):
             self._gizmos.pop().remove()
         for number, (x_m, y_m, _) in enumerate(course.points):
-            place_m = (x_m, y_m, float(self._height_m(np.array([x_m]), np.array([y_m]))[0]) + _RAISED_M)
+            place_m = (x_m, y_m, self._draft.height_m(x_m, y_m) + _RAISED_M)
             if number == len(self._gizmos):
                 self._gizmos.append(self._gizmo(number))
             self._gizmos[number].position = place_m
@@ -169,17 +182,18 @@ class Editor:
                 return None
             return self._draft.course.moved(number, x_m, y_m)
 
-        gizmo.on_drag_end(lambda _: self._ask(dropped))
+        gizmo.on_drag_end(lambda _: self.ask(dropped))
         return gizmo
 
     def _show_path(self, outlook: Outlook) -> None:
-        """Draw the path on the ground, and the stems that are in its way."""
+        """Draw the path on the ground, the stems that are in its way, and where nobody can walk."""
         scene = self._server.scene
         if outlook.path_m is not None:
             line_m = outlook.path_m + np.array([0.0, 0.0, _RAISED_M])
             segments_m = np.stack([line_m[:-1], line_m[1:]], axis=1)
             scene.add_line_segments("/draft", segments_m, _GOOD, thickness=0.12)
-        marks_m = outlook.in_the_way_m if outlook.in_the_way_m is not None else np.zeros((0, 3))
+        marked = (marks for marks in (outlook.in_the_way_m, outlook.fault_m) if marks is not None)
+        marks_m = np.concatenate([np.zeros((0, 3)), *marked])
         scene.add_point_cloud(
             "/in_the_way", marks_m, _BAD, point_size=0.6, point_shape="circle", precision="float32"
         )

@@ -97,6 +97,12 @@ class Page:
         if editor is not None:
             editor.wake = self._wake.set
 
+    def turn_to(self, sweeps: Sweeps, species: dict[int, str], root: viser.FrameHandle | None) -> None:
+        """Show the sweeps of another stand from now on."""
+        self._sweeps, self._species, self._root = sweeps, species, root
+        self._time_s = min(self._time_s, sweeps.last_s)
+        self._kept = deque[Sweep]([sweeps.at(self._time_s)], maxlen=_MOST_KEPT)
+
     def _panel(self) -> None:
         """Lay out the controls."""
         gui, sweeps = self._server.gui, self._sweeps

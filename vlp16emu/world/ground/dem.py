@@ -104,7 +104,8 @@ class DemHeights:
             if gap_m.min() < 0:
                 px, py = path_xy_m[gap_m.argmin()]
                 found = f"ends in {line} at {axis} = {edge_m:.1f} m, {-gap_m.min():.1f} m short of the path at ({px:.1f}, {py:.1f}) m"
-                raise GeometryError(str(self._grid.path), found, "ground under the whole path")
+                place_m = float(px), float(py)
+                raise GeometryError(str(self._grid.path), found, "ground under the whole path", at_m=place_m)
         if in_sight:
             _log.warning(
                 "%s: ends in %s, %.1f m from the path at the nearest, and goes on level from there; the sensor sees %g m",
@@ -124,6 +125,7 @@ class DemHeights:
                 f"{self._grid.path}: row {row[i] + 1}, column {column[i] + 1}",
                 f"no height at ({x:.1f}, {y:.1f}) m{self._on_the_map(x, y)}, {gap_m[i]:.1f} m from the path",
                 f"heights {reach_m:g} m around the path and two cells more",
+                at_m=(float(x), float(y)),
             )
 
     def _on_the_map(self, x_m: float, y_m: float) -> str:
