@@ -19,7 +19,7 @@ from vlp16emu.sinks.slots import SLOT_COLUMNS
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is in the extra data")
 compute = pytest.importorskip("pyarrow.compute", reason="pyarrow is in the extra data")
 
-SPAN_S = 0.5
+SPAN_S = 0.25
 EDGE_M = 0.002
 Z_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """From rows of glTF, whose y is up, to those of the world."""
@@ -34,10 +34,10 @@ def data_payloads(path):
 
 @pytest.fixture(scope="module", params=["strongest", "last", "dual"])
 def run(request, tmp_path_factory):
-    """Half a second among birches without noise: emulator, capture and truth."""
+    """A quarter of a second among birches without noise: emulator, capture and truth."""
     folder = tmp_path_factory.mktemp("slots")
     settings = [f"sensor.return_mode={request.param}", "noise.preset=ideal", "world.stems_per_ha=300"]
-    settings.append("sensor.max_range_m=60.0")
+    settings.append("sensor.max_range_m=40.0")
     emulator = Emulator("birch_walk", settings)
     to = TruthTo(folder / "truth", rate_hz=2000, per_return=True)
     emulator.record(folder / "walk.pcap", duration_s=SPAN_S, truth=to)
@@ -69,7 +69,7 @@ def test_all_points_of_another_decoder_find_their_rows(run, table):
     points = np.concatenate([points for _, points in scans])
     rows = table.filter(~(table["miss"].to_numpy() | table["repeat"].to_numpy()))
     rows = rows.sort_by([("t_ns", "ascending"), ("block", "ascending")])
-    assert len(points) == len(rows) > 40_000
+    assert len(points) == len(rows) > 20_000
     their_m = np.column_stack([points[axis] for axis in "xyz"])
     our_m = np.column_stack([rows[f"{axis}_m"].to_numpy() for axis in "xyz"])
     away_m = np.linalg.norm(their_m - our_m, axis=1)
@@ -88,7 +88,7 @@ def test_relative_and_absolute_places_are_one(run, table):
     rows = table.filter(compute.invert(table["miss"]))
     at = np.searchsorted(pose_ns, rows["t_ns"].to_numpy() - start_ns, side="right") - 1
     exact = pose_ns[at] == rows["t_ns"].to_numpy() - start_ns
-    assert exact.sum() > 10
+    assert exact.sum() > 5
     local_m = np.column_stack([rows[f"{axis}_m"].to_numpy() for axis in "xyz"])[exact].astype(float)
     world_m = np.column_stack([rows[f"world_{axis}_m"].to_numpy() for axis in "xyz"])[exact]
     found_m = Rotation.from_quat(q[at[exact]]).apply(local_m) + p[at[exact]]
@@ -183,6 +183,7 @@ def nodes_of(path):
 def test_labels_are_those_of_the_nearest_surface(tmp_path):
     """Of a stand cast leaf by leaf, each place lies on a mesh of the digital twin with its labels, and on no other one."""
     settings = ["beam.model=none", "noise.preset=ideal", "world.near_m=inf", "sensor.max_range_m=14"]
+    settings.append("duration_s=0.5")
     Emulator("spruce_walk", settings).write_truth(TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)
     options = [word for one in settings for word in ("--set", one)]
     assert (

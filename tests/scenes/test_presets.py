@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from vlp16emu.chain import assemble
-from vlp16emu.emulator import Emulator
 from vlp16emu.errors import ScenarioError
 from vlp16emu.scenario import load
 from vlp16emu.scenario.presets import presets
-from vlp16emu.types import PacketKind, Semantic
+from vlp16emu.types import Semantic
 from vlp16emu.world.plants.flora import species_table
 from vlp16emu.world.stand.stand import REGENERATION
 
@@ -83,15 +82,6 @@ def test_the_reference_forest_has_a_leaf_area_index_of_about_four():
             area_m2 += key.leaf_area_m2 * np.linalg.norm(T[:, 0]) ** 2
     assert area_m2 / ground_m2 == pytest.approx(4.0, abs=0.3)
     assert (trees["storey"] == 0).sum() / ground_m2 * 1e4 == pytest.approx(600, rel=0.08)
-
-
-@pytest.mark.parametrize("name", [*presets(), "reference_forest"])
-def test_a_scene_runs(name):
-    """Two tenths of a second give data packets, at short reach to be quick, and the walk lasts its 60 s."""
-    scenario = load(name, ["sensor.max_range_m=8.0"])
-    emulator = Emulator(scenario)
-    assert sum(packet.kind is PacketKind.DATA for packet in emulator.packets(0.0, 0.2)) == 150
-    emulator.packets(0.0, 60.0)
 
 
 def test_any_number_beside_a_preset_takes_its_place(tmp_path):
