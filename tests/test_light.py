@@ -136,7 +136,7 @@ def errors():
     sent_m = distances_m(load("static_bench", unit), stop_s).reshape(-1, 16)
     # The least error of a pulse of 6 ns of that signal over noise, 6 for 10 % at 40 m.
     weak_m = 0.299792458 / 2 * 6.0 / 2.35482 * 0.1 / 40**2 / 6 * true_m**2 / shown
-    sigma_m = np.hypot(0.0065 * np.sqrt(0.88 + 0.024 / shown), weak_m)
+    sigma_m = np.hypot(0.0065 * (0.2 / shown) ** 0.25, weak_m)
     n = len(sent_m)
     return real_m[:n] - true_m[:n], sent_m - true_m[:n], sigma_m[:n]
 

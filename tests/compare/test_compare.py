@@ -102,7 +102,7 @@ def test_a_fitted_unit_is_like_the_real_one(real, recorded):
         f"{section}.{key}": value for section, table in tables.items() for key, value in table.items()
     }
     rows = {row.name: row for row in compared(recorded("fitted", settings), real["mrpt"])}
-    for name in ("range.beat_mm", "range.sigma_without_beat_mm", "rotation.once_cdeg", "rotation.twice_cdeg"):
+    for name in ("range.beat_mm", "range.white_at_20_mm", "rotation.once_cdeg", "rotation.twice_cdeg"):
         assert rows[name].distance < 0.2, name
 
 

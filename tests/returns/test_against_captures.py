@@ -1,4 +1,4 @@
-"""White range noise of a real unit against the `typical` preset, by one and the same estimator."""
+"""Range noise of a real unit against the `unit` preset, by one and the same estimator."""
 
 from pathlib import Path
 
@@ -51,7 +51,7 @@ def white_noise_m(distance_m):
 
 
 @pytest.mark.skipif(not CAPTURE.exists(), reason="no captures of real sensors at ../shared/captures")
-def test_white_noise_of_a_real_unit_is_that_of_the_typical_preset(detector, firings, table):
+def test_white_noise_of_a_real_unit_is_that_of_the_unit_preset(detector, firings, table):
     """Over three revolutions of a static scene, a real unit scatters as the emulated one at the same targets, to 15 %."""
     with CAPTURE.open("rb") as file:
         payloads = b"".join(frame[42:] for _, frame in dpkt.pcap.Reader(file) if len(frame) == 1248)
@@ -67,10 +67,12 @@ def test_white_noise_of_a_real_unit_is_that_of_the_typical_preset(detector, firi
         np.where(hit, percent / 100, 0).astype(np.float32),
     )
     k = len(mean_m)
-    unit = detector(Noise(preset="typical"))
+    unit = detector(Noise(preset="unit", unit_spread=0.0))
     emulated = np.stack(
         [
-            detect(firings(k, turn * k), hits, table(1.0), unit, truth=False).distance_m[..., 0].astype(float)
+            detect(firings(k, turn * (k + 1)), hits, table(1.0), unit, truth=False)
+            .distance_m[..., 0]
+            .astype(float)
             for turn in range(3)
         ]
     )

@@ -47,7 +47,7 @@ def _noise(sequences: Sequences, found: Statistics) -> Table:
     out: dict[str, object] = {"preset": "unit", "unit_spread": 0.0}
     if (smooth := smooth_of(sequences)) is not None:
         sine, _ = beat_of(smooth)
-        out["range_noise_m"] = round(found["range.sigma_without_beat_mm"] * 1e-3, 5)
+        out["range_noise_m"] = round(found["range.white_at_20_mm"] * 1e-3, 5)
         out["range_beat_m"] = round(float(abs(sine)) * 1e-3, 5)
         out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
     if scatter := found.get("reflectivity.scatter_60_99"):

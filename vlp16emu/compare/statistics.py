@@ -54,7 +54,7 @@ class Smooth:
         centre = _WINDOW // 2
         span = sliding_window_view(sequences.number, _WINDOW)
         gapless = span[:, -1] - span[:, 0] == _WINDOW - 1
-        residuals, slots = [], []
+        residuals, slots, levels = [], [], []
         for laser in range(sequences.distance_lsb.shape[1]):
             codes = sliding_window_view(sequences.distance_lsb[:, laser], _WINDOW)[gapless]
             numbers = span[gapless, centre]
@@ -63,10 +63,14 @@ class Smooth:
             smooth = (rest_mm.std(axis=1) < _SMOOTHEST_MM) & (np.abs(rest_mm).max(axis=1) < _FARTHEST_MM)
             residuals.append(rest_mm[smooth, centre])
             slots.append((24 * numbers[seen][smooth] + laser) % _SLOTS)
+            rows = np.flatnonzero(gapless)[seen][smooth] + centre
+            levels.append(np.clip(sequences.reflectivity[rows, laser], 1.0, 100.0))
         self.residual_mm = np.concatenate(residuals)
         """(r,)."""
         self.slot = np.concatenate(slots)
         """(r,) of the beat, 0 to 4, from the first pulse of the capture."""
+        self.level = np.concatenate(levels)
+        """(r,) reflectivity, 1 to 100."""
         own = (np.eye(_WINDOW) - smoother)[centre]
         self.white_gain = math.sqrt(float((own**2).sum()))
         """Share of white noise that is left in a residual."""
@@ -104,7 +108,7 @@ def statistics_of(sequences: Sequences) -> Statistics:
 
 
 def _range_noise(sequences: Sequences) -> Statistics:
-    """Beat and white noise of ranges."""
+    """Beat and white noise of ranges, the latter as it is at a reflectivity of 20 (`range_sigma_m`)."""
     smooth = smooth_of(sequences)
     if smooth is None:
         return {}
@@ -116,7 +120,7 @@ def _range_noise(sequences: Sequences) -> Statistics:
     return {
         "range.beat_mm": abs(beat[0]),
         "range.sigma_mm": smooth.residual_mm.std() / smooth.white_gain,
-        "range.sigma_without_beat_mm": rest.std() / smooth.white_gain,
+        "range.white_at_20_mm": (rest * (smooth.level / 20.0) ** 0.25).std() / smooth.white_gain,
     }
 
 

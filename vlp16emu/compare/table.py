@@ -18,7 +18,7 @@ REAL: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "range.beat_mm": (3.796, 7.152),
         "range.sigma_mm": (7.658, 10.87),
-        "range.sigma_without_beat_mm": (5.746, 10.49),
+        "range.white_at_20_mm": (6.178, 8.513),
         "reflectivity.equal_1_4": (0.6416, 0.7084),
         "reflectivity.scatter_1_4": (0.7896, 1.576),
         "reflectivity.equal_20_59": (0.1409, 0.3157),

@@ -28,7 +28,8 @@ __all__ = [
 
 BIAS_LIMIT_M = 0.03
 """Accuracy of the data sheet, which no laser exceeds."""
-_STEADY, _DARK = 0.88, 0.024
+_AT = 0.2
+"""Reflectance at which the noise is that of the settings."""
 _FAINTEST_REFLECTANCE = 0.01
 _OVERTONE_RAD = math.radians(85.0)
 _COARSE = 50.0
@@ -102,11 +103,11 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> NDAr
 def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: float) -> float:
     """White range noise of an echo, one sigma.
 
-    sigma**2 = noise**2 (0.88 + 0.024 / reflectance) + (width / signal-to-noise ratio)**2. The first part was fitted to
-    a real unit before a static scene 0.5 to 8 m away: 6.5 mm in the median, 8.8 mm below a reflectivity of 5, 6.2 mm
-    above 50, and no growth with range. For the sensor fires stronger at what is far or dark: on the HDL-32E one of 11
-    powers, chosen by the shot before (its software version 2.0). The second part is the least error of the place of
-    a Gaussian pulse in white noise, and counts where power is at its end.
+    sigma**2 = noise**2 sqrt(0.2 / reflectance) + (width / signal-to-noise ratio)**2. The first part is that of four real
+    units on smooth surfaces without the beat (`protocol/README.md`, "The character of a unit"); it does not grow with
+    range, for the sensor fires stronger at what is far or dark: on the HDL-32E one of 11 powers, chosen by the shot before
+    (its software version 2.0). The second part is the least error of the place of a Gaussian pulse in white noise, and
+    counts where power is at its end.
 
     Parameters
     ----------
@@ -116,7 +117,7 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
     shown = min(max(reflectance, _FAINTEST_REFLECTANCE), 1.0)
     far_m = constants.sigma_m * constants.amplitude_noise / amplitude
     return math.sqrt(
-        constants.range_noise_m * constants.range_noise_m * (_STEADY + _DARK / shown) + far_m * far_m
+        constants.range_noise_m * constants.range_noise_m * math.sqrt(_AT / shown) + far_m * far_m
     )
 
 

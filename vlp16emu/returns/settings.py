@@ -28,7 +28,7 @@ _PRESETS: dict[str, dict[str, object]] = {
     "datasheet": {"range_noise_m": 0.011, "range_bias_m": 0.010},
     # Measured on captures of real units: protocol/README.md, "The character of a unit".
     "unit": {
-        "range_noise_m": 0.0052,
+        "range_noise_m": 0.0058,
         "range_beat_m": 0.006,
         "reflectivity_noise": 0.0,
         "reflectivity_noise_share": 0.031,
@@ -66,7 +66,7 @@ class Noise(Preset):
     """Values of the keys that are not given beside it: `unit` draws one like those that were measured, `typical` has white errors
     and constant ones per laser only."""
     range_noise_m: _Metres = 0.0065
-    """White, one sigma, at a reflectivity of 20; measured on a real unit."""
+    """White, one sigma, at a reflectivity of 20; it falls with the fourth root of the reflectivity, as on four real units."""
     range_beat_m: Annotated[float, Field(ge=0, le=0.02)] = 0.0
     """Amplitude of the error that repeats every five pulses of 2.304 us, the same for all lasers and ranges; 4 to 7 mm on
     real units. Units differ by a quarter, and in phase. 0 switches it off."""
