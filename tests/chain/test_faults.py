@@ -22,6 +22,7 @@ from vlp16emu.units import MS_NS, S_NS
 STOP_S = 1.5
 PERIOD_NS = 1_327_104
 DATA, POSITION = PacketKind.DATA, PacketKind.POSITION
+START_NS = load("static_bench").start_ns
 TABLES = {
     "schema": 1,
     "seed": 5,
@@ -75,9 +76,8 @@ def of(packets, kind):
 
 def since(packets, at_s):
     """Those due from a time on."""
-    return [
-        packet for packet in packets if packet.due_ns >= load("static_bench").start_ns + round(at_s * S_NS)
-    ]
+    begin_ns = START_NS + round(at_s * S_NS)
+    return [packet for packet in packets if packet.due_ns >= begin_ns]
 
 
 EVERY = (
