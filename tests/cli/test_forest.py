@@ -14,7 +14,7 @@ from vlp16emu.report.forest.survey import survey
 from vlp16emu.scenario import load
 from vlp16emu.world.ground.grid import read_grid
 
-SMALL = ("--set", "duration_s=4.0", "--set", "sensor.max_range_m=20.0", "--radius", "12")
+SMALL = ("--set", "duration_s=3.0", "--set", "sensor.max_range_m=16.0", "--radius", "12")
 
 
 @pytest.fixture(scope="module")
