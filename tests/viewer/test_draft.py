@@ -15,7 +15,9 @@ from vlp16emu.errors import InputError, OutputError
 from vlp16emu.report.forest.survey import survey
 from vlp16emu.scenario import load
 from vlp16emu.viewer.draft import Draft
-from vlp16emu.viewer.planter import mix_of, mix_text
+from vlp16emu.viewer.editor import Editor
+from vlp16emu.viewer.guard import guarded_server
+from vlp16emu.viewer.planter import Planter, mix_of, mix_text
 
 SCENE = """# mine
 schema = 1
@@ -180,3 +182,28 @@ def test_a_mix_that_is_none_is_refused(text):
     assert mix_text(rows) == "silver_birch 1"
     with pytest.raises(InputError, match=r"species"):
         mix_of(text, rows, None)
+
+
+def test_the_panel_follows_preset_and_undo_and_takes_what_is_written(scene):
+    """The species of a preset stay when the stand is grown; a mix that is written then is taken; undo brings the panel back."""
+    draft = planted(scene)
+    with guarded_server("127.0.0.1", 0, "test") as server:
+        editor = Editor(server, draft, 5.0, None)
+        planter = Planter(server, draft, editor, draft.scenario(draft.course).world, lambda _: draft._seen)
+        draft.change(draft.course.preset("old_growth"))
+        editor.ask(planter._mixed)
+        editor.step()
+        assert "species" not in {key for key, value in draft.course.world.items() if value is not None}
+        assert planter._preset.value == "old_growth"
+        wanted = mix_text([row.model_dump() for row in draft.scenario(draft.course).world.species])
+        assert planter._mix.value == wanted != "silver_birch 1"
+        planter._mix.value = "Picea abies 1"
+        editor.ask(planter._mixed)
+        editor.step()
+        assert [row["species"] for row in draft.course.world["species"]] == ["norway_spruce"]
+        for _ in range(2):
+            editor.ask(draft.undo)
+        editor.step()
+        assert (planter._preset.value, planter._mix.value) == ("as in the scene", "silver_birch 1")
+        assert planter._density.value == 900.0
+        assert not editor.step()

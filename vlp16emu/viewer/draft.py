@@ -58,7 +58,7 @@ class Course:
 
     def preset(self, name: str | None) -> "Course":
         """Give it with a preset in place of all keys that presets give; None for what the file has of them."""
-        given = {"preset", "kind"}.union(*presets().values()) - {"kind"}
+        given = {"preset"}.union(*presets().values()) - {"kind"}
         others = {key: value for key, value in self.world.items() if key not in given}
         return replace(self, world=others | (dict.fromkeys(given) | {"preset": name} if name else {}))
 

@@ -12,10 +12,10 @@ import viser
 from vlp16emu.errors import Vlp16emuError
 from vlp16emu.viewer.draft import Course, Draft, Outlook, summary_of
 
-__all__ = ["Editor"]
+__all__ = ["FARTHEST_M", "Editor"]
 
-_FARTHEST_M = 10_000.0
-"""Of a way point from the scene's origin: farther no hand drags it."""
+FARTHEST_M = 10_000.0
+"""Of a way point or thing from the scene's origin: farther no hand drags it."""
 _GAITS = ("as in the scene", "none", "paper", "natural", "strong")
 _RAISED_M = 0.15
 _GOOD, _BAD = (30, 90, 220), (220, 30, 30)
@@ -178,12 +178,16 @@ class Editor:
             """Take the way point to where its gizmo is."""
             x_m, y_m = (float(gizmo.position[axis]) for axis in (0, 1))
             points = self._draft.course.points
-            if number >= len(points) or not (abs(x_m) <= _FARTHEST_M and abs(y_m) <= _FARTHEST_M):
+            if number >= len(points) or not (abs(x_m) <= FARTHEST_M and abs(y_m) <= FARTHEST_M):
                 return None
             return self._draft.course.moved(number, x_m, y_m)
 
-        gizmo.on_drag_end(lambda _: self.ask(dropped))
+        self.on_drop(gizmo, dropped)
         return gizmo
+
+    def on_drop(self, gizmo: viser.TransformControlsHandle, what: Callable[[], Course | None]) -> None:
+        """Have something done by the thread that draws whenever a gizmo is let go."""
+        gizmo.on_update(lambda event: self.ask(what) if event.phase == "end" else None)
 
     def _show_path(self, outlook: Outlook) -> None:
         """Draw the path on the ground, the stems that are in its way, and where nobody can walk."""

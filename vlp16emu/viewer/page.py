@@ -101,6 +101,8 @@ class Page:
         """Show the sweeps of another stand from now on."""
         self._sweeps, self._species, self._root = sweeps, species, root
         self._time_s = min(self._time_s, sweeps.last_s)
+        self._slider.value = self._time_s
+        self._slider.max = max(sweeps.last_s, sweeps.step_s)
         self._kept = deque[Sweep]([sweeps.at(self._time_s)], maxlen=_MOST_KEPT)
 
     def _panel(self) -> None:

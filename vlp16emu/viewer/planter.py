@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from copy import deepcopy
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import viser
@@ -14,18 +14,16 @@ from vlp16emu.report.forest.survey import Survey
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.presets import presets
 from vlp16emu.viewer.draft import Course, Draft
-from vlp16emu.viewer.editor import Editor
+from vlp16emu.viewer.editor import FARTHEST_M, Editor
 from vlp16emu.world.plants.flora import flora, known
 from vlp16emu.world.settings import Forest, Hall, Plot
+from vlp16emu.world.stand.settings import Season
 
 __all__ = ["Planter", "mix_of", "mix_text"]
 
 _AS_IS = "as in the scene"
-_SEASONS = ("leaf_on", "leaf_off")
 _RAISED_M = 1.2
 """Of the gizmos of meshes and plot, over those of way points."""
-_FARTHEST_M = 10_000.0
-"""Of a place from the scene's origin: farther no hand drags it."""
 _PLOT = -1, -1
 """In place of the numbers of a mesh and its place: all that is in map coordinates."""
 Place = dict[str, Any]
@@ -86,6 +84,7 @@ class Planter:
         self._server, self._draft, self._editor = server, draft, editor
         self._grow, self._world = grow, world
         self._gizmos = dict[tuple[int, int], viser.TransformControlsHandle]()
+        self._mix_shown = ""
         with server.gui.add_folder("Stand"):
             self._panel()
         editor.follow(self._show)
@@ -95,17 +94,18 @@ class Planter:
         gui, world = self._server.gui, self._world
         if isinstance(world, Forest):
             names = (_AS_IS, *presets())
-            preset = gui.add_dropdown("preset", names, initial_value=_AS_IS)
-            self._on(preset, lambda now, name: now.preset(None if name == _AS_IS else str(name)))
-            density = gui.add_number("stems per ha", world.stems_per_ha, min=0.0, step=50.0)
-            self._on(density, lambda now, n: now.planted(stems_per_ha=float(n), basal_area_m2_per_ha=None))
-            mix = mix_text([row.model_dump() for row in world.species])
+            self._preset = gui.add_dropdown("preset", names, initial_value=_AS_IS)
+            self._on(self._preset, lambda now, name: now.preset(None if name == _AS_IS else str(name)))
+            self._density = gui.add_number("stems per ha", world.stems_per_ha, min=0.0, step=50.0)
+            self._on(
+                self._density, lambda now, n: now.planted(stems_per_ha=float(n), basal_area_m2_per_ha=None)
+            )
             self._mix = gui.add_text(
-                "species, shares", mix, hint="such as silver_birch 0.6, norway_spruce 0.4"
+                "species, shares", "", hint="such as silver_birch 0.6, norway_spruce 0.4"
             )
         if isinstance(world, Forest | Plot):
-            season = gui.add_dropdown("season", _SEASONS, initial_value=world.season)
-            self._on(season, lambda now, name: now.planted(season=str(name)))
+            self._season = gui.add_dropdown("season", get_args(Season), initial_value=world.season)
+            self._on(self._season, lambda now, name: now.planted(season=str(name)))
         if world.meshes:
             number = gui.add_number("mesh", 1, min=1, max=len(world.meshes), step=1)
             for label, change in (("add a place", _with_place), ("remove its last place", _without_place)):
@@ -116,8 +116,14 @@ class Planter:
         self._text = gui.add_markdown("")
 
     def _on(self, control: Any, change: Callable[[Course, Any], Course], event: str = "on_update") -> None:
-        """Make another course of the present one when something is done to a control."""
-        getattr(control, event)(lambda _: self._editor.ask(lambda: change(self._draft.course, control.value)))
+        """Make another course of the present one when somebody does something to a control."""
+
+        def done(by: viser.GuiEvent[Any]) -> None:
+            """Leave out what the page itself has set."""
+            if by.client is not None:
+                self._editor.ask(lambda: change(self._draft.course, control.value))
+
+        getattr(control, event)(done)
 
     def _replaced(
         self,
@@ -135,11 +141,9 @@ class Planter:
     def _mixed(self) -> Course | None:
         """Take the species from the panel: when it is to be grown, as a name that is being written is none yet."""
         world = self._draft.scenario(self._draft.course).world
-        if not isinstance(world, Forest):
+        if not isinstance(world, Forest) or self._mix.value == self._mix_shown:
             return None
         rows = [row.model_dump() for row in world.species]
-        if self._mix.value == mix_text(rows):
-            return None
         return self._draft.course.planted(species=mix_of(self._mix.value, rows, world.species_file))
 
     def _regrow(self) -> None:
@@ -149,7 +153,8 @@ class Planter:
         self._draft.grown(scenario, self._grow(scenario))
 
     def _show(self, course: Course) -> None:
-        """Put gizmos where things are, and say whether the stand is that of the course."""
+        """Put controls and gizmos where things are, and say whether the stand is that of the course."""
+        self._show_controls(course)
         places = [
             (i, j, place)
             for i, mesh in enumerate(self._draft.world.get("meshes", ()))
@@ -166,6 +171,21 @@ class Planter:
         self._text.content = (
             "" if self._draft.is_grown else f"**not grown yet**: {changed or 'the stand of the file'}"
         )
+
+    def _show_controls(self, course: Course) -> None:
+        """Set the controls to what a course has, where it is a scene."""
+        try:
+            world = self._draft.scenario(course).world
+        except InputError:
+            return
+        if isinstance(world, Forest):
+            self._preset.value = course.world.get("preset") or _AS_IS
+            self._density.value = world.stems_per_ha
+            mix = mix_text([row.model_dump() for row in world.species])
+            if mix != self._mix_shown:  # else somebody may be writing another one
+                self._mix.value = self._mix_shown = mix
+        if isinstance(world, Forest | Plot):
+            self._season.value = world.season
 
     def _put(self, which: tuple[int, int], x_m: float, y_m: float, yaw_deg: float) -> None:
         """Put the gizmo of a place, or of the plot, where it is."""
@@ -188,14 +208,14 @@ class Planter:
         label = "plot" if which == _PLOT else f"mesh {which[0] + 1}"
         self._server.scene.add_label(f"{name}/name", label)
         self._gizmos[which] = gizmo
-        gizmo.on_drag_end(lambda _: self._editor.ask(partial(self._dropped, which)))
+        self._editor.on_drop(gizmo, partial(self._dropped, which))
         return gizmo
 
     def _dropped(self, which: tuple[int, int]) -> Course | None:
         """Take what a gizmo is of to where it is."""
         gizmo, course = self._gizmos[which], self._draft.course
         x_m, y_m = (round(float(gizmo.position[axis]), 3) for axis in (0, 1))
-        if not (abs(x_m) <= _FARTHEST_M and abs(y_m) <= _FARTHEST_M):
+        if not (abs(x_m) <= FARTHEST_M and abs(y_m) <= FARTHEST_M):
             return None
         if which == _PLOT:
             assert isinstance(self._world, Plot)

@@ -92,10 +92,10 @@ class TreeModel:
         ground_m = 0.0 if low_m <= 0.0 < high_m else low_m
         self.height_m = float(max(vertices[:, 2].max() for vertices in placed)) - ground_m
         self._stem = Cutter([placed[i] - [0.0, 0.0, ground_m] for i in stems], [faces[i] for i in stems])
-        self._cuts = self._stem.cut
+        self._cuts = lru_cache(maxsize=_KEPT_CUTS)(self._stem.cut)
         foot_m = np.append(self._cut(_FOOT_SHARE * self.height_m).middle_m, ground_m)
         self._stem.vertices_m[:, :2] -= foot_m[:2]
-        self._cuts = lru_cache(maxsize=_KEPT_CUTS)(self._stem.cut)
+        self._cuts.cache_clear()
         self._cut(BREAST_HEIGHT_M)
         self._profile_m = self._circles(low_m - ground_m, high_m - ground_m)
         sheds = season == "leaf_off" and species.foliage is not None and species.foliage.kind == "leaf"
