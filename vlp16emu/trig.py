@@ -1,6 +1,6 @@
 """Cosine and sine without a library: additions and products, which round alike everywhere and run four at once.
 
-And a zero for kernels that is no literal.
+And a triangular wave, and a zero for kernels that is no literal.
 """
 
 import math
@@ -9,7 +9,7 @@ from typing import cast
 import numba
 import numpy as np
 
-__all__ = ["ZERO", "cos_sin", "in_quarter"]
+__all__ = ["ZERO", "cos_sin", "fold", "in_quarter"]
 
 ZERO = cast("int", np.int64(0))
 """What is called with the literal 0 is compiled once more for that type."""
@@ -40,3 +40,9 @@ def cos_sin(angle_rad: float) -> tuple[float, float]:
     quarters = math.floor(angle_rad * (2.0 / math.pi) + 0.5)
     y = (angle_rad - quarters * _HALF_PI[0]) - quarters * _HALF_PI[1]
     return in_quarter(quarters - 4.0 * math.floor(0.25 * quarters), y)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def fold(x: float) -> float:
+    """Go to and fro between 0 and 1, with a period of 1."""
+    return 2.0 * abs(x - math.floor(x) - 0.5)

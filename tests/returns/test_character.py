@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from vlp16emu.returns.detect import detect
+from vlp16emu.returns.noise import code_step, no_return_reflectivity
 
 
 @pytest.fixture
@@ -43,7 +44,9 @@ def test_bright_codes_are_coarse_and_dark_ones_sticky(wall):
     """Of a bright wall neighbours are a step apart; of a dark one nearly all are equal."""
     noise = {"reflectivity_noise_share": 0.043, "reflectivity_step": 1.7, "range_noise_m": 0.0052}
     bright = wall(noise, reflectance=0.8).reflectivity[..., 0].astype(int)
-    assert set(np.unique(bright)) <= {round(1.7 * k) for k in range(60)}
+    step = code_step(1.7, 1.0, 10.0)
+    assert 0.85 * 1.7 <= step <= 1.45 * 1.7
+    assert set(np.unique(bright)) <= {round(step * k) for k in range(80)}
     assert bright.std() == pytest.approx(0.043 * 80, rel=0.1)
     dark = wall(noise, reflectance=0.02).reflectivity[..., 0].astype(int)
     assert (np.diff(dark, axis=0) == 0).mean() > 0.8
@@ -83,9 +86,30 @@ def test_no_returns_wander_through_multiples(wall):
     codes = wall(noise, 4000, range_m=np.inf).reflectivity[..., 0]
     changes = (np.diff(codes.astype(int), axis=0) != 0).mean()
     assert 0.002 < changes < 0.3
-    assert (codes > 0).all()
-    least = codes.min(axis=0)
-    assert ((codes > least) & (codes < 100)).mean() > 0.05
+    own = no_return_reflectivity(1, 16)
+    times = np.arange(1, 101)
+    for laser in range(16):
+        assert set(codes[:, laser]) <= set(np.floor(times * own[laser]).clip(0, 100).astype(int))
+    assert ((codes > np.floor(own)) & (codes < 100)).mean() > 0.05
     np.testing.assert_array_equal(
         codes[1111:], wall(noise, 2889, index=1111, range_m=np.inf).reflectivity[..., 0]
     )
+
+
+def test_middles_of_no_returns_are_even_in_their_logarithm():
+    """Over many units the mean logarithm over the lasers is even between 1.5 and 20, by Kolmogorov and Smirnov."""
+    middles = [np.log(no_return_reflectivity(seed, 256)).mean() for seed in range(300)]
+    low, high = np.log([1.5, 20.0])
+    assert stats.kstest(middles, "uniform", args=(low, high - low)).pvalue > 0.01
+
+
+def test_codes_are_apart_by_laser_and_range():
+    """The spacing is constant over a short piece of range, and within 0.85 to 1.45 of the setting everywhere."""
+    steps = np.array(
+        [[code_step(2.0, gain, r) / gain for r in np.linspace(1, 30, 500)] for gain in (0.97, 1.02)]
+    )
+    assert steps.min() >= 1.7
+    assert steps.max() <= 2.9
+    assert np.ptp(steps) > 0.8
+    assert (steps[0] != steps[1]).mean() > 0.9
+    assert (np.diff(steps) == 0).mean() > 0.8

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from vlp16emu.returns.detect import detect
-from vlp16emu.returns.noise import BIAS_LIMIT_M, range_bias_m
+from vlp16emu.returns.noise import BIAS_LIMIT_M, no_return_reflectivity, range_bias_m
 from vlp16emu.returns.settings import Noise
 from vlp16emu.types import NO_SURFACE
 
@@ -114,13 +114,12 @@ def test_grazing_and_partly_hit_targets_drop_out(detector, firings, pulses, tabl
 
 
 def test_no_returns_show_a_constant_of_their_laser(seen):
-    """Where asked for, records without a return carry 3 .. 24, the same for a laser each time; else 0."""
+    """Where asked for, records without a return carry that of their laser, the same for a laser each time; else 0."""
     silent = seen({"no_return_reflectivity": True}, np.inf, k=50)
     assert (silent.distance_m == 0).all()
     codes = silent.reflectivity[..., :2]
     assert (codes == codes[0, :, :1]).all()
-    assert codes.min() >= 3
-    assert codes.max() <= 24
+    assert (codes[0, :, 0] == np.floor(no_return_reflectivity(1, 16))).all()
     assert len(np.unique(codes)) > 4
     assert not seen({}, np.inf, k=8).reflectivity.any()
     assert (seen({"no_return_reflectivity": True}, 10.0, k=8).reflectivity[..., :2] == 20).all()

@@ -34,14 +34,13 @@ _SLOTS = 5
 _LEAST = 500
 """Records, from which on a statistic is worth its name."""
 _HUM_CYCLES_PER_BLOCK = 0.16
-_SAME_SURFACE_LSB = 40
 _MOST_COUNTS = 15
 
 Statistics = dict[str, float]
 
 
 class Smooth:
-    """Residuals of the ranges on smooth surfaces, in mm, with their slot of the beat.
+    """What pulses on smooth surfaces measure: residuals of the ranges with their slot of the beat, and reflectivities.
 
     Parameters
     ----------
@@ -54,7 +53,7 @@ class Smooth:
         centre = _WINDOW // 2
         span = sliding_window_view(sequences.number, _WINDOW)
         gapless = span[:, -1] - span[:, 0] == _WINDOW - 1
-        residuals, slots, levels = [], [], []
+        residuals, slots, levels, changes = [], [], [], []
         for laser in range(sequences.distance_lsb.shape[1]):
             codes = sliding_window_view(sequences.distance_lsb[:, laser], _WINDOW)[gapless]
             numbers = span[gapless, centre]
@@ -64,13 +63,16 @@ class Smooth:
             residuals.append(rest_mm[smooth, centre])
             slots.append((24 * numbers[seen][smooth] + laser) % _SLOTS)
             rows = np.flatnonzero(gapless)[seen][smooth] + centre
-            levels.append(np.clip(sequences.reflectivity[rows, laser], 1.0, 100.0))
+            levels.append(sequences.reflectivity[rows, laser])
+            changes.append(sequences.reflectivity[rows + 1, laser] - levels[-1])
         self.residual_mm = np.concatenate(residuals)
         """(r,)."""
         self.slot = np.concatenate(slots)
         """(r,) of the beat, 0 to 4, from the first pulse of the capture."""
         self.level = np.concatenate(levels)
-        """(r,) reflectivity, 1 to 100."""
+        """(r,) reflectivity."""
+        self.change = np.concatenate(changes)
+        """(r,) of the reflectivity to the next pulse of the laser, on the same surface."""
         own = (np.eye(_WINDOW) - smoother)[centre]
         self.white_gain = math.sqrt(float((own**2).sum()))
         """Share of white noise that is left in a residual."""
@@ -96,9 +98,10 @@ def beat_of(smooth: Smooth) -> NDArray[np.complex128]:
 
 def statistics_of(sequences: Sequences) -> Statistics:
     """Find all statistics that a capture has, by name."""
+    smooth = smooth_of(sequences)
     every = (
-        _range_noise(sequences)
-        | _reflectivity(sequences)
+        ({} if smooth is None else _range_noise(smooth) | _reflectivity(smooth))
+        | _comb(sequences)
         | _silence(sequences)
         | _rotation(sequences)
         | _residues(sequences)
@@ -107,11 +110,8 @@ def statistics_of(sequences: Sequences) -> Statistics:
     return {name: float(value) for name, value in every.items() if math.isfinite(value)}
 
 
-def _range_noise(sequences: Sequences) -> Statistics:
+def _range_noise(smooth: Smooth) -> Statistics:
     """Beat and white noise of ranges, the latter as it is at a reflectivity of 20 (`range_sigma_m`)."""
-    smooth = smooth_of(sequences)
-    if smooth is None:
-        return {}
     beat = beat_of(smooth)
     rest = (
         smooth.residual_mm
@@ -120,24 +120,32 @@ def _range_noise(sequences: Sequences) -> Statistics:
     return {
         "range.beat_mm": abs(beat[0]),
         "range.sigma_mm": smooth.residual_mm.std() / smooth.white_gain,
-        "range.white_at_20_mm": (rest * (smooth.level / 20.0) ** 0.25).std() / smooth.white_gain,
+        "range.white_at_20_mm": (rest * (smooth.level.clip(1, 100) / 20.0) ** 0.25).std() / smooth.white_gain,
     }
 
 
-def _reflectivity(sequences: Sequences) -> Statistics:
-    """Equal neighbours and scatter by level, and how rugged the histogram is."""
-    d, r = sequences.distance_lsb, sequences.reflectivity
-    near = (d[1:] > 0) & (d[:-1] > 0) & (np.abs(np.diff(d, axis=0)) < _SAME_SURFACE_LSB)
-    change, level, out = np.diff(r, axis=0), r[:-1], {}
+def _reflectivity(smooth: Smooth) -> Statistics:
+    """Find equal neighbours and scatter by level."""
+    out = {}
     for name, low, high in (("1_4", 1, 4), ("20_59", 20, 59), ("60_99", 60, 99)):
-        of = change[near & (level >= low) & (level <= high)]
+        of = smooth.change[(smooth.level >= low) & (smooth.level <= high)]
         if len(of) >= _LEAST:
             out[f"reflectivity.equal_{name}"] = (of == 0).mean()
             out[f"reflectivity.scatter_{name}"] = of[np.abs(of) <= _MOST_COUNTS].std() / math.sqrt(2.0)
-    codes = np.bincount(r[d > 0], minlength=100)[50:100]
-    if codes.sum() >= 10 * _LEAST:
-        out["reflectivity.comb"] = np.abs(np.diff(codes, 2)).mean() / codes.mean()
     return out
+
+
+def _comb(sequences: Sequences) -> Statistics:
+    """Find how rugged the histograms of bright codes are: second differences over counts, of all lasers."""
+    codes = np.array(
+        [
+            np.bincount(r[d > 0], minlength=100)[50:100]
+            for d, r in zip(sequences.distance_lsb.T, sequences.reflectivity.T, strict=True)
+        ]
+    )
+    if codes.sum() < 10 * _LEAST:
+        return {}
+    return {"reflectivity.comb": np.abs(np.diff(codes, 2, axis=1)).sum() / codes[:, 1:-1].sum()}
 
 
 def _silence(sequences: Sequences) -> Statistics:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, uniform_pair
-from vlp16emu.trig import ZERO
+from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import Firings, Hits
 
 __all__ = ["textured"]
@@ -82,15 +82,9 @@ def _vary(
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _of_patch(seed: int, x: float, y: float, z: float) -> float:
     """Draw the number in [0, 1) of the patch at a place, in grid steps; folds make the borders crooked."""
-    u = math.floor(x + _fold(0.37 * y + 0.61 * z) + 0.4 * _fold(2.3 * z - 1.7 * y))
-    v = math.floor(y + _fold(0.53 * z - 0.41 * x) + 0.4 * _fold(1.9 * x + 2.1 * z))
-    w = math.floor(z + _fold(0.43 * x + 0.57 * y) + 0.4 * _fold(1.6 * y - 2.2 * x))
+    u = math.floor(x + fold(0.37 * y + 0.61 * z) + 0.4 * fold(2.3 * z - 1.7 * y))
+    v = math.floor(y + fold(0.53 * z - 0.41 * x) + 0.4 * fold(1.9 * x + 2.1 * z))
+    w = math.floor(z + fold(0.43 * x + 0.57 * y) + 0.4 * fold(1.6 * y - 2.2 * x))
     low = np.int64(u) & 0xFFFFFFFF
     drawn, _ = uniform_pair(seed, _TEXTURE, low | (np.int64(v) << 32), np.int64(w) & 0xFFFFFFFF)
     return drawn
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _fold(x: float) -> float:
-    """Go to and fro between 0 and 1, with a period of 1."""
-    return 2.0 * abs(x - math.floor(x) - 0.5)

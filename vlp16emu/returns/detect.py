@@ -23,6 +23,7 @@ from vlp16emu.returns.echoes import (
 )
 from vlp16emu.returns.noise import (
     NO_RETURN_KNOT,
+    code_step,
     heavier,
     no_return_multiples,
     range_sigma_m,
@@ -288,9 +289,8 @@ def _measure(
         return np.float32(0.0), np.uint8(0)
     if not measured_m >= constants.min_range_m:
         measured_m = 0.0
-    return np.float32(measured_m), reflectivity_byte(
-        100.0 * reflectance, gain, counts, constants.reflectivity_step
-    )
+    step = code_step(constants.reflectivity_step, gain, range_m) if constants.reflectivity_step > 0.0 else 0.0
+    return np.float32(measured_m), reflectivity_byte(100.0 * reflectance, gain, counts, step)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)

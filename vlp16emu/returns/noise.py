@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.settings import DetectorConstants
+from vlp16emu.trig import fold
 
 __all__ = [
     "BIAS_LIMIT_M",
     "NO_RETURN_KNOT",
     "RETROREFLECTIVE",
+    "code_step",
     "gain",
     "heavier",
     "no_return_multiples",
@@ -32,13 +34,15 @@ _AT = 0.2
 """Reflectance at which the noise is that of the settings."""
 _FAINTEST_REFLECTANCE = 0.01
 _OVERTONE_RAD = math.radians(85.0)
-_COARSE = 50.0
+_COARSE = 45.0
 """Reflectivity from which on codes are wider apart."""
 NO_RETURN_KNOT = 32
 """Firing sequences between two knots of what no-returns carry; assumption, after einride: 78 % of neighbours are equal."""
-_NO_RETURN_MIDDLE, _NO_RETURN_SPREAD = (6.0, 17.0), 0.5
-"""On no-returns of two real units with 3.x firmware: 3..11 on one, 9..24 on the other. That others are between is an
-assumption."""
+_NO_RETURN_MIDDLE, _NO_RETURN_SPREAD = (1.5, 20.0), 0.5
+"""Middle over the lasers, and spread of its logarithm: 13 and 0.4 on mrpt, 5 and 0.45 on nebula, 2.7 and 0.7 on einride,
+1.3 and 1 on the unit of 2014. That middles are even in their logarithm is an assumption."""
+_WANDER_OF_UNITS, _WANDER_OF_LASERS = 0.7, 0.6
+"""Spreads of the logarithm; on nebula a laser is at 1 in 39 to 98 % of its records."""
 
 
 def range_bias_m(seed: int, lasers: int, sigma_m: float) -> NDArray[np.float64]:
@@ -56,30 +60,30 @@ def no_return_reflectivity(seed: int, lasers: int) -> NDArray[np.float64]:
 
     Real units send it in 50 to 98 % of such records, and multiples of it in the others.
     """
-    drawn = uniform(seed, Purpose.NO_RETURN, 0, lasers + 1)
     low, high = _NO_RETURN_MIDDLE
-    middle = low * (high / low) ** drawn[-1]
-    return np.asarray(middle * (1.0 + _NO_RETURN_SPREAD * (2.0 * drawn[:-1] - 1.0)))
+    middle = low * (high / low) ** uniform(seed, Purpose.NO_RETURN, 0, 1)[0]
+    return np.asarray(middle * np.exp(_NO_RETURN_SPREAD * normal(seed, Purpose.NO_RETURN, 1, lasers)))
 
 
 def no_return_multiples(seed: int, first: int, count: int, lasers: int, wander: float) -> NDArray[np.float64]:
     """How many times the constant of `no_return_reflectivity` firing sequences first .. first + count - 1 carry.
 
     It wanders smoothly and stays at 1 where it would be less: on real units it changes by one step at a time, and a steady
-    unit is at 1 in 98 % of its records (mrpt), a restless one (einride) through ten multiples.
+    unit is at 1 in 98 % of its records (mrpt), a restless one (einride) in 14 to 73 %, and goes through ten multiples.
 
     Parameters
     ----------
-    wander : of a unit in the middle; units differ by an e-fold, one sigma
+    wander : of a unit in the middle; units differ by a factor of two, one sigma, and their lasers nearly as much
 
     Returns
     -------
     (knots, lasers), one row for each `NO_RETURN_KNOT` sequences, from that of `first` on to one past the last
     """
     begin, stop = first // NO_RETURN_KNOT, (first + count - 1) // NO_RETURN_KNOT + 2
-    own = wander * math.exp(normal(seed, Purpose.NO_RETURN, lasers, 1)[0])
+    *of_lasers, of_unit = normal(seed, Purpose.NO_RETURN, 1 + lasers, lasers + 1)
+    own = wander * np.exp(_WANDER_OF_UNITS * of_unit + _WANDER_OF_LASERS * np.array(of_lasers))
     drawn = [normal(seed, Purpose.NO_RETURN, begin, stop - begin, 1 + laser) for laser in range(lasers)]
-    return np.asarray(own * np.stack(drawn, axis=1))
+    return np.asarray(own * np.abs(np.stack(drawn, axis=1)))
 
 
 def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> NDArray[np.float64]:
@@ -136,6 +140,7 @@ def heavier(z: float) -> float:
     return _UNIT * z * (1.0 + _CUBIC * z * z)
 
 
+_TURNS_PER_BIN, _TURNS_PER_GAIN = 0.31, 29.0
 RETROREFLECTIVE = 100.5
 """Percent from which a target is no white wall any more; what rounds to 100 still is."""
 _IDEAL = 1000.0
@@ -143,6 +148,22 @@ _IDEAL = 1000.0
 R (cd/lx/m2) equals a reflectance of pi R: 255 stands for 318 cd/lx/m2, between high-intensity (about 250) and prismatic
 sheeting (about 700). The manual gives the ends of the scale only; that it is logarithmic between them is an assumption."""
 _COUNTS_PER_E_FOLD = (255 - 101) / math.log(_IDEAL)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
+def code_step(step: float, gain: float, range_m: float) -> float:
+    """Spacing of bright codes of one laser at one range, in counts.
+
+    As if whole numbers of the receiver were multiplied by a correction: on real units the codes of a laser within 10 % of
+    range are 1.6 to 2.2 apart, 3 at times, and at another range or laser by another step. Which is not known; here a laser has
+    one from 0.85 to 1.45 of the setting for each half metre of the root of the range, as powers of the laser might change.
+
+    Parameters
+    ----------
+    gain : of the laser
+    """
+    turn = fold(_TURNS_PER_BIN * math.floor(10.0 * math.sqrt(range_m)) + _TURNS_PER_GAIN * gain)
+    return step * gain * (0.85 + 0.6 * turn * turn)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
@@ -157,12 +178,12 @@ def reflectivity_byte(percent: float, gain: float, noise: float, step: float) ->
     percent : brightness, corrected for range, of a white Lambertian surface at right angles
     gain : of the laser
     noise : in counts
-    step : of codes from 50 on, before the gain; 0 for none
+    step : of codes from 45 on, as `code_step` has it; 0 for none
     """
     if percent <= RETROREFLECTIVE:
         counts = gain * percent + noise
         if step > 0.0 and counts >= _COARSE:
-            counts = np.rint(counts / (step * gain)) * step * gain
+            counts = np.rint(counts / step) * step
         return np.uint8(min(max(np.rint(counts), 0.0), 100.0))
     code = 101.0 + _COUNTS_PER_E_FOLD * math.log(0.01 * gain * percent) + noise
     return np.uint8(min(max(np.rint(code), 101.0), 255.0))

@@ -32,12 +32,12 @@ _PRESETS: dict[str, dict[str, object]] = {
         "range_beat_m": 0.006,
         "reflectivity_noise": 0.0,
         "reflectivity_noise_share": 0.031,
-        "reflectivity_step": 1.7,
+        "reflectivity_step": 2.0,
         "heavy_tails": True,
         "unit_spread": 0.15,
         "odd_codes_spread": 0.1,
         "no_return_reflectivity": True,
-        "no_return_wander": 3.0,
+        "no_return_wander": 1.5,
     },
 }
 
@@ -87,8 +87,8 @@ class Noise(Preset):
     reflectivity_noise_share: Annotated[float, Field(ge=0, le=0.2)] = 0.0
     """The same as a share of the reflectivity, added to it; 0.03 to 0.04 on real units."""
     reflectivity_step: Annotated[float, Field(ge=0, le=10)] = 0.0
-    """Spacing of codes from 50 on, before the gain of the laser; 1.7 on real units, where neighbours then are equal more
-    often. 0 sends every code."""
+    """Spacing of codes from 45 on, before the gain of the laser and by up to 45 % more with range; 1.6 to 2.2 on real units,
+    and 3 at times. 0 sends every code."""
     heavy_tails: bool = False
     """Whether white errors of range and reflectivity are often small and now and then great, with a kurtosis of 6.6, as on real
     units, instead of Gaussian."""
