@@ -187,7 +187,9 @@ def test_files_that_do_not_fit_the_walk_are_refused(folder, setting, message):
         (["world.dem={file='wide.npy', cell_m=1e6, corner_m=[-1e7, -1e7]}"], "motion: recorded poses begin at (500000.0, 5700000.0, 211.5) m, as if in map"),
     ],
 )  # fmt: skip
-def test_recorded_poses_that_are_not_in_the_scene_are_told(folder, caplog, monkeypatch, settings, warning):
+def test_recorded_poses_that_are_not_in_the_scene_are_reported(
+    folder, caplog, monkeypatch, settings, warning
+):
     """Poses in map coordinates, below the ground or out of its sight are warned of, with what moves them."""
     poses = [f"{t} {EAST_M} {NORTH_M} {UP_M + 1.5} 0 0 0 1" for t in (0.0, 0.5, 1.0)]
     (folder / "poses.tum").write_text("\n".join(poses))
@@ -213,7 +215,7 @@ def test_a_stem_list_that_nobody_sees_is_refused(folder):
         Emulator(load(str(folder / "lost.toml")), threads=1)
 
 
-def test_a_mesh_that_nobody_sees_is_told(folder, caplog, monkeypatch):
+def test_a_mesh_that_nobody_sees_is_reported(folder, caplog, monkeypatch):
     """A mesh at map coordinates is warned of in one line, and one in reach is not; the reach ends at its surface."""
     monkeypatch.chdir(folder)
     mesh = '{file="box.obj",unit="cm",up="y",reflectance=0.3,places=[{x_m=%r,y_m=0.0,scale=2.0}]}'

@@ -119,7 +119,7 @@ def test_a_locked_phase_is_passed_at_each_second(phase_deg):
     assert np.abs((angle_deg - phase_deg + 180) % 360 - 180).max() < 1e-6
 
 
-def test_a_file_of_two_is_told_apart_by_others(rig, tmp_path):
+def test_a_file_of_two_is_separated_by_others(rig, tmp_path):
     """Frames have each unit's address and port; a decoder that is not ours reads either unit's packets."""
     emulator, packets = rig
     path = tmp_path / "rig.pcap"

@@ -219,7 +219,7 @@ def own_row(scene: str, reach_m: float, name: str, task: Path) -> dict[str, Any]
 
 
 def install(venv: Path) -> dict[str, str]:
-    """Make the virtual environment where there is none; tell of what does not install why."""
+    """Make the virtual environment where there is none; report why something does not install."""
     python, why = venv / "bin" / "python", {}
     if not python.exists():
         subprocess.run([sys.executable, "-m", "venv", str(venv)], check=True)
@@ -271,7 +271,7 @@ def rows(
             yield name, one
 
 
-def assert_alike(told: Mapping[str, dict[str, Any] | str]) -> None:
+def assert_alike(measured: Mapping[str, dict[str, Any] | str]) -> None:
     """Compare hit shares and mean ranges with those of our own caster with all as faces.
 
     Raises
@@ -279,8 +279,8 @@ def assert_alike(told: Mapping[str, dict[str, Any] | str]) -> None:
     SystemExit
         where a caster hits something else
     """
-    true = told[OURS[1]]
-    for name, one in told.items():
+    true = measured[OURS[1]]
+    for name, one in measured.items():
         if isinstance(one, str) or isinstance(true, str) or name == OURS[0]:
             continue
         # PyHelios lays its own rays, but for the raster.
@@ -324,13 +324,13 @@ def beside(scene: str, reach_m: float, venv: Path | None) -> Table:
         folder = Path(name)
         put_down(seen, mesh, folder / TASK)
         del mesh  # may be gigabytes
-        told = dict(rows(scene, reach_m, venv or folder / "venv", folder, triangles))
-    assert_alike(told)
+        measured = dict(rows(scene, reach_m, venv or folder / "venv", folder, triangles))
+    assert_alike(measured)
     title = (
         f"{scene} within {reach_m:g} m, {seen.trees} trees and saplings, M pulses/s, load {load_before:.0f}"
     )
     table = Table("caster", "M triangles", *MEASURED, "hit, %", "mean range, m", title=title, box=MARKDOWN)
-    for name, one in told.items():
+    for name, one in measured.items():
         if isinstance(one, str):
             table.add_row(name, one)
             continue

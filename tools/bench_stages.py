@@ -81,17 +81,17 @@ def stages(emulator: Emulator, opened: Geometry, repeats: int) -> dict[str, floa
 
     hits = cast(far_m)
 
-    def tell() -> list[Returns]:
+    def find() -> list[Returns]:
         met = zip(firings, hits, strict=True)
         return [detect(f, h, opened.surfaces, unit.detector, truth=False) for f, h in met]
 
-    returns = tell()
+    returns = find()
     work: dict[str, Callable[[], object]] = {
         "poses": lambda: [poses_at(t_ns) for t_ns in times],
         "aim": aim,
         NEAR: lambda: cast(min(far_m, emulator.parts.world.near_m)),
         CAST: lambda: cast(far_m),
-        "detect": tell,
+        "detect": find,
         "pack": lambda: [pack_data(r, mode, model, 0) for r in returns],
     }
     return {name: best(do, repeats) / (RUNS * together * BLOCK_S) for name, do in work.items()}

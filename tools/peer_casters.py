@@ -70,19 +70,22 @@ def speed(work: Work, threads: int) -> float:
 
 
 def measure(build: Callable[[Task], Prepare], task: Task) -> dict[str, Any]:
-    """Build, cast and tell: seconds and megabytes of building, speeds, and what was hit."""
+    """Build, cast and report: seconds and megabytes of building, speeds, and what was hit."""
     before_mb, start = resident_mb(), time.process_time()
     prepare = build(task)
-    told: dict[str, Any] = {"build_s": time.process_time() - start, "memory_mb": resident_mb() - before_mb}
+    measured: dict[str, Any] = {
+        "build_s": time.process_time() - start,
+        "memory_mb": resident_mb() - before_mb,
+    }
     for name in (*SETS, "raster"):
         work = prepare(name, 1)
         range_m = work.ranges(work.cast())
         met = np.isfinite(range_m) & (range_m <= float(task["far_m"]))
-        told[name] = {"share": float(met.mean()), "mean_m": float(range_m[met].mean(dtype=np.float64))}
+        measured[name] = {"share": float(met.mean()), "mean_m": float(range_m[met].mean(dtype=np.float64))}
     for name in SETS:
         for threads in THREADS:
-            told[name][f"threads_{threads}"] = speed(prepare(name, threads), threads)
-    return told
+            measured[name][f"threads_{threads}"] = speed(prepare(name, threads), threads)
+    return measured
 
 
 def open3d(task: Task) -> Prepare:
@@ -104,7 +107,7 @@ def open3d(task: Task) -> Prepare:
 
 
 def mitsuba(task: Task) -> Prepare:
-    """Mitsuba 3 with vectorised LLVM code; without what it would tell of the surface beyond the range."""
+    """Mitsuba 3 with vectorised LLVM code; without what it would report of the surface beyond the range."""
     mi, dr = importlib.import_module("mitsuba"), importlib.import_module("drjit")
     mi.set_variant("llvm_ad_rgb")
     dr.set_thread_count(1)

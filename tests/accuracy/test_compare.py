@@ -53,7 +53,7 @@ def test_statistics_are_those_of_the_right_echoes():
     assert found.reflectivity_rmse == 3.0
 
 
-def test_a_wrong_last_return_is_told_apart_from_a_wrong_strongest():
+def test_a_wrong_last_return_is_distinguished_from_a_wrong_strongest():
     """The last return is judged by itself."""
     found = errors(detections_of((10.0, 20.0), (10.0, 20.0)), detections_of((10.0, 10.0), (20.0, 20.0)))
     assert (found.wrong_strongest, found.wrong_last) == (0.5, 0.5)

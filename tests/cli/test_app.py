@@ -237,7 +237,7 @@ def test_a_request_to_end_is_as_ctrl_c(program):
     assert run.returncode == 130
 
 
-def test_memory_that_runs_out_is_told(cli, monkeypatch):
+def test_memory_that_runs_out_is_reported(cli, monkeypatch):
     """Where no memory is left the run ends with 1 and one line."""
 
     def greedy(*_arguments, **_options):
@@ -248,7 +248,7 @@ def test_memory_that_runs_out_is_told(cli, monkeypatch):
     assert (outcome.code, outcome.err) == (1, "error: out of memory: Unable to allocate 9 EiB\n")
 
 
-def test_what_a_terminal_cannot_show_is_told_all_the_same(program, tmp_path):
+def test_what_a_terminal_cannot_show_is_reported_all_the_same(program, tmp_path):
     """A name that standard output has no letters for is written with their numbers, and the run ends well."""
     out = tmp_path / "f\N{LATIN SMALL LETTER O WITH DIAERESIS}n.pcap"
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}

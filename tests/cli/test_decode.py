@@ -169,7 +169,7 @@ def test_ply_opens_elsewhere(cli, bench, tmp_path):
         ("full.npz", 1, "No space left on device; the file is not complete"),
     ],
 )
-def test_points_that_cannot_be_written_are_told(cli, bench, tmp_path, name, code, said):
+def test_points_that_cannot_be_written_are_reported(cli, bench, tmp_path, name, code, said):
     """A wrong suffix, a missing folder and a full disk are one line each."""
     for suffix in (".ply", ".csv", ".npz"):
         (tmp_path / f"full{suffix}").symlink_to("/dev/full")
@@ -226,7 +226,7 @@ def test_no_sound_packet_leaves_no_file(cli, bench, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["broken.pcap"]
 
 
-def test_packets_before_a_damaged_record_are_told(bench, tmp_path):
+def test_packets_before_a_damaged_record_are_reported(bench, tmp_path):
     """A record of an impossible length is an error that comes after the points of all packets before it."""
     damaged = tmp_path / "damaged.pcap"
     damaged.write_bytes(bench.read_bytes() + b"\xff" * 16)

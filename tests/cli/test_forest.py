@@ -215,7 +215,7 @@ def test_files_are_checked_before_anything_heavy(cli, tmp_path):
 
 
 @pytest.mark.usefixtures("nothing_heavy")
-def test_a_missing_matplotlib_is_told_before_anything_heavy(cli, monkeypatch, tmp_path):
+def test_a_missing_matplotlib_is_reported_before_anything_heavy(cli, monkeypatch, tmp_path):
     """Without matplotlib the extra is named, with exit code 2, before the forest grows."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     outcome = cli("forest", "birch_walk", "--picture", tmp_path / "sheet.png")
@@ -235,7 +235,7 @@ def test_a_run_that_fails_leaves_no_file(cli, tmp_path, monkeypatch):
     assert (tmp_path / "x.png").read_bytes() == b"earlier"
 
 
-def test_a_full_disk_is_told(cli, tmp_path):
+def test_a_full_disk_is_reported(cli, tmp_path):
     """Where the disk is full, the run fails with exit code 1 and says which file is not complete."""
     (tmp_path / "twin.glb").symlink_to("/dev/full")
     outcome = cli("forest", "static_bench", "--glb", tmp_path / "twin.glb")

@@ -73,7 +73,7 @@ def test_the_hall_needs_nothing():
         ("rig=[{}]", "rig"),
     ],
 )
-def test_each_thing_is_told(setting, name):
+def test_each_thing_is_reported(setting, name):
     """A setting switches on the one thing it asks for."""
     assert on("static_bench", setting) == {name}
 

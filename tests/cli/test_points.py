@@ -49,7 +49,7 @@ def test_points_are_those_of_the_packets(cli, tmp_path, bench, points):
         assert (np.linalg.norm(own["sensor_m"][:n] - wire["xyz_m"], axis=1) < reach_m).all()
 
 
-def test_both_frames_are_told(points):
+def test_both_frames_are_reported(points):
     """A sensor that stands turned has the same points in the world, turned back and lifted to its height."""
     own, _ = points("--set", "motion.yaw_deg=90.0", "--set", "motion.x_m=2.0")
     x, y, z = own["sensor_m"].T
@@ -137,7 +137,7 @@ def test_fog_is_of_no_class(points):
         assert not own[name][air].any()
 
 
-def test_leaves_are_told_from_wood(points):
+def test_leaves_are_distinguished_from_wood(points):
     """In a forest every point on a leaf is labelled leaf, on any other part of a plant wood, elsewhere neither."""
     settings = ["world.stems_per_ha=300", "sensor.max_range_m=30.0"]
     own, _ = points("--truth", *(word for s in settings for word in ("--set", s)), scene="birch_walk")
@@ -147,7 +147,7 @@ def test_leaves_are_told_from_wood(points):
     assert (own["species"][own["semantic"] == Semantic.TREE] > 0).all()
 
 
-def test_a_lone_echo_is_told_once(points):
+def test_a_lone_echo_is_reported_once(points):
     """In dual return an echo that is strongest and last at once is one point, as in single return."""
     single, _ = points()
     dual, report = points("--set", "sensor.return_mode=dual")
@@ -266,7 +266,7 @@ def test_a_sensor_without_packets_is_sent_to_this_verb(cli, tmp_path, verb):
         ("full.npz", 1, "full.npz: No space left on device; the file is not complete"),
     ],
 )
-def test_points_that_cannot_be_written_are_told(cli, tmp_path, name, code, said):
+def test_points_that_cannot_be_written_are_reported(cli, tmp_path, name, code, said):
     """A wrong suffix, a missing folder and a full disk are one line each."""
     (tmp_path / "full.npz").symlink_to("/dev/full")
     outcome = cli("points", "static_bench", tmp_path / name, "--duration", "0.02")

@@ -72,7 +72,7 @@ def test_a_recording_goes_through_a_pipe(program, cli, tmp_path):
     assert not (tmp_path / "-").exists()
 
 
-def test_a_pipe_that_ends_early_is_told_once(program):
+def test_a_pipe_that_ends_early_is_reported_once(program):
     """Where standard output takes no more, the run ends with 1 and one line."""
     with Path("/dev/full").open("wb") as full:
         run = program("record", "static_bench", "-", "--duration", "0.1", stdout=full)
@@ -103,7 +103,7 @@ def test_the_report_names_the_active_beam_and_noise(cli, tmp_path):
     assert ideal["noise"].startswith("ideal: 0 mm white, 0 mm bias per laser, 0 deg, ")
 
 
-def test_weather_is_told_where_it_is_on(cli, tmp_path):
+def test_weather_is_reported_where_it_is_on(cli, tmp_path):
     """Fog and rain stand in the summary, clear air does not, and `--ideal` clears the air of the scene."""
     scene = tmp_path / "wet.toml"
     bench = (Path(__file__).resolve().parents[2] / "scenes" / "static_bench.toml").read_text()

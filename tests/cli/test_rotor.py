@@ -15,7 +15,7 @@ def test_a_recording_tells_revolutions_and_azimuth_steps(cli, tmp_path):
     assert "  revolutions       2 of 1 808 firing sequences, 0.1991 deg apart\n" in cli(*arguments).out
 
 
-def test_units_that_turn_differently_are_told_apart(cli, tmp_path):
+def test_units_that_turn_differently_are_distinguished(cli, tmp_path):
     """On a rig each unit counts its own revolutions; those that turn alike share a line."""
     rig = "rig=[{rpm=600,address='192.168.1.202'},{rpm=1200,address='192.168.1.203'}]"
     arguments = "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1", "--set", rig

@@ -95,7 +95,7 @@ def test_speed_is_kept(cli, listening):
     assert 0 <= report["late_median_us"] <= report["late_p99_us"] <= report["late_max_us"]
 
 
-def test_people_are_told_where_it_goes_and_how_it_went(cli, listening):
+def test_people_read_where_it_goes_and_how_it_went(cli, listening):
     """The first line names receiver and ports, the last ones lateness and whether the engine kept up."""
     data_port, position_port = listening
     ports = "--data-port", data_port, "--position-port", position_port

@@ -135,7 +135,7 @@ def test_rate_and_packets_are_options(cli, tmp_path):
     assert len(rows(tmp_path / "t" / "packets.tum")) == report["packets"]
 
 
-def test_bad_options_are_told_before_anything_is_written(cli, tmp_path):
+def test_bad_options_are_reported_before_anything_is_written(cli, tmp_path):
     """A rate of nothing and a folder in use give one line and exit code 2, and no recording."""
     (tmp_path / "mine.txt").write_text("")
     for option, value, line in (

@@ -52,7 +52,7 @@ def test_trunk_leans_over_the_leg_it_stands_on(gait):
     assert u[left, 2] > 0.0199
 
 
-def test_amplitudes_vary_as_told(gait):
+def test_amplitudes_vary_as_published(gait):
     """Over many walkers the amplitude at an instant is normal about one with the set deviation."""
     t, one = np.array([100.0]), np.ones(1)
     fixed = {"step_hz": 1e-12, "variation": 0.1}  # the phase stands, so only the amplitude varies
@@ -62,7 +62,7 @@ def test_amplitudes_vary_as_told(gait):
         assert stats.kstest((factor - 1.0) / 0.1, "norm").pvalue > 0.01
 
 
-def test_stride_times_vary_as_told_and_with_long_memory(gait):
+def test_stride_times_vary_as_published_and_with_long_memory(gait):
     """Stride times deviate by the set share, and neighbours resemble each other as those of people do."""
     t = np.linspace(0.0, 1200.0, 480_001)
     u = Trunk(gait(variation=0.03), 1.2, 5).at(t, np.ones_like(t))[:, 1]

@@ -74,7 +74,7 @@ BAD_TUM = [
 
 
 @pytest.mark.parametrize(("text", "line"), BAD_TUM, ids=[row[1][:40] for row in BAD_TUM])
-def test_a_bad_line_is_told_with_its_number(tmp_path, text, line):
+def test_a_bad_line_is_reported_with_its_number(tmp_path, text, line):
     """File, line, what was found and what was expected."""
     path = written(tmp_path, text)
     with pytest.raises(TrajectoryError) as caught:

@@ -102,7 +102,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("name", "text", "line"), BAD, ids=[row[0] for row in BAD])
-def test_a_bad_file_is_told_in_one_line(tmp_path, name, text, line):
+def test_a_bad_file_is_reported_in_one_line(tmp_path, name, text, line):
     """File, line, what was found and what was expected."""
     path = written(tmp_path, name, text)
     with pytest.raises(TrajectoryError) as caught:
@@ -110,7 +110,7 @@ def test_a_bad_file_is_told_in_one_line(tmp_path, name, text, line):
     assert str(caught.value).removeprefix(str(path)).removeprefix(": ") == line.removeprefix(": ")
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_a_missing_file_is_reported(tmp_path):
     """The operating system's reason is passed on."""
     with pytest.raises(TrajectoryError, match=r"none\.gpx: no such file or directory; expected a GPX file"):
         read(tmp_path / "none.gpx")

@@ -118,7 +118,7 @@ def test_positions(real_position):
 
 
 def test_position_sentence_names_the_preceding_second(real_position):
-    """The sentence tells the second whose edge came last before the stamp."""
+    """The sentence names the second whose edge came last before the stamp."""
     for _, payload in real_position:
         fields = decode_position(payload)
         behind_ns = fields.time_ns - parse_rmc(fields.sentence).t_ns % (3_600 * 10**9)

@@ -90,7 +90,7 @@ def test_other_frames_are_counted_and_passed_over(tmp_path, other):
 
 
 @pytest.mark.parametrize("cut", [1, 1247, 1248, 1250, 1263])
-def test_cut_last_packet_is_told_and_left_out(tmp_path, cut):
+def test_cut_last_packet_is_reported_and_left_out(tmp_path, cut):
     """A file that ends within a record's data or header gives all whole packets before it, and says so."""
     datagrams, capture = read(tmp_path, pcap(DATA, POSITION, DATA, cut=cut))
     assert [d.number for d in datagrams] == [1, 2]

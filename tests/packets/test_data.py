@@ -208,7 +208,7 @@ def test_single_return_of_dual_is_repeated(random_returns):
     ],
 )
 def test_refuses_what_cannot_be_packed(make_returns, changes, message):
-    """Incomplete packets, other sensors and impossible numbers are told apart from returns."""
+    """Incomplete packets, other sensors and impossible numbers are distinguished from returns."""
     with pytest.raises(InputError) as error:
         pack_data(make_returns(**changes), ReturnMode.STRONGEST, VLP_16)
     assert str(error.value) == message

@@ -126,7 +126,7 @@ def test_rings():
         np.testing.assert_array_equal(np.sort(BEAM_TABLES[model].elevation_deg)[points.ring], elevation_deg)
 
 
-def test_last_is_told(make_returns):
+def test_last_is_reported(make_returns):
     """Records of mode last are last returns, those of strongest are not, in dual every other one is."""
     for mode, expected in (
         ("strongest", {(False, False)}),
@@ -194,7 +194,7 @@ def test_refuses_other_packets(make_returns, offset, value, message):
 
 
 def test_the_first_packet_at_fault_is_named(make_returns):
-    """Of a late packet with a broken flag and an earlier one of an unknown mode, the earlier is told."""
+    """Of a late packet with a broken flag and an earlier one of an unknown mode, the earlier is reported."""
     payloads = steady(make_returns, ReturnMode.STRONGEST, 4)
     payloads[3, 300] = 0xFE
     payloads[2, 1204] = 0x36

@@ -15,7 +15,7 @@ CAPTURED_LINK = Link(bytes.fromhex("607688102f6f"), b"\xff" * 6, "10.0.0.100", "
 
 
 def slow_checksum(data: bytes) -> int:
-    """Sum 16-bit words in ones' complement one by one, as RFC 1071 tells it."""
+    """Sum 16-bit words in ones' complement one by one, as RFC 1071 has it."""
     total = 0
     for (word,) in struct.iter_unpack(">H", data):
         total += word

@@ -28,7 +28,7 @@ def test_bytes_with_gps():
 
 
 def test_clock_rolls_over():
-    """Just before the hour the stamp is 3 599 999 650, also for a clock that is told as negative."""
+    """Just before the hour the stamp is 3 599 999 650, also for a clock that is negative."""
     for clock_ns in (-350_000, 3_600 * 10**9 - 350_000):
         assert pack_position(clock_ns, PpsState.ABSENT, b"")[198:202] == (3_599_999_650).to_bytes(4, "little")
 

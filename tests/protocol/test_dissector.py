@@ -163,7 +163,7 @@ def test_tail(seen):
 
 
 def test_info_column(seen):
-    """The list of packets tells product, return mode, azimuths and time, or the state of GPS."""
+    """The list of packets shows product, return mode, azimuths and time, or the state of GPS."""
     assert seen["strongest"]["info"] == "VLP-16 strongest az 359.00..3.40 t=1082340595 us"
     assert seen["dual"]["info"] == "VLP-16 dual az 1.00..3.00 t=3599999999 us"
     assert seen["hi-res"]["info"].startswith("Puck Hi-Res strongest")
@@ -185,7 +185,7 @@ def test_good_packets_raise_no_alarm(seen):
 
 
 def test_damage_is_named(seen):
-    """Every kind of damage is told by an expert message of its own."""
+    """Every kind of damage is reported by an expert message of its own."""
     for name, (_, message) in BAD.items():
         assert message in seen[name]["expert"].split(";"), name
 

@@ -125,7 +125,7 @@ def test_no_returns_show_a_constant_of_their_laser(seen):
     assert (seen({"no_return_reflectivity": True}, 10.0, k=8).reflectivity[..., :2] == 20).all()
 
 
-def test_the_active_model_is_told_in_one_line():
+def test_the_active_model_is_written_in_one_line():
     """The line names the preset and what it has become."""
     section = Noise(preset="typical", range_bias_m=0.0)
     assert section.summary == (

@@ -230,7 +230,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize(("old", "new", "line"), BAD_FILES, ids=[row[2][:50] for row in BAD_FILES])
-def test_a_bad_file_is_told_in_one_line(tmp_path, old, new, line):
+def test_a_bad_file_is_reported_in_one_line(tmp_path, old, new, line):
     """A bad scene file gives the file, the key path, what was found and what was expected, in these words."""
     assert SCENE.count(old) == 1
     path = written(tmp_path, SCENE.replace(old, new))
@@ -240,7 +240,7 @@ def test_a_bad_file_is_told_in_one_line(tmp_path, old, new, line):
 
 
 @pytest.mark.parametrize(("setting", "line"), BAD_SETTINGS, ids=[row[0] for row in BAD_SETTINGS])
-def test_a_bad_setting_is_told_in_one_line(tmp_path, setting, line):
+def test_a_bad_setting_is_reported_in_one_line(tmp_path, setting, line):
     """A bad setting is named as it was given, not blamed on the file."""
     with pytest.raises(ScenarioError) as caught:
         load(str(written(tmp_path, WALK)), [setting])
@@ -271,7 +271,7 @@ def test_a_bad_setting_is_told_in_one_line(tmp_path, setting, line):
     ],
     ids=["syntax", "encoding", "integer", "nesting", "key", "table", "inline", "deep lists", "deep tables"],
 )
-def test_a_file_that_is_no_toml_is_told(tmp_path, content, said):
+def test_a_file_that_is_no_toml_is_reported(tmp_path, content, said):
     """A file that the TOML parser refuses, for whatever reason, gives one error with its place."""
     path = tmp_path / "scene.toml"
     path.write_bytes(content)
@@ -331,7 +331,7 @@ def test_many_points_on_a_line_are_no_deep_key(tmp_path):
         ("x" * 300 + ".toml", "file name too long"),
     ],
 )
-def test_a_file_that_cannot_be_read_is_told(tmp_path, name, said):
+def test_a_file_that_cannot_be_read_is_reported(tmp_path, name, said):
     """A path that leads to no readable file gives the operating system's reason."""
     (tmp_path / "folder.toml").mkdir()
     with pytest.raises(ScenarioError) as caught:

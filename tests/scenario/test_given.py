@@ -48,7 +48,7 @@ def test_files_lie_beside_the_scene(scene, tmp_path, monkeypatch):
     assert load(scene(), [f"world.meshes=[{mesh}]"]).world.meshes[0].file == "/a.obj"
 
 
-def test_a_mesh_stands_upright_on_the_ground_unless_told(scene):
+def test_a_mesh_stands_upright_on_the_ground_unless_it_says_so(scene):
     """Place and size of a mesh have plain defaults, and parts keep the file's values that they do not give."""
     mesh = load(scene()).world.meshes[0]
     place, part = mesh.places[0], mesh.parts[0]

@@ -112,7 +112,7 @@ def test_a_setting_is_not_blamed_for_a_fault_of_the_file(tmp_path):
         load(scene, ["seed=7"])
 
 
-def test_all_missing_keys_are_told_at_once(tmp_path):
+def test_all_missing_keys_are_reported_at_once(tmp_path):
     """A file that lacks several keys names all of them, with what each should be."""
     path = written(tmp_path, '[motion]\nkind = "static"\n[world]\nkind = "hall"\nheight_m = 6\n')
     with pytest.raises(ScenarioError) as caught:
@@ -169,7 +169,7 @@ def test_a_scenario_cannot_be_changed(tmp_path):
         "9999-12-31T23:59:59-14:00",
     ],
 )
-def test_a_start_that_no_capture_can_be_stamped_with_is_told(tmp_path, start):
+def test_a_start_that_no_capture_can_be_stamped_with_is_reported(tmp_path, start):
     """A start before 1970 or after 2105 in UTC is refused, whatever its offset."""
     with pytest.raises(ScenarioError) as caught:
         load(str(written(tmp_path, SCENE)), [f"start_utc={start}"])

@@ -57,7 +57,7 @@ def test_a_start_azimuth_rules_out_the_firsts_phase():
         ("3", "rig[0]: found 3"),
     ],
 )
-def test_what_cannot_be_is_told_in_one_line(table, message):
+def test_what_cannot_be_is_reported_in_one_line(table, message):
     """A wrong unit is named by its key path, with what was expected."""
     with pytest.raises(ScenarioError) as caught:
         rig(table)

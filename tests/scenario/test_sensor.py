@@ -70,7 +70,7 @@ def test_a_list_of_elevations_is_taken_as_it_stands():
         ),
     ],
 )
-def test_a_bad_sensor_is_told_in_one_line(settings, line):
+def test_a_bad_sensor_is_reported_in_one_line(settings, line):
     """What does not belong to the sensor at hand is refused with what would have."""
     with pytest.raises(ScenarioError) as caught:
         sensor(*settings)

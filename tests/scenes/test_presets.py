@@ -39,7 +39,7 @@ def grown(name, reach_m=100.0):
 
 @EACH
 def test_a_scene_has_the_density_and_basal_area_of_its_table(name):
-    """Around the walk stems per hectare and basal area are those that the scene asks for, as far as 5 ha can tell."""
+    """Around the walk stems per hectare and basal area are those that the scene asks for, as far as 5 ha can show."""
     section = load(name).world
     _, trees, ground_m2 = grown(name)
     canopy = trees[trees["storey"] == 0]
@@ -137,7 +137,7 @@ SPECIES = "species = [{ species = 'silver_birch', share = 1, dbh_cm = 18, height
         ),
     ],
 )
-def test_a_forest_that_makes_no_sense_is_told_in_one_line(tmp_path, world, message):
+def test_a_forest_that_makes_no_sense_is_reported_in_one_line(tmp_path, world, message):
     """Unknown presets, densities told twice or never, and ranges that run backwards are named with their key."""
     with pytest.raises(ScenarioError, match=message):
         scene(tmp_path, world)

@@ -89,7 +89,7 @@ def test_existing_file_is_overwritten(tmp_path):
 
 
 def test_pipe_is_written_like_a_file(tmp_path, make_packets):
-    """A named pipe receives the bytes whose hash the result tells."""
+    """A named pipe receives the bytes whose hash is in the result."""
     path = tmp_path / "pipe"
     os.mkfifo(path)
     received = []
@@ -168,7 +168,7 @@ def test_full_disk_keeps_whole_packets_and_says_how_many(tmp_path):
 
 
 def test_device_without_room_is_a_failed_run(tmp_path):
-    """A disk that is full from the beginning is told by the system's own words, with exit code 1."""
+    """A disk that is full from the beginning is reported in the system's own words, with exit code 1."""
     full = tmp_path / "full"
     full.symlink_to("/dev/full")
     with pytest.raises(RunError, match="No space left on device at packet 1; the 0 packets") as caught:

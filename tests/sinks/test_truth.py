@@ -54,7 +54,7 @@ def test_files_of_somebody_else_stay(tmp_path, scenario):
     assert (tmp_path / "imu.csv").read_text() == "mine"
 
 
-def test_a_full_disk_is_told(tmp_path):
+def test_a_full_disk_is_reported(tmp_path):
     """A file that takes no more ends the run with its name and the reason."""
     with TruthFolder(tmp_path) as folder:
         (tmp_path / "imu.csv").symlink_to("/dev/full")

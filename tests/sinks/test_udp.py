@@ -92,7 +92,7 @@ def test_host_name_is_resolved():
     ],
 )
 def test_impossible_destination_is_refused(host, line):
-    """What is no IPv4 host is bad input, told in one line."""
+    """What is no IPv4 host is bad input, reported in one line."""
     with pytest.raises(OutputError, match=line) as caught:
         UdpSink(host)
     assert caught.value.exit_code == 2
@@ -119,7 +119,7 @@ def test_port_in_use_is_refused():
 
 
 def test_system_that_cannot_send_is_a_failed_run():
-    """A datagram that the system refuses ends the run and tells what had been sent before."""
+    """A datagram that the system refuses ends the run and reports what had been sent before."""
     with UdpSink() as sink:
         sink.send(Packet(PacketKind.DATA, 0, bytes(1206)))
         with pytest.raises(

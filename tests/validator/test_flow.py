@@ -40,7 +40,7 @@ def test_lost_position_packets_are_one_finding(tmp_path, traffic):
 
 
 def test_outage_of_a_second_breaks_no_other_rule(tmp_path, traffic):
-    """When both streams are silent for a second, each tells its lost packets once, rates count them, and silence is named."""
+    """When both streams are silent for a second, each reports its lost packets once, rates count them, and silence is named."""
     made = traffic(3.4)
     silent = [i for i, t in enumerate(made.stamps_us) if 10**6 < t - made.stamps_us[0] < 2 * 10**6]
     made.drop(silent)
@@ -208,7 +208,7 @@ def test_other_traffic_is_left_alone(tmp_path, traffic):
     assert [f.packet for f in result.findings] == [i + 1]
 
 
-def test_cut_file_is_told_and_checked_up_to_there(tmp_path, traffic):
+def test_cut_file_is_reported_and_checked_up_to_there(tmp_path, traffic):
     """A file that ends within a packet is no broken traffic, but the result says that it is cut."""
     path = traffic(0.5).save(tmp_path / "cut.pcap")
     path.write_bytes(path.read_bytes()[:-100])

@@ -62,14 +62,14 @@ def position(offset, content):
 
 
 def wrong_length(made):
-    """Tell a UDP length that is one short."""
+    """Report a UDP length that is one short."""
     i = made.data(900)
     made.frames[i][38:40] = struct.pack(">H", 1213)
     return i
 
 
 def vast_length(made):
-    """Tell a UDP length beyond the frame."""
+    """Report a UDP length beyond the frame."""
     i = made.data(900)
     made.frames[i][38:40] = b"\xff\xff"
     return i
@@ -97,7 +97,7 @@ def no_position_checksum(made):
 
 
 def position_beyond_the_hour(made):
-    """Tell the same time an hour later."""
+    """Report the same time an hour later."""
     i = made.position(200)
     timestamp_us = int.from_bytes(made.frames[i][42 + 198 : 42 + 202], "little")
     made.write_position(i, 198, struct.pack("<I", timestamp_us + HOUR_US))

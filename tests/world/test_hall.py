@@ -127,7 +127,7 @@ def test_floor_is_at_zero():
     assert (make_hall().height_m(np.zeros((2, 3)), np.ones((2, 3))) == np.zeros((2, 3))).all()
 
 
-def test_a_way_through_a_wall_is_told(caplog):
+def test_a_way_through_a_wall_is_reported(caplog):
     """A way that leaves the hall is warned of by its first point outside; one inside is not."""
     hall = make_hall()
     hall.check(np.array([[0.0, 0.0], [14.9, -8.9]]))

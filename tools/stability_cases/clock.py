@@ -61,14 +61,16 @@ def _named(sentence: bytes) -> datetime:
 
 
 def _position_errors(scenario: Scenario, packets: list[Packet]) -> tuple[int, int]:
-    """How many position packets have a wrong stamp, or a sentence of another second than the one last told."""
+    """How many position packets have a wrong stamp, or a sentence of another second than the one last reported."""
     stamps = sentences = 0
     for packet in packets:
-        told, stamp_ns = decode_position(packet.payload), packet.due_ns - STAMP_LEAD_NS
-        stamps += told.time_ns != stamp_ns % HOUR_NS // US_NS * US_NS
+        reported, stamp_ns = decode_position(packet.payload), packet.due_ns - STAMP_LEAD_NS
+        stamps += reported.time_ns != stamp_ns % HOUR_NS // US_NS * US_NS
         delay_ns = round(scenario.gps.sentence_delay_s * S_NS)
         whole_s = (stamp_ns - delay_ns) // S_NS
-        sentences += _named(told.sentence) != datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=whole_s)
+        sentences += _named(reported.sentence) != datetime(1970, 1, 1, tzinfo=UTC) + timedelta(
+            seconds=whole_s
+        )
     return stamps, sentences
 
 

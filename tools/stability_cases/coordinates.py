@@ -104,7 +104,7 @@ def _codes(packets: list[bytes]) -> NDArray[np.int64]:
 
 
 def far_files() -> Iterator[Row]:
-    """Stem list, ground and walk told in map coordinates."""
+    """Stem list, ground and walk given in map coordinates."""
     near = _packets((0, 0, 0), (0, 0, 0), walk=True)
     for name, at_m in (("UTM", _UTM_M), ("1e7 m", _FAR_M)):
         differ = _differ(near, _packets(at_m, (0, 0, 0), walk=True))

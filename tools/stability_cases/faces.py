@@ -70,11 +70,13 @@ def doubled() -> Iterator[Row]:
         yield Row(name, "pulses that change in a rerun", int((first.surface != again.surface).sum()), 0)
         yield Row(name, "largest error, m", float(np.abs(first.range_m - 10.0 / cosine).max()), 1e-5)
     scene = load("static_bench", [_two_crates()])
-    told = [
+    labels = [
         np.concatenate([r.surface for r in Emulator(scene, threads=threads).returns(0.0, 0.3, truth=True)])
         for threads in (1, 3)
     ]
-    yield Row("two crates in one place", "labels that differ by threads", int((told[0] != told[1]).sum()), 0)
+    yield Row(
+        "two crates in one place", "labels that differ by threads", int((labels[0] != labels[1]).sum()), 0
+    )
 
 
 def _two_crates() -> str:

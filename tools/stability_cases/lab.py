@@ -108,7 +108,7 @@ def opened(
     Parameters
     ----------
     times : how many instances stand there
-    slowly : by the twin that reckons in float64
+    slowly : by the twin that computes in float64
     """
     surfaces = np.zeros(len(meshes), SURFACE)
     surfaces["reflectance"] = reflectance

@@ -140,7 +140,8 @@ def heavier(z: float) -> float:
     return _UNIT * z * (1.0 + _CUBIC * z * z)
 
 
-_TURNS_PER_BIN, _TURNS_PER_GAIN = 0.31, 29.0
+_BINS_PER_ROOT_M, _TURNS_PER_BIN, _TURNS_PER_GAIN = 10.0, 0.31, 29.0
+"""Of the steps of codes; the last two spread them over lasers and ranges, and are no measurement."""
 RETROREFLECTIVE = 100.5
 """Percent from which a target is no white wall any more; what rounds to 100 still is."""
 _IDEAL = 1000.0
@@ -155,14 +156,14 @@ def code_step(step: float, gain: float, range_m: float) -> float:
     """Spacing of bright codes of one laser at one range, in counts.
 
     As if whole numbers of the receiver were multiplied by a correction: on real units the codes of a laser within 10 % of
-    range are 1.6 to 2.2 apart, 3 at times, and at another range or laser by another step. Which is not known; here a laser has
-    one from 0.85 to 1.45 of the setting for each half metre of the root of the range, as powers of the laser might change.
+    range are 1.6 to 2.2 apart, 3 at times, and at another range or laser by another step. Which is not known; here it is
+    from 0.85 to 1.45 of the setting, and another one every 0.1 of the root of the range in metres, which is 10 % at 4 m.
 
     Parameters
     ----------
     gain : of the laser
     """
-    turn = fold(_TURNS_PER_BIN * math.floor(10.0 * math.sqrt(range_m)) + _TURNS_PER_GAIN * gain)
+    turn = fold(_TURNS_PER_BIN * math.floor(_BINS_PER_ROOT_M * math.sqrt(range_m)) + _TURNS_PER_GAIN * gain)
     return step * gain * (0.85 + 0.6 * turn * turn)
 
 

@@ -61,9 +61,9 @@ class Woods(Section):
     dwarf_shrubs: DwarfShrubs = DwarfShrubs()
     moss: Moss = Moss()
     litter: Litter = Litter()
-    texture: Texture = 0.0
+    texture: Texture = 0.1
     """Share by which the reflectance of ground, bark and stones varies over patches of some 0.2 m, one sigma; leaves have
-    none, as each lies at an angle of its own. No measurement in a forest is known; walls have 0.1."""
+    none, as each lies at an angle of its own. Assumption: as smooth surfaces in captures of rooms and streets."""
     species_file: SceneFile | None = None
     """Plants of the user's own, in the form of the program's `world/species.toml`, numbered from 1000."""
     tree_models: list[TreeModelFile] = Field(default_factory=list)

@@ -194,7 +194,7 @@ def test_what_cannot_be_seen_goes_on_level(tmp_path):
     ],
 )  # fmt: skip
 def test_a_bad_ascii_grid_is_refused_in_one_line(tmp_path, text, message):
-    """What is wrong with a grid is told with the file, the line, what was found and what was expected."""
+    """What is wrong with a grid is reported with the file, the line, what was found and what was expected."""
     with pytest.raises(GeometryError, match=f"ground.asc[:,] {message}"):
         read(write(tmp_path, text))
 

@@ -97,7 +97,7 @@ def test_a_users_plants_come_after_our_own(write):
         ("branches_per_whorl = 1", "branches_per_whorl = 1.5", "holm_oak.crown.branches_per_whorl: found 1.5; expected a whole number"),
     ],
 )  # fmt: skip
-def test_a_wrong_file_is_told_by_file_species_and_key(write, old, new, message):
+def test_a_wrong_file_is_reported_by_file_species_and_key(write, old, new, message):
     """What is wrong in a user's file is named in one line: where, what was found, what was expected."""
     text = own_oak()
     assert old in text
@@ -109,7 +109,7 @@ def test_a_wrong_file_is_told_by_file_species_and_key(write, old, new, message):
     assert "\n" not in str(error.value)
 
 
-def test_two_plants_with_one_number_are_told_apart(write):
+def test_two_plants_with_one_number_are_distinguished(write):
     """Numbers of a file must differ among its trees and shrubs."""
     path = write(own_oak() + own_oak().replace("holm_oak", "cork_oak"))
     with pytest.raises(GeometryError, match=r"cork_oak\.number: found 1000, which is that of holm_oak"):
