@@ -38,6 +38,7 @@ motion = {motion}
 kind = "plot"
 stem_list = "plot.csv"
 origin_m = [{origin}]
+texture = {texture}
 dem = {{ file = "ground.asc" }}
 
 [[world.meshes]]
@@ -81,7 +82,10 @@ def write_plot(folder: Path, files_m: tuple[int, ...], scene_m: tuple[int, ...],
     )
     origin = ", ".join(f"{file - at}.0" for file, at in zip(files_m, scene_m, strict=True))
     scene = folder / "plot.toml"
-    scene.write_text(_SCENE.format(motion=motion, origin=origin, x=f"{x + 4}.0", y=f"{y - 3}.0"))
+    # Patches of texture belong to the place in the world: one that is moved has others, and others are received.
+    texture = 0.1 if walk else 0.0
+    place = {"x": f"{x + 4}.0", "y": f"{y - 3}.0"}
+    scene.write_text(_SCENE.format(motion=motion, origin=origin, texture=texture, **place))
     return scene
 
 
