@@ -143,7 +143,7 @@ def test_a_port_that_takes_no_more_takes_no_core(device):
         for _ in range(3):
             sink.send(sentence())
             until(sink._waiting.empty)
-        until(lambda: sink.result.dropped == dropped + 3)
+        until(lambda: sink.result.dropped >= dropped + 3)  # one before them may still be under way
         assert time.clock_gettime(clock) - begun_s < 0.3  # of at least 0.75 s, by its own thread
 
 
