@@ -1,5 +1,6 @@
 """`vlp16emu picture`: what a sensor saw, as a picture or a film."""
 
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["picture"]
 
-_LARGEST_PX = 8_192
+_LARGEST_PX, _FROM_DEG = 8_192, 205.0
 
 
 def _pixels(text: str) -> tuple[int, int]:
@@ -61,16 +62,25 @@ def picture(
             show_default="natural, of a capture reflectivity",
         ),
     ] = None,
+    view: Annotated[
+        str,
+        typer.Option(
+            "--view",
+            metavar="VIEW",
+            help="slant, of points that add up; sweep, a revolution from straight above with circles of range; or image, a"
+            " revolution as rows of lasers over azimuth.",
+        ),
+    ] = "slant",
     look_from: Annotated[
-        float,
+        float | None,
         typer.Option(
             "--from",
             metavar="DEG",
             parser=checked("--from", float, lambda deg: 0 <= deg < 360, "a number from 0 to 360"),
-            help="Where the eye is, clockwise from north.",
+            help="Where the eye is, clockwise from north, of --view slant.",
             show_default="205",
         ),
-    ] = 205.0,
+    ] = None,
     pixels: Annotated[
         str, typer.Option("--size", metavar="WxH", help="Of the picture, in pixels.")
     ] = "1280x720",
@@ -81,17 +91,23 @@ def picture(
     trajectory: TrajectoryFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Draw what a sensor sees of a scene, or saw in a capture, from above at a slant.
+    """Draw what a sensor sees of a scene, or saw in a capture: all of it at a slant, or one revolution.
 
     Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
-    revolution. A film shows how they add up, ten revolutions per second. Needs the extra 'picture'.
+    revolution. A film shows how they add up, or one revolution after the other, ten per second. Needs the extra 'picture'.
     """
-    from vlp16emu.viewer.picture import PictureLook
+    from vlp16emu.viewer.picture import VIEWS, PictureLook
+
+    if view not in VIEWS:
+        raise InputError("--view", f"found {view}", ", ".join(VIEWS))
+    if look_from is not None and view != "slant":
+        raise InputError("--from", f"found beside --view {view}", "--view slant")
 
     is_capture = Path(scene).suffix == ".pcap"
     if trajectory is not None and not is_capture:
         raise InputError("--trajectory", "found beside a scene", "a capture")
-    look = PictureLook(colour or ("reflectivity" if is_capture else "natural"), look_from, _pixels(pixels))
+    colour = colour or ("reflectivity" if is_capture else "natural")
+    look = PictureLook(colour, _FROM_DEG if look_from is None else look_from, _pixels(pixels), view)
     with stop_on_ctrl_c() as stop:
         if is_capture:
             made = _of_capture(Path(scene), trajectory, (start, duration), out, look, stop)
@@ -119,13 +135,14 @@ def _of_capture(
     stop: "Event",
 ) -> "PictureRun":
     """Draw a capture; without poses its first revolution, or as a film all of them."""
+    from vlp16emu.packets.layout import LASERS
     from vlp16emu.viewer.picture import draw_picture, scans_of_capture, way_of
 
     is_film = out.suffix.lower() != ".png"
     scans = scans_of_capture(capture, trajectory, *span)
     if trajectory is None and not is_film:
-        scans = iter([next(scans)])
-    return draw_picture(scans, out, look, way_m=way_of(trajectory), species={}, stop=stop)
+        scans = islice(scans, 1)
+    return draw_picture(scans, out, look, way_m=way_of(trajectory), rings=LASERS, species={}, stop=stop)
 
 
 def _of_scene(
@@ -148,5 +165,6 @@ def _of_scene(
     start_s, stop_s = emulator.scenario.span_s(*span, where="--start")
     t_ns = emulator.scenario.start_ns + (np.linspace(start_s, stop_s, 200) * 1e9).astype(np.int64)
     way_m = emulator.parts.motion.poses_at(t_ns).world_p_body_m
-    species = species_of(emulator.parts.world)
-    return draw_picture(scans_of_scene(emulator, *span), out, look, way_m=way_m, species=species, stop=stop)
+    species, rings = species_of(emulator.parts.world), len(emulator.parts.units[0].head.beams.elevation_deg)
+    scans = scans_of_scene(emulator, *span)
+    return draw_picture(scans, out, look, way_m=way_m, rings=rings, species=species, stop=stop)

@@ -1,11 +1,12 @@
 """Points drawn into a picture as they come: what is nearer hides what is behind, and memory is that of the picture."""
 
 import math
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Canvas", "Oblique"]
+__all__ = ["Canvas", "LaserRows", "Oblique", "View"]
 
 _BACKGROUND = (14, 18, 24)
 _RELIEF = 0.35
@@ -13,6 +14,25 @@ _RELIEF = 0.35
 _DARKEST = 0.3
 _NEAR_PX = 2
 """How far off the neighbours are."""
+_FEWEST_COLUMNS = 800
+"""Firing sequences of a revolution at 1200 rpm are some 900."""
+
+
+class View(Protocol):
+    """Where points are in a picture."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, in pixels."""
+
+    @property
+    def dot_px(self) -> tuple[int, int]:
+        """Width and height of a point."""
+
+    def pixels(
+        self, place: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+        """Column, row and distance towards the eye of points (n, 3)."""
 
 
 class Oblique:
@@ -38,7 +58,7 @@ class Oblique:
         )
         seen_m = corners_m @ self._axes.T
         low_m, high_m = seen_m.min(axis=0), seen_m.max(axis=0)
-        self.size = size
+        self.size, self.dot_px = size, (2, 2)
         self.px_per_m = float(min(size[0] / (high_m[0] - low_m[0]), size[1] / (high_m[1] - low_m[1])))
         self._middle_m = (low_m + high_m) / 2
 
@@ -52,18 +72,47 @@ class Oblique:
         return column, row, near
 
 
+class LaserRows:
+    """A row for each laser, the highest one above, and azimuths from left to right; points are azimuth (deg), ring and 0.
+
+    Parameters
+    ----------
+    size : width and height, in pixels
+    rings : lasers of the sensor
+    """
+
+    def __init__(self, size: tuple[int, int], rings: int) -> None:
+        self.size, self.rings = size, rings
+        width, height = size
+        self.left, self.top = round(0.06 * width), round(0.1 * height)
+        """Of the pixel that is azimuth 0 of the highest laser."""
+        self.width, self.height = round(0.85 * width), height - 2 * self.top
+        self.dot_px = 1 + self.width // _FEWEST_COLUMNS, -(-self.height // rings)
+
+    def pixels(
+        self, place: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+        """See `View`."""
+        azimuth_deg, ring, near = place.T
+        column = self.left + np.floor(azimuth_deg * self.width / 360.0).astype(np.int64)
+        return column, self.top + (self.rings - 1 - ring.astype(np.int64)) * self.height // self.rings, near
+
+
 class Canvas:
     """A picture that points are added to.
 
     Parameters
     ----------
     view : of the picture
-    dot_px : width of a point
     """
 
-    def __init__(self, view: Oblique, dot_px: int = 2) -> None:
-        self.view, self._dot_px = view, dot_px
-        width, height = view.size
+    def __init__(self, view: View) -> None:
+        self.view = view
+        self.clear()
+
+    def clear(self) -> None:
+        """Take away all points."""
+        width, height = self.view.size
         self._near_m = np.full(height * width, -np.inf)
         self._rgb = np.zeros((height * width, 3), np.uint8)
 
@@ -73,8 +122,8 @@ class Canvas:
         column, row, near_m = self.view.pixels(world_m)
         order = np.argsort(near_m, kind="stable")
         column, row, near_m, rgb = column[order], row[order], near_m[order], rgb[order]
-        for x in range(self._dot_px):
-            for y in range(self._dot_px):
+        for x in range(self.view.dot_px[0]):
+            for y in range(self.view.dot_px[1]):
                 inside = (column + x >= 0) & (column + x < width) & (row + y >= 0) & (row + y < height)
                 pixel = (row[inside] + y) * width + column[inside] + x
                 in_front = near_m[inside] > self._near_m[pixel]

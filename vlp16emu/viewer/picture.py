@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import chain
+from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
@@ -15,17 +16,27 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.output import OutputFile
 from vlp16emu.scan import Scan, decode
-from vlp16emu.viewer.canvas import Canvas, Oblique
+from vlp16emu.viewer.canvas import Canvas, LaserRows, Oblique, View
 from vlp16emu.viewer.layers import Entries, colours_of, colours_of_scale, entries_of, layers_of_scan
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PictureLook", "PictureRun", "draw_picture", "scans_of_capture", "scans_of_scene", "way_of"]
+__all__ = [
+    "VIEWS",
+    "PictureLook",
+    "PictureRun",
+    "draw_picture",
+    "scans_of_capture",
+    "scans_of_scene",
+    "way_of",
+]
 
 Placed = tuple[Scan, NDArray[np.float64]]
 """A revolution, and its points (n, 3) in the world."""
 
+VIEWS = ("slant", "sweep", "image")
+"""Points that add up from above at a slant; a revolution from straight above; a revolution as its lasers see it."""
 _STILLS, _FILMS = (".png",), (".gif", ".mp4")
 _FRAMES_PER_S = 10
 _ELEVATION_DEG = 32.0
@@ -33,9 +44,14 @@ _AROUND_M, _BELOW_M, _ABOVE_M = 22.0, 4.0, 22.0
 """What is in the picture around, below and above the way of the sensor."""
 _SHARE = 0.93
 """Of the points in a sweep that the box of a capture in its sensor holds."""
+_CIRCLES_M, _MOST_CIRCLES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), 6
+_DEEP_M, _CIRCLE_RGB = -1e3, (58, 68, 82)
+"""Circles of range about the sensor are behind all points."""
 _SENSOR_RGB = (255, 70, 50)
 _BACK, _INK = "#0e1218", "#d7dbe0"
 _MOST_ENTRIES = 12
+_MILLIONS = 100_000
+"""Points from which on they are counted in millions."""
 _STATIONS = 200
 """Of a way that is looked at."""
 
@@ -47,9 +63,11 @@ class PictureLook:
     colour: str
     """A layer, see `layers_of_scan`."""
     from_deg: float
-    """Where the eye is, clockwise from north."""
+    """Where the eye is, clockwise from north; of the view "slant"."""
     size: tuple[int, int]
     """In pixels."""
+    view: str = "slant"
+    """One of `VIEWS`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,16 +125,18 @@ def draw_picture(
     look: PictureLook,
     *,
     way_m: NDArray[np.float64] | None,
+    rings: int,
     species: Mapping[int, str],
     stop: Event,
 ) -> PictureRun:
-    """Draw what accumulates over revolutions as a picture, or how it does as a film.
+    """Draw what accumulates over revolutions as a picture, or how it does as a film; other views draw them one by one.
 
     Parameters
     ----------
     scans : one after another; memory does not grow with them
     path : .png, .gif or .mp4
     way_m : (k, 3) where the sensor goes; None to look around the origin
+    rings : lasers of the sensor
     species : names by number
     stop : ends the picture between two revolutions
 
@@ -135,9 +155,9 @@ def draw_picture(
         raise InputError("picture", "no whole revolution", "at least one in the span")
     if look.colour not in (known := layers_of_scan(first[0])):
         raise InputError("--colour", f"found {look.colour}", ", ".join(known))
-    box_m = _box_m(first[1], way_m)
-    drawing = _Drawing(Canvas(Oblique(look.from_deg, _ELEVATION_DEG, look.size, box_m)), look, species, box_m)
-    images = drawing.images(chain([first], scans), stop)
+    drawing = _DRAWINGS[look.view](look, species, first, way_m, rings)
+    one_by_one = suffix in _STILLS and not drawing.adds_up
+    images = drawing.images(chain([first], islice(scans, 0) if one_by_one else scans), stop)
     with OutputFile(path) as output, output.writing() as file:
         if suffix == ".png":
             for _ in images:
@@ -151,45 +171,150 @@ def draw_picture(
     )
 
 
-def _box_m(first_m: NDArray[np.float64], way_m: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """Corners (2, 3) of what a picture shows."""
-    if way_m is None:
-        spread = np.quantile(np.abs(first_m), _SHARE, axis=0)
-        return np.stack([-spread, spread])
-    around = np.array([_AROUND_M, _AROUND_M, 0.0])
-    low, high = way_m.min(axis=0) - around, way_m.max(axis=0) + around
-    low[2], high[2] = low[2] - _BELOW_M, high[2] + _ABOVE_M
-    return np.stack([low, high])
-
-
 class _Drawing:
-    """A canvas that revolutions are drawn on."""
+    """A canvas that revolutions are drawn on: seen at a slant, in the world, where their points add up.
+
+    Parameters
+    ----------
+    first : revolution
+    """
+
+    adds_up = True
 
     def __init__(
-        self, canvas: Canvas, look: PictureLook, species: Mapping[int, str], box_m: NDArray[np.float64]
+        self,
+        look: PictureLook,
+        species: Mapping[int, str],
+        first: Placed,
+        way_m: NDArray[np.float64] | None,
+        rings: int,
     ) -> None:
-        self.canvas, self.look, self._species, self._box_m = canvas, look, species, box_m
+        self.look, self._species = look, species
         self.revolutions = self.points = 0
+        self.canvas = Canvas(self._view(first, way_m, rings))
+
+    def _view(self, first: Placed, way_m: NDArray[np.float64] | None, _rings: int) -> View:
+        """Look at what is around the way, or around the sensor."""
+        if way_m is None:
+            spread = np.quantile(np.abs(first[1]), _SHARE, axis=0)
+            self._box_m = np.stack([-spread, spread])
+        else:
+            around = np.array([_AROUND_M, _AROUND_M, 0.0])
+            low, high = way_m.min(axis=0) - around, way_m.max(axis=0) + around
+            low[2], high[2] = low[2] - _BELOW_M, high[2] + _ABOVE_M
+            self._box_m = np.stack([low, high])
+        return Oblique(self.look.from_deg, _ELEVATION_DEG, self.look.size, self._box_m)
 
     def images(self, scans: Iterator[Placed], stop: Event) -> Iterator[Scan]:
         """Draw revolutions, and yield each when it is drawn."""
         for scan, world_m in scans:
+            if not self.adds_up:
+                self.canvas.clear()
             rgb = colours_of(scan, self.look.colour, self._species)
-            # What is aside would hide what is near the way.
-            shown = ((world_m >= self._box_m[0]) & (world_m <= self._box_m[1]))[:, :2].all(axis=1)
-            self.canvas.add(world_m[shown], rgb[shown])
-            self.revolutions, self.points = self.revolutions + 1, self.points + int(shown.sum())
+            self.points += self._draw(scan, world_m, rgb)
+            self.revolutions += 1
             yield scan
             if stop.is_set():
                 return
 
+    def _draw(self, _scan: Scan, world_m: NDArray[np.float64], rgb: NDArray[np.uint8]) -> int:
+        """Draw a revolution, and count its points that are in the picture."""
+        # What is aside would hide what is near the way.
+        shown = ((world_m >= self._box_m[0]) & (world_m <= self._box_m[1]))[:, :2].all(axis=1)
+        self.canvas.add(world_m[shown], rgb[shown])
+        return int(shown.sum())
+
+    def _sensor(self, scan: Scan) -> NDArray[np.float64] | None:
+        """Where the sensor is in the picture (3,), if it is."""
+        return None if scan.world_T_sensor is None else scan.world_T_sensor[:3, 3]
+
     def marked(self, scan: Scan) -> NDArray[np.uint8]:
         """Give the picture with the place of the sensor in it."""
         image = self.canvas.image()
-        if scan.world_T_sensor is not None:
-            (column,), (row,), _ = self.canvas.view.pixels(scan.world_T_sensor[None, :3, 3])
+        if (sensor := self._sensor(scan)) is not None:
+            (column,), (row,), _ = self.canvas.view.pixels(sensor[None])
             image[max(row - 4, 0) : max(row + 5, 0), max(column - 4, 0) : max(column + 5, 0)] = _SENSOR_RGB
         return image
+
+    def labels(self) -> Iterator[tuple[float, float, str]]:
+        """Yield what stands at columns and rows from below of a still."""
+        yield 30, 40, "10 m"
+
+
+class _Above(_Drawing):
+    """A revolution from straight above, azimuth 0 upwards, with circles of range."""
+
+    adds_up = False
+
+    def _view(self, first: Placed, _way_m: NDArray[np.float64] | None, _rings: int) -> View:
+        """Look at what is around the sensor."""
+        radius_m = float(np.quantile(first[0].distance_m, _SHARE))
+        width, height = self.look.size
+        corner_m = radius_m * np.array([width, height, height]) / min(width, height)
+        self._box_m = np.stack([-corner_m, corner_m])
+        turn = np.linspace(0.0, 2.0 * np.pi, 4 * max(width, height))
+        step_m = next((m for m in _CIRCLES_M if radius_m < _MOST_CIRCLES * m), _CIRCLES_M[-1])
+        self._radii_m = np.arange(step_m, np.hypot(*corner_m[:2]), step_m)
+        x, y = np.outer(self._radii_m, np.sin(turn)).ravel(), np.outer(self._radii_m, np.cos(turn)).ravel()
+        self._circles_m = np.column_stack([x, y, np.full(len(x), _DEEP_M)])
+        return Oblique(180.0, 90.0, self.look.size, self._box_m)
+
+    def _draw(self, scan: Scan, _world_m: NDArray[np.float64], rgb: NDArray[np.uint8]) -> int:
+        """See `_Drawing`."""
+        self.canvas.add(
+            self._circles_m, np.broadcast_to(np.array(_CIRCLE_RGB, np.uint8), self._circles_m.shape)
+        )
+        # Azimuth 0 is x of the points and upwards in the picture.
+        seen_m = np.column_stack([-scan.xyz_m[:, 1], scan.xyz_m[:, 0], scan.xyz_m[:, 2]]).astype(np.float64)
+        return super()._draw(scan, seen_m, rgb)
+
+    def _sensor(self, _scan: Scan) -> NDArray[np.float64] | None:
+        """See `_Drawing`."""
+        return np.zeros(3)
+
+    def labels(self) -> Iterator[tuple[float, float, str]]:
+        """Yield the radii of circles, halfway from ahead to the right."""
+        width, height = self.look.size
+        for radius_m in self._radii_m:
+            (column,), (row,), _ = self.canvas.view.pixels(
+                np.array([[*np.full(2, radius_m * np.sqrt(0.5)), 0.0]])
+            )
+            if 30 < row < height - 30 and 0 < column < width:
+                yield column + 4, height - row + 4, f"{radius_m:g} m"
+
+
+class _Rows(_Drawing):
+    """A revolution as the sensor measures it: a row for each laser, and azimuths."""
+
+    adds_up = False
+
+    def _view(self, _first: Placed, _way_m: NDArray[np.float64] | None, rings: int) -> View:
+        """Look at all."""
+        self._rows = LaserRows(self.look.size, rings)
+        return self._rows
+
+    def _draw(self, scan: Scan, _world_m: NDArray[np.float64], rgb: NDArray[np.uint8]) -> int:
+        """See `_Drawing`."""
+        # Of several returns the nearest is in front, but by so little that none is in another one's shadow.
+        near = -1e-6 * scan.distance_m
+        self.canvas.add(np.column_stack([scan.azimuth_deg % 360.0, scan.ring, near]), rgb)
+        return len(rgb)
+
+    def _sensor(self, _scan: Scan) -> NDArray[np.float64] | None:
+        """See `_Drawing`."""
+        return None
+
+    def labels(self) -> Iterator[tuple[float, float, str]]:
+        """Yield azimuths below, and the first and last ring at the left."""
+        rows, height = self._rows, self.look.size[1]
+        below = height - rows.top - rows.height - 20
+        for azimuth_deg in range(0, 360, 45):
+            yield rows.left + azimuth_deg * rows.width / 360.0, below, f"{azimuth_deg}\N{DEGREE SIGN}"
+        for ring in (0, rows.rings - 1):
+            yield 8, height - rows.top - (rows.rings - ring - 0.4) * rows.height / rows.rings, f"ring {ring}"
+
+
+_DRAWINGS = dict(zip(VIEWS, (_Drawing, _Above, _Rows), strict=True))
 
 
 def _gif(file: Any, frames: Iterator[NDArray[np.uint8]], _size: tuple[int, int]) -> None:
@@ -222,26 +347,28 @@ def _still(file: Any, drawing: _Drawing, entries: Entries) -> None:
         from matplotlib.patches import Patch
     except ImportError:
         raise MissingExtraError("matplotlib", "picture", "pictures") from None
-    (width, height), px_per_m = drawing.look.size, drawing.canvas.view.px_per_m
+    width, height = drawing.look.size
     figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=_BACK)
     axes = figure.add_axes((0, 0, 1, 1))
     axes.imshow(drawing.canvas.image(), extent=(0, width, 0, height), interpolation="none")
     axes.set(xlim=(0, width), ylim=(0, height))
     axes.axis("off")
-    axes.plot([30, 30 + 10 * px_per_m], [30, 30], color=_INK, lw=2.5, solid_capstyle="butt")
+    if isinstance(view := drawing.canvas.view, Oblique) and drawing.adds_up:
+        axes.plot([30, 30 + 10 * view.px_per_m], [30, 30], color=_INK, lw=2.5, solid_capstyle="butt")
     colour = drawing.look.colour
     shown_by = "in natural colours" if colour == "natural" else f"by {colour}"
-    box = {"facecolor": _BACK, "edgecolor": "none", "alpha": 0.7, "pad": 2.0}
-    axes.text(30, 40, "10 m", color=_INK, fontsize=10, bbox=box)
-    axes.text(
-        30,
-        height - 18,
-        f"{drawing.points / 1e6:.2f} million points, {shown_by}",
+    text = partial(
+        axes.text,
         color=_INK,
         fontsize=10,
-        va="top",
-        bbox=box,
+        bbox={"facecolor": _BACK, "edgecolor": "none", "alpha": 0.7, "pad": 2.0},
     )
+    for column, up, words in drawing.labels():
+        text(column, up, words)
+    many = drawing.points
+    points = f"{many / 1e6:.2f} million" if many >= _MILLIONS else f"{many:,}".replace(",", " ")
+    which = "" if drawing.adds_up else " of a revolution"
+    text(30, height - 18, f"{points} points{which}, {shown_by}", va="top")
     if isinstance(entries, Mapping):
         shown = [
             Patch(color=f"#{rgb[0]:02x}{rgb[1]:02x}{rgb[2]:02x}", label=name.replace("_", " "))
