@@ -127,7 +127,7 @@ def test_an_encoder_of_lines_reads_as_real_ones_do():
     code = np.floor(read_deg * 100 + 1e-6).astype(int)
     shares = np.bincount((code - 2) % 5) / len(code)
     np.testing.assert_allclose(
-        shares, [0.222, 0.224, 0.220, 0.190, 0.144], atol=0.012
+        shares, [0.223, 0.225, 0.215, 0.194, 0.143], atol=0.012
     )  # mean of mrpt, nebula, einride
     steps = np.diff(code) % 36_000
     found = [(steps == step).mean() for step in (38, 39, 40, 41, 42)]

@@ -33,6 +33,8 @@ _SMOOTHEST_MM, _FARTHEST_MM = 20.0, 35.0
 _SLOTS = 5
 _LEAST = 500
 """Records, from which on a statistic is worth its name."""
+_COMB_CODES, _COMB_RANGES_LSB, _LEAST_COMB = (50, 100), 250 * 1.4 ** np.arange(14), 200
+"""From half a metre to 40 m; and so many codes of a laser and range, at least."""
 _HUM_CYCLES_PER_BLOCK = 0.16
 _MOST_COUNTS = 15
 
@@ -136,16 +138,20 @@ def _reflectivity(smooth: Smooth) -> Statistics:
 
 
 def _comb(sequences: Sequences) -> Statistics:
-    """Find how rugged the histograms of bright codes are: second differences over counts, of all lasers."""
-    codes = np.array(
-        [
-            np.bincount(r[d > 0], minlength=100)[50:100]
-            for d, r in zip(sequences.distance_lsb.T, sequences.reflectivity.T, strict=True)
-        ]
-    )
-    if codes.sum() < 10 * _LEAST:
+    """Find how rugged the histograms of bright codes are: second differences over counts, of each laser at each range.
+
+    Ranges are taken together within 40 %, where steps of codes change little.
+    """
+    far = np.searchsorted(_COMB_RANGES_LSB, sequences.distance_lsb)
+    of = far * far.shape[1] + np.arange(far.shape[1])
+    low, high = _COMB_CODES
+    bright = (sequences.distance_lsb > 0) & (sequences.reflectivity >= low) & (sequences.reflectivity < high)
+    counts = np.zeros((of.max() + 1, high - low))
+    np.add.at(counts, (of[bright], sequences.reflectivity[bright].astype(int) - low), 1)
+    counts = counts[counts.sum(axis=1) >= _LEAST_COMB]
+    if counts.sum() < 10 * _LEAST:
         return {}
-    return {"reflectivity.comb": np.abs(np.diff(codes, 2, axis=1)).sum() / codes[:, 1:-1].sum()}
+    return {"reflectivity.comb": np.abs(np.diff(counts, 2, axis=1)).sum() / counts[:, 1:-1].sum()}
 
 
 def _silence(sequences: Sequences) -> Statistics:

@@ -25,7 +25,7 @@ REAL: Mapping[str, tuple[float, float]] = MappingProxyType(
         "reflectivity.scatter_20_59": (2.575, 3.377),
         "reflectivity.equal_60_99": (0.217, 0.3793),
         "reflectivity.scatter_60_99": (2.795, 3.359),
-        "reflectivity.comb": (1.571, 1.898),
+        "reflectivity.comb": (2.173, 2.675),
         "no_return.above_0": (0.7794, 1),
         "no_return.equal": (0.7814, 0.9935),
         "no_return.mean": (3.402, 16.25),

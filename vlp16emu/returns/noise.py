@@ -140,8 +140,10 @@ def heavier(z: float) -> float:
     return _UNIT * z * (1.0 + _CUBIC * z * z)
 
 
-_BINS_PER_ROOT_M, _TURNS_PER_BIN, _TURNS_PER_GAIN = 10.0, 0.31, 29.0
+_BINS_PER_E_FOLD, _TURNS_PER_BIN, _TURNS_PER_GAIN = 4.0, 0.31, 29.0
 """Of the steps of codes; the last two spread them over lasers and ranges, and are no measurement."""
+_AFTER_STEP = 0.1
+"""Share of the white error that comes after the step: with none the histograms are sharper than real ones."""
 RETROREFLECTIVE = 100.5
 """Percent from which a target is no white wall any more; what rounds to 100 still is."""
 _IDEAL = 1000.0
@@ -157,13 +159,14 @@ def code_step(step: float, gain: float, range_m: float) -> float:
 
     As if whole numbers of the receiver were multiplied by a correction: on real units the codes of a laser within 10 % of
     range are 1.6 to 2.2 apart, 3 at times, and at another range or laser by another step. Which is not known; here it is
-    from 0.85 to 1.45 of the setting, and another one every 0.1 of the root of the range in metres, which is 10 % at 4 m.
+    from 0.85 to 1.45 of the setting, and another one at every 28 % more of range (on einride the histograms of a laser at
+    23 % more correlate by 0.4, on mrpt and nebula by -0.1 and 0.2).
 
     Parameters
     ----------
     gain : of the laser
     """
-    turn = fold(_TURNS_PER_BIN * math.floor(_BINS_PER_ROOT_M * math.sqrt(range_m)) + _TURNS_PER_GAIN * gain)
+    turn = fold(_TURNS_PER_BIN * math.floor(_BINS_PER_E_FOLD * math.log(range_m)) + _TURNS_PER_GAIN * gain)
     return step * gain * (0.85 + 0.6 * turn * turn)
 
 
@@ -184,7 +187,7 @@ def reflectivity_byte(percent: float, gain: float, noise: float, step: float) ->
     if percent <= RETROREFLECTIVE:
         counts = gain * percent + noise
         if step > 0.0 and counts >= _COARSE:
-            counts = np.rint(counts / step) * step
+            counts = np.rint(counts / step) * step + _AFTER_STEP * noise
         return np.uint8(min(max(np.rint(counts), 0.0), 100.0))
     code = 101.0 + _COUNTS_PER_E_FOLD * math.log(0.01 * gain * percent) + noise
     return np.uint8(min(max(np.rint(code), 101.0), 255.0))

@@ -31,7 +31,7 @@ _PRESETS: dict[str, dict[str, object]] = {
         "range_noise_m": 0.0058,
         "range_beat_m": 0.006,
         "reflectivity_noise": 0.0,
-        "reflectivity_noise_share": 0.031,
+        "reflectivity_noise_share": 0.032,
         "reflectivity_step": 2.0,
         "heavy_tails": True,
         "unit_spread": 0.15,

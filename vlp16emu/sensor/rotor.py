@@ -30,13 +30,15 @@ _HUM_SEQUENCES = 25
 """Firing sequences of two periods of the hum; one is 12.5 x 55.296 us."""
 # Fitted to the readings of mrpt, nebula and einride, by the distribution of their errors by the code modulo 5, and of the
 # steps between blocks. Units differ in the first three, here evenly between the two values.
-_SLOW = 1.03, 1.09
+_SLOW = 1.04, 1.068
 """By how much the speed is taken too low between the lines of an encoder."""
-_OFTEN_LOW = 0.5, 0.6
+_OFTEN_LOW = 0.64, 0.72
 """Share of readings with too low a rate."""
-_MEMORY = -0.3, 0.3
+_MEMORY = -0.2, 0.05
 """Weight of the reading before in whether the rate is too low."""
-_UNEVEN = 0.22
+_LOW_BY, _HIGH_BY = 0.72, 1.77
+"""Errors of a rate that is too low and too high, as a share of the unit's."""
+_UNEVEN = 0.34
 """By how much errors of the rate differ, one sigma, as a share of them."""
 _PER_BLOCK = 2
 """Firing sequences from one reading on the wire to the next."""
@@ -165,7 +167,7 @@ class EncoderLines:
     pitch_deg: float
     """From line to line; 0 for an even encoder."""
     rate_error: float
-    """Of the speed, which is too low or too high by this share with equal chance, reading by reading."""
+    """Of the speed, which is too low or too high by about this share, reading by reading."""
     first_deg: float
     """Reading of a line."""
     slow: float = sum(_SLOW) / 2
@@ -181,7 +183,8 @@ class EncoderLines:
         drawn = normal(seed, Purpose.AZIMUTH_READING, first, count + _PER_BLOCK, 1)
         z = (drawn[_PER_BLOCK:] + self.memory * drawn[:-_PER_BLOCK]) / math.hypot(1.0, self.memory)
         error = self.rate_error * (1.0 + _UNEVEN * normal(seed, Purpose.AZIMUTH_READING, first, count, 2))
-        rate = (1.0 + np.where(z < NormalDist().inv_cdf(self.often_low), -error, error)) / self.slow
+        is_low = z < NormalDist().inv_cdf(self.often_low)
+        rate = (1.0 + np.where(is_low, -_LOW_BY * error, _HIGH_BY * error)) / self.slow
         return np.asarray(angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _SHORT_DEG))
 
     @classmethod

@@ -26,7 +26,7 @@ _PRESETS: dict[str, dict[str, object]] = {
     "steady": {},
     # Measured on captures of real units: protocol/README.md, "The character of a unit".
     "unit": {
-        "azimuth_noise_deg": 0.0014,
+        "azimuth_noise_deg": 0.0004,
         "encoder_pitch_deg": 0.05,
         "twice_per_turn_deg": 0.0078,
         "hum_deg": 0.0012,
@@ -81,8 +81,8 @@ class Lidar(Preset):
     encoder_pitch_deg: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Spacing of the lines of the encoder, between which its reading goes on with time; 0.05 on real units. 0 for an even
     encoder."""
-    encoder_rate_error: Annotated[float, Field(ge=0, le=0.5)] = 0.21
-    """By which share the speed of the reading between two lines is off, up or down with equal chance; 0.21 on real units."""
+    encoder_rate_error: Annotated[float, Field(ge=0, le=0.5)] = 0.2
+    """By which share the speed of the reading between two lines is off, up or down; 0.2 on real units."""
     twice_per_turn_deg: Annotated[float, Field(ge=0, le=0.1)] = 0.0
     """Amplitude of the encoder's twice-per-revolution error; real units show 0.006 to 0.010. 0 switches it off."""
     hum_deg: Annotated[float, Field(ge=0, le=0.02)] = 0.0

@@ -61,9 +61,10 @@ class Woods(Section):
     dwarf_shrubs: DwarfShrubs = DwarfShrubs()
     moss: Moss = Moss()
     litter: Litter = Litter()
-    texture: Texture = 0.1
+    texture: Texture = 0.12
     """Share by which the reflectance of ground, bark and stones varies over patches of some 0.2 m, one sigma; leaves have
-    none, as each lies at an angle of its own. Assumption: as smooth surfaces in captures of rooms and streets."""
+    none, as each lies at an angle of its own. Assumption: neighbouring returns then scatter as those of real sensors in
+    rooms and streets do."""
     species_file: SceneFile | None = None
     """Plants of the user's own, in the form of the program's `world/species.toml`, numbered from 1000."""
     tree_models: list[TreeModelFile] = Field(default_factory=list)
@@ -155,9 +156,9 @@ class Hall(Section):
     """Height of the ceiling."""
     wall_reflectance: Fraction = 0.6
     """Lambertian reflectance of walls, floor and ceiling at 903 nm."""
-    texture: Texture = 0.1
+    texture: Texture = 0.08
     """Share by which it varies over patches of some 0.2 m, one sigma; things in the hall have none. Neighbouring returns
-    of real sensors from walls scatter as with 0.1."""
+    of real sensors from walls scatter as with 0.08."""
     boxes: list[HallBox] = Field(default_factory=list)
     """Upright boxes."""
     poles: list[HallPole] = Field(default_factory=list)
