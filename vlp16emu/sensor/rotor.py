@@ -30,15 +30,15 @@ _HUM_SEQUENCES = 25
 """Firing sequences of two periods of the hum; one is 12.5 x 55.296 us."""
 # Fitted to the readings of mrpt, nebula and einride, by the distribution of their errors by the code modulo 5, and of the
 # steps between blocks. Units differ in the first three, here evenly between the two values.
-_SLOW = 1.04, 1.068
+_SLOW = 1.025, 1.055
 """By how much the speed is taken too low between the lines of an encoder."""
-_OFTEN_LOW = 0.64, 0.72
+_OFTEN_LOW = 0.65, 0.73
 """Share of readings with too low a rate."""
-_MEMORY = -0.2, 0.05
+_MEMORY = -0.15, 0.05
 """Weight of the reading before in whether the rate is too low."""
-_LOW_BY, _HIGH_BY = 0.72, 1.77
+_LOW_BY, _HIGH_BY = 0.76, 1.92
 """Errors of a rate that is too low and too high, as a share of the unit's."""
-_UNEVEN = 0.34
+_UNEVEN = 0.32
 """By how much errors of the rate differ, one sigma, as a share of them."""
 _PER_BLOCK = 2
 """Firing sequences from one reading on the wire to the next."""
