@@ -31,6 +31,7 @@ _WINDOW = 15
 _SMOOTHEST_MM, _FARTHEST_MM = 20.0, 35.0
 """Least scatter and residual in a window from which on a surface is no smooth one."""
 _SLOTS = 5
+_MIDDLE_LEVEL = 20.0
 _LEAST = 500
 """Records, from which on a statistic is worth its name."""
 _COMB_CODES, _COMB_RANGES_LSB, _LEAST_COMB = (50, 100), 250 * 1.4 ** np.arange(14), 200
@@ -112,17 +113,20 @@ def statistics_of(sequences: Sequences) -> Statistics:
     return {name: float(value) for name, value in every.items() if math.isfinite(value)}
 
 
+def white_mm(smooth: Smooth) -> NDArray[np.float64]:
+    """Residuals (r,) without the beat, as they would be at a reflectivity of 20 (`range_sigma_m`)."""
+    means_mm = np.bincount(smooth.slot, smooth.residual_mm) / np.bincount(smooth.slot)
+    rest_mm = smooth.residual_mm - means_mm[smooth.slot]
+    return np.asarray(rest_mm * (smooth.level.clip(1, 100) / _MIDDLE_LEVEL) ** 0.25)
+
+
 def _range_noise(smooth: Smooth) -> Statistics:
-    """Beat and white noise of ranges, the latter as it is at a reflectivity of 20 (`range_sigma_m`)."""
-    beat = beat_of(smooth)
-    rest = (
-        smooth.residual_mm
-        - np.bincount(smooth.slot, smooth.residual_mm)[smooth.slot] / np.bincount(smooth.slot)[smooth.slot]
-    )
+    """Beat and noise of ranges at a reflectivity of 20, with and without the beat: what else a scene has does not count."""
+    beat_mm, white = abs(beat_of(smooth)[0]), white_mm(smooth).std() / smooth.white_gain
     return {
-        "range.beat_mm": abs(beat[0]),
-        "range.sigma_mm": smooth.residual_mm.std() / smooth.white_gain,
-        "range.white_at_20_mm": (rest * (smooth.level.clip(1, 100) / 20.0) ** 0.25).std() / smooth.white_gain,
+        "range.beat_mm": beat_mm,
+        "range.sigma_at_20_mm": math.hypot(white, beat_mm / math.sqrt(2.0)),
+        "range.white_at_20_mm": white,
     }
 
 

@@ -17,7 +17,7 @@ __all__ = ["REAL", "Compared", "compared", "draw"]
 REAL: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "range.beat_mm": (3.796, 7.152),
-        "range.sigma_mm": (7.658, 10.87),
+        "range.sigma_at_20_mm": (7.984, 8.958),
         "range.white_at_20_mm": (6.178, 8.513),
         "reflectivity.equal_1_4": (0.6376, 0.7845),
         "reflectivity.scatter_1_4": (0.4935, 1.085),
