@@ -92,7 +92,7 @@ def test_no_returns_wander_through_multiples(wall):
     codes = wall(noise, 4000, range_m=np.inf).reflectivity[..., 0]
     changes = (np.diff(codes.astype(int), axis=0) != 0).mean()
     assert 0.002 < changes < 0.3
-    own = no_return_reflectivity(1, 16)
+    own = no_return_reflectivity(1, 16, None)
     times = np.arange(1, 101)
     for laser in range(16):
         assert set(codes[:, laser]) <= set(np.floor(times * own[laser]).clip(0, 100).astype(int))
@@ -104,7 +104,7 @@ def test_no_returns_wander_through_multiples(wall):
 
 def test_middles_of_no_returns_are_even_in_their_logarithm():
     """Over many units the mean logarithm over the lasers is even between 1.5 and 20, by Kolmogorov and Smirnov."""
-    middles = [np.log(no_return_reflectivity(seed, 256)).mean() for seed in range(300)]
+    middles = [np.log(no_return_reflectivity(seed, 256, None)).mean() for seed in range(300)]
     low, high = np.log([1.5, 20.0])
     assert stats.kstest(middles, "uniform", args=(low, high - low)).pvalue > 0.01
 

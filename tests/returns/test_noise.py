@@ -119,7 +119,7 @@ def test_no_returns_show_a_constant_of_their_laser(seen):
     assert (silent.distance_m == 0).all()
     codes = silent.reflectivity[..., :2]
     assert (codes == codes[0, :, :1]).all()
-    assert (codes[0, :, 0] == np.floor(no_return_reflectivity(1, 16))).all()
+    assert (codes[0, :, 0] == np.floor(no_return_reflectivity(1, 16, None))).all()
     assert len(np.unique(codes)) > 4
     assert not seen({}, np.inf, k=8).reflectivity.any()
     assert (seen({"no_return_reflectivity": True}, 10.0, k=8).reflectivity[..., :2] == 20).all()

@@ -23,6 +23,9 @@ __all__ = ["fitted"]
 _EVEN_CDEG2, _PER_RATE_CDEG2 = 0.094, 6.4
 _LEVEL = 80.0
 """Reflectivity in the middle of those whose neighbours are compared."""
+_EQUAL_STEPS, _COARSEST = 2.9, 5.0
+"""Step of bright codes over their scatter and the share of equal neighbours, from our own packets; and its limit."""
+_LEAST_SILENT = 50
 _SET_RPM = 60
 
 Table = Mapping[str, object]
@@ -52,11 +55,24 @@ def _noise(sequences: Sequences, found: Statistics) -> Table:
         out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
     if scatter := found.get("reflectivity.scatter_60_99"):
         out["reflectivity_noise_share"] = round(scatter / _LEVEL, 4)
+        # What is rounded to a step is equal to its neighbour by that step over its scatter.
+        step = _EQUAL_STEPS * scatter * found["reflectivity.equal_60_99"]
+        out["reflectivity_step"] = round(min(step, _COARSEST), 2)
     if "residue.odd_spread" in found:
         out["odd_codes_spread"] = round(found["residue.odd_spread"], 3)
     if "no_return.above_0" in found:
         out["no_return_reflectivity"] = found["no_return.above_0"] > 0.5
+        if level := _silent_level(sequences):
+            out["no_return_level"] = round(level, 1)
     return out
+
+
+def _silent_level(sequences: Sequences) -> float:
+    """Find the middle over the lasers of what no-returns carry most often, 0 where there are too few; codes are cut."""
+    silent = sequences.distance_lsb == 0
+    codes = [column[rows] for column, rows in zip(sequences.reflectivity.T, silent.T, strict=True)]
+    commonest = [np.bincount(column).argmax() for column in codes if len(column) >= _LEAST_SILENT]
+    return float(np.median(commonest)) + 0.5 if commonest else 0.0
 
 
 def _rotor(sequences: Sequences) -> Table:

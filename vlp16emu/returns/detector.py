@@ -93,7 +93,9 @@ class UnitDetector:
             gain=gain(seed, lasers, noise.gain_spread),
             range_beat_m=range_beat_m(seed, noise.range_beat_m, noise.range_beat_phase_deg),
             parity=_parity(seed, lasers, noise.odd_codes_spread) if noise.odd_codes_spread else None,
-            no_return=no_return_reflectivity(seed, lasers) if noise.no_return_reflectivity else None,
+            no_return=no_return_reflectivity(seed, lasers, noise.no_return_level)
+            if noise.no_return_reflectivity
+            else None,
             no_return_wander=noise.no_return_wander,
             power_up_ns=power_up_ns,
             warm_up_m=noise.warm_up_m,

@@ -55,13 +55,18 @@ def gain(seed: int, lasers: int, spread: float) -> NDArray[np.float64]:
     return np.exp(spread * normal(seed, Purpose.REFLECTIVITY, 0, lasers))
 
 
-def no_return_reflectivity(seed: int, lasers: int) -> NDArray[np.float64]:
+def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> NDArray[np.float64]:
     """Reflectivity of each laser's records without a return, (lasers,), before it is cut to whole numbers.
 
     Real units send it in 50 to 98 % of such records, and multiples of it in the others.
+
+    Parameters
+    ----------
+    middle : over the lasers; None to draw it
     """
-    low, high = _NO_RETURN_MIDDLE
-    middle = low * (high / low) ** uniform(seed, Purpose.NO_RETURN, 0, 1)[0]
+    if middle is None:
+        low, high = _NO_RETURN_MIDDLE
+        middle = low * (high / low) ** uniform(seed, Purpose.NO_RETURN, 0, 1)[0]
     return np.asarray(middle * np.exp(_NO_RETURN_SPREAD * normal(seed, Purpose.NO_RETURN, 1, lasers)))
 
 

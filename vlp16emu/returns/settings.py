@@ -102,6 +102,8 @@ class Noise(Preset):
     """Whether there is a detection threshold, as `[detector]` has it."""
     no_return_reflectivity: bool = False
     """Whether records without a return carry a constant of their laser, as on real units; the manual has 0 there."""
+    no_return_level: Annotated[float, Field(gt=0, le=100)] | None = None
+    """Middle of that constant over the lasers; null draws one of the unit's own, from 1.5 to 20."""
     no_return_wander: Annotated[float, Field(ge=0, le=20)] = 0.0
     """How many multiples of that constant they wander through, for a unit in the middle of the real ones; 0 for none."""
 
