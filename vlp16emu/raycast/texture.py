@@ -15,7 +15,7 @@ __all__ = ["textured"]
 
 _GRID_M = 0.4
 """Size of a patch; with it neighbouring returns are equal as often, and differ as much, as those of real sensors from walls."""
-_SAME_M = 0.02
+_SAME_M = 0.1
 """Sub-rays of a pulse that end within this of each other end on one patch."""
 _SPREAD = math.sqrt(3.0)
 """Half-width of an even distribution of variance one."""
