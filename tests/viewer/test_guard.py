@@ -4,6 +4,7 @@ import http.client
 import socket
 from contextlib import closing, suppress
 
+import numpy as np
 import pytest
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
@@ -100,6 +101,58 @@ def test_hostile_messages_change_nothing(port, monkeypatch):
             client.ping().wait(timeout=5)
     assert status(port) == 200
     assert made == []
+
+
+def test_random_messages_change_nothing(port, tmp_path):
+    """Hundreds of random bytes and of random MessagePack that names messages of the library leave the server as it is; no file is read or made."""
+    import msgspec
+    import viser
+    from viser import _messages
+
+    rng = np.random.default_rng(16)
+    kinds = sorted(name for name in vars(_messages) if name.endswith("Message"))
+    secret = tmp_path / "secret"
+    secret.write_text("nobody reads this")
+    values = (
+        None,
+        -1,
+        1e308,
+        float("nan"),
+        True,
+        [],
+        {},
+        b"\xff" * 40,
+        str(secret),
+        "../../etc/passwd",
+        [[1.0]],
+    )
+    keys = (
+        "name",
+        "uuid",
+        "updates",
+        "filename",
+        "source_component_uuid",
+        "transfer_uuid",
+        "value",
+        "position",
+        "wxyz",
+        "part_index",
+    )
+    address, kind = f"ws://127.0.0.1:{port}/", f"viser-v{viser.__version__}"
+    for round_ in range(20):
+        with suppress(ConnectionClosed), connect(address, subprotocols=[kind], max_size=None) as client:
+            assert secret.read_bytes() not in client.recv(timeout=20)
+            for _ in range(25):
+                if round_ % 4 == 0:
+                    client.send(rng.bytes(int(rng.integers(1, 300))))
+                    continue
+                message = {
+                    key: values[rng.integers(len(values))] for key in rng.choice(keys, 4, replace=False)
+                }
+                client.send(msgspec.msgpack.encode(message | {"type": kinds[rng.integers(len(kinds))]}))
+            client.ping().wait(timeout=5)
+    assert status(port) == 200
+    assert [path.name for path in tmp_path.iterdir()] == ["secret"]
 
 
 def test_a_port_in_use_is_one_clear_line():

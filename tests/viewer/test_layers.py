@@ -12,7 +12,7 @@ from vlp16emu.viewer.layers import LAYERS, colours_of, layers_of_scan
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
 from vlp16emu.viewer.capture import CaptureSweeps
-from vlp16emu.viewer.stand import fewer_faces
+from vlp16emu.viewer.stand import fewer_faces, lump, slim_stem
 from vlp16emu.viewer.sweeps import SceneSweeps
 
 
@@ -64,3 +64,39 @@ def test_fewer_leaves_have_the_area_of_all():
     assert len(few.faces) == 50
     assert area_m2(few) == pytest.approx(area_m2(mesh), rel=1e-3)
     assert area_m2(fewer_faces(mesh, 50, grown=False)) == pytest.approx(area_m2(mesh) / 20, rel=1e-3)
+
+
+def tube(sides, rings):
+    """Stem of 0.3 m that leans and tapers to a point at 10 m, and its faces."""
+    turn, up = np.meshgrid(np.arange(sides) * 2 * np.pi / sides, np.linspace(0.0, 1.0, rings))
+    radius_m = 0.15 * (1 - up) + 1e-3
+    place_m = np.stack([radius_m * np.cos(turn) + 0.4 * up, radius_m * np.sin(turn), 10 * up], axis=-1)
+    corner = np.arange(sides * rings).reshape(rings, sides)
+    quads = [corner[:-1], np.roll(corner, -1, axis=1)[:-1], np.roll(corner, -1, axis=1)[1:], corner[1:]]
+    return Mesh(
+        place_m.reshape(-1, 3).astype(np.float32), np.stack(quads, -1).reshape(-1, 4).astype(np.uint32)
+    )
+
+
+def test_a_slim_stem_stands_where_the_stem_stands():
+    """With a tenth of the triangles foot, tip and thickness stay: no corner is a new one, and the foot is whole."""
+    stem = tube(24, 40)
+    slim = slim_stem(stem)
+    assert len(slim.faces) < len(stem.faces) * 2 / 10
+    np.testing.assert_allclose(np.ptp(slim.vertices_m, axis=0)[2], 10.0)
+    foot_m = slim.vertices_m[slim.vertices_m[:, 2] < 0.1]
+    np.testing.assert_allclose(np.hypot(*foot_m[:, :2].T), 0.151, atol=1e-3)
+    corners = set(map(tuple, stem.vertices_m.tolist()))
+    assert set(map(tuple, slim.vertices_m.tolist())) <= corners
+
+
+def test_a_lump_has_the_box_of_the_thing():
+    """Of a ball of many faces at most 52 are left, and it is nearly as large as before."""
+    ball = tube(24, 20)
+    up = np.linspace(-1.0, 1.0, 20).repeat(24)
+    turn = np.tile(np.arange(24) * 2 * np.pi / 24, 20)
+    flat = np.sqrt(1 - up**2)
+    place_m = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), up]).astype(np.float32)
+    few = lump(Mesh(place_m, ball.faces))
+    assert 10 < len(few.faces) <= 52
+    assert (np.ptp(few.vertices_m, axis=0) > 1.7).all()

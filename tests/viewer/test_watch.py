@@ -1,6 +1,9 @@
 """Streams that are looked on: nothing waits for the page, and nothing of the packets changes."""
 
 import multiprocessing
+import os
+import signal
+import socket
 import urllib.request
 from contextlib import suppress
 
@@ -100,6 +103,28 @@ def test_the_page_is_served_and_ends_with_the_stream(emulator, ends):
             sink.send(packet)
         assert len(listed.packets) == len(packets) > 200
     assert "page" not in [one.name for one in multiprocessing.active_children()]
+
+
+def test_a_page_that_is_stopped_costs_no_packet():
+    """While the process of the page is stopped (SIGSTOP), every packet of a stream leaves, and the stream ends."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as data,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        for one in (data, other):
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+            one.bind(("127.0.0.1", 0))
+        ports = {"data_port": data.getsockname()[1], "position_port": other.getsockname()[1]}
+        emulator = Emulator(
+            "static_bench", {"duration_s": 0.6} | {f"sensor.{key}": port for key, port in ports.items()}
+        )
+        with watching(emulator, backdrop_of(emulator, 0.6)) as watch:
+            page = next(one for one in multiprocessing.active_children() if one.name == "page")
+            os.kill(page.pid, signal.SIGSTOP)
+            streamed = emulator.stream(watched=watch.sink)
+        assert not page.is_alive()
+    assert streamed.packets == sum(packet.kind is PacketKind.DATA for packet in emulator.packets())
+    assert not streamed.interrupted
 
 
 def walked(*keys, seconds=5.0, slope=0.0):

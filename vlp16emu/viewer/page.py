@@ -35,6 +35,9 @@ def draw_stand(
     scene = server.scene
     root = scene.add_frame("/stand", show_axes=False)
     scene.configure_default_lights(enabled=True, cast_shadow=False)
+    scene.configure_environment_map(
+        None
+    )  # its light costs more than all else where there is no graphics card
     for piece in pieces:
         scene.add_batched_meshes_simple(
             f"/stand/{piece.name}",
@@ -46,6 +49,7 @@ def draw_stand(
             batched_colors=piece.colour,
             lod="off",
             flat_shading=True,
+            material="toon5",
             side="front" if hall else "double",  # a hall is looked into through its ceiling
             cast_shadow=False,
             receive_shadow=False,

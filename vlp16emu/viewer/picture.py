@@ -38,8 +38,7 @@ Placed = tuple[Scan, NDArray[np.float64]]
 VIEWS = ("slant", "sweep", "image")
 """Points that add up from above at a slant; a revolution from straight above; a revolution as its lasers see it."""
 _STILLS, _FILMS = (".png",), (".gif", ".mp4")
-_FRAMES_PER_S = 10
-_ELEVATION_DEG = 32.0
+_FRAMES_PER_S, _ELEVATION_DEG = 10, 32.0
 _AROUND_M, _BELOW_M, _ABOVE_M = 22.0, 4.0, 22.0
 """What is in the picture around, below and above the way of the sensor."""
 _SHARE = 0.93

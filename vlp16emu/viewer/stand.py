@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.report.forest import colour_of_kind, surface_colours
 from vlp16emu.report.forest.survey import Survey
-from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.types import Mesh, PlantPart, ShapeKey
+from vlp16emu.world.plants.sapling import SaplingKey
 from vlp16emu.world.polyline import Polyline
+from vlp16emu.world.stand.floor_shapes import FloorKey
 from vlp16emu.world.stand.tiles import TILE_M, TileKey
 
 __all__ = ["Piece", "fewer_faces", "pieces_of"]
@@ -20,10 +22,19 @@ __all__ = ["Piece", "fewer_faces", "pieces_of"]
 Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]
 
-_FACES = 600_000
-"""Triangles of all plants and things together, about."""
-_FEWEST, _MOST = 60, 3_000
-"""Faces of one mesh of one thing."""
+_FACES = 100_000
+"""Triangles of all plants and things together without stems, about: what a browser without a graphics card draws twice a second."""
+_FEWEST, _MOST = 6, 3_000
+"""Faces of one mesh of one thing; in between as its size has it."""
+_MOST_GROWN = 6.0
+"""Of a leaf, in length: larger ones are seen as what they are; a crown that would need them is drawn less dense."""
+_BRANCHES = 0.25
+"""Of the faces of leaves: branches are largely behind them."""
+_SIDES, _RINGS = 6, 7
+"""Of a stem."""
+_DENSE_M = 6.0
+"""What covers the ground is drawn whole so far from the path, and beyond it thins out with the square of the distance."""
+_GOLDEN = 0.618034
 _CELL_M = 1.0
 """Of the ground."""
 _LEFT_OUT = PlantPart.ROOT_FLARE, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.DEAD_BRANCH
@@ -52,37 +63,108 @@ def pieces_of(seen: Survey) -> Iterator[Piece]:
     """Draw the ground, the plants and the things within the radius of a survey."""
     if seen.hall is None:
         yield _piece("ground", _ground(seen), colour_of_kind("ground"), _ONE)
-    window, path = seen.window, Polyline(seen.path_m[:, :2])
-    colours = surface_colours(window.surfaces, seen.species)
-    is_tile = np.array([isinstance(key, TileKey) for key in window.shapes], np.bool_)[window.shape]
-    # A tile's place is its corner; its stems are drawn where one of them may be near.
-    middle_m = window.world_T_shape[:, :2, 3] + np.where(is_tile, TILE_M / 2, 0.0)[:, None]
-    radius_m = np.where(is_tile, seen.radius_m + TILE_M / 2, np.inf if seen.hall else seen.radius_m)
-    near = np.flatnonzero(path.distance_m(middle_m) <= radius_m)
-    most = int(np.clip(_FACES / max(len(near), 1), _FEWEST, _MOST))
+    window, colours = seen.window, surface_colours(seen.window.surfaces, seen.species)
+    near, size_m = _drawn(seen)
+    per_m = _FACES / max(float(size_m.sum()), 1.0)
     single = defaultdict[Rgb, list[Mesh]](list)
-    order = near[np.argsort(window.shape[near], kind="stable")]
-    for which, group in groupby(order.tolist(), key=lambda placement: int(window.shape[placement])):
-        alike = np.array(list(group))
-        rows = window.first_surface[alike]
-        for number, mesh in enumerate(seen.grow(window.shapes[which])):
-            row = int(rows[0]) + number
-            part = PlantPart(window.surfaces["part"][row])
-            is_ground = isinstance(window.shapes[which], TileKey) and number == 0
+    order = np.argsort(window.shape[near], kind="stable")
+    for which, group in groupby(order.tolist(), key=lambda index: int(window.shape[near[index]])):
+        index = np.array(list(group))
+        alike, key = near[index], window.shapes[which]
+        most = int(np.clip(per_m * size_m[index].mean(), _FEWEST, _MOST))
+        row = int(window.first_surface[alike[0]])
+        for number, mesh in enumerate(seen.grow(key)):
+            part = PlantPart(window.surfaces["part"][row + number])
+            is_ground = isinstance(key, TileKey) and number == 0
             if is_ground or part in _LEFT_OUT or not len(mesh.faces):
                 continue
-            few = mesh if part is PlantPart.STEM else fewer_faces(mesh, most, grown=part is PlantPart.LEAF)
-            world_T, red_green_blue = window.world_T_shape[alike], tuple(colours[row].tolist())
+            few, colour = _simple(mesh, key, part, most), tuple(colours[row + number].tolist())
             if len(alike) == 1:
-                single[red_green_blue].append(_moved(few, world_T[0]))
+                single[colour].append(_moved(few, window.world_T_shape[alike[0]]))
             else:
-                yield _piece(f"things/{which}_{number}", few, red_green_blue, world_T)
+                yield _piece(f"things/{which}_{number}", few, colour, window.world_T_shape[alike])
     for count, (colour, meshes) in enumerate(single.items()):
         yield _piece(f"single/{count}", _joined(meshes), colour, _ONE)
 
 
+def _drawn(seen: Survey) -> tuple[NDArray[np.intp], Array]:
+    """Find the placements (n,) that are drawn, and the size (n,) of each, in metres; 0 of tiles, whose stems have faces of their own."""
+    window, path = seen.window, Polyline(seen.path_m[:, :2])
+    is_tile, is_floor = (
+        np.array([isinstance(key, kind) for key in window.shapes], np.bool_)[window.shape]
+        for kind in (TileKey, FloorKey)
+    )
+    # A tile's place is its corner; its stems are drawn where one of them may be near.
+    gap_m = path.distance_m(window.world_T_shape[:, :2, 3] + np.where(is_tile, TILE_M / 2, 0.0)[:, None])
+    radius_m = np.where(is_tile, seen.radius_m + TILE_M / 2, np.inf if seen.hall else seen.radius_m)
+    dense = np.minimum(_DENSE_M / np.maximum(gap_m, _DENSE_M), 1.0) ** 2
+    chosen = ~is_floor | (np.arange(len(gap_m)) * _GOLDEN % 1.0 < dense)
+    near = np.flatnonzero((gap_m <= radius_m) & chosen)
+    size_m = np.zeros(len(near))
+    for which in np.unique(window.shape[near]).tolist():
+        if not isinstance(window.shapes[which], TileKey):
+            alike = window.shape[near] == which
+            scale = np.linalg.norm(window.world_T_shape[near[alike], :, :3], axis=1).mean(axis=1)
+            size_m[alike] = scale * max(
+                (
+                    float(np.ptp(mesh.vertices_m, axis=0).max())
+                    for mesh in seen.grow(window.shapes[which])
+                    if len(mesh.faces)
+                ),
+                default=0.0,
+            )
+    return near, size_m
+
+
+def _simple(mesh: Mesh, key: ShapeKey, part: PlantPart, most: int) -> Mesh:
+    """Leave few faces of a mesh, in the way that suits what it is."""
+    if part is PlantPart.STEM and isinstance(key, TileKey | SaplingKey):
+        return slim_stem(mesh)
+    if part is PlantPart.LEAF:
+        quads = mesh.faces.shape[1] == 4  # a quad is two triangles
+        return fewer_faces(mesh, most // 2 if quads else most, grown=True)
+    if part is PlantPart.NONE and isinstance(key, FloorKey):
+        return lump(mesh)
+    if part is PlantPart.NONE:
+        return mesh if len(mesh.faces) <= _MOST else fewer_faces(mesh, _MOST, grown=False)
+    return fewer_faces(mesh, max(int(_BRANCHES * most), _FEWEST), grown=False)
+
+
+def slim_stem(mesh: Mesh) -> Mesh:
+    """Draw an upright stem with few sides and rings: each vertex goes to that of its sector which is nearest to a ring's height."""
+    place_m = mesh.vertices_m.astype(np.float64)
+    along = (place_m[:, 2] - place_m[:, 2].min()) / max(float(np.ptp(place_m[:, 2])), 1e-6)
+    axis_m = np.stack([np.polyval(np.polyfit(along, place_m[:, k], 3), along) for k in (0, 1)], axis=1)
+    aside_m = place_m[:, :2] - axis_m
+    ring = np.rint(along * (_RINGS - 1)).astype(np.int64)
+    sector = (
+        np.rint(np.arctan2(aside_m[:, 1], aside_m[:, 0]) * _SIDES / (2 * np.pi)).astype(np.int64) % _SIDES
+    )
+    return _gathered(mesh, ring * _SIDES + sector, np.abs(along * (_RINGS - 1) - ring))
+
+
+def lump(mesh: Mesh) -> Mesh:
+    """Draw a small solid thing by the outermost vertex of each third of its box: J. Rossignac and P. Borrel, 1993."""
+    low_m, size_m = mesh.vertices_m.min(axis=0), np.maximum(np.ptp(mesh.vertices_m, axis=0), 1e-6)
+    place = (mesh.vertices_m - low_m) / size_m
+    x, y, z = np.minimum(place * 3, 2).astype(np.int64).T
+    return _gathered(mesh, (x * 3 + y) * 3 + z, -np.linalg.norm(place - 0.5, axis=1))
+
+
+def _gathered(mesh: Mesh, cluster: NDArray[np.int64], cost: NDArray[np.floating]) -> Mesh:
+    """Put all vertices (n,) of a cluster where the cheapest is, and leave out faces that have no area then."""
+    order = np.lexsort([cost, cluster])
+    _, first, own = np.unique(cluster[order], return_index=True, return_inverse=True)
+    at = np.empty(len(order), np.uint32)
+    at[order] = own
+    faces = at[_triangles(mesh)]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return Mesh(mesh.vertices_m[order[first]], faces[once])
+
+
 def fewer_faces(mesh: Mesh, most: int, *, grown: bool) -> Mesh:
-    """Leave as many faces of a mesh as are wanted: of leaves any, `grown` so that their area stays; of others the largest.
+    """Leave as many faces of a mesh as are wanted: of leaves any, `grown` so that their area stays as far as that goes; of others the largest.
 
     R. L. Cook et al., "Stochastic simplification of aggregate detail", SIGGRAPH 2007.
     """
@@ -93,7 +175,7 @@ def fewer_faces(mesh: Mesh, most: int, *, grown: bool) -> Mesh:
     if grown:
         kept = corners_m[np.linspace(0, n - 1, most).astype(np.int64)]
         middle_m = kept.mean(axis=1, keepdims=True)
-        kept = middle_m + np.sqrt(n / most) * (kept - middle_m)
+        kept = middle_m + min(np.sqrt(n / most), _MOST_GROWN) * (kept - middle_m)
     else:
         sides_m = corners_m[:, 1:3] - corners_m[:, :1]
         area_m2 = np.linalg.norm(np.cross(sides_m[:, 0], sides_m[:, 1]), axis=1)
