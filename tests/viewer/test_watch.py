@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import signal
 import socket
+import struct
 import urllib.request
 from contextlib import suppress
 
@@ -17,7 +18,7 @@ from vlp16emu.cli.app import run
 from vlp16emu.packets import DATA_BYTES
 from vlp16emu.sinks import Channel, Pacer, PacketSink
 from vlp16emu.types import PacketKind
-from vlp16emu.viewer.stroll import Stroll
+from vlp16emu.viewer.stroll import Stroll, gamepad_on
 from vlp16emu.viewer.watch import Glimpse, WatchedSink, backdrop_of, watching
 
 
@@ -148,6 +149,65 @@ def test_keys_walk_where_they_say():
     assert 2 * np.degrees(np.arctan2(turn[2], turn[3])) == pytest.approx(90, abs=5)
     still_m, _ = walked("faster", "stop")
     assert np.hypot(*still_m[:2]) < 0.05
+
+
+def test_a_stick_leads_as_it_is_pushed():
+    """Pushed ahead it walks 2 m/s to the east, half aside it turns until it is let go, at rest nobody moves, though it be a little off."""
+    stroll = Stroll(np.array([[0.0, 0.0], [50.0, 0.0]]), lambda x, y: 0.0 * x, 5)
+
+    def walk(ahead, left, seconds):
+        before_m, _ = stroll.pose()
+        stroll.push(ahead, left)
+        for _ in range(round(seconds * 100)):
+            stroll.step(0.01)
+        after_m, turn = stroll.pose()
+        return np.subtract(after_m, before_m), np.degrees(2 * np.arctan2(turn[2], turn[3]))
+
+    way_m, _ = walk(1.0, 0.0, 5.0)
+    assert way_m[0] == pytest.approx(2.0 * 5 - 2.0**2 / 2 / 1.2, abs=0.2)
+    _, turned_deg = walk(0.0, 0.5, 2.0)
+    assert turned_deg == pytest.approx(np.degrees(0.75 * 2.0), abs=12)
+    _, later_deg = walk(0.1, 0.1, 3.0)
+    assert later_deg == pytest.approx(turned_deg, abs=20)
+    way_m, latest_deg = walk(0.1, 0.1, 3.0)
+    assert np.hypot(*way_m[:2]) < 0.05
+    assert latest_deg == pytest.approx(later_deg, abs=3)
+
+
+def test_a_gamepad_is_read_as_linux_writes_it(tmp_path):
+    """Axes 0 and 1 are the stick, of what is so at first too; another axis is none, a button stops, and so does the end of the device."""
+    led = []
+
+    class Led(Stroll):
+        def push(self, ahead, left):
+            led.append((round(ahead, 2), round(left, 2)))
+
+        def press(self, what):
+            led.append(what)
+
+    events = [(0, 0x81, 0), (-32_767, 2, 1), (16_384, 2, 0), (9_000, 2, 3), (1, 1, 5), (0, 1, 5)]
+    device = tmp_path / "js0"
+    device.write_bytes(b"".join(struct.pack("<IhBB", 7, *event) for event in events) + b"cut")
+    gamepad_on(Led(np.zeros((1, 2)), lambda x, y: 0.0 * x, 5), device)
+    assert led == [(1.0, 0.0), (1.0, -0.5), "stop", (0.0, 0.0)]
+    led.clear()
+    gamepad_on(Led(np.zeros((1, 2)), lambda x, y: 0.0 * x, 5), tmp_path / "gone")
+    assert led == [(0.0, 0.0)]
+
+
+@pytest.mark.parametrize(
+    ("more", "found"),
+    [
+        ([], "--gamepad: found without --view"),
+        (["--view"], '--gamepad: found with motion.kind = "static"'),
+        (["--view", "--set", 'motion={kind="live"}'], "js99: No such file or directory; expected a joystick"),
+    ],
+)
+def test_a_gamepad_that_leads_nothing_is_refused(capsys, tmp_path, more, found):
+    """Without the page, in a scene whose path is known, or where there is none: one line, exit code 2."""
+    device = str(tmp_path / "js99")
+    assert run(["stream", "static_bench", "--duration", "0.1", "--gamepad", device, *more]) == 2
+    assert found in capsys.readouterr().err
 
 
 def test_nobody_walks_out_of_the_world():

@@ -1,5 +1,6 @@
 """What `vlp16emu stream` takes and reports where poses come in while it runs."""
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from vlp16emu.scenario import Scenario
     from vlp16emu.viewer.watch import Watch
 
-__all__ = ["FlownFile", "PoseIn", "View", "late_of", "live_rows", "poses_in", "watched"]
+__all__ = ["FlownFile", "Gamepad", "PoseIn", "View", "late_of", "live_rows", "poses_in", "watched"]
 
 PoseIn = Annotated[
     str | None,
@@ -46,17 +47,32 @@ View = Annotated[
         "of a live scene without --pose-in its keys walk. Needs the extra 'viewer'.",
     ),
 ]
+Gamepad = Annotated[
+    Path | None,
+    typer.Option(
+        "--gamepad",
+        metavar="DEVICE",
+        help="Walk through such a scene by the left stick of a gamepad too, as /dev/input/js0; any button stops.",
+        show_default=False,
+    ),
+]
 
 
 @contextmanager
-def watched(emulator: "Emulator", *, view: bool, duration_s: float, quiet: bool) -> "Iterator[Watch | None]":
+def watched(
+    emulator: "Emulator", *, view: bool, gamepad: Path | None, duration_s: float, quiet: bool
+) -> "Iterator[Watch | None]":
     """Show a stream in the browser, and print where; None where that is not wanted.
 
     Raises
     ------
+    InputError
+        where a gamepad has nothing to lead, or cannot be read
     MissingExtraError
         where viser is not there
     """
+    if gamepad is not None:
+        _check_gamepad(gamepad, emulator.scenario, view=view)
     if not view:
         yield None
         return
@@ -66,9 +82,24 @@ def watched(emulator: "Emulator", *, view: bool, duration_s: float, quiet: bool)
 
     with Progress(duration_s):
         backdrop = backdrop_of(emulator, duration_s)
-    with watching(emulator, backdrop) as watch:
+    with watching(emulator, backdrop, gamepad=gamepad) as watch:
         print(f"page at {watch.url}", file=sys.stderr if quiet else sys.stdout, flush=True)
         yield watch
+
+
+def _check_gamepad(device: Path, scenario: "Scenario", *, view: bool) -> None:
+    """Refuse a gamepad that leads nothing, or that cannot be read."""
+    from vlp16emu.motion.live_settings import takes_poses
+
+    if not view or not takes_poses(scenario.motion):
+        found = "without --view" if not view else f'with motion.kind = "{scenario.motion.kind}"'
+        raise InputError("--gamepad", f"found {found}", '--view and a scene with motion.kind = "live"')
+    try:
+        os.close(os.open(device, os.O_RDONLY | os.O_NONBLOCK))
+    except OSError as error:
+        raise InputError(
+            "--gamepad", f"found {device}: {error.strerror}", "a joystick, as /dev/input/js0"
+        ) from None
 
 
 def poses_in(

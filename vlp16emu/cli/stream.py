@@ -30,7 +30,7 @@ from vlp16emu.cli.arguments import (
     checked,
     truth_to,
 )
-from vlp16emu.cli.live import FlownFile, PoseIn, View, late_of, live_rows, poses_in, watched
+from vlp16emu.cli.live import FlownFile, Gamepad, PoseIn, View, late_of, live_rows, poses_in, watched
 from vlp16emu.cli.outlets import (
     GpsInPort,
     GpsInPulse,
@@ -300,6 +300,7 @@ def stream(
     http_settings: HttpSettings = None,
     strict: Strict = False,
     view: View = False,
+    gamepad: Gamepad = None,
     pose_in: PoseIn = None,
     flown: FlownFile = None,
     gps_out: GpsOut = None,
@@ -320,7 +321,7 @@ def stream(
     late = late_of(emulator.scenario, late)
     _, stop_s = emulator.scenario.span_s(0.0, duration)
     with (
-        watched(emulator, view=view, duration_s=stop_s, quiet=as_json) as watch,
+        watched(emulator, view=view, gamepad=gamepad, duration_s=stop_s, quiet=as_json) as watch,
         stop_on_ctrl_c() as stop,
         Progress(stop_s) as progress,
         _prepared(prepare_to, wanted=prepare) as capture,

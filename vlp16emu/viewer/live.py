@@ -20,8 +20,8 @@ from vlp16emu.units import S_NS
 from vlp16emu.viewer.guard import guarded_server
 from vlp16emu.viewer.layers import colours_of, layers_of_scan
 from vlp16emu.viewer.page import draw_stand
-from vlp16emu.viewer.stroll import KEYS, Stroll, stroll_on
-from vlp16emu.viewer.watch import Backdrop, Glimpse
+from vlp16emu.viewer.stroll import KEYS, Stroll, gamepad_on, stroll_on
+from vlp16emu.viewer.watch import Backdrop, Glimpse, Steering
 
 __all__ = ["LivePage", "serve"]
 
@@ -92,7 +92,7 @@ class LivePage:
 
     def _take(self, message: object) -> None:
         """Take a glimpse, or where poses come in."""
-        if isinstance(message, str):
+        if isinstance(message, Steering):
             self._steer(message)
         elif isinstance(message, Glimpse):
             self._latest = message
@@ -174,8 +174,8 @@ class LivePage:
                 with client.atomic():  # or a slow browser answers between the two, and comes nearer each time
                     camera.position, camera.look_at = place_m + away_m, place_m
 
-    def _steer(self, where: str) -> None:
-        """Walk by keys and buttons, from when somebody has opened the page."""
+    def _steer(self, by: Steering) -> None:
+        """Walk by keys, buttons and a gamepad, from when somebody has opened the page."""
         self._stroll = stroll = Stroll(
             self._backdrop.path_m[:, :2], self._backdrop.height_m, self._backdrop.seed
         )
@@ -188,9 +188,10 @@ class LivePage:
                     command = gui.add_command(f"walk: {what} ({key})", hotkey=key)
                     command.on_trigger(lambda _, what=what: stroll.press(what))
         self._server.on_client_connect(lambda _: begin.set())
-        threading.Thread(
-            target=partial(stroll_on, stroll, PoseSender(where), begin), name="stroll", daemon=True
-        ).start()
+        leaders = [partial(stroll_on, stroll, PoseSender(by.where), begin)]
+        leaders += [partial(gamepad_on, stroll, by.gamepad)] if by.gamepad else []
+        for leader in leaders:
+            threading.Thread(target=leader, name="stroll", daemon=True).start()
 
 
 def _lines(glimpse: Glimpse, points: int, stroll: Stroll | None) -> list[str]:

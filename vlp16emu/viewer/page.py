@@ -35,9 +35,7 @@ def draw_stand(
     scene = server.scene
     root = scene.add_frame("/stand", show_axes=False)
     scene.configure_default_lights(enabled=True, cast_shadow=False)
-    scene.configure_environment_map(
-        None
-    )  # its light costs more than all else where there is no graphics card
+    scene.configure_environment_map(None)  # light of its own on each pixel, where a stand needs two lamps
     for piece in pieces:
         scene.add_batched_meshes_simple(
             f"/stand/{piece.name}",

@@ -1,8 +1,11 @@
-"""A person who walks as keys say: the poses of the pack, gait included."""
+"""A person who walks as keys or a gamepad say: the poses of the pack, gait included."""
 
 import math
+import struct
 import threading
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +17,7 @@ from vlp16emu.motion.pose import rotation
 from vlp16emu.motion.settings import Gait
 from vlp16emu.types import HeightField
 
-__all__ = ["KEYS", "Stroll", "stroll_on"]
+__all__ = ["KEYS", "Stroll", "gamepad_on", "stroll_on"]
 
 KEYS = {
     "faster": ("W", "arrowup"),
@@ -36,6 +39,14 @@ _TURN_PER_S, _FASTEST_RAD_S, _TWIST_RAD_S2 = 3.0, 1.5, 6.0
 _FARTHEST_M = 30.0
 """From where the scene expects the body; beyond 35 m a forest has not been laid out."""
 _RATE_HZ = 100.0
+_JOYSTICK_EVENT = struct.Struct("<IhBB")
+"""Time in ms, value, type and number: `js_event` of linux/joystick.h."""
+_BUTTON, _AXIS, _FULL = 1, 2, 32_767
+"""Types, the latter two with bit 0x80 in what says how things are at first; and a stick that is pushed all the way."""
+_SIDEWAYS, _UPWARDS = 0, 1
+"""Axes of the left stick: right and towards the person are positive."""
+_AT_REST = 0.12
+"""Share of its way by which a stick that nobody holds is off."""
 
 
 class Stroll:
@@ -53,7 +64,7 @@ class Stroll:
         self._low_m, self._high_m = path_xy_m.min(axis=0) - _FARTHEST_M, path_xy_m.max(axis=0) + _FARTHEST_M
         self._trunk = Trunk(Gait(), _SPEED_M_S, seed)
         self._elapsed_s = self._yaw_rad = self._turn_rad_s = self._speed_m_s = 0.0
-        self._wanted_rad = self._wanted_m_s = 0.0
+        self._wanted_rad = self._wanted_m_s = self._leaned = 0.0
 
     def press(self, what: str) -> None:
         """Follow a key of `KEYS` from now on."""
@@ -66,8 +77,18 @@ class Stroll:
             left_rad = self._wanted_rad - self._yaw_rad + (_TURN_RAD if what == "left" else -_TURN_RAD)
             self._wanted_rad = self._yaw_rad + min(max(left_rad, -_MOST_TURN_RAD), _MOST_TURN_RAD)
 
+    def push(self, ahead: float, left: float) -> None:
+        """Follow a stick from now on, which is pushed ahead and to the left by shares of its way, -1 to 1."""
+        ahead, left = (0.0 if abs(share) < _AT_REST else share for share in (ahead, left))
+        self._wanted_m_s = max(ahead, 0.0) * _FASTEST_M_S
+        if left or self._leaned:  # or what keys want stays
+            self._wanted_rad = self._yaw_rad
+        self._leaned = left
+
     def step(self, step_s: float) -> None:
         """Walk on for a moment."""
+        if self._leaned:
+            self._wanted_rad = self._yaw_rad + self._leaned * _FASTEST_RAD_S / _TURN_PER_S
         turn_rad_s = _within(_TURN_PER_S * (self._wanted_rad - self._yaw_rad), _FASTEST_RAD_S)
         self._turn_rad_s += _within(turn_rad_s - self._turn_rad_s, _TWIST_RAD_S2 * step_s)
         self._speed_m_s += _within(self._wanted_m_s - self._speed_m_s, _PULL_M_S2 * step_s)
@@ -105,6 +126,25 @@ def stroll_on(stroll: Stroll, sender: PoseSender, begin: threading.Event) -> Non
         stroll.step(now_s - before_s)
         before_s = now_s
         sender.send(*stroll.pose(), round(now_s * 1e9))
+
+
+def gamepad_on(stroll: Stroll, device: Path) -> None:
+    """Let a gamepad lead a walker: its left stick sets speed and turn, any button stops; takes the thread.
+
+    Parameters
+    ----------
+    device : joystick of Linux, as /dev/input/js0; where it goes away the walker stops
+    """
+    pushed = {_SIDEWAYS: 0.0, _UPWARDS: 0.0}
+    with suppress(OSError), device.open("rb", buffering=0) as file:
+        while len(event := file.read(_JOYSTICK_EVENT.size) or b"") == _JOYSTICK_EVENT.size:
+            _, value, kind, number = _JOYSTICK_EVENT.unpack(event)
+            if kind & 0x7F == _AXIS and number in pushed:
+                pushed[number] = value / _FULL
+                stroll.push(-pushed[_UPWARDS], -pushed[_SIDEWAYS])
+            elif kind == _BUTTON and value:
+                stroll.press("stop")
+    stroll.push(0.0, 0.0)
 
 
 def _within(value: float, most: float) -> float:

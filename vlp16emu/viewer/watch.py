@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing import get_context
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from vlp16emu.sinks import Channel, Lateness, LatenessHistogram, Pacer, PacketSi
 from vlp16emu.types import HeightField, Packet, PacketKind
 from vlp16emu.viewer.stand import Piece, pieces_of
 
-__all__ = ["Backdrop", "Glimpse", "Watch", "WatchedSink", "backdrop_of", "watching"]
+__all__ = ["Backdrop", "Glimpse", "Steering", "Watch", "WatchedSink", "backdrop_of", "watching"]
 
 _RADIUS_M, _LIVE_RADIUS_M = 25.0, 35.0
 """How far from the path the stand is drawn; of a live scene as far as the body may go."""
@@ -44,6 +45,15 @@ class Backdrop(NamedTuple):
     height_m: HeightField
     """Of the ground."""
     seed: int
+
+
+class Steering(NamedTuple):
+    """How the page leads the sensor of a live scene."""
+
+    where: str
+    """Poses come in."""
+    gamepad: Path | None
+    """Its device, beside the keys of the page."""
 
 
 class Glimpse(NamedTuple):
@@ -126,18 +136,19 @@ class Watch:
     url : of the page
     emulator : whose stream it shows
     channel : to the page
+    gamepad : device that leads the sensor of a live scene
     """
 
-    def __init__(self, url: str, emulator: Emulator, channel: Channel) -> None:
-        self.url, self._emulator, self._channel = url, emulator, channel
+    def __init__(self, url: str, emulator: Emulator, channel: Channel, gamepad: Path | None) -> None:
+        self.url, self._emulator, self._channel, self._gamepad = url, emulator, channel, gamepad
 
     def sink(self, sink: PacketSink, pacer: Pacer) -> WatchedSink:
         """Look on at a sink; as `watched` of `Emulator.stream`."""
         return WatchedSink(sink, pacer, self._emulator, self._channel)
 
     def steer(self, where: str) -> None:
-        """Let keys of the page send poses to where they come in; as `PosesIn.opened`."""
-        self._channel.offer(where)
+        """Let keys of the page, and a gamepad, send poses to where they come in; as `PosesIn.opened`."""
+        self._channel.offer(Steering(where, self._gamepad))
 
 
 def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
@@ -169,8 +180,12 @@ def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
 
 
 @contextmanager
-def watching(emulator: Emulator, backdrop: Backdrop) -> Iterator[Watch]:
+def watching(emulator: Emulator, backdrop: Backdrop, *, gamepad: Path | None = None) -> Iterator[Watch]:
     """Start the page, and end it with the context.
+
+    Parameters
+    ----------
+    gamepad : device that leads the sensor of a live scene, beside the keys of the page
 
     Raises
     ------
@@ -189,7 +204,7 @@ def watching(emulator: Emulator, backdrop: Backdrop) -> Iterator[Watch]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     theirs.close()
     try:
-        yield Watch(_url(ours), emulator, ours)
+        yield Watch(_url(ours), emulator, ours, gamepad)
     finally:
         ours.close()
         page.kill()  # it has nothing to finish, and may hang
