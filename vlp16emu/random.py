@@ -91,6 +91,7 @@ class Purpose(IntEnum):
     MOSS = 114
     LITTER = 115
     TEXTURE = 116
+    PIT = 117
     SCORE_DISK = 92
 
 

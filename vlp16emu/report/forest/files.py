@@ -30,8 +30,8 @@ __all__ = ["write_ground", "write_inventory", "write_picture", "write_stems", "w
 Array = NDArray[np.float64]
 
 _DRAWN_IN_ORDER = (
-    *("none", "ground", "grass", "tuft", "herb", "dwarf_shrub", "fern", "stone", "log", "stump", "deadwood"),
-    *("sapling", "shrub", "tree", "other"),
+    *("none", "ground", "grass", "tuft", "herb", "dwarf_shrub", "fern", "stone", "log", "broken_log"),
+    *("stump", "broken_stump", "root_plate", "deadwood", "sapling", "shrub", "tree", "other"),
 )
 """Kinds of things, the lowest first."""
 
