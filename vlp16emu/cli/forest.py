@@ -41,7 +41,8 @@ StemsFile = Annotated[
     typer.Option(
         "--stems",
         metavar="OUT.csv",
-        help="Write the stems of those trees as circles along their axes, with radii, for QSM and taper.",
+        help="Write the stems of those trees, and the branches of those within the radius, as circles along their axes,"
+        " with radii, for QSM and taper.",
     ),
 ]
 GroundFile = Annotated[

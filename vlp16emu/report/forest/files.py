@@ -74,7 +74,7 @@ def write_inventory(output: OutputFile, seen: Survey) -> None:
 
 
 def write_stems(output: OutputFile, seen: Survey) -> None:
-    """Write the circles of all stems in reach: skeletons with radii, as a quantitative structure model has them.
+    """Write the circles of all stems in reach and of the branches in the surroundings: skeletons with radii, as a QSM has them.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def write_stems(output: OutputFile, seen: Survey) -> None:
     circles = seen.stem_circles(seen.trees)
     with output.writing() as file:
         header = ",".join(STEM_CIRCLE.names or ())
-        np.savetxt(file, circles, fmt=["%d", "%d", *["%.4f"] * 5], delimiter=",", header=header, comments="")
+        np.savetxt(file, circles, fmt=[*["%d"] * 4, *["%.4f"] * 5], delimiter=",", header=header, comments="")
 
 
 def write_ground(output: OutputFile, seen: Survey) -> None:
