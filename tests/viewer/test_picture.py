@@ -79,16 +79,7 @@ def test_a_view_of_a_revolution_is_of_one(tmp_path, view, capsys):
     pytest.importorskip("imageio_ffmpeg", reason="the extra picture is not installed")
     made = {}
     for name in ("a.png", "a.gif"):
-        words = [
-            "picture",
-            "static_bench",
-            str(tmp_path / name),
-            "--view",
-            view,
-            "--colour",
-            "range",
-            "--json",
-        ]
+        words = ["picture", "static_bench", str(tmp_path / name), "--view", view, "--colour", "range", "--json"]
         assert run([*words, *SMALL]) == 0
         made[name] = json.loads(capsys.readouterr().out)
     assert made["a.png"]["revolutions"] == 1

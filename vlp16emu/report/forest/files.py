@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,17 +61,20 @@ _GROUND_CELL_M = 0.25
 """Of the ground that is written: the finest that is usual for forests."""
 
 
-def write_inventory(output: OutputFile, seen: Survey) -> None:
-    """Write all trees in reach.
+def write_inventory(output: OutputFile, seen: Survey, truth: Path | None) -> None:
+    """Write all trees in reach, with what a run saw of their stems if the folder of its truth is given.
 
     Raises
     ------
+    InputError
+        where the folder has no truth of returns of this scene
     RunError
         where the file cannot be written to its end
     """
+    more = seen.stems_seen(seen.trees, truth) if truth else None
     rows = seen.inventory(seen.trees)
     with output.writing() as file:
-        write_csv(file, rows, table=seen.plants.trees)
+        write_csv(file, rows, more, table=seen.plants.trees)
 
 
 def write_stems(output: OutputFile, seen: Survey) -> None:

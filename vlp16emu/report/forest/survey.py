@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from vlp16emu.chain import Parts, assemble
 from vlp16emu.errors import InputError
 from vlp16emu.motion.pose import Motion
+from vlp16emu.report.forest.seen import stems_seen, tables_of_returns
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import HeightField, Mesh, ShapeKey, Window
 from vlp16emu.units import seconds_to_ns
@@ -76,6 +78,13 @@ class Survey:
         rows[~is_modelled] = inventory(grown, self._crowns(grown), seed=self.seed, table=self.plants.trees)
         rows[is_modelled] = self.models.inventory(trees[is_modelled])
         return rows
+
+    def stems_seen(self, trees: NDArray[np.void], folder: Path) -> NDArray[np.void]:
+        """Sum up what the returns of a run show of the stems of some of the trees (k,), by the folder of its truth."""
+        straight = np.where(self.models.has(trees), 0, trees["form"])
+        trees = trees.copy()
+        trees["form"] = straight
+        return stems_seen(trees, tables_of_returns(folder), table=self.plants.trees)
 
     def stem_circles(self, trees: NDArray[np.void]) -> NDArray[np.void]:
         """Circles `STEM_CIRCLE` along the stems of some of the trees (k,), and along the branches of those near, by tree."""
