@@ -92,6 +92,7 @@ class Purpose(IntEnum):
     LITTER = 115
     TEXTURE = 116
     PIT = 117
+    IVY = 118
     SCORE_DISK = 92
 
 

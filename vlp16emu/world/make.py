@@ -143,6 +143,7 @@ def _forest(
         loose_stems=loose_stems,
         near_m=near_m,
         texture=section.texture,
+        ivy=section.ivy,
     )
 
 

@@ -17,6 +17,7 @@ __all__ = [
     "Grass",
     "HardCore",
     "Herbs",
+    "Ivy",
     "Litter",
     "Logs",
     "Moss",
@@ -273,6 +274,15 @@ class Litter(Cover):
 
     height_m: Range = (0.03, 0.08)
     """Minimum and maximum height of a heap; assumption."""
+
+
+class Ivy(Section):
+    """Ivy on the stems of trees, leaves by their label and part of their tree; the inventory's leaf area is without it."""
+
+    share: Fraction = 0.0
+    """Share of stems on which it grows."""
+    height_m: Range = (1.5, 8.0)
+    """Minimum and maximum height up to which it covers a stem, no higher than the crown base."""
 
 
 class Wind(Section):
