@@ -91,6 +91,8 @@ class Purpose(IntEnum):
     MOSS = 114
     LITTER = 115
     TEXTURE = 116
+    PIT = 117
+    IVY = 118
     SCORE_DISK = 92
 
 

@@ -53,7 +53,8 @@ def test_stems_are_circles_with_the_diameter_of_the_inventory(written, rows):
     circles = np.genfromtxt(written[0] / "stems.csv", delimiter=",", names=True)
     assert set(circles["tree"]) == {int(row["id"]) for row in rows}
     for row in rows[::10]:
-        own = circles[(circles["tree"] == int(row["id"])) & (circles["leader"] == 1)]
+        is_own = (circles["tree"] == int(row["id"])) & (circles["leader"] == 1) & (circles["branch"] == 0)
+        own = circles[is_own]
         assert (own["above_foot_m"][0], own["above_foot_m"][-1]) == (0, pytest.approx(float(row["height_m"])))
         (breast,) = own[own["above_foot_m"] == 1.3]
         assert 2 * breast["radius_m"] == pytest.approx(float(row["dbh_m"]), abs=2e-4)
@@ -106,7 +107,7 @@ def test_the_twin_holds_the_trees_of_the_inventory(written, rows):
         node["name"] for node in json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])["nodes"]
     ]
     species = {f"tree_{int(row['id']):06d}": row["species"] for row in rows}
-    stems = [name.split("/") for name in names if name.endswith("/root_flare")]
+    stems = [name.split("/") for name in names if name.startswith("tree_") and name.endswith("/root_flare")]
     assert len(stems) == written[1]["trees"][-1]["stems"]
     assert all(species[tree] == kind for tree, kind, _ in stems)
     assert sum(name.startswith("stone_") for name in names) == written[1]["things"]["stone"]["count"]

@@ -72,6 +72,7 @@ def make_forest(terrain):
             path=path,
             reach_m=reach_m,
             loose_stems=loose_stems,
+            ivy=section.ivy,
         )
 
     return make

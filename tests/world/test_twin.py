@@ -66,7 +66,8 @@ def test_every_instance_is_one_node_with_its_labels(glb, header, near):
     wanted = {f"tree_{t['id']:06d}/{SPECIES[int(t['species'])]}" for t in trees}
     for one in things:
         grass = dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), "grass")
-        kind = {"log": "deadwood", "stump": "deadwood", "sapling": "tree", **grass}.get(one.kind, one.kind)
+        dead = dict.fromkeys(("log", "broken_log", "stump", "broken_stump", "root_plate"), "deadwood")
+        kind = {"sapling": "tree", **dead, **grass}.get(one.kind, one.kind)
         wanted.add(f"{kind}_{one.instance:06d}" + (f"/{SPECIES[one.species]}" if one.species else ""))
     assert wanted <= names
     assert glb[1] == len(wanted)

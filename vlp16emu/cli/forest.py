@@ -1,6 +1,7 @@
 """`vlp16emu forest`: what stands along the path of a sensor."""
 
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,10 +13,11 @@ from vlp16emu.cli.terminal import count, print_json, print_rows, size, tree_of
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from vlp16emu.report.forest import StandRow
     from vlp16emu.report.forest.summary import ForestSummary, NamedThing, Things, WorldSummary
+    from vlp16emu.report.forest.survey import Survey
     from vlp16emu.scenario import Scenario
 
 __all__ = ["forest"]
@@ -36,12 +38,22 @@ InventoryFile = Annotated[
         "--inventory", metavar="OUT.csv", help="Write all trees in the sensor's reach, one per line."
     ),
 ]
+SeenIn = Annotated[
+    Path | None,
+    typer.Option(
+        "--seen",
+        metavar="DIR",
+        help="With --inventory, for each tree the returns from its stem in a run with this truth"
+        " (`record --truth DIR --truth-returns`), the share of the stem that has any, and the arc at breast height.",
+    ),
+]
 StemsFile = Annotated[
     Path | None,
     typer.Option(
         "--stems",
         metavar="OUT.csv",
-        help="Write the stems of those trees as circles along their axes, with radii, for QSM and taper.",
+        help="Write the stems of those trees, and the branches of those within the radius, as circles along their axes,"
+        " with radii, for QSM and taper.",
     ),
 ]
 GroundFile = Annotated[
@@ -78,6 +90,7 @@ def forest(
     settings: Settings = None,
     radius: Radius = 30.0,
     inventory: InventoryFile = None,
+    seen: SeenIn = None,
     stems: StemsFile = None,
     ground: GroundFile = None,
     glb: TwinFile = None,
@@ -91,6 +104,8 @@ def forest(
     """
     from vlp16emu.scenario import load
 
+    if seen and not inventory:
+        raise InputError("--seen", "found no --inventory", "both")
     outputs = dict(zip(_SUFFIXES, (inventory, stems, ground, glb, picture), strict=True))
     scenario = load(scene, settings or ())
     _spare(scene, scenario, outputs.values())
@@ -98,7 +113,7 @@ def forest(
     for option, path in wanted.items():
         _check_output(option, path)
     announce_compiling()
-    summary = _surveyed(scene, scenario, radius, wanted)
+    summary = _surveyed(scene, scenario, radius, wanted, seen)
     if as_json:
         written = {option.removeprefix("--"): str(path) for option, path in wanted.items()}
         print_json({**tree_of(summary), "files": written})
@@ -109,7 +124,7 @@ def forest(
 
 
 def _surveyed(
-    scene: str, scenario: "Scenario", radius_m: float, wanted: "Mapping[str, Path]"
+    scene: str, scenario: "Scenario", radius_m: float, wanted: "Mapping[str, Path]", truth: Path | None
 ) -> "WorldSummary":
     """Look at the world and write files, which are opened before anything heavy."""
     from vlp16emu.output import OutputFile
@@ -124,7 +139,9 @@ def _surveyed(
         }
         seen = survey(scenario, radius_m)
         summary = summary_of(scene, scenario, seen)
-        writers = files.write_inventory, files.write_stems, files.write_ground, files.write_twin
+        inventory = partial(files.write_inventory, truth=truth)
+        writers: tuple[Callable[[OutputFile, Survey], None], ...]
+        writers = inventory, files.write_stems, files.write_ground, files.write_twin
         for option, write in zip(_SUFFIXES, writers, strict=False):
             if option in outputs:
                 write(outputs[option], seen)

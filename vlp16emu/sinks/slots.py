@@ -1,5 +1,6 @@
 """The truth behind each record of the data packets of a run, as a table in Parquet: written, and read beside its capture."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -213,6 +214,12 @@ class SlotReader:
             what = f"no return in packet {number[first]}, block {block}, channel {channel}"
             raise InputError(str(self._path), what, "one as in the capture, which is of another run")
         return found
+
+    def returns(self, names: list[str]) -> Iterator[dict[str, NDArray[Any]]]:
+        """Give columns of all records that have a distance, some packets at a time."""
+        for group in range(self._file.num_row_groups):
+            columns = self._read(group, [*names, "miss"])
+            yield {name: columns[name][~columns["miss"]] for name in names}
 
     def _numbers(self, stamp_us: NDArray[np.uint32]) -> NDArray[np.int64]:
         """Find the numbers (p,) of packets."""

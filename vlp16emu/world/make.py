@@ -19,7 +19,8 @@ from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.plants.flora import Flora, flora
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.settings import Forest, Hall, Plot
-from vlp16emu.world.stand.floor import LogLayer, LowLayer, StoneLayer, StumpLayer
+from vlp16emu.world.stand.deadwood import LogLayer, StumpLayer
+from vlp16emu.world.stand.floor import LowLayer, StoneLayer
 from vlp16emu.world.stand.floor_shapes import FloorKind
 from vlp16emu.world.stand.forest import ForestWorld
 from vlp16emu.world.stand.placed import Layer
@@ -142,6 +143,7 @@ def _forest(
         loose_stems=loose_stems,
         near_m=near_m,
         texture=section.texture,
+        ivy=section.ivy,
     )
 
 

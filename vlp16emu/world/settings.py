@@ -13,6 +13,7 @@ from vlp16emu.world.stand.settings import (
     Ferns,
     Grass,
     Herbs,
+    Ivy,
     Litter,
     Logs,
     Moss,
@@ -61,6 +62,7 @@ class Woods(Section):
     dwarf_shrubs: DwarfShrubs = DwarfShrubs()
     moss: Moss = Moss()
     litter: Litter = Litter()
+    ivy: Ivy = Ivy()
     texture: Texture = 0.12
     """Share by which the reflectance of ground, bark and stones varies over patches of some 0.2 m, one sigma; leaves have
     none, as each lies at an angle of its own. Assumption: neighbouring returns then scatter as those of real sensors in

@@ -65,9 +65,45 @@ def test_a_mound_is_what_its_random_numbers_say():
     assert np.count_nonzero(twin) > 40
 
 
+@pytest.mark.parametrize("per_ha", [60.0, 600.0])
+def test_pits_have_the_density_and_size_that_were_set(per_ha):
+    """Pits and mounds have mean zero and the variance of paraboloids squared, 2 m to 3 m wide and 0.2 m to 0.4 m deep and high."""
+    x, y = np.random.default_rng(6).uniform(-1e5, 1e5, (2, 400_000))
+    height = flat_but(pits_per_ha=per_ha).height_m(x, y)
+    # (1 - r^2 / R^2)^4 covers pi R^2 / 5, and where pit and mound overlap they cancel in part: by quadrature over both.
+    u, v = np.meshgrid(*[np.linspace(-2, 2, 801)] * 2)
+    one = np.maximum(1 - (u - 0.8) ** 2 - v**2, 0) ** 2 - np.maximum(1 - (u + 0.8) ** 2 - v**2, 0) ** 2
+    size = (np.arange(1000) + 0.5) / 1000
+    square_m4 = (one**2).sum() * 0.005**2 * ((1 + size / 2) ** 2 * (0.2 + 0.2 * size) ** 2).mean()
+    assert height.std() == pytest.approx(math.sqrt(per_ha / 10_000 * square_m4), rel=0.03)
+    assert abs(height.mean()) < 1e-3
+    assert height.min() < -0.35
+
+
+def test_a_pit_is_what_its_random_numbers_say():
+    """The kernel agrees to 1e-12 with the sum of all pits and mounds of a square of 40 m, each worked out in plain Python."""
+    x, y = np.random.default_rng(7).uniform(-20, 20, (2, 400))
+    twin = np.zeros(400)
+    for ix in range(-7, 7):
+        for iy in range(-7, 7):
+            words = [int(w) for w in philox4x32(ix % 2**32, iy % 2**32, 0, Purpose.PIT, 3, 0)]
+            if words[0] / 2**32 < 400 * 16 / 10_000:
+                size, turn = (words[3] >> 16) / 2**16, 2 * math.pi * (words[3] % 2**16) / 2**16
+                middle = 4 * (ix + words[1] / 2**32), 4 * (iy + words[2] / 2**32)
+                for side in (1, -1):
+                    px, py = (
+                        m + side * 0.8 * (1 + size / 2) * f(turn)
+                        for m, f in zip(middle, (math.cos, math.sin), strict=True)
+                    )
+                    inside = np.maximum(1 - ((x - px) ** 2 + (y - py) ** 2) / (1 + size / 2) ** 2, 0)
+                    twin += side * (0.2 + 0.2 * size) * inside**2
+    assert flat_but(pits_per_ha=400.0).height_m(x, y) == pytest.approx(twin, abs=1e-12)
+    assert np.count_nonzero(twin) > 100
+
+
 def test_a_height_is_the_same_alone_and_in_any_array():
     """The height of a point does not depend on how many points are asked for, nor on their shape."""
-    terrain = flat_but(hill_rms_m=1.0, rough_rms_m=0.1, mounds_per_ha=500.0, slope_deg=5.0)
+    terrain = flat_but(hill_rms_m=1.0, rough_rms_m=0.1, mounds_per_ha=500.0, pits_per_ha=200.0, slope_deg=5.0)
     x, y = np.random.default_rng(3).uniform(-100, 100, (2, 1001))
     together = terrain.height_m(x, y)
     assert np.array_equal(together[7::13], terrain.height_m(x[7::13], y[7::13]))

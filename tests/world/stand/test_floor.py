@@ -11,7 +11,8 @@ from scipy.spatial import KDTree
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.polyline import Corridor, distance_m
-from vlp16emu.world.stand.floor import LogLayer, LowLayer, StoneLayer, StumpLayer
+from vlp16emu.world.stand.deadwood import LogLayer, StumpLayer
+from vlp16emu.world.stand.floor import LowLayer, StoneLayer
 from vlp16emu.world.stand.floor_shapes import FloorKind, floor_meshes
 from vlp16emu.world.stand.placed import Site
 from vlp16emu.world.stand.settings import DwarfShrubs, Ferns, Grass, Herbs, Litter, Logs, Moss, Stones, Stumps
@@ -40,7 +41,8 @@ def plot(ix, iy, *, path=FAR, trunks=NO_TRUNKS, height_m=ground):
 
 WOOD = ["norway_spruce", "european_beech"]
 STONES = StoneLayer(Stones(cover=0.05), seed=6)
-LOGS = LogLayer(Logs(per_ha=200.0, species=WOOD, diameter_m=(0.2, 0.6), length_m=(3.0, 12.0)), seed=6)
+SIZES = {"per_ha": 200.0, "species": WOOD, "diameter_m": (0.2, 0.6), "length_m": (3.0, 12.0)}
+LOGS = LogLayer(Logs(**SIZES, uprooted=0.0, broken=0.0, decayed=0.0), seed=6)
 STUMPS = StumpLayer(Stumps(per_ha=200.0, species=["silver_birch"], diameter_m=(0.2, 0.5)), seed=6)
 GRASS = LowLayer(FloorKind.TUFT, Grass(tufts_per_m2=1.0, height_m=(0.15, 0.5)), seed=6)
 FERNS = LowLayer(FloorKind.FERN, Ferns(cover=0.3), seed=6)

@@ -10,7 +10,8 @@ from vlp16emu.world.stand.floor_shapes import FLOOR_VARIANTS, FloorKey, FloorKin
 
 KEYS = [FloorKey(kind, variant) for kind in FloorKind for variant in (0, 5)]
 KEYS += [FloorKey(FloorKind.STONE, variant, large=True) for variant in (0, 5)]
-SOLID = [key for key in KEYS if key.kind in (FloorKind.STONE, FloorKind.LOG, FloorKind.STUMP)]
+WOOD = (FloorKind.LOG, FloorKind.STUMP, FloorKind.BROKEN_LOG, FloorKind.BROKEN_STUMP, FloorKind.ROOT_PLATE)
+SOLID = [key for key in KEYS if key.kind in (FloorKind.STONE, *WOOD)]
 LOW = [key for key in KEYS if key not in SOLID and key.kind is not FloorKind.TUFT]
 
 
@@ -23,7 +24,7 @@ def solid(key):
     return trimesh.Trimesh(mesh.vertices_m.astype(np.float64), mesh.faces, process=False)
 
 
-def test_stones_logs_and_stumps_are_closed_and_show_their_outside():
+def test_stones_and_dead_wood_are_closed_and_show_their_outside():
     """Every edge has two faces that run against each other, and the enclosed volume is positive."""
     for key in SOLID:
         body = solid(key)
@@ -69,6 +70,26 @@ def test_a_stump_flares():
         ]
         assert wide[0] == pytest.approx(1.45, rel=0.12), key
         assert wide[1] == pytest.approx(1.05, rel=0.12), key
+
+
+def test_a_broken_stump_is_jagged_and_hollow():
+    """The rim of its top differs by half its height and more, and the middle lies deeper than the rim on average."""
+    for key in of_kind(FloorKind.BROKEN_STUMP):
+        (mesh,) = floor_meshes(8, key)
+        rim, middle = mesh.vertices_m[48:64, 2], mesh.vertices_m[-1]
+        assert np.ptp(rim) > 0.5, key
+        assert rim.mean() == pytest.approx(1.0, abs=0.25), key
+        assert middle[2] < rim.mean() - 0.2, key
+        assert np.abs(middle[:2]).max() < 0.1, key
+
+
+def test_a_root_plate_is_a_disc_with_roots_behind_it():
+    """It is 1 wide within a fifth and flat towards its log at +x, where nothing sticks out; behind it roots reach out."""
+    for key in of_kind(FloorKind.ROOT_PLATE):
+        low, high = solid(key).bounds
+        assert high[1:] - low[1:] == pytest.approx([1.1, 1.1], abs=0.2), key
+        assert 0.15 < high[0] < 0.3, key
+        assert -1.6 < low[0] < -0.95, key
 
 
 def test_a_tuft_has_its_leaf_area():

@@ -166,9 +166,10 @@ def test_everything_has_one_number_and_its_own_class(full_forest, track_m):
 def forest_material_fits(name, row):
     """Say whether a material's name goes with the semantic class of a row."""
     low = ("grass", "herb", "fern", "dwarf shrub")
-    fixed = {Semantic.STONE: ("stone",), Semantic.DEADWOOD: ("dead wood",), Semantic.GRASS: low}
+    dead = ("litter",) if row["part"] == PlantPart.ROOT_FLARE else ("dead wood",)
+    fixed = {Semantic.STONE: ("stone",), Semantic.DEADWOOD: dead, Semantic.GRASS: low}
     return name in fixed.get(Semantic(int(row["semantic"])), (name,)) and (
-        " bark" in name or name in (*low, "stone", "dead wood")
+        " bark" in name or name in (*low, "stone", "dead wood", "litter")
     )
 
 

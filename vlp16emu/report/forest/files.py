@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +31,8 @@ __all__ = ["write_ground", "write_inventory", "write_picture", "write_stems", "w
 Array = NDArray[np.float64]
 
 _DRAWN_IN_ORDER = (
-    *("none", "ground", "grass", "tuft", "herb", "dwarf_shrub", "fern", "stone", "log", "stump", "deadwood"),
-    *("sapling", "shrub", "tree", "other"),
+    *("none", "ground", "grass", "tuft", "herb", "dwarf_shrub", "fern", "stone", "log", "broken_log"),
+    *("stump", "broken_stump", "root_plate", "deadwood", "sapling", "shrub", "tree", "other"),
 )
 """Kinds of things, the lowest first."""
 
@@ -60,21 +61,24 @@ _GROUND_CELL_M = 0.25
 """Of the ground that is written: the finest that is usual for forests."""
 
 
-def write_inventory(output: OutputFile, seen: Survey) -> None:
-    """Write all trees in reach.
+def write_inventory(output: OutputFile, seen: Survey, truth: Path | None) -> None:
+    """Write all trees in reach, with what a run saw of their stems if the folder of its truth is given.
 
     Raises
     ------
+    InputError
+        where the folder has no truth of returns of this scene
     RunError
         where the file cannot be written to its end
     """
+    more = seen.stems_seen(seen.trees, truth) if truth else None
     rows = seen.inventory(seen.trees)
     with output.writing() as file:
-        write_csv(file, rows, table=seen.plants.trees)
+        write_csv(file, rows, more, table=seen.plants.trees)
 
 
 def write_stems(output: OutputFile, seen: Survey) -> None:
-    """Write the circles of all stems in reach: skeletons with radii, as a quantitative structure model has them.
+    """Write the circles of all stems in reach and of the branches in the surroundings: skeletons with radii, as a QSM has them.
 
     Raises
     ------
@@ -84,7 +88,7 @@ def write_stems(output: OutputFile, seen: Survey) -> None:
     circles = seen.stem_circles(seen.trees)
     with output.writing() as file:
         header = ",".join(STEM_CIRCLE.names or ())
-        np.savetxt(file, circles, fmt=["%d", "%d", *["%.4f"] * 5], delimiter=",", header=header, comments="")
+        np.savetxt(file, circles, fmt=[*["%d"] * 4, *["%.4f"] * 5], delimiter=",", header=header, comments="")
 
 
 def write_ground(output: OutputFile, seen: Survey) -> None:

@@ -24,8 +24,9 @@ _MEASURES = {
     "sapling": ("height", 2),
     "shrub": ("height", 2),
     "stone": ("length", 0),
-    "log": ("length", 0),
-    "stump": ("diameter", 0),
+    **dict.fromkeys(("log", "broken_log"), ("length", 0)),
+    **dict.fromkeys(("stump", "broken_stump"), ("diameter", 0)),
+    "root_plate": ("diameter", 1),
     **dict.fromkeys(("tuft", "herb", "fern", "dwarf_shrub"), ("height", 2)),
 }
 """What is reported of the size of a kind, and along which axis it lies."""

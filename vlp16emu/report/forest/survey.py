@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +10,14 @@ from numpy.typing import NDArray
 from vlp16emu.chain import Parts, assemble
 from vlp16emu.errors import InputError
 from vlp16emu.motion.pose import Motion
+from vlp16emu.report.forest.seen import stems_seen, tables_of_returns
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import HeightField, Mesh, ShapeKey, Window
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.given.furnished import Furnished
 from vlp16emu.world.given.tree_model import TreeModels
 from vlp16emu.world.hall import HallWorld
+from vlp16emu.world.plants.branch_circles import branch_circles
 from vlp16emu.world.plants.crown import CrownKey
 from vlp16emu.world.plants.flora import Flora, flora
 from vlp16emu.world.plants.stem_rings import stem_circles
@@ -70,22 +73,36 @@ class Survey:
 
     def inventory(self, trees: NDArray[np.void]) -> NDArray[np.void]:
         """Take the inventory of some of the trees (k,)."""
-        window, is_modelled = self.window, self.models.has(trees)
-        instance = window.surfaces["instance"][window.first_surface].tolist()
-        shapes = (window.shapes[i] for i in window.shape)
-        crowns = {i: key for i, key in zip(instance, shapes, strict=True) if isinstance(key, CrownKey)}
-        grown, rows = trees[~is_modelled], np.zeros(len(trees), INVENTORY)
-        own = [crowns[i] for i in grown["id"].tolist()]
-        rows[~is_modelled] = inventory(grown, own, seed=self.seed, table=self.plants.trees)
+        is_modelled, rows = self.models.has(trees), np.zeros(len(trees), INVENTORY)
+        grown = trees[~is_modelled]
+        rows[~is_modelled] = inventory(grown, self._crowns(grown), seed=self.seed, table=self.plants.trees)
         rows[is_modelled] = self.models.inventory(trees[is_modelled])
         return rows
 
+    def stems_seen(self, trees: NDArray[np.void], folder: Path) -> NDArray[np.void]:
+        """Sum up what the returns of a run show of the stems of some of the trees (k,), by the folder of its truth."""
+        straight = np.where(self.models.has(trees), 0, trees["form"])
+        trees = trees.copy()
+        trees["form"] = straight
+        return stems_seen(trees, tables_of_returns(folder), table=self.plants.trees)
+
     def stem_circles(self, trees: NDArray[np.void]) -> NDArray[np.void]:
-        """Circles `STEM_CIRCLE` along the stems of some of the trees (k,), by tree."""
+        """Circles `STEM_CIRCLE` along the stems of some of the trees (k,), and along the branches of those near, by tree."""
         is_modelled = self.models.has(trees)
-        grown = stem_circles(trees[~is_modelled], table=self.plants.trees)
-        circles = np.concatenate([grown, self.models.circles(trees[is_modelled])])
+        grown = trees[~is_modelled]
+        stems = stem_circles(grown, table=self.plants.trees)
+        near = grown[np.isin(grown["id"], self.near["id"])]
+        branches = branch_circles(near, self._crowns(near), seed=self.seed, table=self.plants.trees)
+        circles = np.concatenate([stems, self.models.circles(trees[is_modelled]), branches])
         return circles[np.argsort(circles["tree"], kind="stable")]
+
+    def _crowns(self, trees: NDArray[np.void]) -> list[CrownKey]:
+        """Name the crown prototypes of trees that have grown."""
+        window = self.window
+        instance = window.surfaces["instance"][window.first_surface].tolist()
+        shapes = (window.shapes[i] for i in window.shape)
+        crowns = {i: key for i, key in zip(instance, shapes, strict=True) if isinstance(key, CrownKey)}
+        return [crowns[i] for i in trees["id"].tolist()]
 
     def inside(self, xy_m: Array) -> NDArray[np.bool_]:
         """Which points (k, 2) lie in the surroundings."""

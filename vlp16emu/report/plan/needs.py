@@ -14,6 +14,7 @@ from vlp16emu.types import Window
 from vlp16emu.world.given.furnished import MeshKey
 from vlp16emu.world.given.tree_model import ModelKey
 from vlp16emu.world.plants.crown import CrownKey
+from vlp16emu.world.plants.ivy import IvyKey
 from vlp16emu.world.plants.sapling import SaplingKey
 from vlp16emu.world.plants.shrub import ShrubKey
 from vlp16emu.world.plants.stem import StemKey
@@ -24,6 +25,7 @@ __all__ = ["Need", "Surroundings", "libraries", "needs", "surroundings"]
 
 _KINDS = {
     CrownKey: "trees",
+    IvyKey: "stems with ivy",
     ModelKey: "tree models",
     SaplingKey: "saplings",
     ShrubKey: "shrubs",

@@ -133,7 +133,7 @@ class TreeModel:
         world_T, across = self.world_T_model(trees), self.scale(trees)[:, 0]
         up_m = np.einsum("nij,kj->nki", world_T[:, :, :3], profile_m[:, :3])
         circles = np.zeros(up_m.shape[:2], STEM_CIRCLE)
-        circles["tree"], circles["leader"] = trees["id"][:, None], 1
+        circles["tree"], circles["leader"], circles["part"] = trees["id"][:, None], 1, PlantPart.STEM
         for axis, name in enumerate("xyz"):
             circles[f"{name}_m"] = trees[f"{name}_m"][:, None] + up_m[..., axis]
         circles["above_foot_m"], circles["radius_m"] = up_m[..., 2], across[:, None] * profile_m[:, 3]

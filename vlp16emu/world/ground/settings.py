@@ -31,6 +31,8 @@ class Terrain(Section):
     """Standard deviation of height over wavelengths of 1 m to 12 m."""
     mounds_per_ha: Annotated[float, Field(ge=0, le=2500)] = 0.0
     """Mounds and hollows of up to 0.15 m, 1 m to 2 m wide."""
+    pits_per_ha: Annotated[float, Field(ge=0, le=600)] = 0.0
+    """Pits with a mound beside each, as uprooted trees leave them: 0.2 m to 0.4 m deep and high, 2 m to 3 m wide."""
     slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
     """Slope of the plane under it all, rising towards `slope_towards_deg`."""
     slope_towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0

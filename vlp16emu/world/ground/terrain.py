@@ -1,9 +1,10 @@
-"""Ground with relief: a sum of plane waves and scattered mounds, so that it has no edge and no period.
+"""Ground with relief: a sum of plane waves and scattered mounds and pits, so that it has no edge and no period.
 
 Two bands of waves: hills, and roughness that a foot would feel. Within a band the power spectrum falls
 with the third power of the wave number (assumption; natural ground is found between 2.5 and 4), which
 makes a wave's variance proportional to its wavelength when waves are spread evenly over log wavelength.
-Mounds and hollows represent what waves cannot show: old stumps, root plates, wheel marks.
+Mounds and hollows represent what waves cannot show: old stumps, stones under moss, wheel marks; pits with a
+mound beside each are what uprooted trees leave.
 """
 
 import math
@@ -31,7 +32,16 @@ _MOUND_WIDTH_M = (1.0, 2.0)
 _MOUND_HEIGHT_M = 0.15
 """Mounds rise and hollows sink by up to this; assumption, like their width."""
 
-_MOUND = int(Purpose.MOUND)
+_PIT_CELL_M = 4.0
+"""Edge of a square that holds one pit with its mound at most: more than both together reach from their middle."""
+
+_PIT_WIDTH_M, _PIT_DEPTH_M = (2.0, 3.0), (0.2, 0.4)
+"""From the smallest to the largest; the mound is as wide and as high (assumption)."""
+
+_PIT_ASIDE = 0.8
+"""Distance of the middles of pit and mound from the middle of both over their radius; assumption."""
+
+_MOUND, _PIT = int(Purpose.MOUND), int(Purpose.PIT)
 
 
 class TerrainHeights:
@@ -50,6 +60,7 @@ class TerrainHeights:
         self._gradient = (rise * math.cos(towards), rise * math.sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
         self._mound_share = section.mounds_per_ha * _MOUND_CELL_M**2 / 10_000
+        self._pit_share = section.pits_per_ha * _PIT_CELL_M**2 / 10_000
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
         """Ground height at points of any common shape; a point's height depends on that point alone."""
@@ -58,6 +69,8 @@ class TerrainHeights:
         _heights(height.reshape(-1), x.reshape(-1), y.reshape(-1), self._waves, *self._gradient)
         if self._mound_share:
             _add_mounds(height.reshape(-1), x.reshape(-1), y.reshape(-1), self._mound_share, *self._seed)
+        if self._pit_share:
+            _add_pits(height.reshape(-1), x.reshape(-1), y.reshape(-1), self._pit_share, *self._seed)
         return height
 
 
@@ -121,3 +134,43 @@ def _mound_m(
     radius = (_MOUND_WIDTH_M[0] + wide * (_MOUND_WIDTH_M[1] - _MOUND_WIDTH_M[0])) / 2
     inside = 1.0 - (dx * dx + dy * dy) / (radius * radius)
     return (2.0 * high - 1.0) * _MOUND_HEIGHT_M * inside**3 if inside > 0.0 else 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_pits(
+    out: Array, x: Array, y: Array, share: float, seed_low: np.uint32, seed_high: np.uint32
+) -> None:
+    """Add to (n,) heights the pits and mounds of the squares around each point; `share` of all squares have them."""
+    for i in range(out.shape[0]):
+        column, row = math.floor(x[i] / _PIT_CELL_M), math.floor(y[i] / _PIT_CELL_M)
+        for ix in range(column - 1, column + 2):
+            for iy in range(row - 1, row + 2):
+                out[i] += _pit_m(x[i], y[i], ix, iy, share, seed_low, seed_high)
+
+
+@numba.njit(cache=True, nogil=True)
+def _pit_m(
+    x: float, y: float, ix: int, iy: int, share: float, seed_low: np.uint32, seed_high: np.uint32
+) -> float:
+    """Height that a square's pit and mound add at a point: (1 - (r / R)^2)^2 of either, smooth to its rim."""
+    words = philox4x32(
+        np.uint32(ix & 0xFFFFFFFF),
+        np.uint32(iy & 0xFFFFFFFF),
+        np.uint32(0),
+        np.uint32(_PIT),
+        seed_low,
+        seed_high,
+    )
+    if words[0] * 2.0**-32 >= share:
+        return 0.0
+    dx = x - (ix + words[1] * 2.0**-32) * _PIT_CELL_M
+    dy = y - (iy + words[2] * 2.0**-32) * _PIT_CELL_M
+    # Size and direction from one half of the last word each: 65536 values are plenty.
+    size, turn = (words[3] >> np.uint32(16)) * 2.0**-16, (words[3] & np.uint32(0xFFFF)) * 2.0**-16
+    radius = (_PIT_WIDTH_M[0] + size * (_PIT_WIDTH_M[1] - _PIT_WIDTH_M[0])) / 2
+    depth = _PIT_DEPTH_M[0] + size * (_PIT_DEPTH_M[1] - _PIT_DEPTH_M[0])
+    east = _PIT_ASIDE * radius * math.cos(2 * math.pi * turn)
+    north = _PIT_ASIDE * radius * math.sin(2 * math.pi * turn)
+    mound = 1.0 - ((dx - east) ** 2 + (dy - north) ** 2) / (radius * radius)
+    pit = 1.0 - ((dx + east) ** 2 + (dy + north) ** 2) / (radius * radius)
+    return depth * (max(mound, 0.0) ** 2 - max(pit, 0.0) ** 2)

@@ -61,6 +61,16 @@ class Branches:
     radius_m: Array
     """(n,) at the base."""
 
+    @property
+    def node_radius_m(self) -> Array:
+        """Radius (n, m) at the nodes; 0 at the tip."""
+        rings = self.nodes_m.shape[1] - 1
+        return self.radius_m[:, None] * np.append(_taper(np.arange(rings) / rings), 0.0)
+
+    def of(self, which: NDArray[np.int64]) -> "Branches":
+        """Give some of the branches."""
+        return Branches(*(getattr(self, name)[which] for name in self.__slots__))
+
 
 def first_order(
     rng: np.random.Generator, habit: Habit, size_m: tuple[float, float], stem_m: Array
@@ -168,10 +178,8 @@ def ground_stems(
 
 def volume_m3(branches: Branches) -> float:
     """Volume of round branches of these curves and radii, tip by tip a row of frusta."""
-    rings = branches.nodes_m.shape[1] - 1
     step_m = np.linalg.norm(np.diff(branches.nodes_m, axis=1), axis=2)
-    radius = branches.radius_m[:, None] * np.append(_taper(np.arange(rings) / rings), 0.0)
-    low, high = radius[:, :-1], radius[:, 1:]
+    low, high = branches.node_radius_m[:, :-1], branches.node_radius_m[:, 1:]
     return float((np.pi / 3 * step_m * (low**2 + low * high + high**2)).sum())
 
 

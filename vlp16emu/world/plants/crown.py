@@ -29,6 +29,7 @@ __all__ = [
     "CROWN_PARTS",
     "VARIANTS",
     "CrownKey",
+    "crown_branches",
     "crown_meshes",
     "crown_placements",
     "crown_scale",
@@ -99,6 +100,17 @@ def crown_meshes(
     if species.foliage is None:
         return _NOTHING, _NOTHING, _NOTHING, merged(first, higher, *bare)
     return first, higher, leaves, merged(*bare) if bare else _NOTHING
+
+
+def crown_branches(
+    seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None
+) -> tuple[Branches, Branches]:
+    """Give the branches that leave the stem, in the crown's own frame: living ones, and dead ones."""
+    species = (table or species_table())[key.species]
+    orders, dead = _orders(generator(seed, Purpose.CROWN, *_name(key, species)), seed, key, species)
+    bare = dead[0] if key.dead_branches else dead[0].of(np.zeros(0, np.int64))
+    first = orders[0]
+    return (first, bare) if species.foliage else (first.of(np.zeros(0, np.int64)), joined(first, bare))
 
 
 def crown_wood_m3(seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.types import PlantPart
 from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M, taper_radius_m
 from vlp16emu.world.plants.flora import tapers
 from vlp16emu.world.plants.species import Species
@@ -50,7 +51,9 @@ _LEADER_CIRCLES = 9
 STEM_CIRCLE = np.dtype(
     [
         ("tree", "<u4"),  # instance
-        ("leader", "u1"),  # 1 of the stem, 2 of its second leader
+        ("leader", "u1"),  # 1 of the stem, 2 of its second leader; branches leave the first
+        ("part", "u1"),  # `PlantPart`: stem, branch of the first order, or dead branch
+        ("branch", "<u2"),  # its number on the tree, from 1; 0 of a stem
         ("x_m", "<f8"),  # middle, in the world
         ("y_m", "<f8"),
         ("z_m", "<f8"),
@@ -58,7 +61,7 @@ STEM_CIRCLE = np.dtype(
         ("radius_m", "<f8"),  # of the circle with the section's area, over bark
     ]
 )
-"""One circle of a stem."""
+"""One circle of a stem, or of a branch that leaves it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +154,7 @@ def stem_circles(trees: Trees, *, table: Table | None = None) -> NDArray[np.void
     parts = []
     for own, leader, up_m, half_m, middle_m in both:
         circles = np.zeros(up_m.shape, STEM_CIRCLE)
-        circles["tree"], circles["leader"] = own["id"][:, None], leader
+        circles["tree"], circles["leader"], circles["part"] = own["id"][:, None], leader, PlantPart.STEM
         for axis, name in enumerate("xyz"):
             circles[f"{name}_m"] = own[f"{name}_m"][:, None] + middle_m[..., axis]
         circles["above_foot_m"], circles["radius_m"] = up_m, half_m

@@ -1,7 +1,6 @@
-"""What is on the ground: stones, logs, stumps, and all that covers it."""
+"""What is on the ground: stones, and all that covers it; and the labels of all that lies there."""
 
 import math
-from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from vlp16emu.random import Purpose
 from vlp16emu.store import recalled
 from vlp16emu.types import HeightField, PlantPart, Semantic
-from vlp16emu.world.plants.flora import GROUND_MATERIALS, Flora, flora, known
+from vlp16emu.world.plants.flora import GROUND_MATERIALS
 from vlp16emu.world.stand.floor_shapes import FLOOR_VARIANTS, GROUND_KINDS, FloorKey, FloorKind
 from vlp16emu.world.stand.placed import (
     NO_TREES,
@@ -24,9 +23,9 @@ from vlp16emu.world.stand.placed import (
     turned,
 )
 from vlp16emu.world.stand.points import ScatteredPattern
-from vlp16emu.world.stand.settings import Cover, Grass, Logs, Stones, Stumps
+from vlp16emu.world.stand.settings import Cover, Grass, Stones
 
-__all__ = ["LogLayer", "LowLayer", "StoneLayer", "StumpLayer", "plants_per_ha", "stones_per_ha"]
+__all__ = ["LowLayer", "StoneLayer", "labelled", "plants_per_ha", "stones_per_ha"]
 
 Array = NDArray[np.float64]
 
@@ -56,12 +55,6 @@ _STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6
 
 _LARGE_STONE_M = 0.4
 """Stones that long have four times the faces; those of shorter ones are off by less than 3 mm."""
-
-_LOG_STATIONS = np.linspace(-0.5, 0.5, 9)
-"""Along a log, where the ground under it and the distance from the path are looked at."""
-
-_LOG_SUNK = 0.25
-"""Share of its radius that a log has sunk into the ground; assumption."""
 
 
 def stones_per_ha(cover: float) -> float:
@@ -118,79 +111,7 @@ class StoneLayer:
         place_m = np.column_stack([xy_m, z_m])
         world_T = placements(place_m, turned(360 * draws[:, 2]), size)
         large = length_m >= _LARGE_STONE_M
-        return _placed(FloorKind.STONE, keep, world_T, draws[:, 3:], np.zeros(len(xy_m)), large)
-
-
-class LogLayer:
-    """Lying trunks.
-
-    Parameters
-    ----------
-    section : what the user wrote
-    seed : of the scenario
-    canopy : names of the trees above, for a section that names no species
-    plants : trees and shrubs; those of the program if none are given
-
-    Raises
-    ------
-    GeometryError
-        for a species that is not in the table
-    """
-
-    is_ground = False
-
-    def __init__(
-        self, section: Logs, *, seed: int, canopy: Sequence[str] = (), plants: Flora | None = None
-    ) -> None:
-        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.LOGS, per_ha=section.per_ha)
-        self._section = section
-        self._numbers = _species_numbers(section.species or canopy, plants, "logs.species")
-
-    def place(self, site: Site) -> PlacedThings:
-        """Lay logs, whose middle is on a tile, along the ground under them."""
-        xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.LOGS)
-        own, draws = self._section, rng.random((len(xy_m), 8))
-        diameter_m, length_m = between(own.diameter_m, draws[:, 0]), between(own.length_m, draws[:, 1])
-        towards = 2 * np.pi * draws[:, 2]
-        station_m = length_m[:, None] * _LOG_STATIONS
-        x_m = xy_m[:, :1] + station_m * np.cos(towards)[:, None]
-        y_m = xy_m[:, 1:] + station_m * np.sin(towards)[:, None]
-        radius_m = np.repeat(diameter_m / 2, len(_LOG_STATIONS))
-        along_xy = np.column_stack([x_m.ravel(), y_m.ravel()])
-        keep = np.asarray(site.clear(along_xy, radius_m, radius_m).reshape(x_m.shape).all(axis=-1))
-        ground_m = site.height_m(x_m, y_m)
-        # Straight line of least squares through the ground at evenly spaced stations.
-        slope = (ground_m * station_m).sum(axis=1) / (station_m**2).sum(axis=1)
-        z_m = ground_m.mean(axis=1) + (1 - _LOG_SUNK) * diameter_m / 2
-        size = np.column_stack([length_m, diameter_m, diameter_m])
-        world_T = placements(np.column_stack([xy_m, z_m]), laid(towards, slope), size)
-        species = self._numbers[(len(self._numbers) * draws[:, 3]).astype(int)]
-        return _placed(FloorKind.LOG, keep, world_T, draws[:, 4:], species)
-
-
-class StumpLayer:
-    """What felled trees left; arguments and errors are those of `LogLayer`."""
-
-    is_ground = False
-
-    def __init__(
-        self, section: Stumps, *, seed: int, canopy: Sequence[str] = (), plants: Flora | None = None
-    ) -> None:
-        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.STUMPS, per_ha=section.per_ha)
-        self._section = section
-        self._numbers = _species_numbers(section.species or canopy, plants, "stumps.species")
-
-    def place(self, site: Site) -> PlacedThings:
-        """Stumps of a tile."""
-        xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.STUMPS)
-        own, draws = self._section, rng.random((len(xy_m), 8))
-        diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
-        keep = site.clear(xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
-        place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
-        size = np.column_stack([diameter_m, diameter_m, height_m])
-        world_T = placements(place_m, turned(360 * draws[:, 2]), size)
-        species = self._numbers[(len(self._numbers) * draws[:, 3]).astype(int)]
-        return _placed(FloorKind.STUMP, keep, world_T, draws[:, 4:], species)
+        return labelled(FloorKind.STONE, keep, world_T, draws[:, 3:], np.zeros(len(xy_m)), large)
 
 
 class LowLayer:
@@ -228,7 +149,7 @@ class LowLayer:
         place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
         size = height_m[:, None] * [self._spread, self._spread, 1.0]
         world_T = placements(place_m, world_R_thing, size)
-        return _placed(self._kind, keep, world_T, draws[:, 2:], np.zeros(len(xy_m)))
+        return labelled(self._kind, keep, world_T, draws[:, 2:], np.zeros(len(xy_m)))
 
 
 def plants_per_ha(cover: float, height_m: tuple[float, float], spread: float) -> float:
@@ -277,11 +198,14 @@ _LABELS = {
     FloorKind.DWARF_SHRUB: (Semantic.GRASS, PlantPart.LEAF, "dwarf shrub"),
     FloorKind.MOSS_CUSHION: (Semantic.GROUND, PlantPart.NONE, "moss"),
     FloorKind.LITTER_HEAP: (Semantic.GROUND, PlantPart.NONE, "litter"),
+    FloorKind.BROKEN_LOG: (Semantic.DEADWOOD, PlantPart.STEM, "dead wood"),
+    FloorKind.BROKEN_STUMP: (Semantic.DEADWOOD, PlantPart.STEM, "dead wood"),
+    FloorKind.ROOT_PLATE: (Semantic.DEADWOOD, PlantPart.ROOT_FLARE, "litter"),
 }
-"""Semantic class, part and material."""
+"""Semantic class, part and material; that of the ground is litter and soil."""
 
 
-def _placed(
+def labelled(
     kind: FloorKind,
     keep: NDArray[np.bool_],
     world_T: Array,
@@ -306,8 +230,3 @@ def _placed(
 def _key(kind: FloorKind, variant: int, large: bool) -> FloorKey:
     """Keys are few; one object for each."""
     return FloorKey(kind, variant, large)
-
-
-def _species_numbers(names: Sequence[str], plants: Flora | None, where: str) -> NDArray[np.int64]:
-    """Numbers of trees by name."""
-    return np.array([tree.number for tree in known(names, (plants or flora()).trees, where)], np.int64)

@@ -1,4 +1,4 @@
-"""Shapes of what lies on the ground: stones, logs, stumps, tufts of grass and what else covers it, all of unit size.
+"""Shapes of what lies on the ground: stones, dead wood, tufts of grass and what else covers it, all of unit size.
 
 They are grown once for each variant, and stretched to size where they are placed.
 """
@@ -11,9 +11,18 @@ from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh
+from vlp16emu.world.plants.branches import merged
 from vlp16emu.world.stand.low_shapes import dwarf_shrub, fern, herb, litter_heap, moss_cushion
 
-__all__ = ["FLOOR_VARIANTS", "GROUND_KINDS", "STUMP_DEPTH", "FloorKey", "FloorKind", "floor_meshes"]
+__all__ = [
+    "FLOOR_VARIANTS",
+    "GROUND_KINDS",
+    "LOG_TAPER",
+    "STUMP_DEPTH",
+    "FloorKey",
+    "FloorKind",
+    "floor_meshes",
+]
 
 Array = NDArray[np.float64]
 
@@ -32,11 +41,25 @@ _LOBES, _LOBE_HEIGHT = 6, 0.05
 _ROUND_SIDES = 16
 """Of logs and stumps."""
 
-_LOG_TAPER = 0.2
+LOG_TAPER = 0.2
 """Difference of a log's end diameters from its mean one, either way; assumption: 1 cm per metre and broken tips."""
 
 _LOG_BOW = 0.5
 """Of a log to one side and the other, one sigma over its diameter; half of that to and fro besides: assumptions."""
+
+_PIECE_TAPER, _PIECE_BOW = 0.1, 0.15
+"""Of half a log."""
+
+_LOG_SPLINTERS, _STUMP_SPLINTERS = 0.05, 0.45
+"""Half-range of the ends' corners over the length of a piece of a log, and over the height of a broken stump; assumptions."""
+
+_PLATE_SIDES, _PLATE_ROOTS = 20, 10
+_PLATE_PROFILE = ((-0.8, 0.4), (-0.55, 0.75), (-0.25, 1.0), (0.0, 0.9), (0.15, 0.5))
+"""Along the log over the plate's thickness, and away from its axis over the radius: the side of the roots is a paraboloid, as
+that of birch is (Forests 12(1), 2021, 20: an elliptic paraboloid); the side of the stem, once level ground, is flat."""
+
+_PLATE_BUMPS = 0.08
+"""Half-range of the surface over the thickness; assumption."""
 
 _BLADES = 22
 """Of a tuft."""
@@ -57,6 +80,9 @@ class FloorKind(StrEnum):
     DWARF_SHRUB = "dwarf_shrub"
     MOSS_CUSHION = "moss_cushion"
     LITTER_HEAP = "litter_heap"
+    BROKEN_LOG = "broken_log"
+    BROKEN_STUMP = "broken_stump"
+    ROOT_PLATE = "root_plate"
 
 
 GROUND_KINDS = frozenset({FloorKind.MOSS_CUSHION, FloorKind.LITTER_HEAP})
@@ -77,8 +103,9 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
     """Grow the one mesh of a shape.
 
     A stone spans -0.5 to 0.5 in z, and its outline seen from above has the area of a circle of diameter
-    1. A log lies along x from -0.5 to 0.5 with mean diameter 1. A stump is 1 high over the ground and 1
-    wide at the top. All others are 1 high and have their foot at the origin.
+    1. A log lies along x from -0.5 to 0.5 with mean diameter 1, and so does a piece of a broken one. A stump
+    is 1 high over the ground and 1 wide at the top. A root plate of diameter and thickness 1 stands across x, its
+    roots at -x, and the butt of its log ends at the origin. All others are 1 high and have their foot at the origin.
     """
     rng = generator(seed, Purpose.FLOOR_SHAPE, list(FloorKind).index(key.kind), key.variant)
     match key.kind:
@@ -100,6 +127,12 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
             return (moss_cushion(rng),)
         case FloorKind.LITTER_HEAP:
             return (litter_heap(rng),)
+        case FloorKind.BROKEN_LOG:
+            return (_log(rng, _PIECE_TAPER, _PIECE_BOW, splinters=_LOG_SPLINTERS),)
+        case FloorKind.BROKEN_STUMP:
+            return (_stump(rng, splinters=_STUMP_SPLINTERS),)
+        case FloorKind.ROOT_PLATE:
+            return (_root_plate(rng),)
 
 
 def _stone(rng: np.random.Generator, splits: int) -> Mesh:
@@ -141,25 +174,56 @@ def _icosphere(splits: int) -> tuple[Array, NDArray[np.uint32]]:
     return vertices, faces.astype(np.uint32)
 
 
-def _log(rng: np.random.Generator) -> Mesh:
+def _log(
+    rng: np.random.Generator, taper: float = LOG_TAPER, bow: float = _LOG_BOW, *, splinters: float = 0.0
+) -> Mesh:
     """Tapering trunk with broken ends, its thick end at -x, which lies bowed to one side."""
     along = np.linspace(-0.5, 0.5, 9)
-    mesh = _drum(rng, along, 0.5 * (1 - 2 * _LOG_TAPER * along), slant=0.01)
+    rings, ends = _drum(rng, along, 0.5 * (1 - 2 * taper * along), slant=0.01)
+    if splinters:
+        for end in (0, -1):
+            rings[end, :, 2] += splinters * rng.uniform(-1, 1, _ROUND_SIDES)
+    mesh = _closed(rings, ends)
     vertices = np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]])
-    bow, sway = rng.normal(0.0, _LOG_BOW, 2) * [1.0, 0.4]
+    aside, sway = rng.normal(0.0, bow, 2) * [1.0, 0.4]
     x = vertices[:, 0]
-    vertices[:, 1] += bow * (1 / 3 - 4 * x * x) + sway * np.sin(2 * np.pi * x)
+    vertices[:, 1] += aside * (1 / 3 - 4 * x * x) + sway * np.sin(2 * np.pi * x)
     return Mesh(vertices, mesh.faces)
 
 
-def _stump(rng: np.random.Generator) -> Mesh:
-    """Foot of a felled tree, with its root flare."""
+def _stump(rng: np.random.Generator, *, splinters: float = 0.0) -> Mesh:
+    """Foot of a felled tree, with its root flare; of one that broke or decays, the top is jagged and hollow."""
     heights = np.array([-STUMP_DEPTH, 0.0, 0.3, 1.0])
-    return _drum(rng, heights, 0.5 * np.array([1.6, 1.45, 1.15, 1.0]), slant=0.06)
+    rings, ends = _drum(rng, heights, 0.5 * np.array([1.6, 1.45, 1.15, 1.0]), slant=0.06)
+    if splinters:
+        rings[-1, :, 2] += splinters * rng.uniform(-1, 1, _ROUND_SIDES)
+        ends[-1, 2] -= splinters
+    return _closed(rings, ends)
 
 
-def _drum(rng: np.random.Generator, at: Array, radius: Array, *, slant: float) -> Mesh:
-    """Make a closed body of rings (r,) about the z axis, with weathered ribs and ends that are not quite square."""
+def _root_plate(rng: np.random.Generator) -> Mesh:
+    """Irregular disc of soil with roots that stick out of it."""
+    sides, (along, away) = _PLATE_SIDES, np.array(_PLATE_PROFILE).T
+    angle = 2 * np.pi * np.arange(sides) / sides
+    rim = 1 + sum(
+        s * np.cos(n * angle + rng.uniform(0, 2 * np.pi)) for n, s in ((2, 0.1), (3, 0.08), (7, 0.05))
+    )
+    radius = 0.5 * away[:, None] * rim
+    z = along[:, None] + _PLATE_BUMPS * rng.uniform(-1, 1, (len(along), sides))
+    soil = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1)
+    pieces = [_closed(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
+    for towards in rng.uniform(0, 2 * np.pi, _PLATE_ROOTS).tolist():
+        foot, tip = rng.uniform(0.2, 0.4), rng.uniform(0.35, 0.65)
+        ends = np.array([[foot, -0.45], [tip, rng.uniform(-1.4, -0.6)]])
+        ends = np.column_stack([ends[:, 0] * np.cos(towards), ends[:, 0] * np.sin(towards), ends[:, 1]])
+        corners = np.stack([np.cos(angle[::4]), np.sin(angle[::4]), 0 * angle[::4]], axis=-1)
+        pieces.append(_closed(ends[::-1, None] + np.array([0.01, 0.03])[:, None, None] * corners, ends[::-1]))
+    plate = merged(*pieces)
+    return Mesh(np.ascontiguousarray(plate.vertices_m[:, [2, 0, 1]]), plate.faces)
+
+
+def _drum(rng: np.random.Generator, at: Array, radius: Array, *, slant: float) -> tuple[Array, Array]:
+    """Rings (r, sides, 3) about the z axis and middles (2, 3) of the ends, with weathered ribs and ends not quite square."""
     sides = _ROUND_SIDES
     angle = 2 * np.pi * np.arange(sides) / sides
     ribs = sum(0.04 * np.cos(n * angle + rng.uniform(0, 2 * np.pi)) for n in (2, 3, 5))
@@ -171,14 +235,20 @@ def _drum(rng: np.random.Generator, at: Array, radius: Array, *, slant: float) -
     for end, (tilt_x, tilt_y) in zip((0, -1), tilt, strict=True):
         z[end] += tilt_x * x[end] + tilt_y * y[end]
     rings = np.stack([x, y, z], axis=-1)
-    vertices = np.concatenate([rings.reshape(-1, 3), rings[[0, -1]].mean(axis=1)])
+    return rings, rings[[0, -1]].mean(axis=1)
+
+
+def _closed(rings: Array, ends: Array) -> Mesh:
+    """Make a closed body of rings (r, sides, 3), counter-clockwise seen from the last one, and the middles (2, 3) of its ends."""
+    count, sides, _ = rings.shape
+    vertices = np.concatenate([rings.reshape(-1, 3), ends])
     here = np.arange(sides)
     after, bottom, top = (
         np.roll(here, -1),
         np.full(sides, len(vertices) - 2),
         np.full(sides, len(vertices) - 1),
     )
-    last = (len(at) - 1) * sides
+    last = (count - 1) * sides
     triangles = [(after, here, bottom), (last + here, last + after, top)]
     for low in range(0, last, sides):
         triangles += [

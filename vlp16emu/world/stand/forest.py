@@ -14,6 +14,7 @@ from vlp16emu.world.given.tree_model import ModelKey, TreeModels
 from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.world.plants.far_stem import far_stems
 from vlp16emu.world.plants.flora import Flora, flora, material_names
+from vlp16emu.world.plants.ivy import IvyKey, ivy_meshes, ivy_tops_m
 from vlp16emu.world.plants.sapling import SaplingKey, sapling_meshes
 from vlp16emu.world.plants.shrub import ShrubKey, shrub_meshes
 from vlp16emu.world.plants.stem import STEM_PARTS, StemKey, stem_meshes
@@ -30,6 +31,7 @@ from vlp16emu.world.stand.placed import (
     packed,
     plant_surfaces,
 )
+from vlp16emu.world.stand.settings import Ivy
 from vlp16emu.world.stand.stand import TREE, foot_discs
 from vlp16emu.world.stand.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
 
@@ -95,6 +97,7 @@ class ForestWorld:
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
     near_m : as in `World`
     texture : share by which the reflectance of all but leaves varies from place to place, one sigma
+    ivy : on the stems that have grown
     name : of all that decides the forest, seed and path too, as a digest; empty where nothing is kept on disk
     plants_name : of the plants, likewise
 
@@ -118,6 +121,7 @@ class ForestWorld:
         loose_stems: bool = False,
         near_m: float = math.inf,
         texture: float = 0.0,
+        ivy: Ivy | None = None,
         name: str = "",
         plants_name: str = "",
     ) -> None:
@@ -130,6 +134,7 @@ class ForestWorld:
         self.height_m, self.plants = height_m, plants or flora()
         self.models = models or TreeModels((), self.plants)
         self._layers, self._loose_stems, self._texture = layers, loose_stems, texture
+        self._ivy = ivy or Ivy()
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         kept = 2 * (4 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
@@ -138,6 +143,7 @@ class ForestWorld:
         self._trees = lru_cache(maxsize=kept)(stems.trees)
         self._crown = cache(stems.crown)
         self._stem_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_stems)
+        self._ivy_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_ivy)
         self._discs = lru_cache(maxsize=kept)(
             lambda ix, iy: foot_discs(self._trees(ix, iy), table=self.plants.trees)
         )
@@ -193,7 +199,7 @@ class ForestWorld:
         """Name a shape: of tiles by all of the forest, of others by seed and plants alone."""
         if not self.name:
             return ""
-        own = isinstance(key, TileKey | StemKey)
+        own = isinstance(key, TileKey | StemKey | IvyKey)
         return f"{self.name if own else f'{self.seed} {self._plants_name}'} {key_text(key)}"
 
     def _far_tile(self, ix: int, iy: int) -> FarTile:
@@ -239,6 +245,8 @@ class ForestWorld:
             case StemKey():
                 first = len(STEM_PARTS) * key.number
                 return tuple(self._stem_meshes(key.tile)[first : first + len(STEM_PARTS)])
+            case IvyKey():
+                return (self._ivy_meshes(key.tile)[key.number],)
             case ModelKey():
                 return self.models.shape(key)
             case CrownKey():
@@ -275,6 +283,8 @@ class ForestWorld:
         )
         if self._loose_stems:
             groups, rooted = [self._stems_of(key, grown), *groups], grown[:0]
+        if self._ivy.share:
+            groups.append(self._ivied(key, grown))
         for placed in self._things(key):
             groups.append(placed)
             if placed.is_ground:
@@ -299,17 +309,42 @@ class ForestWorld:
         trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
         return stem_meshes(trees, origin_m, self.height_m, table=self.plants.trees)
 
+    def _grow_ivy(self, key: TileKey) -> list[Mesh]:
+        """Ivy on the stems of a tile's trees, tree by tree, in the tile's frame."""
+        trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
+        tops_m = ivy_tops_m(trees, self._ivy, seed=self.seed)
+        return ivy_meshes(trees, tops_m, origin_m, seed=self.seed, tile=key, table=self.plants.trees)
+
+    def _ivied(self, key: TileKey, trees: Trees) -> PlacedThings:
+        """Place the ivy on the stems of a tile's trees, each a part of its tree."""
+        own = np.flatnonzero(ivy_tops_m(trees, self._ivy, seed=self.seed))
+        return self._in_tile(
+            key, [IvyKey(key, number) for number in own.tolist()], trees[own], (PlantPart.LEAF,)
+        )
+
     def _stems_of(self, key: TileKey, trees: Trees) -> PlacedThings:
         """Place the stems of a tile's trees one by one, at rest where the tile has them."""
-        n = len(trees)
+        stems = [StemKey(key, number) for number in range(len(trees))]
+        return self._in_tile(key, stems, trees, STEM_PARTS, is_exact=True)
+
+    def _in_tile(
+        self,
+        key: TileKey,
+        shapes: Sequence[ShapeKey],
+        trees: Trees,
+        parts: tuple[PlantPart, ...],
+        *,
+        is_exact: bool = False,
+    ) -> PlacedThings:
+        """Place shapes, each of its own tree, that are in the frame of a tile."""
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
         return PlacedThings(
-            tuple(StemKey(key, number) for number in range(n)),
-            np.arange(n),
-            np.repeat(world_T_tile[None], n, axis=0),
-            plant_surfaces(trees, STEM_PARTS, self.plants),
+            tuple(shapes),
+            np.arange(len(shapes)),
+            np.repeat(world_T_tile[None], len(shapes), axis=0),
+            plant_surfaces(trees, parts, self.plants),
             NO_TREES,
-            is_exact=True,
+            is_exact=is_exact or self._loose_stems,
         )
 
     def _crowns(self, trees: Trees) -> PlacedThings:

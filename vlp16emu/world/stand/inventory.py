@@ -124,8 +124,20 @@ def inventory(
     return rows
 
 
-def write_csv(file: BinaryIO, rows: NDArray[np.void], *, table: Mapping[str, Species] | None = None) -> None:
+def write_csv(
+    file: BinaryIO,
+    rows: NDArray[np.void],
+    more: NDArray[np.void] | None = None,
+    *,
+    table: Mapping[str, Species] | None = None,
+) -> None:
     """Write an inventory with its column names as header; species by name, nothing where a number is unknown.
+
+    Parameters
+    ----------
+    rows : (n,) `INVENTORY`
+    more : (n,) further columns of numbers, if any
+    table : species; that of the program if none is given
 
     Raises
     ------
@@ -135,12 +147,19 @@ def write_csv(file: BinaryIO, rows: NDArray[np.void], *, table: Mapping[str, Spe
     names = {species.number: name for name, species in (table or species_table()).items()}
     text = TextIOWrapper(file, encoding="utf-8", newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(INVENTORY.names or ())
-    for row in rows.tolist():
+    more = np.zeros(len(rows), []) if more is None else more
+    writer.writerow([*(INVENTORY.names or ()), *(more.dtype.names or ())])
+    for row, others in zip(rows.tolist(), more.tolist(), strict=True):
         number, species, *values, line = row
-        texts = ("" if np.isnan(value) else f"{value:.{_DECIMALS}f}" for value in values)
-        writer.writerow([number, names[species], *texts, line or ""])
+        writer.writerow([number, names[species], *map(_text, values), line or "", *map(_text, others)])
     text.detach()
+
+
+def _text(value: float) -> str:
+    """Write a number; nothing where it is unknown."""
+    if isinstance(value, int):
+        return str(value)
+    return "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
 
 
 def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Mapping[str, Species]) -> None:

@@ -18,6 +18,7 @@ from vlp16emu.types import FarTile, Mesh, Semantic, ShapeKey, Window
 from vlp16emu.world.given.section import hull_m
 from vlp16emu.world.given.tree_model import ModelKey
 from vlp16emu.world.plants.crown import CrownKey
+from vlp16emu.world.plants.ivy import IvyKey
 from vlp16emu.world.plants.sapling import SaplingKey
 from vlp16emu.world.plants.shrub import ShrubKey
 from vlp16emu.world.plants.stem import StemKey
@@ -31,6 +32,7 @@ T = TypeVar("T")
 
 _KINDS: dict[str, Callable[..., ShapeKey]] = {
     "CrownKey": CrownKey,
+    "IvyKey": lambda tile, number: IvyKey(TileKey(*tile), number),
     "FloorKey": lambda kind, *rest: FloorKey(FloorKind(kind), *rest),
     "ModelKey": ModelKey,
     "SaplingKey": SaplingKey,

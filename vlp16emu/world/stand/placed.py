@@ -29,6 +29,7 @@ __all__ = [
     "placements",
     "plant_surfaces",
     "surface_rows",
+    "together",
     "turned",
 ]
 
@@ -134,6 +135,18 @@ def surface_rows(
     rows["material"], rows["reflectance"] = material, reflectance
     rows["species"] = species[:, None]
     return rows
+
+
+def together(groups: Sequence[PlacedThings]) -> PlacedThings:
+    """Put groups of things of one layer together, in order; none of them are trees."""
+    first = np.cumsum([0, *(len(one.keys) for one in groups)])
+    return PlacedThings(
+        tuple(key for one in groups for key in one.keys),
+        np.concatenate([one.shape + begin for one, begin in zip(groups, first[:-1], strict=True)]),
+        np.concatenate([one.world_T_shape for one in groups]),
+        np.concatenate([one.surfaces for one in groups]),
+        NO_TREES,
+    )
 
 
 def turned(azimuth_deg: Array) -> Array:

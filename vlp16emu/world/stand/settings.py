@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from vlp16emu.settings import Section, Size
+from vlp16emu.settings import Fraction, Section, Size
 
 __all__ = [
     "DENSITY_KEYS",
@@ -17,6 +17,7 @@ __all__ = [
     "Grass",
     "HardCore",
     "Herbs",
+    "Ivy",
     "Litter",
     "Logs",
     "Moss",
@@ -198,10 +199,16 @@ class Logs(Section):
     """Minimum and maximum mean diameter."""
     length_m: Range = (3.0, 15.0)
     """Minimum and maximum length."""
+    uprooted: Fraction = 0.15
+    """Share of logs whose butt has its root plate, 1 m to 4 m wide, standing across it; assumption."""
+    broken: Fraction = 0.25
+    """Share of logs that lie in two pieces; assumption."""
+    decayed: Fraction = 0.35
+    """Share of those without root plate that are rotten: flat, wide and sunk into the ground; assumption."""
 
 
 class Stumps(Section):
-    """What felled trees left."""
+    """What trees left that were felled or broke."""
 
     per_ha: Annotated[float, Field(ge=0, le=5000)] = 0.0
     """Density of stumps."""
@@ -211,6 +218,8 @@ class Stumps(Section):
     """Minimum and maximum diameter at the top."""
     height_m: Range = (0.1, 0.4)
     """Minimum and maximum height."""
+    broken: Fraction = 0.2
+    """Share of stumps whose top is jagged and hollow, as trees leave that broke, and decay; assumption."""
 
 
 class Grass(Section):
@@ -265,6 +274,15 @@ class Litter(Cover):
 
     height_m: Range = (0.03, 0.08)
     """Minimum and maximum height of a heap; assumption."""
+
+
+class Ivy(Section):
+    """Ivy on the stems of trees, leaves by their label and part of their tree; the inventory's leaf area is without it."""
+
+    share: Fraction = 0.0
+    """Share of stems on which it grows."""
+    height_m: Range = (1.5, 8.0)
+    """Minimum and maximum height up to which it covers a stem, no higher than the crown base."""
 
 
 class Wind(Section):
