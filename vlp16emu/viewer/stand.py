@@ -22,11 +22,11 @@ __all__ = ["Piece", "fewer_faces", "pieces_of"]
 Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]
 
-_FACES = 100_000
-"""Triangles of all plants and things together without stems, about: what a browser without a graphics card draws twice a second."""
+_FACES = 300_000
+"""Triangles of all plants and things together without stems, about: crowns look like crowns, and a browser without a graphics card draws one every second or two."""
 _FEWEST, _MOST = 6, 3_000
 """Faces of one mesh of one thing; in between as its size has it."""
-_MOST_GROWN = 6.0
+_MOST_GROWN = 3.5
 """Of a leaf, in length: larger ones are seen as what they are; a crown that would need them is drawn less dense."""
 _BRANCHES = 0.25
 """Of the faces of leaves: branches are largely behind them."""
