@@ -67,10 +67,11 @@ class TerrainHeights:
         x, y = (np.ascontiguousarray(a, dtype=np.float64) for a in np.broadcast_arrays(x_m, y_m))
         height = np.empty(x.shape)
         _heights(height.reshape(-1), x.reshape(-1), y.reshape(-1), self._waves, *self._gradient)
+        flat = height.reshape(-1), x.reshape(-1), y.reshape(-1)
         if self._mound_share:
-            _add_mounds(height.reshape(-1), x.reshape(-1), y.reshape(-1), self._mound_share, *self._seed)
+            _add(*flat, self._mound_share, _MOUND_CELL_M, _MOUND, *self._seed)
         if self._pit_share:
-            _add_pits(height.reshape(-1), x.reshape(-1), y.reshape(-1), self._pit_share, *self._seed)
+            _add(*flat, self._pit_share, _PIT_CELL_M, _PIT, *self._seed)
         return height
 
 
@@ -101,76 +102,56 @@ def _heights(out: Array, x: Array, y: Array, waves: Array, gradient_x: float, gr
 
 
 @numba.njit(cache=True, nogil=True)
-def _add_mounds(
-    out: Array, x: Array, y: Array, share: float, seed_low: np.uint32, seed_high: np.uint32
+def _add(
+    out: Array,
+    x: Array,
+    y: Array,
+    share: float,
+    cell_m: float,
+    purpose: int,
+    seed_low: np.uint32,
+    seed_high: np.uint32,
 ) -> None:
-    """Add to (n,) heights the mounds of the squares around each point; `share` of all squares have one."""
+    """Add to (n,) heights the mounds or pits of the squares around each point; `share` of all squares have one."""
     for i in range(out.shape[0]):
-        column, row = math.floor(x[i] / _MOUND_CELL_M), math.floor(y[i] / _MOUND_CELL_M)
+        column, row = math.floor(x[i] / cell_m), math.floor(y[i] / cell_m)
         for ix in range(column - 1, column + 2):
             for iy in range(row - 1, row + 2):
-                out[i] += _mound_m(x[i], y[i], ix, iy, share, seed_low, seed_high)
+                words = philox4x32(
+                    np.uint32(ix & 0xFFFFFFFF),
+                    np.uint32(iy & 0xFFFFFFFF),
+                    np.uint32(0),
+                    np.uint32(purpose),
+                    seed_low,
+                    seed_high,
+                )
+                if words[0] * 2.0**-32 >= share:
+                    continue
+                east_m = x[i] - (ix + words[1] * 2.0**-32) * cell_m
+                north_m = y[i] - (iy + words[2] * 2.0**-32) * cell_m
+                # Two numbers from one half of the last word each: 65536 values are plenty.
+                one, other = (words[3] >> np.uint32(16)) * 2.0**-16, (words[3] & np.uint32(0xFFFF)) * 2.0**-16
+                if purpose == _MOUND:
+                    out[i] += _mound_m(east_m, north_m, one, other)
+                else:
+                    out[i] += _pit_m(east_m, north_m, one, other)
 
 
 @numba.njit(cache=True, nogil=True)
-def _mound_m(
-    x: float, y: float, ix: int, iy: int, share: float, seed_low: np.uint32, seed_high: np.uint32
-) -> float:
-    """Height that a square's mound adds at a point: (1 - (r / R)^2)^3, smooth to its rim."""
-    words = philox4x32(
-        np.uint32(ix & 0xFFFFFFFF),
-        np.uint32(iy & 0xFFFFFFFF),
-        np.uint32(0),
-        np.uint32(_MOUND),
-        seed_low,
-        seed_high,
-    )
-    if words[0] * 2.0**-32 >= share:
-        return 0.0
-    dx = x - (ix + words[1] * 2.0**-32) * _MOUND_CELL_M
-    dy = y - (iy + words[2] * 2.0**-32) * _MOUND_CELL_M
-    # Width and height from one half of the last word each: 65536 values are plenty.
-    wide, high = (words[3] >> np.uint32(16)) * 2.0**-16, (words[3] & np.uint32(0xFFFF)) * 2.0**-16
+def _mound_m(east_m: float, north_m: float, wide: float, high: float) -> float:
+    """Height of a mound at a place from its middle, of a width and a height in [0, 1): (1 - (r / R)^2)^3, smooth to its rim."""
     radius = (_MOUND_WIDTH_M[0] + wide * (_MOUND_WIDTH_M[1] - _MOUND_WIDTH_M[0])) / 2
-    inside = 1.0 - (dx * dx + dy * dy) / (radius * radius)
+    inside = 1.0 - (east_m * east_m + north_m * north_m) / (radius * radius)
     return (2.0 * high - 1.0) * _MOUND_HEIGHT_M * inside**3 if inside > 0.0 else 0.0
 
 
 @numba.njit(cache=True, nogil=True)
-def _add_pits(
-    out: Array, x: Array, y: Array, share: float, seed_low: np.uint32, seed_high: np.uint32
-) -> None:
-    """Add to (n,) heights the pits and mounds of the squares around each point; `share` of all squares have them."""
-    for i in range(out.shape[0]):
-        column, row = math.floor(x[i] / _PIT_CELL_M), math.floor(y[i] / _PIT_CELL_M)
-        for ix in range(column - 1, column + 2):
-            for iy in range(row - 1, row + 2):
-                out[i] += _pit_m(x[i], y[i], ix, iy, share, seed_low, seed_high)
-
-
-@numba.njit(cache=True, nogil=True)
-def _pit_m(
-    x: float, y: float, ix: int, iy: int, share: float, seed_low: np.uint32, seed_high: np.uint32
-) -> float:
-    """Height that a square's pit and mound add at a point: (1 - (r / R)^2)^2 of either, smooth to its rim."""
-    words = philox4x32(
-        np.uint32(ix & 0xFFFFFFFF),
-        np.uint32(iy & 0xFFFFFFFF),
-        np.uint32(0),
-        np.uint32(_PIT),
-        seed_low,
-        seed_high,
-    )
-    if words[0] * 2.0**-32 >= share:
-        return 0.0
-    dx = x - (ix + words[1] * 2.0**-32) * _PIT_CELL_M
-    dy = y - (iy + words[2] * 2.0**-32) * _PIT_CELL_M
-    # Size and direction from one half of the last word each: 65536 values are plenty.
-    size, turn = (words[3] >> np.uint32(16)) * 2.0**-16, (words[3] & np.uint32(0xFFFF)) * 2.0**-16
+def _pit_m(east_m: float, north_m: float, size: float, turn: float) -> float:
+    """Height of a pit and its mound, of a size and a direction in [0, 1): (1 - (r / R)^2)^2 of either, smooth to its rim."""
     radius = (_PIT_WIDTH_M[0] + size * (_PIT_WIDTH_M[1] - _PIT_WIDTH_M[0])) / 2
     depth = _PIT_DEPTH_M[0] + size * (_PIT_DEPTH_M[1] - _PIT_DEPTH_M[0])
     east = _PIT_ASIDE * radius * math.cos(2 * math.pi * turn)
     north = _PIT_ASIDE * radius * math.sin(2 * math.pi * turn)
-    mound = 1.0 - ((dx - east) ** 2 + (dy - north) ** 2) / (radius * radius)
-    pit = 1.0 - ((dx + east) ** 2 + (dy + north) ** 2) / (radius * radius)
+    mound = 1.0 - ((east_m - east) ** 2 + (north_m - north) ** 2) / (radius * radius)
+    pit = 1.0 - ((east_m + east) ** 2 + (north_m + north) ** 2) / (radius * radius)
     return depth * (max(mound, 0.0) ** 2 - max(pit, 0.0) ** 2)
