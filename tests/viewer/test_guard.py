@@ -103,6 +103,13 @@ def test_hostile_messages_change_nothing(port, monkeypatch):
     assert made == []
 
 
+KEYS = (
+    *("name", "uuid", "updates", "filename", "source_component_uuid"),
+    *("transfer_uuid", "value", "position", "wxyz", "part_index"),
+)
+"""Of messages of the library."""
+
+
 def test_random_messages_change_nothing(port, tmp_path):
     """Hundreds of random bytes and of random MessagePack that names messages of the library leave the server as it is; no file is read or made."""
     import msgspec
@@ -126,18 +133,6 @@ def test_random_messages_change_nothing(port, tmp_path):
         "../../etc/passwd",
         [[1.0]],
     )
-    keys = (
-        "name",
-        "uuid",
-        "updates",
-        "filename",
-        "source_component_uuid",
-        "transfer_uuid",
-        "value",
-        "position",
-        "wxyz",
-        "part_index",
-    )
     address, kind = f"ws://127.0.0.1:{port}/", f"viser-v{viser.__version__}"
     for round_ in range(20):
         with suppress(ConnectionClosed), connect(address, subprotocols=[kind], max_size=None) as client:
@@ -147,7 +142,7 @@ def test_random_messages_change_nothing(port, tmp_path):
                     client.send(rng.bytes(int(rng.integers(1, 300))))
                     continue
                 message = {
-                    key: values[rng.integers(len(values))] for key in rng.choice(keys, 4, replace=False)
+                    key: values[rng.integers(len(values))] for key in rng.choice(KEYS, 4, replace=False)
                 }
                 client.send(msgspec.msgpack.encode(message | {"type": kinds[rng.integers(len(kinds))]}))
             client.ping().wait(timeout=5)
