@@ -18,6 +18,7 @@ SETTINGS = {
     "beam.model": "fixed",
     "beam.rays": 8,
     # So that the places on the wire are those of the pulses, and the echoes of one pulse keep their order.
+    "sensor.preset": "steady",
     "sensor.eccentricity_deg": 0.0,
     "sensor.azimuth_noise_deg": 0.0,
     "noise.preset": "ideal",

@@ -25,6 +25,7 @@ __all__ = [
     "smooth_of",
     "statistics_of",
     "turning_of",
+    "white_mm",
 ]
 
 _WINDOW = 15
