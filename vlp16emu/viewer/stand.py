@@ -17,7 +17,7 @@ from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.stand.floor_shapes import FloorKey
 from vlp16emu.world.stand.tiles import TILE_M, TileKey
 
-__all__ = ["Piece", "fewer_faces", "pieces_of"]
+__all__ = ["Piece", "fewer_faces", "lump", "pieces_of", "slim_stem"]
 
 Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]
