@@ -115,7 +115,7 @@ def test_a_rotten_log_is_flat_and_sunk():
 
 
 def test_plates_and_pieces_keep_off_the_path_and_trunks():
-    """No part of a plate is nearer to the path than 0.8 m, or in a trunk; a log of which a part would be is left out whole."""
+    """No part of a plate is nearer to the path than 0.8 m, or in a trunk; a log is left out whole if any part of it would be."""
     one, trunk = layer(uprooted=0.5, broken=0.5), np.array([[50.0, 90.0, 6.0]])
     found = placed(one, path=NEAR, trunks=trunk)
     plates = found[FloorKind.ROOT_PLATE][0]
