@@ -107,6 +107,7 @@ SURFACE = np.dtype(
         ("instance", "<u4"),  # 0 none, else unique per plant, stone or object
         ("species", "<u2"),  # 0 none, else number in the species table
         ("texture", "<f4"),  # by what share its reflectance varies from place to place, one sigma
+        ("relief_m", "<f4"),  # how far it stands out from its mesh or back from place to place, one sigma
     ]
 )
 """One row of a window's surface table."""

@@ -119,9 +119,9 @@ def test_readings_hum_and_are_cut():
 
 
 def test_an_encoder_of_lines_reads_as_real_ones_do():
-    """Codes modulo five and steps between blocks have the shares of real units, cut anywhere, and on a line readings are exact."""
-    lines = EncoderLines(pitch_deg=0.05, rate_error=0.21, first_deg=0.02)
-    rotor = Rotor(spins=(Spin(0, 0.0, 600),), seed=1, lines=lines, **IDEAL | {"noise_deg": 0.001})
+    """Codes modulo five and twenty and steps between blocks have the shares of real units, cut anywhere, and on a line readings are exact."""
+    lines = EncoderLines(pitch_deg=0.05, rate_error=0.24, first_deg=0.02)
+    rotor = Rotor(spins=(Spin(0, 0.0, 600),), seed=1, lines=lines, **IDEAL | {"noise_deg": 0.0024})
     angle_deg = rotor.angle_deg(np.arange(60_000) * 2 * SEQUENCE_NS)
     read_deg = rotor.reading_deg(angle_deg, 0)
     code = np.floor(read_deg * 100 + 1e-6).astype(int)
@@ -129,6 +129,10 @@ def test_an_encoder_of_lines_reads_as_real_ones_do():
     np.testing.assert_allclose(
         shares, [0.223, 0.225, 0.215, 0.194, 0.143], atol=0.012
     )  # mean of mrpt, nebula, einride
+    last_of_four = np.bincount((code - 2) % 20)[4::5] / len(code)
+    np.testing.assert_allclose(
+        20 * last_of_four, [0.08, 0.56, 1.28, 0.94], atol=0.12
+    )  # the same three: 0.17, 0.03, 0.04; 0.50, 0.67, 0.51; 1.13, 1.27, 1.44; 0.92, 0.82, 1.08
     steps = np.diff(code) % 36_000
     found = [(steps == step).mean() for step in (38, 39, 40, 41, 42)]
     np.testing.assert_allclose(found, [0.079, 0.224, 0.548, 0.124, 0.025], atol=0.03)

@@ -20,7 +20,7 @@ from vlp16emu.sensor import Sensor
 
 __all__ = ["fitted"]
 
-_EVEN_CDEG2, _PER_RATE_CDEG2 = 0.094, 6.4
+_EVEN_CDEG2, _PER_RATE_CDEG2 = 0.136, 3.46
 _LEVEL = 80.0
 """Reflectivity in the middle of those whose neighbours are compared."""
 _EQUAL_STEPS, _COARSEST = 2.9, 5.0

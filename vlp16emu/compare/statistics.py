@@ -229,6 +229,7 @@ def _rotation(sequences: Sequences) -> Statistics:
         "rotation.reading_cdeg": local(rest).std(),
         "rotation.commonest_step": (step == mode).mean(),
         "rotation.rarest_of_five": (np.bincount(azimuth % 5, minlength=5) / len(azimuth)).min(),
+        "rotation.uneven_of_twenty": (20.0 * np.bincount(azimuth % 20, minlength=20) / len(azimuth)).std(),
     }
     turns = (azimuth - azimuth[0]) // 36_000
     if turns[-1] >= 3:

@@ -4,8 +4,7 @@ Its true angle as a function of time and what the encoder reads; and what the se
 """
 
 import math
-from dataclasses import dataclass, replace
-from statistics import NormalDist
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -28,20 +27,12 @@ __all__ = [
 
 _HUM_SEQUENCES = 25
 """Firing sequences of two periods of the hum; one is 12.5 x 55.296 us."""
-# Fitted to the readings of four real units, by the shares of codes modulo 5 and of steps between blocks, and by the
-# scatter, kurtosis and correlations of their errors. Units differ in the first three, here evenly between the two values.
-_SLOW = 1.025, 1.055
-"""By how much the speed is taken too low between the lines of an encoder."""
-_OFTEN_LOW = 0.65, 0.73
-"""Share of readings with too low a rate."""
-_MEMORY = -0.15, 0.05
-"""Weight of the reading before in whether the rate is too low."""
-_LOW_BY, _HIGH_BY = 0.76, 1.92
-"""Errors of a rate that is too low and too high, as a share of the unit's."""
-_UNEVEN = 0.32
-"""By how much errors of the rate differ, one sigma, as a share of them."""
-_PER_BLOCK = 2
-"""Firing sequences from one reading on the wire to the next."""
+_FAST = 0.85
+"""Excess of the higher of two speeds between lines, as a share of what the lower one lacks: 1.21 beside 0.765 on real units."""
+_SLOW_SHARES = 0.95, 0.61, 0.22, 0.47
+"""Share of readings with the lower one behind each of four lines in turn (mrpt, nebula, einride: within 0.05 of these)."""
+_HALF_WIDTH = math.sqrt(3.0)
+"""Of an even distribution, in standard deviations."""
 _SHORT_DEG = 1e-5
 """How far before the next line a reading ends."""
 _KNOT_BITS = 20
@@ -162,44 +153,36 @@ class Pattern:
 
 @dataclass(frozen=True, slots=True)
 class EncoderLines:
-    """An encoder of lines, between which the reading goes on with time, at a speed that is not quite the rotor's."""
+    """An encoder of lines, between which the reading goes on with time at one of two speeds, one too low and one too high."""
 
     pitch_deg: float
     """From line to line; 0 for an even encoder."""
     rate_error: float
-    """Of the speed, which is too low or too high by about this share, reading by reading."""
+    """Share of the speed that the lower one lacks."""
     first_deg: float
-    """Reading of a line."""
-    slow: float = sum(_SLOW) / 2
-    """Factor by which the speed is taken too low."""
-    often_low: float = sum(_OFTEN_LOW) / 2
-    """Share of readings with too low a rate."""
-    memory: float = sum(_MEMORY) / 2
-    """Weight of the reading before in that."""
+    """Reading of a line, behind which readings have the first of the shares."""
+    slow_shares: tuple[float, ...] = _SLOW_SHARES
+    """Of readings with the lower speed, behind each of so many lines in turn."""
 
-    def read(self, angle_deg: NDArray[np.float64], seed: int, first: int) -> NDArray[np.float64]:
-        """Read (k,) angles, those of firing sequences from `first` on."""
-        since_deg, count = (angle_deg - self.first_deg) % self.pitch_deg, len(angle_deg)
-        drawn = normal(seed, Purpose.AZIMUTH_READING, first, count + _PER_BLOCK, 1)
-        z = (drawn[_PER_BLOCK:] + self.memory * drawn[:-_PER_BLOCK]) / math.hypot(1.0, self.memory)
-        error = self.rate_error * (1.0 + _UNEVEN * normal(seed, Purpose.AZIMUTH_READING, first, count, 2))
-        is_low = z < NormalDist().inv_cdf(self.often_low)
-        rate = (1.0 + np.where(is_low, -_LOW_BY * error, _HIGH_BY * error)) / self.slow
+    def read(
+        self, angle_deg: NDArray[np.float64], noise_deg: float, seed: int, first: int
+    ) -> NDArray[np.float64]:
+        """Read (k,) angles, those of firing sequences from `first` on; lines are seen early or late, evenly."""
+        early = 2.0 * uniform(seed, Purpose.AZIMUTH_READING, first, len(angle_deg)) - 1.0
+        angle_deg = angle_deg + _HALF_WIDTH * noise_deg * early
+        line, since_deg = np.divmod(angle_deg - self.first_deg, self.pitch_deg)
+        share = np.take(self.slow_shares, line.astype(int) % len(self.slow_shares))
+        is_slow = uniform(seed, Purpose.AZIMUTH_READING, first, len(angle_deg), 1) < share
+        rate = np.where(is_slow, 1.0 - self.rate_error, 1.0 + _FAST * self.rate_error)
         return np.asarray(angle_deg - since_deg + np.minimum(since_deg * rate, self.pitch_deg - _SHORT_DEG))
 
     @classmethod
     def drawn(cls, seed: int, pitch_deg: float, rate_error: float, spread: float) -> "EncoderLines":
         """Draw on which hundredth of a degree the lines of a unit are; with a spread, also what units differ in."""
-        first, own, *others = uniform(seed, Purpose.AZIMUTH_PATTERN, 6, 5)
-        lines = cls(pitch_deg, rate_error, math.floor(5.0 * first) / 100)
-        if not spread:
-            return lines
-        slow, often_low, memory = (
-            low + (high - low) * u
-            for (low, high), u in zip((_SLOW, _OFTEN_LOW, _MEMORY), others, strict=True)
-        )
-        rate_error *= 1.0 + spread * (0.25 * own - 0.125)
-        return replace(lines, rate_error=rate_error, slow=slow, often_low=often_low, memory=memory)
+        own = uniform(seed, Purpose.AZIMUTH_PATTERN, 6, 6)
+        first_deg = math.floor(20.0 * own[0]) / 100
+        shares = np.clip(_SLOW_SHARES + spread * (0.3 * own[2:] - 0.15), 0.0, 1.0) if spread else _SLOW_SHARES
+        return cls(pitch_deg, rate_error * (1.0 + spread * (0.2 * own[1] - 0.1)), first_deg, tuple(shares))
 
 
 def rotation_draws(seed: int, spread: float) -> tuple[list[float], list[float]]:
@@ -290,11 +273,11 @@ class Rotor:
         if self.eccentricity_deg:
             reading = _eccentric(reading, self.eccentricity_deg, self.eccentricity_phase_deg)
         reading = self.pattern.added(reading, first)
+        if self.lines.pitch_deg:
+            return self.lines.read(reading, self.noise_deg, self.seed, first) % 360.0
         if self.noise_deg:
             drawn_deg = self.noise_deg * normal(self.seed, Purpose.AZIMUTH_READING, first, len(reading))
             reading = reading + np.clip(drawn_deg, -self.noise_limit_deg, self.noise_limit_deg)
-        if self.lines.pitch_deg:
-            reading = self.lines.read(reading, self.seed, first)
         return np.asarray(reading % 360.0)
 
 

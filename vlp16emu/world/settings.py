@@ -161,6 +161,9 @@ class Hall(Section):
     texture: Texture = 0.08
     """Share by which it varies over patches of some 0.2 m, one sigma; things in the hall have none. Neighbouring returns
     of real sensors from walls scatter as with 0.08."""
+    relief_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
+    """How far walls, floor and ceiling stand out and back over patches of a few centimetres, one sigma; ground truth has
+    it too. Walls of the rooms that real sensors stood in have 0.002 to 0.005 m; without it, the hall is flat."""
     boxes: list[HallBox] = Field(default_factory=list)
     """Upright boxes."""
     poles: list[HallPole] = Field(default_factory=list)
