@@ -18,6 +18,8 @@ from vlp16emu.viewer.draft import Draft
 from vlp16emu.viewer.editor import Editor
 from vlp16emu.viewer.guard import guarded_server
 from vlp16emu.viewer.planter import Planter, mix_of, mix_text
+from vlp16emu.viewer.stand import pieces_of
+from vlp16emu.world.polyline import Polyline
 
 SCENE = """# mine
 schema = 1
@@ -207,3 +209,15 @@ def test_the_panel_follows_preset_and_undo_and_takes_what_is_written(scene):
         assert (planter._preset.value, planter._mix.value) == ("as in the scene", "silver_birch 1")
         assert planter._density.value == 900.0
         assert not editor.step()
+
+
+def test_stems_are_drawn_with_their_crowns_only(seen):
+    """Of what is drawn around a path nothing stands farther off than the radius and the width of a crown: no bare stems beyond."""
+    path = Polyline(seen.path_m[:, :2])
+    farthest_m = [
+        path.distance_m((piece.vertices_m[:, None, :2] + piece.position_m[None, :, :2]).reshape(-1, 2)).max()
+        for piece in pieces_of(seen)
+        if piece.name.startswith("single")
+    ]
+    assert farthest_m
+    assert max(farthest_m) < 10.0 + 5.0

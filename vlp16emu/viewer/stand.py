@@ -78,6 +78,8 @@ def pieces_of(seen: Survey) -> Iterator[Piece]:
             is_ground = isinstance(key, TileKey) and number == 0
             if is_ground or part in _LEFT_OUT or not len(mesh.faces):
                 continue
+            if isinstance(key, TileKey) and _is_beyond(seen, mesh, window.world_T_shape[alike[0]]):
+                continue
             few, colour = _simple(mesh, key, part, most), tuple(colours[row + number].tolist())
             if len(alike) == 1:
                 single[colour].append(_moved(few, window.world_T_shape[alike[0]]))
@@ -114,6 +116,12 @@ def _drawn(seen: Survey) -> tuple[NDArray[np.intp], Array]:
                 default=0.0,
             )
     return near, size_m
+
+
+def _is_beyond(seen: Survey, stem: Mesh, world_T_shape: Array) -> bool:
+    """Whether a stem of a tile has its foot outside of the radius."""
+    foot_m = stem.vertices_m[stem.vertices_m[:, 2].argmin(), :2] + world_T_shape[:2, 3]
+    return bool(Polyline(seen.path_m[:, :2]).distance_m(foot_m[None])[0] > seen.radius_m)
 
 
 def _simple(mesh: Mesh, key: ShapeKey, part: PlantPart, most: int) -> Mesh:
