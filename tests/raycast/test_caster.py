@@ -95,6 +95,6 @@ def test_a_window_that_fails_leaves_nothing_behind(monkeypatch):
     monkeypatch.setattr(embree, "library", Watched)
     monkeypatch.setattr(embree, "check", fails)
     with pytest.raises(RunError, match=r"^Embree could not build the window: out of memory$"):
-        placed([], np.zeros((0, 3, 4), np.float32), {})
+        placed([], np.zeros(0, np.int64), np.zeros((0, 3, 4), np.float32), {})
     assert len(released) == 1
     real.rtcReleaseScene(released[0])

@@ -2,6 +2,7 @@
 
 import weakref
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import llvmlite.binding
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree as rtc
+from vlp16emu.raycast.pieces import in_pieces
 from vlp16emu.raycast.quads import Faces, faces_of, sheared
 from vlp16emu.types import Mesh, Window
 
@@ -22,19 +24,21 @@ class Shape(NamedTuple):
     """A shape as Embree takes it."""
 
     faces: tuple[Faces, ...]
-    """Of each mesh."""
+    """Of each mesh, by pieces."""
+    begin: NDArray[np.int64]
+    """(pieces + 1, meshes) first face of each piece."""
     radius_m: float
     """Greatest distance of a corner from the shape's origin."""
 
 
 def shape_of(meshes: Sequence[Mesh]) -> Shape:
-    """Pair the faces of a shape's meshes."""
+    """Pair the faces of a shape's meshes, and cut them into pieces."""
     radii_m = (float(np.linalg.norm(mesh.vertices_m, axis=1).max(initial=0.0)) for mesh in meshes)
-    return Shape(tuple(faces_of(mesh) for mesh in meshes), max(radii_m, default=0.0))
+    return Shape(*in_pieces([faces_of(mesh) for mesh in meshes]), max(radii_m, default=0.0))
 
 
 class EmbreeMesh:
-    """A committed scene of quads, and the buffers that it shares with numpy.
+    """Committed scenes of quads, one for each piece of a shape, and the buffers that they share with numpy.
 
     Parameters
     ----------
@@ -47,38 +51,47 @@ class EmbreeMesh:
     """
 
     def __init__(self, shape: Shape) -> None:
+        self.faces, begin, self.radius_m = shape
+        self.scenes = [self._scene(*ends) for ends in pairwise(begin)]
+        rtc.check("build a shape")
+
+    def _scene(self, begin: NDArray[np.int64], stop: NDArray[np.int64]) -> int:
+        """Build the scene of some faces of each mesh; give its address."""
         lib, device = rtc.library(), rtc.device()
-        self.faces, self.radius_m = shape
-        self.scene = lib.rtcNewScene(device)
-        weakref.finalize(self, lib.rtcReleaseScene, self.scene)
-        lib.rtcSetSceneFlags(self.scene, rtc.SCENE_ROBUST)
-        lib.rtcSetSceneBuildQuality(self.scene, rtc.BUILD_QUALITY_HIGH)
-        for number, (vertices_m, quads) in enumerate(self.faces):
-            if not len(quads):
-                continue
+        scene: int = lib.rtcNewScene(device)
+        weakref.finalize(self, lib.rtcReleaseScene, scene)
+        lib.rtcSetSceneFlags(scene, rtc.SCENE_ROBUST)
+        lib.rtcSetSceneBuildQuality(scene, rtc.BUILD_QUALITY_HIGH)
+        for number in np.flatnonzero(stop > begin).tolist():
+            vertices_m, quads = self.faces[number]
             geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_QUAD)
             for kind, layout, bytes_, rows in (
                 (rtc.BUFFER_VERTEX, rtc.FORMAT_FLOAT3, 12, vertices_m[:-1]),
-                (rtc.BUFFER_INDEX, rtc.FORMAT_UINT4, 16, quads),
+                (rtc.BUFFER_INDEX, rtc.FORMAT_UINT4, 16, quads[begin[number] : stop[number]]),
             ):
                 lib.rtcSetSharedGeometryBuffer(
                     geometry, kind, 0, layout, rows.ctypes.data, 0, bytes_, len(rows)
                 )
             lib.rtcCommitGeometry(geometry)
-            lib.rtcAttachGeometryByID(self.scene, geometry, number)
+            lib.rtcAttachGeometryByID(scene, geometry, number)
             lib.rtcReleaseGeometry(geometry)
-        lib.rtcCommitScene(self.scene)
-        rtc.check("build a shape")
+        lib.rtcCommitScene(scene)
+        return scene
 
 
 def placed(
-    meshes: Sequence[EmbreeMesh],
+    scenes: Sequence[int],
+    placement: NDArray[np.int64],
     transforms: NDArray[np.float32],
     moving: Mapping[int, NDArray[np.float32]],
 ) -> int:
-    """Build the scene of instances of meshes at `transforms` (n, 3, 4), numbered in their order; give its address.
+    """Build the scene of instances of scenes, numbered in their order; give its address.
 
-    Those that are `moving` have their own transforms (k, 3, 4), evenly over ray times 0 to 1.
+    Parameters
+    ----------
+    placement : (instances,) of each, row of `transforms`
+    transforms : (n, 3, 4)
+    moving : transforms (k, 3, 4) of placements that move, evenly over ray times 0 to 1
 
     Raises
     ------
@@ -89,13 +102,13 @@ def placed(
     scene: int = lib.rtcNewScene(device)
     lib.rtcSetSceneFlags(scene, rtc.SCENE_ROBUST)
     first = transforms.ctypes.data
-    for number, solid in enumerate(meshes):
+    for number, (piece, at) in enumerate(zip(scenes, placement.tolist(), strict=True)):
         geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_INSTANCE)
-        lib.rtcSetGeometryInstancedScene(geometry, solid.scene)
-        if number in moving:
-            _set_steps(geometry, moving[number])
+        lib.rtcSetGeometryInstancedScene(geometry, piece)
+        if at in moving:
+            _set_steps(geometry, moving[at])
         else:
-            lib.rtcSetGeometryTransform(geometry, 0, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, first + number * 48)
+            lib.rtcSetGeometryTransform(geometry, 0, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, first + at * 48)
         lib.rtcCommitGeometry(geometry)
         lib.rtcAttachGeometryByID(scene, geometry, number)
         lib.rtcReleaseGeometry(geometry)
@@ -127,7 +140,7 @@ class InstanceMotion(NamedTuple):
     span_ns: int
     """To the last one; 0 where nothing moves."""
     shear: NDArray[np.float32]
-    """(k, n, 2) as in `Sway`, of all instances; no knots where nothing moves."""
+    """(k, n, 2) as in `Sway`, of all placements; no knots where nothing moves."""
 
     def times(self, t_ns: NDArray[np.int64]) -> NDArray[np.float32]:
         """Ray times 0..1 of any shape, for UTC; before and after the span its ends."""
@@ -149,7 +162,7 @@ def motion_of(window: Window) -> tuple[InstanceMotion, dict[int, NDArray[np.floa
         where a window lasts too long for Embree
     """
     if (sway := window.sway) is None:
-        return InstanceMotion(0, 0, np.empty((0, 0, 2), np.float32)), {}
+        return InstanceMotion(0, 0, np.empty((0, len(window.shape), 2), np.float32)), {}
     if len(sway.shear) > _MOST_KNOTS:
         raise RunError(f"wind: found {len(sway.shear)} knots in a window, Embree takes {_MOST_KNOTS}")
     shear = np.zeros((len(sway.shear), len(window.shape), 2), np.float32)

@@ -56,14 +56,14 @@ def recalled_shape(world: World, key: ShapeKey) -> Shape:
 def _packed_shape(shape: Shape) -> Bundle:
     """Put faces into arrays."""
     named = {f"{i} {j}": array for i, faces in enumerate(shape.faces) for j, array in enumerate(faces)}
-    return {"radius_m": np.array(shape.radius_m), **named}
+    return {"radius_m": np.array(shape.radius_m), "begin": shape.begin, **named}
 
 
 def _unpacked_shape(bundle: Bundle) -> Shape:
     """Take faces out of arrays."""
-    meshes = len(bundle) // 2
+    meshes = bundle["begin"].shape[1]
     faces = tuple((bundle[f"{i} 0"], bundle[f"{i} 1"]) for i in range(meshes))
-    return Shape(faces, float(bundle["radius_m"]))  # type: ignore[arg-type]  # as they were put there
+    return Shape(faces, bundle["begin"], float(bundle["radius_m"]))  # type: ignore[arg-type]  # as they were put there
 
 
 def recalled_cloud(world: World, key: ShapeKey, parts: NDArray[np.uint8]) -> Cloud:

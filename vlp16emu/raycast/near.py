@@ -52,12 +52,17 @@ class EmbreeGeometry:
     def _target(self, window: Window, meshes: Sequence[EmbreeMesh]) -> tuple[Target, InstanceMotion]:
         """Build the scene of a window's placements."""
         motion, moving = motion_of(window)
-        scene = placed(meshes, relative_to_window(window).astype(np.float32), moving)
+        placement = np.array([i for i, mesh in enumerate(meshes) for _ in mesh.scenes], np.int64)
+        pieces = [piece for mesh in meshes for piece in mesh.scenes]
+        scene = placed(pieces, placement, relative_to_window(window).astype(np.float32), moving)
         weakref.finalize(self, rtc.library().rtcReleaseScene, scene)
-        reflectance = np.ascontiguousarray(window.surfaces["reflectance"])
-        normals = normal_matrices(window)
         return Target(
-            scene, window.origin_m, window.first_surface, normals, motion.shear, reflectance
+            scene,
+            window.origin_m,
+            window.first_surface[placement],
+            normal_matrices(window)[placement],
+            motion.shear[:, placement],
+            np.ascontiguousarray(window.surfaces["reflectance"]),
         ), motion
 
     def cast(

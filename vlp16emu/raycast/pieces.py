@@ -1,0 +1,103 @@
+"""Shapes in pieces whose boxes fit them, each an instance of its own.
+
+A ray is taken into the coordinates of every instance whose box it passes, which costs as much as a good part of what follows,
+and the rays of a lidar are nearly level: what counts of a box is its area as seen from the side. So stems are apart from the
+ground, and crowns are cut level into slabs, each as wide as the crown is there.
+"""
+
+from collections.abc import Sequence
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.raycast.quads import Faces
+
+__all__ = ["in_pieces"]
+
+_SLAB_M = 1.5
+"""Height of a slab: with bodies apart a fifth less time for what is near in `scenes/reference_forest`; 1 m and 2 m gain as much
+within 2 %."""
+
+_WORTH = 0.7
+"""Slabs are pieces where all of their boxes together have no more of the area of the box around them; from 0.6 to 0.95 the gain
+is the same, and pieces are more."""
+
+
+def in_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], NDArray[np.int64]]:
+    """Order the quads of a shape by pieces.
+
+    Parameters
+    ----------
+    faces : of each mesh
+
+    Returns
+    -------
+    The same faces, of each mesh those of a piece one after the other; and the first of each piece, (pieces + 1, meshes)
+    """
+    ordered, counts = list(faces), [np.zeros((1, len(faces)), np.int64)]
+    for body in _bodies(faces):
+        slabs = _slabs([faces[mesh] for mesh in body])
+        count = np.zeros((1 + max(int(slab.max()) for slab in slabs), len(faces)), np.int64)
+        for mesh, slab in zip(body, slabs, strict=True):
+            vertices_m, quads = faces[mesh]
+            ordered[mesh] = vertices_m, quads[np.argsort(slab, kind="stable")]
+            count[:, mesh] = np.bincount(slab, minlength=len(count))
+        counts.append(count[count.any(axis=1)])
+    return tuple(ordered), np.concatenate(counts).cumsum(axis=0)
+
+
+def _bodies(faces: Sequence[Faces]) -> list[list[int]]:
+    """Put each mesh that is not empty to those before it, unless two boxes are smaller than the one around both."""
+    bodies, around = list[list[int]](), np.zeros((2, 3))
+    for mesh, (vertices_m, quads) in enumerate(faces):
+        if not len(quads):
+            continue
+        own = np.array([vertices_m[:-1].min(axis=0), vertices_m[:-1].max(axis=0)])
+        both = np.array([np.minimum(around[0], own[0]), np.maximum(around[1], own[1])])
+        if bodies and _side_m2(both) <= _side_m2(around) + _side_m2(own):
+            bodies[-1].append(mesh)
+            around = both
+        else:
+            bodies.append([mesh])
+            around = own
+    return bodies
+
+
+def _slabs(body: Sequence[Faces]) -> list[NDArray[np.int64]]:
+    """Give the slab (q,) of each quad of some meshes, all 0 where slabs are not worth it."""
+    low_m = min(float(vertices_m[:-1, 2].min()) for vertices_m, _ in body)
+    high_m = max(float(vertices_m[:-1, 2].max()) for vertices_m, _ in body)
+    boxes = np.repeat([[[np.inf] * 3, [-np.inf] * 3]], 1 + int((high_m - low_m) / _SLAB_M), axis=0)
+    slabs = [np.zeros(len(quads), np.int64) for _, quads in body]
+    for (vertices_m, quads), slab in zip(body, slabs, strict=True):
+        _put(vertices_m, quads, low_m, slab, boxes)
+    boxes = boxes[boxes[:, 1, 2] > -np.inf]
+    around = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+    if _side_m2(boxes).sum() > _WORTH * _side_m2(around):
+        return [np.zeros_like(slab) for slab in slabs]
+    return slabs
+
+
+def _side_m2(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Areas (...,) of boxes (..., 2, 3) as seen from the side: their two faces together, by which the mean over all sides goes."""
+    size: NDArray[np.float64] = boxes[..., 1, :] - boxes[..., 0, :]
+    return (size[..., 0] + size[..., 1]) * size[..., 2]
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _put(
+    vertices_m: NDArray[np.float32],
+    quads: NDArray[np.uint32],
+    low_m: float,
+    slab: NDArray[np.int64],
+    boxes: NDArray[np.float64],
+) -> None:
+    """Put quads (q, 4) into the slabs in which their first corners are, and widen the boxes (slabs, 2, 3) by them."""
+    for q in range(len(quads)):
+        slab[q] = int((vertices_m[quads[q, 0], 2] - low_m) / _SLAB_M)
+        box = boxes[slab[q]]
+        for corner in range(4):
+            for axis in range(3):
+                at = vertices_m[quads[q, corner], axis]
+                box[0, axis], box[1, axis] = min(box[0, axis], at), max(box[1, axis], at)
