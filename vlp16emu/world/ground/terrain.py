@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, generator, philox4x32
+from vlp16emu.trig import cos_sin
 from vlp16emu.world.ground.settings import Terrain
 
 __all__ = ["TerrainHeights"]
@@ -93,12 +94,13 @@ def _band(seed: int, number: int, wavelengths_m: tuple[float, float], rms_m: flo
 
 @numba.njit(cache=True, nogil=True)
 def _heights(out: Array, x: Array, y: Array, waves: Array, gradient_x: float, gradient_y: float) -> None:
-    """Fill (n,) heights; each point is summed alone so that its neighbours cannot matter."""
+    """Fill (n,) heights; each point is summed alone, wave by wave, so that its neighbours cannot matter."""
     for i in range(out.shape[0]):
-        z = gradient_x * x[i] + gradient_y * y[i]
-        for j in range(waves.shape[0]):
-            z += waves[j, 2] * math.cos(waves[j, 0] * x[i] + waves[j, 1] * y[i] + waves[j, 3])
-        out[i] = z
+        out[i] = gradient_x * x[i] + gradient_y * y[i]
+    for j in range(waves.shape[0]):
+        along_x, along_y, high_m, phase = waves[j]
+        for i in range(out.shape[0]):
+            out[i] += high_m * cos_sin(along_x * x[i] + along_y * y[i] + phase)[0]
 
 
 @numba.njit(cache=True, nogil=True)
