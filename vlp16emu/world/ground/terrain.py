@@ -3,8 +3,8 @@
 Two bands of waves: hills, and roughness that a foot would feel. Within a band the power spectrum falls
 with the third power of the wave number (assumption; natural ground is found between 2.5 and 4), which
 makes a wave's variance proportional to its wavelength when waves are spread evenly over log wavelength.
-Mounds and hollows represent what waves cannot show: old stumps, stones under moss, wheel marks; pits with a
-mound beside each are what uprooted trees leave.
+Mounds and hollows represent what waves cannot show: old stumps, stones under moss; pits with a mound beside each
+are what uprooted trees leave, and ruts what machines leave.
 """
 
 import math
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from vlp16emu.random import Purpose, generator, philox4x32
 from vlp16emu.trig import cos_sin
 from vlp16emu.world.ground.settings import Terrain
+from vlp16emu.world.ground.trails import Trails
 
 __all__ = ["TerrainHeights"]
 
@@ -62,6 +63,8 @@ class TerrainHeights:
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
         self._mound_share = section.mounds_per_ha * _MOUND_CELL_M**2 / 10_000
         self._pit_share = section.pits_per_ha * _PIT_CELL_M**2 / 10_000
+        self.trails = Trails(section, seed=seed)
+        """On it, if any."""
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
         """Ground height at points of any common shape; a point's height depends on that point alone."""
@@ -73,6 +76,7 @@ class TerrainHeights:
             _add(*flat, self._mound_share, _MOUND_CELL_M, _MOUND, *self._seed)
         if self._pit_share:
             _add(*flat, self._pit_share, _PIT_CELL_M, _PIT, *self._seed)
+        self.trails.add(*flat)
         return height
 
 
