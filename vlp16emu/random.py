@@ -93,6 +93,8 @@ class Purpose(IntEnum):
     TEXTURE = 116
     PIT = 117
     IVY = 118
+    RUT = 119
+    ROOT = 120
     SCORE_DISK = 92
 
 

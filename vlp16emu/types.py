@@ -329,7 +329,7 @@ class FarTile:
     stems: NDArray[np.void]
     """(s,) `STEM` of `vlp16emu.world.stand.tiles`."""
     ground_m: NDArray[np.float64]
-    """(43, 43) heights every 0.5 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite one."""
+    """(85, 85) heights every 0.25 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite one."""
 
 
 @dataclass(frozen=True, slots=True)

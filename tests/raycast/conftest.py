@@ -257,7 +257,7 @@ class Tiles:
         """Describe a tile from afar."""
         stems, placed, first, _ = self.tile(ix, iy)
         corner_m, keys = self.corner_m(ix, iy), ("crown", "stone")
-        edge_m = np.arange(-1, 42) * 0.5
+        edge_m = np.arange(-2, 83) * 0.25
         x, y = np.meshgrid(corner_m[0] + edge_m, corner_m[1] + edge_m, indexing="ij")
         return FarTile(
             corner_m,

@@ -9,7 +9,7 @@ from vlp16emu.raycast import leaves as room
 from vlp16emu.raycast.far import NO_MEDIUM, Far
 from vlp16emu.raycast.lanes import lanes
 from vlp16emu.raycast.march import march
-from vlp16emu.raycast.voxel import BRICK, COLUMNS, GROUND, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
+from vlp16emu.raycast.voxel import BRICK, COLUMNS, FINER, GROUND, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
 from vlp16emu.types import NO_SURFACE
 
 FAR_M = 60.0
@@ -118,8 +118,8 @@ class Twin:
     def ground(self, o, d):
         """First place under the ground, which is flat between the lines of its grid."""
         grid = self.M.ground.height_m.astype(float)
-        u, v = (o[:2] - self.corner_m[:2]) / VOXEL_M
-        du, dv = d[:2] / VOXEL_M
+        u, v = (o[:2] - self.corner_m[:2]) * FINER / VOXEL_M
+        du, dv = d[:2] * FINER / VOXEL_M
         at_m = [np.array([self.M.near_m, FAR_M])]
         for place, change in ((u, du), (v, dv), (u - v, du - dv)):
             if abs(change) > 1e-12:
@@ -141,7 +141,7 @@ class Twin:
             return MISS
         met_m = at_m[n - 1] + (at_m[n] - at_m[n - 1]) * over_m[n - 1] / (over_m[n - 1] - over_m[n])
         x, y = u + du * met_m, v + dv * met_m
-        return met_m, int(self.M.ground.surface[int(x) >> 2, int(y) >> 2])
+        return met_m, int(self.M.ground.surface[int(x) // (4 * FINER), int(y) // (4 * FINER)])
 
 
 def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):

@@ -109,7 +109,7 @@ def test_another_pattern_beside_a_preset_replaces_it_whole(tmp_path):
     """A pattern of another kind brings nothing of the preset's pattern along; of the same kind it changes single keys."""
     assert scene(tmp_path, "preset = 'plantation'\npattern = { kind = 'random' }").pattern.kind == "random"
     rows = scene(tmp_path, "preset = 'plantation'\npattern = { azimuth_deg = 90.0 }").pattern
-    assert (rows.kind, rows.azimuth_deg, rows.tree_spacing_m) == ("plantation", 90.0, 1.9)
+    assert (rows.kind, rows.azimuth_deg, rows.tree_spacing_m) == ("plantation", 90.0, 1.6)
 
 
 SPECIES = "species = [{ species = 'silver_birch', share = 1, dbh_cm = 18, height_m = 19 }]"

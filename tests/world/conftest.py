@@ -7,7 +7,7 @@ from vlp16emu.world import Forest
 from vlp16emu.world.ground.settings import Terrain
 from vlp16emu.world.ground.terrain import TerrainHeights
 from vlp16emu.world.make import layers_of
-from vlp16emu.world.plants.flora import flora
+from vlp16emu.world.plants.flora import flora, species_table
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.forest import ForestWorld
 from vlp16emu.world.stand.settings import (
@@ -49,6 +49,15 @@ FULL = Forest(
     litter=Litter(cover=0.1),
 )
 """Trees with one of each kind of thing that grows or lies under them."""
+
+
+@pytest.fixture(scope="session")
+def rootless():
+    """Species table of trees without roots on the ground."""
+    return {
+        name: one.model_copy(update={"stem": one.stem.model_copy(update={"surface_roots": 0.0})})
+        for name, one in species_table().items()
+    }
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,7 @@ from vlp16emu.raycast.lanes import (
     Lanes,
     Stems,
 )
-from vlp16emu.raycast.voxel import BRICK, VOXEL_M
+from vlp16emu.raycast.voxel import BRICK, FINER, VOXEL_M
 
 __all__ = ["meet_ground", "meet_stem"]
 
@@ -246,8 +246,8 @@ def _over_ground(
 ) -> tuple[np.float32, np.float32, np.float32]:
     """Height of a ray over the ground at a range, and the slope of the triangle there; no ground is infinitely deep."""
     ground_m = ground.height_m
-    u = (x + dx * at_m - f4(ground.corner_x_m)) * f4(1.0 / VOXEL_M)
-    v = (y + dy * at_m - f4(ground.corner_y_m)) * f4(1.0 / VOXEL_M)
+    u = (x + dx * at_m - f4(ground.corner_x_m)) * f4(FINER / VOXEL_M)
+    v = (y + dy * at_m - f4(ground.corner_y_m)) * f4(FINER / VOXEL_M)
     i = min(max(int(u), 0), ground_m.shape[0] - 2)
     j = min(max(int(v), 0), ground_m.shape[1] - 2)
     s, t = u - f4(i), v - f4(j)
@@ -259,4 +259,4 @@ def _over_ground(
         h01 = ground_m[i, j + 1]
         gx, gy = h11 - h01, h01 - h00
     height = h00 + gx * s + gy * t
-    return z + dz * at_m - height, gx * f4(1.0 / VOXEL_M), gy * f4(1.0 / VOXEL_M)
+    return z + dz * at_m - height, gx * f4(FINER / VOXEL_M), gy * f4(FINER / VOXEL_M)

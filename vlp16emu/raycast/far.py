@@ -20,6 +20,7 @@ from vlp16emu.raycast.voxel import (
     ASIDE_M,
     BRICK,
     COLUMNS,
+    FINER,
     KNOTS,
     LAW_BIT,
     LAW_MASK,
@@ -289,19 +290,18 @@ def _ground(
     size: tuple[int, ...],
 ) -> Ground:
     """Put the ground of tiles into the grid of a window."""
-    ground_m = np.full((size[0] * BRICK + 1, size[1] * BRICK + 1), _NO_GROUND_M)
+    ground_m = np.full((size[0] * BRICK * FINER + 1, size[1] * BRICK * FINER + 1), _NO_GROUND_M)
     surface = np.zeros(size[:2], np.uint32)
     low = np.array(list(rows)).min(axis=0)
     for (ix, iy), row in rows.items():
         i, j = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS
         surface[i : i + _BRICKS, j : j + _BRICKS] = row
-        ground_m[i * BRICK : i * BRICK + COLUMNS + 1, j * BRICK : j * BRICK + COLUMNS + 1] = (
-            tiles[ix, iy].ground_m[1:-1, 1:-1] - window.origin_m[2]
-        )
+        across, up = (slice(at * BRICK * FINER, (at + _BRICKS) * BRICK * FINER + 1) for at in (i, j))
+        ground_m[across, up] = tiles[ix, iy].ground_m[FINER:-FINER, FINER:-FINER] - window.origin_m[2]
     known = ground_m > _NO_GROUND_M / 2
     along_x = np.abs(np.diff(ground_m, axis=0))[known[1:] & known[:-1]]
     along_y = np.abs(np.diff(ground_m, axis=1))[known[:, 1:] & known[:, :-1]]
-    steepest = float(np.hypot(along_x.max(initial=0.0), along_y.max(initial=0.0)) / VOXEL_M)
+    steepest = float(np.hypot(along_x.max(initial=0.0), along_y.max(initial=0.0)) * FINER / VOXEL_M)
     return Ground(ground_m, surface, float(corner_m[0]), float(corner_m[1]), steepest)
 
 

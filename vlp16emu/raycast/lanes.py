@@ -36,7 +36,7 @@ class Ground(NamedTuple):
     """The ground."""
 
     height_m: NDArray[np.float32]
-    """(4 x + 1, 4 y + 1) at the corners of voxel columns."""
+    """(8 x + 1, 8 y + 1) at the corners of squares, `FINER` to the edge of a voxel."""
     surface: NDArray[np.uint32]
     """(x, y) of the column of bricks."""
     corner_x_m: float

@@ -14,6 +14,7 @@ __all__ = [
     "BRICK",
     "CODES",
     "COLUMNS",
+    "FINER",
     "GROUND",
     "KNOTS",
     "LAW_BIT",
@@ -38,6 +39,9 @@ BRICK = 4
 """Voxels along the edge of a brick."""
 COLUMNS = 40
 """Voxels along the edge of a tile of 20 m."""
+
+FINER = 2
+"""Squares of the ground along the edge of a voxel."""
 
 KNOTS = np.array([0.0, 0.3, 1.0])
 """Sines of the elevations at which projected areas are known: level, 17 degrees, and upright."""
@@ -159,13 +163,11 @@ def _widest_m(radii: NDArray[np.float32], height_m: float) -> np.float64:
 
 @numba.njit(cache=True, nogil=True)
 def mark_ground(flags: NDArray[np.uint32], ground_m: NDArray[np.float32], low_m: float) -> None:
-    """Flag the voxels in which the ground is looked for; heights (43, 43) begin one cell outside the tile."""
+    """Flag the voxels in which the ground is looked for; heights (85, 85) begin one voxel outside the tile."""
     for i in range(flags.shape[0]):
         for j in range(flags.shape[1]):
-            low, high = ground_m[i, j], ground_m[i, j]
-            for a in range(4):
-                for b in range(4):
-                    low, high = min(low, ground_m[i + a, j + b]), max(high, ground_m[i + a, j + b])
+            around = ground_m[FINER * i : FINER * (i + 3) + 1, FINER * j : FINER * (j + 3) + 1]
+            low, high = around.min(), around.max()
             first, last = (
                 math.floor((low - low_m - 0.6) / VOXEL_M),
                 math.floor((high - low_m + 0.16) / VOXEL_M),

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.types import HeightField, World
+from vlp16emu.types import World
 from vlp16emu.world.given.furnished import Furnished, Furniture
 from vlp16emu.world.given.given_stand import GivenStand, stems_in_the_way
 from vlp16emu.world.given.settings import MeshFile
@@ -15,6 +15,7 @@ from vlp16emu.world.given.tree_model import TreeModels
 from vlp16emu.world.given.user_mesh import load_mesh
 from vlp16emu.world.ground.dem import DemHeights
 from vlp16emu.world.ground.terrain import TerrainHeights
+from vlp16emu.world.ground.trails import Trails
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.plants.flora import Flora, flora
 from vlp16emu.world.polyline import Corridor
@@ -103,7 +104,7 @@ def world_of(
         path, blows = Corridor(path_xy_m, section.path_clearance_m), wind is not None and wind.speed_m_s > 0
         # A sensor that sees no farther than `near_m` meets no medium: then none is made.
         near_m = section.near_m if section.near_m < farthest_m else math.inf
-        bare = _forest(section, seed, ground.height_m, path, reach_m, near_m=near_m, loose_stems=blows)
+        bare = _forest(section, seed, ground, path, reach_m, near_m=near_m, loose_stems=blows)
         if wind is not None and blows:
             sway = TreeSway(wind, forest=bare, season=section.season, start_ns=start_ns)
     return _furnished(bare, section.meshes, path_xy_m, reach_m), sway
@@ -112,7 +113,7 @@ def world_of(
 def _forest(
     section: Forest | Plot,
     seed: int,
-    height_m: HeightField,
+    ground: TerrainHeights | DemHeights | HallWorld,
     path: Corridor,
     reach_m: float,
     *,
@@ -120,14 +121,15 @@ def _forest(
     loose_stems: bool,
 ) -> ForestWorld:
     """Make a forest."""
-    plants = flora(section.species_file)
+    plants, height_m = flora(section.species_file), ground.height_m
+    trails = ground.trails if isinstance(ground, TerrainHeights) else None
     stems: Stand | GivenStand
     if isinstance(section, Plot):
         stems = GivenStand(section, seed=seed, height_m=height_m, path=path, plants=plants)
         stems.check(path, reach_m)
         canopy = stems.species
     else:
-        stems = Stand(section, seed=seed, height_m=height_m, path=path, plants=plants)
+        stems = Stand(section, seed=seed, height_m=height_m, path=path, plants=plants, trails=trails)
         canopy = [share.species for share in section.species]
     return ForestWorld(
         name=_name(section, seed, path, reach_m, loose_stems=loose_stems),
@@ -135,7 +137,7 @@ def _forest(
         seed=seed,
         height_m=height_m,
         stems=stems,
-        layers=[layer for layer in layers_of(section, seed, canopy, plants) if layer.pattern.per_ha],
+        layers=[layer for layer in layers_of(section, seed, canopy, plants, trails) if layer.pattern.per_ha],
         path=path,
         reach_m=reach_m,
         plants=plants,
@@ -147,12 +149,16 @@ def _forest(
     )
 
 
-def layers_of(section: Forest | Plot, seed: int, canopy: list[str], plants: Flora) -> list[Layer]:
+def layers_of(
+    section: Forest | Plot, seed: int, canopy: list[str], plants: Flora, trails: Trails | None = None
+) -> list[Layer]:
     """All that grows and lies under the trees, in the order of its numbers."""
     season = section.season
     return [
-        SaplingLayer(section.regeneration, seed=seed, season=season, canopy=canopy, plants=plants),
-        ShrubLayer(section.shrubs, seed=seed, season=season, plants=plants),
+        SaplingLayer(
+            section.regeneration, seed=seed, season=season, canopy=canopy, plants=plants, trails=trails
+        ),
+        ShrubLayer(section.shrubs, seed=seed, season=season, plants=plants, trails=trails),
         StoneLayer(section.stones, seed=seed),
         LogLayer(section.logs, seed=seed, canopy=canopy, plants=plants),
         StumpLayer(section.stumps, seed=seed, canopy=canopy, plants=plants),

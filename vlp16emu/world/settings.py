@@ -72,7 +72,7 @@ class Woods(Section):
     tree_models: list[TreeModelFile] = Field(default_factory=list)
     """Trees of the user's own that take the place of the grown ones of a species; inventory and labels follow their meshes."""
     path_clearance_m: NonNegative = 0.8
-    """Nothing that grows or lies on the ground is nearer to the path than this."""
+    """Nothing that grows or lies on the ground is nearer to the path than this, but for the roots of old trees."""
     near_m: Near = 15.0
     """What is nearer to the sensor than this is cast leaf by leaf; beyond, ground and stems are exact and foliage is a
     medium of voxels made of the same plants. `inf` casts everything leaf by leaf."""

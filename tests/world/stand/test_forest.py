@@ -255,7 +255,7 @@ def test_a_track_may_stray_from_the_path(make_forest, aside_m):
     bare = make_forest(stems_per_ha=0.0, path_xy_m=np.array([[0.0, 0.0], [7.0, 0.0]]))
     for ix, iy, _ in bare.window(np.array([[*aside_m, 2.0]])).tiles:
         for dx, dy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-            assert bare.far_tile(ix + dx, iy + dy).ground_m.shape == (43, 43)
+            assert bare.far_tile(ix + dx, iy + dy).ground_m.shape == (85, 85)
 
 
 def test_an_unknown_shape_is_refused(forest):

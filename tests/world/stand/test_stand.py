@@ -7,12 +7,14 @@ from scipy import stats
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose
 from vlp16emu.world import Forest
+from vlp16emu.world.ground.settings import Terrain
+from vlp16emu.world.ground.trails import Trails
 from vlp16emu.world.plants.allometry import taper_radius_m
 from vlp16emu.world.plants.flora import species_table, tapers
 from vlp16emu.world.plants.stem import lean_rotation
 from vlp16emu.world.polyline import Corridor, distance_m
 from vlp16emu.world.stand.points import ScatteredPattern
-from vlp16emu.world.stand.settings import Clusters, Scattered, SpeciesShare, Storey
+from vlp16emu.world.stand.settings import Clusters, HardCore, Plantation, Scattered, SpeciesShare, Storey
 from vlp16emu.world.stand.stand import Stand, density_per_ha, foot_discs
 
 FAR_XY_M = np.array([[0.0, 1e5]])
@@ -21,7 +23,13 @@ SPRUCE = SpeciesShare(species="norway_spruce", share=0.75, dbh_cm=24.0, height_m
 
 
 def make_stand(
-    *, stems_per_ha=800.0, species=(BIRCH, SPRUCE), path_xy_m=FAR_XY_M, clearance_m=0.8, **section
+    *,
+    stems_per_ha=800.0,
+    species=(BIRCH, SPRUCE),
+    path_xy_m=FAR_XY_M,
+    clearance_m=0.8,
+    trails=None,
+    **section,
 ):
     whole = sum(one.share for one in species)
     species = [one.model_copy(update={"share": one.share / whole}) for one in species]
@@ -36,6 +44,7 @@ def make_stand(
         seed=14,
         height_m=lambda x, y: 0.01 * x + 0.02 * y,
         path=Corridor(path_xy_m, clearance_m),
+        trails=trails,
     )
 
 
@@ -209,3 +218,29 @@ def test_unknown_species_is_named():
         GeometryError, match="unknown species 'larch'; expected one of silver_birch, norway_spruce"
     ):
         make_stand(species=(BIRCH.model_copy(update={"species": "larch"}),))
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [HardCore(kind="hard_core"), Plantation(kind="plantation", row_spacing_m=3.0, tree_spacing_m=1.6)],
+    ids=["hard core", "rows"],
+)
+def test_no_stem_stands_on_a_trail_and_the_density_is_as_set(pattern):
+    """With trails every 20 m all stems are 2 m off their middles, and there are as many on the whole as without."""
+    trails = Trails(Terrain(trail_spacing_m=20.0, trail_towards_deg=15.0), seed=14)
+    stand = make_stand(stems_per_ha=900.0, pattern=pattern, trails=trails)
+    assert stand.per_ha == pytest.approx(900.0)
+    trees = np.concatenate([stand.trees(ix, iy) for ix in range(14) for iy in range(14)])
+    assert trails.are_free(np.column_stack([trees["x_m"], trees["y_m"]])).all()
+    expected = 900.0 * (14 * 0.2) ** 2
+    assert len(trees) == pytest.approx(expected, abs=3 * np.sqrt(expected) + 0.02 * expected)
+
+
+def test_rows_that_cannot_hold_the_density_off_trails_are_refused():
+    """The error says the density that was asked for, and what the rows hold without what trails take: four of twenty metres."""
+    trails = Trails(Terrain(trail_spacing_m=20.0), seed=14)
+    rows = Plantation(kind="plantation", row_spacing_m=2.5, tree_spacing_m=2.0)
+    with pytest.raises(
+        GeometryError, match=r"found 1800; expected at most 1600, which rows of .* off the trails"
+    ):
+        make_stand(stems_per_ha=1800.0, pattern=rows, trails=trails)

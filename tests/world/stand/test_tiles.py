@@ -3,6 +3,7 @@
 import numpy as np
 import trimesh
 
+from vlp16emu.world.ground.triangles import ground_triangles
 from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.stand.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
 
@@ -24,21 +25,21 @@ def test_ground_vertices_are_terrain_heights(terrain):
     """Each grid vertex lies on the terrain within float32, also far from the origin, and every face looks up or out."""
     key = TileKey(40_000, -3)
     mesh = ground_mesh(key, terrain.height_m)
-    cells = 40
     origin = tile_origin_m(key.ix, key.iy, terrain.height_m)
-    grid = mesh.vertices_m[: (cells + 1) ** 2].astype(np.float64) + origin
+    points, faces = ground_triangles((key.ix * TILE_M, key.iy * TILE_M), TILE_M, terrain.height_m)
+    grid = mesh.vertices_m[: len(points)].astype(np.float64) + origin
     assert np.abs(grid[:, 2] - terrain.height_m(grid[:, 0], grid[:, 1])).max() < 2e-6
     solid = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
-    surface = solid.face_normals[: 2 * cells * cells]
-    hem = solid.face_normals[2 * cells * cells :]
-    outward = solid.triangles_center[2 * cells * cells :, :2] - TILE_M / 2
+    surface = solid.face_normals[: len(faces)]
+    hem = solid.face_normals[len(faces) :]
+    outward = solid.triangles_center[len(faces) :, :2] - TILE_M / 2
     assert (surface[:, 2] > 0.7).all()
     assert np.abs(hem[:, 2]).max() < 1e-6
     assert ((hem[:, :2] * outward).sum(axis=1) > 0).all()
 
 
 def test_no_light_falls_through_the_seams(terrain):
-    """Oblique rays at the seam of two tiles always meet one of the two, at most 0.1 m off the terrain."""
+    """Oblique rays at the seam of two tiles always meet one of the two, at most 0.01 m off the terrain."""
     parts = []
     for key in (TileKey(0, 0), TileKey(1, 0)):
         mesh = ground_mesh(key, terrain.height_m)
@@ -53,4 +54,4 @@ def test_no_light_falls_through_the_seams(terrain):
     )
     places, rays, _ = ground.ray.intersects_location(origin, aim - origin, multiple_hits=False)
     assert len(np.unique(rays)) == 4000
-    assert np.abs(places[:, 2] - terrain.height_m(places[:, 0], places[:, 1])).max() < 0.1
+    assert np.abs(places[:, 2] - terrain.height_m(places[:, 0], places[:, 1])).max() < 0.01

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from vlp16emu.settings import NonNegative, Place, Positive, SceneFile, Section
 
@@ -19,6 +19,16 @@ _RELIEFS = {
 """What each kind of relief gives. Hills and mounds are assumptions: hills of 1 m rms slope by 4 degrees rms,
 of 4 m by 15."""
 
+_NARROWEST_M = 10.0
+"""Least distance between trails."""
+
+
+def _room_for_trails(spacing_m: float) -> float:
+    """See that trails do not overlap."""
+    if 0 < spacing_m < _NARROWEST_M:
+        raise ValueError(f"0 for none, or {_NARROWEST_M:g} or more")
+    return spacing_m
+
 
 class Terrain(Section):
     """Ground with relief: hills, roughness that a foot would feel, and mounds."""
@@ -33,6 +43,12 @@ class Terrain(Section):
     """Mounds and hollows of up to 0.15 m, 1 m to 2 m wide."""
     pits_per_ha: Annotated[float, Field(ge=0, le=600)] = 0.0
     """Pits with a mound beside each, as uprooted trees leave them: 0.2 m to 0.4 m deep and high, 2 m to 3 m wide."""
+    trail_spacing_m: Annotated[float, Field(ge=0, le=200), AfterValidator(_room_for_trails)] = 0.0
+    """Distance between the middles of parallel trails of harvesters, each with two ruts, 0.05 m to 0.2 m deep and 0.5 m to 0.7 m
+    wide, 2 m apart; 0 for none, else 10 or more. Trees and shrubs that grow keep 2 m off their middles. Forests of Central Europe have
+    trails every 20 m (PEFC) or 40 m (FSC)."""
+    trail_towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    """Direction of the trails, counter-clockwise from east."""
     slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
     """Slope of the plane under it all, rising towards `slope_towards_deg`."""
     slope_towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0

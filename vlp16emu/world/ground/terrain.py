@@ -3,8 +3,8 @@
 Two bands of waves: hills, and roughness that a foot would feel. Within a band the power spectrum falls
 with the third power of the wave number (assumption; natural ground is found between 2.5 and 4), which
 makes a wave's variance proportional to its wavelength when waves are spread evenly over log wavelength.
-Mounds and hollows represent what waves cannot show: old stumps, stones under moss, wheel marks; pits with a
-mound beside each are what uprooted trees leave.
+Mounds and hollows represent what waves cannot show: old stumps, stones under moss; pits with a mound beside each
+are what uprooted trees leave, and ruts what machines leave.
 """
 
 import math
@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, generator, philox4x32
+from vlp16emu.trig import cos_sin
 from vlp16emu.world.ground.settings import Terrain
+from vlp16emu.world.ground.trails import Trails
 
 __all__ = ["TerrainHeights"]
 
@@ -61,6 +63,8 @@ class TerrainHeights:
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
         self._mound_share = section.mounds_per_ha * _MOUND_CELL_M**2 / 10_000
         self._pit_share = section.pits_per_ha * _PIT_CELL_M**2 / 10_000
+        self.trails = Trails(section, seed=seed)
+        """On it, if any."""
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
         """Ground height at points of any common shape; a point's height depends on that point alone."""
@@ -72,6 +76,7 @@ class TerrainHeights:
             _add(*flat, self._mound_share, _MOUND_CELL_M, _MOUND, *self._seed)
         if self._pit_share:
             _add(*flat, self._pit_share, _PIT_CELL_M, _PIT, *self._seed)
+        self.trails.add(*flat)
         return height
 
 
@@ -93,12 +98,13 @@ def _band(seed: int, number: int, wavelengths_m: tuple[float, float], rms_m: flo
 
 @numba.njit(cache=True, nogil=True)
 def _heights(out: Array, x: Array, y: Array, waves: Array, gradient_x: float, gradient_y: float) -> None:
-    """Fill (n,) heights; each point is summed alone so that its neighbours cannot matter."""
+    """Fill (n,) heights; each point is summed alone, wave by wave, so that its neighbours cannot matter."""
     for i in range(out.shape[0]):
-        z = gradient_x * x[i] + gradient_y * y[i]
-        for j in range(waves.shape[0]):
-            z += waves[j, 2] * math.cos(waves[j, 0] * x[i] + waves[j, 1] * y[i] + waves[j, 3])
-        out[i] = z
+        out[i] = gradient_x * x[i] + gradient_y * y[i]
+    for j in range(waves.shape[0]):
+        along_x, along_y, high_m, phase = waves[j]
+        for i in range(out.shape[0]):
+            out[i] += high_m * cos_sin(along_x * x[i] + along_y * y[i] + phase)[0]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -160,8 +160,8 @@ def tapers(numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None =
 def stem_keys(
     numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None = None
 ) -> NDArray[np.float64]:
-    """Row of `StemForm` by species number, (n, 9)."""
-    return _by_number(numbers, {one.number: one.stem.row for one in (table or species_table()).values()}, 9)
+    """Row of `StemForm` by species number, (n, 10)."""
+    return _by_number(numbers, {one.number: one.stem.row for one in (table or species_table()).values()}, 10)
 
 
 def _by_number(

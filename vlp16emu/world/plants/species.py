@@ -117,6 +117,8 @@ class StemForm(Section):
     """Longest diameter of a section less the one across it, over the latter; without lobes and bark."""
     lobes: Annotated[float, Field(ge=0, le=0.3)] = 0.0
     """Amplitude of the lobes that roots make of the butt, at the ground, over the radius there."""
+    surface_roots: Fraction = 0.0
+    """Share of the lobes from which a root runs over the ground, of trees with a DBH over 0.3 m."""
     bark_mm_per_cm: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Depth of furrows, from ridge to bottom at breast height, for each cm of DBH: bark grows rougher with age."""
     bark_period_mm: Annotated[float, Field(ge=5, le=1000)] = 50.0
@@ -124,7 +126,7 @@ class StemForm(Section):
 
     @property
     def row(self) -> Array:
-        """(9,) of all numbers in order."""
+        """(10,) of all numbers in order."""
         return np.hstack([getattr(self, name) for name in type(self).model_fields])
 
 

@@ -23,6 +23,7 @@ from vlp16emu.world.plants.stem_rings import (
     stem_rings,
     tip_radius_m,
 )
+from vlp16emu.world.plants.surface_roots import ROOT_RINGS, ROOT_SIDES, root_points
 from vlp16emu.world.stand.tiles import TileKey
 
 __all__ = [
@@ -81,15 +82,19 @@ def stem_meshes(
     *,
     table: Table | None = None,
 ) -> list[Mesh]:
-    """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,)."""
+    """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,); root flares have their roots."""
     rings = stem_rings(trees, table=table)
     rings.above_ground_m[:, 0] = -_buried_m(trees, rings, height_m)
     foot_m = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]]) - origin_m
-    return _meshes(trees, rings, foot_m, table)
+    meshes = _meshes(trees, rings, foot_m, table)
+    for stem, root_m in zip(*root_points(trees, rings, height_m), strict=True):
+        root = Mesh((root_m + foot_m[stem]).astype(np.float32), _faces(ROOT_SIDES, ROOT_RINGS))
+        meshes[len(STEM_PARTS) * stem] = merged(meshes[len(STEM_PARTS) * stem], root)
+    return meshes
 
 
 def stems_above_ground(trees: Trees, *, table: Table | None = None) -> list[Mesh]:
-    """Meshes as `stem_meshes` makes them, but with all feet at the origin and nothing buried."""
+    """Meshes as `stem_meshes` makes them, but with all feet at the origin, no roots, and nothing buried."""
     rings = stem_rings(trees, table=table)
     rings.above_ground_m[:, 0] = 0.0
     return _meshes(trees, rings, np.zeros((len(trees), 3)), table)

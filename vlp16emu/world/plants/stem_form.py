@@ -63,6 +63,8 @@ class StemForms:
     """(n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad."""
     lobes: Array
     """(n, 3) number, amplitude at the ground over the radius, phase."""
+    surface_roots: Array
+    """(n,) share of the lobes that have one."""
     bark: Array
     """(n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases."""
     forks: Array
@@ -125,8 +127,8 @@ class StemForms:
 def stem_forms(trees: NDArray[np.void], *, table: Mapping[str, Species] | None = None) -> StemForms:
     """Draw the forms of trees (n,) `TREE`, each from its own seed and the keys of its species."""
     keys = stem_keys(trees["species"], table=table)
-    keys[:, :8] *= (trees["form"] > 0)[:, None]
-    bow, butt_deg, fork_share, low, high, ovality, lobes, bark_mm_per_cm, period_mm = keys.T
+    keys[:, :9] *= (trees["form"] > 0)[:, None]
+    bow, butt_deg, fork_share, low, high, ovality, lobes, roots, bark_mm_per_cm, period_mm = keys.T
     seeds = [int(seed) for seed in trees["form"]]
     g = np.array([normal(seed, Purpose.STEM_FORM, 0, 8, 0) for seed in seeds]).reshape(-1, 8)
     u = np.array([uniform(seed, Purpose.STEM_FORM, 0, 16, 1) for seed in seeds]).reshape(-1, 16)
@@ -147,6 +149,7 @@ def stem_forms(trees: NDArray[np.void], *, table: Mapping[str, Species] | None =
         lobes=np.column_stack(
             [np.floor(least + (most + 1 - least) * u[:, 5]), lobes * (0.5 + u[:, 6]), turns[:, 7]]
         ),
+        surface_roots=roots,
         bark=np.column_stack([depth_m, ridges, turns[:, 8:12]]),
         forks=np.column_stack(
             [

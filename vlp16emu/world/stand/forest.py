@@ -207,7 +207,7 @@ class ForestWorld:
         tile = self._tile(ix, iy)
         origin_m = tile_origin_m(ix, iy, self.height_m)
         corner_m = np.array([origin_m[0], origin_m[1], 2.0 * np.round(origin_m[2] / 2.0)])
-        edge_m = np.arange(-1, 42) * 0.5
+        edge_m = np.arange(-2, 83) * 0.25
         x, y = np.meshgrid(origin_m[0] + edge_m, origin_m[1] + edge_m, indexing="ij")
         own = np.flatnonzero(tile.far)[1:]  # the first is the tile's own shape
         keys, shape = distinct([tile.keys[which] for which in tile.shape[own].tolist()])

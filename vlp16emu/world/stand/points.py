@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose, generator, uniform
+from vlp16emu.world.ground.trails import Trails
 from vlp16emu.world.stand.settings import Clusters, HardCore, Pattern, Plantation, Scattered
 from vlp16emu.world.stand.tiles import TILE_M
 
 __all__ = [
     "ClusterPattern",
     "HardCorePattern",
+    "OffTrailPattern",
     "PointPattern",
     "RowPattern",
     "ScatteredPattern",
@@ -148,19 +150,25 @@ class RowPattern:
     section : what the user wrote
     seed, purpose : as for `ScatteredPattern`
     per_ha : mean number of points per hectare that are left
+    free_share : of the ground that is off trails
 
     Raises
     ------
     GeometryError
-        where more are to be left than were planted
+        where more are to be left, with those on trails gone, than were planted
     """
 
-    def __init__(self, section: Plantation, *, seed: int, purpose: Purpose, per_ha: float) -> None:
+    def __init__(
+        self, section: Plantation, *, seed: int, purpose: Purpose, per_ha: float, free_share: float = 1.0
+    ) -> None:
         row_spacing_m, tree_spacing_m = section.row_spacing_m, section.tree_spacing_m
         planted = 10_000 / (row_spacing_m * tree_spacing_m)
         if per_ha > planted:
-            rows = f"{planted:.0f}, which rows of {row_spacing_m:g} m x {tree_spacing_m:g} m hold"
-            raise GeometryError("stems_per_ha", f"found {per_ha:g}", f"at most {rows}")
+            rows = (
+                f"{planted * free_share:.0f}, which rows of {row_spacing_m:g} m x {tree_spacing_m:g} m hold"
+            )
+            where = " off the trails" if free_share < 1 else ""
+            raise GeometryError("stems_per_ha", f"found {per_ha * free_share:g}", f"at most {rows}{where}")
         self.per_ha = per_ha
         self._left = per_ha / planted
         self._spacing_m = np.array([tree_spacing_m, row_spacing_m])
@@ -190,13 +198,42 @@ class RowPattern:
         return (planted + self._jitter_m * (2 * draws[:, :2] - 1))[draws[:, 2] < self._left]
 
 
-def pattern_of(section: Pattern, *, seed: int, purpose: Purpose, per_ha: float) -> PointPattern:
-    """Make a point pattern of some density; the other arguments are those of `ScatteredPattern`."""
+class OffTrailPattern:
+    """Points of a pattern that are off trails.
+
+    Parameters
+    ----------
+    pattern : of all points, as dense as it is to be off the trails
+    trails : where no point is
+    """
+
+    def __init__(self, pattern: PointPattern, trails: Trails) -> None:
+        self.per_ha = pattern.per_ha * trails.free_share
+        self._pattern, self._trails = pattern, trails
+
+    def points(self, ix: int, iy: int) -> Array:
+        """Points of a tile, (n, 2)."""
+        xy_m = self._pattern.points(ix, iy)
+        return xy_m[self._trails.are_free(xy_m)]
+
+
+def pattern_of(
+    section: Pattern, *, seed: int, purpose: Purpose, per_ha: float, trails: Trails | None = None
+) -> PointPattern:
+    """Make a point pattern of some density, all of it off trails if there are any; else arguments are those of `ScatteredPattern`."""
+    if trails is not None and trails.free_share < 1:
+        share = trails.free_share
+        return OffTrailPattern(_pattern(section, seed, purpose, per_ha / share, share), trails)
+    return _pattern(section, seed, purpose, per_ha, 1.0)
+
+
+def _pattern(section: Pattern, seed: int, purpose: Purpose, per_ha: float, free_share: float) -> PointPattern:
+    """Make a point pattern that knows of no trails."""
     match section:
         case Clusters():
             return ClusterPattern(section, seed=seed, purpose=purpose, per_ha=per_ha)
         case Plantation():
-            return RowPattern(section, seed=seed, purpose=purpose, per_ha=per_ha)
+            return RowPattern(section, seed=seed, purpose=purpose, per_ha=per_ha, free_share=free_share)
         case HardCore():
             return HardCorePattern(seed=seed, purpose=purpose, per_ha=per_ha)
         case Scattered():

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import HeightField
+from vlp16emu.world.ground.trails import Trails
 from vlp16emu.world.plants.allometry import taper_radius_m
 from vlp16emu.world.plants.crown import VARIANTS, CrownKey
 from vlp16emu.world.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora, known, tapers
@@ -160,6 +161,7 @@ class Stand:
     height_m : ground
     path : kept free of stems
     plants : trees and shrubs; those of the program if none are given
+    trails : kept free of stems, too
 
     Raises
     ------
@@ -175,11 +177,14 @@ class Stand:
         height_m: HeightField,
         path: Corridor,
         plants: Flora | None = None,
+        trails: Trails | None = None,
     ) -> None:
         self._seed, self._height_m, self._plants = seed, height_m, plants or flora()
         storeys: list[Storey] = [section, *section.storeys]
         self._patterns = [
-            pattern_of(storey.pattern, seed=seed, purpose=purpose, per_ha=density_per_ha(storey))
+            pattern_of(
+                storey.pattern, seed=seed, purpose=purpose, per_ha=density_per_ha(storey), trails=trails
+            )
             for storey, purpose in zip(storeys, _STOREYS, strict=False)
         ]
         self._cohorts = [[_Cohort(share, self._plants) for share in storey.species] for storey in storeys]

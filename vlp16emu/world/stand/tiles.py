@@ -1,12 +1,12 @@
 """The plane cut into square tiles: which are near a line, and their ground."""
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.types import HeightField, Mesh
+from vlp16emu.world.ground.triangles import ground_triangles
 from vlp16emu.world.polyline import Polyline
 
 __all__ = [
@@ -26,9 +26,6 @@ TILE_M = 20.0
 """Edge of a tile. Tile (ix, iy) spans TILE_M * ix .. TILE_M * (ix + 1) in x, and likewise in y."""
 
 _HALF_DIAGONAL_M = TILE_M / 2 * 2**0.5
-
-_CELLS = 40
-"""Ground cells along a tile's edge, 0.5 m each."""
 
 _SKIRT_M = 0.5
 """Depth of the hem under a tile's border, which hides the seams that rounding leaves."""
@@ -99,38 +96,19 @@ def tile_origin_m(ix: int, iy: int, height_m: HeightField) -> Array:
 
 def ground_mesh(key: TileKey, height_m: HeightField) -> Mesh:
     """Triangles of a tile's ground in the tile's own frame, with a hem that hides the seams."""
-    origin = tile_origin_m(key.ix, key.iy, height_m)
-    y, x = np.meshgrid(*[np.arange(_CELLS + 1) * (TILE_M / _CELLS)] * 2, indexing="ij")
-    grid = np.column_stack([x.ravel(), y.ravel(), height_m(x + origin[0], y + origin[1]).ravel() - origin[2]])
-    hem = grid[_border()] - [0.0, 0.0, _SKIRT_M]
-    return Mesh(np.concatenate([grid, hem]).astype(np.float32), _faces())
-
-
-@cache
-def _border() -> NDArray[np.int64]:
-    """Grid vertices along the border, counter-clockwise: (4 * _CELLS,)."""
-    n = np.arange(_CELLS)
-    row = _CELLS + 1
-    return np.concatenate([n, _CELLS + n * row, _CELLS * row + _CELLS - n, (_CELLS - n) * row])
-
-
-@cache
-def _faces() -> NDArray[np.uint32]:
-    """Triangles of the grid and then of the hem, shared by all tiles."""
-    row = _CELLS + 1
-    corner = (np.arange(_CELLS)[:, None] * row + np.arange(_CELLS)).ravel()
-    east, north, opposite = corner + 1, corner + row, corner + row + 1
-    top, hem = _border(), row * row + np.arange(4 * _CELLS)
+    points_m, faces = ground_triangles((key.ix * TILE_M, key.iy * TILE_M), TILE_M, height_m)
+    points_m -= tile_origin_m(key.ix, key.iy, height_m)
+    border = _border(points_m)
+    hem_m = points_m[border] - [0.0, 0.0, _SKIRT_M]
+    top, hem = border, len(points_m) + np.arange(len(border))
     next_top, next_hem = np.roll(top, -1), np.roll(hem, -1)
-    triangles = [
-        np.column_stack(triple)
-        for triple in (
-            (corner, east, opposite),
-            (corner, opposite, north),
-            (top, hem, next_hem),
-            (top, next_hem, next_top),
-        )
-    ]
-    faces = np.concatenate(triangles).astype(np.uint32)
-    faces.flags.writeable = False
-    return faces
+    sides = [np.column_stack([top, hem, next_hem]), np.column_stack([top, next_hem, next_top])]
+    vertices_m = np.concatenate([points_m, hem_m]).astype(np.float32)
+    return Mesh(vertices_m, np.concatenate([faces, *sides]).astype(np.uint32))
+
+
+def _border(points_m: Array) -> NDArray[np.int64]:
+    """Vertices (k,) along the border of a tile, counter-clockwise."""
+    x, y = points_m[:, 0], points_m[:, 1]
+    south, east, north, west = (np.flatnonzero(on) for on in (y == 0, x == TILE_M, y == TILE_M, x == 0))
+    return np.concatenate([south[:-1], east[:-1], north[:0:-1], west[:0:-1]])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose
 from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.world.ground.trails import Trails
 from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.world.plants.crown import VARIANTS
 from vlp16emu.world.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, bark_material, flora, known
@@ -73,6 +74,7 @@ class SaplingLayer:
         season: Season,
         canopy: Sequence[str] = (),
         plants: Flora | None = None,
+        trails: Trails | None = None,
     ) -> None:
         self._section, self._season = section, season
         self._plants = plants or flora()
@@ -84,7 +86,11 @@ class SaplingLayer:
             )
         self._species = known(living, trees, "regeneration.species")
         self.pattern = pattern_of(
-            section.pattern, seed=seed, purpose=Purpose.REGENERATION, per_ha=section.stems_per_ha
+            section.pattern,
+            seed=seed,
+            purpose=Purpose.REGENERATION,
+            per_ha=section.stems_per_ha,
+            trails=trails,
         )
 
     def place(self, site: Site) -> PlacedThings:
@@ -137,10 +143,20 @@ class ShrubLayer:
 
     is_ground = False
 
-    def __init__(self, section: Shrubs, *, seed: int, season: Season, plants: Flora | None = None) -> None:
+    def __init__(
+        self,
+        section: Shrubs,
+        *,
+        seed: int,
+        season: Season,
+        plants: Flora | None = None,
+        trails: Trails | None = None,
+    ) -> None:
         self._season, self._plants = season, plants or flora()
         self._species = known(section.species, self._plants.shrubs, "shrubs.species")
-        self.pattern = pattern_of(section.pattern, seed=seed, purpose=Purpose.SHRUBS, per_ha=section.per_ha)
+        self.pattern = pattern_of(
+            section.pattern, seed=seed, purpose=Purpose.SHRUBS, per_ha=section.per_ha, trails=trails
+        )
 
     def place(self, site: Site) -> PlacedThings:
         """Shrubs of a tile."""
