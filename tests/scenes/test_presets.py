@@ -1,5 +1,7 @@
 """Kinds of forest by name."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -28,6 +30,7 @@ def scene(tmp_path, world):
     return load(str(path)).world
 
 
+@cache
 def grown(name, reach_m=100.0):
     """Give the window, trees and ground area of a scene around one place of its path."""
     forest = assemble(load(name, [f"sensor.max_range_m={reach_m}"])).world
