@@ -16,6 +16,8 @@ import pytest
 
 from vlp16emu import Emulator
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 KEYS = [
     "file",
     "scene",

@@ -13,6 +13,8 @@ from vlp16emu.types import Semantic
 from vlp16emu.world.plants.flora import species_table
 from vlp16emu.world.stand.stand import REGENERATION
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 EACH = pytest.mark.parametrize("name", [*presets(), "reference_forest"])
 SCENE = """
 schema = 1
