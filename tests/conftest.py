@@ -4,6 +4,8 @@ import os
 import tempfile
 from pathlib import Path
 
+import pytest
+
 os.environ["VLP16EMU_CACHE_DIR"] = "off"
 # Hypothesis keeps paths of the machine beside the examples that it found: not in the checkout.
 os.environ.setdefault(
@@ -12,6 +14,32 @@ os.environ.setdefault(
 
 WITHOUT_CASTING = ("device", "motion", "packets", "protocol", "report", "scenario", "sensor", "world")
 """Rooms whose tests cast no ray."""
+
+
+WOODS = "VLP16EMU_TEST_WOODS"
+"""Variable that names the folder of `kept_woods` to workers."""
+
+
+def pytest_configure(config):
+    """Make an empty folder for what grows in this session, which goes with it."""
+    if WOODS not in os.environ:
+        folder = tempfile.TemporaryDirectory(prefix="vlp16emu-woods-")
+        os.environ[WOODS] = folder.name
+        config.add_cleanup(lambda: os.environ.pop(WOODS))
+        config.add_cleanup(folder.cleanup)
+
+
+@pytest.fixture(scope="module")
+def kept_woods():
+    """Keep what grows from test to test, where they are about what is seen of it and not about how it grows."""
+    from vlp16emu.store import user_store
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("VLP16EMU_CACHE_DIR", os.environ[WOODS])
+        user_store.cache_clear()
+        yield
+        user_store().flush()
+    user_store.cache_clear()
 
 
 def pytest_sessionstart():

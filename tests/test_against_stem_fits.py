@@ -9,6 +9,8 @@ from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 SPRUCE = ["sensor.max_range_m=30.0", "sensor.return_mode=strongest", "seed=3"]
 WALK_S = 12.0
 

@@ -11,6 +11,8 @@ from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, Capture, decode_data
 from vlp16emu.scenario import load
 from vlp16emu.sinks import PcapSink
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 DURATION_S = 2.0
 SCANS = 20
 

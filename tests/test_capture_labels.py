@@ -11,6 +11,8 @@ from vlp16emu.sinks import TruthTo
 
 pytest.importorskip("pyarrow", reason="pyarrow is in the extra data")
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 SETTINGS = {
     "sensor.return_mode": "dual",
     "world.stems_per_ha": 300,

@@ -14,6 +14,8 @@ from vlp16emu.scenario import load
 from vlp16emu.streaming import Http
 from vlp16emu.types import PacketKind
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 HALL = {"kind": "hall", "length_m": 20.0, "width_m": 16.0, "height_m": 5.0}
 TABLES = {
     "schema": 1,

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 TOOL = Path(__file__).resolve().parents[1] / "tools" / "deskew"
 PACKET_S = 1.327104e-3
 

@@ -13,6 +13,8 @@ from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.motion.pose_files import read_tum
 from vlp16emu.packets import DISTANCE_LSB_M
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 SETTINGS = {
     "world.stems_per_ha": 300,
     "sensor.max_range_m": 25.0,

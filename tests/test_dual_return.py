@@ -9,6 +9,8 @@ import pytest
 from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 TOOL = Path(__file__).resolve().parents[1] / "tools" / "dual_returns"
 SPAN_S = 5.0, 5.2
 RESOLUTION_M = 1.0

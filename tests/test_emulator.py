@@ -32,7 +32,7 @@ def hall(*settings):
 def birch():
     """A short piece of forest, thin enough to be quick, across the change of a window."""
     bare = [f"world.{layer}.cover=0.0" for layer in ("litter", "ferns", "dwarf_shrubs")]
-    return load("birch_walk", ["world.stems_per_ha=150", "sensor.max_range_m=30.0", "seed=5", *bare])
+    return load("birch_walk", ["world.stems_per_ha=150", "sensor.max_range_m=20.0", "seed=5", *bare])
 
 
 def test_threads_do_not_change_a_byte(birch):

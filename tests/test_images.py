@@ -14,6 +14,8 @@ from vlp16emu.errors import InputError, MissingExtraError, OutputError
 OpenEXR = pytest.importorskip("OpenEXR", reason="extra images")
 Image = pytest.importorskip("PIL.Image", reason="extra images")
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 TILTED = {
     "motion.x_m": 1.0,
     "motion.y_m": -1.5,

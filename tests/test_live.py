@@ -21,6 +21,8 @@ from vlp16emu.packets.pose import pack_pose
 from vlp16emu.types import PacketKind
 from vlp16emu.units import MS_NS, S_NS, US_NS
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 TOOLS = Path(__file__).resolve().parents[1] / "tools"
 LIVE = 'motion={kind="live"}'
 RUN_S, RATE_HZ = 3.0, 100

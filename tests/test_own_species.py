@@ -12,6 +12,8 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.scenario import load
 from vlp16emu.types import Semantic
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 SCENE = """\
 schema = 1
 title = "A stand of the user's own species"

@@ -12,6 +12,8 @@ from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.scan import Chunk, cut_scans
 from vlp16emu.types import Semantic
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 SPAN_S = 0.35
 BLOCK_NS = 110_592
 FREE = {"sensor.model": "free", "sensor.beams": 4, "sensor.azimuth_resolution_deg": 2.0}

@@ -19,6 +19,8 @@ from vlp16emu.sinks.slots import SLOT_COLUMNS
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is in the extra data")
 compute = pytest.importorskip("pyarrow.compute", reason="pyarrow is in the extra data")
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 SPAN_S = 0.25
 EDGE_M = 0.002
 Z_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])

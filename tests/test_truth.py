@@ -20,6 +20,8 @@ from vlp16emu.truth import Truth
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 
 @pytest.fixture(scope="module")
 def walk():

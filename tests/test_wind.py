@@ -14,7 +14,7 @@ from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M
 
 BLOCK_S = 1920 * 55_296e-9
 STRETCH_S = 64 * BLOCK_S
-THIN = ["world.stems_per_ha=150", "sensor.max_range_m=25.0", "seed=5"]
+THIN = ["world.stems_per_ha=150", "sensor.max_range_m=15.0", "seed=5"]
 BLOWS = [*THIN, "wind.speed_m_s=9.0", "wind.towards_deg=70.0"]
 
 

@@ -20,6 +20,8 @@ from vlp16emu.raycast.caster import caster
 from vlp16emu.scenario import load
 from vlp16emu.types import Hits
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 
 def measured(*settings, pulses=256):
     return measure_accuracy(load("static_bench", settings), "hall", pulses=pulses, done=lambda _: None)

@@ -11,6 +11,8 @@ from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, US_NS
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 HALL = {"kind": "hall", "length_m": 20.0, "width_m": 16.0, "height_m": 5.0}
 BLOCK_US = 110.592
 

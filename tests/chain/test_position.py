@@ -9,6 +9,8 @@ from vlp16emu.packets import decode_position, parse_rmc
 from vlp16emu.scenario import load
 from vlp16emu.units import S_NS
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 FOREST = [
     "world.stems_per_ha=150",
     "sensor.max_range_m=40.0",

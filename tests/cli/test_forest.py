@@ -14,6 +14,8 @@ from vlp16emu.report.forest.survey import survey
 from vlp16emu.scenario import load
 from vlp16emu.world.ground.grid import read_grid
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 SMALL = ("--set", "duration_s=3.0", "--set", "sensor.max_range_m=16.0", "--radius", "12")
 
 

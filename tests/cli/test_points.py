@@ -11,6 +11,8 @@ from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 FREE = ["--set", "sensor.model=free"]
 
 

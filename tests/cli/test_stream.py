@@ -16,6 +16,8 @@ import pytest
 from vlp16emu.packets import Capture
 from vlp16emu.packets.position import STAMP_LEAD_NS
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 PERIOD_NS = 1_327_104
 STOPPED_S = 5.0
 SO_TIMESTAMPNS = 35

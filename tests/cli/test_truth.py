@@ -6,6 +6,8 @@ import time
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 
 def rows(path):
     """Lines that are no comment."""

@@ -18,6 +18,8 @@ from vlp16emu import Emulator
 from vlp16emu.dataset import load_spec, make_dataset, walks_of
 from vlp16emu.errors import ScenarioError
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 SPEC = """
 schema = 1
 layout = "semantickitti"

@@ -9,6 +9,8 @@ from vlp16emu.scenario import load
 from vlp16emu.scenario.find import scene_files
 from vlp16emu.types import PacketKind
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 SCENES = list(scene_files().values())
 NAMES = list(scene_files())
 

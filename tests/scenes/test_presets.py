@@ -1,5 +1,7 @@
 """Kinds of forest by name."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,8 @@ from vlp16emu.scenario.presets import presets
 from vlp16emu.types import Semantic
 from vlp16emu.world.plants.flora import species_table
 from vlp16emu.world.stand.stand import REGENERATION
+
+pytestmark = pytest.mark.usefixtures("kept_woods")
 
 EACH = pytest.mark.parametrize("name", [*presets(), "reference_forest"])
 SCENE = """
@@ -28,6 +32,7 @@ def scene(tmp_path, world):
     return load(str(path)).world
 
 
+@cache
 def grown(name, reach_m=100.0):
     """Give the window, trees and ground area of a scene around one place of its path."""
     forest = assemble(load(name, [f"sensor.max_range_m={reach_m}"])).world

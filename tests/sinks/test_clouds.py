@@ -21,6 +21,8 @@ from vlp16emu.types import PlantPart, Semantic
 laspy = pytest.importorskip("laspy")
 pytest.importorskip("lazrs")
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 SETTINGS = {
     "world.stems_per_ha": 300,
     "sensor.max_range_m": 25.0,

@@ -16,6 +16,8 @@ from vlp16emu.viewer.capture import CaptureSweeps
 from vlp16emu.viewer.layers import LAYERS, colours_of, layers_of_scan
 from vlp16emu.viewer.sensor import sectors_of
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 FLAG = 42 + 100
 """Of the second block, in a frame."""
 

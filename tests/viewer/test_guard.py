@@ -98,7 +98,6 @@ def test_hostile_messages_change_nothing(port, monkeypatch):
         with suppress(ConnectionClosed), connect(address, subprotocols=[kind], max_size=None) as client:
             client.recv(timeout=20)
             client.send(message)
-            client.ping().wait(timeout=5)
     assert status(port) == 200
     assert made == []
 
@@ -134,10 +133,10 @@ def test_random_messages_change_nothing(port, tmp_path):
         [[1.0]],
     )
     address, kind = f"ws://127.0.0.1:{port}/", f"viser-v{viser.__version__}"
-    for round_ in range(20):
+    for round_ in range(100):  # what is wrong ends its connection: few messages each, and many of them
         with suppress(ConnectionClosed), connect(address, subprotocols=[kind], max_size=None) as client:
             assert secret.read_bytes() not in client.recv(timeout=20)
-            for _ in range(25):
+            for _ in range(5):
                 if round_ % 4 == 0:
                     client.send(rng.bytes(int(rng.integers(1, 300))))
                     continue
@@ -145,7 +144,6 @@ def test_random_messages_change_nothing(port, tmp_path):
                     key: values[rng.integers(len(values))] for key in rng.choice(KEYS, 4, replace=False)
                 }
                 client.send(msgspec.msgpack.encode(message | {"type": kinds[rng.integers(len(kinds))]}))
-            client.ping().wait(timeout=5)
     assert status(port) == 200
     assert [path.name for path in tmp_path.iterdir()] == ["secret"]
 

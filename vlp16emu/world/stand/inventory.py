@@ -228,10 +228,20 @@ def _stretched_m2(leaves: Mesh, wide: Array, long: Array) -> Array:
 
 def _spans_m(meshes: Sequence[Mesh], foot_T_crown: Array) -> tuple[Array, Array]:
     """Least and greatest coordinates (n, 3) of any vertex by n transforms (n, 3, 4); infinite where there is none."""
-    places = np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64)
+    places = _outermost(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
     low_m, high_m = np.full((2, len(foot_T_crown), 3), [[[np.inf]], [[-np.inf]]])
     for i, transform in enumerate(foot_T_crown):
         at_m = places @ transform[:, :3].T + transform[:, 3]
         low_m[i] = at_m.min(axis=0, initial=np.inf)
         high_m[i] = at_m.max(axis=0, initial=-np.inf)
     return low_m, high_m
+
+
+def _outermost(places: Array) -> Array:
+    """Those of points (k, 3) that some straight line can leave behind all others: corners of their convex hull."""
+    from scipy.spatial import ConvexHull, QhullError  # here: it takes a while to load
+
+    try:
+        return places[ConvexHull(places).vertices]
+    except (QhullError, ValueError):  # few or flat
+        return places
