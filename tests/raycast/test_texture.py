@@ -49,8 +49,8 @@ def test_brightness_varies_by_the_texture(places_m):
 
 
 @pytest.mark.parametrize("away_m", [0.0, 1e7])
-def test_patches_are_two_tenths_of_a_metre(places_m, away_m):
-    """Places 1 cm apart are mostly of one patch, places 0.2 m apart mostly not, places 1 m apart have nothing to do with each other; far from the world's origin too."""
+def test_patches_are_eight_centimetres(places_m, away_m):
+    """Places 4 mm apart are mostly of one patch, places 8 cm apart mostly not, places 0.4 m apart have nothing to do with each other; far from the world's origin too."""
     origin_m = np.full(3, away_m)
     step = np.random.default_rng(2).normal(size=places_m.shape)
     step /= np.linalg.norm(step, axis=1, keepdims=True)
@@ -59,10 +59,10 @@ def test_patches_are_two_tenths_of_a_metre(places_m, away_m):
         return factors(places_m + origin_m + m * step, origin_m=origin_m)
 
     one = at(0.0)
-    same = {m: np.isclose(at(m), one, atol=1e-4).mean() for m in (0.01, 0.2)}
-    assert same[0.01] > 0.9
-    assert 0.2 < same[0.2] < 0.5
-    assert abs(np.corrcoef(one, at(1.0))[0, 1]) < 0.03
+    same = {m: np.isclose(at(m), one, atol=1e-4).mean() for m in (0.004, 0.08)}
+    assert same[0.004] > 0.9
+    assert 0.2 < same[0.08] < 0.5
+    assert abs(np.corrcoef(one, at(0.4))[0, 1]) < 0.03
 
 
 def test_a_patch_looks_the_same_from_everywhere(places_m):

@@ -13,10 +13,9 @@ from vlp16emu.types import Firings, Hits
 
 __all__ = ["textured"]
 
-_GRID_M = 0.4
-"""Size of a patch; with it neighbouring returns are equal as often, and differ as much, as those of real sensors from walls."""
-_RELIEF_GRID_M = 0.15
-"""The same of relief: what stands out by place on real walls is alike at pulses 0.2 degrees apart, not at 0.4 (protocol/README.md)."""
+_GRID_M = 0.15
+"""Size of a patch, half of which its folds leave; with it neighbouring returns are equal as often, and differ as much, as those of
+real sensors from walls, and relief is alike at pulses 0.2 degrees apart, not at 0.4 (protocol/README.md)."""
 _SAME_M = 0.1
 """Sub-rays of a pulse that end within this of each other end on one patch."""
 _SPREAD = math.sqrt(3.0)
@@ -100,11 +99,11 @@ def _raise(
             start, stop = stop, stop + int(count[i, j])
             for ray in range(start, stop):
                 if range_m[ray] < np.inf and relief_m[met[ray]] > 0.0:
-                    steps = np.float64(range_m[ray]) / _RELIEF_GRID_M
+                    steps = np.float64(range_m[ray]) / _GRID_M
                     x, y, z = (
-                        origin_m[i, j, 0] / _RELIEF_GRID_M + steps * direction[i, j, 0],
-                        origin_m[i, j, 1] / _RELIEF_GRID_M + steps * direction[i, j, 1],
-                        origin_m[i, j, 2] / _RELIEF_GRID_M + steps * direction[i, j, 2],
+                        origin_m[i, j, 0] / _GRID_M + steps * direction[i, j, 0],
+                        origin_m[i, j, 1] / _GRID_M + steps * direction[i, j, 1],
+                        origin_m[i, j, 2] / _GRID_M + steps * direction[i, j, 2],
                     )
                     patch = _STANDING_OUT * (2.0 * _of_patch(seed, x, y, z)[1] - 1.0) ** 5
                     out_m[ray] = range_m[ray] + relief_m[met[ray]] * patch
