@@ -61,7 +61,6 @@ class EmbreeMesh:
         scene: int = lib.rtcNewScene(device)
         weakref.finalize(self, lib.rtcReleaseScene, scene)
         lib.rtcSetSceneFlags(scene, rtc.SCENE_ROBUST)
-        lib.rtcSetSceneBuildQuality(scene, rtc.BUILD_QUALITY_HIGH)
         for number in np.flatnonzero(stop > begin).tolist():
             vertices_m, quads = self.faces[number]
             geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_QUAD)

@@ -17,7 +17,6 @@ from vlp16emu.errors import RunError, Vlp16emuError
 __all__ = [
     "BUFFER_INDEX",
     "BUFFER_VERTEX",
-    "BUILD_QUALITY_HIGH",
     "FLAG_COHERENT",
     "FORMAT_FLOAT3",
     "FORMAT_FLOAT3X4_ROW_MAJOR",
@@ -39,8 +38,6 @@ FORMAT_UINT4 = 0x5004
 FORMAT_FLOAT3, FORMAT_FLOAT3X4_ROW_MAJOR = 0x9003, 0x9134
 SCENE_ROBUST = 1 << 2
 """Watertight at shared edges, at about a tenth of the speed of single rays."""
-BUILD_QUALITY_HIGH = 2
-"""Cuts faces that reach far: 7 % more rays per second in `scenes/reference_forest`, for an eighth more time to open."""
 FLAG_COHERENT = 1 << 16
 """Rays of a packet are near each other: nearly doubles the speed of neighbouring azimuths of one laser."""
 
@@ -49,7 +46,6 @@ _SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "rtcGetDeviceError": (c_int, [c_void_p]),
     "rtcNewScene": (c_void_p, [c_void_p]),
     "rtcSetSceneFlags": (None, [c_void_p, c_int]),
-    "rtcSetSceneBuildQuality": (None, [c_void_p, c_int]),
     "rtcCommitScene": (None, [c_void_p]),
     "rtcReleaseScene": (None, [c_void_p]),
     "rtcNewGeometry": (c_void_p, [c_void_p, c_int]),
