@@ -153,8 +153,8 @@ _STYLES = {
     Kind.ADAPTIVE: (CYCLE[2], "D", (-8, -13)),
 }
 """Colour, mark, and where the label is, in points; to the left it ends there."""
-_CLOSE = 0.25
-"""Settings whose run times and errors differ by less, as a share, have one label."""
+_CLOSE = 0.3, 0.25
+"""Settings whose run times and errors differ by less, as shares, have one label."""
 
 
 def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
