@@ -40,6 +40,7 @@ FLOORS = (
         "gps_time",
         "labels",
         "output",
+        "plots",
         "random",
         "settings",
         "store",

@@ -3,12 +3,13 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from vlp16emu.accuracy.compare import Errors
 from vlp16emu.accuracy.distributions import Distributions
+from vlp16emu.plots import CYCLE, INK, SOFT, plotted
 
 __all__ = [
     "Accuracy",
@@ -143,14 +144,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_DPI = 100
-_SOFT, _IN_USE = "#bbbbbb", "#d62728"
+_SIZE_PX = 1100, 480
+_IN_USE = CYCLE[3]
 _STYLES = {
-    Kind.ONE_RAY: ("#555555", "s"),
-    Kind.BEAM_ERROR: ("#9467bd", "x"),
-    Kind.FIXED: ("#1f77b4", "o"),
-    Kind.ADAPTIVE: ("#2ca02c", "D"),
+    Kind.ONE_RAY: (INK, "s", (6, -10)),
+    Kind.BEAM_ERROR: (CYCLE[4], "x", (4, 5)),
+    Kind.FIXED: (CYCLE[0], "o", (4, 5)),
+    Kind.ADAPTIVE: (CYCLE[2], "D", (-8, -13)),
 }
+"""Colour, mark, and where the label is, in points; to the left it ends there."""
+_CLOSE = 0.3, 0.25
+"""Settings whose run times and errors differ by less, as shares, have one label."""
 
 
 def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
@@ -160,48 +164,47 @@ def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
     ----------
     file : open for writing
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 4.8), dpi=_DPI, layout="constrained")
-    left, right = figure.subplots(1, 2)
-    _draw(left, accuracy.rows, lambda row: row.errors.mean_error_m)
-    line = front(accuracy.rows)
-    left.plot(
-        [row.us_per_pulse for row in line],
-        [row.errors.mean_error_m for row in line],
-        color=_SOFT,
-        linewidth=6,
-        alpha=0.6,
-        zorder=0,
-        label="Pareto front",
-    )
-    _draw_orders(left, accuracy.rows)
-    left.set(title="All returns: wrong and lost ones count as the resolution", ylabel="mean error, m")
-    left.legend(fontsize=8)
-    _draw(right, accuracy.rows, lambda row: row.errors.range_rmse_m)
-    right.axhline(accuracy.answer_rmse_m, color=_SOFT, linestyle=":", label="the answer's own error")
-    right.set(title="Returns of the right echo", ylabel="range RMSE, m")
-    right.legend(fontsize=8)
-    figure.suptitle(f"{accuracy.scene}: error against run time, {accuracy.rows[0].errors.pulses} pulses")
-    figure.savefig(file, format="png")
+    with plotted(file, _SIZE_PX) as figure:
+        left, right = figure.subplots(1, 2)
+        _draw(left, accuracy.rows, lambda row: row.errors.mean_error_m)
+        line = front(accuracy.rows)
+        left.plot(
+            [row.us_per_pulse for row in line],
+            [row.errors.mean_error_m for row in line],
+            color=SOFT,
+            linewidth=6,
+            alpha=0.5,
+            zorder=0,
+            label="Pareto front",
+        )
+        _draw_orders(left, accuracy.rows)
+        left.set(title="All returns: wrong and lost ones count as the resolution", ylabel="mean error, m")
+        _draw(right, accuracy.rows, lambda row: row.errors.range_rmse_m)
+        right.axhline(accuracy.answer_rmse_m, color=SOFT, linestyle=":", label="the answer's own error")
+        right.set(title="Returns of the right echo", ylabel="range RMSE, m")
+        for axes in (left, right):
+            axes.legend(loc="upper right")
+        figure.suptitle(f"{accuracy.scene}: error against run time, {accuracy.rows[0].errors.pulses} pulses")
 
 
 def _draw(axes: "Axes", rows: Sequence[Row], error_m: Callable[[Row], float]) -> None:
     """Draw one error of all rows."""
-    for kind, (colour, marker) in _STYLES.items():
+    for kind, (colour, marker, aside) in _STYLES.items():
         own = [row for row in rows if row.kind is kind]
         us, errors = [row.us_per_pulse for row in own], [error_m(row) for row in own]
         spread = np.array([row.us_spread / 2 for row in own])
         line = "-" if kind in (Kind.FIXED, Kind.ADAPTIVE) else ""
         axes.errorbar(us, errors, xerr=spread, color=colour, marker=marker, linestyle=line, label=kind.value)
-        for row, x, y in zip(own, us, errors, strict=True):
-            axes.annotate(_short(row), (x, y), (4, 5), textcoords="offset points", fontsize=7, color=colour)
+        for words, at in _labels(own, us, errors):
+            side = "left" if aside[0] > 0 else "right"
+            looks: dict[str, Any] = {"fontsize": 7, "color": colour, "ha": side}
+            axes.annotate(words, at, aside, textcoords="offset points", **looks)
     for row in rows:
         if row.in_use:
             place = [row.us_per_pulse], [error_m(row)]
             axes.plot(*place, "o", ms=15, mfc="none", mec=_IN_USE, mew=2, label="in use")
     axes.set(xscale="log", yscale="log", xlabel="us per pulse, one core")
-    axes.grid(which="both", alpha=0.2)
+    axes.grid(which="both", alpha=0.5)
     axes.xaxis.set_minor_formatter("")
 
 
@@ -213,6 +216,19 @@ def _draw_orders(axes: "Axes", rows: Sequence[Row]) -> None:
             us = np.array([us.min() / 1.2, us.max() * 1.2])
             name = f"{kind.value}: error ~ time^-{fit.order:.2f}"
             axes.plot(us, fit.at_1_us_m * us**-fit.order, "--", color=_STYLES[kind][0], lw=1, label=name)
+
+
+def _labels(
+    rows: Sequence[Row], us: Sequence[float], errors: Sequence[float]
+) -> list[tuple[str, tuple[float, float]]]:
+    """Words and places of the labels of a kind; what lies together has one label."""
+    labels = list[tuple[str, tuple[float, float]]]()
+    for row, place in zip(rows, zip(us, errors, strict=True), strict=True):
+        if labels and np.allclose(place, labels[-1][1], rtol=_CLOSE, atol=0.0):
+            labels[-1] = f"{labels[-1][0]}, {_short(row)}", labels[-1][1]
+        else:
+            labels.append((_short(row), place))
+    return labels
 
 
 def _short(row: Row) -> str:

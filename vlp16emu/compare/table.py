@@ -8,6 +8,7 @@ import numpy as np
 
 from vlp16emu.compare.sequences import Sequences
 from vlp16emu.compare.statistics import local, smooth_of, statistics_of, turning_of
+from vlp16emu.plots import plotted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,6 +47,7 @@ REAL: Mapping[str, tuple[float, float]] = MappingProxyType(
 """Least and greatest value of each statistic on real units: mrpt, nebula, einride and a unit of 2014, before release;
 protocol/README.md, "The character of a unit". The mean of no-returns is that of nine units."""
 
+_SIZE_PX = 1100, 750
 _LEAST_SPREAD = 0.25
 """Of the greatest value: four units that agree more closely do not show what a fifth does."""
 
@@ -86,19 +88,16 @@ def draw(file: IO[bytes], first: Sequences, second: Sequences, names: tuple[str,
     file : open for writing
     names : of the captures, for the legend
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 7.5), dpi=100, layout="constrained")
-    axes = figure.subplots(2, 2).ravel()
-    for sequences, name in zip((first, second), names, strict=True):
-        _draw_one(axes, sequences, name)
     titles = ("range error, mm, by pulse modulo 5", "azimuth, cdeg, by cycles per block")
-    for axis, title in zip(
-        axes, (*titles, "step of the azimuth, cdeg", "reflectivity of returns"), strict=True
-    ):
-        axis.set_title(title)
-        axis.legend(frameon=False)
-    figure.savefig(file, format="png")
+    with plotted(file, _SIZE_PX) as figure:
+        axes = figure.subplots(2, 2).ravel()
+        for sequences, name in zip((first, second), names, strict=True):
+            _draw_one(axes, sequences, name)
+        for axis, title in zip(
+            axes, (*titles, "step of the azimuth, cdeg", "reflectivity of returns"), strict=True
+        ):
+            axis.set_title(title)
+            axis.legend(frameon=False)
 
 
 def _draw_one(axes: "list[Axes]", sequences: Sequences, name: str) -> None:

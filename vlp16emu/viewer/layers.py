@@ -12,7 +12,7 @@ from vlp16emu.scan import Scan
 from vlp16emu.types import SURFACE, PlantPart, Semantic
 from vlp16emu.units import S_NS
 
-__all__ = ["LAYERS", "Entries", "colours_of", "colours_of_scale", "entries_of", "layers_of_scan"]
+__all__ = ["LAYERS", "PART_RGB", "Entries", "colours_of", "colours_of_scale", "entries_of", "layers_of_scan"]
 
 Rgb = NDArray[np.uint8]
 
@@ -23,7 +23,7 @@ _LABELLED = ("natural", "class", "part", "species", "instance")
 _MEASURED = ("range", "reflectivity", "ring", "time")
 LAYERS = (*_LABELLED, *_MEASURED, "range error")
 
-_PART: dict[PlantPart, tuple[int, int, int]] = {
+PART_RGB: dict[PlantPart, tuple[int, int, int]] = {
     PlantPart.NONE: (150, 128, 94),
     PlantPart.STEM: (122, 72, 40),
     PlantPart.BRANCH_FIRST_ORDER: (206, 128, 46),
@@ -32,6 +32,7 @@ _PART: dict[PlantPart, tuple[int, int, int]] = {
     PlantPart.ROOT_FLARE: (160, 40, 60),
     PlantPart.DEAD_BRANCH: (130, 110, 150),
 }
+"""Colours of the layer "part"."""
 _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
 """Viridis at five places (matplotlib, `_cm_listed.py`)."""
 _EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
@@ -61,7 +62,7 @@ def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Rgb:
         if layer == "class":
             return _each(labels.semantic, _of_class)
         if layer == "part":
-            return _each(labels.part, lambda part: _PART[PlantPart(part)])
+            return _each(labels.part, lambda part: PART_RGB[PlantPart(part)])
         if layer == "instance":
             return _each(labels.instance, _of_instance)
         none = colour_of_kind("ground")
@@ -85,7 +86,9 @@ def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
     if layer == "class":
         return {Semantic(one).name.lower(): _of_class(one) for one in np.unique(labels.semantic).tolist()}
     if layer == "part":
-        return {PlantPart(one).name.lower(): _PART[PlantPart(one)] for one in np.unique(labels.part).tolist()}
+        return {
+            PlantPart(one).name.lower(): PART_RGB[PlantPart(one)] for one in np.unique(labels.part).tolist()
+        }
     if layer == "instance":
         return None
     shown = [species[one] for one in np.unique(labels.species).tolist() if one in species]

@@ -15,6 +15,7 @@ from vlp16emu.deskew import Trajectory, TrajectoryErrors
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.output import OutputFile
+from vlp16emu.plots import BACK, plotted, scale_bar
 from vlp16emu.scan import Scan, decode
 from vlp16emu.viewer.canvas import Canvas, LaserRows, Oblique, View
 from vlp16emu.viewer.layers import Entries, colours_of, colours_of_scale, entries_of, layers_of_scan
@@ -47,7 +48,6 @@ _CIRCLES_M, _MOST_CIRCLES = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), 6
 _DEEP_M, _CIRCLE_RGB = -1e3, (58, 68, 82)
 """Circles of range about the sensor are behind all points."""
 _SENSOR_RGB = (255, 70, 50)
-_BACK, _INK = "#0e1218", "#d7dbe0"
 _MOST_ENTRIES = 12
 _MILLIONS = 100_000
 """Points from which on they are counted in millions."""
@@ -236,8 +236,8 @@ class _Drawing:
         return image
 
     def labels(self) -> Iterator[tuple[float, float, str]]:
-        """Yield what stands at columns and rows from below of a still."""
-        yield 30, 40, "10 m"
+        """Yield what stands at columns and rows from below of a still, beside the bar of ten metres."""
+        return iter(())
 
 
 class _Above(_Drawing):
@@ -341,49 +341,35 @@ def _mp4(file: Any, frames: Iterator[NDArray[np.uint8]], size: tuple[int, int]) 
 
 def _still(file: Any, drawing: _Drawing, entries: Entries) -> None:
     """Write a picture with its legend, or scale of colours, and a bar of ten metres."""
-    try:
-        from matplotlib.figure import Figure
-        from matplotlib.patches import Patch
-    except ImportError:
-        raise MissingExtraError("matplotlib", "picture", "pictures") from None
     width, height = drawing.look.size
-    figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=_BACK)
-    axes = figure.add_axes((0, 0, 1, 1))
-    axes.imshow(drawing.canvas.image(), extent=(0, width, 0, height), interpolation="none")
-    axes.set(xlim=(0, width), ylim=(0, height))
-    axes.axis("off")
-    if isinstance(view := drawing.canvas.view, Oblique) and drawing.adds_up:
-        axes.plot([30, 30 + 10 * view.px_per_m], [30, 30], color=_INK, lw=2.5, solid_capstyle="butt")
-    colour = drawing.look.colour
-    shown_by = "in natural colours" if colour == "natural" else f"by {colour}"
-    text = partial(
-        axes.text,
-        color=_INK,
-        fontsize=10,
-        bbox={"facecolor": _BACK, "edgecolor": "none", "alpha": 0.7, "pad": 2.0},
-    )
-    for column, up, words in drawing.labels():
-        text(column, up, words)
-    many = drawing.points
-    points = f"{many / 1e6:.2f} million" if many >= _MILLIONS else f"{many:,}".replace(",", " ")
-    which = "" if drawing.adds_up else " of a revolution"
-    text(30, height - 18, f"{points} points{which}, {shown_by}", va="top")
-    if isinstance(entries, Mapping):
-        shown = [
-            Patch(color=f"#{rgb[0]:02x}{rgb[1]:02x}{rgb[2]:02x}", label=name.replace("_", " "))
-            for name, rgb in list(entries.items())[:_MOST_ENTRIES]
-        ]
-        axes.legend(
-            handles=shown,
-            loc="upper right",
-            fontsize=9,
-            facecolor=_BACK,
-            edgecolor="#3a4452",
-            labelcolor=_INK,
+    with plotted(file, (width, height), layout=None) as figure:
+        axes = figure.add_axes((0, 0, 1, 1))
+        axes.imshow(drawing.canvas.image(), extent=(0, width, 0, height), interpolation="none")
+        axes.set(xlim=(0, width), ylim=(0, height))
+        axes.axis("off")
+        if isinstance(view := drawing.canvas.view, Oblique) and drawing.adds_up:
+            scale_bar(axes, view.px_per_m, 10.0, (30, 30))
+        colour = drawing.look.colour
+        shown_by = "in natural colours" if colour == "natural" else f"by {colour}"
+        text = partial(
+            axes.text, fontsize=10, bbox={"facecolor": BACK, "edgecolor": "none", "alpha": 0.7, "pad": 2.0}
         )
-    elif entries is not None:
-        _scale(figure, *entries)
-    figure.savefig(file, format="png", metadata={"Software": None}, pil_kwargs={"optimize": True})
+        for column, up, words in drawing.labels():
+            text(column, up, words)
+        many = drawing.points
+        points = f"{many / 1e6:.2f} million" if many >= _MILLIONS else f"{many:,}".replace(",", " ")
+        which = "" if drawing.adds_up else " of a revolution"
+        text(30, height - 18, f"{points} points{which}, {shown_by}", va="top")
+        if isinstance(entries, Mapping):
+            from matplotlib.patches import Patch
+
+            shown = [
+                Patch(color=f"#{rgb[0]:02x}{rgb[1]:02x}{rgb[2]:02x}", label=name.replace("_", " "))
+                for name, rgb in list(entries.items())[:_MOST_ENTRIES]
+            ]
+            axes.legend(handles=shown, loc="upper right", fontsize=9)
+        elif entries is not None:
+            _scale(figure, *entries)
 
 
 def _scale(figure: "Figure", least: float, most: float, unit: str) -> None:
@@ -396,5 +382,5 @@ def _scale(figure: "Figure", least: float, most: float, unit: str) -> None:
         extent=(0, 1, least, most),
     )
     bar.set_xticks([])
-    bar.tick_params(colors=_INK, labelsize=9)
-    bar.set_title(unit, color=_INK, fontsize=9)
+    bar.tick_params(labelsize=9)
+    bar.set_title(unit, fontsize=9)

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import MissingExtraError
+from vlp16emu.plots import save_in_few_colours
 from vlp16emu.report.forest.plan import INK, SOFT, WALK, PlanView, draw_plan, legend_entries
 from vlp16emu.report.forest.section import StandSection
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = ["check_matplotlib", "draw_sheet", "section_pixels_per_m"]
 
@@ -98,7 +98,7 @@ def draw_sheet(
     _draw_side(place(_FOOT_IN, side_width_in, side_in), plan, section, drawn)
     figure.text(_EDGE_IN / _WIDTH_IN, 1 - 0.38 / height_in, title, size=15, color=INK, weight="bold")
     figure.text(_EDGE_IN / _WIDTH_IN, 1 - 0.66 / height_in, subtitle, size=9.5, color=SOFT)
-    _save(figure, file)
+    save_in_few_colours(figure, file, _COLOURS)
 
 
 def _draw_side(axes: "Axes", plan: PlanView, section: StandSection, drawn: NDArray[np.uint8]) -> None:
@@ -157,16 +157,3 @@ def _draw_carrier(
             axes.plot(
                 [x_m, x_m + side * _BEAM_M], [sensor_m, sensor_m + rise_m], color=WALK, lw=0.5, alpha=0.6
             )
-
-
-def _save(figure: "Figure", file: BinaryIO) -> None:
-    """Write the figure with a palette of its own."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
-
-    canvas: Any = FigureCanvasAgg(figure)  # its methods are untyped
-    canvas.draw()
-    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    # The path is thin and red, and a palette by frequency alone would lose it.
-    few = picture.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
-    few.save(file, format="PNG", optimize=True)

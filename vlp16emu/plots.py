@@ -1,0 +1,111 @@
+"""The style of all plots and pictures of points: light on dark, as the points of the viewer are."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from types import MappingProxyType
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+
+from vlp16emu.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["BACK", "CYCLE", "INK", "SOFT", "plotted", "save_in_few_colours", "scale_bar"]
+
+BACK, INK, SOFT, _EDGE = "#0e1218", "#d7dbe0", "#8a94a3", "#3a4452"
+"""Colours of the background, of writing, of what is less important, and of frames."""
+CYCLE = (
+    "#5aa9e6", "#f2a541", "#74c476", "#e0605e", "#b58bd6", "#c9a27e", "#e58bc0", "#9aa4b0", "#d6cf5a", "#4fc3c7"
+)  # fmt: skip
+"""Colours of lines and marks, in order."""
+_DPI = 100
+_STYLE: Mapping[Any, Any] = MappingProxyType(
+    {
+        "figure.facecolor": BACK,
+        "savefig.facecolor": BACK,
+        "axes.facecolor": BACK,
+        "axes.edgecolor": _EDGE,
+        "axes.labelcolor": INK,
+        "axes.titlecolor": INK,
+        "axes.titlesize": 10,
+        "axes.labelsize": 9,
+        "figure.titlesize": 11,
+        "font.size": 9,
+        "grid.color": _EDGE,
+        "legend.facecolor": BACK,
+        "legend.edgecolor": _EDGE,
+        "legend.labelcolor": INK,
+        "legend.fontsize": 8,
+        "text.color": INK,
+        "xtick.color": INK,
+        "ytick.color": INK,
+        "xtick.labelsize": 8,
+        "ytick.labelsize": 8,
+    }
+)
+
+
+@contextmanager
+def plotted(
+    file: "IO[bytes] | str",
+    size_px: tuple[int, int],
+    layout: Any = "constrained",
+    few_colours: int | None = None,
+) -> Iterator["Figure"]:
+    """Yield a figure in the common style, and write it as PNG afterwards.
+
+    Parameters
+    ----------
+    file : open for writing, or a path
+    size_px : width and height
+    layout : engine of matplotlib; None where axes are placed by hand
+    few_colours : size of the palette of the file; None for all colours
+
+    Raises
+    ------
+    MissingExtraError
+        where matplotlib is not installed
+    """
+    try:
+        import matplotlib as mpl
+        from cycler import cycler
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise MissingExtraError("matplotlib", "picture", "pictures") from None
+    with mpl.rc_context({**_STYLE, "axes.prop_cycle": cycler(color=CYCLE)}):
+        figure = Figure(figsize=(size_px[0] / _DPI, size_px[1] / _DPI), dpi=_DPI, layout=layout)
+        yield figure
+        if few_colours:
+            save_in_few_colours(figure, file, few_colours)
+        else:
+            optimize = {"optimize": True}
+            figure.savefig(file, format="png", metadata={"Software": None}, pil_kwargs=optimize)
+
+
+def save_in_few_colours(figure: "Figure", file: "IO[bytes] | str", colours: int) -> None:
+    """Write a figure as PNG with a palette of its own: points and leaves are noise, which is costly in all colours."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    canvas: Any = FigureCanvasAgg(figure)  # its methods are untyped
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    # What is thin and coloured would be lost by a palette by frequency alone.
+    few = picture.quantize(colours, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
+    few.save(file, format="PNG", optimize=True)
+
+
+def scale_bar(axes: "Axes", px_per_m: float, length_m: float, place_px: tuple[float, float]) -> None:
+    """Draw a bar with its length above it, in axes whose unit is the pixel.
+
+    Parameters
+    ----------
+    place_px : left end of the bar, from the left and from below
+    """
+    left, up = place_px
+    axes.plot([left, left + length_m * px_per_m], [up, up], color=INK, lw=2.5, solid_capstyle="butt")
+    words = f"{length_m:g} m" if length_m >= 1 else f"{100 * length_m:g} cm"
+    axes.text(left, up + 7, words, bbox={"facecolor": BACK, "edgecolor": "none", "alpha": 0.7, "pad": 1.5})
