@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.raycast.texture import textured
-from vlp16emu.types import SURFACE, Firings, Hits
+from vlp16emu.types import SURFACE, Firings, Hits, PlantPart
 
 FAR_M = 30.0
 
@@ -28,8 +28,9 @@ def pulses(at_m, origin_m=(0.0, 0.0, 0.0)):
     return firings, Hits.one_ray_each(range_m.astype(np.float32)[:, None], *met)
 
 
-def factors(at_m, texture=0.1, *, reflectance=0.4, seed=3, **more):
+def factors(at_m, texture=0.1, *, reflectance=0.4, seed=3, part=PlantPart.NONE, **more):
     surfaces = np.zeros(1, SURFACE)
+    surfaces["part"] = part
     surfaces["texture"], surfaces["reflectance"] = texture, reflectance
     firings, hits = pulses(at_m, **more)
     return textured(firings, hits, surfaces, seed).cos_incidence / hits.cos_incidence
@@ -49,26 +50,27 @@ def test_brightness_varies_by_the_texture(places_m):
 
 
 @pytest.mark.parametrize("away_m", [0.0, 1e7])
-def test_patches_are_eight_centimetres(places_m, away_m):
-    """Places 3 mm apart are mostly of one patch, places 8 cm apart mostly not, places 0.4 m apart have nothing to do with each other; far from the world's origin too."""
+@pytest.mark.parametrize(("part", "size_m"), [(PlantPart.NONE, 0.2), (PlantPart.STEM, 0.075)])
+def test_patches_have_the_size_of_what_they_are_on(places_m, away_m, part, size_m):
+    """Places a twentieth of 0.2 m, on bark of 0.075 m, apart are mostly of one patch, places that far apart mostly not, places five times that apart have nothing to do with each other; far from the world's origin too."""
     origin_m = np.full(3, away_m)
     step = np.random.default_rng(2).normal(size=places_m.shape)
-    step /= np.linalg.norm(step, axis=1, keepdims=True)
+    step *= size_m / np.linalg.norm(step, axis=1, keepdims=True)
 
-    def at(m):
-        return factors(places_m + origin_m + m * step, origin_m=origin_m)
+    def at(steps):
+        return factors(places_m + origin_m + steps * step, origin_m=origin_m, part=part)
 
     one = at(0.0)
-    same = {m: np.isclose(at(m), one, atol=1e-4).mean() for m in (0.003, 0.08)}
-    assert same[0.003] > 0.9
-    assert 0.2 < same[0.08] < 0.5
-    assert abs(np.corrcoef(one, at(0.4))[0, 1]) < 0.03
+    same = {steps: np.isclose(at(steps), one, atol=1e-4).mean() for steps in (0.05, 1.0)}
+    assert same[0.05] > 0.9
+    assert 0.2 < same[1.0] < 0.5
+    assert abs(np.corrcoef(one, at(5.0))[0, 1]) < 0.03
 
 
 def test_a_patch_looks_the_same_from_everywhere(places_m):
     """From two places 50 m apart the same points are as bright, but for those at a border."""
     there = factors(places_m, origin_m=(40.0, -30.0, 2.0))
-    assert np.isclose(factors(places_m), there, atol=1e-4).mean() > 0.9997
+    assert np.isclose(factors(places_m), there, atol=1e-4).mean() > 0.9999
 
 
 def test_worlds_differ(places_m):

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.trig import ZERO, fold
-from vlp16emu.types import Firings, Hits
+from vlp16emu.types import Firings, Hits, PlantPart
 
 __all__ = ["textured"]
 
-_GRID_M = 0.15
-"""Size of a patch, half of which its folds leave; with it neighbouring returns are equal as often, and differ as much, as those of
-real sensors from walls, and relief is alike at pulses 0.2 degrees apart, not at 0.4 (protocol/README.md)."""
+_GRID_M, _BARK_GRID_M, _RELIEF_GRID_M = 0.4, 0.15, 0.15
+"""Sizes of patches, half of which their folds leave; with them neighbouring returns are equal as often, and differ as much, as those
+of real sensors, and relief is alike at pulses 0.2 degrees apart, not at 0.4 (protocol/README.md)."""
 _SAME_M = 0.1
 """Sub-rays of a pulse that end within this of each other end on one patch."""
 _SPREAD = math.sqrt(3.0)
@@ -41,7 +41,8 @@ def textured(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int
     if surfaces["texture"].any():
         out = replace(out, cos_incidence=hits.cos_incidence.copy())
         of_surface = [np.ascontiguousarray(surfaces[name]) for name in ("texture", "reflectance")]
-        _vary(*met, *of_surface, seed, out.cos_incidence)
+        grid_m = np.where(surfaces["part"] == PlantPart.NONE, _GRID_M, _BARK_GRID_M)
+        _vary(*met, *of_surface, grid_m, seed, out.cos_incidence)
     if surfaces["relief_m"].any():
         out = replace(out, range_m=hits.range_m.copy())
         _raise(*met, np.ascontiguousarray(surfaces["relief_m"]), seed, out.range_m)
@@ -57,6 +58,7 @@ def _vary(
     met: NDArray[np.uint32],
     texture: NDArray[np.float32],
     reflectance: NDArray[np.float32],
+    grid_m: NDArray[np.float64],
     seed: int,
     cosine: NDArray[np.float32],
 ) -> None:
@@ -71,12 +73,13 @@ def _vary(
                     continue
                 if abs(range_m[ray] - at_m) > _SAME_M:
                     at_m = np.float64(range_m[ray])
+                    per_m = 1.0 / grid_m[met[ray]]
                     x, y, z = (
-                        origin_m[i, j, 0] + at_m * direction[i, j, 0],
-                        origin_m[i, j, 1] + at_m * direction[i, j, 1],
-                        origin_m[i, j, 2] + at_m * direction[i, j, 2],
+                        per_m * (origin_m[i, j, 0] + at_m * direction[i, j, 0]),
+                        per_m * (origin_m[i, j, 1] + at_m * direction[i, j, 1]),
+                        per_m * (origin_m[i, j, 2] + at_m * direction[i, j, 2]),
                     )
-                    patch = _SPREAD * (2.0 * _of_patch(seed, x / _GRID_M, y / _GRID_M, z / _GRID_M)[0] - 1.0)
+                    patch = _SPREAD * (2.0 * _of_patch(seed, x, y, z)[0] - 1.0)
                 bright = 1.0 + texture[met[ray]] * patch
                 cosine[ray] *= np.float32(min(bright, max(1.0, 1.0 / reflectance[met[ray]])))
 
@@ -99,11 +102,11 @@ def _raise(
             start, stop = stop, stop + int(count[i, j])
             for ray in range(start, stop):
                 if range_m[ray] < np.inf and relief_m[met[ray]] > 0.0:
-                    steps = np.float64(range_m[ray]) / _GRID_M
+                    steps = np.float64(range_m[ray]) / _RELIEF_GRID_M
                     x, y, z = (
-                        origin_m[i, j, 0] / _GRID_M + steps * direction[i, j, 0],
-                        origin_m[i, j, 1] / _GRID_M + steps * direction[i, j, 1],
-                        origin_m[i, j, 2] / _GRID_M + steps * direction[i, j, 2],
+                        origin_m[i, j, 0] / _RELIEF_GRID_M + steps * direction[i, j, 0],
+                        origin_m[i, j, 1] / _RELIEF_GRID_M + steps * direction[i, j, 1],
+                        origin_m[i, j, 2] / _RELIEF_GRID_M + steps * direction[i, j, 2],
                     )
                     patch = _STANDING_OUT * (2.0 * _of_patch(seed, x, y, z)[1] - 1.0) ** 5
                     out_m[ray] = range_m[ray] + relief_m[met[ray]] * patch

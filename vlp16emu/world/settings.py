@@ -64,7 +64,7 @@ class Woods(Section):
     litter: Litter = Litter()
     ivy: Ivy = Ivy()
     texture: Texture = 0.085
-    """Share by which the reflectance of ground, bark and stones varies over patches of some 0.08 m, one sigma; leaves have
+    """Share by which the reflectance of ground, bark and stones varies over patches, of some 0.08 m on bark and 0.2 m else, one sigma; leaves have
     none, as each lies at an angle of its own. Assumption: neighbouring returns then scatter as those of real sensors in
     rooms and streets do."""
     species_file: SceneFile | None = None
@@ -158,9 +158,9 @@ class Hall(Section):
     """Height of the ceiling."""
     wall_reflectance: Fraction = 0.6
     """Lambertian reflectance of walls, floor and ceiling at 903 nm."""
-    texture: Texture = 0.06
-    """Share by which it varies over patches of some 0.08 m, one sigma; things in the hall have none. Neighbouring returns
-    of real sensors from walls scatter as with 0.06."""
+    texture: Texture = 0.08
+    """Share by which it varies over patches of some 0.2 m, one sigma; things in the hall have none. Neighbouring returns
+    of real sensors from walls scatter as with 0.08."""
     relief_m: Annotated[float, Field(ge=0, le=0.05)] = 0.0
     """How far walls, floor and ceiling stand out and back over patches of a few centimetres, one sigma; ground truth has
     it too. Walls of the rooms that real sensors stood in have 0.002 to 0.005 m; without it, the hall is flat."""
