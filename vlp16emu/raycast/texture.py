@@ -14,8 +14,8 @@ from vlp16emu.types import Firings, Hits, PlantPart
 __all__ = ["textured"]
 
 _GRID_M, _BARK_GRID_M, _RELIEF_GRID_M = 0.4, 0.15, 0.15
-"""Sizes of patches, half of which their folds leave; with them neighbouring returns are equal as often, and differ as much, as those
-of real sensors, and relief is alike at pulses 0.2 degrees apart, not at 0.4 (protocol/README.md)."""
+"""Sizes of patches, of walls and ground, of bark, and of relief; folds halve them. With these sizes neighbouring returns are equal as
+often, and differ as much, as on real sensors, and relief is alike at pulses 0.2 degrees apart, not at 0.4 (protocol/README.md)."""
 _SAME_M = 0.1
 """Sub-rays of a pulse that end within this of each other end on one patch."""
 _SPREAD = math.sqrt(3.0)
