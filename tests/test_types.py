@@ -154,4 +154,4 @@ def test_names_that_users_write_are_the_wires_own():
 def test_a_surface_row_is_packed():
     """A row of the surface table is 22 bytes without padding."""
     assert types.SURFACE.itemsize == 22
-    assert sum(types.SURFACE[name].itemsize for name in types.SURFACE.names or ()) == 18
+    assert sum(types.SURFACE[name].itemsize for name in types.SURFACE.names or ()) == 22
