@@ -150,6 +150,17 @@ def test_plants_keep_away_from_path_and_trunks():
             assert np.hypot(*(xy - (10, 50)).T).min(initial=3.0) >= 3.0
 
 
+def test_saplings_leave_room_to_trees():
+    """From the bark of a trunk a sapling is 0.15 of its height, half a metre at most, away; near one there are fewer for it."""
+    nearest_m = []
+    for tile in placed(saplings(*YOUNG)):
+        gap_m = np.hypot(*(tile.world_T_shape[:, :2, 3] - (10, 50)).T) - 3.0
+        room_m = np.minimum(0.15 * tile.trees["height_m"], 0.5)
+        assert (gap_m >= room_m).all()
+        nearest_m += gap_m.tolist()
+    assert min(nearest_m) < 1.5
+
+
 @pytest.mark.parametrize(
     ("kind", "semantic", "parts"),
     [(saplings(*YOUNG), Semantic.TREE, SAPLING_PARTS), (shrubs(*BUSHES), Semantic.SHRUB, SHRUB_PARTS)],

@@ -43,6 +43,9 @@ Array = NDArray[np.float64]
 _CLASS_RATIO = 1.4
 """Between the heights of neighbouring prototypes: none is scaled by more than a fifth."""
 
+_ROOM_SHARE, _MOST_ROOM_M = 0.15, 0.5
+"""Of a sapling's height, and at most, from its bark to that of a tree: assumption; none grows up through the foot of another."""
+
 _FOOT_SHARE = 0.1
 """Of a shrub's width, the radius within which its stems leave the ground."""
 
@@ -99,7 +102,8 @@ class SaplingLayer:
         draws = rng.random((len(xy_m), 6))
         height_m = between(self._section.height_m, draws[:, 0])
         foot_m = height_m / SLENDERNESS / 2
-        keep = site.clear(xy_m, CROWN_WIDTH_SHARE * height_m / 2, foot_m)
+        room_m = np.minimum(_ROOM_SHARE * height_m, _MOST_ROOM_M)
+        keep = site.clear(xy_m, CROWN_WIDTH_SHARE * height_m / 2, foot_m + room_m)
         kind = (len(self._species) * draws[:, 1]).astype(int)
         trees = np.zeros(len(xy_m), TREE)
         trees["storey"] = trees["cohort"] = REGENERATION
