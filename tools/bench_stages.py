@@ -18,6 +18,7 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.packets import pack_data
 from vlp16emu.raycast.beam import LINE, BeamModel
 from vlp16emu.raycast.caster import Geometry
+from vlp16emu.raycast.texture import textured
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import SEQUENCE_NS
@@ -63,7 +64,7 @@ def stages(emulator: Emulator, opened: Geometry, repeats: int) -> dict[str, floa
     """Time each stage over the same runs of blocks of a window: seconds per simulated second."""
     unit, sensor = emulator.parts.units[0], emulator.scenario.sensor
     mode, model = ReturnMode(sensor.return_mode), SensorModel(sensor.model)
-    head, poses_at, across = unit.head, unit.motion.poses_at, unit.beam.has_width
+    head, poses_at, has_width = unit.head, unit.motion.poses_at, unit.beam.has_width
     together = unit.beam.together
     firsts, count = range(0, SEGMENT * BLOCK, SEGMENT * BLOCK // RUNS), together * BLOCK
     times = [head.times_ns(n, count).reshape(-1) for n in firsts]
@@ -72,7 +73,7 @@ def stages(emulator: Emulator, opened: Geometry, repeats: int) -> dict[str, floa
 
     def aim() -> list[Firings]:
         still = zip(firsts, poses, strict=True)
-        return [head.aim(n, count, lambda _t, p=p: p, across=across) for n, p in still]
+        return [head.aim(n, count, lambda _t, p=p: p, beam_axis=has_width) for n, p in still]
 
     firings = aim()
 
@@ -81,8 +82,14 @@ def stages(emulator: Emulator, opened: Geometry, repeats: int) -> dict[str, floa
 
     hits = cast(far_m)
 
+    def vary() -> list[Hits]:
+        seed = emulator.parts.world.seed
+        return [textured(f, h, opened.surfaces, seed) for f, h in zip(firings, hits, strict=True)]
+
+    varied = vary()
+
     def find() -> list[Returns]:
-        met = zip(firings, hits, strict=True)
+        met = zip(firings, varied, strict=True)
         return [detect(f, h, opened.surfaces, unit.detector, truth=False) for f, h in met]
 
     returns = find()
@@ -91,6 +98,7 @@ def stages(emulator: Emulator, opened: Geometry, repeats: int) -> dict[str, floa
         "aim": aim,
         NEAR: lambda: cast(min(far_m, emulator.parts.world.near_m)),
         CAST: lambda: cast(far_m),
+        "texture": vary,
         "detect": find,
         "pack": lambda: [pack_data(r, mode, model, 0) for r in returns],
     }
