@@ -86,20 +86,22 @@ def test_nothing_is_brighter_than_white(places_m):
 
 
 def test_a_sub_ray_that_meets_nothing_stays_so():
-    """Sub-rays without a hit keep their cosine of 0; the others of the pulse are varied, each by its own surface."""
+    """Sub-rays without a hit keep no range and a cosine of 0; the others of the pulse are varied, each by its own surface."""
     surfaces = np.zeros(2, SURFACE)
-    surfaces["texture"], surfaces["reflectance"] = (0.1, 0.0), 0.4
+    surfaces["texture"], surfaces["relief_m"], surfaces["reflectance"] = (0.1, 0.0), (0.01, 0.0), 0.4
     firings, _ = pulses(np.array([[10.0, 0.0, 0.0]]))
     nothing = np.uint32(0xFFFFFFFF)
     hits = Hits(
         np.array([[3]], np.uint16),
-        np.array([10.0, np.inf, 12.0], np.float32),
+        np.array([11.0, np.inf, 12.0], np.float32),
         np.array([0, nothing, 1], np.uint32),
         np.array([0.5, 0.0, 0.5], np.float32),
     )
-    first, second, third = textured(firings, hits, surfaces, 3).cos_incidence.tolist()
-    assert first != 0.5
-    assert (second, third) == (0.0, 0.5)
+    varied = textured(firings, hits, surfaces, 3)
+    assert varied.cos_incidence[0] != 0.5
+    assert varied.range_m[0] != 11.0
+    assert varied.cos_incidence[1:].tolist() == [0.0, 0.5]
+    assert varied.range_m[1:].tolist() == [np.inf, 12.0]
 
 
 def test_relief_moves_what_is_met(places_m):
@@ -118,20 +120,3 @@ def test_relief_moves_what_is_met(places_m):
     assert one_m.std() == pytest.approx(0.004, rel=0.05)
     assert np.corrcoef(one_m, off_m(places_m + [0.01, 0.0, 0.0]))[0, 1] > 0.7
     assert abs(np.corrcoef(one_m, off_m(places_m + [0.5, 0.0, 0.0]))[0, 1]) < 0.03
-
-
-def test_a_sub_ray_without_relief_keeps_its_range():
-    """Only what has relief is moved: of two surfaces the flat one, and what meets nothing, keep their ranges."""
-    surfaces = np.zeros(2, SURFACE)
-    surfaces["relief_m"] = 0.01, 0.0
-    firings, _ = pulses(np.array([[10.0, 0.0, 0.0]]))
-    nothing = np.uint32(0xFFFFFFFF)
-    hits = Hits(
-        np.array([[3]], np.uint16),
-        np.array([11.0, np.inf, 12.0], np.float32),
-        np.array([0, nothing, 1], np.uint32),
-        np.array([0.5, 0.0, 0.5], np.float32),
-    )
-    first, second, third = textured(firings, hits, surfaces, 3).range_m.tolist()
-    assert first != 11.0
-    assert (second, third) == (np.inf, 12.0)
