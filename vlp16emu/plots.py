@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["BACK", "CYCLE", "INK", "SOFT", "plotted", "save_in_few_colours", "scale_bar"]
+__all__ = ["BACK", "CYCLE", "INK", "SOFT", "check_matplotlib", "plotted", "save_in_few_colours", "scale_bar"]
 
 BACK, INK, SOFT, _EDGE = "#0e1218", "#d7dbe0", "#8a94a3", "#3a4452"
 """Colours of the background, of writing, of what is less important, and of frames."""
@@ -48,6 +48,21 @@ _STYLE: Mapping[Any, Any] = MappingProxyType(
 )
 
 
+def check_matplotlib() -> None:
+    """See that pictures can be drawn.
+
+    Raises
+    ------
+    MissingExtraError
+        where matplotlib is not installed
+    """
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        raise MissingExtraError("matplotlib", "picture", "a picture") from None
+    del mpl
+
+
 @contextmanager
 def plotted(
     file: "IO[bytes] | str",
@@ -69,12 +84,11 @@ def plotted(
     MissingExtraError
         where matplotlib is not installed
     """
-    try:
-        import matplotlib as mpl
-        from cycler import cycler
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise MissingExtraError("matplotlib", "picture", "pictures") from None
+    check_matplotlib()
+    import matplotlib as mpl
+    from cycler import cycler
+    from matplotlib.figure import Figure
+
     with mpl.rc_context({**_STYLE, "axes.prop_cycle": cycler(color=CYCLE)}):
         figure = Figure(figsize=(size_px[0] / _DPI, size_px[1] / _DPI), dpi=_DPI, layout=layout)
         yield figure

@@ -98,6 +98,7 @@ def test_hostile_messages_change_nothing(port, monkeypatch):
         with suppress(ConnectionClosed), connect(address, subprotocols=[kind], max_size=None) as client:
             client.recv(timeout=20)
             client.send(message)
+            client.ping().wait(timeout=5)
     assert status(port) == 200
     assert made == []
 

@@ -67,7 +67,7 @@ def accuracy(
 
     scenario = load(scene, settings or [])
     if out is not None:
-        from vlp16emu.report.forest import check_matplotlib
+        from vlp16emu.plots import check_matplotlib
 
         check_matplotlib()
         _make_folder(out)

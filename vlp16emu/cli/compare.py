@@ -35,7 +35,7 @@ def compare(
     from vlp16emu.compare import compared, draw, read_sequences
     from vlp16emu.errors import spare
     from vlp16emu.output import OutputFile
-    from vlp16emu.report.forest import check_matplotlib
+    from vlp16emu.plots import check_matplotlib
 
     if picture is not None:
         check_matplotlib()

@@ -183,7 +183,7 @@ def _check_output(option: str, path: Path) -> None:
     if path.suffix != suffix:
         raise InputError(f"{option} {path}", f"found suffix '{path.suffix}'", suffix)
     if option == "--picture":
-        from vlp16emu.report.forest import check_matplotlib
+        from vlp16emu.plots import check_matplotlib
 
         check_matplotlib()
 

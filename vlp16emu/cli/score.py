@@ -131,7 +131,7 @@ def score(
 
 def _page(card: object, missed: list[str]) -> str:
     """Make the page, for which matplotlib is needed."""
-    from vlp16emu.report.forest import check_matplotlib
+    from vlp16emu.plots import check_matplotlib
     from vlp16emu.score.card import ScoreCard
     from vlp16emu.score.page import page
 

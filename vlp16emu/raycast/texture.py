@@ -73,13 +73,8 @@ def _vary(
                     continue
                 if abs(range_m[ray] - at_m) > _SAME_M:
                     at_m = np.float64(range_m[ray])
-                    per_m = 1.0 / grid_m[met[ray]]
-                    x, y, z = (
-                        per_m * (origin_m[i, j, 0] + at_m * direction[i, j, 0]),
-                        per_m * (origin_m[i, j, 1] + at_m * direction[i, j, 1]),
-                        per_m * (origin_m[i, j, 2] + at_m * direction[i, j, 2]),
-                    )
-                    patch = _SPREAD * (2.0 * _of_patch(seed, x, y, z)[0] - 1.0)
+                    drawn, _ = _of_patch(seed, 1.0 / grid_m[met[ray]], origin_m, direction, i, j, at_m)
+                    patch = _SPREAD * (2.0 * drawn - 1.0)
                 bright = 1.0 + texture[met[ray]] * patch
                 cosine[ray] *= np.float32(min(bright, max(1.0, 1.0 / reflectance[met[ray]])))
 
@@ -102,19 +97,25 @@ def _raise(
             start, stop = stop, stop + int(count[i, j])
             for ray in range(start, stop):
                 if range_m[ray] < np.inf and relief_m[met[ray]] > 0.0:
-                    steps = np.float64(range_m[ray]) / _RELIEF_GRID_M
-                    x, y, z = (
-                        origin_m[i, j, 0] / _RELIEF_GRID_M + steps * direction[i, j, 0],
-                        origin_m[i, j, 1] / _RELIEF_GRID_M + steps * direction[i, j, 1],
-                        origin_m[i, j, 2] / _RELIEF_GRID_M + steps * direction[i, j, 2],
-                    )
-                    patch = _STANDING_OUT * (2.0 * _of_patch(seed, x, y, z)[1] - 1.0) ** 5
-                    out_m[ray] = range_m[ray] + relief_m[met[ray]] * patch
+                    at_m = np.float64(range_m[ray])
+                    _, drawn = _of_patch(seed, 1.0 / _RELIEF_GRID_M, origin_m, direction, i, j, at_m)
+                    out_m[ray] += relief_m[met[ray]] * _STANDING_OUT * (2.0 * drawn - 1.0) ** 5
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _of_patch(seed: int, x: float, y: float, z: float) -> tuple[float, float]:
-    """Draw the numbers in [0, 1) of the patch at a place, in grid steps; folds make the borders crooked."""
+def _of_patch(
+    seed: int,
+    per_m: float,
+    origin_m: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    i: int,
+    j: int,
+    at_m: float,
+) -> tuple[float, float]:
+    """Draw the numbers in [0, 1) of the patch at a range along a pulse (i, j); folds make the borders of a grid's cells crooked."""
+    x = per_m * (origin_m[i, j, 0] + at_m * direction[i, j, 0])
+    y = per_m * (origin_m[i, j, 1] + at_m * direction[i, j, 1])
+    z = per_m * (origin_m[i, j, 2] + at_m * direction[i, j, 2])
     u = math.floor(x + fold(0.37 * y + 0.61 * z) + 0.4 * fold(2.3 * z - 1.7 * y))
     v = math.floor(y + fold(0.53 * z - 0.41 * x) + 0.4 * fold(1.9 * x + 2.1 * z))
     w = math.floor(z + fold(0.43 * x + 0.57 * y) + 0.4 * fold(1.6 * y - 2.2 * x))

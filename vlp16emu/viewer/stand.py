@@ -64,7 +64,8 @@ def pieces_of(seen: Survey) -> Iterator[Piece]:
     if seen.hall is None:
         yield _piece("ground", _ground(seen), colour_of_kind("ground"), _ONE)
     window, colours = seen.window, surface_colours(seen.window.surfaces, seen.species)
-    near, size_m = _drawn(seen)
+    path = Polyline(seen.path_m[:, :2])
+    near, size_m = _drawn(seen, path)
     per_m = _FACES / max(float(size_m.sum()), 1.0)
     single = defaultdict[Rgb, list[Mesh]](list)
     order = np.argsort(window.shape[near], kind="stable")
@@ -78,8 +79,10 @@ def pieces_of(seen: Survey) -> Iterator[Piece]:
             is_ground = isinstance(key, TileKey) and number == 0
             if is_ground or part in _LEFT_OUT or not len(mesh.faces):
                 continue
-            if isinstance(key, TileKey) and _is_beyond(seen, mesh, window.world_T_shape[alike[0]]):
-                continue
+            if isinstance(key, TileKey):
+                foot_m = mesh.vertices_m[mesh.vertices_m[:, 2].argmin(), :2]
+                if path.distance_m(window.world_T_shape[alike, :2, 3] + foot_m)[0] > seen.radius_m:
+                    continue
             few, colour = _simple(mesh, key, part, most), tuple(colours[row + number].tolist())
             if len(alike) == 1:
                 single[colour].append(_moved(few, window.world_T_shape[alike[0]]))
@@ -89,9 +92,9 @@ def pieces_of(seen: Survey) -> Iterator[Piece]:
         yield _piece(f"single/{count}", _joined(meshes), colour, _ONE)
 
 
-def _drawn(seen: Survey) -> tuple[NDArray[np.intp], Array]:
+def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], Array]:
     """Find the placements (n,) that are drawn, and the size (n,) of each, in metres; 0 of tiles, whose stems have faces of their own."""
-    window, path = seen.window, Polyline(seen.path_m[:, :2])
+    window = seen.window
     is_tile, is_floor = (
         np.array([isinstance(key, kind) for key in window.shapes], np.bool_)[window.shape]
         for kind in (TileKey, FloorKey)
@@ -116,12 +119,6 @@ def _drawn(seen: Survey) -> tuple[NDArray[np.intp], Array]:
                 default=0.0,
             )
     return near, size_m
-
-
-def _is_beyond(seen: Survey, stem: Mesh, world_T_shape: Array) -> bool:
-    """Whether a stem of a tile has its foot outside of the radius."""
-    foot_m = stem.vertices_m[stem.vertices_m[:, 2].argmin(), :2] + world_T_shape[:2, 3]
-    return bool(Polyline(seen.path_m[:, :2]).distance_m(foot_m[None])[0] > seen.radius_m)
 
 
 def _simple(mesh: Mesh, key: ShapeKey, part: PlantPart, most: int) -> Mesh:

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from vlp16emu.errors import MissingExtraError
-from vlp16emu.report.forest import PlanView, StandSection, check_matplotlib, colour_of_species, draw_sheet
+from vlp16emu.plots import check_matplotlib
+from vlp16emu.report.forest import PlanView, StandSection, colour_of_species, draw_sheet
 from vlp16emu.report.forest.plan import legend_entries
 from vlp16emu.report.forest.sheet import _draw_side
 

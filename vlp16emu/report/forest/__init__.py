@@ -12,7 +12,7 @@ from vlp16emu.report.forest.figures import (
 from vlp16emu.report.forest.palette import colour_of_kind, colour_of_species, surface_colours
 from vlp16emu.report.forest.plan import PlanView
 from vlp16emu.report.forest.section import StandSection, draw_section, strip_along
-from vlp16emu.report.forest.sheet import check_matplotlib, draw_sheet, section_pixels_per_m
+from vlp16emu.report.forest.sheet import draw_sheet, section_pixels_per_m
 
 __all__ = [
     "CELL_M",
@@ -21,7 +21,6 @@ __all__ = [
     "StandRow",
     "StandSection",
     "cells_near",
-    "check_matplotlib",
     "clark_evans",
     "colour_of_kind",
     "colour_of_species",

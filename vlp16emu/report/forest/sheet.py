@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import MissingExtraError
 from vlp16emu.plots import save_in_few_colours
 from vlp16emu.report.forest.plan import INK, SOFT, WALK, PlanView, draw_plan, legend_entries
 from vlp16emu.report.forest.section import StandSection
@@ -13,7 +12,7 @@ from vlp16emu.report.forest.section import StandSection
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["check_matplotlib", "draw_sheet", "section_pixels_per_m"]
+__all__ = ["draw_sheet", "section_pixels_per_m"]
 
 Array = NDArray[np.float64]
 
@@ -30,21 +29,6 @@ _TICK_M = 5.0
 
 _BEAM_M = 12.0
 """How far the lines of the field of view are drawn."""
-
-
-def check_matplotlib() -> None:
-    """See that sheets can be drawn.
-
-    Raises
-    ------
-    MissingExtraError
-        where matplotlib is not installed
-    """
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        raise MissingExtraError("matplotlib", "picture", "a picture") from None
-    del mpl
 
 
 def section_pixels_per_m(section: StandSection) -> float:
