@@ -14,7 +14,7 @@ import pytest
 from vlp16emu.errors import RunError
 from vlp16emu.raycast import caster as room
 from vlp16emu.raycast import embree
-from vlp16emu.raycast.build import EmbreeMesh, placed, shape_of
+from vlp16emu.raycast.build import EmbreeMesh, Placed, shape_of
 from vlp16emu.raycast.embree import EmbreeMissingError, library_path
 from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.slow import PlainCaster
@@ -74,12 +74,12 @@ def test_what_fails_on_a_worker_is_raised_there(lab, workers, monkeypatch):
     _, shape = lab.upright((10.0, -1.0, 1.0, -1.0, 1.0))
     monkeypatch.setattr(embree, "BUFFER_INDEX", 99)
     with pytest.raises(RunError, match=r"^Embree could not build a shape: invalid operation$"):
-        workers.submit(EmbreeMesh, shape_of(shape("all"))).result()
+        workers.submit(EmbreeMesh(shape_of(shape("all"))).scene, 0).result()
     monkeypatch.undo()
-    workers.submit(EmbreeMesh, shape_of(shape("all"))).result()
+    workers.submit(EmbreeMesh(shape_of(shape("all"))).scene, 0).result()
 
 
-def test_a_window_that_fails_leaves_nothing_behind(monkeypatch):
+def test_a_window_that_fails_leaves_nothing_behind(lab, workers, monkeypatch):
     """Where Embree cannot build a window, the scene that was begun is given back before the error is told."""
     real, released = embree.library(), []
 
@@ -95,6 +95,6 @@ def test_a_window_that_fails_leaves_nothing_behind(monkeypatch):
     monkeypatch.setattr(embree, "library", Watched)
     monkeypatch.setattr(embree, "check", fails)
     with pytest.raises(RunError, match=r"^Embree could not build the window: out of memory$"):
-        placed([], np.zeros(0, np.int64), np.zeros((0, 3, 4), np.float32), {})
+        Placed(lab.placed(0), [], workers).scene(np.zeros(0, np.bool_))
     assert len(released) == 1
     real.rtcReleaseScene(released[0])

@@ -1,14 +1,17 @@
 """Shapes in pieces: what is in them, and that light meets what it meets of the whole."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
+from vlp16emu.raycast import near
 from vlp16emu.raycast.near import EmbreeCaster
-from vlp16emu.raycast.pieces import in_pieces
-from vlp16emu.raycast.quads import faces_of
+from vlp16emu.raycast.pieces import LEVEL, STRAY_M, in_pieces, within_reach
+from vlp16emu.raycast.quads import faces_of, frozen
 from vlp16emu.raycast.slow import PlainCaster
-from vlp16emu.types import SURFACE, Mesh, Window
+from vlp16emu.types import SURFACE, Mesh, Sway, Window
 
 
 def drum(radii_m, *, at_m=(0.0, 0.0), height_m=6.0):
@@ -63,7 +66,7 @@ def test_meshes_inside_each_other_share_pieces():
 def test_pieces_hold_each_face_once():
     """Faces of each mesh are those of before, in another order, and those of a piece are of one slab."""
     faces = faces_of(CONE)
-    ((vertices_m, quads),), begin = in_pieces([faces])
+    ((vertices_m, quads),), begin, _ = in_pieces([faces])
     assert vertices_m is faces[0]
     assert sorted(quads.tolist()) == sorted(faces[1].tolist())
     heights = [set(vertices_m[quads[a:b, 0], 2] // 1.5) for (a,), (b,) in pairwise(begin)]
@@ -88,3 +91,73 @@ def test_light_meets_pieces_as_it_meets_the_whole(lab, workers):
     assert set(fast.surface[hit]) == set(range(10))
     assert np.quantile(np.abs(fast.range_m[hit] - slow.range_m[hit]), 0.999) < 1e-4
     assert np.quantile(np.abs(fast.cos_incidence[hit] - slow.cos_incidence[hit]), 0.999) < 1e-3
+
+
+def test_boxes_hold_the_faces_of_their_pieces():
+    """Each piece has the least box around the corners of its faces, whatever else the mesh has."""
+    faces = [faces_of(mesh) for mesh in (ground(), CONE)]
+    ordered, begin, boxes_m = in_pieces(faces)
+    assert len(boxes_m) == len(begin) - 1
+    for (first, stop), box_m in zip(pairwise(begin), boxes_m, strict=True):
+        corners_m = np.concatenate(
+            [
+                vertices_m[quads[a:b]].reshape(-1, 3)
+                for (vertices_m, quads), a, b in zip(ordered, first, stop, strict=True)
+            ]
+        )
+        assert np.array_equal(box_m, [corners_m.min(axis=0), corners_m.max(axis=0)])
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_no_piece_that_light_may_meet_is_left_out(lab, moves):
+    """Places in boxes that are within range of a sensor near the track are in pieces that are kept, and if seen level also in those for level rays."""
+    rng = np.random.default_rng(5)
+    window, reach_m, n = lab.placed(300), 6.0, 300
+    window.world_T_shape[:, :, 3] = window.origin_m + rng.uniform(-12, 12, (n, 3))
+    window = replace(window, near=window.origin_m + rng.uniform(-1, 1, (20, 3)).cumsum(axis=0))
+    if moves:
+        shear = rng.uniform(-1, 1, (3, n, 2))
+        window = replace(window, sway=Sway(0, 1000, np.arange(n), window.world_T_shape[:, 2, 3] - 2.0, shear))
+    low_m = rng.uniform(-1, 0, (n, 3))
+    boxes_m = np.stack([low_m, low_m + rng.uniform(0, 2, (n, 3))], axis=1)
+    met, level = within_reach(window, np.arange(n), boxes_m, reach_m)
+    assert 0.05 < level.mean() < met.mean() - 0.05 < 0.9
+    stray_m = rng.normal(size=(200, 3))
+    stray_m *= STRAY_M * rng.uniform(0, 1, (200, 1)) / np.linalg.norm(stray_m, axis=1)[:, None]
+    for t_ns in (0, 700, 2000):
+        world_T_shape = frozen(window, t_ns).world_T_shape
+        for at_m in window.near[rng.integers(0, 20, 200)] + stray_m:
+            inside_m = boxes_m[:, 0] + rng.uniform(0, 1, (n, 3)) * np.diff(boxes_m, axis=1)[:, 0]
+            there_m = np.einsum("nij,nj->ni", world_T_shape[..., :3], inside_m) + world_T_shape[..., 3] - at_m
+            range_m = np.linalg.norm(there_m, axis=1)
+            assert met[range_m <= reach_m].all()
+            assert level[(range_m <= reach_m) & (np.abs(there_m[:, 2]) <= LEVEL * range_m)].all()
+
+
+@pytest.mark.parametrize("model", ["none", "adaptive"])
+def test_pieces_are_left_out_without_loss(lab, workers, monkeypatch, model):
+    """Level pulses, steep ones and both in turn meet what they meet where each piece is built, in every bit."""
+    world, track_m = lab.tiles(near_m=9.0), np.array([[10.0, 10.0, 6.0], [12.0, 11.0, 6.0]])
+    rng = np.random.default_rng(6)
+    beam, mixed = [] if model == "none" else [lab.beam(model)], rng.uniform(-1.5, 1.5, 512)
+    scene = EmbreeCaster(world, workers).open(world.window(track_m))
+    built = scene._near
+    monkeypatch.setattr(
+        near, "within_reach", lambda _window, placement, *_: 2 * (np.ones(len(placement), np.bool_),)
+    )
+    whole = EmbreeCaster(world, workers).open(world.window(track_m))
+    for rise in (0.2 * mixed, 0.4 * mixed, mixed):
+        azimuth = np.sort(rng.uniform(0, 2 * np.pi, len(rise)))
+        direction = np.column_stack(
+            [np.cos(azimuth) * np.cos(rise), np.sin(azimuth) * np.cos(rise), np.sin(rise)]
+        )
+        firings = lab.rays(np.broadcast_to(track_m[0] + 0.3, direction.shape), direction)
+        hits, of_whole = (each.cast(firings, np.zeros(1), 60.0, *beam) for each in (scene, whole))
+        assert np.isfinite(hits.range_m).mean() > 0.3
+        assert all(
+            np.array_equal(getattr(hits, name), getattr(of_whole, name))
+            for name in ("count", "range_m", "surface", "cos_incidence")
+        )
+        assert (scene._near is built) == (np.abs(rise).max() < 0.31)
+    assert not built.steep
+    assert scene._near.steep

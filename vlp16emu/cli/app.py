@@ -164,6 +164,8 @@ def run(arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Carry out the command line of this process and exit."""
+    # What runs side by side is threads of ours: those of OpenBLAS, for products of a few rows, wait in a loop.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.basicConfig(format="warning: %(message)s")
     for number in ENDINGS:
         if signal.getsignal(number) is not signal.SIG_IGN:

@@ -1,8 +1,10 @@
 """What Embree casts against: shapes with their buffers, and instances of them at rest or in motion."""
 
+import threading
 import weakref
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import llvmlite.binding
@@ -14,10 +16,10 @@ from numpy.typing import NDArray
 from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree as rtc
 from vlp16emu.raycast.pieces import in_pieces
-from vlp16emu.raycast.quads import Faces, faces_of, sheared
+from vlp16emu.raycast.quads import Faces, faces_of, relative_to_window, sheared
 from vlp16emu.types import Mesh, Window
 
-__all__ = ["EmbreeMesh", "InstanceMotion", "Shape", "motion_of", "placed", "shape_of", "tilt"]
+__all__ = ["EmbreeMesh", "InstanceMotion", "Placed", "Shape", "motion_of", "shape_of", "tilt"]
 
 
 class Shape(NamedTuple):
@@ -27,6 +29,8 @@ class Shape(NamedTuple):
     """Of each mesh, by pieces."""
     begin: NDArray[np.int64]
     """(pieces + 1, meshes) first face of each piece."""
+    boxes_m: NDArray[np.float64]
+    """(pieces, 2, 3) around each piece."""
     radius_m: float
     """Greatest distance of a corner from the shape's origin."""
 
@@ -38,29 +42,35 @@ def shape_of(meshes: Sequence[Mesh]) -> Shape:
 
 
 class EmbreeMesh:
-    """Committed scenes of quads, one for each piece of a shape, and the buffers that they share with numpy.
+    """A shape, and committed scenes of those of its pieces that were asked for, which share buffers with numpy.
 
     Parameters
     ----------
     shape : with its faces by mesh; hits give their numbers
-
-    Raises
-    ------
-    RunError
-        where Embree fails
     """
 
     def __init__(self, shape: Shape) -> None:
-        self.faces, begin, self.radius_m = shape
-        self.scenes = [self._scene(*ends) for ends in pairwise(begin)]
-        rtc.check("build a shape")
+        self.faces, self._begin, self.boxes_m, self.radius_m = shape
+        self._scenes, self._building = dict[int, int](), threading.Lock()
 
-    def _scene(self, begin: NDArray[np.int64], stop: NDArray[np.int64]) -> int:
+    def scene(self, piece: int) -> int:
+        """Address of the scene of a piece, which is built the first time.
+
+        Raises
+        ------
+        RunError
+            where Embree fails
+        """
+        with self._building:
+            if piece not in self._scenes:
+                self._scenes[piece] = self._built(self._begin[piece], self._begin[piece + 1])
+                rtc.check("build a shape")
+            return self._scenes[piece]
+
+    def _built(self, begin: NDArray[np.int64], stop: NDArray[np.int64]) -> int:
         """Build the scene of some faces of each mesh; give its address."""
         lib, device = rtc.library(), rtc.device()
-        scene: int = lib.rtcNewScene(device)
-        weakref.finalize(self, lib.rtcReleaseScene, scene)
-        lib.rtcSetSceneFlags(scene, rtc.SCENE_ROBUST)
+        scene, _ = _new_scene(self)
         for number in np.flatnonzero(stop > begin).tolist():
             vertices_m, quads = self.faces[number]
             geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_QUAD)
@@ -78,46 +88,79 @@ class EmbreeMesh:
         return scene
 
 
-def placed(
-    scenes: Sequence[int],
-    placement: NDArray[np.int64],
-    transforms: NDArray[np.float32],
-    moving: Mapping[int, NDArray[np.float32]],
-) -> int:
-    """Build the scene of instances of scenes, numbered in their order; give its address.
+def _new_scene(owner: object) -> tuple[int, Callable[[], object]]:
+    """Make an empty scene that goes with its owner, or when what is returned beside its address is called."""
+    lib = rtc.library()
+    scene: int = lib.rtcNewScene(rtc.device())
+    release = weakref.finalize(owner, lib.rtcReleaseScene, scene)
+    release.atexit = False  # the system takes memory back quicker
+    lib.rtcSetSceneFlags(scene, rtc.SCENE_ROBUST)
+    return scene, release
+
+
+class Placed:
+    """Pieces of the placements of a window, each an instance with a number of its own.
 
     Parameters
     ----------
-    placement : (instances,) of each, row of `transforms`
-    transforms : (n, 3, 4)
-    moving : transforms (k, 3, 4) of placements that move, evenly over ray times 0 to 1
+    window, meshes : with a mesh for each placement
+    workers : where pieces are built side by side
 
     Raises
     ------
     RunError
-        where Embree fails
+        where a window lasts too long for Embree
     """
-    lib, device = rtc.library(), rtc.device()
-    scene: int = lib.rtcNewScene(device)
-    lib.rtcSetSceneFlags(scene, rtc.SCENE_ROBUST)
-    first = transforms.ctypes.data
-    for number, (piece, at) in enumerate(zip(scenes, placement.tolist(), strict=True)):
-        geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_INSTANCE)
-        lib.rtcSetGeometryInstancedScene(geometry, piece)
-        if at in moving:
-            _set_steps(geometry, moving[at])
-        else:
-            lib.rtcSetGeometryTransform(geometry, 0, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, first + at * 48)
-        lib.rtcCommitGeometry(geometry)
-        lib.rtcAttachGeometryByID(scene, geometry, number)
-        lib.rtcReleaseGeometry(geometry)
-    lib.rtcCommitScene(scene)
-    try:
-        rtc.check("build the window")
-    except RunError:
-        lib.rtcReleaseScene(scene)
-        raise
-    return scene
+
+    def __init__(self, window: Window, meshes: Sequence[EmbreeMesh], workers: Executor) -> None:
+        self.window, self.meshes, self._workers = window, meshes, workers
+        self.motion, self._moving = motion_of(window)
+        counts = [len(mesh.boxes_m) for mesh in meshes]
+        self.placement = np.repeat(np.arange(len(meshes)), counts)
+        """(n,) of each piece."""
+        self.boxes_m = np.concatenate([np.zeros((0, 2, 3)), *(mesh.boxes_m for mesh in meshes)])
+        """(n, 2, 3) around each, in coordinates of its shape."""
+        self._pieces = [
+            (mesh, piece) for mesh, count in zip(meshes, counts, strict=True) for piece in range(count)
+        ]
+
+    def scene(self, kept: NDArray[np.bool_]) -> int:
+        """Build the scene of some pieces (n,); give its address, which is good as long as this is.
+
+        Raises
+        ------
+        RunError
+            where Embree fails
+        """
+        wanted = defaultdict[EmbreeMesh, set[int]](set)
+        numbers = np.flatnonzero(kept).tolist()
+        for number in numbers:
+            mesh, piece = self._pieces[number]
+            wanted[mesh].add(piece)
+        list(self._workers.map(lambda mesh: [mesh.scene(piece) for piece in sorted(wanted[mesh])], wanted))
+        lib, device = rtc.library(), rtc.device()
+        scene, release = _new_scene(self)
+        transforms = relative_to_window(self.window).astype(np.float32)
+        first = transforms.ctypes.data
+        for number in numbers:
+            mesh, piece = self._pieces[number]
+            at = int(self.placement[number])
+            geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_INSTANCE)
+            lib.rtcSetGeometryInstancedScene(geometry, mesh.scene(piece))
+            if at in self._moving:
+                _set_steps(geometry, self._moving[at])
+            else:
+                lib.rtcSetGeometryTransform(geometry, 0, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, first + at * 48)
+            lib.rtcCommitGeometry(geometry)
+            lib.rtcAttachGeometryByID(scene, geometry, number)
+            lib.rtcReleaseGeometry(geometry)
+        lib.rtcCommitScene(scene)
+        try:
+            rtc.check("build the window")
+        except RunError:
+            release()
+            raise
+        return scene
 
 
 _MOST_KNOTS = 129

@@ -16,6 +16,7 @@ from vlp16emu.raycast.build import Shape, shape_of
 from vlp16emu.raycast.cloud import Cloud, Library, cloud_of
 from vlp16emu.raycast.lanes import Ground, Medium, Stems
 from vlp16emu.raycast.medium import Block, Shelf, block_of
+from vlp16emu.raycast.pieces import STRAY_M
 from vlp16emu.raycast.voxel import (
     ASIDE_M,
     BRICK,
@@ -37,7 +38,6 @@ from vlp16emu.world.stand.tiles import STEM, TILE_M
 
 __all__ = [
     "NO_MEDIUM",
-    "STRAY_M",
     "Far",
     "packed_block",
     "recalled_cloud",
@@ -57,14 +57,14 @@ def recalled_shape(world: World, key: ShapeKey) -> Shape:
 def _packed_shape(shape: Shape) -> Bundle:
     """Put faces into arrays."""
     named = {f"{i} {j}": array for i, faces in enumerate(shape.faces) for j, array in enumerate(faces)}
-    return {"radius_m": np.array(shape.radius_m), "begin": shape.begin, **named}
+    return {"radius_m": np.array(shape.radius_m), "begin": shape.begin, "boxes_m": shape.boxes_m, **named}
 
 
 def _unpacked_shape(bundle: Bundle) -> Shape:
     """Take faces out of arrays."""
     meshes = bundle["begin"].shape[1]
     faces = tuple((bundle[f"{i} 0"], bundle[f"{i} 1"]) for i in range(meshes))
-    return Shape(faces, bundle["begin"], float(bundle["radius_m"]))  # type: ignore[arg-type]  # as they were put there
+    return Shape(faces, bundle["begin"], bundle["boxes_m"], float(bundle["radius_m"]))  # type: ignore[arg-type]  # as they were put there
 
 
 def recalled_cloud(world: World, key: ShapeKey, parts: NDArray[np.uint8]) -> Cloud:
@@ -106,9 +106,6 @@ def _with_law(owner: NDArray[np.uint64], law: NDArray[np.int64]) -> NDArray[np.u
     """Give owners other laws."""
     return (owner & ~(LAW_MASK << LAW_BIT)) | (law.astype(np.uint64) << LAW_BIT)
 
-
-STRAY_M = 1.0
-"""How far a sensor may be from the positions that a window is for."""
 
 _BRICKS = COLUMNS // BRICK
 _NO_GROUND_M = np.float32(-1e6)

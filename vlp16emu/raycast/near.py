@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast import embree as rtc
-from vlp16emu.raycast.beam import LINE, BeamModel, Footprint, beam_axis_of, displace
-from vlp16emu.raycast.build import EmbreeMesh, InstanceMotion, motion_of, placed
-from vlp16emu.raycast.far import NO_MEDIUM, STRAY_M, Far, recalled_shape
+from vlp16emu.raycast.beam import LINE, BeamModel, Footprint, beam_axis_of, displace, reach_of
+from vlp16emu.raycast.build import EmbreeMesh, Placed
+from vlp16emu.raycast.far import NO_MEDIUM, Far, recalled_shape
 from vlp16emu.raycast.kernel import PulseBatch, cast_lines, cast_pulses
 from vlp16emu.raycast.lanes import Medium
 from vlp16emu.raycast.packet import PACKET, Target
-from vlp16emu.raycast.quads import normal_matrices, relative_to_window
+from vlp16emu.raycast.pieces import LEVEL, STRAY_M, within_reach
+from vlp16emu.raycast.quads import normal_matrices
 from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
 
@@ -26,44 +27,33 @@ _SECTOR_DEG = 1.6
 """What is near in one direction stays in the cache from revolution to revolution: with eight of them a fifth less time for
 one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam. Sectors of 12 degrees gain half of that."""
 
+_LEVEL = float(LEVEL) - 1e-4
+"""Where pulses are all less steep than this, so are their rays in float32."""
+
 
 class EmbreeGeometry:
     """A window ready to be cast against; any number of threads may cast at once.
 
     Parameters
     ----------
-    near, beyond : what is cast as faces up to where the medium begins, and at any range beyond; with a mesh for each
-        placement
+    near, beyond : what is cast as faces up to where the medium begins, and at any range beyond
     """
 
-    def __init__(
-        self,
-        near: tuple[Window, Sequence[EmbreeMesh]],
-        beyond: tuple[Window, Sequence[EmbreeMesh]] | None = None,
-        medium: Medium = NO_MEDIUM,
-    ) -> None:
-        self._kept = [near, beyond]
-        self.meshes = near[1]
-        """Of the placements that are cast as faces near by."""
-        self.surfaces, self.medium = near[0].surfaces, medium
-        self._near, self._motion = self._target(*near)
-        self._beyond = self._target(*beyond)[0] if beyond else self._near._replace(scene=0)
+    def __init__(self, near: Placed, beyond: Placed | None = None, medium: Medium = NO_MEDIUM) -> None:
+        self.meshes, self.surfaces, self.medium = near.meshes, near.window.surfaces, medium
+        self._placed, self._building = near, threading.Lock()
+        self._met, level = within_reach(near.window, near.placement, near.boxes_m, medium.near_m)
+        self._near = _target(near, level)
+        if level.sum() < self._met.sum():
+            self._near = self._near._replace(steep=0)
+        self._kept, self._beyond = beyond, _target(beyond) if beyond else self._near._replace(scene=0)
 
-    def _target(self, window: Window, meshes: Sequence[EmbreeMesh]) -> tuple[Target, InstanceMotion]:
-        """Build the scene of a window's placements."""
-        motion, moving = motion_of(window)
-        placement = np.array([i for i, mesh in enumerate(meshes) for _ in mesh.scenes], np.int64)
-        pieces = [piece for mesh in meshes for piece in mesh.scenes]
-        scene = placed(pieces, placement, relative_to_window(window).astype(np.float32), moving)
-        weakref.finalize(self, rtc.library().rtcReleaseScene, scene)
-        return Target(
-            scene,
-            window.origin_m,
-            window.first_surface[placement],
-            normal_matrices(window)[placement],
-            motion.shear[:, placement],
-            np.ascontiguousarray(window.surfaces["reflectance"]),
-        ), motion
+    def _target(self, rise: float) -> Target:
+        """Give what is near, with all that rays meet which rise or fall by so much per metre."""
+        with self._building:
+            if rise > _LEVEL and not self._near.steep:
+                self._near = self._near._replace(steep=self._placed.scene(self._met))
+        return self._near
 
     def cast(
         self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
@@ -89,7 +79,7 @@ class EmbreeGeometry:
             firings.origin_m,
             firings.direction,
             beam_axis_of(firings, beam) if beam.has_width else np.empty((0, 0, 0)),
-            self._motion.times(firings.t_ns),
+            self._placed.motion.times(firings.t_ns),
             near_m,
             far_m,
             _by_sectors(firings.azimuth_deg),
@@ -97,7 +87,8 @@ class EmbreeGeometry:
             beam.seed,
             firings.index,
         )
-        world = self._near, self._beyond, self.medium
+        rise = np.abs(firings.direction[..., 2]).max(initial=0.0) + reach_of(0, False) * beam.sigmas[2:].max()
+        world = self._target(float(rise)), self._beyond, self.medium
         if beam.has_width:
             count = np.empty(shape, np.uint16)
             return Hits(count, *cast_pulses(*world, pulses, beam.budget, count))
@@ -106,6 +97,21 @@ class EmbreeGeometry:
         if beam.model is BeamModel.OFFSET:
             displace(met[0], beam, firings.index)
         return Hits.one_ray_each(*met)
+
+
+def _target(placed: Placed, kept: NDArray[np.bool_] | None = None) -> Target:
+    """Build the scene of some pieces of a window, or of all."""
+    window, placement = placed.window, placed.placement
+    scene = placed.scene(np.ones(len(placement), np.bool_) if kept is None else kept)
+    return Target(
+        scene,
+        scene,
+        window.origin_m,
+        window.first_surface[placement],
+        normal_matrices(window)[placement],
+        placed.motion.shear[:, placement],
+        np.ascontiguousarray(window.surfaces["reflectance"]),
+    )
 
 
 def _by_sectors(azimuth_deg: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -146,39 +152,40 @@ class EmbreeCaster:
         """Make a window ready for casting, one at a time."""
         with self._lock:
             if window.far is None or not np.isfinite(self._world.near_m):
-                return EmbreeGeometry(self._built(window))
+                return EmbreeGeometry(self._placed(window))
             tiles = self._far.tiles(window)
-            beyond = self._built(_part(window, ~window.far))
+            beyond = self._placed(_part(window, ~window.far))
             is_near = np.empty(len(window.shape), np.bool_)
             is_near[window.far] = self._far.is_near(window)
-            is_near[~window.far] = self._reached(*beyond)
+            is_near[~window.far] = self._reached(beyond)
             part = _part(window, is_near)
             begun = self._begun(part)  # while what is far is put together
             medium = self._far.medium(window, tiles)
-            return EmbreeGeometry(self._built(part, begun), beyond if beyond[1] else None, medium)
+            return EmbreeGeometry(self._placed(part, begun), beyond if beyond.meshes else None, medium)
 
-    def _reached(self, window: Window, meshes: Sequence[EmbreeMesh]) -> NDArray[np.bool_]:
+    def _reached(self, placed: Placed) -> NDArray[np.bool_]:
         """Which placements (n,) may be met by light that has not yet come to the medium."""
+        window, meshes = placed.window, placed.meshes
         assert window.near is not None
         stretch = np.sqrt((window.world_T_shape[:, :, :3] ** 2).sum(axis=1).max(axis=-1, initial=0.0))
         reach_m = self._world.near_m + STRAY_M + stretch * [mesh.radius_m for mesh in meshes]
         return distance_m(window.world_T_shape[:, :2, 3], window.near[:, :2]) <= reach_m
 
     def _begun(self, window: Window) -> list[EmbreeMesh | Future[EmbreeMesh]]:
-        """Begin to build the shapes of a window that no other has; all of them in order."""
+        """Begin to grow the shapes of a window that no other has; all of them in order."""
         return [self._solids.get(key) or self._workers.submit(self._solid, key) for key in window.shapes]
 
-    def _built(
+    def _placed(
         self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]] | None = None
-    ) -> tuple[Window, list[EmbreeMesh]]:
-        """Give a window with the built shapes of its placements."""
+    ) -> Placed:
+        """Give a window with the shapes of its placements."""
         begun = self._begun(window) if begun is None else begun
         meshes = [each.result() if isinstance(each, Future) else each for each in begun]
         self._solids.update(zip(window.shapes, meshes, strict=True))
-        return window, [meshes[which] for which in window.shape.tolist()]
+        return Placed(window, [meshes[which] for which in window.shape.tolist()], self._workers)
 
     def _solid(self, key: ShapeKey) -> EmbreeMesh:
-        """Grow a shape and build it."""
+        """Grow a shape."""
         return EmbreeMesh(recalled_shape(self._world, key))
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast.build import tilt
 from vlp16emu.raycast.embree import FLAG_COHERENT, library, library_path
+from vlp16emu.raycast.pieces import LEVEL
 
 __all__ = [
     "DIR",
@@ -50,7 +51,9 @@ class Target(NamedTuple):
     """What is cast against as faces."""
 
     scene: int
-    """Address of a committed RTCScene of instances; 0 where there is nothing."""
+    """Address of a committed RTCScene of instances that level rays may meet; 0 where there is nothing."""
+    steep: int
+    """The same for rays that are not `LEVEL`; 0 also where none such is cast."""
     window_origin_m: NDArray[np.float64]
     """(3,) taken from the origins in float64, before the step to float32."""
     first_surface: NDArray[np.uint32]
@@ -109,9 +112,13 @@ def ray_packet() -> RayPacket:
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def cast_packet(target: Target, packet: RayPacket) -> None:
-    """Cast the rays of a packet that are valid."""
+    """Cast the rays of a packet that are valid, all of them as steep ones where one is steep."""
+    rays, rise = packet.rays, np.float32(0.0)
+    for lane in range(PACKET):
+        rise = max(rise, abs(rays[DIR + 2, lane]))
+    scene = target.scene if rise <= LEVEL else target.steep
     packet.context[:] = NONE
-    _intersect(packet.valid.ctypes.data, target.scene, packet.rays.ctypes.data, packet.arguments.ctypes.data)
+    _intersect(packet.valid.ctypes.data, scene, rays.ctypes.data, packet.arguments.ctypes.data)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)

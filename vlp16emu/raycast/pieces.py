@@ -2,9 +2,10 @@
 
 A ray is taken into the coordinates of every instance whose box it passes, which costs as much as a good part of what follows,
 and the rays of a lidar are nearly level: what counts of a box is its area as seen from the side. So stems are apart from the
-ground, and crowns are cut level into slabs, each as wide as the crown is there.
+ground, and crowns are cut level into slabs, each as wide as the crown is there. Pieces that no ray can meet are left out.
 """
 
+import math
 from collections.abc import Sequence
 
 import numba
@@ -12,8 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.quads import Faces
+from vlp16emu.types import Window
+from vlp16emu.world.polyline import distance_m
 
-__all__ = ["in_pieces"]
+__all__ = ["LEVEL", "STRAY_M", "in_pieces", "within_reach"]
+
+LEVEL = np.float32(math.sin(math.radians(20.0)))
+"""Rays that rise or fall by no more than this per metre are level: all of a VLP-16 that is worn upright, which leans by up to
+3 degrees. Half of the faces of `scenes/reference_forest` that are near are met by no level ray, and are not built."""
+
+STRAY_M = 1.0
+"""How far a sensor may be from the positions that a window is for."""
 
 _SLAB_M = 1.5
 """Height of a slab: with bodies apart a fifth less time for what is near in `scenes/reference_forest`; 1 m and 2 m gain as much
@@ -24,7 +34,9 @@ _WORTH = 0.7
 is the same, and pieces are more."""
 
 
-def in_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], NDArray[np.int64]]:
+def in_pieces(
+    faces: Sequence[Faces],
+) -> tuple[tuple[Faces, ...], NDArray[np.int64], NDArray[np.float64]]:
     """Order the quads of a shape by pieces.
 
     Parameters
@@ -33,18 +45,55 @@ def in_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], NDArray[np.int
 
     Returns
     -------
-    The same faces, of each mesh those of a piece one after the other; and the first of each piece, (pieces + 1, meshes)
+    The same faces, of each mesh those of a piece one after the other; the first of each piece, (pieces + 1, meshes); and the
+    boxes of pieces, (pieces, 2, 3)
     """
     ordered, counts = list(faces), [np.zeros((1, len(faces)), np.int64)]
+    boxes = [np.zeros((0, 2, 3))]
     for body in _bodies(faces):
-        slabs = _slabs([faces[mesh] for mesh in body])
+        slabs, around = _slabs([faces[mesh] for mesh in body])
+        boxes.append(around)
         count = np.zeros((1 + max(int(slab.max()) for slab in slabs), len(faces)), np.int64)
         for mesh, slab in zip(body, slabs, strict=True):
             vertices_m, quads = faces[mesh]
             ordered[mesh] = vertices_m, quads[np.argsort(slab, kind="stable")]
             count[:, mesh] = np.bincount(slab, minlength=len(count))
         counts.append(count[count.any(axis=1)])
-    return tuple(ordered), np.concatenate(counts).cumsum(axis=0)
+    return tuple(ordered), np.concatenate(counts).cumsum(axis=0), np.concatenate(boxes)
+
+
+def within_reach(
+    window: Window, placement: NDArray[np.int64], boxes_m: NDArray[np.float64], reach_m: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Find the pieces that light of some range may meet.
+
+    Parameters
+    ----------
+    placement : (n,) of each piece
+    boxes_m : (n, 2, 3) around each, in coordinates of its shape
+    reach_m : range of the light
+
+    Returns
+    -------
+    Those that any ray may meet (n,), and those that level ones may
+    """
+    if window.near is None or not math.isfinite(reach_m):
+        return np.ones(len(boxes_m), np.bool_), np.ones(len(boxes_m), np.bool_)
+    world_T_shape, half_m = window.world_T_shape[placement], np.diff(boxes_m, axis=1)[:, 0] / 2
+    at_m = np.einsum("nij,nj->ni", world_T_shape[..., :3], boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
+    half_m = np.einsum("nij,nj->ni", np.abs(world_T_shape[..., :3]), half_m)
+    low_m, high_m = at_m[:, 2] - half_m[:, 2], at_m[:, 2] + half_m[:, 2]
+    aside_m = np.hypot(half_m[:, 0], half_m[:, 1])
+    if (sway := window.sway) is not None:
+        lean, foot_z_m = np.zeros((2, len(window.shape)))
+        lean[sway.placement], foot_z_m[sway.placement] = np.hypot(*sway.shear.T).max(axis=1), sway.foot_z_m
+        foot_z_m = foot_z_m[placement]
+        aside_m += lean[placement] * np.maximum(np.abs(low_m - foot_z_m), np.abs(high_m - foot_z_m))
+    level_m = np.maximum(distance_m(at_m[:, :2], window.near[:, :2]) - aside_m, 0.0)
+    sensors_m = window.near[:, 2]
+    rise_m = np.maximum(np.maximum(low_m - sensors_m.max(), sensors_m.min() - high_m), 0.0)
+    met = np.hypot(level_m, rise_m) <= reach_m + STRAY_M
+    return met, met & (rise_m <= LEVEL * reach_m + STRAY_M)
 
 
 def _bodies(faces: Sequence[Faces]) -> list[list[int]]:
@@ -64,8 +113,8 @@ def _bodies(faces: Sequence[Faces]) -> list[list[int]]:
     return bodies
 
 
-def _slabs(body: Sequence[Faces]) -> list[NDArray[np.int64]]:
-    """Give the slab (q,) of each quad of some meshes, all 0 where slabs are not worth it."""
+def _slabs(body: Sequence[Faces]) -> tuple[list[NDArray[np.int64]], NDArray[np.float64]]:
+    """Give the slab (q,) of each quad of some meshes, all 0 where slabs are not worth it; and boxes of those that hold any."""
     low_m = min(float(vertices_m[:-1, 2].min()) for vertices_m, _ in body)
     high_m = max(float(vertices_m[:-1, 2].max()) for vertices_m, _ in body)
     boxes = np.repeat([[[np.inf] * 3, [-np.inf] * 3]], 1 + int((high_m - low_m) / _SLAB_M), axis=0)
@@ -75,8 +124,8 @@ def _slabs(body: Sequence[Faces]) -> list[NDArray[np.int64]]:
     boxes = boxes[boxes[:, 1, 2] > -np.inf]
     around = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
     if _side_m2(boxes).sum() > _WORTH * _side_m2(around):
-        return [np.zeros_like(slab) for slab in slabs]
-    return slabs
+        return [np.zeros_like(slab) for slab in slabs], around[None]
+    return slabs, boxes
 
 
 def _side_m2(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
