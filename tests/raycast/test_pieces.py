@@ -116,7 +116,7 @@ def test_no_piece_that_light_may_meet_is_left_out(lab, moves):
     window.world_T_shape[:, :, 3] = window.origin_m + rng.uniform(-12, 12, (n, 3))
     window = replace(window, near=window.origin_m + rng.uniform(-1, 1, (20, 3)).cumsum(axis=0))
     if moves:
-        shear = rng.uniform(-1, 1, (3, n, 2))
+        shear = rng.uniform(-3, 3, (3, n, 2))
         window = replace(window, sway=Sway(0, 1000, np.arange(n), window.world_T_shape[:, 2, 3] - 2.0, shear))
     low_m = rng.uniform(-1, 0, (n, 3))
     boxes_m = np.stack([low_m, low_m + rng.uniform(0, 2, (n, 3))], axis=1)
