@@ -4,6 +4,7 @@ import ast
 import re
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -65,7 +66,12 @@ LIBRARIES = {
 }
 
 
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in zip(NAMES, FILES, strict=True)}
+@cache
+def trees() -> dict[str, ast.Module]:
+    """Files by name, read by the worker that has these tests and by no other."""
+    return {
+        name: ast.parse(path.read_text(encoding="utf-8")) for name, path in zip(NAMES, FILES, strict=True)
+    }
 
 
 def imports(tree: ast.AST) -> Iterator[str]:
@@ -134,14 +140,14 @@ def test_every_room_stands_on_one_floor():
 
 def test_arrows_run_down():
     """A file imports of ours only from its own floor and from lower ones."""
-    found = {name: trespasses(name, tree) for name, tree in TREES.items()}
+    found = {name: trespasses(name, tree) for name, tree in trees().items()}
     assert {name: names for name, names in found.items() if names} == {}
 
 
 def test_no_room_needs_itself():
     """Between rooms there is no circle of imports, foundations apart."""
     arrows = {room: set[str]() for room in FLOOR_OF}
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         for full in imports(tree):
             target = full.removeprefix("vlp16emu.").split(".")[0]
             if full.startswith("vlp16emu.") and target in FLOOR_OF and room_of(name) in FLOOR_OF:
@@ -166,21 +172,21 @@ def test_a_trespass_would_be_seen():
 
 def test_no_module_needs_itself():
     """Between files there is no circle of imports."""
-    arrows = {name: taken_at_once(name, tree) for name, tree in TREES.items()}
+    arrows = {name: taken_at_once(name, tree) for name, tree in trees().items()}
     assert sum(map(len, arrows.values())) > 300
     list(TopologicalSorter(arrows).static_order())
 
 
 def test_kernels_are_where_changes_are_looked_for():
     """No file with a kernel is in a room whose changes leave compiled kernels as they are."""
-    with_kernels = {room_of(name) for name, tree in TREES.items() if "njit" in ast.unparse(tree)}
+    with_kernels = {room_of(name) for name, tree in trees().items() if "njit" in ast.unparse(tree)}
     assert "raycast" in with_kernels
     assert not with_kernels & _WITHOUT_KERNELS
 
 
 def test_a_library_is_imported_where_it_belongs():
     """Sockets, serial ports, Embree and the command line's libraries stay in their rooms."""
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         for full in imports(tree):
             places = LIBRARIES.get(full.split(".")[0])
             assert places is None or name.startswith(places), f"{name} imports {full}"
@@ -188,7 +194,7 @@ def test_a_library_is_imported_where_it_belongs():
 
 def test_only_the_command_line_prints():
     """No `print`, no `sys.exit`, no writing to the standard streams outside `cli/`."""
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         calls = {ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
         printing = calls & {"print", "exit", "sys.exit", "sys.stdout.write", "sys.stderr.write"}
         assert not printing or name.startswith("cli/"), f"{name} calls {printing}"
@@ -197,7 +203,7 @@ def test_only_the_command_line_prints():
 def test_files_and_functions_are_short():
     """No file exceeds 400 lines, no function 45 beside its parameters and docstring; the main file stays under 120."""
     found = []
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         lines = len((PACKAGE / name).read_text(encoding="utf-8").splitlines())
         if lines > (119 if name == "chain/chain.py" else 400):
             found.append(f"{name} has {lines} lines")
@@ -213,7 +219,7 @@ def test_files_and_functions_are_short():
 
 def test_public_things_have_docstrings():
     """Every module, public class and public function says what it is."""
-    for name, tree in TREES.items():
+    for name, tree in trees().items():
         assert ast.get_docstring(tree), name
         assert [node.name for node in public(tree.body) if not ast.get_docstring(node)] == [], name
 
@@ -221,12 +227,12 @@ def test_public_things_have_docstrings():
 def test_a_class_name_stands_for_one_class():
     """No two public classes of the package have one name, and no settings are imported under another."""
     names = Counter(
-        node.name for tree in TREES.values() for node in public(tree.body) if isinstance(node, ast.ClassDef)
+        node.name for tree in trees().values() for node in public(tree.body) if isinstance(node, ast.ClassDef)
     )
     assert [name for name, count in names.items() if count > 1] == []
     renamed = [
         (name, alias.asname)
-        for name, tree in TREES.items()
+        for name, tree in trees().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("vlp16emu")
         for alias in node.names

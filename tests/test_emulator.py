@@ -43,6 +43,7 @@ def test_threads_do_not_change_a_byte(birch):
     )
 
 
+@pytest.mark.usefixtures("kept_woods")  # in what order they grow changes nothing: test_forest.py of the stand
 def test_cuts_do_not_change_a_byte(birch):
     """A run in pieces that begin anywhere, also in the middle of a packet, equals the run in one go."""
     start, stop = STRETCH_S - 0.3, STRETCH_S + 0.3

@@ -202,11 +202,16 @@ def test_a_single_sensor_merges_its_own_two_streams(monkeypatch):
 
 def modules_of(*arguments, names):
     """Which of some modules a process of its own has loaded after a command line, and its exit code."""
+    return modules_after([arguments], names)
+
+
+def modules_after(lines, names):
+    """Which of some modules a process of its own has loaded after the last of its command lines, and exit codes."""
     code = (
         "import sys\n"
         "from vlp16emu.cli.app import run\n"
-        f"code = run({list(map(str, arguments))!r})\n"
-        f"print(code, sorted(set({names!r}) & set(sys.modules)), file=sys.stderr)"
+        f"codes = [run(line) for line in {[list(map(str, line)) for line in lines]!r}]\n"
+        f"print(*codes, sorted(set({names!r}) & set(sys.modules)), file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return done.stderr.strip()
@@ -254,10 +259,9 @@ def test_a_walk_through_kept_woods_needs_no_scipy(tmp_path, monkeypatch):
 def test_a_scene_is_read_without_numba():
     """What is wrong with a scene is found before kernels and their compiler are loaded."""
     heavy = ["numba", "scipy", "dpkt"]
-    assert modules_of("schema", names=heavy) == "0 []"
-    for verb in ("record", "stream"):
-        wrong = verb, "birch_walk", *(["x.pcap"] * (verb == "record")), "--set", "sensor.rpm=17"
-        assert modules_of(*wrong, names=heavy).splitlines()[-1] == "2 []"
+    wrong = "birch_walk", "--set", "sensor.rpm=17"
+    lines = ("schema",), ("record", *wrong, "x.pcap"), ("stream", *wrong)
+    assert modules_after(lines, heavy).splitlines()[-1] == "0 2 2 []"
 
 
 def test_descriptions_of_keys_are_read_for_the_schema_only():

@@ -1,17 +1,23 @@
 """What each module offers to others."""
 
 import ast
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1] / "vlp16emu"
-TREES = {
-    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): ast.parse(
-        path.read_text(encoding="utf-8")
-    )
-    for path in sorted(PACKAGE.rglob("*.py"))
-    if path.name != "__main__.py"
-}
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    """Modules by name, read by the worker that has these tests and by no other."""
+    return {
+        ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): ast.parse(
+            path.read_text(encoding="utf-8")
+        )
+        for path in sorted(PACKAGE.rglob("*.py"))
+        if path.name != "__main__.py"
+    }
 
 
 def defined(tree: ast.Module) -> set[str]:
@@ -35,7 +41,7 @@ def in_order(names: list[str]) -> list[str]:
 
 def test_all_is_complete_sorted_and_true():
     """`__all__` names every public function and class of a module, each once, in order, and nothing that is absent."""
-    for module, tree in TREES.items():
+    for module, tree in trees().items():
         names = listed(tree) or []
         assert names == in_order(list(dict.fromkeys(names))), module
         assert defined(tree) <= set(names), module
@@ -45,11 +51,11 @@ def test_all_is_complete_sorted_and_true():
 
 def test_what_one_module_takes_the_other_offers():
     """A name imported from one of our modules stands in that module's `__all__`."""
-    modules = {module.rpartition(".")[2] for module in TREES}
-    for module, tree in TREES.items():
+    modules = {module.rpartition(".")[2] for module in trees()}
+    for module, tree in trees().items():
         for node in ast.walk(tree):
-            if isinstance(node, ast.ImportFrom) and node.module in TREES:
-                offered = {*(listed(TREES[node.module]) or []), *modules}
+            if isinstance(node, ast.ImportFrom) and node.module in trees():
+                offered = {*(listed(trees()[node.module]) or []), *modules}
                 assert {alias.name for alias in node.names} <= offered, f"{module}, line {node.lineno}"
 
 
@@ -58,5 +64,5 @@ def test_a_room_offers_what_it_has_by_name():
     rooms = [f"vlp16emu.{path.parent.name}" for path in PACKAGE.glob("*/__init__.py")]
     assert len(rooms) > 10
     for room in rooms:
-        assert ast.get_docstring(TREES[room]), room
-        assert listed(TREES[room]), room
+        assert ast.get_docstring(trees()[room]), room
+        assert listed(trees()[room]), room

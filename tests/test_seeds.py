@@ -8,6 +8,8 @@ from vlp16emu.scenario import load
 from vlp16emu.scenario.model import Scenario
 from vlp16emu.types import Semantic
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 SHORT = ["world.stems_per_ha=150", "sensor.max_range_m=15.0", "beam.model=none", "seed=5"]
 
 

@@ -35,6 +35,7 @@ def test_threads_and_cuts_do_not_change_a_byte_of_a_windy_run():
     assert digest(p for a, b in itertools.pairwise(cuts) for p in emulator.packets(a, b)) == whole
 
 
+@pytest.mark.usefixtures("kept_woods")
 def test_still_air_changes_nothing():
     """At a speed of 0 the packets are those of the scene without wind; at 9 m/s they are not."""
     none, calm, windy = (load("birch_walk", s) for s in (THIN, [*THIN, "wind.speed_m_s=0.0"], BLOWS))

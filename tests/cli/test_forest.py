@@ -230,7 +230,7 @@ def test_a_run_that_fails_leaves_no_file(cli, tmp_path, monkeypatch):
     """Where the picture fails, an inventory that was complete is kept, an earlier picture stays, and nothing is beside them."""
     monkeypatch.setattr("vlp16emu.report.forest.files.draw_sheet", lambda *_, **__: 1 / 0)
     (tmp_path / "x.png").write_bytes(b"earlier")
-    options = ["--radius", "1", "--set", "world.stems_per_ha=50", "--inventory", tmp_path / "x.csv"]
+    options = [*SMALL[:-1], "1", "--set", "world.stems_per_ha=50", "--inventory", tmp_path / "x.csv"]
     with pytest.raises(ZeroDivisionError):
         cli("forest", "birch_walk", *options, "--picture", tmp_path / "x.png")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["x.csv", "x.png"]

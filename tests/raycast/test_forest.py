@@ -8,6 +8,8 @@ from vlp16emu.raycast.caster import caster
 from vlp16emu.scenario import load
 from vlp16emu.types import NO_SURFACE, PlantPart
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 STATIC = "motion={kind='static', x_m=10.0, y_m=3.0, height_m=1.3}"
 AGAIN = 390_625
 """Firing sequences after which a rotor at 600 rpm stands where it stood: 216 revolutions, 21.6 s."""

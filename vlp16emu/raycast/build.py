@@ -1,5 +1,6 @@
 """What Embree casts against: shapes with their buffers, and instances of them at rest or in motion."""
 
+import math
 import threading
 import weakref
 from collections import defaultdict
@@ -37,8 +38,14 @@ class Shape(NamedTuple):
 
 def shape_of(meshes: Sequence[Mesh]) -> Shape:
     """Pair the faces of a shape's meshes, and cut them into pieces."""
-    radii_m = (float(np.linalg.norm(mesh.vertices_m, axis=1).max(initial=0.0)) for mesh in meshes)
-    return Shape(*in_pieces([faces_of(mesh) for mesh in meshes]), max(radii_m, default=0.0))
+    square_m2 = max((_farthest_m2(mesh) for mesh in meshes), default=0.0)
+    return Shape(*in_pieces([faces_of(mesh) for mesh in meshes]), math.sqrt(square_m2))
+
+
+def _farthest_m2(mesh: Mesh) -> float:
+    """Square of the greatest distance of a corner from the origin."""
+    x_m, y_m, z_m = mesh.vertices_m.T
+    return float((x_m**2 + y_m**2 + z_m**2).max(initial=0.0))
 
 
 class EmbreeMesh:

@@ -102,7 +102,8 @@ def _bodies(faces: Sequence[Faces]) -> list[list[int]]:
     for mesh, (vertices_m, quads) in enumerate(faces):
         if not len(quads):
             continue
-        own = np.array([vertices_m[:-1].min(axis=0), vertices_m[:-1].max(axis=0)])
+        axes_m = np.ascontiguousarray(vertices_m[:-1].T)  # numpy is ten times as fast along rows
+        own = np.array([axes_m.min(axis=1), axes_m.max(axis=1)])
         both = np.array([np.minimum(around[0], own[0]), np.maximum(around[1], own[1])])
         if bodies and _side_m2(both) <= _side_m2(around) + _side_m2(own):
             bodies[-1].append(mesh)
