@@ -358,6 +358,8 @@ class Window:
     """Squares (ix, iy) that are seen from afar by `World.far_tile`, and the row of `surfaces` at which theirs begin."""
     far: NDArray[np.bool_] | None = None
     """(n,) which placements `tiles` stand for; None where they stand for none."""
+    low: NDArray[np.bool_] | None = None
+    """(n,) which of the others are so low that light from afar meets the ground in their place; None where none is."""
 
     def __post_init__(self) -> None:
         _check(self, "origin_m", self.origin_m, "f8", 3)

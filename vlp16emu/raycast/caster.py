@@ -30,6 +30,8 @@ class Geometry(Protocol):
         near_m: NDArray[np.float64],
         far_m: float,
         beam: Footprint = LINE,
+        *,
+        as_far: bool = False,
     ) -> Hits:
         """Cast the pulses of k sequences, k a multiple of 8."""
 

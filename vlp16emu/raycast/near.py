@@ -46,7 +46,10 @@ class EmbreeGeometry:
         self._near = _target(near, level)
         if level.sum() < self._met.sum():
             self._near = self._near._replace(steep=0)
-        self._kept, self._beyond = beyond, _target(beyond) if beyond else self._near._replace(scene=0)
+        self._kept, self._beyond = (
+            beyond,
+            _target(beyond) if beyond else self._near._replace(scene=0, steep=0),
+        )
 
     def _target(self, rise: float) -> Target:
         """Give what is near, with all that rays meet which rise or fall by so much per metre."""
@@ -56,7 +59,13 @@ class EmbreeGeometry:
         return self._near
 
     def cast(
-        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
+        self,
+        firings: Firings,
+        near_m: NDArray[np.float64],
+        far_m: float,
+        beam: Footprint = LINE,
+        *,
+        as_far: bool = False,
     ) -> Hits:
         """Cast pulses.
 
@@ -66,6 +75,7 @@ class EmbreeGeometry:
         near_m : (L,) range at which each laser's light begins
         far_m : range at which it is given up
         beam : how wide a pulse is
+        as_far : whether also what is near is cast as the medium that it is from afar, where there is one
 
         Raises
         ------
@@ -87,8 +97,12 @@ class EmbreeGeometry:
             beam.seed,
             firings.index,
         )
-        rise = np.abs(firings.direction[..., 2]).max(initial=0.0) + reach_of(0, False) * beam.sigmas[2:].max()
-        world = self._target(float(rise)), self._beyond, self.medium
+        if as_far and np.isfinite(self.medium.near_m):
+            world = self._beyond, self._beyond, self.medium._replace(near_m=0.0)
+        else:
+            lean = reach_of(0, False) * beam.sigmas[2:].max()
+            rise = float(np.abs(firings.direction[..., 2]).max(initial=0.0) + lean)
+            world = self._target(rise), self._beyond, self.medium
         if beam.has_width:
             count = np.empty(shape, np.uint16)
             return Hits(count, *cast_pulses(*world, pulses, beam.budget, count))
@@ -154,34 +168,39 @@ class EmbreeCaster:
             if window.far is None or not np.isfinite(self._world.near_m):
                 return EmbreeGeometry(self._placed(window))
             tiles = self._far.tiles(window)
-            beyond = self._placed(_part(window, ~window.far))
+            exact = ~window.far
             is_near = np.empty(len(window.shape), np.bool_)
             is_near[window.far] = self._far.is_near(window)
-            is_near[~window.far] = self._reached(beyond)
+            is_near[exact] = self._reached(_part(window, exact))
+            beyond = self._placed(_part(window, exact if window.low is None else exact & ~window.low))
             part = _part(window, is_near)
             begun = self._begun(part)  # while what is far is put together
             medium = self._far.medium(window, tiles)
             return EmbreeGeometry(self._placed(part, begun), beyond if beyond.meshes else None, medium)
 
-    def _reached(self, placed: Placed) -> NDArray[np.bool_]:
+    def _reached(self, window: Window) -> NDArray[np.bool_]:
         """Which placements (n,) may be met by light that has not yet come to the medium."""
-        window, meshes = placed.window, placed.meshes
         assert window.near is not None
+        radius_m = np.array([mesh.radius_m for mesh in self._grown(window, self._begun(window))])
         stretch = np.sqrt((window.world_T_shape[:, :, :3] ** 2).sum(axis=1).max(axis=-1, initial=0.0))
-        reach_m = self._world.near_m + STRAY_M + stretch * [mesh.radius_m for mesh in meshes]
+        reach_m = self._world.near_m + STRAY_M + stretch * radius_m[window.shape]
         return distance_m(window.world_T_shape[:, :2, 3], window.near[:, :2]) <= reach_m
 
     def _begun(self, window: Window) -> list[EmbreeMesh | Future[EmbreeMesh]]:
         """Begin to grow the shapes of a window that no other has; all of them in order."""
         return [self._solids.get(key) or self._workers.submit(self._solid, key) for key in window.shapes]
 
+    def _grown(self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]]) -> list[EmbreeMesh]:
+        """Wait for the shapes of a window."""
+        meshes = [each.result() if isinstance(each, Future) else each for each in begun]
+        self._solids.update(zip(window.shapes, meshes, strict=True))
+        return meshes
+
     def _placed(
         self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]] | None = None
     ) -> Placed:
         """Give a window with the shapes of its placements."""
-        begun = self._begun(window) if begun is None else begun
-        meshes = [each.result() if isinstance(each, Future) else each for each in begun]
-        self._solids.update(zip(window.shapes, meshes, strict=True))
+        meshes = self._grown(window, self._begun(window) if begun is None else begun)
         return Placed(window, [meshes[which] for which in window.shape.tolist()], self._workers)
 
     def _solid(self, key: ShapeKey) -> EmbreeMesh:
@@ -210,4 +229,5 @@ def _part(window: Window, keep: NDArray[np.bool_]) -> Window:
         first_surface=window.first_surface[keep],
         sway=sway,
         far=None,
+        low=None,
     )

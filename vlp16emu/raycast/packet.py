@@ -117,8 +117,9 @@ def cast_packet(target: Target, packet: RayPacket) -> None:
     for lane in range(PACKET):
         rise = max(rise, abs(rays[DIR + 2, lane]))
     scene = target.scene if rise <= LEVEL else target.steep
-    packet.context[:] = NONE
-    _intersect(packet.valid.ctypes.data, scene, rays.ctypes.data, packet.arguments.ctypes.data)
+    if scene:
+        packet.context[:] = NONE
+        _intersect(packet.valid.ctypes.data, scene, rays.ctypes.data, packet.arguments.ctypes.data)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)

@@ -20,6 +20,8 @@ def sky_cover(
 ) -> float:
     """Share of the sky that surfaces hide, 0..1, each direction counting by its solid angle.
 
+    Crowns overhead are a medium, as from afar: they hide as much, and need not be built where no pulse meets them.
+
     Parameters
     ----------
     t_ns : UTC, at which what moves stands somewhere
@@ -39,7 +41,7 @@ def sky_cover(
         direction=direction,
         beam_axis=None,
     )
-    hits = geometry.cast(rays, np.zeros(shape[1]), far_m)
+    hits = geometry.cast(rays, np.zeros(shape[1]), far_m, as_far=True)
     return float(np.isfinite(hits.range_m).mean())
 
 

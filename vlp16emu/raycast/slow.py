@@ -33,7 +33,13 @@ class SlowScene(ABC):
         self.surfaces = window.surfaces
 
     def cast(
-        self, firings: Firings, near_m: NDArray[np.float64], far_m: float, beam: Footprint = LINE
+        self,
+        firings: Firings,
+        near_m: NDArray[np.float64],
+        far_m: float,
+        beam: Footprint = LINE,
+        *,
+        as_far: bool = False,  # noqa: ARG002  # all is near here
     ) -> Hits:
         """Cast pulses; the arguments are those of `EmbreeGeometry.cast`."""
         shape = firings.t_ns.shape

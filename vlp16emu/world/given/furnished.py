@@ -140,6 +140,7 @@ class Furnished:
             near=window.near,
             tiles=window.tiles,
             far=None if window.far is None else np.append(window.far, np.zeros(len(near), np.bool_)),
+            low=None if window.low is None else np.append(window.low, np.zeros(len(near), np.bool_)),
         )
 
     def far_tile(self, ix: int, iy: int) -> FarTile:

@@ -193,6 +193,7 @@ class ForestWorld:
             near=track_m,
             tiles=tuple((ix, iy, row) for (ix, iy), row in zip(names, begins, strict=True)),
             far=np.concatenate([tile.far for tile in tiles]),
+            low=np.concatenate([tile.low for tile in tiles]),
         )
 
     def shape_name(self, key: ShapeKey) -> str:

@@ -192,6 +192,7 @@ def cut_out(
         world_T_shape=window.world_T_shape[keep],
         first_surface=window.first_surface[keep],
         far=None,
+        low=None,
     )
 
     def grow(key: ShapeKey) -> tuple[Mesh, ...]:

@@ -181,6 +181,8 @@ class Tile:
     """(m,) `SURFACE`."""
     far: NDArray[np.bool_]
     """(n,) which of the placements are part of the `FarTile`."""
+    low: NDArray[np.bool_]
+    """(n,) which are ground, and too low to be seen from afar."""
 
 
 def packed(
@@ -201,7 +203,8 @@ def packed(
         first_surface.append(rows + parts * np.arange(n))
         tables.append(placed.surfaces.ravel())
         rows += n * parts
-    seen_far = (np.full(len(one.shape), not (one.is_ground or one.is_exact)) for one in groups)
+    is_low = np.repeat([False, *(one.is_ground for one in groups)], [1, *(len(one.shape) for one in groups)])
+    is_exact = np.repeat([False, *(one.is_exact for one in groups)], [1, *(len(one.shape) for one in groups)])
     placed_trees = np.concatenate([placed.trees for placed in groups])
     return Tile(
         trees=placed_trees[np.argsort(placed_trees["id"])],
@@ -210,7 +213,8 @@ def packed(
         world_T_shape=np.concatenate([own_T, *(placed.world_T_shape for placed in groups)]),
         first_surface=np.concatenate(first_surface),
         surfaces=np.concatenate(tables),
-        far=np.concatenate([np.ones(1, np.bool_), *seen_far]),
+        far=~(is_low | is_exact),
+        low=is_low,
     )
 
 
