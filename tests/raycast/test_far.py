@@ -261,6 +261,23 @@ def test_a_users_wall_in_the_wood_is_hit_exactly(lab, workers, beam):
     assert along_m.max() < 40.2
 
 
+def test_what_is_low_is_met_near_by_only(lab, workers):
+    """A thing that is said to be low is met at its range where light has not come to the medium, and passed by beyond."""
+    world = lab.tiles(10.0, across=3)
+    bare, at_m = world.window(AT_M), AT_M[0] + [0.0, 0.0, 4.0]
+    rays, grown = around(8000, at_m, low_deg=-8.0, high_deg=8.0), world.shape
+    for x_m, is_met in ((15.0, True), (25.0, False)):
+        window, wall = with_wall(bare, x_m)
+        world.shape = lambda key, wall=wall: (wall,) if key == "wall" else grown(key)
+        low = replace(window, low=np.append(np.zeros_like(bare.far), True))
+        hits = [cast(lab, EmbreeCaster(world, workers).open(each), *rays) for each in (window, low, bare)]
+        exact, ours, without = ((each.range_m, each.surface) for each in hits)
+        is_wall = (exact[1] == len(bare.surfaces)) & (exact[0] < 10.0)
+        assert (is_wall.sum() > 100) == is_met
+        assert (ours[0][is_wall] == exact[0][is_wall]).all()
+        assert (ours[0][~is_wall] == without[0][~is_wall]).all()
+
+
 def test_things_that_sway_are_faces_at_any_range(lab, workers):
     """Trees that sway, farther than `near_m`, are met where they are at the time of each pulse, as with faces alone."""
     far, near = (lab.tiles(near_m) for near_m in (8.0, math.inf))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.raycast.caster import caster
+from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.sky import sky_cover
 from vlp16emu.raycast.slow import PlainCaster
 from vlp16emu.types import SURFACE, Mesh, Window
@@ -72,6 +73,19 @@ def test_both_casters_see_the_same_sky(workers):
     )
 
 
+def test_crowns_overhead_hide_as_much_as_their_leaves_do(lab, workers):
+    """In the wood the share of the sky that is hidden is that of leaf by leaf within 0.02 in the mean, and no crown is built for it."""
+    x_m, y_m = (place.ravel() for place in np.meshgrid(np.arange(2.0, 20.0, 3.0), np.arange(2.0, 20.0, 3.0)))
+    places_m = np.column_stack([x_m, y_m, lab.tiles().height_m(x_m, y_m) + 1.7])
+    scenes = [EmbreeCaster(lab.tiles(near_m, per_tile=16), workers) for near_m in (20.0, math.inf)]
+    window = lab.tiles(20.0, per_tile=16).window(places_m)
+    near, leaves = (each.open(window) for each in scenes)
+    covers = [[sky_cover(scene, 0, at_m, 15.0, 60.0) for at_m in places_m] for scene in (near, leaves)]
+    assert 0.1 < np.mean(covers[1]) < 0.6
+    assert np.mean(covers[0]) == pytest.approx(np.mean(covers[1]), abs=0.02)
+    assert not near._near.steep
+
+
 def test_the_sky_is_that_of_its_instant():
     """What sways is looked at where it is at the time that is asked for."""
     asked = []
@@ -79,7 +93,8 @@ def test_the_sky_is_that_of_its_instant():
     class Still:
         """A scene of nothing that keeps the times of its rays."""
 
-        def cast(self, rays, _near_m, _far_m):
+        def cast(self, rays, _near_m, _far_m, *, as_far):
+            assert as_far
             asked.append(rays.t_ns)
             return SimpleNamespace(range_m=np.full(rays.t_ns.size, np.inf))
 

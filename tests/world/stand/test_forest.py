@@ -179,6 +179,7 @@ def test_moss_and_litter_are_not_seen_from_afar(full_forest, track_m):
     low = np.array([is_ground(key) and not isinstance(key, TileKey) for key in window.shapes])[window.shape]
     assert low.sum() > 100
     assert (window.far == ~low).all()
+    assert (window.low == low).all()
     assert (window.surfaces["instance"][window.first_surface[low]] == 0).all()
 
 
