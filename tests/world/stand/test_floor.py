@@ -184,6 +184,15 @@ def test_plants_stand_in_patches_and_moss_and_litter_do_not():
         assert ratio > least if least else ratio == pytest.approx(1.0, abs=0.05), kind
 
 
+def test_no_tile_has_far_more_small_plants_than_others():
+    """Of herbs 3 to 6 cm high, as dense as a forest may be, no tile has over 1.5 times the mean: its numbers do not run out."""
+    pattern = LowLayer(FloorKind.HERB, Herbs(cover=0.076, height_m=(0.03, 0.06)), seed=6).pattern
+    assert pattern.per_ha == pytest.approx(120_000, rel=0.05)
+    counts = [len(pattern.points(*tile)) for tile in TILES]
+    assert np.mean(counts) == pytest.approx(pattern.per_ha / 25, rel=0.1)
+    assert max(counts) < 1.5 * np.mean(counts)
+
+
 def test_moss_and_litter_are_ground_and_lie_along_it():
     """On a slope their axes are across it; they are on the path too, and labelled as ground."""
     for kind, section in (

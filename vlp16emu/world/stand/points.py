@@ -82,15 +82,15 @@ class ScatteredPattern:
 
 
 class PatchyPattern:
-    """Points some of which stand in patches (Cox process), as plants do that spread by runners or find light.
+    """Points, a part of them in patches (Cox process), as plants stand that spread by runners or find light.
 
-    The density of those follows the square of normal noise: a quarter of the ground has less than a tenth of the mean, and
+    The density in patches follows the square of normal noise: a quarter of the ground has less than a tenth of the mean, and
     a twelfth more than three times as much.
 
     Parameters
     ----------
     seed, purpose : as for `ScatteredPattern`
-    even_per_ha, patchy_per_ha : mean number of points per hectare that know nothing of patches, and of the others
+    even_per_ha, patchy_per_ha : mean number of points per hectare that know nothing of patches, and in patches
     """
 
     def __init__(self, *, seed: int, purpose: Purpose, even_per_ha: float, patchy_per_ha: float) -> None:
