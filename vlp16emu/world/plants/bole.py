@@ -27,12 +27,12 @@ _FREE_M = 0.3
 
 _LEAST_REACH_M = 4.0
 """Down to which dead branches have not all fallen, at least: those that died in the last ten years, where the crown base rises by 0.4 m
-a year; estimate. So birches of 11 to 22 years bear theirs on the butt log, the longer the denser they stand (Niemisto 1995, Scandinavian
-Journal of Forest Research 10(3): early death of branches at 1600 to 5000 trees per ha, and slower shedding of dry ones)."""
+a year; estimate. In silver birch of 11 to 22 years high density makes branches die early and slows the shedding of dry ones
+(Niemisto 1995, Scandinavian Journal of Forest Research 10(3))."""
 
 _KEPT_AT_FOOT = 0.5
-"""Share of branches that has not fallen yet where the dead ones end, over that at the crown base; assumption. Whorls differ from none to
-twice the loss, so that one in five of six is bare there."""
+"""Share of branches that has not fallen yet where the dead ones end, over that at the crown base; assumption. Whorls lose from none
+to twice the mean, so that of those with four branches one in five is bare there."""
 
 _LENGTH_AT_FOOT = 0.55
 """Length of a branch near the ground over that at the crown base, as of the crown's width when each died: of spruces 2.1 m at a DBH of 8 cm
