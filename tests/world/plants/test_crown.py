@@ -174,13 +174,56 @@ def test_winter_takes_the_leaves_of_broadleaves_and_nothing_else():
             assert len(winter[2].faces) == 0, key.species
 
 
-def bole(name):
-    """Living and dead branches below 40 crowns of a tree of 24 cm and 21 m, and twigs of the dead ones."""
-    species, key = species_table()[name], KEYS[name]
-    longest_m = species.crown.base_fraction * key.crown_width_m / 2
-    return [
-        bole_branches(np.random.default_rng(n), species.crown, key.crown_base_m, longest_m) for n in range(40)
+def bole(name, key=None, stem_m=(0.08, 0.12)):
+    """Living and dead branches below 40 crowns of a tree of 24 cm and 21 m, or another one, and twigs of the dead ones."""
+    habit, key = species_table()[name].crown, key or KEYS[name]
+    size = key.crown_base_m, habit.base_fraction * key.crown_width_m / 2, np.array(stem_m)
+    return [bole_branches(np.random.default_rng(n), habit, *size) for n in range(40)]
+
+
+def test_dead_branches_are_long_below_the_crown_and_stubs_at_the_foot():
+    """Below 40 crowns of spruce: most of the upper quarter are as long as they grew, lower ones are stubs of the stated lengths."""
+    dead = [parts[1] for parts in bole("norway_spruce")]
+    key = KEYS["norway_spruce"]
+    depth_m = np.concatenate([-branches.nodes_m[:, 0, 2] for branches in dead])
+    length_m = np.concatenate([branches.length_m for branches in dead])
+    way = depth_m / (key.crown_base_m - 0.3)
+    outside_m = length_m - (0.08 + 0.04 * depth_m / key.crown_base_m)
+    last = outside_m[way > 0.9]
+    assert (outside_m > 0).all()
+    assert np.quantile(last, [0.05, 0.95]) == pytest.approx([0.05, 0.39], abs=0.06)
+    middle_m = [np.median(outside_m[(way > low) & (way <= low + 0.25)]) for low in (0.0, 0.25, 0.5, 0.75)]
+    assert (np.diff(middle_m) < 0).all()
+    assert middle_m[0] > 3 * middle_m[3]
+    assert all(outside_m[(way > low) & (way <= low + 0.25)].std() > 0.1 for low in (0.0, 0.25, 0.5, 0.75))
+    straight_m = np.concatenate(
+        [np.linalg.norm(np.diff(b.nodes_m, axis=1), axis=2).sum(axis=1) for b in dead]
+    )
+    assert straight_m == pytest.approx(length_m, rel=0.02)
+
+
+def test_some_whorls_of_spruces_are_bare():
+    """Of the whorls in the lower half of 40 boles 5 to 25 % have no branch left, and others have three and more."""
+    spacing_m, key = species_table()["norway_spruce"].crown.whorl_spacing_m, KEYS["norway_spruce"]
+    edges_m = np.arange(0.0, key.crown_base_m - 0.3, spacing_m)
+    lower = edges_m[:-1] > key.crown_base_m / 2
+    counts = [
+        np.histogram(np.concatenate([-part.nodes_m[:, 0, 2] for part in parts[:2]]), edges_m)[0][lower]
+        for parts in bole("norway_spruce")
     ]
+    assert 0.05 < np.mean(np.array(counts) == 0) < 0.25
+    assert np.mean(np.array(counts) >= 3) > 0.3
+
+
+def test_young_trees_have_not_shed_what_died_in_the_last_years():
+    """Birches of 9 cm and 11 m bear thin dead branches below 3 m, and those of 24 cm and 21 m none below 5 m."""
+    young = replace(KEYS["silver_birch"], crown_base_m=4.8, crown_width_m=1.9)
+    dead = [parts[1] for parts in bole("silver_birch", young, (0.03, 0.05))]
+    low = [4.8 + branches.nodes_m[:, 0, 2] < 3.0 for branches in dead]
+    assert np.mean([own.sum() for own in low]) > 2
+    assert all((2 * branches.radius_m < 0.01).all() for branches in dead)
+    old = [KEYS["silver_birch"].crown_base_m + parts[1].nodes_m[:, 0, 2] for parts in bole("silver_birch")]
+    assert np.concatenate(old).min() > 5
 
 
 def test_dead_branches_sit_below_the_crown_and_only_when_wanted():

@@ -1,8 +1,7 @@
 """Ground with relief: a sum of plane waves and scattered mounds and pits, so that it has no edge and no period.
 
 Two bands of waves: hills, and roughness that a foot would feel. Within a band the power spectrum falls
-with the third power of the wave number (assumption; natural ground is found between 2.5 and 4), which
-makes a wave's variance proportional to its wavelength when waves are spread evenly over log wavelength.
+with the third power of the wave number (assumption; natural ground is found between 2.5 and 4).
 Mounds and hollows represent what waves cannot show: old stumps, stones under moss; pits with a mound beside each
 are what uprooted trees leave, and ruts what machines leave.
 """
@@ -14,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, generator, philox4x32
-from vlp16emu.trig import cos_sin
 from vlp16emu.world.ground.settings import Terrain
 from vlp16emu.world.ground.trails import Trails
+from vlp16emu.world.ground.waves import sum_of_waves, waves
 
 __all__ = ["TerrainHeights"]
 
@@ -24,8 +23,6 @@ Array = NDArray[np.float64]
 
 _HILL_WAVELENGTHS_M = (30.0, 300.0)
 _ROUGH_WAVELENGTHS_M = (1.0, 12.0)
-_WAVES_PER_BAND = 48
-"""Enough that the sum of a band is near normal; the cost of a height is proportional to it."""
 
 _MOUND_CELL_M = 2.0
 """Edge of a square that holds one mound at most: the widest mound, so that nine squares hold all that matter."""
@@ -57,7 +54,9 @@ class TerrainHeights:
 
     def __init__(self, section: Terrain, *, seed: int) -> None:
         bands = ((_HILL_WAVELENGTHS_M, section.hill_rms_m), (_ROUGH_WAVELENGTHS_M, section.rough_rms_m))
-        self._waves = np.concatenate([_band(seed, i, *band) for i, band in enumerate(bands)])
+        self._waves = np.concatenate(
+            [waves(generator(seed, Purpose.TERRAIN, i), *band) for i, band in enumerate(bands)]
+        )
         rise, towards = math.tan(math.radians(section.slope_deg)), math.radians(section.slope_towards_deg)
         self._gradient = (rise * math.cos(towards), rise * math.sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
@@ -70,7 +69,7 @@ class TerrainHeights:
         """Ground height at points of any common shape; a point's height depends on that point alone."""
         x, y = (np.ascontiguousarray(a, dtype=np.float64) for a in np.broadcast_arrays(x_m, y_m))
         height = np.empty(x.shape)
-        _heights(height.reshape(-1), x.reshape(-1), y.reshape(-1), self._waves, *self._gradient)
+        sum_of_waves(height.reshape(-1), x.reshape(-1), y.reshape(-1), self._waves, *self._gradient)
         flat = height.reshape(-1), x.reshape(-1), y.reshape(-1)
         if self._mound_share:
             _add(*flat, self._mound_share, _MOUND_CELL_M, _MOUND, *self._seed)
@@ -78,33 +77,6 @@ class TerrainHeights:
             _add(*flat, self._pit_share, _PIT_CELL_M, _PIT, *self._seed)
         self.trails.add(*flat)
         return height
-
-
-def _band(seed: int, number: int, wavelengths_m: tuple[float, float], rms_m: float) -> Array:
-    """Waves of one band: (n, 4) with wave vector x and y in rad/m, amplitude in m, phase in rad; none if flat."""
-    count = _WAVES_PER_BAND if rms_m > 0 else 0
-    rng = generator(seed, Purpose.TERRAIN, number)
-    shortest, longest = wavelengths_m
-    position = (np.arange(count) + rng.random(count)) / _WAVES_PER_BAND
-    wavelength = shortest * (longest / shortest) ** position
-    direction, phase = rng.uniform(0, 2 * np.pi, (2, count))
-    # A wave of amplitude a has variance a**2 / 2.
-    amplitude = rms_m * np.sqrt(2 * wavelength / wavelength.sum())
-    number_rad_m = 2 * np.pi / wavelength
-    return np.column_stack(
-        [number_rad_m * np.cos(direction), number_rad_m * np.sin(direction), amplitude, phase]
-    )
-
-
-@numba.njit(cache=True, nogil=True)
-def _heights(out: Array, x: Array, y: Array, waves: Array, gradient_x: float, gradient_y: float) -> None:
-    """Fill (n,) heights; each point is summed alone, wave by wave, so that its neighbours cannot matter."""
-    for i in range(out.shape[0]):
-        out[i] = gradient_x * x[i] + gradient_y * y[i]
-    for j in range(waves.shape[0]):
-        along_x, along_y, high_m, phase = waves[j]
-        for i in range(out.shape[0]):
-            out[i] += high_m * cos_sin(along_x * x[i] + along_y * y[i] + phase)[0]
 
 
 @numba.njit(cache=True, nogil=True)

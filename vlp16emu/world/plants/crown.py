@@ -96,7 +96,7 @@ def crown_meshes(
     higher = merged(*others)
     bare = []
     if key.dead_branches:
-        bare = [tubes(dead[0], _SIDES[1], every=2), tubes(dead[1], _SIDES[2])]
+        bare = [tubes(dead[0], _SIDES[1], every=4), tubes(dead[1], _SIDES[2])]
     if species.foliage is None:
         return _NOTHING, _NOTHING, _NOTHING, merged(first, higher, *bare)
     return first, higher, leaves, merged(*bare) if bare else _NOTHING
@@ -156,14 +156,14 @@ def _orders(
     rng: np.random.Generator, seed: int, key: CrownKey, species: Species
 ) -> tuple[list[Branches], tuple[Branches, Branches]]:
     """Branches of the first, second and, on broad crowns, third order; and dead ones below with their twigs."""
-    at_m = np.linspace(key.crown_base_m, key.height_m, 16)[None]
+    at_m = np.append(*(np.linspace(key.crown_base_m, end_m, 16) for end_m in (key.height_m, 0.0)))
     taper = species.taper.row[None]
-    stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m)[0]
+    stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
     habit = species.crown
     bole_rng = generator(seed, Purpose.DEAD_BRANCH, *_name(key, species))
     longest_m = habit.base_fraction * key.crown_width_m / 2
-    living, *dead = bole_branches(bole_rng, habit, key.crown_base_m, longest_m)
-    crown = [first_order(rng, habit, (key.crown_length_m, key.crown_width_m), stem_m)]
+    living, *dead = bole_branches(bole_rng, habit, key.crown_base_m, longest_m, stem_m[16:])
+    crown = [first_order(rng, habit, (key.crown_length_m, key.crown_width_m), stem_m[:16])]
     below = [living]
     for order, twigs in enumerate((habit.twigs, habit.twiglets), start=2):
         if twigs is not None:

@@ -93,9 +93,10 @@ class Habit(Section):
     dead_per_m: Annotated[float, Field(ge=0, le=50)]
     """Branches on each metre of stem right below the crown, nearly all dead; further down some have fallen."""
     dead_reach: Fraction = 0.35
-    """Share of the way from the crown base to the ground down to which dead branches have not all fallen."""
+    """Share of the way from the crown base to the ground down to which dead branches have not all fallen; 4 m at least."""
     living_depth_m: Annotated[float, Field(gt=0, le=50)] = 1.0
-    """Each so much further down, of the branches below the crown a share of 1/e of those above lives."""
+    """Each so much further down, of the branches below the crown a share of 1/e of those above lives; 0.3 of the height of the
+    crown base at most."""
     twigs: Twigs
     twiglets: Twigs | None = None
     """Third order, for broad crowns."""

@@ -22,7 +22,7 @@ from vlp16emu.world.stand.placed import (
     surface_rows,
     turned,
 )
-from vlp16emu.world.stand.points import ScatteredPattern
+from vlp16emu.world.stand.points import PatchyPattern, PointPattern, ScatteredPattern
 from vlp16emu.world.stand.settings import Cover, Grass, Stones
 
 __all__ = ["LowLayer", "StoneLayer", "labelled", "plants_per_ha", "stones_per_ha"]
@@ -49,6 +49,9 @@ _STONE_MEDIAN_M, _STONE_SIGMA = 0.22, 0.6
 
 _STONE_BURIED = (0.3, 0.6)
 """Range of the share of a stone's height that is in the ground; assumption."""
+
+_MOST_IN_PATCHES_PER_M2 = 4.0
+"""On average; of smaller plants in patches a tile might have more than it has numbers for."""
 
 _STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6
 """Over its length; assumptions."""
@@ -128,11 +131,18 @@ class LowLayer:
         self._kind, self._height_m = kind, section.height_m
         self._spread, self._reach_m, self._purpose = _LOW[kind]
         self.is_ground = kind in GROUND_KINDS
+        self.pattern = self._pattern_of(section, seed)
+
+    def _pattern_of(self, section: Grass | Cover, seed: int) -> PointPattern:
+        """Scatter tufts, litter and moss; herbs, ferns and dwarf shrubs come in patches."""
+        even, patchy = 0.0, 0.0
         if isinstance(section, Grass):
-            per_ha = 10_000 * section.tufts_per_m2
+            even = 10_000 * section.tufts_per_m2
         else:
-            per_ha = plants_per_ha(section.cover, section.height_m, self._spread)
-        self.pattern = ScatteredPattern(seed=seed, purpose=self._purpose, per_ha=per_ha)
+            even, patchy = plants_per_ha(section, self._spread, patches=not self.is_ground)
+        if patchy:
+            return PatchyPattern(seed=seed, purpose=self._purpose, even_per_ha=even, patchy_per_ha=patchy)
+        return ScatteredPattern(seed=seed, purpose=self._purpose, per_ha=even)
 
     def place(self, site: Site) -> PlacedThings:
         """Plants of a tile; those that are ground lie on its slope."""
@@ -152,17 +162,23 @@ class LowLayer:
         return labelled(self._kind, keep, world_T, draws[:, 2:], np.zeros(len(xy_m)))
 
 
-def plants_per_ha(cover: float, height_m: tuple[float, float], spread: float) -> float:
-    """Plants per hectare whose outlines cover a share of the ground, overlaps counted once as of stones.
+def plants_per_ha(section: Cover, spread: float, *, patches: bool) -> tuple[float, float]:
+    """Plants per hectare whose outlines cover a share c of the ground, overlaps counted once as of stones: even ones, those in patches.
+
+    Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane bare: the mean of exp(-a d n^2) over normal
+    noise n. That this is 1 / (1 + c (1 - c)) is an assumption: most plants are in patches where cover is low, and few where it is
+    closed. Even ones cover the rest.
 
     Parameters
     ----------
-    height_m : least and greatest, evenly between
-    spread : width over height
+    spread : width over height, which is evenly between least and greatest
     """
-    low, high = height_m
+    (low, high), cover = section.height_m, section.cover
     area_m2 = math.pi / 4 * spread**2 * (low * low + low * high + high * high) / 3
-    return -math.log1p(-cover) / area_m2 * 10_000
+    in_patches = min(cover * (1 - cover), _MOST_IN_PATCHES_PER_M2 * area_m2) if patches else 0.0
+    patchy = in_patches + in_patches**2 / 2
+    even = -math.log1p(-cover) - math.log1p(in_patches)
+    return 10_000 * even / area_m2, 10_000 * patchy / area_m2
 
 
 def _along(height_m: HeightField, xy_m: Array) -> Array:

@@ -47,8 +47,8 @@ _NUMBERS_PER_TILE = 8192
 """Numbers set aside for the trees and things of a tile."""
 
 _DENSEST_PER_HA = 125_000
-"""A tile then holds 5000 things on average; even in clusters of ten their number has a sigma under 240,
-far from `_NUMBERS_PER_TILE`."""
+"""A tile then holds 5000 things on average; even in clusters of ten their number has a sigma under 240, and with all patches that
+there may be under 500, far from `_NUMBERS_PER_TILE`."""
 
 _TILES_IN_GROWTH = 16
 """Tiles whose stems are grown together, kept until all of them are taken: more than are in growth at once."""
