@@ -263,14 +263,14 @@ class DwarfShrubs(Cover):
 
 
 class Moss(Cover):
-    """Cushions of moss within 12 m of the path, eight times as wide as high; ground by their label, and from afar."""
+    """Cushions of moss within 12 m of the path, eight times as wide as high; ground by their label. Light meets them up to `near_m`."""
 
     height_m: Range = (0.03, 0.08)
     """Minimum and maximum height of a cushion; feather mosses of spruce forest are that deep (assumption)."""
 
 
 class Litter(Cover):
-    """Heaps of leaves and twigs within 12 m of the path, eight times as wide as high; ground by their label, and from afar."""
+    """Heaps of leaves and twigs within 12 m of the path, eight times as wide as high; ground by their label. Light meets them up to `near_m`."""
 
     height_m: Range = (0.03, 0.08)
     """Minimum and maximum height of a heap; assumption."""
