@@ -70,8 +70,9 @@ class EmbreeMesh:
         """
         with self._building:
             if piece not in self._scenes:
-                self._scenes[piece] = self._built(self._begin[piece], self._begin[piece + 1])
+                scene = self._built(self._begin[piece], self._begin[piece + 1])
                 rtc.check("build a shape")
+                self._scenes[piece] = scene
             return self._scenes[piece]
 
     def _built(self, begin: NDArray[np.int64], stop: NDArray[np.int64]) -> int:

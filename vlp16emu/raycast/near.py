@@ -46,16 +46,15 @@ class EmbreeGeometry:
         self._near = _target(near, level)
         if level.sum() < self._met.sum():
             self._near = self._near._replace(steep=0)
-        self._kept, self._beyond = (
-            beyond,
-            _target(beyond) if beyond else self._near._replace(scene=0, steep=0),
-        )
+        self._kept = beyond
+        self._beyond = _target(beyond) if beyond else self._near._replace(scene=0, steep=0)
 
     def _target(self, rise: float) -> Target:
         """Give what is near, with all that rays meet which rise or fall by so much per metre."""
-        with self._building:
-            if rise > _LEVEL and not self._near.steep:
-                self._near = self._near._replace(steep=self._placed.scene(self._met))
+        if rise > _LEVEL:
+            with self._building:
+                if not self._near.steep:
+                    self._near = self._near._replace(steep=self._placed.scene(self._met))
         return self._near
 
     def cast(
