@@ -33,7 +33,7 @@ class Geometry(Protocol):
         *,
         as_far: bool = False,
     ) -> Hits:
-        """Cast the pulses of k sequences, k a multiple of 8."""
+        """Cast the pulses of k sequences, k a multiple of 8; `as_far` casts what is near as the medium too, where there is one."""
 
 
 class Caster(Protocol):

@@ -203,8 +203,8 @@ def packed(
         first_surface.append(rows + parts * np.arange(n))
         tables.append(placed.surfaces.ravel())
         rows += n * parts
-    is_low = np.repeat([False, *(one.is_ground for one in groups)], [1, *(len(one.shape) for one in groups)])
-    is_exact = np.repeat([False, *(one.is_exact for one in groups)], [1, *(len(one.shape) for one in groups)])
+    kinds = [(False, False), *((one.is_ground, one.is_exact) for one in groups)]
+    is_low, is_exact = np.repeat(kinds, [1, *(len(one.shape) for one in groups)], axis=0).T
     placed_trees = np.concatenate([placed.trees for placed in groups])
     return Tile(
         trees=placed_trees[np.argsort(placed_trees["id"])],
