@@ -31,7 +31,7 @@ from vlp16emu.chain.windows import BLOCK
 from vlp16emu.emulator import Emulator
 from vlp16emu.raycast.beam import LINE, Footprint, sub_rays
 from vlp16emu.raycast.caster import caster
-from vlp16emu.raycast.quads import _triangles, relative_to_window
+from vlp16emu.raycast.faces import faces_of, relative_to_window
 from vlp16emu.scenario import load
 from vlp16emu.types import FarTile, Firings, Mesh, Semantic, ShapeKey, Window, World
 from vlp16emu.world.stand.nearby import AllNear
@@ -85,7 +85,7 @@ class View:
     def _of_shapes(self) -> NDArray[np.int64]:
         """Triangles of each shape."""
         shapes = (self.shapes[key] for key in self.window.shapes)
-        return np.array([sum(len(_triangles(mesh.faces)) for mesh in meshes) for meshes in shapes])
+        return np.array([sum(len(faces_of(mesh)[1]) for mesh in meshes) for meshes in shapes])
 
     def blocks(self, name: str) -> tuple[Footprint, list[Firings]]:
         """Pulses of a set of rays, and how wide they are."""
@@ -111,7 +111,7 @@ def written_out(seen: View) -> Mesh:
         for mesh in seen.shapes[seen.window.shapes[which]]:
             places_m = mesh.vertices_m.astype(np.float64) @ transform[:, :3].T + transform[:, 3]
             near = np.linalg.norm(places_m - middle_m, axis=1) < seen.far_m + MARGIN_M
-            kept = _triangles(mesh.faces)
+            _, kept = faces_of(mesh)
             kept = kept[near[kept].any(axis=1)]
             used, own = np.unique(kept, return_inverse=True)
             vertices.append(places_m[used].astype(np.float32))

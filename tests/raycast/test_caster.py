@@ -73,7 +73,7 @@ def test_what_fails_on_a_worker_is_raised_there(lab, workers, monkeypatch):
     """Embree reports an error only to the thread on which it happened; there it is asked for, and the run ends."""
     _, shape = lab.upright((10.0, -1.0, 1.0, -1.0, 1.0))
     monkeypatch.setattr(embree, "BUFFER_INDEX", 99)
-    with pytest.raises(RunError, match=r"^Embree could not build a shape: invalid operation$"):
+    with pytest.raises(RunError, match=r"^Embree could not build a shape: invalid argument$"):
         workers.submit(EmbreeMesh(shape_of(shape("all"))).scene, 0).result()
     monkeypatch.undo()
     workers.submit(EmbreeMesh(shape_of(shape("all"))).scene, 0).result()

@@ -53,7 +53,8 @@ def met_m(medium, origin_m, direction, far_m=60.0):
     """Range of one ray, inf where it meets nothing."""
     L = lanes()
     L.origin_m[:, 0], L.direction[:, 0], L.range_m[0], L.surface[0] = origin_m, direction, far_m, NO_SURFACE
-    march(medium, L, 1, np.array([*origin_m, *direction], "f4"), np.float32(0), np.float32(0))
+    grids = medium.brick.reshape(-1), medium.first.reshape(-1)
+    march(medium, *grids, L, 1, np.array([*origin_m, *direction], "f4"), np.float32(0), np.float32(0))
     return float(L.range_m[0]) if L.surface[0] != NO_SURFACE else np.inf
 
 

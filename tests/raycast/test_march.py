@@ -152,7 +152,8 @@ def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):
     line = np.concatenate([origin_m[0], direction[0]] if axis is None else axis).astype("f4")
     aside_m = np.linalg.norm(origin_m - line[:3], axis=1).max()
     spread = np.linalg.norm(direction - line[3:], axis=1).max()
-    march(medium, L, n, line, np.float32(aside_m), np.float32(spread))
+    grids = medium.brick.reshape(-1), medium.first.reshape(-1)
+    march(medium, *grids, L, n, line, np.float32(aside_m), np.float32(spread))
     range_m = np.where(L.surface == NO_SURFACE, np.inf, L.range_m)
     return range_m[:n].copy(), L.surface[:n].copy(), L.cosine[:n].copy()
 

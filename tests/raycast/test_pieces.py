@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from vlp16emu.raycast import near
+from vlp16emu.raycast.faces import faces_of, frozen
 from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.pieces import LEVEL, STRAY_M, in_pieces, within_reach
-from vlp16emu.raycast.quads import faces_of, frozen
 from vlp16emu.raycast.slow import PlainCaster
 from vlp16emu.types import SURFACE, Mesh, Sway, Window
 
@@ -44,32 +44,32 @@ def counts(*meshes):
 
 def test_ground_and_stems_are_pieces_of_their_own():
     """What stands apart is in boxes of its own, and what has no faces is in none."""
-    assert counts(ground(), EMPTY, *STEMS) == [[1, 0, 0, 0, 0], *np.diag([72] * 5)[2:].tolist()]
+    assert counts(ground(), EMPTY, *STEMS) == [[2, 0, 0, 0, 0], *np.diag([144] * 5)[2:].tolist()]
 
 
 def test_what_tapers_is_cut_into_slabs():
     """A cone of 6 m has pieces of 1.5 m height, and a wall of one width, whose slabs are as wide as it is, has one."""
-    assert counts(CONE) == [[24], [12], [24], [12]]
-    assert counts(WALL) == [[72]]
+    assert counts(CONE) == [[48], [24], [48], [24]]
+    assert counts(WALL) == [[144]]
 
 
 def test_meshes_inside_each_other_share_pieces():
     """Leaves and branches of a crown are one piece to each slab, not one each."""
     assert counts(CONE, drum([2.5, 2.0, 1.5, 1.0, 0.5, 0.25, 0.05])) == [
+        [48] * 2,
         [24] * 2,
-        [12] * 2,
+        [48] * 2,
         [24] * 2,
-        [12] * 2,
     ]
 
 
 def test_pieces_hold_each_face_once():
     """Faces of each mesh are those of before, in another order, and those of a piece are of one slab."""
     faces = faces_of(CONE)
-    ((vertices_m, quads),), begin, _ = in_pieces([faces])
+    ((vertices_m, triangles),), begin, _ = in_pieces([faces])
     assert vertices_m is faces[0]
-    assert sorted(quads.tolist()) == sorted(faces[1].tolist())
-    heights = [set(vertices_m[quads[a:b, 0], 2] // 1.5) for (a,), (b,) in pairwise(begin)]
+    assert sorted(triangles.tolist()) == sorted(faces[1].tolist())
+    heights = [set(vertices_m[triangles[a:b], 2].min(axis=1) // 1.5) for (a,), (b,) in pairwise(begin)]
     assert heights == [{0.0}, {1.0}, {2.0}, {3.0}]
 
 
@@ -101,8 +101,8 @@ def test_boxes_hold_the_faces_of_their_pieces():
     for (first, stop), box_m in zip(pairwise(begin), boxes_m, strict=True):
         corners_m = np.concatenate(
             [
-                vertices_m[quads[a:b]].reshape(-1, 3)
-                for (vertices_m, quads), a, b in zip(ordered, first, stop, strict=True)
+                vertices_m[triangles[a:b]].reshape(-1, 3)
+                for (vertices_m, triangles), a, b in zip(ordered, first, stop, strict=True)
             ]
         )
         assert np.array_equal(box_m, [corners_m.min(axis=0), corners_m.max(axis=0)])

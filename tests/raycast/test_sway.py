@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import RunError
+from vlp16emu.raycast.faces import frozen
 from vlp16emu.raycast.near import EmbreeCaster
-from vlp16emu.raycast.quads import frozen
 from vlp16emu.raycast.slow import PlainCaster, ReferenceCaster
 from vlp16emu.types import Sway
 

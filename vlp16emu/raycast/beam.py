@@ -45,6 +45,8 @@ _PLASTIC = 1.32471795724474602596
 _STEP_U, _STEP_V = np.uint32(round(2**32 / _PLASTIC)), np.uint32(round(2**32 / _PLASTIC**2))
 ROUND = 8
 """Sub-rays per round: a packet."""
+_Y = 4 * ROUND
+"""Where the row of the first direction begins, which until then holds a coordinate of the profile."""
 _TOGETHER, _USUAL_RAYS, _MOST_RAYS = 8, 64, 512
 """Revolutions at once, in which what stands in one direction stays in the cache; and, over all of them, sub-rays of a
 direction as a rule, and at most."""
@@ -213,7 +215,7 @@ def turn(seed: int, firing: int, laser: int) -> tuple[np.uint32, np.uint32]:
     return np.uint32(u * 2.0**32), np.uint32(v * 2.0**32)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath={"contract", "arcp", "nsz"})
+@numba.njit(cache=True, nogil=True, _nrt=False)
 def lay(
     rays: NDArray[np.float32],
     axes: NDArray[np.float32],
@@ -223,35 +225,48 @@ def lay(
     first: int,
     support: bool,
 ) -> None:
-    """Lay eight sub-rays of a pulse, number `first` and on: origins in rows 0 to 2, unit directions in rows 4 to 6.
+    """Lay eight sub-rays of a pulse, number `first` and on: origins in rows 0 to 2 of eight, unit directions in rows 4 to 6.
 
     Parameters
     ----------
-    rays : (7 or more, 8)
+    rays : (56 or more,) rows of eight, as in `RayPacket`
     axes : (4, 3) origin, direction, horizontal and vertical axis of the pulse, by `pulse_axes`
     sigmas : (4,) as in `Footprint`
     u, v : of the pulse, by `turn`
     support : whether the first 64 are support points
     """
-    x, y = rays[0], rays[4]  # until they hold what they are for
     if support and first < len(_SUPPORT):
         cos, sin = _COS[v >> _SHIFT], _SIN[v >> _SHIFT]
         mirror = np.float32(1.0) if u & np.uint32(1) else np.float32(-1.0)
         for lane in range(ROUND):
             a, b = _SUPPORT[first + lane, 0] * mirror, _SUPPORT[first + lane, 1]
-            x[lane], y[lane] = a * cos - b * sin, a * sin + b * cos
+            rays[lane], rays[_Y + lane] = a * cos - b * sin, a * sin + b * cos
     else:
         for lane in range(ROUND):
             ring = np.uint32(u + np.uint32(first + lane) * _STEP_U) >> _SHIFT
             way = np.uint32(v + np.uint32(first + lane) * _STEP_V) >> _SHIFT
-            x[lane], y[lane] = _RADIUS[ring] * _COS[way], _RADIUS[ring] * _SIN[way]
+            rays[lane], rays[_Y + lane] = _RADIUS[ring] * _COS[way], _RADIUS[ring] * _SIN[way]
+    spot_x_m, spot_y_m, spread_x, spread_y = sigmas[0], sigmas[1], sigmas[2], sigmas[3]
+    x_m, y_m, z_m, along_x, along_y, along_z = (
+        axes[0, 0],
+        axes[0, 1],
+        axes[0, 2],
+        axes[1, 0],
+        axes[1, 1],
+        axes[1, 2],
+    )
+    level_x, level_y, level_z = axes[2, 0], axes[2, 1], axes[2, 2]
+    up_x, up_y, up_z = axes[3, 0], axes[3, 1], axes[3, 2]
     for lane in range(ROUND):
-        x_m, y_m = x[lane] * sigmas[0], y[lane] * sigmas[1]
-        lean_x, lean_y = x[lane] * sigmas[2], y[lane] * sigmas[3]
-        scale = np.float32(1.0) / np.float32(math.sqrt(np.float32(1.0) + lean_x * lean_x + lean_y * lean_y))
-        for a in range(3):
-            rays[a, lane] = axes[0, a] + axes[2, a] * x_m + axes[3, a] * y_m
-            rays[4 + a, lane] = (axes[1, a] + axes[2, a] * lean_x + axes[3, a] * lean_y) * scale
+        a, b = rays[lane], rays[_Y + lane]
+        a_m, b_m, lean_a, lean_b = a * spot_x_m, b * spot_y_m, a * spread_x, b * spread_y
+        scale = np.float32(1.0) / np.sqrt(np.float32(1.0) + lean_a * lean_a + lean_b * lean_b)
+        rays[lane] = x_m + level_x * a_m + up_x * b_m
+        rays[ROUND + lane] = y_m + level_y * a_m + up_y * b_m
+        rays[2 * ROUND + lane] = z_m + level_z * a_m + up_z * b_m
+        rays[_Y + lane] = (along_x + level_x * lean_a + up_x * lean_b) * scale
+        rays[_Y + ROUND + lane] = (along_y + level_y * lean_a + up_y * lean_b) * scale
+        rays[_Y + 2 * ROUND + lane] = (along_z + level_z * lean_a + up_z * lean_b) * scale
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
@@ -343,7 +358,7 @@ def _sub_rays(
     rays: NDArray[np.float32],
 ) -> None:
     """Fill rays (k, L, n, 6)."""
-    axes, laid = np.empty((4, 3), np.float32), np.empty((7, ROUND), np.float32)
+    axes, laid = np.empty((4, 3), np.float32), np.empty(7 * ROUND, np.float32)
     for i in range(rays.shape[0]):
         for j in range(rays.shape[1]):
             pulse_axes(origin_m, direction, beam_axis, from_m, i, j, axes)
@@ -353,8 +368,8 @@ def _sub_rays(
                 for lane in range(ROUND):
                     for a in range(3):
                         rays[i, j, begin + lane, a], rays[i, j, begin + lane, 3 + a] = (
-                            laid[a, lane],
-                            laid[4 + a, lane],
+                            laid[ROUND * a + lane],
+                            laid[_Y + ROUND * a + lane],
                         )
 
 

@@ -11,7 +11,6 @@ from vlp16emu.raycast.lanes import (
     COSINE,
     DIRECTION,
     FACING,
-    FAST,
     HEIGHT,
     LANES,
     ORIGIN,
@@ -27,7 +26,7 @@ __all__ = ["meet_ground", "meet_stem"]
 f4 = np.float32
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def meet_stem(
     stems: Stems,
     L: Lanes,
@@ -80,7 +79,7 @@ def meet_stem(
     return _keep_nearest(stems, L, n, near_m, stem)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _nearest(
     q: tuple[float, float, float],
     s: tuple[float, float, float],
@@ -102,7 +101,7 @@ def _nearest(
     return nearest_m, lift + nearest_m * up, px * px + py * py + pz * pz
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _keep_nearest(stems: Stems, L: Lanes, n: int, near_m: np.float32, stem: int) -> bool:
     """Keep of what the lanes meet of a stem's cone what is nearest, and of the stem at all; whether there is any."""
     met, row, flare_m, along_m = False, L.row, stems.flare_m[stem], stems.profile[stem, 0]
@@ -115,7 +114,7 @@ def _keep_nearest(stems: Stems, L: Lanes, n: int, near_m: np.float32, stem: int)
     return met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _cut_cone(
     row: NDArray[np.float32],
     middle_m: tuple[np.float32, np.float32, np.float32],
@@ -152,7 +151,7 @@ def _cut_cone(
         row[FACING + lane] = min(max(-(along + square * on_m) / there_m, f4(0.0)), f4(1.0))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _knot(profile: NDArray[np.float32], height_m: float) -> int:
     """Find the knot of a profile at or below a height; the last but one from there on, the first below all."""
     knot, at_m = 0, f4(height_m)
@@ -161,7 +160,7 @@ def _knot(profile: NDArray[np.float32], height_m: float) -> int:
     return knot
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def meet_ground(
     ground: Ground,
     L: Lanes,
@@ -207,7 +206,7 @@ def meet_ground(
     return met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _ground_at(
     ground: Ground,
     x: np.float32,
@@ -240,7 +239,7 @@ def _ground_at(
     return at_m, slope[1], slope[2]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _over_ground(
     ground: Ground, x: float, y: float, z: float, dx: float, dy: float, dz: float, at_m: float
 ) -> tuple[np.float32, np.float32, np.float32]:

@@ -18,12 +18,13 @@ __all__ = [
     "BUFFER_INDEX",
     "BUFFER_VERTEX",
     "FLAG_COHERENT",
+    "FLAG_FILTER",
     "FORMAT_FLOAT3",
     "FORMAT_FLOAT3X4_ROW_MAJOR",
-    "FORMAT_UINT4",
+    "FORMAT_UINT3",
     "GEOMETRY_INSTANCE",
-    "GEOMETRY_QUAD",
-    "SCENE_ROBUST",
+    "GEOMETRY_TRIANGLE",
+    "SCENE_FLAGS",
     "EmbreeMissingError",
     "check",
     "device",
@@ -32,14 +33,16 @@ __all__ = [
     "library_path",
 ]
 
-GEOMETRY_QUAD, GEOMETRY_INSTANCE = 1, 121
+GEOMETRY_TRIANGLE, GEOMETRY_INSTANCE = 0, 121
 BUFFER_INDEX, BUFFER_VERTEX = 0, 1
-FORMAT_UINT4 = 0x5004
+FORMAT_UINT3 = 0x5003
 FORMAT_FLOAT3, FORMAT_FLOAT3X4_ROW_MAJOR = 0x9003, 0x9134
-SCENE_ROBUST = 1 << 2
-"""Watertight at shared edges, at about a tenth of the speed of single rays."""
+SCENE_FLAGS = 1 << 2 | 1 << 3
+"""Robust, so that no box is missed by rounding, and with the filter of a query's arguments."""
 FLAG_COHERENT = 1 << 16
 """Rays of a packet are near each other: nearly doubles the speed of neighbouring azimuths of one laser."""
+FLAG_FILTER = 1 << 1
+"""The filter of a query's arguments is asked for each candidate, of whatever geometry."""
 
 _SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "rtcNewDevice": (c_void_p, [c_char_p]),

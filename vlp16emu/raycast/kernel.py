@@ -18,17 +18,15 @@ from vlp16emu.raycast.lanes import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Lane
 from vlp16emu.raycast.march import march
 from vlp16emu.raycast.packet import (
     DIR,
-    INST,
     NONE,
     ORG,
     PACKET,
+    TIME,
     RayPacket,
     Target,
-    cast_beyond,
     cast_packet,
     ray_met,
     ray_packet,
-    reset,
 )
 from vlp16emu.trig import ZERO
 
@@ -62,7 +60,7 @@ _USUAL = 10
 
 
 class _Hits(NamedTuple):
-    """Hits: three arrays of one shape."""
+    """Hits: three arrays of one length."""
 
     range_m: NDArray[np.float32]
     surface: NDArray[np.uint32]
@@ -87,24 +85,16 @@ class _Batch(NamedTuple):
     have: NDArray[np.int64]
     """(n,) how many sub-rays each has."""
     hits: _Hits
-    """(n, m) of these."""
+    """(n m,) of these, those of a pulse one after the other; m is a multiple of eight."""
     lanes: Lanes
     scratch: NDArray[np.float64]
     """(2, m) to sort in."""
 
 
 @numba.njit(cache=True, nogil=True)
-def _hits(shape: tuple[int, int]) -> _Hits:
+def _hits(n: int) -> _Hits:
     """Make room for hits."""
-    return _Hits(np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32))
-
-
-@numba.njit(cache=True, nogil=True)
-def _longer(hits: _Hits, n: int, least: int) -> _Hits:
-    """Make room for twice as many, or for so many at least, and keep the first n."""
-    longer = _hits((ZERO + 1, max(2 * hits.range_m.shape[1], least)))
-    _copy(hits, ZERO, ZERO, longer, ZERO, n)
-    return longer
+    return _Hits(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -119,7 +109,7 @@ def _batch(pulses: int, most: int) -> _Batch:
         np.zeros(pulses, np.bool_),
         np.arange(pulses),
         np.zeros(pulses, np.int64),
-        _hits((pulses, most)),
+        _hits(pulses * most),
         lanes(),
         np.empty((2, most)),
     )
@@ -169,7 +159,7 @@ def cast_pulses(
     """
     packet, n, pulses = ray_packet(), ZERO, PACKET * count.shape[1]
     batch = _batch(pulses, -(-budget.most // ROUND) * ROUND)
-    room, begin = _hits((ZERO + 1, count.size * _USUAL)), np.empty(count.shape, np.int64)
+    room, begin = _hits(count.size * _USUAL), np.empty(count.shape[0] // PACKET, np.int64)
     for first in light.order:
         todo, have = pulses, ZERO
         for q in range(pulses):
@@ -179,16 +169,16 @@ def cast_pulses(
             _cast_near(near, beyond, medium, light, budget, packet, batch, first, todo, have, rays)
             _march(medium, light, batch, todo, rays, reach_of(have, budget.adaptive))
             todo, have = _settle(near, budget, batch, todo, have, rays), have + rays
-        for q in range(pulses):
-            i, j, own = first + q % PACKET, q // PACKET, batch.have[q]
-            if n + own > room.range_m.shape[1]:
-                room = _longer(room, n, n + own)
-            count[i, j], begin[i, j] = own, n
-            _copy(batch.hits, q, ZERO, room, n, own)
-            n += own
-    out = _hits((ZERO + 1, n))
-    _put_in_order(room, begin, count, out)
-    return out.range_m[0], out.surface[0], out.cos_incidence[0]
+        need = n + batch.have.sum() + ROUND
+        if need > room.range_m.size:
+            longer = _hits(max(2 * room.range_m.size, need))
+            _copy(room, ZERO, longer, ZERO, n)
+            room = longer
+        begin[first // PACKET] = n
+        n = _take(batch, first, count, room, n)
+    hits = _hits(n)
+    _put_in_order(room, begin, count, hits)
+    return hits.range_m, hits.surface, hits.cos_incidence
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -209,13 +199,14 @@ def _cast_middles(
         for r in range(PACKET):
             i = first + r
             for a in range(3):
-                rays[ORG + a, r] = np.float32(origin_m[i, j, a] - from_m[a])
-                rays[DIR + a, r] = np.float32(direction[i, j, a])
-                batch.axes[PACKET * j + r, 0, a] = rays[ORG + a, r]
-                batch.axes[PACKET * j + r, 1, a] = rays[DIR + a, r]
-            reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
+                rays[ORG + PACKET * a + r] = np.float32(origin_m[i, j, a] - from_m[a])
+                rays[DIR + PACKET * a + r] = np.float32(direction[i, j, a])
+                if reach_m < light.far_m:
+                    batch.axes[PACKET * j + r, 0, a] = rays[ORG + PACKET * a + r]
+                    batch.axes[PACKET * j + r, 1, a] = rays[DIR + PACKET * a + r]
+            rays[TIME + r] = light.time[i, j]
         packet.valid[:] = -1
-        cast_packet(near, packet)
+        cast_packet(near, packet, light.near_m[j], reach_m)
         _put_down(near, beyond, packet, batch, PACKET * j, ZERO + 1, ZERO + PACKET, reach_m, light.far_m)
 
 
@@ -243,9 +234,9 @@ def _cast_near(
         u, v = turn(light.seed, light.first + i, j)
         lay(packet.rays, axes, light.sigmas, u, v, have, budget.adaptive)
         for r in range(PACKET):
-            reset(packet, r, light.near_m[j], reach_m, light.time[i, j])
+            packet.rays[TIME + r] = light.time[i, j]
             valid[r] = -1 if r < count else 0
-        cast_packet(near, packet)
+        cast_packet(near, packet, light.near_m[j], reach_m)
         _put_down(near, beyond, packet, batch, q, ZERO, count, reach_m, light.far_m)
 
 
@@ -262,25 +253,28 @@ def _put_down(
     far_m: float,
 ) -> None:
     """Put down what rays have met, of pulse q all (step 0) or one of each pulse from q on (step 1); cast what is left on."""
-    rays, words, row, surface = packet.rays, packet.words, batch.row, batch.surface
+    own, instance, valid, row, surface = packet.own, packet.instance, packet.valid, batch.row, batch.surface
     missed = 0
     for r in range(count):
         to, lane = q + step * r, (1 - step) * r
-        for a in range(3):
-            row[to, ORIGIN + LANES * a + lane] = rays[ORG + a, r]
-            row[to, DIRECTION + LANES * a + lane] = rays[DIR + a, r]
-        if words[INST, r] == NONE:
+        if instance[r] == NONE:
             row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = np.float32(far_m), NONE, 0.0
             missed += 1
-            packet.valid[r] = -1
         else:
             row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(near, packet, r)
-            packet.valid[r] = 0
-        batch.missed[to] = missed > 0 if step == 0 else words[INST, r] == NONE
+        valid[r] = -1 if instance[r] == NONE else 0
+        batch.missed[to] = missed > 0 if step == 0 else instance[r] == NONE
+        if step and instance[r] == NONE:  # goes on, and only then its ray is asked for
+            for a in range(3):
+                row[to, ORIGIN + LANES * a] = own[ORG + PACKET * a + r]
+                row[to, DIRECTION + LANES * a] = own[DIR + PACKET * a + r]
+    if step == 0 and missed:
+        for at in range(3 * LANES):
+            row[q, ORIGIN + at], row[q, DIRECTION + at] = own[ORG + at], own[DIR + at]
     if missed and beyond.scene and reach_m < far_m:
-        cast_beyond(beyond, packet, reach_m, far_m)
+        cast_packet(beyond, packet, reach_m, far_m)
         for r in range(count):
-            if packet.valid[r] and words[INST, r] != NONE:
+            if valid[r] and instance[r] != NONE:
                 to, lane = q + step * r, (1 - step) * r
                 row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(beyond, packet, r)
 
@@ -296,7 +290,12 @@ def _march(medium: Medium, light: PulseBatch, batch: _Batch, todo: int, count: i
     if medium.near_m >= light.far_m:
         return
     L, row, surface = batch.lanes, batch.row, batch.surface
-    own_row, own_surface = L.row, L.surface
+    own_row, own_surface, bricks, firsts = (
+        L.row,
+        L.surface,
+        medium.brick.reshape(-1),
+        medium.first.reshape(-1),
+    )
     aside_m = np.float32(reach * max(light.sigmas[0], light.sigmas[1]))
     spread = np.float32(reach * max(light.sigmas[2], light.sigmas[3]))
     for t in range(todo):
@@ -307,7 +306,7 @@ def _march(medium: Medium, light: PulseBatch, batch: _Batch, todo: int, count: i
             own_row[a] = row[q, a]
         for lane in range(LANES):
             own_surface[lane] = surface[q, lane]
-        march(medium, L, count, batch.axes_row[q], aside_m, spread)
+        march(medium, bricks, firsts, L, count, batch.axes_row[q], aside_m, spread)
         for a in range(RANGE, COSINE + LANES):
             row[q, a] = own_row[a]
         for lane in range(LANES):
@@ -317,22 +316,22 @@ def _march(medium: Medium, light: PulseBatch, batch: _Batch, todo: int, count: i
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _settle(near: Target, budget: RayBudget, batch: _Batch, todo: int, have: int, count: int) -> int:
     """Take the hits of a round; list the pulses that need another, and return how many."""
-    hits, left = batch.hits, 0
+    hits, row, met, left = batch.hits, batch.row, batch.surface, 0
+    range_m, surface, cosine = hits.range_m, hits.surface, hits.cos_incidence
+    most, own = batch.scratch.shape[1], have + count
     for t in range(todo):
         q = batch.todo[t]
-        range_m, surface, cosine = hits.range_m[q], hits.surface[q], hits.cos_incidence[q]
-        for lane in range(count):
-            met = batch.surface[q, lane]
-            range_m[have + lane] = np.float32(np.inf) if met == NONE else batch.row[q, RANGE + lane]
-            surface[have + lane], cosine[have + lane] = met, batch.row[q, COSINE + lane]
-        own = have + count
+        begin, at = q * most, q * most + have
+        for lane in range(LANES):
+            range_m[at + lane] = np.float32(np.inf) if met[q, lane] == NONE else row[q, RANGE + lane]
+            surface[at + lane], cosine[at + lane] = met[q, lane], row[q, COSINE + lane]
         batch.have[q] = own
         if own < budget.most and not (
             budget.adaptive
             and enough(
-                range_m[:own],
-                surface[:own],
-                cosine[:own],
+                range_m[begin : begin + own],
+                surface[begin : begin + own],
+                cosine[begin : begin + own],
                 near.reflectance,
                 budget,
                 batch.scratch,
@@ -344,20 +343,38 @@ def _settle(near: Target, budget: RayBudget, batch: _Batch, todo: int, have: int
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _put_in_order(room: _Hits, begin: NDArray[np.int64], count: NDArray[np.uint16], out: _Hits) -> None:
-    """Put hits into the order of pulses; those of each begin at a number of their own."""
-    n = ZERO
-    for i in range(count.shape[0]):
+def _take(batch: _Batch, first: int, count: NDArray[np.uint16], room: _Hits, n: int) -> int:
+    """Count the hits of eight sequences and append them to n others, in order of pulses; return how many there are then."""
+    most = batch.scratch.shape[1]
+    for i in range(PACKET):
         for j in range(count.shape[1]):
-            _copy(room, ZERO, begin[i, j], out, n, int(count[i, j]))
-            n += count[i, j]
+            q = PACKET * j + i
+            count[first + i, j] = batch.have[q]
+            for have in range(0, batch.have[q], ROUND):  # a round, also where the last has less
+                _copy(batch.hits, q * most + have, room, n + have, ROUND)
+            n += batch.have[q]
+    return n
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _put_in_order(room: _Hits, begin: NDArray[np.int64], count: NDArray[np.uint16], hits: _Hits) -> None:
+    """Put hits into the order of pulses; those of each eight sequences begin at a place of their own."""
+    n = ZERO
+    for group in range(begin.size):
+        own = ZERO
+        for i in range(PACKET):
+            for j in range(count.shape[1]):
+                own += count[PACKET * group + i, j]
+        _copy(room, begin[group], hits, n, own)
+        n += own
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def _copy(source: _Hits, line: int, begin: int, target: _Hits, at: int, count: int) -> None:
-    """Copy hits out of a line to the first line."""
-    range_m, surface, cosine = target.range_m, target.surface, target.cos_incidence
-    from_range_m, from_surface, from_cosine = source.range_m, source.surface, source.cos_incidence
+def _copy(source: _Hits, begin: int, target: _Hits, at: int, count: int) -> None:
+    """Copy hits."""
     for s in range(count):
-        range_m[0, at + s], surface[0, at + s] = from_range_m[line, begin + s], from_surface[line, begin + s]
-        cosine[0, at + s] = from_cosine[line, begin + s]
+        target.range_m[at + s] = source.range_m[begin + s]
+    for s in range(count):
+        target.surface[at + s] = source.surface[begin + s]
+    for s in range(count):
+        target.cos_incidence[at + s] = source.cos_incidence[begin + s]

@@ -17,7 +17,6 @@ __all__ = [
     "COSINE",
     "DIRECTION",
     "FACING",
-    "FAST",
     "HEIGHT",
     "LANES",
     "ORIGIN",
@@ -94,8 +93,6 @@ class Medium(NamedTuple):
 LANES = 8
 AHEAD = 16
 """Slabs that are looked at before the voxels in them: without branches that nobody can foretell."""
-FAST = {"contract", "arcp", "nsz"}
-"""What the compiler may do with sums and products of lanes."""
 
 ORIGIN, DIRECTION, RANGE, COSINE, AT, HEIGHT, FACING, _END = (
     LANES * row for row in (0, 3, 6, 7, 8, 9, 10, 11)

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.lanes import FAST, LANES, Lanes, Medium, lowest
+from vlp16emu.raycast.lanes import LANES, Lanes, Medium, lowest
 from vlp16emu.raycast.voxel import (
     COLUMNS,
     LAW_BIT,
@@ -94,7 +94,7 @@ class Weights(NamedTuple):
     """The nearest."""
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def weights_of(up: np.float32, length: np.float32) -> Weights:
     """Weigh the knots for light whose direction has the sine `up`, through slabs of a length."""
     low_knot = u4(0) if up < f4(0.3) else u4(7)
@@ -104,7 +104,7 @@ def weights_of(up: np.float32, length: np.float32) -> Weights:
     return Weights(low_knot, w_low, w_high, knot)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def meet_foliage(
     M: Medium,
     L: Lanes,
@@ -146,7 +146,7 @@ def meet_foliage(
     return _meet_leaves(M, L, near_m, main, one, two, k, h, bits, number, tile, weights.knot, alive)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _meet_leaves(
     M: Medium,
     L: Lanes,
@@ -188,7 +188,7 @@ def _meet_leaves(
     return met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _column(
     line: NDArray[np.float32], lane: int, middle_m: np.float32, r1: np.int32, r2: np.int32
 ) -> np.uint32:
@@ -198,7 +198,7 @@ def _column(
     return u4(8 * a + b)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _take_leaf(
     M: Medium,
     L: Lanes,

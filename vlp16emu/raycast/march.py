@@ -5,7 +5,6 @@ decides for all its sub-rays: how much foliage there is in it (`vlp16emu.raycast
 be met, which each sub-ray is then cut with exactly (`vlp16emu.raycast.cuts`).
 """
 
-import math
 from typing import NamedTuple
 
 import numba
@@ -16,7 +15,6 @@ from vlp16emu.raycast.cuts import meet_ground, meet_stem
 from vlp16emu.raycast.lanes import (
     AHEAD,
     DIRECTION,
-    FAST,
     LANES,
     RANGE,
     Lanes,
@@ -68,14 +66,22 @@ class _Grid(NamedTuple):
     """In voxels of the world."""
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def march(
-    M: Medium, L: Lanes, n: int, axis: NDArray[np.float32], aside_m: np.float32, spread: np.float32
+    M: Medium,
+    bricks: NDArray[np.uint64],
+    firsts: NDArray[np.uint32],
+    L: Lanes,
+    n: int,
+    axis: NDArray[np.float32],
+    aside_m: np.float32,
+    spread: np.float32,
 ) -> None:
     """Follow n sub-rays of a pulse through the medium, from `near_m` on.
 
     Parameters
     ----------
+    bricks, firsts : `M.brick` and `M.first` in one row
     axis : (6 or more,) origin and direction of the pulse's middle
     aside_m, spread : how far the lanes begin beside it at most, and how far they spread per metre
     """
@@ -85,10 +91,10 @@ def march(
     main, one, two, length = way.main, way.one, way.two, way.length
     alive, last_m = _lines(corner_m, L, n, near_m, main, one, two)
     weights = weights_of(abs(axis[5]), length)
-    bricks, firsts, grid = M.brick.reshape(-1), M.first.reshape(-1), _grid(M, main, one, two)
+    grid = _grid(M, main, one, two)
     first, stop = _crossing(way, grid.size)
-    slab = math.ceil(first)
-    slabs = math.floor(min(stop, (last_m - way.to_middle) / length + f4(1.5)))
+    slab = -_floor(-first)
+    slabs = _floor(min(stop, (last_m - way.to_middle) / length + f4(1.5)))
     tested = (np.int32(-1), np.int32(-1))
     while slab <= slabs:
         voxels, stems = _look(L, way, grid, bricks, slab, slabs)
@@ -116,7 +122,14 @@ def march(
         slab += AHEAD
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _floor(x: np.float32) -> int:
+    """Round a number below 2**31 down, without the call that `math.floor` is for float32."""
+    whole = np.int32(x)
+    return int(whole) - int(x < f4(whole))
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _meet_stems(
     M: Medium,
     L: Lanes,
@@ -145,7 +158,7 @@ def _meet_stems(
     return tested, met
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _way(
     corner_m: tuple[np.float32, np.float32, np.float32], axis: NDArray[np.float32], near_m: np.float32
 ) -> _Way:
@@ -159,7 +172,7 @@ def _way(
     step = 1 if inverse > 0 else -1
     length = f4(VOXEL_M) * abs(inverse)
     along = axis[main] - corner_m[main]
-    k = math.floor((along + axis[3 + main] * near_m) * f4(1.0 / VOXEL_M))
+    k = _floor((along + axis[3 + main] * near_m) * f4(1.0 / VOXEL_M))
     to_middle = ((f4(k) + f4(0.5)) * f4(VOXEL_M) - along) * inverse
     p1 = (axis[one] - corner_m[one] + axis[3 + one] * to_middle) * f4(1.0 / VOXEL_M)
     p2 = (axis[two] - corner_m[two] + axis[3 + two] * to_middle) * f4(1.0 / VOXEL_M)
@@ -167,7 +180,7 @@ def _way(
     return _Way(main, one, two, k, step, length, to_middle, p1, p2, d1, d2)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _grid(M: Medium, main: int, one: int, two: int) -> _Grid:
     """Turn a grid to the axes of a way."""
     nx, ny, nz, _ = M.brick.shape
@@ -182,7 +195,7 @@ def _grid(M: Medium, main: int, one: int, two: int) -> _Grid:
     )
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.float32]:
     """Slabs until the pulse is in the grid, and until it leaves it."""
     first, stop = f4(0.0), f4(1e6)
@@ -198,14 +211,14 @@ def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.flo
     return first, stop
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _voxel(way: _Way, slab: int) -> tuple[int, int, int]:
     """Find the voxel, along the axes main, one and two, that the middle of a pulse passes in the middle of a slab."""
     at = f4(slab)
     return way.k + slab * way.step, int(np.int32(way.p1 + at * way.d1)), int(np.int32(way.p2 + at * way.d2))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _look(
     L: Lanes, way: _Way, grid: _Grid, bricks: NDArray[np.uint64], slab: int, slabs: int
 ) -> tuple[np.uint64, np.uint64]:
@@ -231,7 +244,7 @@ def _look(
     return voxels & asked, stems & asked
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _read(
     M: Medium, L: Lanes, bricks: NDArray[np.uint64], firsts: NDArray[np.uint32], voxels: np.uint64
 ) -> None:
@@ -246,7 +259,7 @@ def _read(
         place[ahead], code[ahead] = number, records[number]
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: int) -> tuple[np.uint64, int]:
     """Take away the lanes that end before a slab; with the others, the slab in which the last of all ends."""
     passed_m, range_m = way.to_middle + (f4(slab) - f4(0.5)) * way.length, L.range_m
@@ -258,7 +271,7 @@ def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: in
     return alive, min(slabs, int((last_m - way.to_middle) / way.length + f4(1.5)))
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, fastmath=FAST, error_model="numpy", forceinline=True)
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _lines(
     corner_m: tuple[float, float, float],
     L: Lanes,

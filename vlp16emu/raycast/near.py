@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from vlp16emu.raycast import embree as rtc
 from vlp16emu.raycast.beam import LINE, BeamModel, Footprint, beam_axis_of, displace, reach_of
 from vlp16emu.raycast.build import EmbreeMesh, Placed
+from vlp16emu.raycast.faces import inverses, relative_to_window
 from vlp16emu.raycast.far import NO_MEDIUM, Far, recalled_shape
 from vlp16emu.raycast.kernel import PulseBatch, cast_lines, cast_pulses
 from vlp16emu.raycast.lanes import Medium
-from vlp16emu.raycast.packet import PACKET, Target
+from vlp16emu.raycast.packet import PACKET, Target, decide
 from vlp16emu.raycast.pieces import LEVEL, STRAY_M, within_reach
-from vlp16emu.raycast.quads import normal_matrices
 from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
 
@@ -114,15 +114,19 @@ class EmbreeGeometry:
 
 def _target(placed: Placed, kept: NDArray[np.bool_] | None = None) -> Target:
     """Build the scene of some pieces of a window, or of all."""
-    window, placement = placed.window, placed.placement
+    window, placement, motion = placed.window, placed.placement, placed.motion
     scene = placed.scene(np.ones(len(placement), np.bool_) if kept is None else kept)
     return Target(
         scene,
         scene,
+        decide.address,
         window.origin_m,
         window.first_surface[placement],
-        normal_matrices(window)[placement],
-        placed.motion.shear[:, placement],
+        inverses(relative_to_window(window))[placement],
+        placed.row,
+        placed.buffers,
+        np.ascontiguousarray(motion.shear[:, placement]),
+        motion.foot_m[placement] if motion.span_ns else motion.foot_m,
         np.ascontiguousarray(window.surfaces["reflectance"]),
     )
 

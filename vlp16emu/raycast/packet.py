@@ -1,10 +1,16 @@
 """The Embree packet: eight rays that are cast together, and what they meet.
 
+Embree finds candidates, and `decide` says which of them is met and where. Embree rounds as its instruction set has it: with
+another one the same ray meets a leaf at its edge or passes it, or meets the other of two faces that cut each other. So
+Embree has triangles that are a little wider (`build.widened`), candidates stay open to `_SLACK_M` behind the nearest, and
+each is decided in float64, by sums, products and one division, from the corners as they are. Of two at the same range the
+one with the lower number is met. Neither Embree's arithmetic nor the order of candidates then matters.
+
 What makes no arrays counts no references (`_nrt=False`), and loops take arrays out of tuples first.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import llvmlite.binding
 import numba
@@ -12,23 +18,22 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.build import tilt
-from vlp16emu.raycast.embree import FLAG_COHERENT, library, library_path
+from vlp16emu.raycast.build import knot_at
+from vlp16emu.raycast.embree import FLAG_COHERENT, FLAG_FILTER, library, library_path
 from vlp16emu.raycast.pieces import LEVEL
 
 __all__ = [
     "DIR",
-    "INST",
     "NONE",
     "ORG",
     "PACKET",
+    "TIME",
     "RayPacket",
     "Target",
-    "cast_beyond",
     "cast_packet",
+    "decide",
     "ray_met",
     "ray_packet",
-    "reset",
 ]
 
 PACKET = 8
@@ -40,11 +45,22 @@ _intersect = types.ExternalFunction(
     "rtcIntersect8", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
 )
 
-# Rows of RTCRayHit8, each of eight 4-byte words (rtcore_ray.h).
-ORG, _TNEAR, DIR, _TIME, _TFAR, _MASK, _ID, _FLAGS = 0, 3, 4, 7, 8, 9, 10, 11
-_NG, _GEOM, INST, _ROWS = 12, 18, 19, 21
+ORG, _TNEAR, DIR, TIME, _TFAR, _MASK, _ID, _FLAGS, _SIZE = (
+    PACKET * row for row in (0, 3, 4, 7, 8, 9, 10, 11, 21)
+)
+"""Where rows of RTCRayHit8 begin, each of eight 4-byte words (rtcore_ray.h)."""
+_HIT_PRIMITIVE, _HIT_MESH, _HIT_INSTANCE = 5, 6, 7
+"""Rows of the RTCHitN of a candidate."""
 _ALIGN = 64
 NONE = np.uint32(0xFFFFFFFF)
+_NO_INSTANCES = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+_SLACK_M = 2.0**-8
+"""Embree's ranges are off by micrometres, and by more, as 1 / sine, where light grazes a face."""
+
+# Where rows of `RayPacket.state` begin: the range of what a ray meets, or its limit; the normal there in coordinates of the shape, and its
+# product with the direction.
+_LIMIT, _NORMAL, _FACING, _STATE = (PACKET * row for row in (0, 1, 4, 5))
 
 
 class Target(NamedTuple):
@@ -54,14 +70,22 @@ class Target(NamedTuple):
     """Address of a committed RTCScene of instances that level rays may meet; 0 where there is nothing."""
     steep: int
     """The same for rays that are not `LEVEL`; 0 also where none such is cast."""
+    decide: int
+    """Address of the function `decide`."""
     window_origin_m: NDArray[np.float64]
     """(3,) taken from the origins in float64, before the step to float32."""
     first_surface: NDArray[np.uint32]
     """(n,) per instance, as in `Window`."""
-    normal_matrix: NDArray[np.float32]
-    """(n, 3, 3) per instance, as in `geometry`."""
+    shape_T_window: NDArray[np.float64]
+    """(n, 3, 4) per instance, at rest."""
+    row: NDArray[np.int64]
+    """(n,) per instance: the row of `buffers` at which the meshes of its piece begin."""
+    buffers: NDArray[np.uint64]
+    """(b, 2) addresses of the corners of a mesh, and of the triangles of it that are in a piece."""
     shear: NDArray[np.float32]
     """(knots, n, 2) per instance, as in `build.InstanceMotion`."""
+    foot_m: NDArray[np.float64]
+    """(n,) per instance: height in the window at which nothing moves; empty where nothing moves at all."""
     reflectance: NDArray[np.float32]
     """(m,) of the surfaces."""
 
@@ -70,10 +94,41 @@ class RayPacket(NamedTuple):
     """A thread's own packet."""
 
     rays: NDArray[np.float32]
-    words: NDArray[np.uint32]
+    """(168,) rows of eight: loops over lanes read and write at constant places, so that the compiler makes vectors of them."""
     valid: NDArray[np.int32]
-    context: NDArray[np.uint32]
-    arguments: NDArray[np.uint32]
+    context: NDArray[np.uint64]
+    arguments: NDArray[np.uint64]
+    own: NDArray[np.float32]
+    """(64,) the first rows of `rays`, with the least range that counts: Embree turns its rays into instances and back."""
+    state: NDArray[np.float64]
+    """(40,) likewise."""
+    instance: NDArray[np.uint32]
+    """(8,) that a ray meets, or `NONE`."""
+    face: NDArray[np.uint64]
+    """(8,) of it: number of the mesh in the upper half, of the triangle in the lower."""
+    desk: NDArray[np.uint64]
+    """(11,) addresses for `decide`."""
+
+
+def _pointer(kind: Any) -> Any:
+    """Make a function that takes an address for a pointer to numbers of a type."""
+
+    @numba.extending.intrinsic
+    def pointer(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - the signature is numba's
+        """Take an address for a pointer."""
+
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            """Emit the instruction."""
+            return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
+
+        return types.CPointer(kind)(types.uint64), codegen
+
+    return pointer
+
+
+_as_float32, _as_float64 = _pointer(types.float32), _pointer(types.float64)
+_as_int32, _as_int64 = _pointer(types.int32), _pointer(types.int64)
+_as_uint32, _as_uint64 = _pointer(types.uint32), _pointer(types.uint64)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -87,86 +142,183 @@ def _aligned(bytes_: int) -> NDArray[np.uint8]:
 def ray_packet() -> RayPacket:
     """Make an empty packet.
 
-    RTCIntersectArguments: flags, feature mask (all), then pointers to context, no filter, no callback. Each thread needs
-    its own context: a shared one loses hits on instances silently.
+    RTCIntersectArguments: flags and feature mask (all), then pointers to context and filter. Each thread needs its own
+    context: a shared one loses hits on instances silently. RTCRayQueryContext is two words of 4 bytes; behind them is the
+    address of our desk.
     """
-    rays = _aligned(_ROWS * PACKET * 4).view(np.float32).reshape(_ROWS, PACKET)
-    context, arguments = _aligned(16).view(np.uint32), _aligned(64).view(np.uint32)
-    arguments[0], arguments[1] = FLAG_COHERENT, NONE
-    address = np.uint64(context.ctypes.data)
-    arguments[2], arguments[3] = (
-        np.uint32(address & np.uint64(0xFFFFFFFF)),
-        np.uint32(address >> np.uint64(32)),
-    )
+    rays = _aligned(_SIZE * 4).view(np.float32)
+    valid = _aligned(PACKET * 4).view(np.int32)
+    context, arguments = _aligned(64).view(np.uint64), _aligned(64).view(np.uint64)
+    own, state = _aligned(8 * PACKET * 4).view(np.float32), np.zeros(_STATE)
+    desk = np.zeros(11, np.uint64)
+    instance, face = np.zeros(PACKET, np.uint32), np.zeros(PACKET, np.uint64)
+    context[1] = desk.ctypes.data
+    arguments[0] = np.uint64(FLAG_COHERENT | FLAG_FILTER) | np.uint64(NONE) << np.uint64(32)
+    arguments[1] = context.ctypes.data
+    desk[0], desk[1] = own.ctypes.data, state.ctypes.data
+    desk[2], desk[3] = instance.ctypes.data, face.ctypes.data
     words = rays.view(np.uint32)
     for lane in range(PACKET):
-        words[_MASK, lane], words[_ID, lane], words[_FLAGS, lane] = NONE, lane, 0
-    return RayPacket(
-        rays,
-        words,
-        _aligned(PACKET * 4).view(np.int32),
-        context,
-        arguments,
-    )
+        words[_MASK + lane], words[_ID + lane], words[_FLAGS + lane] = NONE, lane, 0
+    return RayPacket(rays, valid, context, arguments, own, state, instance, face, desk)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def cast_packet(target: Target, packet: RayPacket) -> None:
-    """Cast the rays of a packet that are valid, all of them as steep ones where one is steep."""
-    rays, rise = packet.rays, np.float32(0.0)
+def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) -> None:
+    """Cast the rays of a packet that are valid between two ranges, all of them as steep ones where one is steep."""
+    rays, own, valid, desk = packet.rays, packet.own, packet.valid, packet.desk
+    state, instance, rise = packet.state, packet.instance, np.float32(0.0)
     for lane in range(PACKET):
-        rise = max(rise, abs(rays[DIR + 2, lane]))
+        rise = max(rise, abs(rays[DIR + 2 * PACKET + lane]))
+    for at in range(8 * PACKET):
+        own[at] = rays[at]
+    first_m, last_m = np.float32(max(near_m - _SLACK_M, 0.0)), np.float32(far_m + _SLACK_M)
+    for lane in range(PACKET):
+        own[_TNEAR + lane] = near_m
+        rays[_TNEAR + lane], rays[_TFAR + lane] = first_m, last_m
+        state[_LIMIT + lane] = far_m if valid[lane] else state[_LIMIT + lane]
+        instance[lane] = NONE if valid[lane] else instance[lane]
     scene = target.scene if rise <= LEVEL else target.steep
-    if scene:
-        packet.context[:] = NONE
-        _intersect(packet.valid.ctypes.data, scene, rays.ctypes.data, packet.arguments.ctypes.data)
+    if not scene:
+        return
+    desk[4], desk[5] = target.shape_T_window.ctypes.data, target.row.ctypes.data
+    desk[6], desk[7] = target.buffers.ctypes.data, target.foot_m.ctypes.data
+    desk[8], desk[9], desk[10] = target.shear.ctypes.data, target.shear.shape[0], target.shear.shape[1]
+    packet.context[0], packet.arguments[2] = _NO_INSTANCES, target.decide
+    _intersect(valid.ctypes.data, scene, rays.ctypes.data, packet.arguments.ctypes.data)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def cast_beyond(beyond: Target, packet: RayPacket, reach_m: float, far_m: float) -> None:
-    """Cast the rays that are still valid against what is cast as faces at any range."""
-    rays, valid = packet.rays, packet.valid
-    for lane in range(PACKET):
-        if valid[lane]:
-            rays[_TNEAR, lane], rays[_TFAR, lane] = reach_m, far_m
-    cast_packet(beyond, packet)
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def ray_met(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.uint32, np.float32]:
-    """Range, surface and cosine of incidence of what ray r met."""
-    instance = packet.words[INST, r]
-    surface = np.uint32(target.first_surface[instance] + packet.words[_GEOM, r])
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _corners(
+    desk: Any, instance: int, face: int
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Return the corners of a face of an instance, in coordinates of its shape."""
+    row = 2 * (_as_int64(desk[5])[instance] + np.int64(face >> np.uint64(32)))
+    buffers, triangle = _as_uint64(desk[6]), 3 * np.int64(face & np.uint64(NONE))
+    vertices, corners = _as_float32(buffers[row]), _as_uint32(buffers[row + 1])
+    a, b, c = 3 * corners[triangle], 3 * corners[triangle + 1], 3 * corners[triangle + 2]
     return (
-        packet.rays[_TFAR, r],
-        surface,
-        _cosine(target.normal_matrix, target.shear, instance, packet.rays, r),
+        np.float64(vertices[a]),
+        np.float64(vertices[a + 1]),
+        np.float64(vertices[a + 2]),
+        np.float64(vertices[b]),
+        np.float64(vertices[b + 1]),
+        np.float64(vertices[b + 2]),
+        np.float64(vertices[c]),
+        np.float64(vertices[c + 1]),
+        np.float64(vertices[c + 2]),
     )
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def reset(packet: RayPacket, r: int, near_m: float, far_m: float, time: float) -> None:
-    """Give ray r its limits and its time, and take away what it hit before."""
-    rays, words = packet.rays, packet.words
-    rays[_TNEAR, r], rays[_TIME, r], rays[_TFAR, r] = near_m, time, far_m
-    words[_GEOM, r], words[INST, r] = NONE, NONE
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[float, float, float, float, float, float]:
+    """Return origin and direction of ray r in the coordinates of an instance's shape."""
+    x, y, z = np.float64(own[r]), np.float64(own[PACKET + r]), np.float64(own[2 * PACKET + r])
+    dx, dy, dz = (
+        np.float64(own[DIR + r]),
+        np.float64(own[DIR + PACKET + r]),
+        np.float64(own[DIR + 2 * PACKET + r]),
+    )
+    knots = np.int64(desk[9])
+    if knots:
+        shear, n = _as_float32(desk[8]), np.int64(desk[10])
+        knot, share = knot_at(knots, own[TIME + r])
+        here, after = 2 * (knot * n + instance), 2 * ((knot + 1) * n + instance)
+        lean_x = shear[here] + share * (shear[after] - shear[here])
+        lean_y = shear[here + 1] + share * (shear[after + 1] - shear[here + 1])
+        over_m = z - _as_float64(desk[7])[instance]
+        x, y, dx, dy = x - lean_x * over_m, y - lean_y * over_m, dx - lean_x * dz, dy - lean_y * dz
+    at, T = 12 * instance, _as_float64(desk[4])
+    return (
+        T[at] * x + T[at + 1] * y + T[at + 2] * z + T[at + 3],
+        T[at + 4] * x + T[at + 5] * y + T[at + 6] * z + T[at + 7],
+        T[at + 8] * x + T[at + 9] * y + T[at + 10] * z + T[at + 11],
+        T[at] * dx + T[at + 1] * dy + T[at + 2] * dz,
+        T[at + 4] * dx + T[at + 5] * dy + T[at + 6] * dz,
+        T[at + 8] * dx + T[at + 9] * dy + T[at + 10] * dz,
+    )
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
-def _cosine(
-    matrix: NDArray[np.float32], shear: NDArray[np.float32], n: int, rays: NDArray[np.float32], r: int
-) -> np.float32:
-    """Cosine between a ray and the world normal; Embree gives normals in the shape's coordinates."""
-    dot, square, leaned = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-    for a in range(3):
-        turned = np.float32(0.0)
-        for b in range(3):
-            turned += matrix[n, a, b] * rays[_NG + b, r]
-        if shear.shape[0]:  # normals of what is sheared level change in height only
-            if a < 2:
-                leaned += tilt(shear, rays[_TIME, r], n, a) * turned
-            else:
-                turned -= leaned
-        dot += turned * rays[DIR + a, r]
-        square += turned * turned
-    return np.float32(min(abs(float(dot)) / math.sqrt(square), 1.0)) if square > 0.0 else np.float32(0.0)
+@numba.cfunc(types.void(types.uint64), cache=True, error_model="numpy")
+def decide(arguments: int) -> None:
+    """Take or reject a candidate for some rays: Embree's filter, with the address of RTCFilterFunctionNArguments.
+
+    The three determinants of the direction and two corners have one sign where the ray passes inside, and for two triangles
+    that share an edge its determinants are the same but for the sign: no ray passes between them.
+    """
+    words = _as_uint64(arguments)
+    valid, desk, n = (
+        _as_int32(words[0]),
+        _as_uint64(_as_uint64(words[2])[1]),
+        np.int64(words[5] & np.uint64(NONE)),
+    )
+    far_m, numbers, hit = _as_float32(words[3]), _as_uint32(words[3]), _as_uint32(words[4])
+    own, state, instances, faces = (
+        _as_float32(desk[0]),
+        _as_float64(desk[1]),
+        _as_uint32(desk[2]),
+        _as_uint64(desk[3]),
+    )
+    last, last_face, corners = NONE, np.uint64(0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    nx = ny = nz = 0.0
+    for i in range(n):
+        if not valid[i]:
+            continue
+        r, instance = np.int64(numbers[_ID // PACKET * n + i]), hit[_HIT_INSTANCE * n + i]
+        face = np.uint64(hit[_HIT_MESH * n + i]) << np.uint64(32) | np.uint64(hit[_HIT_PRIMITIVE * n + i])
+        if instance != last or face != last_face:  # as a rule the same for all rays
+            last, last_face, corners = instance, face, _corners(desk, np.int64(instance), face)
+            ax, ay, az, bx, by, bz, cx, cy, cz = corners
+            nx = (by - ay) * (cz - az) - (bz - az) * (cy - ay)
+            ny = (bz - az) * (cx - ax) - (bx - ax) * (cz - az)
+            nz = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        x, y, z, dx, dy, dz = _in_shape(desk, own, r, np.int64(instance))
+        ax, ay, az, bx, by, bz, cx, cy, cz = corners
+        ax, ay, az, bx, by, bz, cx, cy, cz = (
+            ax - x,
+            ay - y,
+            az - z,
+            bx - x,
+            by - y,
+            bz - z,
+            cx - x,
+            cy - y,
+            cz - z,
+        )
+        of_a = (by * cz - bz * cy) * dx + (bz * cx - bx * cz) * dy + (bx * cy - by * cx) * dz
+        of_b = (cy * az - cz * ay) * dx + (cz * ax - cx * az) * dy + (cx * ay - cy * ax) * dz
+        of_c = (ay * bz - az * by) * dx + (az * bx - ax * bz) * dy + (ax * by - ay * bx) * dz
+        facing = nx * dx + ny * dy + nz * dz
+        range_m, limit_m = (ax * nx + ay * ny + az * nz) / facing, state[_LIMIT + r]
+        is_inside = (min(of_a, of_b, of_c) >= 0.0) | (max(of_a, of_b, of_c) <= 0.0)
+        is_first = instance < instances[r] or (instance == instances[r] and face < faces[r])
+        is_nearer = range_m < limit_m or (range_m == limit_m and is_first)
+        if is_inside and is_nearer and own[_TNEAR + r] <= range_m:
+            instances[r], faces[r] = instance, face
+            state[_LIMIT + r], state[_FACING + r] = range_m, facing
+            for axis, normal in enumerate((nx, ny, nz)):
+                state[_NORMAL + PACKET * axis + r] = normal
+            far_m[_TFAR // PACKET * n + i] = np.float32(range_m + _SLACK_M)
+        else:
+            valid[i] = 0
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def ray_met(target: Target, packet: RayPacket, r: int) -> tuple[np.float32, np.uint32, np.float32]:
+    """Range, surface and cosine of incidence of what ray r met.
+
+    The normal in the window is that of the shape times the transpose of `shape_T_window`; where the shape is sheared level
+    it changes in height only. Its product with the direction is the same in both.
+    """
+    instance, state, T = packet.instance[r], packet.state, target.shape_T_window
+    surface = np.uint32(target.first_surface[instance] + np.uint32(packet.face[r] >> np.uint64(32)))
+    nx, ny, nz = state[_NORMAL + r], state[_NORMAL + PACKET + r], state[_NORMAL + 2 * PACKET + r]
+    x = T[instance, 0, 0] * nx + T[instance, 1, 0] * ny + T[instance, 2, 0] * nz
+    y = T[instance, 0, 1] * nx + T[instance, 1, 1] * ny + T[instance, 2, 1] * nz
+    z = T[instance, 0, 2] * nx + T[instance, 1, 2] * ny + T[instance, 2, 2] * nz
+    if target.shear.shape[0]:
+        knot, share = knot_at(target.shear.shape[0], packet.own[TIME + r])
+        here, after = target.shear[knot, instance], target.shear[knot + 1, instance]
+        z -= (here[0] + share * (after[0] - here[0])) * x + (here[1] + share * (after[1] - here[1])) * y
+    cosine = abs(state[_FACING + r]) / math.sqrt(x * x + y * y + z * z)
+    return np.float32(state[_LIMIT + r]), surface, np.float32(min(cosine, 1.0))

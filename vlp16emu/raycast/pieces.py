@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.quads import Faces
+from vlp16emu.raycast.faces import Faces
 from vlp16emu.types import Window
 from vlp16emu.world.polyline import distance_m
 
@@ -37,7 +37,7 @@ is the same, and pieces are more."""
 def in_pieces(
     faces: Sequence[Faces],
 ) -> tuple[tuple[Faces, ...], NDArray[np.int64], NDArray[np.float64]]:
-    """Order the quads of a shape by pieces.
+    """Order the triangles of a shape by pieces.
 
     Parameters
     ----------
@@ -55,8 +55,8 @@ def in_pieces(
         boxes.append(around)
         count = np.zeros((1 + max(int(slab.max()) for slab in slabs), len(faces)), np.int64)
         for mesh, slab in zip(body, slabs, strict=True):
-            vertices_m, quads = faces[mesh]
-            ordered[mesh] = vertices_m, quads[np.argsort(slab, kind="stable")]
+            vertices_m, triangles = faces[mesh]
+            ordered[mesh] = vertices_m, triangles[np.argsort(slab, kind="stable")]
             count[:, mesh] = np.bincount(slab, minlength=len(count))
         counts.append(count[count.any(axis=1)])
     return tuple(ordered), np.concatenate(counts).cumsum(axis=0), np.concatenate(boxes)
@@ -99,10 +99,10 @@ def within_reach(
 def _bodies(faces: Sequence[Faces]) -> list[list[int]]:
     """Put each mesh that is not empty to those before it, unless two boxes are smaller than the one around both."""
     bodies, around = list[list[int]](), np.zeros((2, 3))
-    for mesh, (vertices_m, quads) in enumerate(faces):
-        if not len(quads):
+    for mesh, (vertices_m, triangles) in enumerate(faces):
+        if not len(triangles):
             continue
-        axes_m = np.ascontiguousarray(vertices_m[:-1].T)  # numpy is ten times as fast along rows
+        axes_m = np.ascontiguousarray(vertices_m.T)  # numpy is ten times as fast along rows
         own = np.array([axes_m.min(axis=1), axes_m.max(axis=1)])
         both = np.array([np.minimum(around[0], own[0]), np.maximum(around[1], own[1])])
         if bodies and _side_m2(both) <= _side_m2(around) + _side_m2(own):
@@ -115,13 +115,13 @@ def _bodies(faces: Sequence[Faces]) -> list[list[int]]:
 
 
 def _slabs(body: Sequence[Faces]) -> tuple[list[NDArray[np.int64]], NDArray[np.float64]]:
-    """Give the slab (q,) of each quad of some meshes, all 0 where slabs are not worth it; and boxes of those that hold any."""
-    low_m = min(float(vertices_m[:-1, 2].min()) for vertices_m, _ in body)
-    high_m = max(float(vertices_m[:-1, 2].max()) for vertices_m, _ in body)
+    """Give the slab (t,) of each triangle of some meshes, all 0 where slabs are not worth it; and boxes of those that hold any."""
+    low_m = min(float(vertices_m[:, 2].min()) for vertices_m, _ in body)
+    high_m = max(float(vertices_m[:, 2].max()) for vertices_m, _ in body)
     boxes = np.repeat([[[np.inf] * 3, [-np.inf] * 3]], 1 + int((high_m - low_m) / _SLAB_M), axis=0)
-    slabs = [np.zeros(len(quads), np.int64) for _, quads in body]
-    for (vertices_m, quads), slab in zip(body, slabs, strict=True):
-        _put(vertices_m, quads, low_m, slab, boxes)
+    slabs = [np.zeros(len(triangles), np.int64) for _, triangles in body]
+    for (vertices_m, triangles), slab in zip(body, slabs, strict=True):
+        _put(vertices_m, triangles, low_m, slab, boxes)
     boxes = boxes[boxes[:, 1, 2] > -np.inf]
     around = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
     if _side_m2(boxes).sum() > _WORTH * _side_m2(around):
@@ -138,16 +138,17 @@ def _side_m2(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _put(
     vertices_m: NDArray[np.float32],
-    quads: NDArray[np.uint32],
+    triangles: NDArray[np.uint32],
     low_m: float,
     slab: NDArray[np.int64],
     boxes: NDArray[np.float64],
 ) -> None:
-    """Put quads (q, 4) into the slabs in which their first corners are, and widen the boxes (slabs, 2, 3) by them."""
-    for q in range(len(quads)):
-        slab[q] = int((vertices_m[quads[q, 0], 2] - low_m) / _SLAB_M)
-        box = boxes[slab[q]]
-        for corner in range(4):
+    """Put triangles (t, 3) into the slabs in which their lowest corners are, and widen the boxes (slabs, 2, 3) by them."""
+    for t in range(len(triangles)):
+        a, b, c = triangles[t]
+        slab[t] = int((min(vertices_m[a, 2], vertices_m[b, 2], vertices_m[c, 2]) - low_m) / _SLAB_M)
+        box = boxes[slab[t]]
+        for corner in range(3):
             for axis in range(3):
-                at = vertices_m[quads[q, corner], axis]
+                at = vertices_m[triangles[t, corner], axis]
                 box[0, axis], box[1, axis] = min(box[0, axis], at), max(box[1, axis], at)

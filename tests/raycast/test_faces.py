@@ -1,0 +1,74 @@
+"""Triangles, wider ones and transforms as casters want them."""
+
+import numpy as np
+
+from vlp16emu.raycast.build import _WIDER_M, widened
+from vlp16emu.raycast.faces import faces_of, flatten, inverses
+from vlp16emu.types import SURFACE, Mesh, Window
+
+
+def triangles(n, *, sharp=1.0):
+    """Corners (n, 3, 3) of random triangles of 1 cm to 1 m, as wide as they are long times `sharp`."""
+    rng = np.random.default_rng(4)
+    size_m = 10.0 ** rng.uniform(-2, 0, (n, 1))
+    a, along = rng.uniform(-20, 20, (n, 3)), rng.normal(size=(n, 3))
+    along *= size_m / np.linalg.norm(along, axis=1)[:, None]
+    aside = np.cross(along, rng.normal(size=(n, 3)))
+    aside *= sharp * size_m / np.linalg.norm(aside, axis=1)[:, None]
+    return np.stack([a, a + along, a + rng.uniform(0, 1, (n, 1)) * along + aside], axis=1).astype("f4")
+
+
+def test_a_quad_is_two_triangles():
+    """A quad (a, b, c, d) is (a, b, d) and (c, d, b), turned as it is, and triangles are left as they are."""
+    corners_m = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "f4")
+    quads = Mesh(corners_m, np.array([[0, 1, 2, 3]], "u4"))
+    assert faces_of(quads)[1].tolist() == [[0, 1, 3], [2, 3, 1]]
+    three = Mesh(corners_m, np.array([[0, 1, 2]], "u4"))
+    assert faces_of(three)[1] is three.faces
+    place = np.eye(4)[None, :3]
+    window = Window(np.zeros(3), ("one",), np.zeros(1, "i4"), place, np.zeros(1, "u4"), np.zeros(1, SURFACE))
+    flat_m, _ = flatten(window, lambda _: (quads,))
+    assert np.array_equal(flat_m, corners_m[[[0, 1, 3], [2, 3, 1]]])
+
+
+def test_wider_triangles_hold_the_triangle_and_a_margin():
+    """Each edge of a wider triangle lies `_WIDER_M` outside of that of the triangle, within rounding, in its plane."""
+    for sharp in (1.0, 0.02):
+        corners_m = triangles(2000, sharp=sharp)
+        wider_m = widened(corners_m.reshape(-1, 3), np.arange(6000, dtype="u4").reshape(-1, 3))
+        assert wider_m.shape == (6001, 3)
+        wider_m = wider_m[:-1].reshape(-1, 3, 3).astype(float)
+        corners_m = corners_m.astype(float)
+        normal = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        for k in range(3):
+            a_m, b_m = corners_m[:, k], corners_m[:, (k + 1) % 3]
+            outwards = np.cross(b_m - a_m, normal)
+            outwards /= np.linalg.norm(outwards, axis=1)[:, None]
+            for corner in (k, (k + 1) % 3):
+                off_m = ((wider_m[:, corner] - a_m) * outwards).sum(axis=1)
+                assert np.abs(off_m - _WIDER_M).max() < 0.05 * _WIDER_M
+                assert np.abs(((wider_m[:, corner] - a_m) * normal).sum(axis=1)).max() < 0.05 * _WIDER_M
+
+
+def test_triangles_of_no_area_stay_where_they_are():
+    """A triangle whose corners are one point is left as it is, and one that is a line stays within a quarter of a metre."""
+    point, line = np.ones((3, 3), "f4"), np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], "f4")
+    both = np.concatenate([point, line])
+    wider_m = widened(both, np.arange(6, dtype="u4").reshape(-1, 3))
+    assert np.array_equal(wider_m[:3], point)
+    assert np.isfinite(wider_m).all()
+    assert np.abs(wider_m[3:6] - line).max() <= 1000 * 2 * _WIDER_M
+
+
+def test_inverses_undo_transforms():
+    """Turned, mirrored, scaled and moved placements times their inverses are the identity, within 1e-12."""
+    rng = np.random.default_rng(3)
+    transforms = rng.normal(size=(200, 3, 4)) + np.eye(3, 4)
+    transforms[:, :, 3] *= 50.0
+    transforms = transforms[np.linalg.cond(transforms[:, :, :3]) < 100]
+    back = inverses(transforms)
+    turned = np.einsum("nij,njk->nik", back[:, :, :3], transforms[:, :, :3])
+    moved = np.einsum("nij,nj->ni", back[:, :, :3], transforms[:, :, 3]) + back[:, :, 3]
+    assert np.abs(turned - np.eye(3)).max() < 1e-12
+    assert np.abs(moved).max() < 1e-10

@@ -1,0 +1,84 @@
+"""Geometry of windows as casters want it: triangles, and transforms relative to the window."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.types import Mesh, ShapeKey, Window
+
+__all__ = ["Faces", "faces_of", "flatten", "frozen", "inverses", "relative_to_window", "sheared"]
+
+Faces = tuple[NDArray[np.float32], NDArray[np.uint32]]
+"""Vertices (v, 3) in metres, and triangles (t, 3)."""
+
+
+def faces_of(mesh: Mesh) -> Faces:
+    """Return the vertices of a mesh and its triangles; a quad (a, b, c, d) is (a, b, d) and (c, d, b)."""
+    if mesh.faces.shape[1] == 3:
+        return mesh.vertices_m, mesh.faces
+    return mesh.vertices_m, mesh.faces[:, [0, 1, 3, 2, 3, 1]].reshape(-1, 3)
+
+
+def relative_to_window(window: Window) -> NDArray[np.float64]:
+    """window_T_shape (n, 3, 4): placements relative to the window's origin, still in float64."""
+    transforms = window.world_T_shape.copy()
+    transforms[:, :, 3] -= window.origin_m
+    return transforms
+
+
+def inverses(transforms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Invert affine transforms (n, 3, 4), by cofactors in a stated order: no library rounds them in its own way."""
+    (a, b, c, x), (d, e, f, y), (g, h, i, z) = transforms.transpose(1, 2, 0)
+    rows = (
+        (e * i - f * h, c * h - b * i, b * f - c * e),
+        (f * g - d * i, a * i - c * g, c * d - a * f),
+        (d * h - e * g, b * g - a * h, a * e - b * d),
+    )
+    determinant = a * rows[0][0] + b * rows[1][0] + c * rows[2][0]
+    out = np.empty_like(transforms)
+    for k, (p, q, r) in enumerate(rows):
+        out[:, k, 0], out[:, k, 1], out[:, k, 2] = p / determinant, q / determinant, r / determinant
+        out[:, k, 3] = -(out[:, k, 0] * x + out[:, k, 1] * y + out[:, k, 2] * z)
+    return out
+
+
+def sheared(
+    world_T_shape: NDArray[np.float64], foot_z_m: NDArray[np.float64], shear: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Move placements (m, 3, 4) level by `shear` (..., m, 2) per metre over a foot (m,): (..., m, 3, 4)."""
+    over_foot = world_T_shape[:, 2].copy()
+    over_foot[:, 3] -= foot_z_m
+    moved = np.broadcast_to(world_T_shape, (*shear.shape[:-1], 3, 4)).copy()
+    moved[..., :2, :] += shear[..., None] * over_foot[:, None]
+    return moved
+
+
+def frozen(window: Window, t_ns: int) -> Window:
+    """Still window that a moving one is at a time, or at its first or last where that is outside."""
+    if (sway := window.sway) is None:
+        return window
+    steps = len(sway.shear) - 1
+    at = min(max((t_ns - sway.start_ns) / sway.step_ns, 0.0), float(steps))
+    knot = min(int(at), steps - 1)
+    shear = sway.shear[knot] + (at - knot) * (sway.shear[knot + 1] - sway.shear[knot])
+    transforms = window.world_T_shape.copy()
+    transforms[sway.placement] = sheared(transforms[sway.placement], sway.foot_z_m, shear)
+    return replace(window, world_T_shape=transforms, sway=None)
+
+
+def flatten(
+    window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]
+) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+    """Triangles (t, 3, 3) float64 in metres from the window's origin, and their surfaces (t,) uint32."""
+    transforms = relative_to_window(window)
+    meshes = [shape(key) for key in window.shapes]
+    corners, surfaces = [np.empty((0, 3, 3))], [np.empty(0, np.uint32)]
+    for transform, which, first in zip(transforms, window.shape, window.first_surface, strict=True):
+        for number, mesh in enumerate(meshes[which]):
+            vertices_m = mesh.vertices_m.astype(np.float64) @ transform[:, :3].T + transform[:, 3]
+            _, triangles = faces_of(mesh)
+            corners.append(vertices_m[triangles])
+            surfaces.append(np.full(len(triangles), first + number, np.uint32))
+    return np.concatenate(corners), np.concatenate(surfaces)
