@@ -10,6 +10,7 @@ As Easy as 1, 2, 3", SC 2011, section 3.2 and table 2. Tests hold it to the auth
 
 import math
 from enum import IntEnum
+from typing import Any
 
 import numba
 import numpy as np
@@ -99,6 +100,10 @@ class Purpose(IntEnum):
 
 
 _Word = int | np.uint32
+_Size = int | tuple[int, ...] | None
+
+_NORMAL_TAIL, _EXPONENTIAL_TAIL = 3.6541528853610088, 7.69711747013104972
+"""Numbers beyond come from logarithms (numpy/random/src/distributions/ziggurat_constants.h)."""
 
 
 @numba.njit(
@@ -236,6 +241,41 @@ def normal(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) -
     return out
 
 
+class _Generator(np.random.Generator):
+    """Numpy's generator with the same bits on every processor.
+
+    Numpy draws normal and exponential numbers by ziggurats (Marsaglia and Tsang 2000), which take products except in the
+    tails, 1 number in 3700 and in 2200. There, and for beta numbers, libm computes logarithms and powers, and its last bit
+    differs between processors. These numbers are rounded to steps of 2**-24: that bit moves fewer than 1 of 1e8 to another
+    step. Elsewhere, in `poisson` too, libm only decides whether a number is drawn again: its last bit turns 1 of 1e14.
+    """
+
+    def standard_normal(self, size: _Size = None) -> Any:  # type: ignore[override]  # float64 alone
+        """Draw standard normal numbers."""
+        return _rounded_beyond(_NORMAL_TAIL, super().standard_normal(size))
+
+    def normal(self, loc: float = 0.0, scale: float = 1.0, size: _Size = None) -> Any:  # type: ignore[override]  # no arrays
+        """Draw normal numbers."""
+        return loc + scale * self.standard_normal(size)
+
+    def standard_exponential(self, size: _Size = None) -> Any:  # type: ignore[override]  # by the ziggurat alone
+        """Draw exponential numbers of mean 1."""
+        return _rounded_beyond(_EXPONENTIAL_TAIL, super().standard_exponential(size))
+
+    def rayleigh(self, scale: Any = 1.0, size: _Size = None) -> Any:
+        """Draw numbers of Rayleigh's distribution."""
+        return scale * np.sqrt(2.0 * self.standard_exponential(np.shape(scale) if size is None else size))
+
+    def beta(self, a: Any, b: Any, size: _Size = None) -> Any:
+        """Draw numbers of a beta distribution."""
+        return _rounded_beyond(0.0, super().beta(a, b, size))
+
+
+def _rounded_beyond(edge: float, numbers: Any) -> Any:
+    """Round numbers that are farther from 0 than an edge to steps of 2**-24."""
+    return np.where(np.abs(numbers) > edge, np.rint(numbers * 16777216.0) / 16777216.0, numbers)[()]
+
+
 def generator(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:
     """Numpy generator of its own for a thing that stands still, such as a tile or a tree.
 
@@ -244,4 +284,4 @@ def generator(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:
     key : integers that name the thing, negative ones allowed
     """
     words = [seed & 0xFFFFFFFF, seed >> 32, int(purpose), *(k & 0xFFFFFFFFFFFFFFFF for k in key)]
-    return np.random.Generator(np.random.Philox(np.random.SeedSequence(words)))
+    return _Generator(np.random.Philox(np.random.SeedSequence(words)))

@@ -1,11 +1,12 @@
 """What grows under the trees: saplings and shrubs."""
 
-import math
 from collections.abc import Sequence
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import log
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose
 from vlp16emu.types import PlantPart, Semantic
@@ -202,12 +203,12 @@ class ShrubLayer:
 
 def _height_class(height_m: Array) -> NDArray[np.int64]:
     """Find the number of the prototype of nearly that height."""
-    return np.round(np.log(height_m) / math.log(_CLASS_RATIO)).astype(np.int64)
+    return np.round(log(height_m) / log(_CLASS_RATIO)).astype(np.int64)
 
 
 def _class_height_m(number: int) -> float:
     """Height of a prototype."""
-    return float(_CLASS_RATIO**number)
+    return float(Fraction(_CLASS_RATIO) ** number)
 
 
 def _brightness(
