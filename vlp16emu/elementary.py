@@ -324,12 +324,8 @@ def hypot(x: Any, y: Any) -> Any:
 
 
 def matvec(matrix: _Floats, vector: _Floats) -> _Floats:
-    """Turn vectors (..., 3) by matrices (..., 3, 3), summing from the first column on: BLAS chooses by processor."""
-    return (
-        matrix[..., 0] * vector[..., 0, None]
-        + matrix[..., 1] * vector[..., 1, None]
-        + matrix[..., 2] * vector[..., 2, None]
-    )
+    """Turn vectors (..., m) by matrices (..., n, m), summing from the first column on: BLAS chooses by processor."""
+    return matmul(matrix, vector[..., None])[..., 0]
 
 
 def matmul(a: _Floats, b: _Floats) -> _Floats:
