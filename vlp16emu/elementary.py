@@ -42,6 +42,7 @@ __all__ = [
 ]
 
 _Floats = NDArray[np.float64]
+_Numbers = NDArray[np.floating[Any]]
 _BLOCK = 8192
 """Longer arrays are computed in pieces, whose intermediate values stay in the cache of the processor."""
 _WHOLE = 6755399441055744.0
@@ -59,16 +60,16 @@ class _Unary(Protocol):
     @overload
     def __call__(self, x: float, /) -> float: ...
     @overload
-    def __call__(self, x: _Floats, /) -> _Floats: ...
+    def __call__(self, x: _Numbers, /) -> _Floats: ...
 
 
 class _Binary(Protocol):
     @overload
     def __call__(self, x: float, y: float, /) -> float: ...
     @overload
-    def __call__(self, x: _Floats | float, y: _Floats, /) -> _Floats: ...
+    def __call__(self, x: _Numbers | float, y: _Numbers, /) -> _Floats: ...
     @overload
-    def __call__(self, x: _Floats, y: _Floats | float, /) -> _Floats: ...
+    def __call__(self, x: _Numbers, y: _Numbers | float, /) -> _Floats: ...
 
 
 _COMPILED = {

@@ -262,11 +262,11 @@ class _Generator(np.random.Generator):
         """Draw exponential numbers of mean 1."""
         return _rounded_beyond(_EXPONENTIAL_TAIL, super().standard_exponential(size))
 
-    def rayleigh(self, scale: Any = 1.0, size: _Size = None) -> Any:
+    def rayleigh(self, scale: Any = 1.0, size: _Size = None) -> Any:  # type: ignore[override]  # any array
         """Draw numbers of Rayleigh's distribution."""
         return scale * np.sqrt(2.0 * self.standard_exponential(np.shape(scale) if size is None else size))
 
-    def beta(self, a: Any, b: Any, size: _Size = None) -> Any:
+    def beta(self, a: Any, b: Any, size: _Size = None) -> Any:  # type: ignore[override]  # any array
         """Draw numbers of a beta distribution."""
         return _rounded_beyond(0.0, super().beta(a, b, size))
 

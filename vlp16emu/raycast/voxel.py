@@ -82,9 +82,9 @@ def stem_lines(stems: NDArray[np.void], origin_m: Array) -> Array:
     return np.column_stack([lower, slope, high_m - low_m, _reach_m(stems).max(axis=1)])
 
 
-def _reach_m(stems: NDArray[np.void]) -> NDArray[np.float32]:
+def _reach_m(stems: NDArray[np.void]) -> Array:
     """How far stems reach from their axes at the knots, (n, knots), bent as they are."""
-    reach_m: NDArray[np.float32] = stems["radius_m"] + hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1])
+    reach_m: Array = stems["radius_m"] + hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1])
     return reach_m
 
 

@@ -26,6 +26,7 @@ from vlp16emu.world.plants.stem_rings import (
 )
 from vlp16emu.world.plants.surface_roots import ROOT_RINGS, ROOT_SIDES, root_points
 from vlp16emu.world.stand.tiles import TileKey
+from vlp16emu.world.vectors import lengths
 
 __all__ = [
     "STEM_PARTS",
@@ -121,7 +122,7 @@ def _buried_m(trees: Trees, rings: StemRings, height_m: HeightField) -> Array:
         trees["x_m"][:, None] + flare_m * cos(around), trees["y_m"][:, None] + flare_m * sin(around)
     )
     slope = stem_slopes(partial(axis_m, trees, rings.forms), np.zeros((len(trees), 1)))
-    raised_m = (flare_m * hypot(*np.moveaxis(slope, -1, 0)))[:, 0]
+    raised_m = (flare_m * lengths(slope))[:, 0]
     buried: Array = _BURIED_M + raised_m - np.minimum(ground_m.min(axis=1) - trees["z_m"], 0.0)
     return buried
 

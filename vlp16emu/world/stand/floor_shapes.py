@@ -167,7 +167,7 @@ def _outline_m2(points: Array) -> float:
     for way in (ordered, ordered[::-1]):
         chain: list[list[float]] = []
         for x, y in way:
-            while len(chain) > 1 and _is_right_turn(*chain[-2:], (x, y)):
+            while len(chain) > 1 and _is_right_turn(chain[-2], chain[-1], (x, y)):
                 chain.pop()
             chain.append([x, y])
         area += sum(a[0] * b[1] - a[1] * b[0] for a, b in pairwise(chain)) / 2
