@@ -283,10 +283,9 @@ def _form(row: Array, height_m: float, above_ground_m: float) -> float:
         i_share, p, q = row[4], row[5], row[6]
         top = 1.0 - exp(q * (1.3 - whole_m))
         butt = 1.0 - exp(p * (1.3 - whole_m))
-        u = i_share / top + (1.0 - i_share) * (1.0 - 1.0 / butt)
-        v = (1.0 - i_share) * exp(1.3 * p) / butt
-        w = i_share * exp(-q * whole_m) / top
-        form = u + v * exp(-p * z) - w * exp(q * z)
+        # In two terms that are exactly 1 at breast height and 0 at the tip.
+        form = i_share * ((1.0 - exp(q * (z - whole_m))) / top)
+        form += (1.0 - i_share) * (1.0 - (1.0 - exp(p * (1.3 - z))) / butt)
     if row[2] > 0:
         form *= 1.0 + row[2] * exp(-z / row[3])
     return max(form, 0.0)
