@@ -35,6 +35,7 @@ __all__ = [
     "log_of_normal",
     "matmul",
     "matvec",
+    "norm",
     "power",
     "sin",
     "tan",
@@ -42,6 +43,7 @@ __all__ = [
 ]
 
 _Floats = NDArray[np.float64]
+_Numbers = NDArray[np.floating[Any]]
 _BLOCK = 8192
 """Longer arrays are computed in pieces, whose intermediate values stay in the cache of the processor."""
 _WHOLE = 6755399441055744.0
@@ -50,7 +52,7 @@ _TINY = 2.0**-1022
 """Smallest normal number."""
 _HALF_PI = 1.5707963109016418, 1.5893254712295857e-08, 6.123233932053594e-17, 6.36831716351095e-25
 """Three times 25 bits, so that products with whole numbers below 2**28 are exact, and the rest."""
-_LARGEST_RAD = 4.2e8
+_LARGEST_RAD = 1e12
 _LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 """Its first 33 bits, so that products with exponents are exact, and the rest."""
 
@@ -59,16 +61,16 @@ class _Unary(Protocol):
     @overload
     def __call__(self, x: float, /) -> float: ...
     @overload
-    def __call__(self, x: _Floats, /) -> _Floats: ...
+    def __call__(self, x: _Numbers, /) -> _Floats: ...
 
 
 class _Binary(Protocol):
     @overload
     def __call__(self, x: float, y: float, /) -> float: ...
     @overload
-    def __call__(self, x: _Floats | float, y: _Floats, /) -> _Floats: ...
+    def __call__(self, x: _Numbers | float, y: _Numbers, /) -> _Floats: ...
     @overload
-    def __call__(self, x: _Floats, y: _Floats | float, /) -> _Floats: ...
+    def __call__(self, x: _Numbers, y: _Numbers | float, /) -> _Floats: ...
 
 
 _COMPILED = {
@@ -178,19 +180,19 @@ def _cos_sin(x: Any) -> tuple[Any, Any]:
 
 @_unary
 def sin(x: Any) -> Any:
-    """Sine of up to 4.2e8 rad, within 1.5 ulp; NaN beyond."""
+    """Sine, within 1.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     return _cos_sin(x)[1]
 
 
 @_unary
 def cos(x: Any) -> Any:
-    """Cosine of up to 4.2e8 rad, within 1.5 ulp; NaN beyond."""
+    """Cosine, within 1.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     return _cos_sin(x)[0]
 
 
 @_unary
 def tan(x: Any) -> Any:
-    """Tangent of up to 4.2e8 rad, within 3.5 ulp; NaN beyond."""
+    """Tangent, within 3.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     cosine, sine = _cos_sin(x)
     return sine / cosine
 
@@ -248,7 +250,7 @@ def acos(x: Any) -> Any:
 def exp(x: Any) -> Any:
     """Exponential, within 1 ulp: e_exp.c."""
     x = _pick(x > 720.0, 720.0, _pick(x < -750.0, -750.0, x))
-    n = (x * (1.0 / math.log(2.0)) + _WHOLE) - _WHOLE
+    n = (x * 1.4426950408889634 + _WHOLE) - _WHOLE
     high, low = x - n * _LN2[0], n * _LN2[1]
     r = high - low
     t = r * r
@@ -291,7 +293,7 @@ def log_of_normal(x: Any) -> Any:
 def log(x: Any) -> Any:
     """Logarithm, within 1 ulp; minus infinity of 0, and NaN below."""
     subnormal = x < _TINY
-    y = log_of_normal(_pick(subnormal, x * 2.0**54, x)) - _pick(subnormal, 54.0 * math.log(2.0), 0.0)
+    y = log_of_normal(_pick(subnormal, x * 2.0**54, x)) - _pick(subnormal, 37.42994775023705, 0.0)
     return _pick((x > 0.0) & (x < math.inf), y, _pick(x == 0.0, -math.inf, _pick(x < 0.0, math.nan, x)))
 
 
@@ -323,13 +325,17 @@ def hypot(x: Any, y: Any) -> Any:
     return np.sqrt(x * x + y * y)
 
 
+def norm(vectors: _Floats) -> Any:
+    """Lengths of vectors (..., n), whose squares are summed from the first component on."""
+    total = vectors[..., 0] * vectors[..., 0]
+    for i in range(1, vectors.shape[-1]):
+        total = total + vectors[..., i] * vectors[..., i]
+    return np.sqrt(total)
+
+
 def matvec(matrix: _Floats, vector: _Floats) -> _Floats:
-    """Turn vectors (..., 3) by matrices (..., 3, 3), summing from the first column on: BLAS chooses by processor."""
-    return (
-        matrix[..., 0] * vector[..., 0, None]
-        + matrix[..., 1] * vector[..., 1, None]
-        + matrix[..., 2] * vector[..., 2, None]
-    )
+    """Turn vectors (..., m) by matrices (..., n, m), summing from the first column on: BLAS chooses by processor."""
+    return matmul(matrix, vector[..., None])[..., 0]
 
 
 def matmul(a: _Floats, b: _Floats) -> _Floats:
