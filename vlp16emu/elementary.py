@@ -35,6 +35,7 @@ __all__ = [
     "log_of_normal",
     "matmul",
     "matvec",
+    "norm",
     "power",
     "sin",
     "tan",
@@ -51,7 +52,7 @@ _TINY = 2.0**-1022
 """Smallest normal number."""
 _HALF_PI = 1.5707963109016418, 1.5893254712295857e-08, 6.123233932053594e-17, 6.36831716351095e-25
 """Three times 25 bits, so that products with whole numbers below 2**28 are exact, and the rest."""
-_LARGEST_RAD = 4.2e8
+_LARGEST_RAD = 1e12
 _LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 """Its first 33 bits, so that products with exponents are exact, and the rest."""
 
@@ -179,19 +180,19 @@ def _cos_sin(x: Any) -> tuple[Any, Any]:
 
 @_unary
 def sin(x: Any) -> Any:
-    """Sine of up to 4.2e8 rad, within 1.5 ulp; NaN beyond."""
+    """Sine, within 1.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     return _cos_sin(x)[1]
 
 
 @_unary
 def cos(x: Any) -> Any:
-    """Cosine of up to 4.2e8 rad, within 1.5 ulp; NaN beyond."""
+    """Cosine, within 1.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     return _cos_sin(x)[0]
 
 
 @_unary
 def tan(x: Any) -> Any:
-    """Tangent of up to 4.2e8 rad, within 3.5 ulp; NaN beyond."""
+    """Tangent, within 3.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     cosine, sine = _cos_sin(x)
     return sine / cosine
 
@@ -249,7 +250,7 @@ def acos(x: Any) -> Any:
 def exp(x: Any) -> Any:
     """Exponential, within 1 ulp: e_exp.c."""
     x = _pick(x > 720.0, 720.0, _pick(x < -750.0, -750.0, x))
-    n = (x * (1.0 / math.log(2.0)) + _WHOLE) - _WHOLE
+    n = (x * 1.4426950408889634 + _WHOLE) - _WHOLE
     high, low = x - n * _LN2[0], n * _LN2[1]
     r = high - low
     t = r * r
@@ -292,7 +293,7 @@ def log_of_normal(x: Any) -> Any:
 def log(x: Any) -> Any:
     """Logarithm, within 1 ulp; minus infinity of 0, and NaN below."""
     subnormal = x < _TINY
-    y = log_of_normal(_pick(subnormal, x * 2.0**54, x)) - _pick(subnormal, 54.0 * math.log(2.0), 0.0)
+    y = log_of_normal(_pick(subnormal, x * 2.0**54, x)) - _pick(subnormal, 37.42994775023705, 0.0)
     return _pick((x > 0.0) & (x < math.inf), y, _pick(x == 0.0, -math.inf, _pick(x < 0.0, math.nan, x)))
 
 
@@ -322,6 +323,14 @@ def tanh(x: Any) -> Any:
 def hypot(x: Any, y: Any) -> Any:
     """Root of the sum of squares, within 1 ulp, of numbers whose squares are neither infinite nor subnormal."""
     return np.sqrt(x * x + y * y)
+
+
+def norm(vectors: _Floats) -> Any:
+    """Lengths of vectors (..., n), whose squares are summed from the first component on."""
+    total = vectors[..., 0] * vectors[..., 0]
+    for i in range(1, vectors.shape[-1]):
+        total = total + vectors[..., i] * vectors[..., i]
+    return np.sqrt(total)
 
 
 def matvec(matrix: _Floats, vector: _Floats) -> _Floats:

@@ -16,6 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import log_of_normal
 from vlp16emu.trig import in_quarter
 
 __all__ = [
@@ -150,34 +151,13 @@ def uniform_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, flo
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _log(x: float) -> float:
-    """Logarithm of a normal number above 0, within an ulp or so: the algorithm and constants of fdlibm, e_log.c."""
-    bits = np.float64(x).view(np.int64)
-    power = (bits - np.int64(0x3FE6A09E667F3BCD)) >> np.int64(52)  # so that x / 2**power is about 1
-    f = np.int64(bits - (power << np.int64(52))).view(np.float64) - 1.0
-    e = np.int64(power + np.int64(0x4338000000000000)).view(np.float64) - 6755399441055744.0  # as a float
-    s = f / (2.0 + f)
-    z = s * s
-    high = 2.222219843214978396e-01 + z * (
-        1.818357216161805012e-01 + z * (1.531383769920937332e-01 + z * 1.479819860511658591e-01)
-    )
-    rest = z * (
-        6.666666666666735130e-01 + z * (3.999999999940941908e-01 + z * (2.857142874366239149e-01 + z * high))
-    )
-    half = 0.5 * f * f
-    return e * 6.93147180369123816490e-01 - (
-        (half - (s * (half + rest) + e * 1.90821492927058770002e-10)) - f
-    )
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
 def box_muller(a: float, b: float) -> tuple[float, float]:
     """Turn two uniform numbers into two normal ones, by Box and Muller (1958); for use in kernels.
 
     Logarithm, cosine and sine are computed here by additions, products and one quotient, which round alike everywhere.
     There is no branch and no call, so that a loop over lanes draws four at once.
     """
-    radius = math.sqrt(-2.0 * _log(1.0 - a))  # 1 - a is exact
+    radius = math.sqrt(-2.0 * log_of_normal(1.0 - a))  # 1 - a is exact
     quarter = math.floor(4.0 * b + 0.5)
     cosine, sine = in_quarter(quarter, (4.0 * b - quarter) * (0.5 * math.pi))
     return radius * cosine, radius * sine

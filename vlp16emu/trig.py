@@ -43,7 +43,7 @@ def in_quarter(quarter: float, y: float) -> tuple[float, float]:
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def cos_sin(angle_rad: float) -> tuple[float, float]:
-    """Cosine and sine of an angle of up to a million radians, within 2e-16; for use in kernels."""
+    """Cosine and sine of an angle, within 2e-16, beyond a million radians within its last bit; for use in kernels."""
     quarters = math.floor(angle_rad * (2.0 / math.pi) + 0.5)
     y = (angle_rad - quarters * _HALF_PI[0]) - quarters * _HALF_PI[1]
     return in_quarter(quarters - 4.0 * math.floor(0.25 * quarters), y)
