@@ -44,8 +44,6 @@ __all__ = [
 
 _Floats = NDArray[np.float64]
 _Numbers = NDArray[np.floating[Any]]
-_BLOCK = 8192
-"""Longer arrays are computed in pieces, whose intermediate values stay in the cache of the processor."""
 _WHOLE = 6755399441055744.0
 """1.5 * 2**52: a sum with it is rounded to a whole number, which its lowest bits hold."""
 _TINY = 2.0**-1022
@@ -86,20 +84,19 @@ _helper = numba.extending.register_jitable(**_COMPILED)
 
 def _everywhere(function: Callable[..., Any]) -> Any:
     """Let a function of float64 take numbers and arrays, and let kernels call it."""
+    name = function.__name__
 
     @functools.wraps(function)
     def served(*numbers: Any) -> Any:
+        arrays = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers))
+        if arrays[0].ndim and name in _LOOPS:
+            out = np.empty(arrays[0].shape)
+            flat = [np.ascontiguousarray(x).reshape(-1) for x in arrays]
+            _fill(_LOOPS.index(name), flat[0], flat[-1], out.reshape(-1))
+            return out
         with np.errstate(all="ignore"):
-            arrays = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers))
-            if arrays[0].ndim == 0:
-                return float(function(*(x[()] for x in arrays)))
-            if arrays[0].size <= _BLOCK:
-                return function(*arrays)
-            flat, out = [x.reshape(-1) for x in arrays], np.empty(arrays[0].size)
-            for first in range(0, out.size, _BLOCK):
-                part = slice(first, first + _BLOCK)
-                out[part] = function(*(x[part] for x in flat))
-            return out.reshape(arrays[0].shape)
+            value = function(*(x[()] for x in arrays))
+            return value if arrays[0].ndim else float(value)
 
     numba.extending.overload(served, jit_options=_COMPILED, strict=False)(lambda *_: function)
     return served
@@ -193,8 +190,7 @@ def cos(x: Any) -> Any:
 @_unary
 def tan(x: Any) -> Any:
     """Tangent, within 3.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
-    cosine, sine = _cos_sin(x)
-    return sine / cosine
+    return sin(x) / cos(x)
 
 
 @_binary
@@ -323,6 +319,26 @@ def tanh(x: Any) -> Any:
 def hypot(x: Any, y: Any) -> Any:
     """Root of the sum of squares, within 1 ulp, of numbers whose squares are neither infinite nor subnormal."""
     return np.sqrt(x * x + y * y)
+
+
+_LOOPS = "cos", "sin", "atan2", "exp", "log"
+"""Functions of arrays that are compiled, in the order of `_fill`; the others are few operations on these."""
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)  # type: ignore[untyped-decorator]  # numba has no types
+def _fill(which: int, x: _Floats, y: _Floats, out: _Floats) -> None:
+    """Fill (n,) with the values of one of `_LOOPS`; one kernel for all of them is compiled once."""
+    for i in range(out.shape[0]):
+        if which == 0:
+            out[i] = cos(x[i])
+        elif which == 1:
+            out[i] = sin(x[i])
+        elif which == 2:
+            out[i] = atan2(x[i], y[i])
+        elif which == 3:
+            out[i] = exp(x[i])
+        else:
+            out[i] = log(x[i])
 
 
 def norm(vectors: _Floats) -> Any:
