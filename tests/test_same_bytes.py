@@ -24,13 +24,32 @@ ROOMS = (
     "motion",
     "packets",
     "random.py",
+    "raycast/adaptive.py",
+    "raycast/cloud.py",
+    "raycast/far.py",
+    "raycast/filling.py",
+    "raycast/leaves.py",
+    "raycast/medium.py",
+    "raycast/sky.py",
+    "raycast/texture.py",
+    "raycast/voxel.py",
     "returns",
     "sensor",
     "trig.py",
     "types.py",
     "units.py",
+    "world",
 )
 """Folders and files on the way from a scene to its packets."""
+
+ALLOWED = {
+    "world/given/section.py": "scipy",  # which corners are joined; lengths of hulls are for reports
+    "world/given/stem_list.py": "scipy",  # finds trees at one place, to refuse them
+    "world/ground/dem.py": "scipy",  # the nearest cell, by squares of whole numbers
+    "world/stand/inventory.py": "scipy",  # which corners span a crown
+    "world/twin.py": "**",  # colours for other programs
+}
+"""What decides no byte, by file."""
 
 _ELEMENTARY = "sin cos tan sinh cosh tanh exp exp2 expm1 log log2 log10 log1p hypot cbrt"
 MATH = frozenset(
@@ -42,6 +61,33 @@ NUMPY = frozenset(
     " linalg fft".split()
 )
 """What libraries compute by one of several variants; `linalg` and `fft` with all that they have."""
+DRAWS = frozenset(
+    [
+        "binomial",
+        "chisquare",
+        "dirichlet",
+        "exponential",
+        "geometric",
+        "gumbel",
+        "laplace",
+        "logistic",
+        "lognormal",
+        "logseries",
+        "multinomial",
+        "multivariate_normal",
+        "negative_binomial",
+        "pareto",
+        "standard_cauchy",
+        "standard_gamma",
+        "standard_t",
+        "triangular",
+        "vonmises",
+        "wald",
+        "weibull",
+        "zipf",
+    ]
+)
+"""Numbers that numpy draws by functions of libm, and `vlp16emu.random.generator` not by its own."""
 LIBRARIES = ("scipy", "pymap3d", "cmath", "statistics", "numpy.linalg", "numpy.fft")
 
 
@@ -54,6 +100,10 @@ def not_ieee(tree: ast.AST) -> Iterator[str]:
                 yield f"line {line}: math.{name}"
             case ast.Attribute(value=ast.Name(id="np"), attr=name) if name in NUMPY:
                 yield f"line {line}: np.{name}"
+            case ast.Attribute(attr=name) if name in DRAWS:
+                yield f"line {line}: .{name}"
+            case ast.Call(func=ast.Attribute(attr="argsort"), keywords=words) if not _is_stable(words):
+                yield f"line {line}: an order of ties by chance"
             case ast.Attribute(attr="dot"):
                 yield f"line {line}: .dot"
             case ast.BinOp(op=ast.MatMult()) | ast.AugAssign(op=ast.MatMult()):
@@ -71,6 +121,11 @@ def not_ieee(tree: ast.AST) -> Iterator[str]:
                 yield f"line {line}: from {module}"
 
 
+def _is_stable(words: list[ast.keyword]) -> bool:
+    """Whether a sort is asked to be stable: processors sort ties in different ways."""
+    return any(word.arg == "kind" and ast.unparse(word.value) == "'stable'" for word in words)
+
+
 def files() -> list[Path]:
     """List the files of the rooms."""
     found = []
@@ -84,7 +139,9 @@ def files() -> list[Path]:
 @pytest.mark.parametrize("path", files(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_no_library_decides_a_byte(path: Path) -> None:
     """No file on the way to a packet calls an elementary function of a library, BLAS or LAPACK, or raises to a power."""
-    assert list(not_ieee(ast.parse(path.read_text(encoding="utf-8")))) == []
+    allowed = ALLOWED.get(str(path.relative_to(PACKAGE)), "\n")
+    found = not_ieee(ast.parse(path.read_text(encoding="utf-8")))
+    assert [finding for finding in found if allowed not in finding] == []
 
 
 @pytest.mark.parametrize(
@@ -101,6 +158,8 @@ def test_no_library_decides_a_byte(path: Path) -> None:
         "from scipy.interpolate import CubicSpline",
         "import pymap3d",
         "from math import exp",
+        "y = np.argsort(x)",
+        "y = rng.lognormal(0.0, 1.0)",
     ],
 )
 def test_the_scan_finds(line: str) -> None:

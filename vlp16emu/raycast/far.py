@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import hypot
+from vlp16emu.elementary import hypot, norm
 from vlp16emu.raycast.build import Shape, shape_of
 from vlp16emu.raycast.cloud import Cloud, Library, cloud_of
 from vlp16emu.raycast.lanes import Ground, Medium, Stems
@@ -36,7 +36,6 @@ from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import FarTile, Mesh, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.stand.tiles import STEM, TILE_M
-from vlp16emu.world.vectors import lengths
 
 __all__ = [
     "NO_MEDIUM",
@@ -174,7 +173,7 @@ class Far:
             lines = stem_lines(self._world.far_tile(ix, iy).stems, np.array([*at_m[place], 0.0]))
             ends_m = np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - TILE_M / 2
             at_m[place] += TILE_M / 2
-            radius_m[place] = lengths(ends_m).max() + STRAY_M
+            radius_m[place] = norm(ends_m).max() + STRAY_M
         track_m, reach_m = window.near[:, :2], self._world.near_m + STRAY_M + radius_m
         low_m, high_m = track_m.min(axis=0), track_m.max(axis=0)
         few = np.flatnonzero((np.maximum(low_m - at_m, at_m - high_m) <= reach_m[:, None]).all(axis=1))

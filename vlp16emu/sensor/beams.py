@@ -62,7 +62,7 @@ class BeamTable:
     @property
     def ring(self) -> NDArray[np.uint16]:
         """(L,) 0 .. L - 1 by elevation, lowest first."""
-        return np.argsort(np.argsort(self.elevation_deg, kind="stable")).astype(np.uint16)
+        return np.argsort(np.argsort(self.elevation_deg, kind="stable"), kind="stable").astype(np.uint16)
 
 
 def free_beams(

@@ -1,22 +1,18 @@
-"""Lengths and directions of vectors, by products, sums and square roots."""
+"""Directions of vectors and determinants, by sums, products, quotients and square roots."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["determinant", "lengths", "unit"]
+from vlp16emu.elementary import norm
+
+__all__ = ["determinant", "unit"]
 
 Array = NDArray[np.float64]
 
 
-def lengths(vectors: Array) -> Array:
-    """Return the Euclidean lengths (...) of vectors (..., k)."""
-    length: Array = np.sqrt((vectors * vectors).sum(axis=-1))
-    return length
-
-
 def unit(vectors: Array) -> Array:
     """Return vectors (..., k) scaled to a length of 1."""
-    scaled: Array = vectors / lengths(vectors)[..., None]
+    scaled: Array = vectors / norm(vectors)[..., None]
     return scaled
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import atan2, cos, hypot, log, matmul, matvec, sin
+from vlp16emu.elementary import atan2, cos, hypot, log, matmul, matvec, norm, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import Mesh, PlantPart, ShapeKey
 from vlp16emu.world.given.section import Cutter, Outline, hull_m
@@ -25,7 +25,6 @@ from vlp16emu.world.stand.inventory import COPIED, INVENTORY, volume_m3
 from vlp16emu.world.stand.placed import PlacedThings, plant_surfaces, turned
 from vlp16emu.world.stand.settings import Season
 from vlp16emu.world.stand.tiles import EXACT, STEM
-from vlp16emu.world.vectors import lengths
 
 __all__ = ["ModelKey", "TreeModel", "TreeModels"]
 
@@ -119,7 +118,7 @@ class TreeModel:
 
     def far_stems(self, world_T_model: Array, rows: NDArray[np.int64]) -> NDArray[np.void]:
         """Stems of placements (n, 3, 4), whose first surfaces are in these rows (n,), as `STEM`."""
-        across = lengths(world_T_model[:, :, 0])
+        across = norm(world_T_model[:, :, 0])
         middle_m = matvec(world_T_model[:, None, :, :3], self._profile_m[:, :3])
         stems = profiles(world_T_model[:, :, 3], middle_m, across[:, None] * self._profile_m[:, 3], 0)
         stems["flare_m"], stems["row"] = -1.0, rows[:, None] + self.far_parts.index(EXACT)
@@ -172,7 +171,7 @@ class TreeModel:
         row["top_m"], row["crown_base_m"] = whole_m[:, 2].max(), row["height_m"]
         if len(crown_m):
             row["crown_base_m"] = crown_m[:, 2].min()
-            row["crown_width_m"] = np.ptp(matvec(_AROUND, crown_m[:, None, :2])[:, 0], axis=0).mean()
+            row["crown_width_m"] = np.ptp(matvec(_AROUND.T, crown_m[:, :2]), axis=0).mean()
         size = across * across * along
         row["stem_m3"], row["wood_m3"] = size * self._stem_m3, size * self._wood_m3
         # Faces across the axis grow with the square of the width, upright ones with width and height.

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import matvec
+from vlp16emu.elementary import matvec, norm
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
 from vlp16emu.types import Mesh
 from vlp16emu.world.given.settings import LengthUnit, UpAxis
-from vlp16emu.world.vectors import determinant, lengths
+from vlp16emu.world.vectors import determinant
 
 __all__ = ["PartMesh", "UserMesh", "load_mesh", "welded"]
 
@@ -111,7 +111,7 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
         findings += [f"{path}: {name}: {finding}" for finding in _findings(vertices, faces, dropped)]
     for finding in findings:
         _log.warning(finding)
-    return UserMesh(path, centre, made, float(lengths(high - low)) / 2, tuple(findings))
+    return UserMesh(path, centre, made, float(norm(high - low)) / 2, tuple(findings))
 
 
 def _parts(path: Path) -> tuple[list[tuple[str, tuple[Array, Faces]]], list[str]]:
@@ -257,7 +257,7 @@ def _swept(where: str, vertices: Array, faces: Faces) -> tuple[Array, Faces, int
     corner = vertices[faces]
     sides = corner - np.roll(corner, 1, axis=1)
     longest2 = (sides * sides).sum(axis=2).max(axis=1)
-    area2 = lengths(np.cross(sides[:, 0], sides[:, 1]))
+    area2 = norm(np.cross(sides[:, 0], sides[:, 1]))
     solid = area2 > _FLAT * longest2
     if not solid.any():
         raise GeometryError(where, f"none of its {len(faces)} faces has an area", "a mesh of triangles")

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import asin, atan2, cos, hypot, power, sin
+from vlp16emu.elementary import asin, atan2, cos, hypot, norm, power, sin
 from vlp16emu.types import Mesh
 from vlp16emu.world.plants.species import Habit, Twigs
-from vlp16emu.world.vectors import lengths, unit
+from vlp16emu.world.vectors import unit
 
 __all__ = [
     "GOLDEN_ANGLE",
@@ -107,7 +107,7 @@ def first_order(
     nodes = base[:, None] + unit * branch_m[:, None, None]
     # Pipe model: the branches together are as thick as the stem that feeds them (Shinozaki et al. 1964),
     # each in proportion to its length; none is thicker than most of the stem it sits on.
-    radius = stem_m[0] * branch_m / lengths(branch_m)
+    radius = stem_m[0] * branch_m / np.sqrt(np.square(branch_m).sum())
     here = np.interp(relative, np.linspace(0, 1, len(stem_m)), stem_m)
     return Branches(nodes, azimuth, branch_m, np.clip(radius, THINNEST_M, 0.6 * here))
 
@@ -180,7 +180,7 @@ def ground_stems(
 
 def volume_m3(branches: Branches) -> float:
     """Volume of round branches of these curves and radii, tip by tip a row of frusta."""
-    step_m = lengths(np.diff(branches.nodes_m, axis=1))
+    step_m = norm(np.diff(branches.nodes_m, axis=1))
     low, high = branches.node_radius_m[:, :-1], branches.node_radius_m[:, 1:]
     return float((np.pi / 3 * step_m * (np.square(low) + low * high + np.square(high))).sum())
 

@@ -12,7 +12,7 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import atan2, cos, hypot, matvec, sin
+from vlp16emu.elementary import atan2, cos, hypot, matvec, norm, sin
 from vlp16emu.types import HeightField, Mesh, PlantPart
 from vlp16emu.world.plants.branches import merged
 from vlp16emu.world.plants.stem_rings import (
@@ -26,7 +26,6 @@ from vlp16emu.world.plants.stem_rings import (
 )
 from vlp16emu.world.plants.surface_roots import ROOT_RINGS, ROOT_SIDES, root_points
 from vlp16emu.world.stand.tiles import TileKey
-from vlp16emu.world.vectors import lengths
 
 __all__ = [
     "STEM_PARTS",
@@ -122,7 +121,7 @@ def _buried_m(trees: Trees, rings: StemRings, height_m: HeightField) -> Array:
         trees["x_m"][:, None] + flare_m * cos(around), trees["y_m"][:, None] + flare_m * sin(around)
     )
     slope = stem_slopes(partial(axis_m, trees, rings.forms), np.zeros((len(trees), 1)))
-    raised_m = (flare_m * lengths(slope))[:, 0]
+    raised_m = (flare_m * norm(slope))[:, 0]
     buried: Array = _BURIED_M + raised_m - np.minimum(ground_m.min(axis=1) - trees["z_m"], 0.0)
     return buried
 

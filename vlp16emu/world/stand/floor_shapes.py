@@ -11,12 +11,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import cos, hypot, matvec, sin
+from vlp16emu.elementary import cos, hypot, matvec, norm, sin
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh
 from vlp16emu.world.plants.branches import merged
 from vlp16emu.world.stand.low_shapes import dwarf_shrub, fern, herb, litter_heap, moss_cushion
-from vlp16emu.world.vectors import lengths, unit
+from vlp16emu.world.vectors import unit
 
 __all__ = [
     "FLOOR_VARIANTS",
@@ -304,5 +304,5 @@ def _tuft(rng: np.random.Generator) -> Mesh:
 
 def _half_width(base: Array, knee: Array, tip: Array) -> float:
     """Half the width of blades that have the tuft's leaf area together; a blade narrows to a fifth above its knee."""
-    lower, upper = (float(lengths(b - a).sum()) for a, b in ((base, knee), (knee, tip)))
+    lower, upper = (float(norm(b - a).sum()) for a, b in ((base, knee), (knee, tip)))
     return _BLADE_AREA * _BLADES / (2 * lower + 1.2 * upper)

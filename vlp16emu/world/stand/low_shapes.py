@@ -7,9 +7,9 @@ pictures in floras.
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import cos, sin
+from vlp16emu.elementary import cos, norm, sin
 from vlp16emu.types import Mesh
-from vlp16emu.world.vectors import lengths, unit
+from vlp16emu.world.vectors import unit
 
 __all__ = ["dwarf_shrub", "fern", "herb", "litter_heap", "moss_cushion"]
 
@@ -100,5 +100,5 @@ def _kites(base: Array, along: Array, wide: Array | float) -> Mesh:
 
 def _unit(vertices: Array, faces: NDArray[np.int64]) -> Mesh:
     """Stretch to a height and a greatest diameter of 1."""
-    vertices = vertices / [*(2 * [2 * lengths(vertices[:, :2]).max()]), vertices[:, 2].max()]
+    vertices = vertices / [*(2 * [2 * norm(vertices[:, :2]).max()]), vertices[:, 2].max()]
     return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import matvec
+from vlp16emu.elementary import matvec, norm
 from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import FarTile, Mesh, Semantic, ShapeKey, Window
 from vlp16emu.world.given.section import hull_m
@@ -26,7 +26,6 @@ from vlp16emu.world.plants.stem import StemKey
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.stand.floor_shapes import GROUND_KINDS, FloorKey, FloorKind
 from vlp16emu.world.stand.tiles import TILE_M, TileKey
-from vlp16emu.world.vectors import lengths
 
 __all__ = ["AllNear", "Thing", "by_tile", "cut_out", "key_text", "things_near"]
 
@@ -238,7 +237,7 @@ def _thing(window: Window, placement: int, corners_m: Array) -> Thing:
     seen_m = (matvec(world_T_shape[:, :3], corners_m) + world_T_shape[:, 3])[:, :2]
     # Shapes of the floor have unit size by what they are, not by their outermost corner.
     unit_m = np.ones(3) if isinstance(key, FloorKey) else np.ptp(corners_m, axis=0)
-    size_m = unit_m * lengths(world_T_shape[:, :3].T)
+    size_m = unit_m * norm(world_T_shape[:, :3].T)
     return Thing(
         placement=placement,
         instance=int(row["instance"]),

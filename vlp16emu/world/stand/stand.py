@@ -1,8 +1,8 @@
 """A stand of trees: where they are, and how large. Tile by tile, from (seed, tile) alone."""
 
+import fractions
 import math
 from collections.abc import Mapping
-from fractions import Fraction
 from functools import lru_cache
 
 import numpy as np
@@ -22,7 +22,16 @@ from vlp16emu.world.settings import Forest
 from vlp16emu.world.stand.points import PointPattern, pattern_of
 from vlp16emu.world.stand.settings import MOST_STEMS_PER_HA, SpeciesShare, Storey
 
-__all__ = ["REGENERATION", "TREE", "Stand", "density_per_ha", "foot_discs", "in_the_way_m", "path_gap_m"]
+__all__ = [
+    "REGENERATION",
+    "TREE",
+    "Stand",
+    "class_scale",
+    "density_per_ha",
+    "foot_discs",
+    "in_the_way_m",
+    "path_gap_m",
+]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -107,6 +116,11 @@ class _Cohort:
     def crown_base_m(self, dbh_cm: Array, height_m: Array) -> Array:
         """Height of the lowest living branch."""
         return self.species.crown_base_m(dbh_cm, height_m, self._top_height_m)
+
+
+def class_scale(ratio: float, number: int) -> float:
+    """Return the size of a class over that of class 0, the whole power of a ratio, correctly rounded."""
+    return float(pow(fractions.Fraction(ratio), number))
 
 
 def foot_discs(trees: Trees, *, table: Mapping[str, Species] | None = None) -> Array:
@@ -254,7 +268,7 @@ class Stand:
         proportion to their crown projection.
         """
         own = self._all_cohorts[cohort]
-        dbh_cm = np.array([own.share.dbh_cm * float(Fraction(_CLASS_RATIO) ** crown_class)])
+        dbh_cm = np.array([own.share.dbh_cm * class_scale(_CLASS_RATIO, crown_class)])
         height_m = own.height_m(dbh_cm)
         width_m = own.species.crown_width_m(dbh_cm)
         leaf_area_m2 = own.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)

@@ -1,7 +1,6 @@
 """What grows under the trees: saplings and shrubs."""
 
 from collections.abc import Sequence
-from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +34,7 @@ from vlp16emu.world.stand.placed import (
 )
 from vlp16emu.world.stand.points import pattern_of
 from vlp16emu.world.stand.settings import Regeneration, Season, Shrubs
-from vlp16emu.world.stand.stand import REGENERATION, TREE
+from vlp16emu.world.stand.stand import REGENERATION, TREE, class_scale
 
 __all__ = ["SaplingLayer", "ShrubLayer"]
 
@@ -208,7 +207,7 @@ def _height_class(height_m: Array) -> NDArray[np.int64]:
 
 def _class_height_m(number: int) -> float:
     """Height of a prototype."""
-    return float(Fraction(_CLASS_RATIO) ** number)
+    return class_scale(_CLASS_RATIO, number)
 
 
 def _brightness(
