@@ -36,6 +36,7 @@ FLOORS = (
     {"sensor", "motion", "world"},
     {
         "compiled",
+        "elementary",
         "errors",
         "explain",
         "gps_time",

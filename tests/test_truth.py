@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import OutputError, ScenarioError
-from vlp16emu.motion.gnss import to_geodetic
+from vlp16emu.motion.geodesy import to_geodetic
 from vlp16emu.packets import decode_position, parse_rmc
 from vlp16emu.scenario import load, scene_files
 from vlp16emu.sinks import TruthTo

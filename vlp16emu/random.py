@@ -10,11 +10,13 @@ As Easy as 1, 2, 3", SC 2011, section 3.2 and table 2. Tests hold it to the auth
 
 import math
 from enum import IntEnum
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import log_of_normal
 from vlp16emu.trig import in_quarter
 
 __all__ = [
@@ -99,6 +101,10 @@ class Purpose(IntEnum):
 
 
 _Word = int | np.uint32
+_Size = int | tuple[int, ...] | None
+
+_NORMAL_TAIL, _EXPONENTIAL_TAIL = 3.6541528853610088, 7.69711747013104972
+"""Numbers beyond come from logarithms (numpy/random/src/distributions/ziggurat_constants.h)."""
 
 
 @numba.njit(
@@ -145,34 +151,13 @@ def uniform_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, flo
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _log(x: float) -> float:
-    """Logarithm of a normal number above 0, within an ulp or so: the algorithm and constants of fdlibm, e_log.c."""
-    bits = np.float64(x).view(np.int64)
-    power = (bits - np.int64(0x3FE6A09E667F3BCD)) >> np.int64(52)  # so that x / 2**power is about 1
-    f = np.int64(bits - (power << np.int64(52))).view(np.float64) - 1.0
-    e = np.int64(power + np.int64(0x4338000000000000)).view(np.float64) - 6755399441055744.0  # as a float
-    s = f / (2.0 + f)
-    z = s * s
-    high = 2.222219843214978396e-01 + z * (
-        1.818357216161805012e-01 + z * (1.531383769920937332e-01 + z * 1.479819860511658591e-01)
-    )
-    rest = z * (
-        6.666666666666735130e-01 + z * (3.999999999940941908e-01 + z * (2.857142874366239149e-01 + z * high))
-    )
-    half = 0.5 * f * f
-    return e * 6.93147180369123816490e-01 - (
-        (half - (s * (half + rest) + e * 1.90821492927058770002e-10)) - f
-    )
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
 def box_muller(a: float, b: float) -> tuple[float, float]:
     """Turn two uniform numbers into two normal ones, by Box and Muller (1958); for use in kernels.
 
     Logarithm, cosine and sine are computed here by additions, products and one quotient, which round alike everywhere.
     There is no branch and no call, so that a loop over lanes draws four at once.
     """
-    radius = math.sqrt(-2.0 * _log(1.0 - a))  # 1 - a is exact
+    radius = math.sqrt(-2.0 * log_of_normal(1.0 - a))  # 1 - a is exact
     quarter = math.floor(4.0 * b + 0.5)
     cosine, sine = in_quarter(quarter, (4.0 * b - quarter) * (0.5 * math.pi))
     return radius * cosine, radius * sine
@@ -236,6 +221,41 @@ def normal(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) -
     return out
 
 
+class _Generator(np.random.Generator):
+    """Numpy's generator with the same bits on every processor.
+
+    Numpy draws normal and exponential numbers by ziggurats (Marsaglia and Tsang 2000), which take products except in the
+    tails, 1 number in 3700 and in 2200. There, and for beta numbers, libm computes logarithms and powers, and its last bit
+    differs between processors. These numbers are rounded to steps of 2**-24: that bit moves fewer than 1 of 1e8 to another
+    step. Elsewhere, in `poisson` too, libm only decides whether a number is drawn again: its last bit turns 1 of 1e14.
+    """
+
+    def standard_normal(self, size: _Size = None) -> Any:  # type: ignore[override]  # float64 alone
+        """Draw standard normal numbers."""
+        return _rounded_beyond(_NORMAL_TAIL, super().standard_normal(size))
+
+    def normal(self, loc: float = 0.0, scale: float = 1.0, size: _Size = None) -> Any:  # type: ignore[override]  # no arrays
+        """Draw normal numbers."""
+        return loc + scale * self.standard_normal(size)
+
+    def standard_exponential(self, size: _Size = None) -> Any:  # type: ignore[override]  # by the ziggurat alone
+        """Draw exponential numbers of mean 1."""
+        return _rounded_beyond(_EXPONENTIAL_TAIL, super().standard_exponential(size))
+
+    def rayleigh(self, scale: Any = 1.0, size: _Size = None) -> Any:  # type: ignore[override]  # any array
+        """Draw numbers of Rayleigh's distribution."""
+        return scale * np.sqrt(2.0 * self.standard_exponential(np.shape(scale) if size is None else size))
+
+    def beta(self, a: Any, b: Any, size: _Size = None) -> Any:  # type: ignore[override]  # any array
+        """Draw numbers of a beta distribution."""
+        return _rounded_beyond(0.0, super().beta(a, b, size))
+
+
+def _rounded_beyond(edge: float, numbers: Any) -> Any:
+    """Round numbers that are farther from 0 than an edge to steps of 2**-24."""
+    return np.where(np.abs(numbers) > edge, np.rint(numbers * 16777216.0) / 16777216.0, numbers)[()]
+
+
 def generator(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:
     """Numpy generator of its own for a thing that stands still, such as a tile or a tree.
 
@@ -244,4 +264,4 @@ def generator(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:
     key : integers that name the thing, negative ones allowed
     """
     words = [seed & 0xFFFFFFFF, seed >> 32, int(purpose), *(k & 0xFFFFFFFFFFFFFFFF for k in key)]
-    return np.random.Generator(np.random.Philox(np.random.SeedSequence(words)))
+    return _Generator(np.random.Philox(np.random.SeedSequence(words)))

@@ -34,7 +34,17 @@ Bundle = Mapping[str, NDArray[np.generic]]
 """Arrays by name."""
 
 _PACKAGE = Path(__file__).parent
-_MAKERS = ("chain", "motion", "raycast", "world", "random.py", "store.py", "trig.py", "types.py")
+_MAKERS = (
+    "chain",
+    "motion",
+    "raycast",
+    "world",
+    "elementary.py",
+    "random.py",
+    "store.py",
+    "trig.py",
+    "types.py",
+)
 """Files and folders of the package that decide what is kept."""
 _MAGIC = b"vlp16emu store 1"
 _NAME = re.compile(r"[0-9a-f]{40}\.world(\.\d+\.part)?")

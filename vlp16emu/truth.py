@@ -17,7 +17,8 @@ from vlp16emu.chain.happenings import Happening, happenings
 from vlp16emu.chain.wire import arriving, earliest_ns, faults_of, timetable
 from vlp16emu.errors import RunError
 from vlp16emu.motion import Gps, Mount
-from vlp16emu.motion.gnss import Receiver, to_geodetic
+from vlp16emu.motion.geodesy import to_geodetic
+from vlp16emu.motion.gnss import Receiver
 from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.pose import Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL

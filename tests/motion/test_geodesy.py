@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.motion import Gps
-from vlp16emu.motion.gnss import to_geodetic, to_local
+from vlp16emu.motion.geodesy import to_geodetic, to_local
 
 ORIGINS = [
     Gps(latitude_deg=62.24, longitude_deg=25.75, height_m=120.0),

@@ -8,7 +8,8 @@ import pytest
 from scipy import stats
 
 from vlp16emu.motion import Gps
-from vlp16emu.motion.gnss import Receiver, to_geodetic, to_local, wander
+from vlp16emu.motion.geodesy import to_geodetic, to_local
+from vlp16emu.motion.gnss import Receiver, wander
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.units import S_NS
 

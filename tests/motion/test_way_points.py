@@ -5,7 +5,7 @@ import pytest
 
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Gps
-from vlp16emu.motion.gnss import to_geodetic
+from vlp16emu.motion.geodesy import to_geodetic
 from vlp16emu.motion.way_points import WayPoints, read_way_points
 
 ORIGIN = Gps(latitude_deg=62.24, longitude_deg=25.75, height_m=100.0)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.chain.parts import Parts
 from vlp16emu.chain.windows import BLOCK, Batching, Windows, windows_of
+from vlp16emu.elementary import norm
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.flown import Cell, FlownMotion
 from vlp16emu.motion.knots import STEP_NS
@@ -90,7 +91,7 @@ class CellWindows(Windows[Geometry]):
         cells: list[tuple[int, Cell]],
     ) -> None:
         built = caster(parts.world, ThreadPoolExecutor(threads, "build", self.yielding))
-        arm_m = max(math.hypot(*unit.mount.lever_arm_m) for unit in parts.units)
+        arm_m = max(float(norm(np.array(unit.mount.lever_arm_m))) for unit in parts.units)
 
         def open_cell(name: _Name) -> Geometry:
             """Open what is within reach of a box."""
@@ -188,7 +189,7 @@ class LiveWindows(CellWindows):
 def _serves(cell: Cell, place_m: NDArray[np.float64], velocity_m_s: NDArray[np.float64]) -> bool:
     """Whether the window of a box serves for a block that begins at a place."""
     middle_m = (np.array(cell[:2]) + 0.5) * _WIDE_M
-    spare_m = _SPARE_M + _SPARE_S * float(np.linalg.norm(velocity_m_s))
+    spare_m = _SPARE_M + _SPARE_S * float(norm(velocity_m_s))
     return bool((np.abs(place_m[:2] - middle_m) <= _WIDE_M / 2 + _ASIDE_M - spare_m).all())
 
 

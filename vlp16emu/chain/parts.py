@@ -3,15 +3,17 @@
 Builds no geometry yet.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from vlp16emu.chain.sending import Sending
 from vlp16emu.chain.timeline import clock_spans, sending_spans, silences_ns, spins, wobbles
 from vlp16emu.device.events import Event
 from vlp16emu.device.gps import GpsInput
 from vlp16emu.device.optics import Optics
+from vlp16emu.elementary import norm
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.imu import ImuSampler
@@ -274,7 +276,9 @@ def assemble(scenario: Scenario, like: Like = None) -> Parts:
 def _world(scenario: Scenario) -> tuple[Motion, World, TreeSway | None]:
     """Make the carrier, the world that it goes through, and what moves its trees."""
     sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
-    reach_m = _STRAY_M + max(sensor.max_range_m + math.hypot(*mount.lever_arm_m) for sensor, mount in sensors)
+    reach_m = _STRAY_M + max(
+        sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors
+    )
     ground = ground_of(section, seed)
     carrier, path_xy_m = make_carrier(
         scenario.motion,

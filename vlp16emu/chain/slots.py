@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.chain.parts import Unit
+from vlp16emu.elementary import matvec
 from vlp16emu.packets.data import distance_lsb, odd_column
 from vlp16emu.packets.layout import NO_ECHO, SEQUENCES_PER_PACKET, SLOT
 from vlp16emu.types import SURFACE, ReturnMode, Returns
@@ -57,9 +58,7 @@ def _rows(unit: Unit, returns: Returns, column: NDArray[np.int64]) -> NDArray[np
     world_m = firings.origin_m + firings.direction * range_m[..., None]
     away_m = world_m.reshape(-1, 3) - poses.world_p_body_m
     rows["world_m"] = world_m
-    rows["sensor_m"] = np.einsum(
-        "nji,nj->ni", np.broadcast_to(poses.world_R_body, (len(away_m), 3, 3)), away_m
-    ).reshape(world_m.shape)
+    rows["sensor_m"] = matvec(poses.world_R_body.swapaxes(-1, -2), away_m).reshape(world_m.shape)
     assert returns.surfaces is not None
     surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row is that of no surface
     met = surfaces[

@@ -1,6 +1,5 @@
 """The `[capture]` table: when the host that records packets takes them to have come."""
 
-import math
 from dataclasses import replace
 from typing import Annotated, Literal
 
@@ -48,12 +47,13 @@ def _own(section: CaptureClock, seed: int) -> CaptureClock:
     """Draw the host of a run."""
     if not section.host_spread:
         return section
-    from vlp16emu.random import Purpose, normal  # here: a scene is read without numba
+    from vlp16emu.elementary import exp  # here: a scene is read without numba
+    from vlp16emu.random import Purpose, normal
 
     names = "jitter_us", "late_share", "late_us"
     drawn = normal(seed, Purpose.CAPTURE_HOST, 0, len(names))
     own = {
-        name: getattr(section, name) * math.exp(section.host_spread * z)
+        name: getattr(section, name) * exp(float(section.host_spread * z))
         for name, z in zip(names, drawn, strict=True)
     }
     return section.model_copy(update=own)
@@ -87,7 +87,8 @@ class HostClock:
 
     def _delay_us(self, packet: Packet) -> float:
         """Draw by how much a packet is late."""
-        from vlp16emu.random import Purpose, normal, uniform  # here: a scene is read without numba
+        from vlp16emu.elementary import log  # here: a scene is read without numba
+        from vlp16emu.random import Purpose, normal, uniform
 
         section, number = self._section, packet.due_ns // US_NS
         lane = packet.unit * _LANES_PER_UNIT + list(type(packet.kind)).index(packet.kind)
@@ -98,5 +99,5 @@ class HostClock:
             float(uniform(self._seed, Purpose.CAPTURE_LATE, 2 * number + i, 1, lane)[0]) for i in (0, 1)
         )
         if is_late < section.late_share:
-            delay_us += -section.late_us * math.log(1.0 - how)
+            delay_us += -section.late_us * log(1.0 - how)
         return min(delay_us, _LONGEST_US)

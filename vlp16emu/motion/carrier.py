@@ -7,6 +7,7 @@ from pathlib import Path as FilePath
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import norm
 from vlp16emu.motion.detour import around
 from vlp16emu.motion.flown import FlownMotion, read_flown
 from vlp16emu.motion.live import LiveMotion
@@ -118,7 +119,7 @@ def _check_place(
     """Warn of poses (n, 3) that lie about the world's origin on the map, below the ground, or out of its sight."""
     plan_m = position_m[:, :2]
     above_m = position_m[:, 2] - height_m(*plan_m.T)
-    if (np.hypot(*(plan_m - origin_m[:2]).T) < np.hypot(*plan_m.T)).all():
+    if (norm(plan_m - origin_m[:2]) < norm(plan_m)).all():
         _log.warning(
             "motion: recorded poses begin at (%.1f, %.1f, %.1f) m, as if in map coordinates; origin_m is not taken off"
             " them: expected motion.x_m = %.10g, y_m = %.10g, z_m = %.10g",

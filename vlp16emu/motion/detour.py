@@ -1,10 +1,9 @@
 """Waypoints that lead around what is in the way."""
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import norm
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.way_points import WayPoints
@@ -36,7 +35,7 @@ def around(points: WayPoints, places_m: Array, gaps_m: Array) -> WayPoints:
     beside = dict[int, tuple[int, Array]]()  # tries and waypoint by place
     for _ in range(_TRIES):
         path = Path(points.xy_m, lambda x, _y: np.zeros_like(x))
-        apart_m = np.array([np.hypot(*(path.xy_m - place_m).T) for place_m in places_m])
+        apart_m = np.array([norm(path.xy_m - place_m) for place_m in places_m])
         short_m = gaps_m - apart_m.min(axis=1)
         worst = int(short_m.argmax())
         if short_m[worst] <= 0:
@@ -44,13 +43,13 @@ def around(points: WayPoints, places_m: Array, gaps_m: Array) -> WayPoints:
         tries, before = beside.get(worst, (0, None))
         nearest = int(apart_m[worst].argmin())
         aside = path.xy_m[nearest] - places_m[worst] if before is None else before - places_m[worst]
-        if math.hypot(*aside) < _SPARE_M:  # through its middle: to the left
+        if norm(aside) < _SPARE_M:  # through its middle: to the left
             ahead = path.xy_m[min(nearest + 1, len(path.xy_m) - 1)] - path.xy_m[max(nearest - 1, 0)]
             aside = np.array([-ahead[1], ahead[0]])
-        to_m = places_m[worst] + aside / math.hypot(*aside) * (gaps_m[worst] + _SPARE_M + tries * _WIDER_M)
+        to_m = places_m[worst] + aside / norm(aside) * (gaps_m[worst] + _SPARE_M + tries * _WIDER_M)
         beside[worst] = tries + 1, to_m
         if before is None:
-            along_m = np.hypot(*np.diff(path.xy_m[: nearest + 1], axis=0).T).sum()
+            along_m = norm(np.diff(path.xy_m[: nearest + 1], axis=0)).sum()
             place = int(np.clip(np.searchsorted(path.way_points_at_m, along_m), 1, len(points.xy_m) - 1))
             points = WayPoints(
                 np.insert(points.xy_m, place, to_m, axis=0), np.insert(points.pause_s, place, 0.0)

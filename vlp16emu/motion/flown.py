@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import norm
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.knots import STEP_NS, Knots
 from vlp16emu.motion.pose import Kinematics
@@ -65,7 +66,7 @@ def read_flown(path: Path) -> Flown:
         states[number] = [finite(f"{where}, column {name}", row[name]) for name in _STATE]
         if row[_CELL] or number == 0:
             cells.append((number, _cell(f"{where}, column {_CELL}", row[_CELL])))
-    lengths = np.linalg.norm(states[:, 3:7], axis=1)
+    lengths = norm(states[:, 3:7])
     if (off := np.abs(lengths - 1.0) > UNIT_TOLERANCE).any():
         i = int(off.argmax())
         raise TrajectoryError(lines[i][0], f"a quaternion of length {lengths[i]:.6g}", "length 1")

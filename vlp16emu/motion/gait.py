@@ -6,8 +6,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import exp, power
 from vlp16emu.motion.settings import Gait
 from vlp16emu.random import Purpose, uniform
+from vlp16emu.trig import cos_sin
 
 __all__ = ["AXES", "Trunk", "step_rate_hz"]
 
@@ -32,7 +34,7 @@ def step_rate_hz(speed_m_s: float) -> float:
     time of swing and speed of walking", Ergonomics 9, 1966. The factor is that of 20 adults who took 111
     steps per minute at 1.19 m/s (Chung et al., J NeuroEng Rehabil 7:9, 2010, table 1).
     """
-    return 111.0 / 60.0 * (speed_m_s / 1.19) ** 0.58
+    return 111.0 / 60.0 * power(speed_m_s / 1.19, 0.58)
 
 
 class Trunk:
@@ -80,7 +82,7 @@ def _lines(seed: int) -> NDArray[np.float64]:
     for lane in range(AXES + 1):
         draw = uniform(seed, Purpose.GAIT, 0, 2 * _LINES, lane).reshape(2, _LINES)
         octave = (np.arange(_LINES) + draw[0]) / _LINES
-        lines[lane, :, 0] = 2.0 * math.pi * _SLOWEST_HZ * (_FASTEST_HZ / _SLOWEST_HZ) ** octave
+        lines[lane, :, 0] = 2.0 * math.pi * _SLOWEST_HZ * power(_FASTEST_HZ / _SLOWEST_HZ, octave)
         lines[lane, :, 1] = 2.0 * math.pi * draw[1]
     return lines
 
@@ -90,7 +92,7 @@ def _slow(lines: NDArray[np.float64], t_s: float) -> float:
     """Process of variance one."""
     total = 0.0
     for k in range(len(lines)):
-        total += math.sin(lines[k, 0] * t_s + lines[k, 1])
+        total += cos_sin(lines[k, 0] * t_s + lines[k, 1])[1]
     return total * math.sqrt(2.0 / len(lines))
 
 
@@ -99,7 +101,7 @@ def _slow_integral(lines: NDArray[np.float64], t_s: float) -> float:
     """Integral of `_slow` from zero, in seconds."""
     total = 0.0
     for k in range(len(lines)):
-        total += (math.cos(lines[k, 1]) - math.cos(lines[k, 0] * t_s + lines[k, 1])) / lines[k, 0]
+        total += (cos_sin(lines[k, 1])[0] - cos_sin(lines[k, 0] * t_s + lines[k, 1])[0]) / lines[k, 0]
     return total * math.sqrt(2.0 / len(lines))
 
 
@@ -119,19 +121,13 @@ def _fill(
         strides = 0.5 * step_hz * (t_s + variation * _slow_integral(lines[_TIMING], t_s))
         stride = 2.0 * math.pi * (strides - math.floor(strides))
         # A step's lowest point and heel strike are at 3/4 of its phase; over the standing leg at 1/4.
-        step, lean = 2.0 * stride, stride + 0.25 * math.pi
-        sway = (
-            math.cos(step),
-            math.sin(lean),
-            math.sin(step),
-            -math.sin(lean),
-            -math.sin(step),
-            math.cos(lean),
-        )
+        step_cos, step_sin = cos_sin(2.0 * stride)
+        lean_cos, lean_sin = cos_sin(stride + 0.25 * math.pi)
+        sway = (step_cos, lean_sin, step_sin, -lean_sin, -step_sin, lean_cos)
         for axis in range(AXES):
             factor = effort[i] * (1.0 + variation * _slow(lines[axis], t_s)) if variation else effort[i]
             motion = amplitude[axis] * sway[axis]
             if axis == 2:
-                motion += amplitude[6] * math.sin(2.0 * step)
-                motion -= amplitude[7] * math.exp(_HEEL_SHARPNESS * (-math.sin(step) - 1.0))
+                motion += amplitude[6] * cos_sin(4.0 * stride)[1]
+                motion -= amplitude[7] * exp(_HEEL_SHARPNESS * (-step_sin - 1.0))
             out[i, axis] = factor * motion

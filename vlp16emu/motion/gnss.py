@@ -9,13 +9,16 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import atan2, exp, hypot, tanh
+from vlp16emu.motion.geodesy import to_geodetic
 from vlp16emu.motion.pose import Motion
 from vlp16emu.motion.settings import Gps
 from vlp16emu.random import Purpose, normal_pair, uniform_pair
+from vlp16emu.trig import cos_sin
 from vlp16emu.types import GnssFix
 from vlp16emu.units import S_NS
 
-__all__ = ["GnssReading", "Receiver", "Sky", "to_geodetic", "to_local", "wander"]
+__all__ = ["GnssReading", "Receiver", "Sky", "wander"]
 
 Array = NDArray[np.float64]
 
@@ -27,6 +30,8 @@ _EAST, _NORTH, _LOSS = 0, 1, 2
 """Lanes of the wandering processes."""
 _LOSS_S = 10.0
 """Correlation time of what lets fixes fail: some 12 m of walking, the spacing of great crowns; assumption."""
+_FARTHEST_Z, _NORMAL_PEAK = 8.0, 0.3989422804014327
+"""Where the normal distribution is 0 or 1 within 1e-15, and its greatest density, 1 / sqrt(2 pi)."""
 _HELD_S = 10
 """For so long a receiver repeats its last fix."""
 _FASTEST_M_S = 999 * 1852 / 3600
@@ -94,8 +99,8 @@ class Receiver:
             valid=self.reading(t_ns).valid,
             latitude_deg=latitude_deg,
             longitude_deg=longitude_deg,
-            speed_m_s=min(math.hypot(east_m_s, north_m_s), _FASTEST_M_S),
-            course_deg=math.degrees(math.atan2(east_m_s, north_m_s)) % 360.0,
+            speed_m_s=min(hypot(east_m_s, north_m_s), _FASTEST_M_S),
+            course_deg=math.degrees(atan2(east_m_s, north_m_s)) % 360.0,
         )
 
 
@@ -126,9 +131,21 @@ def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) ->
 def _lost(gps: Gps, seed: int, second: int, cover: float) -> bool:
     """Whether a second has no fix: with a probability that is logistic in the cover, in spells of some 10 s."""
     odds = (cover - gps.canopy_half_cover) / gps.canopy_cover_width
-    probability = 0.5 + 0.5 * math.tanh(0.5 * odds)
-    level = 0.5 * math.erfc(wander(seed, _LOSS, second, _LOSS_S) / math.sqrt(2.0))
-    return level < probability
+    probability = 0.5 + 0.5 * tanh(0.5 * odds)
+    return _exceeded(wander(seed, _LOSS, second, _LOSS_S)) < probability
+
+
+def _exceeded(z: float) -> float:
+    """Probability that a standard normal number is above z, within 1e-15, by the power series of the distribution.
+
+    Source: Marsaglia, "Evaluating the normal distribution", J. Statistical Software 11(4), 2004.
+    """
+    z = min(max(z, -_FARTHEST_Z), _FARTHEST_Z)
+    total, term, odd = 0.0, z, 1.0
+    while total + term != total:
+        total, odd = total + term, odd + 2.0
+        term *= z * z / odd
+    return 0.5 - total * exp(-0.5 * z * z) * _NORMAL_PEAK
 
 
 @numba.njit(cache=True, nogil=True)
@@ -149,26 +166,9 @@ def wander(seed: int, lane: int, second: int, correlation_s: float) -> float:
     for wave in range(_WAVES):
         share, _ = uniform_pair(seed, Purpose.GNSS_WANDER, wave, 2 * lane)
         a, b = normal_pair(seed, Purpose.GNSS_WANDER, wave, 2 * lane + 1)
-        hz = math.tan(0.5 * math.pi * (wave + share) / _WAVES) / (2.0 * math.pi * correlation_s)
+        cosine, sine = cos_sin(0.5 * math.pi * (wave + share) / _WAVES)
+        hz = sine / cosine / (2.0 * math.pi * correlation_s)
         # At whole seconds whole hertz do not count, nor whole turns.
-        angle = 2.0 * math.pi * (hz % 1.0 * second % 1.0)
-        total += a * math.cos(angle) + b * math.sin(angle)
+        cosine, sine = cos_sin(2.0 * math.pi * (hz % 1.0 * second % 1.0))
+        total += a * cosine + b * sine
     return total / math.sqrt(_WAVES)
-
-
-def to_local(geodetic: Array, gps: Gps) -> Array:
-    """East, north and up in metres (n, 3) of points (n, 3): latitude and longitude in degrees, height in metres.
-
-    The world is the plane that touches the ellipsoid (WGS 84) under its origin, and the earth curves away below it: by
-    0.8 m at 3.2 km.
-    """
-    from pymap3d import geodetic2enu  # here: it takes 40 ms, and a run without GPS has no use for it
-
-    return np.column_stack(geodetic2enu(*geodetic.T, gps.latitude_deg, gps.longitude_deg, gps.height_m))
-
-
-def to_geodetic(local_m: Array, gps: Gps) -> Array:
-    """Latitude and longitude in degrees and height in metres (n, 3) of world points (n, 3); see `to_local`."""
-    from pymap3d import enu2geodetic
-
-    return np.column_stack(enu2geodetic(*local_m.T, gps.latitude_deg, gps.longitude_deg, gps.height_m))

@@ -8,13 +8,16 @@ of 1 GHz costs no more and is as exact as one of 1 Hz.
 """
 
 import math
+import operator
 from collections.abc import Callable
 from functools import lru_cache
+from itertools import accumulate, repeat
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, exp, expm1, matvec, sin
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.gait import AXES
 from vlp16emu.motion.settings import Harness
@@ -28,8 +31,8 @@ NODES_PER_KNOT = 5
 
 _REACH = 4
 """Samples needed before the first knot and after the last one of a second."""
-_FORGOTTEN = math.log(1e17)
-"""A swing that has decayed by this is under the last bit of what it was."""
+_FORGOTTEN = 39.14394658089878
+"""Logarithm of 1e17. A swing that has decayed by this is under the last bit of what it was."""
 _LONGEST_S = 600
 """Straps that swing longer than this after a push are refused: the gait would shake them up without bound."""
 
@@ -120,7 +123,7 @@ class Pack:
         """
         state = np.zeros((AXES, 2))
         for past in range(max(0, second - self._memory_s), second):
-            state = np.einsum("aij,aj->ai", self._second, state) + self._pushed(past)
+            state = matvec(self._second, state) + self._pushed(past)
         return state
 
     def _push(self, second: int) -> NDArray[np.float64]:
@@ -248,13 +251,13 @@ def _free(omega: float, z: float, s: float) -> tuple[float, float, float]:
     spread2 = (1.0 - z) * (1.0 + z) * omega * omega
     if spread2 >= 0.0:
         turn = math.sqrt(spread2)
-        fade = math.exp(-z * omega * s)
-        sine = fade * (math.sin(turn * s) / turn if turn else s)
-        cosine = fade * math.cos(turn * s)
+        fade = exp(-z * omega * s)
+        sine = fade * (sin(turn * s) / turn if turn else s)
+        cosine = fade * cos(turn * s)
         return cosine + z * omega * sine, sine, cosine - z * omega * sine
     slow, fast, gap = _rates(omega, z)
-    late, early = math.exp(slow * s), math.exp(fast * s)
-    impulse = late * -math.expm1(-gap * s) / gap
+    late, early = exp(slow * s), exp(fast * s)
+    impulse = late * -expm1(-gap * s) / gap
     return (slow * early - fast * late) / gap, impulse, (slow * late - fast * early) / gap
 
 
@@ -266,13 +269,12 @@ def _rates(omega: float, z: float) -> tuple[float, float, float]:
 
 def _forced_by_series(omega: float, z: float, s: float) -> list[float]:
     """By the power series of the impulse response: for oscillators slow against s."""
-    forced = [0.0] * _POWERS
+    forced, powers = [0.0] * _POWERS, _powers(s, 60 + _POWERS)
     before, term = 0.0, 1.0  # coefficients of t^(n - 1) and t^n in G
     for n in range(1, 60):
         for i in range(_POWERS):
-            forced[i] += (
-                term * math.factorial(i) * math.factorial(n) / math.factorial(n + i + 1) * s ** (n + i + 1)
-            )
+            share = math.factorial(i) * math.factorial(n) / math.factorial(n + i + 1)
+            forced[i] += term * share * powers[n + i + 1]
         before, term = term, (-2.0 * z * omega * n * term - omega * omega * before) / (n * (n + 1))
     return forced
 
@@ -295,15 +297,21 @@ def _forced_by_polynomial(omega: float, z: float, s: float) -> list[float]:
 def _forced_by_rates(omega: float, z: float, s: float) -> list[float]:
     """By the two real exponentials of an overdamped oscillator, quick against slow."""
     slow, fast, gap = _rates(omega, z)
-    late, early = _phi(slow * s), _phi(fast * s)
-    return [math.factorial(i) * s ** (i + 1) * (late[i] - early[i]) / gap for i in range(_POWERS)]
+    late, early, powers = _phi(slow * s), _phi(fast * s), _powers(s, _POWERS + 1)
+    return [math.factorial(i) * powers[i + 1] * (late[i] - early[i]) / gap for i in range(_POWERS)]
+
+
+def _powers(x: float, count: int) -> list[float]:
+    """Powers of x from 0 on, by products: `**` is the library's."""
+    return list(accumulate(repeat(x, count - 1), initial=1.0, func=operator.mul))
 
 
 def _phi(x: float) -> list[float]:
     """Functions phi_1 .. phi_4 of exponential integrators (Hochbruck and Ostermann, Acta Numerica 19, 2010)."""
     if abs(x) < _SLOW:
-        return [sum(x**n / math.factorial(n + k) for n in range(60)) for k in range(1, _POWERS + 1)]
-    phi = [math.exp(x)]
+        powers = _powers(x, 60)
+        return [sum(powers[n] / math.factorial(n + k) for n in range(60)) for k in range(1, _POWERS + 1)]
+    phi = [exp(x)]
     for k in range(_POWERS):
         phi.append((phi[-1] - 1.0 / math.factorial(k)) / x)
     return phi[1:]

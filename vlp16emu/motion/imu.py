@@ -7,6 +7,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matvec
 from vlp16emu.motion.pose import Motion
 from vlp16emu.motion.settings import Imu
 from vlp16emu.random import Purpose, normal, normal_pair
@@ -60,7 +61,7 @@ class ImuSampler:
         t_ns = self._start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // self._imu.rate_hz
         truth = self._motion.kinematics_at(t_ns)
         up = truth.world_a_body_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
-        force = np.asarray(truth.world_R_body.swapaxes(1, 2) @ up[:, :, None])[:, :, 0]
+        force = matvec(truth.world_R_body.swapaxes(1, 2), up)
         e = self._imu
         gyro = (e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz)
         accel = (e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz)

@@ -6,8 +6,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import atan2, exp
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.motion.recorded import fill_poses, fill_rates
+from vlp16emu.trig import cos_sin
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
@@ -135,8 +137,9 @@ def _fill_piece(begin: Array, end: Array, step_s: float, out: Array) -> None:
 def _exp(vector: Array, out: Array) -> None:
     """Fill the quaternion of a rotation vector (3,)."""
     angle = math.sqrt((vector * vector).sum())
-    share = 0.5 - angle * angle / 48.0 if angle < _SMALL else math.sin(0.5 * angle) / angle
-    out[:3], out[3] = share * vector, math.cos(0.5 * angle)
+    cosine, sine = cos_sin(0.5 * angle)
+    share = 0.5 - angle * angle / 48.0 if angle < _SMALL else sine / angle
+    out[:3], out[3] = share * vector, cosine
 
 
 @numba.njit(cache=True, nogil=True)
@@ -146,7 +149,7 @@ def turn_between(old: Array, new: Array) -> Array:
     _multiply(back, new, q)
     sine = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     sign = -1.0 if q[3] < 0.0 else 1.0
-    angle = 2.0 * math.atan2(sine, abs(q[3]))
+    angle = 2.0 * atan2(sine, abs(q[3]))
     return q[:3] * (sign * (2.0 if sine < _SMALL else angle / sine))
 
 
@@ -162,8 +165,8 @@ def _turned_back(by: Array, vector: Array) -> Array:
     angle = math.sqrt((by * by).sum())
     if angle < _SMALL:
         return vector - _cross(by, vector)
-    across = _cross(by, vector)
-    return vector - math.sin(angle) / angle * across + (1.0 - math.cos(angle)) / angle**2 * _cross(by, across)
+    across, (cosine, sine) = _cross(by, vector), cos_sin(angle)
+    return vector - sine / angle * across + (1.0 - cosine) / (angle * angle) * _cross(by, across)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -173,11 +176,9 @@ def _rate_of(phi: Array, change: Array) -> Array:
     across = _cross(phi, change)
     if angle < 1e-4:
         return change - 0.5 * across + _cross(phi, across) / 6.0
-    return (
-        change
-        - (1.0 - math.cos(angle)) / angle**2 * across
-        + (angle - math.sin(angle)) / angle**3 * _cross(phi, across)
-    )
+    cosine, sine = cos_sin(angle)
+    far = (angle - sine) / (angle * angle * angle)
+    return change - (1.0 - cosine) / (angle * angle) * across + far * _cross(phi, across)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -185,8 +186,8 @@ def _change_of(phi: Array, rate: Array) -> Array:
     """Change of phi from the body rate (3,) of exp(phi): the inverse of `_rate_of` (eq. 144)."""
     angle = math.sqrt((phi * phi).sum())
     across = _cross(phi, rate)
-    half = 0.5 * angle
-    share = 1.0 / 12.0 if angle < 1e-4 else (1.0 - half / math.tan(half)) / angle**2
+    cosine, sine = cos_sin(0.5 * angle)
+    share = 1.0 / 12.0 if angle < 1e-4 else (1.0 - 0.5 * angle * cosine / sine) / (angle * angle)
     return rate + 0.5 * across + share * _cross(phi, across)
 
 
@@ -196,7 +197,7 @@ def _coast(since_s: float) -> tuple[float, float]:
     late_s = since_s - _COAST_S
     if late_s <= 0.0:
         return since_s, 1.0
-    left = math.exp(-late_s / _COAST_S)
+    left = exp(-late_s / _COAST_S)
     return _COAST_S + _COAST_S * (1.0 - left), left
 
 
@@ -204,7 +205,7 @@ def _coast(since_s: float) -> tuple[float, float]:
 def _settle(error: Array, change: Array, per_s: float, step_s: float) -> tuple[Array, Array]:
     """Solve e'' + 2 w e' + w^2 e = 0, critically damped, over a step: the error (3,) and its change."""
     push = change + per_s * error
-    fade = math.exp(-per_s * step_s)
+    fade = exp(-per_s * step_s)
     return (error + push * step_s) * fade, (change - per_s * push * step_s) * fade
 
 

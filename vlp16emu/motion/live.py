@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import norm
 from vlp16emu.errors import InputError, TrajectoryError
 from vlp16emu.motion.knots import GAP_M, GAP_RAD, STATE, STEP_NS, Knots, follow, turn_between
 from vlp16emu.motion.live_settings import Live
@@ -167,8 +168,8 @@ class PoseInput:
         if self.last is None:
             return False
         last, since_s = self.last.state, (at_ns - self.last.at_ns) / S_NS
-        off_m = np.linalg.norm(pose[:3] - last[:3] - since_s * last[7:10])
-        off_rad = np.linalg.norm(turn_between(last[3:7], pose[3:]) - since_s * last[10:])
+        off_m = norm(pose[:3] - last[:3] - since_s * last[7:10])
+        off_rad = norm(turn_between(last[3:7], pose[3:]) - since_s * last[10:])
         most = 1.0 + _MOST_PULL * since_s * since_s
         return bool(off_m > GAP_M * most or off_rad > GAP_RAD * most)
 
@@ -319,7 +320,7 @@ def _checked(position_m: Sequence[float], quaternion: Sequence[float]) -> Array:
         raise TrajectoryError("pose", f"found {numbers}", "finite numbers")
     if max(map(abs, numbers[:3])) > _FARTHEST_M:
         raise TrajectoryError("pose", f"found a place at {numbers[:3]} m", f"at most {_FARTHEST_M:g} m")
-    length = math.hypot(*numbers[3:])
+    length = float(norm(np.array(numbers[3:])))
     if abs(length - 1.0) > UNIT_TOLERANCE:
         raise TrajectoryError(
             "pose", f"a quaternion of length {length:.6g}", f"length 1, to {UNIT_TOLERANCE:g}"

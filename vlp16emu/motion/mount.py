@@ -6,8 +6,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matmul, matvec, norm
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.motion.settings import Mount
+from vlp16emu.trig import cos_sin
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
@@ -33,10 +35,10 @@ class MountedMotion:
         self._carrier, self._start_ns = carrier, start_ns
         self._arm_m = np.array(mount.lever_arm_m)
         tilt = rotation(mount.yaw_deg, mount.pitch_deg, mount.roll_deg)
-        axis = np.array(mount.spin_axis) / np.linalg.norm(mount.spin_axis)
+        axis = np.array(mount.spin_axis) / norm(np.array(mount.spin_axis))
         across = np.cross(np.eye(3), axis)
         # Rodrigues: tilt, its product with the axis' cross matrix, and with that matrix squared.
-        self._tilts = np.stack([tilt, across @ tilt, across @ across @ tilt])
+        self._tilts = np.stack([tilt, matmul(across, tilt), matmul(matmul(across, across), tilt)])
         self._spin_hz, self._spin_rad_s = mount.spin_hz, 2.0 * math.pi * mount.spin_hz * axis
         self.moves = carrier.moves or mount.spin_hz != 0.0
 
@@ -74,12 +76,12 @@ class MountedMotion:
             t_ns=t_ns,
             world_R_body=R,
             world_p_body_m=p,
-            world_v_body_m_s=of.world_v_body_m_s + _turned(of.world_R_body, swing),
+            world_v_body_m_s=of.world_v_body_m_s + matvec(of.world_R_body, swing),
             world_a_body_m_s2=of.world_a_body_m_s2
-            + _turned(of.world_R_body, np.cross(alpha, arm) + np.cross(w, swing)),
-            body_w_rad_s=_turned(device_R_body, w + spin),
+            + matvec(of.world_R_body, np.cross(alpha, arm) + np.cross(w, swing)),
+            body_w_rad_s=matvec(device_R_body, w + spin),
             # The stage's axis is fixed in the carrier, so the carrier's rate turns it.
-            body_alpha_rad_s2=_turned(device_R_body, alpha + np.cross(w, spin)),
+            body_alpha_rad_s2=matvec(device_R_body, alpha + np.cross(w, spin)),
         )
 
     def _turns(self, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -90,11 +92,6 @@ class MountedMotion:
         out = np.empty((len(t_ns), 3, 3))
         _spin(elapsed_ns // S_NS, elapsed_ns % S_NS, self._spin_hz, self._tilts, out)
         return out
-
-
-def _turned(R: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotations (n, 3, 3) applied to vectors (n, 3)."""
-    return np.asarray(R @ vector[:, :, None])[:, :, 0]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -109,7 +106,7 @@ def _spin(
     for i in range(len(out)):
         revolutions = spin_hz * whole_s[i] % 1.0 + spin_hz * (rest_ns[i] * 1.0e-9)
         angle = 2.0 * math.pi * revolutions
-        c, s = math.cos(angle), math.sin(angle)
+        c, s = cos_sin(angle)
         for a in range(3):
             for b in range(3):
                 out[i, a, b] = tilts[0, a, b] + s * tilts[1, a, b] + (1.0 - c) * tilts[2, a, b]

@@ -3,20 +3,19 @@
 import hashlib
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import atan2, hypot, norm
 from vlp16emu.errors import TrajectoryError
+from vlp16emu.motion.splines import Spline, interpolant
 from vlp16emu.store import recalled
 from vlp16emu.types import HeightField
 
-if TYPE_CHECKING:  # imported where curves are made: it takes 0.2 s, and a static sensor needs none
-    from scipy.interpolate import BSpline, CubicSpline
-
-__all__ = ["Path", "limit_slope", "taylor"]
+__all__ = ["Path", "limit_slope"]
 
 Array = NDArray[np.float64]
 
@@ -28,8 +27,8 @@ _FARTHEST_M = 1e6
 """From the origin of the scene; so far the ground is good to a nanometre."""
 _SMALLEST_RADIUS_M = 0.1
 """Of a turn. A body that is 0.4 m wide turns on the spot rather than along a smaller arc (assumption)."""
-_STEEPEST_DEG = 60.0
-"""Of the ground along the path; steeper is climbed by hand (assumption)."""
+_STEEPEST_DEG, _STEEPEST = 60.0, 1.7320508075688772
+"""Slope of the ground along the path, and its tangent; steeper is climbed by hand (assumption)."""
 _KNOT_M = 0.25
 """Greatest distance between knots: resolves the ground under a walker, smoothed over a pace."""
 _KNOT_RAD = 0.125
@@ -43,7 +42,14 @@ _PACE_M = 0.7
 """Length of a pace at a common walking speed (Perry and Burnfield, "Gait Analysis", 2nd ed., chapter 20)."""
 _HEIGHT_M = 0.1
 """Distance between the heights that are taken from the ground."""
-_GAUSS_X, _GAUSS_WEIGHT = np.polynomial.legendre.leggauss(5)
+_GAUSS = (
+    (-0.906179845938664, 0.23692688505618908),
+    (-0.5384693101056831, 0.47862867049936647),
+    (0.0, 0.5688888888888889),
+    (0.5384693101056831, 0.47862867049936647),
+    (0.906179845938664, 0.23692688505618908),
+)
+"""Places between -1 and 1, and weights, of Gauss and Legendre's quadrature (Abramowitz and Stegun, table 25.4)."""
 
 
 class Path:
@@ -67,7 +73,6 @@ class Path:
     """
 
     def __init__(self, way_points_m: Array, height_m: HeightField, ground: str = "") -> None:
-        # Kept for the import of scipy's splines, which takes 0.4 s of a start.
         name = ground and f"path {ground} {hashlib.sha256(way_points_m.tobytes()).hexdigest()}"
         laid = recalled(
             name, lambda: _curve_through(way_points_m, height_m), lambda kept: kept, lambda kept: kept
@@ -108,11 +113,6 @@ class Path:
         return point_m, heading_rad
 
 
-def taylor(spline: "BSpline", breaks: Array) -> Array:
-    """Coefficients of the pieces of a quintic spline, lowest power first: (6, k - 1, ...) for breaks (k,)."""
-    return np.stack([spline.derivative(power)(breaks[:-1]) / math.factorial(power) for power in range(6)])
-
-
 @numba.njit(cache=True, nogil=True)
 def limit_slope(values: NDArray[np.float64], step: NDArray[np.float64]) -> None:
     """Lower values (n,) in place, as little as possible, until neighbours i and i + 1 differ by step[i] at most.
@@ -138,31 +138,29 @@ def _curve_through(way_points_m: Array, height_m: HeightField) -> Mapping[str, N
     TrajectoryError
         where a person cannot walk through the waypoints
     """
-    from scipy.interpolate import CubicSpline
-
     _check_way_points(way_points_m)
-    closed = math.dist(way_points_m[0], way_points_m[-1]) < _APART_M
+    closed = bool(norm(way_points_m[-1] - way_points_m[0]) < _APART_M)
     origin_m = np.append(way_points_m[0], 0.0)
     points_m = way_points_m - way_points_m[0]
     if closed:
         points_m[-1] = points_m[0]
     # Centripetal parameters keep the curve from looping where waypoints are unevenly spaced
     # (Lee, "Choosing nodes in parametric curve interpolation", CAD 21(6), 1989).
-    u = np.concatenate([[0.0], np.cumsum(np.sqrt(np.hypot(*np.diff(points_m, axis=0).T)))])
-    cubic = CubicSpline(u, points_m, bc_type="periodic" if closed else "natural")
+    u = np.concatenate([[0.0], np.cumsum(np.sqrt(norm(np.diff(points_m, axis=0))))])
+    cubic = interpolant(u, points_m, ends="periodic" if closed else "natural")
     knots, at_way_points = _knots(cubic, u, way_points_m, closed)
     plan, along_m = _by_length(cubic, knots, closed)
     z_m = _heights(plan, along_m, origin_m, height_m, closed)
     solid = _spline(along_m, np.column_stack([plan(along_m), z_m(along_m)]), closed)
     _check_slope(solid, along_m, origin_m)
     spline, knots_m = _by_length(solid, along_m, closed)
-    coefficients, tangent = taylor(spline, knots_m), spline(knots_m, 1)
+    coefficients, tangent = spline.powers.copy(), spline(knots_m, 1)
     coefficients[0] += origin_m
     return {
         "knots_m": knots_m,
         # (6, pieces, 3): powers of the distance into the piece, lowest first.
         "coefficients": np.ascontiguousarray(coefficients),
-        "heading_rad": np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0])),
+        "heading_rad": np.unwrap(atan2(tangent[:, 1], tangent[:, 0])),
         "closed": np.array(closed),
         "way_points_at_m": knots_m[at_way_points],
         "xy_m": np.ascontiguousarray((spline(knots_m) + origin_m)[:, :2]),
@@ -181,26 +179,24 @@ def _check_way_points(way_points_m: Array) -> None:
             raise TrajectoryError(
                 where, f"found {tuple(point.tolist())}", f"within {_FARTHEST_M:g} m of the origin"
             )
-        if i and math.dist(point, way_points_m[i - 1]) < _APART_M:
+        if i and norm(point - way_points_m[i - 1]) < _APART_M:
             place_m = float(point[0]), float(point[1])
             expected = "at least 1 cm between waypoints"
             raise TrajectoryError(where, "coincides with the one before it", expected, at_m=place_m)
-    length_m = float(np.hypot(*np.diff(way_points_m, axis=0).T).sum())
+    length_m = float(norm(np.diff(way_points_m, axis=0)).sum())
     if length_m > _LONGEST_M:
         found = f"found {length_m / 1000:.4g} km from first to last"
         raise TrajectoryError("waypoints", found, f"at most {_LONGEST_M / 1000:g} km")
 
 
-def _knots(
-    cubic: "CubicSpline", u: Array, way_points_m: Array, closed: bool
-) -> tuple[Array, NDArray[np.int64]]:
+def _knots(cubic: Spline, u: Array, way_points_m: Array, closed: bool) -> tuple[Array, NDArray[np.int64]]:
     """Parameters of the knots, dense in turns, and which of them are the waypoints."""
-    chords_m = np.hypot(*np.diff(way_points_m, axis=0).T)
+    chords_m = norm(np.diff(way_points_m, axis=0))
     counts = np.maximum(_FEWEST_SAMPLES, np.ceil(chords_m / _SAMPLE_M)).astype(np.int64)
     at = np.concatenate([[0], np.cumsum(counts)])
     fine = np.interp(np.arange(at[-1] + 1), at, u)
     steps = np.diff(cubic(fine), axis=0)
-    lengths_m = np.hypot(*steps.T)
+    lengths_m = norm(steps)
     curvature = _curvature(steps, closed)
     _check_radius(curvature, cubic(fine) + way_points_m[0], np.searchsorted(at, np.arange(len(fine))))
     # The curve bends most suddenly where waypoints are near each other, and a spline is least sure at its ends.
@@ -225,11 +221,10 @@ def _knots(
 def _curvature(steps: Array, closed: bool) -> Array:
     """Curvature (n,) at n samples, from the angles between the n - 1 steps; infinite where they halt."""
     before, after = (np.roll(steps, 1, axis=0), steps) if closed else (steps[:-1], steps[1:])
-    turn = np.abs(
-        np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1))
-    )
-    mean_m = np.hypot(*before.T) / 2 + np.hypot(*after.T) / 2
-    inner = np.where(np.minimum(np.hypot(*before.T), np.hypot(*after.T)) > 1e-9, turn, np.inf) / mean_m
+    ahead, aside = (before * after).sum(axis=1), before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    before_m, after_m = norm(before), norm(after)
+    turn = np.where(np.minimum(before_m, after_m) > 1e-9, np.abs(atan2(aside, ahead)), np.inf)
+    inner = turn / (before_m / 2 + after_m / 2)
     if closed:
         return np.append(inner, inner[0])
     return np.concatenate([inner[:1], inner, inner[-1:]])
@@ -248,59 +243,58 @@ def _check_radius(curvature: Array, points_m: Array, number: NDArray[np.int64]) 
         )
 
 
-def _spline(at: Array, points_m: Array, closed: bool) -> "BSpline":
+def _spline(at: Array, points_m: Array, closed: bool) -> Spline:
     """Quintic spline through points."""
-    from scipy.interpolate import make_interp_spline
-
     if not closed:
-        return make_interp_spline(at, points_m, k=5)
-    return make_interp_spline(at, np.concatenate([points_m[:-1], points_m[:1]]), k=5, bc_type="periodic")
+        return interpolant(at, points_m, 5)
+    return interpolant(at, np.concatenate([points_m[:-1], points_m[:1]]), 5, "periodic")
 
 
-def _by_length(curve: "BSpline | CubicSpline", knots: Array, closed: bool) -> "tuple[BSpline, Array]":
+def _by_length(curve: Spline, knots: Array, closed: bool) -> tuple[Spline, Array]:
     """Draw a curve again with its own length as the parameter: the spline and its knots."""
-    half = np.diff(knots) / 2
-    at = (knots[1:] - half)[:, None] + half[:, None] * _GAUSS_X
-    speed = np.sqrt((curve(at.reshape(-1), 1) ** 2).sum(axis=1)).reshape(at.shape)
-    along_m = np.concatenate([[0.0], np.cumsum(half * (speed @ _GAUSS_WEIGHT))])
+    half, mean_speed = np.diff(knots) / 2, np.zeros(len(knots) - 1)
+    for place, weight in _GAUSS:
+        mean_speed += weight * norm(curve((knots[1:] - half) + half * place, 1))
+    along_m = np.concatenate([[0.0], np.cumsum(half * mean_speed)])
     return _spline(along_m, curve(knots), closed), along_m
 
 
-def _heights(
-    plan: "BSpline", along_m: Array, origin_m: Array, height_m: HeightField, closed: bool
-) -> "CubicSpline":
+def _heights(plan: Spline, along_m: Array, origin_m: Array, height_m: HeightField, closed: bool) -> Spline:
     """Heights along the plan as the hip takes them: the mean of the ground from a pace behind to one ahead.
 
     The weight falls linearly to nothing over a pace, since two feet in turn carry the hip (assumption).
     Beyond the ends the ground goes on point-symmetrically, so even slopes stay as they are.
     """
-    from scipy.interpolate import CubicSpline
-
     count = max(8, math.ceil(along_m[-1] / _HEIGHT_M))
     at_m = np.linspace(0.0, along_m[-1], count + 1)
     xy_m = plan(at_m) + origin_m[:2]
     ground_m = height_m(xy_m[:, 0], xy_m[:, 1])
     reach = math.ceil(_PACE_M * count / along_m[-1])
-    weight = np.arange(1, reach + 1) / reach**2
-    weight = np.concatenate([weight, weight[-2::-1]])
     if closed:
-        padded = np.pad(ground_m[:-1], reach - 1, mode="wrap")
-        smooth = np.convolve(padded, weight, mode="valid")
-        return CubicSpline(at_m, np.append(smooth, smooth[0]), bc_type="periodic")
+        smooth = _smoothed(np.pad(ground_m[:-1], reach - 1, mode="wrap"), reach)
+        return interpolant(at_m, np.append(smooth, smooth[0])[:, None], ends="periodic")
     padded = np.pad(ground_m, reach - 1, mode="reflect", reflect_type="odd")
-    return CubicSpline(at_m, np.convolve(padded, weight, mode="valid"))
+    return interpolant(at_m, _smoothed(padded, reach)[:, None])
 
 
-def _check_slope(solid: "BSpline", along_m: Array, origin_m: Array) -> None:
+def _smoothed(padded: Array, reach: int) -> Array:
+    """Mean (n,) of values (n + 2 reach - 2,) with weights that fall linearly to nothing over `reach` steps."""
+    out = np.zeros(len(padded) - 2 * reach + 2)
+    for k in range(1 - reach, reach):
+        out += (reach - abs(k)) / (reach * reach) * padded[reach - 1 + k : reach - 1 + k + len(out)]
+    return out
+
+
+def _check_slope(solid: Spline, along_m: Array, origin_m: Array) -> None:
     """Refuse ground that is too steep to walk up or down."""
     dx, dy, dz = solid(along_m, 1).T
-    slope = np.abs(dz) / np.hypot(dx, dy)
+    slope = np.abs(dz) / hypot(dx, dy)
     worst = int(slope.argmax())
-    if slope[worst] > math.tan(math.radians(_STEEPEST_DEG)):
-        x_m, y_m, _ = solid(along_m[worst]) + origin_m
+    if slope[worst] > _STEEPEST:
+        x_m, y_m, _ = solid(along_m[worst : worst + 1])[0] + origin_m
         raise TrajectoryError(
             f"path at ({x_m:.2f}, {y_m:.2f}) m",
-            f"the ground rises or falls by {math.degrees(math.atan(slope[worst])):.0f} degrees",
+            f"the ground rises or falls by {math.degrees(atan2(float(slope[worst]), 1.0)):.0f} degrees",
             f"at most {_STEEPEST_DEG:g} degrees",
             at_m=(float(x_m), float(y_m)),
         )
@@ -336,7 +330,7 @@ def _evaluate(
         y3 = (60.0 * c[5, 1] * d + 24.0 * c[4, 1]) * d + 6.0 * c[3, 1]
         x1, y1, x2, y2 = point_m[i, 1, 0], point_m[i, 1, 1], point_m[i, 2, 0], point_m[i, 2, 1]
         # From the knot's own heading, so that it stays continuous where atan2 does not.
-        turn = math.atan2(c[1, 0] * y1 - c[1, 1] * x1, c[1, 0] * x1 + c[1, 1] * y1)
+        turn = atan2(c[1, 0] * y1 - c[1, 1] * x1, c[1, 0] * x1 + c[1, 1] * y1)
         heading_rad[i, 0] = heading_at_knot[piece] + turn + lap * (heading_at_knot[-1] - heading_at_knot[0])
         run2 = x1 * x1 + y1 * y1
         rate = (x1 * y2 - y1 * x2) / run2

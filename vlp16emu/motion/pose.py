@@ -99,8 +99,8 @@ def body_rate(
 
     Source: the z-y-x Euler kinematic equations, for instance Diebel, "Representing Attitude", 2006, section 5.
     """
-    cr, sr = math.cos(angle_rad[0]), math.sin(angle_rad[0])
-    cp, sp = math.cos(angle_rad[1]), math.sin(angle_rad[1])
+    cr, sr = cos_sin(angle_rad[0])
+    cp, sp = cos_sin(angle_rad[1])
     roll, pitch, yaw = rate_rad_s
     roll2, pitch2, yaw2 = acceleration_rad_s2
     w_rad_s[0] = roll - sp * yaw

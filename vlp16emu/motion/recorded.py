@@ -6,10 +6,12 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import acos, cos, norm, sin
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.pose import Kinematics
 from vlp16emu.motion.pose_files import RecordedPoses
 from vlp16emu.motion.settings import Recorded
+from vlp16emu.motion.splines import interpolant
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
@@ -50,8 +52,6 @@ class RecordedMotion:
     moves = True
 
     def __init__(self, recorded: Recorded, poses: RecordedPoses, *, start_ns: int) -> None:
-        from scipy.interpolate import CubicSpline  # here: it takes 0.2 s, and few runs move as recorded
-
         self._start_ns = start_ns
         self._knots_ns = poses.t_ns - poses.t_ns[0]
         self.run_time_s = float(self._knots_ns[-1] / S_NS)
@@ -60,9 +60,8 @@ class RecordedMotion:
         position_m, quaternion = _placed(recorded, poses.position_m, quaternion)
         knots_s = self._knots_ns / S_NS
         # (4, n - 1, 7): powers of the time into the piece, highest first.
-        self._coefficients = np.ascontiguousarray(
-            CubicSpline(knots_s, np.column_stack([position_m, quaternion])).c
-        )
+        powers = interpolant(knots_s, np.column_stack([position_m, quaternion])).powers[::-1]
+        self._coefficients = np.concatenate([np.zeros((4 - len(powers), *powers.shape[1:])), powers])
         self._check_norm(poses)
         self.position_m = np.ascontiguousarray(self._coefficients[3, :, :3])
         """(n - 1, 3) of all poses but the last, in the world."""
@@ -86,8 +85,8 @@ class RecordedMotion:
         for look in range(1, _LOOKS):
             d = (look / _LOOKS * steps_s)[:, None]
             c = self._coefficients[:, :, 3:]
-            norm = np.linalg.norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3], axis=1)
-            strays = np.abs(norm - 1.0) > 1.0 - _LEAST_NORM
+            length = norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3])
+            strays = np.abs(length - 1.0) > 1.0 - _LEAST_NORM
             if strays.any():
                 i = int(strays.argmax()) + 1
                 raise TrajectoryError(
@@ -115,7 +114,7 @@ def _check_steps(
             poses.where[i + 1], f"found a gap of {gaps_s[i]:g} s", f"at most {max_gap_s:g} s"
         )
     cosine = np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)
-    turn_deg = np.degrees(2 * np.arccos(cosine))
+    turn_deg = np.degrees(2 * acos(cosine))
     if (turn_deg > _MOST_TURN_DEG + 1e-6).any():
         i = int((turn_deg > _MOST_TURN_DEG + 1e-6).argmax())
         raise TrajectoryError(
@@ -133,11 +132,11 @@ def _placed(recorded: Recorded, position_m: Array, quaternion: Array) -> tuple[A
         position_m = position_m[:, [2, 0, 1]] * [1.0, -1.0, -1.0]
         quaternion = quaternion[:, [2, 0, 1, 3]] * [1.0, -1.0, -1.0, 1.0]
     yaw_rad = math.radians(recorded.yaw_deg)
-    cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
+    cosine, sine = cos(yaw_rad), sin(yaw_rad)
     x, y, z = position_m.T
     position_m = np.column_stack([cosine * x - sine * y, sine * x + cosine * y, z])
     position_m += [recorded.x_m, recorded.y_m, recorded.z_m]
-    cosine, sine = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
+    cosine, sine = cos(yaw_rad / 2), sin(yaw_rad / 2)
     x, y, z, w = quaternion.T
     return position_m, np.column_stack(
         [cosine * x - sine * y, cosine * y + sine * x, cosine * z + sine * w, cosine * w - sine * z]

@@ -193,7 +193,8 @@ class _Leg:
         reach = min(len(self.at_m), math.ceil(2 * _REACH * _KNOT_S * cruise_m_s / self._cell_m))
         limit = _least_within(self._turn_limit_m_s, reach)
         # v^2 / 2 grows by acceleration times distance.
-        energy = np.minimum(limit, cruise_m_s) ** 2 / 2
+        fastest_m_s = np.minimum(limit, cruise_m_s)
+        energy = fastest_m_s * fastest_m_s / 2
         energy[0] = energy[-1] = 0.0
         limit_slope(energy, self._gain)
         return np.sqrt(2 * energy)

@@ -51,7 +51,7 @@ class Mount(Section):
     @model_validator(mode="after")
     def _has_an_axis(self) -> Self:
         """Refuse an axis without direction."""
-        if not 1e-6 <= math.hypot(*self.spin_axis) <= 1e6:
+        if not 1e-6 <= math.sqrt(sum(x * x for x in self.spin_axis)) <= 1e6:
             raise ValueError("a spin_axis of a length from 1e-6 to 1e6 in it")
         return self
 

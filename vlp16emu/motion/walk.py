@@ -1,6 +1,5 @@
 """A sensor on the back of a person."""
 
-import math
 from functools import lru_cache
 
 import numba
@@ -130,7 +129,7 @@ def _sit(pack: NDArray[np.float64], nodes: NDArray[np.float64]) -> None:
         v_ahead, v_left = ahead1 - left * turn, left1 + ahead * turn
         a_ahead = ahead2 - left1 * turn - left * turn2 - v_left * turn
         a_left = left2 + ahead1 * turn + ahead * turn2 + v_ahead * turn
-        c, s = math.cos(yaw), math.sin(yaw)
+        c, s = cos_sin(yaw)
         for d, along, across in ((0, ahead, left), (1, v_ahead, v_left), (2, a_ahead, a_left)):
             nodes[n, 0, d] += c * along - s * across
             nodes[n, 1, d] += s * along + c * across

@@ -8,8 +8,9 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import atan2, cos, norm, sin
 from vlp16emu.errors import TrajectoryError, readable
-from vlp16emu.motion.gnss import to_local
+from vlp16emu.motion.geodesy import to_local
 from vlp16emu.motion.pose_files import finite, named_cells
 from vlp16emu.motion.settings import Gps, LawnMower, Walk
 
@@ -74,8 +75,8 @@ def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints
 def _there_and_back(points: WayPoints) -> WayPoints:
     """Go back on the same way, round a small loop behind each end; stops are made there and back, at the ends once."""
     xy_m, pause_s = points.xy_m, points.pause_s
-    if len(xy_m) < 2 or math.dist(xy_m[0], xy_m[-1]) < _LOOP_LENGTH_M:
-        found = f"found {len(xy_m)} waypoints, the last {math.dist(xy_m[0], xy_m[-1]):.2f} m from the first"
+    if len(xy_m) < 2 or norm(xy_m[-1] - xy_m[0]) < _LOOP_LENGTH_M:
+        found = f"found {len(xy_m)} waypoints, the last {norm(xy_m[-1] - xy_m[0]):.2f} m from the first"
         expected = f"at least 2, and {_LOOP_LENGTH_M:.1f} m; laps go round a closed path without it"
         raise TrajectoryError("back_and_forth", found, expected)
     ends = _turning_loop(xy_m[-2], xy_m[-1]), _turning_loop(xy_m[1], xy_m[0])
@@ -94,8 +95,8 @@ def _turning_loop(before_m: NDArray[np.float64], end_m: NDArray[np.float64]) -> 
     """
     turns = math.pi / 3 * np.array([-1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0])
     ahead_m = end_m - before_m
-    headings = math.atan2(ahead_m[1], ahead_m[0]) + np.cumsum(turns) - turns / 2
-    chords_m = _LOOP_RADIUS_M * np.column_stack([np.cos(headings), np.sin(headings)])  # as long as the radius
+    headings = atan2(float(ahead_m[1]), float(ahead_m[0])) + np.cumsum(turns) - turns / 2
+    chords_m = _LOOP_RADIUS_M * np.column_stack([cos(headings), sin(headings)])  # as long as the radius
     return np.asarray(end_m + np.cumsum(chords_m, axis=0)[:-1])
 
 
@@ -145,7 +146,7 @@ def _read_gpx(path: Path, gps: Gps) -> WayPoints:
     points = reader.points["trkpt" if tracks else "rtept"]
     places = [(latitude, longitude, gps.height_m) for _, latitude, longitude in points]
     xy_m = to_local(np.reshape(places, (-1, 3)), gps)[:, :2]
-    for (line, _, _), away_m in zip(points, np.hypot(*xy_m.T), strict=True):
+    for (line, _, _), away_m in zip(points, norm(xy_m), strict=True):
         if away_m > _FARTHEST_M:
             raise TrajectoryError(
                 f"{path}, line {line}",
@@ -224,20 +225,20 @@ def lawn_mower(plot: LawnMower) -> NDArray[np.float64]:
             corners.append((far_m, y_m + line_spacing_m))
     along, across = _rounded(np.array(corners), radius_m, spacing_m).T
     azimuth_rad = math.radians(plot.azimuth_deg)
-    cosine, sine = math.cos(azimuth_rad), math.sin(azimuth_rad)
+    cosine, sine = cos(azimuth_rad), sin(azimuth_rad)
     return np.column_stack([cosine * along - sine * across, sine * along + cosine * across]) + plot.corner_m
 
 
 def _rounded(corners_m: NDArray[np.float64], radius_m: float, spacing_m: float) -> NDArray[np.float64]:
     """Points (n, 2) at about equal distances along right-angled corners (c, 2) that are cut by quarter circles."""
     ahead = np.diff(corners_m, axis=0)
-    ahead /= np.hypot(*ahead.T)[:, None]
+    ahead /= norm(ahead)[:, None]
     pieces, at = [], corners_m[0]
     for corner, before, after in zip(corners_m[1:-1], ahead[:-1], ahead[1:], strict=True):
         pieces.append(_straight(at, corner - radius_m * before, spacing_m))
         angle = np.arange(_POINTS_PER_QUARTER)[:, None] / _POINTS_PER_QUARTER * (math.pi / 2)
         centre = corner + radius_m * (after - before)
-        pieces.append(centre - radius_m * np.cos(angle) * after + radius_m * np.sin(angle) * before)
+        pieces.append(centre - radius_m * cos(angle) * after + radius_m * sin(angle) * before)
         at = corner + radius_m * after
     return np.concatenate([*pieces, _straight(at, corners_m[-1], spacing_m), corners_m[-1:]])
 
@@ -246,5 +247,5 @@ def _straight(
     start_m: NDArray[np.float64], end_m: NDArray[np.float64], spacing_m: float
 ) -> NDArray[np.float64]:
     """Points (n, 2) from a start until before an end; none where both are one."""
-    count = math.ceil(math.dist(start_m, end_m) / spacing_m - 1e-9)
+    count = math.ceil(norm(end_m - start_m) / spacing_m - 1e-9)
     return start_m + np.arange(count)[:, None] / max(count, 1) * (end_m - start_m)

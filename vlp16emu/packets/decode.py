@@ -19,6 +19,7 @@ from vlp16emu.errors import InputError, PacketError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
 from vlp16emu.sensor.beams import BEAM_TABLES, LASER_NS, SEQUENCE_NS
+from vlp16emu.trig import cos_sin
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
@@ -333,12 +334,13 @@ def _fill_xyz(
     correction_m: NDArray[np.float64],
 ) -> None:
     """Fill (n, 3); NaN where there is no return."""
-    cosine, sine = np.cos(elevation_rad), np.sin(elevation_rad)
     for i in range(len(distance_m)):
-        r, a, j = distance_m[i], math.radians(azimuth_deg[i]), laser[i]
+        r, j = distance_m[i], laser[i]
         if r == 0.0:
             xyz_m[i] = np.nan
         else:
-            xyz_m[i, 0] = r * cosine[j] * math.cos(a)
-            xyz_m[i, 1] = -r * cosine[j] * math.sin(a)
-            xyz_m[i, 2] = r * sine[j] + correction_m[j]
+            cosine, sine = cos_sin(math.radians(azimuth_deg[i]))
+            level, up = cos_sin(elevation_rad[j])
+            xyz_m[i, 0] = r * level * cosine
+            xyz_m[i, 1] = -r * level * sine
+            xyz_m[i, 2] = r * up + correction_m[j]

@@ -9,6 +9,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matvec
 from vlp16emu.errors import CaptureError, PacketError
 from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.packets.decode import (
@@ -242,7 +243,8 @@ class CaptureReader:
             data_fields(payloads),
         )
         if self._frame is PointFrame.MANUAL:
-            points = replace(points, xyz_m=points.xyz_m @ SENSOR_R_MANUAL.astype(np.float32))
+            turned_m = matvec(SENSOR_R_MANUAL.T, points.xyz_m.astype(np.float64))
+            points = replace(points, xyz_m=turned_m.astype(np.float32))
         packet_ns = self._unwrapped_ns(fields)
         since_ns = (points.time_ns - packet_ns[points.packet]) % HOUR_NS
         self._note(fields)

@@ -15,6 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import exp
 from vlp16emu.types import NO_SURFACE
 
 __all__ = ["RayBudget", "enough", "worth_of_ray_m"]
@@ -54,7 +55,7 @@ class RayBudget(NamedTuple):
 
 def worth_of_ray_m(target_m: float) -> float:
     """Error that each ray must take off, so that the mean error comes to a target."""
-    return float(_PER_RAY * target_m**3.5)
+    return _PER_RAY * target_m * target_m * target_m * math.sqrt(target_m)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -111,11 +112,11 @@ def _is_doubtful(order: NDArray[np.float64], met: int, n: int, budget: RayBudget
     first, last, strongest = _strongest(order, 0, met, budget.resolution_m / 2)
     squares = 0.0
     for a in range(first, last + 1):
-        squares += order[1, a] ** 2
-    variance = _EVENNESS * squares / n**2
-    both = variance + budget.amplitude_noise**2
+        squares += order[1, a] * order[1, a]
+    variance = _EVENNESS * squares / (n * n)
+    both = variance + budget.amplitude_noise * budget.amplitude_noise
     off = strongest / n - budget.threshold
-    return math.sqrt(variance / both) * math.exp(-(off**2) / (2 * both)) > _DOUBT
+    return math.sqrt(variance / both) * exp(-(off * off) / (2 * both)) > _DOUBT
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -128,13 +129,15 @@ def _error_m(order: NDArray[np.float64], met: int, resolution_m: float) -> float
     mean_m, squares, spread = 0.0, 0.0, 0.0
     for a in range(first, last + 1):
         mean_m += order[1, a] * order[0, a] / strongest
-        squares += order[1, a] ** 2
+        squares += order[1, a] * order[1, a]
     for a in range(first, last + 1):
-        spread += order[1, a] / strongest * (order[0, a] - mean_m) ** 2
+        off_m = order[0, a] - mean_m
+        spread += order[1, a] / strongest * (off_m * off_m)
     standard_error_m = math.sqrt(_EVENNESS * spread * squares) / strongest
     # Shares of two echoes differ by chance with the variance of a count, in units of a usual ray's energy.
-    lead = (strongest - second) ** 2 / (_EVENNESS * (strongest + second) * squares / strongest)
-    return 0.5 * math.exp(-lead / 2) * resolution_m + standard_error_m
+    before = strongest - second
+    lead = before * before / (_EVENNESS * (strongest + second) * squares / strongest)
+    return 0.5 * exp(-lead / 2) * resolution_m + standard_error_m
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos
 from vlp16emu.raycast.voxel import KNOTS, QUANTILES, VOXEL_M, kept_share
 from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.stand.tiles import EXACT
@@ -31,11 +32,11 @@ Array = NDArray[np.float64]
 
 def _projection() -> Array:
     """Mean over all azimuths of the projected share of a face, (knots, tilts), by the sine of the normal's elevation."""
-    level, up = np.sqrt(1.0 - KNOTS**2)[:, None], KNOTS[:, None]
+    level, up = np.sqrt(1.0 - np.square(KNOTS))[:, None], KNOTS[:, None]
     sine = (np.arange(TILTS) + 0.5) / TILTS
     azimuth = (np.arange(256) + 0.5) * (np.pi / 256)
-    a, b = level * np.sqrt(1.0 - sine**2), up * sine
-    mean: Array = np.abs(a[..., None] * np.cos(azimuth) + b[..., None]).mean(axis=-1)
+    a, b = level * np.sqrt(1.0 - np.square(sine)), up * sine
+    mean: Array = np.abs(a[..., None] * cos(azimuth) + b[..., None]).mean(axis=-1)
     return mean
 
 
@@ -145,8 +146,8 @@ def _met() -> list[tuple[NDArray[np.intp], Array]]:
     found = []
     for up in KNOTS:
         level = math.sqrt(1.0 - up * up)
-        met = np.abs(level * np.sqrt(1.0 - at**2)[:, None] * np.cos(azimuth) + up * at[:, None])
-        order = np.argsort(met, axis=None)
+        met = np.abs(level * np.sqrt(1.0 - np.square(at))[:, None] * cos(azimuth) + up * at[:, None])
+        order = np.argsort(met, axis=None, kind="stable")
         found.append((order, met.ravel()[order]))
     return found
 
@@ -163,7 +164,7 @@ def _law(weight: Array) -> tuple[Array, Array]:
         so_far = np.cumsum(weight[order // 64] * met)
         wanted = (np.arange(QUANTILES) + 0.5) / QUANTILES * so_far[-1]
         cosine[knot] = met[np.searchsorted(so_far, wanted)]
-    return PROJECTION @ weight / weight.sum(), cosine
+    return (PROJECTION * weight).sum(axis=1) / weight.sum(), cosine
 
 
 def _cells(

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import hypot, norm
 from vlp16emu.raycast.build import Shape, shape_of
 from vlp16emu.raycast.cloud import Cloud, Library, cloud_of
 from vlp16emu.raycast.lanes import Ground, Medium, Stems
@@ -166,13 +167,13 @@ class Far:
         assert window.near is not None
         assert window.far is not None
         own = np.array([self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes])
-        stretch = np.sqrt((window.world_T_shape[:, :, :3] ** 2).sum(axis=1).max(axis=-1))
+        stretch = np.sqrt((np.square(window.world_T_shape[:, :, :3])).sum(axis=1).max(axis=-1))
         radius_m, at_m = own[window.shape] * stretch, window.world_T_shape[:, :2, 3].copy()
         for place, (ix, iy, _) in zip(_tile_places(window).tolist(), window.tiles, strict=True):
             lines = stem_lines(self._world.far_tile(ix, iy).stems, np.array([*at_m[place], 0.0]))
             ends_m = np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - TILE_M / 2
             at_m[place] += TILE_M / 2
-            radius_m[place] = np.hypot(*ends_m.T).max() + STRAY_M
+            radius_m[place] = norm(ends_m).max() + STRAY_M
         track_m, reach_m = window.near[:, :2], self._world.near_m + STRAY_M + radius_m
         low_m, high_m = track_m.min(axis=0), track_m.max(axis=0)
         few = np.flatnonzero((np.maximum(low_m - at_m, at_m - high_m) <= reach_m[:, None]).all(axis=1))
@@ -298,7 +299,7 @@ def _ground(
     known = ground_m > _NO_GROUND_M / 2
     along_x = np.abs(np.diff(ground_m, axis=0))[known[1:] & known[:-1]]
     along_y = np.abs(np.diff(ground_m, axis=1))[known[:, 1:] & known[:, :-1]]
-    steepest = float(np.hypot(along_x.max(initial=0.0), along_y.max(initial=0.0)) * FINER / VOXEL_M)
+    steepest = float(hypot(along_x.max(initial=0.0), along_y.max(initial=0.0)) * FINER / VOXEL_M)
     return Ground(ground_m, surface, float(corner_m[0]), float(corner_m[1]), steepest)
 
 
@@ -321,7 +322,7 @@ def _stems(
     profile = np.concatenate(
         [np.stack([stems["along_m"], radius_m, widest_m], axis=1), stems["aside_m"]], axis=1
     )
-    bent_m = np.hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1]).max(axis=1)
+    bent_m = hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1]).max(axis=1)
     line = np.column_stack([foot_m, stems["axis"], radius_m.max(axis=1), bent_m])
     return Stems(first, of, line, profile, stems["row"] + base[:, None], stems["flare_m"].copy())
 

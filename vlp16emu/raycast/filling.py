@@ -6,6 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import power
 from vlp16emu.raycast.cloud import TILTS, Library
 from vlp16emu.raycast.voxel import (
     BRICK,
@@ -64,9 +65,10 @@ def filled(
         s, T = which[p], relative[p]
         needed = used + library.first_cell[s + 1] - library.first_cell[s]
         for f in range(library.first_face[s], library.first_face[s + 1]):
-            needed += _pieces(T, library.corners_m[f]) ** 2
+            pieces = _pieces(T, library.corners_m[f])
+            needed += pieces * pieces
         node, area = _roomy(node, area, used, needed)
-        scale = abs(_determinant(T)) ** (2.0 / 3.0)
+        scale = power(abs(_determinant(T)), 2.0 / 3.0)
         for c in range(library.first_cell[s], library.first_cell[s + 1]):
             law = library.first_law[s] + library.mesh[c]
             for k in range(3):
@@ -295,5 +297,5 @@ def _code(area_m2: float) -> np.uint32:
     """Code of the projected area of a voxel; what is there at all has at least 1."""
     if area_m2 <= 0.0:
         return np.uint32(0)
-    code = round(CODES * math.sqrt(area_m2 / (VOXEL_M**3 * MOST_PER_M)))
+    code = round(CODES * math.sqrt(area_m2 / (VOXEL_M * VOXEL_M * VOXEL_M * MOST_PER_M)))
     return np.uint32(min(max(code, 1), CODES))

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import exp
 from vlp16emu.raycast.lanes import LANES, Lanes, Medium, lowest
 from vlp16emu.raycast.voxel import (
     COLUMNS,
@@ -68,7 +69,7 @@ def _leaves() -> tuple[NDArray[np.uint64], NDArray[np.uint8], NDArray[np.uint8]]
 
 
 _MASK, _LEAF_OF, _PLACE = _leaves()
-_COVER = (1.0 - np.exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).astype(np.float32)
+_COVER = (1.0 - exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).astype(np.float32)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)

@@ -93,9 +93,9 @@ def _placed(
     which = places[tile.shape] if len(tile.shape) else np.zeros(0, np.int64)
     world_T = tile.world_T_shape
     at_m = world_T[:, :, 3] - corner_m
-    reach_m = library.radius_m[which] * np.sqrt((world_T[:, :, :3] ** 2).sum(axis=1).max(axis=-1))
+    reach_m = library.radius_m[which] * np.sqrt((np.square(world_T[:, :, :3])).sum(axis=1).max(axis=-1))
     gap_m = np.maximum(np.maximum(-at_m[:, :2], at_m[:, :2] - COLUMNS * VOXEL_M), 0.0)
-    own = np.flatnonzero((gap_m**2).sum(axis=1) <= reach_m**2)
+    own = np.flatnonzero((np.square(gap_m)).sum(axis=1) <= np.square(reach_m))
     relative = world_T[own].copy()
     relative[:, :, 3] = at_m[own]
     return which[own], relative, tile.first_surface[own], np.full(len(own), number)
@@ -105,7 +105,7 @@ def _span(
     library: Library, which: NDArray[np.int64], relative: Array, lines: Array, ground_m: Array
 ) -> tuple[float, float]:
     """Heights between which anything of a tile lies."""
-    reach_m = library.radius_m[which] * np.sqrt((relative[:, :, :3] ** 2).sum(axis=1).max(axis=-1))
+    reach_m = library.radius_m[which] * np.sqrt((np.square(relative[:, :, :3])).sum(axis=1).max(axis=-1))
     low = np.concatenate([ground_m.ravel() - 1.5, lines[:, 2] - 0.5])
     high = np.concatenate(
         [ground_m.ravel() + 1.0, relative[:, 2, 3] + reach_m, lines[:, 2] + lines[:, 5] + 0.5]

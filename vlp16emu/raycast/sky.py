@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, sin
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import Firings
 
@@ -29,7 +30,7 @@ def sky_cover(
     lowest_deg : elevation below which the sky does not count
     far_m : surfaces beyond hide nothing
     """
-    direction = _directions(math.sin(math.radians(lowest_deg)))
+    direction = _directions(sin(math.radians(lowest_deg)))
     shape = direction.shape[:2]
     rays = Firings(
         index=0,
@@ -53,4 +54,4 @@ def _directions(lowest_sine: float) -> NDArray[np.float64]:
     azimuth = 2.0 * math.pi / _SECTORS * (np.arange(_SECTORS)[:, None] + start % 1.0)
     across = np.sqrt(1.0 - sine * sine)
     up = np.broadcast_to(sine, azimuth.shape)
-    return np.stack([across * np.sin(azimuth), across * np.cos(azimuth), up], axis=-1)
+    return np.stack([across * sin(azimuth), across * cos(azimuth), up], axis=-1)

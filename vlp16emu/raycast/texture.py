@@ -99,7 +99,9 @@ def _raise(
                 if range_m[ray] < np.inf and relief_m[met[ray]] > 0.0:
                     at_m = np.float64(range_m[ray])
                     _, drawn = _of_patch(seed, 1.0 / _RELIEF_GRID_M, origin_m, direction, i, j, at_m)
-                    out_m[ray] += relief_m[met[ray]] * _STANDING_OUT * (2.0 * drawn - 1.0) ** 5
+                    even = 2.0 * drawn - 1.0
+                    square = even * even
+                    out_m[ray] += relief_m[met[ray]] * _STANDING_OUT * (square * square * even)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)

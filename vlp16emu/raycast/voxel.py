@@ -9,6 +9,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import hypot, log
+
 __all__ = [
     "ASIDE_M",
     "BRICK",
@@ -50,7 +52,7 @@ QUANTILES = 16
 
 CODES, MOST_PER_M = 127, 24.0
 """Greatest code, and its projected area per volume."""
-TAU_PER_M = (MOST_PER_M * (np.arange(CODES + 1) / CODES) ** 2).astype(np.float32)
+TAU_PER_M = (MOST_PER_M * np.square(np.arange(CODES + 1) / CODES)).astype(np.float32)
 """Projected area per volume of each of the codes that voxels have."""
 
 LAW_BIT, TILE_BIT, SHARE_BIT = np.uint64(32), np.uint64(52), np.uint64(56)
@@ -80,11 +82,9 @@ def stem_lines(stems: NDArray[np.void], origin_m: Array) -> Array:
     return np.column_stack([lower, slope, high_m - low_m, _reach_m(stems).max(axis=1)])
 
 
-def _reach_m(stems: NDArray[np.void]) -> NDArray[np.float32]:
+def _reach_m(stems: NDArray[np.void]) -> Array:
     """How far stems reach from their axes at the knots, (n, knots), bent as they are."""
-    reach_m: NDArray[np.float32] = stems["radius_m"] + np.hypot(
-        stems["aside_m"][:, 0], stems["aside_m"][:, 1]
-    )
+    reach_m: Array = stems["radius_m"] + hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1])
     return reach_m
 
 
@@ -222,8 +222,8 @@ def _count(drawn: NDArray[np.uint32], total: NDArray[np.int64], factor: Array) -
                         while left:
                             left &= left - np.uint32(1)
                             bits += 1
-                    hidden = min(bits / _PIXELS**2, 1.0 - 0.5 / _PIXELS**2)
-                    factor[i, j, k] -= math.log(1.0 - hidden) * _PIXELS**2
+                    hidden = min(bits / (_PIXELS * _PIXELS), 1.0 - 0.5 / (_PIXELS * _PIXELS))
+                    factor[i, j, k] -= log(1.0 - hidden) * (_PIXELS * _PIXELS)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)

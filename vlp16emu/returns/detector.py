@@ -1,6 +1,5 @@
 """What a unit's receiver is, made once per run."""
 
-import math
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -8,6 +7,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import exp
 from vlp16emu.random import Purpose, normal
 from vlp16emu.returns.noise import gain, no_return_reflectivity, range_beat_m, range_bias_m
 from vlp16emu.returns.settings import Detector, DetectorConstants, Noise, Weather
@@ -17,7 +17,7 @@ from vlp16emu.types import ReturnMode
 __all__ = ["UnitDetector", "threshold_of"]
 
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
-_FWHM_SIGMAS = 2.0 * math.sqrt(2.0 * math.log(2.0))
+_FWHM_SIGMAS = 2.3548200450309493  # 2 sqrt(2 ln 2)
 _CALIBRATION_REFLECTANCE = 0.1
 _MOST_PARITY, _BALANCED = 0.4, 0.6
 
@@ -67,7 +67,7 @@ class UnitDetector:
         """
         sigma_m = _HALF_LIGHT_M_PER_NS * detector.pulse_ns / _FWHM_SIGMAS
         least, amplitude_noise = threshold_of(detector)
-        own = [math.exp(noise.unit_spread * drawn) for drawn in normal(seed, Purpose.UNIT_NOISE, 0, 2)]
+        own = exp(noise.unit_spread * normal(seed, Purpose.UNIT_NOISE, 0, 2)).tolist()
         air_per_m = extinction_per_m(weather.visibility_m, weather.rain_mm_h)
         constants = DetectorConstants(
             seed=seed,
@@ -141,7 +141,7 @@ class UnitDetector:
 def _fade(since_ns: NDArray[np.int64], from_m: float, in_s: float, out: NDArray[np.float64]) -> None:
     """Fill an exponential (n,)."""
     for i in range(out.shape[0]):
-        out[i] = from_m * math.exp(-1e-9 * since_ns[i] / in_s)
+        out[i] = from_m * exp(-1e-9 * since_ns[i] / in_s)
 
 
 def _parity(seed: int, lasers: int, spread: float) -> NDArray[np.float64]:
@@ -155,5 +155,6 @@ def _parity(seed: int, lasers: int, spread: float) -> NDArray[np.float64]:
 
 def threshold_of(detector: Detector) -> tuple[float, float]:
     """Amplitude that is detected with probability one half, and one sigma of its noise, in m-2."""
-    threshold = _CALIBRATION_REFLECTANCE / detector.range_at_10_percent_m**2
+    range_m = detector.range_at_10_percent_m
+    threshold = _CALIBRATION_REFLECTANCE / (range_m * range_m)
     return threshold, threshold / detector.threshold_snr

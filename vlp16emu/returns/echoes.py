@@ -18,12 +18,11 @@ callers (`forceinline`): a call hands over each array as seven numbers, which ta
 `find_source_surfaces` is truth: whose light a return is.
 """
 
-import math
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import exp
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
@@ -54,6 +53,7 @@ _RAY, _PART = 2, 3  # columns of nodes while they are gathered: sub-rays that ar
 _HEIGHT, _MEAN, _VARIANCE = 2, 3, 4  # columns of nodes thereafter: what `_waveform` gives at their places
 NODE_M = 0.15
 """Greatest span of the sub-rays that are taken as one."""
+_LN2 = 0.6931471805599453
 _FAINTEST = 1e-9  # reflectance of what is black or edge-on, so that it still has a place
 _APART = 5.0  # sigmas at which a neighbour as bright moves a peak by less than 0.01 mm
 _LAST_STEP_M = 1e-3  # of Newton's rule; what is left is about its square over sigma
@@ -69,7 +69,7 @@ def amplitude_of(constants: DetectorConstants, energy: float, range_m: float) ->
     """
     amplitude = max(energy, _FAINTEST) / (range_m * range_m)
     if constants.extinction_per_m > 0.0:
-        amplitude *= math.exp(-2.0 * constants.extinction_per_m * range_m)
+        amplitude *= exp(-2.0 * constants.extinction_per_m * range_m)
     return amplitude
 
 
@@ -197,11 +197,11 @@ def _sort(nodes: NDArray[np.float64], count: int) -> None:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _exp(x: float) -> float:
+def _quick_exp(x: float) -> float:
     """Exponential of a number up to 0, good to 1e-10 of itself, or 1e-300: a library's call costs twice as much."""
     x = max(x, -690.0)
-    shifted = x * (1.0 / math.log(2.0)) + 6755399441055744.0  # its last bits hold the power of 2
-    r = x - (shifted - 6755399441055744.0) * math.log(2.0)
+    shifted = x * 1.4426950408889634 + 6755399441055744.0  # its last bits hold the power of 2
+    r = x - (shifted - 6755399441055744.0) * _LN2
     z = r * r
     rest = 0.500000006765061 + r * 0.16666665869323083 + z * (0.041666295063920514 + r * 0.00833349702096706)
     rest += z * z * (0.0013944650820433332 + r * 0.00019790350590949283)
@@ -220,7 +220,7 @@ def _waveform(
     sharpness = -0.5 / (sigma_m * sigma_m)
     for node in range(start, stop):
         away_m = nodes[RANGE, node] - x_m
-        light = nodes[AMPLITUDE, node] * _exp(sharpness * away_m * away_m)
+        light = nodes[AMPLITUDE, node] * _quick_exp(sharpness * away_m * away_m)
         height += light
         first += light * away_m
         second += light * away_m * away_m
@@ -236,7 +236,7 @@ def _look(nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float) -> 
         nodes[_HEIGHT, b] = nodes[_MEAN, b] = nodes[_VARIANCE, b] = 0.0
         for a in range(start, b):
             away_m = nodes[RANGE, a] - nodes[RANGE, b]
-            pulse = _exp(sharpness * away_m * away_m)
+            pulse = _quick_exp(sharpness * away_m * away_m)
             light = nodes[AMPLITUDE, a] * pulse
             nodes[_HEIGHT, b] += light
             nodes[_MEAN, b] += light * away_m
@@ -378,4 +378,4 @@ def find_source_surfaces(
 def _pulse(constants: DetectorConstants, away_m: float) -> float:
     """Height of a pulse at a distance from its middle."""
     away = away_m / constants.sigma_m
-    return math.exp(-0.5 * away * away)
+    return exp(-0.5 * away * away)

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, exp, log, power
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.trig import fold
@@ -52,7 +53,7 @@ def range_bias_m(seed: int, lasers: int, sigma_m: float) -> NDArray[np.float64]:
 
 def gain(seed: int, lasers: int, spread: float) -> NDArray[np.float64]:
     """Factor on the reflectivity of each laser of the unit, (lasers,), above 0."""
-    return np.exp(spread * normal(seed, Purpose.REFLECTIVITY, 0, lasers))
+    return exp(spread * normal(seed, Purpose.REFLECTIVITY, 0, lasers))
 
 
 def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> NDArray[np.float64]:
@@ -66,8 +67,8 @@ def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> NDAr
     """
     if middle is None:
         low, high = _NO_RETURN_MIDDLE
-        middle = low * (high / low) ** uniform(seed, Purpose.NO_RETURN, 0, 1)[0]
-    return np.asarray(middle * np.exp(_NO_RETURN_SPREAD * normal(seed, Purpose.NO_RETURN, 1, lasers)))
+        middle = low * power(high / low, float(uniform(seed, Purpose.NO_RETURN, 0, 1)[0]))
+    return np.asarray(middle * exp(_NO_RETURN_SPREAD * normal(seed, Purpose.NO_RETURN, 1, lasers)))
 
 
 def no_return_multiples(seed: int, first: int, count: int, lasers: int, wander: float) -> NDArray[np.float64]:
@@ -86,7 +87,7 @@ def no_return_multiples(seed: int, first: int, count: int, lasers: int, wander: 
     """
     begin, stop = first // NO_RETURN_KNOT, (first + count - 1) // NO_RETURN_KNOT + 2
     *of_lasers, of_unit = normal(seed, Purpose.NO_RETURN, 1 + lasers, lasers + 1)
-    own = wander * np.exp(_WANDER_OF_UNITS * of_unit + _WANDER_OF_LASERS * np.array(of_lasers))
+    own = wander * exp(_WANDER_OF_UNITS * of_unit + _WANDER_OF_LASERS * np.array(of_lasers))
     drawn = [normal(seed, Purpose.NO_RETURN, begin, stop - begin, 1 + laser) for laser in range(lasers)]
     return np.asarray(own * np.abs(np.stack(drawn, axis=1)))
 
@@ -105,7 +106,7 @@ def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> NDAr
     own_m = amplitude_m * (0.75 + 0.5 * one) if phase_deg is None else amplitude_m
     overtone = 0.17 + 0.19 * three if phase_deg is None else 0.25
     angle = 2.0 * math.pi * (np.arange(5) / 5.0 + (two if phase_deg is None else phase_deg / 360.0))
-    return np.asarray(own_m * (np.cos(angle) + overtone * np.cos(2.0 * angle + _OVERTONE_RAD)))
+    return np.asarray(own_m * (cos(angle) + overtone * cos(2.0 * angle + _OVERTONE_RAD)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
@@ -155,7 +156,7 @@ _IDEAL = 1000.0
 """Reflectance, as a multiple of a white Lambertian surface, that is reported as 255. A coefficient of retroreflection
 R (cd/lx/m2) equals a reflectance of pi R: 255 stands for 318 cd/lx/m2, between high-intensity (about 250) and prismatic
 sheeting (about 700). The manual gives the ends of the scale only; that it is logarithmic between them is an assumption."""
-_COUNTS_PER_E_FOLD = (255 - 101) / math.log(_IDEAL)
+_COUNTS_PER_E_FOLD = (255 - 101) / 6.907755278982137  # logarithm of that
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
@@ -171,7 +172,7 @@ def code_step(step: float, gain: float, range_m: float) -> float:
     ----------
     gain : of the laser
     """
-    turn = fold(_TURNS_PER_BIN * math.floor(_BINS_PER_E_FOLD * math.log(range_m)) + _TURNS_PER_GAIN * gain)
+    turn = fold(_TURNS_PER_BIN * math.floor(_BINS_PER_E_FOLD * log(range_m)) + _TURNS_PER_GAIN * gain)
     return step * gain * (0.85 + 0.6 * turn * turn)
 
 
@@ -194,5 +195,5 @@ def reflectivity_byte(percent: float, gain: float, noise: float, step: float) ->
         if step > 0.0 and counts >= _COARSE:
             counts = np.rint(counts / step) * step + _AFTER_STEP * noise
         return np.uint8(min(max(np.rint(counts), 0.0), 100.0))
-    code = 101.0 + _COUNTS_PER_E_FOLD * math.log(0.01 * gain * percent) + noise
+    code = 101.0 + _COUNTS_PER_E_FOLD * log(0.01 * gain * percent) + noise
     return np.uint8(min(max(np.rint(code), 101.0), 255.0))

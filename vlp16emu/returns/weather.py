@@ -6,6 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import log1p, power
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.returns.settings import DetectorConstants
 
@@ -17,6 +18,7 @@ __all__ = [
     "rain_extinction_per_m",
 ]
 
+_LN10 = 2.302585092994046
 _WAVELENGTH_NM = 903.0  # data sheet of the VLP-16
 _LIDAR_RATIO_SR = 18.2
 """Extinction over backscatter of water droplets, near infrared (1.06 um): Pinnick et al., J. Geophys. Res. 88, 1983.
@@ -45,7 +47,7 @@ def fog_extinction_per_m(visibility_m: float) -> float:
         q = 0.16 * km + 0.34
     else:
         q = max(km - 0.5, 0.0)
-    return 3.912 / visibility_m * (_WAVELENGTH_NM / 550.0) ** -q
+    return 3.912 / visibility_m * power(_WAVELENGTH_NM / 550.0, -q)
 
 
 def rain_extinction_per_m(rain_mm_h: float) -> float:
@@ -55,7 +57,7 @@ def rain_extinction_per_m(rain_mm_h: float) -> float:
     ----------
     rain_mm_h : rate, from 0
     """
-    return 1.076 * rain_mm_h**0.67 * math.log(10.0) / 10.0 / 1000.0
+    return 1.076 * power(rain_mm_h, 0.67) * _LN10 / 10.0 / 1000.0
 
 
 def extinction_per_m(visibility_m: float | None, rain_mm_h: float) -> float:
@@ -95,9 +97,9 @@ def clutter_echo(
     amplitude 0 where it is below the threshold of the detector, or behind all that was hit
     """
     where, how_bright = uniform_pair(constants.seed, _WEATHER, n, laser)
-    air_m = max(-math.log1p(-where) / constants.extinction_per_m, _NEAREST_M)
+    air_m = max(-log1p(-where) / constants.extinction_per_m, _NEAREST_M)
     passed = 1.0 - where  # exp(-extinction * range)
-    amplitude = -math.log1p(-how_bright) * constants.clutter * passed * passed / (air_m * air_m)
+    amplitude = -log1p(-how_bright) * constants.clutter * passed * passed / (air_m * air_m)
     if amplitude >= constants.least_clutter:
         for ray in range(start, stop):
             if range_m[ray] > air_m:

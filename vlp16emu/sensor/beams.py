@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, tan
 from vlp16emu.random import Purpose, normal
 from vlp16emu.types import SensorModel
 from vlp16emu.units import S_NS
@@ -56,12 +57,12 @@ class BeamTable:
     @property
     def near_m(self) -> NDArray[np.float64]:
         """(L,) range at which the light leaves the lens."""
-        return np.asarray(self.lens_radius_m / np.cos(np.radians(self.elevation_deg)))
+        return np.asarray(self.lens_radius_m / cos(np.radians(self.elevation_deg)))
 
     @property
     def ring(self) -> NDArray[np.uint16]:
         """(L,) 0 .. L - 1 by elevation, lowest first."""
-        return np.argsort(np.argsort(self.elevation_deg, kind="stable")).astype(np.uint16)
+        return np.argsort(np.argsort(self.elevation_deg, kind="stable"), kind="stable").astype(np.uint16)
 
 
 def free_beams(
@@ -78,7 +79,7 @@ def free_beams(
     elevation = np.array(elevation_deg, np.float64)
     return BeamTable(
         elevation_deg=elevation,
-        vertical_offset_m=-lens_radius_m * np.tan(np.radians(elevation)),
+        vertical_offset_m=-lens_radius_m * tan(np.radians(elevation)),
         lens_radius_m=lens_radius_m,
         sequence_ns=sequence_ns,
         laser_ns=sequence_ns // len(elevation),

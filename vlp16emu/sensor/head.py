@@ -11,6 +11,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, sin
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.rotor import Clock, Rotor
 from vlp16emu.trig import cos_sin
@@ -62,7 +63,7 @@ class Head:
         level = np.empty((*t_ns.shape, 3) if beam_axis else (0, 0, 3))
         table = (
             np.radians(beams.azimuth_error_deg),
-            np.array([[math.cos(w), math.sin(w)] for w in elevation_rad.tolist()]),
+            np.column_stack([cos(elevation_rad), sin(elevation_rad)]),
             beams.vertical_offset_m,
         )
         for begin in range(0, count, _TOGETHER):

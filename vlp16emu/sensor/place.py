@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.head import turn
+from vlp16emu.trig import cos_sin
 from vlp16emu.types import Firings, Poses
 
 __all__ = ["PlacedReturns", "place"]
@@ -82,10 +83,11 @@ def _place(
     moving = len(world_p_body_m) > 1
     for i in range(len(distance_m)):
         n = i if moving else 0
-        a, w, r = math.radians(azimuth_deg[i]), math.radians(elevation_deg[i]), float(distance_m[i])
-        sensor_m[i, 0] = r * math.cos(w) * math.cos(a)
-        sensor_m[i, 1] = -r * math.cos(w) * math.sin(a)
-        sensor_m[i, 2] = r * math.sin(w) + offset_m[i]
+        r, (cosine, sine) = float(distance_m[i]), cos_sin(math.radians(azimuth_deg[i]))
+        level, up = cos_sin(math.radians(elevation_deg[i]))
+        sensor_m[i, 0] = r * level * cosine
+        sensor_m[i, 1] = -r * level * sine
+        sensor_m[i, 2] = r * up + offset_m[i]
         turn(world_R_body[n], sensor_m[i], world_m[i])
         for axis in range(3):
             world_m[i, axis] += world_p_body_m[n, axis]

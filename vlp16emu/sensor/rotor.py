@@ -10,7 +10,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, sin
 from vlp16emu.random import Purpose, normal, uniform
+from vlp16emu.trig import cos_sin
 from vlp16emu.units import HOUR_NS, S_NS
 
 __all__ = [
@@ -86,14 +88,14 @@ class Wobbling:
         """Integrate it: the angles (n,) by which the rotor is ahead."""
         since_s = np.clip(elapsed_ns - self.from_ns, 0, self.lasts_ns) / S_NS
         per_s = 2.0 * math.pi / self.period_s
-        return np.asarray(6.0 * self.amplitude_rpm / per_s * (1.0 - np.cos(per_s * since_s)))
+        return np.asarray(6.0 * self.amplitude_rpm / per_s * (1.0 - cos(per_s * since_s)))
 
     def rpm_at(self, elapsed_ns: int) -> float:
         """Its share of the speed at a time since the start."""
         since_ns = elapsed_ns - self.from_ns
         if not 0 <= since_ns < self.lasts_ns:
             return 0.0
-        return self.amplitude_rpm * math.sin(2.0 * math.pi * since_ns / S_NS / self.period_s)
+        return self.amplitude_rpm * sin(2.0 * math.pi * since_ns / S_NS / self.period_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +109,7 @@ class Swing:
     def rate_at(self, elapsed_ns: int) -> float:
         """Its share of the set speed at a time since the start."""
         per_ns = 2.0 * math.pi / self.period_ns
-        return self.amplitude_ns * per_ns * math.cos(per_ns * elapsed_ns + self.phase_rad)
+        return self.amplitude_ns * per_ns * cos(per_ns * elapsed_ns + self.phase_rad)
 
     @classmethod
     def drawn(cls, seed: int, error_rpm: float, wander_rpm: float) -> "tuple[Swing, ...]":
@@ -142,10 +144,10 @@ class Pattern:
         """Add them to the readings (k,) of firing sequences from `first` on."""
         out = reading_deg
         if self.twice_deg:
-            out = out + self.twice_deg * np.sin(np.radians(2.0 * reading_deg - self.twice_phase_deg))
+            out = out + self.twice_deg * sin(np.radians(2.0 * reading_deg - self.twice_phase_deg))
         if self.hum_deg:
             number = (first + np.arange(len(out))) % _HUM_SEQUENCES
-            out = out + self.hum_deg * np.sin(
+            out = out + self.hum_deg * sin(
                 4.0 * np.pi / _HUM_SEQUENCES * number + np.radians(self.hum_phase_deg)
             )
         return np.asarray(out)
@@ -307,9 +309,9 @@ def _swung(
         if knot != last:
             at_ns = further_ns = 0.0
             for s in range(amplitude_ns.shape[0]):
-                per_knot, zero = 2.0 * math.pi / period_ns[s] * 2**_KNOT_BITS, math.sin(phase_rad[s])
-                at_ns += amplitude_ns[s] * (math.sin(per_knot * knot + phase_rad[s]) - zero)
-                further_ns += amplitude_ns[s] * (math.sin(per_knot * (knot + 1) + phase_rad[s]) - zero)
+                per_knot, zero = 2.0 * math.pi / period_ns[s] * 2**_KNOT_BITS, cos_sin(phase_rad[s])[1]
+                at_ns += amplitude_ns[s] * (cos_sin(per_knot * knot + phase_rad[s])[1] - zero)
+                further_ns += amplitude_ns[s] * (cos_sin(per_knot * (knot + 1) + phase_rad[s])[1] - zero)
             last = knot
         rest = (elapsed_ns[i] - (knot << _KNOT_BITS)) * 2.0**-_KNOT_BITS
         out[i] = elapsed_ns[i] + np.int64(np.rint(at_ns + rest * (further_ns - at_ns)))
@@ -321,7 +323,7 @@ def _eccentric(angle_deg: NDArray[np.float64], amplitude_deg: float, phase_deg: 
     """Add the angle-locked error."""
     out = np.empty_like(angle_deg)
     for i in range(angle_deg.size):
-        out[i] = angle_deg[i] + amplitude_deg * math.sin(math.radians(angle_deg[i] - phase_deg))
+        out[i] = angle_deg[i] + amplitude_deg * cos_sin(math.radians(angle_deg[i] - phase_deg))[1]
     return out
 
 

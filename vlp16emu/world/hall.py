@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import acos, cos, log, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, FarTile, Mesh, Semantic, ShapeKey, Window
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
@@ -166,7 +167,7 @@ def _box_quads(size_m: tuple[float, float, float]) -> Mesh:
 
 def _sides(radius_m: float) -> int:
     """Sides of a polygon whose chords keep within the tolerance; even, so that it halves."""
-    needed = math.pi / math.acos(1 - min(_TOLERANCE_M / radius_m, 1.0))
+    needed = math.pi / acos(1 - min(_TOLERANCE_M / radius_m, 1.0))
     return max(_FEWEST_SIDES, 2 * math.ceil(needed / 2))
 
 
@@ -175,9 +176,9 @@ def _pole(pole: HallPole) -> Mesh:
     sides = _sides(pole.diameter_m / 2)
     half = math.pi / sides
     # Mean of cos(half) / cos(azimuth) over one side is cos(half) * ln(tan(pi/4 + half/2)) / half.
-    corner_m = pole.diameter_m / 2 * half / (math.cos(half) * math.log(math.tan(math.pi / 4 + half / 2)))
+    corner_m = pole.diameter_m / 2 * half / (cos(half) * log(tan(math.pi / 4 + half / 2)))
     angle = 2 * half * np.arange(sides)
-    ring = np.column_stack([corner_m * np.cos(angle), corner_m * np.sin(angle), np.zeros(sides)])
+    ring = np.column_stack([corner_m * cos(angle), corner_m * sin(angle), np.zeros(sides)])
     up = np.array([0.0, 0.0, pole.height_m])
     vertices = np.concatenate([ring, ring + up, [np.zeros(3), up]])
     here = np.arange(sides)
@@ -197,12 +198,12 @@ def _sphere(radius_m: float) -> Mesh:
     sides = _sides(radius_m)
     half = math.pi / sides
     # The middle of a face near the equator sinks below its corners by cos(half) in either angle.
-    corner_m = radius_m * 2 / (1 + math.cos(half) ** 2)
+    corner_m = radius_m * 2 / (1 + cos(half) * cos(half))
     latitude = np.pi * (np.arange(1, sides // 2) / (sides // 2) - 0.5)
     longitude = 2 * half * np.arange(sides)
-    flat = np.cos(latitude)[:, None]
-    z = np.broadcast_to(np.sin(latitude)[:, None], (len(latitude), sides))
-    rings = np.stack([flat * np.cos(longitude), flat * np.sin(longitude), z], axis=-1).reshape(-1, 3)
+    flat = cos(latitude)[:, None]
+    z = np.broadcast_to(sin(latitude)[:, None], (len(latitude), sides))
+    rings = np.stack([flat * cos(longitude), flat * sin(longitude), z], axis=-1).reshape(-1, 3)
     vertices = corner_m * np.concatenate([rings, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
     here = np.arange(sides)
     after, south, north = np.roll(here, -1), np.full(sides, len(rings)), np.full(sides, len(rings) + 1)

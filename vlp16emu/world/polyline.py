@@ -1,10 +1,10 @@
 """Distance in the plane from points to a path."""
 
-import math
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from vlp16emu.elementary import hypot
 
 __all__ = ["Corridor", "Polyline", "distance_m"]
 
@@ -73,7 +73,7 @@ def _distances(out: Array, points: Array, line: Array, boxes: Array) -> None:
         for k in range(boxes.shape[0]):
             dx = max(boxes[k, 0] - x, x - boxes[k, 2], 0.0)
             dy = max(boxes[k, 1] - y, y - boxes[k, 3], 0.0)
-            gap[k] = math.hypot(dx, dy)
+            gap[k] = hypot(dx, dy)
             if gap[k] < gap[first]:
                 first = k
         nearest = _to_piece(x, y, line, first)
@@ -96,5 +96,5 @@ def _to_piece(x: float, y: float, line: Array, piece: int) -> float:
         ux, uy, px, py = bx - ax, by - ay, x - ax, y - ay
         length2 = ux * ux + uy * uy
         along = min(max((px * ux + py * uy) / length2, 0.0), 1.0) if length2 > 0 else 0.0
-        nearest = min(nearest, math.hypot(px - along * ux, py - along * uy))
+        nearest = min(nearest, hypot(px - along * ux, py - along * uy))
     return nearest

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
 from vlp16emu.world.given.settings import MeshFile, MeshPlace
@@ -169,10 +170,10 @@ def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> Array:
     if z_m is None:
         z_m = place.above_ground_m + float(height_m(np.array([place.x_m]), np.array([place.y_m]))[0])
     yaw = math.radians(place.yaw_deg)
-    c, s = place.scale * math.cos(yaw), place.scale * math.sin(yaw)
+    c, s = place.scale * cos(yaw), place.scale * sin(yaw)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, place.scale]])
     origin = np.array([place.x_m, place.y_m, z_m])
-    return np.column_stack([turn, origin + turn @ mesh.centre_m])
+    return np.column_stack([turn, origin + matvec(turn, mesh.centre_m)])
 
 
 def _instances(furniture: Sequence[Furniture]) -> list[tuple[Furniture, MeshPlace, NDArray[np.int64]]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import log
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import HeightField
@@ -28,7 +29,7 @@ Trees = NDArray[np.void]
 _CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
 """Crown class c is that of trees with a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
 
-_HA_PER_TILE = TILE_M**2 / 10_000
+_HA_PER_TILE = TILE_M * TILE_M / 10_000
 _NAMED = 20
 """Trees in the way that are named one by one."""
 
@@ -120,7 +121,7 @@ class GivenStand:
             height_m=height_m,
             crown_base_m=base_m,
             crown_width_m=width_m,
-            leaf_area_m2=own.leaf_area_index * math.pi / 4 * width_m**2,
+            leaf_area_m2=own.leaf_area_index * math.pi / 4 * width_m * width_m,
             season=self._season,
             dead_branches=self._dead_branches,
         )
@@ -133,7 +134,7 @@ def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
     uniform = generator(seed, Purpose.GIVEN_TREE).random((len(trees), 4))
     trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
     trees["crown_variant"] = VARIANTS * uniform[:, 1]
-    trees["crown_class"] = np.round(np.log(trees["dbh_m"] / _CLASS_BASE_M) / math.log(_CLASS_RATIO))
+    trees["crown_class"] = np.round(log(trees["dbh_m"] / _CLASS_BASE_M) / log(_CLASS_RATIO))
     for cohort, one in enumerate(species):
         own = trees["species"] == one.number
         trees["cohort"][own] = cohort

@@ -193,7 +193,7 @@ def _with_heights(path: Path, numbers: dict[str, Array], species: list[Species])
         if not measured.any():
             found = f"no tree of {one.name} has a height"
             raise GeometryError(f"{path}: height_m", found, "one at least, to draw its height curve through")
-        mean_cm = float(np.sqrt(np.mean(dbh_cm[measured] ** 2)))
+        mean_cm = float(np.sqrt(np.mean(np.square(dbh_cm[measured]))))
         curve_m = one.height_m(dbh_cm[missing], mean_cm, float(height_m[measured].mean()))
         height_m[missing] = np.maximum(curve_m, _COLUMNS["height_m"].low)
     return height_m

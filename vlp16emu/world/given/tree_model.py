@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import atan2, cos, hypot, log, matmul, matvec, norm, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import Mesh, PlantPart, ShapeKey
 from vlp16emu.world.given.section import Cutter, Outline, hull_m
@@ -45,7 +46,7 @@ _TILTS = 1024
 _KEPT_CUTS = 16_384
 """Sections of a model that are remembered: more than there are trees in a window."""
 
-_AROUND = np.array([np.cos(np.arange(36) * np.pi / 36), np.sin(np.arange(36) * np.pi / 36)])
+_AROUND = np.array([cos(np.arange(36) * np.pi / 36), sin(np.arange(36) * np.pi / 36)])
 """(2, 36) directions in which crowns are measured."""
 
 
@@ -117,8 +118,8 @@ class TreeModel:
 
     def far_stems(self, world_T_model: Array, rows: NDArray[np.int64]) -> NDArray[np.void]:
         """Stems of placements (n, 3, 4), whose first surfaces are in these rows (n,), as `STEM`."""
-        across = np.linalg.norm(world_T_model[:, :, 0], axis=1)
-        middle_m = np.einsum("nij,kj->nki", world_T_model[:, :, :3], self._profile_m[:, :3])
+        across = norm(world_T_model[:, :, 0])
+        middle_m = matvec(world_T_model[:, None, :, :3], self._profile_m[:, :3])
         stems = profiles(world_T_model[:, :, 3], middle_m, across[:, None] * self._profile_m[:, 3], 0)
         stems["flare_m"], stems["row"] = -1.0, rows[:, None] + self.far_parts.index(EXACT)
         return stems
@@ -131,7 +132,7 @@ class TreeModel:
         """Circles `STEM_CIRCLE` along the stems of trees (n,), from the ground to the tip, tree by tree."""
         profile_m = self._profile_m[self._profile_m[:, 2] >= 0.0]
         world_T, across = self.world_T_model(trees), self.scale(trees)[:, 0]
-        up_m = np.einsum("nij,kj->nki", world_T[:, :, :3], profile_m[:, :3])
+        up_m = matvec(world_T[:, None, :, :3], profile_m[:, :3])
         circles = np.zeros(up_m.shape[:2], STEM_CIRCLE)
         circles["tree"], circles["leader"], circles["part"] = trees["id"][:, None], 1, PlantPart.STEM
         for axis, name in enumerate("xyz"):
@@ -141,7 +142,7 @@ class TreeModel:
 
     def scale(self, trees: Trees) -> Array:
         """Stretch (n, 2) for trees: across, so that the DBH is theirs, and along the axis."""
-        upright = np.cos(np.radians(trees["lean_deg"]))
+        upright = cos(np.radians(trees["lean_deg"]))
         own_m = [
             self.outline(height_m, BREAST_HEIGHT_M).diameter_m for height_m in trees["height_m"].tolist()
         ]
@@ -153,7 +154,7 @@ class TreeModel:
         across, along = self.scale(trees).T
         stretched = turned(trees["crown_azimuth_deg"]) * np.column_stack([across, across, along])[:, None]
         foot_m = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
-        return np.concatenate([lean @ stretched, foot_m[..., None]], axis=2)
+        return np.concatenate([matmul(lean, stretched), foot_m[..., None]], axis=2)
 
     def measure(self, row: np.void, tree: Trees) -> None:
         """Fill in what of a row `INVENTORY` follows from the meshes of one tree (1,)."""
@@ -161,21 +162,21 @@ class TreeModel:
         turn, foot_m, (across, along) = world_T[:, :3], world_T[:, 3], self.scale(tree)[0].tolist()
         breast, us = (self.outline(height_m, at_m) for at_m in (BREAST_HEIGHT_M, US_BREAST_HEIGHT_M))
         middle_m = np.append(breast.middle_m, BREAST_HEIGHT_M * self.height_m / height_m)
-        row["x_breast_m"], row["y_breast_m"] = (turn @ middle_m + foot_m)[:2]
+        row["x_breast_m"], row["y_breast_m"] = (matvec(turn, middle_m) + foot_m)[:2]
         row["dbh_us_m"], row["girth_over_pi_m"] = across * us.diameter_m, across * breast.tape_m
-        whole_m, crown_m = (corners_m @ turn.T for corners_m in (self._corners_m, self._crown_corners_m))
+        whole_m, crown_m = (matvec(turn, corners_m) for corners_m in (self._corners_m, self._crown_corners_m))
         for axis, name in enumerate("xy"):
             row[f"{name}_min_m"] = foot_m[axis] + whole_m[:, axis].min()
             row[f"{name}_max_m"] = foot_m[axis] + whole_m[:, axis].max()
         row["top_m"], row["crown_base_m"] = whole_m[:, 2].max(), row["height_m"]
         if len(crown_m):
             row["crown_base_m"] = crown_m[:, 2].min()
-            row["crown_width_m"] = np.ptp(crown_m[:, :2] @ _AROUND, axis=0).mean()
-        size = across**2 * along
+            row["crown_width_m"] = np.ptp(matvec(_AROUND.T, crown_m[:, :2]), axis=0).mean()
+        size = across * across * along
         row["stem_m3"], row["wood_m3"] = size * self._stem_m3, size * self._wood_m3
         # Faces across the axis grow with the square of the width, upright ones with width and height.
         level_m2, upright_m2 = self._leaf_m2
-        row["leaf_m2"] = np.hypot(across**2 * level_m2, across * along * upright_m2).sum()
+        row["leaf_m2"] = hypot(across * across * level_m2, across * along * upright_m2).sum()
         sizes = (np.array([row[name]]) for name in ("dbh_m", "height_m", "crown_base_m"))
         row["biomass_kg"] = self.species.biomass_kg(*sizes)[0]
 
@@ -191,13 +192,13 @@ class TreeModel:
         faces_m = [mesh.vertices_m.astype(np.float64)[mesh.faces] for mesh in leaves]
         sides = [np.cross(face[:, 1] - face[:, 0], face[:, 2] - face[:, 0]) / 2 for face in faces_m]
         side_m2 = np.concatenate([np.zeros((0, 3)), *sides])
-        level_m2, upright_m2 = np.abs(side_m2[:, 2]), np.hypot(side_m2[:, 0], side_m2[:, 1])
-        tilt = (np.arctan2(level_m2, upright_m2) * (_TILTS / np.pi * 2.0)).astype(int).clip(max=_TILTS - 1)
+        level_m2, upright_m2 = np.abs(side_m2[:, 2]), hypot(side_m2[:, 0], side_m2[:, 1])
+        tilt = (atan2(level_m2, upright_m2) * (_TILTS / np.pi * 2.0)).astype(int).clip(max=_TILTS - 1)
         self._leaf_m2 = [np.bincount(tilt, m2, _TILTS) for m2 in (level_m2, upright_m2)]
 
     def _circles(self, low_m: float, high_m: float) -> Array:
         """(16, 4) middles and radii of the stem, nearer to each other at the butt; straight lines where it cannot be cut."""
-        share = np.linspace(0.0, 1.0, 16) ** 2
+        share = np.square(np.linspace(0.0, 1.0, 16))
         at_m = low_m + share * (high_m - low_m)
         cuts = [
             self._stem.cut(low_m + own * (high_m - low_m)) for own in share.clip(1e-3, 1.0 - 1e-3).tolist()
@@ -216,7 +217,7 @@ class TreeModel:
         x_m, y_m, radius_m = (
             np.interp(vertices_m[:, 2], self._profile_m[:, 2], self._profile_m[:, i]) for i in (0, 1, 3)
         )
-        near = np.hypot(vertices_m[:, 0] - x_m, vertices_m[:, 1] - y_m) < _BOLE * radius_m + _BOLE_M
+        near = hypot(vertices_m[:, 0] - x_m, vertices_m[:, 1] - y_m) < _BOLE * radius_m + _BOLE_M
         bole = near[faces].all(axis=1)
         return [(part, EXACT, _used(vertices_m, faces[bole])), (part, part, _used(vertices_m, faces[~bole]))]
 
@@ -330,7 +331,7 @@ class TreeModels:
         if len(fits) == 1:
             return fits[0]
         stretch = [
-            abs(float(np.log(across / along))) for i in fits for across, along in self._models[i].scale(tree)
+            abs(float(log(across / along))) for i in fits for across, along in self._models[i].scale(tree)
         ]
-        good = [i for i, own in zip(fits, stretch, strict=True) if own <= min(stretch) + np.log(_ALIKE)]
+        good = [i for i, own in zip(fits, stretch, strict=True) if own <= min(stretch) + log(_ALIKE)]
         return good[int(tree["crown_azimuth_deg"][0] * 1e6) % len(good)]

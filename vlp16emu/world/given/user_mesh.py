@@ -17,9 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matvec, norm
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
 from vlp16emu.types import Mesh
 from vlp16emu.world.given.settings import LengthUnit, UpAxis
+from vlp16emu.world.vectors import determinant
 
 __all__ = ["PartMesh", "UserMesh", "load_mesh", "welded"]
 
@@ -109,7 +111,7 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
         findings += [f"{path}: {name}: {finding}" for finding in _findings(vertices, faces, dropped)]
     for finding in findings:
         _log.warning(finding)
-    return UserMesh(path, centre, made, float(np.linalg.norm(high - low)) / 2, tuple(findings))
+    return UserMesh(path, centre, made, float(norm(high - low)) / 2, tuple(findings))
 
 
 def _parts(path: Path) -> tuple[list[tuple[str, tuple[Array, Faces]]], list[str]]:
@@ -246,7 +248,7 @@ def _placed(where: str, vertices: Array, faces: Faces, file_T_part: Array) -> Ar
             f"found {vertices[vertex].tolist()} as vertex {vertex}, counted from 0",
             "finite coordinates",
         )
-    place: Array = vertices @ file_T_part[:3, :3].T + file_T_part[:3, 3]
+    place: Array = matvec(file_T_part[:3, :3], vertices) + file_T_part[:3, 3]
     return place
 
 
@@ -254,8 +256,8 @@ def _swept(where: str, vertices: Array, faces: Faces) -> tuple[Array, Faces, int
     """Vertices that are used, faces that have an area, and how many had none."""
     corner = vertices[faces]
     sides = corner - np.roll(corner, 1, axis=1)
-    longest2 = np.einsum("fci,fci->fc", sides, sides).max(axis=1)
-    area2 = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    longest2 = (sides * sides).sum(axis=2).max(axis=1)
+    area2 = norm(np.cross(sides[:, 0], sides[:, 1]))
     solid = area2 > _FLAT * longest2
     if not solid.any():
         raise GeometryError(where, f"none of its {len(faces)} faces has an area", "a mesh of triangles")
@@ -297,7 +299,7 @@ def _findings(vertices: Array, faces: Faces, dropped: int) -> list[str]:
         found.append(f"is not closed: edges with one face only: {holes}")
     if turned:
         found.append(f"edges between faces that look opposite ways: {turned}")
-    if not holes and not turned and np.linalg.det(vertices[faces] - vertices.mean(axis=0)).sum() < 0:
+    if not holes and not turned and determinant(vertices[faces] - vertices.mean(axis=0)).sum() < 0:
         found.append("is inside out: all its faces look inwards")
     return found
 

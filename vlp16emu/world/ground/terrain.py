@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, sin, tan
 from vlp16emu.random import Purpose, generator, philox4x32
 from vlp16emu.world.ground.settings import Terrain
 from vlp16emu.world.ground.trails import Trails
@@ -57,11 +58,11 @@ class TerrainHeights:
         self._waves = np.concatenate(
             [waves(generator(seed, Purpose.TERRAIN, i), *band) for i, band in enumerate(bands)]
         )
-        rise, towards = math.tan(math.radians(section.slope_deg)), math.radians(section.slope_towards_deg)
-        self._gradient = (rise * math.cos(towards), rise * math.sin(towards))
+        rise, towards = tan(math.radians(section.slope_deg)), math.radians(section.slope_towards_deg)
+        self._gradient = (rise * cos(towards), rise * sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
-        self._mound_share = section.mounds_per_ha * _MOUND_CELL_M**2 / 10_000
-        self._pit_share = section.pits_per_ha * _PIT_CELL_M**2 / 10_000
+        self._mound_share = section.mounds_per_ha * _MOUND_CELL_M * _MOUND_CELL_M / 10_000
+        self._pit_share = section.pits_per_ha * _PIT_CELL_M * _PIT_CELL_M / 10_000
         self.trails = Trails(section, seed=seed)
         """On it, if any."""
 
@@ -120,7 +121,7 @@ def _mound_m(east_m: float, north_m: float, wide: float, high: float) -> float:
     """Height of a mound at a place from its middle, of a width and a height in [0, 1): (1 - (r / R)^2)^3, smooth to its rim."""
     radius = (_MOUND_WIDTH_M[0] + wide * (_MOUND_WIDTH_M[1] - _MOUND_WIDTH_M[0])) / 2
     inside = 1.0 - (east_m * east_m + north_m * north_m) / (radius * radius)
-    return (2.0 * high - 1.0) * _MOUND_HEIGHT_M * inside**3 if inside > 0.0 else 0.0
+    return (2.0 * high - 1.0) * _MOUND_HEIGHT_M * (inside * inside * inside) if inside > 0.0 else 0.0
 
 
 @numba.njit(cache=True, nogil=True)
@@ -128,8 +129,14 @@ def _pit_m(east_m: float, north_m: float, size: float, turn: float) -> float:
     """Height of a pit and its mound, of a size and a direction in [0, 1): (1 - (r / R)^2)^2 of either, smooth to its rim."""
     radius = (_PIT_WIDTH_M[0] + size * (_PIT_WIDTH_M[1] - _PIT_WIDTH_M[0])) / 2
     depth = _PIT_DEPTH_M[0] + size * (_PIT_DEPTH_M[1] - _PIT_DEPTH_M[0])
-    east = _PIT_ASIDE * radius * math.cos(2 * math.pi * turn)
-    north = _PIT_ASIDE * radius * math.sin(2 * math.pi * turn)
-    mound = 1.0 - ((east_m - east) ** 2 + (north_m - north) ** 2) / (radius * radius)
-    pit = 1.0 - ((east_m + east) ** 2 + (north_m + north) ** 2) / (radius * radius)
-    return depth * (max(mound, 0.0) ** 2 - max(pit, 0.0) ** 2)
+    east = _PIT_ASIDE * radius * cos(2 * math.pi * turn)
+    north = _PIT_ASIDE * radius * sin(2 * math.pi * turn)
+    mound = _dome(east_m - east, north_m - north, radius)
+    pit = _dome(east_m + east, north_m + north, radius)
+    return depth * (mound * mound - pit * pit)
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+def _dome(east_m: float, north_m: float, radius: float) -> float:
+    """Height of a paraboloid of height 1 at a place from its middle; 0 beyond its radius."""
+    return max(1.0 - (east_m * east_m + north_m * north_m) / (radius * radius), 0.0)

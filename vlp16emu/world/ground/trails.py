@@ -11,6 +11,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, sin
 from vlp16emu.random import Purpose, philox4x32
 from vlp16emu.trig import cos_sin
 from vlp16emu.world.ground.settings import Terrain
@@ -51,7 +52,7 @@ class Trails:
 
     def __init__(self, section: Terrain, *, seed: int) -> None:
         self._spacing_m, towards = section.trail_spacing_m, math.radians(section.trail_towards_deg)
-        self._along = (math.cos(towards), math.sin(towards))
+        self._along = (cos(towards), sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
         self.free_share = 1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0
         """Of the ground, on which trees may stand."""
@@ -104,11 +105,13 @@ def _add_ruts(
         words = philox4x32(number, np.uint32(0), np.uint32(0), np.uint32(_RUT), seed_low, seed_high)
         track_m = _TRACK_M[0] + words[0] * 2.0**-32 * (_TRACK_M[1] - _TRACK_M[0])
         reach_m = _SHOULDER / 2 * (_RUT_M[0] + words[1] * 2.0**-32 * (_RUT_M[1] - _RUT_M[0]))
-        square = ((abs(aside) - track_m / 2) / reach_m) ** 2
+        off = (abs(aside) - track_m / 2) / reach_m
+        square = off * off
         if square < 1.0:
             phases = words[2] if aside > 0 else words[3]
             depth_m = _depth_m(along_x * x[i] + along_y * y[i], phases)
-            out[i] -= depth_m * (1.0 - square) ** 2 * (1.0 - _SHOULDER**2 * square)
+            rest = 1.0 - square
+            out[i] -= depth_m * (rest * rest) * (1.0 - _SHOULDER * _SHOULDER * square)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -4,6 +4,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, power, sin
 from vlp16emu.trig import cos_sin
 
 __all__ = ["sum_of_waves", "waves"]
@@ -23,14 +24,12 @@ def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: flo
     count = _WAVES if rms > 0 else 0
     shortest, longest = wavelengths_m
     position = (np.arange(count) + rng.random(count)) / _WAVES
-    wavelength = shortest * (longest / shortest) ** position
+    wavelength = shortest * power(longest / shortest, position)
     direction, phase = rng.uniform(0, 2 * np.pi, (2, count))
     # A wave of amplitude a has variance a**2 / 2.
     amplitude = rms * np.sqrt(2 * wavelength / wavelength.sum())
     number_rad_m = 2 * np.pi / wavelength
-    return np.column_stack(
-        [number_rad_m * np.cos(direction), number_rad_m * np.sin(direction), amplitude, phase]
-    )
+    return np.column_stack([number_rad_m * cos(direction), number_rad_m * sin(direction), amplitude, phase])
 
 
 @numba.njit(cache=True, nogil=True)

@@ -3,7 +3,6 @@
 Inside the equations diameters are in cm and heights in m, or inches and feet, as their authors wrote them.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
+from vlp16emu.elementary import exp, expm1, log, log1p, power
 from vlp16emu.settings import Section
 
 __all__ = [
@@ -58,8 +58,8 @@ def truncated_weibull_cm(coefficients: tuple[float, ...], probability: Array, me
     a0, a1, c0, c1, c2 = coefficients
     scale = a0 + a1 * mean_dbh_cm
     shape = c0 + c1 * mean_dbh_cm + c2 * _LARGEST_DBH_RATIO * mean_dbh_cm
-    floor = (_TRUNCATION_CM / scale) ** shape
-    quantile: Array = scale * (floor - np.log1p(-probability)) ** (1 / shape)
+    floor = power(_TRUNCATION_CM / scale, shape)
+    quantile: Array = scale * power(floor - log1p(-probability), 1 / shape)
     return quantile
 
 
@@ -69,7 +69,7 @@ def _uniform_height_m(
     """Uniform height curve through (mean_dbh_cm, mean_height_m), Nagel (1999); a, b."""
     a, b = coefficients
     exponent = a * (1 - mean_dbh_cm / dbh_cm) + b * (1 / mean_dbh_cm - 1 / dbh_cm)
-    height: Array = BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * np.exp(exponent)
+    height: Array = BREAST_HEIGHT_M + (mean_height_m - BREAST_HEIGHT_M) * exp(exponent)
     return height
 
 
@@ -85,7 +85,7 @@ def _curtis_arney_height_m(
 
     def above_breast_ft(dbh_in: Array) -> Array:
         """Height above breast height."""
-        whole: Array = p2 * np.exp(-p3 * np.maximum(dbh_in, 3.0) ** p4)
+        whole: Array = p2 * exp(-p3 * power(np.maximum(dbh_in, 3.0), p4))
         return whole * np.minimum(dbh_in / 3.0, 1.0)
 
     mean_ft = above_breast_ft(np.array([mean_dbh_cm / _INCH_CM]))[0]
@@ -102,7 +102,7 @@ def _linear_crown_width_m(coefficients: tuple[float, ...], dbh_cm: Array) -> Arr
 def _saturating_crown_width_m(coefficients: tuple[float, ...], dbh_cm: Array) -> Array:
     """Straight line that thin trees fall short of, Doebbeler et al. (2002); c0, c1, c2, c3."""
     c0, c1, c2, c3 = coefficients
-    width: Array = (c0 + c1 * dbh_cm) * -np.expm1(-((dbh_cm / c2) ** c3))
+    width: Array = (c0 + c1 * dbh_cm) * -expm1(-power(dbh_cm / c2, c3))
     return width
 
 
@@ -113,7 +113,7 @@ def _bechtold_crown_width_m(coefficients: tuple[float, ...], dbh_cm: Array) -> A
     """
     a1, a2, a3, a4, crown_ratio_percent = coefficients
     dbh_in = np.clip(dbh_cm / _INCH_CM, 5.0, 50.0)
-    width_ft = a1 + a2 * dbh_in + a3 * dbh_in**2 + a4 * crown_ratio_percent
+    width_ft = a1 + a2 * dbh_in + a3 * np.square(dbh_in) + a4 * crown_ratio_percent
     width: Array = width_ft * np.minimum(dbh_cm / _INCH_CM / 5.0, 1.0) * _FOOT_M
     return width
 
@@ -123,8 +123,8 @@ def _exponential_crown_base_m(
 ) -> Array:
     """Crown base after the settings of TreeGrOSS for north-west Germany; q0, q1, q2, q3."""
     q0, q1, q2, q3 = coefficients
-    exponent = np.abs(q0 + q1 * height_m / dbh_cm + q2 * dbh_cm + q3 * math.log(top_height_m))
-    base: Array = height_m * -np.expm1(-exponent)
+    exponent = np.abs(q0 + q1 * height_m / dbh_cm + q2 * dbh_cm + q3 * log(top_height_m))
+    base: Array = height_m * -expm1(-exponent)
     return base
 
 
@@ -138,14 +138,14 @@ def _ratio_crown_base_m(
 def _log_biomass_kg(coefficients: tuple[float, ...], dbh_cm: Array) -> Array:
     """Dry mass above ground as exp(b0 + b1 ln d), Jenkins et al. (2003), Forest Science 49(1), table 4."""
     b0, b1 = coefficients
-    mass: Array = np.exp(b0 + b1 * np.log(dbh_cm))
+    mass: Array = exp(b0 + b1 * log(dbh_cm))
     return mass
 
 
 def _power_biomass_kg(coefficients: tuple[float, ...], dbh_cm: Array, height_m: Array) -> Array:
     """Dry mass above ground as b0 d^b1 h^b2, the form of Smith et al. (2014)."""
     b0, b1, b2 = coefficients
-    mass: Array = b0 * dbh_cm**b1 * height_m**b2
+    mass: Array = b0 * power(dbh_cm, b1) * power(height_m, b2)
     return mass
 
 
@@ -160,8 +160,9 @@ def _component_biomass_kg(
     """
     total = np.zeros_like(dbh_cm)
     for a, b, c, d, e, f, g, h in np.reshape(coefficients, (-1, _COMPONENT_TERMS)):
-        size = dbh_cm**c * height_m**d * upper_cm**e * base_m**g * (dbh_cm * height_m) ** h
-        total += np.maximum(a + b * size * (_STUMP_SHARE * height_m) ** f, 0.0)
+        size = power(dbh_cm, c) * power(height_m, d) * power(upper_cm, e) * power(base_m, g)
+        size *= power(dbh_cm * height_m, h) * power(_STUMP_SHARE * height_m, f)
+        total += np.maximum(a + b * size, 0.0)
     return total
 
 
@@ -280,14 +281,13 @@ def _form(row: Array, height_m: float, above_ground_m: float) -> float:
     else:
         # Brink's function as Schmidt (2001) uses it, with a radius of 1 at breast height.
         i_share, p, q = row[4], row[5], row[6]
-        top = 1.0 - math.exp(q * (1.3 - whole_m))
-        butt = 1.0 - math.exp(p * (1.3 - whole_m))
-        u = i_share / top + (1.0 - i_share) * (1.0 - 1.0 / butt)
-        v = (1.0 - i_share) * math.exp(1.3 * p) / butt
-        w = i_share * math.exp(-q * whole_m) / top
-        form = u + v * math.exp(-p * z) - w * math.exp(q * z)
+        top = 1.0 - exp(q * (1.3 - whole_m))
+        butt = 1.0 - exp(p * (1.3 - whole_m))
+        # In two terms that are exactly 1 at breast height and 0 at the tip.
+        form = i_share * ((1.0 - exp(q * (z - whole_m))) / top)
+        form += (1.0 - i_share) * (1.0 - (1.0 - exp(p * (1.3 - z))) / butt)
     if row[2] > 0:
-        form *= 1.0 + row[2] * math.exp(-z / row[3])
+        form *= 1.0 + row[2] * exp(-z / row[3])
     return max(form, 0.0)
 
 

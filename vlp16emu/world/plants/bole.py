@@ -7,6 +7,7 @@ epicormic shoot (broadleaves), so single living branches below it are no contrad
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import exp
 from vlp16emu.world.plants.branches import (
     GOLDEN_ANGLE,
     THINNEST_M,
@@ -85,17 +86,18 @@ def bole_branches(
     depth_m = _depths_m(rng, habit, min(reach_m, below_m), reach_m)
     n = len(depth_m)
     age = depth_m / reach_m
-    lives = rng.random(n) < np.exp(-depth_m / min(habit.living_depth_m, _LIVING_DEPTH * crown_base_m))
+    lives = rng.random(n) < exp(-depth_m / min(habit.living_depth_m, _LIVING_DEPTH * crown_base_m))
     grown = 1 - (1 - _LENGTH_AT_FOOT) * depth_m / max(below_m, 1e-9)
     whole_m = longest_m * grown * rng.uniform(*_LENGTHS, n)
     bark_m = np.interp(depth_m, np.linspace(0, crown_base_m, len(stem_m)), stem_m)
-    broken_m = bark_m + rng.rayleigh(_STUB_M / np.maximum(age, 1e-9) ** 1.5)
+    since = np.maximum(age, 1e-9)
+    broken_m = bark_m + rng.rayleigh(_STUB_M / (since * np.sqrt(since)))
     length_m = np.where(lives, whole_m, np.minimum(whole_m, broken_m))
     azimuth = GOLDEN_ANGLE * np.arange(n) + rng.normal(0.0, 0.4, n)
     at = (np.arange(_NODES - 1) + 0.5) / (_NODES - 1)
     rise = habit.rise_deg[0] + rng.normal(0.0, 10.0, (n, 1))
     upturn = np.where(lives, habit.upturn_deg[0], 0.0)[:, None]
-    elevation = np.radians(rise - habit.droop_deg[0] * at + upturn * at**3)
+    elevation = np.radians(rise - habit.droop_deg[0] * at + upturn * (at * at * at))
     base = np.column_stack([np.zeros((n, 2)), -depth_m])
     whole = curves(rng, base, azimuth, elevation, whole_m, habit.crook_deg)
     # What is left of a branch is its inner part.
@@ -106,7 +108,7 @@ def bole_branches(
     living, dead = (all_branches.of(np.flatnonzero(own)) for own in (lives, ~lives))
     twigs = side_branches(rng, habit.twigs, dead, _TWIG_ORDER)
     twig_age = -twigs.nodes_m[:, 0, 2] / reach_m
-    kept = rng.random(len(twig_age)) < _TWIGS_KEPT * np.exp(-twig_age / _TWIG_AGE)
+    kept = rng.random(len(twig_age)) < _TWIGS_KEPT * exp(-twig_age / _TWIG_AGE)
     return living, dead, twigs.of(np.flatnonzero(kept))
 
 

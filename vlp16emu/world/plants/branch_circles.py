@@ -5,10 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matvec, norm
 from vlp16emu.types import PlantPart
 from vlp16emu.world.plants.branches import Branches
 from vlp16emu.world.plants.crown import CrownKey, crown_branches, crown_placements
 from vlp16emu.world.plants.stem_rings import STEM_CIRCLE, Table, Trees
+from vlp16emu.world.vectors import determinant
 
 __all__ = ["branch_circles"]
 
@@ -48,10 +50,10 @@ def _stretched(branches: Branches, world_T_crown: Array) -> NDArray[np.void]:
     """Circles (n, m) of branches with m nodes, placed by a transform (3, 4)."""
     world_A, nodes_m = world_T_crown[:, :3], branches.nodes_m
     along = np.gradient(nodes_m, axis=1)
-    longer = np.linalg.norm(along @ world_A.T, axis=2) / np.linalg.norm(along, axis=2)
+    longer = norm(matvec(world_A, along)) / norm(along)
     circles = np.zeros(nodes_m.shape[:2], STEM_CIRCLE)
-    for axis, at_m in enumerate(np.moveaxis(nodes_m @ world_A.T + world_T_crown[:, 3], -1, 0)):
+    for axis, at_m in enumerate(np.moveaxis(matvec(world_A, nodes_m) + world_T_crown[:, 3], -1, 0)):
         circles[f"{'xyz'[axis]}_m"] = at_m
     # Area times length is volume, which the determinant stretches.
-    circles["radius_m"] = branches.node_radius_m * np.sqrt(np.linalg.det(world_A) / longer)
+    circles["radius_m"] = branches.node_radius_m * np.sqrt(determinant(world_A) / longer)
     return circles

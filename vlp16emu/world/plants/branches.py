@@ -9,8 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import asin, atan2, cos, hypot, norm, power, sin
 from vlp16emu.types import Mesh
 from vlp16emu.world.plants.species import Habit, Twigs
+from vlp16emu.world.vectors import unit
 
 __all__ = [
     "GOLDEN_ANGLE",
@@ -97,7 +99,7 @@ def first_order(
 
     way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
     rise = between(habit.rise_deg) + rng.normal(0.0, np.radians(6.0), (n, 1))
-    elevation = rise - between(habit.droop_deg) * way + between(habit.upturn_deg) * way**3
+    elevation = rise - between(habit.droop_deg) * way + between(habit.upturn_deg) * (way * way * way)
     base = np.zeros((n, 3))
     base[:, 2] = relative * length_m
     unit = curves(rng, base * 0, azimuth, elevation, np.ones(n), habit.crook_deg)
@@ -105,7 +107,7 @@ def first_order(
     nodes = base[:, None] + unit * branch_m[:, None, None]
     # Pipe model: the branches together are as thick as the stem that feeds them (Shinozaki et al. 1964),
     # each in proportion to its length; none is thicker than most of the stem it sits on.
-    radius = stem_m[0] * branch_m / np.linalg.norm(branch_m)
+    radius = stem_m[0] * branch_m / np.sqrt(np.square(branch_m).sum())
     here = np.interp(relative, np.linspace(0, 1, len(stem_m)), stem_m)
     return Branches(nodes, azimuth, branch_m, np.clip(radius, THINNEST_M, 0.6 * here))
 
@@ -124,17 +126,17 @@ def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, ord
     side = np.where(rank % 2 == 0, 1.0, -1.0)
     roll = np.radians(twigs.roll_spread_deg) * rng.uniform(-1, 1, n)
     open_angle = np.where(terminal, 0.0, np.radians(twigs.angle_deg + rng.normal(0.0, 8.0, n)))
-    level = _unit(np.cross(tangent, [0.0, 0.0, 1.0])) * side[:, None]
+    level = unit(np.cross(tangent, [0.0, 0.0, 1.0])) * side[:, None]
     upward = np.cross(tangent, level) * side[:, None] * -1.0
-    sideways = np.cos(roll)[:, None] * level + np.sin(roll)[:, None] * upward
-    heading = np.cos(open_angle)[:, None] * tangent + np.sin(open_angle)[:, None] * sideways
-    azimuth = np.arctan2(heading[:, 1], heading[:, 0])
+    sideways = cos(roll)[:, None] * level + sin(roll)[:, None] * upward
+    heading = cos(open_angle)[:, None] * tangent + sin(open_angle)[:, None] * sideways
+    azimuth = atan2(heading[:, 1], heading[:, 0])
     steps = (np.arange(_NODES[order] - 1) + 0.5) / (_NODES[order] - 1)
-    elevation = np.arcsin(np.clip(heading[:, 2], -1, 1))[:, None] - np.radians(twigs.droop_deg) * steps
+    elevation = asin(np.clip(heading[:, 2], -1, 1))[:, None] - np.radians(twigs.droop_deg) * steps
     share = twigs.length_share * (1 - 0.7 * way) * rng.uniform(0.7, 1.2, n)
     length = np.clip(bearers.length_m[bearer] * share, *twigs.length_m)
     nodes = curves(rng, base, azimuth, elevation, length, 0.0)
-    together = np.sqrt(np.bincount(bearer, length**2))[bearer]
+    together = np.sqrt(np.bincount(bearer, np.square(length)))[bearer]
     thickest = bearers.radius_m[bearer]
     radius = np.minimum(thickest * length / together, thickest * _taper(way))
     return Branches(nodes, azimuth, length, np.maximum(radius, THINNEST_M))
@@ -160,7 +162,7 @@ def ground_stems(
     inward = (np.arange(stems) + rng.random(stems)) / stems
     azimuth = GOLDEN_ANGLE * np.arange(stems) + rng.normal(0.0, 0.3, stems)
     base = np.zeros((stems, 3))
-    base[:, 0], base[:, 1] = np.cos(azimuth), np.sin(azimuth)
+    base[:, 0], base[:, 1] = cos(azimuth), sin(azimuth)
     base *= (0.08 * width_m * np.sqrt(1 - inward))[:, None]
     way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
     rise = rise_deg[0] + (rise_deg[1] - rise_deg[0]) * inward + rng.normal(0.0, 4.0, stems)
@@ -168,7 +170,7 @@ def ground_stems(
     unit = curves(rng, base * 0, azimuth, elevation, np.ones(stems), bend_deg[1])
     # As long as height or width allow, whichever binds first.
     up = unit[:, :, 2].max(axis=1) / height_m
-    out = np.hypot(unit[..., 0], unit[..., 1]).max(axis=1) / (0.45 * width_m)
+    out = hypot(unit[..., 0], unit[..., 1]).max(axis=1) / (0.45 * width_m)
     length_m = rng.uniform(0.75, 1.0, stems) / np.maximum(up, out)
     # Below the ground as far as a slope may fall away under the foot.
     base[:, 2] = -0.03 * width_m
@@ -178,9 +180,9 @@ def ground_stems(
 
 def volume_m3(branches: Branches) -> float:
     """Volume of round branches of these curves and radii, tip by tip a row of frusta."""
-    step_m = np.linalg.norm(np.diff(branches.nodes_m, axis=1), axis=2)
+    step_m = norm(np.diff(branches.nodes_m, axis=1))
     low, high = branches.node_radius_m[:, :-1], branches.node_radius_m[:, 1:]
-    return float((np.pi / 3 * step_m * (low**2 + low * high + high**2)).sum())
+    return float((np.pi / 3 * step_m * (np.square(low) + low * high + np.square(high))).sum())
 
 
 def joined(*parts: Branches) -> Branches:
@@ -213,7 +215,7 @@ def points_along(nodes_m: Array, branch: NDArray[np.int64], way: Array) -> tuple
     segment = np.minimum((way * (last + 1)).astype(np.int64), last)
     start = nodes_m[branch, segment]
     step = nodes_m[branch, segment + 1] - start
-    return start + step * (way * (last + 1) - segment)[:, None], _unit(step)
+    return start + step * (way * (last + 1) - segment)[:, None], unit(step)
 
 
 def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
@@ -227,14 +229,14 @@ def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
     """
     nodes = branches.nodes_m[:, ::every]
     n, rings = nodes.shape[0], nodes.shape[1] - 1
-    tangent = _unit(np.gradient(nodes, axis=1)[:, :rings])
-    across = np.stack([-np.sin(branches.azimuth), np.cos(branches.azimuth), np.zeros(n)], axis=-1)[:, None]
-    across = _unit(across - (across * tangent).sum(axis=-1, keepdims=True) * tangent)
+    tangent = unit(np.gradient(nodes, axis=1)[:, :rings])
+    across = np.stack([-sin(branches.azimuth), cos(branches.azimuth), np.zeros(n)], axis=-1)[:, None]
+    across = unit(across - (across * tangent).sum(axis=-1, keepdims=True) * tangent)
     other = np.cross(tangent, across)
     half = np.pi / sides
-    corner = branches.radius_m[:, None] * _taper(np.arange(rings) / rings) * half / np.sin(half)
+    corner = branches.radius_m[:, None] * _taper(np.arange(rings) / rings) * half / sin(half)
     angle = 2 * half * np.arange(sides)[:, None]
-    round_about = np.cos(angle) * across[:, :, None] + np.sin(angle) * other[:, :, None]
+    round_about = cos(angle) * across[:, :, None] + sin(angle) * other[:, :, None]
     ring = nodes[:, :rings, None] + corner[..., None, None] * round_about
     vertices = np.concatenate([ring.reshape(n, rings * sides, 3), nodes[:, -1:]], axis=1)
     one = _tube_faces(rings, sides)
@@ -255,16 +257,18 @@ def _tube_faces(rings: int, sides: int) -> NDArray[np.int64]:
 
 def _envelope(habit: Habit, relative: Array) -> Array:
     """Crown radius over its largest, at relative heights (n,)."""
-    below = np.sin(np.pi / 2 * np.minimum(relative / habit.widest_at, 1.0))
+    below = sin(np.pi / 2 * np.minimum(relative / habit.widest_at, 1.0))
     above = np.clip((relative - habit.widest_at) / (1 - habit.widest_at), 0.0, 1.0)
-    radius: Array = (habit.base_fraction + (1 - habit.base_fraction) * below) * (1 - above**habit.top_power)
+    radius: Array = (habit.base_fraction + (1 - habit.base_fraction) * below) * (
+        1 - power(above, habit.top_power)
+    )
     return np.maximum(radius, 0.05)
 
 
 def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: Array, unit: Array) -> Array:
     """Lengths (n,) at which branches from heights (n,) reach the envelope, along unit curves (n, m, 3)."""
     length_m, width_m = size_m
-    away = np.hypot(unit[..., 0], unit[..., 1])
+    away = hypot(unit[..., 0], unit[..., 1])
     rows, outermost = np.arange(len(unit)), away.argmax(axis=1)
     away, up = away[rows, outermost], unit[rows, outermost, 2]
     low, high = np.zeros(len(unit)), np.full(len(unit), length_m + width_m)
@@ -292,8 +296,8 @@ def curves(
         crook = np.radians(crook_deg) * rng.standard_normal((2, n, steps))
         bearing, elevation = bearing + crook[0], elevation + crook[1]
     elevation = np.clip(elevation, -_STEEPEST, _STEEPEST)
-    flat = np.cos(elevation)
-    step = np.stack([flat * np.cos(bearing), flat * np.sin(bearing), np.sin(elevation)], axis=-1)
+    flat = cos(elevation)
+    step = np.stack([flat * cos(bearing), flat * sin(bearing), sin(elevation)], axis=-1)
     step *= (length_m / steps)[:, None, None]
     return np.concatenate([base[:, None], base[:, None] + np.cumsum(step, axis=1)], axis=1)
 
@@ -301,9 +305,3 @@ def curves(
 def _taper(way: Array) -> Array:
     """Branch radius over that at its base."""
     return 1 - (1 - _TIP_SHARE) * way
-
-
-def _unit(vectors: Array) -> Array:
-    """Vectors (..., 3) at unit length."""
-    unit: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return unit

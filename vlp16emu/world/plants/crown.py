@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, matmul, sin
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.plants.allometry import taper_radius_m
@@ -126,7 +127,7 @@ def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[Array, Array]
     Heights are vertical, but crowns follow the leaning axis.
     """
     prototype_m = np.array([(c.crown_width_m, c.crown_length_m) for c in crowns]).reshape(-1, 2)
-    upright = np.cos(np.radians(trees["lean_deg"]))
+    upright = cos(np.radians(trees["lean_deg"]))
     wide: Array = trees["crown_width_m"] / prototype_m[:, 0]
     long: Array = (trees["height_m"] - trees["crown_base_m"]) / upright / prototype_m[:, 1]
     return wide, long
@@ -139,12 +140,12 @@ def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
     upright = lean[:, 2, 2]  # cosine of the lean: heights are vertical
     turn = np.radians(trees["crown_azimuth_deg"])
     stem_T = np.zeros((len(trees), 3, 3))
-    stem_T[:, 0, 0] = stem_T[:, 1, 1] = wide * np.cos(turn)
-    stem_T[:, 1, 0], stem_T[:, 0, 1] = wide * np.sin(turn), -wide * np.sin(turn)
+    stem_T[:, 0, 0] = stem_T[:, 1, 1] = wide * cos(turn)
+    stem_T[:, 1, 0], stem_T[:, 0, 1] = wide * sin(turn), -wide * sin(turn)
     stem_T[:, 2, 2] = long
     foot = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
     base = foot + lean[:, :, 2] * (trees["crown_base_m"] / upright)[:, None]
-    return np.concatenate([lean @ stem_T, base[..., None]], axis=2)
+    return np.concatenate([matmul(lean, stem_T), base[..., None]], axis=2)
 
 
 def _name(key: CrownKey, species: Species) -> tuple[int, int, int]:

@@ -13,6 +13,7 @@ from vlp16emu.world.plants.stem_rings import (
     tip_radius_m,
 )
 from vlp16emu.world.stand.tiles import STEM
+from vlp16emu.world.vectors import unit
 
 __all__ = ["far_stems", "profiles"]
 
@@ -43,8 +44,7 @@ def profiles(foot_m: Array, middle_m: Array, radius_m: Array, begin: int) -> NDA
     """Make `STEM`s of circles (n, 16) with middles (n, 16, 3) relative to feet (n, 3); `begin` is that of their lines."""
     stems = np.zeros(len(foot_m), STEM)
     from_m = middle_m[:, begin]
-    axis = middle_m[:, -1] - from_m
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    axis = unit(middle_m[:, -1] - from_m)
     along_m = (middle_m[..., 2] - from_m[:, None, 2]) / axis[:, 2:]
     stems["foot_m"] = foot_m + from_m
     stems["axis"], stems["along_m"], stems["radius_m"] = axis, along_m, radius_m

@@ -3,9 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, exp, power, sin
 from vlp16emu.types import Mesh
 from vlp16emu.world.plants.branches import Branches, points_along
 from vlp16emu.world.plants.species import Foliage
+from vlp16emu.world.vectors import unit
 
 __all__ = ["foliage_mesh"]
 
@@ -38,8 +40,8 @@ def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, le
     area_m2 = leaf_area_m2 / foliage.clumping
     per_item = foliage.length_m * foliage.width_m * (2.0 if foliage.kind == "shoot" else 0.5)
     n = max(1, round(min(area_m2 / per_item, _MOST_LEAVES)))
-    size = np.exp(rng.normal(0.0, _SIZE_SIGMA, n))
-    size *= np.sqrt(area_m2 / (per_item * (size**2).sum()))
+    size = exp(rng.normal(0.0, _SIZE_SIGMA, n))
+    size *= np.sqrt(area_m2 / (per_item * (np.square(size)).sum()))
     ends_m = np.cumsum(twigs.length_m)
     position = (np.arange(n) + rng.random(n)) / n * ends_m[-1]
     twig = np.minimum(np.searchsorted(ends_m, position, side="right"), len(ends_m) - 1)
@@ -64,11 +66,11 @@ def _blades(
     n, (mu, nu) = len(base), mu_nu
     tilt = rng.beta(nu, mu, n) * (np.pi / 2)
     towards = rng.uniform(0, 2 * np.pi, n)
-    down = np.column_stack([np.cos(tilt) * np.cos(towards), np.cos(tilt) * np.sin(towards), -np.sin(tilt)])
-    level = np.column_stack([-np.sin(towards), np.cos(towards), np.zeros(n)])
+    down = np.column_stack([cos(tilt) * cos(towards), cos(tilt) * sin(towards), -sin(tilt)])
+    level = np.column_stack([-sin(towards), cos(towards), np.zeros(n)])
     turn = rng.normal(0.0, _HANG_SIGMA, n)[:, None]
-    along = np.cos(turn) * down + np.sin(turn) * level
-    across = np.cos(turn) * level - np.sin(turn) * down
+    along = cos(turn) * down + sin(turn) * level
+    across = cos(turn) * level - sin(turn) * down
     middle = base + _WIDEST_AT * length * along
     half = across * width / 2
     return np.stack([base, middle + half, base + length * along, middle - half], axis=1)
@@ -77,14 +79,13 @@ def _blades(
 def _shoots(rng: np.random.Generator, base: Array, tangent: Array, length: Array, width: Array) -> Array:
     """Pairs of crossed rectangles (2n, 4, 3) that leave their twig forwards."""
     n = len(base)
-    first = np.cross(tangent, [0.0, 0.0, 1.0])
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    first = unit(np.cross(tangent, [0.0, 0.0, 1.0]))
     second = np.cross(tangent, first)
     roll = rng.uniform(0, 2 * np.pi, n)[:, None]
     angle = rng.uniform(*_SHOOT_ANGLE, n)[:, None]
-    outward = np.cos(roll) * first + np.sin(roll) * second
-    along = np.cos(angle) * tangent + np.sin(angle) * outward
-    across = np.cos(roll) * second - np.sin(roll) * first  # at right angles to both tangent and outward
+    outward = cos(roll) * first + sin(roll) * second
+    along = cos(angle) * tangent + sin(angle) * outward
+    across = cos(roll) * second - sin(roll) * first  # at right angles to both tangent and outward
     other = np.cross(along, across)
     tip = base + length * along
     pair = [
@@ -96,7 +97,4 @@ def _shoots(rng: np.random.Generator, base: Array, tangent: Array, length: Array
 
 def _in_ball(rng: np.random.Generator, n: int) -> Array:
     """Points (n, 3) evenly distributed in the unit ball."""
-    direction = rng.standard_normal((n, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    inside: Array = direction * np.cbrt(rng.random((n, 1)))
-    return inside
+    return unit(rng.standard_normal((n, 3))) * power(rng.random((n, 1)), 1 / 3)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, power, sin
 from vlp16emu.random import Purpose, generator, uniform
 from vlp16emu.types import Mesh
 from vlp16emu.world.plants.stem_rings import Table, Trees, axis_m, stem_rings
@@ -63,20 +64,20 @@ def ivy_meshes(
     """Leaves (quads) of the ivy on stems (n,) up to heights (n,), relative to an origin (3,); none where that is 0."""
     rings = stem_rings(trees, table=table)
     small_m, large_m = _LEAF_M
-    mean_m2 = _LEAF_WIDTH / 2 * (small_m**2 + small_m * large_m + large_m**2) / 3
+    mean_m2 = _LEAF_WIDTH / 2 * (small_m * small_m + small_m * large_m + large_m * large_m) / 3
     meshes = []
     for i, top_m in enumerate(tops_m.tolist()):
         rng = generator(seed, Purpose.IVY, tile.ix, tile.iy, 1 + i)
         bark_m2 = np.pi * float(trees["dbh_m"][i]) * top_m
         count = round(_LEAF_PER_BARK * bark_m2 / mean_m2)
-        turn, way = rng.uniform(0, 2 * np.pi, count), rng.random(count) ** _UPWARDS
-        edge = 1 - _SHORTER * (0.5 + 0.5 * np.sin(_TONGUES * turn + rng.uniform(0, 2 * np.pi)))
+        turn, way = rng.uniform(0, 2 * np.pi, count), power(rng.random(count), _UPWARDS)
+        edge = 1 - _SHORTER * (0.5 + 0.5 * sin(_TONGUES * turn + rng.uniform(0, 2 * np.pi)))
         up_m = top_m * edge * way
         one = trees[i : i + 1]
         middle_m = axis_m(one, rings.forms.of(np.array([i])), up_m[None])[0]
         away_m = np.interp(up_m, rings.above_ground_m[i], rings.radius_m[i]) + rng.uniform(*_AWAY_M, count)
         foot_m = np.array([one["x_m"][0], one["y_m"][0], one["z_m"][0]]) - origin_m
-        outward = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(count)])
+        outward = np.column_stack([cos(turn), sin(turn), np.zeros(count)])
         corners = _leaves(rng, foot_m + middle_m + away_m[:, None] * outward, outward)
         vertices = corners.reshape(-1, 3).astype(np.float32)
         meshes.append(Mesh(vertices, np.arange(len(vertices), dtype=np.uint32).reshape(-1, 4)))
@@ -88,10 +89,10 @@ def _leaves(rng: np.random.Generator, base: Array, outward: Array) -> Array:
     n = len(base)
     tilt, aside = np.radians(rng.uniform(*_TILT_DEG, n))[:, None], rng.normal(0.0, 0.4, n)[:, None]
     across = np.cross([0.0, 0.0, 1.0], outward)
-    along = np.sin(tilt) * outward - np.cos(tilt) * np.array([0.0, 0.0, 1.0])
+    along = sin(tilt) * outward - cos(tilt) * np.array([0.0, 0.0, 1.0])
     along, across = (
-        np.cos(aside) * along + np.sin(aside) * across,
-        np.cos(aside) * across - np.sin(aside) * along,
+        cos(aside) * along + sin(aside) * across,
+        cos(aside) * across - sin(aside) * along,
     )
     length = rng.uniform(*_LEAF_M, n)[:, None]
     middle, half = base + 0.4 * length * along, _LEAF_WIDTH / 2 * length * across

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import atan2, cos, hypot, sin
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.plants.branches import first_order, side_branches, tubes
@@ -87,7 +88,7 @@ def sapling_meshes(
     leaves = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 4), np.uint32))
     foliage = species.foliage
     if foliage and (key.season == "leaf_on" or foliage.kind == "shoot"):
-        leaf_area_m2 = _LEAF_AREA_INDEX * np.pi / 4 * width_m**2
+        leaf_area_m2 = _LEAF_AREA_INDEX * np.pi / 4 * width_m * width_m
         leaves = foliage_mesh(rng, foliage, second, leaf_area_m2)
     return (
         crooked(_cone(foot_m, key.height_m)),
@@ -112,16 +113,16 @@ def _crooked(height_m: float, drawn: NDArray[np.float64], mesh: Mesh) -> Mesh:
     x, y, z = at_m.T
     u = np.clip(z / height_m, 0.0, 1.0)
     lean, bow, sway, light = 2 * np.pi * drawn[:4]
-    away_m, lopsided = np.hypot(x, y), _LOPSIDED * drawn[4]
+    away_m, lopsided = hypot(x, y), _LOPSIDED * drawn[4]
     # Nothing at the stem, which stays as round as it is.
-    reach = 1 + lopsided * np.cos(np.arctan2(y, x) - light) * np.clip(away_m / (0.05 * height_m) - 0.3, 0, 1)
+    reach = 1 + lopsided * cos(atan2(y, x) - light) * np.clip(away_m / (0.05 * height_m) - 0.3, 0, 1)
     shift_m = height_m * np.stack(
         [
-            share * draw * np.outer([np.cos(towards), np.sin(towards)], course)
+            share * draw * np.outer([cos(towards), sin(towards)], course)
             for share, draw, towards, course in (
                 (_LEAN, drawn[5], lean, u),
                 (_BOW, drawn[6], bow, 4 * u * (1 - u)),
-                (_SWAY, drawn[7], sway, np.sin(2 * np.pi * u)),
+                (_SWAY, drawn[7], sway, sin(2 * np.pi * u)),
             )
         ]
     ).sum(axis=0)
@@ -146,12 +147,12 @@ def _cone(foot_m: float, height_m: float) -> Mesh:
     """Make a closed stem whose cross-section at any height has the area of its circle."""
     step, rings = 2 * np.pi / _STEM_SIDES, len(_CONE) + 1
     z = height_m * np.array([-_BURIED_SHARE, *_CONE])
-    corner_m = foot_m * (1 - z / height_m) * np.sqrt(step / np.sin(step))
+    corner_m = foot_m * (1 - z / height_m) * np.sqrt(step / sin(step))
     angle = step * np.arange(_STEM_SIDES)
     ring = np.stack(
         [
-            np.outer(corner_m, np.cos(angle)),
-            np.outer(corner_m, np.sin(angle)),
+            np.outer(corner_m, cos(angle)),
+            np.outer(corner_m, sin(angle)),
             np.repeat(z[:, None], _STEM_SIDES, 1),
         ],
         axis=-1,

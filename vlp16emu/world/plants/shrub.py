@@ -34,7 +34,7 @@ class ShrubKey:
     @property
     def projection_m2(self) -> float:
         """Ground that it covers."""
-        return np.pi / 4 * self.width_m**2
+        return np.pi / 4 * self.width_m * self.width_m
 
 
 def shrub_meshes(

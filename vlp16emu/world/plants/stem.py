@@ -12,6 +12,7 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import atan2, cos, hypot, matvec, norm, sin
 from vlp16emu.types import HeightField, Mesh, PlantPart
 from vlp16emu.world.plants.branches import merged
 from vlp16emu.world.plants.stem_rings import (
@@ -69,8 +70,8 @@ class StemKey:
 def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:
     """Rotations (n, 3, 3) that tip the vertical by `lean_deg` towards an angle from east, without twist."""
     tilt, towards = np.radians(lean_deg), np.radians(towards_deg)
-    c, s = np.cos(towards), np.sin(towards)
-    v, w = 1 - np.cos(tilt), np.sin(tilt)
+    c, s = cos(towards), sin(towards)
+    v, w = 1 - cos(tilt), sin(tilt)
     rows = [[1 - v * c * c, -v * c * s, w * c], [-v * c * s, 1 - v * s * s, w * s], [-w * c, -w * s, 1 - v]]
     return np.moveaxis(np.array(rows), -1, 0)
 
@@ -117,10 +118,10 @@ def _buried_m(trees: Trees, rings: StemRings, height_m: HeightField) -> Array:
     flare_m = _WIDEST * rings.radius_m[:, :1]
     around = np.arange(8) * (np.pi / 4)
     ground_m = height_m(
-        trees["x_m"][:, None] + flare_m * np.cos(around), trees["y_m"][:, None] + flare_m * np.sin(around)
+        trees["x_m"][:, None] + flare_m * cos(around), trees["y_m"][:, None] + flare_m * sin(around)
     )
     slope = stem_slopes(partial(axis_m, trees, rings.forms), np.zeros((len(trees), 1)))
-    raised_m = (flare_m * np.hypot(*np.moveaxis(slope, -1, 0)))[:, 0]
+    raised_m = (flare_m * norm(slope))[:, 0]
     buried: Array = _BURIED_M + raised_m - np.minimum(ground_m.min(axis=1) - trees["z_m"], 0.0)
     return buried
 
@@ -169,8 +170,8 @@ def _tips_m(trees: Trees, rings: StemRings, table: Table | None) -> Array:
     broken = tip_radius_m(trees, table=table) > 0
     aside_m = np.where(broken, _SPLINTER_SHARE * rings.radius_m[:, -1], 0.0)
     across = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[:, :, :2]
-    splinter_m = aside_m[:, None] * np.column_stack([np.cos(phase), np.sin(phase)])
-    return tip_m + np.einsum("nij,nj->ni", across, splinter_m)
+    splinter_m = aside_m[:, None] * np.column_stack([cos(phase), sin(phase)])
+    return tip_m + matvec(across, splinter_m)
 
 
 def _pipes(axis: Callable[[Array], Array], above_m: Array, away_m: Array, angle: Array) -> Array:
@@ -185,11 +186,11 @@ def _pipes(axis: Callable[[Array], Array], above_m: Array, away_m: Array, angle:
     """
     n, rings, sides = away_m.shape
     east, north = np.moveaxis(stem_slopes(axis, above_m), -1, 0)
-    tilt, towards = np.degrees(np.arctan(np.hypot(east, north))), np.degrees(np.arctan2(north, east))
+    tilt, towards = np.degrees(atan2(hypot(east, north), 1.0)), np.degrees(atan2(north, east))
     across = lean_rotation(tilt.ravel(), towards.ravel())[:, :, :2].reshape(n, rings, 3, 2)
-    flat_m = away_m[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)[:, None]
+    flat_m = away_m[..., None] * np.stack([cos(angle), sin(angle)], axis=-1)[:, None]
     middle_m = axis(above_m)
-    ring_m = middle_m[:, :, None] + np.einsum("nrij,nrsj->nrsi", across, flat_m)
+    ring_m = middle_m[:, :, None] + matvec(across[:, :, None], flat_m)
     return np.concatenate([middle_m[:, :1], ring_m.reshape(n, rings * sides, 3)], axis=1)
 
 

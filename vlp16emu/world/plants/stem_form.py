@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, exp, expm1, hypot, sin, tan
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.world.plants.flora import stem_keys
 from vlp16emu.world.plants.species import Species
@@ -74,10 +75,12 @@ class StemForms:
     def aside_m(self, above_m: Array) -> Array:
         """Distance (n, r, 2), east and north, of axes from straight ones at heights (n, r) over their feet."""
         u = np.minimum(above_m / np.maximum(self.bole_m, 1e-6)[:, None], 1.0)
-        bow = 27 / 4 * u * (1 - u) ** 2  # 1 at a third of the bole, level with the line at its end
-        to_and_fro = 13.2 * u * (1 - u) ** 2 * (1 - 3 * u)
-        butt = _BUTT_M * -np.expm1(-above_m / _BUTT_M) * (1 - u) ** 2
-        return np.einsum("knr,nkc->nrc", np.stack([bow, to_and_fro, butt]), self.bends)
+        bow = 27 / 4 * u * np.square(1 - u)  # 1 at a third of the bole, level with the line at its end
+        to_and_fro = 13.2 * u * np.square(1 - u) * (1 - 3 * u)
+        butt = _BUTT_M * -expm1(-above_m / _BUTT_M) * np.square(1 - u)
+        bends = self.bends[:, None]
+        aside: Array = bow[..., None] * bends[:, :, 0] + to_and_fro[..., None] * bends[:, :, 1]
+        return aside + butt[..., None] * bends[:, :, 2]
 
     def outline(self, angle: Array, above_m: Array, radius_m: Array, breast_m: Array) -> Array:
         """Distance of vertices from the axis, (n, r, sides), so that each polygon has the area of its circle.
@@ -91,10 +94,10 @@ class StemForms:
         theta, z = angle[:, None], above_m[..., None]
         up = np.maximum(z, 0.0)
         ovality, towards, turn, egg = (self.oval[:, i, None, None] for i in range(4))
-        shape = 1 + ovality / 2 * np.cos(2 * (theta - towards - turn * z))
-        shape += _EGG_SHARE * ovality / 2 * np.cos(3 * theta - egg)
+        shape = 1 + ovality / 2 * cos(2 * (theta - towards - turn * z))
+        shape += _EGG_SHARE * ovality / 2 * cos(3 * theta - egg)
         number, size, at = (self.lobes[:, i, None, None] for i in range(3))
-        shape += size * np.exp(-up / _LOBES_M) * np.cos(number * theta - at)
+        shape += size * exp(-up / _LOBES_M) * cos(number * theta - at)
         shape += self._ridges(theta, z) * _depth(radius_m, breast_m)[..., None]
         step = 2 * np.pi / angle.shape[1]
         size_m = radius_m * np.sqrt(np.pi / polygon_m2(shape, step))
@@ -105,8 +108,8 @@ class StemForms:
         depth_m, ridges, a, b, c, d = (self.bark[:, i, None, None] for i in range(6))
         many = np.minimum(np.round(ridges), theta.shape[-1] // _RIDGE_VERTICES)
         few = np.round(0.7 * many)
-        wander = 1.5 * np.sin(2 * np.pi * z / 1.1 + c) + 2.5 * np.sin(2 * np.pi * z / 4.3 + d)
-        wave = 0.6 * np.cos(many * theta + wander - a) + 0.4 * np.cos(few * theta - wander - b)
+        wander = 1.5 * sin(2 * np.pi * z / 1.1 + c) + 2.5 * sin(2 * np.pi * z / 4.3 + d)
+        wave = 0.6 * cos(many * theta + wander - a) + 0.4 * cos(few * theta - wander - b)
         return depth_m / 2 * wave
 
     def leader_top_m(self, fork_m: Array, height_m: Array) -> Array:
@@ -116,8 +119,8 @@ class StemForms:
     def leader_aside_m(self, above_m: Array, fork_m: Array) -> Array:
         """Distance (n, r, 2) of second leaders from the first, at heights (n, r), of forks at heights (n,)."""
         _, _, _, slope, gap_m, towards = (column[:, None] for column in self.forks.T)
-        away_m = gap_m * -np.expm1(-slope / gap_m * (above_m - fork_m[:, None]))
-        return away_m[..., None] * np.stack([np.cos(towards), np.sin(towards)], axis=-1)
+        away_m = gap_m * -expm1(-slope / gap_m * (above_m - fork_m[:, None]))
+        return away_m[..., None] * np.stack([cos(towards), sin(towards)], axis=-1)
 
     def of(self, which: NDArray[np.int64]) -> "StemForms":
         """Give the forms of some of the stems."""
@@ -134,9 +137,9 @@ def stem_forms(trees: NDArray[np.void], *, table: Mapping[str, Species] | None =
     u = np.array([uniform(seed, Purpose.STEM_FORM, 0, 16, 1) for seed in seeds]).reshape(-1, 16)
     bow_m = (bow * trees["crown_base_m"] * _SIGMA_OVER_MEAN)[:, None] * g[:, :4]
     most_m = _MOST_BOW * trees["dbh_m"]
-    bow_m *= np.minimum(1.0, most_m / np.maximum(np.hypot(bow_m[:, 0], bow_m[:, 1]), 1e-9))[:, None]
-    butt = (np.tan(np.radians(butt_deg)) * _SIGMA_OVER_MEAN)[:, None] * g[:, 4:6]
-    oval = ovality * _SIGMA_OVER_MEAN * np.hypot(g[:, 6], g[:, 7])
+    bow_m *= np.minimum(1.0, most_m / np.maximum(hypot(bow_m[:, 0], bow_m[:, 1]), 1e-9))[:, None]
+    butt = (tan(np.radians(butt_deg)) * _SIGMA_OVER_MEAN)[:, None] * g[:, 4:6]
+    oval = ovality * _SIGMA_OVER_MEAN * hypot(g[:, 6], g[:, 7])
     turns = 2 * np.pi * u
     least, most = _LOBES
     depth_m = bark_mm_per_cm * trees["dbh_m"] / 10
@@ -156,7 +159,7 @@ def stem_forms(trees: NDArray[np.void], *, table: Mapping[str, Species] | None =
                 u[:, 12] < fork_share,
                 low + (high - low) * u[:, 13],
                 np.interp(u[:, 14], (0, 1), _LEADER_SHARE),
-                np.tan(np.radians(np.interp(u[:, 15], (0, 1), _LEADER_DEG))),
+                tan(np.radians(np.interp(u[:, 15], (0, 1), _LEADER_DEG))),
                 gap_m,
                 turns[:, 0],
             ]
@@ -166,7 +169,7 @@ def stem_forms(trees: NDArray[np.void], *, table: Mapping[str, Species] | None =
 
 def polygon_m2(away_m: Array, step: float) -> Array:
     """Area (...) of polygons whose corners (..., sides) are so far from a point, by even steps in rad around it."""
-    area: Array = np.sin(step) / 2 * (away_m * np.roll(away_m, -1, axis=-1)).sum(axis=-1)
+    area: Array = sin(step) / 2 * (away_m * np.roll(away_m, -1, axis=-1)).sum(axis=-1)
     return area
 
 
@@ -177,10 +180,10 @@ def tape_m(away_m: Array) -> Array:
     """
     sides = away_m.shape[1]
     turn = 2 * np.pi * (np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS - np.arange(sides) / sides)
-    return 2 * np.array([(np.cos(turn) * corners).max(axis=1).mean() for corners in away_m])
+    return 2 * np.array([(cos(turn) * corners).max(axis=1).mean() for corners in away_m])
 
 
 def _depth(radius_m: Array, breast_m: Array) -> Array:
     """Depth of bark relief over the radius (n, r), for each m of depth at breast height: less the thinner the stem is."""
     thinner = np.minimum(radius_m / breast_m[:, None], 1.0)
-    return thinner**2 / np.maximum(radius_m, 1e-6)
+    return np.square(thinner) / np.maximum(radius_m, 1e-6)

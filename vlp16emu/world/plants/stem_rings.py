@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, sin, tan
 from vlp16emu.types import PlantPart
 from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M, taper_radius_m
 from vlp16emu.world.plants.flora import tapers
@@ -165,9 +166,9 @@ def stem_circles(trees: Trees, *, table: Table | None = None) -> NDArray[np.void
 
 def axis_m(trees: Trees, forms: StemForms, above_m: Array) -> Array:
     """Points (n, r, 3) of stems' axes relative to their feet, at heights (n, r)."""
-    slope = np.tan(np.radians(trees["lean_deg"]))
+    slope = tan(np.radians(trees["lean_deg"]))
     towards = np.radians(trees["lean_towards_deg"])
-    lean = (slope * np.array([np.cos(towards), np.sin(towards)])).T
+    lean = (slope * np.array([cos(towards), sin(towards)])).T
     return np.concatenate(
         [above_m[..., None] * lean[:, None] + forms.aside_m(above_m), above_m[..., None]], axis=2
     )

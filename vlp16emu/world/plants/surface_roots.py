@@ -3,9 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, exp, sin
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.types import HeightField
 from vlp16emu.world.plants.stem_rings import StemRings, Trees
+from vlp16emu.world.vectors import unit
 
 __all__ = ["ROOT_RINGS", "ROOT_SIDES", "root_points"]
 
@@ -58,37 +60,36 @@ def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[
     length_m = np.clip(dbh_m * np.interp(long, (0, 1), _LENGTH), *_LENGTH_M)
     line_m = _lines(azimuth, length_m, bend) + 0.8 * rings.radius_m[stem, 1, None, None] * _unit(azimuth)
     wide_m = (dbh_m * np.interp(thick, (0, 1), _RADIUS))[:, None] * (1 - _THINNER * _STATIONS)
-    high_m = wide_m * (1 + _RISE * np.exp(-_STATIONS * length_m[:, None] / _RISE_M))
+    high_m = wide_m * (1 + _RISE * exp(-_STATIONS * length_m[:, None] / _RISE_M))
     place = trees[stem]
     ground_m = height_m(place["x_m"][:, None] + line_m[..., 0], place["y_m"][:, None] + line_m[..., 1])
-    sunk_m = high_m * (_BURIED + _STATIONS**3)
+    sunk_m = high_m * (_BURIED + _STATIONS * _STATIONS * _STATIONS)
     z_m = np.minimum(ground_m - place["z_m"][:, None] - sunk_m, _TOP_M - high_m)
     return stem, _pipes(np.concatenate([line_m, z_m[..., None]], axis=2), wide_m, high_m)
 
 
 def _unit(azimuth: Array) -> Array:
     """Level vectors (k, 1, 2) in directions (k,)."""
-    return np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)[:, None]
+    return np.stack([cos(azimuth), sin(azimuth)], axis=-1)[:, None]
 
 
 def _lines(azimuth: Array, length_m: Array, bend: Array) -> Array:
     """Middles (k, rings, 2) of roots seen from above, from where they begin; bends are draws (k,) from 0 to 1."""
     phase = 2 * np.pi * bend[:, None]
-    aside_m = _BEND * length_m[:, None] * _STATIONS * (np.sin(5 * _STATIONS + phase) - np.sin(phase))
+    aside_m = _BEND * length_m[:, None] * _STATIONS * (sin(5 * _STATIONS + phase) - sin(phase))
     along_m = length_m[:, None] * _STATIONS
     return along_m[..., None] * _unit(azimuth) + aside_m[..., None] * _unit(azimuth + np.pi / 2)
 
 
 def _pipes(middle_m: Array, wide_m: Array, high_m: Array) -> Array:
     """Vertices of roots about middles (k, rings, 3), upright ellipses of half axes (k, rings) across them."""
-    ahead = np.gradient(middle_m[..., :2], axis=1)
-    ahead /= np.linalg.norm(ahead, axis=2, keepdims=True)
+    ahead = unit(np.gradient(middle_m[..., :2], axis=1))
     angle = (np.arange(ROOT_SIDES) + 0.5) * 2 * np.pi / ROOT_SIDES
-    left_m = wide_m[..., None] * np.cos(angle)
+    left_m = wide_m[..., None] * cos(angle)
     ring_m = np.repeat(middle_m[:, :, None], ROOT_SIDES, axis=2)
     ring_m[..., 0] -= ahead[..., None, 1] * left_m
     ring_m[..., 1] += ahead[..., None, 0] * left_m
-    ring_m[..., 2] += high_m[..., None] * np.sin(angle)
+    ring_m[..., 2] += high_m[..., None] * sin(angle)
     ring_m = ring_m.reshape(len(middle_m), ROOT_RINGS * ROOT_SIDES, 3)
     tip_m = middle_m[:, -1:].copy()
     tip_m[..., :2] += ahead[:, -1:] * wide_m[:, -1:, None]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, hypot, sin
 from vlp16emu.random import Purpose
 from vlp16emu.world.plants.flora import Flora, flora, known
 from vlp16emu.world.stand.floor import labelled
@@ -202,7 +203,7 @@ def _laid_down(pieces: _Pieces, site: Site, plate_m: Array) -> Array:
     station_m = pieces.length_m[:, None] * _STATIONS
     ground_m = site.height_m(*np.moveaxis(pieces.along_m(), -1, 0))
     # Straight line of least squares through the ground at evenly spaced stations.
-    slope = (ground_m * station_m).sum(axis=1) / (station_m**2).sum(axis=1)
+    slope = (ground_m * station_m).sum(axis=1) / (np.square(station_m)).sum(axis=1)
     rest_m = (1 - pieces.sunk) * pieces.high_m / 2
     butt_m = np.where(pieces.is_top, 0.0, _PLATE_AXIS * plate_m[pieces.log])
     lift_m = np.maximum(butt_m - rest_m, 0.0)
@@ -215,7 +216,7 @@ def _laid_down(pieces: _Pieces, site: Site, plate_m: Array) -> Array:
 def _plates(world_T: Array, pieces: _Pieces, plate_m: Array) -> Array:
     """`world_T_shape` (n, 3, 4) of root plates at the butts of pieces, across them; of diameters (logs,)."""
     along = world_T[:, :, 0] / pieces.length_m[:, None]
-    rise = along[:, 2] / np.hypot(along[:, 0], along[:, 1])
+    rise = along[:, 2] / hypot(along[:, 0], along[:, 1])
     size = plate_m[pieces.log, None] * [_PLATE_THICKNESS, 1.0, 1.0]
     return placements(world_T[:, :, 3] - world_T[:, :, 0] / 2, laid(pieces.towards, rise), size)
 
@@ -243,7 +244,7 @@ def _free_plates(pieces: _Pieces, plate_m: Array, site: Site) -> Mask:
 
 def _line_m(xy_m: Array, towards: Array, along_m: Array) -> Array:
     """Places (n, k, 2) at distances (n, k) from points (n, 2) in directions (n,), rad from east."""
-    away = np.stack([np.cos(towards), np.sin(towards)], axis=-1)
+    away = np.stack([cos(towards), sin(towards)], axis=-1)
     line: Array = xy_m[:, None] + along_m[..., None] * away[:, None]
     return line
 

@@ -6,10 +6,11 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import atan2, exp, hypot, log1p, matmul
 from vlp16emu.random import Purpose
-from vlp16emu.store import recalled
 from vlp16emu.types import HeightField, PlantPart, Semantic
 from vlp16emu.world.plants.flora import GROUND_MATERIALS
+from vlp16emu.world.quantiles import normal_quantile
 from vlp16emu.world.stand.floor_shapes import FLOOR_VARIANTS, GROUND_KINDS, FloorKey, FloorKind
 from vlp16emu.world.stand.placed import (
     NO_TREES,
@@ -47,6 +48,9 @@ _STONE_M = (0.1, 1.5)
 _STONE_MEDIAN_M, _STONE_SIGMA = 0.22, 0.6
 """Of the log-normal distribution of lengths, before it is cut at both ends; assumptions."""
 
+_STONE_SHARES = (0.0944070172326103, 0.999311242465033)
+"""Of the uncut distribution, the shares below the least and the greatest length."""
+
 _STONE_BURIED = (0.3, 0.6)
 """Range of the share of a stone's height that is in the ground; assumption."""
 
@@ -67,30 +71,23 @@ def stones_per_ha(cover: float) -> float:
     (Boolean model; Chiu et al., Stochastic Geometry, section 3.1). What is seen of a stone is its section
     at the ground, or its outline where its widest part is above.
     """
-    # Kept for the import of scipy's functions, which takes 0.1 s of a start.
-    area_m2 = recalled(
-        "area of a stone", _stone_area_m2, lambda area: {"m2": np.array(area)}, lambda kept: float(kept["m2"])
-    )
-    return -math.log1p(-cover) / area_m2 * 10_000
+    return -log1p(-cover) / _stone_area_m2() * 10_000
 
 
+@cache
 def _stone_area_m2() -> float:
     """Mean area of a stone as it is seen from above."""
     low, high = _STONE_BURIED
     buried = low + (high - low) * (np.arange(1000) + 0.5) / 1000
-    seen = 1 - np.clip(2 * buried - 1, 0, None) ** 2  # section of an ellipsoid at a relative height
+    seen = 1 - np.square(np.clip(2 * buried - 1, 0, None))  # section of an ellipsoid at a relative height
     length_m = _stone_length_m((np.arange(20_000) + 0.5) / 20_000)
-    return math.pi / 4 * _STONE_WIDTH * float(np.mean(length_m**2) * np.mean(seen))
+    return math.pi / 4 * _STONE_WIDTH * float(np.mean(np.square(length_m)) * np.mean(seen))
 
 
 def _stone_length_m(probability: Array) -> Array:
     """Quantiles of the log-normal distribution cut at `_STONE_M`."""
-    from scipy import special  # here: a hall has no stones, and does without scipy
-
-    low, high = (special.ndtr(math.log(size / _STONE_MEDIAN_M) / _STONE_SIGMA) for size in _STONE_M)
-    normal = special.ndtri(low + (high - low) * probability)
-    length: Array = _STONE_MEDIAN_M * np.exp(_STONE_SIGMA * normal)
-    return length
+    low, high = _STONE_SHARES
+    return _STONE_MEDIAN_M * exp(_STONE_SIGMA * normal_quantile(low + (high - low) * probability))
 
 
 class StoneLayer:
@@ -153,7 +150,7 @@ class LowLayer:
         keep = site.path.distance_m(xy_m) < self._reach_m
         world_R_thing = turned(360 * draws[:, 1])
         if self.is_ground:
-            world_R_thing = _along(site.height_m, xy_m) @ world_R_thing
+            world_R_thing = matmul(_along(site.height_m, xy_m), world_R_thing)
         else:
             keep[keep] = site.clear(xy_m[keep], self._spread * height_m[keep] / 2, np.zeros(keep.sum()))
         place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
@@ -174,10 +171,10 @@ def plants_per_ha(section: Cover, spread: float, *, patches: bool) -> tuple[floa
     spread : width over height, which is evenly between least and greatest
     """
     (low, high), cover = section.height_m, section.cover
-    area_m2 = math.pi / 4 * spread**2 * (low * low + low * high + high * high) / 3
+    area_m2 = math.pi / 4 * spread * spread * (low * low + low * high + high * high) / 3
     in_patches = min(cover * (1 - cover), _MOST_IN_PATCHES_PER_M2 * area_m2) if patches else 0.0
-    patchy = in_patches + in_patches**2 / 2
-    even = -math.log1p(-cover) - math.log1p(in_patches)
+    patchy = in_patches + in_patches * in_patches / 2
+    even = -log1p(-cover) - log1p(in_patches)
     return 10_000 * even / area_m2, 10_000 * patchy / area_m2
 
 
@@ -186,8 +183,8 @@ def _along(height_m: HeightField, xy_m: Array) -> Array:
     x, y = xy_m.T
     east = (height_m(x + _SLOPE_M, y) - height_m(x - _SLOPE_M, y)) / (2 * _SLOPE_M)
     north = (height_m(x, y + _SLOPE_M) - height_m(x, y - _SLOPE_M)) / (2 * _SLOPE_M)
-    towards = np.arctan2(north, east)
-    return laid(towards, np.hypot(east, north)) @ turned(np.degrees(-towards))
+    towards = atan2(north, east)
+    return matmul(laid(towards, hypot(east, north)), turned(np.degrees(-towards)))
 
 
 _LOW = {

@@ -3,16 +3,20 @@
 They are grown once for each variant, and stretched to size where they are placed.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, hypot, matvec, norm, sin
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh
 from vlp16emu.world.plants.branches import merged
 from vlp16emu.world.stand.low_shapes import dwarf_shrub, fern, herb, litter_heap, moss_cushion
+from vlp16emu.world.vectors import unit
 
 __all__ = [
     "FLOOR_VARIANTS",
@@ -34,6 +38,14 @@ STUMP_DEPTH = 0.5
 
 _STONE_SPLITS, _LARGE_STONE_SPLITS = 2, 3
 """Times that the faces of an icosahedron are quartered: 320 and 1280 faces."""
+
+_ICOSAHEDRON = (
+    *((0, 8, 4), (5, 0, 2), (2, 0, 4), (7, 3, 1), (8, 1, 6)),
+    *((4, 8, 6), (1, 3, 6), (10, 1, 8), (10, 0, 5), (8, 0, 10)),
+    *((10, 7, 1), (5, 7, 10), (11, 7, 5), (5, 2, 11), (3, 7, 11)),
+    *((4, 6, 9), (9, 2, 4), (9, 6, 3), (9, 11, 2), (3, 11, 9)),
+)
+"""Faces, counter-clockwise seen from outside; corners as in `_icosphere`."""
 
 _LOBES, _LOBE_HEIGHT = 6, 0.05
 """Sines that shape a stone, and the amplitude of each over the radius; assumption."""
@@ -137,37 +149,47 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
 
 def _stone(rng: np.random.Generator, splits: int) -> Mesh:
     """Icosphere with sine lobes."""
-    from scipy.spatial import ConvexHull  # here: a hall has no stones, and does without scipy
-
     sphere, faces = _icosphere(splits)
     waves = rng.normal(0.0, 2.5, (3, _LOBES))
-    lobes = _LOBE_HEIGHT * np.sin(sphere @ waves + rng.uniform(0, 2 * np.pi, _LOBES))
+    lobes = _LOBE_HEIGHT * sin(matvec(waves.T, sphere) + rng.uniform(0, 2 * np.pi, _LOBES))
     vertices = sphere * (1 + lobes.sum(axis=1, keepdims=True))
     low, high = vertices[:, 2].min(), vertices[:, 2].max()
     vertices[:, 2] = (vertices[:, 2] - low) / (high - low) - 0.5
     vertices[:, :2] -= vertices[:, :2].mean(axis=0)
-    outline_m2 = float(ConvexHull(vertices[:, :2]).volume)  # in the plane a hull's volume is its area
-    vertices[:, :2] *= np.sqrt(np.pi / 4 / outline_m2)
+    vertices[:, :2] *= np.sqrt(np.pi / 4 / _outline_m2(vertices[:, :2]))
     return Mesh(vertices.astype(np.float32), faces)
+
+
+def _outline_m2(points: Array) -> float:
+    """Return the area of the convex hull of points (n, 2), by Andrew's monotone chain."""
+    ordered = points[np.lexsort(points.T)].tolist()
+    area = 0.0
+    for way in (ordered, ordered[::-1]):
+        chain: list[list[float]] = []
+        for x, y in way:
+            while len(chain) > 1 and _is_right_turn(chain[-2], chain[-1], (x, y)):
+                chain.pop()
+            chain.append([x, y])
+        area += sum(a[0] * b[1] - a[1] * b[0] for a, b in pairwise(chain)) / 2
+    return area
+
+
+def _is_right_turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> bool:
+    """Whether the way from a over b to c turns right, or goes straight on."""
+    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])
 
 
 def _icosphere(splits: int) -> tuple[Array, NDArray[np.uint32]]:
     """Quarter the faces of an icosahedron again and again: unit vectors (v, 3) and triangles (f, 3)."""
-    from scipy.spatial import ConvexHull
-
     golden = (1 + np.sqrt(5)) / 2
     corners = [np.roll((0.0, a, b * golden), axis) for axis in range(3) for a in (-1, 1) for b in (-1, 1)]
-    vertices = np.array(corners) / np.hypot(1, golden)
-    faces = ConvexHull(vertices).simplices
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    inward = (np.cross(b - a, c - a) * a).sum(axis=1) < 0
-    faces[inward] = faces[inward][:, ::-1]
+    vertices, faces = np.array(corners) / hypot(1, golden), np.array(_ICOSAHEDRON)
     for _ in range(splits):
         edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         pairs, index = np.unique(edges, axis=0, return_inverse=True)
         middle = len(vertices) + index.reshape(-1, 3)
         between = vertices[pairs].sum(axis=1)
-        vertices = np.concatenate([vertices, between / np.linalg.norm(between, axis=1, keepdims=True)])
+        vertices = np.concatenate([vertices, unit(between)])
         (a, b, c), (ab, bc, ca) = faces.T, middle.T
         quarters = np.array([(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)])
         faces = quarters.transpose(0, 2, 1).reshape(-1, 3)
@@ -187,7 +209,7 @@ def _log(
     vertices = np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]])
     aside, sway = rng.normal(0.0, bow, 2) * [1.0, 0.4]
     x = vertices[:, 0]
-    vertices[:, 1] += aside * (1 / 3 - 4 * x * x) + sway * np.sin(2 * np.pi * x)
+    vertices[:, 1] += aside * (1 / 3 - 4 * x * x) + sway * sin(2 * np.pi * x)
     return Mesh(vertices, mesh.faces)
 
 
@@ -205,18 +227,16 @@ def _root_plate(rng: np.random.Generator) -> Mesh:
     """Irregular disc of soil with roots that stick out of it."""
     sides, (along, away) = _PLATE_SIDES, np.array(_PLATE_PROFILE).T
     angle = 2 * np.pi * np.arange(sides) / sides
-    rim = 1 + sum(
-        s * np.cos(n * angle + rng.uniform(0, 2 * np.pi)) for n, s in ((2, 0.1), (3, 0.08), (7, 0.05))
-    )
+    rim = 1 + sum(s * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n, s in ((2, 0.1), (3, 0.08), (7, 0.05)))
     radius = 0.5 * away[:, None] * rim
     z = along[:, None] + _PLATE_BUMPS * rng.uniform(-1, 1, (len(along), sides))
-    soil = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1)
+    soil = np.stack([radius * cos(angle), radius * sin(angle), z], axis=-1)
     pieces = [_closed(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
     for towards in rng.uniform(0, 2 * np.pi, _PLATE_ROOTS).tolist():
         foot, tip = rng.uniform(0.2, 0.4), rng.uniform(0.35, 0.65)
         ends = np.array([[foot, -0.45], [tip, rng.uniform(-1.4, -0.6)]])
-        ends = np.column_stack([ends[:, 0] * np.cos(towards), ends[:, 0] * np.sin(towards), ends[:, 1]])
-        corners = np.stack([np.cos(angle[::4]), np.sin(angle[::4]), 0 * angle[::4]], axis=-1)
+        ends = np.column_stack([ends[:, 0] * cos(towards), ends[:, 0] * sin(towards), ends[:, 1]])
+        corners = np.stack([cos(angle[::4]), sin(angle[::4]), 0 * angle[::4]], axis=-1)
         pieces.append(_closed(ends[::-1, None] + np.array([0.01, 0.03])[:, None, None] * corners, ends[::-1]))
     plate = merged(*pieces)
     return Mesh(np.ascontiguousarray(plate.vertices_m[:, [2, 0, 1]]), plate.faces)
@@ -226,10 +246,10 @@ def _drum(rng: np.random.Generator, at: Array, radius: Array, *, slant: float) -
     """Rings (r, sides, 3) about the z axis and middles (2, 3) of the ends, with weathered ribs and ends not quite square."""
     sides = _ROUND_SIDES
     angle = 2 * np.pi * np.arange(sides) / sides
-    ribs = sum(0.04 * np.cos(n * angle + rng.uniform(0, 2 * np.pi)) for n in (2, 3, 5))
+    ribs = sum(0.04 * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n in (2, 3, 5))
     # Corners stand out so far that the cross-section has the area of its circle, ribs and all.
-    corner = radius[:, None] * (1 + ribs) * np.sqrt(2 * np.pi / sides / np.sin(2 * np.pi / sides) / 1.0024)
-    x, y = corner * np.cos(angle), corner * np.sin(angle)
+    corner = radius[:, None] * (1 + ribs) * np.sqrt(2 * np.pi / sides / sin(2 * np.pi / sides) / 1.0024)
+    x, y = corner * cos(angle), corner * sin(angle)
     z = np.repeat(at[:, None], sides, axis=1)
     tilt = slant * rng.normal(0.0, 1.0, (2, 2))
     for end, (tilt_x, tilt_y) in zip((0, -1), tilt, strict=True):
@@ -264,8 +284,8 @@ def _tuft(rng: np.random.Generator) -> Mesh:
     n = _BLADES
     towards, lean = rng.uniform(0, 2 * np.pi, n), rng.uniform(0.05, 0.45, n)
     length, foot = rng.uniform(0.6, 1.0, n), rng.normal(0.0, 0.05, (n, 2))
-    outward = np.stack([np.cos(towards), np.sin(towards), np.zeros(n)], axis=-1)
-    across = np.stack([-np.sin(towards), np.cos(towards), np.zeros(n)], axis=-1)
+    outward = np.stack([cos(towards), sin(towards), np.zeros(n)], axis=-1)
+    across = np.stack([-sin(towards), cos(towards), np.zeros(n)], axis=-1)
     lean, length = lean[:, None], length[:, None]
     up = np.array([0.0, 0.0, 1.0])
     base = np.column_stack([foot, np.zeros(n)])
@@ -284,5 +304,5 @@ def _tuft(rng: np.random.Generator) -> Mesh:
 
 def _half_width(base: Array, knee: Array, tip: Array) -> float:
     """Half the width of blades that have the tuft's leaf area together; a blade narrows to a fifth above its knee."""
-    lower, upper = (float(np.linalg.norm(b - a, axis=1).sum()) for a, b in ((base, knee), (knee, tip)))
+    lower, upper = (float(norm(b - a).sum()) for a, b in ((base, knee), (knee, tip)))
     return _BLADE_AREA * _BLADES / (2 * lower + 1.2 * upper)

@@ -137,7 +137,8 @@ class ForestWorld:
         self._ivy = ivy or Ivy()
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
-        kept = 2 * (4 + int((2 * reach_m + TILE_M) / TILE_M)) ** 2
+        across = 4 + int((2 * reach_m + TILE_M) / TILE_M)
+        kept = 2 * across * across
         self._tile = lru_cache(maxsize=kept)(by_tile(Tile, name, self._grow_tile))
         self.far_tile = lru_cache(maxsize=kept)(by_tile(FarTile, name, self._far_tile))
         self._trees = lru_cache(maxsize=kept)(stems.trees)

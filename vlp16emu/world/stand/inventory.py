@@ -8,6 +8,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matvec
 from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
 from vlp16emu.world.plants.crown import (
@@ -186,7 +187,7 @@ def _per_tree(values: list[float]) -> Array:
 def volume_m3(mesh: Mesh) -> float:
     """Volume of a mesh, or of the cone from the origin to it where it is open."""
     a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
-    return float(np.einsum("fi,fi->f", a, np.cross(b, c)).sum() / 6)
+    return float((a * np.cross(b, c)).sum() / 6)
 
 
 def _measure_crowns(
@@ -206,7 +207,7 @@ def _measure_crowns(
     for i, key in enumerate(crowns):
         own.setdefault(key, []).append(i)
     for key, which in own.items():
-        rows["wood_m3"][which] += crown_wood_m3(seed, key, table=table) * wide[which] ** 2 * long[which]
+        rows["wood_m3"][which] += crown_wood_m3(seed, key, table=table) * np.square(wide[which]) * long[which]
         meshes = crown_meshes(seed, key, table=table)
         low_m, high_m = _spans_m(meshes, foot_T_crown[which])
         span_m[which, 0] = np.minimum(span_m[which, 0], low_m)
@@ -222,8 +223,10 @@ def _stretched_m2(leaves: Mesh, wide: Array, long: Array) -> Array:
     """Area (n,) of planar quads after each of n stretches, across and along the axis."""
     a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
     x, y, z = (np.cross(c - a, d - b) / 2).T
-    level, steep = z**2, x**2 + y**2
-    return np.array([w * np.sqrt(level * w**2 + steep * h**2).sum() for w, h in zip(wide, long, strict=True)])
+    level, steep = np.square(z), np.square(x) + np.square(y)
+    return np.array(
+        [w * np.sqrt(level * w * w + steep * h * h).sum() for w, h in zip(wide, long, strict=True)]
+    )
 
 
 def _spans_m(meshes: Sequence[Mesh], foot_T_crown: Array) -> tuple[Array, Array]:
@@ -231,7 +234,7 @@ def _spans_m(meshes: Sequence[Mesh], foot_T_crown: Array) -> tuple[Array, Array]
     places = _outermost(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
     low_m, high_m = np.full((2, len(foot_T_crown), 3), [[[np.inf]], [[-np.inf]]])
     for i, transform in enumerate(foot_T_crown):
-        at_m = places @ transform[:, :3].T + transform[:, 3]
+        at_m = matvec(transform[:, :3], places) + transform[:, 3]
         low_m[i] = at_m.min(axis=0, initial=np.inf)
         high_m[i] = at_m.max(axis=0, initial=-np.inf)
     return low_m, high_m

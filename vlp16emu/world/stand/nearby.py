@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matvec, norm
 from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import FarTile, Mesh, Semantic, ShapeKey, Window
 from vlp16emu.world.given.section import hull_m
@@ -233,10 +234,10 @@ def _thing(window: Window, placement: int, corners_m: Array) -> Thing:
     key = window.shapes[window.shape[placement]]
     row = window.surfaces[window.first_surface[placement]]
     world_T_shape = window.world_T_shape[placement]
-    seen_m = (corners_m @ world_T_shape[:, :3].T + world_T_shape[:, 3])[:, :2]
+    seen_m = (matvec(world_T_shape[:, :3], corners_m) + world_T_shape[:, 3])[:, :2]
     # Shapes of the floor have unit size by what they are, not by their outermost corner.
     unit_m = np.ones(3) if isinstance(key, FloorKey) else np.ptp(corners_m, axis=0)
-    size_m = unit_m * np.linalg.norm(world_T_shape[:, :3], axis=0)
+    size_m = unit_m * norm(world_T_shape[:, :3].T)
     return Thing(
         placement=placement,
         instance=int(row["instance"]),

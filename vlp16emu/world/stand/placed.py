@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, hypot, sin
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import SURFACE, HeightField, PlantPart, Semantic, ShapeKey
 from vlp16emu.world.plants.flora import Flora, bark_material
@@ -156,8 +157,8 @@ def turned(azimuth_deg: Array) -> Array:
 
 def laid(towards: Array, slope: Array) -> Array:
     """Rotations (n, 3, 3) that lay the x axis towards an angle from east, rad, on a slope dz/ds; y stays level."""
-    flat = 1 / np.hypot(1, slope)
-    c, s, zero = np.cos(towards), np.sin(towards), np.zeros(len(towards))
+    flat = 1 / hypot(1, slope)
+    c, s, zero = cos(towards), sin(towards), np.zeros(len(towards))
     along = np.stack([c * flat, s * flat, slope * flat], axis=-1)
     across = np.stack([-s, c, zero], axis=-1)
     return np.stack([along, across, np.cross(along, across)], axis=-1)
@@ -207,7 +208,7 @@ def packed(
     is_low, is_exact = np.repeat(kinds, [1, *(len(one.shape) for one in groups)], axis=0).T
     placed_trees = np.concatenate([placed.trees for placed in groups])
     return Tile(
-        trees=placed_trees[np.argsort(placed_trees["id"])],
+        trees=placed_trees[np.argsort(placed_trees["id"], kind="stable")],
         keys=tuple(keys),
         shape=np.concatenate(shape),
         world_T_shape=np.concatenate([own_T, *(placed.world_T_shape for placed in groups)]),

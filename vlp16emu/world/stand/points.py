@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, log1p, matvec, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose, generator, uniform
 from vlp16emu.world.ground.trails import Trails
@@ -77,7 +78,7 @@ class ScatteredPattern:
     def points(self, ix: int, iy: int) -> Array:
         """Points of a tile, (n, 2)."""
         rng = generator(self._seed, self._purpose, ix, iy)
-        count = rng.poisson(self.per_ha * TILE_M**2 / 10_000)
+        count = rng.poisson(self.per_ha * TILE_M * TILE_M / 10_000)
         return (rng.random((count, 2)) + np.array([ix, iy])) * TILE_M
 
 
@@ -103,7 +104,7 @@ class PatchyPattern:
         """Points of a tile, (n, 2): those of a Poisson process as dense as the densest patch, thinned to the density at each."""
         rng = generator(self._seed, self._purpose, ix, iy)
         most_per_ha = self._even_per_ha + _DENSEST_PATCH * self._patchy_per_ha
-        draws = rng.random((rng.poisson(most_per_ha * TILE_M**2 / 10_000), 3))
+        draws = rng.random((rng.poisson(most_per_ha * TILE_M * TILE_M / 10_000), 3))
         xy_m = (draws[:, :2] + np.array([ix, iy])) * TILE_M
         there_per_ha = self._even_per_ha + self._patchy_per_ha * self._density(xy_m)
         there: Array = xy_m[draws[:, 2] * most_per_ha < there_per_ha]
@@ -114,7 +115,7 @@ class PatchyPattern:
         x, y = np.ascontiguousarray(xy_m.T)
         noise = np.empty(len(x))
         sum_of_waves(noise, x, y, self._waves, 0.0, 0.0)
-        return np.minimum(noise**2, _DENSEST_PATCH)
+        return np.minimum(np.square(noise), _DENSEST_PATCH)
 
 
 class HardCorePattern:
@@ -133,10 +134,10 @@ class HardCorePattern:
         self.per_ha = per_ha
         density = per_ha / 10_000
         self.distance_m = min(_SPACING_SHARE / math.sqrt(density), _LARGEST_DISTANCE_M) if density else 0.0
-        area = math.pi * self.distance_m**2
+        area = math.pi * self.distance_m * self.distance_m
         # Density after thinning is (1 - exp(-intensity * area)) / area; solved for the intensity.
-        intensity = -math.log1p(-density * area) / area if density else 0.0
-        self._per_tile = intensity * TILE_M**2
+        intensity = -log1p(-density * area) / area if density else 0.0
+        self._per_tile = intensity * TILE_M * TILE_M
         self._seed, self._purpose = seed, purpose
         self.candidates = lru_cache(maxsize=_TILES_KEPT)(self._candidates)
         """Candidates of tile (ix, iy): (n, 3) with x and y in m, and a priority in [0, 1), low is high."""
@@ -146,7 +147,7 @@ class HardCorePattern:
         own = self.candidates(ix, iy)
         rivals = np.concatenate([self.candidates(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
         dx, dy = (own[:, None, axis] - rivals[:, axis] for axis in (0, 1))
-        beaten = (dx * dx + dy * dy < self.distance_m**2) & (rivals[:, 2] < own[:, None, 2])
+        beaten = (dx * dx + dy * dy < self.distance_m * self.distance_m) & (rivals[:, 2] < own[:, None, 2])
         return own[~beaten.any(axis=1), :2]
 
     def _candidates(self, ix: int, iy: int) -> Array:
@@ -182,7 +183,7 @@ class ClusterPattern:
     def _grow_members(self, ix: int, iy: int) -> Array:
         """Members of the clumps whose middle lies in a tile."""
         rng = generator(self._seed, self._purpose, ix, iy)
-        clumps = rng.poisson(self.per_ha / self._section.per_cluster * TILE_M**2 / 10_000)
+        clumps = rng.poisson(self.per_ha / self._section.per_cluster * TILE_M * TILE_M / 10_000)
         middles = (rng.random((clumps, 2)) + np.array([ix, iy])) * TILE_M
         each = rng.poisson(self._section.per_cluster, clumps)
         return np.repeat(middles, each, axis=0) + rng.normal(0.0, self._section.sigma_m, (each.sum(), 2))
@@ -220,21 +221,19 @@ class RowPattern:
         self._spacing_m = np.array([tree_spacing_m, row_spacing_m])
         towards = math.radians(section.azimuth_deg)
         # Rows of the matrix: along and across the planted rows.
-        self._row_R_world = np.array(
-            [[math.cos(towards), math.sin(towards)], [-math.sin(towards), math.cos(towards)]]
-        )
+        self._row_R_world = np.array([[cos(towards), sin(towards)], [-sin(towards), cos(towards)]])
         self._jitter_m, self._seed, self._purpose = section.jitter_m, seed, purpose
 
     def points(self, ix: int, iy: int) -> Array:
         """Plants of a tile that are left, (n, 2)."""
-        corners = (
-            np.array([(x, y) for x in (ix, ix + 1) for y in (iy, iy + 1)]) * TILE_M @ self._row_R_world.T
+        corners = matvec(
+            self._row_R_world, TILE_M * np.array([(x, y) for x in (ix, ix + 1) for y in (iy, iy + 1)])
         )
         low = np.floor((corners.min(axis=0) - self._jitter_m) / self._spacing_m).astype(int)
         high = np.ceil((corners.max(axis=0) + self._jitter_m) / self._spacing_m).astype(int)
         plants = np.arange(low[0], high[0] + 1)
         rows = [self._row(int(row), plants) for row in range(low[1], high[1] + 1)]
-        return _inside(np.concatenate(rows) @ self._row_R_world, ix, iy)
+        return _inside(matvec(self._row_R_world.T, np.concatenate(rows)), ix, iy)
 
     def _row(self, row: int, plants: NDArray[np.int64]) -> Array:
         """Places of the plants of a stretch of one row, along and across it; each plant draws alone."""

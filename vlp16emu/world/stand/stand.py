@@ -1,5 +1,6 @@
 """A stand of trees: where they are, and how large. Tile by tile, from (seed, tile) alone."""
 
+import fractions
 import math
 from collections.abc import Mapping
 from functools import lru_cache
@@ -7,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import HeightField
@@ -20,7 +22,16 @@ from vlp16emu.world.settings import Forest
 from vlp16emu.world.stand.points import PointPattern, pattern_of
 from vlp16emu.world.stand.settings import MOST_STEMS_PER_HA, SpeciesShare, Storey
 
-__all__ = ["REGENERATION", "TREE", "Stand", "density_per_ha", "foot_discs", "in_the_way_m", "path_gap_m"]
+__all__ = [
+    "REGENERATION",
+    "TREE",
+    "Stand",
+    "class_scale",
+    "density_per_ha",
+    "foot_discs",
+    "in_the_way_m",
+    "path_gap_m",
+]
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -89,7 +100,7 @@ class _Cohort:
         self.share, self.species = share, known([share.species], plants.trees, "species")[0]
         midpoints = (np.arange(4096) + 0.5) / 4096
         raw_cm = self.species.dbh_quantile_cm(midpoints, share.dbh_cm)
-        self._scale = share.dbh_cm / math.sqrt(float(np.mean(raw_cm**2)))
+        self._scale = share.dbh_cm / math.sqrt(float(np.mean(np.square(raw_cm))))
         dbh_cm = raw_cm * self._scale
         self.mean_crown_m2 = float(np.mean(_projection_m2(self.species.crown_width_m(dbh_cm))))
         self._top_height_m = float(self.height_m(np.array([_TOP_DBH_RATIO * share.dbh_cm]))[0])
@@ -107,6 +118,11 @@ class _Cohort:
         return self.species.crown_base_m(dbh_cm, height_m, self._top_height_m)
 
 
+def class_scale(ratio: float, number: int) -> float:
+    """Return the size of a class over that of class 0, the whole power of a ratio, correctly rounded."""
+    return float(pow(fractions.Fraction(ratio), number))
+
+
 def foot_discs(trees: Trees, *, table: Mapping[str, Species] | None = None) -> Array:
     """Sections of stems with the ground: (n, 3) x, y, radius."""
     foot = np.zeros((len(trees), 1))
@@ -118,8 +134,8 @@ def in_the_way_m(trees: Trees) -> tuple[Array, Array]:
     """Where stems are in a walker's way, (n, 2) each: at the foot, and above the head."""
     foot = np.column_stack([trees["x_m"], trees["y_m"]])
     towards = np.radians(trees["lean_towards_deg"])
-    shift = _HEAD_ROOM_M * np.tan(np.radians(trees["lean_deg"]))
-    return foot, foot + shift[:, None] * np.column_stack([np.cos(towards), np.sin(towards)])
+    shift = _HEAD_ROOM_M * tan(np.radians(trees["lean_deg"]))
+    return foot, foot + shift[:, None] * np.column_stack([cos(towards), sin(towards)])
 
 
 def path_gap_m(trees: Trees, radius_m: Array, path: Corridor) -> Array:
@@ -140,7 +156,7 @@ def density_per_ha(storey: Storey) -> float:
     if storey.stems_per_ha:
         return storey.stems_per_ha
     share = np.array([one.share for one in storey.species])
-    stem_m2 = np.pi / 4 * np.array([one.dbh_cm / 100 for one in storey.species]) ** 2
+    stem_m2 = np.pi / 4 * np.square(np.array([one.dbh_cm / 100 for one in storey.species]))
     basal_m2 = storey.basal_area_m2_per_ha
     per_ha = basal_m2 / float(np.average(stem_m2, weights=share))
     if per_ha > MOST_STEMS_PER_HA:
@@ -228,8 +244,8 @@ class Stand:
         trees["x_m"], trees["y_m"] = position.T
         trees["z_m"] = self._height_m(trees["x_m"], trees["y_m"])
         lean_x, lean_y = _LEAN_SIGMA_DEG * normal[:, 0], _LEAN_SIGMA_DEG * normal[:, 1]
-        trees["lean_deg"] = np.hypot(lean_x, lean_y)
-        trees["lean_towards_deg"] = np.degrees(np.arctan2(lean_y, lean_x)) % 360
+        trees["lean_deg"] = hypot(lean_x, lean_y)
+        trees["lean_towards_deg"] = np.degrees(atan2(lean_y, lean_x)) % 360
         trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
         trees["crown_variant"] = VARIANTS * uniform[:, 1]
         trees["storey"] = number
@@ -252,7 +268,7 @@ class Stand:
         proportion to their crown projection.
         """
         own = self._all_cohorts[cohort]
-        dbh_cm = np.array([own.share.dbh_cm * _CLASS_RATIO**crown_class])
+        dbh_cm = np.array([own.share.dbh_cm * class_scale(_CLASS_RATIO, crown_class)])
         height_m = own.height_m(dbh_cm)
         width_m = own.species.crown_width_m(dbh_cm)
         leaf_area_m2 = own.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
@@ -278,20 +294,20 @@ def _crown_area_m2_per_ha(storey: tuple[PointPattern, list[_Cohort]]) -> float:
 
 def _projection_m2(crown_width_m: Array) -> Array:
     """Area of a crown seen from above."""
-    return np.pi / 4 * crown_width_m**2
+    return np.pi / 4 * np.square(crown_width_m)
 
 
 def _sized(trees: Trees, cohort: _Cohort, uniform: Array, normal: Array) -> Trees:
     """Give trees of one cohort their species, size and brightness, from (n, 3) uniform and (n,) normal."""
     species = cohort.species
     dbh_cm = cohort.dbh_cm(uniform[:, 0])
-    height_m = cohort.height_m(dbh_cm) * np.exp(species.height_spread * normal)
+    height_m = cohort.height_m(dbh_cm) * exp(species.height_spread * normal)
     trees["species"] = species.number
     trees["dbh_m"] = dbh_cm / 100
     trees["height_m"] = height_m
     trees["crown_base_m"] = cohort.crown_base_m(dbh_cm, height_m)
     trees["crown_width_m"] = species.crown_width_m(dbh_cm)
-    trees["crown_class"] = np.round(np.log(dbh_cm / cohort.share.dbh_cm) / math.log(_CLASS_RATIO))
+    trees["crown_class"] = np.round(log(dbh_cm / cohort.share.dbh_cm) / log(_CLASS_RATIO))
     trees["bark_reflectance"] = species.bark_reflectance + BARK_SPREAD * (2 * uniform[:, 1] - 1)
     trees["leaf_reflectance"] = species.leaf_reflectance + LEAF_SPREAD * (2 * uniform[:, 2] - 1)
     return trees

@@ -1,11 +1,11 @@
 """What grows under the trees: saplings and shrubs."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import log
 from vlp16emu.errors import GeometryError
 from vlp16emu.random import Purpose
 from vlp16emu.types import PlantPart, Semantic
@@ -34,7 +34,7 @@ from vlp16emu.world.stand.placed import (
 )
 from vlp16emu.world.stand.points import pattern_of
 from vlp16emu.world.stand.settings import Regeneration, Season, Shrubs
-from vlp16emu.world.stand.stand import REGENERATION, TREE
+from vlp16emu.world.stand.stand import REGENERATION, TREE, class_scale
 
 __all__ = ["SaplingLayer", "ShrubLayer"]
 
@@ -202,12 +202,12 @@ class ShrubLayer:
 
 def _height_class(height_m: Array) -> NDArray[np.int64]:
     """Find the number of the prototype of nearly that height."""
-    return np.round(np.log(height_m) / math.log(_CLASS_RATIO)).astype(np.int64)
+    return np.round(log(height_m) / log(_CLASS_RATIO)).astype(np.int64)
 
 
 def _class_height_m(number: int) -> float:
     """Height of a prototype."""
-    return float(_CLASS_RATIO**number)
+    return class_scale(_CLASS_RATIO, number)
 
 
 def _brightness(

@@ -19,6 +19,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import atan2, cos, hypot, power, sin, tan
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Sway, Window
 from vlp16emu.world.plants.allometry import taper_radius_m
@@ -95,14 +96,15 @@ def gust_lines(section: Wind, seed: int, component: int) -> Lines:
     """
     rng = generator(seed, Purpose.WIND, component)
     per_n_hz = section.speed_m_s / (section.gust_length_m * _LENGTH[component])
-    edges_hz = np.geomspace(_SLOWEST * per_n_hz, max(_FASTEST_HZ, 10.0 * per_n_hz), _LINES)
-    share = 1.0 - (1.0 + 6.0 * edges_hz / per_n_hz) ** (-2.0 / 3.0)
+    slowest_hz, fastest_hz = _SLOWEST * per_n_hz, max(_FASTEST_HZ, 10.0 * per_n_hz)
+    edges_hz = slowest_hz * power(fastest_hz / slowest_hz, np.arange(_LINES) / (_LINES - 1))
+    share = 1.0 - power(1.0 + 6.0 * edges_hz / per_n_hz, -2.0 / 3.0)
     energy = np.diff(np.concatenate([[0.0], share[:-1], [1.0]]))
     # Not evenly spaced, or all would come again after a while.
     between = np.append(0.0, rng.uniform(size=_LINES - 1))
-    hz = edges_hz * np.append(1.0, edges_hz[:-1] / edges_hz[1:]) ** between
+    hz = edges_hz * power(np.append(1.0, edges_hz[:-1] / edges_hz[1:]), between)
     sigma_m_s = section.turbulence_intensity * _DEVIATION[component] * section.speed_m_s
-    waves = np.tan(np.pi * (rng.uniform(size=_LINES) - 0.5))
+    waves = tan(np.pi * (rng.uniform(size=_LINES) - 0.5))
     return Lines(
         2.0 * np.pi * hz,
         sigma_m_s * np.sqrt(2.0 * energy),
@@ -129,7 +131,7 @@ def _waves(omega_rad_s: Array, t_s: Array, cosine: Array, sine: Array) -> None:
     for line in range(len(omega_rad_s)):
         for k in range(len(t_s)):
             turned = omega_rad_s[line] * t_s[k]
-            cosine[line, k], sine[line, k] = math.cos(turned), math.sin(turned)
+            cosine[line, k], sine[line, k] = cos(turned), sin(turned)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -141,14 +143,14 @@ def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: Array, sine: Arr
             omega = lines.omega_rad_s[line]
             ratio = omega / trees.omega_rad_s[tree]
             still, lag = 1.0 - ratio * ratio, 2.0 * trees.damping_ratio * ratio
-            amplitude = lines.speed_m_s[line] / math.hypot(still, lag)
+            amplitude = lines.speed_m_s[line] / hypot(still, lag)
             phase = (
                 lines.phase_rad[line]
                 - omega * s_per_m * trees.downwind_m[tree]
                 + lines.aside_rad_m[line] * trees.aside_m[tree]
-                - math.atan2(lag, still)
+                - atan2(lag, still)
             )
-            a, b = amplitude * math.cos(phase), amplitude * math.sin(phase)
+            a, b = amplitude * cos(phase), amplitude * sin(phase)
             for k in range(len(now)):
                 now[k] += a * cosine[line, k] - b * sine[line, k]
 
@@ -204,16 +206,20 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
     in_leaf = sheds & (season == "leaf_on")
     bare = np.array([kind is None for kind in kinds], np.bool_) | (sheds & ~in_leaf)
     dbh_m, height_m, base_m = trees["dbh_m"], trees["height_m"], trees["crown_base_m"]
-    frequency_hz = (0.0766 + 3.1219 * 100.0 * dbh_m / height_m**2) * np.where(in_leaf, _IN_LEAF, 1.0)
+    frequency_hz = (0.0766 + 3.1219 * 100.0 * dbh_m / np.square(height_m)) * np.where(in_leaf, _IN_LEAF, 1.0)
     middle_m = (base_m + height_m) / 2
     share = (np.arange(_SECTIONS) + 0.5) / _SECTIONS
     at_m = height_m[:, None] * share
     radius_m = taper_radius_m(tapers(trees["species"], table=plants.trees), dbh_m, height_m, at_m)
-    pieces_kg = _GREEN_WOOD_KG_M3 * np.pi * radius_m**2 * (height_m / _SECTIONS)[:, None]
-    inertia_kg_m2 = (pieces_kg * at_m**2).sum(axis=1) + _CROWN_MASS * pieces_kg.sum(axis=1) * middle_m**2
-    drag_m2 = np.pi / 4 * trees["crown_width_m"] ** 2 * np.where(bare, _BARE, 1.0)
+    pieces_kg = _GREEN_WOOD_KG_M3 * np.pi * np.square(radius_m) * (height_m / _SECTIONS)[:, None]
+    inertia_kg_m2 = (pieces_kg * np.square(at_m)).sum(axis=1) + _CROWN_MASS * pieces_kg.sum(
+        axis=1
+    ) * np.square(middle_m)
+    drag_m2 = np.pi / 4 * np.square(trees["crown_width_m"]) * np.where(bare, _BARE, 1.0)
     drag_m2 *= np.where(trees["storey"] > 0, _SHELTERED, 1.0)
-    return Mechanics(frequency_hz, drag_m2 * middle_m / (inertia_kg_m2 * (2.0 * np.pi * frequency_hz) ** 2))
+    return Mechanics(
+        frequency_hz, drag_m2 * middle_m / (inertia_kg_m2 * np.square(2.0 * np.pi * frequency_hz))
+    )
 
 
 class TreeSway:
@@ -231,7 +237,7 @@ class TreeSway:
         self._section, self._forest = section, forest
         self._season, self._start_ns = season, start_ns
         towards = math.radians(section.towards_deg)
-        east, north = math.cos(towards), math.sin(towards)
+        east, north = cos(towards), sin(towards)
         self._axes = np.array([[east, north], [-north, east]])
         self._lines = [gust_lines(section, forest.seed, component) for component in (ALONG, ACROSS)]
 
@@ -246,7 +252,7 @@ class TreeSway:
         mean = self._section.speed_m_s
         t_s = np.asarray((t_ns - self._start_ns) * 1e-9, np.float64)
         along, across = (swings(lines, mean, swinging, t_s) for lines in self._lines)
-        per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE**2 * own.lean_per_stress
+        per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE * _FRICTION_SHARE * own.lean_per_stress
         downwind = per_speed2 * mean * (mean + 2.0 * along)
         aside = per_speed2 * mean * across
         east, north = (downwind * a + aside * b for a, b in self._axes.T)
@@ -256,7 +262,7 @@ class TreeSway:
         """Give a window, that of positions (n, 3), the motion of its trees over a span of UTC."""
         trees = self._forest.trees(track_m)
         trees = trees[trees["storey"] != REGENERATION]
-        trees = trees[np.argsort(trees["id"])]
+        trees = trees[np.argsort(trees["id"], kind="stable")]
         instance = window.surfaces["instance"][window.first_surface]
         placement = np.flatnonzero(np.isin(instance, trees["id"]))
         which = np.searchsorted(trees["id"], instance[placement])

@@ -1,0 +1,201 @@
+"""Elementary functions: exact to some ulp, at the edges too, and the same bits from arrays, numbers and kernels."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from vlp16emu import elementary
+
+Floats = NDArray[np.float64]
+
+_UNARY = {
+    "sin": (1.5, 1e4),
+    "cos": (1.5, 1e4),
+    "tan": (3.5, 1e4),
+    "asin": (2.0, 1.0),
+    "acos": (2.0, 1.0),
+    "exp": (1.0, 700.0),
+    "expm1": (3.0, 2.0),
+    "log": (1.0, 1e300),
+    "log1p": (2.5, 3.0),
+    "tanh": (4.5, 3.0),
+}
+"""Largest error in ulp, and the largest argument that is tried."""
+
+
+def _arguments(name: str) -> Floats:
+    """Give numbers of all sizes up to the largest one, of both signs where there are both."""
+    rng = np.random.default_rng(3)
+    most = _UNARY[name][1]
+    x = np.concatenate([rng.uniform(-most, most, 3000), most * np.exp(-rng.uniform(0.0, 40.0, 3000))])
+    x = np.concatenate([x, -x])
+    return x[x > 0.0] if name == "log" else x[x > -1.0] if name == "log1p" else x
+
+
+def _off_ulp(found: Floats, true: list[float]) -> float:
+    """Give the largest error in ulp of the library's value, itself within one half or so."""
+    return float(max(abs(a - b) / math.ulp(b) for a, b in zip(found.tolist(), true, strict=True)))
+
+
+@pytest.mark.parametrize("name", _UNARY)
+def test_within_ulps_of_the_library(name: str) -> None:
+    """Values are within the stated ulps, and the library's half, of those of the C library."""
+    x = _arguments(name)
+    found = getattr(elementary, name)(x)
+    assert _off_ulp(found, [getattr(math, name)(a) for a in x.tolist()]) <= _UNARY[name][0] + 1.0
+
+
+def test_angle_and_power_within_ulps_of_the_library() -> None:
+    """The angle of two numbers, their hypotenuse and a power are as exact as stated."""
+    rng = np.random.default_rng(4)
+    y, x = rng.normal(size=(2, 5000)) * np.exp(rng.uniform(-20.0, 20.0, (2, 5000)))
+    pairs = list(zip(y.tolist(), x.tolist(), strict=True))
+    assert _off_ulp(elementary.atan2(y, x), [math.atan2(a, b) for a, b in pairs]) <= 2.5
+    assert _off_ulp(elementary.hypot(y, x), [math.hypot(a, b) for a, b in pairs]) <= 2.0
+    base, exponent = rng.uniform(0.0, 10.0, 5000), rng.uniform(-3.0, 3.0, 5000)
+    true = base**exponent
+    off = np.abs(elementary.power(base, exponent) - true) / np.spacing(true)
+    assert np.all(off <= 2.0 + 2.0 * np.abs(exponent * np.log(base)))
+
+
+@pytest.mark.parametrize("function", [elementary.sin, elementary.cos])
+def test_multiples_of_pi(function: Any) -> None:
+    """Near multiples of pi, where all leading bits cancel, sine and cosine keep their relative exactness."""
+    n = np.concatenate([np.arange(-2000.0, 2000.0), 2.0 ** np.arange(10, 27)])
+    for offset in (0.0, 0.5 * math.pi, 0.25 * math.pi):
+        x = n * math.pi + offset
+        assert _off_ulp(function(x), [getattr(math, function.__name__)(a) for a in x.tolist()]) <= 2.5
+
+
+_INF, _NAN = math.inf, math.nan
+_EDGES: list[tuple[str, tuple[float, ...], float]] = [
+    ("sin", (0.0,), 0.0),
+    ("sin", (-0.0,), -0.0),
+    ("sin", (5e-324,), 5e-324),
+    ("sin", (_INF,), _NAN),
+    ("sin", (1.1e12,), _NAN),
+    ("cos", (-0.0,), 1.0),
+    ("cos", (-_INF,), _NAN),
+    ("tan", (-0.0,), -0.0),
+    ("tan", (_NAN,), _NAN),
+    ("asin", (1.0,), math.pi / 2),
+    ("asin", (-0.0,), -0.0),
+    ("asin", (1.0000000000000002,), _NAN),
+    ("acos", (1.0,), 0.0),
+    ("acos", (-1.0,), math.pi),
+    ("exp", (0.0,), 1.0),
+    ("exp", (-0.0,), 1.0),
+    ("exp", (709.782712893384,), 1.7976931348622732e308),
+    ("exp", (709.782712893385,), _INF),
+    ("exp", (-745.1332191019411,), 5e-324),
+    ("exp", (-746.0,), 0.0),
+    ("exp", (-_INF,), 0.0),
+    ("exp", (_INF,), _INF),
+    ("exp", (_NAN,), _NAN),
+    ("expm1", (-0.0,), -0.0),
+    ("expm1", (1e-300,), 1e-300),
+    ("expm1", (-_INF,), -1.0),
+    ("expm1", (_INF,), _INF),
+    ("log", (1.0,), 0.0),
+    ("log", (0.0,), -_INF),
+    ("log", (-0.0,), -_INF),
+    ("log", (-1.0,), _NAN),
+    ("log", (5e-324,), -744.4400719213812),
+    ("log", (_INF,), _INF),
+    ("log", (_NAN,), _NAN),
+    ("log1p", (-0.0,), -0.0),
+    ("log1p", (-1.0,), -_INF),
+    ("log1p", (-2.0,), _NAN),
+    ("log1p", (_INF,), _INF),
+    ("tanh", (-0.0,), -0.0),
+    ("tanh", (-_INF,), -1.0),
+    ("tanh", (1e-310,), 1e-310),
+    ("atan2", (0.0, 0.0), 0.0),
+    ("atan2", (-0.0, 0.0), -0.0),
+    ("atan2", (0.0, -0.0), math.pi),
+    ("atan2", (-0.0, -1.0), -math.pi),
+    ("atan2", (1.0, 0.0), math.pi / 2),
+    ("atan2", (-1.0, -0.0), -math.pi / 2),
+    ("atan2", (_INF, _INF), math.pi / 4),
+    ("atan2", (_INF, -_INF), 3 * math.pi / 4),
+    ("atan2", (1.0, -_INF), math.pi),
+    ("atan2", (_NAN, 1.0), _NAN),
+    ("power", (0.0, 0.5), 0.0),
+    ("power", (0.0, 0.0), 1.0),
+    ("power", (0.0, -1.0), _INF),
+    ("power", (-1.0, 0.5), _NAN),
+    ("power", (1.0, 1e308), 1.0),
+    ("hypot", (3.0, 4.0), 5.0),
+    ("hypot", (-0.0, _INF), _INF),
+]
+
+
+@pytest.mark.parametrize(("name", "x", "true"), _EDGES)
+def test_edges(name: str, x: tuple[float, ...], true: float) -> None:
+    """Zeros keep their signs; subnormal, infinite and impossible arguments give what IEEE 754 recommends."""
+    found = getattr(elementary, name)(*x)
+    assert np.float64(found).view(np.int64) == np.float64(true).view(np.int64) or (
+        math.isnan(true) and math.isnan(found)
+    )
+
+
+def _kernel(function: Callable[..., Any], count: int) -> Callable[..., None]:
+    """Compile a loop over a function, with fastmath, which must not reach it."""
+    if count == 1:
+
+        def loop(x: Floats, y: Floats, out: Floats) -> None:
+            for i in range(len(out)):
+                out[i] = function(x[i])
+    else:
+
+        def loop(x: Floats, y: Floats, out: Floats) -> None:
+            for i in range(len(out)):
+                out[i] = function(x[i], y[i])
+
+    return numba.njit(fastmath=True)(loop)  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize("name", [*_UNARY, "atan2", "power", "hypot"])
+def test_same_bits_from_arrays_numbers_and_kernels(name: str) -> None:
+    """An array, longer than one piece, one number at a time and a kernel with fastmath give the same bits."""
+    function, count = getattr(elementary, name), 1 if name in _UNARY else 2
+    x = np.concatenate(
+        [np.random.default_rng(5).normal(scale=3.0, size=9000), [0.0, -0.0, 1e-310, 1.0, math.inf]]
+    )
+    y = x[::-1].copy()
+    given = (x, y)[:count]
+    found = function(*given)
+    out = np.empty(len(x))
+    _kernel(function, count)(x, y, out)
+    ones = np.array([function(*one) for one in zip(*(each[::50].tolist() for each in given), strict=True)])
+    assert np.array_equal(out.view(np.int64)[~np.isnan(found)], found.view(np.int64)[~np.isnan(found)])
+    assert np.array_equal(np.isnan(out), np.isnan(found))
+    assert np.array_equal(ones, found[::50], equal_nan=True)
+
+
+def test_shapes() -> None:
+    """Operands broadcast, shapes are kept, and numbers give numbers."""
+    assert elementary.atan2(np.ones((3, 1)), np.ones(4)).shape == (3, 4)
+    assert elementary.exp(np.zeros((0, 3))).shape == (0, 3)
+    assert elementary.exp(np.zeros((3, 5000))).shape == (3, 5000)
+    assert type(elementary.exp(0.0)) is float
+
+
+def test_products_sum_in_order() -> None:
+    """Products of matrices and vectors are sums from the first column on, for stacks and single ones."""
+    rng = np.random.default_rng(6)
+    a, b, v = rng.normal(size=(5, 3, 3)), rng.normal(size=(5, 3, 3)), rng.normal(size=(5, 3))
+    turned = [
+        [(a[n, i, 0] * v[n, 0] + a[n, i, 1] * v[n, 1]) + a[n, i, 2] * v[n, 2] for i in range(3)]
+        for n in range(5)
+    ]
+    assert np.array_equal(elementary.matvec(a, v), turned)
+    assert np.array_equal(elementary.matvec(a[0], v)[2], elementary.matvec(a[0], v[2]))
+    product = elementary.matmul(a, b)
+    assert np.array_equal(product[..., 1], elementary.matvec(a, b[..., 1]))
+    assert np.allclose(product, a @ b, rtol=0.0, atol=1e-14)

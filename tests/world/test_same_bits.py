@@ -1,0 +1,138 @@
+"""What grows has the same bits on every processor: what stands in for libraries gives what they give."""
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import special
+from scipy.spatial import ConvexHull
+
+import vlp16emu
+from vlp16emu.random import _EXPONENTIAL_TAIL, _NORMAL_TAIL, Purpose, generator
+from vlp16emu.world.plants.crown import CrownKey, crown_meshes
+from vlp16emu.world.quantiles import normal_quantile
+from vlp16emu.world.stand.floor import _STONE_M, _STONE_MEDIAN_M, _STONE_SHARES, _STONE_SIGMA
+from vlp16emu.world.stand.floor_shapes import FloorKey, FloorKind, _icosphere, _outline_m2, floor_meshes
+from vlp16emu.world.stand.stand import class_scale
+from vlp16emu.world.vectors import determinant, unit
+
+
+def _plain() -> np.random.Generator:
+    """Numpy's own generator in the state of a new one of ours."""
+    return np.random.Generator(generator(7, Purpose.TREE, 3, -4).bit_generator)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "edge"),
+    [("standard_normal", (200_000,), _NORMAL_TAIL), ("standard_exponential", (200_000,), _EXPONENTIAL_TAIL)],
+)
+def test_tails_are_rounded_and_nothing_else(name: str, arguments: tuple[int], edge: float) -> None:
+    """Numbers of a ziggurat are numpy's own; its tails, and they alone, are numpy's to the nearest 2**-24."""
+    own = getattr(generator(7, Purpose.TREE, 3, -4), name)(*arguments)
+    true = getattr(_plain(), name)(*arguments)
+    tail = np.abs(true) > edge
+    assert 20 < tail.sum() < 200
+    assert (own[~tail] == true[~tail]).all()
+    assert np.abs(own[tail] - true[tail]).max() <= 2.0**-25
+    assert (own[tail] * 2.0**24 % 1 == 0).all()
+
+
+def test_what_follows_from_ziggurats_is_that_of_numpy() -> None:
+    """Normal, Rayleigh and beta numbers are numpy's own to a step of 2**-24, one by one and from the same state on."""
+    own, true = generator(7, Purpose.TREE, 3, -4), _plain()
+    modes = np.linspace(0.1, 2.0, 5000)
+    for name, arguments in (
+        ("normal", (1.0, 0.4, (2, 5000))),
+        ("rayleigh", (modes,)),
+        ("beta", (0.95, 3.76, 5000)),
+    ):
+        assert np.abs(getattr(own, name)(*arguments) - getattr(true, name)(*arguments)).max() < 2.0**-24, name
+    assert own.poisson(30.0, 1000).tolist() == true.poisson(30.0, 1000).tolist()
+    assert isinstance(own.normal(), float)
+
+
+def test_quantiles_are_those_of_scipy() -> None:
+    """Normal quantiles are within 2e-15 of scipy's, relatively, in the middle, in the tails and where they meet."""
+    share = np.concatenate([np.linspace(1e-6, 1 - 1e-6, 20_001), np.geomspace(1e-13, 0.5, 500), [np.exp(-2)]])
+    assert normal_quantile(share) == pytest.approx(special.ndtri(share), rel=2e-15, abs=1e-15)
+
+
+def test_shares_of_stones_are_those_of_their_distribution() -> None:
+    """The shares of stones that are too short and too long are those of the log-normal distribution."""
+    at = np.log(np.array(_STONE_M) / _STONE_MEDIAN_M) / _STONE_SIGMA
+    assert special.ndtr(at) == pytest.approx(_STONE_SHARES, rel=1e-15)
+
+
+def test_outlines_are_those_of_hulls() -> None:
+    """The area of an outline is that of the convex hull, of points at random and in rows."""
+    rng = np.random.default_rng(1)
+    for points in (rng.normal(size=(300, 2)), np.argwhere(np.ones((5, 7))) * 1.0):
+        assert _outline_m2(points) == pytest.approx(ConvexHull(points).volume, rel=1e-12)
+
+
+def test_an_icosphere_is_closed_and_looks_outwards() -> None:
+    """All edges of an icosphere are shared by two faces that run through them both ways; its volume is positive."""
+    vertices, faces = _icosphere(1)
+    edges = {(a, b) for face in faces.tolist() for a, b in zip(face, np.roll(face, -1).tolist(), strict=True)}
+    assert len(edges) == 240
+    assert {(b, a) for a, b in edges} == edges
+    assert (determinant(vertices[faces]) > 0).all()
+    assert np.linalg.norm(vertices, axis=1) == pytest.approx(1.0, rel=1e-15)
+
+
+def test_vectors_are_those_of_linear_algebra() -> None:
+    """Determinants and directions are those of numpy's linear algebra."""
+    matrices = np.random.default_rng(2).normal(size=(100, 3, 3))
+    assert determinant(matrices) == pytest.approx(np.linalg.det(matrices), rel=1e-10)
+    assert unit(matrices) == pytest.approx(
+        matrices / np.linalg.norm(matrices, axis=2, keepdims=True), rel=1e-15
+    )
+
+
+def test_sizes_of_classes_are_powers() -> None:
+    """The sizes of classes are whole powers of their ratio to the last bit, those of 3 / 2 exactly."""
+    assert [class_scale(1.5, n) for n in (-1, 0, 1, 4)] == [1 / 1.5, 1.0, 1.5, 5.0625]
+    assert class_scale(1.4, -3) == pytest.approx(1.4**-3, rel=1e-15)
+
+
+def _grown() -> str:
+    """Digest of a crown with leaves, one with shoots, and a few things of the floor."""
+    digest = hashlib.sha256()
+    for species in ("european_beech", "norway_spruce"):
+        size = {
+            "dbh_m": 0.2,
+            "height_m": 15.0,
+            "crown_base_m": 8.0,
+            "crown_width_m": 3.0,
+            "leaf_area_m2": 20.0,
+        }
+        key = CrownKey(species=species, variant=0, season="leaf_on", dead_branches=True, **size)
+        for mesh in crown_meshes(1, key):
+            digest.update(mesh.vertices_m.tobytes() + mesh.faces.tobytes())
+    for kind in FloorKind:
+        for mesh in floor_meshes(1, FloorKey(kind, 2, False)):
+            digest.update(mesh.vertices_m.tobytes() + mesh.faces.tobytes())
+    return digest.hexdigest()
+
+
+def test_another_processor_grows_the_same() -> None:
+    """Crowns and things of the floor are the same to the bit where numpy, libm and BLAS take the processor for an old one."""
+    from numpy._core._multiarray_umath import __cpu_dispatch__  # type: ignore[import-not-found]
+
+    old = {
+        "NPY_DISABLE_CPU_FEATURES": " ".join(__cpu_dispatch__),
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-FMA4",
+        "OPENBLAS_CORETYPE": "Nehalem",
+        "PYTHONPATH": str(Path(vlp16emu.__file__).parents[1]),
+    }
+    program = [sys.executable, "-W", "ignore", __file__]
+    run = subprocess.run(program, env=os.environ | old, capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == _grown()
+
+
+if __name__ == "__main__":
+    print(_grown())

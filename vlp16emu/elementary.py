@@ -1,0 +1,362 @@
+"""Elementary functions of float64 by additions, products, quotients and square roots: the same bits on every processor.
+
+Libraries choose among variants by processor, which differ in the last bits. Here each operation is one of IEEE 754, in
+the order that is written. The algorithms are those of fdlibm (Sun Microsystems, 1993) unless a function says otherwise,
+written without branches, so that one text serves arrays, by numpy, and kernels.
+
+Every function takes numbers or arrays, which broadcast, and is called alike from Python and in kernels, there with
+float64 only. The errors stated, in units in the last place (ulp), are the largest that `tools/elementary` finds.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any, Protocol, cast, overload
+
+import numba
+import numba.extending
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numpy.typing import NDArray
+
+from vlp16emu.trig import around_zero
+
+__all__ = [
+    "acos",
+    "asin",
+    "atan2",
+    "cos",
+    "exp",
+    "expm1",
+    "hypot",
+    "log",
+    "log1p",
+    "log_of_normal",
+    "matmul",
+    "matvec",
+    "norm",
+    "power",
+    "sin",
+    "tan",
+    "tanh",
+]
+
+_Floats = NDArray[np.float64]
+_Numbers = NDArray[np.floating[Any]]
+_WHOLE = 6755399441055744.0
+"""1.5 * 2**52: a sum with it is rounded to a whole number, which its lowest bits hold."""
+_TINY = 2.0**-1022
+"""Smallest normal number."""
+_HALF_PI = 1.5707963109016418, 1.5893254712295857e-08, 6.123233932053594e-17, 6.36831716351095e-25
+"""Three times 25 bits, so that products with whole numbers below 2**28 are exact, and the rest."""
+_LARGEST_RAD = 1e12
+_LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+"""Its first 33 bits, so that products with exponents are exact, and the rest."""
+
+
+class _Unary(Protocol):
+    @overload
+    def __call__(self, x: float, /) -> float: ...
+    @overload
+    def __call__(self, x: _Numbers, /) -> _Floats: ...
+
+
+class _Binary(Protocol):
+    @overload
+    def __call__(self, x: float, y: float, /) -> float: ...
+    @overload
+    def __call__(self, x: _Numbers | float, y: _Numbers, /) -> _Floats: ...
+    @overload
+    def __call__(self, x: _Numbers, y: _Numbers | float, /) -> _Floats: ...
+
+
+_COMPILED = {
+    "forceinline": True,
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "fastmath": False,
+}
+"""A kernel may be compiled otherwise: what it calls here keeps its order."""
+_helper = numba.extending.register_jitable(**_COMPILED)
+
+
+def _everywhere(function: Callable[..., Any]) -> Any:
+    """Let a function of float64 take numbers and arrays, and let kernels call it."""
+    name = function.__name__
+
+    @functools.wraps(function)
+    def served(*numbers: Any) -> Any:
+        arrays = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers))
+        if arrays[0].ndim and name in _LOOPS:
+            out = np.empty(arrays[0].shape)
+            flat = [np.ascontiguousarray(x).reshape(-1) for x in arrays]
+            _fill(_LOOPS.index(name), flat[0], flat[-1], out.reshape(-1))
+            return out
+        with np.errstate(all="ignore"):
+            value = function(*(x[()] for x in arrays))
+            return value if arrays[0].ndim else float(value)
+
+    numba.extending.overload(served, jit_options=_COMPILED, strict=False)(lambda *_: function)
+    return served
+
+
+def _unary(function: Callable[[Any], Any]) -> _Unary:
+    return cast("_Unary", _everywhere(function))
+
+
+def _binary(function: Callable[[Any, Any], Any]) -> _Binary:
+    return cast("_Binary", _everywhere(function))
+
+
+def _pick(condition: Any, a: Any, b: Any) -> Any:
+    """Return a where the condition holds, else b."""
+    return np.where(condition, a, b)[()]
+
+
+def _bits(x: Any) -> Any:
+    """Return the 64 bits of a number as an integer."""
+    return x.view(np.int64)
+
+
+def _number(bits: Any) -> Any:
+    """Return the number of 64 bits."""
+    return bits.view(np.float64)
+
+
+def _as_instruction(function: Callable[..., Any], typed: Any, emit: Callable[..., Any], *sorts: Any) -> None:
+    """Say which instruction of LLVM kernels take for `function`: nothing is compiled apart."""
+    numba.extending.type_callable(function)(lambda _context: typed)
+    numba.extending.lower_builtin(function, *sorts)(
+        lambda _context, builder, _typed, values: emit(builder, values)
+    )
+
+
+_as_instruction(
+    _pick,
+    lambda condition, a, b: types.float64,  # noqa: ARG005  # numba reads the names
+    lambda builder, values: builder.select(*values),
+    types.boolean,
+    types.float64,
+    types.float64,
+)
+_as_instruction(
+    _bits,
+    lambda x: types.int64,  # noqa: ARG005
+    lambda builder, values: builder.bitcast(values[0], ir.IntType(64)),
+    types.float64,
+)
+_as_instruction(
+    _number,
+    lambda bits: types.float64,  # noqa: ARG005
+    lambda builder, values: builder.bitcast(values[0], ir.DoubleType()),
+    types.int64,
+)
+
+
+@_helper  # type: ignore[untyped-decorator]
+def _cos_sin(x: Any) -> tuple[Any, Any]:
+    """Cosine and sine by the nearest right angle and what is left, a sum of two numbers."""
+    shifted = _pick(abs(x) <= _LARGEST_RAD, x, math.nan) * (2.0 / math.pi) + _WHOLE
+    n, quarter = shifted - _WHOLE, _bits(shifted)
+    y = (x - n * _HALF_PI[0]) - n * _HALF_PI[1]
+    third = n * _HALF_PI[2]
+    high = y - third
+    back = high - y
+    rest = (y - (high - back)) - (third + back) - n * _HALF_PI[3]
+    left = high + rest
+    rest = (high - left) + rest
+    c, s = around_zero(left)
+    c, s = c - rest * s, s + rest * c
+    odd = (quarter & 1) != 0
+    cosine, sine = _pick(odd, s, c), _pick(odd, c, s)
+    cosine = _pick(((quarter + 1) & 2) != 0, -cosine, cosine)
+    return cosine, _pick(abs(x) < 2.0**-27, x, _pick((quarter & 2) != 0, -sine, sine))
+
+
+@_unary
+def sin(x: Any) -> Any:
+    """Sine, within 1.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
+    return _cos_sin(x)[1]
+
+
+@_unary
+def cos(x: Any) -> Any:
+    """Cosine, within 1.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
+    return _cos_sin(x)[0]
+
+
+@_unary
+def tan(x: Any) -> Any:
+    """Tangent, within 3.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
+    return sin(x) / cos(x)
+
+
+@_binary
+def atan2(y: Any, x: Any) -> Any:
+    """Angle of (x, y) from the x axis, -pi .. pi, within 1.5 ulp; zeros have signs, as in IEEE 754.
+
+    As in s_atan.c and e_atan2.c, the ratio is turned back by one of four known angles, or by none.
+    """
+    up, far = abs(y), abs(x)
+    t = _pick(up == far, _pick(up == 0.0, 0.0, 1.0), up / far)
+    a, b, high, low = -1.0, t, 1.57079632679489655800e00, 6.12323399573676603587e-17
+    near = t < 2.4375
+    a, b = _pick(near, t - 1.5, a), _pick(near, 1.0 + 1.5 * t, b)
+    high, low = _pick(near, 9.82793723247329054082e-01, high), _pick(near, 1.39033110312309984516e-17, low)
+    near = t < 1.1875
+    a, b = _pick(near, t - 1.0, a), _pick(near, t + 1.0, b)
+    high, low = _pick(near, 7.85398163397448278999e-01, high), _pick(near, 3.06161699786838301793e-17, low)
+    near = t < 0.6875
+    a, b = _pick(near, 2.0 * t - 1.0, a), _pick(near, 2.0 + t, b)
+    high, low = _pick(near, 4.63647609000806093515e-01, high), _pick(near, 2.26987774529616870924e-17, low)
+    near = t < 0.4375
+    a, b, high, low = _pick(near, t, a), _pick(near, 1.0, b), _pick(near, 0.0, high), _pick(near, 0.0, low)
+    r = a / b
+    z = r * r
+    w = z * z
+    even = 4.97687799461593236017e-02 + w * 1.62858201153657823623e-02
+    even = 1.42857142725034663711e-01 + w * (
+        9.09088713343650656196e-02 + w * (6.66107313738753120669e-02 + w * even)
+    )
+    even = z * (3.33333333333329318027e-01 + w * even)
+    odd = -5.83357013379057348645e-02 + w * -3.65315727442169155270e-02
+    odd = -1.11111104054623557880e-01 + w * (-7.69187620504482999495e-02 + w * odd)
+    odd = w * (-1.99999999998764832476e-01 + w * odd)
+    angle = high - ((r * (even + odd) - low) - r)
+    left = (_bits(x) < 0) & ((x != 0.0) | (y == 0.0))
+    angle = _pick(left, math.pi - (angle - 1.2246467991473532e-16), angle)
+    return _pick(_bits(y) < 0, -angle, angle)
+
+
+@_unary
+def asin(x: Any) -> Any:
+    """Arcsine, within 2 ulp, by the sides of the triangle."""
+    return atan2(x, np.sqrt((1.0 - x) * (1.0 + x)))
+
+
+@_unary
+def acos(x: Any) -> Any:
+    """Arccosine, within 2 ulp, by the sides of the triangle."""
+    return atan2(np.sqrt((1.0 - x) * (1.0 + x)), x)
+
+
+@_unary
+def exp(x: Any) -> Any:
+    """Exponential, within 1 ulp: e_exp.c."""
+    x = _pick(x > 720.0, 720.0, _pick(x < -750.0, -750.0, x))
+    n = (x * 1.4426950408889634 + _WHOLE) - _WHOLE
+    high, low = x - n * _LN2[0], n * _LN2[1]
+    r = high - low
+    t = r * r
+    c = 4.13813679705723846039e-08
+    c = 6.61375632143793436117e-05 + t * (-1.65339022054652515390e-06 + t * c)
+    c = r - t * (1.66666666666666019037e-01 + t * (-2.77777777770155933842e-03 + t * c))
+    y = 1.0 - ((low - (r * c) / (2.0 - c)) - high)
+    half = 0.5 * n + _WHOLE  # in two steps, so that only the last one rounds a subnormal number
+    other = (n - (half - _WHOLE)) + _WHOLE
+    return y * _number((_bits(half) + 1023) << 52) * _number((_bits(other) + 1023) << 52)
+
+
+@_unary
+def expm1(x: Any) -> Any:
+    """Return exp(x) - 1, within 3 ulp: Kahan's quotient of two values that are off alike (Higham 2002, section 1.14.1)."""
+    y = exp(x)
+    quotient = (y - 1.0) * x / log(y)
+    return _pick(abs(x) < 1.0, _pick(y == 1.0, x, quotient), y - 1.0)
+
+
+@_unary
+def log_of_normal(x: Any) -> Any:
+    """Logarithm of a normal number above 0, within 1 ulp: e_log.c."""
+    whole = _bits(x) - 0x3FE6A09E667F3BCD >> 52  # so that x / 2**whole is about 1
+    f = _number(_bits(x) - (whole << 52)) - 1.0
+    e = _number(whole + 0x4338000000000000) - _WHOLE  # as a float
+    s = f / (2.0 + f)
+    z = s * s
+    high = 2.222219843214978396e-01 + z * (
+        1.818357216161805012e-01 + z * (1.531383769920937332e-01 + z * 1.479819860511658591e-01)
+    )
+    rest = z * (
+        6.666666666666735130e-01 + z * (3.999999999940941908e-01 + z * (2.857142874366239149e-01 + z * high))
+    )
+    half = 0.5 * f * f
+    return e * _LN2[0] - ((half - (s * (half + rest) + e * _LN2[1])) - f)
+
+
+@_unary
+def log(x: Any) -> Any:
+    """Logarithm, within 1 ulp; minus infinity of 0, and NaN below."""
+    subnormal = x < _TINY
+    y = log_of_normal(_pick(subnormal, x * 2.0**54, x)) - _pick(subnormal, 37.42994775023705, 0.0)
+    return _pick((x > 0.0) & (x < math.inf), y, _pick(x == 0.0, -math.inf, _pick(x < 0.0, math.nan, x)))
+
+
+@_unary
+def log1p(x: Any) -> Any:
+    """Return log(1 + x), within 2 ulp, by a quotient as in `expm1` (Higham 2002, problem 1.5)."""
+    y = 1.0 + x
+    quotient = log(y) * x / (y - 1.0)
+    return _pick(y == 1.0, x, _pick(x < 2.0**53, quotient, log(y)))
+
+
+@_binary
+def power(base: Any, exponent: Any) -> Any:
+    """Power of a base from 0 on, within 1 + 2 * |exponent * log(base)| ulp: not for large exponents."""
+    return _pick(exponent == 0.0, 1.0, exp(exponent * log(base)))
+
+
+@_unary
+def tanh(x: Any) -> Any:
+    """Hyperbolic tangent, within 4.5 ulp: s_tanh.c."""
+    t = expm1(-2.0 * abs(x))
+    y = -t / (t + 2.0)
+    return _pick(x == 0.0, x, _pick(x < 0.0, -y, y))
+
+
+@_binary
+def hypot(x: Any, y: Any) -> Any:
+    """Root of the sum of squares, within 1 ulp, of numbers whose squares are neither infinite nor subnormal."""
+    return np.sqrt(x * x + y * y)
+
+
+_LOOPS = "cos", "sin", "atan2", "exp", "log"
+"""Functions of arrays that are compiled, in the order of `_fill`; the others are few operations on these."""
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)  # type: ignore[untyped-decorator]  # numba has no types
+def _fill(which: int, x: _Floats, y: _Floats, out: _Floats) -> None:
+    """Fill (n,) with the values of one of `_LOOPS`; one kernel for all of them is compiled once."""
+    for i in range(out.shape[0]):
+        if which == 0:
+            out[i] = cos(x[i])
+        elif which == 1:
+            out[i] = sin(x[i])
+        elif which == 2:
+            out[i] = atan2(x[i], y[i])
+        elif which == 3:
+            out[i] = exp(x[i])
+        else:
+            out[i] = log(x[i])
+
+
+def norm(vectors: _Floats) -> Any:
+    """Lengths of vectors (..., n), whose squares are summed from the first component on."""
+    total = vectors[..., 0] * vectors[..., 0]
+    for i in range(1, vectors.shape[-1]):
+        total = total + vectors[..., i] * vectors[..., i]
+    return np.sqrt(total)
+
+
+def matvec(matrix: _Floats, vector: _Floats) -> _Floats:
+    """Turn vectors (..., m) by matrices (..., n, m), summing from the first column on: BLAS chooses by processor."""
+    return matmul(matrix, vector[..., None])[..., 0]
+
+
+def matmul(a: _Floats, b: _Floats) -> _Floats:
+    """Multiply matrices (..., n, m) and (..., m, p), summing from the first column on: BLAS chooses by processor."""
+    out = a[..., :, :1] * b[..., :1, :]
+    for i in range(1, a.shape[-1]):
+        out = out + a[..., :, i : i + 1] * b[..., i : i + 1, :]
+    return out

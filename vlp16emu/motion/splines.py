@@ -1,0 +1,143 @@
+"""Interpolating splines by additions, products and quotients in the order written: the same bits on every processor.
+
+Libraries solve for splines with LAPACK, which chooses among variants by processor.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Spline", "interpolant"]
+
+Array = NDArray[np.float64]
+
+_WRAPPED = 64
+"""Points of the neighbouring laps with which a periodic spline is solved: what is beyond counts less than 2**-64."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spline:
+    """A curve in pieces, each a polynomial of the distance into it."""
+
+    breaks: Array
+    """(n,) where pieces begin, and where the last one ends."""
+    powers: Array
+    """(degree + 1, n - 1, m) coefficients, lowest power first."""
+
+    def __call__(self, x: Array, derivative: int = 0) -> Array:
+        """Values (k, m) of the curve or a derivative at (k,) parameters; the outer pieces go on beyond the ends."""
+        piece = np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, len(self.breaks) - 2)
+        since, out = (x - self.breaks[piece])[:, None], np.zeros((len(x), self.powers.shape[2]))
+        for power in range(len(self.powers) - 1, derivative - 1, -1):
+            out = out * since + self.powers[power, piece] * math.perm(power, derivative)
+        return out
+
+
+def interpolant(
+    at: Array,
+    values: Array,
+    degree: int = 3,
+    ends: Literal["not-a-knot", "natural", "periodic"] = "not-a-knot",
+) -> Spline:
+    """Spline of a degree through values (n, m) at growing parameters (n,).
+
+    Parameters
+    ----------
+    degree : odd; with too few points the one that they decide
+    ends : no jump of any derivative in the outer pieces, or no curvature there (cubic splines only), or the end leads
+        smoothly into the start, where the last value must be the first
+    """
+    if ends == "periodic":
+        lap = np.arange(-_WRAPPED, len(at) + _WRAPPED)
+        whole, rest = np.divmod(lap, len(at) - 1)
+        wrapped = interpolant(at[rest] + whole * (at[-1] - at[0]), values[rest], degree)
+        return Spline(at, wrapped.powers[:, _WRAPPED : _WRAPPED + len(at) - 1].copy())
+    natural, n = ends == "natural", len(at)
+    degree = degree if natural else min(degree, n - 1)
+    dropped = 1 if natural else (degree + 1) // 2
+    inner = at[dropped:-dropped] if natural or n > degree + 1 else at[:0]
+    knots = np.concatenate([np.repeat(at[0], degree + 1), inner, np.repeat(at[-1], degree + 1)])
+    return Spline(at, _powers(at, knots, _control_points(at, values, knots, natural), degree))
+
+
+def _cells(knots: Array, x: Array, degree: int) -> NDArray[np.int64]:
+    """Return the number of the knot at which the interval of each parameter (n,) begins; the end is in the last one."""
+    return np.clip(np.searchsorted(knots, x, side="right") - 1, degree, len(knots) - degree - 2)
+
+
+def _basis(knots: Array, x: Array, cell: NDArray[np.int64], degree: int) -> Array:
+    """B-splines (n, degree + 1) that are not 0 (de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB)."""
+    value = np.ones((len(x), 1))
+    for j in range(1, degree + 1):
+        before, value = value, np.zeros((len(x), j + 1))
+        for r in range(j):
+            right, left = knots[cell + r + 1], knots[cell + r + 1 - j]
+            share = before[:, r] / (right - left)
+            value[:, r] += (right - x) * share
+            value[:, r + 1] = (x - left) * share
+    return value
+
+
+def _control_points(at: Array, values: Array, knots: Array, natural: bool) -> Array:
+    """Control points (c, m) of the spline with these knots (t,) through values (n, m)."""
+    degree = len(knots) - len(at) - (3 if natural else 1)
+    size, reach = len(knots) - degree - 1, max(degree - 1, 1)
+    cell, rows = _cells(knots, at, degree), np.arange(len(at))
+    if natural:  # its conditions stand behind the first point and before the last one
+        rows[1:] += 1
+        rows[-1] += 1
+    bands, out = np.zeros((size, 2 * reach + 1)), np.zeros((size, values.shape[1]))
+    out[rows] = values
+    for r, share in enumerate(_basis(knots, at, cell, degree).T):
+        place = cell - degree + r - rows
+        known = abs(place) <= reach  # what is farther is 0
+        bands[rows[known], reach + place[known]] = share[known]
+    if natural:
+        for row, first in ((1, 1), (-2, len(knots) - 6)):
+            before, after = 1.0 / (knots[first + 3 : first + 5] - knots[first : first + 2])
+            bands[row, 1:4] = before, -before - after, after
+    _solve(bands, out)
+    return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
+def _solve(bands: Array, values: Array) -> None:
+    """Solve equations in place: values (n, m) become the solution.
+
+    Row i of the bands (n, 2 b + 1) has the coefficients of unknowns i - b .. i + b. Matrices of B-splines are totally
+    positive, so that elimination needs no pivots (de Boor, chapter XIII).
+    """
+    n, reach = len(bands), bands.shape[1] // 2
+    for i in range(n):
+        for k in range(i + 1, min(i + reach + 1, n)):
+            factor = bands[k, reach + i - k] / bands[i, reach]
+            for j in range(1, reach + 1):
+                bands[k, reach + i - k + j] -= factor * bands[i, reach + j]
+            for a in range(values.shape[1]):
+                values[k, a] -= factor * values[i, a]
+    for i in range(n - 1, -1, -1):
+        for a in range(values.shape[1]):
+            for j in range(1, min(reach, n - 1 - i) + 1):
+                values[i, a] -= bands[i, reach + j] * values[i + j, a]
+            values[i, a] /= bands[i, reach]
+
+
+def _powers(at: Array, knots: Array, control: Array, degree: int) -> Array:
+    """Powers (degree + 1, n - 1, m) of the distance from each of the parameters (n,) but the last."""
+    powers = np.zeros((degree + 1, len(at) - 1, control.shape[1]))
+    cell = _cells(knots, at[:-1], degree)
+    for power in range(degree + 1):
+        left = degree - power
+        for r, share in enumerate(_basis(knots, at[:-1], cell, left).T):
+            powers[power] += control[cell - left + r] * share[:, None]
+        powers[power] /= math.factorial(power)
+        if left:
+            # Its derivative's control points are differences of these; those of empty spans are not used.
+            span = (knots[1 + left : len(control) + left] - knots[1 : len(control)])[:, None]
+            steps = left * np.diff(control, axis=0) / np.where(span > 0.0, span, 1.0)
+            control = np.concatenate([control[:1], steps])
+    return powers
