@@ -14,8 +14,8 @@ from vlp16emu import elementary
 Floats = NDArray[np.float64]
 
 _UNARY = {
-    "sin": (1.5, 1e4),
-    "cos": (1.5, 1e4),
+    "sin": (1.6, 1e4),
+    "cos": (1.6, 1e4),
     "tan": (3.5, 1e4),
     "asin": (2.0, 1.0),
     "acos": (2.0, 1.0),
