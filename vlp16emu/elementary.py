@@ -84,17 +84,21 @@ class _Both:
 
     def __init__(self, function: Callable[..., Any], *, inlined: bool = False) -> None:
         functools.update_wrapper(self, function)
-        self.function = function
-        self.compiled = numba.njit(
+        self.function, self._inlined = function, inlined
+
+    @functools.cached_property
+    def compiled(self) -> Any:
+        """The kernels' own; made when the first of them is compiled."""
+        return numba.njit(
             cache=True,
             error_model="numpy",
             fastmath=False,  # else it would be that of the caller
-            forceinline=inlined,
+            forceinline=self._inlined,
             no_cfunc_wrapper=True,
             no_cpython_wrapper=True,
             nogil=True,
             _nrt=False,
-        )(function)
+        )(self.function)
 
     def __call__(self, *numbers: Any) -> Any:
         return self.function(*numbers)
@@ -270,13 +274,13 @@ def atan2(y: Any, x: Any) -> Any:
 
 @_unary
 def asin(x: Any) -> Any:
-    """Arcsine, within 2 ulp, by the sides of the triangle."""
+    """Arcsine, within 2.5 ulp, by the sides of the triangle."""
     return atan2(x, np.sqrt((1.0 - x) * (1.0 + x)))
 
 
 @_unary
 def acos(x: Any) -> Any:
-    """Arccosine, within 2 ulp, by the sides of the triangle."""
+    """Arccosine, within 2.5 ulp, by the sides of the triangle."""
     return atan2(np.sqrt((1.0 - x) * (1.0 + x)), x)
 
 
