@@ -14,11 +14,11 @@ from vlp16emu import elementary
 Floats = NDArray[np.float64]
 
 _UNARY = {
-    "sin": (1.5, 1e4),
-    "cos": (1.5, 1e4),
+    "sin": (1.6, 1e4),
+    "cos": (1.6, 1e4),
     "tan": (3.5, 1e4),
-    "asin": (2.0, 1.0),
-    "acos": (2.0, 1.0),
+    "asin": (2.5, 1.0),
+    "acos": (2.5, 1.0),
     "exp": (1.0, 700.0),
     "expm1": (3.0, 2.0),
     "log": (1.0, 1e300),

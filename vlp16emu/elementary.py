@@ -20,10 +20,9 @@ from llvmlite import ir
 from numba import types
 from numpy.typing import NDArray
 
-from vlp16emu.trig import around_zero
-
 __all__ = [
     "acos",
+    "around_zero",
     "asin",
     "atan2",
     "cos",
@@ -71,43 +70,69 @@ class _Binary(Protocol):
     def __call__(self, x: _Numbers, y: _Numbers | float, /) -> _Floats: ...
 
 
-_COMPILED = {
-    "forceinline": True,
-    "error_model": "numpy",
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-    "fastmath": False,
-}
-"""A kernel may be compiled otherwise: what it calls here keeps its order."""
-_helper = numba.extending.register_jitable(**_COMPILED)
+class _Both:
+    """A function of float64 for arrays, as it is, and for kernels, which find it compiled.
+
+    Compiled it keeps its order, whatever the caller asks for (`fastmath`), and divides by 0 as numpy does.
+
+    Parameters
+    ----------
+    inlined : whether it becomes a part of each kernel that calls it, as loops need that do four at once
+    """
+
+    def __init__(self, function: Callable[..., Any], *, inlined: bool = False) -> None:
+        functools.update_wrapper(self, function)
+        self.function, self._inlined = function, inlined
+
+    @functools.cached_property
+    def compiled(self) -> Any:
+        """The kernels' own; made when the first of them is compiled."""
+        return numba.njit(
+            cache=True,
+            error_model="numpy",
+            fastmath=False,  # else it would be that of the caller
+            forceinline=self._inlined,
+            no_cfunc_wrapper=True,
+            no_cpython_wrapper=True,
+            nogil=True,
+            _nrt=False,
+        )(self.function)
+
+    def __call__(self, *numbers: Any) -> Any:
+        return self.function(*numbers)
 
 
-def _everywhere(function: Callable[..., Any]) -> Any:
-    """Let a function of float64 take numbers and arrays, and let kernels call it."""
-    name = function.__name__
+class _Broadcast(_Both):
+    """Such a function for Python to call, with numbers and arrays that broadcast."""
 
-    @functools.wraps(function)
-    def served(*numbers: Any) -> Any:
+    def __call__(self, *numbers: Any) -> Any:
         arrays = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in numbers))
-        if arrays[0].ndim and name in _LOOPS:
+        if arrays[0].ndim and self.function.__name__ in _LOOPS:
             out = np.empty(arrays[0].shape)
             flat = [np.ascontiguousarray(x).reshape(-1) for x in arrays]
-            _fill(_LOOPS.index(name), flat[0], flat[-1], out.reshape(-1))
+            _fill(_LOOPS.index(self.function.__name__), flat[0], flat[-1], out.reshape(-1))
             return out
         with np.errstate(all="ignore"):
-            value = function(*(x[()] for x in arrays))
+            value = self.function(*(x[()] for x in arrays))
             return value if arrays[0].ndim else float(value)
 
-    numba.extending.overload(served, jit_options=_COMPILED, strict=False)(lambda *_: function)
-    return served
+
+@numba.extending.typeof_impl.register(_Both)  # type: ignore[untyped-decorator]
+def _typed(both: _Both, _context: Any) -> types.Dispatcher:
+    """Let kernels take the compiled function."""
+    return types.Dispatcher(both.compiled)
+
+
+def _inlined(function: Callable[..., Any]) -> _Both:
+    return _Both(function, inlined=True)
 
 
 def _unary(function: Callable[[Any], Any]) -> _Unary:
-    return cast("_Unary", _everywhere(function))
+    return cast("_Unary", _Broadcast(function))
 
 
 def _binary(function: Callable[[Any, Any], Any]) -> _Binary:
-    return cast("_Binary", _everywhere(function))
+    return cast("_Binary", _Broadcast(function))
 
 
 def _pick(condition: Any, a: Any, b: Any) -> Any:
@@ -155,7 +180,19 @@ _as_instruction(
 )
 
 
-@_helper  # type: ignore[untyped-decorator]
+@_inlined
+def around_zero(y: Any) -> tuple[Any, Any]:
+    """Cosine and sine of angles up to pi / 4, numbers or arrays: fdlibm, k_cos.c and k_sin.c."""
+    z = y * y
+    high = 2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
+    high = 8.33333333332248946124e-03 + z * (-1.98412698298579493134e-04 + z * high)
+    s = y + y * z * (-1.66666666666666324348e-01 + z * high)
+    high = -2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 - z * 1.13596475577881948265e-11)
+    high = -1.38888888888741095749e-03 + z * (2.48015872894767294178e-05 + z * high)
+    return 1.0 - 0.5 * z + z * z * (4.16666666666666019037e-02 + z * high), s
+
+
+@_inlined
 def _cos_sin(x: Any) -> tuple[Any, Any]:
     """Cosine and sine by the nearest right angle and what is left, a sum of two numbers."""
     shifted = _pick(abs(x) <= _LARGEST_RAD, x, math.nan) * (2.0 / math.pi) + _WHOLE
@@ -177,13 +214,13 @@ def _cos_sin(x: Any) -> tuple[Any, Any]:
 
 @_unary
 def sin(x: Any) -> Any:
-    """Sine, within 1.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
+    """Sine, within 1.6 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     return _cos_sin(x)[1]
 
 
 @_unary
 def cos(x: Any) -> Any:
-    """Cosine, within 1.5 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
+    """Cosine, within 1.6 ulp up to 4.2e8 rad, beyond within the last bit of the angle; NaN from 1e12 rad on."""
     return _cos_sin(x)[0]
 
 
@@ -232,13 +269,13 @@ def atan2(y: Any, x: Any) -> Any:
 
 @_unary
 def asin(x: Any) -> Any:
-    """Arcsine, within 2 ulp, by the sides of the triangle."""
+    """Arcsine, within 2.5 ulp, by the sides of the triangle."""
     return atan2(x, np.sqrt((1.0 - x) * (1.0 + x)))
 
 
 @_unary
 def acos(x: Any) -> Any:
-    """Arccosine, within 2 ulp, by the sides of the triangle."""
+    """Arccosine, within 2.5 ulp, by the sides of the triangle."""
     return atan2(np.sqrt((1.0 - x) * (1.0 + x)), x)
 
 
@@ -267,9 +304,9 @@ def expm1(x: Any) -> Any:
     return _pick(abs(x) < 1.0, _pick(y == 1.0, x, quotient), y - 1.0)
 
 
-@_unary
+@_inlined
 def log_of_normal(x: Any) -> Any:
-    """Logarithm of a normal number above 0, within 1 ulp: e_log.c."""
+    """Logarithm of normal numbers above 0, within 1 ulp: e_log.c; a part of the kernel, where loops do four at once."""
     whole = _bits(x) - 0x3FE6A09E667F3BCD >> 52  # so that x / 2**whole is about 1
     f = _number(_bits(x) - (whole << 52)) - 1.0
     e = _number(whole + 0x4338000000000000) - _WHOLE  # as a float

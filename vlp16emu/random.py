@@ -108,7 +108,11 @@ _NORMAL_TAIL, _EXPONENTIAL_TAIL = 3.6541528853610088, 7.69711747013104972
 
 
 @numba.njit(
-    "UniTuple(uint32, 4)(uint32, uint32, uint32, uint32, uint32, uint32)", cache=True, inline="always"
+    "UniTuple(uint32, 4)(uint32, uint32, uint32, uint32, uint32, uint32)",
+    cache=True,
+    nogil=True,
+    forceinline=True,
+    _nrt=False,
 )
 def philox4x32(
     c0: _Word, c1: _Word, c2: _Word, c3: _Word, k0: _Word, k1: _Word
@@ -128,7 +132,7 @@ def philox4x32(
     return c0, c1, c2, c3
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def uniform_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, float]:
     """Draw two uniform numbers in [0, 1) of 53 bits each; for use in kernels.
 
@@ -150,7 +154,7 @@ def uniform_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, flo
     return a, b
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def box_muller(a: float, b: float) -> tuple[float, float]:
     """Turn two uniform numbers into two normal ones, by Box and Muller (1958); for use in kernels.
 

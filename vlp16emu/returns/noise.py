@@ -4,6 +4,7 @@ And the reflectivity byte.
 """
 
 import math
+from functools import lru_cache
 
 import numba
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import cos, exp, log, power
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.settings import DetectorConstants
-from vlp16emu.trig import fold
+from vlp16emu.trig import ZERO, fold
 
 __all__ = [
     "BIAS_LIMIT_M",
@@ -42,6 +43,7 @@ NO_RETURN_KNOT = 32
 _NO_RETURN_MIDDLE, _NO_RETURN_SPREAD = (1.5, 20.0), 0.5
 """Middle over the lasers, and spread of its logarithm: 13 and 0.4 on mrpt, 5 and 0.45 on nebula, 2.7 and 0.7 on einride,
 1.3 and 1 on the unit of 2014. That middles are even in their logarithm is an assumption."""
+_UNITS_KEPT = 64
 _WANDER_OF_UNITS, _WANDER_OF_LASERS = 0.7, 0.6
 """Spreads of the logarithm; on nebula a laser is at 1 in 39 to 98 % of its records."""
 
@@ -86,10 +88,15 @@ def no_return_multiples(seed: int, first: int, count: int, lasers: int, wander: 
     (knots, lasers), one row for each `NO_RETURN_KNOT` sequences, from that of `first` on to one past the last
     """
     begin, stop = first // NO_RETURN_KNOT, (first + count - 1) // NO_RETURN_KNOT + 2
-    *of_lasers, of_unit = normal(seed, Purpose.NO_RETURN, 1 + lasers, lasers + 1)
-    own = wander * exp(_WANDER_OF_UNITS * of_unit + _WANDER_OF_LASERS * np.array(of_lasers))
     drawn = [normal(seed, Purpose.NO_RETURN, begin, stop - begin, 1 + laser) for laser in range(lasers)]
-    return np.asarray(own * np.abs(np.stack(drawn, axis=1)))
+    return np.asarray(_own_wander(seed, lasers, wander) * np.abs(np.stack(drawn, axis=1)))
+
+
+@lru_cache(_UNITS_KEPT)
+def _own_wander(seed: int, lasers: int, wander: float) -> NDArray[np.float64]:
+    """Draw how far each laser of a unit wanders, (lasers,)."""
+    *of_lasers, of_unit = normal(seed, Purpose.NO_RETURN, 1 + lasers, lasers + 1)
+    return wander * exp(_WANDER_OF_UNITS * of_unit + _WANDER_OF_LASERS * np.array(of_lasers))
 
 
 def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> NDArray[np.float64]:
@@ -146,8 +153,10 @@ def heavier(z: float) -> float:
     return _UNIT * z * (1.0 + _CUBIC * z * z)
 
 
-_BINS_PER_E_FOLD, _TURNS_PER_BIN, _TURNS_PER_GAIN = 4.0, 0.31, 29.0
-"""Of the steps of codes; the last two spread them over lasers and ranges, and are no measurement."""
+_BIN_EDGES_M = exp(np.arange(-12.0, 20.0) / 4.0)
+"""Ranges from 0.05 to 116 m at which the step of codes changes."""
+_TURNS_PER_BIN, _TURNS_PER_GAIN = 0.31, 29.0
+"""They spread the steps of codes over lasers and ranges, and are no measurement."""
 _AFTER_STEP = 0.1
 """Share of the white error that comes after the step: with none the histograms are sharper than real ones."""
 RETROREFLECTIVE = 100.5
@@ -172,7 +181,10 @@ def code_step(step: float, gain: float, range_m: float) -> float:
     ----------
     gain : of the laser
     """
-    turn = fold(_TURNS_PER_BIN * math.floor(_BINS_PER_E_FOLD * log(range_m)) + _TURNS_PER_GAIN * gain)
+    number = ZERO - 13
+    for edge in range(len(_BIN_EDGES_M)):  # a logarithm costs more
+        number += range_m >= _BIN_EDGES_M[edge]
+    turn = fold(_TURNS_PER_BIN * number + _TURNS_PER_GAIN * gain)
     return step * gain * (0.85 + 0.6 * turn * turn)
 
 

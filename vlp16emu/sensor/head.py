@@ -11,7 +11,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import cos, sin
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.rotor import Clock, Rotor
 from vlp16emu.trig import cos_sin
@@ -56,14 +55,13 @@ class Head:
         beam_axis : whether pulses have a width, and so need `Firings.beam_axis`
         """
         beams = self.beams
-        elevation_rad = np.radians(beams.elevation_deg + beams.elevation_error_deg)
         t_ns = self.times_ns(first, count)
         azimuth_deg = self.rotor.angle_deg(t_ns - self.start_ns)
         origin_m, direction = np.empty((*t_ns.shape, 3)), np.empty((*t_ns.shape, 3))
         level = np.empty((*t_ns.shape, 3) if beam_axis else (0, 0, 3))
         table = (
             np.radians(beams.azimuth_error_deg),
-            np.column_stack([cos(elevation_rad), sin(elevation_rad)]),
+            np.radians(beams.elevation_deg + beams.elevation_error_deg),
             beams.vertical_offset_m,
         )
         for begin in range(0, count, _TOGETHER):
@@ -87,7 +85,7 @@ class Head:
         )
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def turn(R: NDArray[np.float64], vector: NDArray[np.float64], out: NDArray[np.float64]) -> None:
     """Fill out = R vector, each (3,) and R (3, 3); for use in kernels."""
     for a in range(3):
@@ -98,7 +96,7 @@ def turn(R: NDArray[np.float64], vector: NDArray[np.float64], out: NDArray[np.fl
 def _aim(
     azimuth_deg: NDArray[np.float64],
     error_rad: NDArray[np.float64],
-    elevation: NDArray[np.float64],
+    elevation_rad: NDArray[np.float64],
     offset_m: NDArray[np.float64],
     world_R_body: NDArray[np.float64],
     world_p_body_m: NDArray[np.float64],
@@ -108,12 +106,14 @@ def _aim(
 ) -> None:
     """Fill origins and directions: x = cos w cos a, y = -cos w sin a, z = sin w, as azimuth 0 looks forward.
 
-    `elevation` (lasers, 2) has the cosine and sine of w. The level axis is the derivative of that by the azimuth, over cos w; left out where `beam_axis` is empty.
+    The level axis is the derivative of that by the azimuth, over cos w; left out where `beam_axis` is empty.
     """
     count, lasers = azimuth_deg.shape
     moving = len(world_p_body_m) > 1
     body = np.empty(3)
-    cosine, sine = np.empty(lasers), np.empty(lasers)
+    cosine, sine, flat, up = np.empty(lasers), np.empty(lasers), np.empty(lasers), np.empty(lasers)
+    for j in range(lasers):
+        flat[j], up[j] = cos_sin(elevation_rad[j])
     for i in range(count):
         for j in range(lasers):  # four at once
             cosine[j], sine[j] = cos_sin(math.radians(azimuth_deg[i, j]) + error_rad[j])
@@ -121,7 +121,7 @@ def _aim(
             n = i * lasers + j if moving else 0
             R, p = world_R_body[n], world_p_body_m[n]
             c, s = cosine[j], sine[j]
-            body[0], body[1], body[2] = elevation[j, 0] * c, -elevation[j, 0] * s, elevation[j, 1]
+            body[0], body[1], body[2] = flat[j] * c, -flat[j] * s, up[j]
             turn(R, body, direction[i, j])
             if len(beam_axis):
                 body[0], body[1], body[2] = -s, -c, 0.0

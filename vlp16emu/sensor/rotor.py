@@ -144,12 +144,10 @@ class Pattern:
         """Add them to the readings (k,) of firing sequences from `first` on."""
         out = reading_deg
         if self.twice_deg:
-            out = out + self.twice_deg * sin(np.radians(2.0 * reading_deg - self.twice_phase_deg))
+            out = _with_sine(out, 2.0 * reading_deg - self.twice_phase_deg, self.twice_deg)
         if self.hum_deg:
             number = (first + np.arange(len(out))) % _HUM_SEQUENCES
-            out = out + self.hum_deg * sin(
-                4.0 * np.pi / _HUM_SEQUENCES * number + np.radians(self.hum_phase_deg)
-            )
+            out = _with_sine(out, 720.0 / _HUM_SEQUENCES * number + self.hum_phase_deg, self.hum_deg)
         return np.asarray(out)
 
 
@@ -273,7 +271,7 @@ class Rotor:
         """Read the encoder at (k,) true angles, those of firing sequences first .. first + k - 1."""
         reading = angle_deg
         if self.eccentricity_deg:
-            reading = _eccentric(reading, self.eccentricity_deg, self.eccentricity_phase_deg)
+            reading = _with_sine(reading, reading - self.eccentricity_phase_deg, self.eccentricity_deg)
         reading = self.pattern.added(reading, first)
         if self.lines.pitch_deg:
             return self.lines.read(reading, self.noise_deg, self.seed, first) % 360.0
@@ -319,11 +317,13 @@ def _swung(
 
 
 @numba.njit(cache=True, nogil=True)
-def _eccentric(angle_deg: NDArray[np.float64], amplitude_deg: float, phase_deg: float) -> NDArray[np.float64]:
-    """Add the angle-locked error."""
-    out = np.empty_like(angle_deg)
-    for i in range(angle_deg.size):
-        out[i] = angle_deg[i] + amplitude_deg * cos_sin(math.radians(angle_deg[i] - phase_deg))[1]
+def _with_sine(
+    reading_deg: NDArray[np.float64], phase_deg: NDArray[np.float64], amplitude_deg: float
+) -> NDArray[np.float64]:
+    """Add a sine of phases (k,) to readings (k,)."""
+    out = np.empty_like(reading_deg)
+    for i in range(reading_deg.size):
+        out[i] = reading_deg[i] + amplitude_deg * cos_sin(math.radians(phase_deg[i]))[1]
     return out
 
 
