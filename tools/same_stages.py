@@ -17,7 +17,6 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,39 +63,40 @@ CAPTURE = "capture of README.md"
 
 
 class Grown:
-    """A world that keeps a copy of all that it gives."""
+    """A world that keeps a copy of all that it gives, by group and name."""
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self.given: dict[str, Window | FarTile | tuple[Mesh, ...]] = {}
+        self._given: dict[tuple[str, str], Window | FarTile | tuple[Mesh, ...]] = {}
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._world, name)
 
     def window(self, track_m: NDArray[np.float64]) -> Window:
-        """Give a window, named by its place."""
+        """Give a window; those of a run are along different tracks."""
         window = self._world.window(track_m)
-        self.given[f"window {np.floor(track_m.mean(axis=0)).tolist()}"] = window
+        self._given["window", f"{track_m[0].round()}"] = window
         return window
 
     def far_tile(self, ix: int, iy: int) -> FarTile:
         """Give a square of the world as it is from afar."""
-        tile = self.given[f"tile {ix} {iy}"] = self._world.far_tile(ix, iy)
+        tile = self._given["tile", f"{ix} {iy}"] = self._world.far_tile(ix, iy)
         return tile
 
     def shape(self, key: Hashable) -> tuple[Mesh, ...]:
-        """Grow a shape."""
-        meshes = self.given[f"shape {key}"] = self._world.shape(key)
+        """Grow a shape; those that the store keeps are a group of their own, as it may give them."""
+        group = "kept" if self._world.shape_name(key) else "shape"
+        meshes = self._given[group, f"{key}"] = self._world.shape(key)
         return meshes
 
     def arrays(self) -> Arrays:
-        """Join the arrays of a kind, in the order of names."""
+        """Join the arrays of a group, in the order of names."""
         parts: dict[str, list[NDArray[Any]]] = {}
-        for _, given in sorted(self.given.items()):
+        for (group, _), given in sorted(self._given.items(), key=lambda item: item[0]):
             for thing in given if isinstance(given, tuple) else (given,):
                 for name, array in _arrays_of(thing):
                     plain = np.frombuffer(array.tobytes(), np.uint8 if array.dtype.names else array.dtype)
-                    parts.setdefault(f"world/{type(thing).__name__}.{name}", []).append(plain)
+                    parts.setdefault(f"world/{group}.{name}", []).append(plain)
         return {name: np.concatenate(found) for name, found in parts.items()}
 
 
@@ -195,22 +195,22 @@ def _capture(threads: int) -> Arrays:
         return {"packets/capture": np.fromfile(path, np.uint8)}
 
 
-@numba.njit
-def _sum_of_products(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Add products: a compiler makes other instructions of it for another processor, and at another level."""
-    total = 0.0
-    for i in range(len(a)):
-        total += a[i] * b[i]
-    return total
-
-
 def probes() -> Arrays:
-    """Ask each library for what processors may answer differently."""
+    """Ask each library for what processors may answer differently; of numba the instructions of a sum of products."""
+    import numba  # here: the package chooses the processor that it compiles for before it is imported
+
+    @numba.njit
+    def sum_of_products(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+        total = 0.0
+        for i in range(len(a)):
+            total += a[i] * b[i]
+        return total
+
     x = np.random.default_rng(1).uniform(-5.0, 5.0, 4096)
     square = x.reshape(64, 64)
     functions = (math.exp, math.sin, math.cos, math.atan, lambda value: math.pow(abs(value), 1.7))
-    _sum_of_products(x, x)
-    (code,) = _sum_of_products.inspect_asm().values()
+    sum_of_products(x, x)
+    (code,) = sum_of_products.inspect_asm().values()
     lines = [line for line in code.splitlines() if line.startswith("\t") and not line.startswith("\t.")]
     vectors = [f(x.astype(kind)) for kind in (np.float64, np.float32) for f in (np.exp, np.sin, np.cos)]
     return {
