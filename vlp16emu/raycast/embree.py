@@ -5,6 +5,7 @@ its wheel carries offers all three. Numbers and signatures: Embree 4.4, `rtcore_
 """
 
 import ctypes
+import os
 import sys
 import threading
 from ctypes import c_char_p, c_int, c_size_t, c_uint, c_void_p
@@ -133,9 +134,10 @@ def device() -> int:
 
 @cache
 def _new_device() -> int:
-    """Make a device."""
+    """Make a device, configured also by `VLP16EMU_EMBREE`, which is for tests: `isa=sse4.2`, `verbose=1`."""
     # One thread per build keeps the order of primitives, and so every tie between two faces, the same.
-    handle: int | None = library().rtcNewDevice(b"threads=1,set_affinity=0")
+    own = ("threads=1", "set_affinity=0", os.environ.get("VLP16EMU_EMBREE", ""))
+    handle: int | None = library().rtcNewDevice(",".join(filter(None, own)).encode())
     if handle is None:
         raise RunError(f"Embree gave no device: {_meaning(library().rtcGetDeviceError(None))}")
     return handle

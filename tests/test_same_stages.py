@@ -1,0 +1,152 @@
+"""`tools/same_bytes`: what it compares, and what it says of a difference."""
+
+import os
+import subprocess
+import sys
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+
+import numpy as np
+import pytest
+import same_stages
+
+TOOL = Path(__file__).resolve().parents[1] / "tools" / "same_bytes"
+MANY = (
+    "world/shape.vertices_m",
+    "poses/world_p_body_m",
+    "firings/direction",
+    "hits/range_m",
+    "returns/distance_m",
+)
+
+
+@pytest.fixture(scope="module")
+def same_bytes():
+    """The tool as a module."""
+    loader = SourceFileLoader("same_bytes", str(TOOL))
+    module = module_from_spec(spec_from_loader("same_bytes", loader))
+    sys.modules["same_bytes"] = module  # for its dataclasses
+    loader.exec_module(module)
+    yield module
+    del sys.modules["same_bytes"]
+
+
+def run(threads=1, pieces=1):
+    """Arrays of the hall."""
+    ((_, arrays),) = same_stages.made(["hall"], threads, pieces)
+    return arrays
+
+
+@pytest.fixture(scope="module")
+def hall():
+    return run()
+
+
+def nudged(arrays, name):
+    """Arrays of which one has its third number in the next greater one's place."""
+    array = arrays[name].copy()
+    number = array.reshape(-1)[2:3]
+    number[:] = np.nextafter(number, np.inf) if array.dtype.kind == "f" else number + 1
+    return arrays | {name: array}
+
+
+@pytest.fixture
+def check(same_bytes, hall, monkeypatch, capsys, tmp_path):
+    """Let the tool run with workers of our own, which give arrays for the environment that they are called with."""
+
+    def call(work, *arguments):
+        def _run(self, environment, folder):
+            folder.mkdir(exist_ok=True)
+            arrays = hall if environment is same_bytes.USUAL else work(environment)
+            np.savez(folder / "hall.npz", **arrays)
+            np.savez(folder / "probes.npz", **dict.fromkeys(("libm", "numpy", "blas", "numba"), np.zeros(3)))
+            return ""
+
+        monkeypatch.setattr(same_bytes.Check, "_run", _run)
+        monkeypatch.setattr("sys.argv", ["same_bytes", "--scenes", "hall", *arguments])
+        return same_bytes.main(), capsys.readouterr().out
+
+    return call
+
+
+@pytest.mark.parametrize("name", [*MANY, "packets/payload"])
+def test_a_planted_difference_is_found_at_its_stage(check, hall, name):
+    """One number that is one step greater gives exit code 1, and the stage, the count, the size and the place."""
+    code, out = check(lambda _: nudged(hall, name), "--only", "one thread")
+    stage, one = name.partition("/")[0], hall[name]
+    bytes_too = "" if stage == "packets" else " (same bytes)"
+    assert code == 1
+    assert f"| one thread | - | **{stage}**{bytes_too} |\n" in out
+    assert f"1 of {one.size:_}".replace("_", " ") + (", 1" if stage == "packets" else ", 1 ulp, ") in out
+    assert f"| `{name}` at {[int(i) for i in np.unravel_index(2, one.shape)]} |\n" in out
+    assert out.endswith("different: one thread\n")
+
+
+def test_the_first_stage_is_named(check, hall):
+    """Where several stages differ, the table names the first one in the order of the chain."""
+    code, out = check(lambda _: nudged(nudged(hall, MANY[4]), MANY[3]), "--only", "one thread")
+    assert code == 1
+    assert "| one thread | - | **hits** (same bytes) |" in out
+
+
+def test_the_same_arrays_pass(check, hall):
+    """Arrays that are the same give exit code 0, and an environment that changes no answer is said to have no effect."""
+    code, out = check(lambda _: hall)
+    assert code == 0
+    assert "| one thread | - | same |" in out
+    assert "| OpenBLAS Prescott | none here | same |" in out
+    assert out.endswith("different: none\n")
+
+
+def test_a_worker_that_fails_is_shown(check):
+    """A worker that ends with an error gives exit code 1, and its last line."""
+
+    def fail(_):
+        raise subprocess.CalledProcessError(1, "worker", stderr="Traceback\nIllegal instruction")
+
+    code, out = check(fail, "--only", "one thread")
+    assert code == 1
+    assert "**failed**: Illegal instruction" in out
+
+
+def test_neither_threads_nor_pieces_change_what_is_kept(same_bytes, hall):
+    """Arrays are put together in the order of time, however a run is cut and whichever thread computes a block."""
+    other = run(threads=2, pieces=3)
+    assert hall.keys() == other.keys()
+    assert [name for name in hall if same_bytes.difference(name, hall[name], other[name])] == []
+
+
+def test_steps_count_the_numbers_between(same_bytes):
+    """Numbers are ordered through zero and up to infinity; steps are those of their type."""
+    one = np.float32(1.0)
+    for a, b, count in (
+        (one, np.nextafter(one, np.float32(2)), 1),
+        (-1e-45, 1e-45, 2),
+        (np.inf, 3.4028235e38, 1),
+    ):
+        assert f", {count} ulp, " in same_bytes.steps(np.array([a], np.float32), np.array([b], np.float32))
+    assert same_bytes.steps(np.array([3], np.uint8), np.array([250], np.uint8)) == ", 2.5e+02"
+
+
+def test_tables_take_the_place_of_older_ones(same_bytes, tmp_path):
+    """What a file of results says before its first table and from its second heading on stays."""
+    path = tmp_path / "results.md"
+    path.write_text("# Title\n\nWords.\n\n| old |\n|---|\n\n## Before\n\n| more |\n")
+    same_bytes.write(path, "| new |\n|---|\n")
+    assert path.read_text() == "# Title\n\nWords.\n\n| new |\n|---|\n\n## Before\n\n| more |\n"
+
+
+def test_embree_takes_the_configuration_of_the_environment():
+    """`VLP16EMU_EMBREE` limits the instruction set of the one device of a process."""
+    program = "from vlp16emu.raycast.embree import device; device()"
+    out = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"VLP16EMU_EMBREE": "isa=sse4.2,verbose=1"},
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout
+    chosen = out.partition("Config\n")[2].partition("Features")[0]
+    assert "SSE4.2" in chosen.split("(supported)")[0]
+    assert "AVX" not in chosen.split("(supported)")[0]
