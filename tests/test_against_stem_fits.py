@@ -11,8 +11,8 @@ from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-SPRUCE = ["sensor.max_range_m=30.0", "sensor.return_mode=strongest", "seed=3"]
-WALK_S = 12.0
+SPRUCE = ["sensor.max_range_m=20.0", "sensor.return_mode=strongest", "seed=3"]
+WALK_S = 8.0
 
 
 @pytest.fixture(scope="module", params=["false", "true"], ids=["round", "crooked"])

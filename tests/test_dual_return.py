@@ -29,7 +29,7 @@ def dual_returns():
 def forest(dual_returns):
     """Emulators of the reference forest by the preset of their noise, in one world."""
     typical, ideal = (
-        load("reference_forest", [*dual_returns.OWN, f"noise.preset={preset}", "sensor.max_range_m=30.0"])
+        load("reference_forest", [*dual_returns.OWN, f"noise.preset={preset}", "sensor.max_range_m=20.0"])
         for preset in ("typical", "ideal")
     )
     first = Emulator(typical)

@@ -39,7 +39,7 @@ def run(request, tmp_path_factory):
     """A quarter of a second among birches without noise: emulator, capture and truth."""
     folder = tmp_path_factory.mktemp("slots")
     settings = [f"sensor.return_mode={request.param}", "noise.preset=ideal", "world.stems_per_ha=300"]
-    settings.append("sensor.max_range_m=40.0")
+    settings.append("sensor.max_range_m=25.0")
     emulator = Emulator("birch_walk", settings)
     to = TruthTo(folder / "truth", rate_hz=2000, per_return=True)
     emulator.record(folder / "walk.pcap", duration_s=SPAN_S, truth=to)

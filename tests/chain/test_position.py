@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 FOREST = [
     "world.stems_per_ha=150",
-    "sensor.max_range_m=40.0",
+    "sensor.max_range_m=20.0",
     "seed=5",
     "gps.canopy_half_cover=0.25",
     "gps.canopy_cover_width=0.1",

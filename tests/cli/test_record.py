@@ -178,7 +178,7 @@ def test_ctrl_c_leaves_a_valid_file(cli, program, tmp_path, number):
     wait_for(tmp_path / "x.pcap.part", 500_000)
     assert not path.exists()
     process.send_signal(number)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=100)
     assert (process.returncode, err) == (130, "")
     report = json.loads(out)
     assert report["interrupted"] is True
@@ -199,7 +199,7 @@ def test_two_recordings_into_one_file_are_refused(cli, program, tmp_path):
     assert (outcome.code, outcome.err) == (2, found)
     assert {file.name: file.read_bytes() for file in truth.iterdir()} == before
     process.send_signal(signal.SIGINT)
-    out, _ = process.communicate(timeout=30)
+    out, _ = process.communicate(timeout=100)
     assert json.loads(out)["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -231,7 +231,7 @@ def test_a_terminal_that_goes_leaves_a_report(program, heeds_signals, tmp_path):
         os.close(theirs)
         wait_for(tmp_path / "x.pcap.part", 500_000)
         os.close(ours)
-        assert process.wait(timeout=30) == 130
+        assert process.wait(timeout=100) == 130
     tree = json.loads((tmp_path / "report").read_text())
     assert tree["interrupted"] is True
     assert tree["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
@@ -248,7 +248,7 @@ def test_what_ignores_hangups_goes_on(program, heeds_signals, tmp_path):
     process.send_signal(signal.SIGHUP)
     wait_for(part, part.stat().st_size + 500_000)
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=30)
+    process.communicate(timeout=100)
     assert process.returncode == 130
 
 
@@ -313,7 +313,7 @@ def test_ctrl_c_does_not_wait_for_the_world(hindered, tmp_path):
     process = hindered(GROWS_FOR_EVER, path)
     until(process, "growing")
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=20)
+    out, err = process.communicate(timeout=100)
     assert (process.returncode, err, path.stat().st_size) == (130, "", 24)
     report = json.loads(out)
     assert (report["interrupted"], report["packets"], report["bytes"]) == (True, 0, 24)
@@ -327,7 +327,7 @@ def test_a_second_ctrl_c_waits_for_nothing(hindered, tmp_path):
     process.send_signal(signal.SIGINT)
     until(process, "finishing what is under way; Ctrl-C again stops at once")
     process.send_signal(signal.SIGINT)
-    out, _ = process.communicate(timeout=20)
+    out, _ = process.communicate(timeout=100)
     assert (process.returncode, out, list(tmp_path.iterdir())) == (130, "", [])
 
 
@@ -337,7 +337,7 @@ def test_a_terminal_gets_a_bar_with_the_time_left(program, tmp_path):
     process = program(
         "record", "static_bench", tmp_path / "x.pcap", "--duration", "1", "--json", stderr=theirs
     )
-    out, _ = process.communicate(timeout=60)
+    out, _ = process.communicate(timeout=100)
     os.close(theirs)
     drawn = os.read(ours, 100_000).decode()
     os.close(ours)

@@ -81,7 +81,7 @@ def test_ctrl_c_ends_the_truth_alone(program, tmp_path):
     while not (path.exists() and path.stat().st_size > 100_000) and time.monotonic() < deadline:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    out, _ = process.communicate(timeout=30)
+    out, _ = process.communicate(timeout=100)
     assert process.returncode == 130
     report = json.loads(out)
     assert report["interrupted"] is True
@@ -171,7 +171,7 @@ def test_ctrl_c_leaves_whole_truth(program, tmp_path):
     while not (path.exists() and path.stat().st_size > 1000) and time.monotonic() < deadline:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=30)
+    process.communicate(timeout=100)
     assert process.returncode == 130
     text = path.read_text()
     assert text.endswith("\n")

@@ -1,0 +1,20 @@
+# One step of a check, for bash: sourced by tools/check and .ci/run.
+
+# Run a command, and print one line when it is done: wall time, CPU time of all its processes, and its last line; for
+# pytest also what was skipped and why. Print all its output where it fails.
+step() {
+    local name=$1 code=0 log spent TIMEFORMAT='%R %U %S'
+    shift
+    log=$(mktemp)
+    spent=$({ time "$@" >"$log" 2>&1; } 2>&1) || code=$?
+    spent=$(awk '{ printf "%.0f s, %.1f s of CPU", $1, $2 + $3 }' <<<"$spent")
+    if [ "$code" = 0 ]; then
+        echo "$name: good after $spent: $(tail -n 1 "$log")"
+        sed -n '/^=* short test summary/,$ { /^SKIPPED/p }' "$log"
+    else
+        cat "$log"
+        echo "$name: failed with exit code $code after $spent"
+    fi
+    rm -f "$log"
+    return "$code"
+}
