@@ -24,15 +24,7 @@ ROOMS = (
     "motion",
     "packets",
     "random.py",
-    "raycast/adaptive.py",
-    "raycast/cloud.py",
-    "raycast/far.py",
-    "raycast/filling.py",
-    "raycast/leaves.py",
-    "raycast/medium.py",
-    "raycast/sky.py",
-    "raycast/texture.py",
-    "raycast/voxel.py",
+    "raycast",
     "returns",
     "sensor",
     "trig.py",
@@ -43,6 +35,7 @@ ROOMS = (
 """Folders and files on the way from a scene to its packets."""
 
 ALLOWED = {
+    "raycast/slow.py": "",  # the fallback without Embree's library, and the slow twin of the tests
     "world/given/section.py": "scipy",  # which corners are joined; lengths of hulls are for reports
     "world/given/stem_list.py": "scipy",  # finds trees at one place, to refuse them
     "world/ground/dem.py": "scipy",  # the nearest cell, by squares of whole numbers
@@ -100,6 +93,10 @@ def not_ieee(tree: ast.AST) -> Iterator[str]:
                 yield f"line {line}: math.{name}"
             case ast.Attribute(value=ast.Name(id="np"), attr=name) if name in NUMPY:
                 yield f"line {line}: np.{name}"
+            case ast.keyword(arg="fastmath", value=value) if not (
+                isinstance(value, ast.Constant) and value.value is False
+            ):
+                yield f"line {value.lineno}: fastmath"
             case ast.Attribute(attr=name) if name in DRAWS:
                 yield f"line {line}: .{name}"
             case ast.Call(func=ast.Attribute(attr="argsort"), keywords=words) if not _is_stable(words):
@@ -160,6 +157,7 @@ def test_no_library_decides_a_byte(path: Path) -> None:
         "from math import exp",
         "y = np.argsort(x)",
         "y = rng.lognormal(0.0, 1.0)",
+        "f = numba.njit(fastmath={'contract'})(f)",
     ],
 )
 def test_the_scan_finds(line: str) -> None:

@@ -23,8 +23,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import cos, log, power, sin
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.raycast.adaptive import RayBudget, worth_of_ray_m
+from vlp16emu.trig import cos_sin
 from vlp16emu.types import Firings
 
 __all__ = [
@@ -42,7 +44,7 @@ __all__ = [
 ]
 
 _PLASTIC = 1.32471795724474602596
-_STEP_U, _STEP_V = np.uint32(round(2**32 / _PLASTIC)), np.uint32(round(2**32 / _PLASTIC**2))
+_STEP_U, _STEP_V = np.uint32(round(2**32 / _PLASTIC)), np.uint32(round(2**32 / (_PLASTIC * _PLASTIC)))
 ROUND = 8
 """Sub-rays per round: a packet."""
 _Y = 4 * ROUND
@@ -128,13 +130,13 @@ LINE = Footprint(BeamModel.NONE, 1, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0)
 def _ring_radii() -> NDArray[np.float64]:
     """Radii of rings of equal energy about a unit Gaussian's middle, each the root mean square over its ring."""
     outside = 1.0 - np.arange(2**_BITS) / 2**_BITS
-    mass = np.append(2 * outside * (1 - np.log(outside)), 0.0)  # of r squared, outside of a ring's inner edge
+    mass = np.append(2 * outside * (1 - log(outside)), 0.0)  # of r squared, outside of a ring's inner edge
     return np.sqrt((mass[:-1] - mass[1:]) * 2**_BITS)
 
 
 _RADIUS = _ring_radii().astype(np.float32)
 _ANGLE_RAD = (np.arange(2**_BITS) + 0.5) * (2 * np.pi / 2**_BITS)
-_COS, _SIN = np.cos(_ANGLE_RAD).astype(np.float32), np.sin(_ANGLE_RAD).astype(np.float32)
+_COS, _SIN = cos(_ANGLE_RAD).astype(np.float32), sin(_ANGLE_RAD).astype(np.float32)
 _SUPPORT = np.array(
     [
         (-0.9458, 1.1317),
@@ -205,7 +207,9 @@ _SUPPORT = np.array(
     np.float32,
 )
 """(64, 2) in standard deviations."""
-_REACH = np.append(np.hypot(*_SUPPORT.T).reshape(-1, ROUND).max(axis=1), _RADIUS.max()).astype(np.float32)
+_REACH = np.append(
+    np.sqrt(np.square(_SUPPORT).sum(axis=1)).reshape(-1, ROUND).max(axis=1), _RADIUS.max()
+).astype(np.float32)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
@@ -236,11 +240,11 @@ def lay(
     support : whether the first 64 are support points
     """
     if support and first < len(_SUPPORT):
-        cos, sin = _COS[v >> _SHIFT], _SIN[v >> _SHIFT]
+        cosine, sine = _COS[v >> _SHIFT], _SIN[v >> _SHIFT]
         mirror = np.float32(1.0) if u & np.uint32(1) else np.float32(-1.0)
         for lane in range(ROUND):
             a, b = _SUPPORT[first + lane, 0] * mirror, _SUPPORT[first + lane, 1]
-            rays[lane], rays[_Y + lane] = a * cos - b * sin, a * sin + b * cos
+            rays[lane], rays[_Y + lane] = a * cosine - b * sine, a * sine + b * cosine
     else:
         for lane in range(ROUND):
             ring = np.uint32(u + np.uint32(first + lane) * _STEP_U) >> _SHIFT
@@ -400,9 +404,9 @@ def _displace(range_m: NDArray[np.float32], widths: NDArray[np.float64], seed: i
                 a, b = uniform_pair(seed, _DISPLACEMENT, index + i, j)
                 c, _ = uniform_pair(seed, _DISPLACEMENT, index + i, lasers + j)
                 # Uniform in a ball: height uniform on the sphere (Archimedes), radius by the cube root.
-                z, radius = 2.0 * a - 1.0, c ** (1.0 / 3.0)
+                z, radius = 2.0 * a - 1.0, power(max(c, 2.0**-53), 1.0 / 3.0)
                 level = radius * math.sqrt(1.0 - z * z)
-                x_m = across_m * level * math.cos(2.0 * math.pi * b)
-                y_m = up_m * level * math.sin(2.0 * math.pi * b)
+                cosine, sine = cos_sin(2.0 * math.pi * b)
+                x_m, y_m = across_m * level * cosine, up_m * level * sine
                 along_m = reach_m + math.sqrt(across_m * up_m) * radius * z
                 range_m[i, j] = math.sqrt(along_m * along_m + x_m * x_m + y_m * y_m)

@@ -45,7 +45,7 @@ def shape_of(meshes: Sequence[Mesh]) -> Shape:
 def _farthest_m2(mesh: Mesh) -> float:
     """Square of the greatest distance of a corner from the origin."""
     x_m, y_m, z_m = mesh.vertices_m.T
-    return float((x_m**2 + y_m**2 + z_m**2).max(initial=0.0))
+    return float((x_m * x_m + y_m * y_m + z_m * z_m).max(initial=0.0))
 
 
 _WIDER_M = 2.0**-12

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import matvec
 from vlp16emu.types import Mesh, ShapeKey, Window
 
 __all__ = ["Faces", "faces_of", "flatten", "frozen", "inverses", "relative_to_window", "sheared"]
@@ -77,7 +78,7 @@ def flatten(
     corners, surfaces = [np.empty((0, 3, 3))], [np.empty(0, np.uint32)]
     for transform, which, first in zip(transforms, window.shape, window.first_surface, strict=True):
         for number, mesh in enumerate(meshes[which]):
-            vertices_m = mesh.vertices_m.astype(np.float64) @ transform[:, :3].T + transform[:, 3]
+            vertices_m = matvec(transform[:, :3], mesh.vertices_m.astype(np.float64)) + transform[:, 3]
             _, triangles = faces_of(mesh)
             corners.append(vertices_m[triangles])
             surfaces.append(np.full(len(triangles), first + number, np.uint32))

@@ -185,7 +185,7 @@ class EmbreeCaster:
         """Which placements (n,) may be met by light that has not yet come to the medium."""
         assert window.near is not None
         radius_m = np.array([mesh.radius_m for mesh in self._grown(window, self._begun(window))])
-        stretch = np.sqrt((window.world_T_shape[:, :, :3] ** 2).sum(axis=1).max(axis=-1, initial=0.0))
+        stretch = np.sqrt(np.square(window.world_T_shape[:, :, :3]).sum(axis=1).max(axis=-1, initial=0.0))
         reach_m = self._world.near_m + STRAY_M + stretch * radius_m[window.shape]
         return distance_m(window.world_T_shape[:, :2, 3], window.near[:, :2]) <= reach_m
 

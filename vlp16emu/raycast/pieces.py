@@ -12,13 +12,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import hypot, matvec, sin
 from vlp16emu.raycast.faces import Faces
 from vlp16emu.types import Window
 from vlp16emu.world.polyline import distance_m
 
 __all__ = ["LEVEL", "STRAY_M", "in_pieces", "within_reach"]
 
-LEVEL = np.float32(math.sin(math.radians(20.0)))
+LEVEL = np.float32(sin(math.radians(20.0)))
 """Rays that rise or fall by no more than this per metre are level: all of a VLP-16 that is worn upright, which leans by up to
 3 degrees. Half of the faces of `scenes/reference_forest` that are near are met by no level ray, and are not built."""
 
@@ -80,19 +81,22 @@ def within_reach(
     if window.near is None or not math.isfinite(reach_m):
         return np.ones(len(boxes_m), np.bool_), np.ones(len(boxes_m), np.bool_)
     world_T_shape, half_m = window.world_T_shape[placement], np.diff(boxes_m, axis=1)[:, 0] / 2
-    at_m = np.einsum("nij,nj->ni", world_T_shape[..., :3], boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
-    half_m = np.einsum("nij,nj->ni", np.abs(world_T_shape[..., :3]), half_m)
+    at_m = matvec(world_T_shape[..., :3], boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
+    half_m = matvec(np.abs(world_T_shape[..., :3]), half_m)
     low_m, high_m = at_m[:, 2] - half_m[:, 2], at_m[:, 2] + half_m[:, 2]
-    aside_m = np.hypot(half_m[:, 0], half_m[:, 1])
+    aside_m = hypot(half_m[:, 0], half_m[:, 1])
     if (sway := window.sway) is not None:
         lean, foot_z_m = np.zeros((2, len(window.shape)))
-        lean[sway.placement], foot_z_m[sway.placement] = np.hypot(*sway.shear.T).max(axis=1), sway.foot_z_m
+        lean[sway.placement], foot_z_m[sway.placement] = (
+            hypot(sway.shear[..., 0], sway.shear[..., 1]).max(axis=0),
+            sway.foot_z_m,
+        )
         foot_z_m = foot_z_m[placement]
         aside_m += lean[placement] * np.maximum(np.abs(low_m - foot_z_m), np.abs(high_m - foot_z_m))
     level_m = np.maximum(distance_m(at_m[:, :2], window.near[:, :2]) - aside_m, 0.0)
     sensors_m = window.near[:, 2]
     rise_m = np.maximum(np.maximum(low_m - sensors_m.max(), sensors_m.min() - high_m), 0.0)
-    met = np.hypot(level_m, rise_m) <= reach_m + STRAY_M
+    met = hypot(level_m, rise_m) <= reach_m + STRAY_M
     return met, met & (rise_m <= LEVEL * reach_m + STRAY_M)
 
 
