@@ -8,7 +8,7 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-from vlp16emu.compiled import _WITHOUT_KERNELS
+from vlp16emu.kernel_cache import _WITHOUT_KERNELS
 
 PACKAGE = Path(__file__).resolve().parents[1] / "vlp16emu"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -39,6 +39,7 @@ FLOORS = (
         "errors",
         "explain",
         "gps_time",
+        "kernel_cache",
         "labels",
         "output",
         "plots",

@@ -9,6 +9,7 @@ import pytest
 from vlp16emu.accuracy import AuditFinding
 from vlp16emu.cli.start import announce_compiling
 from vlp16emu.cli.terminal import Progress, audit_rows
+from vlp16emu.kernel_cache import kernel_folder
 
 
 class Terminal(io.StringIO):
@@ -55,11 +56,10 @@ def test_a_terminal_that_goes_ends_the_bar_alone(monkeypatch):
 
 def test_the_first_run_says_that_it_compiles(monkeypatch, tmp_path, capsys):
     """One line on stderr where no kernel is kept, none where one is."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "base"))
     announce_compiling()
     assert capsys.readouterr() == ("", "compiling kernels, about a minute, once\n")
-    (tmp_path / "raycast").mkdir()
-    (tmp_path / "raycast" / "kernel.nbi").touch()
+    (kernel_folder() / "a.kernel").touch()
     announce_compiling()
     assert capsys.readouterr() == ("", "")
 

@@ -53,7 +53,7 @@ def cache(*, clear: Clear = False, as_json: AsJson = False) -> None:
 
 def _kernels(*, clear: bool) -> tuple[list[str], int, int]:
     """Folders, number and bytes of compiled kernels; remove them if wanted."""
-    from vlp16emu.compiled import compiled_files, remove_compiled
+    from vlp16emu.kernel_cache import compiled_files, remove_compiled
 
     found = {folder: paths for folder, paths in compiled_files().items() if paths}
     used = sum(path.stat().st_size for paths in found.values() for path in paths)

@@ -1,11 +1,12 @@
 """The start of a run: what it loads and makes stays until its end."""
 
 import gc
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
+
+from vlp16emu.kernel_cache import is_compiled
 
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
@@ -25,8 +26,8 @@ def make_emulator(
     from vlp16emu.scenario import load
 
     load(scene, settings or (), ideal=ideal)  # first: no mistake in it should wait for numba
-    announce_compiling()
     _load_numba()
+    announce_compiling()
     from vlp16emu.emulator import Emulator
 
     return Emulator(scene, settings or (), ideal=ideal, threads=threads, audit=audit)
@@ -34,10 +35,7 @@ def make_emulator(
 
 def announce_compiling() -> None:
     """Say on stderr that the first run takes longer, where no kernel has been compiled yet."""
-    from pathlib import Path
-
-    kept = os.environ.get("NUMBA_CACHE_DIR")
-    if sys.stderr is not None and (kept is None or next(Path(kept).glob("*/*.nbi"), None) is None):
+    if sys.stderr is not None and not is_compiled():
         print("compiling kernels, about a minute, once", file=sys.stderr, flush=True)
 
 
