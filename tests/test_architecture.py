@@ -40,6 +40,7 @@ FLOORS = (
         "explain",
         "gps_time",
         "kernel_cache",
+        "kernels",
         "labels",
         "output",
         "plots",

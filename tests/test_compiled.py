@@ -16,6 +16,7 @@ from numba.core.registry import cpu_target
 
 from vlp16emu import kernel_cache
 from vlp16emu.kernel_cache import KernelCache, kernel_folder
+from vlp16emu.kernels import KernelDispatcher
 
 ABROAD = 4711
 """A user that is not us."""
@@ -39,6 +40,19 @@ def package(tmp_path, monkeypatch):
         (folder / name).write_text("x = 1\n")
     monkeypatch.setattr(kernel_cache, "_PACKAGE", folder)
     return folder
+
+
+TWO_KERNELS = """
+@numba.njit(cache=True)
+def inner(x):
+    if x < 0:
+        raise ValueError("below zero")
+    return 2 * x
+
+@numba.njit(cache=True)
+def outer(x):
+    return inner(x) + 1
+"""
 
 
 def twice(x):
@@ -225,7 +239,34 @@ def test_kernels_of_a_wheel_are_read_and_left_as_they_are(folder, package, monke
 def test_kernels_of_others_are_left_to_numba():
     """A program that calls us keeps its own kernels as it did."""
     assert isinstance(kernel("their.module")._cache, FunctionCache)
+    assert not isinstance(kernel("their.module"), KernelDispatcher)
     assert isinstance(kernel()._cache, KernelCache)
+
+
+def test_a_kernel_of_another_one_is_no_file_until_it_is_called(folder):
+    """A kernel that only another one calls is compiled into that one; called from Python it is compiled for itself."""
+    module = {"numba": numba, "__name__": "vlp16emu.room"}
+    exec(TWO_KERNELS, module)
+    inner, outer = module["inner"], module["outer"]
+    assert outer(3) == 7
+    assert {path.name.split("-")[0] for path in folder.glob("*.kernel")} == {"room.outer"}
+    with pytest.raises(ValueError, match="below zero"):
+        outer(-1)
+    assert inner(3) == 6
+    with pytest.raises(ValueError, match="below zero"):
+        inner(-1)
+    assert {path.name.split("-")[0] for path in folder.glob("*.kernel")} == {"room.outer", "room.inner"}
+    assert outer(4.0) == 9.0
+    assert outer.overloads.keys() == inner.overloads.keys()
+
+
+def test_a_kernel_in_a_file_serves_another_one(folder):
+    """What was compiled for Python before is taken by kernels that call it."""
+    for first in ("inner", "outer"):
+        module = {"numba": numba, "__name__": "vlp16emu.room"}
+        exec(TWO_KERNELS, module)
+        assert module[first](3) in (6, 7)
+    assert sum(module["inner"].stats.cache_hits.values()) == 1
 
 
 def test_the_target_is_fixed(monkeypatch):

@@ -51,6 +51,7 @@ _WITHOUT_KERNELS = frozenset(
         "gps_time",
         "images",
         "kernel_cache",
+        "kernels",
         "labels",
         "output",
         "points",
@@ -74,18 +75,25 @@ _WITHOUT_KERNELS = frozenset(
 
 def prepare_numba() -> None:
     """Set the target, and have numba keep kernels of this package in `KernelCache`."""
-    from numba.core import caching, config, dispatcher
+    from numba.core import config
+    from numba.core.dispatcher import Dispatcher
+
+    from vlp16emu.kernels import KernelDispatcher
 
     # In the environment: numba reads it again whenever a variable of its own has changed.
     os.environ["NUMBA_CPU_NAME"], os.environ["NUMBA_CPU_FEATURES"] = _target()
     config.reload_config()
 
-    def make_cache(function: Callable[..., object]) -> object:
-        """Make the cache of a kernel, ours or that of a program that calls us."""
-        ours = function.__module__.partition(".")[0] == __package__
-        return KernelCache(function) if ours else caching.FunctionCache(function)
+    enable_caching = Dispatcher.enable_caching
 
-    dispatcher.FunctionCache = make_cache  # type: ignore[attr-defined]
+    def enable_our_caching(dispatcher: Any) -> None:
+        """Take over a kernel of this package; leave those of a program that calls us."""
+        if dispatcher.py_func.__module__.partition(".")[0] == __package__:
+            KernelDispatcher.take_over(dispatcher)
+        else:
+            enable_caching(dispatcher)
+
+    Dispatcher.enable_caching = enable_our_caching  # type: ignore[method-assign, assignment]
 
 
 class KernelCache:
@@ -111,16 +119,16 @@ class KernelCache:
             data = _read_checked(folder / self._file(signature)) if folder is not None else None
             kept, parts = pickle.loads(data) if data else (None, ())  # noqa: S301 - from a safe folder
             if kept == signature:
-                return CompileResult._rebuild(context, *parts)  # noqa: SLF001 - numba has no other way
+                return CompileResult._rebuild(context, *parts)
         return None
 
     def save_overload(self, signature: object, result: Any) -> None:
-        """Keep a kernel, unless it holds addresses of this process."""
+        """Keep a kernel, unless only other kernels can call it or it holds addresses of this process."""
         from numba.core.serialize import dumps
 
-        folder = _written_to()
-        if folder is not None and self._is_kept and not result.library.has_dynamic_globals:
-            data = dumps((signature, result._reduce()))  # noqa: SLF001 - numba has no other way
+        folder = _written_to() if result.entry_point is not None and self._is_kept else None
+        if folder is not None and not result.library.has_dynamic_globals:
+            data = dumps((signature, result._reduce()))
             with suppress(OSError):  # a full disk, or a folder of root's
                 _write_checked(folder / self._file(signature), data)
 
