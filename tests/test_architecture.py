@@ -36,6 +36,7 @@ FLOORS = (
     {"sensor", "motion", "world"},
     {
         "compiled",
+        "compiling",
         "errors",
         "explain",
         "gps_time",

@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["compiled_files", "is_compiled", "kernel_folder", "prepare_numba", "remove_compiled"]
+__all__ = ["compiled_files", "kernel_folder", "prepare_numba", "remove_compiled"]
 
 _PACKAGE = Path(__file__).parent
 _PREFIX = "kernels-"
@@ -42,6 +42,7 @@ _WITHOUT_KERNELS = frozenset(
         "cli",
         "compare",
         "compiled",
+        "compiling",
         "control",
         "dataset",
         "deskew",
@@ -78,8 +79,6 @@ def prepare_numba() -> None:
     from numba.core import config
     from numba.core.dispatcher import Dispatcher
 
-    from vlp16emu.kernels import KernelDispatcher
-
     # In the environment: numba reads it again whenever a variable of its own has changed.
     os.environ["NUMBA_CPU_NAME"], os.environ["NUMBA_CPU_FEATURES"] = _target()
     config.reload_config()
@@ -88,6 +87,8 @@ def prepare_numba() -> None:
 
     def enable_our_caching(dispatcher: Any) -> None:
         """Take over a kernel of this package; leave those of a program that calls us."""
+        from vlp16emu.kernels import KernelDispatcher  # here: it may be what loads numba
+
         if dispatcher.py_func.__module__.partition(".")[0] == __package__:
             KernelDispatcher.take_over(dispatcher)
         else:
@@ -109,6 +110,11 @@ class KernelCache:
         """Folder that the folders of all states are in."""
         return str(_base())
 
+    def has(self, signature: object) -> bool:
+        """Whether the file of a kernel is there, whole or not."""
+        folders = _packaged(), _written_to()
+        return any(folder is not None and (folder / self._file(signature)).exists() for folder in folders)
+
     def load_overload(self, signature: object, context: Any) -> object:
         """Load a kernel; None where there is none that is whole."""
         from numba.core.compiler import CompileResult
@@ -118,7 +124,7 @@ class KernelCache:
             folder = find_folder()
             data = _read_checked(folder / self._file(signature)) if folder is not None else None
             kept, parts = pickle.loads(data) if data else (None, ())  # noqa: S301 - from a safe folder
-            if kept == signature:
+            if kept == _types(signature):
                 return CompileResult._rebuild(context, *parts)
         return None
 
@@ -128,13 +134,18 @@ class KernelCache:
 
         folder = _written_to() if result.entry_point is not None and self._is_kept else None
         if folder is not None and not result.library.has_dynamic_globals:
-            data = dumps((signature, result._reduce()))
+            data = dumps((_types(signature), result._reduce()))
             with suppress(OSError):  # a full disk, or a folder of root's
                 _write_checked(folder / self._file(signature), data)
 
     def _file(self, signature: object) -> str:
         """Name the file of a kernel for these types of arguments."""
-        return f"{self._name}-{hashlib.sha256(str(signature).encode()).hexdigest()[:20]}{_SUFFIX}"
+        return f"{self._name}-{hashlib.sha256(str(_types(signature)).encode()).hexdigest()[:20]}{_SUFFIX}"
+
+
+def _types(signature: Any) -> Any:
+    """Types of arguments, also of a signature that was written beside a kernel."""
+    return getattr(signature, "args", signature)
 
 
 def kernel_folder() -> Path | None:
@@ -165,13 +176,6 @@ def kernel_folder() -> Path | None:
     except OSError:
         return None
     return folder
-
-
-def is_compiled() -> bool:
-    """Whether any kernel of this state is on disk."""
-    return any(
-        folder is not None and any(folder.glob("*" + _SUFFIX)) for folder in (_packaged(), kernel_folder())
-    )
 
 
 def compiled_files() -> dict[Path, list[Path]]:

@@ -57,3 +57,15 @@ def test_no_folder_is_said(cli, monkeypatch):
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", "off")
     user_store.cache_clear()
     assert "nothing is kept" in cli("cache").out
+
+
+def test_kernels_are_compiled_before_they_are_needed(cli, monkeypatch):
+    """`--compile` compiles all that the table of kernels has, on request alone, and does not go with `--clear`."""
+    groups = []
+    monkeypatch.setattr("vlp16emu.cli.cache.compile_first", groups.append)
+    cli("cache")
+    assert groups == []
+    cli("cache", "--compile")
+    assert groups == [None]
+    assert cli("cache", "--compile", "--clear").code == 2
+    assert groups == [None]

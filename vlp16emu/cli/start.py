@@ -6,12 +6,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from vlp16emu.kernel_cache import is_compiled
-
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
 
-__all__ = ["announce_compiling", "make_emulator", "starting"]
+__all__ = ["compile_first", "make_emulator", "starting"]
 
 
 def make_emulator(
@@ -25,18 +23,25 @@ def make_emulator(
     """Make the emulator of a command line; arguments and errors as of `Emulator`."""
     from vlp16emu.scenario import load
 
-    load(scene, settings or (), ideal=ideal)  # first: no mistake in it should wait for numba
+    scenario = load(scene, settings or (), ideal=ideal)  # first: no mistake in it should wait for numba
     _load_numba()
-    announce_compiling()
+    compile_first("hall" if scenario.world.kind == "hall" else "forest")
     from vlp16emu.emulator import Emulator
 
     return Emulator(scene, settings or (), ideal=ideal, threads=threads, audit=audit)
 
 
-def announce_compiling() -> None:
-    """Say on stderr that the first run takes longer, where no kernel has been compiled yet."""
-    if sys.stderr is not None and not is_compiled():
-        print("compiling kernels, about a minute, once", file=sys.stderr, flush=True)
+def compile_first(group: str | None) -> None:
+    """Compile the kernels that a group of runs needs and that are not on disk, and say on stderr how far that is."""
+    from vlp16emu.compiling import compile_kernels
+
+    is_terminal = sys.stderr is not None and sys.stderr.isatty()
+    for done, count in compile_kernels(group):
+        line = f"compiling kernels: {done} of {count}, once"
+        if is_terminal:
+            print(f"\r{line}", end="\n" if done == count else "", file=sys.stderr, flush=True)
+        elif done in (0, count) and sys.stderr is not None:
+            print(line, file=sys.stderr, flush=True)
 
 
 @contextmanager
