@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["compiled_files", "kernel_folder", "prepare_numba", "remove_compiled"]
+__all__ = ["compiled_files", "kernel_folder", "kernel_names", "prepare_numba", "remove_compiled"]
 
 _PACKAGE = Path(__file__).parent
 _PREFIX = "kernels-"
@@ -176,6 +176,12 @@ def kernel_folder() -> Path | None:
     except OSError:
         return None
     return folder
+
+
+def kernel_names() -> list[str]:
+    """List the compiled kernels of this state, as `room.module.kernel`, each once for each of its types."""
+    folders = [folder for folder in (_packaged(), kernel_folder()) if folder is not None]
+    return [path.name.partition("-")[0] for folder in folders for path in folder.glob("*" + _SUFFIX)]
 
 
 def compiled_files() -> dict[Path, list[Path]]:

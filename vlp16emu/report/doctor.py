@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from vlp16emu.errors import Vlp16emuError
-from vlp16emu.kernel_cache import kernel_folder
+from vlp16emu.kernel_cache import kernel_folder, kernel_names
 from vlp16emu.sinks import Check, Condition, sending_checks
 from vlp16emu.store import user_store
 
@@ -58,17 +58,18 @@ def _cores() -> Check:
 
 def _kernels() -> Check:
     """Where compiled kernels are kept, and whether they are there."""
-    folder = kernel_folder()
-    if folder is None:
+    folder, names = kernel_folder(), kernel_names()
+    casting = any(name.startswith(_CASTER) for name in names)
+    if folder is None and not casting:
         mend = "export NUMBA_CACHE_DIR=FOLDER, of one in which nobody else can write"
         return Check(
             "kernel cache", Condition.WARNING, "no safe folder: each run compiles for a minute", mend
         )
-    names = [path.name for path in folder.glob("*.kernel")]
-    if not any(name.startswith(_CASTER) for name in names):
-        lacking = f"{folder} lacks those of casting: the next run compiles for a minute"
-        return Check("kernel cache", Condition.WARNING, lacking, "vlp16emu plan birch_walk")
-    return Check("kernel cache", Condition.OK, f"{len(names)} files in {folder}")
+    if not casting:
+        lacking = f"{folder} lacks those of casting: the next run compiles them first"
+        return Check("kernel cache", Condition.WARNING, lacking, "vlp16emu cache --compile")
+    where = folder or "the package alone"
+    return Check("kernel cache", Condition.OK, f"{len(names)} kernels in {where}")
 
 
 def _embree() -> Check:
