@@ -14,7 +14,7 @@ from llvmlite import binding
 from numba.core.caching import FunctionCache
 from numba.core.registry import cpu_target
 
-from vlp16emu import kernel_cache
+from vlp16emu import compiled, kernel_cache
 from vlp16emu.kernel_cache import KernelCache, kernel_folder
 from vlp16emu.kernels import KernelDispatcher
 
@@ -271,16 +271,16 @@ def test_a_kernel_in_a_file_serves_another_one(folder):
 
 def test_the_target_is_fixed(monkeypatch):
     """Kernels are for a level of the x86-64 psABI that the processor has, for another one where that is named."""
-    assert cpu_target.target_context.codegen().magic_tuple()[1:] == kernel_cache._target()
-    has = dict.fromkeys([feature for needs in kernel_cache._TARGETS.values() for feature in needs], True)
+    assert cpu_target.target_context.codegen().magic_tuple()[1:] == compiled._target()
+    has = dict.fromkeys([feature for needs in compiled._TARGETS.values() for feature in needs], True)
     monkeypatch.setattr(binding, "get_host_cpu_features", lambda: has)
-    assert kernel_cache._target() == ("x86-64-v3", "")
+    assert compiled._target() == ("x86-64-v3", "")
     has["fma"] = False
-    assert kernel_cache._target() == ("x86-64-v2", "")
+    assert compiled._target() == ("x86-64-v2", "")
     has.clear()
-    assert kernel_cache._target() == ("generic", "")
+    assert compiled._target() == ("generic", "")
     monkeypatch.setenv("VLP16EMU_TARGET", "x86-64")
-    assert kernel_cache._target() == ("x86-64", "")
+    assert compiled._target() == ("x86-64", "")
 
 
 def test_the_states_used_last_are_kept(folder):

@@ -1,5 +1,6 @@
-"""The hook by which numba keeps compiled kernels as this package wants them."""
+"""The hook by which numba compiles kernels for a fixed processor, and keeps those of this package as it wants them."""
 
+import os
 import sys
 from importlib.machinery import ModuleSpec, PathFinder
 
@@ -7,8 +8,15 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import ModuleType
+    from typing import Any
 
 __all__ = ["keep_compiled"]
+
+_TARGETS = {
+    "x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"),
+    "x86-64-v2": ("popcnt", "sse4.1", "sse4.2", "ssse3"),
+}
+"""Targets of the x86-64 psABI and what a processor needs for them, by LLVM's names, the fastest first."""
 
 
 def keep_compiled() -> None:
@@ -43,7 +51,36 @@ class _NumbaFinder:
 
 
 def _prepare() -> None:
-    """Set the target of all kernels and where those of this package are kept."""
-    from vlp16emu.kernel_cache import prepare_numba
+    """Set the target of all kernels, and take over those of this package."""
+    from numba.core import config
+    from numba.core.dispatcher import Dispatcher
 
-    prepare_numba()
+    # In the environment: numba reads it again whenever a variable of its own has changed.
+    os.environ["NUMBA_CPU_NAME"], os.environ["NUMBA_CPU_FEATURES"] = _target()
+    config.reload_config()
+    enable_caching = Dispatcher.enable_caching
+
+    def enable_our_caching(dispatcher: "Any") -> None:
+        """Take over a kernel of this package; leave those of a program that calls us."""
+        from vlp16emu.kernels import KernelDispatcher  # here: it may be what loads numba
+
+        if dispatcher.py_func.__module__.partition(".")[0] == __package__:
+            KernelDispatcher.take_over(dispatcher)
+        else:
+            enable_caching(dispatcher)
+
+    Dispatcher.enable_caching = enable_our_caching  # type: ignore[method-assign, assignment]
+
+
+def _target() -> tuple[str, str]:
+    """Name the processor to compile for, and what it has beyond its name.
+
+    `VLP16EMU_TARGET` names another one, for tests; `host` is the one that this runs on.
+    """
+    from llvmlite import binding
+
+    chosen, has = os.environ.get("VLP16EMU_TARGET"), binding.get_host_cpu_features()
+    if chosen == "host":
+        return binding.get_host_cpu_name(), has.flatten()
+    best = next((name for name, needs in _TARGETS.items() if all(map(has.get, needs))), "generic")
+    return chosen or best, ""

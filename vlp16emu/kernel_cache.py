@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["compiled_files", "kernel_folder", "kernel_names", "prepare_numba", "remove_compiled"]
+__all__ = ["KernelCache", "compiled_files", "kernel_folder", "kernel_names", "remove_compiled"]
 
 _PACKAGE = Path(__file__).parent
 _PREFIX = "kernels-"
@@ -27,11 +27,6 @@ _SUFFIXES = (_SUFFIX, ".part", ".nbi", ".nbc")
 """Files of ours, and those of numba in the folders of former versions."""
 _STATES_KEPT = 8
 """Folders of other states are removed where there are more, those that were not used for longest first."""
-_TARGETS = {
-    "x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"),
-    "x86-64-v2": ("popcnt", "sse4.1", "sse4.2", "ssse3"),
-}
-"""Targets of the x86-64 psABI and what a processor needs for them, by LLVM's names, the fastest first."""
 _WITHOUT_KERNELS = frozenset(
     [
         "__init__",
@@ -74,29 +69,6 @@ _WITHOUT_KERNELS = frozenset(
 """Folders and modules of no kernel, and of nothing that a kernel takes."""
 
 
-def prepare_numba() -> None:
-    """Set the target, and have numba keep kernels of this package in `KernelCache`."""
-    from numba.core import config
-    from numba.core.dispatcher import Dispatcher
-
-    # In the environment: numba reads it again whenever a variable of its own has changed.
-    os.environ["NUMBA_CPU_NAME"], os.environ["NUMBA_CPU_FEATURES"] = _target()
-    config.reload_config()
-
-    enable_caching = Dispatcher.enable_caching
-
-    def enable_our_caching(dispatcher: Any) -> None:
-        """Take over a kernel of this package; leave those of a program that calls us."""
-        from vlp16emu.kernels import KernelDispatcher  # here: it may be what loads numba
-
-        if dispatcher.py_func.__module__.partition(".")[0] == __package__:
-            KernelDispatcher.take_over(dispatcher)
-        else:
-            enable_caching(dispatcher)
-
-    Dispatcher.enable_caching = enable_our_caching  # type: ignore[method-assign, assignment]
-
-
 class KernelCache:
     """Cache of one kernel, with the methods that a dispatcher of numba calls."""
 
@@ -112,17 +84,15 @@ class KernelCache:
 
     def has(self, signature: object) -> bool:
         """Whether the file of a kernel is there, whole or not."""
-        folders = _packaged(), _written_to()
-        return any(folder is not None and (folder / self._file(signature)).exists() for folder in folders)
+        return any(path.exists() for path in self._paths(signature))
 
     def load_overload(self, signature: object, context: Any) -> object:
         """Load a kernel; None where there is none that is whole."""
         from numba.core.compiler import CompileResult
 
         context.refresh()
-        for find_folder in (_packaged, _written_to) if self._is_kept else ():
-            folder = find_folder()
-            data = _read_checked(folder / self._file(signature)) if folder is not None else None
+        for path in self._paths(signature) if self._is_kept else ():
+            data = _read_checked(path)
             kept, parts = pickle.loads(data) if data else (None, ())  # noqa: S301 - from a safe folder
             if kept == _types(signature):
                 return CompileResult._rebuild(context, *parts)
@@ -137,6 +107,12 @@ class KernelCache:
             data = dumps((_types(signature), result._reduce()))
             with suppress(OSError):  # a full disk, or a folder of root's
                 _write_checked(folder / self._file(signature), data)
+
+    def _paths(self, signature: object) -> Iterator[Path]:
+        """Files that may hold a kernel; the user's folder is made only if the package has none."""
+        for find_folder in (_packaged, _written_to):
+            if (folder := find_folder()) is not None:
+                yield folder / self._file(signature)
 
     def _file(self, signature: object) -> str:
         """Name the file of a kernel for these types of arguments."""
@@ -201,20 +177,6 @@ def remove_compiled(folder: Path) -> None:
     if [path.name for path in folder.iterdir()] == [_MARKER]:
         (folder / _MARKER).unlink()
         folder.rmdir()
-
-
-def _target() -> tuple[str, str]:
-    """Name the processor to compile for, and what it has beyond its name.
-
-    `VLP16EMU_TARGET` names another one, for tests; `host` is the one that this runs on.
-    """
-    from llvmlite import binding
-
-    chosen, has = os.environ.get("VLP16EMU_TARGET"), binding.get_host_cpu_features()
-    if chosen == "host":
-        return binding.get_host_cpu_name(), has.flatten()
-    best = next((name for name, needs in _TARGETS.items() if all(map(has.get, needs))), "generic")
-    return chosen or best, ""
 
 
 @cache
