@@ -26,6 +26,7 @@ ABROAD = 4711
 def folder(tmp_path, monkeypatch):
     """An empty folder of this state, below `tmp_path / "base"`."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "base"))
+    monkeypatch.setattr(kernel_cache, "_state", kernel_cache._state.__wrapped__)  # files change in a test
     kernel_cache._written_to.cache_clear()
     yield kernel_folder()
     kernel_cache._written_to.cache_clear()

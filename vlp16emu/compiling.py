@@ -42,8 +42,14 @@ def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
     # Children are forks, so that they need not load numba again; with other threads that would not be safe.
     if kernel_folder() is None or threading.active_count() > 1:
         return
-    with get_context("fork").Pool(min(_cores(), len(missing)), _leave_signals) as pool:
-        for done, _ in enumerate(pool.imap_unordered(_compile, missing), 1):
+    # Kernels of one file share most of what they call: a process compiles that once.
+    files: dict[str, list[dict[str, Any]]] = {}
+    for row in missing:
+        files.setdefault(row["kernel"].partition(":")[0], []).append(row)
+    with get_context("fork").Pool(min(_cores(), len(files)), _leave_signals) as pool:
+        done = 0
+        for count in pool.imap_unordered(_compile, files.values()):
+            done += count
             yield done, len(missing)
 
 
@@ -79,11 +85,13 @@ def _is_kept(row: dict[str, Any]) -> bool:
     return True
 
 
-def _compile(row: dict[str, Any]) -> None:
-    """Compile the kernel of a row, in a process of its own; what is wrong with it, the run will say."""
-    with suppress(Exception):
-        kernel, types = _signature(row)
-        kernel.compile(types)
+def _compile(rows: list[dict[str, Any]]) -> int:
+    """Compile the kernels of some rows, in a process of its own, and count them; what is wrong with one, the run will say."""
+    for row in rows:
+        with suppress(Exception):
+            kernel, types = _signature(row)
+            kernel.compile(types)
+    return len(rows)
 
 
 def _leave_signals() -> None:

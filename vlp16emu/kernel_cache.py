@@ -212,8 +212,9 @@ def _digest(path: Path, data: bytes) -> bytes:
     return hashlib.sha256(path.name.encode() + data).digest()
 
 
+@cache
 def _state() -> str:
-    """Name the state of all that decides what is compiled."""
+    """Name the state of all that decides what is compiled, as it is when this is first asked."""
     import llvmlite
     import numba
     import numpy as np
