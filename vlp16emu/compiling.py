@@ -88,9 +88,11 @@ def _is_kept(row: dict[str, Any]) -> bool:
 def _compile(rows: list[dict[str, Any]]) -> int:
     """Compile the kernels of some rows, in a process of its own, and count them; what is wrong with one, the run will say."""
     for row in rows:
-        with suppress(Exception):
-            kernel, types = _signature(row)
+        kernel, types = _signature(row)
+        try:
             kernel.compile(types)
+        except Exception:  # noqa: BLE001 - numba raises all kinds
+            KernelCache(kernel.py_func).give_up(types)
     return len(rows)
 
 

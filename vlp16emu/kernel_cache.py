@@ -86,6 +86,13 @@ class KernelCache:
         """Whether the file of a kernel is there, whole or not."""
         return any(path.exists() for path in self._paths(signature))
 
+    def give_up(self, signature: object) -> None:
+        """Put an empty file in the place of a kernel that cannot be compiled, so that it is not tried at each start."""
+        folder = _written_to()
+        if folder is not None:
+            with suppress(OSError):
+                (folder / self._file(signature)).touch()
+
     def load_overload(self, signature: object, context: Any) -> object:
         """Load a kernel; None where there is none that is whole."""
         from numba.core.compiler import CompileResult
