@@ -8,7 +8,7 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
-from vlp16emu.compiled import _WITHOUT_KERNELS
+from vlp16emu.kernel_cache import _WITHOUT_KERNELS
 
 PACKAGE = Path(__file__).resolve().parents[1] / "vlp16emu"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -36,10 +36,13 @@ FLOORS = (
     {"sensor", "motion", "world"},
     {
         "compiled",
+        "compiling",
         "elementary",
         "errors",
         "explain",
         "gps_time",
+        "kernel_cache",
+        "kernels",
         "labels",
         "output",
         "plots",

@@ -1,144 +1,300 @@
-"""Where compiled kernels are kept."""
+"""Compiled kernels are kept by content, where only the user can write."""
 
 import os
 import pickle
+import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
+from types import FunctionType
 
+import numba
 import pytest
+from llvmlite import binding
+from numba.core.caching import FunctionCache
+from numba.core.registry import cpu_target
 
-from vlp16emu import compiled
-from vlp16emu.compiled import keep_compiled
+from vlp16emu import compiled, kernel_cache
+from vlp16emu.kernel_cache import KernelCache, kernel_folder
+from vlp16emu.kernels import KernelDispatcher
+
+ABROAD = 4711
+"""A user that is not us."""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """An empty folder of this state, below `tmp_path / "base"`."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "base"))
+    monkeypatch.setattr(kernel_cache, "_state", kernel_cache._state.__wrapped__)  # files change in a test
+    kernel_cache._written_to.cache_clear()
+    yield kernel_folder()
+    kernel_cache._written_to.cache_clear()
 
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package of a kernel in one file that calls one in another, with no folder chosen."""
+    """A package of a kernel in one file that calls one in another."""
     folder = tmp_path / "package"
-    (folder / "room").mkdir(parents=True)
-    for name in ("__init__.py", "room/caller.py", "room/callee.py"):
+    for name in ("__init__.py", "room/caller.py", "room/callee.py", "cli/verb.py"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text("x = 1\n")
-    monkeypatch.setattr(compiled, "_PACKAGE", str(folder))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
-    monkeypatch.delenv("NUMBA_CACHE_DIR")
-    monkeypatch.setitem(compiled.sys.modules, "numba", __import__("types").SimpleNamespace(config=os))
-    monkeypatch.setattr(os, "CACHE_DIR", "", raising=False)
+    monkeypatch.setattr(kernel_cache, "_PACKAGE", folder)
     return folder
 
 
-def kept():
-    """Folder that is chosen now."""
-    keep_compiled()
-    assert os.environ["NUMBA_CACHE_DIR"] == os.CACHE_DIR
-    return Path(os.CACHE_DIR)
+TWO_KERNELS = """
+@numba.njit(cache=True)
+def inner(x):
+    if x < 0:
+        raise ValueError("below zero")
+    return 2 * x
+
+@numba.njit(cache=True)
+def outer(x):
+    return inner(x) + 1
+"""
 
 
-def test_a_change_of_any_file_has_a_folder_of_its_own(package):
-    """Kernels are compiled anew when a file changes whose kernels they call, and only then."""
-    before = kept()
-    assert before.parent == package / "__pycache__"
-    assert kept() == before
-    (package / "room" / "callee.py").write_text("x = 2 + 2\n")
-    assert kept() != before
+def twice(x):
+    return 2 * x
 
 
-def test_what_cannot_be_written_is_passed_over(package, monkeypatch, tmp_path):
-    """A package that may not be written is followed by the user's cache, that by a folder for temporary files."""
-    closed = {str(package)}
-    access = os.access
-    monkeypatch.setattr(
-        os, "access", lambda p, mode: not any(str(p).startswith(c) for c in closed) and access(p, mode)
-    )
-    assert kept().parent == tmp_path / "cache" / "vlp16emu"
-    closed.add(str(tmp_path / "cache"))
-    monkeypatch.delenv("NUMBA_CACHE_DIR")
-    assert kept().parent == tmp_path / "temporary" / f"vlp16emu-{os.getuid()}"
+def kernel(module="vlp16emu.room"):
+    """Make a kernel of a module, which is not compiled yet in this process."""
+    function = FunctionType(twice.__code__, {}, "twice")
+    function.__module__ = module
+    return numba.njit(cache=True)(function)
 
 
-def test_a_chosen_folder_comes_first(package, monkeypatch, tmp_path):
-    """NUMBA_CACHE_DIR is used, by programs that are called from here too."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "mine"))
-    assert kept().parent == tmp_path / "mine"
-    assert kept().parent == tmp_path / "mine"
+def is_compiled_anew():
+    """Whether a call of the kernel compiles it."""
+    function = kernel()
+    assert function(3) == 6
+    return bool(sum(function.stats.cache_misses.values()))
+
+
+def test_time_and_place_change_nothing(package, tmp_path):
+    """Neither a `touch` nor another folder of the same files has kernels of its own: the second installation compiles nothing."""
+    before = kernel_folder()
+    for path in package.rglob("*.py"):
+        os.utime(path, (1.0, 1.0))
+    assert kernel_folder() == before
+    kernel_cache._PACKAGE = shutil.copytree(package, tmp_path / "second")
+    assert kernel_folder() == before
+
+
+@pytest.mark.parametrize(("name", "has_others"), [("room/callee.py", True), ("cli/verb.py", False)])
+def test_content_changes_all(package, name, has_others):
+    """A change in any file of kernels has a folder of its own; one in a file without kernels has not."""
+    before = kernel_folder()
+    (package / name).write_text("x = 2\n")
+    assert (kernel_folder() != before) is has_others
+
+
+@pytest.mark.parametrize("library", ["numba", "llvmlite", "numpy"])
+def test_libraries_change_all(monkeypatch, library):
+    """What another version of a library compiles is kept apart."""
+    before = kernel_folder()
+    monkeypatch.setattr(f"{library}.__version__", "1.2.3")
+    assert kernel_folder() != before
+
+
+def test_a_kernel_is_compiled_once(folder):
+    """What one dispatcher compiled another one loads."""
+    assert is_compiled_anew()
+    assert not is_compiled_anew()
+    (file,) = folder.glob("*.kernel")
+    assert file.name.startswith(f"room.twice-{twice.__code__.co_firstlineno}-")
+
+
+def test_other_types_have_files_of_their_own(folder):
+    """A kernel is kept for each types of its arguments."""
+    assert (kernel()(3), kernel()(1.5)) == (6, 3.0)
+    assert len(list(folder.glob("*.kernel"))) == 2
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: data[:-9] + bytes([data[-9] ^ 1]) + data[-8:],
+        lambda data: bytes([data[0] ^ 1]) + data[1:],
+        lambda data: data[: len(data) // 2],
+        lambda data: b"",
+        lambda data: bytes(len(data)),
+    ],
+)
+def test_a_damaged_file_is_compiled_again(folder, damage):
+    """A flipped bit, half a file, an empty one and one of zeros are known, and replaced without a word."""
+    is_compiled_anew()
+    (file,) = folder.glob("*.kernel")
+    file.write_bytes(damage(file.read_bytes()))
+    assert is_compiled_anew()
+    assert not is_compiled_anew()
+
+
+def test_a_file_of_another_name_is_not_taken(folder):
+    """What was compiled for other types, put in the place of a kernel, is known by its name."""
+    kernel()(1.5)
+    (of_floats,) = folder.glob("*.kernel")
+    kernel()(3)
+    (of_integers,) = {*folder.glob("*.kernel")} - {of_floats}
+    shutil.copy(of_floats, of_integers)
+    assert is_compiled_anew()
+
+
+def test_two_processes_may_fill_one_folder(folder):
+    """Two programs at once compile the same kernel, and leave one whole file and no other."""
+    program = "from vlp16emu.trig import in_quarter; in_quarter(1.0, 0.5)"
+    both = [subprocess.Popen([sys.executable, "-c", program]) for _ in range(2)]
+    assert [process.wait() for process in both] == [0, 0]
+    files = {path for path in folder.iterdir() if path.name != kernel_cache._MARKER}
+    assert files
+    assert all(path.name.startswith("trig.") and kernel_cache._read_checked(path) for path in files)
 
 
 @pytest.mark.parametrize("mode", [0o770, 0o707])
-@pytest.mark.parametrize("level", ["base", "folder"])
-def test_where_others_can_write_nothing_is_kept(package, monkeypatch, tmp_path, level, mode):
+@pytest.mark.parametrize("level", [0, 1])
+def test_where_others_can_write_nothing_is_kept(folder, level, mode):
     """What was compiled is code: neither the folder nor the one that it is in may be writable for others."""
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "open"))
-    open_folder = kept()
-    (open_folder if level == "folder" else open_folder.parent).chmod(mode)
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "open"))
-    assert kept().parent == package / "__pycache__"
+    (folder, folder.parent)[level].chmod(mode)
+    assert kernel_folder() is None
+    assert is_compiled_anew()
+    assert is_compiled_anew()
+    assert not list(folder.glob("*.kernel"))
 
 
-def test_a_link_is_not_followed(package, monkeypatch, tmp_path):
-    """A folder that is a symbolic link, to wherever, is passed over."""
-    (tmp_path / "there").mkdir(mode=0o700)
-    (tmp_path / "link").symlink_to(tmp_path / "there")
+def test_a_link_is_not_followed(folder, tmp_path, monkeypatch):
+    """A folder that is a symbolic link, to wherever, is refused."""
+    (tmp_path / "link").symlink_to(folder.parent)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "link"))
-    assert kept().parent == package / "__pycache__"
+    assert kernel_folder() is None
 
 
-def test_without_a_folder_of_our_own_one_is_made_for_the_run(package, monkeypatch):
-    """Where all folders belong to somebody else kernels go to a new private one, and it goes with the program."""
-    ends = []
-    monkeypatch.setattr("atexit.register", ends.append)
-    monkeypatch.setattr(compiled, "_bases", list)
-    folder = kept()
-    assert folder.stat().st_mode & 0o777 == folder.parent.stat().st_mode & 0o777 == 0o700
-    (end,) = ends
-    end()
-    assert not folder.parent.exists()
+@pytest.mark.parametrize(("owner", "is_taken"), [(ABROAD, False), (0, True)])
+def test_only_our_own_folders_and_those_of_root_are_taken(monkeypatch, owner, is_taken):
+    """A folder of another user is refused, as that user can write in it; root can write everywhere."""
+
+    def of_owner(path):
+        state = os.lstat(path)
+        return os.stat_result([*state[:4], owner, *state[5:10]])
+
+    monkeypatch.setattr(Path, "lstat", of_owner)
+    monkeypatch.setattr(os, "getuid", lambda: ABROAD + 1)
+    assert (kernel_folder() is not None) is is_taken
 
 
-def test_a_planted_kernel_does_not_run(tmp_path):
-    """Where others can write, a compiled kernel that was put there is not run; it would be where nobody else can."""
-    base, proof = tmp_path / "base", tmp_path / "proof"
-    runs_a_kernel = "from vlp16emu.trig import in_quarter; in_quarter(1.0, 0.5)"
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(base)}
-
-    def run():
-        subprocess.run([sys.executable, "-c", runs_a_kernel], env=environment, check=True)
-        return proof.exists()
-
-    assert not run()
-    indexes = list(base.glob("kernels-*/*/*.nbi"))
-    for index in indexes:
-        index.write_bytes(pickle.dumps(_Planted(str(proof))))
-    assert indexes
-    base.chmod(0o777)
-    assert not run()
-    base.chmod(0o700)
-    assert run()
-
-
-class _Planted:
-    """Creates a file when it is unpickled."""
+class Planted:
+    """Makes a folder when it is unpickled."""
 
     def __init__(self, path):
         self.path = path
 
     def __reduce__(self):
-        return (open, (self.path, "w"))
+        return (os.mkdir, (self.path,))
 
 
-def test_folders_of_other_states_go_after_a_day(package):
-    """What was not used for a day is removed; what was used today is kept, and what has such a name and is not ours."""
-    package.chmod(0o755)
-    old, today, foreign = (package / "__pycache__" / f"kernels-{digit * 16}" for digit in "012")
-    for folder in (old, today, foreign):
-        (folder / "room").mkdir(parents=True)
-        (folder / "room" / "kernel.nbc").touch()
-    for folder in (old, today):
-        (folder / "made-by-vlp16emu").touch()
-    for folder in (old, foreign):
-        os.utime(folder, (time.time() - 100_000,) * 2)
-    kept()
-    assert not old.exists()
-    assert today.exists()
+def test_a_planted_kernel_does_not_run(folder, tmp_path):
+    """Where others can write, a compiled kernel that was put there is not run; it would be where nobody else can."""
+    is_compiled_anew()
+    (file,) = folder.glob("*.kernel")
+    kernel_cache._write_checked(file, pickle.dumps((Planted(str(tmp_path / "proof")), None)))
+    folder.chmod(0o777)
+    kernel_cache._written_to.cache_clear()
+    is_compiled_anew()
+    assert not (tmp_path / "proof").exists()
+    folder.chmod(0o700)
+    kernel_cache._written_to.cache_clear()
+    is_compiled_anew()
+    assert (tmp_path / "proof").exists()
+
+
+def test_a_full_disk_stops_nobody(monkeypatch):
+    """Where a kernel cannot be written it runs all the same."""
+
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", fail)
+    assert is_compiled_anew()
+    assert is_compiled_anew()
+
+
+def test_kernels_of_a_wheel_are_read_and_left_as_they_are(folder, package, monkeypatch, tmp_path):
+    """Kernels that lie in the package serve without anything written elsewhere, and a damaged one is compiled."""
+    is_compiled_anew()
+    (file,) = kernel_folder().glob("*.kernel")
+    carried = package / "_kernels" / file.parent.name
+    carried.mkdir(parents=True)
+    file = file.rename(carried / file.name)
+    monkeypatch.setattr(kernel_cache, "_packaged", lambda: carried)
+    shutil.rmtree(tmp_path / "base")
+    kernel_cache._written_to.cache_clear()
+    assert not is_compiled_anew()
+    assert not (tmp_path / "base").exists()
+    file.write_bytes(bytes(100))
+    assert is_compiled_anew()
+    assert file.read_bytes() == bytes(100)
+
+
+def test_kernels_of_others_are_left_to_numba():
+    """A program that calls us keeps its own kernels as it did."""
+    assert isinstance(kernel("their.module")._cache, FunctionCache)
+    assert not isinstance(kernel("their.module"), KernelDispatcher)
+    assert isinstance(kernel()._cache, KernelCache)
+
+
+def test_a_kernel_of_another_one_is_no_file_until_it_is_called(folder):
+    """A kernel that only another one calls is compiled into that one; called from Python it is compiled for itself."""
+    module = {"numba": numba, "__name__": "vlp16emu.room"}
+    exec(TWO_KERNELS, module)
+    inner, outer = module["inner"], module["outer"]
+    assert outer(3) == 7
+    assert {path.name.split("-")[0] for path in folder.glob("*.kernel")} == {"room.outer"}
+    with pytest.raises(ValueError, match="below zero"):
+        outer(-1)
+    assert inner(3) == 6
+    with pytest.raises(ValueError, match="below zero"):
+        inner(-1)
+    assert {path.name.split("-")[0] for path in folder.glob("*.kernel")} == {"room.outer", "room.inner"}
+    assert outer(4.0) == 9.0
+    assert outer.overloads.keys() == inner.overloads.keys()
+
+
+def test_a_kernel_in_a_file_serves_another_one(folder):
+    """What was compiled for Python before is taken by kernels that call it."""
+    for first in ("inner", "outer"):
+        module = {"numba": numba, "__name__": "vlp16emu.room"}
+        exec(TWO_KERNELS, module)
+        assert module[first](3) in (6, 7)
+    assert sum(module["inner"].stats.cache_hits.values()) == 1
+
+
+def test_the_target_is_fixed(monkeypatch):
+    """Kernels are for a level of the x86-64 psABI that the processor has, for another one where that is named."""
+    assert cpu_target.target_context.codegen().magic_tuple()[1:] == compiled._target()
+    has = dict.fromkeys([feature for needs in compiled._TARGETS.values() for feature in needs], True)
+    monkeypatch.setattr(binding, "get_host_cpu_features", lambda: has)
+    assert compiled._target() == ("x86-64-v3", "")
+    has["fma"] = False
+    assert compiled._target() == ("x86-64-v2", "")
+    has.clear()
+    assert compiled._target() == ("generic", "")
+    monkeypatch.setenv("VLP16EMU_TARGET", "x86-64")
+    assert compiled._target() == ("x86-64", "")
+
+
+def test_the_states_used_last_are_kept(folder):
+    """Of many states those that were not used for longest are removed; what has such a name and is not ours stays."""
+    states = [folder.with_name(f"kernels-{number:016}") for number in range(10)]
+    foreign = folder.with_name("kernels-of-mine")
+    for number, state in enumerate([foreign, *states]):
+        state.mkdir()
+        (state / "a.kernel").touch()
+        if state is not foreign:
+            (state / kernel_cache._MARKER).touch()
+        os.utime(state, (number, number))
+    kernel_folder()
+    assert [state for state in states if state.exists()] == states[3:]
+    assert folder.exists()
     assert foreign.exists()

@@ -3,21 +3,21 @@
 import numpy as np
 import pytest
 
-from vlp16emu import compiled
 from vlp16emu.store import user_store
 
 
 @pytest.fixture
 def folders(tmp_path, monkeypatch):
-    """A store of one bundle and a folder of one kernel, with a foreign file in each."""
+    """A store of one bundle, and a folder of one kernel and one of a former version; with foreign files beside them."""
     world, kernels = tmp_path / "world", tmp_path / "kernels-0123456789abcdef"
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(world))
-    monkeypatch.setattr(compiled, "_bases", lambda: [str(tmp_path)])
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     user_store.cache_clear()
     user_store().put("a", {"a": np.zeros(10)})
     user_store().flush()
     (kernels / "room").mkdir(parents=True)
-    (kernels / "room" / "kernel.nbi").write_bytes(bytes(100))
+    (kernels / "room" / "kernel.nbi").write_bytes(bytes(80))
+    (kernels / "room.kernel").write_bytes(bytes(20))
     (kernels / "made-by-vlp16emu").touch()
     (world / "notes.txt").write_text("mine")
     for name in ("of-mine", "fedcba9876543210"):
@@ -34,14 +34,14 @@ def test_what_is_kept_is_counted(cli, folders):
     assert tree["worlds"]["files"] == 1
     assert tree["worlds"]["folder"] == str(folders[0])
     assert tree["worlds"]["most_bytes"] == 1_000_000_000
-    assert tree["kernels"] == {"folders": [str(folders[1])], "files": 1, "bytes": 100}
+    assert tree["kernels"] == {"folders": [str(folders[1])], "files": 2, "bytes": 100}
     assert "1 files, 0.0 MB of at most 1000.0 MB" in cli("cache").out
 
 
 def test_clearing_leaves_what_is_not_ours(cli, folders, tmp_path):
     """Our own files go, foreign ones stay."""
     tree = cli("cache", "--clear", "--json").tree
-    assert (tree["cleared"], tree["worlds"]["files"], tree["kernels"]["files"]) == (True, 1, 1)
+    assert (tree["cleared"], tree["worlds"]["files"], tree["kernels"]["files"]) == (True, 1, 2)
     left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
     assert left == [
         "kernels-fedcba9876543210/room/kernel.nbi",
@@ -57,3 +57,15 @@ def test_no_folder_is_said(cli, monkeypatch):
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", "off")
     user_store.cache_clear()
     assert "nothing is kept" in cli("cache").out
+
+
+def test_kernels_are_compiled_before_they_are_needed(cli, monkeypatch):
+    """`--compile` compiles all that the table of kernels has, on request alone, and does not go with `--clear`."""
+    groups = []
+    monkeypatch.setattr("vlp16emu.cli.cache.compile_first", groups.append)
+    cli("cache")
+    assert groups == []
+    cli("cache", "--compile")
+    assert groups == [None]
+    assert cli("cache", "--compile", "--clear").code == 2
+    assert groups == [None]

@@ -4,6 +4,7 @@ import socket
 
 import pytest
 
+from vlp16emu.kernel_cache import kernel_folder
 from vlp16emu.raycast import embree
 from vlp16emu.sinks import Condition
 
@@ -75,3 +76,17 @@ def test_a_missing_extra_names_what_needs_it(cli, monkeypatch, extra):
     monkeypatch.setattr("vlp16emu.report.doctor.find_spec", lambda _: None)
     check = rows(cli("doctor", "--json"))[f"extra {extra}"]
     assert (check["finding"], check["mend"]) == ("warning", f"pip install 'vlp16emu[{extra}]'")
+
+
+def test_kernels_on_disk_are_looked_for(cli, monkeypatch, tmp_path):
+    """A folder without kernels of casting is mended by compiling them, one that others can write by another one."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "base"))
+    check = rows(cli("doctor", "--json"))["kernel cache"]
+    assert (check["finding"], check["mend"]) == ("warning", "vlp16emu cache --compile")
+    (kernel_folder() / "raycast.kernel.cast-1-0.kernel").touch()
+    check = rows(cli("doctor", "--json"))["kernel cache"]
+    assert (check["finding"], check["found"]) == ("ok", f"1 kernels in {kernel_folder()}")
+    (tmp_path / "base").chmod(0o777)
+    check = rows(cli("doctor", "--json"))["kernel cache"]
+    assert check["finding"] == "warning"
+    assert "NUMBA_CACHE_DIR" in check["mend"]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
-from vlp16emu.cli.start import announce_compiling
+from vlp16emu.cli.start import compile_first
 from vlp16emu.cli.terminal import Progress, count, print_json, size
 from vlp16emu.errors import OutputError
 from vlp16emu.output import OutputFile
@@ -73,7 +73,7 @@ def accuracy(
         _make_folder(out)
     name = Path(scene).stem
     files = [] if out is None else [out / f"accuracy_{name}{suffix}" for suffix in (".json", ".png")]
-    announce_compiling()
+    compile_first("hall" if scenario.world.kind == "hall" else "forest")
     with ExitStack() as stack:
         outputs = [stack.enter_context(OutputFile(file, where=f"--out {file}")) for file in files]
         measured = _measured(scenario, name, pulses)

@@ -5,16 +5,22 @@ from typing import Annotated
 import typer
 
 from vlp16emu.cli.arguments import AsJson
+from vlp16emu.cli.start import compile_first, starting
 from vlp16emu.cli.terminal import count, print_json, print_rows, size
+from vlp16emu.errors import InputError
 
 __all__ = ["cache"]
 
 Clear = Annotated[
     bool, typer.Option("--clear", help="Remove all of it; files that are not ours stay where they are.")
 ]
+Compile = Annotated[
+    bool,
+    typer.Option("--compile", help="Compile the kernels of all runs that are not there, for images and CI."),
+]
 
 
-def cache(*, clear: Clear = False, as_json: AsJson = False) -> None:
+def cache(*, clear: Clear = False, compile_all: Compile = False, as_json: AsJson = False) -> None:
     """Show what is kept on disk from run to run, and where.
 
     That is compiled kernels and what worlds were grown into. A run without them takes longer to start,
@@ -23,6 +29,11 @@ def cache(*, clear: Clear = False, as_json: AsJson = False) -> None:
     """
     from vlp16emu.store import user_store
 
+    if clear and compile_all:
+        raise InputError("--compile", "found --clear", "one of both")
+    if compile_all:
+        with starting():
+            compile_first(None)
     store = user_store()
     worlds = store.clear() if clear else store.kept()
     folders, files, used = _kernels(clear=clear)
@@ -53,7 +64,7 @@ def cache(*, clear: Clear = False, as_json: AsJson = False) -> None:
 
 def _kernels(*, clear: bool) -> tuple[list[str], int, int]:
     """Folders, number and bytes of compiled kernels; remove them if wanted."""
-    from vlp16emu.compiled import compiled_files, remove_compiled
+    from vlp16emu.kernel_cache import compiled_files, remove_compiled
 
     found = {folder: paths for folder, paths in compiled_files().items() if paths}
     used = sum(path.stat().st_size for paths in found.values() for path in paths)

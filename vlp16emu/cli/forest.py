@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
-from vlp16emu.cli.start import announce_compiling
+from vlp16emu.cli.start import compile_first
 from vlp16emu.cli.terminal import count, print_json, print_rows, size, tree_of
 from vlp16emu.errors import InputError
 
@@ -112,7 +112,7 @@ def forest(
     wanted = {option: path for option, path in outputs.items() if path is not None}
     for option, path in wanted.items():
         _check_output(option, path)
-    announce_compiling()
+    compile_first("hall" if scenario.world.kind == "hall" else "forest")
     summary = _surveyed(scene, scenario, radius, wanted, seen)
     if as_json:
         written = {option.removeprefix("--"): str(path) for option, path in wanted.items()}

@@ -1,7 +1,6 @@
 """The start of a run: what it loads and makes stays until its end."""
 
 import gc
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
 
-__all__ = ["announce_compiling", "make_emulator", "starting"]
+__all__ = ["compile_first", "make_emulator", "starting"]
 
 
 def make_emulator(
@@ -24,21 +23,25 @@ def make_emulator(
     """Make the emulator of a command line; arguments and errors as of `Emulator`."""
     from vlp16emu.scenario import load
 
-    load(scene, settings or (), ideal=ideal)  # first: no mistake in it should wait for numba
-    announce_compiling()
+    scenario = load(scene, settings or (), ideal=ideal)  # first: no mistake in it should wait for numba
     _load_numba()
+    compile_first("hall" if scenario.world.kind == "hall" else "forest")
     from vlp16emu.emulator import Emulator
 
     return Emulator(scene, settings or (), ideal=ideal, threads=threads, audit=audit)
 
 
-def announce_compiling() -> None:
-    """Say on stderr that the first run takes longer, where no kernel has been compiled yet."""
-    from pathlib import Path
+def compile_first(group: str | None) -> None:
+    """Compile the kernels that a group of runs needs and that are not on disk, and say on stderr how far that is."""
+    from vlp16emu.compiling import compile_kernels
 
-    kept = os.environ.get("NUMBA_CACHE_DIR")
-    if sys.stderr is not None and (kept is None or next(Path(kept).glob("*/*.nbi"), None) is None):
-        print("compiling kernels, about a minute, once", file=sys.stderr, flush=True)
+    is_terminal = sys.stderr is not None and sys.stderr.isatty()
+    for done, count in compile_kernels(group):
+        line = f"compiling kernels: {done} of {count}, once"
+        if is_terminal:
+            print(f"\r{line}", end="\n" if done == count else "", file=sys.stderr, flush=True)
+        elif done in (0, count) and sys.stderr is not None:
+            print(line, file=sys.stderr, flush=True)
 
 
 @contextmanager

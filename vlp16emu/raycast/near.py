@@ -16,7 +16,7 @@ from vlp16emu.raycast.faces import inverses, relative_to_window
 from vlp16emu.raycast.far import NO_MEDIUM, Far, recalled_shape
 from vlp16emu.raycast.kernel import PulseBatch, cast_lines, cast_pulses
 from vlp16emu.raycast.lanes import Medium
-from vlp16emu.raycast.packet import PACKET, Target, decide
+from vlp16emu.raycast.packet import PACKET, Target
 from vlp16emu.raycast.pieces import LEVEL, STRAY_M, within_reach
 from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
@@ -119,7 +119,6 @@ def _target(placed: Placed, kept: NDArray[np.bool_] | None = None) -> Target:
     return Target(
         scene,
         scene,
-        decide.address,
         window.origin_m,
         window.first_surface[placement],
         inverses(relative_to_window(window))[placement],

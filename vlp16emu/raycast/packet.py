@@ -1,6 +1,6 @@
 """The Embree packet: eight rays that are cast together, and what they meet.
 
-Embree finds candidates, and `decide` says which of them is met and where. Embree rounds as its instruction set has it: with
+Embree finds candidates, and `_decide` says which of them is met and where. Embree rounds as its instruction set has it: with
 another one the same ray meets a leaf at its edge or passes it, or meets the other of two faces that cut each other. So
 Embree has triangles that are a little wider (`build.widened`), candidates stay open to `_SLACK_M` behind the nearest, and
 each is decided in float64, by sums, products and one division, from the corners as they are. Of two at the same range the
@@ -13,6 +13,7 @@ import math
 from typing import Any, NamedTuple
 
 import llvmlite.binding
+import llvmlite.ir
 import numba
 import numpy as np
 from numba import types
@@ -31,7 +32,6 @@ __all__ = [
     "RayPacket",
     "Target",
     "cast_packet",
-    "decide",
     "ray_met",
     "ray_packet",
 ]
@@ -70,8 +70,6 @@ class Target(NamedTuple):
     """Address of a committed RTCScene of instances that level rays may meet; 0 where there is nothing."""
     steep: int
     """The same for rays that are not `LEVEL`; 0 also where none such is cast."""
-    decide: int
-    """Address of the function `decide`."""
     window_origin_m: NDArray[np.float64]
     """(3,) taken from the origins in float64, before the step to float32."""
     first_surface: NDArray[np.uint32]
@@ -107,7 +105,7 @@ class RayPacket(NamedTuple):
     face: NDArray[np.uint64]
     """(8,) of it: number of the mesh in the upper half, of the triangle in the lower."""
     desk: NDArray[np.uint64]
-    """(11,) addresses for `decide`."""
+    """(11,) addresses for `_decide`."""
 
 
 def _pointer(kind: Any) -> Any:
@@ -136,56 +134,6 @@ def _aligned(bytes_: int) -> NDArray[np.uint8]:
     """Memory that starts at a multiple of 64 bytes."""
     raw = np.zeros(bytes_ + _ALIGN, np.uint8)
     return raw[(-raw.ctypes.data) % _ALIGN :][:bytes_]
-
-
-@numba.njit(cache=True, nogil=True)
-def ray_packet() -> RayPacket:
-    """Make an empty packet.
-
-    RTCIntersectArguments: flags and feature mask (all), then pointers to context and filter. Each thread needs its own
-    context: a shared one loses hits on instances silently. RTCRayQueryContext is two words of 4 bytes; behind them is the
-    address of our desk.
-    """
-    rays = _aligned(_SIZE * 4).view(np.float32)
-    valid = _aligned(PACKET * 4).view(np.int32)
-    context, arguments = _aligned(64).view(np.uint64), _aligned(64).view(np.uint64)
-    own, state = _aligned(8 * PACKET * 4).view(np.float32), np.zeros(_STATE)
-    desk = np.zeros(11, np.uint64)
-    instance, face = np.zeros(PACKET, np.uint32), np.zeros(PACKET, np.uint64)
-    context[1] = desk.ctypes.data
-    arguments[0] = np.uint64(FLAG_COHERENT | FLAG_FILTER) | np.uint64(NONE) << np.uint64(32)
-    arguments[1] = context.ctypes.data
-    desk[0], desk[1] = own.ctypes.data, state.ctypes.data
-    desk[2], desk[3] = instance.ctypes.data, face.ctypes.data
-    words = rays.view(np.uint32)
-    for lane in range(PACKET):
-        words[_MASK + lane], words[_ID + lane], words[_FLAGS + lane] = NONE, lane, 0
-    return RayPacket(rays, valid, context, arguments, own, state, instance, face, desk)
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) -> None:
-    """Cast the rays of a packet that are valid between two ranges, all of them as steep ones where one is steep."""
-    rays, own, valid, desk = packet.rays, packet.own, packet.valid, packet.desk
-    state, instance, rise = packet.state, packet.instance, np.float32(0.0)
-    for lane in range(PACKET):
-        rise = max(rise, abs(rays[DIR + 2 * PACKET + lane]))
-    for at in range(8 * PACKET):
-        own[at] = rays[at]
-    first_m, last_m = np.float32(max(near_m - _SLACK_M, 0.0)), np.float32(far_m + _SLACK_M)
-    for lane in range(PACKET):
-        own[_TNEAR + lane] = near_m
-        rays[_TNEAR + lane], rays[_TFAR + lane] = first_m, last_m
-        state[_LIMIT + lane] = far_m if valid[lane] else state[_LIMIT + lane]
-        instance[lane] = NONE if valid[lane] else instance[lane]
-    scene = target.scene if rise <= LEVEL else target.steep
-    if not scene:
-        return
-    desk[4], desk[5] = target.shape_T_window.ctypes.data, target.row.ctypes.data
-    desk[6], desk[7] = target.buffers.ctypes.data, target.foot_m.ctypes.data
-    desk[8], desk[9], desk[10] = target.shear.ctypes.data, target.shear.shape[0], target.shear.shape[1]
-    packet.context[0], packet.arguments[2] = _NO_INSTANCES, target.decide
-    _intersect(valid.ctypes.data, scene, rays.ctypes.data, packet.arguments.ctypes.data)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
@@ -239,8 +187,8 @@ def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[float, float,
     )
 
 
-@numba.cfunc(types.void(types.uint64), cache=True, error_model="numpy")
-def decide(arguments: int) -> None:
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
+def _decide(arguments: int) -> None:
     """Take or reject a candidate for some rays: Embree's filter, with the address of RTCFilterFunctionNArguments.
 
     The three determinants of the direction and two corners have one sign where the ray passes inside, and for two triangles
@@ -301,6 +249,78 @@ def decide(arguments: int) -> None:
             far_m[_TFAR // PACKET * n + i] = np.float32(range_m + _SLACK_M)
         else:
             valid[i] = 0
+
+
+@numba.extending.intrinsic
+def _filter(typingctx: Any) -> Any:
+    """Give the address of `_decide` as a function of C; it is a part of the kernel that asks."""
+    kind = types.Dispatcher(_decide)
+    decision = kind.get_call_type(typingctx, (types.uint64,), {})
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - the signature is numba's
+        """Emit a function of C around it, and its address."""
+        word = llvmlite.ir.IntType(64)
+        kinds = llvmlite.ir.FunctionType(llvmlite.ir.VoidType(), [word])
+        function = llvmlite.ir.Function(builder.module, kinds, f"{builder.function.name}.filter")
+        function.linkage = "internal"
+        inside = llvmlite.ir.IRBuilder(function.append_basic_block())
+        compiled = _decide.overloads[decision.args]
+        context.add_linking_libs([compiled.library])
+        context.call_internal_no_propagate(inside, compiled.fndesc, decision, function.args)
+        inside.ret_void()
+        return builder.ptrtoint(function, word)
+
+    return types.uint64(), codegen
+
+
+@numba.njit(cache=True, nogil=True)
+def ray_packet() -> RayPacket:
+    """Make an empty packet.
+
+    RTCIntersectArguments: flags and feature mask (all), then pointers to context and filter. Each thread needs its own
+    context: a shared one loses hits on instances silently. RTCRayQueryContext is two words of 4 bytes; behind them is the
+    address of our desk.
+    """
+    rays = _aligned(_SIZE * 4).view(np.float32)
+    valid = _aligned(PACKET * 4).view(np.int32)
+    context, arguments = _aligned(64).view(np.uint64), _aligned(64).view(np.uint64)
+    own, state = _aligned(8 * PACKET * 4).view(np.float32), np.zeros(_STATE)
+    desk = np.zeros(11, np.uint64)
+    instance, face = np.zeros(PACKET, np.uint32), np.zeros(PACKET, np.uint64)
+    context[1] = desk.ctypes.data
+    arguments[0] = np.uint64(FLAG_COHERENT | FLAG_FILTER) | np.uint64(NONE) << np.uint64(32)
+    arguments[1], arguments[2] = context.ctypes.data, _filter()
+    desk[0], desk[1] = own.ctypes.data, state.ctypes.data
+    desk[2], desk[3] = instance.ctypes.data, face.ctypes.data
+    words = rays.view(np.uint32)
+    for lane in range(PACKET):
+        words[_MASK + lane], words[_ID + lane], words[_FLAGS + lane] = NONE, lane, 0
+    return RayPacket(rays, valid, context, arguments, own, state, instance, face, desk)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def cast_packet(target: Target, packet: RayPacket, near_m: float, far_m: float) -> None:
+    """Cast the rays of a packet that are valid between two ranges, all of them as steep ones where one is steep."""
+    rays, own, valid, desk = packet.rays, packet.own, packet.valid, packet.desk
+    state, instance, rise = packet.state, packet.instance, np.float32(0.0)
+    for lane in range(PACKET):
+        rise = max(rise, abs(rays[DIR + 2 * PACKET + lane]))
+    for at in range(8 * PACKET):
+        own[at] = rays[at]
+    first_m, last_m = np.float32(max(near_m - _SLACK_M, 0.0)), np.float32(far_m + _SLACK_M)
+    for lane in range(PACKET):
+        own[_TNEAR + lane] = near_m
+        rays[_TNEAR + lane], rays[_TFAR + lane] = first_m, last_m
+        state[_LIMIT + lane] = far_m if valid[lane] else state[_LIMIT + lane]
+        instance[lane] = NONE if valid[lane] else instance[lane]
+    scene = target.scene if rise <= LEVEL else target.steep
+    if not scene:
+        return
+    desk[4], desk[5] = target.shape_T_window.ctypes.data, target.row.ctypes.data
+    desk[6], desk[7] = target.buffers.ctypes.data, target.foot_m.ctypes.data
+    desk[8], desk[9], desk[10] = target.shear.ctypes.data, target.shear.shape[0], target.shear.shape[1]
+    packet.context[0] = _NO_INSTANCES
+    _intersect(valid.ctypes.data, scene, rays.ctypes.data, packet.arguments.ctypes.data)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
-from vlp16emu.compiled import compiled_files
 from vlp16emu.errors import Vlp16emuError
+from vlp16emu.kernel_cache import kernel_folder, kernel_names
 from vlp16emu.sinks import Check, Condition, sending_checks
 from vlp16emu.store import user_store
 
@@ -31,8 +31,8 @@ _EXTRAS = {
 _WIDEST = ("avx512f", "avx2", "avx", "sse4_2", "asimd")
 """Instruction sets that Embree has kernels for, by their names in /proc/cpuinfo, the widest first (Embree 4 manual, rtcNewDevice)."""
 _FEWEST_CORES = 2
-_CASTER = "raycast_"
-"""How numba names the folder of compiled kernels of that room."""
+_CASTER = "raycast."
+"""Begin of the names of compiled kernels of that room."""
 
 
 def all_checks() -> Iterator[Check]:
@@ -58,17 +58,18 @@ def _cores() -> Check:
 
 def _kernels() -> Check:
     """Where compiled kernels are kept, and whether they are there."""
-    folder = Path(os.environ.get("NUMBA_CACHE_DIR", ""))
-    found = {path: files for path, files in compiled_files().items() if path == folder}
-    if not found:
+    folder, names = kernel_folder(), kernel_names()
+    casting = any(name.startswith(_CASTER) for name in names)
+    if folder is None and not casting:
         mend = "export NUMBA_CACHE_DIR=FOLDER, of one in which nobody else can write"
         return Check(
             "kernel cache", Condition.WARNING, "no safe folder: each run compiles for a minute", mend
         )
-    if not any(file.parent.name.startswith(_CASTER) for file in found[folder]):
-        lacking = f"{folder} lacks those of casting: the next run compiles for a minute"
-        return Check("kernel cache", Condition.WARNING, lacking, "vlp16emu plan birch_walk")
-    return Check("kernel cache", Condition.OK, f"{len(found[folder])} files in {folder}")
+    if not casting:
+        lacking = f"{folder} lacks those of casting: the next run compiles them first"
+        return Check("kernel cache", Condition.WARNING, lacking, "vlp16emu cache --compile")
+    where = folder or "the package alone"
+    return Check("kernel cache", Condition.OK, f"{len(names)} kernels in {where}")
 
 
 def _embree() -> Check:

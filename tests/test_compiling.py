@@ -1,0 +1,83 @@
+"""Kernels that are compiled side by side before a run."""
+
+import inspect
+import json
+import os
+import subprocess
+import sys
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import pytest
+
+from vlp16emu.compiling import _signature, decoded, table
+
+PROGRAM = """
+from pathlib import Path
+from vlp16emu import compiling
+compiling._TABLE = Path("table.json")
+for group in ("hall", "hall", None):
+    print(*compiling.compile_kernels(group))
+"""
+ROWS = [
+    {"kernel": "trig:in_quarter", "types": ["float64", "float64"], "groups": ["hall"]},
+    {"kernel": "trig:cos_sin", "types": ["float64"], "groups": ["hall", "forest"]},
+    {"kernel": "trig:in_quarter", "types": ["int64", "float64"], "groups": ["forest"]},
+    {"kernel": "trig:gone", "types": [], "groups": ["hall"]},
+    {"kernel": "trig:cos_sin", "types": ["none"], "groups": ["hall"]},
+]
+
+
+class Pair(NamedTuple):
+    """A pair of arrays."""
+
+    first: np.ndarray
+    second: int
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("float64", 1.5),
+        ("bool", True),
+        ("none", None),
+        (["array", "float32", 2, "C", False], np.zeros((2, 2), np.float32)),
+        (["array", "int64", 1, "A", True], np.broadcast_to(np.arange(4), 4)[::2]),
+        (["tuple", "int64", "float64"], (1, 1.5)),
+        ([f"{__name__}:Pair", ["array", "uint8", 1, "C", False], "int64"], Pair(np.zeros(1, np.uint8), 1)),
+    ],
+)
+def test_types_are_those_of_values(monkeypatch, text, value):
+    """A type that is read is what numba says of a value of that type."""
+    monkeypatch.setitem(sys.modules, __name__, sys.modules[Pair.__module__])
+    assert repr(decoded(text)) == repr(numba.typeof(value))
+
+
+@pytest.mark.parametrize("row", table(), ids=lambda row: row["kernel"])
+def test_the_table_is_of_this_program(row):
+    """Each row names a kernel and a type for each of its arguments; `tools/kernel_table` renews it."""
+    kernel, types = _signature(row)
+    assert len(types) == len(inspect.signature(kernel.py_func).parameters)
+
+
+def test_what_lacks_is_compiled_once(tmp_path):
+    """Other processes compile the kernels of a group that are neither there nor gone; one that cannot be is tried once."""
+    (tmp_path / "table.json").write_text(json.dumps(ROWS))
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    command = [sys.executable, "-c", PROGRAM]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True)
+    assert done.stdout.splitlines() == ["(0, 3) (3, 3)", "", "(0, 1) (1, 1)"]
+    assert done.stderr == ""
+    assert len([*tmp_path.glob("kernels/*/*.kernel")]) == 4
+
+
+def test_without_a_safe_folder_nothing_is_compiled_before(tmp_path):
+    """What other processes compile must be kept: where that cannot be, the run compiles for itself."""
+    (tmp_path / "table.json").write_text(json.dumps(ROWS))
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "open")}
+    command = [sys.executable, "-c", PROGRAM]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True)
+    assert done.stdout.splitlines() == ["(0, 3)", "(0, 3)", "(0, 4)"]
