@@ -30,6 +30,7 @@ from vlp16emu.trig import cos_sin
 from vlp16emu.types import Firings
 
 __all__ = [
+    "FARTHEST",
     "LINE",
     "ROUND",
     "BeamModel",
@@ -210,6 +211,8 @@ _SUPPORT = np.array(
 _REACH = np.append(
     np.sqrt(np.square(_SUPPORT).sum(axis=1)).reshape(-1, ROUND).max(axis=1), _RADIUS.max()
 ).astype(np.float32)
+FARTHEST = float(_REACH[-1])
+"""How far any sub-ray is off the middle at most, in standard deviations."""
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)

@@ -26,11 +26,11 @@ from vlp16emu.raycast.packet import (
     Target,
     cast_packet,
     ray_met,
-    ray_packet,
+    set_filter,
 )
 from vlp16emu.trig import ZERO
 
-__all__ = ["PulseBatch", "cast_lines", "cast_pulses"]
+__all__ = ["Batch", "PulseBatch", "batch_of", "cast_lines", "cast_pulses"]
 
 
 class PulseBatch(NamedTuple):
@@ -44,8 +44,10 @@ class PulseBatch(NamedTuple):
     """(k, L) between the scene's first knot and its last, 0..1."""
     near_m: NDArray[np.float64]
     """(L,) where each laser's light begins."""
+    reach_m: float
+    """Range at which the medium takes over; `far_m` where there is none."""
     far_m: float
-    """Where it is given up."""
+    """Where the light is given up."""
     order: NDArray[np.int64]
     """(k / 8,) first sequence of each packet, in the order of casting."""
     sigmas: NDArray[np.float32]
@@ -67,7 +69,7 @@ class _Hits(NamedTuple):
     cos_incidence: NDArray[np.float32]
 
 
-class _Batch(NamedTuple):
+class Batch(NamedTuple):
     """Room for the pulses of eight sequences, those of a laser one after the other."""
 
     row: NDArray[np.float32]
@@ -97,11 +99,12 @@ def _hits(n: int) -> _Hits:
     return _Hits(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32))
 
 
-@numba.njit(cache=True, nogil=True)
-def _batch(pulses: int, most: int) -> _Batch:
-    """Make room for pulses of so many sub-rays."""
+def batch_of(pulses: int, most: int) -> Batch:
+    """Make room for so many pulses of up to `most` sub-rays each."""
+    most = -(-most // ROUND) * ROUND
+    n = pulses * most
     axes_row = np.zeros((pulses, 12), np.float32)
-    return _Batch(
+    return Batch(
         np.zeros((pulses, COSINE + LANES), np.float32),
         np.zeros((pulses, LANES), np.uint32),
         axes_row.reshape(pulses, 4, 3),
@@ -109,7 +112,7 @@ def _batch(pulses: int, most: int) -> _Batch:
         np.zeros(pulses, np.bool_),
         np.arange(pulses),
         np.zeros(pulses, np.int64),
-        _hits(pulses * most),
+        _Hits(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
         lanes(),
         np.empty((2, most)),
     )
@@ -118,20 +121,25 @@ def _batch(pulses: int, most: int) -> _Batch:
 @numba.njit(cache=True, nogil=True)
 def cast_lines(
     near: Target,
-    beyond: Target,
-    medium: Medium,
+    beyond: Target | None,
+    medium: Medium | None,
     light: PulseBatch,
+    packet: RayPacket,
+    batch: Batch,
     range_m: NDArray[np.float32],
     surface: NDArray[np.uint32],
     cos_incidence: NDArray[np.float32],
 ) -> None:
-    """Cast one ray per pulse; packets hold eight consecutive firings of a laser. Fills arrays (k, L)."""
-    packet, pulses = ray_packet(), PACKET * light.origin_m.shape[1]
-    one = ZERO + 1
-    batch = _batch(pulses, one)
+    """Cast one ray per pulse; packets hold eight consecutive firings of a laser. Fills arrays (k, L).
+
+    Where nothing is far, `beyond` and `medium` are None, and numba leaves out what is for them.
+    """
+    pulses, one = PACKET * light.origin_m.shape[1], ZERO + 1
+    set_filter(packet)
     for first in light.order:
-        _cast_middles(near, beyond, medium, light, packet, batch, first)
-        _march(medium, light, batch, pulses, one, np.float32(0.0))
+        _cast_middles(near, beyond, light, packet, batch, first)
+        if medium is not None:
+            _march(medium, light, batch, pulses, one, np.float32(0.0))
         for q in range(pulses):
             i, j, met = first + q % PACKET, q // PACKET, batch.surface[q, 0]
             range_m[i, j] = np.float32(np.inf) if met == NONE else batch.row[q, RANGE]
@@ -141,9 +149,11 @@ def cast_lines(
 @numba.njit(cache=True, nogil=True)
 def cast_pulses(
     near: Target,
-    beyond: Target,
-    medium: Medium,
+    beyond: Target | None,
+    medium: Medium | None,
     light: PulseBatch,
+    packet: RayPacket,
+    batch: Batch,
     budget: RayBudget,
     count: NDArray[np.uint16],
 ) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]:
@@ -157,8 +167,8 @@ def cast_pulses(
     -------
     Ranges, surfaces and cosines (n,) in order of pulses.
     """
-    packet, n, pulses = ray_packet(), ZERO, PACKET * count.shape[1]
-    batch = _batch(pulses, -(-budget.most // ROUND) * ROUND)
+    n, pulses = ZERO, PACKET * count.shape[1]
+    set_filter(packet)
     room, begin = _hits(count.size * _USUAL), np.empty(count.shape[0] // PACKET, np.int64)
     for first in light.order:
         todo, have = pulses, ZERO
@@ -166,10 +176,13 @@ def cast_pulses(
             batch.todo[q] = q
         while todo:
             rays = min(ROUND, budget.most - have)
-            _cast_near(near, beyond, medium, light, budget, packet, batch, first, todo, have, rays)
-            _march(medium, light, batch, todo, rays, reach_of(have, budget.adaptive))
+            _cast_near(near, beyond, light, budget, packet, batch, first, todo, have, rays)
+            if medium is not None:
+                _march(medium, light, batch, todo, rays, reach_of(have, budget.adaptive))
             todo, have = _settle(near, budget, batch, todo, have, rays), have + rays
-        need = n + batch.have.sum() + ROUND
+        need = n + ROUND
+        for q in range(pulses):
+            need += batch.have[q]
         if need > room.range_m.size:
             longer = _hits(max(2 * room.range_m.size, need))
             _copy(room, ZERO, longer, ZERO, n)
@@ -184,24 +197,23 @@ def cast_pulses(
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _cast_middles(
     near: Target,
-    beyond: Target,
-    medium: Medium,
+    beyond: Target | None,
     light: PulseBatch,
     packet: RayPacket,
-    batch: _Batch,
+    batch: Batch,
     first: int,
 ) -> None:
     """Cast the middles of the pulses of eight sequences against faces, those of a laser as one packet."""
     rays = packet.rays
     origin_m, direction, from_m = light.origin_m, light.direction, near.window_origin_m
-    reach_m = min(light.far_m, medium.near_m)
+    reach_m = light.reach_m
     for j in range(origin_m.shape[1]):
         for r in range(PACKET):
             i = first + r
             for a in range(3):
                 rays[ORG + PACKET * a + r] = np.float32(origin_m[i, j, a] - from_m[a])
                 rays[DIR + PACKET * a + r] = np.float32(direction[i, j, a])
-                if reach_m < light.far_m:
+                if beyond is not None:
                     batch.axes[PACKET * j + r, 0, a] = rays[ORG + PACKET * a + r]
                     batch.axes[PACKET * j + r, 1, a] = rays[DIR + PACKET * a + r]
             rays[TIME + r] = light.time[i, j]
@@ -213,19 +225,18 @@ def _cast_middles(
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _cast_near(
     near: Target,
-    beyond: Target,
-    medium: Medium,
+    beyond: Target | None,
     light: PulseBatch,
     budget: RayBudget,
     packet: RayPacket,
-    batch: _Batch,
+    batch: Batch,
     first: int,
     todo: int,
     have: int,
     count: int,
 ) -> None:
     """Cast the next sub-rays of pulses, which have some already, against faces, those of a pulse as one packet."""
-    valid, reach_m = packet.valid, min(light.far_m, medium.near_m)
+    valid, reach_m = packet.valid, light.reach_m
     for t in range(todo):
         q = batch.todo[t]
         i, j, axes = first + q % PACKET, q // PACKET, batch.axes[q]
@@ -243,9 +254,9 @@ def _cast_near(
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _put_down(
     near: Target,
-    beyond: Target,
+    beyond: Target | None,
     packet: RayPacket,
-    batch: _Batch,
+    batch: Batch,
     q: int,
     step: int,
     count: int,
@@ -253,7 +264,7 @@ def _put_down(
     far_m: float,
 ) -> None:
     """Put down what rays have met, of pulse q all (step 0) or one of each pulse from q on (step 1); cast what is left on."""
-    own, instance, valid, row, surface = packet.own, packet.instance, packet.valid, batch.row, batch.surface
+    instance, valid, row, surface = packet.instance, packet.valid, batch.row, batch.surface
     missed = 0
     for r in range(count):
         to, lane = q + step * r, (1 - step) * r
@@ -264,31 +275,49 @@ def _put_down(
             row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(near, packet, r)
         valid[r] = -1 if instance[r] == NONE else 0
         batch.missed[to] = missed > 0 if step == 0 else instance[r] == NONE
-        if step and instance[r] == NONE:  # goes on, and only then its ray is asked for
-            for a in range(3):
-                row[to, ORIGIN + LANES * a] = own[ORG + PACKET * a + r]
-                row[to, DIRECTION + LANES * a] = own[DIR + PACKET * a + r]
-    if step == 0 and missed:
+    if beyond is not None and missed:
+        _send_on(beyond, packet, batch, q, step, count, reach_m, far_m)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _send_on(
+    beyond: Target,
+    packet: RayPacket,
+    batch: Batch,
+    q: int,
+    step: int,
+    count: int,
+    reach_m: float,
+    far_m: float,
+) -> None:
+    """Give the rays that go on to the medium, and cast them against what is cast as faces at any range."""
+    own, instance, valid, row, surface = packet.own, packet.instance, packet.valid, batch.row, batch.surface
+    if step == 0:
         for at in range(3 * LANES):
             row[q, ORIGIN + at], row[q, DIRECTION + at] = own[ORG + at], own[DIR + at]
-    if missed and beyond.scene and reach_m < far_m:
-        cast_packet(beyond, packet, reach_m, far_m)
+    else:
         for r in range(count):
-            if valid[r] and instance[r] != NONE:
-                to, lane = q + step * r, (1 - step) * r
-                row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(beyond, packet, r)
+            if valid[r]:
+                for a in range(3):
+                    row[q + r, ORIGIN + LANES * a] = own[ORG + PACKET * a + r]
+                    row[q + r, DIRECTION + LANES * a] = own[DIR + PACKET * a + r]
+    if not beyond.scene:
+        return
+    cast_packet(beyond, packet, reach_m, far_m)
+    for r in range(count):
+        if valid[r] and instance[r] != NONE:
+            to, lane = q + step * r, (1 - step) * r
+            row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(beyond, packet, r)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _march(medium: Medium, light: PulseBatch, batch: _Batch, todo: int, count: int, reach: float) -> None:
+def _march(medium: Medium, light: PulseBatch, batch: Batch, todo: int, count: int, reach: float) -> None:
     """Let the rays of pulses that have met nothing near go on through the medium.
 
     Parameters
     ----------
     reach : how far from the middle they are at most, in standard deviations of the beam
     """
-    if medium.near_m >= light.far_m:
-        return
     L, row, surface = batch.lanes, batch.row, batch.surface
     own_row, own_surface, bricks, firsts = (
         L.row,
@@ -314,7 +343,7 @@ def _march(medium: Medium, light: PulseBatch, batch: _Batch, todo: int, count: i
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _settle(near: Target, budget: RayBudget, batch: _Batch, todo: int, have: int, count: int) -> int:
+def _settle(near: Target, budget: RayBudget, batch: Batch, todo: int, have: int, count: int) -> int:
     """Take the hits of a round; list the pulses that need another, and return how many."""
     hits, row, met, left = batch.hits, batch.row, batch.surface, 0
     range_m, surface, cosine = hits.range_m, hits.surface, hits.cos_incidence
@@ -343,7 +372,7 @@ def _settle(near: Target, budget: RayBudget, batch: _Batch, todo: int, have: int
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _take(batch: _Batch, first: int, count: NDArray[np.uint16], room: _Hits, n: int) -> int:
+def _take(batch: Batch, first: int, count: NDArray[np.uint16], room: _Hits, n: int) -> int:
     """Count the hits of eight sequences and append them to n others, in order of pulses; return how many there are then."""
     most = batch.scratch.shape[1]
     for i in range(PACKET):

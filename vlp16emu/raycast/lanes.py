@@ -127,7 +127,6 @@ class Lanes(NamedTuple):
     """(AHEAD,) scratch: these records."""
 
 
-@numba.njit(cache=True, nogil=True)
 def lanes() -> Lanes:
     """Make room for lanes."""
     row = np.zeros(_END, np.float32)

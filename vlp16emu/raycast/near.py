@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast import embree as rtc
-from vlp16emu.raycast.beam import LINE, BeamModel, Footprint, beam_axis_of, displace, reach_of
+from vlp16emu.raycast.beam import FARTHEST, LINE, BeamModel, Footprint, beam_axis_of, displace
 from vlp16emu.raycast.build import EmbreeMesh, Placed
 from vlp16emu.raycast.faces import inverses, relative_to_window
 from vlp16emu.raycast.far import NO_MEDIUM, Far, recalled_shape
-from vlp16emu.raycast.kernel import PulseBatch, cast_lines, cast_pulses
+from vlp16emu.raycast.kernel import PulseBatch, batch_of, cast_lines, cast_pulses
 from vlp16emu.raycast.lanes import Medium
-from vlp16emu.raycast.packet import PACKET, Target
+from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.raycast.pieces import LEVEL, STRAY_M, within_reach
 from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
@@ -84,29 +84,33 @@ class EmbreeGeometry:
         shape = firings.t_ns.shape
         if shape[0] % PACKET:
             raise ValueError(f"cast: found {shape[0]} sequences, expected a multiple of {PACKET}")
+        medium = self.medium
+        if as_far and np.isfinite(medium.near_m):
+            medium = medium._replace(near_m=0.0)
+        reach_m, lasers = min(far_m, medium.near_m), shape[1]
         pulses = PulseBatch(
             firings.origin_m,
             firings.direction,
             beam_axis_of(firings, beam) if beam.has_width else np.empty((0, 0, 0)),
             self._placed.motion.times(firings.t_ns),
             near_m,
-            far_m,
+            float(reach_m),
+            float(far_m),
             _by_sectors(firings.azimuth_deg),
             beam.sigmas.astype(np.float32),
             beam.seed,
             firings.index,
         )
-        if as_far and np.isfinite(self.medium.near_m):
-            world = self._beyond, self._beyond, self.medium._replace(near_m=0.0)
-        else:
-            lean = reach_of(0, False) * beam.sigmas[2:].max()
-            rise = float(np.abs(firings.direction[..., 2]).max(initial=0.0) + lean)
-            world = self._target(rise), self._beyond, self.medium
+        lean = FARTHEST * beam.sigmas[2:].max()
+        rise = float(np.abs(firings.direction[..., 2]).max(initial=0.0) + lean)
+        near = self._target(rise) if reach_m > 0.0 else self._beyond
+        world = (near, self._beyond, medium) if reach_m < far_m else (near, None, None)
+        room = ray_packet(), batch_of(PACKET * lasers, beam.budget.most if beam.has_width else 1)
         if beam.has_width:
             count = np.empty(shape, np.uint16)
-            return Hits(count, *cast_pulses(*world, pulses, beam.budget, count))
+            return Hits(count, *cast_pulses(*world, pulses, *room, beam.budget, count))
         met = np.empty(shape, np.float32), np.empty(shape, np.uint32), np.empty(shape, np.float32)
-        cast_lines(*world, pulses, *met)
+        cast_lines(*world, pulses, *room, *met)
         if beam.model is BeamModel.OFFSET:
             displace(met[0], beam, firings.index)
         return Hits.one_ray_each(*met)

@@ -34,6 +34,7 @@ __all__ = [
     "cast_packet",
     "ray_met",
     "ray_packet",
+    "set_filter",
 ]
 
 PACKET = 8
@@ -108,6 +109,9 @@ class RayPacket(NamedTuple):
     """(11,) addresses for `_decide`."""
 
 
+_DTYPES = ["f4", "i4", "u8", "u8", "f4", "f8", "u4", "u8", "u8"]
+
+
 def _pointer(kind: Any) -> Any:
     """Make a function that takes an address for a pointer to numbers of a type."""
 
@@ -127,13 +131,6 @@ def _pointer(kind: Any) -> Any:
 _as_float32, _as_float64 = _pointer(types.float32), _pointer(types.float64)
 _as_int32, _as_int64 = _pointer(types.int32), _pointer(types.int64)
 _as_uint32, _as_uint64 = _pointer(types.uint32), _pointer(types.uint64)
-
-
-@numba.njit(cache=True, nogil=True)
-def _aligned(bytes_: int) -> NDArray[np.uint8]:
-    """Memory that starts at a multiple of 64 bytes."""
-    raw = np.zeros(bytes_ + _ALIGN, np.uint8)
-    return raw[(-raw.ctypes.data) % _ALIGN :][:bytes_]
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
@@ -273,7 +270,6 @@ def _filter(typingctx: Any) -> Any:
     return types.uint64(), codegen
 
 
-@numba.njit(cache=True, nogil=True)
 def ray_packet() -> RayPacket:
     """Make an empty packet.
 
@@ -281,21 +277,27 @@ def ray_packet() -> RayPacket:
     context: a shared one loses hits on instances silently. RTCRayQueryContext is two words of 4 bytes; behind them is the
     address of our desk.
     """
-    rays = _aligned(_SIZE * 4).view(np.float32)
-    valid = _aligned(PACKET * 4).view(np.int32)
-    context, arguments = _aligned(64).view(np.uint64), _aligned(64).view(np.uint64)
-    own, state = _aligned(8 * PACKET * 4).view(np.float32), np.zeros(_STATE)
-    desk = np.zeros(11, np.uint64)
-    instance, face = np.zeros(PACKET, np.uint32), np.zeros(PACKET, np.uint64)
-    context[1] = desk.ctypes.data
-    arguments[0] = np.uint64(FLAG_COHERENT | FLAG_FILTER) | np.uint64(NONE) << np.uint64(32)
-    arguments[1], arguments[2] = context.ctypes.data, _filter()
-    desk[0], desk[1] = own.ctypes.data, state.ctypes.data
-    desk[2], desk[3] = instance.ctypes.data, face.ctypes.data
-    words = rays.view(np.uint32)
-    for lane in range(PACKET):
-        words[_MASK + lane], words[_ID + lane], words[_FLAGS + lane] = NONE, lane, 0
-    return RayPacket(rays, valid, context, arguments, own, state, instance, face, desk)
+    sizes = (4 * _SIZE, 4 * PACKET, 64, 64, 32 * PACKET, 8 * _STATE, 4 * PACKET, 8 * PACKET, 8 * 11)
+    first = np.cumsum([0, *(-(-size // _ALIGN) * _ALIGN for size in sizes)])
+    raw = np.zeros(first[-1] + _ALIGN, np.uint8)
+    raw = raw[-raw.ctypes.data % _ALIGN :]
+    parts = [raw[at : at + size] for at, size in zip(first[:-1].tolist(), sizes, strict=True)]
+    packet = RayPacket(*(part.view(dtype) for part, dtype in zip(parts, _DTYPES, strict=True)))
+    packet.context[1] = packet.desk.ctypes.data
+    packet.arguments[0], packet.arguments[1] = (
+        FLAG_COHERENT | FLAG_FILTER | int(NONE) << 32,
+        packet.context.ctypes.data,
+    )
+    packet.desk[:4] = [part.ctypes.data for part in packet[4:8]]
+    words = packet.rays.view(np.uint32)
+    words[_MASK : _MASK + PACKET], words[_ID : _ID + PACKET] = NONE, np.arange(PACKET)
+    return packet
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def set_filter(packet: RayPacket) -> None:
+    """Have the candidates of a packet decided by this kernel's `_decide`."""
+    packet.arguments[2] = _filter()
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
