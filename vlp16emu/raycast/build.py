@@ -94,12 +94,12 @@ class EmbreeMesh:
         for number in np.flatnonzero(stop > begin).tolist():
             vertices_m, triangles = self.faces[number]
             wider_m = widened(vertices_m, triangles[begin[number] : stop[number]])
-            corners = np.arange(len(wider_m) - 1, dtype=np.uint32)
+            corners = _counting(len(wider_m) - 1)
             self._wider += [wider_m, corners]
             geometry = lib.rtcNewGeometry(device, rtc.GEOMETRY_TRIANGLE)
             for kind, layout, data, rows in (
-                (rtc.BUFFER_VERTEX, rtc.FORMAT_FLOAT3, wider_m, len(corners)),
-                (rtc.BUFFER_INDEX, rtc.FORMAT_UINT3, corners, len(corners) // 3),
+                (rtc.BUFFER_VERTEX, rtc.FORMAT_FLOAT3, wider_m, len(wider_m) - 1),
+                (rtc.BUFFER_INDEX, rtc.FORMAT_UINT3, corners, len(wider_m) // 3),
             ):
                 lib.rtcSetSharedGeometryBuffer(geometry, kind, 0, layout, data.ctypes.data, 0, 12, rows)
             lib.rtcCommitGeometry(geometry)
@@ -107,6 +107,17 @@ class EmbreeMesh:
             lib.rtcReleaseGeometry(geometry)
         lib.rtcCommitScene(scene)
         return scene
+
+
+_COUNTED = [np.arange(3 << 16, dtype=np.uint32)]
+
+
+def _counting(n: int) -> NDArray[np.uint32]:
+    """Return 0, 1, 2 ... up to n or more, one array for all meshes: the corners of triangles that share none."""
+    counted = _COUNTED[0]
+    if len(counted) < n:
+        counted = _COUNTED[0] = np.arange(max(n, 2 * len(counted)), dtype=np.uint32)
+    return counted
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -118,20 +129,25 @@ def widened(vertices_m: NDArray[np.float32], triangles: NDArray[np.uint32]) -> N
     (3 t + 1, 3) corners of one triangle after the other; the last is unused, as Embree reads 16 bytes at a vertex of 12
     """
     out = np.zeros((3 * len(triangles) + 1, 3), np.float32)
+    edge_m, length_m = np.empty((3, 3)), np.empty(3)
     for t in range(len(triangles)):
+        for k in range(3):  # from corner k to the next
+            for axis in range(3):
+                from_m = np.float64(vertices_m[triangles[t, k], axis])
+                edge_m[k, axis] = np.float64(vertices_m[triangles[t, (k + 1) % 3], axis]) - from_m
+            x, y, z = edge_m[k]
+            length_m[k] = math.sqrt(x * x + y * y + z * z)
+        (ax, ay, az), (bx, by, bz) = edge_m[0], edge_m[1]
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        doubled_m2 = math.sqrt(nx * nx + ny * ny + nz * nz)
         for k in range(3):
-            at, before, after = triangles[t, k], triangles[t, k - 1], triangles[t, (k + 1) % 3]
-            x, y, z = vertices_m[at]
-            ax, ay, az = vertices_m[after, 0] - x, vertices_m[after, 1] - y, vertices_m[after, 2] - z
-            bx, by, bz = vertices_m[before, 0] - x, vertices_m[before, 1] - y, vertices_m[before, 2] - z
-            a, b = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz)
-            if not (a > 0.0 and b > 0.0):  # no area: nothing meets it
-                a = b = np.inf
-            ax, ay, az, bx, by, bz = ax / a, ay / a, az / a, bx / b, by / b, bz / b
-            nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-            by_m = _WIDER_M / max(math.sqrt(nx * nx + ny * ny + nz * nz), _SHARPEST)
-            row = out[3 * t + k]
-            row[0], row[1], row[2] = x - by_m * (ax + bx), y - by_m * (ay + by), z - by_m * (az + bz)
+            after_m, before_m = length_m[k], length_m[k - 1]
+            # Both edges move by one over the sine of the angle between them, which is this area over their lengths.
+            by_m = _WIDER_M / max(doubled_m2, _SHARPEST * after_m * before_m)
+            for axis in range(3):
+                outwards_m2 = edge_m[k - 1, axis] * after_m - edge_m[k, axis] * before_m
+                moved_m = by_m * outwards_m2 if outwards_m2 else 0.0  # no area: nothing meets it
+                out[3 * t + k, axis] = vertices_m[triangles[t, k], axis] + moved_m
     return out
 
 
