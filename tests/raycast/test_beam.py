@@ -5,7 +5,8 @@ import pytest
 from scipy.special import ive
 from scipy.stats import kstest, norm, spearmanr
 
-from vlp16emu.raycast.beam import displace, sub_rays
+from vlp16emu.raycast.beam import sub_rays
+from vlp16emu.raycast.displace import displace
 
 
 def unit_points(lab, pulses, rays, first=0, seed=7, model="fixed"):

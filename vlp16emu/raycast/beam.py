@@ -15,7 +15,6 @@ effectiveness of quasirandom sequences", 2018), shifted around the unit square b
 fair draw from the profile, so that means over them have no bias, whatever their number.
 """
 
-import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -23,10 +22,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import cos, log, power, sin
+from vlp16emu.elementary import cos, log, sin
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.raycast.adaptive import RayBudget, worth_of_ray_m
-from vlp16emu.trig import cos_sin
 from vlp16emu.types import Firings
 
 __all__ = [
@@ -36,7 +34,6 @@ __all__ = [
     "BeamModel",
     "Footprint",
     "beam_axis_of",
-    "displace",
     "lay",
     "pulse_axes",
     "reach_of",
@@ -55,7 +52,7 @@ _TOGETHER, _USUAL_RAYS, _MOST_RAYS = 8, 64, 512
 direction as a rule, and at most."""
 _BITS = 12
 _SHIFT = np.uint32(32 - _BITS)
-_TURN, _DISPLACEMENT = int(Purpose.FOOTPRINT), int(Purpose.BEAM_ERROR)
+_TURN = int(Purpose.FOOTPRINT)
 
 
 class BeamModel(StrEnum):
@@ -70,7 +67,7 @@ class BeamModel(StrEnum):
     ANGLE = "angle"
     """One ray, drawn from the profile."""
     OFFSET = "offset"
-    """One ray along the middle, its hit displaced inside the beam; see `displace`."""
+    """One ray along the middle, its hit displaced inside the beam; see `vlp16emu.raycast.displace`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -378,38 +375,3 @@ def _sub_rays(
                             laid[ROUND * a + lane],
                             laid[_Y + ROUND * a + lane],
                         )
-
-
-def displace(range_m: NDArray[np.float32], beam: Footprint, index: int) -> None:
-    """Displace hits (k, L) inside the beam, in place: the paper's error `offset`.
-
-    The paper displaces "inside the ellipsoid whose axes are the divergence at that distance" (Lu et al.). Our
-    reading: uniformly, within semi-axes of half the beam's horizontal and vertical width there, and along the
-    beam half of their geometric mean. What a sensor reports of the displaced point is its distance.
-
-    Parameters
-    ----------
-    index : number of the first firing sequence
-    """
-    _displace(range_m, 4.0 * beam.sigmas, beam.seed, index)
-
-
-@numba.njit(cache=True, nogil=True)
-def _displace(range_m: NDArray[np.float32], widths: NDArray[np.float64], seed: int, index: int) -> None:
-    """Displace in place; widths are spot and divergence, both horizontal and vertical."""
-    count, lasers = range_m.shape
-    for i in range(count):
-        for j in range(lasers):
-            reach_m = float(range_m[i, j])
-            if math.isfinite(reach_m):
-                across_m = (widths[0] + widths[2] * reach_m) / 2
-                up_m = (widths[1] + widths[3] * reach_m) / 2
-                a, b = uniform_pair(seed, _DISPLACEMENT, index + i, j)
-                c, _ = uniform_pair(seed, _DISPLACEMENT, index + i, lasers + j)
-                # Uniform in a ball: height uniform on the sphere (Archimedes), radius by the cube root.
-                z, radius = 2.0 * a - 1.0, power(max(c, 2.0**-53), 1.0 / 3.0)
-                level = radius * math.sqrt(1.0 - z * z)
-                cosine, sine = cos_sin(2.0 * math.pi * b)
-                x_m, y_m = across_m * level * cosine, up_m * level * sine
-                along_m = reach_m + math.sqrt(across_m * up_m) * radius * z
-                range_m[i, j] = math.sqrt(along_m * along_m + x_m * x_m + y_m * y_m)

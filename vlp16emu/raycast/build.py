@@ -70,7 +70,7 @@ class EmbreeMesh:
             self.buffers[:, mesh, 0] = vertices_m.ctypes.data
             self.buffers[:, mesh, 1] = triangles.ctypes.data + triangles.strides[0] * self._begin[:-1, mesh]
         self._scenes, self._building = dict[int, int](), threading.Lock()
-        self._wider = list[NDArray[np.generic]]()  # of which Embree has the addresses
+        self._wider = list[NDArray[np.generic]]()  # Embree has their addresses
 
     def scene(self, piece: int) -> int:
         """Address of the scene of a piece, which is built the first time.

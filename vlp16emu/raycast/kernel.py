@@ -6,15 +6,14 @@ on firing numbers and on what was met, never on threads. What makes no arrays co
 loops take arrays out of tuples first: a twentieth of the time.
 """
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.adaptive import RayBudget, enough
+from vlp16emu.raycast.batch import Batch, MetRays, PulseBatch
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
-from vlp16emu.raycast.lanes import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Lanes, Medium, lanes
+from vlp16emu.raycast.lanes import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Medium
 from vlp16emu.raycast.march import march
 from vlp16emu.raycast.packet import (
     DIR,
@@ -30,92 +29,17 @@ from vlp16emu.raycast.packet import (
 )
 from vlp16emu.trig import ZERO
 
-__all__ = ["Batch", "PulseBatch", "batch_of", "cast_lines", "cast_pulses"]
-
-
-class PulseBatch(NamedTuple):
-    """What is cast: the pulses of a batch, and how wide they are."""
-
-    origin_m: NDArray[np.float64]
-    """(k, L, 3), k a multiple of `PACKET`; `direction` and `beam_axis` alike, the latter empty for light without width."""
-    direction: NDArray[np.float64]
-    beam_axis: NDArray[np.float64]
-    time: NDArray[np.float32]
-    """(k, L) between the scene's first knot and its last, 0..1."""
-    near_m: NDArray[np.float64]
-    """(L,) where each laser's light begins."""
-    reach_m: float
-    """Range at which the medium takes over; `far_m` where there is none."""
-    far_m: float
-    """Where the light is given up."""
-    order: NDArray[np.int64]
-    """(k / 8,) first sequence of each packet, in the order of casting."""
-    sigmas: NDArray[np.float32]
-    """(4,) as in `Footprint`; `seed` alike."""
-    seed: int
-    first: int
-    """Number of the first firing sequence."""
+__all__ = ["cast_lines", "cast_pulses"]
 
 
 _USUAL = 10
 """Sub-rays of a pulse, for which there is room at first; memory of this size is used again and needs no clearing."""
 
 
-class _Hits(NamedTuple):
-    """Hits: three arrays of one length."""
-
-    range_m: NDArray[np.float32]
-    surface: NDArray[np.uint32]
-    cos_incidence: NDArray[np.float32]
-
-
-class Batch(NamedTuple):
-    """Room for the pulses of eight sequences, those of a laser one after the other."""
-
-    row: NDArray[np.float32]
-    """(n, 64) rays of a pulse as in `Lanes.row`; of a light without width only the first."""
-    surface: NDArray[np.uint32]
-    """(n, 8)."""
-    axes: NDArray[np.float32]
-    """(n, 4, 3) of the pulses; the first two make up the middle."""
-    axes_row: NDArray[np.float32]
-    """(n, 12) the same numbers."""
-    missed: NDArray[np.bool_]
-    """(n,) which pulses go on into the medium: of some of their rays nothing near is met."""
-    todo: NDArray[np.int64]
-    """(n,) numbers of the pulses that are cast."""
-    have: NDArray[np.int64]
-    """(n,) how many sub-rays each has."""
-    hits: _Hits
-    """(n m,) of these, those of a pulse one after the other; m is a multiple of eight."""
-    lanes: Lanes
-    scratch: NDArray[np.float64]
-    """(2, m) to sort in."""
-
-
 @numba.njit(cache=True, nogil=True)
-def _hits(n: int) -> _Hits:
+def _hits(n: int) -> MetRays:
     """Make room for hits."""
-    return _Hits(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32))
-
-
-def batch_of(pulses: int, most: int) -> Batch:
-    """Make room for so many pulses of up to `most` sub-rays each."""
-    most = -(-most // ROUND) * ROUND
-    n = pulses * most
-    axes_row = np.zeros((pulses, 12), np.float32)
-    return Batch(
-        np.zeros((pulses, COSINE + LANES), np.float32),
-        np.zeros((pulses, LANES), np.uint32),
-        axes_row.reshape(pulses, 4, 3),
-        axes_row,
-        np.zeros(pulses, np.bool_),
-        np.arange(pulses),
-        np.zeros(pulses, np.int64),
-        _Hits(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
-        lanes(),
-        np.empty((2, most)),
-    )
+    return MetRays(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -372,7 +296,7 @@ def _settle(near: Target, budget: RayBudget, batch: Batch, todo: int, have: int,
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _take(batch: Batch, first: int, count: NDArray[np.uint16], room: _Hits, n: int) -> int:
+def _take(batch: Batch, first: int, count: NDArray[np.uint16], room: MetRays, n: int) -> int:
     """Count the hits of eight sequences and append them to n others, in order of pulses; return how many there are then."""
     most = batch.scratch.shape[1]
     for i in range(PACKET):
@@ -386,7 +310,7 @@ def _take(batch: Batch, first: int, count: NDArray[np.uint16], room: _Hits, n: i
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _put_in_order(room: _Hits, begin: NDArray[np.int64], count: NDArray[np.uint16], hits: _Hits) -> None:
+def _put_in_order(room: MetRays, begin: NDArray[np.int64], count: NDArray[np.uint16], hits: MetRays) -> None:
     """Put hits into the order of pulses; those of each eight sequences begin at a place of their own."""
     n = ZERO
     for group in range(begin.size):
@@ -399,7 +323,7 @@ def _put_in_order(room: _Hits, begin: NDArray[np.int64], count: NDArray[np.uint1
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
-def _copy(source: _Hits, begin: int, target: _Hits, at: int, count: int) -> None:
+def _copy(source: MetRays, begin: int, target: MetRays, at: int, count: int) -> None:
     """Copy hits."""
     for s in range(count):
         target.range_m[at + s] = source.range_m[begin + s]

@@ -57,14 +57,12 @@ def _leaves() -> tuple[NDArray[np.uint64], NDArray[np.uint8], NDArray[np.uint8]]
                 four.append((2 * x + i, 2 * y + j, 2 * int(square[x, y]) + ((i + j + odd) & 1)))
             cells += [four[:2], four[2:]]
         # Leaves come in pairs: so far returns are as frequent as those of explicit leaves (`vlp16emu accuracy`).
-        leaves = [cell for pair in rng.permutation(32) for cell in cells[pair]]
-        for leaf, cell in enumerate(leaves):
-            place[variant, leaf] = [32 * c + rng.integers(32) for c in cell]
-            for axis in range(3):
-                a, b = (cell[other] for other in range(3) if other != axis)
-                column = 8 * a + b
-                leaf_of[axis, variant, column] = leaf
-                mask[axis, variant, leaf + 1] = mask[axis, variant, leaf] | np.uint64(1 << column)
+        leaves = np.array(cells)[rng.permutation(32)].reshape(64, 3)
+        place[variant] = 32 * leaves + rng.integers(32, size=(64, 3))
+        for axis, (a, b) in enumerate(((1, 2), (0, 2), (0, 1))):
+            column = 8 * leaves[:, a] + leaves[:, b]
+            leaf_of[axis, variant, column] = np.arange(64)
+            mask[axis, variant, 1:] = np.bitwise_or.accumulate(np.uint64(1) << column.astype(np.uint64))
     return mask, leaf_of, place
 
 

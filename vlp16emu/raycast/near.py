@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast import embree as rtc
-from vlp16emu.raycast.beam import FARTHEST, LINE, BeamModel, Footprint, beam_axis_of, displace
+from vlp16emu.raycast.batch import PulseBatch, batch_of
+from vlp16emu.raycast.beam import FARTHEST, LINE, BeamModel, Footprint, beam_axis_of
 from vlp16emu.raycast.build import EmbreeMesh, Placed
+from vlp16emu.raycast.displace import displace
 from vlp16emu.raycast.faces import inverses, relative_to_window
 from vlp16emu.raycast.far import NO_MEDIUM, Far, recalled_shape
-from vlp16emu.raycast.kernel import PulseBatch, batch_of, cast_lines, cast_pulses
+from vlp16emu.raycast.kernel import cast_lines, cast_pulses
 from vlp16emu.raycast.lanes import Medium
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.raycast.pieces import LEVEL, STRAY_M, within_reach

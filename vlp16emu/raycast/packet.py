@@ -109,6 +109,7 @@ class RayPacket(NamedTuple):
     """(11,) addresses for `_decide`."""
 
 
+_Corners = tuple[float, float, float, float, float, float, float, float, float]
 _DTYPES = ["f4", "i4", "u8", "u8", "f4", "f8", "u4", "u8", "u8"]
 
 
@@ -134,9 +135,7 @@ _as_uint32, _as_uint64 = _pointer(types.uint32), _pointer(types.uint64)
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _corners(
-    desk: Any, instance: int, face: int
-) -> tuple[float, float, float, float, float, float, float, float, float]:
+def _corners(desk: Any, instance: int, face: int) -> _Corners:
     """Return the corners of a face of an instance, in coordinates of its shape."""
     row = 2 * (_as_int64(desk[5])[instance] + np.int64(face >> np.uint64(32)))
     buffers, triangle = _as_uint64(desk[6]), 3 * np.int64(face & np.uint64(NONE))
@@ -184,13 +183,52 @@ def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[float, float,
     )
 
 
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _normal(corners: _Corners) -> tuple[float, float, float]:
+    """Return the normal of a triangle, twice its area long."""
+    ax, ay, az, bx, by, bz, cx, cy, cz = corners
+    return (
+        (by - ay) * (cz - az) - (bz - az) * (cy - ay),
+        (bz - az) * (cx - ax) - (bx - ax) * (cz - az),
+        (bx - ax) * (cy - ay) - (by - ay) * (cx - ax),
+    )
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _cut(
+    corners: _Corners,
+    normal: tuple[float, float, float],
+    ray: tuple[float, float, float, float, float, float],
+) -> tuple[float, float, bool]:
+    """Cut a ray with a triangle: range, product of normal and direction, and whether it passes inside.
+
+    The three determinants of the direction and two corners have one sign where it does, and for two triangles that share an
+    edge its determinants are the same but for the sign: no ray passes between them.
+    """
+    x, y, z, dx, dy, dz = ray
+    ax, ay, az, bx, by, bz, cx, cy, cz = corners
+    ax, ay, az, bx, by, bz, cx, cy, cz = (
+        ax - x,
+        ay - y,
+        az - z,
+        bx - x,
+        by - y,
+        bz - z,
+        cx - x,
+        cy - y,
+        cz - z,
+    )
+    of_a = (by * cz - bz * cy) * dx + (bz * cx - bx * cz) * dy + (bx * cy - by * cx) * dz
+    of_b = (cy * az - cz * ay) * dx + (cz * ax - cx * az) * dy + (cx * ay - cy * ax) * dz
+    of_c = (ay * bz - az * by) * dx + (az * bx - ax * bz) * dy + (ax * by - ay * bx) * dz
+    facing = normal[0] * dx + normal[1] * dy + normal[2] * dz
+    range_m = (ax * normal[0] + ay * normal[1] + az * normal[2]) / facing
+    return range_m, facing, (min(of_a, of_b, of_c) >= 0.0) | (max(of_a, of_b, of_c) <= 0.0)
+
+
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy")
 def _decide(arguments: int) -> None:
-    """Take or reject a candidate for some rays: Embree's filter, with the address of RTCFilterFunctionNArguments.
-
-    The three determinants of the direction and two corners have one sign where the ray passes inside, and for two triangles
-    that share an edge its determinants are the same but for the sign: no ray passes between them.
-    """
+    """Take or reject a candidate for some rays: Embree's filter, with the address of RTCFilterFunctionNArguments."""
     words = _as_uint64(arguments)
     valid, desk, n = (
         _as_int32(words[0]),
@@ -205,7 +243,7 @@ def _decide(arguments: int) -> None:
         _as_uint64(desk[3]),
     )
     last, last_face, corners = NONE, np.uint64(0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    nx = ny = nz = 0.0
+    normal = (0.0, 0.0, 0.0)
     for i in range(n):
         if not valid[i]:
             continue
@@ -213,36 +251,16 @@ def _decide(arguments: int) -> None:
         face = np.uint64(hit[_HIT_MESH * n + i]) << np.uint64(32) | np.uint64(hit[_HIT_PRIMITIVE * n + i])
         if instance != last or face != last_face:  # as a rule the same for all rays
             last, last_face, corners = instance, face, _corners(desk, np.int64(instance), face)
-            ax, ay, az, bx, by, bz, cx, cy, cz = corners
-            nx = (by - ay) * (cz - az) - (bz - az) * (cy - ay)
-            ny = (bz - az) * (cx - ax) - (bx - ax) * (cz - az)
-            nz = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        x, y, z, dx, dy, dz = _in_shape(desk, own, r, np.int64(instance))
-        ax, ay, az, bx, by, bz, cx, cy, cz = corners
-        ax, ay, az, bx, by, bz, cx, cy, cz = (
-            ax - x,
-            ay - y,
-            az - z,
-            bx - x,
-            by - y,
-            bz - z,
-            cx - x,
-            cy - y,
-            cz - z,
-        )
-        of_a = (by * cz - bz * cy) * dx + (bz * cx - bx * cz) * dy + (bx * cy - by * cx) * dz
-        of_b = (cy * az - cz * ay) * dx + (cz * ax - cx * az) * dy + (cx * ay - cy * ax) * dz
-        of_c = (ay * bz - az * by) * dx + (az * bx - ax * bz) * dy + (ax * by - ay * bx) * dz
-        facing = nx * dx + ny * dy + nz * dz
-        range_m, limit_m = (ax * nx + ay * ny + az * nz) / facing, state[_LIMIT + r]
-        is_inside = (min(of_a, of_b, of_c) >= 0.0) | (max(of_a, of_b, of_c) <= 0.0)
+            normal = _normal(corners)
+        range_m, facing, is_inside = _cut(corners, normal, _in_shape(desk, own, r, np.int64(instance)))
+        limit_m = state[_LIMIT + r]
         is_first = instance < instances[r] or (instance == instances[r] and face < faces[r])
         is_nearer = range_m < limit_m or (range_m == limit_m and is_first)
         if is_inside and is_nearer and own[_TNEAR + r] <= range_m:
             instances[r], faces[r] = instance, face
             state[_LIMIT + r], state[_FACING + r] = range_m, facing
-            for axis, normal in enumerate((nx, ny, nz)):
-                state[_NORMAL + PACKET * axis + r] = normal
+            for axis in range(3):
+                state[_NORMAL + PACKET * axis + r] = normal[axis]
             far_m[_TFAR // PACKET * n + i] = np.float32(range_m + _SLACK_M)
         else:
             valid[i] = 0

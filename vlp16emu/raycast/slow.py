@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import RunError
 from vlp16emu.raycast.adaptive import enough
-from vlp16emu.raycast.beam import LINE, ROUND, BeamModel, Footprint, displace, sub_rays
+from vlp16emu.raycast.beam import LINE, ROUND, BeamModel, Footprint, sub_rays
+from vlp16emu.raycast.displace import displace
 from vlp16emu.raycast.faces import flatten, frozen
 from vlp16emu.types import NO_SURFACE, Firings, Hits, Mesh, ShapeKey, Window
 

@@ -1,0 +1,86 @@
+"""The pulses of a batch, and room for what they meet."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.raycast.beam import ROUND
+from vlp16emu.raycast.lanes import COSINE, LANES, Lanes, lanes
+
+__all__ = ["Batch", "MetRays", "PulseBatch", "batch_of"]
+
+
+class PulseBatch(NamedTuple):
+    """What is cast: the pulses of a batch, and how wide they are."""
+
+    origin_m: NDArray[np.float64]
+    """(k, L, 3), k a multiple of `PACKET`; `direction` and `beam_axis` alike, the latter empty for light without width."""
+    direction: NDArray[np.float64]
+    beam_axis: NDArray[np.float64]
+    time: NDArray[np.float32]
+    """(k, L) between the scene's first knot and its last, 0..1."""
+    near_m: NDArray[np.float64]
+    """(L,) where each laser's light begins."""
+    reach_m: float
+    """Range at which the medium takes over; `far_m` where there is none."""
+    far_m: float
+    """Where the light is given up."""
+    order: NDArray[np.int64]
+    """(k / 8,) first sequence of each packet, in the order of casting."""
+    sigmas: NDArray[np.float32]
+    """(4,) as in `Footprint`; `seed` alike."""
+    seed: int
+    first: int
+    """Number of the first firing sequence."""
+
+
+class MetRays(NamedTuple):
+    """What rays meet: three arrays of one length."""
+
+    range_m: NDArray[np.float32]
+    surface: NDArray[np.uint32]
+    cos_incidence: NDArray[np.float32]
+
+
+class Batch(NamedTuple):
+    """Room for the pulses of eight sequences, those of a laser one after the other."""
+
+    row: NDArray[np.float32]
+    """(n, 64) rays of a pulse as in `Lanes.row`; of a light without width only the first."""
+    surface: NDArray[np.uint32]
+    """(n, 8)."""
+    axes: NDArray[np.float32]
+    """(n, 4, 3) of the pulses; the first two make up the middle."""
+    axes_row: NDArray[np.float32]
+    """(n, 12) the same numbers."""
+    missed: NDArray[np.bool_]
+    """(n,) which pulses go on into the medium: of some of their rays nothing near is met."""
+    todo: NDArray[np.int64]
+    """(n,) numbers of the pulses that are cast."""
+    have: NDArray[np.int64]
+    """(n,) how many sub-rays each has."""
+    hits: MetRays
+    """(n m,) of these, those of a pulse one after the other; m is a multiple of eight."""
+    lanes: Lanes
+    scratch: NDArray[np.float64]
+    """(2, m) to sort in."""
+
+
+def batch_of(pulses: int, most: int) -> Batch:
+    """Make room for so many pulses of up to `most` sub-rays each."""
+    most = -(-most // ROUND) * ROUND
+    n = pulses * most
+    axes_row = np.zeros((pulses, 12), np.float32)
+    return Batch(
+        np.zeros((pulses, COSINE + LANES), np.float32),
+        np.zeros((pulses, LANES), np.uint32),
+        axes_row.reshape(pulses, 4, 3),
+        axes_row,
+        np.zeros(pulses, np.bool_),
+        np.arange(pulses),
+        np.zeros(pulses, np.int64),
+        MetRays(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
+        lanes(),
+        np.empty((2, most)),
+    )
