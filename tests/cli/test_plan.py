@@ -15,6 +15,8 @@ from vlp16emu.report.plan.run import Measured, StreamOutlook
 from vlp16emu.report.plan.trial import peak_bytes
 from vlp16emu.scenario import load
 
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
 SMALL = ("--set", "sensor.max_range_m=20", "--set", "world.stems_per_ha=150", "--threads", "1")
 
 
