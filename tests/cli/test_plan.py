@@ -17,7 +17,8 @@ from vlp16emu.scenario import load
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-SMALL = ("--set", "sensor.max_range_m=20", "--set", "world.stems_per_ha=150", "--threads", "1")
+THIN = "sensor.max_range_m=20", "world.stems_per_ha=150", "seed=5"
+SMALL = (*(word for setting in THIN for word in ("--set", setting)), "--threads", "1")
 
 
 def on(scene, *settings):
@@ -89,7 +90,7 @@ def test_a_walk_moves_and_swings():
 
 def test_what_is_in_reach_is_counted(birch):
     """Trees of the first window are as many as the world itself names."""
-    scenario = load("birch_walk", ["sensor.max_range_m=20", "world.stems_per_ha=150"])
+    scenario = load("birch_walk", THIN)
     parts = assemble(scenario)
     from vlp16emu.chain.windows import Batching
 

@@ -18,6 +18,9 @@ from vlp16emu import Emulator
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
+THIN = "sensor.max_range_m=15", "world.stems_per_ha=150", "seed=5"
+"""A wood that other tests have grown too."""
+
 KEYS = [
     "file",
     "scene",
@@ -59,7 +62,7 @@ def test_the_report_tells_the_truth_about_the_file(cli, tmp_path):
 
 def test_a_walk_that_is_cut_off_says_how_much_of_it_there_is(cli, tmp_path):
     """The report has the share of the walk's time that was recorded, and its line names it."""
-    settings = "beam.model=none", "sensor.max_range_m=15", "world.stems_per_ha=50"
+    settings = "beam.model=none", *THIN
     run_s = Emulator("birch_walk", settings).parts.motion.run_time_s
     options = [word for setting in settings for word in ("--set", setting)]
     out = cli("record", "birch_walk", tmp_path / "x.pcap", "--duration", "1", *options).out
@@ -98,8 +101,8 @@ def test_people_get_a_summary(cli, tmp_path):
 
 def test_the_report_names_the_active_beam_and_noise(cli, tmp_path):
     """Beam and noise stand in the summary as they are after presets, `--set` and `--ideal`."""
-    run = "record", "birch_walk", tmp_path / "x.pcap", "--duration", "0.01", "--set", "world.stems_per_ha=50"
-    run = *run, "--set", "sensor.max_range_m=15"
+    options = [word for setting in THIN for word in ("--set", setting)]
+    run = "record", "birch_walk", tmp_path / "x.pcap", "--duration", "0.01", *options
     real = cli(*run, "--set", "noise.preset=datasheet").out
     assert "\n  beam              adaptive: at most 64 sub-rays, error of " in real
     assert "\n  noise             datasheet: 11 mm white, 10 mm bias per laser, " in real
