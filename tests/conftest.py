@@ -1,6 +1,5 @@
 """Tests grow their worlds themselves, unless they are about what is kept; and what order they come in."""
 
-import gc
 import os
 import tempfile
 from pathlib import Path
@@ -62,8 +61,3 @@ def pytest_collection_modifyitems(items):
     casting = [item for item in items if item not in set(light)]
     first = [item for item in casting if item.path == casting[0].path] if casting else []
     items[:] = first + light + casting[len(first) :]
-
-
-def pytest_collection_finish():
-    """Keep the collector from visiting all modules and tests again and again."""
-    gc.freeze()
