@@ -12,8 +12,6 @@ from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart
 from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M
 
-pytestmark = pytest.mark.usefixtures("kept_woods")
-
 BLOCK_S = 1920 * 55_296e-9
 STRETCH_S = 64 * BLOCK_S
 THIN = ["world.stems_per_ha=150", "sensor.max_range_m=15.0", "seed=5"]
@@ -37,6 +35,7 @@ def test_threads_and_cuts_do_not_change_a_byte_of_a_windy_run():
     assert digest(p for a, b in itertools.pairwise(cuts) for p in emulator.packets(a, b)) == whole
 
 
+@pytest.mark.usefixtures("kept_woods")
 def test_still_air_changes_nothing():
     """At a speed of 0 the packets are those of the scene without wind; at 9 m/s they are not."""
     none, calm, windy = (load("birch_walk", s) for s in (THIN, [*THIN, "wind.speed_m_s=0.0"], BLOWS))
