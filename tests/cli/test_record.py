@@ -18,6 +18,9 @@ from vlp16emu import Emulator
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
+THIN = "sensor.max_range_m=15", "world.stems_per_ha=150", "seed=5"
+"""A wood that other tests have grown too."""
+
 KEYS = [
     "file",
     "scene",
@@ -59,7 +62,7 @@ def test_the_report_tells_the_truth_about_the_file(cli, tmp_path):
 
 def test_a_walk_that_is_cut_off_says_how_much_of_it_there_is(cli, tmp_path):
     """The report has the share of the walk's time that was recorded, and its line names it."""
-    settings = "beam.model=none", "sensor.max_range_m=15", "world.stems_per_ha=50"
+    settings = "beam.model=none", *THIN
     run_s = Emulator("birch_walk", settings).parts.motion.run_time_s
     options = [word for setting in settings for word in ("--set", setting)]
     out = cli("record", "birch_walk", tmp_path / "x.pcap", "--duration", "1", *options).out
@@ -98,8 +101,8 @@ def test_people_get_a_summary(cli, tmp_path):
 
 def test_the_report_names_the_active_beam_and_noise(cli, tmp_path):
     """Beam and noise stand in the summary as they are after presets, `--set` and `--ideal`."""
-    run = "record", "birch_walk", tmp_path / "x.pcap", "--duration", "0.01", "--set", "world.stems_per_ha=50"
-    run = *run, "--set", "sensor.max_range_m=15"
+    options = [word for setting in THIN for word in ("--set", setting)]
+    run = "record", "birch_walk", tmp_path / "x.pcap", "--duration", "0.01", *options
     real = cli(*run, "--set", "noise.preset=datasheet").out
     assert "\n  beam              adaptive: at most 64 sub-rays, error of " in real
     assert "\n  noise             datasheet: 11 mm white, 10 mm bias per laser, " in real
@@ -170,14 +173,8 @@ def wait_for(path, size):
     raise AssertionError(f"{path} never had {size} bytes")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_ctrl_c_leaves_a_valid_file(cli, program, tmp_path, number):
-    """Ctrl-C, SIGTERM or a hangup in the middle exits with 130, without a traceback, and the file holds what the report says."""
-    path = tmp_path / "x.pcap"
-    process = program("record", "static_bench", path, "--duration", "3600", "--json")
-    wait_for(tmp_path / "x.pcap.part", 500_000)
-    assert not path.exists()
-    process.send_signal(number)
+def assert_ended_well(process, path, cli):
+    """An interrupted run exits with 130, without a traceback, and the file holds what the report says."""
     out, err = process.communicate(timeout=100)
     assert (process.returncode, err) == (130, "")
     report = json.loads(out)
@@ -187,20 +184,32 @@ def test_ctrl_c_leaves_a_valid_file(cli, program, tmp_path, number):
     assert cli("verify", path, "--json").tree["packets"] == report["packets"]
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_leaves_a_valid_file(cli, program, tmp_path, number):
+    """SIGTERM or a hangup in the middle ends the run as Ctrl-C does."""
+    path = tmp_path / "x.pcap"
+    process = program("record", "static_bench", path, "--duration", "3600", "--json")
+    wait_for(tmp_path / "x.pcap.part", 500_000)
+    assert not path.exists()
+    process.send_signal(number)
+    assert_ended_well(process, path, cli)
+
+
 def test_two_recordings_into_one_file_are_refused(cli, program, tmp_path):
-    """The second names the process of the first and exits with 2, before it touches its own folder of truth."""
-    path, truth = tmp_path / "x.pcap", tmp_path / "t"
+    """The second names the process of the first and exits with 2, before it touches its own folder of truth; the first goes on till Ctrl-C."""
+    path, part, truth = tmp_path / "x.pcap", tmp_path / "x.pcap.part", tmp_path / "t"
     assert cli("truth", "static_bench", truth, "--duration", "0.1").code == 0
     before = {file.name: file.read_bytes() for file in truth.iterdir()}
     process = program("record", "static_bench", path, "--duration", "3600", "--json")
-    wait_for(tmp_path / "x.pcap.part", 100_000)
+    wait_for(part, 100_000)
     outcome = cli("record", "static_bench", path, "--duration", "0.1", "--truth", truth)
     found = f"error: {path}: is being written by process {process.pid}; expected another place, or an end of that run\n"
     assert (outcome.code, outcome.err) == (2, found)
     assert {file.name: file.read_bytes() for file in truth.iterdir()} == before
+    wait_for(part, 500_000)
+    assert not path.exists()
     process.send_signal(signal.SIGINT)
-    out, _ = process.communicate(timeout=100)
-    assert json.loads(out)["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert_ended_well(process, path, cli)
 
 
 def test_a_killed_recording_is_kept_beside_its_name(cli, program, tmp_path):

@@ -197,9 +197,8 @@ def test_workers_that_are_killed_lose_nothing(tmp_path):
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
         killed = set()
         while run.poll() is None and len(killed) < 2:
-            started = list(out.glob("*/*.part"))
-            workers = workers_of(run.pid) - killed
-            if len(started) > 0 and workers:
+            is_making = any(out.glob("*/*.part"))
+            if is_making and (workers := workers_of(run.pid) - killed):
                 os.kill(worker := workers.pop(), signal.SIGKILL)
                 killed.add(worker)
             time.sleep(0.01)

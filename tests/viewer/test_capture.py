@@ -26,7 +26,7 @@ FLAG = 42 + 100
 def run(tmp_path_factory):
     """Folder with a capture of half a second of a walk, and its truth; and the emulator."""
     folder = tmp_path_factory.mktemp("capture")
-    settings = {"world.stems_per_ha": 200, "sensor.max_range_m": 20.0, "beam.model": "none"}
+    settings = {"world.stems_per_ha": 150, "seed": 5, "sensor.max_range_m": 20.0, "beam.model": "none"}
     emulator = Emulator("birch_walk", settings)
     truth = TruthTo(folder / "truth", per_return=True)
     emulator.record(folder / "walk.pcap", start_s=4.0, duration_s=0.5, truth=truth)

@@ -28,6 +28,7 @@ from vlp16emu.world.make import ground_of
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.settings import Hall
 from vlp16emu.world.stand.stand import foot_discs, path_gap_m
+from vlp16emu.world.vectors import places_m
 
 __all__ = ["Course", "Draft", "Outlook", "summary_of"]
 
@@ -277,7 +278,7 @@ class Draft:
         corridor = Corridor(path_xy_m, scenario.world.path_clearance_m)
         gap_m = path_gap_m(trees, foot_discs(trees, table=self._seen.plants.trees)[:, 2], corridor)
         near = trees[gap_m < corridor.clearance_m]
-        return np.column_stack([near["x_m"], near["y_m"], near["z_m"]])
+        return places_m(near)
 
     def save(self, to: FilePath) -> None:
         """Write the scene file with the present course; comments and all else stay as the user wrote them.

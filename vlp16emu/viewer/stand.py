@@ -68,8 +68,9 @@ def pieces_of(seen: Survey) -> Iterator[Piece]:
     near, size_m = _drawn(seen, path)
     per_m = _FACES / max(float(size_m.sum()), 1.0)
     single = defaultdict[Rgb, list[Mesh]](list)
-    order = np.argsort(window.shape[near], kind="stable")
-    for which, group in groupby(order.tolist(), key=lambda index: int(window.shape[near[index]])):
+    shapes: list[int] = window.shape[near].tolist()
+    order: list[int] = np.argsort(shapes, kind="stable").tolist()
+    for which, group in groupby(order, key=shapes.__getitem__):
         index = np.array(list(group))
         alike, key = near[index], window.shapes[which]
         most = int(np.clip(per_m * size_m[index].mean(), _FEWEST, _MOST))

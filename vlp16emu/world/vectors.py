@@ -1,13 +1,18 @@
-"""Directions of vectors and determinants, by sums, products, quotients and square roots."""
+"""Places, directions of vectors and determinants, by sums, products, quotients and square roots."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import norm
 
-__all__ = ["determinant", "unit"]
+__all__ = ["determinant", "places_m", "unit"]
 
 Array = NDArray[np.float64]
+
+
+def places_m(rows: NDArray[np.void], axes: str = "xyz") -> Array:
+    """Return the places (n, 3), or along some axes, of rows that have them as x_m, y_m and z_m."""
+    return np.column_stack([rows[f"{axis}_m"] for axis in axes])
 
 
 def unit(vectors: Array) -> Array:

@@ -25,6 +25,7 @@ from vlp16emu.world.plants.stem_rings import STEM_CIRCLE
 from vlp16emu.world.stand.inventory import write_csv
 from vlp16emu.world.stand.nearby import AllNear, cut_out
 from vlp16emu.world.twin import write_glb
+from vlp16emu.world.vectors import places_m
 
 __all__ = ["write_ground", "write_inventory", "write_picture", "write_stems", "write_twin"]
 
@@ -169,7 +170,7 @@ def _around(seen: Survey) -> tuple[Array, Array]:
 
 def _forest_section(seen: Survey) -> StandSection:
     """Lay a section along the path, as deep as it needs to be to hold some trees."""
-    foot_m = np.column_stack([seen.trees["x_m"], seen.trees["y_m"]])
+    foot_m = places_m(seen.trees, "xy")
     low_m, high_m = _around(seen)
     for depth_m in _DEPTHS_M:
         section = strip_along(seen.path_m, _SECTION_M, depth_m).within(low_m, high_m)
@@ -202,12 +203,9 @@ def _drawn(seen: Survey, section: StandSection) -> NDArray[np.uint8]:
     window, shape, overhang_m = seen.window, seen.grow, 0.0
     if seen.hall is None:
         trees, overhang_m = seen.trees, _OVERHANG_M
-        places_m = [
-            np.column_stack([trees["x_m"], trees["y_m"]]),
-            *(one.place_m[None, :2] for one in seen.things),
-        ]
+        feet_m = [places_m(trees, "xy"), *(one.place_m[None, :2] for one in seen.things)]
         ids = np.array([*trees["id"].tolist(), *(one.instance for one in seen.things)], np.uint32)
-        wanted = ids[section.holds(np.concatenate(places_m), _LEAD_M)]
+        wanted = ids[section.holds(np.concatenate(feet_m), _LEAD_M)]
         window, shape = cut_out(
             window, shape, instances=wanted, inside=lambda xy_m: section.holds(xy_m, _LEAD_M)
         )

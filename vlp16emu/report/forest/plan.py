@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from vlp16emu.report.forest.palette import colour_of_kind, colour_of_species
 from vlp16emu.report.forest.section import MARK_LEAD, StandSection
 from vlp16emu.types import HeightField
+from vlp16emu.world.vectors import places_m
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -188,7 +189,7 @@ def _draw_trees(axes: "Axes", plan: PlanView) -> None:
     trees = plan.trees[np.argsort(plan.trees["crown_width_m"], kind="stable")]
     if not len(trees):
         return
-    where = np.column_stack([trees["x_m"], trees["y_m"]])
+    where = places_m(trees, "xy")
     colours = [colour_of_species(plan.species[number]) for number in trees["species"].tolist()]
     least_m = _LEAST_STEM_PX * float(np.ptp(axes.get_xlim())) / axes.get_window_extent().width
     stems_m = np.maximum(trees["dbh_m"], least_m)

@@ -11,6 +11,7 @@ from vlp16emu.sinks.slots import SlotReader
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.plants.stem_form import StemForms, stem_forms
 from vlp16emu.world.plants.stem_rings import Table, Trees, axis_m
+from vlp16emu.world.vectors import places_m
 
 __all__ = ["STEM_SEEN", "stems_seen", "tables_of_returns"]
 
@@ -117,7 +118,7 @@ def _about_axes(
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """Height over the foot, distance from the axis and sector (k,) of places (k, 3) on trees `which` (k,)."""
     own = trees[which]
-    from_foot_m = at_m - np.column_stack([own["x_m"], own["y_m"], own["z_m"]])
+    from_foot_m = at_m - places_m(own)
     up_m = from_foot_m[:, 2]
     aside_m = from_foot_m[:, :2] - axis_m(own, forms.of(which), up_m[:, None])[:, 0, :2]
     turn = np.arctan2(aside_m[:, 1], aside_m[:, 0]) / (2 * np.pi) % 1.0

@@ -17,6 +17,7 @@ from vlp16emu.report.forest.figures import (
 )
 from vlp16emu.report.forest.survey import Survey
 from vlp16emu.scenario import Scenario
+from vlp16emu.world.vectors import places_m
 
 __all__ = ["ForestSummary", "NamedThing", "PathSummary", "Things", "WorldSummary", "summary_of"]
 
@@ -121,7 +122,7 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey) -> WorldSummary:
         return bare
     cells = cells_near(path_xy_m, seen.radius_m)
     ground_m2 = len(cells) * CELL_M**2
-    xy_m, all_xy_m = (np.column_stack([trees["x_m"], trees["y_m"]]) for trees in (seen.near, seen.trees))
+    xy_m, all_xy_m = (places_m(trees, "xy") for trees in (seen.near, seen.trees))
     return ForestSummary(
         **{name: getattr(bare, name) for name in WorldSummary.__slots__},
         area_ha=ground_m2 / 10_000,

@@ -26,6 +26,7 @@ from vlp16emu.world.stand.forest import ForestWorld
 from vlp16emu.world.stand.inventory import INVENTORY, inventory
 from vlp16emu.world.stand.nearby import Thing, things_near
 from vlp16emu.world.stand.stand import REGENERATION, TREE
+from vlp16emu.world.vectors import places_m
 
 __all__ = ["Survey", "survey", "way_m"]
 
@@ -141,7 +142,7 @@ def survey(
     window = world.window(path_m)
     trees = bare.trees(path_m) if isinstance(bare, ForestWorld) else np.zeros(0, TREE)
     trees = trees[trees["storey"] != REGENERATION]
-    gap_m = path.distance_m(np.column_stack([trees["x_m"], trees["y_m"]]))
+    gap_m = path.distance_m(places_m(trees, "xy"))
     far_m = np.inf if isinstance(bare, HallWorld) else radius_m
     names = (one.names for one in (world, bare) if isinstance(one, HallWorld | Furnished))
     return Survey(

@@ -20,6 +20,7 @@ from vlp16emu.world.polyline import Corridor, Polyline
 from vlp16emu.world.settings import Plot
 from vlp16emu.world.stand.stand import TREE, foot_discs, in_the_way_m, path_gap_m
 from vlp16emu.world.stand.tiles import TILE_M
+from vlp16emu.world.vectors import places_m
 
 __all__ = ["GivenStand", "stems_in_the_way"]
 
@@ -69,7 +70,7 @@ class GivenStand:
             trees["form"] = generator(seed, Purpose.STEM_FORM).integers(1, 2**63, len(trees))
         trees = _clear_of_path(section, trees, plants.trees, path)
         trees["z_m"] = height_m(trees["x_m"], trees["y_m"])
-        tile = np.floor(np.column_stack([trees["x_m"], trees["y_m"]]) / TILE_M).astype(np.int64)
+        tile = np.floor(places_m(trees, "xy") / TILE_M).astype(np.int64)
         tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
         names = [(int(ix), int(iy)) for ix, iy in tiles]
         self._tiles = {name: trees[of.ravel() == i] for i, name in enumerate(names)}
@@ -96,7 +97,7 @@ class GivenStand:
         GeometryError
             naming the tree that is nearest, where no crown is in sight
         """
-        gap_m = path.distance_m(np.column_stack([self._all["x_m"], self._all["y_m"]]))
+        gap_m = path.distance_m(places_m(self._all, "xy"))
         if (gap_m - self._all["crown_width_m"] / 2 > reach_m).all():
             i = int(gap_m.argmin())
             x_m, y_m = self._all["x_m"][i], self._all["y_m"][i]

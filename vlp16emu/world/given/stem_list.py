@@ -14,6 +14,7 @@ from vlp16emu.world.plants.flora import known
 from vlp16emu.world.plants.species import Species
 from vlp16emu.world.stand.settings import LEAST_SLENDERNESS
 from vlp16emu.world.stand.stand import TREE
+from vlp16emu.world.vectors import places_m
 
 __all__ = ["read_stem_list"]
 
@@ -238,7 +239,7 @@ def _check_twice(path: Path, lines: NDArray[np.int64], trees: Trees) -> None:
     """Refuse two trees at one place."""
     from scipy.spatial import cKDTree
 
-    places = np.column_stack([trees["x_m"], trees["y_m"]])
+    places = places_m(trees, "xy")
     pairs = sorted(cKDTree(places).query_pairs(_APART_M))
     if pairs:
         first, second = pairs[0]

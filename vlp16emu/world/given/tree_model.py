@@ -25,6 +25,7 @@ from vlp16emu.world.stand.inventory import COPIED, INVENTORY, volume_m3
 from vlp16emu.world.stand.placed import PlacedThings, plant_surfaces, turned
 from vlp16emu.world.stand.settings import Season
 from vlp16emu.world.stand.tiles import EXACT, STEM
+from vlp16emu.world.vectors import places_m
 
 __all__ = ["ModelKey", "TreeModel", "TreeModels"]
 
@@ -153,7 +154,7 @@ class TreeModel:
         lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
         across, along = self.scale(trees).T
         stretched = turned(trees["crown_azimuth_deg"]) * np.column_stack([across, across, along])[:, None]
-        foot_m = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
+        foot_m = places_m(trees)
         return np.concatenate([matmul(lean, stretched), foot_m[..., None]], axis=2)
 
     def measure(self, row: np.void, tree: Trees) -> None:

@@ -25,6 +25,7 @@ from vlp16emu.world.plants.foliage import foliage_mesh
 from vlp16emu.world.plants.species import Species
 from vlp16emu.world.plants.stem import lean_rotation
 from vlp16emu.world.stand.settings import Season
+from vlp16emu.world.vectors import places_m
 
 __all__ = [
     "CROWN_PARTS",
@@ -143,7 +144,7 @@ def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
     stem_T[:, 0, 0] = stem_T[:, 1, 1] = wide * cos(turn)
     stem_T[:, 1, 0], stem_T[:, 0, 1] = wide * sin(turn), -wide * sin(turn)
     stem_T[:, 2, 2] = long
-    foot = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
+    foot = places_m(trees)
     base = foot + lean[:, :, 2] * (trees["crown_base_m"] / upright)[:, None]
     return np.concatenate([matmul(lean, stem_T), base[..., None]], axis=2)
 

@@ -13,7 +13,7 @@ from vlp16emu.world.plants.stem_rings import (
     tip_radius_m,
 )
 from vlp16emu.world.stand.tiles import STEM
-from vlp16emu.world.vectors import unit
+from vlp16emu.world.vectors import places_m, unit
 
 __all__ = ["far_stems", "profiles"]
 
@@ -28,7 +28,7 @@ def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> ND
     rings = stem_rings(trees, table=table)
     above_m = np.column_stack([rings.above_ground_m, trees["height_m"]])
     radius_m = np.column_stack([rings.radius_m, tip_radius_m(trees, table=table)])
-    foot_m = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
+    foot_m = places_m(trees)
     first = profiles(foot_m, axis_m(trees, rings.forms, above_m), radius_m, 1)
     first["flare_m"] = FLARE_TOP_M / first["axis"][:, 2]
     first["row"] = first_row + 2 * np.arange(len(trees))[:, None] + [0, 1]

@@ -11,6 +11,7 @@ from vlp16emu.types import Mesh
 from vlp16emu.world.plants.stem_rings import Table, Trees, axis_m, stem_rings
 from vlp16emu.world.stand.settings import Ivy
 from vlp16emu.world.stand.tiles import TileKey
+from vlp16emu.world.vectors import places_m
 
 __all__ = ["IvyKey", "ivy_meshes", "ivy_tops_m"]
 
@@ -49,7 +50,7 @@ class IvyKey:
 
 def ivy_tops_m(trees: Trees, section: Ivy, *, seed: int) -> Array:
     """Height over the foot (n,) up to which ivy covers stems; 0 where it does not grow. A tree's depends on its place alone."""
-    places_mm = np.round(1000 * np.column_stack([trees["x_m"], trees["y_m"]])).astype(np.int64) & 0xFFFFFFFF
+    places_mm = np.round(1000 * places_m(trees, "xy")).astype(np.int64) & 0xFFFFFFFF
     counters = [(x & 0x7FFFFFFF) << 32 | y for x, y in places_mm.tolist()]
     draws = np.array([uniform(seed, Purpose.IVY, first, 1, lane) for first in counters for lane in (0, 1)])
     chance, way = draws.reshape(-1, 2).T
@@ -76,7 +77,7 @@ def ivy_meshes(
         one = trees[i : i + 1]
         middle_m = axis_m(one, rings.forms.of(np.array([i])), up_m[None])[0]
         away_m = np.interp(up_m, rings.above_ground_m[i], rings.radius_m[i]) + rng.uniform(*_AWAY_M, count)
-        foot_m = np.array([one["x_m"][0], one["y_m"][0], one["z_m"][0]]) - origin_m
+        foot_m = places_m(one)[0] - origin_m
         outward = np.column_stack([cos(turn), sin(turn), np.zeros(count)])
         corners = _leaves(rng, foot_m + middle_m + away_m[:, None] * outward, outward)
         vertices = corners.reshape(-1, 3).astype(np.float32)

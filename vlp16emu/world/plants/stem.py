@@ -26,6 +26,7 @@ from vlp16emu.world.plants.stem_rings import (
 )
 from vlp16emu.world.plants.surface_roots import ROOT_RINGS, ROOT_SIDES, root_points
 from vlp16emu.world.stand.tiles import TileKey
+from vlp16emu.world.vectors import places_m
 
 __all__ = [
     "STEM_PARTS",
@@ -86,7 +87,7 @@ def stem_meshes(
     """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,); root flares have their roots."""
     rings = stem_rings(trees, table=table)
     rings.above_ground_m[:, 0] = -_buried_m(trees, rings, height_m)
-    foot_m = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]]) - origin_m
+    foot_m = places_m(trees) - origin_m
     meshes = _meshes(trees, rings, foot_m, table)
     for stem, root_m in zip(*root_points(trees, rings, height_m), strict=True):
         root = Mesh((root_m + foot_m[stem]).astype(np.float32), _faces(ROOT_SIDES, ROOT_RINGS))

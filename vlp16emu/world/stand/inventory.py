@@ -24,6 +24,7 @@ from vlp16emu.world.plants.species import Species
 from vlp16emu.world.plants.stem import STEM_PARTS, stems_above_ground, vertex_angles
 from vlp16emu.world.plants.stem_form import polygon_m2, tape_m
 from vlp16emu.world.plants.stem_rings import axis_m, stem_rings
+from vlp16emu.world.vectors import places_m
 
 __all__ = ["COPIED", "INVENTORY", "inventory", "volume_m3", "write_csv"]
 
@@ -202,7 +203,7 @@ def _measure_crowns(
     wide, long = crown_scale(trees, crowns)
     rows["wood_m3"] = rows["stem_m3"]
     foot_T_crown = crown_placements(trees, crowns)
-    foot_T_crown[:, :, 3] -= np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
+    foot_T_crown[:, :, 3] -= places_m(trees)
     own: dict[CrownKey, list[int]] = {}
     for i, key in enumerate(crowns):
         own.setdefault(key, []).append(i)

@@ -21,6 +21,7 @@ from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.settings import Forest
 from vlp16emu.world.stand.points import PointPattern, pattern_of
 from vlp16emu.world.stand.settings import MOST_STEMS_PER_HA, SpeciesShare, Storey
+from vlp16emu.world.vectors import places_m
 
 __all__ = [
     "REGENERATION",
@@ -132,7 +133,7 @@ def foot_discs(trees: Trees, *, table: Mapping[str, Species] | None = None) -> A
 
 def in_the_way_m(trees: Trees) -> tuple[Array, Array]:
     """Where stems are in a walker's way, (n, 2) each: at the foot, and above the head."""
-    foot = np.column_stack([trees["x_m"], trees["y_m"]])
+    foot = places_m(trees, "xy")
     towards = np.radians(trees["lean_towards_deg"])
     shift = _HEAD_ROOM_M * tan(np.radians(trees["lean_deg"]))
     return foot, foot + shift[:, None] * np.column_stack([cos(towards), sin(towards)])

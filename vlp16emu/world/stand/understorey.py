@@ -35,6 +35,7 @@ from vlp16emu.world.stand.placed import (
 from vlp16emu.world.stand.points import pattern_of
 from vlp16emu.world.stand.settings import Regeneration, Season, Shrubs
 from vlp16emu.world.stand.stand import REGENERATION, TREE, class_scale
+from vlp16emu.world.vectors import places_m
 
 __all__ = ["SaplingLayer", "ShrubLayer"]
 
@@ -223,7 +224,7 @@ def _brightness(
 def _scaled(plants: NDArray[np.void], prototype_m: Array) -> Array:
     """`world_T_shape` of plants whose prototypes have the given heights (n,)."""
     size = np.repeat((plants["height_m"] / prototype_m)[:, None], 3, axis=1)
-    place_m = np.column_stack([plants["x_m"], plants["y_m"], plants["z_m"]])
+    place_m = places_m(plants)
     return placements(place_m, turned(plants["crown_azimuth_deg"]), size)
 
 
