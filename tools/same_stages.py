@@ -46,6 +46,7 @@ _FAULTS = [
 ]
 _ROUGH = {
     "sensor.return_mode": "dual",
+    "world.stems_per_ha": 250.0,
     "wind.speed_m_s": 5.0,
     "weather.rain_mm_h": 20.0,
     "motion.harness": {},
@@ -61,7 +62,7 @@ SCENES: dict[str, tuple[str, dict[str, object]]] = {
     "spruce_walk, rough": ("spruce_walk", _NEAR | _ROUGH),
     "reference_forest": ("reference_forest", _NEAR),
 }
-"""Scene and settings; "rough" is dual return with wind, rain, harness and faults."""
+"""Scene and settings; "rough" is dual return with wind, rain, harness and faults, among fewer stems: those in wind take long to build."""
 CAPTURE = "capture of README.md"
 
 
