@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import same_stages
 
+from vlp16emu.raycast import build
+
 TOOL = Path(__file__).resolve().parents[1] / "tools" / "same_bytes"
 MANY = (
     "world/shape.vertices_m",
@@ -60,7 +62,8 @@ def check(same_bytes, hall, monkeypatch, capsys, tmp_path):
             folder.mkdir(exist_ok=True)
             arrays = hall if environment is same_bytes.USUAL else work(environment)
             np.savez(folder / "hall.npz", **arrays)
-            np.savez(folder / "probes.npz", **dict.fromkeys(("libm", "numpy", "blas", "numba"), np.zeros(3)))
+            probes = dict.fromkeys(("libm", "numpy", "blas", "numba", "triangles"), np.zeros(3))
+            np.savez(folder / "probes.npz", **probes)
             return ""
 
         monkeypatch.setattr(same_bytes.Check, "_run", _run)
@@ -115,6 +118,22 @@ def test_neither_threads_nor_pieces_change_what_is_kept(same_bytes, hall):
     other = run(threads=2, pieces=3)
     assert hall.keys() == other.keys()
     assert [name for name in hall if same_bytes.difference(name, hall[name], other[name])] == []
+
+
+def test_disturbed_triangles_are_a_little_off(monkeypatch):
+    """`--disturbed` moves every coordinate of what Embree is given by up to 20 um, and in every process alike."""
+    arguments = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.uint32)
+    true, given = build.widened(*arguments), []
+    for _ in range(2):
+        with monkeypatch.context() as patch:
+            patch.setattr(build, "widened", build.widened)  # so that it is put back
+            same_stages.disturb()
+            given.append(build.widened(*arguments))
+    off_m = np.abs(given[0] - true)
+    assert given[0].dtype == true.dtype
+    assert (off_m > 0.0).all()
+    assert 1e-5 < off_m.max() < 2.02e-5
+    assert given[0].tobytes() == given[1].tobytes()
 
 
 def test_steps_count_the_numbers_between(same_bytes):

@@ -24,6 +24,7 @@ from vlp16emu.chain import Unit, assemble, in_one_world
 from vlp16emu.chain.chain import Chain
 from vlp16emu.emulator import Emulator
 from vlp16emu.points import write_cloud
+from vlp16emu.raycast import build
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.types import FarTile, Firings, Hits, Mesh, Returns, Window, World
@@ -45,11 +46,14 @@ _FAULTS = [
 ]
 _ROUGH = {
     "sensor.return_mode": "dual",
+    "world.stems_per_ha": 250.0,
     "wind.speed_m_s": 5.0,
     "weather.rain_mm_h": 20.0,
     "motion.harness": {},
     "events": _FAULTS,
 }
+_DISTURBED_M = 2e-5
+"""Far more than a unit in the last place of any distance."""
 _BEAMS = {"model": "free", "beams": 64, "vertical_fov_deg": [-25.0, 15.0], "max_range_m": 25.0}
 SCENES: dict[str, tuple[str, dict[str, object]]] = {
     "hall": ("static_bench", {}),
@@ -58,7 +62,7 @@ SCENES: dict[str, tuple[str, dict[str, object]]] = {
     "spruce_walk, rough": ("spruce_walk", _NEAR | _ROUGH),
     "reference_forest": ("reference_forest", _NEAR),
 }
-"""Scene and settings; "rough" is dual return with wind, rain, harness and faults."""
+"""Scene and settings; "rough" is dual return with wind, rain, harness and faults, among fewer stems: those in wind take long to build."""
 CAPTURE = "capture of README.md"
 
 
@@ -218,7 +222,20 @@ def probes() -> Arrays:
         "numpy": np.concatenate([*vectors, np.log(np.abs(x)), np.arctan2(x, x[::-1])]),
         "blas": np.concatenate([square @ square, np.linalg.inv(square)]),
         "numba": np.frombuffer("\n".join(lines).encode(), np.uint8),
+        "triangles": build.widened(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.uint32)),
     }
+
+
+def disturb() -> None:
+    """Move each corner of the triangles that Embree is given at random: it finds other distances, edges and orders."""
+    widened = build.widened
+
+    def disturbed(vertices_m: NDArray[np.float32], triangles: NDArray[np.uint32]) -> NDArray[np.float32]:
+        wider_m = widened(vertices_m, triangles)
+        random = np.random.default_rng(len(wider_m))  # one for each call: threads build side by side
+        return wider_m + random.uniform(-_DISTURBED_M, _DISTURBED_M, wider_m.shape).astype(np.float32)
+
+    build.widened = disturbed
 
 
 def made(names: list[str], threads: int, pieces: int) -> Iterator[tuple[str, Arrays]]:
@@ -238,8 +255,11 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--pieces", type=int, default=1)
+    parser.add_argument("--disturbed", action="store_true", help="give Embree other triangles")
     parser.add_argument("--scenes", nargs="+", choices=(*SCENES, CAPTURE), default=[*SCENES])
     options = parser.parse_args()
+    if options.disturbed:
+        disturb()
     options.folder.mkdir(parents=True, exist_ok=True)
     np.savez(options.folder / "probes.npz", **probes())
     for name, arrays in made(options.scenes, options.threads, options.pieces):
