@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vlp16emu.raycast.build import _WIDER_M, widened
+from vlp16emu.raycast.build import _SHARPEST, _WIDER_M, widened
 from vlp16emu.raycast.faces import faces_of, flatten, inverses
 from vlp16emu.types import SURFACE, Mesh, Window
 
@@ -32,7 +32,7 @@ def test_a_quad_is_two_triangles():
 
 
 def test_wider_triangles_hold_the_triangle_and_a_margin():
-    """Each edge of a wider triangle lies `_WIDER_M` outside of that of the triangle, within rounding, in its plane."""
+    """Edges of wider triangles lie `_WIDER_M` outside of their own, within rounding, in their planes; at sharp corners less, as the sine."""
     for sharp in (1.0, 0.02):
         corners_m = triangles(2000, sharp=sharp)
         wider_m = widened(corners_m.reshape(-1, 3), np.arange(6000, dtype="u4").reshape(-1, 3))
@@ -47,18 +47,22 @@ def test_wider_triangles_hold_the_triangle_and_a_margin():
             outwards /= np.linalg.norm(outwards, axis=1)[:, None]
             for corner in (k, (k + 1) % 3):
                 off_m = ((wider_m[:, corner] - a_m) * outwards).sum(axis=1)
-                assert np.abs(off_m - _WIDER_M).max() < 0.05 * _WIDER_M
+                first_m, second_m = (corners_m[:, (corner + i) % 3] - corners_m[:, corner] for i in (1, 2))
+                sine = np.linalg.norm(np.cross(first_m, second_m), axis=1)
+                sine /= np.linalg.norm(first_m, axis=1) * np.linalg.norm(second_m, axis=1)
+                expected_m = _WIDER_M * np.minimum(sine / _SHARPEST, 1.0)
+                assert np.abs(off_m - expected_m).max() < 0.02 * _WIDER_M
                 assert np.abs(((wider_m[:, corner] - a_m) * normal).sum(axis=1)).max() < 0.05 * _WIDER_M
 
 
 def test_triangles_of_no_area_stay_where_they_are():
-    """A triangle whose corners are one point is left as it is, and one that is a line stays within a quarter of a metre."""
+    """A triangle whose corners are one point is left as it is, and one that is a line grows by no more than sharp ones do."""
     point, line = np.ones((3, 3), "f4"), np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], "f4")
     both = np.concatenate([point, line])
     wider_m = widened(both, np.arange(6, dtype="u4").reshape(-1, 3))
     assert np.array_equal(wider_m[:3], point)
     assert np.isfinite(wider_m).all()
-    assert np.abs(wider_m[3:6] - line).max() <= 1000 * 2 * _WIDER_M
+    assert np.abs(wider_m[3:6] - line).max() <= 2 * _WIDER_M / _SHARPEST
 
 
 def test_inverses_undo_transforms():
