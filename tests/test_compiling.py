@@ -54,6 +54,12 @@ def test_types_are_those_of_values(monkeypatch, text, value):
     assert repr(decoded(text)) == repr(numba.typeof(value))
 
 
+@pytest.mark.parametrize("group", ["hall", "forest"])
+def test_each_group_has_the_kernels_that_cast_and_detect(group):
+    """The table is not empty, and has for each group what costs most."""
+    assert {"raycast.kernel:cast_lines", "returns.detect:_detect"} <= {row["kernel"] for row in table(group)}
+
+
 @pytest.mark.parametrize("row", table(), ids=lambda row: row["kernel"])
 def test_the_table_is_of_this_program(row):
     """Each row names a kernel and a type for each of its arguments; `tools/kernel_table` renews it."""
