@@ -23,8 +23,6 @@ _PREFIX = "kernels-"
 _MARKER = "made-by-vlp16emu"
 """Empty file in each folder of ours: others may keep something under such a name."""
 _SUFFIX = ".kernel"
-_SUFFIXES = (_SUFFIX, ".part", ".nbi", ".nbc")
-"""Files of ours, and those of numba in the folders of former versions."""
 _STATES_KEPT = 8
 """Folders of other states are removed where there are more, those that were not used for longest first."""
 _WITHOUT_KERNELS = frozenset(
@@ -168,9 +166,8 @@ def kernel_names() -> list[str]:
 
 
 def compiled_files() -> dict[Path, list[Path]]:
-    """List the compiled kernels on disk, of any state and of former versions, by folder."""
-    bases = dict.fromkeys([_base(), _PACKAGE / "__pycache__"])
-    return {folder: list(_files_in(folder)) for base in bases for folder in _folders_in(base)}
+    """List the compiled kernels on disk, of any state, by folder."""
+    return {folder: list(_files_in(folder)) for folder in _folders_in(_base())}
 
 
 def remove_compiled(folder: Path) -> None:
@@ -178,9 +175,6 @@ def remove_compiled(folder: Path) -> None:
     for path in [*_files_in(folder)]:
         with suppress(OSError):
             path.unlink()
-    for room in [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]:
-        with suppress(OSError):  # where something else is in it
-            room.rmdir()
     if [path.name for path in folder.iterdir()] == [_MARKER]:
         (folder / _MARKER).unlink()
         folder.rmdir()
@@ -268,12 +262,10 @@ def _folders_in(base: Path) -> list[Path]:
 
 
 def _files_in(folder: Path) -> Iterator[Path]:
-    """Files of compiled kernels in a folder of ours; former versions had rooms in it."""
-    rooms = [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]
-    for room in (folder, *rooms):
-        for path in room.iterdir():
-            if path.suffix in _SUFFIXES and path.is_file() and not path.is_symlink():
-                yield path
+    """Files of compiled kernels in a folder of ours, also of those that were not written to their end."""
+    for path in folder.iterdir():
+        if path.suffix in (_SUFFIX, ".part") and path.is_file() and not path.is_symlink():
+            yield path
 
 
 def _remove_unused(base: Path) -> None:

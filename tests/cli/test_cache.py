@@ -8,21 +8,21 @@ from vlp16emu.store import user_store
 
 @pytest.fixture
 def folders(tmp_path, monkeypatch):
-    """A store of one bundle, and a folder of one kernel and one of a former version; with foreign files beside them."""
+    """A store of one bundle, and a folder of a kernel and one not written to its end; with foreign files beside them."""
     world, kernels = tmp_path / "world", tmp_path / "kernels-0123456789abcdef"
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(world))
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     user_store.cache_clear()
     user_store().put("a", {"a": np.zeros(10)})
     user_store().flush()
-    (kernels / "room").mkdir(parents=True)
-    (kernels / "room" / "kernel.nbi").write_bytes(bytes(80))
+    kernels.mkdir()
+    (kernels / "room.kernel.7.part").write_bytes(bytes(80))
     (kernels / "room.kernel").write_bytes(bytes(20))
     (kernels / "made-by-vlp16emu").touch()
     (world / "notes.txt").write_text("mine")
     for name in ("of-mine", "fedcba9876543210"):
-        (tmp_path / f"kernels-{name}" / "room").mkdir(parents=True)
-        (tmp_path / f"kernels-{name}" / "room" / "kernel.nbi").write_text("mine")
+        (tmp_path / f"kernels-{name}").mkdir()
+        (tmp_path / f"kernels-{name}" / "room.kernel").write_text("mine")
     yield world, kernels
     user_store.cache_clear()
 
@@ -44,8 +44,8 @@ def test_clearing_leaves_what_is_not_ours(cli, folders, tmp_path):
     assert (tree["cleared"], tree["worlds"]["files"], tree["kernels"]["files"]) == (True, 1, 2)
     left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
     assert left == [
-        "kernels-fedcba9876543210/room/kernel.nbi",
-        "kernels-of-mine/room/kernel.nbi",
+        "kernels-fedcba9876543210/room.kernel",
+        "kernels-of-mine/room.kernel",
         "world/notes.txt",
     ]
     assert not folders[1].exists()
