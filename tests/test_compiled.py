@@ -94,14 +94,14 @@ def test_content_changes_all(package, name, has_others):
 
 @pytest.mark.parametrize("library", ["numba", "llvmlite", "numpy"])
 def test_libraries_change_all(monkeypatch, library):
-    """What another version of a library compiles is kept apart."""
+    """Kernels compiled by another version of a library are kept apart."""
     before = kernel_folder()
     monkeypatch.setattr(f"{library}.__version__", "1.2.3")
     assert kernel_folder() != before
 
 
 def test_a_kernel_is_compiled_once(folder):
-    """What one dispatcher compiled another one loads."""
+    """A kernel that one dispatcher compiled is loaded by another one."""
     assert is_compiled_anew()
     assert not is_compiled_anew()
     (file,) = folder.glob("*.kernel")
@@ -134,7 +134,7 @@ def test_a_damaged_file_is_compiled_again(folder, damage):
 
 
 def test_a_file_of_another_name_is_not_taken(folder):
-    """What was compiled for other types, put in the place of a kernel, is known by its name."""
+    """A kernel for other types, copied to the file name of a kernel, is not loaded in its place."""
     kernel()(1.5)
     (of_floats,) = folder.glob("*.kernel")
     kernel()(3)
@@ -156,7 +156,7 @@ def test_two_processes_may_fill_one_folder(folder):
 @pytest.mark.parametrize("mode", [0o770, 0o707])
 @pytest.mark.parametrize("level", [0, 1])
 def test_where_others_can_write_nothing_is_kept(folder, level, mode):
-    """What was compiled is code: neither the folder nor the one that it is in may be writable for others."""
+    """Neither the folder of kernels nor its parent may be writable for others, as kernels are run unread."""
     (folder, folder.parent)[level].chmod(mode)
     assert kernel_folder() is None
     assert is_compiled_anew()
@@ -195,7 +195,7 @@ class Planted:
 
 
 def test_a_planted_kernel_does_not_run(folder, tmp_path):
-    """Where others can write, a compiled kernel that was put there is not run; it would be where nobody else can."""
+    """A kernel in a folder that others can write is not run; the same file in a private folder is."""
     is_compiled_anew()
     (file,) = folder.glob("*.kernel")
     kernel_cache._write_checked(file, pickle.dumps((Planted(str(tmp_path / "proof")), None)))
@@ -210,7 +210,7 @@ def test_a_planted_kernel_does_not_run(folder, tmp_path):
 
 
 def test_a_full_disk_stops_nobody(monkeypatch):
-    """Where a kernel cannot be written it runs all the same."""
+    """A kernel runs although it cannot be written to disk."""
 
     def fail(*_):
         raise OSError(28, "No space left on device")
@@ -262,7 +262,7 @@ def test_a_kernel_of_another_one_is_no_file_until_it_is_called(folder):
 
 
 def test_a_kernel_in_a_file_serves_another_one(folder):
-    """What was compiled for Python before is taken by kernels that call it."""
+    """A kernel that was compiled for Python is reused by kernels that call it."""
     for first in ("inner", "outer"):
         module = {"numba": numba, "__name__": "vlp16emu.room"}
         exec(TWO_KERNELS, module)

@@ -135,7 +135,7 @@ def device() -> int:
 @cache
 def _new_device() -> int:
     """Make a device, configured also by `VLP16EMU_EMBREE`, which is for tests: `isa=sse4.2`, `verbose=1`."""
-    # One thread per build keeps the order of primitives, and so every tie between two faces, the same.
+    # One thread per build: our own workers build shapes side by side.
     own = ("threads=1", "set_affinity=0", os.environ.get("VLP16EMU_EMBREE", ""))
     handle: int | None = library().rtcNewDevice(",".join(filter(None, own)).encode())
     if handle is None:

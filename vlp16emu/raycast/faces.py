@@ -16,10 +16,10 @@ Faces = tuple[NDArray[np.float32], NDArray[np.uint32]]
 
 
 def faces_of(mesh: Mesh) -> Faces:
-    """Return the vertices of a mesh and its triangles; a quad (a, b, c, d) is (a, b, d) and (c, d, b)."""
-    if mesh.faces.shape[1] == 3:
-        return mesh.vertices_m, mesh.faces
-    return mesh.vertices_m, mesh.faces[:, [0, 1, 3, 2, 3, 1]].reshape(-1, 3)
+    """Return the vertices of a mesh and its triangles in rows of memory; a quad (a, b, c, d) is (a, b, d) and (c, d, b)."""
+    quads = mesh.faces.shape[1] == 4
+    triangles = mesh.faces[:, [0, 1, 3, 2, 3, 1]].reshape(-1, 3) if quads else mesh.faces
+    return np.ascontiguousarray(mesh.vertices_m), np.ascontiguousarray(triangles)  # read by their addresses
 
 
 def relative_to_window(window: Window) -> NDArray[np.float64]:
