@@ -18,8 +18,6 @@ from typing import NamedTuple
 from rich.box import MARKDOWN
 from rich.table import Table
 
-__all__ = ["SETTINGS", "chains"]
-
 SETTINGS = {
     "default": [],
     "one ray": ["beam.model=none"],

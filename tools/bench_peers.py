@@ -36,8 +36,6 @@ from vlp16emu.scenario import load
 from vlp16emu.types import FarTile, Firings, Mesh, Semantic, ShapeKey, Window, World
 from vlp16emu.world.stand.nearby import AllNear
 
-__all__ = ["beside", "by_reach"]
-
 PACKAGES = {"Open3D": "open3d-cpu==0.20.0", "Mitsuba": "mitsuba==3.9.1", "PyHelios": "pyhelios3d==0.1.38"}
 OURS = ("ours", "ours, all faces", "ours, written out")
 NEED_KB = {OURS[2]: 0.3, "Open3D": 0.2, "Mitsuba": 0.3, "PyHelios": 2.5}
@@ -83,7 +81,6 @@ class View:
         return int(self._of_shapes()[self.window.shape].sum())
 
     def _of_shapes(self) -> NDArray[np.int64]:
-        """Triangles of each shape."""
         shapes = (self.shapes[key] for key in self.window.shapes)
         return np.array([sum(len(faces_of(mesh)[1]) for mesh in meshes) for meshes in shapes])
 

@@ -24,8 +24,6 @@ from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import Firings, Hits, ReturnMode, Returns, Semantic, SensorModel
 
-__all__ = ["tables"]
-
 BLOCK_S = BLOCK * SEQUENCE_NS * 1e-9
 SETTINGS = {
     "default": [],

@@ -18,8 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["SETS", "THREADS", "Work", "measure"]
-
 SETS = ("one", "eight")
 """Sets of rays whose casting is timed; `raster` is for comparison alone."""
 RAYS = {"eight": 8}

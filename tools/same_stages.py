@@ -105,7 +105,6 @@ class Grown:
 
 
 def _arrays_of(made: Any) -> list[tuple[str, NDArray[Any]]]:
-    """List the fields that are arrays."""
     values = [(field.name, getattr(made, field.name)) for field in fields(made)]
     return [(name, value) for name, value in values if isinstance(value, np.ndarray)]
 
@@ -176,7 +175,6 @@ def _packets(chain: Chain, spans_s: list[tuple[float, float]]) -> Arrays:
 
 
 def _points(chain: Chain, spans_s: list[tuple[float, float]]) -> Arrays:
-    """Run a chain to points."""
     parts: dict[str, list[NDArray[Any]]] = {}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "points.npz"
@@ -192,7 +190,6 @@ def _points(chain: Chain, spans_s: list[tuple[float, float]]) -> Arrays:
 
 
 def _capture(threads: int) -> Arrays:
-    """Record what README.md records."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "capture.pcap"
         Emulator("birch_walk", threads=threads).record(path, duration_s=10.0)

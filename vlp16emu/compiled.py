@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from types import ModuleType
     from typing import Any
 
-__all__ = ["keep_compiled"]
 
 _TARGETS = {
     "x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"),
@@ -42,7 +41,6 @@ class _NumbaFinder:
             load = spec.loader.exec_module
 
             def load_and_prepare(module: "ModuleType") -> None:
-                """Load numba."""
                 load(module)
                 _prepare()
 

@@ -17,8 +17,6 @@ from typing import Any
 
 from vlp16emu.kernel_cache import KernelCache, kernel_folder
 
-__all__ = ["compile_kernels", "decoded", "table"]
-
 _TABLE = Path(__file__).with_name("kernels.json")
 
 
@@ -72,13 +70,11 @@ def decoded(text: Any) -> Any:
 
 
 def _signature(row: dict[str, Any]) -> tuple[Any, tuple[Any, ...]]:
-    """Kernel of a row, and the types of its arguments."""
     module, _, name = row["kernel"].partition(":")
     return getattr(import_module(f"vlp16emu.{module}"), name), tuple(map(decoded, row["types"]))
 
 
 def _is_kept(row: dict[str, Any]) -> bool:
-    """Whether the kernel of a row is on disk, or is none any more."""
     with suppress(ImportError, AttributeError, TypeError, ValueError):
         kernel, types = _signature(row)
         return KernelCache(kernel.py_func).has(types)
@@ -103,5 +99,4 @@ def _leave_signals() -> None:
 
 
 def _cores() -> int:
-    """Count the cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

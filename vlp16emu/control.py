@@ -25,8 +25,6 @@ from vlp16emu.streaming import Engine, Http
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["Control", "web_interfaces"]
-
 _LEAD_NS = 150_000_000
 """From a setting to the first packet that follows it: by then the engine has made that packet anew."""
 _STEP_S = 0.001
@@ -230,7 +228,6 @@ class Control:
 
 
 def _with(settings: DeviceSettings, event: Setting) -> DeviceSettings:
-    """Set what an event sets."""
     phase = event.phase_lock_deg
     keys: dict[str, Any] = {
         "rpm": event.rpm,

@@ -27,8 +27,6 @@ from vlp16emu.sinks.slots import SlotReader
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.make import ground_of
 
-__all__ = ["CaptureTruth", "Deskewed", "Trajectory", "TrajectoryErrors", "write_deskewed"]
-
 _MINUTE_NS = 60 * S_NS
 _PACKETS = 100
 """Placed at once: 38 400 points, some 20 MB."""

@@ -20,27 +20,6 @@ from llvmlite import ir
 from numba import types
 from numpy.typing import NDArray
 
-__all__ = [
-    "acos",
-    "around_zero",
-    "asin",
-    "atan2",
-    "cos",
-    "exp",
-    "expm1",
-    "hypot",
-    "log",
-    "log1p",
-    "log_of_normal",
-    "matmul",
-    "matvec",
-    "norm",
-    "power",
-    "sin",
-    "tan",
-    "tanh",
-]
-
 _Floats = NDArray[np.float64]
 _Numbers = NDArray[np.floating[Any]]
 _WHOLE = 6755399441055744.0
@@ -119,7 +98,6 @@ class _Broadcast(_Both):
 
 @numba.extending.typeof_impl.register(_Both)  # type: ignore[untyped-decorator]
 def _typed(both: _Both, _context: Any) -> types.Dispatcher:
-    """Let kernels take the compiled function."""
     return types.Dispatcher(both.compiled)
 
 
@@ -136,7 +114,6 @@ def _binary(function: Callable[[Any, Any], Any]) -> _Binary:
 
 
 def _pick(condition: Any, a: Any, b: Any) -> Any:
-    """Return a where the condition holds, else b."""
     return np.where(condition, a, b)[()]
 
 

@@ -18,7 +18,6 @@ from vlp16emu.streams import Streams
 if TYPE_CHECKING:
     from vlp16emu.images import ImageRun
 
-__all__ = ["Emulator"]
 
 _SHORTEST_S = 0.001
 """Between two images."""

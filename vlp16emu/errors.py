@@ -19,23 +19,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = [
-    "LARGEST_BYTES",
-    "LARGEST_TEXT_BYTES",
-    "CaptureError",
-    "GeometryError",
-    "InputError",
-    "MissingExtraError",
-    "OutputError",
-    "PacketError",
-    "RunError",
-    "ScenarioError",
-    "TrajectoryError",
-    "Vlp16emuError",
-    "readable",
-    "spare",
-]
-
 LARGEST_BYTES = 1_000_000_000
 """Of a mesh or a grid of heights: some 20 million triangles, 250 million cells."""
 LARGEST_TEXT_BYTES = 100_000_000
@@ -169,7 +152,6 @@ def spare(inputs: Iterable[Path], output: Path) -> None:
 
 
 def _shown(text: str, most: int) -> str:
-    """Write a text in one line, cut at a length."""
     line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: most + 1])
     return line if len(line) <= most else f"{line[: most - 3]}..."
 

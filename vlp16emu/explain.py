@@ -10,8 +10,6 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-__all__ = ["expected", "explain", "resolved"]
-
 Node = dict[str, Any]
 
 _MISSING = "missing"
@@ -90,7 +88,6 @@ def resolved(node: Node, schema: Node) -> Node:
 
 
 def _wanted(finding: ErrorDetails, node: Node) -> str:
-    """Say what the finding asks for."""
     if finding["type"] == "value_error":
         return finding["msg"].removeprefix("Value error, ")
     words = expected(node)
@@ -155,7 +152,6 @@ def _all_keys(
 
 
 def _variants(node: Node) -> list[tuple[str, Node]]:
-    """Kinds of a table by their tag, where there are several."""
     return [(tag, {"$ref": ref}) for tag, ref in node.get("discriminator", {}).get("mapping", {}).items()]
 
 
@@ -171,7 +167,6 @@ def _key_of(value: object, node: Node, schema: Node) -> str | None:
 
 
 def _nearest(key: int | str, names: list[str]) -> str:
-    """Name the known key that was probably meant, or all there are."""
     near = difflib.get_close_matches(str(key), names, n=1)
     return f"{near[0]}, the nearest known one" if near else f"one of {', '.join(names)}"
 
@@ -207,5 +202,4 @@ def _bounds(node: Node) -> str:
 
 
 def _number(limit: float) -> str:
-    """Write a limit without a fraction that says nothing."""
     return str(limit) if isinstance(limit, int) else f"{limit:.10g}"

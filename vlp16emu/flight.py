@@ -26,8 +26,6 @@ from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["Flight", "FlightSink", "LiveReport", "PosesIn", "flying"]
-
 _POLL_S = 0.05
 """How often whoever waits for the first pose looks whether the run shall end."""
 _START_NS = 20_000_000

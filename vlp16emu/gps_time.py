@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.units import S_NS
 
-__all__ = ["adjusted_gps_s"]
-
 
 def _ns(year: int, month: int, day: int) -> int:
     return int(datetime(year, month, day, tzinfo=UTC).timestamp()) * S_NS

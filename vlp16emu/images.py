@@ -28,8 +28,6 @@ from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.given.furnished import Furnished
 from vlp16emu.world.stand.forest import ForestWorld
 
-__all__ = ["Camera", "CameraKind", "ImageRun", "species_of", "write_images"]
-
 _BODY_R_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """From camera (x right, y down, z forward) to sensor (x forward, y left, z up)."""
 _SKY = (176, 204, 232)

@@ -16,8 +16,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["KernelCache", "compiled_files", "kernel_folder", "kernel_names", "remove_compiled"]
-
 _PACKAGE = Path(__file__).parent
 _PREFIX = "kernels-"
 _MARKER = "made-by-vlp16emu"
@@ -120,12 +118,10 @@ class KernelCache:
                 yield folder / self._file(signature)
 
     def _file(self, signature: object) -> str:
-        """Name the file of a kernel for these types of arguments."""
         return f"{self._name}-{hashlib.sha256(str(_types(signature)).encode()).hexdigest()[:20]}{_SUFFIX}"
 
 
 def _types(signature: Any) -> Any:
-    """Types of arguments, also of a signature that was written beside a kernel."""
     return getattr(signature, "args", signature)
 
 
@@ -182,13 +178,11 @@ def remove_compiled(folder: Path) -> None:
 
 @cache
 def _written_to() -> Path | None:
-    """Folder that this process keeps kernels in."""
     return kernel_folder()
 
 
 @cache
 def _packaged() -> Path:
-    """Folder of the kernels that a wheel carries, for this state."""
     return _PACKAGE / "_kernels" / (_PREFIX + _state())
 
 
@@ -209,7 +203,6 @@ def _write_checked(path: Path, data: bytes) -> None:
 
 
 def _digest(path: Path, data: bytes) -> bytes:
-    """Digest of a file of ours, with its name."""
     return hashlib.sha256(path.name.encode() + data).digest()
 
 
@@ -240,7 +233,6 @@ def _sources() -> Iterator[tuple[str, Path]]:
 
 
 def _base() -> Path:
-    """Folder that the folders of all states are in."""
     from platformdirs import user_cache_path
 
     chosen = os.environ.get("NUMBA_CACHE_DIR")
@@ -248,7 +240,6 @@ def _base() -> Path:
 
 
 def _others_write(mode: int) -> bool:
-    """Whether anybody but the owner may write."""
     return bool(mode & (stat.S_IWGRP | stat.S_IWOTH))
 
 
@@ -262,14 +253,12 @@ def _folders_in(base: Path) -> list[Path]:
 
 
 def _files_in(folder: Path) -> Iterator[Path]:
-    """Files of compiled kernels in a folder of ours, also of those that were not written to their end."""
     for path in folder.iterdir():
         if path.suffix in (_SUFFIX, ".part") and path.is_file() and not path.is_symlink():
             yield path
 
 
 def _remove_unused(base: Path) -> None:
-    """Remove the folders that were not used for longest, where there are many."""
     folders = sorted(_folders_in(base), key=lambda folder: folder.stat().st_mtime, reverse=True)
     for folder in folders[_STATES_KEPT:]:
         remove_compiled(folder)

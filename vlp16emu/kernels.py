@@ -14,8 +14,6 @@ from numba.core.registry import CPUDispatcher
 
 from vlp16emu.kernel_cache import KernelCache
 
-__all__ = ["KernelDispatcher"]
-
 
 class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
     """Dispatcher of a kernel."""
@@ -74,7 +72,6 @@ class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
     """Code that others are linked with; it has no place in the memory of machine code."""
 
     def _finalize_final_module(self) -> None:
-        """End the library."""
         self._finalize_dynamic_globals()
         self._verify_declare_only_symbols()
         self._finalized = True

@@ -12,8 +12,6 @@ from vlp16emu.errors import InputError
 from vlp16emu.settings import toml
 from vlp16emu.types import HeightField, PlantPart, Semantic
 
-__all__ = ["LabelScheme", "PointLabels", "label_scheme", "scheme_names"]
-
 
 @cache
 def _schemes() -> Mapping[str, Mapping[str, Any]]:

@@ -13,8 +13,6 @@ from typing import BinaryIO, Self
 
 from vlp16emu.errors import OutputError, RunError
 
-__all__ = ["STDOUT", "OutputFile", "lock"]
-
 STDOUT = Path("-")
 """Stands for standard output, as for tcpdump and tshark."""
 
@@ -182,5 +180,4 @@ def _locked(path: Path, where: str, buffering: int) -> BinaryIO:
 
 
 def _as_it_is(path: str, flags: int) -> int:
-    """Open a file without emptying it, unless it is a link."""
     return os.open(path, flags & ~os.O_TRUNC | os.O_NOFOLLOW, 0o666)

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["BACK", "CYCLE", "INK", "SOFT", "check_matplotlib", "plotted", "save_in_few_colours", "scale_bar"]
 
 BACK, INK, SOFT, _EDGE = "#0e1218", "#d7dbe0", "#8a94a3", "#3a4452"
 """Colours of the background, of writing, of what is less important, and of frames."""

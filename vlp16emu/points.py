@@ -35,8 +35,6 @@ from vlp16emu.types import SURFACE, ReturnMode, Returns
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.make import ground_of
 
-__all__ = ["PointCloud", "scans_of", "world_T_sensor", "write_cloud"]
-
 _LABELS = ("semantic", "part", "instance", "species")
 
 
@@ -162,7 +160,6 @@ def _blocks(
     labelled = labels and PointLabels(labels, ground_of(scenario.world, scenario.world_seed).height_m)
 
     def made(block: Returns) -> tuple[Block, int]:
-        """Points of one block."""
         t_ns = block.firings.t_ns
         points, _ = _points(unit, block, (t_ns >= begin_ns) & (t_ns < end_ns), truth=truth)
         points["since_start_ns"] = points["t_ns"] - start_ns

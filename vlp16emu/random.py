@@ -19,18 +19,6 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import log_of_normal
 from vlp16emu.trig import in_quarter
 
-__all__ = [
-    "Purpose",
-    "box_muller",
-    "generator",
-    "normal",
-    "normal_pair",
-    "normal_pairs",
-    "philox4x32",
-    "uniform",
-    "uniform_pair",
-]
-
 
 class Purpose(IntEnum):
     """What a random number is for. Values are part of the output: never renumber, only append."""

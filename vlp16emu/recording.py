@@ -25,8 +25,6 @@ from vlp16emu.sinks import PcapSink, check_ending
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["Recording", "UnitRecording", "packets_of", "paths_of_units", "prepared", "record_packets"]
-
 
 @dataclass(frozen=True, slots=True)
 class UnitRecording:
@@ -159,7 +157,6 @@ def record_packets(
 
 @contextmanager
 def _sinks(paths: Sequence[Path], links: Sequence[Link]) -> Iterator[list[PcapSink]]:
-    """Open all files of a recording."""
     with ExitStack() as stack:
         yield [stack.enter_context(PcapSink(path, links)) for path in paths]
 
@@ -207,7 +204,6 @@ def packets_of(links: Sequence[Link], path: Path) -> Iterator[Packet]:
 
 
 def _unit(unit: Unit, sent: Counter[tuple[int, str]], simulated_s: float) -> UnitRecording:
-    """Sum up what one unit sent."""
     sensor = on_the_wire(unit.section)
     return UnitRecording(
         unit=unit.number + 1,

@@ -24,8 +24,6 @@ from vlp16emu.streaming import Behind, behind_of
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-__all__ = ["Replay", "Replayed", "replay"]
-
 _KINDS = {DATA_BYTES: PacketKind.DATA, POSITION_BYTES: PacketKind.POSITION}
 
 
@@ -168,7 +166,6 @@ def replay(
     first = list[int]()
 
     def sent(due_ns: int) -> None:
-        """Report how far the capture is."""
         first.append(due_ns) if not first else None
         progress((due_ns - first[0]) / S_NS)
 
@@ -189,7 +186,6 @@ def replay(
 def _summed_up(
     packets: Replay, links: Sequence[Link], report: StreamReport, sent: Sequence[UdpResult], to: str
 ) -> Replayed:
-    """Sum up a replay."""
     return Replayed(
         file=str(packets.path),
         to=to,
@@ -214,7 +210,6 @@ def _summed_up(
 
 
 def _link(unit: CapturedUnit, data_port: int | None, position_port: int | None) -> Link:
-    """Give the ports of a unit, and its address."""
     captured = next(iter(unit.position_ports), POSITION_PORT)
     return replace(
         FACTORY_LINK,

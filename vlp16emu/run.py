@@ -23,8 +23,6 @@ from vlp16emu.types import Packet
 if TYPE_CHECKING:
     from vlp16emu.truth import Truth
 
-__all__ = ["Run"]
-
 
 class Run(Chain):
     """The chain of a scene that is read, and what is written of it; parameters and errors as of `Emulator`."""
@@ -131,7 +129,6 @@ class Run(Chain):
     def _with_truth(
         self, packets: Iterator[Packet], span_s: tuple[float, float], to: str | Path | TruthTo | None
     ) -> Iterator[Iterator[Packet]]:
-        """Packets whose truth is written as they are taken, where a folder is given."""
         with nullcontext() if to is None else self._truth(to, span_s) as truth:
             yield packets if truth is None else truth.beside(packets)
 
@@ -145,7 +142,6 @@ class Run(Chain):
         """Progress of a run without packets, whose truth is written as it is called, where a folder is given."""
 
         def so_far(done_s: float) -> None:
-            """Write what was true until then."""
             if truth is not None:
                 truth.up_to(span_s[0] + done_s)
             progress(done_s)

@@ -24,8 +24,6 @@ from vlp16emu.packets import (
 from vlp16emu.types import ReturnMode
 from vlp16emu.units import HOUR_NS
 
-__all__ = ["Chunk", "Labels", "LabelsOf", "Scan", "clock_zero_ns", "cut_scans", "decode", "scans_in", "twins"]
-
 LabelsOf = Callable[[PacketChunk], Mapping[str, NDArray[Any]]]
 """Gives the arrays of `Labels` of the n points of packets, or none."""
 
@@ -149,7 +147,6 @@ def _ends_at_zero(azimuth_deg: NDArray[np.float64]) -> bool:
 
 
 def _scan(chunk: Chunk, pose_at: Callable[[int], NDArray[np.float64]] | None) -> Scan:
-    """Make the scan of one revolution."""
     arrays, start_ns = dict(chunk.arrays), int(chunk.t_ns[0])
     labels = None
     if "semantic" in arrays:

@@ -17,22 +17,6 @@ from pydantic import (
     model_validator,
 )
 
-__all__ = [
-    "DEEPEST",
-    "Angle",
-    "Fraction",
-    "MapPoint",
-    "NonNegative",
-    "Place",
-    "Positive",
-    "Preset",
-    "SceneFile",
-    "Section",
-    "Seed",
-    "Size",
-    "toml",
-]
-
 DEEPEST = 100
 """Tables and lists in one another; of a key, the names between its dots."""
 _DEEP_KEY = re.compile(
@@ -90,7 +74,6 @@ class Preset(Section):
 
 
 def _beside_the_scene(file: str, info: ValidationInfo) -> str:
-    """Path of a file that a scene names, which is relative to the folder of the scene file."""
     return str(Path(info.context["folder"], file)) if info.context else file
 
 

@@ -26,8 +26,6 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-__all__ = ["Bundle", "Kept", "Store", "recalled", "user_store"]
-
 T = TypeVar("T")
 
 Bundle = Mapping[str, NDArray[np.generic]]
@@ -124,7 +122,6 @@ class Store:
         return Kept(len(gone), sum(gone))
 
     def _path(self, name: str) -> Path:
-        """File of a name."""
         assert self.folder is not None
         return self.folder / (hashlib.sha256(f"{_state()}\n{name}".encode()).hexdigest()[:40] + ".world")
 
@@ -159,7 +156,6 @@ class Store:
                     path.unlink()
 
     def _files(self) -> list[tuple[Path, os.stat_result]]:
-        """Files of ours in the folder."""
         found = []
         with suppress(OSError):
             for path in self.folder.iterdir() if self.folder is not None else ():
@@ -260,7 +256,6 @@ def _unpacked(data: NDArray[np.uint8], name: str) -> dict[str, NDArray[np.generi
 
 @lru_cache
 def _dtype(text: str) -> np.dtype[np.generic]:
-    """Type of an array from its description."""
     kind: np.dtype[np.generic] = np.lib.format.descr_to_dtype(ast.literal_eval(text))
     if kind.hasobject:
         raise ValueError(text)
@@ -287,6 +282,5 @@ def _no_link(path: str, flags: int) -> int:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether a file begins as ours do, or is one of ours that was not written to its end."""
     with open(path, "rb", opener=_no_link) as file:
         return _MAGIC.startswith(file.read(len(_MAGIC)))

@@ -32,20 +32,6 @@ from vlp16emu.sinks import (
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = [
-    "Behind",
-    "Engine",
-    "Http",
-    "Streamed",
-    "UnitStreamed",
-    "behind_of",
-    "cause_of",
-    "options_for",
-    "summed_up",
-    "with_outlets",
-    "write_times",
-]
-
 
 class Engine:
     """Packets of a run in order of sending, an iterator.
@@ -118,7 +104,6 @@ class Engine:
         self._packets = self._after(from_ns, there)
 
     def _from(self, start_s: float) -> Iterator[Packet]:
-        """Make packets from a time since the first pulse on, with what leaves beside them."""
         packets = self._chain.packets(start_s, self._stop_s)
         return self._beside.among(packets, seconds_to_ns(start_s), seconds_to_ns(self._stop_s))
 
@@ -149,7 +134,6 @@ class Engine:
         return Counter({PacketKind.DATA: data, PacketKind.POSITION: position, **beside})
 
     def _since_s(self, utc_ns: int) -> float:
-        """Put a UTC time into seconds since the first pulse."""
         return (utc_ns - self.scenario.start_ns) / S_NS
 
 
@@ -327,7 +311,6 @@ def with_outlets(
     """Add what left beside the packets of the sensors to a summary, and count what the stream skipped as dropped."""
 
     def found(kind: PacketKind) -> OutletResult | None:
-        """Sum up an outlet."""
         result = sent[kind].result if kind in sent else None
         return result and replace(result, dropped=result.dropped + skipped[kind])
 

@@ -32,25 +32,20 @@ from vlp16emu.sinks import (
 from vlp16emu.streaming import Engine, Http, Streamed, summed_up, with_outlets, write_times
 from vlp16emu.units import S_NS
 
-__all__ = ["Streams"]
-
 _NONE = Outlets()
 
 
 def _report(progress: Callable[[float], None], start_ns: int, due_ns: int) -> None:
-    """Report how far the stream is."""
     progress((due_ns - start_ns) / S_NS)
 
 
 def _exclude(given: bool, option: str, others: Mapping[str, object]) -> None:  # the value of an option
-    """Refuse options beside one that rules them out."""
     for other, value in others.items():
         if given and value:
             raise InputError(other, f"found beside {option}", "one of both")
 
 
 def _going_on(engine: Engine, flight: Flight | None, pacer: Pacer) -> Callable[[int], None]:
-    """Give what lets an engine go on further ahead."""
     return flight.going_on(engine.go_on_from, pacer) if flight else engine.go_on_from
 
 
@@ -178,11 +173,9 @@ class Streams(Run):
         return carrier.poses.put(position_m, quaternion, t_ns)
 
     def _listening(self, gps_in: GpsIn) -> GpsReader:
-        """Listen to a real receiver."""
         return GpsReader(gps_in, self.scenario.gps, self.scenario.sensor.powered_for_s)
 
     def _serve(self, http: Http, engine: Engine, sink: RigSink, now: UnderWay, until: ExitStack) -> None:
-        """Serve the web interfaces, as sensors do once they are up."""
         from vlp16emu.control import Control, web_interfaces  # here: few streams have them
 
         until.enter_context(web_interfaces(Control(self, engine, sink, now), http))

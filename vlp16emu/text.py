@@ -4,8 +4,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["csv_lines"]
-
 _WIDEST = 22
 """Bytes of a number at most: 19 digits of an int64, sign, decimal point and the comma or line end behind it."""
 _LINES = 16_384

@@ -12,8 +12,6 @@ import numpy as np
 
 from vlp16emu.elementary import around_zero
 
-__all__ = ["ZERO", "cos_sin", "fold", "in_quarter"]
-
 ZERO = cast("int", np.int64(0))
 """What is called with the literal 0 is compiled once more for that type."""
 

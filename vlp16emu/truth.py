@@ -31,8 +31,6 @@ from vlp16emu.sinks.truth import seconds_text
 from vlp16emu.types import Packet, PacketKind, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["Truth"]
-
 _TUM_HEADER = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n"
 _GNSS_COLUMNS = (
     "t_utc_s",
@@ -171,7 +169,6 @@ class Truth:
                 break
 
     def _first_ns(self, unit: Unit, start_s: float, stop_s: float) -> int:
-        """UTC of the first pulse in the first packet of a unit, or of the end of the run."""
         slots = unit.sending.slots(seconds_to_ns(start_s), seconds_to_ns(stop_s))
         first = next((int(some[0, 0]) * unit.head.beams.sequence_ns for some in slots), None)
         return self._scenario.start_ns + (seconds_to_ns(stop_s) if first is None else first)
@@ -202,18 +199,15 @@ class Truth:
         self._folder.append("events.csv", "".join(_event_row(one) for one in found if one.end_ns >= begin_ns))
 
     def _begun(self, name: str, header: str) -> Callable[[str], None]:
-        """Begin a file, and give what appends to it."""
         self._folder.append(name, header)
         return lambda text: self._folder.append(name, text)
 
     def _inertial(self, scenario: Scenario, parts: Parts, from_ns: int) -> Iterator["_Samples"]:
-        """Begin the file of the inertial unit, if there is one."""
         if scenario.imu is not None and parts.imu is not None:
             append = self._begun("imu.csv", ",".join(_IMU_COLUMNS) + "\n")
             yield _Samples(append, _inertial(parts.imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
 
     def _fixes(self, chain: Chain, begin_ns: int) -> Iterator["_Samples"]:
-        """Begin the file of the GPS receiver, if there is one, with the second that the first packet names."""
         named_ns = chain.parts.gps.second_ns(begin_ns)
         if named_ns is not None:
             append = self._begun("gnss.csv", ",".join(_GNSS_COLUMNS) + "\n")
@@ -264,7 +258,6 @@ def _poses(motion: Motion, start_ns: int, rate_hz: int) -> Rows:
     """Lines of a trajectory."""
 
     def rows(first: int, count: int) -> str:
-        """Lines of consecutive poses."""
         t_ns = start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz
         return tum_rows(_poses_at(motion, t_ns))
 
@@ -272,10 +265,8 @@ def _poses(motion: Motion, start_ns: int, rate_hz: int) -> Rows:
 
 
 def _inertial(imu: ImuSampler) -> Rows:
-    """Lines of an inertial unit."""
 
     def rows(first: int, count: int) -> str:
-        """Lines of consecutive readings."""
         read = imu.read(first, count)
         readings = read.angular_rate_rad_s, read.specific_force_m_s2
         true = read.true_angular_rate_rad_s, read.true_specific_force_m_s2
@@ -292,7 +283,6 @@ def _fixes(receiver: Receiver, gps: Gps) -> Rows:
     """Lines of what a receiver measures and says; sample i is the UTC second i."""
 
     def row(t_ns: int) -> str:
-        """Line of one second."""
         true, said = receiver.reading(t_ns), receiver.fix(t_ns)
         latitude_deg, longitude_deg, height_m = to_geodetic(true.antenna_m[None], gps)[0].tolist()
         east_m_s, north_m_s, _ = true.velocity_m_s.tolist()
@@ -315,7 +305,6 @@ def _event_row(one: Happening) -> str:
 
 
 def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]:
-    """Give the scenario with all its values and the end of a run, a scene file itself."""
     tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True) | {"duration_s": span_s[1]}
     start = f", --start {span_s[0]!r}" if span_s[0] else ""
     return {"written_by": f"vlp16emu {version('vlp16emu')}{start}"} | tree
@@ -356,7 +345,6 @@ def _unit(unit: Unit) -> dict[str, Any]:
 
 
 def _mount(section: Mount) -> dict[str, Any]:
-    """Write how a device sits on the body, with its stage, if that spins, at its zero."""
     R = rotation(section.yaw_deg, section.pitch_deg, section.roll_deg)
     spin = {"spin_hz": section.spin_hz, "spin_axis": section.spin_axis} if section.spin_hz else {}
     return _transform(R, np.array(section.lever_arm_m)) | spin

@@ -13,30 +13,6 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "NO_SURFACE",
-    "SURFACE",
-    "FarTile",
-    "Firings",
-    "GnssFix",
-    "HeightField",
-    "Hits",
-    "Mesh",
-    "Packet",
-    "PacketKind",
-    "PlantPart",
-    "Poses",
-    "PpsState",
-    "ReturnMode",
-    "Returns",
-    "Semantic",
-    "SensorModel",
-    "ShapeKey",
-    "Sway",
-    "Window",
-    "World",
-]
-
 
 class ReturnMode(StrEnum):
     """Which echoes the sensor reports (63-9243 Rev D, section 6)."""

@@ -7,8 +7,6 @@ import math
 
 from vlp16emu.errors import InputError
 
-__all__ = ["HOUR_NS", "MS_NS", "S_NS", "US_NS", "seconds_to_ns"]
-
 US_NS = 1_000
 MS_NS = 1_000_000
 S_NS = 1_000_000_000

@@ -12,8 +12,6 @@ from vlp16emu.scenario import Scenario, load
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
-__all__ = ["day"]
-
 _SPAN_NS = 8_000_000
 """Of each look: six data packets, and a position packet at least."""
 _PERIOD_NS = 24 * 55_296
@@ -55,7 +53,6 @@ def _data_errors(scenario: Scenario, packets: list[Packet]) -> tuple[int, int, i
 
 
 def _named(sentence: bytes) -> datetime:
-    """Second that a sentence names."""
     words = sentence.decode("ascii").split(",")
     return datetime.strptime(f"{words[9]} {words[1]}", "%d%m%y %H%M%S.%f").replace(tzinfo=UTC)
 

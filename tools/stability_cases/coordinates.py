@@ -16,8 +16,6 @@ from vlp16emu.packets import data_fields
 from vlp16emu.scenario import load
 from vlp16emu.types import PacketKind
 
-__all__ = ["far_files", "far_walks", "far_worlds", "write_plot"]
-
 _UTM_M, _FAR_M = (500_000, 5_700_000, 210), (10_000_000, 10_000_000, 0)
 _ODD_M = 432_117, 6_901_233, 0
 """No corner of a tile: ground and trees are cut otherwise there, and round otherwise."""
@@ -90,14 +88,12 @@ def write_plot(folder: Path, files_m: tuple[int, ...], scene_m: tuple[int, ...],
 
 
 def _packets(files_m: tuple[int, ...], scene_m: tuple[int, ...], *, walk: bool) -> list[bytes]:
-    """Record the data packets of a plot."""
     with tempfile.TemporaryDirectory() as folder:
         emulator = Emulator(load(str(write_plot(Path(folder), files_m, scene_m, walk=walk))))
         return [p.payload for p in emulator.packets(*_SPAN_S) if p.kind is PacketKind.DATA]
 
 
 def _differ(near: list[bytes], far: list[bytes]) -> int:
-    """Count the packets that are not the same."""
     return sum(a != b for a, b in zip(near, far, strict=True))
 
 

@@ -20,8 +20,6 @@ from vlp16emu.world.given.user_mesh import PartMesh, UserMesh
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.settings import Hall
 
-__all__ = ["crowd", "thin_twig", "throng", "too_many"]
-
 Array = NDArray[np.float64]
 
 _TWIG_M, _AWAY_M = 1e-3, 100.0
@@ -31,7 +29,6 @@ _PANE_QUADS = 8
 
 
 def _before_a_twig(y_m: Array) -> Firings:
-    """Pulses beside an upright twig."""
     n = len(y_m)
     return pulses(np.column_stack([0 * y_m, y_m, 0 * y_m]), np.tile([1.0, 0.0, 0.0], (n, 1)))
 
@@ -59,7 +56,6 @@ def thin_twig() -> Iterator[Row]:
 
 
 def _pane() -> Mesh:
-    """Upright pane of some quads."""
     edges = np.linspace(-1.0, 1.0, _PANE_QUADS + 1)
     low, high, x = edges[:-1], edges[1:], np.full(_PANE_QUADS, 10.0)
     corners = [(x, low, x - 11), (x, high, x - 11), (x, high, x - 9), (x, low, x - 9)]

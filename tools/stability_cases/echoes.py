@@ -14,8 +14,6 @@ from vlp16emu.returns.settings import Detector
 from vlp16emu.scenario import load
 from vlp16emu.types import SURFACE, Firings, Hits
 
-__all__ = ["dark", "few_rays", "merge_limits"]
-
 Array = NDArray[np.float64]
 
 _FIRST_M = 40.0
@@ -23,7 +21,6 @@ _DUAL = "sensor.return_mode=dual"
 
 
 def _level(n: int) -> Firings:
-    """Pulses along x from the origin."""
     return pulses(np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0], (n, 1)))
 
 
@@ -48,7 +45,6 @@ def _two_echoes_m(
 
 
 def _parted(returns_m: Array) -> NDArray[np.bool_]:
-    """Which pulses have two returns."""
     return np.asarray((returns_m[:, 1] != returns_m[:, 0]) | (returns_m[:, 2] > 0))
 
 

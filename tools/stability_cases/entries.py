@@ -21,8 +21,6 @@ from vlp16emu.errors import InputError
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.scenario.schema import schema
 
-__all__ = ["every_key", "options", "python", "refusal", "scenes", "turned_down"]
-
 _VALUES = (math.nan, math.inf, -math.inf)
 _WORDS = ("nan", "inf", "-inf")
 _MAY_BE_INFINITE = "near_m"
@@ -57,7 +55,6 @@ def turned_down(*arguments: str) -> str:
 
 
 def _resolved(node: Any) -> Any:
-    """Node of the schema that a reference means."""
     return schema()["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
 
 
@@ -97,7 +94,6 @@ def _is_found(tree: Any) -> bool:
 
 
 def _is_meant(path: str, value: float) -> bool:
-    """Whether a key takes a value that others do not."""
     return path.endswith(_MAY_BE_INFINITE) and value == math.inf
 
 
@@ -116,7 +112,6 @@ def every_key() -> Iterator[Row]:
 
 
 def _leaves(tree: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
-    """Paths to all numbers of a tree."""
     if isinstance(tree, dict | list):
         for key, child in tree.items() if isinstance(tree, dict) else enumerate(tree):
             yield from _leaves(child, (*path, key))

@@ -16,8 +16,6 @@ from stability_cases.coordinates import write_plot
 from stability_cases.entries import refusal, turned_down
 from stability_cases.row import Row
 
-__all__ = ["ground_files", "mesh_files", "species_files", "stem_lists", "trajectory_files"]
-
 _WORDS = ("nan", "inf", "-inf")
 _HERE = (0, 0, 0)
 Files = Mapping[str, str | bytes]
@@ -45,7 +43,6 @@ def _each_cell(line: str, word: str, cells: range, mark: str | None = None) -> I
 
 
 def _recorded(text: str, kind: str, word: str) -> Iterator[tuple[Files, str]]:
-    """Trajectories with one bad cell in the second pose."""
     first, second, *others = text.format("0.5").splitlines(keepends=True)[-3:]
     head = text.splitlines(keepends=True)[:-3]
     for bad in _each_cell(second.strip(), word, range(8), "," if kind == "csv" else None):
@@ -96,7 +93,6 @@ def trajectory_files() -> Iterator[Row]:
 
 
 def _stems(word: str) -> Iterator[tuple[Files, str]]:
-    """Stem lists with one bad cell."""
     for cells in (range(2), range(3, 9)):  # between them is the species
         for bad in _each_cell(_STEM, word, cells, ","):
             yield {"plot.csv": f"{_STEMS}{bad}\n"}, ""
@@ -120,7 +116,6 @@ def _binary(kind: str, number: float) -> bytes:
 
 
 def _meshes(word: str) -> Iterator[tuple[Files, str]]:
-    """Meshes with one bad corner."""
     yield {"box.obj": _OBJ.replace("X", word)}, ""
     for suffix, content in (
         ("ply", _PLY.replace("X", word)),
@@ -151,7 +146,6 @@ def _tiff(height: float = 0.0, east: float = -60.0, cell: float = 2.0) -> bytes:
 
 
 def _npy(height: float) -> bytes:
-    """Write an array of flat ground with one bad height."""
     heights, file = np.zeros((61, 61)), io.BytesIO()
     heights[30, 30] = height
     np.save(file, heights)

@@ -23,13 +23,10 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.types import Firings
 
-__all__ = ["crossed", "doubled", "edge_on", "inside", "slivers"]
-
 Array = NDArray[np.float64]
 
 
 def _cone(count: int, half_deg: float, seed: int = 1) -> Firings:
-    """Pulses from the origin about the x axis."""
     rng = np.random.default_rng(seed)
     reach = np.tan(np.radians(half_deg))
     direction = np.column_stack([np.ones(count), rng.uniform(-reach, reach, (count, 2))])
@@ -80,7 +77,6 @@ def doubled() -> Iterator[Row]:
 
 
 def _two_crates() -> str:
-    """Put the crate of the hall there twice."""
     crate = "centre_m=[-6.0,-5.0,0.5],size_m=[2.0,1.0,1.0]"
     return f'world.boxes=[{{name="one",{crate}}},{{name="other",{crate}}}]'
 

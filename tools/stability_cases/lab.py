@@ -26,22 +26,6 @@ from vlp16emu.types import (
 )
 from vlp16emu.world.stand.nearby import AllNear
 
-__all__ = [
-    "PULSES",
-    "beam",
-    "box",
-    "cast",
-    "decoded_m",
-    "detected",
-    "ideal_unit",
-    "opened",
-    "pulses",
-    "quads",
-    "triangles",
-    "unit_of",
-    "wall",
-]
-
 Array = NDArray[np.float64]
 
 PULSES = 24 * LASERS

@@ -16,8 +16,6 @@ from vlp16emu.motion.recorded import RecordedMotion
 from vlp16emu.scenario import load
 from vlp16emu.units import S_NS
 
-__all__ = ["hairpins", "impossible_paths", "midnight", "recordings"]
-
 Array = NDArray[np.float64]
 
 Points = Sequence[tuple[float, float]]
@@ -28,7 +26,6 @@ _FALL_M = 20.0 * (_STEP_NS / S_NS) ** 2 / 2
 
 
 def _walk(points_m: Points, *settings: str) -> tuple[Motion, int]:
-    """Person on loose straps in the hall, and when the walk begins."""
     motion = f'motion={{kind="walk",harness={{}},way_points_m={[list(point) for point in points_m]}}}'
     scenario = load("static_bench", [motion, *settings])
     return assemble(scenario).motion, scenario.start_ns
@@ -62,7 +59,6 @@ def _smooth(name: str, motion: Motion, start_ns: int, span_s: float) -> Iterator
 
 
 def _hairpin(width_m: float, away_m: float = 0.0) -> list[tuple[float, float]]:
-    """Path out and back beside it."""
     half_m = width_m / 2
     way = [(0.0, 0.0), (6.0, 0.0), (6.0 + half_m, half_m), (6.0, width_m), (0.0, width_m)]
     return [(x + away_m, y + away_m) for x, y in way]

@@ -10,8 +10,6 @@ from stability_cases.row import Row
 from vlp16emu.packets import DISTANCE_LSB_M, LASERS, data_fields, data_payloads
 from vlp16emu.types import Firings, ReturnMode, Returns, SensorModel
 
-__all__ = ["azimuth_steps", "distance_steps", "every_range", "grazing"]
-
 Array = NDArray[np.float64]
 
 _STRIP_M = 0.25
@@ -91,7 +89,6 @@ def _returns(distance_m: NDArray[np.float32], reading_deg: Array) -> Returns:
 
 
 def _packed(distance_m: NDArray[np.float32], reading_deg: Array) -> NDArray[np.void]:
-    """Fields of the packets that they become."""
     returns = _returns(distance_m, reading_deg)
     return data_fields(data_payloads(returns, ReturnMode.STRONGEST, SensorModel.VLP_16))
 

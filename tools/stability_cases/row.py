@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from vlp16emu.errors import InputError
 
-__all__ = ["Case", "Row", "check", "refused"]
-
 
 @dataclass(frozen=True, slots=True)
 class Row:

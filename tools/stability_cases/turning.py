@@ -22,8 +22,6 @@ from vlp16emu.sensor.beams import LASER_NS, SEQUENCE_NS
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, US_NS
 
-__all__ = ["fast_turns", "stiff_straps"]
-
 Array = NDArray[np.float64]
 
 _STEP_HZ, _SWAY_M = 1.8, 0.02
@@ -43,7 +41,6 @@ def _sway(first: int, count: int) -> Array:
 
 
 def _straps(hz: float, damping: float) -> Pack:
-    """Pack on straps that are alike on all axes."""
     axes = ("fore_aft_hz", "sideways_hz", "vertical_hz", "roll_hz", "pitch_hz", "yaw_hz")
     return Pack(_sway, Harness(**dict.fromkeys(axes, hz), damping_ratio=damping))
 

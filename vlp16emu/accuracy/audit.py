@@ -21,8 +21,6 @@ from vlp16emu.raycast.caster import Geometry
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import Firings, Hits
 
-__all__ = ["Audit", "AuditFinding"]
-
 _SEQUENCES, _LASERS = 8, 2
 _RAYS, _TIMES = 512, 4
 """Sub-rays of an answer: so many, and so many times those of a pulse. With 512, what is left is a fifth of the error

@@ -10,24 +10,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "BANDS_M",
-    "FEWEST_CLUSTERS",
-    "FINE_M",
-    "GAP_M",
-    "HEIGHTS_M",
-    "Comparison",
-    "Counts",
-    "Detections",
-    "Echoes",
-    "Errors",
-    "Interval",
-    "Tally",
-    "compare",
-    "counted",
-    "errors_of",
-]
-
 _STRONGEST, _LAST = 0, 1
 
 
@@ -121,7 +103,6 @@ def errors_of(compared: Comparison, resolution_m: float) -> Errors:
     returns = int(compared.seen.sum())
 
     def share(of: NDArray[np.bool_]) -> float:
-        """Share of the returns."""
         return float(of.sum() / returns) if returns else np.nan
 
     return Errors(
@@ -144,7 +125,6 @@ def errors_of(compared: Comparison, resolution_m: float) -> Errors:
 
 
 def _rms(values: NDArray[np.float64]) -> float:
-    """Root mean square, NaN of nothing."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
 
 
@@ -310,7 +290,6 @@ def counted(echoes: Echoes, lasers: int, again: tuple[int, int] = (0, 0)) -> Cou
     bands = len(BANDS_M) - 1
 
     def histogram(of: NDArray[np.generic], bins: int, weights: NDArray[np.uint8] | None = None) -> Array:
-        """Count whole numbers."""
         return np.bincount(of, weights, minlength=bins)[:bins].astype(np.float64)
 
     return Counts(
@@ -334,5 +313,4 @@ def counted(echoes: Echoes, lasers: int, again: tuple[int, int] = (0, 0)) -> Cou
 
 
 def _band(range_m: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Bands of ranges."""
     return np.searchsorted(BANDS_M[1:-1], range_m, side="right")

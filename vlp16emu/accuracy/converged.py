@@ -23,19 +23,6 @@ from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.returns.settings import Detector
 from vlp16emu.types import Firings, Hits
 
-__all__ = [
-    "GROUP",
-    "Bench",
-    "Group",
-    "answer_beam",
-    "apart_m",
-    "detections_of",
-    "draw_groups",
-    "joined",
-    "some_firings",
-    "some_hits",
-]
-
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 
 
@@ -81,7 +68,6 @@ def some_firings(firings: Firings, rows: slice, lasers: NDArray[np.int64]) -> Fi
     """Take some lasers of some consecutive sequences."""
 
     def part(of: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Pulses that were drawn."""
         return np.ascontiguousarray(of[rows][:, lasers])
 
     return Firings(

@@ -11,19 +11,6 @@ from vlp16emu.accuracy.compare import Errors
 from vlp16emu.accuracy.distributions import Distributions
 from vlp16emu.plots import CYCLE, INK, SOFT, plotted
 
-__all__ = [
-    "Accuracy",
-    "Choice",
-    "Fit",
-    "Kind",
-    "Rounding",
-    "Row",
-    "choices",
-    "draw_accuracy",
-    "fitted_order",
-    "front",
-]
-
 WANTED_M = (0.5, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
 
 
@@ -136,7 +123,6 @@ def choices(rows: Sequence[Row]) -> list[Choice]:
 
 
 def _to_choose(rows: Sequence[Row]) -> list[Row]:
-    """Leave out what is there only to be compared with."""
     return [row for row in rows if row.kind is not Kind.BEAM_ERROR]
 
 
@@ -188,7 +174,6 @@ def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
 
 
 def _draw(axes: "Axes", rows: Sequence[Row], error_m: Callable[[Row], float]) -> None:
-    """Draw one error of all rows."""
     for kind, (colour, marker, aside) in _STYLES.items():
         own = [row for row in rows if row.kind is kind]
         us, errors = [row.us_per_pulse for row in own], [error_m(row) for row in own]
@@ -232,5 +217,4 @@ def _labels(
 
 
 def _short(row: Row) -> str:
-    """Last number of a setting, or its last word."""
     return row.name.rpartition("=")[2]

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.accuracy.compare import BANDS_M, FINE_M, GAP_M, HEIGHTS_M, Counts
 
-__all__ = ["HEIGHTS", "RETURNS", "Distributions", "Statistic", "Test", "distributions_of"]
-
 Array = NDArray[np.float64]
 Values = dict[tuple[str, str], Array]
 
@@ -163,7 +161,6 @@ def _seam(counts: Counts, explicit: Counts, near_m: float) -> Array:
     edge, wide = round(near_m / FINE_M), round(_SEAM_M / FINE_M)
 
     def step(fine: Array) -> Array:
-        """Divide returns beyond by those before."""
         beyond: Array = fine[:, edge : edge + wide].sum(axis=1)
         before: Array = fine[:, max(edge - wide, 0) : edge].sum(axis=1)
         return beyond / before
@@ -177,7 +174,6 @@ def _seam_row(seams: Sequence[Array]) -> Statistic:
 
 
 def _tests(drawn: Sequence[Counts]) -> list[Test]:
-    """Test all distributions."""
 
     def test(
         name: str,
@@ -185,7 +181,6 @@ def _tests(drawn: Sequence[Counts]) -> list[Test]:
         distance: Callable[[Array, Array], tuple[float, float]],
         of: Callable[[Counts], Array],
     ) -> Test:
-        """Test one."""
         explicit = of(drawn[-1])
         pairs = [distance(of(counts), explicit) for counts in drawn[:-1]]
         return Test(name, kind, tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs))
@@ -232,5 +227,4 @@ def _shares(counts: Array) -> Array:
 
 
 def _with_p(distance: float, null: Array) -> tuple[float, float]:
-    """Give a distance and how often chance alone gives as much."""
     return distance, float((1 + (null >= distance).sum()) / (1 + len(null)))

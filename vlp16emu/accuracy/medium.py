@@ -26,8 +26,6 @@ from vlp16emu.world import Hall
 from vlp16emu.world.make import ground_of
 from vlp16emu.world.plants.flora import flora
 
-__all__ = ["RAYS", "Look", "echoes_of", "measure_medium", "next_revolution"]
-
 RAYS = 16
 """Sub-rays of a pulse."""
 _AGAIN = 8
@@ -108,7 +106,6 @@ def measure_medium(scenario: Scenario, *, pulses: int, done: Callable[[float], N
 
 
 def _part_done(done: Callable[[float], None], number: int, of: int, share: float) -> None:
-    """Report a share of one of several equal parts."""
     done((number + share) / of)
 
 
@@ -141,7 +138,6 @@ def _world(
 
 
 def _beam(scenario: Scenario, unit: Unit) -> Footprint:
-    """Make the light that all worlds are seen by."""
     wide = next(setting.beam for setting in beam_settings(scenario, unit.seed) if setting.kind is Kind.FIXED)
     return answer_beam(wide, RAYS, unit.seed)
 

@@ -15,8 +15,6 @@ from vlp16emu.raycast.beam import LINE
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import Firings, Mesh, ShapeKey, Window
 
-__all__ = ["NOTHING_MET", "Seam", "Strays", "repeats", "rounding_of", "seam", "strays"]
-
 Array = NDArray[np.float64]
 
 _REACH_M = 3.0
@@ -128,7 +126,6 @@ def strays(
 
 
 def _points(mesh: Mesh) -> Array:
-    """Corners of faces, and the middles of faces and of their edges."""
     corners = mesh.vertices_m[mesh.faces].astype(np.float64)
     edges = (corners + np.roll(corners, 1, axis=1)) / 2
     points: Array = np.concatenate([corners.reshape(-1, 3), edges.reshape(-1, 3), corners.mean(axis=1)])

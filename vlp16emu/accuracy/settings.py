@@ -16,16 +16,6 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.types import Poses, ReturnMode
 from vlp16emu.world import Woods
 
-__all__ = [
-    "BeamSetting",
-    "LevelOfDetail",
-    "PoseRate",
-    "PosesAt",
-    "beam_settings",
-    "levels_of_detail",
-    "pose_rates",
-]
-
 PosesAt = Callable[[NDArray[np.int64]], Poses]
 Model = Literal["adaptive", "fixed", "none", "angle", "offset"]
 
@@ -74,7 +64,6 @@ def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
     targets_m = sorted({min(times * section.target_m, 1.0) for times in _TIMES_TARGET}, reverse=True)
 
     def setting(kind: Kind, model: Model, **own: float) -> BeamSetting:
-        """Make a setting of the beam from the section with some keys changed."""
         changed = section.model_copy(update={"model": model, **own})
         keys: dict[str, object] = {"model": model} | {key: f"{value:.4g}" for key, value in own.items()}
         return BeamSetting(
@@ -130,7 +119,6 @@ def _held(poses_at: PosesAt, start_ns: int, hold_ns: int) -> PosesAt:
     """Give poses that stay for `hold_ns` what they were at its begin."""
 
     def held(t_ns: NDArray[np.int64]) -> Poses:
-        """Poses of the beginning of each hold."""
         begin_ns, whose = np.unique((t_ns - start_ns) // hold_ns * hold_ns + start_ns, return_inverse=True)
         poses = poses_at(begin_ns)
         return Poses(t_ns, poses.world_R_body[whose], poses.world_p_body_m[whose])

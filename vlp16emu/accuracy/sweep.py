@@ -19,8 +19,6 @@ from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.scenario import Scenario
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["measure_accuracy"]
-
 _RAYS, _TIMES = 4096, 4
 """Sub-rays of an answer: so many, and so many times those of a pulse of the scene."""
 _REPEATS = 5
@@ -61,7 +59,6 @@ class _Ladder:
             )
 
     def _answer(self, geometry: Geometry, group: Group, poses_at: PosesAt, number: int = 0) -> Detections:
-        """Compute the answer for a group."""
         return self._bench.answer(geometry, self._bench.aimed(group, poses_at), self._wide, number)
 
     def time(self, geometry: Geometry, block: Group) -> None:
@@ -110,7 +107,6 @@ class _Ladder:
         )
 
     def _errors(self, name: str, answer: str) -> Errors:
-        """Compare the detections of one setting with an answer."""
         compared = compare(joined(self._detections[answer]), joined(self._detections[name]), self._apart_m)
         return errors_of(compared, self._apart_m)
 

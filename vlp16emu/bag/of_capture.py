@@ -26,8 +26,6 @@ from vlp16emu.packets import (
 from vlp16emu.sinks.bag import BagFile, Beat
 from vlp16emu.units import HOUR_NS, S_NS
 
-__all__ = ["BagResult", "write_bag"]
-
 _POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
 )
@@ -92,7 +90,6 @@ def write_bag(capture: Path, out: Path, truth: Path | None = None, *, stop: Even
 
 
 def _first_ns(capture: Path) -> int:
-    """UTC of the first data packet's first pulse in a capture, to the microsecond."""
     with CaptureReader(capture) as reader:
         chunk = next(reader.points())
         return int(chunk.packet_ns[0]) + _zero_ns(reader, chunk)
@@ -144,7 +141,6 @@ def _write_scan(
     points: NDArray[np.void],
     names: tuple[str, str],
 ) -> None:
-    """Write both messages of a scan."""
     (space, frame), begin_ns, end_ns = names, packets[0][0], packets[-1][0]
     topic = f"{space}/velodyne_packets"
     raw = [
@@ -184,7 +180,6 @@ def _sentences(bag: BagFile, capture: Path, unit: CapturedUnit, space: str) -> I
     topic, before = f"{space}/nmea_sentence", b""
 
     def write(t_ns: int, sentence: bytes) -> None:
-        """Write one, without its line end, as nmea_topic_driver takes it."""
         text = sentence.decode("ascii", "replace").strip()
         header = bag.header(t_ns, "gps", topic)
         bag.write(topic, t_ns, bag.make("nmea_msgs/msg/Sentence", header=header, sentence=text))

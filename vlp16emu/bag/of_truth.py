@@ -13,8 +13,6 @@ from vlp16emu.errors import InputError, readable
 from vlp16emu.sinks.bag import BagFile, Beat
 from vlp16emu.units import S_NS
 
-__all__ = ["true_streams"]
-
 _UNKNOWN_M2 = 1e6
 """Variance of the height, which an RMC sentence does not have."""
 
@@ -47,7 +45,6 @@ def _json(path: Path) -> Any:
 
 
 def _ns(text: str) -> int:
-    """Read seconds with nine decimals exactly."""
     return int(text.replace(".", ""))
 
 
@@ -67,7 +64,6 @@ def _fixed(bag: BagFile, rig: dict[str, Any], frames: list[str], begin_ns: int) 
     from scipy.spatial.transform import Rotation
 
     def one(parent: str, child: str, T: NDArray[np.float64]) -> Any:
-        """Make one from a matrix."""
         q = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True) + 0.0
         return _transform(
             bag, bag.header(begin_ns, parent, "/tf_static"), child, T[:3, 3].tolist(), q.tolist()
@@ -184,7 +180,6 @@ def _inertial(bag: BagFile, path: Path, imu: dict[str, Any], begin_ns: int) -> I
     rate, force = (np.eye(3).ravel() * imu[key] ** 2 * imu["rate_hz"] for key in keys)
 
     def write(t_ns: int, row: dict[str, float]) -> None:
-        """Write one reading."""
         vectors = (
             make("geometry_msgs/msg/Vector3", **{axis: row[name.format(axis)] for axis in "xyz"})
             for name in axes

@@ -12,8 +12,6 @@ from vlp16emu.recording import Recording
 from vlp16emu.sinks import TruthTo
 from vlp16emu.sinks.bag import check_bag
 
-__all__ = ["record_bag"]
-
 
 def record_bag(path: Path, truth: TruthTo | None, record: Callable[[Path, TruthTo], Recording]) -> Recording:
     """Record a run as a bag, by way of a capture in a hidden folder beside it; what was recorded until a stop is in it.
@@ -57,6 +55,5 @@ def record_bag(path: Path, truth: TruthTo | None, record: Callable[[Path, TruthT
 
 
 def _sha256(path: Path) -> str:
-    """Digest of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

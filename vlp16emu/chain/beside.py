@@ -14,8 +14,6 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, S_NS
 
-__all__ = ["PULSE_HIGH", "PULSE_LOW", "PULSE_NS", "Beside"]
-
 PULSE_NS = 100 * MS_NS
 """Length of a pulse: the sensor wants 20 to 200 ms (User's Manual of the HDL-32E)."""
 PULSE_HIGH, PULSE_LOW = b"\1", b"\0"
@@ -81,7 +79,6 @@ class Beside:
         """Yield sentences, each as long after its second as the sensor gets it."""
 
         def sentence(second: int, due_ns: int) -> Packet:
-            """Write the one that names a second."""
             return Packet(PacketKind.NMEA, due_ns, rmc(self._receiver.fix(second * S_NS)))
 
         for second in seconds:
@@ -89,14 +86,12 @@ class Beside:
             yield due_ns, partial(sentence, second, due_ns)
 
     def _pulses(self, numbers: range) -> Iterator[_Beat]:
-        """Yield rising edges at whole seconds, and the falling ones."""
         for number in numbers:
             second, is_end = divmod(number, 2)
             due_ns, level = second * S_NS + is_end * PULSE_NS, (PULSE_HIGH, PULSE_LOW)[is_end]
             yield due_ns, Packet(PacketKind.PPS, due_ns, level)
 
     def _samples(self, numbers: range) -> Iterator[_Beat]:
-        """Yield samples at their times."""
         imu, ready = self._imu, dict[int, Packet]()
         assert isinstance(imu, ImuSampler)
 

@@ -27,17 +27,6 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.units import seconds_to_ns
 
-__all__ = [
-    "KNOTS_PER_BLOCK",
-    "CellWindows",
-    "LiveWindows",
-    "cell_of",
-    "checked_span_ns",
-    "cuts_of",
-    "track_of",
-    "windows_for",
-]
-
 KNOTS_PER_BLOCK = BLOCK * SEQUENCE_NS // STEP_NS
 """Steps of a live run in a block of the ordinary way."""
 
@@ -94,7 +83,6 @@ class CellWindows(Windows[Geometry]):
         arm_m = max(float(norm(np.array(unit.mount.lever_arm_m))) for unit in parts.units)
 
         def open_cell(name: _Name) -> Geometry:
-            """Open what is within reach of a box."""
             cell, segment = name
             track_m = track_of(cell, arm_m)
             window = parts.world.window(track_m)
@@ -112,7 +100,6 @@ class CellWindows(Windows[Geometry]):
         return self._named(self.cells[max(at, 1) - 1][1], block)
 
     def _named(self, cell: Cell, block: int) -> _Name:
-        """Name of the window of a box for a block."""
         return cell, block // self._segment if self._sways else 0
 
 
@@ -187,7 +174,6 @@ class LiveWindows(CellWindows):
 
 
 def _serves(cell: Cell, place_m: NDArray[np.float64], velocity_m_s: NDArray[np.float64]) -> bool:
-    """Whether the window of a box serves for a block that begins at a place."""
     middle_m = (np.array(cell[:2]) + 0.5) * _WIDE_M
     spare_m = _SPARE_M + _SPARE_S * float(norm(velocity_m_s))
     return bool((np.abs(place_m[:2] - middle_m) <= _WIDE_M / 2 + _ASIDE_M - spare_m).all())

@@ -25,8 +25,6 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Packet, Returns
 
-__all__ = ["Chain"]
-
 
 class Chain:
     """A sensor, or several on one carrier, in the world of a scenario.
@@ -75,7 +73,6 @@ class Chain:
         return arriving(self.scenario, self.parts.units, self._sent, *self._span_ns(start_s, stop_s))
 
     def _sent(self, *span_ns: int) -> Iterator[Packet]:
-        """Yield the packets that leave in a span since the first pulse, before anything happens to them."""
         # Of packets due at once those of the first unit leave first, and its data packets first.
         sources = (self._data_packets, partial(position_packets, self.scenario, self.receiver))
         streams = [source(unit, *span_ns) for unit in self.parts.units for source in sources]

@@ -13,8 +13,6 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.types import PacketKind
 from vlp16emu.units import seconds_to_ns
 
-__all__ = ["Happening", "happenings"]
-
 
 @dataclass(frozen=True, slots=True, order=True)
 class Happening:
@@ -60,7 +58,6 @@ def happenings(
 
 
 def _is_random(event: Event) -> bool:
-    """Whether it befalls packets with a probability."""
     return isinstance(event, Share) and event.share < 1.0
 
 

@@ -43,21 +43,6 @@ _OF_WORLD: tuple[Callable[[Scenario], object], ...] = (
 )
 """What decides it."""
 
-__all__ = [
-    "Like",
-    "Parts",
-    "PulseHook",
-    "Unit",
-    "assemble",
-    "beam_of",
-    "detector_of",
-    "head_of",
-    "in_one_world",
-    "link_of",
-    "seed_of",
-    "with_events",
-]
-
 
 def seed_of(scenario: Scenario, unit: int) -> int:
     """Seed of all that is random in a unit."""
@@ -305,7 +290,6 @@ def _world(scenario: Scenario) -> tuple[Motion, World, TreeSway | None]:
 
 
 def _imu(scenario: Scenario, carrier: Motion) -> ImuSampler | None:
-    """Mount the inertial measurement unit, if there is one."""
     if (imu := scenario.imu) is None:
         return None
     motion = mounted(carrier, imu.mount, scenario.start_ns)
@@ -313,7 +297,6 @@ def _imu(scenario: Scenario, carrier: Motion) -> ImuSampler | None:
 
 
 def _sensors(scenario: Scenario) -> list[tuple[Sensor | FreeSensor, Mount]]:
-    """Give the tables of all units, and how they are mounted."""
     return [(scenario.sensor, scenario.motion.mount), *((unit, unit.mount) for unit in scenario.rig)]
 
 
@@ -323,7 +306,6 @@ def with_events(parts: Parts, scenario: Scenario) -> Parts:
 
 
 def _unit(scenario: Scenario, number: int, motion: Motion) -> Unit:
-    """Make a sensor."""
     section, mount = _sensors(scenario)[number]
     events = [event for event in scenario.events if event.unit == number + 1]
     seed, gps = seed_of(scenario, number), GpsInput.of(scenario.gps, events, scenario.start_ns)

@@ -15,8 +15,6 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["make_receiver", "position_due", "position_number", "position_packets"]
-
 _AT_ONCE = 128
 """Position packets whose times are found at once, a second of them."""
 _LOWEST_DEG = 15.0
@@ -28,7 +26,6 @@ def make_receiver(scenario: Scenario, parts: Parts, windows: Windows[Geometry]) 
     gps, start_ns, far_m = scenario.gps, scenario.start_ns, scenario.sensor.max_range_m
 
     def cover(t_ns: int, antenna_m: NDArray[np.float64]) -> float:
-        """Share of the sky that is covered over the antenna."""
         geometry = windows.wait(windows.at_time(t_ns - start_ns))
         return sky_cover(geometry, t_ns, antenna_m, _LOWEST_DEG, far_m)
 

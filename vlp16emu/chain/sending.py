@@ -13,8 +13,6 @@ from vlp16emu.raycast.caster import Geometry
 from vlp16emu.sensor.head import Head
 from vlp16emu.types import NO_SURFACE, Firings, Packet, ReturnMode, Returns, SensorModel
 
-__all__ = ["Sending", "SendingPart", "SendingSpan"]
-
 Opened = Future[Geometry]
 SlotsOf = Callable[[Returns, ReturnMode], NDArray[np.void]]
 """What is behind the records of returns that are packed in a mode."""
@@ -227,5 +225,4 @@ def _joined(some: list[Returns]) -> Returns:
 
 
 def _count(returns: Returns) -> int:
-    """Count firing sequences."""
     return len(returns.distance_m)

@@ -11,8 +11,6 @@ from vlp16emu.packets.data import distance_lsb, odd_column
 from vlp16emu.packets.layout import NO_ECHO, SEQUENCES_PER_PACKET, SLOT
 from vlp16emu.types import SURFACE, ReturnMode, Returns
 
-__all__ = ["slots_of"]
-
 _ONLY_COLUMN = {ReturnMode.STRONGEST: 0, ReturnMode.LAST: 1}
 _LABELS = ("semantic", "part", "instance", "species")
 
@@ -44,7 +42,6 @@ def _rows(unit: Unit, returns: Returns, column: NDArray[np.int64]) -> NDArray[np
     """Give `SLOT` (k, 16) of one return of each pulse, by its place (k, 16) on the last axis."""
 
     def taken(values: NDArray[Any] | None) -> NDArray[Any]:
-        """Take that return."""
         assert values is not None
         return np.take_along_axis(values, column[..., None], axis=-1)[..., 0]
 

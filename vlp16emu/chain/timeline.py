@@ -23,8 +23,6 @@ from vlp16emu.sensor.settings import FreeSensor, Sensor
 from vlp16emu.types import PpsState, ReturnMode
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["RUN_UP_RPM_S", "clock_spans", "end_ns", "sending_spans", "silences_ns", "spins", "wobbles"]
-
 RUN_UP_RPM_S = 300.0
 """Change of the rotor's speed per second (assumption: the manual has no figure)."""
 _PULL = 0.05
@@ -100,12 +98,10 @@ def clock_spans(
 
 
 def _among(spans_ns: Sequence[tuple[int, int]], t_ns: int) -> bool:
-    """Whether an instant is in one of the spans."""
     return any(begin <= t_ns < end for begin, end in spans_ns)
 
 
 def _shown(span: ClockSpan, t_ns: int) -> int:
-    """Read the clock at an instant."""
     return int(span.reading(np.array([t_ns]))[0])
 
 
@@ -124,7 +120,6 @@ def spins(section: Sensor | FreeSensor, events: Sequence[Event], start_ns: int) 
     power_up = wanted
 
     def started(t_ns: int) -> Spin:
-        """Give the rotor at its first pulse after power-up."""
         free = wanted.phase_deg is None
         angle_deg = section.start_azimuth_deg if free else _in_phase_deg(wanted, start_ns + t_ns)
         return Spin(t_ns, angle_deg, float(wanted.rpm))
@@ -155,7 +150,6 @@ def _in_order(events: Sequence[Event]) -> Iterator[tuple[int, Event]]:
 
 
 def _after(event: Event, wanted: _Wanted, power_up: _Wanted, *, stops: bool) -> _Wanted:
-    """Find what is set on the rotor after an event."""
     if isinstance(event, PowerCycle):
         return power_up
     if isinstance(event, MotorStop):
@@ -194,7 +188,6 @@ def _led(spin: Spin, t_ns: int, wanted: _Wanted, start_ns: int) -> Iterator[Spin
 
 
 def _angle_deg(spin: Spin, t_ns: int) -> float:
-    """Read the angle at an instant."""
     return float(spin.at(np.array([t_ns]))[0])
 
 
@@ -245,5 +238,4 @@ def sending_spans(sensor: Sensor | FreeSensor, events: Sequence[Event]) -> tuple
 
 
 def _sequence(at_s: float) -> int:
-    """First firing sequence from a time on at which packets of every mode begin."""
     return -(-seconds_to_ns(at_s) // (_GRID * SEQUENCE_NS)) * _GRID

@@ -19,8 +19,6 @@ from vlp16emu.chain.parts import Parts
 from vlp16emu.raycast.caster import Caster, Geometry, caster
 from vlp16emu.types import Window
 
-__all__ = ["BLOCK", "SEGMENT", "Batching", "Windows", "prefetch", "window_of", "windows_of", "workers"]
-
 BLOCK = 1_920
 """Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and of 8 rays."""
 SEGMENT = 64
@@ -107,7 +105,6 @@ class Windows(Generic[S]):
 
         @lru_cache(self.kept + math.ceil(too_far / batching.segment))
         def opened(name: Hashable) -> Future[S]:
-            """Open a window once, on the opener."""
             return opener.submit(open_segment, name)
 
         self._opened = opened
@@ -244,7 +241,6 @@ def windows_of(parts: Parts, start_ns: int, batching: Batching, threads: int) ->
     _CASTERS[id(parts.world)] = built
 
     def open_segment(segment: int) -> Geometry:
-        """Open what is within reach of a segment of the walk."""
         return built.open(window_of(parts, start_ns, batching, segment))
 
     return Windows(open_segment, batching, moves=parts.moves, threads=threads)

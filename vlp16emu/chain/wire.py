@@ -13,8 +13,6 @@ from vlp16emu.sensor.settings import Sensor
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import seconds_to_ns
 
-__all__ = ["arriving", "earliest_ns", "faults_of", "number_at", "timetable"]
-
 Streams = Callable[[int, int], Iterator[Packet]]
 """Packets of all units due in a span since the first pulse, in order of sending."""
 
@@ -82,7 +80,6 @@ def arriving(
 
 
 def _first(fault: PacketFault, kind: PacketKind, packets: Iterator[Packet]) -> Packet | None:
-    """Find the packet of a kind at which a sensor hangs."""
     return next((packet for packet in packets if packet.unit == fault.unit and packet.kind is kind), None)
 
 
@@ -93,7 +90,6 @@ def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns:
     """
 
     def data(unit: Unit) -> Iterator[Packet]:
-        """Yield data packets of a unit."""
         sequence_ns = unit.head.beams.sequence_ns
         for slots in unit.sending.slots(start_ns, stop_ns):
             for first, last in zip(slots[:, 0].tolist(), slots[:, -1].tolist(), strict=True):
@@ -101,7 +97,6 @@ def timetable(scenario: Scenario, units: Sequence[Unit], start_ns: int, stop_ns:
                 yield Packet(PacketKind.DATA, due_ns, b"", unit.number, fired_ns)
 
     def position(unit: Unit) -> Iterator[Packet]:
-        """Yield position packets of a unit."""
         for number, due_ns in position_due(scenario, unit, start_ns, stop_ns):
             yield Packet(PacketKind.POSITION, due_ns, b"", unit.number, number=number)
 

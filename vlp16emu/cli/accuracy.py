@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from vlp16emu.accuracy.distributions import Distributions
     from vlp16emu.scenario import Scenario
 
-__all__ = ["accuracy"]
 
 _WIDTH = 120
 _TIMES = 16
@@ -162,7 +161,6 @@ def _write(outputs: "Sequence[OutputFile]", measured: "Accuracy", tree: dict[str
 
 
 def _print(measured: "Accuracy") -> None:
-    """Print the report for people."""
     from vlp16emu.accuracy.curve import choices
 
     errors, rounding = measured.rows[0].errors, measured.rounding
@@ -217,7 +215,6 @@ def _print_distributions(found: "Distributions") -> None:
 
 
 def _short(value: float) -> str:
-    """Four digits, at most three after the point."""
     return "-" if math.isnan(value) else f"{value:.{1 if abs(value) >= 100 else 2}f}"
 
 

@@ -33,8 +33,6 @@ from vlp16emu.cli.verify import verify
 from vlp16emu.cli.view import view
 from vlp16emu.errors import Vlp16emuError
 
-__all__ = ["main", "run"]
-
 _EXAMPLES: dict[Callable[..., None], str | None] = {
     record: """\b
   vlp16emu record birch_walk walk.pcap --duration 10
@@ -204,6 +202,5 @@ def _drop_output() -> None:
 
 
 def _complain(message: str) -> None:
-    """Print one line, whatever line breaks the user's own words brought in."""
     if sys.stderr is not None:  # else nobody listens
         print(f"error: {' '.join(message.splitlines())}", file=sys.stderr)

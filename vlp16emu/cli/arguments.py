@@ -11,26 +11,6 @@ from vlp16emu.errors import InputError
 if TYPE_CHECKING:
     from vlp16emu.sinks import TruthTo
 
-__all__ = [
-    "AsJson",
-    "CaptureFile",
-    "DataPort",
-    "Duration",
-    "Ideal",
-    "NoAudit",
-    "PositionPort",
-    "SceneName",
-    "Settings",
-    "Start",
-    "Threads",
-    "TruthFolder",
-    "TruthPackets",
-    "TruthRate",
-    "TruthReturns",
-    "WhichUnit",
-    "checked",
-    "truth_to",
-]
 
 _LONGEST_S = 7 * 86_400
 """As long as a scene may be."""
@@ -44,7 +24,6 @@ def checked(
     """Parser of a number that raises `InputError` in the name of its option."""
 
     def parse(text: str) -> T:
-        """Read the number."""
         try:
             value = kind(text)
         except ValueError:
@@ -78,7 +57,6 @@ def truth_to(folder: Path | None, rate_hz: int, *, per_packet: bool, per_return:
 
 
 def _port(option: str, about: str) -> Any:
-    """Option that takes a UDP port."""
     parser = checked(option, int, lambda port: 1 <= port <= 65_535, "a whole number from 1 to 65535")
     return typer.Option(option, metavar="PORT", parser=parser, help=about)
 

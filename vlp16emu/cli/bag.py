@@ -8,8 +8,6 @@ import typer
 from vlp16emu.cli.arguments import AsJson, CaptureFile
 from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, stop_on_ctrl_c, tree_of
 
-__all__ = ["bag"]
-
 
 def bag(
     file: CaptureFile,

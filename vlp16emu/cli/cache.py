@@ -9,8 +9,6 @@ from vlp16emu.cli.start import compile_first, starting
 from vlp16emu.cli.terminal import count, print_json, print_rows, size
 from vlp16emu.errors import InputError
 
-__all__ = ["cache"]
-
 Clear = Annotated[
     bool, typer.Option("--clear", help="Remove all of it; files that are not ours stay where they are.")
 ]

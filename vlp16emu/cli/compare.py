@@ -11,8 +11,6 @@ from vlp16emu.cli.terminal import print_json, print_rows
 if TYPE_CHECKING:
     from vlp16emu.compare import Compared
 
-__all__ = ["compare", "fit"]
-
 
 def compare(
     file: CaptureFile,
@@ -58,7 +56,6 @@ def compare(
 
 
 def _line(row: "Compared") -> str:
-    """Write a statistic for people."""
     unlike = [name for name, is_unlike in zip(("first", "second"), row.unlike, strict=True) if is_unlike]
     notes = (["differs"] if row.apart else []) + [f"{name} like no real unit" for name in unlike]
     return f"{row.first:10.4g} {row.second:10.4g} {row.distance:10.2f}  {', '.join(notes)}".rstrip()

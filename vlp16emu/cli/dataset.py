@@ -8,8 +8,6 @@ import typer
 from vlp16emu.cli.arguments import AsJson, checked
 from vlp16emu.cli.terminal import Progress, count, print_json, print_rows, size, tree_of
 
-__all__ = ["dataset"]
-
 SpecFile = Annotated[
     Path, typer.Argument(metavar="SPEC.toml", help="File that describes the dataset.", show_default=False)
 ]

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from vlp16emu.packets import CaptureReader, PointFrame, Summary
     from vlp16emu.types import SensorModel
 
-__all__ = ["decode"]
-
 
 def decode(
     file: CaptureFile,
@@ -137,7 +135,6 @@ def _tree(summary: "Summary") -> dict[str, Any]:
 
 
 def _print(file: Path, out: Path | None, summary: "Summary", *, interrupted: bool) -> None:
-    """Print the summary for people."""
     per_scan = f", {count(summary.records_per_scan)} records each" if summary.records_per_scan else ""
     gps = "no position packet"
     if summary.gps:

@@ -13,7 +13,6 @@ from vlp16emu.errors import InputError
 if TYPE_CHECKING:
     from vlp16emu.deskew import Deskewed
 
-__all__ = ["Drift", "LabelsWanted", "MountedAt", "TimeOffset", "TrajectoryFile", "deskew"]
 
 _MOST_S = 7 * 86_400
 _FARTHEST = 1e6
@@ -122,7 +121,6 @@ def deskew(
 
 
 def _print(cloud: "Deskewed") -> None:
-    """Print the report for people."""
     print_rows(
         f"{'interrupted, kept' if cloud.interrupted else 'wrote'} {cloud.file}",
         {

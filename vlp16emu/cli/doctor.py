@@ -7,8 +7,6 @@ import typer
 from vlp16emu.cli.arguments import AsJson
 from vlp16emu.cli.terminal import print_json, print_rows
 
-__all__ = ["doctor"]
-
 
 def doctor(*, as_json: AsJson = False) -> None:
     """Check this machine: cores, kernels, Embree, ports, rights, clock, wake-ups, buffers, extras, disk.

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from vlp16emu.report.forest.survey import Survey
     from vlp16emu.scenario import Scenario
 
-__all__ = ["forest"]
 
 Radius = Annotated[
     float,
@@ -205,7 +204,6 @@ def _subtitle(summary: "WorldSummary") -> str:
 
 
 def _print(summary: "WorldSummary") -> None:
-    """Print the report for people."""
     from vlp16emu.report.forest.summary import ForestSummary
 
     about = {"seed": str(summary.seed)}
@@ -236,7 +234,6 @@ def _about(summary: "ForestSummary") -> dict[str, str]:
 
 
 def _print_trees(rows: "Sequence[StandRow]") -> None:
-    """Print the table of species."""
     columns = ("trees", "stems", "per ha", "DBH, cm", "height, m", "m2/ha", "m3/ha", "LAI")
     cells = [
         (
@@ -258,7 +255,6 @@ def _print_trees(rows: "Sequence[StandRow]") -> None:
 
 
 def _kind(things: "Things") -> str:
-    """Write number, density, sizes and species of one kind."""
     text = f"{count(things.count)}, {things.per_ha:.0f} per ha, {things.measure}"
     text += f" {things.least_m:.2f} m to {things.greatest_m:.2f} m"
     names = ", ".join(f"{name.replace('_', ' ')} {number}" for name, number in things.species.items())
@@ -266,7 +262,6 @@ def _kind(things: "Things") -> str:
 
 
 def _placed(thing: "NamedThing") -> str:
-    """Write where a named thing is and how large."""
     place = ", ".join(f"{value:.2f}" for value in thing.place_m)
     extent = " x ".join(f"{value:.2f}" for value in thing.size_m)
     return f"at ({place}) m, {extent} m"

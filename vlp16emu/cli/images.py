@@ -23,7 +23,6 @@ from vlp16emu.errors import InputError
 if TYPE_CHECKING:
     from vlp16emu.images import ImageRun
 
-__all__ = ["images"]
 
 Folder = Annotated[Path, typer.Argument(metavar="OUT", help="Folder, new or empty.", show_default=False)]
 Kind = Annotated[
@@ -103,7 +102,6 @@ def images(
 
 
 def _size(text: str) -> tuple[int, int]:
-    """Read width and height in pixels."""
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal()):
         raise InputError("--size", f"found {text}", "width and height in pixels, such as 2048x512")
@@ -111,7 +109,6 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def _print(run: "ImageRun") -> None:
-    """Print the report for people."""
     print_rows(
         f"{'interrupted, kept' if run.interrupted else 'wrote'} {run.folder}",
         {

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from vlp16emu.scenario import Scenario
     from vlp16emu.viewer.watch import Watch
 
-__all__ = ["FlownFile", "Gamepad", "PoseIn", "View", "late_of", "live_rows", "poses_in", "watched"]
 
 PoseIn = Annotated[
     str | None,

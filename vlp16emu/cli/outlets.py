@@ -12,14 +12,12 @@ if TYPE_CHECKING:
     from vlp16emu.sinks import Away, GpsIn, OutletResult, Outlets
     from vlp16emu.streaming import Streamed
 
-__all__ = ["GpsInPort", "GpsInPulse", "GpsOut", "GpsPps", "ImuOut", "gps_in_of", "outlet_rows", "outlets_of"]
 
 Line = Literal["dtr", "rts", "off"]
 _LINES: tuple[Line, ...] = get_args(Line)
 
 
 def _line(text: str) -> Line:
-    """Read the line of the pulse."""
     for line in _LINES:
         if text == line:
             return line
@@ -31,7 +29,6 @@ _PULSES: tuple[Pulse, ...] = get_args(Pulse)
 
 
 def _pulse(text: str) -> Pulse:
-    """Read the line of a receiver's pulse."""
     for pulse in _PULSES:
         if text == pulse:
             return pulse
@@ -120,7 +117,6 @@ def outlet_rows(streamed: "Streamed") -> dict[str, str]:
 
 
 def _row(sent: "OutletResult") -> str:
-    """Write how much went where, and what was lost."""
     row = f"{count(sent.messages)} to {sent.to}"
     if sent.dropped:
         row += f", {count(sent.dropped)} dropped"
@@ -128,7 +124,6 @@ def _row(sent: "OutletResult") -> str:
 
 
 def _away(times: Sequence["Away"]) -> str:
-    """Write how often and for how long a device was away."""
     if not times:
         return ""
     often = "once" if len(times) == 1 else f"{count(len(times))} times"

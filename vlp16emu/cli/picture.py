@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from vlp16emu.viewer.picture import PictureLook, PictureRun
 
-__all__ = ["picture"]
 
 _LARGEST_PX, _FROM_DEG = 8_192, 205.0
 
@@ -155,7 +154,6 @@ def _of_scene(
     *,
     ideal: bool,
 ) -> "PictureRun":
-    """Draw a scene."""
     import numpy as np
 
     from vlp16emu.images import species_of

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from vlp16emu.report.plan.needs import Surroundings
     from vlp16emu.report.plan.run import Measured, Plan, StreamOutlook
 
-__all__ = ["plan"]
 
 _SCARCE = 1.2
 """Speed below which other programs, a driver on the same machine for instance, may make a stream late."""
@@ -54,7 +53,6 @@ def plan(
 
 
 def _print(plan: "Plan") -> None:
-    """Print the plan for people."""
     for title, on in (("has", True), ("leaves out", False)):
         rows = {need.name: need.costs for need in plan.features if need.on is on}
         if rows:
@@ -98,7 +96,6 @@ def _stream_rows(found: "StreamOutlook") -> dict[str, str]:
 
 
 def _reach(world: "Surroundings") -> dict[str, str]:
-    """Write what is in reach of the sensor."""
     rows = {}
     for kind, number in world.first_window.items():
         if not number:

@@ -26,7 +26,6 @@ from vlp16emu.errors import InputError
 if TYPE_CHECKING:
     from vlp16emu.points import PointCloud
 
-__all__ = ["points"]
 
 _OF_SCENES = frozenset({"duration", "start", "settings", "ideal", "threads"})
 _OF_CAPTURES = frozenset({"mount", "drift", "time_offset"})
@@ -131,7 +130,6 @@ def points(
 
 
 def _refuse(context: typer.Context, names: frozenset[str], found: str, expected: str) -> None:
-    """Refuse options that are given where they mean nothing."""
     for option in context.command.params:
         source = context.get_parameter_source(option.name or "")
         if option.name in names and source is not None and source.name == "COMMANDLINE":
@@ -139,7 +137,6 @@ def _refuse(context: typer.Context, names: frozenset[str], found: str, expected:
 
 
 def _print(cloud: "PointCloud") -> None:
-    """Print the report for people."""
     low, high = cloud.elevation_deg
     returns = ", ".join(f"{count(n)} {name.replace('_', ' ')}" for name, n in cloud.returns.items() if n)
     print_rows(

@@ -42,7 +42,6 @@ from vlp16emu.cli.terminal import (
 if TYPE_CHECKING:
     from vlp16emu.recording import Recording, UnitRecording
 
-__all__ = ["record"]
 
 _WHOLE = 0.995
 
@@ -111,14 +110,12 @@ def record(
 
 
 def _beside(out: Path) -> AbstractContextManager[object]:
-    """Print to where the file does not go."""
     from vlp16emu.output import STDOUT
 
     return redirect_stdout(sys.stderr) if out == STDOUT else nullcontext()
 
 
 def _print(recording: "Recording") -> None:
-    """Print the report for people."""
     units = recording.units if len(recording.units) > 1 else ()
     print_rows(
         f"{'interrupted, kept' if recording.interrupted else 'wrote'} {recording.file}",
@@ -141,11 +138,9 @@ def _print(recording: "Recording") -> None:
 
 
 def _of_walk(share: float | None) -> str:
-    """Write how much of the walk that is, where it is not all of it."""
     return f", {100 * share:.0f} % of the walk" if share is not None and share < _WHOLE else ""
 
 
 def _line(unit: "UnitRecording") -> str:
-    """Write what one of several units sent."""
     sent = f"{count(unit.packets)} data, {count(unit.position_packets)} position"
     return f"{unit.name}, {sent}, {count(unit.returns)} returns, {unit.address}:{unit.data_port}"

@@ -24,7 +24,6 @@ from vlp16emu.cli.terminal import count, stop_on_ctrl_c
 if TYPE_CHECKING:
     from vlp16emu.replay import Replay, Replayed
 
-__all__ = ["replay"]
 
 Loop = Annotated[
     bool,
@@ -77,13 +76,11 @@ def replay(
 
 
 def _announce(capture: "Replay", to: str) -> None:
-    """Print what begins, at once."""
     units = ", ".join(map(str, capture.units))
     print(f"replaying {capture.path} to {to}: sensors {units}", flush=True)
 
 
 def _rows(replayed: "Replayed") -> dict[str, str]:
-    """Write the rows of the report."""
     ports = "; ".join(f"{data} and {position}" for data, position in replayed.ports)
     rows = {
         "sensors": ", ".join(replayed.units),

@@ -3,8 +3,6 @@
 from vlp16emu.cli.arguments import AsJson
 from vlp16emu.cli.terminal import print_json, print_rows
 
-__all__ = ["scenes", "schema"]
-
 
 def scenes(*, as_json: AsJson = False) -> None:
     """List the scenes that can be called by name.

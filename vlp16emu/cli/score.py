@@ -10,8 +10,6 @@ from vlp16emu.cli.arguments import AsJson, checked
 from vlp16emu.cli.terminal import print_json, print_rows
 from vlp16emu.errors import InputError
 
-__all__ = ["score"]
-
 TruthFolder = Annotated[
     Path,
     typer.Argument(metavar="TRUTH_DIR", help="Folder that `record --truth` has written.", show_default=False),
@@ -130,7 +128,6 @@ def score(
 
 
 def _page(card: object, missed: list[str]) -> str:
-    """Make the page, for which matplotlib is needed."""
     from vlp16emu.plots import check_matplotlib
     from vlp16emu.score.card import ScoreCard
     from vlp16emu.score.page import page

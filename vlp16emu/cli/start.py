@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
 
-__all__ = ["compile_first", "make_emulator", "starting"]
-
 
 def make_emulator(
     scene: str,

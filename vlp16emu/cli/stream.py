@@ -57,23 +57,6 @@ from vlp16emu.cli.terminal import (
 from vlp16emu.cli.web import HttpAt, HttpSettings, served
 from vlp16emu.errors import InputError
 
-__all__ = [
-    "AsSensor",
-    "Interface",
-    "LatePolicy",
-    "Now",
-    "Speed",
-    "Strict",
-    "To",
-    "behind_line",
-    "close",
-    "lateness_rows",
-    "moved_row",
-    "receiver_of",
-    "stream",
-    "stream_rows",
-]
-
 if TYPE_CHECKING:
     from vlp16emu.replay import Replayed
     from vlp16emu.scenario import Scenario
@@ -158,7 +141,6 @@ def _times(times: "Sequence[Behind]", most_s: float) -> str:
 
 
 def _time(us: float) -> str:
-    """Write a lateness in the unit that suits it."""
     if us < 10_000:
         return f"{us:.0f} us"
     return f"{us * 1e-3:.0f} ms" if us < 1e6 else f"{us * 1e-6:.2f} s"
@@ -225,7 +207,6 @@ Now = Annotated[
 
 
 def _policy(text: str) -> str:
-    """Read what happens to late packets."""
     if text not in ("pace", "skip"):
         raise InputError("--late", f"found {text}", "pace or skip")
     return text
@@ -373,7 +354,6 @@ def close(sent: T, what: str, rows: Callable[[T], dict[str, str]], *, strict: bo
 
 
 def _announce(scene: str, to: str, emulator: "Emulator") -> None:
-    """Print what begins, at once."""
     pairs = "; ".join(f"{unit.link.data_port} and {unit.link.position_port}" for unit in emulator.parts.units)
     print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
 

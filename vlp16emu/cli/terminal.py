@@ -12,21 +12,6 @@ from dataclasses import asdict
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-__all__ = [
-    "ENDINGS",
-    "INTERRUPTED",
-    "Progress",
-    "audit_rows",
-    "count",
-    "light_rows",
-    "print_json",
-    "print_rows",
-    "revolutions",
-    "size",
-    "stop_on_ctrl_c",
-    "tree_of",
-]
-
 INTERRUPTED = 130
 """Exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)."""
 
@@ -48,12 +33,10 @@ def stop_on_ctrl_c() -> Iterator[threading.Event]:
         del before[signal.SIGHUP]
 
     def restore() -> None:
-        """Let all do what they did before."""
         for number, handler in before.items():
             signal.signal(number, handler)
 
     def note(_signal: int, _frame: object) -> None:
-        """Remember the first, and let the second do what it did before."""
         stop.set()
         restore()
         if os.isatty(_STDERR):  # print is not to be called in the midst of a print
@@ -118,7 +101,6 @@ class Progress:
                 self._bar.stop()
 
     def _show_life(self) -> None:
-        """Count the seconds until the first packet, or whatever the run makes."""
         began_s = time.monotonic()
         while not self._begun.wait(_REFRESH_S):
             self._draw(f"{_FIRST}, {time.monotonic() - began_s:.0f} s", 0.0)
@@ -157,7 +139,6 @@ def tree_of(result: "DataclassInstance") -> dict[str, Any]:
     """Put a result into the types of JSON; what it says of its `turn` goes beside the rest."""
 
     def flat(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        """Make the object of one dataclass."""
         tree = dict[str, Any]()
         for name, value in pairs:
             tree |= value if name == "turn" else {name: value}

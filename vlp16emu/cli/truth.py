@@ -19,8 +19,6 @@ from vlp16emu.cli.arguments import (
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import INTERRUPTED, Progress, print_json, print_rows, size, stop_on_ctrl_c
 
-__all__ = ["truth"]
-
 Folder = Annotated[
     Path,
     typer.Argument(

@@ -10,8 +10,6 @@ from vlp16emu.cli.terminal import count, print_json, print_rows
 if TYPE_CHECKING:
     from vlp16emu.validator import Verification
 
-__all__ = ["verify"]
-
 
 def verify(file: CaptureFile, *, as_json: AsJson = False) -> None:
     """Check a capture against the rules of VLP-16 traffic.

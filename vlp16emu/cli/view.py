@@ -15,7 +15,6 @@ from vlp16emu.errors import InputError, MissingExtraError
 if TYPE_CHECKING:
     import viser
 
-__all__ = ["view"]
 
 SceneOrCapture = Annotated[
     str,
@@ -110,7 +109,6 @@ def view(
 def _show_capture(
     server: "viser.ViserServer", capture: Path, truth: Path | None, unit: int, stop: Event
 ) -> None:
-    """Show the sweeps of a capture."""
     import numpy as np
 
     from vlp16emu.viewer.capture import CaptureSweeps
@@ -134,7 +132,6 @@ def _show_scene(
     save: Path | None,
     stop: Event,
 ) -> None:
-    """Grow the world, and show it."""
     from vlp16emu.motion.live_settings import takes_poses
     from vlp16emu.viewer.scene import ScenePage
 

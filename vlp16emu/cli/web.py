@@ -9,11 +9,8 @@ import typer
 if TYPE_CHECKING:
     from vlp16emu.streaming import Http
 
-__all__ = ["HttpAt", "HttpSettings", "served"]
-
 
 def _http(text: str) -> tuple[str, int]:
-    """Read where the web interface shall listen."""
     from vlp16emu.device.web import parse_http
 
     return parse_http(text)
@@ -49,7 +46,6 @@ def served(at: object | None, saved: Path | None, *, quiet: bool) -> "Http | Non
         return None
 
     def serving(places: Sequence[tuple[str, int]]) -> None:
-        """Print their addresses."""
         if not quiet:
             print(
                 "web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True

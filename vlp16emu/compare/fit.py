@@ -18,8 +18,6 @@ from vlp16emu.compare.statistics import (
 from vlp16emu.returns import Noise
 from vlp16emu.sensor import Sensor
 
-__all__ = ["fitted"]
-
 _EVEN_CDEG2, _PER_RATE_CDEG2 = 0.136, 3.46
 _LEVEL = 80.0
 """Reflectivity in the middle of those whose neighbours are compared."""
@@ -98,6 +96,5 @@ def _rotor(sequences: Sequences) -> Table:
 
 
 def _checked(kind: type[Noise] | type[Sensor], table: Table) -> dict[str, object]:
-    """Hold a table against the limits of its section."""
     kind.model_validate(table)
     return dict(table)

@@ -20,8 +20,6 @@ from vlp16emu.packets.layout import (
 from vlp16emu.types import ReturnMode
 from vlp16emu.units import HOUR_NS, US_NS
 
-__all__ = ["Sequences", "read_sequences"]
-
 _LEAST_PACKETS = 80
 """One revolution at 600 rpm has 75."""
 _MOST_PACKETS = 50_000

@@ -15,19 +15,6 @@ from vlp16emu.compare.sequences import Sequences
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS
 from vlp16emu.units import S_NS, US_NS
 
-__all__ = [
-    "Smooth",
-    "Statistics",
-    "Turning",
-    "beat_of",
-    "hum_cdeg",
-    "local",
-    "smooth_of",
-    "statistics_of",
-    "turning_of",
-    "white_mm",
-]
-
 _WINDOW = 15
 _SMOOTHEST_MM, _FARTHEST_MM = 20.0, 35.0
 """Least scatter and residual in a window from which on a surface is no smooth one."""
@@ -250,6 +237,5 @@ def _residues(sequences: Sequences) -> Statistics:
 
 
 def _stamps(sequences: Sequences) -> Statistics:
-    """How the stamps of the capture follow the sensor's clock."""
     clock, stamp = sequences.clock_ns - sequences.clock_ns[0], sequences.stamp_ns - sequences.stamp_ns[0]
     return {"stamp.spacing_us": (np.diff(stamp) - np.diff(clock)).std() / US_NS}

@@ -13,7 +13,6 @@ from vlp16emu.plots import plotted
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["REAL", "Compared", "compared", "draw"]
 
 REAL: Mapping[str, tuple[float, float]] = MappingProxyType(
     {

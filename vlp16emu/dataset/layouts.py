@@ -14,8 +14,6 @@ from vlp16emu.scan import Labels, Scan
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["LAYOUTS", "Layout", "walk_folder"]
-
 _SEMANTIC_KITTI = {
     Semantic.NONE: 0,  # unlabeled
     Semantic.GROUND: 72,  # terrain
@@ -116,7 +114,6 @@ def _numbers(instances: NDArray[np.uint32], known: dict[int, int]) -> NDArray[np
 
 
 def _packets(emulator: Emulator, span_s: tuple[float, float], folder: Path) -> None:
-    """Write a capture of a span."""
     emulator.record(folder / _CAPTURE, start_s=span_s[0], duration_s=span_s[1] - span_s[0])
 
 
@@ -131,7 +128,6 @@ def _pcap_and_truth(emulator: Emulator, stretches: Sequence[Path], folder: Path)
 
 
 def _points(emulator: Emulator, span_s: tuple[float, float], folder: Path) -> None:
-    """Write the points of a span, uncompressed."""
     emulator.write_points(
         folder / "points.las", start_s=span_s[0], duration_s=span_s[1] - span_s[0], truth=True
     )

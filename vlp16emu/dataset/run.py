@@ -23,8 +23,6 @@ from vlp16emu.output import OutputFile, lock
 from vlp16emu.scenario import Scenario
 from vlp16emu.units import seconds_to_ns
 
-__all__ = ["DatasetResult", "make_dataset"]
-
 _RECORDS = ".records"
 _STRETCHES = ".stretches"
 _PART = ".part"
@@ -121,7 +119,6 @@ def _folder(out: Path) -> Iterator[None]:
 
 
 def _sweep(out: Path) -> None:
-    """Remove what walks and stretches that were not finished have left."""
     for left in out.glob(f"*/*{_PART}"):
         shutil.rmtree(left, ignore_errors=True)
 
@@ -131,7 +128,6 @@ _LAST = list[Emulator]()
 
 
 def _emulator(scenario: Scenario, threads: int) -> Emulator:
-    """Make an emulator, of what the last one has grown and built where that is in one world with it."""
     if _LAST and not in_one_world(scenario, _LAST[0].scenario):
         _LAST.clear()
     _LAST[:] = [Emulator(scenario, threads=threads, like=next(iter(_LAST), None))]
@@ -307,17 +303,14 @@ def _described(path: Path, folder: Path) -> dict[str, Any]:
 
 
 def _written_by() -> str:
-    """Program and version."""
     return f"vlp16emu {version('vlp16emu')}"
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """Read a record."""
     tree: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return tree
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
     with OutputFile(path) as file, file.writing() as opened:
         opened.write(text.encode())

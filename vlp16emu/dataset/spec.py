@@ -15,14 +15,11 @@ from vlp16emu.scenario.find import find
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.settings import Fraction, Section, toml
 
-__all__ = ["DatasetSpec", "DatasetWalk", "load_spec", "walks_of"]
-
 _SPLITS = ("train", "val", "test")
 _ONE = 1e-9
 
 
 def _each_once(values: list[Any]) -> list[Any]:
-    """Refuse what is there twice."""
     names = [value.name if isinstance(value, _Variant) else value for value in values]
     if len(set(names)) < len(names):
         raise ValueError("each name and each number once")
@@ -54,7 +51,6 @@ class _Splits(Section):
 
 
 def _all_of_it(splits: _Splits) -> _Splits:
-    """Refuse shares that leave stands over."""
     if abs(splits.train + splits.val + splits.test - 1) > _ONE:
         raise ValueError("train, val and test that sum to 1")
     return splits

@@ -9,8 +9,6 @@ import math
 from vlp16emu.device.state import DeviceStatus
 from vlp16emu.units import S_NS
 
-__all__ = ["diagnostics"]
-
 _COUNTS_PER_V = 4096 / 5
 _AMBIENT_C, _BOTTOM_C, _TOP_C = 25.0, 51.1, 53.1
 """Of the surroundings, and of the boards in the end."""
@@ -63,7 +61,6 @@ def _top(status: DeviceStatus) -> _Counts:
 
 
 def _counts(volts: float, status: DeviceStatus, period_s: int) -> int:
-    """Read a voltage, which wanders by less than a count."""
     return round(volts * _COUNTS_PER_V + 0.8 * _sine(status, period_s))
 
 
@@ -73,11 +70,9 @@ def _lm20(temperature_c: float) -> int:
 
 
 def _warmed(last_c: float, status: DeviceStatus, period_s: int) -> float:
-    """Temperature of a board that warms up, and then follows its surroundings."""
     missing = math.exp(-status.powered_for_s / _WARM_UP_S)
     return last_c - (last_c - _AMBIENT_C) * missing + _SWAY_C * _sine(status, period_s)
 
 
 def _sine(status: DeviceStatus, period_s: int) -> float:
-    """Go up and down with the emulated time."""
     return math.sin(2 * math.pi * (status.t_ns % (period_s * S_NS)) / (period_s * S_NS))

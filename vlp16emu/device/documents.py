@@ -4,8 +4,6 @@ from vlp16emu.device.diagnostics import diagnostics
 from vlp16emu.device.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.types import SensorModel
 
-__all__ = ["document"]
-
 _MODELS = {
     SensorModel.VLP_16: "VLP-16",
     SensorModel.PUCK_LITE: "Puck LITE",
@@ -122,7 +120,6 @@ def _image(version: int, built_s: int, length_bytes: int, data_crc: int, header_
 
 
 def _state(application: int, watchdog: int) -> dict[str, int]:
-    """Write the state of a board that runs its application, watched by its watchdog."""
     idle = ("factorymode", "powerup", "runconfig", "wdtimer", "nstatus", "crcerr", "nconfig")
     running = {"appmode": 1, "wden": 1, "prevaddr": 0, "appaddr": application, "wdto": watchdog}
     return dict.fromkeys(idle, 0) | running

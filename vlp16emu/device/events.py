@@ -6,36 +6,6 @@ from pydantic import Field, model_validator
 
 from vlp16emu.settings import Fraction, NonNegative, Positive, Section
 
-__all__ = [
-    "AnyEvent",
-    "Corrupt",
-    "DeadLaser",
-    "Delay",
-    "DirtyWindow",
-    "Drop",
-    "Duplicate",
-    "Event",
-    "Freeze",
-    "GpsEvent",
-    "HttpError",
-    "Jitter",
-    "LastingEvent",
-    "LateSentence",
-    "MotorStop",
-    "Oscillator",
-    "PacketEvent",
-    "PowerCycle",
-    "PpsLoss",
-    "Reorder",
-    "SentenceLoss",
-    "Setting",
-    "Share",
-    "Truncate",
-    "VoidSentence",
-    "Wobble",
-    "WrongSentence",
-]
-
 _Degree = Annotated[int, Field(ge=0, le=359)]
 
 
@@ -79,7 +49,6 @@ class Setting(Event):
 
     @model_validator(mode="after")
     def _sets_something(self) -> Self:
-        """Refuse a change of nothing."""
         if not self.model_fields_set - {"kind", "at_s", "unit"}:
             raise ValueError("at least one of rpm, return_mode, laser, fov_deg and phase_lock_deg in it")
         return self
@@ -196,7 +165,6 @@ class PacketEvent(LastingEvent):
 
     @model_validator(mode="after")
     def _ends_once(self) -> Self:
-        """Refuse two ends."""
         if self.count is not None and self.duration_s is not None:
             raise ValueError("duration_s or count in it, not both")
         return self

@@ -26,8 +26,6 @@ from vlp16emu.random import Purpose, generator, uniform
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, seconds_to_ns
 
-__all__ = ["PacketFault", "Wire", "kinds_of"]
-
 _ORDER = (Jitter, Reorder, Delay, Freeze, Drop, Corrupt, Truncate, Duplicate)
 """Which of several faults of a packet comes first."""
 _LONGEST_NS = 20 * MS_NS
@@ -132,7 +130,6 @@ class PacketFault:
         return float(uniform(self.seed, purpose, number, 1, self._lane(packet))[0])
 
     def _lane(self, packet: Packet) -> int:
-        """Counter of the event and the kind of packet."""
         return 2 * self.number + (packet.kind is PacketKind.POSITION)
 
 

@@ -15,8 +15,6 @@ from pydantic import ValidationError
 from vlp16emu.device.state import Device, DeviceSettings, explained
 from vlp16emu.types import ReturnMode
 
-__all__ = ["PATHS", "FormError", "submit"]
-
 _MOST_KEYS = 16
 
 _Change = Callable[[DeviceSettings, str], dict[str, Any]]
@@ -45,7 +43,6 @@ def submit(path: str, body: bytes, device: Device) -> None:
     pairs = _pairs(body)
 
     def made(settings: DeviceSettings) -> DeviceSettings:
-        """Set one key after another."""
         for key, text in pairs:
             settings = _with(settings, _FORMS[path], key, text)
         return settings
@@ -67,7 +64,6 @@ def _pairs(body: bytes) -> list[tuple[str, str]]:
 
 
 def _with(settings: DeviceSettings, form: Mapping[str, _Change], key: str, text: str) -> DeviceSettings:
-    """Set one key of a form."""
     if key not in form:
         raise FormError(f"{key[:40]!r}: unknown key, expected {' or '.join(form)}")
     try:
@@ -84,7 +80,6 @@ def _shown(body: bytes) -> str:
 
 
 def _whole(text: str) -> int:
-    """Read a number without sign."""
     if not re.fullmatch(r"[0-9]{1,5}", text, re.ASCII):
         raise ValueError("a whole number")
     return int(text)
@@ -104,7 +99,6 @@ def _return_mode(text: str) -> ReturnMode:
 
 
 def _setting(field: str, read: Callable[[str], object]) -> _Change:
-    """Make a key of a form that sets one field."""
     return lambda _, text: {field: read(text)}
 
 

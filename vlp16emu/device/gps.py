@@ -23,8 +23,6 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.types import GnssFix, PpsState
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["GpsInput"]
-
 _FOREVER_NS = 2**62
 _STALE_NS = 5 * S_NS
 """After so long without a sentence the sensor is as one that never had any (assumption: the window of the pulse)."""
@@ -170,22 +168,18 @@ class GpsInput:
         ]
 
     def _comes_ns(self, second_ns: int) -> int:
-        """When the sentence of a second comes."""
         late_s = max((event.by_s for event in self._of(LateSentence, second_ns)), default=0.0)
         return second_ns + self.sentence_delay_ns + seconds_to_ns(late_s)
 
     def _absent_ns(self, second_ns: int, t_ns: int) -> int | None:
-        """Time before which an earlier sentence must be due, where that of a second is not there at an instant."""
         if missing := self._of(SentenceLoss, second_ns):
             return min(self._begin_ns(event) for event in missing)
         return second_ns + self.sentence_delay_ns if self._comes_ns(second_ns) > t_ns else None
 
     def _begin_ns(self, event: Event) -> int:
-        """UTC at which an event begins."""
         return self.start_ns + seconds_to_ns(event.at_s)
 
     def _span_ns(self, event: LastingEvent) -> tuple[int, int]:
-        """UTC at which it begins, and at which it is over."""
         begin_ns = self._begin_ns(event)
         return begin_ns, _FOREVER_NS if event.duration_s is None else begin_ns + seconds_to_ns(
             event.duration_s
@@ -221,7 +215,6 @@ def _checksum(sentence: bytes | bytearray) -> bytes:
 
 
 def _ceil(t_ns: int) -> int:
-    """First whole second from an instant on."""
     return -(-t_ns // S_NS) * S_NS
 
 
@@ -237,11 +230,9 @@ def _merged(spans: Iterable[tuple[int, int]]) -> _Spans:
 
 
 def _at(spans: Sequence[tuple[int, int]], t_ns: int) -> bool:
-    """Whether an instant is in one of them."""
     return any(begin <= t_ns < end for begin, end in spans)
 
 
 def _before(spans: _Spans, t_ns: int) -> tuple[int, int] | None:
-    """Give the last one that is over at an instant."""
     place = bisect_right([end for _, end in spans], t_ns)
     return spans[place - 1] if place else None

@@ -9,8 +9,6 @@ from vlp16emu.packets.nmea import rmc_time
 from vlp16emu.types import PpsState
 from vlp16emu.units import HOUR_NS, MS_NS, S_NS
 
-__all__ = ["GpsLine", "Heard"]
-
 _LINE = re.compile(rb"[^\r\n]*[\r\n]+")
 _LONGEST = 256
 """Bytes without an end of line, after which they are no sentence: twice what a position packet holds."""

@@ -9,8 +9,6 @@ from vlp16emu.settings import Preset
 from vlp16emu.types import Packet
 from vlp16emu.units import US_NS
 
-__all__ = ["CaptureClock", "HostClock"]
-
 _LONGEST_US = 4_500.0
 """Later than any host that keeps up: `verify` takes 5 ms for a delay of the network."""
 _LANES_PER_UNIT = 8

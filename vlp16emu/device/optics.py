@@ -11,8 +11,6 @@ from vlp16emu.device.events import DeadLaser, DirtyWindow, Event, LastingEvent
 from vlp16emu.types import Firings, Hits, Returns
 from vlp16emu.units import seconds_to_ns
 
-__all__ = ["Optics"]
-
 
 @dataclass(frozen=True, slots=True)
 class Optics:

@@ -10,8 +10,6 @@ from typing import Self
 from vlp16emu.errors import InputError, OutputError, PacketError
 from vlp16emu.packets.pose import POSE_BYTES, pack_pose, unpack_pose
 
-__all__ = ["PoseReceiver", "PoseSender", "pose_port"]
-
 _POLL_S = 0.1
 """How often the thread looks whether it shall end."""
 _EXPECTED = "udp://HOST:PORT, for instance udp://127.0.0.1:7000"

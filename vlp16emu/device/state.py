@@ -18,15 +18,12 @@ from vlp16emu.output import OutputFile
 from vlp16emu.sensor.settings import Address, Port
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 
-__all__ = ["Device", "DeviceInfo", "DeviceSettings", "DeviceStatus", "explained"]
-
 _ALL_ONES = 0xFFFF_FFFF
 _MOST_BYTES = 10_000
 """Of saved settings, which are some 400."""
 
 
 def _of_a_receiver(address: str) -> str:
-    """Refuse what no packet can be sent to."""
     known = _ipv4(address, "the IPv4 address of a host, or 255.255.255.255")
     if known.is_unspecified or known.is_multicast or (known.is_reserved and int(known) != _ALL_ONES):
         raise ValueError("the IPv4 address of a host, or 255.255.255.255")

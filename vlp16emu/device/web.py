@@ -27,7 +27,6 @@ from vlp16emu.errors import InputError, MissingExtraError, OutputError, Vlp16emu
 if TYPE_CHECKING:
     import h11
 
-__all__ = ["HttpFault", "WebServer", "parse_http"]
 
 MOST_CONNECTIONS = 32
 """At a time; further ones are closed."""
@@ -136,12 +135,10 @@ class WebServer:
         self._thread.join()
 
     def _run(self) -> None:
-        """Answer until the end, which cancels the connections that are left."""
         with self._runner:
             self._runner.run(self._serve())
 
     async def _serve(self) -> None:
-        """Take connections until the end."""
         server = await asyncio.start_server(self._connected, sock=self._listener)
         await self._stop.wait()
         server.close()
@@ -212,7 +209,6 @@ class WebServer:
         return answer if request.method in ("GET", "HEAD") else _not_allowed("GET, HEAD")
 
     def _submitted(self, request: _Request) -> _Answer:
-        """Take a form."""
         try:
             submit(request.path, request.body, self._device)
         except FormError as refused:
@@ -286,12 +282,10 @@ def _packed(line: "h11.Connection", answer: _Answer, *, bare: bool = False) -> b
 
 
 def _said(status: int, key: str, text: str) -> _Answer:
-    """Answer with a line of text."""
     return _Answer(status, _json({key: text}))
 
 
 def _not_allowed(methods: str) -> _Answer:
-    """Answer a method that the path does not know."""
     return _Answer(405, _json({"error": f"expected {methods}"}), header=("Allow", methods))
 
 
@@ -310,7 +304,6 @@ def _is_unnamed(host: str) -> bool:
 
 
 def _listening(host: str, port: int) -> socket.socket:
-    """Open a port."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         return socket.create_server((host, port), family=family)

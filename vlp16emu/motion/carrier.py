@@ -22,8 +22,6 @@ from vlp16emu.motion.walk import WalkMotion
 from vlp16emu.motion.way_points import way_points
 from vlp16emu.types import HeightField, Poses
 
-__all__ = ["StaticMotion", "make_carrier"]
-
 _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]

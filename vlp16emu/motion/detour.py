@@ -8,8 +8,6 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.way_points import WayPoints
 
-__all__ = ["around"]
-
 Array = NDArray[np.float64]
 
 _TRIES = 300

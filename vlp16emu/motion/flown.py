@@ -14,8 +14,6 @@ from vlp16emu.motion.pose_files import RATES, UNIT_TOLERANCE, finite, named_cell
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["FLOWN_HEADER", "Cell", "Flown", "FlownMotion", "flown_rows", "read_flown"]
-
 Array = NDArray[np.float64]
 
 Cell = tuple[int, int, int]

@@ -11,8 +11,6 @@ from vlp16emu.motion.settings import Gait
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.trig import cos_sin
 
-__all__ = ["AXES", "Trunk", "step_rate_hz"]
-
 AXES = 6
 """Fore-aft, sideways, vertical in the heading frame (m), then roll, pitch, yaw (rad)."""
 
@@ -89,7 +87,6 @@ def _lines(seed: int) -> NDArray[np.float64]:
 
 @numba.njit(cache=True, nogil=True)
 def _slow(lines: NDArray[np.float64], t_s: float) -> float:
-    """Process of variance one."""
     total = 0.0
     for k in range(len(lines)):
         total += cos_sin(lines[k, 0] * t_s + lines[k, 1])[1]

@@ -6,8 +6,6 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import atan2, cos, hypot, matvec, sin
 from vlp16emu.motion.settings import Gps
 
-__all__ = ["to_geodetic", "to_local"]
-
 Array = NDArray[np.float64]
 
 _RADIUS_M = 6_378_137.0

@@ -18,8 +18,6 @@ from vlp16emu.trig import cos_sin
 from vlp16emu.types import GnssFix
 from vlp16emu.units import S_NS
 
-__all__ = ["GnssReading", "Receiver", "Sky", "wander"]
-
 Array = NDArray[np.float64]
 
 Sky = Callable[[int, NDArray[np.float64]], float]

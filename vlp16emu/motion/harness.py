@@ -22,8 +22,6 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.gait import AXES
 from vlp16emu.motion.settings import Harness
 
-__all__ = ["KNOTS_PER_S", "NODES_PER_KNOT", "Pack", "decay_per_s", "response"]
-
 KNOTS_PER_S = 200
 """Heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre."""
 NODES_PER_KNOT = 5
@@ -262,7 +260,6 @@ def _free(omega: float, z: float, s: float) -> tuple[float, float, float]:
 
 
 def _rates(omega: float, z: float) -> tuple[float, float, float]:
-    """Two real decay rates of an overdamped oscillator, both negative, and the gap between them."""
     root = math.sqrt((z - 1.0) * (z + 1.0))
     return -omega / (z + root), -omega * (z + root), 2.0 * omega * root
 
@@ -295,7 +292,6 @@ def _forced_by_polynomial(omega: float, z: float, s: float) -> list[float]:
 
 
 def _forced_by_rates(omega: float, z: float, s: float) -> list[float]:
-    """By the two real exponentials of an overdamped oscillator, quick against slow."""
     slow, fast, gap = _rates(omega, z)
     late, early, powers = _phi(slow * s), _phi(fast * s), _powers(s, _POWERS + 1)
     return [math.factorial(i) * powers[i + 1] * (late[i] - early[i]) / gap for i in range(_POWERS)]

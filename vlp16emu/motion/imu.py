@@ -13,8 +13,6 @@ from vlp16emu.motion.settings import Imu
 from vlp16emu.random import Purpose, normal, normal_pair
 from vlp16emu.units import S_NS
 
-__all__ = ["GRAVITY_M_S2", "ImuSampler", "Inertial"]
-
 GRAVITY_M_S2 = 9.80665
 """Standard gravity, downwards (3rd CGPM, 1901)."""
 

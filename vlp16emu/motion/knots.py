@@ -13,8 +13,6 @@ from vlp16emu.trig import cos_sin
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["GAP_M", "GAP_RAD", "STATE", "STEP_NS", "Knots", "follow", "turn_between"]
-
 Array = NDArray[np.float64]
 
 STEP_NS = 5_308_416

@@ -20,8 +20,6 @@ from vlp16emu.motion.pose_files import UNIT_TOLERANCE
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["LOST_NS", "LiveMotion", "PoseInput", "PosesLost", "SeenPose"]
-
 Array = NDArray[np.float64]
 
 LOST_NS = S_NS
@@ -272,7 +270,6 @@ class LiveMotion:
         return self._knots_until(int(t_ns.max())).kinematics_at(t_ns)
 
     def _seen(self) -> SeenPose:
-        """Give the last pose."""
         self.require_open()
         if (seen := self.poses.last) is None:
             raise CancelledError
@@ -296,7 +293,6 @@ class LiveMotion:
             self._sleep(early_ns / S_NS)
 
     def _next(self, knots: Knots) -> Array:
-        """Make the next knot."""
         seen = self._seen()
         if seen is not self._used:
             self._used = seen
@@ -305,7 +301,6 @@ class LiveMotion:
         return self._after(knots.last_state, seen.state, since_s)
 
     def _after(self, state: Array, seen: Array, since_s: float) -> Array:
-        """Follow a pose for a step, from a knot that is so much later."""
         out = np.empty(STATE)
         follow(state, seen, since_s, STEP_NS / S_NS, self._smoothing_s, out)
         return out

@@ -7,8 +7,6 @@ from pydantic import Field
 from vlp16emu.motion.settings import Mount
 from vlp16emu.settings import Place, SceneFile, Section
 
-__all__ = ["Live", "takes_poses"]
-
 _Point = Annotated[tuple[Place, Place], Field(strict=False)]
 
 

@@ -13,8 +13,6 @@ from vlp16emu.trig import cos_sin
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["MountedMotion", "mounted"]
-
 
 def mounted(carrier: Motion, mount: Mount, start_ns: int) -> Motion:
     """Motion of a device on a carrier; the carrier's own where the mount changes nothing."""

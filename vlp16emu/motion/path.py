@@ -15,8 +15,6 @@ from vlp16emu.motion.splines import Spline, interpolant
 from vlp16emu.store import recalled
 from vlp16emu.types import HeightField
 
-__all__ = ["Path", "limit_slope"]
-
 Array = NDArray[np.float64]
 
 _APART_M = 0.01
@@ -244,7 +242,6 @@ def _check_radius(curvature: Array, points_m: Array, number: NDArray[np.int64]) 
 
 
 def _spline(at: Array, points_m: Array, closed: bool) -> Spline:
-    """Quintic spline through points."""
     if not closed:
         return interpolant(at, points_m, 5)
     return interpolant(at, np.concatenate([points_m[:-1], points_m[:1]]), 5, "periodic")

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Poses
 
-__all__ = ["Kinematics", "Motion", "body_rate", "fill_rotation", "rotate", "rotation", "rotations"]
-
 
 @dataclass(frozen=True, slots=True)
 class Kinematics:

@@ -16,19 +16,6 @@ from vlp16emu.errors import TrajectoryError, readable
 from vlp16emu.motion.settings import Recorded
 from vlp16emu.units import S_NS
 
-__all__ = [
-    "RATES",
-    "UNIT_TOLERANCE",
-    "RecordedPoses",
-    "finite",
-    "named_cells",
-    "read_kitti",
-    "read_poses",
-    "read_trajectory_csv",
-    "read_tum",
-    "seconds_ns",
-]
-
 UNIT_TOLERANCE = 1e-3
 """Of a quaternion's length and of a matrix times its transpose: what four written decimals leave."""
 _ROUNDS = 3

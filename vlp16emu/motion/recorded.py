@@ -15,8 +15,6 @@ from vlp16emu.motion.splines import interpolant
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["RecordedMotion", "fill_poses", "fill_rates"]
-
 Array = NDArray[np.float64]
 
 _MOST_TURN_DEG = 90.0

@@ -13,8 +13,6 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.path import Path, limit_slope
 from vlp16emu.motion.settings import Walk
 
-__all__ = ["Profile", "Route", "Track"]
-
 Array = NDArray[np.float64]
 Stops = Sequence[tuple[float, float]]
 
@@ -263,7 +261,6 @@ def _speed_for(run_time_s: float, legs: Sequence[_Leg], pauses_s: float, length_
     """Find the cruise speed with which the run takes a given time, or a hair less."""
 
     def takes_s(speed_m_s: float) -> float:
-        """Run time at a speed."""
         return pauses_s + _PADDING_S + sum(leg.times_s(leg.speeds_m_s(speed_m_s))[-1] for leg in legs)
 
     high, fastest_s = _MAX_SPEED_M_S, takes_s(_MAX_SPEED_M_S)

@@ -22,8 +22,6 @@ from vlp16emu.settings import (
     Size,
 )
 
-__all__ = ["Gait", "Gps", "Harness", "Imu", "LawnMower", "Mount", "Recorded", "Static", "Stop", "Walk"]
-
 _Amplitude = Annotated[float, Field(ge=0, le=1)]
 _Error = Annotated[float, Field(ge=0, le=1000)]
 _Frequency = Annotated[float, Field(ge=0.5, le=1e9)]
@@ -50,7 +48,6 @@ class Mount(Section):
 
     @model_validator(mode="after")
     def _has_an_axis(self) -> Self:
-        """Refuse an axis without direction."""
         if not 1e-6 <= math.sqrt(sum(x * x for x in self.spin_axis)) <= 1e6:
             raise ValueError("a spin_axis of a length from 1e-6 to 1e6 in it")
         return self
@@ -111,7 +108,6 @@ class Stop(Section):
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
-        """Refuse a place that is missing or given twice."""
         if (self.way_point is None) == (self.at_m is None):
             raise ValueError("exactly one of way_point and at_m in it")
         return self
@@ -394,7 +390,6 @@ class Gps(Section):
 
     @model_validator(mode="after")
     def _is_known_beforehand(self) -> Self:
-        """Refuse a clock that would depend on what trees hide."""
         if self.requires_valid and self.canopy_loss:
             raise ValueError("canopy_loss = false beside requires_valid = true")
         return self

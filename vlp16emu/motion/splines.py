@@ -11,8 +11,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Spline", "interpolant"]
-
 Array = NDArray[np.float64]
 
 _WRAPPED = 64

@@ -15,8 +15,6 @@ from vlp16emu.trig import ZERO, cos_sin
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["WalkMotion"]
-
 _NODES_PER_S = KNOTS_PER_S * NODES_PER_KNOT
 _NODE_NS = S_NS // _NODES_PER_S
 _TOGETHER = 128

@@ -14,8 +14,6 @@ from vlp16emu.motion.geodesy import to_local
 from vlp16emu.motion.pose_files import finite, named_cells
 from vlp16emu.motion.settings import Gps, LawnMower, Walk
 
-__all__ = ["WayPoints", "lawn_mower", "read_way_points", "way_points"]
-
 _FARTHEST_M = 100_000.0
 """Farther from the scene's origin the plane of the map is no picture of the earth."""
 _CONTAINER = {"trkpt": "trk", "rtept": "rte"}
@@ -125,7 +123,6 @@ def read_way_points(path: Path, gps: Gps, origin_m: tuple[float, float]) -> WayP
 
 
 def _read_csv(path: Path, origin_m: tuple[float, float]) -> WayPoints:
-    """Read a table of waypoints."""
     xy_m, pause_s = [], []
     for where, row in named_cells(path, ["x_m", "y_m"], ["stop_s"]):
         xy_m.append([finite(f"{where}, column {axis}", row[axis]) for axis in ("x_m", "y_m")])

@@ -14,8 +14,6 @@ from typing import NamedTuple, Self
 from vlp16emu.errors import CaptureError
 from vlp16emu.units import S_NS, US_NS
 
-__all__ = ["Capture", "Datagram"]
-
 _PCAPNG_MAGIC = bytes.fromhex("0a0d0d0a")
 """Block type of a section header, the same in both byte orders. Source: IETF draft-ietf-opsawg-pcapng."""
 _LONGEST_FRAME_BYTES = 262_144

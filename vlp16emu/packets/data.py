@@ -16,8 +16,6 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import Packet, PacketKind, ReturnMode, Returns, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
-__all__ = ["azimuth_cdeg", "data_payloads", "distance_lsb", "odd_column", "pack_data", "timestamp_us"]
-
 _Time = TypeVar("_Time", int, NDArray[np.int64])
 _STRONGEST, _LAST, _SECOND_STRONGEST = 0, 1, 2  # last axis of Returns
 

@@ -23,21 +23,6 @@ from vlp16emu.trig import cos_sin
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
-__all__ = [
-    "PRODUCT_BEFORE_RELEASE",
-    "SENSOR_R_MANUAL",
-    "Fault",
-    "PointFrame",
-    "Points",
-    "PositionFields",
-    "data_fields",
-    "decode_data",
-    "decode_position",
-    "faults_in",
-    "frame_named",
-    "scan_starts",
-]
-
 SENSOR_R_MANUAL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From the manual's frame, azimuth 0 on +y, to the sensor's, azimuth 0 on +x."""
 

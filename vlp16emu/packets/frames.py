@@ -13,18 +13,6 @@ from ipaddress import IPv4Address
 from vlp16emu.errors import PacketError
 from vlp16emu.packets.layout import DATA_BYTES, POSITION_BYTES
 
-__all__ = [
-    "DATA_PORT",
-    "DATA_TTL",
-    "FACTORY_LINK",
-    "HEADER_BYTES",
-    "POSITION_PORT",
-    "POSITION_TTL",
-    "Link",
-    "data_header",
-    "position_frame",
-]
-
 DATA_PORT = 2368
 """UDP port of data packets, source and, unless set otherwise, destination. Source: 63-9243 Rev D, section 9.3.2, p. 56."""
 POSITION_PORT = 8308

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from vlp16emu.errors import PacketError
 from vlp16emu.units import S_NS
 
-__all__ = ["IMU_FRAME", "decode_imu", "imu_frames", "moved_imu"]
-
 IMU_FRAME = np.dtype(
     [
         ("magic", "S3"),
@@ -76,6 +74,5 @@ def moved_imu(frame: bytes, by_s: int) -> bytes:
 
 
 def _sealed(fields: np.void) -> bytes:
-    """Bytes of a frame, with what it begins with."""
     behind = fields.tobytes()[_CHECKED:]
     return _MAGIC + bytes([_VERSION]) + zlib.crc32(behind).to_bytes(4, "little") + behind

@@ -26,33 +26,6 @@ from vlp16emu.packets.capture import Capture, Datagram
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import ReturnMode, SensorModel
 
-__all__ = [
-    "AZIMUTH_CODES",
-    "BLOCK",
-    "BLOCKS_PER_PACKET",
-    "BLOCK_FLAG",
-    "BLOCK_PERIOD_NS",
-    "DATA_BYTES",
-    "DATA_PAYLOAD",
-    "DISTANCE_LSB_M",
-    "FACTORY_BYTE",
-    "LASERS",
-    "MIN_DISTANCE_LSB",
-    "NO_ECHO",
-    "POSITION_BYTES",
-    "POSITION_PAYLOAD",
-    "RECORD",
-    "RECORDS_PER_PACKET",
-    "RETURN_MODE_BYTE",
-    "SENTENCE_BYTES",
-    "SEQUENCES_PER_BLOCK",
-    "SEQUENCES_PER_PACKET",
-    "SLOT",
-    "CapturedUnit",
-    "chosen_unit",
-    "units_in",
-]
-
 _STRAY = 0.02
 """Less than this share of the data packets of the busiest unit is no unit but an accident."""
 _NAMED = 16

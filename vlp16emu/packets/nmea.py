@@ -10,8 +10,6 @@ from vlp16emu.errors import InputError, PacketError
 from vlp16emu.types import GnssFix
 from vlp16emu.units import S_NS, US_NS
 
-__all__ = ["parse_rmc", "rmc", "rmc_time"]
-
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _KNOT_M_S = 1852 / 3600
 """A nautical mile per hour, exact by definition."""
@@ -108,7 +106,6 @@ def rmc_time(sentence: bytes) -> tuple[int | None, bool]:
 
 
 def _fields(sentence: bytes) -> list[str]:
-    """Check a sentence, and take its fields."""
     import pynmea2
 
     if not (sentence.startswith(b"$GPRMC,") and sentence.endswith(b"\r\n")):
@@ -152,7 +149,6 @@ def _degrees_minutes(angle_deg: float, width: int) -> str:
 
 
 def _degrees(field: str, width: int, sign: int) -> float:
-    """Read ddmm.mmmm or dddmm.mmmm."""
     degrees, minutes = int(field[:width]), _number(field[width:])
     if minutes >= 60:
         raise ValueError(field)

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from vlp16emu.errors import PacketError
 
-__all__ = ["POSE_BYTES", "PosePacket", "pack_pose", "unpack_pose"]
-
 _LAYOUT = struct.Struct("<4sBBHq7d")
 _MAGIC, _VERSION, _HAS_TIME = b"POSE", 1, 1
 POSE_BYTES = _LAYOUT.size

@@ -29,8 +29,6 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PpsState, ReturnMode
 from vlp16emu.units import US_NS
 
-__all__ = ["STAMP_LEAD_NS", "PositionRate", "first_position_packet", "pack_position", "position_due_ns"]
-
 PositionRate = Literal["measured", "manual"]
 """146 packets per second at the spacing of real units, or the 53.8 of the manual."""
 

@@ -38,8 +38,6 @@ from vlp16emu.packets.layout import (
 from vlp16emu.types import Packet, PacketKind, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
-__all__ = ["CaptureReader", "PacketChunk", "Summary", "returns_in"]
-
 _CHUNK = 2_000
 """Packets decoded at once: 0.8 million records, some 50 MB of points."""
 _BLOCK_RECORDS = 32
@@ -288,7 +286,6 @@ class CaptureReader:
         return packet_ns
 
     def _ranges_m(self) -> tuple[float, float, float]:
-        """Minimum, median and maximum distance."""
         below = np.cumsum(self._codes[1:])
         shares = (1, -(-below[-1] // 2), below[-1])
         low, middle, high = (float(code + 1) * DISTANCE_LSB_M for code in np.searchsorted(below, shares))

@@ -21,8 +21,6 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import Packet, PacketKind, PpsState, ReturnMode
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
-__all__ = ["age_ns", "has_stamp", "moved", "restamped", "stamp_ns"]
-
 _STAMP = struct.Struct("<I")
 _RMC = re.compile(
     rb"\$(?P<kind>G[A-Z]RMC),(?P<time>\d{6})(?P<decimals>(?:\.\d*)?)"
@@ -31,7 +29,6 @@ _RMC = re.compile(
 
 
 def _offset(payload: np.dtype[np.void], field: str) -> int:
-    """Where a field of a payload begins."""
     assert payload.fields is not None
     return payload.fields[field][1]
 

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import exp
 from vlp16emu.types import NO_SURFACE
 
-__all__ = ["RayBudget", "enough", "worth_of_ray_m"]
-
 _NONE = np.uint32(NO_SURFACE)
 _LEAST_SQUARED = np.float32(1e-12)
 """Of a range, in m2."""

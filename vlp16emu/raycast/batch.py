@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from vlp16emu.raycast.beam import ROUND
 from vlp16emu.raycast.lanes import COSINE, LANES, Lanes, lanes
 
-__all__ = ["Batch", "MetRays", "PulseBatch", "batch_of"]
-
 
 class PulseBatch(NamedTuple):
     """What is cast: the pulses of a batch, and how wide they are."""

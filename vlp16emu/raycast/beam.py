@@ -27,20 +27,6 @@ from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.raycast.adaptive import RayBudget, worth_of_ray_m
 from vlp16emu.types import Firings
 
-__all__ = [
-    "FARTHEST",
-    "LINE",
-    "ROUND",
-    "BeamModel",
-    "Footprint",
-    "beam_axis_of",
-    "lay",
-    "pulse_axes",
-    "reach_of",
-    "sub_rays",
-    "turn",
-]
-
 _PLASTIC = 1.32471795724474602596
 _STEP_U, _STEP_V = np.uint32(round(2**32 / _PLASTIC)), np.uint32(round(2**32 / (_PLASTIC * _PLASTIC)))
 ROUND = 8
@@ -126,7 +112,6 @@ LINE = Footprint(BeamModel.NONE, 1, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0)
 
 
 def _ring_radii() -> NDArray[np.float64]:
-    """Radii of rings of equal energy about a unit Gaussian's middle, each the root mean square over its ring."""
     outside = 1.0 - np.arange(2**_BITS) / 2**_BITS
     mass = np.append(2 * outside * (1 - log(outside)), 0.0)  # of r squared, outside of a ring's inner edge
     return np.sqrt((mass[:-1] - mass[1:]) * 2**_BITS)

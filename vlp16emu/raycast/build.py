@@ -20,8 +20,6 @@ from vlp16emu.raycast.faces import Faces, faces_of, relative_to_window, sheared
 from vlp16emu.raycast.pieces import in_pieces
 from vlp16emu.types import Mesh, Window
 
-__all__ = ["EmbreeMesh", "InstanceMotion", "Placed", "Shape", "knot_at", "motion_of", "shape_of", "widened"]
-
 
 class Shape(NamedTuple):
     """A shape as Embree takes it."""
@@ -43,7 +41,6 @@ def shape_of(meshes: Sequence[Mesh]) -> Shape:
 
 
 def _farthest_m2(mesh: Mesh) -> float:
-    """Square of the greatest distance of a corner from the origin."""
     x_m, y_m, z_m = mesh.vertices_m.T
     return float((x_m * x_m + y_m * y_m + z_m * z_m).max(initial=0.0))
 

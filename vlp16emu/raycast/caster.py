@@ -12,8 +12,6 @@ from vlp16emu.raycast.embree import EmbreeMissingError, library
 from vlp16emu.raycast.slow import PlainCaster
 from vlp16emu.types import Firings, Hits, Window, World
 
-__all__ = ["Caster", "Geometry", "caster"]
-
 _log = logging.getLogger(__name__)
 
 

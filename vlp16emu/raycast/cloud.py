@@ -18,8 +18,6 @@ from vlp16emu.raycast.voxel import KNOTS, QUANTILES, VOXEL_M, kept_share
 from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.stand.tiles import EXACT
 
-__all__ = ["PROJECTION", "TILTS", "Cloud", "Library", "cloud_of"]
-
 TILTS = 64
 """Classes of faces by the sine of their normal's elevation."""
 
@@ -228,7 +226,6 @@ def _gather(
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def _middle(corners_m: Array, axis: int) -> float:
-    """Middle of a face along an axis."""
     return 0.25 * (corners_m[0, axis] + corners_m[1, axis] + corners_m[2, axis] + corners_m[3, axis])
 
 
@@ -256,7 +253,6 @@ class Library(NamedTuple):
         """Put clouds together."""
 
         def first(arrays: Sequence[NDArray[np.float32]]) -> NDArray[np.int64]:
-            """Where each begins."""
             return np.cumsum([0, *(len(array) for array in arrays)])
 
         return cls(

@@ -21,8 +21,6 @@ from vlp16emu.raycast.lanes import (
 )
 from vlp16emu.raycast.voxel import BRICK, FINER, VOXEL_M
 
-__all__ = ["meet_ground", "meet_stem"]
-
 f4 = np.float32
 
 

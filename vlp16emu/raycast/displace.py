@@ -11,8 +11,6 @@ from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.trig import cos_sin
 
-__all__ = ["displace"]
-
 _DISPLACEMENT = int(Purpose.BEAM_ERROR)
 
 

@@ -15,25 +15,6 @@ from pathlib import Path
 
 from vlp16emu.errors import RunError, Vlp16emuError
 
-__all__ = [
-    "BUFFER_INDEX",
-    "BUFFER_VERTEX",
-    "FLAG_COHERENT",
-    "FLAG_FILTER",
-    "FORMAT_FLOAT3",
-    "FORMAT_FLOAT3X4_ROW_MAJOR",
-    "FORMAT_UINT3",
-    "GEOMETRY_INSTANCE",
-    "GEOMETRY_TRIANGLE",
-    "SCENE_FLAGS",
-    "EmbreeMissingError",
-    "check",
-    "device",
-    "give_memory_back",
-    "library",
-    "library_path",
-]
-
 GEOMETRY_TRIANGLE, GEOMETRY_INSTANCE = 0, 121
 BUFFER_INDEX, BUFFER_VERTEX = 0, 1
 FORMAT_UINT3 = 0x5003
@@ -145,7 +126,6 @@ def _new_device() -> int:
 
 @cache
 def _allocator() -> ctypes.CDLL | None:
-    """Give the C library where it is glibc, which keeps what is freed until it is asked for it."""
     libc = ctypes.CDLL(None) if sys.platform == "linux" else None
     return libc if hasattr(libc, "malloc_trim") else None
 
@@ -176,5 +156,4 @@ def check(doing: str) -> None:
 
 
 def _meaning(error: int) -> str:
-    """Say what an RTCError means."""
     return _ERRORS.get(error, f"error {error}")

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import matvec
 from vlp16emu.types import Mesh, ShapeKey, Window
 
-__all__ = ["Faces", "faces_of", "flatten", "frozen", "inverses", "relative_to_window", "sheared"]
-
 Faces = tuple[NDArray[np.float32], NDArray[np.uint32]]
 """Vertices (v, 3) in metres, and triangles (t, 3)."""
 

@@ -37,15 +37,6 @@ from vlp16emu.types import FarTile, Mesh, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.stand.tiles import STEM, TILE_M
 
-__all__ = [
-    "NO_MEDIUM",
-    "Far",
-    "packed_block",
-    "recalled_cloud",
-    "recalled_shape",
-    "unpacked_block",
-]
-
 
 def recalled_shape(world: World, key: ShapeKey) -> Shape:
     """Faces of a shape, grown where no store has them."""
@@ -56,13 +47,11 @@ def recalled_shape(world: World, key: ShapeKey) -> Shape:
 
 
 def _packed_shape(shape: Shape) -> Bundle:
-    """Put faces into arrays."""
     named = {f"{i} {j}": array for i, faces in enumerate(shape.faces) for j, array in enumerate(faces)}
     return {"radius_m": np.array(shape.radius_m), "begin": shape.begin, "boxes_m": shape.boxes_m, **named}
 
 
 def _unpacked_shape(bundle: Bundle) -> Shape:
-    """Take faces out of arrays."""
     meshes = bundle["begin"].shape[1]
     faces = tuple((bundle[f"{i} 0"], bundle[f"{i} 1"]) for i in range(meshes))
     return Shape(faces, bundle["begin"], bundle["boxes_m"], float(bundle["radius_m"]))  # type: ignore[arg-type]  # as they were put there
@@ -116,7 +105,6 @@ _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uin
 
 
 def _no_medium() -> Medium:
-    """Make a medium that begins nowhere."""
     none = np.zeros(0, np.uint32)
     return Medium(
         np.inf,
@@ -203,7 +191,6 @@ class Far:
         return medium
 
     def _block(self, tiles: dict[tuple[int, int], FarTile], ix: int, iy: int) -> Block:
-        """Make the block of a tile, or take it from the store."""
         library, place, names, world = self._library, self._place, self._names, self._world.name
         return recalled(
             world and f"{world} block {ix} {iy}",
@@ -213,7 +200,6 @@ class Far:
         )
 
     def _measure(self, tiles: Iterable[FarTile]) -> None:
-        """Measure the shapes of tiles that are new."""
         new = dict[ShapeKey, NDArray[np.uint8]]()
         for tile in tiles:
             for number, key in enumerate(tile.keys):
@@ -223,7 +209,6 @@ class Far:
             return
 
         def measured(named: tuple[ShapeKey, NDArray[np.uint8]]) -> Cloud:
-            """Measure a shape of some parts."""
             return recalled_cloud(self._world, *named)
 
         self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
@@ -287,7 +272,6 @@ def _ground(
     corner_m: NDArray[np.float64],
     size: tuple[int, ...],
 ) -> Ground:
-    """Put the ground of tiles into the grid of a window."""
     ground_m = np.full((size[0] * BRICK * FINER + 1, size[1] * BRICK * FINER + 1), _NO_GROUND_M)
     surface = np.zeros(size[:2], np.uint32)
     low = np.array(list(rows)).min(axis=0)
@@ -310,7 +294,6 @@ def _stems(
     corner_m: NDArray[np.float64],
     size: tuple[int, ...],
 ) -> Stems:
-    """Stems of a window and where they are."""
     stems = np.concatenate([np.zeros(0, STEM), *(tiles[place].stems for place in rows)])
     base = np.repeat(list(rows.values()), [len(tiles[place].stems) for place in rows]).astype(np.uint32)
     first, of = _columns(

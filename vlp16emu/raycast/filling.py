@@ -22,8 +22,6 @@ from vlp16emu.raycast.voxel import (
 )
 from vlp16emu.trig import ZERO
 
-__all__ = ["filled"]
-
 _PIECE_M = 0.25
 """Faces larger than this are cut."""
 

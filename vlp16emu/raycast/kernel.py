@@ -29,16 +29,12 @@ from vlp16emu.raycast.packet import (
 )
 from vlp16emu.trig import ZERO
 
-__all__ = ["cast_lines", "cast_pulses"]
-
-
 _USUAL = 10
 """Sub-rays of a pulse, for which there is room at first; memory of this size is used again and needs no clearing."""
 
 
 @numba.njit(cache=True, nogil=True)
 def _hits(n: int) -> MetRays:
-    """Make room for hits."""
     return MetRays(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32))
 
 
@@ -324,7 +320,6 @@ def _put_in_order(room: MetRays, begin: NDArray[np.int64], count: NDArray[np.uin
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _copy(source: MetRays, begin: int, target: MetRays, at: int, count: int) -> None:
-    """Copy hits."""
     for s in range(count):
         target.range_m[at + s] = source.range_m[begin + s]
     for s in range(count):

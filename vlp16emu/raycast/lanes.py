@@ -11,25 +11,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "AHEAD",
-    "AT",
-    "COSINE",
-    "DIRECTION",
-    "FACING",
-    "HEIGHT",
-    "LANES",
-    "ORIGIN",
-    "RANGE",
-    "Ground",
-    "Lanes",
-    "Medium",
-    "Stems",
-    "lanes",
-    "lowest",
-    "ones",
-]
-
 
 class Ground(NamedTuple):
     """The ground."""
@@ -148,7 +129,6 @@ def lowest(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - the signature is
     """Find the lowest bit of a word that is not 0."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - likewise
-        """Emit the instruction."""
         return builder.cttz(args[0], llvmlite.ir.Constant(llvmlite.ir.IntType(1), 1))
 
     return numba.types.uint64(numba.types.uint64), codegen
@@ -159,7 +139,6 @@ def ones(typingctx: Any, word: Any) -> Any:  # noqa: ARG001 - likewise
     """Count the bits of a word."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - likewise
-        """Emit the instruction."""
         return builder.ctpop(args[0])
 
     return numba.types.uint64(numba.types.uint64), codegen

@@ -25,8 +25,6 @@ from vlp16emu.raycast.voxel import (
     VOXEL_M,
 )
 
-__all__ = ["Weights", "meet_foliage", "weights_of"]
-
 _VARIANTS = 32
 _COVER_STEPS, _COVER_MOST = 64, 16
 f4, u4 = np.float32, np.uint32

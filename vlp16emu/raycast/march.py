@@ -25,8 +25,6 @@ from vlp16emu.raycast.lanes import (
 from vlp16emu.raycast.leaves import meet_foliage, weights_of
 from vlp16emu.raycast.voxel import BRICK, GROUND, VOXEL_M
 
-__all__ = ["march"]
-
 f4, u4 = np.float32, np.uint32
 _SLABS = np.arange(AHEAD, dtype=np.float32)
 
@@ -213,7 +211,6 @@ def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.flo
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _voxel(way: _Way, slab: int) -> tuple[int, int, int]:
-    """Find the voxel, along the axes main, one and two, that the middle of a pulse passes in the middle of a slab."""
     at = f4(slab)
     return way.k + slab * way.step, int(np.int32(way.p1 + at * way.d1)), int(np.int32(way.p2 + at * way.d2))
 

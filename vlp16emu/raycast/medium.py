@@ -22,8 +22,6 @@ from vlp16emu.raycast.filling import filled
 from vlp16emu.raycast.voxel import BRICK, COLUMNS, VOXEL_M, stem_lines, stem_radii
 from vlp16emu.types import FarTile
 
-__all__ = ["Block", "Laid", "Shelf", "block_of"]
-
 Array = NDArray[np.float64]
 
 

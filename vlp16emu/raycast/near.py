@@ -23,8 +23,6 @@ from vlp16emu.raycast.pieces import LEVEL, STRAY_M, within_reach
 from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
 
-__all__ = ["EmbreeCaster", "EmbreeGeometry"]
-
 _SECTOR_DEG = 1.6
 """What is near in one direction stays in the cache from revolution to revolution: with eight of them a fifth less time for
 one ray per pulse in `scenes/reference_forest`, a seventh for an adaptive beam. Sectors of 12 degrees gain half of that."""
@@ -199,7 +197,6 @@ class EmbreeCaster:
         return [self._solids.get(key) or self._workers.submit(self._solid, key) for key in window.shapes]
 
     def _grown(self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]]) -> list[EmbreeMesh]:
-        """Wait for the shapes of a window."""
         meshes = [each.result() if isinstance(each, Future) else each for each in begun]
         self._solids.update(zip(window.shapes, meshes, strict=True))
         return meshes
@@ -207,12 +204,10 @@ class EmbreeCaster:
     def _placed(
         self, window: Window, begun: Sequence[EmbreeMesh | Future[EmbreeMesh]] | None = None
     ) -> Placed:
-        """Give a window with the shapes of its placements."""
         meshes = self._grown(window, self._begun(window) if begun is None else begun)
         return Placed(window, [meshes[which] for which in window.shape.tolist()], self._workers)
 
     def _solid(self, key: ShapeKey) -> EmbreeMesh:
-        """Grow a shape."""
         return EmbreeMesh(recalled_shape(self._world, key))
 
 

@@ -23,20 +23,6 @@ from vlp16emu.raycast.build import knot_at
 from vlp16emu.raycast.embree import FLAG_COHERENT, FLAG_FILTER, library, library_path
 from vlp16emu.raycast.pieces import LEVEL
 
-__all__ = [
-    "DIR",
-    "NONE",
-    "ORG",
-    "PACKET",
-    "TIME",
-    "RayPacket",
-    "Target",
-    "cast_packet",
-    "ray_met",
-    "ray_packet",
-    "set_filter",
-]
-
 PACKET = 8
 """Rays per packet; 16 is slower without AVX-512."""
 
@@ -118,10 +104,8 @@ def _pointer(kind: Any) -> Any:
 
     @numba.extending.intrinsic
     def pointer(typingctx: Any, address: Any) -> Any:  # noqa: ARG001 - the signature is numba's
-        """Take an address for a pointer."""
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            """Emit the instruction."""
             return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
 
         return types.CPointer(kind)(types.uint64), codegen
@@ -136,7 +120,6 @@ _as_uint32, _as_uint64 = _pointer(types.uint32), _pointer(types.uint64)
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _corners(desk: Any, instance: int, face: int) -> _Corners:
-    """Return the corners of a face of an instance, in coordinates of its shape."""
     row = 2 * (_as_int64(desk[5])[instance] + np.int64(face >> np.uint64(32)))
     buffers, triangle = _as_uint64(desk[6]), 3 * np.int64(face & np.uint64(NONE))
     vertices, corners = _as_float32(buffers[row]), _as_uint32(buffers[row + 1])
@@ -273,7 +256,6 @@ def _filter(typingctx: Any) -> Any:
     decision = kind.get_call_type(typingctx, (types.uint64,), {})
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001 - the signature is numba's
-        """Emit a function of C around it, and its address."""
         word = llvmlite.ir.IntType(64)
         kinds = llvmlite.ir.FunctionType(llvmlite.ir.VoidType(), [word])
         function = llvmlite.ir.Function(builder.module, kinds, f"{builder.function.name}.filter")

@@ -17,8 +17,6 @@ from vlp16emu.raycast.faces import Faces
 from vlp16emu.types import Window
 from vlp16emu.world.polyline import distance_m
 
-__all__ = ["LEVEL", "STRAY_M", "in_pieces", "within_reach"]
-
 LEVEL = np.float32(sin(math.radians(20.0)))
 """Rays that rise or fall by no more than this per metre are level: all of a VLP-16 that is worn upright, which leans by up to
 3 degrees. Half of the faces of `scenes/reference_forest` that are near are met by no level ray, and are not built."""

@@ -6,8 +6,6 @@ from pydantic import Field
 
 from vlp16emu.settings import Section
 
-__all__ = ["Beam"]
-
 Millimetres = Annotated[float, Field(ge=0, le=100)]
 Milliradians = Annotated[float, Field(ge=0, le=50)]
 

@@ -9,8 +9,6 @@ from vlp16emu.elementary import cos, sin
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import Firings
 
-__all__ = ["sky_cover"]
-
 _RINGS = 16
 _SECTORS = 16
 """Rings of equal solid angle, and rays on each: 256 rays measure a share to 0.03."""

@@ -18,8 +18,6 @@ from vlp16emu.raycast.displace import displace
 from vlp16emu.raycast.faces import flatten, frozen
 from vlp16emu.types import NO_SURFACE, Firings, Hits, Mesh, ShapeKey, Window
 
-__all__ = ["PlainCaster", "PlainGeometry", "ReferenceCaster", "ReferenceScene", "SlowScene"]
-
 Met = tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]
 """Range, surface and cosine of incidence (n,) of n rays, as in `Hits`."""
 _Rays = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -47,7 +45,6 @@ class SlowScene(ABC):
         near = np.broadcast_to(near_m, shape)
 
         def cast(rays: _Rays, each: int | NDArray[np.int64]) -> Met:
-            """Cast rays of pulses that have so many of them each."""
             return self._rays(*rays, np.repeat(near, each), far_m, np.repeat(firings.t_ns, each))
 
         match beam.model:
@@ -66,7 +63,6 @@ class SlowScene(ABC):
         return Hits.one_ray_each(range_m, surface, cosine)
 
     def _sub_rays(self, firings: Firings, beam: Footprint, first: int, count: int) -> _Rays:
-        """Lay sub-rays of all pulses, in order of pulses."""
         origin_m, direction = sub_rays(firings, beam, self._origin_m, first, count)
         return origin_m.reshape(-1, 3).astype(np.float64), direction.reshape(-1, 3).astype(np.float64)
 

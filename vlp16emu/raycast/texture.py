@@ -11,8 +11,6 @@ from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.trig import ZERO, fold
 from vlp16emu.types import Firings, Hits, PlantPart
 
-__all__ = ["textured"]
-
 _GRID_M, _BARK_GRID_M, _RELIEF_GRID_M = 0.4, 0.15, 0.15
 """Sizes of patches, of walls and ground, of bark, and of relief; folds halve them. With these sizes neighbouring returns are equal as
 often, and differ as much, as on real sensors, and relief is alike at pulses 0.2 degrees apart, not at 0.4 (protocol/README.md)."""

@@ -11,31 +11,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import hypot, log
 
-__all__ = [
-    "ASIDE_M",
-    "BRICK",
-    "CODES",
-    "COLUMNS",
-    "FINER",
-    "GROUND",
-    "KNOTS",
-    "LAW_BIT",
-    "LAW_MASK",
-    "MOST_PER_M",
-    "QUANTILES",
-    "SHARE_BIT",
-    "TAU_PER_M",
-    "TILE_BIT",
-    "VOXEL_M",
-    "kept_share",
-    "mark_ground",
-    "mark_stem",
-    "stem_beside",
-    "stem_columns",
-    "stem_lines",
-    "stem_radii",
-]
-
 VOXEL_M = 0.5
 BRICK = 4
 """Voxels along the edge of a brick."""
@@ -249,7 +224,6 @@ def _share(
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
 def _voxel(corners_m: Array, low: Array, axis: int) -> int:
-    """Voxel of a face's middle along an axis."""
     at = low[axis]
     first_two = (corners_m[0, axis] / VOXEL_M - at) + (corners_m[1, axis] / VOXEL_M - at)
     return int(0.25 * (first_two + (corners_m[2, axis] / VOXEL_M - at) + (corners_m[3, axis] / VOXEL_M - at)))

@@ -13,8 +13,6 @@ from vlp16emu.kernel_cache import kernel_folder, kernel_names
 from vlp16emu.sinks import Check, Condition, sending_checks
 from vlp16emu.store import user_store
 
-__all__ = ["all_checks"]
-
 _EXTRAS = {
     "bench": (("h11",), "stream --http"),
     "cloud": (("laspy", "lazrs", "pye57", "pypcd4"), "points in LAS, LAZ and E57, score of PCD"),
@@ -93,7 +91,6 @@ def _instructions() -> str:
 
 
 def _extra(extra: str, libraries: tuple[str, ...], purpose: str) -> Check:
-    """Whether an extra is installed."""
     missing = [library for library in libraries if find_spec(library) is None]
     if not missing:
         return Check(f"extra {extra}", Condition.OK, f"installed, for {purpose}")

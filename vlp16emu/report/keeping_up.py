@@ -4,8 +4,6 @@ import math
 
 from vlp16emu.scenario import Scenario
 
-__all__ = ["settings_that_keep_up", "speed_beside_sender"]
-
 _MARGIN = 0.9
 """Share of the engine's speed that is asked for: it varies along the walk."""
 _SHORT_M = 45.0

@@ -34,8 +34,6 @@ from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
 from vlp16emu.types import Firings, Hits, Returns
 
-__all__ = ["detect"]
-
 _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
 _PEAKS_PER_NODE = 3  # at most: one at it, and one at either side
 _CERTAIN_SIGMAS = 6.0  # noise does not reach so far: 2e-9

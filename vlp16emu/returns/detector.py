@@ -14,8 +14,6 @@ from vlp16emu.returns.settings import Detector, DetectorConstants, Noise, Weathe
 from vlp16emu.returns.weather import air_reflectance, extinction_per_m
 from vlp16emu.types import ReturnMode
 
-__all__ = ["UnitDetector", "threshold_of"]
-
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 _FWHM_SIGMAS = 2.3548200450309493  # 2 sqrt(2 ln 2)
 _CALIBRATION_REFLECTANCE = 0.1

@@ -28,21 +28,6 @@ from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
 from vlp16emu.types import NO_SURFACE
 
-__all__ = [
-    "AMPLITUDE",
-    "COLUMNS",
-    "NODE_M",
-    "OPEN",
-    "RANGE",
-    "add_node",
-    "amplitude_of",
-    "brightest_group",
-    "find_peaks",
-    "find_source_surfaces",
-    "gather",
-    "highest_peak",
-]
-
 COLUMNS = 5
 """Of a table of nodes, or of peaks."""
 RANGE, AMPLITUDE = 0, 1
@@ -376,6 +361,5 @@ def find_source_surfaces(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _pulse(constants: DetectorConstants, away_m: float) -> float:
-    """Height of a pulse at a distance from its middle."""
     away = away_m / constants.sigma_m
     return exp(-0.5 * away * away)

@@ -15,21 +15,6 @@ from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.trig import ZERO, fold
 
-__all__ = [
-    "BIAS_LIMIT_M",
-    "NO_RETURN_KNOT",
-    "RETROREFLECTIVE",
-    "code_step",
-    "gain",
-    "heavier",
-    "no_return_multiples",
-    "no_return_reflectivity",
-    "range_beat_m",
-    "range_bias_m",
-    "range_sigma_m",
-    "reflectivity_byte",
-]
-
 BIAS_LIMIT_M = 0.03
 """Accuracy of the data sheet, which no laser exceeds."""
 _AT = 0.2

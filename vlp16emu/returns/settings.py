@@ -9,8 +9,6 @@ from pydantic import Field
 
 from vlp16emu.settings import Positive, Preset, Section
 
-__all__ = ["Detector", "DetectorConstants", "Noise", "Weather"]
-
 _Degrees = Annotated[float, Field(ge=0, le=1)]
 _Metres = Annotated[float, Field(ge=0, le=0.1)]
 _PRESETS: dict[str, dict[str, object]] = {
@@ -109,7 +107,6 @@ class Noise(Preset):
 
     @property
     def _scatter(self) -> str:
-        """White error of reflectivity in words."""
         share = [f"{100 * self.reflectivity_noise_share:g} % white"] if self.reflectivity_noise_share else []
         counts = [f"{self.reflectivity_noise:g} counts"] if self.reflectivity_noise or not share else []
         return ", ".join(counts + share)

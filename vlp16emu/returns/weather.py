@@ -10,14 +10,6 @@ from vlp16emu.elementary import log1p, power
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.returns.settings import DetectorConstants
 
-__all__ = [
-    "air_reflectance",
-    "clutter_echo",
-    "extinction_per_m",
-    "fog_extinction_per_m",
-    "rain_extinction_per_m",
-]
-
 _LN10 = 2.302585092994046
 _WAVELENGTH_NM = 903.0  # data sheet of the VLP-16
 _LIDAR_RATIO_SR = 18.2

@@ -10,8 +10,6 @@ from typing import get_args, get_type_hints
 from vlp16emu.errors import ScenarioError
 from vlp16emu.settings import SceneFile, Section
 
-__all__ = ["find", "named_files", "scene_files"]
-
 
 def _folders() -> Iterator[Path]:
     """Where scenes are looked for, best first."""

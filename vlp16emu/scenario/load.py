@@ -16,8 +16,6 @@ from vlp16emu.scenario.model import Scenario
 from vlp16emu.scenario.schema import schema
 from vlp16emu.settings import DEEPEST, Preset, SceneFile, Section, toml
 
-__all__ = ["load"]
-
 _RIVALS = frozenset(Walk.one_of), Walk.either_or
 """Keys that exclude each other: a setting of one takes the place of the others."""
 _UNIT_ERRORS = (
@@ -128,7 +126,6 @@ def _checked(source: _Source) -> Scenario:
 
 
 def _is_json(path: Path) -> bool:
-    """Whether a file is JSON, by its name."""
     return path.suffix == ".json"
 
 
@@ -191,7 +188,6 @@ def _kinds_of(kinds: Iterable[Any], key: str) -> list[Any]:
 
 
 def _parts_of(kind: Any) -> list[Any]:
-    """List a type and all that it is made of."""
     parts = () if get_origin(kind) is Literal else get_args(kind)
     return [kind, *(inner for part in parts for inner in _parts_of(part))]
 
@@ -240,7 +236,6 @@ def _apply(tree: dict[str, Any], setting: _Setting) -> None:
 
 
 def _drop_rivals(tree: dict[str, Any], name: str) -> None:
-    """Drop the keys that a key that is set rules out."""
     for rivals in _RIVALS:
         if name in rivals:
             for rival in rivals - {name}:

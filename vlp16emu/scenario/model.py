@@ -18,8 +18,6 @@ from vlp16emu.settings import Section, Seed
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.world import Forest, Hall, Plot, Wind
 
-__all__ = ["Scenario"]
-
 _FIRST_START = datetime(1970, 1, 1, tzinfo=UTC)
 _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
 """Seconds of a pcap file are 32 bits without sign and end 37 days later, farther off than any run reaches."""
@@ -169,5 +167,4 @@ class Scenario(Section):
 
 
 def _is_locked(sensor: Sensor | FreeSensor | None) -> bool:
-    """Whether a sensor takes its phase from the GPS receiver's pulse."""
     return isinstance(sensor, Sensor) and sensor.phase_lock_deg is not None

@@ -8,8 +8,6 @@ from typing import Any
 
 from vlp16emu.world.stand.settings import DENSITY_KEYS
 
-__all__ = ["merged", "presets", "with_preset"]
-
 Table = Mapping[str, Any]
 
 

@@ -8,8 +8,6 @@ from vlp16emu.scenario.presets import merged
 from vlp16emu.sensor.settings import Sensor
 from vlp16emu.settings import Seed
 
-__all__ = ["RigUnit", "completed"]
-
 _OWN = frozenset({"name", "serial_number", "address", "data_port", "position_port", "seed"})
 """What no two units have in common, so none of it is taken from `[sensor]`."""
 

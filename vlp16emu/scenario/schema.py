@@ -13,8 +13,6 @@ from pydantic_core.core_schema import ModelSchema
 
 from vlp16emu.scenario.model import Scenario
 
-__all__ = ["schema"]
-
 
 class _InOurWords(GenerateJsonSchema):
     """Leave out the titles that repeat the keys, and describe keys by their docstrings.

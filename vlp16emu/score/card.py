@@ -25,8 +25,6 @@ from vlp16emu.score.trees import (
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M
 
-__all__ = ["Limit", "ScoreCard", "ScoreInputs", "TreeRow", "limits_of", "make_card"]
-
 Cloud = Mapping[str, NDArray[Any]]
 
 WITHIN_M = (0.05, 0.1, 0.2)
@@ -257,7 +255,6 @@ def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
 def _score_stems(
     card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ...], true: Cloud | None
 ) -> None:
-    """Score a stem map and its diameters, tree by tree."""
     hits: dict[str, int] = {}
     seen = trees
     if true is not None:
@@ -277,7 +274,6 @@ def _score_stems(
 
 
 def _row(found: Stem | None, tree: Stem | None, hits: int | None) -> TreeRow:
-    """Make a row of a pair, or of one that is alone."""
     place = tree or found
     assert place is not None
     return TreeRow(
@@ -313,5 +309,4 @@ def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[dict[str, int], dict[st
 
 
 def _plain(value: Any) -> Any:
-    """Replace what JSON has no number for."""
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, uniform
 
-__all__ = ["cloud_distances", "density_per_m2", "uniformity"]
-
 Array = NDArray[np.float64]
 
 _DISKS = 9000

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import LARGEST_BYTES, InputError, MissingExtraError, readable
 
-__all__ = ["Stem", "read_cloud", "read_stems"]
-
 Cloud = dict[str, NDArray[Any]]
 
 _PLACES = (
@@ -101,7 +99,6 @@ def read_cloud(path: Path, needed: tuple[str, ...] = ()) -> Cloud:
 
 
 def _ply(path: Path) -> Cloud:
-    """Read the vertices of a PLY."""
     import trimesh
 
     loaded = trimesh.load(path, process=False)
@@ -111,7 +108,6 @@ def _ply(path: Path) -> Cloud:
 
 
 def _npz(path: Path) -> Cloud:
-    """Read the arrays of an NPZ."""
     with np.load(path) as arrays:
         return {name: arrays[name] for name in arrays.files}
 
@@ -141,7 +137,6 @@ def _las(path: Path) -> Cloud:
 
 
 def _pcd(path: Path) -> Cloud:
-    """Read the fields of a PCD."""
     try:
         from pypcd4.pypcd4 import PointCloud
     except ImportError:
@@ -190,7 +185,6 @@ def read_stems(path: Path) -> tuple[Stem, ...]:
 
 
 def _stem(where: str, line: int, row: Mapping[str, str | None]) -> Stem:
-    """Make a stem of one line."""
     x_m, y_m = _cell(where, row, "x", "x_m"), _cell(where, row, "y", "y_m")
     if not math.isfinite(x_m + y_m):
         raise InputError(where, "found no x or no y", "numbers of metres")

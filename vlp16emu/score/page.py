@@ -12,7 +12,6 @@ from vlp16emu.score.card import ScoreCard
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["page"]
 
 _STYLE = (
     "body{font:15px/1.45 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
@@ -67,7 +66,6 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _number(value: float) -> str:
-    """Write a number, nothing for NaN."""
     return f"{value:.4g}" if math.isfinite(value) else ""
 
 
@@ -112,5 +110,4 @@ def _draw(figure: "Figure", card: ScoreCard) -> None:
 
 
 def _kind(true_id: str, found_number: str) -> str:
-    """Name what a row is."""
     return "false" if not true_id else "found" if found_number else "missed"

@@ -12,8 +12,6 @@ from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.motion.pose_files import RecordedPoses, read_kitti, read_tum
 from vlp16emu.units import S_NS
 
-__all__ = ["ALIGNMENTS", "RPE_DELTA_M", "PathScore", "score_path"]
-
 Array = NDArray[np.float64]
 
 ALIGNMENTS = ("none", "yaw", "se3")
@@ -73,7 +71,6 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
     pair = _aligned(found, inside, true, alignment)
 
     def score(metric: metrics.PE) -> tuple[float, Array]:
-        """Root mean square and single errors, NaN where the path is too short."""
         try:
             metric.process_data(pair)
         except (FilterException, metrics.MetricsException):

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.score.files import Stem
 
-__all__ = ["box_scores", "boxes_of", "instance_scores", "leaf_wood_scores", "match_stems", "stem_scores"]
-
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
@@ -134,5 +132,4 @@ def _shares(name: str, hits: int, false: int, missed: int) -> dict[str, float]:
 
 
 def _rms(values: Sequence[float]) -> float:
-    """Root of the mean square, NaN of nothing."""
     return float(np.sqrt(np.mean(np.square(values)))) if values else math.nan

@@ -16,16 +16,6 @@ from vlp16emu.random import Purpose, normal
 from vlp16emu.types import SensorModel
 from vlp16emu.units import S_NS
 
-__all__ = [
-    "BEAM_TABLES",
-    "LASER_NS",
-    "LENS_RADIUS_M",
-    "SEQUENCE_NS",
-    "BeamTable",
-    "free_beams",
-    "with_angle_errors",
-]
-
 LASER_NS = 2_304
 """From one laser's pulse to the next (63-9243 Rev D, section 8.1)."""
 SEQUENCE_NS = 55_296

@@ -17,8 +17,6 @@ from vlp16emu.trig import cos_sin
 from vlp16emu.types import Firings, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["Head", "Turn", "turn", "turn_of"]
-
 _TOGETHER = 480
 """Firing sequences that are aimed before the poses of others are asked for, so that these are still in the cache."""
 

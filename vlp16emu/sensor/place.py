@@ -12,8 +12,6 @@ from vlp16emu.sensor.head import turn
 from vlp16emu.trig import cos_sin
 from vlp16emu.types import Firings, Poses
 
-__all__ = ["PlacedReturns", "place"]
-
 
 @dataclass(frozen=True, slots=True)
 class PlacedReturns:

@@ -15,18 +15,6 @@ from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.trig import cos_sin
 from vlp16emu.units import HOUR_NS, S_NS
 
-__all__ = [
-    "Clock",
-    "ClockSpan",
-    "EncoderLines",
-    "Pattern",
-    "Rotor",
-    "Spin",
-    "Swing",
-    "Wobbling",
-    "rotation_draws",
-]
-
 _HUM_SEQUENCES = 25
 """Firing sequences of two periods of the hum; one is 12.5 x 55.296 us."""
 _FAST = 0.85

@@ -15,8 +15,6 @@ from pydantic import (
 from vlp16emu.errors import ScenarioError
 from vlp16emu.settings import Preset, Seed
 
-__all__ = ["Address", "AnySensor", "FreeSensor", "Lidar", "Port", "Sensor", "on_the_wire"]
-
 Degrees = Annotated[float, Field(ge=0, lt=360)]
 Elevation = Annotated[float, Field(gt=-90, lt=90)]
 Port = Annotated[int, Field(ge=1, le=65_535)]
@@ -137,7 +135,6 @@ class Sensor(Lidar):
 
     @model_validator(mode="after")
     def _starts_once(self) -> Self:
-        """Refuse a start that is given twice."""
         if self.either_or <= self.model_fields_set:
             raise ValueError("start_azimuth_deg or phase_lock_deg in it, not both")
         return self

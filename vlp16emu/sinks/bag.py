@@ -11,8 +11,6 @@ from typing import Any, Self
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
 from vlp16emu.units import S_NS
 
-__all__ = ["BagFile", "Beat", "check_bag", "is_bag"]
-
 Beat = tuple[int, Callable[[], None]]
 """UTC of a message, and what writes it."""
 

@@ -4,8 +4,6 @@ import pickle
 import socket
 from typing import Self
 
-__all__ = ["CHANNEL_BYTES", "Channel"]
-
 CHANNEL_BYTES = 150_000
 """Of a message at most; a socket of Linux holds 212 992 at a time unless net.core.wmem_default is less."""
 

@@ -17,8 +17,6 @@ from vlp16emu.output import OutputFile
 from vlp16emu.sinks.columns import Block, CloudAbout, Column
 from vlp16emu.text import csv_lines
 
-__all__ = ["PointWriter", "point_file"]
-
 
 class PointWriter(Protocol):
     """Takes points block by block."""
@@ -88,7 +86,6 @@ class _Ply:
 
     @staticmethod
     def _dtype(column: Column) -> str:
-        """Type of the properties of a column."""
         return column.ply_dtype or column.dtype
 
     def _header(self) -> bytes:
@@ -113,7 +110,6 @@ class _Pcd(_Ply):
 
     @staticmethod
     def _dtype(column: Column) -> str:
-        """Type of the fields of a column."""
         return "<f4" if column.ply[0] == "x" else column.ply_dtype or column.dtype
 
     def _header(self) -> bytes:
@@ -174,7 +170,6 @@ class _Npz:
 def _las(
     file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack, *, laz: bool = False
 ) -> PointWriter:
-    """Open a LAS file, for which a library must be there."""
     from vlp16emu.sinks.las import LasFile
 
     return LasFile(file, columns, about, compressed=laz)

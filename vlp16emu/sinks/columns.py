@@ -12,21 +12,6 @@ from numpy.typing import NDArray
 from vlp16emu.packets import PointFrame
 from vlp16emu.types import PlantPart, Semantic
 
-__all__ = [
-    "CAPTURE_COLUMNS",
-    "DESKEWED_COLUMNS",
-    "LABEL_COLUMNS",
-    "LEAF_OR_WOOD",
-    "RETURN_NAMES",
-    "SCENE_COLUMNS",
-    "TRUTH_COLUMNS",
-    "Block",
-    "CloudAbout",
-    "Column",
-    "capture_comments",
-    "scene_comments",
-]
-
 Block = Mapping[str, NDArray[Any]]
 """Arrays of one length by the names of their columns."""
 
@@ -168,5 +153,4 @@ def scene_comments(start_utc: str) -> tuple[str, ...]:
 
 
 def _codes(labels: type[IntEnum]) -> str:
-    """List numbers with their names."""
     return ", ".join(f"{label} {label.name.lower()}" for label in labels)

@@ -16,8 +16,6 @@ from vlp16emu.sinks.columns import Block, CloudAbout, Column
 from vlp16emu.sinks.las import echoes_of, local_wkt
 from vlp16emu.units import US_NS
 
-__all__ = ["E57File"]
-
 _EXTENSION = "vlp", "urn:vlp16emu:points"
 _CAPACITY = 1 << 17
 """Points that wait for the library at once."""
@@ -105,7 +103,6 @@ class E57File:
         self._image.close()
 
     def _pass_on(self) -> None:
-        """Hand over the points that wait."""
         if self._held:
             self._writer.write(self._held)
             self._held = 0
@@ -164,13 +161,11 @@ class E57File:
         self._writer = points.writer(buffers)
 
     def _structure(self, values: dict[str, Any]) -> Any:
-        """Make a node of named leaves."""
         node = self._lib.StructureNode(self._image)
         for name, value in values.items():
             node.set(name, self._leaf(value))
         return node
 
     def _leaf(self, value: str | float) -> Any:
-        """Make a node of a value."""
         kinds = {str: self._lib.StringNode, int: self._lib.IntegerNode, float: self._lib.FloatNode}
         return kinds[type(value)](self._image, value)

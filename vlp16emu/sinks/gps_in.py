@@ -19,8 +19,6 @@ from vlp16emu.sinks.sink import Away, PacketSink
 from vlp16emu.types import Packet, PacketKind, PpsState
 from vlp16emu.units import seconds_to_ns
 
-__all__ = ["GpsIn", "GpsInResult", "GpsInSink", "GpsReader"]
-
 _BAUD = 9600
 """63-9243 Rev D, section 7.4."""
 _LOOK_S = 0.001
@@ -100,7 +98,6 @@ class GpsReader:
         return GpsInResult(self._port.name, self.line.heard, state, self._port.away)
 
     def _has_line(self, port: Any) -> bool:  # a class of pyserial, which has no types
-        """Whether the port has the line of the pulse."""
         try:
             getattr(port, str(self._pulse))
         except OSError as error:

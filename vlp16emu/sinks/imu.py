@@ -12,8 +12,6 @@ from vlp16emu.sinks.sink import Outlet, OutletResult
 from vlp16emu.sinks.udp import resolve
 from vlp16emu.types import Packet
 
-__all__ = ["ImuUdpSink", "imu_outlet"]
-
 _BAUD = 921_600
 _BITS = 10
 """Of a byte on the line: start, eight, stop."""

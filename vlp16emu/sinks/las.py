@@ -18,8 +18,6 @@ from vlp16emu.gps_time import adjusted_gps_s
 from vlp16emu.labels import label_scheme
 from vlp16emu.sinks.columns import Block, CloudAbout, Column
 
-__all__ = ["LasFile", "echoes_of", "local_wkt"]
-
 _SCALE_M = 1e-4
 """A tenth of what the other formats round to; with 32 bits that reaches 214 km to either side of the offset."""
 _OFFSET_M = 100_000.0
@@ -190,7 +188,6 @@ def local_wkt(latitude_deg: float, longitude_deg: float, height_m: float) -> str
 
 
 def _asprs(block: Block) -> NDArray[np.uint8] | None:
-    """Classes of points whose surface is known."""
     if "semantic" not in block:
         return None
     return label_scheme("asprs").codes(block["semantic"], block["part"])

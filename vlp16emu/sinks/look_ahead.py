@@ -11,8 +11,6 @@ from typing import Self
 
 from vlp16emu.types import Packet
 
-__all__ = ["LookAhead"]
-
 _POLL_S = 0.05
 """How often a thread that waits looks whether it shall stop."""
 _REFILLS = 8
@@ -134,7 +132,6 @@ class LookAhead:
 
     @property
     def _over(self) -> bool:
-        """Whether nobody wants more packets."""
         return self._left or self._stop.is_set()
 
     def _wait_for_room(self, packet: Packet | None) -> None:

@@ -9,8 +9,6 @@ from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.types import Packet
 from vlp16emu.units import HOUR_NS, S_NS
 
-__all__ = ["NowSink"]
-
 _ASLEEP_NS = 20_000_000
 """How long before its instant the clock is looked at by this thread alone, and no longer the stop event."""
 
@@ -73,7 +71,6 @@ class NowSink(PacketSink):
         return hour_ns + made_ns + age_ns(first)
 
     def _start(self, first: Packet, sent_ns: int, at_ns: int) -> None:
-        """Let the first packet, which was sent at a time, leave at another."""
         self.moved_s, self.began_ns, self._ahead_ns = (at_ns - sent_ns) // S_NS, at_ns, at_ns - first.due_ns
 
     def send(self, packet: Packet) -> None:

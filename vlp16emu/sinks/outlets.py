@@ -11,8 +11,6 @@ from vlp16emu.sinks.serial_port import SerialPort, SerialSink
 from vlp16emu.sinks.sink import Outlet
 from vlp16emu.types import PacketKind
 
-__all__ = ["Outlets"]
-
 _GPS_BAUD = 9600
 """What the sensor takes (63-9243 Rev D, section 7.4)."""
 

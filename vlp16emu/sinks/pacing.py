@@ -17,17 +17,6 @@ from vlp16emu.errors import InputError
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-__all__ = [
-    "TOLERANCE_NS",
-    "DelayLog",
-    "FellBehind",
-    "Late",
-    "Lateness",
-    "LatenessHistogram",
-    "Pacer",
-    "prompt_sleeps",
-]
-
 # Numbers of prctl(2). Source: linux/prctl.h.
 _PR_SET_TIMERSLACK = 29
 _PR_GET_TIMERSLACK = 30

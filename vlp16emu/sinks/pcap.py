@@ -17,8 +17,6 @@ from vlp16emu.packets.frames import FACTORY_LINK, Link, data_header, position_fr
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS
 
-__all__ = ["PcapResult", "PcapSink", "check_ending"]
-
 _ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})
 """Of names of classic pcap files; a name may have none."""
 _WAYS_TO = {
@@ -117,7 +115,6 @@ class PcapSink:
         )
 
     def _frame(self, packet: Packet) -> bytes:
-        """Frame of a data or position packet."""
         link = self._links[packet.unit]
         if packet.kind is PacketKind.DATA:
             return data_header(link, len(packet.payload)) + packet.payload

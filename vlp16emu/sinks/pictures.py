@@ -13,8 +13,6 @@ from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.sinks.truth import tum_rows, write_json
 from vlp16emu.types import Poses
 
-__all__ = ["LAYERS", "PictureFolder"]
-
 LAYERS = {"rgb": np.uint8, "depth": np.uint16, "semantic": np.uint8, "part": np.uint8, "species": np.uint16}
 """Folders of PNG files, and what their pixels are; that of depth has multiples of 2 mm, as packets have."""
 _POSES = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_camera; line n is image n; camera z forward, x right, y down\n"

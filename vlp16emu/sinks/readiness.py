@@ -12,8 +12,6 @@ import numpy as np
 from vlp16emu.packets.frames import DATA_PORT, FACTORY_LINK, POSITION_PORT
 from vlp16emu.sinks.pacing import TOLERANCE_NS, prompt_sleeps
 
-__all__ = ["Check", "Condition", "sending_checks"]
-
 _SLEEPS = 200
 _SLEEP_S = 0.001_327
 """As long as between two data packets in single return (VLP-16 manual 63-9243 Rev D, section 8.2)."""
@@ -71,7 +69,6 @@ def _bound(address: str, port: int) -> str:
 
 
 def _port(name: str, port: int) -> Check:
-    """Whether a port is free for a receiver on this machine, and to send from as a sensor."""
     if not (reason := _bound("", port)):
         return Check(name, Condition.OK, f"{port} is free")
     mend = f"right for a receiver here; --as-sensor needs it: ss -ulpn 'sport = :{port}' shows its program"
@@ -79,7 +76,6 @@ def _port(name: str, port: int) -> Check:
 
 
 def _address(address: str) -> Check:
-    """Whether this machine has the sensor's address, which few streams need."""
     if not _bound(address, 0):
         return Check("sensor address", Condition.OK, f"{address} is this machine's")
     mend = f"for --as-sensor: sudo ip addr add {address}/24 dev IFACE"

@@ -16,8 +16,6 @@ from vlp16emu.errors import OutputError
 from vlp16emu.sinks.sink import Away, OutletResult
 from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["SerialPort", "SerialSink"]
-
 T = TypeVar("T")
 
 _RETRY_S = 1.0
@@ -93,7 +91,6 @@ class SerialPort:
         return tuple(self._away)
 
     def _open(self) -> Any:  # a class of pyserial, which has no types
-        """Open the port."""
         import serial
 
         port = serial.serial_for_url(
@@ -128,14 +125,12 @@ class SerialPort:
         return False
 
     def _note_away(self) -> None:
-        """Note that the device is no longer away."""
         assert self._away_since_s is not None
         now_s = time.monotonic()
         self._away.append(Away(self._away_since_s - self._opened_s, now_s - self._away_since_s))
         self._away_since_s = None
 
     def _shut(self) -> None:
-        """Close what may be gone already."""
         with suppress(*self._error):
             self._port.close()
 
@@ -223,7 +218,6 @@ class SerialSink:
         if line and self._port.has_line:
 
             def set_line(port: Any) -> bool:
-                """Whether it could be set."""
                 setattr(port, line, high)
                 return True
 

@@ -7,8 +7,6 @@ from typing import Protocol, Self
 
 from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["Away", "MemorySink", "Outlet", "OutletResult", "PacketSink", "SinkByKind"]
-
 
 class PacketSink(Protocol):
     """Where packets leave: a context manager that is open from the moment it is made.

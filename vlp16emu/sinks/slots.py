@@ -14,8 +14,6 @@ from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, NO_ECHO, RECORDS_P
 from vlp16emu.sinks.columns import LEAF_OR_WOOD
 from vlp16emu.types import Packet
 
-__all__ = ["SLOT_COLUMNS", "SlotReader", "SlotTable"]
-
 _GROUP = 256
 """Packets of a row group, 98 304 rows: what is held in memory, some 20 MB."""
 _CHANNELS = 32
@@ -143,7 +141,6 @@ class SlotTable:
     def _column(
         self, name: str, values: NDArray[Any], miss: NDArray[np.bool_] | None
     ) -> Any:  # of pyarrow, which has no types
-        """Make a column, null where there is no return."""
         kind = self._schema.field(name).type
         return self._arrow.array(np.ascontiguousarray(values).astype(kind.to_pandas_dtype()), kind, mask=miss)
 
@@ -249,7 +246,6 @@ class SlotReader:
 
 
 def _pyarrow() -> tuple[Any, Any]:  # it has no types
-    """Import it."""
     try:
         import pyarrow as pa
         from pyarrow import parquet

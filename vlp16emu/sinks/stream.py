@@ -27,16 +27,6 @@ from vlp16emu.sinks.udp import LOOPBACK, UdpSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
-__all__ = [
-    "LOOK_AHEAD_PACKETS",
-    "FirstPacket",
-    "Sender",
-    "StreamReport",
-    "UnderWay",
-    "sending_share",
-    "stream",
-]
-
 LOOK_AHEAD_PACKETS = 2048
 """About 2.3 s of single return with its position packets, 1.2 s of dual; 2.6 MB."""
 

@@ -17,8 +17,6 @@ from vlp16emu.output import OutputFile, lock
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
-__all__ = ["TruthFolder", "TruthTo", "seconds_text", "tum_rows", "write_json"]
-
 _FILES = re.compile(
     r"(events|gnss|imu)\.csv|(rig|scenario|time)\.json(\.part)?|(packets|trajectory)(_\d+)?\.tum"
     r"|returns(_\d+)?\.parquet(\.part)?"

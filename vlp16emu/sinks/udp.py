@@ -14,8 +14,6 @@ from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL, Link
 from vlp16emu.types import Packet, PacketKind
 
-__all__ = ["LOOPBACK", "RigSink", "UdpResult", "UdpSink", "resolve"]
-
 LOOPBACK = "127.0.0.1"
 """Where packets go unless an address is given: nowhere but this machine."""
 
@@ -208,7 +206,6 @@ def _bind(opened: socket.socket, as_sensor: str | None, interface: str | None, p
 
 
 def _interfaces() -> list[str]:
-    """Names of this machine's network interfaces, the loopback last."""
     names = sorted(name for _, name in socket.if_nameindex())
     return sorted(names, key=lambda name: name == "lo")
 

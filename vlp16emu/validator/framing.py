@@ -26,17 +26,6 @@ from vlp16emu.types import PacketKind
 from vlp16emu.units import HOUR_NS, MS_NS, US_NS
 from vlp16emu.validator.rules import Findings, Level, Rule
 
-__all__ = [
-    "HOUR_US",
-    "JITTER_US",
-    "SENTENCE_OFFSET",
-    "ClockWatch",
-    "check_frame",
-    "is_rewritten",
-    "kind_of",
-    "wrap_hour_us",
-]
-
 Microseconds = TypeVar("Microseconds", int, NDArray[np.int64])
 
 HOUR_US = HOUR_NS // US_NS
@@ -143,7 +132,6 @@ def is_rewritten(datagram: Datagram) -> bool:
 
 
 def _header_faults(datagram: Datagram, kind: PacketKind) -> tuple[tuple[str, str], ...]:
-    """List what is found and expected of each broken header field."""
     if kind is PacketKind.DATA:
         return _data_header_faults(datagram.header, datagram.ip_offset)
     return _common_faults(datagram.header, datagram.ip_offset, kind) + _udp_checksum_faults(datagram)

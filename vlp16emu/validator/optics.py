@@ -7,8 +7,6 @@ from vlp16emu.packets.layout import LASERS
 from vlp16emu.validator.records import DataChunk
 from vlp16emu.validator.rules import Findings, Rule
 
-__all__ = ["OpticsRules"]
-
 _BY_ELEVATION = np.array([*range(0, LASERS, 2), *range(1, LASERS, 2)])
 """Lasers from the lowest to the highest. Source: 63-9243 Rev D, table 9-1, p. 53."""
 _SHORTEST = 300

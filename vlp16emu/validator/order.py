@@ -18,8 +18,6 @@ from vlp16emu.units import US_NS
 from vlp16emu.validator.framing import wrap_hour_us
 from vlp16emu.validator.rules import Findings, Rule
 
-__all__ = ["InOrder"]
-
 _HELD = 128
 """Packets among which one is put in its place: those of 0.17 s in single return."""
 _LAYOUTS = {PacketKind.DATA: DATA_PAYLOAD, PacketKind.POSITION: POSITION_PAYLOAD}
@@ -119,9 +117,7 @@ class InOrder:
         return abs(behind_ns - round(behind_ns / period_ns) * period_ns) <= 2 * US_NS
 
     def _ahead_us(self, datagram: Datagram) -> int:
-        """By how much a packet is newer than the newest."""
         return wrap_hour_us(self._stamp_us(datagram) - self._stamp_us(self._held[-1]))
 
     def _stamp_us(self, datagram: Datagram) -> int:
-        """Read its time stamp."""
         return int.from_bytes(datagram.payload[self._stamp_at : self._stamp_at + 4], "little")

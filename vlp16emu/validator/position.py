@@ -12,8 +12,6 @@ from vlp16emu.units import MS_NS, S_NS, US_NS
 from vlp16emu.validator.framing import HOUR_US, SENTENCE_OFFSET, ClockWatch, is_rewritten
 from vlp16emu.validator.rules import Findings, Rule
 
-__all__ = ["PositionRules"]
-
 _HEAD_BYTES = 14
 """Other sensors of the family report motion from here on; software takes the zeros for a mark."""
 _SHORTEST_INTERVAL_NS = 1_400_000

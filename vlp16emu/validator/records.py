@@ -16,8 +16,6 @@ from vlp16emu.packets.layout import (
 from vlp16emu.validator.framing import HOUR_US
 from vlp16emu.validator.rules import Findings, Level, Rule
 
-__all__ = ["DataChunk", "check_factory", "check_records"]
-
 _UNEQUAL_REFLECTIVITY_SHARE = 0.05
 """Of the equal pairs of a packet; 603 packets of a real unit show 0.03 % overall and 1.1 % at most."""
 
@@ -83,7 +81,6 @@ def _check_ranges(payload: NDArray[np.void], number: NDArray[np.int64], findings
     bad_flag = flag != BLOCK_FLAG
 
     def found_flag(i: int) -> str:
-        """Find the first wrong flag of a packet."""
         block = int(bad_flag[i].argmax())
         return f"{int(flag[i, block]).to_bytes(2, 'little').hex(' ')} at block {block}"
 
@@ -118,7 +115,6 @@ def _check_pairs(
     twin_differs = azimuth_cdeg[:, ::2] != azimuth_cdeg[:, 1::2]
 
     def found_azimuths(i: int) -> str:
-        """Find the first pair of blocks that should share an azimuth."""
         even = 2 * int(twin_differs[i].argmax())
         return f"azimuths {azimuth_cdeg[i, even]} and {azimuth_cdeg[i, even + 1]} at blocks {even} and {even + 1}"
 

@@ -8,8 +8,6 @@ from vlp16emu.units import S_NS
 from vlp16emu.validator.records import DataChunk
 from vlp16emu.validator.rules import Findings, Rule
 
-__all__ = ["check_speed", "frozen_packets"]
-
 _STILL_CDEG = 12
 """Two readings differ by less than this where the rotor stands; at 300 rpm a packet turns by 220."""
 _SET_RPM = 60

@@ -8,8 +8,6 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Finding", "Findings", "Level", "Rule"]
-
 
 class Level(StrEnum):
     """How much a finding weighs."""

@@ -27,8 +27,6 @@ from vlp16emu.validator.records import DataChunk, check_factory, check_records
 from vlp16emu.validator.rules import Finding, Findings, Rule
 from vlp16emu.validator.sweep import SweepRules
 
-__all__ = ["Verification", "verify", "verify_capture", "verify_units"]
-
 _CHUNK_PACKETS = 512
 """Data packets looked at together: 0.6 MB, 0.7 s of single return."""
 _HELD_PACKETS, _SMALLEST_CHUNK = 16 * _CHUNK_PACKETS, 16
@@ -188,7 +186,6 @@ class _Check:
             self._flush(ends=True)
 
     def _take_rest(self, kind: PacketKind) -> None:
-        """Take the packets that have been held to be put in order."""
         for datagram in self._in_order[kind].rest():
             self._take_ordered(kind, datagram)
 
@@ -250,7 +247,6 @@ class _Check:
         self._continues = not ends
 
     def _span_s(self, kind: PacketKind) -> float:
-        """Time between the first and the last packet of a kind, by the capture's stamps."""
         if kind not in self._first:
             return 0.0
         return (self._last[kind].stamp_ns - self._first[kind].stamp_ns) / S_NS

@@ -12,8 +12,6 @@ from vlp16emu.validator.records import DataChunk
 from vlp16emu.validator.rotor import check_speed, frozen_packets
 from vlp16emu.validator.rules import Findings, Rule
 
-__all__ = ["SweepRules"]
-
 _STEP_TOLERANCE_CDEG = 6
 """Real units read azimuths with 0.5 cdeg of noise, which makes steps 0.8 cdeg wide; the widest seen is 4.5."""
 _GAP_TOLERANCE_CDEG = 26
@@ -167,7 +165,6 @@ class SweepRules:
         signed_cdeg = _signed(steps.forward_cdeg)
 
         def found_step(i: int) -> str:
-            """Describe a step, and where it is."""
             row, column = divmod(i, blocks)
             block = (column + 1) % blocks * (BLOCKS_PER_PACKET // blocks)
             return f"azimuth {signed_cdeg[row, column] / 100:+.2f} deg at block {block}"
@@ -207,7 +204,6 @@ def _azimuth_steps(chunk: DataChunk) -> _Steps:
 
 
 def _signed(forward_cdeg: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Read steps of more than half a turn forward as steps back."""
     return np.where(forward_cdeg > AZIMUTH_CODES // 2, forward_cdeg - AZIMUTH_CODES, forward_cdeg)
 
 

@@ -6,8 +6,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Canvas", "LaserRows", "Oblique", "View"]
-
 _BACKGROUND = (14, 18, 24)
 _RELIEF = 0.35
 """How dark a pixel gets per metre by which its neighbours are nearer: eye-dome lighting (Boucheny, thesis, Grenoble 2009)."""

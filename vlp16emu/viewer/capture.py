@@ -19,8 +19,6 @@ from vlp16emu.validator import Finding, Rule, verify_capture
 from vlp16emu.viewer.sweeps import Mark, Sweep
 from vlp16emu.world.plants.flora import flora
 
-__all__ = ["CaptureSweeps"]
-
 _KEPT = 300
 """Sweeps of a capture that are kept, some 300 MB; one before them is read from the file's begin again."""
 _MARKED = 10_000
@@ -98,11 +96,9 @@ class CaptureSweeps:
             self._reading = None
 
     def _reader(self) -> CaptureReader:
-        """Open the capture."""
         return CaptureReader(self._path, self._unit, passes_over=True)
 
     def _scans(self, reader: CaptureReader, labels_of: LabelsOf) -> Generator[Scan]:
-        """Read the scans that have poses."""
         for scan in scans_in(reader, labels_of):
             if self._way is None or self._way.has(scan.t_ns).all():
                 yield scan
@@ -121,7 +117,6 @@ class CaptureSweeps:
 
 
 def _species(folder: Path) -> dict[int, str]:
-    """Give the names of trees and shrubs of a run."""
     world = load(folder / "scenario.json").world
     return dict(flora(getattr(world, "species_file", None)).names)
 

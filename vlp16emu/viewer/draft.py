@@ -30,8 +30,6 @@ from vlp16emu.world.settings import Hall
 from vlp16emu.world.stand.stand import foot_discs, path_gap_m
 from vlp16emu.world.vectors import places_m
 
-__all__ = ["Course", "Draft", "Outlook", "summary_of"]
-
 Array = NDArray[np.float64]
 
 _LIKE_A_MM = 3

@@ -12,8 +12,6 @@ import viser
 from vlp16emu.errors import Vlp16emuError
 from vlp16emu.viewer.draft import Course, Draft, Outlook, summary_of
 
-__all__ = ["FARTHEST_M", "Editor"]
-
 FARTHEST_M = 10_000.0
 """Of a way point or thing from the scene's origin: farther no hand drags it."""
 _GAITS = ("as in the scene", "none", "paper", "natural", "strong")
@@ -128,7 +126,6 @@ class Editor:
         return True
 
     def _save(self) -> None:
-        """Write the scene file."""
         if self._to is None:
             return
         self._draft.save(self._to)
@@ -175,7 +172,6 @@ class Editor:
         self._server.scene.add_label(f"/way_points/{number + 1}/name", str(number + 1))
 
         def dropped() -> Course | None:
-            """Take the way point to where its gizmo is."""
             x_m, y_m = (float(gizmo.position[axis]) for axis in (0, 1))
             points = self._draft.course.points
             if number >= len(points) or not (abs(x_m) <= FARTHEST_M and abs(y_m) <= FARTHEST_M):

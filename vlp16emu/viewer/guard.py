@@ -20,8 +20,6 @@ from websockets.http11 import Response
 
 from vlp16emu.errors import OutputError
 
-__all__ = ["LOOPBACK", "guarded_server", "is_ours"]
-
 LOOPBACK = frozenset({"127.0.0.1", "localhost"})
 _LONGEST_BYTES = 1 << 16
 """Of a message of the page: a drag or a value takes some hundred bytes."""
@@ -86,10 +84,8 @@ def _guarded(host: str) -> Callable[..., Any]:
     silent.setLevel(logging.CRITICAL + 1)  # of what a stranger sends no line is written
 
     def checked(*arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
-        """Open the server."""
 
         def answer(connection: Any, request: Any) -> Any:
-            """Refuse what is not ours."""
             if is_ours(request.headers, names):
                 return process_request(connection, request)
             return Response(HTTPStatus.FORBIDDEN, "Forbidden", Headers({"Content-Length": "0"}))

@@ -12,8 +12,6 @@ from vlp16emu.scan import Scan
 from vlp16emu.types import SURFACE, PlantPart, Semantic
 from vlp16emu.units import S_NS
 
-__all__ = ["LAYERS", "PART_RGB", "Entries", "colours_of", "colours_of_scale", "entries_of", "layers_of_scan"]
-
 Rgb = NDArray[np.uint8]
 
 Entries = Mapping[str, tuple[int, int, int]] | tuple[float, float, str] | None
@@ -122,7 +120,6 @@ def _surfaces(scan: Scan) -> NDArray[np.void]:
 
 
 def _each(values: NDArray[Any], of: Callable[[int], tuple[int, int, int]]) -> Rgb:
-    """Look up the colour of each different value once."""
     different, which = np.unique(values, return_inverse=True)
     return np.array([of(value) for value in different.tolist()], np.uint8).reshape(-1, 3)[which.ravel()]
 

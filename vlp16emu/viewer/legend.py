@@ -7,8 +7,6 @@ import numpy as np
 
 from vlp16emu.viewer.layers import Entries, colours_of_scale
 
-__all__ = ["legend_of", "list_of"]
-
 _STOPS = 9
 """Colours of a gradient."""
 _BOX = "margin:0.3em 1em;font-size:0.85em;line-height:1.5"

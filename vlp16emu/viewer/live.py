@@ -23,8 +23,6 @@ from vlp16emu.viewer.page import draw_stand
 from vlp16emu.viewer.stroll import KEYS, Stroll, gamepad_on, stroll_on
 from vlp16emu.viewer.watch import Backdrop, Glimpse, Steering
 
-__all__ = ["LivePage", "serve"]
-
 _HOST, _PORT = "127.0.0.1", 8016
 """The port of `vlp16emu view`; another one where that is in use."""
 _NICE = 10
@@ -152,7 +150,6 @@ class LivePage:
         self._text.content = "  \n".join(_lines(self._latest, len(points_m), self._stroll))
 
     def _draw_person(self, place_m: NDArray[np.float64]) -> None:
-        """Draw a person under the sensor."""
         ground_m = float(self._backdrop.height_m(place_m[:1], place_m[1:2])[0])
         self._server.scene.add_cylinder(
             "/person",

@@ -17,8 +17,6 @@ from vlp16emu.viewer.sensor import DrawnSensor
 from vlp16emu.viewer.stand import Piece
 from vlp16emu.viewer.sweeps import Sweep, Sweeps
 
-__all__ = ["Page", "draw_stand", "look_from"]
-
 _POLL_S = 0.1
 """How often the page looks whether it shall end."""
 _MOST_KEPT = 50
@@ -171,7 +169,6 @@ class Page:
         self._faults.content = list_of([mark.what for mark in shown[-1].marks[:_LISTED]])
 
     def _draw_points(self, shown: list[Sweep], layer: str, size_m: float) -> None:
-        """Draw the points of sweeps."""
         points_m = np.concatenate([sweep.world_m for sweep in shown])
         middle_m = points_m.mean(axis=0) if len(points_m) else np.zeros(3)
         self._server.scene.add_point_cloud(

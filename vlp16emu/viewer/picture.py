@@ -23,15 +23,6 @@ from vlp16emu.viewer.layers import Entries, colours_of, colours_of_scale, entrie
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "VIEWS",
-    "PictureLook",
-    "PictureRun",
-    "draw_picture",
-    "scans_of_capture",
-    "scans_of_scene",
-    "way_of",
-]
 
 Placed = tuple[Scan, NDArray[np.float64]]
 """A revolution, and its points (n, 3) in the world."""
@@ -217,7 +208,6 @@ class _Drawing:
                 return
 
     def _draw(self, _scan: Scan, world_m: NDArray[np.float64], rgb: NDArray[np.uint8]) -> int:
-        """Draw a revolution, and count its points that are in the picture."""
         # What is aside would hide what is near the way.
         shown = ((world_m >= self._box_m[0]) & (world_m <= self._box_m[1]))[:, :2].all(axis=1)
         self.canvas.add(world_m[shown], rgb[shown])
@@ -288,7 +278,6 @@ class _Rows(_Drawing):
     adds_up = False
 
     def _view(self, _first: Placed, _way_m: NDArray[np.float64] | None, rings: int) -> View:
-        """Look at all."""
         self._rows = LaserRows(self.look.size, rings)
         return self._rows
 
@@ -317,7 +306,6 @@ _DRAWINGS = dict(zip(VIEWS, (_Drawing, _Above, _Rows), strict=True))
 
 
 def _gif(file: Any, frames: Iterator[NDArray[np.uint8]], _size: tuple[int, int]) -> None:
-    """Write a film as GIF, frame by frame."""
     try:
         from PIL import Image
     except ImportError:

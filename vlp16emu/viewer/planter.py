@@ -19,8 +19,6 @@ from vlp16emu.world.plants.flora import flora, known
 from vlp16emu.world.settings import Forest, Hall, Plot
 from vlp16emu.world.stand.settings import Season
 
-__all__ = ["Planter", "mix_of", "mix_text"]
-
 _AS_IS = "as in the scene"
 _RAISED_M = 1.2
 """Of the gizmos of meshes and plot, over those of way points."""
@@ -119,7 +117,6 @@ class Planter:
         """Make another course of the present one when somebody does something to a control."""
 
         def done(by: viser.GuiEvent[Any]) -> None:
-            """Leave out what the page itself has set."""
             if by.client is not None:
                 self._editor.ask(lambda: change(self._draft.course, control.value))
 
@@ -132,7 +129,6 @@ class Planter:
         course: Course,
         _: object,
     ) -> Course:
-        """Change the places of the chosen mesh."""
         meshes = deepcopy(self._draft.world["meshes"])
         mesh = meshes[min(max(int(number.value), 1), len(meshes)) - 1]
         mesh["places"] = change(mesh["places"])
@@ -147,7 +143,6 @@ class Planter:
         return self._draft.course.planted(species=mix_of(self._mix.value, rows, world.species_file))
 
     def _regrow(self) -> None:
-        """Grow the present stand, and show it."""
         scenario = self._draft.scenario(self._draft.course)
         self._text.content = "growing"
         self._draft.grown(scenario, self._grow(scenario))
@@ -173,7 +168,6 @@ class Planter:
         )
 
     def _show_controls(self, course: Course) -> None:
-        """Set the controls to what a course has, where it is a scene."""
         try:
             world = self._draft.scenario(course).world
         except InputError:
@@ -188,7 +182,6 @@ class Planter:
             self._season.value = world.season
 
     def _put(self, which: tuple[int, int], x_m: float, y_m: float, yaw_deg: float) -> None:
-        """Put the gizmo of a place, or of the plot, where it is."""
         gizmo = self._gizmos.get(which) or self._gizmo(which)
         gizmo.position = (x_m, y_m, self._draft.height_m(x_m, y_m) + _RAISED_M)
         half = math.radians(yaw_deg) / 2
@@ -212,7 +205,6 @@ class Planter:
         return gizmo
 
     def _dropped(self, which: tuple[int, int]) -> Course | None:
-        """Take what a gizmo is of to where it is."""
         gizmo, course = self._gizmos[which], self._draft.course
         x_m, y_m = (round(float(gizmo.position[axis]), 3) for axis in (0, 1))
         if not (abs(x_m) <= FARTHEST_M and abs(y_m) <= FARTHEST_M):

@@ -18,8 +18,6 @@ from vlp16emu.viewer.stand import pieces_of
 from vlp16emu.viewer.sweeps import SceneSweeps
 from vlp16emu.world.stand.forest import ForestWorld
 
-__all__ = ["ScenePage"]
-
 
 class ScenePage:
     """A scene, grown and drawn; of one that walks, path and stand can be drawn anew.

@@ -9,8 +9,6 @@ from vlp16emu.scan import Scan
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.viewer.sweeps import Mark, Sweep
 
-__all__ = ["DrawnSensor", "beams_of", "sectors_of"]
-
 _LOST_M = 30.0
 """How far a beam that meets nothing is drawn."""
 _HIT, _LOST, _WRONG = (255, 70, 50), (150, 160, 175), (230, 0, 60)

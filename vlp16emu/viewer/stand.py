@@ -17,8 +17,6 @@ from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.stand.floor_shapes import FloorKey
 from vlp16emu.world.stand.tiles import TILE_M, TileKey
 
-__all__ = ["Piece", "fewer_faces", "lump", "pieces_of", "slim_stem"]
-
 Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]
 
@@ -209,13 +207,11 @@ def _ground(seen: Survey) -> Mesh:
 
 
 def _moved(mesh: Mesh, world_T_shape: Array) -> Mesh:
-    """Put a mesh into the world."""
     vertices_m = mesh.vertices_m @ world_T_shape[:, :3].T + world_T_shape[:, 3]
     return Mesh(vertices_m.astype(np.float32), mesh.faces)
 
 
 def _joined(meshes: list[Mesh]) -> Mesh:
-    """Make one mesh of triangles of several."""
     first = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes)])
     faces = [_triangles(mesh) + np.uint32(begin) for mesh, begin in zip(meshes, first, strict=False)]
     return Mesh(np.concatenate([mesh.vertices_m for mesh in meshes]), np.concatenate(faces))

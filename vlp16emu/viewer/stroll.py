@@ -17,8 +17,6 @@ from vlp16emu.motion.pose import rotation
 from vlp16emu.motion.settings import Gait
 from vlp16emu.types import HeightField
 
-__all__ = ["KEYS", "Stroll", "gamepad_on", "stroll_on"]
-
 KEYS = {
     "faster": ("W", "arrowup"),
     "slower": ("S", "arrowdown"),
@@ -148,5 +146,4 @@ def gamepad_on(stroll: Stroll, device: Path) -> None:
 
 
 def _within(value: float, most: float) -> float:
-    """Limit a value to both sides."""
     return min(max(value, -most), most)

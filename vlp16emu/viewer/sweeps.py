@@ -10,8 +10,6 @@ from vlp16emu.errors import InputError
 from vlp16emu.scan import Scan
 from vlp16emu.sensor.beams import BeamTable
 
-__all__ = ["Mark", "SceneSweeps", "Sweep", "Sweeps"]
-
 _TURNS = 2.2
 """Of the rotor: so long a span holds a whole revolution wherever it begins, also of a motor that is off its speed."""
 

@@ -21,8 +21,6 @@ from vlp16emu.sinks import Channel, Lateness, LatenessHistogram, Pacer, PacketSi
 from vlp16emu.types import HeightField, Packet, PacketKind
 from vlp16emu.viewer.stand import Piece, pieces_of
 
-__all__ = ["Backdrop", "Glimpse", "Steering", "Watch", "WatchedSink", "backdrop_of", "watching"]
-
 _RADIUS_M, _LIVE_RADIUS_M = 25.0, 35.0
 """How far from the path the stand is drawn; of a live scene as far as the body may go."""
 _EVERY_NS = 50_000_000
@@ -112,7 +110,6 @@ class WatchedSink(PacketSink):
             self._offer()
 
     def _offer(self) -> None:
-        """Offer what is held."""
         payloads, fired_ns = zip(*self._held, strict=True)
         t_ns = np.array(fired_ns)
         glimpse = Glimpse(

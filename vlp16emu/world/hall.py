@@ -12,8 +12,6 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.types import SURFACE, FarTile, Mesh, Semantic, ShapeKey, Window
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
 
-__all__ = ["HallWorld"]
-
 _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
@@ -138,7 +136,6 @@ def _place_m(key: _Room | Thing) -> tuple[float, float, float]:
 
 
 def _check_inside(thing: Thing, room: _Room) -> None:
-    """Refuse what is not wholly inside."""
     match thing:
         case HallBox():
             half, middle = tuple(size / 2 for size in thing.size_m), thing.centre_m

@@ -30,8 +30,6 @@ from vlp16emu.world.stand.stand import Stand
 from vlp16emu.world.stand.understorey import SaplingLayer, ShrubLayer
 from vlp16emu.world.stand.wind import TreeSway
 
-__all__ = ["ground_name", "ground_of", "layers_of", "obstacles_of", "world_of"]
-
 Array = NDArray[np.float64]
 
 
@@ -120,7 +118,6 @@ def _forest(
     near_m: float,
     loose_stems: bool,
 ) -> ForestWorld:
-    """Make a forest."""
     plants, height_m = flora(section.species_file), ground.height_m
     trails = ground.trails if isinstance(ground, TerrainHeights) else None
     stems: Stand | GivenStand

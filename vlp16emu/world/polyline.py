@@ -6,8 +6,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import hypot
 
-__all__ = ["Corridor", "Polyline", "distance_m"]
-
 Array = NDArray[np.float64]
 
 _PIECE = 32

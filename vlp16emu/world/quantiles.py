@@ -5,8 +5,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import log
 
-__all__ = ["normal_quantile"]
-
 Array = NDArray[np.float64]
 
 _SQRT_2_PI = 2.50662827463100050242
@@ -75,7 +73,6 @@ def normal_quantile(probability: Array) -> Array:
 
 
 def _ratio(fraction: tuple[tuple[float, ...], tuple[float, ...]], x: Array) -> Array:
-    """Divide one polynomial by another."""
     above, below = (np.polyval(np.array(coefficients), x) for coefficients in fraction)
     quotient: Array = above / below
     return quotient

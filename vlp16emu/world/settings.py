@@ -25,8 +25,6 @@ from vlp16emu.world.stand.settings import (
     Stumps,
 )
 
-__all__ = ["Forest", "Hall", "HallBox", "HallPole", "HallSphere", "Plot", "Woods"]
-
 _Near = Annotated[float, Field(ge=5)]
 Near = Annotated[
     _Near,

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from vlp16emu.types import Mesh, PlantPart, Semantic, ShapeKey, Window
 from vlp16emu.world.stand.tiles import TileKey
 
-__all__ = ["label", "write_glb"]
-
 Array = NDArray[np.float64]
 
 _YUP_R_WORLD = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0, 0, 0, 1.0]])

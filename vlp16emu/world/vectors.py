@@ -5,8 +5,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import norm
 
-__all__ = ["determinant", "places_m", "unit"]
-
 Array = NDArray[np.float64]
 
 

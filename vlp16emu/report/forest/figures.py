@@ -9,8 +9,6 @@ from scipy.spatial import KDTree
 
 from vlp16emu.types import HeightField
 
-__all__ = ["CELL_M", "Relief", "StandRow", "cells_near", "clark_evans", "relief", "stand_rows"]
-
 Array = NDArray[np.float64]
 
 CELL_M = 0.5

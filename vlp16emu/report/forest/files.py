@@ -27,8 +27,6 @@ from vlp16emu.world.stand.nearby import AllNear, cut_out
 from vlp16emu.world.twin import write_glb
 from vlp16emu.world.vectors import places_m
 
-__all__ = ["write_ground", "write_inventory", "write_picture", "write_stems", "write_twin"]
-
 Array = NDArray[np.float64]
 
 _DRAWN_IN_ORDER = (
@@ -140,7 +138,6 @@ def write_picture(output: OutputFile, seen: Survey, *, title: str, subtitle: str
 
 
 def _plan(seen: Survey) -> PlanView:
-    """Gather what the plan shows."""
     kinds = sorted({thing.kind for thing in seen.things}, key=_DRAWN_IN_ORDER.index)
     low_m, high_m = _around(seen)
     return PlanView(

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.types import PlantPart, Semantic
 
-__all__ = ["colour_of_kind", "colour_of_species", "surface_colours"]
-
 Rgb = tuple[int, int, int]
 
 _FOLIAGE: dict[str, Rgb] = {
@@ -95,7 +93,6 @@ def surface_colours(surfaces: NDArray[np.void], species: Mapping[int, str]) -> N
 
 
 def _colour(kind: Semantic, part: PlantPart, species: str) -> Rgb:
-    """Colour of one part of one species, or of what is no plant."""
     if kind not in (Semantic.TREE, Semantic.SHRUB):
         return colour_of_kind(kind.name.lower())
     return colour_of_species(species) if part == PlantPart.LEAF else _BARK.get(species, _UNKNOWN_BARK)

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-__all__ = ["INK", "SOFT", "WALK", "PlanView", "draw_plan", "legend_entries"]
 
 Array = NDArray[np.float64]
 
@@ -102,7 +101,6 @@ def legend_entries(plan: PlanView) -> "list[Artist]":
     from matplotlib.lines import Line2D
 
     def sample(name: str, **looks: object) -> Line2D:
-        """Entry of the legend."""
         return Line2D([], [], linestyle="none", label=name.replace("_", " "), **looks)  # type: ignore[arg-type]
 
     numbers, stems = np.unique(plan.trees["species"], return_counts=True)
@@ -265,16 +263,13 @@ def _draw_scale_and_north(axes: "Axes", plan: PlanView) -> None:
 
 
 def _round_up_m(length_m: float) -> float:
-    """Least round length that is no less."""
     return next((length for length in _ROUND_M if length >= length_m), _ROUND_M[-1])
 
 
 def _share(colour: tuple[int, int, int]) -> tuple[float, float, float]:
-    """Colour as matplotlib wants it."""
     return colour[0] / 255, colour[1] / 255, colour[2] / 255
 
 
 def _dark(colour: tuple[int, int, int]) -> tuple[float, float, float]:
-    """Darken it, for outlines."""
     red, green, blue = _share(colour)
     return 0.6 * red, 0.6 * green, 0.6 * blue

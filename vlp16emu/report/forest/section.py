@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import NO_SURFACE, Firings, HeightField, Hits
 
-__all__ = ["MARK_LEAD", "StandSection", "draw_section", "strip_along"]
-
 Array = NDArray[np.float64]
 
 _PAPER = np.array([252.0, 251.0, 248.0])

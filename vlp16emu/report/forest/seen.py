@@ -13,8 +13,6 @@ from vlp16emu.world.plants.stem_form import StemForms, stem_forms
 from vlp16emu.world.plants.stem_rings import Table, Trees, axis_m
 from vlp16emu.world.vectors import places_m
 
-__all__ = ["STEM_SEEN", "stems_seen", "tables_of_returns"]
-
 Array = NDArray[np.float64]
 
 STEM_SEEN = np.dtype(

@@ -12,7 +12,6 @@ from vlp16emu.report.forest.section import StandSection
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_sheet", "section_pixels_per_m"]
 
 Array = NDArray[np.float64]
 
@@ -64,7 +63,6 @@ def draw_sheet(
     figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor=_PAPER)
 
     def place(bottom_in: float, width_in: float, tall_in: float) -> "Axes":
-        """Axes at a height on the sheet."""
         left, bottom = _EDGE_IN / _WIDTH_IN, bottom_in / height_in
         return figure.add_axes((left, bottom, width_in / _WIDTH_IN, tall_in / height_in), facecolor=_PAPER)
 

@@ -19,8 +19,6 @@ from vlp16emu.report.forest.survey import Survey
 from vlp16emu.scenario import Scenario
 from vlp16emu.world.vectors import places_m
 
-__all__ = ["ForestSummary", "NamedThing", "PathSummary", "Things", "WorldSummary", "summary_of"]
-
 _MEASURES = {
     "sapling": ("height", 2),
     "shrub": ("height", 2),

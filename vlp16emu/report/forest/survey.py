@@ -28,8 +28,6 @@ from vlp16emu.world.stand.nearby import Thing, things_near
 from vlp16emu.world.stand.stand import REGENERATION, TREE
 from vlp16emu.world.vectors import places_m
 
-__all__ = ["Survey", "survey", "way_m"]
-
 Array = NDArray[np.float64]
 
 _STEPS_PER_S = 10

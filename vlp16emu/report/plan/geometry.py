@@ -10,8 +10,6 @@ import numpy as np
 
 from vlp16emu.raycast.caster import Geometry
 
-__all__ = ["GeometrySize", "geometry_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class GeometrySize:
@@ -60,7 +58,6 @@ def geometry_of(geometry: Geometry) -> GeometrySize:
 
 
 def _arrays(part: object) -> Iterator[np.ndarray[Any, Any]]:
-    """Yield the arrays of a tuple, and of the tuples in it."""
     if isinstance(part, np.ndarray):
         yield part
     elif isinstance(part, tuple):

@@ -21,8 +21,6 @@ from vlp16emu.world.plants.stem import StemKey
 from vlp16emu.world.stand.floor_shapes import FloorKey
 from vlp16emu.world.stand.tiles import TileKey
 
-__all__ = ["Need", "Surroundings", "libraries", "needs", "surroundings"]
-
 _KINDS = {
     CrownKey: "trees",
     IvyKey: "stems with ivy",
@@ -149,7 +147,6 @@ def _of_sensor(unit: Unit) -> list[Need]:
 
 
 def _need(name: str, row: tuple[bool, str, str]) -> Need:
-    """Take the word that applies."""
     on, costs, spares = row
     return Need(name, on, costs if on else spares)
 
@@ -180,7 +177,6 @@ def surroundings(chain: Chain, windows: int) -> Surroundings:
 
 
 def _counts(window: Window) -> Counter[str]:
-    """Count placements by kind."""
     counts = Counter[str](tiles=0, trees=0)
     for which, often in Counter(window.shape.tolist()).items():
         key = window.shapes[which]

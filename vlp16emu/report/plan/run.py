@@ -11,8 +11,6 @@ from vlp16emu.report.plan.needs import Need, Surroundings, libraries, needs, sur
 from vlp16emu.report.plan.trial import Trial, try_out
 from vlp16emu.sinks import sending_share
 
-__all__ = ["Measured", "Plan", "RunForecast", "StreamOutlook", "plan_run"]
-
 _SENT_S = 0.4
 """Of packets that are sent, to no other program, in order to measure what sending takes."""
 

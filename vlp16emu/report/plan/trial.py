@@ -16,8 +16,6 @@ from vlp16emu.sinks import PcapSink
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
-__all__ = ["Trial", "peak_bytes", "spent_since", "try_out"]
-
 _PIECES = 6
 _PIECES_S = 7.0
 """Time for all of them together."""
@@ -99,7 +97,6 @@ def try_out(chain: Chain, stop_s: float, threads: int, began: Spent) -> Trial:
 
 
 def _windows(chain: Chain, stop_s: float) -> int:
-    """Count the windows of a run."""
     if not chain.parts.moves:
         return 1
     return (chain.batching.blocks(0, seconds_to_ns(stop_s)).stop - 1) // chain.batching.segment + 1

@@ -18,8 +18,6 @@ from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.stand.forest import FIRST_FREE_INSTANCE, ForestWorld
 
-__all__ = ["Furnished", "Furniture", "MeshKey"]
-
 _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
@@ -160,7 +158,6 @@ class Furnished:
 
 
 def _material(furniture: Furniture, part: str) -> str:
-    """Name the material of a part."""
     return f"{furniture.mesh.path.name} {part}"
 
 

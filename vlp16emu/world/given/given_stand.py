@@ -22,8 +22,6 @@ from vlp16emu.world.stand.stand import TREE, foot_discs, in_the_way_m, path_gap_
 from vlp16emu.world.stand.tiles import TILE_M
 from vlp16emu.world.vectors import places_m
 
-__all__ = ["GivenStand", "stems_in_the_way"]
-
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.world.given.user_mesh import welded
 
-__all__ = ["Cutter", "Outline", "hull_m"]
-
 Array = NDArray[np.float64]
 Faces = NDArray[np.uint32]
 

@@ -7,19 +7,6 @@ from pydantic import Field, model_validator
 
 from vlp16emu.settings import Angle, Fraction, Place, SceneFile, Section
 
-__all__ = [
-    "Finish",
-    "LengthUnit",
-    "MeshFile",
-    "MeshPart",
-    "MeshPlace",
-    "MeshSource",
-    "ModelPart",
-    "PartFinish",
-    "TreeModelFile",
-    "UpAxis",
-]
-
 _KEYS = frozenset({"reflectance", "retroreflection_cd_lx_m2"})
 
 LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
@@ -44,7 +31,6 @@ class PartFinish(Section):
 
     @model_validator(mode="after")
     def _given_once(self) -> Self:
-        """Refuse a finish that is given twice."""
         if self.retroreflection_cd_lx_m2 is not None and "reflectance" in self.model_fields_set:
             raise ValueError("reflectance or retroreflection_cd_lx_m2 in it, not both")
         return self

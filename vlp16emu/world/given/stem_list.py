@@ -16,8 +16,6 @@ from vlp16emu.world.stand.settings import LEAST_SLENDERNESS
 from vlp16emu.world.stand.stand import TREE
 from vlp16emu.world.vectors import places_m
 
-__all__ = ["read_stem_list"]
-
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 
@@ -109,7 +107,6 @@ def read_stem_list(path: Path, table: Mapping[str, Species], origin_m: tuple[flo
 
 
 def _leans(numbers: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Leans in degrees, and where they lead, counter-clockwise from east."""
     towards, azimuth = numbers["lean_towards_deg"], 90.0 - numbers["lean_azimuth_deg"]
     towards = np.where(np.isnan(towards), azimuth, towards)
     return np.nan_to_num(numbers["lean_deg"]), np.nan_to_num(towards) % 360

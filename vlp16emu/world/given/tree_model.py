@@ -27,8 +27,6 @@ from vlp16emu.world.stand.settings import Season
 from vlp16emu.world.stand.tiles import EXACT, STEM
 from vlp16emu.world.vectors import places_m
 
-__all__ = ["ModelKey", "TreeModel", "TreeModels"]
-
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 
@@ -237,7 +235,6 @@ def _spanning(meshes: Sequence[Mesh]) -> Array:
 
 
 def _used(vertices_m: Array, faces: NDArray[np.uint32]) -> Mesh:
-    """Make a mesh of the vertices that faces have."""
     used, corners = np.unique(faces, return_inverse=True)
     return Mesh(vertices_m[used].astype(np.float32), corners.reshape(-1, 3).astype(np.uint32))
 
@@ -322,7 +319,6 @@ class TreeModels:
         return np.concatenate([np.zeros(0, STEM_CIRCLE), *own])
 
     def _by_model(self, trees: Trees) -> list[tuple[int, Trees]]:
-        """Numbers of the models that trees look like, each with its trees in order."""
         chosen = np.array([self._chosen(trees[i : i + 1]) for i in range(len(trees))], np.int64)
         return [(i, trees[chosen == i]) for i in np.unique(chosen).tolist()]
 

@@ -23,8 +23,6 @@ from vlp16emu.types import Mesh
 from vlp16emu.world.given.settings import LengthUnit, UpAxis
 from vlp16emu.world.vectors import determinant
 
-__all__ = ["PartMesh", "UserMesh", "load_mesh", "welded"]
-
 _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
@@ -206,7 +204,6 @@ def _check_buffers(path: Path, content: bytes) -> None:
 
 
 def _obj_vertices(content: bytes) -> int:
-    """How many vertices an OBJ file has."""
     return len(re.findall(rb"^v[ \t]", content, re.MULTILINE))
 
 
@@ -221,7 +218,6 @@ def _obj_stray_face(content: bytes) -> int | None:
 
 
 def _obj_error(path: Path, content: bytes, place: int, expected: str) -> GeometryError:
-    """Name the line of a face."""
     line = content.count(b"\n", 0, place) + 1
     text = content[place:].partition(b"\n")[0].decode(errors="replace").strip()
     return GeometryError(f"{path}, line {line}", f"found the face {text!r}", expected)
@@ -266,7 +262,6 @@ def _swept(where: str, vertices: Array, faces: Faces) -> tuple[Array, Faces, int
 
 
 def _turned(vertices: Array, up: UpAxis) -> Array:
-    """Vertices with z up."""
     return vertices if up == "z" else np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
 
 

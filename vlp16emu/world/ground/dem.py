@@ -17,8 +17,6 @@ from vlp16emu.world.ground.grid import read_grid
 from vlp16emu.world.ground.settings import Dem
 from vlp16emu.world.polyline import distance_m
 
-__all__ = ["DemHeights"]
-
 _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
@@ -129,7 +127,6 @@ class DemHeights:
             )
 
     def _on_the_map(self, x_m: float, y_m: float) -> str:
-        """Easting and northing of a place, where they are not the scene's own."""
         east, north, _ = self._origin_m
         return f" (E {x_m + east:.1f}, N {y_m + north:.1f})" if (east, north) != (0.0, 0.0) else ""
 
@@ -147,7 +144,6 @@ def _without_gaps(heights_m: Array) -> Array:
 
 
 def _with_border(heights_m: Array) -> Array:
-    """Turn the southernmost row first and go on straight by one cell on all sides, as the surface needs it."""
     return np.pad(heights_m[::-1], 1, mode="reflect", reflect_type="odd")
 
 

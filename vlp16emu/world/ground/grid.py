@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, MissingExtraError, readable
 from vlp16emu.types import HeightField
 
-__all__ = ["Grid", "read_geotiff", "read_grid", "write_ascii"]
-
 _EXPECTED = "a GeoTIFF of heights"
 
 _PROJECTED = 1
@@ -184,7 +182,6 @@ def write_ascii(file: BinaryIO, height_m: HeightField, low_m: Array, high_m: Arr
 
 
 def _from_corner(path: Path, heights_m: Array, corner_m: tuple[float, float], cell_m: float) -> Grid:
-    """Place a grid by the outer corner of its south-western cell."""
     west_m = corner_m[0] + cell_m / 2
     north_m = corner_m[1] + (len(heights_m) - 0.5) * cell_m
     return _checked(Grid(path, heights_m, west_m, north_m, cell_m))
@@ -305,7 +302,6 @@ def _read_rows(
 
 
 def _is_number(word: str) -> bool:
-    """Whether a word can be read as a number."""
     try:
         float(word)
     except ValueError:

@@ -6,8 +6,6 @@ from pydantic import AfterValidator, Field, model_validator
 
 from vlp16emu.settings import NonNegative, Place, Positive, SceneFile, Section
 
-__all__ = ["Dem", "Terrain"]
-
 _RELIEFS = {
     # Smooth and rough micro-relief have 0.05 m and 0.25 m rms over wavelengths of 0.3 m to 60 m (assumption);
     # of a spectrum of the third power, 1 m to 12 m holds sqrt((12 - 1) / (60 - 0.3)) = 0.43 of that.
@@ -24,7 +22,6 @@ _NARROWEST_M = 10.0
 
 
 def _room_for_trails(spacing_m: float) -> float:
-    """See that trails do not overlap."""
     if 0 < spacing_m < _NARROWEST_M:
         raise ValueError(f"0 for none, or {_NARROWEST_M:g} or more")
     return spacing_m

@@ -18,8 +18,6 @@ from vlp16emu.world.ground.settings import Terrain
 from vlp16emu.world.ground.trails import Trails
 from vlp16emu.world.ground.waves import sum_of_waves, waves
 
-__all__ = ["TerrainHeights"]
-
 Array = NDArray[np.float64]
 
 _HILL_WAVELENGTHS_M = (30.0, 300.0)

@@ -16,8 +16,6 @@ from vlp16emu.random import Purpose, philox4x32
 from vlp16emu.trig import cos_sin
 from vlp16emu.world.ground.settings import Terrain
 
-__all__ = ["Trails"]
-
 Array = NDArray[np.float64]
 
 _TRACK_M = (1.8, 2.2)
@@ -74,7 +72,6 @@ class Trails:
 
 @numba.njit(cache=True, nogil=True)
 def _first_m(seed_low: np.uint32, seed_high: np.uint32, spacing_m: float) -> float:
-    """Distance of a trail from the origin, to the left of its direction."""
     none = np.uint32(0)
     return (
         philox4x32(none, none, np.uint32(1), np.uint32(_RUT), seed_low, seed_high)[0] * 2.0**-32 * spacing_m

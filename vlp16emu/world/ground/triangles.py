@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.types import HeightField
 
-__all__ = ["ground_triangles"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

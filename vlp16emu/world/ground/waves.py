@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import cos, power, sin
 from vlp16emu.trig import cos_sin
 
-__all__ = ["sum_of_waves", "waves"]
-
 Array = NDArray[np.float64]
 
 _WAVES = 48

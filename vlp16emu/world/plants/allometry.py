@@ -14,19 +14,6 @@ from pydantic import Field, ValidationInfo, field_validator
 from vlp16emu.elementary import exp, expm1, log, log1p, power
 from vlp16emu.settings import Section
 
-__all__ = [
-    "BREAST_HEIGHT_M",
-    "US_BREAST_HEIGHT_M",
-    "Biomass",
-    "CrownBase",
-    "CrownWidth",
-    "Equation",
-    "HeightCurve",
-    "Taper",
-    "taper_radius_m",
-    "truncated_weibull_cm",
-]
-
 Array = NDArray[np.float64]
 
 BREAST_HEIGHT_M = 1.3
@@ -84,7 +71,6 @@ def _curtis_arney_height_m(
     p2, p3, p4 = coefficients
 
     def above_breast_ft(dbh_in: Array) -> Array:
-        """Height above breast height."""
         whole: Array = p2 * exp(-p3 * power(np.maximum(dbh_in, 3.0), p4))
         return whole * np.minimum(dbh_in / 3.0, 1.0)
 
@@ -178,7 +164,6 @@ class Equation(Section):
     @field_validator("coefficients")
     @classmethod
     def _complete(cls, coefficients: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
-        """Make sure that there are as many as the equation needs."""
         model = info.data.get("model")  # absent where it is itself in error
         if model is not None and len(coefficients) != cls.counts[model]:
             raise ValueError(f"{cls.counts[model]} numbers for {model!r}")

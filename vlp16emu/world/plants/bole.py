@@ -18,8 +18,6 @@ from vlp16emu.world.plants.branches import (
 )
 from vlp16emu.world.plants.species import Habit
 
-__all__ = ["bole_branches"]
-
 Array = NDArray[np.float64]
 
 _FREE_M = 0.3

@@ -12,8 +12,6 @@ from vlp16emu.world.plants.crown import CrownKey, crown_branches, crown_placemen
 from vlp16emu.world.plants.stem_rings import STEM_CIRCLE, Table, Trees
 from vlp16emu.world.vectors import determinant
 
-__all__ = ["branch_circles"]
-
 Array = NDArray[np.float64]
 
 

@@ -14,21 +14,6 @@ from vlp16emu.types import Mesh
 from vlp16emu.world.plants.species import Habit, Twigs
 from vlp16emu.world.vectors import unit
 
-__all__ = [
-    "GOLDEN_ANGLE",
-    "THINNEST_M",
-    "Branches",
-    "curves",
-    "first_order",
-    "ground_stems",
-    "joined",
-    "merged",
-    "points_along",
-    "side_branches",
-    "tubes",
-    "volume_m3",
-]
-
 Array = NDArray[np.float64]
 
 _NODES = {1: 9, 2: 5, 3: 3}
@@ -303,5 +288,4 @@ def curves(
 
 
 def _taper(way: Array) -> Array:
-    """Branch radius over that at its base."""
     return 1 - (1 - _TIP_SHARE) * way

@@ -27,17 +27,6 @@ from vlp16emu.world.plants.stem import lean_rotation
 from vlp16emu.world.stand.settings import Season
 from vlp16emu.world.vectors import places_m
 
-__all__ = [
-    "CROWN_PARTS",
-    "VARIANTS",
-    "CrownKey",
-    "crown_branches",
-    "crown_meshes",
-    "crown_placements",
-    "crown_scale",
-    "crown_wood_m3",
-]
-
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 
@@ -150,7 +139,6 @@ def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
 
 
 def _name(key: CrownKey, species: Species) -> tuple[int, int, int]:
-    """Name of a crown in random numbers, which all its seasons and states share."""
     return species.number, key.variant, round(key.dbh_m * 1e4)
 
 

@@ -15,8 +15,6 @@ from vlp16emu.world.plants.stem_rings import (
 from vlp16emu.world.stand.tiles import STEM
 from vlp16emu.world.vectors import places_m, unit
 
-__all__ = ["far_stems", "profiles"]
-
 Array = NDArray[np.float64]
 
 

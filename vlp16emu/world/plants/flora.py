@@ -18,21 +18,6 @@ from vlp16emu.explain import explain
 from vlp16emu.settings import toml
 from vlp16emu.world.plants.species import Plant, Shrub, Species
 
-__all__ = [
-    "BARK_SPREAD",
-    "GROUND_MATERIALS",
-    "LEAF_SPREAD",
-    "Flora",
-    "bark_material",
-    "flora",
-    "known",
-    "material_names",
-    "shrub_table",
-    "species_table",
-    "stem_keys",
-    "tapers",
-]
-
 _Kind = TypeVar("_Kind", bound=Plant)
 
 _FIRST_OWN_NUMBER = 1000
@@ -111,7 +96,6 @@ def _plants(path: Path, first_number: int) -> tuple[dict[str, Species], dict[str
 def _of_kind(
     section: type[_Kind], path: Path, kind: str, tables: Mapping[str, Any], first_number: int
 ) -> dict[str, _Kind]:
-    """Plants of one kind by name."""
     rows = tables.get(kind, {})
     plants = {}
     for name, row in rows.items() if isinstance(rows, dict) else [("", rows)]:
@@ -148,7 +132,6 @@ def known(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[
 
 
 def _plain(name: str) -> str:
-    """Write a name as all spellings of it are."""
     return " ".join(name.replace("_", " ").replace("-", " ").lower().split())
 
 
@@ -193,7 +176,6 @@ def bark_material(species: NDArray[np.uint16], plants: Flora) -> NDArray[np.int6
 
 @cache
 def _rows(plants: Flora) -> NDArray[np.int64]:
-    """Place in the table by species number."""
     numbers = list(plants.names)
     row_of = np.zeros(max(numbers) + 1, np.int64)
     row_of[numbers] = np.arange(len(numbers))

@@ -9,8 +9,6 @@ from vlp16emu.world.plants.branches import Branches, points_along
 from vlp16emu.world.plants.species import Foliage
 from vlp16emu.world.vectors import unit
 
-__all__ = ["foliage_mesh"]
-
 Array = NDArray[np.float64]
 
 _WIDEST_AT = 0.4

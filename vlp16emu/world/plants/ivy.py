@@ -13,8 +13,6 @@ from vlp16emu.world.stand.settings import Ivy
 from vlp16emu.world.stand.tiles import TileKey
 from vlp16emu.world.vectors import places_m
 
-__all__ = ["IvyKey", "ivy_meshes", "ivy_tops_m"]
-
 Array = NDArray[np.float64]
 
 _LEAF_PER_BARK = 2.0

@@ -16,15 +16,6 @@ from vlp16emu.world.plants.foliage import foliage_mesh
 from vlp16emu.world.plants.species import Habit, Species
 from vlp16emu.world.stand.settings import Season
 
-__all__ = [
-    "CROWN_BASE_SHARE",
-    "CROWN_WIDTH_SHARE",
-    "SAPLING_PARTS",
-    "SLENDERNESS",
-    "SaplingKey",
-    "sapling_meshes",
-]
-
 SAPLING_PARTS = (
     PlantPart.STEM,
     PlantPart.BRANCH_FIRST_ORDER,
@@ -132,14 +123,12 @@ def _crooked(height_m: float, drawn: NDArray[np.float64], mesh: Mesh) -> Mesh:
 
 
 def _small(habit: Habit, crown_m: float) -> Habit:
-    """Habit of a tree that has not yet room for its whorls and its shortest twigs."""
     spacing_m = min(habit.whorl_spacing_m, crown_m / _FEWEST_WHORLS)
     twigs = habit.twigs.model_copy(update={"length_m": (0.01, habit.twigs.length_m[1])})
     return habit.model_copy(update={"whorl_spacing_m": spacing_m, "twigs": twigs})
 
 
 def _raised(mesh: Mesh, by_m: float) -> Mesh:
-    """Lift a mesh from the crown's frame to that of the stem's foot."""
     return Mesh(mesh.vertices_m + np.array([0.0, 0.0, by_m], np.float32), mesh.faces)
 
 

@@ -13,8 +13,6 @@ from vlp16emu.world.plants.foliage import foliage_mesh
 from vlp16emu.world.plants.species import Shrub
 from vlp16emu.world.stand.settings import Season
 
-__all__ = ["SHRUB_PARTS", "ShrubKey", "shrub_meshes"]
-
 SHRUB_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF)
 """Of the meshes of a shrub, in order. A mesh without faces stands where it has no such part."""
 

@@ -17,8 +17,6 @@ from vlp16emu.world.plants.allometry import (
     truncated_weibull_cm,
 )
 
-__all__ = ["Foliage", "Habit", "Plant", "Shrub", "Species", "StemForm", "Twigs"]
-
 Array = NDArray[np.float64]
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Text = Annotated[str, Field(min_length=1)]

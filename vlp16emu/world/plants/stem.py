@@ -28,16 +28,6 @@ from vlp16emu.world.plants.surface_roots import ROOT_RINGS, ROOT_SIDES, root_poi
 from vlp16emu.world.stand.tiles import TileKey
 from vlp16emu.world.vectors import places_m
 
-__all__ = [
-    "STEM_PARTS",
-    "StemKey",
-    "lean_rotation",
-    "stem_meshes",
-    "stem_slopes",
-    "stems_above_ground",
-    "vertex_angles",
-]
-
 Array = NDArray[np.float64]
 
 STEM_PARTS = (PlantPart.ROOT_FLARE, PlantPart.STEM)

@@ -15,8 +15,6 @@ from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.world.plants.flora import stem_keys
 from vlp16emu.world.plants.species import Species
 
-__all__ = ["StemForms", "polygon_m2", "stem_forms", "tape_m"]
-
 Array = NDArray[np.float64]
 
 _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)

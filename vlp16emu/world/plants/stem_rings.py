@@ -13,20 +13,6 @@ from vlp16emu.world.plants.flora import tapers
 from vlp16emu.world.plants.species import Species
 from vlp16emu.world.plants.stem_form import StemForms, stem_forms
 
-__all__ = [
-    "FLARE_TOP_M",
-    "STEM_CIRCLE",
-    "Leaders",
-    "StemRings",
-    "Table",
-    "Trees",
-    "axis_m",
-    "second_leaders",
-    "stem_circles",
-    "stem_rings",
-    "tip_radius_m",
-]
-
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 Table = Mapping[str, Species]

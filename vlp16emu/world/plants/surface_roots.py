@@ -9,8 +9,6 @@ from vlp16emu.types import HeightField
 from vlp16emu.world.plants.stem_rings import StemRings, Trees
 from vlp16emu.world.vectors import unit
 
-__all__ = ["ROOT_RINGS", "ROOT_SIDES", "root_points"]
-
 Array = NDArray[np.float64]
 
 _STATIONS = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])

@@ -15,8 +15,6 @@ from vlp16emu.world.stand.placed import PlacedThings, Site, between, laid, place
 from vlp16emu.world.stand.points import ScatteredPattern
 from vlp16emu.world.stand.settings import Logs, Stumps
 
-__all__ = ["LogLayer", "StumpLayer"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -250,5 +248,4 @@ def _line_m(xy_m: Array, towards: Array, along_m: Array) -> Array:
 
 
 def _species_numbers(names: Sequence[str], plants: Flora | None, where: str) -> NDArray[np.int64]:
-    """Numbers of trees by name."""
     return np.array([tree.number for tree in known(names, (plants or flora()).trees, where)], np.int64)

@@ -26,8 +26,6 @@ from vlp16emu.world.stand.placed import (
 from vlp16emu.world.stand.points import PatchyPattern, PointPattern, ScatteredPattern
 from vlp16emu.world.stand.settings import Cover, Grass, Stones
 
-__all__ = ["LowLayer", "StoneLayer", "labelled", "plants_per_ha", "stones_per_ha"]
-
 Array = NDArray[np.float64]
 
 _REFLECTANCE = {

@@ -18,16 +18,6 @@ from vlp16emu.world.plants.branches import merged
 from vlp16emu.world.stand.low_shapes import dwarf_shrub, fern, herb, litter_heap, moss_cushion
 from vlp16emu.world.vectors import unit
 
-__all__ = [
-    "FLOOR_VARIANTS",
-    "GROUND_KINDS",
-    "LOG_TAPER",
-    "STUMP_DEPTH",
-    "FloorKey",
-    "FloorKind",
-    "floor_meshes",
-]
-
 Array = NDArray[np.float64]
 
 FLOOR_VARIANTS = 6
@@ -175,7 +165,6 @@ def _outline_m2(points: Array) -> float:
 
 
 def _is_right_turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> bool:
-    """Whether the way from a over b to c turns right, or goes straight on."""
     return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])
 
 

@@ -35,8 +35,6 @@ from vlp16emu.world.stand.settings import Ivy
 from vlp16emu.world.stand.stand import TREE, foot_discs
 from vlp16emu.world.stand.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
 
-__all__ = ["FIRST_FREE_INSTANCE", "ForestWorld", "TreeSource"]
-
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 
@@ -262,7 +260,6 @@ class ForestWorld:
         raise KeyError(key)
 
     def _in_view(self, track_m: Array) -> list[tuple[int, int]]:
-        """Names of the tiles whose plants may be within reach of a track, in ascending order."""
         return [(ix, iy) for ix, iy in tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()]
 
     def _grow_tile(self, ix: int, iy: int) -> Tile:
@@ -301,7 +298,6 @@ class ForestWorld:
         return tile
 
     def _grown(self, ix: int, iy: int) -> Trees:
-        """Trees of a tile that are no models."""
         trees = self._trees(ix, iy)
         grown: Trees = trees[~self.models.has(trees)]
         return grown
@@ -312,20 +308,17 @@ class ForestWorld:
         return stem_meshes(trees, origin_m, self.height_m, table=self.plants.trees)
 
     def _grow_ivy(self, key: TileKey) -> list[Mesh]:
-        """Ivy on the stems of a tile's trees, tree by tree, in the tile's frame."""
         trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
         tops_m = ivy_tops_m(trees, self._ivy, seed=self.seed)
         return ivy_meshes(trees, tops_m, origin_m, seed=self.seed, tile=key, table=self.plants.trees)
 
     def _ivied(self, key: TileKey, trees: Trees) -> PlacedThings:
-        """Place the ivy on the stems of a tile's trees, each a part of its tree."""
         own = np.flatnonzero(ivy_tops_m(trees, self._ivy, seed=self.seed))
         return self._in_tile(
             key, [IvyKey(key, number) for number in own.tolist()], trees[own], (PlantPart.LEAF,)
         )
 
     def _stems_of(self, key: TileKey, trees: Trees) -> PlacedThings:
-        """Place the stems of a tile's trees one by one, at rest where the tile has them."""
         stems = [StemKey(key, number) for number in range(len(trees))]
         return self._in_tile(key, stems, trees, STEM_PARTS, is_exact=True)
 
@@ -338,7 +331,6 @@ class ForestWorld:
         *,
         is_exact: bool = False,
     ) -> PlacedThings:
-        """Place shapes, each of its own tree, that are in the frame of a tile."""
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
         return PlacedThings(
             tuple(shapes),

@@ -26,8 +26,6 @@ from vlp16emu.world.plants.stem_form import polygon_m2, tape_m
 from vlp16emu.world.plants.stem_rings import axis_m, stem_rings
 from vlp16emu.world.vectors import places_m
 
-__all__ = ["COPIED", "INVENTORY", "inventory", "volume_m3", "write_csv"]
-
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 

@@ -11,8 +11,6 @@ from vlp16emu.elementary import cos, norm, sin
 from vlp16emu.types import Mesh
 from vlp16emu.world.vectors import unit
 
-__all__ = ["dwarf_shrub", "fern", "herb", "litter_heap", "moss_cushion"]
-
 Array = NDArray[np.float64]
 Generator = np.random.Generator
 

@@ -27,8 +27,6 @@ from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.stand.floor_shapes import GROUND_KINDS, FloorKey, FloorKind
 from vlp16emu.world.stand.tiles import TILE_M, TileKey
 
-__all__ = ["AllNear", "Thing", "by_tile", "cut_out", "key_text", "things_near"]
-
 T = TypeVar("T")
 
 _KINDS: dict[str, Callable[..., ShapeKey]] = {
@@ -69,7 +67,6 @@ def key_text(key: ShapeKey) -> str:
 
 
 def _row(key: Any) -> list[object]:
-    """Kind of a key, and its fields."""
     return [type(key).__name__, *astuple(key)]
 
 
@@ -83,13 +80,11 @@ def _packed(thing: Any) -> Bundle:
 
 
 def _unpacked(kind: type[T], bundle: Bundle) -> T:
-    """Make a data class of arrays."""
     rows = json.loads(bundle["keys"].tobytes())
     return kind(**{**bundle, "keys": tuple(_KINDS[name](*values) for name, *values in rows)})
 
 
 def _written(keys: Sequence[ShapeKey]) -> NDArray[np.uint8]:
-    """Write keys as bytes."""
     return np.frombuffer(json.dumps([_row(key) for key in keys]).encode(), np.uint8)
 
 
@@ -160,7 +155,6 @@ def things_near(
 
 
 def _is_ground(key: ShapeKey) -> bool:
-    """Whether a shape is a tile, or lies on it as part of it."""
     return isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS)
 
 

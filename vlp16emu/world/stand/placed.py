@@ -17,23 +17,6 @@ from vlp16emu.world.stand.points import PointPattern
 from vlp16emu.world.stand.stand import TREE
 from vlp16emu.world.stand.tiles import TileKey, tile_distance_m
 
-__all__ = [
-    "NO_TREES",
-    "Layer",
-    "PlacedThings",
-    "Site",
-    "Tile",
-    "between",
-    "distinct",
-    "laid",
-    "packed",
-    "placements",
-    "plant_surfaces",
-    "surface_rows",
-    "together",
-    "turned",
-]
-
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 

@@ -20,17 +20,6 @@ from vlp16emu.world.ground.waves import sum_of_waves, waves
 from vlp16emu.world.stand.settings import Clusters, HardCore, Pattern, Plantation, Scattered
 from vlp16emu.world.stand.tiles import TILE_M
 
-__all__ = [
-    "ClusterPattern",
-    "HardCorePattern",
-    "OffTrailPattern",
-    "PatchyPattern",
-    "PointPattern",
-    "RowPattern",
-    "ScatteredPattern",
-    "pattern_of",
-]
-
 Array = NDArray[np.float64]
 
 _SPACING_SHARE = 0.4

@@ -6,34 +6,6 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from vlp16emu.settings import Fraction, Section, Size
 
-__all__ = [
-    "DENSITY_KEYS",
-    "LEAST_SLENDERNESS",
-    "MOST_STEMS_PER_HA",
-    "Clusters",
-    "Cover",
-    "DwarfShrubs",
-    "Ferns",
-    "Grass",
-    "HardCore",
-    "Herbs",
-    "Ivy",
-    "Litter",
-    "Logs",
-    "Moss",
-    "Pattern",
-    "Plantation",
-    "Regeneration",
-    "Scattered",
-    "Season",
-    "Shrubs",
-    "SpeciesShare",
-    "Stones",
-    "Storey",
-    "Stumps",
-    "Wind",
-]
-
 Season = Literal["leaf_on", "leaf_off"]
 """With leaves, or as in winter: broadleaves bare, needles on."""
 
@@ -52,7 +24,6 @@ MOST_STEMS_PER_HA = 5000
 
 
 def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
-    """See that a range does not run backwards."""
     if limits[0] > limits[1]:
         raise ValueError("the smaller number first")
     return limits
@@ -141,7 +112,6 @@ class Storey(Section):
 
     @model_validator(mode="after")
     def _one_density(self) -> Self:
-        """Refuse a density that is missing or given twice."""
         if len(DENSITY_KEYS & self.model_fields_set) != 1:
             raise ValueError(f"exactly one of {' and '.join(sorted(DENSITY_KEYS))} in it")
         return self
@@ -149,7 +119,6 @@ class Storey(Section):
     @field_validator("species")
     @classmethod
     def _whole(cls, species: list[SpeciesShare]) -> list[SpeciesShare]:
-        """Refuse shares that are not those of a whole."""
         if abs(sum(one.share for one in species) - 1.0) > _SHARE_ERROR:
             raise ValueError("shares that sum to 1")
         return species

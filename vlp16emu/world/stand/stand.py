@@ -23,17 +23,6 @@ from vlp16emu.world.stand.points import PointPattern, pattern_of
 from vlp16emu.world.stand.settings import MOST_STEMS_PER_HA, SpeciesShare, Storey
 from vlp16emu.world.vectors import places_m
 
-__all__ = [
-    "REGENERATION",
-    "TREE",
-    "Stand",
-    "class_scale",
-    "density_per_ha",
-    "foot_discs",
-    "in_the_way_m",
-    "path_gap_m",
-]
-
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 
@@ -237,7 +226,6 @@ class Stand:
         return trees, np.column_stack([foot_discs(trees, table=self._plants.trees), trees["dbh_m"]])
 
     def _sow_storey(self, number: int, ix: int, iy: int) -> Trees:
-        """Trees of one storey."""
         position = self._patterns[number].points(ix, iy)
         rng = generator(self._seed, Purpose.TREE, ix, iy, number)
         uniform, normal = rng.random((len(position), 6)), rng.standard_normal((len(position), 3))
@@ -287,14 +275,12 @@ class Stand:
 
 
 def _crown_area_m2_per_ha(storey: tuple[PointPattern, list[_Cohort]]) -> float:
-    """Mean projection of a storey's crowns."""
     pattern, cohorts = storey
     share = [cohort.share.share for cohort in cohorts]
     return pattern.per_ha * float(np.average([cohort.mean_crown_m2 for cohort in cohorts], weights=share))
 
 
 def _projection_m2(crown_width_m: Array) -> Array:
-    """Area of a crown seen from above."""
     return np.pi / 4 * np.square(crown_width_m)
 
 

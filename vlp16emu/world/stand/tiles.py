@@ -9,17 +9,6 @@ from vlp16emu.types import HeightField, Mesh
 from vlp16emu.world.ground.triangles import ground_triangles
 from vlp16emu.world.polyline import Polyline
 
-__all__ = [
-    "EXACT",
-    "STEM",
-    "TILE_M",
-    "TileKey",
-    "ground_mesh",
-    "tile_distance_m",
-    "tile_origin_m",
-    "tiles_within",
-]
-
 Array = NDArray[np.float64]
 
 TILE_M = 20.0

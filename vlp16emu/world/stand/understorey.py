@@ -37,8 +37,6 @@ from vlp16emu.world.stand.settings import Regeneration, Season, Shrubs
 from vlp16emu.world.stand.stand import REGENERATION, TREE, class_scale
 from vlp16emu.world.vectors import places_m
 
-__all__ = ["SaplingLayer", "ShrubLayer"]
-
 Array = NDArray[np.float64]
 
 _CLASS_RATIO = 1.4
@@ -186,7 +184,6 @@ class ShrubLayer:
     def _placed(
         self, shrubs: NDArray[np.void], kind: NDArray[np.int64], variant: NDArray[np.int64]
     ) -> PlacedThings:
-        """Choose a prototype for each shrub."""
         prototype_m = [_class_height_m(size) for size in _height_class(shrubs["height_m"]).tolist()]
         species = [self._species[i] for i in kind]
         keys, shape = distinct(
@@ -202,12 +199,10 @@ class ShrubLayer:
 
 
 def _height_class(height_m: Array) -> NDArray[np.int64]:
-    """Find the number of the prototype of nearly that height."""
     return np.round(log(height_m) / log(_CLASS_RATIO)).astype(np.int64)
 
 
 def _class_height_m(number: int) -> float:
-    """Height of a prototype."""
     return class_scale(_CLASS_RATIO, number)
 
 
@@ -231,7 +226,6 @@ def _scaled(plants: NDArray[np.void], prototype_m: Array) -> Array:
 def _plant_rows(
     semantic: Semantic, parts: Sequence[PlantPart], plants: NDArray[np.void], table: Flora
 ) -> NDArray[np.void]:
-    """Label the parts of plants."""
     leaf = np.array(parts) == PlantPart.LEAF
     bright = np.where(leaf, plants["leaf_reflectance"][:, None], plants["bark_reflectance"][:, None])
     material = bark_material(plants["species"], table)[:, None] + leaf

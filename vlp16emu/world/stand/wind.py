@@ -28,19 +28,6 @@ from vlp16emu.world.stand.forest import ForestWorld
 from vlp16emu.world.stand.settings import Season, Wind
 from vlp16emu.world.stand.stand import REGENERATION
 
-__all__ = [
-    "ACROSS",
-    "ALONG",
-    "KNOT_NS",
-    "Lines",
-    "Mechanics",
-    "TreeSway",
-    "Trees",
-    "gust_lines",
-    "mechanics",
-    "swings",
-]
-
 Array = NDArray[np.float64]
 
 ALONG, ACROSS = 0, 1
