@@ -6,8 +6,7 @@ import pytest
 from vlp16emu.accuracy.compare import compare, errors_of
 from vlp16emu.accuracy.converged import Bench, Group, apart_m, joined
 from vlp16emu.accuracy.settings import beam_settings
-from vlp16emu.chain import assemble
-from vlp16emu.chain.chain import Chain
+from vlp16emu.engine import Engine, assemble
 from vlp16emu.raycast.slow import SlowScene
 from vlp16emu.scenario import load
 
@@ -51,7 +50,7 @@ def sweep():
     """One revolution: cast distances, closed-form distances, and which thing is nearest."""
     scenario = load("static_bench")
     world = scenario.world
-    returns = list(Chain(scenario).returns(0, 0.1))
+    returns = list(Engine.of(scenario).returns(0, 0.1))
     o = np.concatenate([r.firings.origin_m for r in returns])
     d = np.concatenate([r.firings.direction for r in returns])
     things = [to_box_inside(o, d, (world.length_m / 2, world.width_m / 2), 0.0, world.height_m)]
@@ -126,7 +125,7 @@ def test_errors_that_accuracy_reports_are_the_true_ones():
     settings = [light for light in beam_settings(scenario, unit.seed) if "target" not in light.name]
     exact, opened = ExactHall(scenario), []
     look = lambda *seen: opened.append(seen[3])  # noqa: E731  # the emulator's own scene
-    list(Chain(scenario, audit=look).returns(0, 0.01))
+    list(Engine.of(scenario, taps=[look]).returns(0, 0.01))
     poses_at = unit.motion.poses_at
     groups = [Group(first, 8) for first in range(0, 1808, 192)]
     aimed = [bench.aimed(group, poses_at) for group in groups]

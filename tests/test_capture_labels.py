@@ -6,6 +6,7 @@ import pytest
 
 from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
+from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.packets import DATA_BYTES
 from vlp16emu.sinks import TruthTo
 
@@ -41,7 +42,7 @@ def walk(tmp_path_factory):
     folder = tmp_path_factory.mktemp("walk")
     emulator = Emulator("birch_walk", SETTINGS)
     emulator.record(folder / "walk.pcap", duration_s=0.5, truth=TruthTo(folder / "truth", per_return=True))
-    emulator.write_points(folder / "own.npz", duration_s=0.5, truth=True, labels="for-instance")
+    write_points(emulator, folder / "own.npz", duration_s=0.5, truth=True, labels="for-instance")
     with np.load(folder / "own.npz") as own:
         return folder, dict(own)
 

@@ -10,6 +10,7 @@ from vlp16emu.cli.app import run
 from vlp16emu.deskew import Trajectory, TrajectoryErrors, write_deskewed
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, TrajectoryError
+from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.motion.pose_files import read_tum
 from vlp16emu.packets import DISTANCE_LSB_M
 
@@ -41,7 +42,7 @@ def walk(tmp_path_factory):
     """Folder with walk.pcap and its truth of 0.3 s of a walk; the emulator; and the points of the scene itself."""
     folder, emulator = tmp_path_factory.mktemp("walk"), Emulator("birch_walk", SETTINGS)
     emulator.record(folder / "walk.pcap", start_s=4.0, duration_s=0.3, truth=folder / "truth")
-    emulator.write_points(folder / "own.npz", start_s=4.0, duration_s=0.3)
+    write_points(emulator, folder / "own.npz", start_s=4.0, duration_s=0.3)
     with np.load(folder / "own.npz") as own:
         return folder, emulator, dict(own)
 
@@ -144,7 +145,7 @@ def test_each_unit_of_a_rig_has_its_own_trajectory(tmp_path):
     rig = [{"mount": {"lever_arm_m": [0.5, 0.0, 0.0], "yaw_deg": 90.0}}]
     emulator = Emulator("static_bench", {"rig": rig, "sensor.max_range_m": 20.0})
     emulator.record(tmp_path / "two.pcap", duration_s=0.1, truth=tmp_path / "truth")
-    emulator.write_points(tmp_path / "own.npz", duration_s=0.1, unit=2)
+    write_points(emulator, tmp_path / "own.npz", duration_s=0.1, unit=2)
     points, _ = deskewed(tmp_path / "two.pcap", tmp_path / "truth", tmp_path / "b.npz", unit=2)
     with np.load(tmp_path / "own.npz") as own:
         n = len(points["t_ns"])

@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
+from vlp16emu.extras.clouds.points import write_points
+from vlp16emu.extras.images import write_images
 
 OpenEXR = pytest.importorskip("OpenEXR", reason="extra images")
 Image = pytest.importorskip("PIL.Image", reason="extra images")
@@ -36,7 +38,7 @@ def hall():
 def seen(request, hall, tmp_path_factory):
     """A folder with one image of a kind."""
     folder = tmp_path_factory.mktemp(request.param) / "views"
-    run = hall.write_images(folder, kind=request.param, size=KINDS[request.param], duration_s=0.1)
+    run = write_images(hall, folder, kind=request.param, size=KINDS[request.param], duration_s=0.1)
     assert (run.images, run.interrupted) == (1, False)
     return folder
 
@@ -92,8 +94,8 @@ def test_points_of_a_walk_lie_on_the_pixels_of_a_forest(tmp_path):
     """From a walking sensor, 98 % of the points of the next 20 ms that are off edges have their pixel's instance and depth."""
     settings = {"world.stems_per_ha": 300, "sensor.max_range_m": 20.0}
     walk = Emulator("birch_walk", settings, ideal=True)
-    walk.write_images(tmp_path / "views", kind="panorama", size=(2048, 512), start_s=5.0, duration_s=0.1)
-    walk.write_points(tmp_path / "points.npz", start_s=5.0, duration_s=0.02, truth=True)
+    write_images(walk, tmp_path / "views", kind="panorama", size=(2048, 512), start_s=5.0, duration_s=0.1)
+    write_points(walk, tmp_path / "points.npz", start_s=5.0, duration_s=0.02, truth=True)
     with np.load(tmp_path / "points.npz") as points:
         column, row, depth_m, inside = pixels_of(tmp_path / "views", points["world_m"])
         instance = points["instance"][inside]
@@ -111,7 +113,7 @@ def test_points_of_a_walk_lie_on_the_pixels_of_a_forest(tmp_path):
 def test_sunlit_ground_is_brighter_than_shade(tmp_path):
     """Under trees the same surface seen at the same slant comes in light and in shade; in a hall there is no sun."""
     walk = Emulator("birch_walk", {"world.stems_per_ha": 300, "sensor.max_range_m": 20.0}, ideal=True)
-    walk.write_images(tmp_path / "views", kind="pinhole", size=(320, 240), duration_s=0.1)
+    write_images(walk, tmp_path / "views", kind="pinhole", size=(320, 240), duration_s=0.1)
     ground = png(tmp_path / "views", "semantic") == 1
     rows = np.flatnonzero(ground.sum(axis=1) > 100)[-5:]
     rgb = png(tmp_path / "views", "rgb")[rows].sum(axis=2)[ground[rows]]
@@ -133,8 +135,12 @@ def test_png_and_exr_agree(seen):
 def test_threads_change_no_byte(hall, seen, tmp_path):
     """One thread gives the bytes that several give."""
     kind = json.loads((seen / "cameras.json").read_text())["kind"]
-    Emulator("static_bench", TILTED, ideal=True, threads=1).write_images(
-        tmp_path / "views", kind=kind, size=KINDS[kind], duration_s=0.1
+    write_images(
+        Emulator("static_bench", TILTED, ideal=True, threads=1),
+        tmp_path / "views",
+        kind=kind,
+        size=KINDS[kind],
+        duration_s=0.1,
     )
     digests = [
         {
@@ -149,7 +155,7 @@ def test_threads_change_no_byte(hall, seen, tmp_path):
 
 def test_each_image_has_its_pose(hall, tmp_path):
     """Images are taken at the beginning of the span and every so often before its end."""
-    run = hall.write_images(tmp_path / "views", size=(64, 16), start_s=0.5, duration_s=0.35, every_s=0.1)
+    run = write_images(hall, tmp_path / "views", size=(64, 16), start_s=0.5, duration_s=0.35, every_s=0.1)
     poses = np.loadtxt(tmp_path / "views" / "poses.tum")
     assert run.images == len(poses) == 4
     seconds = poses[:, 0] - hall.scenario.start_ns / 1e9
@@ -176,7 +182,7 @@ def test_each_image_has_its_pose(hall, tmp_path):
 def test_cameras_that_cannot_be_are_refused(hall, tmp_path, asked, line):
     """What is wrong is named, and no folder is made."""
     with pytest.raises(InputError) as error:
-        hall.write_images(tmp_path / "views", **asked)
+        write_images(hall, tmp_path / "views", **asked)
     assert line in str(error.value)
     assert list(tmp_path.iterdir()) == []
 
@@ -185,7 +191,7 @@ def test_a_folder_with_something_in_it_is_left_alone(hall, tmp_path):
     """Images never go beside other files."""
     (tmp_path / "mine").write_text("kept")
     with pytest.raises(OutputError, match="holds mine"):
-        hall.write_images(tmp_path, duration_s=0.1)
+        write_images(hall, tmp_path, duration_s=0.1)
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
@@ -194,5 +200,5 @@ def test_a_missing_library_is_named(hall, monkeypatch, tmp_path, module, library
     """Without a library the line says what to install, and no folder is made."""
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingExtraError, match=rf"{library}: pip install 'vlp16emu\[images\]'"):
-        hall.write_images(tmp_path / "views", duration_s=0.1)
+        write_images(hall, tmp_path / "views", duration_s=0.1)
     assert list(tmp_path.iterdir()) == []

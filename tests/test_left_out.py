@@ -8,9 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vlp16emu.chain import chain, position
-from vlp16emu.chain.windows import window_of
+import vlp16emu.engine.engine as page
 from vlp16emu.emulator import Emulator
+from vlp16emu.engine import position
+from vlp16emu.engine.windows import window_of
 from vlp16emu.motion import gait, harness, walk
 from vlp16emu.raycast import near as fast
 from vlp16emu.returns import detect as detection
@@ -39,7 +40,7 @@ def forbid(monkeypatch, *places):
 
 def first(*settings, scene="static_bench", truth=False):
     """Returns of the first blocks of a scene that are cast together."""
-    return next(Emulator(load(scene, settings), threads=1).returns(0.0, SPAN_S, truth=truth))
+    return next(Emulator(load(scene, settings), threads=1).engine.returns(0.0, SPAN_S, truth=truth))
 
 
 def birch(*settings):
@@ -50,7 +51,7 @@ def birch(*settings):
 def test_a_beam_without_width_has_no_footprint(monkeypatch):
     """Without width no axis across the beam is made and no sub-ray laid or cast; with it both are."""
     axes = []
-    monkeypatch.setattr(chain, "detect", lambda firings, *_, **__: axes.append(firings.beam_axis))
+    monkeypatch.setattr(page, "detect", lambda firings, *_, **__: axes.append(firings.beam_axis))
     first()
     first("beam.model=adaptive")
     assert axes[0] is None
@@ -69,7 +70,7 @@ def test_one_ray_is_held_once(monkeypatch):
     """Of a pulse that is one ray one hit is held, in arrays that have room for no more."""
     seen = []
     monkeypatch.setattr(
-        chain, "detect", lambda firings, hits, *_, **__: seen.append((firings.t_ns.size, hits))
+        page, "detect", lambda firings, hits, *_, **__: seen.append((firings.t_ns.size, hits))
     )
     first()
     first("beam={ model = 'fixed', rays = 8 }")
@@ -169,7 +170,7 @@ def test_without_canopy_loss_nobody_looks_at_the_sky(monkeypatch, setting):
 def test_still_air_moves_nothing():
     """Without wind no placement of a window sways, and each tile's stems are one shape; in wind each is its own."""
     still, blown = (
-        window_of(emulator.parts, emulator.scenario.start_ns, emulator.batching, 0)
+        window_of(emulator.parts, emulator.scenario.start_ns, emulator.engine.batching, 0)
         for emulator in (Emulator(birch(*wind), threads=1) for wind in ([], ["wind.speed_m_s=3"]))
     )
     assert still.sway is None
@@ -191,7 +192,7 @@ def test_a_single_sensor_merges_its_own_two_streams(monkeypatch):
     """Nothing but the data and position packets of each unit is merged."""
     merged = []
     monkeypatch.setattr(
-        chain,
+        page,
         "heapq",
         SimpleNamespace(
             merge=lambda *streams, key: merged.append(len(streams)) or heapq.merge(*streams, key=key)
@@ -223,7 +224,12 @@ def test_a_lean_recording_loads_no_library_it_does_not_need(tmp_path):
     """A static, single-ray recording imports nothing that draws, reads meshes or grids, makes curves or talks."""
     unneeded = ["matplotlib", "tifffile", "PIL", "trimesh", "networkx", "rich.progress", "serial", "pynmea2"]
     unneeded += [f"scipy.{part}" for part in ("interpolate", "ndimage", "optimize", "spatial", "special")]
-    unneeded += ["velodyne_decoder", "vlp16emu.truth", "vlp16emu.accuracy.sweep", "vlp16emu.validator"]
+    unneeded += [
+        "velodyne_decoder",
+        "vlp16emu.extras.truth.truth",
+        "vlp16emu.accuracy.sweep",
+        "vlp16emu.validator",
+    ]
     lean = "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1", "--set", "gps.connected=false"
     assert modules_of(*lean, "--json", names=["numba", *unneeded]) == "0 ['numba']"
 

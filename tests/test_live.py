@@ -15,7 +15,8 @@ import pytest
 from vlp16emu.device.poses import PoseReceiver, pose_port
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, OutputError, TrajectoryError
-from vlp16emu.flight import PosesIn
+from vlp16emu.extras.live.flight import PosesIn
+from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.packets import DATA_BYTES, decode_data
 from vlp16emu.packets.pose import pack_pose
 from vlp16emu.types import PacketKind
@@ -220,7 +221,7 @@ def test_a_live_scene_is_not_recorded(tmp_path):
     emulator = Emulator("static_bench", [LIVE])
     for run in (
         lambda: emulator.record(tmp_path / "x.pcap"),
-        lambda: emulator.write_truth(tmp_path / "truth"),
+        lambda: write_truth(emulator, tmp_path / "truth"),
         lambda: list(emulator.scans()),
     ):
         with pytest.raises(TrajectoryError, match=r"motion\.flown = .*--flown"):

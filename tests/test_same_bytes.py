@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vlp16emu.chain.chain import Chain
+from vlp16emu.engine import Engine
 from vlp16emu.motion.gnss import Receiver
 from vlp16emu.scenario import load
 
@@ -186,7 +186,7 @@ WALK = {
 
 def _walked() -> tuple[bytes, tuple[float, float]]:
     """Walk for a tenth of a second: all packets, and a place on earth."""
-    chain = Chain(load(WALK), threads=1)
+    chain = Engine.of(load(WALK), threads=1)
     sent = b"".join(packet.payload for packet in chain.packets(2.0, 2.1))
     receiver = Receiver(
         chain.parts.units[0].motion, chain.scenario.gps, seed=1, sky=lambda _t_ns, _place_m: 0.6

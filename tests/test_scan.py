@@ -8,6 +8,7 @@ import pytest
 
 from vlp16emu import Emulator, Scenario, decode
 from vlp16emu.errors import CaptureError, InputError, PacketError
+from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.scan import Chunk, cut_scans
 from vlp16emu.types import Semantic
@@ -121,7 +122,7 @@ def test_poses_take_points_to_the_world(tmp_path):
     np.testing.assert_array_equal(scan.world_T_sensor, emulator.world_T_sensor(np.array([scan.start_ns]))[0])
     T = emulator.world_T_sensor(scan.t_ns)
     assert 0.05 < np.linalg.norm(T[-1, :3, 3] - scan.world_T_sensor[:3, 3]) < 0.5
-    emulator.write_points(tmp_path / "x.npz", start_s=2.0, duration_s=0.25)
+    write_points(emulator, tmp_path / "x.npz", start_s=2.0, duration_s=0.25)
     with np.load(tmp_path / "x.npz") as points:
         same = np.isin(points["t_ns"], scan.t_ns)
         world_m = np.einsum("nij,nj->ni", T[:, :3, :3], scan.xyz_m) + T[:, :3, 3]

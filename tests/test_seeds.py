@@ -59,7 +59,7 @@ def test_another_stand_has_other_trees(plain):
 
 def test_units_of_a_rig_do_not_take_the_first_ones_seed():
     """`sensor.seed` is that of unit 1; unit 2 draws its own from it, or has the one that is given."""
-    from vlp16emu.chain.parts import seed_of
+    from vlp16emu.engine.build import seed_of
 
     def seeds(rig, **sensor):
         tree = load("static_bench").model_dump(mode="json", by_alias=True, exclude_none=True)

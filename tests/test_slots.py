@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from vlp16emu.cli.app import run as command
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError
+from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD, Capture
 from vlp16emu.sinks import TruthTo
 from vlp16emu.sinks.slots import SLOT_COLUMNS
@@ -101,7 +102,7 @@ def test_truth_alone_is_the_same(run, tmp_path):
     """Without packets, and with other threads, the file has the same bytes."""
     emulator, _, folder = run
     other = Emulator(emulator.scenario, threads=1)
-    other.write_truth(TruthTo(tmp_path / "t", 2000, per_return=True), duration_s=SPAN_S)
+    write_truth(other, TruthTo(tmp_path / "t", 2000, per_return=True), duration_s=SPAN_S)
     assert (tmp_path / "t" / "returns.parquet").read_bytes() == (folder / "returns.parquet").read_bytes()
 
 
@@ -121,7 +122,7 @@ def test_memory_holds_no_more_than_a_row_group(tmp_path, monkeypatch):
     """Packets are written in groups of a fixed number, whatever the run, so that the file is the same and memory flat."""
     monkeypatch.setattr("vlp16emu.sinks.slots._GROUP", 50)
     emulator = Emulator("static_bench", ["beam.model=none"])
-    emulator.write_truth(TruthTo(tmp_path / "t", per_return=True), duration_s=0.2)
+    write_truth(emulator, TruthTo(tmp_path / "t", per_return=True), duration_s=0.2)
     groups = parquet.ParquetFile(tmp_path / "t" / "returns.parquet").metadata
     assert [groups.row_group(i).num_rows for i in range(groups.num_row_groups)] == [19_200, 19_200, 19_200]
 
@@ -140,7 +141,7 @@ def test_no_truth_no_cost(monkeypatch, tmp_path):
 
 def test_it_is_not_for_streams_that_are_set_live(tmp_path):
     """What is set live makes packets anew, whose rows would be there twice: refused."""
-    from vlp16emu.streaming import Http
+    from vlp16emu.run.report import Http
 
     with pytest.raises(InputError, match="--truth-packets or --truth-returns: found beside --http"):
         Emulator("static_bench").stream(
@@ -186,7 +187,7 @@ def test_labels_are_those_of_the_nearest_surface(tmp_path):
     """Of a stand cast leaf by leaf, each place lies on a mesh of the digital twin with its labels, and on no other one."""
     settings = ["beam.model=none", "noise.preset=ideal", "world.near_m=inf", "sensor.max_range_m=14"]
     settings.append("duration_s=0.5")
-    Emulator("spruce_walk", settings).write_truth(TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)
+    write_truth(Emulator("spruce_walk", settings), TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)
     options = [word for one in settings for word in ("--set", one)]
     assert (
         command(["forest", "spruce_walk", *options, "--radius", "14", "--glb", str(tmp_path / "twin.glb")])

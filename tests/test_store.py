@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vlp16emu import store as module
-from vlp16emu.chain import assemble
 from vlp16emu.emulator import Emulator
+from vlp16emu.engine import assemble
 from vlp16emu.scenario import load
 from vlp16emu.store import Store, recalled, user_store
 from vlp16emu.world.stand.tiles import STEM

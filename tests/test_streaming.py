@@ -5,8 +5,8 @@ from collections import Counter
 import pytest
 
 from vlp16emu.emulator import Emulator
+from vlp16emu.run.feed import PacketFeed
 from vlp16emu.scenario import load
-from vlp16emu.streaming import Engine
 
 
 @pytest.mark.parametrize("settings", [[], ["sensor.return_mode=dual", "rig=[{}]"]])
@@ -14,7 +14,7 @@ def test_what_is_left_out_is_counted_and_the_rest_stays(settings):
     """Sent ahead by 0.4 s, the engine gives exactly the packets before and after, and counts those between."""
     emulator = Emulator(load("static_bench", settings), threads=1)
     whole = list(emulator.packets(0.0, 1.0))
-    engine, got = Engine(emulator, 0.0, 1.0), []
+    engine, got = PacketFeed(emulator.engine, 0.0, 1.0), []
     for packet in engine:
         got.append(packet)
         if len(got) == 200:
@@ -29,7 +29,7 @@ def test_beyond_the_end_nothing_is_left():
     """An engine sent beyond the end of its run ends, and counts what it left out."""
     emulator = Emulator(load("static_bench"), threads=1)
     whole = sum(1 for _ in emulator.packets(0.0, 0.3))
-    engine = Engine(emulator, 0.0, 0.3)
+    engine = PacketFeed(emulator.engine, 0.0, 0.3)
     last = [next(engine) for _ in range(50)][-1]
     engine.go_on_from(last.due_ns + 10**12)
     assert list(engine) == []

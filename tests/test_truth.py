@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import OutputError, ScenarioError
+from vlp16emu.extras.truth.truth import Truth, write_truth
 from vlp16emu.motion.geodesy import to_geodetic
 from vlp16emu.packets import decode_position, parse_rmc
 from vlp16emu.scenario import load, scene_files
 from vlp16emu.sinks import TruthTo
-from vlp16emu.truth import Truth
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -309,7 +309,7 @@ def test_without_packets_the_truth_is_the_same(start_s, tmp_path):
     emulator = Emulator(load("static_bench", [*settings, walk]))
     written(emulator, tmp_path / "beside", start_s, 1.3, per_packet=True)
     to = TruthTo(tmp_path / "alone", per_packet=True)
-    assert emulator.write_truth(to, start_s=start_s, duration_s=1.3 - start_s) == 1.3 - start_s
+    assert write_truth(emulator, to, start_s=start_s, duration_s=1.3 - start_s) == 1.3 - start_s
     names = ["gnss.csv", "imu.csv", "packets.tum", "packets_2.tum", "rig.json", "scenario.json"]
     names += ["trajectory.tum", "trajectory_2.tum"]
     assert sorted(path.name for path in (tmp_path / "beside").iterdir()) == names
@@ -320,12 +320,12 @@ def test_without_packets_the_truth_is_the_same(start_s, tmp_path):
 def test_a_sensor_without_packets_has_truth(tmp_path):
     """A free sensor has trajectory, rig and scenario; poses of packets, which it has not, are refused before any file."""
     emulator = Emulator(load("static_bench", ["sensor.model=free", "sensor.beams=32"]))
-    emulator.write_truth(tmp_path / "t", duration_s=0.5)
+    write_truth(emulator, tmp_path / "t", duration_s=0.5)
     t_ns, _ = tum(tmp_path / "t" / "trajectory.tum")
     assert len(t_ns) in {101, 102}
     assert json.loads((tmp_path / "t" / "rig.json").read_text())["units"][0]["model"] == "free"
     with pytest.raises(ScenarioError, match=r'found "free", which has no packets'):
-        emulator.write_truth(TruthTo(tmp_path / "no", per_packet=True), duration_s=0.5)
+        write_truth(emulator, TruthTo(tmp_path / "no", per_packet=True), duration_s=0.5)
     assert not (tmp_path / "no").exists()
 
 

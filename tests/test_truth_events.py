@@ -5,6 +5,7 @@ import csv
 import pytest
 
 from vlp16emu.emulator import Emulator
+from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.scenario import load
 from vlp16emu.sinks import TruthTo
 from vlp16emu.types import PacketKind
@@ -105,10 +106,10 @@ def test_what_lasts_has_one_row(run):
 def test_truth_alone_is_the_same(run, tmp_path):
     """Without packets, and from a part of a run, the rows are the same, those of events under way included."""
     _, _, _, folder = run
-    emulator(*EVENTS).write_truth(TruthTo(tmp_path / "alone"))
+    write_truth(emulator(*EVENTS), TruthTo(tmp_path / "alone"))
     for name in ("events.csv", "trajectory.tum", "gnss.csv"):
         assert (tmp_path / "alone" / name).read_bytes() == (folder / name).read_bytes()
-    emulator(*EVENTS).write_truth(TruthTo(tmp_path / "late"), start_s=0.65)
+    write_truth(emulator(*EVENTS), TruthTo(tmp_path / "late"), start_s=0.65)
     late, whole = rows(tmp_path / "late"), rows(folder)
     assert [row for row in late if row["t_utc_s"] >= 0.65] == [row for row in whole if row["t_utc_s"] >= 0.65]
     assert {row["kind"] for row in late if row["t_utc_s"] < 0.65} == {"delay", "dead_laser", "truncate"} - {
@@ -127,5 +128,5 @@ def test_packets_have_poses_as_they_arrive(run, tmp_path):
 
 def test_a_run_without_events_has_no_such_file(tmp_path):
     """The folder of truth is as it was."""
-    emulator().write_truth(TruthTo(tmp_path / "truth"), duration_s=0.1)
+    write_truth(emulator(), TruthTo(tmp_path / "truth"), duration_s=0.1)
     assert not (tmp_path / "truth" / "events.csv").exists()

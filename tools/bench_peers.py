@@ -27,8 +27,8 @@ from peer_casters import SETS, THREADS, Prepare, Work, measure
 from rich.box import MARKDOWN
 from rich.table import Table
 
-from vlp16emu.chain.windows import BLOCK
 from vlp16emu.emulator import Emulator
+from vlp16emu.engine.windows import BLOCK
 from vlp16emu.raycast.beam import LINE, Footprint, sub_rays
 from vlp16emu.raycast.caster import caster
 from vlp16emu.raycast.faces import faces_of, relative_to_window

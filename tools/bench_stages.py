@@ -13,8 +13,8 @@ import numpy as np
 from rich.box import MARKDOWN
 from rich.table import Table
 
-from vlp16emu.chain.windows import BLOCK, SEGMENT
 from vlp16emu.emulator import Emulator
+from vlp16emu.engine.windows import BLOCK, SEGMENT
 from vlp16emu.packets import pack_data
 from vlp16emu.raycast.beam import LINE, BeamModel
 from vlp16emu.raycast.caster import Geometry
@@ -50,11 +50,11 @@ def best(work: Callable[[], object], repeats: int) -> float:
 
 def opening_s(emulator: Emulator) -> float:
     """Processor seconds per simulated second that opening windows takes; 0 where one serves all."""
-    emulator.windows.at_block(0).result()
+    emulator.engine.windows.at_block(0).result()
     if not emulator.parts.moves:
         return 0.0
     start = time.process_time()
-    emulator.windows.at_block(SEGMENT).result()
+    emulator.engine.windows.at_block(SEGMENT).result()
     return (time.process_time() - start) / (SEGMENT * BLOCK_S)
 
 
@@ -126,7 +126,7 @@ def tables(scene: str, repeats: int) -> Iterator[Table]:
     cost: dict[str, dict[str, float]] = {}
     for name, own in SETTINGS.items():
         emulator = Emulator(load(scene, own), threads=2)
-        opening, opened = opening_s(emulator), emulator.windows.at_block(0).result()
+        opening, opened = opening_s(emulator), emulator.engine.windows.at_block(0).result()
         cost[name] = stages(emulator, opened, repeats) | {"open windows": opening}
     trees = np.unique(opened.surfaces["instance"][opened.surfaces["semantic"] == Semantic.TREE])
     title = f"{scene}, {len(trees)} trees and saplings in reach, processor s per s"

@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.chain import Unit, assemble, in_one_world
-from vlp16emu.chain.chain import Chain
 from vlp16emu.emulator import Emulator
-from vlp16emu.points import write_cloud
+from vlp16emu.engine import Engine, Unit, assemble, in_one_world
+from vlp16emu.extras.clouds.points import write_cloud
 from vlp16emu.raycast import build
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.scenario import Scenario, load
@@ -109,7 +108,7 @@ def _arrays_of(made: Any) -> list[tuple[str, NDArray[Any]]]:
     return [(name, value) for name, value in values if isinstance(value, np.ndarray)]
 
 
-class Recorded(Chain):
+class Recorded(Engine):
     """A chain that keeps what its stages make, block by block, so that neither threads nor pieces change the order."""
 
     def __init__(self, scenario: Scenario, threads: int, like: "Recorded | None" = None) -> None:
@@ -162,7 +161,7 @@ class Recorded(Chain):
                 self._made.setdefault(f"{stage}/{name}", {})[first[0], first[1] + row] = part
 
 
-def _packets(chain: Chain, spans_s: list[tuple[float, float]]) -> Arrays:
+def _packets(chain: Engine, spans_s: list[tuple[float, float]]) -> Arrays:
     """Run a chain to packets; payloads (n, bytes) are filled with zeros to the length of the longest."""
     packets = [packet for span_s in spans_s for packet in chain.packets(*span_s)]
     longest = max(len(packet.payload) for packet in packets)
@@ -174,7 +173,7 @@ def _packets(chain: Chain, spans_s: list[tuple[float, float]]) -> Arrays:
     }
 
 
-def _points(chain: Chain, spans_s: list[tuple[float, float]]) -> Arrays:
+def _points(chain: Engine, spans_s: list[tuple[float, float]]) -> Arrays:
     parts: dict[str, list[NDArray[Any]]] = {}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "points.npz"

@@ -11,13 +11,16 @@ from vlp16emu.compiled import keep_compiled
 TYPE_CHECKING = False  # not from typing, which takes a third of the package's start
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
-    from vlp16emu.flight import PosesIn
-    from vlp16emu.recording import Recording
-    from vlp16emu.replay import Replayed, replay
+    from vlp16emu.extras.clouds.points import write_points
+    from vlp16emu.extras.images import write_images
+    from vlp16emu.extras.live.flight import PosesIn
+    from vlp16emu.extras.truth.truth import write_truth
+    from vlp16emu.run.record import Recording
+    from vlp16emu.run.replay import Replayed, replay
+    from vlp16emu.run.report import Http
     from vlp16emu.scan import Labels, Scan, decode
     from vlp16emu.scenario import Scenario, load
     from vlp16emu.sinks import GpsIn, Outlets, TruthTo
-    from vlp16emu.streaming import Http
     from vlp16emu.validator import Finding, Verification, verify
 
 __all__ = [
@@ -38,26 +41,32 @@ __all__ = [
     "load",
     "replay",
     "verify",
+    "write_images",
+    "write_points",
+    "write_truth",
 ]
 
 _PLACES = {
     "Emulator": "emulator",
     "Finding": "validator",
     "GpsIn": "sinks",
-    "Http": "streaming",
+    "Http": "run.report",
     "Labels": "scan",
     "Outlets": "sinks",
-    "PosesIn": "flight",
-    "Recording": "recording",
-    "Replayed": "replay",
+    "PosesIn": "extras.live.flight",
+    "Recording": "run.record",
+    "Replayed": "run.replay",
     "Scan": "scan",
     "Scenario": "scenario",
     "TruthTo": "sinks",
     "Verification": "validator",
     "decode": "scan",
     "load": "scenario",
-    "replay": "replay",
+    "replay": "run.replay",
     "verify": "validator",
+    "write_images": "extras.images",
+    "write_points": "extras.clouds.points",
+    "write_truth": "extras.truth.truth",
 }
 """Module of each public name."""
 

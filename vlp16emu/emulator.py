@@ -1,29 +1,34 @@
 """The public face: a scene's scans as arrays, into a capture, or over UDP."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import InputError, spare
-from vlp16emu.labels import label_scheme
-from vlp16emu.points import PointCloud, scans_of, world_T_sensor, write_cloud
+from vlp16emu.engine import Engine, Parts
+from vlp16emu.engine.scans import scans_of, world_T_sensor
+from vlp16emu.errors import TrajectoryError
+from vlp16emu.run.record import Recording, record
+from vlp16emu.run.report import Streamed
+from vlp16emu.run.run import Run, Scene, TruthPlace
+from vlp16emu.run.stream import StreamOptions, stream_run
 from vlp16emu.scan import Scan
-from vlp16emu.sinks import TruthTo
-from vlp16emu.streams import Streams
-
-if TYPE_CHECKING:
-    from vlp16emu.images import ImageRun
+from vlp16emu.scenario import Scenario
+from vlp16emu.types import Packet, Returns
 
 
-_SHORTEST_S = 0.001
-"""Between two images."""
+@runtime_checkable
+class TakesPoses(Protocol):
+    """A motion that is made of poses which arrive while it runs."""
+
+    def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None) -> bool:
+        """Take a pose."""
 
 
-class Emulator(Streams):
+class Emulator:
     """A sensor, or several on one carrier, in the world of a scene.
 
     Nothing random is drawn but from the scene's seed: the same scene and settings give the same scans and the same
@@ -53,6 +58,70 @@ class Emulator(Streams):
     (2, (14464, 3), (4, 4))
     """
 
+    def __init__(
+        self,
+        scene: Scene,
+        settings: Mapping[str, object] | Sequence[str] = (),
+        *,
+        ideal: bool = False,
+        threads: int = 0,
+        audit: bool = False,
+        like: "Emulator | None" = None,
+    ) -> None:
+        self.run = Run.of(
+            scene, settings, ideal=ideal, threads=threads, audit=audit, like=like.engine if like else None
+        )
+
+    @property
+    def engine(self) -> Engine:
+        """Makes the packets."""
+        return self.run.engine
+
+    @property
+    def scenario(self) -> Scenario:
+        """Everything that decides the bytes."""
+        return self.engine.scenario
+
+    @property
+    def parts(self) -> Parts:
+        """Sensors, carrier and world."""
+        return self.engine.parts
+
+    @property
+    def name(self) -> str:
+        """Name, path or title of the scene."""
+        return self.run.name
+
+    def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
+        """Packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
+
+        Raises
+        ------
+        ScenarioError
+            If the sensor has no packets
+        TrajectoryError
+            If the span begins before the first pulse, or the walk ends before the span does
+        """
+        return self.engine.packets(start_s, stop_s)
+
+    def returns(
+        self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 1, *, truth: bool = False
+    ) -> Iterator[Returns]:
+        """Yield the returns of unit 1, 2 ... before packing, in whole blocks that hold at least the span.
+
+        Parameters
+        ----------
+        truth : whether they have the surfaces that they are from
+
+        Raises
+        ------
+        InputError
+            If there is no such unit
+        TrajectoryError
+            If the walk ends before the span does
+        """
+        return self.engine.returns(start_s, stop_s, self.run.number(unit), truth=truth)
+
     def scans(
         self, *, start_s: float = 0.0, duration_s: float | None = None, unit: int = 1, truth: bool = False
     ) -> Iterator[Scan]:
@@ -72,162 +141,95 @@ class Emulator(Streams):
         TrajectoryError
             where the walk is over before the span
         """
-        return scans_of(self, self._number(unit), self.scenario.span_s(start_s, duration_s), truth=truth)
+        return scans_of(
+            self.engine, self.run.number(unit), self.scenario.span_s(start_s, duration_s), truth=truth
+        )
 
     def world_T_sensor(self, t_ns: NDArray[np.int64], *, unit: int = 1) -> NDArray[np.float64]:
         """(n, 4, 4) poses of a sensor at instants (n,) UTC; they take `Scan.xyz_m` to the world."""
-        return world_T_sensor(self.parts.units[self._number(unit)], t_ns)
+        return world_T_sensor(self.parts.units[self.run.number(unit)], t_ns)
 
-    def write_points(
+    def record(
         self,
         path: str | Path,
         *,
         start_s: float = 0.0,
         duration_s: float | None = None,
-        unit: int = 1,
-        truth: bool = False,
-        labels: str | None = None,
-        truth_to: str | Path | TruthTo | None = None,
+        split: bool = False,
+        truth: TruthPlace | None = None,
+        as_due: bool = False,
         progress: Callable[[float], None] = lambda _: None,
         stop: Event | None = None,
-    ) -> PointCloud:
-        """Write points in the world and in the sensor's frame, for a sensor of any beam table.
+    ) -> Recording:
+        """Write data and position packets into a pcap file, in the frames of a real sensor; or all that a robot has into a bag.
 
         Parameters
         ----------
-        path : .npz, .ply, .csv, .pcd, .las, .laz or .e57 by its suffix; overwritten if it exists
-        start_s, duration_s, progress, stop : as of `record`
-        unit : which sensor of a rig, from 1
-        truth : whether points have labels
-        labels : scheme of labels beside them: "for-instance", "digiforests", "asprs" or "semantickitti"
-        truth_to : folder for the ground truth of the run, as `truth` of `record`
-
-        Raises
-        ------
-        InputError
-            where there is no such unit or scheme, or the suffix names no format
-        MissingExtraError
-            where the library for a format is not there
-        OutputError
-            where file or folder cannot be written, or are an input of the scene
-        TrajectoryError
-            where the walk is over before the span
-        RunError
-            where the disk is full; the file is not complete
-        """
-        spare(self._files, Path(path))
-        scheme = None if labels is None else label_scheme(labels)
-        span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
-        with self.windows.stopped_by(stop):
-            return write_cloud(
-                self,
-                self._number(unit),
-                Path(path),
-                span_s,
-                truth=truth,
-                labels=scheme,
-                scene=self.name,
-                progress=self._with_truth_so_far(progress, span_s, truth_to),
-                stop=stop,
-            )
-
-    def write_images(
-        self,
-        folder: str | Path,
-        *,
-        kind: str = "panorama",
-        size: tuple[int, int] | None = None,
-        fov_deg: float | None = None,
-        every_s: float = 1.0,
-        start_s: float = 0.0,
-        duration_s: float | None = None,
-        unit: int = 1,
-        progress: Callable[[float], None] = lambda _: None,
-        stop: Event | None = None,
-    ) -> "ImageRun":
-        """Write depth, labels and colours as images from the place of a sensor, each of one instant.
-
-        Parameters
-        ----------
-        folder : new or empty
-        kind : "panorama" or "pinhole", which looks to the sensor's azimuth 0
-        size : width and height in pixels; 2048 x 512 of a panorama, 1024 x 768 of a pinhole camera, if left out
-        fov_deg : of a pinhole camera, from left to right; 90 if left out
-        every_s : from image to image
-        start_s, duration_s, progress, stop : as of `record`
-        unit : which sensor of a rig, from 1
-
-        Raises
-        ------
-        InputError
-            where there is no such unit or camera
-        MissingExtraError
-            where Pillow or OpenEXR is not there
-        OutputError
-            where the folder cannot be written, or is not empty
-        TrajectoryError
-            where the walk is over before the span
-        RunError
-            where the disk is full; the images before are kept
-        """
-        if not every_s >= _SHORTEST_S:
-            raise InputError("--every", f"found {every_s:g}", f"a number of seconds from {_SHORTEST_S:g}")
-        from vlp16emu.images import Camera, write_images  # here: few runs need them
-
-        camera = Camera.of(kind, size, fov_deg)
-        span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
-        with self.windows.stopped_by(stop):
-            return write_images(
-                self,
-                self._number(unit),
-                Path(folder),
-                span_s,
-                camera,
-                every_s=every_s,
-                scene=self.name,
-                threads=self._threads,
-                progress=progress,
-                stop=stop,
-            )
-
-    def write_truth(
-        self,
-        to: str | Path | TruthTo,
-        *,
-        start_s: float = 0.0,
-        duration_s: float | None = None,
-        progress: Callable[[float], None] = lambda _: None,
-        stop: Event | None = None,
-    ) -> float:
-        """Write the ground truth that `record` writes beside a run, byte for byte, without casting a pulse.
-
-        Parameters
-        ----------
-        to : folder
-        start_s, duration_s : as of `record`
-        progress : called with the simulated seconds so far, second by second
-        stop : ends it from another thread
-
-        Returns
-        -------
-        Simulated seconds
+        path : .pcap, .cap, .dump, .dmp or without an ending; overwritten if it exists; `-` is standard output;
+            a bag with .mcap, .bag, or as a new folder with a slash at its end
+        start_s : since the first pulse
+        duration_s : until the end of the scene if left out
+        split : write the packets of each unit into a file of its own, `NAME_1.pcap` and so on
+        truth : folder for the ground truth of the run: trajectory, GNSS, rig, scenario
+        as_due : stamp packets when they are due, whatever `[capture]` says
+        progress : called with the simulated seconds so far, packet by packet
+        stop : ends the recording from another thread; the file is valid
 
         Raises
         ------
         OutputError
-            where the folder cannot be written, or holds an input of the scene
+            If file or folder cannot be written, or are an input of the scene, or the name is that of another format
         ScenarioError
-            where poses of packets are wanted of a sensor that has none
+            If the sensor has no packets
         TrajectoryError
-            where the walk is over before the span
+            If the walk ends before the span does
         RunError
-            where the disk is full; the lines before are kept
+            If the disk is full; the packets before are kept
         """
-        begin_s, stop_s = span_s = self.scenario.span_s(start_s, duration_s)
-        self._span_ns(*span_s)  # checks the span before the folder is touched
-        done_s, stop = 0.0, stop or Event()
-        with self._with_truth_so_far(progress, span_s, to) as so_far:
-            while done_s < stop_s - begin_s and not stop.is_set():
-                done_s = min(done_s + 1.0, stop_s - begin_s)
-                so_far(done_s)
-        return done_s
+        return record(
+            self.run,
+            path,
+            start_s=start_s,
+            duration_s=duration_s,
+            split=split,
+            truth=truth,
+            as_due=as_due,
+            progress=progress,
+            stop=stop,
+        )
+
+    def stream(self, **options: Any) -> Streamed:
+        """Send packets over UDP, each at its time; nothing leaves this machine unless `to` names another one.
+
+        Parameters
+        ----------
+        options : fields of `StreamOptions`
+
+        Raises
+        ------
+        OutputError
+            If the receiver is unknown or out of reach, or the sensor's address is not this machine's
+        InputError
+            If options exclude each other, or poses are for a scene that is not live
+        ScenarioError
+            If the sensor has no packets
+        TrajectoryError
+            If the walk ends before the span does
+        RunError
+            If the system cannot send any more
+        """
+        return stream_run(self.run, StreamOptions(**options))
+
+    def put_pose(
+        self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None
+    ) -> bool:
+        """Bring a pose into a live scene, from any thread; parameters, result and errors as of `PoseInput.put`.
+
+        Raises
+        ------
+        TrajectoryError
+            If the scene is not live
+        """
+        if not isinstance(carrier := self.parts.carrier, TakesPoses):
+            raise TrajectoryError("motion.kind", f'found "{self.scenario.motion.kind}"', '"live"')
+        return carrier.put_pose(position_m, quaternion, t_ns)

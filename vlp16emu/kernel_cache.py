@@ -29,7 +29,7 @@ _WITHOUT_KERNELS = frozenset(
         "__main__",
         "__pycache__",
         "bag",
-        "chain",
+        "engine",
         "cli",
         "compare",
         "compiled",

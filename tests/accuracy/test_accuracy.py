@@ -12,9 +12,8 @@ from vlp16emu.accuracy.medium import measure_medium
 from vlp16emu.accuracy.precision import repeats, rounding_of, strays
 from vlp16emu.accuracy.settings import beam_settings, levels_of_detail, pose_rates
 from vlp16emu.accuracy.sweep import measure_accuracy
-from vlp16emu.chain import assemble, window_of
-from vlp16emu.chain.chain import Chain
-from vlp16emu.chain.windows import Batching
+from vlp16emu.engine import Engine, assemble, window_of
+from vlp16emu.engine.windows import Batching
 from vlp16emu.errors import RunError
 from vlp16emu.raycast.caster import caster
 from vlp16emu.scenario import load
@@ -57,7 +56,7 @@ def test_the_setting_in_use_is_on_the_ladder(settings, name):
     scenario = load("static_bench", settings)
     in_use = [light for light in beam_settings(scenario, scenario.seed) if light.in_use]
     assert [light.name for light in in_use] == [name]
-    assert in_use[0].beam == Chain(scenario).parts.units[0].beam
+    assert in_use[0].beam == Engine.of(scenario).parts.units[0].beam
 
 
 def test_names_are_settings():
@@ -82,7 +81,7 @@ def test_the_distance_in_use_is_on_the_ladder(near_m, names):
 
 def test_a_held_pose_is_that_of_the_first_pulse():
     """Held over a packet of 24 sequences, all pulses have the pose of the packet's first one."""
-    unit = Chain(load("birch_walk", ["world.stems_per_ha=50"])).parts.units[0]
+    unit = Engine.of(load("birch_walk", ["world.stems_per_ha=50"])).parts.units[0]
     t_ns = unit.head.times_ns(1920, 48)
     _, per_sequence, per_packet = (
         hold.poses_at(t_ns.reshape(-1)).world_p_body_m for hold in pose_rates(unit)
@@ -95,7 +94,7 @@ def test_a_held_pose_is_that_of_the_first_pulse():
 def test_rounding_is_seen():
     """The hall's float32 ranges are within micrometres; ranges that are 0.1 mm off are found to be so."""
     looked = []
-    emulator = Chain(load("static_bench"), audit=lambda *seen: looked.append(seen))
+    emulator = Engine.of(load("static_bench"), taps=[lambda *seen: looked.append(seen)])
     list(emulator.returns(0.0, 0.01))
     unit, _, _, scene = looked[0]
     world = emulator.parts.world

@@ -9,8 +9,8 @@ import pytest
 from vlp16emu.accuracy import Audit
 from vlp16emu.accuracy.compare import Tally, compare, errors_of
 from vlp16emu.accuracy.converged import Bench, apart_m, draw_groups, joined
-from vlp16emu.chain.chain import Chain
-from vlp16emu.chain.windows import Batching
+from vlp16emu.engine import Engine
+from vlp16emu.engine.windows import Batching
 from vlp16emu.scenario import load
 
 BLOCK_S = 1920 * 55_296e-9
@@ -30,7 +30,7 @@ def test_an_audit_changes_no_byte_and_depends_on_no_thread(hall):
     """With an audit, on one thread or three, the packets are those without; and the audits find the same."""
     audits = [Audit.of(hall), Audit.of(hall)]
     found = {
-        digest(Chain(hall, threads=threads, audit=audit).packets(0.0, 10 * BLOCK_S))
+        digest(Engine.of(hall, threads=threads, taps=[audit]).packets(0.0, 10 * BLOCK_S))
         for threads, audit in ((1, audits[0]), (3, audits[1]), (2, None))
     }
     assert len(found) == 1
@@ -42,7 +42,7 @@ def test_where_a_pulse_is_one_ray_nothing_is_looked_at():
     """A scene that chose one ray per pulse gets no answers, and is told to be exact."""
     scenario = load("static_bench")
     audit = Audit.of(scenario)
-    list(Chain(scenario, audit=audit).packets(0.0, 0.01))
+    list(Engine.of(scenario, taps=[audit]).packets(0.0, 0.01))
     assert audit.exact
     assert audit.tally == Tally()
     assert (audit.tally.range_rmse_m, audit.tally.range_rmse_interval_m) == (None, None)
@@ -51,7 +51,7 @@ def test_where_a_pulse_is_one_ray_nothing_is_looked_at():
 def test_of_a_short_run_no_interval_is_claimed(hall):
     """One block is one cluster: there is an error, but nothing is said of how sure it is."""
     audit = Audit.of(hall)
-    list(Chain(hall, audit=audit).packets(0.0, 0.1061))
+    list(Engine.of(hall, taps=[audit]).packets(0.0, 0.1061))
     assert audit.tally.pulses == 16
     assert audit.tally.range_rmse_interval_m is None
 
@@ -60,12 +60,12 @@ def test_audits_estimate_the_error_that_accuracy_measures(hall):
     """Twenty audits with different seeds together find the RMSE that is found on pulses of accuracy's own."""
     audits, scenes = [Audit.of(hall) for _ in range(20)], []
 
-    def look(unit, firings, hits, scene):
+    def look(job, firings, hits, scene):
         scenes.append(scene)
         for seed, audit in enumerate(audits):
-            audit(replace(unit, seed=seed), firings, hits, scene)
+            audit(replace(job, unit=replace(job.unit, seed=seed)), firings, hits, scene)
 
-    emulator = Chain(hall, audit=look)
+    emulator = Engine.of(hall, taps=[look])
     list(emulator.returns(0.0, 60 * BLOCK_S))
     unit = emulator.parts.units[0]
     bench, poses_at = Bench(unit, 128), unit.motion.poses_at

@@ -195,7 +195,7 @@ def test_gpsd_follows_the_walk(program, cable, tmp_path):
     for at, (report, heard_s) in reports.items():
         second = np.datetime64(at.removesuffix("Z"), "ns").astype(int) // S_NS
         assert 0.3 < heard_s - second < 3.0
-        truth = emulator.receiver.reading(int(second - moved_s) * S_NS)
+        truth = emulator.engine.receiver.reading(int(second - moved_s) * S_NS)
         latitude_deg, longitude_deg, _ = to_geodetic(truth.measured_m[None], gps)[0]
         assert report["lat"] == pytest.approx(latitude_deg, abs=2e-8)  # 2 mm
         assert report["lon"] == pytest.approx(longitude_deg, abs=2e-8)

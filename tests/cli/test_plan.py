@@ -5,9 +5,8 @@ import sys
 
 import pytest
 
-from vlp16emu.chain import assemble
-from vlp16emu.chain.chain import Chain
 from vlp16emu.cli import plan
+from vlp16emu.engine import Engine, assemble
 from vlp16emu.report import Spent
 from vlp16emu.report.plan.geometry import GeometrySize
 from vlp16emu.report.plan.needs import needs
@@ -23,7 +22,9 @@ SMALL = (*(word for setting in THIN for word in ("--set", setting)), "--threads"
 
 def on(scene, *settings):
     """Names of what is on."""
-    return {need.name for need in needs(Chain(load(scene, settings), threads=1), audited=False) if need.on}
+    return {
+        need.name for need in needs(Engine.of(load(scene, settings), threads=1), audited=False) if need.on
+    }
 
 
 def test_the_audit_is_named_where_it_looks(cli):
@@ -92,7 +93,7 @@ def test_what_is_in_reach_is_counted(birch):
     """Trees of the first window are as many as the world itself names."""
     scenario = load("birch_walk", THIN)
     parts = assemble(scenario)
-    from vlp16emu.chain.windows import Batching
+    from vlp16emu.engine.windows import Batching
 
     edges_ns = scenario.start_ns + Batching(16, 55_296).edges_ns(0)
     trees = parts.world.trees(parts.motion.poses_at(edges_ns).world_p_body_m)

@@ -263,7 +263,7 @@ def test_what_ignores_hangups_goes_on(program, heeds_signals, tmp_path):
 
 GROWS_FOR_EVER = """
 from threading import Event
-import vlp16emu.chain.windows as windows
+import vlp16emu.engine.windows as windows
 
 def window_of(*_):
     print("growing", file=sys.stderr, flush=True)
@@ -274,19 +274,19 @@ windows.window_of = window_of
 CASTS_AND_WRITES_FOR_EVER = """
 import os
 from threading import Event
-from vlp16emu.chain.chain import Chain
+from vlp16emu.engine import Engine
 from vlp16emu.sinks import PcapSink
 
-scan = Chain._scan
-def _scan(chain, unit, run, opened, **options):
-    return scan(chain, unit, run, opened, **options) if run.start == 0 else Event().wait()
+scan = Engine._scan
+def _scan(engine, job, opened):
+    return scan(engine, job, opened) if job.blocks.start == 0 else Event().wait()
 
 def send(_sink, _packet):
     print("writing", file=sys.stderr, flush=True)
     Event().wait()
 
 os.isatty = lambda _: True
-Chain._scan, PcapSink.send = _scan, send
+Engine._scan, PcapSink.send = _scan, send
 """
 
 

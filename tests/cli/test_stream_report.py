@@ -3,9 +3,9 @@
 import pytest
 
 from vlp16emu.cli.stream import _times, behind_line
+from vlp16emu.run.report import Behind
 from vlp16emu.scenario import load
 from vlp16emu.sinks import FellBehind, Late
-from vlp16emu.streaming import Behind
 
 
 def test_the_line_names_seconds_cause_policy_and_settings():

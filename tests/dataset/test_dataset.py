@@ -17,6 +17,7 @@ import vlp16emu.emulator as emulator_module
 from vlp16emu import Emulator
 from vlp16emu.dataset import load_spec, make_dataset, walks_of
 from vlp16emu.errors import ScenarioError
+from vlp16emu.extras.clouds.points import write_points
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
@@ -177,7 +178,7 @@ def test_a_plot_is_a_laz_file_that_others_read(tmp_path):
     laspy = pytest.importorskip("laspy")
     (walk, *_) = walks_in(tmp_path, SPEC.replace("semantickitti", "las-plots"))
     make_dataset([walk], tmp_path / "out", workers=0)
-    Emulator(walk.scenario).write_points(tmp_path / "points.npz", truth=True)
+    write_points(Emulator(walk.scenario), tmp_path / "points.npz", truth=True)
     points, cloud = (
         np.load(tmp_path / "points.npz"),
         laspy.read(tmp_path / "out" / "walks" / "0000" / "points.laz"),

@@ -8,9 +8,9 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.flown import FLOWN_HEADER, FlownMotion, flown_rows, read_flown
-from vlp16emu.motion.knots import STATE, STEP_NS, Knots, follow
-from vlp16emu.motion.live import LiveMotion, PoseInput
+from vlp16emu.extras.live.flown import FLOWN_HEADER, FlownMotion, flown_rows, read_flown
+from vlp16emu.extras.live.knots import STATE, STEP_NS, Knots, follow
+from vlp16emu.extras.live.motion import LiveMotion, PoseInput
 from vlp16emu.motion.live_settings import Live
 from vlp16emu.motion.pose_files import read_trajectory_csv
 

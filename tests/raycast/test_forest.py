@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.chain import assemble
+from vlp16emu.engine import assemble
 from vlp16emu.raycast.caster import caster
 from vlp16emu.scenario import load
 from vlp16emu.types import NO_SURFACE, PlantPart

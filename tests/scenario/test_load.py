@@ -5,7 +5,7 @@ from pathlib import Path
 import dpkt
 import pytest
 
-from vlp16emu.chain import assemble
+from vlp16emu.engine import assemble
 from vlp16emu.errors import InputError, ScenarioError
 from vlp16emu.scenario import load
 from vlp16emu.sinks import PcapSink

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from vlp16emu.chain import assemble
+from vlp16emu.engine import assemble
 from vlp16emu.errors import ScenarioError
 from vlp16emu.scenario import load
 from vlp16emu.scenario.presets import presets

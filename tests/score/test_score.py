@@ -9,6 +9,7 @@ import pytest
 from vlp16emu.cli import app
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError
+from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.score.card import limits_of
 from vlp16emu.score.clouds import cloud_distances, density_per_m2, uniformity
 from vlp16emu.score.files import Stem, read_cloud, read_stems
@@ -267,7 +268,7 @@ def test_clouds_of_ours_are_read(tmp_path, suffix):
     emulator = Emulator("static_bench", {"sensor.max_range_m": 8.0})
     clouds = []
     for name in ("own.npz", f"a.{suffix}"):
-        emulator.write_points(tmp_path / name, duration_s=0.02, truth=True)
+        write_points(emulator, tmp_path / name, duration_s=0.02, truth=True)
         clouds.append(read_cloud(tmp_path / name))
     own, other = clouds
     np.testing.assert_allclose(other["xyz"], own["xyz"], atol=1e-4)

@@ -11,6 +11,7 @@ import pytest
 
 from vlp16emu import emulator as emulators
 from vlp16emu.errors import MissingExtraError
+from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.gps_time import adjusted_gps_s
 from vlp16emu.labels import label_scheme, scheme_names
 from vlp16emu.sinks.cloud import point_file
@@ -39,7 +40,7 @@ def cloud(tmp_path_factory):
     """Folder with 0.15 s of a walk with two returns, as points.SUFFIX; and the arrays."""
     folder, emulator = tmp_path_factory.mktemp("cloud"), emulators.Emulator("birch_walk", SETTINGS)
     for suffix in SUFFIXES:
-        emulator.write_points(folder / f"points.{suffix}", duration_s=0.15, labels="for-instance")
+        write_points(emulator, folder / f"points.{suffix}", duration_s=0.15, labels="for-instance")
     with np.load(folder / "points.npz") as arrays:
         return folder, dict(arrays)
 
@@ -171,7 +172,7 @@ def test_the_bytes_do_not_depend_on_the_day_or_the_run(cloud, tmp_path):
         "h.date = type('D', (datetime.date,), {'today': classmethod(lambda c: datetime.date(1999, 2, 3))})\n"
         "from vlp16emu import Emulator\n"
         f"e = Emulator('birch_walk', {SETTINGS!r}, threads=1)\n"
-        f"[e.write_points(f'{tmp_path}/points.{{s}}', duration_s=0.15, labels='for-instance') for s in {SUFFIXES!r}]\n"
+        f"[write_points(e, f'{tmp_path}/points.{{s}}', duration_s=0.15, labels='for-instance') for s in {SUFFIXES!r}]\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
     for suffix in SUFFIXES[1:]:
@@ -246,7 +247,7 @@ def test_a_missing_library_is_named(monkeypatch, tmp_path):
     """Without laspy the line says what to install, and no file is left."""
     monkeypatch.setitem(sys.modules, "laspy", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'vlp16emu\[cloud\]'"):
-        emulators.Emulator("static_bench").write_points(tmp_path / "a.laz", duration_s=0.05)
+        write_points(emulators.Emulator("static_bench"), tmp_path / "a.laz", duration_s=0.05)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -254,7 +255,7 @@ def test_a_file_without_points_can_be_read(tmp_path):
     """A sensor that sees nothing makes files that are whole."""
     emulator = emulators.Emulator("static_bench", {"sensor.max_range_m": 0.6})
     for suffix in ("laz", "e57", "pcd"):
-        assert emulator.write_points(tmp_path / f"none.{suffix}", duration_s=0.05).points == 0
+        assert write_points(emulator, tmp_path / f"none.{suffix}", duration_s=0.05).points == 0
     assert laspy.read(tmp_path / "none.laz").header.point_count == 0
 
 

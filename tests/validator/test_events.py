@@ -4,8 +4,8 @@ from functools import lru_cache
 
 import pytest
 
-from vlp16emu.chain.wire import arriving
 from vlp16emu.emulator import Emulator
+from vlp16emu.extras.bench.wire import arriving
 from vlp16emu.scenario import load
 from vlp16emu.sinks import PcapSink
 from vlp16emu.units import seconds_to_ns

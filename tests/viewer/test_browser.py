@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
-from vlp16emu.motion.flown import read_flown
+from vlp16emu.extras.live.flown import read_flown
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

@@ -107,7 +107,7 @@ def test_a_turn_that_nobody_can_walk_is_said(draft):
 
 def test_what_is_saved_is_walked_and_keeps_comments(draft, scene, tmp_path):
     """The saved scene has the user's comments, and its sensor goes along the new path."""
-    from vlp16emu.chain import assemble
+    from vlp16emu.engine import assemble
 
     course = draft.course.moved(1, -6.0, 4.0).stopped(1, 2.0)
     draft.change(replace(course, speed_m_s=0.8, gait="strong", harness=True))

@@ -14,9 +14,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from stability_cases.row import Row, refused
-from vlp16emu.chain import assemble
 from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
+from vlp16emu.engine import assemble
 from vlp16emu.errors import InputError
 from vlp16emu.scenario import Scenario, load
 from vlp16emu.scenario.schema import schema

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.chain import Unit, assemble
+from vlp16emu.engine import Unit, assemble
 from vlp16emu.packets import DATA_BYTES, LASERS, data_payloads, decode_data
 from vlp16emu.raycast.beam import LINE, BeamModel, Footprint
 from vlp16emu.raycast.caster import Geometry, caster

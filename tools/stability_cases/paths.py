@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stability_cases.row import Row, refused
-from vlp16emu.chain import assemble
+from vlp16emu.engine import assemble
 from vlp16emu.motion import Recorded
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.pose import Motion

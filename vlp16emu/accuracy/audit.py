@@ -13,8 +13,8 @@ import numpy as np
 
 from vlp16emu.accuracy.compare import Tally, compare
 from vlp16emu.accuracy.converged import answer_beam, apart_m, detections_of, some_firings, some_hits
-from vlp16emu.chain import Unit
-from vlp16emu.chain.windows import Batching
+from vlp16emu.engine import Job, Unit
+from vlp16emu.engine.windows import Batching
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import BeamModel
 from vlp16emu.raycast.caster import Geometry
@@ -86,10 +86,11 @@ class Audit:
             other_echo=other,
         )
 
-    def __call__(self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry) -> None:
+    def __call__(self, job: Job, firings: Firings, hits: Hits, geometry: Geometry) -> None:
         """Look at blocks, whole or in parts: what their pulses met, in the scene that they were cast against."""
         if self.exact:
             return
+        unit = job.unit
         block, index = Batching(firings.t_ns.shape[1], unit.head.beams.sequence_ns).block, firings.index
         for begin in range(index // block * block, index + len(firings.t_ns), block):
             self._look(unit, firings, hits, geometry, begin, block)

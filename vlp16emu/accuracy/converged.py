@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.accuracy.compare import Detections
 from vlp16emu.accuracy.settings import PosesAt
-from vlp16emu.chain import Unit
-from vlp16emu.chain.windows import Batching
+from vlp16emu.engine import Unit
+from vlp16emu.engine.windows import Batching
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import BeamModel, Footprint
 from vlp16emu.raycast.caster import Geometry

@@ -14,8 +14,8 @@ from vlp16emu.accuracy.converged import GROUP, Group, answer_beam, draw_groups
 from vlp16emu.accuracy.curve import Kind
 from vlp16emu.accuracy.distributions import Distributions, distributions_of
 from vlp16emu.accuracy.settings import LevelOfDetail, beam_settings, levels_of_detail
-from vlp16emu.chain import Unit, assemble, window_of
-from vlp16emu.chain.windows import Batching, workers
+from vlp16emu.engine import Unit, assemble, window_of
+from vlp16emu.engine.windows import Batching, workers
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.returns.detect import detect

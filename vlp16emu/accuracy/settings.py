@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.accuracy.curve import Kind
-from vlp16emu.chain import Unit, beam_of
+from vlp16emu.engine import Unit, beam_of
 from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.scenario import Scenario

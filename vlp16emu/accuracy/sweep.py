@@ -12,8 +12,8 @@ from vlp16emu.accuracy.converged import GROUP, Bench, Group, apart_m, draw_group
 from vlp16emu.accuracy.curve import Accuracy, Kind, Rounding, Row
 from vlp16emu.accuracy.precision import NOTHING_MET, rounding_of
 from vlp16emu.accuracy.settings import PosesAt, beam_settings, pose_rates
-from vlp16emu.chain import assemble, window_of
-from vlp16emu.chain.windows import Batching, workers
+from vlp16emu.engine import assemble, window_of
+from vlp16emu.engine.windows import Batching, workers
 from vlp16emu.errors import RunError
 from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.scenario import Scenario

@@ -19,9 +19,10 @@ from vlp16emu.cli.terminal import (
     tree_of,
 )
 from vlp16emu.errors import InputError
+from vlp16emu.extras.images import write_images
 
 if TYPE_CHECKING:
-    from vlp16emu.images import ImageRun
+    from vlp16emu.extras.images import ImageRun
 
 
 Folder = Annotated[Path, typer.Argument(metavar="OUT", help="Folder, new or empty.", show_default=False)]
@@ -81,7 +82,8 @@ def images(
     emulator = make_emulator(scene, settings, threads=threads)
     start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")
     with stop_on_ctrl_c() as stop, Progress(stop_s - start_s) as progress:
-        run = emulator.write_images(
+        run = write_images(
+            emulator,
             folder,
             kind=kind,
             size=wanted_px,

@@ -9,8 +9,8 @@ from vlp16emu.cli.terminal import count
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
+    from vlp16emu.run.report import Streamed
     from vlp16emu.sinks import Away, GpsIn, OutletResult, Outlets
-    from vlp16emu.streaming import Streamed
 
 
 Line = Literal["dtr", "rts", "off"]

@@ -156,7 +156,7 @@ def _of_scene(
 ) -> "PictureRun":
     import numpy as np
 
-    from vlp16emu.images import species_of
+    from vlp16emu.extras.images import species_of
     from vlp16emu.viewer.picture import draw_picture, scans_of_scene
 
     emulator = make_emulator(scene, settings, ideal=ideal)

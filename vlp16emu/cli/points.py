@@ -22,9 +22,10 @@ from vlp16emu.cli.terminal import (
     tree_of,
 )
 from vlp16emu.errors import InputError
+from vlp16emu.extras.clouds.points import write_points
 
 if TYPE_CHECKING:
-    from vlp16emu.points import PointCloud
+    from vlp16emu.extras.clouds.points import PointCloud
 
 
 _OF_SCENES = frozenset({"duration", "start", "settings", "ideal", "threads"})
@@ -108,7 +109,8 @@ def points(
     emulator = make_emulator(scene, settings, ideal=ideal, threads=threads)
     start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")
     with stop_on_ctrl_c() as stop, Progress(stop_s - start_s) as progress:
-        cloud = emulator.write_points(
+        cloud = write_points(
+            emulator,
             out,
             start_s=start,
             duration_s=duration,

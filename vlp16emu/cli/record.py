@@ -40,7 +40,7 @@ from vlp16emu.cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from vlp16emu.recording import Recording, UnitRecording
+    from vlp16emu.run.record import Recording, UnitRecording
 
 
 _WHOLE = 0.995

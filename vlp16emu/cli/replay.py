@@ -22,7 +22,7 @@ from vlp16emu.cli.stream import (
 from vlp16emu.cli.terminal import count, stop_on_ctrl_c
 
 if TYPE_CHECKING:
-    from vlp16emu.replay import Replay, Replayed
+    from vlp16emu.run.replay import Replay, Replayed
 
 
 Loop = Annotated[
@@ -51,7 +51,7 @@ def replay(
     Each packet leaves as long after the first one as its frame was captured after the first frame, to the ports
     of the capture. Nothing leaves this machine unless --to names another one. Ctrl-C ends it.
     """
-    from vlp16emu.replay import replay as replayed_to
+    from vlp16emu.run.replay import replay as replayed_to
 
     to, data_port = receiver_of(to, data_port, interface)
     with stop_on_ctrl_c() as stop:

@@ -58,10 +58,10 @@ from vlp16emu.cli.web import HttpAt, HttpSettings, served
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
-    from vlp16emu.replay import Replayed
+    from vlp16emu.run.replay import Replayed
+    from vlp16emu.run.report import Behind, Streamed
     from vlp16emu.scenario import Scenario
     from vlp16emu.sinks import FellBehind
-    from vlp16emu.streaming import Behind, Streamed
 
 
 T = TypeVar("T", "Streamed", "Replayed")
@@ -74,7 +74,7 @@ _POLICY = {
 
 def behind_line(behind: "FellBehind", scenario: "Scenario", late: str, speed: float) -> str:
     """Write the line that is printed when the stream falls behind."""
-    from vlp16emu.streaming import cause_of, options_for
+    from vlp16emu.run.report import cause_of, options_for
 
     line = (
         f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s, as {cause_of(behind)}; {_POLICY[late]}"

@@ -18,6 +18,7 @@ from vlp16emu.cli.arguments import (
 )
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import INTERRUPTED, Progress, print_json, print_rows, size, stop_on_ctrl_c
+from vlp16emu.extras.truth.truth import write_truth
 
 Folder = Annotated[
     Path,
@@ -49,7 +50,8 @@ def truth(
 
     start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")
     with stop_on_ctrl_c() as stop, Progress(stop_s - start_s) as progress:
-        simulated_s = emulator.write_truth(
+        simulated_s = write_truth(
+            emulator,
             TruthTo(folder, truth_rate, truth_packets, truth_returns),
             start_s=start,
             duration_s=duration,

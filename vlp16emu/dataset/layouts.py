@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import RunError
+from vlp16emu.extras.clouds.points import write_points
+from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.scan import Labels, Scan
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.units import S_NS, seconds_to_ns
@@ -124,12 +126,12 @@ def _pcap_and_truth(emulator: Emulator, stretches: Sequence[Path], folder: Path)
             with (stretch / _CAPTURE).open("rb") as part:
                 part.seek(_PCAP_HEADER_BYTES if capture.tell() else 0)
                 shutil.copyfileobj(part, capture)
-    emulator.write_truth(folder / "truth")
+    write_truth(emulator, folder / "truth")
 
 
 def _points(emulator: Emulator, span_s: tuple[float, float], folder: Path) -> None:
-    emulator.write_points(
-        folder / "points.las", start_s=span_s[0], duration_s=span_s[1] - span_s[0], truth=True
+    write_points(
+        emulator, folder / "points.las", start_s=span_s[0], duration_s=span_s[1] - span_s[0], truth=True
     )
 
 

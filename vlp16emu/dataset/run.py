@@ -14,10 +14,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from vlp16emu.chain import in_one_world
 from vlp16emu.dataset.layouts import LAYOUTS, walk_folder
 from vlp16emu.dataset.spec import DatasetWalk
 from vlp16emu.emulator import Emulator
+from vlp16emu.engine import in_one_world
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
 from vlp16emu.output import OutputFile, lock
 from vlp16emu.scenario import Scenario

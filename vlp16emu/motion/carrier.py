@@ -2,15 +2,13 @@
 
 import logging
 import math
-from pathlib import Path as FilePath
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.doors import door
 from vlp16emu.elementary import norm
 from vlp16emu.motion.detour import around
-from vlp16emu.motion.flown import FlownMotion, read_flown
-from vlp16emu.motion.live import LiveMotion
 from vlp16emu.motion.live_settings import Live
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
@@ -99,10 +97,7 @@ def make_carrier(
         _check_place(recorded.position_m, origin_m, height_m, reach_m)
         return recorded, np.ascontiguousarray(recorded.position_m[:, :2])
     if isinstance(section, Live):
-        path_xy_m = np.array(section.path_m)
-        if section.flown is None:
-            return LiveMotion(section, start_ns=start_ns), path_xy_m
-        return FlownMotion(read_flown(FilePath(section.flown)), start_ns=start_ns), path_xy_m
+        return door("live_motion")(section, start_ns), np.array(section.path_m)
     points = way_points(section, gps, origin_m[:2])
     if obstacles is not None:
         points = around(points, *obstacles)

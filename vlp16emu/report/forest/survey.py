@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.chain import Parts, assemble
+from vlp16emu.engine import Parts, assemble
 from vlp16emu.errors import InputError
 from vlp16emu.motion.pose import Motion
 from vlp16emu.report.forest.seen import stems_seen, tables_of_returns

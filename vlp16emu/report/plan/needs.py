@@ -5,9 +5,8 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from vlp16emu.chain import Unit
-from vlp16emu.chain.chain import Chain
-from vlp16emu.chain.windows import window_of
+from vlp16emu.engine import Engine, Unit
+from vlp16emu.engine.windows import window_of
 from vlp16emu.motion import Walk
 from vlp16emu.report.plan.geometry import GeometrySize, geometry_of
 from vlp16emu.types import Window
@@ -77,7 +76,7 @@ class Surroundings:
     """Of the first window."""
 
 
-def needs(chain: Chain, *, audited: bool) -> list[Need]:
+def needs(chain: Engine, *, audited: bool) -> list[Need]:
     """List what a recording of the scene has and has not; `audited` if pulses of it are cast again."""
     scenario, parts = chain.scenario, chain.parts
     motion = scenario.motion
@@ -151,7 +150,7 @@ def _need(name: str, row: tuple[bool, str, str]) -> Need:
     return Need(name, on, costs if on else spares)
 
 
-def surroundings(chain: Chain, windows: int) -> Surroundings:
+def surroundings(chain: Engine, windows: int) -> Surroundings:
     """Count what is in the first window and, on average, in windows over the walk.
 
     Parameters

@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
-from vlp16emu.chain.chain import Chain
+from vlp16emu.engine import Engine
 from vlp16emu.report.keeping_up import settings_that_keep_up, speed_beside_sender
 from vlp16emu.report.plan.forecast import Forecast, Spent, forecast
 from vlp16emu.report.plan.needs import Need, Surroundings, libraries, needs, surroundings
@@ -67,7 +67,7 @@ class Plan:
     stream: StreamOutlook
 
 
-def plan_run(chain: Chain, stop_s: float, threads: int, began: Spent, *, scene: str, audited: bool) -> Plan:
+def plan_run(chain: Engine, stop_s: float, threads: int, began: Spent, *, scene: str, audited: bool) -> Plan:
     """Carry out short pieces of a run, and extrapolate.
 
     Parameters
@@ -120,7 +120,7 @@ def _forecast(trial: Trial, stop_s: float, threads: int) -> RunForecast:
     )
 
 
-def _stream(chain: Chain, engine_speed: float, stop_s: float, threads: int) -> StreamOutlook:
+def _stream(chain: Engine, engine_speed: float, stop_s: float, threads: int) -> StreamOutlook:
     """Measure what sending takes, and compare."""
     share = sending_share(list(chain.packets(0.0, min(_SENT_S, stop_s))))
     speed = speed_beside_sender(engine_speed, share, threads, os.cpu_count() or 1)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vlp16emu.chain.chain import Chain
+from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError
 from vlp16emu.packets import returns_in
 from vlp16emu.report.plan.forecast import Spent
@@ -56,7 +56,7 @@ def peak_bytes() -> int | None:
     )
 
 
-def try_out(chain: Chain, stop_s: float, threads: int, began: Spent) -> Trial:
+def try_out(chain: Engine, stop_s: float, threads: int, began: Spent) -> Trial:
     """Carry out pieces of a run, evenly over the first two windows, with all that `record` does but the file.
 
     Parameters
@@ -96,13 +96,13 @@ def try_out(chain: Chain, stop_s: float, threads: int, began: Spent) -> Trial:
     return Trial(first, tuple(pieces), second, windows, peak_bytes())
 
 
-def _windows(chain: Chain, stop_s: float) -> int:
+def _windows(chain: Engine, stop_s: float) -> int:
     if not chain.parts.moves:
         return 1
     return (chain.batching.blocks(0, seconds_to_ns(stop_s)).stop - 1) // chain.batching.segment + 1
 
 
-def _piece(chain: Chain, span_s: tuple[float, float], limit_s: float, threads: int) -> tuple[Spent, Spent]:
+def _piece(chain: Engine, span_s: tuple[float, float], limit_s: float, threads: int) -> tuple[Spent, Spent]:
     """Send packets to nowhere until the time is over: clocks at the first one, and what went by from there on."""
     first, piece, marks = None, Spent(0.0, 0.0), dict[int, int]()
     links, block_ns = [unit.link for unit in chain.parts.units], chain.batching.block_ns
@@ -124,7 +124,7 @@ def _piece(chain: Chain, span_s: tuple[float, float], limit_s: float, threads: i
     return first, piece
 
 
-def _marks(chain: Chain, first_block: int, stop_s: float, threads: int) -> dict[int, int]:
+def _marks(chain: Engine, first_block: int, stop_s: float, threads: int) -> dict[int, int]:
     """Blocks at which clocks are read, and how many had been worked on since the first packet came.
 
     Blocks of a run come at once, and workers finish as many runs as there are threads about together. So when the first

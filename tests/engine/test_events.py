@@ -1,0 +1,272 @@
+"""Events of a run: what is set on sensors while they run, and what goes wrong, found in the bytes."""
+
+import numpy as np
+import pytest
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.engine import Job, scan
+from vlp16emu.engine.timeline import Packer
+from vlp16emu.packets import decode_position
+from vlp16emu.scenario import load
+from vlp16emu.types import PacketKind
+from vlp16emu.units import S_NS, US_NS
+
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
+HALL = {"kind": "hall", "length_m": 20.0, "width_m": 16.0, "height_m": 5.0}
+BLOCK_US = 110.592
+
+
+def emulator(*events, threads=2, gps=True, **sensor):
+    """A sensor on a tripod in a hall, whose pulses are one ray each."""
+    tables = {
+        "schema": 1,
+        "seed": 5,
+        "duration_s": 8.0,
+        "sensor": {"preset": "steady", "model": "vlp-16", **sensor},
+        "beam": {"model": "none"},
+        "gps": {"connected": gps},
+        "motion": {"kind": "static"},
+        "world": HALL,
+        "events": list(events),
+    }
+    return Emulator(load(tables), threads=threads)
+
+
+def data_of(packets):
+    """Payloads of data packets (n, 1206), and when they leave, s since the first pulse."""
+    data = [packet for packet in packets if packet.kind is PacketKind.DATA]
+    due_ns = np.array([packet.due_ns for packet in data]) - load("static_bench").start_ns
+    return np.frombuffer(b"".join(packet.payload for packet in data), np.uint8).reshape(-1, 1206), due_ns
+
+
+def blocks_of(payloads):
+    """Azimuths (n, 12) in hundredths of a degree, and distances (n, 12, 2, 16) in 2 mm."""
+    blocks = payloads[:, :1200].reshape(-1, 12, 100)
+    azimuth = blocks[..., 2] + 256 * blocks[..., 3].astype(int)
+    records = blocks[..., 4:].reshape(-1, 12, 2, 16, 3)
+    return azimuth, records[..., 0] + 256 * records[..., 1].astype(int)
+
+
+def setting(at_s, **keys):
+    """A change of settings."""
+    return {"kind": "setting", "at_s": at_s, **keys}
+
+
+def speeds_rpm(payloads):
+    """Speed within each packet of single return, from its first azimuth to its last."""
+    azimuth, _ = blocks_of(payloads)
+    return ((azimuth[:, 11] - azimuth[:, 0]) % 36000) / 100.0 / (11 * BLOCK_US * 1e-6) / 6.0
+
+
+def test_packets_of_a_field_of_view_stay_the_same_where_others_are_left_out():
+    """A live run that was too slow for some blocks goes on with packets of the run without gaps, and most of them."""
+    run = emulator(setting(0.0, fov_deg=[90, 214]))
+    unit, block, geometry = (
+        run.parts.units[0],
+        run.engine.batching.block,
+        run.engine.windows.at_block(0).result(),
+    )
+    (stretch,) = unit.timeline.stretches(0, S_NS)
+    scanned = [
+        scan(Job(unit, unit.detector, range(number, number + 1), block, run.parts.world.seed), geometry)
+        for number in stretch.blocks(block)[:180]
+    ]
+
+    def payloads(returns):
+        packer = Packer(unit, stretch)
+        return [packet.payload for some in returns for packet in packer.pack(some)]
+
+    left_out = {5, 50, 51, 52, 53, 54, 120}
+    whole, rest = payloads(scanned), payloads(one for n, one in enumerate(scanned) if n not in left_out)
+    assert set(rest) < set(whole)
+    assert len(whole) - 2 * len(left_out) * block // 24 < len(rest)
+
+
+def test_another_speed_is_reached_by_a_ramp():
+    """From 600 to 1200 rpm the rotor runs up by 300 rpm per second, without a jump of its angle, and stays there."""
+    payloads, due_ns = data_of(emulator(setting(1.0, rpm=1200)).packets(0.0, 5.0))
+    speed, at_s = speeds_rpm(payloads), due_ns / S_NS - 0.0007
+    expected = 600.0 + 300.0 * np.clip(at_s - 1.0, 0.0, 2.0)
+    assert abs(speed - expected).max() < 16  # noise of the encoder, and its eccentricity
+    assert abs((speed - expected).mean()) < 0.5
+    steps = np.diff(blocks_of(payloads)[0].reshape(-1)) % 36000
+    assert 30 < steps.min() < steps.max() < 90
+
+
+def test_return_modes_follow_each_other():
+    """Packets are single, then dual, then single return, each at its rate and in its own mode; no pulse is left out."""
+    run = emulator(setting(1.0, return_mode="dual"), setting(2.0, return_mode="last"))
+    payloads, due_ns = data_of(run.packets(0.0, 3.0))
+    for begin_s, mode, per_s in ((0.0, 0x37, 753.5), (1.0, 0x39, 1507.0), (2.0, 0x38, 753.5)):
+        here = (due_ns > (begin_s + 0.0015) * S_NS) & (due_ns < (begin_s + 1.0) * S_NS)
+        assert set(payloads[here, 1204]) == {mode}
+        assert abs(here.sum() - per_s) < 3
+    gaps = np.unique(np.diff(due_ns))
+    assert set(gaps.tolist()) <= {1_327_104, 663_552}
+
+
+def test_a_field_of_view_fills_packets_from_inside_it():
+    """Azimuths of 90 to 180 degrees alone are sent, in whole packets, a quarter as many; their order is that of time."""
+    payloads, due_ns = data_of(emulator(setting(1.0, fov_deg=[90, 179])).packets(1.0, 3.0))
+    azimuth, _ = blocks_of(payloads[due_ns > 1.002 * S_NS])
+    assert azimuth.min() >= 9000
+    assert azimuth.max() < 18000
+    assert abs(len(azimuth) - 2 * 753.5 / 4) < 4
+    assert ((np.diff(azimuth.reshape(-1)) > 0) | (np.diff(azimuth.reshape(-1)) < -8900)).all()
+
+
+def test_a_field_of_view_may_hold_north():
+    """From 350 to 9 degrees the sector goes through 0."""
+    azimuth, _ = blocks_of(data_of(emulator(setting(0.0, fov_deg=[350, 9])).packets(0.0, 1.0))[0])
+    assert ((azimuth >= 35000) | (azimuth < 1000)).all()
+    assert (azimuth >= 35000).any()
+    assert (azimuth < 1000).any()
+
+
+def test_a_span_gives_the_packets_of_the_whole_run():
+    """Packets of events do not depend on the span that is asked for, nor on threads."""
+    events = (
+        setting(0.3, fov_deg=[20, 200]),
+        setting(0.9, rpm=1200, return_mode="dual"),
+        setting(1.5, fov_deg=[0, 359], return_mode="last"),
+        {"kind": "power_cycle", "at_s": 2.0, "off_s": 0.4},
+        {"kind": "dead_laser", "at_s": 0.2, "laser": 7, "duration_s": 1.0},
+    )
+    whole = list(emulator(*events).packets(0.0, 3.0))
+    for start_s, stop_s in ((0.0, 0.8), (0.5, 1.2), (1.1, 2.2), (2.3, 3.0)):
+        begin_ns = emulator().scenario.start_ns
+        span = [p for p in whole if begin_ns + start_s * S_NS <= p.due_ns < begin_ns + stop_s * S_NS]
+        assert list(emulator(*events, threads=1).packets(start_s, stop_s)) == span
+
+
+def test_without_laser_only_position_packets_go_on():
+    """A laser that is switched off sends no data packet until it is on; position packets keep their rate."""
+    packets = list(emulator(setting(1.0, laser=False), setting(2.0, laser=True)).packets(0.0, 3.0))
+    _, due_ns = data_of(packets)
+    assert not ((due_ns > 1.0014 * S_NS) & (due_ns < 2.0013 * S_NS)).any()
+    assert (due_ns > 2.0013 * S_NS).sum() > 750
+    assert len(packets) - len(due_ns) == pytest.approx(3 * 145.6, abs=4)
+
+
+def test_a_power_cycle_is_silent_and_resets_the_clock():
+    """Nothing leaves while the power is off; then the clock counts from 0, unsaved settings are lost, and 5 s later it is locked."""
+    run = emulator(setting(0.5, rpm=1200), {"kind": "power_cycle", "at_s": 1.0, "off_s": 0.5})
+    packets = list(run.packets(0.0, 8.0))
+    since_ns = np.array([packet.due_ns for packet in packets]) - run.scenario.start_ns
+    assert not ((since_ns >= 1.0014 * S_NS) & (since_ns < 1.5 * S_NS)).any()
+    payloads, due_ns = data_of(packets)
+    stamp_us = payloads[:, 1200:1204].copy().view("<u4")[:, 0]
+    first = int(np.searchsorted(due_ns, 1.5 * S_NS))
+    assert stamp_us[first] < 2_000
+    assert speeds_rpm(payloads[first : first + 50]).mean() == pytest.approx(600, abs=6)
+    utc_us = (run.scenario.start_ns + due_ns - 1_327_104) // US_NS % 3_600_000_000
+    assert abs(stamp_us[-1].astype(int) - utc_us[-1]) <= 1
+    jump = int(np.argmax(np.diff(stamp_us[first:].astype(int)))) + first
+    assert due_ns[jump] / S_NS == pytest.approx(6.5, abs=0.01)
+
+
+def test_a_stopped_motor_sends_one_azimuth():
+    """The rotor runs down to a halt within 2 s and up again afterwards, and is found where it halted."""
+    payloads, due_ns = data_of(emulator({"kind": "motor_stop", "at_s": 0.5, "duration_s": 3.0}).packets())
+    speed = speeds_rpm(payloads)
+    halted = (due_ns > 2.6 * S_NS) & (due_ns < 3.4 * S_NS)
+    azimuth, _ = blocks_of(payloads[halted])
+    assert np.ptp(azimuth) <= 6
+    assert speed[due_ns > 5.6 * S_NS].mean() == pytest.approx(600, abs=2)
+
+
+def test_a_wobble_is_a_sine_of_the_speed():
+    """The speed differs from the one set by a sine of the amplitude and period that are given, for as long as it lasts."""
+    wobble = {"kind": "rpm_wobble", "at_s": 1.0, "duration_s": 2.0, "amplitude_rpm": 60.0, "period_s": 0.5}
+    run = emulator(wobble, azimuth_noise_deg=0.0, eccentricity_deg=0.0)
+    payloads, due_ns = data_of(run.packets(0.0, 4.0))
+    at_s = due_ns / S_NS - 0.00072
+    during = (at_s > 1.0) & (at_s < 3.0)
+    expected = np.where(during, 600 + 60 * np.sin(2 * np.pi * (at_s - 1.0) / 0.5), 600.0)
+    assert abs(speeds_rpm(payloads) - expected).max() < 3  # azimuths are in hundredths of a degree
+
+
+def test_phase_is_pulled_in_and_held_through_a_change_of_speed():
+    """At each UTC second the rotor is at the angle that is set, within 0.02 degrees, before and after another speed."""
+    run = emulator(
+        setting(0.2, phase_lock_deg=77.0),
+        setting(3.5, rpm=900),
+        azimuth_noise_deg=0.0,
+        eccentricity_deg=0.0,
+    )
+    rotor = run.parts.head.rotor
+    for second in (2, 3, 6, 7):
+        at_ns = second * S_NS - run.scenario.start_ns % S_NS
+        assert rotor.angle_deg(np.array([at_ns]))[0] == pytest.approx(77.0, abs=0.02)
+    angles = np.unwrap(rotor.angle_deg(np.arange(0, 7 * S_NS, 1_000_000)), period=360)
+    assert 3.4 < np.diff(angles).min() < np.diff(angles).max() < 5.8  # degrees per millisecond: no jump
+
+
+def test_a_dead_laser_has_no_returns():
+    """Its records are empty for as long as it is dead, and those of its neighbours are not."""
+    dead = {"kind": "dead_laser", "at_s": 0.5, "laser": 3, "duration_s": 0.5}
+    payloads, due_ns = data_of(emulator(dead).packets(0.0, 1.5))
+    _, distance = blocks_of(payloads)
+    during = (due_ns > 0.503 * S_NS) & (due_ns < 1.0 * S_NS)
+    assert not distance[during][..., 3].any()
+    assert (distance[during][..., 4] > 0).mean() > 0.9
+    assert (distance[~during][..., 3] > 0).mean() > 0.9
+
+
+def test_a_dirty_window_takes_its_share_of_the_light_twice():
+    """Reflectivity in the sector is that of a clean window times the transmission squared; elsewhere it is the same."""
+    dirty = {"kind": "dirty_window", "at_s": 0.0, "sector_deg": [40, 80], "transmission": 0.5}
+    (clean, _), (dimmed, _) = (data_of(run.packets(0.0, 0.5)) for run in (emulator(), emulator(dirty)))
+    azimuth, _ = blocks_of(clean)
+    light = [p[:, :1200].reshape(-1, 12, 100)[..., 6::3].astype(float) for p in (clean, dimmed)]
+    inside = (azimuth > 4100) & (azimuth < 7900)
+    assert (light[1][inside].sum() / light[0][inside].sum()) == pytest.approx(0.25, abs=0.03)
+    outside = (azimuth < 3900) | (azimuth > 8100)
+    assert (light[0][outside] == light[1][outside]).all()
+
+
+def test_a_free_clock_steps_and_drifts():
+    """A step of 2 ms and a drift of 100 ppm are in the stamps of a sensor without GPS."""
+    event = {"kind": "oscillator", "at_s": 1.0, "offset_us": 2000.0, "drift_ppm": 100.0}
+    payloads, due_ns = data_of(emulator(event, gps=False).packets(0.0, 3.0))
+    stamp_us = payloads[:, 1200:1204].copy().view("<u4")[:, 0].astype(float)
+    ahead_us = stamp_us - (due_ns - 1_327_104) / US_NS
+    at_s = (due_ns - 1_327_104) / S_NS
+    expected = np.where(at_s >= 1.0, 2000.0 + 100.0 * (at_s - 1.0), 0.0)
+    assert abs(ahead_us - expected).max() <= 1.5
+
+
+def test_pulses_without_sentences_set_the_part_below_a_second():
+    """After a loss of power minutes and seconds count from it, and stamps begin anew with the edge of each pulse."""
+    lost, missing = (
+        {"kind": "power_cycle", "at_s": 0.2, "off_s": 0.3},
+        {"kind": "missing_sentence", "at_s": 0.0},
+    )
+    payloads, due_ns = data_of(emulator(lost, missing, clock_error_ppm=100.0).packets(0.0, 4.0))
+    stamp_us = payloads[:, 1200:1204].copy().view("<u4")[:, 0].astype(float)
+    fired_us = (due_ns - 1_327_104) / US_NS  # the first pulse is fired at a whole second
+    free, pulled = (due_ns > 0.6 * S_NS) & (due_ns < S_NS), due_ns > 1.01 * S_NS
+    assert stamp_us[free] == pytest.approx((fired_us[free] - 0.5e6) * 1.0001, abs=1.5)
+    assert stamp_us[pulled] == pytest.approx(fired_us[pulled], abs=1.0)
+
+
+def test_truth_knows_the_first_pulse_of_each_packet(tmp_path):
+    """Poses of packets are those of their first pulses, also where the field of view leaves some out."""
+    run = emulator(setting(0.1, fov_deg=[90, 180]), setting(0.5, return_mode="dual"))
+    run.record(tmp_path / "x.pcap", duration_s=1.0, truth=tmp_path / "t")
+    fired = [packet.fired_ns for packet in run.packets(0.0, 1.0) if packet.kind is PacketKind.DATA]
+    payloads, _ = data_of(run.packets(0.0, 1.0))
+    stamp_us = payloads[:, 1200:1204].copy().view("<u4")[:, 0]
+    assert [t_ns // US_NS % 3_600_000_000 for t_ns in fired] == stamp_us.tolist()
+    slots = [row for some in run.parts.units[0].timeline.sequences(0, S_NS) for row in some[:, 0].tolist()]
+    assert [run.scenario.start_ns + first * 55_296 for first in slots] == fired
+    assert run.parts.units[0].timeline.count(0, S_NS) == len(fired)
+
+
+def test_position_packets_stay_readable():
+    """Whatever is set, each position packet can be decoded."""
+    packets = emulator({"kind": "power_cycle", "at_s": 0.5, "off_s": 0.2}).packets(0.0, 1.0)
+    position = [p for p in packets if p.kind is PacketKind.POSITION]
+    assert len(position) > 90
+    assert all(decode_position(packet.payload) for packet in position)

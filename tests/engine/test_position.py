@@ -1,0 +1,132 @@
+"""Position packets: sentences that follow the walk and the canopy."""
+
+import numpy as np
+import pytest
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.engine.position import make_receiver, position_packets
+from vlp16emu.packets import decode_position, parse_rmc
+from vlp16emu.scenario import load
+from vlp16emu.units import S_NS
+
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
+FOREST = [
+    "world.stems_per_ha=150",
+    "sensor.max_range_m=20.0",
+    "seed=5",
+    "gps.canopy_half_cover=0.25",
+    "gps.canopy_cover_width=0.1",
+]
+
+
+@pytest.fixture(scope="module")
+def birch():
+    """A thin forest, with a receiver that trees disturb easily."""
+    return Emulator(load("birch_walk", FOREST), threads=2)
+
+
+class Closed:
+    """Windows that nobody may open."""
+
+    def at_time(self, _since_ns):
+        """Fail."""
+        raise AssertionError("a window is opened")
+
+
+def sentences(emulator, receiver, start_s, stop_s):
+    """All sentences of a span, in order."""
+    parts, span_ns = emulator.parts, (round(start_s * S_NS), round(stop_s * S_NS))
+    packets = position_packets(emulator.scenario, receiver, parts.units[0], *span_ns)
+    return [decode_position(packet.payload).sentence for packet in packets]
+
+
+def test_sentences_do_not_depend_on_how_a_run_is_cut(birch):
+    """Any second can be had first, and from another emulator: the sentences are the same, lost fixes included."""
+    whole = sentences(birch, birch.receiver, 0.0, 20.0)
+    assert {parse_rmc(sentence).valid for sentence in whole} == {True, False}
+    other = Emulator(birch.scenario, threads=1)
+    late = sentences(other, other.receiver, 13.2, 20.0)
+    assert late == whole[-len(late) :]
+    early = sentences(other, other.receiver, 0.0, 13.2)
+    assert early + late == whole
+
+
+def test_sentences_follow_the_walk(birch):
+    """Places that are reported lie within 5 sigma of the antenna's, and speeds of the walk's."""
+    gps = birch.scenario.gps
+    for second in range(birch.scenario.start_ns // S_NS + 2, birch.scenario.start_ns // S_NS + 20):
+        reading = birch.receiver.reading(second * S_NS)
+        most = gps.canopy_error_factor
+        assert np.abs(reading.measured_m - reading.antenna_m).max() < 5 * most * 1.24
+        assert np.abs(reading.measured_m_s - reading.velocity_m_s[:2]).max() < 5 * most * 0.05
+        assert 0.0 < reading.cover < 1.0
+
+
+def test_without_canopy_loss_no_window_is_opened(birch):
+    """A scene that wants no canopy loss casts nothing for its receiver, and each fix of it is valid."""
+    scenario = load("birch_walk", [*FOREST, "gps.canopy_loss=false"])
+    receiver = make_receiver(scenario, birch.parts, Closed())
+    assert all(parse_rmc(sentence).valid for sentence in sentences(birch, receiver, 0.0, 15.0))
+
+
+def test_the_receivers_windows_are_those_of_the_run(birch):
+    """A run of two segments with its receiver opens each window once."""
+    opened = []
+    emulator = Emulator(birch.scenario)
+    world = emulator.parts.world
+
+    class Counting:
+        def window(self, track_m):
+            """Count, and look through."""
+            opened.append(track_m)
+            return world.window(track_m)
+
+        shape, seed = world.shape, world.seed
+
+    parts = emulator.parts
+    object.__setattr__(parts, "world", Counting())
+    span = 6.3, 7.3
+    packets = list(emulator.packets(*span))
+    assert packets
+    assert len(opened) == 2
+
+
+WORST = [
+    "gps.position_noise_m=1000",
+    "gps.wander_m=1000",
+    "gps.wander_s=1",
+    "gps.velocity_noise_m_s=100",
+    "gps.canopy_error_factor=100",
+    "gps.latitude_deg=89.999",
+]
+
+
+@pytest.mark.parametrize("settings", [["gps.velocity_noise_m_s=30"], WORST], ids=["30 m/s", "worst"])
+def test_no_error_of_the_receiver_ends_a_run(settings):
+    """With the greatest errors that a scene may give, and under a roof, each second still has a sentence of at most 82 bytes."""
+    emulator = Emulator(load("static_bench", ["gps.connected=true", *settings]))
+    spoken = set(sentences(emulator, emulator.engine.receiver, 0.0, 30.0))
+    assert len(spoken) == 31
+    assert max(map(len, spoken)) <= 82
+    assert 50.0 < max(parse_rmc(sentence).speed_m_s for sentence in spoken) < 514.0
+
+
+@pytest.mark.parametrize("rate", ["measured", "manual"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_position_packet_is_older_than_its_sensor(rate, seed):
+    """Without GPS the first stamp, told 350 us before its packet leaves, is not before power-up, and stamps grow from there."""
+    settings = [f"seed={seed}", f"sensor.position_rate={rate}", "gps.connected=false"]
+    scenario = load("static_bench", settings)
+    emulator = Emulator(scenario)
+    packets = position_packets(scenario, None, emulator.parts.units[0], 0, S_NS)
+    stamps_ns = [decode_position(packet.payload).time_ns for packet in packets]
+    assert 0 <= stamps_ns[0] <= 30_000
+    assert stamps_ns == sorted(stamps_ns)
+    assert stamps_ns[-1] < S_NS
+
+
+def test_no_receiver_no_sentence():
+    """Without GPS the area of the sentence is empty and no receiver is asked."""
+    emulator = Emulator(load("static_bench", ["gps.connected=false"]))
+    assert set(sentences(emulator, None, 0.0, 0.5)) == {b""}

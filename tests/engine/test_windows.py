@@ -1,0 +1,217 @@
+"""Work ahead, in order."""
+
+import gc
+import threading
+import time
+import weakref
+from concurrent.futures import CancelledError
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from vlp16emu.engine.windows import BLOCK, SEGMENT, Batching, Windows, in_order
+
+
+def windows(*, per_segment=4, threads=2, opened=None):
+    def open_segment(segment):
+        if opened is not None:
+            opened.append(segment)
+        return f"segment {segment}"
+
+    batching = SimpleNamespace(block_ns=100, segment=per_segment or 4, parts=1)
+    return Windows(open_segment, batching, moves=per_segment is not None, threads=threads)
+
+
+def prefetch(work, of, *, blocks, threads, together):
+    """Work on runs of blocks in order."""
+    jobs = (SimpleNamespace(blocks=run) for run in of.runs(blocks, together, threads))
+    return in_order(lambda job, scene: work(job.blocks, scene), jobs, of, threads=threads, stop=blocks.stop)
+
+
+def run(work, blocks, *, per_segment=4, threads=2, opened=None, together=1):
+    of = windows(per_segment=per_segment, threads=threads, opened=opened)
+    return prefetch(work, of, blocks=blocks, threads=threads, together=together)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_results_come_in_order_with_their_segment(threads):
+    """Each block is worked on once, with the segment it belongs to, and handed out in order."""
+    out = list(run(lambda run, scene: (run.start, scene.result()), range(3, 14), threads=threads))
+    assert out == [(block, f"segment {block // 4}") for block in range(3, 14)]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("span", [range(3), range(3, 14), range(50, 400)])
+def test_runs_hold_each_block_once_and_keep_to_segments(threads, span):
+    """Runs follow each other without gaps, none crosses a segment, and the first and last of every worker are single."""
+    runs = list(windows(per_segment=64, threads=threads).runs(span, 8, threads))
+    assert [block for run in runs for block in run] == list(span)
+    assert all(run.start // 64 == (run.stop - 1) // 64 for run in runs)
+    assert all(len(run) == 1 for run in runs[:threads])
+    assert len(runs[-1]) == 1
+    longest = {3: (1, 1, 1), 11: (4, 2, 1), 350: (8, 8, 4)}[len(span)]
+    assert max(map(len, runs)) == dict(zip((1, 2, 5), longest, strict=True))[threads]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 7, 16, 24, 64, 100])
+def test_with_any_number_of_threads_windows_are_opened_once(threads):
+    """Neither workers far ahead nor who looks back 1.4 s, for the sky, make a window be opened again."""
+    opened = []
+    of = windows(per_segment=64, threads=threads, opened=opened)
+    results = prefetch(lambda run, _scene: run, of, blocks=range(640), threads=threads, together=8)
+    for run in results:
+        of.at_time(100 * (run.start - 13)).result()
+    assert opened == list(range(10))
+
+
+def test_each_stretch_is_opened_once_and_none_beyond_the_end():
+    """Stretches are opened in order, once each, and only those that the blocks need."""
+    opened = []
+    list(run(lambda _run, scene: scene.result(), range(3, 14), opened=opened))
+    assert opened == [0, 1, 2, 3]
+
+
+def test_all_blocks_may_share_one_segment():
+    """Where nothing moves a single segment serves all."""
+    opened = []
+    list(run(lambda _run, scene: scene.result(), range(100), per_segment=None, opened=opened))
+    assert opened == [0]
+
+
+def test_work_runs_only_a_little_ahead():
+    """The number of blocks begun but not handed out stays bounded by the number of threads."""
+    begun, most = [], 0
+    for number, _ in enumerate(run(lambda run, _scene: begun.append(run), range(200), threads=2)):
+        most = max(most, len(begun) - number)
+    assert most <= 6
+
+
+def test_an_error_reaches_the_caller():
+    """An error in the work or in opening is raised where the result is taken."""
+
+    def fail(run, _scene):
+        if run.start == 5:
+            raise OSError("block five")
+        return run.start
+
+    results = run(fail, range(10))
+    assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
+    with pytest.raises(OSError, match="block five"):
+        next(results)
+
+
+def test_leaving_early_stops_the_work():
+    """A run that is left in the middle begins no further blocks and leaves no worker behind."""
+    begun, before = [], set(threading.enumerate())
+    results = run(lambda run, _scene: begun.append(run), range(10_000))
+    next(results)
+    workers = [thread for thread in threading.enumerate() if thread.name.startswith("work")]
+    results.close()
+    for thread in set(workers) - before:
+        thread.join(10)
+        assert not thread.is_alive()
+    assert len(begun) < 20
+
+
+def test_no_blocks_no_work():
+    """An empty span opens nothing."""
+    opened = []
+    assert list(run(lambda run, scene: run, range(0), opened=opened)) == []
+    assert opened == []
+
+
+def test_a_wire_sensor_is_cut_as_ever():
+    """A VLP-16 has blocks of 1920 sequences, whole packets in both return modes, and segments of 64 of them."""
+    batching = Batching(16, 55_296)
+    assert (batching.block, batching.segment) == (BLOCK, SEGMENT) == (1_920, 64)
+    assert batching.block_ns == 1_920 * 55_296
+    assert batching.block % 24 == batching.block % 12 == 0
+
+
+def test_parts_of_blocks_leave_windows_where_they_are():
+    """Blocks of a VLP-16 in 20 parts, whole packets as well, have the same segments and the same edges to look from."""
+    whole, parts = Batching(16, 55_296), Batching(16, 55_296, 20)
+    assert (parts.block, parts.block % 24) == (96, 0)
+    assert parts.segment == 20 * whole.segment
+    assert (parts.edges_ns(3) == whole.edges_ns(3)).all()
+
+
+@pytest.mark.parametrize("lasers", [1, 8, 64, 256, 1024])
+@pytest.mark.parametrize("sequence_ns", [2_315, 55_556, 5_555_556])
+def test_blocks_of_any_sensor_are_bounded(lasers, sequence_ns):
+    """Blocks are multiples of 8 sequences, with no more pulses than a VLP-16's and no longer unless that is the least."""
+    batching = Batching(lasers, sequence_ns)
+    assert batching.block % 8 == 0
+    assert batching.block == 8 or (batching.block * lasers <= 16 * BLOCK and batching.block_ns <= 110_000_000)
+    assert 6.5e9 < batching.segment * batching.block_ns <= 6.8e9
+
+
+def test_blocks_hold_the_span_and_edges_the_blocks():
+    """The blocks of a span begin no later and end no earlier, and a segment's edges are its blocks' beginnings."""
+    batching = Batching(64, 55_556)
+    blocks = batching.blocks(3 * batching.block_ns + 1, 5 * batching.block_ns)
+    assert list(blocks) == [3, 4]
+    edges_ns = batching.edges_ns(2)
+    assert len(edges_ns) == batching.segment + 1
+    assert (edges_ns == (2 * batching.segment + np.arange(batching.segment + 1)) * batching.block_ns).all()
+
+
+def test_whoever_asks_gets_the_same_window():
+    """A window that the blocks use is not opened again for a time in it, nor one asked for by time for the blocks."""
+    opened = []
+    of = windows(opened=opened)
+    assert of.at_time(399).result() == "segment 0"
+    results = prefetch(lambda _run, scene: scene.result(), of, blocks=range(8), threads=1, together=1)
+    for block, scene in enumerate(results):
+        assert of.at_time(100 * block).result() == scene
+    assert opened == [0, 1]
+
+
+def test_before_the_run_the_first_window_serves():
+    """A time before the first pulse is looked at from the first segment."""
+    assert windows().at_time(-12_000).result() == "segment 0"
+
+
+def test_a_window_that_was_left_is_not_kept():
+    """Two windows are kept, so one asked for again after two others is opened again."""
+    opened = []
+    of = windows(opened=opened, per_segment=64, threads=1)
+    for segment in (0, 1, 0, 2, 1):
+        of.at_block(64 * segment).result()
+    assert opened == [0, 1, 2, 1]
+
+
+def test_windows_are_let_go_with_their_owner():
+    """Nothing holds a window in a circle: it dies with the last who knows it, without the collector."""
+
+    class World:
+        pass
+
+    gc.disable()
+    try:
+        of = Windows(
+            lambda _segment: World(), SimpleNamespace(block_ns=1, segment=4, parts=1), moves=True, threads=1
+        )
+        alive = weakref.ref(of.at_block(0).result())
+        assert alive() is not None
+        del of
+        until_s = time.monotonic() + 60.0
+        while alive() is not None and time.monotonic() < until_s:  # the thread that opened it lets go last
+            time.sleep(0.001)
+        assert alive() is None
+    finally:
+        gc.enable()
+
+
+def test_a_stop_ends_the_wait_for_a_window():
+    """Who waits for a block is let go when the run is stopped, and no thread that grows its window is waited for."""
+    grown, stop = threading.Event(), threading.Event()
+    batching = SimpleNamespace(block_ns=100, segment=4, parts=1)
+    of = Windows(lambda _segment: grown.wait(), batching, moves=True, threads=2)
+    results = prefetch(lambda _run, scene: scene.result(), of, blocks=range(8), threads=2, together=1)
+    threading.Timer(0.0, stop.set).start()
+    with of.stopped_by(stop), pytest.raises(CancelledError):
+        next(results)
+    grown.set()
+    assert of.wait(of.at_block(0))

@@ -1,0 +1,190 @@
+"""The program on one page: poses - aim - cast - shade - dim - detect - pack - merge in order of sending.
+
+Blocks of firing sequences are computed whole, and windows of the world change at fixed blocks: neither threads nor the
+span that is asked for can change a byte.
+"""
+
+import heapq
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from typing import Self
+
+from vlp16emu.device.events import Event, PacketEvent
+from vlp16emu.doors import door
+from vlp16emu.engine.build import Like, Parts, Unit, assemble, with_events
+from vlp16emu.engine.position import make_receiver, position_packets
+from vlp16emu.engine.timeline import Packer, TruthOf
+from vlp16emu.engine.windows import Batching, OwnWindows, Windows, in_order, windows_of
+from vlp16emu.errors import TrajectoryError
+from vlp16emu.motion.gnss import Receiver
+from vlp16emu.raycast.caster import Geometry
+from vlp16emu.raycast.texture import textured
+from vlp16emu.returns.detect import detect
+from vlp16emu.returns.detector import UnitDetector
+from vlp16emu.scenario import Scenario
+from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.types import Firings, Hits, Packet, Returns
+from vlp16emu.units import seconds_to_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """Blocks of one unit that are scanned together, under constant settings."""
+
+    unit: Unit
+    detector: UnitDetector
+    """For the return mode of the stretch."""
+    blocks: range
+    """Numbers of the blocks, within one window of the world."""
+    block: int
+    """Firing sequences per block."""
+    texture_seed: int
+    truth: bool = False
+    """Whether returns carry the surfaces that they are from."""
+
+
+Tap = Callable[[Job, Firings, Hits, Geometry], None]
+"""An observer of a job's pulses and of what they met, called on the thread that cast them."""
+
+
+def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
+    """Emit the pulses of a job and detect their echoes."""
+    unit, head, count = job.unit, job.unit.head, len(job.blocks) * job.block
+    firings = head.aim(
+        job.blocks.start * job.block, count, unit.motion.poses_at, beam_axis=unit.beam.has_width
+    )
+    hits = geometry.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
+    for tap in taps:
+        tap(job, firings, hits, geometry)
+    light = unit.optics.dimmed(firings, textured(firings, hits, geometry.surfaces, job.texture_seed))
+    return unit.optics.received(detect(firings, light, geometry.surfaces, job.detector, truth=job.truth))
+
+
+@dataclass(frozen=True)
+class Engine:
+    """A scenario that is set up: sensors on one carrier, and the world around them.
+
+    It is a value: another one with other events, taps or options is made by `with_events` and `dataclasses.replace`,
+    and shares world, windows and receiver.
+    """
+
+    scenario: Scenario
+    """Decides every byte."""
+    parts: Parts
+    batching: Batching
+    windows: Windows[Geometry]
+    receiver: Receiver
+    threads: int
+    """Workers; they change the speed only."""
+    taps: tuple[Tap, ...] = ()
+    prompt: bool = False
+    """Whether blocks are cast one by one, so that what is set anew shows soon; it changes the speed only."""
+    truth_of: TruthOf | None = None
+    """Ground truth that data packets carry behind their records."""
+
+    @classmethod
+    def of(
+        cls, scenario: Scenario, *, threads: int = 0, taps: Sequence[Tap] = (), like: Like | None = None
+    ) -> Self:
+        """Set up a scenario; no geometry is built yet.
+
+        Parameters
+        ----------
+        threads : workers, 0 for one per core
+        like : another engine; what that one has grown and built of the same world is used again
+
+        Raises
+        ------
+        InputError
+            If a part of the scenario cannot be made
+        """
+        parts, threads = assemble(scenario, like), threads or os.cpu_count() or 1
+        batching = Batching.of(parts.head.beams)
+        windows = windows_of(parts, scenario.start_ns, batching, threads)
+        receiver = make_receiver(scenario, parts, windows)
+        return cls(scenario, parts, batching, windows, receiver, threads, tuple(taps))
+
+    def packets(self, start_s: float = 0.0, stop_s: float | None = None) -> Iterator[Packet]:
+        """Packets that leave from `start_s` until before `stop_s` after the first pulse, in order of sending.
+
+        Raises
+        ------
+        ScenarioError
+            If the sensor has no packets
+        TrajectoryError
+            If the span begins before the first pulse, or the walk ends before the span does
+        """
+        on_the_wire(self.scenario.sensor)
+        span_ns = self.span_ns(start_s, stop_s)
+        if any(isinstance(event, PacketEvent) for event in self.scenario.events):
+            packets: Iterator[Packet] = door("faults")(self.scenario, self.parts.units, self.sent, *span_ns)
+            return packets
+        return self.sent(*span_ns)
+
+    def sent(self, start_ns: int, stop_ns: int) -> Iterator[Packet]:
+        """Merge the packets that leave in a span since the first pulse, before anything happens to them on their way."""
+        streams = list[Iterator[Packet]]()
+        # Of packets due at once those of the first unit leave first, and its data packets first.
+        for unit in self.parts.units:
+            streams.append(self._data_packets(unit, start_ns, stop_ns))
+            streams.append(position_packets(self.scenario, self.receiver, unit, start_ns, stop_ns))
+        return heapq.merge(*streams, key=lambda packet: packet.due_ns)
+
+    def returns(
+        self, start_s: float = 0.0, stop_s: float | None = None, unit: int = 0, *, truth: bool = False
+    ) -> Iterator[Returns]:
+        """Yield the returns of a unit before packing, in whole blocks that hold at least the span; with their surfaces if `truth`."""
+        blocks, of = self.batching.blocks(*self.span_ns(start_s, stop_s)), self.parts.units[unit]
+        return self._scans(of, of.detector, blocks, self.threads, truth=truth)
+
+    def with_events(self, events: Sequence[Event]) -> Self:
+        """Return an engine to whose sensors other events happen."""
+        scenario = self.scenario.model_copy(update={"events": list(events)})
+        return replace(self, scenario=scenario, parts=with_events(self.parts, scenario))
+
+    def with_new_receiver(self) -> Self:
+        """Return an engine whose GPS receiver has seen nothing yet."""
+        return replace(self, receiver=make_receiver(self.scenario, self.parts, self.windows))
+
+    def span_ns(self, start_s: float, stop_s: float | None) -> tuple[int, int]:
+        """Check a span of the run and convert it to nanoseconds since the first pulse; without an end it is the scene's.
+
+        Raises
+        ------
+        TrajectoryError
+            If it begins before the first pulse, ends after the motion, or no poses arrive in a live scene
+        """
+        if isinstance(self.parts.carrier, OwnWindows):
+            self.parts.carrier.require_open()
+        stop_s = self.scenario.duration_s if stop_s is None else stop_s
+        if (start_ns := seconds_to_ns(start_s)) < 0:
+            raise TrajectoryError("start", f"found {start_s:g} s", "0 s or later")
+        if stop_s > (end_s := self.parts.motion.run_time_s):
+            keys = "; longer with motion.laps, and motion.back_and_forth where the path is open"
+            most = f"at most the walk's {end_s:.1f} s{keys if self.scenario.motion.kind == 'walk' else ''}"
+            raise TrajectoryError("duration", f"found {stop_s:g} s", most)
+        return start_ns, seconds_to_ns(stop_s)
+
+    def _data_packets(self, unit: Unit, start_ns: int, stop_ns: int) -> Iterator[Packet]:
+        """Yield the data packets of a unit due in a span since the first pulse."""
+        threads = self.threads // len(self.parts.units) or 1
+        for stretch in unit.timeline.stretches(start_ns, stop_ns):
+            detector, packer = unit.detector.for_mode(stretch.mode), Packer(unit, stretch, self.truth_of)
+            blocks = stretch.blocks(self.batching.block)
+            for returns in self._scans(unit, detector, blocks, threads, truth=self.truth_of is not None):
+                yield from packer.pack(returns)
+
+    def _scans(
+        self, unit: Unit, detector: UnitDetector, blocks: range, threads: int, *, truth: bool
+    ) -> Iterator[Returns]:
+        """Scan blocks on several threads; yield their returns in order of blocks."""
+        together = 1 if self.prompt or self.truth_of else unit.beam.together
+        runs = self.windows.runs(blocks, together, threads)
+        of_run = self.batching.block, self.parts.world.seed, truth
+        jobs = (Job(unit, detector, run, *of_run) for run in runs)
+        return in_order(self._scan, jobs, self.windows, threads=threads, stop=blocks.stop)
+
+    def _scan(self, job: Job, opened: Future[Geometry]) -> Returns:
+        return scan(job, opened.result(), self.taps)

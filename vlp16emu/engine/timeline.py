@@ -1,0 +1,215 @@
+"""Which firing sequences of a unit are sent over a run, and in which packets."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.packets import SEQUENCES_PER_PACKET, azimuth_cdeg, pack_data
+from vlp16emu.sensor.head import Head
+from vlp16emu.types import NO_SURFACE, Firings, Packet, ReturnMode, Returns, SensorModel
+
+if TYPE_CHECKING:
+    from vlp16emu.engine.build import Unit
+
+TruthOf = Callable[["Unit", Returns, ReturnMode], NDArray[np.void]]
+"""Ground truth of the records of whole packets, which are packed in a mode."""
+
+_AT_ONCE = 1 << 16
+"""Firing sequences whose azimuths are read at once, 3.6 s of them."""
+_BY_SEQUENCE = ("t_ns", "clock_ns", "azimuth_deg", "reading_deg", "origin_m", "direction")
+"""Arrays of `Firings`, one row each per firing sequence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A part of a run in which the settings of packets stay as they are."""
+
+    first: int
+    """Firing sequence, at which a packet begins."""
+    stop: int | None
+    """Firing sequence after the last; None for a span without end."""
+    mode: ReturnMode
+    fov_deg: tuple[int, int] | None
+    """First and last azimuth that is sent, in whole degrees; None for all around."""
+
+    @property
+    def per_packet(self) -> int:
+        """Firing sequences of a packet."""
+        return SEQUENCES_PER_PACKET[self.mode]
+
+    def blocks(self, block: int) -> range:
+        """Return the blocks of `block` firing sequences that hold the stretch, which has an end."""
+        assert self.stop is not None
+        return range(self.first // block, -(-self.stop // block))
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """What a unit sends over a run."""
+
+    head: Head
+    spans: tuple[Stretch, ...]
+    """In order of time, without overlap."""
+    silences_ns: tuple[tuple[int, int], ...] = ()
+    """Spans of time since the first pulse in which no packet of any kind leaves."""
+
+    def _stop_of(self, span: Stretch, stop_ns: int) -> int:
+        """Find the firing sequence after the last of a span that a packet due before a time since the first pulse may have."""
+        last = -(-stop_ns // self.head.beams.sequence_ns) - 1
+        return last if span.stop is None else min(span.stop, last)
+
+    def chosen(self, span: Stretch, first: int, stop: int) -> NDArray[np.int64]:
+        """Find the firing sequences from `first` until before `stop`, both even, that lie in the field of view of a span.
+
+        Blocks are sent or not as a whole, by the azimuth in them; the last degree of the field of view is part of it.
+        """
+        every = np.arange(first, stop, dtype=np.int64)
+        if span.fov_deg is None:
+            return every
+        angle_deg = self.head.rotor.angle_deg(every * self.head.beams.sequence_ns)
+        code = azimuth_cdeg(self.head.rotor.reading_deg(angle_deg, first)[::2])
+        begin, end = 100 * span.fov_deg[0], 100 * (span.fov_deg[1] + 1)
+        inside = (code >= begin) & (code < end) if begin < end else (code >= begin) | (code < end)
+        return every[np.repeat(inside, 2)]
+
+    def _begin_of(self, span: Stretch, start_ns: int) -> int:
+        """Find the firing sequence at which the packets of a span begin that may be due from a time on."""
+        if span.fov_deg is not None:
+            return span.first
+        period_ns = span.per_packet * self.head.beams.sequence_ns
+        behind_ns = start_ns - span.first * self.head.beams.sequence_ns
+        return span.first + max(0, -(-behind_ns // period_ns) - 1) * span.per_packet
+
+    def sequences(self, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
+        """Yield the firing sequences (n, 24) or (n, 12) of packets due in a span of time since the first pulse."""
+        for span in self.spans:
+            yield from self._sequences_of(span, start_ns, stop_ns)
+
+    def _sequences_of(self, span: Stretch, start_ns: int, stop_ns: int) -> Iterator[NDArray[np.int64]]:
+        sequence_ns = self.head.beams.sequence_ns
+        begin, stop = self._begin_of(span, start_ns), self._stop_of(span, stop_ns) & ~1
+        left = np.empty(0, np.int64)
+        for first in range(begin, stop, _AT_ONCE):
+            chosen = np.concatenate([left, self.chosen(span, first, min(first + _AT_ONCE, stop))])
+            whole = len(chosen) // span.per_packet * span.per_packet
+            rows, left = chosen[:whole].reshape(-1, span.per_packet), chosen[whole:]
+            rows = rows[(rows[:, -1] + 1) * sequence_ns >= start_ns]
+            if len(rows):
+                yield rows
+
+    def stretches(self, start_ns: int, stop_ns: int) -> Iterator[Stretch]:
+        """Cut a span of time since the first pulse where settings change; without stretches that no packet is due in.
+
+        Each begins with the first packet that is due in the span.
+        """
+        for span in self.spans:
+            sequences = next(self._sequences_of(span, start_ns, stop_ns), None)
+            if sequences is not None:
+                first, stop = int(sequences[0, 0]), self._stop_of(span, stop_ns)
+                if span.fov_deg is None:
+                    stop -= (stop - first) % span.per_packet
+                yield replace(span, first=first, stop=stop)
+
+    def count(self, start_ns: int, stop_ns: int) -> int:
+        """Count the packets due in a span of time since the first pulse."""
+        return sum(
+            sum(map(len, self._sequences_of(span, start_ns, stop_ns)))
+            if span.fov_deg
+            else max((self._stop_of(span, stop_ns) - self._begin_of(span, start_ns)) // span.per_packet, 0)
+            for span in self.spans
+        )
+
+    def is_silent(self, since_ns: int) -> bool:
+        """Whether nothing is sent at a time since the first pulse."""
+        return any(begin <= since_ns < end for begin, end in self.silences_ns)
+
+
+class Packer:
+    """Packs the returns of a stretch into data packets; it keeps those of the packet that is not full yet.
+
+    Parameters
+    ----------
+    truth_of : where packets carry the ground truth of their records
+    """
+
+    def __init__(self, unit: "Unit", stretch: Stretch, truth_of: TruthOf | None = None) -> None:
+        self._unit, self._stretch, self._truth_of = unit, stretch, truth_of
+        self._reached, self._lost = stretch.first, 0
+        self._left: Returns | None = None
+
+    def pack(self, returns: Returns) -> Iterator[Packet]:
+        """Pack the returns of successive firing sequences; a packet that does not fill is not sent.
+
+        If blocks are missing before these, packets go on as if the missing ones had been sent.
+        """
+        stretch, per_packet = self._stretch, self._stretch.per_packet
+        begin = returns.firings.index
+        first, stop = max(stretch.first, begin), min(stretch.stop or 2**62, begin + _count(returns))
+        rows = self._rows(returns, first, stop)
+        if first > self._reached:
+            missing = len(self._unit.timeline.chosen(stretch, self._reached, first & ~1))
+            self._lost += missing + (_count(self._left) if self._left else 0)
+            self._left = None
+        self._reached = stop
+        if skipped := min(-self._lost % per_packet, _count(rows)):
+            self._lost += skipped
+            rows = _rows(rows, slice(skipped, None))
+        rows = _joined([self._left, rows]) if self._left else rows
+        whole = _count(rows) // per_packet * per_packet
+        self._left = _rows(rows, slice(whole, None)) if whole < _count(rows) else None
+        yield from self._packed(_rows(rows, slice(whole)))
+
+    def _rows(self, returns: Returns, first: int, stop: int) -> Returns:
+        """Take what is sent of the firing sequences `first` to `stop` - 1."""
+        begin = returns.firings.index
+        if self._stretch.fov_deg is None:
+            return _rows(returns, slice(first - begin, stop - begin))
+        return _rows(returns, self._unit.timeline.chosen(self._stretch, first, stop & ~1) - begin)
+
+    def _packed(self, returns: Returns) -> list[Packet]:
+        unit, mode = self._unit, self._stretch.mode
+        packets = pack_data(returns, mode, SensorModel(unit.section.model), unit.number)
+        if self._truth_of is None:
+            return packets
+        truth = self._truth_of(unit, returns, mode)
+        return [replace(packet, slots=rows) for packet, rows in zip(packets, truth, strict=True)]
+
+
+_BY_RETURN = ("distance_m", "reflectivity", "surface", "range_m", "share")
+
+
+def _rows(returns: Returns, rows: slice | NDArray[np.int64]) -> Returns:
+    """Take some firing sequences of returns, for packing: in order of time, not all of them in a row."""
+    arrays = {name: getattr(returns.firings, name)[rows] for name in _BY_SEQUENCE}
+    taken = {name: whole[rows] for name in _BY_RETURN if (whole := getattr(returns, name)) is not None}
+    firings = Firings(index=returns.firings.index, beam_axis=None, **arrays)
+    return Returns(firings, surfaces=returns.surfaces, **taken)
+
+
+def _joined(some: list[Returns]) -> Returns:
+    """Put the rows of returns behind each other, and their tables of surfaces."""
+    first, arrays = some[0], dict[str, NDArray[Any]]()
+    for name in _BY_SEQUENCE:
+        arrays[name] = np.concatenate([getattr(each.firings, name) for each in some])
+    firings = Firings(index=first.firings.index, beam_axis=None, **arrays)
+    if first.surfaces is None:
+        joined = {name: np.concatenate([getattr(each, name) for each in some]) for name in _BY_RETURN[:2]}
+        return Returns(firings, **joined)
+    tables = [each.surfaces for each in some if each.surfaces is not None]
+    begins = np.cumsum([0, *map(len, tables[:-1])])
+    moved = [
+        replace(
+            each, surface=np.where(each.surface == NO_SURFACE, NO_SURFACE, each.surface + np.uint32(begin))
+        )
+        for each, begin in zip(some, begins.tolist(), strict=True)
+        if each.surface is not None
+    ]
+    joined = {name: np.concatenate([getattr(each, name) for each in moved]) for name in _BY_RETURN}
+    return Returns(firings, surfaces=np.concatenate(tables), **joined)
+
+
+def _count(returns: Returns) -> int:
+    return len(returns.distance_m)

@@ -1,0 +1,275 @@
+"""Work ahead: windows of the world and blocks of a run on several threads, handed out in order."""
+
+import math
+from collections import deque
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import groupby
+from threading import Event
+from typing import Any, Generic, Protocol, Self, TypeVar, runtime_checkable
+from weakref import WeakValueDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.engine.build import Parts
+from vlp16emu.raycast.caster import Caster, Geometry, caster
+from vlp16emu.sensor.beams import SEQUENCE_NS, BeamTable
+from vlp16emu.types import Window
+
+BLOCK = 1_920
+"""Firing sequences of a VLP-16 computed at once, 106 ms: whole packets in every return mode, and of 8 rays."""
+STEPS = 20
+"""Parts of a block of a VLP-16: steps of a live run, 5.3 ms each."""
+SEGMENT = 64
+"""Blocks of a VLP-16 that share a window of the world, 6.8 s or some 8 m of walking."""
+
+_RAYS = 8
+_PULSES = 16 * BLOCK
+_LONGEST_NS = 110_000_000
+_SEGMENT_NS = 6_800_000_000
+_POLL_S = 0.05
+"""How often whoever waits looks whether the run shall end."""
+_LEAD, _LAG = 3 / 8, 1 / 4
+"""Shares of a segment: how long before its use a window is opened, and how far behind the present the sky over the antenna
+is asked for, at most (1.4 s). Workers share the rest."""
+
+_CASTERS: WeakValueDictionary[int, Caster] = WeakValueDictionary()
+"""Of runs that are kept, by their world's identity: runs in one world share what is built of it."""
+
+S = TypeVar("S")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Batching:
+    """How the run of a sensor is cut: a VLP-16's into blocks of `BLOCK` and segments of `SEGMENT`.
+
+    Blocks of other sensors have no more pulses than that and last no longer, but have whole packets of 8 rays.
+    """
+
+    lasers: int
+    sequence_ns: int
+    """From one firing sequence to the next."""
+    parts: int = 1
+    """Into which blocks are cut for packets that do not wait for a whole one; they change no byte."""
+
+    @classmethod
+    def of(cls, beams: BeamTable) -> Self:
+        """Return the batching of a run; blocks of sensors with packets are cut into steps of a live run."""
+        return cls(
+            len(beams.elevation_deg), beams.sequence_ns, STEPS if beams.sequence_ns == SEQUENCE_NS else 1
+        )
+
+    @property
+    def block(self) -> int:
+        """Firing sequences of a block, or of a part of one."""
+        most = min(_PULSES // self.lasers, _LONGEST_NS // self.sequence_ns)
+        return max(most // (_RAYS * self.parts), 1) * _RAYS
+
+    @property
+    def block_ns(self) -> int:
+        """How long a block lasts."""
+        return self.block * self.sequence_ns
+
+    @property
+    def segment(self) -> int:
+        """Blocks of a segment."""
+        return _SEGMENT_NS // self.block_ns
+
+    def blocks(self, start_ns: int, stop_ns: int) -> range:
+        """Blocks that together hold a span of time since the first pulse."""
+        return range(start_ns // self.block_ns, -(-stop_ns // self.block_ns))
+
+    def edges_ns(self, segment: int) -> NDArray[np.int64]:
+        """(n,) times since the first pulse at which the whole blocks of a segment begin, and the last one ends."""
+        first, stop = segment * self.segment, (segment + 1) * self.segment
+        return np.arange(first, stop + 1, self.parts, dtype=np.int64) * self.block_ns
+
+
+class Windows(Generic[S]):
+    """The world in windows, each opened once as long as it is in use, whoever asks for it.
+
+    Two are kept: the one of the present segment and the one before or after it; with very many threads more.
+
+    Parameters
+    ----------
+    open_segment : opens the window of a segment, or of what else `name_of` gives; called on a thread of its own
+    batching : of the run
+    moves : whether each segment needs a window; where nothing moves that of segment 0 serves all
+    threads : workers, which may be that many blocks ahead of whoever else asks
+    """
+
+    kept = 2
+    """Windows, with a few threads."""
+
+    def __init__(
+        self, open_segment: Callable[[Any], S], batching: Batching, *, moves: bool, threads: int
+    ) -> None:
+        self._block_ns, self._per_segment = batching.block_ns, batching.segment if moves else None
+        self._free, self._parts = int((1 - _LEAD - _LAG) * batching.segment), batching.parts
+        opener, too_far = ThreadPoolExecutor(1, "open", self.yielding), max(0, threads + 1 - self._free)
+
+        @lru_cache(self.kept + math.ceil(too_far / batching.segment))
+        def opened(name: Hashable) -> Future[S]:
+            return opener.submit(open_segment, name)
+
+        self._opened = opened
+        self.stop = Event()
+        """Of the run under way; see `stopped_by`."""
+
+    @contextmanager
+    def stopped_by(self, stop: Event) -> Iterator[None]:
+        """Let an event end what waits for windows, and for blocks, that are not made yet."""
+        before, self.stop = self.stop, stop
+        try:
+            yield
+        finally:
+            self.stop = before
+
+    def wait(self, future: Future[T]) -> T:
+        """Give the result of a future.
+
+        Raises
+        ------
+        CancelledError
+            where the event of `stopped_by` is set before there is one
+        """
+        while not future.done():
+            if self.stop.is_set():
+                raise CancelledError
+            with suppress(TimeoutError):
+                return future.result(_POLL_S)
+        return future.result()
+
+    @staticmethod
+    def yielding() -> None:
+        """Begin a thread that opens windows, with the priority of the others."""
+
+    def name_of(self, block: int) -> Hashable:
+        """Name of the window of a block: its segment."""
+        return block // self._per_segment if self._per_segment else 0
+
+    def at_block(self, block: int) -> Future[S]:
+        """Window of a block."""
+        return self._opened(self.name_of(block))
+
+    def at_time(self, since_ns: int) -> Future[S]:
+        """Window of a time since the first pulse; before it that of the first segment, for nobody moves yet."""
+        return self.at_block(max(since_ns, 0) // self._block_ns)
+
+    @property
+    def lead(self) -> int:
+        """Blocks between the opening of a window and its use."""
+        return int(_LEAD * self._per_segment) if self._per_segment else 0
+
+    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:
+        """Cut blocks into runs of up to so many whole ones `together`, each within one window.
+
+        They are short at first, so that the first packet comes soon, and at last, so that workers end together; and
+        so short that workers do not get too far ahead.
+        """
+        together = max(1, min(together * self._parts, self._free // (threads + 1)))
+        first, number = blocks.start, 0
+        while first < blocks.stop:
+            size = min(together, 2 ** (number // threads), max(1, (blocks.stop - first) // (2 * threads)))
+            _, same = next(groupby(range(first, first + size), self.name_of))
+            size = len(list(same))
+            yield range(first, first + size)
+            first, number = first + size, number + 1
+
+
+@contextmanager
+def workers(threads: int, name: str, stop: Event | None = None) -> Iterator[ThreadPoolExecutor]:
+    """Give a pool of threads, which are waited for at its end; but not where `stop` is set, or Ctrl-C is pressed."""
+    pool = ThreadPoolExecutor(threads, name)
+    try:
+        yield pool
+    except BaseException as error:
+        is_over = isinstance(error, KeyboardInterrupt) or (stop is not None and stop.is_set())
+        pool.shutdown(wait=not is_over, cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+class OfBlocks(Protocol):
+    """A piece of work on a run of blocks."""
+
+    @property
+    def blocks(self) -> range:
+        """Numbers of the blocks, within one window."""
+
+
+J = TypeVar("J", bound=OfBlocks)
+
+
+def in_order(
+    work: Callable[[J, Future[S]], T], jobs: Iterable[J], windows: Windows[S], *, threads: int, stop: int
+) -> Iterator[T]:
+    """Yield the results of `work(job, window of its blocks)` in the order of jobs, a few computed ahead.
+
+    Parameters
+    ----------
+    work : called on a worker thread; the future may still be running
+    jobs : without gaps, unless the windows leave blocks out
+    threads : workers
+    stop : number of the block after the last
+
+    Raises
+    ------
+    CancelledError
+        If the windows are stopped; what is under way is left to itself
+    """
+    pending: deque[Future[T]] = deque()
+    with workers(threads, "work", windows.stop) as pool:
+        for job in jobs:
+            pending.append(pool.submit(work, job, windows.at_block(job.blocks.start)))
+            # Now and not at once: the first packet should not wait for the second window.
+            windows.at_block(min(job.blocks.stop - 1 + windows.lead, stop - 1))
+            if len(pending) > threads:
+                yield windows.wait(pending.popleft())
+        while pending:
+            yield windows.wait(pending.popleft())
+
+
+def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> Window:
+    """Give what is within reach of a segment of the walk; the arguments are those of `windows_of`."""
+    edges_ns = start_ns + batching.edges_ns(segment)
+    tracks_m = [unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units]
+    track_m = np.concatenate(tracks_m)
+    window = parts.world.window(track_m)
+    return parts.wind.blown(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
+
+
+@runtime_checkable
+class OwnWindows(Protocol):
+    """A motion that opens windows of its own, as its path is not known beforehand."""
+
+    def require_open(self) -> None:
+        """Raise `TrajectoryError` if no poses arrive."""
+
+    def windows(self, parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
+        """Return the windows of a run; parameters as of `windows_of`."""
+
+
+def windows_of(parts: Parts, start_ns: int, batching: Batching, threads: int) -> Windows[Geometry]:
+    """Return the windows of a run, the same for all units; one serves all segments if nothing moves.
+
+    Parameters
+    ----------
+    start_ns : UTC of the first pulse
+    batching : of the run
+    threads : workers, which each unit may have
+    """
+    if isinstance(parts.carrier, OwnWindows):
+        return parts.carrier.windows(parts, start_ns, batching, threads)
+    built = _CASTERS.get(id(parts.world)) or caster(parts.world, ThreadPoolExecutor(threads, "build"))
+    _CASTERS[id(parts.world)] = built
+
+    def open_segment(segment: int) -> Geometry:
+        return built.open(window_of(parts, start_ns, batching, segment))
+
+    return Windows(open_segment, batching, moves=parts.moves, threads=threads)

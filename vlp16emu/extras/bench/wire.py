@@ -1,0 +1,75 @@
+"""The faults that happen to packets on their way."""
+
+from collections.abc import Callable, Iterator, Sequence
+
+from vlp16emu.device.events import Freeze, PacketEvent
+from vlp16emu.device.faults import PacketFault, Wire, kinds_of
+from vlp16emu.engine import Unit
+from vlp16emu.engine.changes import end_ns
+from vlp16emu.engine.timetable import number_at
+from vlp16emu.scenario import Scenario
+from vlp16emu.sensor.settings import Sensor
+from vlp16emu.types import Packet, PacketKind
+from vlp16emu.units import seconds_to_ns
+
+Streams = Callable[[int, int], Iterator[Packet]]
+"""Packets of all units due in a span since the first pulse, in order of sending."""
+
+
+def faults_of(scenario: Scenario, units: Sequence[Unit]) -> list[PacketFault]:
+    """Make the faults of packets that the events of a run are."""
+    faults = list[PacketFault]()
+    for number, event in enumerate(scenario.events):
+        if not isinstance(event, PacketEvent):
+            continue
+        unit = units[event.unit - 1]
+        assert isinstance(unit.section, Sensor)  # others have no packets
+        begin_ns, counted = seconds_to_ns(event.at_s), dict[PacketKind, range]()
+        if event.count is not None:
+            for kind in kinds_of(event):
+                first = number_at(scenario, unit, kind, begin_ns)
+                counted[kind] = range(first, first + event.count)
+        faults.append(
+            PacketFault(
+                event,
+                number,
+                unit.number,
+                unit.seed,
+                unit.section.position_rate,
+                scenario.start_ns,
+                scenario.start_ns + begin_ns,
+                scenario.start_ns + end_ns(event),
+                counted,
+            )
+        )
+    return faults
+
+
+def earliest_ns(scenario: Scenario, faults: Sequence[PacketFault], start_ns: int) -> int:
+    """Find the time since the first pulse from which on packets may be so late that they arrive at a time, or later."""
+    utc_ns = scenario.start_ns + start_ns
+    return max(start_ns - sum(fault.longest_ns for fault in faults if fault.begin_ns < utc_ns), 0)
+
+
+def arriving(
+    scenario: Scenario, units: Sequence[Unit], streams: Streams, start_ns: int, stop_ns: int
+) -> Iterator[Packet]:
+    """Give the packets that arrive in a span since the first pulse; those that leave in it, where nothing happens to them."""
+    faults = faults_of(scenario, units)
+    if not faults:
+        return streams(start_ns, stop_ns)
+    utc_ns, from_ns = scenario.start_ns, earliest_ns(scenario, faults, start_ns)
+    frozen = {
+        (fault.number, kind): packet
+        for fault in faults
+        if isinstance(fault.event, Freeze) and fault.begin_ns < utc_ns + from_ns < fault.end_ns
+        for kind in kinds_of(fault.event)
+        if (packet := _first(fault, kind, streams(fault.begin_ns - utc_ns, stop_ns)))
+    }
+    numbers = {unit.number: unit.timeline.count(0, from_ns) for unit in units}
+    passed = Wire(faults, numbers, frozen).passed(streams(from_ns, stop_ns))
+    return (packet for packet in passed if start_ns <= packet.due_ns - utc_ns < stop_ns)
+
+
+def _first(fault: PacketFault, kind: PacketKind, packets: Iterator[Packet]) -> Packet | None:
+    return next((packet for packet in packets if packet.unit == fault.unit and packet.kind is kind), None)

@@ -1,0 +1,184 @@
+"""Returns as points with all that is known of them, straight from the engine and not through packets."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.engine import Engine
+from vlp16emu.engine.scans import points_of
+from vlp16emu.errors import spare
+from vlp16emu.labels import LabelScheme, PointLabels, label_scheme
+from vlp16emu.run.run import TruthPlace
+from vlp16emu.scenario import Scenario
+from vlp16emu.sensor.head import Turn, turn_of
+from vlp16emu.sinks.cloud import point_file
+from vlp16emu.sinks.columns import (
+    LABEL_COLUMNS,
+    LEAF_OR_WOOD,
+    RETURN_NAMES,
+    SCENE_COLUMNS,
+    TRUTH_COLUMNS,
+    Block,
+    CloudAbout,
+    scene_comments,
+)
+from vlp16emu.types import Returns
+from vlp16emu.units import S_NS, seconds_to_ns
+from vlp16emu.world.make import ground_of
+
+
+@dataclass(frozen=True, slots=True)
+class PointCloud:
+    """What a file of points holds, and what it took."""
+
+    file: str
+    scene: str
+    """Name, path or title."""
+    seed: int
+    unit: int
+    """Which sensor of a rig, from 1."""
+    sensor: str
+    """Model."""
+    beams: int
+    elevation_deg: tuple[float, float]
+    """Of the lowest and the highest beam."""
+    pulses_per_s: float
+    turn: Turn
+    points: int
+    returns: Mapping[str, int]
+    """Points by `RETURN_NAMES`."""
+    truth: bool
+    """Whether points have labels."""
+    bytes: int
+    simulated_s: float
+    wall_s: float
+    real_time_factor: float
+    """Simulated seconds per second."""
+    interrupted: bool
+    """Ended by its stop event."""
+
+
+def write_points(
+    emulator: Emulator,
+    path: str | Path,
+    *,
+    start_s: float = 0.0,
+    duration_s: float | None = None,
+    unit: int = 1,
+    truth: bool = False,
+    labels: str | None = None,
+    truth_to: TruthPlace | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+    stop: Event | None = None,
+) -> PointCloud:
+    """Write points in the world and in the sensor's frame, for a sensor of any beam table.
+
+    Parameters
+    ----------
+    path : .npz, .ply, .csv, .pcd, .las or .laz by its suffix; overwritten if it exists
+    start_s, duration_s, stop : as of `Emulator.record`
+    unit : which sensor of a rig, from 1
+    truth : whether `TRUTH_COLUMNS` are written beside `SCENE_COLUMNS`
+    labels : scheme of labels beside them: "for-instance", "digiforests", "asprs" or "semantickitti"
+    truth_to : folder for the ground truth of the run, as `truth` of `Emulator.record`
+    progress : called with the simulated seconds so far, block by block
+
+    Raises
+    ------
+    InputError
+        If there is no such unit or scheme, or the suffix names no format
+    MissingExtraError
+        If the library for a format is not there
+    OutputError
+        If file or folder cannot be written, or are an input of the scene
+    TrajectoryError
+        If the walk ends before the span does
+    RunError
+        If the disk is full; the file is not complete
+    """
+    run, path, began_s = emulator.run, Path(path), time.perf_counter()
+    spare(run.files, path)
+    number, scenario, stop = run.number(unit), run.scenario, stop or Event()
+    scheme, truth = None if labels is None else label_scheme(labels), truth or labels is not None
+    begin_s, _ = span_s = scenario.span_s(start_s, duration_s)
+    blocks = _blocks(run.engine, number, span_s, truth=truth, labels=scheme)  # checks the span first
+    columns = SCENE_COLUMNS + TRUTH_COLUMNS * truth + LABEL_COLUMNS * (scheme is not None)
+    returns, simulated_s = np.zeros(3, np.int64), 0.0
+    file = point_file(path, columns, _about(scenario, number, scheme), where=str(path))
+    with (
+        run.engine.windows.stopped_by(stop),
+        file as writer,
+        run.truth(truth_to, span_s, of=run) as folder,
+        suppress(CancelledError),
+    ):
+        for block, end_ns in blocks:
+            writer.write(block)
+            returns += np.bincount(block["return_number"], minlength=3)
+            simulated_s = end_ns / S_NS - begin_s
+            if folder:
+                folder.up_to(begin_s + simulated_s)
+            progress(simulated_s)
+            if stop.is_set():
+                break
+    sensor, wall_s = run.engine.parts.units[number], time.perf_counter() - began_s
+    beams = sensor.head.beams
+    return PointCloud(
+        file=str(path),
+        scene=run.name,
+        seed=scenario.seed,
+        unit=unit,
+        sensor=sensor.section.model,
+        beams=len(beams.elevation_deg),
+        elevation_deg=(float(beams.elevation_deg.min()), float(beams.elevation_deg.max())),
+        pulses_per_s=S_NS / beams.sequence_ns * len(beams.elevation_deg),
+        turn=turn_of(sensor.head, simulated_s),
+        points=int(returns.sum()),
+        returns=dict(zip(RETURN_NAMES, returns.tolist(), strict=True)),
+        truth=truth,
+        bytes=path.stat().st_size,
+        simulated_s=simulated_s,
+        wall_s=wall_s,
+        real_time_factor=simulated_s / wall_s,
+        interrupted=stop.is_set(),
+    )
+
+
+def _about(scenario: Scenario, number: int, labels: LabelScheme | None) -> CloudAbout:
+    """Say what a file holds."""
+    comments = scene_comments(scenario.start_utc.isoformat())
+    gps = scenario.gps
+    return CloudAbout(
+        comments=comments if labels is None else (*comments, f"label: {labels.name}, {labels.source}"),
+        start_utc=scenario.start_utc,
+        origin=(gps.latitude_deg, gps.longitude_deg, gps.height_m),
+        unit=number + 1,
+    )
+
+
+def _blocks(
+    engine: Engine, number: int, span_s: tuple[float, float], *, truth: bool, labels: LabelScheme | None
+) -> Iterator[tuple[Block, int]]:
+    """Points of each block of a span, and the time in ns since the first pulse until which they reach."""
+    start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
+    begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
+    scenario = engine.scenario
+    labelled = labels and PointLabels(labels, ground_of(scenario.world, scenario.world_seed).height_m)
+
+    def made(block: Returns) -> tuple[Block, int]:
+        t_ns = block.firings.t_ns
+        points, _ = points_of(unit, block, (t_ns >= begin_ns) & (t_ns < end_ns), truth=truth)
+        points["since_start_ns"] = points["t_ns"] - start_ns
+        if truth:
+            points["leaf_wood"] = LEAF_OR_WOOD[points["part"]]
+        if labelled:
+            points |= labelled.of(points)
+        return points, min(int(t_ns[-1, 0]) + unit.head.beams.sequence_ns, end_ns) - start_ns
+
+    return map(made, engine.returns(*span_s, number, truth=truth))

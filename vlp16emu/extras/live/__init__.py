@@ -1,0 +1,1 @@
+"""Poses that arrive while a run is streamed."""

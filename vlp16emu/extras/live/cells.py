@@ -1,0 +1,174 @@
+"""Windows of a run whose path nobody knows beforehand: each is that of a box of the world, and which one is in use is on record.
+
+The bytes of a pulse depend on the window that it is cast in, by rounding and by where the medium begins. So windows
+change where blocks of the ordinary way begin, a window depends on nothing but the name of its box, and the names go
+with the knots of the flight.
+"""
+
+import math
+import os
+import sys
+from bisect import bisect_right
+from collections.abc import Hashable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import norm
+from vlp16emu.engine import Batching, Parts
+from vlp16emu.engine.windows import Windows
+from vlp16emu.extras.live.flown import Cell
+from vlp16emu.raycast.caster import Geometry, caster
+
+if TYPE_CHECKING:
+    from vlp16emu.extras.live.motion import LiveMotion
+
+_WIDE_M, _HIGH_M = 16.0, 32.0
+"""Size of a box on the map, and its height."""
+_ASIDE_M = 8.0
+"""How far beyond its box a window serves: at 3 m/s the next one has 2 s to be opened."""
+_APART_M = 2.0
+"""Between the lines that a window is opened along: no place is farther from them than the 1 m that the medium allows for."""
+_SPARE_M, _SPARE_S = 2.0, 0.15
+"""What is left of that when the next window is waited for: a block goes on for 0.1 s."""
+_EXPECTED_S = 1.0
+"""So far ahead the place is looked at whose window is opened."""
+
+_LATE_BLOCKS = 6
+"""So many steps late, 32 ms, a step is left out, and those after it until now: who waits for packets wants young ones."""
+_NICE = 10
+"""By how much threads that open windows of a live run are nicer than those that cast, who then get nine tenths of a core."""
+
+_Name = tuple[Cell, int]
+"""Box, and segment of time where trees sway."""
+
+
+def cell_of(place_m: NDArray[np.float64]) -> Cell:
+    """Name of the box that holds a place (3,)."""
+    x, y, z = np.floor(place_m / [_WIDE_M, _WIDE_M, _HIGH_M]).astype(int).tolist()
+    return x, y, z
+
+
+def track_of(cell: Cell, arm_m: float) -> NDArray[np.float64]:
+    """Positions (n, 3) all over a box and around it, whose sensors are up to so far from the body."""
+    aside_m = _ASIDE_M + arm_m
+    lines = 1 + math.ceil((_WIDE_M + 2 * aside_m) / _APART_M)
+    x_m = cell[0] * _WIDE_M - aside_m + np.repeat(np.arange(lines), 2) * _APART_M
+    ends_m = np.array([-aside_m, _WIDE_M + aside_m, _WIDE_M + aside_m, -aside_m])
+    y_m = cell[1] * _WIDE_M + np.resize(ends_m, 2 * lines)
+    return np.column_stack([x_m, y_m, np.full(2 * lines, (cell[2] + 0.5) * _HIGH_M)])
+
+
+class CellWindows(Windows[Geometry]):
+    """The world in windows of boxes; parameters as of `windows_of`, and which boxes are in use from which block on."""
+
+    kept = 4
+
+    def __init__(
+        self,
+        parts: Parts,
+        start_ns: int,
+        batching: Batching,
+        threads: int,
+        cells: list[tuple[int, Cell]],
+    ) -> None:
+        built = caster(parts.world, ThreadPoolExecutor(threads, "build", self.yielding))
+        arm_m = max(float(norm(np.array(unit.mount.lever_arm_m))) for unit in parts.units)
+
+        def open_cell(name: _Name) -> Geometry:
+            cell, segment = name
+            track_m = track_of(cell, arm_m)
+            window = parts.world.window(track_m)
+            if parts.wind:
+                edges_ns = start_ns + batching.edges_ns(segment)
+                window = parts.wind.blown(window, track_m, int(edges_ns[0]), int(edges_ns[-1]))
+            return built.open(window)
+
+        super().__init__(open_cell, batching, moves=True, threads=threads)
+        self.cells, self._sways, self._segment = cells, parts.wind is not None, batching.segment
+
+    def name_of(self, block: int) -> Hashable:
+        """Name of the window of a block."""
+        at = bisect_right(self.cells, block // self._parts, key=lambda change: change[0])
+        return self._named(self.cells[max(at, 1) - 1][1], block)
+
+    def _named(self, cell: Cell, block: int) -> _Name:
+        return cell, block // self._segment if self._sways else 0
+
+
+class LiveWindows(CellWindows):
+    """Windows of a run that is being flown: the next one is opened as the body comes near, and used when it is open."""
+
+    def __init__(
+        self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion"
+    ) -> None:
+        super().__init__(parts, start_ns, batching, threads, [])
+        self._motion = motion
+        self.decided = -1
+        """Last block of the ordinary way whose window is settled."""
+        self.left_out = 0
+        """Blocks that were not cast, as their time was over."""
+
+    @staticmethod
+    def yielding() -> None:
+        """Let threads that open windows give way to those that cast: the next window has time."""
+        if sys.platform == "linux":
+            os.nice(_NICE)
+
+    @property
+    def lead(self) -> int:
+        """No blocks: where they will be is not known."""
+        return 0
+
+    def at_block(self, block: int) -> Future[Geometry]:
+        """Window of a block; of blocks that have passed the one in which they were, or would have been, cast."""
+        if block // self._parts > self.decided:
+            self.decided = block // self._parts
+            self._decide(block)
+        return super().at_block(block)
+
+    def is_here(self) -> bool:
+        """Whether the window that is in use serves for where the body is."""
+        state = self._motion.state
+        return _serves(self.cells[-1][1], state[:3], state[7:10])
+
+    def begin_again(self) -> None:
+        """Settle anew where the run begins."""
+        self.cells.clear()
+        self.decided, self.left_out = -1, 0
+
+    def runs(self, blocks: range, together: int, threads: int) -> Iterator[range]:  # noqa: ARG002  # one at a time, whoever works
+        """Take blocks one by one, so that packets do not wait for each other; and go on at now where it is too late."""
+        block = blocks.start
+        while block < blocks.stop:
+            late = self._motion.elapsed_ns // self._block_ns - block
+            if late > _LATE_BLOCKS:
+                self.left_out += min(late, blocks.stop - block)
+                block += late
+                continue
+            yield range(block, block + 1)
+            block += 1
+
+    def _decide(self, block: int) -> None:
+        """Choose the window that is used from a block on."""
+        state = self._motion.state
+        place_m, velocity_m_s = state[:3], state[7:10]
+        wanted = cell_of(place_m + _EXPECTED_S * velocity_m_s)
+        if not _serves(wanted, place_m, velocity_m_s):
+            wanted = cell_of(place_m)
+        if self._sways and block % self._segment >= self._segment - self._segment * 3 // 8:
+            self._opened(self._named(wanted, block + self._segment))
+        if not self.cells:
+            self.cells.append((self.decided, wanted))
+        elif wanted != self.cells[-1][1]:
+            is_open = self._opened(self._named(wanted, block)).done()
+            if is_open or not self.is_here():
+                self.cells.append((self.decided, wanted))
+
+
+def _serves(cell: Cell, place_m: NDArray[np.float64], velocity_m_s: NDArray[np.float64]) -> bool:
+    middle_m = (np.array(cell[:2]) + 0.5) * _WIDE_M
+    spare_m = _SPARE_M + _SPARE_S * float(norm(velocity_m_s))
+    return bool((np.abs(place_m[:2] - middle_m) <= _WIDE_M / 2 + _ASIDE_M - spare_m).all())

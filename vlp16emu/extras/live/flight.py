@@ -1,0 +1,286 @@
+"""A run that is flown while it is streamed: from the first pose to the report, and to the table that repeats it."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from vlp16emu.device.poses import PoseReceiver
+from vlp16emu.engine import Engine
+from vlp16emu.engine.windows import STEPS
+from vlp16emu.errors import InputError, spare
+from vlp16emu.extras.live.cells import LiveWindows
+from vlp16emu.extras.live.flown import FLOWN_HEADER, flown_rows
+from vlp16emu.extras.live.knots import STEP_NS
+from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
+from vlp16emu.output import OutputFile
+from vlp16emu.run.run import Run
+from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
+from vlp16emu.types import Packet
+from vlp16emu.units import S_NS, seconds_to_ns
+
+_POLL_S = 0.05
+"""How often whoever waits for the first pose looks whether the run shall end."""
+_START_NS = 20_000_000
+"""From when all is ready to the first pulse: threads start in it."""
+_WARM_S = 0.02
+"""What is computed before the run, so that kernels are loaded and compiled."""
+_ROWS_NS = S_NS
+"""How often knots are written."""
+
+
+@dataclass(frozen=True, slots=True)
+class PosesIn:
+    """Where poses of a live run come in, and what becomes of them."""
+
+    where: str | None = None
+    """`udp://HOST:PORT`, of this machine; None where `Emulator.put_pose` alone brings them."""
+    flown: Path | None = None
+    """File for what is flown, which repeats the run as `motion.flown`; overwritten if it exists."""
+    news: Callable[[str], None] = lambda _: None
+    """Called with a line when poses are waited for, lost, or back."""
+    opened: Callable[[str], None] = lambda _: None
+    """Called with `where`, and the port that was free where that is 0, once poses are listened to."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveReport:
+    """What poses came in, and how soon packets followed."""
+
+    poses: int
+    refused: int
+    """Malformed, or without a rotation in them."""
+    out_of_order: int
+    """Not later than the pose before."""
+    longest_gap_s: float
+    """Between arrivals."""
+    lost: tuple[PosesLost, ...]
+    """Times without a pose for more than a second."""
+    left_out_s: float
+    """Time of the run, of all units, whose pulses were not cast, as the engine was late."""
+    latency_median_us: float
+    """From the arrival of a pose to the sending of the first data packet that was computed with it, as the next ones."""
+    latency_p95_us: float
+    latency_p99_us: float
+    latency_max_us: float
+    flown: str | None
+    """Table of what was flown, if one is written."""
+
+
+class Flight:
+    """A live run; a context manager.
+
+    Parameters
+    ----------
+    engine : its scene's motion is live
+    motion : that of its carrier
+    poses : as `PosesIn` has it; `where` as `PoseReceiver` takes it
+    clock_ns : monotonic
+
+    Raises
+    ------
+    InputError, OutputError
+        as of `PoseReceiver`, and where the file cannot be written
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        motion: LiveMotion,
+        poses: PosesIn,
+        *,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        assert isinstance(engine.windows, LiveWindows)
+        self._engine, self._motion, self._windows, self._news = engine, motion, engine.windows, poses.news
+        self._clock_ns, self._latency = clock_ns, LatenessHistogram()
+        self._lost_ns: int | None = None
+        self._written, self._write_at_ns = 0, 0
+        self._flown = poses.flown
+        with ExitStack() as stack:
+            self._file = stack.enter_context(OutputFile(poses.flown)) if poses.flown else None
+            receiver = PoseReceiver(poses.where, motion.poses.put) if poses.where else None
+            self._receiver = stack.enter_context(receiver) if receiver else None
+            self._open = stack.pop_all()
+        motion.is_open = True
+        if self._receiver:
+            poses.opened(self._receiver.where)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._open:
+            if self._file and self._motion.knots:
+                with self._file.writing():
+                    self._write(self._motion.knots.last + 1)
+        self._motion.end()
+        self._windows.begin_again()
+
+    look_ahead = 8
+    """Packets of a unit that are computed before the first leaves: two steps, or one of dual return."""
+
+    def prepare(self, stop: Event, pacer: Pacer) -> Late:
+        """Wait for the first pose, open the world around it, and compute once what leaves first; or until `stop` is set.
+
+        Returns
+        -------
+        What happens to late packets: they are dropped, as later poses would wait for them
+
+        Raises
+        ------
+        InputError
+            where the speed is not 1
+        """
+        if pacer.speed != 1.0:
+            raise InputError("--speed", f"found {pacer.speed:g}", "1 in a live scene")
+        self._news(f"waiting for poses{f' on {self._receiver.where}' if self._receiver else ''}")
+        while not self._motion.poses.wait(_POLL_S):
+            if stop.is_set():
+                return Late.SKIP
+        with suppress(CancelledError):
+            self._open_world(stop)
+        return Late.SKIP
+
+    def _open_world(self, stop: Event) -> None:
+        """Open the world around the body, and compute once what leaves first."""
+        # With a receiver of its own: this one sees a body that does not move yet.
+        deque(self._engine.with_new_receiver().packets(0.0, _WARM_S), 0)
+        while not self._windows.is_here() and not stop.is_set():  # the body has moved meanwhile
+            self._windows.begin_again()
+            self._windows.wait(self._windows.at_block(0))
+
+    def begun(self, sink: PacketSink, pacer: Pacer, *, now: bool) -> "FlightSink":
+        """Let the first pulse be fired in a moment, and packets leave by the same clock: to a sink that this follows.
+
+        Parameters
+        ----------
+        now : fire it where the clock of the system has the fraction of a second that the scene begins with
+        """
+        if self._motion.poses.last is not None:
+            start_ns, in_ns = self._engine.scenario.start_ns, _START_NS
+            if now:
+                in_ns += (start_ns - time.time_ns() - in_ns) % S_NS
+            self._motion.begin(self._clock_ns() + in_ns)
+            pacer.begin(start_ns, -in_ns)
+        return FlightSink(sink, self)
+
+    def going_on(self, go_on_from: Callable[[int], None], pacer: Pacer) -> Callable[[int], None]:
+        """Let an engine that is too slow go on in a moment, and not further ahead: nothing is computed ahead here."""
+        return lambda _due_ns: go_on_from(pacer.due_in_ns(_START_NS))
+
+    def sent(self, packet: Packet) -> None:
+        """Take note of a packet that has left just now."""
+        now_ns, uses = self._clock_ns(), self._motion.first_uses
+        if packet.fired_ns is not None:
+            while uses and uses[0][0] <= packet.fired_ns:
+                self._latency.add(now_ns - uses.popleft()[1])
+        last = self._motion.poses.last
+        if last is not None:
+            self._watch(last.arrived_ns, now_ns)
+        if self._file and now_ns >= self._write_at_ns:
+            self._write_at_ns = now_ns + _ROWS_NS
+            # Which window a block has is settled before the next one begins.
+            settled = STEPS * self._windows.decided
+            self._write(min(settled, self._motion.knots.last + 1 if self._motion.knots else 0))
+
+    def report(self, until_s: float) -> LiveReport:
+        """Sum up, and fly on until a time since the first pulse, so that a run that is repeated gets there too."""
+        if self._motion.knots:
+            self._motion.poses_at(np.array([self._engine.scenario.start_ns + seconds_to_ns(until_s)]))
+        poses, late = self._motion.poses, self._latency.summary
+        gaps_ns = list(poses.gaps_ns)
+        longest_ns = poses.longest_gap_ns
+        if self._lost_ns is not None:
+            now_ns = self._clock_ns()
+            gaps_ns.append((self._lost_ns, now_ns))
+            longest_ns = max(longest_ns, now_ns - self._lost_ns)
+        since_s = self._motion.since_s
+        return LiveReport(
+            poses=poses.received,
+            refused=poses.refused + (self._receiver.malformed if self._receiver else 0),
+            out_of_order=poses.out_of_order,
+            longest_gap_s=longest_ns / S_NS,
+            lost=tuple(PosesLost(since_s(begin), (end - begin) / S_NS) for begin, end in gaps_ns),
+            left_out_s=self._windows.left_out * STEP_NS / S_NS,
+            latency_median_us=late.median_ns * 1e-3,
+            latency_p95_us=self._latency.quantile_ns(0.95) * 1e-3,
+            latency_p99_us=late.p99_ns * 1e-3,
+            latency_max_us=late.max_ns * 1e-3,
+            flown=str(self._flown) if self._flown else None,
+        )
+
+    def _watch(self, arrived_ns: int, now_ns: int) -> None:
+        """Report at once where poses are lost, and where they are back."""
+        if self._lost_ns is None and now_ns - arrived_ns > LOST_NS:
+            self._lost_ns = arrived_ns
+            self._news(
+                f"poses lost: none since {self._motion.since_s(arrived_ns):.1f} s; the body comes to rest"
+            )
+        elif self._lost_ns is not None and arrived_ns > self._lost_ns:
+            gap_s = (arrived_ns - self._lost_ns) / S_NS
+            self._lost_ns = None
+            self._news(f"poses are back after {gap_s:.1f} s")
+
+    def _write(self, stop: int) -> None:
+        """Write knots until before number `stop`."""
+        knots = self._motion.knots
+        assert self._file is not None
+        if knots is None or stop <= self._written:
+            return
+        cells = {STEPS * block: cell for block, cell in self._windows.cells}
+        header = "" if self._written else FLOWN_HEADER
+        rows = flown_rows(self._written, knots.states(self._written, stop), cells)
+        self._file.file.write(f"{header}{rows}".encode())
+        self._written = stop
+
+
+class FlightSink(PacketSink):
+    """Passes packets on, and lets a flight know of each."""
+
+    def __init__(self, sink: PacketSink, flight: Flight) -> None:
+        self._sink, self._flight = sink, flight
+
+    def send(self, packet: Packet) -> None:
+        """Send one packet.
+
+        Raises
+        ------
+        RunError
+            as of the sink
+        """
+        self._sink.send(packet)
+        self._flight.sent(packet)
+
+
+@contextmanager
+def flying(run: Run, poses: PosesIn | None) -> Iterator[Flight]:
+    """Return the flight of a stream whose scene is live.
+
+    Raises
+    ------
+    OutputError
+        If the table would be written over a file that is read
+    InputError
+        If poses are given and the scene is not live, or as of `Flight`
+    """
+    engine, poses = run.engine, poses or PosesIn()
+    motion = engine.parts.carrier
+    if not isinstance(motion, LiveMotion):
+        option = "--flown" if poses.where is None else "--pose-in"
+        found = f'found motion.kind = "{engine.scenario.motion.kind}"'
+        raise InputError(option, found, 'motion.kind = "live", without motion.flown')
+    if poses.flown is not None:
+        spare(run.files, poses.flown)
+    with Flight(engine, motion, poses) as flight:
+        yield flight

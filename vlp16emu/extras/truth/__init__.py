@@ -1,0 +1,1 @@
+"""Ground truth beside a run."""

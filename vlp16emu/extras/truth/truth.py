@@ -1,0 +1,409 @@
+"""What really was, beside what was sent: trajectory, inertial unit, GNSS, rig and scenario of a run."""
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, suppress
+from functools import partial
+from importlib.metadata import version
+from threading import Event
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.engine import Engine, Parts, Unit
+from vlp16emu.engine.timetable import timetable
+from vlp16emu.errors import RunError
+from vlp16emu.extras.bench.wire import arriving, earliest_ns, faults_of
+from vlp16emu.extras.truth.happenings import Happening, happenings
+from vlp16emu.motion import Gps, Mount
+from vlp16emu.motion.geodesy import to_geodetic
+from vlp16emu.motion.gnss import Receiver
+from vlp16emu.motion.imu import ImuSampler
+from vlp16emu.motion.pose import Motion, rotation
+from vlp16emu.packets import SENSOR_R_MANUAL
+from vlp16emu.run.run import HasEngine, TruthPlace
+from vlp16emu.scenario import Scenario
+from vlp16emu.scenario.find import named_files
+from vlp16emu.sensor.settings import on_the_wire
+from vlp16emu.sinks import TruthFolder, TruthTo, tum_rows
+from vlp16emu.sinks.slots import SlotTable
+from vlp16emu.sinks.truth import seconds_text
+from vlp16emu.types import Packet, PacketKind, Poses
+from vlp16emu.units import S_NS, seconds_to_ns
+
+_TUM_HEADER = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n"
+_GNSS_COLUMNS = (
+    "t_utc_s",
+    "valid",
+    "cover",
+    "true_latitude_deg",
+    "true_longitude_deg",
+    "true_height_m",
+    "true_east_m_s",
+    "true_north_m_s",
+    "latitude_deg",
+    "longitude_deg",
+    "speed_m_s",
+    "course_deg",
+)
+
+_EVENT_COLUMNS = ("t_utc_s", "until_utc_s", "event", "unit", "kind", "packets", "first", "last", "count")
+_IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
+"""Angular rate and specific force in the unit's own axes."""
+_IMU_COLUMNS = (
+    "t_utc_s",
+    *_IMU_AXES,
+    *(f"true_{axis}" for axis in _IMU_AXES),
+    *(f"bias_{axis}" for axis in _IMU_AXES),
+)
+
+_OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
+"""Kinds of packets by which the truth goes; what leaves beside them changes no line."""
+
+Rows = Callable[[int, int], str]
+"""Lines of samples first .. first + count - 1."""
+
+
+class Truth:
+    """Writes the truth of a run, beside its packets or without them; a context manager.
+
+    It is the same in both cases: without packets it goes by the times at which they would leave.
+
+    Parameters
+    ----------
+    to : where it goes
+    of : has the engine that makes the packets, with the events so far
+    span_s : of the run, since the first pulse
+
+    Raises
+    ------
+    OutputError
+        where the folder cannot be used, or holds a file that the scenario names
+    ScenarioError
+        where poses of packets are wanted of a sensor that has none
+    RunError
+        where it cannot be written: here, or later
+    """
+
+    def __init__(self, to: TruthTo, of: HasEngine, span_s: tuple[float, float]) -> None:
+        engine = of.engine
+        scenario, parts = engine.scenario, engine.parts
+        self._of = of
+        self._units, self._to, self._scenario, self._span_s = parts.units, to, scenario, span_s
+        wanted = self._units if to.per_packet else ()
+        for unit in self._units if to.per_packet or to.per_return else ():
+            on_the_wire(unit.section)
+        self._step_ns = -(-S_NS // to.rate_hz)
+        self._seen_ns = self._next_ns = begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
+        self._is_whole = False
+        self._listed_ns: int | None = None
+        times, span_ns = partial(timetable, scenario, self._units), map(seconds_to_ns, span_s)
+        self._to_come = self.beside(
+            engine.packets(*span_s) if to.per_return else arriving(scenario, self._units, times, *span_ns)
+        )
+        self._folder = TruthFolder(to.folder, named_files(scenario))
+        self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
+        self._folder.write_json("rig.json", _rig(scenario, parts))
+        # The first packet may have begun before it was asked for.
+        faults = faults_of(scenario, self._units)
+        earliest_s = earliest_ns(scenario, faults, seconds_to_ns(span_s[0])) / S_NS
+        firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
+        from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
+        self._trajectories = [
+            _Samples(
+                self._begun(_file("trajectory", unit), _TUM_HEADER),
+                _poses(unit.motion, scenario.start_ns, to.rate_hz),
+                scenario.start_ns,
+                to.rate_hz,
+                from_ns,
+            )
+            for unit in self._units
+        ]
+        self._others = [*self._inertial(scenario, parts, from_ns), *self._fixes(engine, begin_ns)]
+        self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in wanted}
+        self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
+        self._returns, self._open = dict[int, SlotTable](), ExitStack()
+        for unit in self._units if to.per_return else ():
+            table = SlotTable(to.folder / _file("returns", unit, "parquet"))
+            self._returns[unit.number] = self._open.enter_context(table)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._folder, suppress(CancelledError, *([RunError] if error else [])), self._open:
+            self._write()
+            for samples in self._trajectories:
+                samples.up_to(self._seen_ns + self._step_ns)
+            begin_s, stop_s = self._span_s
+            if not self._is_whole and self._seen_ns > self._scenario.start_ns + seconds_to_ns(begin_s):
+                stop_s = (self._seen_ns + 1 - self._scenario.start_ns) / S_NS
+            if (ran := self._of.engine.scenario) is not self._scenario or stop_s != self._span_s[1]:
+                self._folder.write_json(self._to.scenario.name, _resolved(ran, (begin_s, stop_s)))
+
+    def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
+        """Pass packets on, and write what was true until each of them once a second.
+
+        A packet counts as sent when the next one is asked for: whoever stops at one has not sent it.
+        """
+        for packet in packets:
+            yield packet
+            if packet.kind not in _OF_SENSORS:
+                continue
+            self._seen_ns = packet.due_ns
+            if self._firsts_ns and packet.fired_ns is not None:
+                self._firsts_ns[packet.unit].append(packet.fired_ns)
+            if packet.slots is not None and self._returns:
+                self._returns[packet.unit].add(packet)
+            if packet.due_ns >= self._next_ns:
+                self._next_ns = packet.due_ns + S_NS
+                self._write()
+        self._is_whole = True
+
+    def up_to(self, since_s: float) -> None:
+        """Write what was true until a time since the first pulse, of a run whose packets do not go by."""
+        until_ns = self._scenario.start_ns + seconds_to_ns(since_s)
+        for packet in self._to_come:
+            if packet.due_ns >= until_ns:
+                break
+
+    def _first_ns(self, unit: Unit, start_s: float, stop_s: float) -> int:
+        rows = unit.timeline.sequences(seconds_to_ns(start_s), seconds_to_ns(stop_s))
+        first = next((int(some[0, 0]) * unit.head.beams.sequence_ns for some in rows), None)
+        return self._scenario.start_ns + (seconds_to_ns(stop_s) if first is None else first)
+
+    def _write(self) -> None:
+        """Write all that was true so far."""
+        for samples in (*self._trajectories, *self._others):
+            samples.up_to(self._seen_ns)
+        self._write_events()
+        for number, firsts_ns in self._firsts_ns.items():
+            if firsts_ns:
+                poses = _poses_at(self._units[number].motion, np.array(firsts_ns))
+                self._packets[number](tum_rows(poses))
+                firsts_ns.clear()
+
+    def _write_events(self) -> None:
+        """Write what happened so far, by the events that the run has by now."""
+        ran, stop_ns = self._of.engine.scenario, seconds_to_ns(self._span_s[1])
+        until_ns = stop_ns if self._is_whole else self._seen_ns + 1 - ran.start_ns
+        from_ns = self._listed_ns
+        if not ran.events or (from_ns is not None and until_ns <= from_ns):
+            return
+        if from_ns is None:
+            self._folder.append("events.csv", ",".join(_EVENT_COLUMNS) + "\n")
+        found = happenings(ran, self._of.engine.parts.units, from_ns, until_ns, stop_ns)
+        begin_ns = ran.start_ns + seconds_to_ns(self._span_s[0])
+        self._listed_ns = until_ns
+        self._folder.append("events.csv", "".join(_event_row(one) for one in found if one.end_ns >= begin_ns))
+
+    def _begun(self, name: str, header: str) -> Callable[[str], None]:
+        self._folder.append(name, header)
+        return lambda text: self._folder.append(name, text)
+
+    def _inertial(self, scenario: Scenario, parts: Parts, from_ns: int) -> Iterator["_Samples"]:
+        if scenario.imu is not None and parts.imu is not None:
+            append = self._begun("imu.csv", ",".join(_IMU_COLUMNS) + "\n")
+            yield _Samples(append, _inertial(parts.imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
+
+    def _fixes(self, engine: Engine, begin_ns: int) -> Iterator["_Samples"]:
+        named_ns = engine.parts.gps.second_ns(begin_ns)
+        if named_ns is not None:
+            append = self._begun("gnss.csv", ",".join(_GNSS_COLUMNS) + "\n")
+            yield _Samples(append, _fixes(engine.receiver, engine.scenario.gps), 0, 1, named_ns)
+
+
+class _Samples:
+    """A file of samples at a steady rate, sample i at `zero_ns` + i / `rate_hz`.
+
+    Parameters
+    ----------
+    append : adds lines to the file
+    rows : makes them
+    from_ns : samples before are left out
+    """
+
+    def __init__(
+        self, append: Callable[[str], None], rows: Rows, zero_ns: int, rate_hz: int, from_ns: int
+    ) -> None:
+        self._append, self._rows, self._zero_ns, self._rate_hz = append, rows, zero_ns, rate_hz
+        self._next = self._count_before(from_ns)
+
+    def up_to(self, t_ns: int) -> None:
+        """Write all samples until and with an instant that are not written yet."""
+        stop = self._count_before(t_ns + 1)
+        if stop > self._next:
+            self._append(self._rows(self._next, stop - self._next))
+            self._next = stop
+
+    def _count_before(self, t_ns: int) -> int:
+        """Count the samples, from sample 0 on, before an instant."""
+        # Sample i lies i * S_NS // rate_hz after sample 0.
+        return -(-(t_ns - self._zero_ns) * self._rate_hz // S_NS)
+
+
+def _file(name: str, unit: Unit, suffix: str = "tum") -> str:
+    """Name a file of a unit; the first has no number in it."""
+    return f"{name}_{unit.number + 1}.{suffix}" if unit.number else f"{name}.{suffix}"
+
+
+def _poses_at(motion: Motion, t_ns: NDArray[np.int64]) -> Poses:
+    """Poses (n,), also of a body that never moves."""
+    truth = motion.kinematics_at(t_ns)
+    return Poses(t_ns, truth.world_R_body, truth.world_p_body_m)
+
+
+def _poses(motion: Motion, start_ns: int, rate_hz: int) -> Rows:
+    """Lines of a trajectory."""
+
+    def rows(first: int, count: int) -> str:
+        t_ns = start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz
+        return tum_rows(_poses_at(motion, t_ns))
+
+    return rows
+
+
+def _inertial(imu: ImuSampler) -> Rows:
+
+    def rows(first: int, count: int) -> str:
+        read = imu.read(first, count)
+        readings = read.angular_rate_rad_s, read.specific_force_m_s2
+        true = read.true_angular_rate_rad_s, read.true_specific_force_m_s2
+        numbers = np.column_stack([*readings, *true, read.gyro_bias_rad_s, read.accel_bias_m_s2]).tolist()
+        return "".join(
+            f"{seconds_text(t_ns)},{','.join(f'{number:.9f}' for number in row)}\n"
+            for t_ns, row in zip(read.t_ns.tolist(), numbers, strict=True)
+        )
+
+    return rows
+
+
+def _fixes(receiver: Receiver, gps: Gps) -> Rows:
+    """Lines of what a receiver measures and says; sample i is the UTC second i."""
+
+    def row(t_ns: int) -> str:
+        true, said = receiver.reading(t_ns), receiver.fix(t_ns)
+        latitude_deg, longitude_deg, height_m = to_geodetic(true.antenna_m[None], gps)[0].tolist()
+        east_m_s, north_m_s, _ = true.velocity_m_s.tolist()
+        return (
+            f"{seconds_text(t_ns)},{said.valid:d},{true.cover:.4f},"
+            f"{latitude_deg:.10f},{longitude_deg:.10f},{height_m:.4f},{east_m_s:.6f},{north_m_s:.6f},"
+            f"{said.latitude_deg:.10f},{said.longitude_deg:.10f},{said.speed_m_s:.6f},{said.course_deg:.4f}\n"
+        )
+
+    return lambda first, count: "".join(row(second * S_NS) for second in range(first, first + count))
+
+
+def _event_row(one: Happening) -> str:
+    """Write what happened as a line."""
+    last = str(one.first + one.count - 1) if one.count else ""
+    times = seconds_text(one.begin_ns), seconds_text(one.end_ns)
+    return (
+        f"{','.join(times)},{one.event},{one.unit},{one.kind},{one.packets},{one.first},{last},{one.count}\n"
+    )
+
+
+def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]:
+    tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True) | {"duration_s": span_s[1]}
+    start = f", --start {span_s[0]!r}" if span_s[0] else ""
+    return {"written_by": f"vlp16emu {version('vlp16emu')}{start}"} | tree
+
+
+def _rig(scenario: Scenario, parts: Parts) -> dict[str, Any]:
+    """Describe the frames of the trajectory and of what is fixed to it."""
+    gps, imu = scenario.gps, scenario.imu
+    rig: dict[str, Any] = {
+        "world": {
+            "axes": "x east, y north, z up",
+            "latitude_deg": gps.latitude_deg,
+            "longitude_deg": gps.longitude_deg,
+            "height_m": gps.height_m,
+        },
+        "sensor": {
+            "axes": "x forward at azimuth 0, y left, z up; that of the trajectory and of decoded points"
+        },
+        "units": [_unit(unit) for unit in parts.units],
+        "manual": {
+            "axes": "azimuth 0 on +y, clockwise seen from above (63-9243 Rev D, section 9.1)",
+            "sensor_T_manual": _transform(SENSOR_R_MANUAL, np.zeros(3)),
+        },
+        "antenna": {"above_sensor_m": gps.antenna_above_m, "towards": "world up"},
+    }
+    return rig | ({"imu": {"body_T_imu": _mount(imu.mount)}} if imu else {})
+
+
+def _unit(unit: Unit) -> dict[str, Any]:
+    """Describe a unit, its addresses, and where it sits."""
+    keys = ("name", "model", "serial_number", "address", "data_port", "position_port")
+    return {
+        "unit": unit.number + 1,
+        **{key: getattr(unit.section, key) for key in keys if hasattr(unit.section, key)},
+        "trajectory": _file("trajectory", unit),
+        "body_T_sensor": _mount(unit.mount),
+    }
+
+
+def _mount(section: Mount) -> dict[str, Any]:
+    R = rotation(section.yaw_deg, section.pitch_deg, section.roll_deg)
+    spin = {"spin_hz": section.spin_hz, "spin_axis": section.spin_axis} if section.spin_hz else {}
+    return _transform(R, np.array(section.lever_arm_m)) | spin
+
+
+def _transform(R: NDArray[np.float64], p_m: NDArray[np.float64]) -> dict[str, Any]:
+    """Write a rigid transform as matrix and as translation and quaternion."""
+    from scipy.spatial.transform import Rotation  # here: it takes 0.1 s, and few runs need it
+
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, p_m
+    quaternion = Rotation.from_matrix(R).as_quat(canonical=True) + 0.0  # no -0.0
+    return {"matrix": T.tolist(), "translation_m": p_m.tolist(), "quaternion_xyzw": quaternion.tolist()}
+
+
+def write_truth(
+    emulator: Emulator,
+    to: TruthPlace,
+    *,
+    start_s: float = 0.0,
+    duration_s: float | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+    stop: Event | None = None,
+) -> float:
+    """Write the ground truth that `record` writes beside a run, byte for byte, without casting a pulse.
+
+    Parameters
+    ----------
+    to : folder
+    start_s, duration_s : as of `Emulator.record`
+    progress : called with the simulated seconds so far, second by second
+    stop : ends it from another thread
+
+    Returns
+    -------
+    Simulated seconds
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written, or holds an input of the scene
+    ScenarioError
+        If poses of packets are wanted of a sensor that has none
+    TrajectoryError
+        If the walk ends before the span does
+    RunError
+        If the disk is full; the lines before are kept
+    """
+    run = emulator.run.with_truth_in(to)
+    begin_s, stop_s = span_s = run.scenario.span_s(start_s, duration_s)
+    run.engine.span_ns(*span_s)  # checks the span before the folder is touched
+    done_s, stop = 0.0, stop or Event()
+    with run.truth(to, span_s, of=run) as truth:
+        while truth and done_s < stop_s - begin_s and not stop.is_set():
+            done_s = min(done_s + 1.0, stop_s - begin_s)
+            truth.up_to(begin_s + done_s)
+            progress(done_s)
+    return done_s

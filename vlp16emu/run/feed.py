@@ -1,0 +1,114 @@
+"""The packets of a stream, which follows its clock and what is set on its sensors."""
+
+from collections import Counter
+from collections.abc import Collection, Generator, Iterator, Sequence
+from collections.abc import Set as AbstractSet
+from threading import Thread
+
+from vlp16emu.device.events import Event
+from vlp16emu.doors import door
+from vlp16emu.engine import Engine
+from vlp16emu.engine.position import position_number
+from vlp16emu.types import Packet, PacketKind
+from vlp16emu.units import S_NS, seconds_to_ns
+
+
+class PacketFeed:
+    """The packets of a run in order of sending: an iterator that can go on further ahead, or with other events.
+
+    Parameters
+    ----------
+    engine : makes them
+    start_s, stop_s : span of the run, since the first pulse
+    also : kinds that leave beside the packets of the sensors
+
+    Raises
+    ------
+    InputError
+        If the engine has no such span, or the scene no device that `also` asks for
+    """
+
+    def __init__(
+        self, engine: Engine, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()
+    ) -> None:
+        self.engine, self._stop_s = engine, stop_s
+        """Makes the packets from here on."""
+        self._beside = door("beside")(engine, also) if also else None
+        self._packets = self._from(start_s)
+        self._reached_ns = engine.scenario.start_ns
+        self._at_reached = set[tuple[int, PacketKind]]()
+        self._from_ns: int | None = None
+        self.skipped = Counter[PacketKind]()
+        """Packets that were left out."""
+
+    def __iter__(self) -> Iterator[Packet]:
+        return self
+
+    def __next__(self) -> Packet:
+        from_ns, self._from_ns = self._from_ns, None
+        if from_ns is not None:
+            self._leave_out(from_ns)
+        packet = next(self._packets)
+        if packet.due_ns > self._reached_ns:
+            self._reached_ns = packet.due_ns
+            self._at_reached.clear()
+        self._at_reached.add((packet.unit, packet.kind))
+        return packet
+
+    def close(self) -> None:
+        """End the workers, and wait for what they have begun."""
+        self._packets = iter(())
+
+    def _let_go(self) -> None:
+        """End the workers without waiting: what comes next is wanted at once."""
+        before, self._packets = self._packets, iter(())
+        if isinstance(before, Generator):
+            Thread(target=before.close, name="let go", daemon=True).start()
+
+    def go_on_from(self, due_ns: int) -> None:
+        """Compute no packet that is due before a UTC time, from the next one on; from any thread."""
+        self._from_ns = due_ns
+
+    def begin_again(self, from_ns: int, events: Sequence[Event]) -> None:
+        """Go on from a UTC time, or from where the run is if that is earlier, with other events; between two packets."""
+        self._let_go()
+        self.engine = self.engine.with_events(events)
+        if from_ns > self._reached_ns:
+            from_ns, there = self._reached_ns, self._at_reached
+        else:
+            there = set()
+        self._packets = self._after(from_ns, there)
+
+    def _from(self, start_s: float) -> Iterator[Packet]:
+        packets = self.engine.packets(start_s, self._stop_s)
+        if self._beside is None:
+            return packets
+        return iter(self._beside.among(packets, seconds_to_ns(start_s), seconds_to_ns(self._stop_s)))
+
+    def _after(self, from_ns: int, there: AbstractSet[tuple[int, PacketKind]]) -> Iterator[Packet]:
+        """Yield packets due from a UTC time on; of those due just then some are out already."""
+        for packet in self._from(self._since_s(from_ns)):
+            if packet.due_ns > from_ns or (packet.unit, packet.kind) not in there:
+                yield packet
+
+    def _leave_out(self, from_ns: int) -> None:
+        """Begin again further on."""
+        stop_ns = self.engine.scenario.start_ns + round(self._stop_s * S_NS)
+        from_ns = min(from_ns, stop_ns)
+        if from_ns <= self._reached_ns:
+            return
+        self.close()  # of the packets before
+        self.skipped += self._count(from_ns) - self._count(self._reached_ns + 1)
+        self._packets = self._from(self._since_s(from_ns))
+
+    def _count(self, before_ns: int) -> Counter[PacketKind]:
+        """Count the packets of all units due from the first pulse until before a UTC time."""
+        scenario, units = self.engine.scenario, self.engine.parts.units
+        since_ns = before_ns - scenario.start_ns
+        data = sum(unit.timeline.count(0, since_ns) for unit in units)
+        position = sum(position_number(scenario, unit, since_ns) for unit in units)
+        beside = self._beside.count(0, since_ns) if self._beside else {}
+        return Counter({PacketKind.DATA: data, PacketKind.POSITION: position, **beside})
+
+    def _since_s(self, utc_ns: int) -> float:
+        return (utc_ns - self.engine.scenario.start_ns) / S_NS

@@ -1,0 +1,112 @@
+"""A scene that is read and set up, under its name."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, Self
+
+from vlp16emu.doors import door
+from vlp16emu.engine import Engine
+from vlp16emu.errors import InputError, spare
+from vlp16emu.motion.live_settings import takes_poses
+from vlp16emu.scenario import Scenario, find, load
+from vlp16emu.scenario.find import named_files
+from vlp16emu.sinks import TruthTo
+
+if TYPE_CHECKING:
+    from vlp16emu.accuracy import Audit, AuditFinding
+    from vlp16emu.extras.truth.truth import Truth
+
+
+class HasEngine(Protocol):
+    """What has the engine of a run, which may be another one a moment later."""
+
+    @property
+    def engine(self) -> Engine:
+        """The engine as it is now."""
+
+
+Scene = str | Path | Mapping[str, Any] | Scenario
+"""Name of a scene, path of a .toml file, its tables as a dictionary, or a scenario."""
+TruthPlace = str | Path | TruthTo
+"""Folder for the ground truth of a run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """An engine, and what its run is called and reads."""
+
+    engine: Engine
+    name: str
+    """Name, path or title of the scene."""
+    files: tuple[Path, ...]
+    """Files that the run reads; no output replaces them."""
+    audit: "Audit | None" = None
+    """Casts a sample of the pulses again, to estimate their error."""
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        settings: Mapping[str, object] | Sequence[str] = (),
+        *,
+        ideal: bool = False,
+        threads: int = 0,
+        audit: bool = False,
+        like: Engine | None = None,
+    ) -> Self:
+        """Read a scene and set it up; parameters and errors as of `Emulator`."""
+        scenario = load(scene, settings, ideal=ideal)
+        observer = door("audit").of(scenario) if audit and not takes_poses(scenario.motion) else None
+        engine = Engine.of(scenario, threads=threads, taps=[observer] if observer else [], like=like)
+        is_named = isinstance(scene, str | Path)
+        own = [find(str(scene))] if is_named else []
+        name = str(scene) if is_named else scenario.title
+        return cls(engine, name, (*own, *named_files(scenario)), observer)
+
+    @property
+    def scenario(self) -> Scenario:
+        """Everything that decides the bytes."""
+        return self.engine.scenario
+
+    @property
+    def finding(self) -> "AuditFinding | None":
+        """What the audit has found so far; None without one."""
+        return self.audit.finding if self.audit else None
+
+    def number(self, unit: int) -> int:
+        """Place in the rig of unit 1, 2 ..., from 0.
+
+        Raises
+        ------
+        InputError
+            If there is no such unit
+        """
+        if not 1 <= unit <= (units := len(self.engine.parts.units)):
+            raise InputError("unit", f"found {unit}", f"1 to {units}, as the scene has {units} units")
+        return unit - 1
+
+    def with_truth_in(self, to: TruthPlace | None) -> Self:
+        """Return a run whose packets carry the ground truth of their records, if `to` asks for it."""
+        if not (isinstance(to, TruthTo) and to.per_return):
+            return self
+        return replace(self, engine=replace(self.engine, truth_of=door("truth_of_records")))
+
+    @contextmanager
+    def truth(
+        self, to: TruthPlace | None, span_s: tuple[float, float], *, of: HasEngine
+    ) -> Iterator["Truth | None"]:
+        """Open the folder for the ground truth of a span; None if none is wanted.
+
+        Parameters
+        ----------
+        of : whose engine makes the packets, with the events so far
+        """
+        if to is None:
+            yield None
+            return
+        place = to if isinstance(to, TruthTo) else TruthTo(Path(to))
+        spare(self.files, place.scenario)
+        with door("truth")(place, of, span_s) as truth:
+            yield truth
