@@ -8,7 +8,7 @@ from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.packets import DATA_BYTES
-from vlp16emu.sinks import TruthTo
+from vlp16emu.run.options import TruthTo
 
 pytest.importorskip("pyarrow", reason="pyarrow is in the extra data")
 

@@ -14,7 +14,7 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError
 from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD, Capture
-from vlp16emu.sinks import TruthTo
+from vlp16emu.run.options import TruthTo
 from vlp16emu.sinks.slots import SLOT_COLUMNS
 
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is in the extra data")
@@ -141,7 +141,7 @@ def test_no_truth_no_cost(monkeypatch, tmp_path):
 
 def test_it_is_not_for_streams_that_are_set_live(tmp_path):
     """What is set live makes packets anew, whose rows would be there twice: refused."""
-    from vlp16emu.run.report import Http
+    from vlp16emu.run.options import Http
 
     with pytest.raises(InputError, match="--truth-packets or --truth-returns: found beside --http"):
         Emulator("static_bench").stream(

@@ -15,8 +15,8 @@ from vlp16emu.errors import OutputError, ScenarioError
 from vlp16emu.extras.truth.truth import Truth, write_truth
 from vlp16emu.motion.geodesy import to_geodetic
 from vlp16emu.packets import decode_position, parse_rmc
+from vlp16emu.run.options import TruthTo
 from vlp16emu.scenario import load, scene_files
-from vlp16emu.sinks import TruthTo
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 

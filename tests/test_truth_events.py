@@ -6,8 +6,8 @@ import pytest
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.extras.truth.truth import write_truth
+from vlp16emu.run.options import TruthTo
 from vlp16emu.scenario import load
-from vlp16emu.sinks import TruthTo
 from vlp16emu.types import PacketKind
 from vlp16emu.units import S_NS
 

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError
+from vlp16emu.run.options import TruthTo
 from vlp16emu.scan import decode
 from vlp16emu.scenario import load
-from vlp16emu.sinks import TruthTo
 from vlp16emu.units import HOUR_NS
 
 OUTPUTS = (Path(__file__).resolve().parents[1] / "scenes" / "OUTPUTS.md").read_text(encoding="utf-8")

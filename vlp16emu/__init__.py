@@ -13,14 +13,13 @@ if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
     from vlp16emu.extras.clouds.points import write_points
     from vlp16emu.extras.images import write_images
-    from vlp16emu.extras.live.flight import PosesIn
     from vlp16emu.extras.truth.truth import write_truth
+    from vlp16emu.run.options import Http, PosesIn, TruthTo
     from vlp16emu.run.record import Recording
     from vlp16emu.run.replay import Replayed, replay
-    from vlp16emu.run.report import Http
     from vlp16emu.scan import Labels, Scan, decode
     from vlp16emu.scenario import Scenario, load
-    from vlp16emu.sinks import GpsIn, Outlets, TruthTo
+    from vlp16emu.sinks import GpsIn, Outlets
     from vlp16emu.validator import Finding, Verification, verify
 
 __all__ = [
@@ -50,15 +49,15 @@ _PLACES = {
     "Emulator": "emulator",
     "Finding": "validator",
     "GpsIn": "sinks",
-    "Http": "run.report",
+    "Http": "run.options",
     "Labels": "scan",
     "Outlets": "sinks",
-    "PosesIn": "extras.live.flight",
+    "PosesIn": "run.options",
     "Recording": "run.record",
     "Replayed": "run.replay",
     "Scan": "scan",
     "Scenario": "scenario",
-    "TruthTo": "sinks",
+    "TruthTo": "run.options",
     "Verification": "validator",
     "decode": "scan",
     "load": "scenario",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
-from vlp16emu.sinks import TruthTo
+from vlp16emu.run.options import TruthTo
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 

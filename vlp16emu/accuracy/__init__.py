@@ -1,5 +1,5 @@
-"""A run held against the converged answer of the same scene: a few pulses beside the run, or (`accuracy`) a sample."""
+"""How exact a run is, and what it costs."""
 
-from vlp16emu.accuracy.audit import Audit, AuditFinding
+from vlp16emu.accuracy.audit import Audit
 
-__all__ = ["Audit", "AuditFinding"]
+__all__ = ["Audit"]

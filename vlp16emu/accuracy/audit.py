@@ -6,7 +6,6 @@ follows from the seed and the block, so neither threads nor order matter, and no
 """
 
 import threading
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -18,6 +17,7 @@ from vlp16emu.engine.windows import Batching
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import BeamModel
 from vlp16emu.raycast.caster import Geometry
+from vlp16emu.run.report import AuditFinding
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import Firings, Hits
 
@@ -26,24 +26,6 @@ _RAYS, _TIMES = 512, 4
 """Sub-rays of an answer: so many, and so many times those of a pulse. With 512, what is left is a fifth of the error
 of pulses of 64, and 1/20 of that of one ray."""
 _SAMPLED = (BeamModel.FIXED, BeamModel.ADAPTIVE)
-
-
-@dataclass(frozen=True, slots=True)
-class AuditFinding:
-    """What an audit found; shares are of returns, None where nothing is known."""
-
-    exact: bool
-    """A pulse is one ray, by the scene's own choice."""
-    pulses: int
-    """Pulses cast again."""
-    range_rmse_m: float | None
-    range_rmse_low_m: float | None
-    """Of the interval in which that lies with 95 % confidence, as the next."""
-    range_rmse_high_m: float | None
-    lost: float | None
-    invented: float | None
-    other_echo: float | None
-    """Share whose strongest return is that of another echo."""
 
 
 class Audit:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from vlp16emu.bag.of_capture import write_bag
 from vlp16emu.errors import OutputError, RunError
+from vlp16emu.run.options import TruthTo
 from vlp16emu.run.record import Recording
-from vlp16emu.sinks import TruthTo
 from vlp16emu.sinks.bag import check_bag
 
 

@@ -9,7 +9,7 @@ import typer
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
-    from vlp16emu.sinks import TruthTo
+    from vlp16emu.run.options import TruthTo
 
 
 _LONGEST_S = 7 * 86_400
@@ -51,7 +51,7 @@ def truth_to(folder: Path | None, rate_hz: int, *, per_packet: bool, per_return:
             if given:
                 raise InputError(option, "found no --truth", f"--truth DIR, where {file} goes")
         return None
-    from vlp16emu.sinks import TruthTo
+    from vlp16emu.run.options import TruthTo
 
     return TruthTo(folder, rate_hz, per_packet, per_return)
 

@@ -15,7 +15,8 @@ from vlp16emu.errors import InputError, MissingExtraError
 
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
-    from vlp16emu.extras.live.flight import LiveReport, PosesIn
+    from vlp16emu.extras.live.flight import LiveReport
+    from vlp16emu.run.options import PosesIn
     from vlp16emu.scenario import Scenario
     from vlp16emu.viewer.watch import Watch
 
@@ -123,7 +124,7 @@ def poses_in(
         raise InputError("--pose-in", 'found motion.kind = "live" without it', expected)
     if where is None and flown is None and not steered:
         return None
-    from vlp16emu.extras.live.flight import PosesIn
+    from vlp16emu.run.options import PosesIn
 
     if steered and watch is not None:
         return PosesIn("udp://127.0.0.1:0", flown, news, opened=watch.steer)

@@ -131,7 +131,7 @@ class Progress:
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from vlp16emu.accuracy import AuditFinding
+    from vlp16emu.run.report import AuditFinding
     from vlp16emu.sensor.head import Turn
 
 

@@ -46,7 +46,7 @@ def truth(
     The files are those of `record --truth` over the same span, byte for byte. Ctrl-C ends them early.
     """
     emulator = make_emulator(scene, settings, ideal=ideal)
-    from vlp16emu.sinks import TruthTo
+    from vlp16emu.run.options import TruthTo
 
     start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")
     with stop_on_ctrl_c() as stop, Progress(stop_s - start_s) as progress:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 if TYPE_CHECKING:
-    from vlp16emu.run.report import Http
+    from vlp16emu.run.options import Http
 
 
 def _http(text: str) -> tuple[str, int]:
@@ -40,7 +40,7 @@ HttpSettings = Annotated[
 
 def served(at: object | None, saved: Path | None, *, quiet: bool) -> "Http | None":
     """Serve web interfaces, and print where they are."""
-    from vlp16emu.run.report import Http
+    from vlp16emu.run.options import Http
 
     if at is None:
         return None

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from ipaddress import IPv4Address
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from vlp16emu.device.host_clock import CaptureClock, HostClock
 from vlp16emu.doors import door
@@ -19,16 +19,15 @@ from vlp16emu.errors import OutputError, spare
 from vlp16emu.output import STDOUT
 from vlp16emu.packets import Capture, returns_in
 from vlp16emu.packets.frames import Link
+from vlp16emu.run.options import TruthTo
+from vlp16emu.run.report import AuditFinding
 from vlp16emu.run.run import Run, TruthPlace
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.settings import on_the_wire
-from vlp16emu.sinks import PcapSink, TruthTo, check_ending
+from vlp16emu.sinks import PcapSink, check_ending
 from vlp16emu.sinks.bag import is_bag
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
-
-if TYPE_CHECKING:
-    from vlp16emu.accuracy import AuditFinding
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +73,7 @@ class Recording:
     wall_s: float
     real_time_factor: float
     """Simulated seconds per second."""
-    audit: "AuditFinding | None" = None
+    audit: AuditFinding | None = None
     """None without an audit."""
     interrupted: bool = False
     """Ended by its stop event."""

@@ -1,46 +1,46 @@
 """What a stream sent, how punctual it was, and why it fell behind."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from vlp16emu.engine import Unit
 from vlp16emu.report.keeping_up import settings_that_keep_up
 from vlp16emu.run.feed import PacketFeed
+from vlp16emu.run.options import TruthTo
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sinks import (
     FellBehind,
     FirstPacket,
-    GpsInResult,
     Late,
     Outlet,
     OutletResult,
     StreamReport,
-    TruthTo,
     UdpResult,
     write_json,
 )
 from vlp16emu.types import PacketKind
 
-if TYPE_CHECKING:
-    from vlp16emu.accuracy import AuditFinding
-    from vlp16emu.extras.live.flight import LiveReport
-
 
 @dataclass(frozen=True, slots=True)
-class Http:
-    """Where the web interfaces of a stream's sensors are."""
+class AuditFinding:
+    """What an audit found; shares are of returns, None where nothing is known."""
 
-    host: str
-    port: int
-    """Of the first sensor, those of others follow; 0 for free ones."""
-    saved: Path | None = None
-    """File that keeps the saved settings of the first sensor from run to run; others have its name with their number."""
-    serving: Callable[[list[tuple[str, int]]], None] = lambda _: None
-    """Called with the address and port of each, before the first packet leaves."""
+    exact: bool
+    """A pulse is one ray, by the scene's own choice."""
+    pulses: int
+    """Pulses cast again."""
+    range_rmse_m: float | None
+    range_rmse_low_m: float | None
+    """Of the interval in which that lies with 95 % confidence, as the next."""
+    range_rmse_high_m: float | None
+    lost: float | None
+    invented: float | None
+    other_echo: float | None
+    """Share whose strongest return is that of another echo."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,12 +115,12 @@ class Streamed:
     keeps_up_with: tuple[str, ...]
     """Options of `vlp16emu stream` with which the engine would keep up, each enough by itself."""
     interrupted: bool
-    audit: "AuditFinding | None"
+    audit: AuditFinding | None
     """None without an audit."""
-    live: "LiveReport | None" = None
-    """None where no poses came in."""
-    gps_in: GpsInResult | None = None
-    """None without a real receiver."""
+    live: Any | None = None
+    """`LiveReport` of a run whose poses came in; else None."""
+    gps_in: Any | None = None
+    """`GpsInResult` of a real receiver; None without one."""
     gps_out: OutletResult | None = None
     """Sentences and pulses of the receiver; None unless asked for, as the next."""
     imu_out: OutletResult | None = None
@@ -136,8 +136,8 @@ def summed_up(
     speed: float,
     late: Late,
     *,
-    audit: "AuditFinding | None",
-    live: "LiveReport | None" = None,
+    audit: AuditFinding | None,
+    live: Any | None = None,
 ) -> Streamed:
     """Sum up a stream.
 

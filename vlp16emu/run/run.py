@@ -1,22 +1,20 @@
 """A scene that is read and set up, under its name."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import Any, Protocol, Self
 
 from vlp16emu.doors import door
 from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError, spare
 from vlp16emu.motion.live_settings import takes_poses
+from vlp16emu.run.options import TruthTo
+from vlp16emu.run.report import AuditFinding
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
-from vlp16emu.sinks import TruthTo
-
-if TYPE_CHECKING:
-    from vlp16emu.accuracy import Audit, AuditFinding
-    from vlp16emu.extras.truth.truth import Truth
+from vlp16emu.types import Packet
 
 
 class HasEngine(Protocol):
@@ -25,6 +23,24 @@ class HasEngine(Protocol):
     @property
     def engine(self) -> Engine:
         """The engine as it is now."""
+
+
+class Audit(Protocol):
+    """A tap that casts a sample of the pulses again."""
+
+    @property
+    def finding(self) -> AuditFinding:
+        """What was found so far."""
+
+
+class Truth(Protocol):
+    """The ground truth of a run, as it is written."""
+
+    def beside(self, packets: Iterable[Packet]) -> Iterator[Packet]:
+        """Pass packets on, and write what was true until each of them."""
+
+    def up_to(self, since_s: float) -> None:
+        """Write what was true until a time since the first pulse, of a run whose packets do not go by."""
 
 
 Scene = str | Path | Mapping[str, Any] | Scenario
@@ -42,7 +58,7 @@ class Run:
     """Name, path or title of the scene."""
     files: tuple[Path, ...]
     """Files that the run reads; no output replaces them."""
-    audit: "Audit | None" = None
+    audit: Audit | None = None
     """Casts a sample of the pulses again, to estimate their error."""
 
     @classmethod
@@ -71,7 +87,7 @@ class Run:
         return self.engine.scenario
 
     @property
-    def finding(self) -> "AuditFinding | None":
+    def finding(self) -> AuditFinding | None:
         """What the audit has found so far; None without one."""
         return self.audit.finding if self.audit else None
 
@@ -96,7 +112,7 @@ class Run:
     @contextmanager
     def truth(
         self, to: TruthPlace | None, span_s: tuple[float, float], *, of: HasEngine
-    ) -> Iterator["Truth | None"]:
+    ) -> Iterator[Truth | None]:
         """Open the folder for the ground truth of a span; None if none is wanted.
 
         Parameters

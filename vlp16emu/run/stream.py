@@ -5,14 +5,15 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING
+from typing import Any
 
 from vlp16emu.doors import door
 from vlp16emu.errors import InputError
 from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.run.feed import PacketFeed
+from vlp16emu.run.options import Http, PosesIn, TruthTo
 from vlp16emu.run.record import prepared, record
-from vlp16emu.run.report import Http, Streamed, summed_up, with_outlets, write_times
+from vlp16emu.run.report import Streamed, summed_up, with_outlets, write_times
 from vlp16emu.run.run import Run, TruthPlace
 from vlp16emu.sinks import (
     LOOK_AHEAD_PACKETS,
@@ -27,15 +28,11 @@ from vlp16emu.sinks import (
     PacketSink,
     RigSink,
     SinkByKind,
-    TruthTo,
     UnderWay,
     stream,
 )
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS
-
-if TYPE_CHECKING:
-    from vlp16emu.extras.live.flight import Flight, PosesIn
 
 _NO_OUTLETS = Outlets()
 
@@ -64,7 +61,7 @@ class StreamOptions:
     """Capture that the whole run is computed into before the first packet leaves, and which stays."""
     http: Http | None = None
     """Where the web interfaces of the sensors are, through which the stream is set; None for none."""
-    poses: "PosesIn | None" = None
+    poses: PosesIn | None = None
     """Where those of a live scene come in; its stream begins with the first one, and drops what is late."""
     outlets: Outlets = _NO_OUTLETS
     """What leaves beside the packets of the sensors: sentences and pulses of the receiver, inertial samples."""
@@ -186,9 +183,10 @@ def _packets(
     )
 
 
-def _going_on(feed: PacketFeed, flight: "Flight | None", pacer: Pacer) -> Callable[[int], None]:
+def _going_on(feed: PacketFeed, flight: Any | None, pacer: Pacer) -> Callable[[int], None]:
     """Return what lets the feed go on further ahead."""
-    return flight.going_on(feed.go_on_from, pacer) if flight else feed.go_on_from
+    further: Callable[[int], None] = flight.going_on(feed.go_on_from, pacer) if flight else feed.go_on_from
+    return further
 
 
 def _serve(http: Http | None, feed: PacketFeed, sink: RigSink, now: UnderWay, until: ExitStack) -> None:

@@ -16,7 +16,7 @@ from vlp16emu.sinks.stream import (
     sending_share,
     stream,
 )
-from vlp16emu.sinks.truth import TruthFolder, TruthTo, tum_rows, write_json
+from vlp16emu.sinks.truth import TruthFolder, tum_rows, write_json
 from vlp16emu.sinks.udp import LOOPBACK, RigSink, UdpResult, UdpSink
 
 __all__ = [
@@ -49,7 +49,6 @@ __all__ = [
     "SinkByKind",
     "StreamReport",
     "TruthFolder",
-    "TruthTo",
     "UdpResult",
     "UdpSink",
     "UnderWay",

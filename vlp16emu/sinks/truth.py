@@ -6,7 +6,6 @@ import re
 import weakref
 from collections.abc import Collection, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 from types import TracebackType
@@ -22,25 +21,6 @@ _FILES = re.compile(
     r"|returns(_\d+)?\.parquet(\.part)?"
 )
 """All that a run may write; those of an earlier run are replaced as a whole."""
-
-
-@dataclass(frozen=True, slots=True)
-class TruthTo:
-    """Where the truth of a run goes, and how fine it is."""
-
-    folder: Path
-    """As `TruthFolder` wants it."""
-    rate_hz: int = 200
-    """Of the trajectory; samples count from the first pulse."""
-    per_packet: bool = False
-    """Also write the pose at the first firing of each data packet."""
-    per_return: bool = False
-    """Also write what is behind each record of the data packets, which must be cast for it."""
-
-    @property
-    def scenario(self) -> Path:
-        """File of the scene with all its values, which can be recorded again."""
-        return self.folder / "scenario.json"
 
 
 class TruthFolder:

@@ -19,7 +19,7 @@ from vlp16emu.engine import Unit
 from vlp16emu.errors import OutputError, PacketError, Vlp16emuError
 from vlp16emu.packets import POSITION_BYTES, decode_position, parse_rmc
 from vlp16emu.run.feed import PacketFeed
-from vlp16emu.run.report import Http
+from vlp16emu.run.options import Http
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import RigSink, UnderWay
 from vlp16emu.types import PpsState, ReturnMode, SensorModel

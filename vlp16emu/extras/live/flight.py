@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
 from threading import Event
 from types import TracebackType
 from typing import Self
@@ -22,6 +21,7 @@ from vlp16emu.extras.live.flown import FLOWN_HEADER, flown_rows
 from vlp16emu.extras.live.knots import STEP_NS
 from vlp16emu.extras.live.motion import LOST_NS, LiveMotion, PosesLost
 from vlp16emu.output import OutputFile
+from vlp16emu.run.options import PosesIn
 from vlp16emu.run.run import Run
 from vlp16emu.sinks import Late, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import Packet
@@ -35,20 +35,6 @@ _WARM_S = 0.02
 """What is computed before the run, so that kernels are loaded and compiled."""
 _ROWS_NS = S_NS
 """How often knots are written."""
-
-
-@dataclass(frozen=True, slots=True)
-class PosesIn:
-    """Where poses of a live run come in, and what becomes of them."""
-
-    where: str | None = None
-    """`udp://HOST:PORT`, of this machine; None where `Emulator.put_pose` alone brings them."""
-    flown: Path | None = None
-    """File for what is flown, which repeats the run as `motion.flown`; overwritten if it exists."""
-    news: Callable[[str], None] = lambda _: None
-    """Called with a line when poses are waited for, lost, or back."""
-    opened: Callable[[str], None] = lambda _: None
-    """Called with `where`, and the port that was free where that is 0, once poses are listened to."""
 
 
 @dataclass(frozen=True, slots=True)

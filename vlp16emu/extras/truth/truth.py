@@ -24,11 +24,12 @@ from vlp16emu.motion.gnss import Receiver
 from vlp16emu.motion.imu import ImuSampler
 from vlp16emu.motion.pose import Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
+from vlp16emu.run.options import TruthTo
 from vlp16emu.run.run import HasEngine, TruthPlace
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
 from vlp16emu.sensor.settings import on_the_wire
-from vlp16emu.sinks import TruthFolder, TruthTo, tum_rows
+from vlp16emu.sinks import TruthFolder, tum_rows
 from vlp16emu.sinks.slots import SlotTable
 from vlp16emu.sinks.truth import seconds_text
 from vlp16emu.types import Packet, PacketKind, Poses

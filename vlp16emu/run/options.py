@@ -1,0 +1,51 @@
+"""What a run is asked for beside its packets."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class TruthTo:
+    """Where the truth of a run goes, and how fine it is."""
+
+    folder: Path
+    """As `TruthFolder` wants it."""
+    rate_hz: int = 200
+    """Of the trajectory; samples count from the first pulse."""
+    per_packet: bool = False
+    """Also write the pose at the first firing of each data packet."""
+    per_return: bool = False
+    """Also write what is behind each record of the data packets, which must be cast for it."""
+
+    @property
+    def scenario(self) -> Path:
+        """File of the scene with all its values, which can be recorded again."""
+        return self.folder / "scenario.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Http:
+    """Where the web interfaces of a stream's sensors are."""
+
+    host: str
+    port: int
+    """Of the first sensor, those of others follow; 0 for free ones."""
+    saved: Path | None = None
+    """File that keeps the saved settings of the first sensor from run to run; others have its name with their number."""
+    serving: Callable[[list[tuple[str, int]]], None] = lambda _: None
+    """Called with the address and port of each, before the first packet leaves."""
+
+
+@dataclass(frozen=True, slots=True)
+class PosesIn:
+    """Where poses of a live run come in, and what becomes of them."""
+
+    where: str | None = None
+    """`udp://HOST:PORT`, of this machine; None where `Emulator.put_pose` alone brings them."""
+    flown: Path | None = None
+    """File for what is flown, which repeats the run as `motion.flown`; overwritten if it exists."""
+    news: Callable[[str], None] = lambda _: None
+    """Called with a line when poses are waited for, lost, or back."""
+    opened: Callable[[str], None] = lambda _: None
+    """Called with `where`, and the port that was free where that is 0, once poses are listened to."""
