@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from raycast.reference import SlowScene
 
 from vlp16emu.accuracy.compare import compare, errors_of
 from vlp16emu.accuracy.converged import Bench, Group, apart_m, joined
 from vlp16emu.accuracy.settings import beam_settings
 from vlp16emu.chain import assemble
 from vlp16emu.chain.chain import Chain
-from vlp16emu.raycast.slow import SlowScene
 from vlp16emu.scenario import load
 
 
