@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from raycast.reference import SlowScene
 
 from vlp16emu.accuracy.compare import compare, errors_of
 from vlp16emu.accuracy.converged import Bench, Group, apart_m, joined
 from vlp16emu.accuracy.settings import beam_settings
 from vlp16emu.engine import Engine, assemble
-from vlp16emu.raycast.slow import SlowScene
 from vlp16emu.scenario import load
 
 

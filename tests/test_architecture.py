@@ -50,6 +50,7 @@ FLOORS = (
         "settings",
         "store",
         "text",
+        "tiles",
         "trig",
         "types",
         "units",
@@ -62,7 +63,7 @@ FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floo
 LIBRARIES = {
     # third-party or system module: where it may be imported
     "ctypes": ("raycast/embree", "sinks/pacing.py"),
-    "embreex": ("raycast/embree", "raycast/slow.py"),
+    "embreex": ("raycast/embree",),
     "serial": ("sinks/", "device/"),
     "socket": ("sinks/", "device/"),
     "typer": ("cli/",),
@@ -135,6 +136,39 @@ def taken_at_once(name: str, tree: ast.Module) -> set[str]:
     return taken - {name}
 
 
+FAR = {
+    f"raycast/{name}.py"
+    for name in [
+        "cloud",
+        "cuts",
+        "far",
+        "far_caster",
+        "filling",
+        "lanes",
+        "leaves",
+        "march",
+        "marks",
+        "medium",
+        "voxel",
+    ]
+}
+"""What casts the medium that forests are from afar."""
+
+
+def test_what_is_near_is_cast_without_what_is_far():
+    """In `raycast` only the far part, and the one place that chooses it, imports the far part, tiles or the world."""
+    found = {}
+    for name, tree in trees().items():
+        if room_of(name) == "raycast" and name not in FAR:
+            modules = {full.removeprefix("vlp16emu.") for full in imports(tree)}
+            far = tuple(path.removesuffix(".py").replace("/", ".") + "." for path in FAR)
+            found[name] = {full for full in modules if full.startswith((*far, "tiles", "world"))}
+    assert {name: taken for name, taken in found.items() if taken} == {
+        "raycast/caster.py": {"raycast.far_caster.FarCaster"}
+    }
+    assert set(trees()) >= FAR
+
+
 def test_every_room_stands_on_one_floor():
     """Each folder and each module of the package has its place, and every place is taken."""
     there = {room_of(name) for name in NAMES} - {"__init__"}
@@ -169,7 +203,7 @@ def test_a_trespass_would_be_seen():
     ):
         assert trespasses("motion/walk.py", ast.parse(f"def f():\n    {line}")), line
         assert trespasses("units.py", ast.parse(line)), line
-    assert not trespasses("raycast/far.py", ast.parse("from vlp16emu.world.stand.tiles import TILE_M"))
+    assert not trespasses("raycast/far.py", ast.parse("from vlp16emu.world.polyline import distance_m"))
     assert not trespasses("sinks/udp.py", ast.parse("from vlp16emu.packets.frames import HEADER"))
     assert not trespasses("motion/walk.py", ast.parse("from vlp16emu.world import Terrain"))
 

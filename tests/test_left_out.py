@@ -14,6 +14,7 @@ from vlp16emu.engine import position
 from vlp16emu.engine.windows import window_of
 from vlp16emu.motion import gait, harness, walk
 from vlp16emu.raycast import near as fast
+from vlp16emu.raycast.far import Far
 from vlp16emu.returns import detect as detection
 from vlp16emu.scenario import Scenario, load, schema
 from vlp16emu.world.hall import HallWorld
@@ -182,7 +183,7 @@ def test_still_air_moves_nothing():
 @pytest.mark.usefixtures("kept_woods")
 def test_a_medium_out_of_sight_is_not_made(monkeypatch):
     """Where no sensor sees beyond `world.near_m` all is faces and no voxels are made; where one does, they are."""
-    forbid(monkeypatch, (fast.Far, "medium"))
+    forbid(monkeypatch, (Far, "medium"))
     next(Emulator(birch("world.near_m=15"), threads=1).returns(0.0, SPAN_S))
     with pytest.raises(TouchedError):
         next(Emulator(birch("world.near_m=14.9"), threads=1).returns(0.0, SPAN_S))

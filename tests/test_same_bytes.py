@@ -27,6 +27,7 @@ ROOMS = (
     "raycast",
     "returns",
     "sensor",
+    "tiles.py",
     "trig.py",
     "types.py",
     "units.py",
@@ -35,7 +36,6 @@ ROOMS = (
 """Folders and files on the way from a scene to its packets."""
 
 ALLOWED = {
-    "raycast/slow.py": "",  # the fallback without Embree's library, and the slow twin of the tests
     "world/given/section.py": "scipy",  # which corners are joined; lengths of hulls are for reports
     "world/given/stem_list.py": "scipy",  # finds trees at one place, to refuse them
     "world/ground/dem.py": "scipy",  # the nearest cell, by squares of whole numbers

@@ -29,12 +29,16 @@ from rich.table import Table
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine.windows import BLOCK
-from vlp16emu.raycast.beam import LINE, Footprint, sub_rays
+from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.raycast.caster import caster
 from vlp16emu.raycast.faces import faces_of, relative_to_window
 from vlp16emu.scenario import load
-from vlp16emu.types import FarTile, Firings, Mesh, Semantic, ShapeKey, Window, World
+from vlp16emu.tiles import FarTile
+from vlp16emu.types import Firings, Mesh, Semantic, ShapeKey, Window, World
 from vlp16emu.world.stand.nearby import AllNear
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from raycast.reference import sub_rays
 
 PACKAGES = {"Open3D": "open3d-cpu==0.20.0", "Mitsuba": "mitsuba==3.9.1", "PyHelios": "pyhelios3d==0.1.38"}
 OURS = ("ours", "ours, all faces", "ours, written out")
@@ -96,7 +100,7 @@ def view(scene: str, reach_m: float) -> View:
     firings = [unit.head.aim(n * BLOCK, BLOCK, unit.motion.poses_at, beam_axis=True) for n in range(BLOCKS)]
     window = world.window(unit.motion.poses_at(firings[0].t_ns[:1, 0]).world_p_body_m)
     shapes = {key: world.shape(key) for key in window.shapes}
-    beams = {"one": LINE, "eight": replace(unit.beam, rays=8)}
+    beams = {"one": LINE, "eight": unit.beam.changed(rays=8)}
     return View(world, window, shapes, firings, unit.head.beams.near_m, reach_m, beams, raster(firings[0]))
 
 
@@ -172,14 +176,13 @@ def one_mesh(seen: View, mesh: Mesh) -> World:
     """Put all into one shape that stands at the window's origin."""
     place = np.concatenate([np.eye(3), seen.window.origin_m[:, None]], axis=1)[None]
     none = np.zeros(1, np.int32)
-    window = replace(
-        seen.window,
+    window = Window(
+        origin_m=seen.window.origin_m,
         shapes=("all",),
         shape=none,
         world_T_shape=place,
         first_surface=none.astype(np.uint32),
-        sway=None,
-        far=None,
+        surfaces=seen.window.surfaces,
     )
     return AllNear(window, lambda _key: (mesh,))
 

@@ -7,7 +7,6 @@ for the second window, with the first one open.
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 import numpy as np
 from rich.box import MARKDOWN
@@ -16,7 +15,7 @@ from rich.table import Table
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine.windows import BLOCK, SEGMENT
 from vlp16emu.packets import pack_data
-from vlp16emu.raycast.beam import LINE, BeamModel
+from vlp16emu.raycast.beam import LINE
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.raycast.texture import textured
 from vlp16emu.returns.detect import detect
@@ -108,9 +107,9 @@ def beams(emulator: Emulator, opened: Geometry, repeats: int) -> Table:
     unit, far_m = emulator.parts.units[0], emulator.scenario.sensor.max_range_m
     firings = unit.head.aim(0, BLOCK, unit.motion.poses_at, beam_axis=True)
     near_m, usual = unit.head.beams.near_m, unit.beam
-    kinds = {"one ray": LINE, f"adaptive, {usual.target_m:g} m": usual}
-    kinds |= {f"adaptive, {target_m:g} m": replace(usual, target_m=target_m) for target_m in TARGETS_M}
-    kinds |= {f"fixed {rays}": replace(usual, model=BeamModel.FIXED, rays=rays) for rays in COUNTS}
+    kinds = {"one ray": LINE, f"adaptive, {usual.section.target_m:g} m": usual}
+    kinds |= {f"adaptive, {target_m:g} m": usual.changed(target_m=target_m) for target_m in TARGETS_M}
+    kinds |= {f"fixed {rays}": usual.changed(model="fixed", rays=rays) for rays in COUNTS}
     heads = "beam", "rays per pulse", "s per s", "M pulses/s", "M rays/s"
     table = Table(*heads, title="casting a block", box=MARKDOWN)
     for name, beam in kinds.items():

@@ -26,7 +26,8 @@ from vlp16emu.extras.clouds.points import write_cloud
 from vlp16emu.raycast import build
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.scenario import Scenario, load
-from vlp16emu.types import FarTile, Firings, Hits, Mesh, Returns, Window, World
+from vlp16emu.tiles import FarTile
+from vlp16emu.types import Firings, Hits, Mesh, Returns, Window, World
 
 Arrays = dict[str, NDArray[Any]]
 

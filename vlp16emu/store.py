@@ -40,6 +40,7 @@ _MAKERS = (
     "elementary.py",
     "random.py",
     "store.py",
+    "tiles.py",
     "trig.py",
     "types.py",
 )

@@ -285,30 +285,6 @@ class Sway:
 
 
 @dataclass(frozen=True, slots=True)
-class FarTile:
-    """A square of the world as it is seen from afar: what becomes a medium, and what stays exact."""
-
-    corner_m: NDArray[np.float64]
-    """(3,) south-west corner; the height is a multiple of 2 m, near the ground."""
-    keys: tuple[ShapeKey, ...]
-    """Different shapes of what becomes a medium."""
-    shape: NDArray[np.int64]
-    """(n,) of each placement, index into `keys`."""
-    world_T_shape: NDArray[np.float64]
-    """(n, 3, 4)."""
-    first_surface: NDArray[np.int64]
-    """(n,) row of the tile's surfaces."""
-    first_part: NDArray[np.int64]
-    """(shapes + 1,) where the meshes of each shape begin in `part`."""
-    part: NDArray[np.uint8]
-    """(meshes,) `PlantPart` of each; 255 of those that `stems` stand for."""
-    stems: NDArray[np.void]
-    """(s,) `STEM` of `vlp16emu.world.stand.tiles`."""
-    ground_m: NDArray[np.float64]
-    """(85, 85) heights every 0.25 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite one."""
-
-
-@dataclass(frozen=True, slots=True)
 class Window:
     """What is within reach of a stretch of the walk: placed shapes and their surfaces.
 
@@ -328,14 +304,6 @@ class Window:
     """(m,) `SURFACE`."""
     sway: Sway | None = None
     """What moves, over the time that the window is for; None where all stands still."""
-    near: NDArray[np.float64] | None = None
-    """(t, 3) positions of the sensors that the window is for, to which `far` is near or far."""
-    tiles: tuple[tuple[int, int, int], ...] = ()
-    """Squares (ix, iy) that are seen from afar by `World.far_tile`, and the row of `surfaces` at which theirs begin."""
-    far: NDArray[np.bool_] | None = None
-    """(n,) which placements `tiles` stand for; None where they stand for none."""
-    low: NDArray[np.bool_] | None = None
-    """(n,) which of the others are so low that light from afar meets the ground in their place; None where none is."""
 
     def __post_init__(self) -> None:
         _check(self, "origin_m", self.origin_m, "f8", 3)
@@ -353,24 +321,17 @@ class World(Protocol):
 
     @property
     def near_m(self) -> float:
-        """Range beyond which what has a `far_tile` is seen from afar; inf for a world that has none."""
+        """Range beyond which it is seen from afar, as squares (`vlp16emu.tiles`); inf for a world that has none."""
 
     @property
     def seed(self) -> int:
         """Of what is random in it."""
-
-    @property
-    def name(self) -> str:
-        """All that decides its `far_tile`s, as a digest; empty where nothing of it is kept on disk."""
 
     def shape_name(self, key: ShapeKey) -> str:
         """All that decides a shape, in words; empty where it is not kept on disk."""
 
     def window(self, track_m: NDArray[np.float64]) -> Window:
         """Everything within reach of sensor positions (n, 3); must depend on nothing else."""
-
-    def far_tile(self, ix: int, iy: int) -> FarTile:
-        """Describe a square of the world as it is seen from afar; the same square is always the same."""
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
         """Grow the meshes of a shape; the same key always gives the same bytes, on any thread."""

@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 from vlp16emu.motion.carrier import StaticMotion
-from vlp16emu.raycast.beam import BeamModel, Footprint
+from vlp16emu.raycast.beam import Footprint
+from vlp16emu.raycast.lanes import Ground, Medium, Stems
+from vlp16emu.raycast.settings import Beam
+from vlp16emu.raycast.voxel import KNOTS, QUANTILES
 from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Rotor, Spin
-from vlp16emu.types import SURFACE, FarTile, Firings, Mesh, PlantPart, Semantic, SensorModel, Window
-from vlp16emu.world.stand.tiles import STEM, TileKey, ground_mesh
+from vlp16emu.tiles import STEM, FarTile, TiledWindow
+from vlp16emu.types import SURFACE, Firings, Mesh, PlantPart, Semantic, SensorModel, Window
+from vlp16emu.world.stand.tiles import TileKey, ground_mesh
 
 UTM_M = np.array([432_100.0, 6_901_234.0, 87.0])
 NEAR_M = BEAM_TABLES[SensorModel.VLP_16].near_m
@@ -61,10 +65,9 @@ def pulses(count, *, first=0, at=UTM_M, tilt_deg=2.0):
 
 
 def beam(model, **changed):
-    """The footprint of a VLP-16."""
-    width = {"spot_m": (0.0127, 0.0095), "divergence_rad": (0.003, 0.0015)}
-    usual = {"rays": 32, "target_m": 0.05, "resolution_m": 1.0, "seed": 7} | width
-    return Footprint(BeamModel(model), **(usual | changed))
+    """The footprint of a VLP-16, with other settings."""
+    seed = changed.pop("seed", 7)
+    return Footprint(Beam(model=model, rays=32), seed, resolution_m=1.0).changed(**changed)
 
 
 def level_pulses(y_m, lasers=1):
@@ -296,17 +299,45 @@ class Tiles:
             begins.append((ix, iy, rows))
             rows += len(surfaces)
             tables.append(surfaces)
-        return Window(
+        return TiledWindow(
             origin_m=np.round(np.mean(track_m, axis=0)),
             shapes=tuple(shapes),
             shape=np.array(shape, "i4"),
             world_T_shape=np.array(places),
             first_surface=np.array(first, "u4"),
             surfaces=np.concatenate(tables),
-            near=np.asarray(track_m),
+            track_m=np.asarray(track_m),
             tiles=tuple(begins),
             far=np.ones(len(shape), np.bool_),
+            low=np.zeros(len(shape), np.bool_),
         )
+
+
+def no_medium():
+    """A medium that holds nothing, to put something into."""
+    none = np.zeros(0, np.uint32)
+    return Medium(
+        near_m=0.0,
+        corner_m=(0.0, 0.0, 0.0),
+        corner=(0, 0, 0),
+        brick=np.zeros((1, 1, 1, 2), np.uint64),
+        first=np.zeros((1, 1, 1), np.uint32),
+        record=none,
+        first_owner=none,
+        owner=np.zeros(0, np.uint64),
+        surface=np.zeros((1, 1, 9), np.uint32),
+        cosine=np.zeros((0, len(KNOTS), QUANTILES), np.float32),
+        ground=Ground(np.zeros((2, 2), np.float32), np.zeros((1, 1), np.uint32), 0.0, 0.0, 0.0),
+        stems=Stems(
+            np.zeros((1, 1, 2), np.int32),
+            np.zeros(0, np.int32),
+            np.zeros((0, 8)),
+            np.zeros((0, 5, 16), np.float32),
+            np.zeros((0, 2), np.uint32),
+            np.zeros(0, np.float32),
+        ),
+        seed=0,
+    )
 
 
 def rays_as_firings(origin_m, direction, first=0):
@@ -340,6 +371,7 @@ def lab():
         world=world,
         tiles=Tiles,
         rays=rays_as_firings,
+        no_medium=no_medium,
         near_m=NEAR_M,
         far_m=FAR_M,
         utm_m=UTM_M,

@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
+from raycast.reference import sub_rays
 from scipy.special import ive
 from scipy.stats import kstest, norm, spearmanr
 
-from vlp16emu.raycast.beam import sub_rays
 from vlp16emu.raycast.displace import displace
 
 
 def unit_points(lab, pulses, rays, first=0, seed=7, model="fixed"):
     """Standard normal coordinates (pulses, rays, 2) of sub-rays: the spot of a beam 4 m wide at the lens."""
-    beam = lab.beam(model, spot_m=(4.0, 4.0), divergence_rad=(0.0, 0.0), seed=seed)
+    beam = lab.beam(model, spot_mm=(4000.0, 4000.0), divergence_mrad=(0.0, 0.0), seed=seed)
     firings = lab.level_pulses(np.zeros(pulses))
     before = first % 8  # rounds begin at multiples of eight
     origin_m, _ = sub_rays(firings, beam, np.zeros(3), first - before, before + rays)

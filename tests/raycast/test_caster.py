@@ -1,6 +1,7 @@
 """Which caster is taken."""
 
-import logging
+import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -12,32 +13,38 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import RunError
-from vlp16emu.raycast import caster as room
 from vlp16emu.raycast import embree
 from vlp16emu.raycast.build import EmbreeMesh, Placed, shape_of
-from vlp16emu.raycast.embree import EmbreeMissingError, library_path
+from vlp16emu.raycast.caster import caster
+from vlp16emu.raycast.embree import library_path
+from vlp16emu.raycast.far_caster import FarCaster
 from vlp16emu.raycast.near import EmbreeCaster
-from vlp16emu.raycast.slow import PlainCaster
 
 TASKS = Path("/proc/self/task")
 
 
-def test_the_library_of_the_wheel_is_taken(lab, workers):
-    """Where embreex is installed its library is driven directly."""
+def test_the_wheel_has_the_library():
+    """Where embreex is installed its library is there to be driven."""
     assert library_path().is_file()
-    assert isinstance(room.caster(lab.world(lab.soup), workers), EmbreeCaster)
 
 
-def test_without_the_library_the_plain_class_steps_in(lab, workers, monkeypatch, caplog):
-    """A library that cannot be loaded is said once, as a warning, and the plain class is used."""
+def test_only_a_world_with_a_limit_gets_a_medium(lab, workers):
+    """What is near to any range is cast as faces alone; a world that is seen from afar beyond some range has a medium."""
+    assert type(caster(lab.world(lab.soup), workers)) is EmbreeCaster
+    assert type(caster(lab.tiles(), workers)) is FarCaster
 
-    def missing():
-        raise EmbreeMissingError("libembree4.so: no such file")
 
-    monkeypatch.setattr(room, "library", missing)
-    with caplog.at_level(logging.WARNING):
-        assert isinstance(room.caster(lab.world(lab.soup), workers), PlainCaster)
-    assert "libembree4.so: no such file" in caplog.text
+def test_a_hall_is_cast_without_the_far_part():
+    """Where no file of the far part can be loaded, `static_bench` has its returns."""
+    program = """
+import sys
+for name in "cloud cuts far far_caster filling lanes leaves march marks medium voxel".split():
+    sys.modules[f"vlp16emu.raycast.{name}"] = None
+from vlp16emu.emulator import Emulator
+from vlp16emu.scenario import load
+assert (next(Emulator(load("static_bench"), threads=1).returns(0.0, 0.05)).distance_m[..., 0] > 0).all()
+"""
+    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 @pytest.mark.skipif(not TASKS.is_dir(), reason="the threads of a process are counted in /proc")

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from raycast.reference import ReferenceCaster, flatten
 
 from vlp16emu.raycast import build
 from vlp16emu.raycast.build import widened
-from vlp16emu.raycast.faces import flatten
 from vlp16emu.raycast.near import EmbreeCaster
-from vlp16emu.raycast.slow import PlainCaster, ReferenceCaster
 from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, Window
 
 
@@ -31,14 +30,6 @@ def test_hits_are_those_of_the_slow_twin(lab, workers):
     fast = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m)
     slow = ReferenceCaster(lab.soup).open(window).cast(firings, lab.near_m, lab.far_m)
     assert_same_hits(fast, slow, range_m=5e-6, cosine=1e-5)
-
-
-def test_hits_are_those_of_the_plain_class(lab, workers):
-    """The fallback, one flat mesh and single rays, hits the same in thirty thousand pulses."""
-    window, firings = lab.placed(30), lab.pulses(1920)
-    fast = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m)
-    plain = PlainCaster(lab.soup).open(window).cast(firings, lab.near_m, lab.far_m)
-    assert_same_hits(fast, plain, range_m=5e-5, cosine=5e-5)
 
 
 def test_things_that_share_a_surface_are_hit_alike(lab, workers):

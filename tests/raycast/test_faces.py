@@ -1,9 +1,10 @@
 """Triangles, wider ones and transforms as casters want them."""
 
 import numpy as np
+from raycast.reference import flatten
 
 from vlp16emu.raycast.build import _SHARPEST, _WIDER_M, widened
-from vlp16emu.raycast.faces import faces_of, flatten, inverses
+from vlp16emu.raycast.faces import faces_of, inverses
 from vlp16emu.types import SURFACE, Mesh, Window
 
 

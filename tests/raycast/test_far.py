@@ -1,14 +1,15 @@
 """What is far beside what is near: stems and ground against their meshes, windows, users' walls, and wind."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from vlp16emu.raycast.far import Far
-from vlp16emu.raycast.near import EmbreeCaster
-from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, PlantPart, Semantic, Sway
+from vlp16emu.raycast.far_caster import FarCaster
+from vlp16emu.raycast.near import EmbreeGeometry
+from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, PlantPart, Semantic, Sway, Window
 
 AT_M = np.array([[10.0, 10.0, 6.0]])
 
@@ -34,7 +35,7 @@ def both(lab, workers):
     """Nine bare tiles, and their window as a medium from 2 m on and as faces."""
     far, near = (lab.tiles(near_m, things=False, per_tile=8) for near_m in (2.0, math.inf))
     window = far.window(AT_M)
-    return window, EmbreeCaster(far, workers).open(window), EmbreeCaster(near, workers).open(window)
+    return window, FarCaster(far, workers).open(window), FarCaster(near, workers).open(window)
 
 
 def part_of(window, surface):
@@ -69,7 +70,7 @@ def test_bent_stems_from_afar_are_those_of_the_mesh(lab, workers):
     worlds = [lab.tiles(near_m, things=False, per_tile=8, bow_m=0.25) for near_m in (2.0, math.inf)]
     straight = lab.tiles(2.0, things=False, per_tile=8)
     window = worlds[0].window(AT_M)
-    scenes = [EmbreeCaster(world, workers).open(world.window(AT_M)) for world in (*worlds, straight)]
+    scenes = [FarCaster(world, workers).open(world.window(AT_M)) for world in (*worlds, straight)]
     ours, true, other = (cast(lab, scene, *around(40_000, AT_M[0])) for scene in scenes)
     stem, _ = stems_alike(window, ours, true, same_share=0.985, high_m=0.03)
     assert (other.surface == true.surface)[stem].mean() < 0.9
@@ -103,7 +104,7 @@ def test_a_circle_fitted_at_30_m_has_the_dbh(lab, workers):
     middle_m = stem["foot_m"] + stem["along_m"][knot] * stem["axis"]
     at_m = middle_m - [30.0, 0.0, 0.0]
     world.tile(0, 0)[0]["foot_m"][0] = [2.0, 18.0, 0.0]
-    scene = EmbreeCaster(world, workers).open(world.window(at_m[None], tiles=tiles))
+    scene = FarCaster(world, workers).open(world.window(at_m[None], tiles=tiles))
     azimuth = np.linspace(-0.012, 0.012, 4000)
     direction = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
     hits = cast(lab, scene, np.broadcast_to(at_m, (4000, 3)), direction)
@@ -125,9 +126,11 @@ def test_without_a_limit_all_is_cast_as_faces(lab, workers):
     world = lab.tiles(math.inf)
     window = world.window(AT_M)
     world.far_tile = None
-    scene = EmbreeCaster(world, workers).open(window)
-    plain = EmbreeCaster(world, workers).open(replace(window, near=None, tiles=(), far=None))
-    assert np.isinf(scene.medium.near_m)
+    scene = FarCaster(world, workers).open(window)
+    plain = FarCaster(world, workers).open(
+        Window(**{field.name: getattr(window, field.name) for field in fields(Window)})
+    )
+    assert type(scene) is EmbreeGeometry
     ours, other = (cast(lab, s, *around(8000, AT_M[0])) for s in (scene, plain))
     assert np.isfinite(ours.range_m).mean() > 0.4
     for name in ("range_m", "surface", "cos_incidence"):
@@ -137,7 +140,7 @@ def test_without_a_limit_all_is_cast_as_faces(lab, workers):
 def test_near_by_all_is_as_with_faces_alone(lab, workers):
     """What is met before the medium begins is met as in a window of faces, bit by bit, by one ray and by eight."""
     far, near = (lab.tiles(near_m) for near_m in (15.0, math.inf))
-    scenes = [EmbreeCaster(world, workers).open(world.window(AT_M)) for world in (far, near)]
+    scenes = [FarCaster(world, workers).open(world.window(AT_M)) for world in (far, near)]
     for beam in ({}, {"model": "fixed", "rays": 8}):
         ours, true = (cast(lab, scene, *around(8000, AT_M[0]), **beam) for scene in scenes)
         close = true.range_m < 15.0
@@ -153,7 +156,7 @@ def test_batches_threads_and_revolutions_do_not_matter_in_a_medium(lab, workers,
     world = lab.tiles()
     origin_m, direction = around(1600, AT_M[0])
     beam = {} if model == "none" else {"model": model, "rays": 8}
-    scenes = [EmbreeCaster(w, workers).open(w.window(AT_M)) for w in (world, world, lab.tiles())]
+    scenes = [FarCaster(w, workers).open(w.window(AT_M)) for w in (world, world, lab.tiles())]
     whole = cast(lab, scenes[0], origin_m, direction, **beam)
     for scene in scenes:
         again = cast(lab, scene, origin_m, direction, **beam)
@@ -180,8 +183,8 @@ def test_windows_that_overlap_show_the_same(lab, workers, warm):
     first = [(ix, iy) for ix in range(-3, 3) for iy in range(-2, 3)]
     second = [(ix, iy) for ix in range(-2, 4) for iy in range(-2, 3)]
     windows = [world.window(AT_M, first), world.window(AT_M + [[13.0, 3.0, 1.0]], second)]
-    caster = EmbreeCaster(world, workers)
-    scenes = [(caster if warm else EmbreeCaster(world, workers)).open(window) for window in windows]
+    caster = FarCaster(world, workers)
+    scenes = [(caster if warm else FarCaster(world, workers)).open(window) for window in windows]
     rays = around(20_000, AT_M[0])
     ours, other = (cast(lab, scene, *rays, far_m=28.0) for scene in scenes)
     instance = [
@@ -208,10 +211,10 @@ def test_cold_and_warm_caches_give_the_same(lab, workers):
     )
     window, warm = (
         world.window(AT_M, [(ix, iy) for ix in (-1, 0, 1) for iy in (-1, 0, 1)]),
-        EmbreeCaster(world, workers),
+        FarCaster(world, workers),
     )
     kept = warm.open(elsewhere)
-    scenes = warm.open(window), EmbreeCaster(world, workers).open(window)
+    scenes = warm.open(window), FarCaster(world, workers).open(window)
     ours, fresh = (cast(lab, scene, *around(4000, AT_M[0])) for scene in scenes)
     for name in ("range_m", "surface", "cos_incidence"):
         assert getattr(ours, name).tobytes() == getattr(fresh, name).tobytes()
@@ -232,6 +235,7 @@ def with_wall(window, x_m):
         first_surface=np.append(window.first_surface, len(window.surfaces)).astype("u4"),
         surfaces=np.concatenate([window.surfaces, row]),
         far=np.append(window.far, False),
+        low=np.append(window.low, False),
     )
     return walled, mesh
 
@@ -244,7 +248,7 @@ def test_a_users_wall_in_the_wood_is_hit_exactly(lab, workers, beam):
     window, wall = with_wall(bare, 50.0)
     grown = world.shape
     world.shape = lambda key: (wall,) if key == "wall" else grown(key)
-    caster, number = EmbreeCaster(world, workers), len(bare.surfaces)
+    caster, number = FarCaster(world, workers), len(bare.surfaces)
     rays = around(16_000, at_m, low_deg=-8.0, high_deg=8.0)
     ours, without = (cast(lab, caster.open(w), *rays, far_m=70.0, **beam) for w in (window, bare))
     met = ours.surface == number
@@ -270,7 +274,7 @@ def test_what_is_low_is_met_near_by_only(lab, workers):
         window, wall = with_wall(bare, x_m)
         world.shape = lambda key, wall=wall: (wall,) if key == "wall" else grown(key)
         low = replace(window, low=np.append(np.zeros_like(bare.far), True))
-        hits = [cast(lab, EmbreeCaster(world, workers).open(each), *rays) for each in (window, low, bare)]
+        hits = [cast(lab, FarCaster(world, workers).open(each), *rays) for each in (window, low, bare)]
         exact, ours, without = ((each.range_m, each.surface) for each in hits)
         is_wall = (exact[1] == len(bare.surfaces)) & (exact[0] < 10.0)
         assert (is_wall.sum() > 100) == is_met
@@ -305,7 +309,7 @@ def test_things_that_sway_are_faces_at_any_range(lab, workers):
                 part=np.array([PlantPart.NONE], "u1"),
             )
 
-    scenes = EmbreeCaster(Bare(8.0), workers).open(swaying), EmbreeCaster(near, workers).open(swaying)
+    scenes = FarCaster(Bare(8.0), workers).open(swaying), FarCaster(near, workers).open(swaying)
     origin_m, direction = around(16_000, AT_M[0], low_deg=0.0, high_deg=40.0)
     firings = lab.rays(origin_m, direction)
     for t_ns in (0, 500_000_000, 1_000_000_000):
@@ -324,7 +328,7 @@ def test_a_window_of_ground_alone_has_a_medium(lab, workers):
     """Where nothing grows or lies, and where there are stems only, the ground is far all the same."""
     for per_tile in (0, 3):
         world = lab.tiles(5.0, things=False, per_tile=per_tile)
-        scene = EmbreeCaster(world, workers).open(world.window(AT_M))
+        scene = FarCaster(world, workers).open(world.window(AT_M))
         hits = cast(lab, scene, *around(800, AT_M[0], low_deg=-40.0, high_deg=-10.0))
         assert (hits.range_m > 5.0).any()
         assert np.isfinite(hits.range_m).mean() > 0.9

@@ -56,7 +56,7 @@ def test_the_error_of_angle_is_drawn_from_the_same_profile(lab, workers):
 @pytest.mark.parametrize("model", ["fixed", "angle"])
 def test_without_spot_and_divergence_the_hole_is_sharp(lab, workers, model):
     """A beam without width sees the wall exactly where its middle passes the hole."""
-    seen = shares(lab, workers, lab.beam(model, rays=8, spot_m=(0.0, 0.0), divergence_rad=(0.0, 0.0)))
+    seen = shares(lab, workers, lab.beam(model, rays=8, spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.0)))
     inside = np.abs(OFFSETS_M) < HALF_M
     assert (seen[inside] == 1).all()
     assert (seen[np.abs(OFFSETS_M) > HALF_M] == 0).all()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.raycast import leaves as room
-from vlp16emu.raycast.far import NO_MEDIUM, Far
+from vlp16emu.raycast.far import Far
 from vlp16emu.raycast.lanes import lanes
 from vlp16emu.raycast.march import march
 from vlp16emu.raycast.voxel import (
@@ -34,11 +34,10 @@ def test_leaves_are_latin_squares():
                 assert {c for c in range(64) if bits >> c & 1} == set(column[:n].tolist())
 
 
-def one_voxel(code, cell=(2, 1, 3), corner=(40, -7, 11)):
+def one_voxel(empty, code, cell=(2, 1, 3), corner=(40, -7, 11)):
     """Medium of one brick with foliage in one of its voxels, the same for light of any elevation."""
     bit = 16 * cell[0] + 4 * cell[1] + cell[2]
-    return NO_MEDIUM._replace(
-        near_m=0.0,
+    return empty._replace(
         corner=corner,
         brick=np.array([[[[1 << bit, 0]]]], "u8"),
         record=np.array([code | code << 7 | code << 14], "u4"),
@@ -60,10 +59,10 @@ def met_m(medium, origin_m, direction, far_m=60.0):
 
 @pytest.mark.parametrize("code", [10, 40, 90])
 @pytest.mark.parametrize("corner", [(40, -7, 11), (0, 0, 0), (-3, 5, -900)])
-def test_a_voxels_leaves_have_one_place_in_space(code, corner):
+def test_a_voxels_leaves_have_one_place_in_space(lab, code, corner):
     """Rays through all columns of a voxel, along x, y and z and both ways, meet leaves at the same places, to 0.1 mm."""
     cell = np.array([2, 1, 3])
-    medium = one_voxel(code, tuple(cell.tolist()), corner)
+    medium = one_voxel(lab.no_medium(), code, tuple(cell.tolist()), corner)
     low_m = cell * VOXEL_M
     found = []
     for axis in range(3):
@@ -149,6 +148,7 @@ class Slab:
             first_surface=np.array([0, 1], "u4"),
             surfaces=surfaces,
             far=np.ones(2, np.bool_),
+            low=np.zeros(2, np.bool_),
         )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.raycast import leaves as room
-from vlp16emu.raycast.far import NO_MEDIUM, Far
+from vlp16emu.raycast.far import Far
 from vlp16emu.raycast.lanes import lanes
 from vlp16emu.raycast.march import march
 from vlp16emu.raycast.voxel import BRICK, COLUMNS, FINER, GROUND, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
@@ -158,7 +158,7 @@ def marched(medium, origin_m, direction, axis=None, far_m=FAR_M):
     return range_m[:n].copy(), L.surface[:n].copy(), L.cosine[:n].copy()
 
 
-def dense_bricks(size, is_full, code=60):
+def dense_bricks(empty, size, is_full, code=60):
     """Medium of bricks with the same code in each voxel of those that are full, one owner for all."""
     full = np.array([is_full(*place) for place in np.ndindex(size)]).reshape(size)
     brick = np.zeros((*size, 2), "u8")
@@ -166,8 +166,7 @@ def dense_bricks(size, is_full, code=60):
     first = np.zeros(size, "u4")
     first[full] = 64 * np.arange(full.sum())
     voxels = 64 * int(full.sum())
-    return NO_MEDIUM._replace(
-        near_m=0.0,
+    return empty._replace(
         brick=brick,
         first=first,
         record=np.full(voxels, code | code << 7 | code << 14, "u4"),
@@ -249,7 +248,7 @@ def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
 
 def test_light_that_leaves_the_grid_meets_nothing_beyond(lab):
     """A ray that leaves the top of a brick in the very middle of a slab does not go on in the brick of the next column."""
-    medium = dense_bricks((2, 1, 1), lambda x, y, z: x == 1)
+    medium = dense_bricks(lab.no_medium(), (2, 1, 1), lambda x, y, z: x == 1)
     origin_m, direction = np.array([-1.25, 1.0, 0.5], "f4"), np.array([1.0, 0.0, 0.5], "f4")
     for level_m in np.linspace(-0.3, 0.3, 601):
         origin_m[1] = 1.0 + level_m

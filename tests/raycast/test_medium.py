@@ -74,7 +74,7 @@ def test_leaves_that_hide_each_other_count_once(lab):
     apart = np.array([leaf_m + [0.1, y, 0] for y in (0.0, 0.1, 0.2, 0.3)])
     for leaves_m, left in ((behind, 0.25), (apart, 1.0)):
         corners = np.concatenate([leaves_m, leaves_m[:, :, [1, 0, 2]]])  # as many seen along y
-        kept = kept_share(corners, np.array([0, 8]), np.ones(1, np.float32), np.zeros(3), np.ones(3, int))
+        kept = kept_share(corners, np.array([0, 8]), np.ones(1, np.float32))
         assert kept == pytest.approx(left, rel=0.06)
 
 

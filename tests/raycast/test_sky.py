@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.raycast.caster import caster
-from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.sky import sky_cover
-from vlp16emu.raycast.slow import PlainCaster
 from vlp16emu.types import SURFACE, Mesh, Window
 
 AT_M = np.array([432_100.0, 6_901_234.0, 87.0])
@@ -24,7 +22,7 @@ def roof(_key):
     return (Mesh(corners_m, faces.astype("u4")),)
 
 
-def under(radius_m, height_m, workers, make=caster):
+def under(radius_m, height_m, workers):
     """Scene with a disc right over a point."""
     transform = np.column_stack([np.diag([radius_m, radius_m, 1.0]), AT_M + [0.0, 0.0, height_m]])[None]
     window = Window(
@@ -36,7 +34,7 @@ def under(radius_m, height_m, workers, make=caster):
         surfaces=np.zeros(1, SURFACE),
     )
     world = SimpleNamespace(shape=roof, near_m=math.inf, seed=0, name="", shape_name=lambda _key: "")
-    return make(world, workers).open(window)
+    return caster(world, workers).open(window)
 
 
 @pytest.mark.parametrize("height_m", [2.0, 5.0, 10.0, 30.0])
@@ -65,19 +63,11 @@ def test_what_is_low_or_far_does_not_count(workers):
     assert sky_cover(scene, 0, AT_M, 15.0, 4.9) == 0.0
 
 
-def test_both_casters_see_the_same_sky(workers):
-    """The plain embreex class finds the same cover."""
-    plain = under(10.0, 7.0, workers, make=lambda world, _workers: PlainCaster(world.shape))
-    assert sky_cover(plain, 0, AT_M, 15.0, 100.0) == sky_cover(
-        under(10.0, 7.0, workers), 0, AT_M, 15.0, 100.0
-    )
-
-
 def test_crowns_overhead_hide_as_much_as_their_leaves_do(lab, workers):
     """In the wood the share of the sky that is hidden is that of leaf by leaf within 0.02 in the mean, and no crown is built for it."""
     x_m, y_m = (place.ravel() for place in np.meshgrid(np.arange(2.0, 20.0, 3.0), np.arange(2.0, 20.0, 3.0)))
     places_m = np.column_stack([x_m, y_m, lab.tiles().height_m(x_m, y_m) + 1.7])
-    scenes = [EmbreeCaster(lab.tiles(near_m, per_tile=16), workers) for near_m in (20.0, math.inf)]
+    scenes = [caster(lab.tiles(near_m, per_tile=16), workers) for near_m in (20.0, math.inf)]
     window = lab.tiles(20.0, per_tile=16).window(places_m)
     near, leaves = (each.open(window) for each in scenes)
     covers = [[sky_cover(scene, 0, at_m, 15.0, 60.0) for at_m in places_m] for scene in (near, leaves)]

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.engine import Unit, assemble
 from vlp16emu.packets import DATA_BYTES, LASERS, data_payloads, decode_data
-from vlp16emu.raycast.beam import LINE, BeamModel, Footprint
+from vlp16emu.raycast import Beam
+from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.raycast.caster import Geometry, caster
-from vlp16emu.raycast.slow import ReferenceCaster
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import LENS_RADIUS_M
@@ -45,15 +45,8 @@ def ideal_unit(*settings: str) -> Unit:
 
 def beam(model: str, rays: int = 64, *, has_width: bool = True) -> Footprint:
     """Light of a VLP-16, or light without width."""
-    return Footprint(
-        model=BeamModel(model),
-        rays=rays,
-        target_m=0.05,
-        resolution_m=1.0,
-        spot_m=(0.0127, 0.0095) if has_width else (0.0, 0.0),
-        divergence_rad=(0.003, 0.0015) if has_width else (0.0, 0.0),
-        seed=7,
-    )
+    light = Footprint(Beam(model=model, rays=rays), seed=7, resolution_m=1.0)
+    return light if has_width else light.changed(spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.0))
 
 
 def quads(corners_m: Array) -> Mesh:
@@ -84,15 +77,12 @@ def box(low_m: Sequence[float], high_m: Sequence[float]) -> Mesh:
     return Mesh(corners.astype(np.float32), np.array(faces, np.uint32))
 
 
-def opened(
-    meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1, slowly: bool = False
-) -> Geometry:
+def opened(meshes: Sequence[Mesh], *, reflectance: float = 0.5, times: int = 1) -> Geometry:
     """Scene of one shape whose meshes are surfaces of their own, about the origin.
 
     Parameters
     ----------
     times : how many instances stand there
-    slowly : by the twin that computes in float64
     """
     surfaces = np.zeros(len(meshes), SURFACE)
     surfaces["reflectance"] = reflectance
@@ -104,9 +94,7 @@ def opened(
         first_surface=np.zeros(times, np.uint32),
         surfaces=surfaces,
     )
-
-    world = AllNear(window, lambda _key: tuple(meshes))
-    return (ReferenceCaster(world.shape) if slowly else caster(world, _WORKERS)).open(window)
+    return caster(AllNear(window, lambda _key: tuple(meshes)), _WORKERS).open(window)
 
 
 def pulses(origin_m: Array, direction: Array, *, lasers: int = LASERS) -> Firings:

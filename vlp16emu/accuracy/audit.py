@@ -15,7 +15,6 @@ from vlp16emu.accuracy.converged import answer_beam, apart_m, detections_of, som
 from vlp16emu.engine import Job, Unit
 from vlp16emu.engine.windows import Batching
 from vlp16emu.random import Purpose, generator
-from vlp16emu.raycast.beam import BeamModel
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.run.report import AuditFinding
 from vlp16emu.scenario import Scenario
@@ -25,7 +24,7 @@ _SEQUENCES, _LASERS = 8, 2
 _RAYS, _TIMES = 512, 4
 """Sub-rays of an answer: so many, and so many times those of a pulse. With 512, what is left is a fifth of the error
 of pulses of 64, and 1/20 of that of one ray."""
-_SAMPLED = (BeamModel.FIXED, BeamModel.ADAPTIVE)
+_SAMPLED = ("fixed", "adaptive")
 
 
 class Audit:

@@ -16,7 +16,7 @@ from vlp16emu.accuracy.settings import PosesAt
 from vlp16emu.engine import Unit
 from vlp16emu.engine.windows import Batching
 from vlp16emu.random import Purpose, generator
-from vlp16emu.raycast.beam import BeamModel, Footprint
+from vlp16emu.raycast.beam import Footprint
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.detector import UnitDetector
@@ -40,7 +40,7 @@ def answer_beam(beam: Footprint, rays: int, seed: int, number: int = 0) -> Footp
     number : distinguishes several answers
     """
     own = int(generator(seed, Purpose.AUDIT, number).integers(2**63))
-    return replace(beam, model=BeamModel.FIXED, rays=rays, seed=own)
+    return replace(beam.changed(model="fixed", rays=rays), seed=own)
 
 
 def detections_of(

@@ -23,7 +23,7 @@ from vlp16emu.motion.mount import mounted
 from vlp16emu.motion.pose import Motion
 from vlp16emu.packets import FACTORY_LINK, Link
 from vlp16emu.random import Purpose, generator
-from vlp16emu.raycast.beam import LINE, BeamModel, Footprint
+from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable, free_beams, with_angle_errors
@@ -109,24 +109,12 @@ def _beams(section: Sensor | FreeSensor) -> BeamTable:
 
 def beam_of(scenario: Scenario, seed: int) -> Footprint:
     """Make the light of a pulse; light without width where the scene wants no more."""
-    section = scenario.beam
-    if section.model == "none":
+    if scenario.beam.model == "none":
         return LINE
-    detector = scenario.detector
-    seen, noise = 0.0, 0.0
+    detector, seen = scenario.detector, (0.0, 0.0)
     if scenario.noise.weak_echoes_lost:
-        seen, noise = threshold_of(detector)
-    return Footprint(
-        model=BeamModel(section.model),
-        rays=section.rays,
-        target_m=section.target_m,
-        resolution_m=detector.resolution_m,
-        spot_m=(1e-3 * section.spot_mm[0], 1e-3 * section.spot_mm[1]),
-        divergence_rad=(1e-3 * section.divergence_mrad[0], 1e-3 * section.divergence_mrad[1]),
-        seed=seed,
-        threshold=seen,
-        amplitude_noise=noise,
-    )
+        seen = threshold_of(detector)
+    return Footprint(scenario.beam, seed, detector.resolution_m, *seen)
 
 
 def detector_of(scenario: Scenario, sensor: Sensor | FreeSensor, seed: int, lasers: int) -> UnitDetector:

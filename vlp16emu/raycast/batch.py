@@ -6,7 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.beam import ROUND
-from vlp16emu.raycast.lanes import COSINE, LANES, Lanes, lanes
+
+LANES = ROUND
+"""Rays of a row."""
+ORIGIN, DIRECTION, RANGE, COSINE, ROW = (LANES * row for row in (0, 3, 6, 7, 8))
+"""Where rows of lanes begin in `Batch.row`, and how long it is."""
 
 
 class PulseBatch(NamedTuple):
@@ -21,7 +25,7 @@ class PulseBatch(NamedTuple):
     near_m: NDArray[np.float64]
     """(L,) where each laser's light begins."""
     reach_m: float
-    """Range at which the medium takes over; `far_m` where there is none."""
+    """Range at which what is near ends; `far_m` where it does not."""
     far_m: float
     """Where the light is given up."""
     order: NDArray[np.int64]
@@ -45,7 +49,7 @@ class Batch(NamedTuple):
     """Room for the pulses of eight sequences, those of a laser one after the other."""
 
     row: NDArray[np.float32]
-    """(n, 64) rays of a pulse as in `Lanes.row`; of a light without width only the first."""
+    """(n, ROW) rays of a pulse, rows of eight: origins, directions, ranges, cosines; of a light without width only the first."""
     surface: NDArray[np.uint32]
     """(n, 8)."""
     axes: NDArray[np.float32]
@@ -53,14 +57,13 @@ class Batch(NamedTuple):
     axes_row: NDArray[np.float32]
     """(n, 12) the same numbers."""
     missed: NDArray[np.bool_]
-    """(n,) which pulses go on into the medium: of some of their rays nothing near is met."""
+    """(n,) which pulses go on: of some of their rays nothing near is met."""
     todo: NDArray[np.int64]
     """(n,) numbers of the pulses that are cast."""
     have: NDArray[np.int64]
     """(n,) how many sub-rays each has."""
     hits: MetRays
     """(n m,) of these, those of a pulse one after the other; m is a multiple of eight."""
-    lanes: Lanes
     scratch: NDArray[np.float64]
     """(2, m) to sort in."""
 
@@ -71,7 +74,7 @@ def batch_of(pulses: int, most: int) -> Batch:
     n = pulses * most
     axes_row = np.zeros((pulses, 12), np.float32)
     return Batch(
-        np.zeros((pulses, COSINE + LANES), np.float32),
+        np.zeros((pulses, ROW), np.float32),
         np.zeros((pulses, LANES), np.uint32),
         axes_row.reshape(pulses, 4, 3),
         axes_row,
@@ -79,6 +82,5 @@ def batch_of(pulses: int, most: int) -> Batch:
         np.arange(pulses),
         np.zeros(pulses, np.int64),
         MetRays(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32)),
-        lanes(),
         np.empty((2, most)),
     )

@@ -15,8 +15,7 @@ effectiveness of quasirandom sequences", 2018), shifted around the unit square b
 fair draw from the profile, so that means over them have no bias, whatever their number.
 """
 
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import cos, log, sin
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.raycast.adaptive import RayBudget, worth_of_ray_m
+from vlp16emu.raycast.settings import Beam
 from vlp16emu.types import Firings
 
 _PLASTIC = 1.32471795724474602596
@@ -41,61 +41,47 @@ _SHIFT = np.uint32(32 - _BITS)
 _TURN = int(Purpose.FOOTPRINT)
 
 
-class BeamModel(StrEnum):
-    """What a pulse is made of. `angle` and `offset` are the beam errors of LiDAR-Forest (Lu et al.), for comparison."""
-
-    NONE = "none"
-    """One ray along the middle of the beam."""
-    FIXED = "fixed"
-    """The same number of sub-rays for each pulse."""
-    ADAPTIVE = "adaptive"
-    """Eight rays, and eight more as long as the strongest echo is in doubt."""
-    ANGLE = "angle"
-    """One ray, drawn from the profile."""
-    OFFSET = "offset"
-    """One ray along the middle, its hit displaced inside the beam; see `vlp16emu.raycast.displace`."""
-
-
 @dataclass(frozen=True, slots=True)
 class Footprint:
-    """How the light of a pulse is spread, and by how many rays it is followed."""
+    """The light of a unit's pulses: how it is spread, and by how many rays it is followed."""
 
-    model: BeamModel
-    rays: int
-    """Sub-rays of each pulse of a fixed footprint, and the most of an adaptive one."""
-    target_m: float
-    """Error that an adaptive footprint aims at; see `adaptive`."""
-    resolution_m: float
+    section: Beam
+    seed: int = 0
+    """Of the unit."""
+    resolution_m: float = 0.0
     """Echoes farther apart than this are separate."""
-    spot_m: tuple[float, float]
-    """Width at the lens, horizontal and vertical."""
-    divergence_rad: tuple[float, float]
-    """Full angle, horizontal and vertical."""
-    seed: int
-    """The scenario's."""
     threshold: float = 0.0
     """Amplitude at which an echo is seen by every second pulse, in m-2; 0 where every echo is seen."""
     amplitude_noise: float = 0.0
     """Of the receiver, one sigma."""
 
+    def changed(self, **settings: object) -> "Footprint":
+        """Return this light with other settings of its section."""
+        return replace(self, section=self.section.model_copy(update=settings))
+
+    @property
+    def rays(self) -> int:
+        """Most rays of a pulse."""
+        return 1 if self.section.model == "none" else self.section.rays
+
     @property
     def has_width(self) -> bool:
         """Whether casting needs `Firings.beam_axis`."""
-        return self.model in (BeamModel.FIXED, BeamModel.ADAPTIVE, BeamModel.ANGLE)
+        return self.section.model in ("fixed", "adaptive", "angle")
 
     @property
     def together(self) -> int:
         """Revolutions that are best cast at once: fewer where that would be long, or take much room."""
-        usual = {BeamModel.FIXED: self.rays, BeamModel.ADAPTIVE: ROUND}.get(self.model, 1)
+        usual = {"fixed": self.rays, "adaptive": ROUND}.get(self.section.model, 1)
         return max(1, min(_TOGETHER, _USUAL_RAYS // usual, _MOST_RAYS // self.rays))
 
     @property
     def budget(self) -> RayBudget:
         """How many sub-rays its pulses want."""
         return RayBudget(
-            most=1 if self.model is BeamModel.ANGLE else self.rays,
-            adaptive=self.model is BeamModel.ADAPTIVE,
-            worth_m=worth_of_ray_m(self.target_m),
+            most=1 if self.section.model == "angle" else self.rays,
+            adaptive=self.section.model == "adaptive",
+            worth_m=worth_of_ray_m(self.section.target_m),
             resolution_m=self.resolution_m,
             threshold=self.threshold,
             amplitude_noise=self.amplitude_noise,
@@ -104,10 +90,11 @@ class Footprint:
     @property
     def sigmas(self) -> NDArray[np.float64]:
         """(4,) standard deviations: spot horizontal and vertical in metres, divergence likewise in radians."""
-        return np.array([*self.spot_m, *self.divergence_rad]) / 4
+        section = self.section
+        return np.array([1e-3 * width for width in (*section.spot_mm, *section.divergence_mrad)]) / 4
 
 
-LINE = Footprint(BeamModel.NONE, 1, 0.0, 0.0, (0.0, 0.0), (0.0, 0.0), 0)
+LINE = Footprint(Beam(model="none", spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.0)))
 """Light without width."""
 
 
@@ -120,75 +107,26 @@ def _ring_radii() -> NDArray[np.float64]:
 _RADIUS = _ring_radii().astype(np.float32)
 _ANGLE_RAD = (np.arange(2**_BITS) + 0.5) * (2 * np.pi / 2**_BITS)
 _COS, _SIN = cos(_ANGLE_RAD).astype(np.float32), sin(_ANGLE_RAD).astype(np.float32)
+# fmt: off
 _SUPPORT = np.array(
     [
-        (-0.9458, 1.1317),
-        (0.9461, -1.1316),
-        (0.6283, 1.3338),
-        (-1.2934, -0.1659),
-        (1.2939, 0.1667),
-        (-0.049, 0.3819),
-        (-0.6295, -1.3339),
-        (0.0493, -0.3827),
-        (-0.6539, 0.4392),
-        (-0.234, 1.827),
-        (0.1832, -1.429),
-        (-0.489, -0.346),
-        (0.5224, 0.5896),
-        (0.5604, -0.2113),
-        (-1.9061, -0.7242),
-        (2.026, -0.222),
-        (0.6835, 0.1903),
-        (-0.8079, -0.7282),
-        (1.5017, 1.2763),
-        (0.4214, -0.6726),
-        (0.5746, -2.1377),
-        (-0.1437, 0.9725),
-        (-1.7592, 0.8349),
-        (-0.3562, 0.0772),
-        (-0.9679, 0.1536),
-        (0.1382, -0.0286),
-        (-1.2171, -1.6406),
-        (0.1636, 0.7868),
-        (-1.0461, 1.8269),
-        (1.3199, -0.6968),
-        (-0.0956, -0.8377),
-        (1.2081, 0.6668),
-        (-0.7314, -0.2611),
-        (0.7885, 1.9613),
-        (-0.2284, -1.0851),
-        (-0.4793, 0.7639),
-        (0.8952, -0.3184),
-        (1.6819, -1.3871),
-        (-1.7866, 0.1293),
-        (0.2923, 0.2513),
-        (0.6408, -0.681),
-        (0.679, 0.7898),
-        (-0.1817, 1.2944),
-        (-1.0685, 0.6143),
-        (1.8453, 0.4748),
-        (-0.29, -1.8807),
-        (-0.149, -0.178),
-        (-1.1914, -0.6987),
-        (-0.3043, -0.6558),
-        (0.8752, 0.2723),
-        (0.2549, 1.5323),
-        (-0.6131, 0.0574),
-        (1.2965, -0.3276),
-        (0.4548, -1.164),
-        (-0.2368, 0.4726),
-        (-2.5881, 0.132),
-        (-0.7341, 0.6358),
-        (0.084, -0.6261),
-        (-1.1313, -1.1229),
-        (0.2428, 0.5152),
-        (-1.3671, 1.3364),
-        (0.3417, -0.1577),
-        (0.948, -1.6559),
-        (2.1707, 1.3263),
+        (-0.9458, 1.1317), (0.9461, -1.1316), (0.6283, 1.3338), (-1.2934, -0.1659), (1.2939, 0.1667),
+        (-0.049, 0.3819), (-0.6295, -1.3339), (0.0493, -0.3827), (-0.6539, 0.4392), (-0.234, 1.827),
+        (0.1832, -1.429), (-0.489, -0.346), (0.5224, 0.5896), (0.5604, -0.2113), (-1.9061, -0.7242),
+        (2.026, -0.222), (0.6835, 0.1903), (-0.8079, -0.7282), (1.5017, 1.2763), (0.4214, -0.6726),
+        (0.5746, -2.1377), (-0.1437, 0.9725), (-1.7592, 0.8349), (-0.3562, 0.0772), (-0.9679, 0.1536),
+        (0.1382, -0.0286), (-1.2171, -1.6406), (0.1636, 0.7868), (-1.0461, 1.8269), (1.3199, -0.6968),
+        (-0.0956, -0.8377), (1.2081, 0.6668), (-0.7314, -0.2611), (0.7885, 1.9613), (-0.2284, -1.0851),
+        (-0.4793, 0.7639), (0.8952, -0.3184), (1.6819, -1.3871), (-1.7866, 0.1293), (0.2923, 0.2513),
+        (0.6408, -0.681), (0.679, 0.7898), (-0.1817, 1.2944), (-1.0685, 0.6143), (1.8453, 0.4748),
+        (-0.29, -1.8807), (-0.149, -0.178), (-1.1914, -0.6987), (-0.3043, -0.6558), (0.8752, 0.2723),
+        (0.2549, 1.5323), (-0.6131, 0.0574), (1.2965, -0.3276), (0.4548, -1.164), (-0.2368, 0.4726),
+        (-2.5881, 0.132), (-0.7341, 0.6358), (0.084, -0.6261), (-1.1313, -1.1229), (0.2428, 0.5152),
+        (-1.3671, 1.3364), (0.3417, -0.1577), (0.948, -1.6559), (2.1707, 1.3263),
     ],
     np.float32,
 )
+# fmt: on
 """(64, 2) in standard deviations."""
 _REACH = np.append(
     np.sqrt(np.square(_SUPPORT).sum(axis=1)).reshape(-1, ROUND).max(axis=1), _RADIUS.max()
@@ -293,70 +231,7 @@ def beam_axis_of(firings: Firings, beam: Footprint) -> NDArray[np.float64]:
         where the firings have none
     """
     if firings.beam_axis is None:
-        raise ValueError(f"cast: found firings without `beam_axis`, expected them for a beam of {beam.model}")
+        raise ValueError(
+            f"cast: found firings without `beam_axis`, expected them for a beam of {beam.section.model}"
+        )
     return firings.beam_axis
-
-
-def sub_rays(
-    firings: Firings, beam: Footprint, from_m: NDArray[np.float64], first: int, count: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Lay sub-rays `first` to `first + count - 1` of every pulse, `first` a multiple of 8.
-
-    Parameters
-    ----------
-    from_m : (3,) place in the world from which origins are counted
-
-    Returns
-    -------
-    Origins in metres and unit directions, (k, L, count, 3) each.
-
-    Raises
-    ------
-    ValueError
-        where the firings have no `beam_axis`
-    """
-    beam_axis, support = beam_axis_of(firings, beam), beam.model is BeamModel.ADAPTIVE
-    rays = np.empty((*firings.t_ns.shape, -(-count // ROUND) * ROUND, 6), np.float32)
-    sigmas = beam.sigmas.astype(np.float32)
-    _sub_rays(
-        firings.origin_m,
-        firings.direction,
-        beam_axis,
-        from_m,
-        sigmas,
-        beam.seed,
-        firings.index,
-        first,
-        support,
-        rays,
-    )
-    return np.ascontiguousarray(rays[:, :, :count, :3]), np.ascontiguousarray(rays[:, :, :count, 3:])
-
-
-@numba.njit(cache=True, nogil=True)
-def _sub_rays(
-    origin_m: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    beam_axis: NDArray[np.float64],
-    from_m: NDArray[np.float64],
-    sigmas: NDArray[np.float32],
-    seed: int,
-    index: int,
-    first: int,
-    support: bool,
-    rays: NDArray[np.float32],
-) -> None:
-    """Fill rays (k, L, n, 6)."""
-    axes, laid = np.empty((4, 3), np.float32), np.empty(7 * ROUND, np.float32)
-    for i in range(rays.shape[0]):
-        for j in range(rays.shape[1]):
-            pulse_axes(origin_m, direction, beam_axis, from_m, i, j, axes)
-            u, v = turn(seed, index + i, j)
-            for begin in range(0, rays.shape[2], ROUND):
-                lay(laid, axes, sigmas, u, v, first + begin, support)
-                for lane in range(ROUND):
-                    for a in range(3):
-                        rays[i, j, begin + lane, a], rays[i, j, begin + lane, 3 + a] = (
-                            laid[ROUND * a + lane],
-                            laid[_Y + ROUND * a + lane],
-                        )

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from typing import NamedTuple
 
-import llvmlite.binding
 import numba
 import numpy as np
 from numba import types
@@ -245,8 +244,7 @@ def _buffers(
 _MOST_KNOTS = 129
 """RTC_MAX_TIME_STEP_COUNT (Embree 4, rtcore_common.h)."""
 
-rtc.library()
-llvmlite.binding.load_library_permanently(str(rtc.library_path()))
+rtc.library()  # kernels of this file and of those that cast are linked with it
 _set_count = types.ExternalFunction("rtcSetGeometryTimeStepCount", types.void(types.uintp, types.uint32))
 _set_transform = types.ExternalFunction(
     "rtcSetGeometryTransform", types.void(types.uintp, types.uint32, types.int32, types.uintp)

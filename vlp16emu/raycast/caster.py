@@ -1,6 +1,6 @@
-"""The caster of a world: Embree where it can be driven, else the plain `embreex` class."""
+"""Which caster a world gets: one of faces, or one that knows what is far as a medium."""
 
-import logging
+import math
 from concurrent.futures import Executor
 from typing import Protocol
 
@@ -8,11 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.beam import LINE, Footprint
-from vlp16emu.raycast.embree import EmbreeMissingError, library
-from vlp16emu.raycast.slow import PlainCaster
 from vlp16emu.types import Firings, Hits, Window, World
-
-_log = logging.getLogger(__name__)
 
 
 class Geometry(Protocol):
@@ -42,18 +38,23 @@ class Caster(Protocol):
 
 
 def caster(world: World, workers: Executor) -> Caster:
-    """Make the fast caster, or the plain `embreex` class where the library cannot be driven.
+    """Make the caster of a world.
 
     Parameters
     ----------
-    world : describes what is far, and grows the meshes of shapes
+    world : grows the meshes of shapes, and describes what is far
     workers : where shapes are grown and built side by side
-    """
-    try:
-        library()
-    except EmbreeMissingError as error:
-        _log.warning("falling back to the plain embreex class, slower and without instances: %s", error)
-        return PlainCaster(world.shape)
-    from vlp16emu.raycast.near import EmbreeCaster  # its kernel binds to the library
 
-    return EmbreeCaster(world, workers)
+    Raises
+    ------
+    EmbreeMissingError
+        where the library cannot be loaded
+    """
+    # Kernels bind to the library as soon as they are loaded, and a world that has nothing far needs none for it.
+    if math.isinf(world.near_m):
+        from vlp16emu.raycast.near import EmbreeCaster
+
+        return EmbreeCaster(world, workers)
+    from vlp16emu.raycast.far_caster import FarCaster
+
+    return FarCaster(world, workers)  # type: ignore[arg-type]  # what has a `near_m` is a `TiledWorld`

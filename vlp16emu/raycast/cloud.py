@@ -1,6 +1,7 @@
 """Shapes as a medium takes them: their projected area in cells of 0.25 m, or face by face where there are few.
 
-A shape is measured once, and its cloud put down wherever it stands (`vlp16emu.raycast.medium`).
+A shape is measured once, less what its faces hide of each other, and its cloud put down wherever it stands
+(`vlp16emu.raycast.medium`).
 """
 
 import math
@@ -13,19 +14,20 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import cos
-from vlp16emu.raycast.voxel import KNOTS, QUANTILES, VOXEL_M, kept_share
+from vlp16emu.elementary import cos, log, norm
+from vlp16emu.raycast.voxel import KNOTS, QUANTILES, VOXEL_M
+from vlp16emu.tiles import EXACT
 from vlp16emu.types import Mesh, PlantPart
-from vlp16emu.world.stand.tiles import EXACT
+
+Array = NDArray[np.float64]
 
 TILTS = 64
 """Classes of faces by the sine of their normal's elevation."""
-
+_PIXELS = 32
+"""Of a voxel's edge, 16 mm each, in which faces are drawn."""
 _CELL_M = 0.25
 _FEW_FACES = 2000
 """Shapes of no more faces are taken face by face: stones, logs and tufts, which are stretched where they are placed."""
-
-Array = NDArray[np.float64]
 
 
 def _projection() -> Array:
@@ -86,54 +88,30 @@ def cloud_of(meshes: Sequence[Mesh], parts: NDArray[np.uint8]) -> Cloud:
         own[:, : mesh.faces.shape[1]] = mesh.vertices_m.take(mesh.faces, axis=0)
         if mesh.faces.shape[1] == 3:
             own[:, 3] = own[:, 2]
-    area_m2, weight = np.empty(len(corners_m)), np.zeros((len(meshes), TILTS))
-    bounds_m = np.array([[np.inf] * 3, [-np.inf] * 3])
-    radius_m = _measure(corners_m, first, area_m2, weight, bounds_m) if len(corners_m) else 0.0
+    mesh_of = np.repeat(np.arange(len(meshes)), np.diff(first))
+    area_m2, weight = _measured(corners_m, mesh_of, len(meshes))
     projection, cosine = np.zeros((len(meshes), len(KNOTS))), np.ones((len(meshes), len(KNOTS), QUANTILES))
     for number in np.flatnonzero(weight.any(axis=1)).tolist():
         projection[number], cosine[number] = _law(weight[number])
     if len(corners_m) <= _FEW_FACES:
-        of = np.repeat(np.arange(len(meshes), dtype=np.uint8), np.diff(first))
         cells = np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
-        kept = corners_m.astype(np.float32), of
+        kept = corners_m.astype(np.float32), mesh_of.astype(np.uint8)
     else:
-        low, high = np.floor(bounds_m[0] / VOXEL_M), np.ceil(bounds_m[1] / VOXEL_M)
-        left = share.repeat(np.diff(first)) * kept_share(
-            corners_m, first, share, low, (high - low + 1).astype(int)
-        )
-        cells = _cells(corners_m, first, area_m2, left, bounds_m)
+        cells = _cells(corners_m, mesh_of, area_m2 * (share[mesh_of] * kept_share(corners_m, first, share)))
         kept = np.zeros((0, 4, 3), np.float32), np.zeros(0, np.uint8)
+    radius_m = float(norm(corners_m).max(initial=0.0))
     return Cloud(*cells, *kept, share, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
-def _measure(
-    corners_m: Array, first: NDArray[np.int64], area_m2: Array, weight: Array, bounds_m: Array
-) -> float:
-    """Measure faces (f, 4, 3), those of each mesh beginning at its first; return their greatest distance.
-
-    Parameters
-    ----------
-    area_m2, weight : output, areas (f,), and area of each mesh (meshes, `TILTS`) by the sine of the normals' elevation
-    bounds_m : (2, 3) lowest and highest coordinates so far
-    """
-    radius2 = 0.0
-    for mesh in range(len(first) - 1):
-        for f in range(first[mesh], first[mesh + 1]):
-            own = corners_m[f]
-            ax, ay, az = own[2, 0] - own[0, 0], own[2, 1] - own[0, 1], own[2, 2] - own[0, 2]
-            bx, by, bz = own[3, 0] - own[1, 0], own[3, 1] - own[1, 1], own[3, 2] - own[1, 2]
-            nx, ny, nz = 0.5 * (ay * bz - az * by), 0.5 * (az * bx - ax * bz), 0.5 * (ax * by - ay * bx)
-            area_m2[f] = math.sqrt(nx * nx + ny * ny + nz * nz)
-            sine = abs(nz) / max(area_m2[f], 1e-12)
-            weight[mesh, min(int(sine * TILTS), TILTS - 1)] += area_m2[f]
-            for c in range(4):
-                x, y, z = own[c, 0], own[c, 1], own[c, 2]
-                radius2 = max(radius2, x * x + y * y + z * z)
-                for a in range(3):
-                    bounds_m[0, a] = min(bounds_m[0, a], own[c, a])
-                    bounds_m[1, a] = max(bounds_m[1, a], own[c, a])
-    return math.sqrt(radius2)
+def _measured(corners_m: Array, mesh_of: NDArray[np.int64], meshes: int) -> tuple[Array, Array]:
+    """Areas (f,) of faces (f, 4, 3), and area of each mesh (meshes, `TILTS`) by the sine of the normals' elevation."""
+    ax, ay, az = (corners_m[:, 2] - corners_m[:, 0]).T
+    bx, by, bz = (corners_m[:, 3] - corners_m[:, 1]).T
+    nx, ny, nz = 0.5 * (ay * bz - az * by), 0.5 * (az * bx - ax * bz), 0.5 * (ax * by - ay * bx)
+    area_m2 = np.sqrt(nx * nx + ny * ny + nz * nz)
+    tilt = np.minimum((np.abs(nz) / np.maximum(area_m2, 1e-12) * TILTS).astype(np.int64), TILTS - 1)
+    weight: Array = np.bincount(mesh_of * TILTS + tilt, area_m2, meshes * TILTS)  # sums in the order of faces
+    return area_m2, weight.reshape(meshes, TILTS)
 
 
 @cache
@@ -166,67 +144,154 @@ def _law(weight: Array) -> tuple[Array, Array]:
 
 
 def _cells(
-    corners_m: Array, first: NDArray[np.int64], area_m2: Array, left: Array, bounds_m: Array
+    corners_m: Array, mesh_of: NDArray[np.int64], area_m2: Array
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
-    """Gather faces in cells of `_CELL_M`: where their area lies, how much it is, and whose."""
-    low = np.floor(bounds_m[0] / _CELL_M) - 1.0  # a middle may lie beyond its corners by what is rounded
-    size = (np.floor(bounds_m[1] / _CELL_M) + 2.0 - low).astype(int)
-    number, cell, area_m2 = (
-        np.empty(size.prod(), np.int32),
-        np.empty(len(corners_m), np.int64),
-        area_m2 * left,
-    )
-    total, weighted, whose = np.zeros(len(cell)), np.zeros((len(cell), 3)), np.empty(len(cell), np.uint8)
-    cells = _gather(corners_m, first, area_m2, low, size, number, cell, total, weighted, whose)
-    place_m = weighted[:cells] / np.maximum(total[:cells], 1e-12)[:, None]
-    return place_m.astype(np.float32), total[:cells].astype(np.float32), whose[:cells].copy()
+    """Gather faces in cells of `_CELL_M`, by mesh and place: where their area lies, how much it is, and whose."""
+    middle_m = 0.25 * (corners_m[:, 0] + corners_m[:, 1] + corners_m[:, 2] + corners_m[:, 3])
+    at = np.floor(middle_m / _CELL_M).astype(np.int64)
+    at -= at.min(axis=0)
+    _, ny, nz = (at.max(axis=0) + 1).tolist()
+    column = mesh_of * (at[:, 0].max() + 1) + at[:, 0]
+    _, some, own = np.unique((column * ny + at[:, 1]) * nz + at[:, 2], return_index=True, return_inverse=True)
+    total = np.bincount(own, area_m2)  # in the order of faces
+    weighted = np.column_stack([np.bincount(own, area_m2 * along_m) for along_m in middle_m.T])
+    place_m = weighted / np.maximum(total, 1e-12)[:, None]
+    return place_m.astype(np.float32), total.astype(np.float32), mesh_of[some].astype(np.uint8)
 
 
-@numba.njit(cache=True, nogil=True, _nrt=False)
-def _gather(
-    corners_m: Array,
-    first: NDArray[np.int64],
-    area_m2: Array,
-    low: Array,
-    size: NDArray[np.int64],
-    number: NDArray[np.int32],
-    cell: NDArray[np.int64],
-    total: Array,
-    weighted: Array,
-    whose: NDArray[np.uint8],
-) -> int:
-    """Add up the area of the faces in each cell, and their middles by it; return how many cells there are.
+def kept_share(corners_m: Array, first: NDArray[np.int64], share: NDArray[np.float32]) -> Array:
+    """Share of each face's area (f,) that is left where leaves that hide each other are taken for leaves at random.
+
+    The faces of each mesh are drawn as seen along x and along y, voxel by voxel. Leaves at random that hide as much of a
+    voxel's face have -log(1 - hidden) of its area (Beer's law); the sum of areas is more where leaves grow in clumps.
 
     Parameters
     ----------
-    low, size : (3,) of the box of cells in which the middles are
-    number, cell : scratch, for each cell of the box and for each face
-    total, weighted, whose : output, (f,), (f, 3) and (f,), by mesh and place
+    corners_m, first : (f, 4, 3) faces, and where those of each mesh begin
+    share : (meshes,) of a face's area that counts
     """
-    cells = 0
-    for mesh in range(len(first) - 1):
-        for c in range(len(number)):
-            number[c] = -1
-        for f in range(first[mesh], first[mesh + 1]):
-            at = 0
-            for a in range(3):
-                at = at * size[a] + int(math.floor(_middle(corners_m[f], a) / _CELL_M) - low[a])
-            cell[f], number[at] = at, 0
-        for c in range(len(number)):
-            if number[c] == 0:
-                number[c], whose[cells] = cells, mesh
-                cells += 1
-        for f in range(first[mesh], first[mesh + 1]):
-            own = number[cell[f]]
-            total[own] += area_m2[f]
-            for a in range(3):
-                weighted[own, a] += area_m2[f] * _middle(corners_m[f], a)
-    return cells
+    low, high = (limit(corners_m.reshape(-1, 3), axis=0) / VOXEL_M for limit in (np.min, np.max))
+    low = np.floor(low)
+    size = (np.ceil(high) - low + 1).astype(int)
+    out, drawn, edges = np.ones(len(corners_m)), np.zeros((*size, _PIXELS), np.uint32), np.empty((4, 4))
+    for mesh in range(len(share)):
+        begin, stop, factor, total = first[mesh], first[mesh + 1], np.zeros(size), np.zeros(size, np.int64)
+        for axis in (0, 1):
+            _draw(corners_m, begin, stop, low, axis, edges, drawn, total)
+            _count(drawn, total, factor)
+        _share(corners_m, begin, stop, low, size, factor.ravel(), total.ravel(), float(share[mesh]), out)
+    return out
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _count(drawn: NDArray[np.uint32], total: NDArray[np.int64], factor: Array) -> None:
+    """Add the area of leaves at random that hide as many pixels of each voxel, and take the pixels away."""
+    nx, ny, nz = total.shape
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if total[i, j, k]:
+                    bits = 0
+                    for line in range(_PIXELS):
+                        left = drawn[i, j, k, line]
+                        drawn[i, j, k, line] = 0
+                        while left:
+                            left &= left - np.uint32(1)
+                            bits += 1
+                    hidden = min(bits / (_PIXELS * _PIXELS), 1.0 - 0.5 / (_PIXELS * _PIXELS))
+                    factor[i, j, k] -= log(1.0 - hidden) * (_PIXELS * _PIXELS)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _share(
+    corners_m: Array,
+    begin: int,
+    stop: int,
+    low: Array,
+    size: NDArray[np.int64],
+    factor: Array,
+    total: NDArray[np.int64],
+    share: float,
+    out: Array,
+) -> None:
+    """Give each face the share of the voxel of its middle."""
+    for f in range(begin, stop):
+        at = 0
+        for axis in range(3):
+            at = at * size[axis] + _voxel(corners_m[f], low, axis)
+        if total[at] > 0:
+            out[f] = factor[at] / (total[at] * share)
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
-def _middle(corners_m: Array, axis: int) -> float:
-    return 0.25 * (corners_m[0, axis] + corners_m[1, axis] + corners_m[2, axis] + corners_m[3, axis])
+def _voxel(corners_m: Array, low: Array, axis: int) -> int:
+    at = low[axis]
+    first_two = (corners_m[0, axis] / VOXEL_M - at) + (corners_m[1, axis] / VOXEL_M - at)
+    return int(0.25 * (first_two + (corners_m[2, axis] / VOXEL_M - at) + (corners_m[3, axis] / VOXEL_M - at)))
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _draw(
+    corners_m: Array,
+    begin: int,
+    stop: int,
+    low: Array,
+    axis: int,
+    edges: Array,
+    drawn: NDArray[np.uint32],
+    total: NDArray[np.int64],
+) -> None:
+    """Draw faces as seen along an axis, into the voxels of their own depth; count their pixels, drawn before or not.
+
+    Parameters
+    ----------
+    edges : (4, 4) scratch
+    """
+    u, v = edges[0], edges[1]
+    for f in range(begin, stop):
+        depth = _voxel(corners_m[f], low, axis)
+        _turn_edges(corners_m[f], low, 1 - axis, edges)
+        left, right = math.floor(min(u[0], u[1], u[2], u[3])), math.floor(max(u[0], u[1], u[2], u[3]))
+        lower, upper = math.floor(min(v[0], v[1], v[2], v[3])), math.floor(max(v[0], v[1], v[2], v[3]))
+        for q in range(lower, upper + 1):
+            first, last = _row(edges, q + 0.5, left, right)
+            for p in range(first, last + 1):
+                a, b = p // _PIXELS, q // _PIXELS
+                i, j = (depth, a) if axis == 0 else (a, depth)
+                drawn[i, j, b, q % _PIXELS] |= np.uint32(1) << np.uint32(p % _PIXELS)
+                total[i, j, b] += 1
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+def _turn_edges(corners_m: Array, low: Array, other: int, edges: Array) -> None:
+    """Find where the edges of a face begin, and how they go on, the face on their left; in pixels, (4, 4)."""
+    u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
+    for c in range(4):
+        u[c] = (corners_m[c, other] / VOXEL_M - low[other]) * _PIXELS
+        v[c] = (corners_m[c, 2] / VOXEL_M - low[2]) * _PIXELS
+    turn = 0.0
+    for c in range(4):
+        n = (c + 1) & 3
+        turn += u[c] * v[n] - u[n] * v[c]
+        du[c], dv[c] = u[n] - u[c], v[n] - v[c]
+    if not turn > 0:
+        for c in range(4):
+            du[c], dv[c] = -du[c], -dv[c]
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+def _row(edges: Array, y: float, first: int, last: int) -> tuple[int, int]:
+    """First and last of the pixels of a row whose middles are on the left of all edges."""
+    u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
+    for c in range(4):
+        across, slope, from_u = du[c] * (y - v[c]), dv[c], u[c]
+        if slope > 0.0:
+            while last >= first and across < slope * (last + 0.5 - from_u):
+                last -= 1
+        else:
+            while last >= first and across < slope * (first + 0.5 - from_u):
+                first += 1
+    return first, last
 
 
 class Library(NamedTuple):
@@ -255,16 +320,11 @@ class Library(NamedTuple):
         def first(arrays: Sequence[NDArray[np.float32]]) -> NDArray[np.int64]:
             return np.cumsum([0, *(len(array) for array in arrays)])
 
+        joined = ("place_m", "area_m2", "mesh", "corners_m", "corner_mesh", "share", "projection")
         return cls(
-            first([c.place_m for c in clouds]),
-            np.concatenate([c.place_m for c in clouds]),
-            np.concatenate([c.area_m2 for c in clouds]),
-            np.concatenate([c.mesh for c in clouds]),
-            first([c.corners_m for c in clouds]),
-            np.concatenate([c.corners_m for c in clouds]),
-            np.concatenate([c.corner_mesh for c in clouds]),
-            first([c.share for c in clouds]),
-            np.concatenate([c.share for c in clouds]),
-            np.concatenate([c.projection for c in clouds]),
-            np.array([c.radius_m for c in clouds]),
+            first_cell=first([cloud.place_m for cloud in clouds]),
+            first_face=first([cloud.corners_m for cloud in clouds]),
+            first_law=first([cloud.share for cloud in clouds]),
+            radius_m=np.array([cloud.radius_m for cloud in clouds]),
+            **{name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in joined},
         )

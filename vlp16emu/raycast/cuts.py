@@ -6,19 +6,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.raycast.lanes import (
-    AT,
-    COSINE,
-    DIRECTION,
-    FACING,
-    HEIGHT,
-    LANES,
-    ORIGIN,
-    RANGE,
-    Ground,
-    Lanes,
-    Stems,
-)
+from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE
+from vlp16emu.raycast.lanes import AT, FACING, HEIGHT, Ground, Lanes, Stems
 from vlp16emu.raycast.voxel import BRICK, FINER, VOXEL_M
 
 f4 = np.float32

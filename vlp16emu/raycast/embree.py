@@ -81,7 +81,7 @@ def library_path() -> Path:
 
 @cache
 def library() -> ctypes.CDLL:
-    """Load the library once and declare its functions.
+    """Load the library once, for kernels too, and declare its functions.
 
     Raises
     ------
@@ -89,6 +89,7 @@ def library() -> ctypes.CDLL:
         where it cannot be loaded or a function is missing
     """
     import embreex.rtcore_scene  # noqa: F401  # brings the libraries that Embree itself needs
+    from llvmlite import binding
 
     path = library_path()
     try:
@@ -96,7 +97,8 @@ def library() -> ctypes.CDLL:
         for name, (result, arguments) in _SIGNATURES.items():
             function = getattr(lib, name)
             function.restype, function.argtypes = result, arguments
-    except (OSError, AttributeError) as error:
+        binding.load_library_permanently(str(path))
+    except (OSError, RuntimeError, AttributeError) as error:
         raise EmbreeMissingError(f"{path.name}: {error}") from None
     return lib
 

@@ -1,13 +1,9 @@
 """Geometry of windows as casters want it: triangles, and transforms relative to the window."""
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import matvec
-from vlp16emu.types import Mesh, ShapeKey, Window
+from vlp16emu.types import Mesh, Window
 
 Faces = tuple[NDArray[np.float32], NDArray[np.uint32]]
 """Vertices (v, 3) in metres, and triangles (t, 3)."""
@@ -52,32 +48,3 @@ def sheared(
     moved = np.broadcast_to(world_T_shape, (*shear.shape[:-1], 3, 4)).copy()
     moved[..., :2, :] += shear[..., None] * over_foot[:, None]
     return moved
-
-
-def frozen(window: Window, t_ns: int) -> Window:
-    """Still window that a moving one is at a time, or at its first or last where that is outside."""
-    if (sway := window.sway) is None:
-        return window
-    steps = len(sway.shear) - 1
-    at = min(max((t_ns - sway.start_ns) / sway.step_ns, 0.0), float(steps))
-    knot = min(int(at), steps - 1)
-    shear = sway.shear[knot] + (at - knot) * (sway.shear[knot + 1] - sway.shear[knot])
-    transforms = window.world_T_shape.copy()
-    transforms[sway.placement] = sheared(transforms[sway.placement], sway.foot_z_m, shear)
-    return replace(window, world_T_shape=transforms, sway=None)
-
-
-def flatten(
-    window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]
-) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
-    """Triangles (t, 3, 3) float64 in metres from the window's origin, and their surfaces (t,) uint32."""
-    transforms = relative_to_window(window)
-    meshes = [shape(key) for key in window.shapes]
-    corners, surfaces = [np.empty((0, 3, 3))], [np.empty(0, np.uint32)]
-    for transform, which, first in zip(transforms, window.shape, window.first_surface, strict=True):
-        for number, mesh in enumerate(meshes[which]):
-            vertices_m = matvec(transform[:, :3], mesh.vertices_m.astype(np.float64)) + transform[:, 3]
-            _, triangles = faces_of(mesh)
-            corners.append(vertices_m[triangles])
-            surfaces.append(np.full(len(triangles), first + number, np.uint32))
-    return np.concatenate(corners), np.concatenate(surfaces)

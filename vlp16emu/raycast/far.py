@@ -3,8 +3,7 @@
 Clouds of shapes, blocks of tiles, and the medium that they make up.
 """
 
-import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from concurrent.futures import Executor
 from dataclasses import fields
 
@@ -13,51 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import hypot, norm
-from vlp16emu.raycast.build import Shape, shape_of
 from vlp16emu.raycast.cloud import Cloud, Library, cloud_of
 from vlp16emu.raycast.lanes import Ground, Medium, Stems
-from vlp16emu.raycast.medium import Block, Shelf, block_of
-from vlp16emu.raycast.pieces import STRAY_M
-from vlp16emu.raycast.voxel import (
-    ASIDE_M,
-    BRICK,
-    COLUMNS,
-    FINER,
-    KNOTS,
-    LAW_BIT,
-    LAW_MASK,
-    QUANTILES,
-    VOXEL_M,
-    stem_beside,
-    stem_columns,
-    stem_lines,
-)
-from vlp16emu.store import Bundle, recalled
-from vlp16emu.types import FarTile, Mesh, ShapeKey, Window, World
+from vlp16emu.raycast.marks import ASIDE_M, stem_beside, stem_columns, stem_lines
+from vlp16emu.raycast.medium import Block, Shelf, block_of, packed_block, unpacked_block
+from vlp16emu.raycast.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, VOXEL_M
+from vlp16emu.store import recalled
+from vlp16emu.tiles import STEM, FarTile, TiledWindow, TiledWorld
+from vlp16emu.types import Mesh, ShapeKey, World
 from vlp16emu.world.polyline import distance_m
-from vlp16emu.world.stand.tiles import STEM, TILE_M
+
+STRAY_M = 1.0
+"""How far a sensor may be from the positions that a window is for."""
+_TILE_M = COLUMNS * VOXEL_M
+_BRICKS = COLUMNS // BRICK
+_NO_GROUND_M = np.float32(-1e6)
+_AROUND = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+_NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))], np.zeros(1, np.uint8))
+"""Of a library before anything is measured: where only stems and ground are far."""
 
 
-def recalled_shape(world: World, key: ShapeKey) -> Shape:
-    """Faces of a shape, grown where no store has them."""
-    name = world.shape_name(key)
-    return recalled(
-        name and f"faces {name}", lambda: shape_of(world.shape(key)), _packed_shape, _unpacked_shape
-    )
-
-
-def _packed_shape(shape: Shape) -> Bundle:
-    named = {f"{i} {j}": array for i, faces in enumerate(shape.faces) for j, array in enumerate(faces)}
-    return {"radius_m": np.array(shape.radius_m), "begin": shape.begin, "boxes_m": shape.boxes_m, **named}
-
-
-def _unpacked_shape(bundle: Bundle) -> Shape:
-    meshes = bundle["begin"].shape[1]
-    faces = tuple((bundle[f"{i} 0"], bundle[f"{i} 1"]) for i in range(meshes))
-    return Shape(faces, bundle["begin"], bundle["boxes_m"], float(bundle["radius_m"]))  # type: ignore[arg-type]  # as they were put there
-
-
-def recalled_cloud(world: World, key: ShapeKey, parts: NDArray[np.uint8]) -> Cloud:
+def _recalled_cloud(world: World, key: ShapeKey, parts: NDArray[np.uint8]) -> Cloud:
     """Measure a shape, of `PlantPart`s (meshes,), where no store has it."""
     name = world.shape_name(key)
     return recalled(
@@ -66,71 +41,6 @@ def recalled_cloud(world: World, key: ShapeKey, parts: NDArray[np.uint8]) -> Clo
         lambda cloud: {field.name: np.asarray(getattr(cloud, field.name)) for field in fields(cloud)},
         lambda bundle: Cloud(**{**bundle, "radius_m": float(bundle["radius_m"])}),  # type: ignore[arg-type]
     )
-
-
-def packed_block(block: Block, library: Library, names: Sequence[str]) -> Bundle:
-    """Put a block into arrays, with its laws by the names of shapes: libraries have them in an order of their own."""
-    laws, law = np.unique((block.owner >> LAW_BIT) & LAW_MASK, return_inverse=True)
-    shape = np.searchsorted(library.first_law, laws.astype(np.int64), side="right") - 1
-    used, of = np.unique(shape, return_inverse=True)
-    return {
-        **{field.name: np.asarray(getattr(block, field.name)) for field in fields(block)},
-        "owner": _with_law(block.owner, law),
-        "law_shape": of,
-        "law_mesh": laws.astype(np.int64) - library.first_law[shape],
-        "shapes": np.frombuffer(json.dumps([names[i] for i in used.tolist()]).encode(), np.uint8),
-    }
-
-
-def unpacked_block(bundle: Bundle, library: Library, place: Mapping[str, int]) -> Block:
-    """Take a block out of arrays, for a library with shapes at these places by name."""
-    rest = dict(bundle)
-    which = np.array([place[name] for name in json.loads(rest.pop("shapes").tobytes())], np.int64)
-    law = library.first_law[which[rest.pop("law_shape")]] + rest.pop("law_mesh")
-    owner = rest["owner"].astype(np.uint64, copy=False)
-    rest["owner"] = _with_law(owner, law[(owner >> LAW_BIT) & LAW_MASK])
-    return Block(**{**rest, "bottom": int(rest["bottom"])})  # type: ignore[arg-type]
-
-
-def _with_law(owner: NDArray[np.uint64], law: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Give owners other laws."""
-    return (owner & ~(LAW_MASK << LAW_BIT)) | (law.astype(np.uint64) << LAW_BIT)
-
-
-_BRICKS = COLUMNS // BRICK
-_NO_GROUND_M = np.float32(-1e6)
-_AROUND = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
-_NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))], np.zeros(1, np.uint8))
-"""Of a library before anything is measured: where only stems and ground are far."""
-
-
-def _no_medium() -> Medium:
-    none = np.zeros(0, np.uint32)
-    return Medium(
-        np.inf,
-        (0.0, 0.0, 0.0),
-        (0, 0, 0),
-        np.zeros((1, 1, 1, 2), np.uint64),
-        np.zeros((1, 1, 1), np.uint32),
-        none,
-        none,
-        np.zeros(0, np.uint64),
-        np.zeros((1, 1, 9), np.uint32),
-        np.zeros((0, len(KNOTS), QUANTILES), np.float32),
-        Ground(np.zeros((2, 2), np.float32), np.zeros((1, 1), np.uint32), 0.0, 0.0, 0.0),
-        Stems(
-            np.zeros((1, 1, 2), np.int32),
-            np.zeros(0, np.int32),
-            np.zeros((0, 8)),
-            np.zeros((0, 5, 16), np.float32),
-            np.zeros((0, 2), np.uint32),
-            np.zeros(0, np.float32),
-        ),
-        0,
-    )
-
-
-NO_MEDIUM = _no_medium()
 
 
 class Far:
@@ -142,7 +52,7 @@ class Far:
     workers : where shapes are measured and blocks made side by side
     """
 
-    def __init__(self, world: World, workers: Executor) -> None:
+    def __init__(self, world: TiledWorld, workers: Executor) -> None:
         self._world, self._workers = world, workers
         self._clouds = dict[ShapeKey, Cloud]()
         self._place, self._names = dict[object, int](), list[str]()
@@ -150,26 +60,26 @@ class Far:
         self._cosine = np.zeros((0, len(KNOTS), QUANTILES), np.float32)
         self._shelf = Shelf()
 
-    def is_near(self, window: Window) -> NDArray[np.bool_]:
+    def is_near(self, window: TiledWindow) -> NDArray[np.bool_]:
         """Which of the placements that `window.far` marks may be met by light that has not yet come to the medium."""
-        assert window.near is not None
-        assert window.far is not None
         own = np.array([self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes])
         stretch = np.sqrt((np.square(window.world_T_shape[:, :, :3])).sum(axis=1).max(axis=-1))
         radius_m, at_m = own[window.shape] * stretch, window.world_T_shape[:, :2, 3].copy()
         for place, (ix, iy, _) in zip(_tile_places(window).tolist(), window.tiles, strict=True):
             lines = stem_lines(self._world.far_tile(ix, iy).stems, np.array([*at_m[place], 0.0]))
-            ends_m = np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - TILE_M / 2
-            at_m[place] += TILE_M / 2
+            ends_m = (
+                np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - _TILE_M / 2
+            )
+            at_m[place] += _TILE_M / 2
             radius_m[place] = norm(ends_m).max() + STRAY_M
-        track_m, reach_m = window.near[:, :2], self._world.near_m + STRAY_M + radius_m
+        track_m, reach_m = window.track_m[:, :2], self._world.near_m + STRAY_M + radius_m
         low_m, high_m = track_m.min(axis=0), track_m.max(axis=0)
         few = np.flatnonzero((np.maximum(low_m - at_m, at_m - high_m) <= reach_m[:, None]).all(axis=1))
         near = np.zeros(len(at_m), np.bool_)
         near[few] = distance_m(at_m[few], track_m) <= reach_m[few]
         return near[window.far]
 
-    def tiles(self, window: Window) -> dict[tuple[int, int], FarTile]:
+    def tiles(self, window: TiledWindow) -> dict[tuple[int, int], FarTile]:
         """Ask for the tiles of a window, and those beside them, and measure their shapes."""
         around = sorted({(ix + dx, iy + dy) for ix, iy, _ in window.tiles for dx, dy in _AROUND})
         tiles = dict(
@@ -178,7 +88,7 @@ class Far:
         self._measure(tiles.values())
         return tiles
 
-    def medium(self, window: Window, tiles: dict[tuple[int, int], FarTile]) -> Medium:
+    def medium(self, window: TiledWindow, tiles: dict[tuple[int, int], FarTile]) -> Medium:
         """Put together what is far in a window, of whose `tiles` it is."""
         rows = {(ix, iy): row for ix, iy, row in window.tiles}
         self._shelf.clear(rows)
@@ -209,30 +119,29 @@ class Far:
             return
 
         def measured(named: tuple[ShapeKey, NDArray[np.uint8]]) -> Cloud:
-            return recalled_cloud(self._world, *named)
+            return _recalled_cloud(self._world, *named)
 
         self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
         self._place = {key: number for number, key in enumerate(self._clouds)}
         self._names = [self._world.shape_name(key) for key in self._clouds]
         clouds = list(self._clouds.values())
         self._library = Library.of(clouds)
-        self._cosine = np.concatenate([NO_MEDIUM.cosine, *(cloud.cosine for cloud in clouds)])
+        self._cosine = np.concatenate([self._cosine[:0], *(cloud.cosine for cloud in clouds)])
 
 
-def _tile_places(window: Window) -> NDArray[np.int64]:
+def _tile_places(window: TiledWindow) -> NDArray[np.int64]:
     """Placements of the tiles' own shapes: those of each tile's first surface."""
-    assert window.far is not None
     rows = np.array([row for _, _, row in window.tiles], np.uint32)
     return np.flatnonzero(np.isin(window.first_surface, rows) & window.far)
 
 
 def _joined(
-    window: Window,
+    window: TiledWindow,
     tiles: Mapping[tuple[int, int], FarTile],
     shelf: Shelf,
     rows: Mapping[tuple[int, int], int],
     cosine: NDArray[np.float32],
-    world: World,
+    world: TiledWorld,
 ) -> Medium:
     """Put blocks into the grid of a window."""
     blocks, places = {name: shelf.blocks[name] for name in rows}, np.array(list(rows))
@@ -266,7 +175,7 @@ def _joined(
 
 
 def _ground(
-    window: Window,
+    window: TiledWindow,
     tiles: Mapping[tuple[int, int], FarTile],
     rows: Mapping[tuple[int, int], int],
     corner_m: NDArray[np.float64],
@@ -288,7 +197,7 @@ def _ground(
 
 
 def _stems(
-    window: Window,
+    window: TiledWindow,
     tiles: Mapping[tuple[int, int], FarTile],
     rows: Mapping[tuple[int, int], int],
     corner_m: NDArray[np.float64],

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import power
 from vlp16emu.raycast.cloud import TILTS, Library
+from vlp16emu.raycast.marks import mark_ground, mark_stem
 from vlp16emu.raycast.voxel import (
     BRICK,
     CODES,
@@ -17,16 +18,13 @@ from vlp16emu.raycast.voxel import (
     SHARE_BIT,
     TILE_BIT,
     VOXEL_M,
-    mark_ground,
-    mark_stem,
 )
 from vlp16emu.trig import ZERO
 
-_PIECE_M = 0.25
-"""Faces larger than this are cut."""
-
 Array = NDArray[np.float64]
 
+_PIECE_M = 0.25
+"""Faces larger than this are cut."""
 
 _Packed = tuple[
     NDArray[np.uint64],

@@ -1,20 +1,20 @@
-"""The inner loop: sub-rays of a pulse as one packet of eight through what is near, those that miss on into what is far.
+"""The inner loop: sub-rays of a pulse as one packet of eight through what is near, and those that miss on into what is far.
 
 Eight sequences are cast at a time, step by step: all their pulses through the faces that are near, then those that are
-left through the medium, so that the memory of one does not drive out that of the other. Which rays share a packet depends
+left through what is far, so that the memory of one does not drive out that of the other. Which rays share a packet depends
 on firing numbers and on what was met, never on threads. What makes no arrays counts no references (`_nrt=False`), and
 loops take arrays out of tuples first: a twentieth of the time.
 """
+
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.adaptive import RayBudget, enough
-from vlp16emu.raycast.batch import Batch, MetRays, PulseBatch
+from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Batch, MetRays, PulseBatch
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
-from vlp16emu.raycast.lanes import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Medium
-from vlp16emu.raycast.march import march
 from vlp16emu.raycast.packet import (
     DIR,
     NONE,
@@ -38,11 +38,23 @@ def _hits(n: int) -> MetRays:
     return MetRays(np.empty(n, np.float32), np.empty(n, np.uint32), np.empty(n, np.float32))
 
 
+def go_on(passage: Any, light: PulseBatch, batch: Batch, todo: int, count: int, reach: np.float32) -> None:
+    """Let the rays of pulses that have met nothing near go on through what is far.
+
+    Whoever has something far says how, by `numba.extending.overload`: casting what is near needs none of it.
+
+    Parameters
+    ----------
+    reach : how far from the middle they are at most, in standard deviations of the beam
+    """
+    raise NotImplementedError
+
+
 @numba.njit(cache=True, nogil=True)
 def cast_lines(
     near: Target,
     beyond: Target | None,
-    medium: Medium | None,
+    passage: Any,
     light: PulseBatch,
     packet: RayPacket,
     batch: Batch,
@@ -52,14 +64,14 @@ def cast_lines(
 ) -> None:
     """Cast one ray per pulse; packets hold eight consecutive firings of a laser. Fills arrays (k, L).
 
-    Where nothing is far, `beyond` and `medium` are None, and numba leaves out what is for them.
+    Where nothing is far, `beyond` and `passage` are None, and numba leaves out what is for them.
     """
     pulses, one = PACKET * light.origin_m.shape[1], ZERO + 1
     set_filter(packet)
     for first in light.order:
         _cast_middles(near, beyond, light, packet, batch, first)
-        if medium is not None:
-            _march(medium, light, batch, pulses, one, np.float32(0.0))
+        if passage is not None:
+            go_on(passage, light, batch, pulses, one, np.float32(0.0))
         for q in range(pulses):
             i, j, met = first + q % PACKET, q // PACKET, batch.surface[q, 0]
             range_m[i, j] = np.float32(np.inf) if met == NONE else batch.row[q, RANGE]
@@ -70,7 +82,7 @@ def cast_lines(
 def cast_pulses(
     near: Target,
     beyond: Target | None,
-    medium: Medium | None,
+    passage: Any,
     light: PulseBatch,
     packet: RayPacket,
     batch: Batch,
@@ -97,8 +109,8 @@ def cast_pulses(
         while todo:
             rays = min(ROUND, budget.most - have)
             _cast_near(near, beyond, light, budget, packet, batch, first, todo, have, rays)
-            if medium is not None:
-                _march(medium, light, batch, todo, rays, reach_of(have, budget.adaptive))
+            if passage is not None:
+                go_on(passage, light, batch, todo, rays, reach_of(have, budget.adaptive))
             todo, have = _settle(near, budget, batch, todo, have, rays), have + rays
         need = n + ROUND
         for q in range(pulses):
@@ -228,38 +240,6 @@ def _send_on(
         if valid[r] and instance[r] != NONE:
             to, lane = q + step * r, (1 - step) * r
             row[to, RANGE + lane], surface[to, lane], row[to, COSINE + lane] = ray_met(beyond, packet, r)
-
-
-@numba.njit(cache=True, nogil=True, _nrt=False)
-def _march(medium: Medium, light: PulseBatch, batch: Batch, todo: int, count: int, reach: float) -> None:
-    """Let the rays of pulses that have met nothing near go on through the medium.
-
-    Parameters
-    ----------
-    reach : how far from the middle they are at most, in standard deviations of the beam
-    """
-    L, row, surface = batch.lanes, batch.row, batch.surface
-    own_row, own_surface, bricks, firsts = (
-        L.row,
-        L.surface,
-        medium.brick.reshape(-1),
-        medium.first.reshape(-1),
-    )
-    aside_m = np.float32(reach * max(light.sigmas[0], light.sigmas[1]))
-    spread = np.float32(reach * max(light.sigmas[2], light.sigmas[3]))
-    for t in range(todo):
-        q = batch.todo[t]
-        if not batch.missed[q]:
-            continue
-        for a in range(COSINE + LANES):
-            own_row[a] = row[q, a]
-        for lane in range(LANES):
-            own_surface[lane] = surface[q, lane]
-        march(medium, bricks, firsts, L, count, batch.axes_row[q], aside_m, spread)
-        for a in range(RANGE, COSINE + LANES):
-            row[q, a] = own_row[a]
-        for lane in range(LANES):
-            surface[q, lane] = own_surface[lane]
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)

@@ -1,7 +1,6 @@
-"""Lanes.
+"""Sub-rays of a pulse, side by side, and what they go through when it is far.
 
-Sub-rays of a pulse, side by side, and what they go through when it is far: ground as a grid, stems as cones,
-foliage as bricks of voxels.
+Ground is a grid, stems are cones, and foliage is bricks of voxels.
 """
 
 from typing import Any, NamedTuple
@@ -10,6 +9,8 @@ import llvmlite.ir
 import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE, ROW
 
 
 class Ground(NamedTuple):
@@ -71,14 +72,11 @@ class Medium(NamedTuple):
     seed: int
 
 
-LANES = 8
 AHEAD = 16
 """Slabs that are looked at before the voxels in them: without branches that nobody can foretell."""
 
-ORIGIN, DIRECTION, RANGE, COSINE, AT, HEIGHT, FACING, _END = (
-    LANES * row for row in (0, 3, 6, 7, 8, 9, 10, 11)
-)
-"""Where rows of lanes begin in `Lanes.row`."""
+AT, HEIGHT, FACING, _END = (ROW + LANES * row for row in range(4))
+"""Where further rows of lanes begin in `Lanes.row`."""
 
 
 class Lanes(NamedTuple):
@@ -88,7 +86,7 @@ class Lanes(NamedTuple):
     """
 
     row: NDArray[np.float32]
-    """(88,) rows of eight: origin and direction, range, cosine; then scratch. `AT`, `HEIGHT`, `FACING`: range, height along the axis and cosine at which a lane meets a stem."""
+    """(88,) rows of eight as in `Batch.row`, then scratch. `AT`, `HEIGHT`, `FACING`: range, height along the axis and cosine at which a lane meets a stem."""
     origin_m: NDArray[np.float32]
     """(3, 8) of these rows."""
     direction: NDArray[np.float32]

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import exp
-from vlp16emu.raycast.lanes import LANES, Lanes, Medium, lowest
+from vlp16emu.raycast.batch import LANES
+from vlp16emu.raycast.lanes import Lanes, Medium, lowest
 from vlp16emu.raycast.voxel import (
     COLUMNS,
     LAW_BIT,

@@ -5,28 +5,29 @@ decides for all its sub-rays: how much foliage there is in it (`vlp16emu.raycast
 be met, which each sub-ray is then cut with exactly (`vlp16emu.raycast.cuts`).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, RANGE, Batch, PulseBatch
 from vlp16emu.raycast.cuts import meet_ground, meet_stem
-from vlp16emu.raycast.lanes import (
-    AHEAD,
-    DIRECTION,
-    LANES,
-    RANGE,
-    Lanes,
-    Medium,
-    lowest,
-    ones,
-)
+from vlp16emu.raycast.kernel import go_on
+from vlp16emu.raycast.lanes import AHEAD, Lanes, Medium, lowest, ones
 from vlp16emu.raycast.leaves import meet_foliage, weights_of
 from vlp16emu.raycast.voxel import BRICK, GROUND, VOXEL_M
 
 f4, u4 = np.float32, np.uint32
 _SLABS = np.arange(AHEAD, dtype=np.float32)
+
+
+class Passage(NamedTuple):
+    """What takes the rays of a cast through a medium."""
+
+    medium: Medium
+    lanes: Lanes
+    """Scratch of the cast's own."""
 
 
 class _Way(NamedTuple):
@@ -295,3 +296,49 @@ def _lines(
             alive |= np.uint64(1) << np.uint64(lane)
             last_m = max(last_m, row[RANGE + lane])
     return alive, last_m
+
+
+def _pass_through(
+    passage: Passage, light: PulseBatch, batch: Batch, todo: int, count: int, reach: np.float32
+) -> None:
+    """Let the rays of pulses that have met nothing near go on through the medium.
+
+    Parameters
+    ----------
+    reach : how far from the middle they are at most, in standard deviations of the beam
+    """
+    medium, L, row, surface = passage.medium, passage.lanes, batch.row, batch.surface
+    own_row, own_surface, bricks, firsts = (
+        L.row,
+        L.surface,
+        medium.brick.reshape(-1),
+        medium.first.reshape(-1),
+    )
+    aside_m = np.float32(reach * max(light.sigmas[0], light.sigmas[1]))
+    spread = np.float32(reach * max(light.sigmas[2], light.sigmas[3]))
+    for t in range(todo):
+        q = batch.todo[t]
+        if not batch.missed[q]:
+            continue
+        for a in range(COSINE + LANES):
+            own_row[a] = row[q, a]
+        for lane in range(LANES):
+            own_surface[lane] = surface[q, lane]
+        march(medium, bricks, firsts, L, count, batch.axes_row[q], aside_m, spread)
+        for a in range(RANGE, COSINE + LANES):
+            row[q, a] = own_row[a]
+        for lane in range(LANES):
+            surface[q, lane] = own_surface[lane]
+
+
+@numba.extending.overload(go_on, jit_options={"cache": True, "nogil": True, "_nrt": False})
+def _go_on(  # the same words as there, or numba does not take it
+    passage: Passage,  # noqa: ARG001 - likewise all
+    light: PulseBatch,  # noqa: ARG001
+    batch: Batch,  # noqa: ARG001
+    todo: int,  # noqa: ARG001
+    count: int,  # noqa: ARG001
+    reach: np.float32,  # noqa: ARG001
+) -> Any:
+    """Give numba what kernels that cast go on by."""
+    return _pass_through

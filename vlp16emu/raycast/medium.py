@@ -8,10 +8,11 @@ window to window.
 A `Shelf` holds blocks side by side in arrays that windows share: what one has of another is neither copied nor kept twice.
 """
 
+import json
 import math
 import weakref
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -19,10 +20,15 @@ from numpy.typing import NDArray
 
 from vlp16emu.raycast.cloud import PROJECTION, Library
 from vlp16emu.raycast.filling import filled
-from vlp16emu.raycast.voxel import BRICK, COLUMNS, VOXEL_M, stem_lines, stem_radii
-from vlp16emu.types import FarTile
+from vlp16emu.raycast.marks import stem_lines, stem_radii
+from vlp16emu.raycast.voxel import BRICK, COLUMNS, LAW_BIT, LAW_MASK, VOXEL_M
+from vlp16emu.store import Bundle
+from vlp16emu.tiles import FarTile
 
 Array = NDArray[np.float64]
+T = TypeVar("T", bound=np.generic)
+Name = tuple[int, int]
+"""Of a tile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +117,33 @@ def _span(
     return float(low.min()), float(high.max())
 
 
-T = TypeVar("T", bound=np.generic)
-Name = tuple[int, int]
-"""Of a tile."""
+def packed_block(block: Block, library: Library, names: Sequence[str]) -> Bundle:
+    """Put a block into arrays, with its laws by the names of shapes: libraries have them in an order of their own."""
+    laws, law = np.unique((block.owner >> LAW_BIT) & LAW_MASK, return_inverse=True)
+    shape = np.searchsorted(library.first_law, laws.astype(np.int64), side="right") - 1
+    used, of = np.unique(shape, return_inverse=True)
+    return {
+        **{field.name: np.asarray(getattr(block, field.name)) for field in fields(block)},
+        "owner": _with_law(block.owner, law),
+        "law_shape": of,
+        "law_mesh": laws.astype(np.int64) - library.first_law[shape],
+        "shapes": np.frombuffer(json.dumps([names[i] for i in used.tolist()]).encode(), np.uint8),
+    }
+
+
+def unpacked_block(bundle: Bundle, library: Library, place: Mapping[str, int]) -> Block:
+    """Take a block out of arrays, for a library with shapes at these places by name."""
+    rest = dict(bundle)
+    which = np.array([place[name] for name in json.loads(rest.pop("shapes").tobytes())], np.int64)
+    law = library.first_law[which[rest.pop("law_shape")]] + rest.pop("law_mesh")
+    owner = rest["owner"].astype(np.uint64, copy=False)
+    rest["owner"] = _with_law(owner, law[(owner >> LAW_BIT) & LAW_MASK])
+    return Block(**{**rest, "bottom": int(rest["bottom"])})  # type: ignore[arg-type]
+
+
+def _with_law(owner: NDArray[np.uint64], law: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """Give owners other laws."""
+    return (owner & ~(LAW_MASK << LAW_BIT)) | (law.astype(np.uint64) << LAW_BIT)
 
 
 class Laid(NamedTuple):

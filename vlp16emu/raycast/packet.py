@@ -12,22 +12,23 @@ What makes no arrays counts no references (`_nrt=False`), and loops take arrays 
 import math
 from typing import Any, NamedTuple
 
-import llvmlite.binding
 import llvmlite.ir
 import numba
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from vlp16emu.elementary import sin
 from vlp16emu.raycast.build import knot_at
-from vlp16emu.raycast.embree import FLAG_COHERENT, FLAG_FILTER, library, library_path
-from vlp16emu.raycast.pieces import LEVEL
+from vlp16emu.raycast.embree import FLAG_COHERENT, FLAG_FILTER
 
 PACKET = 8
 """Rays per packet; 16 is slower without AVX-512."""
 
-library()
-llvmlite.binding.load_library_permanently(str(library_path()))
+LEVEL = np.float32(sin(math.radians(20.0)))
+"""Rays that rise or fall by no more than this per metre are level: all of a VLP-16 that is worn upright, which leans by up to
+3 degrees. Half of the faces of `scenes/reference_forest` that are near are met by no level ray, and are not built."""
+
 _intersect = types.ExternalFunction(
     "rtcIntersect8", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
 )

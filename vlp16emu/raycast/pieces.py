@@ -2,27 +2,16 @@
 
 A ray is taken into the coordinates of every instance whose box it passes, which costs as much as a good part of what follows,
 and the rays of a lidar are nearly level: what counts of a box is its area as seen from the side. So stems are apart from the
-ground, and crowns are cut level into slabs, each as wide as the crown is there. Pieces that no ray can meet are left out.
+ground, and crowns are cut level into slabs, each as wide as the crown is there.
 """
 
-import math
 from collections.abc import Sequence
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import hypot, matvec, sin
 from vlp16emu.raycast.faces import Faces
-from vlp16emu.types import Window
-from vlp16emu.world.polyline import distance_m
-
-LEVEL = np.float32(sin(math.radians(20.0)))
-"""Rays that rise or fall by no more than this per metre are level: all of a VLP-16 that is worn upright, which leans by up to
-3 degrees. Half of the faces of `scenes/reference_forest` that are near are met by no level ray, and are not built."""
-
-STRAY_M = 1.0
-"""How far a sensor may be from the positions that a window is for."""
 
 _SLAB_M = 1.5
 """Height of a slab: with bodies apart a fifth less time for what is near in `scenes/reference_forest`; 1 m and 2 m gain as much
@@ -59,43 +48,6 @@ def in_pieces(
             count[:, mesh] = np.bincount(slab, minlength=len(count))
         counts.append(count[count.any(axis=1)])
     return tuple(ordered), np.concatenate(counts).cumsum(axis=0), np.concatenate(boxes)
-
-
-def within_reach(
-    window: Window, placement: NDArray[np.int64], boxes_m: NDArray[np.float64], reach_m: float
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Find the pieces that light of some range may meet.
-
-    Parameters
-    ----------
-    placement : (n,) of each piece
-    boxes_m : (n, 2, 3) around each, in coordinates of its shape
-    reach_m : range of the light
-
-    Returns
-    -------
-    Those that any ray may meet (n,), and those that level ones may
-    """
-    if window.near is None or not math.isfinite(reach_m):
-        return np.ones(len(boxes_m), np.bool_), np.ones(len(boxes_m), np.bool_)
-    world_T_shape, half_m = window.world_T_shape[placement], np.diff(boxes_m, axis=1)[:, 0] / 2
-    at_m = matvec(world_T_shape[..., :3], boxes_m[:, 0] + half_m) + world_T_shape[..., 3]
-    half_m = matvec(np.abs(world_T_shape[..., :3]), half_m)
-    low_m, high_m = at_m[:, 2] - half_m[:, 2], at_m[:, 2] + half_m[:, 2]
-    aside_m = hypot(half_m[:, 0], half_m[:, 1])
-    if (sway := window.sway) is not None:
-        lean, foot_z_m = np.zeros((2, len(window.shape)))
-        lean[sway.placement], foot_z_m[sway.placement] = (
-            hypot(sway.shear[..., 0], sway.shear[..., 1]).max(axis=0),
-            sway.foot_z_m,
-        )
-        foot_z_m = foot_z_m[placement]
-        aside_m += lean[placement] * np.maximum(np.abs(low_m - foot_z_m), np.abs(high_m - foot_z_m))
-    level_m = np.maximum(distance_m(at_m[:, :2], window.near[:, :2]) - aside_m, 0.0)
-    sensors_m = window.near[:, 2]
-    rise_m = np.maximum(np.maximum(low_m - sensors_m.max(), sensors_m.min() - high_m), 0.0)
-    met = hypot(level_m, rise_m) <= reach_m + STRAY_M
-    return met, met & (rise_m <= LEVEL * reach_m + STRAY_M)
 
 
 def _bodies(faces: Sequence[Faces]) -> list[list[int]]:

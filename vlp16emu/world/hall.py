@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import acos, cos, log, sin, tan
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import SURFACE, FarTile, Mesh, Semantic, ShapeKey, Window
+from vlp16emu.types import SURFACE, Mesh, Semantic, ShapeKey, Window
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
 
 _log = logging.getLogger(__name__)
@@ -49,7 +49,7 @@ class HallWorld:
 
     materials = ("room", "box", "pole", "sphere")
     """Names by `SURFACE` material number."""
-    near_m, seed, name = math.inf, 0, ""
+    near_m, seed = math.inf, 0
     """As in `World`: all of it is near, nothing random, and nothing kept."""
 
     def __init__(self, section: Hall) -> None:
@@ -86,10 +86,6 @@ class HallWorld:
     def shape_name(self, _key: ShapeKey) -> str:
         """Nothing of a hall is kept."""
         return ""
-
-    def far_tile(self, ix: int, iy: int) -> FarTile:
-        """Nothing of a hall is far."""
-        raise KeyError(ix, iy)
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
         """Height of the floor: 0 everywhere."""

@@ -16,7 +16,7 @@ class GeometrySize:
     """Faces of a window that are near by, and the medium beyond them."""
 
     faces: int
-    """Quads that are kept, a triangle without a partner being one; all triangles where Embree cannot be driven."""
+    """Quads that are kept, a triangle without a partner being one."""
     placed: int
     """The same, each counted as often as it is placed."""
     bytes: int
@@ -33,27 +33,23 @@ class GeometrySize:
 
 def geometry_of(geometry: Geometry) -> GeometrySize:
     """Count the faces and the voxels of a window."""
-    from vlp16emu.raycast.slow import PlainGeometry
-
-    if isinstance(geometry, PlainGeometry):
-        triangles = len(geometry._surface)  # noqa: SLF001  # counting is all that anybody wants of it
-        return GeometrySize(triangles, triangles, 36 * triangles, None, 0, 0, 0)
-    from vlp16emu.raycast.near import EmbreeGeometry  # its kernel binds to the library
+    # Kernels bind to the library as soon as they are loaded.
+    from vlp16emu.raycast.far_caster import FarGeometry
+    from vlp16emu.raycast.near import EmbreeGeometry
     from vlp16emu.raycast.voxel import BRICK, COLUMNS
 
     assert isinstance(geometry, EmbreeGeometry)
     placed, meshes = Counter(map(id, geometry.meshes)), {id(mesh): mesh.faces for mesh in geometry.meshes}
     quads = {name: sum(len(own) for _, own in faces) for name, faces in meshes.items()}
-    medium = geometry.medium
-    has_medium = math.isfinite(medium.near_m)
+    medium = geometry.medium if isinstance(geometry, FarGeometry) else None
     return GeometrySize(
         faces=sum(quads.values()),
         placed=sum(quads[name] * often for name, often in placed.items()),
         bytes=sum(array.nbytes for faces in meshes.values() for pair in faces for array in pair),
-        near_m=medium.near_m if has_medium else None,
-        tiles=math.prod(BRICK * bricks // COLUMNS for bricks in medium.brick.shape[:2]),
-        voxels=len(medium.record),
-        medium_bytes=sum(array.nbytes for array in _arrays(medium)) if has_medium else 0,
+        near_m=medium.near_m if medium else None,
+        tiles=math.prod(BRICK * bricks // COLUMNS for bricks in medium.brick.shape[:2]) if medium else 0,
+        voxels=len(medium.record) if medium else 0,
+        medium_bytes=sum(array.nbytes for array in _arrays(medium)) if medium else 0,
     )
 
 

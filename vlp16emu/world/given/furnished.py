@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import SURFACE, FarTile, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
+from vlp16emu.tiles import TiledWindow
+from vlp16emu.types import SURFACE, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
 from vlp16emu.world.given.settings import MeshFile, MeshPlace
 from vlp16emu.world.given.user_mesh import UserMesh
 from vlp16emu.world.hall import HallWorld
@@ -82,7 +83,8 @@ class Furnished:
         self.bare = world
         """The world without the user's things."""
         self.height_m, self.near_m, self.seed = world.height_m, world.near_m, world.seed
-        self.name = world.name
+        if isinstance(world, ForestWorld):  # nothing of a hall is far
+            self.name, self.far_tile = world.name, world.far_tile
         self._reach_m = reach_m
         self.materials = (
             *world.materials,
@@ -127,8 +129,12 @@ class Furnished:
             return window
         keys = list(dict.fromkeys(self._keys[i] for i in near))
         first = len(window.surfaces) + np.cumsum([0, *(len(self._rows[i]) for i in near[:-1])])
-        return Window(
-            origin_m=window.origin_m,
+        exact = np.zeros(len(near), np.bool_)
+        tiled = {}
+        if isinstance(window, TiledWindow):
+            tiled = {"far": np.append(window.far, exact), "low": np.append(window.low, exact)}
+        return replace(
+            window,
             shapes=(*window.shapes, *keys),
             shape=np.append(
                 window.shape, [len(window.shapes) + keys.index(self._keys[i]) for i in near]
@@ -136,15 +142,8 @@ class Furnished:
             world_T_shape=np.concatenate([window.world_T_shape, self._world_T_mesh[near]]),
             first_surface=np.append(window.first_surface, first).astype(np.uint32),
             surfaces=np.concatenate([window.surfaces, *(self._rows[i] for i in near)]),
-            near=window.near,
-            tiles=window.tiles,
-            far=None if window.far is None else np.append(window.far, np.zeros(len(near), np.bool_)),
-            low=None if window.low is None else np.append(window.low, np.zeros(len(near), np.bool_)),
+            **tiled,
         )
-
-    def far_tile(self, ix: int, iy: int) -> FarTile:
-        """Describe a square of the world without the user's things."""
-        return self.bare.far_tile(ix, iy)
 
     def shape_name(self, key: ShapeKey) -> str:
         """Name a shape of the world; the user's meshes are not kept."""

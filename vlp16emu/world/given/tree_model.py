@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, hypot, log, matmul, matvec, norm, sin
 from vlp16emu.errors import GeometryError
+from vlp16emu.tiles import EXACT, STEM
 from vlp16emu.types import Mesh, PlantPart, ShapeKey
 from vlp16emu.world.given.section import Cutter, Outline, hull_m
 from vlp16emu.world.given.settings import TreeModelFile
@@ -24,7 +25,6 @@ from vlp16emu.world.plants.stem_rings import STEM_CIRCLE
 from vlp16emu.world.stand.inventory import COPIED, INVENTORY, volume_m3
 from vlp16emu.world.stand.placed import PlacedThings, plant_surfaces, turned
 from vlp16emu.world.stand.settings import Season
-from vlp16emu.world.stand.tiles import EXACT, STEM
 from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.tiles import STEM
 from vlp16emu.world.plants.stem_rings import (
     FLARE_TOP_M,
     Table,
@@ -12,7 +13,6 @@ from vlp16emu.world.plants.stem_rings import (
     stem_rings,
     tip_radius_m,
 )
-from vlp16emu.world.stand.tiles import STEM
 from vlp16emu.world.vectors import places_m, unit
 
 Array = NDArray[np.float64]

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import FarTile, HeightField, Mesh, PlantPart, ShapeKey, Window
+from vlp16emu.tiles import FarTile, TiledWindow
+from vlp16emu.types import HeightField, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.given.tree_model import ModelKey, TreeModels
 from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.world.plants.far_stem import far_stems
@@ -164,7 +165,7 @@ class ForestWorld:
             self._tile(ix, iy)
             yield done / len(names)
 
-    def window(self, track_m: Array) -> Window:
+    def window(self, track_m: Array) -> TiledWindow:
         """Everything within reach of sensor positions (n, 3).
 
         Raises
@@ -182,14 +183,14 @@ class ForestWorld:
             shape.append(index[tile.shape])
             first_surface.append(rows + tile.first_surface)
             rows += len(tile.surfaces)
-        return Window(
+        return TiledWindow(
             origin_m=np.round(track_m.mean(axis=0)),
             shapes=tuple(index_of),
             shape=np.concatenate(shape).astype(np.int32),
             world_T_shape=np.concatenate([tile.world_T_shape for tile in tiles]),
             first_surface=np.concatenate(first_surface).astype(np.uint32),
             surfaces=np.concatenate([tile.surfaces for tile in tiles]),
-            near=track_m,
+            track_m=track_m,
             tiles=tuple((ix, iy, row) for (ix, iy), row in zip(names, begins, strict=True)),
             far=np.concatenate([tile.far for tile in tiles]),
             low=np.concatenate([tile.low for tile in tiles]),

@@ -6,7 +6,7 @@ Squares of the world as the store keeps them, what is near a path, and a piece c
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields
 from functools import cache
 from typing import Any, TypeVar
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec, norm
 from vlp16emu.store import Bundle, recalled
-from vlp16emu.types import FarTile, Mesh, Semantic, ShapeKey, Window
+from vlp16emu.types import Mesh, Semantic, ShapeKey, Window
 from vlp16emu.world.given.section import hull_m
 from vlp16emu.world.given.tree_model import ModelKey
 from vlp16emu.world.plants.crown import CrownKey
@@ -100,7 +100,6 @@ class AllNear:
     shape: Grow
     near_m: float = math.inf
     seed: int = 0
-    name: str = ""
 
     def window(self, _track_m: Array) -> Window:
         """Give the window, from wherever."""
@@ -109,10 +108,6 @@ class AllNear:
     def shape_name(self, _key: ShapeKey) -> str:
         """Give none: no shape is kept on disk."""
         return ""
-
-    def far_tile(self, ix: int, iy: int) -> FarTile:
-        """Give none: there is no such square."""
-        raise LookupError(f"far tile: found {ix}, {iy}; expected none")
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,14 +175,13 @@ def cut_out(
     wanted = np.isin(window.surfaces["instance"], instances)
     keep, tile_at = _kept(window, wanted, inside)
     used, which = np.unique(window.shape[keep], return_inverse=True)
-    left = replace(
-        window,
+    left = Window(
+        origin_m=window.origin_m,
         shapes=tuple(window.shapes[i] for i in used),
         shape=which.astype(np.int32),
         world_T_shape=window.world_T_shape[keep],
         first_surface=window.first_surface[keep],
-        far=None,
-        low=None,
+        surfaces=window.surfaces,
     )
 
     def grow(key: ShapeKey) -> tuple[Mesh, ...]:

@@ -20,27 +20,6 @@ _SKIRT_M = 0.5
 """Depth of the hem under a tile's border, which hides the seams that rounding leaves."""
 
 
-STEM = np.dtype(
-    [
-        ("foot_m", "<f8", 3),  # world: where the axis leaves the ground, or the first leader
-        ("axis", "<f8", 3),  # unit vector, upwards
-        ("along_m", "<f4", 16),  # knots of the profile, from the foot along the axis, ascending
-        (
-            "aside_m",
-            "<f4",
-            (2, 16),
-        ),  # at the knots, level and east and north: from the axis to the section's middle
-        ("radius_m", "<f4", 16),  # at the knots, in between linear; 0 at a whole tree's tip
-        ("flare_m", "<f4"),  # along the axis: where the root flare ends
-        ("row", "<u4", 2),  # of the tile's surfaces: root flare, and the stem above it
-    ]
-)
-"""A stem from afar, or the second leader of one: circles across its axis."""
-
-EXACT = 255
-"""In place of the `PlantPart` of a `FarTile`'s mesh: `STEM`s stand for it, and it is no medium."""
-
-
 @dataclass(frozen=True, slots=True)
 class TileKey:
     """Name of a tile's shape: its ground and its stems."""

@@ -1,27 +1,80 @@
-"""Casters that take rays one after the other, all of the window as faces.
-
-The plain `embreex` class steps in where the library cannot be driven; brute force in float64 is the slow twin of the fast
-kernel.
-"""
+"""The slow twin of the caster: all of a window as triangles in float64, rays one after the other."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.errors import RunError
+from vlp16emu.elementary import matvec
 from vlp16emu.raycast.adaptive import enough
-from vlp16emu.raycast.beam import LINE, ROUND, BeamModel, Footprint, sub_rays
+from vlp16emu.raycast.beam import LINE, ROUND, Footprint, beam_axis_of, lay, pulse_axes, turn
 from vlp16emu.raycast.displace import displace
-from vlp16emu.raycast.faces import flatten, frozen
+from vlp16emu.raycast.faces import faces_of, relative_to_window, sheared
 from vlp16emu.types import NO_SURFACE, Firings, Hits, Mesh, ShapeKey, Window
 
 Met = tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]
 """Range, surface and cosine of incidence (n,) of n rays, as in `Hits`."""
 _Rays = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Origins in metres from the window's, and unit directions, (n, 3) each."""
+
+
+def frozen(window: Window, t_ns: int) -> Window:
+    """Still window that a moving one is at a time, or at its first or last where that is outside."""
+    if (sway := window.sway) is None:
+        return window
+    steps = len(sway.shear) - 1
+    at = min(max((t_ns - sway.start_ns) / sway.step_ns, 0.0), float(steps))
+    knot = min(int(at), steps - 1)
+    shear = sway.shear[knot] + (at - knot) * (sway.shear[knot + 1] - sway.shear[knot])
+    transforms = window.world_T_shape.copy()
+    transforms[sway.placement] = sheared(transforms[sway.placement], sway.foot_z_m, shear)
+    return replace(window, world_T_shape=transforms, sway=None)
+
+
+def flatten(
+    window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]
+) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+    """Triangles (t, 3, 3) float64 in metres from the window's origin, and their surfaces (t,) uint32."""
+    transforms = relative_to_window(window)
+    meshes = [shape(key) for key in window.shapes]
+    corners, surfaces = [np.empty((0, 3, 3))], [np.empty(0, np.uint32)]
+    for transform, which, first in zip(transforms, window.shape, window.first_surface, strict=True):
+        for number, mesh in enumerate(meshes[which]):
+            vertices_m = matvec(transform[:, :3], mesh.vertices_m.astype(np.float64)) + transform[:, 3]
+            _, triangles = faces_of(mesh)
+            corners.append(vertices_m[triangles])
+            surfaces.append(np.full(len(triangles), first + number, np.uint32))
+    return np.concatenate(corners), np.concatenate(surfaces)
+
+
+def sub_rays(
+    firings: Firings, beam: Footprint, from_m: NDArray[np.float64], first: int, count: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Lay sub-rays `first` to `first + count - 1` of every pulse, `first` a multiple of 8, as the kernel lays them.
+
+    Parameters
+    ----------
+    from_m : (3,) place in the world from which origins are counted
+
+    Returns
+    -------
+    Origins in metres and unit directions, (k, L, count, 3) each
+    """
+    pulses = firings.origin_m, firings.direction, beam_axis_of(firings, beam), from_m
+    rays = np.empty((*firings.t_ns.shape, -(-count // ROUND), 6, ROUND), np.float32)
+    axes, laid = np.empty((4, 3), np.float32), np.empty((7, ROUND), np.float32)
+    sigmas, adaptive = beam.sigmas.astype(np.float32), beam.budget.adaptive
+    for i, j in np.ndindex(firings.t_ns.shape):
+        pulse_axes(*pulses, i, j, axes)
+        u, v = turn(beam.seed, firings.index + i, j)
+        for number in range(rays.shape[2]):
+            lay(laid.reshape(-1), axes, sigmas, u, v, first + ROUND * number, adaptive)
+            rays[i, j, number, :3], rays[i, j, number, 3:] = laid[:3], laid[4:]
+    rays = rays.swapaxes(3, 4).reshape(*firings.t_ns.shape, -1, 6)[:, :, :count]
+    return np.ascontiguousarray(rays[..., :3]), np.ascontiguousarray(rays[..., 3:])
 
 
 class SlowScene(ABC):
@@ -47,18 +100,15 @@ class SlowScene(ABC):
         def cast(rays: _Rays, each: int | NDArray[np.int64]) -> Met:
             return self._rays(*rays, np.repeat(near, each), far_m, np.repeat(firings.t_ns, each))
 
-        match beam.model:
-            case BeamModel.FIXED | BeamModel.ANGLE:
-                each = beam.rays if beam.model is BeamModel.FIXED else 1
-                return Hits(
-                    np.full(shape, each, np.uint16), *cast(self._sub_rays(firings, beam, 0, each), each)
-                )
-            case BeamModel.ADAPTIVE:
-                return self._by_rounds(cast, firings, beam)
+        if beam.budget.adaptive:
+            return self._by_rounds(cast, firings, beam)
+        if beam.has_width:
+            each = beam.budget.most
+            return Hits(np.full(shape, each, np.uint16), *cast(self._sub_rays(firings, beam, 0, each), each))
         lines = (firings.origin_m - self._origin_m).reshape(-1, 3), firings.direction.reshape(-1, 3)
         met = cast(lines, 1)
         range_m, surface, cosine = met[0].reshape(shape), met[1].reshape(shape), met[2].reshape(shape)
-        if beam.model is BeamModel.OFFSET:
+        if beam.section.model == "offset":
             displace(range_m, beam, firings.index)
         return Hits.one_ray_each(range_m, surface, cosine)
 
@@ -98,68 +148,6 @@ class SlowScene(ABC):
         """Cast rays (n, 3) from origins relative to the window's."""
 
 
-class PlainGeometry(SlowScene):
-    """A window as one flat Embree mesh."""
-
-    def __init__(self, window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
-        super().__init__(window)
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
-        triangles_m, self._surface = flatten(window, shape)
-        self._scene = EmbreeScene(robust=True)
-        if len(triangles_m):
-            TriangleMesh(self._scene, triangles_m.astype(np.float32))
-
-    def _rays(
-        self,
-        origin_m: NDArray[np.float64],
-        direction: NDArray[np.float64],
-        near: NDArray[np.float64],
-        far_m: float,
-        _t_ns: NDArray[np.int64],
-    ) -> Met:
-        """Cast rays (n, 3) from origins relative to the window's."""
-        # This class has no near limit: rays begin at the lens instead.
-        out = self._scene.run(
-            (origin_m + direction * near[:, None]).astype(np.float32),
-            direction.astype(np.float32),
-            dists=np.asarray(far_m - near, np.float32),
-            query="INTERSECT",
-            output=True,
-        )
-        hit = out["geomID"] >= 0
-        normal = out["Ng"].astype(np.float64)
-        length = np.linalg.norm(normal, axis=1)
-        cosine = np.abs(np.einsum("ij,ij->i", normal, direction)) / np.where(length > 0, length, 1.0)
-        surface = np.full(len(hit), NO_SURFACE, np.uint32)
-        surface[hit] = self._surface[out["primID"][hit]]
-        return (
-            np.where(hit, out["tfar"] + near, np.inf).astype(np.float32),
-            surface,
-            np.where(hit, np.minimum(cosine, 1.0), 0.0).astype(np.float32),
-        )
-
-
-class PlainCaster:
-    """Opens windows for the plain class. Needs about 70 bytes per placed triangle, and builds each window anew."""
-
-    def __init__(self, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
-        self._shape = shape
-
-    def open(self, window: Window) -> PlainGeometry:
-        """Make a window ready for casting.
-
-        Raises
-        ------
-        RunError
-            where something moves in it
-        """
-        if window.sway is not None:
-            raise RunError("wind: the plain embreex class casts against what stands still only")
-        return PlainGeometry(window, self._shape)
-
-
 class ReferenceScene(SlowScene):
     """A window as one soup of triangles, (t, 3, 3) float64; a new one for each instant where something moves."""
 
@@ -194,7 +182,7 @@ class ReferenceScene(SlowScene):
 
 
 class ReferenceCaster:
-    """Opens windows for the slow twin; for tests and for judging errors of rounding."""
+    """Opens windows for the slow twin."""
 
     def __init__(self, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> None:
         self._shape = shape

@@ -1,0 +1,77 @@
+"""What worlds say of the squares that are seen from afar: the contract of forests and of the medium that they become.
+
+A window with tiles is cast as faces to `near_m`, and beyond as a medium; any other one as faces alone.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.types import ShapeKey, Window, World
+
+STEM = np.dtype(
+    [
+        ("foot_m", "<f8", 3),  # world: where the axis leaves the ground, or the first leader
+        ("axis", "<f8", 3),  # unit vector, upwards
+        ("along_m", "<f4", 16),  # knots of the profile, from the foot along the axis, ascending
+        ("aside_m", "<f4", (2, 16)),  # at the knots, to east and north: from the axis to the section's middle
+        ("radius_m", "<f4", 16),  # at the knots, in between linear; 0 at a whole tree's tip
+        ("flare_m", "<f4"),  # along the axis: where the root flare ends
+        ("row", "<u4", 2),  # of the tile's surfaces: root flare, and the stem above it
+    ]
+)
+"""A stem from afar, or the second leader of one: circles across its axis."""
+
+EXACT = 255
+"""In place of the `PlantPart` of a `FarTile`'s mesh: `STEM`s stand for it, and it is no medium."""
+
+
+@dataclass(frozen=True, slots=True)
+class FarTile:
+    """A square of the world, 20 m wide, as it is seen from afar: what becomes a medium, and what stays exact."""
+
+    corner_m: NDArray[np.float64]
+    """(3,) south-west corner; the height is a multiple of 2 m, near the ground."""
+    keys: tuple[ShapeKey, ...]
+    """Different shapes of what becomes a medium."""
+    shape: NDArray[np.int64]
+    """(n,) of each placement, index into `keys`."""
+    world_T_shape: NDArray[np.float64]
+    """(n, 3, 4)."""
+    first_surface: NDArray[np.int64]
+    """(n,) row of the tile's surfaces."""
+    first_part: NDArray[np.int64]
+    """(shapes + 1,) where the meshes of each shape begin in `part`."""
+    part: NDArray[np.uint8]
+    """(meshes,) `PlantPart` of each, or `EXACT`."""
+    stems: NDArray[np.void]
+    """(s,) `STEM`."""
+    ground_m: NDArray[np.float64]
+    """(85, 85) heights every 0.25 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TiledWindow(Window):
+    """A window with squares that may be seen from afar."""
+
+    track_m: NDArray[np.float64]
+    """(t, 3) positions of the sensors that the window is for, to which things are near or far."""
+    tiles: tuple[tuple[int, int, int], ...]
+    """Squares (ix, iy) that are seen from afar by `TiledWorld.far_tile`, and the row of `surfaces` at which theirs begin."""
+    far: NDArray[np.bool_]
+    """(n,) which placements `tiles` stand for."""
+    low: NDArray[np.bool_]
+    """(n,) which of the others are so low that light from afar meets the ground in their place."""
+
+
+class TiledWorld(World, Protocol):
+    """A world of squares that are seen from afar beyond `near_m`."""
+
+    @property
+    def name(self) -> str:
+        """All that decides its `far_tile`s, as a digest; empty where nothing of it is kept on disk."""
+
+    def far_tile(self, ix: int, iy: int) -> FarTile:
+        """Describe a square of the world as it is seen from afar; the same square is always the same."""
