@@ -46,8 +46,6 @@ class PosesIn:
     """File for what is flown, which repeats the run as `motion.flown`; overwritten if it exists."""
     news: Callable[[str], None] = lambda _: None
     """Called with a line when poses are waited for, lost, or back."""
-    opened: Callable[[str], None] = lambda _: None
-    """Called with `where`, and the port that was free where that is 0, once poses are listened to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +108,6 @@ class Flight:
             self._receiver = stack.enter_context(receiver) if receiver else None
             self._open = stack.pop_all()
         motion.is_open = True
-        if self._receiver:
-            poses.opened(self._receiver.where)
 
     def __enter__(self) -> Self:
         return self
