@@ -15,6 +15,8 @@ from vlp16emu.errors import OutputError
 from vlp16emu.report.forest.survey import survey
 from vlp16emu.scenario import load
 from vlp16emu.viewer.draft import Draft
+from vlp16emu.viewer.editor import Editor
+from vlp16emu.viewer.guard import guarded_server
 from vlp16emu.viewer.stand import pieces_of
 from vlp16emu.world.polyline import Polyline
 
@@ -120,6 +122,23 @@ def test_what_is_saved_is_walked_and_keeps_comments(draft, scene, tmp_path):
     assert np.hypot(*(end_m - [-6.0, 4.0])) < 0.3
     with pytest.raises(OutputError, match=r"a \.toml file"):
         draft.save(tmp_path / "drawn.txt")
+
+
+def test_the_panel_changes_the_path_and_follows_undo(draft):
+    """Speed and stop that the panel has are the course's after a step, undo brings both back; with nothing asked there is nothing to do."""
+    with guarded_server("127.0.0.1", 0, "test") as server:
+        editor = Editor(server, draft, 5.0, None)
+        first = draft.course
+        editor._speed.value, editor._pause.value = 0.8, 2.0
+        editor.ask(lambda: editor._as_in_panel(draft.course, 0))
+        assert editor.wake.is_set()
+        assert editor.step()
+        assert (draft.course.speed_m_s, draft.course.points[0][2]) == (0.8, 2.0)
+        editor.ask(draft.undo)
+        editor.step()
+        assert draft.course == first
+        assert (editor._speed.value, editor._pause.value) == (first.speed_m_s, 0.0)
+        assert not editor.step()
 
 
 def test_stems_are_drawn_with_their_crowns_only(seen):

@@ -62,8 +62,13 @@ class Editor:
             self._text = gui.add_markdown("")
 
     def _ask_on(self, event: Callable[[Any], Any], make: Callable[[Course, int], Course]) -> None:
-        """Make another course of the present one when something happens."""
-        event(lambda _: self.ask(lambda: make(self._draft.course, self._chosen())))
+        """Make another course of the present one when somebody does something, and not when the panel follows."""
+
+        def done(by: viser.GuiEvent[Any]) -> None:
+            if by.client is not None:
+                self.ask(lambda: make(self._draft.course, self._chosen()))
+
+        event(done)
 
     def ask(self, what: Callable[[], Course | None]) -> None:
         """Have something done by the thread that draws: it may give another course."""
