@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from vlp16emu import Emulator
-from vlp16emu.extras.live.flown import read_flown
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -98,7 +97,7 @@ def near(r, g, b):
 
 
 def test_a_way_point_is_dragged_and_saved(tmp_path):
-    """The page shows trees and points; a way point that the mouse drags and another density are in the file, whose comments are kept.
+    """The page shows trees and points; a way point that the mouse drags is in the file, whose comments are kept.
 
     The walk goes there.
     """
@@ -115,12 +114,6 @@ def test_a_way_point_is_dragged_and_saved(tmp_path):
         page.mouse.move(x - 70, y, steps=8)
         page.mouse.up()
         page.get_by_text("path: 8.2 m").wait_for(state="detached", timeout=WAIT_MS)
-        density = page.get_by_label("stems per ha")
-        density.fill("200")
-        density.press("Enter")
-        page.get_by_text("not grown yet").wait_for(timeout=WAIT_MS)
-        page.get_by_role("button", name="grow it").click(timeout=WAIT_MS)
-        page.get_by_text("not grown yet").wait_for(state="detached", timeout=WAIT_MS)
         page.get_by_role("button", name="save").click(timeout=WAIT_MS)
         page.get_by_text("saved drawn.toml").wait_for(timeout=WAIT_MS)
     text = out.read_text()
@@ -128,7 +121,6 @@ def test_a_way_point_is_dragged_and_saved(tmp_path):
     assert "# on foot" in text
     (x_m, y_m), *rest = tomllib.loads(text)["motion"]["way_points_m"]
     assert rest == [[4, 0], [8, 1]]
-    assert tomllib.loads(text)["world"]["stems_per_ha"] == 200.0
     assert abs(x_m) < 0.3
     assert 0.5 < y_m < 5.0
     walked = Emulator(out)
@@ -136,22 +128,19 @@ def test_a_way_point_is_dragged_and_saved(tmp_path):
     np.testing.assert_allclose(start_m, [x_m, y_m], atol=0.3)
 
 
-def test_keys_walk_through_a_live_scene(tmp_path):
-    """While packets leave, the page shows points, and a key that is pressed twice lets the sensor walk: what is flown goes ahead."""
-    scene, flown = tmp_path / "mine.toml", tmp_path / "flown.csv"
-    scene.write_text(re.sub(r"(?s)kind = \"walk\".*?\[world\]", 'kind = "live"\n[world]', SCENE))
+def test_a_stream_is_looked_on(tmp_path):
+    """While packets leave, the page shows points in the colours of their range, and the stand."""
+    scene = tmp_path / "mine.toml"
+    scene.write_text(SCENE)
     listening = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
     for one in listening:
         one.bind(("127.0.0.1", 0))
     data, position = (one.getsockname()[1] for one in listening)
     ports = "--data-port", data, "--position-port", position
-    with page_of("stream", scene, "--view", "--duration", "300", "--flown", flown, *ports) as page:
+    to_and_fro = "duration_s=300", "motion.back_and_forth=true", "motion.laps=40"
+    settings = [word for setting in to_and_fro for word in ("--set", setting)]
+    with page_of("stream", scene, "--view", *settings, *ports) as page:
         seen_by(page, near)
-        page.keyboard.press("w")
-        page.keyboard.press("w")
-        page.get_by_text(re.compile("0.8 m/s to 0 deg")).wait_for(timeout=WAIT_MS)
+        seen_by(page, stem, 1000)
     for one in listening:
         one.close()
-    place_m = read_flown(flown).states[:, :3]
-    assert place_m[-1, 0] - place_m[0, 0] > 0.2
-    assert np.ptp(place_m[:, 1]) < 0.2

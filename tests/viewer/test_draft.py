@@ -11,13 +11,12 @@ pytest.importorskip("tomlkit", reason="the extra viewer is not installed")
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
-from vlp16emu.errors import InputError, OutputError
+from vlp16emu.errors import OutputError
 from vlp16emu.report.forest.survey import survey
 from vlp16emu.scenario import load
 from vlp16emu.viewer.draft import Draft
 from vlp16emu.viewer.editor import Editor
 from vlp16emu.viewer.guard import guarded_server
-from vlp16emu.viewer.planter import Planter, mix_of, mix_text
 from vlp16emu.viewer.stand import pieces_of
 from vlp16emu.world.polyline import Polyline
 
@@ -125,89 +124,20 @@ def test_what_is_saved_is_walked_and_keeps_comments(draft, scene, tmp_path):
         draft.save(tmp_path / "drawn.txt")
 
 
-def planted(scene, text=SCENE):
-    """A draft of a scene with a mesh, none of whose stand is needed."""
-    mesh = 'meshes = [{ file = "seat.stl", unit = "m", up = "z", places = [{ x_m = 3.0, y_m = 5.0 }] }]\n'
-    own = scene.with_name("planted.toml")
-    own.write_text(text.replace("[world]\n", "[world]  # mine too\n") + mesh)
-    scene.with_name("seat.stl").touch()
-    scenario = load(own)
-    return Draft(str(own), scenario, survey(load(scene), 10.0))
-
-
-def test_the_stand_is_drawn_key_by_key(scene):
-    """Density, mix, season and a mesh's place are keys of [world]; the saved scene has them, and comments of the others."""
-    draft = planted(scene)
-    assert draft.is_grown
-    mix = mix_of("Picea abies 3, silver_birch 1", draft.world["species"], None)
-    meshes = [{**draft.world["meshes"][0], "places": [{"x_m": 4.5, "y_m": -2.0, "yaw_deg": 30.0}]}]
-    draft.change(draft.course.planted(stems_per_ha=400.0, basal_area_m2_per_ha=None, species=mix))
-    draft.change(draft.course.planted(season="leaf_off", meshes=meshes))
-    assert not draft.is_grown
-    world = draft.scenario(draft.course).world
-    assert (world.stems_per_ha, world.season) == (400.0, "leaf_off")
-    assert [(own.species, own.share) for own in world.species] == [
-        ("norway_spruce", 0.75),
-        ("silver_birch", 0.25),
-    ]
-    to = scene.with_name("drawn.toml")
-    draft.save(to)
-    assert load(to).world == world
-    assert "# mine too" in to.read_text()
-    assert world.meshes[0].places[0].yaw_deg == 30.0
-    draft.undo()
-    draft.undo()
-    assert draft.is_grown
-
-
-def test_a_preset_takes_the_place_of_what_presets_give(scene):
-    """With a preset the file's density and species are left out, with none they are back; an own mesh stays."""
-    draft = planted(scene)
-    draft.change(draft.course.preset("old_growth"))
-    world = draft.scenario(draft.course).world
-    wanted = load(
-        {"schema": 1, "world": {"kind": "forest", "preset": "old_growth"}, "motion": {"kind": "static"}}
-    ).world
-    assert world.species == wanted.species
-    assert world.storeys == wanted.storeys
-    assert len(world.meshes) == 1
-    draft.change(draft.course.preset(None))
-    assert draft.is_grown
-
-
-@pytest.mark.parametrize(
-    "text", ["", "silver_birch", "silver_birch -1", "silver_birch 1, x 1", "silver_birch nan"]
-)
-def test_a_mix_that_is_none_is_refused(text):
-    """What is no list of known species with shares above 0 is named."""
-    rows = [{"species": "silver_birch", "share": 1.0, "dbh_cm": 18.0, "height_m": 19.0}]
-    assert mix_text(rows) == "silver_birch 1"
-    with pytest.raises(InputError, match=r"species"):
-        mix_of(text, rows, None)
-
-
-def test_the_panel_follows_preset_and_undo_and_takes_what_is_written(scene):
-    """The species of a preset stay when the stand is grown; a mix that is written then is taken; undo brings the panel back."""
-    draft = planted(scene)
+def test_the_panel_changes_the_path_and_follows_undo(draft):
+    """Speed and stop that the panel has are the course's after a step, undo brings both back; with nothing asked there is nothing to do."""
     with guarded_server("127.0.0.1", 0, "test") as server:
         editor = Editor(server, draft, 5.0, None)
-        planter = Planter(server, draft, editor, draft.scenario(draft.course).world, lambda _: draft._seen)
-        draft.change(draft.course.preset("old_growth"))
-        editor.ask(planter._mixed)
+        first = draft.course
+        editor._speed.value, editor._pause.value = 0.8, 2.0
+        editor.ask(lambda: editor._as_in_panel(draft.course, 0))
+        assert editor.wake.is_set()
+        assert editor.step()
+        assert (draft.course.speed_m_s, draft.course.points[0][2]) == (0.8, 2.0)
+        editor.ask(draft.undo)
         editor.step()
-        assert "species" not in {key for key, value in draft.course.world.items() if value is not None}
-        assert planter._preset.value == "old_growth"
-        wanted = mix_text([row.model_dump() for row in draft.scenario(draft.course).world.species])
-        assert planter._mix.value == wanted != "silver_birch 1"
-        planter._mix.value = "Picea abies 1"
-        editor.ask(planter._mixed)
-        editor.step()
-        assert [row["species"] for row in draft.course.world["species"]] == ["norway_spruce"]
-        for _ in range(2):
-            editor.ask(draft.undo)
-        editor.step()
-        assert (planter._preset.value, planter._mix.value) == ("as in the scene", "silver_birch 1")
-        assert planter._density.value == 900.0
+        assert draft.course == first
+        assert (editor._speed.value, editor._pause.value) == (first.speed_m_s, 0.0)
         assert not editor.step()
 
 

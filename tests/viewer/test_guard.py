@@ -103,6 +103,19 @@ def test_hostile_messages_change_nothing(port, monkeypatch):
     assert made == []
 
 
+def test_a_long_message_ends_its_connection(port):
+    """No message of the page is as long as 64 KiB: one that is longer is not read."""
+    import viser
+
+    address, kind = f"ws://127.0.0.1:{port}/", f"viser-v{viser.__version__}"
+    with connect(address, subprotocols=[kind], max_size=None) as client:
+        client.send(bytes(1 << 17))
+        with suppress(ConnectionClosed):
+            while client.recv(timeout=20):
+                pass
+    assert client.close_code == 1009
+
+
 KEYS = (
     *("name", "uuid", "updates", "filename", "source_component_uuid"),
     *("transfer_uuid", "value", "position", "wxyz", "part_index"),

@@ -11,9 +11,8 @@ from vlp16emu.viewer.layers import LAYERS, colours_of, layers_of_scan
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
-from vlp16emu.viewer.capture import CaptureSweeps
 from vlp16emu.viewer.stand import fewer_faces, lump, slim_stem
-from vlp16emu.viewer.sweeps import SceneSweeps
+from vlp16emu.viewer.sweeps import CaptureSweeps, SceneSweeps
 
 
 @pytest.fixture(scope="module")

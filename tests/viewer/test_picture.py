@@ -7,7 +7,7 @@ import pytest
 
 from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
-from vlp16emu.viewer.canvas import Canvas, LaserRows, Oblique
+from vlp16emu.viewer.picture import Canvas, LaserRows, Oblique
 
 Image = pytest.importorskip("PIL.Image", reason="the extra picture is not installed")
 pytest.importorskip("matplotlib", reason="the extra picture is not installed")

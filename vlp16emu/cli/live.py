@@ -1,6 +1,5 @@
 """What `vlp16emu stream` takes and reports where poses come in while it runs."""
 
-import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from vlp16emu.extras.live.flight import LiveReport
     from vlp16emu.run.options import PosesIn
     from vlp16emu.scenario import Scenario
-    from vlp16emu.viewer.watch import Watch
+    from vlp16emu.viewer.live import Watch
 
 
 PoseIn = Annotated[
@@ -43,63 +42,33 @@ View = Annotated[
     bool,
     typer.Option(
         "--view",
-        help="Show stand, sensor, sweep and lateness in the browser while packets leave, by a process that they do not wait for; "
-        "of a live scene without --pose-in its keys walk. Needs the extra 'viewer'.",
-    ),
-]
-Gamepad = Annotated[
-    Path | None,
-    typer.Option(
-        "--gamepad",
-        metavar="DEVICE",
-        help="Walk through such a scene by the left stick of a gamepad too, as /dev/input/js0; any button stops.",
-        show_default=False,
+        help="Show stand, sensor, sweep and lateness in the browser while packets leave, by a process that they do not wait for. "
+        "Needs the extra 'viewer'.",
     ),
 ]
 
 
 @contextmanager
-def watched(
-    emulator: "Emulator", *, view: bool, gamepad: Path | None, duration_s: float, quiet: bool
-) -> "Iterator[Watch | None]":
+def watched(emulator: "Emulator", *, view: bool, duration_s: float, quiet: bool) -> "Iterator[Watch | None]":
     """Show a stream in the browser, and print where; None where that is not wanted.
 
     Raises
     ------
-    InputError
-        where a gamepad has nothing to lead, or cannot be read
     MissingExtraError
         where viser is not there
     """
-    if gamepad is not None:
-        _check_gamepad(gamepad, emulator.scenario, view=view)
     if not view:
         yield None
         return
     if find_spec("viser") is None:
         raise MissingExtraError("viser", "viewer", "the page in the browser")
-    from vlp16emu.viewer.watch import backdrop_of, watching
+    from vlp16emu.viewer.live import backdrop_of, watching
 
     with Progress(duration_s):
         backdrop = backdrop_of(emulator, duration_s)
-    with watching(emulator, backdrop, gamepad=gamepad) as watch:
+    with watching(emulator, backdrop) as watch:
         print(f"page at {watch.url}", file=sys.stderr if quiet else sys.stdout, flush=True)
         yield watch
-
-
-def _check_gamepad(device: Path, scenario: "Scenario", *, view: bool) -> None:
-    """Refuse a gamepad that leads nothing, or that cannot be read."""
-    from vlp16emu.motion.live_settings import takes_poses
-
-    if not view or not takes_poses(scenario.motion):
-        found = "without --view" if not view else f'with motion.kind = "{scenario.motion.kind}"'
-        raise InputError("--gamepad", f"found {found}", '--view and a scene with motion.kind = "live"')
-    try:
-        os.close(os.open(device, os.O_RDONLY | os.O_NONBLOCK))
-    except OSError as error:
-        raise InputError(
-            "--gamepad", f"found {device}: {error.strerror}", "a joystick, as /dev/input/js0"
-        ) from None
 
 
 def poses_in(
@@ -107,9 +76,8 @@ def poses_in(
     where: str | None,
     flown: Path | None,
     news: Callable[[str], None],
-    watch: "Watch | None",
 ) -> "PosesIn | None":
-    """Take where poses come in, from a page if from nowhere else; None where they do not.
+    """Take where poses come in; None where they do not.
 
     Raises
     ------
@@ -118,16 +86,12 @@ def poses_in(
     """
     from vlp16emu.motion.live_settings import takes_poses
 
-    steered = takes_poses(scenario.motion) and where is None
-    if steered and watch is None:
-        expected = "udp://127.0.0.1:PORT, or --view, whose page steers"
-        raise InputError("--pose-in", 'found motion.kind = "live" without it', expected)
-    if where is None and flown is None and not steered:
+    if takes_poses(scenario.motion) and where is None:
+        raise InputError("--pose-in", 'found motion.kind = "live" without it', "udp://127.0.0.1:PORT")
+    if where is None and flown is None:
         return None
     from vlp16emu.run.options import PosesIn
 
-    if steered and watch is not None:
-        return PosesIn("udp://127.0.0.1:0", flown, news, opened=watch.steer)
     return PosesIn(where, flown, news)
 
 

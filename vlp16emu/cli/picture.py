@@ -135,13 +135,13 @@ def _of_capture(
 ) -> "PictureRun":
     """Draw a capture; without poses its first revolution, or as a film all of them."""
     from vlp16emu.packets.layout import LASERS
-    from vlp16emu.viewer.picture import draw_picture, scans_of_capture, way_of
+    from vlp16emu.viewer.picture import draw_picture, sweeps_of_capture, way_of
 
     is_film = out.suffix.lower() != ".png"
-    scans = scans_of_capture(capture, trajectory, *span)
+    sweeps = sweeps_of_capture(capture, trajectory, *span)
     if trajectory is None and not is_film:
-        scans = islice(scans, 1)
-    return draw_picture(scans, out, look, way_m=way_of(trajectory), rings=LASERS, species={}, stop=stop)
+        sweeps = islice(sweeps, 1)
+    return draw_picture(sweeps, out, look, way_m=way_of(trajectory), rings=LASERS, species={}, stop=stop)
 
 
 def _of_scene(
@@ -157,12 +157,14 @@ def _of_scene(
     import numpy as np
 
     from vlp16emu.extras.images import species_of
-    from vlp16emu.viewer.picture import draw_picture, scans_of_scene
+    from vlp16emu.viewer.picture import draw_picture
+    from vlp16emu.viewer.sweeps import sweeps_of_scene
 
     emulator = make_emulator(scene, settings, ideal=ideal)
     start_s, stop_s = emulator.scenario.span_s(*span, where="--start")
     t_ns = emulator.scenario.start_ns + (np.linspace(start_s, stop_s, 200) * 1e9).astype(np.int64)
     way_m = emulator.parts.motion.poses_at(t_ns).world_p_body_m
     species, rings = species_of(emulator.parts.world), len(emulator.parts.units[0].head.beams.elevation_deg)
-    scans = scans_of_scene(emulator, *span)
-    return draw_picture(scans, out, look, way_m=way_m, rings=rings, species=species, stop=stop)
+    return draw_picture(
+        sweeps_of_scene(emulator, *span), out, look, way_m=way_m, rings=rings, species=species, stop=stop
+    )

@@ -30,7 +30,7 @@ from vlp16emu.cli.arguments import (
     checked,
     truth_to,
 )
-from vlp16emu.cli.live import FlownFile, Gamepad, PoseIn, View, late_of, live_rows, poses_in, watched
+from vlp16emu.cli.live import FlownFile, PoseIn, View, late_of, live_rows, poses_in, watched
 from vlp16emu.cli.outlets import (
     GpsInPort,
     GpsInPulse,
@@ -281,7 +281,6 @@ def stream(
     http_settings: HttpSettings = None,
     strict: Strict = False,
     view: View = False,
-    gamepad: Gamepad = None,
     pose_in: PoseIn = None,
     flown: FlownFile = None,
     gps_out: GpsOut = None,
@@ -302,7 +301,7 @@ def stream(
     late = late_of(emulator.scenario, late)
     _, stop_s = emulator.scenario.span_s(0.0, duration)
     with (
-        watched(emulator, view=view, gamepad=gamepad, duration_s=stop_s, quiet=as_json) as watch,
+        watched(emulator, view=view, duration_s=stop_s, quiet=as_json) as watch,
         stop_on_ctrl_c() as stop,
         Progress(stop_s) as progress,
         _prepared(prepare_to, wanted=prepare) as capture,
@@ -318,7 +317,7 @@ def stream(
             now=now,
             prepare=capture,
             http=served(http, http_settings, quiet=as_json),
-            poses=poses_in(emulator.scenario, pose_in, flown, progress.say, watch),
+            poses=poses_in(emulator.scenario, pose_in, flown, progress.say),
             outlets=outlets_of(gps_out, gps_pps, imu_out),
             gps_in=gps_in_of(gps_in, gps_in_pulse),
             watched=watch.sink if watch else lambda sink, _: sink,

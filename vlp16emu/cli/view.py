@@ -2,7 +2,6 @@
 
 from contextlib import closing
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -95,24 +94,19 @@ def view(
         from vlp16emu.viewer.guard import guarded_server
     except ImportError as error:
         raise MissingExtraError(error.name or "viser", "viewer", "the page in the browser") from None
-    stop = (
-        Event()
-    )  # never set: Ctrl-C interrupts at once, also while the world grows; what is saved is written whole
     with guarded_server(host, port, "vlp16emu") as server:
         print(f"http://{host}:{server.get_port()}/  Ctrl-C ends it", flush=True)
         if capture is not None:
-            _show_capture(server, capture, truth, unit, stop)
+            _show_capture(server, capture, truth, unit)
         else:
-            _show_scene(server, scene, settings, unit, radius, save, stop)
+            _show_scene(server, scene, settings, unit, radius, save)
 
 
-def _show_capture(
-    server: "viser.ViserServer", capture: Path, truth: Path | None, unit: int, stop: Event
-) -> None:
+def _show_capture(server: "viser.ViserServer", capture: Path, truth: Path | None, unit: int) -> None:
     import numpy as np
 
-    from vlp16emu.viewer.capture import CaptureSweeps
     from vlp16emu.viewer.page import Page, look_from
+    from vlp16emu.viewer.sweeps import CaptureSweeps
 
     text = server.gui.add_markdown("reading the capture")
     with closing(CaptureSweeps(capture, truth, unit)) as sweeps:
@@ -120,7 +114,7 @@ def _show_capture(
         pose = sweeps.at(0.0).scan.world_T_sensor
         world_T_sensor = np.eye(4) if pose is None else pose
         look_from(server, world_T_sensor[:3, 3], world_T_sensor[:3, 0])
-        Page(server, sweeps, sweeps.species).run(stop)
+        Page(server, sweeps, sweeps.species).run()
 
 
 def _show_scene(
@@ -130,23 +124,21 @@ def _show_scene(
     unit: int,
     radius_m: float,
     save: Path | None,
-    stop: Event,
 ) -> None:
     from vlp16emu.motion.live_settings import takes_poses
-    from vlp16emu.viewer.scene import ScenePage
+    from vlp16emu.viewer.page import scene_page
 
     emulator = make_emulator(scene, settings)
     if takes_poses(emulator.scenario.motion):
         raise InputError("motion.kind", "found live", "a scene whose path is known before it runs")
     with Progress(100.0) as bar:
-        page = ScenePage(
+        page = scene_page(
             server,
             scene,
             emulator,
-            settings=settings or (),
             unit=unit,
             radius_m=radius_m,
             save=save,
             progress=lambda share: bar.show("growing the world, % of tiles", 100 * share),
         )
-    page.run(stop)
+    page.run()

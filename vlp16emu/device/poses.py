@@ -1,4 +1,4 @@
-"""Where poses of a live run come in: a UDP port, and the thread that reads it; and who sends there."""
+"""Where poses of a live run come in: a UDP port, and the thread that reads it."""
 
 import socket
 import threading
@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Self
 
 from vlp16emu.errors import InputError, OutputError, PacketError
-from vlp16emu.packets.pose import POSE_BYTES, pack_pose, unpack_pose
+from vlp16emu.packets.pose import POSE_BYTES, unpack_pose
 
 _POLL_S = 0.1
 """How often the thread looks whether it shall end."""
@@ -89,21 +89,3 @@ class PoseReceiver:
                     continue
                 with suppress(InputError):  # whoever takes poses counts what is none
                     self._put(pose.position_m, pose.quaternion, pose.t_ns)
-
-
-class PoseSender:
-    """Sends poses to where they come in.
-
-    Parameters
-    ----------
-    where : as `pose_port` takes it
-    """
-
-    def __init__(self, where: str) -> None:
-        self._to = pose_port(where)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-
-    def send(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int) -> None:
-        """Send one; parameters as the fields of `PosePacket`. What cannot leave is lost."""
-        with suppress(OSError):
-            self._socket.sendto(pack_pose(position_m, quaternion, t_ns), self._to)

@@ -47,5 +47,3 @@ class PosesIn:
     """File for what is flown, which repeats the run as `motion.flown`; overwritten if it exists."""
     news: Callable[[str], None] = lambda _: None
     """Called with a line when poses are waited for, lost, or back."""
-    opened: Callable[[str], None] = lambda _: None
-    """Called with `where`, and the port that was free where that is 0, once poses are listened to."""

@@ -1,7 +1,6 @@
-"""A scene that is being drawn: path and stand at each step, what they lead to, and the scene file with them."""
+"""A path that is being drawn: its steps, what they lead to, and the scene file with it."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -18,10 +17,8 @@ from vlp16emu.packets import BLOCKS_PER_PACKET, SEQUENCES_PER_BLOCK
 from vlp16emu.report.forest.survey import Survey
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
-from vlp16emu.scenario.presets import presets
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.settings import Sensor
-from vlp16emu.settings import toml
 from vlp16emu.units import S_NS
 from vlp16emu.world.ground.dem import DemHeights
 from vlp16emu.world.make import ground_of
@@ -31,63 +28,48 @@ from vlp16emu.world.stand.stand import foot_discs, path_gap_m
 from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]
+Point = tuple[float, float, float]
+"""x and y in the world, and how long the person stops there."""
 
-_LIKE_A_MM = 3
-"""Digits of way points in a scene file."""
+
+def _like_a_mm(length_m: float) -> float:
+    return round(length_m, 3)
 
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What a person is to walk, how, and among what."""
+    """What a person is to walk, and how."""
 
-    points: tuple[tuple[float, float, float], ...]
-    """x and y in the world, and how long the person stops there."""
+    points: tuple[Point, ...]
     speed_m_s: float
     laps: int
     gait: str | None
     """Preset; None for that of the scene."""
     harness: bool
     """Whether the pack hangs loose."""
-    world: Mapping[str, Any] = field(default_factory=dict)
-    """Keys of `[world]` that are not as in the file; None of one that is left out."""
-
-    def planted(self, **keys: Any) -> "Course":
-        """Give it with keys of `[world]` changed."""
-        return replace(self, world={**self.world, **keys})
-
-    def preset(self, name: str | None) -> "Course":
-        """Give it with a preset in place of all keys that presets give; None for what the file has of them."""
-        given = {"preset"}.union(*presets().values()) - {"kind"}
-        others = {key: value for key, value in self.world.items() if key not in given}
-        return replace(self, world=others | (dict.fromkeys(given) | {"preset": name} if name else {}))
 
     def moved(self, number: int, x_m: float, y_m: float) -> "Course":
         """Give it with one way point elsewhere; the stop there goes with it."""
-        points = list(self.points)
-        points[number] = (round(x_m, _LIKE_A_MM), round(y_m, _LIKE_A_MM), points[number][2])
-        return replace(self, points=tuple(points))
-
-    def added(self, number: int) -> "Course":
-        """Give it with a way point after one: half-way to the next, or as far beyond the last as that is from the one before."""
-        here = np.array(self.points[number][:2])
-        is_last = number == len(self.points) - 1
-        there = (
-            3 * here - 2 * np.array(self.points[number - 1][:2]) if is_last else self.points[number + 1][:2]
-        )
-        x_m, y_m = np.round((here + there) / 2, _LIKE_A_MM).tolist()
-        return replace(self, points=(*self.points[: number + 1], (x_m, y_m, 0.0), *self.points[number + 1 :]))
-
-    def removed(self, number: int) -> "Course":
-        """Give it without a way point; two are left at least."""
-        if len(self.points) <= 2:
-            return self
-        return replace(self, points=(*self.points[:number], *self.points[number + 1 :]))
+        return self._with(number, (_like_a_mm(x_m), _like_a_mm(y_m), self.points[number][2]))
 
     def stopped(self, number: int, pause_s: float) -> "Course":
         """Give it with a stop at a way point."""
-        points = list(self.points)
-        points[number] = (*points[number][:2], pause_s)
-        return replace(self, points=tuple(points))
+        return self._with(number, (*self.points[number][:2], pause_s))
+
+    def added(self, number: int) -> "Course":
+        """Give it with a way point after one: half-way to the next, or as far beyond the last as that is from the one before."""
+        (x_m, y_m, _), is_last = self.points[number], number == len(self.points) - 1
+        other, part = (self.points[number - 1], -1.0) if is_last else (self.points[number + 1], 0.5)
+        there = _like_a_mm(x_m + part * (other[0] - x_m)), _like_a_mm(y_m + part * (other[1] - y_m)), 0.0
+        return self._with(number, self.points[number], there)
+
+    def removed(self, number: int) -> "Course":
+        """Give it without a way point; two are left at least."""
+        return self._with(number) if len(self.points) > 2 else self
+
+    def _with(self, number: int, *points: Point) -> "Course":
+        """Give it with way points in place of one."""
+        return replace(self, points=(*self.points[:number], *points, *self.points[number + 1 :]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,52 +106,22 @@ class Draft:
         where it is no walk
     """
 
-    def __init__(self, scene: str, scenario: Scenario, seen: Survey, settings: Sequence[str] = ()) -> None:
+    def __init__(self, scene: str, scenario: Scenario, seen: Survey) -> None:
         walk = scenario.motion
         if not isinstance(walk, Walk):
             raise InputError("motion.kind", f"found {walk.kind}", "walk, for a path to be drawn")
-        self._file, self._settings, self._scenario, self._walk = find(scene), settings, scenario, walk
-        self._tables = (
-            toml(self._file.read_text(encoding="utf-8-sig")) if self._file.suffix == ".toml" else {}
-        )
-        self._based: tuple[Mapping[str, Any], Scenario] = {}, scenario
-        self.grown(scenario, seen)
-        origin_m = (0.0, 0.0) if isinstance(scenario.world, Hall) else scenario.world.origin_m[:2]
-        plain = way_points(walk.model_copy(update={"back_and_forth": False}), scenario.gps, origin_m)
-        rows = np.column_stack([plain.xy_m, plain.pause_s]).tolist()
-        first = Course(
-            tuple((x, y, pause) for x, y, pause in rows),
-            walk.speed_m_s,
-            walk.laps,
-            None,
-            walk.harness is not None,
-        )
-        self._courses, self._at = [first], 0
-
-    def grown(self, scenario: Scenario, seen: Survey) -> None:
-        """Look at the stand of a scenario from now on."""
-        self._grown, self._seen = scenario.world, seen
+        self._file, self._scenario, self._walk, self._seen = find(scene), scenario, walk, seen
         self._ground = ground_of(scenario.world, scenario.world_seed)
+        self._origin_m = (0.0, 0.0) if isinstance(scenario.world, Hall) else scenario.world.origin_m[:2]
+        plain = walk.model_copy(update={"back_and_forth": False})
+        drawn = way_points(plain, scenario.gps, self._origin_m)
+        points = tuple((x, y, pause) for x, y, pause in np.column_stack([drawn.xy_m, drawn.pause_s]).tolist())
+        self._courses = [Course(points, walk.speed_m_s, walk.laps, None, walk.harness is not None)]
+        self._at = 0
 
     def height_m(self, x_m: float, y_m: float) -> float:
         """Give the height of the ground at a place."""
         return float(self._ground.height_m(np.array([x_m]), np.array([y_m]))[0])
-
-    @property
-    def world(self) -> dict[str, Any]:
-        """Table `[world]` of the file with the present changes; empty where the file is no TOML."""
-        if "world" not in self._tables:
-            return {}
-        both = {**self._tables["world"], **self.course.world}
-        return {key: value for key, value in both.items() if value is not None}
-
-    @property
-    def is_grown(self) -> bool:
-        """Whether the stand that is looked at is that of the present course."""
-        try:
-            return self.scenario(self.course).world == self._grown
-        except InputError:
-            return False
 
     @property
     def course(self) -> Course:
@@ -223,18 +175,8 @@ class Draft:
         """
         changes = self.changes(course)
         dropped = {key: Walk.model_fields[key].get_default(call_default_factory=True) for key in changes}
-        base = self._base(course).model_copy(update={"motion": self._walk.model_copy(update=dropped)})
+        base = self._scenario.model_copy(update={"motion": self._walk.model_copy(update=dropped)})
         return load(base, {f"motion.{key}": value for key, value in changes.items() if value is not None})
-
-    def _base(self, course: Course) -> Scenario:
-        """Give the scene with the stand of a course; the last one is remembered, as paths change more often."""
-        if course.world != self._based[0]:
-            own = {**self._tables["world"], **course.world}
-            world = {key: value for key, value in own.items() if value is not None}
-            folder = self._file.parent.absolute()
-            scenario = load({**self._tables, "world": world}, self._settings, folder=folder)
-            self._based = dict(course.world), scenario
-        return self._based[1]
 
     def outlook(self, course: Course) -> Outlook:
         """Find out what a course leads to, without growing anything."""
@@ -248,8 +190,7 @@ class Draft:
         """Lay the path, and look at what is near it."""
         walk, ground = scenario.motion, self._ground
         assert isinstance(walk, Walk)
-        origin_m = (0.0, 0.0) if isinstance(scenario.world, Hall) else scenario.world.origin_m[:2]
-        points = way_points(walk, scenario.gps, origin_m)
+        points = way_points(walk, scenario.gps, self._origin_m)
         path = Path(points.xy_m, ground.height_m)
         route = Route(path, walk, points.pause_s)
         if isinstance(ground, DemHeights):
@@ -294,15 +235,11 @@ class Draft:
         self._check_place(to, scenario)
         document = tomlkit.parse(self._file.read_text(encoding="utf-8-sig"))
         motion: Any = document["motion"]
-        for table, changes in ((motion, self.changes(self.course)), (document["world"], self.course.world)):
-            for key, value in changes.items():
-                if value is None:
-                    table.pop(key, None)
-                elif key == "meshes":
-                    for own, mesh in zip(table[key], value, strict=True):
-                        own["places"] = _written(mesh["places"])
-                else:
-                    table[key] = _written(value)
+        for key, value in self.changes(self.course).items():
+            if value is None:
+                motion.pop(key, None)
+            else:
+                motion[key] = _written(value)
         text = tomlkit.dumps(document)
         with OutputFile(to) as output, output.writing() as file:
             file.write(text.encode())
@@ -328,7 +265,7 @@ def _written(value: Any) -> Any:
     return rows
 
 
-def summary_of(outlook: Outlook, duration_s: float) -> Mapping[str, str]:
+def summary_of(outlook: Outlook, duration_s: float) -> dict[str, str]:
     """Rows for people."""
     rows = {
         "path": f"{outlook.length_m:.1f} m",

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,8 @@ import viser
 from vlp16emu.errors import Vlp16emuError
 from vlp16emu.viewer.draft import Course, Draft, Outlook, summary_of
 
-FARTHEST_M = 10_000.0
-"""Of a way point or thing from the scene's origin: farther no hand drags it."""
+_FARTHEST_M = 10_000.0
+"""Of a way point from the scene's origin: farther no hand drags it."""
 _GAITS = ("as in the scene", "none", "paper", "natural", "strong")
 _RAISED_M = 0.15
 _GOOD, _BAD = (30, 90, 220), (220, 30, 30)
@@ -28,20 +29,14 @@ class Editor:
     to : file to save to; None where nothing is to be saved
     """
 
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        draft: Draft,
-        duration_s: float,
-        to: Path | None,
-    ) -> None:
-        self.wake: Callable[[], None] = lambda: None
+    def __init__(self, server: viser.ViserServer, draft: Draft, duration_s: float, to: Path | None) -> None:
+        self.wake = Event()
+        """Set when something was asked."""
         self._server, self._draft = server, draft
         self._duration_s, self._to = duration_s, to
         self._asked: list[Callable[[], Course | None]] = []
         self._gizmos: list[viser.TransformControlsHandle] = []
         self._note = ""
-        self._followers: list[Callable[[Course], None]] = []
         self._panel()
         self._show()
 
@@ -51,10 +46,7 @@ class Editor:
         with gui.add_folder("Path"):
             self._number = gui.add_number("way point", 1, min=1, step=1)
             self._pause = gui.add_number("stop there, s", course.points[0][2], min=0.0, step=1.0)
-            for label, make in (
-                ("add after it", lambda now, n: now.added(n)),
-                ("remove it", lambda now, n: now.removed(n)),
-            ):
+            for label, make in ("add after it", Course.added), ("remove it", Course.removed):
                 self._ask_on(gui.add_button(label).on_click, make)
             self._speed = gui.add_number("speed, m/s", course.speed_m_s, min=0.1, max=10.0, step=0.1)
             self._laps = gui.add_number("laps", course.laps, min=1, max=1000, step=1)
@@ -70,18 +62,18 @@ class Editor:
             self._text = gui.add_markdown("")
 
     def _ask_on(self, event: Callable[[Any], Any], make: Callable[[Course, int], Course]) -> None:
-        """Make another course of the present one when something happens."""
-        event(lambda _: self.ask(lambda: make(self._draft.course, self._chosen())))
+        """Make another course of the present one when somebody does something, and not when the panel follows."""
+
+        def done(by: viser.GuiEvent[Any]) -> None:
+            if by.client is not None:
+                self.ask(lambda: make(self._draft.course, self._chosen()))
+
+        event(done)
 
     def ask(self, what: Callable[[], Course | None]) -> None:
         """Have something done by the thread that draws: it may give another course."""
         self._asked.append(what)
-        self.wake()
-
-    def follow(self, show: Callable[[Course], None]) -> None:
-        """Show each course, from the present one on, to somebody else too."""
-        self._followers.append(show)
-        show(self._draft.course)
+        self.wake.set()
 
     def _chosen(self) -> int:
         """Way point that the panel is about, from 0."""
@@ -113,13 +105,8 @@ class Editor:
             except Vlp16emuError as error:
                 self._note = str(error)
                 continue
-            except (
-                TypeError,
-                ValueError,
-                OverflowError,
-                AttributeError,
-            ):  # a stranger's message may say anything
-                continue
+            except (TypeError, ValueError, OverflowError, AttributeError):
+                continue  # a stranger's message may say anything
             if course is not None:
                 self._draft.change(course)
         self._show()
@@ -138,8 +125,6 @@ class Editor:
         with self._server.atomic():
             self._show_points(course)
             self._show_path(outlook)
-        for show in self._followers:
-            show(course)
         self._speed.value, self._laps.value = course.speed_m_s, course.laps
         self._gait.value, self._harness.value = course.gait or _GAITS[0], course.harness
         self._pause.value = course.points[self._chosen()][2]
@@ -174,16 +159,12 @@ class Editor:
         def dropped() -> Course | None:
             x_m, y_m = (float(gizmo.position[axis]) for axis in (0, 1))
             points = self._draft.course.points
-            if number >= len(points) or not (abs(x_m) <= FARTHEST_M and abs(y_m) <= FARTHEST_M):
+            if number >= len(points) or not (abs(x_m) <= _FARTHEST_M and abs(y_m) <= _FARTHEST_M):
                 return None
             return self._draft.course.moved(number, x_m, y_m)
 
-        self.on_drop(gizmo, dropped)
+        gizmo.on_update(lambda event: self.ask(dropped) if event.phase == "end" else None)
         return gizmo
-
-    def on_drop(self, gizmo: viser.TransformControlsHandle, what: Callable[[], Course | None]) -> None:
-        """Have something done by the thread that draws whenever a gizmo is let go."""
-        gizmo.on_update(lambda event: self.ask(what) if event.phase == "end" else None)
 
     def _show_path(self, outlook: Outlook) -> None:
         """Draw the path on the ground, the stems that are in its way, and where nobody can walk."""

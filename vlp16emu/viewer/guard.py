@@ -3,20 +3,19 @@
 viser itself listens on all interfaces, answers any page that a browser has open, and asks for a public address when a page wants one.
 """
 
+import asyncio
 import logging
 import socketserver
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from http import HTTPStatus
 from io import StringIO
-from typing import Any
-from unittest.mock import patch
 from urllib.parse import urlsplit
 
 import viser
-from websockets.asyncio.server import serve
+from websockets.asyncio.server import Server, ServerConnection
 from websockets.datastructures import Headers
-from websockets.http11 import Response
+from websockets.http11 import Request, Response
 
 from vlp16emu.errors import OutputError
 
@@ -66,31 +65,43 @@ def guarded_server(host: str, port: int, label: str) -> Iterator[viser.ViserServ
     except OSError as error:
         found = (error.strerror or "cannot be used").lower()
         raise OutputError(f"{host}:{port}", found, "an address of this machine with a free port") from None
-    with redirect_stdout(StringIO()), patch("websockets.asyncio.server.serve", _guarded(host)):
+    with redirect_stdout(StringIO()):
         server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
-    server.request_share_url = lambda verbose=True: None  # noqa: ARG005  # no public tunnel, whoever asks
-    server.gui.configure_theme(show_logo=False, show_share_button=False)
     try:
+        _guard(server, LOOPBACK | {host})
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
         yield server
     finally:
         with redirect_stdout(StringIO()):
             server.stop()
 
 
-def _guarded(host: str) -> Callable[..., Any]:
-    """Make the function that opens viser's server check each request before viser sees it."""
-    names = LOOPBACK | {host}
-    silent = logging.getLogger(f"{__name__}.{host}")
-    silent.setLevel(logging.CRITICAL + 1)  # of what a stranger sends no line is written
+def _guard(server: viser.ViserServer, names: frozenset[str]) -> None:
+    """Check each request before viser sees it, and let no page ask for a public tunnel."""
+    server.request_share_url = lambda verbose=True: None  # noqa: ARG005
+    # Of what a stranger sends no line is written.
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL + 1)
+    loop = server.get_event_loop()
+    web = _web_server(loop)
+    answer = web.process_request
+    assert answer is not None
 
-    def checked(*arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
-
-        def answer(connection: Any, request: Any) -> Any:
-            if is_ours(request.headers, names):
-                return process_request(connection, request)
+    def checked(connection: ServerConnection, request: Request) -> Response | None:
+        if not is_ours(request.headers, names):
             return Response(HTTPStatus.FORBIDDEN, "Forbidden", Headers({"Content-Length": "0"}))
+        connection.protocol.max_message_size = _LONGEST_BYTES
+        return answer(connection, request)  # type: ignore[return-value]  # viser's is no coroutine
 
-        options |= {"max_size": _LONGEST_BYTES, "logger": silent}
-        return serve(*arguments, process_request=answer, **options)
+    web.process_request = checked
 
-    return checked
+    def drop_unchecked() -> None:
+        for connection in web.handlers:
+            connection.transport.abort()
+
+    loop.call_soon_threadsafe(drop_unchecked)  # who came before the check was there
+
+
+def _web_server(loop: asyncio.AbstractEventLoop) -> Server:
+    """Return the server of websockets that viser runs: it lives in viser's task alone."""
+    frames = (frame for task in asyncio.all_tasks(loop) for frame in task.get_stack())
+    return next(one for frame in frames for one in frame.f_locals.values() if isinstance(one, Server))

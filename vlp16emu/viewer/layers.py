@@ -1,7 +1,8 @@
-"""Colours of points by what is known of them."""
+"""Colours of points by what is known of them, and their legend."""
 
 import colorsys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,8 @@ Entries = Mapping[str, tuple[int, int, int]] | tuple[float, float, str] | None
 """Legend of a layer: colours by name, or the ends of a scale with their unit; None of what has no names."""
 
 _LABELLED = ("natural", "class", "part", "species", "instance")
-_MEASURED = ("range", "reflectivity", "ring", "time")
-LAYERS = (*_LABELLED, *_MEASURED, "range error")
+MEASURED = ("range", "reflectivity", "ring", "time")
+LAYERS = (*_LABELLED, *MEASURED, "range error")
 
 PART_RGB: dict[PlantPart, tuple[int, int, int]] = {
     PlantPart.NONE: (150, 128, 94),
@@ -39,11 +40,14 @@ _ERROR_CM = 6.0
 """End of the scale of range errors: twice the +-3 cm of the data sheet."""
 _GOLDEN = 0.618034
 """Turn of the hue from one instance to the next: neighbours in number differ most."""
+_STOPS = 9
+"""Colours of a gradient."""
+_DOT = "display:inline-block;width:0.8em;height:0.8em;margin-right:0.5em;border-radius:2px"
 
 
 def layers_of_scan(scan: Scan) -> tuple[str, ...]:
     """Layers that a sweep has; a capture has no labels."""
-    return _MEASURED if scan.labels is None else LAYERS
+    return MEASURED if scan.labels is None else LAYERS
 
 
 def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Rgb:
@@ -136,3 +140,26 @@ def _of_instance(number: int) -> tuple[int, int, int]:
         return (140, 140, 140)
     red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, 0.75, 0.95 - 0.25 * (number % 2))
     return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def legend_of(entries: Entries) -> str:
+    """Write the legend of a layer as HTML."""
+    if entries is None:
+        return boxed(["each plant or thing in its own colour, what is none in grey"])
+    if isinstance(entries, Mapping):
+        rows = (
+            f'<span style="{_DOT};background:rgb{rgb}"></span>{escape(name.replace("_", " "))}'
+            for name, rgb in entries.items()
+        )
+        return boxed(rows)
+    least, most, unit = entries
+    colours = colours_of_scale(np.linspace(least, most, _STOPS), least, most).tolist()
+    stops = ",".join(f"rgb{tuple(rgb)}" for rgb in colours)
+    bar = f'<div style="height:0.8em;border-radius:2px;background:linear-gradient(to right,{stops})"></div>'
+    ends = f"<span>{least:g}</span><span>{most:.3g} {escape(unit)}</span>"
+    return boxed([f'{bar}<div style="display:flex;justify-content:space-between">{ends}</div>'])
+
+
+def boxed(lines: Iterable[str]) -> str:
+    """Write lines of HTML beside the page."""
+    return f'<div style="margin:0.3em 1em;font-size:0.85em;line-height:1.5">{"<br>".join(lines)}</div>'

@@ -1,32 +1,43 @@
-"""The page of a stream, in a process of its own: walker, present sweep and lateness, and keys that steer a live scene."""
+"""A stream that is looked on: what leaves goes, without a wait, to a page in a process of its own."""
 
 import os
-import threading
+import signal
 import time
-from contextlib import ExitStack
-from functools import partial
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from multiprocessing import get_context
+from typing import NamedTuple
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from vlp16emu.device.poses import PoseSender
-from vlp16emu.errors import OutputError, PacketError
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import OutputError, PacketError, RunError, Vlp16emuError
+from vlp16emu.motion.live_settings import Live, takes_poses
+from vlp16emu.motion.settings import Walk
 from vlp16emu.packets import DATA_BYTES, decode_data
+from vlp16emu.report.forest.survey import survey
 from vlp16emu.scan import Scan
-from vlp16emu.sinks import Channel
+from vlp16emu.sinks import Channel, Lateness, LatenessHistogram, Pacer, PacketSink
+from vlp16emu.types import HeightField, Packet, PacketKind
 from vlp16emu.units import S_NS
 from vlp16emu.viewer.guard import guarded_server
-from vlp16emu.viewer.layers import colours_of, layers_of_scan
-from vlp16emu.viewer.page import draw_stand
-from vlp16emu.viewer.stroll import KEYS, Stroll, gamepad_on, stroll_on
-from vlp16emu.viewer.watch import Backdrop, Glimpse, Steering
+from vlp16emu.viewer.layers import MEASURED
+from vlp16emu.viewer.page import SweepView, draw_stand
+from vlp16emu.viewer.stand import Piece, pieces_of
+from vlp16emu.viewer.sweeps import Sweep, placed
 
 _HOST, _PORT = "127.0.0.1", 8016
 """The port of `vlp16emu view`; another one where that is in use."""
 _NICE = 10
 """By how much the page is nicer than the stream, which then gets nine tenths of a core that both want."""
+_RADIUS_M, _LIVE_RADIUS_M = 25.0, 35.0
+"""How far from the path the stand is drawn; of a live scene as far as the body may go."""
+_EVERY_NS = 50_000_000
+"""From one glimpse to the next: some 40 packets, half a revolution at 600 rpm."""
+_MOST = 100
+"""Packets of a glimpse: with their poses they fit into a message of the channel."""
 _DRAW_S = 0.1
 """From picture to picture."""
 _BEHIND_M, _OVER_M = 9.0, 5.0
@@ -34,6 +45,162 @@ _BEHIND_M, _OVER_M = 9.0, 5.0
 _NEAR_M = 0.05
 """The camera follows a walker that is farther from where it looks."""
 _PERSON_RADIUS_M, _PERSON_RGB = 0.2, (40, 70, 160)
+
+
+class Backdrop(NamedTuple):
+    """What the page knows before the first packet leaves."""
+
+    pieces: list[Piece]
+    path_m: NDArray[np.float64]
+    """(n, 3) of the sensor, or where a live scene expects it; one where it stands."""
+    hall: bool
+    turn_s: float
+    """Of the rotor."""
+    walks: bool
+    """A person carries the sensor."""
+    height_m: HeightField
+    """Of the ground."""
+
+
+class Glimpse(NamedTuple):
+    """What a sensor sent in some 50 ms, and how punctual the stream is."""
+
+    payloads: bytes
+    """(n, 1206) of its data packets."""
+    since_ns: NDArray[np.int64]
+    """(n,) of each from the first pulse of the run to its own first pulse."""
+    world_T_sensor: NDArray[np.float64]
+    """(n, 4, 4) then."""
+    late: Lateness
+    """Of all packets so far."""
+    worst_ns: int
+    """Greatest lateness since the last glimpse."""
+    delay_ns: int
+    """Time by which deadlines have been moved in all."""
+
+
+class WatchedSink(PacketSink):
+    """Passes packets on, and offers glimpses of those that have left.
+
+    A glimpse is made by the thread that sends, once a packet has left: it has then a millisecond until the next one.
+
+    Parameters
+    ----------
+    sink : where packets go
+    pacer : by which they leave
+    emulator : whose first sensor is looked at
+    channel : takes the glimpses, or loses them
+    """
+
+    def __init__(self, sink: PacketSink, pacer: Pacer, emulator: Emulator, channel: Channel) -> None:
+        self._sink, self._pacer, self._emulator, self._channel = sink, pacer, emulator, channel
+        self._late, self._worst_ns, self._offered_ns = LatenessHistogram(), 0, 0
+        self._held: list[tuple[bytes, int]] = []
+
+    def send(self, packet: Packet) -> None:
+        """Send one packet.
+
+        Raises
+        ------
+        RunError
+            as of the sink
+        """
+        self._sink.send(packet)
+        late_ns = self._pacer.late_ns
+        self._late.add(late_ns)
+        self._worst_ns = max(self._worst_ns, late_ns)
+        if packet.unit or packet.kind is not PacketKind.DATA or len(packet.payload) != DATA_BYTES:
+            return
+        # Of a capture that a run was prepared in, first pulses are not known: 1 ms more or less is not seen.
+        self._held.append((packet.payload, packet.fired_ns or packet.due_ns))
+        if (now_ns := time.monotonic_ns()) - self._offered_ns >= _EVERY_NS or len(self._held) == _MOST:
+            self._offered_ns = now_ns
+            self._offer()
+
+    def _offer(self) -> None:
+        payloads, fired_ns = zip(*self._held, strict=True)
+        t_ns = np.array(fired_ns)
+        glimpse = Glimpse(
+            b"".join(payloads),
+            t_ns - self._emulator.scenario.start_ns,
+            self._emulator.world_T_sensor(t_ns),
+            self._late.summary,
+            self._worst_ns,
+            self._pacer.delay_ns,
+        )
+        self._held.clear()
+        self._worst_ns = 0
+        self._channel.offer(glimpse)
+
+
+class Watch(NamedTuple):
+    """A page that shows a stream."""
+
+    url: str
+    emulator: Emulator
+    channel: Channel
+
+    def sink(self, sink: PacketSink, pacer: Pacer) -> PacketSink:
+        """Make the sink that the page looks at; parameters as of `WatchedSink`."""
+        return WatchedSink(sink, pacer, self.emulator, self.channel)
+
+
+def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
+    """Grow what stands near the path of a stream's duration, as few faces.
+
+    Raises
+    ------
+    InputError
+        where a part of the world cannot be made
+    """
+    scenario, motion = emulator.scenario, emulator.scenario.motion
+    expected_m = np.array(motion.path_m) if isinstance(motion, Live) and takes_poses(motion) else None
+    radius_m = _RADIUS_M if expected_m is None else _LIVE_RADIUS_M
+    seen = survey(
+        scenario.model_copy(update={"duration_s": duration_s}),
+        min(radius_m, scenario.sensor.max_range_m),
+        emulator.parts,
+        expected_m,
+    )
+    hall, turn_s, walks = seen.hall is not None, 60.0 / scenario.sensor.rpm, isinstance(motion, Walk)
+    return Backdrop(list(pieces_of(seen)), seen.path_m, hall, turn_s, walks, seen.height_m)
+
+
+@contextmanager
+def watching(emulator: Emulator, backdrop: Backdrop) -> Iterator[Watch]:
+    """Start the page, and end it with the context.
+
+    Raises
+    ------
+    OutputError, RunError
+        where the page cannot be served
+    """
+    ours, theirs = Channel.pair()
+    page = get_context("spawn").Process(target=serve, args=(backdrop, theirs), name="page", daemon=True)
+    # What is blocked here is blocked there too, for good: Ctrl-C is for the stream, and the page ends with it.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        page.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    theirs.close()
+    try:
+        yield Watch(_url(ours), emulator, ours)
+    finally:
+        ours.close()
+        page.kill()  # it has nothing to finish, and may hang
+        page.join()
+
+
+def _url(channel: Channel) -> str:
+    """Wait until the page is there."""
+    try:
+        answer = channel.take()
+    except EOFError:
+        raise RunError("the page in the browser has ended before it began") from None
+    if isinstance(answer, Vlp16emuError):
+        raise answer
+    return str(answer)
 
 
 def serve(backdrop: Backdrop, channel: Channel) -> None:
@@ -59,19 +226,14 @@ class LivePage:
 
     def __init__(self, server: viser.ViserServer, backdrop: Backdrop) -> None:
         self._server, self._backdrop = server, backdrop
-        self._parts: list[tuple[Scan, NDArray[np.float64]]] = []
-        self._latest: Glimpse | None = None
-        self._stroll: Stroll | None = None
-        pieces, way_m = backdrop.pieces, backdrop.path_m
-        self._root = draw_stand(server, pieces, way_m, hall=backdrop.hall)
+        self._parts: list[Sweep] = []
+        way_m = backdrop.path_m
+        root = draw_stand(server, backdrop.pieces, way_m, hall=backdrop.hall)
         server.initial_camera.position = way_m[0] + np.array([-_BEHIND_M, 0.0, _OVER_M])
         server.initial_camera.look_at = way_m[0]
-        self._frame = server.scene.add_frame("/sensor", axes_length=0.6, axes_radius=0.02)
         with server.gui.add_folder("Stream"):
             self._text = server.gui.add_markdown("no packet has left yet")
-            self._layer = server.gui.add_dropdown("colour by", ("range",))
-            self._size = server.gui.add_slider("point, cm", 1.0, 20.0, 1.0, 5.0)
-            self._stand = server.gui.add_checkbox("stand", initial_value=True)
+            self._view = SweepView(server, MEASURED, {}, root)
             self._follow = server.gui.add_checkbox("follow the sensor", initial_value=True)
 
     def run(self, channel: Channel) -> None:
@@ -79,22 +241,16 @@ class LivePage:
         draw_s = 0.0
         while True:
             try:
-                self._take(channel.take(_DRAW_S))
+                glimpse = channel.take(_DRAW_S)
             except TimeoutError:
                 continue
             except EOFError:
                 return
+            assert isinstance(glimpse, Glimpse)
+            self._add(glimpse)
             if (now_s := time.monotonic()) >= draw_s and self._server.get_clients():
                 draw_s = now_s + _DRAW_S
-                self._draw()
-
-    def _take(self, message: object) -> None:
-        """Take a glimpse, or where poses come in."""
-        if isinstance(message, Steering):
-            self._steer(message)
-        elif isinstance(message, Glimpse):
-            self._latest = message
-            self._add(message)
+                self._draw(glimpse)
 
     def _add(self, glimpse: Glimpse) -> None:
         """Put points into the world, and forget those that are more than a turn old."""
@@ -112,42 +268,23 @@ class LivePage:
             ring=points.ring.astype(np.uint16),
             reflectivity=points.reflectivity,
             is_last=points.is_last,
+            world_T_sensor=glimpse.world_T_sensor[-1],
         )
-        world_T = glimpse.world_T_sensor[points.packet]
-        world_m = np.einsum("nij,nj->ni", world_T[:, :3, :3], points.xyz_m) + world_T[:, :3, 3]
+        sweep = Sweep(scan, placed(points.xyz_m, glimpse.world_T_sensor[points.packet]))
         oldest_ns = int(glimpse.since_ns[-1]) - round(self._backdrop.turn_s * S_NS)
-        self._parts = [part for part in self._parts if part[0].start_ns >= oldest_ns] + [(scan, world_m)]
+        self._parts = [part for part in self._parts if part.scan.start_ns >= oldest_ns] + [sweep]
 
-    def _draw(self) -> None:
+    def _draw(self, glimpse: Glimpse) -> None:
         """Draw the last turn, the sensor and the person, and say how punctual the stream is."""
-        if self._latest is None or not self._parts:
+        if not self._parts:
             return
-        layers, layer = layers_of_scan(self._parts[0][0]), self._layer.value
-        if self._layer.options != layers:
-            self._layer.options = layers
-        layer = layer if layer in layers else layers[0]
-        points_m = np.concatenate([world_m for _, world_m in self._parts])
-        rgb = np.concatenate([colours_of(scan, layer, {}) for scan, _ in self._parts])
-        world_T_sensor = self._latest.world_T_sensor[-1]
-        place_m = world_T_sensor[:3, 3]
-        turn = Rotation.from_matrix(world_T_sensor[:3, :3]).as_quat(scalar_first=True)
+        place_m = glimpse.world_T_sensor[-1][:3, 3]
         with self._server.atomic():
-            self._server.scene.add_point_cloud(
-                "/sweep",
-                (points_m - place_m).astype(np.float32),
-                rgb,
-                point_size=self._size.value / 100,
-                precision="float32",
-                point_shape="circle",
-                point_shading="flat",
-                position=place_m,
-            )
-            self._frame.position, self._frame.wxyz = place_m, turn
-            self._root.visible = self._stand.value is True
-            if self._backdrop.walks or self._stroll:
+            self._view.draw(self._parts)
+            if self._backdrop.walks:
                 self._draw_person(place_m)
         self._look_at(place_m)
-        self._text.content = "  \n".join(_lines(self._latest, len(points_m), self._stroll))
+        self._text.content = "  \n".join(_lines(glimpse, sum(len(part.world_m) for part in self._parts)))
 
     def _draw_person(self, place_m: NDArray[np.float64]) -> None:
         ground_m = float(self._backdrop.height_m(place_m[:1], place_m[1:2])[0])
@@ -171,27 +308,8 @@ class LivePage:
                 with client.atomic():  # or a slow browser answers between the two, and comes nearer each time
                     camera.position, camera.look_at = place_m + away_m, place_m
 
-    def _steer(self, by: Steering) -> None:
-        """Walk by keys, buttons and a gamepad, from when somebody has opened the page."""
-        self._stroll = stroll = Stroll(
-            self._backdrop.path_m[:, :2], self._backdrop.height_m, self._backdrop.seed
-        )
-        gui, begin = self._server.gui, threading.Event()
-        with gui.add_folder("Walk"):
-            for what, keys in KEYS.items():
-                button = gui.add_button(f"{what} ({keys[0]})")
-                button.on_click(lambda _, what=what: stroll.press(what))
-                for key in keys:
-                    command = gui.add_command(f"walk: {what} ({key})", hotkey=key)
-                    command.on_trigger(lambda _, what=what: stroll.press(what))
-        self._server.on_client_connect(lambda _: begin.set())
-        leaders = [partial(stroll_on, stroll, PoseSender(by.where), begin)]
-        leaders += [partial(gamepad_on, stroll, by.gamepad)] if by.gamepad else []
-        for leader in leaders:
-            threading.Thread(target=leader, name="stroll", daemon=True).start()
 
-
-def _lines(glimpse: Glimpse, points: int, stroll: Stroll | None) -> list[str]:
+def _lines(glimpse: Glimpse, points: int) -> list[str]:
     """Say how the stream goes."""
     late = glimpse.late
     at_most = f"at most {late.max_ns / 1e6:.1f} ms; now {glimpse.worst_ns / 1e6:.2f} ms"
@@ -200,5 +318,4 @@ def _lines(glimpse: Glimpse, points: int, stroll: Stroll | None) -> list[str]:
         f"{points} points in the last turn",
         f"lateness: median {late.median_ns / 1e3:.0f} us, 99 % within {late.p99_ns / 1e3:.0f} us, {at_most}",
     ]
-    lines += [f"**late by {glimpse.delay_ns / S_NS:.2f} s**"] if glimpse.delay_ns else []
-    return [*lines, stroll.summary] if stroll else lines
+    return [*lines, f"**late by {glimpse.delay_ns / S_NS:.2f} s**"] if glimpse.delay_ns else lines

@@ -97,8 +97,6 @@ class Flight:
             self._receiver = stack.enter_context(receiver) if receiver else None
             self._open = stack.pop_all()
         motion.is_open = True
-        if self._receiver:
-            poses.opened(self._receiver.where)
 
     def __enter__(self) -> Self:
         return self

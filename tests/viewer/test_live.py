@@ -4,11 +4,9 @@ import multiprocessing
 import os
 import signal
 import socket
-import struct
 import urllib.request
 from contextlib import suppress
 
-import numpy as np
 import pytest
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
@@ -18,8 +16,7 @@ from vlp16emu.cli.app import run
 from vlp16emu.packets import DATA_BYTES
 from vlp16emu.sinks import Channel, Pacer, PacketSink
 from vlp16emu.types import PacketKind
-from vlp16emu.viewer.stroll import Stroll, gamepad_on
-from vlp16emu.viewer.watch import Glimpse, WatchedSink, backdrop_of, watching
+from vlp16emu.viewer.live import Glimpse, WatchedSink, backdrop_of, watching
 
 
 class Listed(PacketSink):
@@ -128,94 +125,6 @@ def test_a_page_that_is_stopped_costs_no_packet():
     assert not streamed.interrupted
 
 
-def walked(*keys, seconds=5.0, slope=0.0):
-    """Place and heading after keys and some seconds of walking."""
-    stroll = Stroll(np.array([[0.0, 0.0], [50.0, 0.0]]), lambda x, y: slope * x, 5)
-    for key in keys:
-        stroll.press(key)
-    for _ in range(round(seconds * 100)):
-        stroll.step(0.01)
-    return stroll.pose()
-
-
-def test_keys_walk_where_they_say():
-    """Three keys ahead are 1.2 m/s to the east, six to the left then lead north; without a key nobody moves; the pack stays 2 m over the ground."""
-    place_m, _ = walked("faster", "faster", "faster", slope=0.1)
-    assert place_m[0] == pytest.approx(1.2 * 5 - 1.2**2 / 2 / 1.2, abs=0.15)
-    assert abs(place_m[1]) < 0.1
-    assert place_m[2] == pytest.approx(2.0 + 0.1 * place_m[0], abs=0.1)
-    north_m, turn = walked(*["left"] * 6, "faster", "faster", "faster", seconds=8.0)
-    assert north_m[1] > 6
-    assert 2 * np.degrees(np.arctan2(turn[2], turn[3])) == pytest.approx(90, abs=5)
-    still_m, _ = walked("faster", "stop")
-    assert np.hypot(*still_m[:2]) < 0.05
-
-
-def test_a_stick_leads_as_it_is_pushed():
-    """Pushed ahead it walks 2 m/s to the east, half aside it turns until it is let go, at rest nobody moves, though it be a little off."""
-    stroll = Stroll(np.array([[0.0, 0.0], [50.0, 0.0]]), lambda x, y: 0.0 * x, 5)
-
-    def walk(ahead, left, seconds):
-        before_m, _ = stroll.pose()
-        stroll.push(ahead, left)
-        for _ in range(round(seconds * 100)):
-            stroll.step(0.01)
-        after_m, turn = stroll.pose()
-        return np.subtract(after_m, before_m), np.degrees(2 * np.arctan2(turn[2], turn[3]))
-
-    way_m, _ = walk(1.0, 0.0, 5.0)
-    assert way_m[0] == pytest.approx(2.0 * 5 - 2.0**2 / 2 / 1.2, abs=0.2)
-    _, turned_deg = walk(0.0, 0.5, 2.0)
-    assert turned_deg == pytest.approx(np.degrees(0.75 * 2.0), abs=12)
-    _, later_deg = walk(0.1, 0.1, 3.0)
-    assert later_deg == pytest.approx(turned_deg, abs=20)
-    way_m, latest_deg = walk(0.1, 0.1, 3.0)
-    assert np.hypot(*way_m[:2]) < 0.05
-    assert latest_deg == pytest.approx(later_deg, abs=3)
-
-
-def test_a_gamepad_is_read_as_linux_writes_it(tmp_path):
-    """Axes 0 and 1 are the stick, of what is so at first too; another axis is none, a button stops, and so does the end of the device."""
-    led = []
-
-    class Led(Stroll):
-        def push(self, ahead, left):
-            led.append((round(ahead, 2), round(left, 2)))
-
-        def press(self, what):
-            led.append(what)
-
-    events = [(0, 0x81, 0), (-32_767, 2, 1), (16_384, 2, 0), (9_000, 2, 3), (1, 1, 5), (0, 1, 5)]
-    device = tmp_path / "js0"
-    device.write_bytes(b"".join(struct.pack("<IhBB", 7, *event) for event in events) + b"cut")
-    gamepad_on(Led(np.zeros((1, 2)), lambda x, y: 0.0 * x, 5), device)
-    assert led == [(1.0, 0.0), (1.0, -0.5), "stop", (0.0, 0.0)]
-    led.clear()
-    gamepad_on(Led(np.zeros((1, 2)), lambda x, y: 0.0 * x, 5), tmp_path / "gone")
-    assert led == [(0.0, 0.0)]
-
-
-@pytest.mark.parametrize(
-    ("more", "found"),
-    [
-        ([], "--gamepad: found without --view"),
-        (["--view"], '--gamepad: found with motion.kind = "static"'),
-        (["--view", "--set", 'motion={kind="live"}'], "js99: No such file or directory; expected a joystick"),
-    ],
-)
-def test_a_gamepad_that_leads_nothing_is_refused(capsys, tmp_path, more, found):
-    """Without the page, in a scene whose path is known, or where there is none: one line, exit code 2."""
-    device = str(tmp_path / "js99")
-    assert run(["stream", "static_bench", "--duration", "0.1", "--gamepad", device, *more]) == 2
-    assert found in capsys.readouterr().err
-
-
-def test_nobody_walks_out_of_the_world():
-    """A walker who goes on for ever stops 30 m from where the scene expects one."""
-    place_m, _ = walked(*["faster"] * 5, seconds=60.0)
-    assert place_m[0] == pytest.approx(80.0, abs=0.2)
-
-
 def test_without_the_extra_one_line_names_it(capsys, monkeypatch):
     """Where viser is missing, `--view` ends with exit code 2 and the extra to install."""
     monkeypatch.setattr("vlp16emu.cli.live.find_spec", lambda _: None)
@@ -223,9 +132,9 @@ def test_without_the_extra_one_line_names_it(capsys, monkeypatch):
     assert "viewer" in capsys.readouterr().err
 
 
-def test_a_live_scene_wants_poses_or_a_page(capsys):
-    """Without either a stream is refused in one line that names both."""
-    assert run(["stream", "static_bench", "--set", 'motion={kind="live"}', "--duration", "1"]) == 2
-    found = capsys.readouterr().err
-    assert "--pose-in" in found
-    assert "--view" in found
+@pytest.mark.parametrize("more", [[], ["--view"]])
+def test_a_live_scene_wants_poses(capsys, more):
+    """Without them a stream is refused in one line, with the page as without it."""
+    words = ["stream", "static_bench", "--set", 'motion={kind="live"}', "--duration", "1"]
+    assert run([*words, *more]) == 2
+    assert '--pose-in: found motion.kind = "live" without it' in capsys.readouterr().err

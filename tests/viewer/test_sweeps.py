@@ -12,9 +12,9 @@ from vlp16emu.run.options import TruthTo
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
-from vlp16emu.viewer.capture import CaptureSweeps
 from vlp16emu.viewer.layers import LAYERS, colours_of, layers_of_scan
-from vlp16emu.viewer.sensor import sectors_of
+from vlp16emu.viewer.page import sectors_of
+from vlp16emu.viewer.sweeps import CaptureSweeps
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
