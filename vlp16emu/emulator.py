@@ -95,7 +95,7 @@ class Emulator(Streams):
 
         Parameters
         ----------
-        path : .npz, .ply, .csv, .pcd, .las, .laz or .e57 by its suffix; overwritten if it exists
+        path : .npz, .ply, .csv, .pcd, .las or .laz by its suffix; overwritten if it exists
         start_s, duration_s, progress, stop : as of `record`
         unit : which sensor of a rig, from 1
         truth : whether points have labels
