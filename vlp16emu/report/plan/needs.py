@@ -38,7 +38,7 @@ _LIBRARIES = (
     "embreex",
     "dpkt",
     "trimesh",
-    "tifffile",
+    "rasterio",
     "matplotlib",
     "rich",
     "serial",
