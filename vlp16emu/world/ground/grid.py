@@ -1,9 +1,9 @@
 """Grids of heights in files: ESRI ASCII and numpy by numpy, GeoTIFF by rasterio where it is installed."""
 
+import itertools
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -141,7 +141,7 @@ def _read_ascii(path: Path) -> Grid:
                 expected = f"{' or '.join(keys)} and a number"
                 raise GeometryError(f"{path}, line {line[0]}", found, expected)
 
-        rest = chain([line], lines)
+        rest = itertools.chain([line], lines)
 
         def cells() -> Iterator[str]:
             nonlocal line
