@@ -223,7 +223,7 @@ def modules_after(lines, names):
 
 def test_a_lean_recording_loads_no_library_it_does_not_need(tmp_path):
     """A static, single-ray recording imports nothing that draws, reads meshes or grids, makes curves or talks."""
-    unneeded = ["matplotlib", "tifffile", "PIL", "trimesh", "networkx", "rich.progress", "serial", "pynmea2"]
+    unneeded = ["matplotlib", "rasterio", "PIL", "trimesh", "networkx", "rich.progress", "serial", "pynmea2"]
     unneeded += [f"scipy.{part}" for part in ("interpolate", "ndimage", "optimize", "spatial", "special")]
     unneeded += [
         "velodyne_decoder",

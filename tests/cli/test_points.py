@@ -263,7 +263,7 @@ def test_a_sensor_without_packets_is_sent_to_this_verb(cli, tmp_path, verb):
 @pytest.mark.parametrize(
     ("name", "code", "said"),
     [
-        ("x.xyz", 2, "x.xyz: found suffix '.xyz'; expected .csv, .npz, .ply, .pcd, .las, .laz, .e57"),
+        ("x.xyz", 2, "x.xyz: found suffix '.xyz'; expected .csv, .npz, .ply, .pcd, .las, .laz"),
         ("no/x.ply", 2, "no/x.ply: No such file or directory; expected a file that can be written"),
         ("full.npz", 1, "full.npz: No space left on device; the file is not complete"),
     ],

@@ -32,7 +32,7 @@ SETTINGS = {
     "beam.rays": 8,
     "beam.model": "fixed",
 }
-SUFFIXES = ("npz", "laz", "las", "pcd", "e57")
+SUFFIXES = ("npz", "laz", "las", "pcd")
 
 
 @pytest.fixture(scope="module")
@@ -180,21 +180,6 @@ def test_the_bytes_do_not_depend_on_the_day_or_the_run(cloud, tmp_path):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
 
 
-def test_e57_has_the_points_where_they_are(cloud):
-    """Through pye57 coordinates, intensity and bounds are those of the arrays, and so are the fields of our extension."""
-    pye57 = pytest.importorskip("pye57")
-    folder, own = cloud
-    with pye57.E57(str(folder / "points.e57")) as file:
-        header, raw = file.get_header(0), file.read_scan_raw(0, ignore_unsupported_fields=True)
-        assert {"timeStamp", "returnIndex", "returnCount", "vlp:ring", "vlp:treeID"} <= set(
-            header.point_fields
-        )
-        assert header.xMaximum == own["world_m"][:, 0].max()
-    xyz_m = np.column_stack([raw[f"cartesian{axis}"] for axis in "XYZ"])
-    np.testing.assert_array_equal(xyz_m, own["world_m"])
-    np.testing.assert_array_equal(raw["intensity"], own["reflectivity"])
-
-
 def test_pcd_is_read_by_pcls_tools(cloud, tmp_path):
     """PCL's converter reads all fields, and its text has our numbers."""
     tool = shutil.which("pcl_convert_pcd_ascii_binary") or pytest.skip("no PCL tools (Debian: pcl-tools)")
@@ -254,7 +239,7 @@ def test_a_missing_library_is_named(monkeypatch, tmp_path):
 def test_a_file_without_points_can_be_read(tmp_path):
     """A sensor that sees nothing makes files that are whole."""
     emulator = emulators.Emulator("static_bench", {"sensor.max_range_m": 0.6})
-    for suffix in ("laz", "e57", "pcd"):
+    for suffix in ("laz", "pcd"):
         assert write_points(emulator, tmp_path / f"none.{suffix}", duration_s=0.05).points == 0
     assert laspy.read(tmp_path / "none.laz").header.point_count == 0
 

@@ -9,8 +9,9 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-import tifffile
 import trimesh
+from rasterio.io import MemoryFile
+from rasterio.transform import Affine
 
 from stability_cases.coordinates import write_plot
 from stability_cases.entries import refusal, turned_down
@@ -131,18 +132,17 @@ def mesh_files() -> Iterator[Row]:
     yield from _verdicts("meshes", _meshes, plot=True)
 
 
-def _tiff(height: float = 0.0, east: float = -60.0, cell: float = 2.0) -> bytes:
+def _tiff(height: float = 0.0, east: float = -61.0, cell: float = 2.0) -> bytes:
     """Write a GeoTIFF of flat ground about the origin, with one bad number."""
     heights = np.zeros((61, 61), np.float32)
     heights[30, 30] = height
-    tags = [
-        (33550, "d", 3, (cell, cell, 0.0), True),
-        (33922, "d", 6, (0.0, 0.0, 0.0, east, 61.0, 0.0), True),
-        (34735, "H", 16, (1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3076, 0, 1, 9001), True),
-    ]
-    file = io.BytesIO()
-    tifffile.imwrite(file, heights, extratags=tags)
-    return file.getvalue()
+    place = Affine(cell, 0.0, east, 0.0, -cell, 61.0)
+    with MemoryFile() as memory:
+        with memory.open(
+            driver="GTiff", width=61, height=61, count=1, dtype="float32", crs="EPSG:25832", transform=place
+        ) as file:
+            file.write(heights, 1)
+        return bytes(memory.getbuffer())
 
 
 def _npy(height: float) -> bytes:
@@ -155,9 +155,9 @@ def _npy(height: float) -> bytes:
 def _grounds(word: str) -> Iterator[tuple[Files, str]]:
     """Height grids with one bad number."""
     number = float(word)
-    row = " ".join(["0"] * 61) + "\n"
+    row, bad_row = (" ".join([*["0"] * 30, middle, *["0"] * 30]) + "\n" for middle in ("0", word))
     header = "ncols 61\nnrows 61\nxllcenter -60\nyllcenter -60\ncellsize 2\n"
-    yield {"ground.asc": header + 30 * row + row.replace("0", word, 1) + 30 * row}, ""
+    yield {"ground.asc": header + 30 * row + bad_row + 30 * row}, ""
     for key in ("ncols 61", "nrows 61", "xllcenter -60", "yllcenter -60", "cellsize 2"):
         yield {"ground.asc": header.replace(key, f"{key.split()[0]} {word}") + 61 * row}, ""
     yield (

@@ -24,7 +24,7 @@ def decode(
         typer.Option(
             "--out",
             metavar="FILE",
-            help="Write the points too: .npz, .ply, .csv, .pcd, .las, .laz or .e57 by its suffix.",
+            help="Write the points too: .npz, .ply, .csv, .pcd, .las or .laz by its suffix.",
         ),
     ] = None,
     unit: Annotated[

@@ -43,7 +43,7 @@ OutFile = Annotated[
     Path,
     typer.Argument(
         metavar="OUT",
-        help="File to write, .npz, .ply, .csv, .pcd, .las, .laz or .e57 by its suffix; overwritten if it exists.",
+        help="File to write, .npz, .ply, .csv, .pcd, .las or .laz by its suffix; overwritten if it exists.",
         show_default=False,
     ),
 ]

@@ -30,9 +30,7 @@ Align = Annotated[
 ]
 MapFile = Annotated[
     Path | None,
-    typer.Option(
-        "--map", metavar="FILE", help="Points in the world: .ply, .npz, .csv, .pcd, .las, .laz or .e57."
-    ),
+    typer.Option("--map", metavar="FILE", help="Points in the world: .ply, .npz, .csv, .pcd, .las or .laz."),
 ]
 Labelled = Annotated[
     Path | None,

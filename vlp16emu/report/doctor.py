@@ -15,10 +15,10 @@ from vlp16emu.store import user_store
 
 _EXTRAS = {
     "bench": (("h11",), "stream --http"),
-    "cloud": (("laspy", "lazrs", "pye57", "pypcd4"), "points in LAS, LAZ and E57, score of PCD"),
+    "cloud": (("laspy", "lazrs", "pypcd4"), "points in LAS and LAZ, score of PCD"),
     "cluster": (("distributed",), "dataset by more than one process"),
     "data": (("pyarrow",), "--truth-returns, labels of captures"),
-    "dem": (("tifffile", "imagecodecs"), "heights from GeoTIFF files (world.dem)"),
+    "dem": (("rasterio",), "heights from GeoTIFF files (world.dem)"),
     "images": (("OpenEXR", "PIL"), "images"),
     "picture": (("matplotlib", "PIL", "imageio_ffmpeg"), "picture, forest --picture"),
     "ros": (("rosbags",), "bag, record into bags"),

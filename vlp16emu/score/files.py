@@ -52,7 +52,7 @@ def read_cloud(path: Path, needed: tuple[str, ...] = ()) -> Cloud:
 
     Parameters
     ----------
-    path : .ply, .npz, .csv, .pcd, .las, .laz or .e57; an E57 gives the places of all its scans, without labels
+    path : .ply, .npz, .csv, .pcd, .las or .laz
     needed : labels that must be there
 
     Raises
@@ -60,7 +60,7 @@ def read_cloud(path: Path, needed: tuple[str, ...] = ()) -> Cloud:
     InputError
         where it is no such file, has no points, a NaN, or lacks a label
     MissingExtraError
-        where the library for .pcd, .las, .laz or .e57 is not installed
+        where the library for .pcd, .las or .laz is not installed
     """
     readers = {
         ".ply": _ply,
@@ -69,7 +69,6 @@ def read_cloud(path: Path, needed: tuple[str, ...] = ()) -> Cloud:
         ".pcd": _pcd,
         ".las": _las,
         ".laz": _las,
-        ".e57": _e57,
     }
     if path.suffix not in readers:
         raise InputError(str(path), f"found suffix '{path.suffix}'", ", ".join(readers))
@@ -144,20 +143,6 @@ def _pcd(path: Path) -> Cloud:
     cloud = PointCloud.from_path(path)
     data = np.atleast_1d(cloud.pc_data)
     return {name: data[name].reshape(len(data), -1)[:, 0] for name in cloud.fields}
-
-
-def _e57(path: Path) -> Cloud:
-    """Read the places of all scans of an E57."""
-    try:
-        import pye57
-    except ImportError:
-        raise MissingExtraError("pye57", "cloud", "reading .e57") from None
-    try:
-        file = pye57.E57(str(path))
-        scans = [file.read_scan(n, ignore_missing_fields=True) for n in range(file.scan_count)]
-    except pye57.libe57.E57Exception as error:
-        raise ValueError(str(error)) from None
-    return {axis: np.concatenate([scan[f"cartesian{axis.upper()}"] for scan in scans]) for axis in "xyz"}
 
 
 def read_stems(path: Path) -> tuple[Stem, ...]:

@@ -175,13 +175,6 @@ def _las(
     return LasFile(file, columns, about, compressed=laz)
 
 
-def _e57(file: IO[bytes], columns: Sequence[Column], about: CloudAbout, stack: ExitStack) -> PointWriter:
-    """Open an E57 file, for which a library must be there."""
-    from vlp16emu.sinks.e57 import E57File
-
-    return E57File(file, columns, about, stack)
-
-
 _WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], CloudAbout, ExitStack], PointWriter]] = {
     ".csv": _Csv,
     ".npz": _Npz,
@@ -189,7 +182,6 @@ _WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], CloudAbout, ExitStack
     ".pcd": _Pcd,
     ".las": _las,
     ".laz": partial(_las, laz=True),
-    ".e57": _e57,
 }
 
 

@@ -22,9 +22,7 @@ _ENDINGS = frozenset({"", ".pcap", ".cap", ".dump", ".dmp"})
 _WAYS_TO = {
     ".pcapng": ", which `editcap -F pcapng` converts",
     ".db3": "; a name that ends in / is a bag of ROS 2, a folder with SQLite",
-    **dict.fromkeys(
-        (".npz", ".ply", ".csv", ".las", ".laz", ".pcd", ".e57"), "; `vlp16emu points` writes points"
-    ),
+    **dict.fromkeys((".npz", ".ply", ".csv", ".las", ".laz", ".pcd"), "; `vlp16emu points` writes points"),
 }
 _RECORD_HEADER = struct.Struct("<4I")
 

@@ -37,7 +37,7 @@ _LIBRARIES = (
     "embreex",
     "dpkt",
     "trimesh",
-    "tifffile",
+    "rasterio",
     "matplotlib",
     "rich",
     "serial",

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.world.given.user_mesh import welded
-
 Array = NDArray[np.float64]
 Faces = NDArray[np.uint32]
 
@@ -38,9 +36,9 @@ class Cutter:
         corners = np.concatenate(
             [own.astype(np.int64) + begin for own, begin in zip(faces, first, strict=False)]
         )
-        number, place = np.unique(welded(self.vertices_m), return_index=True)
-        self.faces = np.searchsorted(number, welded(self.vertices_m))[corners]
-        self.vertices_m = self.vertices_m[place]
+        number = _welded(self.vertices_m)
+        self.faces = number[corners]
+        self.vertices_m = self.vertices_m[np.unique(number, return_index=True)[1]]
         z_m = self.vertices_m[self.faces, 2]
         self.faces = self.faces[np.argsort(z_m.min(axis=1), kind="stable")]
         self._low_m = np.sort(z_m.min(axis=1))
@@ -73,6 +71,15 @@ class Cutter:
             for which in closed.tolist()
         ]
         return max(map(_measured, rings), key=lambda outline: outline.diameter_m, default=None)
+
+
+def _welded(vertices: Array) -> NDArray[np.int64]:
+    """Give vertices numbers (n,) from 0 on, the same to those at the same place."""
+    order = np.lexsort(vertices.T)
+    apart = (vertices[order[1:]] != vertices[order[:-1]]).any(axis=1)
+    number = np.empty(len(vertices), np.int64)
+    number[order] = np.concatenate([[0], np.cumsum(apart)])
+    return number
 
 
 def _measured(ring_m: Array) -> Outline:

@@ -5,10 +5,8 @@ sizes that suggest a wrong unit. What is dropped, and reported: triangles withou
 holes and faces that look the wrong way, for light is cast against both sides.
 """
 
-import json
 import logging
 import re
-import struct
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -21,7 +19,6 @@ from vlp16emu.elementary import matvec, norm
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
 from vlp16emu.types import Mesh
 from vlp16emu.world.given.settings import LengthUnit, UpAxis
-from vlp16emu.world.vectors import determinant
 
 _log = logging.getLogger(__name__)
 
@@ -31,7 +28,7 @@ Faces = NDArray[np.int64]
 _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Exact by definition (inch and foot: international agreement of 1959)."""
 
-_KINDS = {".obj": "obj", ".ply": "ply", ".glb": "glb", ".stl": "stl"}
+_KINDS = ".obj", ".ply", ".glb", ".stl"
 
 _TALLEST_M, _WIDEST_M, _SMALLEST_M = 500.0, 10_000.0, 0.001
 """Nothing in a forest is taller, wider, or smaller as a whole."""
@@ -43,13 +40,6 @@ _OBJ_BAD_FACE = re.compile(
     rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE
 )
 """A face of an OBJ file that trimesh would pass over: fewer than three corners, or a corner 0 (they count from 1)."""
-
-
-_STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
-"""Of a binary STL: 80 bytes of text and a count; a normal, three corners and two bytes."""
-
-_GLB_HEADER_BYTES, _GLB_CHUNK = 12, struct.Struct("<I4s")
-"""Length and kind in front of each chunk; the first one is JSON (Khronos, glTF 2.0, section 4.4)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +96,7 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
         for name, vertices, faces, _ in z_up
     )
     for name, vertices, faces, dropped in z_up:
-        findings += [f"{path}: {name}: {finding}" for finding in _findings(vertices, faces, dropped)]
+        findings += [f"{path}: {name}: {finding}" for finding in _findings(vertices - centre, faces, dropped)]
     for finding in findings:
         _log.warning(finding)
     return UserMesh(path, centre, made, float(norm(high - low)) / 2, tuple(findings))
@@ -128,7 +118,7 @@ def _parts(path: Path) -> tuple[list[tuple[str, tuple[Array, Faces]]], list[str]
         else:
             left_out.append(f"{path}: {name}: left out, for it has no face")
     if not found:
-        raise GeometryError(str(path), "no face", "a mesh of triangles")
+        raise GeometryError(str(path), "no face", "a whole file with a mesh of triangles")
     return found, left_out
 
 
@@ -137,21 +127,20 @@ def _scene(path: Path) -> Any:
     kind = path.suffix.lower()
     if kind not in _KINDS:
         raise GeometryError(str(path), f"found the ending {kind!r}", f"one of {', '.join(_KINDS)}")
-    expected = f"a mesh in {kind[1:].upper()}"
+    expected = "a mesh in GLB with all its data inside" if kind == ".glb" else f"a mesh in {kind[1:].upper()}"
     with readable(path, expected, GeometryError, most_bytes=LARGEST_BYTES):
         content = path.read_bytes()
-        if kind == ".obj" or (kind == ".stl" and _is_stl_text(path, content)):
-            content.decode()
-        if kind == ".glb":
-            _check_buffers(path, content)
     if kind == ".obj" and (bad := _OBJ_BAD_FACE.search(content)):
-        raise _obj_error(path, content, bad.start(), "three corners or more, counted from 1")
+        line = content.count(b"\n", 0, bad.start()) + 1
+        face = content[bad.start() :].partition(b"\n")[0].decode(errors="replace").strip()
+        found, expected = f"found the face {face!r}", "three corners or more, counted from 1"
+        raise GeometryError(f"{path}, line {line}", found, expected)
     import trimesh
 
     try:
         return trimesh.load_scene(
             BytesIO(content),
-            file_type=_KINDS[kind],
+            file_type=kind[1:],
             process=False,
             skip_materials=True,
             group_material=False,
@@ -160,67 +149,7 @@ def _scene(path: Path) -> Any:
             maintain_order=True,
         )
     except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
-        if (
-            kind == ".obj"
-            and isinstance(error, IndexError)
-            and (place := _obj_stray_face(content)) is not None
-        ):
-            expected = f"corners of {_obj_vertices(content)} vertices"
-            raise _obj_error(path, content, place, expected) from None
         raise GeometryError(str(path), f"cannot be read: {error}", expected) from None
-
-
-def _is_stl_text(path: Path, content: bytes) -> bool:
-    """Whether an STL file is text; a binary one must have the length that its header gives."""
-    triangles = int.from_bytes(content[_STL_HEADER_BYTES - 4 : _STL_HEADER_BYTES], "little")
-    whole = _STL_HEADER_BYTES + triangles * _STL_TRIANGLE_BYTES
-    if len(content) == whole:
-        return False
-    if content.lstrip()[:5].lower() == b"solid" and b"\0" not in content:
-        return True
-    found = f"found {len(content)} bytes"
-    if len(content) >= _STL_HEADER_BYTES:
-        found += f" with a header of {triangles} triangles"
-    else:
-        whole = _STL_HEADER_BYTES
-    expected = f"a mesh in STL: {whole} bytes, or a text that begins with solid"
-    raise GeometryError(str(path), found, expected)
-
-
-def _check_buffers(path: Path, content: bytes) -> None:
-    """Refuse a GLB file with coordinates in other files, which are not looked for."""
-    try:
-        length, kind = _GLB_CHUNK.unpack_from(content, _GLB_HEADER_BYTES)
-        start = _GLB_HEADER_BYTES + _GLB_CHUNK.size
-        tree = json.loads(content[start : start + length]) if kind == b"JSON" else {}
-        files = [buffer["uri"] for buffer in tree.get("buffers", []) if "uri" in buffer]
-        outside = [file for file in files if not file.startswith("data:")]
-    except UnicodeDecodeError:
-        raise
-    except (struct.error, ValueError, AttributeError, TypeError, RecursionError):
-        return  # no GLB: its reader says why
-    if outside:
-        raise GeometryError(f"{path}: buffers", f"found the file {outside[0]!r}", "all data inside the GLB")
-
-
-def _obj_vertices(content: bytes) -> int:
-    return len(re.findall(rb"^v[ \t]", content, re.MULTILINE))
-
-
-def _obj_stray_face(content: bytes) -> int | None:
-    """Where in an OBJ file the first face stands that has a corner without a vertex."""
-    vertices = _obj_vertices(content)
-    for face in re.finditer(rb"^f[ \t](.*)$", content, re.MULTILINE):
-        corners = re.findall(rb"(?:^|[ \t])(-?\d+)", face[1])
-        if any(abs(int(corner)) > vertices for corner in corners):
-            return face.start()
-    return None
-
-
-def _obj_error(path: Path, content: bytes, place: int, expected: str) -> GeometryError:
-    line = content.count(b"\n", 0, place) + 1
-    text = content[place:].partition(b"\n")[0].decode(errors="replace").strip()
-    return GeometryError(f"{path}, line {line}", f"found the face {text!r}", expected)
 
 
 def _placed(where: str, vertices: Array, faces: Faces, file_T_part: Array) -> Array:
@@ -282,27 +211,15 @@ def _check_size(path: Path, extent_m: Array, unit: LengthUnit) -> None:
 
 def _findings(vertices: Array, faces: Faces, dropped: int) -> list[str]:
     """Say what is not as it should be about one part."""
+    import trimesh
+
     found = [f"dropped {dropped} of {dropped + len(faces)} faces, which have no area"] if dropped else []
-    corner = welded(vertices)[faces]
-    start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
-    _, faces_at = np.unique(
-        np.minimum(start, end) * len(vertices) + np.maximum(start, end), return_counts=True
-    )
-    _, same_way = np.unique(start * len(vertices) + end, return_counts=True)
-    holes, turned = int((faces_at == 1).sum()), int((same_way > 1).sum())
-    if holes:
+    solid = trimesh.Trimesh(vertices, faces, process=False)
+    solid.merge_vertices()
+    if holes := len(trimesh.grouping.group_rows(solid.edges_sorted, require_count=1)):
         found.append(f"is not closed: edges with one face only: {holes}")
-    if turned:
-        found.append(f"edges between faces that look opposite ways: {turned}")
-    if not holes and not turned and determinant(vertices[faces] - vertices.mean(axis=0)).sum() < 0:
+    if not solid.is_winding_consistent:
+        found.append("has faces side by side that look opposite ways")
+    elif not holes and solid.volume < 0:
         found.append("is inside out: all its faces look inwards")
     return found
-
-
-def welded(vertices: Array) -> NDArray[np.int64]:
-    """Give vertices numbers (n,), the same to those at the same place."""
-    order = np.lexsort(vertices.T)
-    apart = (vertices[order[1:]] != vertices[order[:-1]]).any(axis=1)
-    number = np.empty(len(vertices), np.int64)
-    number[order] = np.concatenate([[0], np.cumsum(apart)])
-    return number

@@ -41,7 +41,7 @@ class DemHeights:
     GeometryError
         where the file is no grid of heights
     MissingExtraError
-        for a GeoTIFF without tifffile
+        for a GeoTIFF without rasterio
     """
 
     def __init__(self, section: Dem, *, origin_m: tuple[float, float, float]) -> None:
