@@ -169,7 +169,7 @@ def test_a_trespass_would_be_seen():
     ):
         assert trespasses("motion/walk.py", ast.parse(f"def f():\n    {line}")), line
         assert trespasses("units.py", ast.parse(line)), line
-    assert not trespasses("raycast/far.py", ast.parse("from vlp16emu.world.stand.tiles import TILE_M"))
+    assert not trespasses("raycast/far.py", ast.parse("from vlp16emu.world.tiles import TILE_M"))
     assert not trespasses("sinks/udp.py", ast.parse("from vlp16emu.packets.frames import HEADER"))
     assert not trespasses("motion/walk.py", ast.parse("from vlp16emu.world import Terrain"))
 

@@ -11,7 +11,7 @@ from vlp16emu.chain import assemble
 from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
 from vlp16emu.store import Store, recalled, user_store
-from vlp16emu.world.stand.tiles import STEM
+from vlp16emu.world.tiles import STEM
 
 BUNDLE = {
     "numbers": np.arange(12, dtype=np.float32).reshape(3, 4),

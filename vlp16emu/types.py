@@ -303,7 +303,7 @@ class FarTile:
     part: NDArray[np.uint8]
     """(meshes,) `PlantPart` of each; 255 of those that `stems` stand for."""
     stems: NDArray[np.void]
-    """(s,) `STEM` of `vlp16emu.world.stand.tiles`."""
+    """(s,) `STEM` of `vlp16emu.world.tiles`."""
     ground_m: NDArray[np.float64]
     """(85, 85) heights every 0.25 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite one."""
 

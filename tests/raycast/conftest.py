@@ -13,7 +13,7 @@ from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Rotor, Spin
 from vlp16emu.types import SURFACE, FarTile, Firings, Mesh, PlantPart, Semantic, SensorModel, Window
-from vlp16emu.world.stand.tiles import STEM, TileKey, ground_mesh
+from vlp16emu.world.tiles import STEM, TileKey, ground_mesh
 
 UTM_M = np.array([432_100.0, 6_901_234.0, 87.0])
 NEAR_M = BEAM_TABLES[SensorModel.VLP_16].near_m

@@ -6,10 +6,10 @@ import pytest
 from vlp16emu.world import Forest
 from vlp16emu.world.ground.settings import Terrain
 from vlp16emu.world.ground.terrain import TerrainHeights
-from vlp16emu.world.make import layers_of
 from vlp16emu.world.plants.flora import flora, species_table
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.forest import ForestWorld
+from vlp16emu.world.stand.scatter import layers_of
 from vlp16emu.world.stand.settings import (
     Clusters,
     DwarfShrubs,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import cos
 from vlp16emu.raycast.voxel import KNOTS, QUANTILES, VOXEL_M, kept_share
 from vlp16emu.types import Mesh, PlantPart
-from vlp16emu.world.stand.tiles import EXACT
+from vlp16emu.world.tiles import EXACT
 
 TILTS = 64
 """Classes of faces by the sine of their normal's elevation."""

@@ -35,7 +35,7 @@ from vlp16emu.raycast.voxel import (
 from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import FarTile, Mesh, ShapeKey, Window, World
 from vlp16emu.world.polyline import distance_m
-from vlp16emu.world.stand.tiles import STEM, TILE_M
+from vlp16emu.world.tiles import STEM, TILE_M
 
 
 def recalled_shape(world: World, key: ShapeKey) -> Shape:

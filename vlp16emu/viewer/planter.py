@@ -15,9 +15,9 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.presets import presets
 from vlp16emu.viewer.draft import Course, Draft
 from vlp16emu.viewer.editor import FARTHEST_M, Editor
+from vlp16emu.world import Forest, Hall, Plot
 from vlp16emu.world.plants.flora import flora, known
-from vlp16emu.world.settings import Forest, Hall, Plot
-from vlp16emu.world.stand.settings import Season
+from vlp16emu.world.plants.settings import Season
 
 _AS_IS = "as in the scene"
 _RAISED_M = 1.2

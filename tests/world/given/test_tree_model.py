@@ -9,14 +9,15 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.given.section import Cutter
-from vlp16emu.world.given.settings import ModelPart, TreeModelFile
-from vlp16emu.world.given.tree_model import ModelKey, TreeModels
+from vlp16emu.world.given.tree_model import TreeModels
+from vlp16emu.world.mesh_settings import ModelPart, TreeModelFile
 from vlp16emu.world.plants.crown import CrownKey
 from vlp16emu.world.plants.flora import flora, species_table
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.forest import ForestWorld
+from vlp16emu.world.stand.models import ModelKey
 from vlp16emu.world.stand.stand import TREE
-from vlp16emu.world.stand.tiles import EXACT
+from vlp16emu.world.tiles import EXACT
 
 BIRCH = species_table()["silver_birch"]
 PARTS = [ModelPart(name="crown", part="leaf"), ModelPart(name="bough", part="branch_first_order")]

@@ -7,9 +7,9 @@ import pytest
 
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.polyline import Corridor, distance_m
-from vlp16emu.world.stand.deadwood import LogLayer, StumpLayer
 from vlp16emu.world.stand.floor_shapes import FloorKind
 from vlp16emu.world.stand.placed import Site
+from vlp16emu.world.stand.scatter import layer_of
 from vlp16emu.world.stand.settings import Logs, Stumps
 
 FAR = np.array([[0.0, 1e5]])
@@ -20,7 +20,7 @@ SIZES = {"per_ha": 200.0, "species": ["norway_spruce"], "diameter_m": (0.2, 0.6)
 
 
 def layer(**shares):
-    return LogLayer(Logs(**SIZES, **{"uprooted": 0.0, "broken": 0.0, "decayed": 0.0, **shares}), seed=6)
+    return layer_of(Logs(**SIZES, **{"uprooted": 0.0, "broken": 0.0, "decayed": 0.0, **shares}), seed=6)
 
 
 def placed(one, *, path=FAR, trunks=NO_TRUNKS, tiles=TILES):
@@ -131,10 +131,10 @@ def test_plates_and_pieces_keep_off_the_path_and_trunks():
 def test_stumps_are_broken_by_share():
     """Three in ten stumps are jagged, within 3 sigma, and all of them lie where they would without."""
     section = {"per_ha": 200.0, "species": ["silver_birch"]}
-    found = placed(StumpLayer(Stumps(**section, broken=0.3), seed=6))
+    found = placed(layer_of(Stumps(**section, broken=0.3), seed=6))
     (sound,), (broken,) = ([found[kind][0]] for kind in (FloorKind.STUMP, FloorKind.BROKEN_STUMP))
     n = len(sound) + len(broken)
     assert len(broken) / n == pytest.approx(0.3, abs=3 * np.sqrt(0.21 / n))
-    felled = placed(StumpLayer(Stumps(**section, broken=0.0), seed=6))[FloorKind.STUMP][0]
+    felled = placed(layer_of(Stumps(**section, broken=0.0), seed=6))[FloorKind.STUMP][0]
     rows = {row.tobytes() for row in felled}
     assert {row.tobytes() for row in np.concatenate([sound, broken])} == rows

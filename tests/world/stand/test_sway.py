@@ -9,8 +9,8 @@ from vlp16emu.world.plants.crown import CrownKey
 from vlp16emu.world.plants.flora import flora
 from vlp16emu.world.plants.stem import StemKey
 from vlp16emu.world.stand.stand import REGENERATION, TREE
-from vlp16emu.world.stand.tiles import TileKey
 from vlp16emu.world.stand.wind import KNOT_NS, TreeSway, mechanics
+from vlp16emu.world.tiles import TileKey
 
 START_NS = 1_789_000_000_000_000_000
 

@@ -15,16 +15,16 @@ from vlp16emu.world.plants.branches import (
     Branches,
     first_order,
     joined,
-    merged,
     side_branches,
     tubes,
     volume_m3,
 )
 from vlp16emu.world.plants.flora import species_table
 from vlp16emu.world.plants.foliage import foliage_mesh
+from vlp16emu.world.plants.meshes import merged
+from vlp16emu.world.plants.settings import Season
 from vlp16emu.world.plants.species import Species
 from vlp16emu.world.plants.stem import lean_rotation
-from vlp16emu.world.stand.settings import Season
 from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ def crown_meshes(
     rng = generator(seed, Purpose.CROWN, *_name(key, species))
     orders, dead = _orders(rng, seed, key, species)
     leaves = _NOTHING
-    if species.foliage and (key.season == "leaf_on" or species.foliage.kind == "shoot"):
+    if species.foliage and species.foliage.is_borne(key.season):
         leaves = foliage_mesh(rng, species.foliage, orders[-1], key.leaf_area_m2)
     first, *others = (tubes(branches, sides) for branches, sides in zip(orders, _SIDES, strict=False))
     higher = merged(*others)

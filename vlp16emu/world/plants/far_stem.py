@@ -12,7 +12,7 @@ from vlp16emu.world.plants.stem_rings import (
     stem_rings,
     tip_radius_m,
 )
-from vlp16emu.world.stand.tiles import STEM
+from vlp16emu.world.tiles import STEM
 from vlp16emu.world.vectors import places_m, unit
 
 Array = NDArray[np.float64]

@@ -16,6 +16,7 @@ from vlp16emu.world.plants.allometry import (
     taper_radius_m,
     truncated_weibull_cm,
 )
+from vlp16emu.world.plants.settings import Season
 
 Array = NDArray[np.float64]
 Pair = Annotated[tuple[float, float], Field(strict=False)]
@@ -42,6 +43,10 @@ class Foliage(Section):
     """Share of a twig, from its base, whose leaves have fallen: those that are left sit in a tuft."""
     inclination: Annotated[tuple[float, ...], Field(strict=False, validate_default=True)] = ()
     """mu and nu of the beta distribution of leaf inclination; none for shoots, which follow their twig."""
+
+    def is_borne(self, season: Season) -> bool:
+        """Whether it is on the plant in a season: blades fall, shoots stay."""
+        return season == "leaf_on" or self.kind == "shoot"
 
     @field_validator("inclination")
     @classmethod

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import FarTile, HeightField, Mesh, PlantPart, ShapeKey, Window
-from vlp16emu.world.given.tree_model import ModelKey, TreeModels
 from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.world.plants.far_stem import far_stems
 from vlp16emu.world.plants.flora import Flora, flora, material_names
@@ -20,10 +19,11 @@ from vlp16emu.world.plants.shrub import ShrubKey, shrub_meshes
 from vlp16emu.world.plants.stem import STEM_PARTS, StemKey, stem_meshes
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.floor_shapes import FloorKey, floor_meshes
-from vlp16emu.world.stand.nearby import by_tile, key_text
+from vlp16emu.world.stand.kept import by_tile, key_text
+from vlp16emu.world.stand.layer import Layer
+from vlp16emu.world.stand.models import ModelKey, Models
 from vlp16emu.world.stand.placed import (
     NO_TREES,
-    Layer,
     PlacedThings,
     Site,
     Tile,
@@ -33,7 +33,7 @@ from vlp16emu.world.stand.placed import (
 )
 from vlp16emu.world.stand.settings import Ivy
 from vlp16emu.world.stand.stand import TREE, foot_discs
-from vlp16emu.world.stand.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
+from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -115,7 +115,7 @@ class ForestWorld:
         path: Corridor,
         reach_m: float,
         plants: Flora | None = None,
-        models: TreeModels | None = None,
+        models: Models | None = None,
         loose_stems: bool = False,
         near_m: float = math.inf,
         texture: float = 0.0,
@@ -123,14 +123,14 @@ class ForestWorld:
         name: str = "",
         plants_name: str = "",
     ) -> None:
-        per_ha = stems.per_ha + sum(layer.pattern.per_ha for layer in layers if not layer.is_ground)
+        per_ha = stems.per_ha + sum(layer.pattern.per_ha for layer in layers if not layer.kind.is_ground)
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
         self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
         self._path, self._reach_m = path, reach_m
         self.height_m, self.plants = height_m, plants or flora()
-        self.models = models or TreeModels((), self.plants)
+        self.models = models or Models()
         self._layers, self._loose_stems, self._texture = layers, loose_stems, texture
         self._ivy = ivy or Ivy()
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
@@ -309,11 +309,11 @@ class ForestWorld:
 
     def _grow_ivy(self, key: TileKey) -> list[Mesh]:
         trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
-        tops_m = ivy_tops_m(trees, self._ivy, seed=self.seed)
+        tops_m = ivy_tops_m(trees, self._ivy.share, self._ivy.height_m, seed=self.seed)
         return ivy_meshes(trees, tops_m, origin_m, seed=self.seed, tile=key, table=self.plants.trees)
 
     def _ivied(self, key: TileKey, trees: Trees) -> PlacedThings:
-        own = np.flatnonzero(ivy_tops_m(trees, self._ivy, seed=self.seed))
+        own = np.flatnonzero(ivy_tops_m(trees, self._ivy.share, self._ivy.height_m, seed=self.seed))
         return self._in_tile(
             key, [IvyKey(key, number) for number in own.tolist()], trees[own], (PlantPart.LEAF,)
         )

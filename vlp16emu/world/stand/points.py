@@ -18,7 +18,7 @@ from vlp16emu.random import Purpose, generator, uniform
 from vlp16emu.world.ground.trails import Trails
 from vlp16emu.world.ground.waves import sum_of_waves, waves
 from vlp16emu.world.stand.settings import Clusters, HardCore, Pattern, Plantation, Scattered
-from vlp16emu.world.stand.tiles import TILE_M
+from vlp16emu.world.tiles import TILE_M
 
 Array = NDArray[np.float64]
 

@@ -18,9 +18,8 @@ from vlp16emu.world.plants.crown import VARIANTS, CrownKey
 from vlp16emu.world.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora, known, tapers
 from vlp16emu.world.plants.species import Species
 from vlp16emu.world.polyline import Corridor
-from vlp16emu.world.settings import Forest
 from vlp16emu.world.stand.points import PointPattern, pattern_of
-from vlp16emu.world.stand.settings import MOST_STEMS_PER_HA, SpeciesShare, Storey
+from vlp16emu.world.stand.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
 from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]

@@ -24,8 +24,9 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Sway, Window
 from vlp16emu.world.plants.allometry import taper_radius_m
 from vlp16emu.world.plants.flora import Flora, tapers
+from vlp16emu.world.plants.settings import Season
 from vlp16emu.world.stand.forest import ForestWorld
-from vlp16emu.world.stand.settings import Season, Wind
+from vlp16emu.world.stand.settings import Wind
 from vlp16emu.world.stand.stand import REGENERATION
 
 Array = NDArray[np.float64]

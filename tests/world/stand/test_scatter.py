@@ -11,10 +11,9 @@ from scipy.spatial import KDTree
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.polyline import Corridor, distance_m
-from vlp16emu.world.stand.deadwood import LogLayer, StumpLayer
-from vlp16emu.world.stand.floor import LowLayer, StoneLayer
-from vlp16emu.world.stand.floor_shapes import FloorKind, floor_meshes
+from vlp16emu.world.stand.floor_shapes import floor_meshes
 from vlp16emu.world.stand.placed import Site
+from vlp16emu.world.stand.scatter import layer_of
 from vlp16emu.world.stand.settings import DwarfShrubs, Ferns, Grass, Herbs, Litter, Logs, Moss, Stones, Stumps
 
 FAR = np.array([[0.0, 1e5]])
@@ -40,25 +39,25 @@ def plot(ix, iy, *, path=FAR, trunks=NO_TRUNKS, height_m=ground):
 
 
 WOOD = ["norway_spruce", "european_beech"]
-STONES = StoneLayer(Stones(cover=0.05), seed=6)
+STONES = layer_of(Stones(cover=0.05), seed=6)
 SIZES = {"per_ha": 200.0, "species": WOOD, "diameter_m": (0.2, 0.6), "length_m": (3.0, 12.0)}
-LOGS = LogLayer(Logs(**SIZES, uprooted=0.0, broken=0.0, decayed=0.0), seed=6)
-STUMPS = StumpLayer(Stumps(per_ha=200.0, species=["silver_birch"], diameter_m=(0.2, 0.5)), seed=6)
-GRASS = LowLayer(FloorKind.TUFT, Grass(tufts_per_m2=1.0, height_m=(0.15, 0.5)), seed=6)
-FERNS = LowLayer(FloorKind.FERN, Ferns(cover=0.3), seed=6)
+LOGS = layer_of(Logs(**SIZES, uprooted=0.0, broken=0.0, decayed=0.0), seed=6)
+STUMPS = layer_of(Stumps(per_ha=200.0, species=["silver_birch"], diameter_m=(0.2, 0.5)), seed=6)
+GRASS = layer_of(Grass(tufts_per_m2=1.0, height_m=(0.15, 0.5)), seed=6)
+FERNS = layer_of(Ferns(cover=0.3), seed=6)
 ALL = pytest.mark.parametrize(
     "layer", [STONES, LOGS, STUMPS, GRASS, FERNS], ids=["stones", "logs", "stumps", "grass", "ferns"]
 )
 COVERS = pytest.mark.parametrize(
-    ("kind", "section", "reach_m"),
+    ("section", "reach_m"),
     [
-        (FloorKind.HERB, Herbs(cover=0.2), 25),
-        (FloorKind.FERN, Ferns(cover=0.1), 25),
-        (FloorKind.DWARF_SHRUB, DwarfShrubs(cover=0.15), 25),
-        (FloorKind.MOSS_CUSHION, Moss(cover=0.5), 12),
-        (FloorKind.LITTER_HEAP, Litter(cover=0.3), 12),
+        (Herbs(cover=0.2), 25),
+        (Ferns(cover=0.1), 25),
+        (DwarfShrubs(cover=0.15), 25),
+        (Moss(cover=0.5), 12),
+        (Litter(cover=0.3), 12),
     ],
-    ids=str,
+    ids=["herbs", "ferns", "dwarf_shrubs", "moss", "litter"],
 )
 
 
@@ -145,13 +144,13 @@ def test_grass_grows_beside_the_path_alone():
 
 
 @COVERS
-def test_plants_cover_the_share_that_was_asked_for(kind, section, reach_m):
+def test_plants_cover_the_share_that_was_asked_for(section, reach_m):
     """Of the ground beside the path, up to their reach, outlines cover the share of the scene, within 6 %; heights are even in their range."""
     at_m = np.random.default_rng(1).uniform(2, 158, (100_000, 2))
     away = distance_m(at_m, NEAR)
     at_m, shares = at_m[(away > 2.5) & (away < reach_m - 1)], []
     for seed in range(6, 36):
-        placed = world_T(LowLayer(kind, section, seed=seed), path=NEAR, height_m=lambda x, y: 0 * x)
+        placed = world_T(layer_of(section, seed=seed), path=NEAR, height_m=lambda x, y: 0 * x)
         wide, _, high = size_m(placed).T
         assert reach_m - 0.5 < distance_m(placed[:, :2, 3], NEAR).max() < reach_m
         low_m, high_m = section.height_m
@@ -167,26 +166,26 @@ def test_plants_stand_in_patches_and_moss_and_litter_do_not():
     Clapham (1936, J. Ecology 24) found more than 1 in 42 of 44 species of prairie, and more where there are more plants; how much more
     under trees is an estimate.
     """
-    for kind, section, least in (
-        (FloorKind.HERB, Herbs(cover=0.1), 3.0),
-        (FloorKind.DWARF_SHRUB, DwarfShrubs(cover=0.04), 2.0),
-        (FloorKind.FERN, Ferns(cover=0.03), 1.1),
-        (FloorKind.MOSS_CUSHION, Moss(cover=0.3), None),
-        (FloorKind.LITTER_HEAP, Litter(cover=0.3), None),
+    for section, least in (
+        (Herbs(cover=0.1), 3.0),
+        (DwarfShrubs(cover=0.04), 2.0),
+        (Ferns(cover=0.03), 1.1),
+        (Moss(cover=0.3), None),
+        (Litter(cover=0.3), None),
     ):
         counts = []
         for seed in range(6, 12):
-            pattern = LowLayer(kind, section, seed=seed).pattern
+            pattern = layer_of(section, seed=seed).pattern
             xy_m = np.concatenate([pattern.points(*tile) for tile in TILES])
             counts.append(np.histogram2d(*xy_m.T, bins=80, range=[(0, 160)] * 2)[0])
-            assert (pattern.points(3, 4) == LowLayer(kind, section, seed=seed).pattern.points(3, 4)).all()
+            assert (pattern.points(3, 4) == layer_of(section, seed=seed).pattern.points(3, 4)).all()
         ratio = np.var(counts) / np.mean(counts)
-        assert ratio > least if least else ratio == pytest.approx(1.0, abs=0.05), kind
+        assert ratio > least if least else ratio == pytest.approx(1.0, abs=0.05), section
 
 
 def test_no_tile_has_far_more_small_plants_than_others():
     """Of herbs 3 to 6 cm high, as dense as a forest may be, no tile has over 1.5 times the mean: its numbers do not run out."""
-    pattern = LowLayer(FloorKind.HERB, Herbs(cover=0.076, height_m=(0.03, 0.06)), seed=6).pattern
+    pattern = layer_of(Herbs(cover=0.076, height_m=(0.03, 0.06)), seed=6).pattern
     assert pattern.per_ha == pytest.approx(120_000, rel=0.05)
     counts = [len(pattern.points(*tile)) for tile in TILES]
     assert np.mean(counts) == pytest.approx(pattern.per_ha / 25, rel=0.1)
@@ -195,11 +194,8 @@ def test_no_tile_has_far_more_small_plants_than_others():
 
 def test_moss_and_litter_are_ground_and_lie_along_it():
     """On a slope their axes are across it; they are on the path too, and labelled as ground."""
-    for kind, section in (
-        (FloorKind.MOSS_CUSHION, Moss(cover=0.3)),
-        (FloorKind.LITTER_HEAP, Litter(cover=0.3)),
-    ):
-        layer = LowLayer(kind, section, seed=6)
+    for section in (Moss(cover=0.3), Litter(cover=0.3)):
+        layer = layer_of(section, seed=6)
         placed = [
             layer.place(plot(*tile, path=NEAR, height_m=lambda x, y: 0.2 * x + 0.1 * y)) for tile in TILES
         ]
@@ -209,13 +205,13 @@ def test_moss_and_litter_are_ground_and_lie_along_it():
             up, np.tile(np.array([-0.2, -0.1, 1.0]) / np.sqrt(1.05), (len(up), 1)), atol=1e-9
         )
         assert distance_m(world[:, :2, 3], NEAR).min() < 0.3
-        assert layer.is_ground
+        assert layer.kind.is_ground
         assert all(one.is_ground and (one.surfaces["semantic"] == Semantic.GROUND).all() for one in placed)
 
 
 def test_no_cover_is_nothing():
     """A cover of 0 places nothing."""
-    assert LowLayer(FloorKind.HERB, Herbs(), seed=6).pattern.per_ha == 0
+    assert layer_of(Herbs(), seed=6).pattern.per_ha == 0
 
 
 @ALL
@@ -270,7 +266,7 @@ def test_unknown_log_species_is_named():
     with pytest.raises(
         GeometryError, match=r"logs.species: unknown species 'larch'; expected one of silver_birch"
     ):
-        LogLayer(Logs(per_ha=10.0, species=["larch"]), seed=6)
+        layer_of(Logs(per_ha=10.0, species=["larch"]), seed=6)
 
 
 def test_large_stones_have_more_faces():
