@@ -33,7 +33,7 @@ from vlp16emu.world.stand.placed import (
 )
 from vlp16emu.world.stand.settings import Ivy
 from vlp16emu.world.stand.stand import TREE, foot_discs
-from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
+from vlp16emu.world.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -276,14 +276,15 @@ class ForestWorld:
         number += len(trees)
         is_modelled = self.models.has(trees)
         grown = trees[~is_modelled]
-        groups, rooted = (
-            [self._crowns(grown), *self.models.placed(trees[is_modelled], is_exact=self._loose_stems)],
-            grown,
-        )
+        modelled = self.models.placed(trees[is_modelled], is_exact=self._loose_stems)
+        groups, rooted = [self._crowns(grown), *modelled], grown
         if self._loose_stems:
-            groups, rooted = [self._stems_of(key, grown), *groups], grown[:0]
+            stems = self._in_tile(StemKey, key, np.arange(len(grown)), grown, STEM_PARTS)
+            groups, rooted = [stems, *groups], grown[:0]
         if self._ivy.share:
-            groups.append(self._ivied(key, grown))
+            groups.append(
+                self._in_tile(IvyKey, key, np.flatnonzero(self._ivy_m(grown)), grown, (PlantPart.LEAF,))
+            )
         for placed in self._things(key):
             groups.append(placed)
             if placed.is_ground:
@@ -309,36 +310,29 @@ class ForestWorld:
 
     def _grow_ivy(self, key: TileKey) -> list[Mesh]:
         trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
-        tops_m = ivy_tops_m(trees, self._ivy.share, self._ivy.height_m, seed=self.seed)
+        tops_m = self._ivy_m(trees)
         return ivy_meshes(trees, tops_m, origin_m, seed=self.seed, tile=key, table=self.plants.trees)
 
-    def _ivied(self, key: TileKey, trees: Trees) -> PlacedThings:
-        own = np.flatnonzero(ivy_tops_m(trees, self._ivy.share, self._ivy.height_m, seed=self.seed))
-        return self._in_tile(
-            key, [IvyKey(key, number) for number in own.tolist()], trees[own], (PlantPart.LEAF,)
-        )
-
-    def _stems_of(self, key: TileKey, trees: Trees) -> PlacedThings:
-        stems = [StemKey(key, number) for number in range(len(trees))]
-        return self._in_tile(key, stems, trees, STEM_PARTS, is_exact=True)
+    def _ivy_m(self, trees: Trees) -> Array:
+        return ivy_tops_m(trees, self._ivy.share, self._ivy.height_m, seed=self.seed)
 
     def _in_tile(
         self,
+        kind: type[StemKey | IvyKey],
         key: TileKey,
-        shapes: Sequence[ShapeKey],
+        numbers: NDArray[np.intp],
         trees: Trees,
         parts: tuple[PlantPart, ...],
-        *,
-        is_exact: bool = False,
     ) -> PlacedThings:
+        """Place shapes that are in the frame of their tile, of some of its trees."""
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
         return PlacedThings(
-            tuple(shapes),
-            np.arange(len(shapes)),
-            np.repeat(world_T_tile[None], len(shapes), axis=0),
-            plant_surfaces(trees, parts, self.plants),
+            tuple(kind(key, number) for number in numbers.tolist()),
+            np.arange(len(numbers)),
+            np.repeat(world_T_tile[None], len(numbers), axis=0),
+            plant_surfaces(trees[numbers], parts, self.plants),
             NO_TREES,
-            is_exact=is_exact or self._loose_stems,
+            is_exact=self._loose_stems,
         )
 
     def _crowns(self, trees: Trees) -> PlacedThings:
@@ -359,19 +353,9 @@ class ForestWorld:
         """Everything else on a tile."""
         if not self._layers:
             return []
-        site = Site(
-            seed=self.seed,
-            ix=key.ix,
-            iy=key.iy,
-            height_m=self.height_m,
-            path=self._path,
-            trunks=self._trunks(key.ix, key.iy),
-        )
+        trunks = around(key.ix, key.iy, self._discs)
+        site = Site(self.seed, key.ix, key.iy, self.height_m, self._path, trunks)
         return [layer.place(site) for layer in self._layers]
-
-    def _trunks(self, ix: int, iy: int) -> Array:
-        """Feet of the trees on a tile and its neighbours: (n, 3) x, y, radius."""
-        return np.concatenate([self._discs(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
 def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], tuple[int, int]]:

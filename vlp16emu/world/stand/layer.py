@@ -16,7 +16,7 @@ from vlp16emu.world.stand.points import PointPattern
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class LayerKind:
     """How the things of a section of a scene are made."""
 
     name: str
@@ -46,7 +46,7 @@ class Layer:
 
     section: Any
     """What the user wrote."""
-    kind: Kind
+    kind: LayerKind
     species: Sequence[Any]
     """Of the plants that they are or were."""
     season: Season

@@ -23,7 +23,7 @@ from vlp16emu.world.plants.species import Shrub, Species
 from vlp16emu.world.quantiles import normal_quantile
 from vlp16emu.world.stand.deadwood import lay_logs, lay_stumps
 from vlp16emu.world.stand.floor_shapes import FloorKind, labelled
-from vlp16emu.world.stand.layer import Kind, Layer
+from vlp16emu.world.stand.layer import Layer, LayerKind
 from vlp16emu.world.stand.placed import PlacedThings, Site, between, laid, placements, turned
 from vlp16emu.world.stand.points import PatchyPattern, PointPattern, ScatteredPattern, pattern_of
 from vlp16emu.world.stand.settings import (
@@ -164,7 +164,7 @@ def _species(
     return []
 
 
-def _pattern(section: Section, kind: Kind, seed: int, trails: Trails | None) -> PointPattern:
+def _pattern(section: Section, kind: LayerKind, seed: int, trails: Trails | None) -> PointPattern:
     """Make the places of things: herbs, ferns and dwarf shrubs come in patches, stones, wood, tufts, moss and litter anywhere."""
     match section:
         case Regeneration(stems_per_ha=per_ha, pattern=pattern) | Shrubs(per_ha=per_ha, pattern=pattern):
@@ -232,17 +232,19 @@ def _along(height_m: HeightField, xy_m: Array) -> Array:
     return matmul(laid(towards, hypot(east, north)), turned(np.degrees(-towards)))
 
 
-_KINDS: dict[type[Section], Kind] = {
-    Regeneration: Kind("regeneration", Purpose.REGENERATION, (6,), lay_saplings),
-    Shrubs: Kind("shrubs", Purpose.SHRUBS, (6,), lay_shrubs),
-    Stones: Kind("stones", Purpose.STONES, (7,), _lay_stones),
-    Logs: Kind("logs", Purpose.LOGS, (8, 7), lay_logs),
-    Stumps: Kind("stumps", Purpose.STUMPS, (8,), lay_stumps),
-    Grass: Kind("grass", Purpose.GRASS, (6,), _lay_low, FloorKind.TUFT, 1.0, 25.0),
-    Herbs: Kind("herbs", Purpose.HERBS, (6,), _lay_low, FloorKind.HERB, 2.0, 25.0),
-    Ferns: Kind("ferns", Purpose.FERNS, (6,), _lay_low, FloorKind.FERN, 1.3, 25.0),
-    DwarfShrubs: Kind("dwarf_shrubs", Purpose.DWARF_SHRUBS, (6,), _lay_low, FloorKind.DWARF_SHRUB, 1.2, 25.0),
-    Moss: Kind("moss", Purpose.MOSS, (6,), _lay_low, FloorKind.MOSS_CUSHION, 8.0, 12.0),
-    Litter: Kind("litter", Purpose.LITTER, (6,), _lay_low, FloorKind.LITTER_HEAP, 8.0, 12.0),
+_KINDS: dict[type[Section], LayerKind] = {
+    Regeneration: LayerKind("regeneration", Purpose.REGENERATION, (6,), lay_saplings),
+    Shrubs: LayerKind("shrubs", Purpose.SHRUBS, (6,), lay_shrubs),
+    Stones: LayerKind("stones", Purpose.STONES, (7,), _lay_stones),
+    Logs: LayerKind("logs", Purpose.LOGS, (8, 7), lay_logs),
+    Stumps: LayerKind("stumps", Purpose.STUMPS, (8,), lay_stumps),
+    Grass: LayerKind("grass", Purpose.GRASS, (6,), _lay_low, FloorKind.TUFT, 1.0, 25.0),
+    Herbs: LayerKind("herbs", Purpose.HERBS, (6,), _lay_low, FloorKind.HERB, 2.0, 25.0),
+    Ferns: LayerKind("ferns", Purpose.FERNS, (6,), _lay_low, FloorKind.FERN, 1.3, 25.0),
+    DwarfShrubs: LayerKind(
+        "dwarf_shrubs", Purpose.DWARF_SHRUBS, (6,), _lay_low, FloorKind.DWARF_SHRUB, 1.2, 25.0
+    ),
+    Moss: LayerKind("moss", Purpose.MOSS, (6,), _lay_low, FloorKind.MOSS_CUSHION, 8.0, 12.0),
+    Litter: LayerKind("litter", Purpose.LITTER, (6,), _lay_low, FloorKind.LITTER_HEAP, 8.0, 12.0),
 }
 """By section, in the order of their numbers."""
