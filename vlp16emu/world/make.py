@@ -20,7 +20,6 @@ from vlp16emu.world.plants.flora import flora
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.settings import Hall
 from vlp16emu.world.stand.forest import ForestWorld
-from vlp16emu.world.stand.scatter import layers_of
 from vlp16emu.world.stand.settings import Forest, Plot, Wind
 from vlp16emu.world.stand.stand import Stand
 from vlp16emu.world.stand.wind import TreeSway
@@ -99,7 +98,7 @@ def world_of(
         near_m = section.near_m if section.near_m < farthest_m else math.inf
         bare = _forest(section, seed, ground, path, reach_m, near_m=near_m, loose_stems=blows)
         if wind is not None and blows:
-            sway = TreeSway(wind, forest=bare, season=section.season, start_ns=start_ns)
+            sway = TreeSway(wind, forest=bare, start_ns=start_ns)
     return _furnished(bare, section.meshes, path_xy_m, reach_m), sway
 
 
@@ -119,25 +118,22 @@ def _forest(
     if isinstance(section, Plot):
         stems = GivenStand(section, seed=seed, height_m=height_m, path=path, plants=plants)
         stems.check(path, reach_m)
-        canopy = stems.species
     else:
         stems = Stand(section, seed=seed, height_m=height_m, path=path, plants=plants, trails=trails)
-        canopy = [share.species for share in section.species]
     return ForestWorld(
-        name=_name(section, seed, path, reach_m, loose_stems=loose_stems),
-        plants_name=_content(section.species_file),
+        section,
+        stems,
         seed=seed,
         height_m=height_m,
-        stems=stems,
-        layers=[layer for layer in layers_of(section, seed, canopy, plants, trails) if layer.pattern.per_ha],
         path=path,
         reach_m=reach_m,
         plants=plants,
+        trails=trails,
         models=TreeModels(section.tree_models, plants, section.season),
         loose_stems=loose_stems,
         near_m=near_m,
-        texture=section.texture,
-        ivy=section.ivy,
+        name=_name(section, seed, path, reach_m, loose_stems=loose_stems),
+        plants_name=_content(section.species_file),
     )
 
 

@@ -8,6 +8,7 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.errors import GeometryError
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.world import Woods
 from vlp16emu.world.given.section import Cutter
 from vlp16emu.world.given.tree_model import TreeModels
 from vlp16emu.world.mesh_settings import ModelPart, TreeModelFile
@@ -265,6 +266,7 @@ def test_sections_do_not_depend_on_which_way_faces_look(turn):
 class Rows:
     """Trees of two species in rows of ten metres."""
 
+    species = ("silver_birch",)
     per_ha = 100.0
 
     def __init__(self, height_m):
@@ -292,7 +294,7 @@ def forest(models, terrain):
     line = np.array([[0.0, 0.0], [60.0, 0.0]])
     rows = Rows(terrain.height_m)
     return ForestWorld(
-        seed=1, height_m=terrain.height_m, stems=rows, layers=(), path=Corridor(line, 0.8), reach_m=30.0, models=models
+        Woods(), rows, seed=1, height_m=terrain.height_m, path=Corridor(line, 0.8), reach_m=30.0, models=models
     )  # fmt: skip
 
 

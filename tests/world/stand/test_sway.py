@@ -24,7 +24,7 @@ def loose(make_forest):
 def make_wind(loose):
     def make(**changed):
         section = Wind(**{"speed_m_s": 8.0, "towards_deg": 30.0, "turbulence_intensity": 0.5, **changed})
-        return TreeSway(section, forest=loose, season="leaf_on", start_ns=START_NS)
+        return TreeSway(section, forest=loose, start_ns=START_NS)
 
     return make
 

@@ -3,7 +3,7 @@
 Inside the equations diameters are in cm and heights in m, or inches and feet, as their authors wrote them.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numba
@@ -155,7 +155,7 @@ def _component_biomass_kg(
 class Equation(Section):
     """An equation by name, with its coefficients."""
 
-    known: ClassVar[Mapping[str, tuple[int, Callable[..., Array]]]]
+    known: ClassVar[Mapping[str, tuple[int, Any]]]
     """Number of coefficients, and function of them and of what the equation is called with, of each."""
 
     model: str

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import FarTile, HeightField, Mesh, PlantPart, ShapeKey, Window
+from vlp16emu.world.ground.trails import Trails
 from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.world.plants.far_stem import far_stems
 from vlp16emu.world.plants.flora import Flora, flora, material_names
@@ -20,7 +21,6 @@ from vlp16emu.world.plants.stem import STEM_PARTS, StemKey, stem_meshes
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.world.stand.kept import by_tile, key_text
-from vlp16emu.world.stand.layer import Layer
 from vlp16emu.world.stand.models import ModelKey, Models
 from vlp16emu.world.stand.placed import (
     NO_TREES,
@@ -31,7 +31,8 @@ from vlp16emu.world.stand.placed import (
     packed,
     plant_surfaces,
 )
-from vlp16emu.world.stand.settings import Ivy
+from vlp16emu.world.stand.scatter import layers_of
+from vlp16emu.world.stand.settings import Woods
 from vlp16emu.world.stand.stand import TREE, foot_discs
 from vlp16emu.world.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
 
@@ -69,6 +70,10 @@ class TreeSource(Protocol):
     def per_ha(self) -> float:
         """Mean number of stems per hectare."""
 
+    @property
+    def species(self) -> Sequence[str]:
+        """Names of those of the canopy."""
+
     def trees(self, ix: int, iy: int) -> Trees:
         """Trees whose foot lies in a tile, `TREE` with id still 0."""
 
@@ -84,18 +89,17 @@ class ForestWorld:
 
     Parameters
     ----------
+    section : what the user wrote
+    stems : trees
     seed : of the scenario
     height_m : ground
-    stems : trees
-    layers : saplings, shrubs, stones and so on; a layer's order among them decides its numbers
     path : of the sensor as a whole, fine enough that its chords are as good as the path itself
     reach_m : how far the sensor sees
     plants : trees and shrubs; those of the program if none are given
+    trails : where no saplings and shrubs grow
     models : trees of the user's own
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
     near_m : as in `World`
-    texture : share by which the reflectance of all but leaves varies from place to place, one sigma
-    ivy : on the stems that have grown
     name : of all that decides the forest, seed and path too, as a digest; empty where nothing is kept on disk
     plants_name : of the plants, likewise
 
@@ -107,32 +111,31 @@ class ForestWorld:
 
     def __init__(
         self,
+        section: Woods,
+        stems: TreeSource,
         *,
         seed: int,
         height_m: HeightField,
-        stems: TreeSource,
-        layers: Sequence[Layer],
         path: Corridor,
         reach_m: float,
         plants: Flora | None = None,
+        trails: Trails | None = None,
         models: Models | None = None,
         loose_stems: bool = False,
         near_m: float = math.inf,
-        texture: float = 0.0,
-        ivy: Ivy | None = None,
         name: str = "",
         plants_name: str = "",
     ) -> None:
-        per_ha = stems.per_ha + sum(layer.pattern.per_ha for layer in layers if not layer.kind.is_ground)
+        self.section, self.height_m, self.plants = section, height_m, plants or flora()
+        self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
+        self.models, self._loose_stems = models or Models(), loose_stems
+        self._path, self._reach_m = path, reach_m
+        layers = layers_of(section, seed, stems.species, self.plants, trails)
+        self._layers = [layer for layer in layers if layer.pattern.per_ha]
+        per_ha = stems.per_ha + sum(one.pattern.per_ha for one in self._layers if not one.kind.is_ground)
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
-        self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
-        self._path, self._reach_m = path, reach_m
-        self.height_m, self.plants = height_m, plants or flora()
-        self.models = models or Models()
-        self._layers, self._loose_stems, self._texture = layers, loose_stems, texture
-        self._ivy = ivy or Ivy()
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         across = 4 + int((2 * reach_m + TILE_M) / TILE_M)
@@ -281,7 +284,7 @@ class ForestWorld:
         if self._loose_stems:
             stems = self._in_tile(StemKey, key, np.arange(len(grown)), grown, STEM_PARTS)
             groups, rooted = [stems, *groups], grown[:0]
-        if self._ivy.share:
+        if self.section.ivy.share:
             groups.append(
                 self._in_tile(IvyKey, key, np.flatnonzero(self._ivy_m(grown)), grown, (PlantPart.LEAF,))
             )
@@ -295,7 +298,9 @@ class ForestWorld:
                 placed.trees["id"] = numbers
             number += len(placed.shape)
         tile = packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
-        tile.surfaces["texture"] = np.where(tile.surfaces["part"] == PlantPart.LEAF, 0.0, self._texture)
+        tile.surfaces["texture"] = np.where(
+            tile.surfaces["part"] == PlantPart.LEAF, 0.0, self.section.texture
+        )
         return tile
 
     def _grown(self, ix: int, iy: int) -> Trees:
@@ -314,7 +319,7 @@ class ForestWorld:
         return ivy_meshes(trees, tops_m, origin_m, seed=self.seed, tile=key, table=self.plants.trees)
 
     def _ivy_m(self, trees: Trees) -> Array:
-        return ivy_tops_m(trees, self._ivy.share, self._ivy.height_m, seed=self.seed)
+        return ivy_tops_m(trees, self.section.ivy.share, self.section.ivy.height_m, seed=self.seed)
 
     def _in_tile(
         self,

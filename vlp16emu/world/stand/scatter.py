@@ -30,17 +30,16 @@ from vlp16emu.world.stand.settings import (
     Cover,
     DwarfShrubs,
     Ferns,
-    Forest,
     Grass,
     Herbs,
     Litter,
     Logs,
     Moss,
-    Plot,
     Regeneration,
     Shrubs,
     Stones,
     Stumps,
+    Woods,
 )
 from vlp16emu.world.stand.understorey import lay_saplings, lay_shrubs
 
@@ -102,7 +101,7 @@ def layer_of(
 
 
 def layers_of(
-    section: Forest | Plot, seed: int, canopy: list[str], plants: Flora, trails: Trails | None = None
+    section: Woods, seed: int, canopy: Sequence[str], plants: Flora, trails: Trails | None = None
 ) -> list[Layer]:
     """All that grows and lies under the trees, in the order of its numbers."""
     return [

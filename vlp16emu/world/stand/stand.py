@@ -197,6 +197,8 @@ class Stand:
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
         """Mean number of stems per hectare."""
+        self.species = [share.species for share in section.species]
+        """Names of those of the canopy."""
         crown_m2 = sum(
             _crown_area_m2_per_ha(storey) for storey in zip(self._patterns, self._cohorts, strict=True)
         )

@@ -215,13 +215,11 @@ class TreeSway:
     ----------
     section : what the user wrote; its speed is more than 0
     forest : of the trees, each with a shape of its own
-    season : whether broadleaves bear leaves
     start_ns : UTC of the run's first pulse
     """
 
-    def __init__(self, section: Wind, *, forest: ForestWorld, season: Season, start_ns: int) -> None:
-        self._section, self._forest = section, forest
-        self._season, self._start_ns = season, start_ns
+    def __init__(self, section: Wind, *, forest: ForestWorld, start_ns: int) -> None:
+        self._section, self._forest, self._start_ns = section, forest, start_ns
         towards = math.radians(section.towards_deg)
         east, north = cos(towards), sin(towards)
         self._axes = np.array([[east, north], [-north, east]])
@@ -232,7 +230,7 @@ class TreeSway:
 
         Drag grows with the square of the speed; the mean and the part linear in the gusts are kept.
         """
-        own = mechanics(trees, self._forest.plants, self._season)
+        own = mechanics(trees, self._forest.plants, self._forest.section.season)
         along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)
         swinging = Trees(2.0 * math.pi * own.frequency_hz, self._section.damping_ratio, along_m, across_m)
         mean = self._section.speed_m_s
