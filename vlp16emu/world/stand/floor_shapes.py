@@ -136,7 +136,7 @@ def labelled(
     world_T: Array,
     draws: Array,
     *,
-    species: Array | None = None,
+    species: NDArray[np.int64] | None = None,
     large: Mask | None = None,
 ) -> PlacedThings:
     """Label those things (n,) that are kept; draws (n, 2 or more) choose variant and brightness."""
