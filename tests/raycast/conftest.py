@@ -17,7 +17,7 @@ from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Rotor, Spin
 from vlp16emu.tiles import STEM, FarTile, TiledWindow
 from vlp16emu.types import SURFACE, Firings, Mesh, PlantPart, Semantic, SensorModel, Window
-from vlp16emu.world.stand.tiles import TileKey, ground_mesh
+from vlp16emu.world.tiles import TileKey, ground_mesh
 
 UTM_M = np.array([432_100.0, 6_901_234.0, 87.0])
 NEAR_M = BEAM_TABLES[SensorModel.VLP_16].near_m

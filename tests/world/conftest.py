@@ -6,8 +6,7 @@ import pytest
 from vlp16emu.world import Forest
 from vlp16emu.world.ground.settings import Terrain
 from vlp16emu.world.ground.terrain import TerrainHeights
-from vlp16emu.world.make import layers_of
-from vlp16emu.world.plants.flora import flora, species_table
+from vlp16emu.world.plants.flora import species_table
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.forest import ForestWorld
 from vlp16emu.world.stand.settings import (
@@ -32,10 +31,10 @@ PATH_XY_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0]])
 BIRCH = SpeciesShare(species="silver_birch", share=0.4, dbh_cm=18.0, height_m=19.0)
 SPRUCE = SpeciesShare(species="norway_spruce", share=0.6, dbh_cm=24.0, height_m=21.0)
 YOUNG = Clusters(kind="clusters", per_cluster=12.0, sigma_m=3.0)
+TREES = {"kind": "forest", "stems_per_ha": 700.0, "species": [BIRCH, SPRUCE], "texture": 0.0}
+BARE = Forest(**TREES)
 FULL = Forest(
-    kind="forest",
-    stems_per_ha=700.0,
-    species=[BIRCH, SPRUCE],
+    **TREES,
     regeneration=Regeneration(stems_per_ha=900.0, pattern=YOUNG),
     shrubs=Shrubs(per_ha=200.0, species=["hazel", "elder"], pattern=Scattered(kind="random")),
     stones=Stones(cover=0.05),
@@ -70,18 +69,16 @@ def terrain():
 @pytest.fixture(scope="session")
 def make_forest(terrain):
     def make(*, path_xy_m=PATH_XY_M, with_layers=False, reach_m=40.0, loose_stems=False, **changes):
-        section = FULL.model_copy(update=changes)
+        section = (FULL if with_layers else BARE).model_copy(update=changes)
         path, height_m = Corridor(path_xy_m, section.path_clearance_m), terrain.height_m
-        canopy = [share.species for share in section.species]
         return ForestWorld(
+            section,
+            Stand(section, seed=5, height_m=height_m, path=path),
             seed=5,
             height_m=height_m,
-            stems=Stand(section, seed=5, height_m=height_m, path=path),
-            layers=layers_of(section, 5, canopy, flora()) if with_layers else [],
             path=path,
             reach_m=reach_m,
             loose_stems=loose_stems,
-            ivy=section.ivy,
         )
 
     return make

@@ -15,7 +15,7 @@ from vlp16emu.types import Mesh, PlantPart, ShapeKey
 from vlp16emu.world.plants.sapling import SaplingKey
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.stand.floor_shapes import FloorKey
-from vlp16emu.world.stand.tiles import TILE_M, TileKey
+from vlp16emu.world.tiles import TILE_M, TileKey
 
 Array = NDArray[np.float64]
 Rgb = tuple[int, int, int]

@@ -10,24 +10,18 @@ from numpy.typing import NDArray
 from vlp16emu.types import World
 from vlp16emu.world.given.furnished import Furnished, Furniture
 from vlp16emu.world.given.given_stand import GivenStand, stems_in_the_way
-from vlp16emu.world.given.settings import MeshFile
 from vlp16emu.world.given.tree_model import TreeModels
 from vlp16emu.world.given.user_mesh import load_mesh
 from vlp16emu.world.ground.dem import DemHeights
 from vlp16emu.world.ground.terrain import TerrainHeights
-from vlp16emu.world.ground.trails import Trails
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.plants.flora import Flora, flora
+from vlp16emu.world.mesh_settings import MeshFile
+from vlp16emu.world.plants.flora import flora
 from vlp16emu.world.polyline import Corridor
-from vlp16emu.world.settings import Forest, Hall, Plot
-from vlp16emu.world.stand.deadwood import LogLayer, StumpLayer
-from vlp16emu.world.stand.floor import LowLayer, StoneLayer
-from vlp16emu.world.stand.floor_shapes import FloorKind
+from vlp16emu.world.settings import Hall
 from vlp16emu.world.stand.forest import ForestWorld
-from vlp16emu.world.stand.placed import Layer
-from vlp16emu.world.stand.settings import Wind
+from vlp16emu.world.stand.settings import Forest, Plot, Wind
 from vlp16emu.world.stand.stand import Stand
-from vlp16emu.world.stand.understorey import SaplingLayer, ShrubLayer
 from vlp16emu.world.stand.wind import TreeSway
 
 Array = NDArray[np.float64]
@@ -104,7 +98,7 @@ def world_of(
         near_m = section.near_m if section.near_m < farthest_m else math.inf
         bare = _forest(section, seed, ground, path, reach_m, near_m=near_m, loose_stems=blows)
         if wind is not None and blows:
-            sway = TreeSway(wind, forest=bare, season=section.season, start_ns=start_ns)
+            sway = TreeSway(wind, forest=bare, start_ns=start_ns)
     return _furnished(bare, section.meshes, path_xy_m, reach_m), sway
 
 
@@ -124,48 +118,23 @@ def _forest(
     if isinstance(section, Plot):
         stems = GivenStand(section, seed=seed, height_m=height_m, path=path, plants=plants)
         stems.check(path, reach_m)
-        canopy = stems.species
     else:
         stems = Stand(section, seed=seed, height_m=height_m, path=path, plants=plants, trails=trails)
-        canopy = [share.species for share in section.species]
     return ForestWorld(
-        name=_name(section, seed, path, reach_m, loose_stems=loose_stems),
-        plants_name=_content(section.species_file),
+        section,
+        stems,
         seed=seed,
         height_m=height_m,
-        stems=stems,
-        layers=[layer for layer in layers_of(section, seed, canopy, plants, trails) if layer.pattern.per_ha],
         path=path,
         reach_m=reach_m,
         plants=plants,
+        trails=trails,
         models=TreeModels(section.tree_models, plants, section.season),
         loose_stems=loose_stems,
         near_m=near_m,
-        texture=section.texture,
-        ivy=section.ivy,
+        name=_name(section, seed, path, reach_m, loose_stems=loose_stems),
+        plants_name=_content(section.species_file),
     )
-
-
-def layers_of(
-    section: Forest | Plot, seed: int, canopy: list[str], plants: Flora, trails: Trails | None = None
-) -> list[Layer]:
-    """All that grows and lies under the trees, in the order of its numbers."""
-    season = section.season
-    return [
-        SaplingLayer(
-            section.regeneration, seed=seed, season=season, canopy=canopy, plants=plants, trails=trails
-        ),
-        ShrubLayer(section.shrubs, seed=seed, season=season, plants=plants, trails=trails),
-        StoneLayer(section.stones, seed=seed),
-        LogLayer(section.logs, seed=seed, canopy=canopy, plants=plants),
-        StumpLayer(section.stumps, seed=seed, canopy=canopy, plants=plants),
-        LowLayer(FloorKind.TUFT, section.grass, seed=seed),
-        LowLayer(FloorKind.HERB, section.herbs, seed=seed),
-        LowLayer(FloorKind.FERN, section.ferns, seed=seed),
-        LowLayer(FloorKind.DWARF_SHRUB, section.dwarf_shrubs, seed=seed),
-        LowLayer(FloorKind.MOSS_CUSHION, section.moss, seed=seed),
-        LowLayer(FloorKind.LITTER_HEAP, section.litter, seed=seed),
-    ]
 
 
 def _name(section: Forest | Plot, seed: int, path: Corridor, reach_m: float, *, loose_stems: bool) -> str:

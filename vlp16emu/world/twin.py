@@ -13,7 +13,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from vlp16emu.types import Mesh, PlantPart, Semantic, ShapeKey, Window
-from vlp16emu.world.stand.tiles import TileKey
+from vlp16emu.world.tiles import TileKey
 
 Array = NDArray[np.float64]
 

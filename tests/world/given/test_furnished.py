@@ -8,9 +8,9 @@ import pytest
 from vlp16emu.errors import GeometryError
 from vlp16emu.types import Mesh, PlantPart, Semantic
 from vlp16emu.world.given.furnished import Furnished, Furniture, MeshKey
-from vlp16emu.world.given.settings import MeshFile, MeshPart, MeshPlace
 from vlp16emu.world.given.user_mesh import PartMesh, UserMesh
 from vlp16emu.world.hall import HallWorld
+from vlp16emu.world.mesh_settings import MeshFile, MeshPart, MeshPlace
 from vlp16emu.world.settings import Hall
 from vlp16emu.world.stand.forest import FIRST_FREE_INSTANCE
 

@@ -9,13 +9,15 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.scenario import load
 from vlp16emu.tiles import EXACT
 from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.world import Woods
 from vlp16emu.world.given.section import Cutter
-from vlp16emu.world.given.settings import ModelPart, TreeModelFile
-from vlp16emu.world.given.tree_model import ModelKey, TreeModels
+from vlp16emu.world.given.tree_model import TreeModels
+from vlp16emu.world.mesh_settings import ModelPart, TreeModelFile
 from vlp16emu.world.plants.crown import CrownKey
 from vlp16emu.world.plants.flora import flora, species_table
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.forest import ForestWorld
+from vlp16emu.world.stand.models import ModelKey
 from vlp16emu.world.stand.stand import TREE
 
 BIRCH = species_table()["silver_birch"]
@@ -264,6 +266,7 @@ def test_sections_do_not_depend_on_which_way_faces_look(turn):
 class Rows:
     """Trees of two species in rows of ten metres."""
 
+    species = ("silver_birch",)
     per_ha = 100.0
 
     def __init__(self, height_m):
@@ -291,7 +294,7 @@ def forest(models, terrain):
     line = np.array([[0.0, 0.0], [60.0, 0.0]])
     rows = Rows(terrain.height_m)
     return ForestWorld(
-        seed=1, height_m=terrain.height_m, stems=rows, layers=(), path=Corridor(line, 0.8), reach_m=30.0, models=models
+        Woods(), rows, seed=1, height_m=terrain.height_m, path=Corridor(line, 0.8), reach_m=30.0, models=models
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from vlp16emu.world.plants.stem_form import stem_forms
 from vlp16emu.world.plants.stem_rings import axis_m, stem_rings
 from vlp16emu.world.stand.settings import Ivy
 from vlp16emu.world.stand.stand import TREE
-from vlp16emu.world.stand.tiles import TileKey
+from vlp16emu.world.tiles import TileKey
 
 SECTION = Ivy(share=0.3, height_m=(2.0, 6.0))
 
@@ -30,15 +30,15 @@ def trees():
 
 def test_a_share_of_stems_has_ivy_up_to_heights_in_the_range(trees):
     """Three in ten have some, within 3 sigma, with even heights, and a tree's does not depend on which others stand."""
-    tops_m = ivy_tops_m(trees, SECTION, seed=6)
+    tops_m = ivy_tops_m(trees, SECTION.share, SECTION.height_m, seed=6)
     has = tops_m > 0
     assert has.mean() == pytest.approx(0.3, abs=3 * np.sqrt(0.21 / len(trees)))
     assert stats.kstest(tops_m[has], stats.uniform(2, 4).cdf).pvalue > 0.01
-    assert np.array_equal(ivy_tops_m(trees[7::11], SECTION, seed=6), tops_m[7::11])
-    assert not np.array_equal(ivy_tops_m(trees, SECTION, seed=7), tops_m)
+    assert np.array_equal(ivy_tops_m(trees[7::11], SECTION.share, SECTION.height_m, seed=6), tops_m[7::11])
+    assert not np.array_equal(ivy_tops_m(trees, SECTION.share, SECTION.height_m, seed=7), tops_m)
     low = trees.copy()
     low["crown_base_m"] = 1.5
-    assert ivy_tops_m(low, SECTION, seed=6).max() == 1.5
+    assert ivy_tops_m(low, SECTION.share, SECTION.height_m, seed=6).max() == 1.5
 
 
 def test_leaves_hang_on_the_bark(trees):

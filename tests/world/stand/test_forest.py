@@ -8,7 +8,7 @@ from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey
 from vlp16emu.world.stand.floor_shapes import GROUND_KINDS, FloorKey
 from vlp16emu.world.stand.stand import REGENERATION
-from vlp16emu.world.stand.tiles import TileKey
+from vlp16emu.world.tiles import TileKey
 
 
 def mesh_bytes(meshes):

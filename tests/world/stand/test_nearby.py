@@ -9,7 +9,7 @@ from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.settings import Hall, HallPole
 from vlp16emu.world.stand.nearby import cut_out, things_near
 from vlp16emu.world.stand.stand import REGENERATION
-from vlp16emu.world.stand.tiles import TileKey
+from vlp16emu.world.tiles import TileKey
 
 RADIUS_M = 12.0
 

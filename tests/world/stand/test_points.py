@@ -17,7 +17,7 @@ from vlp16emu.world.stand.points import (
     ScatteredPattern,
 )
 from vlp16emu.world.stand.settings import Clusters, Plantation
-from vlp16emu.world.stand.tiles import TILE_M
+from vlp16emu.world.tiles import TILE_M
 
 ACROSS = 24
 ROWS = Plantation(kind="plantation", row_spacing_m=2.5, tree_spacing_m=2.25, azimuth_deg=20.0)

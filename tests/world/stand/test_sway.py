@@ -9,8 +9,8 @@ from vlp16emu.world.plants.crown import CrownKey
 from vlp16emu.world.plants.flora import flora
 from vlp16emu.world.plants.stem import StemKey
 from vlp16emu.world.stand.stand import REGENERATION, TREE
-from vlp16emu.world.stand.tiles import TileKey
 from vlp16emu.world.stand.wind import KNOT_NS, TreeSway, mechanics
+from vlp16emu.world.tiles import TileKey
 
 START_NS = 1_789_000_000_000_000_000
 
@@ -24,7 +24,7 @@ def loose(make_forest):
 def make_wind(loose):
     def make(**changed):
         section = Wind(**{"speed_m_s": 8.0, "towards_deg": 30.0, "turbulence_intensity": 0.5, **changed})
-        return TreeSway(section, forest=loose, season="leaf_on", start_ns=START_NS)
+        return TreeSway(section, forest=loose, start_ns=START_NS)
 
     return make
 

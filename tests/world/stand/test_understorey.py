@@ -15,9 +15,9 @@ from vlp16emu.world.plants.sapling import SAPLING_PARTS, SaplingKey, sapling_mes
 from vlp16emu.world.plants.shrub import SHRUB_PARTS
 from vlp16emu.world.polyline import Corridor, distance_m
 from vlp16emu.world.stand.placed import Site
+from vlp16emu.world.stand.scatter import layer_of
 from vlp16emu.world.stand.settings import Regeneration, Scattered, Shrubs
 from vlp16emu.world.stand.stand import REGENERATION
-from vlp16emu.world.stand.understorey import SaplingLayer, ShrubLayer
 
 PATH = np.array([[-10.0, 10.0], [120.0, 60.0]])
 YOUNG = ["european_beech", "norway_spruce"]
@@ -30,12 +30,12 @@ ANYWHERE = Scattered(kind="random")
 
 def saplings(*species):
     section = Regeneration(stems_per_ha=1500.0, species=[*species], height_m=(0.5, 4.0), pattern=ANYWHERE)
-    return SaplingLayer(section, seed=6, season="leaf_on")
+    return layer_of(section, seed=6, season="leaf_on")
 
 
 def shrubs(*species):
     section = Shrubs(per_ha=1500.0, species=[*species], pattern=ANYWHERE)
-    return ShrubLayer(section, seed=6, season="leaf_on")
+    return layer_of(section, seed=6, season="leaf_on")
 
 
 def placed(layer):

@@ -15,7 +15,6 @@ from vlp16emu.scenario import Scenario
 from vlp16emu.types import HeightField, Mesh, ShapeKey, Window
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.given.furnished import Furnished
-from vlp16emu.world.given.tree_model import TreeModels
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.plants.branch_circles import branch_circles
 from vlp16emu.world.plants.crown import CrownKey
@@ -24,6 +23,7 @@ from vlp16emu.world.plants.stem_rings import stem_circles
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.stand.forest import ForestWorld
 from vlp16emu.world.stand.inventory import INVENTORY, inventory
+from vlp16emu.world.stand.models import Models
 from vlp16emu.world.stand.nearby import Thing, things_near
 from vlp16emu.world.stand.stand import REGENERATION, TREE
 from vlp16emu.world.vectors import places_m
@@ -59,7 +59,7 @@ class Survey:
     """Everything else in the surroundings."""
     plants: Flora
     """Trees and shrubs."""
-    models: TreeModels
+    models: Models
     """The user's own, some of the trees."""
     names: Mapping[int, str]
     """Of things that have one, by instance."""
@@ -155,7 +155,7 @@ def survey(
         near=trees[gap_m <= radius_m],
         things=things_near(window, world.shape, trees=trees["id"], path=path, radius_m=far_m),
         plants=bare.plants if isinstance(bare, ForestWorld) else flora(),
-        models=bare.models if isinstance(bare, ForestWorld) else TreeModels((), flora()),
+        models=bare.models if isinstance(bare, ForestWorld) else Models(),
         names={instance: name for known in names for instance, name in known.items()},
         seed=scenario.world_seed,
     )

@@ -11,14 +11,14 @@ from vlp16emu.motion import Walk
 from vlp16emu.report.plan.geometry import GeometrySize, geometry_of
 from vlp16emu.types import Window
 from vlp16emu.world.given.furnished import MeshKey
-from vlp16emu.world.given.tree_model import ModelKey
 from vlp16emu.world.plants.crown import CrownKey
 from vlp16emu.world.plants.ivy import IvyKey
 from vlp16emu.world.plants.sapling import SaplingKey
 from vlp16emu.world.plants.shrub import ShrubKey
 from vlp16emu.world.plants.stem import StemKey
 from vlp16emu.world.stand.floor_shapes import FloorKey
-from vlp16emu.world.stand.tiles import TileKey
+from vlp16emu.world.stand.models import ModelKey
+from vlp16emu.world.tiles import TileKey
 
 _KINDS = {
     CrownKey: "trees",

@@ -13,9 +13,9 @@ from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.tiles import TiledWindow
 from vlp16emu.types import SURFACE, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
-from vlp16emu.world.given.settings import MeshFile, MeshPlace
 from vlp16emu.world.given.user_mesh import UserMesh
 from vlp16emu.world.hall import HallWorld
+from vlp16emu.world.mesh_settings import MeshFile, MeshPlace
 from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.stand.forest import FIRST_FREE_INSTANCE, ForestWorld
 

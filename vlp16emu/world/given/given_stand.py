@@ -17,9 +17,9 @@ from vlp16emu.world.plants.crown import VARIANTS, CrownKey
 from vlp16emu.world.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora
 from vlp16emu.world.plants.species import Species
 from vlp16emu.world.polyline import Corridor, Polyline
-from vlp16emu.world.settings import Plot
+from vlp16emu.world.stand.settings import Plot
 from vlp16emu.world.stand.stand import TREE, foot_discs, in_the_way_m, path_gap_m
-from vlp16emu.world.stand.tiles import TILE_M
+from vlp16emu.world.tiles import TILE_M
 from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]

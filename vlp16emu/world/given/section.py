@@ -1,4 +1,4 @@
-"""Level sections and convex hulls."""
+"""Level sections of meshes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -98,14 +98,3 @@ def _measured(ring_m: Array) -> Outline:
         float(np.sqrt(2.0 * abs(twice.sum()) / np.pi)),
         girth_m / np.pi,
     )
-
-
-def hull_m(points_m: Array) -> Array:
-    """Those of the points (n, 2 or 3) that span their convex hull; all, where they span no area or volume."""
-    from scipy.spatial import ConvexHull, QhullError  # here: only reports and models of trees need it
-
-    try:
-        hull: Array = points_m[ConvexHull(points_m).vertices]
-    except QhullError:
-        return points_m
-    return hull

@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -13,16 +12,18 @@ from vlp16emu.elementary import atan2, cos, hypot, log, matmul, matvec, norm, si
 from vlp16emu.errors import GeometryError
 from vlp16emu.tiles import EXACT, STEM
 from vlp16emu.types import Mesh, PlantPart, ShapeKey
-from vlp16emu.world.given.section import Cutter, Outline, hull_m
-from vlp16emu.world.given.settings import TreeModelFile
+from vlp16emu.world.given.section import Cutter, Outline
 from vlp16emu.world.given.user_mesh import load_mesh
+from vlp16emu.world.mesh_settings import TreeModelFile
 from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
 from vlp16emu.world.plants.far_stem import profiles
 from vlp16emu.world.plants.flora import Flora, known
+from vlp16emu.world.plants.settings import Season
 from vlp16emu.world.plants.species import Species
 from vlp16emu.world.plants.stem import STEM_PARTS, lean_rotation
 from vlp16emu.world.plants.stem_rings import STEM_CIRCLE
-from vlp16emu.world.stand.inventory import COPIED, INVENTORY, volume_m3
+from vlp16emu.world.stand.inventory import COPIED, INVENTORY, hull_m, volume_m3
+from vlp16emu.world.stand.models import ModelKey, Models
 from vlp16emu.world.stand.placed import PlacedThings, plant_surfaces, turned
 from vlp16emu.world.stand.settings import Season
 from vlp16emu.world.vectors import places_m
@@ -47,16 +48,6 @@ _KEPT_CUTS = 16_384
 
 _AROUND = np.array([cos(np.arange(36) * np.pi / 36), sin(np.arange(36) * np.pi / 36)])
 """(2, 36) directions in which crowns are measured."""
-
-
-@dataclass(frozen=True, slots=True)
-class ModelKey:
-    """Name of a model's shape."""
-
-    number: int
-    """Among the models of the scene."""
-    content: str
-    """Digest of all that decides it."""
 
 
 class TreeModel:
@@ -98,7 +89,7 @@ class TreeModel:
         self._cuts.cache_clear()
         self._cut(BREAST_HEIGHT_M)
         self._profile_m = self._circles(low_m - ground_m, high_m - ground_m)
-        sheds = season == "leaf_off" and species.foliage is not None and species.foliage.kind == "leaf"
+        sheds = species.foliage is not None and not species.foliage.is_borne(season)
         volumes_m3 = [abs(volume_m3(_used(v - foot_m, f))) for v, f in zip(placed, faces, strict=True)]
         self._stem_m3 = sum(volumes_m3[i] for i in stems)
         self._wood_m3 = sum(v for v, part in zip(volumes_m3, parts, strict=True) if part != PlantPart.LEAF)
@@ -239,7 +230,7 @@ def _used(vertices_m: Array, faces: NDArray[np.uint32]) -> Mesh:
     return Mesh(vertices_m[used].astype(np.float32), corners.reshape(-1, 3).astype(np.uint32))
 
 
-class TreeModels:
+class TreeModels(Models):
     """The models of a scene.
 
     Parameters

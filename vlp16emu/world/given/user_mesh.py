@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import matvec, norm
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
 from vlp16emu.types import Mesh
-from vlp16emu.world.given.settings import LengthUnit, UpAxis
+from vlp16emu.world.mesh_settings import LengthUnit, UpAxis
 
 _log = logging.getLogger(__name__)
 

@@ -4,7 +4,7 @@ Inside the equations diameters are in cm and heights in m, or inches and feet, a
 """
 
 from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numba
 import numpy as np
@@ -121,14 +121,14 @@ def _ratio_crown_base_m(
     return (1 - coefficients[0]) * height_m
 
 
-def _log_biomass_kg(coefficients: tuple[float, ...], dbh_cm: Array) -> Array:
+def _log_biomass_kg(coefficients: tuple[float, ...], dbh_cm: Array, *_: Array) -> Array:
     """Dry mass above ground as exp(b0 + b1 ln d), Jenkins et al. (2003), Forest Science 49(1), table 4."""
     b0, b1 = coefficients
     mass: Array = exp(b0 + b1 * log(dbh_cm))
     return mass
 
 
-def _power_biomass_kg(coefficients: tuple[float, ...], dbh_cm: Array, height_m: Array) -> Array:
+def _power_biomass_kg(coefficients: tuple[float, ...], dbh_cm: Array, height_m: Array, *_: Array) -> Array:
     """Dry mass above ground as b0 d^b1 h^b2, the form of Smith et al. (2014)."""
     b0, b1, b2 = coefficients
     mass: Array = b0 * power(dbh_cm, b1) * power(height_m, b2)
@@ -155,8 +155,8 @@ def _component_biomass_kg(
 class Equation(Section):
     """An equation by name, with its coefficients."""
 
-    counts: ClassVar[Mapping[str, int]]
-    """Coefficients of each."""
+    known: ClassVar[Mapping[str, tuple[int, Any]]]
+    """Number of coefficients, and function of them and of what the equation is called with, of each."""
 
     model: str
     coefficients: Annotated[tuple[float, ...], Field(strict=False)]
@@ -165,67 +165,49 @@ class Equation(Section):
     @classmethod
     def _complete(cls, coefficients: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
         model = info.data.get("model")  # absent where it is itself in error
-        if model is not None and len(coefficients) != cls.counts[model]:
-            raise ValueError(f"{cls.counts[model]} numbers for {model!r}")
+        if model is not None and len(coefficients) != cls.known[model][0]:
+            raise ValueError(f"{cls.known[model][0]} numbers for {model!r}")
         return coefficients
+
+    def __call__(self, *values: Any) -> Array:
+        """Value of the equation."""
+        return self.known[self.model][1](self.coefficients, *values)
 
 
 class HeightCurve(Equation):
-    """Height over diameter."""
+    """Height of trees over their diameter in cm, through a stand's mean diameter and mean height."""
 
-    counts: ClassVar = {"uniform": 2, "curtis_arney": 3}
+    known: ClassVar = {"uniform": (2, _uniform_height_m), "curtis_arney": (3, _curtis_arney_height_m)}
     model: Literal["uniform", "curtis_arney"]
-
-    def height_m(self, dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float) -> Array:
-        """Heights of trees, through (mean_dbh_cm, mean_height_m)."""
-        equation = _uniform_height_m if self.model == "uniform" else _curtis_arney_height_m
-        return equation(self.coefficients, dbh_cm, mean_dbh_cm, mean_height_m)
 
 
 class CrownWidth(Equation):
-    """Crown width over diameter."""
+    """Crown width of forest-grown trees over their diameter in cm."""
 
-    counts: ClassVar = {"linear": 2, "saturating": 4, "bechtold": 5}
+    known: ClassVar = {
+        "linear": (2, _linear_crown_width_m),
+        "saturating": (4, _saturating_crown_width_m),
+        "bechtold": (5, _bechtold_crown_width_m),
+    }
     model: Literal["linear", "saturating", "bechtold"]
-
-    def width_m(self, dbh_cm: Array) -> Array:
-        """Crown widths of forest-grown trees."""
-        match self.model:
-            case "linear":
-                return _linear_crown_width_m(self.coefficients, dbh_cm)
-            case "saturating":
-                return _saturating_crown_width_m(self.coefficients, dbh_cm)
-            case "bechtold":
-                return _bechtold_crown_width_m(self.coefficients, dbh_cm)
 
 
 class CrownBase(Equation):
-    """Height of the lowest living branch."""
+    """Height of the lowest living branch, of diameters in cm, heights, and the height of the thickest trees of the stand."""
 
-    counts: ClassVar = {"exponential": 4, "ratio": 1}
+    known: ClassVar = {"exponential": (4, _exponential_crown_base_m), "ratio": (1, _ratio_crown_base_m)}
     model: Literal["exponential", "ratio"]
-
-    def base_m(self, dbh_cm: Array, height_m: Array, top_height_m: float) -> Array:
-        """Heights of crown bases; `top_height_m` is the height of the thickest trees of the stand."""
-        equation = _exponential_crown_base_m if self.model == "exponential" else _ratio_crown_base_m
-        return equation(self.coefficients, dbh_cm, height_m, top_height_m)
 
 
 class Biomass(Equation):
-    """Dry mass above ground."""
+    """Dry mass above ground, of diameters in cm, heights, diameters at 0.3 of the height, and heights of crown bases."""
 
-    counts: ClassVar = {"log_diameter": 2, "power": 3, "components": 6 * _COMPONENT_TERMS}
+    known: ClassVar = {
+        "log_diameter": (2, _log_biomass_kg),
+        "power": (3, _power_biomass_kg),
+        "components": (6 * _COMPONENT_TERMS, _component_biomass_kg),
+    }
     model: Literal["log_diameter", "power", "components"]
-
-    def mass_kg(self, dbh_cm: Array, height_m: Array, upper_cm: Array, base_m: Array) -> Array:
-        """Masses of trees; `upper_cm` are diameters at 0.3 of the height, `base_m` heights of crown bases."""
-        match self.model:
-            case "log_diameter":
-                return _log_biomass_kg(self.coefficients, dbh_cm)
-            case "power":
-                return _power_biomass_kg(self.coefficients, dbh_cm, height_m)
-            case "components":
-                return _component_biomass_kg(self.coefficients, dbh_cm, height_m, upper_cm, base_m)
 
 
 _TAPER_COEFFICIENTS = 8
@@ -234,7 +216,7 @@ _TAPER_COEFFICIENTS = 8
 class Taper(Equation):
     """How a stem thins."""
 
-    counts: ClassVar = {"laasasenaho": _TAPER_COEFFICIENTS, "brink": 3}
+    known: ClassVar = {"laasasenaho": (_TAPER_COEFFICIENTS, None), "brink": (3, None)}  # see `_form`
     model: Literal["laasasenaho", "brink"]
     flare: Annotated[tuple[float, float], Field(strict=False)] = (0.0, 1.0)
     """Extra radius at the ground over the radius there, and the height in m over which it dies away by e."""

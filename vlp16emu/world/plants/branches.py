@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import asin, atan2, cos, hypot, norm, power, sin
 from vlp16emu.types import Mesh
+from vlp16emu.world.plants.meshes import pipe_faces
 from vlp16emu.world.plants.species import Habit, Twigs
 from vlp16emu.world.vectors import unit
 
@@ -180,15 +181,6 @@ def joined(*parts: Branches) -> Branches:
     )
 
 
-def merged(*parts: Mesh) -> Mesh:
-    """Triangle meshes as one, in order."""
-    if len(parts) == 1:
-        return parts[0]
-    first = np.cumsum([0, *(len(part.vertices_m) for part in parts)])
-    faces = [part.faces + np.uint32(start) for part, start in zip(parts, first[:-1], strict=True)]
-    return Mesh(np.concatenate([part.vertices_m for part in parts]), np.concatenate(faces))
-
-
 def points_along(nodes_m: Array, branch: NDArray[np.int64], way: Array) -> tuple[Array, Array]:
     """Points and unit tangents on curves (n, m, 3) at shares `way` (p,) of their length.
 
@@ -224,20 +216,9 @@ def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
     round_about = cos(angle) * across[:, :, None] + sin(angle) * other[:, :, None]
     ring = nodes[:, :rings, None] + corner[..., None, None] * round_about
     vertices = np.concatenate([ring.reshape(n, rings * sides, 3), nodes[:, -1:]], axis=1)
-    one = _tube_faces(rings, sides)
+    one = pipe_faces(sides, rings, bottom=False).astype(np.int64)
     faces = one + (np.arange(n) * vertices.shape[1])[:, None, None]
     return Mesh(vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.uint32))
-
-
-def _tube_faces(rings: int, sides: int) -> NDArray[np.int64]:
-    """Triangles of one tube: (f, 3)."""
-    here = np.arange(sides)
-    after = np.roll(here, -1)
-    low = (np.arange(rings - 1) * sides)[:, None]
-    high = low + sides
-    walls = [(low + here, low + after, high + after), (low + here, high + after, high + here)]
-    point = (high.max(initial=0) + here, high.max(initial=0) + after, np.full(sides, rings * sides))
-    return np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in (*walls, point)])
 
 
 def _envelope(habit: Habit, relative: Array) -> Array:

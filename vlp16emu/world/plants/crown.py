@@ -15,16 +15,16 @@ from vlp16emu.world.plants.branches import (
     Branches,
     first_order,
     joined,
-    merged,
     side_branches,
     tubes,
     volume_m3,
 )
 from vlp16emu.world.plants.flora import species_table
 from vlp16emu.world.plants.foliage import foliage_mesh
+from vlp16emu.world.plants.meshes import merged
+from vlp16emu.world.plants.settings import Season
 from vlp16emu.world.plants.species import Species
 from vlp16emu.world.plants.stem import lean_rotation
-from vlp16emu.world.stand.settings import Season
 from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]
@@ -78,10 +78,10 @@ def crown_meshes(
     and dead branches change nothing else about a crown.
     """
     species = (table or species_table())[key.species]
-    rng = generator(seed, Purpose.CROWN, *_name(key, species))
+    rng = _generator(Purpose.CROWN, seed, key, species)
     orders, dead = _orders(rng, seed, key, species)
     leaves = _NOTHING
-    if species.foliage and (key.season == "leaf_on" or species.foliage.kind == "shoot"):
+    if species.foliage and species.foliage.is_borne(key.season):
         leaves = foliage_mesh(rng, species.foliage, orders[-1], key.leaf_area_m2)
     first, *others = (tubes(branches, sides) for branches, sides in zip(orders, _SIDES, strict=False))
     higher = merged(*others)
@@ -98,7 +98,7 @@ def crown_branches(
 ) -> tuple[Branches, Branches]:
     """Give the branches that leave the stem, in the crown's own frame: living ones, and dead ones."""
     species = (table or species_table())[key.species]
-    orders, dead = _orders(generator(seed, Purpose.CROWN, *_name(key, species)), seed, key, species)
+    orders, dead = _orders(_generator(Purpose.CROWN, seed, key, species), seed, key, species)
     bare = dead[0] if key.dead_branches else dead[0].of(np.zeros(0, np.int64))
     first = orders[0]
     return (first, bare) if species.foliage else (first.of(np.zeros(0, np.int64)), joined(first, bare))
@@ -107,7 +107,7 @@ def crown_branches(
 def crown_wood_m3(seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None) -> float:
     """Volume of all branches of a prototype, dead ones too."""
     species = (table or species_table())[key.species]
-    orders, dead = _orders(generator(seed, Purpose.CROWN, *_name(key, species)), seed, key, species)
+    orders, dead = _orders(_generator(Purpose.CROWN, seed, key, species), seed, key, species)
     return sum(volume_m3(branches) for branches in (*orders, *(dead if key.dead_branches else ())))
 
 
@@ -138,8 +138,8 @@ def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
     return np.concatenate([matmul(lean, stem_T), base[..., None]], axis=2)
 
 
-def _name(key: CrownKey, species: Species) -> tuple[int, int, int]:
-    return species.number, key.variant, round(key.dbh_m * 1e4)
+def _generator(purpose: Purpose, seed: int, key: CrownKey, species: Species) -> np.random.Generator:
+    return generator(seed, purpose, species.number, key.variant, round(key.dbh_m * 1e4))
 
 
 def _orders(
@@ -150,7 +150,7 @@ def _orders(
     taper = species.taper.row[None]
     stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
     habit = species.crown
-    bole_rng = generator(seed, Purpose.DEAD_BRANCH, *_name(key, species))
+    bole_rng = _generator(Purpose.DEAD_BRANCH, seed, key, species)
     longest_m = habit.base_fraction * key.crown_width_m / 2
     living, *dead = bole_branches(bole_rng, habit, key.crown_base_m, longest_m, stem_m[16:])
     crown = [first_order(rng, habit, (key.crown_length_m, key.crown_width_m), stem_m[:16])]

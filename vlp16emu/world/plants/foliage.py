@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import cos, exp, power, sin
 from vlp16emu.types import Mesh
 from vlp16emu.world.plants.branches import Branches, points_along
+from vlp16emu.world.plants.meshes import quads
 from vlp16emu.world.plants.species import Foliage
 from vlp16emu.world.vectors import unit
 
@@ -53,8 +54,7 @@ def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, le
         corners = _blades(rng, place, (mu, nu), length, width)
     else:
         corners = _shoots(rng, place, tangent, length, width)
-    vertices = corners.reshape(-1, 3).astype(np.float32)
-    return Mesh(vertices, np.arange(len(vertices), dtype=np.uint32).reshape(-1, 4))
+    return quads(corners)
 
 
 def _blades(

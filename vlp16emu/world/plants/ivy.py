@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import cos, power, sin
 from vlp16emu.random import Purpose, generator, uniform
 from vlp16emu.types import Mesh
+from vlp16emu.world.plants.meshes import quads
 from vlp16emu.world.plants.stem_rings import Table, Trees, axis_m, stem_rings
-from vlp16emu.world.stand.settings import Ivy
-from vlp16emu.world.stand.tiles import TileKey
+from vlp16emu.world.tiles import TileKey
 from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]
@@ -46,15 +46,18 @@ class IvyKey:
     """Among the trees of the tile."""
 
 
-def ivy_tops_m(trees: Trees, section: Ivy, *, seed: int) -> Array:
-    """Height over the foot (n,) up to which ivy covers stems; 0 where it does not grow. A tree's depends on its place alone."""
+def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> Array:
+    """Height over the foot (n,) up to which ivy covers a share of the stems; 0 where it does not grow.
+
+    A tree's depends on its place alone, is within a range, and no higher than the crown base.
+    """
     places_mm = np.round(1000 * places_m(trees, "xy")).astype(np.int64) & 0xFFFFFFFF
     counters = [(x & 0x7FFFFFFF) << 32 | y for x, y in places_mm.tolist()]
     draws = np.array([uniform(seed, Purpose.IVY, first, 1, lane) for first in counters for lane in (0, 1)])
     chance, way = draws.reshape(-1, 2).T
-    low_m, high_m = section.height_m
+    low_m, high_m = height_m
     top_m = np.minimum(low_m + (high_m - low_m) * way, trees["crown_base_m"])
-    return np.where(chance < section.share, top_m, 0.0)
+    return np.where(chance < share, top_m, 0.0)
 
 
 def ivy_meshes(
@@ -78,8 +81,7 @@ def ivy_meshes(
         foot_m = places_m(one)[0] - origin_m
         outward = np.column_stack([cos(turn), sin(turn), np.zeros(count)])
         corners = _leaves(rng, foot_m + middle_m + away_m[:, None] * outward, outward)
-        vertices = corners.reshape(-1, 3).astype(np.float32)
-        meshes.append(Mesh(vertices, np.arange(len(vertices), dtype=np.uint32).reshape(-1, 4)))
+        meshes.append(quads(corners))
     return meshes
 
 

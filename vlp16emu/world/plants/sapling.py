@@ -13,8 +13,9 @@ from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.plants.branches import first_order, side_branches, tubes
 from vlp16emu.world.plants.flora import species_table
 from vlp16emu.world.plants.foliage import foliage_mesh
+from vlp16emu.world.plants.meshes import NO_LEAVES, closed
+from vlp16emu.world.plants.settings import Season
 from vlp16emu.world.plants.species import Habit, Species
-from vlp16emu.world.stand.settings import Season
 
 SAPLING_PARTS = (
     PlantPart.STEM,
@@ -76,9 +77,8 @@ def sapling_meshes(
     first = first_order(rng, habit, (crown_m, width_m), stem_m)
     second = side_branches(rng, habit.twigs, first, 2)
     crooked = partial(_crooked, key.height_m, rng.uniform(0.0, 1.0, 8))
-    leaves = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 4), np.uint32))
-    foliage = species.foliage
-    if foliage and (key.season == "leaf_on" or foliage.kind == "shoot"):
+    leaves, foliage = NO_LEAVES, species.foliage
+    if foliage and foliage.is_borne(key.season):
         leaf_area_m2 = _LEAF_AREA_INDEX * np.pi / 4 * width_m * width_m
         leaves = foliage_mesh(rng, foliage, second, leaf_area_m2)
     return (
@@ -134,28 +134,10 @@ def _raised(mesh: Mesh, by_m: float) -> Mesh:
 
 def _cone(foot_m: float, height_m: float) -> Mesh:
     """Make a closed stem whose cross-section at any height has the area of its circle."""
-    step, rings = 2 * np.pi / _STEM_SIDES, len(_CONE) + 1
+    step = 2 * np.pi / _STEM_SIDES
     z = height_m * np.array([-_BURIED_SHARE, *_CONE])
     corner_m = foot_m * (1 - z / height_m) * np.sqrt(step / sin(step))
     angle = step * np.arange(_STEM_SIDES)
-    ring = np.stack(
-        [
-            np.outer(corner_m, cos(angle)),
-            np.outer(corner_m, sin(angle)),
-            np.repeat(z[:, None], _STEM_SIDES, 1),
-        ],
-        axis=-1,
-    )
-    vertices = np.concatenate([ring.reshape(-1, 3), [[0, 0, z[0]], [0, 0, height_m]]])
-    here, last = np.arange(_STEM_SIDES), _STEM_SIDES * (rings - 1)
-    after, middle, tip = (
-        np.roll(here, -1),
-        np.full(_STEM_SIDES, last + _STEM_SIDES),
-        np.full(_STEM_SIDES, last + _STEM_SIDES + 1),
-    )
-    faces = [np.column_stack([after, here, middle]), np.column_stack([last + here, last + after, tip])]
-    for low in range(0, last, _STEM_SIDES):
-        high = low + _STEM_SIDES
-        faces += [np.column_stack([low + here, low + after, high + after])]
-        faces += [np.column_stack([low + here, high + after, high + here])]
-    return Mesh(vertices.astype(np.float32), np.concatenate(faces).astype(np.uint32))
+    x_m, y_m, z_m = np.outer(corner_m, cos(angle)), np.outer(corner_m, sin(angle)), z[:, None]
+    rings_m = np.stack([x_m, y_m, np.broadcast_to(z_m, x_m.shape)], axis=-1)
+    return closed(rings_m, np.array([[0, 0, z[0]], [0, 0, height_m]]))

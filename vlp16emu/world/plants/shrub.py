@@ -10,8 +10,9 @@ from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.plants.branches import ground_stems, side_branches, tubes
 from vlp16emu.world.plants.flora import shrub_table
 from vlp16emu.world.plants.foliage import foliage_mesh
+from vlp16emu.world.plants.meshes import NO_LEAVES
+from vlp16emu.world.plants.settings import Season
 from vlp16emu.world.plants.species import Shrub
-from vlp16emu.world.stand.settings import Season
 
 SHRUB_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF)
 """Of the meshes of a shrub, in order. A mesh without faces stands where it has no such part."""
@@ -54,8 +55,8 @@ def shrub_meshes(
         shrub.slenderness,
     )
     twigs = side_branches(rng, shrub.twigs, stems, 2)
-    leaves = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 4), np.uint32))
-    if key.season == "leaf_on" or shrub.foliage.kind == "shoot":
+    leaves = NO_LEAVES
+    if shrub.foliage.is_borne(key.season):
         leaf_area_m2 = shrub.leaf_area_index * key.projection_m2
         leaves = foliage_mesh(rng, shrub.foliage, twigs, leaf_area_m2)
     return tubes(stems, _STEM_SIDES), tubes(twigs, _TWIG_SIDES), leaves

@@ -16,6 +16,7 @@ from vlp16emu.world.plants.allometry import (
     taper_radius_m,
     truncated_weibull_cm,
 )
+from vlp16emu.world.plants.settings import Season
 
 Array = NDArray[np.float64]
 Pair = Annotated[tuple[float, float], Field(strict=False)]
@@ -42,6 +43,10 @@ class Foliage(Section):
     """Share of a twig, from its base, whose leaves have fallen: those that are left sit in a tuft."""
     inclination: Annotated[tuple[float, ...], Field(strict=False, validate_default=True)] = ()
     """mu and nu of the beta distribution of leaf inclination; none for shoots, which follow their twig."""
+
+    def is_borne(self, season: Season) -> bool:
+        """Whether it is on the plant in a season: blades fall, shoots stay."""
+        return season == "leaf_on" or self.kind == "shoot"
 
     @field_validator("inclination")
     @classmethod
@@ -199,15 +204,15 @@ class Species(Plant):
 
     def height_m(self, dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float) -> Array:
         """Height by the species' curve through (mean_dbh_cm, mean_height_m)."""
-        return self.height_curve.height_m(dbh_cm, mean_dbh_cm, mean_height_m)
+        return self.height_curve(dbh_cm, mean_dbh_cm, mean_height_m)
 
     def crown_width_m(self, dbh_cm: Array) -> Array:
         """Crown width of forest-grown trees."""
-        return self.crown_width.width_m(dbh_cm)
+        return self.crown_width(dbh_cm)
 
     def crown_base_m(self, dbh_cm: Array, height_m: Array, top_height_m: float) -> Array:
         """Height of the lowest living branch; `top_height_m` is that of the stand's thickest trees."""
-        return self.crown_base.base_m(dbh_cm, height_m, top_height_m)
+        return self.crown_base(dbh_cm, height_m, top_height_m)
 
     def biomass_kg(self, dbh_m: Array, height_m: Array, crown_base_m: Array) -> Array:
         """Dry mass above ground (n,), NaN where no equation is known."""
@@ -215,7 +220,7 @@ class Species(Plant):
             return np.full(len(dbh_m), np.nan)
         rows = np.tile(self.taper.row, (len(dbh_m), 1))
         upper_m = 2 * taper_radius_m(rows, dbh_m, height_m, _BIOMASS_AT * height_m[:, None])[:, 0]
-        return self.biomass.mass_kg(100 * dbh_m, height_m, 100 * upper_m, crown_base_m)
+        return self.biomass(100 * dbh_m, height_m, 100 * upper_m, crown_base_m)
 
 
 class Shrub(Plant):

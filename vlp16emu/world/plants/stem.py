@@ -7,14 +7,14 @@ piece of the stem's mesh that begins within the first, whose tip is the mesh's l
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, hypot, matvec, norm, sin
 from vlp16emu.types import HeightField, Mesh, PlantPart
-from vlp16emu.world.plants.branches import merged
+from vlp16emu.world.plants.meshes import merged, pipe_faces
 from vlp16emu.world.plants.stem_rings import (
     StemRings,
     Table,
@@ -25,7 +25,7 @@ from vlp16emu.world.plants.stem_rings import (
     tip_radius_m,
 )
 from vlp16emu.world.plants.surface_roots import ROOT_RINGS, ROOT_SIDES, root_points
-from vlp16emu.world.stand.tiles import TileKey
+from vlp16emu.world.tiles import TileKey
 from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]
@@ -80,7 +80,7 @@ def stem_meshes(
     foot_m = places_m(trees) - origin_m
     meshes = _meshes(trees, rings, foot_m, table)
     for stem, root_m in zip(*root_points(trees, rings, height_m), strict=True):
-        root = Mesh((root_m + foot_m[stem]).astype(np.float32), _faces(ROOT_SIDES, ROOT_RINGS))
+        root = Mesh((root_m + foot_m[stem]).astype(np.float32), pipe_faces(ROOT_SIDES, ROOT_RINGS))
         meshes[len(STEM_PARTS) * stem] = merged(meshes[len(STEM_PARTS) * stem], root)
     return meshes
 
@@ -128,8 +128,8 @@ def _meshes(trees: Trees, rings: StemRings, foot_m: Array, table: Table | None) 
         above_m, breast_m = rings.above_ground_m[own], trees["dbh_m"][own] / 2
         away_m = forms.outline(angle, above_m, rings.radius_m[own], breast_m)
         pipes_m = _pipes(partial(axis_m, trees[own], forms), above_m, away_m, angle)
-        flare = _faces(sides, rings.flare_rings, top=False)
-        upper = _faces(sides, above_m.shape[1] - rings.flare_rings + 1, bottom=False)
+        flare = pipe_faces(sides, rings.flare_rings, top=False)
+        upper = pipe_faces(sides, above_m.shape[1] - rings.flare_rings + 1, bottom=False)
         shared = 1 + sides * (rings.flare_rings - 1)
         for tree, points_m in zip(own.tolist(), pipes_m, strict=True):
             top_m = np.concatenate([points_m[shared:], tip_m[tree : tree + 1]])
@@ -150,7 +150,7 @@ def _leaders(
     away_m = leaders.forms.outline(angle, above_m, radius_m, leaders.trees["dbh_m"] / 2)
     pipes_m = _pipes(leaders.axis_m, above_m, away_m, angle)
     tips_m = leaders.axis_m(leaders.above_ground_m[:, -1:])
-    faces = _faces(_LEADER_SIDES, len(_LEADER_RINGS))
+    faces = pipe_faces(_LEADER_SIDES, len(_LEADER_RINGS))
     return [[(points_m, faces)] for points_m in np.concatenate([pipes_m, tips_m], axis=1)]
 
 
@@ -183,24 +183,3 @@ def _pipes(axis: Callable[[Array], Array], above_m: Array, away_m: Array, angle:
     middle_m = axis(above_m)
     ring_m = middle_m[:, :, None] + matvec(across[:, :, None], flat_m)
     return np.concatenate([middle_m[:, :1], ring_m.reshape(n, rings * sides, 3)], axis=1)
-
-
-@cache
-def _faces(sides: int, rings: int, *, bottom: bool = True, top: bool = True) -> NDArray[np.uint32]:
-    """Triangles of a pipe whose first vertex is the middle of its bottom and whose last is its tip, if it has them.
-
-    They are not to be written to: stems with as many sides and rings share them.
-    """
-    here = np.arange(sides)
-    after = np.roll(here, -1)
-    low = int(bottom) + (np.arange(rings - 1) * sides)[:, None]
-    high, last = low + sides, int(bottom) + (rings - 1) * sides
-    walls = [(low + here, low + after, high + after), (low + here, high + after, high + here)]
-    triangles = [np.stack(corners, axis=-1).reshape(-1, 3) for corners in walls]
-    if bottom:
-        triangles.insert(0, np.column_stack([after + 1, here + 1, np.zeros(sides, np.int64)]))
-    if top:
-        triangles.append(np.column_stack([last + here, last + after, np.full(sides, last + sides)]))
-    faces = np.concatenate(triangles).astype(np.uint32)
-    faces.flags.writeable = False
-    return faces

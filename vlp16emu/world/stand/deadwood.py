@@ -1,19 +1,14 @@
 """Logs and stumps: what lies felled, uprooted, broken or rotten, and what is left standing of it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, sin
-from vlp16emu.random import Purpose
-from vlp16emu.world.plants.flora import Flora, flora, known
-from vlp16emu.world.stand.floor import labelled
-from vlp16emu.world.stand.floor_shapes import LOG_TAPER, FloorKind
+from vlp16emu.world.stand.floor_shapes import LOG_TAPER, FloorKind, labelled
+from vlp16emu.world.stand.layer import Layer
 from vlp16emu.world.stand.placed import PlacedThings, Site, between, laid, placements, together, turned
-from vlp16emu.world.stand.points import ScatteredPattern
-from vlp16emu.world.stand.settings import Logs, Stumps
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -71,93 +66,58 @@ class _Pieces:
         return _line_m(self.xy_m, self.towards, self.length_m[:, None] * _STATIONS)
 
 
-class LogLayer:
-    """Lying trunks, some with their root plate, some broken in two, some rotten.
-
-    Parameters
-    ----------
-    section : what the user wrote
-    seed : of the scenario
-    canopy : names of the trees above, for a section that names no species
-    plants : trees and shrubs; those of the program if none are given
-
-    Raises
-    ------
-    GeometryError
-        for a species that is not in the table
-    """
-
-    is_ground = False
-
-    def __init__(
-        self, section: Logs, *, seed: int, canopy: Sequence[str] = (), plants: Flora | None = None
-    ) -> None:
-        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.LOGS, per_ha=section.per_ha)
-        self._section = section
-        self._numbers = _species_numbers(section.species or canopy, plants, "logs.species")
-
-    def place(self, site: Site) -> PlacedThings:
-        """Lay logs, whose middle is on a tile, along the ground under them."""
-        xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.LOGS)
-        own, draws, fate = self._section, rng.random((len(xy_m), 8)), rng.random((len(xy_m), 7))
-        diameter_m = between(own.diameter_m, draws[:, 0])
-        is_uprooted, is_broken = fate[:, 0] < own.uprooted, fate[:, 1] < own.broken
-        # Where a root plate still stands, the log is young.
-        decay = np.where((fate[:, 2] < own.decayed) & ~is_uprooted, between(_DECAY, fate[:, 3]), 0.0)
-        plate_m = np.where(is_uprooted, _PLATE_M + _PLATE_PER_DIAMETER * diameter_m, 0.0)
-        whole = _Pieces(
-            log=np.arange(len(xy_m)),
-            is_top=np.zeros(len(xy_m), np.bool_),
-            xy_m=xy_m,
-            towards=2 * np.pi * draws[:, 2],
-            length_m=between(own.length_m, draws[:, 1]),
-            wide_m=diameter_m * (1 + _DECAYED_WIDER * decay),
-            high_m=diameter_m * (1 - _DECAYED_LOWER * decay),
-            sunk=_SUNK + _DECAYED_SUNK * decay,
-        )
-        pieces = _broken(whole, is_broken, fate[:, 4:])
-        world_T = _laid_down(pieces, site, plate_m)
-        butt_T = _plates(world_T, pieces, plate_m)
-        keep = _free(pieces, site) & _free_plates(pieces, plate_m, site)
-        keep = np.bincount(pieces.log, ~keep, len(xy_m))[pieces.log] == 0
-        species = self._numbers[(len(self._numbers) * draws[:, 3]).astype(int)][pieces.log]
-        looks = np.where(pieces.is_top[:, None], draws[pieces.log][:, [6, 5]], draws[pieces.log][:, 4:6])
-        plate_looks = draws[pieces.log][:, [7, 5]]
-        in_two, has_plate = is_broken[pieces.log], (plate_m[pieces.log] > 0) & ~pieces.is_top
-        return together(
-            [
-                labelled(FloorKind.LOG, keep & ~in_two, world_T, looks, species),
-                labelled(FloorKind.BROKEN_LOG, keep & in_two, world_T, looks, species),
-                labelled(FloorKind.ROOT_PLATE, keep & has_plate, butt_T, plate_looks, species),
-            ]
-        )
+def lay_logs(layer: Layer, site: Site, xy_m: Array, draws: Array, fate: Array) -> PlacedThings:
+    """Lay trunks along the ground under them, some with their root plate, some broken in two, some rotten."""
+    own = layer.section
+    diameter_m = between(own.diameter_m, draws[:, 0])
+    is_uprooted, is_broken = fate[:, 0] < own.uprooted, fate[:, 1] < own.broken
+    # Where a root plate still stands, the log is young.
+    decay = np.where((fate[:, 2] < own.decayed) & ~is_uprooted, between(_DECAY, fate[:, 3]), 0.0)
+    plate_m = np.where(is_uprooted, _PLATE_M + _PLATE_PER_DIAMETER * diameter_m, 0.0)
+    whole = _Pieces(
+        log=np.arange(len(xy_m)),
+        is_top=np.zeros(len(xy_m), np.bool_),
+        xy_m=xy_m,
+        towards=2 * np.pi * draws[:, 2],
+        length_m=between(own.length_m, draws[:, 1]),
+        wide_m=diameter_m * (1 + _DECAYED_WIDER * decay),
+        high_m=diameter_m * (1 - _DECAYED_LOWER * decay),
+        sunk=_SUNK + _DECAYED_SUNK * decay,
+    )
+    pieces = _broken(whole, is_broken, fate[:, 4:])
+    world_T = _laid_down(pieces, site, plate_m)
+    keep = _free(pieces, site) & _free_plates(pieces, plate_m, site)
+    keep = np.bincount(pieces.log, ~keep, len(xy_m))[pieces.log] == 0
+    species, looks = _species(layer, draws)[pieces.log], draws[pieces.log]
+    log_looks = np.where(pieces.is_top[:, None], looks[:, [6, 5]], looks[:, 4:6])
+    in_two, has_plate = is_broken[pieces.log], (plate_m[pieces.log] > 0) & ~pieces.is_top
+    butt_T = _plates(world_T, pieces, plate_m)
+    return together(
+        [
+            labelled(FloorKind.LOG, keep & ~in_two, world_T, log_looks, species=species),
+            labelled(FloorKind.BROKEN_LOG, keep & in_two, world_T, log_looks, species=species),
+            labelled(FloorKind.ROOT_PLATE, keep & has_plate, butt_T, looks[:, [7, 5]], species=species),
+        ]
+    )
 
 
-class StumpLayer:
-    """What is left of trees that were felled or broke; arguments and errors are those of `LogLayer`."""
+def lay_stumps(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
+    """Lay out what is left of trees that were felled or broke."""
+    own, species = layer.section, _species(layer, draws)
+    diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
+    keep = site.clear(xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
+    place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
+    size = np.column_stack([diameter_m, diameter_m, height_m])
+    world_T = placements(place_m, turned(360 * draws[:, 2]), size)
+    is_broken = draws[:, 6] < own.broken
+    kinds = (FloorKind.STUMP, keep & ~is_broken), (FloorKind.BROKEN_STUMP, keep & is_broken)
+    return together([labelled(kind, which, world_T, draws[:, 4:], species=species) for kind, which in kinds])
 
-    is_ground = False
 
-    def __init__(
-        self, section: Stumps, *, seed: int, canopy: Sequence[str] = (), plants: Flora | None = None
-    ) -> None:
-        self.pattern = ScatteredPattern(seed=seed, purpose=Purpose.STUMPS, per_ha=section.per_ha)
-        self._section = section
-        self._numbers = _species_numbers(section.species or canopy, plants, "stumps.species")
-
-    def place(self, site: Site) -> PlacedThings:
-        """Stumps of a tile."""
-        xy_m, rng = self.pattern.points(site.ix, site.iy), site.draw(Purpose.STUMPS)
-        own, draws = self._section, rng.random((len(xy_m), 8))
-        diameter_m, height_m = between(own.diameter_m, draws[:, 0]), between(own.height_m, draws[:, 1])
-        keep = site.clear(xy_m, 0.8 * diameter_m, 0.8 * diameter_m)
-        place_m = np.column_stack([xy_m, site.height_m(*xy_m.T)])
-        size = np.column_stack([diameter_m, diameter_m, height_m])
-        world_T = placements(place_m, turned(360 * draws[:, 2]), size)
-        species = self._numbers[(len(self._numbers) * draws[:, 3]).astype(int)]
-        is_broken = draws[:, 6] < own.broken
-        kinds = (FloorKind.STUMP, keep & ~is_broken), (FloorKind.BROKEN_STUMP, keep & is_broken)
-        return together([labelled(kind, which, world_T, draws[:, 4:], species) for kind, which in kinds])
+def _species(layer: Layer, draws: Array) -> NDArray[np.int64]:
+    """Choose the species of things (n,), by number."""
+    numbers = np.array([tree.number for tree in layer.species], np.int64)
+    return numbers[(len(numbers) * draws[:, 3]).astype(int)]
 
 
 def _broken(whole: _Pieces, is_broken: Mask, draws: Array) -> _Pieces:
@@ -166,33 +126,28 @@ def _broken(whole: _Pieces, is_broken: Mask, draws: Array) -> _Pieces:
     turn = np.where(is_broken, _BREAK_TURN * (2 * draws[:, 2] - 1), 0.0)
     share = np.where(is_broken, at, 1.0)
     butt = _piece(whole, -0.5 + share / 2, share, is_broken)
-    broken = np.flatnonzero(is_broken)
     # The upper piece is turned about its lower end.
     low, length_m = (at + gap - 0.5) * whole.length_m, (1 - at - gap) * whole.length_m
-    top = _piece(whole, at / 2, 1 - at - gap, is_broken)
     end_m = _line_m(whole.xy_m, whole.towards, low[:, None])[:, 0]
-    top_xy_m = _line_m(end_m, whole.towards + turn, length_m[:, None] / 2)[:, 0]
-    top_fields = {"xy_m": top_xy_m, "towards": whole.towards + turn, "is_top": is_broken}
-    return _Pieces(
-        *(
-            np.concatenate([getattr(butt, name), top_fields.get(name, getattr(top, name))[broken]])
-            for name in _Pieces.__slots__
-        )
+    top = replace(
+        _piece(whole, at / 2, 1 - at - gap, is_broken),
+        xy_m=_line_m(end_m, whole.towards + turn, length_m[:, None] / 2)[:, 0],
+        towards=whole.towards + turn,
+        is_top=is_broken,
     )
+    both = ((getattr(butt, field.name), getattr(top, field.name)) for field in fields(_Pieces))
+    return _Pieces(*(np.concatenate([lower, upper[is_broken]]) for lower, upper in both))
 
 
 def _piece(whole: _Pieces, middle: Array, share: Array, is_broken: Mask) -> _Pieces:
     """Cut pieces (n,) out of logs, about middles and of lengths that are shares of theirs; as thick as the logs are there."""
     thick = np.where(is_broken, 1 - 2 * LOG_TAPER * middle, 1.0)
-    return _Pieces(
-        log=whole.log,
-        is_top=whole.is_top,
+    return replace(
+        whole,
         xy_m=_line_m(whole.xy_m, whole.towards, (middle * whole.length_m)[:, None])[:, 0],
-        towards=whole.towards,
         length_m=share * whole.length_m,
         wide_m=thick * whole.wide_m,
         high_m=thick * whole.high_m,
-        sunk=whole.sunk,
     )
 
 
@@ -245,7 +200,3 @@ def _line_m(xy_m: Array, towards: Array, along_m: Array) -> Array:
     away = np.stack([cos(towards), sin(towards)], axis=-1)
     line: Array = xy_m[:, None] + along_m[..., None] * away[:, None]
     return line
-
-
-def _species_numbers(names: Sequence[str], plants: Flora | None, where: str) -> NDArray[np.int64]:
-    return np.array([tree.number for tree in known(names, (plants or flora()).trees, where)], np.int64)

@@ -1,24 +1,29 @@
-"""Shapes of what lies on the ground: stones, dead wood, tufts of grass and what else covers it, all of unit size.
+"""Shapes and labels of what lies on the ground: stones, dead wood, tufts of grass and what else covers it, all of unit size.
 
 They are grown once for each variant, and stretched to size where they are placed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache, partial
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, matvec, norm, sin
 from vlp16emu.random import Purpose, generator
-from vlp16emu.types import Mesh
-from vlp16emu.world.plants.branches import merged
+from vlp16emu.types import SURFACE, Mesh, PlantPart, Semantic
+from vlp16emu.world.plants.flora import GROUND_MATERIALS
+from vlp16emu.world.plants.meshes import closed, merged
 from vlp16emu.world.stand.low_shapes import dwarf_shrub, fern, herb, litter_heap, moss_cushion
+from vlp16emu.world.stand.placed import NO_TREES, PlacedThings, distinct
 from vlp16emu.world.vectors import unit
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 FLOOR_VARIANTS = 6
 """Different shapes of each kind."""
@@ -62,6 +67,18 @@ that of birch is (Forests 12(1), 2021, 20: an elliptic paraboloid); the side of 
 
 _PLATE_BUMPS = 0.08
 """Half-range of the surface over the thickness; assumption."""
+
+_REFLECTANCE = {
+    "stone": 0.30,
+    "dead wood": 0.40,
+    "litter": 0.30,
+    "moss": 0.35,
+    **dict.fromkeys(("grass", "herb", "fern", "dwarf shrub"), 0.45),
+}
+"""At 903 nm: rock, weathered wood like oak bark, dry leaves like the ground, green ones like those of shrubs; assumptions."""
+
+_REFLECTANCE_SPREAD = 0.08
+"""Half-range between things, as between the barks of trees; assumption."""
 
 _BLADES = 22
 """Of a tuft."""
@@ -110,34 +127,39 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
     roots at -x, and the butt of its log ends at the origin. All others are 1 high and have their foot at the origin.
     """
     rng = generator(seed, Purpose.FLOOR_SHAPE, list(FloorKind).index(key.kind), key.variant)
-    match key.kind:
-        case FloorKind.STONE:
-            return (_stone(rng, _LARGE_STONE_SPLITS if key.large else _STONE_SPLITS),)
-        case FloorKind.LOG:
-            return (_log(rng),)
-        case FloorKind.STUMP:
-            return (_stump(rng),)
-        case FloorKind.TUFT:
-            return (_tuft(rng),)
-        case FloorKind.HERB:
-            return (herb(rng),)
-        case FloorKind.FERN:
-            return (fern(rng),)
-        case FloorKind.DWARF_SHRUB:
-            return (dwarf_shrub(rng),)
-        case FloorKind.MOSS_CUSHION:
-            return (moss_cushion(rng),)
-        case FloorKind.LITTER_HEAP:
-            return (litter_heap(rng),)
-        case FloorKind.BROKEN_LOG:
-            return (_log(rng, _PIECE_TAPER, _PIECE_BOW, splinters=_LOG_SPLINTERS),)
-        case FloorKind.BROKEN_STUMP:
-            return (_stump(rng, splinters=_STUMP_SPLINTERS),)
-        case FloorKind.ROOT_PLATE:
-            return (_root_plate(rng),)
+    return (_stone(rng, _LARGE_STONE_SPLITS) if key.large else _SHAPES[key.kind].grow(rng),)
 
 
-def _stone(rng: np.random.Generator, splits: int) -> Mesh:
+def labelled(
+    kind: FloorKind,
+    keep: Mask,
+    world_T: Array,
+    draws: Array,
+    *,
+    species: NDArray[np.int64] | None = None,
+    large: Mask | None = None,
+) -> PlacedThings:
+    """Label those things (n,) that are kept; draws (n, 2 or more) choose variant and brightness."""
+    variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
+    larges = [False] * len(variants) if large is None else large[keep].tolist()
+    keys, shape = distinct([_key(kind, *how) for how in zip(variants, larges, strict=True)])
+    own = _SHAPES[kind]
+    rows = np.zeros((len(variants), 1), SURFACE)
+    rows["semantic"], rows["part"] = own.semantic, own.part
+    rows["material"] = GROUND_MATERIALS.index(own.material)
+    rows["reflectance"] = _REFLECTANCE[own.material] + _REFLECTANCE_SPREAD * (2 * draws[keep, 1:2] - 1)
+    if species is not None:
+        rows["species"] = species[keep, None]
+    return PlacedThings(keys, shape, world_T[keep], rows, NO_TREES, is_ground=kind in GROUND_KINDS)
+
+
+@cache
+def _key(kind: FloorKind, variant: int, large: bool) -> FloorKey:
+    """Keys are few; one object for each."""
+    return FloorKey(kind, variant, large)
+
+
+def _stone(rng: np.random.Generator, splits: int = _STONE_SPLITS) -> Mesh:
     """Icosphere with sine lobes."""
     sphere, faces = _icosphere(splits)
     waves = rng.normal(0.0, 2.5, (3, _LOBES))
@@ -194,7 +216,7 @@ def _log(
     if splinters:
         for end in (0, -1):
             rings[end, :, 2] += splinters * rng.uniform(-1, 1, _ROUND_SIDES)
-    mesh = _closed(rings, ends)
+    mesh = closed(rings, ends)
     vertices = np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]])
     aside, sway = rng.normal(0.0, bow, 2) * [1.0, 0.4]
     x = vertices[:, 0]
@@ -209,7 +231,7 @@ def _stump(rng: np.random.Generator, *, splinters: float = 0.0) -> Mesh:
     if splinters:
         rings[-1, :, 2] += splinters * rng.uniform(-1, 1, _ROUND_SIDES)
         ends[-1, 2] -= splinters
-    return _closed(rings, ends)
+    return closed(rings, ends)
 
 
 def _root_plate(rng: np.random.Generator) -> Mesh:
@@ -220,13 +242,13 @@ def _root_plate(rng: np.random.Generator) -> Mesh:
     radius = 0.5 * away[:, None] * rim
     z = along[:, None] + _PLATE_BUMPS * rng.uniform(-1, 1, (len(along), sides))
     soil = np.stack([radius * cos(angle), radius * sin(angle), z], axis=-1)
-    pieces = [_closed(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
+    pieces = [closed(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
     for towards in rng.uniform(0, 2 * np.pi, _PLATE_ROOTS).tolist():
         foot, tip = rng.uniform(0.2, 0.4), rng.uniform(0.35, 0.65)
         ends = np.array([[foot, -0.45], [tip, rng.uniform(-1.4, -0.6)]])
         ends = np.column_stack([ends[:, 0] * cos(towards), ends[:, 0] * sin(towards), ends[:, 1]])
         corners = np.stack([cos(angle[::4]), sin(angle[::4]), 0 * angle[::4]], axis=-1)
-        pieces.append(_closed(ends[::-1, None] + np.array([0.01, 0.03])[:, None, None] * corners, ends[::-1]))
+        pieces.append(closed(ends[::-1, None] + np.array([0.01, 0.03])[:, None, None] * corners, ends[::-1]))
     plate = merged(*pieces)
     return Mesh(np.ascontiguousarray(plate.vertices_m[:, [2, 0, 1]]), plate.faces)
 
@@ -245,27 +267,6 @@ def _drum(rng: np.random.Generator, at: Array, radius: Array, *, slant: float) -
         z[end] += tilt_x * x[end] + tilt_y * y[end]
     rings = np.stack([x, y, z], axis=-1)
     return rings, rings[[0, -1]].mean(axis=1)
-
-
-def _closed(rings: Array, ends: Array) -> Mesh:
-    """Make a closed body of rings (r, sides, 3), counter-clockwise seen from the last one, and the middles (2, 3) of its ends."""
-    count, sides, _ = rings.shape
-    vertices = np.concatenate([rings.reshape(-1, 3), ends])
-    here = np.arange(sides)
-    after, bottom, top = (
-        np.roll(here, -1),
-        np.full(sides, len(vertices) - 2),
-        np.full(sides, len(vertices) - 1),
-    )
-    last = (count - 1) * sides
-    triangles = [(after, here, bottom), (last + here, last + after, top)]
-    for low in range(0, last, sides):
-        triangles += [
-            (low + here, low + after, low + sides + after),
-            (low + here, low + sides + after, low + sides + here),
-        ]
-    faces = np.concatenate([np.column_stack(triple) for triple in triangles])
-    return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
 
 
 def _tuft(rng: np.random.Generator) -> Mesh:
@@ -295,3 +296,32 @@ def _half_width(base: Array, knee: Array, tip: Array) -> float:
     """Half the width of blades that have the tuft's leaf area together; a blade narrows to a fifth above its knee."""
     lower, upper = (float(norm(b - a).sum()) for a, b in ((base, knee), (knee, tip)))
     return _BLADE_AREA * _BLADES / (2 * lower + 1.2 * upper)
+
+
+class _Shape(NamedTuple):
+    """What a kind looks like; the material of the ground is litter and soil."""
+
+    grow: Callable[[np.random.Generator], Mesh]
+    semantic: Semantic
+    part: PlantPart
+    material: str
+
+
+_WOOD = Semantic.DEADWOOD, PlantPart.STEM, "dead wood"
+_LEAVES = Semantic.GRASS, PlantPart.LEAF
+_SHAPES = {
+    FloorKind.STONE: _Shape(_stone, Semantic.STONE, PlantPart.NONE, "stone"),
+    FloorKind.LOG: _Shape(_log, *_WOOD),
+    FloorKind.STUMP: _Shape(_stump, *_WOOD),
+    FloorKind.TUFT: _Shape(_tuft, *_LEAVES, "grass"),
+    FloorKind.HERB: _Shape(herb, *_LEAVES, "herb"),
+    FloorKind.FERN: _Shape(fern, *_LEAVES, "fern"),
+    FloorKind.DWARF_SHRUB: _Shape(dwarf_shrub, *_LEAVES, "dwarf shrub"),
+    FloorKind.MOSS_CUSHION: _Shape(moss_cushion, Semantic.GROUND, PlantPart.NONE, "moss"),
+    FloorKind.LITTER_HEAP: _Shape(litter_heap, Semantic.GROUND, PlantPart.NONE, "litter"),
+    FloorKind.BROKEN_LOG: _Shape(
+        partial(_log, taper=_PIECE_TAPER, bow=_PIECE_BOW, splinters=_LOG_SPLINTERS), *_WOOD
+    ),
+    FloorKind.BROKEN_STUMP: _Shape(partial(_stump, splinters=_STUMP_SPLINTERS), *_WOOD),
+    FloorKind.ROOT_PLATE: _Shape(_root_plate, Semantic.DEADWOOD, PlantPart.ROOT_FLARE, "litter"),
+}

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from vlp16emu.errors import GeometryError
 from vlp16emu.tiles import FarTile, TiledWindow
 from vlp16emu.types import HeightField, Mesh, PlantPart, ShapeKey
-from vlp16emu.world.given.tree_model import ModelKey, TreeModels
+from vlp16emu.world.given.tree_model import ModelKey
+from vlp16emu.world.ground.trails import Trails
 from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.world.plants.far_stem import far_stems
 from vlp16emu.world.plants.flora import Flora, flora, material_names
@@ -21,10 +22,10 @@ from vlp16emu.world.plants.shrub import ShrubKey, shrub_meshes
 from vlp16emu.world.plants.stem import STEM_PARTS, StemKey, stem_meshes
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.stand.floor_shapes import FloorKey, floor_meshes
-from vlp16emu.world.stand.nearby import by_tile, key_text
+from vlp16emu.world.stand.kept import by_tile, key_text
+from vlp16emu.world.stand.models import ModelKey, Models
 from vlp16emu.world.stand.placed import (
     NO_TREES,
-    Layer,
     PlacedThings,
     Site,
     Tile,
@@ -32,9 +33,10 @@ from vlp16emu.world.stand.placed import (
     packed,
     plant_surfaces,
 )
-from vlp16emu.world.stand.settings import Ivy
+from vlp16emu.world.stand.scatter import layers_of
+from vlp16emu.world.stand.settings import Woods
 from vlp16emu.world.stand.stand import TREE, foot_discs
-from vlp16emu.world.stand.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
+from vlp16emu.world.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -70,6 +72,10 @@ class TreeSource(Protocol):
     def per_ha(self) -> float:
         """Mean number of stems per hectare."""
 
+    @property
+    def species(self) -> Sequence[str]:
+        """Names of those of the canopy."""
+
     def trees(self, ix: int, iy: int) -> Trees:
         """Trees whose foot lies in a tile, `TREE` with id still 0."""
 
@@ -85,18 +91,17 @@ class ForestWorld:
 
     Parameters
     ----------
+    section : what the user wrote
+    stems : trees
     seed : of the scenario
     height_m : ground
-    stems : trees
-    layers : saplings, shrubs, stones and so on; a layer's order among them decides its numbers
     path : of the sensor as a whole, fine enough that its chords are as good as the path itself
     reach_m : how far the sensor sees
     plants : trees and shrubs; those of the program if none are given
+    trails : where no saplings and shrubs grow
     models : trees of the user's own
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
     near_m : as in `World`
-    texture : share by which the reflectance of all but leaves varies from place to place, one sigma
-    ivy : on the stems that have grown
     name : of all that decides the forest, seed and path too, as a digest; empty where nothing is kept on disk
     plants_name : of the plants, likewise
 
@@ -108,32 +113,31 @@ class ForestWorld:
 
     def __init__(
         self,
+        section: Woods,
+        stems: TreeSource,
         *,
         seed: int,
         height_m: HeightField,
-        stems: TreeSource,
-        layers: Sequence[Layer],
         path: Corridor,
         reach_m: float,
         plants: Flora | None = None,
-        models: TreeModels | None = None,
+        trails: Trails | None = None,
+        models: Models | None = None,
         loose_stems: bool = False,
         near_m: float = math.inf,
-        texture: float = 0.0,
-        ivy: Ivy | None = None,
         name: str = "",
         plants_name: str = "",
     ) -> None:
-        per_ha = stems.per_ha + sum(layer.pattern.per_ha for layer in layers if not layer.is_ground)
+        self.section, self.height_m, self.plants = section, height_m, plants or flora()
+        self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
+        self.models, self._loose_stems = models or Models(), loose_stems
+        self._path, self._reach_m = path, reach_m
+        layers = layers_of(section, seed, stems.species, self.plants, trails)
+        self._layers = [layer for layer in layers if layer.pattern.per_ha]
+        per_ha = stems.per_ha + sum(one.pattern.per_ha for one in self._layers if not one.kind.is_ground)
         if per_ha > _DENSEST_PER_HA:
             found = f"found {per_ha:.0f} trees and things per hectare"
             raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
-        self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
-        self._path, self._reach_m = path, reach_m
-        self.height_m, self.plants = height_m, plants or flora()
-        self.models = models or TreeModels((), self.plants)
-        self._layers, self._loose_stems, self._texture = layers, loose_stems, texture
-        self._ivy = ivy or Ivy()
         self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
         # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
         across = 4 + int((2 * reach_m + TILE_M) / TILE_M)
@@ -277,14 +281,15 @@ class ForestWorld:
         number += len(trees)
         is_modelled = self.models.has(trees)
         grown = trees[~is_modelled]
-        groups, rooted = (
-            [self._crowns(grown), *self.models.placed(trees[is_modelled], is_exact=self._loose_stems)],
-            grown,
-        )
+        modelled = self.models.placed(trees[is_modelled], is_exact=self._loose_stems)
+        groups, rooted = [self._crowns(grown), *modelled], grown
         if self._loose_stems:
-            groups, rooted = [self._stems_of(key, grown), *groups], grown[:0]
-        if self._ivy.share:
-            groups.append(self._ivied(key, grown))
+            stems = self._in_tile(StemKey, key, np.arange(len(grown)), grown, STEM_PARTS)
+            groups, rooted = [stems, *groups], grown[:0]
+        if self.section.ivy.share:
+            groups.append(
+                self._in_tile(IvyKey, key, np.flatnonzero(self._ivy_m(grown)), grown, (PlantPart.LEAF,))
+            )
         for placed in self._things(key):
             groups.append(placed)
             if placed.is_ground:
@@ -295,7 +300,9 @@ class ForestWorld:
                 placed.trees["id"] = numbers
             number += len(placed.shape)
         tile = packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
-        tile.surfaces["texture"] = np.where(tile.surfaces["part"] == PlantPart.LEAF, 0.0, self._texture)
+        tile.surfaces["texture"] = np.where(
+            tile.surfaces["part"] == PlantPart.LEAF, 0.0, self.section.texture
+        )
         return tile
 
     def _grown(self, ix: int, iy: int) -> Trees:
@@ -310,36 +317,29 @@ class ForestWorld:
 
     def _grow_ivy(self, key: TileKey) -> list[Mesh]:
         trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
-        tops_m = ivy_tops_m(trees, self._ivy, seed=self.seed)
+        tops_m = self._ivy_m(trees)
         return ivy_meshes(trees, tops_m, origin_m, seed=self.seed, tile=key, table=self.plants.trees)
 
-    def _ivied(self, key: TileKey, trees: Trees) -> PlacedThings:
-        own = np.flatnonzero(ivy_tops_m(trees, self._ivy, seed=self.seed))
-        return self._in_tile(
-            key, [IvyKey(key, number) for number in own.tolist()], trees[own], (PlantPart.LEAF,)
-        )
-
-    def _stems_of(self, key: TileKey, trees: Trees) -> PlacedThings:
-        stems = [StemKey(key, number) for number in range(len(trees))]
-        return self._in_tile(key, stems, trees, STEM_PARTS, is_exact=True)
+    def _ivy_m(self, trees: Trees) -> Array:
+        return ivy_tops_m(trees, self.section.ivy.share, self.section.ivy.height_m, seed=self.seed)
 
     def _in_tile(
         self,
+        kind: type[StemKey | IvyKey],
         key: TileKey,
-        shapes: Sequence[ShapeKey],
+        numbers: NDArray[np.intp],
         trees: Trees,
         parts: tuple[PlantPart, ...],
-        *,
-        is_exact: bool = False,
     ) -> PlacedThings:
+        """Place shapes that are in the frame of their tile, of some of its trees."""
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
         return PlacedThings(
-            tuple(shapes),
-            np.arange(len(shapes)),
-            np.repeat(world_T_tile[None], len(shapes), axis=0),
-            plant_surfaces(trees, parts, self.plants),
+            tuple(kind(key, number) for number in numbers.tolist()),
+            np.arange(len(numbers)),
+            np.repeat(world_T_tile[None], len(numbers), axis=0),
+            plant_surfaces(trees[numbers], parts, self.plants),
             NO_TREES,
-            is_exact=is_exact or self._loose_stems,
+            is_exact=self._loose_stems,
         )
 
     def _crowns(self, trees: Trees) -> PlacedThings:
@@ -360,19 +360,9 @@ class ForestWorld:
         """Everything else on a tile."""
         if not self._layers:
             return []
-        site = Site(
-            seed=self.seed,
-            ix=key.ix,
-            iy=key.iy,
-            height_m=self.height_m,
-            path=self._path,
-            trunks=self._trunks(key.ix, key.iy),
-        )
+        trunks = around(key.ix, key.iy, self._discs)
+        site = Site(self.seed, key.ix, key.iy, self.height_m, self._path, trunks)
         return [layer.place(site) for layer in self._layers]
-
-    def _trunks(self, ix: int, iy: int) -> Array:
-        """Feet of the trees on a tile and its neighbours: (n, 3) x, y, radius."""
-        return np.concatenate([self._discs(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
 def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -24,6 +24,7 @@ from vlp16emu.world.plants.species import Species
 from vlp16emu.world.plants.stem import STEM_PARTS, stems_above_ground, vertex_angles
 from vlp16emu.world.plants.stem_form import polygon_m2, tape_m
 from vlp16emu.world.plants.stem_rings import axis_m, stem_rings
+from vlp16emu.world.stand.stand import TREE
 from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]
@@ -60,20 +61,7 @@ INVENTORY = np.dtype(
 )
 """One tree of the inventory. Tops, volumes and areas are those of its meshes."""
 
-COPIED = (
-    "id",
-    "species",
-    "x_m",
-    "y_m",
-    "z_m",
-    "dbh_m",
-    "height_m",
-    "crown_base_m",
-    "crown_width_m",
-    "lean_deg",
-    "lean_towards_deg",
-    "list_line",
-)
+COPIED = tuple(name for name in INVENTORY.names or () if name in (TREE.names or ()))
 """What rows have from `TREE` as it is."""
 
 _DECIMALS = 4
@@ -230,7 +218,7 @@ def _stretched_m2(leaves: Mesh, wide: Array, long: Array) -> Array:
 
 def _spans_m(meshes: Sequence[Mesh], foot_T_crown: Array) -> tuple[Array, Array]:
     """Least and greatest coordinates (n, 3) of any vertex by n transforms (n, 3, 4); infinite where there is none."""
-    places = _outermost(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
+    places = hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
     low_m, high_m = np.full((2, len(foot_T_crown), 3), [[[np.inf]], [[-np.inf]]])
     for i, transform in enumerate(foot_T_crown):
         at_m = matvec(transform[:, :3], places) + transform[:, 3]
@@ -239,11 +227,12 @@ def _spans_m(meshes: Sequence[Mesh], foot_T_crown: Array) -> tuple[Array, Array]
     return low_m, high_m
 
 
-def _outermost(places: Array) -> Array:
-    """Those of points (k, 3) that some straight line can leave behind all others: corners of their convex hull."""
+def hull_m(points_m: Array) -> Array:
+    """Those of the points (n, 2 or 3) that span their convex hull; all, where they span no area or volume."""
     from scipy.spatial import ConvexHull, QhullError  # here: it takes a while to load
 
     try:
-        return places[ConvexHull(places).vertices]
+        hull: Array = points_m[ConvexHull(points_m).vertices]
     except (QhullError, ValueError):  # few or flat
-        return places
+        return points_m
+    return hull

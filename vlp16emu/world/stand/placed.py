@@ -2,20 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, sin
-from vlp16emu.random import Purpose, generator
 from vlp16emu.types import SURFACE, HeightField, PlantPart, Semantic, ShapeKey
 from vlp16emu.world.plants.flora import Flora, bark_material
 from vlp16emu.world.plants.stem import STEM_PARTS
 from vlp16emu.world.polyline import Corridor
-from vlp16emu.world.stand.points import PointPattern
 from vlp16emu.world.stand.stand import TREE
-from vlp16emu.world.stand.tiles import TileKey, tile_distance_m
+from vlp16emu.world.tiles import TileKey, tile_distance_m
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
@@ -65,10 +62,6 @@ class Site:
         """Of the tile from the path, or less."""
         return tile_distance_m((self.ix, self.iy), self.path)
 
-    def draw(self, purpose: Purpose) -> np.random.Generator:
-        """Make the generator for the sizes of things; their places are drawn by a pattern."""
-        return generator(self.seed, purpose, self.ix, self.iy, 1)
-
     def clear(self, xy_m: Array, reach_m: Array, foot_m: Array) -> NDArray[np.bool_]:
         """Which points (n, 2) keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks."""
         free = np.asarray(self.path.distance_m(xy_m) - reach_m >= self.path.clearance_m)
@@ -76,21 +69,6 @@ class Site:
         gap_m = foot_m[:, None] + self.trunks[:, 2]
         blocked = np.asarray((dx * dx + dy * dy < gap_m * gap_m).any(axis=1))
         return np.logical_and(free, ~blocked)
-
-
-class Layer(Protocol):
-    """One kind of thing that grows or lies on the ground."""
-
-    @property
-    def pattern(self) -> PointPattern:
-        """Their places, before those on the path and in trunks are left out."""
-
-    @property
-    def is_ground(self) -> bool:
-        """Whether they are part of the ground: without numbers, and too low to be seen from afar."""
-
-    def place(self, site: Site) -> PlacedThings:
-        """Things of a tile, a function of the site alone."""
 
 
 def between(limits: tuple[float, float], draw: Array) -> Array:
@@ -108,17 +86,6 @@ def distinct(keys: Sequence[ShapeKey]) -> tuple[tuple[ShapeKey, ...], NDArray[np
 def placements(place_m: Array, world_R_thing: Array, size: Array) -> Array:
     """`world_T_shape` (n, 3, 4) from places (n, 3), rotations (n, 3, 3) and scales along the axes (n, 3)."""
     return np.concatenate([world_R_thing * size[:, None, :], place_m[:, :, None]], axis=2)
-
-
-def surface_rows(
-    *, parts: Sequence[int], semantic: int, material: NDArray[np.int64], reflectance: Array, species: Array
-) -> NDArray[np.void]:
-    """`SURFACE` rows (n, parts) from materials and reflectances (n, parts) and species numbers (n,)."""
-    rows = np.zeros(reflectance.shape, SURFACE)
-    rows["semantic"], rows["part"] = semantic, np.array(parts)
-    rows["material"], rows["reflectance"] = material, reflectance
-    rows["species"] = species[:, None]
-    return rows
 
 
 def together(groups: Sequence[PlacedThings]) -> PlacedThings:
@@ -202,14 +169,14 @@ def packed(
     )
 
 
-def plant_surfaces(trees: Trees, parts: Sequence[int], plants: Flora) -> NDArray[np.void]:
-    """`SURFACE` rows of trees, (n, parts)."""
+def plant_surfaces(
+    plants: Trees, parts: Sequence[int], table: Flora, semantic: Semantic = Semantic.TREE
+) -> NDArray[np.void]:
+    """`SURFACE` rows (n, parts) of trees, or of shrubs as `TREE`."""
     leaf = np.array(parts) == PlantPart.LEAF
-    rows = np.zeros((len(trees), len(parts)), SURFACE)
-    rows["reflectance"] = np.where(
-        leaf, trees["leaf_reflectance"][:, None], trees["bark_reflectance"][:, None]
-    )
-    rows["semantic"], rows["part"] = Semantic.TREE, parts
-    rows["instance"], rows["species"] = trees["id"][:, None], trees["species"][:, None]
-    rows["material"] = bark_material(trees["species"], plants)[:, None] + leaf
+    rows = np.zeros((len(plants), len(parts)), SURFACE)
+    bright = np.where(leaf, plants["leaf_reflectance"][:, None], plants["bark_reflectance"][:, None])
+    rows["semantic"], rows["part"], rows["reflectance"] = semantic, parts, bright
+    rows["instance"], rows["species"] = plants["id"][:, None], plants["species"][:, None]
+    rows["material"] = bark_material(plants["species"], table)[:, None] + leaf
     return rows

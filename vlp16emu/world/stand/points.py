@@ -7,7 +7,6 @@ Stochastic Geometry and its Applications, 3rd ed., sections 5.3 and 5.4.
 
 import math
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from vlp16emu.random import Purpose, generator, uniform
 from vlp16emu.world.ground.trails import Trails
 from vlp16emu.world.ground.waves import sum_of_waves, waves
 from vlp16emu.world.stand.settings import Clusters, HardCore, Pattern, Plantation, Scattered
-from vlp16emu.world.stand.tiles import TILE_M
+from vlp16emu.world.tiles import TILE_M, around
 
 Array = NDArray[np.float64]
 
@@ -40,18 +39,8 @@ _DENSEST_PATCH = 9.0
 """Density over its mean, which would be greater on 0.3 % of the ground; so the mean is too low by 0.5 %."""
 
 
-class PointPattern(Protocol):
-    """Points in the plane."""
-
-    per_ha: float
-    """Mean number of points per hectare."""
-
-    def points(self, ix: int, iy: int) -> Array:
-        """Points of a tile, (n, 2) x and y in m; the same ones however often asked."""
-
-
-class ScatteredPattern:
-    """Points that know nothing of each other (Poisson process).
+class PointPattern:
+    """Points in the plane; the same ones however often asked.
 
     Parameters
     ----------
@@ -62,36 +51,42 @@ class ScatteredPattern:
 
     def __init__(self, *, seed: int, purpose: Purpose, per_ha: float) -> None:
         self.per_ha = per_ha
+        """Mean number of points per hectare."""
         self._seed, self._purpose = seed, purpose
 
     def points(self, ix: int, iy: int) -> Array:
+        """Points of a tile, (n, 2) x and y in m."""
+        raise NotImplementedError
+
+    def _rng(self, ix: int, iy: int) -> np.random.Generator:
+        return generator(self._seed, self._purpose, ix, iy)
+
+
+class ScatteredPattern(PointPattern):
+    """Points that know nothing of each other (Poisson process)."""
+
+    def points(self, ix: int, iy: int) -> Array:
         """Points of a tile, (n, 2)."""
-        rng = generator(self._seed, self._purpose, ix, iy)
+        rng = self._rng(ix, iy)
         count = rng.poisson(self.per_ha * TILE_M * TILE_M / 10_000)
         return (rng.random((count, 2)) + np.array([ix, iy])) * TILE_M
 
 
-class PatchyPattern:
+class PatchyPattern(PointPattern):
     """Points, a part of them in patches (Cox process), as plants stand that spread by runners or find light.
 
     The density in patches follows the square of normal noise: a quarter of the ground has less than a tenth of the mean, and
-    a twelfth more than three times as much.
-
-    Parameters
-    ----------
-    seed, purpose : as for `ScatteredPattern`
-    even_per_ha, patchy_per_ha : mean number of points per hectare that know nothing of patches, and in patches
+    a twelfth more than three times as much. `even_per_ha` points know nothing of patches, `patchy_per_ha` are in them.
     """
 
     def __init__(self, *, seed: int, purpose: Purpose, even_per_ha: float, patchy_per_ha: float) -> None:
-        self.per_ha = even_per_ha + patchy_per_ha
-        self._seed, self._purpose = seed, purpose
+        super().__init__(seed=seed, purpose=purpose, per_ha=even_per_ha + patchy_per_ha)
         self._even_per_ha, self._patchy_per_ha = even_per_ha, patchy_per_ha
         self._waves = waves(generator(seed, purpose, 0, 0, 2), _PATCH_WAVELENGTHS_M, 1.0)
 
     def points(self, ix: int, iy: int) -> Array:
         """Points of a tile, (n, 2): those of a Poisson process as dense as the densest patch, thinned to the density at each."""
-        rng = generator(self._seed, self._purpose, ix, iy)
+        rng = self._rng(ix, iy)
         most_per_ha = self._even_per_ha + _DENSEST_PATCH * self._patchy_per_ha
         draws = rng.random((rng.poisson(most_per_ha * TILE_M * TILE_M / 10_000), 3))
         xy_m = (draws[:, :2] + np.array([ix, iy])) * TILE_M
@@ -107,85 +102,68 @@ class PatchyPattern:
         return np.minimum(np.square(noise), _DENSEST_PATCH)
 
 
-class HardCorePattern:
+class HardCorePattern(PointPattern):
     """Points that keep apart.
 
     Matern's second process: candidates fall like rain (Poisson), each with a random priority, and a
     candidate survives if none of higher priority lies within the hard-core distance (Matern 1960).
-
-    Parameters
-    ----------
-    seed, purpose : as for `ScatteredPattern`
-    per_ha : mean number of points per hectare after thinning
     """
 
     def __init__(self, *, seed: int, purpose: Purpose, per_ha: float) -> None:
-        self.per_ha = per_ha
+        super().__init__(seed=seed, purpose=purpose, per_ha=per_ha)
         density = per_ha / 10_000
         self.distance_m = min(_SPACING_SHARE / math.sqrt(density), _LARGEST_DISTANCE_M) if density else 0.0
         area = math.pi * self.distance_m * self.distance_m
         # Density after thinning is (1 - exp(-intensity * area)) / area; solved for the intensity.
         intensity = -log1p(-density * area) / area if density else 0.0
         self._per_tile = intensity * TILE_M * TILE_M
-        self._seed, self._purpose = seed, purpose
         self.candidates = lru_cache(maxsize=_TILES_KEPT)(self._candidates)
         """Candidates of tile (ix, iy): (n, 3) with x and y in m, and a priority in [0, 1), low is high."""
 
     def points(self, ix: int, iy: int) -> Array:
         """Survivors of a tile, (n, 2)."""
-        own = self.candidates(ix, iy)
-        rivals = np.concatenate([self.candidates(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+        own, rivals = self.candidates(ix, iy), around(ix, iy, self.candidates)
         dx, dy = (own[:, None, axis] - rivals[:, axis] for axis in (0, 1))
         beaten = (dx * dx + dy * dy < self.distance_m * self.distance_m) & (rivals[:, 2] < own[:, None, 2])
         return own[~beaten.any(axis=1), :2]
 
     def _candidates(self, ix: int, iy: int) -> Array:
-        """Rain of one tile."""
-        rng = generator(self._seed, self._purpose, ix, iy)
+        rng = self._rng(ix, iy)
         candidates = rng.random((rng.poisson(self._per_tile), 3))
         candidates[:, :2] = (candidates[:, :2] + (ix, iy)) * TILE_M
         candidates.flags.writeable = False
         return candidates
 
 
-class ClusterPattern:
+class ClusterPattern(PointPattern):
     """Points in clumps (Thomas process): clumps fall like rain, their members normally about the middle.
 
     Members that fall beyond the neighbouring tile, one in 1e4 at the very most, are lost.
-
-    Parameters
-    ----------
-    section : what the user wrote
-    seed, purpose, per_ha : as for `ScatteredPattern`
     """
 
     def __init__(self, section: Clusters, *, seed: int, purpose: Purpose, per_ha: float) -> None:
-        self.per_ha, self._section = per_ha, section
-        self._seed, self._purpose = seed, purpose
+        super().__init__(seed=seed, purpose=purpose, per_ha=per_ha)
+        self._section = section
         self._members = lru_cache(maxsize=_TILES_KEPT)(self._grow_members)
 
     def points(self, ix: int, iy: int) -> Array:
         """Members of a tile, whatever tile their clump belongs to, (n, 2)."""
-        around = [self._members(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-        return _inside(np.concatenate(around), ix, iy)
+        return _inside(around(ix, iy, self._members), ix, iy)
 
     def _grow_members(self, ix: int, iy: int) -> Array:
         """Members of the clumps whose middle lies in a tile."""
-        rng = generator(self._seed, self._purpose, ix, iy)
+        rng = self._rng(ix, iy)
         clumps = rng.poisson(self.per_ha / self._section.per_cluster * TILE_M * TILE_M / 10_000)
         middles = (rng.random((clumps, 2)) + np.array([ix, iy])) * TILE_M
         each = rng.poisson(self._section.per_cluster, clumps)
         return np.repeat(middles, each, axis=0) + rng.normal(0.0, self._section.sigma_m, (each.sum(), 2))
 
 
-class RowPattern:
+class RowPattern(PointPattern):
     """Points in planted rows; a random share of them is still there.
 
     Parameters
     ----------
-    section : what the user wrote
-    seed, purpose : as for `ScatteredPattern`
-    per_ha : mean number of points per hectare that are left
     free_share : of the ground that is off trails
 
     Raises
@@ -205,13 +183,13 @@ class RowPattern:
             )
             where = " off the trails" if free_share < 1 else ""
             raise GeometryError("stems_per_ha", f"found {per_ha * free_share:g}", f"at most {rows}{where}")
-        self.per_ha = per_ha
+        super().__init__(seed=seed, purpose=purpose, per_ha=per_ha)
         self._left = per_ha / planted
         self._spacing_m = np.array([tree_spacing_m, row_spacing_m])
         towards = math.radians(section.azimuth_deg)
         # Rows of the matrix: along and across the planted rows.
         self._row_R_world = np.array([[cos(towards), sin(towards)], [-sin(towards), cos(towards)]])
-        self._jitter_m, self._seed, self._purpose = section.jitter_m, seed, purpose
+        self._jitter_m = section.jitter_m
 
     def points(self, ix: int, iy: int) -> Array:
         """Plants of a tile that are left, (n, 2)."""
@@ -232,14 +210,8 @@ class RowPattern:
         return (planted + self._jitter_m * (2 * draws[:, :2] - 1))[draws[:, 2] < self._left]
 
 
-class OffTrailPattern:
-    """Points of a pattern that are off trails.
-
-    Parameters
-    ----------
-    pattern : of all points, as dense as it is to be off the trails
-    trails : where no point is
-    """
+class OffTrailPattern(PointPattern):
+    """Points of a pattern, which is as dense as it is to be off the trails, that are on none of them."""
 
     def __init__(self, pattern: PointPattern, trails: Trails) -> None:
         self.per_ha = pattern.per_ha * trails.free_share
@@ -254,24 +226,19 @@ class OffTrailPattern:
 def pattern_of(
     section: Pattern, *, seed: int, purpose: Purpose, per_ha: float, trails: Trails | None = None
 ) -> PointPattern:
-    """Make a point pattern of some density, all of it off trails if there are any; else arguments are those of `ScatteredPattern`."""
-    if trails is not None and trails.free_share < 1:
-        share = trails.free_share
-        return OffTrailPattern(_pattern(section, seed, purpose, per_ha / share, share), trails)
-    return _pattern(section, seed, purpose, per_ha, 1.0)
-
-
-def _pattern(section: Pattern, seed: int, purpose: Purpose, per_ha: float, free_share: float) -> PointPattern:
-    """Make a point pattern that knows of no trails."""
+    """Make a point pattern of some density, all of it off trails if there are any; else arguments are those of `PointPattern`."""
+    share = trails.free_share if trails else 1.0
+    per_ha = per_ha / share
     match section:
         case Clusters():
-            return ClusterPattern(section, seed=seed, purpose=purpose, per_ha=per_ha)
+            pattern: PointPattern = ClusterPattern(section, seed=seed, purpose=purpose, per_ha=per_ha)
         case Plantation():
-            return RowPattern(section, seed=seed, purpose=purpose, per_ha=per_ha, free_share=free_share)
+            pattern = RowPattern(section, seed=seed, purpose=purpose, per_ha=per_ha, free_share=share)
         case HardCore():
-            return HardCorePattern(seed=seed, purpose=purpose, per_ha=per_ha)
+            pattern = HardCorePattern(seed=seed, purpose=purpose, per_ha=per_ha)
         case Scattered():
-            return ScatteredPattern(seed=seed, purpose=purpose, per_ha=per_ha)
+            pattern = ScatteredPattern(seed=seed, purpose=purpose, per_ha=per_ha)
+    return OffTrailPattern(pattern, trails) if trails and share < 1 else pattern
 
 
 def _inside(points: Array, ix: int, iy: int) -> Array:

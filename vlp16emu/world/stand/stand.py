@@ -18,9 +18,9 @@ from vlp16emu.world.plants.crown import VARIANTS, CrownKey
 from vlp16emu.world.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora, known, tapers
 from vlp16emu.world.plants.species import Species
 from vlp16emu.world.polyline import Corridor
-from vlp16emu.world.settings import Forest
 from vlp16emu.world.stand.points import PointPattern, pattern_of
-from vlp16emu.world.stand.settings import MOST_STEMS_PER_HA, SpeciesShare, Storey
+from vlp16emu.world.stand.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
+from vlp16emu.world.tiles import around
 from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]
@@ -197,6 +197,8 @@ class Stand:
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
         """Mean number of stems per hectare."""
+        self.species = [share.species for share in section.species]
+        """Names of those of the canopy."""
         crown_m2 = sum(
             _crown_area_m2_per_ha(storey) for storey in zip(self._patterns, self._cohorts, strict=True)
         )
@@ -211,7 +213,7 @@ class Stand:
     def trees(self, ix: int, iy: int) -> Trees:
         """Trees whose foot lies in a tile, `TREE` with id still 0, in the order they were sown."""
         trees, own = self._sown(ix, iy)
-        rivals = np.concatenate([self._sown(ix + i, iy + j)[1] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+        rivals = around(ix, iy, lambda *tile: self._sown(*tile)[1])
         dx, dy, _, _ = (own[:, None] - rivals).transpose(2, 0, 1)
         gap_m = own[:, None, 2] + rivals[:, 2] + _STEM_GAP_M
         thicker = rivals[:, 3] > own[:, None, 3]

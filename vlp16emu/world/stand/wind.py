@@ -24,11 +24,13 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Sway, Window
 from vlp16emu.world.plants.allometry import taper_radius_m
 from vlp16emu.world.plants.flora import Flora, tapers
+from vlp16emu.world.plants.settings import Season
 from vlp16emu.world.stand.forest import ForestWorld
-from vlp16emu.world.stand.settings import Season, Wind
+from vlp16emu.world.stand.settings import Wind
 from vlp16emu.world.stand.stand import REGENERATION
 
 Array = NDArray[np.float64]
+Stand = NDArray[np.void]
 
 ALONG, ACROSS = 0, 1
 """Components of the gusts' speed: with the mean wind, and level to the left of it."""
@@ -46,6 +48,30 @@ _LENGTH = (1.0, 2.7 / 8.1)
 _DECAY = 10.0
 """Of the coherence exp(-decay * frequency * distance / speed) across the wind; 8 to 16 have been measured
 (Davenport, Q J R Meteorol Soc 87, 1961; Simiu and Scanlan, Wind Effects on Structures)."""
+
+KNOT_NS = 100_000_000
+"""Between two knots trees move straight on. A tree that swings with amplitude A at f is then off by up to
+A (2 pi f KNOT_NS)^2 / 8, 0.3 % of A at 0.25 Hz, 1.2 % at 0.5 Hz; gusts quicker than it made that up to 2.2 times as much. What a window costs to open grows with the number of knots."""
+
+_AIR_KG_M3 = 1.2
+_FRICTION_SHARE = 0.3
+"""Friction velocity over mean speed at the top of a canopy (Raupach, Finnigan and Brunet, Boundary-Layer Meteorol
+78, 1996, table 1: 1 / 3.3)."""
+_SHELTERED = 0.2
+"""Drag on a tree of a lower storey over that on one of the canopy with such a crown; assumption."""
+_BARE = 0.4
+"""Drag on a crown without leaves over that with leaves; assumption."""
+
+_IN_LEAF = 0.8
+"""Frequency of a broadleaved tree in leaf over that of a conifer of its size. That leaves lower it: Jackson et al.,
+J R Soc Interface 16, 20190116, 2019; by how much: assumption."""
+
+_GREEN_WOOD_KG_M3 = 900.0
+"""Of stems with bark and sap; assumption, fresh logs have 700 to 1100."""
+_CROWN_MASS = 0.3
+"""Branches and leaves over the stem (IPCC Good Practice Guidance 2003, table 3A.1.10: biomass expansion factors of
+1.3 for conifers, 1.4 for broadleaved trees)."""
+_SECTIONS = 16
 
 
 class Lines(NamedTuple):
@@ -142,33 +168,6 @@ def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: Array, sine: Arr
                 now[k] += a * cosine[line, k] - b * sine[line, k]
 
 
-Stand = NDArray[np.void]
-
-KNOT_NS = 100_000_000
-"""Between two knots trees move straight on. A tree that swings with amplitude A at f is then off by up to
-A (2 pi f KNOT_NS)^2 / 8, 0.3 % of A at 0.25 Hz, 1.2 % at 0.5 Hz; gusts quicker than it made that up to 2.2 times as much. What a window costs to open grows with the number of knots."""
-
-_AIR_KG_M3 = 1.2
-_FRICTION_SHARE = 0.3
-"""Friction velocity over mean speed at the top of a canopy (Raupach, Finnigan and Brunet, Boundary-Layer Meteorol
-78, 1996, table 1: 1 / 3.3)."""
-_SHELTERED = 0.2
-"""Drag on a tree of a lower storey over that on one of the canopy with such a crown; assumption."""
-_BARE = 0.4
-"""Drag on a crown without leaves over that with leaves; assumption."""
-
-_IN_LEAF = 0.8
-"""Frequency of a broadleaved tree in leaf over that of a conifer of its size. That leaves lower it: Jackson et al.,
-J R Soc Interface 16, 20190116, 2019; by how much: assumption."""
-
-_GREEN_WOOD_KG_M3 = 900.0
-"""Of stems with bark and sap; assumption, fresh logs have 700 to 1100."""
-_CROWN_MASS = 0.3
-"""Branches and leaves over the stem (IPCC Good Practice Guidance 2003, table 3A.1.10: biomass expansion factors of
-1.3 for conifers, 1.4 for broadleaved trees)."""
-_SECTIONS = 16
-
-
 @dataclass(frozen=True, slots=True)
 class Mechanics:
     """How n trees answer the wind."""
@@ -216,13 +215,11 @@ class TreeSway:
     ----------
     section : what the user wrote; its speed is more than 0
     forest : of the trees, each with a shape of its own
-    season : whether broadleaves bear leaves
     start_ns : UTC of the run's first pulse
     """
 
-    def __init__(self, section: Wind, *, forest: ForestWorld, season: Season, start_ns: int) -> None:
-        self._section, self._forest = section, forest
-        self._season, self._start_ns = season, start_ns
+    def __init__(self, section: Wind, *, forest: ForestWorld, start_ns: int) -> None:
+        self._section, self._forest, self._start_ns = section, forest, start_ns
         towards = math.radians(section.towards_deg)
         east, north = cos(towards), sin(towards)
         self._axes = np.array([[east, north], [-north, east]])
@@ -233,7 +230,7 @@ class TreeSway:
 
         Drag grows with the square of the speed; the mean and the part linear in the gusts are kept.
         """
-        own = mechanics(trees, self._forest.plants, self._season)
+        own = mechanics(trees, self._forest.plants, self._forest.section.season)
         along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)
         swinging = Trees(2.0 * math.pi * own.frequency_hz, self._section.damping_ratio, along_m, across_m)
         mean = self._section.speed_m_s

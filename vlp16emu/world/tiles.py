@@ -1,5 +1,6 @@
 """The plane cut into square tiles: which are near a line, and their ground."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +44,11 @@ def tiles_within(line_xy_m: Array, reach_m: float) -> NDArray[np.int64]:
     tiles = np.column_stack([ix.ravel(), iy.ravel()])
     near: NDArray[np.int64] = tiles[_centre_distance_m(tiles, Polyline(line_xy_m)) <= reach]
     return near
+
+
+def around(ix: int, iy: int, of: Callable[[int, int], Array]) -> Array:
+    """Put together what there is of a tile and of the eight around it."""
+    return np.concatenate([of(ix + i, iy + j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
 
 def tile_distance_m(tile: tuple[int, int], path: Polyline) -> float:
