@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from vlp16emu.accuracy.compare import compare, errors_of
-from vlp16emu.accuracy.converged import Bench, Group, apart_m, joined
+from vlp16emu.accuracy.converged import apart_m, joined
+from vlp16emu.accuracy.sample import Bench, Group
 from vlp16emu.accuracy.settings import beam_settings
 from vlp16emu.chain import assemble
 from vlp16emu.chain.chain import Chain
