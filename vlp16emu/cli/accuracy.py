@@ -93,8 +93,8 @@ def accuracy(
         print_json(tree | {"files": [str(file) for file in files]})
         return
     _print(measured)
-    for file in files:
-        print(f"wrote {file}, {size(file.stat().st_size)}")
+    for path in files:
+        print(f"wrote {path}, {size(path.stat().st_size)}")
 
 
 def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
