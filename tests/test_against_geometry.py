@@ -5,7 +5,8 @@ import pytest
 from raycast.reference import SlowScene
 
 from vlp16emu.accuracy.compare import compare, errors_of
-from vlp16emu.accuracy.converged import Bench, Group, apart_m, joined
+from vlp16emu.accuracy.converged import apart_m, joined
+from vlp16emu.accuracy.sample import Bench, Group
 from vlp16emu.accuracy.settings import beam_settings
 from vlp16emu.engine import Engine, assemble
 from vlp16emu.scenario import load

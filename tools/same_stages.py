@@ -9,20 +9,20 @@ arguments: an environment that changes none of these answers proves nothing.
 import argparse
 import math
 import tempfile
-from collections.abc import Hashable, Iterator
-from contextlib import nullcontext
-from dataclasses import fields, replace
+from collections.abc import Callable, Hashable, Iterator
+from concurrent.futures import Future
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from threading import Event
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
-from vlp16emu.engine import Engine, Unit, assemble, in_one_world
-from vlp16emu.extras.clouds.points import write_cloud
+from vlp16emu.engine import Engine, Job, assemble, in_one_world
+from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.raycast import build
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.scenario import Scenario, load
@@ -109,33 +109,49 @@ def _arrays_of(made: Any) -> list[tuple[str, NDArray[Any]]]:
     return [(name, value) for name, value in values if isinstance(value, np.ndarray)]
 
 
-class Recorded(Engine):
-    """A chain that keeps what its stages make, block by block, so that neither threads nor pieces change the order."""
+@dataclass(frozen=True)
+class _Keeping(Engine):
+    """An engine that hands the returns of its jobs to a function."""
+
+    keep: Callable[[int, Returns], None] = lambda _unit, _returns: None
+
+    def _scan(self, job: Job, opened: Future[Geometry]) -> Returns:
+        returns = super()._scan(job, opened)
+        self.keep(job.unit.number, returns)
+        return returns
+
+
+class Recorded:
+    """A run that keeps what its stages make, block by block, so that neither threads nor pieces change the order."""
 
     def __init__(self, scenario: Scenario, threads: int, like: "Recorded | None" = None) -> None:
         self._made: dict[str, dict[tuple[int, int], NDArray[Any]]] = {}
         self._grown: Grown | None = None
+        self.scenario = scenario
         if like and in_one_world(scenario, like.scenario):
-            of_world = like.scenario, like.parts
+            of_world: Any = like.engine
         else:
             parts = assemble(scenario)
             self._grown = Grown(parts.world)
-            of_world = scenario, replace(parts, world=self._grown)
-        super().__init__(scenario, threads=threads, audit=self._look, like=of_world)
+            of_world = SimpleNamespace(scenario=scenario, parts=replace(parts, world=self._grown))
+        self.engine = _Keeping.of(scenario, threads=threads, taps=[self._look], like=of_world)
+        self.engine = replace(self.engine, keep=self._keep_returns)
 
     def stages(self, pieces: int) -> Arrays:
         """Run the stretch in one or more pieces, and give the arrays of all stages."""
         edges_s = np.linspace(START_S, START_S + SPAN_S, pieces + 1).tolist()
         spans_s = list(pairwise(edges_s))
-        last = _points(self, spans_s) if self.scenario.sensor.model == "free" else _packets(self, spans_s)
+        of = _points if self.scenario.sensor.model == "free" else _packets
+        last = of(self.engine, spans_s)
         blocks = {
             name: np.concatenate([array for _, array in sorted(made.items(), key=lambda item: item[0])])
             for name, made in self._made.items()
         }
         return (self._grown.arrays() if self._grown else {}) | blocks | last
 
-    def _look(self, unit: Unit, firings: Firings, hits: Hits, _geometry: Geometry) -> None:
+    def _look(self, job: Job, firings: Firings, hits: Hits, _geometry: Geometry) -> None:
         """Keep poses, firings and hits of some blocks."""
+        unit = job.unit
         poses, first = unit.motion.poses_at(firings.t_ns.reshape(-1)), (unit.number, firings.index)
         rows, lasers = firings.t_ns.shape
         rays = np.concatenate([[0], hits.count.sum(axis=1, dtype=np.int64).cumsum()])
@@ -146,15 +162,13 @@ class Recorded(Engine):
         self._keep("firings", first, firings, np.arange(rows + 1))
         self._keep("hits", first, hits, rays)
 
-    def _scan(self, unit: Unit, *arguments: Any, **options: Any) -> Returns:
-        returns = super()._scan(unit, *arguments, **options)
-        first = unit.number, returns.firings.index
+    def _keep_returns(self, unit: int, returns: Returns) -> None:
+        first = unit, returns.firings.index
         self._keep("returns", first, replace(returns, surfaces=None), np.arange(len(returns.distance_m) + 1))
-        return returns
 
     def _keep(self, stage: str, first: tuple[int, int], made: object, edges: NDArray[np.int64]) -> None:
         """Keep arrays block by block; those of firing sequence r of some blocks are at `edges` r to r + 1."""
-        every, block = np.arange(len(edges)), self.batching.block
+        every, block = np.arange(len(edges)), self.engine.batching.block
         for name, array in _arrays_of(made):
             at = every if name == "count" else edges
             for row in range(0, len(edges) - 1, block):
@@ -162,9 +176,9 @@ class Recorded(Engine):
                 self._made.setdefault(f"{stage}/{name}", {})[first[0], first[1] + row] = part
 
 
-def _packets(chain: Engine, spans_s: list[tuple[float, float]]) -> Arrays:
-    """Run a chain to packets; payloads (n, bytes) are filled with zeros to the length of the longest."""
-    packets = [packet for span_s in spans_s for packet in chain.packets(*span_s)]
+def _packets(engine: Engine, spans_s: list[tuple[float, float]]) -> Arrays:
+    """Run an engine to packets; payloads (n, bytes) are filled with zeros to the length of the longest."""
+    packets = [packet for span_s in spans_s for packet in engine.packets(*span_s)]
     longest = max(len(packet.payload) for packet in packets)
     payload = b"".join(packet.payload.ljust(longest, b"\0") for packet in packets)
     return {
@@ -174,15 +188,15 @@ def _packets(chain: Engine, spans_s: list[tuple[float, float]]) -> Arrays:
     }
 
 
-def _points(chain: Engine, spans_s: list[tuple[float, float]]) -> Arrays:
+def _points(engine: Engine, spans_s: list[tuple[float, float]]) -> Arrays:
+    emulator = Emulator(engine.scenario)
+    emulator.run = replace(emulator.run, engine=engine)
     parts: dict[str, list[NDArray[Any]]] = {}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "points.npz"
         for span_s in spans_s:
-            quiet = nullcontext(lambda _: None)
-            write_cloud(
-                chain, 0, path, span_s, truth=True, labels=None, scene="", progress=quiet, stop=Event()
-            )
+            span = {"start_s": span_s[0], "duration_s": span_s[1] - span_s[0]}
+            write_points(emulator, path, **span, truth=True)
             with np.load(path) as file:
                 for name, array in file.items():
                     parts.setdefault(f"points/{name}", []).append(np.atleast_1d(array))

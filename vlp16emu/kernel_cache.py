@@ -28,6 +28,7 @@ _WITHOUT_KERNELS = frozenset(
         "__init__",
         "__main__",
         "__pycache__",
+        "accuracy",
         "bag",
         "engine",
         "cli",

@@ -8,7 +8,8 @@ import pytest
 
 from vlp16emu.accuracy import Audit
 from vlp16emu.accuracy.compare import Tally, compare, errors_of
-from vlp16emu.accuracy.converged import Bench, apart_m, draw_groups, joined
+from vlp16emu.accuracy.converged import apart_m, joined
+from vlp16emu.accuracy.sample import Bench, draw_groups
 from vlp16emu.engine import Engine
 from vlp16emu.engine.windows import Batching
 from vlp16emu.scenario import load

@@ -6,10 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vlp16emu.accuracy.compare import Counts, Detections, Echoes, Tally, compare, counted, errors_of
-from vlp16emu.accuracy.curve import Accuracy, Kind, Rounding, Row, choices, draw_accuracy, fitted_order, front
-from vlp16emu.accuracy.distributions import distributions_of
-from vlp16emu.accuracy.precision import seam
+from vlp16emu.accuracy.compare import Detections, Tally, compare, errors_of
+from vlp16emu.accuracy.curve import Accuracy, Kind, Row, choices, draw_accuracy, fitted_order, front
 
 RESOLUTION_M = 1.0
 
@@ -164,72 +162,6 @@ def test_the_picture_is_drawn():
         *(row(f"rays={n}", n, 0.5 / n) for n in (4, 8, 16)),
     )
     drawn = io.BytesIO()
-    draw_accuracy(drawn, Accuracy("wood", 1, 4096, 1e-4, rows, (), Rounding(9, 1e-6, 1e-5, 0.0)))
+    draw_accuracy(drawn, Accuracy("wood", 1, 4096, 1e-4, rows, ()))
     assert drawn.getvalue()[:4] == b"\x89PNG"
     assert len(drawn.getvalue()) < 150_000
-
-
-def echoes(rng, pulses=128, leaf=0.4, beyond=1.0):
-    """Pulses of a cluster whose returns lie evenly from 0 to 40 m, all alike but for the cluster's own density."""
-    range_m = np.sort(rng.uniform(0.1, 40.0, (pulses, 2)), axis=1)
-    kept = np.ones(2, bool) & (rng.random((pulses, 1)) < np.where(range_m[:, :1] < 20, 0.5, 0.5 * beyond))
-    range_m = np.where(kept, range_m, 0.0)
-    part = np.where(kept, np.where(rng.random((pulses, 2)) < leaf, 4, 1), 0)
-    lasers = np.arange(pulses) % 16
-    bright = np.where(kept, 20, 0).astype(np.uint8)
-    one = np.where(kept, 1, 0).astype(np.uint16)
-    return Echoes(lasers, range_m, bright, part.astype(np.uint8), one, range_m[:, 0] / 4)
-
-
-def world(seed, clusters=60, **of):
-    rng = np.random.default_rng(seed)
-    return Counts(
-        *map(np.stack, zip(*(counted(echoes(rng, **of), 16) for _ in range(clusters)), strict=True))
-    )
-
-
-def held(one, other):
-    rows, tests = distributions_of(
-        {20.0: one, np.inf: other}, seed=1, lasers=[str(n) for n in range(16)], species={1: "birch"}
-    )
-    return {(row.section, row.name): row for row in rows}, {test.name: test for test in tests}
-
-
-def test_shares_are_those_of_all_pulses():
-    """Sums over clusters give the shares of all their pulses; a world departs from itself in nothing."""
-    own = world(1)
-    rows, tests = held(own, own)
-    assert not any(row.departs(0) for row in rows.values())
-    assert {test.p for test in tests.values()} == {(1.0,)}
-    plants = own.plant.sum()
-    leaf = rows["leaf, % of plant returns", "all"]
-    assert leaf.values == pytest.approx([100 * own.leaf.sum() / plants] * 2)
-    assert rows["reflectivity", "mean"].values == (20.0, 20.0)
-    assert leaf.low[1] < leaf.values[1] < leaf.high[1]
-
-
-def test_a_departure_is_seen_and_chance_is_not():
-    """More leaf is found by its row and its test alone; worlds that are alike keep tests above 1 in a hundred."""
-    rows, tests = held(world(1, leaf=0.5), world(2))
-    assert rows["leaf, % of plant returns", "all"].departs(0)
-    assert tests["leaf or wood"].p[0] < 0.01
-    assert min(test.p[0] for name, test in tests.items() if name != "leaf or wood") > 0.01
-
-
-def test_p_values_are_even_under_the_null_hypothesis():
-    """Of worlds that are alike 5 % have p below 0.05: here fewer than 20 % of 24, for KS and chi-square each."""
-    p = np.array(
-        [[test.p[0] for test in held(world(n, 30), world(1000 + n, 30))[1].values()] for n in range(24)]
-    )
-    low = (p < 0.05).mean(axis=0)
-    assert low[:2].max() <= 0.2
-    assert low[-1] <= 0.2
-    assert p.mean() > 0.35
-
-
-def test_a_seam_is_found():
-    """Half the returns beyond near_m are a step; in worlds that are alike none is found."""
-    plain, other = seam(world(1), world(2), 20.0), seam(world(1, beyond=0.5), world(2), 20.0)
-    assert plain.low < 0 < plain.high
-    assert other.high < 0
-    assert len(plain.ratio) == len(plain.from_m) == 12

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.accuracy.converged import GROUP, draw_groups
+from vlp16emu.accuracy.sample import GROUP, draw_groups
 from vlp16emu.engine.windows import Batching
 
 BATCHING = Batching(16, 55_296)

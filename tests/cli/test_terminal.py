@@ -7,9 +7,9 @@ import threading
 import pytest
 
 from vlp16emu import compiling
-from vlp16emu.accuracy import AuditFinding
 from vlp16emu.cli.start import compile_first
 from vlp16emu.cli.terminal import Progress, audit_rows
+from vlp16emu.run.report import AuditFinding
 
 
 class Terminal(io.StringIO):

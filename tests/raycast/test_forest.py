@@ -1,7 +1,10 @@
 """A grown forest through the caster: revolutions repeat, and windows that overlap agree."""
 
+from functools import cache
+
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from vlp16emu.engine import assemble
 from vlp16emu.raycast.caster import caster
@@ -67,3 +70,35 @@ def test_a_pulse_meets_the_same_in_the_windows_that_hold_it(forest, workers):
     # What differs is met within rounding of an edge: float32 has another place for it in each window.
     assert same.mean() > 0.998
     assert same[beyond].mean() > 0.998
+
+
+def test_a_far_hit_shows_what_stands_there(forest, workers):
+    """Of hits beyond `near_m` a face that shows their own surface is within 1 m; of surfaces dealt anew it mostly is not."""
+    unit, world = forest.units[0], forest.world
+    firings = unit.head.aim(0, 64, unit.motion.poses_at, beam_axis=True)
+    window = world.window(firings.origin_m[:1, 0])
+    hits = caster(world, workers).open(window).cast(firings, unit.head.beams.near_m, 30.0)
+    far = np.flatnonzero((hits.range_m > world.near_m) & np.isfinite(hits.range_m))
+    place_m = firings.origin_m.reshape(-1, 3) + hits.range_m[:, None] * firings.direction.reshape(-1, 3)
+    first, shape = window.first_surface.astype(np.int64), cache(world.shape)
+
+    @cache
+    def shown(surface):
+        """Corners and middles of all faces of a surface, in the world."""
+        points, begin = [], first[first <= surface].max()
+        for placement in np.flatnonzero(first == begin):
+            mesh = shape(window.shapes[window.shape[placement]])[surface - begin]
+            corners = mesh.vertices_m[mesh.faces].astype(np.float64)
+            middles = (corners + np.roll(corners, 1, axis=1)) / 2
+            around = np.concatenate([corners.reshape(-1, 3), middles.reshape(-1, 3), corners.mean(axis=1)])
+            world_T_shape = window.world_T_shape[placement]
+            points.append(around @ world_T_shape[:, :3].T + world_T_shape[:, 3])
+        return cKDTree(np.concatenate(points), balanced_tree=False)
+
+    def off_m(surfaces):
+        pairs = zip(surfaces.tolist(), place_m[far], strict=True)
+        return np.array([shown(surface).query(place)[0] for surface, place in pairs])
+
+    assert len(far) > 100
+    assert off_m(hits.surface[far]).max() <= 1.0
+    assert (off_m(hits.surface[far][::-1]) > 1.0).mean() > 0.5

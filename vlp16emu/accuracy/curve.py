@@ -1,6 +1,6 @@
 """Error against run time: what was measured of each setting, what follows for the choice of one, and the picture."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from vlp16emu.accuracy.compare import Errors
-from vlp16emu.accuracy.distributions import Distributions
 from vlp16emu.plots import CYCLE, INK, SOFT, plotted
 
 WANTED_M = (0.5, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
@@ -42,15 +41,31 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Rounding:
-    """What float32 does to ranges: single rays, with the place on the surface that was met found anew in float64."""
+class Mean:
+    """A mean over pulses."""
 
-    rays: int
-    range_rmse_m: float
-    range_max_m: float
-    """Of rays that are not `elsewhere`, likewise the RMSE."""
-    elsewhere: float
-    """Share of rays that do not meet that surface within 1 mm of the same range in float64: they graze an edge."""
+    value: float
+    off: float
+    """Difference from the explicit world."""
+    half: float
+    """Half of the 95 % interval of that difference."""
+
+    @property
+    def departs(self) -> bool:
+        """Whether it differs by more than chance."""
+        return abs(self.off) > self.half
+
+
+@dataclass(frozen=True, slots=True)
+class LevelOfDetail:
+    """A world cast leaf by leaf to some distance."""
+
+    name: str
+    """As `--set` takes it."""
+    in_use: bool
+    us_per_pulse: float
+    """Run time of casting and detecting on one core."""
+    means: Mapping[str, Mean]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +81,8 @@ class Accuracy:
     rows: tuple[Row, ...]
     poses: tuple[Row, ...]
     """Held poses, each against a pose per pulse with the light of the answer; none where nothing moves."""
-    rounding: Rounding
-    distributions: Distributions | None = None
-    """The world with a medium beyond some range against the explicit one; None of a hall."""
+    foliage: tuple[LevelOfDetail, ...] = ()
+    """The world cast leaf by leaf to some distances, the explicit one last; none of a hall."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,5 @@
-"""The settings whose errors are measured: the light of a pulse, how long a pose is held, how far leaves are cast."""
+"""The settings whose errors are measured: the light of a pulse, and how long a pose is held."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -14,7 +13,6 @@ from vlp16emu.packets import SEQUENCES_PER_PACKET
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import Poses, ReturnMode
-from vlp16emu.world import Woods
 
 PosesAt = Callable[[NDArray[np.int64]], Poses]
 Model = Literal["adaptive", "fixed", "none", "angle", "offset"]
@@ -22,8 +20,6 @@ Model = Literal["adaptive", "fixed", "none", "angle", "offset"]
 _COUNTS = (4, 8, 16, 32, 64, 128)
 _TIMES_TARGET = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Targets of adaptive beams, over that of the scene."""
-_NEAR_M = (10.0, 15.0, 20.0, 30.0, math.inf)
-"""How far from the sensor worlds are cast leaf by leaf."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,17 +40,6 @@ class PoseRate:
     name: str
     in_use: bool
     poses_at: PosesAt
-
-
-@dataclass(frozen=True, slots=True)
-class LevelOfDetail:
-    """The world of a scene, cast leaf by leaf to some distance."""
-
-    name: str
-    """As `--set` takes it."""
-    near_m: float
-    in_use: bool
-    scenario: Scenario
 
 
 def beam_settings(scenario: Scenario, seed: int) -> list[BeamSetting]:
@@ -96,22 +81,6 @@ def pose_rates(unit: Unit) -> list[PoseRate]:
             poses_at=_held(unit.motion.poses_at, start_ns, sequence_ns),
         ),
         PoseRate("pose per packet", in_use=False, poses_at=_held(unit.motion.poses_at, start_ns, packet_ns)),
-    ]
-
-
-def levels_of_detail(scenario: Scenario) -> list[LevelOfDetail]:
-    """List the scene with its world cast leaf by leaf to some distances, its own among them; nothing of a hall."""
-    world = scenario.world
-    if not isinstance(world, Woods):
-        return []
-    return [
-        LevelOfDetail(
-            f"world.near_m={near_m:g}",
-            near_m,
-            in_use=near_m == world.near_m,
-            scenario=scenario.model_copy(update={"world": world.model_copy(update={"near_m": near_m})}),
-        )
-        for near_m in sorted({*_NEAR_M, world.near_m})
     ]
 
 

@@ -8,22 +8,19 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from vlp16emu.accuracy.compare import Detections, Errors, compare, errors_of
-from vlp16emu.accuracy.converged import GROUP, Bench, Group, apart_m, draw_groups, joined
-from vlp16emu.accuracy.curve import Accuracy, Kind, Rounding, Row
-from vlp16emu.accuracy.precision import NOTHING_MET, rounding_of
+from vlp16emu.accuracy.converged import apart_m, joined
+from vlp16emu.accuracy.curve import Accuracy, Kind, Row
+from vlp16emu.accuracy.sample import TIMED_SEQUENCES, Bench, Group, opened_windows
 from vlp16emu.accuracy.settings import PosesAt, beam_settings, pose_rates
-from vlp16emu.engine import assemble, window_of
+from vlp16emu.engine import assemble
 from vlp16emu.engine.windows import Batching, workers
 from vlp16emu.errors import RunError
-from vlp16emu.raycast.caster import Geometry, caster
+from vlp16emu.raycast.caster import Geometry
 from vlp16emu.scenario import Scenario
-from vlp16emu.units import S_NS, seconds_to_ns
 
 _RAYS, _TIMES = 4096, 4
 """Sub-rays of an answer: so many, and so many times those of a pulse of the scene."""
 _REPEATS = 5
-_TIMED_SEQUENCES = 96
-"""On which run time is measured in each window: then calls cost below a tenth of a ray each."""
 _POSED = 4
 """Every fourth group measures errors of poses and of the answer itself, for answers cost."""
 
@@ -64,7 +61,7 @@ class _Ladder:
     def time(self, geometry: Geometry, block: Group) -> None:
         """Measure run time of all settings, in turn, so that whatever else goes on meets them alike."""
         bench = self._bench
-        few = Group(block.first, min(_TIMED_SEQUENCES, block.count))
+        few = Group(block.first, min(TIMED_SEQUENCES, block.count))
         firings = bench.aimed(few, bench.unit.motion.poses_at)
         for repeat in range(_REPEATS + 1):
             timed = {setting.name: bench.timed(geometry, firings, setting.beam) for setting in self._beams}
@@ -76,7 +73,7 @@ class _Ladder:
                     self._us[name].append(us)
                     self._rays[name].append(rays)
 
-    def summed(self, scene: str, seed: int, rounding: Rounding) -> Accuracy:
+    def summed(self, scene: str, seed: int) -> Accuracy:
         """Sum all up; two answers differ by the root of two times the error of one."""
         answer = self._errors("another answer", "answer of some")
         return Accuracy(
@@ -90,7 +87,6 @@ class _Ladder:
             poses=tuple(
                 self._row(Kind.POSE, rate.name, "answer of some", rate.in_use) for rate in self._pose_rates
             ),
-            rounding=rounding,
         )
 
     def _row(self, kind: Kind, name: str, answer: str, in_use: bool) -> Row:
@@ -112,15 +108,15 @@ class _Ladder:
 
 
 def measure_accuracy(
-    scenario: Scenario, scene: str, *, pulses: int, done: Callable[[float], None]
+    scenario: Scenario, scene: str, *, pulses: int, done: Callable[[float], None] = lambda _: None
 ) -> Accuracy:
-    """Measure errors and run time of the settings of a scene, for the first of its units.
+    """Measure errors and run time of beams and poses of a scene, for the first of its units.
 
     Parameters
     ----------
     scene : what it is called
     pulses : looked at, rounded up to whole groups
-    done : called with the simulated seconds up to which the run was looked at
+    done : called with the share of the work that is done
 
     Raises
     ------
@@ -129,25 +125,14 @@ def measure_accuracy(
     """
     parts = assemble(scenario)
     unit = parts.units[0]
-    batching = Batching(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns)
-    blocks = len(batching.blocks(0, seconds_to_ns(min(scenario.duration_s, unit.motion.run_time_s))))
-    bench = Bench(unit, max(_RAYS, _TIMES * unit.beam.rays))
-    ladder = _Ladder(bench, scenario)
-    nearest_m, farthest_m = bench.limits_m
-    rounding = NOTHING_MET
+    block = Batching(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns).block
+    ladder = _Ladder(Bench(unit, max(_RAYS, _TIMES * unit.beam.rays)), scenario)
     with workers(os.cpu_count() or 1, "accuracy") as pool:
-        built = caster(parts.world, pool)
-        for segment, groups in draw_groups(batching, blocks, pulses, unit.seed, moves=parts.moves):
-            window = window_of(parts, scenario.start_ns, batching, segment)
-            opened = built.open(window)  # only now is the one before let go: shapes of both are built once
-            ladder.look(opened, groups, pool)
-            ladder.time(opened, Group(groups[0].first // batching.block * batching.block, batching.block))
-            firings = bench.aimed(groups[0], unit.motion.poses_at)
-            if not rounding.rays:
-                faces_m = min(farthest_m, parts.world.near_m)  # beyond there are no faces to be met again
-                rounding = rounding_of(opened, window, parts.world.shape, firings, nearest_m, faces_m)
-            done((groups[-1].first + GROUP) * batching.sequence_ns / S_NS)
-    summed = ladder.summed(scene, scenario.seed, rounding)
+        for geometry, groups, share in opened_windows(scenario, parts, pulses, pool):
+            ladder.look(geometry, groups, pool)
+            ladder.time(geometry, Group(groups[0].first // block * block, block))
+            done(share)
+    summed = ladder.summed(scene, scenario.seed)
     if not (seen := summed.rows[0].errors).returns:
         raise RunError(f"{scene}: none of {seen.pulses} pulses has a return; nothing can be wrong")
     return summed

@@ -1,5 +1,6 @@
 """`vlp16emu accuracy`: error against run time."""
 
+import json
 import math
 from contextlib import ExitStack
 from dataclasses import asdict, replace
@@ -15,16 +16,17 @@ from vlp16emu.errors import OutputError
 from vlp16emu.output import OutputFile
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
-    from vlp16emu.accuracy.curve import Accuracy, Row
-    from vlp16emu.accuracy.distributions import Distributions
+    from rich.table import Table
+
+    from vlp16emu.accuracy.curve import Accuracy, LevelOfDetail, Row
     from vlp16emu.scenario import Scenario
 
 
 _WIDTH = 120
-_TIMES = 16
-"""So many times as many pulses for distributions, by which single pulses are not compared."""
+_TIMES = 8
+"""So many times as many pulses for means of worlds, by which single pulses are not compared."""
 
 Pulses = Annotated[
     int,
@@ -59,7 +61,7 @@ def accuracy(
 
     Pulses from all over the run are received with each setting and compared with their converged answer, of
     thousands of sub-rays, by a receiver without noise; so are poses that are held. A forest cast leaf by leaf to some
-    distances is held against the explicit one by its distributions, with 16 times as many pulses.
+    distances is held against the explicit one by means, with 8 times as many pulses.
     Of a rig, the first sensor is looked at.
     """
     from vlp16emu.scenario import load
@@ -69,7 +71,10 @@ def accuracy(
         from vlp16emu.plots import check_matplotlib
 
         check_matplotlib()
-        _make_folder(out)
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"--out {out}", str(error.strerror), "a folder") from error
     name = Path(scene).stem
     files = [] if out is None else [out / f"accuracy_{name}{suffix}" for suffix in (".json", ".png")]
     compile_first("hall" if scenario.world.kind == "hall" else "forest")
@@ -78,47 +83,34 @@ def accuracy(
         measured = _measured(scenario, name, pulses)
         tree = _tree(measured)
         if outputs:
-            _write(outputs, measured, tree)
+            from vlp16emu.accuracy.curve import draw_accuracy
+
+            with outputs[0].writing() as file:
+                file.write(f"{json.dumps(tree, indent=2)}\n".encode())
+            with outputs[1].writing() as file:
+                draw_accuracy(file, measured)
     if as_json:
         print_json(tree | {"files": [str(file) for file in files]})
         return
     _print(measured)
-    if measured.distributions is not None:
-        _print_distributions(measured.distributions)
-    for file in files:
-        print(f"wrote {file}, {size(file.stat().st_size)}")
+    for path in files:
+        print(f"wrote {path}, {size(path.stat().st_size)}")
 
 
 def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
     """Measure a scene, with a progress bar."""
-    from vlp16emu.accuracy.medium import measure_medium
+    from vlp16emu.accuracy.foliage import measure_foliage
     from vlp16emu.accuracy.sweep import measure_accuracy
 
-    with Progress(scenario.duration_s) as progress:
-        measured = measure_accuracy(
-            scenario, name, pulses=pulses, done=lambda done_s: progress.show("measuring", done_s)
-        )
-        whole_s = scenario.duration_s
-        distributions = measure_medium(
-            scenario,
-            pulses=_TIMES * pulses,
-            done=lambda share: progress.show("comparing worlds", share * whole_s),
-        )
-    return replace(measured, distributions=distributions)
+    whole_s = scenario.duration_s
+    with Progress(whole_s) as progress:
 
+        def show(task: str) -> "Callable[[float], None]":
+            return lambda share: progress.show(task, share * whole_s)
 
-def _make_folder(out: Path) -> None:
-    """Make the folder of the report, before anything heavy.
-
-    Raises
-    ------
-    OutputError
-        where it cannot be made
-    """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"--out {out}", str(error.strerror), "a folder") from error
+        measured = measure_accuracy(scenario, name, pulses=pulses, done=show("measuring"))
+        foliage = measure_foliage(scenario, pulses=_TIMES * pulses, done=show("comparing worlds"))
+    return replace(measured, foliage=foliage)
 
 
 def _tree(measured: "Accuracy") -> dict[str, Any]:
@@ -141,29 +133,10 @@ def _tree(measured: "Accuracy") -> dict[str, Any]:
     }
 
 
-def _write(outputs: "Sequence[OutputFile]", measured: "Accuracy", tree: dict[str, Any]) -> None:
-    """Write the files of a report.
-
-    Raises
-    ------
-    RunError
-        where one cannot be written to its end
-    """
-    import json
-
-    from vlp16emu.accuracy.curve import draw_accuracy
-
-    report, picture = outputs
-    with report.writing() as file:
-        file.write(f"{json.dumps(tree, indent=2)}\n".encode())
-    with picture.writing() as file:
-        draw_accuracy(file, measured)
-
-
 def _print(measured: "Accuracy") -> None:
     from vlp16emu.accuracy.curve import choices
 
-    errors, rounding = measured.rows[0].errors, measured.rounding
+    errors = measured.rows[0].errors
     print(f"{measured.scene}, seed {measured.seed}: error against run time")
     print(
         f"  {count(errors.pulses)} pulses, {count(errors.returns)} with a return; answer of "
@@ -173,90 +146,66 @@ def _print(measured: "Accuracy") -> None:
     if measured.poses:
         print("\nWith the light of the answer; run time is that of posing and aiming.")
         _print_rows(measured.poses, "pose")
-    print(
-        f"\nfloat32 against float64, {rounding.rays} single rays: RMSE {1e6 * rounding.range_rmse_m:.1f} um, at most "
-        f"{1e6 * rounding.range_max_m:.0f} um; {100 * rounding.elsewhere:.1f} % graze an edge and meet something else"
-    )
+    if measured.foliage:
+        _print_foliage(measured.foliage)
     taken = "; ".join(f"{one.wanted_m:g} m: {one.row.name}" for one in choices(measured.rows))
     print(f"For a mean error of {taken}" if taken else "No setting has a mean error below 0.5 m")
 
 
-def _print_distributions(found: "Distributions") -> None:
-    """Print worlds with a medium beside the explicit one; what departs from that by more than chance has a star."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-
+def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:
+    """Print worlds by means; what departs from the explicit one by more than chance has a mark."""
     print(
-        f"\nWorlds with a medium beyond near_m, held against the explicit one: the same {count(found.pulses)} pulses "
-        f"in {count(found.groups)} groups,\nby {found.rays} sub-rays without noise, in dual return. ± is half of "
-        "the 95 % interval, by drawing groups anew: of the explicit\nworld's value, and of the others' difference "
-        "from it. ! marks a difference beyond that; chance alone marks one in 20."
+        "\nWorlds cast leaf by leaf to some distance, means over all pulses without noise; a pulse without a return\n"
+        "has a range of sensor.max_range_m. +- is half of the 95 % interval of the difference from the explicit\n"
+        "world, ! marks a difference beyond it; chance alone marks one in 20."
     )
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("statistic", no_wrap=True)
-    for name, in_use in zip(found.names, found.in_use, strict=True):
-        table.add_column(
-            name.removeprefix("world.") + (" *" if in_use else ""), justify="right", no_wrap=True
+    table = _table("world", ("us per pulse", *levels[-1].means))
+    for level in levels:
+        cells = (
+            f"{mean.value:.2f} +-{mean.half:.2f}{'!' if mean.departs else ' '}"
+            for mean in level.means.values()
         )
-    table.add_row("us per pulse", *(f"{us:.1f}" for us in found.us_per_pulse))
-    section = ""
-    for row in found.statistics:
-        if row.section != section:
-            table.add_row(section := row.section)
-        halves = ((high - low) / 2 for low, high in zip(row.low, row.high, strict=True))
-        marks = ("!" if row.departs(world) else " " for world in range(len(found.names) - 1))
-        cells = zip(row.values, halves, (*marks, " "), strict=True)
-        table.add_row(
-            f"  {row.name}", *(f"{_short(value)} ±{_short(half)}{mark}" for value, half, mark in cells)
-        )
-    Console(width=_WIDTH).print(table)
-    _print_tests(found)
+        table.add_row(_starred(level.name, in_use=level.in_use), f"{level.us_per_pulse:.2f}", *cells)
+    _show(table)
 
 
-def _short(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.{1 if abs(value) >= 100 else 2}f}"
+def _starred(name: str, *, in_use: bool) -> str:
+    short = name.removeprefix("beam.model=").removeprefix("world.").replace("beam.", "")
+    return f"{short} *" if in_use else short
 
 
-def _print_tests(found: "Distributions") -> None:
-    """Print distances of distributions from those of the explicit world, and how often chance alone gives more."""
+def _table(first: str, heads: "Iterable[str]") -> "Table":
     from rich.box import SIMPLE_HEAD
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("distribution, against near_m=inf", no_wrap=True)
-    for name in found.names[:-1]:
-        table.add_column(name.removeprefix("world."), justify="right", no_wrap=True)
-    for test in found.tests:
-        pairs = zip(test.distance, test.p, strict=True)
-        cells = (f"{distance:.4g}, p {'<' if p < 0.0015 else ''}{p:.3f}" for distance, p in pairs)
-        table.add_row(f"{test.name} ({test.kind})", *cells)
+    table.add_column(first, no_wrap=True)
+    for head in heads:
+        table.add_column(head, justify="right", no_wrap=True)
+    return table
+
+
+def _show(table: "Table") -> None:
+    from rich.console import Console
+
     Console(width=_WIDTH).print(table)
 
 
 def _print_rows(rows: "Sequence[Row]", what: str) -> None:
     """Print settings as a table; the one in use has a star."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column(what, no_wrap=True)
-    heads = "us per\npulse", "\n+-", "\nrays", "mean\nmm", "RMSE\nmm", "bias\nmm", "p95\nmm"
-    for head in (*heads, "lost\n%", "invented\n%", "wrong\n%", "wrong\nlast, %", "reflect.\nRMSE"):
-        table.add_column(head, justify="right", no_wrap=True)
+    lengths = "mean\nmm", "RMSE\nmm", "bias\nmm", "p95\nmm"
+    shares = "lost\n%", "invented\n%", "wrong\n%", "wrong\nlast, %"
+    table = _table(what, ("us per\npulse", "\n+-", "\nrays", *lengths, *shares, "reflect.\nRMSE"))
     for row in rows:
         e = row.errors
         lengths_m = e.mean_error_m, e.range_rmse_m, e.range_bias_m, e.range_p95_m
-        shares = e.lost, e.invented, e.wrong_strongest, e.wrong_last
         table.add_row(
-            f"{row.name.removeprefix('beam.model=').removeprefix('world.').replace('beam.', '')}{' *' if row.in_use else ''}",
+            _starred(row.name, in_use=row.in_use),
             f"{row.us_per_pulse:.2f}",
             f"{row.us_spread / 2:.2f}",
             f"{row.rays_per_pulse:.1f}",
             *(f"{1e3 * length_m:.{1 if length_m >= 1e-3 else 2}f}" for length_m in lengths_m),
-            *(f"{100 * share:.2f}" for share in shares),
+            *(f"{100 * of:.2f}" for of in (e.lost, e.invented, e.wrong_strongest, e.wrong_last)),
             f"{e.reflectivity_rmse:.2f}",
         )
-    Console(width=_WIDTH).print(table)
+    _show(table)

@@ -94,7 +94,7 @@ _EXAMPLES: dict[Callable[..., None], str | None] = {
   vlp16emu accuracy static_bench --json""",
     plan: """\b
   vlp16emu plan birch_walk
-  vlp16emu plan old_growth --duration 600 --set sensor.return_mode=dual
+  vlp16emu plan old_growth --set sensor.return_mode=dual
   vlp16emu plan reference_forest --ideal --json""",
     doctor: """\b
   vlp16emu doctor

@@ -1,19 +1,21 @@
-"""`vlp16emu plan`: what a scene needs, what it leaves out, what a recording takes, and whether a stream keeps up."""
+"""`vlp16emu plan`: what a scene needs and leaves out, and how fast two seconds of it are."""
 
 import os
 import time
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from vlp16emu.cli.arguments import AsJson, Duration, Ideal, NoAudit, SceneName, Settings, Threads
+from vlp16emu.cli.arguments import AsJson, Ideal, NoAudit, SceneName, Settings, Threads
 from vlp16emu.cli.start import make_emulator, starting
-from vlp16emu.cli.terminal import count, print_json, print_rows, size, tree_of
+from vlp16emu.cli.terminal import count, print_json, print_rows
 
 if TYPE_CHECKING:
-    from vlp16emu.report.plan.geometry import GeometrySize
-    from vlp16emu.report.plan.needs import Surroundings
-    from vlp16emu.report.plan.run import Measured, Plan, StreamOutlook
+    from collections.abc import Mapping
 
+    from vlp16emu.report.plan import StreamOutlook, Surroundings
 
+_MEASURED_S = 2.0
+_WORDS = {"loaded": True, "left out": False}
 _SCARCE = 1.2
 """Speed below which other programs, a driver on the same machine for instance, may make a stream late."""
 _TOO_SLOW = (
@@ -25,60 +27,60 @@ _TOO_SLOW = (
 def plan(
     scene: SceneName,
     *,
-    duration: Duration = None,
     settings: Settings = None,
     ideal: Ideal = False,
     threads: Threads = 0,
     no_audit: NoAudit = False,
     as_json: AsJson = False,
 ) -> None:
-    """Report what a scene needs, what a recording takes, and whether a stream keeps up.
+    """Report what a scene needs and what it leaves out, and measure whether a stream keeps up.
 
-    Opens the first two windows of the world, carries out short pieces of the run as `record` does, and
-    extrapolates: figures hold for this machine, as busy as it is now.
+    The first two seconds are recorded into no file, when the world is grown and the kernels are loaded: the speed holds
+    for this machine, as busy as it is now. A walk needs a new window of the world every 7 s, which is not in it.
     """
-    wall_s, cpu_s = time.perf_counter(), time.process_time()
+    began_s = time.perf_counter()
     with starting():
         workers = threads or os.cpu_count() or 1
         emulator = make_emulator(scene, settings, ideal=ideal, threads=workers, audit=not no_audit)
-        _, stop_s = emulator.scenario.span_s(0.0, duration)
-        from vlp16emu.report import Spent
-        from vlp16emu.report.plan.run import plan_run
-    audited = emulator.audit is not None and not emulator.audit.exact
-    made = plan_run(emulator, stop_s, workers, Spent(wall_s, cpu_s), scene=scene, audited=audited)
+        from vlp16emu.report.plan import libraries, needs, stream_outlook, surroundings
+    emulator.record(os.devnull, duration_s=min(0.1, emulator.scenario.duration_s))
+    started_s = time.perf_counter() - began_s
+    measured = emulator.record(os.devnull, duration_s=min(_MEASURED_S, emulator.scenario.duration_s))
+    audited, engine = measured.audit is not None and not measured.audit.exact, emulator.engine
+    features, world, loaded = needs(engine, audited=audited), surroundings(engine), libraries()
+    stream = stream_outlook(engine, measured.real_time_factor, workers)
+    figures = {
+        "started_s": started_s,
+        "simulated_s": measured.simulated_s,
+        "wall_s": measured.wall_s,
+        "real_time_factor": measured.real_time_factor,
+    }
     if as_json:
-        print_json(tree_of(made))
-    else:
-        _print(made)
-
-
-def _print(plan: "Plan") -> None:
+        tree = {"scene": scene, "seed": emulator.scenario.seed, "threads": workers, "libraries": loaded}
+        parts = {"world": asdict(world), "measured": figures, "stream": asdict(stream)}
+        print_json({**tree, "features": [asdict(need) for need in features], **parts})
+        return
     for title, on in (("has", True), ("leaves out", False)):
-        rows = {need.name: need.costs for need in plan.features if need.on is on}
-        if rows:
-            print_rows(f"{plan.scene} {title}", rows)
-    print_rows("in reach", _reach(plan.world))
-    print_rows(
-        "libraries",
-        {
-            word: ", ".join(name for name, is_loaded in plan.libraries.items() if is_loaded is on)
-            for word, on in (("loaded", True), ("left out", False))
-        },
+        if rows := {need.name: need.costs for need in features if need.on is on}:
+            print_rows(f"{scene} {title}", rows)
+    _print_world(world, loaded)
+    speed = (
+        f"{measured.simulated_s:g} s in {measured.wall_s:.1f} s, {measured.real_time_factor:.2f} x real time"
     )
-    expected = plan.forecast
-    peak = expected.peak_memory_bytes
-    print_rows(
-        f"`record` of {plan.duration_s:g} s on {plan.threads} threads will take",
-        {
-            "run time": f"{expected.wall_s:.1f} s, {expected.real_time_factor:.2f} x real time",
-            "first packet": f"after {expected.first_packet_s:.1f} s",
-            "then": f"{expected.steady_factor:.2f} x real time",
-            "processor": f"{expected.cpu_s:.1f} s of all threads",
-            "memory": "not reported by this system" if peak is None else f"{size(peak)} at most",
-        },
-    )
-    print_rows("`stream` in real time", _stream_rows(plan.stream))
-    print(_how(plan.measured, keeps_up=plan.stream.keeps_up))
+    start = {"start": f"{started_s:.1f} s", "record": speed}
+    print_rows(f"measured now, on {workers} threads", start | _stream_rows(stream))
+    if not stream.keeps_up:
+        print(_TOO_SLOW)
+
+
+def _print_world(world: "Surroundings", loaded: "Mapping[str, bool]") -> None:
+    reach = {kind: count(number) for kind, number in world.placed.items() if number}
+    species = f"{len(world.species)} grown: {', '.join(world.species)}".rstrip(": ")
+    print_rows("in reach", {**reach, "species": species})
+    of = {
+        word: [name for name, is_loaded in loaded.items() if is_loaded is on] for word, on in _WORDS.items()
+    }
+    print_rows("libraries", {word: ", ".join(names) for word, names in of.items()})
 
 
 def _stream_rows(found: "StreamOutlook") -> dict[str, str]:
@@ -89,45 +91,5 @@ def _stream_rows(found: "StreamOutlook") -> dict[str, str]:
         speed = f"yes, {found.real_time_factor:.2f} x real time, with next to nothing left for other programs"
     else:
         speed = f"yes, {found.real_time_factor:.1f} x real time"
-    rows = {"keeps up": speed, "sender": f"{found.sender_share:.0%} of a core, accounted for"}
-    if found.keeps_up_with:
-        rows["to keep up"] = ", or ".join(found.keeps_up_with)
-    return rows
-
-
-def _reach(world: "Surroundings") -> dict[str, str]:
-    rows = {}
-    for kind, number in world.first_window.items():
-        if not number:
-            continue
-        text = count(number)
-        if world.windows > 1:
-            text += f"; {count(round(world.mean[kind]))} on average over the walk"
-        rows[kind] = text
-    rows["species"] = f"{len(world.species)} grown: {', '.join(world.species)}".rstrip(": ")
-    rows |= _geometry(world.geometry)
-    rows["windows"] = f"{count(world.windows)} over the run, two at a time are kept"
-    return rows
-
-
-def _geometry(held: "GeometrySize") -> dict[str, str]:
-    """Write what is cast as faces, and what beyond them is a medium of voxels."""
-    faces = f"{count(held.faces)} in {size(held.bytes)}, placed {count(held.placed)}"
-    if held.near_m is None:
-        return {"faces": f"{faces}, at any range"}
-    medium = f"{count(held.voxels)} in {size(held.medium_bytes)}, {count(held.tiles)} tiles"
-    return {
-        "faces": f"{faces}, within {held.near_m:g} m",
-        "voxels": f"{medium}, beyond {held.near_m:g} m",
-    }
-
-
-def _how(measured: "Measured", *, keeps_up: bool) -> str:
-    """Say what the figures are from, and what makes a run faster that is too slow to stream."""
-    second = measured.second_window.wall_s
-    opened = f", the second window in {second:.2f} s" if second else ""
-    text = (
-        f"Measured now on this machine: {measured.simulated_s:.1f} s of the run in {len(measured.pieces)} pieces"
-        f"{opened}; memory is the peak of doing so, the rest extrapolated."
-    )
-    return text if keeps_up else f"{text}\n{_TOO_SLOW}"
+    rows = {"stream keeps up": speed, "sender": f"{found.sender_share:.0%} of a core, accounted for"}
+    return rows | ({"to keep up": ", or ".join(found.keeps_up_with)} if found.keeps_up_with else {})

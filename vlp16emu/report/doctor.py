@@ -45,7 +45,6 @@ def all_checks() -> Iterator[Check]:
 
 
 def _cores() -> Check:
-    """How many cores this process may use."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if cores >= _FEWEST_CORES:
         return Check("cores", Condition.OK, f"{cores}")
@@ -55,7 +54,6 @@ def _cores() -> Check:
 
 
 def _kernels() -> Check:
-    """Where compiled kernels are kept, and whether they are there."""
     folder, names = kernel_folder(), kernel_names()
     casting = any(name.startswith(_CASTER) for name in names)
     if folder is None and not casting:
@@ -71,7 +69,6 @@ def _kernels() -> Check:
 
 
 def _embree() -> Check:
-    """Whether Embree can be loaded, and by which instructions it computes."""
     from vlp16emu.raycast.embree import device
 
     try:
@@ -99,7 +96,6 @@ def _extra(extra: str, libraries: tuple[str, ...], purpose: str) -> Check:
 
 
 def _disk() -> Check:
-    """How much room there is where grown worlds are kept."""
     store = user_store()
     if store.folder is None:
         return Check(

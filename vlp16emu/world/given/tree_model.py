@@ -25,7 +25,6 @@ from vlp16emu.world.plants.stem_rings import STEM_CIRCLE
 from vlp16emu.world.stand.inventory import COPIED, INVENTORY, hull_m, volume_m3
 from vlp16emu.world.stand.models import ModelKey, Models
 from vlp16emu.world.stand.placed import PlacedThings, plant_surfaces, turned
-from vlp16emu.world.stand.settings import Season
 from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from vlp16emu.errors import GeometryError
 from vlp16emu.tiles import FarTile, TiledWindow
 from vlp16emu.types import HeightField, Mesh, PlantPart, ShapeKey
-from vlp16emu.world.given.tree_model import ModelKey
 from vlp16emu.world.ground.trails import Trails
 from vlp16emu.world.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.world.plants.far_stem import far_stems

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec, norm
 from vlp16emu.types import Mesh, Semantic, ShapeKey, Window
-from vlp16emu.world.given.section import hull_m
 from vlp16emu.world.plants.sapling import SaplingKey
 from vlp16emu.world.polyline import Polyline
 from vlp16emu.world.stand.floor_shapes import GROUND_KINDS, FloorKey

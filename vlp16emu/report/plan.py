@@ -1,5 +1,6 @@
-"""What a scene asks for and what it leaves out, and what is in its windows."""
+"""What a scene asks for and what it leaves out, what is in reach of the sensor, and whether a stream keeps up."""
 
+import os
 import sys
 from collections import Counter
 from collections.abc import Mapping
@@ -8,7 +9,8 @@ from dataclasses import dataclass
 from vlp16emu.engine import Engine, Unit
 from vlp16emu.engine.windows import window_of
 from vlp16emu.motion import Walk
-from vlp16emu.report.plan.geometry import GeometrySize, geometry_of
+from vlp16emu.report.keeping_up import settings_that_keep_up, speed_beside_sender
+from vlp16emu.sinks import sending_share
 from vlp16emu.types import Window
 from vlp16emu.world.given.furnished import MeshKey
 from vlp16emu.world.plants.crown import CrownKey
@@ -42,8 +44,8 @@ _LIBRARIES = (
     "rich",
     "serial",
 )
-_LOOKS = 5
-"""Windows that are looked at, evenly over the walk."""
+_SENT_S = 0.4
+"""Of packets that are sent, to no other program, in order to measure what sending takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,27 +60,33 @@ class Need:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What is in reach of the sensor."""
+    """What is in reach of the sensor when it begins."""
 
     kind: str
     """Of the world."""
-    windows: int
-    """Over the run."""
-    windows_looked_at: int
     species: tuple[str, ...]
-    first_window: Mapping[str, int]
+    placed: Mapping[str, int]
     """Placements by kind."""
-    mean: Mapping[str, float]
-    """The same, on average over the windows looked at."""
     surfaces: int
-    """Rows of the first window's table."""
-    geometry: GeometrySize
-    """Of the first window."""
+    """Rows of the window's table."""
 
 
-def needs(chain: Engine, *, audited: bool) -> list[Need]:
+@dataclass(frozen=True, slots=True)
+class StreamOutlook:
+    """Whether a stream keeps up in real time."""
+
+    keeps_up: bool
+    real_time_factor: float
+    """The engine's, beside the thread that sends."""
+    sender_share: float
+    """Of a core, that sending takes."""
+    keeps_up_with: tuple[str, ...]
+    """Options of `vlp16emu stream` that are enough, each by itself; none where it keeps up."""
+
+
+def needs(engine: Engine, *, audited: bool) -> list[Need]:
     """List what a recording of the scene has and has not; `audited` if pulses of it are cast again."""
-    scenario, parts = chain.scenario, chain.parts
+    scenario, parts = engine.scenario, engine.parts
     motion = scenario.motion
     gait = isinstance(motion, Walk) and motion.gait.preset != "none"
     harness = isinstance(motion, Walk) and motion.harness is not None
@@ -117,7 +125,6 @@ def needs(chain: Engine, *, audited: bool) -> list[Need]:
 
 
 def _of_sensor(unit: Unit) -> list[Need]:
-    """List what is done for each pulse of a sensor."""
     detector, beam = unit.detector.constants, unit.beam
     rows = {
         "beam width": (
@@ -150,28 +157,15 @@ def _need(name: str, row: tuple[bool, str, str]) -> Need:
     return Need(name, on, costs if on else spares)
 
 
-def surroundings(chain: Engine, windows: int) -> Surroundings:
-    """Count what is in the first window and, on average, in windows over the walk.
-
-    Parameters
-    ----------
-    windows : of the whole run
-    """
-    parts, start_ns, batching = chain.parts, chain.scenario.start_ns, chain.batching
-    numbers = sorted({round(i * (windows - 1) / (_LOOKS - 1)) for i in range(_LOOKS)})
-    seen = [window_of(parts, start_ns, batching, number) for number in numbers]
-    counts = [_counts(window) for window in seen]
-    kinds = sorted({kind for count in counts for kind in count})
-    named = (getattr(key, "species", None) for window in seen for key in window.shapes)
+def surroundings(engine: Engine) -> Surroundings:
+    """Count what is in the first window."""
+    window = window_of(engine.parts, engine.scenario.start_ns, engine.batching, 0)
+    named = (getattr(key, "species", None) for key in window.shapes)
     return Surroundings(
-        kind=chain.scenario.world.kind,
-        windows=windows,
-        windows_looked_at=len(numbers),
+        kind=engine.scenario.world.kind,
         species=tuple(sorted({name for name in named if name is not None})),
-        first_window=dict(counts[0]),
-        mean={kind: sum(count[kind] for count in counts) / len(counts) for kind in kinds},
-        surfaces=len(seen[0].surfaces),
-        geometry=geometry_of(chain.windows.at_block(0).result()),
+        placed=dict(_counts(window)),
+        surfaces=len(window.surfaces),
     )
 
 
@@ -187,3 +181,18 @@ def _counts(window: Window) -> Counter[str]:
 def libraries() -> dict[str, bool]:
     """Report which libraries this process has loaded."""
     return {name: name in sys.modules for name in _LIBRARIES}
+
+
+def stream_outlook(engine: Engine, engine_speed: float, threads: int) -> StreamOutlook:
+    """Measure what sending takes, and say whether a stream keeps up.
+
+    Parameters
+    ----------
+    engine_speed : simulated seconds per second with nothing else at work
+    threads : of the engine
+    """
+    share = sending_share(list(engine.packets(*engine.scenario.span_s(0.0, _SENT_S))))
+    speed = speed_beside_sender(engine_speed, share, threads, os.cpu_count() or 1)
+    keeps_up = speed >= 1.0
+    options = [] if keeps_up else settings_that_keep_up(engine.scenario, speed, 1.0)
+    return StreamOutlook(keeps_up, speed, share, tuple(options))
