@@ -1,6 +1,5 @@
 """The web interface as bytes on the line, its documents against their schemas, and its forms."""
 
-import builtins
 import json
 import socket
 from dataclasses import replace
@@ -13,7 +12,7 @@ from referencing import Registry, Resource
 from vlp16emu.device.documents import document
 from vlp16emu.device.state import DeviceInfo, DeviceSettings
 from vlp16emu.device.web import HttpFault, WebServer, parse_http
-from vlp16emu.errors import InputError, MissingExtraError, OutputError
+from vlp16emu.errors import InputError, OutputError
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 
 FOLDER = Path(__file__).parents[2] / "protocol" / "web"
@@ -344,20 +343,3 @@ def test_a_port_that_is_taken_is_named(web, make):
             OutputError, match=f"--http {place}:{port}: .*expected an address of this machine"
         ):
             WebServer(device, place, port)
-
-
-def test_without_the_library_the_extra_is_named(make, monkeypatch):
-    """An installation without the extra says what to install."""
-    kept = builtins.__import__
-
-    def absent(name, *rest):
-        if name == "h11":
-            raise ImportError
-        return kept(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", absent)
-    _, device = make()
-    with pytest.raises(
-        MissingExtraError, match=r"the web interface needs h11: pip install 'vlp16emu\[bench\]'"
-    ):
-        WebServer(device, "127.0.0.1", 0)

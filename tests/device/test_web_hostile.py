@@ -207,7 +207,7 @@ def test_pages_of_other_sites_set_nothing(web, speak, lines, status):
 
 def test_names_are_taken_where_others_may_come(web, speak):
     """On an interface that is not this machine's alone the sensor may have a name; forms of other origins are refused there too."""
-    web.server._is_private = False
+    web.server.is_private = False
     form = b"POST /cgi/setting HTTP/1.1\r\nHost: sensor\r\n%sContent-Length: 7\r\nConnection: close\r\n\r\nrpm=300"
     assert status_of(speak(form % b"Origin: http://site.example\r\n")) == 403
     assert status_of(speak(form % b"")) == 204

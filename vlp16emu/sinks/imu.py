@@ -1,7 +1,6 @@
 """Samples of the inertial unit as datagrams, or on a serial line."""
 
 import socket
-from types import TracebackType
 from typing import Self
 from urllib.parse import urlsplit
 
@@ -70,9 +69,7 @@ class ImuUdpSink:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._socket.close()
 
     def send(self, packet: Packet) -> None:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from vlp16emu.errors import OutputError, RunError
@@ -79,9 +78,7 @@ class PcapSink:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if not self._is_stdout:  # which may hold more than what is ours
             with suppress(OSError):  # a pipe or a device has no end that could be cut
                 os.ftruncate(self._file.fileno(), self._bytes)

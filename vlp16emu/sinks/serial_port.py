@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from io import UnsupportedOperation
-from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from vlp16emu.errors import OutputError
@@ -164,9 +163,7 @@ class SerialSink:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with suppress(queue.Full):
             self._waiting.put_nowait(None)
         self._thread.join(2 * _PATIENCE_S)  # a daemon: one that hangs in a driver is left behind
