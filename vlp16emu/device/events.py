@@ -24,7 +24,7 @@ class Event(Section):
         super().__init_subclass__(**rest)
         if kind:
             words = Field(description=f"Selects {selects}.")
-            cls.__annotations__["kind"] = Annotated[Literal[kind], words]  # type: ignore[valid-type]  # at run time
+            cls.__annotations__["kind"] = Annotated[Literal[kind], words]
 
 
 class LastingEvent(Event):
