@@ -20,8 +20,7 @@ from vlp16emu.scan import Chunk, Scan, cut_scans
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.place import place
-from vlp16emu.sinks.cloud import point_file
-from vlp16emu.sinks.columns import (
+from vlp16emu.sinks.cloud import (
     LABEL_COLUMNS,
     LEAF_OR_WOOD,
     RETURN_NAMES,
@@ -29,6 +28,7 @@ from vlp16emu.sinks.columns import (
     TRUTH_COLUMNS,
     Block,
     CloudAbout,
+    point_file,
     scene_comments,
 )
 from vlp16emu.types import SURFACE, ReturnMode, Returns

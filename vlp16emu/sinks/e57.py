@@ -12,7 +12,7 @@ import numpy as np
 
 from vlp16emu.errors import MissingExtraError
 from vlp16emu.gps_time import adjusted_gps_s
-from vlp16emu.sinks.columns import Block, CloudAbout, Column
+from vlp16emu.sinks.cloud import Block, CloudAbout, Column
 from vlp16emu.sinks.las import echoes_of, local_wkt
 from vlp16emu.units import US_NS
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
 from vlp16emu.output import OutputFile
 from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, NO_ECHO, RECORDS_PER_PACKET
-from vlp16emu.sinks.columns import LEAF_OR_WOOD
+from vlp16emu.sinks.cloud import LEAF_OR_WOOD
 from vlp16emu.types import Packet
 
 _GROUP = 256
