@@ -205,11 +205,11 @@ def test_only_the_command_line_prints():
 
 
 def test_files_and_functions_are_short():
-    """No file exceeds 400 lines, no function 45 beside its parameters and docstring; the main file stays under 120."""
+    """No file exceeds 600 lines, no function 45 beside its parameters and docstring; the main file stays under 120."""
     found = []
     for name, tree in trees().items():
         lines = len((PACKAGE / name).read_text(encoding="utf-8").splitlines())
-        if lines > (119 if name == "chain/chain.py" else 400):
+        if lines > (119 if name == "chain/chain.py" else 600):
             found.append(f"{name} has {lines} lines")
         for node in functions(tree):
             first = node.body[0]
