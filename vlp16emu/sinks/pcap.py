@@ -75,11 +75,11 @@ class PcapSink(PacketSink):
             self._output.discard()
             raise
 
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+    def __exit__(self, *error: object) -> None:
         if not self._is_stdout:  # which may hold more than what is ours
             with suppress(OSError):  # a pipe or a device has no end that could be cut
                 os.ftruncate(self._file.fileno(), self._bytes)
-        if error is None or self._sent:
+        if error[1] is None or self._sent:
             self._output.keep()
         self._output.discard()
 
