@@ -21,8 +21,14 @@ from vlp16emu.motion.recorded import RecordedMotion
 from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit
 from vlp16emu.scan import clock_zero_ns, twins
 from vlp16emu.scenario import load
-from vlp16emu.sinks.cloud import point_file
-from vlp16emu.sinks.columns import DESKEWED_COLUMNS, LABEL_COLUMNS, TRUTH_COLUMNS, CloudAbout, Column
+from vlp16emu.sinks.cloud import (
+    DESKEWED_COLUMNS,
+    LABEL_COLUMNS,
+    TRUTH_COLUMNS,
+    CloudAbout,
+    Column,
+    point_file,
+)
 from vlp16emu.sinks.slots import SlotReader
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.make import ground_of

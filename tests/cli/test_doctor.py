@@ -19,7 +19,6 @@ NAMES = [
     "clock resolution",
     "wake-ups",
     "receive buffer",
-    "extra bench",
     "extra cloud",
     "extra cluster",
     "extra data",
@@ -70,7 +69,7 @@ def test_what_makes_runs_fail_is_a_problem(cli, monkeypatch):
     assert (outcome.code, rows(outcome)["Embree"]["finding"]) == (1, "problem")
 
 
-@pytest.mark.parametrize("extra", ["bench", "data", "dem", "images", "picture", "ros"])
+@pytest.mark.parametrize("extra", ["data", "dem", "images", "picture", "ros"])
 def test_a_missing_extra_names_what_needs_it(cli, monkeypatch, extra):
     """An extra that is not installed is a warning with the command that installs it."""
     monkeypatch.setattr("vlp16emu.report.doctor.find_spec", lambda _: None)

@@ -6,6 +6,7 @@
 import http.client
 import ipaddress
 import json
+import re
 import socket
 import time
 
@@ -23,14 +24,8 @@ MANY = settings(
 """The sensor is one for all examples, as on a bench: what is set stays set."""
 
 
-def is_whole(text, low, high, step=1):
-    return (
-        text.isascii()
-        and text.isdigit()
-        and len(text) <= 5
-        and low <= int(text) <= high
-        and int(text) % step == 0
-    )
+def is_whole(text, low, high, step):
+    return re.fullmatch("[0-9]{1,5}", text) and low <= int(text) <= high and int(text) % step == 0
 
 
 def is_host(text, *, broadcast=False, unspecified=False):
@@ -48,25 +43,27 @@ def is_mask(text):
     return text in masks
 
 
+def whole(low, high, step=1):
+    return lambda text: is_whole(text, low, high, step)
+
+
+PORT, SWITCH = (whole(1, 65_535), lambda text: str(int(text))), (("on", "off").__contains__, str.capitalize)
 KEYS = {
     # where it is set: whether a value is taken, and how settings.json shows it
-    ("/cgi/setting", "rpm"): (lambda text: is_whole(text, 300, 1200, 60), int),
-    ("/cgi/setting", "returns"): (lambda text: text in ("Strongest", "Last", "Dual"), str),
-    ("/cgi/setting", "laser"): (lambda text: text in ("on", "off"), str.capitalize),
-    ("/cgi/setting/fov", "start"): (lambda text: is_whole(text, 0, 359), int),
-    ("/cgi/setting/fov", "end"): (lambda text: is_whole(text, 0, 359), int),
+    ("/cgi/setting", "rpm"): (whole(300, 1200, 60), int),
+    ("/cgi/setting", "returns"): (("Strongest", "Last", "Dual").__contains__, str),
+    ("/cgi/setting", "laser"): SWITCH,
+    ("/cgi/setting/fov", "start"): (whole(0, 359), int),
+    ("/cgi/setting/fov", "end"): (whole(0, 359), int),
     ("/cgi/setting/host", "addr"): (lambda text: is_host(text, broadcast=True), str),
-    ("/cgi/setting/host", "dport"): (lambda text: is_whole(text, 1, 65_535), lambda text: str(int(text))),
-    ("/cgi/setting/host", "tport"): (lambda text: is_whole(text, 1, 65_535), lambda text: str(int(text))),
+    ("/cgi/setting/host", "dport"): PORT,
+    ("/cgi/setting/host", "tport"): PORT,
     ("/cgi/setting/net", "addr"): (is_host, str),
     ("/cgi/setting/net", "mask"): (is_mask, str),
     ("/cgi/setting/net", "gateway"): (lambda text: is_host(text, unspecified=True), str),
-    ("/cgi/setting/net", "dhcp"): (lambda text: text in ("on", "off"), str.capitalize),
-    ("/cgi/setting/phaselock", "enabled"): (lambda text: text in ("on", "off"), str.capitalize),
-    ("/cgi/setting/phaselock", "offset"): (
-        lambda text: is_whole(text, 0, 35_999),
-        lambda text: str(int(text)),
-    ),
+    ("/cgi/setting/net", "dhcp"): SWITCH,
+    ("/cgi/setting/phaselock", "enabled"): SWITCH,
+    ("/cgi/setting/phaselock", "offset"): (whole(0, 35_999), lambda text: str(int(text))),
 }
 DOCUMENTS = [
     f"/cgi/{name}" for name in ("settings.json", "status.json", "diag.json", "info.json", "snapshot.hdl")

@@ -8,7 +8,7 @@ import pytest
 
 from vlp16emu.extras.truth.truth import _GNSS_COLUMNS, _IMU_COLUMNS
 from vlp16emu.scenario.find import scene_files
-from vlp16emu.sinks.columns import CAPTURE_COLUMNS, LEAF_OR_WOOD, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
+from vlp16emu.sinks.cloud import CAPTURE_COLUMNS, LEAF_OR_WOOD, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
 from vlp16emu.sinks.slots import SLOT_COLUMNS
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.given.stem_list import _COLUMNS

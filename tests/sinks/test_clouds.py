@@ -14,8 +14,7 @@ from vlp16emu.errors import MissingExtraError
 from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.gps_time import adjusted_gps_s
 from vlp16emu.labels import label_scheme, scheme_names
-from vlp16emu.sinks.cloud import point_file
-from vlp16emu.sinks.columns import SCENE_COLUMNS, CloudAbout
+from vlp16emu.sinks.cloud import SCENE_COLUMNS, CloudAbout, point_file
 from vlp16emu.sinks.las import echoes_of, local_wkt
 from vlp16emu.types import PlantPart, Semantic
 

@@ -23,7 +23,7 @@ HttpAt = Annotated[
         metavar="HOST:PORT",
         parser=_http,
         help="Serve the sensor's web interface, which the stream follows; of a rig on this port and those behind it. "
-        "PORT alone is on 127.0.0.1. Needs the extra 'bench'.",
+        "PORT alone is on 127.0.0.1.",
         show_default=False,
     ),
 ]

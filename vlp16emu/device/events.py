@@ -1,6 +1,6 @@
 """The tables `[[events]]` of a scene: what is set on the sensor while it runs, and what goes wrong."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -19,6 +19,13 @@ class Event(Section):
     unit: Annotated[int, Field(ge=1)] = 1
     """Sensor of the rig that it happens to, from 1."""
 
+    def __init_subclass__(cls, kind: str = "", selects: str = "", **rest: Any) -> None:
+        """Make the word `kind` select the class, which `selects` describes."""
+        super().__init_subclass__(**rest)
+        if kind:
+            words = Field(description=f"Selects {selects}.")
+            cls.__annotations__["kind"] = Annotated[Literal[kind], words]
+
 
 class LastingEvent(Event):
     """Something that happens to a sensor for a time."""
@@ -31,11 +38,9 @@ class LastingEvent(Event):
         return self.at_s <= since_s and (self.duration_s is None or since_s < self.at_s + self.duration_s)
 
 
-class Setting(Event):
+class Setting(Event, kind="setting", selects="a change of settings"):
     """A change of settings, as the web interface of the sensor makes it; keys that are left out stay as they are."""
 
-    kind: Literal["setting"]
-    """Selects a change of settings."""
     rpm: Annotated[int, Field(ge=300, le=1200, multiple_of=60)] | None = None
     """Rotor speed; the rotor takes its time to reach it."""
     return_mode: Literal["strongest", "last", "dual"] | None = None
@@ -54,58 +59,45 @@ class Setting(Event):
         return self
 
 
-class Wobble(LastingEvent):
+class Wobble(LastingEvent, kind="rpm_wobble", selects="a wobbling rotor"):
     """A speed that is not held: a sine on top of it."""
 
-    kind: Literal["rpm_wobble"]
-    """Selects a wobbling rotor."""
     amplitude_rpm: Annotated[float, Field(gt=0, le=100)] = 6.0
     """Greatest difference from the speed that is set."""
     period_s: Annotated[float, Field(ge=0.05, le=1000)] = 1.0
     """Time from one greatest speed to the next."""
 
 
-class MotorStop(LastingEvent):
+class MotorStop(LastingEvent, kind="motor_stop", selects="a stopping rotor"):
     """A rotor that runs down, and up again afterwards."""
 
-    kind: Literal["motor_stop"]
-    """Selects a stopping rotor."""
 
-
-class PowerCycle(Event):
+class PowerCycle(Event, kind="power_cycle", selects="a loss of power"):
     """Power that is lost and comes back; unsaved settings are lost."""
 
-    kind: Literal["power_cycle"]
-    """Selects a loss of power."""
     off_s: Annotated[float, Field(gt=0, le=3600)] = 5.0
     """How long nothing is sent: power off, and start of the sensor."""
 
 
-class DeadLaser(LastingEvent):
+class DeadLaser(LastingEvent, kind="dead_laser", selects="a dead laser"):
     """A laser that emits nothing."""
 
-    kind: Literal["dead_laser"]
-    """Selects a dead laser."""
     laser: Annotated[int, Field(ge=0, le=15)]
     """Its number in order of firing, from 0."""
 
 
-class DirtyWindow(LastingEvent):
+class DirtyWindow(LastingEvent, kind="dirty_window", selects="a dirty window"):
     """Dirt on a sector of the window."""
 
-    kind: Literal["dirty_window"]
-    """Selects a dirty window."""
     sector_deg: Annotated[tuple[_Degree, _Degree], Field(strict=False)]
     """Azimuths from which and to which it is dirty, clockwise."""
     transmission: Fraction = 0.3
     """Share of the light that passes, on each of its two ways."""
 
 
-class Oscillator(Event):
+class Oscillator(Event, kind="oscillator", selects="an error of the oscillator"):
     """A step and a drift of the clock that runs without GPS."""
 
-    kind: Literal["oscillator"]
-    """Selects an error of the oscillator."""
     offset_us: Annotated[float, Field(ge=-1e9, le=1e9)] = 0.0
     """By which the clock is fast from then on."""
     drift_ppm: Annotated[float, Field(ge=-1000, le=1000)] = 0.0
@@ -116,43 +108,30 @@ class GpsEvent(LastingEvent):
     """Something that happens to what the GPS receiver sends to a sensor; sentences are those that would come meanwhile."""
 
 
-class PpsLoss(GpsEvent):
+class PpsLoss(GpsEvent, kind="pps_loss", selects="a loss of the pulse per second"):
     """Pulses that do not come."""
 
-    kind: Literal["pps_loss"]
-    """Selects a loss of the pulse per second."""
 
-
-class VoidSentence(GpsEvent):
+class VoidSentence(GpsEvent, kind="void_sentence", selects="void sentences"):
     """Sentences of status V, as of a receiver without a fix."""
 
-    kind: Literal["void_sentence"]
-    """Selects void sentences."""
 
-
-class WrongSentence(GpsEvent):
+class WrongSentence(GpsEvent, kind="wrong_sentence", selects="garbled sentences"):
     """Sentences that are garbled on the line, so that their checksum is wrong."""
 
-    kind: Literal["wrong_sentence"]
-    """Selects garbled sentences."""
     characters: Annotated[int, Field(ge=1, le=60)] = 1
     """Number of characters that are replaced."""
 
 
-class LateSentence(GpsEvent):
+class LateSentence(GpsEvent, kind="late_sentence", selects="late sentences"):
     """Sentences that come late; one that comes after the next pulse names the wrong second."""
 
-    kind: Literal["late_sentence"]
-    """Selects late sentences."""
     by_s: Annotated[float, Field(gt=0, le=60)] = 0.5
     """Delay, beside `gps.sentence_delay_s`."""
 
 
-class SentenceLoss(GpsEvent):
+class SentenceLoss(GpsEvent, kind="missing_sentence", selects="missing sentences"):
     """Sentences that do not come."""
-
-    kind: Literal["missing_sentence"]
-    """Selects missing sentences."""
 
 
 class PacketEvent(LastingEvent):
@@ -170,11 +149,8 @@ class PacketEvent(LastingEvent):
         return self
 
 
-class Freeze(PacketEvent):
+class Freeze(PacketEvent, kind="freeze", selects="a hanging sensor"):
     """A sensor that hangs: it sends the same payload again and again."""
-
-    kind: Literal["freeze"]
-    """Selects a hanging sensor."""
 
 
 class Share(PacketEvent):
@@ -184,72 +160,55 @@ class Share(PacketEvent):
     """Probability with which it befalls each of them."""
 
 
-class Drop(Share):
+class Drop(Share, kind="drop", selects="a loss of packets"):
     """Packets that are lost."""
 
-    kind: Literal["drop"]
-    """Selects a loss of packets."""
 
-
-class Duplicate(Share):
+class Duplicate(Share, kind="duplicate", selects="a repetition of packets"):
     """Packets that arrive twice."""
 
-    kind: Literal["duplicate"]
-    """Selects a repetition of packets."""
     after_s: Annotated[float, Field(ge=0, le=10)] = 0.0
     """From the first one to the second."""
 
 
-class Reorder(Share):
+class Reorder(Share, kind="reorder", selects="a change of order"):
     """Packets that later ones overtake."""
 
-    kind: Literal["reorder"]
-    """Selects a change of order."""
     by: Annotated[int, Field(ge=1, le=100)] = 1
     """Number of packets of its kind behind which one arrives."""
 
 
-class Delay(Share):
+class Delay(Share, kind="delay", selects="a constant delay"):
     """Packets that are late by the same time, each by itself: those that are not delayed overtake them."""
 
-    kind: Literal["delay"]
-    """Selects a constant delay."""
     by_s: Annotated[float, Field(gt=0, le=10)] = 0.05
     """How late they are."""
 
 
-class Jitter(Share):
+class Jitter(Share, kind="jitter", selects="a random delay"):
     """Packets that are late by a random time, in a queue: none overtakes another of its kind."""
 
-    kind: Literal["jitter"]
-    """Selects a random delay."""
     up_to_s: Annotated[float, Field(gt=0, le=10)] = 0.02
     """How late they are at most; all delays up to it are equally likely."""
 
 
-class Corrupt(Share):
+class Corrupt(Share, kind="corrupt", selects="flipped bits"):
     """Packets with flipped bits, in the sensor: checksums are those of the wrong bytes."""
 
-    kind: Literal["corrupt"]
-    """Selects flipped bits."""
     bits: Annotated[int, Field(ge=1, le=4096)] = 8
     """Number of bits that are flipped in a packet."""
 
 
-class Truncate(Share):
+class Truncate(Share, kind="truncate", selects="cut packets"):
     """Packets whose payload is cut."""
 
-    kind: Literal["truncate"]
-    """Selects cut packets."""
     to_bytes: Annotated[int, Field(ge=0, le=1205)] = 600
     """Bytes of the payload that are left."""
 
 
-class HttpError(LastingEvent):
+class HttpError(LastingEvent, kind="http_error", selects="an error of the web interface"):
     """A web interface that answers every request with an error, or not at all; only of a stream that has one."""
 
-    kind: Literal["http_error"]
-    """Selects an error of the web interface."""
     status: Annotated[int, Field(ge=400, le=599)] | None = None
     """Status of the answers; no answer where it is left out."""
 

@@ -1,32 +1,29 @@
-"""The web interface of the sensor, on a thread of its own.
+"""The web interface of the sensor, on threads of its own.
 
 Its readers include clients made by hand that know one way of writing `Content-Length`, take no chunks, and may look at no
-more than the first segment: so each answer has that header, in this spelling, and leaves in one piece. General web servers
-write it in lower case and send header and body apart, hence h11 on plain asyncio.
+more than the first segment: so each answer has that header, in this spelling, and leaves in one piece.
 """
 
-import asyncio
 import json
 import re
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from http.client import responses
+from io import BufferedIOBase
 from ipaddress import ip_address
 from pathlib import Path
-from threading import Thread
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from socketserver import StreamRequestHandler, ThreadingTCPServer
+from threading import Event, Lock, Thread
+from time import monotonic
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 from vlp16emu.device.documents import document
 from vlp16emu.device.forms import PATHS, FormError, submit
 from vlp16emu.device.state import Device
-from vlp16emu.errors import InputError, MissingExtraError, OutputError, Vlp16emuError
-
-if TYPE_CHECKING:
-    import h11
-
+from vlp16emu.errors import InputError, OutputError, Vlp16emuError
 
 MOST_CONNECTIONS = 32
 """At a time; further ones are closed."""
@@ -35,6 +32,13 @@ MOST_HEADER_BYTES = 8192
 LONGEST_S = 5.0
 """For a request and its answer, and for the wait between two."""
 
+_POLL_S = 0.1
+"""How often the server looks for connections whose time is over."""
+_TOKEN = rb"[!#-'*+.0-9A-Z^-z|~-]+"
+_HEAD = re.compile(rb"(%b) ([!-~]+) HTTP/1\.([01])\r?\n((?:%b:[^\x00\r\n]*\r?\n)*)\r?\n" % (_TOKEN, _TOKEN))
+"""Method, target, minor version and header lines (RFC 9112, sections 3 and 5)."""
+_ONCE = ("host", "content-length", "transfer-encoding")
+_CHUNK = re.compile(rb"([0-9A-Fa-f]{1,8})[ \t]*(?:;[^\r\n]*)?\r?\n")
 _JSON, _HTML = "application/json", "text/html; charset=utf-8"
 _PAGE_POLICY = (
     "default-src 'none'; connect-src 'self'; img-src data:; script-src 'unsafe-inline'; "
@@ -69,9 +73,12 @@ class _Request:
     method: str
     path: str
     """Without the query."""
-    host: str | None
-    origin: str | None
+    headers: dict[str, str]
+    """By names in lower case."""
     body: bytes
+    """One byte more than there may be where it is too long."""
+    is_last: bool
+    """Whether the connection ends with its answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,203 +89,245 @@ class _Answer:
     header: tuple[str, str] = ("Cache-Control", "no-store")
     """Beside type and length."""
 
+    def packed(self, *, bare: bool = False, is_last: bool) -> bytes:
+        """Write it in one piece, to a HEAD request bare of its body."""
+        lines = (
+            f"HTTP/1.1 {self.status} {responses.get(self.status, '')}",
+            f"Content-Type: {self.kind}",
+            f"Content-Length: {len(self.body)}",
+            "{}: {}".format(*self.header),
+            *(["Connection: close"] if is_last else []),
+        )
+        return "\r\n".join((*lines, "", "")).encode("ascii") + (b"" if bare else self.body)
 
-class WebServer:
+
+class _BadRequestError(Exception):
+    """What comes is no request, or too long: the status that says so, and why."""
+
+
+class WebServer(ThreadingTCPServer):
     """The web interface of one sensor; a context manager, within which it answers.
 
     Parameters
     ----------
     device : what is asked and set
     host, port : where it listens; port 0 for a free one
-    fault : gives what is wrong with it now, None for nothing; called from its thread, and must not wait
+    fault : gives what is wrong with it now, None for nothing; called from its threads, and must not wait
 
     Raises
     ------
-    MissingExtraError
-        where h11 is not installed
     OutputError
         where it cannot listen there
     """
 
+    allow_reuse_address = True
+    request_queue_size = 128
+
     def __init__(
         self, device: Device, host: str, port: int, *, fault: Callable[[], HttpFault | None] = lambda: None
     ) -> None:
+        self.device, self.fault = device, fault
+        self.page = Path(__file__).with_name("page.html").read_bytes()
+        self.is_over = Event()
+        self._ends_s = dict[Any, float]()
+        """When each connection is cut off."""
+        self._lock = Lock()
+        self._thread = Thread(target=self.serve_forever, args=[_POLL_S], name="web interface", daemon=True)
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
-            import h11
-        except ImportError:
-            raise MissingExtraError("h11", "bench", "the web interface") from None
-        del h11
-        self._device, self._fault = device, fault
-        self._page = Path(__file__).with_name("page.html").read_bytes()
-        self._listener = _listening(host, port)
-        self._is_private = ip_address(self.address[0]).is_loopback
-        self._connections = 0
-        self._runner = asyncio.Runner(loop_factory=asyncio.new_event_loop)
-        self._stop = asyncio.Event()
-        self._thread = Thread(target=self._run, name="web interface", daemon=True)
+            super().__init__((host, port), _Connection)
+        except (OSError, UnicodeError) as error:
+            found = getattr(error, "strerror", None) or "no name of a host"
+            raise OutputError(
+                f"--http {host}:{port}", found.lower(), "an address of this machine and a free port"
+            ) from error
+        self.is_private = ip_address(self.address[0]).is_loopback
 
     @property
     def address(self) -> tuple[str, int]:
         """Address and port where it listens."""
-        host, port, *_ = self._listener.getsockname()
+        host, port, *_ = self.socket.getsockname()
         return host, port
 
     def __enter__(self) -> Self:
-        self._loop = self._runner.get_loop()
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._loop.call_soon_threadsafe(self._stop.set)
-        self._thread.join()
+    def __exit__(self, *_: object) -> None:
+        self.shutdown()
+        self.is_over.set()
+        self._cut_off(float("inf"))
+        self.server_close()
 
-    def _run(self) -> None:
-        with self._runner:
-            self._runner.run(self._serve())
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a connection, or close it where there are too many."""
+        if len(self._ends_s) >= MOST_CONNECTIONS:
+            self.shutdown_request(request)
+        else:
+            self.give_time(request)
+            super().process_request(request, client_address)
 
-    async def _serve(self) -> None:
-        server = await asyncio.start_server(self._connected, sock=self._listener)
-        await self._stop.wait()
-        server.close()
+    def give_time(self, line: socket.socket) -> None:
+        """Give a connection the time of one request."""
+        with self._lock:
+            self._ends_s[line] = monotonic() + LONGEST_S
 
-    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Answer one connection until it ends."""
-        self._connections += 1
+    def service_actions(self) -> None:
+        """Cut off the connections whose time is over."""
+        self._cut_off(monotonic())
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        with self._lock:
+            self._ends_s.pop(request, None)
+        super().shutdown_request(request)
+
+    def _cut_off(self, now_s: float) -> None:
+        with self._lock:
+            for line in [line for line, end_s in self._ends_s.items() if end_s <= now_s]:
+                with suppress(OSError):  # it has gone by itself
+                    line.shutdown(socket.SHUT_RDWR)
+
+
+class _Connection(StreamRequestHandler):
+    """Answers request after request of one connection; one that takes too long is cut off by the server."""
+
+    server: WebServer
+    disable_nagle_algorithm = True
+
+    def handle(self) -> None:
+        """Answer until the connection ends."""
+        with suppress(OSError):  # the client has gone, or was cut off
+            while self.server.device.status().is_up and self._answers():
+                self.server.give_time(self.connection)
+
+    def _answers(self) -> bool:
+        """Answer a request; returns whether another one may follow."""
         try:
-            if self._connections <= MOST_CONNECTIONS:
-                await self._converse(reader, writer)
-                writer.close()
-                async with asyncio.timeout(LONGEST_S):
-                    await writer.wait_closed()
-        except (ConnectionError, TimeoutError, asyncio.CancelledError):
-            pass  # the last one at the end of all, which asyncio would log as a failure of this connection
-        finally:
-            writer.transport.abort()  # with answers that nobody takes
-            self._connections -= 1
-
-    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Answer request after request."""
-        import h11
-
-        line = h11.Connection(h11.SERVER, max_incomplete_event_size=MOST_HEADER_BYTES)
-        while self._device.status().is_up:
-            async with asyncio.timeout(LONGEST_S):
-                try:
-                    request = await _request(line, reader)
-                except h11.RemoteProtocolError as error:
-                    writer.write(_packed(line, _said(error.error_status_hint, "error", str(error))))
-                else:
-                    if request is None or not self._device.status().is_up:
-                        return
-                    answer = await self._faulty() or self._answer(request)
-                    writer.write(_packed(line, answer, bare=request.method == "HEAD"))
-                await writer.drain()
-                if line.our_state is not h11.DONE:
-                    if line.their_state is not h11.DONE:
-                        await _listen_out(reader, writer)
-                    return
-                line.start_next_cycle()
-                await asyncio.sleep(0)  # others come in between where requests are sent without waiting
-
-    async def _faulty(self) -> _Answer | None:
-        """Answer as a fault makes it; None without one."""
-        fault = self._fault()
+            request = _request(self.rfile)
+        except _BadRequestError as error:
+            status, text = error.args
+            self.connection.sendall(_said(status, "error", text).packed(is_last=True))
+            return self._listen_out()
+        if request is None or not self.server.device.status().is_up:
+            return False
+        fault = self.server.fault()
         if fault is None:
-            return None
-        if fault.status is None:
-            await asyncio.sleep(2 * LONGEST_S)  # until the time is over
-        assert fault.status is not None
-        return _said(fault.status, "error", responses.get(fault.status, "fault"))
-
-    def _answer(self, request: _Request) -> _Answer:
-        """Answer as a sensor does that is well."""
+            answer = _answer(request, self.server)
+        elif fault.status is not None:
+            answer = _said(fault.status, "error", responses.get(fault.status, "fault"))
+        else:
+            self.server.is_over.wait(LONGEST_S)
+            return False
+        self.connection.sendall(answer.packed(bare=request.method == "HEAD", is_last=request.is_last))
         if len(request.body) > MOST_BODY_BYTES:
-            return _said(413, "error", f"more than {MOST_BODY_BYTES} bytes")
-        if self._is_foreign(request):
-            return _said(403, "error", "a request that a page of another site has sent")
-        if request.path in PATHS:
-            return self._submitted(request) if request.method == "POST" else _not_allowed("POST")
-        if request.path == "/":
-            answer = _Answer(200, self._page, _HTML, ("Content-Security-Policy", _PAGE_POLICY))
-        elif (made := document(request.path, self._device)) is not None:
-            answer = _Answer(200, _json(made))
-        else:
-            return _said(404, "error", "no such path")
-        return answer if request.method in ("GET", "HEAD") else _not_allowed("GET, HEAD")
+            return self._listen_out()
+        return not request.is_last
 
-    def _submitted(self, request: _Request) -> _Answer:
-        try:
-            submit(request.path, request.body, self._device)
-        except FormError as refused:
-            return _said(200, "ignored", str(refused))
-        except Vlp16emuError as error:
-            return _said(500, "error", str(error))
-        return _Answer(204)
-
-    def _is_foreign(self, request: _Request) -> bool:
-        """Whether a browser sends it for a page that is not the sensor's own.
-
-        Pages of other sites may send forms anywhere, and a name of theirs may lead to this machine: so the origin of a
-        form must be the host that is asked, and on an interface that is for this machine alone a host has no name.
-        """
-        if request.method == "POST" and request.origin not in (None, f"http://{request.host}"):
-            return True
-        return self._is_private and request.host is not None and not _is_unnamed(request.host)
+    def _listen_out(self) -> bool:
+        """Let an answer arrive: what is left unread of the request would reset the connection before."""
+        self.connection.shutdown(socket.SHUT_WR)
+        while self.rfile.read1(MOST_HEADER_BYTES):
+            pass
+        return False
 
 
-async def _request(line: "h11.Connection", reader: asyncio.StreamReader) -> _Request | None:
+def _answer(request: _Request, server: WebServer) -> _Answer:
+    """Answer as a sensor does that is well."""
+    if len(request.body) > MOST_BODY_BYTES:
+        return _said(413, "error", f"more than {MOST_BODY_BYTES} bytes")
+    if _is_foreign(request, is_private=server.is_private):
+        return _said(403, "error", "a request that a page of another site has sent")
+    if request.path in PATHS:
+        return _submitted(request, server.device) if request.method == "POST" else _not_allowed("POST")
+    if request.path == "/":
+        answer = _Answer(200, server.page, _HTML, ("Content-Security-Policy", _PAGE_POLICY))
+    elif (made := document(request.path, server.device)) is not None:
+        answer = _Answer(200, _json(made))
+    else:
+        return _said(404, "error", "no such path")
+    return answer if request.method in ("GET", "HEAD") else _not_allowed("GET, HEAD")
+
+
+def _submitted(request: _Request, device: Device) -> _Answer:
+    try:
+        submit(request.path, request.body, device)
+    except FormError as refused:
+        return _said(200, "ignored", str(refused))
+    except Vlp16emuError as error:
+        return _said(500, "error", str(error))
+    return _Answer(204)
+
+
+def _is_foreign(request: _Request, *, is_private: bool) -> bool:
+    """Whether a browser sends it for a page that is not the sensor's own.
+
+    Pages of other sites may send forms anywhere, and a name of theirs may lead to this machine: so the origin of a
+    form must be the host that is asked, and on an interface that is for this machine alone a host has no name.
+    """
+    host, origin = request.headers.get("host"), request.headers.get("origin")
+    if request.method == "POST" and origin not in (None, f"http://{host}"):
+        return True
+    return is_private and host is not None and not _is_unnamed(host)
+
+
+def _request(line: BufferedIOBase) -> _Request | None:
     """Read a request, and its body as far as it may be long; None where there is no further one."""
-    import h11
-
-    head: h11.Request | None = None
-    body = b""
-    while len(body) <= MOST_BODY_BYTES:
-        event = line.next_event()
-        if event is h11.NEED_DATA:
-            line.receive_data(await reader.read(MOST_HEADER_BYTES))
-        elif isinstance(event, h11.Request):
-            head = event
-        elif isinstance(event, h11.Data):
-            body += event.data
-        elif isinstance(event, h11.EndOfMessage):
+    head = line.read(1)
+    if not head:
+        return None
+    while head[0] > ord(" ") and not head.endswith((b"\n\r\n", b"\n\n")):
+        part = line.readline(MOST_HEADER_BYTES + 1 - len(head))
+        head += part
+        if len(head) > MOST_HEADER_BYTES:
+            raise _BadRequestError(431, f"a head of more than {MOST_HEADER_BYTES} bytes")
+        if not part:
             break
-        else:
-            return None
-    assert head is not None
-    headers = {name: value.decode("latin-1") for name, value in head.headers}
-    target = head.target.decode("latin-1")
-    return _Request(
-        head.method.decode("ascii"),
-        target.partition("?")[0],
-        headers.get(b"host"),
-        headers.get(b"origin"),
-        body,
-    )
+    if not (found := _HEAD.fullmatch(head)):
+        raise _BadRequestError(400, "no request of HTTP/1.1")
+    method, target, minor = (part.decode("ascii") for part in found.groups()[:3])
+    parts = [text.partition(":") for text in found[4].decode("latin-1").split("\n")[:-1]]
+    headers = {name.lower(): value.strip() for name, _, value in parts}
+    for name in _ONCE:
+        if [each.lower() for each, *_ in parts].count(name) > 1:
+            raise _BadRequestError(400, f"more than one {name} header")
+    if minor == "1" and "host" not in headers:
+        raise _BadRequestError(400, "no host header")
+    body = _body(line, headers)
+    is_closing = "close" in re.split(r"[ \t,]+", headers.get("connection", "").lower())
+    is_last = minor == "0" or is_closing or len(body) > MOST_BODY_BYTES
+    return _Request(method, target.partition("?")[0], headers, body, is_last)
 
 
-async def _listen_out(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Let an answer arrive: what is left unread of the request would reset the line before."""
-    writer.write_eof()
-    while await reader.read(MOST_HEADER_BYTES):
-        pass
+def _body(line: BufferedIOBase, headers: dict[str, str]) -> bytes:
+    """Read a body, of one that is too long a byte more than there may be."""
+    coding, length = headers.get("transfer-encoding"), headers.get("content-length", "0")
+    if coding is None:
+        if not re.fullmatch(r"[0-9]{1,20}", length, re.ASCII):
+            raise _BadRequestError(400, "a content-length that is no number")
+        return _exactly(line, min(int(length), MOST_BODY_BYTES + 1))
+    if coding.lower() != "chunked":
+        raise _BadRequestError(501, "a transfer-encoding other than chunked")
+    body = b""
+    while found := _CHUNK.fullmatch(line.readline(MOST_HEADER_BYTES)):
+        size = int(found[1], 16)
+        body += _exactly(line, min(size, MOST_BODY_BYTES + 1 - len(body)))
+        if len(body) > MOST_BODY_BYTES:
+            return body
+        if size == 0:
+            while line.readline(MOST_HEADER_BYTES) not in (b"\r\n", b"\n", b""):
+                pass  # trailers
+            return body
+        if line.readline(2) not in (b"\r\n", b"\n"):
+            break
+    raise _BadRequestError(400, "a chunk without its size or its end")
 
 
-def _packed(line: "h11.Connection", answer: _Answer, *, bare: bool = False) -> bytes:
-    """Write an answer in one piece, to a HEAD request bare of its body."""
-    import h11
-
-    headers = [("Content-Type", answer.kind), ("Content-Length", str(len(answer.body))), answer.header]
-    if line.their_state is not h11.DONE:
-        headers.append(("Connection", "close"))
-    reason = responses.get(answer.status, "")
-    parts = (
-        h11.Response(status_code=answer.status, headers=headers, reason=reason),
-        h11.Data(data=b"" if bare else answer.body),
-        h11.EndOfMessage(),
-    )
-    return b"".join(line.send(part) or b"" for part in parts)
+def _exactly(line: BufferedIOBase, count: int) -> bytes:
+    part = line.read(count)
+    if len(part) < count:
+        raise _BadRequestError(400, "a body that is cut")
+    return part
 
 
 def _said(status: int, key: str, text: str) -> _Answer:
@@ -301,14 +350,3 @@ def _is_unnamed(host: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _listening(host: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        return socket.create_server((host, port), family=family)
-    except (OSError, UnicodeError) as error:
-        found = getattr(error, "strerror", None) or "no name of a host"
-        raise OutputError(
-            f"--http {host}:{port}", found.lower(), "an address of this machine and a free port"
-        ) from error

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -144,10 +143,8 @@ class CaptureReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._capture.__exit__(kind, error, trace)
+    def __exit__(self, *error: object) -> None:
+        self._capture.__exit__(*error)
 
     def points(self) -> Iterator[PacketChunk]:
         """Read chunk by chunk; all points before a packet or record at fault come before the error is raised.

@@ -14,7 +14,6 @@ from vlp16emu.sinks import Check, Condition, sending_checks
 from vlp16emu.store import user_store
 
 _EXTRAS = {
-    "bench": (("h11",), "stream --http"),
     "cloud": (("laspy", "lazrs", "pypcd4"), "points in LAS and LAZ, score of PCD"),
     "cluster": (("distributed",), "dataset by more than one process"),
     "data": (("pyarrow",), "--truth-returns, labels of captures"),

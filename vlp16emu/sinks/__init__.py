@@ -2,7 +2,6 @@
 
 from vlp16emu.sinks.channel import Channel
 from vlp16emu.sinks.gps_in import GpsIn, GpsInResult, GpsInSink, GpsReader
-from vlp16emu.sinks.now import NowSink
 from vlp16emu.sinks.outlets import Outlets
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import PcapResult, PcapSink, check_ending
@@ -11,6 +10,7 @@ from vlp16emu.sinks.sink import Away, MemorySink, Outlet, OutletResult, PacketSi
 from vlp16emu.sinks.stream import (
     LOOK_AHEAD_PACKETS,
     FirstPacket,
+    NowSink,
     StreamReport,
     UnderWay,
     sending_share,

@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.output import STDOUT, OutputFile
 from vlp16emu.packets.frames import FACTORY_LINK, Link, data_header, position_frame
+from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, US_NS
 
@@ -39,7 +38,7 @@ class PcapResult:
     """Of the whole file, hexadecimal."""
 
 
-class PcapSink:
+class PcapSink(PacketSink):
     """Writes data and position packets to a file, stamped with the instants at which they are due.
 
     Each record goes to the operating system by a write of its own, so that what a killed program leaves, as
@@ -74,16 +73,11 @@ class PcapSink:
             self._output.discard()
             raise
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if not self._is_stdout:  # which may hold more than what is ours
             with suppress(OSError):  # a pipe or a device has no end that could be cut
                 os.ftruncate(self._file.fileno(), self._bytes)
-        if error is None or self._sent:
+        if error[1] is None or self._sent:
             self._output.keep()
         self._output.discard()
 

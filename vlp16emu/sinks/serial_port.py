@@ -9,11 +9,10 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from io import UnsupportedOperation
-from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from vlp16emu.errors import OutputError
-from vlp16emu.sinks.sink import Away, OutletResult
+from vlp16emu.sinks.sink import Away, Outlet, OutletResult
 from vlp16emu.types import Packet, PacketKind
 
 T = TypeVar("T")
@@ -146,7 +145,7 @@ def _errors() -> tuple[type[Exception], ...]:
     return serial.SerialException, OSError, termios.error
 
 
-class SerialSink:
+class SerialSink(Outlet):
     """Writes packets to a serial port, and pulses to its line; a thread of its own does it, so that a port never holds up others.
 
     Parameters
@@ -161,12 +160,7 @@ class SerialSink:
         self._thread = threading.Thread(target=self._run, name=f"serial {port.name}", daemon=True)
         self._thread.start()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with suppress(queue.Full):
             self._waiting.put_nowait(None)
         self._thread.join(2 * _PATIENCE_S)  # a daemon: one that hangs in a driver is left behind

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
 from vlp16emu.output import OutputFile
 from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, NO_ECHO, RECORDS_PER_PACKET
-from vlp16emu.sinks.columns import LEAF_OR_WOOD
+from vlp16emu.sinks.cloud import LEAF_OR_WOOD
 from vlp16emu.types import Packet
 
 _GROUP = 256
@@ -81,9 +80,7 @@ class SlotTable:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with self._output, self._output.writing():
             self._flush()
             self._file.close()

@@ -8,7 +8,6 @@ from collections.abc import Collection, Mapping
 from contextlib import ExitStack, suppress
 from io import FileIO
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from vlp16emu.errors import OutputError, RunError, spare
@@ -64,9 +63,7 @@ class TruthFolder:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._open.close()
 
     def append(self, name: str, text: str) -> None:

@@ -7,11 +7,10 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 from vlp16emu.errors import OutputError, RunError
 from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, POSITION_PORT, POSITION_TTL, Link
+from vlp16emu.sinks.sink import PacketSink
 from vlp16emu.types import Packet, PacketKind
 
 LOOPBACK = "127.0.0.1"
@@ -34,7 +33,7 @@ class UdpResult:
     """Of payload."""
 
 
-class UdpSink:
+class UdpSink(PacketSink):
     """Sends data and position packets from two sockets, which are never connected.
 
     A connected socket would give a running identification to frames that must carry 0, and would report
@@ -82,12 +81,7 @@ class UdpSink:
             PacketKind.POSITION: (position, (address, position_port)),
         }
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._sockets.close()
 
     @property
@@ -226,7 +220,7 @@ def _imitate_position(opened: socket.socket) -> None:
     opened.setsockopt(socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DONT)
 
 
-class RigSink:
+class RigSink(PacketSink):
     """Sends the packets of each unit to the ports of its own link.
 
     Parameters
@@ -268,12 +262,7 @@ class RigSink:
             ]
             self._open = stack.pop_all()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._open.close()
 
     def send(self, packet: Packet) -> None:

@@ -9,7 +9,7 @@ from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.layout import POSITION_PAYLOAD
 from vlp16emu.types import PpsState
 from vlp16emu.units import MS_NS, S_NS, US_NS
-from vlp16emu.validator.framing import HOUR_US, SENTENCE_OFFSET, ClockWatch, is_rewritten
+from vlp16emu.validator.frames import HOUR_US, SENTENCE_OFFSET, ClockWatch, is_rewritten
 from vlp16emu.validator.rules import Findings, Rule
 
 _HEAD_BYTES = 14

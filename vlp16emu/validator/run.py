@@ -19,13 +19,10 @@ from vlp16emu.packets.layout import (
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
-from vlp16emu.validator.framing import check_frame, kind_of
-from vlp16emu.validator.optics import OpticsRules
-from vlp16emu.validator.order import InOrder
+from vlp16emu.validator.data import DataChunk, OpticsRules, SweepRules, check_codes, check_factory
+from vlp16emu.validator.frames import InOrder, check_frame, kind_of
 from vlp16emu.validator.position import PositionRules
-from vlp16emu.validator.records import DataChunk, check_factory, check_records
 from vlp16emu.validator.rules import Finding, Findings, Rule
-from vlp16emu.validator.sweep import SweepRules
 
 _CHUNK_PACKETS = 512
 """Data packets looked at together: 0.6 MB, 0.7 s of single return."""
@@ -108,39 +105,24 @@ def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_ru
     CaptureError
         If the file cannot be read, or holds no VLP-16 packets at all.
     """
-    if unit is not None:
-        return verify_units(path, [unit], limit_per_rule=limit_per_rule)[0]
-    with Capture(path) as capture:
-        check = _Check(Findings(limit_per_rule), _CHUNK_PACKETS)
-        for datagram in capture:
-            check.take(datagram)
-        return check.finish(path, capture)
+    return verify_units(path, [unit], limit_per_rule=limit_per_rule)[0]
 
 
 def verify_units(
-    path: Path, units: Sequence[CapturedUnit], *, limit_per_rule: int = 10
+    path: Path, units: Sequence[CapturedUnit | None], *, limit_per_rule: int = 10
 ) -> list[Verification]:
-    """Check each of several units by itself against all rules, all of them in one pass.
-
-    Parameters
-    ----------
-    path, limit_per_rule : as in `verify_capture`
-    units : of the capture
-
-    Raises
-    ------
-    CaptureError
-        If the file cannot be read, or holds no VLP-16 packets of a unit.
-    """
+    """Check each of several units by itself against all rules, all of them in one pass; as `verify_capture`."""
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
     checks = [_Check(Findings(limit_per_rule), chunk_packets) for _ in units]
     checks_of = defaultdict[tuple[bytes, int], list[_Check]](list)
+    of_all = [check for unit, check in zip(units, checks, strict=True) if unit is None]
     for unit, check in zip(units, checks, strict=True):
-        for port in {unit.data_port, *unit.position_ports}:
-            checks_of[unit.source, port].append(check)
+        if unit is not None:
+            for port in {unit.data_port, *unit.position_ports}:
+                checks_of[unit.source, port].append(check)
     with Capture(path) as capture:
         for datagram in capture:
-            for check in checks_of.get((datagram.source, datagram.destination_port), ()):
+            for check in of_all or checks_of.get((datagram.source, datagram.destination_port), []):
                 check.take(datagram)
         return [check.finish(path, capture) for check in checks]
 
@@ -196,8 +178,7 @@ class _Check:
         for kind in self._in_order:
             self._take_rest(kind)
         self._flush(ends=True)
-        self._check_data_rate()
-        self._check_position_rate()
+        self._check_rates()
         stamps_ns = [d.stamp_ns for ends in (self._first, self._last) for d in ends.values()]
         return Verification(
             data_packets=self._packets[PacketKind.DATA],
@@ -240,37 +221,31 @@ class _Check:
                 continues=self._continues,
                 ends=ends,
             )
-            check_records(chunk, self._findings)
+            check_codes(chunk, self._findings)
             self._sweep.check(chunk)
             self._optics.check(chunk)
         self._chunk = [] if ends else self._chunk[-1:]
         self._continues = not ends
 
-    def _span_s(self, kind: PacketKind) -> float:
-        if kind not in self._first:
-            return 0.0
-        return (self._last[kind].stamp_ns - self._first[kind].stamp_ns) / S_NS
-
-    def _check_data_rate(self) -> None:
-        """Time covered by data packets against the time that went by; lost packets have a rule of their own."""
-        active_s = self._span_s(PacketKind.DATA) - self._sweep.left_out_us * US_NS / S_NS
-        if active_s < _SHORTEST_S:
-            return
-        ratio = self._sweep.covered_us * US_NS / S_NS / active_s
-        if abs(ratio - 1) > _RATE_TOLERANCE:
+    def _check_rates(self) -> None:
+        """Check packets per second, those lost included: position packets, and the time that data packets cover."""
+        span_s = {
+            kind: (self._last[kind].stamp_ns - first.stamp_ns) / S_NS for kind, first in self._first.items()
+        }
+        active_s = span_s.get(PacketKind.DATA, 0.0) - self._sweep.left_out_us * US_NS / S_NS
+        if active_s >= _SHORTEST_S:
             mode = ReturnMode.DUAL if self._factory[0] == _DUAL_BYTE else ReturnMode.STRONGEST
             nominal_hz = S_NS / (SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS)
-            found = f"{ratio * nominal_hz:.1f} data packets per second"
-            expected = f"{nominal_hz:.1f} within {_RATE_TOLERANCE:.0%}"
-            self._findings.add(Rule.DATA_RATE, self._last[PacketKind.DATA].number, found, expected)
+            covered = self._sweep.covered_us * US_NS / S_NS / active_s
+            self._check_rate(PacketKind.DATA, covered * nominal_hz, f"{nominal_hz:.1f}", (nominal_hz,))
+        position_s = span_s.get(PacketKind.POSITION, 0.0)
+        if position_s >= _SHORTEST_S:
+            count = self._packets[PacketKind.POSITION] - 1 + self._position.lost_packets
+            words = " or ".join(str(hz) for hz in _POSITION_RATES_HZ)
+            self._check_rate(PacketKind.POSITION, count / position_s, words, _POSITION_RATES_HZ)
 
-    def _check_position_rate(self) -> None:
-        """Position packets per second, those lost included."""
-        span_s = self._span_s(PacketKind.POSITION)
-        if span_s < _SHORTEST_S:
-            return
-        rate_hz = (self._packets[PacketKind.POSITION] - 1 + self._position.lost_packets) / span_s
-        if not any(abs(rate_hz / hz - 1) <= _RATE_TOLERANCE for hz in _POSITION_RATES_HZ):
-            found = f"{rate_hz:.1f} position packets per second"
-            expected = " or ".join(str(hz) for hz in _POSITION_RATES_HZ) + f" within {_RATE_TOLERANCE:.0%}"
-            self._findings.add(Rule.POSITION_RATE, self._last[PacketKind.POSITION].number, found, expected)
+    def _check_rate(self, kind: PacketKind, rate_hz: float, words: str, usual_hz: Sequence[float]) -> None:
+        if all(abs(rate_hz / hz - 1) > _RATE_TOLERANCE for hz in usual_hz):
+            rule = Rule.DATA_RATE if kind is PacketKind.DATA else Rule.POSITION_RATE
+            found = f"{rate_hz:.1f} {kind} packets per second"
+            self._findings.add(rule, self._last[kind].number, found, f"{words} within {_RATE_TOLERANCE:.0%}")

@@ -18,15 +18,14 @@ from vlp16emu.labels import LabelScheme, PointLabels, label_scheme
 from vlp16emu.run.run import TruthPlace
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
-from vlp16emu.sinks.cloud import point_file
-from vlp16emu.sinks.columns import (
+from vlp16emu.sinks.cloud import (
     LABEL_COLUMNS,
     LEAF_OR_WOOD,
     RETURN_NAMES,
     SCENE_COLUMNS,
     TRUTH_COLUMNS,
-    Block,
     CloudAbout,
+    point_file,
     scene_comments,
 )
 from vlp16emu.types import Returns

@@ -6,7 +6,6 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from importlib.metadata import version
 from threading import Event
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -134,9 +133,7 @@ class Truth:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         with self._folder, suppress(CancelledError, *([RunError] if error else [])), self._open:
             self._write()
             for samples in self._trajectories:

@@ -1,11 +1,10 @@
-"""Rules about frames.
-
-Lengths, ports, the headers around the payloads, and time stamps that keep pace with the capture's clock.
+"""Rules about frames: lengths, ports, headers, their order, and time stamps that keep pace with the capture's clock.
 
 The header fields were measured on frames of two real units, see `vlp16emu.packets.frames`.
 """
 
 import struct
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import TypeVar
 
@@ -21,7 +20,16 @@ from vlp16emu.packets.frames import (
     POSITION_PORT,
     POSITION_TTL,
 )
-from vlp16emu.packets.layout import BLOCK_FLAG, DATA_BYTES, POSITION_BYTES, POSITION_PAYLOAD
+from vlp16emu.packets.layout import (
+    BLOCK_FLAG,
+    DATA_BYTES,
+    DATA_PAYLOAD,
+    POSITION_BYTES,
+    POSITION_PAYLOAD,
+    RETURN_MODE_BYTE,
+    SEQUENCES_PER_PACKET,
+)
+from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind
 from vlp16emu.units import HOUR_NS, MS_NS, US_NS
 from vlp16emu.validator.rules import Findings, Level, Rule
@@ -73,6 +81,11 @@ class ClockWatch:
             self._reference = stamp_ns, offset_us
 
 
+_LAYOUTS = {PacketKind.DATA: DATA_PAYLOAD, PacketKind.POSITION: POSITION_PAYLOAD}
+_MODE_AT: int = DATA_PAYLOAD.fields["return_mode"][1]  # type: ignore[index]  # it has fields
+_PERIODS_NS = {RETURN_MODE_BYTE[mode]: count * SEQUENCE_NS for mode, count in SEQUENCES_PER_PACKET.items()}
+_HELD = 128
+"""Packets among which one is put in its place: those of 0.17 s in single return."""
 _FLAG = BLOCK_FLAG.to_bytes(2, "little")
 SENTENCE_OFFSET: int = POSITION_PAYLOAD.fields["sentence"][1]  # type: ignore[index]  # it has fields
 """First character of the sentence in a position payload."""
@@ -121,7 +134,8 @@ def check_frame(datagram: Datagram, kind: PacketKind, findings: Findings) -> boo
         found = "position header that VeloView writes, that of data packets"
         findings.add(Rule.HEADER, datagram.number, found, "the sensor's own", Level.NOTE)
         return True
-    for found, expected in _header_faults(datagram, kind):
+    faults = _header_faults(datagram.header, datagram.ip_offset, kind)
+    for found, expected in faults + (_udp_checksum_faults(datagram) if kind is PacketKind.POSITION else ()):
         findings.add(Rule.HEADER, datagram.number, f"{kind} {found}", expected)
     return True
 
@@ -131,39 +145,26 @@ def is_rewritten(datagram: Datagram) -> bool:
     return datagram.header[6:30] == _VELOVIEW
 
 
-def _header_faults(datagram: Datagram, kind: PacketKind) -> tuple[tuple[str, str], ...]:
-    if kind is PacketKind.DATA:
-        return _data_header_faults(datagram.header, datagram.ip_offset)
-    return _common_faults(datagram.header, datagram.ip_offset, kind) + _udp_checksum_faults(datagram)
-
-
 @lru_cache(_HEADER_FAULTS_CACHED)
-def _data_header_faults(header: bytes, ip_offset: int) -> tuple[tuple[str, str], ...]:
-    """Real sensors put one and the same header in front of all data packets, so look at it once."""
-    faults = list(_common_faults(header, ip_offset, PacketKind.DATA))
-    identification = int.from_bytes(header[ip_offset + 4 : ip_offset + 6])
-    if identification != 0:
-        faults.append((f"identification {identification}", "0"))
+def _header_faults(header: bytes, ip_offset: int, kind: PacketKind) -> tuple[tuple[str, str], ...]:
+    """Check the fields; real sensors put one and the same header in front of all data packets, so it is looked at once."""
+    ip, payload_bytes, is_data = header[ip_offset:-8], _PAYLOAD_BYTES[kind], kind is PacketKind.DATA
+    tos, total, identification, fragment, ttl = struct.unpack_from(">xBHHHB", ip)
     checksum = int.from_bytes(header[-2:])
-    if checksum != 0:
-        faults.append((f"UDP checksum 0x{checksum:04x}", "0, for none"))
-    return tuple(faults)
-
-
-def _common_faults(header: bytes, ip_offset: int, kind: PacketKind) -> tuple[tuple[str, str], ...]:
-    """Faults of the fields that both streams have in common, apart from their values."""
-    ip = header[ip_offset:-8]
-    tos, total, fragment, ttl = struct.unpack_from(">xBH2xHB", ip)
     checks = (
         ("header bytes", len(header), HEADER_BYTES),
         ("type of service", tos, 0),
-        ("IP length", total, len(ip) + 8 + _PAYLOAD_BYTES[kind]),
+        ("IP length", total, len(ip) + 8 + payload_bytes),
         ("flags and offset", fragment, _FLAGS[kind]),
         ("TTL", ttl, _TTL[kind]),
-        ("UDP length", int.from_bytes(header[-4:-2]), 8 + _PAYLOAD_BYTES[kind]),
+        ("UDP length", int.from_bytes(header[-4:-2]), 8 + payload_bytes),
         ("remainder of the IP header's sum", _remainder(ip), 0),
+        ("identification", is_data and identification, 0),
     )
-    return tuple((f"{name} {value}", f"{want}") for name, value, want in checks if value != want)
+    faults = [(f"{name} {value}", f"{want}") for name, value, want in checks if value != want]
+    if is_data and checksum:
+        faults.append((f"UDP checksum 0x{checksum:04x}", "0, for none"))
+    return tuple(faults)
 
 
 def _udp_checksum_faults(datagram: Datagram) -> tuple[tuple[str, str], ...]:
@@ -183,3 +184,77 @@ def _remainder(summed: bytes) -> int:
     whole number; an even length is needed.
     """
     return int.from_bytes(summed) % 0xFFFF
+
+
+class InOrder:
+    """Brings the packets of one kind into the order in which they were made, and leaves out those that come again.
+
+    What does not fit the packets held, because the clock has been set or a stamp is wrong, stays where it is.
+    """
+
+    def __init__(self, kind: PacketKind, findings: Findings) -> None:
+        self._kind, self._findings = kind, findings
+        self._stamp_at: int = _LAYOUTS[kind].fields["timestamp_us"][1]  # type: ignore[index]  # it has fields
+        self._held: list[Datagram] = []
+        self._repeats = 0
+
+    def take(self, datagram: Datagram) -> Iterator[Datagram]:
+        """Put a packet in its place, and yield those whose turn has come."""
+        for known in reversed(self._held):
+            if datagram.payload == known.payload:
+                self._report_again(datagram, known)
+                return
+            if self._stamp_us(known) <= self._stamp_us(datagram):
+                break
+        self._repeats = 0
+        place = len(self._held)
+        if self._held and self._since_us(datagram, self._held[-1]) < 0:
+            if self._is_late(datagram):
+                place = self._place_among(datagram)
+            else:
+                yield from self.rest()
+                place = 0
+        self._held.insert(place, datagram)
+        if len(self._held) > _HELD:
+            yield self._held.pop(0)
+
+    def rest(self) -> Iterator[Datagram]:
+        """Yield those that are still held."""
+        held, self._held = self._held, []
+        yield from held
+
+    def _report_again(self, datagram: Datagram, known: Datagram) -> None:
+        """Report a packet that was there already; a sensor that hangs sends it again and again."""
+        rule, found = Rule.DUPLICATE, f"packet {known.number} again"
+        counts_on = self._kind is PacketKind.POSITION and datagram.identification != known.identification
+        if self._repeats > 0 or counts_on:
+            rule, found = Rule.FROZEN, f"the payload of packet {known.number} again and again"
+        self._repeats += 1
+        self._findings.add(rule, datagram.number, found, f"a new {self._kind} packet")
+
+    def _place_among(self, datagram: Datagram) -> int:
+        """Find the place of a late packet, and report it."""
+        place = len(self._held)
+        while place and self._since_us(datagram, self._held[place - 1]) < 0:
+            place -= 1
+        found = f"a {self._kind} packet overtaken by {len(self._held) - place}"
+        self._findings.add(Rule.PACKET_ORDER, datagram.number, found, "packets in order of their time stamps")
+        return place
+
+    def _is_late(self, datagram: Datagram) -> bool:
+        """Whether it belongs between those that are held: by the period of data packets, or the count of position packets."""
+        if self._since_us(datagram, self._held[0]) <= 0:
+            return False
+        if self._kind is PacketKind.POSITION:
+            return 0 < (self._held[-1].identification - datagram.identification) % 0x10000 <= _HELD
+        period_ns = _PERIODS_NS.get(datagram.payload[_MODE_AT])
+        if period_ns is None:
+            return False
+        behind_ns = -self._since_us(datagram, self._held[-1]) * US_NS
+        return abs(behind_ns - round(behind_ns / period_ns) * period_ns) <= 2 * US_NS
+
+    def _since_us(self, datagram: Datagram, other: Datagram) -> int:
+        return wrap_hour_us(self._stamp_us(datagram) - self._stamp_us(other))
+
+    def _stamp_us(self, datagram: Datagram) -> int:
+        return int.from_bytes(datagram.payload[self._stamp_at : self._stamp_at + 4], "little")
