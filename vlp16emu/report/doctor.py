@@ -16,7 +16,7 @@ from vlp16emu.store import user_store
 _EXTRAS = {
     "bench": (("h11",), "stream --http"),
     "cloud": (("laspy", "lazrs", "pye57", "pypcd4"), "points in LAS, LAZ and E57, score of PCD"),
-    "cluster": (("distributed",), "dataset by more than one process"),
+    "cluster": (("distributed", "cryptography"), "dataset --cluster, --scheduler"),
     "data": (("pyarrow",), "--truth-returns, labels of captures"),
     "dem": (("tifffile", "imagecodecs"), "heights from GeoTIFF files (world.dem)"),
     "images": (("OpenEXR", "PIL"), "images"),
