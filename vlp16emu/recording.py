@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from ipaddress import IPv4Address
 from pathlib import Path
 from threading import Event
+from typing import Protocol
 
 from vlp16emu.accuracy import AuditFinding
 from vlp16emu.chain import Unit
@@ -21,7 +22,7 @@ from vlp16emu.packets import Capture, returns_in
 from vlp16emu.packets.frames import Link
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.settings import on_the_wire
-from vlp16emu.sinks import PcapSink, check_ending
+from vlp16emu.sinks import PacketSink, PcapResult, PcapSink, check_ending
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -90,12 +91,24 @@ def paths_of_units(path: Path, units: int) -> list[Path]:
     return [path.with_stem(f"{path.stem}_{number + 1}") for number in range(units)]
 
 
+class FileSink(PacketSink, Protocol):
+    """A sink that writes a file, and says what is in it."""
+
+    @property
+    def result(self) -> PcapResult:
+        """What has been written, once it is closed."""
+
+
+FileSinks = AbstractContextManager[Sequence[FileSink]]
+
+
 def record_packets(
     chain: Chain,
     packets: AbstractContextManager[Iterable[Packet]],
-    paths: Sequence[Path],
+    files: FileSinks,
     span_s: tuple[float, float],
     *,
+    name: str,
     scene: str,
     host: HostClock,
     progress: Callable[[float], None],
@@ -106,8 +119,9 @@ def record_packets(
     Parameters
     ----------
     packets : of the chain, over the span; entered when the files are open
-    paths : as `PcapSink` takes them; one for all units, or one for each
+    files : one for all units, or one for each
     span_s : of the run, since the first pulse
+    name : of the files in the recording
     scene : its name in the recording
     host : whose stamps the files have
     progress : called with the simulated seconds so far, packet by packet
@@ -116,13 +130,12 @@ def record_packets(
     Raises
     ------
     OutputError, RunError
-        as `PcapSink`
+        as of the files
     """
     began_s, scenario, units = time.perf_counter(), chain.scenario, chain.parts.units
     begin_ns, simulated_s = scenario.start_ns + seconds_to_ns(span_s[0]), 0.0
     sent = Counter[tuple[int, str]]()
-    links = [unit.link for unit in units]
-    with _sinks(paths, links) as sinks, packets as taken, suppress(CancelledError):
+    with files as sinks, packets as taken, suppress(CancelledError):
         for packet in taken:
             if stop.is_set():
                 break
@@ -135,7 +148,7 @@ def record_packets(
     simulated_s = simulated_s if interrupted else span_s[1] - span_s[0]
     written, parts = [sink.result for sink in sinks], tuple(_unit(unit, sent, simulated_s) for unit in units)
     return Recording(
-        file=", ".join(map(str, paths)),
+        file=name,
         scene=scene,
         seed=scenario.seed,
         beam=scenario.beam.summary,
@@ -152,11 +165,13 @@ def record_packets(
         wall_s=wall_s,
         real_time_factor=simulated_s / wall_s,
         interrupted=interrupted,
+        messages=written[0].messages,
     )
 
 
 @contextmanager
-def _sinks(paths: Sequence[Path], links: Sequence[Link]) -> Iterator[list[PcapSink]]:
+def pcap_files(paths: Sequence[Path], links: Sequence[Link]) -> Iterator[list[PcapSink]]:
+    """Open captures, for `record_packets`."""
     with ExitStack() as stack:
         yield [stack.enter_context(PcapSink(path, links)) for path in paths]
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any
@@ -13,11 +12,11 @@ from vlp16emu.chain.chain import Chain
 from vlp16emu.device.host_clock import CaptureClock, HostClock
 from vlp16emu.errors import InputError, OutputError, spare
 from vlp16emu.motion.live_settings import takes_poses
-from vlp16emu.recording import Recording, paths_of_units, record_packets
+from vlp16emu.recording import FileSinks, Recording, paths_of_units, pcap_files, record_packets
 from vlp16emu.scenario import Scenario, find, load
 from vlp16emu.scenario.find import named_files
 from vlp16emu.sinks import TruthTo, check_ending
-from vlp16emu.sinks.bag import is_bag
+from vlp16emu.sinks.bag import check_bag, is_bag
 from vlp16emu.types import Packet
 
 if TYPE_CHECKING:
@@ -80,38 +79,35 @@ class Run(Chain):
         TrajectoryError
             where the walk is over before the span
         RunError
-            where the disk is full; the packets before are kept
+            where the disk is full; the packets before are kept, of a bag nothing
         MissingExtraError
             where rosbags is not there for a bag
         """
+        links, span_s = [unit.link for unit in self.parts.units], self.scenario.span_s(start_s, duration_s)
+        paths = paths_of_units(Path(path), len(links)) if split else [Path(path)]
+        for one in paths:
+            spare(self._files, one)
         if is_bag(path):
-            from vlp16emu.bag import record_bag  # here: few runs need it
+            from vlp16emu.bag import bag_of_run  # here: few runs need it
 
             if split:
                 raise OutputError(str(path), "found a bag to be split", "one bag for all sensors, or .pcap")
-            to = truth if isinstance(truth, TruthTo | None) else TruthTo(Path(truth))
-            recorded = partial(
-                self.record,
-                start_s=start_s,
-                duration_s=duration_s,
-                as_due=as_due,
-                progress=progress,
-                stop=stop,
+            check_bag(Path(path))
+            files: FileSinks = bag_of_run(
+                Path(path), self, truth.rate_hz if isinstance(truth, TruthTo) else 200
             )
-            return record_bag(Path(path), to, lambda capture, to: recorded(capture, truth=to))
-        paths = paths_of_units(Path(path), len(self.parts.units)) if split else [Path(path)]
-        for one in paths:
-            spare(self._files, one)
-        check_ending(Path(path))
-        span_s, stop = self.scenario.span_s(start_s, duration_s), stop or Event()
+        else:
+            check_ending(Path(path))
+            files = pcap_files(paths, links)
+        stop, packets = stop or Event(), self.packets(*span_s)  # checks the span before a file is touched
         clock = CaptureClock(preset="ideal") if as_due else self.scenario.capture
-        packets = self.packets(*span_s)  # checks the span before the file is touched
         with self.windows.stopped_by(stop):
             recording = record_packets(
                 self,
                 self._with_truth(packets, span_s, truth),
-                paths,
+                files,
                 span_s,
+                name=", ".join(map(str, paths)),
                 scene=self.name,
                 host=HostClock(clock, self.scenario.seed, self.scenario.start_ns),
                 progress=progress,
