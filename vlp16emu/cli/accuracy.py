@@ -10,8 +10,7 @@ import typer
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
 from vlp16emu.cli.start import compile_first
-from vlp16emu.cli.terminal import Progress, count, print_json, size
-from vlp16emu.errors import OutputError
+from vlp16emu.cli.terminal import Progress, count, make_folder, print_json, size
 from vlp16emu.output import OutputFile
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ def accuracy(
         from vlp16emu.plots import check_matplotlib
 
         check_matplotlib()
-        _make_folder(out)
+        make_folder(out)
     name = Path(scene).stem
     files = [] if out is None else [out / f"accuracy_{name}{suffix}" for suffix in (".json", ".png")]
     compile_first("hall" if scenario.world.kind == "hall" else "forest")
@@ -105,20 +104,6 @@ def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
             done=lambda share: progress.show("comparing worlds", share * whole_s),
         )
     return replace(measured, distributions=distributions)
-
-
-def _make_folder(out: Path) -> None:
-    """Make the folder of the report, before anything heavy.
-
-    Raises
-    ------
-    OutputError
-        where it cannot be made
-    """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"--out {out}", str(error.strerror), "a folder") from error
 
 
 def _tree(measured: "Accuracy") -> dict[str, Any]:
