@@ -16,7 +16,8 @@ import pytest
 import vlp16emu.emulator as emulator_module
 from vlp16emu import Emulator
 from vlp16emu.dataset import load_spec, make_dataset, walks_of
-from vlp16emu.errors import ScenarioError
+from vlp16emu.dataset.run import _dask
+from vlp16emu.errors import MissingExtraError, OutputError, ScenarioError
 from vlp16emu.extras.clouds.points import write_points
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
@@ -33,8 +34,10 @@ paths = [{ name = "middle" }]
 sensors = [{ name = "puck" }, { name = "four", set = ["sensor.model=free", "sensor.beams=4"] }]
 splits = { train = 0.5, val = 0.0, test = 0.5 }
 """
-DASK = pytest.mark.skipif(find_spec("distributed") is None, reason="dask.distributed is not installed")
-
+DASK = pytest.mark.skipif(
+    find_spec("distributed") is None or find_spec("cryptography") is None,
+    reason="the extra cluster is not installed",
+)
 
 PUCK_ALONE = SPEC.replace(', { name = "four", set = ["sensor.model=free", "sensor.beams=4"] }', "")
 
@@ -108,36 +111,71 @@ def test_only_what_is_missing_or_damaged_is_made_again(made):
     assert scan.read_bytes() == right
 
 
-@pytest.mark.parametrize("layout", ["semantickitti", "pcap+truth", "las-plots"])
-def test_walks_in_stretches_have_the_bytes_of_whole_ones(tmp_path, layout):
-    """Cut within revolutions and packets, a walk gives the same manifest; stretches of a run that ended are kept."""
-    pytest.importorskip("laspy")
-    walking = """duration_s=2.5", "motion={kind='walk', way_points_m=[[-8, 0], [4, 0]]}"""
-    text = PUCK_ALONE.replace('duration_s=0.25"', f'{walking}"').replace("semantickitti", layout)
-    (walk, *_) = walks_in(tmp_path, text)
-    whole = make_dataset([walk], tmp_path / "whole", workers=0)
+def test_a_run_that_ends_keeps_its_walks(tmp_path):
+    """After an error in the third walk the next run makes the third and the fourth, and leaves nothing beside them."""
+    walks, done = walks_in(tmp_path)[:4], []
+
+    def progress(done_s):
+        done.append(done_s)
+        if done_s == 0.5 and len(done) == 3:
+            raise EndError
+
     with pytest.raises(EndError):
-        make_dataset([walk], tmp_path / "cut", workers=0, stretch_s=0.77, progress=stop_after(1.5))
-    assert len(list((tmp_path / "cut").glob(".stretches/*"))) == 2
-    done_s = []
-    cut = make_dataset([walk], tmp_path / "cut", workers=0, stretch_s=0.77, progress=done_s.append)
-    assert cut.sha256 == whole.sha256
-    np.testing.assert_allclose(done_s, [0, 0.77, 1.54, 2.31, 2.5])
-    assert not list((tmp_path / "cut").glob(".stretches"))
+        make_dataset(walks, tmp_path / "out", workers=0, progress=progress)
+    listed = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert [walk["folder"] for walk in listed["walks"]] == ["sequences/00", "sequences/01"]
+    assert make_dataset(walks, tmp_path / "out", workers=0, progress=done.append).made == 2
+    np.testing.assert_allclose(done, [0, 0.25, 0.5, 0.5, 0.75, 1.0])
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["manifest.json", "sequences"]
 
 
 class EndError(Exception):
     """Ends a run from its progress."""
 
 
-def stop_after(end_s):
-    """Progress that ends a run."""
+@pytest.mark.parametrize(
+    "strange", ["sequences/00", "sequences/00/notes.txt", "sequences/01/velodyne/000000.bin", "manifest.json"]
+)
+def test_what_no_manifest_lists_is_not_touched(tmp_path, strange):
+    """A file in the place of a walk or of the manifest is named in one line with exit code 2, and all that was there stays."""
+    out = tmp_path / "out"
+    (out / strange).parent.mkdir(parents=True)
+    (out / strange).write_text("mine")
+    (out / "sequences").mkdir(exist_ok=True)
+    (out / "sequences" / "mine.part").mkdir()
+    before = sorted(out.rglob("*"))
+    with pytest.raises(OutputError, match=strange) as error:
+        make_dataset(walks_in(tmp_path), out, workers=0)
+    assert error.value.exit_code == 2
+    assert sorted(out.rglob("*")) == before
+    assert (out / strange).read_text() == "mine"
 
-    def progress(done_s):
-        if done_s > end_s:
-            raise EndError
 
-    return progress
+def test_a_note_beside_a_walk_s_files_stays(tmp_path):
+    """A walk that is whole is kept with what somebody has put beside it; one to be made again is refused until that is gone."""
+    (walk, *_) = walks_in(tmp_path)
+    folder = tmp_path / "out" / "sequences" / "00"
+    make_dataset([walk], tmp_path / "out", workers=0)
+    (folder / "notes.txt").write_text("mine")
+    assert make_dataset([walk], tmp_path / "out", workers=0).made == 0
+    (folder / "poses.txt").unlink()
+    with pytest.raises(OutputError, match=r"notes\.txt"):
+        make_dataset([walk], tmp_path / "out", workers=0)
+    assert (folder / "velodyne" / "000000.bin").exists()
+    (folder / "notes.txt").rename(tmp_path / "notes.txt")
+    assert make_dataset([walk], tmp_path / "out", workers=0).made == 1
+    assert (folder / "poses.txt").exists()
+
+
+def test_walks_of_a_killed_run_go_with_its_manifest(tmp_path):
+    """The folder that a manifest of ours names as that of unfinished walks is removed; another of such a name stays."""
+    (walk, *_) = walks_in(tmp_path)
+    out = tmp_path / "out"
+    for name in (".parts.left", ".parts.mine"):
+        (out / name / "walk").mkdir(parents=True)
+    (out / "manifest.json").write_text('{"written_by": "vlp16emu 0", "parts": ".parts.left", "walks": []}')
+    make_dataset([walk], out, workers=0)
+    assert sorted(path.name for path in out.iterdir()) == [".parts.mine", "manifest.json", "sequences"]
 
 
 def test_sensors_of_a_stand_share_its_world(tmp_path, monkeypatch):
@@ -161,9 +199,9 @@ def test_sensors_of_a_stand_share_its_world(tmp_path, monkeypatch):
 
 
 def test_a_capture_of_a_dataset_is_that_of_record(tmp_path):
-    """Capture and truth of a walk in stretches are, byte for byte, those that `record` writes."""
+    """Capture and truth of a walk are, byte for byte, those that `record` writes."""
     (walk, *_) = walks_in(tmp_path, PUCK_ALONE.replace("semantickitti", "pcap+truth"))
-    make_dataset([walk], tmp_path / "out", workers=0, stretch_s=0.1)
+    make_dataset([walk], tmp_path / "out", workers=0)
     Emulator(walk.scenario).record(tmp_path / "walk.pcap", truth=tmp_path / "truth")
     made = tmp_path / "out" / "walks" / "0000"
     assert (made / "walk.pcap").read_bytes() == (tmp_path / "walk.pcap").read_bytes()
@@ -188,17 +226,28 @@ def test_a_plot_is_a_laz_file_that_others_read(tmp_path):
     assert set(cloud.classification) >= {2}  # ground
 
 
-@DASK
-def test_workers_that_are_killed_lose_nothing(tmp_path):
-    """Two Dask workers, with two killed on the way, make the manifest of one process."""
+@pytest.mark.parametrize("option", [None, pytest.param("--cluster", marks=DASK)])
+def test_workers_that_are_killed_lose_nothing(tmp_path, option):
+    """Two workers, of this program or of Dask, with two killed on the way, make the manifest of one process."""
     text = SPEC.replace("0.25", "1.0")  # long enough to be seen
     first = make_dataset(walks_in(tmp_path, text), tmp_path / "alone", workers=0)
     spec, out = tmp_path / "spec.toml", tmp_path / "out"
-    command = [sys.executable, "-m", "vlp16emu", "dataset", spec, out, "--workers", "2", "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "vlp16emu",
+        "dataset",
+        spec,
+        out,
+        "--workers",
+        "2",
+        "--json",
+        *filter(None, [option]),
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
         killed = set()
         while run.poll() is None and len(killed) < 2:
-            is_making = any(out.glob("*/*.part"))
+            is_making = any(out.glob(".parts.*/*"))
             if is_making and (workers := workers_of(run.pid) - killed):
                 os.kill(worker := workers.pop(), signal.SIGKILL)
                 killed.add(worker)
@@ -207,7 +256,28 @@ def test_workers_that_are_killed_lose_nothing(tmp_path):
     assert run.returncode == 0, said
     assert len(killed) == 2
     assert json.loads(written)["sha256"] == first.sha256
-    assert not list(out.glob("*/*.part"))
+    assert not list(out.glob(".parts.*"))
+
+
+@DASK
+def test_a_cluster_of_this_machine_takes_nobody_else():
+    """The scheduler listens on loopback alone, and hangs up on who has no certificate of the run."""
+    from distributed import Client
+
+    with _dask(1, None) as executor:
+        address = executor._client.scheduler.address
+        assert address.startswith("tls://127.0.0.1:")
+        for other in (address, address.replace("tls://", "tcp://")):
+            with pytest.raises((OSError, TypeError)):
+                Client(other, timeout=2)
+
+
+@pytest.mark.parametrize("option", [{"cluster": True}, {"scheduler": "tcp://127.0.0.1:1"}])
+def test_dask_is_named_where_it_is_missing(tmp_path, monkeypatch, option):
+    """Without the extra `cluster` its options end in a line that names it, and the default does without it."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtraError, match="cluster"):
+        make_dataset(walks_in(tmp_path)[:1], tmp_path / "out", **option)
 
 
 def workers_of(pid):

@@ -11,8 +11,7 @@ import typer
 
 from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
 from vlp16emu.cli.start import compile_first
-from vlp16emu.cli.terminal import Progress, count, print_json, size
-from vlp16emu.errors import OutputError
+from vlp16emu.cli.terminal import Progress, count, make_folder, print_json, size
 from vlp16emu.output import OutputFile
 
 if TYPE_CHECKING:
@@ -71,10 +70,7 @@ def accuracy(
         from vlp16emu.plots import check_matplotlib
 
         check_matplotlib()
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"--out {out}", str(error.strerror), "a folder") from error
+        make_folder(out)
     name = Path(scene).stem
     files = [] if out is None else [out / f"accuracy_{name}{suffix}" for suffix in (".json", ".png")]
     compile_first("hall" if scenario.world.kind == "hall" else "forest")

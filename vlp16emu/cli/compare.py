@@ -1,5 +1,6 @@
 """`vlp16emu compare` and `vlp16emu fit`: what distinguishes two units, and the settings of one."""
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -88,13 +89,8 @@ def fit(
 
 
 def _toml(tables: dict[str, dict[str, object]]) -> str:
-    """Write tables of numbers, texts and truths."""
-    lines = []
-    for name, table in tables.items():
-        lines.append(f"[{name}]")
-        for key, value in table.items():
-            lines.append(
-                f"{key} = {str(value).lower() if isinstance(value, bool) else repr(value)}".replace("'", '"')
-            )
-        lines.append("")
-    return "\n".join(lines)
+    """Write tables of numbers, texts and truths, which are written as in JSON."""
+    return "\n".join(
+        f"[{name}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())
+        for name, table in tables.items()
+    )

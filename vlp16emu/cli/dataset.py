@@ -7,6 +7,7 @@ import typer
 
 from vlp16emu.cli.arguments import AsJson, checked
 from vlp16emu.cli.terminal import Progress, count, print_json, print_rows, size, tree_of
+from vlp16emu.errors import InputError
 
 SpecFile = Annotated[
     Path, typer.Argument(metavar="SPEC.toml", help="File that describes the dataset.", show_default=False)
@@ -20,7 +21,13 @@ Workers = Annotated[
         "--workers",
         metavar="N",
         parser=checked("--workers", int, lambda n: 0 <= n <= 1024, "a whole number from 0 to 1024"),
-        help="Processes on this machine, one per core if left out; 0 is this process alone, without Dask. Never changes a byte.",
+        help="Processes on this machine, one per core if left out; 0 is this process alone. Never changes a byte.",
+    ),
+]
+Cluster = Annotated[
+    bool,
+    typer.Option(
+        "--cluster", help="Let Dask keep the processes on this machine; they talk over TLS, on loopback."
     ),
 ]
 Scheduler = Annotated[
@@ -38,6 +45,7 @@ def dataset(
     out: Folder,
     *,
     workers: Workers = None,
+    cluster: Cluster = False,
     scheduler: Scheduler = None,
     as_json: AsJson = False,
 ) -> None:
@@ -48,6 +56,8 @@ def dataset(
     """
     from vlp16emu.dataset import load_spec, make_dataset, walks_of
 
+    if cluster and scheduler:
+        raise InputError("--cluster", "found beside --scheduler", "one of both")
     walks = walks_of(load_spec(spec), spec.absolute().parent)
     total_s = sum(walk.scenario.duration_s for walk in walks)
     with Progress(total_s) as progress:
@@ -55,6 +65,7 @@ def dataset(
             walks,
             out,
             workers=workers,
+            cluster=cluster,
             scheduler=scheduler,
             progress=lambda done_s: progress.show("making walks", done_s),
         )

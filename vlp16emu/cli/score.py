@@ -7,8 +7,9 @@ from typing import Annotated
 import typer
 
 from vlp16emu.cli.arguments import AsJson, checked
-from vlp16emu.cli.terminal import print_json, print_rows
+from vlp16emu.cli.terminal import make_folder, print_json, print_rows
 from vlp16emu.errors import InputError
+from vlp16emu.output import OutputFile
 
 TruthFolder = Annotated[
     Path,
@@ -100,12 +101,16 @@ def score(
 
     Scores what is given, from files of any tool. Exit code 1 where a threshold is missed.
     """
+    from vlp16emu.plots import check_matplotlib
     from vlp16emu.score.card import ScoreInputs, limits_of, make_card
+    from vlp16emu.score.page import page
     from vlp16emu.score.paths import ALIGNMENTS
 
     if align not in ALIGNMENTS:
         raise InputError("--align", f"found {align}", ", ".join(ALIGNMENTS))
     limits = limits_of(require or ())
+    if out is not None:
+        check_matplotlib()
     card = make_card(
         ScoreInputs(
             truth, trajectory, times, map_file, points, stems, inventory, truth_points, unit, align, radius
@@ -114,7 +119,11 @@ def score(
     missed = card.missed(limits)
     tree = {**card.tree(), "missed": missed}
     if out is not None:
-        _write(out, {"score.json": json.dumps(tree, indent=2) + "\n", "score.html": _page(card, missed)})
+        make_folder(out)
+        texts = {"score.json": json.dumps(tree, indent=2) + "\n", "score.html": page(card, missed)}
+        for name, text in texts.items():
+            with OutputFile(out / name) as output, output.writing() as file:
+                file.write(text.encode())
     if as_json:
         print_json(tree)
     else:
@@ -123,27 +132,3 @@ def score(
             print(f"missed: {line}")
     if missed:
         raise typer.Exit(1)
-
-
-def _page(card: object, missed: list[str]) -> str:
-    from vlp16emu.plots import check_matplotlib
-    from vlp16emu.score.card import ScoreCard
-    from vlp16emu.score.page import page
-
-    check_matplotlib()
-    assert isinstance(card, ScoreCard)
-    return page(card, missed)
-
-
-def _write(folder: Path, texts: dict[str, str]) -> None:
-    """Write files of text into a folder, which is made where there is none."""
-    from vlp16emu.errors import OutputError
-    from vlp16emu.output import OutputFile
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(str(folder), str(error.strerror), "a folder") from None
-    for name, text in texts.items():
-        with OutputFile(folder / name) as output, output.writing() as file:
-            file.write(text.encode())

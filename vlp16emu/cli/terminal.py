@@ -9,7 +9,10 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
+
+from vlp16emu.errors import OutputError
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)."""
@@ -142,6 +145,20 @@ def tree_of(result: "DataclassInstance") -> dict[str, Any]:
         return tree
 
     return asdict(result, dict_factory=flat)
+
+
+def make_folder(out: Path) -> None:
+    """Make the folder of a report, before anything heavy.
+
+    Raises
+    ------
+    OutputError
+        where it cannot be made
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"--out {out}", str(error.strerror), "a folder") from error
 
 
 def print_json(tree: Mapping[str, object]) -> None:

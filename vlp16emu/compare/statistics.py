@@ -40,35 +40,33 @@ class Smooth:
 
     def __init__(self, sequences: Sequences) -> None:
         powers = np.vander(np.arange(_WINDOW) - _WINDOW // 2, 4).astype(float)
-        smoother = powers @ np.linalg.pinv(powers)
-        centre = _WINDOW // 2
+        own, centre = np.eye(_WINDOW) - powers @ np.linalg.pinv(powers), _WINDOW // 2
         span = sliding_window_view(sequences.number, _WINDOW)
-        gapless = span[:, -1] - span[:, 0] == _WINDOW - 1
-        residuals, slots, levels, changes = [], [], [], []
-        for laser in range(sequences.distance_lsb.shape[1]):
-            codes = sliding_window_view(sequences.distance_lsb[:, laser], _WINDOW)[gapless]
-            numbers = span[gapless, centre]
-            seen = (codes > 0).all(axis=1)
-            rest_mm = 2.0 * (codes[seen] @ (np.eye(_WINDOW) - smoother))
+        gapless = np.flatnonzero(span[:, -1] - span[:, 0] == _WINDOW - 1)
+        found = []
+        for laser, (codes, level) in enumerate(
+            zip(sequences.distance_lsb.T, sequences.reflectivity.T, strict=True)
+        ):
+            windows = sliding_window_view(codes, _WINDOW)[gapless]
+            seen = (windows > 0).all(axis=1)
+            rest_mm = 2.0 * (windows[seen] @ own)
             smooth = (rest_mm.std(axis=1) < _SMOOTHEST_MM) & (np.abs(rest_mm).max(axis=1) < _FARTHEST_MM)
-            residuals.append(rest_mm[smooth, centre])
-            slots.append((24 * numbers[seen][smooth] + laser) % _SLOTS)
-            rows = np.flatnonzero(gapless)[seen][smooth] + centre
-            levels.append(sequences.reflectivity[rows, laser])
-            changes.append(sequences.reflectivity[rows + 1, laser] - levels[-1])
-        self.residual_mm = np.concatenate(residuals)
-        """(r,)."""
-        self.slot = np.concatenate(slots)
-        """(r,) of the beat, 0 to 4, from the first pulse of the capture."""
-        self.level = np.concatenate(levels)
-        """(r,) reflectivity."""
-        self.change = np.concatenate(changes)
-        """(r,) of the reflectivity to the next pulse of the laser, on the same surface."""
-        own = (np.eye(_WINDOW) - smoother)[centre]
-        self.white_gain = math.sqrt(float((own**2).sum()))
-        """Share of white noise that is left in a residual."""
-        self.own = own
+            rows = gapless[seen][smooth] + centre
+            slot = (24 * sequences.number[rows] + laser) % _SLOTS
+            found.append((rest_mm[smooth, centre], slot, level[rows], level[rows + 1] - level[rows]))
+        self.residual_mm, self.slot, self.level, self.change = map(np.concatenate, zip(*found, strict=True))
+        """(r,) residuals; slots of the beat, 0 to 4, from the first pulse of the capture; reflectivities, and their change to
+        the next pulse of the laser, on the same surface."""
+        self.own = own[centre]
         """(15,) weight of each pulse of a window in the residual of its middle."""
+        self.white_gain = math.sqrt(float((self.own**2).sum()))
+        """Share of white noise that is left in a residual."""
+
+    @property
+    def means_mm(self) -> NDArray[np.float64]:
+        """(5,) of the residuals, by slot."""
+        counts = np.bincount(self.slot, minlength=_SLOTS)
+        return np.bincount(self.slot, self.residual_mm, _SLOTS) / counts
 
 
 def smooth_of(sequences: Sequences) -> Smooth | None:
@@ -79,8 +77,7 @@ def smooth_of(sequences: Sequences) -> Smooth | None:
 
 def beat_of(smooth: Smooth) -> NDArray[np.complex128]:
     """Find the beat of period five: the complex amplitudes of the sine and of its overtone, (2,) mm."""
-    means_mm = np.array([smooth.residual_mm[smooth.slot == slot].mean() for slot in range(_SLOTS)])
-    seen = np.fft.fft(means_mm)[1:3] * 2.0 / _SLOTS
+    seen = np.fft.fft(smooth.means_mm)[1:3] * 2.0 / _SLOTS
     # From one sequence to the next the slot falls by one: by so much the smoothing has taken of each.
     steps = np.arange(_WINDOW) - _WINDOW // 2
     left = [abs(np.sum(smooth.own * np.exp(2j * np.pi * k * steps / _SLOTS))) for k in (1, 2)]
@@ -103,8 +100,7 @@ def statistics_of(sequences: Sequences) -> Statistics:
 
 def white_mm(smooth: Smooth) -> NDArray[np.float64]:
     """Residuals (r,) without the beat, as they would be at a reflectivity of 20 (`range_sigma_m`)."""
-    means_mm = np.bincount(smooth.slot, smooth.residual_mm) / np.bincount(smooth.slot)
-    rest_mm = smooth.residual_mm - means_mm[smooth.slot]
+    rest_mm = smooth.residual_mm - smooth.means_mm[smooth.slot]
     return np.asarray(rest_mm * (smooth.level.clip(1, 100) / _MIDDLE_LEVEL) ** 0.25)
 
 
@@ -176,16 +172,8 @@ def turning_of(sequences: Sequences) -> Turning:
     azimuth, block = sequences.azimuth_cdeg, sequences.block
     span = block / block[-1]
     turn = 2.0 * np.pi * azimuth / 36_000
-    columns = [
-        np.ones(len(block)),
-        span,
-        span**2,
-        np.cos(turn),
-        np.sin(turn),
-        np.cos(2 * turn),
-        np.sin(2 * turn),
-    ]
-    basis = np.stack(columns, axis=1)
+    waves = [wave(k * turn) for k in (1, 2) for wave in (np.cos, np.sin)]
+    basis = np.stack([np.ones(len(block)), span, span**2, *waves], axis=1)
     found, *_ = np.linalg.lstsq(basis, azimuth.astype(float), rcond=None)
     rpm = (azimuth[-1] - azimuth[0]) / 36_000 / (block[-1] * BLOCK_PERIOD_NS / S_NS) * 60
     return Turning(float(rpm), complex(*found[3:5]), complex(*found[5:7]), azimuth - basis @ found)

@@ -47,6 +47,12 @@ REAL: Mapping[str, tuple[float, float]] = MappingProxyType(
 protocol/README.md, "The character of a unit". The mean of no-returns is that of nine units."""
 
 _SIZE_PX = 1100, 750
+_TITLES = (
+    "range error, mm, by pulse modulo 5",
+    "azimuth, cdeg, by cycles per block",
+    "step of the azimuth, cdeg",
+    "reflectivity of returns",
+)
 _LEAST_SPREAD = 0.25
 """Of the greatest value: four units that agree more closely do not show what a fifth does."""
 
@@ -87,28 +93,22 @@ def draw(file: IO[bytes], first: Sequences, second: Sequences, names: tuple[str,
     file : open for writing
     names : of the captures, for the legend
     """
-    titles = ("range error, mm, by pulse modulo 5", "azimuth, cdeg, by cycles per block")
     with plotted(file, _SIZE_PX) as figure:
         axes = figure.subplots(2, 2).ravel()
         for sequences, name in zip((first, second), names, strict=True):
             _draw_one(axes, sequences, name)
-        for axis, title in zip(
-            axes, (*titles, "step of the azimuth, cdeg", "reflectivity of returns"), strict=True
-        ):
+        for axis, title in zip(axes, _TITLES, strict=True):
             axis.set_title(title)
             axis.legend(frameon=False)
 
 
 def _draw_one(axes: "list[Axes]", sequences: Sequences, name: str) -> None:
-    """Add one capture to each drawing."""
     beat, spectrum, steps, reflectivity = axes
     if (smooth := smooth_of(sequences)) is not None:
-        counts = np.bincount(smooth.slot)
-        beat.plot(np.bincount(smooth.slot, smooth.residual_mm) / counts, "o-", label=name)
+        beat.plot(smooth.means_mm, "o-", label=name)
     rest = local(turning_of(sequences).rest_cdeg)
-    spectrum.semilogy(
-        np.fft.rfftfreq(len(rest))[1:], np.abs(np.fft.rfft(rest))[1:] * 2 / len(rest), label=name
-    )
+    lines = np.abs(np.fft.rfft(rest))[1:] * 2 / len(rest)
+    spectrum.semilogy(np.fft.rfftfreq(len(rest))[1:], lines, label=name)
     step, share = np.unique(np.diff(sequences.azimuth_cdeg), return_counts=True)
     steps.plot(step, share / share.sum(), "o-", label=name)
     codes = np.bincount(sequences.reflectivity[sequences.distance_lsb > 0], minlength=101)[:101]

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from itertools import pairwise, product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from vlp16emu.errors import ScenarioError, readable
 from vlp16emu.explain import explain
@@ -20,10 +20,13 @@ _ONE = 1e-9
 
 
 def _each_once(values: list[Any]) -> list[Any]:
-    names = [value.name if isinstance(value, _Variant) else value for value in values]
-    if len(set(names)) < len(names):
+    if len({getattr(value, "name", value) for value in values}) < len(values):
         raise ValueError("each name and each number once")
     return values
+
+
+_OnceEach = Field(min_length=1), AfterValidator(_each_once)
+_Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class _Variant(Section):
@@ -49,11 +52,11 @@ class _Splits(Section):
     val: Fraction = 0.15
     test: Fraction = 0.15
 
-
-def _all_of_it(splits: _Splits) -> _Splits:
-    if abs(splits.train + splits.val + splits.test - 1) > _ONE:
-        raise ValueError("train, val and test that sum to 1")
-    return splits
+    @model_validator(mode="after")
+    def _sum(self) -> Self:
+        if abs(self.train + self.val + self.test - 1) > _ONE:
+            raise ValueError("train, val and test that sum to 1")
+        return self
 
 
 class DatasetSpec(Section):
@@ -63,19 +66,17 @@ class DatasetSpec(Section):
     """Version of this format."""
     layout: Literal["semantickitti", "pcap+truth", "las-plots"]
     """Which files are written."""
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    seed: _Seed = 1
     """Decides which stand is in which split."""
-    seeds: Annotated[
-        list[Annotated[int, Field(ge=0, lt=2**63)]], Field(min_length=1), AfterValidator(_each_once)
-    ] = [1]  # noqa: RUF012  # pydantic copies it
+    seeds: Annotated[list[_Seed], *_OnceEach] = [1]  # noqa: RUF012  # pydantic copies it
     """Seeds of the scenes."""
-    stands: Annotated[list[_Stand], Field(min_length=1), AfterValidator(_each_once)]
+    stands: Annotated[list[_Stand], *_OnceEach]
     """Scenes to walk in."""
-    paths: Annotated[list[_Variant], Field(min_length=1), AfterValidator(_each_once)]
+    paths: Annotated[list[_Variant], *_OnceEach]
     """Paths through each stand."""
-    sensors: Annotated[list[_Variant], Field(min_length=1), AfterValidator(_each_once)]
+    sensors: Annotated[list[_Variant], *_OnceEach]
     """Sensors on each path."""
-    splits: Annotated[_Splits, AfterValidator(_all_of_it)] = _Splits()
+    splits: _Splits = _Splits()
     """Shares of the stands in train, val and test."""
 
 
@@ -139,11 +140,8 @@ def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
         scenario = load(folder / scene if own else scene, settings)
         if spec.layout == "pcap+truth":
             on_the_wire(scenario.sensor)
-        walks.append(
-            DatasetWalk(
-                len(walks), stand.name, path.name, sensor.name, split_of[stand.name], spec.layout, scenario
-            )
-        )
+        names = stand.name, path.name, sensor.name
+        walks.append(DatasetWalk(len(walks), *names, split_of[stand.name], spec.layout, scenario))
     return walks
 
 

@@ -5,12 +5,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from ipaddress import IPv4Address
 from pathlib import Path
 from threading import Event
-from typing import Any
+from typing import Protocol
 
 from vlp16emu.device.host_clock import CaptureClock, HostClock
 from vlp16emu.doors import door
@@ -24,8 +24,7 @@ from vlp16emu.run.report import AuditFinding
 from vlp16emu.run.run import Run, TruthPlace
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.settings import on_the_wire
-from vlp16emu.sinks import PcapSink, check_ending
-from vlp16emu.sinks.bag import is_bag
+from vlp16emu.sinks import PacketSink, PcapResult, PcapSink, check_ending
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 
@@ -94,31 +93,20 @@ def record(
     stop: Event | None = None,
 ) -> Recording:
     """Write data and position packets into a pcap file; parameters and errors as of `Emulator.record`."""
-    if is_bag(path):
-        if split:
-            raise OutputError(str(path), "found a bag to be split", "one bag for all sensors, or .pcap")
-        to = truth if isinstance(truth, TruthTo | None) else TruthTo(Path(truth))
-        span: dict[str, Any] = {"start_s": start_s, "duration_s": duration_s}
-        more: dict[str, Any] = span | {"as_due": as_due, "progress": progress, "stop": stop}
-        bag: Recording = door("bag")(Path(path), to, lambda file, to: record(run, file, truth=to, **more))
-        return bag
     paths = _paths_of_units(Path(path), len(run.engine.parts.units)) if split else [Path(path)]
     for one in paths:
         spare(run.files, one)
-    check_ending(Path(path))
+    files = _files(run, path, paths, truth, split=split)
     run, scenario, stop = run.with_truth_in(truth), run.scenario, stop or Event()
     span_s = scenario.span_s(start_s, duration_s)
     clock = CaptureClock(preset="ideal") if as_due else scenario.capture
     host = HostClock(clock, scenario.seed, scenario.start_ns)
     packets = run.engine.packets(*span_s)  # checks the span before a file is touched
     began_s, sent, simulated_s = time.perf_counter(), Counter[tuple[int, str]](), 0.0
-    begin_ns, links = (
-        scenario.start_ns + seconds_to_ns(span_s[0]),
-        [unit.link for unit in run.engine.parts.units],
-    )
+    begin_ns = scenario.start_ns + seconds_to_ns(span_s[0])
     with (
         run.engine.windows.stopped_by(stop),
-        _sinks(paths, links) as sinks,
+        files as sinks,
         run.truth(truth, span_s, of=run) as writer,
         suppress(CancelledError),
     ):
@@ -138,7 +126,7 @@ def record(
 def _recording(
     run: Run,
     paths: Sequence[Path],
-    sinks: Sequence[PcapSink],
+    sinks: Sequence[FileSink],
     sent: Counter[tuple[int, str]],
     simulated_s: float,
     wall_s: float,
@@ -166,6 +154,7 @@ def _recording(
         real_time_factor=simulated_s / wall_s,
         audit=run.finding,
         interrupted=interrupted,
+        messages=written[0].messages,
     )
 
 
@@ -182,8 +171,36 @@ def _paths_of_units(path: Path, units: int) -> list[Path]:
     return [path.with_stem(f"{path.stem}_{number + 1}") for number in range(units)]
 
 
+class FileSink(PacketSink, Protocol):
+    """A sink that writes a file, and says what is in it."""
+
+    @property
+    def result(self) -> PcapResult:
+        """What has been written, once it is closed."""
+
+
+def _is_bag(name: str | Path) -> bool:
+    """Whether a name is that of a bag: by its ending, of a folder a slash."""
+    return Path(name).suffix.lower() in (".mcap", ".bag") or str(name).endswith("/")
+
+
+def _files(
+    run: Run, name: str | Path, paths: Sequence[Path], truth: TruthPlace | None, *, split: bool
+) -> AbstractContextManager[Sequence[FileSink]]:
+    """Return the files of a run, which are opened when they are entered: captures, or a bag."""
+    links = [unit.link for unit in run.engine.parts.units]
+    if not _is_bag(name):
+        check_ending(paths[0])
+        return _captures(paths, links)
+    if split:
+        raise OutputError(str(paths[0]), "found a bag to be split", "one bag for all sensors, or .pcap")
+    rate_hz = truth.rate_hz if isinstance(truth, TruthTo) else TruthTo.rate_hz
+    bag: AbstractContextManager[Sequence[FileSink]] = door("bag")(paths[0], run.engine, rate_hz)
+    return bag
+
+
 @contextmanager
-def _sinks(paths: Sequence[Path], links: Sequence[Link]) -> Iterator[list[PcapSink]]:
+def _captures(paths: Sequence[Path], links: Sequence[Link]) -> Iterator[list[PcapSink]]:
     with ExitStack() as stack:
         yield [stack.enter_context(PcapSink(path, links)) for path in paths]
 

@@ -1,10 +1,12 @@
 """All scores of a pipeline that its files allow, and the thresholds that they are held to."""
 
 import math
+import operator
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -37,6 +39,9 @@ REGION_M = 20.0
 """Radius of the circle around the first true position in which density and uniformity of a map are taken."""
 _BREAST_M = 0.1
 """Half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m."""
+_SIGNS: Mapping[str, Callable[[float, float], bool]] = MappingProxyType(
+    {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+)
 _LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
 
 
@@ -71,12 +76,7 @@ class Limit:
 
     def holds(self, value: float) -> bool:
         """Whether a value keeps it; NaN keeps none."""
-        return {
-            "<": value < self.bound,
-            "<=": value <= self.bound,
-            ">": value > self.bound,
-            ">=": value >= self.bound,
-        }[self.sign]
+        return _SIGNS[self.sign](value, self.bound)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +97,11 @@ class TreeRow:
     """Found less true."""
     hits: int | None
     """True points on the stem from 1.2 to 1.4 m over the foot; none without labelled true points."""
+
+    @property
+    def kind(self) -> str:
+        """One of false, found and missed."""
+        return "false" if not self.true_id else "found" if self.found_number else "missed"
 
 
 @dataclass(slots=True)
@@ -129,14 +134,8 @@ class ScoreCard:
 
     def tree(self) -> dict[str, Any]:
         """All of it for JSON; null is what cannot be computed."""
-        from dataclasses import asdict
-
-        trees = [{key: _plain(value) for key, value in asdict(row).items()} for row in self.trees]
-        inputs = {
-            key: str(value) if isinstance(value, Path) else value
-            for key, value in asdict(self.inputs).items()
-        }
-        scores = {name: _plain(value) for name, value in self.scores.items()}
+        trees = [_plain(asdict(row)) for row in self.trees]
+        inputs, scores = _plain(asdict(self.inputs)), _plain(self.scores)
         return {"inputs": inputs, "scores": scores, "notes": self.notes, "trees": trees}
 
 
@@ -199,6 +198,12 @@ def _check(inputs: ScoreInputs) -> None:
         raise InputError("--stems", "found no true trees", "--inventory, of `vlp16emu forest --inventory`")
 
 
+def _need(true: Cloud, *names: str) -> None:
+    for name in names:
+        if name not in true:
+            raise InputError("--truth-points", f"no column {name}", "points of `vlp16emu points --truth`")
+
+
 def _score_map(card: ScoreCard, found: NDArray[np.float64], true: Cloud | None) -> None:
     """Score a map: by itself, and against true points where they are given."""
     from vlp16emu.deskew import Trajectory, TrajectoryErrors
@@ -227,11 +232,7 @@ def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
     names = [name for name in ("leaf_wood", "instance") if name in found]
     if not names:
         raise InputError(str(card.inputs.points), "found no labels", "a column leaf_wood or instance")
-    for name in ("semantic", *names):
-        if name not in true:
-            raise InputError(
-                str(card.inputs.truth_points), f"no column {name}", "points of `vlp16emu points --truth`"
-            )
+    _need(true, "semantic", *names)
     is_tree = true["semantic"] == Semantic.TREE
     if "leaf_wood" in found:
         labels = np.where(away, 0, found["leaf_wood"][nearest])
@@ -263,10 +264,9 @@ def _score_stems(
     pairs = match_stems(found, seen, card.inputs.radius_m)
     card.scores |= stem_scores(found, seen, pairs)
     of_true = {j: found[i] for i, j in pairs}
-    for j, tree in enumerate(seen):
-        card.trees.append(_row(of_true.get(j), tree, hits.get(tree.number)))
+    card.trees += [_row(of_true.get(j), tree, hits.get(tree.number)) for j, tree in enumerate(seen)]
     paired = {i for i, _ in pairs}
-    card.trees.extend(_row(stem, None, None) for i, stem in enumerate(found) if i not in paired)
+    card.trees += [_row(stem, None, None) for i, stem in enumerate(found) if i not in paired]
     which = (
         f"trees with {LEAST_POINTS} true points or more" if true is not None else "all trees of the inventory"
     )
@@ -274,28 +274,24 @@ def _score_stems(
 
 
 def _row(found: Stem | None, tree: Stem | None, hits: int | None) -> TreeRow:
-    place = tree or found
-    assert place is not None
+    nowhere = Stem("", math.nan, math.nan, math.nan, math.nan, "")
+    one, true, place = found or nowhere, tree or nowhere, tree or found or nowhere
     return TreeRow(
-        true_id=tree.number if tree else "",
-        list_line=tree.list_line if tree else "",
-        found_number=found.number if found else "",
+        true_id=true.number,
+        list_line=true.list_line,
+        found_number=one.number,
         x_m=place.x_m,
         y_m=place.y_m,
-        position_error_m=math.hypot(found.x_m - tree.x_m, found.y_m - tree.y_m)
-        if found and tree
-        else math.nan,
-        true_dbh_m=tree.dbh_m if tree else math.nan,
-        dbh_error_m=found.dbh_m - tree.dbh_m if found and tree else math.nan,
+        position_error_m=math.hypot(one.x_m - true.x_m, one.y_m - true.y_m),
+        true_dbh_m=true.dbh_m,
+        dbh_error_m=one.dbh_m - true.dbh_m,
         hits=hits,
     )
 
 
 def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[dict[str, int], dict[str, int]]:
     """Points of each tree by its number: on the stem at breast height, and in all."""
-    for name in ("instance", "part"):
-        if name not in true:
-            raise InputError("--truth-points", f"no column {name}", "points of `vlp16emu points --truth`")
+    _need(true, "instance", "part")
     numbers = np.array([int(tree.number) if tree.number.isdigit() else -1 for tree in trees])
     order = np.argsort(numbers)
     at = np.searchsorted(numbers[order], true["instance"]).clip(max=len(numbers) - 1)
@@ -308,5 +304,9 @@ def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[dict[str, int], dict[st
     return named[0], named[1]
 
 
-def _plain(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def _plain(tree: Mapping[str, Any]) -> dict[str, Any]:
+    plain = {key: str(value) if isinstance(value, Path) else value for key, value in tree.items()}
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in plain.items()
+    }

@@ -2,9 +2,11 @@
 
 import csv
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -47,34 +49,25 @@ class Stem:
     """Of the user's stem list that named the tree, in an inventory."""
 
 
-def read_cloud(path: Path, needed: tuple[str, ...] = ()) -> Cloud:
+def read_cloud(path: Path) -> Cloud:
     """Read the places of points, `xyz` (n, 3) in metres, and what labels they have (n,).
 
     Parameters
     ----------
     path : .ply, .npz, .csv, .pcd, .las or .laz
-    needed : labels that must be there
 
     Raises
     ------
     InputError
-        where it is no such file, has no points, a NaN, or lacks a label
+        where it is no such file, has no points, or a NaN
     MissingExtraError
         where the library for .pcd, .las or .laz is not installed
     """
-    readers = {
-        ".ply": _ply,
-        ".npz": _npz,
-        ".csv": _csv,
-        ".pcd": _pcd,
-        ".las": _las,
-        ".laz": _las,
-    }
-    if path.suffix not in readers:
-        raise InputError(str(path), f"found suffix '{path.suffix}'", ", ".join(readers))
+    if path.suffix not in _READERS:
+        raise InputError(str(path), f"found suffix '{path.suffix}'", ", ".join(_READERS))
     with readable(path, f"points as {path.suffix}", InputError, most_bytes=LARGEST_BYTES):
         try:
-            columns = readers[path.suffix](path)
+            columns = _READERS[path.suffix](path)
         except (ValueError, KeyError, IndexError, TypeError, EOFError) as error:
             reason = next(iter(str(error).splitlines()), type(error).__name__)
             raise InputError(str(path), f"cannot be read ({reason})", f"points as {path.suffix}") from None
@@ -84,14 +77,7 @@ def read_cloud(path: Path, needed: tuple[str, ...] = ()) -> Cloud:
         raise InputError(str(path), f"found columns {', '.join(columns)}", "x, y and z")
     xyz = np.column_stack([np.asarray(columns[name], np.float64) for name in place])
     if not len(xyz) or not np.isfinite(xyz).all():
-        raise InputError(
-            str(path), "no points" if not len(xyz) else "found a NaN or infinity", "finite points"
-        )
-    for name in needed:
-        if name not in columns:
-            raise InputError(
-                str(path), f"no column {name}", "labelled points, as `vlp16emu points --truth` writes them"
-            )
+        raise InputError(str(path), "found a NaN or infinity" if len(xyz) else "no points", "finite points")
     return {"xyz": xyz} | {
         name: np.asarray(columns[name]).astype(np.int64) for name in _KEPT if name in columns
     }
@@ -121,12 +107,16 @@ def _csv(path: Path) -> Cloud:
     return dict(zip(names, table.T, strict=False))
 
 
+def _library(name: str, path: Path) -> Any:
+    try:
+        return import_module(name)
+    except ImportError:
+        raise MissingExtraError(name, "cloud", f"reading {path.suffix}") from None
+
+
 def _las(path: Path) -> Cloud:
     """Read a LAS or LAZ, its extra dimensions as columns."""
-    try:
-        import laspy
-    except ImportError:
-        raise MissingExtraError("laspy", "cloud", f"reading {path.suffix}") from None
+    laspy = _library("laspy", path)
     try:
         las = laspy.read(path)
     except laspy.errors.LaspyException as error:
@@ -136,13 +126,14 @@ def _las(path: Path) -> Cloud:
 
 
 def _pcd(path: Path) -> Cloud:
-    try:
-        from pypcd4.pypcd4 import PointCloud
-    except ImportError:
-        raise MissingExtraError("pypcd4", "cloud", "reading .pcd") from None
-    cloud = PointCloud.from_path(path)
+    cloud = _library("pypcd4", path).PointCloud.from_path(path)
     data = np.atleast_1d(cloud.pc_data)
     return {name: data[name].reshape(len(data), -1)[:, 0] for name in cloud.fields}
+
+
+_READERS: Mapping[str, Callable[[Path], Cloud]] = MappingProxyType(
+    {".ply": _ply, ".npz": _npz, ".csv": _csv, ".pcd": _pcd, ".las": _las, ".laz": _las}
+)
 
 
 def read_stems(path: Path) -> tuple[Stem, ...]:
@@ -160,13 +151,13 @@ def read_stems(path: Path) -> tuple[Stem, ...]:
         rows = [(f"{path}, line {reader.line_num}", reader.line_num, row) for row in reader]
     if not any(name in reader.fieldnames for name in ("x", "x_m")):
         raise InputError(str(path), f"found columns {', '.join(reader.fieldnames) or 'none'}", expected)
-    stems = tuple(_stem(where, line, row) for where, line, row in rows)
-    seen: set[str] = set()
-    for (where, _, _), stem in zip(rows, stems, strict=True):
-        if stem.number in seen:
+    stems: dict[str, Stem] = {}
+    for where, line, row in rows:
+        stem = _stem(where, line, row)
+        if stem.number in stems:
             raise InputError(where, f"found tree {stem.number} twice", "a number of its own for each tree")
-        seen.add(stem.number)
-    return stems
+        stems[stem.number] = stem
+    return tuple(stems.values())
 
 
 def _stem(where: str, line: int, row: Mapping[str, str | None]) -> Stem:

@@ -1,17 +1,16 @@
 """Messages of ROS 1 and ROS 2 into a bag, without ROS."""
 
+import heapq
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Iterable
 from importlib.util import find_spec
+from itertools import count
 from pathlib import Path
 from typing import Any, Self
 
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
 from vlp16emu.units import S_NS
-
-Beat = tuple[int, Callable[[], None]]
-"""UTC of a message, and what writes it."""
 
 _SUFFIXES = (".mcap", ".bag", "")
 """MCAP of ROS 2, bag of ROS 1, and a folder with SQLite of ROS 2, which every ROS 2 reads without a plugin."""
@@ -23,6 +22,8 @@ _OWN_TYPES = {
 }
 """Definitions in github.com/ros-drivers/velodyne (velodyne_msgs/msg) and nmea_msgs (msg), and in
 github.com/ros/geometry2 (tf2_msgs/msg), which the types of ROS 1 in rosbags leave out."""
+_HELD_NS = S_NS
+"""For so long messages wait for earlier ones."""
 _METADATA_VERSION = 8
 """Of rosbag2: the last one whose quality of service is a text."""
 
@@ -54,6 +55,8 @@ def check_bag(path: Path) -> None:
 class BagFile:
     """A bag, which takes its name when it is closed without error; a context manager.
 
+    Messages may come in any order within a second, and are written in the order of their times.
+
     Parameters
     ----------
     path : .mcap (ROS 2), .bag (ROS 1), or a folder without suffix (ROS 2, SQLite); a file is replaced, a folder is not
@@ -81,6 +84,8 @@ class BagFile:
             raise OutputError(str(path), str(error.strerror), "a place that can be written") from error
         self._writer = self._opened(self._beside / path.stem, suffix)
         self._connections: dict[str, Any] = {}
+        self._held: list[tuple[int, int, str, Any]] = []
+        self._number = count()
         self.counts: dict[str, int] = {}
         """Messages by topic."""
         self.span_ns: tuple[int, int] | None = None
@@ -91,7 +96,11 @@ class BagFile:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         try:
-            self._writer.close()
+            try:
+                while self._held and error is None:
+                    self._append()
+            finally:
+                self._writer.close()
             if error is None:
                 made = self._beside / self.path.stem
                 made = made / f"{made.name}.mcap" if self.path.suffix.lower() == ".mcap" else made
@@ -101,27 +110,50 @@ class BagFile:
         finally:
             shutil.rmtree(self._beside, ignore_errors=True)
 
-    def make(self, name: str, /, **fields: object) -> Any:
-        """Make a message by the name of its type, such as `sensor_msgs/msg/Imu`."""
-        return self._store.types[name](**fields)
+    @staticmethod
+    def time(t_ns: int) -> tuple[int, int]:
+        """Fields of the stamp of an instant UTC."""
+        return divmod(t_ns, S_NS)
 
-    def time(self, t_ns: int) -> Any:
-        """Make the stamp of an instant UTC."""
-        return self.make("builtin_interfaces/msg/Time", sec=t_ns // S_NS, nanosec=t_ns % S_NS)
+    def header(self, t_ns: int, frame: str, topic: str) -> tuple[object, ...]:
+        """Fields of a header; the one of ROS 1 numbers the messages of its topic."""
+        fields = self.time(t_ns), frame
+        return (self.counts.get(topic, 0), *fields) if self.is_ros1 else fields
 
-    def header(self, t_ns: int, frame: str, topic: str) -> Any:
-        """Make a header; the one of ROS 1 numbers the messages of its topic."""
-        number = {"seq": self.counts.get(topic, 0)} if self.is_ros1 else {}
-        return self.make("std_msgs/msg/Header", stamp=self.time(t_ns), frame_id=frame, **number)
+    def write(self, topic: str, t_ns: int, name: str, *fields: object) -> None:
+        """Write a message of a type such as `sensor_msgs/msg/Imu`, stamped with an instant UTC.
 
-    def write(self, topic: str, t_ns: int, message: Any) -> None:
-        """Append a message, stamped with an instant UTC.
+        Fields are in the order of the type's definition, and those of messages within it again so.
 
         Raises
         ------
         RunError
             where the disk is full
         """
+        heapq.heappush(self._held, (t_ns, next(self._number), topic, self._make(name, fields)))
+        self.counts[topic] = self.counts.get(topic, 0) + 1
+        first_ns, last_ns = self.span_ns or (t_ns, t_ns)
+        self.span_ns = min(first_ns, t_ns), max(last_ns, t_ns)
+        while self._held[0][0] < self.span_ns[1] - _HELD_NS:
+            self._append()
+
+    def _make(self, name: str, fields: Iterable[Any]) -> Any:
+        """Make a message, and those within it."""
+        from rosbags.interfaces import Nodetype
+
+        made = []
+        for (_, (node, kind)), value in zip(self._store.fielddefs[name][1], fields, strict=True):
+            if node == Nodetype.NAME:
+                made.append(self._make(kind, value))
+            elif node != Nodetype.BASE and kind[0][0] == Nodetype.NAME:
+                made.append([self._make(kind[0][1], one) for one in value])
+            else:
+                made.append(value)
+        return self._store.types[name](*made)
+
+    def _append(self) -> None:
+        """Append the earliest message that waits."""
+        t_ns, _, topic, message = heapq.heappop(self._held)
         name = message.__msgtype__
         if topic not in self._connections:
             self._connections[topic] = self._connection(topic, name)
@@ -130,9 +162,6 @@ class BagFile:
             self._writer.write(self._connections[topic], t_ns, serialize(message, name))
         except OSError as error:
             raise RunError(f"{self.path}: {error.strerror}; no bag is written") from error
-        self.counts[topic] = self.counts.get(topic, 0) + 1
-        first_ns, last_ns = self.span_ns or (t_ns, t_ns)
-        self.span_ns = min(first_ns, t_ns), max(last_ns, t_ns)
 
     def _opened(self, made: Path, suffix: str) -> Any:
         """Open the writer of a kind of bag."""

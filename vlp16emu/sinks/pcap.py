@@ -4,7 +4,7 @@ import hashlib
 import os
 import struct
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +36,8 @@ class PcapResult:
     """Size of the file."""
     sha256: str
     """Of the whole file, hexadecimal."""
+    messages: Mapping[str, int] | None = None
+    """Of a bag, by topic."""
 
 
 class PcapSink(PacketSink):

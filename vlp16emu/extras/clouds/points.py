@@ -24,6 +24,7 @@ from vlp16emu.sinks.cloud import (
     RETURN_NAMES,
     SCENE_COLUMNS,
     TRUTH_COLUMNS,
+    Block,
     CloudAbout,
     point_file,
     scene_comments,

@@ -6,7 +6,7 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from importlib.metadata import version
 from threading import Event
-from typing import Any, Self
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from vlp16emu.motion import Gps, Mount
 from vlp16emu.motion.geodesy import to_geodetic
 from vlp16emu.motion.gnss import Receiver
 from vlp16emu.motion.imu import ImuSampler
-from vlp16emu.motion.pose import Motion, rotation
+from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.packets import SENSOR_R_MANUAL
 from vlp16emu.run.options import TruthTo
 from vlp16emu.run.run import HasEngine, TruthPlace
@@ -65,6 +65,7 @@ _OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
 
 Rows = Callable[[int, int], str]
 """Lines of samples first .. first + count - 1."""
+_T = TypeVar("_T")
 
 
 class Truth:
@@ -106,14 +107,14 @@ class Truth:
         )
         self._folder = TruthFolder(to.folder, named_files(scenario))
         self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
-        self._folder.write_json("rig.json", _rig(scenario, parts))
+        self._folder.write_json("rig.json", rig_of(scenario, parts))
         # The first packet may have begun before it was asked for.
         faults = faults_of(scenario, self._units)
         earliest_s = earliest_ns(scenario, faults, seconds_to_ns(span_s[0])) / S_NS
         firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
         from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
         self._trajectories = [
-            _Samples(
+            Samples(
                 self._begun(_file("trajectory", unit), _TUM_HEADER),
                 _poses(unit.motion, scenario.start_ns, to.rate_hz),
                 scenario.start_ns,
@@ -182,8 +183,8 @@ class Truth:
         self._write_events()
         for number, firsts_ns in self._firsts_ns.items():
             if firsts_ns:
-                poses = _poses_at(self._units[number].motion, np.array(firsts_ns))
-                self._packets[number](tum_rows(poses))
+                true = self._units[number].motion.kinematics_at(np.array(firsts_ns))
+                self._packets[number](tum_rows(_poses_of(true)))
                 firsts_ns.clear()
 
     def _write_events(self) -> None:
@@ -204,30 +205,35 @@ class Truth:
         self._folder.append(name, header)
         return lambda text: self._folder.append(name, text)
 
-    def _inertial(self, scenario: Scenario, parts: Parts, from_ns: int) -> Iterator["_Samples"]:
+    def _inertial(self, scenario: Scenario, parts: Parts, from_ns: int) -> Iterator["Samples[str]"]:
         if scenario.imu is not None and parts.imu is not None:
             append = self._begun("imu.csv", ",".join(_IMU_COLUMNS) + "\n")
-            yield _Samples(append, _inertial(parts.imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
+            yield Samples(append, _inertial(parts.imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
 
-    def _fixes(self, engine: Engine, begin_ns: int) -> Iterator["_Samples"]:
+    def _fixes(self, engine: Engine, begin_ns: int) -> Iterator["Samples[str]"]:
         named_ns = engine.parts.gps.second_ns(begin_ns)
         if named_ns is not None:
             append = self._begun("gnss.csv", ",".join(_GNSS_COLUMNS) + "\n")
-            yield _Samples(append, _fixes(engine.receiver, engine.scenario.gps), 0, 1, named_ns)
+            yield Samples(append, _fixes(engine.receiver, engine.scenario.gps), 0, 1, named_ns)
 
 
-class _Samples:
-    """A file of samples at a steady rate, sample i at `zero_ns` + i / `rate_hz`.
+class Samples(Generic[_T]):
+    """Samples at a steady rate that are written when their time has come, sample i at `zero_ns` + i / `rate_hz`.
 
     Parameters
     ----------
-    append : adds lines to the file
-    rows : makes them
+    append : writes samples
+    rows : makes samples first .. first + count - 1
     from_ns : samples before are left out
     """
 
     def __init__(
-        self, append: Callable[[str], None], rows: Rows, zero_ns: int, rate_hz: int, from_ns: int
+        self,
+        append: Callable[[_T], None],
+        rows: Callable[[int, int], _T],
+        zero_ns: int,
+        rate_hz: int,
+        from_ns: int,
     ) -> None:
         self._append, self._rows, self._zero_ns, self._rate_hz = append, rows, zero_ns, rate_hz
         self._next = self._count_before(from_ns)
@@ -250,20 +256,25 @@ def _file(name: str, unit: Unit, suffix: str = "tum") -> str:
     return f"{name}_{unit.number + 1}.{suffix}" if unit.number else f"{name}.{suffix}"
 
 
-def _poses_at(motion: Motion, t_ns: NDArray[np.int64]) -> Poses:
+def _poses_of(true: Kinematics) -> Poses:
     """Poses (n,), also of a body that never moves."""
-    truth = motion.kinematics_at(t_ns)
-    return Poses(t_ns, truth.world_R_body, truth.world_p_body_m)
+    return Poses(true.t_ns, true.world_R_body, true.world_p_body_m)
+
+
+def true_motion(motion: Motion, start_ns: int, rate_hz: int) -> Callable[[int, int], Kinematics]:
+    """Give what makes the samples of a trajectory, for `Samples`."""
+
+    def of(first: int, count: int) -> Kinematics:
+        t_ns = start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz
+        return motion.kinematics_at(t_ns)
+
+    return of
 
 
 def _poses(motion: Motion, start_ns: int, rate_hz: int) -> Rows:
     """Lines of a trajectory."""
-
-    def rows(first: int, count: int) -> str:
-        t_ns = start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz
-        return tum_rows(_poses_at(motion, t_ns))
-
-    return rows
+    of = true_motion(motion, start_ns, rate_hz)
+    return lambda first, count: tum_rows(_poses_of(of(first, count)))
 
 
 def _inertial(imu: ImuSampler) -> Rows:
@@ -312,7 +323,7 @@ def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]
     return {"written_by": f"vlp16emu {version('vlp16emu')}{start}"} | tree
 
 
-def _rig(scenario: Scenario, parts: Parts) -> dict[str, Any]:
+def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
     """Describe the frames of the trajectory and of what is fixed to it."""
     gps, imu = scenario.gps, scenario.imu
     rig: dict[str, Any] = {
