@@ -80,6 +80,14 @@ class Recording:
     """Of a bag, by topic."""
 
 
+class FileSink(PacketSink, Protocol):
+    """A sink that writes a file, and says what is in it."""
+
+    @property
+    def result(self) -> PcapResult:
+        """What has been written, once it is closed."""
+
+
 def record(
     run: Run,
     path: str | Path,
@@ -169,14 +177,6 @@ def _paths_of_units(path: Path, units: int) -> list[Path]:
     if path == STDOUT:
         raise OutputError("-", "one standard output for the captures of all units", "the name of a file")
     return [path.with_stem(f"{path.stem}_{number + 1}") for number in range(units)]
-
-
-class FileSink(PacketSink, Protocol):
-    """A sink that writes a file, and says what is in it."""
-
-    @property
-    def result(self) -> PcapResult:
-        """What has been written, once it is closed."""
 
 
 def _is_bag(name: str | Path) -> bool:
