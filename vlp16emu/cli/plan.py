@@ -5,7 +5,7 @@ import time
 from typing import TYPE_CHECKING
 
 from vlp16emu.cli.arguments import AsJson, Duration, Ideal, NoAudit, SceneName, Settings, Threads
-from vlp16emu.cli.start import make_emulator, starting
+from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import count, print_json, print_rows, size, tree_of
 
 if TYPE_CHECKING:
@@ -38,12 +38,12 @@ def plan(
     extrapolates: figures hold for this machine, as busy as it is now.
     """
     wall_s, cpu_s = time.perf_counter(), time.process_time()
-    with starting():
-        workers = threads or os.cpu_count() or 1
-        emulator = make_emulator(scene, settings, ideal=ideal, threads=workers, audit=not no_audit)
-        _, stop_s = emulator.scenario.span_s(0.0, duration)
-        from vlp16emu.report import Spent
-        from vlp16emu.report.plan.run import plan_run
+    workers = threads or os.cpu_count() or 1
+    emulator = make_emulator(scene, settings, ideal=ideal, threads=workers, audit=not no_audit)
+    _, stop_s = emulator.scenario.span_s(0.0, duration)
+    from vlp16emu.report import Spent
+    from vlp16emu.report.plan.run import plan_run
+
     audited = emulator.audit is not None and not emulator.audit.exact
     made = plan_run(emulator, stop_s, workers, Spent(wall_s, cpu_s), scene=scene, audited=audited)
     if as_json:
