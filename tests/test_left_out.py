@@ -277,19 +277,3 @@ def test_descriptions_of_keys_are_read_for_the_schema_only():
     """No section's source is parsed at the start: the docstring of a key is no part of its field."""
     assert Scenario.model_fields["seed"].description is None
     assert schema()["properties"]["seed"]["description"].startswith("Seed of all random numbers")
-
-
-def test_no_garbage_is_looked_for_while_a_run_starts():
-    """A command starts without the collector, which works again when the run is made; in a longer program it stays on."""
-    code = (
-        "import gc\n"
-        "from vlp16emu.cli.start import starting\n"
-        "with starting():\n"
-        "    print(gc.isenabled())\n"
-        "    import numba\n"
-        "print(gc.isenabled(), gc.get_freeze_count() > 10_000)\n"
-        "with starting():\n"
-        "    print(gc.isenabled())"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "True", "True", "True"]

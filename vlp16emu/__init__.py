@@ -6,7 +6,7 @@
 
 from importlib import import_module
 
-from vlp16emu.compiled import keep_compiled
+from vlp16emu.kernels.hook import keep_compiled
 
 TYPE_CHECKING = False  # not from typing, which takes a third of the package's start
 if TYPE_CHECKING:

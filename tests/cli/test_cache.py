@@ -3,28 +3,27 @@
 import numpy as np
 import pytest
 
+from vlp16emu.kernels.cache import user_kernels
 from vlp16emu.store import user_store
 
 
 @pytest.fixture
 def folders(tmp_path, monkeypatch):
-    """A store of one bundle, and a folder of a kernel and one not written to its end; with foreign files beside them."""
-    world, kernels = tmp_path / "world", tmp_path / "kernels-0123456789abcdef"
+    """A store of one bundle, and a folder of a kernel and one not written to its end; with foreign files in them."""
+    world, kernels = tmp_path / "world", tmp_path / "vlp16emu-kernels"
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", str(world))
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     user_store.cache_clear()
     user_store().put("a", {"a": np.zeros(10)})
     user_store().flush()
-    kernels.mkdir()
-    (kernels / "room.kernel.7.part").write_bytes(bytes(80))
-    (kernels / "room.kernel").write_bytes(bytes(20))
-    (kernels / "made-by-vlp16emu").touch()
+    user_kernels.cache_clear()
+    for name in ("one.kernel", "two.kernel.7.part"):
+        user_kernels().write(name, bytes(36))
+    (kernels / "room.kernel").write_text("mine")
     (world / "notes.txt").write_text("mine")
-    for name in ("of-mine", "fedcba9876543210"):
-        (tmp_path / f"kernels-{name}").mkdir()
-        (tmp_path / f"kernels-{name}" / "room.kernel").write_text("mine")
     yield world, kernels
     user_store.cache_clear()
+    user_kernels.cache_clear()
 
 
 def test_what_is_kept_is_counted(cli, folders):
@@ -34,7 +33,12 @@ def test_what_is_kept_is_counted(cli, folders):
     assert tree["worlds"]["files"] == 1
     assert tree["worlds"]["folder"] == str(folders[0])
     assert tree["worlds"]["most_bytes"] == 1_000_000_000
-    assert tree["kernels"] == {"folders": [str(folders[1])], "files": 2, "bytes": 100}
+    assert tree["kernels"] == {
+        "folder": str(folders[1]),
+        "files": 2,
+        "bytes": 200,
+        "most_bytes": 100_000_000,
+    }
     assert "1 files, 0.0 MB of at most 1000.0 MB" in cli("cache").out
 
 
@@ -43,12 +47,7 @@ def test_clearing_leaves_what_is_not_ours(cli, folders, tmp_path):
     tree = cli("cache", "--clear", "--json").tree
     assert (tree["cleared"], tree["worlds"]["files"], tree["kernels"]["files"]) == (True, 1, 2)
     left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
-    assert left == [
-        "kernels-fedcba9876543210/room.kernel",
-        "kernels-of-mine/room.kernel",
-        "world/notes.txt",
-    ]
-    assert not folders[1].exists()
+    assert left == ["vlp16emu-kernels/room.kernel", "world/notes.txt"]
     assert cli("cache", "--json").tree["worlds"]["files"] == 0
 
 

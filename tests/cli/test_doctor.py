@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from vlp16emu.kernel_cache import kernel_folder
+from vlp16emu.kernels import cache
 from vlp16emu.raycast import embree
 from vlp16emu.sinks import Condition
 
@@ -80,11 +80,14 @@ def test_a_missing_extra_names_what_needs_it(cli, monkeypatch, extra):
 def test_kernels_on_disk_are_looked_for(cli, monkeypatch, tmp_path):
     """A folder without kernels of casting is mended by compiling them, one that others can write by another one."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "base"))
+    monkeypatch.setattr(cache, "user_kernels", cache.user_kernels.__wrapped__)
+    monkeypatch.setattr("vlp16emu.report.doctor.user_kernels", cache.user_kernels)
     check = rows(cli("doctor", "--json"))["kernel cache"]
     assert (check["finding"], check["mend"]) == ("warning", "vlp16emu cache --compile")
-    (kernel_folder() / "raycast.kernel.cast-1-0.kernel").touch()
+    folder = cache.user_kernels().own
+    (folder / f"{cache._state()}-raycast.kernel.cast-1-0.kernel").touch()
     check = rows(cli("doctor", "--json"))["kernel cache"]
-    assert (check["finding"], check["found"]) == ("ok", f"1 kernels in {kernel_folder()}")
+    assert (check["finding"], check["found"]) == ("ok", f"1 kernels in {folder}")
     (tmp_path / "base").chmod(0o777)
     check = rows(cli("doctor", "--json"))["kernel cache"]
     assert check["finding"] == "warning"

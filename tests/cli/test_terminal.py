@@ -6,9 +6,9 @@ import threading
 
 import pytest
 
-from vlp16emu import compiling
 from vlp16emu.cli.start import compile_first
 from vlp16emu.cli.terminal import Progress, audit_rows
+from vlp16emu.kernels import compiler
 from vlp16emu.run.report import AuditFinding
 
 
@@ -56,14 +56,14 @@ def test_a_terminal_that_goes_ends_the_bar_alone(monkeypatch):
 
 def test_the_first_run_says_how_far_it_has_compiled(monkeypatch, capsys):
     """Two lines on stderr, at the begin and at the end; in a terminal one that counts; none where nothing is compiled."""
-    monkeypatch.setattr(compiling, "compile_kernels", lambda _: iter([(0, 2), (1, 2), (2, 2)]))
+    monkeypatch.setattr(compiler, "compile_kernels", lambda _: iter([(0, 2), (1, 2), (2, 2)]))
     compile_first("hall")
     first, last = "compiling kernels: 0 of 2, once", "compiling kernels: 2 of 2, once"
     assert capsys.readouterr() == ("", f"{first}\n{last}\n")
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     compile_first("hall")
     assert capsys.readouterr() == ("", f"\r{first}\r{first.replace('0', '1')}\r{last}\n")
-    monkeypatch.setattr(compiling, "compile_kernels", lambda _: iter([]))
+    monkeypatch.setattr(compiler, "compile_kernels", lambda _: iter([]))
     compile_first("hall")
     assert capsys.readouterr() == ("", "")
 

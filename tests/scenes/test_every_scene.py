@@ -36,8 +36,8 @@ def test_a_scene_is_long_enough_for_its_walk(path):
 @pytest.mark.parametrize("path", SCENES, ids=NAMES)
 def test_a_scene_gives_a_valid_first_packet(path):
     """The first data packet of a scene decodes, in the scene's mode, with returns within the sensor's range."""
-    near = [] if load(str(path)).world.kind == "hall" else ["world.near_m=20"]
-    scenario = load(str(path), ["sensor.max_range_m=20.0", *near])  # a small window, all of faces, is enough
+    near = [] if load(str(path)).world.kind == "hall" else ["world.near_m=15"]
+    scenario = load(str(path), ["sensor.max_range_m=15.0", *near])  # a small window, all of faces, is enough
     first = next(packet for packet in Emulator(scenario).packets(0.0, 0.1) if packet.kind is PacketKind.DATA)
     payload = np.frombuffer(first.payload, np.uint8).reshape(1, DATA_BYTES)
     modes = {"strongest": 0x37, "last": 0x38, "dual": 0x39}
@@ -45,4 +45,4 @@ def test_a_scene_gives_a_valid_first_packet(path):
     points = decode_data(payload, keep_no_returns=False)
     assert len(points.ring) > 100
     assert points.distance_m.min() >= scenario.sensor.min_range_m
-    assert points.distance_m.max() <= 20.0
+    assert points.distance_m.max() <= 15.0

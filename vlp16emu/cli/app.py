@@ -1,5 +1,6 @@
 """All verbs together, and the one place where errors become lines and exit codes."""
 
+import gc
 import io
 import logging
 import os
@@ -164,6 +165,7 @@ def main() -> None:
     """Carry out the command line of this process and exit."""
     # What runs side by side is threads of ours: those of OpenBLAS, for products of a few rows, wait in a loop.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.set_threshold(100_000)  # libraries bring 300 000 objects, none of them garbage
     logging.basicConfig(format="warning: %(message)s")
     for number in ENDINGS:
         if signal.getsignal(number) is not signal.SIG_IGN:
@@ -174,6 +176,7 @@ def main() -> None:
     code = None
     try:
         code = run(sys.argv[1:])
+        gc.freeze()  # Python need not look through all of it at the end
         print(end="", flush=True)
     except BrokenPipeError:  # whoever read our output has had enough
         _drop_output()

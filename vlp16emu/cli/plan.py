@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from vlp16emu.cli.arguments import AsJson, Ideal, NoAudit, SceneName, Settings, Threads
-from vlp16emu.cli.start import make_emulator, starting
+from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import count, print_json, print_rows
 
 if TYPE_CHECKING:
@@ -39,10 +39,10 @@ def plan(
     for this machine, as busy as it is now. A walk needs a new window of the world every 7 s, which is not in it.
     """
     began_s = time.perf_counter()
-    with starting():
-        workers = threads or os.cpu_count() or 1
-        emulator = make_emulator(scene, settings, ideal=ideal, threads=workers, audit=not no_audit)
-        from vlp16emu.report.plan import libraries, needs, stream_outlook, surroundings
+    workers = threads or os.cpu_count() or 1
+    emulator = make_emulator(scene, settings, ideal=ideal, threads=workers, audit=not no_audit)
+    from vlp16emu.report.plan import libraries, needs, stream_outlook, surroundings
+
     emulator.record(os.devnull, duration_s=min(0.1, emulator.scenario.duration_s))
     started_s = time.perf_counter() - began_s
     measured = emulator.record(os.devnull, duration_s=min(_MEASURED_S, emulator.scenario.duration_s))

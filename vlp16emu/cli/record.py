@@ -24,7 +24,7 @@ from vlp16emu.cli.arguments import (
     TruthReturns,
     truth_to,
 )
-from vlp16emu.cli.start import make_emulator, starting
+from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import (
     INTERRUPTED,
     Progress,
@@ -85,9 +85,8 @@ def record(
     OUT.pcap.part, which after kill -9 holds all whole packets.
     """
     began_s = time.perf_counter()
-    with starting():
-        emulator = make_emulator(scene, settings, ideal=ideal, threads=threads, audit=not no_audit)
-        start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")
+    emulator = make_emulator(scene, settings, ideal=ideal, threads=threads, audit=not no_audit)
+    start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")
     with stop_on_ctrl_c() as stop, Progress(stop_s - start_s) as progress:
         recording = emulator.record(
             out,

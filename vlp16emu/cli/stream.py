@@ -41,7 +41,7 @@ from vlp16emu.cli.outlets import (
     outlet_rows,
     outlets_of,
 )
-from vlp16emu.cli.start import make_emulator, starting
+from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import (
     INTERRUPTED,
     Progress,
@@ -297,7 +297,7 @@ def stream(
     once, with settings that would keep up. Ctrl-C ends the stream.
     """
     to, changes = _changes(settings, to, interface, data_port, position_port)
-    emulator = starting()(make_emulator)(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
+    emulator = make_emulator(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
     late = late_of(emulator.scenario, late)
     _, stop_s = emulator.scenario.span_s(0.0, duration)
     with (

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from vlp16emu.errors import Vlp16emuError
-from vlp16emu.kernel_cache import kernel_folder, kernel_names
+from vlp16emu.kernels.cache import kernel_names, user_kernels
 from vlp16emu.sinks import Check, Condition, sending_checks
 from vlp16emu.store import user_store
 
@@ -53,7 +53,7 @@ def _cores() -> Check:
 
 
 def _kernels() -> Check:
-    folder, names = kernel_folder(), kernel_names()
+    folder, names = user_kernels().own, kernel_names()
     casting = any(name.startswith(_CASTER) for name in names)
     if folder is None and not casting:
         mend = "export NUMBA_CACHE_DIR=FOLDER, of one in which nobody else can write"

@@ -52,17 +52,22 @@ def _prepare() -> None:
     """Set the target of all kernels, and take over those of this package."""
     from numba.core import config
     from numba.core.dispatcher import Dispatcher
+    from numba.np import linalg
 
     # In the environment: numba reads it again whenever a variable of its own has changed.
     os.environ["NUMBA_CPU_NAME"], os.environ["NUMBA_CPU_FEATURES"] = _target()
     config.reload_config()
+    if "numba.np.arraymath" not in sys.modules:
+        # It would load scipy.linalg for 0.1 s only to see whether that is there; a kernel that takes it asks once more.
+        ensure_blas = linalg.ensure_blas
+        linalg.ensure_blas = lambda: setattr(linalg, "ensure_blas", ensure_blas)
     enable_caching = Dispatcher.enable_caching
 
     def enable_our_caching(dispatcher: "Any") -> None:
         """Take over a kernel of this package; leave those of a program that calls us."""
-        from vlp16emu.kernels import KernelDispatcher  # here: it may be what loads numba
+        from vlp16emu.kernels.compiler import KernelDispatcher  # here: it may be what loads numba
 
-        if dispatcher.py_func.__module__.partition(".")[0] == __package__:
+        if dispatcher.py_func.__module__.partition(".")[0] == "vlp16emu":
             KernelDispatcher.take_over(dispatcher)
         else:
             enable_caching(dispatcher)

@@ -1,0 +1,1 @@
+"""Compiled kernels: for which processor, kept on disk by content, and compiled side by side before a run."""

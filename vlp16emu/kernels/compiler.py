@@ -1,0 +1,172 @@
+"""Compilation of kernels: what numba does for functions that may be called from anywhere is left out, and a process per core.
+
+A kernel that is compiled because another one calls it is code for that one only: it gets no entry from Python or from C,
+no machine code of its own and no file. If Python calls it one day, it is compiled again, as a whole.
+
+A table names the kernels that Python calls in runs of each group, hall and forest, and the types of their arguments, the
+costliest first. It may lag behind the program: a kernel that it lacks is compiled when it is first called.
+"""
+
+import json
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from importlib import import_module
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from numba import types
+from numba.core import sigutils
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import CPUDispatcher
+
+from vlp16emu.kernels.cache import KernelCache, user_kernels
+
+_TABLE = Path(__file__).with_name("table.json")
+
+
+class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
+    """Dispatcher of a kernel."""
+
+    depth = 0
+    """How many kernels are being compiled, one for the sake of the other."""
+
+    @classmethod
+    def take_over(cls, dispatcher: CPUDispatcher) -> None:
+        """Make a dispatcher of numba one of these, with a cache of ours."""
+        dispatcher.__class__ = cls
+        dispatcher._cache = KernelCache(dispatcher.py_func)
+        dispatcher._compiler.pipeline_class = _KernelCompiler
+
+    def compile(self, sig: Any) -> Any:
+        """Compile for types of arguments, unless that has been done; what was done for other kernels does not count."""
+        with global_compiler_lock:
+            args, _ = sigutils.normalize_signature(sig)
+            done = self.overloads.get(tuple(args))
+            if KernelDispatcher.depth == 0 and done is not None and isinstance(done.entry_point, _Inner):
+                del self.overloads[tuple(args)]
+            KernelDispatcher.depth += 1
+            try:
+                return super().compile(sig)
+            finally:
+                KernelDispatcher.depth -= 1
+
+    def add_overload(self, cres: Any) -> None:
+        """Take a compiled kernel in; only one with an entry can be called from Python."""
+        if cres.entry_point is not None:
+            super().add_overload(cres)
+            return
+        inner = cres._replace(entry_point=_Inner())
+        self.targetctx.insert_user_function(inner.entry_point, cres.fndesc, [cres.library])
+        self.overloads[tuple(cres.signature.args)] = inner
+
+
+class _Inner:
+    """Name of a kernel without entry, for those that call it."""
+
+
+class _KernelCompiler(Compiler):  # type: ignore[misc]
+    """Numba's compiler, which makes for inner kernels what other kernels take of them and nothing else."""
+
+    def compile_extra(self, func: Any) -> Any:
+        """Compile a function."""
+        state = self.state
+        state.flags.no_cfunc_wrapper = True
+        if KernelDispatcher.depth > 1:
+            state.flags.no_cpython_wrapper = state.flags.no_compile = True
+            state.library = _InnerLibrary(state.targetctx.codegen(), func.__qualname__)
+        return super().compile_extra(func)
+
+
+class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Code that others are linked with; it has no place in the memory of machine code."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = True
+
+
+def table(group: str | None = None) -> list[dict[str, Any]]:
+    """Return the table, or the part of it that a group of runs needs."""
+    rows: list[dict[str, Any]] = json.loads(_TABLE.read_text(encoding="utf-8"))
+    return [row for row in rows if group is None or group in row["groups"]]
+
+
+def compile_kernels(group: str | None = None) -> Iterator[tuple[int, int]]:
+    """Compile what the table has for a group of runs, or for all, and is not on disk yet.
+
+    Yields
+    ------
+    How many kernels are done, none at first, and how many there are; nothing where all are on disk
+    """
+    missing = [row for row in table(group) if not _is_kept(row)]
+    if not missing:
+        return
+    yield 0, len(missing)
+    # Children are forks, so that they need not load numba again; with other threads that would not be safe.
+    if user_kernels().own is None or threading.active_count() > 1:
+        return
+    # Kernels of one file share most of what they call: a process compiles that once.
+    files: dict[str, list[dict[str, Any]]] = {}
+    for row in missing:
+        files.setdefault(row["kernel"].partition(":")[0], []).append(row)
+    with get_context("fork").Pool(min(_cores(), len(files)), _leave_signals) as pool:
+        done = 0
+        for count in pool.imap_unordered(_compile, files.values()):
+            done += count
+            yield done, len(missing)
+
+
+def decoded(text: Any) -> Any:
+    """Read a type of numba from JSON; errors where the program has no such type any more."""
+    if isinstance(text, str):
+        return getattr(types, text)
+    first, *rest = text
+    if first == "array":
+        dtype, ndim, layout, readonly = rest
+        return types.Array(getattr(types, dtype), ndim, layout, readonly=readonly)
+    if first == "tuple":
+        return types.Tuple([*map(decoded, rest)])
+    if first == "omitted":
+        return types.Omitted(*rest)
+    module, _, name = first.partition(":")
+    return types.BaseTuple.from_types([*map(decoded, rest)], getattr(import_module(module), name))
+
+
+def _signature(row: dict[str, Any]) -> tuple[Any, tuple[Any, ...]]:
+    module, _, name = row["kernel"].partition(":")
+    return getattr(import_module(f"vlp16emu.{module}"), name), tuple(map(decoded, row["types"]))
+
+
+def _is_kept(row: dict[str, Any]) -> bool:
+    with suppress(ImportError, AttributeError, TypeError, ValueError):
+        kernel, arguments = _signature(row)
+        return KernelCache(kernel.py_func).has(arguments)
+    return True
+
+
+def _compile(rows: list[dict[str, Any]]) -> int:
+    """Compile the kernels of some rows, in a process of its own, and count them; what is wrong with one, the run will say."""
+    for row in rows:
+        kernel, arguments = _signature(row)
+        try:
+            kernel.compile(arguments)
+        except Exception:  # noqa: BLE001 - numba raises all kinds
+            KernelCache(kernel.py_func).give_up(arguments)
+    return len(rows)
+
+
+def _leave_signals() -> None:
+    """Let the parent decide when a child ends: Ctrl-C in a terminal reaches all of them."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
