@@ -4,7 +4,6 @@ import hashlib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol
 
 from vlp16emu.bag.messages import UnitMessages
@@ -59,11 +58,9 @@ class BagSink(PacketSink):
         self.first_ns: int | None = None
         """UTC of the first pulse, by the sensor's clock; None before."""
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is not None:
-            self.bag.__exit__(kind, error, trace)
+    def __exit__(self, *raised: object) -> None:
+        if raised[1] is not None:
+            self.bag.__exit__(*raised)
             return
         with self.bag:
             for unit in self._units:

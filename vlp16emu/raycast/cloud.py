@@ -110,8 +110,8 @@ def _measured(corners_m: Array, mesh_of: NDArray[np.int64], meshes: int) -> tupl
     nx, ny, nz = 0.5 * (ay * bz - az * by), 0.5 * (az * bx - ax * bz), 0.5 * (ax * by - ay * bx)
     area_m2 = np.sqrt(nx * nx + ny * ny + nz * nz)
     tilt = np.minimum((np.abs(nz) / np.maximum(area_m2, 1e-12) * TILTS).astype(np.int64), TILTS - 1)
-    weight: Array = np.bincount(mesh_of * TILTS + tilt, area_m2, meshes * TILTS)  # sums in the order of faces
-    return area_m2, weight.reshape(meshes, TILTS)
+    weight = np.bincount(mesh_of * TILTS + tilt, area_m2, meshes * TILTS)  # sums in the order of faces
+    return area_m2, weight.reshape(meshes, TILTS)  # type: ignore[return-value]  # its stubs know no weights
 
 
 @cache

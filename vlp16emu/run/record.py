@@ -194,7 +194,7 @@ def _files(
         return _captures(paths, links)
     if split:
         raise OutputError(str(paths[0]), "found a bag to be split", "one bag for all sensors, or .pcap")
-    rate_hz = truth.rate_hz if isinstance(truth, TruthTo) else TruthTo.rate_hz
+    rate_hz = truth.rate_hz if isinstance(truth, TruthTo) else TruthTo(paths[0]).rate_hz
     bag: AbstractContextManager[Sequence[FileSink]] = door("bag")(paths[0], run.engine, rate_hz)
     return bag
 

@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,7 +131,7 @@ class Furnished:
         keys = list(dict.fromkeys(self._keys[i] for i in near))
         first = len(window.surfaces) + np.cumsum([0, *(len(self._rows[i]) for i in near[:-1])])
         exact = np.zeros(len(near), np.bool_)
-        tiled = {}
+        tiled: dict[str, Any] = {}
         if isinstance(window, TiledWindow):
             tiled = {"far": np.append(window.far, exact), "low": np.append(window.low, exact)}
         return replace(
