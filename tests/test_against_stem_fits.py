@@ -5,9 +5,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from vlp16emu.emulator import Emulator
+from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 

@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 
 from vlp16emu.errors import LARGEST_BYTES, LARGEST_TEXT_BYTES, InputError
+from vlp16emu.forest.given.stem_list import read_stem_list
+from vlp16emu.forest.ground.grid import read_grid
+from vlp16emu.forest.plants.flora import flora, species_table
 from vlp16emu.motion.pose_files import read_kitti, read_trajectory_csv, read_tum
 from vlp16emu.motion.settings import Gps
 from vlp16emu.motion.way_points import read_way_points
 from vlp16emu.scenario import load
-from vlp16emu.world.given.stem_list import read_stem_list
-from vlp16emu.world.given.user_mesh import load_mesh
-from vlp16emu.world.ground.grid import read_grid
-from vlp16emu.world.plants.flora import flora, species_table
+from vlp16emu.world.user_mesh import load_mesh
 
 
 def mesh(path):

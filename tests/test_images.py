@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
 from vlp16emu.extras.clouds.points import write_points
-from vlp16emu.extras.images import write_images
+from vlp16emu.extras.images.images import write_images
 
 OpenEXR = pytest.importorskip("OpenEXR", reason="extra images")
 Image = pytest.importorskip("PIL.Image", reason="extra images")

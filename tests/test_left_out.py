@@ -12,13 +12,13 @@ import vlp16emu.engine.engine as page
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import position
 from vlp16emu.engine.windows import window_of
+from vlp16emu.foliage.far import Far
+from vlp16emu.forest.plants.stem import StemKey
 from vlp16emu.motion import gait, harness, walk
 from vlp16emu.raycast import near as fast
-from vlp16emu.raycast.far import Far
 from vlp16emu.returns import detect as detection
 from vlp16emu.scenario import Scenario, load, schema
 from vlp16emu.world.hall import HallWorld
-from vlp16emu.world.plants.stem import StemKey
 
 SPAN_S = 0.05
 """Less than one block."""
@@ -228,8 +228,8 @@ def test_a_lean_recording_loads_no_library_it_does_not_need(tmp_path):
     unneeded += [
         "velodyne_decoder",
         "vlp16emu.extras.truth.truth",
-        "vlp16emu.accuracy.sweep",
-        "vlp16emu.validator",
+        "vlp16emu.extras.accuracy.sweep",
+        "vlp16emu.extras.verify",
     ]
     lean = "record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1", "--set", "gps.connected=false"
     assert modules_of(*lean, "--json", names=["numba", *unneeded]) == "0 ['numba']"
@@ -238,7 +238,7 @@ def test_a_lean_recording_loads_no_library_it_does_not_need(tmp_path):
 def test_a_stream_of_a_walk_loads_no_library_it_does_not_need(monkeypatch):
     """A stream builds no frames, and the lint and the filters of scipy are for others."""
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", "off")  # what grows a wood may load libraries, too
-    unneeded = ["dpkt", "scipy.ndimage", "rich.progress", "trimesh", "vlp16emu.validator"]
+    unneeded = ["dpkt", "scipy.ndimage", "rich.progress", "trimesh", "vlp16emu.extras.verify"]
     walk = (
         "stream",
         "birch_walk",

@@ -38,7 +38,7 @@ shrubs = { per_ha = 300, species = ["willow"] }
 
 def own_plants():
     """Birch and hazel of the shipped table under other names and numbers."""
-    shipped = resources.files("vlp16emu.world").joinpath("species.toml").read_text(encoding="utf-8")
+    shipped = resources.files("vlp16emu.forest").joinpath("species.toml").read_text(encoding="utf-8")
     sections = re.split(r"(?m)^(?=\[(?:tree|shrub)\.\w+\]$)", shipped)
     birch = next(text for text in sections if text.startswith("[tree.silver_birch]"))
     hazel = next(text for text in sections if text.startswith("[shrub.hazel]"))

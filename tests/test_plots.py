@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from vlp16emu.plots import BACK, plotted
+from vlp16emu.extras.plots import BACK, plotted
 
 mpl = pytest.importorskip("matplotlib", reason="the extra picture is not installed")
 Image = pytest.importorskip("PIL.Image", reason="the extra picture is not installed")

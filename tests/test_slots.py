@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from vlp16emu.cli.app import run as command
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import InputError
+from vlp16emu.extras.truth.slots import SLOT_COLUMNS
 from vlp16emu.extras.truth.truth import write_truth
 from vlp16emu.packets import DATA_BYTES, DATA_PAYLOAD, Capture
 from vlp16emu.run.options import TruthTo
-from vlp16emu.sinks.slots import SLOT_COLUMNS
 
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is in the extra data")
 compute = pytest.importorskip("pyarrow.compute", reason="pyarrow is in the extra data")
@@ -120,7 +120,7 @@ def test_packets_that_are_lost_have_no_rows(tmp_path):
 
 def test_memory_holds_no_more_than_a_row_group(tmp_path, monkeypatch):
     """Packets are written in groups of a fixed number, whatever the run, so that the file is the same and memory flat."""
-    monkeypatch.setattr("vlp16emu.sinks.slots._GROUP", 50)
+    monkeypatch.setattr("vlp16emu.extras.truth.slots._GROUP", 50)
     emulator = Emulator("static_bench", ["beam.model=none"])
     write_truth(emulator, TruthTo(tmp_path / "t", per_return=True), duration_s=0.2)
     groups = parquet.ParquetFile(tmp_path / "t" / "returns.parquet").metadata

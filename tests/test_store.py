@@ -8,9 +8,9 @@ import pytest
 from vlp16emu import store as module
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import assemble
+from vlp16emu.foliage.tiles import STEM
 from vlp16emu.scenario import load
 from vlp16emu.store import Store, recalled, user_store
-from vlp16emu.tiles import STEM
 
 BUNDLE = {
     "numbers": np.arange(12, dtype=np.float32).reshape(3, 4),

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vlp16emu.text import csv_lines
+from vlp16emu.extras.clouds.text import csv_lines
 
 LARGEST = 2**63 - 1
 

@@ -8,9 +8,9 @@ import pytest
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import ScenarioError
+from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart
-from vlp16emu.world.plants.allometry import BREAST_HEIGHT_M
 
 BLOCK_S = 1920 * 55_296e-9
 STRETCH_S = 64 * BLOCK_S

@@ -29,13 +29,13 @@ from rich.table import Table
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine.windows import BLOCK
+from vlp16emu.foliage.tiles import FarTile
+from vlp16emu.forest.stand.nearby import AllNear
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.raycast.caster import caster
 from vlp16emu.raycast.faces import faces_of, relative_to_window
 from vlp16emu.scenario import load
-from vlp16emu.tiles import FarTile
 from vlp16emu.types import Firings, Mesh, Semantic, ShapeKey, Window, World
-from vlp16emu.world.stand.nearby import AllNear
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from raycast.reference import sub_rays

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine, Job, assemble, in_one_world
 from vlp16emu.extras.clouds.points import write_points
+from vlp16emu.foliage.tiles import FarTile
 from vlp16emu.raycast import build
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.scenario import Scenario, load
-from vlp16emu.tiles import FarTile
 from vlp16emu.types import Firings, Hits, Mesh, Returns, Window, World
 
 Arrays = dict[str, NDArray[Any]]

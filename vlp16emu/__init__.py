@@ -11,16 +11,17 @@ from vlp16emu.kernels.hook import keep_compiled
 TYPE_CHECKING = False  # not from typing, which takes a third of the package's start
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
+    from vlp16emu.extras.bench.gps_in import GpsIn
+    from vlp16emu.extras.bench.outlets import Outlets
     from vlp16emu.extras.clouds.points import write_points
-    from vlp16emu.extras.images import write_images
+    from vlp16emu.extras.images.images import write_images
     from vlp16emu.extras.truth.truth import write_truth
+    from vlp16emu.extras.verify import Finding, Verification, verify
     from vlp16emu.run.options import Http, PosesIn, TruthTo
     from vlp16emu.run.record import Recording
     from vlp16emu.run.replay import Replayed, replay
     from vlp16emu.scan import Labels, Scan, decode
     from vlp16emu.scenario import Scenario, load
-    from vlp16emu.sinks import GpsIn, Outlets
-    from vlp16emu.validator import Finding, Verification, verify
 
 __all__ = [
     "Emulator",
@@ -47,23 +48,23 @@ __all__ = [
 
 _PLACES = {
     "Emulator": "emulator",
-    "Finding": "validator",
-    "GpsIn": "sinks",
+    "Finding": "extras.verify",
+    "GpsIn": "extras.bench.gps_in",
     "Http": "run.options",
     "Labels": "scan",
-    "Outlets": "sinks",
+    "Outlets": "extras.bench.outlets",
     "PosesIn": "run.options",
     "Recording": "run.record",
     "Replayed": "run.replay",
     "Scan": "scan",
     "Scenario": "scenario",
     "TruthTo": "run.options",
-    "Verification": "validator",
+    "Verification": "extras.verify",
     "decode": "scan",
     "load": "scenario",
     "replay": "run.replay",
-    "verify": "validator",
-    "write_images": "extras.images",
+    "verify": "extras.verify",
+    "write_images": "extras.images.images",
     "write_points": "extras.clouds.points",
     "write_truth": "extras.truth.truth",
 }

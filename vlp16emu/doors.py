@@ -6,8 +6,8 @@ from typing import Any
 from vlp16emu.errors import InputError
 
 DOORS = {
-    "audit": "vlp16emu.accuracy.audit:Audit",
-    "bag": "vlp16emu.bag:bag_of_run",
+    "audit": "vlp16emu.extras.accuracy.audit:Audit",
+    "bag": "vlp16emu.extras.bag:bag_of_run",
     "beside": "vlp16emu.extras.bench.beside:Beside",
     "faults": "vlp16emu.extras.bench.wire:arriving",
     "live": "vlp16emu.extras.live.flight:flying",

@@ -321,7 +321,7 @@ class World(Protocol):
 
     @property
     def near_m(self) -> float:
-        """Range beyond which it is seen from afar, as squares (`vlp16emu.tiles`); inf for a world that has none."""
+        """Range beyond which it is seen from afar, as squares (`vlp16emu.foliage.tiles`); inf for a world that has none."""
 
     @property
     def seed(self) -> int:

@@ -72,7 +72,7 @@ def test_what_makes_runs_fail_is_a_problem(cli, monkeypatch):
 @pytest.mark.parametrize("extra", ["data", "dem", "images", "picture", "ros"])
 def test_a_missing_extra_names_what_needs_it(cli, monkeypatch, extra):
     """An extra that is not installed is a warning with the command that installs it."""
-    monkeypatch.setattr("vlp16emu.report.doctor.find_spec", lambda _: None)
+    monkeypatch.setattr("vlp16emu.extras.doctor.find_spec", lambda _: None)
     check = rows(cli("doctor", "--json"))[f"extra {extra}"]
     assert (check["finding"], check["mend"]) == ("warning", f"pip install 'vlp16emu[{extra}]'")
 
@@ -81,7 +81,7 @@ def test_kernels_on_disk_are_looked_for(cli, monkeypatch, tmp_path):
     """A folder without kernels of casting is mended by compiling them, one that others can write by another one."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "base"))
     monkeypatch.setattr(cache, "user_kernels", cache.user_kernels.__wrapped__)
-    monkeypatch.setattr("vlp16emu.report.doctor.user_kernels", cache.user_kernels)
+    monkeypatch.setattr("vlp16emu.extras.doctor.user_kernels", cache.user_kernels)
     check = rows(cli("doctor", "--json"))["kernel cache"]
     assert (check["finding"], check["mend"]) == ("warning", "vlp16emu cache --compile")
     folder = cache.user_kernels().own

@@ -5,7 +5,7 @@ import pytest
 from vlp16emu.cli import plan
 from vlp16emu.engine import Engine, assemble
 from vlp16emu.engine.windows import Batching
-from vlp16emu.report.plan import StreamOutlook, needs
+from vlp16emu.extras.plan import StreamOutlook, needs
 from vlp16emu.scenario import load
 
 pytestmark = pytest.mark.usefixtures("kept_woods")

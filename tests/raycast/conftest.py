@@ -7,17 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from vlp16emu.foliage.lanes import Ground, Medium, Stems
+from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow
+from vlp16emu.foliage.voxel import KNOTS, QUANTILES
+from vlp16emu.forest.tiles import TileKey, ground_mesh
 from vlp16emu.motion.carrier import StaticMotion
 from vlp16emu.raycast.beam import Footprint
-from vlp16emu.raycast.lanes import Ground, Medium, Stems
 from vlp16emu.raycast.settings import Beam
-from vlp16emu.raycast.voxel import KNOTS, QUANTILES
 from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Rotor, Spin
-from vlp16emu.tiles import STEM, FarTile, TiledWindow
 from vlp16emu.types import SURFACE, Firings, Mesh, PlantPart, Semantic, SensorModel, Window
-from vlp16emu.world.tiles import TileKey, ground_mesh
 
 UTM_M = np.array([432_100.0, 6_901_234.0, 87.0])
 NEAR_M = BEAM_TABLES[SensorModel.VLP_16].near_m

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import RunError
+from vlp16emu.foliage.far_caster import FarCaster
 from vlp16emu.raycast import embree
 from vlp16emu.raycast.build import EmbreeMesh, Placed, shape_of
 from vlp16emu.raycast.caster import caster
 from vlp16emu.raycast.embree import library_path
-from vlp16emu.raycast.far_caster import FarCaster
 from vlp16emu.raycast.near import EmbreeCaster
 
 TASKS = Path("/proc/self/task")

@@ -6,8 +6,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from vlp16emu.raycast.far import Far
-from vlp16emu.raycast.far_caster import FarCaster
+from vlp16emu.foliage import far as room
+from vlp16emu.foliage.far import Far
+from vlp16emu.foliage.far_caster import FarCaster
 from vlp16emu.raycast.near import EmbreeGeometry
 from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, PlantPart, Semantic, Sway, Window
 
@@ -341,8 +342,6 @@ def put_together(far, window):
 
 def test_blocks_are_made_once(lab, workers, monkeypatch):
     """A second window makes blocks only of tiles that are new."""
-    from vlp16emu.raycast import far as room
-
     made, real = [], room.block_of
     monkeypatch.setattr(room, "block_of", lambda *given: (made.append(given[3:]), real(*given))[1])
     world = lab.tiles(2.0, across=3)

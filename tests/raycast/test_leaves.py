@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from vlp16emu.raycast import leaves as room
-from vlp16emu.raycast.far import Far
-from vlp16emu.raycast.lanes import lanes
-from vlp16emu.raycast.march import march
-from vlp16emu.raycast.voxel import (
+from vlp16emu.foliage import leaves as room
+from vlp16emu.foliage.far import Far
+from vlp16emu.foliage.lanes import lanes
+from vlp16emu.foliage.march import march
+from vlp16emu.foliage.voxel import (
     QUANTILES,
     VOXEL_M,
 )

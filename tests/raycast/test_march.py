@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from vlp16emu.raycast import leaves as room
-from vlp16emu.raycast.far import Far
-from vlp16emu.raycast.lanes import lanes
-from vlp16emu.raycast.march import march
-from vlp16emu.raycast.voxel import BRICK, COLUMNS, FINER, GROUND, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
+from vlp16emu.foliage import leaves as room
+from vlp16emu.foliage.far import Far
+from vlp16emu.foliage.lanes import lanes
+from vlp16emu.foliage.march import march
+from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, GROUND, KNOTS, QUANTILES, TAU_PER_M, VOXEL_M
 from vlp16emu.types import NO_SURFACE
 
 FAR_M = 60.0

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from vlp16emu.raycast import cloud as clouds_room
-from vlp16emu.raycast.cloud import Library, cloud_of, kept_share
-from vlp16emu.raycast.medium import block_of
-from vlp16emu.raycast.voxel import COLUMNS, KNOTS, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
+from vlp16emu.foliage import cloud as clouds_room
+from vlp16emu.foliage.cloud import Library, cloud_of, kept_share
+from vlp16emu.foliage.medium import block_of
+from vlp16emu.foliage.voxel import COLUMNS, KNOTS, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
 from vlp16emu.types import Mesh, PlantPart
 
 PARTS = np.array([PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF], "u1")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from raycast.reference import ReferenceCaster, frozen
 
-from vlp16emu.raycast import far_caster
+from vlp16emu.foliage import far_caster
+from vlp16emu.foliage.far import STRAY_M
+from vlp16emu.foliage.far_caster import FarCaster, within_reach
 from vlp16emu.raycast.faces import faces_of
-from vlp16emu.raycast.far import STRAY_M
-from vlp16emu.raycast.far_caster import FarCaster, within_reach
 from vlp16emu.raycast.near import EmbreeCaster
 from vlp16emu.raycast.packet import LEVEL
 from vlp16emu.raycast.pieces import in_pieces

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vlp16emu.raycast.medium import Block, Shelf
+from vlp16emu.foliage.medium import Block, Shelf
 
 
 def block(number, records, owners):

@@ -6,14 +6,20 @@ from pathlib import Path
 
 import pytest
 
+from vlp16emu.extras.clouds.cloud import (
+    CAPTURE_COLUMNS,
+    LEAF_OR_WOOD,
+    RETURN_NAMES,
+    SCENE_COLUMNS,
+    TRUTH_COLUMNS,
+)
+from vlp16emu.extras.truth.slots import SLOT_COLUMNS
 from vlp16emu.extras.truth.truth import _GNSS_COLUMNS, _IMU_COLUMNS
+from vlp16emu.forest.given.stem_list import _COLUMNS
+from vlp16emu.forest.plants.flora import flora
+from vlp16emu.forest.stand.inventory import INVENTORY
 from vlp16emu.scenario.find import scene_files
-from vlp16emu.sinks.cloud import CAPTURE_COLUMNS, LEAF_OR_WOOD, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
-from vlp16emu.sinks.slots import SLOT_COLUMNS
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.given.stem_list import _COLUMNS
-from vlp16emu.world.plants.flora import flora
-from vlp16emu.world.stand.inventory import INVENTORY
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from vlp16emu.world import Forest
-from vlp16emu.world.ground.settings import Terrain
-from vlp16emu.world.ground.terrain import TerrainHeights
-from vlp16emu.world.plants.flora import species_table
-from vlp16emu.world.polyline import Corridor
-from vlp16emu.world.stand.forest import ForestWorld
-from vlp16emu.world.stand.settings import (
+from vlp16emu.forest.ground.settings import Terrain
+from vlp16emu.forest.ground.terrain import TerrainHeights
+from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.stand.forest import ForestWorld
+from vlp16emu.forest.stand.settings import (
     Clusters,
     DwarfShrubs,
     Ferns,
@@ -25,7 +23,9 @@ from vlp16emu.world.stand.settings import (
     Stones,
     Stumps,
 )
-from vlp16emu.world.stand.stand import Stand
+from vlp16emu.forest.stand.stand import Stand
+from vlp16emu.world import Forest
+from vlp16emu.world.polyline import Corridor
 
 PATH_XY_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0]])
 BIRCH = SpeciesShare(species="silver_birch", share=0.4, dbh_cm=18.0, height_m=19.0)

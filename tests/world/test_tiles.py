@@ -3,9 +3,9 @@
 import numpy as np
 import trimesh
 
-from vlp16emu.world.ground.triangles import ground_triangles
+from vlp16emu.forest.ground.triangles import ground_triangles
+from vlp16emu.forest.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
 from vlp16emu.world.polyline import distance_m
-from vlp16emu.world.tiles import TILE_M, TileKey, ground_mesh, tile_origin_m, tiles_within
 
 LINE = np.array([[3.0, 5.0], [90.0, 40.0]])
 

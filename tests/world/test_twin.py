@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from vlp16emu.forest.plants.flora import shrub_table, species_table
+from vlp16emu.forest.stand.nearby import cut_out, things_near
+from vlp16emu.forest.stand.stand import REGENERATION
+from vlp16emu.forest.twin import write_glb
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world.plants.flora import shrub_table, species_table
 from vlp16emu.world.polyline import Polyline
-from vlp16emu.world.stand.nearby import cut_out, things_near
-from vlp16emu.world.stand.stand import REGENERATION
-from vlp16emu.world.twin import write_glb
 
 RADIUS_M = 6.0
 SPECIES = {plant.number: plant.name for plant in (*species_table().values(), *shrub_table().values())}

@@ -14,11 +14,11 @@ from stability_cases.lab import PULSES, beam, cast, opened, pulses, quads, wall
 from stability_cases.row import Row, refused
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.types import Firings, Mesh
-from vlp16emu.world.given.furnished import Furnished, Furniture
-from vlp16emu.world.given.user_mesh import PartMesh, UserMesh
+from vlp16emu.world.furnished import Furnished, Furniture
 from vlp16emu.world.hall import HallWorld
 from vlp16emu.world.mesh_settings import MeshFile, MeshPlace
 from vlp16emu.world.settings import Hall
+from vlp16emu.world.user_mesh import PartMesh, UserMesh
 
 Array = NDArray[np.float64]
 

@@ -175,7 +175,7 @@ def ground_files() -> Iterator[Row]:
 
 def _plants(word: str) -> Iterator[tuple[Files, str]]:
     """Give birches under another name, a third of its numbers bad, one after the other."""
-    shipped = resources.files("vlp16emu.world").joinpath("species.toml").read_text(encoding="utf-8")
+    shipped = resources.files("vlp16emu.forest").joinpath("species.toml").read_text(encoding="utf-8")
     start = shipped.index("[tree.silver_birch]")
     birch = shipped[start : shipped.index("[tree.", shipped.index("[tree.silver_birch.crown.twigs]") + 1)]
     bare = (

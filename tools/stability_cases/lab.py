@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.engine import Unit, assemble
+from vlp16emu.forest.stand.nearby import AllNear
 from vlp16emu.packets import DATA_BYTES, LASERS, data_payloads, decode_data
 from vlp16emu.raycast import Beam
 from vlp16emu.raycast.beam import LINE, Footprint
@@ -24,7 +25,6 @@ from vlp16emu.types import (
     SensorModel,
     Window,
 )
-from vlp16emu.world.stand.nearby import AllNear
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from vlp16emu.accuracy.curve import Accuracy, LevelOfDetail, Row
+    from vlp16emu.extras.accuracy.curve import Accuracy, LevelOfDetail, Row
     from vlp16emu.scenario import Scenario
 
 
@@ -67,7 +67,7 @@ def accuracy(
 
     scenario = load(scene, settings or [])
     if out is not None:
-        from vlp16emu.plots import check_matplotlib
+        from vlp16emu.extras.plots import check_matplotlib
 
         check_matplotlib()
         make_folder(out)
@@ -79,7 +79,7 @@ def accuracy(
         measured = _measured(scenario, name, pulses)
         tree = _tree(measured)
         if outputs:
-            from vlp16emu.accuracy.curve import draw_accuracy
+            from vlp16emu.extras.accuracy.curve import draw_accuracy
 
             with outputs[0].writing() as file:
                 file.write(f"{json.dumps(tree, indent=2)}\n".encode())
@@ -95,8 +95,8 @@ def accuracy(
 
 def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
     """Measure a scene, with a progress bar."""
-    from vlp16emu.accuracy.foliage import measure_foliage
-    from vlp16emu.accuracy.sweep import measure_accuracy
+    from vlp16emu.extras.accuracy.foliage import measure_foliage
+    from vlp16emu.extras.accuracy.sweep import measure_accuracy
 
     whole_s = scenario.duration_s
     with Progress(whole_s) as progress:
@@ -111,7 +111,7 @@ def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":
 
 def _tree(measured: "Accuracy") -> dict[str, Any]:
     """Put the report into the types of JSON, which has no NaN."""
-    from vlp16emu.accuracy.curve import Kind, choices, fitted_order, front
+    from vlp16emu.extras.accuracy.curve import Kind, choices, fitted_order, front
 
     def clean(value: Any) -> Any:
         """JSON has no NaN: nothing stands for it."""
@@ -130,7 +130,7 @@ def _tree(measured: "Accuracy") -> dict[str, Any]:
 
 
 def _print(measured: "Accuracy") -> None:
-    from vlp16emu.accuracy.curve import choices
+    from vlp16emu.extras.accuracy.curve import choices
 
     errors = measured.rows[0].errors
     print(f"{measured.scene}, seed {measured.seed}: error against run time")

@@ -36,7 +36,7 @@ def bag(
     Works on recordings of real sensors too. Topics and frames are those of the velodyne driver, with stamps of the sensor's
     clock. Ctrl-C ends it early and leaves a valid bag.
     """
-    from vlp16emu.bag import write_bag
+    from vlp16emu.extras.bag import write_bag
 
     with stop_on_ctrl_c() as stop:
         made = write_bag(file, out, truth, stop=stop)

@@ -10,7 +10,7 @@ from vlp16emu.cli.arguments import AsJson, CaptureFile
 from vlp16emu.cli.terminal import print_json, print_rows
 
 if TYPE_CHECKING:
-    from vlp16emu.compare import Compared
+    from vlp16emu.extras.compare import Compared
 
 
 def compare(
@@ -31,10 +31,10 @@ def compare(
     minute of each capture is read at most. Scatter of ranges and of reflectivity also depends on what a capture shows:
     walls compare with walls, foliage with foliage.
     """
-    from vlp16emu.compare import compared, draw, read_sequences
     from vlp16emu.errors import spare
+    from vlp16emu.extras.compare import compared, draw, read_sequences
+    from vlp16emu.extras.plots import check_matplotlib
     from vlp16emu.output import OutputFile
-    from vlp16emu.plots import check_matplotlib
 
     if picture is not None:
         check_matplotlib()
@@ -73,8 +73,8 @@ def fit(
 
     The beat of its ranges has the phase of the capture's first pulse. A minute is read at most.
     """
-    from vlp16emu.compare import fitted, read_sequences
     from vlp16emu.errors import spare
+    from vlp16emu.extras.compare import fitted, read_sequences
     from vlp16emu.output import OutputFile
 
     if out is not None:

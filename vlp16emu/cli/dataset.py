@@ -54,7 +54,7 @@ def dataset(
     Walks that an earlier run has finished are kept, after a check of their sha256; the others are made.
     OUT/manifest.json names every file with its sha256, and the split of its stand.
     """
-    from vlp16emu.dataset import load_spec, make_dataset, walks_of
+    from vlp16emu.extras.dataset import load_spec, make_dataset, walks_of
 
     if cluster and scheduler:
         raise InputError("--cluster", "found beside --scheduler", "one of both")

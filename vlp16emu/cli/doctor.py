@@ -14,7 +14,7 @@ def doctor(*, as_json: AsJson = False) -> None:
     Each row is ok, a warning where some runs will suffer, or a problem where some will fail, with what mends it. The
     exit code is 1 where there is a problem. Wake-ups are measured now, beside all that this machine is doing.
     """
-    from vlp16emu.report.doctor import all_checks
+    from vlp16emu.extras.doctor import all_checks
     from vlp16emu.sinks import Condition
 
     checks = list(all_checks())

@@ -15,9 +15,9 @@ from vlp16emu.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from vlp16emu.report.forest import StandRow
-    from vlp16emu.report.forest.summary import ForestSummary, NamedThing, Things, WorldSummary
-    from vlp16emu.report.forest.survey import Survey
+    from vlp16emu.extras.sheets import StandRow
+    from vlp16emu.extras.sheets.summary import ForestSummary, NamedThing, Things, WorldSummary
+    from vlp16emu.extras.sheets.survey import Survey
     from vlp16emu.scenario import Scenario
 
 
@@ -126,10 +126,10 @@ def _surveyed(
     scene: str, scenario: "Scenario", radius_m: float, wanted: "Mapping[str, Path]", truth: Path | None
 ) -> "WorldSummary":
     """Look at the world and write files, which are opened before anything heavy."""
+    from vlp16emu.extras.sheets import files
+    from vlp16emu.extras.sheets.summary import summary_of
+    from vlp16emu.extras.sheets.survey import survey
     from vlp16emu.output import OutputFile
-    from vlp16emu.report.forest import files
-    from vlp16emu.report.forest.summary import summary_of
-    from vlp16emu.report.forest.survey import survey
 
     with ExitStack() as stack:
         outputs = {
@@ -182,14 +182,14 @@ def _check_output(option: str, path: Path) -> None:
     if path.suffix != suffix:
         raise InputError(f"{option} {path}", f"found suffix '{path.suffix}'", suffix)
     if option == "--picture":
-        from vlp16emu.plots import check_matplotlib
+        from vlp16emu.extras.plots import check_matplotlib
 
         check_matplotlib()
 
 
 def _subtitle(summary: "WorldSummary") -> str:
     """Sum up a world in one line."""
-    from vlp16emu.report.forest.summary import ForestSummary
+    from vlp16emu.extras.sheets.summary import ForestSummary
 
     words = [f"{Path(summary.scene).stem}, seed {summary.seed}"]
     if summary.path.length_m:
@@ -204,7 +204,7 @@ def _subtitle(summary: "WorldSummary") -> str:
 
 
 def _print(summary: "WorldSummary") -> None:
-    from vlp16emu.report.forest.summary import ForestSummary
+    from vlp16emu.extras.sheets.summary import ForestSummary
 
     about = {"seed": str(summary.seed)}
     if summary.path.length_m:

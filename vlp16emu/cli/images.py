@@ -19,10 +19,10 @@ from vlp16emu.cli.terminal import (
     tree_of,
 )
 from vlp16emu.errors import InputError
-from vlp16emu.extras.images import write_images
+from vlp16emu.extras.images.images import write_images
 
 if TYPE_CHECKING:
-    from vlp16emu.extras.images import ImageRun
+    from vlp16emu.extras.images.images import ImageRun
 
 
 Folder = Annotated[Path, typer.Argument(metavar="OUT", help="Folder, new or empty.", show_default=False)]

@@ -15,9 +15,9 @@ from vlp16emu.errors import InputError, MissingExtraError
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
     from vlp16emu.extras.live.flight import LiveReport
+    from vlp16emu.extras.viewer.live import Watch
     from vlp16emu.run.options import PosesIn
     from vlp16emu.scenario import Scenario
-    from vlp16emu.viewer.live import Watch
 
 
 PoseIn = Annotated[
@@ -62,7 +62,7 @@ def watched(emulator: "Emulator", *, view: bool, duration_s: float, quiet: bool)
         return
     if find_spec("viser") is None:
         raise MissingExtraError("viser", "viewer", "the page in the browser")
-    from vlp16emu.viewer.live import backdrop_of, watching
+    from vlp16emu.extras.viewer.live import backdrop_of, watching
 
     with Progress(duration_s):
         backdrop = backdrop_of(emulator, duration_s)

@@ -15,7 +15,7 @@ from vlp16emu.errors import InputError
 if TYPE_CHECKING:
     from threading import Event
 
-    from vlp16emu.viewer.picture import PictureLook, PictureRun
+    from vlp16emu.extras.viewer.picture import PictureLook, PictureRun
 
 
 _LARGEST_PX, _FROM_DEG = 8_192, 205.0
@@ -95,7 +95,7 @@ def picture(
     Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
     revolution. A film shows how they add up, or one revolution after the other, ten per second. Needs the extra 'picture'.
     """
-    from vlp16emu.viewer.picture import VIEWS, PictureLook
+    from vlp16emu.extras.viewer.picture import VIEWS, PictureLook
 
     if view not in VIEWS:
         raise InputError("--view", f"found {view}", ", ".join(VIEWS))
@@ -134,8 +134,8 @@ def _of_capture(
     stop: "Event",
 ) -> "PictureRun":
     """Draw a capture; without poses its first revolution, or as a film all of them."""
+    from vlp16emu.extras.viewer.picture import draw_picture, sweeps_of_capture, way_of
     from vlp16emu.packets.layout import LASERS
-    from vlp16emu.viewer.picture import draw_picture, sweeps_of_capture, way_of
 
     is_film = out.suffix.lower() != ".png"
     sweeps = sweeps_of_capture(capture, trajectory, *span)
@@ -156,9 +156,9 @@ def _of_scene(
 ) -> "PictureRun":
     import numpy as np
 
-    from vlp16emu.extras.images import species_of
-    from vlp16emu.viewer.picture import draw_picture
-    from vlp16emu.viewer.sweeps import sweeps_of_scene
+    from vlp16emu.extras.images.images import species_of
+    from vlp16emu.extras.viewer.picture import draw_picture
+    from vlp16emu.extras.viewer.sweeps import sweeps_of_scene
 
     emulator = make_emulator(scene, settings, ideal=ideal)
     start_s, stop_s = emulator.scenario.span_s(*span, where="--start")

@@ -12,7 +12,7 @@ from vlp16emu.cli.terminal import count, print_json, print_rows
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from vlp16emu.report.plan import StreamOutlook, Surroundings
+    from vlp16emu.extras.plan import StreamOutlook, Surroundings
 
 _MEASURED_S = 2.0
 _WORDS = {"loaded": True, "left out": False}
@@ -41,7 +41,7 @@ def plan(
     began_s = time.perf_counter()
     workers = threads or os.cpu_count() or 1
     emulator = make_emulator(scene, settings, ideal=ideal, threads=workers, audit=not no_audit)
-    from vlp16emu.report.plan import libraries, needs, stream_outlook, surroundings
+    from vlp16emu.extras.plan import libraries, needs, stream_outlook, surroundings
 
     emulator.record(os.devnull, duration_s=min(0.1, emulator.scenario.duration_s))
     started_s = time.perf_counter() - began_s

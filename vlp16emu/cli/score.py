@@ -101,10 +101,10 @@ def score(
 
     Scores what is given, from files of any tool. Exit code 1 where a threshold is missed.
     """
-    from vlp16emu.plots import check_matplotlib
-    from vlp16emu.score.card import ScoreInputs, limits_of, make_card
-    from vlp16emu.score.page import page
-    from vlp16emu.score.paths import ALIGNMENTS
+    from vlp16emu.extras.plots import check_matplotlib
+    from vlp16emu.extras.score.card import ScoreInputs, limits_of, make_card
+    from vlp16emu.extras.score.page import page
+    from vlp16emu.extras.score.paths import ALIGNMENTS
 
     if align not in ALIGNMENTS:
         raise InputError("--align", f"found {align}", ", ".join(ALIGNMENTS))

@@ -8,7 +8,7 @@ from vlp16emu.cli.arguments import AsJson, CaptureFile
 from vlp16emu.cli.terminal import count, print_json, print_rows
 
 if TYPE_CHECKING:
-    from vlp16emu.validator import Verification
+    from vlp16emu.extras.verify import Verification
 
 
 def verify(file: CaptureFile, *, as_json: AsJson = False) -> None:
@@ -19,8 +19,8 @@ def verify(file: CaptureFile, *, as_json: AsJson = False) -> None:
     no rule is broken, whatever the notes, else with 1.
     """
     from vlp16emu.errors import CaptureError
+    from vlp16emu.extras.verify import verify_capture, verify_units
     from vlp16emu.packets import units_in
-    from vlp16emu.validator import verify_capture, verify_units
 
     if file.is_fifo():  # its units are looked for first
         raise CaptureError(str(file), "a pipe", "a file, which can be read twice")

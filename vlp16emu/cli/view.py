@@ -91,7 +91,7 @@ def view(
     if truth is not None and capture is None:
         raise InputError("--truth", "found beside a scene", "a capture; a scene knows its own")
     try:
-        from vlp16emu.viewer.guard import guarded_server
+        from vlp16emu.extras.viewer.guard import guarded_server
     except ImportError as error:
         raise MissingExtraError(error.name or "viser", "viewer", "the page in the browser") from None
     with guarded_server(host, port, "vlp16emu") as server:
@@ -105,8 +105,8 @@ def view(
 def _show_capture(server: "viser.ViserServer", capture: Path, truth: Path | None, unit: int) -> None:
     import numpy as np
 
-    from vlp16emu.viewer.page import Page, look_from
-    from vlp16emu.viewer.sweeps import CaptureSweeps
+    from vlp16emu.extras.viewer.page import Page, look_from
+    from vlp16emu.extras.viewer.sweeps import CaptureSweeps
 
     text = server.gui.add_markdown("reading the capture")
     with closing(CaptureSweeps(capture, truth, unit)) as sweeps:
@@ -125,8 +125,8 @@ def _show_scene(
     radius_m: float,
     save: Path | None,
 ) -> None:
+    from vlp16emu.extras.viewer.page import scene_page
     from vlp16emu.motion.live_settings import takes_poses
-    from vlp16emu.viewer.page import scene_page
 
     emulator = make_emulator(scene, settings)
     if takes_poses(emulator.scenario.motion):

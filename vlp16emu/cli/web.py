@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def _http(text: str) -> tuple[str, int]:
-    from vlp16emu.device.web import parse_http
+    from vlp16emu.extras.bench.web import parse_http
 
     return parse_http(text)
 

@@ -9,12 +9,13 @@ from typing import Protocol
 
 import numpy as np
 
-from vlp16emu.device.events import Event
-from vlp16emu.device.gps import GpsInput
-from vlp16emu.device.optics import Optics
 from vlp16emu.elementary import norm
 from vlp16emu.engine.changes import clock_spans, silences_ns, spans_of, spins, wobbles
+from vlp16emu.engine.gps import GpsInput
+from vlp16emu.engine.optics import Optics
 from vlp16emu.engine.timeline import Timeline
+from vlp16emu.forest.make import ground_name, ground_of, obstacles_of, world_of
+from vlp16emu.forest.stand.wind import TreeSway
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.imu import ImuSampler
@@ -26,6 +27,7 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
+from vlp16emu.scenario.events import Event
 from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable, free_beams, with_angle_errors
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.rotor import Clock, EncoderLines, Pattern, Rotor, Swing, rotation_draws
@@ -33,8 +35,6 @@ from vlp16emu.sensor.settings import FreeSensor, Sensor, on_the_wire
 from vlp16emu.types import ReturnMode, SensorModel, World
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world import Hall
-from vlp16emu.world.make import ground_name, ground_of, obstacles_of, world_of
-from vlp16emu.world.stand.wind import TreeSway
 
 _OF_WORLD: tuple[Callable[[Scenario], object], ...] = (
     lambda scenario: (scenario.world, scenario.world_seed, scenario.wind),

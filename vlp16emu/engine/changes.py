@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vlp16emu.device.events import (
+from vlp16emu.engine.gps import GpsInput
+from vlp16emu.engine.timeline import Stretch
+from vlp16emu.scenario.events import (
     Event,
     LastingEvent,
     MotorStop,
@@ -15,8 +17,6 @@ from vlp16emu.device.events import (
     Setting,
     Wobble,
 )
-from vlp16emu.device.gps import GpsInput
-from vlp16emu.engine.timeline import Stretch
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.rotor import ClockSpan, Spin, Wobbling
 from vlp16emu.sensor.settings import FreeSensor, Sensor

@@ -11,7 +11,6 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import Self
 
-from vlp16emu.device.events import Event, PacketEvent
 from vlp16emu.doors import door
 from vlp16emu.engine.build import Like, Parts, Unit, assemble, with_events
 from vlp16emu.engine.position import make_receiver, position_packets
@@ -24,6 +23,7 @@ from vlp16emu.raycast.texture import textured
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.scenario import Scenario
+from vlp16emu.scenario.events import Event, PacketEvent
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Firings, Hits, Packet, Returns
 from vlp16emu.units import seconds_to_ns

@@ -55,6 +55,6 @@ def caster(world: World, workers: Executor) -> Caster:
         from vlp16emu.raycast.near import EmbreeCaster
 
         return EmbreeCaster(world, workers)
-    from vlp16emu.raycast.far_caster import FarCaster
+    from vlp16emu.foliage.far_caster import FarCaster
 
     return FarCaster(world, workers)  # type: ignore[arg-type]  # what has a `near_m` is a `TiledWorld`

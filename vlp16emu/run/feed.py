@@ -5,10 +5,10 @@ from collections.abc import Collection, Generator, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from threading import Thread
 
-from vlp16emu.device.events import Event
 from vlp16emu.doors import door
 from vlp16emu.engine import Engine
 from vlp16emu.engine.position import position_number
+from vlp16emu.scenario.events import Event
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 

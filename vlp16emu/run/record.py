@@ -12,7 +12,6 @@ from pathlib import Path
 from threading import Event
 from typing import Protocol
 
-from vlp16emu.device.host_clock import CaptureClock, HostClock
 from vlp16emu.doors import door
 from vlp16emu.engine import Unit
 from vlp16emu.errors import OutputError, spare
@@ -25,6 +24,7 @@ from vlp16emu.run.run import Run, TruthPlace
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import PacketSink, PcapResult, PcapSink, check_ending
+from vlp16emu.sinks.host_clock import CaptureClock, HostClock
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 

@@ -5,16 +5,16 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field, ValidationInfo, field_validator
 
-from vlp16emu.device.events import AnyEvent, DeadLaser, DirtyWindow, GpsEvent
-from vlp16emu.device.host_clock import CaptureClock
 from vlp16emu.errors import InputError
 from vlp16emu.motion import Gps, Imu, Live, Recorded, Static, Walk
 from vlp16emu.raycast import Beam
 from vlp16emu.returns import Detector, Noise, Weather
+from vlp16emu.scenario.events import AnyEvent, DeadLaser, DirtyWindow, GpsEvent
 from vlp16emu.scenario.presets import with_preset
 from vlp16emu.scenario.rig import RigUnit, completed
 from vlp16emu.sensor import AnySensor, FreeSensor, Sensor
 from vlp16emu.settings import Section, Seed
+from vlp16emu.sinks.host_clock import CaptureClock
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.world import Forest, Hall, Plot, Wind
 

@@ -6,7 +6,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from vlp16emu.world.stand.settings import DENSITY_KEYS
+from vlp16emu.forest.stand.settings import DENSITY_KEYS
 
 Table = Mapping[str, Any]
 

@@ -1,8 +1,9 @@
 """Where packets leave: a capture file, the network, or a list; and the clock that lets them leave in time."""
 
-from vlp16emu.sinks.channel import Channel
-from vlp16emu.sinks.gps_in import GpsIn, GpsInResult, GpsInSink, GpsReader
-from vlp16emu.sinks.outlets import Outlets
+from vlp16emu.extras.bench.gps_in import GpsIn, GpsInResult, GpsInSink, GpsReader
+from vlp16emu.extras.bench.outlets import Outlets
+from vlp16emu.extras.truth.folder import TruthFolder, tum_rows, write_json
+from vlp16emu.extras.viewer.channel import Channel
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import PcapResult, PcapSink, check_ending
 from vlp16emu.sinks.readiness import Check, Condition, sending_checks
@@ -16,7 +17,6 @@ from vlp16emu.sinks.stream import (
     sending_share,
     stream,
 )
-from vlp16emu.sinks.truth import TruthFolder, tum_rows, write_json
 from vlp16emu.sinks.udp import LOOPBACK, RigSink, UdpResult, UdpSink
 
 __all__ = [

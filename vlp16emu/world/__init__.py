@@ -3,7 +3,7 @@
 Here are the tables of a scene alone, so that one is read without numpy and numba; models are in their own modules.
 """
 
+from vlp16emu.forest.stand.settings import Forest, Plot, Wind, Woods
 from vlp16emu.world.settings import Hall
-from vlp16emu.world.stand.settings import Forest, Plot, Wind, Woods
 
 __all__ = ["Forest", "Hall", "Plot", "Wind", "Woods"]

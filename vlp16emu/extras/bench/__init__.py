@@ -1,1 +1,1 @@
-"""What stands around a sensor on a bench: its web interface, events on the wire, lines to GPS and IMU."""
+"""What is wired to the sensor, set on it or done to it, and its web interface."""

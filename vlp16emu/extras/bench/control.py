@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.device.events import Event, HttpError, PowerCycle, Setting
-from vlp16emu.device.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
-from vlp16emu.device.web import HttpFault, WebServer
 from vlp16emu.engine import Unit
 from vlp16emu.errors import OutputError, PacketError, Vlp16emuError
+from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
+from vlp16emu.extras.bench.web import HttpFault, WebServer
 from vlp16emu.packets import POSITION_BYTES, decode_position, parse_rmc
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.options import Http
+from vlp16emu.scenario.events import Event, HttpError, PowerCycle, Setting
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import RigSink, UnderWay
 from vlp16emu.types import PpsState, ReturnMode, SensorModel

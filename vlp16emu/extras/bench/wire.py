@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Iterator, Sequence
 
-from vlp16emu.device.events import Freeze, PacketEvent
-from vlp16emu.device.faults import PacketFault, Wire, kinds_of
 from vlp16emu.engine import Unit
 from vlp16emu.engine.changes import end_ns
 from vlp16emu.engine.timetable import number_at
+from vlp16emu.extras.bench.faults import PacketFault, Wire, kinds_of
 from vlp16emu.scenario import Scenario
+from vlp16emu.scenario.events import Freeze, PacketEvent
 from vlp16emu.sensor.settings import Sensor
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import seconds_to_ns

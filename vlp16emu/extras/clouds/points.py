@@ -14,11 +14,7 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine
 from vlp16emu.engine.scans import points_of
 from vlp16emu.errors import spare
-from vlp16emu.labels import LabelScheme, PointLabels, label_scheme
-from vlp16emu.run.run import TruthPlace
-from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.head import Turn, turn_of
-from vlp16emu.sinks.cloud import (
+from vlp16emu.extras.clouds.cloud import (
     LABEL_COLUMNS,
     LEAF_OR_WOOD,
     RETURN_NAMES,
@@ -29,9 +25,13 @@ from vlp16emu.sinks.cloud import (
     point_file,
     scene_comments,
 )
+from vlp16emu.extras.labels import LabelScheme, PointLabels, label_scheme
+from vlp16emu.forest.make import ground_of
+from vlp16emu.run.run import TruthPlace
+from vlp16emu.scenario import Scenario
+from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.types import Returns
 from vlp16emu.units import S_NS, seconds_to_ns
-from vlp16emu.world.make import ground_of
 
 
 @dataclass(frozen=True, slots=True)

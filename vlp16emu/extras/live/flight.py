@@ -12,10 +12,10 @@ from typing import Self
 
 import numpy as np
 
-from vlp16emu.device.poses import PoseReceiver
 from vlp16emu.engine import Engine
 from vlp16emu.engine.windows import STEPS
 from vlp16emu.errors import InputError, spare
+from vlp16emu.extras.bench.poses import PoseReceiver
 from vlp16emu.extras.live.cells import LiveWindows
 from vlp16emu.extras.live.flown import FLOWN_HEADER, flown_rows
 from vlp16emu.extras.live.knots import STEP_NS

@@ -4,13 +4,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
-from vlp16emu.device.events import Event, GpsEvent, LastingEvent, PacketEvent, PowerCycle, Share
-from vlp16emu.device.faults import PacketFault, kinds_of
 from vlp16emu.engine import Unit
 from vlp16emu.engine.changes import end_ns
 from vlp16emu.engine.timetable import number_at, timetable
+from vlp16emu.extras.bench.faults import PacketFault, kinds_of
 from vlp16emu.extras.bench.wire import faults_of
 from vlp16emu.scenario import Scenario
+from vlp16emu.scenario.events import Event, GpsEvent, LastingEvent, PacketEvent, PowerCycle, Share
 from vlp16emu.types import PacketKind
 from vlp16emu.units import seconds_to_ns
 

@@ -1,0 +1,39 @@
+"""Stamps of a capture as a host gives them."""
+
+import numpy as np
+import pytest
+
+from vlp16emu.sinks.host_clock import CaptureClock, HostClock
+from vlp16emu.types import Packet, PacketKind
+
+START_NS = 1_700_000_000 * 10**9
+PACKETS = [Packet(PacketKind.DATA, START_NS + 1_327_104 * i, b"") for i in range(1, 20_001)]
+
+
+def stamps_ns(packets=PACKETS, **section):
+    clock = HostClock(CaptureClock(**section), 5, START_NS)
+    return np.array([clock.stamped(packet).due_ns for packet in packets])
+
+
+def test_an_ideal_host_changes_nothing():
+    """The packets themselves come back."""
+    clock = HostClock(CaptureClock(preset="ideal"), 5, START_NS)
+    assert all(clock.stamped(packet) is packet for packet in PACKETS[:10])
+
+
+@pytest.mark.parametrize(("preset", "low_us", "high_us"), [("quiet_pc", 14, 40), ("busy_pc", 300, 640)])
+def test_a_preset_has_the_spacing_of_real_captures(preset, low_us, high_us):
+    """Spacing scatters as on real hosts (14 to 640 us), stamps never fall, and the clock is 6 ppm fast."""
+    stamps = stamps_ns(preset=preset, host_spread=0.0)
+    due = np.array([packet.due_ns for packet in PACKETS])
+    assert low_us < np.diff(stamps).std() / 1e3 < high_us
+    assert (np.diff(stamps) >= 0).all()
+    late_ns = stamps - due
+    assert late_ns.min() >= 0
+    assert np.polyfit((due - START_NS) * 1e-9, late_ns * 1e-3, 1)[0] == pytest.approx(6.0, abs=1.5)
+
+
+def test_a_piece_has_the_stamps_of_the_whole():
+    """They follow from the packet, so a recording in two pieces has those of one, but where a burst is cut."""
+    whole, piece = stamps_ns(preset="quiet_pc"), stamps_ns(PACKETS[777:], preset="quiet_pc")
+    np.testing.assert_array_equal(whole[777:], piece)

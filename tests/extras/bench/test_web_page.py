@@ -1,0 +1,231 @@
+"""The page at `/` in a browser: it shows the sensor's state, and its form sets it."""
+
+import json
+import os
+import shutil
+import subprocess
+from dataclasses import replace
+
+import pytest
+
+from vlp16emu.extras.bench.web import HttpFault
+
+pytestmark = pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed")
+
+WITHIN_MS = 10_000
+
+
+class Browser:
+    """Headless Chromium, steered through a pair of pipes by its DevTools protocol."""
+
+    def __init__(self, folder):
+        down_read, self._down = os.pipe()
+        self._up, up_write = os.pipe()
+        options = [
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-dev-shm-usage",
+            "--remote-debugging-pipe",
+            "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--no-first-run",
+            "--window-size=1000,900",
+            f"--user-data-dir={folder}",
+            "about:blank",
+        ]
+        script = f'exec chromium "$@" 3<&{down_read} 4>&{up_write}'  # where it looks for them
+        self._program = subprocess.Popen(
+            ["bash", "-c", script, "chromium", *options],
+            pass_fds=(down_read, up_write),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "HOME": str(folder)},
+        )
+        os.close(down_read)
+        os.close(up_write)
+        self._number, self._session, self._received = 0, None, b""
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+
+    def call(self, method, **parameters):
+        """Send a command, and wait for its result."""
+        self._number += 1
+        command = {"id": self._number, "method": method, "params": parameters}
+        if self._session:
+            command["sessionId"] = self._session
+        os.write(self._down, json.dumps(command).encode() + b"\0")
+        while (message := self._message()).get("id") != self._number:
+            pass
+        assert "error" not in message, message
+        return message["result"]
+
+    def _message(self):
+        while b"\0" not in self._received:
+            part = os.read(self._up, 1 << 20)
+            assert part, "chromium has ended"
+            self._received += part
+        text, _, self._received = self._received.partition(b"\0")
+        return json.loads(text)
+
+    def run(self, script):
+        """Run JavaScript in the page, and wait for the value of its promise."""
+        result = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in result, result["exceptionDetails"]
+        return result["result"].get("value")
+
+    def wait(self, condition):
+        """Wait until a condition holds in the page."""
+        seen = f"""new Promise((done, failed) => {{
+            const begin = Date.now(), look = () => {condition} ? done(true)
+                : Date.now() - begin > {WITHIN_MS} ? failed(new Error(document.body.innerText)) : setTimeout(look, 20);
+            look();
+        }})"""
+        assert self.run(seen)
+
+    def text(self, name):
+        """Read the text of an element."""
+        return self.run(f"document.getElementById('{name}').textContent")
+
+    def type(self, selector, value):
+        """Put a value into a field, as typing does."""
+        self.run(
+            f"""{{ const field = document.querySelector({json.dumps(selector)});
+            field.value = {json.dumps(value)}; field.dispatchEvent(new Event("input", {{bubbles: true}})); }}"""
+        )
+
+    def close(self):
+        """End the browser."""
+        for end in (self._down, self._up):
+            os.close(end)
+        self._program.terminate()
+        self._program.wait(10)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    started = Browser(tmp_path_factory.mktemp("chromium"))
+    yield started
+    started.close()
+
+
+@pytest.fixture
+def page(web, browser):
+    """The page of a sensor, once it shows values."""
+    browser.call("Page.navigate", url="http://{}:{}/".format(*web.address))
+    browser.wait("typeof at == 'function' && at('link').textContent == 'connected'")
+    yield browser
+    browser.call("Page.navigate", url="about:blank")
+
+
+def test_the_page_shows_the_state(web, page):
+    """Model, serial number, speed, pulse, laser, temperatures and voltages are those of the documents; all settings are filled in."""
+    names = ("model", "serial", "mac", "rpm", "motor", "laser", "pps", "position", "phase", "lock")
+    assert [page.text(name) for name in names] == [
+        *("VLP-16", "11001000000001", "60-76-88-38-00-01", "600", "On, set to 600", "On", "Locked"),
+        *("49 00.00N 200 .00W", "307.55", "not locked"),
+    ]
+    shown = {name: float(page.text(name)) for name in ("top", "bottom", "volts", "amperes", "five")}
+    assert shown == {
+        "top": pytest.approx(53.1, abs=0.6),
+        "bottom": pytest.approx(51.1, abs=0.6),
+        "volts": pytest.approx(12.0, abs=0.1),
+        "amperes": pytest.approx(0.48, abs=0.03),
+        "five": pytest.approx(5.02, abs=0.02),
+    }
+    fields = page.run("fields.map(field => [pathOf(field) + ' ' + field.name, field.value])")
+    assert dict(fields) == {
+        "/cgi/setting rpm": "600", "/cgi/setting returns": "Strongest", "/cgi/setting laser": "On",
+        "/cgi/setting/fov start": "0", "/cgi/setting/fov end": "359",
+        "/cgi/setting/host addr": "255.255.255.255", "/cgi/setting/host dport": "2368",
+        "/cgi/setting/host tport": "8308",
+        "/cgi/setting/phaselock enabled": "Off", "/cgi/setting/phaselock offset": "0",
+        "/cgi/setting/net dhcp": "Off", "/cgi/setting/net addr": "192.168.1.201",
+        "/cgi/setting/net mask": "255.255.255.0", "/cgi/setting/net gateway": "192.168.1.1",
+    }  # fmt: skip
+
+
+def test_the_form_sets_the_speed_and_the_number_follows(web, page):
+    """A speed that is set reaches the stream, and the number goes there by steps."""
+    page.type("[name=rpm]", "900")
+    page.run("document.querySelector('[type=submit]').click()")
+    page.wait("at('rpm').textContent > 600 && at('rpm').textContent < 900")
+    page.wait("at('rpm').textContent == 900")
+    assert web.engine.settings.rpm == 900
+    assert page.text("motor") == "On, set to 900"
+    assert page.run("document.querySelector('[name=rpm]').className") == ""
+
+
+def test_the_form_sends_what_was_changed(web, page):
+    """All changed fields are set by one press, the phase in 0.01 degree; unchanged ones are not sent."""
+    values = {
+        "[name=returns]": "Dual", "[name=laser]": "Off", "[name=start]": "350", "[name=end]": "10",
+        "[name=enabled]": "On", "[name=offset]": "123.45", "[name=dport]": "3000",
+        "[data-path='/cgi/setting/net'] [name=addr]": "10.0.0.2",
+    }  # fmt: skip
+    for selector, value in values.items():
+        page.type(selector, value)
+    page.run("document.querySelector('[type=submit]').click()")
+    page.wait("at('said').textContent.startsWith('Set.')")
+    made = web.engine.settings
+    assert (made.return_mode, made.laser_on, made.fov_deg) == ("dual", False, (350, 10))
+    assert (made.phase_lock_on, made.phase_lock_cdeg) == (True, 12_345)
+    assert (made.data_port, made.position_port, made.address, made.host) == (
+        3000,
+        8308,
+        "10.0.0.2",
+        "255.255.255.255",
+    )
+    assert len(web.engine.changes) == 5  # one for each part of the form
+    page.wait("at('laser').textContent == 'Off'")
+
+
+def test_a_refused_value_is_shown_with_its_reason(web, page):
+    """What the sensor does not take is said in the page, and stays marked."""
+    page.type("[data-path='/cgi/setting/host'] [name=addr]", "0.0.0.0")
+    page.run("document.querySelector('[type=submit]').click()")
+    page.wait("at('said').textContent.startsWith('addr: found')")
+    assert "expected the IPv4 address of a host" in page.text("said")
+    assert page.run("document.querySelectorAll('.changed').length") == 1
+    assert web.engine.changes == []
+
+
+def test_save_and_reset_are_buttons(web, page):
+    """What is saved by one button is there after the other; what was set since is not."""
+    web.client.post("/cgi/setting", "rpm=300")
+    page.wait("document.querySelector('[name=rpm]').value == 300")  # set from elsewhere, and shown
+    page.run("at('save').click()")
+    page.wait("at('said').textContent == 'Saved.'")
+    web.client.post("/cgi/setting", "rpm=1200")
+    page.run("at('reset').click()")
+    page.wait("at('said').textContent == 'The sensor starts again.'")
+    assert [settings.rpm for settings in web.engine.resets] == [300]
+    page.wait("document.querySelector('[name=rpm]').value == 300")
+
+
+def test_what_is_being_typed_stays(web, page):
+    """A field that was changed and not yet sent keeps its value while the page goes on reading."""
+    page.type("[name=end]", "90")
+    web.client.post("/cgi/setting", "rpm=300")
+    page.wait("document.querySelector('[name=rpm]').value == 300")
+    assert page.run("document.querySelector('[name=end]').value") == "90"
+
+
+def test_the_page_says_when_nothing_answers(web, page):
+    """A sensor that starts, and one whose web interface is faulty, are shown as such, and found again."""
+    for name, broken, well in (("fault", HttpFault(503), None), ("is_up", False, True)):
+        setattr(web if name == "fault" else web.engine, name, broken)
+        page.wait("at('link').textContent == 'no answer'")
+        setattr(web if name == "fault" else web.engine, name, well)
+        page.wait("at('link').textContent == 'connected'")
+
+
+def test_the_fault_picture(web, page):
+    """A sensor that a fault has switched off is shown with zeros, not with numbers made from them."""
+    web.engine.now = replace(web.engine.now, disabled=True)
+    page.wait("at('laser').textContent == 'Disabled'")
+    names = ("rpm", "motor", "top", "bottom", "volts", "amperes", "hv")
+    assert [page.text(name) for name in names] == [
+        *("0", "Disabled, set to 600", "0.0", "0.0", "0.00", "0.00", "high voltage 0 V")
+    ]

@@ -1,0 +1,320 @@
+"""Datasets: the same bytes by any number of workers, whole after a death, and split by stand."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import vlp16emu.emulator as emulator_module
+from vlp16emu import Emulator
+from vlp16emu.errors import MissingExtraError, OutputError, ScenarioError
+from vlp16emu.extras.clouds.points import write_points
+from vlp16emu.extras.dataset import load_spec, make_dataset, walks_of
+from vlp16emu.extras.dataset.run import _dask
+
+pytestmark = pytest.mark.usefixtures("kept_woods")
+
+SPEC = """
+schema = 1
+layout = "semantickitti"
+seeds = [1, 2]
+stands = [
+    { name = "a", scene = "static_bench", set = ["duration_s=0.25"] },
+    { name = "b", scene = "static_bench", set = ["duration_s=0.25", "world.width_m=20.0"] },
+]
+paths = [{ name = "middle" }]
+sensors = [{ name = "puck" }, { name = "four", set = ["sensor.model=free", "sensor.beams=4"] }]
+splits = { train = 0.5, val = 0.0, test = 0.5 }
+"""
+DASK = pytest.mark.skipif(
+    find_spec("distributed") is None or find_spec("cryptography") is None,
+    reason="the extra cluster is not installed",
+)
+
+PUCK_ALONE = SPEC.replace(', { name = "four", set = ["sensor.model=free", "sensor.beams=4"] }', "")
+
+
+def spec_file(folder, text=SPEC):
+    path = folder / "spec.toml"
+    path.write_text(text)
+    return path
+
+
+def walks_in(folder, text=SPEC):
+    return walks_of(load_spec(spec_file(folder, text)), folder)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A dataset made by this process."""
+    folder = tmp_path_factory.mktemp("made")
+    walks = walks_in(folder)
+    return walks, folder / "out", make_dataset(walks, folder / "out", workers=0)
+
+
+def test_a_sequence_takes_its_points_to_where_the_sensor_saw_them(made):
+    """Scan, pose and label of a sequence are those of the scene's scans, point for point."""
+    walks, out, _ = made
+    scans = list(Emulator(walks[0].scenario).scans(truth=True))
+    folder = out / "sequences" / "00"
+    poses = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)
+    assert len(scans) == len(poses) == len(list((folder / "velodyne").iterdir())) == 2
+    for number, scan in enumerate(scans):
+        points = np.fromfile(folder / "velodyne" / f"{number:06d}.bin", "<f4").reshape(-1, 4)
+        labels = np.fromfile(folder / "labels" / f"{number:06d}.label", "<u4")
+        np.testing.assert_allclose(points[:, :3], scan.xyz_m, atol=1e-5)  # the sensor does not move
+        np.testing.assert_allclose(poses[number], scan.world_T_sensor[:3], atol=1e-9)
+        assert np.array_equal(labels >> 16 == 0, scan.labels.instance == 0)
+        assert len(np.unique(labels >> 16)) == len(np.unique(scan.labels.instance))
+
+
+def test_a_moving_sensor_s_scan_is_that_of_its_first_pose(tmp_path):
+    """With the pose of its scan, a point of a walk comes to where the pulse's own pose puts it."""
+    moving = """duration_s=1.3", "motion={kind='walk', way_points_m=[[-8, 0], [4, 0]]}"""
+    (walk, *_) = walks_in(tmp_path, SPEC.replace('duration_s=0.25"', f'{moving}"'))
+    make_dataset([walk], tmp_path / "out", workers=0)
+    emulator, folder = Emulator(walk.scenario), tmp_path / "out" / "sequences" / "00"
+    scan = list(emulator.scans())[10]  # the first ones stand still
+    pose = np.loadtxt(folder / "poses.txt").reshape(-1, 3, 4)[10]
+    points = np.fromfile(folder / "velodyne" / "000010.bin", "<f4").reshape(-1, 4)[:, :3]
+    own = emulator.world_T_sensor(scan.t_ns)
+    world_m = np.einsum("nij,nj->ni", own[:, :3, :3], scan.xyz_m) + own[:, :3, 3]
+    skewed_m = scan.xyz_m @ pose[:, :3].T + pose[:, 3]
+    np.testing.assert_allclose(points @ pose[:, :3].T + pose[:, 3], world_m, atol=1e-4)
+    assert np.abs(skewed_m - world_m).max() > 0.01
+
+
+def test_stands_are_in_one_split_each(made):
+    """All walks of a stand share its split, and the shares are kept."""
+    walks, _, _ = made
+    splits = {(walk.stand, walk.split) for walk in walks}
+    assert sorted(split for _, split in splits) == ["test", "train"]
+
+
+def test_only_what_is_missing_or_damaged_is_made_again(made):
+    """A second run makes nothing; after a flipped byte it makes that walk, and the manifest is the same."""
+    walks, out, first = made
+    assert make_dataset(walks, out, workers=0).made == 0
+    scan = out / "sequences" / "03" / "velodyne" / "000001.bin"
+    right = scan.read_bytes()
+    scan.write_bytes(bytes([right[0] ^ 1]) + right[1:])
+    again = make_dataset(walks, out, workers=0)
+    assert (again.made, again.sha256) == (1, first.sha256)
+    assert scan.read_bytes() == right
+
+
+def test_a_run_that_ends_keeps_its_walks(tmp_path):
+    """After an error in the third walk the next run makes the third and the fourth, and leaves nothing beside them."""
+    walks, done = walks_in(tmp_path)[:4], []
+
+    def progress(done_s):
+        done.append(done_s)
+        if done_s == 0.5 and len(done) == 3:
+            raise EndError
+
+    with pytest.raises(EndError):
+        make_dataset(walks, tmp_path / "out", workers=0, progress=progress)
+    listed = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert [walk["folder"] for walk in listed["walks"]] == ["sequences/00", "sequences/01"]
+    assert make_dataset(walks, tmp_path / "out", workers=0, progress=done.append).made == 2
+    np.testing.assert_allclose(done, [0, 0.25, 0.5, 0.5, 0.75, 1.0])
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["manifest.json", "sequences"]
+
+
+class EndError(Exception):
+    """Ends a run from its progress."""
+
+
+@pytest.mark.parametrize(
+    "strange", ["sequences/00", "sequences/00/notes.txt", "sequences/01/velodyne/000000.bin", "manifest.json"]
+)
+def test_what_no_manifest_lists_is_not_touched(tmp_path, strange):
+    """A file in the place of a walk or of the manifest is named in one line with exit code 2, and all that was there stays."""
+    out = tmp_path / "out"
+    (out / strange).parent.mkdir(parents=True)
+    (out / strange).write_text("mine")
+    (out / "sequences").mkdir(exist_ok=True)
+    (out / "sequences" / "mine.part").mkdir()
+    before = sorted(out.rglob("*"))
+    with pytest.raises(OutputError, match=strange) as error:
+        make_dataset(walks_in(tmp_path), out, workers=0)
+    assert error.value.exit_code == 2
+    assert sorted(out.rglob("*")) == before
+    assert (out / strange).read_text() == "mine"
+
+
+def test_a_note_beside_a_walk_s_files_stays(tmp_path):
+    """A walk that is whole is kept with what somebody has put beside it; one to be made again is refused until that is gone."""
+    (walk, *_) = walks_in(tmp_path)
+    folder = tmp_path / "out" / "sequences" / "00"
+    make_dataset([walk], tmp_path / "out", workers=0)
+    (folder / "notes.txt").write_text("mine")
+    assert make_dataset([walk], tmp_path / "out", workers=0).made == 0
+    (folder / "poses.txt").unlink()
+    with pytest.raises(OutputError, match=r"notes\.txt"):
+        make_dataset([walk], tmp_path / "out", workers=0)
+    assert (folder / "velodyne" / "000000.bin").exists()
+    (folder / "notes.txt").rename(tmp_path / "notes.txt")
+    assert make_dataset([walk], tmp_path / "out", workers=0).made == 1
+    assert (folder / "poses.txt").exists()
+
+
+def test_walks_of_a_killed_run_go_with_its_manifest(tmp_path):
+    """The folder that a manifest of ours names as that of unfinished walks is removed; another of such a name stays."""
+    (walk, *_) = walks_in(tmp_path)
+    out = tmp_path / "out"
+    for name in (".parts.left", ".parts.mine"):
+        (out / name / "walk").mkdir(parents=True)
+    (out / "manifest.json").write_text('{"written_by": "vlp16emu 0", "parts": ".parts.left", "walks": []}')
+    make_dataset([walk], out, workers=0)
+    assert sorted(path.name for path in out.iterdir()) == [".parts.mine", "manifest.json", "sequences"]
+
+
+def test_sensors_of_a_stand_share_its_world(tmp_path, monkeypatch):
+    """Of four walks with two sensors and two seeds the world is grown twice, and the manifest is that of walks made each by itself."""
+    text = SPEC.replace('"world.width_m=20.0"', '"world.width_m=19.0"')
+    walks = walks_in(tmp_path, text)[:4]
+    worlds = []
+    making = emulator_module.Emulator.__init__
+
+    def made(self, *args, **options):
+        making(self, *args, **options)
+        worlds.append(id(self.parts.world))
+        kept.append(self)
+
+    kept = []
+    monkeypatch.setattr(emulator_module.Emulator, "__init__", made)
+    shared = make_dataset(walks, tmp_path / "shared", workers=0)
+    assert len(set(worlds)) == 2 < len(worlds)
+    monkeypatch.setattr("vlp16emu.extras.dataset.run.in_one_world", lambda *_: False)
+    assert make_dataset(walks, tmp_path / "alone", workers=0).sha256 == shared.sha256
+
+
+def test_a_capture_of_a_dataset_is_that_of_record(tmp_path):
+    """Capture and truth of a walk are, byte for byte, those that `record` writes."""
+    (walk, *_) = walks_in(tmp_path, PUCK_ALONE.replace("semantickitti", "pcap+truth"))
+    make_dataset([walk], tmp_path / "out", workers=0)
+    Emulator(walk.scenario).record(tmp_path / "walk.pcap", truth=tmp_path / "truth")
+    made = tmp_path / "out" / "walks" / "0000"
+    assert (made / "walk.pcap").read_bytes() == (tmp_path / "walk.pcap").read_bytes()
+    names = sorted(file.name for file in (tmp_path / "truth").iterdir())
+    assert sorted(file.name for file in (made / "truth").iterdir()) == names
+    for name in names:
+        assert (made / "truth" / name).read_bytes() == (tmp_path / "truth" / name).read_bytes(), name
+
+
+def test_a_plot_is_a_laz_file_that_others_read(tmp_path):
+    """Points and classes of a plot are those of the scene's points."""
+    laspy = pytest.importorskip("laspy")
+    (walk, *_) = walks_in(tmp_path, SPEC.replace("semantickitti", "las-plots"))
+    make_dataset([walk], tmp_path / "out", workers=0)
+    write_points(Emulator(walk.scenario), tmp_path / "points.npz", truth=True)
+    points, cloud = (
+        np.load(tmp_path / "points.npz"),
+        laspy.read(tmp_path / "out" / "walks" / "0000" / "points.laz"),
+    )
+    np.testing.assert_allclose(cloud.xyz, points["world_m"], atol=1e-3)
+    assert np.array_equal(cloud["instance"], points["instance"])
+    assert set(cloud.classification) >= {2}  # ground
+
+
+@pytest.mark.parametrize("option", [None, pytest.param("--cluster", marks=DASK)])
+def test_workers_that_are_killed_lose_nothing(tmp_path, option):
+    """Two workers, of this program or of Dask, with two killed on the way, make the manifest of one process."""
+    text = SPEC.replace("0.25", "1.0")  # long enough to be seen
+    first = make_dataset(walks_in(tmp_path, text), tmp_path / "alone", workers=0)
+    spec, out = tmp_path / "spec.toml", tmp_path / "out"
+    command = [
+        sys.executable,
+        "-m",
+        "vlp16emu",
+        "dataset",
+        spec,
+        out,
+        "--workers",
+        "2",
+        "--json",
+        *filter(None, [option]),
+    ]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
+        killed = set()
+        while run.poll() is None and len(killed) < 2:
+            is_making = any(out.glob(".parts.*/*"))
+            if is_making and (workers := workers_of(run.pid) - killed):
+                os.kill(worker := workers.pop(), signal.SIGKILL)
+                killed.add(worker)
+            time.sleep(0.01)
+        written, said = run.communicate(timeout=300)
+    assert run.returncode == 0, said
+    assert len(killed) == 2
+    assert json.loads(written)["sha256"] == first.sha256
+    assert not list(out.glob(".parts.*"))
+
+
+@DASK
+def test_a_cluster_of_this_machine_takes_nobody_else():
+    """The scheduler listens on loopback alone, and hangs up on who has no certificate of the run."""
+    from distributed import Client
+
+    with _dask(1, None) as executor:
+        address = executor._client.scheduler.address
+        assert address.startswith("tls://127.0.0.1:")
+        for other in (address, address.replace("tls://", "tcp://")):
+            with pytest.raises((OSError, TypeError)):
+                Client(other, timeout=2)
+
+
+@pytest.mark.parametrize("option", [{"cluster": True}, {"scheduler": "tcp://127.0.0.1:1"}])
+def test_dask_is_named_where_it_is_missing(tmp_path, monkeypatch, option):
+    """Without the extra `cluster` its options end in a line that names it, and the default does without it."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtraError, match="cluster"):
+        make_dataset(walks_in(tmp_path)[:1], tmp_path / "out", **option)
+
+
+def workers_of(pid):
+    """Processes below a process that hold the world of a walk: spawned, and no resource tracker."""
+    listed = subprocess.run(
+        ["ps", "-ww", "--ppid", str(pid), "-o", "pid=", "-o", "args="],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    rows = [line.split(None, 1) for line in listed.stdout.splitlines()]
+    return {int(number) for number, words in rows if "spawn_main" in words}
+
+
+def test_the_dataset_of_the_documents_has_24_walks(tmp_path):
+    """The file that `scenes/OUTPUTS.md` shows is one, and so is that of the four sensors, from one viewpoint."""
+    root = Path(__file__).resolve().parents[2]
+    (text,) = re.findall(r"```toml\n(schema.*?)```", (root / "scenes" / "OUTPUTS.md").read_text(), re.DOTALL)
+    assert len(walks_in(tmp_path, text)) == 24
+    four = walks_in(tmp_path, (root / "tools" / "four_sensors.toml").read_text())
+    assert [walk.scenario.sensor.beams for walk in four] == [8, 16, 64, 256]
+    assert all(walk.scenario.motion == four[0].scenario.motion for walk in four)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ('name = "b"', 'name = "a"', "each name and each number once"),
+        ("seeds = [1, 2]", "seeds = [1, 1]", "each name and each number once"),
+        ("val = 0.0", "val = 0.1", "sum to 1"),
+        ("semantickitti", "pcap+truth", "no packets"),
+        ("semantickitti", "kitti", "pcap\\+truth"),
+        ("sensor.beams", "sensor.beans", "beams"),
+        ("schema = 1", "schema = 1\nstand = 1", "unknown key"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_line(tmp_path, right, wrong, said):
+    """What is wrong in the file of a dataset is named before anything is made."""
+    with pytest.raises(ScenarioError, match=said):
+        walks_in(tmp_path, SPEC.replace(right, wrong))

@@ -1,0 +1,293 @@
+"""Scores against cases by hand, evo's own alignment and brute force, and through the command line."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from vlp16emu.cli import app
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import InputError
+from vlp16emu.extras.clouds.points import write_points
+from vlp16emu.extras.score.card import limits_of
+from vlp16emu.extras.score.clouds import cloud_distances, density_per_m2, uniformity
+from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
+from vlp16emu.extras.score.trees import (
+    box_scores,
+    instance_scores,
+    leaf_wood_scores,
+    match_stems,
+    stem_scores,
+)
+
+POINTS = "x,y,z,semantic,part,leaf_wood,instance\n"
+
+
+def stem(number, x_m, y_m=0.0, dbh_m=0.3):
+    return Stem(number, x_m, y_m, 0.0, dbh_m, "")
+
+
+@pytest.fixture
+def truth(tmp_path):
+    """Truth of a walk along an arc of 9 m that climbs, with two trees of 40 points each."""
+    t_s = np.arange(0, 10, 0.1)
+    turn = t_s / 10
+    rows = np.column_stack(
+        [
+            1000 + t_s,
+            9 * np.sin(turn),
+            9 * (1 - np.cos(turn)),
+            t_s / 20,
+            *np.zeros((2, 100)),
+            np.sin(turn / 2),
+            np.cos(turn / 2),
+        ]
+    )
+    np.savetxt(tmp_path / "trajectory.tum", rows, fmt="%.9f")
+    world = {"latitude_deg": 47.0, "longitude_deg": 8.0, "height_m": 500.0}
+    unit = {"trajectory": "trajectory.tum", "address": "192.168.1.201", "data_port": 2368}
+    (tmp_path / "rig.json").write_text(json.dumps({"units": [unit], "world": world}))
+    with (tmp_path / "points.csv").open("w") as file:
+        file.write(POINTS)
+        for tree in (1, 2):
+            for i in range(40):
+                leaf = i >= 20
+                file.write(
+                    f"{4 * tree + 0.01 * i},{3 + 0.01 * (i % 3)},{1.21 + 0.004 * i},2,{4 if leaf else 1},{1 + leaf},{tree}\n"
+                )
+    (tmp_path / "trees.csv").write_text(
+        "id,x_m,y_m,z_m,dbh_m,list_line\n1,4,3,0,0.30,17\n2,8,3,0,0.40,18\n3,80,3,0,0.40,19\n"
+    )
+    return tmp_path
+
+
+def scored(capsys, *arguments):
+    """Exit code, and the JSON of a score."""
+    code = app.run(["score", *map(str, arguments), "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_the_truth_scores_perfectly(truth, capsys):
+    """The truth as its own estimate has no error, and all of what there is to find; unseen trees are not missed."""
+    points, trees = truth / "points.csv", truth / "trees.csv"
+    code, card = scored(
+        capsys, truth, "--trajectory", truth / "trajectory.tum", "--map", points, "--points", points,
+        "--truth-points", points, "--stems", trees, "--inventory", trees, "--out", truth / "report",
+    )  # fmt: skip
+    scores = card["scores"]
+    assert code == 0
+    assert {name: scores[name] for name in scores if name.endswith(("_m", "_deg"))} == pytest.approx(
+        dict.fromkeys((name for name in scores if name.endswith(("_m", "_deg"))), 0.0), abs=1e-6
+    )
+    shares = ("leaf_wood_miou", "pq", "sq", "rq", "box_map", "stem_recall", "completeness_5cm")
+    assert [scores[name] for name in shares] == [1.0] * len(shares)
+    assert scores["stem_precision"] == pytest.approx(2 / 3)  # the third is found where nothing was seen
+    assert [(row["true_id"], row["list_line"], row["hits"]) for row in card["trees"][:2]] == [
+        ("1", "17", 20),
+        ("2", "18", 20),
+    ]
+    html = (truth / "report/score.html").read_text()
+    assert "data:image/png;base64," in html
+    assert json.loads((truth / "report/score.json").read_text()) == card
+
+
+def test_alignment_is_that_of_evo(truth, capsys):
+    """An estimate that is turned and shifted has no error once aligned; a noisy one has that of evo's own alignment."""
+    from evo.core import metrics
+    from evo.core.trajectory import PoseTrajectory3D
+
+    rows = np.loadtxt(truth / "trajectory.tum")
+    turned = rows.copy()
+    turned[:, 1:3] = rows[:, 1:3] @ np.array([[0, 1], [-1, 0]]) + 5
+    s, z, w = math.sqrt(0.5), rows[:, 6], rows[:, 7]
+    turned[:, 6:] = np.column_stack([s * z + s * w, s * w - s * z])
+    np.savetxt(truth / "turned.tum", turned, fmt="%.9f")
+    for alignment, low, high in (("none", 5, 20), ("yaw", 0, 1e-6), ("se3", 0, 1e-6)):
+        _, card = scored(capsys, truth, "--trajectory", truth / "turned.tum", "--align", alignment)
+        assert low <= card["scores"]["ate_m"] <= high
+        assert card["scores"]["rpe_m"] < 1e-6
+    turned[:, 1:4] += np.random.default_rng(1).normal(0, 0.1, (100, 3))
+    np.savetxt(truth / "noisy.tum", turned, fmt="%.9f")
+    _, card = scored(capsys, truth, "--trajectory", truth / "noisy.tum", "--align", "se3")
+    pair = [PoseTrajectory3D(of[:, 1:4], of[:, [7, 4, 5, 6]], of[:, 0]) for of in (rows, turned)]
+    pair[1].align(pair[0])
+    ape = metrics.APE(metrics.PoseRelation.translation_part)
+    ape.process_data(pair)
+    assert card["scores"]["ate_m"] == pytest.approx(ape.get_statistic(metrics.StatisticsType.rmse), abs=1e-6)
+
+
+def test_distances_of_clouds_are_those_of_brute_force():
+    """Chamfer distance and shares equal those of all pairs of points."""
+    generator = np.random.default_rng(2)
+    found, true = generator.random((60, 3)), generator.random((90, 3))
+    apart = np.linalg.norm(found[:, None] - true, axis=-1)
+    scores = cloud_distances(found, true, (0.1,))
+    assert scores["chamfer_m"] == pytest.approx(apart.min(axis=1).mean() + apart.min(axis=0).mean())
+    assert scores["precision_10cm"] == pytest.approx((apart.min(axis=1) <= 0.1).mean())
+    assert scores["completeness_10cm"] == pytest.approx((apart.min(axis=0) <= 0.1).mean())
+
+
+def test_density_and_uniformity_of_known_clouds():
+    """A grid of 25 points per square metre has that density and is even; Poisson points have 1 / sqrt(N p); one heap is uneven."""
+    axis = np.arange(-12, 12, 0.2)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    assert density_per_m2(grid, np.zeros(2), 10.0) == pytest.approx(25, rel=0.01)
+    assert uniformity(grid, np.zeros(2), 10.0) < 0.05
+    generator = np.random.default_rng(3)
+    away, turn = 10 * np.sqrt(generator.random(20_000)), 2 * np.pi * generator.random(20_000)
+    scattered = away[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+    assert uniformity(scattered, np.zeros(2), 10.0) == pytest.approx(1 / math.sqrt(20_000 * 0.01), rel=0.15)
+    assert uniformity(grid * 0.01, np.zeros(2), 10.0) > 5
+    assert math.isnan(uniformity(grid + 100, np.zeros(2), 10.0))
+
+
+def test_stems_are_paired_for_the_most_pairs():
+    """The nearest found stem goes to another tree where that gives two pairs; precision, recall and errors follow."""
+    true = [stem("1", 0.0), stem("2", 0.6), stem("3", 9.0)]
+    found = [stem("a", 0.4, dbh_m=0.32), stem("b", 1.0, dbh_m=0.30), stem("c", 5.0)]
+    pairs = match_stems(found, true, 0.5)
+    assert sorted(pairs) == [(0, 0), (1, 1)]
+    scores = stem_scores(found, true, pairs)
+    assert (scores["stem_precision"], scores["stem_recall"]) == (2 / 3, 2 / 3)
+    assert scores["stem_position_m"] == pytest.approx(0.4)
+    assert (scores["dbh_bias_m"], scores["dbh_m"]) == pytest.approx((0.01, 0.02 / math.sqrt(2)))
+
+
+def test_labels_by_hand():
+    """Four points with one leaf taken for wood; unlabelled truth does not count."""
+    scores = leaf_wood_scores(np.array([1, 1, 2, 0, 1]), np.array([1, 2, 2, 2, 0]))
+    assert scores["leaf_wood_accuracy"] == 0.5
+    assert (scores["wood_iou"], scores["leaf_iou"]) == (1 / 2, 1 / 3)
+
+
+def test_panoptic_quality_by_hand():
+    """One of two trees is found with 3 of 4 points, the other is split in halves, which are no match."""
+    true = np.array([1, 1, 1, 1, 2, 2, 2, 2, 0])
+    found = np.array([7, 7, 7, 0, 8, 8, 9, 9, 0])
+    scores = instance_scores(found, true)
+    assert scores["sq"] == 0.75
+    assert scores["rq"] == pytest.approx(1 / (1 + 0.5 * 2 + 0.5 * 1))
+    assert scores["pq"] == pytest.approx(0.75 * 0.4)
+
+
+def test_average_precision_by_hand():
+    """Boxes hit, miss, hit of two: precision 1 to recall 1/2, then 2/3; with IoU 0.6 the second counts up to 0.6."""
+    true = np.array([[[0, 0, 0], [1, 1, 1]], [[5, 0, 0], [6, 1, 1]]], float)
+    found = np.array([[[0, 0, 0], [1, 1, 1]], [[9, 0, 0], [10, 1, 1]], [[5, 0, 0], [6, 1, 0.625]]], float)
+    scores = box_scores(found, np.array([30, 20, 10]), true)
+    assert scores["box_ap_50"] == pytest.approx((1 + 2 / 3) / 2)
+    assert scores["box_map"] == pytest.approx((3 * (1 + 2 / 3) / 2 + 7 * 0.5) / 10)
+
+
+def test_a_missed_threshold_is_exit_code_1(truth, capsys):
+    """Each threshold that is missed is named with its value; an unknown one is bad input."""
+    arguments = [
+        "score",
+        str(truth),
+        "--stems",
+        str(truth / "trees.csv"),
+        "--inventory",
+        str(truth / "trees.csv"),
+    ]
+    assert app.run([*arguments, "--require", "stem_recall>=1", "--require", "dbh_m<0.01"]) == 0
+    assert app.run([*arguments, "--require", "stem_recall>1"]) == 1
+    assert "missed: stem_recall is 1, required > 1" in capsys.readouterr().out
+    assert app.run([*arguments, "--require", "ate_m<1"]) == 2
+    assert "found ate_m; expected stem_precision" in capsys.readouterr().err
+    assert not limits_of(["ate_m<0.3"])[0].holds(math.nan)
+
+
+def test_own_numbers_of_trees_are_kept(truth, capsys):
+    """A stem list's own number goes through as it is, for a pair and for a false stem."""
+    (truth / "own.csv").write_text("Number,X,Y,dbh_cm\nA-07,4.1,3,31\nA-08,50,3,20\n")
+    _, card = scored(capsys, truth, "--stems", truth / "own.csv", "--inventory", truth / "trees.csv")
+    assert [(row["true_id"], row["found_number"]) for row in card["trees"]] == [
+        ("1", "A-07"),
+        ("2", ""),
+        ("3", ""),
+        ("", "A-08"),
+    ]
+    assert card["trees"][0]["dbh_error_m"] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "found nothing to score"),
+        (["--stems", "trees.csv"], "found no true trees"),
+        (["--points", "points.csv"], "found no true points"),
+        (["--trajectory", "trees.csv"], "expected"),
+        (["--trajectory", "late.tum"], "expected at least three within the truth"),
+        (["--map", "trajectory.tum"], "found suffix '.tum'"),
+        (["--map", "late.csv"], "x, y and z"),
+        (["--map", "none.ply"], "no such file"),
+        (["--trajectory", "trajectory.tum", "--align", "up"], "none, yaw, se3"),
+        (["--trajectory", "trajectory.tum", "--require", "ate_m=3"], "found ate_m=3"),
+    ],
+)
+def test_wrong_inputs_are_one_line(truth, capsys, monkeypatch, arguments, message):
+    """Each wrong input gives one line and exit code 2."""
+    monkeypatch.chdir(truth)
+    (truth / "late.csv").write_text("a,b\n1,2\n")
+    (truth / "late.tum").write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n3 0 0 0 0 0 0 1\n")
+    assert app.run(["score", str(truth), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("row", ["1,2,3,32", "1,,3,0.3", "1,x,3,0.3"])
+def test_a_wrong_stem_is_named(tmp_path, row):
+    """A DBH in centimetres, a missing place and a word instead of a number are named with their line."""
+    (tmp_path / "stems.csv").write_text(f"number,x,y,dbh\n{row}\n")
+    with pytest.raises(InputError, match="line 2: found"):
+        read_stems(tmp_path / "stems.csv")
+
+
+def test_clouds_of_other_tools_are_read(tmp_path):
+    """An ASCII PLY, and a LAZ with `treeID` and `leaf_wood` as laspy writes them, give their places and labels."""
+    laspy = pytest.importorskip("laspy")
+    xyz_m = np.random.default_rng(4).random((50, 3))
+    header = laspy.LasHeader(point_format=6)
+    header.scales = [1e-4] * 3
+    header.add_extra_dims([laspy.ExtraBytesParams("treeID", "u4"), laspy.ExtraBytesParams("leaf_wood", "u1")])
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = xyz_m.T
+    las["treeID"], las["leaf_wood"] = np.arange(50), np.full(50, 2)
+    las.write(tmp_path / "a.laz")
+    cloud = read_cloud(tmp_path / "a.laz")
+    np.testing.assert_allclose(cloud["xyz"], xyz_m, atol=6e-5)
+    assert cloud["instance"].tolist() == list(range(50))
+    axes = "".join(f"property double {axis}\n" for axis in "xyz")
+    (tmp_path / "a.ply").write_text(
+        f"ply\nformat ascii 1.0\nelement vertex 2\n{axes}property uchar leaf_wood\nend_header\n1 2 3 1\n4 5 6 2\n"
+    )
+    cloud = read_cloud(tmp_path / "a.ply")
+    assert (cloud["xyz"].tolist(), cloud["leaf_wood"].tolist()) == ([[1, 2, 3], [4, 5, 6]], [1, 2])
+
+
+@pytest.mark.parametrize("suffix", ["ply", "npz", "csv", "pcd", "las", "laz"])
+def test_clouds_of_ours_are_read(tmp_path, suffix):
+    """Each format that `points --truth` writes gives the places of the world to 0.1 mm, and the labels."""
+    pytest.importorskip("laspy")
+    emulator = Emulator("static_bench", {"sensor.max_range_m": 8.0})
+    clouds = []
+    for name in ("own.npz", f"a.{suffix}"):
+        write_points(emulator, tmp_path / name, duration_s=0.02, truth=True)
+        clouds.append(read_cloud(tmp_path / name))
+    own, other = clouds
+    np.testing.assert_allclose(other["xyz"], own["xyz"], atol=1e-4)
+    for name in ("semantic", "leaf_wood", "instance"):
+        assert (other[name] == own[name]).all()
+
+
+@pytest.mark.parametrize("suffix", ["pcd", "laz", "npz", "ply", "csv"])
+def test_a_damaged_cloud_is_one_line(tmp_path, suffix):
+    """A file of words is named as what it should be, in one line."""
+    pytest.importorskip("laspy")
+    file = tmp_path / f"a.{suffix}"
+    file.write_text("no points\n" * 300)
+    with pytest.raises(InputError, match=r"a\.") as caught:
+        read_cloud(file)
+    assert "\n" not in str(caught.value)

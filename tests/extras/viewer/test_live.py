@@ -1,0 +1,140 @@
+"""Streams that are looked on: nothing waits for the page, and nothing of the packets changes."""
+
+import multiprocessing
+import os
+import signal
+import socket
+import urllib.request
+from contextlib import suppress
+
+import pytest
+
+pytest.importorskip("viser", reason="the extra viewer is not installed")
+
+from vlp16emu import Emulator
+from vlp16emu.cli.app import run
+from vlp16emu.extras.viewer.live import Glimpse, WatchedSink, backdrop_of, watching
+from vlp16emu.packets import DATA_BYTES
+from vlp16emu.sinks import Channel, Pacer, PacketSink
+from vlp16emu.types import PacketKind
+
+
+class Listed(PacketSink):
+    """Keeps packets."""
+
+    def __init__(self):
+        self.packets = []
+
+    def send(self, packet):
+        """Keep one."""
+        self.packets.append(packet)
+
+
+@pytest.fixture(scope="module")
+def emulator():
+    return Emulator("static_bench", {"duration_s": 0.3})
+
+
+@pytest.fixture
+def ends():
+    both = Channel.pair()
+    yield both
+    for end in both:
+        end.close()
+
+
+def test_a_reader_that_hangs_costs_messages_and_no_time(ends):
+    """Once the way is full, messages are lost; those before come whole and in order, then the end."""
+    ours, theirs = ends
+    sent = [number for number in range(5_000) if ours.offer((number, bytes(1_000)))]
+    assert 10 < len(sent) < 1_000
+    ours.close()
+    assert [number for number, _ in until_the_end(theirs)] == sent
+
+
+def test_a_page_that_is_gone_takes_nothing(ends):
+    """To offer to a closed end is no error."""
+    ours, theirs = ends
+    theirs.close()
+    assert not ours.offer("anything")
+
+
+def until_the_end(channel):
+    """Take all messages."""
+    with suppress(EOFError):
+        while True:
+            yield channel.take()
+
+
+def test_packets_pass_as_they_are(emulator, ends):
+    """With somebody who looks on, the same packets come in the same order; glimpses hold data packets and their poses."""
+    ours, theirs = ends
+    plain = list(emulator.packets())
+    listed = Listed()
+    watched = WatchedSink(listed, Pacer(1.0), emulator, ours)
+    for packet in plain:
+        watched.send(packet)
+    assert [id(packet) for packet in listed.packets] == [id(packet) for packet in plain]
+    ours.close()
+    glimpses = list(until_the_end(theirs))
+    data = [packet for packet in plain if packet.kind is PacketKind.DATA]
+    seen = b"".join(glimpse.payloads for glimpse in glimpses)
+    assert len(seen) > 100 * DATA_BYTES
+    assert b"".join(packet.payload for packet in data).startswith(seen)
+    for glimpse in glimpses:
+        assert isinstance(glimpse, Glimpse)
+        assert len(glimpse.world_T_sensor) == len(glimpse.since_ns) == len(glimpse.payloads) // DATA_BYTES
+    assert glimpses[0].since_ns[0] == 0
+
+
+def test_the_page_is_served_and_ends_with_the_stream(emulator, ends):
+    """It answers while the context is open, nothing waits when its process is killed, and no process is left."""
+    with watching(emulator, backdrop_of(emulator, 0.3)) as watch:
+        with urllib.request.urlopen(watch.url) as answer:
+            assert answer.status == 200
+        page = next(one for one in multiprocessing.active_children() if one.name == "page")
+        page.kill()
+        page.join()
+        listed, packets = Listed(), list(emulator.packets())
+        sink = watch.sink(listed, Pacer(1.0))
+        for packet in packets:
+            sink.send(packet)
+        assert len(listed.packets) == len(packets) > 200
+    assert "page" not in [one.name for one in multiprocessing.active_children()]
+
+
+def test_a_page_that_is_stopped_costs_no_packet():
+    """While the process of the page is stopped (SIGSTOP), every packet of a stream leaves, and the stream ends."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as data,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        for one in (data, other):
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+            one.bind(("127.0.0.1", 0))
+        ports = {"data_port": data.getsockname()[1], "position_port": other.getsockname()[1]}
+        emulator = Emulator(
+            "static_bench", {"duration_s": 0.6} | {f"sensor.{key}": port for key, port in ports.items()}
+        )
+        with watching(emulator, backdrop_of(emulator, 0.6)) as watch:
+            page = next(one for one in multiprocessing.active_children() if one.name == "page")
+            os.kill(page.pid, signal.SIGSTOP)
+            streamed = emulator.stream(watched=watch.sink)
+        assert not page.is_alive()
+    assert streamed.packets == sum(packet.kind is PacketKind.DATA for packet in emulator.packets())
+    assert not streamed.interrupted
+
+
+def test_without_the_extra_one_line_names_it(capsys, monkeypatch):
+    """Where viser is missing, `--view` ends with exit code 2 and the extra to install."""
+    monkeypatch.setattr("vlp16emu.cli.live.find_spec", lambda _: None)
+    assert run(["stream", "static_bench", "--view", "--duration", "0.1"]) == 2
+    assert "viewer" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("more", [[], ["--view"]])
+def test_a_live_scene_wants_poses(capsys, more):
+    """Without them a stream is refused in one line, with the page as without it."""
+    words = ["stream", "static_bench", "--set", 'motion={kind="live"}', "--duration", "1"]
+    assert run([*words, *more]) == 2
+    assert '--pose-in: found motion.kind = "live" without it' in capsys.readouterr().err

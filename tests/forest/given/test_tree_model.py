@@ -1,0 +1,395 @@
+"""Trees of the user's own in the place of grown ones."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.tiles import EXACT
+from vlp16emu.forest.given.section import Cutter
+from vlp16emu.forest.given.tree_model import TreeModels
+from vlp16emu.forest.plants.crown import CrownKey
+from vlp16emu.forest.plants.flora import flora, species_table
+from vlp16emu.forest.stand.forest import ForestWorld
+from vlp16emu.forest.stand.models import ModelKey
+from vlp16emu.forest.stand.stand import TREE
+from vlp16emu.scenario import load
+from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.world import Woods
+from vlp16emu.world.mesh_settings import ModelPart, TreeModelFile
+from vlp16emu.world.polyline import Corridor
+
+BIRCH = species_table()["silver_birch"]
+PARTS = [ModelPart(name="crown", part="leaf"), ModelPart(name="bough", part="branch_first_order")]
+FOOT_M = [5.0, -3.0]
+
+
+def prism(points_m, radii_m, sides=24):
+    """A tube through points (k, 3) with level sections, closed at both ends."""
+    angle = 2 * np.pi * np.arange(sides) / sides
+    ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
+    rings = [np.array(at) + radius * ring for at, radius in zip(points_m, radii_m, strict=True)]
+    ends = [np.array(points_m[0]), np.array(points_m[-1])]
+    vertices = np.concatenate([*rings, ends])
+    own, after, last = np.arange(sides), np.roll(np.arange(sides), -1), len(vertices) - 1
+    faces = [np.column_stack([np.full(sides, last - 1), after, own])]
+    for k in range(len(rings) - 1):
+        low, high = k * sides, (k + 1) * sides
+        faces += [np.column_stack([low + own, low + after, high + after])]
+        faces += [np.column_stack([low + own, high + after, high + own])]
+    top = (len(rings) - 1) * sides
+    faces += [np.column_stack([np.full(sides, last), top + own, top + after])]
+    return vertices, np.concatenate(faces)
+
+
+def write_obj(path, parts, factor=1.0):
+    """Write objects by name, in the given order."""
+    lines, first = [], 1
+    for name, (vertices, faces) in parts.items():
+        lines.append(f"o {name}")
+        lines += [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in factor * vertices]
+        lines += [f"f {a} {b} {c}" for a, b, c in (faces + first).tolist()]
+        first += len(vertices)
+    path.write_text("\n".join(lines), encoding="ascii")
+    return path
+
+
+def tree_parts(scale=1.0):
+    """A leaning stem 12 m tall that reaches into the ground, a bough, and a crown of triangles; its foot is at `FOOT_M`."""
+    x, y = FOOT_M
+    stem = prism(
+        [[x - 0.02, y, -0.2], [x, y, 0.0], [x + 0.3, y + 0.1, 3.0], [x + 0.5, y, 12.0]],
+        scale * np.array([0.25, 0.2, 0.15, 0.02]),
+    )
+    bough = prism([[x + 0.4, y, 6.0], [x + 2.0, y, 7.0]], [0.05, 0.02], sides=6)
+    rng = np.random.default_rng(4)
+    middle = np.array([x + 0.5, y, 9.0]) + rng.uniform(-1, 1, (3000, 3)) * [2.0, 1.5, 2.9]
+    corners = middle[:, None] + rng.uniform(-0.06, 0.06, (3000, 3, 3))
+    crown = corners.reshape(-1, 3), np.arange(9000).reshape(-1, 3)
+    return {"crown": crown, "bough": bough, "trunk": stem}
+
+
+def section_of(path, unit="m", up="z", species="silver_birch", parts=PARTS):
+    return TreeModelFile(file=str(path), unit=unit, up=up, species=species, parts=parts)
+
+
+def some_trees(n=12):
+    """Birches of many sizes, some leaning."""
+    rng = np.random.default_rng(2)
+    trees = np.zeros(n, TREE)
+    trees["id"], trees["species"] = 100 + np.arange(n), BIRCH.number
+    trees["x_m"], trees["y_m"], trees["z_m"] = 10.0 * np.arange(n), 3.0, 7.0
+    trees["height_m"], trees["dbh_m"] = rng.uniform(6, 25, n), rng.uniform(0.08, 0.5, n)
+    trees["crown_azimuth_deg"] = rng.uniform(0, 360, n)
+    trees["lean_deg"], trees["lean_towards_deg"] = np.where(np.arange(n) % 2, 4.0, 0.0), 40.0
+    trees["bark_reflectance"], trees["leaf_reflectance"] = 0.55, 0.45
+    return trees
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return write_obj(tmp_path_factory.mktemp("trees") / "birch.obj", tree_parts())
+
+
+@pytest.fixture(scope="module")
+def models(path):
+    return TreeModels([section_of(path)], flora())
+
+
+def solids(models, trees):
+    """All meshes of each tree, placed, by part."""
+    for placed in models.placed(trees, is_exact=False):
+        meshes = models.shape(placed.keys[0])
+        for tree, transform in zip(placed.trees, placed.world_T_shape, strict=True):
+            by_part = {}
+            for part, mesh in zip(placed.surfaces["part"][0], meshes, strict=True):
+                at_m = mesh.vertices_m @ transform[:, :3].T + transform[:, 3]
+                by_part.setdefault(int(part), []).append(trimesh.Trimesh(at_m, mesh.faces, process=False))
+            yield tree, transform, {part: trimesh.util.concatenate(own) for part, own in by_part.items()}
+
+
+def test_a_trees_dbh_is_that_of_its_mesh(models):
+    """The section of the placed stem across its axis, where trimesh cuts it, has the tree's DBH within 0.1 mm."""
+    for tree, transform, meshes in solids(models, some_trees()):
+        axis = transform[:, 2] / np.linalg.norm(transform[:, 2])
+        at_m = transform[:, 3] + axis * 1.3 / axis[2]
+        lines = trimesh.intersections.mesh_plane(meshes[PlantPart.STEM], axis, at_m)
+        lines -= lines.mean(axis=(0, 1))
+        across = np.linalg.svd(axis[None])[2][1:]
+        a, b = lines[:, 0] @ across.T, lines[:, 1] @ across.T
+        order = np.sign(
+            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        )  # seen from inside the section each runs one way
+        area_m2 = abs((order * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])).sum()) / 2
+        assert 2 * np.sqrt(area_m2 / np.pi) == pytest.approx(tree["dbh_m"], abs=1e-4)
+
+
+def test_rows_of_the_inventory_are_those_of_the_meshes(models):
+    """Height, box, crown, volumes and leaf area are what numpy and trimesh find on the placed meshes."""
+    trees = some_trees()
+    rows = {row["id"]: row for row in models.inventory(trees)}
+    for tree, _, meshes in solids(models, trees):
+        row = rows[tree["id"]]
+        corners_m = np.concatenate([mesh.vertices for mesh in meshes.values()])
+        assert (row["dbh_m"], row["height_m"]) == (tree["dbh_m"], tree["height_m"])
+        assert row["top_m"] == pytest.approx(corners_m[:, 2].max() - 7.0, abs=1e-4)
+        for axis, name in enumerate("xy"):
+            box_m = row[f"{name}_min_m"], row[f"{name}_max_m"]
+            assert box_m == pytest.approx((corners_m[:, axis].min(), corners_m[:, axis].max()), abs=1e-4)
+        leaves = meshes[PlantPart.LEAF]
+        assert row["crown_base_m"] == pytest.approx(leaves.vertices[:, 2].min() - 7.0, abs=1e-4)
+        assert row["leaf_m2"] == pytest.approx(leaves.area, rel=1e-5)
+        stem, bough = meshes[PlantPart.STEM], meshes[PlantPart.BRANCH_FIRST_ORDER]
+        stem.merge_vertices()
+        assert stem.is_watertight
+        assert row["stem_m3"] == pytest.approx(stem.volume, rel=1e-4)
+        assert row["wood_m3"] - row["stem_m3"] == pytest.approx(bough.volume, rel=1e-3)
+        assert np.hypot(row["x_breast_m"] - tree["x_m"], row["y_breast_m"] - tree["y_m"]) > 0.01
+
+
+def test_an_upright_tree_is_as_tall_as_its_record(models):
+    """The highest point of a tree without lean is at the record's height over its foot."""
+    trees = some_trees()
+    rows = models.inventory(trees[trees["lean_deg"] == 0])
+    np.testing.assert_allclose(rows["top_m"], rows["height_m"], atol=1e-4)
+
+
+def test_circles_run_through_the_middle_of_the_stem(models):
+    """Every vertex of a stem above ground lies within 2 cm of the circle at its height, in the size of a tree of 12 m."""
+    trees = some_trees(1)
+    trees["height_m"], trees["lean_deg"] = 12.0, 0.0
+    circles = models.circles(trees)
+    ((_, _, meshes),) = solids(models, trees)
+    corners_m = meshes[PlantPart.STEM].vertices
+    corners_m = corners_m[(corners_m[:, 2] > 6.99)]
+    x, y, r = (np.interp(corners_m[:, 2], circles["z_m"], circles[n]) for n in ("x_m", "y_m", "radius_m"))
+    away_m = np.hypot(corners_m[:, 0] - x, corners_m[:, 1] - y)
+    rim = away_m > 1e-3  # without the middle of the ends
+    assert rim.sum() == 72
+    np.testing.assert_allclose(away_m[rim], r[rim], atol=0.02)
+    assert (circles["tree"] == 100).all()
+
+
+def test_a_bough_within_the_stems_part_is_no_bole(tmp_path):
+    """What bears away from the stem in the stem's own part is labelled as it, but stays a medium from afar."""
+    parts = tree_parts()
+    (bole, faces), (bough, more) = parts["trunk"], parts["bough"]
+    together = np.concatenate([bole, bough]), np.concatenate([faces, more + len(bole)])
+    file = write_obj(tmp_path / "oak.obj", {"crown": parts["crown"], "wood": together})
+    models = TreeModels([section_of(file, parts=PARTS[:1])], flora())
+    (placed,) = models.placed(some_trees(1), is_exact=False)
+    assert placed.surfaces["part"].tolist() == [[PlantPart.LEAF, PlantPart.STEM, PlantPart.STEM]]
+    assert models.far_parts(placed.keys[0]) == (PlantPart.LEAF, EXACT, PlantPart.STEM)
+    _, exact, rest = models.shape(placed.keys[0])
+    assert len(rest.faces) == pytest.approx(len(more), abs=8)  # one end is within the stem
+    assert len(exact.faces) + len(rest.faces) == len(faces) + len(more)
+
+
+def test_units_and_axes_are_those_of_the_section(path, tmp_path):
+    """The same tree in centimetres with y up is the same mesh within what its numbers are rounded by."""
+    turned = {n: (v[:, [0, 2, 1]] * [1, 1, -1], f) for n, (v, f) in tree_parts().items()}
+    other = write_obj(tmp_path / "turned.obj", turned, factor=100.0)
+    one, two = (TreeModels([own], flora()) for own in (section_of(path), section_of(other, "cm", "y")))
+    trees = some_trees(1)
+    for a, b in zip(*(m.shape(m.placed(trees, is_exact=False)[0].keys[0]) for m in (one, two)), strict=True):
+        np.testing.assert_allclose(a.vertices_m, b.vertices_m, atol=1e-5)
+        np.testing.assert_array_equal(a.faces, b.faces)
+
+
+def test_each_tree_has_the_model_that_it_stretches_least(path, tmp_path):
+    """Of a slim and a stout model, slim trees are the slim one and stout trees the stout one; alike ones are shared out."""
+    stout = write_obj(tmp_path / "stout.obj", tree_parts(scale=3.0))
+    trees = some_trees(60)
+    trees["height_m"], trees["dbh_m"] = 12.0, np.where(np.arange(60) < 30, 0.35, 1.05)
+    models = TreeModels([section_of(path), section_of(stout)], flora())
+    found = {placed.keys[0].number: placed.trees["id"] for placed in models.placed(trees, is_exact=False)}
+    np.testing.assert_array_equal(found[0], trees["id"][:30])
+    np.testing.assert_array_equal(found[1], trees["id"][30:])
+    alike = TreeModels([section_of(path), section_of(path)], flora())
+    shares = [len(placed.trees) for placed in alike.placed(trees, is_exact=False)]
+    assert sum(shares) == 60
+    assert min(shares) > 15
+
+
+def test_broadleaves_bear_no_leaves_in_winter(path):
+    """With `leaf_off` a birch's part of leaves is empty and no area counts; a spruce keeps its needles."""
+    trees = some_trees(1)
+    winter = TreeModels([section_of(path)], flora(), "leaf_off")
+    assert winter.inventory(trees)["leaf_m2"] == 0.0
+    trees["species"] = species_table()["norway_spruce"].number
+    spruce = TreeModels([section_of(path, species="Picea abies")], flora(), "leaf_off")
+    assert spruce.inventory(trees)["leaf_m2"] > 1.0
+
+
+def renamed(parts):
+    return {"trunk": parts["crown"]}
+
+
+@pytest.mark.parametrize(
+    ("parts", "change", "message"),
+    [
+        (tree_parts(), {"species": "silver brich"}, "silver_birch, the nearest"),
+        (tree_parts(), {"parts": [ModelPart(name="leafs", part="leaf")]}, "found 'leafs'"),
+        (renamed(tree_parts()), {"parts": [ModelPart(name="trunk", part="leaf")]}, "no stem"),
+        (renamed(tree_parts()), {"parts": []}, "no closed section of the stem at"),
+    ],
+)
+def test_a_model_that_cannot_be_is_refused(parts, change, message, tmp_path):
+    """An unknown species or part, a tree without stem and a stem without closed sections are named with what is expected."""
+    file = write_obj(tmp_path / "tree.obj", parts)
+    with pytest.raises(GeometryError, match=message):
+        TreeModels([section_of(file, **change)], flora())
+
+
+def test_a_tree_too_short_for_its_model_is_refused(models):
+    """Where breast height comes to lie above the model's stem, the file and the height in it are named."""
+    trees = some_trees(1)
+    trees["height_m"] = 1.29
+    with pytest.raises(GeometryError, match=r"birch\.obj.*no closed section of the stem at 12\.09 m"):
+        models.placed(trees, is_exact=False)
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_sections_do_not_depend_on_which_way_faces_look(turn):
+    """A tube of 24 sides has the area and girth of its polygon, its faces looking in or out; the largest outline counts."""
+    tubes = [prism([[0, 0, 0], [0, 0, 2]], [r, r]) for r in (0.3, 0.1)]
+    cutter = Cutter(
+        [vertices for vertices, _ in tubes], [faces[:, ::turn].astype(np.uint32) for _, faces in tubes]
+    )
+    outline = cutter.cut(1.0)
+    assert outline.diameter_m == pytest.approx(2 * 0.3 * np.sqrt(12 / np.pi * np.sin(np.pi / 12)), rel=1e-9)
+    assert outline.tape_m == pytest.approx(48 * 0.3 * np.sin(np.pi / 24) / np.pi, rel=1e-9)
+    assert cutter.cut(2.5) is None
+
+
+class Rows:
+    """Trees of two species in rows of ten metres."""
+
+    species = ("silver_birch",)
+    per_ha = 100.0
+
+    def __init__(self, height_m):
+        self._height_m = height_m
+
+    def trees(self, ix, iy):
+        """Four of a tile, a spruce among birches."""
+        trees = some_trees(4)
+        trees["x_m"], trees["y_m"] = (
+            20.0 * ix + np.array([5.0, 15.0, 5.0, 15.0]),
+            20.0 * iy + np.array([5.0, 5, 15, 15]),
+        )
+        trees["z_m"] = self._height_m(trees["x_m"], trees["y_m"])
+        trees["species"][3] = species_table()["norway_spruce"].number
+        trees["crown_base_m"], trees["crown_width_m"] = trees["height_m"] / 2, 3.0
+        return trees
+
+    def crown(self, *_):
+        """One for all."""
+        return CrownKey("norway_spruce", 1, 0.3, 20.0, 10.0, 3.0, 40.0)
+
+
+@pytest.fixture(scope="module")
+def forest(models, terrain):
+    line = np.array([[0.0, 0.0], [60.0, 0.0]])
+    rows = Rows(terrain.height_m)
+    return ForestWorld(
+        Woods(), rows, seed=1, height_m=terrain.height_m, path=Corridor(line, 0.8), reach_m=30.0, models=models
+    )  # fmt: skip
+
+
+def test_labels_are_those_of_the_trees(forest):
+    """In a window every birch is one placement of the model with its number, class, species and parts; spruces are grown."""
+    track_m = np.array([[20.0, 0.0, 1.5], [24.0, 0.0, 1.5]])
+    window, trees = forest.window(track_m), forest.trees(track_m)
+    birches = trees[trees["species"] == BIRCH.number]
+    own = [i for i, which in enumerate(window.shape) if isinstance(window.shapes[which], ModelKey)]
+    rows = window.surfaces[window.first_surface[own][:, None] + np.arange(4)]
+    assert sorted(rows["instance"][:, 0].tolist()) == sorted(birches["id"].tolist())
+    assert (rows["instance"] == rows["instance"][:, :1]).all()
+    assert (rows["semantic"] == Semantic.TREE).all()
+    assert (rows["species"] == BIRCH.number).all()
+    expected = [PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF, PlantPart.STEM, PlantPart.STEM]
+    assert (rows["part"] == expected).all()
+    others = np.setdiff1d(window.surfaces["instance"], rows["instance"])
+    grown = trees["id"][trees["species"] != BIRCH.number]
+    np.testing.assert_array_equal(others[others > 0], np.sort(grown))
+
+
+def test_from_afar_every_tree_has_a_stem(forest):
+    """A tile from afar has a stem for each tree, spruce or birch, whose rows are those of the tree."""
+    far, tile = forest.far_tile(1, 0), forest.window(np.array([[30.0, 10.0, 1.5]]))
+    begin = next(row for ix, iy, row in tile.tiles if (ix, iy) == (1, 0))
+    rows = tile.surfaces[begin + far.stems["row"][:, 1]]
+    assert sorted(rows["species"].tolist()) == sorted(
+        [BIRCH.number] * 3 + [species_table()["norway_spruce"].number]
+    )
+    assert len(set(rows["instance"].tolist())) == 4
+    assert (rows["part"] == PlantPart.STEM).all()
+    breast_m = [np.interp(1.3, stem["along_m"], stem["radius_m"]) for stem in far.stems]
+    trees = {tree["id"]: tree["dbh_m"] / 2 for tree in forest.trees(np.array([[30.0, 10.0]]))}
+    expected = [trees[number] for number in rows["instance"].tolist()]
+    np.testing.assert_allclose(breast_m, expected, rtol=0.1)
+
+
+SCENE = """\
+schema = 1
+title = "Measured birches with the looks of one"
+seed = 8
+
+[motion]
+kind = "static"
+
+[world]
+kind = "plot"
+stem_list = "stems.csv"
+
+[[world.tree_models]]
+species = "silver birch"
+file = "birch.obj"
+unit = "m"
+up = "z"
+parts = [{ name = "crown", part = "leaf" }, { name = "bough", part = "branch_first_order" }]
+"""
+
+
+@pytest.fixture(scope="module")
+def scene(path):
+    """Birches and spruces all around, from 4 m to 40 m away."""
+    away_m, towards = np.linspace(4.0, 40.0, 60), 2.4 * np.arange(60)
+    rows = [
+        f"{r * np.cos(a):.3f},{r * np.sin(a):.3f},{'norway_spruce' if i % 3 else 'silver_birch'},{18 + i % 7},{14 + i % 5}"
+        for i, (r, a) in enumerate(zip(away_m, towards, strict=True))
+    ]
+    text = "\n".join(["x,y,species,dbh_cm,height_m", *rows])
+    path.with_name("stems.csv").write_text(text, encoding="utf-8")
+    path.with_name("plot.toml").write_text(SCENE, encoding="utf-8")
+    return str(path.with_name("plot.toml"))
+
+
+def test_returns_name_the_trees_of_the_user(scene):
+    """Points on stem, bough and crown have the species and numbers of trees of the list, near ones and those beyond 15 m."""
+    survey_rows = Emulator(load(scene)).returns(0.0, 0.2, truth=True)
+    met, away_m = [], []
+    for returns in survey_rows:
+        there = returns.distance_m[..., 0] > 0
+        met.append(returns.surfaces[returns.surface[..., 0][there]])
+        away_m.append(returns.distance_m[..., 0][there])
+    rows, away_m = np.concatenate(met), np.concatenate(away_m)
+    birch = rows["species"] == BIRCH.number
+    near, far = birch & (away_m < 14), birch & (away_m > 17)
+    assert set(rows["part"][near].tolist()) == {PlantPart.STEM}  # crowns are above the highest beam
+    assert set(rows["part"][far].tolist()) == {PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF}
+    assert len(set(rows["instance"][near].tolist())) >= 2
+    assert len(set(rows["instance"][far].tolist())) >= 3
+    assert (rows["semantic"][birch] == Semantic.TREE).all()
+
+
+@pytest.mark.parametrize("wind", [[], ["world.season=leaf_off", "wind.speed_m_s=6.0"]])
+def test_threads_do_not_change_a_byte_of_a_run_with_models(scene, wind):
+    """One thread or two, in still air and in wind: the same packets."""
+    one, two = (
+        [packet.payload for packet in Emulator(load(scene, wind), threads=threads).packets(0.0, 0.1)]
+        for threads in (1, 2)
+    )
+    assert one == two

@@ -1,0 +1,259 @@
+"""Meshes that the user brings."""
+
+import io
+import json
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.world.user_mesh import load_mesh
+
+CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+TETRAHEDRON = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+PLY = """\
+ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+3 0 1 2
+"""
+
+
+def write(tmp_path, content, name="thing.obj"):
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def load(tmp_path, content, name="thing.obj", unit="m", up="z"):
+    return load_mesh(write(tmp_path, content, name), unit=unit, up=up)
+
+
+def triangles(mesh):
+    """All triangles in the file's frame, (f, 3, 3), in an order that depends on nothing but them."""
+    corners = np.concatenate([part.mesh.vertices_m[part.mesh.faces] for part in mesh.parts]) + mesh.centre_m
+    return corners[np.lexsort(np.round(corners.reshape(-1, 9), 5).T)]
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "glb", "stl"])
+def test_every_kind_of_file_gives_the_same_solid(tmp_path, kind):
+    """A box of 2 x 3 x 4 m off the origin keeps volume, place and twelve faces in every format, without a finding."""
+    box = trimesh.creation.box((2, 3, 4), trimesh.transformations.translation_matrix([5, 6, 7]))
+    mesh = load(tmp_path, box.export(file_type=kind), f"box.{kind}")
+    (part,) = mesh.parts
+    solid = trimesh.Trimesh(part.mesh.vertices_m, part.mesh.faces)
+    assert solid.volume == pytest.approx(24)
+    assert len(part.mesh.faces) == 12
+    assert mesh.centre_m == pytest.approx([5, 6, 7])
+    assert mesh.radius_m == pytest.approx(np.sqrt(29) / 2)
+    assert mesh.findings == ()
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"), [("m", 1), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("ft", 0.3048)]
+)
+def test_units_become_metres(tmp_path, unit, metres):
+    """A length of 5 in the file's unit is that many metres."""
+    mesh = load(tmp_path, CORNERS.replace("1", "5") + TETRAHEDRON, unit=unit)
+    assert triangles(mesh).max(axis=(0, 1)) == pytest.approx([5 * metres] * 3)
+
+
+def test_y_up_is_turned_upright_and_not_mirrored(tmp_path):
+    """With y up, what pointed along y points up and what pointed along z points to -y; the solid stays right side out."""
+    text = "v 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\n" + TETRAHEDRON
+    upright = triangles(load(tmp_path, text, up="y"))
+    assert upright.min(axis=(0, 1)) == pytest.approx([0, -3, 0])
+    assert upright.max(axis=(0, 1)) == pytest.approx([1, 0, 2])
+    assert np.linalg.det(upright).sum() / 6 == pytest.approx(1.0)
+
+
+def test_far_from_the_origin_nothing_is_lost(tmp_path):
+    """A mesh at map coordinates keeps its shape to a micrometre, for it is held about its own centre."""
+    text = "v 500000 5700000 200\nv 500000.125 5700000 200\nv 500000 5700000.125 200\nf 1 2 3\n"
+    mesh = load(tmp_path, text)
+    extent = np.ptp(mesh.parts[0].mesh.vertices_m, axis=0)
+    assert extent == pytest.approx([0.125, 0.125, 0], abs=1e-6)
+    assert mesh.centre_m == pytest.approx([500000.0625, 5700000.0625, 200])
+
+
+def test_objects_and_groups_are_parts(tmp_path):
+    """Each object and group of an OBJ file is a part by its name, in alphabetical order."""
+    text = CORNERS + "o b\nf 1 2 3\no a\ng two\nf 1 2 4\ng one\nf 1 3 4\nf 2 3 4\n"
+    parts = load(tmp_path, text).parts
+    assert [(part.name, len(part.mesh.faces)) for part in parts] == [("a_one", 2), ("a_two", 1), ("b", 1)]
+
+
+def test_nodes_of_a_scene_stand_where_their_transforms_put_them(tmp_path):
+    """A GLB scene gives one part for each node, with its transform applied, also where nodes share a geometry."""
+    scene = trimesh.Scene()
+    box = trimesh.creation.box()
+    scene.add_geometry(box, geom_name="crate", node_name="low")
+    turned = trimesh.transformations.rotation_matrix(np.pi / 4, [0, 0, 1], [0, 0, 0])
+    turned[:3, 3] = [10, 0, 5]
+    scene.graph.update(frame_to="high", frame_from=scene.graph.base_frame, matrix=turned, geometry="crate")
+    mesh = load(tmp_path, scene.export(file_type="glb"), "crates.glb")
+    assert [part.name for part in mesh.parts] == ["high", "low"]
+    high, low = (part.mesh.vertices_m + mesh.centre_m for part in mesh.parts)
+    assert np.abs(low).max() == pytest.approx(0.5)
+    assert high.mean(axis=0) == pytest.approx([10, 0, 5])
+    assert np.ptp(high[:, 0]) == pytest.approx(np.sqrt(2))
+
+
+def test_a_mesh_is_the_same_bytes_every_time(tmp_path):
+    """Reading a file twice gives the same arrays."""
+    path = write(tmp_path, CORNERS + "o b\nf 1 2 3\no a\nf 1 2 4\nf 1 3 4\n")
+    one, other = (load_mesh(path, unit="m", up="z") for _ in range(2))
+    for a, b in zip(one.parts, other.parts, strict=True):
+        assert a.name == b.name
+        assert a.mesh.vertices_m.tobytes() == b.mesh.vertices_m.tobytes()
+        assert a.mesh.faces.tobytes() == b.mesh.faces.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("faces", "finding"),
+    [
+        ("f 1 1 2\n" + TETRAHEDRON, "thing: dropped 1 of 5 faces, which have no area"),
+        ("v 0.5 0 0\nf 1 5 2\n" + TETRAHEDRON, "thing: dropped 1 of 5 faces, which have no area"),
+        (TETRAHEDRON.replace("f 2 3 4\n", ""), "thing: is not closed: edges with one face only: 3"),
+        (TETRAHEDRON.replace("2 3 4", "2 4 3"), "thing: has faces side by side that look opposite ways"),
+        ("f 1 2 3\nf 1 4 2\nf 1 3 4\nf 2 4 3\n", "thing: is inside out: all its faces look inwards"),
+    ],
+)
+def test_what_can_be_scanned_all_the_same_is_taken_and_said(tmp_path, caplog, faces, finding):
+    """Faces without area are dropped, holes and inverted faces kept, and each is told once by file and part."""
+    mesh = load(tmp_path, CORNERS + faces)
+    assert mesh.findings == (f"{tmp_path / 'thing.obj'}: {finding}",)
+    assert [record.message for record in caplog.records] == list(mesh.findings)
+    assert len(mesh.parts[0].mesh.faces) == (3 if "closed" in finding else 4)
+
+
+def test_welding_sees_through_split_corners(tmp_path):
+    """An STL, which repeats each corner, is as closed as the solid it was made of, and a point cloud beside a mesh is left out aloud."""
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    assert load(tmp_path, ball.export(file_type="stl"), "ball.stl").findings == ()
+    scene = trimesh.Scene({"ball": ball, "dust": trimesh.PointCloud(np.eye(3))})
+    mesh = load(tmp_path, scene.export(file_type="glb"), "ball.glb")
+    assert mesh.findings == (f"{tmp_path / 'ball.glb'}: dust: left out, for it has no face",)
+
+
+def glb_with_nan():
+    box = trimesh.creation.box()
+    content = trimesh.Scene({"crate": box}).export(file_type="glb")
+    half = np.float32(0.5).tobytes()
+    place = content.rindex(half)
+    return content[:place] + np.float32(np.nan).tobytes() + content[place + 4 :]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.obj", CORNERS.replace("v 0 1 0", "v nan 1 0") + TETRAHEDRON, r"a.obj: a: found \[nan, 1.0, 0.0\] as vertex 2, counted from 0; expected finite"),
+        ("a.obj", CORNERS.replace("v 0 1 0", "v inf 1 0") + TETRAHEDRON, r"a.obj: a: found \[inf, 1.0, 0.0\] as vertex 2"),
+        ("a.obj", CORNERS + "f 1 2 3\nf 1 2 9\n", "a.obj: cannot be read: index 8 is out of bounds .* size 4; expected a mesh in OBJ"),
+        ("a.obj", CORNERS + "f 1 2 -9\n", "a.obj: cannot be read: index -9 is out of bounds"),
+        ("a.obj", CORNERS + "f 1 2 3\nf 0 1 2\n", "a.obj, line 6: found the face 'f 0 1 2'; expected three corners or more, counted from 1"),
+        ("a.obj", CORNERS + "f 1 2 3\nf 1 2\n", "a.obj, line 6: found the face 'f 1 2'; expected three corners"),
+        ("a.obj", CORNERS + "f 1 1 2\nf 3 3 3\n", "a.obj: a: none of its 2 faces has an area; expected a mesh of triangles"),
+        ("a.obj", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "a.obj: .*; expected"),
+        ("a.obj", CORNERS, "a.obj: no face; expected a whole file with a mesh of triangles"),
+        ("a.obj", "", "a.obj: no face; expected a whole file with a mesh of triangles"),
+        ("a.obj", "v a b c\nf 1 1 1", "a.obj: cannot be read: .*; expected a mesh in OBJ"),
+        ("a.ply", PLY.replace("3 0 1 2", "3 0 1 7"), "a.ply: a: corner 7 in face 0, counted from 0; expected a number from 0 to 2"),
+        ("a.ply", PLY.replace("3 0 1 2", "3 0 1 -1"), "a.ply: a: corner -1 in face 0"),
+        ("a.ply", PLY.replace("0 1 0", "nan 1 0"), r"a.ply: a: found \[nan, 1.0, 0.0\] as vertex 2"),
+        ("a.ply", "junk", "a.ply: cannot be read: Not a ply file!; expected a mesh in PLY"),
+        ("a.glb", b"junk", "a.glb: cannot be read: .*; expected a mesh in GLB"),
+        ("a.glb", glb_with_nan(), "a.glb: crate: found .*nan.*; expected finite coordinates"),
+        ("a.fbx", b"", "a.fbx: found the ending '.fbx'; expected one of .obj, .ply, .glb, .stl"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_scanned_is_refused(tmp_path, name, content, message):
+    """Coordinates that are not finite, corners that do not exist, and files without a face are named by file and element."""
+    with pytest.raises(GeometryError, match=message):
+        load(tmp_path, content, name)
+
+
+def glb_of_two_files():
+    """A GLB whose coordinates are in a file beside it."""
+    tree = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"uri": "ext.bin", "byteLength": 36}],
+    }
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    return b"glTF" + struct.pack("<3I", 2, 20 + len(text), len(text)) + b"JSON" + text
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"junk",
+        b"solid caf\xe9\nendsolid\n",
+        bytes(80) + struct.pack("<I", 10) + bytes(70),
+        b"solid " + bytes(74) + struct.pack("<I", 1) + bytes(51),
+    ],
+)
+def test_an_stl_that_is_not_whole_has_no_face(tmp_path, content):
+    """An STL cut short, or longer than its header says, is no mesh of fewer triangles."""
+    with pytest.raises(
+        GeometryError, match=r"a.stl: no face; expected a whole file with a mesh of triangles"
+    ):
+        load(tmp_path, content, "a.stl")
+
+
+def test_a_glb_without_its_data_is_refused(tmp_path):
+    """Coordinates in another file are not looked for."""
+    with pytest.raises(
+        GeometryError, match=r"a.glb: cannot be read: .*; expected .* with all its data inside"
+    ):
+        load(tmp_path, glb_of_two_files(), "a.glb")
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path):
+    """A missing file is named."""
+    with pytest.raises(GeometryError, match=r"a.obj: no such file or directory; expected a mesh in OBJ"):
+        load_mesh(tmp_path / "a.obj", unit="m", up="z")
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "message"),
+    [
+        (12_000, "m", r"measures 1.2e\+04 x 1.2e\+04 x 1.2e\+04 m with unit = 'm'; expected at most 500 m tall .* \(perhaps its unit is mm\)"),
+        (0.002, "mm", r"measures 2e-06 x 2e-06 x 2e-06 m with unit = 'mm'; expected .* at least 1 mm"),
+        (5, "mm", None),
+        (600, "ft", None),
+        (2000, "ft", r"measures 610 x 610 x 610 m with unit = 'ft'; .*\(perhaps its unit is cm or mm or in\)"),
+    ],
+)  # fmt: skip
+def test_a_size_that_tells_of_a_wrong_unit_is_refused(tmp_path, size, unit, message):
+    """Nothing is taller than 500 m or smaller than 1 mm: the message has file, size and unit, and which unit was perhaps meant."""
+    content = CORNERS.replace("1", str(size)) + TETRAHEDRON
+    if message is None:
+        load(tmp_path, content, unit=unit)
+        return
+    with pytest.raises(GeometryError, match=message):
+        load(tmp_path, content, unit=unit)
+
+
+def test_a_wide_mesh_is_no_tall_one(tmp_path):
+    """A kilometre of ground in metres is taken."""
+    grid = io.StringIO()
+    grid.write("v 0 0 0\nv 1000 0 0\nv 1000 1000 3\nf 1 2 3\n")
+    assert load(tmp_path, grid.getvalue()).radius_m == pytest.approx(707.1, abs=0.1)

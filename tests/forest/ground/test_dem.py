@@ -1,0 +1,263 @@
+"""Ground from a grid of heights."""
+
+import numpy as np
+import pytest
+from scipy import interpolate
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.forest.ground.dem import DemHeights
+from vlp16emu.forest.ground.grid import read_grid, write_ascii
+from vlp16emu.forest.ground.settings import Dem
+
+HEADER = "ncols 4\nnrows 3\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"
+ROWS = "1 2 3 4\n5 6 7 8\n9 10 11 12\n"
+NO_ORIGIN = (0.0, 0.0, 0.0)
+
+
+def write(tmp_path, text):
+    path = tmp_path / "ground.asc"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def read(path, cell_m=None, corner_m=None, origin_m=NO_ORIGIN):
+    return DemHeights(Dem(file=str(path), cell_m=cell_m, corner_m=corner_m), origin_m=origin_m)
+
+
+def dem_of(heights_m, tmp_path, cell_m=1.0, corner_m=(-0.5, -0.5), origin_m=NO_ORIGIN):
+    """A surface through heights whose first row is the northernmost; its south-western node is at (0, 0)."""
+    path = tmp_path / "ground.npy"
+    np.save(path, heights_m)
+    return read(path, cell_m, corner_m, origin_m)
+
+
+@pytest.fixture
+def bumpy(tmp_path):
+    """A surface of 30 x 40 random heights, and the heights with the southernmost row first."""
+    heights = np.random.default_rng(1).normal(size=(30, 40))
+    return dem_of(heights[::-1], tmp_path), heights
+
+
+def test_the_surface_goes_through_every_height_where_the_file_puts_it(tmp_path):
+    """Heights of an ESRI ASCII grid stand at the centres of their cells, first row northernmost."""
+    dem = read(write(tmp_path, HEADER + ROWS))
+    x, y = np.meshgrid([105.0, 115.0, 125.0, 135.0], [225.0, 215.0, 205.0])
+    assert dem.height_m(x, y) == pytest.approx(np.arange(1.0, 13.0).reshape(3, 4), abs=1e-12)
+
+
+def test_centre_and_corner_mean_the_same_place(tmp_path):
+    """A header that names the centre of the south-western cell gives the same ground as one that names its corner."""
+    corner = read(write(tmp_path, HEADER + ROWS))
+    text = HEADER.replace("xllcorner 100", "XLLCENTER 105").replace("yllcorner 200", "yllcenter 205") + ROWS
+    centre = read(write(tmp_path, text))
+    x, y = np.random.default_rng(2).uniform([[100], [200]], [[140], [230]], (2, 50))
+    assert np.array_equal(corner.height_m(x, y), centre.height_m(x, y))
+
+
+def test_an_array_gives_the_same_ground_as_a_file_of_the_same_heights(tmp_path):
+    """A .npy with cell size and corner is read like the ESRI ASCII grid of the same heights."""
+    one = read(write(tmp_path, HEADER + ROWS))
+    other = dem_of(np.arange(1, 13).reshape(3, 4), tmp_path, 10.0, (100.0, 200.0))
+    x, y = np.random.default_rng(3).uniform([[100], [200]], [[140], [230]], (2, 50))
+    assert np.array_equal(one.height_m(x, y), other.height_m(x, y))
+
+
+def test_the_surface_is_a_cubic_convolution(bumpy):
+    """The kernel agrees with cubic Hermite curves of central slopes, along x and then along y, to 1e-12."""
+    dem, heights = bumpy
+
+    def along(values, at):
+        """Cubic Hermite curve with the slope of the parabola's chord, straight on beyond the ends."""
+        padded = np.concatenate([[2 * values[0] - values[1]], values, [2 * values[-1] - values[-2]]])
+        slope = (padded[2:] - padded[:-2]) / 2
+        return interpolate.CubicHermiteSpline(np.arange(len(values)), values, slope)(at)
+
+    x, y = np.random.default_rng(4).uniform([[0], [0]], [[39], [29]], (2, 60))
+    twin = [along([along(row, a) for row in heights], b) for a, b in zip(x, y, strict=True)]
+    assert dem.height_m(x, y) == pytest.approx(np.array(twin), abs=1e-12)
+
+
+def test_slopes_are_continuous(bumpy):
+    """Across every line of nodes the gradient of the surface does not jump."""
+    dem, _ = bumpy
+    x, y = np.arange(1.0, 39), np.full(38, 7.3)
+    step = 1e-6
+    west = (dem.height_m(x, y) - dem.height_m(x - step, y)) / step
+    east = (dem.height_m(x + step, y) - dem.height_m(x, y)) / step
+    assert np.abs(west - east).max() < 1e-4
+    assert np.abs(west).max() > 0.1
+
+
+def test_planes_stay_planes(tmp_path):
+    """A tilted plane comes back as that plane everywhere between the outermost nodes."""
+    x, y = np.meshgrid(np.arange(9.0), np.arange(7.0))
+    dem = dem_of((0.3 * x - 0.2 * y + 5)[::-1], tmp_path)
+    at_x, at_y = np.random.default_rng(5).uniform([[0], [0]], [[8], [6]], (2, 200))
+    assert dem.height_m(at_x, at_y) == pytest.approx(0.3 * at_x - 0.2 * at_y + 5, abs=1e-12)
+
+
+def test_a_height_is_the_same_alone_and_in_any_array(bumpy):
+    """The height of a point does not depend on how many points are asked for."""
+    dem, _ = bumpy
+    x, y = np.random.default_rng(6).uniform(-5, 45, (2, 301))
+    together = dem.height_m(x, y)
+    assert np.array_equal(together[3::7], dem.height_m(x[3::7], y[3::7]))
+    assert np.array_equal(
+        together[1:].reshape(20, 15), dem.height_m(x[1:].reshape(20, 15), y[1:].reshape(20, 15))
+    )
+
+
+def test_the_origin_moves_the_map_into_the_scene(tmp_path):
+    """With an origin in map coordinates the ground is the same to a micrometre as at the map's own zero."""
+    heights = np.random.default_rng(7).normal(size=(20, 20))
+    here = dem_of(heights, tmp_path)
+    there = dem_of(heights + 212.0, tmp_path, 1.0, (499_999.5, 5_699_999.5), (500_000.0, 5_700_000.0, 212.0))
+    x, y = np.random.default_rng(8).uniform(0, 19, (2, 100))
+    assert here.height_m(x, y) == pytest.approx(there.height_m(x, y), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("path", "reach_m", "message"),
+    [
+        ([[15.0, 15.0], [30.0, 15.0]], 9.5, "ground.npy: ends in column 40 at x = 39.0 m, 9.0 m from the path at the nearest, and goes on level from there; the sensor sees 9.5 m"),
+        ([[3.0, 15.0]], 4.0, "ends in column 1 at x = 0.0 m, 3.0 m from"),
+        ([[20.0, 26.0]], 4.0, "ends in row 1 at y = 29.0 m, 3.0 m from"),
+        ([[20.0, 2.0]], 4.0, "ends in row 30 at y = 0.0 m, 2.0 m from"),
+    ],
+)  # fmt: skip
+def test_ground_goes_on_level_beyond_the_file(bumpy, caplog, path, reach_m, message):
+    """Where a grid ends within reach a warning names its last row or column, and heights stay those of its edge."""
+    dem, _ = bumpy
+    dem.check(np.array(path), reach_m)
+    assert message in caplog.text
+    west, east = (
+        dem.height_m(np.array(x), np.full(3, 12.0)) for x in ([0.0, -5.0, -80.0], [39.0, 44.0, 90.0])
+    )
+    assert np.ptp(west) == np.ptp(east) == 0.0
+
+
+def test_a_path_beyond_the_file_is_refused(bumpy):
+    """A walk needs ground of the file under it all along."""
+    message = r"ends in column 40 at x = 39.0 m, 11.0 m short of the path at \(50.0, 15.0\) m; expected ground under the whole path"
+    with pytest.raises(GeometryError, match=message):
+        bumpy[0].check(np.array([[20.0, 15.0], [50.0, 15.0]]), 4.0)
+
+
+def test_a_gap_within_reach_is_refused_and_one_beyond_is_not(tmp_path):
+    """A cell without height counts as far as its two cells of influence reach, and is named by row, column and place."""
+    heights = np.zeros((30, 40))
+    heights[4, 9] = np.nan  # fifth row from the north, at (9, 25)
+    dem = dem_of(heights, tmp_path, 1.0, (999.5, 1999.5), (1000.0, 2000.0, 0.0))
+    path = np.array([[9.0, 14.0], [30.0, 14.0]])
+    dem.check(path, 8.0)
+    message = r"row 5, column 10: no height at \(9.0, 25.0\) m \(E 1009.0, N 2025.0\), 11.0 m from the path; expected"
+    with pytest.raises(GeometryError, match=message):
+        dem.check(path, 8.5)
+
+
+def test_what_cannot_be_seen_goes_on_level(tmp_path):
+    """Outside the grid and in gaps the height stays finite: that of the nearest cell."""
+    heights = np.arange(12.0).reshape(3, 4)
+    heights[0, :2] = np.nan
+    dem = dem_of(heights, tmp_path)
+    x, y = np.array([0.0, -50.0, 3.0, 60.0]), np.array([2.0, 0.0, -9.0, 70.0])
+    assert dem.height_m(x, y) == pytest.approx([4.0, 8.0, 11.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEADER + "1 2 3 4\n5 6 7\n9 10 11 12\n", "line 8: found '5 6 7'; expected 4 heights"),
+        (HEADER + "1 2 3 4\n5 6 7 8\n", "line 8: found 2 rows of 4; expected nrows = 3, ncols = 4"),
+        (HEADER + ROWS + "1 2 3 4\n", "line 10: found 4 rows of 4; expected nrows = 3"),
+        (HEADER + ROWS.replace("7", "seven"), "line 8: found '5 6 seven 8'; expected 4 heights"),
+        (HEADER.replace("cellsize 10\n", "") + ROWS, "line 6: found '1 2 3 4'; expected cellsize and a number"),
+        (HEADER.replace("cellsize 10", "cellsize -1") + ROWS, "line 5: found 'cellsize -1'; expected cellsize and a number above 0"),
+        (HEADER.replace("corner 100", "corner nan") + ROWS, "line 3: found 'xllcorner nan'; expected xllcorner and a number"),
+        (HEADER.replace("ncols 4", "ncols 3.5") + ROWS, "line 9: found 3 rows of 4; expected nrows = 3, ncols = 3.5"),
+        (HEADER.replace("cellsize 10", "cellsize ten") + ROWS, "line 5: found 'cellsize ten'; expected cellsize and a number"),
+        (HEADER.replace("cellsize", "cell") + ROWS, "line 5: found 'cell 10'; expected cellsize and a number"),
+        (HEADER.replace("yllcorner 200\n", "") + ROWS, "line 6: found '1 2 3 4'; expected yllcorner or yllcenter and a number"),
+        ("ncols 4\n" + HEADER + ROWS, "line 2: found 'ncols 4'; expected nrows and a number"),
+        (HEADER + "-9999 -9999 -9999 -9999\n" * 3, "no cell has a height"),
+        (HEADER.replace("nrows 3", "nrows 1") + "1 2 3 4\n", "found 1 rows of 4; expected at least 2 rows of 2"),
+        (HEADER.replace("ncols 4", "ncols 1000000000") + ROWS, r"line 9: found 3 rows of 4; expected nrows = 3, ncols = 1e\+09"),
+        (HEADER, "line 6: found 'NODATA_value -9999'; expected 4 heights"),
+        ("", "line 0: no header; expected ncols and a number"),
+    ],
+)  # fmt: skip
+def test_a_bad_ascii_grid_is_refused_in_one_line(tmp_path, text, message):
+    """What is wrong with a grid is reported with the file, the line, what was found and what was expected."""
+    with pytest.raises(GeometryError, match=f"ground.asc[:,] {message}"):
+        read(write(tmp_path, text))
+
+
+@pytest.mark.parametrize("none", ["-9999", "nan", "inf"])
+def test_a_cell_that_is_no_height_is_a_gap(tmp_path, none):
+    """A cell with the grid's NODATA_value, or that is not finite, has no height."""
+    dem = read(write(tmp_path, HEADER + ROWS.replace("1 2", f"{none} 2", 1)))
+    with pytest.raises(GeometryError, match="row 1, column 1: no height"):
+        dem.check(np.array([[120.0, 215.0]]), 5.0)
+
+
+@pytest.mark.parametrize(
+    ("heights", "message"),
+    [
+        (np.zeros(5), r"found \(5,\) float64; expected numbers in rows and columns"),
+        (np.zeros((3, 3), "U2"), r"found \(3, 3\) <U2"),
+    ],
+)
+def test_a_bad_array_is_refused(tmp_path, heights, message):
+    """An array that is no grid of heights is named with what it is."""
+    with pytest.raises(GeometryError, match=message):
+        dem_of(heights, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "cell_m", "message"),
+    [
+        ("ground.npy", b"junk", 1.0, "ground.npy: no .npy file"),
+        ("ground.npy", b"", 1.0, "ground.npy: no .npy file"),
+        (
+            "ground.npy",
+            b"PK\3\4" + bytes(40),
+            1.0,
+            "ground.npy: no .npy file; expected a numpy array of numbers",
+        ),
+        ("ground.npy", b"\x93NUMPY\1\0\x10\0{'descr': '<f8',  ", 1.0, "ground.npy: no .npy file"),
+        ("ground.npy", b"", None, "an array alone does not say where it lies; expected cell_m and corner_m"),
+        ("ground.asc", b"", 1.0, "ground.asc: found cell_m or corner_m; expected neither"),
+        ("ground.asc", b"ncols \xff", None, "no UTF-8 text at byte 6; expected an ESRI ASCII grid"),
+        ("ground.xyz", b"", None, "found the ending '.xyz'; expected .asc, .npy, .tif or .tiff"),
+        ("absent.asc", None, None, "absent.asc: no such file or directory; expected an ESRI ASCII grid"),
+    ],
+)
+def test_a_file_that_is_no_grid_is_refused(tmp_path, name, content, cell_m, message):
+    """Broken, missing and unknown files, and grids placed twice or not at all, are refused in one line."""
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    corner_m = None if cell_m is None else (0.0, 0.0)
+    with pytest.raises(GeometryError, match=message):
+        read(tmp_path / name, cell_m, corner_m)
+
+
+def test_ground_that_is_written_is_read_as_it_was(tmp_path):
+    """Every cell of a written grid has the height at its own centre, to half a millimetre, and lies where it was."""
+
+    def plane(x_m, y_m):
+        return 0.1 * x_m - 0.05 * y_m + 3.0
+
+    path = tmp_path / "ground.asc"
+    with path.open("wb") as file:
+        write_ascii(file, plane, np.array([-10.1, 3.0]), np.array([-2.0, 7.4]), 0.25)
+    grid = read_grid(path, cell_m=None, corner_m=None)
+    assert (grid.west_m, grid.north_m, grid.heights_m.shape) == (-10.25 + 0.125, 7.5 - 0.125, (18, 33))
+    north_m, east_m = np.meshgrid(*(np.arange(n) * grid.cell_m for n in grid.heights_m.shape), indexing="ij")
+    assert grid.heights_m == pytest.approx(plane(grid.west_m + east_m, grid.north_m - north_m), abs=6e-4)
+
+
+def test_a_byte_order_mark_is_no_fault(tmp_path):
+    """A grid that begins with a UTF-8 mark is read as one without."""
+    path = tmp_path / "ground.asc"
+    path.write_bytes(b"\xef\xbb\xbf" + (HEADER + ROWS).encode())
+    assert read_grid(path, cell_m=None, corner_m=None).heights_m.shape == (3, 4)

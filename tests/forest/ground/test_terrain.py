@@ -1,0 +1,141 @@
+"""Ground with relief."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vlp16emu.forest.ground.settings import Terrain
+from vlp16emu.forest.ground.terrain import TerrainHeights
+from vlp16emu.random import Purpose, philox4x32
+
+
+def flat_but(*, seed=3, **changes):
+    return TerrainHeights(Terrain(**{"hill_rms_m": 0.0, "rough_rms_m": 0.0, **changes}), seed=seed)
+
+
+@pytest.mark.parametrize("band", ["hill_rms_m", "rough_rms_m"])
+def test_relief_has_the_rms_that_was_set(band):
+    """Over a wide area the height of one band has mean zero and the set standard deviation."""
+    x, y = np.random.default_rng(1).uniform(-1e5, 1e5, (2, 100_000))
+    height = flat_but(**{band: 0.7}).height_m(x, y)
+    assert abs(height.mean()) < 0.02
+    assert height.std() == pytest.approx(0.7, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("band", "shortest_m", "longest_m"), [("hill_rms_m", 30, 300), ("rough_rms_m", 1, 12)]
+)
+def test_relief_keeps_to_its_wavelengths(band, shortest_m, longest_m):
+    """The rms gradient equals that of a spectrum falling with the third power between the band's limits."""
+    x, y = np.random.default_rng(2).uniform(-1e5, 1e5, (2, 50_000))
+    terrain, step = flat_but(**{band: 1.0}), shortest_m / 1000
+    gradient = (terrain.height_m(x + step, y) - terrain.height_m(x - step, y)) / (2 * step)
+    # Variance per log wavelength ~ wavelength, gradient variance (2 pi / wavelength)^2 / 2 of it in one axis.
+    expected = 2 * math.pi / math.sqrt(2 * shortest_m * longest_m)
+    assert gradient.std() == pytest.approx(expected, rel=0.15)
+
+
+@pytest.mark.parametrize("per_ha", [100.0, 800.0, 2500.0])
+def test_mounds_have_the_density_and_size_that_were_set(per_ha):
+    """Mounds and hollows have mean zero and the variance of paraboloids cubed, 1 m to 2 m wide and up to 0.15 m high."""
+    x, y = np.random.default_rng(6).uniform(-1e5, 1e5, (2, 300_000))
+    height = flat_but(mounds_per_ha=per_ha).height_m(x, y)
+    # Mean square height is a third of 0.15^2; (1 - r^2 / R^2)^6 covers pi R^2 / 7; mean R^2 is 7 / 12 m2.
+    variance = per_ha / 10_000 * 0.15**2 / 3 * math.pi / 7 * 7 / 12
+    assert height.std() == pytest.approx(math.sqrt(variance), rel=0.03)
+    assert abs(height.mean()) < 1e-4
+
+
+def test_a_mound_is_what_its_random_numbers_say():
+    """The kernel agrees to 1e-12 with the sum of all mounds of a square of 40 m, each worked out in plain Python."""
+    mounds = []
+    for ix in range(-11, 11):
+        for iy in range(-11, 11):
+            words = [int(w) for w in philox4x32(ix % 2**32, iy % 2**32, 0, Purpose.MOUND, 3, 0)]
+            if words[0] / 2**32 < 600 * 4 / 10_000:
+                radius = (1 + (words[3] >> 16) / 2**16) / 2
+                height = (2 * (words[3] % 2**16) / 2**16 - 1) * 0.15
+                mounds.append((2 * (ix + words[1] / 2**32), 2 * (iy + words[2] / 2**32), radius, height))
+    x, y = np.random.default_rng(7).uniform(-20, 20, (2, 400))
+    twin = np.zeros(400)
+    for mound_x, mound_y, radius, height in mounds:
+        twin += height * np.maximum(1 - ((x - mound_x) ** 2 + (y - mound_y) ** 2) / radius**2, 0) ** 3
+    assert flat_but(mounds_per_ha=600.0).height_m(x, y) == pytest.approx(twin, abs=1e-12)
+    assert np.count_nonzero(twin) > 40
+
+
+@pytest.mark.parametrize("per_ha", [60.0, 600.0])
+def test_pits_have_the_density_and_size_that_were_set(per_ha):
+    """Pits and mounds have mean zero and the variance of paraboloids squared, 2 m to 3 m wide and 0.2 m to 0.4 m deep and high."""
+    x, y = np.random.default_rng(6).uniform(-1e5, 1e5, (2, 400_000))
+    height = flat_but(pits_per_ha=per_ha).height_m(x, y)
+    # (1 - r^2 / R^2)^4 covers pi R^2 / 5, and where pit and mound overlap they cancel in part: by quadrature over both.
+    u, v = np.meshgrid(*[np.linspace(-2, 2, 801)] * 2)
+    one = np.maximum(1 - (u - 0.8) ** 2 - v**2, 0) ** 2 - np.maximum(1 - (u + 0.8) ** 2 - v**2, 0) ** 2
+    size = (np.arange(1000) + 0.5) / 1000
+    square_m4 = (one**2).sum() * 0.005**2 * ((1 + size / 2) ** 2 * (0.2 + 0.2 * size) ** 2).mean()
+    assert height.std() == pytest.approx(math.sqrt(per_ha / 10_000 * square_m4), rel=0.03)
+    assert abs(height.mean()) < 1e-3
+    assert height.min() < -0.35
+
+
+def test_a_pit_is_what_its_random_numbers_say():
+    """The kernel agrees to 1e-12 with the sum of all pits and mounds of a square of 40 m, each worked out in plain Python."""
+    x, y = np.random.default_rng(7).uniform(-20, 20, (2, 400))
+    twin = np.zeros(400)
+    for ix in range(-7, 7):
+        for iy in range(-7, 7):
+            words = [int(w) for w in philox4x32(ix % 2**32, iy % 2**32, 0, Purpose.PIT, 3, 0)]
+            if words[0] / 2**32 < 400 * 16 / 10_000:
+                size, turn = (words[3] >> 16) / 2**16, 2 * math.pi * (words[3] % 2**16) / 2**16
+                middle = 4 * (ix + words[1] / 2**32), 4 * (iy + words[2] / 2**32)
+                for side in (1, -1):
+                    px, py = (
+                        m + side * 0.8 * (1 + size / 2) * f(turn)
+                        for m, f in zip(middle, (math.cos, math.sin), strict=True)
+                    )
+                    inside = np.maximum(1 - ((x - px) ** 2 + (y - py) ** 2) / (1 + size / 2) ** 2, 0)
+                    twin += side * (0.2 + 0.2 * size) * inside**2
+    assert flat_but(pits_per_ha=400.0).height_m(x, y) == pytest.approx(twin, abs=1e-12)
+    assert np.count_nonzero(twin) > 100
+
+
+def test_a_height_is_the_same_alone_and_in_any_array():
+    """The height of a point does not depend on how many points are asked for, nor on their shape."""
+    terrain = flat_but(hill_rms_m=1.0, rough_rms_m=0.1, mounds_per_ha=500.0, pits_per_ha=200.0, slope_deg=5.0)
+    x, y = np.random.default_rng(3).uniform(-100, 100, (2, 1001))
+    together = terrain.height_m(x, y)
+    assert np.array_equal(together[7::13], terrain.height_m(x[7::13], y[7::13]))
+    assert np.array_equal(
+        together[1:], terrain.height_m(x[1:].reshape(10, 100), y[1:].reshape(10, 100)).ravel()
+    )
+    assert terrain.height_m(x[:1], y[:1])[0] == together[0]
+
+
+def test_far_from_the_origin_heights_are_still_exact():
+    """At 1e6 m the kernel agrees with a sum in extended precision to a nanometre."""
+    terrain = flat_but(hill_rms_m=1.0, rough_rms_m=0.1)
+    x, y = 1e6 + np.random.default_rng(4).uniform(0, 50, (2, 40))
+    wide = np.longdouble
+    waves = terrain._waves.astype(wide)
+    phase = np.outer(x.astype(wide), waves[:, 0]) + np.outer(y.astype(wide), waves[:, 1]) + waves[:, 3]
+    twin = (waves[:, 2] * np.cos(phase)).sum(axis=1)
+    assert np.abs(terrain.height_m(x, y) - twin).max() < 1e-9
+
+
+def test_slope_rises_towards_its_direction():
+    """A plane of 10 degrees towards north-west gains tan(10) per metre that way and nothing across."""
+    terrain = flat_but(slope_deg=10.0, slope_towards_deg=135.0)
+    x, y = 100 * math.sqrt(0.5) * np.array([[-1.0, 1.0], [1.0, 1.0]])
+    along, across = terrain.height_m(x, y)
+    assert along == pytest.approx(100 * math.tan(math.radians(10)))
+    assert across == pytest.approx(0, abs=1e-9)
+
+
+def test_seeds_make_different_ground():
+    """Two seeds give ground without correlation, one seed the same ground twice."""
+    x, y = np.random.default_rng(5).uniform(-1e5, 1e5, (2, 5000))
+    one, other = (flat_but(seed=seed, hill_rms_m=1.0).height_m(x, y) for seed in (1, 2))
+    assert abs(np.corrcoef(one, other)[0, 1]) < 0.06
+    assert np.array_equal(one, flat_but(seed=1, hill_rms_m=1.0).height_m(x, y))

@@ -1,0 +1,74 @@
+"""Triangles of the ground."""
+
+import numpy as np
+import pytest
+
+from vlp16emu.forest.ground.settings import Terrain
+from vlp16emu.forest.ground.terrain import TerrainHeights
+from vlp16emu.forest.ground.triangles import ground_triangles
+
+EDGE_M = 20.0
+
+
+def ground(**changes):
+    """Ground that is flat but for what is said."""
+    return TerrainHeights(Terrain(**{"hill_rms_m": 0.0, "rough_rms_m": 0.0, **changes}), seed=3)
+
+
+ROUGH = ground(hill_rms_m=2.5, rough_rms_m=0.1, mounds_per_ha=60.0, pits_per_ha=60.0)
+
+
+def off_m(points_m, faces, height_m):
+    """Distances of places all over each face from the ground over or under them."""
+    share = np.random.default_rng(1).dirichlet([1.0, 1.0, 1.0], (len(faces), 20))
+    x, y, z = np.moveaxis(np.einsum("fkc,fcd->fkd", share, points_m[faces]), -1, 0)
+    return np.abs(z - height_m(x, y)).ravel()
+
+
+@pytest.mark.parametrize("terrain", [ground(pits_per_ha=600.0), ROUGH], ids=["pits", "old growth"])
+def test_triangles_follow_the_ground_to_millimetres(terrain):
+    """In pits and on rough ground, where a grid of 0.5 m is off by 40 mm, one place in a thousand is off by 5 mm and none by 7."""
+    off = off_m(*ground_triangles((40.0, -20.0), EDGE_M, terrain.height_m), terrain.height_m)
+    assert np.quantile(off, 0.999) < 0.005
+    assert off.max() < 0.007
+    grid = np.arange(41) * 0.5
+    y, x = np.meshgrid(grid - 20.0, grid + 40.0, indexing="ij")
+    z = terrain.height_m(x, y)
+    middle = terrain.height_m(x[:-1, :-1] + 0.25, y[:-1, :-1] + 0.25)
+    assert np.abs(middle - (z[:-1, :-1] + z[1:, 1:]) / 2).max() > 0.04
+
+
+def test_even_ground_has_two_triangles_to_a_square():
+    """A plane has no vertex but those of squares of 0.5 m, hills under 1 % more."""
+    points_m, faces = ground_triangles((0.0, 0.0), EDGE_M, ground(slope_deg=20.0).height_m)
+    assert (len(points_m), len(faces)) == (41**2, 2 * 40**2)
+    assert np.array_equal(points_m[:, :2] % 0.5, np.zeros((41**2, 2)))
+    assert len(ground_triangles((0.0, 0.0), EDGE_M, ground(hill_rms_m=1.0).height_m)[1]) < 1.01 * 2 * 40**2
+
+
+def test_triangles_cover_the_ground_once_without_cracks():
+    """Over four squares side by side each edge of a triangle is that of one other, but for those around all four."""
+    pieces, corners = [], [(x, y) for x in (0.0, 20.0) for y in (-20.0, 0.0)]
+    for corner_m in corners:
+        points_m, faces = ground_triangles(corner_m, EDGE_M, ROUGH.height_m)
+        pieces.append(points_m[faces])
+    triangles = np.concatenate(pieces)
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    assert (across[:, 2] > 0).all()
+    assert across[:, 2].sum() / 2 == pytest.approx(1600.0)
+    points_m, index = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    assert len(np.unique(points_m[:, :2], axis=0)) == len(points_m)
+    index = index.reshape(-1, 3)
+    edges = np.sort(np.concatenate([index[:, [0, 1]], index[:, [1, 2]], index[:, [2, 0]]]), axis=1)
+    edges, times = np.unique(edges, axis=0, return_counts=True)
+    assert set(times.tolist()) == {1, 2}
+    outer = points_m[edges[times == 1]]
+    around = (outer[..., 0] % 40.0 == 0.0) | (np.abs(outer[..., 1]) == 20.0)
+    assert around.all()
+
+
+def test_vertices_are_on_the_ground():
+    """Each vertex has the height of the ground at its place, and they go by rows from south to north."""
+    points_m, _ = ground_triangles((-40.0, 60.0), EDGE_M, ROUGH.height_m)
+    assert np.array_equal(points_m[:, 2], ROUGH.height_m(points_m[:, 0].copy(), points_m[:, 1].copy()))
+    assert np.array_equal(np.lexsort((points_m[:, 0], points_m[:, 1])), np.arange(len(points_m)))

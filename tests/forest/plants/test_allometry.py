@@ -1,0 +1,204 @@
+"""Published equations of tree form."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vlp16emu.forest.plants.allometry import taper_radius_m
+from vlp16emu.forest.plants.flora import species_table, tapers
+
+TABLE = species_table()
+LIVING = [species for species in TABLE.values() if species.foliage]
+
+
+@pytest.mark.parametrize(
+    ("name", "heights_m"),
+    [
+        ("norway_spruce", [12.1, 20.1, 24, 26.2, 28.6]),
+        ("scots_pine", [13.7, 20.8, 24, 25.8, 27.7]),
+        ("silver_birch", [17.3, 22.1, 24, 25, 26.1]),
+        ("european_beech", [11.7, 20, 24, 26.3, 28.9]),
+        ("english_oak", [14.5, 21.1, 24, 25.6, 27.3]),
+        ("sycamore", [14.5, 21.1, 24, 25.6, 27.3]),
+    ],
+)
+def test_uniform_height_curve(name, heights_m):
+    """Heights of trees of 10 to 60 cm in a stand of 30 cm and 24 m, worked out from the published curves."""
+    dbh_cm = np.array([10.0, 20.0, 30.0, 40.0, 60.0])
+    assert TABLE[name].height_m(dbh_cm, 30.0, 24.0) == pytest.approx(heights_m, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("name", "heights_m"),
+    [
+        ("sugar_maple", [12.1, 17.4, 20.8, 23.3, 26.8]),
+        ("red_maple", [11.6, 16.4, 19.5, 21.9, 25.3]),
+        ("white_oak", [11, 17, 20.8, 23.4, 27.1]),
+        ("black_walnut", [11, 17.2, 20.3, 22.1, 24.2]),
+    ],
+)
+def test_curtis_arney_height_curve(name, heights_m):
+    """Where the stand's mean tree lies on the published curve, so do all others, within 1 % of their height."""
+    dbh_cm = np.array([10.0, 20.0, 30.0, 40.0, 60.0])
+    assert TABLE[name].height_m(dbh_cm, 30.0, heights_m[2]) == pytest.approx(heights_m, rel=0.01)
+
+
+def test_height_passes_through_the_mean_tree_and_rises():
+    """The mean tree has the mean height, thicker trees are taller, and the thinnest reach breast height."""
+    for name, species in TABLE.items():
+        dbh_cm = np.array([2.0, 6.0, 12.0, 27.0, 60.0, 120.0])
+        height = species.height_m(dbh_cm, 27.0, 22.0)
+        assert height[3] == pytest.approx(22.0), name
+        assert (np.diff(height) > 0).all(), name
+        assert height[0] > 1.3, name
+
+
+@pytest.mark.parametrize(
+    ("name", "width_m"),
+    [
+        ("norway_spruce", 4.5),
+        ("scots_pine", 4.7),
+        ("silver_birch", 5.5),
+        ("european_beech", 6.6),
+        ("english_oak", 6.1),
+        ("sycamore", 6.4),
+        ("douglas_fir", 5.7),
+        ("sugar_maple", 6.7),
+        ("white_oak", 7.0),
+        ("black_walnut", 6.7),
+        ("red_maple", 6.56),
+    ],
+)
+def test_crown_width_of_a_tree_of_30_cm(name, width_m):
+    """Crown widths worked out by hand from the published equations."""
+    assert TABLE[name].crown_width_m(np.array([30.0]))[0] == pytest.approx(width_m, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("name", "base_m"),
+    [
+        ("norway_spruce", 14.1),
+        ("scots_pine", 17.7),
+        ("silver_birch", 12.0),
+        ("european_beech", 12.6),
+        ("english_oak", 15.6),
+        ("sycamore", 14.0),
+        ("douglas_fir", 14.3),
+        ("sugar_maple", 14.4),
+    ],
+)
+def test_crown_base_of_a_tree_of_30_cm_and_24_m(name, base_m):
+    """Crown bases at a top height of 26 m, worked out by hand from the published equations."""
+    base = TABLE[name].crown_base_m(np.array([30.0]), np.array([24.0]), 26.0)[0]
+    assert base == pytest.approx(base_m, abs=0.06)
+
+
+def test_crowns_fit_their_trees():
+    """From 5 to 120 cm a crown begins above the ground and below the tip, and is wider on thicker trees."""
+    for name, species in TABLE.items():
+        dbh_cm = np.array([5.0, 15.0, 40.0, 80.0, 120.0])
+        height_m = species.height_m(dbh_cm, 30.0, 22.0)
+        base_m = species.crown_base_m(dbh_cm, height_m, 26.0)
+        assert (base_m > 0.1 * height_m).all(), name
+        assert (base_m < 0.95 * height_m).all(), name
+        assert (np.diff(species.crown_width_m(dbh_cm)) > 0).all(), name
+
+
+def test_taper_is_exact_at_breast_height_and_flares_at_the_ground():
+    """A stem of 30 cm and 24 m has its DBH at 1.3 m, is 20 to 60 % thicker at the ground, and keeps that below."""
+    for name, species in TABLE.items():
+        heights = np.array([[1.3, 0.0, -0.5, 24.0, 12.0]])
+        diameter_cm = 200 * taper_radius_m(
+            tapers(np.array([species.number])), np.array([0.3]), np.array([24.0]), heights
+        )
+        at_breast, ground, below, tip, half_way = diameter_cm[0]
+        assert at_breast == pytest.approx(30.0, abs=1e-9), name
+        assert 36 <= ground <= 48, name
+        assert below == ground, name
+        assert tip == pytest.approx(0 if species.foliage else 12, abs=0 if species.foliage else 4), name
+        assert 15 < half_way < 27, name
+
+
+def test_stems_grow_thinner_all_the_way_up():
+    """No tree from 5 to 120 cm has a bulge above breast height."""
+    for name, species in TABLE.items():
+        for dbh_m, height_m in [(0.05, 6.0), (0.18, 19.0), (0.6, 33.0), (1.2, 45.0)]:
+            heights = np.linspace(1.3, height_m, 200)[None]
+            radius = taper_radius_m(
+                tapers(np.array([species.number])), np.array([dbh_m]), np.array([height_m]), heights
+            )[0]
+            assert (np.diff(radius) < 0).all(), name
+
+
+def test_taper_against_the_written_polynomial():
+    """The kernel agrees with Laasasenaho's polynomial written out for birch."""
+    b, e = TABLE["silver_birch"].taper.coefficients, (1, 2, 3, 5, 8, 13, 21, 34)
+
+    def form(z):
+        return sum(bi * (1 - z / 20) ** ei for bi, ei in zip(b, e, strict=True))
+
+    heights = np.linspace(0, 20, 41)[None]
+    radius = taper_radius_m(tapers(np.array([1])), np.array([0.2]), np.array([20.0]), heights)[0]
+    assert radius == pytest.approx([0.1 * form(z) / form(1.3) for z in heights[0]], abs=1e-12)
+
+
+def test_taper_against_the_written_brink_function():
+    """The kernel agrees with Schmidt's form of Brink's function for beech, with the flare on top."""
+    (i, p, q), d, h = TABLE["european_beech"].taper.coefficients, 0.4, 28.0
+    big = i * d / 2
+    u = big / (1 - math.exp(q * (1.3 - h))) + (d / 2 - big) * (1 - 1 / (1 - math.exp(p * (1.3 - h))))
+    v = (d / 2 - big) * math.exp(1.3 * p) / (1 - math.exp(p * (1.3 - h)))
+    w = big * math.exp(-q * h) / (1 - math.exp(q * (1.3 - h)))
+
+    def flared(z):
+        return (u + v * math.exp(-p * z) - w * math.exp(q * z)) * (1 + 0.25 * math.exp(-z / 0.35))
+
+    heights = np.linspace(0, 27.9, 40)
+    expected = [d / 2 * flared(z) / flared(1.3) for z in heights]
+    radius = taper_radius_m(tapers(np.array([4])), np.array([d]), np.array([h]), heights[None])[0]
+    assert radius == pytest.approx(expected, abs=1e-12)
+
+
+def test_taper_of_a_stem_does_not_depend_on_its_neighbours():
+    """A stem has the same bytes alone and among others."""
+    numbers = np.array([s.number for s in TABLE.values()])
+    dbh_m, height_m = np.linspace(0.1, 0.9, len(numbers)), np.linspace(8.0, 35.0, len(numbers))
+    heights = np.linspace(0, 1, 13) * height_m[:, None]
+    together = taper_radius_m(tapers(numbers), dbh_m, height_m, heights)
+    for i in range(len(numbers)):
+        own = slice(i, i + 1)
+        alone = taper_radius_m(tapers(numbers[own]), dbh_m[own], height_m[own], heights[own])
+        assert np.array_equal(alone[0], together[i])
+
+
+@pytest.mark.parametrize(
+    ("name", "kg"),
+    [
+        ("sugar_maple", 526.6),  # exp(-2.0127 + 2.4342 ln 30)
+        ("red_maple", 460.1),  # exp(-1.9123 + 2.3651 ln 30)
+        ("black_walnut", 390.2),  # exp(-2.4800 + 2.4835 ln 30)
+        ("silver_birch", 439.1),  # 0.0521 30^2.1372 24^0.5570
+    ],
+)
+def test_biomass_of_a_tree_of_30_cm_and_24_m(name, kg):
+    """Dry mass worked out by hand from the cited equations."""
+    mass = TABLE[name].biomass_kg(np.array([0.3]), np.array([24.0]), np.array([13.0]))
+    assert mass[0] == pytest.approx(kg, abs=0.2)
+
+
+def test_biomass_agrees_with_the_general_equations_of_its_kind():
+    """From 10 to 60 cm every species weighs 0.6 to 1.6 times what Jenkins et al. (2003) give spruces or hard maples."""
+    for species in LIVING:
+        dbh_m = np.array([0.1, 0.2, 0.3, 0.45, 0.6])
+        height_m = species.height_m(100 * dbh_m, 30.0, 24.0)
+        mass = species.biomass_kg(dbh_m, height_m, species.crown_base_m(100 * dbh_m, height_m, 27.0))
+        b0, b1 = (-2.0127, 2.4342) if species.foliage.kind == "leaf" else (-2.0773, 2.3323)
+        assert (np.abs(np.log(mass / np.exp(b0 + b1 * np.log(100 * dbh_m)))) < np.log(1.6)).all(), (
+            species.name
+        )
+
+
+def test_dead_trees_have_no_biomass_equation():
+    """Where no equation is known the mass is NaN, not a guess."""
+    assert np.isnan(TABLE["snag"].biomass_kg(np.array([0.3]), np.array([12.0]), np.array([5.0]))).all()

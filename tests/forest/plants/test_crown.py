@@ -1,0 +1,337 @@
+"""Crown prototypes."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from vlp16emu.forest.plants.allometry import taper_radius_m
+from vlp16emu.forest.plants.bole import bole_branches
+from vlp16emu.forest.plants.branches import Branches
+from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_wood_m3
+from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.foliage import foliage_mesh
+from vlp16emu.types import PlantPart
+
+
+def tree_of(species):
+    """Crown of a tree of 24 cm and 21 m by the species' own equations."""
+    dbh_cm, height_m = np.array([24.0]), np.array([21.0])
+    base_m = float(species.crown_base_m(dbh_cm, height_m, 23.0)[0])
+    width_m = float(species.crown_width_m(dbh_cm)[0])
+    leaf_area_m2 = species.leaf_area_index * np.pi / 4 * width_m**2
+    return CrownKey(species.name, 0, 0.24, 21.0, base_m, width_m, leaf_area_m2)
+
+
+KEYS = {name: tree_of(species) for name, species in species_table().items()}
+LIVING = {name: key for name, key in KEYS.items() if key.leaf_area_m2}
+BROAD = {name: key for name, key in LIVING.items() if species_table()[name].foliage.kind == "leaf"}
+BIRCH, BEECH, SPRUCE = KEYS["silver_birch"], KEYS["european_beech"], KEYS["norway_spruce"]
+
+
+@cache
+def grown(key):
+    return crown_meshes(4, key)
+
+
+def corners(mesh):
+    return mesh.vertices_m[mesh.faces].astype(np.float64)
+
+
+def quad_areas_m2(mesh):
+    a, b, c, d = np.moveaxis(corners(mesh), 1, 0)
+    return np.linalg.norm(np.cross(c - a, d - b), axis=1) / 2
+
+
+def test_leaf_area_is_that_of_the_tree():
+    """Quads have the tree's leaf area, over the clumping of its shoots, within 0.1 %."""
+    for name, key in LIVING.items():
+        leaves = grown(key)[2]
+        target = key.leaf_area_m2 / species_table()[key.species].foliage.clumping
+        assert quad_areas_m2(leaves).sum() == pytest.approx(target, rel=1e-3), name
+
+
+def test_leaves_are_planar_and_as_large_as_in_nature():
+    """Corners of a quad lie in one plane to a micrometre, and a mean blade or shoot has its species' length."""
+    for name, key in LIVING.items():
+        leaves = corners(grown(key)[2])
+        a, b, c, d = np.moveaxis(leaves, 1, 0)
+        normal = np.cross(c - a, d - b)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        assert np.abs(((b - a) * normal).sum(axis=1)).max() < 2e-6, name
+        length = np.linalg.norm(c - a, axis=1) if key in BROAD.values() else np.linalg.norm(d - a, axis=1)
+        assert length.mean() == pytest.approx(species_table()[key.species].foliage.length_m, rel=0.03), name
+
+
+def test_leaves_are_inclined_as_measured():
+    """Leaf inclination passes a chi-square test with 20 equally likely classes against its beta distribution."""
+    for name, key in BROAD.items():
+        a, b, c, d = np.moveaxis(corners(grown(key)[2]), 1, 0)
+        normal = np.cross(c - a, d - b)
+        zenith = np.arccos(np.abs(normal[:, 2]) / np.linalg.norm(normal, axis=1))
+        mu, nu = species_table()[key.species].foliage.inclination
+        # Far more leaves than were ever measured would find the rounding of mu and nu.
+        likely = stats.beta(nu, mu).cdf(zenith[:: 1 + len(zenith) // 5000] / (np.pi / 2))
+        assert stats.chisquare(np.histogram(likely, 20, (0, 1))[0]).pvalue > 0.001, name
+
+
+@pytest.mark.parametrize(
+    ("name", "mean_deg"),
+    [("silver_birch", 55.6), ("european_beech", 18.1), ("english_oak", 34.8), ("black_walnut", 50.1)],
+)
+def test_mean_inclination_is_that_of_the_measured_leaves(name, mean_deg):
+    """The mean angle of leaves is the published one within a degree."""
+    a, b, c, d = np.moveaxis(corners(grown(KEYS[name])[2]), 1, 0)
+    normal = np.cross(c - a, d - b)
+    zenith = np.arccos(np.abs(normal[:, 2]) / np.linalg.norm(normal, axis=1))
+    assert np.degrees(zenith.mean()) == pytest.approx(mean_deg, abs=1.0)
+
+
+def test_crown_fills_its_width_and_length():
+    """Foliage spans the crown width or up to a third more, and reaches from about the crown base to about the tip."""
+    for name, key in LIVING.items():
+        vertices = grown(key)[2].vertices_m
+        width = np.ptp(vertices[:, :2], axis=0)
+        assert width / key.crown_width_m == pytest.approx([1.1, 1.1], abs=0.25), name
+        assert vertices[:, 2].min() < 0.6, name
+        assert (vertices[:, 2] < -1.4).mean() < 0.12, name
+        assert vertices[:, 2].max() == pytest.approx(key.crown_length_m + 0.4, abs=0.8), name
+
+
+def test_branches_begin_on_the_axis_inside_the_stem():
+    """Each first-order tube begins with a ring around the axis that is narrower than the stem there; few are below the base."""
+    for name, key in LIVING.items():
+        first = grown(key)[0]
+        sides, rings = 6, 8
+        ring = first.vertices_m.reshape(-1, sides * rings + 1, 3)[:, :sides].astype(np.float64)
+        middle = ring.mean(axis=1)
+        assert np.abs(middle[:, :2]).max() < 1e-6, name
+        at_m = key.crown_base_m + middle[:, 2]
+        taper = species_table()[key.species].taper.row[None]
+        stem = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
+        branch = np.linalg.norm(ring - middle[:, None], axis=2).max(axis=1)
+        assert (branch < np.maximum(0.65 * stem, 0.0011)).all(), name
+        assert (middle[:, 2] >= 0).mean() > 0.75, name
+
+
+def test_branches_are_together_as_thick_as_the_stem():
+    """Pipe model: first-order cross-sections add up to that of the stem at the crown base, within 15 %."""
+    for name, key in LIVING.items():
+        first = grown(key)[0]
+        ring = first.vertices_m.reshape(-1, 49, 3)[:, :6].astype(np.float64)
+        ring = ring[ring[:, :, 2].mean(axis=1) >= 0]
+        corner = np.linalg.norm(ring - ring.mean(axis=1, keepdims=True), axis=2).mean(axis=1)
+        radius = corner * np.sin(np.pi / 6) / (np.pi / 6)
+        taper = species_table()[key.species].taper.row[None]
+        base = np.array([[key.crown_base_m]])
+        stem = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), base)[0, 0]
+        assert (radius**2).sum() == pytest.approx(stem**2, rel=0.15), name
+
+
+def test_tubes_show_their_outside():
+    """Faces of a branch are turned outwards: it encloses a volume between a thin cone and a cylinder."""
+    for key in (BIRCH, BEECH, SPRUCE):
+        first = grown(key)[0]
+        vertices, faces = first.vertices_m[:49].astype(np.float64), first.faces[:90]
+        assert (faces < 49).all(), key.species
+        assert (first.faces[90:] >= 49).all(), key.species
+        # About the middle of the open end the missing lid has no volume.
+        a, b, c = np.moveaxis((vertices - vertices[:6].mean(axis=0))[faces], 1, 0)
+        radius, length = (
+            np.linalg.norm(vertices[0] - vertices[:6].mean(axis=0)),
+            np.linalg.norm(vertices[48] - vertices[0]),
+        )
+        volume = (a * np.cross(b, c)).sum() / 6
+        assert 0.2 * np.pi * radius**2 * length < volume < np.pi * radius**2 * length, key.species
+
+
+def test_a_crown_depends_on_seed_and_key_alone():
+    """The same seed and key give the same bytes; another seed or variant gives another crown."""
+
+    def bytes_of(seed, which):
+        return b"".join(m.vertices_m.tobytes() + m.faces.tobytes() for m in crown_meshes(seed, which))
+
+    for key in (BIRCH, BEECH, SPRUCE):
+        own = bytes_of(4, key)
+        assert own == bytes_of(4, replace(key)), key.species
+        assert len({own, bytes_of(5, key), bytes_of(4, replace(key, variant=1))}) == 3, key.species
+
+
+def test_winter_takes_the_leaves_of_broadleaves_and_nothing_else():
+    """Leaf-off, birch and beech have no leaf face, spruce keeps its shoots, and the wood is the same to the byte."""
+    for key in (BIRCH, BEECH, SPRUCE):
+        summer, winter = grown(key), grown(replace(key, season="leaf_off"))
+        assert [mesh.vertices_m.tobytes() for mesh in winter[:2]] == [
+            mesh.vertices_m.tobytes() for mesh in summer[:2]
+        ], key.species
+        if key is SPRUCE:
+            assert winter[2].vertices_m.tobytes() == summer[2].vertices_m.tobytes(), key.species
+        else:
+            assert len(winter[2].faces) == 0, key.species
+
+
+def bole(name, key=None, stem_m=(0.08, 0.12)):
+    """Living and dead branches below 40 crowns of a tree of 24 cm and 21 m, or another one, and twigs of the dead ones."""
+    habit, key = species_table()[name].crown, key or KEYS[name]
+    size = key.crown_base_m, habit.base_fraction * key.crown_width_m / 2, np.array(stem_m)
+    return [bole_branches(np.random.default_rng(n), habit, *size) for n in range(40)]
+
+
+def test_dead_branches_are_long_below_the_crown_and_stubs_at_the_foot():
+    """Below 40 crowns of spruce: most of the upper quarter are as long as they grew, lower ones are stubs of the stated lengths."""
+    dead = [parts[1] for parts in bole("norway_spruce")]
+    key = KEYS["norway_spruce"]
+    depth_m = np.concatenate([-branches.nodes_m[:, 0, 2] for branches in dead])
+    length_m = np.concatenate([branches.length_m for branches in dead])
+    way = depth_m / (key.crown_base_m - 0.3)
+    outside_m = length_m - (0.08 + 0.04 * depth_m / key.crown_base_m)
+    last = outside_m[way > 0.9]
+    assert (outside_m > 0).all()
+    assert np.quantile(last, [0.05, 0.95]) == pytest.approx([0.05, 0.39], abs=0.06)
+    middle_m = [np.median(outside_m[(way > low) & (way <= low + 0.25)]) for low in (0.0, 0.25, 0.5, 0.75)]
+    assert (np.diff(middle_m) < 0).all()
+    assert middle_m[0] > 3 * middle_m[3]
+    assert all(outside_m[(way > low) & (way <= low + 0.25)].std() > 0.1 for low in (0.0, 0.25, 0.5, 0.75))
+    straight_m = np.concatenate(
+        [np.linalg.norm(np.diff(b.nodes_m, axis=1), axis=2).sum(axis=1) for b in dead]
+    )
+    assert straight_m == pytest.approx(length_m, rel=0.02)
+
+
+def test_some_whorls_of_spruces_are_bare():
+    """Of the whorls in the lower half of 40 boles 5 to 25 % have no branch left, and others have three and more."""
+    spacing_m, key = species_table()["norway_spruce"].crown.whorl_spacing_m, KEYS["norway_spruce"]
+    edges_m = np.arange(0.0, key.crown_base_m - 0.3, spacing_m)
+    lower = edges_m[:-1] > key.crown_base_m / 2
+    counts = [
+        np.histogram(np.concatenate([-part.nodes_m[:, 0, 2] for part in parts[:2]]), edges_m)[0][lower]
+        for parts in bole("norway_spruce")
+    ]
+    assert 0.05 < np.mean(np.array(counts) == 0) < 0.25
+    assert np.mean(np.array(counts) >= 3) > 0.3
+
+
+def test_young_trees_have_not_shed_what_died_in_the_last_years():
+    """Birches of 9 cm and 11 m bear thin dead branches below 3 m, and those of 24 cm and 21 m none below 5 m."""
+    young = replace(KEYS["silver_birch"], crown_base_m=4.8, crown_width_m=1.9)
+    dead = [parts[1] for parts in bole("silver_birch", young, (0.03, 0.05))]
+    low = [4.8 + branches.nodes_m[:, 0, 2] < 3.0 for branches in dead]
+    assert np.mean([own.sum() for own in low]) > 2
+    assert all((2 * branches.radius_m < 0.01).all() for branches in dead)
+    old = [KEYS["silver_birch"].crown_base_m + parts[1].nodes_m[:, 0, 2] for parts in bole("silver_birch")]
+    assert np.concatenate(old).min() > 5
+
+
+def test_dead_branches_sit_below_the_crown_and_only_when_wanted():
+    """Off, they are missing and all else is the same to the byte; on, they start on the axis below the crown base."""
+    for name, key in KEYS.items():
+        assert CROWN_PARTS[3] == PlantPart.DEAD_BRANCH, name
+        living, bare = grown(key), grown(replace(key, dead_branches=True))
+        assert [m.vertices_m.tobytes() for m in bare[:3]] == [m.vertices_m.tobytes() for m in living[:3]], (
+            name
+        )
+        assert len(bare[3].faces) > len(living[3].faces) or key in BROAD.values(), name
+        assert (len(living[3].faces) == 0) == (key.species != "snag"), name
+    for _, dead, _ in bole("norway_spruce"):
+        assert np.abs(dead.nodes_m[:, 0, :2]).max() == 0
+        assert (dead.nodes_m[:, 0, 2] <= 0).all()
+
+
+def test_spruce_keeps_dead_branches_down_to_a_foot_as_free_as_measured():
+    """The lowest branches of 40 spruces begin 0.3 m above the ground or on average 0.2 m higher; of pines above 5 m."""
+    lowest_m = {
+        name: np.array(
+            [
+                KEYS[name].crown_base_m + min(part.nodes_m[:, 0, 2].min(initial=0.0) for part in parts[:2])
+                for parts in bole(name)
+            ]
+        )
+        for name in ("norway_spruce", "scots_pine")
+    }
+    assert lowest_m["norway_spruce"].min() > 0.29
+    assert lowest_m["norway_spruce"].mean() == pytest.approx(0.5, abs=0.2)
+    assert lowest_m["scots_pine"].min() > 5.0
+
+
+def test_branches_below_the_crown_die_and_fall_with_depth():
+    """Within one `living_depth_m` 1 - 1/e live, in the next 1/e of that; the lower half bears fewer; dead ones have twigs."""
+    habit = species_table()["norway_spruce"].crown
+    living, dead, twigs = (
+        [-part.nodes_m[:, 0, 2] for part in parts] for parts in zip(*bole("norway_spruce"), strict=True)
+    )
+    alive, all_m = np.concatenate(living), np.concatenate([*living, *dead])
+    for stretch in (0, 1):
+        limits = habit.living_depth_m * np.array([stretch, stretch + 1])
+        share = np.histogram(alive, limits)[0].sum() / np.histogram(all_m, limits)[0].sum()
+        assert share == pytest.approx((1 - np.exp(-1)) * np.exp(-stretch), abs=0.08), stretch
+    half_m = (KEYS["norway_spruce"].crown_base_m - 0.3) / 2
+    assert 0.6 < (all_m > half_m).sum() / (all_m <= half_m).sum() < 0.8
+    assert len(np.concatenate(twigs)) > 2 * len(np.concatenate(dead))
+
+
+def test_needles_of_pine_sit_in_tufts_at_the_ends_of_twigs():
+    """No shoot of a pine leaves the first half of its twig, and those of a spruce leave all of it."""
+    twigs = Branches(
+        np.linspace([0.0, 0, 0], [1, 0, 0], 3)[None].repeat(50, 0),
+        np.zeros(50),
+        np.ones(50),
+        np.full(50, 0.01),
+    )
+    for name, bare in (("scots_pine", 0.55), ("norway_spruce", 0.0)):
+        mesh = foliage_mesh(np.random.default_rng(1), species_table()[name].foliage, twigs, 5.0)
+        base_m = corners(mesh)[:, :2].mean(axis=1)[:, 0]
+        assert base_m.min() == pytest.approx(bare, abs=0.02), name
+        assert base_m.max() == pytest.approx(1.0, abs=0.02), name
+
+
+def test_a_snag_bears_only_dead_branches():
+    """A dead tree has neither leaves nor living branches."""
+    meshes = grown(KEYS["snag"])
+    assert [len(mesh.faces) > 0 for mesh in meshes] == [False, False, False, True]
+
+
+@pytest.mark.parametrize("name", ["european_beech", "scots_pine", "english_oak"])
+def test_broad_crowns_have_a_third_order(name):
+    """Their higher-order mesh has tubes of two kinds: 17 vertices of the second order, then 7 of the third."""
+    first, higher = grown(KEYS[name])[:2]
+    sizes = np.diff(np.flatnonzero(np.diff(tube_of(higher))))
+    assert set(sizes.tolist()) == {17, 7}
+    assert (np.diff(sizes) <= 0).all()
+    assert (sizes == 7).sum() > 2 * (sizes == 17).sum() > 2 * len(first.vertices_m) / 49
+
+
+def tube_of(mesh):
+    """Which tube each vertex belongs to, (v,), by the faces that hang together."""
+    graph = coo_array(
+        (np.ones(len(mesh.faces)), (mesh.faces[:, 0], mesh.faces[:, 1])), [len(mesh.vertices_m)] * 2
+    )
+    other = coo_array((np.ones(len(mesh.faces)), (mesh.faces[:, 1], mesh.faces[:, 2])), graph.shape)
+    return connected_components(graph + other, directed=False)[1]
+
+
+@pytest.mark.parametrize("key", [BIRCH, SPRUCE], ids=["birch", "spruce"])
+def test_wood_volume_is_read_off_the_tubes(key):
+    """Frusta between the rings of the finest tubes, as thick as their girth says, have the crown's wood volume."""
+    total = 0.0
+    for mesh, sides, nodes in zip(grown(key)[:2], (6, 4), (9, 5), strict=True):
+        tubes = mesh.vertices_m.astype(np.float64).reshape(-1, sides * (nodes - 1) + 1, 3)
+        rings = tubes[:, :-1].reshape(len(tubes), nodes - 1, sides, 3)
+        middle = np.concatenate([rings.mean(axis=2), tubes[:, -1:]], axis=1)
+        corner = np.linalg.norm(rings - rings.mean(axis=2, keepdims=True), axis=3).mean(axis=2)
+        radius = np.pad(corner * np.sin(np.pi / sides) / (np.pi / sides), ((0, 0), (0, 1)))
+        step = np.linalg.norm(np.diff(middle, axis=1), axis=2)
+        low, high = radius[:, :-1], radius[:, 1:]
+        total += (np.pi / 3 * step * (low**2 + low * high + high**2)).sum()
+    assert crown_wood_m3(4, key) == pytest.approx(total, rel=1e-3)
+
+
+def test_a_crown_of_a_giant_stays_within_memory():
+    """However large the crown, it has at most 120 000 quads, and still all its leaf area."""
+    key = replace(BEECH, dbh_m=1.2, height_m=40.0, crown_base_m=15.0, crown_width_m=20.0, leaf_area_m2=1500.0)
+    leaves = crown_meshes(4, key)[2]
+    assert len(leaves.faces) == 120_000
+    assert quad_areas_m2(leaves).sum() == pytest.approx(1500.0, rel=1e-3)

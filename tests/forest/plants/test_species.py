@@ -1,0 +1,122 @@
+"""The species table, and tables of the user's own."""
+
+import re
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.forest.plants.flora import shrub_table, species_table, tapers
+
+TEXT = resources.files("vlp16emu.forest").joinpath("species.toml").read_text(encoding="utf-8")
+
+
+def own_oak():
+    """A user's file: English oak under another name and number."""
+    tables = re.findall(r"(?ms)^\[tree\.english_oak.*?(?=^\[tree\.sycamore)", TEXT)
+    return tables[0].replace("english_oak", "holm_oak").replace("number = 5", "number = 1000")
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(text):
+        path = tmp_path / "own.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_numbers_are_unique_and_never_change():
+    """Species numbers stand in recorded labels, so they are fixed for ever."""
+    assert {name: species.number for name, species in species_table().items()} == {
+        "silver_birch": 1,
+        "norway_spruce": 2,
+        "scots_pine": 3,
+        "european_beech": 4,
+        "english_oak": 5,
+        "sycamore": 6,
+        "douglas_fir": 7,
+        "sugar_maple": 8,
+        "red_maple": 9,
+        "white_oak": 10,
+        "black_walnut": 11,
+        "snag": 12,
+    }
+    assert {name: shrub.number for name, shrub in shrub_table().items()} == {
+        "hazel": 101,
+        "elder": 102,
+        "hawthorn": 103,
+        "dogwood": 104,
+        "honeysuckle": 105,
+    }
+
+
+def test_every_equation_and_optical_number_says_where_it_comes_from():
+    """In the shipped file such a line ends in a comment that names a source or the word assumption."""
+    keys = "height_curve|crown_width|crown_base|diameters|taper|fia|leaf_area_index|inclination|clumping"
+    lines = re.findall(rf"(?m)^(?:{keys}|biomass|\w+_reflectance|leaf_transmittance|spread_m) = .*$", TEXT)
+    assert len(lines) > 150
+    unnamed = [
+        line for line in lines if not re.search(r"#.*(\[[A-Z]\]|assumption|bears no|\(\d{4}\)|\d{4}\()", line)
+    ]
+    # Shoots follow their twig: nothing to cite.
+    assert [line for line in unnamed if line != "spread_m = 0.0" and "one by one" not in line] == []
+
+
+def test_a_users_plants_come_after_our_own(write):
+    """A file of the same form adds its trees and shrubs, and changes none of those that are there."""
+    hazel = re.findall(r"(?ms)^\[shrub\.hazel.*?(?=^\[shrub\.elder)", TEXT)[0]
+    path = write(own_oak() + hazel.replace("hazel", "filbert").replace("number = 101", "number = 1001"))
+    table = species_table(path)
+    assert list(table) == [*species_table(), "holm_oak"]
+    assert table["holm_oak"].taper == species_table()["english_oak"].taper
+    assert list(shrub_table(path)) == [*shrub_table(), "filbert"]
+    assert tapers(np.array([1000, 1]), table=table).shape == (2, 12)
+    assert "holm_oak" not in species_table()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("number = 1000", "number = 999", "holm_oak.number: found 999; expected 1000 or more"),
+        ("holm_oak", "scots_pine", "scots_pine: a plant of that name is in the table already; expected another name"),
+        ("fia = 6797", "fya = 6797", "holm_oak.fya: unknown key; expected fia, the nearest known one"),
+        ("leaf_area_index = 4.5", "", "holm_oak.leaf_area_index: missing; expected a number from 0 to 20"),
+        ("leaf_area_index = 4.5", "leaf_area_index = nan", "holm_oak.leaf_area_index: found nan; expected a finite number"),
+        ("leaf_area_index = 4.5", 'leaf_area_index = "4"', 'holm_oak.leaf_area_index: found "4"; expected a number'),
+        ("bark_reflectance = 0.4 ", "bark_reflectance = 40 ", "holm_oak.bark_reflectance: found 40; expected a number from 0 to 1"),
+        ("leaf_transmittance = 0.487", "leaf_transmittance = 0.6", "holm_oak.leaf_transmittance: found 0.6; expected at most 1 with leaf_reflectance = 0.454"),
+        ('"uniform"', '"logistic"', 'holm_oak.height_curve.model: found "logistic"; expected "uniform" or "curtis_arney"'),
+        ("[0.14657227, 3.78686023]", "[0.14657227]", "holm_oak.height_curve.coefficients: found a list of 1; expected 2 numbers for 'uniform'"),
+        ('kind = "leaf"', 'kind = "frond"', 'holm_oak.foliage.kind: found "frond"; expected "leaf" or "shoot"'),
+        ("inclination = [2.55, 1.61]", "inclination = []", "holm_oak.foliage.inclination: found a list of 0; expected mu and nu for leaves"),
+        ("[tree.holm_oak]", "[bush.x]\n[tree.holm_oak]", "[bush]: unknown table; expected [tree.NAME] or [shrub.NAME]"),
+        ("number = 1000", "number = ", "Invalid value"),
+        ("branches_per_whorl = 1", "branches_per_whorl = 1.5", "holm_oak.crown.branches_per_whorl: found 1.5; expected a whole number"),
+    ],
+)  # fmt: skip
+def test_a_wrong_file_is_reported_by_file_species_and_key(write, old, new, message):
+    """What is wrong in a user's file is named in one line: where, what was found, what was expected."""
+    text = own_oak()
+    assert old in text
+    path = write(text.replace(old, new))
+    with pytest.raises(GeometryError) as error:
+        species_table(path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_two_plants_with_one_number_are_distinguished(write):
+    """Numbers of a file must differ among its trees and shrubs."""
+    path = write(own_oak() + own_oak().replace("holm_oak", "cork_oak"))
+    with pytest.raises(GeometryError, match=r"cork_oak\.number: found 1000, which is that of holm_oak"):
+        species_table(path)
+
+
+def test_a_missing_file_is_an_input_error(tmp_path):
+    """A path that leads nowhere is named, not traced back."""
+    with pytest.raises(GeometryError, match=r"none\.toml: no such file"):
+        species_table(tmp_path / "none.toml")

@@ -1,0 +1,286 @@
+"""Forms of stems: sweep, forks, sections and bark, against the species table and what is published."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+import trimesh
+from scipy import stats
+from scipy.spatial import ConvexHull
+
+from vlp16emu.forest.plants.allometry import taper_radius_m
+from vlp16emu.forest.plants.far_stem import far_stems
+from vlp16emu.forest.plants.flora import species_table, tapers
+from vlp16emu.forest.plants.species import StemForm
+from vlp16emu.forest.plants.stem import stem_meshes, vertex_angles
+from vlp16emu.forest.plants.stem_form import polygon_m2, stem_forms, tape_m
+from vlp16emu.forest.plants.stem_rings import axis_m, second_leaders, stem_rings
+from vlp16emu.forest.stand.stand import TREE
+
+TABLE = species_table()
+BREAST_RING = 6
+
+
+def slope(x, y):
+    return 0.2 * x - 0.1 * y
+
+
+def make_trees(name, count=1, dbh_m=0.35):
+    trees = np.zeros(count, TREE)
+    trees["species"], trees["dbh_m"] = TABLE[name].number, dbh_m
+    trees["height_m"] = 6.0 + 50 * trees["dbh_m"]
+    trees["crown_base_m"], trees["crown_width_m"] = 0.5 * trees["height_m"], 16 * trees["dbh_m"]
+    trees["form"] = 1 + np.arange(count)
+    trees["x_m"], trees["crown_azimuth_deg"] = 3.0 * np.arange(count), 23.0 * np.arange(count)
+    trees["z_m"] = slope(trees["x_m"], trees["y_m"])
+    trees["lean_deg"], trees["lean_towards_deg"] = 2.0, 40.0 * np.arange(count)
+    return trees
+
+
+def sections_m(trees, ring=BREAST_RING, **changes):
+    """Corners of sections (n, sides) of trees of one size, some keys of their species changed."""
+    table = {
+        name: one.model_copy(update={"stem": one.stem.model_copy(update=changes)})
+        for name, one in TABLE.items()
+    }
+    rings = stem_rings(trees, table=table)
+    angle = vertex_angles(trees, int(rings.sides[0]))
+    return rings.forms.outline(angle, rings.above_ground_m, rings.radius_m, trees["dbh_m"] / 2)[:, ring]
+
+
+def solid_of(meshes):
+    """One solid of flare and stem, whose shared ring becomes one."""
+    corners = np.concatenate([mesh.vertices_m[mesh.faces] for mesh in meshes]).reshape(-1, 3)
+    unique, index = np.unique(corners, axis=0, return_inverse=True)
+    return trimesh.Trimesh(unique.astype(np.float64), index.reshape(-1, 3), process=False)
+
+
+def forking(name):
+    return next(tree for tree in make_trees(name, 100)[:, None] if stem_forms(tree).forks[0, 0])
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_area_at_breast_height_is_that_of_the_dbh(name):
+    """Cut across the axis as it runs 1.3 m above the foot, a crooked stem has the area of its DBH within 0.1 mm."""
+    for dbh_m, lean_deg in product((0.05, 0.12, 0.2, 0.4, 0.8, 1.2), (0.0, 8.0)):
+        trees = make_trees(name, 3, dbh_m)
+        trees["lean_deg"] = lean_deg
+        meshes = stem_meshes(trees, np.zeros(3), slope)
+        at = np.full((3, 1), 1.3)
+        forms = stem_forms(trees)
+        low, middle, high = (axis_m(trees, forms, at + d)[:, 0] for d in (-1e-4, 0.0, 1e-4))
+        for i, tree in enumerate(trees):
+            normal = (high - low)[i] / np.linalg.norm((high - low)[i])
+            at_m = middle[i] + [tree["x_m"], tree["y_m"], tree["z_m"]] + 1e-4 * normal
+            cut = trimesh.intersections.mesh_plane(
+                solid_of(meshes[2 * i : 2 * i + 2]), plane_normal=normal, plane_origin=at_m
+            )
+            area_m2 = abs(np.cross(cut[:, 0] - at_m, cut[:, 1] - at_m) @ normal).sum() / 2
+            assert 2 * np.sqrt(area_m2 / np.pi) == pytest.approx(tree["dbh_m"], abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["english_oak", "silver_birch", "european_beech", "snag"])
+def test_crooked_stems_are_closed_and_buried(name):
+    """Forked or not, flare and stem are watertight together and show their outside; the lowest ring lies under a slope."""
+    trees = make_trees(name, 12)
+    trees["dbh_m"] = np.linspace(0.08, 0.9, 12)
+    meshes = stem_meshes(trees, np.zeros(3), slope)
+    sides = stem_rings(trees).sides
+    for flare, stem, count in zip(meshes[::2], meshes[1::2], sides, strict=True):
+        solid = solid_of((flare, stem))
+        assert solid.is_watertight
+        assert solid.is_winding_consistent
+        assert all(piece.volume > 0 for piece in solid.split())
+        x, y, z = flare.vertices_m[1 : 1 + count].T.astype(np.float64)
+        assert (z < slope(x, y)).all()
+
+
+def test_sections_have_the_area_of_published_tapers():
+    """Whatever their outline, the rings of a whole stem have the areas that the taper equation of the species gives."""
+    for name in ("norway_spruce", "scots_pine", "english_oak"):
+        trees = make_trees(name, 20)
+        rings = stem_rings(trees)
+        rings.forms.forks[:, 0] = 0
+        own = np.setdiff1d(np.arange(20), rings.forked)
+        taper_m = taper_radius_m(
+            tapers(trees["species"]), trees["dbh_m"], trees["height_m"], rings.above_ground_m
+        )
+        sides = int(rings.sides[0])
+        away_m = rings.forms.outline(
+            vertex_angles(trees, sides), rings.above_ground_m, rings.radius_m, trees["dbh_m"] / 2
+        )
+        area_m2 = polygon_m2(away_m, 2 * np.pi / sides)
+        assert np.allclose(area_m2[own], np.pi * taper_m[own] ** 2, rtol=1e-9)
+        assert np.ptp(away_m[:, BREAST_RING], axis=1).min() > 1e-3
+
+
+@pytest.mark.parametrize("name", ["norway_spruce", "english_oak", "silver_birch"])
+def test_boles_bow_as_far_as_the_table_says(name):
+    """Mean bow over the length of the bole is that of the species, all directions are as frequent, no bow leaves the stem."""
+    trees = make_trees(name, 1500, 0.5)
+    trees["crown_base_m"] = 5.0
+    forms = stem_forms(trees)
+    shares = np.linspace(0, 1, 101)
+    bow_m = np.hypot(*forms.bends[:, 0].T)
+    assert np.mean(bow_m / trees["crown_base_m"]) == pytest.approx(TABLE[name].stem.bow, rel=0.06)
+    assert bow_m.max() <= 0.5 * trees["dbh_m"].max() + 1e-9
+    assert stats.kstest(np.arctan2(*forms.bends[:, 0].T), stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 0.01
+    aside_m = forms.aside_m(trees["crown_base_m"][:, None] * shares)
+    most_m = np.hypot(aside_m[..., 0], aside_m[..., 1]).max(axis=1)
+    assert np.mean(most_m) == pytest.approx(np.mean(bow_m), rel=0.25)
+    above = forms.aside_m(np.column_stack([trees["crown_base_m"], trees["height_m"]]))
+    assert np.abs(above).max() < 1e-12
+
+
+def test_butts_sweep_as_the_table_says():
+    """The axis leaves the ground at the species' mean angle to the stem above the butt, which is straight again at 3 m."""
+    trees = make_trees("scots_pine", 1500, 0.4)
+    table = {"scots_pine": TABLE["scots_pine"].model_copy(update={"stem": StemForm(butt_sweep_deg=3.0)})}
+    forms = stem_forms(trees, table=table)
+    z = np.tile([-1e-3, 1e-3, 2.999, 3.001], (len(trees), 1))
+    aside_m = forms.aside_m(z)
+    ground, above = (np.hypot(*((aside_m[:, i + 1] - aside_m[:, i]) / 2e-3).T) for i in (0, 2))
+    assert np.degrees(np.arctan(ground)).mean() == pytest.approx(3.0, rel=0.06)
+    assert np.degrees(np.arctan(above)).max() < 1.0
+
+
+@pytest.mark.parametrize("name", ["norway_spruce", "european_beech"])
+def test_sections_are_as_oval_as_the_table_says(name):
+    """The longest diameter exceeds the one across it by the ovality of the species on average, in any direction."""
+    corners_m = sections_m(make_trees(name, 800, 0.5), lobes=0.0, bark_mm_per_cm=0.0)
+    across = corners_m.shape[1] // 4
+    width_m = corners_m + np.roll(corners_m, 2 * across, axis=1)
+    longest = width_m.argmax(axis=1)[:, None]
+    long_m = np.take_along_axis(width_m, longest, axis=1)
+    short_m = np.take_along_axis(width_m, (longest + across) % width_m.shape[1], axis=1)
+    assert np.mean(long_m / short_m - 1) == pytest.approx(TABLE[name].stem.ovality, rel=0.08)
+    assert stats.chisquare(np.bincount(longest[:, 0] % (2 * across), minlength=2 * across)).pvalue > 0.001
+
+
+def test_flutes_are_deepest_at_the_butt():
+    """Lobes reach as far as the table says at the ground, and a tenth of that at breast height at most (Singleton et al. 2003)."""
+    trees = make_trees("european_beech", 400)
+    depth = [
+        np.ptp(section := sections_m(trees, ring, ovality=0.0, bark_mm_per_cm=0.0), axis=1)
+        / section.mean(axis=1)
+        / 2
+        for ring in (1, BREAST_RING)
+    ]
+    assert np.mean(depth[0]) == pytest.approx(TABLE["european_beech"].stem.lobes, rel=0.05)
+    assert (depth[1] < 0.1 * depth[0]).all()
+
+
+@pytest.mark.parametrize("name", ["english_oak", "scots_pine", "european_beech"])
+def test_bark_is_as_rough_as_the_table_says(name):
+    """From furrow to ridge it is 0.8 to 1 of what the species has at that DBH, and grows with the DBH."""
+    for dbh_m in (0.2, 0.4, 0.6):
+        corners_m = sections_m(make_trees(name, 60, dbh_m), lobes=0.0, ovality=0.0)
+        depth_mm = TABLE[name].stem.bark_mm_per_cm * 100 * dbh_m
+        assert 0.8 * depth_mm < 1000 * np.ptp(corners_m, axis=1).mean() < 1.01 * depth_mm
+
+
+def test_furrows_of_oak_do_not_reach_the_wood():
+    """Furrows take 0.3 to 0.9 of the bark of 8400 English oaks, whose double thickness is 0.0662 DBH + 0.498 cm (Sumarski list 3-4/1957)."""
+    for dbh_m in (0.2, 0.4, 0.6, 0.8):
+        corners_m = sections_m(make_trees("english_oak", 60, dbh_m), lobes=0.0, ovality=0.0)
+        bark_m = (0.0662 * dbh_m + 0.00498) / 2
+        share = np.ptp(corners_m, axis=1) / bark_m
+        assert share.min() > 0.3
+        assert share.max() < 0.9
+
+
+def test_ridges_are_as_far_apart_as_the_mesh_allows():
+    """An oak of 16 cm has a ridge for every three of its vertices, a beech of 1 m as many as its bark's period asks for."""
+    for name, dbh_m, period_mm, expected in (
+        ("english_oak", 0.16, 45.0, 5),
+        ("european_beech", 1.0, 400.0, 8),
+    ):
+        corners_m = sections_m(
+            make_trees(name, 30, dbh_m), lobes=0.0, ovality=0.0, bark_mm_per_cm=0.3, bark_period_mm=period_mm
+        )
+        spectrum = np.abs(np.fft.rfft(corners_m, axis=1))[:, 1:].mean(axis=0)
+        assert spectrum.argmax() + 1 == expected
+
+
+def test_a_tape_shows_too_much_as_it_does_around_real_stems():
+    """It is that around the convex hull, and makes sections 0.2 to 2.4 % too large on average, as in 5408 of poplar (Rodriguez et al.)."""
+    for name in ("norway_spruce", "scots_pine", "european_beech", "english_oak", "douglas_fir"):
+        trees = make_trees(name, 120)
+        corners_m = sections_m(trees)
+        tape = tape_m(corners_m)
+        angle = np.arange(corners_m.shape[1]) * 2 * np.pi / corners_m.shape[1]
+        for corners, shown_m in zip(corners_m[:20], tape, strict=False):
+            hull = ConvexHull(corners[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+            assert shown_m == pytest.approx(hull.area / np.pi, abs=1e-5)  # in the plane its area is the girth
+        excess = np.mean((tape / trees["dbh_m"]) ** 2 - 1)
+        assert 0.002 < excess < 0.024
+
+
+def test_as_many_trees_fork_as_the_table_says():
+    """Of 10 000 beeches 15 % have a second leader, evenly between the heights of the table."""
+    trees = make_trees("european_beech", 10_000)
+    rings = stem_rings(trees)
+    assert stats.binomtest(len(rings.forked), 10_000, TABLE["european_beech"].stem.fork_share).pvalue > 0.01
+    share = rings.fork_m / trees["height_m"][rings.forked]
+    low, high = TABLE["european_beech"].stem.fork_height
+    assert stats.kstest(share, stats.uniform(low, high - low).cdf).pvalue > 0.01
+    assert (np.diff(rings.above_ground_m, axis=1) > 0).all()
+
+
+def test_both_leaders_together_are_as_thick_as_one():
+    """At a ring above the fork both have the section of an unforked stem, and the second stays within the crown."""
+    trees = forking("european_beech")
+    rings = stem_rings(trees)
+    leaders = second_leaders(trees, rings, np.linspace(0, 1, 50))
+    above = np.flatnonzero(rings.above_ground_m[0] > rings.fork_m[0])[1]
+    z = rings.above_ground_m[0, above]
+    second_m = np.interp(z, leaders.above_ground_m[0], leaders.radius_m[0])
+    whole_m = taper_radius_m(tapers(trees["species"]), trees["dbh_m"], trees["height_m"], np.array([[z]]))[
+        0, 0
+    ]
+    assert np.hypot(rings.radius_m[0, above], second_m) == pytest.approx(whole_m, rel=0.01)
+    gap_m = np.linalg.norm(
+        leaders.axis_m(leaders.above_ground_m) - axis_m(trees, rings.forms, leaders.above_ground_m), axis=2
+    )
+    assert gap_m[0, 0] < 1e-9
+    assert rings.radius_m[0, above] + second_m < gap_m[0, -1] < trees["crown_width_m"][0] / 2
+
+
+def test_stems_from_afar_run_where_those_of_the_mesh_run():
+    """At its knots a far stem has the middle and the radius of the ring, leaders as well, and their labels."""
+    trees = np.concatenate([make_trees("english_oak", 3), forking("european_beech")])
+    far, rings = far_stems(trees, 7), stem_rings(trees)
+    middle_m = far["foot_m"][:, None] + far["along_m"][..., None] * far["axis"][:, None].astype(float)
+    middle_m[..., :2] += np.moveaxis(far["aside_m"], 1, 2)
+    foot_m = np.column_stack([trees["x_m"], trees["y_m"], trees["z_m"]])
+    expected_m = foot_m[:, None] + axis_m(trees, rings.forms, rings.above_ground_m)
+    assert np.abs(middle_m[:4, :-1] - expected_m).max() < 1e-5
+    assert np.allclose(far["radius_m"][:4, :-1], rings.radius_m)
+    forked = rings.forked.tolist()
+    assert len(far) == 4 + len(forked)
+    assert far["row"].tolist() == [[7 + 2 * i, 8 + 2 * i] for i in [0, 1, 2, 3, *forked]]
+
+
+def test_a_stem_is_the_same_in_any_company():
+    """Grown alone a stem has the bytes that it has among others, in any order."""
+    trees = np.concatenate(
+        [make_trees(name, 4, dbh_m) for name, dbh_m in (("english_oak", 0.2), ("norway_spruce", 0.5))]
+    )
+    together = stem_meshes(trees, np.zeros(3), slope)
+    for i in range(len(trees)):
+        alone = stem_meshes(trees[i : i + 1], np.zeros(3), slope)
+        for mine, theirs in zip(alone, together[2 * i : 2 * i + 2], strict=True):
+            assert mine.vertices_m.tobytes() == theirs.vertices_m.tobytes()
+            assert mine.faces.tobytes() == theirs.faces.tobytes()
+
+
+def test_without_a_form_stems_are_straight_and_round():
+    """Seed 0, and a species whose keys are all 0, give the same stem: all corners of a ring equally far from a line."""
+    trees = make_trees("english_oak", 5)
+    none = {"english_oak": TABLE["english_oak"].model_copy(update={"stem": StemForm()})}
+    plain = stem_meshes(trees, np.zeros(3), slope, table=none)
+    trees["form"] = 0
+    for mine, theirs in zip(stem_meshes(trees, np.zeros(3), slope), plain, strict=True):
+        assert mine.vertices_m.tobytes() == theirs.vertices_m.tobytes()
+    assert np.abs(stem_forms(trees).aside_m(np.ones((5, 1)))).max() == 0
+    assert np.ptp(sections_m(trees), axis=1).max() < 1e-12

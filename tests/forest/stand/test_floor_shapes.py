@@ -1,0 +1,125 @@
+"""Shapes of what lies on the ground."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import ConvexHull
+from trimesh.intersections import mesh_plane
+
+from vlp16emu.forest.stand.floor_shapes import FLOOR_VARIANTS, FloorKey, FloorKind, floor_meshes
+
+KEYS = [FloorKey(kind, variant) for kind in FloorKind for variant in (0, 5)]
+KEYS += [FloorKey(FloorKind.STONE, variant, large=True) for variant in (0, 5)]
+WOOD = (FloorKind.LOG, FloorKind.STUMP, FloorKind.BROKEN_LOG, FloorKind.BROKEN_STUMP, FloorKind.ROOT_PLATE)
+SOLID = [key for key in KEYS if key.kind in (FloorKind.STONE, *WOOD)]
+LOW = [key for key in KEYS if key not in SOLID and key.kind is not FloorKind.TUFT]
+
+
+def of_kind(kind):
+    return [key for key in KEYS if key.kind is kind]
+
+
+def solid(key):
+    (mesh,) = floor_meshes(8, key)
+    return trimesh.Trimesh(mesh.vertices_m.astype(np.float64), mesh.faces, process=False)
+
+
+def test_stones_and_dead_wood_are_closed_and_show_their_outside():
+    """Every edge has two faces that run against each other, and the enclosed volume is positive."""
+    for key in SOLID:
+        body = solid(key)
+        assert body.is_watertight, key
+        assert body.is_winding_consistent, key
+        assert body.volume > 0.1, key
+
+
+def test_a_stone_has_unit_height_and_the_outline_of_a_unit_circle():
+    """Stones span -0.5 to 0.5 in z, and the convex outline from above has the area pi / 4; they are no spheres."""
+    for key in of_kind(FloorKind.STONE):
+        body = solid(key)
+        assert body.bounds[:, 2] == pytest.approx([-0.5, 0.5], abs=1e-6), key
+        assert ConvexHull(body.vertices[:, :2]).volume == pytest.approx(np.pi / 4, rel=1e-5), key
+        assert np.linalg.norm(body.vertices, axis=1).std() > 0.01, key
+
+
+def test_a_log_has_unit_length_and_mean_diameter():
+    """In its middle a log's cross-section has the area of a circle of diameter 1 within 1 %; it is thicker at -x."""
+    for key in of_kind(FloorKind.LOG):
+        body = solid(key)
+        assert body.bounds[:, 0] == pytest.approx([-0.5, 0.5], abs=0.03), key
+        areas = []
+        for x in (-0.3, 0.001, 0.3):
+            cut = mesh_plane(body, plane_normal=[1, 0, 0], plane_origin=[x, 0, 0])
+            a, b = np.moveaxis(cut[..., 1:] - cut[..., 1:].mean(axis=(0, 1)), 1, 0)
+            areas.append(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2)
+        assert areas[1] == pytest.approx(np.pi / 4, rel=0.01), key
+        assert areas[0] > areas[1] > areas[2], key
+        middle = [body.vertices[np.abs(body.vertices[:, 0] - x) < 0.05, 1].mean() for x in (-0.5, 0, 0.5)]
+        assert 0.02 < abs(middle[1] - (middle[0] + middle[2]) / 2) < 3, key
+
+
+def test_a_stump_flares():
+    """A stump is 1 high above the ground, 1 wide near the top within a tenth, and reaches half its height below."""
+    for key in of_kind(FloorKind.STUMP):
+        body = solid(key)
+        assert body.bounds[1, 2] == pytest.approx(1.0, abs=0.1), key
+        assert body.bounds[0, 2] == pytest.approx(-0.5, abs=0.15), key
+        wide = [
+            np.ptp(body.section(plane_normal=[0, 0, 1], plane_origin=[0, 0, z]).vertices, axis=0)[:2].mean()
+            for z in (0.01, 0.8)
+        ]
+        assert wide[0] == pytest.approx(1.45, rel=0.12), key
+        assert wide[1] == pytest.approx(1.05, rel=0.12), key
+
+
+def test_a_broken_stump_is_jagged_and_hollow():
+    """The rim of its top differs by half its height and more, and the middle lies deeper than the rim on average."""
+    for key in of_kind(FloorKind.BROKEN_STUMP):
+        (mesh,) = floor_meshes(8, key)
+        rim, middle = mesh.vertices_m[48:64, 2], mesh.vertices_m[-1]
+        assert np.ptp(rim) > 0.5, key
+        assert rim.mean() == pytest.approx(1.0, abs=0.25), key
+        assert middle[2] < rim.mean() - 0.2, key
+        assert np.abs(middle[:2]).max() < 0.1, key
+
+
+def test_a_root_plate_is_a_disc_with_roots_behind_it():
+    """It is 1 wide within a fifth and flat towards its log at +x, where nothing sticks out; behind it roots reach out."""
+    for key in of_kind(FloorKind.ROOT_PLATE):
+        low, high = solid(key).bounds
+        assert high[1:] - low[1:] == pytest.approx([1.1, 1.1], abs=0.2), key
+        assert 0.15 < high[0] < 0.3, key
+        assert -1.6 < low[0] < -0.95, key
+
+
+def test_a_tuft_has_its_leaf_area():
+    """Blades reach a height of 1 and have their area together, within 3 %."""
+    for key in of_kind(FloorKind.TUFT):
+        (mesh,) = floor_meshes(8, key)
+        a, b, c, d = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
+        area = np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2
+        assert area == pytest.approx(22 * 0.012, rel=0.03), key
+        assert mesh.vertices_m[:, 2].max() == pytest.approx(1.0, abs=1e-6), key
+        assert mesh.vertices_m[:, 2].min() == pytest.approx(0.0, abs=1e-6), key
+
+
+def test_what_covers_the_ground_has_unit_size():
+    """Ferns, herbs, dwarf shrubs, moss and litter are 1 high and reach to 0.5 aside; only moss reaches into the ground."""
+    for key in LOW:
+        vertices_m = floor_meshes(8, key)[0].vertices_m
+        assert vertices_m[:, 2].max() == pytest.approx(1.0, abs=1e-6), key
+        assert np.hypot(*vertices_m[:, :2].T).max() == pytest.approx(0.5, abs=1e-6), key
+        assert (vertices_m[:, 2].min() < -0.2) == (key.kind is FloorKind.MOSS_CUSHION), key
+        assert vertices_m[:, 2].min() > -0.6, key
+
+
+def test_variants_differ_and_depend_on_the_seed_alone():
+    """Six variants have six forms, the same seed gives the same bytes, and another seed others."""
+
+    def bytes_of(seed, kind, variant):
+        return floor_meshes(seed, FloorKey(kind, variant))[0].vertices_m.tobytes()
+
+    for kind in FloorKind:
+        forms = {bytes_of(8, kind, variant) for variant in range(FLOOR_VARIANTS)}
+        assert len(forms | {bytes_of(9, kind, 0)}) == FLOOR_VARIANTS + 1 == 7, kind
+        assert bytes_of(8, kind, 2) == bytes_of(8, kind, 2), kind

@@ -1,0 +1,265 @@
+"""Windows on the forest."""
+
+import numpy as np
+import pytest
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey
+from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
+from vlp16emu.forest.stand.stand import REGENERATION
+from vlp16emu.forest.tiles import TileKey
+from vlp16emu.types import PlantPart, Semantic
+
+
+def mesh_bytes(meshes):
+    return b"".join(m.vertices_m.tobytes() + m.faces.tobytes() for m in meshes)
+
+
+def placed(window):
+    """Everything of a window, by the instance of its first surface: a list of (key, transform, surface row)."""
+    found = {}
+    for shape, transform, first in zip(window.shape, window.world_T_shape, window.first_surface, strict=True):
+        key = window.shapes[shape]
+        name = key if isinstance(key, TileKey) else int(window.surfaces[first]["instance"])
+        found[name] = (key, transform.tobytes())
+    return found
+
+
+def test_surfaces_belong_to_the_meshes_they_show(forest, track_m):
+    """Each tile's rows are its ground and the stems of its trees in order; each crown's are the parts of one tree."""
+    window, trees = forest.window(track_m), forest.trees(track_m)
+    used = np.zeros(len(window.surfaces), int)
+    meshes = {key: len(forest.shape(key)) for key in window.shapes}
+    stems = []
+    for shape, first in zip(window.shape, window.first_surface, strict=True):
+        key = window.shapes[shape]
+        rows = window.surfaces[first : first + meshes[key]]
+        used[first : first + len(rows)] += 1
+        if isinstance(key, TileKey):
+            assert rows["semantic"].tolist() == [Semantic.GROUND] + [Semantic.TREE] * (len(rows) - 1)
+            assert set(rows["part"][1:].tolist()) <= {PlantPart.STEM, PlantPart.ROOT_FLARE}
+            stems += rows["instance"][1:][rows["part"][1:] == PlantPart.STEM].tolist()
+        else:
+            assert rows["part"].tolist() == list(CROWN_PARTS)
+            tree = trees[trees["id"] == rows["instance"][0]][0]
+            assert (rows["instance"] == tree["id"]).all()
+            assert (rows["species"] == tree["species"]).all()
+            leaf = rows["part"] == PlantPart.LEAF
+            assert (
+                rows["reflectance"] == np.where(leaf, tree["leaf_reflectance"], tree["bark_reflectance"])
+            ).all()
+            names = [forest.materials[m] for m in rows["material"]]
+            assert names == [f"{key.species} {'leaf' if is_leaf else 'bark'}" for is_leaf in leaf]
+    assert (used == 1).all()
+    assert stems == trees["id"].tolist()
+
+
+def test_stems_and_crowns_are_where_the_records_say(forest, track_m):
+    """The tip of a stem's mesh, the top of its crown's axis and the tree record agree to a millimetre."""
+    window, trees = forest.window(track_m), forest.trees(track_m)
+    tips, tops = {}, {}
+    for shape, T, first in zip(window.shape, window.world_T_shape, window.first_surface, strict=True):
+        key = window.shapes[shape]
+        if isinstance(key, TileKey):
+            for j, stem in enumerate(forest.shape(key)[1:], start=1):
+                tips[int(window.surfaces[first + j]["instance"])] = T[:, :3] @ stem.vertices_m[-1] + T[:, 3]
+        else:
+            tops[int(window.surfaces[first]["instance"])] = T @ [0, 0, key.crown_length_m, 1]
+    for tree in trees:
+        i = int(tree["id"])
+        assert tips[i][2] == pytest.approx(tree["z_m"] + tree["height_m"], abs=1e-4)
+        assert np.abs(tips[i] - tops[i]).max() < 1e-3
+
+
+def test_crowns_are_as_wide_as_their_trees(forest, track_m):
+    """A crown's placement stretches its prototype's width to the tree's, and turns it by a proper rotation."""
+    window, trees = forest.window(track_m), forest.trees(track_m)
+    width = {int(t["id"]): t["crown_width_m"] for t in trees}
+    for shape, T, first in zip(window.shape, window.world_T_shape, window.first_surface, strict=True):
+        key = window.shapes[shape]
+        if isinstance(key, CrownKey):
+            gram = T[:, :3].T @ T[:, :3]
+            assert np.abs(gram - np.diag(np.diag(gram))).max() < 1e-12
+            assert np.linalg.det(T[:, :3]) > 0
+            tree = int(window.surfaces[first]["instance"])
+            assert np.sqrt(gram[0, 0]) * key.crown_width_m == pytest.approx(width[tree])
+
+
+def test_a_tree_is_the_same_from_either_end(make_forest):
+    """Windows of a walk and of the walk back agree on every tree and tile they share: key, place and bytes."""
+    path = np.array([[0.0, 0.0], [30.0, 4.0], [61.0, -3.0], [90.0, 7.0]])
+    there, back = make_forest(path_xy_m=path), make_forest(path_xy_m=path[::-1])
+    tracks = [np.column_stack([x + np.linspace(0, 10, 5), np.zeros(5), np.full(5, 2.0)]) for x in (0, 30, 80)]
+    first = [there.window(track) for track in tracks]
+    second = [back.window(track[::-1]) for track in tracks[::-1]][::-1]
+    shapes = set()
+    for a, b in zip(first, second, strict=True):
+        assert placed(a) == placed(b)
+        shapes |= set(a.shapes)
+    near, far = placed(first[0]), placed(first[1])
+    assert len(near.keys() & far.keys()) > 50
+    assert all(near[name] == far[name] for name in near.keys() & far.keys())
+    sample = sorted(shapes, key=str)[::7]
+    assert [mesh_bytes(there.shape(k)) for k in sample] == [mesh_bytes(back.shape(k)) for k in sample[::-1]][
+        ::-1
+    ]
+
+
+def test_numbers_are_unique_and_never_zero(forest):
+    """Along the whole path each tree has a number of its own, and no tree has the number of no tree."""
+    along = np.column_stack([np.linspace(0, 52, 30), np.zeros(30), np.full(30, 2.0)])
+    ids = forest.trees(along)["id"]
+    assert len(ids) > 400
+    assert len(np.unique(ids)) == len(ids)
+    assert ids.min() > 0
+
+
+def test_every_window_holds_all_that_is_in_reach(forest, track_m):
+    """All trees of the stand whose foot is within reach of the track are in the window."""
+    everything = forest.trees(np.column_stack([np.linspace(-8, 60, 30), np.zeros(30), np.zeros(30)]))
+    gap = np.hypot(everything["x_m"] - track_m[:, :1], everything["y_m"] - track_m[:, 1:2]).min(axis=0)
+    assert set(everything["id"][gap < 40.0]) <= set(forest.trees(track_m)["id"])
+
+
+def test_geometry_is_near_the_windows_origin(make_forest, terrain, track_m):
+    """A forest at UTM-like coordinates has its shapes within reach of the window's whole-metre origin."""
+    offset = np.array([500_000.0, 600_000.0])
+    far = make_forest(path_xy_m=np.array([[0.0, 0.0], [20.0, 5.0]]) + offset)
+    ground = terrain.height_m(offset[:1], offset[1:])[0]
+    window = far.window(track_m + np.array([*offset, ground]))
+    assert (window.origin_m == np.round(window.origin_m)).all()
+    assert np.linalg.norm((window.world_T_shape[:, :, 3] - window.origin_m)[:, :2], axis=1).max() < 80
+    assert np.abs(window.world_T_shape[:, 2, 3] - window.origin_m[2]).max() < 50
+
+
+def is_ground(key):
+    """Whether a shape is a tile, moss or litter."""
+    return isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS)
+
+
+def instances(window):
+    """What stands and lies in a window, ground apart: instance -> its surface rows."""
+    names = np.array([is_ground(key) for key in window.shapes])
+    rows = {}
+    for shape, first in zip(window.shape, window.first_surface, strict=True):
+        if not names[shape]:
+            row = window.surfaces[first]
+            rows[int(row["instance"])] = row
+    return rows
+
+
+def test_everything_has_one_number_and_its_own_class(full_forest, track_m):
+    """Trees, saplings, shrubs, stones, logs, stumps and low plants have numbers of their own, each with its semantic class."""
+    window, trees = full_forest.window(track_m), full_forest.trees(track_m)
+    rows = instances(window)
+    placements = sum(not is_ground(window.shapes[i]) for i in window.shape)
+    assert len(rows) == placements
+    assert min(rows) > 0
+    kinds = np.array([row["semantic"] for row in rows.values()])
+    counts = {kind: int((kinds == kind).sum()) for kind in Semantic}
+    assert counts[Semantic.TREE] == len(trees)
+    assert min(counts[k] for k in (Semantic.SHRUB, Semantic.STONE, Semantic.DEADWOOD, Semantic.GRASS)) > 20
+    for row in rows.values():
+        assert forest_material_fits(full_forest.materials[row["material"]], row)
+
+
+def forest_material_fits(name, row):
+    """Say whether a material's name goes with the semantic class of a row."""
+    low = ("grass", "herb", "fern", "dwarf shrub")
+    dead = ("litter",) if row["part"] == PlantPart.ROOT_FLARE else ("dead wood",)
+    fixed = {Semantic.STONE: ("stone",), Semantic.DEADWOOD: dead, Semantic.GRASS: low}
+    return name in fixed.get(Semantic(int(row["semantic"])), (name,)) and (
+        " bark" in name or name in (*low, "stone", "dead wood", "litter")
+    )
+
+
+def test_moss_and_litter_are_not_seen_from_afar(full_forest, track_m):
+    """They are near geometry alone, without a number; herbs and all else are in the far medium too."""
+    window = full_forest.window(track_m)
+    low = np.array([is_ground(key) and not isinstance(key, TileKey) for key in window.shapes])[window.shape]
+    assert low.sum() > 100
+    assert (window.far == ~low).all()
+    assert (window.low == low).all()
+    assert (window.surfaces["instance"][window.first_surface[low]] == 0).all()
+
+
+def test_saplings_are_trees_with_a_flag(full_forest, forest, track_m):
+    """Records hold the canopy, unchanged by what grows under it, and saplings marked as such with a true diameter."""
+    trees = full_forest.trees(track_m)
+    young = trees[trees["storey"] == REGENERATION]
+    old = trees[trees["storey"] != REGENERATION]
+    assert len(young) > 100
+    assert np.array_equal(old[["x_m", "y_m", "dbh_m"]], forest.trees(track_m)[["x_m", "y_m", "dbh_m"]])
+    assert (young["dbh_m"] < 0.05).all()
+    assert ((young["dbh_m"] > 0) == (young["height_m"] > 1.3)).all()
+
+
+def test_everything_is_the_same_from_either_end_and_in_any_order(make_forest):
+    """Walked there and back, tiles last to first, each thing has the same key, place and bytes."""
+    path = np.array([[0.0, 0.0], [30.0, 4.0], [61.0, -3.0]])
+    tracks = [np.column_stack([x + np.linspace(0, 10, 5), np.zeros(5), np.full(5, 2.0)]) for x in (0, 50)]
+    there = make_forest(path_xy_m=path, with_layers=True)
+    back = make_forest(path_xy_m=path[::-1], with_layers=True)
+    first = [there.window(track) for track in tracks]
+    second = [back.window(track[::-1]) for track in tracks[::-1]][::-1]
+    assert [placed(a) == placed(b) for a, b in zip(first, second, strict=True)] == [True, True]
+    shapes = sorted(set(first[0].shapes) | set(first[1].shapes), key=str)[::5]
+    assert [mesh_bytes(there.shape(k)) for k in shapes] == [mesh_bytes(back.shape(k)) for k in shapes[::-1]][
+        ::-1
+    ]
+
+
+def test_bare_ground(make_forest, track_m):
+    """A forest of no stems is ground and nothing else."""
+    window = make_forest(stems_per_ha=0.0).window(track_m)
+    assert all(isinstance(key, TileKey) for key in window.shapes)
+    assert (window.surfaces["semantic"] == Semantic.GROUND).all()
+    assert len(window.surfaces) == len(window.shape)
+
+
+def test_tiles_out_of_reach_are_forgotten(make_forest):
+    """However long the walk, no more tiles are kept than about two windows need."""
+    path = np.column_stack([np.linspace(0, 3000, 301), np.zeros(301)])
+    forest = make_forest(path_xy_m=path)
+    one = len(forest.window(np.column_stack([path[:2], [2.0, 2.0]])).shapes)
+    for start in range(0, 300, 4):
+        forest.trees(path[start : start + 4])
+    assert forest._tile.cache_info().currsize <= forest._tile.cache_info().maxsize < 6 * one
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"path_xy_m": np.array([[0.0, 0.0], [np.nan, 1.0]])},
+            r"path_xy_m\[1\]: found \[nan, 1.0\]; expected finite",
+        ),
+        ({"path_xy_m": np.array([[0.0, 0.0], [9e4, 9e4]])}, "path_xy_m: spans 90 km x 90 km"),
+        ({"stems_per_ha": 2e5}, "found 200000 trees and things per hectare; expected at most 125000"),
+    ],
+)
+def test_a_forest_that_cannot_be_is_refused(make_forest, changes, message):
+    """Paths that are not finite or too long and stands too dense to number are named in one line."""
+    with pytest.raises(GeometryError, match=message):
+        make_forest(**changes)
+
+
+def test_a_track_off_the_path_is_refused(forest, track_m):
+    """Trees beyond the surroundings of the path have no number, so a track that leads there is an error."""
+    with pytest.raises(GeometryError, match="no more than 35 m off the path"):
+        forest.window(track_m + np.array([0.0, 200.0, 0.0]))
+
+
+@pytest.mark.parametrize("aside_m", [(-35, 0), (0, -35), (42, 0), (0, 35)])
+def test_a_track_may_stray_from_the_path(make_forest, aside_m):
+    """From 35 m off either end or side of the path all of a window's tiles have numbers, and the tiles around them."""
+    bare = make_forest(stems_per_ha=0.0, path_xy_m=np.array([[0.0, 0.0], [7.0, 0.0]]))
+    for ix, iy, _ in bare.window(np.array([[*aside_m, 2.0]])).tiles:
+        for dx, dy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+            assert bare.far_tile(ix + dx, iy + dy).ground_m.shape == (85, 85)
+
+
+def test_an_unknown_shape_is_refused(forest):
+    """A key that is neither a tile nor a crown is a key error."""
+    with pytest.raises(KeyError):
+        forest.shape("tree")

@@ -1,0 +1,207 @@
+"""The inventory of trees against the meshes that are scanned."""
+
+import csv
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import ConvexHull
+
+from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
+from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.stem import lean_rotation, stem_meshes
+from vlp16emu.forest.plants.stem_form import stem_forms
+from vlp16emu.forest.plants.stem_rings import axis_m
+from vlp16emu.forest.stand.inventory import INVENTORY, inventory, write_csv
+from vlp16emu.forest.stand.stand import TREE
+from vlp16emu.types import PlantPart
+
+SEED = 6
+NAMES = ["silver_birch", "norway_spruce", "english_oak", "sugar_maple", "snag"]
+
+
+@pytest.fixture(scope="module")
+def trees():
+    trees = np.zeros(len(NAMES), TREE)
+    trees["id"] = 40 + np.arange(len(NAMES))
+    trees["species"] = [species_table()[name].number for name in NAMES]
+    trees["x_m"], trees["z_m"] = 6.0 * np.arange(len(NAMES)), 2.0
+    trees["dbh_m"] = [0.12, 0.31, 0.64, 0.25, 0.2]
+    trees["height_m"] = [14.0, 24.0, 27.0, 19.0, 9.0]
+    trees["crown_base_m"] = [7.0, 13.0, 15.0, 9.0, 4.0]
+    trees["crown_width_m"] = [2.6, 4.8, 9.0, 6.2, 1.6]
+    trees["crown_azimuth_deg"] = [0.0, 30.0, 100.0, 200.0, 300.0]
+    trees["lean_deg"], trees["lean_towards_deg"] = [0.0, 2.0, 4.0, 1.0, 3.0], 70.0
+    return trees
+
+
+@pytest.fixture(scope="module")
+def crowns(trees):
+    """Prototypes of other sizes than the trees."""
+    return [
+        CrownKey(name, 1, 0.9 * t["dbh_m"], 1.1 * t["height_m"], t["crown_base_m"], 0.9 * t["crown_width_m"], area)
+        for name, t, area in zip(NAMES, trees, (30.0, 90.0, 200.0, 100.0, 0.0), strict=True)
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def rows(trees, crowns):
+    return inventory(trees, crowns, seed=SEED)
+
+
+@pytest.fixture(scope="module")
+def solids(trees):
+    """Stems as watertight solids, feet at the origin, upright."""
+    solids = []
+    for i in range(len(trees)):
+        tree = trees[i : i + 1]
+        foot = np.array([tree["x_m"][0], tree["y_m"][0], 2.0])
+        meshes = stem_meshes(tree, foot, lambda x, y: 2.0 + 0 * x)
+        corners = np.concatenate([mesh.vertices_m[mesh.faces] for mesh in meshes]).reshape(-1, 3)
+        vertices, faces = np.unique(corners, axis=0, return_inverse=True)
+        upright = vertices @ lean_rotation(tree["lean_deg"], tree["lean_towards_deg"])[0]
+        solids.append(trimesh.Trimesh(upright, faces.reshape(-1, 3), process=False))
+    return solids
+
+
+def cut_m2(solid, above_m):
+    section = trimesh.intersections.mesh_plane(solid, plane_normal=[0, 0, 1], plane_origin=[0, 0, above_m])
+    (ax, ay), (bx, by) = section[:, 0, :2].T, section[:, 1, :2].T
+    return np.abs(ax * by - ay * bx).sum() / 2
+
+
+def test_stem_volume_is_that_of_the_mesh(rows, solids):
+    """What trimesh finds, less the cylinder that is buried, within 0.01 %."""
+    for row, solid in zip(rows, solids, strict=True):
+        assert solid.is_watertight
+        buried_m = -solid.vertices[:, 2].min()
+        ground_m2 = cut_m2(solid, -buried_m / 2)
+        assert row["stem_m3"] == pytest.approx(solid.volume - buried_m * ground_m2, rel=1e-4)
+
+
+def test_diameters_are_those_of_cross_sections(rows, solids, trees):
+    """DBH at 1.3 m and at 1.37 m agree with the areas of real cuts, girth over pi with their outline, to 0.1 mm."""
+    for row, solid, tree in zip(rows, solids, trees, strict=True):
+        slant = 1 / np.cos(np.radians(tree["lean_deg"]))
+        for name, above_m in (("dbh_m", 1.3 + 1e-5), ("dbh_us_m", 1.37)):
+            diameter_m = 2 * np.sqrt(cut_m2(solid, above_m * slant) / np.pi)
+            assert row[name] == pytest.approx(diameter_m, abs=1e-4)
+        origin = [0, 0, (1.3 + 1e-5) * slant]
+        outline = trimesh.intersections.mesh_plane(solid, plane_normal=[0, 0, 1], plane_origin=origin)
+        girth_m = np.linalg.norm(outline[:, 1] - outline[:, 0], axis=1).sum()
+        assert row["girth_over_pi_m"] == pytest.approx(girth_m / np.pi, abs=1e-4)
+
+
+def test_crooked_stems_are_measured_on_their_meshes(trees, crowns, rootless):
+    """Volume within 0.1 % of what trimesh finds; tape, area and middle at breast height those of a cut across the axis there."""
+    crooked = trees.copy()
+    crooked["form"] = [11, 12, 13, 14, 15]
+    rows = inventory(crooked, crowns, seed=SEED)
+    for i, row in enumerate(rows):
+        tree = crooked[i : i + 1]
+        foot_m = np.array([tree["x_m"][0], tree["y_m"][0], 2.0])
+        meshes = stem_meshes(tree, foot_m, lambda x, y: 2.0 + 0 * x, table=rootless)
+        solid = trimesh.util.concatenate(
+            [trimesh.Trimesh(m.vertices_m, m.faces, process=False) for m in meshes]
+        )
+        solid.merge_vertices()
+        bottom_m = meshes[0].vertices_m[0]
+        depth_m = np.linalg.norm(bottom_m)
+        cut_m = trimesh.intersections.mesh_plane(
+            solid, plane_normal=bottom_m / depth_m, plane_origin=bottom_m / 2
+        )
+        around_m = cut_m - bottom_m / 2
+        buried_m3 = depth_m * np.linalg.norm(np.cross(around_m[:, 0], around_m[:, 1]), axis=1).sum() / 2
+        assert row["stem_m3"] == pytest.approx(solid.volume - buried_m3, rel=1e-3)
+        forms = stem_forms(tree)
+        low_m, at_m, high_m = (axis_m(tree, forms, np.array([[1.3 + d]]))[0, 0] for d in (-1e-4, 1e-5, 1e-4))
+        assert [row["x_breast_m"], row["y_breast_m"]] == pytest.approx(foot_m[:2] + at_m[:2], abs=1e-5)
+        normal = (high_m - low_m) / np.linalg.norm(high_m - low_m)
+        cut_m = trimesh.intersections.mesh_plane(solid, plane_normal=normal, plane_origin=at_m) - at_m
+        area_m2 = np.abs(np.cross(cut_m[:, 0], cut_m[:, 1]) @ normal).sum() / 2
+        assert row["dbh_m"] == pytest.approx(2 * np.sqrt(area_m2 / np.pi), abs=1e-4)
+        across = np.linalg.svd(normal[None])[2][1:]
+        hull = ConvexHull(cut_m.reshape(-1, 3) @ across.T)
+        assert row["girth_over_pi_m"] == pytest.approx(hull.area / np.pi, abs=1e-4)
+        assert row["girth_over_pi_m"] > row["dbh_m"]
+
+
+def test_leaf_area_is_that_of_the_placed_crown(rows, trees, crowns):
+    """Each tree has the area of its crown's quads after they are stretched to its size, over their clumping."""
+    wide, long = crown_scale(trees, crowns)
+    for row, key, w, h in zip(rows, crowns, wide, long, strict=True):
+        leaves = crown_meshes(SEED, key)[CROWN_PARTS.index(PlantPart.LEAF)]
+        if not len(leaves.faces):
+            assert row["leaf_m2"] == 0
+            continue
+        placed = leaves.vertices_m.astype(np.float64) * [w, w, h]
+        a, b, c, d = np.moveaxis(placed[leaves.faces], 1, 0)
+        area_m2 = np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2
+        clumping = species_table()[key.species].foliage.clumping
+        assert row["leaf_m2"] == pytest.approx(area_m2 * clumping, rel=1e-6)
+
+
+def test_the_top_is_the_highest_vertex(rows, solids, trees, crowns):
+    """`top_m` is the height over the foot of the highest vertex of stem and placed crown to 10 um, not below the tip; the box holds all of them."""
+    wide, long = crown_scale(trees, crowns)
+    for i, (tree, key, solid) in enumerate(zip(trees, crowns, solids, strict=True)):
+        lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[i]
+        mesh = trimesh.util.concatenate(
+            [trimesh.Trimesh(m.vertices_m, m.faces) for m in crown_meshes(SEED, key)]
+        )
+        mesh.apply_scale([wide[i], wide[i], long[i]])
+        mesh.apply_transform(
+            trimesh.transformations.rotation_matrix(np.radians(tree["crown_azimuth_deg"]), [0, 0, 1])
+        )
+        along_m = tree["crown_base_m"] / np.cos(np.radians(tree["lean_deg"]))
+        places = np.concatenate([mesh.vertices + [0, 0, along_m], solid.vertices]) @ lean.T
+        assert rows["top_m"][i] == pytest.approx(places[:, 2].max(), abs=1e-5)
+        for axis, name in enumerate("xy"):
+            ends_m = [rows[f"{name}_{end}_m"][i] - tree[f"{name}_m"] for end in ("min", "max")]
+            assert ends_m == pytest.approx([places[:, axis].min(), places[:, axis].max()], abs=1e-5)
+        assert rows["top_m"][i] >= tree["height_m"] - 1e-5
+
+
+def test_leaves_rise_above_the_tip(rows):
+    """The crowns of broad trees end 0.1 m to 1.5 m above their stems' tips."""
+    broad = np.isin(
+        rows["species"], [species_table()[name].number for name in ("english_oak", "sugar_maple")]
+    )
+    over_m = (rows["top_m"] - rows["height_m"])[broad]
+    assert (over_m > 0.1).all()
+    assert (over_m < 1.5).all()
+
+
+def test_wood_is_the_stem_and_its_branches(rows):
+    """Branches add 0.5 to 40 % to the wood of the stem."""
+    assert (rows["wood_m3"] > 1.005 * rows["stem_m3"]).all()
+    assert (rows["wood_m3"] < 1.4 * rows["stem_m3"]).all()
+
+
+def test_records_are_copied_and_biomass_follows_the_species(rows, trees):
+    """Numbers of the record stand unchanged; a maple of 25 cm weighs 338 kg, and a dead tree's mass is unknown."""
+    for name in set(INVENTORY.names) & set(TREE.names):
+        assert np.array_equal(rows[name], trees[name])
+    assert rows["biomass_kg"][3] == pytest.approx(np.exp(-2.0127 + 2.4342 * np.log(25.0)))
+    assert np.isnan(rows["biomass_kg"]).tolist() == [False] * 4 + [True]
+
+
+def test_an_inventory_of_no_trees_is_empty():
+    """Where nothing stands there is nothing to list."""
+    assert len(inventory(np.zeros(0, TREE), [], seed=SEED)) == 0
+
+
+def test_the_file_has_a_header_and_a_line_for_each_tree(rows, tmp_path):
+    """Columns carry the table's names; species are named, and an unknown mass is an empty field."""
+    path = tmp_path / "trees.csv"
+    with path.open("wb") as file:
+        write_csv(file, rows)
+    with path.open(encoding="utf-8", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert list(lines[0]) == list(INVENTORY.names)
+    assert [line["species"] for line in lines] == NAMES
+    assert [int(line["id"]) for line in lines] == [40, 41, 42, 43, 44]
+    for name in INVENTORY.names[2:-2]:
+        assert [float(line[name]) for line in lines] == pytest.approx(rows[name].tolist(), abs=6e-5)
+    assert lines[4]["biomass_kg"] == ""
+    assert {line["list_line"] for line in lines} == {""}

@@ -1,0 +1,410 @@
+"""Stones, logs, stumps, grass and other low plants where they lie; what is uprooted, broken and rotten."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+import trimesh
+from scipy import stats
+from scipy.spatial import KDTree
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.forest.stand.floor_shapes import FloorKind, floor_meshes
+from vlp16emu.forest.stand.placed import Site
+from vlp16emu.forest.stand.scatter import layer_of
+from vlp16emu.forest.stand.settings import (
+    DwarfShrubs,
+    Ferns,
+    Grass,
+    Herbs,
+    Litter,
+    Logs,
+    Moss,
+    Stones,
+    Stumps,
+)
+from vlp16emu.types import PlantPart, Semantic
+from vlp16emu.world.polyline import Corridor, distance_m
+
+FAR = np.array([[0.0, 1e5]])
+NEAR = np.array([[-10.0, 10.0], [60.0, 30.0]])
+ACROSS = np.array([[-10.0, 10.0], [170.0, 60.0]])
+NO_TRUNKS = np.zeros((0, 3))
+TILES = list(product(range(8), range(8)))
+
+
+def ground(x, y):
+    """Slope with waves."""
+    return 0.2 * x + 0.1 * y + 0.1 * np.sin(x / 3)
+
+
+def plot(ix, iy, *, path=FAR, trunks=NO_TRUNKS, height_m=ground):
+    return Site(
+        seed=6,
+        ix=ix,
+        iy=iy,
+        height_m=height_m,
+        path=Corridor(path, 0.8),
+        trunks=trunks,
+    )
+
+
+SIZES = {
+    "per_ha": 200.0,
+    "species": ["norway_spruce", "european_beech"],
+    "diameter_m": (0.2, 0.6),
+    "length_m": (3.0, 12.0),
+}
+
+
+def log_layer(**shares):
+    """Layer of logs that are sound, whole and cut if nothing else is said."""
+    return layer_of(Logs(**SIZES, **{"uprooted": 0.0, "broken": 0.0, "decayed": 0.0, **shares}), seed=6)
+
+
+def found_of(layer, tiles=TILES, **where):
+    """Transforms and surface rows by kind, on level ground."""
+    found = {}
+    for tile in tiles:
+        things = layer.place(plot(*tile, height_m=lambda x, y: 0 * x, **where))
+        for i, which in enumerate(things.shape.tolist()):
+            kind = things.keys[which].kind
+            found.setdefault(kind, []).append((things.world_T_shape[i], things.surfaces[i, 0]))
+    return {kind: tuple(map(np.array, zip(*rows, strict=True))) for kind, rows in found.items()}
+
+
+STONES = layer_of(Stones(cover=0.05), seed=6)
+LOGS = log_layer()
+STUMPS = layer_of(Stumps(per_ha=200.0, species=["silver_birch"], diameter_m=(0.2, 0.5)), seed=6)
+GRASS = layer_of(Grass(tufts_per_m2=1.0, height_m=(0.15, 0.5)), seed=6)
+FERNS = layer_of(Ferns(cover=0.3), seed=6)
+ALL = pytest.mark.parametrize(
+    "layer", [STONES, LOGS, STUMPS, GRASS, FERNS], ids=["stones", "logs", "stumps", "grass", "ferns"]
+)
+COVERS = pytest.mark.parametrize(
+    ("section", "reach_m"),
+    [
+        (Herbs(cover=0.2), 25),
+        (Ferns(cover=0.1), 25),
+        (DwarfShrubs(cover=0.15), 25),
+        (Moss(cover=0.5), 12),
+        (Litter(cover=0.3), 12),
+    ],
+    ids=["herbs", "ferns", "dwarf_shrubs", "moss", "litter"],
+)
+
+
+def world_T(layer, tiles=TILES, **where):
+    return np.concatenate([layer.place(plot(*tile, **where)).world_T_shape for tile in tiles])
+
+
+def size_m(world_T):
+    return np.linalg.norm(world_T[:, :, :3], axis=1)
+
+
+def test_stones_cover_the_share_that_was_asked_for():
+    """Of vertical rays on 2.6 hectares of flat ground one in twenty meets a stone, within 6 %."""
+    at_m = np.random.default_rng(2).uniform(2, 158, (100_000, 2))
+    tree, rays = KDTree(at_m), {}
+    for tile in TILES:
+        placed = STONES.place(plot(*tile, height_m=lambda x, y: np.zeros(np.shape(x))))
+        for shape, T in zip(placed.shape, placed.world_T_shape, strict=True):
+            number = np.array(tree.query_ball_point(T[:2, 3], np.linalg.norm(T[:2, 0])), int)
+            own = np.linalg.solve(T[:, :3], np.pad(at_m[number], ((0, 0), (0, 1))).T - T[:, 3:]).T
+            rays.setdefault(placed.keys[shape], []).append(np.column_stack([own, number]))
+    met = set()
+    for key, parts in rays.items():
+        (stone,), (x, y, ground_z, number) = floor_meshes(6, key), np.concatenate(parts).T
+        mesh = trimesh.Trimesh(stone.vertices_m, stone.faces, process=False)
+        origin = np.column_stack([x, y, np.full(len(x), 2.0)])
+        places, ray, _ = mesh.ray.intersects_location(origin, [[0, 0, -1]] * len(x), multiple_hits=False)
+        met |= set(number[ray[places[:, 2] > ground_z[ray]]])
+    assert len(met) / len(at_m) == pytest.approx(0.05, rel=0.06)
+
+
+def test_stone_lengths_are_log_normal_between_their_limits():
+    """Lengths pass a Kolmogorov-Smirnov test against the log-normal of median 0.22 m cut at 0.1 m and 1.5 m."""
+    length = size_m(world_T(STONES))[:, 0]
+    whole = stats.lognorm(0.6, scale=0.22)
+    low, high = whole.cdf(0.1), whole.cdf(1.5)
+    assert stats.kstest(length, lambda x: (whole.cdf(x) - low) / (high - low)).pvalue > 0.01
+    assert 0.1 <= length.min() < length.max() <= 1.5
+
+
+def test_stones_lie_a_third_to_two_thirds_in_the_ground():
+    """The share of a stone's height that is under the ground at its middle is even between 30 % and 60 %."""
+    placed = world_T(STONES)
+    height = size_m(placed)[:, 2]
+    depth = ground(placed[:, 0, 3], placed[:, 1, 3]) - (placed[:, 2, 3] - height / 2)
+    assert stats.kstest(depth / height, stats.uniform(0.3, 0.3).cdf).pvalue > 0.01
+
+
+def test_logs_lie_along_the_ground():
+    """On a plane a log's axis is parallel to it, three quarters of its radius above it; sizes are as asked for."""
+    placed = world_T(LOGS, height_m=lambda x, y: 0.2 * x + 0.1 * y)
+    length, diameter, thick = size_m(placed).T
+    axis = placed[:, :, 0] / length[:, None]
+    assert axis[:, 2] == pytest.approx(0.2 * axis[:, 0] + 0.1 * axis[:, 1])
+    over = placed[:, 2, 3] - 0.2 * placed[:, 0, 3] - 0.1 * placed[:, 1, 3]
+    assert over == pytest.approx(0.75 * diameter / 2)
+    assert diameter == pytest.approx(thick)
+    assert stats.kstest(length, stats.uniform(3, 9).cdf).pvalue > 0.01
+    assert stats.kstest(diameter, stats.uniform(0.2, 0.4).cdf).pvalue > 0.01
+    turn = np.degrees(np.arctan2(axis[:, 1], axis[:, 0])) % 360
+    assert stats.kstest(turn, stats.uniform(0, 360).cdf).pvalue > 0.01
+
+
+def test_stumps_stand_on_the_ground():
+    """A stump's origin is on the ground, upright, with the sizes asked for."""
+    placed = world_T(STUMPS)
+    assert placed[:, 2, 3] == pytest.approx(ground(placed[:, 0, 3], placed[:, 1, 3]))
+    assert np.abs(placed[:, :2, 2]).max() == 0
+    wide, _, high = size_m(placed).T
+    assert stats.kstest(wide, stats.uniform(0.2, 0.3).cdf).pvalue > 0.01
+    assert stats.kstest(high, stats.uniform(0.1, 0.3).cdf).pvalue > 0.01
+
+
+def test_grass_grows_beside_the_path_alone():
+    """Tufts are within 25 m of the path, with their density there, and far tiles have none."""
+    placed = world_T(GRASS, path=NEAR)
+    gap = distance_m(placed[:, :2, 3], NEAR)
+    assert 24 < gap.max() < 25
+    near = distance_m(np.random.default_rng(1).uniform(0, 160, (100_000, 2)), NEAR)
+    area_m2 = 160**2 * ((near < 25) & (near > 0.95)).mean()
+    assert len(placed) == pytest.approx(area_m2, rel=0.06)
+    assert len(GRASS.place(plot(2, 1, path=NEAR)).shape) > 0
+    assert len(GRASS.place(plot(1, 4, path=NEAR)).shape) == 0
+
+
+@COVERS
+def test_plants_cover_the_share_that_was_asked_for(section, reach_m):
+    """Of the ground beside the path, up to their reach, outlines cover the share of the scene, within 6 %; heights are even in their range."""
+    at_m = np.random.default_rng(1).uniform(2, 158, (100_000, 2))
+    away = distance_m(at_m, NEAR)
+    at_m, shares = at_m[(away > 2.5) & (away < reach_m - 1)], []
+    for seed in range(6, 36):
+        placed = world_T(layer_of(section, seed=seed), path=NEAR, height_m=lambda x, y: 0 * x)
+        wide, _, high = size_m(placed).T
+        assert reach_m - 0.5 < distance_m(placed[:, :2, 3], NEAR).max() < reach_m
+        low_m, high_m = section.height_m
+        assert stats.kstest(high, stats.uniform(low_m, high_m - low_m).cdf).pvalue > 0.01
+        within = KDTree(at_m).query_ball_point(placed[:, :2, 3], wide / 2)
+        shares.append(len(set().union(*within)) / len(at_m))
+    assert np.mean(shares) == pytest.approx(section.cover, rel=0.06)
+
+
+def test_plants_stand_in_patches_and_moss_and_litter_do_not():
+    """Variance over mean of counts in squares of 2 m: over 3 of herbs, 2 of dwarf shrubs and 1.1 of ferns, which are few; 1 of moss and litter.
+
+    Clapham (1936, J. Ecology 24) found more than 1 in 42 of 44 species of prairie, and more where there are more plants; how much more
+    under trees is an estimate.
+    """
+    for section, least in (
+        (Herbs(cover=0.1), 3.0),
+        (DwarfShrubs(cover=0.04), 2.0),
+        (Ferns(cover=0.03), 1.1),
+        (Moss(cover=0.3), None),
+        (Litter(cover=0.3), None),
+    ):
+        counts = []
+        for seed in range(6, 12):
+            pattern = layer_of(section, seed=seed).pattern
+            xy_m = np.concatenate([pattern.points(*tile) for tile in TILES])
+            counts.append(np.histogram2d(*xy_m.T, bins=80, range=[(0, 160)] * 2)[0])
+            assert (pattern.points(3, 4) == layer_of(section, seed=seed).pattern.points(3, 4)).all()
+        ratio = np.var(counts) / np.mean(counts)
+        assert ratio > least if least else ratio == pytest.approx(1.0, abs=0.05), section
+
+
+def test_no_tile_has_far_more_small_plants_than_others():
+    """Of herbs 3 to 6 cm high, as dense as a forest may be, no tile has over 1.5 times the mean: its numbers do not run out."""
+    pattern = layer_of(Herbs(cover=0.076, height_m=(0.03, 0.06)), seed=6).pattern
+    assert pattern.per_ha == pytest.approx(120_000, rel=0.05)
+    counts = [len(pattern.points(*tile)) for tile in TILES]
+    assert np.mean(counts) == pytest.approx(pattern.per_ha / 25, rel=0.1)
+    assert max(counts) < 1.5 * np.mean(counts)
+
+
+def test_moss_and_litter_are_ground_and_lie_along_it():
+    """On a slope their axes are across it; they are on the path too, and labelled as ground."""
+    for section in (Moss(cover=0.3), Litter(cover=0.3)):
+        layer = layer_of(section, seed=6)
+        placed = [
+            layer.place(plot(*tile, path=NEAR, height_m=lambda x, y: 0.2 * x + 0.1 * y)) for tile in TILES
+        ]
+        world = np.concatenate([one.world_T_shape for one in placed])
+        up = world[:, :, 2] / np.linalg.norm(world[:, :, 2], axis=1, keepdims=True)
+        np.testing.assert_allclose(
+            up, np.tile(np.array([-0.2, -0.1, 1.0]) / np.sqrt(1.05), (len(up), 1)), atol=1e-9
+        )
+        assert distance_m(world[:, :2, 3], NEAR).min() < 0.3
+        assert layer.kind.is_ground
+        assert all(one.is_ground and (one.surfaces["semantic"] == Semantic.GROUND).all() for one in placed)
+
+
+def test_no_cover_is_nothing():
+    """A cover of 0 places nothing."""
+    assert layer_of(Herbs(), seed=6).pattern.per_ha == 0
+
+
+@ALL
+def test_nothing_lies_in_the_way(layer):
+    """With a path through the tiles things keep their own extent and 0.8 m away; farther ones stay as they were."""
+    kept, free = world_T(layer, path=NEAR), world_T(layer, path=NEAR + [0, 0.001])
+    assert len(kept) > 50
+    ends = np.array([-0.5, 0.0, 0.5]) if layer is LOGS else np.zeros(1)
+    along = kept[:, None, :2, 3] + ends[:, None] * kept[:, None, :2, 0]
+    size = size_m(kept)
+    half = size[:, 1 if layer is LOGS else 0] / 2
+    gap = distance_m(along.reshape(-1, 2), NEAR).reshape(len(kept), -1).min(axis=1)
+    assert (gap - half).min() >= 0.8 - 1e-9
+    assert abs(len(free) - len(kept)) <= 3
+
+
+@ALL
+def test_nothing_lies_in_a_trunk(layer):
+    """A trunk of 4 m radius in a tile keeps everything out of it, and changes nothing else."""
+    path = np.array([[0.0, -5.0], [20.0, -5.0]])
+    before = world_T(layer, [(0, 0)], path=path)
+    after = world_T(layer, [(0, 0)], path=path, trunks=np.array([[10.0, 10.0, 4.0]]))
+    inside = np.hypot(before[:, 0, 3] - 10, before[:, 1, 3] - 10) < 4.0
+    assert inside.any() or layer in (LOGS, STUMPS)
+    assert np.hypot(after[:, 0, 3] - 10, after[:, 1, 3] - 10).min(initial=4.0) >= 4.0
+    kept = {row.tobytes() for row in before}
+    assert all(row.tobytes() in kept for row in after)
+
+
+@pytest.mark.parametrize(
+    ("layer", "semantic", "part", "species"),
+    [
+        (STONES, Semantic.STONE, PlantPart.NONE, {0}),
+        (LOGS, Semantic.DEADWOOD, PlantPart.STEM, {2, 4}),
+        (STUMPS, Semantic.DEADWOOD, PlantPart.STEM, {1}),
+        (GRASS, Semantic.GRASS, PlantPart.LEAF, {0}),
+        (FERNS, Semantic.GRASS, PlantPart.LEAF, {0}),
+    ],
+)
+def test_labels_say_what_it_is(layer, semantic, part, species):
+    """Each kind has its semantic class, part and species, and a reflectance within 0.08 of its material's."""
+    rows = np.concatenate([layer.place(plot(*tile, path=NEAR)).surfaces for tile in TILES])
+    assert set(rows["semantic"].ravel()) == {semantic}
+    assert set(rows["part"].ravel()) == {part}
+    assert set(rows["species"].ravel()) == species
+    middle = {Semantic.STONE: 0.30, Semantic.DEADWOOD: 0.40, Semantic.GRASS: 0.45}[semantic]
+    assert stats.kstest(rows["reflectance"].ravel(), stats.uniform(middle - 0.08, 0.16).cdf).pvalue > 0.01
+
+
+def test_unknown_log_species_is_named():
+    """Logs of an unknown tree are refused with the names that exist."""
+    with pytest.raises(
+        GeometryError, match=r"logs.species: unknown species 'larch'; expected one of silver_birch"
+    ):
+        layer_of(Logs(per_ha=10.0, species=["larch"]), seed=6)
+
+
+def test_large_stones_have_more_faces():
+    """Stones of 40 cm and more have four times the faces of smaller ones; of either there are some."""
+    found = set()
+    for tile in TILES[:8]:
+        placed = STONES.place(plot(*tile))
+        faces = [len(floor_meshes(6, key)[0].faces) for key in placed.keys]
+        for shape, length_m in zip(placed.shape, size_m(placed.world_T_shape)[:, 0], strict=True):
+            assert faces[shape] == (1280 if length_m >= 0.4 else 320)
+            found.add(faces[shape])
+    assert len(found) == 2
+
+
+def test_shares_are_those_that_were_asked_for():
+    """Of some 500 logs the shares with plates, in two pieces and flattened are those of the section, within 3 sigma."""
+    found = found_of(log_layer(uprooted=0.3, broken=0.25, decayed=0.4))
+    whole, pieces, plates = (
+        len(found[kind][0]) for kind in (FloorKind.LOG, FloorKind.BROKEN_LOG, FloorKind.ROOT_PLATE)
+    )
+    logs = whole + pieces / 2
+    _, wide, high = size_m(found[FloorKind.LOG][0]).T
+    for share, expected in (
+        (plates / logs, 0.3),
+        (pieces / 2 / logs, 0.25),
+        ((high < 0.9 * wide).mean(), 0.7 * 0.4),
+    ):
+        assert share == pytest.approx(expected, abs=3 * np.sqrt(expected * (1 - expected) / whole))
+
+
+def test_a_root_plate_stands_at_the_butt():
+    """Its origin is the thick end of its log, across which it stands, 0.3 of its width over the ground; it is 1 m and four diameters wide."""
+    found = found_of(log_layer(uprooted=1.0))
+    logs, (plates, rows) = found[FloorKind.LOG][0], found[FloorKind.ROOT_PLATE]
+    butt_m = logs[:, :, 3] - logs[:, :, 0] / 2
+    assert plates[:, :, 3] == pytest.approx(butt_m)
+    length, diameter, _ = size_m(logs).T
+    wide = size_m(plates)
+    assert wide[:, 1] == pytest.approx(1 + 4 * diameter)
+    assert wide[:, 0] == pytest.approx(wide[:, 1] / 4)
+    assert butt_m[:, 2] == pytest.approx(0.3 * wide[:, 1], abs=0.05)
+    along = (plates[:, :, 0] / wide[:, :1] * logs[:, :, 0] / length[:, None]).sum(axis=1)
+    assert along == pytest.approx(1.0)
+    assert set(rows["semantic"]) == {Semantic.DEADWOOD}
+    assert set(rows["part"]) == {PlantPart.ROOT_FLARE}
+
+
+def test_the_top_of_an_uprooted_log_lies_on_the_ground():
+    """The axis of its thin end is less than its radius over the ground, up to what its straight line rises."""
+    logs = found_of(log_layer(uprooted=1.0))[FloorKind.LOG][0]
+    top_m = (logs[:, :, 3] + logs[:, :, 0] / 2)[:, 2]
+    assert top_m == pytest.approx(0.75 * size_m(logs)[:, 1] / 2, abs=0.02)
+
+
+def test_a_broken_log_lies_in_two_pieces_with_a_gap():
+    """The upper piece is thinner, begins 2 to 10 % of the length beyond the lower one, and is turned by up to 12 degrees."""
+    for tile in TILES[:16]:
+        whole = found_of(log_layer(), tiles=[tile])[FloorKind.LOG][0]
+        pieces = found_of(log_layer(broken=1.0), tiles=[tile])[FloorKind.BROKEN_LOG][0]
+        butts, tops = np.split(pieces, 2)
+        length, diameter, _ = size_m(whole).T
+        assert butts[:, :2, 3] - butts[:, :2, 0] / 2 == pytest.approx(whole[:, :2, 3] - whole[:, :2, 0] / 2)
+        gap_m = tops[:, :2, 3] - tops[:, :2, 0] / 2 - butts[:, :2, 3] - butts[:, :2, 0] / 2
+        share = np.hypot(*gap_m.T) / length
+        assert ((share > 0.0199) & (share < 0.1001)).all()
+        assert (size_m(tops)[:, 1] < diameter).all()
+        assert (diameter < size_m(butts)[:, 1]).all()
+        along = [
+            piece[:, :2, 0] / np.linalg.norm(piece[:, :2, 0], axis=1, keepdims=True)
+            for piece in (butts, tops)
+        ]
+        assert (along[0] * along[1]).sum(axis=1).min() > np.cos(np.radians(12.01))
+
+
+def test_a_rotten_log_is_flat_and_sunk():
+    """Up to half as high as it was and a fifth wider, with its upper side 0.3 to 0.75 of its former diameter over the ground."""
+    logs, sound = (found_of(log_layer(decayed=share))[FloorKind.LOG][0] for share in (1.0, 0.0))
+    (_, wide, high), (_, diameter, _) = size_m(logs).T, size_m(sound).T
+    assert ((high / diameter < 0.86) & (high / diameter > 0.49)).all()
+    assert ((wide / diameter > 1.05) & (wide / diameter < 1.21)).all()
+    top = (logs[:, 2, 3] + high / 2) / diameter
+    assert ((top > 0.3) & (top < 0.76)).all()
+
+
+def test_plates_and_pieces_keep_off_the_path_and_trunks():
+    """No part of a plate is nearer to the path than 0.8 m, or in a trunk; a log is left out whole if any part of it would be."""
+    one, trunk = log_layer(uprooted=0.5, broken=0.5), np.array([[50.0, 90.0, 6.0]])
+    found = found_of(one, path=ACROSS, trunks=trunk)
+    plates = found[FloorKind.ROOT_PLATE][0]
+    assert len(plates) > 50
+    edges_m = np.concatenate([plates[:, :2, 3] + side * plates[:, :2, 1] for side in (-0.5, 0.0, 0.5)])
+    assert distance_m(edges_m, ACROSS).min() >= 0.8
+    assert np.hypot(*(edges_m - trunk[0, :2]).T).min() >= 6.0
+    assert len(found[FloorKind.BROKEN_LOG][0]) % 2 == 0
+    free = found_of(one)
+    assert len(free[FloorKind.ROOT_PLATE][0]) > len(plates)
+
+
+def test_stumps_are_broken_by_share():
+    """Three in ten stumps are jagged, within 3 sigma, and all of them lie where they would without."""
+    section = {"per_ha": 200.0, "species": ["silver_birch"]}
+    found = found_of(layer_of(Stumps(**section, broken=0.3), seed=6))
+    (sound,), (broken,) = ([found[kind][0]] for kind in (FloorKind.STUMP, FloorKind.BROKEN_STUMP))
+    n = len(sound) + len(broken)
+    assert len(broken) / n == pytest.approx(0.3, abs=3 * np.sqrt(0.21 / n))
+    felled = found_of(layer_of(Stumps(**section, broken=0.0), seed=6))[FloorKind.STUMP][0]
+    rows = {row.tobytes() for row in felled}
+    assert {row.tobytes() for row in np.concatenate([sound, broken])} == rows

@@ -1,0 +1,246 @@
+"""Who stands where, and how large."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.forest.ground.settings import Terrain
+from vlp16emu.forest.ground.trails import Trails
+from vlp16emu.forest.plants.allometry import taper_radius_m
+from vlp16emu.forest.plants.flora import species_table, tapers
+from vlp16emu.forest.plants.stem import lean_rotation
+from vlp16emu.forest.stand.points import ScatteredPattern
+from vlp16emu.forest.stand.settings import Clusters, HardCore, Plantation, Scattered, SpeciesShare, Storey
+from vlp16emu.forest.stand.stand import Stand, density_per_ha, foot_discs
+from vlp16emu.random import Purpose
+from vlp16emu.world import Forest
+from vlp16emu.world.polyline import Corridor, distance_m
+
+FAR_XY_M = np.array([[0.0, 1e5]])
+BIRCH = SpeciesShare(species="silver_birch", share=0.25, dbh_cm=18.0, height_m=19.0)
+SPRUCE = SpeciesShare(species="norway_spruce", share=0.75, dbh_cm=24.0, height_m=21.0)
+
+
+def make_stand(
+    *,
+    stems_per_ha=800.0,
+    species=(BIRCH, SPRUCE),
+    path_xy_m=FAR_XY_M,
+    clearance_m=0.8,
+    trails=None,
+    **section,
+):
+    whole = sum(one.share for one in species)
+    species = [one.model_copy(update={"share": one.share / whole}) for one in species]
+    return Stand(
+        Forest(
+            kind="forest",
+            stems_per_ha=stems_per_ha,
+            species=species,
+            path_clearance_m=clearance_m,
+            **section,
+        ),
+        seed=14,
+        height_m=lambda x, y: 0.01 * x + 0.02 * y,
+        path=Corridor(path_xy_m, clearance_m),
+        trails=trails,
+    )
+
+
+@pytest.fixture(scope="module")
+def trees():
+    stand = make_stand()
+    return np.concatenate([stand.trees(ix, iy) for ix in range(14) for iy in range(14)])
+
+
+@pytest.mark.parametrize("mix", [BIRCH, SPRUCE])
+def test_diameters_follow_their_truncated_weibull(trees, mix):
+    """Diameters pass a Kolmogorov-Smirnov test against scipy's truncated Weibull, scaled to the wanted mean."""
+    species = species_table()[mix.species]
+    a0, a1, c0, c1, c2 = species.diameters
+    weibull = stats.weibull_min(c0 + c1 * mix.dbh_cm + c2 * 1.6 * mix.dbh_cm, scale=a0 + a1 * mix.dbh_cm)
+    cut = weibull.cdf(6.9)
+    raw = weibull.ppf(cut + (1 - cut) * (np.arange(20000) + 0.5) / 20000)
+    scale = mix.dbh_cm / np.sqrt((raw**2).mean())
+    dbh_cm = 100 * trees["dbh_m"][trees["species"] == species.number]
+    assert np.sqrt((dbh_cm**2).mean()) == pytest.approx(mix.dbh_cm, rel=0.02)
+    assert stats.kstest(dbh_cm / scale, lambda d: (weibull.cdf(d) - cut) / (1 - cut)).pvalue > 0.01
+
+
+def test_shares_and_sizes_must_be_plausible():
+    """Shares that do not sum to 1 are refused, three thirds pass; and so are diameters in millimetres."""
+    with pytest.raises(ValueError, match="shares that sum to 1"):
+        Storey(stems_per_ha=100, species=[BIRCH, BIRCH])
+    third = {"share": 0.33, "dbh_cm": 18.0, "height_m": 19.0}
+    Storey(stems_per_ha=100, species=[SpeciesShare(species=one, **third) for one in ("a", "b", "c")])
+    with pytest.raises(ValueError, match=r"is dbh_cm in mm\?"):
+        SpeciesShare(species="silver_birch", share=1.0, dbh_cm=110.0, height_m=12.0)
+
+
+def test_species_come_in_their_shares(trees):
+    """A quarter of the stems is birch, by a binomial test."""
+    birches = int((trees["species"] == 1).sum())
+    assert stats.binomtest(birches, len(trees), 0.25).pvalue > 0.01
+
+
+def test_stems_lean_a_little_in_all_directions(trees):
+    """Lean is Rayleigh with 1.5 degrees per axis, and its direction uniform."""
+    assert stats.kstest(trees["lean_deg"], stats.rayleigh(scale=1.5).cdf).pvalue > 0.01
+    assert stats.kstest(trees["lean_towards_deg"], stats.uniform(0, 360).cdf).pvalue > 0.01
+
+
+def test_foot_is_on_the_ground_and_sizes_make_sense(trees):
+    """Feet are at ground height; crowns begin over the ground and end under the tip."""
+    assert trees["z_m"] == pytest.approx(0.01 * trees["x_m"] + 0.02 * trees["y_m"])
+    assert (trees["crown_base_m"] > 0).all()
+    assert (trees["crown_base_m"] < trees["height_m"]).all()
+    assert (trees["height_m"] > 1.3).all()
+
+
+def test_reflectance_varies_between_trees_within_its_range(trees):
+    """Bark of each species is spread evenly over 0.08 on either side of its table value."""
+    birch = trees[trees["species"] == 1]
+    assert stats.kstest(birch["bark_reflectance"], stats.uniform(0.47, 0.16).cdf).pvalue > 0.01
+
+
+def test_crown_prototypes_are_scaled_little(trees):
+    """No tree's crown is wider or narrower than its prototype by more than a quarter."""
+    stand = make_stand()
+    prototype_m = [stand.crown(t["cohort"], t["crown_class"], 0).crown_width_m for t in trees[:400]]
+    ratio = trees["crown_width_m"][:400] / prototype_m
+    assert 3 / 4 < ratio.min() < 0.95
+    assert 1.05 < ratio.max() < 5 / 4
+
+
+def test_leaf_area_of_a_closed_stand_is_its_leaf_area_index(trees):
+    """Leaves that the prototypes' crowns would carry, scaled by crown projection, cover 3/4 x 6 + 1/4 x 3 by share."""
+    stand = make_stand()
+    area_m2 = 0.0
+    for tree in trees:
+        crown = stand.crown(tree["cohort"], tree["crown_class"], 0)
+        area_m2 += crown.leaf_area_m2 * (tree["crown_width_m"] / crown.crown_width_m) ** 2
+    ground_m2 = (14 * 20.0) ** 2
+    by_crown = [(trees["crown_width_m"][trees["species"] == n] ** 2).sum() for n in (1, 2)]
+    expected = np.average([3.0, 6.0], weights=by_crown)
+    assert area_m2 / ground_m2 == pytest.approx(expected, rel=0.03)
+
+
+def test_a_sparse_stand_does_not_reach_that_index():
+    """A lone tree bears at most one and a half times its index over its own projection."""
+    crown = make_stand(stems_per_ha=5.0).crown(1, 0, 0)
+    assert crown.leaf_area_m2 == pytest.approx(6.0 * 1.5 * np.pi / 4 * crown.crown_width_m**2)
+
+
+def test_storeys_share_the_ground_and_have_their_own_density():
+    """Under the canopy a second storey stands in clumps with its own density, and both bear one leaf area index together."""
+    clumps = Clusters(kind="clusters", per_cluster=6.0, sigma_m=3.0)
+    young = SpeciesShare(species="silver_birch", share=1.0, dbh_cm=8.0, height_m=9.0)
+    lower = Storey(stems_per_ha=300.0, species=[young], pattern=clumps)
+    stand = make_stand(stems_per_ha=700.0, species=[SPRUCE], storeys=[lower])
+    trees = np.concatenate([stand.trees(ix, iy) for ix in range(12) for iy in range(12)])
+    ground_m2 = (12 * 20.0) ** 2
+    for storey, per_ha, wide in ((0, 700.0, 0.1), (1, 300.0, 0.2)):
+        assert (trees["storey"] == storey).sum() / ground_m2 * 1e4 == pytest.approx(per_ha, rel=wide)
+    area_m2 = 0.0
+    for tree in trees:
+        crown = stand.crown(tree["cohort"], tree["crown_class"], 0)
+        area_m2 += crown.leaf_area_m2 * (tree["crown_width_m"] / crown.crown_width_m) ** 2
+    by_crown = [(trees["crown_width_m"][trees["storey"] == n] ** 2).sum() for n in (0, 1)]
+    assert area_m2 / ground_m2 == pytest.approx(np.average([6.0, 3.0], weights=by_crown), rel=0.05)
+
+
+def test_basal_area_is_as_asked_for():
+    """Stems whose density follows from 30 m2 of basal area have 30 m2 within 3 %, over 30 hectares."""
+    per_ha = density_per_ha(Storey(basal_area_m2_per_ha=30.0, species=[BIRCH, SPRUCE]))
+    stand = make_stand(stems_per_ha=per_ha)
+    trees = np.concatenate([stand.trees(ix, iy) for ix in range(28) for iy in range(28)])
+    basal_m2 = np.pi / 4 * (trees["dbh_m"] ** 2).sum() / ((28 * 20.0) ** 2 / 10_000)
+    assert basal_m2 == pytest.approx(30.0, rel=0.03)
+
+
+def test_no_stem_stands_in_another():
+    """Where stems are scattered, those whose feet would meet give way to the thicker, also across tiles; few do."""
+    anywhere = ScatteredPattern(seed=14, purpose=Purpose.STAND, per_ha=1500.0)
+    stand = make_stand(stems_per_ha=1500.0, species=[SPRUCE], pattern=Scattered(kind="random"))
+    tiles = [(ix, iy) for ix in range(-4, 4) for iy in range(8)]
+    discs = foot_discs(np.concatenate([stand.trees(*tile) for tile in tiles]))
+    away = np.hypot(*(discs[:, None, :2] - discs[:, :2]).transpose(2, 0, 1)) + 9 * np.eye(len(discs))
+    assert (away >= discs[:, None, 2] + discs[:, 2] + 0.05).all()
+    sown = sum(len(anywhere.points(*tile)) for tile in tiles)
+    assert 0.9 * sown < len(discs) < sown
+
+
+def test_trees_in_the_open_keep_their_lower_branches():
+    """Lowest branches of a lone tree are at 0.35 of their height in a closed stand, those of a half-closed one between."""
+    closed, open_, half = (make_stand(stems_per_ha=n, species=(SPRUCE,)) for n in (2000.0, 1e-6, 400.0))
+    base_m = [stand.crown(0, 0, 0).crown_base_m for stand in (closed, half, open_)]
+    assert base_m[2] == pytest.approx(0.35 * base_m[0])
+    assert base_m[2] < base_m[1] < base_m[0]
+    trees = np.concatenate([half.trees(ix, 0) for ix in range(20)])
+    middle = np.abs(trees["dbh_m"] - 0.24) < 0.01
+    assert trees["crown_base_m"][middle].mean() == pytest.approx(base_m[1], rel=0.1)
+
+
+def test_two_storeys_of_one_species_keep_apart():
+    """Old and young trees of one species in a mixture have the sizes and the crowns of their own line."""
+    stand = make_stand(species=(BIRCH, BIRCH.model_copy(update={"dbh_cm": 8.0, "height_m": 9.0})))
+    trees = np.concatenate([stand.trees(ix, iy) for ix in range(6) for iy in range(6)])
+    for cohort, (dbh_m, height_m) in enumerate([(0.18, 19.0), (0.08, 9.0)]):
+        own = trees[trees["cohort"] == cohort]
+        assert np.sqrt((own["dbh_m"] ** 2).mean()) == pytest.approx(dbh_m, rel=0.05)
+        assert stand.crown(cohort, 0, 0).height_m == pytest.approx(height_m)
+
+
+def test_path_is_kept_clear_of_stems():
+    """With clearance no stem surface is nearer than set, and all trees that are farther stay as they were."""
+    path = np.array([[3.0, 3.0], [60.0, 20.0], [60.0, 80.0]])
+    free, kept = make_stand(path_xy_m=path, clearance_m=2.0), make_stand()
+    tiles = [(ix, iy) for ix in range(4) for iy in range(5)]
+    all_trees = np.concatenate([kept.trees(*t) for t in tiles])
+    trees = np.concatenate([free.trees(*t) for t in tiles])
+    radius = taper_radius_m(
+        tapers(trees["species"]), trees["dbh_m"], trees["height_m"], np.zeros((len(trees), 1))
+    )
+    axis = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[:, :, 2]
+    for above_m in (0.0, 1.0, 2.5):
+        x, y = (trees[name] + above_m * axis[:, i] / axis[:, 2] for i, name in enumerate(("x_m", "y_m")))
+        assert (distance_m(np.column_stack([x, y]), path) - radius[:, 0]).min() >= 2.0
+    assert len(trees) < len(all_trees)
+    gone = all_trees[~np.isin(all_trees["x_m"], trees["x_m"])]
+    assert distance_m(np.column_stack([gone["x_m"], gone["y_m"]]), path).max() < 2.8
+    assert np.array_equal(all_trees[np.isin(all_trees["x_m"], trees["x_m"])], trees)
+
+
+def test_unknown_species_is_named():
+    """An unknown species is refused with the names that exist."""
+    with pytest.raises(
+        GeometryError, match="unknown species 'larch'; expected one of silver_birch, norway_spruce"
+    ):
+        make_stand(species=(BIRCH.model_copy(update={"species": "larch"}),))
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [HardCore(kind="hard_core"), Plantation(kind="plantation", row_spacing_m=3.0, tree_spacing_m=1.6)],
+    ids=["hard core", "rows"],
+)
+def test_no_stem_stands_on_a_trail_and_the_density_is_as_set(pattern):
+    """With trails every 20 m all stems are 2 m off their middles, and there are as many on the whole as without."""
+    trails = Trails(Terrain(trail_spacing_m=20.0, trail_towards_deg=15.0), seed=14)
+    stand = make_stand(stems_per_ha=900.0, pattern=pattern, trails=trails)
+    assert stand.per_ha == pytest.approx(900.0)
+    trees = np.concatenate([stand.trees(ix, iy) for ix in range(14) for iy in range(14)])
+    assert trails.are_free(np.column_stack([trees["x_m"], trees["y_m"]])).all()
+    expected = 900.0 * (14 * 0.2) ** 2
+    assert len(trees) == pytest.approx(expected, abs=3 * np.sqrt(expected) + 0.02 * expected)
+
+
+def test_rows_that_cannot_hold_the_density_off_trails_are_refused():
+    """The error says the density that was asked for, and what the rows hold without what trails take: four of twenty metres."""
+    trails = Trails(Terrain(trail_spacing_m=20.0), seed=14)
+    rows = Plantation(kind="plantation", row_spacing_m=2.5, tree_spacing_m=2.0)
+    with pytest.raises(
+        GeometryError, match=r"found 1800; expected at most 1600, which rows of .* off the trails"
+    ):
+        make_stand(stems_per_ha=1800.0, pattern=rows, trails=trails)

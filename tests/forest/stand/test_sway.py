@@ -1,0 +1,170 @@
+"""How trees answer the wind, and windows that it blows through."""
+
+import numpy as np
+import pytest
+
+from vlp16emu.forest.plants.crown import CrownKey
+from vlp16emu.forest.plants.flora import flora
+from vlp16emu.forest.plants.stem import StemKey
+from vlp16emu.forest.stand.stand import REGENERATION, TREE
+from vlp16emu.forest.stand.wind import KNOT_NS, TreeSway, mechanics
+from vlp16emu.forest.tiles import TileKey
+from vlp16emu.types import PlantPart
+from vlp16emu.world import Wind
+
+START_NS = 1_789_000_000_000_000_000
+
+
+@pytest.fixture(scope="module")
+def loose(make_forest):
+    return make_forest(with_layers=True, loose_stems=True)
+
+
+@pytest.fixture(scope="module")
+def make_wind(loose):
+    def make(**changed):
+        section = Wind(**{"speed_m_s": 8.0, "towards_deg": 30.0, "turbulence_intensity": 0.5, **changed})
+        return TreeSway(section, forest=loose, start_ns=START_NS)
+
+    return make
+
+
+def tree(species, **changed):
+    """A tree of the canopy."""
+    plants = flora()
+    row = np.zeros(1, TREE)
+    row["species"] = plants.trees[species].number
+    usual = {"dbh_m": 0.24, "height_m": 21.0, "crown_base_m": 9.0, "crown_width_m": 4.0}
+    for key, value in (usual | changed).items():
+        row[key] = value
+    return row
+
+
+def test_frequencies_are_those_of_the_paper():
+    """A spruce of 24 cm and 21 m swings at 0.0766 + 3.1219 x 24 / 21^2 Hz, a bare birch as well, one in leaf slower."""
+    wanted = 0.0766 + 3.1219 * 24 / 21**2
+    found = {
+        (name, season): mechanics(tree(name), flora(), season).frequency_hz[0]
+        for name in ("norway_spruce", "silver_birch")
+        for season in ("leaf_on", "leaf_off")
+    }
+    assert found["norway_spruce", "leaf_on"] == found["norway_spruce", "leaf_off"] == pytest.approx(wanted)
+    assert found["silver_birch", "leaf_off"] == pytest.approx(wanted)
+    assert found["silver_birch", "leaf_on"] == pytest.approx(0.8 * wanted)
+
+
+def test_stiffness_is_that_of_the_mass_at_its_frequency():
+    """The lean of a stem, a cone by and large, is torque over (2 pi f)^2 J, with J within 40 % of that of a cone."""
+    one = tree("norway_spruce")
+    own = mechanics(one, flora(), "leaf_on")
+    stem_kg = 900 * np.pi / 4 * 0.24**2 * 21 / 3
+    cone_kg_m2 = stem_kg * 21**2 / 10 + 0.3 * stem_kg * 15.0**2
+    torque_n_m = np.pi / 4 * 4.0**2 * 15.0
+    inertia_kg_m2 = torque_n_m / own.lean_per_stress[0] / (2 * np.pi * own.frequency_hz[0]) ** 2
+    assert 1.0 < inertia_kg_m2 / cone_kg_m2 < 1.8
+
+
+def test_stems_of_their_own_are_the_stems_of_the_tile(make_forest, loose, track_m):
+    """Loose stems have the meshes, places, surfaces and numbers that they have in the shapes of tiles."""
+    rooted, window = make_forest(with_layers=True).window(track_m), loose.window(track_m)
+    meshes, places = {}, {}
+    for i, which in enumerate(window.shape):
+        if isinstance(key := window.shapes[which], StemKey):
+            rows = window.surfaces[window.first_surface[i] :][:2]
+            meshes[int(rows["instance"][0])] = rows.tobytes(), loose.shape(key)
+            places[int(rows["instance"][0])] = window.world_T_shape[i].tobytes()
+    count = 0
+    forest = make_forest(with_layers=True)
+    for i, which in enumerate(rooted.shape):
+        if not isinstance(key := rooted.shapes[which], TileKey):
+            continue
+        _, *stems = forest.shape(key)
+        rows = rooted.surfaces[rooted.first_surface[i] + 1 :][: len(stems)]
+        for n in range(0, len(stems), 2):
+            number = int(rows["instance"][n])
+            own_rows, own = meshes[number]
+            assert own_rows == rows[n : n + 2].tobytes()
+            assert places[number] == rooted.world_T_shape[i].tobytes()
+            assert all(
+                a.vertices_m.tobytes() == b.vertices_m.tobytes() and (a.faces == b.faces).all()
+                for a, b in zip(own, stems[n : n + 2], strict=True)
+            )
+            count += 1
+    assert count == len(meshes) > 100
+
+
+def test_wind_moves_stems_and_crowns_and_nothing_else(make_wind, loose, track_m):
+    """Each tree of the stand sways as one, about its foot; saplings, ground and things are not among what moves."""
+    window = loose.window(track_m)
+    blown = make_wind().blown(window, track_m, START_NS, START_NS + 3 * KNOT_NS)
+    trees = {row["id"]: row for row in loose.trees(track_m)}
+    keys = [window.shapes[which] for which in window.shape]
+    instance = window.surfaces["instance"][window.first_surface]
+    part = window.surfaces["part"][window.first_surface]
+    moves = np.zeros(len(instance), np.bool_)
+    moves[blown.sway.placement] = True
+    for i, number in enumerate(instance):
+        grown = number in trees and trees[number]["storey"] != REGENERATION
+        assert moves[i] == grown == isinstance(keys[i], StemKey | CrownKey)
+    assert set(part[moves].tolist()) == {PlantPart.ROOT_FLARE, PlantPart.BRANCH_FIRST_ORDER}
+    own = instance[blown.sway.placement]
+    assert blown.sway.foot_z_m.tolist() == [trees[number]["z_m"] for number in own]
+    for number in np.unique(own)[:20]:
+        both = blown.sway.shear[:, own == number]
+        assert both.shape[1] == 2
+        assert (both[:, 0] == both[:, 1]).all()
+
+
+def test_a_tree_is_at_one_place_whatever_window_it_is_in(make_wind, loose, track_m):
+    """Windows of other stretches of way and time have the same knots, and trees the same lean at them, to the bit."""
+    wind, aside_m = make_wind(), np.array([6.0, -3.0, 0.0])
+    first = wind.blown(loose.window(track_m), track_m, START_NS, START_NS + 6_795_000_000)
+    there_m = track_m + aside_m
+    second = wind.blown(loose.window(there_m), there_m, START_NS + 5_012_345_678, START_NS + 11_000_000_000)
+    shift = (second.sway.start_ns - first.sway.start_ns) // KNOT_NS
+    assert first.sway.start_ns <= START_NS
+    assert first.sway.start_ns + KNOT_NS * (len(first.sway.shear) - 1) >= START_NS + 6_795_000_000
+    own, other = (
+        dict(
+            zip(
+                w.surfaces["instance"][w.first_surface[w.sway.placement]],
+                w.sway.shear.swapaxes(0, 1),
+                strict=True,
+            )
+        )
+        for w in (first, second)
+    )
+    both = own.keys() & other.keys()
+    assert len(both) > 100
+    for number in both:
+        common = own[number][shift:]
+        assert common.tobytes() == other[number][: len(common)].tobytes()
+
+
+def test_stands_lean_with_the_wind(make_wind, loose, track_m):
+    """Over ten minutes the mean lean is downwind and that of the stress; the spread across is the smaller."""
+    trees = loose.trees(track_m)[:40]
+    trees = trees[trees["storey"] != REGENERATION]
+    t_ns = START_NS + 500_000_000 * np.arange(1200)
+    shear = make_wind(gust_length_m=5.0).shear(trees, t_ns)
+    down = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
+    along, across = shear @ down, shear @ [-down[1], down[0]]
+    wanted = 1.2 * (0.3 * 8.0) ** 2 * mechanics(trees, loose.plants, "leaf_on").lean_per_stress
+    assert np.abs(along.mean(axis=0) / wanted - 1).max() < 0.1
+    assert np.abs(across.mean(axis=0) / wanted).max() < 0.1
+    assert (across.std(axis=0) < along.std(axis=0)).all()
+
+
+def test_trees_between_knots_are_where_they_should_be(make_wind, loose, track_m):
+    """Half-way between knots the straight line misses a tree by its greatest swing times (2 pi f h)^2 / 8, or 2.5 times that."""
+    trees = loose.trees(track_m)
+    trees = trees[trees["storey"] != REGENERATION]
+    t_ns = START_NS + KNOT_NS // 2 * np.arange(401)
+    shear = make_wind().shear(trees, t_ns)
+    straight = (shear[:-2:2] + shear[2::2]) / 2
+    own = mechanics(trees, loose.plants, "leaf_on")
+    swing = np.abs(shear - shear.mean(axis=0)).max(axis=(0, 2))
+    off = np.abs(straight - shear[1::2]).max(axis=(0, 2))
+    share = off / swing / ((2 * np.pi * own.frequency_hz * KNOT_NS * 1e-9) ** 2 / 8)
+    assert np.median(share) < 1.2
+    assert share.max() < 2.5

@@ -1,5 +1,0 @@
-"""How exact a run is, and what it costs."""
-
-from vlp16emu.accuracy.audit import Audit
-
-__all__ = ["Audit"]

@@ -1,8 +1,0 @@
-"""What distinguishes one unit from another: statistics of captures, and the settings they imply."""
-
-from vlp16emu.compare.fit import fitted
-from vlp16emu.compare.sequences import Sequences, read_sequences
-from vlp16emu.compare.statistics import statistics_of
-from vlp16emu.compare.table import Compared, compared, draw
-
-__all__ = ["Compared", "Sequences", "compared", "draw", "fitted", "read_sequences", "statistics_of"]

@@ -1,0 +1,234 @@
+"""Error against run time: what was measured of each setting, what follows for the choice of one, and the picture."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+
+from vlp16emu.extras.accuracy.compare import Errors
+from vlp16emu.extras.plots import CYCLE, INK, SOFT, plotted
+
+WANTED_M = (0.5, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
+
+
+class Kind(StrEnum):
+    """What a setting is about."""
+
+    ONE_RAY = "one ray"
+    FIXED = "fixed"
+    ADAPTIVE = "adaptive"
+    BEAM_ERROR = "beam error"
+    POSE = "pose"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One setting."""
+
+    kind: Kind
+    name: str
+    """Of light, as `--set` takes it."""
+    in_use: bool
+    """Whether it is that of the scene."""
+    errors: Errors
+    us_per_pulse: float
+    """Run time on one core: that of casting and detecting, of poses that of posing and aiming."""
+    us_spread: float
+    """Between the quickest and the slowest repeat."""
+    rays_per_pulse: float
+
+
+@dataclass(frozen=True, slots=True)
+class Mean:
+    """A mean over pulses."""
+
+    value: float
+    off: float
+    """Difference from the explicit world."""
+    half: float
+    """Half of the 95 % interval of that difference."""
+
+    @property
+    def departs(self) -> bool:
+        """Whether it differs by more than chance."""
+        return abs(self.off) > self.half
+
+
+@dataclass(frozen=True, slots=True)
+class LevelOfDetail:
+    """A world cast leaf by leaf to some distance."""
+
+    name: str
+    """As `--set` takes it."""
+    in_use: bool
+    us_per_pulse: float
+    """Run time of casting and detecting on one core."""
+    means: Mapping[str, Mean]
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """What is known of a scene's errors."""
+
+    scene: str
+    seed: int
+    answer_rays: int
+    """Sub-rays of the answer that all is held against."""
+    answer_rmse_m: float
+    """Its own error, from two answers with different sub-rays."""
+    rows: tuple[Row, ...]
+    poses: tuple[Row, ...]
+    """Held poses, each against a pose per pulse with the light of the answer; none where nothing moves."""
+    foliage: tuple[LevelOfDetail, ...] = ()
+    """The world cast leaf by leaf to some distances, the explicit one last; none of a hall."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A power law: mean error = `at_1_us_m` times run time in microseconds per pulse to the power of -`order`."""
+
+    order: float
+    at_1_us_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The quickest setting whose error is small enough."""
+
+    wanted_m: float
+    row: Row
+
+
+def front(rows: Sequence[Row]) -> list[Row]:
+    """Rows that no other beats in both speed and error, by their mean errors; the quickest first.
+
+    The paper's beam errors do not count: they are there to be compared with, and nobody should choose them.
+    """
+    best, kept = np.inf, list[Row]()
+    for row in sorted(_to_choose(rows), key=lambda row: (row.us_per_pulse, row.errors.mean_error_m)):
+        if row.errors.mean_error_m < best:
+            best = row.errors.mean_error_m
+            kept.append(row)
+    return kept
+
+
+def fitted_order(rows: Sequence[Row], kind: Kind) -> Fit | None:
+    """Fit how the mean error of a kind falls; None of fewer than three settings, or where none costs twice another."""
+    points = [(row.us_per_pulse, row.errors.mean_error_m) for row in rows if row.kind is kind]
+    points = [point for point in points if point[1] > 0]
+    if len(points) < 3 or max(points)[0] < 2 * min(points)[0]:
+        return None
+    us, error_m = np.log(np.array(points)).T
+    slope, height = np.polyfit(us, error_m, 1)
+    return Fit(order=float(-slope), at_1_us_m=float(np.exp(height)))
+
+
+def choices(rows: Sequence[Row]) -> list[Choice]:
+    """Say what to take for some wanted mean errors; each setting once, for the least that it is good for."""
+    found: dict[str, Choice] = {}
+    for wanted_m in WANTED_M:
+        good = [row for row in _to_choose(rows) if row.errors.mean_error_m <= wanted_m]
+        if good:
+            row = min(good, key=lambda row: row.us_per_pulse)
+            found[row.name] = Choice(wanted_m, row)
+    return list(found.values())
+
+
+def _to_choose(rows: Sequence[Row]) -> list[Row]:
+    return [row for row in rows if row.kind is not Kind.BEAM_ERROR]
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+_SIZE_PX = 1100, 480
+_IN_USE = CYCLE[3]
+_STYLES = {
+    Kind.ONE_RAY: (INK, "s", (6, -10)),
+    Kind.BEAM_ERROR: (CYCLE[4], "x", (4, 5)),
+    Kind.FIXED: (CYCLE[0], "o", (4, 5)),
+    Kind.ADAPTIVE: (CYCLE[2], "D", (-8, -13)),
+}
+"""Colour, mark, and where the label is, in points; to the left it ends there."""
+_CLOSE = 0.3, 0.25
+"""Settings whose run times and errors differ by less, as shares, have one label."""
+
+
+def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
+    """Draw mean error and RMSE of each setting of light against its run time, as PNG.
+
+    Parameters
+    ----------
+    file : open for writing
+    """
+    with plotted(file, _SIZE_PX) as figure:
+        left, right = figure.subplots(1, 2)
+        _draw(left, accuracy.rows, lambda row: row.errors.mean_error_m)
+        line = front(accuracy.rows)
+        left.plot(
+            [row.us_per_pulse for row in line],
+            [row.errors.mean_error_m for row in line],
+            color=SOFT,
+            linewidth=6,
+            alpha=0.5,
+            zorder=0,
+            label="Pareto front",
+        )
+        _draw_orders(left, accuracy.rows)
+        left.set(title="All returns: wrong and lost ones count as the resolution", ylabel="mean error, m")
+        _draw(right, accuracy.rows, lambda row: row.errors.range_rmse_m)
+        right.axhline(accuracy.answer_rmse_m, color=SOFT, linestyle=":", label="the answer's own error")
+        right.set(title="Returns of the right echo", ylabel="range RMSE, m")
+        for axes in (left, right):
+            axes.legend(loc="upper right")
+        figure.suptitle(f"{accuracy.scene}: error against run time, {accuracy.rows[0].errors.pulses} pulses")
+
+
+def _draw(axes: "Axes", rows: Sequence[Row], error_m: Callable[[Row], float]) -> None:
+    for kind, (colour, marker, aside) in _STYLES.items():
+        own = [row for row in rows if row.kind is kind]
+        us, errors = [row.us_per_pulse for row in own], [error_m(row) for row in own]
+        spread = np.array([row.us_spread / 2 for row in own])
+        line = "-" if kind in (Kind.FIXED, Kind.ADAPTIVE) else ""
+        axes.errorbar(us, errors, xerr=spread, color=colour, marker=marker, linestyle=line, label=kind.value)
+        for words, at in _labels(own, us, errors):
+            side = "left" if aside[0] > 0 else "right"
+            looks: dict[str, Any] = {"fontsize": 7, "color": colour, "ha": side}
+            axes.annotate(words, at, aside, textcoords="offset points", **looks)
+    for row in rows:
+        if row.in_use:
+            place = [row.us_per_pulse], [error_m(row)]
+            axes.plot(*place, "o", ms=15, mfc="none", mec=_IN_USE, mew=2, label="in use")
+    axes.set(xscale="log", yscale="log", xlabel="us per pulse, one core")
+    axes.grid(which="both", alpha=0.5)
+    axes.xaxis.set_minor_formatter("")
+
+
+def _draw_orders(axes: "Axes", rows: Sequence[Row]) -> None:
+    """Draw with what power of run time errors fall."""
+    for kind in (Kind.FIXED, Kind.ADAPTIVE):
+        if (fit := fitted_order(rows, kind)) is not None:
+            us = np.array([row.us_per_pulse for row in rows if row.kind is kind])
+            us = np.array([us.min() / 1.2, us.max() * 1.2])
+            name = f"{kind.value}: error ~ time^-{fit.order:.2f}"
+            axes.plot(us, fit.at_1_us_m * us**-fit.order, "--", color=_STYLES[kind][0], lw=1, label=name)
+
+
+def _labels(
+    rows: Sequence[Row], us: Sequence[float], errors: Sequence[float]
+) -> list[tuple[str, tuple[float, float]]]:
+    """Words and places of the labels of a kind; what lies together has one label."""
+    labels = list[tuple[str, tuple[float, float]]]()
+    for row, place in zip(rows, zip(us, errors, strict=True), strict=True):
+        if labels and np.allclose(place, labels[-1][1], rtol=_CLOSE, atol=0.0):
+            labels[-1] = f"{labels[-1][0]}, {_short(row)}", labels[-1][1]
+        else:
+            labels.append((_short(row), place))
+    return labels
+
+
+def _short(row: Row) -> str:
+    return row.name.rpartition("=")[2]

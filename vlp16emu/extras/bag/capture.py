@@ -1,0 +1,180 @@
+"""A capture, with or without its truth, as a bag."""
+
+import csv
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import numpy as np
+
+from vlp16emu.errors import CaptureError, InputError, PacketError, readable, spare
+from vlp16emu.extras.bag.bag_file import BagFile
+from vlp16emu.extras.bag.messages import TrueMessages
+from vlp16emu.extras.bag.sink import BagSink, TrueSamples
+from vlp16emu.packets import DATA_BYTES, Capture, units_in
+from vlp16emu.types import Packet, PacketKind
+from vlp16emu.units import S_NS
+
+_POSE = ("t_utc_s", "x", "y", "z", "qx", "qy", "qz", "qw")
+_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
+_SAID = ("latitude_deg", "longitude_deg", "valid")
+_EVER_NS = 2**62
+
+Row = tuple[int, list[float]]
+"""UTC of a sample, and its numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class BagResult:
+    """What a bag holds."""
+
+    file: str
+    messages: dict[str, int]
+    """By topic."""
+    duration_s: float
+    """From the first message to the last."""
+    interrupted: bool
+
+
+def write_bag(capture: Path, out: Path, truth: Path | None = None, *, stop: Event | None = None) -> BagResult:
+    """Write the bag of a capture; memory does not grow with its length.
+
+    Parameters
+    ----------
+    capture : a classic pcap file of VLP-16 packets, also of a real sensor
+    out : .mcap, .bag or a folder, as `BagFile` takes it
+    truth : folder with the truth of the run: true odometry, transforms, inertial unit and receiver
+    stop : ends the bag between two packets; it is valid
+
+    Raises
+    ------
+    CaptureError, PacketError
+        where the capture is none, or is damaged
+    InputError
+        where the truth cannot be read, or is not of as many units
+    OutputError, MissingExtraError, RunError
+        as `BagFile`
+    """
+    spare([capture], out)
+    stop, units = stop or Event(), units_in(capture)
+    with BagSink(out, len(units), partial(_truth, truth) if truth else None) as sink:
+        try:
+            for packet in _packets(capture):
+                if stop.is_set():
+                    break
+                sink.send(packet)
+        except PacketError as error:
+            raise PacketError(f"{capture}: {error.where}", error.found, error.expected) from None
+        if sink.first_ns is None and not stop.is_set():
+            raise CaptureError(str(capture), "no data packet", f"UDP payloads of {DATA_BYTES} bytes")
+    first_ns, last_ns = sink.bag.span_ns or (0, 0)
+    counts = dict(sorted(sink.bag.counts.items()))
+    return BagResult(str(out), counts, (last_ns - first_ns) / S_NS, stop.is_set())
+
+
+def _packets(capture: Path) -> Iterator[Packet]:
+    """Yield the packets of a capture by their sensors, numbered as its frames."""
+    units = units_in(capture)
+    with Capture(capture) as datagrams:
+        for datagram in datagrams:
+            of = next((number for number, unit in enumerate(units) if unit.owns(datagram)), None)
+            kind = PacketKind.DATA if len(datagram.payload) == DATA_BYTES else PacketKind.POSITION
+            if of is not None:
+                yield Packet(kind, datagram.stamp_ns, datagram.payload, of, number=datagram.number)
+
+
+class _Rows:
+    """Rows of a file, each written when its time has come.
+
+    Parameters
+    ----------
+    rows : in order of time
+    take : writes one
+    """
+
+    def __init__(self, rows: Iterator[Row], take: Callable[..., None]) -> None:
+        self._rows, self._take = rows, take
+        self._next = next(rows, None)
+
+    def up_to(self, t_ns: int) -> None:
+        while self._next is not None and self._next[0] <= t_ns:
+            self._take(*self._next)
+            self._next = next(self._rows, None)
+
+
+def _truth(folder: Path, bag: BagFile, frames: Sequence[str], begin_ns: int) -> list[tuple[TrueSamples, int]]:
+    """Open the files of a folder of truth, from an instant UTC on."""
+    rig, scenario = (_json(folder / name) for name in ("rig.json", "scenario.json"))
+    if len(rig["units"]) != len(frames):
+        expected = f"{len(frames)}, as in the capture"
+        raise InputError(str(folder / "rig.json"), f"found {len(rig['units'])} units", expected)
+    to = TrueMessages(bag, scenario.get("imu"), scenario["gps"])
+    to.fixed(begin_ns, rig, frames[0])
+    files = [
+        _Rows(_poses(folder / unit["trajectory"], begin_ns), partial(_odometry, to, frame))
+        for unit, frame in zip(rig["units"], frames, strict=True)
+    ]
+    for name, columns, take in (("imu.csv", _AXES, to.inertial), ("gnss.csv", _SAID, to.fix)):
+        if (folder / name).exists():
+            rows = (row for row in _table(folder / name, columns) if row[0] >= begin_ns)
+            files.append(_Rows(rows, take))
+    return [(file, _EVER_NS) for file in files]
+
+
+def _json(path: Path) -> Any:
+    with readable(path, "a file of a --truth folder", InputError):
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except ValueError:
+            raise InputError(str(path), "no JSON", "a file of a --truth folder") from None
+
+
+def _odometry(to: TrueMessages, frame: str, t_ns: int, numbers: list[float]) -> None:
+    to.odometry(frame, t_ns, numbers[:7], numbers[7:])
+
+
+def _poses(path: Path, begin_ns: int) -> Iterator[Row]:
+    """Yield poses from an instant on, and velocity and angular rate until the next one; the last one keeps those before."""
+    from scipy.spatial.transform import Rotation
+
+    before: Row | None = None
+    rates = [0.0] * 6
+    for t_ns, pose in _table(path, _POSE[1:], names=_POSE):
+        if before is not None:
+            (t0_ns, pose0), step_s = before, (t_ns - before[0]) / S_NS
+            try:
+                back, turn = Rotation.from_quat(pose0[3:]).inv(), Rotation.from_quat(pose[3:])
+            except ValueError:
+                raise InputError(str(path), f"no rotation at {t_ns / S_NS:.3f} s", "a quaternion") from None
+            moved_m, turned = back.apply(np.subtract(pose[:3], pose0[:3])), back * turn
+            rates = (np.concatenate([moved_m, turned.as_rotvec()]) / step_s).tolist()
+            if t0_ns >= begin_ns:
+                yield t0_ns, pose0 + rates
+        before = t_ns, pose
+    if before is None or before[0] < begin_ns:
+        found = "no poses" if before is None else f"poses until {before[0] / S_NS:.3f} s"
+        expected = f"poses from the capture's first pulse on, {begin_ns / S_NS:.3f} s"
+        raise InputError(str(path), found, expected)
+    yield before[0], before[1] + rates
+
+
+def _table(path: Path, columns: Sequence[str], names: Sequence[str] | None = None) -> Iterator[Row]:
+    """Yield the numbers of columns, and the time, of a CSV; or of a TUM file, which has no names of its own."""
+    with readable(path, "a file of a --truth folder", InputError, most_bytes=_EVER_NS), path.open() as lines:
+        reader = csv.DictReader(lines, names, delimiter=" " if names else ",")
+        if missing := {"t_utc_s", *columns} - set(reader.fieldnames or ()):
+            raise InputError(
+                f"{path}, line 1", f"no column {min(missing)}", f"the columns {', '.join(columns)}"
+            )
+        for row in reader:
+            if row["t_utc_s"] == "#":
+                continue
+            try:
+                yield int(row["t_utc_s"].replace(".", "")), [float(row[name]) for name in columns]
+            except (TypeError, ValueError):
+                found = f"found {' '.join(str(cell) for cell in row.values())[:60]}"
+                raise InputError(f"{path}, line {reader.line_num}", found, "numbers") from None

@@ -1,0 +1,79 @@
+"""A run straight into a bag, with what is true of its motion."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from vlp16emu.engine import Engine
+from vlp16emu.extras.bag.bag_file import BagFile, check_bag
+from vlp16emu.extras.bag.messages import TrueMessages
+from vlp16emu.extras.bag.sink import BagSink, TrueSamples
+from vlp16emu.extras.truth.truth import Samples, rig_of, true_motion
+from vlp16emu.motion.imu import Inertial
+from vlp16emu.motion.pose import Kinematics
+from vlp16emu.units import S_NS
+
+
+@contextmanager
+def bag_of_run(path: Path, engine: Engine, rate_hz: int) -> Iterator[list[BagSink]]:
+    """Open a bag for the packets of a run and its truth, with poses at a rate.
+
+    Raises
+    ------
+    OutputError, MissingExtraError, RunError
+        as `BagFile`
+    """
+    check_bag(path)
+    with BagSink(path, len(engine.parts.units), partial(_truth, engine, rate_hz)) as sink:
+        yield [sink]
+
+
+def _truth(
+    engine: Engine, rate_hz: int, bag: BagFile, frames: Sequence[str], begin_ns: int
+) -> list[tuple[TrueSamples, int]]:
+    scenario, parts = engine.scenario, engine.parts
+    imu = scenario.imu
+    to = TrueMessages(bag, imu.model_dump() if imu else None, scenario.gps.model_dump())
+    to.fixed(begin_ns, rig_of(scenario, parts), frames[0])
+    found: list[tuple[TrueSamples, int]] = []
+    for unit, frame in zip(parts.units, frames, strict=True):
+        motion = true_motion(unit.motion, scenario.start_ns, rate_hz)
+        poses = Samples(partial(_odometry, to, frame), motion, scenario.start_ns, rate_hz, begin_ns)
+        found.append((poses, -(-S_NS // rate_hz)))
+    if imu is not None and parts.imu is not None:
+        readings = Samples(partial(_inertial, to), parts.imu.read, scenario.start_ns, imu.rate_hz, begin_ns)
+        found.append((readings, 0))
+    if (named_ns := parts.gps.second_ns(begin_ns)) is not None:
+        seconds = Samples(partial(_fixes, to, engine), _seconds, 0, 1, max(named_ns, begin_ns))
+        found.append((seconds, 0))
+    return found
+
+
+def _seconds(first: int, count: int) -> range:
+    return range(first, first + count)
+
+
+def _odometry(to: TrueMessages, frame: str, true: Kinematics) -> None:
+    from scipy.spatial.transform import Rotation
+
+    quaternion = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
+    poses = np.column_stack([true.world_p_body_m, quaternion]).tolist()
+    own_m_s = np.einsum("nji,nj->ni", true.world_R_body, true.world_v_body_m_s)
+    rates = np.column_stack([own_m_s, true.body_w_rad_s]).tolist()
+    for sample in zip(true.t_ns.tolist(), poses, rates, strict=True):
+        to.odometry(frame, *sample)
+
+
+def _inertial(to: TrueMessages, read: Inertial) -> None:
+    rates = np.column_stack([read.angular_rate_rad_s, read.specific_force_m_s2]).tolist()
+    for sample in zip(read.t_ns.tolist(), rates, strict=True):
+        to.inertial(*sample)
+
+
+def _fixes(to: TrueMessages, engine: Engine, seconds: range) -> None:
+    for second in seconds:
+        said = engine.receiver.fix(second * S_NS)
+        to.fix(second * S_NS, (said.latitude_deg, said.longitude_deg, said.valid))

@@ -1,0 +1,110 @@
+"""Packets, and what was true beside them, into a bag."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from vlp16emu.extras.bag.bag_file import BagFile
+from vlp16emu.extras.bag.messages import UnitMessages
+from vlp16emu.packets import DATA_BYTES, POSITION_BYTES
+from vlp16emu.sinks import PacketSink, PcapResult
+from vlp16emu.types import Packet, PacketKind
+from vlp16emu.units import S_NS, US_NS
+
+_OFTEN_NS = S_NS // 10
+"""Of simulated time, in which truth is written together."""
+
+
+class TrueSamples(Protocol):
+    """Something that is true of a run, sample by sample."""
+
+    def up_to(self, t_ns: int) -> None:
+        """Write all samples until and with an instant that are not written yet."""
+
+
+TruthOf = Callable[[BagFile, Sequence[str], int], Sequence[tuple[TrueSamples, int]]]
+"""From a bag, the frames of the units and the first pulse to what is true from then on; and for how long after the last packet."""
+
+
+class BagSink(PacketSink):
+    """Writes packets of one or several sensors into a bag, as they come, and the truth of the same time.
+
+    Each unit of several has its topics and its frame under `/unit_1` and so on.
+
+    Parameters
+    ----------
+    path : .mcap, .bag or a folder, as `BagFile` takes it
+    units : number of sensors
+    truth : what else is to be in the bag
+
+    Raises
+    ------
+    OutputError, MissingExtraError
+        as `BagFile`
+    RunError
+        where the disk is full: here, or later
+    """
+
+    def __init__(self, path: Path, units: int, truth: TruthOf | None = None) -> None:
+        several = [f"unit_{number}/velodyne" for number in range(1, units + 1)]
+        self._frames = several if units > 1 else ["velodyne"]
+        self.bag = BagFile(path)
+        self._units = [UnitMessages(self.bag, frame) for frame in self._frames]
+        self._truth, self._samples = truth, list[tuple[TrueSamples, int]]()
+        self._sent = Counter[PacketKind]()
+        self._seen_ns = self._next_ns = 0
+        self.first_ns: int | None = None
+        """UTC of the first pulse, by the sensor's clock; None before."""
+
+    def __exit__(self, *raised: object) -> None:
+        if raised[1] is not None:
+            self.bag.__exit__(*raised)
+            return
+        with self.bag:
+            for unit in self._units:
+                unit.check()
+            for samples, longer_ns in self._samples:
+                samples.up_to(self._seen_ns + longer_ns)
+
+    def send(self, packet: Packet) -> None:
+        """Take one packet, which is due at the stamp of its capture, and numbered as its frame where it has a number.
+
+        Raises
+        ------
+        PacketError
+            where it is not a VLP-16's
+        """
+        unit, self._seen_ns = self._units[packet.unit], packet.due_ns
+        self._sent[packet.kind] += 1
+        if len(packet.payload) == DATA_BYTES:
+            number = packet.number or self._sent.total()
+            t_ns = unit.data(packet.due_ns, packet.payload, number)
+            if self.first_ns is None:
+                self.first_ns = t_ns
+                self._samples += self._truth(self.bag, self._frames, t_ns) if self._truth else []
+        elif len(packet.payload) == POSITION_BYTES:
+            unit.position(packet.due_ns // US_NS * US_NS, packet.payload)  # as captures have it
+        if packet.due_ns >= self._next_ns:
+            self._next_ns = packet.due_ns + _OFTEN_NS
+            for samples, _ in self._samples:
+                samples.up_to(packet.due_ns)
+
+    @property
+    def result(self) -> PcapResult:
+        """What stands in the bag, once it is closed; sha256 of several files in the order of their names."""
+        path = self.bag.path
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        return PcapResult(
+            data_packets=self._sent[PacketKind.DATA],
+            position_packets=self._sent[PacketKind.POSITION],
+            bytes=sum(file.stat().st_size for file in files),
+            sha256=", ".join(map(_sha256, files)),
+            messages=dict(sorted(self.bag.counts.items())),
+        )
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

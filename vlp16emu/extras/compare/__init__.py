@@ -1,0 +1,8 @@
+"""What distinguishes one unit from another: statistics of captures, and the settings they imply."""
+
+from vlp16emu.extras.compare.fit import fitted
+from vlp16emu.extras.compare.sequences import Sequences, read_sequences
+from vlp16emu.extras.compare.statistics import statistics_of
+from vlp16emu.extras.compare.table import Compared, compared, draw
+
+__all__ = ["Compared", "Sequences", "compared", "draw", "fitted", "read_sequences", "statistics_of"]

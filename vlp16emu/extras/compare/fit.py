@@ -1,0 +1,100 @@
+"""From a capture to the settings of the unit that made it."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from vlp16emu.extras.compare.sequences import Sequences
+from vlp16emu.extras.compare.statistics import (
+    Statistics,
+    beat_of,
+    hum_cdeg,
+    local,
+    smooth_of,
+    statistics_of,
+    turning_of,
+)
+from vlp16emu.returns import Noise
+from vlp16emu.sensor import Sensor
+
+_EVEN_CDEG2, _PER_RATE_CDEG2 = 0.136, 3.46
+_LEVEL = 80.0
+"""Reflectivity in the middle of those whose neighbours are compared."""
+_EQUAL_STEPS, _COARSEST = 2.9, 5.0
+"""Step of bright codes over their scatter and the share of equal neighbours, from our own packets; and its limit."""
+_LEAST_SILENT = 50
+_SET_RPM = 60
+
+Table = Mapping[str, object]
+
+
+def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
+    """Find the `[noise]` and `[sensor]` keys of the unit that made a capture.
+
+    Bias and gain of each laser are not among them: without a target at a known place nothing shows them. A mean speed that
+    is off is given as the spread from which a unit's own is drawn.
+
+    Returns
+    -------
+    Tables by name, checked against the scene's own limits
+    """
+    noise, sensor = _noise(sequences, statistics_of(sequences)), _rotor(sequences)
+    return {"noise": _checked(Noise, noise), "sensor": _checked(Sensor, sensor)}
+
+
+def _noise(sequences: Sequences, found: Statistics) -> Table:
+    """Find the keys of `[noise]`, as far as the capture shows them."""
+    out: dict[str, object] = {"preset": "unit", "unit_spread": 0.0}
+    if (smooth := smooth_of(sequences)) is not None:
+        sine, _ = beat_of(smooth)
+        out["range_noise_m"] = round(found["range.white_at_20_mm"] * 1e-3, 5)
+        out["range_beat_m"] = round(float(abs(sine)) * 1e-3, 5)
+        out["range_beat_phase_deg"] = round(float(np.degrees(np.angle(sine))) % 360.0, 1) % 360.0
+    if scatter := found.get("reflectivity.scatter_60_99"):
+        out["reflectivity_noise_share"] = round(scatter / _LEVEL, 4)
+        # What is rounded to a step is equal to its neighbour by that step over its scatter.
+        step = _EQUAL_STEPS * scatter * found["reflectivity.equal_60_99"]
+        out["reflectivity_step"] = round(min(step, _COARSEST), 2)
+    if "residue.odd_spread" in found:
+        out["odd_codes_spread"] = round(found["residue.odd_spread"], 3)
+    if "no_return.above_0" in found:
+        out["no_return_reflectivity"] = found["no_return.above_0"] > 0.5
+        if level := _silent_level(sequences):
+            out["no_return_level"] = round(level, 1)
+    return out
+
+
+def _silent_level(sequences: Sequences) -> float:
+    """Find the middle over the lasers of what no-returns carry most often, 0 where there are too few; codes are cut."""
+    silent = sequences.distance_lsb == 0
+    codes = [column[rows] for column, rows in zip(sequences.reflectivity.T, silent.T, strict=True)]
+    commonest = [np.bincount(column).argmax() for column in codes if len(column) >= _LEAST_SILENT]
+    return float(np.median(commonest)) + 0.5 if commonest else 0.0
+
+
+def _rotor(sequences: Sequences) -> Table:
+    """Find the keys of the rotor in `[sensor]`."""
+    turning = turning_of(sequences)
+    hum = hum_cdeg(sequences, turning.rest_cdeg)
+    set_rpm = _SET_RPM * round(turning.rpm / _SET_RPM)
+    # Local variance of the readings of an encoder whose rate is right, and what its error adds: from our own packets.
+    excess = max(local(turning.rest_cdeg).var() - _EVEN_CDEG2, 0.0)
+    once, twice = turning.once_cdeg, turning.twice_cdeg
+    return {
+        "preset": "unit",
+        "rotation_spread": 0.0,
+        "rpm": set_rpm,
+        "return_mode": "dual" if sequences.is_dual else "strongest",
+        "eccentricity_deg": round(abs(once) / 100, 4),
+        "eccentricity_phase_deg": round(math.degrees(math.atan2(-once.real, once.imag)) % 360.0, 1) % 360.0,
+        "twice_per_turn_deg": round(abs(twice) / 100, 4),
+        "hum_deg": round(hum / 100, 5),
+        "encoder_rate_error": round(min(math.sqrt(excess / _PER_RATE_CDEG2), 0.5), 3),
+        "speed_error_rpm": round(abs(turning.rpm - set_rpm) * 600.0 / set_rpm, 3),
+    }
+
+
+def _checked(kind: type[Noise] | type[Sensor], table: Table) -> dict[str, object]:
+    kind.model_validate(table)
+    return dict(table)

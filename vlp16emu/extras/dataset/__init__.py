@@ -1,0 +1,6 @@
+"""Many walks from one file: stands, seeds, sensors and paths, on one core or on a cluster."""
+
+from vlp16emu.extras.dataset.run import DatasetResult, make_dataset
+from vlp16emu.extras.dataset.spec import DatasetSpec, DatasetWalk, load_spec, walks_of
+
+__all__ = ["DatasetResult", "DatasetSpec", "DatasetWalk", "load_spec", "make_dataset", "walks_of"]

@@ -1,0 +1,86 @@
+"""Files of one walk, in the layouts that people read."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import RunError
+from vlp16emu.extras.clouds.points import write_points
+from vlp16emu.extras.labels import label_scheme
+from vlp16emu.scan import Scan
+from vlp16emu.units import S_NS
+
+_MOST_INSTANCES = 0xFFFF
+"""The upper 16 bits of a label hold the instance (SemanticKITTI, "Data")."""
+_IDENTITY = " ".join(f"{value:g}" for value in np.eye(3, 4).ravel())
+
+
+def walk_folder(layout: str, number: int) -> str:
+    """Name the folder of a walk within the dataset."""
+    return f"sequences/{number:02d}" if layout == "semantickitti" else f"walks/{number:04d}"
+
+
+def _semantic_kitti(emulator: Emulator, folder: Path) -> None:
+    """Write a sequence: one scan per revolution, each deskewed to the pose of its first pulse.
+
+    Poses take scans to the world of the scene; camera and lidar are one, so `calib.txt` holds identities. Instances are
+    numbered from 1 in the order in which the sequence first sees them.
+    """
+    for name in ("velodyne", "labels"):
+        (folder / name).mkdir()
+    scheme = label_scheme("semantickitti")
+    known, poses, starts_ns = dict[int, int](), list[str](), list[int]()
+    for number, scan in enumerate(emulator.scans(truth=True)):
+        assert scan.labels is not None
+        assert scan.world_T_sensor is not None
+        rows = np.column_stack([_deskewed(emulator, scan), scan.reflectivity / 255]).astype("<f4")
+        (folder / "velodyne" / f"{number:06d}.bin").write_bytes(rows.tobytes())
+        classes = scheme.codes(scan.labels.semantic, scan.labels.part).astype("<u4")
+        labels = classes | _numbers(scan.labels.instance, known) << np.uint32(16)
+        (folder / "labels" / f"{number:06d}.label").write_bytes(labels.astype("<u4").tobytes())
+        poses.append(" ".join(f"{value:.9e}" for value in scan.world_T_sensor[:3].ravel()))
+        starts_ns.append(scan.start_ns)
+    times = [f"{(start_ns - starts_ns[0]) / S_NS:.9f}" for start_ns in starts_ns]
+    calibration = [f"{name}: {_IDENTITY}" for name in ("P0", "P1", "P2", "P3", "Tr")]
+    for name, lines in (("poses.txt", poses), ("times.txt", times), ("calib.txt", calibration)):
+        (folder / name).write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
+
+
+def _deskewed(emulator: Emulator, scan: Scan) -> NDArray[np.float64]:
+    """(n, 3) points of a scan in the sensor's frame at the scan's first pulse."""
+    assert scan.world_T_sensor is not None
+    pulse = emulator.world_T_sensor(scan.t_ns)
+    first = scan.world_T_sensor
+    world_m = np.einsum("nij,nj->ni", pulse[:, :3, :3], scan.xyz_m) + (pulse[:, :3, 3] - first[:3, 3])
+    return np.asarray(world_m @ first[:3, :3])
+
+
+def _numbers(instances: NDArray[np.uint32], known: dict[int, int]) -> NDArray[np.uint32]:
+    """(n,) numbers of instances; those that are new become known."""
+    own, index = np.unique(instances, return_inverse=True)
+    for instance in own[own > 0].tolist():
+        known.setdefault(instance, len(known) + 1)
+    if len(known) > _MOST_INSTANCES:
+        raise RunError(f"more than {_MOST_INSTANCES} instances in one sequence, which its labels cannot hold")
+    return np.array([known.get(instance, 0) for instance in own.tolist()], np.uint32)[index]
+
+
+def _pcap_and_truth(emulator: Emulator, folder: Path) -> None:
+    """Write a capture, and its ground truth in a folder beside it."""
+    emulator.record(folder / "walk.pcap", truth=folder / "truth")
+
+
+def _las_plots(emulator: Emulator, folder: Path) -> None:
+    """Write the walk as one labelled cloud in the world; its classes are those of ASPRS, the rest extra dimensions."""
+    write_points(emulator, folder / "points.laz", truth=True)
+
+
+LAYOUTS: dict[str, Callable[[Emulator, Path], None]] = {
+    "semantickitti": _semantic_kitti,
+    "pcap+truth": _pcap_and_truth,
+    "las-plots": _las_plots,
+}
+"""What writes a walk into a folder that is there and empty, by the layout's name in the file of a dataset."""

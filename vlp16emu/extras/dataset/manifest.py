@@ -1,0 +1,174 @@
+"""What there is of a dataset, by the sha256 of each file; nothing else is ever removed."""
+
+import hashlib
+import json
+import re
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from shutil import rmtree
+from typing import Any
+
+from vlp16emu.errors import OutputError, RunError, readable
+from vlp16emu.extras.dataset.layouts import walk_folder
+from vlp16emu.extras.dataset.spec import DatasetWalk
+from vlp16emu.output import OutputFile
+
+Entry = dict[str, Any]
+"""A walk in the manifest."""
+
+_WRITTEN_BY = f"vlp16emu {version('vlp16emu')}"
+_PARTS = ".parts."
+"""Begin of the name of the folder in which walks are made; the manifest names it while there is one."""
+_EVERY_S = 10.0
+"""Between two writings of the manifest, which is long where walks are many."""
+_LARGEST_BYTES = 10**10
+
+
+class Manifest:
+    """The file that lists the walks of a dataset that are in their places.
+
+    A walk is listed before it takes its place. So what stands there and is not listed is somebody else's.
+
+    Parameters
+    ----------
+    out : folder of the dataset
+    walks : that it is to have
+
+    Raises
+    ------
+    OutputError
+        where the folder has a manifest that is none of ours, or in the place of a walk a file that is not listed
+    """
+
+    def __init__(self, out: Path, walks: Sequence[DatasetWalk]) -> None:
+        self.path, self._out, self._next_s = out / "manifest.json", out, 0.0
+        before, self._parts = self._read()
+        self.entries: dict[int, Entry] = {}
+        """By the number of the walk."""
+        self.missing: list[DatasetWalk] = []
+        self._ready: list[tuple[Path, Path, set[Path]]] = []
+        for walk in walks:
+            folder = walk_folder(walk.layout, walk.number)
+            if (entry := before.get(folder)) is not None:
+                self.entries[walk.number] = entry
+            if entry is None or not self._is_there(walk, entry):
+                self.missing.append(walk)
+                if strange := _files_in(out / folder) - self._listed(entry):
+                    found = f"{min(strange).relative_to(out)} is there, and {self.path.name} does not list it"
+                    raise OutputError(str(out), found, "a new folder, or one of an earlier run")
+
+    @contextmanager
+    def making(self) -> Iterator[Path]:
+        """Give a folder to make walks in; those that are added are in their places at the end, also after an error."""
+        if self._parts:
+            rmtree(self._out / self._parts, ignore_errors=True)
+        try:
+            with tempfile.TemporaryDirectory(
+                prefix=_PARTS, dir=self._out, ignore_cleanup_errors=True
+            ) as parts:
+                self._parts = Path(parts).name
+                self._settle()
+                try:
+                    yield Path(parts)
+                finally:
+                    self._settle()
+        finally:
+            self._parts = None
+            self.write()
+
+    def add(self, number: int, made: Path, entry: Entry) -> None:
+        """List a walk that is whole in a folder of its own, which is to take its place."""
+        self._ready.append((made, self._out / entry["folder"], self._listed(self.entries.get(number))))
+        self.entries[number] = entry
+        if time.monotonic() >= self._next_s:
+            self._settle()
+
+    def write(self) -> bytes:
+        """Write the file, and give its bytes."""
+        parts = {"parts": self._parts} if self._parts else {}
+        walks = [entry for _, entry in sorted(self.entries.items())]
+        text = json.dumps({"written_by": _WRITTEN_BY, **parts, "walks": walks}, indent=2) + "\n"
+        with OutputFile(self.path) as file, file.writing() as opened:
+            opened.write(text.encode())
+        return text.encode()
+
+    def _settle(self) -> None:
+        """List the walks that are ready, and move them to their places, from which files of an earlier run go one by one."""
+        self.write()
+        while self._ready:
+            made, final, stale = self._ready.pop()
+            try:
+                for path in _files_in(final) & stale:
+                    path.unlink()
+                for folder in sorted((path for path in final.rglob("*") if path.is_dir()), reverse=True):
+                    folder.rmdir()
+                final.parent.mkdir(exist_ok=True)
+                made.rename(final)
+            except OSError as error:
+                raise RunError(f"{final}: {error.strerror}; what is made so far is kept") from None
+        self._next_s = time.monotonic() + _EVERY_S
+
+    def _listed(self, entry: Entry | None) -> set[Path]:
+        return {self._out / entry["folder"] / file["path"] for file in entry["files"]} if entry else set()
+
+    def _is_there(self, walk: DatasetWalk, entry: Entry) -> bool:
+        """Whether all files of a walk are as they are listed, by a run that would list the same."""
+        folder = self._out / entry["folder"]
+        try:
+            return entry.items() >= identity(walk).items() and all(
+                described(folder / file["path"], folder) == file for file in entry["files"]
+            )
+        except OSError:
+            return False
+
+    def _read(self) -> tuple[dict[str, Entry], str | None]:
+        """Read the walks of an earlier run by their folders, and where it made those that it did not finish."""
+        if not self.path.exists():
+            return {}, None
+        expected = "the manifest of a dataset"
+        with readable(self.path, expected, OutputError, most_bytes=_LARGEST_BYTES):
+            text = self.path.read_text(encoding="utf-8")
+        try:
+            tree = json.loads(text)
+            walks = {walk["folder"]: walk for walk in tree["walks"] if self._listed(walk)}
+            parts = tree.get("parts")
+            ours = tree["written_by"].startswith("vlp16emu ") and re.fullmatch(
+                r"(\.parts\.\w+)?", parts or ""
+            )
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            ours = False
+        if not ours:
+            raise OutputError(str(self.path), "is none of ours", expected)
+        return walks, parts
+
+
+def identity(walk: DatasetWalk) -> Entry:
+    """All that decides the bytes of a walk."""
+    tree = walk.scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return {
+        "name": walk.name,
+        "folder": walk_folder(walk.layout, walk.number),
+        "split": walk.split,
+        "stand": walk.stand,
+        "seed": walk.scenario.seed,
+        "path": walk.path,
+        "sensor": walk.sensor,
+        "layout": walk.layout,
+        "written_by": _WRITTEN_BY,
+        "scenario_sha256": hashlib.sha256(json.dumps(tree, sort_keys=True).encode()).hexdigest(),
+    }
+
+
+def described(path: Path, folder: Path) -> dict[str, Any]:
+    """Name in a folder, size and sha256 of a file."""
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return {"path": path.relative_to(folder).as_posix(), "bytes": path.stat().st_size, "sha256": digest}
+
+
+def _files_in(folder: Path) -> set[Path]:
+    return {path for path in (folder, *folder.rglob("*")) if path.is_symlink() or path.is_file()}

@@ -1,0 +1,286 @@
+"""A capture put into the world, each point with the pose of its own pulse, by the true trajectory or by any other."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from itertools import chain, pairwise
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import InputError, TrajectoryError, readable
+from vlp16emu.extras.clouds.cloud import (
+    DESKEWED_COLUMNS,
+    LABEL_COLUMNS,
+    TRUTH_COLUMNS,
+    CloudAbout,
+    Column,
+    point_file,
+)
+from vlp16emu.extras.labels import LabelScheme, PointLabels
+from vlp16emu.extras.truth.slots import SlotReader
+from vlp16emu.forest.make import ground_of
+from vlp16emu.motion import Recorded
+from vlp16emu.motion.pose import rotation, rotations
+from vlp16emu.motion.pose_files import read_tum
+from vlp16emu.motion.recorded import RecordedMotion
+from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit
+from vlp16emu.scan import clock_zero_ns, twins
+from vlp16emu.scenario import load
+from vlp16emu.units import S_NS, seconds_to_ns
+
+_MINUTE_NS = 60 * S_NS
+_PACKETS = 100
+"""Placed at once: 38 400 points, some 20 MB."""
+_TAKEN = ("distance_m", "azimuth_deg", "reflectivity", "ring", "laser", "is_last")
+"""As the packets have them."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryErrors:
+    """What lies between a trajectory and the sensor, or is put there on purpose."""
+
+    time_offset_s: float = 0.0
+    """Added to the time of each pulse before its pose is looked up."""
+    mount: tuple[float, float, float, float, float, float] = (0.0,) * 6
+    """Place (x, y, z in m) and turn (roll, pitch, yaw in degrees, as of `[motion.mount]`) of the sensor on the body of the poses."""
+    drift: tuple[float, float, float, float] = (0.0,) * 4
+    """To the east, north and up in m per minute, and counter-clockwise about the first pose in degrees per minute."""
+
+
+class Trajectory:
+    """Poses of a sensor in the world, from a file.
+
+    Parameters
+    ----------
+    path : a TUM file, or a folder with the truth of a run, whose trajectory of a unit is taken
+    unit : of the run, from 1
+    errors : put on its poses
+
+    Raises
+    ------
+    InputError
+        where the folder has no such truth or unit
+    TrajectoryError
+        where the file is no trajectory, or none that can be interpolated
+    """
+
+    def __init__(self, path: Path, unit: int, errors: TrajectoryErrors) -> None:
+        self.path, self.unit, self.origin, self.sensor = path, unit, None, None
+        if path.is_dir():
+            self.path, self.origin, self.sensor = _of_truth(path, unit)
+        poses = read_tum(self.path)
+        self._first_ns, self._last_ns = int(poses.t_ns[0]), int(poses.t_ns[-1])
+        recorded = Recorded(kind="recorded", file=str(self.path), format="tum")
+        self._motion = RecordedMotion(recorded, poses, start_ns=self._first_ns)
+        self._offset_ns = seconds_to_ns(errors.time_offset_s)
+        x_m, y_m, z_m, roll_deg, pitch_deg, yaw_deg = errors.mount
+        self._body_p_sensor_m = np.array([x_m, y_m, z_m])
+        self._body_R_sensor = rotation(yaw_deg, pitch_deg, roll_deg)
+        self._drift_m, self._drift_deg = np.array(errors.drift[:3]), errors.drift[3]
+        self._pivot_m = poses.position_m[0]
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """UTC of the first and the last pulse that have a pose, in seconds."""
+        return (self._first_ns - self._offset_ns) / S_NS, (self._last_ns - self._offset_ns) / S_NS
+
+    def has(self, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """(n,) whether instants (n,) lie between the first and the last pose."""
+        inside: NDArray[np.bool_] = (t_ns + self._offset_ns >= self._first_ns) & (
+            t_ns + self._offset_ns <= self._last_ns
+        )
+        return inside
+
+    def poses_at(self, t_ns: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Rotations (n, 3, 3) and positions (n, 3) of the sensor in the world at instants (n,)."""
+        body = self._motion.poses_at(t_ns + self._offset_ns)
+        turn, place_m = body.world_R_body, body.world_p_body_m
+        minutes = (t_ns + self._offset_ns - self._first_ns) / _MINUTE_NS
+        if self._drift_deg:
+            off = rotations(np.radians(self._drift_deg * minutes), 0.0, 0.0)
+            turn = off @ turn
+            place_m = self._pivot_m + np.einsum("nij,nj->ni", off, place_m - self._pivot_m)
+        place_m = place_m + minutes[:, None] * self._drift_m + turn @ self._body_p_sensor_m
+        return turn @ self._body_R_sensor, place_m
+
+
+class CaptureTruth:
+    """What each point of a capture lies on, from the truth of its run.
+
+    Parameters
+    ----------
+    folder : that `record --truth --truth-returns` has written
+    unit : of the run, from 1
+    scheme : by which points are labelled besides
+
+    Raises
+    ------
+    MissingExtraError
+        where pyarrow is not installed
+    InputError, ScenarioError
+        where the folder does not hold the returns, or for a scheme the scene
+    """
+
+    def __init__(self, folder: Path, unit: int, scheme: LabelScheme | None) -> None:
+        self._rows = SlotReader(folder / f"returns{'' if unit == 1 else f'_{unit}'}.parquet")
+        self._labels: PointLabels | None = None
+        if scheme is not None:
+            scenario = load(folder / "scenario.json")
+            self._labels = PointLabels(scheme, ground_of(scenario.world, scenario.world_seed).height_m)
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Of the points, beside `DESKEWED_COLUMNS`."""
+        known = {column.name for column in DESKEWED_COLUMNS} | {"reflectance"}
+        wanted = TRUTH_COLUMNS + LABEL_COLUMNS * (self._labels is not None)
+        return tuple(column for column in wanted if column.name not in known)
+
+    def of(self, chunk: PacketChunk, packets: slice, points: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Arrays (n,) of points, which are those of a slice of the chunk's packets; height is that of the true place."""
+        stamps_us = chunk.fields["timestamp_us"][packets]
+        packet = chunk.points.packet[points] - packets.start
+        rows = self._rows.rows(stamps_us, packet, chunk.points.slot[points])
+        if self._labels is None or not rows:
+            return rows
+        world_m = np.column_stack([rows[f"world_{axis}_m"] for axis in "xyz"])
+        return rows | self._labels.of(rows | {"world_m": world_m})
+
+
+@dataclass(frozen=True, slots=True)
+class Deskewed:
+    """What a file of points of a capture holds."""
+
+    file: str
+    capture: str
+    trajectory: str
+    points: int
+    without_pose: int
+    """Points left out, as the trajectory has no pose at their pulses."""
+    truth: bool
+    """Whether points have labels."""
+    simulated_s: float
+    """From the first pulse of the capture to the last."""
+    bytes: int
+    interrupted: bool
+    """Ended by its stop event."""
+
+
+def write_deskewed(
+    capture: Path, path: Path, way: Trajectory, truth: CaptureTruth | None, *, stop: Event
+) -> Deskewed:
+    """Write the points of a capture, in the world and in the sensor's frame.
+
+    Parameters
+    ----------
+    path : as `point_file` takes it
+    way : of the sensor
+    truth : labels points with what they lie on
+    stop : ends the file between two parts of the capture
+
+    Raises
+    ------
+    InputError, TrajectoryError
+        where the truth is that of another run, or no pulse has a pose
+    CaptureError, PacketError
+        where the capture cannot be read, or is damaged; the file holds the points before
+    OutputError, RunError, MissingExtraError
+        as `point_file`
+    """
+    known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
+    with CaptureReader(capture, known) as reader:
+        chunks = reader.points()
+        first = next(chunks)
+        zero_ns, start_ns = clock_zero_ns(reader, first), int(first.packet_ns[0])
+        about = CloudAbout(
+            ("x, y, z in the world by a trajectory", "time in seconds since the first pulse of the capture"),
+            start_utc=datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=(start_ns + zero_ns) // 1000),
+            origin=way.origin,
+            unit=way.unit,
+        )
+        columns = DESKEWED_COLUMNS + (truth.columns if truth else ())
+        points = without_pose = last_ns = 0
+        with point_file(path, columns, about, where=str(path)) as writer:
+            for chunk in chain([first], chunks):
+                for block, left_out in _blocks(chunk, way, truth, (zero_ns, start_ns)):
+                    writer.write(block)
+                    points, without_pose = points + len(block["t_ns"]), without_pose + left_out
+                last_ns = int(chunk.packet_ns[-1]) - start_ns
+                if stop.is_set():
+                    break
+            if without_pose and not points:
+                raise _no_pose(way, (start_ns + zero_ns) / S_NS, last_ns / S_NS)
+    return Deskewed(
+        file=str(path),
+        capture=str(capture),
+        trajectory=str(way.path),
+        points=points,
+        without_pose=without_pose,
+        truth=truth is not None,
+        simulated_s=last_ns / S_NS,
+        bytes=path.stat().st_size,
+        interrupted=stop.is_set(),
+    )
+
+
+def _blocks(
+    chunk: PacketChunk, way: Trajectory, truth: CaptureTruth | None, clock_ns: tuple[int, int]
+) -> Iterator[tuple[dict[str, NDArray[Any]], int]]:
+    """Place the points of data packets, each echo once, some packets at a time; beside them how many have no pose.
+
+    `clock_ns` are UTC of the zero of the sensor's clock, and the first pulse of the capture by that clock.
+    """
+    zero_ns, start_ns = clock_ns
+    points, once = chunk.points, ~twins(chunk.points)
+    cuts = np.searchsorted(points.packet, np.arange(0, len(chunk.fields) + _PACKETS, _PACKETS)).tolist()
+    for number, (begin, end) in enumerate(pairwise(cuts)):
+        part = begin + np.flatnonzero(once[begin:end])
+        has_pose = way.has(chunk.clock_ns[part] + zero_ns)
+        kept = part[has_pose]
+        t_ns, sensor_m = chunk.clock_ns[kept] + zero_ns, points.xyz_m[kept]
+        turn, place_m = way.poses_at(t_ns)
+        block = {
+            "t_ns": t_ns,
+            "since_start_ns": chunk.clock_ns[kept] - start_ns,
+            "world_m": np.einsum("nij,nj->ni", turn, sensor_m.astype(np.float64)) + place_m,
+            "sensor_m": sensor_m,
+            "viewpoint_m": place_m,
+        }
+        block |= {name: getattr(points, name)[kept] for name in _TAKEN}
+        if truth:
+            packets = slice(number * _PACKETS, min((number + 1) * _PACKETS, len(chunk.fields)))
+            block |= truth.of(chunk, packets, kept)
+        yield block, int((~has_pose).sum())
+
+
+def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float] | None, str | None]:
+    """Find a unit's trajectory, the world's origin, and the unit's address and port where there are several."""
+    rig = folder / "rig.json"
+    expected = "a folder that `record --truth` has written, or a TUM file"
+    with readable(rig, expected, InputError):
+        text = rig.read_text(encoding="utf-8")
+    try:
+        tree = json.loads(text)
+        units, world = tree["units"], tree["world"]
+        origin = world["latitude_deg"], world["longitude_deg"], world["height_m"]
+        known = [(folder / one["trajectory"], f"{one['address']}:{one['data_port']}") for one in units]
+    except (ValueError, KeyError, TypeError):
+        raise InputError(str(rig), "no description of a rig", expected) from None
+    if unit > len(known):
+        raise InputError("--unit", f"found {unit}", f"at most {len(known)}, the units in {rig}")
+    file, sensor = known[unit - 1]
+    return file, origin, sensor if len(known) > 1 else None
+
+
+def _no_pose(way: Trajectory, start_s: float, duration_s: float) -> TrajectoryError:
+    """Say that capture and trajectory are of different times."""
+    begin_s, end_s = way.span_s
+    return TrajectoryError(
+        str(way.path),
+        f"poses from {begin_s:.3f} to {end_s:.3f} s",
+        f"poses at the pulses, from {start_s:.3f} to {start_s + duration_s:.3f} s by the sensor's clock (see --time-offset)",
+    )

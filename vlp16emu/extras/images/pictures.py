@@ -1,0 +1,109 @@
+"""Images in a folder: PNG for what people look at, OpenEXR for what is measured, and beside them cameras and poses."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import MissingExtraError, OutputError, RunError
+from vlp16emu.extras.truth.folder import tum_rows, write_json
+from vlp16emu.output import OutputFile
+from vlp16emu.packets import DISTANCE_LSB_M
+from vlp16emu.types import Poses
+
+LAYERS = {"rgb": np.uint8, "depth": np.uint16, "semantic": np.uint8, "part": np.uint8, "species": np.uint16}
+"""Folders of PNG files, and what their pixels are; that of depth has multiples of 2 mm, as packets have."""
+_POSES = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_camera; line n is image n; camera z forward, x right, y down\n"
+
+
+class PictureFolder:
+    """A folder for the images of one run; a context manager, at whose end the poses are written.
+
+    Parameters
+    ----------
+    path : new or empty
+    cameras : what `cameras.json` says
+
+    Raises
+    ------
+    MissingExtraError
+        where Pillow or OpenEXR is not installed
+    OutputError
+        where the folder cannot be made, or is not empty
+    RunError
+        where a file cannot be written: here, or later
+    """
+
+    def __init__(self, path: Path, cameras: Mapping[str, Any]) -> None:
+        try:
+            import OpenEXR
+            from PIL import Image
+        except ImportError as error:
+            library = "OpenEXR" if error.name == "OpenEXR" else "Pillow"
+            raise MissingExtraError(library, "images", "writing images") from None
+        self._exr, self._image, self._path = OpenEXR, Image, path
+        self.bytes, self._poses = 0, [_POSES]
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            if present := sorted(path.iterdir()):
+                raise OutputError(str(path), f"holds {present[0].name}", "a new or empty folder")
+            for layer in (*LAYERS, "exr"):
+                (path / layer).mkdir()
+        except OSError as error:
+            raise OutputError(str(path), str(error.strerror), "a folder that can be written") from error
+        write_json(path / "cameras.json", cameras)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with OutputFile(self._path / "poses.tum") as output, output.writing() as file:
+            file.write("".join(self._poses).encode())
+
+    @property
+    def images(self) -> int:
+        """How many are written."""
+        return len(self._poses) - 1
+
+    def add(
+        self,
+        pose: Poses,
+        rgb: NDArray[np.uint8],
+        depth_m: NDArray[np.float32],
+        labels: Mapping[str, NDArray[Any]],
+    ) -> None:
+        """Write one image.
+
+        Parameters
+        ----------
+        pose : of the camera
+        rgb : (height, width, 3)
+        depth_m : (height, width), 0 where nothing was met
+        labels : (height, width) each: `semantic`, `part`, `species`, `instance`
+        """
+        name = f"{self.images:06d}"
+        steps = np.rint(depth_m / DISTANCE_LSB_M)
+        for layer, kind in LAYERS.items():
+            pixels = {"rgb": rgb, "depth": steps}.get(layer, labels.get(layer))
+            with OutputFile(self._path / layer / f"{name}.png") as output, output.writing() as file:
+                self._image.fromarray(np.ascontiguousarray(pixels, kind)).save(file, "PNG")
+                self.bytes += file.tell()
+        with OutputFile(self._path / "exr" / f"{name}.exr") as output, output.writing() as file:
+            self._write_exr(
+                file, {"Z": depth_m} | {key: values.astype(np.uint32) for key, values in labels.items()}
+            )
+        self.bytes += (self._path / "exr" / f"{name}.exr").stat().st_size
+        self._poses.append(tum_rows(pose))
+
+    def _write_exr(self, file: BinaryIO, channels: Mapping[str, NDArray[Any]]) -> None:
+        """Write the exact values; the library writes the file by its name."""
+        header = {"compression": self._exr.ZIP_COMPRESSION, "type": self._exr.scanlineimage}
+        try:
+            with self._exr.File(
+                header, {key: np.ascontiguousarray(channels[key]) for key in channels}
+            ) as image:
+                image.write(file.name)
+        except RuntimeError as error:
+            raise RunError(f"{file.name}: {error}") from None

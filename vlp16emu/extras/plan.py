@@ -1,0 +1,198 @@
+"""What a scene asks for and what it leaves out, what is in reach of the sensor, and whether a stream keeps up."""
+
+import os
+import sys
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from vlp16emu.engine import Engine, Unit
+from vlp16emu.engine.windows import window_of
+from vlp16emu.forest.plants.crown import CrownKey
+from vlp16emu.forest.plants.ivy import IvyKey
+from vlp16emu.forest.plants.sapling import SaplingKey
+from vlp16emu.forest.plants.shrub import ShrubKey
+from vlp16emu.forest.plants.stem import StemKey
+from vlp16emu.forest.stand.floor_shapes import FloorKey
+from vlp16emu.forest.stand.models import ModelKey
+from vlp16emu.forest.tiles import TileKey
+from vlp16emu.motion import Walk
+from vlp16emu.run.keeping_up import settings_that_keep_up, speed_beside_sender
+from vlp16emu.sinks import sending_share
+from vlp16emu.types import Window
+from vlp16emu.world.furnished import MeshKey
+
+_KINDS = {
+    CrownKey: "trees",
+    IvyKey: "stems with ivy",
+    ModelKey: "tree models",
+    SaplingKey: "saplings",
+    ShrubKey: "shrubs",
+    TileKey: "tiles",
+    StemKey: "stems",
+    MeshKey: "meshes",
+}
+_LIBRARIES = (
+    "numpy",
+    "numba",
+    "scipy",
+    "embreex",
+    "dpkt",
+    "trimesh",
+    "rasterio",
+    "matplotlib",
+    "rich",
+    "serial",
+)
+_SENT_S = 0.4
+"""Of packets that are sent, to no other program, in order to measure what sending takes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """Something that a run may have."""
+
+    name: str
+    on: bool
+    costs: str
+    """What it costs, or what is not done without it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What is in reach of the sensor when it begins."""
+
+    kind: str
+    """Of the world."""
+    species: tuple[str, ...]
+    placed: Mapping[str, int]
+    """Placements by kind."""
+    surfaces: int
+    """Rows of the window's table."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamOutlook:
+    """Whether a stream keeps up in real time."""
+
+    keeps_up: bool
+    real_time_factor: float
+    """The engine's, beside the thread that sends."""
+    sender_share: float
+    """Of a core, that sending takes."""
+    keeps_up_with: tuple[str, ...]
+    """Options of `vlp16emu stream` that are enough, each by itself; none where it keeps up."""
+
+
+def needs(engine: Engine, *, audited: bool) -> list[Need]:
+    """List what a recording of the scene has and has not; `audited` if pulses of it are cast again."""
+    scenario, parts = engine.scenario, engine.parts
+    motion = scenario.motion
+    gait = isinstance(motion, Walk) and motion.gait.preset != "none"
+    harness = isinstance(motion, Walk) and motion.harness is not None
+    canopy = scenario.gps.connected and scenario.gps.canopy_loss
+    moves = any(unit.motion.moves for unit in parts.units)
+    rows = {
+        "motion": (moves, "a pose for every pulse, a window every 7 s", "one pose and one window for all"),
+        "gait": (gait, "sums of lines for every pose", "nothing is swung"),
+        "harness": (harness, "its answer to the gait for every pose", "nothing is solved"),
+        "inertial unit": (parts.imu is not None, "samples, with --truth only", "no samples"),
+        "satellites": (canopy, "256 rays at the sky once a second", "no ray at the sky"),
+        "wind": (
+            parts.wind is not None,
+            "stems and crowns are instances that move in every window",
+            "nothing is moved",
+        ),
+        "rig": (
+            len(parts.units) > 1,
+            f"each of {len(parts.units)} sensors casts its own pulses in the same windows",
+            "one sensor, nothing is merged",
+        ),
+        "meshes of your own": (
+            bool(scenario.world.meshes or getattr(scenario.world, "tree_models", ())),
+            "read once, placed where in reach",
+            "none, trimesh stays unloaded",
+        ),
+        "audit": (
+            audited,
+            "0.05 % of the pulses are cast again, with 512 rays each or more",
+            "no pulse is cast again",
+        ),
+        "labels": (False, "", "no surface behind returns: see `vlp16emu points --truth`"),
+        "truth": (False, "", "no files beside it: see `vlp16emu record --truth`"),
+    }
+    return [*_of_sensor(parts.units[0]), *(_need(name, row) for name, row in rows.items())]
+
+
+def _of_sensor(unit: Unit) -> list[Need]:
+    detector, beam = unit.detector.constants, unit.beam
+    rows = {
+        "beam width": (
+            beam.has_width,
+            f"up to {beam.rays} rays for each pulse",
+            "one ray for each pulse, no axes of its footprint",
+        ),
+        "range and reflectivity noise": (
+            max(detector.range_noise_m, detector.reflectivity_noise, detector.reflectivity_noise_share) > 0.0,
+            "a pair of random numbers for each return",
+            "no random number",
+        ),
+        "detection threshold": (
+            detector.amplitude_noise > 0.0,
+            "a random number for each faint echo",
+            "every echo is seen",
+        ),
+        "weather": (detector.extinction_per_m > 0.0, "a draw of the air for each pulse", "clear air"),
+        "last and second return": (
+            not detector.strongest_only,
+            "all echoes of each pulse are ranked",
+            "nothing is looked for behind the strongest echo",
+        ),
+    }
+    return [_need(name, row) for name, row in rows.items()]
+
+
+def _need(name: str, row: tuple[bool, str, str]) -> Need:
+    on, costs, spares = row
+    return Need(name, on, costs if on else spares)
+
+
+def surroundings(engine: Engine) -> Surroundings:
+    """Count what is in the first window."""
+    window = window_of(engine.parts, engine.scenario.start_ns, engine.batching, 0)
+    named = (getattr(key, "species", None) for key in window.shapes)
+    return Surroundings(
+        kind=engine.scenario.world.kind,
+        species=tuple(sorted({name for name in named if name is not None})),
+        placed=dict(_counts(window)),
+        surfaces=len(window.surfaces),
+    )
+
+
+def _counts(window: Window) -> Counter[str]:
+    counts = Counter[str](tiles=0, trees=0)
+    for which, often in Counter(window.shape.tolist()).items():
+        key = window.shapes[which]
+        kind = f"{key.kind.name.lower()}s" if isinstance(key, FloorKey) else _KINDS.get(type(key), "things")
+        counts[kind] += often
+    return counts
+
+
+def libraries() -> dict[str, bool]:
+    """Report which libraries this process has loaded."""
+    return {name: name in sys.modules for name in _LIBRARIES}
+
+
+def stream_outlook(engine: Engine, engine_speed: float, threads: int) -> StreamOutlook:
+    """Measure what sending takes, and say whether a stream keeps up.
+
+    Parameters
+    ----------
+    engine_speed : simulated seconds per second with nothing else at work
+    threads : of the engine
+    """
+    share = sending_share(list(engine.packets(*engine.scenario.span_s(0.0, _SENT_S))))
+    speed = speed_beside_sender(engine_speed, share, threads, os.cpu_count() or 1)
+    keeps_up = speed >= 1.0
+    options = [] if keeps_up else settings_that_keep_up(engine.scenario, speed, 1.0)
+    return StreamOutlook(keeps_up, speed, share, tuple(options))

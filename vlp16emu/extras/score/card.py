@@ -1,0 +1,312 @@
+"""All scores of a pipeline that its files allow, and the thresholds that they are held to."""
+
+import math
+import operator
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import InputError
+from vlp16emu.extras.score.clouds import cloud_distances, density_per_m2, uniformity
+from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
+from vlp16emu.extras.score.paths import RPE_DELTA_M, PathScore, score_path
+from vlp16emu.extras.score.trees import (
+    box_scores,
+    boxes_of,
+    instance_scores,
+    leaf_wood_scores,
+    match_stems,
+    stem_scores,
+)
+from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
+from vlp16emu.types import PlantPart, Semantic
+
+Cloud = Mapping[str, NDArray[Any]]
+
+WITHIN_M = (0.05, 0.1, 0.2)
+"""Distances for precision and completeness of a map."""
+SAME_POINT_M = 0.02
+"""A labelled point is the true one that is nearest, within this: half a beam's width near the sensor."""
+LEAST_POINTS = 10
+"""Points that a tree must have for counting as seen: fewer make neither a stem nor a box."""
+REGION_M = 20.0
+"""Radius of the circle around the first true position in which density and uniformity of a map are taken."""
+_BREAST_M = 0.1
+"""Half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m."""
+_SIGNS: Mapping[str, Callable[[float, float], bool]] = MappingProxyType(
+    {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+)
+_LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreInputs:
+    """Files to score and their truth."""
+
+    truth: Path
+    """Folder of a run."""
+    trajectory: Path | None = None
+    times: Path | None = None
+    """Of a trajectory in KITTI's format."""
+    map: Path | None = None
+    points: Path | None = None
+    """With the labels `leaf_wood` or `instance`."""
+    stems: Path | None = None
+    inventory: Path | None = None
+    truth_points: Path | None = None
+    unit: int = 1
+    alignment: str = "none"
+    radius_m: float = 0.5
+    """Within which a stem of a map is one of the truth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """A threshold."""
+
+    name: str
+    sign: str
+    bound: float
+
+    def holds(self, value: float) -> bool:
+        """Whether a value keeps it; NaN keeps none."""
+        return _SIGNS[self.sign](value, self.bound)
+
+
+@dataclass(frozen=True, slots=True)
+class TreeRow:
+    """A true tree, a found one, or a pair of them."""
+
+    true_id: str
+    """Of the inventory; empty where a found tree is none."""
+    list_line: str
+    """Of the user's stem list that named the true tree."""
+    found_number: str
+    """Of the found tree in its own list; empty where the tree is missed."""
+    x_m: float
+    y_m: float
+    position_error_m: float
+    true_dbh_m: float
+    dbh_error_m: float
+    """Found less true."""
+    hits: int | None
+    """True points on the stem from 1.2 to 1.4 m over the foot; none without labelled true points."""
+
+    @property
+    def kind(self) -> str:
+        """One of false, found and missed."""
+        return "false" if not self.true_id else "found" if self.found_number else "missed"
+
+
+@dataclass(slots=True)
+class ScoreCard:
+    """What was scored."""
+
+    inputs: ScoreInputs
+    scores: dict[str, float] = field(default_factory=dict)
+    trees: list[TreeRow] = field(default_factory=list)
+    path: PathScore | None = None
+    notes: dict[str, str] = field(default_factory=dict)
+    """How groups of scores are taken."""
+
+    def missed(self, limits: Sequence[Limit]) -> list[str]:
+        """Say which thresholds are not kept, each with the value.
+
+        Raises
+        ------
+        InputError
+            where there is no score of that name
+        """
+        for limit in limits:
+            if limit.name not in self.scores:
+                raise InputError("--require", f"found {limit.name}", ", ".join(self.scores))
+        return [
+            f"{limit.name} is {self.scores[limit.name]:.6g}, required {limit.sign} {limit.bound:g}"
+            for limit in limits
+            if not limit.holds(self.scores[limit.name])
+        ]
+
+    def tree(self) -> dict[str, Any]:
+        """All of it for JSON; null is what cannot be computed."""
+        trees = [_plain(asdict(row)) for row in self.trees]
+        inputs, scores = _plain(asdict(self.inputs)), _plain(self.scores)
+        return {"inputs": inputs, "scores": scores, "notes": self.notes, "trees": trees}
+
+
+def limits_of(texts: Sequence[str]) -> list[Limit]:
+    """Read thresholds such as `ate_m<0.3`.
+
+    Raises
+    ------
+    InputError
+        where one is none
+    """
+    limits = []
+    for text in texts:
+        found = _LIMIT.fullmatch(text)
+        try:
+            limits.append(Limit(found[1], found[2], float(found[3])) if found else Limit("", "", float("")))
+        except ValueError:
+            raise InputError("--require", f"found {text}", "NAME<NUMBER, with <, <=, > or >=") from None
+    return limits
+
+
+def make_card(inputs: ScoreInputs) -> ScoreCard:
+    """Score all that is given.
+
+    Raises
+    ------
+    InputError
+        where a file is wrong, or is given without the truth that it is scored against
+    MissingExtraError
+        where a library that reads or scores it is not installed
+    """
+    _check(inputs)
+    card = ScoreCard(inputs)
+    true = read_cloud(inputs.truth_points) if inputs.truth_points else None
+    if inputs.trajectory:
+        card.path = score_path(inputs.trajectory, inputs.times, inputs.truth, inputs.unit, inputs.alignment)
+        card.scores |= card.path.scores
+        card.notes["trajectory"] = (
+            f"alignment {inputs.alignment}; RPE over {RPE_DELTA_M:g} m of path; {card.path.poses} poses, "
+            f"{card.path.left_out} beyond the truth left out; RMSE by evo"
+        )
+    if inputs.map:
+        _score_map(card, read_cloud(inputs.map)["xyz"], true)
+    if inputs.points and true is not None:
+        _score_labels(card, read_cloud(inputs.points), true)
+    if inputs.stems and inputs.inventory:
+        _score_stems(card, read_stems(inputs.stems), read_stems(inputs.inventory), true)
+    return card
+
+
+def _check(inputs: ScoreInputs) -> None:
+    """Refuse what cannot be scored, before anything is read."""
+    if not (inputs.trajectory or inputs.map or inputs.points or inputs.stems):
+        raise InputError(
+            "vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems"
+        )
+    if inputs.points and not inputs.truth_points:
+        raise InputError("--points", "found no true points", "--truth-points, of `vlp16emu points --truth`")
+    if inputs.stems and not inputs.inventory:
+        raise InputError("--stems", "found no true trees", "--inventory, of `vlp16emu forest --inventory`")
+
+
+def _need(true: Cloud, *names: str) -> None:
+    for name in names:
+        if name not in true:
+            raise InputError("--truth-points", f"no column {name}", "points of `vlp16emu points --truth`")
+
+
+def _score_map(card: ScoreCard, found: NDArray[np.float64], true: Cloud | None) -> None:
+    """Score a map: by itself, and against true points where they are given."""
+    from vlp16emu.extras.deskew import Trajectory, TrajectoryErrors
+
+    way = Trajectory(card.inputs.truth, card.inputs.unit, TrajectoryErrors())
+    first_ns = np.array([math.ceil(way.span_s[0] * 1e9)])
+    first_ns = (
+        first_ns if way.has(first_ns).all() else first_ns + 1000
+    )  # seconds as floats are good to 0.3 us
+    centre_m = way.poses_at(first_ns)[1][0, :2]
+    card.scores["infra_d_per_m2"] = density_per_m2(found[:, :2], centre_m, REGION_M)
+    card.scores["infra_nuc"] = uniformity(found[:, :2], centre_m, REGION_M)
+    card.notes["map"] = (
+        f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
+    )
+    if true is not None:
+        card.scores |= cloud_distances(found, true["xyz"], WITHIN_M)
+
+
+def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
+    """Score labels of points at the true points; what has no point near has no label."""
+    from scipy.spatial import KDTree
+
+    away_m, nearest = KDTree(found["xyz"]).query(true["xyz"])
+    away = away_m > SAME_POINT_M
+    names = [name for name in ("leaf_wood", "instance") if name in found]
+    if not names:
+        raise InputError(str(card.inputs.points), "found no labels", "a column leaf_wood or instance")
+    _need(true, "semantic", *names)
+    is_tree = true["semantic"] == Semantic.TREE
+    if "leaf_wood" in found:
+        labels = np.where(away, 0, found["leaf_wood"][nearest])
+        card.scores |= leaf_wood_scores(labels, np.where(is_tree, true["leaf_wood"], 0))
+    if "instance" in found:
+        trees = np.where(is_tree, true["instance"], 0)
+        card.scores |= instance_scores(np.where(away, 0, found["instance"][nearest]), trees)
+        if "semantic" in found:
+            found = {
+                "xyz": found["xyz"],
+                "instance": np.where(found["semantic"] == Semantic.TREE, found["instance"], 0),
+            }
+        boxes, counts = boxes_of(found["xyz"], found["instance"], LEAST_POINTS)
+        card.scores |= box_scores(boxes, counts, boxes_of(true["xyz"], trees, LEAST_POINTS)[0])
+    card.notes["labels"] = (
+        f"a true point has the label of the nearest point within {SAME_POINT_M:g} m; trees alone; boxes of "
+        f"{LEAST_POINTS} points or more, their number is the confidence"
+    )
+
+
+def _score_stems(
+    card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ...], true: Cloud | None
+) -> None:
+    hits: dict[str, int] = {}
+    seen = trees
+    if true is not None:
+        hits, points = _hits(trees, true)
+        seen = tuple(tree for tree in trees if points[tree.number] >= LEAST_POINTS)
+    pairs = match_stems(found, seen, card.inputs.radius_m)
+    card.scores |= stem_scores(found, seen, pairs)
+    of_true = {j: found[i] for i, j in pairs}
+    card.trees += [_row(of_true.get(j), tree, hits.get(tree.number)) for j, tree in enumerate(seen)]
+    paired = {i for i, _ in pairs}
+    card.trees += [_row(stem, None, None) for i, stem in enumerate(found) if i not in paired]
+    which = (
+        f"trees with {LEAST_POINTS} true points or more" if true is not None else "all trees of the inventory"
+    )
+    card.notes["stems"] = f"{which}; pairs within {card.inputs.radius_m:g} m"
+
+
+def _row(found: Stem | None, tree: Stem | None, hits: int | None) -> TreeRow:
+    nowhere = Stem("", math.nan, math.nan, math.nan, math.nan, "")
+    one, true, place = found or nowhere, tree or nowhere, tree or found or nowhere
+    return TreeRow(
+        true_id=true.number,
+        list_line=true.list_line,
+        found_number=one.number,
+        x_m=place.x_m,
+        y_m=place.y_m,
+        position_error_m=math.hypot(one.x_m - true.x_m, one.y_m - true.y_m),
+        true_dbh_m=true.dbh_m,
+        dbh_error_m=one.dbh_m - true.dbh_m,
+        hits=hits,
+    )
+
+
+def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[dict[str, int], dict[str, int]]:
+    """Points of each tree by its number: on the stem at breast height, and in all."""
+    _need(true, "instance", "part")
+    numbers = np.array([int(tree.number) if tree.number.isdigit() else -1 for tree in trees])
+    order = np.argsort(numbers)
+    at = np.searchsorted(numbers[order], true["instance"]).clip(max=len(numbers) - 1)
+    row = np.where(numbers[order][at] == true["instance"], order[at], -1)
+    foot_m = np.array([tree.z_m for tree in trees])[row]
+    at_breast = np.abs(true["xyz"][:, 2] - foot_m - BREAST_HEIGHT_M) <= _BREAST_M
+    on_stem = (true["part"] == PlantPart.STEM) & at_breast
+    counts = [np.bincount(row[(row >= 0) & chosen], minlength=len(trees)) for chosen in (on_stem, row >= 0)]
+    named = [dict(zip((tree.number for tree in trees), of.tolist(), strict=True)) for of in counts]
+    return named[0], named[1]
+
+
+def _plain(tree: Mapping[str, Any]) -> dict[str, Any]:
+    plain = {key: str(value) if isinstance(value, Path) else value for key, value in tree.items()}
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in plain.items()
+    }

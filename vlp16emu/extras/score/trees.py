@@ -1,0 +1,135 @@
+"""Scores of trees: stems on a map, labels of points, instances, boxes."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.extras.score.files import Stem
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+_COCO = tuple(np.arange(50, 100, 5) / 100)
+"""Thresholds of intersection over union whose average precision is averaged (COCO, detection evaluation)."""
+
+
+def match_stems(found: Sequence[Stem], true: Sequence[Stem], radius_m: float) -> list[tuple[int, int]]:
+    """Pair stems, each once and none farther apart than a radius: the most pairs, and of those the least sum of distances.
+
+    Returns
+    -------
+    indices into `found` and `true`
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    places = [np.array([(stem.x_m, stem.y_m) for stem in stems]).reshape(-1, 2) for stems in (found, true)]
+    apart_m = np.linalg.norm(places[0][:, None] - places[1], axis=-1)
+    # A pair too far apart costs more than all pairs that may be.
+    cost = np.where(apart_m <= radius_m, apart_m, (radius_m + 1) * (min(apart_m.shape) + 1))
+    rows, columns = linear_sum_assignment(cost)
+    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if apart_m[i, j] <= radius_m]
+
+
+def stem_scores(
+    found: Sequence[Stem], true: Sequence[Stem], pairs: Sequence[tuple[int, int]]
+) -> dict[str, float]:
+    """Precision, recall and F1 of a stem map, error of places (RMSE, m) and of DBH (mean and RMSE, m)."""
+    scores = _shares("stem", len(pairs), len(found) - len(pairs), len(true) - len(pairs))
+    off_m = [math.hypot(found[i].x_m - true[j].x_m, found[i].y_m - true[j].y_m) for i, j in pairs]
+    scores["stem_position_m"] = _rms(off_m)
+    errors_m = [e for i, j in pairs if math.isfinite(e := found[i].dbh_m - true[j].dbh_m)]
+    scores["dbh_bias_m"] = float(np.mean(errors_m)) if errors_m else math.nan
+    scores["dbh_m"] = _rms(errors_m)
+    return scores
+
+
+def leaf_wood_scores(found: Numbers, true: Numbers) -> dict[str, float]:
+    """Accuracy and intersection over union of labels (n,), 1 wood and 2 leaf, over the points that are truly one of them."""
+    known = true > 0
+    found, true = found[known], true[known]
+    scores = {"leaf_wood_accuracy": float((found == true).mean()) if known.any() else math.nan}
+    for label, name in ((1, "wood_iou"), (2, "leaf_iou")):
+        either = ((found == label) | (true == label)).sum()
+        scores[name] = float(((found == label) & (true == label)).sum() / either) if either else math.nan
+    scores["leaf_wood_miou"] = (scores["wood_iou"] + scores["leaf_iou"]) / 2
+    return scores
+
+
+def instance_scores(found: Numbers, true: Numbers) -> dict[str, float]:
+    """Panoptic, segmentation and recognition quality of instances (n,) of points, 0 is none.
+
+    Kirillov et al., Panoptic Segmentation, CVPR 2019: pairs of more than 0.5 intersection over union are matches.
+    """
+    names, rows = np.unique(found, return_inverse=True)
+    known, columns = np.unique(true, return_inverse=True)
+    both = np.zeros((len(names), len(known)))
+    np.add.at(both, (rows, columns), 1)
+    either = both.sum(axis=1, keepdims=True) + both.sum(axis=0) - both
+    overlap = (both / either)[np.ix_(names > 0, known > 0)]
+    matched = overlap[overlap > 0.5]
+    n_found, n_true = overlap.shape
+    scores = _shares("instance", len(matched), n_found - len(matched), n_true - len(matched))
+    rq, sq = scores["instance_f1"], float(matched.mean()) if len(matched) else 0.0
+    return {"pq": sq * rq, "sq": sq, "rq": rq, **scores}
+
+
+def boxes_of(xyz_m: Array, instance: Numbers, least_points: int) -> tuple[Array, Numbers]:
+    """Boxes (k, 2, 3) along the axes around the points of each instance that has enough, and how many each has (k,)."""
+    names, counts = np.unique(instance[instance > 0], return_counts=True)
+    names, counts = names[counts >= least_points], counts[counts >= least_points]
+    boxes = [(of.min(axis=0), of.max(axis=0)) for name in names if len(of := xyz_m[instance == name])]
+    return np.array(boxes).reshape(-1, 2, 3), counts
+
+
+def box_scores(found: Array, confidence: NDArray[np.int64], true: Array) -> dict[str, float]:
+    """Average precision of boxes (k, 2, 3) against those of the truth, by intersection over union in 3D.
+
+    Area under the curve of precision over recall, precision made monotonous (VOC 2010); `box_ap_25` and `box_ap_50` at 0.25 and 0.5, `box_map` the mean
+    over 0.50 to 0.95 in steps of 0.05 (COCO). Boxes are taken by falling confidence, each true box once.
+    """
+    order = np.argsort(-confidence, kind="stable")
+    overlap = _overlaps(found[order], true)
+    scores = {"box_ap_25": _average_precision(overlap, 0.25), "box_ap_50": _average_precision(overlap, 0.5)}
+    return scores | {"box_map": float(np.mean([_average_precision(overlap, limit) for limit in _COCO]))}
+
+
+def _overlaps(found: Array, true: Array) -> Array:
+    """Intersection over union (k, m) of boxes."""
+    low = np.maximum(found[:, None, 0], true[None, :, 0])
+    high = np.minimum(found[:, None, 1], true[None, :, 1])
+    both = np.prod(np.clip(high - low, 0, None), axis=-1)
+    volumes = [np.prod(boxes[:, 1] - boxes[:, 0], axis=-1) for boxes in (found, true)]
+    either = volumes[0][:, None] + volumes[1] - both
+    overlaps: Array = np.divide(both, either, out=np.zeros_like(both), where=either > 0)
+    return overlaps
+
+
+def _average_precision(overlap: Array, limit: float) -> float:
+    """Area under precision over recall of boxes in order of confidence; NaN without true boxes."""
+    n_found, n_true = overlap.shape
+    if not n_true:
+        return math.nan
+    hit, free = np.zeros(n_found), np.ones(n_true, bool)
+    for i, row in enumerate(overlap):
+        best = int(np.argmax(np.where(free, row, -1.0)))
+        if free[best] and row[best] >= limit:
+            hit[i], free[best] = 1, False
+    precision = np.cumsum(hit) / np.arange(1, n_found + 1)
+    monotonous = np.maximum.accumulate(precision[::-1])[::-1]
+    return float((monotonous * hit).sum() / n_true)
+
+
+def _shares(name: str, hits: int, false: int, missed: int) -> dict[str, float]:
+    """Precision, recall and F1 of hits, false finds and what was missed."""
+    shares = {
+        "precision": (hits, hits + false),
+        "recall": (hits, hits + missed),
+        "f1": (2 * hits, 2 * hits + false + missed),
+    }
+    return {f"{name}_{key}": part / whole if whole else math.nan for key, (part, whole) in shares.items()}
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values else math.nan

@@ -1,0 +1,257 @@
+"""The truth behind each record of the data packets of a run, as a table in Parquet: written, and read beside its capture."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
+from vlp16emu.extras.clouds.cloud import LEAF_OR_WOOD
+from vlp16emu.output import OutputFile
+from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, NO_ECHO, RECORDS_PER_PACKET
+from vlp16emu.types import Packet
+
+_GROUP = 256
+"""Packets of a row group, 98 304 rows: what is held in memory, some 20 MB."""
+_CHANNELS = 32
+_LATE = 64
+"""By how many packets one may be late in a capture."""
+_EXPECTED = "the returns.parquet of the run that made the capture (`record --truth DIR --truth-returns`)"
+
+SLOT_COLUMNS = {
+    "packet": "uint32",
+    "stamp_us": "uint32",
+    "block": "uint8",
+    "channel": "uint8",
+    "t_ns": "int64",
+    "echo": "uint8",
+    "range_m": "float32",
+    "x_m": "float32",
+    "y_m": "float32",
+    "z_m": "float32",
+    "world_x_m": "float64",
+    "world_y_m": "float64",
+    "world_z_m": "float64",
+    "semantic": "uint8",
+    "part": "uint8",
+    "leaf_wood": "uint8",
+    "instance": "uint32",
+    "species": "uint16",
+    "share": "float32",
+    "miss": "bool",
+    "repeat": "bool",
+}
+"""Columns with their types; of a record without distance those from `echo` to `share` are null."""
+_OF_RETURNS = tuple(SLOT_COLUMNS)[5:-2]
+_FLOATS = [name for name in _OF_RETURNS if SLOT_COLUMNS[name].startswith("float")]
+
+
+class SlotTable:
+    """Writes a row for each record of the data packets that it is given; a context manager.
+
+    Parameters
+    ----------
+    path : of the file, which is readable when this has been left
+
+    Raises
+    ------
+    MissingExtraError
+        where pyarrow is not installed
+    OutputError
+        where the file cannot be opened
+    """
+
+    def __init__(self, path: Path) -> None:
+        pa, parquet = _pyarrow()
+        self._arrow, self._path = pa, path
+        self._schema = pa.schema([(name, pa.type_for_alias(kind)) for name, kind in SLOT_COLUMNS.items()])
+        self._output = OutputFile(path)
+        self._file = parquet.ParquetWriter(
+            self._output.file,
+            self._schema,
+            compression="zstd",
+            use_dictionary=[name for name in SLOT_COLUMNS if name not in (*_FLOATS, "t_ns")],
+            column_encoding={"t_ns": "DELTA_BINARY_PACKED", **dict.fromkeys(_FLOATS, "BYTE_STREAM_SPLIT")},
+        )
+        self._held, self._number = list[Packet](), 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._output, self._output.writing():
+            self._flush()
+            self._file.close()
+
+    def add(self, packet: Packet) -> None:
+        """Add the records of a data packet, whose number is how many came before it.
+
+        Raises
+        ------
+        RunError
+            where they cannot be written
+        """
+        self._held.append(packet)
+        if len(self._held) == _GROUP:
+            try:
+                self._flush()
+            except OSError as error:
+                raise RunError(f"{self._path}: {error.strerror}; no file is written") from error
+
+    def _flush(self) -> None:
+        """Write the packets that are held as a row group."""
+        packets, self._held = self._held, []
+        if not packets:
+            return
+        rows = np.array([packet.slots for packet in packets]).reshape(-1)
+        slot = np.tile(np.arange(RECORDS_PER_PACKET), len(packets))
+        miss = rows["echo"] == NO_ECHO
+        columns = {
+            "packet": np.repeat(np.arange(len(packets)) + self._number, RECORDS_PER_PACKET),
+            "stamp_us": np.repeat([_stamp_us(packet.payload) for packet in packets], RECORDS_PER_PACKET),
+            "block": slot // _CHANNELS,
+            "channel": slot % _CHANNELS,
+            **{
+                name: rows[name]
+                for name in ("t_ns", "echo", "range_m", "semantic", "part", "instance", "species", "share")
+            },
+            **{f"{axis}_m": rows["sensor_m"][:, i] for i, axis in enumerate("xyz")},
+            **{f"world_{axis}_m": rows["world_m"][:, i] for i, axis in enumerate("xyz")},
+            "leaf_wood": LEAF_OR_WOOD[rows["part"]],
+            "miss": miss,
+            "repeat": rows["repeat"],
+        }
+        self._file.write_table(
+            self._arrow.table(
+                [
+                    self._column(name, columns[name], miss if name in _OF_RETURNS else None)
+                    for name in SLOT_COLUMNS
+                ],
+                schema=self._schema,
+            ),
+            row_group_size=len(rows),
+        )
+        self._number += len(packets)
+
+    def _column(
+        self, name: str, values: NDArray[Any], miss: NDArray[np.bool_] | None
+    ) -> Any:  # of pyarrow, which has no types
+        kind = self._schema.field(name).type
+        return self._arrow.array(np.ascontiguousarray(values).astype(kind.to_pandas_dtype()), kind, mask=miss)
+
+
+class SlotReader:
+    """Rows of a table behind the records of a capture of the same run, in the order of the capture.
+
+    A packet of the capture is found by its time stamp, from the one before on, so that some of the run's packets may be
+    missing, twice, or late by up to 64.
+
+    Parameters
+    ----------
+    path : of the table
+
+    Raises
+    ------
+    MissingExtraError
+        where pyarrow is not installed
+    InputError
+        where the file is no such table
+    """
+
+    def __init__(self, path: Path) -> None:
+        pa, parquet = _pyarrow()
+        self._path, self._next = path, 0
+        try:
+            with readable(path, _EXPECTED, InputError):
+                self._file = parquet.ParquetFile(path)
+            groups = range(self._file.num_row_groups)
+            stamps = [self._read(group, ["stamp_us"])["stamp_us"][::RECORDS_PER_PACKET] for group in groups]
+            if missing := set(SLOT_COLUMNS) - set(self._file.schema_arrow.names):
+                raise InputError(str(path), f"no column {min(missing)}", _EXPECTED)
+        except pa.ArrowException as error:
+            raise InputError(str(path), str(error).splitlines()[0], _EXPECTED) from None
+        self._begin = np.cumsum([0, *map(len, stamps)])  # of the row groups, in packets
+        self._stamps_us = np.concatenate([np.zeros(0, np.uint32), *stamps])
+        self._held: tuple[int, dict[str, NDArray[Any]]] = (-1, {})
+
+    def rows(
+        self, stamp_us: NDArray[np.uint32], packet: NDArray[np.int64], slot: NDArray[np.int64]
+    ) -> dict[str, NDArray[Any]]:
+        """Give the columns (n,) from `echo` to `share` of records that have a distance.
+
+        Parameters
+        ----------
+        stamp_us : (p,) of the packets, which follow on those of the call before
+        packet : (n,) row of `stamp_us`, rising
+        slot : (n,) place in the packet, 32 times the block and the channel
+
+        Raises
+        ------
+        InputError
+            where the table does not hold such a packet, or has no return there: the capture is of another run
+        """
+        number = self._numbers(stamp_us)[packet]
+        group = np.searchsorted(self._begin, number, side="right") - 1
+        found: dict[str, NDArray[Any]] = {}
+        for one in np.unique(group).tolist():
+            if self._held[0] != one:
+                self._held = one, self._read(one, [*_OF_RETURNS, "miss"])
+            inside = np.flatnonzero(group == one)
+            row = (number[inside] - self._begin[one]) * RECORDS_PER_PACKET + slot[inside]
+            for name, array in self._held[1].items():
+                found.setdefault(name, np.empty(len(number), array.dtype))[inside] = array[row]
+        if found and found["miss"].any():
+            first = int(found["miss"].argmax())
+            block, channel = divmod(int(slot[first]), _CHANNELS)
+            what = f"no return in packet {number[first]}, block {block}, channel {channel}"
+            raise InputError(str(self._path), what, "one as in the capture, which is of another run")
+        return found
+
+    def returns(self, names: list[str]) -> Iterator[dict[str, NDArray[Any]]]:
+        """Give columns of all records that have a distance, some packets at a time."""
+        for group in range(self._file.num_row_groups):
+            columns = self._read(group, [*names, "miss"])
+            yield {name: columns[name][~columns["miss"]] for name in names}
+
+    def _numbers(self, stamp_us: NDArray[np.uint32]) -> NDArray[np.int64]:
+        """Find the numbers (p,) of packets."""
+        expected = self._stamps_us[self._next : self._next + len(stamp_us)]
+        if np.array_equal(expected, stamp_us):
+            self._next += len(stamp_us)
+            return np.arange(self._next - len(stamp_us), self._next)
+        numbers = np.empty(len(stamp_us), np.int64)
+        for i, stamp in enumerate(stamp_us.tolist()):
+            begin = max(0, self._next - _LATE)
+            same = np.flatnonzero(self._stamps_us[begin:] == stamp)
+            if not len(same):
+                found = f"no packet of time stamp {stamp} us, which the capture has"
+                raise InputError(str(self._path), found, _EXPECTED)
+            numbers[i] = begin + same[0]
+            self._next = max(self._next, int(numbers[i]) + 1)
+        return numbers
+
+    def _read(self, group: int, names: list[str]) -> dict[str, NDArray[Any]]:
+        """Read columns of a row group; 0 where there is no return."""
+        table = self._file.read_row_group(group, columns=names)
+        columns = {name: table[name] for name in names}
+        return {
+            name: (column.fill_null(0) if column.null_count else column).to_numpy()
+            for name, column in columns.items()
+        }
+
+
+def _pyarrow() -> tuple[Any, Any]:  # it has no types
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise MissingExtraError("pyarrow", "data", "truth of each return") from None
+    return pa, parquet
+
+
+def _stamp_us(payload: bytes) -> int:
+    """Read the time stamp of a packet; 0 of one that was cut short."""
+    at = DATA_PAYLOAD.fields["timestamp_us"][1]  # type: ignore[index]  # it has fields
+    return int.from_bytes(payload[at : at + 4], "little") if len(payload) == DATA_BYTES else 0

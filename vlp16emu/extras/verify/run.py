@@ -1,0 +1,251 @@
+"""From a capture file to the findings."""
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vlp16emu.errors import CaptureError
+from vlp16emu.extras.verify.data import DataChunk, OpticsRules, SweepRules, check_codes, check_factory
+from vlp16emu.extras.verify.frames import InOrder, check_frame, kind_of
+from vlp16emu.extras.verify.position import PositionRules
+from vlp16emu.extras.verify.rules import Finding, Findings, Rule
+from vlp16emu.packets.capture import Capture, Datagram
+from vlp16emu.packets.layout import (
+    DATA_PAYLOAD,
+    RETURN_MODE_BYTE,
+    SEQUENCES_PER_PACKET,
+    CapturedUnit,
+    chosen_unit,
+)
+from vlp16emu.sensor.beams import SEQUENCE_NS
+from vlp16emu.types import PacketKind, ReturnMode
+from vlp16emu.units import S_NS, US_NS
+
+_CHUNK_PACKETS = 512
+"""Data packets looked at together: 0.6 MB, 0.7 s of single return."""
+_HELD_PACKETS, _SMALLEST_CHUNK = 16 * _CHUNK_PACKETS, 16
+"""Of several units their chunks together are so long, but no chunk is shorter than this."""
+_FACTORY_BYTES = 2
+_DUAL_BYTE = RETURN_MODE_BYTE[ReturnMode.DUAL]
+_SHORTEST_S = 2.0
+"""A shorter piece says too little about rates: position packets come at irregular intervals."""
+_RATE_TOLERANCE = 0.1
+_SILENCE_NS = S_NS // 2
+"""Position packets come every 20 ms or faster, also where lasers are off."""
+_POSITION_RATES_HZ = (146.0, 53.8)
+"""Measured on two units in single return; 63-9243 Rev D, section 8.2.2, p. 50."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """What a capture holds and which rules it breaks."""
+
+    data_packets: int
+    position_packets: int
+    other_frames: int
+    """Of other traffic and of other units, not looked at."""
+    lost_packets: int
+    """Missing data and position packets."""
+    void_sentences: int
+    """Seconds for which the GPS receiver had no fix, by the status V of its sentences, as trees make them too."""
+    span_s: float
+    """From the first packet to the last, by the capture's stamps."""
+    rpm: float | None
+    """Mean rotor speed; None without data packets."""
+    is_cut: bool
+    """The file ends in the middle of a packet, as that of a killed program may; the rest has been checked."""
+    counts: Mapping[Rule, int]
+    """Errors of each broken rule."""
+    notes: Mapping[Rule, int]
+    """Findings of each rule that units before firmware 3, or programs that record them, do not keep."""
+    findings: tuple[Finding, ...]
+    """The first findings of each rule, by packet number."""
+
+    @property
+    def is_clean(self) -> bool:
+        """No rule is broken; there may be notes."""
+        return not self.counts
+
+
+def verify(capture: str | Path, unit: str | int | None = None, *, limit_per_rule: int = 10) -> Verification:
+    """Check a sensor's packets in a capture against the rules of VLP-16 traffic.
+
+    Parameters
+    ----------
+    capture : classic pcap file
+    unit : which sensor, where there are several: its number from 1, or `address:port` with its data port
+    limit_per_rule : findings kept of each rule; all are counted
+
+    Raises
+    ------
+    CaptureError
+        where the file cannot be read, or holds no VLP-16 packets at all
+    InputError
+        where there is no such unit, or there are several and none is named
+    """
+    path = Path(capture)
+    chosen = chosen_unit(path, None if unit is None else str(unit))
+    return verify_capture(path, chosen, limit_per_rule=limit_per_rule)
+
+
+def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_rule: int = 10) -> Verification:
+    """Check a capture against all rules, in one pass and with little memory.
+
+    Parameters
+    ----------
+    path : classic pcap file
+    unit : whose packets are looked at where there are several; None for those of all
+    limit_per_rule : findings kept of each rule; all are counted
+
+    Raises
+    ------
+    CaptureError
+        If the file cannot be read, or holds no VLP-16 packets at all.
+    """
+    return verify_units(path, [unit], limit_per_rule=limit_per_rule)[0]
+
+
+def verify_units(
+    path: Path, units: Sequence[CapturedUnit | None], *, limit_per_rule: int = 10
+) -> list[Verification]:
+    """Check each of several units by itself against all rules, all of them in one pass; as `verify_capture`."""
+    chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
+    checks = [_Check(Findings(limit_per_rule), chunk_packets) for _ in units]
+    checks_of = defaultdict[tuple[bytes, int], list[_Check]](list)
+    of_all = [check for unit, check in zip(units, checks, strict=True) if unit is None]
+    for unit, check in zip(units, checks, strict=True):
+        if unit is not None:
+            for port in {unit.data_port, *unit.position_ports}:
+                checks_of[unit.source, port].append(check)
+    with Capture(path) as capture:
+        for datagram in capture:
+            for check in of_all or checks_of.get((datagram.source, datagram.destination_port), []):
+                check.take(datagram)
+        return [check.finish(path, capture) for check in checks]
+
+
+class _Check:
+    """Sorts datagrams by kind, counts them, and hands data packets on in chunks."""
+
+    def __init__(self, findings: Findings, chunk_packets: int) -> None:
+        self._findings, self._chunk_packets = findings, chunk_packets
+        self._sweep = SweepRules(findings)
+        self._position = PositionRules(findings)
+        self._optics = OpticsRules(findings)
+        self._in_order = {kind: InOrder(kind, findings) for kind in (PacketKind.DATA, PacketKind.POSITION)}
+        self._chunk: list[Datagram] = []
+        self._continues = False
+        self._factory = b""
+        self._packets = Counter[PacketKind]()
+        self._first: dict[PacketKind, Datagram] = {}
+        self._last: dict[PacketKind, Datagram] = {}
+        self._stamp_ns: int | None = None
+
+    def take(self, datagram: Datagram) -> None:
+        """Check one datagram, or keep it for its chunk."""
+        kind = kind_of(datagram)
+        if kind is None:
+            return
+        if self._stamp_ns is not None and datagram.stamp_ns < self._stamp_ns:
+            found = f"{(self._stamp_ns - datagram.stamp_ns) / US_NS:.0f} us before the packet in front of it"
+            self._findings.add(Rule.STAMP_ORDER, datagram.number, found, "stamps that do not decrease")
+        if self._stamp_ns is not None and datagram.stamp_ns - self._stamp_ns > _SILENCE_NS:
+            found = f"no packet for {(datagram.stamp_ns - self._stamp_ns) / S_NS:.2f} s before it"
+            self._findings.add(Rule.SILENCE, datagram.number, found, "data or position packets all the time")
+        self._stamp_ns = datagram.stamp_ns
+        self._packets[kind] += 1
+        self._first.setdefault(kind, datagram)
+        self._last[kind] = datagram
+        is_readable = check_frame(datagram, kind, self._findings)
+        if is_readable:
+            for each in self._in_order[kind].take(datagram):
+                self._take_ordered(kind, each)
+        elif kind is PacketKind.DATA:
+            self._take_rest(kind)
+            self._flush(ends=True)
+
+    def _take_rest(self, kind: PacketKind) -> None:
+        for datagram in self._in_order[kind].rest():
+            self._take_ordered(kind, datagram)
+
+    def finish(self, path: Path, capture: Capture) -> Verification:
+        """Check what is left, and sum up."""
+        if not self._packets:
+            raise CaptureError(str(path), "no VLP-16 packets", "data packets on UDP port 2368")
+        for kind in self._in_order:
+            self._take_rest(kind)
+        self._flush(ends=True)
+        self._check_rates()
+        stamps_ns = [d.stamp_ns for ends in (self._first, self._last) for d in ends.values()]
+        return Verification(
+            data_packets=self._packets[PacketKind.DATA],
+            position_packets=self._packets[PacketKind.POSITION],
+            other_frames=capture.frames - self._packets.total(),
+            lost_packets=self._sweep.lost_packets + self._position.lost_packets,
+            void_sentences=self._position.void_sentences,
+            span_s=(max(stamps_ns) - min(stamps_ns)) / S_NS,
+            rpm=self._sweep.rpm,
+            is_cut=capture.cut,
+            counts=dict(self._findings.counts),
+            notes=dict(self._findings.notes),
+            findings=tuple(sorted(self._findings.kept, key=lambda finding: finding.packet)),
+        )
+
+    def _take_ordered(self, kind: PacketKind, datagram: Datagram) -> None:
+        """Check a position packet, or collect a data packet; a chunk ends where the return mode changes."""
+        if kind is PacketKind.POSITION:
+            self._position.check(datagram)
+            return
+        factory = datagram.payload[-_FACTORY_BYTES:]
+        if factory != self._factory:
+            check_factory(datagram.number, factory, self._factory, self._findings)
+            before, self._factory = self._factory, factory
+            if before and before[0] != factory[0]:
+                self._flush(ends=True)
+        self._chunk.append(datagram)
+        if len(self._chunk) >= self._chunk_packets:
+            self._flush(ends=False)
+
+    def _flush(self, *, ends: bool) -> None:
+        """Check the packets collected; the last one stays as the neighbour of those to come."""
+        if self._chunk:
+            payload = np.frombuffer(b"".join(d.payload for d in self._chunk), DATA_PAYLOAD)
+            chunk = DataChunk(
+                number=np.array([d.number for d in self._chunk]),
+                stamp_ns=np.array([d.stamp_ns for d in self._chunk]),
+                payload=payload,
+                dual=bool(payload["return_mode"][0] == _DUAL_BYTE),
+                continues=self._continues,
+                ends=ends,
+            )
+            check_codes(chunk, self._findings)
+            self._sweep.check(chunk)
+            self._optics.check(chunk)
+        self._chunk = [] if ends else self._chunk[-1:]
+        self._continues = not ends
+
+    def _check_rates(self) -> None:
+        """Check packets per second, those lost included: position packets, and the time that data packets cover."""
+        span_s = {
+            kind: (self._last[kind].stamp_ns - first.stamp_ns) / S_NS for kind, first in self._first.items()
+        }
+        active_s = span_s.get(PacketKind.DATA, 0.0) - self._sweep.left_out_us * US_NS / S_NS
+        if active_s >= _SHORTEST_S:
+            mode = ReturnMode.DUAL if self._factory[0] == _DUAL_BYTE else ReturnMode.STRONGEST
+            nominal_hz = S_NS / (SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS)
+            covered = self._sweep.covered_us * US_NS / S_NS / active_s
+            self._check_rate(PacketKind.DATA, covered * nominal_hz, f"{nominal_hz:.1f}", (nominal_hz,))
+        position_s = span_s.get(PacketKind.POSITION, 0.0)
+        if position_s >= _SHORTEST_S:
+            count = self._packets[PacketKind.POSITION] - 1 + self._position.lost_packets
+            words = " or ".join(str(hz) for hz in _POSITION_RATES_HZ)
+            self._check_rate(PacketKind.POSITION, count / position_s, words, _POSITION_RATES_HZ)
+
+    def _check_rate(self, kind: PacketKind, rate_hz: float, words: str, usual_hz: Sequence[float]) -> None:
+        if all(abs(rate_hz / hz - 1) > _RATE_TOLERANCE for hz in usual_hz):
+            rule = Rule.DATA_RATE if kind is PacketKind.DATA else Rule.POSITION_RATE
+            found = f"{rate_hz:.1f} {kind} packets per second"
+            self._findings.add(rule, self._last[kind].number, found, f"{words} within {_RATE_TOLERANCE:.0%}")

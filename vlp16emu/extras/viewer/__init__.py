@@ -1,0 +1,5 @@
+"""The page in the browser: the stand, the path and what the sensor sees; extra `viewer`, imported by its verb alone."""
+
+from vlp16emu.extras.viewer.draft import Draft
+
+__all__ = ["Draft"]

@@ -1,0 +1,165 @@
+"""Colours of points by what is known of them, and their legend."""
+
+import colorsys
+from collections.abc import Callable, Iterable, Mapping
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.extras.sheets import colour_of_kind, colour_of_species, surface_colours
+from vlp16emu.scan import Scan
+from vlp16emu.types import SURFACE, PlantPart, Semantic
+from vlp16emu.units import S_NS
+
+Rgb = NDArray[np.uint8]
+
+Entries = Mapping[str, tuple[int, int, int]] | tuple[float, float, str] | None
+"""Legend of a layer: colours by name, or the ends of a scale with their unit; None of what has no names."""
+
+_LABELLED = ("natural", "class", "part", "species", "instance")
+MEASURED = ("range", "reflectivity", "ring", "time")
+LAYERS = (*_LABELLED, *MEASURED, "range error")
+
+PART_RGB: dict[PlantPart, tuple[int, int, int]] = {
+    PlantPart.NONE: (150, 128, 94),
+    PlantPart.STEM: (122, 72, 40),
+    PlantPart.BRANCH_FIRST_ORDER: (206, 128, 46),
+    PlantPart.BRANCH_HIGHER_ORDER: (236, 190, 84),
+    PlantPart.LEAF: (70, 150, 70),
+    PlantPart.ROOT_FLARE: (160, 40, 60),
+    PlantPart.DEAD_BRANCH: (130, 110, 150),
+}
+"""Colours of the layer "part"."""
+_SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], np.float64)
+"""Viridis at five places (matplotlib, `_cm_listed.py`)."""
+_EITHER_WAY = np.array([(59, 76, 192), (150, 150, 150), (180, 4, 38)], np.float64)
+"""Of values about 0: ends of coolwarm (K. Moreland, "Diverging color maps", ISVC 2009) about a grey that shows on white."""
+_ERROR_CM = 6.0
+"""End of the scale of range errors: twice the +-3 cm of the data sheet."""
+_GOLDEN = 0.618034
+"""Turn of the hue from one instance to the next: neighbours in number differ most."""
+_STOPS = 9
+"""Colours of a gradient."""
+_DOT = "display:inline-block;width:0.8em;height:0.8em;margin-right:0.5em;border-radius:2px"
+
+
+def layers_of_scan(scan: Scan) -> tuple[str, ...]:
+    """Layers that a sweep has; a capture has no labels."""
+    return MEASURED if scan.labels is None else LAYERS
+
+
+def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Rgb:
+    """Colours (n, 3) of the points of a sweep.
+
+    Parameters
+    ----------
+    layer : one of those that the sweep has
+    species : names by number
+    """
+    if layer in _LABELLED and (labels := scan.labels) is not None:
+        if layer == "natural":
+            return surface_colours(_surfaces(scan), species)
+        if layer == "class":
+            return _each(labels.semantic, _of_class)
+        if layer == "part":
+            return _each(labels.part, lambda part: PART_RGB[PlantPart(part)])
+        if layer == "instance":
+            return _each(labels.instance, _of_instance)
+        none = colour_of_kind("ground")
+        return _each(labels.species, lambda n: colour_of_species(species[n]) if n in species else none)
+    value, (least, most, _) = _measured(scan, layer)
+    return colours_of_scale(value, least, most)
+
+
+def colours_of_scale(values: NDArray[np.float64], least: float, most: float) -> Rgb:
+    """Colours (n, 3) of values (n,) on a scale between two ends, about its middle where it begins below 0."""
+    scale = _EITHER_WAY if least < 0 else _SCALE
+    place = np.clip((values - least) / max(most - least, 1e-9), 0.0, 1.0) * (len(scale) - 1)
+    return np.column_stack([np.interp(place, range(len(scale)), band) for band in scale.T]).astype(np.uint8)
+
+
+def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
+    """Give the legend of a layer, as far as a sweep shows it."""
+    labels = scan.labels
+    if layer not in _LABELLED or labels is None:
+        return _measured(scan, layer)[1]
+    if layer == "class":
+        return {Semantic(one).name.lower(): _of_class(one) for one in np.unique(labels.semantic).tolist()}
+    if layer == "part":
+        return {
+            PlantPart(one).name.lower(): PART_RGB[PlantPart(one)] for one in np.unique(labels.part).tolist()
+        }
+    if layer == "instance":
+        return None
+    shown = [species[one] for one in np.unique(labels.species).tolist() if one in species]
+    return {name: colour_of_species(name) for name in shown}
+
+
+def _measured(scan: Scan, layer: str) -> tuple[NDArray[np.float64], tuple[float, float, str]]:
+    """Values (n,) of a layer, and the ends of its scale with their unit."""
+    if layer == "range error" and scan.labels is not None:
+        error_cm = 100.0 * (scan.distance_m.astype(np.float64) - scan.labels.range_m)
+        return error_cm, (-_ERROR_CM, _ERROR_CM, "cm")
+    since_s = (scan.t_ns - scan.start_ns) / S_NS
+    # Ranges of metres beyond 40 are few in a forest, reflectivities beyond 100 are of retroreflectors.
+    values: dict[str, tuple[NDArray[Any], float, str]] = {
+        "range": (scan.distance_m, 40.0, "m"),
+        "reflectivity": (scan.reflectivity, 100.0, ""),
+        "ring": (scan.ring, float(scan.ring.max(initial=1)), ""),
+        "time": (since_s, float(since_s.max(initial=1e-3)), "s"),
+    }
+    value, most, unit = values[layer]
+    return np.asarray(value, np.float64), (0.0, most, unit)
+
+
+def _surfaces(scan: Scan) -> NDArray[np.void]:
+    """(n,) `SURFACE` of the labels of a sweep."""
+    assert scan.labels is not None
+    surfaces = np.zeros(len(scan.labels.semantic), SURFACE)
+    for name in ("semantic", "part", "species"):
+        surfaces[name] = getattr(scan.labels, name)
+    return surfaces
+
+
+def _each(values: NDArray[Any], of: Callable[[int], tuple[int, int, int]]) -> Rgb:
+    different, which = np.unique(values, return_inverse=True)
+    return np.array([of(value) for value in different.tolist()], np.uint8).reshape(-1, 3)[which.ravel()]
+
+
+def _of_class(value: int) -> tuple[int, int, int]:
+    """Colour of a semantic class; a tree is green as a beech is."""
+    kind = Semantic(value)
+    return colour_of_species("european_beech") if kind is Semantic.TREE else colour_of_kind(kind.name.lower())
+
+
+def _of_instance(number: int) -> tuple[int, int, int]:
+    """Colour of a plant or thing; what is none is grey."""
+    if not number:
+        return (140, 140, 140)
+    red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, 0.75, 0.95 - 0.25 * (number % 2))
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def legend_of(entries: Entries) -> str:
+    """Write the legend of a layer as HTML."""
+    if entries is None:
+        return boxed(["each plant or thing in its own colour, what is none in grey"])
+    if isinstance(entries, Mapping):
+        rows = (
+            f'<span style="{_DOT};background:rgb{rgb}"></span>{escape(name.replace("_", " "))}'
+            for name, rgb in entries.items()
+        )
+        return boxed(rows)
+    least, most, unit = entries
+    colours = colours_of_scale(np.linspace(least, most, _STOPS), least, most).tolist()
+    stops = ",".join(f"rgb{tuple(rgb)}" for rgb in colours)
+    bar = f'<div style="height:0.8em;border-radius:2px;background:linear-gradient(to right,{stops})"></div>'
+    ends = f"<span>{least:g}</span><span>{most:.3g} {escape(unit)}</span>"
+    return boxed([f'{bar}<div style="display:flex;justify-content:space-between">{ends}</div>'])
+
+
+def boxed(lines: Iterable[str]) -> str:
+    """Write lines of HTML beside the page."""
+    return f'<div style="margin:0.3em 1em;font-size:0.85em;line-height:1.5">{"<br>".join(lines)}</div>'

@@ -1,0 +1,321 @@
+"""A stream that is looked on: what leaves goes, without a wait, to a page in a process of its own."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from multiprocessing import get_context
+from typing import NamedTuple
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import OutputError, PacketError, RunError, Vlp16emuError
+from vlp16emu.extras.sheets.survey import survey
+from vlp16emu.extras.viewer.guard import guarded_server
+from vlp16emu.extras.viewer.layers import MEASURED
+from vlp16emu.extras.viewer.page import SweepView, draw_stand
+from vlp16emu.extras.viewer.stand import Piece, pieces_of
+from vlp16emu.extras.viewer.sweeps import Sweep, placed
+from vlp16emu.motion.live_settings import Live, takes_poses
+from vlp16emu.motion.settings import Walk
+from vlp16emu.packets import DATA_BYTES, decode_data
+from vlp16emu.scan import Scan
+from vlp16emu.sinks import Channel, Lateness, LatenessHistogram, Pacer, PacketSink
+from vlp16emu.types import HeightField, Packet, PacketKind
+from vlp16emu.units import S_NS
+
+_HOST, _PORT = "127.0.0.1", 8016
+"""The port of `vlp16emu view`; another one where that is in use."""
+_NICE = 10
+"""By how much the page is nicer than the stream, which then gets nine tenths of a core that both want."""
+_RADIUS_M, _LIVE_RADIUS_M = 25.0, 35.0
+"""How far from the path the stand is drawn; of a live scene as far as the body may go."""
+_EVERY_NS = 50_000_000
+"""From one glimpse to the next: some 40 packets, half a revolution at 600 rpm."""
+_MOST = 100
+"""Packets of a glimpse: with their poses they fit into a message of the channel."""
+_DRAW_S = 0.1
+"""From picture to picture."""
+_BEHIND_M, _OVER_M = 9.0, 5.0
+"""Of the camera at first."""
+_NEAR_M = 0.05
+"""The camera follows a walker that is farther from where it looks."""
+_PERSON_RADIUS_M, _PERSON_RGB = 0.2, (40, 70, 160)
+
+
+class Backdrop(NamedTuple):
+    """What the page knows before the first packet leaves."""
+
+    pieces: list[Piece]
+    path_m: NDArray[np.float64]
+    """(n, 3) of the sensor, or where a live scene expects it; one where it stands."""
+    hall: bool
+    turn_s: float
+    """Of the rotor."""
+    walks: bool
+    """A person carries the sensor."""
+    height_m: HeightField
+    """Of the ground."""
+
+
+class Glimpse(NamedTuple):
+    """What a sensor sent in some 50 ms, and how punctual the stream is."""
+
+    payloads: bytes
+    """(n, 1206) of its data packets."""
+    since_ns: NDArray[np.int64]
+    """(n,) of each from the first pulse of the run to its own first pulse."""
+    world_T_sensor: NDArray[np.float64]
+    """(n, 4, 4) then."""
+    late: Lateness
+    """Of all packets so far."""
+    worst_ns: int
+    """Greatest lateness since the last glimpse."""
+    delay_ns: int
+    """Time by which deadlines have been moved in all."""
+
+
+class WatchedSink(PacketSink):
+    """Passes packets on, and offers glimpses of those that have left.
+
+    A glimpse is made by the thread that sends, once a packet has left: it has then a millisecond until the next one.
+
+    Parameters
+    ----------
+    sink : where packets go
+    pacer : by which they leave
+    emulator : whose first sensor is looked at
+    channel : takes the glimpses, or loses them
+    """
+
+    def __init__(self, sink: PacketSink, pacer: Pacer, emulator: Emulator, channel: Channel) -> None:
+        self._sink, self._pacer, self._emulator, self._channel = sink, pacer, emulator, channel
+        self._late, self._worst_ns, self._offered_ns = LatenessHistogram(), 0, 0
+        self._held: list[tuple[bytes, int]] = []
+
+    def send(self, packet: Packet) -> None:
+        """Send one packet.
+
+        Raises
+        ------
+        RunError
+            as of the sink
+        """
+        self._sink.send(packet)
+        late_ns = self._pacer.late_ns
+        self._late.add(late_ns)
+        self._worst_ns = max(self._worst_ns, late_ns)
+        if packet.unit or packet.kind is not PacketKind.DATA or len(packet.payload) != DATA_BYTES:
+            return
+        # Of a capture that a run was prepared in, first pulses are not known: 1 ms more or less is not seen.
+        self._held.append((packet.payload, packet.fired_ns or packet.due_ns))
+        if (now_ns := time.monotonic_ns()) - self._offered_ns >= _EVERY_NS or len(self._held) == _MOST:
+            self._offered_ns = now_ns
+            self._offer()
+
+    def _offer(self) -> None:
+        payloads, fired_ns = zip(*self._held, strict=True)
+        t_ns = np.array(fired_ns)
+        glimpse = Glimpse(
+            b"".join(payloads),
+            t_ns - self._emulator.scenario.start_ns,
+            self._emulator.world_T_sensor(t_ns),
+            self._late.summary,
+            self._worst_ns,
+            self._pacer.delay_ns,
+        )
+        self._held.clear()
+        self._worst_ns = 0
+        self._channel.offer(glimpse)
+
+
+class Watch(NamedTuple):
+    """A page that shows a stream."""
+
+    url: str
+    emulator: Emulator
+    channel: Channel
+
+    def sink(self, sink: PacketSink, pacer: Pacer) -> PacketSink:
+        """Make the sink that the page looks at; parameters as of `WatchedSink`."""
+        return WatchedSink(sink, pacer, self.emulator, self.channel)
+
+
+def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
+    """Grow what stands near the path of a stream's duration, as few faces.
+
+    Raises
+    ------
+    InputError
+        where a part of the world cannot be made
+    """
+    scenario, motion = emulator.scenario, emulator.scenario.motion
+    expected_m = np.array(motion.path_m) if isinstance(motion, Live) and takes_poses(motion) else None
+    radius_m = _RADIUS_M if expected_m is None else _LIVE_RADIUS_M
+    seen = survey(
+        scenario.model_copy(update={"duration_s": duration_s}),
+        min(radius_m, scenario.sensor.max_range_m),
+        emulator.parts,
+        expected_m,
+    )
+    hall, turn_s, walks = seen.hall is not None, 60.0 / scenario.sensor.rpm, isinstance(motion, Walk)
+    return Backdrop(list(pieces_of(seen)), seen.path_m, hall, turn_s, walks, seen.height_m)
+
+
+@contextmanager
+def watching(emulator: Emulator, backdrop: Backdrop) -> Iterator[Watch]:
+    """Start the page, and end it with the context.
+
+    Raises
+    ------
+    OutputError, RunError
+        where the page cannot be served
+    """
+    ours, theirs = Channel.pair()
+    page = get_context("spawn").Process(target=serve, args=(backdrop, theirs), name="page", daemon=True)
+    # What is blocked here is blocked there too, for good: Ctrl-C is for the stream, and the page ends with it.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        page.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    theirs.close()
+    try:
+        yield Watch(_url(ours), emulator, ours)
+    finally:
+        ours.close()
+        page.kill()  # it has nothing to finish, and may hang
+        page.join()
+
+
+def _url(channel: Channel) -> str:
+    """Wait until the page is there."""
+    try:
+        answer = channel.take()
+    except EOFError:
+        raise RunError("the page in the browser has ended before it began") from None
+    if isinstance(answer, Vlp16emuError):
+        raise answer
+    return str(answer)
+
+
+def serve(backdrop: Backdrop, channel: Channel) -> None:
+    """Serve the page until the stream is over, and say where it is when it is there."""
+    os.nice(_NICE)
+    with ExitStack() as stack:
+        try:
+            server = stack.enter_context(guarded_server(_HOST, _PORT, "vlp16emu"))
+        except OutputError:
+            server = stack.enter_context(guarded_server(_HOST, 0, "vlp16emu"))
+        page = LivePage(server, backdrop)
+        channel.offer(f"http://{_HOST}:{server.get_port()}/")
+        page.run(channel)
+
+
+class LivePage:
+    """The stand, and what a stream sends just now.
+
+    Parameters
+    ----------
+    backdrop : what is known before the first packet leaves
+    """
+
+    def __init__(self, server: viser.ViserServer, backdrop: Backdrop) -> None:
+        self._server, self._backdrop = server, backdrop
+        self._parts: list[Sweep] = []
+        way_m = backdrop.path_m
+        root = draw_stand(server, backdrop.pieces, way_m, hall=backdrop.hall)
+        server.initial_camera.position = way_m[0] + np.array([-_BEHIND_M, 0.0, _OVER_M])
+        server.initial_camera.look_at = way_m[0]
+        with server.gui.add_folder("Stream"):
+            self._text = server.gui.add_markdown("no packet has left yet")
+            self._view = SweepView(server, MEASURED, {}, root)
+            self._follow = server.gui.add_checkbox("follow the sensor", initial_value=True)
+
+    def run(self, channel: Channel) -> None:
+        """Show what comes, as often as there is time for it, until the stream is over."""
+        draw_s = 0.0
+        while True:
+            try:
+                glimpse = channel.take(_DRAW_S)
+            except TimeoutError:
+                continue
+            except EOFError:
+                return
+            assert isinstance(glimpse, Glimpse)
+            self._add(glimpse)
+            if (now_s := time.monotonic()) >= draw_s and self._server.get_clients():
+                draw_s = now_s + _DRAW_S
+                self._draw(glimpse)
+
+    def _add(self, glimpse: Glimpse) -> None:
+        """Put points into the world, and forget those that are more than a turn old."""
+        payloads = np.frombuffer(glimpse.payloads, np.uint8).reshape(-1, DATA_BYTES)
+        try:
+            points = decode_data(payloads, keep_no_returns=False)
+        except PacketError:  # by an event of the scene
+            return
+        scan = Scan(
+            start_ns=int(glimpse.since_ns[0]),
+            t_ns=glimpse.since_ns[points.packet],
+            xyz_m=points.xyz_m,
+            distance_m=points.distance_m,
+            azimuth_deg=points.azimuth_deg,
+            ring=points.ring.astype(np.uint16),
+            reflectivity=points.reflectivity,
+            is_last=points.is_last,
+            world_T_sensor=glimpse.world_T_sensor[-1],
+        )
+        sweep = Sweep(scan, placed(points.xyz_m, glimpse.world_T_sensor[points.packet]))
+        oldest_ns = int(glimpse.since_ns[-1]) - round(self._backdrop.turn_s * S_NS)
+        self._parts = [part for part in self._parts if part.scan.start_ns >= oldest_ns] + [sweep]
+
+    def _draw(self, glimpse: Glimpse) -> None:
+        """Draw the last turn, the sensor and the person, and say how punctual the stream is."""
+        if not self._parts:
+            return
+        place_m = glimpse.world_T_sensor[-1][:3, 3]
+        with self._server.atomic():
+            self._view.draw(self._parts)
+            if self._backdrop.walks:
+                self._draw_person(place_m)
+        self._look_at(place_m)
+        self._text.content = "  \n".join(_lines(glimpse, sum(len(part.world_m) for part in self._parts)))
+
+    def _draw_person(self, place_m: NDArray[np.float64]) -> None:
+        ground_m = float(self._backdrop.height_m(place_m[:1], place_m[1:2])[0])
+        self._server.scene.add_cylinder(
+            "/person",
+            _PERSON_RADIUS_M,
+            max(float(place_m[2]) - ground_m - 2 * _PERSON_RADIUS_M, 0.1),
+            _PERSON_RGB,
+            cast_shadow=False,
+            position=(place_m[0], place_m[1], (ground_m + place_m[2]) / 2 - _PERSON_RADIUS_M),
+        )
+
+    def _look_at(self, place_m: NDArray[np.float64]) -> None:
+        """Let cameras go with the sensor, as they are turned and as near as they are."""
+        if self._follow.value is not True:
+            return
+        for client in self._server.get_clients().values():
+            camera = client.camera
+            away_m = camera.position - camera.look_at
+            if np.linalg.norm(camera.look_at - place_m) > _NEAR_M:
+                with client.atomic():  # or a slow browser answers between the two, and comes nearer each time
+                    camera.position, camera.look_at = place_m + away_m, place_m
+
+
+def _lines(glimpse: Glimpse, points: int) -> list[str]:
+    """Say how the stream goes."""
+    late = glimpse.late
+    at_most = f"at most {late.max_ns / 1e6:.1f} ms; now {glimpse.worst_ns / 1e6:.2f} ms"
+    lines = [
+        f"{glimpse.since_ns[-1] / S_NS:.1f} s, {late.packets} packets",
+        f"{points} points in the last turn",
+        f"lateness: median {late.median_ns / 1e3:.0f} us, 99 % within {late.p99_ns / 1e3:.0f} us, {at_most}",
+    ]
+    return [*lines, f"**late by {glimpse.delay_ns / S_NS:.2f} s**"] if glimpse.delay_ns else lines

@@ -1,0 +1,301 @@
+"""The page: the stand, the path, and the sweep at the cursor's time."""
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.extras.sheets.survey import survey, way_m
+from vlp16emu.extras.viewer.draft import Draft
+from vlp16emu.extras.viewer.editor import Editor
+from vlp16emu.extras.viewer.layers import boxed, colours_of, entries_of, layers_of_scan, legend_of
+from vlp16emu.extras.viewer.stand import Piece, pieces_of
+from vlp16emu.extras.viewer.sweeps import Mark, SceneSweeps, Sweep, Sweeps
+from vlp16emu.forest.stand.forest import ForestWorld
+from vlp16emu.motion.settings import Walk
+from vlp16emu.scan import Scan
+from vlp16emu.sensor.beams import BeamTable
+
+_MOST_KEPT = 50
+"""Sweeps drawn together: 1.2 million points."""
+_LISTED = 6
+"""Faults of a sweep, line by line."""
+_LOST_M = 30.0
+"""How far a beam that meets nothing is drawn."""
+_SECTOR_M, _STEP_DEG = 8.0, 1.0
+"""Radius of a sector, and the width of its triangles."""
+_PATH, _HIT, _LOST, _WRONG = (220, 60, 40), (255, 70, 50), (150, 160, 175), (230, 0, 60)
+
+
+def draw_stand(
+    server: viser.ViserServer, pieces: Iterable[Piece], way_m: NDArray[np.float64], *, hall: bool
+) -> viser.FrameHandle:
+    """Draw what stands along a path (n, 3), look at it from behind the start, and give the node above it."""
+    scene = server.scene
+    root = scene.add_frame("/stand", show_axes=False)
+    scene.configure_default_lights(enabled=True, cast_shadow=False)
+    scene.configure_environment_map(None)  # light of its own on each pixel, where a stand needs two lamps
+    for piece in pieces:
+        scene.add_batched_meshes_simple(
+            f"/stand/{piece.name}",
+            piece.vertices_m,
+            piece.faces,
+            piece.wxyz,
+            piece.position_m,
+            batched_scales=piece.scale,
+            batched_colors=piece.colour,
+            lod="off",
+            flat_shading=True,
+            material="toon5",
+            side="front" if hall else "double",  # a hall is looked into through its ceiling
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+    if len(way_m) > 1:
+        scene.add_line_segments("/walk", np.stack([way_m[:-1], way_m[1:]], axis=1), _PATH, thickness=0.06)
+    look_from(server, way_m[0], way_m[min(len(way_m) - 1, 60)] - way_m[0])
+    return root
+
+
+def look_from(server: viser.ViserServer, place_m: NDArray[np.float64], ahead_m: NDArray[np.float64]) -> None:
+    """Put the camera of whoever comes behind a place, and over it."""
+    away_m = math.hypot(*ahead_m[:2])
+    east, north = ahead_m[:2] / away_m if away_m > 0 else (1.0, 0.0)
+    camera = server.initial_camera
+    camera.position = (place_m[0] - 22 * east, place_m[1] - 22 * north, place_m[2] + 16)
+    camera.look_at = (place_m[0] + 6 * east, place_m[1] + 6 * north, place_m[2])
+
+
+def scene_page(
+    server: viser.ViserServer,
+    scene: str,
+    emulator: Emulator,
+    *,
+    unit: int = 1,
+    radius_m: float = 25.0,
+    save: Path | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> "Page":
+    """Grow and draw a scene; the path of one that walks can be drawn anew.
+
+    Parameters
+    ----------
+    scene : that the emulator is of
+    unit : of a rig, from 1
+    radius_m : how far from the path its stand is drawn
+    save : file for what is drawn; None where nothing is to be saved
+    progress : called with the share of the stand that has grown
+
+    Raises
+    ------
+    InputError
+        where there is no such unit, or the stand cannot be grown
+    """
+    text, scenario, parts = server.gui.add_markdown("growing the world"), emulator.scenario, emulator.parts
+    bare = getattr(parts.world, "bare", parts.world)
+    for share in bare.growing(way_m(scenario, parts.motion)) if isinstance(bare, ForestWorld) else ():
+        progress(share)
+        text.content = f"growing the world, {share:.0%} of its tiles"
+    seen = survey(scenario, min(radius_m, scenario.sensor.max_range_m), parts)
+    root = draw_stand(server, pieces_of(seen), seen.path_m, hall=seen.hall is not None)
+    text.content, editor = "", None
+    if isinstance(scenario.motion, Walk):
+        editor = Editor(server, Draft(scene, scenario, seen), scenario.duration_s, save)
+    return Page(server, SceneSweeps(emulator, unit), seen.species, root, editor)
+
+
+class SweepView:
+    """Points of sweeps and the axes of their sensor, with the controls of how they look.
+
+    Parameters
+    ----------
+    layers : that points can be coloured by
+    species : names by number
+    root : node of what stands there, where anything is drawn
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        layers: Sequence[str],
+        species: Mapping[int, str],
+        root: viser.FrameHandle | None,
+    ) -> None:
+        gui = server.gui
+        self._scene, self._layers, self._species, self._root = server.scene, layers, species, root
+        self._frame = server.scene.add_frame("/sensor", axes_length=0.6, axes_radius=0.02)
+        self._layer = gui.add_dropdown("colour by", layers, initial_value=layers[0])
+        self._legend = gui.add_html("")
+        self._size = gui.add_slider("point, cm", 1.0, 20.0, 1.0, 5.0)
+        self._stand = gui.add_checkbox("stand", initial_value=True, visible=root is not None)
+        self.controls = self._layer, self._size, self._stand
+
+    def draw(self, sweeps: Sequence[Sweep]) -> str:
+        """Draw sweeps, with the sensor where the last one has it, and say what is drawn.
+
+        A control with a value that it cannot have leaves what was there.
+        """
+        size_cm, layer, scan = self._size.value, self._layer.value, sweeps[-1].scan
+        if not is_number(size_cm) or layer not in self._layers:
+            return ""
+        points_m = np.concatenate([sweep.world_m for sweep in sweeps])
+        middle_m = points_m.mean(axis=0) if len(points_m) else np.zeros(3)
+        self._scene.add_point_cloud(
+            "/sweep",
+            (points_m - middle_m).astype(np.float32),
+            np.concatenate([colours_of(sweep.scan, layer, self._species) for sweep in sweeps]),
+            point_size=max(float(size_cm), 0.1) / 100,
+            precision="float32",
+            point_shape="circle",
+            point_shading="flat",
+            position=middle_m,
+        )
+        if (world_T_sensor := scan.world_T_sensor) is not None:
+            self._frame.position = world_T_sensor[:3, 3]
+            self._frame.wxyz = Rotation.from_matrix(world_T_sensor[:3, :3]).as_quat(scalar_first=True)
+        if self._root is not None:
+            self._root.visible = self._stand.value is True
+        legend = legend_of(entries_of(scan, layer, self._species))
+        if legend != self._legend.content:
+            self._legend.content = legend
+        return f"{len(points_m):,} points by {layer}".replace(",", " ")
+
+
+class Page:
+    """Controls over sweeps, and the points of the present one.
+
+    Parameters
+    ----------
+    sweeps : where they come from
+    species : names by number
+    root : node of what stands there, where anything is drawn
+    editor : of the path, where there is one
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        sweeps: Sweeps,
+        species: Mapping[int, str],
+        root: viser.FrameHandle | None = None,
+        editor: Editor | None = None,
+    ) -> None:
+        self._server, self._sweeps, self._editor = server, sweeps, editor
+        self._wake = Event() if editor is None else editor.wake
+        self._wake.set()
+        self._time_s = 0.0
+        self._kept = deque[Sweep]([sweeps.at(0.0)], maxlen=_MOST_KEPT)
+        self._marked: viser.MeshHandle | None = None
+        gui, last_s = server.gui, max(sweeps.last_s, sweeps.step_s)
+        with gui.add_folder("Sweep"):
+            self._slider = gui.add_slider("time, s", 0.0, last_s, min(0.1, last_s), 0.0)
+            self._play = gui.add_checkbox("play", initial_value=False)
+            self._view = SweepView(server, layers_of_scan(self._kept[0].scan), species, root)
+            self._together = gui.add_slider(
+                "sweeps", 1, _MOST_KEPT, 1, 1, hint="how many stay as they are played"
+            )
+            self._beams = gui.add_checkbox("beams", initial_value=True)
+            self._text = gui.add_markdown("")
+            self._faults = gui.add_html("")
+        for control in (self._slider, self._play, self._together, self._beams, *self._view.controls):
+            control.on_update(lambda _: self._wake.set())
+
+    def run(self) -> None:
+        """Draw what is wanted, for ever."""
+        while self._wake.wait():
+            self._wake.clear()
+            began_s = time.monotonic()
+            if self._editor is not None and self._editor.step():
+                self._wake.set()  # the path first: it follows a hand
+                continue
+            self._draw()
+            if self._play.value is True:
+                self._go_on(began_s)
+
+    def _draw(self) -> None:
+        """Draw the sweeps at the cursor, if the controls have values that they can have."""
+        time_s, together = self._slider.value, self._together.value
+        if not is_number(time_s) or not is_number(together):
+            return
+        if time_s != self._time_s:
+            if not 0.0 < time_s - self._time_s < 1.5 * self._sweeps.step_s:
+                self._kept.clear()
+            self._kept.append(self._sweeps.at(float(time_s)))
+            self._time_s = time_s
+        shown = list(self._kept)[-max(int(together), 1) :]
+        with self._server.atomic():
+            text = self._view.draw(shown)
+            self._draw_beams(shown[-1])
+        if text:
+            self._text.content = f"{text}, sweep at {time_s:.1f} s"
+        self._faults.content = boxed(escape(mark.what) for mark in shown[-1].marks[:_LISTED])
+
+    def _draw_beams(self, sweep: Sweep) -> None:
+        """Draw the first beams of a sweep, and the sectors in which packets are at fault."""
+        ends_m, is_hit = beams_of(sweep.scan, self._sweeps.beams)
+        self._server.scene.add_line_segments(
+            "/sensor/beams",
+            np.stack([np.zeros_like(ends_m), ends_m], axis=1),
+            np.where(is_hit[:, None, None], _HIT, _LOST).repeat(2, axis=1).astype(np.uint8),
+            thickness=0.015,
+            visible=self._beams.value is True,
+        )
+        if self._marked is not None:
+            self._marked.remove()
+            self._marked = None
+        if sweep.marks:
+            vertices_m, faces = sectors_of(sweep.marks)
+            self._marked = self._server.scene.add_mesh_simple(
+                "/sensor/faults", vertices_m, faces, color=_WRONG, opacity=0.45, side="double"
+            )
+
+    def _go_on(self, began_s: float) -> None:
+        """Set the cursor to the next sweep, no faster than in real time."""
+        time_s = self._time_s + self._sweeps.step_s
+        if time_s > self._sweeps.last_s:
+            self._play.value = False
+            return
+        time.sleep(max(began_s + self._sweeps.step_s - time.monotonic(), 0.0))
+        self._slider.value = time_s
+        self._wake.set()
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a finite number; a stranger's message may say anything."""
+    return isinstance(value, int | float) and math.isfinite(value)
+
+
+def beams_of(scan: Scan, beams: BeamTable) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Give the ends (L, 3) in the sensor of a scan's first beams, by rising elevation, and (L,) which of them met something."""
+    rising = np.sort(beams.elevation_deg)
+    first = scan.t_ns < scan.start_ns + beams.sequence_ns
+    azimuth = np.radians(scan.azimuth_deg[first][0] if first.any() else 0.0)
+    flat = np.cos(np.radians(rising))
+    ends_m = _LOST_M * np.stack(
+        [flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(np.radians(rising))], axis=1
+    )
+    ring = scan.ring[first]
+    ends_m[ring] = scan.xyz_m[first]
+    return ends_m, np.isin(np.arange(len(rising)), ring)
+
+
+def sectors_of(marks: tuple[Mark, ...]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Vertices (v, 3) in the sensor and triangles (f, 3) of level sectors between the azimuths of marks."""
+    corners = []
+    for begin_deg, end_deg, _ in marks:
+        width_deg = (end_deg - begin_deg) % 360.0
+        edges = np.linspace(0.0, width_deg, 2 + int(width_deg / _STEP_DEG))
+        azimuth = np.radians(begin_deg + edges)
+        rim_m = _SECTOR_M * np.stack([np.cos(azimuth), -np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
+        corners.append(np.stack([np.zeros_like(rim_m[1:]), rim_m[1:], rim_m[:-1]], axis=1))
+    vertices_m = np.concatenate([np.zeros((0, 3, 3)), *corners]).reshape(-1, 3).astype(np.float32)
+    return vertices_m, np.arange(len(vertices_m), dtype=np.uint32).reshape(-1, 3)

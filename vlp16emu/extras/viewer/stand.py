@@ -1,0 +1,234 @@
+"""What stands along the path as a browser can draw it: few faces for each thing, and what is there often only once."""
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from vlp16emu.extras.sheets import colour_of_kind, surface_colours
+from vlp16emu.extras.sheets.survey import Survey
+from vlp16emu.forest.plants.sapling import SaplingKey
+from vlp16emu.forest.stand.floor_shapes import FloorKey
+from vlp16emu.forest.tiles import TILE_M, TileKey
+from vlp16emu.types import Mesh, PlantPart, ShapeKey
+from vlp16emu.world.polyline import Polyline
+
+Array = NDArray[np.float64]
+Rgb = tuple[int, int, int]
+
+_FACES = 300_000
+"""Triangles of all plants and things together without stems, about: crowns look like crowns, and a browser without a graphics card draws one every second or two."""
+_FEWEST, _MOST = 6, 3_000
+"""Faces of one mesh of one thing; in between as its size has it."""
+_MOST_GROWN = 3.5
+"""Of a leaf, in length: larger ones are seen as what they are; a crown that would need them is drawn less dense."""
+_BRANCHES = 0.25
+"""Of the faces of leaves: branches are largely behind them."""
+_SIDES, _RINGS = 6, 7
+"""Of a stem."""
+_DENSE_M = 6.0
+"""What covers the ground is drawn whole so far from the path, and beyond it thins out with the square of the distance."""
+_GOLDEN = 0.618034
+_CELL_M = 1.0
+"""Of the ground."""
+_LEFT_OUT = PlantPart.ROOT_FLARE, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.DEAD_BRANCH
+"""Too fine to be seen among leaves."""
+_ONE = np.eye(3, 4)[None]
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A mesh of one colour, at one place or at many."""
+
+    name: str
+    vertices_m: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+    """(f, 3) triangles."""
+    colour: Rgb
+    position_m: Array
+    """(n, 3) in the world."""
+    wxyz: Array
+    """(n, 4) unit quaternions."""
+    scale: Array
+    """(n, 3) along the axes of the mesh."""
+
+
+def pieces_of(seen: Survey) -> Iterator[Piece]:
+    """Draw the ground, the plants and the things within the radius of a survey."""
+    if seen.hall is None:
+        yield _piece("ground", _ground(seen), colour_of_kind("ground"), _ONE)
+    window, colours = seen.window, surface_colours(seen.window.surfaces, seen.species)
+    path = Polyline(seen.path_m[:, :2])
+    near, size_m = _drawn(seen, path)
+    per_m = _FACES / max(float(size_m.sum()), 1.0)
+    single = defaultdict[Rgb, list[Mesh]](list)
+    shapes: list[int] = window.shape[near].tolist()
+    order: list[int] = np.argsort(shapes, kind="stable").tolist()
+    for which, group in groupby(order, key=shapes.__getitem__):
+        index = np.array(list(group))
+        alike, key = near[index], window.shapes[which]
+        most = int(np.clip(per_m * size_m[index].mean(), _FEWEST, _MOST))
+        row = int(window.first_surface[alike[0]])
+        for number, mesh in enumerate(seen.grow(key)):
+            part = PlantPart(window.surfaces["part"][row + number])
+            is_ground = isinstance(key, TileKey) and number == 0
+            if is_ground or part in _LEFT_OUT or not len(mesh.faces):
+                continue
+            if isinstance(key, TileKey):
+                foot_m = mesh.vertices_m[mesh.vertices_m[:, 2].argmin(), :2]
+                if path.distance_m(window.world_T_shape[alike, :2, 3] + foot_m)[0] > seen.radius_m:
+                    continue
+            few, colour = _simple(mesh, key, part, most), tuple(colours[row + number].tolist())
+            if len(alike) == 1:
+                single[colour].append(_moved(few, window.world_T_shape[alike[0]]))
+            else:
+                yield _piece(f"things/{which}_{number}", few, colour, window.world_T_shape[alike])
+    for count, (colour, meshes) in enumerate(single.items()):
+        yield _piece(f"single/{count}", _joined(meshes), colour, _ONE)
+
+
+def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], Array]:
+    """Find the placements (n,) that are drawn, and the size (n,) of each, in metres; 0 of tiles, whose stems have faces of their own."""
+    window = seen.window
+    is_tile, is_floor = (
+        np.array([isinstance(key, kind) for key in window.shapes], np.bool_)[window.shape]
+        for kind in (TileKey, FloorKey)
+    )
+    # A tile's place is its corner; its stems are drawn where one of them may be near.
+    gap_m = path.distance_m(window.world_T_shape[:, :2, 3] + np.where(is_tile, TILE_M / 2, 0.0)[:, None])
+    radius_m = np.where(is_tile, seen.radius_m + TILE_M / 2, np.inf if seen.hall else seen.radius_m)
+    dense = np.minimum(_DENSE_M / np.maximum(gap_m, _DENSE_M), 1.0) ** 2
+    chosen = ~is_floor | (np.arange(len(gap_m)) * _GOLDEN % 1.0 < dense)
+    near = np.flatnonzero((gap_m <= radius_m) & chosen)
+    size_m = np.zeros(len(near))
+    for which in np.unique(window.shape[near]).tolist():
+        if not isinstance(window.shapes[which], TileKey):
+            alike = window.shape[near] == which
+            scale = np.linalg.norm(window.world_T_shape[near[alike], :, :3], axis=1).mean(axis=1)
+            size_m[alike] = scale * max(
+                (
+                    float(np.ptp(mesh.vertices_m, axis=0).max())
+                    for mesh in seen.grow(window.shapes[which])
+                    if len(mesh.faces)
+                ),
+                default=0.0,
+            )
+    return near, size_m
+
+
+def _simple(mesh: Mesh, key: ShapeKey, part: PlantPart, most: int) -> Mesh:
+    """Leave few faces of a mesh, in the way that suits what it is."""
+    if part is PlantPart.STEM and isinstance(key, TileKey | SaplingKey):
+        return slim_stem(mesh)
+    if part is PlantPart.LEAF:
+        quads = mesh.faces.shape[1] == 4  # a quad is two triangles
+        return fewer_faces(mesh, most // 2 if quads else most, grown=True)
+    if part is PlantPart.NONE and isinstance(key, FloorKey):
+        return lump(mesh)
+    if part is PlantPart.NONE:
+        return mesh if len(mesh.faces) <= _MOST else fewer_faces(mesh, _MOST, grown=False)
+    return fewer_faces(mesh, max(int(_BRANCHES * most), _FEWEST), grown=False)
+
+
+def slim_stem(mesh: Mesh) -> Mesh:
+    """Draw an upright stem with few sides and rings: each vertex goes to that of its sector which is nearest to a ring's height."""
+    place_m = mesh.vertices_m.astype(np.float64)
+    along = (place_m[:, 2] - place_m[:, 2].min()) / max(float(np.ptp(place_m[:, 2])), 1e-6)
+    axis_m = np.stack([np.polyval(np.polyfit(along, place_m[:, k], 3), along) for k in (0, 1)], axis=1)
+    aside_m = place_m[:, :2] - axis_m
+    ring = np.rint(along * (_RINGS - 1)).astype(np.int64)
+    sector = (
+        np.rint(np.arctan2(aside_m[:, 1], aside_m[:, 0]) * _SIDES / (2 * np.pi)).astype(np.int64) % _SIDES
+    )
+    return _gathered(mesh, ring * _SIDES + sector, np.abs(along * (_RINGS - 1) - ring))
+
+
+def lump(mesh: Mesh) -> Mesh:
+    """Draw a small solid thing by the outermost vertex of each third of its box: J. Rossignac and P. Borrel, 1993."""
+    low_m, size_m = mesh.vertices_m.min(axis=0), np.maximum(np.ptp(mesh.vertices_m, axis=0), 1e-6)
+    place = (mesh.vertices_m - low_m) / size_m
+    x, y, z = np.minimum(place * 3, 2).astype(np.int64).T
+    return _gathered(mesh, (x * 3 + y) * 3 + z, -np.linalg.norm(place - 0.5, axis=1))
+
+
+def _gathered(mesh: Mesh, cluster: NDArray[np.int64], cost: NDArray[np.floating]) -> Mesh:
+    """Put all vertices (n,) of a cluster where the cheapest is, and leave out faces that have no area then."""
+    order = np.lexsort([cost, cluster])
+    _, first, own = np.unique(cluster[order], return_index=True, return_inverse=True)
+    at = np.empty(len(order), np.uint32)
+    at[order] = own
+    faces = at[_triangles(mesh)]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return Mesh(mesh.vertices_m[order[first]], faces[once])
+
+
+def fewer_faces(mesh: Mesh, most: int, *, grown: bool) -> Mesh:
+    """Leave as many faces of a mesh as are wanted: of leaves any, `grown` so that their area stays as far as that goes; of others the largest.
+
+    R. L. Cook et al., "Stochastic simplification of aggregate detail", SIGGRAPH 2007.
+    """
+    corners_m = mesh.vertices_m[mesh.faces]
+    n = len(corners_m)
+    if n <= most:
+        return mesh
+    if grown:
+        kept = corners_m[np.linspace(0, n - 1, most).astype(np.int64)]
+        middle_m = kept.mean(axis=1, keepdims=True)
+        kept = middle_m + min(np.sqrt(n / most), _MOST_GROWN) * (kept - middle_m)
+    else:
+        sides_m = corners_m[:, 1:3] - corners_m[:, :1]
+        area_m2 = np.linalg.norm(np.cross(sides_m[:, 0], sides_m[:, 1]), axis=1)
+        kept = corners_m[np.argpartition(area_m2, n - most)[n - most :]]
+    faces = np.arange(kept.shape[0] * kept.shape[1], dtype=np.uint32).reshape(kept.shape[:2])
+    return Mesh(kept.reshape(-1, 3).astype(np.float32), faces)
+
+
+def _ground(seen: Survey) -> Mesh:
+    """Ground within the radius, in squares."""
+    low = np.floor(seen.path_m[:, :2].min(axis=0) - seen.radius_m)
+    high = np.ceil(seen.path_m[:, :2].max(axis=0) + seen.radius_m)
+    x_m, y_m = (np.arange(a, b + _CELL_M, _CELL_M) for a, b in zip(low, high, strict=True))
+    x, y = (grid.ravel() for grid in np.meshgrid(x_m, y_m, indexing="ij"))
+    inside = seen.inside(np.column_stack([x, y]))
+    z = np.zeros_like(x)
+    z[inside] = seen.height_m(x[inside], y[inside])
+    corner = np.arange(len(x)).reshape(len(x_m), len(y_m))
+    quads = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1)
+    quads = quads.reshape(-1, 4)
+    quads = quads[inside[quads].all(axis=1)]
+    used, faces = np.unique(quads, return_inverse=True)
+    vertices_m = np.column_stack([x, y, z])[used].astype(np.float32)
+    return Mesh(vertices_m, faces.reshape(-1, 4).astype(np.uint32))
+
+
+def _moved(mesh: Mesh, world_T_shape: Array) -> Mesh:
+    vertices_m = mesh.vertices_m @ world_T_shape[:, :3].T + world_T_shape[:, 3]
+    return Mesh(vertices_m.astype(np.float32), mesh.faces)
+
+
+def _joined(meshes: list[Mesh]) -> Mesh:
+    first = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes)])
+    faces = [_triangles(mesh) + np.uint32(begin) for mesh, begin in zip(meshes, first, strict=False)]
+    return Mesh(np.concatenate([mesh.vertices_m for mesh in meshes]), np.concatenate(faces))
+
+
+def _triangles(mesh: Mesh) -> NDArray[np.uint32]:
+    """Cut quads (a, b, c, d) into (a, b, d) and (c, d, b), as casters do."""
+    faces = mesh.faces
+    return faces if faces.shape[1] == 3 else np.concatenate([faces[:, [0, 1, 3]], faces[:, [2, 3, 1]]])
+
+
+def _piece(name: str, mesh: Mesh, colour: tuple[int, ...], world_T_shape: Array) -> Piece:
+    """Place a mesh; a shear, which a browser's instances do not have, is left out."""
+    scale = np.linalg.norm(world_T_shape[:, :, :3], axis=1)
+    turn = Rotation.from_matrix(world_T_shape[:, :, :3] / scale[:, None, :])
+    red, green, blue = colour
+    wxyz = turn.as_quat(scalar_first=True)
+    return Piece(
+        name, mesh.vertices_m, _triangles(mesh), (red, green, blue), world_T_shape[:, :, 3], wxyz, scale
+    )

@@ -1,0 +1,245 @@
+"""Sweeps at a time: of a scene, computed when they are asked for, and of a capture, with what is wrong with its packets."""
+
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.emulator import Emulator
+from vlp16emu.errors import CaptureError, InputError
+from vlp16emu.extras.deskew import CaptureTruth, Trajectory, TrajectoryErrors
+from vlp16emu.extras.verify import Finding, Rule, verify_capture
+from vlp16emu.forest.plants.flora import flora
+from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit
+from vlp16emu.scan import Labels, LabelsOf, Scan, clock_zero_ns, scans_in
+from vlp16emu.scenario import load
+from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable
+
+_TURNS = 2.2
+"""Of the rotor: so long a span holds a whole revolution wherever it begins, also of a motor that is off its speed."""
+_KEPT = 300
+"""Sweeps of a capture that are kept, some 300 MB; one before them is read from the file's begin again."""
+_MARKED = 10_000
+"""Findings of each rule that are marked; all are counted."""
+_PASSED_OVER = Rule.FLAG, Rule.FACTORY, Rule.AZIMUTH_RANGE
+"""For these a packet is not read."""
+_ABOUT_POINTS = (
+    *_PASSED_OVER,
+    *(Rule.LOST_PACKETS, Rule.TIME_RANGE, Rule.TIME_STEP, Rule.DUPLICATE, Rule.FROZEN, Rule.AZIMUTH_STEP),
+    *(Rule.AZIMUTH_GAP, Rule.DISTANCE_CODE, Rule.DUAL_AZIMUTH, Rule.DUAL_ORDER),
+)
+"""What is marked; of the others, such as late packets, points are right."""
+
+
+class Mark(NamedTuple):
+    """Something wrong between two azimuths of a sweep."""
+
+    begin_deg: float
+    end_deg: float
+    what: str
+
+
+class Sweep(NamedTuple):
+    """A revolution of the sensor."""
+
+    scan: Scan
+    world_m: NDArray[np.float64]
+    """(n, 3) its points in the world."""
+    marks: tuple[Mark, ...] = ()
+
+
+def placed(xyz_m: NDArray[np.floating], world_T_sensor: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, 3) in the world, each by a pose of its own (n, 4, 4)."""
+    world_m: NDArray[np.float64] = np.einsum("nij,nj->ni", world_T_sensor[:, :3, :3], xyz_m)
+    return world_m + world_T_sensor[:, :3, 3]
+
+
+def sweeps_of_scene(
+    emulator: Emulator, start_s: float, duration_s: float | None, unit: int = 1
+) -> Iterator[Sweep]:
+    """Yield the revolutions of a scene's sensor, with labels."""
+    for scan in emulator.scans(start_s=start_s, duration_s=duration_s, unit=unit, truth=True):
+        yield Sweep(scan, placed(scan.xyz_m, emulator.world_T_sensor(scan.t_ns, unit=unit)))
+
+
+def by_trajectory(scan: Scan, way: Trajectory | None) -> Sweep:
+    """Place a scan by a trajectory that covers it; without one its points stay as they are in the sensor."""
+    if way is None:
+        return Sweep(scan, scan.xyz_m.astype(np.float64))
+    world_T_sensor = np.tile(np.eye(4), (len(scan.t_ns) + 1, 1, 1))
+    world_T_sensor[:, :3, :3], world_T_sensor[:, :3, 3] = way.poses_at(np.append(scan.t_ns, scan.start_ns))
+    pose, poses = world_T_sensor[-1], world_T_sensor[:-1]
+    return Sweep(replace(scan, world_T_sensor=pose), placed(scan.xyz_m, poses))
+
+
+class Sweeps(Protocol):
+    """Where sweeps come from."""
+
+    @property
+    def beams(self) -> BeamTable:
+        """Of the sensor."""
+
+    @property
+    def last_s(self) -> float:
+        """Start of the last sweep, since the first."""
+
+    @property
+    def step_s(self) -> float:
+        """Nominal time between sweeps, in seconds."""
+
+    def at(self, time_s: float) -> Sweep:
+        """Sweep that begins first after a time."""
+
+
+class SceneSweeps:
+    """Sweeps of a scene's sensor, with labels.
+
+    Parameters
+    ----------
+    unit : of a rig, from 1
+
+    Raises
+    ------
+    InputError
+        where there is no such unit
+    """
+
+    def __init__(self, emulator: Emulator, unit: int = 1) -> None:
+        units = emulator.parts.units
+        if unit > len(units):
+            raise InputError("--unit", f"found {unit}", f"at most {len(units)}, the sensors of the scene")
+        self._emulator, self._unit, self.beams = emulator, unit, units[unit - 1].head.beams
+        self.step_s = 60.0 / emulator.scenario.sensor.rpm
+        end_s = min(emulator.scenario.duration_s, emulator.parts.motion.run_time_s)
+        self._span_s = min(_TURNS * self.step_s, end_s)
+        self.last_s = end_s - self._span_s
+
+    def at(self, time_s: float) -> Sweep:
+        """See `Sweeps`.
+
+        Raises
+        ------
+        InputError
+            where the run is shorter than a revolution
+        """
+        begin_s = float(np.clip(time_s, 0.0, self.last_s))
+        sweep = next(sweeps_of_scene(self._emulator, begin_s, self._span_s, self._unit), None)
+        if sweep is None:
+            raise InputError("duration_s", f"found {self._span_s:g} s", "a whole revolution of the sensor")
+        return sweep
+
+
+class CaptureSweeps:
+    """Sweeps of a capture one after another; all of one place, unless the truth of the run has the poses.
+
+    Parameters
+    ----------
+    path : of the capture; packets at fault are passed over
+    truth : folder that `record --truth --truth-returns` has written
+    unit : of several, from 1
+
+    Raises
+    ------
+    CaptureError, PacketError
+        where the file holds no sensor's packets
+    InputError, TrajectoryError, MissingExtraError
+        where there is no whole revolution or no such unit, or the truth is none
+    """
+
+    def __init__(self, path: Path, truth: Path | None = None, unit: int = 1) -> None:
+        self._path, self._folder, self._number = path, truth, unit
+        self._way = None if truth is None else Trajectory(truth, unit, TrajectoryErrors())
+        self._unit = chosen_unit(path, (self._way and self._way.sensor) or str(unit), where="--unit")
+        found = verify_capture(path, self._unit, limit_per_rule=_MARKED)
+        self.health = [f"{rule}: {count}" for rule, count in found.counts.items()]
+        """Which rules of `vlp16emu verify` are broken, how often, and why the file cannot be read to its end."""
+        self.species = {} if truth is None else _species(truth)
+        """Names by number."""
+        reader, packets, self._starts_ns = self._reader(), list[NDArray[np.int64]](), list[int]()
+        zero_ns = 0
+
+        def note(chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
+            """Keep frame, time and azimuths of the packets; labels of points are none."""
+            nonlocal zero_ns
+            if not packets:
+                zero_ns = clock_zero_ns(reader, chunk)
+            azimuth_cdeg = chunk.fields["blocks"]["azimuth_cdeg"][:, [0, -1]]
+            packets.append(np.column_stack([chunk.number, chunk.packet_ns + zero_ns, azimuth_cdeg]))
+            return {}
+
+        try:
+            self._starts_ns.extend(scan.start_ns for scan in self._scans(reader, note))
+        except CaptureError as error:
+            self.health.append(str(error))
+        if not self._starts_ns:
+            raise InputError(str(path), "no whole revolution", "a capture of at least two")
+        self.beams: BeamTable = BEAM_TABLES[reader.summary.model]
+        self._marks = _marks(np.concatenate(packets), found.findings)
+        self.last_s = (self._starts_ns[-1] - self._starts_ns[0]) / 1e9
+        self.step_s = self.last_s / max(len(self._starts_ns) - 1, 1) or 0.1
+        self._reading: Generator[Scan] | None = None
+        self._next, self._held = len(self._starts_ns), dict[int, Scan]()
+
+    def at(self, time_s: float) -> Sweep:
+        """See `Sweeps`."""
+        wanted = int(np.searchsorted(self._starts_ns, self._starts_ns[0] + int(time_s * 1e9)))
+        wanted = min(wanted, len(self._starts_ns) - 1)
+        if wanted not in self._held and (self._reading is None or wanted < self._next):
+            self.close()
+            truth = None if self._folder is None else CaptureTruth(self._folder, self._number, None)
+            self._reading, self._next = self._scans(self._reader(), partial(_labels, truth)), 0
+        while self._reading is not None and wanted not in self._held:
+            self._held[self._next] = next(self._reading)
+            self._next += 1
+            if len(self._held) > _KEPT:
+                del self._held[min(self._held)]
+        scan, ends_ns = self._held[wanted], [*self._starts_ns[1:], np.iinfo(np.int64).max]
+        marks = tuple(mark for t_ns, mark in self._marks if scan.start_ns <= t_ns < ends_ns[wanted])
+        return by_trajectory(scan, self._way)._replace(marks=marks)
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._reading is not None:
+            self._reading.close()
+            self._reading = None
+
+    def _reader(self) -> CaptureReader:
+        return CaptureReader(self._path, self._unit, passes_over=True)
+
+    def _scans(self, reader: CaptureReader, labels_of: LabelsOf) -> Generator[Scan]:
+        for scan in scans_in(reader, labels_of):
+            if self._way is None or self._way.has(scan.t_ns).all():
+                yield scan
+
+
+def _species(folder: Path) -> dict[int, str]:
+    world = load(folder / "scenario.json").world
+    return dict(flora(getattr(world, "species_file", None)).names)
+
+
+def _labels(truth: CaptureTruth | None, chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
+    """Give the arrays of `Labels` of the points of packets."""
+    if truth is None:
+        return {}
+    rows = truth.of(chunk, slice(0, len(chunk.fields)), np.arange(len(chunk.clock_ns)))
+    return {field.name: rows.get(field.name, np.zeros(0, np.uint8)) for field in fields(Labels)}
+
+
+def _marks(packets: NDArray[np.int64], findings: Sequence[Finding]) -> list[tuple[int, Mark]]:
+    """Give the marks of findings with their times, UTC in ns, by frame, time and azimuths (n, 4) of the packets read."""
+    frame, t_ns, first_cdeg, last_cdeg = packets.T
+    marks = list[tuple[int, Mark]]()
+    for finding in findings:
+        after = min(int(np.searchsorted(frame, finding.packet)), len(frame) - 1)
+        is_read = frame[after] == finding.packet
+        if finding.rule not in _ABOUT_POINTS or not (is_read or finding.rule in _PASSED_OVER):
+            continue
+        begin_deg, end_deg = first_cdeg[after] / 100, last_cdeg[after] / 100
+        if finding.rule is Rule.LOST_PACKETS or not is_read:
+            begin_deg, end_deg = last_cdeg[max(after - 1, 0)] / 100, begin_deg
+        marks.append((int(t_ns[after]), Mark(begin_deg, end_deg, str(finding))))
+    return marks

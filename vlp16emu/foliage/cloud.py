@@ -1,0 +1,330 @@
+"""Shapes as a medium takes them: their projected area in cells of 0.25 m, or face by face where there are few.
+
+A shape is measured once, less what its faces hide of each other, and its cloud put down wherever it stands
+(`vlp16emu.foliage.medium`).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import cos, log, norm
+from vlp16emu.foliage.tiles import EXACT
+from vlp16emu.foliage.voxel import KNOTS, QUANTILES, VOXEL_M
+from vlp16emu.types import Mesh, PlantPart
+
+Array = NDArray[np.float64]
+
+TILTS = 64
+"""Classes of faces by the sine of their normal's elevation."""
+_PIXELS = 32
+"""Of a voxel's edge, 16 mm each, in which faces are drawn."""
+_CELL_M = 0.25
+_FEW_FACES = 2000
+"""Shapes of no more faces are taken face by face: stones, logs and tufts, which are stretched where they are placed."""
+
+
+def _projection() -> Array:
+    """Mean over all azimuths of the projected share of a face, (knots, tilts), by the sine of the normal's elevation."""
+    level, up = np.sqrt(1.0 - np.square(KNOTS))[:, None], KNOTS[:, None]
+    sine = (np.arange(TILTS) + 0.5) / TILTS
+    azimuth = (np.arange(256) + 0.5) * (np.pi / 256)
+    a, b = level * np.sqrt(1.0 - np.square(sine)), up * sine
+    mean: Array = np.abs(a[..., None] * cos(azimuth) + b[..., None]).mean(axis=-1)
+    return mean
+
+
+PROJECTION = _projection()
+"""(knots, tilts) mean projected share of a face over all azimuths."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cloud:
+    """A shape, as a medium takes it."""
+
+    place_m: NDArray[np.float32]
+    """(n, 3) where its area lies, in the shape's own frame; none of shapes with few faces."""
+    area_m2: NDArray[np.float32]
+    """(n,) that a ray can meet: one side of leaves, half the surface of closed bodies."""
+    mesh: NDArray[np.uint8]
+    """(n,) to which of the shape's meshes it belongs."""
+    corners_m: NDArray[np.float32]
+    """(f, 4, 3) faces of a shape with few of them, triangles with their last corner twice; none of other shapes."""
+    corner_mesh: NDArray[np.uint8]
+    """(f,) to which of the shape's meshes they belong."""
+    share: NDArray[np.float32]
+    """(meshes,) of a face's area that counts: 1 of leaves, 0.5 of closed bodies."""
+    projection: NDArray[np.float32]
+    """(meshes, knots) projected area over area, for light of any azimuth: the angular law of the shape's parts."""
+    cosine: NDArray[np.float32]
+    """(meshes, knots, QUANTILES) of the cosine of incidence where light meets them."""
+    radius_m: float
+    """Greatest distance of a corner from the shape's origin."""
+
+
+def cloud_of(meshes: Sequence[Mesh], parts: NDArray[np.uint8]) -> Cloud:
+    """Measure a shape.
+
+    Parameters
+    ----------
+    parts : (meshes,) `PlantPart` of each; what is `EXACT` is left out
+    """
+    exact = (parts == EXACT).tolist()
+    meshes = [
+        Mesh(mesh.vertices_m, mesh.faces[: 0 if out else None])
+        for mesh, out in zip(meshes, exact, strict=True)
+    ]
+    share = np.where(parts == PlantPart.LEAF, 1.0, 0.5).astype(np.float32)
+    first = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])
+    corners_m = np.empty((first[-1], 4, 3))
+    for mesh, begin, stop in zip(meshes, first, first[1:], strict=False):
+        own = corners_m[begin:stop]
+        own[:, : mesh.faces.shape[1]] = mesh.vertices_m.take(mesh.faces, axis=0)
+        if mesh.faces.shape[1] == 3:
+            own[:, 3] = own[:, 2]
+    mesh_of = np.repeat(np.arange(len(meshes)), np.diff(first))
+    area_m2, weight = _measured(corners_m, mesh_of, len(meshes))
+    projection, cosine = np.zeros((len(meshes), len(KNOTS))), np.ones((len(meshes), len(KNOTS), QUANTILES))
+    for number in np.flatnonzero(weight.any(axis=1)).tolist():
+        projection[number], cosine[number] = _law(weight[number])
+    if len(corners_m) <= _FEW_FACES:
+        cells = np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint8)
+        kept = corners_m.astype(np.float32), mesh_of.astype(np.uint8)
+    else:
+        cells = _cells(corners_m, mesh_of, area_m2 * (share[mesh_of] * kept_share(corners_m, first, share)))
+        kept = np.zeros((0, 4, 3), np.float32), np.zeros(0, np.uint8)
+    radius_m = float(norm(corners_m).max(initial=0.0))
+    return Cloud(*cells, *kept, share, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
+
+
+def _measured(corners_m: Array, mesh_of: NDArray[np.int64], meshes: int) -> tuple[Array, Array]:
+    """Areas (f,) of faces (f, 4, 3), and area of each mesh (meshes, `TILTS`) by the sine of the normals' elevation."""
+    ax, ay, az = (corners_m[:, 2] - corners_m[:, 0]).T
+    bx, by, bz = (corners_m[:, 3] - corners_m[:, 1]).T
+    nx, ny, nz = 0.5 * (ay * bz - az * by), 0.5 * (az * bx - ax * bz), 0.5 * (ax * by - ay * bx)
+    area_m2 = np.sqrt(nx * nx + ny * ny + nz * nz)
+    tilt = np.minimum((np.abs(nz) / np.maximum(area_m2, 1e-12) * TILTS).astype(np.int64), TILTS - 1)
+    weight = np.bincount(mesh_of * TILTS + tilt, area_m2, meshes * TILTS)  # sums in the order of faces
+    return area_m2, weight.reshape(meshes, TILTS)  # type: ignore[return-value]  # its stubs know no weights
+
+
+@cache
+def _met() -> list[tuple[NDArray[np.intp], Array]]:
+    """For each knot the cosines (`TILTS` x 64) with which light meets faces all around: their order, and in that order."""
+    at = (np.arange(TILTS) + 0.5) / TILTS
+    azimuth = (np.arange(64) + 0.5) * (np.pi / 64)
+    found = []
+    for up in KNOTS:
+        level = math.sqrt(1.0 - up * up)
+        met = np.abs(level * np.sqrt(1.0 - np.square(at))[:, None] * cos(azimuth) + up * at[:, None])
+        order = np.argsort(met, axis=None, kind="stable")
+        found.append((order, met.ravel()[order]))
+    return found
+
+
+def _law(weight: Array) -> tuple[Array, Array]:
+    """Mean projected share of faces (knots,), and quantiles (knots, QUANTILES) of the cosine of incidence.
+
+    Parameters
+    ----------
+    weight : (`TILTS`,) their area
+    """
+    cosine = np.empty((len(KNOTS), QUANTILES))
+    for knot, (order, met) in enumerate(_met()):
+        so_far = np.cumsum(weight[order // 64] * met)
+        wanted = (np.arange(QUANTILES) + 0.5) / QUANTILES * so_far[-1]
+        cosine[knot] = met[np.searchsorted(so_far, wanted)]
+    return (PROJECTION * weight).sum(axis=1) / weight.sum(), cosine
+
+
+def _cells(
+    corners_m: Array, mesh_of: NDArray[np.int64], area_m2: Array
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
+    """Gather faces in cells of `_CELL_M`, by mesh and place: where their area lies, how much it is, and whose."""
+    middle_m = 0.25 * (corners_m[:, 0] + corners_m[:, 1] + corners_m[:, 2] + corners_m[:, 3])
+    at = np.floor(middle_m / _CELL_M).astype(np.int64)
+    at -= at.min(axis=0)
+    _, ny, nz = (at.max(axis=0) + 1).tolist()
+    column = mesh_of * (at[:, 0].max() + 1) + at[:, 0]
+    _, some, own = np.unique((column * ny + at[:, 1]) * nz + at[:, 2], return_index=True, return_inverse=True)
+    total = np.bincount(own, area_m2)  # in the order of faces
+    weighted = np.column_stack([np.bincount(own, area_m2 * along_m) for along_m in middle_m.T])
+    place_m = weighted / np.maximum(total, 1e-12)[:, None]
+    return place_m.astype(np.float32), total.astype(np.float32), mesh_of[some].astype(np.uint8)
+
+
+def kept_share(corners_m: Array, first: NDArray[np.int64], share: NDArray[np.float32]) -> Array:
+    """Share of each face's area (f,) that is left where leaves that hide each other are taken for leaves at random.
+
+    The faces of each mesh are drawn as seen along x and along y, voxel by voxel. Leaves at random that hide as much of a
+    voxel's face have -log(1 - hidden) of its area (Beer's law); the sum of areas is more where leaves grow in clumps.
+
+    Parameters
+    ----------
+    corners_m, first : (f, 4, 3) faces, and where those of each mesh begin
+    share : (meshes,) of a face's area that counts
+    """
+    low, high = (limit(corners_m.reshape(-1, 3), axis=0) / VOXEL_M for limit in (np.min, np.max))
+    low = np.floor(low)
+    size = (np.ceil(high) - low + 1).astype(int)
+    out, drawn, edges = np.ones(len(corners_m)), np.zeros((*size, _PIXELS), np.uint32), np.empty((4, 4))
+    for mesh in range(len(share)):
+        begin, stop, factor, total = first[mesh], first[mesh + 1], np.zeros(size), np.zeros(size, np.int64)
+        for axis in (0, 1):
+            _draw(corners_m, begin, stop, low, axis, edges, drawn, total)
+            _count(drawn, total, factor)
+        _share(corners_m, begin, stop, low, size, factor.ravel(), total.ravel(), float(share[mesh]), out)
+    return out
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _count(drawn: NDArray[np.uint32], total: NDArray[np.int64], factor: Array) -> None:
+    """Add the area of leaves at random that hide as many pixels of each voxel, and take the pixels away."""
+    nx, ny, nz = total.shape
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if total[i, j, k]:
+                    bits = 0
+                    for line in range(_PIXELS):
+                        left = drawn[i, j, k, line]
+                        drawn[i, j, k, line] = 0
+                        while left:
+                            left &= left - np.uint32(1)
+                            bits += 1
+                    hidden = min(bits / (_PIXELS * _PIXELS), 1.0 - 0.5 / (_PIXELS * _PIXELS))
+                    factor[i, j, k] -= log(1.0 - hidden) * (_PIXELS * _PIXELS)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _share(
+    corners_m: Array,
+    begin: int,
+    stop: int,
+    low: Array,
+    size: NDArray[np.int64],
+    factor: Array,
+    total: NDArray[np.int64],
+    share: float,
+    out: Array,
+) -> None:
+    """Give each face the share of the voxel of its middle."""
+    for f in range(begin, stop):
+        at = 0
+        for axis in range(3):
+            at = at * size[axis] + _voxel(corners_m[f], low, axis)
+        if total[at] > 0:
+            out[f] = factor[at] / (total[at] * share)
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+def _voxel(corners_m: Array, low: Array, axis: int) -> int:
+    at = low[axis]
+    first_two = (corners_m[0, axis] / VOXEL_M - at) + (corners_m[1, axis] / VOXEL_M - at)
+    return int(0.25 * (first_two + (corners_m[2, axis] / VOXEL_M - at) + (corners_m[3, axis] / VOXEL_M - at)))
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False)
+def _draw(
+    corners_m: Array,
+    begin: int,
+    stop: int,
+    low: Array,
+    axis: int,
+    edges: Array,
+    drawn: NDArray[np.uint32],
+    total: NDArray[np.int64],
+) -> None:
+    """Draw faces as seen along an axis, into the voxels of their own depth; count their pixels, drawn before or not.
+
+    Parameters
+    ----------
+    edges : (4, 4) scratch
+    """
+    u, v = edges[0], edges[1]
+    for f in range(begin, stop):
+        depth = _voxel(corners_m[f], low, axis)
+        _turn_edges(corners_m[f], low, 1 - axis, edges)
+        left, right = math.floor(min(u[0], u[1], u[2], u[3])), math.floor(max(u[0], u[1], u[2], u[3]))
+        lower, upper = math.floor(min(v[0], v[1], v[2], v[3])), math.floor(max(v[0], v[1], v[2], v[3]))
+        for q in range(lower, upper + 1):
+            first, last = _row(edges, q + 0.5, left, right)
+            for p in range(first, last + 1):
+                a, b = p // _PIXELS, q // _PIXELS
+                i, j = (depth, a) if axis == 0 else (a, depth)
+                drawn[i, j, b, q % _PIXELS] |= np.uint32(1) << np.uint32(p % _PIXELS)
+                total[i, j, b] += 1
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+def _turn_edges(corners_m: Array, low: Array, other: int, edges: Array) -> None:
+    """Find where the edges of a face begin, and how they go on, the face on their left; in pixels, (4, 4)."""
+    u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
+    for c in range(4):
+        u[c] = (corners_m[c, other] / VOXEL_M - low[other]) * _PIXELS
+        v[c] = (corners_m[c, 2] / VOXEL_M - low[2]) * _PIXELS
+    turn = 0.0
+    for c in range(4):
+        n = (c + 1) & 3
+        turn += u[c] * v[n] - u[n] * v[c]
+        du[c], dv[c] = u[n] - u[c], v[n] - v[c]
+    if not turn > 0:
+        for c in range(4):
+            du[c], dv[c] = -du[c], -dv[c]
+
+
+@numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
+def _row(edges: Array, y: float, first: int, last: int) -> tuple[int, int]:
+    """First and last of the pixels of a row whose middles are on the left of all edges."""
+    u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
+    for c in range(4):
+        across, slope, from_u = du[c] * (y - v[c]), dv[c], u[c]
+        if slope > 0.0:
+            while last >= first and across < slope * (last + 0.5 - from_u):
+                last -= 1
+        else:
+            while last >= first and across < slope * (first + 0.5 - from_u):
+                first += 1
+    return first, last
+
+
+class Library(NamedTuple):
+    """Clouds of several shapes, one after the other."""
+
+    first_cell: NDArray[np.int64]
+    """(shapes + 1,)."""
+    place_m: NDArray[np.float32]
+    area_m2: NDArray[np.float32]
+    mesh: NDArray[np.uint8]
+    first_face: NDArray[np.int64]
+    """(shapes + 1,)."""
+    corners_m: NDArray[np.float32]
+    corner_mesh: NDArray[np.uint8]
+    first_law: NDArray[np.int64]
+    """(shapes + 1,) law of each shape's first mesh."""
+    share: NDArray[np.float32]
+    projection: NDArray[np.float32]
+    radius_m: NDArray[np.float64]
+    """(shapes,)."""
+
+    @classmethod
+    def of(cls, clouds: Sequence[Cloud]) -> "Library":
+        """Put clouds together."""
+
+        def first(arrays: Sequence[NDArray[np.float32]]) -> NDArray[np.int64]:
+            return np.cumsum([0, *(len(array) for array in arrays)])
+
+        joined = ("place_m", "area_m2", "mesh", "corners_m", "corner_mesh", "share", "projection")
+        return cls(
+            first_cell=first([cloud.place_m for cloud in clouds]),
+            first_face=first([cloud.corners_m for cloud in clouds]),
+            first_law=first([cloud.share for cloud in clouds]),
+            radius_m=np.array([cloud.radius_m for cloud in clouds]),
+            **{name: np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in joined},
+        )

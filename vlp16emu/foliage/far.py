@@ -1,0 +1,245 @@
+"""What is far, kept from window to window and in the store.
+
+Clouds of shapes, blocks of tiles, and the medium that they make up.
+"""
+
+from collections.abc import Iterable, Mapping
+from concurrent.futures import Executor
+from dataclasses import fields
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import hypot, norm
+from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
+from vlp16emu.foliage.lanes import Ground, Medium, Stems
+from vlp16emu.foliage.marks import ASIDE_M, stem_beside, stem_columns, stem_lines
+from vlp16emu.foliage.medium import Block, Shelf, block_of, packed_block, unpacked_block
+from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow, TiledWorld
+from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, VOXEL_M
+from vlp16emu.store import recalled
+from vlp16emu.types import Mesh, ShapeKey, World
+from vlp16emu.world.polyline import distance_m
+
+STRAY_M = 1.0
+"""How far a sensor may be from the positions that a window is for."""
+_TILE_M = COLUMNS * VOXEL_M
+_BRICKS = COLUMNS // BRICK
+_NO_GROUND_M = np.float32(-1e6)
+_AROUND = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+_NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))], np.zeros(1, np.uint8))
+"""Of a library before anything is measured: where only stems and ground are far."""
+
+
+def _recalled_cloud(world: World, key: ShapeKey, parts: NDArray[np.uint8]) -> Cloud:
+    """Measure a shape, of `PlantPart`s (meshes,), where no store has it."""
+    name = world.shape_name(key)
+    return recalled(
+        name and f"cloud {name} {parts.tolist()}",
+        lambda: cloud_of(world.shape(key), parts),
+        lambda cloud: {field.name: np.asarray(getattr(cloud, field.name)) for field in fields(cloud)},
+        lambda bundle: Cloud(**{**bundle, "radius_m": float(bundle["radius_m"])}),  # type: ignore[arg-type]
+    )
+
+
+class Far:
+    """Makes the medium of windows, whoever asks for them one after the other.
+
+    Parameters
+    ----------
+    world : describes tiles and grows shapes
+    workers : where shapes are measured and blocks made side by side
+    """
+
+    def __init__(self, world: TiledWorld, workers: Executor) -> None:
+        self._world, self._workers = world, workers
+        self._clouds = dict[ShapeKey, Cloud]()
+        self._place, self._names = dict[object, int](), list[str]()
+        self._library = Library.of([_NO_CLOUD])
+        self._cosine = np.zeros((0, len(KNOTS), QUANTILES), np.float32)
+        self._shelf = Shelf()
+
+    def is_near(self, window: TiledWindow) -> NDArray[np.bool_]:
+        """Which of the placements that `window.far` marks may be met by light that has not yet come to the medium."""
+        own = np.array([self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes])
+        stretch = np.sqrt((np.square(window.world_T_shape[:, :, :3])).sum(axis=1).max(axis=-1))
+        radius_m, at_m = own[window.shape] * stretch, window.world_T_shape[:, :2, 3].copy()
+        for place, (ix, iy, _) in zip(_tile_places(window).tolist(), window.tiles, strict=True):
+            lines = stem_lines(self._world.far_tile(ix, iy).stems, np.array([*at_m[place], 0.0]))
+            ends_m = (
+                np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - _TILE_M / 2
+            )
+            at_m[place] += _TILE_M / 2
+            radius_m[place] = norm(ends_m).max() + STRAY_M
+        track_m, reach_m = window.track_m[:, :2], self._world.near_m + STRAY_M + radius_m
+        low_m, high_m = track_m.min(axis=0), track_m.max(axis=0)
+        few = np.flatnonzero((np.maximum(low_m - at_m, at_m - high_m) <= reach_m[:, None]).all(axis=1))
+        near = np.zeros(len(at_m), np.bool_)
+        near[few] = distance_m(at_m[few], track_m) <= reach_m[few]
+        return near[window.far]
+
+    def tiles(self, window: TiledWindow) -> dict[tuple[int, int], FarTile]:
+        """Ask for the tiles of a window, and those beside them, and measure their shapes."""
+        around = sorted({(ix + dx, iy + dy) for ix, iy, _ in window.tiles for dx, dy in _AROUND})
+        tiles = dict(
+            zip(around, self._workers.map(lambda name: self._world.far_tile(*name), around), strict=True)
+        )
+        self._measure(tiles.values())
+        return tiles
+
+    def medium(self, window: TiledWindow, tiles: dict[tuple[int, int], FarTile]) -> Medium:
+        """Put together what is far in a window, of whose `tiles` it is."""
+        rows = {(ix, iy): row for ix, iy, row in window.tiles}
+        self._shelf.clear(rows)
+        missing = [name for name in rows if name not in self._shelf.blocks]
+        made = self._workers.map(lambda name: self._block(tiles, *name), missing)
+        for name, block in zip(missing, made, strict=True):
+            self._shelf.lay(name, block, len(rows))
+        medium = _joined(window, tiles, self._shelf, rows, self._cosine, self._world)
+        self._shelf.keep(medium.brick, rows)
+        return medium
+
+    def _block(self, tiles: dict[tuple[int, int], FarTile], ix: int, iy: int) -> Block:
+        library, place, names, world = self._library, self._place, self._names, self._world.name
+        return recalled(
+            world and f"{world} block {ix} {iy}",
+            lambda: block_of(library, place, tiles, ix, iy),
+            lambda block: packed_block(block, library, names),
+            lambda bundle: unpacked_block(bundle, library, dict(zip(names, range(len(names)), strict=True))),
+        )
+
+    def _measure(self, tiles: Iterable[FarTile]) -> None:
+        new = dict[ShapeKey, NDArray[np.uint8]]()
+        for tile in tiles:
+            for number, key in enumerate(tile.keys):
+                if key not in self._clouds:
+                    new[key] = tile.part[tile.first_part[number] : tile.first_part[number + 1]]
+        if not new:
+            return
+
+        def measured(named: tuple[ShapeKey, NDArray[np.uint8]]) -> Cloud:
+            return _recalled_cloud(self._world, *named)
+
+        self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
+        self._place = {key: number for number, key in enumerate(self._clouds)}
+        self._names = [self._world.shape_name(key) for key in self._clouds]
+        clouds = list(self._clouds.values())
+        self._library = Library.of(clouds)
+        self._cosine = np.concatenate([self._cosine[:0], *(cloud.cosine for cloud in clouds)])
+
+
+def _tile_places(window: TiledWindow) -> NDArray[np.int64]:
+    """Placements of the tiles' own shapes: those of each tile's first surface."""
+    rows = np.array([row for _, _, row in window.tiles], np.uint32)
+    return np.flatnonzero(np.isin(window.first_surface, rows) & window.far)
+
+
+def _joined(
+    window: TiledWindow,
+    tiles: Mapping[tuple[int, int], FarTile],
+    shelf: Shelf,
+    rows: Mapping[tuple[int, int], int],
+    cosine: NDArray[np.float32],
+    world: TiledWorld,
+) -> Medium:
+    """Put blocks into the grid of a window."""
+    blocks, places = {name: shelf.blocks[name] for name in rows}, np.array(list(rows))
+    low, high = places.min(axis=0), places.max(axis=0) + 1
+    bottom = min(block.bottom for block in blocks.values())
+    top = max(block.bottom + block.mask.shape[2] for block in blocks.values())
+    size = (*((high - low) * _BRICKS).tolist(), top - bottom)
+    brick, first = np.zeros((*size, 2), np.uint64), np.zeros(size, np.uint32)
+    surface = np.zeros((*(high - low), 9), np.uint32)
+    for (ix, iy), block in blocks.items():
+        i, j, k = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS, block.bottom - bottom
+        here = slice(i, i + _BRICKS), slice(j, j + _BRICKS), slice(k, k + block.mask.shape[2])
+        brick[(*here, 0)], brick[(*here, 1)] = block.mask, block.stem
+        first[here] = block.first
+        surface[ix - low[0], iy - low[1]] = [rows.get((ix + dx, iy + dy), 0) for dx, dy in _AROUND]
+    corner = np.array([*(low * COLUMNS), bottom * BRICK], np.int64)
+    corner_m = corner * VOXEL_M - window.origin_m
+    return Medium(
+        world.near_m,
+        tuple(corner_m.tolist()),
+        tuple(corner.tolist()),
+        brick,
+        first,
+        *shelf.arrays,
+        surface,
+        cosine,
+        _ground(window, tiles, rows, corner_m, size),
+        _stems(window, tiles, rows, corner_m, size),
+        world.seed & 0xFFFFFFFF,
+    )
+
+
+def _ground(
+    window: TiledWindow,
+    tiles: Mapping[tuple[int, int], FarTile],
+    rows: Mapping[tuple[int, int], int],
+    corner_m: NDArray[np.float64],
+    size: tuple[int, ...],
+) -> Ground:
+    ground_m = np.full((size[0] * BRICK * FINER + 1, size[1] * BRICK * FINER + 1), _NO_GROUND_M)
+    surface = np.zeros(size[:2], np.uint32)
+    low = np.array(list(rows)).min(axis=0)
+    for (ix, iy), row in rows.items():
+        i, j = (ix - low[0]) * _BRICKS, (iy - low[1]) * _BRICKS
+        surface[i : i + _BRICKS, j : j + _BRICKS] = row
+        across, up = (slice(at * BRICK * FINER, (at + _BRICKS) * BRICK * FINER + 1) for at in (i, j))
+        ground_m[across, up] = tiles[ix, iy].ground_m[FINER:-FINER, FINER:-FINER] - window.origin_m[2]
+    known = ground_m > _NO_GROUND_M / 2
+    along_x = np.abs(np.diff(ground_m, axis=0))[known[1:] & known[:-1]]
+    along_y = np.abs(np.diff(ground_m, axis=1))[known[:, 1:] & known[:, :-1]]
+    steepest = float(hypot(along_x.max(initial=0.0), along_y.max(initial=0.0)) * FINER / VOXEL_M)
+    return Ground(ground_m, surface, float(corner_m[0]), float(corner_m[1]), steepest)
+
+
+def _stems(
+    window: TiledWindow,
+    tiles: Mapping[tuple[int, int], FarTile],
+    rows: Mapping[tuple[int, int], int],
+    corner_m: NDArray[np.float64],
+    size: tuple[int, ...],
+) -> Stems:
+    stems = np.concatenate([np.zeros(0, STEM), *(tiles[place].stems for place in rows)])
+    base = np.repeat(list(rows.values()), [len(tiles[place].stems) for place in rows]).astype(np.uint32)
+    first, of = _columns(
+        stem_lines(stems, window.origin_m + np.array([*corner_m[:2], 0.0])), BRICK * size[0], BRICK * size[1]
+    )
+    foot_m = stems["foot_m"] - window.origin_m
+    radius_m = stems["radius_m"]
+    widest_m = np.maximum.accumulate(radius_m[:, ::-1], axis=1)[:, ::-1]
+    profile = np.concatenate(
+        [np.stack([stems["along_m"], radius_m, widest_m], axis=1), stems["aside_m"]], axis=1
+    )
+    bent_m = hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1]).max(axis=1)
+    line = np.column_stack([foot_m, stems["axis"], radius_m.max(axis=1), bent_m])
+    return Stems(first, of, line, profile, stems["row"] + base[:, None], stems["flare_m"].copy())
+
+
+@numba.njit(cache=True, nogil=True)
+def _columns(lines: NDArray[np.float64], nx: int, ny: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """List for each column of voxels the stems (n, 7), as `stem_lines` gives them, that may be met in it."""
+    first = np.zeros((nx, ny, 2), np.int32)
+    of, total = np.empty(0, np.int32), 0
+    for counting in (True, False):
+        for s in range(len(lines)):
+            aside_m, height_m = lines[s, 6] + ASIDE_M, lines[s, 5]
+            x0, x1, y0, y1 = stem_columns(lines[s], aside_m, 0.0, height_m)
+            for x in range(max(x0, 0), min(x1, nx - 1) + 1):
+                for y in range(max(y0, 0), min(y1, ny - 1) + 1):
+                    if not stem_beside(lines[s], aside_m, 0.0, height_m, x, y):
+                        continue
+                    if not counting:
+                        of[first[x, y, 1]] = s
+                    first[x, y, 1] += 1
+        if counting:
+            for x in range(nx):
+                for y in range(ny):
+                    count = first[x, y, 1]
+                    first[x, y, 0] = first[x, y, 1] = total
+                    total += count
+            of = np.empty(total, np.int32)
+    return first, of

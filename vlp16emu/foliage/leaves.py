@@ -1,0 +1,222 @@
+"""Leaves of voxels, and lanes cut with them.
+
+The leaves of a voxel are 64 cells of a Latin square: one in each column of 8 x 8 along each of the three axes, so that a
+leaf has one place in space from wherever it is seen. Of these the first n are there, n being the share of the light that
+foliage of that density takes over the length of the slab (Beer's law). Which of the squares a voxel has, how it is
+mirrored, and how a share between two whole numbers is rounded follow from hashing its place in the world.
+"""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import exp
+from vlp16emu.foliage.lanes import Lanes, Medium, lowest
+from vlp16emu.foliage.voxel import (
+    COLUMNS,
+    LAW_BIT,
+    LAW_MASK,
+    QUANTILES,
+    SHARE_BIT,
+    TAU_PER_M,
+    TILE_BIT,
+    VOXEL_M,
+)
+from vlp16emu.raycast.batch import LANES
+
+_VARIANTS = 32
+_COVER_STEPS, _COVER_MOST = 64, 16
+f4, u4 = np.float32, np.uint32
+
+
+def _leaves() -> tuple[NDArray[np.uint64], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Leaves of the voxels' variants.
+
+    Returns
+    -------
+    Columns that the first n leaves take, (3, variants, 65) bits 8 a + b along each axis, a and b being the other two in
+    order; the leaf of each column, (3, variants, 64); and places of leaves along the axes, (variants, 64, 3) in 256ths
+    of a voxel.
+    """
+    rng = np.random.default_rng(20)  # part of the output, like the purposes of random numbers
+    mask = np.zeros((3, _VARIANTS, 65), np.uint64)
+    leaf_of, place = np.zeros((3, _VARIANTS, 64), np.uint8), np.zeros((_VARIANTS, 64, 3), np.uint8)
+    base = np.add.outer(np.arange(4), np.arange(4)) % 4
+    for variant in range(_VARIANTS):
+        # Clumps of 2 x 2 x 2 cells lie by a Latin square of order 4, the leaves of a clump by one of order 2.
+        square = rng.permutation(4)[base[np.ix_(rng.permutation(4), rng.permutation(4))]]
+        cells = []
+        for clump in rng.permutation(16):
+            x, y = divmod(int(clump), 4)
+            odd, four = int(rng.integers(2)), []
+            for pair in rng.permutation(4):
+                i, j = divmod(int(pair), 2)
+                four.append((2 * x + i, 2 * y + j, 2 * int(square[x, y]) + ((i + j + odd) & 1)))
+            cells += [four[:2], four[2:]]
+        # Leaves come in pairs: so far returns are as frequent as those of explicit leaves (`vlp16emu accuracy`).
+        leaves = np.array(cells)[rng.permutation(32)].reshape(64, 3)
+        place[variant] = 32 * leaves + rng.integers(32, size=(64, 3))
+        for axis, (a, b) in enumerate(((1, 2), (0, 2), (0, 1))):
+            column = 8 * leaves[:, a] + leaves[:, b]
+            leaf_of[axis, variant, column] = np.arange(64)
+            mask[axis, variant, 1:] = np.bitwise_or.accumulate(np.uint64(1) << column.astype(np.uint64))
+    return mask, leaf_of, place
+
+
+_MASK, _LEAF_OF, _PLACE = _leaves()
+_COVER = (1.0 - exp(-np.arange(_COVER_STEPS * _COVER_MOST + 2) / _COVER_STEPS)).astype(np.float32)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
+def _mixed(a: int, b: int, c: int, seed: int) -> np.uint32:
+    """Hash the place of a voxel (constants and rounds as in MurmurHash3's finaliser)."""
+    h = u4(u4(a) * u4(0x9E3779B1)) ^ u4(u4(b) * u4(0x85EBCA77)) ^ u4(u4(c) * u4(0xC2B2AE3D)) ^ u4(seed)
+    h = u4(h ^ u4(h >> u4(16)))
+    h = u4(h * u4(0x7FEB352D))
+    h = u4(h ^ u4(h >> u4(15)))
+    h = u4(h * u4(0x846CA68B))
+    return u4(h ^ u4(h >> u4(16)))
+
+
+class Weights(NamedTuple):
+    """How much the codes of a voxel count for light of some elevation, which is between two knots."""
+
+    bits: np.uint32
+    """Where the code of the lower knot begins."""
+    low: np.float32
+    high: np.float32
+    """Times the length of a slab."""
+    knot: int
+    """The nearest."""
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def weights_of(up: np.float32, length: np.float32) -> Weights:
+    """Weigh the knots for light whose direction has the sine `up`, through slabs of a length."""
+    low_knot = u4(0) if up < f4(0.3) else u4(7)
+    share = up / f4(0.3) if up < f4(0.3) else (up - f4(0.3)) / f4(0.7)
+    w_low, w_high = (f4(1.0) - share) * length, share * length
+    knot = 0 if up < f4(0.15) else (1 if up < f4(0.65) else 2)
+    return Weights(low_knot, w_low, w_high, knot)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def meet_foliage(
+    M: Medium,
+    L: Lanes,
+    near_m: np.float32,
+    main: int,
+    one: int,
+    two: int,
+    corner: tuple[int, int, int],
+    k: int,
+    i1: int,
+    i2: int,
+    number: np.uint32,
+    code: np.uint32,
+    weights: Weights,
+    alive: np.uint64,
+) -> bool:
+    """Cut the lanes with the foliage of a voxel at k, i1, i2 of the grid, of some record; whether any meets a leaf."""
+    low, high = (code >> weights.bits) & u4(127), (code >> (weights.bits + u4(7))) & u4(127)
+    if not low | high:
+        return False
+    g, g1, g2 = k + corner[0], i1 + corner[1], i2 + corner[2]
+    a = g if main == 0 else g1
+    b = g if main == 1 else (g1 if main == 0 else g2)
+    c = g if main == 2 else g2
+    h = _mixed(a, b, c, u4(M.seed))
+    x = min(
+        (TAU_PER_M[low] * weights.low + TAU_PER_M[high] * weights.high) * f4(_COVER_STEPS),
+        f4(_COVER_STEPS * _COVER_MOST),
+    )
+    whole = int(x)
+    cover = _COVER[whole] + (_COVER[whole + 1] - _COVER[whole]) * (x - f4(whole))
+    count = int(cover * f4(64.0) + f4(h >> u4(24)) * f4(1.0 / 256.0))
+    bits = _MASK[main, int(h & u4(_VARIANTS - 1)), count]
+    if not bits:
+        return False
+    x = k if main == 0 else i1
+    y = k if main == 1 else (i1 if main == 0 else i2)
+    tile = x // COLUMNS, y // COLUMNS
+    return _meet_leaves(M, L, near_m, main, one, two, k, h, bits, number, tile, weights.knot, alive)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _meet_leaves(
+    M: Medium,
+    L: Lanes,
+    near_m: np.float32,
+    main: int,
+    one: int,
+    two: int,
+    k: int,
+    h: np.uint32,
+    bits: np.uint64,
+    number: np.uint32,
+    tile: tuple[int, int],
+    knot: int,
+    alive: np.uint64,
+) -> bool:
+    """Cut the lanes with the leaves of a voxel; whether any meets one."""
+    variant = int(h & u4(_VARIANTS - 1))
+    mirror = (int(h >> u4(5)) & 7, int(h >> u4(8)) & 7, int(h >> u4(11)) & 7)
+    line, range_m = L.line, L.range_m
+    middle_m = (f4(k) + f4(0.5)) * f4(VOXEL_M)
+    r1, r2 = np.int32(mirror[one]), np.int32(mirror[two])
+    lit = np.uint64(0)
+    for lane in range(LANES):
+        column = _column(line, lane, middle_m, r1, r2)
+        lit |= ((bits >> np.uint64(column)) & np.uint64(1)) << np.uint64(lane)
+    lit &= alive
+    met = False
+    while lit:
+        lane = int(lowest(lit))
+        lit &= lit - np.uint64(1)
+        leaf = int(_LEAF_OF[main, variant, _column(line, lane, middle_m, r1, r2)])
+        place = int(_PLACE[variant, leaf, main]) ^ (mirror[main] << 5)
+        along_m = (f4(k) + (f4(place) + f4(0.5)) * f4(1.0 / 256.0)) * f4(VOXEL_M)
+        at_m = (along_m - line[4 * LANES + lane]) * line[5 * LANES + lane]
+        if near_m <= at_m < range_m[lane]:
+            range_m[lane] = at_m
+            _take_leaf(M, L, lane, h, leaf, M.first_owner[number], tile, knot)
+            met = True
+    return met
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _column(
+    line: NDArray[np.float32], lane: int, middle_m: np.float32, r1: np.int32, r2: np.int32
+) -> np.uint32:
+    """Column of 8 x 8 that a lane is in in the middle of a slab, mirrored."""
+    a = (np.int32(line[lane] + line[LANES + lane] * middle_m) & np.int32(7)) ^ r1
+    b = (np.int32(line[2 * LANES + lane] + line[3 * LANES + lane] * middle_m) & np.int32(7)) ^ r2
+    return u4(8 * a + b)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _take_leaf(
+    M: Medium,
+    L: Lanes,
+    lane: int,
+    h: np.uint32,
+    leaf: int,
+    first_owner: np.uint32,
+    tile: tuple[int, int],
+    knot: int,
+) -> None:
+    """Draw whose a leaf is that a lane meets, and at what angle."""
+    own = u4(u4(h + u4(leaf) * u4(0x9E3779B1)) * u4(0x85EBCA77))
+    own = u4(own ^ u4(own >> u4(15)))
+    own = u4(own * u4(0xC2B2AE3D))
+    own = u4(own ^ u4(own >> u4(16)))
+    owner, drawn = first_owner, u4(own & u4(0xFF))
+    whose = M.owner[owner]
+    while whose >> SHARE_BIT < drawn:
+        owner += u4(1)
+        whose = M.owner[owner]
+    L.surface[lane] = M.surface[tile[0], tile[1], (whose >> TILE_BIT) & np.uint64(15)] + u4(whose)
+    law = (whose >> LAW_BIT) & LAW_MASK
+    L.cosine[lane] = M.cosine[law, knot, int(own >> u4(8)) % QUANTILES]

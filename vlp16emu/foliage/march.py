@@ -1,0 +1,344 @@
+"""The way of light through what is far: ground as a grid, stems as tapered cones, foliage as a medium of voxels.
+
+A pulse goes through slabs of voxels along the axis that it is most parallel to. The voxel that its middle passes in a slab
+decides for all its sub-rays: how much foliage there is in it (`vlp16emu.foliage.leaves`), and whether ground or a stem may
+be met, which each sub-ray is then cut with exactly (`vlp16emu.foliage.cuts`).
+"""
+
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.foliage.cuts import meet_ground, meet_stem
+from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, lowest, ones
+from vlp16emu.foliage.leaves import meet_foliage, weights_of
+from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
+from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, RANGE, Batch, PulseBatch
+from vlp16emu.raycast.kernel import go_on
+
+f4, u4 = np.float32, np.uint32
+_SLABS = np.arange(AHEAD, dtype=np.float32)
+
+
+class Passage(NamedTuple):
+    """What takes the rays of a cast through a medium."""
+
+    medium: Medium
+    lanes: Lanes
+    """Scratch of the cast's own."""
+
+
+class _Way(NamedTuple):
+    """The middle of a pulse on its way through a grid, slab by slab."""
+
+    main: int
+    """Axis across the slabs."""
+    one: int
+    two: int
+    k: int
+    """Slab in which the medium begins: all others are counted from it."""
+    step: int
+    """Upwards or downwards."""
+    length: np.float32
+    """Metres of range from slab to slab."""
+    to_middle: np.float32
+    """Range at the middle of slab k."""
+    p1: np.float32
+    """In voxels along the axes one and two: place at the middle of slab k, and its change per slab."""
+    p2: np.float32
+    d1: np.float32
+    d2: np.float32
+
+
+class _Grid(NamedTuple):
+    """A grid along the axes main, one and two."""
+
+    size: tuple[int, int, int]
+    """In voxels."""
+    stride: tuple[np.uint32, np.uint32, np.uint32]
+    """From brick to brick."""
+    shift: tuple[np.uint32, np.uint32, np.uint32]
+    """Bits in a brick from voxel to voxel."""
+    corner: tuple[int, int, int]
+    """In voxels of the world."""
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def march(
+    M: Medium,
+    bricks: NDArray[np.uint64],
+    firsts: NDArray[np.uint32],
+    L: Lanes,
+    n: int,
+    axis: NDArray[np.float32],
+    aside_m: np.float32,
+    spread: np.float32,
+) -> None:
+    """Follow n sub-rays of a pulse through the medium, from `near_m` on.
+
+    Parameters
+    ----------
+    bricks, firsts : `M.brick` and `M.first` in one row
+    axis : (6 or more,) origin and direction of the pulse's middle
+    aside_m, spread : how far the lanes begin beside it at most, and how far they spread per metre
+    """
+    near_m = f4(M.near_m)
+    corner_m = (f4(M.corner_m[0]), f4(M.corner_m[1]), f4(M.corner_m[2]))
+    way = _way(corner_m, axis, near_m)
+    main, one, two, length = way.main, way.one, way.two, way.length
+    alive, last_m = _lines(corner_m, L, n, near_m, main, one, two)
+    weights = weights_of(abs(axis[5]), length)
+    grid = _grid(M, main, one, two)
+    first, stop = _crossing(way, grid.size)
+    slab = -_floor(-first)
+    slabs = _floor(min(stop, (last_m - way.to_middle) / length + f4(1.5)))
+    tested = (np.int32(-1), np.int32(-1))
+    while slab <= slabs:
+        voxels, stems = _look(L, way, grid, bricks, slab, slabs)
+        if stems:
+            tested, met = _meet_stems(M, L, n, near_m, axis, way, slab, stems, tested, aside_m, spread)
+            if met:
+                alive, slabs = _shorter(L, way, n, alive, slab, slabs)
+        _read(M, L, bricks, firsts, voxels)
+        while voxels:
+            ahead = int(lowest(voxels))
+            voxels &= voxels - np.uint64(1)
+            here = slab + ahead
+            if here > slabs:
+                break
+            k, i1, i2 = _voxel(way, here)
+            number, code = L.place[ahead], L.code[ahead]
+            met = meet_foliage(
+                M, L, near_m, main, one, two, grid.corner, k, i1, i2, number, code, weights, alive
+            )
+            if code & GROUND:
+                middle_m = way.to_middle + f4(here) * length
+                met |= meet_ground(M.ground, L, n, near_m, axis, middle_m, length, spread, aside_m)
+            if met:
+                alive, slabs = _shorter(L, way, n, alive, here + 1, slabs)
+        slab += AHEAD
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _floor(x: np.float32) -> int:
+    """Round a number below 2**31 down, without the call that `math.floor` is for float32."""
+    whole = np.int32(x)
+    return int(whole) - int(x < f4(whole))
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _meet_stems(
+    M: Medium,
+    L: Lanes,
+    n: int,
+    near_m: np.float32,
+    axis: NDArray[np.float32],
+    way: _Way,
+    slab: int,
+    stems: np.uint64,
+    tested: tuple[np.int32, np.int32],
+    aside_m: np.float32,
+    spread: np.float32,
+) -> tuple[tuple[np.int32, np.int32], bool]:
+    """Cut the lanes with the stems of slabs but the last two that were; return the last two, and whether any is met."""
+    met = False
+    while stems:
+        ahead = int(lowest(stems))
+        stems &= stems - np.uint64(1)
+        k, i1, i2 = _voxel(way, slab + ahead)
+        i, j = (k, i1) if way.main == 0 else ((i1, k) if way.main == 1 else (i1, i2))
+        for entry in range(M.stems.first[i, j, 0], M.stems.first[i, j, 1]):
+            stem = M.stems.of[entry]
+            if stem not in tested:
+                tested = (stem, tested[0])
+                met |= meet_stem(M.stems, L, n, near_m, axis, stem, spread, aside_m)
+    return tested, met
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _way(
+    corner_m: tuple[np.float32, np.float32, np.float32], axis: NDArray[np.float32], near_m: np.float32
+) -> _Way:
+    """Lay the way of a pulse's middle through a grid."""
+    main = 0
+    for a in (1, 2):
+        if abs(axis[3 + a]) > abs(axis[3 + main]):
+            main = a
+    one, two = (1, 2) if main == 0 else ((0, 2) if main == 1 else (0, 1))
+    inverse = f4(1.0) / axis[3 + main]
+    step = 1 if inverse > 0 else -1
+    length = f4(VOXEL_M) * abs(inverse)
+    along = axis[main] - corner_m[main]
+    k = _floor((along + axis[3 + main] * near_m) * f4(1.0 / VOXEL_M))
+    to_middle = ((f4(k) + f4(0.5)) * f4(VOXEL_M) - along) * inverse
+    p1 = (axis[one] - corner_m[one] + axis[3 + one] * to_middle) * f4(1.0 / VOXEL_M)
+    p2 = (axis[two] - corner_m[two] + axis[3 + two] * to_middle) * f4(1.0 / VOXEL_M)
+    d1, d2 = axis[3 + one] * length * f4(1.0 / VOXEL_M), axis[3 + two] * length * f4(1.0 / VOXEL_M)
+    return _Way(main, one, two, k, step, length, to_middle, p1, p2, d1, d2)
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _grid(M: Medium, main: int, one: int, two: int) -> _Grid:
+    """Turn a grid to the axes of a way."""
+    nx, ny, nz, _ = M.brick.shape
+    size = (nx * BRICK, ny * BRICK, nz * BRICK)
+    strides = (u4(ny * nz), u4(nz), u4(1))
+    shifts = (u4(4), u4(2), u4(0))
+    return _Grid(
+        (size[main], size[one], size[two]),
+        (strides[main], strides[one], strides[two]),
+        (shifts[main], shifts[one], shifts[two]),
+        (M.corner[main], M.corner[one], M.corner[two]),
+    )
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _crossing(way: _Way, size: tuple[int, int, int]) -> tuple[np.float32, np.float32]:
+    """Slabs until the pulse is in the grid, and until it leaves it."""
+    first, stop = f4(0.0), f4(1e6)
+    n_main, n_one, n_two = size
+    k, step = f4(way.k) + f4(0.5), f4(way.step)
+    for at, change, voxels in ((k, step, n_main), (way.p1, way.d1, n_one), (way.p2, way.d2, n_two)):
+        if abs(change) < f4(1e-9):
+            if not 0 <= at < voxels:
+                stop = f4(-1.0)
+            continue
+        a, b = -at / change, (f4(voxels) - f4(1e-3) - at) / change  # less what rounding may add
+        first, stop = max(first, min(a, b)), min(stop, max(a, b))
+    return first, stop
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _voxel(way: _Way, slab: int) -> tuple[int, int, int]:
+    at = f4(slab)
+    return way.k + slab * way.step, int(np.int32(way.p1 + at * way.d1)), int(np.int32(way.p2 + at * way.d2))
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _look(
+    L: Lanes, way: _Way, grid: _Grid, bricks: NDArray[np.uint64], slab: int, slabs: int
+) -> tuple[np.uint64, np.uint64]:
+    """Find the voxels of the next slabs: bits of those that are not empty, and of those in which a stem may be met."""
+    place = L.place
+    begin, k, step = f4(slab), f4(way.k), f4(way.step)
+    p1, p2, d1, d2 = way.p1, way.p2, way.d1, way.d2
+    s_main, s_one, s_two = grid.stride
+    b_main, b_one, b_two = grid.shift
+    last = u4((bricks.shape[0] >> 1) - 1)
+    for ahead in range(AHEAD):
+        at = begin + _SLABS[ahead]
+        i, i1, i2 = np.int32(k + at * step), np.int32(p1 + at * d1), np.int32(p2 + at * d2)
+        brick = u4(u4(i >> 2) * s_main) + u4(u4(i1 >> 2) * s_one) + u4(u4(i2 >> 2) * s_two)
+        bit = u4(u4(i & 3) << b_main) | u4(u4(i1 & 3) << b_one) | u4(u4(i2 & 3) << b_two)
+        place[ahead] = u4(min(u4(brick), last) << u4(6)) | bit
+    voxels = stems = np.uint64(0)
+    for ahead in range(AHEAD):
+        pair, place_in = np.uint64(place[ahead] >> u4(6)) << np.uint64(1), np.uint64(place[ahead] & u4(63))
+        voxels |= ((bricks[pair] >> place_in) & np.uint64(1)) << np.uint64(ahead)
+        stems |= ((bricks[pair + np.uint64(1)] >> place_in) & np.uint64(1)) << np.uint64(ahead)
+    asked = (np.uint64(1) << np.uint64(min(slabs - slab + 1, AHEAD))) - np.uint64(1)
+    return voxels & asked, stems & asked
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _read(
+    M: Medium, L: Lanes, bricks: NDArray[np.uint64], firsts: NDArray[np.uint32], voxels: np.uint64
+) -> None:
+    """Look up the records of voxels, one after the other, so that memory is waited for once."""
+    place, code, records = L.place, L.code, M.record
+    while voxels:
+        ahead = int(lowest(voxels))
+        voxels &= voxels - np.uint64(1)
+        brick, bit = np.uint64(place[ahead] >> u4(6)), np.uint64(place[ahead] & u4(63))
+        before_it = bricks[brick << np.uint64(1)] & ((np.uint64(1) << bit) - np.uint64(1))
+        number = u4(np.uint64(firsts[brick]) + ones(before_it))
+        place[ahead], code[ahead] = number, records[number]
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: int) -> tuple[np.uint64, int]:
+    """Take away the lanes that end before a slab; with the others, the slab in which the last of all ends."""
+    passed_m, range_m = way.to_middle + (f4(slab) - f4(0.5)) * way.length, L.range_m
+    last_m = range_m[0]
+    for lane in range(n):
+        last_m = max(last_m, range_m[lane])
+        if range_m[lane] < passed_m:
+            alive &= ~(np.uint64(1) << np.uint64(lane))
+    return alive, min(slabs, int((last_m - way.to_middle) / way.length + f4(1.5)))
+
+
+@numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
+def _lines(
+    corner_m: tuple[float, float, float],
+    L: Lanes,
+    n: int,
+    near_m: np.float32,
+    main: int,
+    one: int,
+    two: int,
+) -> tuple[np.uint64, np.float32]:
+    """Lay the lanes' lines; return which of them go on from `near_m`, and the farthest range asked for."""
+    row, line, scale = L.row, L.line, f4(LANES / VOXEL_M)
+    along, across, up = LANES * main, LANES * one, LANES * two
+    c_main, c_one, c_two = corner_m[main], corner_m[one], corner_m[two]
+    for lane in range(LANES):
+        inverse, begin = f4(1.0) / row[DIRECTION + along + lane], row[along + lane] - c_main
+        d1 = row[DIRECTION + across + lane] * inverse * scale
+        d2 = row[DIRECTION + up + lane] * inverse * scale
+        line[lane], line[LANES + lane] = (row[across + lane] - c_one) * scale - begin * d1, d1
+        line[2 * LANES + lane], line[3 * LANES + lane] = (row[up + lane] - c_two) * scale - begin * d2, d2
+        line[4 * LANES + lane], line[5 * LANES + lane] = begin, inverse
+    alive, last_m = np.uint64(0), f4(0.0)
+    for lane in range(n):
+        if row[RANGE + lane] > near_m:
+            alive |= np.uint64(1) << np.uint64(lane)
+            last_m = max(last_m, row[RANGE + lane])
+    return alive, last_m
+
+
+def _pass_through(
+    passage: Passage, light: PulseBatch, batch: Batch, todo: int, count: int, reach: np.float32
+) -> None:
+    """Let the rays of pulses that have met nothing near go on through the medium.
+
+    Parameters
+    ----------
+    reach : how far from the middle they are at most, in standard deviations of the beam
+    """
+    medium, L, row, surface = passage.medium, passage.lanes, batch.row, batch.surface
+    own_row, own_surface, bricks, firsts = (
+        L.row,
+        L.surface,
+        medium.brick.reshape(-1),
+        medium.first.reshape(-1),
+    )
+    aside_m = np.float32(reach * max(light.sigmas[0], light.sigmas[1]))
+    spread = np.float32(reach * max(light.sigmas[2], light.sigmas[3]))
+    for t in range(todo):
+        q = batch.todo[t]
+        if not batch.missed[q]:
+            continue
+        for a in range(COSINE + LANES):
+            own_row[a] = row[q, a]
+        for lane in range(LANES):
+            own_surface[lane] = surface[q, lane]
+        march(medium, bricks, firsts, L, count, batch.axes_row[q], aside_m, spread)
+        for a in range(RANGE, COSINE + LANES):
+            row[q, a] = own_row[a]
+        for lane in range(LANES):
+            surface[q, lane] = own_surface[lane]
+
+
+@numba.extending.overload(go_on, jit_options={"cache": True, "nogil": True, "_nrt": False})
+def _go_on(  # the same words as there, or numba does not take it
+    passage: Passage,  # noqa: ARG001 - likewise all
+    light: PulseBatch,  # noqa: ARG001
+    batch: Batch,  # noqa: ARG001
+    todo: int,  # noqa: ARG001
+    count: int,  # noqa: ARG001
+    reach: np.float32,  # noqa: ARG001
+) -> Any:
+    """Give numba what kernels that cast go on by."""
+    return _pass_through

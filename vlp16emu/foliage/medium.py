@@ -1,0 +1,225 @@
+"""Foliage from afar: voxels of 0.5 m with the leaf and wood area of the very shapes that stand there.
+
+A shape with many faces is measured once: its projected area in cells of 0.25 m (`Cloud`). Placements add these areas, and
+those of shapes with few faces face by face, to the voxels of a tile of the world (`Block`); tiles make up the medium of a
+window (`vlp16emu.foliage.lanes`). Everything is a function of the tile and its neighbours alone, so blocks are kept from
+window to window.
+
+A `Shelf` holds blocks side by side in arrays that windows share: what one has of another is neither copied nor kept twice.
+"""
+
+import json
+import math
+import weakref
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.foliage.cloud import PROJECTION, Library
+from vlp16emu.foliage.filling import filled
+from vlp16emu.foliage.marks import stem_lines, stem_radii
+from vlp16emu.foliage.tiles import FarTile
+from vlp16emu.foliage.voxel import BRICK, COLUMNS, LAW_BIT, LAW_MASK, VOXEL_M
+from vlp16emu.store import Bundle
+
+Array = NDArray[np.float64]
+T = TypeVar("T", bound=np.generic)
+Name = tuple[int, int]
+"""Of a tile."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """The voxels of a tile, in bricks of 4 x 4 x 4."""
+
+    bottom: int
+    """Level of the lowest bricks, in bricks from a height of 0."""
+    mask: NDArray[np.uint64]
+    """(10, 10, n) which voxels of each brick hold anything: bit 16 x + 4 y + z."""
+    stem: NDArray[np.uint64]
+    """(10, 10, n) likewise in which of them a stem may be met."""
+    first: NDArray[np.uint32]
+    """(10, 10, n) record of the first of them that holds anything."""
+    record: NDArray[np.uint32]
+    """(m,) codes of projected area at the three knots, and the flag of the ground."""
+    first_owner: NDArray[np.uint32]
+    """(m,) of each record; its last owner has a share of 255."""
+    owner: NDArray[np.uint64]
+    """(o,) row of a tile's surfaces; over `LAW_BIT` bits the law in the library; over `TILE_BIT` bits 3 (dx + 1) + dy + 1 of
+    that tile; over `SHARE_BIT` bits the share of the voxel's projected area, in 255ths, of it and of those before it."""
+
+
+def block_of(
+    library: Library, shape_of: dict[object, int], near: dict[tuple[int, int], FarTile], ix: int, iy: int
+) -> Block:
+    """Make the block of a tile.
+
+    Parameters
+    ----------
+    shape_of : place in the library by shape
+    near : tiles, at least (ix, iy) itself and the eight around it, which may reach into it
+    """
+    here, corner_m = near[ix, iy], near[ix, iy].corner_m
+    around = [(3 * (dx + 1) + dy + 1, near[ix + dx, iy + dy]) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+    placed = [_placed(library, shape_of, tile, number, corner_m) for number, tile in around]
+    stems = np.concatenate([tile.stems for _, tile in around])
+    which, relative, row, tile_of = (np.concatenate([part[i] for part in placed]) for i in range(4))
+    lines = stem_lines(stems, corner_m)
+    low_m, high_m = _span(library, which, relative, lines, here.ground_m - corner_m[2])
+    brick_m = BRICK * VOXEL_M
+    bottom, top = math.floor(low_m / brick_m), math.ceil(high_m / brick_m)
+    return Block(
+        bottom + round(corner_m[2] / brick_m),
+        *filled(
+            library,
+            np.ascontiguousarray(which),
+            np.ascontiguousarray(relative),
+            row,
+            tile_of,
+            lines,
+            stem_radii(stems),
+            (here.ground_m - corner_m[2]).astype(np.float32),
+            bottom * brick_m,
+            max(top - bottom, 1),
+            PROJECTION,
+        ),
+    )
+
+
+def _placed(
+    library: Library, shape_of: dict[object, int], tile: FarTile, number: int, corner_m: Array
+) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Find what of a tile may reach into the one at a corner: shapes, transforms, first surfaces, the tile's number."""
+    places = np.array([shape_of[key] for key in tile.keys], np.int64)
+    which = places[tile.shape] if len(tile.shape) else np.zeros(0, np.int64)
+    world_T = tile.world_T_shape
+    at_m = world_T[:, :, 3] - corner_m
+    reach_m = library.radius_m[which] * np.sqrt((np.square(world_T[:, :, :3])).sum(axis=1).max(axis=-1))
+    gap_m = np.maximum(np.maximum(-at_m[:, :2], at_m[:, :2] - COLUMNS * VOXEL_M), 0.0)
+    own = np.flatnonzero((np.square(gap_m)).sum(axis=1) <= np.square(reach_m))
+    relative = world_T[own].copy()
+    relative[:, :, 3] = at_m[own]
+    return which[own], relative, tile.first_surface[own], np.full(len(own), number)
+
+
+def _span(
+    library: Library, which: NDArray[np.int64], relative: Array, lines: Array, ground_m: Array
+) -> tuple[float, float]:
+    """Heights between which anything of a tile lies."""
+    reach_m = library.radius_m[which] * np.sqrt((np.square(relative[:, :, :3])).sum(axis=1).max(axis=-1))
+    low = np.concatenate([ground_m.ravel() - 1.5, lines[:, 2] - 0.5])
+    high = np.concatenate(
+        [ground_m.ravel() + 1.0, relative[:, 2, 3] + reach_m, lines[:, 2] + lines[:, 5] + 0.5]
+    )
+    return float(low.min()), float(high.max())
+
+
+def packed_block(block: Block, library: Library, names: Sequence[str]) -> Bundle:
+    """Put a block into arrays, with its laws by the names of shapes: libraries have them in an order of their own."""
+    laws, law = np.unique((block.owner >> LAW_BIT) & LAW_MASK, return_inverse=True)
+    shape = np.searchsorted(library.first_law, laws.astype(np.int64), side="right") - 1
+    used, of = np.unique(shape, return_inverse=True)
+    return {
+        **{field.name: np.asarray(getattr(block, field.name)) for field in fields(block)},
+        "owner": _with_law(block.owner, law),
+        "law_shape": of,
+        "law_mesh": laws.astype(np.int64) - library.first_law[shape],
+        "shapes": np.frombuffer(json.dumps([names[i] for i in used.tolist()]).encode(), np.uint8),
+    }
+
+
+def unpacked_block(bundle: Bundle, library: Library, place: Mapping[str, int]) -> Block:
+    """Take a block out of arrays, for a library with shapes at these places by name."""
+    rest = dict(bundle)
+    which = np.array([place[name] for name in json.loads(rest.pop("shapes").tobytes())], np.int64)
+    law = library.first_law[which[rest.pop("law_shape")]] + rest.pop("law_mesh")
+    owner = rest["owner"].astype(np.uint64, copy=False)
+    rest["owner"] = _with_law(owner, law[(owner >> LAW_BIT) & LAW_MASK])
+    return Block(**{**rest, "bottom": int(rest["bottom"])})  # type: ignore[arg-type]
+
+
+def _with_law(owner: NDArray[np.uint64], law: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """Give owners other laws."""
+    return (owner & ~(LAW_MASK << LAW_BIT)) | (law.astype(np.uint64) << LAW_BIT)
+
+
+class Laid(NamedTuple):
+    """A block on a shelf, whose parts are those of `Block`."""
+
+    bottom: int
+    mask: NDArray[np.uint64]
+    stem: NDArray[np.uint64]
+    first: NDArray[np.uint32]
+    """Records in the array of the shelf."""
+    records: slice
+    """What it takes of the shelf."""
+    owners: slice
+
+
+class Shelf:
+    """Blocks of all open windows."""
+
+    def __init__(self) -> None:
+        self.blocks = dict[Name, Laid]()
+        self._record, self._first_owner = np.empty(0, np.uint32), np.empty(0, np.uint32)
+        self._owner = np.empty(0, np.uint64)
+        self._users = list[tuple[weakref.ref[object], frozenset[Name]]]()
+
+    @property
+    def arrays(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint64]]:
+        """Records, their first owners, and owners, up to the last that is of any block."""
+        records = max((laid.records.stop for laid in self.blocks.values()), default=0)
+        owners = max((laid.owners.stop for laid in self.blocks.values()), default=0)
+        return self._record[:records], self._first_owner[:records], self._owner[:owners]
+
+    def clear(self, wanted: Iterable[Name]) -> None:
+        """Make room of blocks that are not wanted, and that no open window has."""
+        self._users = [(user, names) for user, names in self._users if user() is not None]
+        kept = frozenset(wanted).union(*(names for _, names in self._users))
+        self.blocks = {name: laid for name, laid in self.blocks.items() if name in kept}
+
+    def lay(self, name: Name, block: Block, most: int) -> None:
+        """Lay a block down; arrays that are too small are replaced, so what is open keeps its own.
+
+        Parameters
+        ----------
+        most : blocks that there will be, for which room is made
+        """
+        laid = self.blocks.values()
+        records = _gap([each.records for each in laid], len(block.record))
+        owners = _gap([each.owners for each in laid], len(block.owner))
+        share = max(most / (len(laid) + 1), 1.0)
+        self._record, self._first_owner = (
+            _with_room(array, records.stop, share) for array in (self._record, self._first_owner)
+        )
+        self._owner = _with_room(self._owner, owners.stop, share)
+        self._record[records], self._owner[owners] = block.record, block.owner
+        np.add(block.first_owner, np.uint32(owners.start), out=self._first_owner[records])
+        first = block.first + np.uint32(records.start)
+        self.blocks[name] = Laid(block.bottom, block.mask.copy(), block.stem.copy(), first, records, owners)
+
+    def keep(self, user: object, names: Iterable[Name]) -> None:
+        """Keep blocks in their places for as long as there is somebody that uses them."""
+        self._users.append((weakref.ref(user), frozenset(names)))
+
+
+def _gap(taken: Iterable[slice], size: int) -> slice:
+    """First place between those that are taken that is large enough."""
+    begin = 0
+    for each in sorted(taken, key=lambda each: each.start):
+        if each.start - begin >= size:
+            break
+        begin = each.stop
+    return slice(begin, begin + size)
+
+
+def _with_room(array: NDArray[T], size: int, share: float) -> NDArray[T]:
+    """Give an array of a size at least: the same, or one with half as much again as all blocks may need."""
+    if len(array) >= size:
+        return array
+    larger = np.empty(int(1.5 * share * size), array.dtype)
+    larger[: len(array)] = array
+    return larger

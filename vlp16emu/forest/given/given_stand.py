@@ -1,0 +1,193 @@
+"""A stand whose trees are measured, in place of one that grows itself."""
+
+import logging
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import log
+from vlp16emu.errors import GeometryError
+from vlp16emu.forest.given.stem_list import read_stem_list
+from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
+from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora
+from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.stand.settings import Plot
+from vlp16emu.forest.stand.stand import TREE, foot_discs, in_the_way_m, path_gap_m
+from vlp16emu.forest.tiles import TILE_M
+from vlp16emu.random import Purpose, generator
+from vlp16emu.types import HeightField
+from vlp16emu.world.polyline import Corridor, Polyline
+from vlp16emu.world.vectors import places_m
+
+Array = NDArray[np.float64]
+Trees = NDArray[np.void]
+
+_CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
+"""Crown class c is that of trees with a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
+
+_HA_PER_TILE = TILE_M * TILE_M / 10_000
+_NAMED = 20
+"""Trees in the way that are named one by one."""
+
+_log = logging.getLogger(__name__)
+
+
+class GivenStand:
+    """Trees of a list, tile by tile.
+
+    A crown is a prototype of the list's own trees of that species and diameter class, scaled to the tree.
+    Each tree bears the leaf area index of its species on its own crown projection, for the ground that
+    belongs to a tree does not follow from a list.
+
+    Parameters
+    ----------
+    section : what the user wrote
+    seed : of the scenario, for what the list leaves out, such as the azimuth of a crown about its stem
+    height_m : ground
+    path : of the sensor
+    plants : trees and shrubs
+
+    Raises
+    ------
+    GeometryError
+        for a list that is wrong, and where trees are on the path that are not to be dropped
+    """
+
+    def __init__(
+        self, section: Plot, *, seed: int, height_m: HeightField, path: Corridor, plants: Flora
+    ) -> None:
+        self._source = Path(section.stem_list)
+        trees = read_stem_list(self._source, plants.trees, section.origin_m)
+        self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
+        self._season, self._dead_branches = section.season, section.dead_branches
+        trees = _completed(seed, trees, self._species)
+        if section.crooked_stems:
+            trees["form"] = generator(seed, Purpose.STEM_FORM).integers(1, 2**63, len(trees))
+        trees = _clear_of_path(section, trees, plants.trees, path)
+        trees["z_m"] = height_m(trees["x_m"], trees["y_m"])
+        tile = np.floor(places_m(trees, "xy") / TILE_M).astype(np.int64)
+        tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
+        names = [(int(ix), int(iy)) for ix, iy in tiles]
+        self._tiles = {name: trees[of.ravel() == i] for i, name in enumerate(names)}
+        self.per_ha = float(count.max()) / _HA_PER_TILE
+        """Stems per hectare where they are densest."""
+        self._prototypes = _prototypes(trees)
+        self._all = trees
+
+    @property
+    def species(self) -> list[str]:
+        """Names of the species of its trees."""
+        return [one.name for one in self._species]
+
+    def check(self, path: Polyline, reach_m: float) -> None:
+        """Make sure that a tree is in sight of a sensor on its path.
+
+        Parameters
+        ----------
+        path : of the sensor
+        reach_m : how far it sees
+
+        Raises
+        ------
+        GeometryError
+            naming the tree that is nearest, where no crown is in sight
+        """
+        gap_m = path.distance_m(places_m(self._all, "xy"))
+        if (gap_m - self._all["crown_width_m"] / 2 > reach_m).all():
+            i = int(gap_m.argmin())
+            x_m, y_m = self._all["x_m"][i], self._all["y_m"][i]
+            raise GeometryError(
+                str(self._source),
+                f"no tree in sight, the nearest at ({x_m:.1f}, {y_m:.1f}) m in the scene, {gap_m[i]:.1f} m from the path",
+                f"one {reach_m:g} m from it at most (a list in map coordinates needs an origin_m)",
+            )
+
+    def trees(self, ix: int, iy: int) -> Trees:
+        """Trees whose foot lies in a tile, `TREE` with id still 0, in the order of the list."""
+        return self._tiles.get((ix, iy), np.zeros(0, TREE))
+
+    def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
+        """Name the crown prototype of a diameter class."""
+        own = self._species[cohort]
+        dbh_m, height_m, base_m, width_m = self._prototypes[cohort, crown_class]
+        return CrownKey(
+            species=own.name,
+            variant=variant,
+            dbh_m=dbh_m,
+            height_m=height_m,
+            crown_base_m=base_m,
+            crown_width_m=width_m,
+            leaf_area_m2=own.leaf_area_index * math.pi / 4 * width_m * width_m,
+            season=self._season,
+            dead_branches=self._dead_branches,
+        )
+
+
+def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
+    """Add what a list leaves out."""
+    trees = trees.copy()
+    # One row of numbers to a tree: a tree more at the end of a list changes no other.
+    uniform = generator(seed, Purpose.GIVEN_TREE).random((len(trees), 4))
+    trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
+    trees["crown_variant"] = VARIANTS * uniform[:, 1]
+    trees["crown_class"] = np.round(log(trees["dbh_m"] / _CLASS_BASE_M) / log(_CLASS_RATIO))
+    for cohort, one in enumerate(species):
+        own = trees["species"] == one.number
+        trees["cohort"][own] = cohort
+        trees["bark_reflectance"][own] = one.bark_reflectance
+        trees["leaf_reflectance"][own] = one.leaf_reflectance
+    trees["bark_reflectance"] += BARK_SPREAD * (2 * uniform[:, 2] - 1)
+    trees["leaf_reflectance"] += LEAF_SPREAD * (2 * uniform[:, 3] - 1)
+    return trees
+
+
+def stems_in_the_way(section: Plot) -> tuple[Array, Array]:
+    """Places (n, 2) that the path must keep clear of, feet of stems and where they are over a head, and how far (n,) from each.
+
+    Raises
+    ------
+    GeometryError
+        for a list that is wrong
+    """
+    table = flora(section.species_file).trees
+    trees = read_stem_list(Path(section.stem_list), table, section.origin_m)
+    gap_m = foot_discs(trees, table=table)[:, 2] + section.path_clearance_m
+    return np.concatenate(in_the_way_m(trees)), np.tile(gap_m, 2)
+
+
+def _clear_of_path(section: Plot, trees: Trees, table: Mapping[str, Species], path: Corridor) -> Trees:
+    """Leave out the trees that a walker would run into, or refuse them."""
+    gap_m = path_gap_m(trees, foot_discs(trees, table=table)[:, 2], path)
+    in_the_way = gap_m < path.clearance_m
+    if not in_the_way.any():
+        return trees
+    named = [
+        f"line {tree['list_line']} at ({tree['x_m']:g}, {tree['y_m']:g}) m, {max(gap, 0.0):.2f} m away"
+        for tree, gap in zip(trees[in_the_way], gap_m[in_the_way], strict=True)
+    ]
+    more = f", and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+    found = (
+        f"nearer to the path than path_clearance_m = {path.clearance_m:g}: {'; '.join(named[:_NAMED])}{more}"
+    )
+    if section.on_conflict != "drop":
+        raise GeometryError(
+            section.stem_list,
+            f"{len(named)} of {len(trees)} trees {found}",
+            'none, or on_conflict = "drop" or "move_path"',
+        )
+    if in_the_way.all():
+        raise GeometryError(section.stem_list, f"all trees {found}", "one that is left")
+    _log.warning("%s: left out %d of %d trees %s", section.stem_list, len(named), len(trees), found)
+    return trees[~in_the_way]
+
+
+def _prototypes(trees: Trees) -> dict[tuple[int, int], tuple[float, float, float, float]]:
+    """DBH, height, crown base and crown width of the mean tree of each cohort and crown class."""
+    kinds = np.column_stack([trees["cohort"], trees["crown_class"]]).astype(np.int64)
+    size = np.column_stack([trees[name] for name in ("dbh_m", "height_m", "crown_base_m", "crown_width_m")])
+    names, of = np.unique(kinds, axis=0, return_inverse=True)
+    means = [size[of.ravel() == i].mean(axis=0).tolist() for i in range(len(names))]
+    return {(int(c), int(k)): (d, h, b, w) for (c, k), (d, h, b, w) in zip(names, means, strict=True)}

@@ -1,0 +1,324 @@
+"""Trees of the user's own: meshes in the place of grown trees, scaled to the size of each, and the truth about them."""
+
+import hashlib
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import atan2, cos, hypot, log, matmul, matvec, norm, sin
+from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.tiles import EXACT, STEM
+from vlp16emu.forest.given.section import Cutter, Outline
+from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
+from vlp16emu.forest.plants.far_stem import profiles
+from vlp16emu.forest.plants.flora import Flora, known
+from vlp16emu.forest.plants.settings import Season
+from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.plants.stem import STEM_PARTS, lean_rotation
+from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
+from vlp16emu.forest.stand.inventory import COPIED, INVENTORY, hull_m, volume_m3
+from vlp16emu.forest.stand.models import ModelKey, Models
+from vlp16emu.forest.stand.placed import PlacedThings, plant_surfaces, turned
+from vlp16emu.types import Mesh, PlantPart, ShapeKey
+from vlp16emu.world.mesh_settings import TreeModelFile
+from vlp16emu.world.user_mesh import load_mesh
+from vlp16emu.world.vectors import places_m
+
+Array = NDArray[np.float64]
+Trees = NDArray[np.void]
+
+_FOOT_SHARE = 0.01
+"""Height of the section whose middle is the foot, over that of the tree."""
+
+_ALIKE = 1.25
+"""Models that stretch a tree by no more than this over the one that stretches it least are as good."""
+
+_BOLE, _BOLE_M = 1.5, 0.02
+"""What of a stem is farther from its middle than so many radii and so much more is no bole."""
+
+_TILTS = 1024
+"""Classes of leaf faces by their tilt."""
+
+_KEPT_CUTS = 16_384
+"""Sections of a model that are remembered: more than there are trees in a window."""
+
+_AROUND = np.array([cos(np.arange(36) * np.pi / 36), sin(np.arange(36) * np.pi / 36)])
+"""(2, 36) directions in which crowns are measured."""
+
+
+class TreeModel:
+    """A tree of the user's own, with its foot at the origin.
+
+    The foot is where the stem is at the file's height 0, or at the stem's lower end where it does not reach that.
+
+    Parameters
+    ----------
+    section : what the user wrote
+    species : that it is of
+    season : in which leaves that fall are left out
+
+    Raises
+    ------
+    GeometryError
+        for a part that the file does not have, or a stem without a closed section at breast height
+    """
+
+    def __init__(self, section: TreeModelFile, species: Species, season: Season) -> None:
+        self.path, self.species = Path(section.file), species
+        mesh = load_mesh(self.path, unit=section.unit, up=section.up)
+        own, names = {part.name: part.part for part in section.parts}, [part.name for part in mesh.parts]
+        for name in own.keys() - set(names):
+            raise GeometryError(f"{self.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
+        parts = [PlantPart[own.get(name, "stem").upper()] for name in names]
+        stems = [i for i, part in enumerate(parts) if part in STEM_PARTS]
+        if not stems:
+            raise GeometryError(f"{self.path}: parts", "no stem", "a part of the file that is the stem")
+        placed = [part.mesh.vertices_m.astype(np.float64) + mesh.centre_m for part in mesh.parts]
+        faces = [part.mesh.faces for part in mesh.parts]
+        low_m, high_m = (end([end(placed[i][:, 2]) for i in stems]) for end in (min, max))
+        ground_m = 0.0 if low_m <= 0.0 < high_m else low_m
+        self.height_m = float(max(vertices[:, 2].max() for vertices in placed)) - ground_m
+        self._stem = Cutter([placed[i] - [0.0, 0.0, ground_m] for i in stems], [faces[i] for i in stems])
+        self._cuts = lru_cache(maxsize=_KEPT_CUTS)(self._stem.cut)
+        foot_m = np.append(self._cut(_FOOT_SHARE * self.height_m).middle_m, ground_m)
+        self._stem.vertices_m[:, :2] -= foot_m[:2]
+        self._cuts.cache_clear()
+        self._cut(BREAST_HEIGHT_M)
+        self._profile_m = self._circles(low_m - ground_m, high_m - ground_m)
+        sheds = species.foliage is not None and not species.foliage.is_borne(season)
+        volumes_m3 = [abs(volume_m3(_used(v - foot_m, f))) for v, f in zip(placed, faces, strict=True)]
+        self._stem_m3 = sum(volumes_m3[i] for i in stems)
+        self._wood_m3 = sum(v for v, part in zip(volumes_m3, parts, strict=True) if part != PlantPart.LEAF)
+        rows = [
+            row
+            for part, vertices, own_faces in zip(parts, placed, faces, strict=True)
+            for row in self._meshes(
+                part, vertices - foot_m, own_faces[: 0 if sheds and part == PlantPart.LEAF else None]
+            )
+        ]
+        self.parts, self.far_parts, self.meshes = zip(*rows, strict=True)
+        """Of each mesh, as points are labelled and as it is seen from afar; what bears away from a stem is a mesh of its own."""
+        self._keep_measures()
+        text = f"{section.model_dump_json(exclude={'file'})} {sheds}"
+        self.content = hashlib.sha256(self.path.read_bytes() + text.encode()).hexdigest()[:32]
+
+    def far_stems(self, world_T_model: Array, rows: NDArray[np.int64]) -> NDArray[np.void]:
+        """Stems of placements (n, 3, 4), whose first surfaces are in these rows (n,), as `STEM`."""
+        across = norm(world_T_model[:, :, 0])
+        middle_m = matvec(world_T_model[:, None, :, :3], self._profile_m[:, :3])
+        stems = profiles(world_T_model[:, :, 3], middle_m, across[:, None] * self._profile_m[:, 3], 0)
+        stems["flare_m"], stems["row"] = -1.0, rows[:, None] + self.far_parts.index(EXACT)
+        return stems
+
+    def outline(self, height_m: float, above_m: float) -> Outline:
+        """Section of the stem where it is so high above the foot once the model is `height_m` tall; across as in the file."""
+        return self._cut(above_m * self.height_m / height_m)
+
+    def circles(self, trees: Trees) -> NDArray[np.void]:
+        """Circles `STEM_CIRCLE` along the stems of trees (n,), from the ground to the tip, tree by tree."""
+        profile_m = self._profile_m[self._profile_m[:, 2] >= 0.0]
+        world_T, across = self.world_T_model(trees), self.scale(trees)[:, 0]
+        up_m = matvec(world_T[:, None, :, :3], profile_m[:, :3])
+        circles = np.zeros(up_m.shape[:2], STEM_CIRCLE)
+        circles["tree"], circles["leader"], circles["part"] = trees["id"][:, None], 1, PlantPart.STEM
+        for axis, name in enumerate("xyz"):
+            circles[f"{name}_m"] = trees[f"{name}_m"][:, None] + up_m[..., axis]
+        circles["above_foot_m"], circles["radius_m"] = up_m[..., 2], across[:, None] * profile_m[:, 3]
+        return circles.ravel()
+
+    def scale(self, trees: Trees) -> Array:
+        """Stretch (n, 2) for trees: across, so that the DBH is theirs, and along the axis."""
+        upright = cos(np.radians(trees["lean_deg"]))
+        own_m = [
+            self.outline(height_m, BREAST_HEIGHT_M).diameter_m for height_m in trees["height_m"].tolist()
+        ]
+        return np.column_stack([trees["dbh_m"] / own_m, trees["height_m"] / upright / self.height_m])
+
+    def world_T_model(self, trees: Trees) -> Array:
+        """Where trees stand, (n, 3, 4)."""
+        lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
+        across, along = self.scale(trees).T
+        stretched = turned(trees["crown_azimuth_deg"]) * np.column_stack([across, across, along])[:, None]
+        foot_m = places_m(trees)
+        return np.concatenate([matmul(lean, stretched), foot_m[..., None]], axis=2)
+
+    def measure(self, row: np.void, tree: Trees) -> None:
+        """Fill in what of a row `INVENTORY` follows from the meshes of one tree (1,)."""
+        (world_T,), height_m = self.world_T_model(tree), float(tree["height_m"][0])
+        turn, foot_m, (across, along) = world_T[:, :3], world_T[:, 3], self.scale(tree)[0].tolist()
+        breast, us = (self.outline(height_m, at_m) for at_m in (BREAST_HEIGHT_M, US_BREAST_HEIGHT_M))
+        middle_m = np.append(breast.middle_m, BREAST_HEIGHT_M * self.height_m / height_m)
+        row["x_breast_m"], row["y_breast_m"] = (matvec(turn, middle_m) + foot_m)[:2]
+        row["dbh_us_m"], row["girth_over_pi_m"] = across * us.diameter_m, across * breast.tape_m
+        whole_m, crown_m = (matvec(turn, corners_m) for corners_m in (self._corners_m, self._crown_corners_m))
+        for axis, name in enumerate("xy"):
+            row[f"{name}_min_m"] = foot_m[axis] + whole_m[:, axis].min()
+            row[f"{name}_max_m"] = foot_m[axis] + whole_m[:, axis].max()
+        row["top_m"], row["crown_base_m"] = whole_m[:, 2].max(), row["height_m"]
+        if len(crown_m):
+            row["crown_base_m"] = crown_m[:, 2].min()
+            row["crown_width_m"] = np.ptp(matvec(_AROUND.T, crown_m[:, :2]), axis=0).mean()
+        size = across * across * along
+        row["stem_m3"], row["wood_m3"] = size * self._stem_m3, size * self._wood_m3
+        # Faces across the axis grow with the square of the width, upright ones with width and height.
+        level_m2, upright_m2 = self._leaf_m2
+        row["leaf_m2"] = hypot(across * across * level_m2, across * along * upright_m2).sum()
+        sizes = (np.array([row[name]]) for name in ("dbh_m", "height_m", "crown_base_m"))
+        row["biomass_kg"] = self.species.biomass_kg(*sizes)[0]
+
+    def _keep_measures(self) -> None:
+        """Keep what a tree's row follows from: corners that span tree and crown, and leaf faces by their normals."""
+        of = list(zip(self.parts, self.meshes, strict=True))
+        leaves = [mesh for part, mesh in of if part == PlantPart.LEAF]
+        others = [mesh for part, mesh in of if part not in (*STEM_PARTS, PlantPart.LEAF)]
+        has_leaves = any(len(mesh.faces) for mesh in leaves)
+        self._corners_m, self._crown_corners_m = map(
+            _spanning, (self.meshes, leaves if has_leaves else others)
+        )
+        faces_m = [mesh.vertices_m.astype(np.float64)[mesh.faces] for mesh in leaves]
+        sides = [np.cross(face[:, 1] - face[:, 0], face[:, 2] - face[:, 0]) / 2 for face in faces_m]
+        side_m2 = np.concatenate([np.zeros((0, 3)), *sides])
+        level_m2, upright_m2 = np.abs(side_m2[:, 2]), hypot(side_m2[:, 0], side_m2[:, 1])
+        tilt = (atan2(level_m2, upright_m2) * (_TILTS / np.pi * 2.0)).astype(int).clip(max=_TILTS - 1)
+        self._leaf_m2 = [np.bincount(tilt, m2, _TILTS) for m2 in (level_m2, upright_m2)]
+
+    def _circles(self, low_m: float, high_m: float) -> Array:
+        """(16, 4) middles and radii of the stem, nearer to each other at the butt; straight lines where it cannot be cut."""
+        share = np.square(np.linspace(0.0, 1.0, 16))
+        at_m = low_m + share * (high_m - low_m)
+        cuts = [
+            self._stem.cut(low_m + own * (high_m - low_m)) for own in share.clip(1e-3, 1.0 - 1e-3).tolist()
+        ]
+        there = [i for i, cut in enumerate(cuts) if cut is not None]
+        found = np.array([[*cut.middle_m, cut.diameter_m / 2] for cut in cuts if cut is not None])
+        x_m, y_m, radius_m = (np.interp(at_m, at_m[there], column) for column in found.T)
+        return np.column_stack([x_m, y_m, at_m, radius_m])
+
+    def _meshes(
+        self, part: PlantPart, vertices_m: Array, faces: NDArray[np.uint32]
+    ) -> list[tuple[int, int, Mesh]]:
+        """Part, part from afar and mesh of what one part of the file is: of a stem apart the bole and what bears away."""
+        if part not in STEM_PARTS:
+            return [(part, part, _used(vertices_m, faces))]
+        x_m, y_m, radius_m = (
+            np.interp(vertices_m[:, 2], self._profile_m[:, 2], self._profile_m[:, i]) for i in (0, 1, 3)
+        )
+        near = hypot(vertices_m[:, 0] - x_m, vertices_m[:, 1] - y_m) < _BOLE * radius_m + _BOLE_M
+        bole = near[faces].all(axis=1)
+        return [(part, EXACT, _used(vertices_m, faces[bole])), (part, part, _used(vertices_m, faces[~bole]))]
+
+    def _cut(self, at_m: float) -> Outline:
+        """Cut the stem, in the model's own size."""
+        outline = self._cuts(at_m)
+        if outline is None:
+            found = f"no closed section of the stem at {at_m:.2f} m of its {self.height_m:.2f} m"
+            raise GeometryError(str(self.path), found, "one, since breast height comes to lie there")
+        return outline
+
+
+def _spanning(meshes: Sequence[Mesh]) -> Array:
+    """Vertices (k, 3) that span the convex hull of meshes."""
+    return hull_m(np.concatenate([np.zeros((0, 3)), *(mesh.vertices_m for mesh in meshes)]))
+
+
+def _used(vertices_m: Array, faces: NDArray[np.uint32]) -> Mesh:
+    used, corners = np.unique(faces, return_inverse=True)
+    return Mesh(vertices_m[used].astype(np.float32), corners.reshape(-1, 3).astype(np.uint32))
+
+
+class TreeModels(Models):
+    """The models of a scene.
+
+    Parameters
+    ----------
+    files : what the user wrote
+    plants : trees that they may be of
+    season : as of `TreeModel`
+
+    Raises
+    ------
+    GeometryError
+        for a species that is not known, or a file that cannot be scanned
+    """
+
+    def __init__(self, files: Sequence[TreeModelFile], plants: Flora, season: Season = "leaf_on") -> None:
+        self._plants = plants
+        self._models = [
+            TreeModel(file, species, season)
+            for i, file in enumerate(files)
+            for species in known([file.species], plants.trees, f"world.tree_models.{i}.species")
+        ]
+        self._keys = [ModelKey(i, model.content) for i, model in enumerate(self._models)]
+        self._species = np.array(sorted({model.species.number for model in self._models}), np.uint16)
+
+    def has(self, trees: Trees) -> NDArray[np.bool_]:
+        """Which trees (n,) look like one of the models."""
+        return np.isin(trees["species"], self._species)
+
+    def placed(self, trees: Trees, *, is_exact: bool) -> list[PlacedThings]:
+        """Place trees (n,) that all have models: those of each model together; `is_exact` as of `PlacedThings`."""
+        return [
+            PlacedThings(
+                (self._keys[i],),
+                np.zeros(len(own), np.int64),
+                self._models[i].world_T_model(own),
+                plant_surfaces(own, self._models[i].parts, self._plants),
+                own,
+                is_exact=is_exact,
+            )
+            for i, own in self._by_model(trees)
+        ]
+
+    def shape(self, key: ModelKey) -> tuple[Mesh, ...]:
+        """Meshes of a model."""
+        return self._models[key.number].meshes
+
+    def far_parts(self, key: ShapeKey) -> tuple[int, ...] | None:
+        """Parts of a model's meshes as they are seen from afar; None for any other shape."""
+        return self._models[key.number].far_parts if isinstance(key, ModelKey) else None
+
+    def far_stems(
+        self, keys: Sequence[ShapeKey], world_T_shape: Array, rows: NDArray[np.int64]
+    ) -> NDArray[np.void]:
+        """Stems, as `STEM`, of those of placements (n,) that are models, by their first surfaces."""
+        of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
+        stems = (
+            model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models)
+        )
+        return np.concatenate([np.zeros(0, STEM), *stems])
+
+    def inventory(self, trees: Trees) -> NDArray[np.void]:
+        """Take the inventory (n,) `INVENTORY` of trees that all have models, from their meshes.
+
+        The crown begins with the lowest leaf, or branch where there are no leaves; its width is the mean over all
+        directions. One side of each leaf face counts.
+        """
+        rows = np.zeros(len(trees), INVENTORY)
+        for name in COPIED:
+            rows[name] = trees[name]
+        for i, row in enumerate(rows):
+            self._models[self._chosen(trees[i : i + 1])].measure(row, trees[i : i + 1])
+        return rows
+
+    def circles(self, trees: Trees) -> NDArray[np.void]:
+        """Circles `STEM_CIRCLE` along the stems of trees that all have models."""
+        own = (self._models[i].circles(own) for i, own in self._by_model(trees))
+        return np.concatenate([np.zeros(0, STEM_CIRCLE), *own])
+
+    def _by_model(self, trees: Trees) -> list[tuple[int, Trees]]:
+        chosen = np.array([self._chosen(trees[i : i + 1]) for i in range(len(trees))], np.int64)
+        return [(i, trees[chosen == i]) for i in np.unique(chosen).tolist()]
+
+    def _chosen(self, tree: Trees) -> int:
+        """Choose the model of one tree (1,) by its size, and among those that are as good by its azimuth's last digits."""
+        fits = [i for i, model in enumerate(self._models) if model.species.number == tree["species"][0]]
+        if len(fits) == 1:
+            return fits[0]
+        stretch = [
+            abs(float(log(across / along))) for i in fits for across, along in self._models[i].scale(tree)
+        ]
+        good = [i for i, own in zip(fits, stretch, strict=True) if own <= min(stretch) + log(_ALIKE)]
+        return good[int(tree["crown_azimuth_deg"][0] * 1e6) % len(good)]

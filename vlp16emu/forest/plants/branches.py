@@ -1,0 +1,272 @@
+"""Branches of a crown: their curves in space, and tubes around them.
+
+A crown's own frame has its origin on the stem's axis at the crown base and z along the axis.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import asin, atan2, cos, hypot, norm, power, sin
+from vlp16emu.forest.plants.meshes import pipe_faces
+from vlp16emu.forest.plants.species import Habit, Twigs
+from vlp16emu.types import Mesh
+from vlp16emu.world.vectors import unit
+
+Array = NDArray[np.float64]
+
+_NODES = {1: 9, 2: 5, 3: 3}
+"""Nodes of a branch's curve, by order: odd, so that saplings can do with every other."""
+
+GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+"""Between successive branches or whorls, so that none stands right above another."""
+
+_STEEPEST = np.radians(85.0)
+"""Branches hang or rise no steeper; keeps the azimuth of a branch defined."""
+
+THINNEST_M = 0.001
+"""Least radius of a branch at its base; assumption."""
+
+_TIP_SHARE = 0.2
+"""Radius just before the tip over that at the base; assumption."""
+
+_BISECTIONS = 16
+"""Enough to find the length of a branch to a millimetre."""
+
+
+@dataclass(frozen=True, slots=True)
+class Branches:
+    """Branches of one order."""
+
+    nodes_m: Array
+    """(n, m, 3) from the base, which lies on the bearer's axis, to the tip."""
+    azimuth: Array
+    """(n,) rad, of the branch at its base."""
+    length_m: Array
+    """(n,)."""
+    radius_m: Array
+    """(n,) at the base."""
+
+    @property
+    def node_radius_m(self) -> Array:
+        """Radius (n, m) at the nodes; 0 at the tip."""
+        rings = self.nodes_m.shape[1] - 1
+        return self.radius_m[:, None] * np.append(_taper(np.arange(rings) / rings), 0.0)
+
+    def of(self, which: NDArray[np.int64]) -> "Branches":
+        """Give some of the branches."""
+        return Branches(*(getattr(self, name)[which] for name in self.__slots__))
+
+
+def first_order(
+    rng: np.random.Generator, habit: Habit, size_m: tuple[float, float], stem_m: Array
+) -> Branches:
+    """Branches that leave the stem.
+
+    Parameters
+    ----------
+    size_m : length and width of the crown
+    stem_m : (s,) stem radius from the crown's base to its top, evenly spaced
+    """
+    length_m, _ = size_m
+    whorls = max(1, round(length_m / habit.whorl_spacing_m))
+    whorl = np.repeat(np.arange(whorls), habit.branches_per_whorl)
+    n = len(whorl)
+    relative = (whorl + rng.uniform(0.0, 0.5, n)) / whorls
+    turn = 2 * np.pi / habit.branches_per_whorl
+    azimuth = whorl * GOLDEN_ANGLE + turn * (np.arange(n) % habit.branches_per_whorl)
+    azimuth += rng.normal(0.0, 0.2, n)
+
+    def between(pair_deg: Sequence[float]) -> Array:
+        """Angles between those of the lowest and of the highest branches, in radians."""
+        return np.radians(pair_deg[0] + (pair_deg[1] - pair_deg[0]) * relative)[:, None]
+
+    way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
+    rise = between(habit.rise_deg) + rng.normal(0.0, np.radians(6.0), (n, 1))
+    elevation = rise - between(habit.droop_deg) * way + between(habit.upturn_deg) * (way * way * way)
+    base = np.zeros((n, 3))
+    base[:, 2] = relative * length_m
+    unit = curves(rng, base * 0, azimuth, elevation, np.ones(n), habit.crook_deg)
+    branch_m = _lengths_m(habit, size_m, base[:, 2], unit) * rng.uniform(0.75, 1.05, n)
+    nodes = base[:, None] + unit * branch_m[:, None, None]
+    # Pipe model: the branches together are as thick as the stem that feeds them (Shinozaki et al. 1964),
+    # each in proportion to its length; none is thicker than most of the stem it sits on.
+    radius = stem_m[0] * branch_m / np.sqrt(np.square(branch_m).sum())
+    here = np.interp(relative, np.linspace(0, 1, len(stem_m)), stem_m)
+    return Branches(nodes, azimuth, branch_m, np.clip(radius, THINNEST_M, 0.6 * here))
+
+
+def side_branches(rng: np.random.Generator, twigs: Twigs, bearers: Branches, order: int) -> Branches:
+    """Branches that leave those of the order before on both sides; the last of each continues its bearer."""
+    leafy = bearers.length_m * (1 - twigs.start)
+    count = np.maximum(2, np.round(leafy * twigs.per_m).astype(np.int64))
+    bearer = np.repeat(np.arange(len(count)), count)
+    n = len(bearer)
+    rank = np.arange(n) - np.repeat(np.cumsum(count) - count, count)
+    terminal = rank == count[bearer] - 1
+    way = twigs.start + (1 - twigs.start) * (rank + rng.random(n)) / count[bearer]
+    way[terminal] = 1.0
+    base, tangent = points_along(bearers.nodes_m, bearer, way)
+    side = np.where(rank % 2 == 0, 1.0, -1.0)
+    roll = np.radians(twigs.roll_spread_deg) * rng.uniform(-1, 1, n)
+    open_angle = np.where(terminal, 0.0, np.radians(twigs.angle_deg + rng.normal(0.0, 8.0, n)))
+    level = unit(np.cross(tangent, [0.0, 0.0, 1.0])) * side[:, None]
+    upward = np.cross(tangent, level) * side[:, None] * -1.0
+    sideways = cos(roll)[:, None] * level + sin(roll)[:, None] * upward
+    heading = cos(open_angle)[:, None] * tangent + sin(open_angle)[:, None] * sideways
+    azimuth = atan2(heading[:, 1], heading[:, 0])
+    steps = (np.arange(_NODES[order] - 1) + 0.5) / (_NODES[order] - 1)
+    elevation = asin(np.clip(heading[:, 2], -1, 1))[:, None] - np.radians(twigs.droop_deg) * steps
+    share = twigs.length_share * (1 - 0.7 * way) * rng.uniform(0.7, 1.2, n)
+    length = np.clip(bearers.length_m[bearer] * share, *twigs.length_m)
+    nodes = curves(rng, base, azimuth, elevation, length, 0.0)
+    together = np.sqrt(np.bincount(bearer, np.square(length)))[bearer]
+    thickest = bearers.radius_m[bearer]
+    radius = np.minimum(thickest * length / together, thickest * _taper(way))
+    return Branches(nodes, azimuth, length, np.maximum(radius, THINNEST_M))
+
+
+def ground_stems(
+    rng: np.random.Generator,
+    size_m: tuple[float, float],
+    stems: int,
+    rise_deg: tuple[float, float],
+    bend_deg: tuple[float, float],
+    slenderness: float,
+) -> Branches:
+    """Stems of a shrub, that come out of the ground close together.
+
+    Parameters
+    ----------
+    size_m : height and width of the shrub
+    rise_deg : elevation at the ground of the outermost and the innermost stem
+    bend_deg : how much it falls towards the tip, and one sigma of the crooks on the way
+    """
+    height_m, width_m = size_m
+    inward = (np.arange(stems) + rng.random(stems)) / stems
+    azimuth = GOLDEN_ANGLE * np.arange(stems) + rng.normal(0.0, 0.3, stems)
+    base = np.zeros((stems, 3))
+    base[:, 0], base[:, 1] = cos(azimuth), sin(azimuth)
+    base *= (0.08 * width_m * np.sqrt(1 - inward))[:, None]
+    way = (np.arange(_NODES[1] - 1) + 0.5) / (_NODES[1] - 1)
+    rise = rise_deg[0] + (rise_deg[1] - rise_deg[0]) * inward + rng.normal(0.0, 4.0, stems)
+    elevation = np.radians(rise[:, None] - bend_deg[0] * way)
+    unit = curves(rng, base * 0, azimuth, elevation, np.ones(stems), bend_deg[1])
+    # As long as height or width allow, whichever binds first.
+    up = unit[:, :, 2].max(axis=1) / height_m
+    out = hypot(unit[..., 0], unit[..., 1]).max(axis=1) / (0.45 * width_m)
+    length_m = rng.uniform(0.75, 1.0, stems) / np.maximum(up, out)
+    # Below the ground as far as a slope may fall away under the foot.
+    base[:, 2] = -0.03 * width_m
+    nodes = base[:, None] + unit * length_m[:, None, None]
+    return Branches(nodes, azimuth, length_m, length_m / slenderness / 2 + THINNEST_M)
+
+
+def volume_m3(branches: Branches) -> float:
+    """Volume of round branches of these curves and radii, tip by tip a row of frusta."""
+    step_m = norm(np.diff(branches.nodes_m, axis=1))
+    low, high = branches.node_radius_m[:, :-1], branches.node_radius_m[:, 1:]
+    return float((np.pi / 3 * step_m * (np.square(low) + low * high + np.square(high))).sum())
+
+
+def joined(*parts: Branches) -> Branches:
+    """Branches of one order, in order."""
+    return Branches(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("nodes_m", "azimuth", "length_m", "radius_m")
+        )
+    )
+
+
+def points_along(nodes_m: Array, branch: NDArray[np.int64], way: Array) -> tuple[Array, Array]:
+    """Points and unit tangents on curves (n, m, 3) at shares `way` (p,) of their length.
+
+    Returns
+    -------
+    (p, 3) m, (p, 3)
+    """
+    last = nodes_m.shape[1] - 2
+    segment = np.minimum((way * (last + 1)).astype(np.int64), last)
+    start = nodes_m[branch, segment]
+    step = nodes_m[branch, segment + 1] - start
+    return start + step * (way * (last + 1) - segment)[:, None], unit(step)
+
+
+def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
+    """Tapering tubes, open at the base inside the bearer, pointed at the tip.
+
+    Parameters
+    ----------
+    sides : of the cross-section; its girth is that of the round branch, so that its silhouette, averaged
+        over all directions, is as wide as the branch is thick (Cauchy), however few the sides
+    every : use only each so-many-th node of the curve
+    """
+    nodes = branches.nodes_m[:, ::every]
+    n, rings = nodes.shape[0], nodes.shape[1] - 1
+    tangent = unit(np.gradient(nodes, axis=1)[:, :rings])
+    across = np.stack([-sin(branches.azimuth), cos(branches.azimuth), np.zeros(n)], axis=-1)[:, None]
+    across = unit(across - (across * tangent).sum(axis=-1, keepdims=True) * tangent)
+    other = np.cross(tangent, across)
+    half = np.pi / sides
+    corner = branches.radius_m[:, None] * _taper(np.arange(rings) / rings) * half / sin(half)
+    angle = 2 * half * np.arange(sides)[:, None]
+    round_about = cos(angle) * across[:, :, None] + sin(angle) * other[:, :, None]
+    ring = nodes[:, :rings, None] + corner[..., None, None] * round_about
+    vertices = np.concatenate([ring.reshape(n, rings * sides, 3), nodes[:, -1:]], axis=1)
+    one = pipe_faces(sides, rings, bottom=False).astype(np.int64)
+    faces = one + (np.arange(n) * vertices.shape[1])[:, None, None]
+    return Mesh(vertices.reshape(-1, 3).astype(np.float32), faces.reshape(-1, 3).astype(np.uint32))
+
+
+def _envelope(habit: Habit, relative: Array) -> Array:
+    """Crown radius over its largest, at relative heights (n,)."""
+    below = sin(np.pi / 2 * np.minimum(relative / habit.widest_at, 1.0))
+    above = np.clip((relative - habit.widest_at) / (1 - habit.widest_at), 0.0, 1.0)
+    radius: Array = (habit.base_fraction + (1 - habit.base_fraction) * below) * (
+        1 - power(above, habit.top_power)
+    )
+    return np.maximum(radius, 0.05)
+
+
+def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: Array, unit: Array) -> Array:
+    """Lengths (n,) at which branches from heights (n,) reach the envelope, along unit curves (n, m, 3)."""
+    length_m, width_m = size_m
+    away = hypot(unit[..., 0], unit[..., 1])
+    rows, outermost = np.arange(len(unit)), away.argmax(axis=1)
+    away, up = away[rows, outermost], unit[rows, outermost, 2]
+    low, high = np.zeros(len(unit)), np.full(len(unit), length_m + width_m)
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        relative = np.clip((base_m + up * middle) / length_m, 0.0, 1.0)
+        inside = away * middle < width_m / 2 * _envelope(habit, relative)
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+    return low
+
+
+def curves(
+    rng: np.random.Generator,
+    base: Array,
+    azimuth: Array,
+    elevation: Array,
+    length_m: Array,
+    crook_deg: float,
+) -> Array:
+    """Curves (n, m, 3) from bases (n, 3) whose segments have the given elevations (n, m - 1), rad."""
+    n, steps = elevation.shape
+    drift = rng.normal(0.0, 0.15, (n, 1)) * (np.arange(steps) + 0.5) / steps
+    bearing = azimuth[:, None] + drift
+    if crook_deg > 0:
+        crook = np.radians(crook_deg) * rng.standard_normal((2, n, steps))
+        bearing, elevation = bearing + crook[0], elevation + crook[1]
+    elevation = np.clip(elevation, -_STEEPEST, _STEEPEST)
+    flat = cos(elevation)
+    step = np.stack([flat * cos(bearing), flat * sin(bearing), sin(elevation)], axis=-1)
+    step *= (length_m / steps)[:, None, None]
+    return np.concatenate([base[:, None], base[:, None] + np.cumsum(step, axis=1)], axis=1)
+
+
+def _taper(way: Array) -> Array:
+    return 1 - (1 - _TIP_SHARE) * way

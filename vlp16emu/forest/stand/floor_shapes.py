@@ -1,0 +1,327 @@
+"""Shapes and labels of what lies on the ground: stones, dead wood, tufts of grass and what else covers it, all of unit size.
+
+They are grown once for each variant, and stretched to size where they are placed.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache, partial
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import cos, hypot, matvec, norm, sin
+from vlp16emu.forest.plants.flora import GROUND_MATERIALS
+from vlp16emu.forest.plants.meshes import closed, merged
+from vlp16emu.forest.stand.low_shapes import dwarf_shrub, fern, herb, litter_heap, moss_cushion
+from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, distinct
+from vlp16emu.random import Purpose, generator
+from vlp16emu.types import SURFACE, Mesh, PlantPart, Semantic
+from vlp16emu.world.vectors import unit
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FLOOR_VARIANTS = 6
+"""Different shapes of each kind."""
+
+STUMP_DEPTH = 0.5
+"""How far a stump reaches into the ground, over its height above it."""
+
+_STONE_SPLITS, _LARGE_STONE_SPLITS = 2, 3
+"""Times that the faces of an icosahedron are quartered: 320 and 1280 faces."""
+
+_ICOSAHEDRON = (
+    *((0, 8, 4), (5, 0, 2), (2, 0, 4), (7, 3, 1), (8, 1, 6)),
+    *((4, 8, 6), (1, 3, 6), (10, 1, 8), (10, 0, 5), (8, 0, 10)),
+    *((10, 7, 1), (5, 7, 10), (11, 7, 5), (5, 2, 11), (3, 7, 11)),
+    *((4, 6, 9), (9, 2, 4), (9, 6, 3), (9, 11, 2), (3, 11, 9)),
+)
+"""Faces, counter-clockwise seen from outside; corners as in `_icosphere`."""
+
+_LOBES, _LOBE_HEIGHT = 6, 0.05
+"""Sines that shape a stone, and the amplitude of each over the radius; assumption."""
+
+_ROUND_SIDES = 16
+"""Of logs and stumps."""
+
+LOG_TAPER = 0.2
+"""Difference of a log's end diameters from its mean one, either way; assumption: 1 cm per metre and broken tips."""
+
+_LOG_BOW = 0.5
+"""Of a log to one side and the other, one sigma over its diameter; half of that to and fro besides: assumptions."""
+
+_PIECE_TAPER, _PIECE_BOW = 0.1, 0.15
+"""Of half a log."""
+
+_LOG_SPLINTERS, _STUMP_SPLINTERS = 0.05, 0.45
+"""Half-range of the ends' corners over the length of a piece of a log, and over the height of a broken stump; assumptions."""
+
+_PLATE_SIDES, _PLATE_ROOTS = 20, 10
+_PLATE_PROFILE = ((-0.8, 0.4), (-0.55, 0.75), (-0.25, 1.0), (0.0, 0.9), (0.15, 0.5))
+"""Along the log over the plate's thickness, and away from its axis over the radius: the side of the roots is a paraboloid, as
+that of birch is (Forests 12(1), 2021, 20: an elliptic paraboloid); the side of the stem, once level ground, is flat."""
+
+_PLATE_BUMPS = 0.08
+"""Half-range of the surface over the thickness; assumption."""
+
+_REFLECTANCE = {
+    "stone": 0.30,
+    "dead wood": 0.40,
+    "litter": 0.30,
+    "moss": 0.35,
+    **dict.fromkeys(("grass", "herb", "fern", "dwarf shrub"), 0.45),
+}
+"""At 903 nm: rock, weathered wood like oak bark, dry leaves like the ground, green ones like those of shrubs; assumptions."""
+
+_REFLECTANCE_SPREAD = 0.08
+"""Half-range between things, as between the barks of trees; assumption."""
+
+_BLADES = 22
+"""Of a tuft."""
+
+_BLADE_AREA = 0.012
+"""One-sided, of a tuft's blade on average, over the square of its height; assumption."""
+
+
+class FloorKind(StrEnum):
+    """What lies or stands on the ground and is no shrub and no tree."""
+
+    STONE = "stone"
+    LOG = "log"
+    STUMP = "stump"
+    TUFT = "tuft"
+    HERB = "herb"
+    FERN = "fern"
+    DWARF_SHRUB = "dwarf_shrub"
+    MOSS_CUSHION = "moss_cushion"
+    LITTER_HEAP = "litter_heap"
+    BROKEN_LOG = "broken_log"
+    BROKEN_STUMP = "broken_stump"
+    ROOT_PLATE = "root_plate"
+
+
+GROUND_KINDS = frozenset({FloorKind.MOSS_CUSHION, FloorKind.LITTER_HEAP})
+"""What is part of the ground."""
+
+
+@dataclass(frozen=True, slots=True)
+class FloorKey:
+    """Name of a shape, and with the seed all that it is grown from."""
+
+    kind: FloorKind
+    variant: int
+    large: bool = False
+    """Whether it is a stone so large that its faces would be seen."""
+
+
+def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
+    """Grow the one mesh of a shape.
+
+    A stone spans -0.5 to 0.5 in z, and its outline seen from above has the area of a circle of diameter
+    1. A log lies along x from -0.5 to 0.5 with mean diameter 1, and so does a piece of a broken one. A stump
+    is 1 high over the ground and 1 wide at the top. A root plate of diameter and thickness 1 stands across x, its
+    roots at -x, and the butt of its log ends at the origin. All others are 1 high and have their foot at the origin.
+    """
+    rng = generator(seed, Purpose.FLOOR_SHAPE, list(FloorKind).index(key.kind), key.variant)
+    return (_stone(rng, _LARGE_STONE_SPLITS) if key.large else _SHAPES[key.kind].grow(rng),)
+
+
+def labelled(
+    kind: FloorKind,
+    keep: Mask,
+    world_T: Array,
+    draws: Array,
+    *,
+    species: NDArray[np.int64] | None = None,
+    large: Mask | None = None,
+) -> PlacedThings:
+    """Label those things (n,) that are kept; draws (n, 2 or more) choose variant and brightness."""
+    variants = (FLOOR_VARIANTS * draws[keep, 0]).astype(int).tolist()
+    larges = [False] * len(variants) if large is None else large[keep].tolist()
+    keys, shape = distinct([_key(kind, *how) for how in zip(variants, larges, strict=True)])
+    own = _SHAPES[kind]
+    rows = np.zeros((len(variants), 1), SURFACE)
+    rows["semantic"], rows["part"] = own.semantic, own.part
+    rows["material"] = GROUND_MATERIALS.index(own.material)
+    rows["reflectance"] = _REFLECTANCE[own.material] + _REFLECTANCE_SPREAD * (2 * draws[keep, 1:2] - 1)
+    if species is not None:
+        rows["species"] = species[keep, None]
+    return PlacedThings(keys, shape, world_T[keep], rows, NO_TREES, is_ground=kind in GROUND_KINDS)
+
+
+@cache
+def _key(kind: FloorKind, variant: int, large: bool) -> FloorKey:
+    """Keys are few; one object for each."""
+    return FloorKey(kind, variant, large)
+
+
+def _stone(rng: np.random.Generator, splits: int = _STONE_SPLITS) -> Mesh:
+    """Icosphere with sine lobes."""
+    sphere, faces = _icosphere(splits)
+    waves = rng.normal(0.0, 2.5, (3, _LOBES))
+    lobes = _LOBE_HEIGHT * sin(matvec(waves.T, sphere) + rng.uniform(0, 2 * np.pi, _LOBES))
+    vertices = sphere * (1 + lobes.sum(axis=1, keepdims=True))
+    low, high = vertices[:, 2].min(), vertices[:, 2].max()
+    vertices[:, 2] = (vertices[:, 2] - low) / (high - low) - 0.5
+    vertices[:, :2] -= vertices[:, :2].mean(axis=0)
+    vertices[:, :2] *= np.sqrt(np.pi / 4 / _outline_m2(vertices[:, :2]))
+    return Mesh(vertices.astype(np.float32), faces)
+
+
+def _outline_m2(points: Array) -> float:
+    """Return the area of the convex hull of points (n, 2), by Andrew's monotone chain."""
+    ordered = points[np.lexsort(points.T)].tolist()
+    area = 0.0
+    for way in (ordered, ordered[::-1]):
+        chain: list[list[float]] = []
+        for x, y in way:
+            while len(chain) > 1 and _is_right_turn(chain[-2], chain[-1], (x, y)):
+                chain.pop()
+            chain.append([x, y])
+        area += sum(a[0] * b[1] - a[1] * b[0] for a, b in pairwise(chain)) / 2
+    return area
+
+
+def _is_right_turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> bool:
+    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _icosphere(splits: int) -> tuple[Array, NDArray[np.uint32]]:
+    """Quarter the faces of an icosahedron again and again: unit vectors (v, 3) and triangles (f, 3)."""
+    golden = (1 + np.sqrt(5)) / 2
+    corners = [np.roll((0.0, a, b * golden), axis) for axis in range(3) for a in (-1, 1) for b in (-1, 1)]
+    vertices, faces = np.array(corners) / hypot(1, golden), np.array(_ICOSAHEDRON)
+    for _ in range(splits):
+        edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        pairs, index = np.unique(edges, axis=0, return_inverse=True)
+        middle = len(vertices) + index.reshape(-1, 3)
+        between = vertices[pairs].sum(axis=1)
+        vertices = np.concatenate([vertices, unit(between)])
+        (a, b, c), (ab, bc, ca) = faces.T, middle.T
+        quarters = np.array([(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)])
+        faces = quarters.transpose(0, 2, 1).reshape(-1, 3)
+    return vertices, faces.astype(np.uint32)
+
+
+def _log(
+    rng: np.random.Generator, taper: float = LOG_TAPER, bow: float = _LOG_BOW, *, splinters: float = 0.0
+) -> Mesh:
+    """Tapering trunk with broken ends, its thick end at -x, which lies bowed to one side."""
+    along = np.linspace(-0.5, 0.5, 9)
+    rings, ends = _drum(rng, along, 0.5 * (1 - 2 * taper * along), slant=0.01)
+    if splinters:
+        for end in (0, -1):
+            rings[end, :, 2] += splinters * rng.uniform(-1, 1, _ROUND_SIDES)
+    mesh = closed(rings, ends)
+    vertices = np.ascontiguousarray(mesh.vertices_m[:, [2, 0, 1]])
+    aside, sway = rng.normal(0.0, bow, 2) * [1.0, 0.4]
+    x = vertices[:, 0]
+    vertices[:, 1] += aside * (1 / 3 - 4 * x * x) + sway * sin(2 * np.pi * x)
+    return Mesh(vertices, mesh.faces)
+
+
+def _stump(rng: np.random.Generator, *, splinters: float = 0.0) -> Mesh:
+    """Foot of a felled tree, with its root flare; of one that broke or decays, the top is jagged and hollow."""
+    heights = np.array([-STUMP_DEPTH, 0.0, 0.3, 1.0])
+    rings, ends = _drum(rng, heights, 0.5 * np.array([1.6, 1.45, 1.15, 1.0]), slant=0.06)
+    if splinters:
+        rings[-1, :, 2] += splinters * rng.uniform(-1, 1, _ROUND_SIDES)
+        ends[-1, 2] -= splinters
+    return closed(rings, ends)
+
+
+def _root_plate(rng: np.random.Generator) -> Mesh:
+    """Irregular disc of soil with roots that stick out of it."""
+    sides, (along, away) = _PLATE_SIDES, np.array(_PLATE_PROFILE).T
+    angle = 2 * np.pi * np.arange(sides) / sides
+    rim = 1 + sum(s * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n, s in ((2, 0.1), (3, 0.08), (7, 0.05)))
+    radius = 0.5 * away[:, None] * rim
+    z = along[:, None] + _PLATE_BUMPS * rng.uniform(-1, 1, (len(along), sides))
+    soil = np.stack([radius * cos(angle), radius * sin(angle), z], axis=-1)
+    pieces = [closed(soil, np.array([[0.0, 0.0, -0.95], [0.0, 0.0, 0.2]]))]
+    for towards in rng.uniform(0, 2 * np.pi, _PLATE_ROOTS).tolist():
+        foot, tip = rng.uniform(0.2, 0.4), rng.uniform(0.35, 0.65)
+        ends = np.array([[foot, -0.45], [tip, rng.uniform(-1.4, -0.6)]])
+        ends = np.column_stack([ends[:, 0] * cos(towards), ends[:, 0] * sin(towards), ends[:, 1]])
+        corners = np.stack([cos(angle[::4]), sin(angle[::4]), 0 * angle[::4]], axis=-1)
+        pieces.append(closed(ends[::-1, None] + np.array([0.01, 0.03])[:, None, None] * corners, ends[::-1]))
+    plate = merged(*pieces)
+    return Mesh(np.ascontiguousarray(plate.vertices_m[:, [2, 0, 1]]), plate.faces)
+
+
+def _drum(rng: np.random.Generator, at: Array, radius: Array, *, slant: float) -> tuple[Array, Array]:
+    """Rings (r, sides, 3) about the z axis and middles (2, 3) of the ends, with weathered ribs and ends not quite square."""
+    sides = _ROUND_SIDES
+    angle = 2 * np.pi * np.arange(sides) / sides
+    ribs = sum(0.04 * cos(n * angle + rng.uniform(0, 2 * np.pi)) for n in (2, 3, 5))
+    # Corners stand out so far that the cross-section has the area of its circle, ribs and all.
+    corner = radius[:, None] * (1 + ribs) * np.sqrt(2 * np.pi / sides / sin(2 * np.pi / sides) / 1.0024)
+    x, y = corner * cos(angle), corner * sin(angle)
+    z = np.repeat(at[:, None], sides, axis=1)
+    tilt = slant * rng.normal(0.0, 1.0, (2, 2))
+    for end, (tilt_x, tilt_y) in zip((0, -1), tilt, strict=True):
+        z[end] += tilt_x * x[end] + tilt_y * y[end]
+    rings = np.stack([x, y, z], axis=-1)
+    return rings, rings[[0, -1]].mean(axis=1)
+
+
+def _tuft(rng: np.random.Generator) -> Mesh:
+    """Blades that leave the ground together and bend outwards: a quad from the foot, and one to the tip."""
+    n = _BLADES
+    towards, lean = rng.uniform(0, 2 * np.pi, n), rng.uniform(0.05, 0.45, n)
+    length, foot = rng.uniform(0.6, 1.0, n), rng.normal(0.0, 0.05, (n, 2))
+    outward = np.stack([cos(towards), sin(towards), np.zeros(n)], axis=-1)
+    across = np.stack([-sin(towards), cos(towards), np.zeros(n)], axis=-1)
+    lean, length = lean[:, None], length[:, None]
+    up = np.array([0.0, 0.0, 1.0])
+    base = np.column_stack([foot, np.zeros(n)])
+    knee = base + length * (0.6 * up + 0.6 * lean * outward)
+    tip = knee + length * (0.4 * (1 - lean) * up + 0.8 * lean * outward)
+    tip[:, 2] /= tip[:, 2].max()
+    half_width = _half_width(base, knee, tip)
+    corners = [base - half_width * across, base + half_width * across]
+    corners += [knee + half_width * across, knee - half_width * across]
+    corners += [tip + 0.2 * half_width * across, tip - 0.2 * half_width * across]
+    vertices = np.stack(corners, axis=1).reshape(-1, 3).astype(np.float32)
+    quads = np.array([(0, 1, 2, 3), (3, 2, 4, 5)])
+    faces = (quads + 6 * np.arange(n)[:, None, None]).reshape(-1, 4)
+    return Mesh(vertices, faces.astype(np.uint32))
+
+
+def _half_width(base: Array, knee: Array, tip: Array) -> float:
+    """Half the width of blades that have the tuft's leaf area together; a blade narrows to a fifth above its knee."""
+    lower, upper = (float(norm(b - a).sum()) for a, b in ((base, knee), (knee, tip)))
+    return _BLADE_AREA * _BLADES / (2 * lower + 1.2 * upper)
+
+
+class _Shape(NamedTuple):
+    """What a kind looks like; the material of the ground is litter and soil."""
+
+    grow: Callable[[np.random.Generator], Mesh]
+    semantic: Semantic
+    part: PlantPart
+    material: str
+
+
+_WOOD = Semantic.DEADWOOD, PlantPart.STEM, "dead wood"
+_LEAVES = Semantic.GRASS, PlantPart.LEAF
+_SHAPES = {
+    FloorKind.STONE: _Shape(_stone, Semantic.STONE, PlantPart.NONE, "stone"),
+    FloorKind.LOG: _Shape(_log, *_WOOD),
+    FloorKind.STUMP: _Shape(_stump, *_WOOD),
+    FloorKind.TUFT: _Shape(_tuft, *_LEAVES, "grass"),
+    FloorKind.HERB: _Shape(herb, *_LEAVES, "herb"),
+    FloorKind.FERN: _Shape(fern, *_LEAVES, "fern"),
+    FloorKind.DWARF_SHRUB: _Shape(dwarf_shrub, *_LEAVES, "dwarf shrub"),
+    FloorKind.MOSS_CUSHION: _Shape(moss_cushion, Semantic.GROUND, PlantPart.NONE, "moss"),
+    FloorKind.LITTER_HEAP: _Shape(litter_heap, Semantic.GROUND, PlantPart.NONE, "litter"),
+    FloorKind.BROKEN_LOG: _Shape(
+        partial(_log, taper=_PIECE_TAPER, bow=_PIECE_BOW, splinters=_LOG_SPLINTERS), *_WOOD
+    ),
+    FloorKind.BROKEN_STUMP: _Shape(partial(_stump, splinters=_STUMP_SPLINTERS), *_WOOD),
+    FloorKind.ROOT_PLATE: _Shape(_root_plate, Semantic.DEADWOOD, PlantPart.ROOT_FLARE, "litter"),
+}

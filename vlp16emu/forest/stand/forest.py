@@ -1,0 +1,378 @@
+"""A forest without edge: tiles of ground and stems, with instanced crowns and things, around wherever one walks."""
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import cache, lru_cache
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.tiles import FarTile, TiledWindow
+from vlp16emu.forest.ground.trails import Trails
+from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
+from vlp16emu.forest.plants.far_stem import far_stems
+from vlp16emu.forest.plants.flora import Flora, flora, material_names
+from vlp16emu.forest.plants.ivy import IvyKey, ivy_meshes, ivy_tops_m
+from vlp16emu.forest.plants.sapling import SaplingKey, sapling_meshes
+from vlp16emu.forest.plants.shrub import ShrubKey, shrub_meshes
+from vlp16emu.forest.plants.stem import STEM_PARTS, StemKey, stem_meshes
+from vlp16emu.forest.stand.floor_shapes import FloorKey, floor_meshes
+from vlp16emu.forest.stand.kept import by_tile, key_text
+from vlp16emu.forest.stand.models import ModelKey, Models
+from vlp16emu.forest.stand.placed import (
+    NO_TREES,
+    PlacedThings,
+    Site,
+    Tile,
+    distinct,
+    packed,
+    plant_surfaces,
+)
+from vlp16emu.forest.stand.scatter import layers_of
+from vlp16emu.forest.stand.settings import Woods
+from vlp16emu.forest.stand.stand import TREE, foot_discs
+from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
+from vlp16emu.types import HeightField, Mesh, PlantPart, ShapeKey
+from vlp16emu.world.polyline import Corridor
+
+Array = NDArray[np.float64]
+Trees = NDArray[np.void]
+
+FIRST_FREE_INSTANCE = 0xFFFF0000
+"""Instance numbers of a forest stay below."""
+
+_NUMBERS_PER_TILE = 8192
+"""Numbers set aside for the trees and things of a tile."""
+
+_DENSEST_PER_HA = 125_000
+"""A tile then holds 5000 things on average; even in clusters of ten their number has a sigma under 240, and with all patches that
+there may be under 500, far from `_NUMBERS_PER_TILE`."""
+
+_TILES_IN_GROWTH = 16
+"""Tiles whose stems are grown together, kept until all of them are taken: more than are in growth at once."""
+
+_OVERHANG_M = 10.0
+"""How far crowns reach beyond the tile of their stem at most."""
+
+_ASIDE_M = 35.0
+"""How far a sensor may stray from the path and still see numbered trees only."""
+
+_MARGIN_M = 80.0
+"""Beyond reach of the path, all that is numbered: as far as a sensor strays, crowns overhang, half a tile's diagonal,
+and a tile more, since voxels of a tile are made of the tiles around it too."""
+
+
+class TreeSource(Protocol):
+    """Trees of a forest, grown or given."""
+
+    @property
+    def per_ha(self) -> float:
+        """Mean number of stems per hectare."""
+
+    @property
+    def species(self) -> Sequence[str]:
+        """Names of those of the canopy."""
+
+    def trees(self, ix: int, iy: int) -> Trees:
+        """Trees whose foot lies in a tile, `TREE` with id still 0."""
+
+    def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
+        """Name the crown prototype of a tree."""
+
+
+class ForestWorld:
+    """Trees, and what grows and lies under them, on a terrain; a `World`.
+
+    The same tree and the same stone have the same shape and number in every window and from either end
+    of the path.
+
+    Parameters
+    ----------
+    section : what the user wrote
+    stems : trees
+    seed : of the scenario
+    height_m : ground
+    path : of the sensor as a whole, fine enough that its chords are as good as the path itself
+    reach_m : how far the sensor sees
+    plants : trees and shrubs; those of the program if none are given
+    trails : where no saplings and shrubs grow
+    models : trees of the user's own
+    loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
+    near_m : as in `World`
+    name : of all that decides the forest, seed and path too, as a digest; empty where nothing is kept on disk
+    plants_name : of the plants, likewise
+
+    Raises
+    ------
+    GeometryError
+        for a path with numbers that are not finite, or more things than can be numbered
+    """
+
+    def __init__(
+        self,
+        section: Woods,
+        stems: TreeSource,
+        *,
+        seed: int,
+        height_m: HeightField,
+        path: Corridor,
+        reach_m: float,
+        plants: Flora | None = None,
+        trails: Trails | None = None,
+        models: Models | None = None,
+        loose_stems: bool = False,
+        near_m: float = math.inf,
+        name: str = "",
+        plants_name: str = "",
+    ) -> None:
+        self.section, self.height_m, self.plants = section, height_m, plants or flora()
+        self.seed, self.near_m, self.name, self._plants_name = seed, near_m, name, plants_name
+        self.models, self._loose_stems = models or Models(), loose_stems
+        self._path, self._reach_m = path, reach_m
+        layers = layers_of(section, seed, stems.species, self.plants, trails)
+        self._layers = [layer for layer in layers if layer.pattern.per_ha]
+        per_ha = stems.per_ha + sum(one.pattern.per_ha for one in self._layers if not one.kind.is_ground)
+        if per_ha > _DENSEST_PER_HA:
+            found = f"found {per_ha:.0f} trees and things per hectare"
+            raise GeometryError("forest", found, f"at most {_DENSEST_PER_HA}")
+        self._first_tile, self._tiles_across = _numbered_tiles(path.xy_m, reach_m)
+        # Twice what one window needs: tiles left behind fall out, tiles still in reach never do.
+        across = 4 + int((2 * reach_m + TILE_M) / TILE_M)
+        kept = 2 * across * across
+        self._tile = lru_cache(maxsize=kept)(by_tile(Tile, name, self._grow_tile))
+        self.far_tile = lru_cache(maxsize=kept)(by_tile(FarTile, name, self._far_tile))
+        self._trees = lru_cache(maxsize=kept)(stems.trees)
+        self._crown = cache(stems.crown)
+        self._stem_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_stems)
+        self._ivy_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_ivy)
+        self._discs = lru_cache(maxsize=kept)(
+            lambda ix, iy: foot_discs(self._trees(ix, iy), table=self.plants.trees)
+        )
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Names by `SURFACE` material number."""
+        return material_names(self.plants)
+
+    def trees(self, track_m: Array) -> Trees:
+        """Give the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
+        tiles = (self._tile(ix, iy) for ix, iy in self._in_view(track_m))
+        return np.concatenate([np.zeros(0, TREE), *(tile.trees for tile in tiles)])
+
+    def growing(self, track_m: Array) -> Iterator[float]:
+        """Grow the tiles in the window of positions (m, 2 or 3) one by one, and give the share that is there after each."""
+        names = self._in_view(track_m)
+        for done, (ix, iy) in enumerate(names, 1):
+            self._tile(ix, iy)
+            yield done / len(names)
+
+    def window(self, track_m: Array) -> TiledWindow:
+        """Everything within reach of sensor positions (n, 3).
+
+        Raises
+        ------
+        GeometryError
+            where the track leaves the surroundings of the path
+        """
+        names = self._in_view(track_m)
+        index_of = dict[ShapeKey, int]()
+        tiles = [self._tile(ix, iy) for ix, iy in names]
+        shape, first_surface, begins, rows = [], [], [], 0
+        for tile in tiles:
+            begins.append(rows)
+            index = np.array([index_of.setdefault(key, len(index_of)) for key in tile.keys])
+            shape.append(index[tile.shape])
+            first_surface.append(rows + tile.first_surface)
+            rows += len(tile.surfaces)
+        return TiledWindow(
+            origin_m=np.round(track_m.mean(axis=0)),
+            shapes=tuple(index_of),
+            shape=np.concatenate(shape).astype(np.int32),
+            world_T_shape=np.concatenate([tile.world_T_shape for tile in tiles]),
+            first_surface=np.concatenate(first_surface).astype(np.uint32),
+            surfaces=np.concatenate([tile.surfaces for tile in tiles]),
+            track_m=track_m,
+            tiles=tuple((ix, iy, row) for (ix, iy), row in zip(names, begins, strict=True)),
+            far=np.concatenate([tile.far for tile in tiles]),
+            low=np.concatenate([tile.low for tile in tiles]),
+        )
+
+    def shape_name(self, key: ShapeKey) -> str:
+        """Name a shape: of tiles by all of the forest, of others by seed and plants alone."""
+        if not self.name:
+            return ""
+        own = isinstance(key, TileKey | StemKey | IvyKey)
+        return f"{self.name if own else f'{self.seed} {self._plants_name}'} {key_text(key)}"
+
+    def _far_tile(self, ix: int, iy: int) -> FarTile:
+        """Describe a tile as it is seen from afar; trees that sway, stems and all, are not in it."""
+        tile = self._tile(ix, iy)
+        origin_m = tile_origin_m(ix, iy, self.height_m)
+        corner_m = np.array([origin_m[0], origin_m[1], 2.0 * np.round(origin_m[2] / 2.0)])
+        edge_m = np.arange(-2, 83) * 0.25
+        x, y = np.meshgrid(origin_m[0] + edge_m, origin_m[1] + edge_m, indexing="ij")
+        own = np.flatnonzero(tile.far)[1:]  # the first is the tile's own shape
+        keys, shape = distinct([tile.keys[which] for which in tile.shape[own].tolist()])
+        begins, rows = np.append(np.unique(tile.first_surface), len(tile.surfaces)), tile.first_surface[own]
+        # Of each shape a placement, whose parts end where those of another begin.
+        some = rows[np.unique(shape, return_index=True)[1]]
+        ends = begins[np.searchsorted(begins, some, side="right")]
+        parts = [
+            self.models.far_parts(key) or tile.surfaces["part"][row:end]
+            for key, row, end in zip(keys, some, ends, strict=True)
+        ]
+        trees = self._grown(ix, iy)
+        stems = far_stems(trees[:0] if self._loose_stems else trees, 1, table=self.plants.trees)
+        modelled = self.models.far_stems(
+            [keys[i] for i in shape], tile.world_T_shape[own], tile.first_surface[own]
+        )
+        return FarTile(
+            corner_m=corner_m,
+            keys=keys,
+            shape=shape,
+            world_T_shape=tile.world_T_shape[own],
+            first_surface=tile.first_surface[own],
+            first_part=np.cumsum([0, *map(len, parts)]),
+            part=np.concatenate([np.zeros(0, np.uint8), *parts]),
+            stems=np.concatenate([stems, modelled]),
+            ground_m=self.height_m(x, y),
+        )
+
+    def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
+        """Meshes of a tile (ground, then its stems), of a crown, or of a thing."""
+        match key:
+            case TileKey():
+                stems = [] if self._loose_stems else self._grow_stems(key)
+                return (ground_mesh(key, self.height_m), *stems)
+            case StemKey():
+                first = len(STEM_PARTS) * key.number
+                return tuple(self._stem_meshes(key.tile)[first : first + len(STEM_PARTS)])
+            case IvyKey():
+                return (self._ivy_meshes(key.tile)[key.number],)
+            case ModelKey():
+                return self.models.shape(key)
+            case CrownKey():
+                return crown_meshes(self.seed, key, table=self.plants.trees)
+            case SaplingKey():
+                return sapling_meshes(self.seed, key, table=self.plants.trees)
+            case ShrubKey():
+                return shrub_meshes(self.seed, key, table=self.plants.shrubs)
+            case FloorKey():
+                return floor_meshes(self.seed, key)
+        raise KeyError(key)
+
+    def _in_view(self, track_m: Array) -> list[tuple[int, int]]:
+        return [(ix, iy) for ix, iy in tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()]
+
+    def _grow_tile(self, ix: int, iy: int) -> Tile:
+        """One tile with its trees and things numbered."""
+        column, row = ix - self._first_tile[0], iy - self._first_tile[1]
+        if not (0 <= column < self._tiles_across[0] and 0 <= row < self._tiles_across[1]):
+            raise GeometryError(
+                "track", f"reaches tile ({ix}, {iy})", f"no more than {_ASIDE_M:g} m off the path"
+            )
+        key = TileKey(ix, iy)
+        trees = self._trees(ix, iy).copy()
+        number = 1 + (column * self._tiles_across[1] + row) * _NUMBERS_PER_TILE
+        trees["id"] = number + np.arange(len(trees))
+        number += len(trees)
+        is_modelled = self.models.has(trees)
+        grown = trees[~is_modelled]
+        modelled = self.models.placed(trees[is_modelled], is_exact=self._loose_stems)
+        groups, rooted = [self._crowns(grown), *modelled], grown
+        if self._loose_stems:
+            stems = self._in_tile(StemKey, key, np.arange(len(grown)), grown, STEM_PARTS)
+            groups, rooted = [stems, *groups], grown[:0]
+        if self.section.ivy.share:
+            groups.append(
+                self._in_tile(IvyKey, key, np.flatnonzero(self._ivy_m(grown)), grown, (PlantPart.LEAF,))
+            )
+        for placed in self._things(key):
+            groups.append(placed)
+            if placed.is_ground:
+                continue
+            numbers = number + np.arange(len(placed.shape))
+            placed.surfaces["instance"] = numbers[:, None]
+            if len(placed.trees):
+                placed.trees["id"] = numbers
+            number += len(placed.shape)
+        tile = packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
+        tile.surfaces["texture"] = np.where(
+            tile.surfaces["part"] == PlantPart.LEAF, 0.0, self.section.texture
+        )
+        return tile
+
+    def _grown(self, ix: int, iy: int) -> Trees:
+        trees = self._trees(ix, iy)
+        grown: Trees = trees[~self.models.has(trees)]
+        return grown
+
+    def _grow_stems(self, key: TileKey) -> list[Mesh]:
+        """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, in the tile's frame."""
+        trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
+        return stem_meshes(trees, origin_m, self.height_m, table=self.plants.trees)
+
+    def _grow_ivy(self, key: TileKey) -> list[Mesh]:
+        trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
+        tops_m = self._ivy_m(trees)
+        return ivy_meshes(trees, tops_m, origin_m, seed=self.seed, tile=key, table=self.plants.trees)
+
+    def _ivy_m(self, trees: Trees) -> Array:
+        return ivy_tops_m(trees, self.section.ivy.share, self.section.ivy.height_m, seed=self.seed)
+
+    def _in_tile(
+        self,
+        kind: type[StemKey | IvyKey],
+        key: TileKey,
+        numbers: NDArray[np.intp],
+        trees: Trees,
+        parts: tuple[PlantPart, ...],
+    ) -> PlacedThings:
+        """Place shapes that are in the frame of their tile, of some of its trees."""
+        world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
+        return PlacedThings(
+            tuple(kind(key, number) for number in numbers.tolist()),
+            np.arange(len(numbers)),
+            np.repeat(world_T_tile[None], len(numbers), axis=0),
+            plant_surfaces(trees[numbers], parts, self.plants),
+            NO_TREES,
+            is_exact=self._loose_stems,
+        )
+
+    def _crowns(self, trees: Trees) -> PlacedThings:
+        """Place the crowns of a tile's trees."""
+        names = trees[["cohort", "crown_class", "crown_variant"]].tolist()
+        crowns = [self._crown(*name) for name in names]
+        keys, shape = distinct(crowns)
+        return PlacedThings(
+            keys,
+            shape,
+            crown_placements(trees, crowns),
+            plant_surfaces(trees, CROWN_PARTS, self.plants),
+            trees,
+            is_exact=self._loose_stems,
+        )
+
+    def _things(self, key: TileKey) -> list[PlacedThings]:
+        """Everything else on a tile."""
+        if not self._layers:
+            return []
+        trunks = around(key.ix, key.iy, self._discs)
+        site = Site(self.seed, key.ix, key.iy, self.height_m, self._path, trunks)
+        return [layer.place(site) for layer in self._layers]
+
+
+def _numbered_tiles(path_xy_m: Array, reach_m: float) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First tile and number of tiles, in x and y, of the box around all that the walk can see."""
+    if not np.isfinite(path_xy_m).all():
+        row = int(np.flatnonzero(~np.isfinite(path_xy_m).all(axis=1))[0])
+        raise GeometryError(f"path_xy_m[{row}]", f"found {path_xy_m[row].tolist()}", "finite numbers")
+    aside = reach_m + _MARGIN_M
+    low = np.floor((path_xy_m.min(axis=0) - aside) / TILE_M).astype(int)
+    across = np.floor((path_xy_m.max(axis=0) + aside) / TILE_M).astype(int) - low + 1
+    if int(across[0]) * int(across[1]) * _NUMBERS_PER_TILE >= FIRST_FREE_INSTANCE:
+        size = " x ".join(f"{n * TILE_M / 1000:.0f} km" for n in across)
+        raise GeometryError("path_xy_m", f"spans {size} with what is in reach", "at most 209 km2")
+    return (int(low[0]), int(low[1])), (int(across[0]), int(across[1]))

@@ -1,0 +1,238 @@
+"""The truth about trees that stand: one row for each, computed from the meshes that are scanned."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from io import TextIOWrapper
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import matvec
+from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
+from vlp16emu.forest.plants.crown import (
+    CROWN_PARTS,
+    CrownKey,
+    crown_meshes,
+    crown_placements,
+    crown_scale,
+    crown_wood_m3,
+)
+from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.plants.stem import STEM_PARTS, stems_above_ground, vertex_angles
+from vlp16emu.forest.plants.stem_form import polygon_m2, tape_m
+from vlp16emu.forest.plants.stem_rings import axis_m, stem_rings
+from vlp16emu.forest.stand.stand import TREE
+from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.world.vectors import places_m
+
+Array = NDArray[np.float64]
+Trees = NDArray[np.void]
+
+INVENTORY = np.dtype(
+    [
+        ("id", "<u4"),  # instance number in labels
+        ("species", "<u2"),  # number in the species table
+        ("x_m", "<f8"),  # foot: where the stem's axis leaves the ground
+        ("y_m", "<f8"),
+        ("z_m", "<f8"),
+        ("x_breast_m", "<f8"),  # middle of the section at breast height, 1.3 m above the foot
+        ("y_breast_m", "<f8"),
+        ("dbh_m", "<f8"),  # area-equivalent, across the axis as it runs there
+        ("dbh_us_m", "<f8"),  # the same at 1.37 m, where North America measures it
+        ("girth_over_pi_m", "<f8"),  # what a taut tape around that section shows
+        ("height_m", "<f8"),  # of the stem's tip over the foot, vertical
+        ("top_m", "<f8"),  # of the highest point of all, tip, branch or leaf, over the foot, vertical
+        ("x_min_m", "<f8"),  # box around stem, branches and leaves; from z_m up by top_m
+        ("x_max_m", "<f8"),
+        ("y_min_m", "<f8"),
+        ("y_max_m", "<f8"),
+        ("crown_base_m", "<f8"),  # of the crown's lowest branch over the foot, vertical
+        ("crown_width_m", "<f8"),
+        ("lean_deg", "<f8"),  # of the line from foot to tip from the vertical
+        ("lean_towards_deg", "<f8"),  # counter-clockwise from east
+        ("stem_m3", "<f8"),  # volume of the stem over bark, from the ground at the axis to the tip
+        ("wood_m3", "<f8"),  # that and all branches; where they start inside the stem they count twice
+        ("leaf_m2", "<f8"),  # one-sided
+        ("biomass_kg", "<f8"),  # dry, above ground, by the species' equation; NaN where none is known
+        ("list_line", "<u4"),  # of the stem list that names the tree, 0 where it has grown
+    ]
+)
+"""One tree of the inventory. Tops, volumes and areas are those of its meshes."""
+
+COPIED = tuple(name for name in INVENTORY.names or () if name in (TREE.names or ()))
+"""What rows have from `TREE` as it is."""
+
+_DECIMALS = 4
+"""Of the numbers in a file: a tenth of a millimetre, a tenth of a litre."""
+
+
+def inventory(
+    trees: Trees,
+    crowns: Sequence[CrownKey],
+    *,
+    seed: int,
+    table: Mapping[str, Species] | None = None,
+) -> NDArray[np.void]:
+    """Take the inventory of trees.
+
+    Parameters
+    ----------
+    trees : (n,) `TREE` records
+    crowns : the crown prototype of each
+    seed : that the crowns are grown from
+    table : species; that of the program if none is given
+
+    Returns
+    -------
+    (n,) `INVENTORY`, in the order of the trees
+    """
+    table = table or species_table()
+    rows = np.zeros(len(trees), INVENTORY)
+    for name in COPIED:
+        rows[name] = trees[name]
+    _measure_sections(rows, trees, table)
+    meshes = stems_above_ground(trees, table=table)
+    ends_m = np.array([[mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)] for mesh in meshes])
+    span_m = ends_m.reshape(-1, len(STEM_PARTS), 2, 3)
+    span_m = np.stack([span_m[:, :, 0].min(axis=1), span_m[:, :, 1].max(axis=1)], axis=1, dtype=np.float64)
+    rows["stem_m3"] = _per_tree([volume_m3(mesh) for mesh in meshes]).sum(axis=1)
+    _measure_crowns(rows, span_m, trees, crowns, seed, table)
+    rows["top_m"] = span_m[:, 1, 2]
+    for axis, name in enumerate("xy"):
+        rows[f"{name}_min_m"], rows[f"{name}_max_m"] = (
+            trees[f"{name}_m"] + end_m for end_m in span_m[..., axis].T
+        )
+    rows["biomass_kg"] = np.nan
+    for species in table.values():
+        own = trees["species"] == species.number
+        sizes = (trees[name][own] for name in ("dbh_m", "height_m", "crown_base_m"))
+        rows["biomass_kg"][own] = species.biomass_kg(*sizes)
+    return rows
+
+
+def write_csv(
+    file: BinaryIO,
+    rows: NDArray[np.void],
+    more: NDArray[np.void] | None = None,
+    *,
+    table: Mapping[str, Species] | None = None,
+) -> None:
+    """Write an inventory with its column names as header; species by name, nothing where a number is unknown.
+
+    Parameters
+    ----------
+    rows : (n,) `INVENTORY`
+    more : (n,) further columns of numbers, if any
+    table : species; that of the program if none is given
+
+    Raises
+    ------
+    OSError
+        where the file cannot be written to its end
+    """
+    names = {species.number: name for name, species in (table or species_table()).items()}
+    text = TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    more = np.zeros(len(rows), []) if more is None else more
+    writer.writerow([*(INVENTORY.names or ()), *(more.dtype.names or ())])
+    for row, others in zip(rows.tolist(), more.tolist(), strict=True):
+        number, species, *values, line = row
+        writer.writerow([number, names[species], *map(_text, values), line or "", *map(_text, others)])
+    text.detach()
+
+
+def _text(value: float) -> str:
+    """Write a number; nothing where it is unknown."""
+    if isinstance(value, int):
+        return str(value)
+    return "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
+
+
+def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Mapping[str, Species]) -> None:
+    """Fill in what follows from the sections of the stems at breast height."""
+    rings = stem_rings(trees, table=table)
+    at = BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
+    middle_m = axis_m(trees, rings.forms, np.full((len(trees), 1), BREAST_HEIGHT_M))[:, 0]
+    rows["x_breast_m"], rows["y_breast_m"] = trees["x_m"] + middle_m[:, 0], trees["y_m"] + middle_m[:, 1]
+    for i, sides in enumerate(rings.sides.tolist()):
+        one = slice(i, i + 1)
+        above_m, radius_m = rings.above_ground_m[one], rings.radius_m[one]
+        angle, breast_m = vertex_angles(trees[one], sides), trees["dbh_m"][one] / 2
+        away_m = rings.forms.of(np.array([i])).outline(angle, above_m, radius_m, breast_m)[0]
+        breast, us = np.array([[np.interp(z, above_m[0], side) for side in away_m.T] for z in at])
+        rows["girth_over_pi_m"][i] = tape_m(breast[None])[0]
+        rows["dbh_us_m"][i] = 2 * np.sqrt(polygon_m2(us, 2 * np.pi / sides) / np.pi)
+
+
+def _per_tree(values: list[float]) -> Array:
+    """Values of the meshes of `STEM_PARTS`, tree by tree, (n, parts)."""
+    return np.array(values).reshape(-1, len(STEM_PARTS))
+
+
+def volume_m3(mesh: Mesh) -> float:
+    """Volume of a mesh, or of the cone from the origin to it where it is open."""
+    a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
+    return float((a * np.cross(b, c)).sum() / 6)
+
+
+def _measure_crowns(
+    rows: NDArray[np.void],
+    span_m: Array,
+    trees: Trees,
+    crowns: Sequence[CrownKey],
+    seed: int,
+    table: Mapping[str, Species],
+) -> None:
+    """Fill in wood and leaves, prototype by prototype, each stretched as its trees stretch it; widen spans (n, 2, 3) to them."""
+    wide, long = crown_scale(trees, crowns)
+    rows["wood_m3"] = rows["stem_m3"]
+    foot_T_crown = crown_placements(trees, crowns)
+    foot_T_crown[:, :, 3] -= places_m(trees)
+    own: dict[CrownKey, list[int]] = {}
+    for i, key in enumerate(crowns):
+        own.setdefault(key, []).append(i)
+    for key, which in own.items():
+        rows["wood_m3"][which] += crown_wood_m3(seed, key, table=table) * np.square(wide[which]) * long[which]
+        meshes = crown_meshes(seed, key, table=table)
+        low_m, high_m = _spans_m(meshes, foot_T_crown[which])
+        span_m[which, 0] = np.minimum(span_m[which, 0], low_m)
+        span_m[which, 1] = np.maximum(span_m[which, 1], high_m)
+        leaves = meshes[CROWN_PARTS.index(PlantPart.LEAF)]
+        foliage = table[key.species].foliage
+        if foliage is not None and len(leaves.faces):
+            areas = _stretched_m2(leaves, wide[which], long[which])
+            rows["leaf_m2"][which] = foliage.clumping * areas
+
+
+def _stretched_m2(leaves: Mesh, wide: Array, long: Array) -> Array:
+    """Area (n,) of planar quads after each of n stretches, across and along the axis."""
+    a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
+    x, y, z = (np.cross(c - a, d - b) / 2).T
+    level, steep = np.square(z), np.square(x) + np.square(y)
+    return np.array(
+        [w * np.sqrt(level * w * w + steep * h * h).sum() for w, h in zip(wide, long, strict=True)]
+    )
+
+
+def _spans_m(meshes: Sequence[Mesh], foot_T_crown: Array) -> tuple[Array, Array]:
+    """Least and greatest coordinates (n, 3) of any vertex by n transforms (n, 3, 4); infinite where there is none."""
+    places = hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))
+    low_m, high_m = np.full((2, len(foot_T_crown), 3), [[[np.inf]], [[-np.inf]]])
+    for i, transform in enumerate(foot_T_crown):
+        at_m = matvec(transform[:, :3], places) + transform[:, 3]
+        low_m[i] = at_m.min(axis=0, initial=np.inf)
+        high_m[i] = at_m.max(axis=0, initial=-np.inf)
+    return low_m, high_m
+
+
+def hull_m(points_m: Array) -> Array:
+    """Those of the points (n, 2 or 3) that span their convex hull; all, where they span no area or volume."""
+    from scipy.spatial import ConvexHull, QhullError  # here: it takes a while to load
+
+    try:
+        hull: Array = points_m[ConvexHull(points_m).vertices]
+    except (QhullError, ValueError):  # few or flat
+        return points_m
+    return hull

@@ -1,0 +1,180 @@
+"""What is near a path, and a piece cut out of the world."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import matvec, norm
+from vlp16emu.forest.plants.sapling import SaplingKey
+from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
+from vlp16emu.forest.stand.inventory import hull_m
+from vlp16emu.forest.tiles import TILE_M, TileKey
+from vlp16emu.types import Mesh, Semantic, ShapeKey, Window
+from vlp16emu.world.polyline import Polyline
+
+Array = NDArray[np.float64]
+Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class AllNear:
+    """World of one window, in which nothing is seen from afar."""
+
+    inside: Window
+    shape: Grow
+    near_m: float = math.inf
+    seed: int = 0
+
+    def window(self, _track_m: Array) -> Window:
+        """Give the window, from wherever."""
+        return self.inside
+
+    def shape_name(self, _key: ShapeKey) -> str:
+        """Give none: no shape is kept on disk."""
+        return ""
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """What stands or lies there and is no tree of the stand."""
+
+    placement: int
+    """In the window."""
+    instance: int
+    species: int
+    kind: str
+    """`sapling`, or of what lies or is low the `FloorKind`; of anything else its semantic class in small letters."""
+    place_m: Array
+    """(3,) origin of its shape in the world."""
+    outline_m: Array
+    """(k, 2) convex outline seen from above, counter-clockwise, in the world."""
+    size_m: tuple[float, float, float]
+    """Along the axes of its own shape: of stones length, width and height; of logs length and mean diameter; of
+    stumps the diameter at the top and the height; of anything else its extent."""
+
+
+def things_near(
+    window: Window, shape: Grow, *, trees: NDArray[np.uint32], path: Polyline, radius_m: float
+) -> list[Thing]:
+    """Things whose place is within a radius of a path, in the order of the window.
+
+    Parameters
+    ----------
+    window, shape : of the world
+    trees : (n,) instances that are trees and so no things
+    """
+    is_thing = np.array([not _is_ground(key) for key in window.shapes], np.bool_)[window.shape]
+    no_tree = ~np.isin(window.surfaces["instance"][window.first_surface], trees)
+    near = path.distance_m(window.world_T_shape[:, :2, 3]) <= radius_m
+    corners = cache(lambda key: _corners_m(shape(key)))
+    return [
+        _thing(window, int(i), corners(window.shapes[window.shape[i]]))
+        for i in np.flatnonzero(is_thing & no_tree & near)
+    ]
+
+
+def _is_ground(key: ShapeKey) -> bool:
+    return isinstance(key, TileKey) or (isinstance(key, FloorKey) and key.kind in GROUND_KINDS)
+
+
+def cut_out(
+    window: Window,
+    shape: Grow,
+    *,
+    instances: NDArray[np.uint32],
+    inside: Callable[[Array], NDArray[np.bool_]],
+) -> tuple[Window, Grow]:
+    """Leave of a window the ground of a place, and some instances whole.
+
+    Parameters
+    ----------
+    window, shape : of the world
+    instances : (n,) what is left besides ground
+    inside : which of points (n, 2) lie in the place
+
+    Returns
+    -------
+    A window of the same surfaces, and how its shapes grow: in tiles, meshes of other instances are left empty
+    """
+    wanted = np.isin(window.surfaces["instance"], instances)
+    keep, tile_at = _kept(window, wanted, inside)
+    used, which = np.unique(window.shape[keep], return_inverse=True)
+    left = Window(
+        origin_m=window.origin_m,
+        shapes=tuple(window.shapes[i] for i in used),
+        shape=which.astype(np.int32),
+        world_T_shape=window.world_T_shape[keep],
+        first_surface=window.first_surface[keep],
+        surfaces=window.surfaces,
+    )
+
+    def grow(key: ShapeKey) -> tuple[Mesh, ...]:
+        """Grow a shape; of a tile, only the ground of the place and the stems that are wanted."""
+        if not isinstance(key, TileKey):
+            return shape(key)
+        (ground, *stems), place = shape(key), tile_at[key]
+        corner_m, row = window.world_T_shape[place, :2, 3], int(window.first_surface[place]) + 1
+        middles_m = ground.vertices_m[ground.faces].mean(axis=1)[:, :2] + corner_m
+        stays = wanted[row : row + len(stems)].tolist()
+        paired = zip(stems, stays, strict=True)
+        cut = (mesh if whole else Mesh(mesh.vertices_m, mesh.faces[:0]) for mesh, whole in paired)
+        corners, faces = np.unique(ground.faces[inside(middles_m)], return_inverse=True)
+        return Mesh(ground.vertices_m[corners], faces.reshape(-1, 3).astype(np.uint32)), *cut
+
+    return left, grow
+
+
+def _kept(
+    window: Window, wanted: NDArray[np.bool_], inside: Callable[[Array], NDArray[np.bool_]]
+) -> tuple[NDArray[np.bool_], dict[TileKey, int]]:
+    """Which placements (n,) show a wanted surface or ground of the place; and the placement of each tile."""
+    keys = (window.shapes[which] for which in window.shape)
+    tile_at = {key: i for i, key in enumerate(keys) if isinstance(key, TileKey)}
+    keep = wanted[window.first_surface]
+    starts = np.append(np.sort(window.first_surface), len(wanted))
+    for key, i in tile_at.items():
+        first = window.first_surface[i]
+        end = starts[np.searchsorted(starts, first, side="right")]
+        # Points a metre apart miss no more of the place than a corner of it.
+        x_m, y_m = np.meshgrid(*(TILE_M * n + np.arange(TILE_M + 1) for n in (key.ix, key.iy)))
+        keep[i] = wanted[first:end].any() or inside(np.column_stack([x_m.ravel(), y_m.ravel()])).any()
+    return keep, tile_at
+
+
+def _thing(window: Window, placement: int, corners_m: Array) -> Thing:
+    """Look at one placement of a shape with these corners (k, 3)."""
+    key = window.shapes[window.shape[placement]]
+    row = window.surfaces[window.first_surface[placement]]
+    world_T_shape = window.world_T_shape[placement]
+    seen_m = (matvec(world_T_shape[:, :3], corners_m) + world_T_shape[:, 3])[:, :2]
+    # Shapes of the floor have unit size by what they are, not by their outermost corner.
+    unit_m = np.ones(3) if isinstance(key, FloorKey) else np.ptp(corners_m, axis=0)
+    size_m = unit_m * norm(world_T_shape[:, :3].T)
+    return Thing(
+        placement=placement,
+        instance=int(row["instance"]),
+        species=int(row["species"]),
+        kind=_kind(key, Semantic(row["semantic"])),
+        place_m=world_T_shape[:, 3].copy(),
+        outline_m=hull_m(seen_m),
+        size_m=(float(size_m[0]), float(size_m[1]), float(size_m[2])),
+    )
+
+
+def _kind(key: ShapeKey, semantic: Semantic) -> str:
+    """Say what a shape is."""
+    match key:
+        case FloorKey():
+            return key.kind.value
+        case SaplingKey():
+            return "sapling"
+    return semantic.name.lower()
+
+
+def _corners_m(meshes: Sequence[Mesh]) -> Array:
+    """Vertices (k, 3) that span the convex hull of a shape: all that outlines need, in any placement."""
+    return hull_m(np.concatenate([mesh.vertices_m for mesh in meshes]).astype(np.float64))

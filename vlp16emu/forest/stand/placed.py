@@ -1,0 +1,182 @@
+"""What a tile holds: its ground and stems, and things of the same few shapes, placed again and again."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import cos, hypot, sin
+from vlp16emu.forest.plants.flora import Flora, bark_material
+from vlp16emu.forest.plants.stem import STEM_PARTS
+from vlp16emu.forest.stand.stand import TREE
+from vlp16emu.forest.tiles import TileKey, tile_distance_m
+from vlp16emu.types import SURFACE, HeightField, PlantPart, Semantic, ShapeKey
+from vlp16emu.world.polyline import Corridor
+
+Array = NDArray[np.float64]
+Trees = NDArray[np.void]
+
+_LITTER_REFLECTANCE = 0.30
+"""Leaf litter and soil at 903 nm; assumption."""
+
+NO_TREES = np.zeros(0, TREE)
+"""Trees of a layer that has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedThings:
+    """Things of one kind on one tile."""
+
+    keys: tuple[ShapeKey, ...]
+    """Different shapes, each once."""
+    shape: NDArray[np.int64]
+    """(n,) index into `keys`."""
+    world_T_shape: Array
+    """(n, 3, 4)."""
+    surfaces: NDArray[np.void]
+    """(n, parts) `SURFACE`, of each thing's meshes in order; instance still 0."""
+    trees: NDArray[np.void]
+    """(n,) `TREE` with id still 0 where the things are trees, else (0,)."""
+    is_ground: bool = False
+    """As of their layer."""
+    is_exact: bool = False
+    """Whether they are cast as they are from any distance, and are no part of the `FarTile`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """A tile, and what keeps plants and things off it."""
+
+    seed: int
+    ix: int
+    iy: int
+    height_m: HeightField
+    """Ground."""
+    path: Corridor
+    trunks: Array
+    """(m, 3) x, y and radius at the ground of all stems on the tile and its neighbours."""
+
+    @property
+    def distance_m(self) -> float:
+        """Of the tile from the path, or less."""
+        return tile_distance_m((self.ix, self.iy), self.path)
+
+    def clear(self, xy_m: Array, reach_m: Array, foot_m: Array) -> NDArray[np.bool_]:
+        """Which points (n, 2) keep `reach_m` (n,) away from the path, and `foot_m` (n,) from all trunks."""
+        free = np.asarray(self.path.distance_m(xy_m) - reach_m >= self.path.clearance_m)
+        dx, dy = (xy_m[:, None, axis] - self.trunks[:, axis] for axis in (0, 1))
+        gap_m = foot_m[:, None] + self.trunks[:, 2]
+        blocked = np.asarray((dx * dx + dy * dy < gap_m * gap_m).any(axis=1))
+        return np.logical_and(free, ~blocked)
+
+
+def between(limits: tuple[float, float], draw: Array) -> Array:
+    """Evenly from limits[0] to limits[1]."""
+    value: Array = limits[0] + (limits[1] - limits[0]) * draw
+    return value
+
+
+def distinct(keys: Sequence[ShapeKey]) -> tuple[tuple[ShapeKey, ...], NDArray[np.int64]]:
+    """Split keys into the different ones, each once, and the index of each into them."""
+    index_of = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    return tuple(index_of), np.array([index_of[key] for key in keys], np.int64)
+
+
+def placements(place_m: Array, world_R_thing: Array, size: Array) -> Array:
+    """`world_T_shape` (n, 3, 4) from places (n, 3), rotations (n, 3, 3) and scales along the axes (n, 3)."""
+    return np.concatenate([world_R_thing * size[:, None, :], place_m[:, :, None]], axis=2)
+
+
+def together(groups: Sequence[PlacedThings]) -> PlacedThings:
+    """Put groups of things of one layer together, in order; none of them are trees."""
+    first = np.cumsum([0, *(len(one.keys) for one in groups)])
+    return PlacedThings(
+        tuple(key for one in groups for key in one.keys),
+        np.concatenate([one.shape + begin for one, begin in zip(groups, first[:-1], strict=True)]),
+        np.concatenate([one.world_T_shape for one in groups]),
+        np.concatenate([one.surfaces for one in groups]),
+        NO_TREES,
+    )
+
+
+def turned(azimuth_deg: Array) -> Array:
+    """Rotations (n, 3, 3) about the vertical, counter-clockwise."""
+    return laid(np.radians(azimuth_deg), np.zeros(len(azimuth_deg)))
+
+
+def laid(towards: Array, slope: Array) -> Array:
+    """Rotations (n, 3, 3) that lay the x axis towards an angle from east, rad, on a slope dz/ds; y stays level."""
+    flat = 1 / hypot(1, slope)
+    c, s, zero = cos(towards), sin(towards), np.zeros(len(towards))
+    along = np.stack([c * flat, s * flat, slope * flat], axis=-1)
+    across = np.stack([-s, c, zero], axis=-1)
+    return np.stack([along, across, np.cross(along, across)], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """A tile as a window takes it: the part that a `Window` is put together from."""
+
+    trees: Trees
+    """All trees by number, saplings last."""
+    keys: tuple[ShapeKey, ...]
+    """Different shapes, the tile's own first."""
+    shape: NDArray[np.int64]
+    """(n,) of each placement, index into `keys`."""
+    world_T_shape: Array
+    """(n, 3, 4)."""
+    first_surface: NDArray[np.int64]
+    """(n,) row of `surfaces`."""
+    surfaces: NDArray[np.void]
+    """(m,) `SURFACE`."""
+    far: NDArray[np.bool_]
+    """(n,) which of the placements are part of the `FarTile`."""
+    low: NDArray[np.bool_]
+    """(n,) which are ground, and too low to be seen from afar."""
+
+
+def packed(
+    key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[PlacedThings], plants: Flora
+) -> Tile:
+    """Put a tile together: first its own shape of ground and stems, those of `trees`, then all that is placed on it."""
+    ground = np.zeros(1, SURFACE)
+    ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
+    own_T = np.concatenate([np.eye(3), origin_m[:, None]], axis=1)[None]
+    keys: list[ShapeKey] = [key]
+    shape, first_surface = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)]
+    tables = [ground, plant_surfaces(trees, STEM_PARTS, plants).ravel()]
+    rows = 1 + len(STEM_PARTS) * len(trees)
+    for placed in groups:
+        n, parts = placed.surfaces.shape
+        shape.append(len(keys) + placed.shape)
+        keys += placed.keys
+        first_surface.append(rows + parts * np.arange(n))
+        tables.append(placed.surfaces.ravel())
+        rows += n * parts
+    kinds = [(False, False), *((one.is_ground, one.is_exact) for one in groups)]
+    is_low, is_exact = np.repeat(kinds, [1, *(len(one.shape) for one in groups)], axis=0).T
+    placed_trees = np.concatenate([placed.trees for placed in groups])
+    return Tile(
+        trees=placed_trees[np.argsort(placed_trees["id"], kind="stable")],
+        keys=tuple(keys),
+        shape=np.concatenate(shape),
+        world_T_shape=np.concatenate([own_T, *(placed.world_T_shape for placed in groups)]),
+        first_surface=np.concatenate(first_surface),
+        surfaces=np.concatenate(tables),
+        far=~(is_low | is_exact),
+        low=is_low,
+    )
+
+
+def plant_surfaces(
+    plants: Trees, parts: Sequence[int], table: Flora, semantic: Semantic = Semantic.TREE
+) -> NDArray[np.void]:
+    """`SURFACE` rows (n, parts) of trees, or of shrubs as `TREE`."""
+    leaf = np.array(parts) == PlantPart.LEAF
+    rows = np.zeros((len(plants), len(parts)), SURFACE)
+    bright = np.where(leaf, plants["leaf_reflectance"][:, None], plants["bark_reflectance"][:, None])
+    rows["semantic"], rows["part"], rows["reflectance"] = semantic, parts, bright
+    rows["instance"], rows["species"] = plants["id"][:, None], plants["species"][:, None]
+    rows["material"] = bark_material(plants["species"], table)[:, None] + leaf
+    return rows

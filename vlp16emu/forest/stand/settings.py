@@ -1,0 +1,354 @@
+"""A forest that grows itself, or a plot of given trees: how many trees, and what grows and lies under them, their species, size and place."""
+
+import math
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, field_validator, model_validator
+
+from vlp16emu.forest.ground.settings import Dem, Terrain
+from vlp16emu.forest.plants.settings import Season
+from vlp16emu.settings import Fraction, MapPoint, NonNegative, SceneFile, Section, Seed, Size
+from vlp16emu.world.mesh_settings import MeshFile, TreeModelFile
+from vlp16emu.world.settings import Texture
+
+DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
+"""Two measures of how dense a storey is; a scene that gives one does not want the other."""
+
+LEAST_SLENDERNESS = 12.0
+"""Height over DBH, at least, of the tree of mean diameter: trees in stands have 50 to 120 and open-grown ones 25 to 50 (Wang, Titus and
+LeMay 1998, "Relationships between tree slenderness coefficients and tree or stand characteristics"), with a DBH in millimetres a tenth."""
+
+_SHARE_ERROR = 0.015
+"""By which shares may fail to sum to 1: three of 0.33 do."""
+
+MOST_STEMS_PER_HA = 5000
+"""Of a storey, whichever key gives its density."""
+
+
+def _in_order(limits: tuple[float, float]) -> tuple[float, float]:
+    if limits[0] > limits[1]:
+        raise ValueError("the smaller number first")
+    return limits
+
+
+Range = Annotated[tuple[Size, Size], Field(strict=False), AfterValidator(_in_order)]
+
+
+class SpeciesShare(Section):
+    """One species of the stand."""
+
+    species: str
+    """Name in the species table, for instance `silver_birch`."""
+    share: Annotated[float, Field(ge=1e-6, le=1)]
+    """Share of stems; those of a storey sum to 1."""
+    dbh_cm: Annotated[float, Field(ge=5, le=120)]
+    """Quadratic mean diameter at breast height."""
+    height_m: Annotated[float, Field(ge=3, le=60)]
+    """Height of the tree of that diameter."""
+
+    @model_validator(mode="after")
+    def _slender(self) -> Self:
+        """Refuse a diameter in millimetres."""
+        if self.height_m < LEAST_SLENDERNESS * self.dbh_cm / 100:
+            expected = f"a height of {LEAST_SLENDERNESS:g} diameters or more (is dbh_cm in mm?)"
+            raise ValueError(f"{expected} beside dbh_cm = {self.dbh_cm:g}")
+        return self
+
+
+class Scattered(Section):
+    """Places that know nothing of each other."""
+
+    kind: Literal["random"]
+    """Selects places independent of each other."""
+
+
+class HardCore(Section):
+    """Places that keep apart, as those of trees which compete."""
+
+    kind: Literal["hard_core"]
+    """Selects places that keep a distance."""
+
+
+class Plantation(Section):
+    """Planted rows, thinned to the given density."""
+
+    kind: Literal["plantation"]
+    """Selects rows."""
+    row_spacing_m: Annotated[float, Field(ge=0.5, le=1000)] = 2.5
+    """Distance between rows."""
+    tree_spacing_m: Annotated[float, Field(ge=0.5, le=1000)] = 2.0
+    """Distance of planted trees within a row."""
+    azimuth_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    """Direction of the rows, counter-clockwise from east."""
+    jitter_m: Annotated[float, Field(ge=0, le=2)] = 0.15
+    """Half-range of the error of planting along and across the row."""
+
+
+class Clusters(Section):
+    """Clumps."""
+
+    kind: Literal["clusters"]
+    """Selects clumps of plants."""
+    per_cluster: Annotated[float, Field(ge=1, le=100)] = 8.0
+    """Mean number of plants of a clump."""
+    sigma_m: Annotated[float, Field(gt=0, le=5)] = 3.0
+    """Standard deviation of plants about the middle of their clump, along either axis."""
+
+
+Pattern = Annotated[Scattered | HardCore | Plantation | Clusters, Field(discriminator="kind")]
+
+
+class Storey(Section):
+    """Trees of one layer of the canopy; needs exactly one of `stems_per_ha` and `basal_area_m2_per_ha`."""
+
+    either_or: ClassVar[frozenset[str]] = DENSITY_KEYS
+
+    stems_per_ha: Annotated[float, Field(ge=0, le=MOST_STEMS_PER_HA)] = 0.0
+    """Density of stems; instead of `basal_area_m2_per_ha`."""
+    basal_area_m2_per_ha: Annotated[float, Field(ge=0, le=120)] = 0.0
+    """Sum of the cross-sections of stems at breast height; instead of `stems_per_ha`."""
+    species: Annotated[list[SpeciesShare], Field(min_length=1)]
+    """Species of the trees, with share and size."""
+    pattern: Pattern = HardCore(kind="hard_core")
+    """How the trees are spread over the ground."""
+
+    @model_validator(mode="after")
+    def _one_density(self) -> Self:
+        if len(DENSITY_KEYS & self.model_fields_set) != 1:
+            raise ValueError(f"exactly one of {' and '.join(sorted(DENSITY_KEYS))} in it")
+        return self
+
+    @field_validator("species")
+    @classmethod
+    def _whole(cls, species: list[SpeciesShare]) -> list[SpeciesShare]:
+        if abs(sum(one.share for one in species) - 1.0) > _SHARE_ERROR:
+            raise ValueError("shares that sum to 1")
+        return species
+
+
+class Regeneration(Section):
+    """Young trees that are thinner than 5 cm at breast height, or do not reach it."""
+
+    stems_per_ha: Annotated[float, Field(ge=0, le=20_000)] = 0.0
+    """Density of young trees."""
+    species: list[str] = Field(default_factory=list)
+    """Each as often; if none is named, those of the canopy that live."""
+    height_m: Range = (0.5, 4.0)
+    """Minimum and maximum height."""
+    pattern: Pattern = Clusters(kind="clusters", per_cluster=20.0)
+    """How the young trees are spread over the ground."""
+
+
+class Shrubs(Section):
+    """Bushes of several stems."""
+
+    per_ha: Annotated[float, Field(ge=0, le=10_000)] = 0.0
+    """Density of bushes."""
+    species: Annotated[list[str], Field(min_length=1)] = Field(
+        default_factory=lambda: ["hazel", "elder", "hawthorn", "dogwood", "honeysuckle"]
+    )
+    """Each as often."""
+    pattern: Pattern = Clusters(kind="clusters", per_cluster=4.0)
+    """How the bushes are spread over the ground."""
+
+
+class Stones(Section):
+    """Stones that lie half in the ground, 0.1 m to 1.5 m long."""
+
+    cover: Annotated[float, Field(ge=0, le=0.3)] = 0.0
+    """Share of the ground, seen from above."""
+
+
+class Logs(Section):
+    """Lying trunks."""
+
+    per_ha: Annotated[float, Field(ge=0, le=2000)] = 0.0
+    """Density of logs."""
+    species: list[str] = Field(default_factory=list)
+    """What trees they were, each as often; if none is named, those of the canopy."""
+    diameter_m: Range = (0.1, 0.5)
+    """Minimum and maximum mean diameter."""
+    length_m: Range = (3.0, 15.0)
+    """Minimum and maximum length."""
+    uprooted: Fraction = 0.15
+    """Share of logs whose butt has its root plate, 1 m to 4 m wide, standing across it; assumption."""
+    broken: Fraction = 0.25
+    """Share of logs that lie in two pieces; assumption."""
+    decayed: Fraction = 0.35
+    """Share of those without root plate that are rotten: flat, wide and sunk into the ground; assumption."""
+
+
+class Stumps(Section):
+    """What trees left that were felled or broke."""
+
+    per_ha: Annotated[float, Field(ge=0, le=5000)] = 0.0
+    """Density of stumps."""
+    species: list[str] = Field(default_factory=list)
+    """What trees they were, each as often; if none is named, those of the canopy."""
+    diameter_m: Range = (0.2, 0.6)
+    """Minimum and maximum diameter at the top."""
+    height_m: Range = (0.1, 0.4)
+    """Minimum and maximum height."""
+    broken: Fraction = 0.2
+    """Share of stumps whose top is jagged and hollow, as trees leave that broke, and decay; assumption."""
+
+
+class Grass(Section):
+    """Tufts within 25 m of the path."""
+
+    tufts_per_m2: Annotated[float, Field(ge=0, le=8)] = 0.0
+    """Density of tufts."""
+    height_m: Range = (0.15, 0.5)
+    """Minimum and maximum height of a tuft."""
+
+
+class Cover(Section):
+    """What covers a share of the ground near the path."""
+
+    cover: Annotated[float, Field(ge=0, le=0.8)] = 0.0
+    """Share of the ground under their outlines, seen from above."""
+    height_m: Range
+    """Minimum and maximum height over the ground."""
+
+
+class Herbs(Cover):
+    """Patches of broadleaved herbs within 25 m of the path, twice as wide as high."""
+
+    height_m: Range = (0.1, 0.3)
+    """Minimum and maximum height of a patch; wood sorrel has 0.05 to 0.15 m, wood anemone 0.1 to 0.3 m, dog's mercury 0.15 to
+    0.4 m (Stace, New Flora of the British Isles)."""
+
+
+class Ferns(Cover):
+    """Ferns whose fronds spread from a crown, within 25 m of the path, a little wider than high."""
+
+    height_m: Range = (0.35, 1.0)
+    """Minimum and maximum height; broad buckler-fern and male-fern have fronds of 0.3 to 1.2 m (Stace)."""
+
+
+class DwarfShrubs(Cover):
+    """Low bushes such as bilberry within 25 m of the path, a little wider than high."""
+
+    height_m: Range = (0.15, 0.4)
+    """Minimum and maximum height; bilberry has up to 0.6 m (Stace), under trees less."""
+
+
+class Moss(Cover):
+    """Cushions of moss within 12 m of the path, eight times as wide as high; ground by their label. Light meets them up to `near_m`."""
+
+    height_m: Range = (0.03, 0.08)
+    """Minimum and maximum height of a cushion; feather mosses of spruce forest are that deep (assumption)."""
+
+
+class Litter(Cover):
+    """Heaps of leaves and twigs within 12 m of the path, eight times as wide as high; ground by their label. Light meets them up to `near_m`."""
+
+    height_m: Range = (0.03, 0.08)
+    """Minimum and maximum height of a heap; assumption."""
+
+
+class Ivy(Section):
+    """Ivy on the stems of trees, leaves by their label and part of their tree; the inventory's leaf area is without it."""
+
+    share: Fraction = 0.0
+    """Share of stems on which it grows."""
+    height_m: Range = (1.5, 8.0)
+    """Minimum and maximum height up to which it covers a stem, no higher than the crown base."""
+
+
+class Wind(Section):
+    """Wind through a stand; without this table, and at a speed of 0, the air is still and costs nothing."""
+
+    speed_m_s: Annotated[float, Field(ge=0, le=12)]
+    """Mean, at the top of the canopy: there half of what it is in the open, by and large. Trees answer in proportion, also
+    where real ones would break or lean on their neighbours: from some 8 m/s on thin trees of dense stands lean too far."""
+    towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    """Direction in which it blows, counter-clockwise from east."""
+    turbulence_intensity: Annotated[float, Field(ge=0, le=1)] = 0.55
+    """Standard deviation of the speed along the wind over the mean; across it is 0.8 of that. At the top of canopies
+    1.8 / 3.3 (both over the friction velocity; Raupach, Finnigan and Brunet, Boundary-Layer Meteorol 78, 1996)."""
+    gust_length_m: Annotated[float, Field(ge=1, le=500)] = 20.0
+    """Integral length of gusts along the wind: at the top of canopies about the height of the trees (the same)."""
+    damping_ratio: Annotated[float, Field(ge=0.02, le=1)] = 0.1
+    """Damping of the trees' swing as a share of critical damping: whole trees have 0.08 and more, stripped ones 0.01 to
+    0.08 (Moore and Maguire, Trees 19, 2005)."""
+
+
+_Near = Annotated[float, Field(ge=5)]
+Near = Annotated[
+    _Near,
+    Field(allow_inf_nan=True),
+    BeforeValidator(lambda m: math.inf if m == "inf" else m, json_schema_input_type=_Near | Literal["inf"]),
+    PlainSerializer(lambda m: "inf" if math.isinf(m) else m, when_used="json"),
+]
+"""A distance, in m, that may be infinite; JSON, which has no such number, has the text "inf"."""
+
+
+class Woods(Section):
+    """Ground and undergrowth, whatever trees stand on it."""
+
+    seed: Seed | None = None
+    """Seed of ground, plants, stones and gusts: scenes that share it see one stand; the scene's seed if not set."""
+    season: Season = "leaf_on"
+    """Whether broadleaved trees and shrubs bear leaves."""
+    dead_branches: bool = True
+    """Whether stems have dead branches with twigs below the crowns, spruces nearly down to the ground."""
+    crooked_stems: bool = True
+    """Whether stems sweep, fork and have sections with lobes and bark, as the species table says; else straight and round."""
+    regeneration: Regeneration = Regeneration()
+    shrubs: Shrubs = Shrubs()
+    stones: Stones = Stones()
+    logs: Logs = Logs()
+    stumps: Stumps = Stumps()
+    grass: Grass = Grass()
+    herbs: Herbs = Herbs()
+    ferns: Ferns = Ferns()
+    dwarf_shrubs: DwarfShrubs = DwarfShrubs()
+    moss: Moss = Moss()
+    litter: Litter = Litter()
+    ivy: Ivy = Ivy()
+    texture: Texture = 0.085
+    """Share by which the reflectance of ground, bark and stones varies over patches, of some 0.08 m on bark and 0.2 m else, one sigma; leaves have
+    none, as each lies at an angle of its own. Assumption: neighbouring returns then scatter as those of real sensors in
+    rooms and streets do."""
+    species_file: SceneFile | None = None
+    """Plants of the user's own, in the form of the program's `forest/species.toml`, numbered from 1000."""
+    tree_models: list[TreeModelFile] = Field(default_factory=list)
+    """Trees of the user's own that take the place of the grown ones of a species; inventory and labels follow their meshes."""
+    path_clearance_m: NonNegative = 0.8
+    """Nothing that grows or lies on the ground is nearer to the path than this, but for the roots of old trees."""
+    near_m: Near = 15.0
+    """What is nearer to the sensor than this is cast leaf by leaf; beyond, ground and stems are exact and foliage is a
+    medium of voxels made of the same plants. `inf` casts everything leaf by leaf."""
+    terrain: Terrain = Terrain()
+    dem: Dem | None = None
+    """Heights of the ground in a file; they take the place of `terrain`."""
+    origin_m: MapPoint = (0.0, 0.0, 0.0)
+    """Easting, northing and height that are (0, 0, 0) in the world, for files in map coordinates."""
+    meshes: list[MeshFile] = Field(default_factory=list)
+    """The user's own things."""
+
+
+class Forest(Woods, Storey):
+    """A stand without edge on a terrain with relief."""
+
+    kind: Literal["forest"]
+    """Selects a stand without edge."""
+    preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = (
+        "none"
+    )
+    """A kind of forest that gives all keys of this table which are not given beside it."""
+    storeys: Annotated[list[Storey], Field(max_length=2)] = Field(default_factory=list)
+    """Storeys under the canopy, from the top down."""
+
+
+class Plot(Woods):
+    """Trees that somebody has measured."""
+
+    kind: Literal["plot"]
+    """Selects measured trees."""
+    stem_list: SceneFile
+    """CSV whose first line names the columns: x, y, species, dbh_cm, height_m, and more if known."""
+    on_conflict: Literal["refuse", "drop", "move_path"] = "refuse"
+    """What happens to stems nearer to the path than `path_clearance_m`: the scene is refused with all of them named, they are
+    left out with a warning, or the path of a walk leads around them."""

@@ -1,0 +1,302 @@
+"""A stand of trees: where they are, and how large. Tile by tile, from (seed, tile) alone."""
+
+import fractions
+import math
+from collections.abc import Mapping
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
+from vlp16emu.errors import GeometryError
+from vlp16emu.forest.ground.trails import Trails
+from vlp16emu.forest.plants.allometry import taper_radius_m
+from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
+from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora, known, tapers
+from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.stand.points import PointPattern, pattern_of
+from vlp16emu.forest.stand.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
+from vlp16emu.forest.tiles import around
+from vlp16emu.random import Purpose, generator
+from vlp16emu.types import HeightField
+from vlp16emu.world.polyline import Corridor
+from vlp16emu.world.vectors import places_m
+
+Array = NDArray[np.float64]
+Trees = NDArray[np.void]
+
+TREE = np.dtype(
+    [
+        ("id", "<u4"),  # unique in the forest
+        ("species", "<u2"),  # number in the species table
+        ("x_m", "<f8"),  # foot: where the stem's axis leaves the ground
+        ("y_m", "<f8"),
+        ("z_m", "<f8"),
+        ("dbh_m", "<f8"),  # area-equivalent, across the axis where that is 1.3 m above the foot
+        ("height_m", "<f8"),  # of the tip over the foot, vertical
+        ("crown_base_m", "<f8"),  # of the crown's lowest branch over the foot, vertical
+        ("crown_width_m", "<f8"),
+        ("lean_deg", "<f8"),  # of the axis from the vertical
+        ("lean_towards_deg", "<f8"),  # counter-clockwise from east
+        ("crown_azimuth_deg", "<f8"),  # of the crown about the axis
+        ("cohort", "u1"),  # which line of the mixture it belongs to
+        ("crown_class", "<i2"),  # diameter class of the crown's prototype
+        ("crown_variant", "u1"),  # which of the prototypes of that class
+        ("bark_reflectance", "<f4"),  # at 903 nm
+        ("leaf_reflectance", "<f4"),
+        ("storey", "u1"),  # 0 canopy, 1 and 2 the storeys under it, REGENERATION saplings
+        ("list_line", "<u4"),  # of the stem list that names it, 0 where it has grown
+        ("form", "<u8"),  # seed of the stem's form; 0 is straight and round
+    ]
+)
+"""One tree."""
+
+REGENERATION = 255
+"""Storey of saplings: stems under 5 cm, those under breast height with a DBH of 0."""
+
+_CLASS_RATIO = 1.5
+"""Between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter."""
+
+_TOP_DBH_RATIO = 1.25
+"""Diameter of the stand's top height trees over its quadratic mean diameter; assumption."""
+
+_OPEN_GROWN = 1.5
+"""Ground whose leaves one crown can carry at most, over the crown's own projection; assumption."""
+
+_LONE_CROWN_BASE = 0.35
+"""Height of the lowest branch of a tree that stands alone over that of one in a closed stand; assumption."""
+
+_LEAN_SIGMA_DEG = 1.5
+"""One sigma of lean along each horizontal axis; assumption."""
+
+_HEAD_ROOM_M = 2.5
+"""Height up to which a leaning stem must keep clear of the path: above a walker's head."""
+
+_STEM_GAP_M = 0.05
+"""Least distance between two stems' surfaces at the ground; assumption."""
+
+_TILES_KEPT = 1024
+"""Tiles whose trees are kept for their neighbours: more than one window and its border hold."""
+
+
+_STOREYS = (Purpose.STAND, Purpose.SECOND_STOREY, Purpose.THIRD_STOREY)
+
+
+class _Cohort:
+    """The trees of one species in a stand: their diameters, and what follows from a diameter."""
+
+    def __init__(self, share: SpeciesShare, plants: Flora) -> None:
+        self.share, self.species = share, known([share.species], plants.trees, "species")[0]
+        midpoints = (np.arange(4096) + 0.5) / 4096
+        raw_cm = self.species.dbh_quantile_cm(midpoints, share.dbh_cm)
+        self._scale = share.dbh_cm / math.sqrt(float(np.mean(np.square(raw_cm))))
+        dbh_cm = raw_cm * self._scale
+        self.mean_crown_m2 = float(np.mean(_projection_m2(self.species.crown_width_m(dbh_cm))))
+        self._top_height_m = float(self.height_m(np.array([_TOP_DBH_RATIO * share.dbh_cm]))[0])
+
+    def dbh_cm(self, probability: Array) -> Array:
+        """Quantiles of diameter, scaled to the stand's quadratic mean."""
+        return self.species.dbh_quantile_cm(probability, self.share.dbh_cm) * self._scale
+
+    def height_m(self, dbh_cm: Array) -> Array:
+        """Mean height of trees of these diameters."""
+        return self.species.height_m(dbh_cm, self.share.dbh_cm, self.share.height_m)
+
+    def crown_base_m(self, dbh_cm: Array, height_m: Array) -> Array:
+        """Height of the lowest living branch."""
+        return self.species.crown_base_m(dbh_cm, height_m, self._top_height_m)
+
+
+def class_scale(ratio: float, number: int) -> float:
+    """Return the size of a class over that of class 0, the whole power of a ratio, correctly rounded."""
+    return float(pow(fractions.Fraction(ratio), number))
+
+
+def foot_discs(trees: Trees, *, table: Mapping[str, Species] | None = None) -> Array:
+    """Sections of stems with the ground: (n, 3) x, y, radius."""
+    foot = np.zeros((len(trees), 1))
+    radius_m = taper_radius_m(tapers(trees["species"], table=table), trees["dbh_m"], trees["height_m"], foot)
+    return np.column_stack([trees["x_m"], trees["y_m"], radius_m])
+
+
+def in_the_way_m(trees: Trees) -> tuple[Array, Array]:
+    """Where stems are in a walker's way, (n, 2) each: at the foot, and above the head."""
+    foot = places_m(trees, "xy")
+    towards = np.radians(trees["lean_towards_deg"])
+    shift = _HEAD_ROOM_M * tan(np.radians(trees["lean_deg"]))
+    return foot, foot + shift[:, None] * np.column_stack([cos(towards), sin(towards)])
+
+
+def path_gap_m(trees: Trees, radius_m: Array, path: Corridor) -> Array:
+    """Distance (n,) from a path to the surfaces of stems, from the ground to above a walker's head."""
+    foot, above = in_the_way_m(trees)
+    gap_m: Array = np.minimum(path.distance_m(foot), path.distance_m(above)) - radius_m
+    return gap_m
+
+
+def density_per_ha(storey: Storey) -> float:
+    """Stems per hectare; of a basal area, those whose cross-sections at breast height add up to it.
+
+    Raises
+    ------
+    GeometryError
+        where the stems of a basal area are too many
+    """
+    if storey.stems_per_ha:
+        return storey.stems_per_ha
+    share = np.array([one.share for one in storey.species])
+    stem_m2 = np.pi / 4 * np.square(np.array([one.dbh_cm / 100 for one in storey.species]))
+    basal_m2 = storey.basal_area_m2_per_ha
+    per_ha = basal_m2 / float(np.average(stem_m2, weights=share))
+    if per_ha > MOST_STEMS_PER_HA:
+        found = f"found {basal_m2:g}, {per_ha:.0f} stems of that size per ha"
+        raise GeometryError("basal_area_m2_per_ha", found, f"at most {MOST_STEMS_PER_HA}")
+    return per_ha
+
+
+class Stand:
+    """A mixed stand on a terrain, without edge.
+
+    Where two stems would grow into each other, the thicker one is left.
+
+    Parameters
+    ----------
+    section : what the user wrote
+    seed : of the scenario
+    height_m : ground
+    path : kept free of stems
+    plants : trees and shrubs; those of the program if none are given
+    trails : kept free of stems, too
+
+    Raises
+    ------
+    GeometryError
+        for a species that is not in the table, and for more stems than there may be
+    """
+
+    def __init__(
+        self,
+        section: Forest,
+        *,
+        seed: int,
+        height_m: HeightField,
+        path: Corridor,
+        plants: Flora | None = None,
+        trails: Trails | None = None,
+    ) -> None:
+        self._seed, self._height_m, self._plants = seed, height_m, plants or flora()
+        storeys: list[Storey] = [section, *section.storeys]
+        self._patterns = [
+            pattern_of(
+                storey.pattern, seed=seed, purpose=purpose, per_ha=density_per_ha(storey), trails=trails
+            )
+            for storey, purpose in zip(storeys, _STOREYS, strict=False)
+        ]
+        self._cohorts = [[_Cohort(share, self._plants) for share in storey.species] for storey in storeys]
+        self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
+        self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
+        """Mean number of stems per hectare."""
+        self.species = [share.species for share in section.species]
+        """Names of those of the canopy."""
+        crown_m2 = sum(
+            _crown_area_m2_per_ha(storey) for storey in zip(self._patterns, self._cohorts, strict=True)
+        )
+        cover = crown_m2 / 10_000
+        self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
+        self._crown_base = _LONE_CROWN_BASE + (1 - _LONE_CROWN_BASE) * min(cover, 1.0)
+        self._path = path
+        self._season, self._dead_branches = section.season, section.dead_branches
+        self._crooked = section.crooked_stems
+        self._sown = lru_cache(maxsize=_TILES_KEPT)(self._sow)
+
+    def trees(self, ix: int, iy: int) -> Trees:
+        """Trees whose foot lies in a tile, `TREE` with id still 0, in the order they were sown."""
+        trees, own = self._sown(ix, iy)
+        rivals = around(ix, iy, lambda *tile: self._sown(*tile)[1])
+        dx, dy, _, _ = (own[:, None] - rivals).transpose(2, 0, 1)
+        gap_m = own[:, None, 2] + rivals[:, 2] + _STEM_GAP_M
+        thicker = rivals[:, 3] > own[:, None, 3]
+        beaten = ((dx * dx + dy * dy < gap_m * gap_m) & thicker).any(axis=1)
+        clear = path_gap_m(trees, own[:, 2], self._path) >= self._path.clearance_m
+        standing: Trees = trees[~beaten & clear]
+        return standing
+
+    def _sow(self, ix: int, iy: int) -> tuple[Trees, Array]:
+        """All that are sown on a tile, and of each x, y, radius at the ground and DBH (n, 4)."""
+        trees = np.concatenate([self._sow_storey(number, ix, iy) for number in range(len(self._patterns))])
+        return trees, np.column_stack([foot_discs(trees, table=self._plants.trees), trees["dbh_m"]])
+
+    def _sow_storey(self, number: int, ix: int, iy: int) -> Trees:
+        position = self._patterns[number].points(ix, iy)
+        rng = generator(self._seed, Purpose.TREE, ix, iy, number)
+        uniform, normal = rng.random((len(position), 6)), rng.standard_normal((len(position), 3))
+        trees = np.zeros(len(position), TREE)
+        trees["x_m"], trees["y_m"] = position.T
+        trees["z_m"] = self._height_m(trees["x_m"], trees["y_m"])
+        lean_x, lean_y = _LEAN_SIGMA_DEG * normal[:, 0], _LEAN_SIGMA_DEG * normal[:, 1]
+        trees["lean_deg"] = hypot(lean_x, lean_y)
+        trees["lean_towards_deg"] = np.degrees(atan2(lean_y, lean_x)) % 360
+        trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
+        trees["crown_variant"] = VARIANTS * uniform[:, 1]
+        trees["storey"] = number
+        if self._crooked:
+            trees["form"] = rng.integers(1, 2**63, len(position))
+        cohorts = self._cohorts[number]
+        share = np.array([cohort.share.share for cohort in cohorts])
+        cohort_of = np.searchsorted(np.cumsum(share / share.sum())[:-1], uniform[:, 2], side="right")
+        trees["cohort"] = sum(map(len, self._cohorts[:number])) + cohort_of
+        for i, cohort in enumerate(cohorts):
+            own = cohort_of == i
+            trees[own] = _sized(trees[own], cohort, uniform[own, 3:], normal[own, 2])
+        trees["crown_base_m"] *= self._crown_base
+        return trees
+
+    def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
+        """Name the crown prototype of a diameter class.
+
+        Each species bears its own leaf area index on its share of the ground, which trees divide in
+        proportion to their crown projection.
+        """
+        own = self._all_cohorts[cohort]
+        dbh_cm = np.array([own.share.dbh_cm * class_scale(_CLASS_RATIO, crown_class)])
+        height_m = own.height_m(dbh_cm)
+        width_m = own.species.crown_width_m(dbh_cm)
+        leaf_area_m2 = own.species.leaf_area_index * self._ground_per_crown * _projection_m2(width_m)
+        return CrownKey(
+            species=own.species.name,
+            variant=variant,
+            dbh_m=float(dbh_cm[0]) / 100,
+            height_m=float(height_m[0]),
+            crown_base_m=self._crown_base * float(own.crown_base_m(dbh_cm, height_m)[0]),
+            crown_width_m=float(width_m[0]),
+            leaf_area_m2=float(leaf_area_m2[0]),
+            season=self._season,
+            dead_branches=self._dead_branches,
+        )
+
+
+def _crown_area_m2_per_ha(storey: tuple[PointPattern, list[_Cohort]]) -> float:
+    pattern, cohorts = storey
+    share = [cohort.share.share for cohort in cohorts]
+    return pattern.per_ha * float(np.average([cohort.mean_crown_m2 for cohort in cohorts], weights=share))
+
+
+def _projection_m2(crown_width_m: Array) -> Array:
+    return np.pi / 4 * np.square(crown_width_m)
+
+
+def _sized(trees: Trees, cohort: _Cohort, uniform: Array, normal: Array) -> Trees:
+    """Give trees of one cohort their species, size and brightness, from (n, 3) uniform and (n,) normal."""
+    species = cohort.species
+    dbh_cm = cohort.dbh_cm(uniform[:, 0])
+    height_m = cohort.height_m(dbh_cm) * exp(species.height_spread * normal)
+    trees["species"] = species.number
+    trees["dbh_m"] = dbh_cm / 100
+    trees["height_m"] = height_m
+    trees["crown_base_m"] = cohort.crown_base_m(dbh_cm, height_m)
+    trees["crown_width_m"] = species.crown_width_m(dbh_cm)
+    trees["crown_class"] = np.round(log(dbh_cm / cohort.share.dbh_cm) / log(_CLASS_RATIO))
+    trees["bark_reflectance"] = species.bark_reflectance + BARK_SPREAD * (2 * uniform[:, 1] - 1)
+    trees["leaf_reflectance"] = species.leaf_reflectance + LEAF_SPREAD * (2 * uniform[:, 2] - 1)
+    return trees

@@ -1,0 +1,257 @@
+"""Gusts over a stand, and how trees that swing about their foot answer them: sums of lines, at any time by itself.
+
+A gust is a sum of cosines of time whose energies are those of Kaimal's spectrum. It is carried downwind with the
+mean speed (Taylor's frozen turbulence), and each line waves aside as well, by a random number of waves per metre:
+drawn from a Cauchy distribution, they make Davenport's exponential coherence across the wind. A damped oscillator
+answers a cosine with a cosine, so its state at any time is a sum too and nothing is stepped.
+
+A tree sways as one straight piece: it is sheared, every point moved level in proportion to its height over the
+foot. So the foot stays, level sections keep their area, DBH that of the record, and a transform holds it all. A
+real stem bends: by a straight lean breast height moves 1.3 m / height as far as the tip, by a cantilever under a
+load at its tip about 3/2 (1.3 m / height)^2. Saplings and all that grows or lies under the trees stay still.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import atan2, cos, hypot, power, sin, tan
+from vlp16emu.forest.plants.allometry import taper_radius_m
+from vlp16emu.forest.plants.flora import Flora, tapers
+from vlp16emu.forest.plants.settings import Season
+from vlp16emu.forest.stand.forest import ForestWorld
+from vlp16emu.forest.stand.settings import Wind
+from vlp16emu.forest.stand.stand import REGENERATION
+from vlp16emu.random import Purpose, generator
+from vlp16emu.types import Sway, Window
+
+Array = NDArray[np.float64]
+Stand = NDArray[np.void]
+
+ALONG, ACROSS = 0, 1
+"""Components of the gusts' speed: with the mean wind, and level to the left of it."""
+
+_LINES = 256
+_SLOWEST = 0.003
+"""Frequency times gust length over wind speed under which one line stands for all: 1.2 % of the energy."""
+_FASTEST_HZ = 5.0
+"""Frequency over which one line stands for all: no tree follows it."""
+
+_DEVIATION = (1.0, 0.8)
+_LENGTH = (1.0, 2.7 / 8.1)
+"""Of the gusts' components, over those along the wind (IEC 61400-1 ed. 3, table B.1)."""
+
+_DECAY = 10.0
+"""Of the coherence exp(-decay * frequency * distance / speed) across the wind; 8 to 16 have been measured
+(Davenport, Q J R Meteorol Soc 87, 1961; Simiu and Scanlan, Wind Effects on Structures)."""
+
+KNOT_NS = 100_000_000
+"""Between two knots trees move straight on. A tree that swings with amplitude A at f is then off by up to
+A (2 pi f KNOT_NS)^2 / 8, 0.3 % of A at 0.25 Hz, 1.2 % at 0.5 Hz; gusts quicker than it made that up to 2.2 times as much. What a window costs to open grows with the number of knots."""
+
+_AIR_KG_M3 = 1.2
+_FRICTION_SHARE = 0.3
+"""Friction velocity over mean speed at the top of a canopy (Raupach, Finnigan and Brunet, Boundary-Layer Meteorol
+78, 1996, table 1: 1 / 3.3)."""
+_SHELTERED = 0.2
+"""Drag on a tree of a lower storey over that on one of the canopy with such a crown; assumption."""
+_BARE = 0.4
+"""Drag on a crown without leaves over that with leaves; assumption."""
+
+_IN_LEAF = 0.8
+"""Frequency of a broadleaved tree in leaf over that of a conifer of its size. That leaves lower it: Jackson et al.,
+J R Soc Interface 16, 20190116, 2019; by how much: assumption."""
+
+_GREEN_WOOD_KG_M3 = 900.0
+"""Of stems with bark and sap; assumption, fresh logs have 700 to 1100."""
+_CROWN_MASS = 0.3
+"""Branches and leaves over the stem (IPCC Good Practice Guidance 2003, table 3A.1.10: biomass expansion factors of
+1.3 for conifers, 1.4 for broadleaved trees)."""
+_SECTIONS = 16
+
+
+class Lines(NamedTuple):
+    """Gusts of one component."""
+
+    omega_rad_s: Array
+    """(n,)."""
+    speed_m_s: Array
+    """(n,) amplitude."""
+    phase_rad: Array
+    """(n,) at the origin of the world when the run begins."""
+    aside_rad_m: Array
+    """(n,) increase of the phase to the left of the wind."""
+
+
+class Trees(NamedTuple):
+    """Oscillators."""
+
+    omega_rad_s: Array
+    """(m,) undamped natural frequencies."""
+    damping_ratio: float
+    """Share of critical damping."""
+    downwind_m: Array
+    """(m,) places along the wind."""
+    aside_m: Array
+    """(m,) places to the left of it."""
+
+
+def gust_lines(section: Wind, seed: int, component: int) -> Lines:
+    """Lines of a component; the squares of their amplitudes add up to twice the variance of the spectrum.
+
+    Kaimal's spectrum with integral length L at mean speed U: f S / sigma^2 = 4 n / (1 + 6 n)^(5/3), n = f L / U
+    (IEC 61400-1 ed. 3, equation B.14; Kaimal et al., Q J R Meteorol Soc 98, 1972); up to n the share
+    1 - (1 + 6 n)^(-2/3) of its energy.
+    """
+    rng = generator(seed, Purpose.WIND, component)
+    per_n_hz = section.speed_m_s / (section.gust_length_m * _LENGTH[component])
+    slowest_hz, fastest_hz = _SLOWEST * per_n_hz, max(_FASTEST_HZ, 10.0 * per_n_hz)
+    edges_hz = slowest_hz * power(fastest_hz / slowest_hz, np.arange(_LINES) / (_LINES - 1))
+    share = 1.0 - power(1.0 + 6.0 * edges_hz / per_n_hz, -2.0 / 3.0)
+    energy = np.diff(np.concatenate([[0.0], share[:-1], [1.0]]))
+    # Not evenly spaced, or all would come again after a while.
+    between = np.append(0.0, rng.uniform(size=_LINES - 1))
+    hz = edges_hz * power(np.append(1.0, edges_hz[:-1] / edges_hz[1:]), between)
+    sigma_m_s = section.turbulence_intensity * _DEVIATION[component] * section.speed_m_s
+    waves = tan(np.pi * (rng.uniform(size=_LINES) - 0.5))
+    return Lines(
+        2.0 * np.pi * hz,
+        sigma_m_s * np.sqrt(2.0 * energy),
+        rng.uniform(0.0, 2.0 * np.pi, _LINES),
+        _DECAY * hz / section.speed_m_s * waves,
+    )
+
+
+def swings(lines: Lines, speed_m_s: float, trees: Trees, t_s: Array) -> Array:
+    """Gusts as oscillators follow them: (k, m) in m/s at times (k,) since the run began.
+
+    Each is the y of y'' + 2 z w y' + w^2 y = w^2 u with the gusts u at its place, swung in.
+    """
+    cosine, sine = np.empty((2, len(lines.omega_rad_s), len(t_s)))
+    _waves(lines.omega_rad_s, t_s, cosine, sine)
+    out = np.zeros((len(trees.omega_rad_s), len(t_s)))
+    _follow(lines, 1.0 / speed_m_s, trees, cosine, sine, out)
+    return out.T
+
+
+@numba.njit(cache=True, nogil=True)
+def _waves(omega_rad_s: Array, t_s: Array, cosine: Array, sine: Array) -> None:
+    """Fill the waves (n, k) of all lines."""
+    for line in range(len(omega_rad_s)):
+        for k in range(len(t_s)):
+            turned = omega_rad_s[line] * t_s[k]
+            cosine[line, k], sine[line, k] = cos(turned), sin(turned)
+
+
+@numba.njit(cache=True, nogil=True)
+def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: Array, sine: Array, out: Array) -> None:
+    """Fill (m, k), line after line, so that neither other trees nor other times can matter."""
+    for tree in range(len(out)):
+        now = out[tree]
+        for line in range(len(lines.omega_rad_s)):
+            omega = lines.omega_rad_s[line]
+            ratio = omega / trees.omega_rad_s[tree]
+            still, lag = 1.0 - ratio * ratio, 2.0 * trees.damping_ratio * ratio
+            amplitude = lines.speed_m_s[line] / hypot(still, lag)
+            phase = (
+                lines.phase_rad[line]
+                - omega * s_per_m * trees.downwind_m[tree]
+                + lines.aside_rad_m[line] * trees.aside_m[tree]
+                - atan2(lag, still)
+            )
+            a, b = amplitude * cos(phase), amplitude * sin(phase)
+            for k in range(len(now)):
+                now[k] += a * cosine[line, k] - b * sine[line, k]
+
+
+@dataclass(frozen=True, slots=True)
+class Mechanics:
+    """How n trees answer the wind."""
+
+    frequency_hz: Array
+    """(n,) undamped, of the first swing."""
+    lean_per_stress: Array
+    """(n,) lean, as a tangent, for each Pa of the wind's shear stress on the canopy."""
+
+
+def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
+    """Derive frequency and stiffness of trees from their size.
+
+    Frequency: 0.0766 + 3.1219 DBH / height^2, in cm and m (Moore and Maguire, Trees 18, 195-203, 2004; 602
+    conifers), lower in leaf. Drag: the canopy takes up the wind's shear stress, each tree on the ground under its
+    crown and halfway up the crown (the roughness method of Gardiner, Peltola and Kellomaki, Ecol Modell 129,
+    2000). Stiffness: what gives the mass of stem and crown that frequency about the foot.
+    """
+    foliage = {species.number: species.foliage for species in plants.trees.values()}
+    kinds = [foliage[number] for number in trees["species"].tolist()]
+    sheds = np.array([kind is not None and kind.kind == "leaf" for kind in kinds], np.bool_)
+    in_leaf = sheds & (season == "leaf_on")
+    bare = np.array([kind is None for kind in kinds], np.bool_) | (sheds & ~in_leaf)
+    dbh_m, height_m, base_m = trees["dbh_m"], trees["height_m"], trees["crown_base_m"]
+    frequency_hz = (0.0766 + 3.1219 * 100.0 * dbh_m / np.square(height_m)) * np.where(in_leaf, _IN_LEAF, 1.0)
+    middle_m = (base_m + height_m) / 2
+    share = (np.arange(_SECTIONS) + 0.5) / _SECTIONS
+    at_m = height_m[:, None] * share
+    radius_m = taper_radius_m(tapers(trees["species"], table=plants.trees), dbh_m, height_m, at_m)
+    pieces_kg = _GREEN_WOOD_KG_M3 * np.pi * np.square(radius_m) * (height_m / _SECTIONS)[:, None]
+    inertia_kg_m2 = (pieces_kg * np.square(at_m)).sum(axis=1) + _CROWN_MASS * pieces_kg.sum(
+        axis=1
+    ) * np.square(middle_m)
+    drag_m2 = np.pi / 4 * np.square(trees["crown_width_m"]) * np.where(bare, _BARE, 1.0)
+    drag_m2 *= np.where(trees["storey"] > 0, _SHELTERED, 1.0)
+    return Mechanics(
+        frequency_hz, drag_m2 * middle_m / (inertia_kg_m2 * np.square(2.0 * np.pi * frequency_hz))
+    )
+
+
+class TreeSway:
+    """Moves the trees of windows; the same tree at the same time in the same way, whatever window it is in.
+
+    Parameters
+    ----------
+    section : what the user wrote; its speed is more than 0
+    forest : of the trees, each with a shape of its own
+    start_ns : UTC of the run's first pulse
+    """
+
+    def __init__(self, section: Wind, *, forest: ForestWorld, start_ns: int) -> None:
+        self._section, self._forest, self._start_ns = section, forest, start_ns
+        towards = math.radians(section.towards_deg)
+        east, north = cos(towards), sin(towards)
+        self._axes = np.array([[east, north], [-north, east]])
+        self._lines = [gust_lines(section, forest.seed, component) for component in (ALONG, ACROSS)]
+
+    def shear(self, trees: Stand, t_ns: NDArray[np.int64]) -> Array:
+        """Lean of trees (m,) at UTC times (k,): (k, m, 2) metres east and north per metre over the foot.
+
+        Drag grows with the square of the speed; the mean and the part linear in the gusts are kept.
+        """
+        own = mechanics(trees, self._forest.plants, self._forest.section.season)
+        along_m, across_m = (trees["x_m"] * east + trees["y_m"] * north for east, north in self._axes)
+        swinging = Trees(2.0 * math.pi * own.frequency_hz, self._section.damping_ratio, along_m, across_m)
+        mean = self._section.speed_m_s
+        t_s = np.asarray((t_ns - self._start_ns) * 1e-9, np.float64)
+        along, across = (swings(lines, mean, swinging, t_s) for lines in self._lines)
+        per_speed2 = _AIR_KG_M3 * _FRICTION_SHARE * _FRICTION_SHARE * own.lean_per_stress
+        downwind = per_speed2 * mean * (mean + 2.0 * along)
+        aside = per_speed2 * mean * across
+        east, north = (downwind * a + aside * b for a, b in self._axes.T)
+        return np.stack([east, north], axis=-1)
+
+    def blown(self, window: Window, track_m: Array, start_ns: int, stop_ns: int) -> Window:
+        """Give a window, that of positions (n, 3), the motion of its trees over a span of UTC."""
+        trees = self._forest.trees(track_m)
+        trees = trees[trees["storey"] != REGENERATION]
+        trees = trees[np.argsort(trees["id"], kind="stable")]
+        instance = window.surfaces["instance"][window.first_surface]
+        placement = np.flatnonzero(np.isin(instance, trees["id"]))
+        which = np.searchsorted(trees["id"], instance[placement])
+        # Knots lie at the same times for all windows, whatever these are cut at.
+        first, last = (start_ns - self._start_ns) // KNOT_NS, -((self._start_ns - stop_ns) // KNOT_NS)
+        t_ns = self._start_ns + KNOT_NS * np.arange(first, last + 1)
+        shear = self.shear(trees, t_ns)[:, which]
+        return replace(window, sway=Sway(int(t_ns[0]), KNOT_NS, placement, trees["z_m"][which].copy(), shear))

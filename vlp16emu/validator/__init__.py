@@ -1,6 +1,0 @@
-"""The validator of VLP-16 traffic: whether a real sensor could have sent it."""
-
-from vlp16emu.validator.rules import Finding, Rule
-from vlp16emu.validator.run import Verification, verify, verify_capture, verify_units
-
-__all__ = ["Finding", "Rule", "Verification", "verify", "verify_capture", "verify_units"]

@@ -1,0 +1,210 @@
+"""A world with the user's own meshes in it."""
+
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vlp16emu.elementary import cos, matvec, sin
+from vlp16emu.errors import GeometryError
+from vlp16emu.foliage.tiles import TiledWindow
+from vlp16emu.forest.stand.forest import FIRST_FREE_INSTANCE, ForestWorld
+from vlp16emu.types import SURFACE, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
+from vlp16emu.world.hall import HallWorld
+from vlp16emu.world.mesh_settings import MeshFile, MeshPlace
+from vlp16emu.world.polyline import distance_m
+from vlp16emu.world.user_mesh import UserMesh
+
+_log = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
+
+
+class Furniture:
+    """A mesh of the user's, and all its places.
+
+    Parameters
+    ----------
+    section : what the user wrote
+    mesh : what its file holds
+
+    Raises
+    ------
+    GeometryError
+        for a part that the mesh does not have
+    """
+
+    def __init__(self, section: MeshFile, mesh: UserMesh) -> None:
+        self.section, self.mesh = section, mesh
+        names = [part.name for part in mesh.parts]
+        own = {part.name: part for part in section.parts}
+        for name in own.keys() - set(names):
+            raise GeometryError(f"{mesh.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
+        self.surfaces = np.zeros(len(names), SURFACE)
+        """(parts,) `SURFACE`; material and instance still 0."""
+        for row, part in zip(self.surfaces, (own.get(name, section) for name in names), strict=True):
+            brightness = part.brightness
+            row["reflectance"] = section.brightness if brightness is None else brightness
+            row["semantic"] = Semantic[(part.semantic or section.semantic).upper()]
+            row["part"] = PlantPart[(part.part or section.part).upper()]
+
+
+@dataclass(frozen=True, slots=True)
+class MeshKey:
+    """Name of a mesh's shape."""
+
+    number: int
+    """Among the furniture."""
+    path: Path
+
+
+class Furnished:
+    """A world and what the user has put into it; a `World`.
+
+    Parameters
+    ----------
+    world : without them
+    furniture : in the order of their numbers
+    reach_m : how far the sensor sees
+
+    Raises
+    ------
+    GeometryError
+        for more things than can be numbered
+    """
+
+    def __init__(
+        self, world: ForestWorld | HallWorld, *, furniture: Sequence[Furniture], reach_m: float
+    ) -> None:
+        self.bare = world
+        """The world without the user's things."""
+        self.height_m, self.near_m, self.seed = world.height_m, world.near_m, world.seed
+        if isinstance(world, ForestWorld):  # nothing of a hall is far
+            self.name, self.far_tile = world.name, world.far_tile
+        self._reach_m = reach_m
+        self.materials = (
+            *world.materials,
+            *(_material(f, part.name) for f in furniture for part in f.mesh.parts),
+        )
+        keys = [MeshKey(i, one.mesh.path) for i, one in enumerate(furniture)]
+        self._keys = [keys[i] for i, one in enumerate(furniture) for _ in one.section.places]
+        self._mesh_of = {key: one.mesh for key, one in zip(keys, furniture, strict=True)}
+        self._world_T_mesh = np.array(
+            [_placed(place, one.mesh, world.height_m) for one in furniture for place in one.section.places]
+        ).reshape(-1, 3, 4)
+        self._radius_m = np.array(
+            [place.scale * one.mesh.radius_m for one in furniture for place in one.section.places]
+        )
+        self._rows = _rows(furniture, len(world.materials))
+        self.names = _names(furniture)
+        """Of the user's things by instance."""
+
+    def check(self, path_xy_m: Array) -> tuple[str, ...]:
+        """Report each mesh that is out of sight all along the path (n, 2), one line each, which is logged too."""
+        if not self._keys:
+            return ()
+        gap_m = distance_m(self._world_T_mesh[:, :2, 3], path_xy_m) - self._radius_m
+        findings = []
+        for key in self._mesh_of:
+            nearest_m = min(gap for gap, own in zip(gap_m.tolist(), self._keys, strict=True) if own == key)
+            if nearest_m > self._reach_m:
+                findings.append(
+                    f"{key.path}: not in sight, {nearest_m:.1f} m from the path at the nearest; expected a place"
+                    f" {self._reach_m:g} m from it at most (map coordinates must have origin_m taken off)"
+                )
+        for finding in findings:
+            _log.warning(finding)
+        return tuple(findings)
+
+    def window(self, track_m: Array) -> Window:
+        """Everything of the world, and the user's meshes, within reach of sensor positions (n, 3)."""
+        window = self.bare.window(track_m)
+        gap_m = distance_m(self._world_T_mesh[:, :2, 3], track_m[:, :2]) - self._radius_m
+        near = np.flatnonzero(gap_m <= self._reach_m)
+        if not len(near):
+            return window
+        keys = list(dict.fromkeys(self._keys[i] for i in near))
+        first = len(window.surfaces) + np.cumsum([0, *(len(self._rows[i]) for i in near[:-1])])
+        exact = np.zeros(len(near), np.bool_)
+        tiled: dict[str, Any] = {}
+        if isinstance(window, TiledWindow):
+            tiled = {"far": np.append(window.far, exact), "low": np.append(window.low, exact)}
+        return replace(
+            window,
+            shapes=(*window.shapes, *keys),
+            shape=np.append(
+                window.shape, [len(window.shapes) + keys.index(self._keys[i]) for i in near]
+            ).astype(np.int32),
+            world_T_shape=np.concatenate([window.world_T_shape, self._world_T_mesh[near]]),
+            first_surface=np.append(window.first_surface, first).astype(np.uint32),
+            surfaces=np.concatenate([window.surfaces, *(self._rows[i] for i in near)]),
+            **tiled,
+        )
+
+    def shape_name(self, key: ShapeKey) -> str:
+        """Name a shape of the world; the user's meshes are not kept."""
+        return "" if isinstance(key, MeshKey) else self.bare.shape_name(key)
+
+    def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:
+        """Meshes of a shape: one for each part of a user's file, or what the world makes of it."""
+        if isinstance(key, MeshKey):
+            return tuple(part.mesh for part in self._mesh_of[key].parts)
+        return self.bare.shape(key)
+
+
+def _material(furniture: Furniture, part: str) -> str:
+    return f"{furniture.mesh.path.name} {part}"
+
+
+def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> Array:
+    """`world_T_shape` (3, 4) of a mesh about its centre."""
+    z_m = place.z_m
+    if z_m is None:
+        z_m = place.above_ground_m + float(height_m(np.array([place.x_m]), np.array([place.y_m]))[0])
+    yaw = math.radians(place.yaw_deg)
+    c, s = place.scale * cos(yaw), place.scale * sin(yaw)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, place.scale]])
+    origin = np.array([place.x_m, place.y_m, z_m])
+    return np.column_stack([turn, origin + matvec(turn, mesh.centre_m)])
+
+
+def _instances(furniture: Sequence[Furniture]) -> list[tuple[Furniture, MeshPlace, NDArray[np.int64]]]:
+    """Each placement with the instance numbers of its parts."""
+    placed, number = [], FIRST_FREE_INSTANCE
+    for one in furniture:
+        parts = len(one.surfaces)
+        count = 1 if one.section.one_thing else parts
+        for place in one.section.places:
+            placed.append((one, place, np.broadcast_to(number + np.arange(count), parts)))
+            number += count
+    if number > 2**32:
+        raise GeometryError("meshes", f"found {number - FIRST_FREE_INSTANCE} things", "at most 65536")
+    return placed
+
+
+def _rows(furniture: Sequence[Furniture], first_material: int) -> list[NDArray[np.void]]:
+    """`SURFACE` rows of each placement."""
+    parts = [len(one.surfaces) for one in furniture]
+    material_of = dict(zip(map(id, furniture), first_material + np.cumsum([0, *parts[:-1]]), strict=True))
+    tables = []
+    for one, _, instances in _instances(furniture):
+        rows = one.surfaces.copy()
+        rows["material"] = material_of[id(one)] + np.arange(len(rows))
+        rows["instance"] = instances
+        tables.append(rows)
+    return tables
+
+
+def _names(furniture: Sequence[Furniture]) -> dict[int, str]:
+    """Name each instance by its file, part where parts are things of their own, and place."""
+    return {
+        int(number): f"{one.mesh.path.name if one.section.one_thing else _material(one, part.name)}"
+        f" at ({place.x_m:g}, {place.y_m:g}) m"
+        for one, place, numbers in _instances(furniture)
+        for number, part in zip(numbers, one.mesh.parts, strict=True)
+    }
