@@ -1,7 +1,8 @@
 """What the core loads by name and only when a scene or an option asks for it."""
 
 from importlib import import_module
-from typing import Any
+from importlib.util import find_spec
+from typing import Annotated, Any
 
 from vlp16emu.errors import InputError
 
@@ -9,6 +10,7 @@ DOORS = {
     "audit": "vlp16emu.extras.accuracy.audit:Audit",
     "bag": "vlp16emu.extras.bag:bag_of_run",
     "beside": "vlp16emu.extras.bench.beside:Beside",
+    "far": "vlp16emu.foliage.far_caster:FarCaster",
     "faults": "vlp16emu.extras.bench.wire:arriving",
     "live": "vlp16emu.extras.live.flight:flying",
     "live_motion": "vlp16emu.extras.live.motion:live_motion",
@@ -17,6 +19,33 @@ DOORS = {
     "web": "vlp16emu.extras.bench.control:web_interfaces",
 }
 """What stands behind each name, as module:name."""
+
+SECTIONS = {
+    "world": (
+        "vlp16emu.forest.stand.settings:Forest",
+        "vlp16emu.forest.stand.settings:Plot",
+        "vlp16emu.world.settings:Hall",
+    ),
+}
+"""Tables of a scene that are told apart by their `kind`."""
+
+
+def sections(name: str) -> Any:
+    """Return the type of a table of a scene: one of the sections of `SECTIONS` that are installed."""
+    from pydantic import Field  # here: who opens another door needs none
+
+    found = [
+        getattr(import_module(m), c) for m, _, c in (s.partition(":") for s in SECTIONS[name]) if find(m)
+    ]
+    return Annotated[tuple(found), Field(discriminator="kind")] if len(found) > 1 else found[0]
+
+
+def find(module: str) -> bool:
+    """Whether a module is installed."""
+    try:
+        return find_spec(module) is not None
+    except ModuleNotFoundError:
+        return False
 
 
 def door(name: str) -> Any:

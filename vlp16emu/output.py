@@ -2,13 +2,14 @@
 
 import errno
 import fcntl
+import json
 import logging
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO, Self
+from typing import Any, BinaryIO, Self
 
 from vlp16emu.errors import OutputError, RunError
 
@@ -178,3 +179,15 @@ def _locked(path: Path, where: str, buffering: int) -> BinaryIO:
 
 def _as_it_is(path: str, flags: int) -> int:
     return os.open(path, flags & ~os.O_TRUNC | os.O_NOFOLLOW, 0o666)
+
+
+def write_json(path: Path, tree: Mapping[str, Any]) -> None:
+    """Write a file of one JSON object, in place of the one that is there.
+
+    Raises
+    ------
+    OutputError, RunError
+        as `OutputFile`
+    """
+    with OutputFile(path) as output, output.writing() as file:
+        file.write(f"{json.dumps(tree, indent=2, ensure_ascii=False)}\n".encode())

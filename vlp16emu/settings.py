@@ -89,3 +89,21 @@ MapPoint = Annotated[tuple[Place, Place, Place], Field(strict=False)]
 Size = Annotated[float, Field(ge=1e-3, le=1e4)]
 """An extent of something in the world, in m."""
 Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+Table = Mapping[str, Any]
+"""A table of a scene file."""
+
+
+def merged(base: Table, own: Table) -> dict[str, Any]:
+    """Everything of both tables, the own where both have it; tables in them are merged likewise."""
+    both = {**base, **own}
+    for key in base.keys() & own.keys():
+        if isinstance(base[key], dict) and isinstance(own[key], dict) and _same_kind(base[key], own[key]):
+            both[key] = merged(base[key], own[key])
+    return both
+
+
+def _same_kind(base: Table, own: Table) -> bool:
+    """Whether the own table says nothing else of its `kind`, and names no preset of its own (`relief`)."""
+    return "relief" not in own and bool(own.get("kind", base.get("kind")) == base.get("kind"))

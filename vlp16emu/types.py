@@ -8,7 +8,7 @@ and grows clockwise seen from above. `world_T_body` takes body to world coordina
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -310,6 +310,10 @@ class Window:
         _check(self, "shape", self.shape, "i4", n := len(self.shape))
         _check(self, "world_T_shape", self.world_T_shape, "f8", n, 3, 4)
         _check(self, "first_surface", self.first_surface, "u4", n)
+
+    def with_more(self, count: int) -> dict[str, NDArray[Any]]:  # noqa: ARG002  # windows with more fields need it
+        """Return the further fields of the window for `count` placements that are added behind its own."""
+        return {}
 
 
 HeightField = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]

@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from vlp16emu.forest.ground.settings import Terrain
-from vlp16emu.scenario.presets import with_preset
+from vlp16emu.forest.presets import with_preset
 
 
 def test_rolling_is_what_nothing_gives():

@@ -6,14 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from vlp16emu.extras.clouds.cloud import (
-    CAPTURE_COLUMNS,
-    LEAF_OR_WOOD,
-    RETURN_NAMES,
-    SCENE_COLUMNS,
-    TRUTH_COLUMNS,
-)
-from vlp16emu.extras.truth.slots import SLOT_COLUMNS
+from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, RETURN_NAMES, SCENE_COLUMNS, TRUTH_COLUMNS
+from vlp16emu.extras.truth.slots import LEAF_OR_WOOD, SLOT_COLUMNS
 from vlp16emu.extras.truth.truth import _GNSS_COLUMNS, _IMU_COLUMNS
 from vlp16emu.forest.given.stem_list import _COLUMNS
 from vlp16emu.forest.plants.flora import flora

@@ -13,9 +13,9 @@ from vlp16emu import emulator as emulators
 from vlp16emu.errors import MissingExtraError
 from vlp16emu.extras.clouds.cloud import SCENE_COLUMNS, CloudAbout, point_file
 from vlp16emu.extras.clouds.gps_time import adjusted_gps_s
+from vlp16emu.extras.clouds.labels import label_scheme, scheme_names
 from vlp16emu.extras.clouds.las import echoes_of, local_wkt
 from vlp16emu.extras.clouds.points import write_points
-from vlp16emu.extras.labels import label_scheme, scheme_names
 from vlp16emu.types import PlantPart, Semantic
 
 laspy = pytest.importorskip("laspy")

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vlp16emu.errors import OutputError, RunError
-from vlp16emu.sinks import TruthFolder, tum_rows
+from vlp16emu.extras.truth.folder import TruthFolder, tum_rows
 from vlp16emu.types import Poses
 
 
@@ -68,7 +68,7 @@ def test_on_a_full_disk_the_last_line_is_whole(tmp_path):
         "import resource, sys\n"
         "from pathlib import Path\n"
         "from vlp16emu.errors import RunError\n"
-        "from vlp16emu.sinks import TruthFolder\n"
+        "from vlp16emu.extras.truth.folder import TruthFolder\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (25, 25))\n"
         "with TruthFolder(Path(sys.argv[1])) as folder:\n"
         "    folder.append('imu.csv', 'one two\\n')\n"

@@ -11,6 +11,7 @@ from vlp16emu.forest.stand.settings import (
     Clusters,
     DwarfShrubs,
     Ferns,
+    Forest,
     Grass,
     Herbs,
     Litter,
@@ -24,7 +25,6 @@ from vlp16emu.forest.stand.settings import (
     Stumps,
 )
 from vlp16emu.forest.stand.stand import Stand
-from vlp16emu.world import Forest
 from vlp16emu.world.polyline import Corridor
 
 PATH_XY_M = np.array([[0.0, 0.0], [18.0, 4.0], [34.0, -3.0], [52.0, 2.0]])

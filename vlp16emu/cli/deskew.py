@@ -11,7 +11,7 @@ from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, si
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
-    from vlp16emu.extras.deskew import Deskewed
+    from vlp16emu.extras.clouds.deskew import Deskewed
 
 
 _MOST_S = 7 * 86_400
@@ -96,8 +96,8 @@ def deskew(
     if trajectory is None:
         expected = "--trajectory DIR or FILE.tum; `vlp16emu decode` leaves points in the sensor"
         raise InputError(str(capture), "is a capture", expected)
-    from vlp16emu.extras.deskew import CaptureTruth, Trajectory, TrajectoryErrors, write_deskewed
-    from vlp16emu.extras.labels import label_scheme
+    from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, TrajectoryErrors, write_deskewed
+    from vlp16emu.extras.clouds.labels import label_scheme
 
     names = {"mount": _MOUNT, "drift": _DRIFT}
     given = {key: _numbers(f"--{key}", text, names[key]) for key, text in errors.items() if text is not None}

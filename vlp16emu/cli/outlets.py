@@ -9,8 +9,10 @@ from vlp16emu.cli.terminal import count
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
+    from vlp16emu.extras.bench.gps_in import GpsIn
+    from vlp16emu.extras.bench.outlets import Outlets
     from vlp16emu.run.report import Streamed
-    from vlp16emu.sinks import Away, GpsIn, OutletResult, Outlets
+    from vlp16emu.sinks import Away, OutletResult
 
 
 Line = Literal["dtr", "rts", "off"]
@@ -85,14 +87,14 @@ GpsInPulse = Annotated[
 
 def gps_in_of(port: str | None, pulse: Pulse) -> "GpsIn | None":
     """Take the options together."""
-    from vlp16emu.sinks import GpsIn
+    from vlp16emu.extras.bench.gps_in import GpsIn
 
     return None if port is None else GpsIn(port, pulse)
 
 
 def outlets_of(gps_out: str | None, gps_pps: Line, imu_out: str | None) -> "Outlets":
     """Take the options together."""
-    from vlp16emu.sinks import Outlets
+    from vlp16emu.extras.bench.outlets import Outlets
 
     return Outlets(gps_out, gps_pps, imu_out)
 

@@ -14,8 +14,6 @@ from vlp16emu.engine.changes import clock_spans, silences_ns, spans_of, spins, w
 from vlp16emu.engine.gps import GpsInput
 from vlp16emu.engine.optics import Optics
 from vlp16emu.engine.timeline import Timeline
-from vlp16emu.forest.make import ground_name, ground_of, obstacles_of, world_of
-from vlp16emu.forest.stand.wind import TreeSway
 from vlp16emu.motion import Mount
 from vlp16emu.motion.carrier import make_carrier
 from vlp16emu.motion.imu import ImuSampler
@@ -34,7 +32,7 @@ from vlp16emu.sensor.rotor import Clock, EncoderLines, Pattern, Rotor, Swing, ro
 from vlp16emu.sensor.settings import FreeSensor, Sensor, on_the_wire
 from vlp16emu.types import ReturnMode, SensorModel, World
 from vlp16emu.units import seconds_to_ns
-from vlp16emu.world import Hall
+from vlp16emu.world.site import Sway
 
 _OF_WORLD: tuple[Callable[[Scenario], object], ...] = (
     lambda scenario: (scenario.world, scenario.world_seed, scenario.wind),
@@ -183,7 +181,7 @@ class Parts:
     imu: ImuSampler | None
     world: World
     """At rest."""
-    wind: TreeSway | None
+    wind: Sway | None
     """What moves its trees."""
     gps: GpsInput
     """What the receiver sends; what each unit gets of it is the unit's."""
@@ -250,33 +248,30 @@ def assemble(scenario: Scenario, like: Like | None = None) -> Parts:
     )
 
 
-def _world(scenario: Scenario) -> tuple[Motion, World, TreeSway | None]:
+def _world(scenario: Scenario) -> tuple[Motion, World, Sway | None]:
     """Make the carrier, the world that it goes through, and what moves its trees."""
     sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
     reach_m = _STRAY_M + max(
         sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors
     )
-    ground = ground_of(section, seed)
+    site = section.site(seed)
     carrier, path_xy_m = make_carrier(
         scenario.motion,
-        ground.height_m,
-        ground_name(section, seed),
-        origin_m=(0.0, 0.0, 0.0) if isinstance(section, Hall) else section.origin_m,
+        site.height_m,
+        site.name,
+        origin_m=site.origin_m,
         gps=scenario.gps,
         reach_m=scenario.sensor.max_range_m,
         start_ns=scenario.start_ns,
         seed=scenario.motion_seed,
-        obstacles=obstacles_of(section),
+        obstacles=site.obstacles,
     )
-    world, wind = world_of(
-        section,
-        scenario.wind,
-        seed=seed,
-        start_ns=scenario.start_ns,
-        ground=ground,
-        path_xy_m=path_xy_m,
+    world, wind = site.world(
+        path_xy_m,
         reach_m=reach_m,
         farthest_m=max(sensor.max_range_m for sensor, _ in sensors),
+        wind=scenario.wind,
+        start_ns=scenario.start_ns,
     )
     return carrier, world, wind
 

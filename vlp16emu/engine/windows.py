@@ -241,7 +241,9 @@ def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> 
     tracks_m = [unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units]
     track_m = np.concatenate(tracks_m)
     window = parts.world.window(track_m)
-    return parts.wind.blown(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
+    return (
+        parts.wind.with_sway(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
+    )
 
 
 @runtime_checkable

@@ -4,7 +4,7 @@ A window with tiles is cast as faces to `near_m`, and beyond as a medium; any ot
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,11 @@ class TiledWindow(Window):
     """(n,) which placements `tiles` stand for."""
     low: NDArray[np.bool_]
     """(n,) which of the others are so low that light from afar meets the ground in their place."""
+
+    def with_more(self, count: int) -> dict[str, NDArray[Any]]:
+        """Return the further fields of the window for `count` placements that are exact at any range."""
+        exact = np.zeros(count, np.bool_)
+        return {"far": np.append(self.far, exact), "low": np.append(self.low, exact)}
 
 
 class TiledWorld(World, Protocol):

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.doors import door
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.types import Firings, Hits, Window, World
 
@@ -55,6 +56,5 @@ def caster(world: World, workers: Executor) -> Caster:
         from vlp16emu.raycast.near import EmbreeCaster
 
         return EmbreeCaster(world, workers)
-    from vlp16emu.foliage.far_caster import FarCaster
-
-    return FarCaster(world, workers)  # type: ignore[arg-type]  # what has a `near_m` is a `TiledWorld`
+    far: Caster = door("far")(world, workers)
+    return far

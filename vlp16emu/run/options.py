@@ -1,8 +1,14 @@
 """What a run is asked for beside its packets."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol, Self
+
+from vlp16emu.motion.settings import Gps, Imu
+from vlp16emu.sinks.sink import Outlet, PacketSink
+from vlp16emu.types import PacketKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,3 +53,39 @@ class PosesIn:
     """File for what is flown, which repeats the run as `motion.flown`; overwritten if it exists."""
     news: Callable[[str], None] = lambda _: None
     """Called with a line when poses are waited for, lost, or back."""
+
+
+class Outlets(Protocol):
+    """What leaves beside the packets of the sensors, such as sentences, pulses and inertial samples."""
+
+    @property
+    def kinds(self) -> Collection[PacketKind]:
+        """Kinds of packets to make."""
+
+    def look_ahead(self, imu: Imu | None) -> int:
+        """Packets that a stream computes further ahead, because of those between the packets of the sensors."""
+
+    def opened(self, imu: Imu | None) -> AbstractContextManager[dict[PacketKind, Outlet]]:
+        """Open the ways that packets of each kind take."""
+
+
+class ClockReader(Protocol):
+    """A receiver that is listened to, and sets the clock of the sensors; a context manager."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *raised: object) -> None: ...
+
+    def sink(self, way: PacketSink) -> PacketSink:
+        """Return a sink that stamps packets anew before they take their way."""
+
+    @property
+    def result(self) -> Any:
+        """What was heard."""
+
+
+class ClockInput(Protocol):
+    """Where a receiver is wired to the sensors."""
+
+    def reader(self, gps: Gps, powered_for_s: float) -> ClockReader:
+        """Open it for sensors that have had power for some time."""

@@ -18,13 +18,13 @@ from vlp16emu.errors import OutputError, spare
 from vlp16emu.output import STDOUT
 from vlp16emu.packets import Capture, returns_in
 from vlp16emu.packets.frames import Link
+from vlp16emu.run.host_clock import CaptureClock, HostClock
 from vlp16emu.run.options import TruthTo
 from vlp16emu.run.report import AuditFinding
 from vlp16emu.run.run import Run, TruthPlace
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import PacketSink, PcapResult, PcapSink, check_ending
-from vlp16emu.sinks.host_clock import CaptureClock, HostClock
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS, seconds_to_ns
 

@@ -7,21 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from vlp16emu.engine import Unit
+from vlp16emu.output import write_json
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.keeping_up import settings_that_keep_up
 from vlp16emu.run.options import TruthTo
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
-from vlp16emu.sinks import (
-    FellBehind,
-    FirstPacket,
-    Late,
-    Outlet,
-    OutletResult,
-    StreamReport,
-    UdpResult,
-    write_json,
-)
+from vlp16emu.sinks import FellBehind, FirstPacket, Late, Outlet, OutletResult, StreamReport, UdpResult
 from vlp16emu.types import PacketKind
 
 

@@ -11,7 +11,7 @@ from vlp16emu.doors import door
 from vlp16emu.errors import InputError
 from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.run.feed import PacketFeed
-from vlp16emu.run.options import Http, PosesIn, TruthTo
+from vlp16emu.run.options import ClockInput, Http, Outlets, PosesIn, TruthTo
 from vlp16emu.run.record import prepared, record
 from vlp16emu.run.report import Streamed, summed_up, with_outlets, write_times
 from vlp16emu.run.run import Run, TruthPlace
@@ -19,11 +19,7 @@ from vlp16emu.sinks import (
     LOOK_AHEAD_PACKETS,
     LOOPBACK,
     FellBehind,
-    GpsIn,
-    GpsInSink,
-    GpsReader,
     Late,
-    Outlets,
     Pacer,
     PacketSink,
     RigSink,
@@ -33,8 +29,6 @@ from vlp16emu.sinks import (
 )
 from vlp16emu.types import Packet
 from vlp16emu.units import S_NS
-
-_NO_OUTLETS = Outlets()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,9 +57,9 @@ class StreamOptions:
     """Where the web interfaces of the sensors are, through which the stream is set; None for none."""
     poses: PosesIn | None = None
     """Where those of a live scene come in; its stream begins with the first one, and drops what is late."""
-    outlets: Outlets = _NO_OUTLETS
+    outlets: Outlets | None = None
     """What leaves beside the packets of the sensors: sentences and pulses of the receiver, inertial samples."""
-    gps_in: GpsIn | None = None
+    gps_in: ClockInput | None = None
     """A real receiver, which sets the clock of the sensors instead of that of the scene."""
     watched: Callable[[PacketSink, Pacer], PacketSink] = lambda sink, _: sink
     """Called with the sink of the packets and their clock; returns the sink that takes them instead."""
@@ -97,7 +91,8 @@ def stream_run(run: Run, options: StreamOptions) -> Streamed:
         flight = stack.enter_context(door("live")(run, options.poses)) if _is_live(run, options) else None
         policy = flight.prepare(stop, pacer) if flight else policy
         engine = replace(run.engine, prompt=options.http is not None)
-        feed = stack.enter_context(closing(PacketFeed(engine, *span_s, also=options.outlets.kinds)))
+        outlets, kinds = options.outlets, options.outlets.kinds if options.outlets else ()
+        feed = stack.enter_context(closing(PacketFeed(engine, *span_s, also=kinds)))
         rig = RigSink(
             links,
             options.to,
@@ -105,14 +100,17 @@ def stream_run(run: Run, options: StreamOptions) -> Streamed:
             interface=options.interface,
             sent=lambda due_ns: options.progress((due_ns - scenario.start_ns) / S_NS),
         )
-        sink, ways = stack.enter_context(rig), stack.enter_context(options.outlets.opened(scenario.imu))
+        sink, ways = (
+            stack.enter_context(rig),
+            (stack.enter_context(outlets.opened(scenario.imu)) if outlets else {}),
+        )
         options.opened()
         packets = _packets(run, options, feed, span_s, stack, stop)
         reader = (
-            GpsReader(options.gps_in, scenario.gps, scenario.sensor.powered_for_s) if options.gps_in else None
+            options.gps_in.reader(scenario.gps, scenario.sensor.powered_for_s) if options.gps_in else None
         )
         way = options.watched(SinkByKind(sink, ways) if ways else sink, pacer)
-        way = GpsInSink(way, stack.enter_context(reader).line) if reader else way
+        way = stack.enter_context(reader).sink(way) if reader else way
         report = stream(
             packets,
             flight.begun(way, pacer, now=options.now) if flight else way,
@@ -124,7 +122,7 @@ def stream_run(run: Run, options: StreamOptions) -> Streamed:
             now=options.now,
             stop=stop,
             look_ahead_packets=(flight.look_ahead if flight else LOOK_AHEAD_PACKETS) * len(links)
-            + options.outlets.look_ahead(scenario.imu),
+            + (outlets.look_ahead(scenario.imu) if outlets else 0),
         )
         live = flight.report(report.simulated_s if report.interrupted else span_s[1]) if flight else None
     if options.truth is not None:
@@ -139,7 +137,7 @@ def _check(options: StreamOptions) -> None:
     """Refuse options that exclude each other."""
     truth, http = options.truth, options.http
     fine = isinstance(truth, TruthTo) and (truth.per_packet or truth.per_return)
-    of_prepare = {"--http": http, "--gps-out or --imu-out": options.outlets.kinds}
+    of_prepare = {"--http": http, "--gps-out or --imu-out": options.outlets and options.outlets.kinds}
     _exclude(options.prepare is not None, "--prepare", of_prepare)
     _exclude(options.now, "--now", {"--gps-in": options.gps_in})
     _exclude(http is not None, "--http", {"--truth-packets or --truth-returns": fine})

@@ -1,26 +1,31 @@
 """The scenario file as a frozen tree. Defaults live here and nowhere else."""
 
 from datetime import UTC, datetime
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field, ValidationInfo, field_validator
 
+from vlp16emu.doors import sections
 from vlp16emu.errors import InputError
 from vlp16emu.motion import Gps, Imu, Live, Recorded, Static, Walk
 from vlp16emu.raycast import Beam
 from vlp16emu.returns import Detector, Noise, Weather
+from vlp16emu.run.host_clock import CaptureClock
 from vlp16emu.scenario.events import AnyEvent, DeadLaser, DirtyWindow, GpsEvent
-from vlp16emu.scenario.presets import with_preset
 from vlp16emu.scenario.rig import RigUnit, completed
 from vlp16emu.sensor import AnySensor, FreeSensor, Sensor
 from vlp16emu.settings import Section, Seed
-from vlp16emu.sinks.host_clock import CaptureClock
 from vlp16emu.units import S_NS, US_NS
-from vlp16emu.world import Forest, Hall, Plot, Wind
+from vlp16emu.world import Wind, WorldSection
 
 _FIRST_START = datetime(1970, 1, 1, tzinfo=UTC)
 _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
 """Seconds of a pcap file are 32 bits without sign and end 37 days later, farther off than any run reaches."""
+
+if TYPE_CHECKING:
+    AnyWorld = WorldSection
+else:
+    AnyWorld = sections("world")
 
 
 class Scenario(Section):
@@ -53,7 +58,7 @@ class Scenario(Section):
     """Further sensors on the same carrier, numbered from 2; that of `[sensor]` is unit 1."""
     events: Annotated[list[AnyEvent], Field(max_length=10_000, default_factory=list)]
     """What is set on the sensors while they run, and what goes wrong."""
-    world: Annotated[Forest | Plot | Hall, Field(discriminator="kind")]
+    world: AnyWorld
     """What the sensor sees."""
     wind: Wind | None = None
     """What makes the trees sway; none in a hall."""
@@ -111,22 +116,18 @@ class Scenario(Section):
                 raise ValueError(f"gps.connected = true beside {event.kind} (events[{place}])")
         return events
 
-    @field_validator("world", mode="before")
-    @classmethod
-    def _from_preset(cls, table: Any) -> Any:
-        return with_preset(table) if isinstance(table, dict) and table.get("kind") == "forest" else table
-
     @field_validator("wind")
     @classmethod
     def _has_trees(cls, wind: Wind | None, info: ValidationInfo) -> Wind | None:
-        if wind is not None and isinstance(info.data.get("world"), Hall):
+        world = info.data.get("world")
+        if wind is not None and world is not None and not world.has_trees:
             raise ValueError("none in a hall, which has no trees")
         return wind
 
     @property
     def world_seed(self) -> int:
         """Seed of what the sensor sees."""
-        own = None if isinstance(self.world, Hall) else self.world.seed
+        own = self.world.own_seed
         return self.seed if own is None else own
 
     @property

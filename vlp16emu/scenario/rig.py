@@ -4,9 +4,8 @@ from ipaddress import IPv4Address
 from typing import Any
 
 from vlp16emu.motion import Mount
-from vlp16emu.scenario.presets import merged
 from vlp16emu.sensor.settings import Sensor
-from vlp16emu.settings import Seed
+from vlp16emu.settings import Seed, merged
 
 _OWN = frozenset({"name", "serial_number", "address", "data_port", "position_port", "seed"})
 """What no two units have in common, so none of it is taken from `[sensor]`."""

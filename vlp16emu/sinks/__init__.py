@@ -1,9 +1,5 @@
 """Where packets leave: a capture file, the network, or a list; and the clock that lets them leave in time."""
 
-from vlp16emu.extras.bench.gps_in import GpsIn, GpsInResult, GpsInSink, GpsReader
-from vlp16emu.extras.bench.outlets import Outlets
-from vlp16emu.extras.truth.folder import TruthFolder, tum_rows, write_json
-from vlp16emu.extras.viewer.channel import Channel
 from vlp16emu.sinks.pacing import TOLERANCE_NS, FellBehind, Late, Lateness, LatenessHistogram, Pacer
 from vlp16emu.sinks.pcap import PcapResult, PcapSink, check_ending
 from vlp16emu.sinks.readiness import Check, Condition, sending_checks
@@ -24,15 +20,10 @@ __all__ = [
     "LOOPBACK",
     "TOLERANCE_NS",
     "Away",
-    "Channel",
     "Check",
     "Condition",
     "FellBehind",
     "FirstPacket",
-    "GpsIn",
-    "GpsInResult",
-    "GpsInSink",
-    "GpsReader",
     "Late",
     "Lateness",
     "LatenessHistogram",
@@ -40,7 +31,6 @@ __all__ = [
     "NowSink",
     "Outlet",
     "OutletResult",
-    "Outlets",
     "Pacer",
     "PacketSink",
     "PcapResult",
@@ -48,7 +38,6 @@ __all__ = [
     "RigSink",
     "SinkByKind",
     "StreamReport",
-    "TruthFolder",
     "UdpResult",
     "UdpSink",
     "UnderWay",
@@ -56,6 +45,4 @@ __all__ = [
     "sending_checks",
     "sending_share",
     "stream",
-    "tum_rows",
-    "write_json",
 ]

@@ -1,9 +1,8 @@
-"""What is around the sensor: a forest that grows itself along the walk, or a hall of known shapes.
+"""What is around the sensor: a hall of known shapes here, forests in a package of their own.
 
 Here are the tables of a scene alone, so that one is read without numpy and numba; models are in their own modules.
 """
 
-from vlp16emu.forest.stand.settings import Forest, Plot, Wind, Woods
-from vlp16emu.world.settings import Hall
+from vlp16emu.world.settings import Hall, Wind, WorldSection
 
-__all__ = ["Forest", "Hall", "Plot", "Wind", "Woods"]
+__all__ = ["Hall", "Wind", "WorldSection"]

@@ -5,24 +5,24 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.errors import GeometryError
-from vlp16emu.foliage.tiles import TiledWindow
-from vlp16emu.forest.stand.forest import FIRST_FREE_INSTANCE, ForestWorld
-from vlp16emu.types import SURFACE, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window
-from vlp16emu.world.hall import HallWorld
+from vlp16emu.types import SURFACE, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window, World
 from vlp16emu.world.mesh_settings import MeshFile, MeshPlace
 from vlp16emu.world.polyline import distance_m
-from vlp16emu.world.user_mesh import UserMesh
+from vlp16emu.world.user_mesh import UserMesh, load_mesh
 
 _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
+
+FIRST_FREE_INSTANCE = 0xFFFF0000
+"""From here on instances are things of the user's; worlds number theirs below."""
 
 
 class Furniture:
@@ -63,6 +63,18 @@ class MeshKey:
     path: Path
 
 
+class BareWorld(World, Protocol):
+    """A world that things can be put into."""
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Names by `SURFACE` material number."""
+
+    @property
+    def height_m(self) -> HeightField:
+        """Height of the ground."""
+
+
 class Furnished:
     """A world and what the user has put into it; a `World`.
 
@@ -78,13 +90,11 @@ class Furnished:
         for more things than can be numbered
     """
 
-    def __init__(
-        self, world: ForestWorld | HallWorld, *, furniture: Sequence[Furniture], reach_m: float
-    ) -> None:
+    def __init__(self, world: BareWorld, *, furniture: Sequence[Furniture], reach_m: float) -> None:
         self.bare = world
         """The world without the user's things."""
         self.height_m, self.near_m, self.seed = world.height_m, world.near_m, world.seed
-        if isinstance(world, ForestWorld):  # nothing of a hall is far
+        if hasattr(world, "far_tile"):  # nothing of a hall is far
             self.name, self.far_tile = world.name, world.far_tile
         self._reach_m = reach_m
         self.materials = (
@@ -130,10 +140,6 @@ class Furnished:
             return window
         keys = list(dict.fromkeys(self._keys[i] for i in near))
         first = len(window.surfaces) + np.cumsum([0, *(len(self._rows[i]) for i in near[:-1])])
-        exact = np.zeros(len(near), np.bool_)
-        tiled: dict[str, Any] = {}
-        if isinstance(window, TiledWindow):
-            tiled = {"far": np.append(window.far, exact), "low": np.append(window.low, exact)}
         return replace(
             window,
             shapes=(*window.shapes, *keys),
@@ -143,7 +149,7 @@ class Furnished:
             world_T_shape=np.concatenate([window.world_T_shape, self._world_T_mesh[near]]),
             first_surface=np.append(window.first_surface, first).astype(np.uint32),
             surfaces=np.concatenate([window.surfaces, *(self._rows[i] for i in near)]),
-            **tiled,
+            **window.with_more(len(near)),
         )
 
     def shape_name(self, key: ShapeKey) -> str:
@@ -208,3 +214,19 @@ def _names(furniture: Sequence[Furniture]) -> dict[int, str]:
         for one, place, numbers in _instances(furniture)
         for number, part in zip(numbers, one.mesh.parts, strict=True)
     }
+
+
+def furnished(bare: BareWorld, files: Sequence[MeshFile], path_xy_m: Array, reach_m: float) -> World:
+    """Put the user's own meshes into a world, and warn of those that are out of sight along a path (n, 2).
+
+    Raises
+    ------
+    GeometryError
+        If a mesh cannot be read
+    """
+    if not files:
+        return bare
+    furniture = [Furniture(one, load_mesh(Path(one.file), unit=one.unit, up=one.up)) for one in files]
+    world = Furnished(bare, furniture=furniture, reach_m=reach_m)
+    world.check(path_xy_m)
+    return world

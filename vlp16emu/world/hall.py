@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import acos, cos, log, sin, tan
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import SURFACE, Mesh, Semantic, ShapeKey, Window
-from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere
+from vlp16emu.types import SURFACE, Mesh, Semantic, ShapeKey, Window, World
+from vlp16emu.world.furnished import furnished
+from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere, Wind
 
 _log = logging.getLogger(__name__)
 
@@ -210,3 +211,26 @@ def _sphere(radius_m: float) -> Mesh:
     ]
     faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in triangles])
     return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
+
+
+class HallSite:
+    """The floor of a hall; a `Site`."""
+
+    name, origin_m, obstacles = "flat", (0.0, 0.0, 0.0), None
+
+    def __init__(self, section: Hall) -> None:
+        self._section, self._hall = section, HallWorld(section)
+        self.height_m = self._hall.height_m
+
+    def world(
+        self,
+        path_xy_m: Array,
+        *,
+        reach_m: float,
+        farthest_m: float,  # noqa: ARG002  # all of it is near
+        wind: Wind | None,  # noqa: ARG002  # nothing in it moves
+        start_ns: int,  # noqa: ARG002
+    ) -> tuple[World, None]:
+        """Return the hall; parameters and errors as of `Site`."""
+        self._hall.check(path_xy_m)
+        return furnished(self._hall, self._section.meshes, path_xy_m, reach_m), None

@@ -1,13 +1,54 @@
 """A hall of known shapes."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from vlp16emu.settings import Fraction, Section, Size
 from vlp16emu.world.mesh_settings import Finish, MeshFile
+from vlp16emu.world.site import Site
 
 Texture = Annotated[float, Field(ge=0, le=0.3)]
+
+
+class WorldSection(Section):
+    """What the sensor sees: a kind of world."""
+
+    has_trees: ClassVar[bool] = False
+    """Whether wind moves something in it."""
+
+    @property
+    def own_seed(self) -> int | None:
+        """Seed that the section names; None for that of the scene."""
+        return None
+
+    def site(self, seed: int) -> Site:
+        """Return its ground, on which the path and then the world are made.
+
+        Raises
+        ------
+        GeometryError
+            If it cannot be made as it is written
+        """
+        raise NotImplementedError
+
+
+class Wind(Section):
+    """Wind through a stand; without this table, and at a speed of 0, the air is still and costs nothing."""
+
+    speed_m_s: Annotated[float, Field(ge=0, le=12)]
+    """Mean, at the top of the canopy: there half of what it is in the open, by and large. Trees answer in proportion, also
+    where real ones would break or lean on their neighbours: from some 8 m/s on thin trees of dense stands lean too far."""
+    towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
+    """Direction in which it blows, counter-clockwise from east."""
+    turbulence_intensity: Annotated[float, Field(ge=0, le=1)] = 0.55
+    """Standard deviation of the speed along the wind over the mean; across it is 0.8 of that. At the top of canopies
+    1.8 / 3.3 (both over the friction velocity; Raupach, Finnigan and Brunet, Boundary-Layer Meteorol 78, 1996)."""
+    gust_length_m: Annotated[float, Field(ge=1, le=500)] = 20.0
+    """Integral length of gusts along the wind: at the top of canopies about the height of the trees (the same)."""
+    damping_ratio: Annotated[float, Field(ge=0.02, le=1)] = 0.1
+    """Damping of the trees' swing as a share of critical damping: whole trees have 0.08 and more, stripped ones 0.01 to
+    0.08 (Moore and Maguire, Trees 19, 2005)."""
 
 
 class HallBox(Finish):
@@ -45,7 +86,7 @@ class HallSphere(Finish):
     """Diameter."""
 
 
-class Hall(Section):
+class Hall(WorldSection):
     """A closed room of known size, centred on the origin, floor at z = 0, with things in it."""
 
     kind: Literal["hall"]
@@ -72,3 +113,9 @@ class Hall(Section):
     """Balls."""
     meshes: list[MeshFile] = Field(default_factory=list)
     """The user's own things; unlike the others they may lie anywhere."""
+
+    def site(self, seed: int) -> Site:  # noqa: ARG002  # nothing of a hall is random
+        """Return the floor of the hall."""
+        from vlp16emu.world.hall import HallSite  # here: a scene is read without the compiler
+
+        return HallSite(self)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.sinks.host_clock import CaptureClock, HostClock
+from vlp16emu.run.host_clock import CaptureClock, HostClock
 from vlp16emu.types import Packet, PacketKind
 
 START_NS = 1_700_000_000 * 10**9

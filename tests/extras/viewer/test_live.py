@@ -13,9 +13,10 @@ pytest.importorskip("viser", reason="the extra viewer is not installed")
 
 from vlp16emu import Emulator
 from vlp16emu.cli.app import run
+from vlp16emu.extras.viewer.channel import Channel
 from vlp16emu.extras.viewer.live import Glimpse, WatchedSink, backdrop_of, watching
 from vlp16emu.packets import DATA_BYTES
-from vlp16emu.sinks import Channel, Pacer, PacketSink
+from vlp16emu.sinks import Pacer, PacketSink
 from vlp16emu.types import PacketKind
 
 

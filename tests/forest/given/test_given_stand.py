@@ -6,7 +6,7 @@ import pytest
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.given.given_stand import GivenStand
 from vlp16emu.forest.plants.flora import flora, species_table
-from vlp16emu.world import Plot
+from vlp16emu.forest.stand.settings import Plot
 from vlp16emu.world.polyline import Corridor
 
 HEADER = "x,y,species,dbh_cm,height_m,crown_base_m,crown_width_m,lean_deg,lean_azimuth_deg\n"

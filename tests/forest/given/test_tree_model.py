@@ -13,10 +13,10 @@ from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.flora import flora, species_table
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.models import ModelKey
+from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.scenario import load
 from vlp16emu.types import PlantPart, Semantic
-from vlp16emu.world import Woods
 from vlp16emu.world.mesh_settings import ModelPart, TreeModelFile
 from vlp16emu.world.polyline import Corridor
 

@@ -11,10 +11,17 @@ from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.flora import species_table, tapers
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.stand.points import ScatteredPattern
-from vlp16emu.forest.stand.settings import Clusters, HardCore, Plantation, Scattered, SpeciesShare, Storey
+from vlp16emu.forest.stand.settings import (
+    Clusters,
+    Forest,
+    HardCore,
+    Plantation,
+    Scattered,
+    SpeciesShare,
+    Storey,
+)
 from vlp16emu.forest.stand.stand import Stand, density_per_ha, foot_discs
 from vlp16emu.random import Purpose
-from vlp16emu.world import Forest
 from vlp16emu.world.polyline import Corridor, distance_m
 
 FAR_XY_M = np.array([[0.0, 1e5]])

@@ -96,7 +96,7 @@ def test_stems_of_their_own_are_the_stems_of_the_tile(make_forest, loose, track_
 def test_wind_moves_stems_and_crowns_and_nothing_else(make_wind, loose, track_m):
     """Each tree of the stand sways as one, about its foot; saplings, ground and things are not among what moves."""
     window = loose.window(track_m)
-    blown = make_wind().blown(window, track_m, START_NS, START_NS + 3 * KNOT_NS)
+    blown = make_wind().with_sway(window, track_m, START_NS, START_NS + 3 * KNOT_NS)
     trees = {row["id"]: row for row in loose.trees(track_m)}
     keys = [window.shapes[which] for which in window.shape]
     instance = window.surfaces["instance"][window.first_surface]
@@ -118,9 +118,11 @@ def test_wind_moves_stems_and_crowns_and_nothing_else(make_wind, loose, track_m)
 def test_a_tree_is_at_one_place_whatever_window_it_is_in(make_wind, loose, track_m):
     """Windows of other stretches of way and time have the same knots, and trees the same lean at them, to the bit."""
     wind, aside_m = make_wind(), np.array([6.0, -3.0, 0.0])
-    first = wind.blown(loose.window(track_m), track_m, START_NS, START_NS + 6_795_000_000)
+    first = wind.with_sway(loose.window(track_m), track_m, START_NS, START_NS + 6_795_000_000)
     there_m = track_m + aside_m
-    second = wind.blown(loose.window(there_m), there_m, START_NS + 5_012_345_678, START_NS + 11_000_000_000)
+    second = wind.with_sway(
+        loose.window(there_m), there_m, START_NS + 5_012_345_678, START_NS + 11_000_000_000
+    )
     shift = (second.sway.start_ns - first.sway.start_ns) // KNOT_NS
     assert first.sway.start_ns <= START_NS
     assert first.sway.start_ns + KNOT_NS * (len(first.sway.shear) - 1) >= START_NS + 6_795_000_000

@@ -16,11 +16,11 @@ from vlp16emu.engine import assemble
 from vlp16emu.engine.windows import workers
 from vlp16emu.extras.accuracy.curve import LevelOfDetail, Mean
 from vlp16emu.extras.accuracy.sample import TIMED_SEQUENCES, Bench, Group, opened_windows
+from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import Scenario
 from vlp16emu.types import PlantPart, Returns
-from vlp16emu.world import Woods
 
 _NEAR_M = (10.0, 15.0, 20.0, 30.0, math.inf)
 _NORMAL_95 = 1.96

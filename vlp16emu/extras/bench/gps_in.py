@@ -35,6 +35,10 @@ class GpsIn:
     pulse: Literal["sentence", "cd", "cts", "dsr", "ri"] = "sentence"
     """Line of its pulse; `sentence` where none is wired: then a second begins `gps.sentence_delay_s` before its sentence."""
 
+    def reader(self, gps: Gps, powered_for_s: float) -> "GpsReader":
+        """Open the receiver for sensors that have had power for some time; errors as of `GpsReader`."""
+        return GpsReader(self, gps, powered_for_s)
+
 
 @dataclass(frozen=True, slots=True)
 class GpsInResult:
@@ -87,6 +91,10 @@ class GpsReader:
     def __exit__(self, *_: object) -> None:
         self._over.set()
         self._thread.join()
+
+    def sink(self, way: PacketSink) -> PacketSink:
+        """Return a sink that stamps packets by the clock of the receiver."""
+        return GpsInSink(way, self.line)
 
     @property
     def result(self) -> GpsInResult:

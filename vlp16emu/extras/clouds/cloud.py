@@ -77,9 +77,6 @@ class CloudAbout:
     """Which sensor of a rig, from 1."""
 
 
-LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)
-"""Leaf (2) or wood (1) by `PlantPart`; 0 neither."""
-
 RETURN_NAMES = ("strongest", "last", "second_strongest")
 """What the numbers in the column `return_number` mean."""
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import MissingExtraError
 from vlp16emu.extras.clouds.cloud import Block, CloudAbout, Column
 from vlp16emu.extras.clouds.gps_time import adjusted_gps_s
-from vlp16emu.extras.labels import label_scheme
+from vlp16emu.extras.clouds.labels import label_scheme
 
 _SCALE_M = 1e-4
 """A tenth of what the other formats round to; with 32 bits that reaches 214 km to either side of the offset."""

@@ -16,7 +16,6 @@ from vlp16emu.engine.scans import points_of
 from vlp16emu.errors import spare
 from vlp16emu.extras.clouds.cloud import (
     LABEL_COLUMNS,
-    LEAF_OR_WOOD,
     RETURN_NAMES,
     SCENE_COLUMNS,
     TRUTH_COLUMNS,
@@ -25,8 +24,8 @@ from vlp16emu.extras.clouds.cloud import (
     point_file,
     scene_comments,
 )
-from vlp16emu.extras.labels import LabelScheme, PointLabels, label_scheme
-from vlp16emu.forest.make import ground_of
+from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels, label_scheme
+from vlp16emu.extras.truth.slots import LEAF_OR_WOOD
 from vlp16emu.run.run import TruthPlace
 from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.head import Turn, turn_of
@@ -169,7 +168,7 @@ def _blocks(
     start_ns, unit = engine.scenario.start_ns, engine.parts.units[number]
     begin_ns, end_ns = (start_ns + seconds_to_ns(s) for s in span_s)
     scenario = engine.scenario
-    labelled = labels and PointLabels(labels, ground_of(scenario.world, scenario.world_seed).height_m)
+    labelled = labels and PointLabels(labels, scenario.world.site(scenario.world_seed).height_m)
 
     def made(block: Returns) -> tuple[Block, int]:
         t_ns = block.firings.t_ns

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import RunError
+from vlp16emu.extras.clouds.labels import label_scheme
 from vlp16emu.extras.clouds.points import write_points
-from vlp16emu.extras.labels import label_scheme
 from vlp16emu.scan import Scan
 from vlp16emu.units import S_NS
 

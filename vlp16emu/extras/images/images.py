@@ -18,7 +18,7 @@ from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Unit, workers
 from vlp16emu.errors import InputError
 from vlp16emu.extras.images.pictures import PictureFolder
-from vlp16emu.extras.sheets import surface_colours
+from vlp16emu.extras.palette import surface_colours
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.raycast.caster import Geometry

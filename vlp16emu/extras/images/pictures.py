@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import MissingExtraError, OutputError, RunError
-from vlp16emu.extras.truth.folder import tum_rows, write_json
-from vlp16emu.output import OutputFile
+from vlp16emu.extras.truth.folder import tum_rows
+from vlp16emu.output import OutputFile, write_json
 from vlp16emu.packets import DISTANCE_LSB_M
 from vlp16emu.types import Poses
 

@@ -83,7 +83,7 @@ class CellWindows(Windows[Geometry]):
             window = parts.world.window(track_m)
             if parts.wind:
                 edges_ns = start_ns + batching.edges_ns(segment)
-                window = parts.wind.blown(window, track_m, int(edges_ns[0]), int(edges_ns[-1]))
+                window = parts.wind.with_sway(window, track_m, int(edges_ns[0]), int(edges_ns[-1]))
             return built.open(window)
 
         super().__init__(open_cell, batching, moves=True, threads=threads)

@@ -206,7 +206,7 @@ def _need(true: Cloud, *names: str) -> None:
 
 def _score_map(card: ScoreCard, found: NDArray[np.float64], true: Cloud | None) -> None:
     """Score a map: by itself, and against true points where they are given."""
-    from vlp16emu.extras.deskew import Trajectory, TrajectoryErrors
+    from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
 
     way = Trajectory(card.inputs.truth, card.inputs.unit, TrajectoryErrors())
     first_ns = np.array([math.ceil(way.span_s[0] * 1e9)])

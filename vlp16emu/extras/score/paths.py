@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, MissingExtraError
-from vlp16emu.extras.deskew import Trajectory, TrajectoryErrors
+from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
 from vlp16emu.motion.pose_files import RecordedPoses, read_kitti, read_tum
 from vlp16emu.units import S_NS
 

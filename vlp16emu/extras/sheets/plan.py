@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
-from vlp16emu.extras.sheets.palette import colour_of_kind, colour_of_species
+from vlp16emu.extras.palette import colour_of_kind, colour_of_species
 from vlp16emu.extras.sheets.section import MARK_LEAD, StandSection
 from vlp16emu.types import HeightField
 from vlp16emu.world.vectors import places_m

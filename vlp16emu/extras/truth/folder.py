@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from vlp16emu.errors import OutputError, RunError, spare
-from vlp16emu.output import OutputFile, lock
+from vlp16emu.output import lock, write_json
 from vlp16emu.types import Poses
 from vlp16emu.units import S_NS
 
@@ -93,18 +93,6 @@ class TruthFolder:
             where it cannot be written
         """
         write_json(self.path / name, tree)
-
-
-def write_json(path: Path, tree: Mapping[str, Any]) -> None:
-    """Write a file of one JSON object, in place of the one that is there.
-
-    Raises
-    ------
-    OutputError, RunError
-        as `OutputFile`
-    """
-    with OutputFile(path) as output, output.writing() as file:
-        file.write(f"{json.dumps(tree, indent=2, ensure_ascii=False)}\n".encode())
 
 
 def _append(file: FileIO, lines: bytes) -> None:

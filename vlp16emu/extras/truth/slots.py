@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, MissingExtraError, RunError, readable
-from vlp16emu.extras.clouds.cloud import LEAF_OR_WOOD
 from vlp16emu.output import OutputFile
 from vlp16emu.packets.layout import DATA_BYTES, DATA_PAYLOAD, NO_ECHO, RECORDS_PER_PACKET
 from vlp16emu.types import Packet
+
+LEAF_OR_WOOD = np.array([0, 1, 1, 1, 2, 1, 1], np.uint8)
+"""Leaf (2) or wood (1) by `PlantPart`; 0 neither."""
 
 _GROUP = 256
 """Packets of a row group, 98 304 rows: what is held in memory, some 20 MB."""

@@ -16,7 +16,7 @@ from vlp16emu.engine import Engine, Parts, Unit
 from vlp16emu.engine.timetable import timetable
 from vlp16emu.errors import RunError
 from vlp16emu.extras.bench.wire import arriving, earliest_ns, faults_of
-from vlp16emu.extras.truth.folder import seconds_text
+from vlp16emu.extras.truth.folder import TruthFolder, seconds_text, tum_rows
 from vlp16emu.extras.truth.happenings import Happening, happenings
 from vlp16emu.extras.truth.slots import SlotTable
 from vlp16emu.motion import Gps, Mount
@@ -30,7 +30,6 @@ from vlp16emu.run.run import HasEngine, TruthPlace
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.find import named_files
 from vlp16emu.sensor.settings import on_the_wire
-from vlp16emu.sinks import TruthFolder, tum_rows
 from vlp16emu.types import Packet, PacketKind, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.sheets.survey import Survey
 from vlp16emu.forest.ground.dem import DemHeights
-from vlp16emu.forest.make import ground_of
 from vlp16emu.forest.stand.stand import foot_discs, path_gap_m
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.route import Route
@@ -111,7 +110,7 @@ class Draft:
         if not isinstance(walk, Walk):
             raise InputError("motion.kind", f"found {walk.kind}", "walk, for a path to be drawn")
         self._file, self._scenario, self._walk, self._seen = find(scene), scenario, walk, seen
-        self._ground = ground_of(scenario.world, scenario.world_seed)
+        self._ground = scenario.world.site(scenario.world_seed)
         self._origin_m = (0.0, 0.0) if isinstance(scenario.world, Hall) else scenario.world.origin_m[:2]
         plain = walk.model_copy(update={"back_and_forth": False})
         drawn = way_points(plain, scenario.gps, self._origin_m)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.sheets import colour_of_kind, colour_of_species, surface_colours
+from vlp16emu.extras.palette import colour_of_kind, colour_of_species, surface_colours
 from vlp16emu.scan import Scan
 from vlp16emu.types import SURFACE, PlantPart, Semantic
 from vlp16emu.units import S_NS

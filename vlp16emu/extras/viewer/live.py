@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from vlp16emu.emulator import Emulator
 from vlp16emu.errors import OutputError, PacketError, RunError, Vlp16emuError
 from vlp16emu.extras.sheets.survey import survey
+from vlp16emu.extras.viewer.channel import Channel
 from vlp16emu.extras.viewer.guard import guarded_server
 from vlp16emu.extras.viewer.layers import MEASURED
 from vlp16emu.extras.viewer.page import SweepView, draw_stand
@@ -24,7 +25,7 @@ from vlp16emu.motion.live_settings import Live, takes_poses
 from vlp16emu.motion.settings import Walk
 from vlp16emu.packets import DATA_BYTES, decode_data
 from vlp16emu.scan import Scan
-from vlp16emu.sinks import Channel, Lateness, LatenessHistogram, Pacer, PacketSink
+from vlp16emu.sinks import Lateness, LatenessHistogram, Pacer, PacketSink
 from vlp16emu.types import HeightField, Packet, PacketKind
 from vlp16emu.units import S_NS
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, MissingExtraError, OutputError
-from vlp16emu.extras.deskew import Trajectory, TrajectoryErrors
+from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
 from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale, entries_of, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory

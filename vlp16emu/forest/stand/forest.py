@@ -35,13 +35,12 @@ from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.forest.stand.stand import TREE, foot_discs
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
 from vlp16emu.types import HeightField, Mesh, PlantPart, ShapeKey
+from vlp16emu.world.furnished import FIRST_FREE_INSTANCE
 from vlp16emu.world.polyline import Corridor
 
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 
-FIRST_FREE_INSTANCE = 0xFFFF0000
-"""Instance numbers of a forest stay below."""
 
 _NUMBERS_PER_TILE = 8192
 """Numbers set aside for the trees and things of a tile."""

@@ -1,15 +1,17 @@
 """A forest that grows itself, or a plot of given trees: how many trees, and what grows and lies under them, their species, size and place."""
 
 import math
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, field_validator, model_validator
 
 from vlp16emu.forest.ground.settings import Dem, Terrain
 from vlp16emu.forest.plants.settings import Season
+from vlp16emu.forest.presets import with_preset
 from vlp16emu.settings import Fraction, MapPoint, NonNegative, SceneFile, Section, Seed, Size
 from vlp16emu.world.mesh_settings import MeshFile, TreeModelFile
-from vlp16emu.world.settings import Texture
+from vlp16emu.world.settings import Texture, WorldSection
+from vlp16emu.world.site import Site
 
 DENSITY_KEYS = frozenset({"stems_per_ha", "basal_area_m2_per_ha"})
 """Two measures of how dense a storey is; a scene that gives one does not want the other."""
@@ -256,24 +258,6 @@ class Ivy(Section):
     """Minimum and maximum height up to which it covers a stem, no higher than the crown base."""
 
 
-class Wind(Section):
-    """Wind through a stand; without this table, and at a speed of 0, the air is still and costs nothing."""
-
-    speed_m_s: Annotated[float, Field(ge=0, le=12)]
-    """Mean, at the top of the canopy: there half of what it is in the open, by and large. Trees answer in proportion, also
-    where real ones would break or lean on their neighbours: from some 8 m/s on thin trees of dense stands lean too far."""
-    towards_deg: Annotated[float, Field(ge=0, lt=360)] = 0.0
-    """Direction in which it blows, counter-clockwise from east."""
-    turbulence_intensity: Annotated[float, Field(ge=0, le=1)] = 0.55
-    """Standard deviation of the speed along the wind over the mean; across it is 0.8 of that. At the top of canopies
-    1.8 / 3.3 (both over the friction velocity; Raupach, Finnigan and Brunet, Boundary-Layer Meteorol 78, 1996)."""
-    gust_length_m: Annotated[float, Field(ge=1, le=500)] = 20.0
-    """Integral length of gusts along the wind: at the top of canopies about the height of the trees (the same)."""
-    damping_ratio: Annotated[float, Field(ge=0.02, le=1)] = 0.1
-    """Damping of the trees' swing as a share of critical damping: whole trees have 0.08 and more, stripped ones 0.01 to
-    0.08 (Moore and Maguire, Trees 19, 2005)."""
-
-
 _Near = Annotated[float, Field(ge=5)]
 Near = Annotated[
     _Near,
@@ -284,7 +268,7 @@ Near = Annotated[
 """A distance, in m, that may be infinite; JSON, which has no such number, has the text "inf"."""
 
 
-class Woods(Section):
+class Woods(WorldSection):
     """Ground and undergrowth, whatever trees stand on it."""
 
     seed: Seed | None = None
@@ -328,12 +312,31 @@ class Woods(Section):
     meshes: list[MeshFile] = Field(default_factory=list)
     """The user's own things."""
 
+    has_trees: ClassVar[bool] = True
+
+    @property
+    def own_seed(self) -> int | None:
+        """Seed that the section names."""
+        return self.seed
+
+    def site(self, seed: int) -> Site:
+        """Return the ground with what stands on it; errors as of `ForestSite`."""
+        from vlp16emu.forest.make import ForestSite  # here: a scene is read without the compiler
+
+        return ForestSite(self, seed)
+
 
 class Forest(Woods, Storey):
     """A stand without edge on a terrain with relief."""
 
     kind: Literal["forest"]
     """Selects a stand without edge."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_preset(cls, table: Any) -> Any:
+        return with_preset(table, DENSITY_KEYS) if isinstance(table, dict) else table
+
     preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = (
         "none"
     )

@@ -24,10 +24,10 @@ from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.flora import Flora, tapers
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.forest.stand.settings import Wind
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Sway, Window
+from vlp16emu.world.settings import Wind
 
 Array = NDArray[np.float64]
 Stand = NDArray[np.void]
@@ -242,7 +242,7 @@ class TreeSway:
         east, north = (downwind * a + aside * b for a, b in self._axes.T)
         return np.stack([east, north], axis=-1)
 
-    def blown(self, window: Window, track_m: Array, start_ns: int, stop_ns: int) -> Window:
+    def with_sway(self, window: Window, track_m: Array, start_ns: int, stop_ns: int) -> Window:
         """Give a window, that of positions (n, 3), the motion of its trees over a span of UTC."""
         trees = self._forest.trees(track_m)
         trees = trees[trees["storey"] != REGENERATION]

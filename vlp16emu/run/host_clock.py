@@ -1,53 +1,22 @@
-"""The `[capture]` table: when the host that records packets takes them to have come."""
+"""The clock of the host that records, which stamps the packets of a capture."""
 
 from dataclasses import replace
-from typing import Annotated, Literal
 
-from pydantic import Field
-
-from vlp16emu.settings import Preset
+from vlp16emu.elementary import exp
+from vlp16emu.random import Purpose, normal
+from vlp16emu.scenario.capture import CaptureClock
 from vlp16emu.types import Packet
 from vlp16emu.units import US_NS
 
 _LONGEST_US = 4_500.0
 """Later than any host that keeps up: `verify` takes 5 ms for a delay of the network."""
 _LANES_PER_UNIT = 8
-_PRESETS: dict[str, dict[str, object]] = {
-    "ideal": {},
-    # On mrpt and nebula half of all stamps are within 1 us of an even spacing, and 6 % of nebula's are 10 to 230 us late.
-    "quiet_pc": {"ppm": 6.0, "jitter_us": 1.3, "late_share": 0.06, "late_us": 60.0, "host_spread": 0.4},
-    # Up to 640 us were seen; the law of it is an assumption.
-    "busy_pc": {"ppm": 6.0, "jitter_us": 40.0, "late_share": 0.04, "late_us": 1500.0, "host_spread": 0.4},
-}
-
-
-class CaptureClock(Preset):
-    """The clock of the host that records; only stamps of pcap files follow it."""
-
-    presets = _PRESETS
-
-    preset: Literal["ideal", "quiet_pc", "busy_pc"] = "quiet_pc"
-    """Values of the keys that are not given beside it; `ideal` stamps packets when they are due."""
-    ppm: Annotated[float, Field(ge=-100, le=100)] = 0.0
-    """How much the host's clock is fast against the sensor's; -8 to 17 in captures of real units."""
-    jitter_us: Annotated[float, Field(ge=0, le=500)] = 0.0
-    """Delay of a stamp, one sigma of the normal law whose absolute value it has."""
-    late_share: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    """Share of packets that the host is late with; those behind them come in a burst."""
-    late_us: Annotated[float, Field(ge=0, le=3000)] = 0.0
-    """Mean of that delay, exponential, up to 4.5 ms."""
-    host_spread: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """By how much a host's own jitter, share and delay differ from these, one sigma of the logarithm; it is drawn from the
-    seed. 0 for exactly these."""
 
 
 def _own(section: CaptureClock, seed: int) -> CaptureClock:
     """Draw the host of a run."""
     if not section.host_spread:
         return section
-    from vlp16emu.elementary import exp  # here: a scene is read without numba
-    from vlp16emu.random import Purpose, normal
-
     names = "jitter_us", "late_share", "late_us"
     drawn = normal(seed, Purpose.CAPTURE_HOST, 0, len(names))
     own = {

@@ -15,7 +15,7 @@ from vlp16emu.types import HeightField, PlantPart, Semantic
 
 @cache
 def _schemes() -> Mapping[str, Mapping[str, Any]]:
-    return toml(files("vlp16emu.extras").joinpath("labels.toml").read_text("utf-8"))
+    return toml(files("vlp16emu.extras.clouds").joinpath("labels.toml").read_text("utf-8"))
 
 
 def scheme_names() -> tuple[str, ...]:

@@ -21,9 +21,8 @@ from vlp16emu.extras.clouds.cloud import (
     Column,
     point_file,
 )
-from vlp16emu.extras.labels import LabelScheme, PointLabels
+from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels
 from vlp16emu.extras.truth.slots import SlotReader
-from vlp16emu.forest.make import ground_of
 from vlp16emu.motion import Recorded
 from vlp16emu.motion.pose import rotation, rotations
 from vlp16emu.motion.pose_files import read_tum
@@ -131,7 +130,7 @@ class CaptureTruth:
         self._labels: PointLabels | None = None
         if scheme is not None:
             scenario = load(folder / "scenario.json")
-            self._labels = PointLabels(scheme, ground_of(scenario.world, scenario.world_seed).height_m)
+            self._labels = PointLabels(scheme, scenario.world.site(scenario.world_seed).height_m)
 
     @property
     def columns(self) -> tuple[Column, ...]:
