@@ -8,6 +8,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 from vlp16emu.kernels.cache import SOURCES
+from vlp16emu.store import MAKERS
 
 PACKAGE = Path(__file__).resolve().parents[1] / "vlp16emu"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -208,6 +209,11 @@ def test_kernels_are_where_changes_are_looked_for():
     found |= set().union(*(taken_at_once(name, trees()[name]) for name in found))
     sources = {source.removesuffix(".py") for source in SOURCES}
     assert {room_of(name) for name in found} - sources == {"errors", "store"}  # no number is theirs
+
+
+def test_sources_of_what_is_kept_are_there():
+    """Each file and folder whose changes make compiled kernels and grown worlds anew exists under that name."""
+    assert [source for source in (*SOURCES, *MAKERS) if not (PACKAGE / source).exists()] == []
 
 
 def test_a_library_is_imported_where_it_belongs():

@@ -28,7 +28,7 @@ T = TypeVar("T")
 Bundle = Mapping[str, NDArray[np.generic]]
 """Arrays by name."""
 
-_MAKERS = (
+MAKERS = (
     "chain",
     "checked.py",
     "elementary.py",
@@ -117,7 +117,7 @@ def _file(name: str) -> str:
 @cache
 def _state() -> str:
     """Name the state of the files that decide what is kept, of libraries that draw and round, and of the machine."""
-    return digest_of(_MAKERS, np.__version__, version("scipy"), os.uname().machine, sys.byteorder)
+    return digest_of(MAKERS, np.__version__, version("scipy"), os.uname().machine, sys.byteorder)
 
 
 def _packed(bundle: Bundle) -> list[bytes | memoryview]:

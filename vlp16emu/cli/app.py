@@ -165,7 +165,7 @@ def main() -> None:
     """Carry out the command line of this process and exit."""
     # What runs side by side is threads of ours: those of OpenBLAS, for products of a few rows, wait in a loop.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    gc.set_threshold(100_000)  # libraries bring 300 000 objects, none of them garbage
+    gc.set_threshold(500_000)  # libraries bring 300 000 objects, none of them garbage
     logging.basicConfig(format="warning: %(message)s")
     for number in ENDINGS:
         if signal.getsignal(number) is not signal.SIG_IGN:
