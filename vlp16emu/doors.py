@@ -2,7 +2,7 @@
 
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Annotated, Any
+from typing import Annotated, Any, Union
 
 from vlp16emu.errors import InputError
 
@@ -37,7 +37,9 @@ def sections(name: str) -> Any:
     found = [
         getattr(import_module(m), c) for m, _, c in (s.partition(":") for s in SECTIONS[name]) if find(m)
     ]
-    return Annotated[tuple(found), Field(discriminator="kind")] if len(found) > 1 else found[0]
+    if len(found) == 1:
+        return found[0]
+    return Annotated[Union[tuple(found)], Field(discriminator="kind")]  # noqa: UP007  # as many as are installed
 
 
 def find(module: str) -> bool:

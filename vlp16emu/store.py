@@ -29,14 +29,15 @@ Bundle = Mapping[str, NDArray[np.generic]]
 """Arrays by name."""
 
 MAKERS = (
-    "chain",
     "checked.py",
     "elementary.py",
+    "engine",
+    "foliage",
+    "forest",
     "motion",
     "random.py",
     "raycast",
     "store.py",
-    "tiles.py",
     "trig.py",
     "types.py",
     "world",

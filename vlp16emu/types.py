@@ -311,7 +311,7 @@ class Window:
         _check(self, "world_T_shape", self.world_T_shape, "f8", n, 3, 4)
         _check(self, "first_surface", self.first_surface, "u4", n)
 
-    def with_more(self, count: int) -> dict[str, NDArray[Any]]:  # noqa: ARG002  # windows with more fields need it
+    def with_more(self, count: int) -> dict[str, Any]:  # noqa: ARG002  # windows with more fields need it
         """Return the further fields of the window for `count` placements that are added behind its own."""
         return {}
 

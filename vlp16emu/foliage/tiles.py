@@ -65,7 +65,7 @@ class TiledWindow(Window):
     low: NDArray[np.bool_]
     """(n,) which of the others are so low that light from afar meets the ground in their place."""
 
-    def with_more(self, count: int) -> dict[str, NDArray[Any]]:
+    def with_more(self, count: int) -> dict[str, Any]:
         """Return the further fields of the window for `count` placements that are exact at any range."""
         exact = np.zeros(count, np.bool_)
         return {"far": np.append(self.far, exact), "low": np.append(self.low, exact)}

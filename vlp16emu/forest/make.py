@@ -13,7 +13,7 @@ from vlp16emu.forest.ground.dem import DemHeights
 from vlp16emu.forest.ground.terrain import TerrainHeights
 from vlp16emu.forest.plants.flora import flora
 from vlp16emu.forest.stand.forest import ForestWorld
-from vlp16emu.forest.stand.settings import Plot, Woods
+from vlp16emu.forest.stand.settings import Forest, Plot, Woods
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
 from vlp16emu.types import World
@@ -65,8 +65,9 @@ class ForestSite:
             If the list of trees is wrong
         """
         section = self._section
-        around = isinstance(section, Plot) and section.on_conflict == "move_path"
-        return stems_in_the_way(section) if around else None
+        if isinstance(section, Plot) and section.on_conflict == "move_path":
+            return stems_in_the_way(section)
+        return None
 
     def world(
         self, path_xy_m: Array, *, reach_m: float, farthest_m: float, wind: Wind | None, start_ns: int
@@ -103,6 +104,7 @@ def _forest(
         stems = GivenStand(section, seed=seed, height_m=height_m, path=path, plants=plants)
         stems.check(path, reach_m)
     else:
+        assert isinstance(section, Forest)  # there is no third kind
         stems = Stand(section, seed=seed, height_m=height_m, path=path, plants=plants, trails=trails)
     return ForestWorld(
         section,

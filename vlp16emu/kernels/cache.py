@@ -16,8 +16,11 @@ from typing import Any
 from vlp16emu.checked import PACKAGE, CheckedFolder, digest_of, read_checked
 
 SOURCES = (
-    "accuracy",
     "elementary.py",
+    "extras/clouds/text.py",
+    "extras/live",
+    "foliage",
+    "forest",
     "motion",
     "packets",
     "random.py",
@@ -25,7 +28,6 @@ SOURCES = (
     "returns",
     "sensor",
     "settings.py",
-    "text.py",
     "trig.py",
     "types.py",
     "units.py",

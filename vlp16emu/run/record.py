@@ -18,10 +18,11 @@ from vlp16emu.errors import OutputError, spare
 from vlp16emu.output import STDOUT
 from vlp16emu.packets import Capture, returns_in
 from vlp16emu.packets.frames import Link
-from vlp16emu.run.host_clock import CaptureClock, HostClock
+from vlp16emu.run.host_clock import HostClock
 from vlp16emu.run.options import TruthTo
 from vlp16emu.run.report import AuditFinding
 from vlp16emu.run.run import Run, TruthPlace
+from vlp16emu.scenario.capture import CaptureClock
 from vlp16emu.sensor.head import Turn, turn_of
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import PacketSink, PcapResult, PcapSink, check_ending

@@ -10,7 +10,7 @@ from vlp16emu.errors import InputError
 from vlp16emu.motion import Gps, Imu, Live, Recorded, Static, Walk
 from vlp16emu.raycast import Beam
 from vlp16emu.returns import Detector, Noise, Weather
-from vlp16emu.run.host_clock import CaptureClock
+from vlp16emu.scenario.capture import CaptureClock
 from vlp16emu.scenario.events import AnyEvent, DeadLaser, DirtyWindow, GpsEvent
 from vlp16emu.scenario.rig import RigUnit, completed
 from vlp16emu.sensor import AnySensor, FreeSensor, Sensor

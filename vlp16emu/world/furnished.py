@@ -94,8 +94,9 @@ class Furnished:
         self.bare = world
         """The world without the user's things."""
         self.height_m, self.near_m, self.seed = world.height_m, world.near_m, world.seed
-        if hasattr(world, "far_tile"):  # nothing of a hall is far
-            self.name, self.far_tile = world.name, world.far_tile
+        for name in ("name", "far_tile"):  # nothing of a hall is far
+            if hasattr(world, name):
+                setattr(self, name, getattr(world, name))
         self._reach_m = reach_m
         self.materials = (
             *world.materials,

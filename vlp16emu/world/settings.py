@@ -1,6 +1,6 @@
 """A hall of known shapes."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -16,6 +16,9 @@ class WorldSection(Section):
 
     has_trees: ClassVar[bool] = False
     """Whether wind moves something in it."""
+    if TYPE_CHECKING:
+        kind: str
+        meshes: list[MeshFile]
 
     @property
     def own_seed(self) -> int | None:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from vlp16emu.run.host_clock import CaptureClock, HostClock
+from vlp16emu.run.host_clock import HostClock
+from vlp16emu.scenario.capture import CaptureClock
 from vlp16emu.types import Packet, PacketKind
 
 START_NS = 1_700_000_000 * 10**9

@@ -58,7 +58,7 @@ class BagSink(PacketSink):
         self.first_ns: int | None = None
         """UTC of the first pulse, by the sensor's clock; None before."""
 
-    def __exit__(self, *raised: object) -> None:
+    def __exit__(self, *raised: Any) -> None:
         if raised[1] is not None:
             self.bag.__exit__(*raised)
             return

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from vlp16emu.errors import InputError, OutputError
 from vlp16emu.extras.sheets.survey import Survey
 from vlp16emu.forest.ground.dem import DemHeights
+from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.forest.stand.stand import foot_discs, path_gap_m
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.route import Route
@@ -23,7 +24,6 @@ from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.settings import Sensor
 from vlp16emu.units import S_NS
 from vlp16emu.world.polyline import Corridor
-from vlp16emu.world.settings import Hall
 from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]
@@ -111,7 +111,7 @@ class Draft:
             raise InputError("motion.kind", f"found {walk.kind}", "walk, for a path to be drawn")
         self._file, self._scenario, self._walk, self._seen = find(scene), scenario, walk, seen
         self._ground = scenario.world.site(scenario.world_seed)
-        self._origin_m = (0.0, 0.0) if isinstance(scenario.world, Hall) else scenario.world.origin_m[:2]
+        self._origin_m = self._ground.origin_m[:2]
         plain = walk.model_copy(update={"back_and_forth": False})
         drawn = way_points(plain, scenario.gps, self._origin_m)
         points = tuple((x, y, pause) for x, y, pause in np.column_stack([drawn.xy_m, drawn.pause_s]).tolist())
@@ -211,7 +211,7 @@ class Draft:
     def _in_the_way_m(self, scenario: Scenario, path_xy_m: Array) -> Array:
         """Feet (m, 3) of stems that the path comes too near."""
         trees = self._seen.trees
-        if isinstance(scenario.world, Hall) or not len(trees):
+        if not isinstance(scenario.world, Woods) or not len(trees):
             return np.zeros((0, 3))
         corridor = Corridor(path_xy_m, scenario.world.path_clearance_m)
         gap_m = path_gap_m(trees, foot_discs(trees, table=self._seen.plants.trees)[:, 2], corridor)
