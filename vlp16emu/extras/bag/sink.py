@@ -58,9 +58,9 @@ class BagSink(PacketSink):
         self.first_ns: int | None = None
         """UTC of the first pulse, by the sensor's clock; None before."""
 
-    def __exit__(self, *raised: Any) -> None:
+    def __exit__(self, *raised: object) -> None:
         if raised[1] is not None:
-            self.bag.__exit__(*raised)
+            self.bag.__exit__(*raised)  # type: ignore[arg-type]  # as `with` calls it
             return
         with self.bag:
             for unit in self._units:
