@@ -17,38 +17,27 @@ NAMES = [str(path.relative_to(PACKAGE)) for path in FILES]
 FLOORS = (
     {"__main__"},
     {"cli"},
-    {"dataset", "score", "viewer"},
+    {"extras"},
     {"emulator"},
-    {"streams"},
     {"run"},
-    {"control"},
-    {"flight", "replay", "streaming"},
-    {"bag"},
-    {"deskew", "images", "points", "recording", "truth"},
-    {"report"},
-    {"accuracy"},
-    {"chain", "compare", "validator"},
-    {"scan"},
-    {"sinks", "device", "scenario"},
+    {"engine"},
+    {"scan", "scenario"},
+    {"forest"},
+    {"foliage"},
+    {"raycast", "returns", "sinks"},
     {"packets"},
-    {"returns"},
-    {"raycast"},
-    {"sensor", "motion", "world"},
+    {"motion", "sensor", "world"},
     {
         "checked",
+        "doors",
         "elementary",
         "errors",
         "explain",
-        "gps_time",
         "kernels",
-        "labels",
         "output",
-        "plots",
         "random",
         "settings",
         "store",
-        "text",
-        "tiles",
         "trig",
         "types",
         "units",
@@ -56,14 +45,34 @@ FLOORS = (
 )
 """From the top. Imports run down past any number of floors, or to a room beside; never in a circle."""
 
+NO_CORE = {"__main__", "cli", "extras", "forest", "foliage"}
+"""What the core runs without; what is asked for by name opens `vlp16emu.doors`."""
+
+FOREST = ("presets", "quantiles", "ground", "tiles", "twin", "plants", "stand", "given", "make")
+"""Rooms of `forest/` from the bottom."""
+
+EXTRAS_TAKE = {
+    "accuracy": {"plots"},
+    "bag": {"truth"},
+    "clouds": {"truth"},
+    "compare": {"plots"},
+    "dataset": {"clouds"},
+    "images": {"palette", "truth"},
+    "score": {"clouds", "plots"},
+    "sheets": {"palette", "plots", "truth"},
+    "truth": {"bench"},
+    "viewer": {"clouds", "palette", "plots", "sheets", "verify"},
+}
+"""Which extras each extra may import beside the core: colours and plots, ground truth, clouds, and the stand that the page shows."""
+
 FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floor}
 
 LIBRARIES = {
     # third-party or system module: where it may be imported
     "ctypes": ("raycast/embree", "sinks/pacing.py"),
     "embreex": ("raycast/embree",),
-    "serial": ("sinks/", "device/"),
-    "socket": ("sinks/", "device/"),
+    "serial": ("sinks/", "extras/bench/"),
+    "socket": ("sinks/", "extras/bench/", "extras/live/", "extras/viewer/"),
     "typer": ("cli/",),
     "rich": ("cli/",),
 }
@@ -123,37 +132,44 @@ def taken_at_once(name: str, tree: ast.Module) -> set[str]:
     return taken - {name}
 
 
-FAR = {
-    f"raycast/{name}.py"
-    for name in [
-        "cloud",
-        "cuts",
-        "far",
-        "far_caster",
-        "filling",
-        "lanes",
-        "leaves",
-        "march",
-        "marks",
-        "medium",
-        "voxel",
-    ]
-}
-"""What casts the medium that forests are from afar."""
+def targets(name: str) -> set[str]:
+    """Modules of ours that a file imports anywhere, as `room.module.name`."""
+    return {full.removeprefix("vlp16emu.") for full in imports(trees()[name]) if full.startswith("vlp16emu.")}
 
 
-def test_what_is_near_is_cast_without_what_is_far():
-    """In `raycast` only the far part, and the one place that chooses it, imports the far part, tiles or the world."""
-    found = {}
-    for name, tree in trees().items():
-        if room_of(name) == "raycast" and name not in FAR:
-            modules = {full.removeprefix("vlp16emu.") for full in imports(tree)}
-            far = tuple(path.removesuffix(".py").replace("/", ".") + "." for path in FAR)
-            found[name] = {full for full in modules if full.startswith((*far, "tiles", "world"))}
-    assert {name: taken for name, taken in found.items() if taken} == {
-        "raycast/caster.py": {"raycast.far_caster.FarCaster"}
-    }
-    assert set(trees()) >= FAR
+def test_the_core_knows_no_forest_and_no_extra():
+    """No file of the core imports what stands around it, not even within a function: it opens doors by name."""
+    core = [name for name in NAMES if room_of(name) not in NO_CORE | {"__init__"}]
+    found = {name: {full for full in targets(name) if full.split(".")[0] in NO_CORE} for name in core}
+    assert {name: full for name, full in found.items() if full} == {}
+
+
+def test_foliage_and_forest_know_no_run():
+    """What is far takes from casting, a forest from worlds and from what is far; neither knows engine, runs or extras."""
+    above = {"forest", "scenario", "engine", "run", "emulator", "extras", "cli"}
+    for name in NAMES:
+        if (room := room_of(name)) in ("foliage", "forest"):
+            assert not {full.split(".")[0] for full in targets(name)} & (above - {room}), name
+
+
+def test_arrows_in_the_forest_run_down():
+    """Ground, tiles, plants, stand, given trees: a room of the forest imports from its own floor and from lower ones."""
+    for name in NAMES:
+        if room_of(name) == "forest" and name != "forest/__init__.py":
+            own = FOREST.index(name.split("/")[1].removesuffix(".py"))
+            taken = {full.split(".")[1] for full in targets(name) if full.startswith("forest.")}
+            assert {room for room in taken if FOREST.index(room) > own} == set(), name
+
+
+def test_extras_take_the_core_and_little_of_each_other():
+    """An extra imports no other extra but those of the table; and each row of the table is needed."""
+    needed: dict[str, set[str]] = {}
+    for name in NAMES:
+        if room_of(name) == "extras" and name != "extras/__init__.py":
+            own = name.split("/")[1].removesuffix(".py")
+            taken = {full.split(".")[1] for full in targets(name) if full.startswith("extras.")} - {own}
+            needed[own] = needed.get(own, set()) | taken
+    assert {own: taken for own, taken in needed.items() if taken} == EXTRAS_TAKE
 
 
 def test_every_room_stands_on_one_floor():
@@ -190,7 +206,7 @@ def test_a_trespass_would_be_seen():
     ):
         assert trespasses("motion/walk.py", ast.parse(f"def f():\n    {line}")), line
         assert trespasses("units.py", ast.parse(line)), line
-    assert not trespasses("raycast/far.py", ast.parse("from vlp16emu.world.polyline import distance_m"))
+    assert not trespasses("foliage/far.py", ast.parse("from vlp16emu.world.polyline import distance_m"))
     assert not trespasses("sinks/udp.py", ast.parse("from vlp16emu.packets.frames import HEADER"))
     assert not trespasses("motion/walk.py", ast.parse("from vlp16emu.world import Terrain"))
 
@@ -207,8 +223,9 @@ def test_kernels_are_where_changes_are_looked_for():
     found = {name for name, tree in trees().items() if "njit" in ast.unparse(tree)}
     assert "raycast/kernel.py" in found
     found |= set().union(*(taken_at_once(name, trees()[name]) for name in found))
-    sources = {source.removesuffix(".py") for source in SOURCES}
-    assert {room_of(name) for name in found} - sources == {"errors", "store"}  # no number is theirs
+    folders = tuple(source if source.endswith(".py") else f"{source}/" for source in SOURCES)
+    others = {name for name in found if not name.startswith(folders)}
+    assert others == {"errors.py", "store.py"}  # no number is theirs
 
 
 def test_sources_of_what_is_kept_are_there():

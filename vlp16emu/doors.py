@@ -12,6 +12,8 @@ DOORS = {
     "beside": "vlp16emu.extras.bench.beside:Beside",
     "far": "vlp16emu.foliage.far_caster:FarCaster",
     "faults": "vlp16emu.extras.bench.wire:arriving",
+    "forest_site": "vlp16emu.forest.make:ForestSite",
+    "hall_site": "vlp16emu.world.hall:HallSite",
     "live": "vlp16emu.extras.live.flight:flying",
     "live_motion": "vlp16emu.extras.live.motion:live_motion",
     "truth": "vlp16emu.extras.truth.truth:Truth",
@@ -27,7 +29,7 @@ SECTIONS = {
         "vlp16emu.world.settings:Hall",
     ),
 }
-"""Tables of a scene that are told apart by their `kind`."""
+"""Kinds of a table of a scene, each with a `kind` of its own."""
 
 
 def sections(name: str) -> Any:

@@ -130,6 +130,7 @@ def summed_up(
     *,
     audit: AuditFinding | None,
     live: Any | None = None,
+    gps_in: Any | None = None,
 ) -> Streamed:
     """Sum up a stream.
 
@@ -174,6 +175,7 @@ def summed_up(
         interrupted=report.interrupted,
         audit=audit,
         live=live,
+        gps_in=gps_in,
     )
 
 

@@ -78,42 +78,33 @@ class StreamOptions:
 def stream_run(run: Run, options: StreamOptions) -> Streamed:
     """Send the packets of a run over UDP, each at its time; errors as of `Emulator.stream`."""
     _check(options)
-    run, stop, pacer, policy = (
-        run.with_truth_in(options.truth),
-        options.stop or Event(),
-        Pacer(options.speed),
-        Late(options.late),
-    )
-    scenario, units = run.scenario, run.engine.parts.units
-    span_s, links = scenario.span_s(0.0, options.duration_s), [unit.link for unit in units]
+    run, stop = run.with_truth_in(options.truth), options.stop or Event()
+    pacer, policy = Pacer(options.speed), Late(options.late)
+    scenario, units = run.scenario, len(run.engine.parts.units)
+    span_s, outlets = scenario.span_s(0.0, options.duration_s), options.outlets
     with ExitStack() as stack:
         stack.enter_context(run.engine.windows.stopped_by(stop))
         flight = stack.enter_context(door("live")(run, options.poses)) if _is_live(run, options) else None
         policy = flight.prepare(stop, pacer) if flight else policy
         engine = replace(run.engine, prompt=options.http is not None)
-        outlets, kinds = options.outlets, options.outlets.kinds if options.outlets else ()
-        feed = stack.enter_context(closing(PacketFeed(engine, *span_s, also=kinds)))
-        rig = RigSink(
-            links,
-            options.to,
-            as_sensor=options.as_sensor,
-            interface=options.interface,
-            sent=lambda due_ns: options.progress((due_ns - scenario.start_ns) / S_NS),
+        feed = stack.enter_context(
+            closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ()))
         )
-        sink, ways = (
-            stack.enter_context(rig),
-            (stack.enter_context(outlets.opened(scenario.imu)) if outlets else {}),
-        )
+        sink = stack.enter_context(_rig(run, options))
+        ways = stack.enter_context(outlets.opened(scenario.imu)) if outlets else {}
         options.opened()
         packets = _packets(run, options, feed, span_s, stack, stop)
-        reader = (
-            options.gps_in.reader(scenario.gps, scenario.sensor.powered_for_s) if options.gps_in else None
-        )
         way = options.watched(SinkByKind(sink, ways) if ways else sink, pacer)
-        way = stack.enter_context(reader).sink(way) if reader else way
+        clock = options.gps_in
+        reader = (
+            stack.enter_context(clock.reader(scenario.gps, scenario.sensor.powered_for_s)) if clock else None
+        )
+        way = reader.sink(way) if reader else way
+        way = flight.begun(way, pacer, now=options.now) if flight else way
+        ahead = units * (flight.look_ahead if flight else LOOK_AHEAD_PACKETS)
         report = stream(
             packets,
-            flight.begun(way, pacer, now=options.now) if flight else way,
+            way,
             pacer,
             begun=lambda under_way: _serve(options.http, feed, sink, under_way, stack),
             late=policy,
@@ -121,16 +112,27 @@ def stream_run(run: Run, options: StreamOptions) -> Streamed:
             go_on_from=None if options.prepare else _going_on(feed, flight, pacer),
             now=options.now,
             stop=stop,
-            look_ahead_packets=(flight.look_ahead if flight else LOOK_AHEAD_PACKETS) * len(links)
-            + (outlets.look_ahead(scenario.imu) if outlets else 0),
+            look_ahead_packets=ahead + (outlets.look_ahead(scenario.imu) if outlets else 0),
         )
         live = flight.report(report.simulated_s if report.interrupted else span_s[1]) if flight else None
     if options.truth is not None:
         write_times(options.truth, report, options.speed)
     how = run.name, options.to, options.speed, policy
-    streamed = summed_up(feed, report, sink.results, *how, audit=run.finding, live=live)
-    streamed = replace(streamed, gps_in=reader.result if reader else None)
+    heard = reader.result if reader else None
+    streamed = summed_up(feed, report, sink.results, *how, audit=run.finding, live=live, gps_in=heard)
     return with_outlets(streamed, ways, report.skipped + feed.skipped)
+
+
+def _rig(run: Run, options: StreamOptions) -> RigSink:
+    """Return the sockets of all sensors."""
+    start_ns = run.scenario.start_ns
+    return RigSink(
+        [unit.link for unit in run.engine.parts.units],
+        options.to,
+        as_sensor=options.as_sensor,
+        interface=options.interface,
+        sent=lambda due_ns: options.progress((due_ns - start_ns) / S_NS),
+    )
 
 
 def _check(options: StreamOptions) -> None:

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from vlp16emu.doors import door
 from vlp16emu.settings import Fraction, Section, Size
 from vlp16emu.world.mesh_settings import Finish, MeshFile
 from vlp16emu.world.site import Site
@@ -119,6 +120,5 @@ class Hall(WorldSection):
 
     def site(self, seed: int) -> Site:  # noqa: ARG002  # nothing of a hall is random
         """Return the floor of the hall."""
-        from vlp16emu.world.hall import HallSite  # here: a scene is read without the compiler
-
-        return HallSite(self)
+        site: Site = door("hall_site")(self)
+        return site

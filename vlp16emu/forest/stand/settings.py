@@ -5,6 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, field_validator, model_validator
 
+from vlp16emu.doors import door
 from vlp16emu.forest.ground.settings import Dem, Terrain
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.presets import with_preset
@@ -321,9 +322,8 @@ class Woods(WorldSection):
 
     def site(self, seed: int) -> Site:
         """Return the ground with what stands on it; errors as of `ForestSite`."""
-        from vlp16emu.forest.make import ForestSite  # here: a scene is read without the compiler
-
-        return ForestSite(self, seed)
+        site: Site = door("forest_site")(self, seed)
+        return site
 
 
 class Forest(Woods, Storey):
