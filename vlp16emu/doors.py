@@ -37,15 +37,19 @@ def sections(name: str) -> Any:
     from pydantic import Field  # here: who opens another door needs none
 
     found = [
-        getattr(import_module(m), c) for m, _, c in (s.partition(":") for s in SECTIONS[name]) if find(m)
+        getattr(import_module(m), c) for m, _, c in (s.partition(":") for s in SECTIONS[name]) if _is_there(m)
     ]
     if len(found) == 1:
         return found[0]
     return Annotated[Union[tuple(found)], Field(discriminator="kind")]  # noqa: UP007  # as many as are installed
 
 
-def find(module: str) -> bool:
-    """Whether a module is installed."""
+def has_door(name: str) -> bool:
+    """Whether what stands behind a name of `DOORS` is installed."""
+    return _is_there(DOORS[name].partition(":")[0])
+
+
+def _is_there(module: str) -> bool:
     try:
         return find_spec(module) is not None
     except ModuleNotFoundError:

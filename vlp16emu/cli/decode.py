@@ -94,11 +94,11 @@ def _model_named(name: str | None) -> "SensorModel | None":
 
 def _read(reader: "CaptureReader", out: Path | None, axes: "PointFrame", stop: Event) -> None:
     """Read a capture until it ends or reading is to stop, and write its points where they are wanted."""
-    from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, CloudAbout, capture_comments, point_file
-
     with ExitStack() as stack:
         writer = None
         if out:
+            from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, CloudAbout, capture_comments, point_file
+
             about = CloudAbout(capture_comments(axes))
             opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}")
             writer = stack.enter_context(opened)

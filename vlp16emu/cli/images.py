@@ -19,7 +19,6 @@ from vlp16emu.cli.terminal import (
     tree_of,
 )
 from vlp16emu.errors import InputError
-from vlp16emu.extras.images.images import write_images
 
 if TYPE_CHECKING:
     from vlp16emu.extras.images.images import ImageRun
@@ -80,6 +79,8 @@ def images(
     """
     wanted_px = None if pixels is None else _size(pixels)
     emulator = make_emulator(scene, settings, threads=threads)
+    from vlp16emu.extras.images.images import write_images
+
     start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")
     with stop_on_ctrl_c() as stop, Progress(stop_s - start_s) as progress:
         run = write_images(

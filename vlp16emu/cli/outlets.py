@@ -87,13 +87,17 @@ GpsInPulse = Annotated[
 
 def gps_in_of(port: str | None, pulse: Pulse) -> "GpsIn | None":
     """Take the options together."""
+    if port is None:
+        return None
     from vlp16emu.extras.bench.gps_in import GpsIn
 
-    return None if port is None else GpsIn(port, pulse)
+    return GpsIn(port, pulse)
 
 
-def outlets_of(gps_out: str | None, gps_pps: Line, imu_out: str | None) -> "Outlets":
+def outlets_of(gps_out: str | None, gps_pps: Line, imu_out: str | None) -> "Outlets | None":
     """Take the options together."""
+    if gps_out is None and imu_out is None:
+        return None
     from vlp16emu.extras.bench.outlets import Outlets
 
     return Outlets(gps_out, gps_pps, imu_out)

@@ -22,7 +22,6 @@ from vlp16emu.cli.terminal import (
     tree_of,
 )
 from vlp16emu.errors import InputError
-from vlp16emu.extras.clouds.points import write_points
 
 if TYPE_CHECKING:
     from vlp16emu.extras.clouds.points import PointCloud
@@ -107,6 +106,8 @@ def points(
     _refuse(context, _OF_CAPTURES, "found beside a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
     emulator = make_emulator(scene, settings, ideal=ideal, threads=threads)
+    from vlp16emu.extras.clouds.points import write_points
+
     start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")
     with stop_on_ctrl_c() as stop, Progress(stop_s - start_s) as progress:
         cloud = write_points(

@@ -18,7 +18,6 @@ from vlp16emu.cli.arguments import (
 )
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import INTERRUPTED, Progress, print_json, print_rows, size, stop_on_ctrl_c
-from vlp16emu.extras.truth.truth import write_truth
 
 Folder = Annotated[
     Path,
@@ -46,6 +45,7 @@ def truth(
     The files are those of `record --truth` over the same span, byte for byte. Ctrl-C ends them early.
     """
     emulator = make_emulator(scene, settings, ideal=ideal)
+    from vlp16emu.extras.truth.truth import write_truth
     from vlp16emu.run.options import TruthTo
 
     start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")

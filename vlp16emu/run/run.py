@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, Self
 
-from vlp16emu.doors import door
+from vlp16emu.doors import door, has_door
 from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError, spare
 from vlp16emu.motion.live_settings import takes_poses
@@ -74,7 +74,8 @@ class Run:
     ) -> Self:
         """Read a scene and set it up; parameters and errors as of `Emulator`."""
         scenario = load(scene, settings, ideal=ideal)
-        observer = door("audit").of(scenario) if audit and not takes_poses(scenario.motion) else None
+        wanted = audit and has_door("audit") and not takes_poses(scenario.motion)
+        observer = door("audit").of(scenario) if wanted else None
         engine = Engine.of(scenario, threads=threads, taps=[observer] if observer else [], like=like)
         is_named = isinstance(scene, str | Path)
         own = [find(str(scene))] if is_named else []

@@ -1,0 +1,78 @@
+"""The core without what stands around it."""
+
+import hashlib
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import vlp16emu
+from vlp16emu import Emulator
+from vlp16emu.packets import DATA_BYTES, POSITION_BYTES
+
+ROOT = Path(vlp16emu.__file__).parents[1]
+AROUND = ("forest", "foliage", "extras")
+SPAN_S = 0.3
+
+
+@pytest.fixture(scope="module")
+def core(tmp_path_factory):
+    """Run the command line of a copy of the package without forest, foliage and extras; give what it prints as JSON."""
+    folder = tmp_path_factory.mktemp("core")
+    shutil.copytree(
+        ROOT / "vlp16emu", folder / "vlp16emu", ignore=shutil.ignore_patterns("__pycache__", *AROUND)
+    )
+    for name in ("scenes", "pyproject.toml"):
+        (folder / name).symlink_to(ROOT / name)
+    env = os.environ | {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("kernels"))}
+
+    def run(*arguments):
+        command = [sys.executable, "-m", "vlp16emu", *arguments, "--json"]
+        done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    assert not [name for name in AROUND if (folder / "vlp16emu" / name).exists()]
+    return run
+
+
+@pytest.fixture(scope="module")
+def packets():
+    """What the whole package sends."""
+    return list(Emulator("static_bench").packets(0.0, SPAN_S))
+
+
+def test_it_records_the_same_bytes_and_decodes_them(core, tmp_path):
+    """`record static_bench` gives the file that the whole package writes, and `decode` reads as many points as were returned."""
+    whole, alone = tmp_path / "whole.pcap", tmp_path / "alone.pcap"
+    returns = Emulator("static_bench").record(whole, duration_s=SPAN_S).returns
+    assert core("record", "static_bench", str(alone), "--duration", str(SPAN_S))["sha256"] == (
+        hashlib.sha256(whole.read_bytes()).hexdigest()
+    )
+    assert core("decode", str(alone))["points"] == returns
+
+
+def test_it_streams_the_same_bytes(core, packets):
+    """What `stream static_bench` sends over UDP is payload by payload what the whole package makes."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as data,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as position,
+    ):
+        for receiver in (data, position):
+            receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+            receiver.bind(("127.0.0.1", 0))
+            receiver.setblocking(False)
+        ports = [
+            f"--set=sensor.{kind}_port={one.getsockname()[1]}"
+            for kind, one in (("data", data), ("position", position))
+        ]
+        core("stream", "static_bench", "--duration", str(SPAN_S), *ports)
+        for receiver, length in ((data, DATA_BYTES), (position, POSITION_BYTES)):
+            sent = [packet.payload for packet in packets if len(packet.payload) == length]
+            assert len(sent) > 20
+            assert [receiver.recv(2000) for _ in sent] == sent
