@@ -10,9 +10,7 @@ os.environ["VLP16EMU_CACHE_DIR"] = "off"
 # Two workers have a core each: threads of linear algebra would spin beside them for nothing.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 # Hypothesis keeps paths of the machine beside the examples that it found: not in the checkout.
-os.environ.setdefault(
-    "HYPOTHESIS_STORAGE_DIRECTORY", str(Path(tempfile.gettempdir()) / "vlp16emu-hypothesis")
-)
+os.environ.setdefault("HYPOTHESIS_STORAGE_DIRECTORY", str(Path(tempfile.gettempdir()) / "vlp16emu-hypothesis"))
 
 WITHOUT_CASTING = ("device", "motion", "packets", "protocol", "report", "scenario", "sensor", "world")
 """Rooms whose tests cast no ray."""

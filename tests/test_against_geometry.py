@@ -140,6 +140,4 @@ def test_errors_that_accuracy_reports_are_the_true_ones():
         assert reported.returns == true.returns > 1000
         assert reported.mean_error_m == pytest.approx(true.mean_error_m, rel=0.05, abs=1e-4), light.name
         assert reported.range_rmse_m == pytest.approx(true.range_rmse_m, rel=0.05, abs=3e-4), light.name
-        assert reported.reflectivity_rmse == pytest.approx(true.reflectivity_rmse, rel=0.1, abs=0.1), (
-            light.name
-        )
+        assert reported.reflectivity_rmse == pytest.approx(true.reflectivity_rmse, rel=0.1, abs=0.1), light.name

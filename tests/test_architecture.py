@@ -81,9 +81,7 @@ LIBRARIES = {
 @cache
 def trees() -> dict[str, ast.Module]:
     """Files by name, read by the worker that has these tests and by no other."""
-    return {
-        name: ast.parse(path.read_text(encoding="utf-8")) for name, path in zip(NAMES, FILES, strict=True)
-    }
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in zip(NAMES, FILES, strict=True)}
 
 
 def imports(tree: ast.AST) -> Iterator[str]:
@@ -125,9 +123,7 @@ def taken_at_once(name: str, tree: ast.Module) -> set[str]:
         for full in imports(node) if isinstance(node, ast.Import | ast.ImportFrom) else ():
             parts = full.split(".")
             paths = ["/".join(stem[1:]) for stem in (parts, parts[:-1])]
-            files = [
-                file for path in paths for file in (f"{path}.py", f"{path}/__init__.py") if file in NAMES
-            ]
+            files = [file for path in paths for file in (f"{path}.py", f"{path}/__init__.py") if file in NAMES]
             taken |= set(files[:1])
     return taken - {name}
 
@@ -268,9 +264,7 @@ def test_files_and_functions_are_short():
 
 def test_words_are_the_fields_own():
     """No docstring, message or document that users read has a word that this project has left behind."""
-    words = re.compile(
-        r"\b(told|(?<!\.)tells?|telling|reckon\w*|errs?|of which|none but|whence)\b", re.IGNORECASE
-    )
+    words = re.compile(r"\b(told|(?<!\.)tells?|telling|reckon\w*|errs?|of which|none but|whence)\b", re.IGNORECASE)
     root = PACKAGE.parent
     documents = [root / "README.md", root / "tools/README.md", *sorted((root / "scenes").glob("*.md"))]
     found = [

@@ -21,15 +21,7 @@ pytest.importorskip("rosbags", reason="the extra ros is not installed")
 from rosbags.highlevel import AnyReader
 
 SETTINGS = {"beam.model": "none", "gps.connected": True, "imu.preset": "consumer"}
-TOPICS = [
-    "/fix",
-    "/ground_truth/odom",
-    "/imu/data",
-    "/nmea_sentence",
-    "/tf",
-    "/tf_static",
-    "/velodyne_packets",
-]
+TOPICS = ["/fix", "/ground_truth/odom", "/imu/data", "/nmea_sentence", "/tf", "/tf_static", "/velodyne_packets"]
 KINDS = ("walk.mcap", "walk.bag", "walk")
 NUMBER = re.compile(r"-?\d+\.\d*(?:e[-+]?\d+)?")
 
@@ -85,9 +77,7 @@ def test_points_and_packets_are_those_of_the_capture(walk, name):
         for c, p in zip(clouds, points, strict=True)
     )
     hour_ns = 3600 * 10**9
-    t_ns = [
-        stamp_ns(c) % hour_ns + p["time"].astype(float) * 1e9 for c, p in zip(clouds, points, strict=True)
-    ]
+    t_ns = [stamp_ns(c) % hour_ns + p["time"].astype(float) * 1e9 for c, p in zip(clouds, points, strict=True)]
     joined, n = np.concatenate(points), sum(map(len, points))
     assert np.array_equal(np.stack([joined[axis] for axis in "xyz"], axis=1), chunk.points.xyz_m[:n])
     assert np.array_equal(joined["ring"], chunk.points.ring[:n])
@@ -103,8 +93,7 @@ def test_truth_is_in_the_bag(walk, name):
     poses = np.loadtxt(truth / "trajectory.tum")[:, 1:]
     odometry = [one.pose.pose for one in found["/ground_truth/odom"]]
     said = [
-        [*(getattr(one.position, a) for a in "xyz"), *(getattr(one.orientation, a) for a in "xyzw")]
-        for one in odometry
+        [*(getattr(one.position, a) for a in "xyz"), *(getattr(one.orientation, a) for a in "xyzw")] for one in odometry
     ]
     assert len(said) >= 200
     assert np.array_equal(said, poses[-len(said) :])
@@ -112,12 +101,8 @@ def test_truth_is_in_the_bag(walk, name):
     assert {(one.header.frame_id, one.child_frame_id) for one in moved} == {("map", "velodyne")}
     assert [one.transform.translation.x for one in moved] == [row[0] for row in said]
     imu = np.genfromtxt(truth / "imu.csv", delimiter=",", skip_header=1)
-    assert [one.linear_acceleration.z for one in found["/imu/data"]] == imu[
-        -len(found["/imu/data"]) :, 6
-    ].tolist()
-    assert [one.angular_velocity.x for one in found["/imu/data"]] == imu[
-        -len(found["/imu/data"]) :, 1
-    ].tolist()
+    assert [one.linear_acceleration.z for one in found["/imu/data"]] == imu[-len(found["/imu/data"]) :, 6].tolist()
+    assert [one.angular_velocity.x for one in found["/imu/data"]] == imu[-len(found["/imu/data"]) :, 1].tolist()
     fixes = np.genfromtxt(truth / "gnss.csv", delimiter=",", skip_header=1)
     assert [one.latitude for one in found["/fix"]] == fixes[-len(found["/fix"]) :, 8].tolist()
     assert [one.child_frame_id for one in found["/tf_static"][0].transforms] == ["base_link", "imu"]
@@ -149,9 +134,7 @@ def test_same_bytes_again(walk, tmp_path):
 def test_units_have_topics_of_their_own(tmp_path):
     """Each of two sensors has its topics, its frame and its trajectory, at its own place."""
     rig = {"rig": [{"mount": {"lever_arm_m": [0.0, 0.0, 1.0]}}]}
-    Emulator("static_bench", SETTINGS | rig).record(
-        tmp_path / "rig.pcap", duration_s=0.3, truth=tmp_path / "truth"
-    )
+    Emulator("static_bench", SETTINGS | rig).record(tmp_path / "rig.pcap", duration_s=0.3, truth=tmp_path / "truth")
     write_bag(tmp_path / "rig.pcap", tmp_path / "rig.mcap", tmp_path / "truth")
     found = messages(tmp_path / "rig.mcap")
     for number in (1, 2):
@@ -176,19 +159,13 @@ def test_a_wrong_name_or_truth_is_refused(walk, capsys):
 @pytest.mark.parametrize("name", ["new.mcap", "new.bag", "new/"])
 def test_a_run_goes_straight_into_a_bag(walk, tmp_path, name):
     """`record` with the name of a bag writes what `bag` makes of the capture and truth of the same run, and nothing beside it."""
-    settings = [
-        word
-        for key, value in SETTINGS.items()
-        for word in ("--set", f"{key}={value}".replace("True", "true"))
-    ]
+    settings = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}".replace("True", "true"))]
     assert run(["record", "static_bench", f"{tmp_path}/{name}", "--duration", "1", *settings, "--json"]) == 0
     kind = KINDS[["new.mcap", "new.bag", "new/"].index(name)]
     ours, theirs = messages(tmp_path / name), messages(walk / kind)
     assert ours.keys() == theirs.keys()
     for topic, found in ours.items():
-        assert len(found) - len(theirs[topic]) in (0, 1), (
-            topic
-        )  # a file of the truth ends when the last packet is due
+        assert len(found) - len(theirs[topic]) in (0, 1), topic  # a file of the truth ends when the last packet is due
         for one, other in zip(found, theirs[topic], strict=False):
             assert NUMBER.sub("", repr(one)) == NUMBER.sub("", repr(other))
             numbers = [list(map(float, NUMBER.findall(repr(message)))) for message in (one, other)]

@@ -51,9 +51,7 @@ def walk(tmp_path_factory):
 def labelled(walk):
     """Points of the capture with labels."""
     folder, _ = walk
-    return points(
-        folder / "walk.pcap", folder / "a.npz", "--trajectory", folder / "truth", "--labels", "for-instance"
-    )
+    return points(folder / "walk.pcap", folder / "a.npz", "--trajectory", folder / "truth", "--labels", "for-instance")
 
 
 def by_pulse(arrays, count):
@@ -116,21 +114,14 @@ def test_lost_late_and_doubled_packets_find_their_rows(walk, labelled, tmp_path)
 
     copy(folder / "walk.pcap", tmp_path / "cut.pcap", keep)
     some = points(
-        tmp_path / "cut.pcap",
-        tmp_path / "c.npz",
-        "--trajectory",
-        folder / "truth",
-        "--labels",
-        "for-instance",
+        tmp_path / "cut.pcap", tmp_path / "c.npz", "--trajectory", folder / "truth", "--labels", "for-instance"
     )
     assert 0.7 * len(labelled["t_ns"]) < len(some["t_ns"]) < 0.9 * len(labelled["t_ns"])
     names = ("t_ns", "laser", "is_last", "semantic", "part", "instance", "label")
 
     def rows(arrays):
         """Each point as a row."""
-        return {
-            tuple(row) for row in np.column_stack([arrays[name].astype(np.int64) for name in names]).tolist()
-        }
+        return {tuple(row) for row in np.column_stack([arrays[name].astype(np.int64) for name in names]).tolist()}
 
     assert rows(some) < rows(labelled)
 
@@ -150,9 +141,7 @@ def test_the_truth_of_another_run_is_refused(walk, tmp_path, capsys, truth, line
     of = {name: tmp_path / name for name in ("other", "later", "plain", "damaged")}
     settings = {**SETTINGS, "sensor.max_range_m": 3.0} if truth == "other" else {"sensor.return_mode": "dual"}
     emulator = Emulator("birch_walk" if truth == "other" else "static_bench", settings)
-    emulator.record(
-        tmp_path / "x.pcap", duration_s=0.1, truth=TruthTo(of[truth], per_return=truth != "plain")
-    )
+    emulator.record(tmp_path / "x.pcap", duration_s=0.1, truth=TruthTo(of[truth], per_return=truth != "plain"))
     if truth == "damaged":
         (of[truth] / "returns.parquet").write_bytes(b"PAR1 no table PAR1")
     words = ["--trajectory", folder / "truth", "--truth-folder", of[truth], "--truth"]

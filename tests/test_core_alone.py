@@ -24,9 +24,7 @@ SPAN_S = 0.3
 def core(tmp_path_factory):
     """Run the command line of a copy of the package without forest, foliage and extras; give what it prints as JSON."""
     folder = tmp_path_factory.mktemp("core")
-    shutil.copytree(
-        ROOT / "vlp16emu", folder / "vlp16emu", ignore=shutil.ignore_patterns("__pycache__", *AROUND)
-    )
+    shutil.copytree(ROOT / "vlp16emu", folder / "vlp16emu", ignore=shutil.ignore_patterns("__pycache__", *AROUND))
     for name in ("scenes", "pyproject.toml"):
         (folder / name).symlink_to(ROOT / name)
     env = os.environ | {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("kernels"))}
@@ -68,8 +66,7 @@ def test_it_streams_the_same_bytes(core, packets):
             receiver.bind(("127.0.0.1", 0))
             receiver.setblocking(False)
         ports = [
-            f"--set=sensor.{kind}_port={one.getsockname()[1]}"
-            for kind, one in (("data", data), ("position", position))
+            f"--set=sensor.{kind}_port={one.getsockname()[1]}" for kind, one in (("data", data), ("position", position))
         ]
         core("stream", "static_bench", "--duration", str(SPAN_S), *ports)
         for receiver, length in ((data, DATA_BYTES), (position, POSITION_BYTES)):

@@ -90,9 +90,7 @@ def test_poses_between_those_of_the_file_are_right(walk):
 def test_a_wrong_mount_moves_points_in_the_sensor(walk, true):
     """A boresight of 2 degrees of yaw and a lever arm of 0.1 m turn and shift the points before they come into the world."""
     folder, emulator, _ = walk
-    wrong, _ = deskewed(
-        folder / "walk.pcap", folder / "truth", folder / "w.npz", mount=(0.1, 0, 0, 0, 0, 2.0)
-    )
+    wrong, _ = deskewed(folder / "walk.pcap", folder / "truth", folder / "w.npz", mount=(0.1, 0, 0, 0, 0, 2.0))
     points, _ = true
     c, s = np.cos(np.radians(2.0)), np.sin(np.radians(2.0))
     x, y, z = points["sensor_m"].astype(float).T
@@ -172,10 +170,7 @@ def test_a_trajectory_of_another_day_is_refused(walk, tmp_path):
     ("options", "line"),
     [
         (["{pcap}", "{out}"], "is a capture; expected --trajectory"),
-        (
-            ["{pcap}", "{out}", "--trajectory", "{truth}", "--set", "seed=3"],
-            "--set: found beside the capture",
-        ),
+        (["{pcap}", "{out}", "--trajectory", "{truth}", "--set", "seed=3"], "--set: found beside the capture"),
         (["{pcap}", "{out}", "--trajectory", "{out}"], "no such file"),
         (["{pcap}", "{out}", "--trajectory", "{folder}"], "rig.json: no such file"),
         (
@@ -189,12 +184,7 @@ def test_a_trajectory_of_another_day_is_refused(walk, tmp_path):
 def test_what_makes_no_sense_is_refused_in_one_line(walk, capsys, options, line):
     """Options that do not fit exit with 2 and name what was found."""
     folder, _, _ = walk
-    names = {
-        "pcap": folder / "walk.pcap",
-        "truth": folder / "truth",
-        "out": folder / "no.ply",
-        "folder": folder,
-    }
+    names = {"pcap": folder / "walk.pcap", "truth": folder / "truth", "out": folder / "no.ply", "folder": folder}
     assert run(["points", *(option.format(**names) for option in options)]) == 2
     err = capsys.readouterr().err
     assert line in err

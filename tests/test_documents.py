@@ -78,9 +78,7 @@ def test_the_places_of_the_documents_exist(document):
 @documents
 def test_the_links_of_the_documents_lead_somewhere(document):
     """Each link to a file of the project, and to a heading in it, has its target."""
-    for target, _, fragment in (
-        link.partition("#") for link in re.findall(r"\]\(([^):]+)\)", DOCUMENTS[document])
-    ):
+    for target, _, fragment in (link.partition("#") for link in re.findall(r"\]\(([^):]+)\)", DOCUMENTS[document])):
         path = (ROOT / document).parent / target if target else ROOT / document
         assert path.exists(), target
         assert not fragment or fragment in anchors(path.read_text(encoding="utf-8")), f"{target}#{fragment}"

@@ -164,9 +164,7 @@ def _kernel(function: Callable[..., Any], count: int) -> Callable[..., None]:
 def test_same_bits_from_arrays_numbers_and_kernels(name: str) -> None:
     """An array, longer than one piece, one number at a time and a kernel with fastmath give the same bits."""
     function, count = getattr(elementary, name), 1 if name in _UNARY else 2
-    x = np.concatenate(
-        [np.random.default_rng(5).normal(scale=3.0, size=9000), [0.0, -0.0, 1e-310, 1.0, math.inf]]
-    )
+    x = np.concatenate([np.random.default_rng(5).normal(scale=3.0, size=9000), [0.0, -0.0, 1e-310, 1.0, math.inf]])
     y = x[::-1].copy()
     given = (x, y)[:count]
     found = function(*given)
@@ -191,8 +189,7 @@ def test_products_sum_in_order() -> None:
     rng = np.random.default_rng(6)
     a, b, v = rng.normal(size=(5, 3, 3)), rng.normal(size=(5, 3, 3)), rng.normal(size=(5, 3))
     turned = [
-        [(a[n, i, 0] * v[n, 0] + a[n, i, 1] * v[n, 1]) + a[n, i, 2] * v[n, 2] for i in range(3)]
-        for n in range(5)
+        [(a[n, i, 0] * v[n, 0] + a[n, i, 1] * v[n, 1]) + a[n, i, 2] * v[n, 2] for i in range(3)] for n in range(5)
     ]
     assert np.array_equal(elementary.matvec(a, v), turned)
     assert np.array_equal(elementary.matvec(a[0], v)[2], elementary.matvec(a[0], v[2]))

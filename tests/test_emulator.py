@@ -38,9 +38,7 @@ def birch():
 def test_threads_do_not_change_a_byte(birch):
     """One thread or three: the same packets at the same times."""
     span = STRETCH_S - 0.25, STRETCH_S + 0.25
-    assert digest(Emulator(birch, threads=1).packets(*span)) == digest(
-        Emulator(birch, threads=3).packets(*span)
-    )
+    assert digest(Emulator(birch, threads=1).packets(*span)) == digest(Emulator(birch, threads=3).packets(*span))
 
 
 @pytest.mark.usefixtures("kept_woods")  # in what order they grow changes nothing: test_forest.py of the stand
@@ -49,9 +47,7 @@ def test_cuts_do_not_change_a_byte(birch):
     start, stop = STRETCH_S - 0.3, STRETCH_S + 0.3
     whole = digest(Emulator(birch).packets(start, stop))
     cuts = [start, start + 0.0004, STRETCH_S - BLOCK_S / 3, STRETCH_S + 0.1001, stop]
-    pieces = (
-        packet for a, b in itertools.pairwise(cuts) for packet in Emulator(birch, threads=2).packets(a, b)
-    )
+    pieces = (packet for a, b in itertools.pairwise(cuts) for packet in Emulator(birch, threads=2).packets(a, b))
     assert digest(pieces) == whole
 
 
@@ -110,8 +106,7 @@ def test_wire_time_is_the_hour_of_a_locked_clock():
 def test_walk_ends_where_its_path_ends(birch):
     """A span beyond the walk's run time is refused before anything is computed."""
     with pytest.raises(
-        TrajectoryError,
-        match=r"duration: found 600 s; expected at most the walk's 7\d\.\d s; longer with motion.laps",
+        TrajectoryError, match=r"duration: found 600 s; expected at most the walk's 7\d\.\d s; longer with motion.laps"
     ):
         Emulator(birch).packets(0, 600)
 

@@ -4,9 +4,7 @@ import inspect
 
 from vlp16emu import errors
 
-CLASSES = [
-    thing for _, thing in inspect.getmembers(errors, inspect.isclass) if thing.__module__ == errors.__name__
-]
+CLASSES = [thing for _, thing in inspect.getmembers(errors, inspect.isclass) if thing.__module__ == errors.__name__]
 
 
 def test_the_drawn_tree_is_the_real_one():

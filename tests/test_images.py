@@ -172,10 +172,7 @@ def test_each_image_has_its_pose(hall, tmp_path):
         ({"size": (1001, 100)}, "--size: found 1001x100"),
         ({"size": (64, 64)}, "--size: found 64x64; expected a panorama at most half as high"),
         ({"fov_deg": 90.0}, "--fov: found 90; expected 360 of a panorama"),
-        (
-            {"kind": "pinhole", "fov_deg": 180.0},
-            "--fov: found 180; expected a number of degrees from 1 to 170",
-        ),
+        ({"kind": "pinhole", "fov_deg": 180.0}, "--fov: found 180; expected a number of degrees from 1 to 170"),
         ({"every_s": 0.0}, "--every: found 0"),
     ],
 )

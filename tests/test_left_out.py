@@ -57,11 +57,7 @@ def test_a_beam_without_width_has_no_footprint(monkeypatch):
     first("beam.model=adaptive")
     assert axes[0] is None
     assert axes[-1].shape[1:] == (16, 3)
-    forbid(
-        monkeypatch,
-        (fast, "cast_pulses"),
-        (fast, "beam_axis_of"),
-    )
+    forbid(monkeypatch, (fast, "cast_pulses"), (fast, "beam_axis_of"))
     first()
     with pytest.raises(TouchedError):
         first("beam.model=adaptive")
@@ -70,9 +66,7 @@ def test_a_beam_without_width_has_no_footprint(monkeypatch):
 def test_one_ray_is_held_once(monkeypatch):
     """Of a pulse that is one ray one hit is held, in arrays that have room for no more."""
     seen = []
-    monkeypatch.setattr(
-        page, "detect", lambda firings, hits, *_, **__: seen.append((firings.t_ns.size, hits))
-    )
+    monkeypatch.setattr(page, "detect", lambda firings, hits, *_, **__: seen.append((firings.t_ns.size, hits)))
     first()
     first("beam={ model = 'fixed', rays = 8 }")
     sizes = {
@@ -88,8 +82,7 @@ def test_one_ray_is_held_once(monkeypatch):
 def depends_on_seed(*settings):
     """Whether returns of the hall are others with another seed."""
     one, other = (
-        Emulator(load("static_bench", [*settings, f"seed={seed}"]), threads=1).returns(0.0, 0.1)
-        for seed in (1, 2)
+        Emulator(load("static_bench", [*settings, f"seed={seed}"]), threads=1).returns(0.0, 0.1) for seed in (1, 2)
     )
     return any(
         getattr(a, name).tobytes() != getattr(b, name).tobytes()
@@ -125,9 +118,7 @@ def test_without_truth_nobody_looks_for_surfaces(monkeypatch):
 def test_a_static_sensor_has_one_pose_and_one_window(monkeypatch):
     """A sensor that stands has one pose, made once, and one window however long the run; a walk has more."""
     opened, window = [], HallWorld.window
-    monkeypatch.setattr(
-        HallWorld, "window", lambda self, track_m: opened.append(len(track_m)) or window(self, track_m)
-    )
+    monkeypatch.setattr(HallWorld, "window", lambda self, track_m: opened.append(len(track_m)) or window(self, track_m))
     emulator = Emulator(load("static_bench"), threads=1)
     motion, t_ns = emulator.parts.motion, np.arange(1000, dtype=np.int64)
     assert motion.poses_at(t_ns) is motion.poses_at(t_ns + 10**12)
@@ -195,9 +186,7 @@ def test_a_single_sensor_merges_its_own_two_streams(monkeypatch):
     monkeypatch.setattr(
         page,
         "heapq",
-        SimpleNamespace(
-            merge=lambda *streams, key: merged.append(len(streams)) or heapq.merge(*streams, key=key)
-        ),
+        SimpleNamespace(merge=lambda *streams, key: merged.append(len(streams)) or heapq.merge(*streams, key=key)),
     )
     for settings in ([], ["rig=[{}]"]):
         Emulator(load("static_bench", settings), threads=1).packets(0.0, SPAN_S)
@@ -239,20 +228,11 @@ def test_a_stream_of_a_walk_loads_no_library_it_does_not_need(monkeypatch):
     """A stream builds no frames, and the lint and the filters of scipy are for others."""
     monkeypatch.setenv("VLP16EMU_CACHE_DIR", "off")  # what grows a wood may load libraries, too
     unneeded = ["dpkt", "scipy.ndimage", "rich.progress", "trimesh", "vlp16emu.extras.verify"]
-    walk = (
-        "stream",
-        "birch_walk",
-        "--duration",
-        "0.05",
-        "--set",
-        "sensor.max_range_m=15",
-        "--set",
-        "world.near_m=8",
-    )
+    walk = ("stream", "birch_walk", "--duration", "0.05", "--set", "sensor.max_range_m=15", "--set", "world.near_m=8")
     port = "--data-port", "23680", "--position-port", "23681"
-    assert modules_of(
-        *walk, *port, "--set", "world.stems_per_ha=100", "--json", names=["numba", *unneeded]
-    ) == ("0 ['numba']")
+    assert modules_of(*walk, *port, "--set", "world.stems_per_ha=100", "--json", names=["numba", *unneeded]) == (
+        "0 ['numba']"
+    )
 
 
 def test_a_walk_needs_no_scipy(tmp_path, monkeypatch):

@@ -28,12 +28,7 @@ def distances_m(scenario, stop_s):
 
 @pytest.mark.parametrize(
     ("gap_m", "behind_m"),
-    [
-        (0.3, [(0.1, 0.2)]),
-        (0.7, [(0.0, 0.7)]),
-        (1.5, [(0.0, 0.0), (1.5, 1.5)]),
-        (5.0, [(0.0, 0.0), (5.0, 5.0)]),
-    ],
+    [(0.3, [(0.1, 0.2)]), (0.7, [(0.0, 0.7)]), (1.5, [(0.0, 0.0), (1.5, 1.5)]), (5.0, [(0.0, 0.0), (5.0, 5.0)])],
 )
 def test_a_step_edge_is_one_return_or_two(gap_m, behind_m):
     """With the beam half on each of two plates, packets show one return between them below 1.4 m, and both plates above."""
@@ -44,14 +39,7 @@ def test_a_step_edge_is_one_return_or_two(gap_m, behind_m):
     own = [f"sensor.start_azimuth_deg={360 - 3600 * (10 * 55.296e-6 + 2.304e-6)}", "world.length_m=40.0"]
     scenario = load(
         "static_bench",
-        [
-            *EXACT,
-            "sensor.return_mode=dual",
-            *own,
-            f"world.boxes=[{near}, {far}]",
-            "world.poles=[]",
-            "beam={}",
-        ],
+        [*EXACT, "sensor.return_mode=dual", *own, f"world.boxes=[{near}, {far}]", "world.poles=[]", "beam={}"],
     )
     last_m, other_m = distances_m(scenario, 0.001)[10:12, 0, LASER]
     found_m = np.unique([other_m, last_m]) * np.cos(np.radians(1.0)) - PLATE_M
@@ -99,9 +87,7 @@ def test_pulses_see_through_holes_as_often_as_the_profile_says(holes):
     sigma_m = np.array([0.0127 + 0.003 * PLATE_M, 0.0095 + 0.0015 * PLATE_M]) / 4
     # The holes beside the nearest one let a third of the light through that comes in between.
     holes_m = off_m[:, None] - [[-HOLES_APART_M, 0.0], [0.0, 0.0], [HOLES_APART_M, 0.0]]
-    edges = stats.norm.cdf((HALF_HOLE_M - holes_m) / sigma_m) - stats.norm.cdf(
-        (-HALF_HOLE_M - holes_m) / sigma_m
-    )
+    edges = stats.norm.cdf((HALF_HOLE_M - holes_m) / sigma_m) - stats.norm.cdf((-HALF_HOLE_M - holes_m) / sigma_m)
     p = edges.prod(axis=2).sum(axis=1)
     rings = np.digitize(np.abs(off_m[:, 0]), [0.005, 0.01, 0.015, 0.02])
     expected, found, variance = (np.bincount(rings, weights=w) for w in (p, seen, p * (1 - p)))
@@ -126,12 +112,8 @@ def errors():
     unit = [*own, "noise={preset='typical', elevation_error_deg=0.0, azimuth_error_deg=0.0}"]
     own.append("noise.preset=ideal")
     stop_s = 1.0
-    true, real = (
-        list(Emulator(load("static_bench", settings)).returns(0.0, stop_s)) for settings in (own, unit)
-    )
-    true_m, real_m = (
-        np.concatenate([r.distance_m[..., 0] for r in run]).astype(float) for run in (true, real)
-    )
+    true, real = (list(Emulator(load("static_bench", settings)).returns(0.0, stop_s)) for settings in (own, unit))
+    true_m, real_m = (np.concatenate([r.distance_m[..., 0] for r in run]).astype(float) for run in (true, real))
     shown = np.concatenate([r.reflectivity[..., 0] for r in true]) / 100
     sent_m = distances_m(load("static_bench", unit), stop_s).reshape(-1, 16)
     # The least error of a pulse of 6 ns of that signal over noise, 6 for 10 % at 40 m.

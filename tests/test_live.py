@@ -104,9 +104,7 @@ class Flown:
         for thread in (drone, data, position):
             thread.start()
         poses = PosesIn(f"udp://127.0.0.1:{port}", path, self.lines.append)
-        self.streamed = Emulator("static_bench", settings).stream(
-            duration_s=RUN_S, poses=poses, opened=begun.set
-        )
+        self.streamed = Emulator("static_bench", settings).stream(duration_s=RUN_S, poses=poses, opened=begun.set)
         for thread in (drone, data, position):
             thread.over.set()
             thread.join()
@@ -155,10 +153,7 @@ def test_lost_poses_are_reported_and_survived(flown):
     """A pause of 1.2 s is reported when it comes and when it ends, and is in the report; the stream goes on."""
     live = flown.streamed.live
     assert flown.lines[0].startswith("waiting for poses on udp://127.0.0.1:")
-    assert [line.split(":")[0].split(" after")[0] for line in flown.lines[1:]] == [
-        "poses lost",
-        "poses are back",
-    ]
+    assert [line.split(":")[0].split(" after")[0] for line in flown.lines[1:]] == ["poses lost", "poses are back"]
     (lost,) = live.lost
     assert lost.lasted_s == pytest.approx(1.2, abs=0.3)
     assert live.refused > 0.9 * live.poses  # beside each pose there was noise
@@ -239,9 +234,7 @@ def test_poses_of_another_scene_are_refused(tmp_path):
         Emulator("static_bench").put_pose((0, 0, 0), (0, 0, 0, 1))
 
 
-@pytest.mark.parametrize(
-    "where", ["7000", "udp://7000", "tcp://127.0.0.1:7000", "udp://127.0.0.1:x", "udp://h:70000"]
-)
+@pytest.mark.parametrize("where", ["7000", "udp://7000", "tcp://127.0.0.1:7000", "udp://127.0.0.1:x", "udp://h:70000"])
 def test_where_poses_come_in_is_checked(where):
     """An address without scheme, host or port is refused."""
     with pytest.raises(InputError, match="--pose-in: found"):
@@ -251,10 +244,7 @@ def test_where_poses_come_in_is_checked(where):
 def test_a_port_in_use_is_reported():
     """Two receivers on one port, or one on an address of another machine, are refused."""
     taken = "expected an address of this machine and a free port"
-    with (
-        PoseReceiver("udp://127.0.0.1:0", lambda *_: None) as first,
-        pytest.raises(OutputError, match=taken),
-    ):
+    with PoseReceiver("udp://127.0.0.1:0", lambda *_: None) as first, pytest.raises(OutputError, match=taken):
         PoseReceiver(first.where, lambda *_: None)
     with pytest.raises(OutputError):
         PoseReceiver("udp://192.0.2.1:7000", lambda *_: None)

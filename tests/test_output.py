@@ -65,10 +65,7 @@ def test_two_runs_into_one_file_are_refused(writer, tmp_path):
 
 def test_threads_of_one_program_exclude_each_other_too(tmp_path):
     """A file that is open in this process is not opened a second time."""
-    with (
-        OutputFile(tmp_path / "x"),
-        pytest.raises(OutputError, match=f"is being written by process {os.getpid()}"),
-    ):
+    with OutputFile(tmp_path / "x"), pytest.raises(OutputError, match=f"is being written by process {os.getpid()}"):
         OutputFile(tmp_path / "x")
 
 

@@ -50,11 +50,7 @@ def test_a_wheel_has_its_data(wheel):
     scenes = {f"vlp16emu/scenes/{path.name}" for path in (ROOT / "scenes").glob("*.toml")}
     scenes |= {f"vlp16emu/scenes/own_plot/{path.name}" for path in (ROOT / "scenes" / "own_plot").iterdir()}
     assert len(scenes) >= 7
-    assert names >= scenes | {
-        "vlp16emu/py.typed",
-        "vlp16emu/forest/species.toml",
-        "vlp16emu/extras/bench/page.html",
-    }
+    assert names >= scenes | {"vlp16emu/py.typed", "vlp16emu/forest/species.toml", "vlp16emu/extras/bench/page.html"}
 
 
 def test_a_wheel_has_the_command_and_the_licence(wheel):
@@ -108,9 +104,7 @@ def set_up(tmp_path):
     def call(*arguments):
         asked = tmp_path / "asked"
         asked.write_text("")
-        done = subprocess.run(
-            [tmp_path / "tools" / "setup", *arguments], capture_output=True, text=True, check=False
-        )
+        done = subprocess.run([tmp_path / "tools" / "setup", *arguments], capture_output=True, text=True, check=False)
         lines = asked.read_text().splitlines()
         calls = [line for line in lines if line.startswith(("install", "check"))]
         first = lines[: lines.index(calls[0])] if calls else []

@@ -66,9 +66,7 @@ def test_a_prepared_rig_sends_what_it_sends_alive(rig, tmp_path):
     path = tmp_path / "rig.pcap"
     emulator.record(path, duration_s=SPAN_S)
     read = list(packets_of([unit.link for unit in emulator.parts.units], path))
-    times = [
-        replace(packet, due_ns=packet.due_ns // 1000 * 1000, fired_ns=None, number=0) for packet in packets
-    ]
+    times = [replace(packet, due_ns=packet.due_ns // 1000 * 1000, fired_ns=None, number=0) for packet in packets]
     assert read == times
 
 

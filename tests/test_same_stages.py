@@ -14,13 +14,7 @@ import same_stages
 from vlp16emu.raycast import build
 
 TOOL = Path(__file__).resolve().parents[1] / "tools" / "same_bytes"
-MANY = (
-    "world/shape.vertices_m",
-    "poses/world_p_body_m",
-    "firings/direction",
-    "hits/range_m",
-    "returns/distance_m",
-)
+MANY = ("world/shape.vertices_m", "poses/world_p_body_m", "firings/direction", "hits/range_m", "returns/distance_m")
 
 
 @pytest.fixture(scope="module")
@@ -139,11 +133,7 @@ def test_disturbed_triangles_are_a_little_off(monkeypatch):
 def test_steps_count_the_numbers_between(same_bytes):
     """Numbers are ordered through zero and up to infinity; steps are those of their type."""
     one = np.float32(1.0)
-    for a, b, count in (
-        (one, np.nextafter(one, np.float32(2)), 1),
-        (-1e-45, 1e-45, 2),
-        (np.inf, 3.4028235e38, 1),
-    ):
+    for a, b, count in ((one, np.nextafter(one, np.float32(2)), 1), (-1e-45, 1e-45, 2), (np.inf, 3.4028235e38, 1)):
         assert f", {count} ulp, " in same_bytes.steps(np.array([a], np.float32), np.array([b], np.float32))
     assert same_bytes.steps(np.array([3], np.uint8), np.array([250], np.uint8)) == ", 2.5e+02"
 

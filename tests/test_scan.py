@@ -25,9 +25,7 @@ def hall():
     """Make an emulator of the hall, in which every pulse has a return."""
 
     def make(**settings):
-        return Emulator(
-            "static_bench", {f"sensor.{key}": value for key, value in settings.items()}, threads=1
-        )
+        return Emulator("static_bench", {f"sensor.{key}": value for key, value in settings.items()}, threads=1)
 
     return make
 
@@ -115,9 +113,7 @@ def test_points_are_as_many_as_the_packets_have(hall, tmp_path):
 
 def test_poses_take_points_to_the_world(tmp_path):
     """On a walk each point, put by the pose of its own instant, is where `write_points` has it; the scan's is that of its start."""
-    emulator = Emulator(
-        "birch_walk", {"sensor.max_range_m": 20.0, "world.stems_per_ha": 150, "seed": 5}, threads=1
-    )
+    emulator = Emulator("birch_walk", {"sensor.max_range_m": 20.0, "world.stems_per_ha": 150, "seed": 5}, threads=1)
     scan = next(emulator.scans(start_s=2.0, duration_s=0.25))
     np.testing.assert_array_equal(scan.world_T_sensor, emulator.world_T_sensor(np.array([scan.start_ns]))[0])
     T = emulator.world_T_sensor(scan.t_ns)
@@ -135,9 +131,7 @@ def test_labels_are_per_point_and_only_when_asked_for(hall):
     labelled, plain = (next(emulator.scans(duration_s=0.12, truth=truth)) for truth in (True, False))
     assert plain.labels is None
     n = len(labelled.t_ns)
-    assert {len(getattr(labelled.labels, name)) for name in ("semantic", "part", "instance", "species")} == {
-        n
-    }
+    assert {len(getattr(labelled.labels, name)) for name in ("semantic", "part", "instance", "species")} == {n}
     assert set(labelled.labels.semantic) == {Semantic.GROUND, Semantic.OTHER}
 
 

@@ -132,9 +132,7 @@ def test_no_truth_no_cost(monkeypatch, tmp_path):
     kept = []
     original = Emulator._scan
     monkeypatch.setattr(Emulator, "_scan", lambda *a, **k: kept.append(original(*a, **k)) or kept[-1])
-    Emulator("static_bench", ["beam.model=none"]).record(
-        tmp_path / "x.pcap", duration_s=0.1, truth=tmp_path / "t"
-    )
+    Emulator("static_bench", ["beam.model=none"]).record(tmp_path / "x.pcap", duration_s=0.1, truth=tmp_path / "t")
     assert kept
     assert all(one.surface is None and one.range_m is None and one.share is None for one in kept)
 
@@ -144,9 +142,7 @@ def test_it_is_not_for_streams_that_are_set_live(tmp_path):
     from vlp16emu.run.options import Http
 
     with pytest.raises(InputError, match="--truth-packets or --truth-returns: found beside --http"):
-        Emulator("static_bench").stream(
-            http=Http("127.0.0.1", 0), truth=TruthTo(tmp_path / "t", per_return=True)
-        )
+        Emulator("static_bench").stream(http=Http("127.0.0.1", 0), truth=TruthTo(tmp_path / "t", per_return=True))
 
 
 def distances_m(points, triangles):
@@ -161,9 +157,7 @@ def distances_m(points, triangles):
     for start, end in ((a, b), (b, c), (c, a)):
         along = end - start
         inside &= np.einsum("ptk,tk->pt", np.cross(along, foot - start), normal) >= 0
-        share = np.einsum("ptk,tk->pt", points[:, None] - start, along) / np.maximum(
-            (along**2).sum(axis=1), 1e-300
-        )
+        share = np.einsum("ptk,tk->pt", points[:, None] - start, along) / np.maximum((along**2).sum(axis=1), 1e-300)
         on = start + np.clip(share, 0, 1)[..., None] * along
         nearest = np.minimum(nearest, np.linalg.norm(points[:, None] - on, axis=2))
     return np.where(inside, np.abs(away), nearest)
@@ -189,17 +183,12 @@ def test_labels_are_those_of_the_nearest_surface(tmp_path):
     settings.append("duration_s=0.5")
     write_truth(Emulator("spruce_walk", settings), TruthTo(tmp_path / "t", per_return=True), duration_s=0.1)
     options = [word for one in settings for word in ("--set", one)]
-    assert (
-        command(["forest", "spruce_walk", *options, "--radius", "14", "--glb", str(tmp_path / "twin.glb")])
-        == 0
-    )
+    assert command(["forest", "spruce_walk", *options, "--radius", "14", "--glb", str(tmp_path / "twin.glb")]) == 0
     table = parquet.read_table(tmp_path / "t" / "returns.parquet")
     rows = table.filter(compute.less(table["range_m"], 10.0))
     rows = rows.take(np.random.default_rng(1).choice(len(rows), 400, replace=False))
     points = np.column_stack([rows[f"world_{axis}_m"].to_numpy() for axis in "xyz"])
-    own = list(
-        zip(*(rows[name].to_pylist() for name in ("semantic", "part", "instance", "species")), strict=True)
-    )
+    own = list(zip(*(rows[name].to_pylist() for name in ("semantic", "part", "instance", "species")), strict=True))
     nearest = [{} for _ in own]
     for labels, triangles in nodes_of(tmp_path / "twin.glb"):
         low, high = triangles.min(axis=1) - 2 * EDGE_M, triangles.max(axis=1) + 2 * EDGE_M

@@ -138,12 +138,7 @@ def test_another_path_is_grown_anew(use, folder):
 
 def test_all_that_decides_a_world_is_in_its_name():
     """Seed, section and path are; how far away leaves are cast one by one is not."""
-    settings = (
-        (),
-        ("seed=61",),
-        ("world.terrain.rough_rms_m=0.2",),
-        ("motion.way_points_m=[[0, 0], [9, 9]]",),
-    )
+    settings = ((), ("seed=61",), ("world.terrain.rough_rms_m=0.2",), ("motion.way_points_m=[[0, 0], [9, 9]]",))
     worlds = [assemble(load("reference_forest", (*SMALL, *setting))).world for setting in settings]
     assert len({world.name for world in worlds}) == len(settings)
     assert assemble(load("reference_forest", (*SMALL, "world.near_m=9"))).world.name == worlds[0].name

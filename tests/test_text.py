@@ -15,9 +15,7 @@ LARGEST = 2**63 - 1
 @given(
     st.integers(1, 4).flatmap(
         lambda columns: st.tuples(
-            st.lists(
-                st.lists(st.integers(-LARGEST, LARGEST), min_size=columns, max_size=columns), max_size=5
-            ),
+            st.lists(st.lists(st.integers(-LARGEST, LARGEST), min_size=columns, max_size=columns), max_size=5),
             st.lists(st.integers(0, 9), min_size=columns, max_size=columns),
         )
     )
@@ -27,10 +25,7 @@ def test_numbers_are_written_as_decimals(table):
     rows, decimals = table
     lines = csv_lines(np.array(rows, np.int64).reshape(len(rows), len(decimals)), np.array(decimals))
     expected = [
-        ",".join(
-            f"{Decimal(number).scaleb(-places):.{places}f}"
-            for number, places in zip(row, decimals, strict=True)
-        )
+        ",".join(f"{Decimal(number).scaleb(-places):.{places}f}" for number, places in zip(row, decimals, strict=True))
         for row in rows
     ]
     assert lines.decode().splitlines() == [line.replace("-0,", "0,") for line in expected]

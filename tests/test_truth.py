@@ -71,9 +71,7 @@ def test_the_trajectory_is_that_of_the_sensor(walk, tmp_path):
     assert 0 <= t_ns[-1] - packets[-1].due_ns < 10_000_000
     true = walk.parts.motion.poses_at(t_ns)
     np.testing.assert_allclose(poses[:, :3], true.world_p_body_m, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(
-        Rotation.from_quat(poses[:, 3:]).as_matrix(), true.world_R_body, rtol=0, atol=1e-11
-    )
+    np.testing.assert_allclose(Rotation.from_quat(poses[:, 3:]).as_matrix(), true.world_R_body, rtol=0, atol=1e-11)
     assert (poses[:, 6] >= 0).all()
 
 

@@ -6,18 +6,7 @@ import numpy as np
 import pytest
 
 from vlp16emu import types
-from vlp16emu.types import (
-    SURFACE,
-    Firings,
-    Hits,
-    Mesh,
-    PacketKind,
-    Poses,
-    PpsState,
-    ReturnMode,
-    Returns,
-    Window,
-)
+from vlp16emu.types import SURFACE, Firings, Hits, Mesh, PacketKind, Poses, PpsState, ReturnMode, Returns, Window
 
 K, L = 3, 16
 
@@ -58,11 +47,7 @@ def hits(**changes):
 
 
 def poses(**changes):
-    fields = {
-        "t_ns": np.zeros(2, np.int64),
-        "world_R_body": np.zeros((2, 3, 3)),
-        "world_p_body_m": np.zeros((2, 3)),
-    }
+    fields = {"t_ns": np.zeros(2, np.int64), "world_R_body": np.zeros((2, 3, 3)), "world_p_body_m": np.zeros((2, 3))}
     return Poses(**(fields | changes))
 
 
@@ -86,26 +71,14 @@ BAD = [
     ),
     (poses, {"t_ns": np.zeros(2)}, "Poses.t_ns: found (2,) float64, expected (n) int64"),
     (firings, {"clock_ns": np.zeros(K)}, "Firings.clock_ns: found (3,) float64, expected (3) int64"),
-    (
-        firings,
-        {"direction": np.zeros((K, L))},
-        "Firings.direction: found (3, 16) float64, expected (3, 16, 3) float64",
-    ),
+    (firings, {"direction": np.zeros((K, L))}, "Firings.direction: found (3, 16) float64, expected (3, 16, 3) float64"),
     (
         firings,
         {"beam_axis": np.zeros((K, L, 2))},
         "Firings.beam_axis: found (3, 16, 2) float64, expected (3, 16, 3) float64",
     ),
-    (
-        hits,
-        {"surface": np.zeros(K * L + 1, np.uint32)},
-        "Hits.surface: found (49,) uint32, expected (48) uint32",
-    ),
-    (
-        hits,
-        {"range_m": np.zeros(K * L)},
-        "Hits.range_m: found (48,) float64, expected (n) float32",
-    ),
+    (hits, {"surface": np.zeros(K * L + 1, np.uint32)}, "Hits.surface: found (49,) uint32, expected (48) uint32"),
+    (hits, {"range_m": np.zeros(K * L)}, "Hits.range_m: found (48,) float64, expected (n) float32"),
     (
         returns,
         {"reflectivity": np.zeros((K, L, 2), np.uint8)},

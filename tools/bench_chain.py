@@ -18,11 +18,7 @@ from typing import NamedTuple
 from rich.box import MARKDOWN
 from rich.table import Table
 
-SETTINGS = {
-    "default": [],
-    "one ray": ["beam.model=none"],
-    "default, dual": ["sensor.return_mode=dual"],
-}
+SETTINGS = {"default": [], "one ray": ["beam.model=none"], "default, dual": ["sensor.return_mode=dual"]}
 FIRST_S, SHORT_S, LONG_S = 0.002, 20.0, 60.0
 
 
@@ -44,14 +40,7 @@ def recorded(scene: str, settings: list[str], threads: int, seconds: float) -> T
     """
     sets = [word for setting in settings for word in ("--set", setting)]
     with tempfile.TemporaryDirectory() as folder:
-        words = [
-            scene,
-            str(Path(folder) / "bench.pcap"),
-            "--duration",
-            str(seconds),
-            "--threads",
-            str(threads),
-        ]
+        words = [scene, str(Path(folder) / "bench.pcap"), "--duration", str(seconds), "--threads", str(threads)]
         command = [sys.executable, "-m", "vlp16emu", "record", *words, *sets, "--no-audit", "--json"]
         began_s = time.perf_counter()
         with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:

@@ -326,9 +326,7 @@ def beside(scene: str, reach_m: float, venv: Path | None) -> Table:
         del mesh  # may be gigabytes
         measured = dict(rows(scene, reach_m, venv or folder / "venv", folder, triangles))
     assert_alike(measured)
-    title = (
-        f"{scene} within {reach_m:g} m, {seen.trees} trees and saplings, M pulses/s, load {load_before:.0f}"
-    )
+    title = f"{scene} within {reach_m:g} m, {seen.trees} trees and saplings, M pulses/s, load {load_before:.0f}"
     table = Table("caster", "M triangles", *MEASURED, "hit, %", "mean range, m", title=title, box=MARKDOWN)
     for name, one in measured.items():
         if isinstance(one, str):

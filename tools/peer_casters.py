@@ -71,10 +71,7 @@ def measure(build: Callable[[Task], Prepare], task: Task) -> dict[str, Any]:
     """Build, cast and report: seconds and megabytes of building, speeds, and what was hit."""
     before_mb, start = resident_mb(), time.process_time()
     prepare = build(task)
-    measured: dict[str, Any] = {
-        "build_s": time.process_time() - start,
-        "memory_mb": resident_mb() - before_mb,
-    }
+    measured: dict[str, Any] = {"build_s": time.process_time() - start, "memory_mb": resident_mb() - before_mb}
     for name in (*SETS, "raster"):
         work = prepare(name, 1)
         range_m = work.ranges(work.cast())
@@ -154,9 +151,7 @@ def pyhelios(task: Task) -> Prepare:
         cloud.addScan(task["raster_origin_m"].tolist(), 16, zenith, columns, around, *width)
         openmp.omp_set_num_threads(threads)
         # Returns nearer to each other than a metre are one, as those of a VLP-16.
-        cloud.syntheticScan(
-            context, **({"rays_per_pulse": rays, "pulse_distance_threshold": 1.0} if rays > 1 else {})
-        )
+        cloud.syntheticScan(context, **({"rays_per_pulse": rays, "pulse_distance_threshold": 1.0} if rays > 1 else {}))
         return cloud
 
     def ranges(cloud: Any) -> np.ndarray:
@@ -168,9 +163,7 @@ def pyhelios(task: Task) -> Prepare:
         rays, columns = RAYS.get(name, 1), int(task["raster_columns"])
         if name != "raster":
             columns *= 30  # else lost in the time that the tree takes
-        return Work(
-            lambda: scan(columns, threads, rays), ranges, 16 * columns, lambda: scan(2, threads, rays)
-        )
+        return Work(lambda: scan(columns, threads, rays), ranges, 16 * columns, lambda: scan(2, threads, rays))
 
     scan(2, 1, 1)
     return prepare

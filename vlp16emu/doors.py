@@ -27,7 +27,7 @@ SECTIONS = {
         "vlp16emu.forest.stand.settings:Forest",
         "vlp16emu.forest.stand.settings:Plot",
         "vlp16emu.world.settings:Hall",
-    ),
+    )
 }
 """Kinds of a table of a scene, each with a `kind` of its own."""
 
@@ -36,9 +36,7 @@ def sections(name: str) -> Any:
     """Return the type of a table of a scene: one of the sections of `SECTIONS` that are installed."""
     from pydantic import Field  # here: who opens another door needs none
 
-    found = [
-        getattr(import_module(m), c) for m, _, c in (s.partition(":") for s in SECTIONS[name]) if _is_there(m)
-    ]
+    found = [getattr(import_module(m), c) for m, _, c in (s.partition(":") for s in SECTIONS[name]) if _is_there(m)]
     if len(found) == 1:
         return found[0]
     return Annotated[Union[tuple(found)], Field(discriminator="kind")]  # noqa: UP007  # as many as are installed

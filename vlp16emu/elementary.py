@@ -130,9 +130,7 @@ def _number(bits: Any) -> Any:
 def _as_instruction(function: Callable[..., Any], typed: Any, emit: Callable[..., Any], *sorts: Any) -> None:
     """Say which instruction of LLVM kernels take for `function`: nothing is compiled apart."""
     numba.extending.type_callable(function)(lambda _context: typed)
-    numba.extending.lower_builtin(function, *sorts)(
-        lambda _context, builder, _typed, values: emit(builder, values)
-    )
+    numba.extending.lower_builtin(function, *sorts)(lambda _context, builder, _typed, values: emit(builder, values))
 
 
 _as_instruction(
@@ -231,9 +229,7 @@ def atan2(y: Any, x: Any) -> Any:
     z = r * r
     w = z * z
     even = 4.97687799461593236017e-02 + w * 1.62858201153657823623e-02
-    even = 1.42857142725034663711e-01 + w * (
-        9.09088713343650656196e-02 + w * (6.66107313738753120669e-02 + w * even)
-    )
+    even = 1.42857142725034663711e-01 + w * (9.09088713343650656196e-02 + w * (6.66107313738753120669e-02 + w * even))
     even = z * (3.33333333333329318027e-01 + w * even)
     odd = -5.83357013379057348645e-02 + w * -3.65315727442169155270e-02
     odd = -1.11111104054623557880e-01 + w * (-7.69187620504482999495e-02 + w * odd)
@@ -292,9 +288,7 @@ def log_of_normal(x: Any) -> Any:
     high = 2.222219843214978396e-01 + z * (
         1.818357216161805012e-01 + z * (1.531383769920937332e-01 + z * 1.479819860511658591e-01)
     )
-    rest = z * (
-        6.666666666666735130e-01 + z * (3.999999999940941908e-01 + z * (2.857142874366239149e-01 + z * high))
-    )
+    rest = z * (6.666666666666735130e-01 + z * (3.999999999940941908e-01 + z * (2.857142874366239149e-01 + z * high)))
     half = 0.5 * f * f
     return e * _LN2[0] - ((half - (s * (half + rest) + e * _LN2[1])) - f)
 

@@ -141,9 +141,7 @@ class Emulator:
         TrajectoryError
             where the walk is over before the span
         """
-        return scans_of(
-            self.engine, self.run.number(unit), self.scenario.span_s(start_s, duration_s), truth=truth
-        )
+        return scans_of(self.engine, self.run.number(unit), self.scenario.span_s(start_s, duration_s), truth=truth)
 
     def world_T_sensor(self, t_ns: NDArray[np.int64], *, unit: int = 1) -> NDArray[np.float64]:
         """(n, 4, 4) poses of a sensor at instants (n,) UTC; they take `Scan.xyz_m` to the world."""
@@ -220,9 +218,7 @@ class Emulator:
         """
         return stream_run(self.run, StreamOptions(**options))
 
-    def put_pose(
-        self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None
-    ) -> bool:
+    def put_pose(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
         """Bring a pose into a live scene, from any thread; parameters, result and errors as of `PoseInput.put`.
 
         Raises

@@ -192,12 +192,7 @@ def _bounds(node: Node) -> str:
         return f"from {low} to {high} in steps of {node['multipleOf']}"
     if low > -math.inf and high < math.inf:
         return f"from {_number(low)} to {_number(high)}"
-    words = {
-        "minimum": "at least",
-        "exclusiveMinimum": "above",
-        "maximum": "at most",
-        "exclusiveMaximum": "below",
-    }
+    words = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
     return " and ".join(f"{word} {_number(node[key])}" for key, word in words.items() if key in node)
 
 

@@ -102,9 +102,7 @@ _NORMAL_TAIL, _EXPONENTIAL_TAIL = 3.6541528853610088, 7.69711747013104972
     forceinline=True,
     _nrt=False,
 )
-def philox4x32(
-    c0: _Word, c1: _Word, c2: _Word, c3: _Word, k0: _Word, k1: _Word
-) -> tuple[_Word, _Word, _Word, _Word]:
+def philox4x32(c0: _Word, c1: _Word, c2: _Word, c3: _Word, k0: _Word, k1: _Word) -> tuple[_Word, _Word, _Word, _Word]:
     """Four random 32-bit words for counter (c0, c1, c2, c3) and key (k0, k1).
 
     Source: SC 2011 paper, multipliers and Weyl constants of Philox 4x32.
@@ -163,9 +161,7 @@ def normal_pair(seed: int, purpose: int, n: int, lane: int) -> tuple[float, floa
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def normal_pairs(
-    seed: int, purpose: int, n: int, first: NDArray[np.float64], second: NDArray[np.float64]
-) -> None:
+def normal_pairs(seed: int, purpose: int, n: int, first: NDArray[np.float64], second: NDArray[np.float64]) -> None:
     """Fill (lanes,) each with the numbers of `normal_pair`, in a quarter of its time."""
     for lane in range(first.shape[0]):
         a, b = uniform_pair(seed, purpose, n, lane)

@@ -106,14 +106,10 @@ class Chunk:
         first, last = np.searchsorted(self.reading, (begin, end))
         points = {name: array[first:last] for name, array in self.arrays.items()}
         readings = slice(begin, end)
-        return type(self)(
-            self.t_ns[readings], self.azimuth_deg[readings], self.reading[first:last] - begin, points
-        )
+        return type(self)(self.t_ns[readings], self.azimuth_deg[readings], self.reading[first:last] - begin, points)
 
 
-def cut_scans(
-    chunks: Iterable[Chunk], pose_at: Callable[[int], NDArray[np.float64]] | None = None
-) -> Iterator[Scan]:
+def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], NDArray[np.float64]] | None = None) -> Iterator[Scan]:
     """Cut points into whole revolutions; begun ones at both ends are left out.
 
     Parameters

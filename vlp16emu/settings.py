@@ -19,9 +19,7 @@ from pydantic import (
 
 DEEPEST = 100
 """Tables and lists in one another; of a key, the names between its dots."""
-_DEEP_KEY = re.compile(
-    rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""", re.ASCII
-)
+_DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""", re.ASCII)
 """A dotted key too deep to be read: the time for one grows with the square of its names."""
 
 

@@ -85,14 +85,10 @@ def user_store() -> Store:
     chosen = os.environ.get("VLP16EMU_CACHE_DIR")
     if chosen in ("", "off") or most_mb <= 0:
         return Store(None, int(max(most_mb, 0.0) * _MB))
-    return Store(
-        Path(chosen) if chosen else user_cache_path("vlp16emu", appauthor=False) / "world", int(most_mb * _MB)
-    )
+    return Store(Path(chosen) if chosen else user_cache_path("vlp16emu", appauthor=False) / "world", int(most_mb * _MB))
 
 
-def recalled(
-    name: str, make: Callable[[], T], pack: Callable[[T], Bundle], unpack: Callable[[Bundle], T]
-) -> T:
+def recalled(name: str, make: Callable[[], T], pack: Callable[[T], Bundle], unpack: Callable[[Bundle], T]) -> T:
     """Take a thing from the user's store, or make it and keep it there.
 
     Parameters

@@ -229,9 +229,7 @@ class Packet:
     """Place in the rig of the sensor that sends it, from 0."""
     fired_ns: int | None = None  # UTC of the first pulse in a data packet of ours
     number: int = 0  # of a position packet: how many its unit could have sent before; the frame carries it
-    slots: NDArray[np.void] | None = (
-        None  # (384,) of a data packet: what is behind each record, only when asked for
-    )
+    slots: NDArray[np.void] | None = None  # (384,) of a data packet: what is behind each record, only when asked for
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,10 +19,7 @@ def test_the_report_is_the_same_as_file_and_on_stdout(cli, report):
     """With --json one object is printed, which --out writes too, beside a picture; the scene's setting is marked."""
     tree = cli(*RUN, "--out", report / "new", "--json").tree
     files = tree.pop("files")
-    assert [path.split("/")[-1] for path in files] == [
-        "accuracy_static_bench.json",
-        "accuracy_static_bench.png",
-    ]
+    assert [path.split("/")[-1] for path in files] == ["accuracy_static_bench.json", "accuracy_static_bench.png"]
     assert json.loads((report / "new" / "accuracy_static_bench.json").read_text()) == tree
     assert (report / "new" / "accuracy_static_bench.png").read_bytes()[:4] == b"\x89PNG"
     assert [row["name"] for row in tree["rows"] if row["in_use"]] == ["beam.model=none"]
@@ -60,9 +57,7 @@ def test_a_run_tells_its_error(cli, tmp_path):
     audit = cli(*run, *wide, "--json").tree["audit"]
     assert audit["pulses"] == 11 * 16  # at a place of each block; the last one ends before that
     assert audit["range_rmse_low_m"] < audit["range_rmse_m"] < audit["range_rmse_high_m"]
-    assert (
-        f"range error       RMSE {1e3 * audit['range_rmse_m']:.1f} mm before noise (" in cli(*run, *wide).out
-    )
+    assert f"range error       RMSE {1e3 * audit['range_rmse_m']:.1f} mm before noise (" in cli(*run, *wide).out
     assert "range error       rounding to float32 only" in cli(*run).out
     assert "range error" not in cli(*run, "--no-audit").out
     assert cli(*run, "--no-audit", "--json").tree["audit"] is None

@@ -54,16 +54,8 @@ BAD = [
     ("bogus", 2, "No such command 'bogus'; see `vlp16emu --help`"),
     ("record static_bench", 2, "Missing argument 'OUT'; see `vlp16emu record --help`"),
     ("record static_bench x --bad", 2, "No such option: --bad; see `vlp16emu record --help`"),
-    (
-        "record nope {tmp}/x.pcap",
-        2,
-        "scene 'nope': unknown name; expected birch_walk, ",
-    ),
-    (
-        "record {tmp}/no.toml {tmp}/x.pcap",
-        2,
-        "{tmp}/no.toml: no such file or directory; expected a scene file",
-    ),
+    ("record nope {tmp}/x.pcap", 2, "scene 'nope': unknown name; expected birch_walk, "),
+    ("record {tmp}/no.toml {tmp}/x.pcap", 2, "{tmp}/no.toml: no such file or directory; expected a scene file"),
     (
         "record static_bench {tmp}/no/x.pcap",
         2,
@@ -89,11 +81,7 @@ BAD = [
         2,
         "--duration: found ten; expected a number above 0 and at most 604800",
     ),
-    (
-        "record static_bench {tmp}/x.pcap --start -1",
-        2,
-        "--start: found -1; expected a number from 0 to 604800",
-    ),
+    ("record static_bench {tmp}/x.pcap --start -1", 2, "--start: found -1; expected a number from 0 to 604800"),
     (
         "record static_bench {tmp}/x.pcap --start 11",
         2,
@@ -114,11 +102,7 @@ BAD = [
         2,
         "--set sensor.rpn=600: unknown key; expected rpm, the nearest known one",
     ),
-    (
-        "record static_bench /dev/full --duration 1",
-        1,
-        "/dev/full: No space left on device at packet 1; the 0 packets",
-    ),
+    ("record static_bench /dev/full --duration 1", 1, "/dev/full: No space left on device at packet 1; the 0 packets"),
     ("stream static_bench --data-port 0", 2, "--data-port: found 0; expected a whole number from 1 to 65535"),
     (
         "stream static_bench --position-port 65536",
@@ -186,8 +170,7 @@ def test_a_reader_that_has_had_enough_is_no_error(program):
 
 
 @pytest.mark.parametrize(
-    "line",
-    ["--help", "--version", "schema", "schema --help", "scenes --json", "stream static_bench --duration 1"],
+    "line", ["--help", "--version", "schema", "schema --help", "scenes --json", "stream static_bench --duration 1"]
 )
 def test_output_that_cannot_be_written_is_one_line(program, line):
     """A full disk under stdout is told in one line, be it at the first word, midway or only at the end, and the run has failed."""
@@ -221,9 +204,7 @@ def test_warnings_are_lines_on_stderr(program):
     _, err = run.communicate(timeout=100)
     assert run.returncode == 0
     (line,) = err.splitlines()
-    assert line.startswith(
-        "warning: hall: the path of the sensor leaves it at (100, 0) m; expected x between"
-    )
+    assert line.startswith("warning: hall: the path of the sensor leaves it at (100, 0) m; expected x between")
 
 
 def test_a_request_to_end_is_as_ctrl_c(program):

@@ -8,12 +8,7 @@ import pytest
 from vlp16emu import Emulator
 from vlp16emu.scenario import load
 
-UNIT = [
-    "noise.preset=unit",
-    "sensor.preset=unit",
-    "sensor.azimuth_noise_deg=0.0014",
-    "capture.preset=quiet_pc",
-]
+UNIT = ["noise.preset=unit", "sensor.preset=unit", "sensor.azimuth_noise_deg=0.0014", "capture.preset=quiet_pc"]
 
 
 @pytest.fixture(scope="module")

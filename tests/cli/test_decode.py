@@ -78,9 +78,7 @@ def test_chunks_leave_no_trace(bench, monkeypatch):
         chunks = [points for points, *_ in reader.points()]
     assert len(chunks) > 50
     for name in ("azimuth_deg", "distance_m", "xyz_m", "reflectivity", "ring", "time_ns"):
-        np.testing.assert_array_equal(
-            np.concatenate([getattr(chunk, name) for chunk in chunks]), getattr(whole, name)
-        )
+        np.testing.assert_array_equal(np.concatenate([getattr(chunk, name) for chunk in chunks]), getattr(whole, name))
 
 
 def test_each_packet_is_decoded_once(bench, monkeypatch):
@@ -233,9 +231,7 @@ def test_packets_before_a_damaged_record_are_reported(bench, tmp_path):
     read = []
     with CaptureReader(damaged) as reader, pytest.raises(CaptureError, match="a length of 4294967295 bytes"):
         read.extend(points.xyz_m for points, *_ in reader.points())
-    np.testing.assert_array_equal(
-        np.concatenate(read), decode_data(payloads(bench), keep_no_returns=False).xyz_m
-    )
+    np.testing.assert_array_equal(np.concatenate(read), decode_data(payloads(bench), keep_no_returns=False).xyz_m)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
@@ -255,9 +251,7 @@ def test_ctrl_c_leaves_the_points_so_far(cli, bench, tmp_path, monkeypatch, suff
     outcome = cli("decode", bench, "--out", out, "--json")
     assert outcome.code == 130
     assert (outcome.tree["packets"], outcome.tree["interrupted"]) == (28, True)
-    np.testing.assert_allclose(
-        xyz_in(out), decode_data(payloads(bench)[:28], keep_no_returns=False).xyz_m, atol=5.1e-5
-    )
+    np.testing.assert_allclose(xyz_in(out), decode_data(payloads(bench)[:28], keep_no_returns=False).xyz_m, atol=5.1e-5)
 
 
 @pytest.mark.parametrize("size", [7, 2_000])
@@ -269,10 +263,7 @@ def test_another_model_is_refused_at_any_packet(bench, tmp_path, monkeypatch, si
         content[content.index(payload.tobytes()) + 1205] = 0x24
     mixed = tmp_path / "mixed.pcap"
     mixed.write_bytes(content)
-    with (
-        CaptureReader(mixed) as reader,
-        pytest.raises(PacketError, match="0x24; expected the first packet's"),
-    ):
+    with CaptureReader(mixed) as reader, pytest.raises(PacketError, match="0x24; expected the first packet's"):
         for _ in reader.points():
             pass
 
@@ -310,9 +301,7 @@ def test_a_unit_before_release_is_read_with_its_model(bench, cli, tmp_path):
     (old := tmp_path / "old.pcap").write_bytes(content)
     refused = cli("decode", old)
     assert refused.code == 2
-    assert refused.err.endswith(
-        "product: 0x21; expected 0x22 or 0x24, or --model for a VLP-16 from before release\n"
-    )
+    assert refused.err.endswith("product: 0x21; expected 0x22 or 0x24, or --model for a VLP-16 from before release\n")
     tree, before = cli("decode", old, "--model", "vlp-16", "--json").tree, cli("decode", bench, "--json").tree
     assert tree | {"file": ""} == before | {"file": ""}
     assert "vlp-16 or puck-hi-res" in cli("decode", old, "--model", "hdl-32e").err

@@ -45,9 +45,7 @@ def test_the_inventory_has_every_tree_in_reach_once(written, rows):
     """One line per tree of the sensor's reach, its units in the header, and no tree twice."""
     assert len(rows) == written[1]["trees_in_reach"]
     assert len({row["id"] for row in rows}) == len(rows)
-    assert {"species", "x_m", "dbh_m", "height_m", "top_m", "stem_m3", "leaf_m2", "biomass_kg"} <= set(
-        rows[0]
-    )
+    assert {"species", "x_m", "dbh_m", "height_m", "top_m", "stem_m3", "leaf_m2", "biomass_kg"} <= set(rows[0])
 
 
 def test_stems_are_circles_with_the_diameter_of_the_inventory(written, rows):
@@ -105,9 +103,7 @@ def test_the_twin_holds_the_trees_of_the_inventory(written, rows):
     data = (written[0] / "twin.glb").read_bytes()
     assert data[:4] == b"glTF"
     assert struct.unpack_from("<I", data, 8)[0] == len(data)
-    names = [
-        node["name"] for node in json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])["nodes"]
-    ]
+    names = [node["name"] for node in json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])["nodes"]]
     species = {f"tree_{int(row['id']):06d}": row["species"] for row in rows}
     stems = [name.split("/") for name in names if name.startswith("tree_") and name.endswith("/root_flare")]
     assert len(stems) == written[1]["trees"][-1]["stems"]

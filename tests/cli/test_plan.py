@@ -13,9 +13,7 @@ pytestmark = pytest.mark.usefixtures("kept_woods")
 
 def on(scene, *settings):
     """Names of what is on."""
-    return {
-        need.name for need in needs(Engine.of(load(scene, settings), threads=1), audited=False) if need.on
-    }
+    return {need.name for need in needs(Engine.of(load(scene, settings), threads=1), audited=False) if need.on}
 
 
 def test_the_audit_is_named_where_it_looks(cli):

@@ -92,11 +92,7 @@ def test_a_free_table_is_what_is_seen(points, beams):
 
 def test_angle_errors_show_in_the_points(points):
     """A laser that looks lower than its table meets the floor nearer, and so its points stand over the floor."""
-    settings = [
-        "sensor.model=free",
-        "sensor.elevations_deg=[-30, -20, -40]",
-        "noise.elevation_error_deg=0.3",
-    ]
+    settings = ["sensor.model=free", "sensor.elevations_deg=[-30, -20, -40]", "noise.elevation_error_deg=0.3"]
     own, _ = points("--truth", *(word for setting in settings for word in ("--set", setting)))
     beams = Emulator(load("static_bench", settings)).parts.head.beams
     floor = own["semantic"] == Semantic.GROUND
@@ -190,11 +186,7 @@ def test_ply_and_csv_say_the_same(cli, tmp_path, points):
     with text.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["t_ns"]) for row in rows] == own["t_ns"].tolist()
-    columns = {
-        "world_x_m": own["world_m"][:, 0],
-        "z_m": own["sensor_m"][:, 2],
-        "elevation_deg": own["elevation_deg"],
-    }
+    columns = {"world_x_m": own["world_m"][:, 0], "z_m": own["sensor_m"][:, 2], "elevation_deg": own["elevation_deg"]}
     for column, values in columns.items():
         np.testing.assert_allclose([float(row[column]) for row in rows], values, rtol=0, atol=0.51e-4)
 
@@ -214,17 +206,13 @@ def test_a_ply_says_what_its_labels_mean(cli, tmp_path):
 def test_a_scene_without_a_return_makes_a_file_without_points(cli, tmp_path, suffix):
     """Nothing within reach is no error: the file opens and is empty."""
     path = tmp_path / f"x{suffix}"
-    tree = cli(
-        "points", "static_bench", path, "--duration", "0.01", "--set", "sensor.max_range_m=0.6", "--json"
-    ).tree
+    tree = cli("points", "static_bench", path, "--duration", "0.01", "--set", "sensor.max_range_m=0.6", "--json").tree
     assert tree["points"] == 0
     if suffix == ".npz":
         with np.load(path) as arrays:
             assert arrays["world_m"].shape == (0, 3)
     else:
-        assert path.read_text().splitlines()[-1] == (
-            "end_header" if suffix == ".ply" else path.read_text().strip()
-        )
+        assert path.read_text().splitlines()[-1] == ("end_header" if suffix == ".ply" else path.read_text().strip())
 
 
 def test_points_have_the_truth_of_their_run(cli, tmp_path):

@@ -85,9 +85,7 @@ def test_a_pipe_that_ends_early_is_reported_once(program):
         run = program("record", "static_bench", "-", "--duration", "0.1", stdout=full)
         _, err = run.communicate(timeout=100)
     assert run.returncode == 1
-    message = (
-        "error: standard output: No space left on device at packet 1; the 0 packets before it are kept\n"
-    )
+    message = "error: standard output: No space left on device at packet 1; the 0 packets before it are kept\n"
     assert err == message
 
 
@@ -343,9 +341,7 @@ def test_a_second_ctrl_c_waits_for_nothing(hindered, tmp_path):
 def test_a_terminal_gets_a_bar_with_the_time_left(program, tmp_path):
     """With a terminal on stderr there is a progress bar; stdout keeps to the JSON object."""
     ours, theirs = pty.openpty()
-    process = program(
-        "record", "static_bench", tmp_path / "x.pcap", "--duration", "1", "--json", stderr=theirs
-    )
+    process = program("record", "static_bench", tmp_path / "x.pcap", "--duration", "1", "--json", stderr=theirs)
     out, _ = process.communicate(timeout=100)
     os.close(theirs)
     drawn = os.read(ours, 100_000).decode()

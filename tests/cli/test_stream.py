@@ -194,16 +194,12 @@ def test_clocks_of_packet_0_are_in_report_and_truth(cli, listeners, listening, t
     assert first["sensor_ns"] == pytest.approx(first["truth_ns"] + report["moved_s"] * 10**9, abs=1000)
     stamp_us = int.from_bytes(position[0][198:202], "little")
     assert stamp_us + STAMP_LEAD_NS // 1000 == first["sensor_ns"] // 1000 % (3600 * 10**6)
-    assert (
-        began_ns < first["sensor_ns"] <= first["host_ns"] < first["sensor_ns"] + 50_000_000
-    )  # other programs
+    assert began_ns < first["sensor_ns"] <= first["host_ns"] < first["sensor_ns"] + 50_000_000  # other programs
     assert "s into the present; by this machine's clock packet 0 left " in cli(*line, *how).out
 
 
 @pytest.mark.parametrize("kept", [True, False])
-def test_a_prepared_stream_is_the_same_on_the_wire(
-    cli, bench, listeners, listening, tmp_path, monkeypatch, kept
-):
+def test_a_prepared_stream_is_the_same_on_the_wire(cli, bench, listeners, listening, tmp_path, monkeypatch, kept):
     """With --prepare the payloads of the recording arrive in their order; only a file that is named stays."""
     data_port, position_port = listening
     ports = "--data-port", data_port, "--position-port", position_port
@@ -264,9 +260,7 @@ def test_a_stopped_stream_goes_on_without_a_burst(program, arrivals, late):
     port, receive = arrivals
     ports = "--to", f"127.0.0.1:{port}", "--position-port", 9  # discard
     strict = ["--strict"] if late == "skip" else []
-    process = program(
-        "stream", "static_bench", "--duration", "3600", "--late", late, *ports, *strict, "--json"
-    )
+    process = program("stream", "static_bench", "--duration", "3600", "--late", late, *ports, *strict, "--json")
     stamps_ns = receive(200)
     process.send_signal(signal.SIGSTOP)
     time.sleep(STOPPED_S)  # the fact to prove is one of real time

@@ -18,21 +18,10 @@ def test_record_writes_truth_on_request(cli, tmp_path):
     """Files appear with --truth; the recording is the same as without."""
     plain = cli("record", "static_bench", tmp_path / "a.pcap", "--duration", "0.2", "--json").tree
     outcome = cli(
-        "record",
-        "static_bench",
-        tmp_path / "b.pcap",
-        "--duration",
-        "0.2",
-        "--truth",
-        tmp_path / "t",
-        "--json",
+        "record", "static_bench", tmp_path / "b.pcap", "--duration", "0.2", "--truth", tmp_path / "t", "--json"
     )
     assert outcome.tree["sha256"] == plain["sha256"]
-    assert sorted(path.name for path in (tmp_path / "t").iterdir()) == [
-        "rig.json",
-        "scenario.json",
-        "trajectory.tum",
-    ]
+    assert sorted(path.name for path in (tmp_path / "t").iterdir()) == ["rig.json", "scenario.json", "trajectory.tum"]
     assert len(rows(tmp_path / "t" / "trajectory.tum")) in {41, 42}
 
 
@@ -40,9 +29,7 @@ def test_truth_can_be_run_again(cli, tmp_path):
     """A recording of scenario.json from the truth has the same bytes as the first, settings and all."""
     options = ["--duration", "0.2", "--json"]
     settings = ["--set", "seed=9", "--set", "sensor.return_mode=dual"]
-    first = cli(
-        "record", "static_bench", tmp_path / "a.pcap", *options, *settings, "--truth", tmp_path / "t"
-    ).tree
+    first = cli("record", "static_bench", tmp_path / "a.pcap", *options, *settings, "--truth", tmp_path / "t").tree
     again = cli("record", tmp_path / "t" / "scenario.json", tmp_path / "b.pcap", *options).tree
     assert again["sha256"] == first["sha256"]
 
@@ -51,9 +38,7 @@ def test_truth_can_be_run_again(cli, tmp_path):
 def test_truth_repeats_the_run_that_was_made(cli, tmp_path, start):
     """Recorded without --duration, scenario.json is as long as the run was and not as its scene; a --start is named in it."""
     options, folder = ["--json", *start], tmp_path / "t"
-    first = cli(
-        "record", "static_bench", tmp_path / "a.pcap", *options, "--duration", "0.2", "--truth", folder
-    ).tree
+    first = cli("record", "static_bench", tmp_path / "a.pcap", *options, "--duration", "0.2", "--truth", folder).tree
     again = cli("record", folder / "scenario.json", tmp_path / "b.pcap", *options).tree
     assert (again["sha256"], again["bytes"]) == (first["sha256"], first["bytes"])
     assert ("--start 0.3" in (folder / "scenario.json").read_text()) is bool(start)
@@ -100,7 +85,9 @@ def test_truth_does_not_replace_the_poses_that_it_tells(cli, tmp_path):
     )
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     outcome = cli("record", scene, tmp_path / "b.pcap", "--truth", folder)
-    line = f"error: {folder / 'trajectory.tum'}: is read by this run, and would be written over; expected another place\n"
+    line = (
+        f"error: {folder / 'trajectory.tum'}: is read by this run, and would be written over; expected another place\n"
+    )
     assert (outcome.code, outcome.err) == (2, line)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert not (tmp_path / "b.pcap").exists()
@@ -122,16 +109,7 @@ def test_truth_does_not_replace_its_own_scene(cli, tmp_path, verb):
 
 def test_rate_and_packets_are_options(cli, tmp_path):
     """--truth-rate sets the poses per second, --truth-packets adds one per data packet."""
-    options = [
-        "--duration",
-        "0.5",
-        "--json",
-        "--truth",
-        tmp_path / "t",
-        "--truth-rate",
-        "50",
-        "--truth-packets",
-    ]
+    options = ["--duration", "0.5", "--json", "--truth", tmp_path / "t", "--truth-rate", "50", "--truth-packets"]
     report = cli("record", "static_bench", tmp_path / "a.pcap", *options).tree
     assert len(rows(tmp_path / "t" / "trajectory.tum")) in {26, 27}
     assert len(rows(tmp_path / "t" / "packets.tum")) == report["packets"]
@@ -163,9 +141,7 @@ def test_bad_options_are_reported_before_anything_is_written(cli, tmp_path):
 
 def test_ctrl_c_leaves_whole_truth(program, tmp_path):
     """After Ctrl-C the trajectory ends with a whole line, at or after the last packet that was written."""
-    process = program(
-        "record", "static_bench", tmp_path / "x.pcap", "--duration", "3600", "--truth", tmp_path / "t"
-    )
+    process = program("record", "static_bench", tmp_path / "x.pcap", "--duration", "3600", "--truth", tmp_path / "t")
     path = tmp_path / "t" / "trajectory.tum"
     deadline = time.monotonic() + 60
     while not (path.exists() and path.stat().st_size > 1000) and time.monotonic() < deadline:
@@ -184,10 +160,7 @@ def test_poses_of_packets_want_a_folder(cli, tmp_path, verb):
     out = [tmp_path / "x.pcap"] if verb == "record" else []
     outcome = cli(verb, "static_bench", *out, "--duration", "0.1", "--truth-packets")
     assert outcome.code == 2
-    assert (
-        outcome.err
-        == "error: --truth-packets: found no --truth; expected --truth DIR, where packets.tum goes\n"
-    )
+    assert outcome.err == "error: --truth-packets: found no --truth; expected --truth DIR, where packets.tum goes\n"
     assert not list(tmp_path.iterdir())
 
 

@@ -68,9 +68,7 @@ def test_pulses_are_at_the_seconds(hall, packets):
     edges = [(packet.due_ns, packet.payload) for packet in of(packets, PacketKind.PPS)]
     first_ns = -(-hall.scenario.start_ns // S_NS) * S_NS
     assert edges == [
-        (first_ns + second * S_NS + level * PULSE_NS, bytes([1 - level]))
-        for second in (0, 1)
-        for level in (0, 1)
+        (first_ns + second * S_NS + level * PULSE_NS, bytes([1 - level])) for second in (0, 1) for level in (0, 1)
     ]
 
 
@@ -120,8 +118,7 @@ def test_nothing_is_made_before_its_time(hall, packets, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("kind", "key"),
-    [(PacketKind.NMEA, "gps.connected"), (PacketKind.PPS, "gps.connected"), (PacketKind.IMU, "imu")],
+    ("kind", "key"), [(PacketKind.NMEA, "gps.connected"), (PacketKind.PPS, "gps.connected"), (PacketKind.IMU, "imu")]
 )
 def test_a_device_that_the_scene_has_not_is_refused(kind, key):
     """Before anything is computed, by the key that would bring it."""

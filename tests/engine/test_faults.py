@@ -133,8 +133,7 @@ def test_a_share_of_packets_is_lost(clean, packets):
         expected = 0.3 if packets in (kind, "both") else 0.0
         assert abs(share - expected) <= 4 * (expected * 0.7 / there) ** 0.5
         assert (
-            since(of(clean, kind), 0.0)[: len(of(clean, kind)) - there]
-            == of(kept, kind)[: len(of(kept, kind)) - left]
+            since(of(clean, kind), 0.0)[: len(of(clean, kind)) - there] == of(kept, kind)[: len(of(kept, kind)) - left]
         )
 
 
@@ -150,9 +149,7 @@ def test_a_run_of_packets_is_lost(clean):
 
 def test_duplicates_follow_their_packet(clean):
     """A fifth of the packets comes twice, the second time 3 ms later, with the same bytes and the same number."""
-    twice = Counter(
-        sent({"kind": "duplicate", "at_s": 0.5, "share": 0.2, "after_s": 0.003, "packets": "both"})
-    )
+    twice = Counter(sent({"kind": "duplicate", "at_s": 0.5, "share": 0.2, "after_s": 0.003, "packets": "both"}))
     copies = twice - Counter(clean)
     late = round(0.003 * S_NS)
     assert all(replace(copy, due_ns=copy.due_ns - late) in clean for copy in copies)
@@ -183,8 +180,7 @@ def test_in_dual_return_too(clean):
     dual = {"sensor": {"model": "vlp-16", "return_mode": "dual"}}
     before = [packet.payload for packet in of(sent(stop_s=0.3, **dual), DATA)]
     after = [
-        packet.payload
-        for packet in of(sent({"kind": "reorder", "at_s": 0.1, "count": 1}, stop_s=0.3, **dual), DATA)
+        packet.payload for packet in of(sent({"kind": "reorder", "at_s": 0.1, "count": 1}, stop_s=0.3, **dual), DATA)
     ]
     place = next(i for i, pair in enumerate(zip(before, after, strict=True)) if pair[0] != pair[1])
     assert after[place : place + 2] == before[place : place + 2][::-1]
@@ -221,9 +217,7 @@ def test_so_many_bits_are_flipped(clean):
     bad = sent({"kind": "corrupt", "at_s": 0.0, "bits": 5, "packets": "both"})
     places = []
     for a, b in zip(clean, bad, strict=True):
-        flipped = np.flatnonzero(
-            np.unpackbits(np.frombuffer(a.payload, np.uint8) ^ np.frombuffer(b.payload, np.uint8))
-        )
+        flipped = np.flatnonzero(np.unpackbits(np.frombuffer(a.payload, np.uint8) ^ np.frombuffer(b.payload, np.uint8)))
         assert len(flipped) == 5
         assert a.due_ns == b.due_ns
         places += (flipped / (8 * len(a.payload))).tolist()
@@ -254,18 +248,14 @@ def test_faults_are_those_of_their_unit():
     """In a rig the packets of the other units stay as they are."""
     rig = {"rig": [{"mount": {"lever_arm_m": [0.0, 0.0, 0.5]}}], "duration_s": 0.4}
     before, after = sent(stop_s=0.4, **rig), sent({"kind": "drop", "at_s": 0.1, "unit": 2}, stop_s=0.4, **rig)
-    assert [packet for packet in before if packet.unit == 0] == [
-        packet for packet in after if packet.unit == 0
-    ]
+    assert [packet for packet in before if packet.unit == 0] == [packet for packet in after if packet.unit == 0]
     assert not [packet for packet in since(of(after, DATA), 0.1) if packet.unit == 1]
 
 
 def test_position_numbers_are_those_of_the_schedule(clean):
     """The number that a frame carries is that of its place in the run, whatever is sent before it."""
     due_ns = position_due_ns("measured", 5, load("static_bench").start_ns, 0, len(of(clean, POSITION)))
-    assert [(packet.number, packet.due_ns) for packet in of(clean, POSITION)] == list(
-        enumerate(due_ns.tolist())
-    )
+    assert [(packet.number, packet.due_ns) for packet in of(clean, POSITION)] == list(enumerate(due_ns.tolist()))
 
 
 @pytest.mark.parametrize(
@@ -273,10 +263,7 @@ def test_position_numbers_are_those_of_the_schedule(clean):
     [
         ({"events": [{"kind": "drop", "at_s": 1.0, "unit": 2}]}, "events[0].unit of at most 1"),
         ({"events": [{"kind": "drop", "at_s": 1.0, "count": 3, "duration_s": 2.0}]}, "duration_s or count"),
-        (
-            {"events": [{"kind": "pps_loss", "at_s": 1.0}], "gps": {"connected": False}},
-            "gps.connected = true",
-        ),
+        ({"events": [{"kind": "pps_loss", "at_s": 1.0}], "gps": {"connected": False}}, "gps.connected = true"),
         (
             {
                 "events": [{"kind": "rpm_wobble", "at_s": 1.0}],

@@ -40,17 +40,14 @@ def swung(hz, damping, straps):
 def solved(slope, start, matrix, method, rtol):
     """Solution at the nodes; the tolerance is absolute too, against a motion of 0.02 m or 10 m/s2."""
     jacobian = matrix if method == "Radau" else lambda _t, _x: matrix
-    got = solve_ivp(
-        slope, (0.0, SPAN_S), start, method, t_eval=NODES_S, rtol=rtol, atol=rtol / 100, jac=jacobian
-    )
+    got = solve_ivp(slope, (0.0, SPAN_S), start, method, t_eval=NODES_S, rtol=rtol, atol=rtol / 100, jac=jacobian)
     assert got.success
     return got.y[0]
 
 
 @pytest.mark.parametrize(
     ("method", "hz", "damping"),
-    [("LSODA", hz, z) for hz in SLACK for z in DAMPING]
-    + [("Radau", hz, z) for hz in (0.5, 40.0) for z in (0.0, 10.0)],
+    [("LSODA", hz, z) for hz in SLACK for z in DAMPING] + [("Radau", hz, z) for hz in (0.5, 40.0) for z in (0.0, 10.0)],
 )
 def test_slack_pack_swings_as_general_solvers_say(method, hz, damping, straps):
     """From 0.5 to 40 Hz, undamped to overdamped, x'' + 2zw(x' - u') + w2(x - u) = 0 is solved within 1e-11 m."""

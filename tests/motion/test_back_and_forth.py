@@ -70,9 +70,7 @@ def test_pose_and_velocity_are_continuous_at_the_ends():
     truth = motion.kinematics_at(t_ns)
     moved_m_s = (truth.world_p_body_m[2:] - truth.world_p_body_m[:-2]) / 2e-3
     np.testing.assert_allclose(moved_m_s, truth.world_v_body_m_s[1:-1], atol=2e-4)
-    assert (
-        np.abs(np.diff(truth.world_v_body_m_s, axis=0)).max() < 0.05
-    )  # 50 m/s2 over a millisecond, of heel strikes
+    assert np.abs(np.diff(truth.world_v_body_m_s, axis=0)).max() < 0.05  # 50 m/s2 over a millisecond, of heel strikes
     assert np.abs(np.diff(truth.body_w_rad_s, axis=0)).max() < 0.05
 
 
@@ -96,7 +94,5 @@ def test_stops_are_made_there_and_back():
 @pytest.mark.parametrize("way_points_m", [[[0, 0], [9, 0], [9, 9], [0, 0]], [[0, 0], [3, 0]]])
 def test_a_closed_path_and_one_that_is_too_short_are_refused(way_points_m):
     """Where the ends are nearer to each other than the loops behind them are long, the line names the key."""
-    with pytest.raises(
-        TrajectoryError, match=r"back_and_forth: found .* from the first; expected at least 2"
-    ):
+    with pytest.raises(TrajectoryError, match=r"back_and_forth: found .* from the first; expected at least 2"):
         route(walk(way_points_m))

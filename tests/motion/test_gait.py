@@ -18,9 +18,7 @@ def test_step_rate_follows_speed_as_measured():
 
 def test_two_amplitudes_alone_are_two_plain_sines(gait):
     """Vertical is a sine at step rate, sideways one at stride rate, and nothing else moves."""
-    own = dict.fromkeys(
-        ("second_harmonic_m", "heel_strike_m", "fore_aft_m", "roll_deg", "pitch_deg", "yaw_deg"), 0.0
-    )
+    own = dict.fromkeys(("second_harmonic_m", "heel_strike_m", "fore_aft_m", "roll_deg", "pitch_deg", "yaw_deg"), 0.0)
     u = Trunk(gait(**own, variation=0.0), 1.2, 1).at(T, WALKS)
     np.testing.assert_allclose(u[:, 2], 0.02 * np.sin(2 * np.pi * 1.85 * T), atol=1e-13)
     np.testing.assert_allclose(u[:, 1], 0.02 * np.sin(np.pi * 1.85 * T + np.pi / 4), atol=1e-13)

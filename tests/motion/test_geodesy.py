@@ -31,9 +31,7 @@ def ecef(latitude_deg, longitude_deg, height_m):
 
 
 @pytest.mark.parametrize("origin", ORIGINS)
-@pytest.mark.parametrize(
-    "offset_m", [(300.0, 0.0, 2.0), (0.0, 30_000.0, -40.0), (-100_000.0, 100_000.0, 9000.0)]
-)
+@pytest.mark.parametrize("offset_m", [(300.0, 0.0, 2.0), (0.0, 30_000.0, -40.0), (-100_000.0, 100_000.0, 9000.0)])
 def test_a_point_lies_where_the_textbook_puts_it(origin, offset_m):
     """The geodetic point found is, in ECEF, the origin plus the offset along its east, north and up, within 1 um."""
     phi, lam = math.radians(origin.latitude_deg), math.radians(origin.longitude_deg)

@@ -80,8 +80,7 @@ def test_standing_receiver_without_errors_has_no_speed():
 def test_wander_has_the_autocovariance_it_states(lag_s):
     """Over 6000 seeds the product of two seconds a lag apart has the mean exp(-lag / 120 s), within 5 sigma."""
     pairs = [
-        wander(seed, 0, 1_780_000_000, 120.0) * wander(seed, 0, 1_780_000_000 + lag_s, 120.0)
-        for seed in range(6000)
+        wander(seed, 0, 1_780_000_000, 120.0) * wander(seed, 0, 1_780_000_000 + lag_s, 120.0) for seed in range(6000)
     ]
     # The product of two standard normal numbers with correlation r has the variance 1 + r^2.
     r = math.exp(-lag_s / 120.0)
@@ -173,7 +172,5 @@ def test_any_second_can_be_had_alone():
     fixes = [forward.fix(at(s)) for s in range(40) for _ in range(2)][::2]
     assert len(looks) == len(set(looks))
     assert not all(fix.valid for fix in fixes)
-    backward = [
-        receiver(NOISY, velocity_m_s=(1.0, 0.5, 0.0), sky=sky).fix(at(s)) for s in reversed(range(40))
-    ]
+    backward = [receiver(NOISY, velocity_m_s=(1.0, 0.5, 0.0), sky=sky).fix(at(s)) for s in reversed(range(40))]
     assert backward[::-1] == fixes

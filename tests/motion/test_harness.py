@@ -32,9 +32,7 @@ def test_trunk_is_the_spline_through_its_samples():
 
     nodes = Pack(sample, None).nodes(0)
     for d in range(3):
-        np.testing.assert_allclose(
-            nodes[:, 0, d], quintic.deriv(d)(NODES_S) if d else quintic(NODES_S), atol=1e-9
-        )
+        np.testing.assert_allclose(nodes[:, 0, d], quintic.deriv(d)(NODES_S) if d else quintic(NODES_S), atol=1e-9)
     np.testing.assert_allclose(nodes[:, 1, 0], 0.02 * np.sin(2 * np.pi * 1.8 * NODES_S), atol=1e-9)
 
 

@@ -27,9 +27,7 @@ def test_at_rest_it_reads_gravity_upwards(unit, start_ns):
     np.testing.assert_allclose(level.specific_force_m_s2, [[0, 0, 9.80665]] * 10, atol=1e-15)
     assert not level.angular_rate_rad_s.any()
     tilted = unit(motion=StaticMotion(np.zeros(3), 45.0, 30.0, 0.0)).read(0, 1)
-    np.testing.assert_allclose(
-        tilted.specific_force_m_s2[0], GRAVITY_M_S2 * np.array([-0.5, 0, np.sqrt(0.75)])
-    )
+    np.testing.assert_allclose(tilted.specific_force_m_s2[0], GRAVITY_M_S2 * np.array([-0.5, 0, np.sqrt(0.75)]))
 
 
 def test_on_a_circle_it_reads_the_turn_and_the_pull_inwards(unit, walking, circle, still, start_ns):
@@ -39,9 +37,7 @@ def test_on_a_circle_it_reads_the_turn_and_the_pull_inwards(unit, walking, circl
     np.testing.assert_allclose(read.angular_rate_rad_s, [[0, 0, 0.15]] * 400, atol=1e-8)
     np.testing.assert_allclose(read.specific_force_m_s2, [[0, 0.18, GRAVITY_M_S2]] * 400, atol=1e-8)
     inner = mounted(carrier, Mount(lever_arm_m=(0.0, 1.0, 0.0)), start_ns)
-    np.testing.assert_allclose(
-        unit(motion=inner).read(1000, 9).specific_force_m_s2[:, 1], 0.18 * 7 / 8, atol=1e-8
-    )
+    np.testing.assert_allclose(unit(motion=inner).read(1000, 9).specific_force_m_s2[:, 1], 0.18 * 7 / 8, atol=1e-8)
 
 
 def test_samples_come_at_the_exact_rate(unit, start_ns):
@@ -76,8 +72,7 @@ def test_random_walk_spreads_with_the_root_of_time(unit):
     """Over many units the bias after n samples is normal with the root of n, within and beyond a stretch."""
     for sample in (900, 4096, 100_000):
         ends = [
-            unit(gyro_walk_rad_s2_sqrt_hz=1.0, rate_hz=1, seed=s).read(sample, 1).angular_rate_rad_s
-            for s in range(150)
+            unit(gyro_walk_rad_s2_sqrt_hz=1.0, rate_hz=1, seed=s).read(sample, 1).angular_rate_rad_s for s in range(150)
         ]
         assert stats.kstest(np.ravel(ends) / np.sqrt(sample), "norm").pvalue > 0.001
 

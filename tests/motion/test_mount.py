@@ -45,9 +45,7 @@ def test_spinning_device_on_a_tripod_has_the_rate_of_its_stage(start_ns):
     """It reads the stage's rate about its own tilted axis, steadily, and moves nowhere."""
     device = mounted(tripod(), Mount(lever_arm_m=(0.3, 0.0, 0.0), pitch_deg=30.0, spin_hz=0.5), start_ns)
     k = device.kinematics_at(start_ns + np.arange(0, 2 * 10**9, 1_000_003))
-    np.testing.assert_allclose(
-        k.body_w_rad_s, np.tile(np.pi * np.array([-0.5, 0, np.sqrt(0.75)]), (len(k.t_ns), 1))
-    )
+    np.testing.assert_allclose(k.body_w_rad_s, np.tile(np.pi * np.array([-0.5, 0, np.sqrt(0.75)]), (len(k.t_ns), 1)))
     assert not k.body_alpha_rad_s2.any()
     assert not k.world_a_body_m_s2.any()
 

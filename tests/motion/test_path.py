@@ -173,14 +173,8 @@ def test_any_way_points_give_a_smooth_path_or_a_refusal(points):
             "waypoint 3 of 3: coincides with the one before it; expected at least 1 cm between waypoints",
         ),
         ([[3, 4]], "waypoints: found 1; expected at least 2 of them"),
-        (
-            [[0, 0], [2e6, 0]],
-            "waypoint 2 of 2: found (2000000.0, 0.0); expected within 1e+06 m of the origin",
-        ),
-        (
-            [[0, 0], [9e4, 0], [0, 9e4]],
-            "waypoints: found 217.3 km from first to last; expected at most 100 km",
-        ),
+        ([[0, 0], [2e6, 0]], "waypoint 2 of 2: found (2000000.0, 0.0); expected within 1e+06 m of the origin"),
+        ([[0, 0], [9e4, 0], [0, 9e4]], "waypoints: found 217.3 km from first to last; expected at most 100 km"),
         (
             [[0, 0], [10, 0], [0, 0]],
             (

@@ -76,10 +76,7 @@ def test_derivatives_belong_to_the_same_function():
     )
     spin = k.world_R_body[1:-1].transpose(0, 2, 1) @ (k.world_R_body[2:] - k.world_R_body[:-2]) / (2 * h)
     found = (
-        np.stack(
-            [spin[:, 2, 1] - spin[:, 1, 2], spin[:, 0, 2] - spin[:, 2, 0], spin[:, 1, 0] - spin[:, 0, 1]], 1
-        )
-        / 2
+        np.stack([spin[:, 2, 1] - spin[:, 1, 2], spin[:, 0, 2] - spin[:, 2, 0], spin[:, 1, 0] - spin[:, 0, 1]], 1) / 2
     )
     np.testing.assert_allclose(found, k.body_w_rad_s[1:-1], atol=1e-5)
     np.testing.assert_allclose(
@@ -134,9 +131,7 @@ def test_camera_axes_become_those_of_a_body():
     some = poses([0.0, 1.0], [[0.0, 0.0, 0.0], [-0.1, -0.2, 3.0]], quaternion)
     found = recorded(some, axes="camera").poses_at(instants([1.0]))
     np.testing.assert_allclose(found.world_p_body_m[0], [3.0, 0.1, 0.2], atol=1e-12)
-    np.testing.assert_allclose(
-        found.world_R_body[0] @ [1.0, 0.0, 0.0], [np.cos(0.5), np.sin(0.5), 0.0], atol=1e-12
-    )
+    np.testing.assert_allclose(found.world_R_body[0] @ [1.0, 0.0, 0.0], [np.cos(0.5), np.sin(0.5), 0.0], atol=1e-12)
 
 
 def test_a_pose_does_not_depend_on_its_company():

@@ -86,9 +86,7 @@ def test_stops_come_on_each_lap():
 
 def test_an_open_path_has_one_lap():
     """Laps of a path that does not close are refused."""
-    with pytest.raises(
-        TrajectoryError, match="laps: found 2 on an open path; expected 1, back_and_forth = true, or"
-    ):
+    with pytest.raises(TrajectoryError, match="laps: found 2 on an open path; expected 1, back_and_forth = true, or"):
         route(laps=2)
 
 

@@ -55,9 +55,7 @@ def test_gpx_is_read_onto_the_plane_of_the_scene(tmp_path, container, element):
     """Points of a track or route come back within a millimetre, wherever they are within 300 m."""
     xy_m = np.array([[0.0, 0.0], [120.0, -30.0], [-200.0, 200.0]])
     places = to_geodetic(np.column_stack([xy_m, np.zeros(3)]), ORIGIN)
-    points = "".join(
-        f'<{element} lat="{p[0]:.10f}" lon="{p[1]:.10f}"><ele>120</ele></{element}>' for p in places
-    )
+    points = "".join(f'<{element} lat="{p[0]:.10f}" lon="{p[1]:.10f}"><ele>120</ele></{element}>' for p in places)
     inner = f"<trkseg>{points}</trkseg>" if container == "trk" else points
     way = f'<wpt lat="1" lon="2"/><{container}><name>walk</name>{inner}</{container}>'
     found = read(written(tmp_path, "way.GPX", GPX.format(way)))
@@ -83,16 +81,8 @@ BAD = [
         '<!DOCTYPE gpx [<!ENTITY a "b">]><gpx>&a;</gpx>',
         ", line 1: a document type declaration; expected none in a GPX file",
     ),
-    (
-        "l.gpx",
-        '<gpx><trk>\n<trkpt lat="62" lon="x"/></trk></gpx>',
-        ", line 2, lon: found 'x'; expected a number",
-    ),
-    (
-        "m.gpx",
-        '<gpx><trk>\n<trkpt lat="91" lon="2"/></trk></gpx>',
-        ", line 2, lat: found 91; expected from -90 to 90",
-    ),
+    ("l.gpx", '<gpx><trk>\n<trkpt lat="62" lon="x"/></trk></gpx>', ", line 2, lon: found 'x'; expected a number"),
+    ("m.gpx", '<gpx><trk>\n<trkpt lat="91" lon="2"/></trk></gpx>', ", line 2, lat: found 91; expected from -90 to 90"),
     (
         "n.gpx",
         '<gpx><trk>\n<trkpt lat="62.24" lon="35.75"/></trk></gpx>',

@@ -106,24 +106,12 @@ def test_empty_capture_is_a_capture(tmp_path):
 @pytest.mark.parametrize(
     ("content", "line"),
     [
-        (
-            b"",
-            "some.pcap: no pcap file, it begins with nothing; expected a classic pcap file of Ethernet frames",
-        ),
-        (
-            b"\xd4\xc3\xb2\xa1\x02",
-            "some.pcap: no pcap file, it begins with d4 c3 b2 a1; expected a classic pcap",
-        ),
-        (
-            b"PK\x03\x04" + bytes(40),
-            "some.pcap: no pcap file, it begins with 50 4b 03 04; expected a classic",
-        ),
+        (b"", "some.pcap: no pcap file, it begins with nothing; expected a classic pcap file of Ethernet frames"),
+        (b"\xd4\xc3\xb2\xa1\x02", "some.pcap: no pcap file, it begins with d4 c3 b2 a1; expected a classic pcap"),
+        (b"PK\x03\x04" + bytes(40), "some.pcap: no pcap file, it begins with 50 4b 03 04; expected a classic"),
         (bytes.fromhex("0a0d0d0a") + bytes(40), "some.pcap: a pcapng file; expected a classic pcap file"),
         (pcap(link_type=113), "some.pcap: a pcap file of link type 113; expected .*, link type 1$"),
-        (
-            pcap() + struct.pack("<IIII", 0, 0, 2**31, 9),
-            "packet 1: a length of 2147483648 bytes; expected at most",
-        ),
+        (pcap() + struct.pack("<IIII", 0, 0, 2**31, 9), "packet 1: a length of 2147483648 bytes; expected at most"),
     ],
 )
 def test_other_files_are_refused_in_one_line(tmp_path, content, line):

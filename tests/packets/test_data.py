@@ -87,8 +87,7 @@ def test_nothing_gives_nothing(make_returns):
 
 
 @pytest.mark.parametrize(
-    ("model", "byte"),
-    [(SensorModel.VLP_16, 0x22), (SensorModel.PUCK_LITE, 0x22), (SensorModel.PUCK_HI_RES, 0x24)],
+    ("model", "byte"), [(SensorModel.VLP_16, 0x22), (SensorModel.PUCK_LITE, 0x22), (SensorModel.PUCK_HI_RES, 0x24)]
 )
 def test_factory_byte(make_returns, model, byte):
     """The last byte names the product."""
@@ -134,9 +133,7 @@ def test_every_azimuth_code(make_returns):
 
 def test_azimuth_is_floored(make_returns):
     """Between two codes the lower is sent, and 36000 never is."""
-    codes = azimuth_codes(
-        make_returns, np.array([0.0099, 123.4567, 359.9999, 359.9999999999, np.nextafter(360, 0)])
-    )
+    codes = azimuth_codes(make_returns, np.array([0.0099, 123.4567, 359.9999, 359.9999999999, np.nextafter(360, 0)]))
     assert codes.tolist() == [0, 12345, 35999, 0, 0]
 
 
@@ -188,10 +185,7 @@ def test_single_return_of_dual_is_repeated(random_returns):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            {"sequences": 23},
-            "pack_data: firing sequences: 23; expected a multiple of 24 for strongest return",
-        ),
+        ({"sequences": 23}, "pack_data: firing sequences: 23; expected a multiple of 24 for strongest return"),
         ({"sequences": 24, "lasers": 32}, "pack_data: lasers: 32; expected 16"),
         (
             {"sequences": 24, "reading_deg": np.full(24, np.nan)},

@@ -7,14 +7,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import PacketError
-from vlp16emu.packets import (
-    data_fields,
-    data_payloads,
-    decode_data,
-    decode_position,
-    pack_position,
-    scan_starts,
-)
+from vlp16emu.packets import data_fields, data_payloads, decode_data, decode_position, pack_position, scan_starts
 from vlp16emu.packets.layout import DATA_PAYLOAD
 from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
@@ -43,9 +36,7 @@ def slow_points(payloads, model):
         step = ((azimuths[-1] - azimuths[0]) % 36000) / (len(azimuths) - 1)
         for r in range(32):
             j = r % 16
-            azimuth_deg = (
-                (azimuths[b // stride] + step * (r // 16 * 55.296 + j * 2.304) / 110.592) / 100 % 360
-            )
+            azimuth_deg = (azimuths[b // stride] + step * (r // 16 * 55.296 + j * 2.304) / 110.592) / 100 % 360
             a, w = math.radians(azimuth_deg), math.radians(BEAM_TABLES[model].elevation_deg[j])
             for twin in range(stride):
                 distance = packets[p]["blocks"][b + twin]["records"][r // 16, j]["distance_lsb"] * 0.002
@@ -128,11 +119,7 @@ def test_rings():
 
 def test_last_is_reported(make_returns):
     """Records of mode last are last returns, those of strongest are not, in dual every other one is."""
-    for mode, expected in (
-        ("strongest", {(False, False)}),
-        ("last", {(True, True)}),
-        ("dual", {(True, False)}),
-    ):
+    for mode, expected in (("strongest", {(False, False)}), ("last", {(True, True)}), ("dual", {(True, False)})):
         points = decode_data(steady(make_returns, ReturnMode(mode), 2), keep_no_returns=True)
         assert {tuple(pair) for pair in points.is_last.reshape(-1, 2)} == expected
 
@@ -215,9 +202,7 @@ def test_scan_starts(make_returns):
         points = decode_data(steady(make_returns, mode, 320, start_deg=350), keep_no_returns=True)
         starts = scan_starts(points.azimuth_deg)
         assert starts[0] == 0
-        assert (
-            points.azimuth_deg[starts[1:]] < 0.08
-        ).all()  # the rotor turns 0.066 deg while lasers recharge
+        assert (points.azimuth_deg[starts[1:]] < 0.08).all()  # the rotor turns 0.066 deg while lasers recharge
         turns = 1 + int((350 + 0.1990656 * 320 * (12 if mode is ReturnMode.DUAL else 24)) // 360)
         assert len(starts) == turns
 

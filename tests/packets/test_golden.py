@@ -104,9 +104,7 @@ def test_second_writer_agrees(tmp_path):
     """The writer in tools/golden, which shares no line with the packer, makes the same files."""
     for path in GOLDEN.glob("*.toml"):
         shutil.copy(path, tmp_path)
-    subprocess.run(
-        [sys.executable, ROOT / "tools" / "golden", tmp_path], check=True, stdout=subprocess.DEVNULL
-    )
+    subprocess.run([sys.executable, ROOT / "tools" / "golden", tmp_path], check=True, stdout=subprocess.DEVNULL)
     written = {path.name: path.read_text() for path in tmp_path.glob("*.hex")}
     assert written == {path.name: path.read_text() for path in GOLDEN.glob("*.hex")}
     assert len(written) == len(MEANINGS)
@@ -127,9 +125,7 @@ def test_by_hand():
     assert dual[16:19] == b"\x74\x0e\x0a"  # laser 4, even block: last at 7.400 m = 3700 = 0x0E74, 10
     assert dual[116:119] == b"\x34\x08\x3c"  # odd block: strongest at 4.200 m = 2100 = 0x0834, 60
     assert dual[1204] == 0x39
-    assert (
-        golden("position_gps")[198:213] == b"\x71\x3a\x83\x40\x02\0\0\0$GPRMC,"
-    )  # 1 082 342 001 = 0x40833A71
+    assert golden("position_gps")[198:213] == b"\x71\x3a\x83\x40\x02\0\0\0$GPRMC,"  # 1 082 342 001 = 0x40833A71
 
 
 def test_coverage():

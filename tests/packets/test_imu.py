@@ -68,9 +68,7 @@ def test_a_reader_finds_its_way_back():
     """Of a line that begins amid a frame, loses bytes and has noise between frames, all whole frames are found."""
     frames = made(50)
     noise = np.random.default_rng(2).bytes(200) + b"IMU\1"
-    stream = (
-        frames[0][31:] + b"".join(frames[1:20]) + frames[20][:40] + frames[21] + noise + b"".join(frames[22:])
-    )
+    stream = frames[0][31:] + b"".join(frames[1:20]) + frames[20][:40] + frames[21] + noise + b"".join(frames[22:])
     assert list(found_in(stream)) == frames[1:20] + frames[21:]
 
 

@@ -13,9 +13,7 @@ def frames(capture):
         return [frame for _, frame in dpkt.pcap.Reader(file)]
 
 
-@pytest.mark.parametrize(
-    ("table", "count"), [("data_packet", DATA_FRAMES), ("position_packet", POSITION_FRAMES)]
-)
+@pytest.mark.parametrize(("table", "count"), [("data_packet", DATA_FRAMES), ("position_packet", POSITION_FRAMES)])
 def test_headers(request, frames, table, count):
     """Every frame of a real sensor carries the header bytes that the table calls fixed."""
     frame = request.getfixturevalue(table)["frame"]
@@ -46,19 +44,10 @@ def test_codes_stay_in_their_bounds(oracle, frames):
     payloads = [frame[42:] for frame in frames if len(frame) == oracle.data["frame"]["size_bytes"]]
     least = oracle.row("record", "distance")["minimum"]
     for payload in payloads[::10]:
-        assert (
-            0
-            <= oracle.field("payload", "timestamp", payload)
-            <= oracle.row("payload", "timestamp")["maximum"]
-        )
+        assert 0 <= oracle.field("payload", "timestamp", payload) <= oracle.row("payload", "timestamp")["maximum"]
         for block in oracle.array("payload", "blocks"):
-            assert (
-                oracle.field("block", "flag", payload, block)
-                == oracle.row("block", "flag")["values"]["block"]
-            )
-            assert (
-                oracle.field("block", "azimuth", payload, block) <= oracle.row("block", "azimuth")["maximum"]
-            )
+            assert oracle.field("block", "flag", payload, block) == oracle.row("block", "flag")["values"]["block"]
+            assert oracle.field("block", "azimuth", payload, block) <= oracle.row("block", "azimuth")["maximum"]
         codes = [record["distance_code"] for record in oracle.records(payload)]
         assert all(code == 0 or code >= least for code in codes)
         assert any(codes)

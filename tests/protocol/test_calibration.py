@@ -20,13 +20,7 @@ def ros_calibration(path):
     lasers = {}
     for laser in document["lasers"][: document["num_lasers"]]:
         required = (
-            *(
-                "rot_correction",
-                "vert_correction",
-                "dist_correction",
-                "dist_correction_x",
-                "dist_correction_y",
-            ),
+            *("rot_correction", "vert_correction", "dist_correction", "dist_correction_x", "dist_correction_y"),
             *("vert_offset_correction", "focal_distance", "focal_slope"),
         )
         optional = {"horiz_offset_correction": 0.0, "max_intensity": 255.0, "min_intensity": 0.0}
@@ -42,14 +36,11 @@ def veloview_calibration(path):
     database = ET.parse(path).getroot()
     assert database.tag == "boost_serialization"
     database = database.find("DB")
-    colors = [
-        [float(item.text) for item in rgb.findall("item")] for rgb in database.findall("colors_/item/rgb")
-    ]
+    colors = [[float(item.text) for item in rgb.findall("item")] for rgb in database.findall("colors_/item/rgb")]
     assert all(len(color) == 3 and all(0 <= part <= 1 for part in color) for color in colors)
     enabled = sum(item.text == "1" for item in database.findall("enabled_/item"))
     intensity = [
-        [int(item.text) for item in database.findall(f"{name}/item")]
-        for name in ("minIntensity_", "maxIntensity_")
+        [int(item.text) for item in database.findall(f"{name}/item")] for name in ("minIntensity_", "maxIntensity_")
     ]
     assert [len(colors), *map(len, intensity)] == [enabled] * 3
     lasers = {}

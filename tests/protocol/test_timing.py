@@ -70,9 +70,7 @@ def test_beam_spacing(timing):
         np.testing.assert_allclose(steps, step_deg, atol=1.1e-3)
 
 
-@pytest.mark.parametrize(
-    ("model", "tolerance_mm"), [(SensorModel.VLP_16, 0.06), (SensorModel.PUCK_HI_RES, 0.5)]
-)
+@pytest.mark.parametrize(("model", "tolerance_mm"), [(SensorModel.VLP_16, 0.06), (SensorModel.PUCK_HI_RES, 0.5)])
 def test_all_beams_pass_the_lens(timing, model, tolerance_mm):
     """The stated lens radius explains every vertical correction of the VLP-16 to the last digit of the table."""
     radius_mm = timing["beams"]["lens"]["radius_mm"]

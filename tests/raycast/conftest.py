@@ -30,9 +30,7 @@ def soup(key):
     corners_m = rng.uniform(-1, 1, (200, 1, 3)) + rng.normal(0, 0.2, (200, 4, 3))
     corners_m[:, 3] = corners_m[:, 0] + corners_m[:, 2] - corners_m[:, 1]
     triangles = Mesh(corners_m[:, :3].reshape(-1, 3).astype("f4"), np.arange(600, dtype="u4").reshape(-1, 3))
-    quads = Mesh(
-        (corners_m + [0, 0, 1]).reshape(-1, 3).astype("f4"), np.arange(800, dtype="u4").reshape(-1, 4)
-    )
+    quads = Mesh((corners_m + [0, 0, 1]).reshape(-1, 3).astype("f4"), np.arange(800, dtype="u4").reshape(-1, 4))
     return triangles, quads
 
 
@@ -76,18 +74,13 @@ def level_pulses(y_m, lasers=1):
     origin_m, direction, across = np.zeros((k, lasers, 3)), np.zeros((k, lasers, 3)), np.zeros((k, lasers, 3))
     origin_m[..., 1], direction[..., 0], across[..., 1] = np.asarray(y_m)[:, None], 1.0, -1.0
     zero = np.zeros((k, lasers))
-    return Firings(
-        0, zero.astype("i8"), zero[:, 0].astype("i8"), zero, zero[:, 0], origin_m, direction, across
-    )
+    return Firings(0, zero.astype("i8"), zero[:, 0].astype("i8"), zero, zero[:, 0], origin_m, direction, across)
 
 
 def upright(*rectangles, reflectance=0.5):
     """Window of upright rectangles (x, y from, y to, z from, z to), each a surface, and its shapes."""
     meshes = tuple(
-        Mesh(
-            np.array([[x, y0, z0], [x, y1, z0], [x, y1, z1], [x, y0, z1]], "f4"),
-            np.array([[0, 1, 2, 3]], "u4"),
-        )
+        Mesh(np.array([[x, y0, z0], [x, y1, z0], [x, y1, z1], [x, y0, z1]], "f4"), np.array([[0, 1, 2, 3]], "u4"))
         for x, y0, y1, z0, z1 in rectangles
     )
     surfaces = np.zeros(len(meshes), SURFACE)
@@ -99,9 +92,7 @@ def upright(*rectangles, reflectance=0.5):
 
 def world(shape, near_m=math.inf, far_tile=None, seed=0):
     """What a caster needs of a world: shapes, and, where it has a medium, tiles."""
-    return SimpleNamespace(
-        shape=shape, near_m=near_m, far_tile=far_tile, seed=seed, name="", shape_name=lambda _: ""
-    )
+    return SimpleNamespace(shape=shape, near_m=near_m, far_tile=far_tile, seed=seed, name="", shape_name=lambda _: "")
 
 
 SIDES = 96
@@ -143,11 +134,7 @@ def crown(leaves=1500, twigs=40):
     def ball(count):
         """Points evenly in it."""
         at_m = rng.normal(size=(count, 3))
-        return 2 * at_m / np.linalg.norm(at_m, axis=1)[:, None] * rng.random((count, 1)) ** (1 / 3) + [
-            0,
-            0,
-            3,
-        ]
+        return 2 * at_m / np.linalg.norm(at_m, axis=1)[:, None] * rng.random((count, 1)) ** (1 / 3) + [0, 0, 3]
 
     u, v = (rng.normal(size=(leaves, 3)) for _ in range(2))
     v -= (u * v).sum(1)[:, None] / (u * u).sum(1)[:, None] * u
@@ -171,17 +158,7 @@ def _circle():
 def stone():
     """A block of 12 triangles."""
     corners_m = np.array([[x, y, z] for x in (-0.4, 0.4) for y in (-0.3, 0.3) for z in (0.0, 0.5)], "f4")
-    faces = [
-        [0, 1, 3],
-        [0, 3, 2],
-        [4, 6, 7],
-        [4, 7, 5],
-        [0, 4, 5],
-        [0, 5, 1],
-        [2, 3, 7],
-        [2, 7, 6],
-        [0, 2, 6],
-    ]
+    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6]]
     faces += [[0, 6, 4], [1, 5, 7], [1, 7, 3]]
     return (Mesh(corners_m, np.array(faces, "u4")),)
 
@@ -197,13 +174,7 @@ class Tiles:
     name = ""
 
     def __init__(self, near_m=2.0, across=1, *, per_tile=4, things=True, height_m=bumpy, seed=99, bow_m=0.0):
-        self.near_m, self.seed, self.height_m, self.across, self._bow_m = (
-            near_m,
-            seed,
-            height_m,
-            across,
-            bow_m,
-        )
+        self.near_m, self.seed, self.height_m, self.across, self._bow_m = (near_m, seed, height_m, across, bow_m)
         self._kept, self._per_tile, self._things = {}, per_tile, things
         self._shapes = {"crown": crown(), "stone": stone()}
 

@@ -105,13 +105,10 @@ def test_neither_order_nor_brightness_matters():
         range_m, surface, cosine, reflectance = random_echoes(rng)
         room, turn = np.empty((2, len(range_m))), rng.permutation(len(range_m))
         by_target = [
-            enough(range_m, surface, cosine, reflectance, budget(target_m), room)
-            for target_m in (0.01, 0.02, 0.03)
+            enough(range_m, surface, cosine, reflectance, budget(target_m), room) for target_m in (0.01, 0.02, 0.03)
         ]
         assert by_target == sorted(by_target)
-        assert by_target[1] == enough(
-            range_m[turn], surface[turn], cosine[turn], reflectance, budget(0.02), room
-        )
+        assert by_target[1] == enough(range_m[turn], surface[turn], cosine[turn], reflectance, budget(0.02), room)
         assert by_target[1] == enough(range_m, surface, cosine, reflectance / 2, budget(0.02), room)
         verdicts.append(by_target)
     assert (np.diff(np.mean(verdicts, axis=0)) > 0.1).all()
@@ -182,11 +179,7 @@ def test_grazing_light_is_followed_by_sub_rays(lab, workers):
     for degrees in (0.0, 60.0, 89.7):
         turn = np.radians(degrees)
         placed = window.world_T_shape.copy()
-        placed[0, :, :3] = [
-            [np.cos(turn), np.sin(turn), 0],
-            [-np.sin(turn), np.cos(turn), 0],
-            [0, 0, 1],
-        ]
+        placed[0, :, :3] = [[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
         placed[0, :, 3] = [10.0 - 10 * np.cos(turn), 10 * np.sin(turn), 0]
         turned = type(window)(
             window.origin_m, window.shapes, window.shape, placed, window.first_surface, window.surfaces

@@ -136,14 +136,9 @@ def test_the_beam_is_as_wide_as_said(lab, distance_m):
     assert np.abs(np.linalg.norm(direction, axis=-1) - 1).max() < 3e-7
     # Where sub-rays pierce the plane square to the beam at that distance.
     along = np.einsum("klsa,kla->kls", direction, firings.direction)
-    offset_m = (
-        origin_m + lab.utm_m - firings.origin_m[:, :, None] + direction * (distance_m / along)[..., None]
-    )
+    offset_m = origin_m + lab.utm_m - firings.origin_m[:, :, None] + direction * (distance_m / along)[..., None]
     up = np.cross(firings.direction, firings.beam_axis)
-    for axis, width_m in (
-        (firings.beam_axis, 0.0127 + 0.003 * distance_m),
-        (up, 0.0095 + 0.0015 * distance_m),
-    ):
+    for axis, width_m in ((firings.beam_axis, 0.0127 + 0.003 * distance_m), (up, 0.0095 + 0.0015 * distance_m)):
         assert 4 * np.einsum("klsa,kla->kls", offset_m, axis).std() == pytest.approx(width_m, rel=0.01)
 
 
@@ -151,9 +146,7 @@ def test_firings_without_a_width_are_refused(lab):
     """Sub-rays of firings that were aimed as lines are a programming error and named."""
     from dataclasses import replace
 
-    with pytest.raises(
-        ValueError, match="found firings without `beam_axis`, expected them for a beam of fixed"
-    ):
+    with pytest.raises(ValueError, match="found firings without `beam_axis`, expected them for a beam of fixed"):
         sub_rays(replace(lab.pulses(8), beam_axis=None), lab.beam("fixed"), np.zeros(3), 0, 1)
 
 

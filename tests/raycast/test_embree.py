@@ -92,8 +92,7 @@ def test_building_is_repeatable(lab, workers):
     """Two builds of the same window, on any thread, give the same bits."""
     window, firings = lab.placed(30), lab.pulses(320)
     first, second = (
-        EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m)
-        for _ in range(2)
+        EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m) for _ in range(2)
     )
     assert (first.range_m == second.range_m).all()
     assert (first.surface == second.surface).all()
@@ -130,16 +129,12 @@ def test_light_begins_at_the_lens_and_ends_at_its_reach(lab, workers):
     origin_m, direction = np.zeros((8, 1, 3)), np.zeros((8, 1, 3))
     direction[..., 2] = -1.0
     one = np.zeros((8, 1))
-    firings = Firings(
-        0, one.astype(np.int64), np.zeros(8, np.int64), one, np.zeros(8), origin_m, direction, None
-    )
+    firings = Firings(0, one.astype(np.int64), np.zeros(8, np.int64), one, np.zeros(8), origin_m, direction, None)
     seen = {}
     for depth_m in (0.02, 0.5, 99.0, 101.0):
         transform = np.eye(3, 4)[None].copy()
         transform[0, 2, 3] = -depth_m
-        window = Window(
-            np.zeros(3), ("wall",), np.zeros(1, "i4"), transform, np.zeros(1, "u4"), np.zeros(1, SURFACE)
-        )
+        window = Window(np.zeros(3), ("wall",), np.zeros(1, "i4"), transform, np.zeros(1, "u4"), np.zeros(1, SURFACE))
         hits = EmbreeCaster(lab.world(wall), workers).open(window).cast(firings, np.array([0.0419]), 100.0)
         seen[depth_m] = float(hits.range_m[0])
     assert seen == {0.02: np.inf, 0.5: 0.5, 99.0: 99.0, 101.0: np.inf}
@@ -147,11 +142,7 @@ def test_light_begins_at_the_lens_and_ends_at_its_reach(lab, workers):
 
 def test_empty_window_is_all_sky(lab, workers):
     """Nothing placed, nothing hit."""
-    hits = (
-        EmbreeCaster(lab.world(lab.soup), workers)
-        .open(lab.placed(0))
-        .cast(lab.pulses(8), lab.near_m, lab.far_m)
-    )
+    hits = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(0)).cast(lab.pulses(8), lab.near_m, lab.far_m)
     assert np.isinf(hits.range_m).all()
     assert (hits.surface == NO_SURFACE).all()
 

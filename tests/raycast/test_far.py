@@ -80,12 +80,8 @@ def test_bent_stems_from_afar_are_those_of_the_mesh(lab, workers):
 def test_the_ground_from_afar_is_that_of_the_mesh(lab, both):
     """Ranges to the ground equal those of its triangles within 2 mm in the median, incidence alike; labels agree."""
     window, far, near = both
-    ours, true = (
-        cast(lab, scene, *around(40_000, AT_M[0], low_deg=-60.0, high_deg=-2.0)) for scene in (far, near)
-    )
-    ground = (
-        window.surfaces["semantic"][np.where(true.surface == NO_SURFACE, 0, true.surface)] == Semantic.GROUND
-    )
+    ours, true = (cast(lab, scene, *around(40_000, AT_M[0], low_deg=-60.0, high_deg=-2.0)) for scene in (far, near))
+    ground = window.surfaces["semantic"][np.where(true.surface == NO_SURFACE, 0, true.surface)] == Semantic.GROUND
     ground &= true.surface != NO_SURFACE
     assert ground.sum() > 20_000
     same = ours.surface == true.surface
@@ -169,10 +165,7 @@ def test_batches_threads_and_revolutions_do_not_matter_in_a_medium(lab, workers,
         for n in range(0, 1600, 8)
     ]
     for name in ("range_m", "surface", "cos_incidence"):
-        assert (
-            np.concatenate([getattr(piece, name) for piece in pieces]).tobytes()
-            == getattr(whole, name).tobytes()
-        )
+        assert np.concatenate([getattr(piece, name) for piece in pieces]).tobytes() == getattr(whole, name).tobytes()
     leaf = part_of(world.window(AT_M), whole.surface) == PlantPart.LEAF
     assert leaf.mean() > 0.02
 
@@ -190,9 +183,7 @@ def test_windows_that_overlap_show_the_same(lab, workers, warm):
     ours, other = (cast(lab, scene, *rays, far_m=28.0) for scene in scenes)
     instance = [
         np.where(
-            hits.surface == NO_SURFACE,
-            0,
-            w.surfaces["instance"][np.where(hits.surface == NO_SURFACE, 0, hits.surface)],
+            hits.surface == NO_SURFACE, 0, w.surfaces["instance"][np.where(hits.surface == NO_SURFACE, 0, hits.surface)]
         )
         for hits, w in zip((ours, other), windows, strict=True)
     ]
@@ -207,13 +198,8 @@ def test_windows_that_overlap_show_the_same(lab, workers, warm):
 def test_cold_and_warm_caches_give_the_same(lab, workers):
     """A window opened after others, whose blocks and clouds are kept, is that of a fresh caster, bit by bit."""
     world = lab.tiles(2.0, across=3)
-    elsewhere = world.window(
-        AT_M + [[-20.0, 0.0, 0.0]], [(ix, iy) for ix in (-3, -2, -1, 0) for iy in (-1, 0, 1)]
-    )
-    window, warm = (
-        world.window(AT_M, [(ix, iy) for ix in (-1, 0, 1) for iy in (-1, 0, 1)]),
-        FarCaster(world, workers),
-    )
+    elsewhere = world.window(AT_M + [[-20.0, 0.0, 0.0]], [(ix, iy) for ix in (-3, -2, -1, 0) for iy in (-1, 0, 1)])
+    window, warm = (world.window(AT_M, [(ix, iy) for ix in (-1, 0, 1) for iy in (-1, 0, 1)]), FarCaster(world, workers))
     kept = warm.open(elsewhere)
     scenes = warm.open(window), FarCaster(world, workers).open(window)
     ours, fresh = (cast(lab, scene, *around(4000, AT_M[0])) for scene in scenes)

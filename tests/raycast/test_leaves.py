@@ -12,10 +12,7 @@ from vlp16emu.foliage import leaves as room
 from vlp16emu.foliage.far import Far
 from vlp16emu.foliage.lanes import lanes
 from vlp16emu.foliage.march import march
-from vlp16emu.foliage.voxel import (
-    QUANTILES,
-    VOXEL_M,
-)
+from vlp16emu.foliage.voxel import QUANTILES, VOXEL_M
 from vlp16emu.types import NO_SURFACE, Mesh, PlantPart
 
 
@@ -166,9 +163,7 @@ def leaves(lab, workers):
 
 
 DENSE_UPRIGHT = pytest.param(
-    90.0,
-    1.0,
-    marks=pytest.mark.xfail(reason="upright light through dense leaves goes 7 % less deep than it should"),
+    90.0, 1.0, marks=pytest.mark.xfail(reason="upright light through dense leaves goes 7 % less deep than it should")
 )
 
 

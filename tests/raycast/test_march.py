@@ -195,14 +195,7 @@ def stand(lab, workers):
     return world, window, far.medium(window, far.tiles(window))
 
 
-DIRECTIONS = {
-    "x": (1, 0, 0),
-    "-x": (-1, 0, 0),
-    "y": (0, 1, 0),
-    "-y": (0, -1, 0),
-    "z": (0, 0, 1),
-    "-z": (0, 0, -1),
-}
+DIRECTIONS = {"x": (1, 0, 0), "-x": (-1, 0, 0), "y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
 
 
 def some_rays(world, towards, count, seed=1):

@@ -79,15 +79,11 @@ def test_a_cloud_is_where_its_faces_are(lab, monkeypatch):
         corners = mesh.vertices_m[mesh.faces].astype(float)
         if corners.shape[1] == 3:
             corners = corners[:, [0, 1, 2, 2]]
-        area_m2 = (
-            np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1) / 2
-        )
+        area_m2 = np.linalg.norm(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]), axis=1) / 2
         middle_m = np.average(corners.mean(axis=1), axis=0, weights=area_m2)
         own = cloud.mesh == number
         assert cloud.area_m2[own].sum() == pytest.approx(share * area_m2.sum(), rel=1e-5)
-        assert (
-            np.abs(np.average(cloud.place_m[own], axis=0, weights=cloud.area_m2[own]) - middle_m).max() < 1e-3
-        )
+        assert np.abs(np.average(cloud.place_m[own], axis=0, weights=cloud.area_m2[own]) - middle_m).max() < 1e-3
 
 
 @pytest.fixture(scope="module")
@@ -97,9 +93,7 @@ def blocks(lab):
     clouds = [cloud_of(world.shape("crown"), PARTS), cloud_of(world.shape("stone"), PARTS[:1])]
     library, shape_of = Library.of(clouds), {"crown": 0, "stone": 1}
     tiles = {place: world.far_tile(*place) for place in itertools.product(range(-2, 3), repeat=2)}
-    made = {
-        place: block_of(library, shape_of, tiles, *place) for place in itertools.product((-1, 0, 1), repeat=2)
-    }
+    made = {place: block_of(library, shape_of, tiles, *place) for place in itertools.product((-1, 0, 1), repeat=2)}
     return world, library, tiles, made
 
 
@@ -111,9 +105,7 @@ def records(block):
         for bit in range(64):
             if word >> bit & 1:
                 assert int(block.first[place]) + (word & (1 << bit) - 1).bit_count() == len(cells)
-                cells.append(
-                    [4 * p + o for p, o in zip(place, (bit >> 4, bit >> 2 & 3, bit & 3), strict=True)]
-                )
+                cells.append([4 * p + o for p, o in zip(place, (bit >> 4, bit >> 2 & 3, bit & 3), strict=True)])
     return np.array(cells)
 
 
@@ -170,9 +162,7 @@ def test_owners_have_their_shares(blocks):
             scale = abs(np.linalg.det(place[:, :3])) ** (2 / 3)
             for mesh in (0, 1):
                 own = inside & (library.mesh[: library.first_cell[1]] == mesh)
-                true = (
-                    scale * library.area_m2[: library.first_cell[1]][own].sum() * library.projection[mesh, 1]
-                )
+                true = scale * library.area_m2[: library.first_cell[1]][own].sum() * library.projection[mesh, 1]
                 if true > 1.0:
                     assert area_of[number, int(row) + mesh] == pytest.approx(true, rel=0.1)
                     checked += 1
@@ -210,12 +200,5 @@ def test_a_block_depends_on_its_neighbours_only(blocks):
     world, library, _, made = blocks
     more = {place: world.far_tile(*place) for place in itertools.product(range(-3, 4), repeat=2)}
     again = block_of(library, {"crown": 0, "stone": 1}, more, 0, 0)
-    for name in (
-        "mask",
-        "stem",
-        "first",
-        "record",
-        "first_owner",
-        "owner",
-    ):
+    for name in ("mask", "stem", "first", "record", "first_owner", "owner"):
         assert getattr(again, name).tobytes() == getattr(made[0, 0], name).tobytes()

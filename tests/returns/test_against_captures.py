@@ -20,11 +20,7 @@ def first_sequences(payloads):
     """Azimuth (n,), distance and reflectivity (n, 16) of the first firing sequence of each block."""
     blocks = np.frombuffer(payloads, DATA_PAYLOAD)["blocks"].reshape(-1)
     records = blocks["records"].reshape(len(blocks), -1)[:, :16]
-    return (
-        blocks["azimuth_cdeg"].astype(np.int64),
-        records["distance_lsb"] * DISTANCE_LSB_M,
-        records["reflectivity"],
-    )
+    return (blocks["azimuth_cdeg"].astype(np.int64), records["distance_lsb"] * DISTANCE_LSB_M, records["reflectivity"])
 
 
 def by_revolution(azimuth_cdeg, values):
@@ -62,17 +58,13 @@ def test_white_noise_of_a_real_unit_is_that_of_the_unit_preset(detector, firings
     hit = np.isfinite(mean_m)
     percent = by_revolution(azimuth_cdeg, reflectivity).mean(axis=0).clip(1, 100).astype(np.float32)
     hits = Hits.one_ray_each(
-        mean_m,
-        np.where(hit, 0, NO_SURFACE).astype(np.uint32),
-        np.where(hit, percent / 100, 0).astype(np.float32),
+        mean_m, np.where(hit, 0, NO_SURFACE).astype(np.uint32), np.where(hit, percent / 100, 0).astype(np.float32)
     )
     k = len(mean_m)
     unit = detector(Noise(preset="unit", unit_spread=0.0))
     emulated = np.stack(
         [
-            detect(firings(k, turn * (k + 1)), hits, table(1.0), unit, truth=False)
-            .distance_m[..., 0]
-            .astype(float)
+            detect(firings(k, turn * (k + 1)), hits, table(1.0), unit, truth=False).distance_m[..., 0].astype(float)
             for turn in range(3)
         ]
     )

@@ -81,9 +81,7 @@ def test_units_differ_in_their_white_errors(detector):
         ([unit.reflectivity_noise_share for unit in units], 0.043),
     ):
         assert stats.kstest(np.log(np.array(values) / middle) / 0.2, "norm").pvalue > 0.01
-    assert {detector(noise | {"unit_spread": 0.0}, seed=s).constants.range_noise_m for s in range(9)} == {
-        0.005
-    }
+    assert {detector(noise | {"unit_spread": 0.0}, seed=s).constants.range_noise_m for s in range(9)} == {0.005}
 
 
 def test_no_returns_wander_through_multiples(wall):
@@ -97,9 +95,7 @@ def test_no_returns_wander_through_multiples(wall):
     for laser in range(16):
         assert set(codes[:, laser]) <= set(np.floor(times * own[laser]).clip(0, 100).astype(int))
     assert ((codes > np.floor(own)) & (codes < 100)).mean() > 0.05
-    np.testing.assert_array_equal(
-        codes[1111:], wall(noise, 2889, index=1111, range_m=np.inf).reflectivity[..., 0]
-    )
+    np.testing.assert_array_equal(codes[1111:], wall(noise, 2889, index=1111, range_m=np.inf).reflectivity[..., 0])
 
 
 def test_middles_of_no_returns_are_even_in_their_logarithm():
@@ -111,9 +107,7 @@ def test_middles_of_no_returns_are_even_in_their_logarithm():
 
 def test_codes_are_apart_by_laser_and_range():
     """The spacing is constant over a short piece of range, and within 0.85 to 1.45 of the setting everywhere."""
-    steps = np.array(
-        [[code_step(2.0, gain, r) / gain for r in np.linspace(1, 30, 500)] for gain in (0.97, 1.02)]
-    )
+    steps = np.array([[code_step(2.0, gain, r) / gain for r in np.linspace(1, 30, 500)] for gain in (0.97, 1.02)])
     assert steps.min() >= 1.7
     assert steps.max() <= 2.9
     assert np.ptp(steps) > 0.8

@@ -32,8 +32,7 @@ def split(detector, firings, pulses, table):
 
 
 @pytest.mark.parametrize(
-    ("range_m", "distance_m"),
-    [(0.49, 0), (0.5, 0.5), (20, 20), (100, 100), (100.01, 0), (np.inf, 0)],
+    ("range_m", "distance_m"), [(0.49, 0), (0.5, 0.5), (20, 20), (100, 100), (100.01, 0), (np.inf, 0)]
 )
 def test_range_limits(lone, range_m, distance_m):
     """What is nearer than the least range, farther than the greatest, or nowhere gives no return."""
@@ -86,15 +85,7 @@ def test_lone_echo_is_strongest_and_last(lone):
 
 @pytest.mark.parametrize(
     ("reflectance", "cosine", "byte"),
-    [
-        (0.5, 1.0, 50),
-        (0.5, 0.5, 25),
-        (1.0, 1.0, 100),
-        (0, 1, 0),
-        (1.2, 1, 105),
-        (1000, 1, 255),
-        (1e6, 1, 255),
-    ],
+    [(0.5, 1.0, 50), (0.5, 0.5, 25), (1.0, 1.0, 100), (0, 1, 0), (1.2, 1, 105), (1000, 1, 255), (1e6, 1, 255)],
 )
 def test_reflectivity_scale(lone, reflectance, cosine, byte):
     """The byte is reflectance times cosine in percent up to 100, and grows to 255 at a thousand times white."""
@@ -126,8 +117,7 @@ def test_a_bright_surface_behind_is_strongest_and_last(split):
 
 
 @pytest.mark.parametrize(
-    ("mode", "columns"),
-    [(ReturnMode.STRONGEST, [4, 0, 0]), (ReturnMode.LAST, [4, 9, 6]), (ReturnMode.DUAL, [4, 9, 6])],
+    ("mode", "columns"), [(ReturnMode.STRONGEST, [4, 0, 0]), (ReturnMode.LAST, [4, 9, 6]), (ReturnMode.DUAL, [4, 9, 6])]
 )
 def test_only_what_the_mode_needs(split, mode, columns):
     """Strongest return leaves last and second strongest empty; the other modes have all three."""

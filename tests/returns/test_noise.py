@@ -39,8 +39,7 @@ def test_noise_is_independent_between_pulses_and_lasers(seen):
 
 
 @pytest.mark.parametrize(
-    ("reflectance", "sigma_m"),
-    [(0.025, 0.0105), (0.11, 0.0072), (0.25, 0.0059), (0.52, 0.0049), (0.9, 0.0043)],
+    ("reflectance", "sigma_m"), [(0.025, 0.0105), (0.11, 0.0072), (0.25, 0.0059), (0.52, 0.0049), (0.9, 0.0043)]
 )
 def test_noise_grows_on_dark_targets(seen, reflectance, sigma_m):
     """A unit with 6.2 mm at a reflectivity of 20 shows what a real one does without its beat, from below 4 to above 80."""
@@ -57,9 +56,7 @@ def test_noise_grows_where_light_is_short(seen):
 
 def test_bias_is_constant_per_laser_and_belongs_to_the_unit(seen):
     """Each laser keeps its error over the run, another seed is another unit, and none exceeds the data sheet."""
-    early, late = (
-        seen({"range_bias_m": 0.01}, k=8, index=n).distance_m[..., 0] - np.float32(10) for n in (0, 10**6)
-    )
+    early, late = (seen({"range_bias_m": 0.01}, k=8, index=n).distance_m[..., 0] - np.float32(10) for n in (0, 10**6))
     assert (early == early[0]).all()
     assert (late == early).all()
     assert len(np.unique(early[0])) == 16

@@ -36,31 +36,11 @@ species = [{ species = "silver_birch", share = 1.0, dbh_cm = 18, height_m = 19 }
 
 BAD_FILES = [
     # text to replace, replacement, the line after "<file>: "
-    (
-        "rpm = 600",
-        "rpm = 250",
-        "sensor.rpm: found 250; expected a whole number from 300 to 1200 in steps of 60",
-    ),
-    (
-        "rpm = 600",
-        "rpm = 620",
-        "sensor.rpm: found 620; expected a whole number from 300 to 1200 in steps of 60",
-    ),
-    (
-        "rpm = 600",
-        'rpm = "fast"',
-        'sensor.rpm: found "fast"; expected a whole number from 300 to 1200 in steps of 60',
-    ),
-    (
-        "rpm = 600",
-        "rpm = true",
-        "sensor.rpm: found true; expected a whole number from 300 to 1200 in steps of 60",
-    ),
-    (
-        "rpm = 600",
-        "data_port = 8308",
-        "sensor: found a table; expected a data_port and a position_port that differ",
-    ),
+    ("rpm = 600", "rpm = 250", "sensor.rpm: found 250; expected a whole number from 300 to 1200 in steps of 60"),
+    ("rpm = 600", "rpm = 620", "sensor.rpm: found 620; expected a whole number from 300 to 1200 in steps of 60"),
+    ("rpm = 600", 'rpm = "fast"', 'sensor.rpm: found "fast"; expected a whole number from 300 to 1200 in steps of 60'),
+    ("rpm = 600", "rpm = true", "sensor.rpm: found true; expected a whole number from 300 to 1200 in steps of 60"),
+    ("rpm = 600", "data_port = 8308", "sensor: found a table; expected a data_port and a position_port that differ"),
     ("rpm = 600", "rmp = 600", "sensor.rmp: unknown key; expected rpm, the nearest known one"),
     ("title", "titel", "titel: unknown key; expected title, the nearest known one"),
     ("schema = 1", "", "schema: missing; expected 1"),
@@ -70,11 +50,7 @@ BAD_FILES = [
         "schema = 1\nseed = -1",
         "seed: found -1; expected a whole number at least 0 and below 9223372036854775808",
     ),
-    (
-        'kind = "static"',
-        'kind = "run"',
-        'motion.kind: found "run"; expected "live", "recorded", "static" or "walk"',
-    ),
+    ('kind = "static"', 'kind = "run"', 'motion.kind: found "run"; expected "live", "recorded", "static" or "walk"'),
     ('kind = "static"', "", 'motion.kind: missing; expected "live", "recorded", "static" or "walk"'),
     (
         'kind = "static"',
@@ -82,11 +58,7 @@ BAD_FILES = [
         "motion.speed: unknown key; expected one of kind, x_m, y_m, height_m, yaw_deg, pitch_deg, roll_deg, mount",
     ),
     ("length_m = 30", "length_m = 0", "world.length_m: found 0; expected a number from 0.001 to 10000"),
-    (
-        "length_m = 30",
-        "length_m = inf",
-        "world.length_m: found inf; expected a finite number from 0.001 to 10000",
-    ),
+    ("length_m = 30", "length_m = inf", "world.length_m: found inf; expected a finite number from 0.001 to 10000"),
     ("length_m = 30", "", "world.length_m: missing; expected a number from 0.001 to 10000"),
     (
         "height_m = 6.0",
@@ -109,11 +81,7 @@ BAD_FILES = [
         "min_range_m = 20.0\nmax_range_m = 10.0",
         "sensor.max_range_m: found 10.0; expected more than min_range_m = 20.0",
     ),
-    (
-        "rpm = 600",
-        "min_range_m = 120.0",
-        "sensor.max_range_m: found 100.0; expected more than min_range_m = 120.0",
-    ),
+    ("rpm = 600", "min_range_m = 120.0", "sensor.max_range_m: found 100.0; expected more than min_range_m = 120.0"),
     (
         'title = "A bench"',
         'title = "A bench"\nstart_utc = 2026-05-20T09:00:00',
@@ -122,18 +90,11 @@ BAD_FILES = [
             "such as 2026-05-20T09:00:00Z"
         ),
     ),
-    (
-        "rpm = 600",
-        'return_mode = "both"',
-        'sensor.return_mode: found "both"; expected "strongest", "last" or "dual"',
-    ),
+    ("rpm = 600", 'return_mode = "both"', 'sensor.return_mode: found "both"; expected "strongest", "last" or "dual"'),
 ]
 
 BAD_SETTINGS = [
-    (
-        "sensor.rpm=250",
-        "--set sensor.rpm=250: found 250; expected a whole number from 300 to 1200 in steps of 60",
-    ),
+    ("sensor.rpm=250", "--set sensor.rpm=250: found 250; expected a whole number from 300 to 1200 in steps of 60"),
     ("sensor.rpm", "--set sensor.rpm: no assignment; expected key.path=value"),
     ("sensor.rpm=", "--set sensor.rpm=: no assignment; expected key.path=value"),
     ("=3", "--set =3: no assignment; expected key.path=value"),
@@ -169,10 +130,7 @@ BAD_SETTINGS = [
         (f"world.near_m={found}", f"--set world.near_m={found}: found {found}; expected a number at least 5")
         for found in ("4.9", "nan", '"far"')
     ),
-    (
-        "motion=3",
-        '--set motion=3: found 3; expected a table with kind = "live", "recorded", "static" or "walk"',
-    ),
+    ("motion=3", '--set motion=3: found 3; expected a table with kind = "live", "recorded", "static" or "walk"'),
     ("world.species=[]", "--set world.species=[]: found a list of 0; expected a list of at least 1"),
     ("rpm=1200", "--set rpm=1200: unknown key; expected sensor.rpm"),
     ("gait=strong", "--set gait=strong: unknown key; expected motion.gait"),
@@ -254,20 +212,11 @@ def test_a_bad_setting_is_reported_in_one_line(tmp_path, setting, line):
         (b"\xff\xfe", "no UTF-8 text at byte 0; expected a scene file"),
         (b"seed = " + b"9" * 5000, "no valid TOML: Exceeds the limit (4300 digits)"),
         (b"seed = " + b"[" * 5000, "no valid TOML: maximum recursion depth exceeded"),
-        (
-            b"seed = 1\n" + b"a." * 100_000 + b"a = 1",
-            "no valid TOML: a key with more than 100 names (at line 2)",
-        ),
+        (b"seed = 1\n" + b"a." * 100_000 + b"a = 1", "no valid TOML: a key with more than 100 names (at line 2)"),
         (b'[ "a\\""' + b" . b" * 100_000 + b"]", "no valid TOML: a key with more than 100 names (at line 1)"),
-        (
-            b"x = { " + b"'a'." * 100_000 + b"a = 1 }",
-            "no valid TOML: a key with more than 100 names (at line 1)",
-        ),
+        (b"x = { " + b"'a'." * 100_000 + b"a = 1 }", "no valid TOML: a key with more than 100 names (at line 1)"),
         (b"x = " + b"[" * 150 + b"]" * 150, "tables or lists in one another, 100 deep; expected the tables"),
-        (
-            b"x = " + b"{a=" * 120 + b"1" + b"}" * 120,
-            "tables or lists in one another, 100 deep; expected the",
-        ),
+        (b"x = " + b"{a=" * 120 + b"1" + b"}" * 120, "tables or lists in one another, 100 deep; expected the"),
     ],
     ids=["syntax", "encoding", "integer", "nesting", "key", "table", "inline", "deep lists", "deep tables"],
 )
@@ -303,9 +252,7 @@ def test_half_a_character_in_json_is_refused(tmp_path):
     assert str(caught.value) == f"{path}: found '\\ud800'; expected text in Unicode"
 
 
-@pytest.mark.parametrize(
-    "setting", ["a." * 100_000 + "a=1", "seed={" + "a." * 100_000 + "a=1}", "seed=" + "[" * 5000]
-)
+@pytest.mark.parametrize("setting", ["a." * 100_000 + "a=1", "seed={" + "a." * 100_000 + "a=1}", "seed=" + "[" * 5000])
 def test_a_setting_is_no_deeper_than_a_scene(tmp_path, setting):
     """A key of 100 000 names, and a value of as many, are refused in a line of bounded length."""
     with pytest.raises(ScenarioError) as caught:

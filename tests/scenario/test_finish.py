@@ -11,9 +11,7 @@ from vlp16emu.world.settings import HallBox
 
 
 def box(finish):
-    table = (
-        f"{{ name = 'sign', centre_m = [8.0, 0.0, 1.5], size_m = [0.1, 1.0, 1.0]{finish and f', {finish}'} }}"
-    )
+    table = f"{{ name = 'sign', centre_m = [8.0, 0.0, 1.5], size_m = [0.1, 1.0, 1.0]{finish and f', {finish}'} }}"
     return load("static_bench", [f"world.boxes=[{table}]"]).world.boxes[0]
 
 

@@ -23,12 +23,7 @@ def test_the_schema_speaks_the_files_language():
     }
     rpm = tree["$defs"]["Sensor"]["properties"]["rpm"]
     assert (rpm["minimum"], rpm["maximum"], rpm["multipleOf"], rpm["default"]) == (300, 1200, 60, 600)
-    assert set(tree["properties"]["motion"]["discriminator"]["mapping"]) == {
-        "live",
-        "recorded",
-        "static",
-        "walk",
-    }
+    assert set(tree["properties"]["motion"]["discriminator"]["mapping"]) == {"live", "recorded", "static", "walk"}
 
 
 def test_no_table_admits_unknown_keys():

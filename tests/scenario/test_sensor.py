@@ -43,10 +43,7 @@ def test_a_list_of_elevations_is_taken_as_it_stands():
             ["sensor.model=vlp-32c"],
             '--set sensor.model=vlp-32c: found "vlp-32c"; expected "free", "puck-hi-res", "puck-lite" or "vlp-16"',
         ),
-        (
-            [FREE, "sensor.rpm=3601"],
-            "--set sensor.rpm=3601: found 3601; expected a whole number from 60 to 3600",
-        ),
+        ([FREE, "sensor.rpm=3601"], "--set sensor.rpm=3601: found 3601; expected a whole number from 60 to 3600"),
         (
             [FREE, "sensor.azimuth_resolution_deg=0.01"],
             "--set sensor.azimuth_resolution_deg=0.01: found 0.01; expected a number from 0.05 to 2",
@@ -64,10 +61,7 @@ def test_a_list_of_elevations_is_taken_as_it_stands():
             [FREE, "sensor.elevations_deg=[0, 90]"],
             "--set sensor.elevations_deg=[0, 90]: sensor.elevations_deg[1]: found 90; expected a number above -90",
         ),
-        (
-            ["noise.elevation_error_deg=2"],
-            "--set noise.elevation_error_deg=2: found 2; expected a number from 0 to 1",
-        ),
+        (["noise.elevation_error_deg=2"], "--set noise.elevation_error_deg=2: found 2; expected a number from 0 to 1"),
     ],
 )
 def test_a_bad_sensor_is_reported_in_one_line(settings, line):

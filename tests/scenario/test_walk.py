@@ -64,7 +64,5 @@ def test_what_is_missing_or_given_twice_is_refused(tmp_path, motion, key, expect
 def test_poses_come_at_a_rate_that_nanoseconds_can_hold(tmp_path, rate_hz):
     """A rate of poses whose times would not fit into nanoseconds is refused before the file is read."""
     path = scene(tmp_path, f'kind = "recorded"\nfile = "p"\nformat = "kitti"\nrate_hz = {rate_hz}')
-    with pytest.raises(
-        ScenarioError, match=r"rate_hz: found 1e[-+]300; expected a number from 0\.001 to 1000000$"
-    ):
+    with pytest.raises(ScenarioError, match=r"rate_hz: found 1e[-+]300; expected a number from 0\.001 to 1000000$"):
         load(path)

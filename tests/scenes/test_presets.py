@@ -136,10 +136,7 @@ SPECIES = "species = [{ species = 'silver_birch', share = 1, dbh_cm = 18, height
             "preset = 'old_growth'\nlogs.length_m = [9.0, 3.0]",
             "world.logs.length_m: .*expected the smaller number first",
         ),
-        (
-            "preset = 'plantation'\nshrubs.per_hectare = 3",
-            "world.shrubs.per_hectare: unknown key; expected per_ha",
-        ),
+        ("preset = 'plantation'\nshrubs.per_hectare = 3", "world.shrubs.per_hectare: unknown key; expected per_ha"),
     ],
 )
 def test_a_forest_that_makes_no_sense_is_reported_in_one_line(tmp_path, world, message):

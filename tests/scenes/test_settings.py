@@ -24,9 +24,7 @@ def tool():
 
 def test_the_page_is_as_its_script_makes_it(tool):
     """The page in the repository is what `tools/settings_table` makes of the definitions."""
-    assert (ROOT / "scenes" / "SETTINGS.md").read_text(encoding="utf-8") == tool.page(), (
-        "run tools/settings_table"
-    )
+    assert (ROOT / "scenes" / "SETTINGS.md").read_text(encoding="utf-8") == tool.page(), "run tools/settings_table"
 
 
 def test_every_section_is_on_the_page(tool):

@@ -50,14 +50,10 @@ def test_angle_errors_belong_to_the_unit():
     assert not ideal.azimuth_error_deg.any()
 
 
-@pytest.mark.parametrize(
-    ("beams", "resolution_deg", "rpm"), [(1, 2.0, 60), (64, 0.2, 600), (256, 0.05, 3600)]
-)
+@pytest.mark.parametrize(("beams", "resolution_deg", "rpm"), [(1, 2.0, 60), (64, 0.2, 600), (256, 0.05, 3600)])
 def test_a_free_sensor_fires_evenly_once_per_step(beams, resolution_deg, rpm):
     """A sequence lasts as long as the rotor takes for the step, and its lasers share that time evenly."""
-    table = free_beams(
-        np.linspace(-25, 15, beams), lens_radius_m=0.0, azimuth_resolution_deg=resolution_deg, rpm=rpm
-    )
+    table = free_beams(np.linspace(-25, 15, beams), lens_radius_m=0.0, azimuth_resolution_deg=resolution_deg, rpm=rpm)
     assert table.sequence_ns == pytest.approx(resolution_deg / (rpm * 6) * 1e9, abs=0.5)
     assert 0 <= table.sequence_ns - beams * table.laser_ns < beams
 
@@ -76,23 +72,6 @@ def test_free_beams_pass_through_the_lens():
 
 def test_rings_are_counted_from_below():
     """The VLP-16's rings are laser 0, 2, 4 ... from -15 degrees up; lasers of one elevation keep their order."""
-    assert BEAM_TABLES[SensorModel.VLP_16].ring.tolist() == [
-        0,
-        8,
-        1,
-        9,
-        2,
-        10,
-        3,
-        11,
-        4,
-        12,
-        5,
-        13,
-        6,
-        14,
-        7,
-        15,
-    ]
+    assert BEAM_TABLES[SensorModel.VLP_16].ring.tolist() == [0, 8, 1, 9, 2, 10, 3, 11, 4, 12, 5, 13, 6, 14, 7, 15]
     level = free_beams([5.0, 0.0, 0.0, -5.0], lens_radius_m=0.0, azimuth_resolution_deg=0.2, rpm=600)
     assert level.ring.tolist() == [3, 1, 2, 0]

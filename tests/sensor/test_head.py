@@ -106,9 +106,7 @@ def test_the_beam_axis_is_left_out_unless_wanted(head):
 
 def test_angle_errors_turn_the_beams_and_nothing_else(head):
     """A laser looks by its own errors higher and farther round; rotor, encoder and times know nothing of it."""
-    unit = replace(
-        head, beams=with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.05, seed=3)
-    )
+    unit = replace(head, beams=with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.05, seed=3))
     reported, true = head.aim(0, 8, pose()), unit.aim(0, 8, pose())
     # Body x is forward at azimuth 0 and y is left, so azimuths count from x to -y.
     azimuth_deg = np.degrees(np.arctan2(-true.direction[..., 1], true.direction[..., 0]))
@@ -130,6 +128,4 @@ def test_a_free_head_turns_by_its_resolution():
     firings = free.aim(0, 8, pose())
     assert firings.direction.shape == (8, 256, 3)
     np.testing.assert_allclose(np.diff(firings.azimuth_deg, axis=0), 0.35, atol=777 * 6 * 0.5e-9 + 1e-12)
-    np.testing.assert_allclose(
-        np.degrees(np.arcsin(firings.direction[3, :, 2])), np.linspace(-25, 15, 256), atol=1e-12
-    )
+    np.testing.assert_allclose(np.degrees(np.arcsin(firings.direction[3, :, 2])), np.linspace(-25, 15, 256), atol=1e-12)

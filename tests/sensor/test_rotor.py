@@ -64,9 +64,7 @@ def test_noise_belongs_to_the_firing_sequence():
 def test_eccentricity_is_one_cycle_per_revolution():
     """The angle-locked error is a sine of the angle with the amplitude and phase that were set."""
     rotor = Rotor(
-        spins=(Spin(0, 0.0, 600),),
-        seed=1,
-        **{**IDEAL, "eccentricity_deg": 0.06, "eccentricity_phase_deg": 40.0},
+        spins=(Spin(0, 0.0, 600),), seed=1, **{**IDEAL, "eccentricity_deg": 0.06, "eccentricity_phase_deg": 40.0}
     )
     angle = np.linspace(1.0, 359.0, 500)
     error = rotor.reading_deg(angle, 0) - angle
@@ -126,9 +124,7 @@ def test_an_encoder_of_lines_reads_as_real_ones_do():
     read_deg = rotor.reading_deg(angle_deg, 0)
     code = np.floor(read_deg * 100 + 1e-6).astype(int)
     shares = np.bincount((code - 2) % 5) / len(code)
-    np.testing.assert_allclose(
-        shares, [0.223, 0.225, 0.215, 0.194, 0.143], atol=0.012
-    )  # mean of mrpt, nebula, einride
+    np.testing.assert_allclose(shares, [0.223, 0.225, 0.215, 0.194, 0.143], atol=0.012)  # mean of mrpt, nebula, einride
     last_of_four = np.bincount((code - 2) % 20)[4::5] / len(code)
     np.testing.assert_allclose(
         20 * last_of_four, [0.08, 0.56, 1.28, 0.94], atol=0.12
@@ -146,10 +142,7 @@ def test_an_even_encoder_draws_nothing():
     """Without lines readings are those of before, bit by bit."""
     plain = Rotor(spins=(Spin(0, 0.0, 600),), seed=1, **IDEAL | {"noise_deg": 0.005})
     even = Rotor(
-        spins=(Spin(0, 0.0, 600),),
-        seed=1,
-        lines=EncoderLines.drawn(1, 0.0, 0.2, 0.0),
-        **IDEAL | {"noise_deg": 0.005},
+        spins=(Spin(0, 0.0, 600),), seed=1, lines=EncoderLines.drawn(1, 0.0, 0.2, 0.0), **IDEAL | {"noise_deg": 0.005}
     )
     angle_deg = plain.angle_deg(np.arange(1000) * SEQUENCE_NS)
     np.testing.assert_array_equal(plain.reading_deg(angle_deg, 0), even.reading_deg(angle_deg, 0))

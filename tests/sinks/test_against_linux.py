@@ -44,9 +44,7 @@ for target in ("255.255.255.255", "192.168.1.255"):
 
 pytestmark = [
     pytest.mark.skipif(os.geteuid() != 0, reason="a private network needs root"),
-    pytest.mark.skipif(
-        not (shutil.which("ip") and shutil.which("unshare")), reason="needs iproute2 and unshare"
-    ),
+    pytest.mark.skipif(not (shutil.which("ip") and shutil.which("unshare")), reason="needs iproute2 and unshare"),
 ]
 
 

@@ -112,9 +112,7 @@ def test_returns_of_a_pulse_are_numbered_from_the_nearest(cloud):
     _, of_pulse, sizes = np.unique(pulse, return_inverse=True, return_counts=True)
     assert (sizes[of_pulse] == count).all()
     first = {int(t): r for t, r in zip(pulse[number == 1], own["distance_m"][number == 1], strict=True)}
-    assert all(
-        first[int(t)] < r for t, r in zip(pulse[number == 2], own["distance_m"][number == 2], strict=True)
-    )
+    assert all(first[int(t)] < r for t, r in zip(pulse[number == 2], own["distance_m"][number == 2], strict=True))
 
 
 def test_echoes_of_lasers_that_fire_at_once_are_kept_apart():
@@ -220,9 +218,7 @@ def test_pdal_reads_laz(cloud):
     """PDAL counts the same points and finds the extra dimensions."""
     tool = shutil.which("pdal") or pytest.skip("no PDAL (not in Debian 12)")
     folder, own = cloud
-    said = subprocess.run(
-        [tool, "info", folder / "points.laz"], check=True, capture_output=True, text=True
-    ).stdout
+    said = subprocess.run([tool, "info", folder / "points.laz"], check=True, capture_output=True, text=True).stdout
     assert f'"num_points": {len(own["t_ns"])}' in said or f'"count": {len(own["t_ns"])}' in said
     assert "treeID" in said
 

@@ -147,9 +147,7 @@ def test_a_port_that_takes_no_more_takes_no_core(device):
         assert time.clock_gettime(clock) - begun_s < 0.3  # of at least 0.75 s, by its own thread
 
 
-@pytest.mark.filterwarnings(
-    "ignore::pytest.PytestUnraisableExceptionWarning"
-)  # pyserial leaves the socket to Python
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # pyserial leaves the socket to Python
 def test_a_url_is_a_port_too():
     """socket:// sends to a server; it has no line, and a server that ends is a device that is away."""
     with socket.create_server(("127.0.0.1", 0)) as server:

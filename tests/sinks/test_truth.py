@@ -47,9 +47,7 @@ def test_files_of_somebody_else_stay(tmp_path, scenario):
     (tmp_path / "imu.csv").write_text("mine")
     if scenario is not None:
         (tmp_path / "scenario.json").write_text(scenario)
-    with pytest.raises(
-        OutputError, match=r"holds imu\.csv; expected a new or empty folder, or one with the truth"
-    ):
+    with pytest.raises(OutputError, match=r"holds imu\.csv; expected a new or empty folder, or one with the truth"):
         TruthFolder(tmp_path)
     assert (tmp_path / "imu.csv").read_text() == "mine"
 
@@ -83,9 +81,7 @@ def test_on_a_full_disk_the_last_line_is_whole(tmp_path):
         "    except RunError as error:\n"
         "        print(error)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=True)
     line = f"{tmp_path}/imu.csv: File too large; it ends with a whole line\n"
     assert done.stdout == 2 * line + f"{tmp_path}/more/rig.json: File too large; no file is written\n"
     assert (tmp_path / "imu.csv").read_text() == "one two\nthree four\n"

@@ -122,9 +122,7 @@ def test_system_that_cannot_send_is_a_failed_run():
     """A datagram that the system refuses ends the run and reports what had been sent before."""
     with UdpSink() as sink:
         sink.send(Packet(PacketKind.DATA, 0, bytes(1206)))
-        with pytest.raises(
-            RunError, match=r"127\.0\.0\.1:2368: Message too long at packet 2; those before it"
-        ):
+        with pytest.raises(RunError, match=r"127\.0\.0\.1:2368: Message too long at packet 2; those before it"):
             sink.send(Packet(PacketKind.DATA, 1, bytes(70_000)))
     assert sink.result.data_packets == 1
 

@@ -61,9 +61,7 @@ def rootless():
 
 @pytest.fixture(scope="session")
 def terrain():
-    return TerrainHeights(
-        Terrain(hill_rms_m=1.5, rough_rms_m=0.08, slope_deg=6.0, slope_towards_deg=60.0), seed=5
-    )
+    return TerrainHeights(Terrain(hill_rms_m=1.5, rough_rms_m=0.08, slope_deg=6.0, slope_towards_deg=60.0), seed=5)
 
 
 @pytest.fixture(scope="session")

@@ -23,9 +23,7 @@ def make_hall(boxes=(CRATE,), poles=(POLE,), spheres=(BALL,)):
 def solid_of(key, offset=(0, 0, 0)):
     parts = []
     for mesh in make_hall().shape(key):
-        faces = (
-            mesh.faces if mesh.faces.shape[1] == 3 else mesh.faces[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
-        )
+        faces = mesh.faces if mesh.faces.shape[1] == 3 else mesh.faces[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
         parts.append(trimesh.Trimesh(mesh.vertices_m.astype(np.float64) + offset, faces))
     whole = trimesh.util.concatenate(parts)
     whole.merge_vertices()
@@ -41,13 +39,7 @@ def test_everything_has_a_surface_of_its_own_and_a_name():
     assert window.surfaces["instance"].tolist() == [0, 1, 2, 3, 4]
     assert window.surfaces["reflectance"] == pytest.approx([0.6, 0.6, 0.3, 0.5, 0.8])
     assert hall.names == {1: "walls", 2: "crate", 3: "pole", 4: "ball"}
-    assert [hall.materials[m] for m in window.surfaces["material"]] == [
-        "room",
-        "room",
-        "box",
-        "pole",
-        "sphere",
-    ]
+    assert [hall.materials[m] for m in window.surfaces["material"]] == ["room", "room", "box", "pole", "sphere"]
     assert window.world_T_shape[:, :, 3].tolist() == [[0, 0, 3], [-6, -5, 0.5], [6, 0, 0], [4, -5, 1.5]]
     assert [len(hall.shape(key)) for key in window.shapes] == [2, 1, 1, 1]
 
@@ -92,9 +84,7 @@ def test_sphere_is_round_to_a_tenth_of_a_millimetre(diameter_m):
     """Vertices and the middles of all faces lie within 0.1 mm of the true sphere; the ball is closed."""
     solid = solid_of(HallSphere(name="ball", centre_m=(0.0, 0.0, 0.0), diameter_m=diameter_m))
     assert solid.is_watertight
-    places = np.concatenate(
-        [solid.vertices, solid.triangles_center, solid.vertices[solid.edges].mean(axis=1)]
-    )
+    places = np.concatenate([solid.vertices, solid.triangles_center, solid.vertices[solid.edges].mean(axis=1)])
     assert np.abs(np.linalg.norm(places, axis=1) - diameter_m / 2).max() < 1e-4
     assert solid.volume == pytest.approx(np.pi / 6 * diameter_m**3, rel=1e-3)
 
@@ -134,6 +124,4 @@ def test_a_way_through_a_wall_is_reported(caplog):
     assert not caplog.records
     hall.check(np.array([[0.0, 0.0], [15.0, 1.0], [16.0, 1.0]]))
     (record,) = caplog.records
-    assert record.getMessage().startswith(
-        "hall: the path of the sensor leaves it at (15, 1) m; expected x between -15"
-    )
+    assert record.getMessage().startswith("hall: the path of the sensor leaves it at (15, 1) m; expected x between -15")

@@ -45,11 +45,7 @@ def test_what_follows_from_ziggurats_is_that_of_numpy() -> None:
     """Normal, Rayleigh and beta numbers are numpy's own to a step of 2**-24, one by one and from the same state on."""
     own, true = generator(7, Purpose.TREE, 3, -4), _plain()
     modes = np.linspace(0.1, 2.0, 5000)
-    for name, arguments in (
-        ("normal", (1.0, 0.4, (2, 5000))),
-        ("rayleigh", (modes,)),
-        ("beta", (0.95, 3.76, 5000)),
-    ):
+    for name, arguments in (("normal", (1.0, 0.4, (2, 5000))), ("rayleigh", (modes,)), ("beta", (0.95, 3.76, 5000))):
         assert np.abs(getattr(own, name)(*arguments) - getattr(true, name)(*arguments)).max() < 2.0**-24, name
     assert own.poisson(30.0, 1000).tolist() == true.poisson(30.0, 1000).tolist()
     assert isinstance(own.normal(), float)
@@ -88,9 +84,7 @@ def test_vectors_are_those_of_linear_algebra() -> None:
     """Determinants and directions are those of numpy's linear algebra."""
     matrices = np.random.default_rng(2).normal(size=(100, 3, 3))
     assert determinant(matrices) == pytest.approx(np.linalg.det(matrices), rel=1e-10)
-    assert unit(matrices) == pytest.approx(
-        matrices / np.linalg.norm(matrices, axis=2, keepdims=True), rel=1e-15
-    )
+    assert unit(matrices) == pytest.approx(matrices / np.linalg.norm(matrices, axis=2, keepdims=True), rel=1e-15)
 
 
 def test_sizes_of_classes_are_powers() -> None:
@@ -103,13 +97,7 @@ def _grown() -> str:
     """Digest of a crown with leaves, one with shoots, and a few things of the floor."""
     digest = hashlib.sha256()
     for species in ("european_beech", "norway_spruce"):
-        size = {
-            "dbh_m": 0.2,
-            "height_m": 15.0,
-            "crown_base_m": 8.0,
-            "crown_width_m": 3.0,
-            "leaf_area_m2": 20.0,
-        }
+        size = {"dbh_m": 0.2, "height_m": 15.0, "crown_base_m": 8.0, "crown_width_m": 3.0, "leaf_area_m2": 20.0}
         key = CrownKey(species=species, variant=0, season="leaf_on", dead_branches=True, **size)
         for mesh in crown_meshes(1, key):
             digest.update(mesh.vertices_m.tobytes() + mesh.faces.tobytes())

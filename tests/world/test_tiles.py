@@ -49,9 +49,7 @@ def test_no_light_falls_through_the_seams(terrain):
     rng = np.random.default_rng(3)
     y = rng.uniform(5, 15, 4000)
     aim = np.column_stack([rng.normal(20.0, 0.02, 4000), y, terrain.height_m(np.full(4000, 20.0), y)])
-    origin = aim + np.column_stack(
-        [rng.choice([-8.0, 8.0], 4000), rng.uniform(-2, 2, 4000), rng.uniform(2, 4, 4000)]
-    )
+    origin = aim + np.column_stack([rng.choice([-8.0, 8.0], 4000), rng.uniform(-2, 2, 4000), rng.uniform(2, 4, 4000)])
     places, rays, _ = ground.ray.intersects_location(origin, aim - origin, multiple_hits=False)
     assert len(np.unique(rays)) == 4000
     assert np.abs(places[:, 2] - terrain.height_m(places[:, 0], places[:, 1])).max() < 0.01

@@ -1,17 +1,6 @@
 """Stiff and extreme cases, each a function that gives rows of case, quantity, error and bound."""
 
-from stability_cases import (
-    clock,
-    coordinates,
-    crowds,
-    echoes,
-    entries,
-    entry_files,
-    faces,
-    paths,
-    ranges,
-    turning,
-)
+from stability_cases import clock, coordinates, crowds, echoes, entries, entry_files, faces, paths, ranges, turning
 from stability_cases.row import Case, Row, check
 
 __all__ = ["QUICK", "SLOW", "Case", "Row", "check"]

@@ -37,19 +37,13 @@ def _data_errors(scenario: Scenario, packets: list[Packet]) -> tuple[int, int, i
     By whole numbers: from 0 on at 600 rpm the head turns by 36 hundredths of a degree in 100 us.
     """
     due_ns = np.array([packet.due_ns for packet in packets])
-    fields = data_fields(
-        np.frombuffer(b"".join(p.payload for p in packets), np.uint8).reshape(len(packets), -1)
-    )
+    fields = data_fields(np.frombuffer(b"".join(p.payload for p in packets), np.uint8).reshape(len(packets), -1))
     since_ns = due_ns - scenario.start_ns
     stamps = np.array([(due - _PERIOD_NS) % HOUR_NS // US_NS for due in due_ns.tolist()])
     fired_ns = since_ns[:, None] - _PERIOD_NS + _BLOCK_NS * np.arange(12)
     azimuth = fired_ns * 36 // 100_000 % 36_000
     wrong = (fields["blocks"]["azimuth_cdeg"] != azimuth).any(axis=1)
-    return (
-        int((since_ns % _PERIOD_NS != 0).sum()),
-        int((fields["timestamp_us"] != stamps).sum()),
-        int(wrong.sum()),
-    )
+    return (int((since_ns % _PERIOD_NS != 0).sum()), int((fields["timestamp_us"] != stamps).sum()), int(wrong.sum()))
 
 
 def _named(sentence: bytes) -> datetime:
@@ -65,9 +59,7 @@ def _position_errors(scenario: Scenario, packets: list[Packet]) -> tuple[int, in
         stamps += reported.time_ns != stamp_ns % HOUR_NS // US_NS * US_NS
         delay_ns = round(scenario.gps.sentence_delay_s * S_NS)
         whole_s = (stamp_ns - delay_ns) // S_NS
-        sentences += _named(reported.sentence) != datetime(1970, 1, 1, tzinfo=UTC) + timedelta(
-            seconds=whole_s
-        )
+        sentences += _named(reported.sentence) != datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=whole_s)
     return stamps, sentences
 
 

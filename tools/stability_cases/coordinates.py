@@ -74,9 +74,7 @@ def write_plot(folder: Path, files_m: tuple[int, ...], scene_m: tuple[int, ...],
     x, y = scene_m[0], scene_m[1]
     way = ", ".join(f"[{x + dx}, {y + dy}]" for dx, dy in _WAY_M)
     motion = (
-        f'{{ kind = "walk", way_points_m = [{way}] }}'
-        if walk
-        else f'{{ kind = "static", x_m = {x}.0, y_m = {y}.0 }}'
+        f'{{ kind = "walk", way_points_m = [{way}] }}' if walk else f'{{ kind = "static", x_m = {x}.0, y_m = {y}.0 }}'
     )
     origin = ", ".join(f"{file - at}.0" for file, at in zip(files_m, scene_m, strict=True))
     scene = folder / "plot.toml"

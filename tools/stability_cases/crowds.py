@@ -36,9 +36,7 @@ def _before_a_twig(y_m: Array) -> Firings:
 def thin_twig() -> Iterator[Row]:
     """Look at an upright twig of a millimetre, 100 m away, before a wall."""
     half_m = _TWIG_M / 2
-    twig = quads(
-        np.array([[(_AWAY_M, y, z) for y, z in ((-half_m, -5), (half_m, -5), (half_m, 5), (-half_m, 5))]])
-    )
+    twig = quads(np.array([[(_AWAY_M, y, z) for y, z in ((-half_m, -5), (half_m, -5), (half_m, 5), (-half_m, 5))]]))
     scene = opened([twig, wall(110.0)])
     beside_m = np.repeat(np.linspace(-1.5, 1.5, 16) * _SIGMA_M, 2 * PULSES)
     expected = norm.cdf((half_m - beside_m) / _SIGMA_M) - norm.cdf((-half_m - beside_m) / _SIGMA_M)

@@ -24,9 +24,7 @@ def _level(n: int) -> Firings:
     return pulses(np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0], (n, 1)))
 
 
-def _two_echoes_m(
-    step_m: NDArray[np.floating[Any]], reflectance: tuple[float, float], *settings: str
-) -> Array:
+def _two_echoes_m(step_m: NDArray[np.floating[Any]], reflectance: tuple[float, float], *settings: str) -> Array:
     """Detect pulses of which each half meets a plate, the second one a step behind the first: returns (n, 3)."""
     n = len(step_m)
     range_m = np.stack([np.full(n, _FIRST_M), _FIRST_M + step_m], axis=1).astype(np.float32)
@@ -39,9 +37,7 @@ def _two_echoes_m(
     surfaces = np.zeros(2, SURFACE)
     surfaces["reflectance"] = reflectance
     detector = ideal_unit(_DUAL, *settings).detector
-    return (
-        detect(_level(n), hits, surfaces, detector, truth=False).distance_m.reshape(-1, 3).astype(np.float64)
-    )
+    return detect(_level(n), hits, surfaces, detector, truth=False).distance_m.reshape(-1, 3).astype(np.float64)
 
 
 def _parted(returns_m: Array) -> NDArray[np.bool_]:
@@ -58,10 +54,7 @@ def merge_limits() -> Iterator[Row]:
     other_m = np.where(returns_m[:, 2] > 0, returns_m[:, 2], returns_m[:, 1])
     apart_m = np.abs(other_m - returns_m[:, 0])[two].min()
     yield Row(
-        "echoes at the resolution",
-        "least distance of two less the resolution, m",
-        abs(apart_m - resolution_m),
-        1e-3,
+        "echoes at the resolution", "least distance of two less the resolution, m", abs(apart_m - resolution_m), 1e-3
     )
 
     sigma_m = ideal_unit().detector.constants.sigma_m
@@ -70,9 +63,7 @@ def merge_limits() -> Iterator[Row]:
     two = _parted(_two_echoes_m(step_m, even, "detector.resolution_m=0"))
     yield Row("echoes of one hump", "changes from one to two, less one", abs(np.diff(two).sum() - 1), 0)
     limit_m = step_m[two].min()
-    yield Row(
-        "echoes of one hump", "step where it parts, less two sigmas, m", abs(limit_m - 2 * sigma_m), 2e-3
-    )
+    yield Row("echoes of one hump", "step where it parts, less two sigmas, m", abs(limit_m - 2 * sigma_m), 2e-3)
 
 
 def dark() -> Iterator[Row]:
@@ -102,12 +93,8 @@ def few_rays() -> Iterator[Row]:
     line_m = decoded_m(detected(scene, firings))
     for rays in (1, 2, 64):
         for model in ("fixed", "adaptive"):
-            moved_m = np.abs(
-                decoded_m(detected(scene, firings, beam(model, rays, has_width=False))) - line_m
-            ).max()
-            yield Row(
-                f"{model} beam of {rays} without width", "moved from one ray's, m", float(moved_m), 0.002
-            )
+            moved_m = np.abs(decoded_m(detected(scene, firings, beam(model, rays, has_width=False))) - line_m).max()
+            yield Row(f"{model} beam of {rays} without width", "moved from one ray's, m", float(moved_m), 0.002)
     one = detected(scene, firings, beam("fixed", 1))
     true_m = 10.0 / direction[:, 0].reshape(one.firings.t_ns.shape)
     off_m = np.abs(one.distance_m[..., 0] - true_m)

@@ -49,9 +49,7 @@ def turned_down(*arguments: str) -> str:
     with redirect_stdout(out), redirect_stderr(err):
         code = run(arguments)
     line = err.getvalue().strip()
-    return (
-        line if code == 2 and line.startswith("error: ") and "\n" not in line and not out.getvalue() else ""
-    )
+    return line if code == 2 and line.startswith("error: ") and "\n" not in line and not out.getvalue() else ""
 
 
 def _resolved(node: Any) -> Any:
@@ -159,9 +157,7 @@ def options() -> Iterator[Row]:
     """Numbers of the command line."""
     with tempfile.TemporaryDirectory() as folder:
         lines = [
-            turned_down(*option.replace("OUT", f"{folder}/out").split(), word)
-            for option in _OPTIONS
-            for word in _WORDS
+            turned_down(*option.replace("OUT", f"{folder}/out").split(), word) for option in _OPTIONS for word in _WORDS
         ]
         left = len(list(Path(folder).iterdir()))
     yield Row(f"NaN or infinity in {len(lines)} command lines", "not refused", lines.count(""), 0, lines[-1])

@@ -60,10 +60,7 @@ def _trajectories(word: str) -> Iterator[tuple[Files, str]]:
     timed = 'motion={kind="recorded",file="FOLDER/way",format="kitti",times_file="FOLDER/times"}'
     yield {"way": 2 * _KITTI, "times": f"0\n{word}\n"}, timed
     for bad in _each_cell("0,1,1", word, range(3), ","):
-        yield (
-            {"way.csv": _WAY_CSV.replace("0,1,1", bad)},
-            'motion={kind="walk",way_points_file="FOLDER/way.csv"}',
-        )
+        yield ({"way.csv": _WAY_CSV.replace("0,1,1", bad)}, 'motion={kind="walk",way_points_file="FOLDER/way.csv"}')
     for axis, other in (("LAT", "LON"), ("LON", "LAT")):
         text = _GPX.replace(axis, word).replace(other, "25.76")
         yield {"way.gpx": text}, 'motion={kind="walk",way_points_file="FOLDER/way.gpx"}'
@@ -83,9 +80,7 @@ def _verdicts(name: str, tries: Callable[[str], Iterator[tuple[Files, str]]], *,
                 lines.append(line.replace(f"{folder}/", "") if named in line else "")
         options = [word for setting in settings for word in ("--set", setting)]
         lines.append(turned_down("record", scene, f"{folder}/out.pcap", *options).replace(f"{folder}/", ""))
-    yield Row(
-        f"NaN or infinity in {len(lines) - 1} {name}", "not refused by name", lines.count(""), 0, lines[-1]
-    )
+    yield Row(f"NaN or infinity in {len(lines) - 1} {name}", "not refused by name", lines.count(""), 0, lines[-1])
 
 
 def trajectory_files() -> Iterator[Row]:
@@ -160,10 +155,7 @@ def _grounds(word: str) -> Iterator[tuple[Files, str]]:
     yield {"ground.asc": header + 30 * row + bad_row + 30 * row}, ""
     for key in ("ncols 61", "nrows 61", "xllcenter -60", "yllcenter -60", "cellsize 2"):
         yield {"ground.asc": header.replace(key, f"{key.split()[0]} {word}") + 61 * row}, ""
-    yield (
-        {"ground.npy": _npy(number)},
-        'world.dem={file="FOLDER/ground.npy",cell_m=2.0,corner_m=[-61.0,-61.0]}',
-    )
+    yield ({"ground.npy": _npy(number)}, 'world.dem={file="FOLDER/ground.npy",cell_m=2.0,corner_m=[-61.0,-61.0]}')
     for bad in ({"height": number}, {"east": number}, {"cell": number}):
         yield {"ground.tif": _tiff(**bad)}, 'world.dem={file="FOLDER/ground.tif"}'
 
@@ -178,9 +170,7 @@ def _plants(word: str) -> Iterator[tuple[Files, str]]:
     shipped = resources.files("vlp16emu.forest").joinpath("species.toml").read_text(encoding="utf-8")
     start = shipped.index("[tree.silver_birch]")
     birch = shipped[start : shipped.index("[tree.", shipped.index("[tree.silver_birch.crown.twigs]") + 1)]
-    bare = (
-        re.sub(r" *#.*", "", birch).replace("silver_birch", "birch_2").replace("number = 1", "number = 1001")
-    )
+    bare = re.sub(r" *#.*", "", birch).replace("silver_birch", "birch_2").replace("number = 1", "number = 1001")
     numbers = re.finditer(r"(?<=[ \[])-?\d[\d.]*(?=[\],\n])", bare)
     for number in itertools.islice(numbers, _WORDS.index(word), None, len(_WORDS)):
         text = bare[: number.start()] + word + bare[number.end() :]

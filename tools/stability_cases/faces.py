@@ -5,19 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from stability_cases.lab import (
-    PULSES,
-    beam,
-    box,
-    cast,
-    detected,
-    opened,
-    pulses,
-    quads,
-    triangles,
-    unit_of,
-    wall,
-)
+from stability_cases.lab import PULSES, beam, box, cast, detected, opened, pulses, quads, triangles, unit_of, wall
 from stability_cases.row import Row
 from vlp16emu.emulator import Emulator
 from vlp16emu.scenario import load
@@ -71,9 +59,7 @@ def doubled() -> Iterator[Row]:
         np.concatenate([r.surface for r in Emulator(scene, threads=threads).returns(0.0, 0.3, truth=True)])
         for threads in (1, 3)
     ]
-    yield Row(
-        "two crates in one place", "labels that differ by threads", int((labels[0] != labels[1]).sum()), 0
-    )
+    yield Row("two crates in one place", "labels that differ by threads", int((labels[0] != labels[1]).sum()), 0)
 
 
 def _two_crates() -> str:
@@ -83,12 +69,7 @@ def _two_crates() -> str:
 
 def crossed() -> Iterator[Row]:
     """Hit boxes that reach into each other, some faces flush, against closed formulas in float64."""
-    spans = [
-        ((8, -2, -2), (12, 2, 2)),
-        ((7, -1, -1), (13, 1, 1)),
-        ((8, 0, -3), (10, 3, 0)),
-        ((9, -3, -3), (11, 3, 3)),
-    ]
+    spans = [((8, -2, -2), (12, 2, 2)), ((7, -1, -1), (13, 1, 1)), ((8, 0, -3), (10, 3, 0)), ((9, -3, -3), (11, 3, 3))]
     firings = _cone(4 * PULSES, 16.0)
     got_m = cast(opened([box(*span) for span in spans]), firings).range_m
     to_m = []

@@ -15,16 +15,7 @@ from vlp16emu.raycast.caster import Geometry, caster
 from vlp16emu.returns.detect import detect
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import LENS_RADIUS_M
-from vlp16emu.types import (
-    SURFACE,
-    Firings,
-    Hits,
-    Mesh,
-    ReturnMode,
-    Returns,
-    SensorModel,
-    Window,
-)
+from vlp16emu.types import SURFACE, Firings, Hits, Mesh, ReturnMode, Returns, SensorModel, Window
 
 Array = NDArray[np.float64]
 
@@ -70,9 +61,7 @@ def wall(x_m: float, half_m: float = 50.0) -> Mesh:
 def box(low_m: Sequence[float], high_m: Sequence[float]) -> Mesh:
     """Upright box."""
     spans = np.stack([low_m, high_m])
-    corners = np.array(
-        [[spans[i, 0], spans[j, 1], spans[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-    )
+    corners = np.array([[spans[i, 0], spans[j, 1], spans[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     faces = [(0, 2, 6, 4), (1, 5, 7, 3), (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6)]
     return Mesh(corners.astype(np.float32), np.array(faces, np.uint32))
 

@@ -68,9 +68,7 @@ def hairpins() -> Iterator[Row]:
     """Turn back within two feet, with gait and loose straps, here and 100 km away; and one that is too tight."""
     for away_m in (0.0, 1e5):
         motion, start_ns = _walk(_hairpin(0.6, away_m))
-        yield from _smooth(
-            f"hairpin of 0.6 m, {away_m / 1000:g} km away", motion, start_ns, motion.run_time_s
-        )
+        yield from _smooth(f"hairpin of 0.6 m, {away_m / 1000:g} km away", motion, start_ns, motion.run_time_s)
     yield refused("hairpin of 0.2 m", partial(_walk, _hairpin(0.2)), "at least 0.1 m")
 
 

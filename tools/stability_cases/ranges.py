@@ -43,12 +43,7 @@ def every_range() -> Iterator[Row]:
 
 def grazing() -> Iterator[Row]:
     """Meet a floor at up to 89.99 degrees from its normal, 10 to 100 m away."""
-    floor = [
-        (-_FLOOR_M, -_FLOOR_M, 0),
-        (_FLOOR_M, -_FLOOR_M, 0),
-        (_FLOOR_M, _FLOOR_M, 0),
-        (-_FLOOR_M, _FLOOR_M, 0),
-    ]
+    floor = [(-_FLOOR_M, -_FLOOR_M, 0), (_FLOOR_M, -_FLOOR_M, 0), (_FLOOR_M, _FLOOR_M, 0), (-_FLOOR_M, _FLOOR_M, 0)]
     scene = opened([quads(np.array([floor]))])
     for incidence_deg in (80.0, 89.0, 89.9, 89.99):
         cosine = np.cos(np.radians(incidence_deg))
@@ -56,18 +51,14 @@ def grazing() -> Iterator[Row]:
         range_m = np.linspace(10.0, 100.0, PULSES)
         turned = np.linspace(0.0, 2 * np.pi, PULSES)
         origin_m = np.column_stack([0 * turned, 0 * turned, range_m * cosine])
-        direction = np.column_stack(
-            [level * np.cos(turned), level * np.sin(turned), np.full(PULSES, -cosine)]
-        )
+        direction = np.column_stack([level * np.cos(turned), level * np.sin(turned), np.full(PULSES, -cosine)])
         firings = pulses(origin_m, direction)
         hits = cast(scene, firings)
         error_m = float(np.abs(hits.range_m - range_m).max())
         yield Row(f"floor at {incidence_deg:g} deg", "largest error, m", error_m, 4 * 100 * _FLOAT32)
         wide = detected(scene, firings, beam("adaptive"))
         fit = np.isfinite(wide.distance_m) & (wide.distance_m >= 0) & (wide.distance_m <= 131.07)
-        yield Row(
-            f"floor at {incidence_deg:g} deg, wide beam", "returns out of limits", float((~fit).sum()), 0
-        )
+        yield Row(f"floor at {incidence_deg:g} deg, wide beam", "returns out of limits", float((~fit).sum()), 0)
 
 
 def _returns(distance_m: NDArray[np.float32], reading_deg: Array) -> Returns:
@@ -75,14 +66,7 @@ def _returns(distance_m: NDArray[np.float32], reading_deg: Array) -> Returns:
     shape = (len(reading_deg), LASERS)
     zero = np.zeros((*shape, 3))
     firings = Firings(
-        0,
-        np.zeros(shape, np.int64),
-        np.zeros(shape[0], np.int64),
-        zero[..., 0],
-        reading_deg,
-        zero,
-        zero,
-        None,
+        0, np.zeros(shape, np.int64), np.zeros(shape[0], np.int64), zero[..., 0], reading_deg, zero, zero, None
     )
     three_m = np.repeat(distance_m[..., None], 3, axis=2)
     return Returns(firings, three_m, np.zeros((*shape, 3), np.uint8), None, None)

@@ -32,29 +32,20 @@ Pulses = Annotated[
     typer.Option(
         "--pulses",
         metavar="N",
-        parser=checked(
-            "--pulses", int, lambda n: 128 <= n <= 1_000_000, "a whole number from 128 to 1000000"
-        ),
+        parser=checked("--pulses", int, lambda n: 128 <= n <= 1_000_000, "a whole number from 128 to 1000000"),
         help="How many pulses to look at.",
     ),
 ]
 OutDir = Annotated[
     Path | None,
     typer.Option(
-        "--out",
-        metavar="DIR",
-        help="Write the report as JSON and a picture into a folder; needs the extra 'picture'.",
+        "--out", metavar="DIR", help="Write the report as JSON and a picture into a folder; needs the extra 'picture'."
     ),
 ]
 
 
 def accuracy(
-    scene: SceneName,
-    *,
-    settings: Settings = None,
-    pulses: Pulses = 8192,
-    out: OutDir = None,
-    as_json: AsJson = False,
+    scene: SceneName, *, settings: Settings = None, pulses: Pulses = 8192, out: OutDir = None, as_json: AsJson = False
 ) -> None:
     """Measure the error and the cost of settings of the beam, of poses and of foliage.
 
@@ -157,10 +148,7 @@ def _print_foliage(levels: "Sequence[LevelOfDetail]") -> None:
     )
     table = _table("world", ("us per pulse", *levels[-1].means))
     for level in levels:
-        cells = (
-            f"{mean.value:.2f} +-{mean.half:.2f}{'!' if mean.departs else ' '}"
-            for mean in level.means.values()
-        )
+        cells = (f"{mean.value:.2f} +-{mean.half:.2f}{'!' if mean.departs else ' '}" for mean in level.means.values())
         table.add_row(_starred(level.name, in_use=level.in_use), f"{level.us_per_pulse:.2f}", *cells)
     _show(table)
 

@@ -18,9 +18,7 @@ _LONGEST_S = 7 * 86_400
 T = TypeVar("T", int, float)
 
 
-def checked(
-    option: str, kind: Callable[[str], T], is_right: Callable[[T], bool], expected: str
-) -> Callable[[str], T]:
+def checked(option: str, kind: Callable[[str], T], is_right: Callable[[T], bool], expected: str) -> Callable[[str], T]:
     """Parser of a number that raises `InputError` in the name of its option."""
 
     def parse(text: str) -> T:
@@ -64,14 +62,11 @@ def _port(option: str, about: str) -> Any:
 SceneName = Annotated[
     str,
     typer.Argument(
-        metavar="SCENE",
-        help="Name of a scene (see `vlp16emu scenes`) or path of a .toml file.",
-        show_default=False,
+        metavar="SCENE", help="Name of a scene (see `vlp16emu scenes`) or path of a .toml file.", show_default=False
     ),
 ]
 CaptureFile = Annotated[
-    Path,
-    typer.Argument(metavar="FILE.pcap", help="Classic pcap file with VLP-16 packets.", show_default=False),
+    Path, typer.Argument(metavar="FILE.pcap", help="Classic pcap file with VLP-16 packets.", show_default=False)
 ]
 Start = Annotated[
     float,
@@ -94,9 +89,7 @@ Duration = Annotated[
         help="Simulated seconds; up to the end of the scene if left out.",
     ),
 ]
-DataPort = Annotated[
-    int | None, _port("--data-port", "Receiver's port for data packets, instead of sensor.data_port.")
-]
+DataPort = Annotated[int | None, _port("--data-port", "Receiver's port for data packets, instead of sensor.data_port.")]
 PositionPort = Annotated[
     int | None, _port("--position-port", "The same for position packets, instead of sensor.position_port.")
 ]
@@ -123,10 +116,7 @@ Threads = Annotated[
     ),
 ]
 NoAudit = Annotated[
-    bool,
-    typer.Option(
-        "--no-audit", help="Do not cast 0.05 % of the pulses again to estimate the error of the run."
-    ),
+    bool, typer.Option("--no-audit", help="Do not cast 0.05 % of the pulses again to estimate the error of the run.")
 ]
 TruthFolder = Annotated[
     Path | None,
@@ -147,8 +137,7 @@ TruthRate = Annotated[
     ),
 ]
 TruthPackets = Annotated[
-    bool,
-    typer.Option("--truth-packets", help="Also write packets.tum, one pose for each data packet."),
+    bool, typer.Option("--truth-packets", help="Also write packets.tum, one pose for each data packet.")
 ]
 TruthReturns = Annotated[
     bool,

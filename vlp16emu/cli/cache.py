@@ -9,12 +9,9 @@ from vlp16emu.cli.start import compile_first
 from vlp16emu.cli.terminal import count, print_json, print_rows, size
 from vlp16emu.errors import InputError
 
-Clear = Annotated[
-    bool, typer.Option("--clear", help="Remove all of it; files that are not ours stay where they are.")
-]
+Clear = Annotated[bool, typer.Option("--clear", help="Remove all of it; files that are not ours stay where they are.")]
 Compile = Annotated[
-    bool,
-    typer.Option("--compile", help="Compile the kernels of all runs that are not there, for images and CI."),
+    bool, typer.Option("--compile", help="Compile the kernels of all runs that are not there, for images and CI.")
 ]
 
 

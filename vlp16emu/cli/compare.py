@@ -19,9 +19,7 @@ def compare(
     *,
     picture: Annotated[
         Path | None,
-        typer.Option(
-            "--picture", metavar="OUT.png", help="Draw spectra and histograms; needs the extra 'picture'."
-        ),
+        typer.Option("--picture", metavar="OUT.png", help="Draw spectra and histograms; needs the extra 'picture'."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -50,8 +48,7 @@ def compare(
         print_json({"files": [str(file), str(other)], "apart": apart, "statistics": found})
         return
     print_rows(
-        f"{file} and {other}",
-        {"": "     first     second   distance", **{row.name: _line(row) for row in rows}},
+        f"{file} and {other}", {"": "     first     second   distance", **{row.name: _line(row) for row in rows}}
     )
     print(f"{len(apart)} of {len(rows)} statistics differ by more than real units do")
 

@@ -12,9 +12,7 @@ from vlp16emu.errors import InputError
 SpecFile = Annotated[
     Path, typer.Argument(metavar="SPEC.toml", help="File that describes the dataset.", show_default=False)
 ]
-Folder = Annotated[
-    Path, typer.Argument(metavar="OUT", help="Folder: new, or of an earlier run.", show_default=False)
-]
+Folder = Annotated[Path, typer.Argument(metavar="OUT", help="Folder: new, or of an earlier run.", show_default=False)]
 Workers = Annotated[
     int | None,
     typer.Option(
@@ -26,9 +24,7 @@ Workers = Annotated[
 ]
 Cluster = Annotated[
     bool,
-    typer.Option(
-        "--cluster", help="Let Dask keep the processes on this machine; they talk over TLS, on loopback."
-    ),
+    typer.Option("--cluster", help="Let Dask keep the processes on this machine; they talk over TLS, on loopback."),
 ]
 Scheduler = Annotated[
     str | None,

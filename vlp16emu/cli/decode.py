@@ -22,9 +22,7 @@ def decode(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out",
-            metavar="FILE",
-            help="Write the points too: .npz, .ply, .csv, .pcd, .las or .laz by its suffix.",
+            "--out", metavar="FILE", help="Write the points too: .npz, .ply, .csv, .pcd, .las or .laz by its suffix."
         ),
     ] = None,
     unit: Annotated[
@@ -123,12 +121,10 @@ def _tree(summary: "Summary") -> dict[str, Any]:
         "no_returns": summary.no_returns,
         "scans": summary.scans,
         "records_per_scan": summary.records_per_scan,
-        "range_m": ranges_m
-        and dict(zip(("min", "median", "max"), (round(r, 3) for r in ranges_m), strict=True)),
+        "range_m": ranges_m and dict(zip(("min", "median", "max"), (round(r, 3) for r in ranges_m), strict=True)),
         "start_utc": _utc(summary.first_stamp_ns),
         "duration_s": summary.duration_s,
-        "gps": gps
-        and {"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()},
+        "gps": gps and {"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()},
         "cut": summary.cut,
     }
 
@@ -146,9 +142,7 @@ def _print(file: Path, out: Path | None, summary: "Summary", *, interrupted: boo
         "packets": f"{count(summary.packets)} data, {count(summary.position_packets)} position",
         "records": f"{count(summary.points)} points, {count(summary.no_returns)} without return",
         "scans": f"{summary.scans}{per_scan}",
-        "range": f"{low:.3f} to {high:.3f} m, median {middle:.3f} m"
-        if summary.points
-        else "no return at all",
+        "range": f"{low:.3f} to {high:.3f} m, median {middle:.3f} m" if summary.points else "no return at all",
         "gps": gps,
     }
     if summary.other_datagrams:
@@ -165,7 +159,5 @@ def _print(file: Path, out: Path | None, summary: "Summary", *, interrupted: boo
 def _utc(stamp_ns: int) -> str:
     """Write a capture's stamp, which has microseconds."""
     return (
-        (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=stamp_ns // 1000))
-        .isoformat()
-        .replace("+00:00", "Z")
+        (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=stamp_ns // 1000)).isoformat().replace("+00:00", "Z")
     )

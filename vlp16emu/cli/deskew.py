@@ -62,9 +62,7 @@ TimeOffset = Annotated[
     typer.Option(
         "--time-offset",
         metavar="S",
-        parser=checked(
-            "--time-offset", float, lambda s: abs(s) <= _MOST_S, f"at most {_MOST_S} s either way"
-        ),
+        parser=checked("--time-offset", float, lambda s: abs(s) <= _MOST_S, f"at most {_MOST_S} s either way"),
         help="Of a capture: seconds added to the time of a pulse before its pose is looked up.",
         show_default=False,
     ),

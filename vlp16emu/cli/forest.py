@@ -33,9 +33,7 @@ Radius = Annotated[
 ]
 InventoryFile = Annotated[
     Path | None,
-    typer.Option(
-        "--inventory", metavar="OUT.csv", help="Write all trees in the sensor's reach, one per line."
-    ),
+    typer.Option("--inventory", metavar="OUT.csv", help="Write all trees in the sensor's reach, one per line."),
 ]
 SeenIn = Annotated[
     Path | None,
@@ -58,9 +56,7 @@ StemsFile = Annotated[
 GroundFile = Annotated[
     Path | None,
     typer.Option(
-        "--ground",
-        metavar="OUT.asc",
-        help="Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells.",
+        "--ground", metavar="OUT.asc", help="Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells."
     ),
 ]
 TwinFile = Annotated[
@@ -69,18 +65,10 @@ TwinFile = Annotated[
 ]
 PictureFile = Annotated[
     Path | None,
-    typer.Option(
-        "--picture", metavar="OUT.png", help="Draw a plan and a section; needs the extra 'picture'."
-    ),
+    typer.Option("--picture", metavar="OUT.png", help="Draw a plan and a section; needs the extra 'picture'."),
 ]
 
-_SUFFIXES = {
-    "--inventory": ".csv",
-    "--stems": ".csv",
-    "--ground": ".asc",
-    "--glb": ".glb",
-    "--picture": ".png",
-}
+_SUFFIXES = {"--inventory": ".csv", "--stems": ".csv", "--ground": ".asc", "--glb": ".glb", "--picture": ".png"}
 
 
 def forest(
@@ -133,8 +121,7 @@ def _surveyed(
 
     with ExitStack() as stack:
         outputs = {
-            option: stack.enter_context(OutputFile(path, where=f"{option} {path}"))
-            for option, path in wanted.items()
+            option: stack.enter_context(OutputFile(path, where=f"{option} {path}")) for option, path in wanted.items()
         }
         seen = survey(scenario, radius_m)
         summary = summary_of(scene, scenario, seen)

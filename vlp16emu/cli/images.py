@@ -8,16 +8,7 @@ import typer
 
 from vlp16emu.cli.arguments import AsJson, Duration, SceneName, Settings, Start, Threads, WhichUnit, checked
 from vlp16emu.cli.start import make_emulator
-from vlp16emu.cli.terminal import (
-    INTERRUPTED,
-    Progress,
-    count,
-    print_json,
-    print_rows,
-    size,
-    stop_on_ctrl_c,
-    tree_of,
-)
+from vlp16emu.cli.terminal import INTERRUPTED, Progress, count, print_json, print_rows, size, stop_on_ctrl_c, tree_of
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,15 +17,12 @@ if TYPE_CHECKING:
 
 Folder = Annotated[Path, typer.Argument(metavar="OUT", help="Folder, new or empty.", show_default=False)]
 Kind = Annotated[
-    str,
-    typer.Option("--kind", metavar="KIND", help="panorama, all around; or pinhole, towards azimuth 0."),
+    str, typer.Option("--kind", metavar="KIND", help="panorama, all around; or pinhole, towards azimuth 0.")
 ]
 Size = Annotated[
     str | None,
     typer.Option(
-        "--size",
-        metavar="WxH",
-        help="Pixels; 2048x512 of a panorama, 1024x768 of a pinhole camera if left out.",
+        "--size", metavar="WxH", help="Pixels; 2048x512 of a panorama, 1024x768 of a pinhole camera if left out."
     ),
 ]
 FieldOfView = Annotated[

@@ -72,10 +72,7 @@ def watched(emulator: "Emulator", *, view: bool, duration_s: float, quiet: bool)
 
 
 def poses_in(
-    scenario: "Scenario",
-    where: str | None,
-    flown: Path | None,
-    news: Callable[[str], None],
+    scenario: "Scenario", where: str | None, flown: Path | None, news: Callable[[str], None]
 ) -> "PosesIn | None":
     """Take where poses come in; None where they do not.
 

@@ -49,10 +49,7 @@ GpsOut = Annotated[
 GpsPps = Annotated[
     Line,
     typer.Option(
-        "--gps-pps",
-        metavar="dtr|rts|off",
-        parser=_line,
-        help="Line of that port that carries the receiver's pulse.",
+        "--gps-pps", metavar="dtr|rts|off", parser=_line, help="Line of that port that carries the receiver's pulse."
     ),
 ]
 ImuOut = Annotated[

@@ -25,11 +25,7 @@ def _pixels(text: str) -> tuple[int, int]:
     """Read WIDTHxHEIGHT."""
     parts = text.lower().split("x")
     numbers = [int(part) for part in parts if part.isdigit()]
-    if (
-        len(parts) != 2
-        or len(numbers) != 2
-        or not all(64 <= n <= _LARGEST_PX and n % 2 == 0 for n in numbers)
-    ):
+    if len(parts) != 2 or len(numbers) != 2 or not all(64 <= n <= _LARGEST_PX and n % 2 == 0 for n in numbers):
         raise InputError("--size", f"found {text}", f"WIDTHxHEIGHT, even numbers from 64 to {_LARGEST_PX}")
     return numbers[0], numbers[1]
 
@@ -80,9 +76,7 @@ def picture(
             show_default="205",
         ),
     ] = None,
-    pixels: Annotated[
-        str, typer.Option("--size", metavar="WxH", help="Of the picture, in pixels.")
-    ] = "1280x720",
+    pixels: Annotated[str, typer.Option("--size", metavar="WxH", help="Of the picture, in pixels.")] = "1280x720",
     duration: Duration = None,
     start: Start = 0.0,
     settings: Settings = None,

@@ -64,9 +64,7 @@ def plan(
         if rows := {need.name: need.costs for need in features if need.on is on}:
             print_rows(f"{scene} {title}", rows)
     _print_world(world, loaded)
-    speed = (
-        f"{measured.simulated_s:g} s in {measured.wall_s:.1f} s, {measured.real_time_factor:.2f} x real time"
-    )
+    speed = f"{measured.simulated_s:g} s in {measured.wall_s:.1f} s, {measured.real_time_factor:.2f} x real time"
     start = {"start": f"{started_s:.1f} s", "record": speed}
     print_rows(f"measured now, on {workers} threads", start | _stream_rows(stream))
     if not stream.keeps_up:
@@ -77,9 +75,7 @@ def _print_world(world: "Surroundings", loaded: "Mapping[str, bool]") -> None:
     reach = {kind: count(number) for kind, number in world.placed.items() if number}
     species = f"{len(world.species)} grown: {', '.join(world.species)}".rstrip(": ")
     print_rows("in reach", {**reach, "species": species})
-    of = {
-        word: [name for name, is_loaded in loaded.items() if is_loaded is on] for word, on in _WORDS.items()
-    }
+    of = {word: [name for name, is_loaded in loaded.items() if is_loaded is on] for word, on in _WORDS.items()}
     print_rows("libraries", {word: ", ".join(names) for word, names in of.items()})
 
 

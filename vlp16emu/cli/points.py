@@ -47,8 +47,7 @@ OutFile = Annotated[
     ),
 ]
 Truth = Annotated[
-    bool,
-    typer.Option("--truth", help="Label what each point lies on: class, part, leaf or wood, plant, species."),
+    bool, typer.Option("--truth", help="Label what each point lies on: class, part, leaf or wood, plant, species.")
 ]
 Labels = Annotated[
     str | None,

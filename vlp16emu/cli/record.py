@@ -56,8 +56,7 @@ OutFile = Annotated[
 ]
 
 Split = Annotated[
-    bool,
-    typer.Option("--split", help="Write each sensor of a rig into a file of its own: OUT_1.pcap and so on."),
+    bool, typer.Option("--split", help="Write each sensor of a rig into a file of its own: OUT_1.pcap and so on.")
 ]
 
 

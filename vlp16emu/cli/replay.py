@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 
 Loop = Annotated[
-    bool,
-    typer.Option("--loop", help="Begin again at the end, until Ctrl-C; time stamps and sentences go on."),
+    bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C; time stamps and sentences go on.")
 ]
 
 

@@ -12,12 +12,10 @@ from vlp16emu.errors import InputError
 from vlp16emu.output import OutputFile
 
 TruthFolder = Annotated[
-    Path,
-    typer.Argument(metavar="TRUTH_DIR", help="Folder that `record --truth` has written.", show_default=False),
+    Path, typer.Argument(metavar="TRUTH_DIR", help="Folder that `record --truth` has written.", show_default=False)
 ]
 Found = Annotated[
-    Path | None,
-    typer.Option("--trajectory", metavar="FILE", help="Estimated poses, TUM; KITTI with --times."),
+    Path | None, typer.Option("--trajectory", metavar="FILE", help="Estimated poses, TUM; KITTI with --times.")
 ]
 Times = Annotated[
     Path | None,
@@ -25,9 +23,7 @@ Times = Annotated[
 ]
 Align = Annotated[
     str,
-    typer.Option(
-        "--align", metavar="none|yaw|se3", help="How the poses are laid on the truth; nothing else is moved."
-    ),
+    typer.Option("--align", metavar="none|yaw|se3", help="How the poses are laid on the truth; nothing else is moved."),
 ]
 MapFile = Annotated[
     Path | None,
@@ -35,13 +31,10 @@ MapFile = Annotated[
 ]
 Labelled = Annotated[
     Path | None,
-    typer.Option(
-        "--points", metavar="FILE", help="Points with labels `leaf_wood`, `instance` (or `treeID`)."
-    ),
+    typer.Option("--points", metavar="FILE", help="Points with labels `leaf_wood`, `instance` (or `treeID`)."),
 ]
 Stems = Annotated[
-    Path | None,
-    typer.Option("--stems", metavar="FILE.csv", help="Stems found: x, y, dbh (m) or dbh_cm, number."),
+    Path | None, typer.Option("--stems", metavar="FILE.csv", help="Stems found: x, y, dbh (m) or dbh_cm, number.")
 ]
 Inventory = Annotated[
     Path | None, typer.Option("--inventory", metavar="FILE.csv", help="True trees, of `forest --inventory`.")
@@ -69,14 +62,11 @@ Unit = Annotated[
     ),
 ]
 Out = Annotated[
-    Path | None,
-    typer.Option("--out", metavar="DIR", help="Write score.json and score.html; needs the extra 'score'."),
+    Path | None, typer.Option("--out", metavar="DIR", help="Write score.json and score.html; needs the extra 'score'.")
 ]
 Require = Annotated[
     list[str] | None,
-    typer.Option(
-        "--require", metavar="SCORE<NUMBER", help="A threshold; exit code 1 where it is missed. Repeatable."
-    ),
+    typer.Option("--require", metavar="SCORE<NUMBER", help="A threshold; exit code 1 where it is missed. Repeatable."),
 ]
 
 
@@ -112,9 +102,7 @@ def score(
     if out is not None:
         check_matplotlib()
     card = make_card(
-        ScoreInputs(
-            truth, trajectory, times, map_file, points, stems, inventory, truth_points, unit, align, radius
-        )
+        ScoreInputs(truth, trajectory, times, map_file, points, stems, inventory, truth_points, unit, align, radius)
     )
     missed = card.missed(limits)
     tree = {**card.tree(), "missed": missed}

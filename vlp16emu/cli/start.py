@@ -9,12 +9,7 @@ if TYPE_CHECKING:
 
 
 def make_emulator(
-    scene: str,
-    settings: Sequence[str] | None,
-    *,
-    ideal: bool = False,
-    threads: int = 0,
-    audit: bool = False,
+    scene: str, settings: Sequence[str] | None, *, ideal: bool = False, threads: int = 0, audit: bool = False
 ) -> "Emulator":
     """Make the emulator of a command line; arguments and errors as of `Emulator`."""
     from vlp16emu.scenario import load

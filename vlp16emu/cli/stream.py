@@ -31,16 +31,7 @@ from vlp16emu.cli.arguments import (
     truth_to,
 )
 from vlp16emu.cli.live import FlownFile, PoseIn, View, late_of, live_rows, poses_in, watched
-from vlp16emu.cli.outlets import (
-    GpsInPort,
-    GpsInPulse,
-    GpsOut,
-    GpsPps,
-    ImuOut,
-    gps_in_of,
-    outlet_rows,
-    outlets_of,
-)
+from vlp16emu.cli.outlets import GpsInPort, GpsInPulse, GpsOut, GpsPps, ImuOut, gps_in_of, outlet_rows, outlets_of
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import (
     INTERRUPTED,
@@ -76,9 +67,7 @@ def behind_line(behind: "FellBehind", scenario: "Scenario", late: str, speed: fl
     """Write the line that is printed when the stream falls behind."""
     from vlp16emu.run.report import cause_of, options_for
 
-    line = (
-        f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s, as {cause_of(behind)}; {_POLICY[late]}"
-    )
+    line = f"behind: {behind.behind_s:.3f} s late at {behind.at_s:.1f} s, as {cause_of(behind)}; {_POLICY[late]}"
     options = options_for([behind], scenario, speed)
     return f"{line}; to keep up: {', or '.join(options)}" if options else line
 
@@ -185,16 +174,13 @@ Speed = Annotated[
     typer.Option(
         "--speed",
         metavar="X",
-        parser=checked(
-            "--speed", float, lambda x: _SLOWEST <= x < math.inf, f"a number from {_SLOWEST:g} on"
-        ),
+        parser=checked("--speed", float, lambda x: _SLOWEST <= x < math.inf, f"a number from {_SLOWEST:g} on"),
         help="Simulated seconds per second.",
     ),
 ]
 
 Strict = Annotated[
-    bool,
-    typer.Option("--strict", help="End with 1 where packets were late by more than 50 ms, or were skipped."),
+    bool, typer.Option("--strict", help="End with 1 where packets were late by more than 50 ms, or were skipped.")
 ]
 
 Now = Annotated[
@@ -222,9 +208,7 @@ Prepare = Annotated[
 ]
 PrepareTo = Annotated[
     Path | None,
-    typer.Option(
-        "--prepare-to", metavar="FILE.pcap", help="The same into a file that is kept.", show_default=False
-    ),
+    typer.Option("--prepare-to", metavar="FILE.pcap", help="The same into a file that is kept.", show_default=False),
 ]
 LatePolicy = Annotated[
     str,
@@ -358,16 +342,9 @@ def _announce(scene: str, to: str, emulator: "Emulator") -> None:
 
 
 def _changes(
-    settings: list[str] | None,
-    to: str | None,
-    interface: str | None,
-    data_port: int | None,
-    position_port: int | None,
+    settings: list[str] | None, to: str | None, interface: str | None, data_port: int | None, position_port: int | None
 ) -> tuple[str, list[str]]:
     """Split the host off, and put the ports of the command line to the settings."""
     to, data_port = receiver_of(to, data_port, interface)
     ports = {"data_port": data_port, "position_port": position_port}
-    return to, [
-        *(settings or ()),
-        *(f"sensor.{key}={port}" for key, port in ports.items() if port is not None),
-    ]
+    return to, [*(settings or ()), *(f"sensor.{key}={port}" for key, port in ports.items() if port is not None)]

@@ -20,10 +20,7 @@ from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import INTERRUPTED, Progress, print_json, print_rows, size, stop_on_ctrl_c
 
 Folder = Annotated[
-    Path,
-    typer.Argument(
-        metavar="DIR", help="Folder to write: new, empty, or of an earlier run.", show_default=False
-    ),
+    Path, typer.Argument(metavar="DIR", help="Folder to write: new, empty, or of an earlier run.", show_default=False)
 ]
 
 
@@ -60,14 +57,7 @@ def truth(
         )
     sizes = {path.name: path.stat().st_size for path in sorted(folder.iterdir())}
     if as_json:
-        print_json(
-            {
-                "folder": str(folder),
-                "files": sizes,
-                "simulated_s": simulated_s,
-                "interrupted": stop.is_set(),
-            }
-        )
+        print_json({"folder": str(folder), "files": sizes, "simulated_s": simulated_s, "interrupted": stop.is_set()})
     else:
         rows = {"simulated": f"{simulated_s:.1f} s", **{name: size(n) for name, n in sizes.items()}}
         print_rows(f"{'interrupted, kept' if stop.is_set() else 'wrote'} {folder}", rows)

@@ -54,9 +54,7 @@ Radius = Annotated[
 Host = Annotated[
     str,
     typer.Option(
-        "--host",
-        metavar="ADDRESS",
-        help="Address of this machine to listen on; others can then see the page.",
+        "--host", metavar="ADDRESS", help="Address of this machine to listen on; others can then see the page."
     ),
 ]
 Port = Annotated[
@@ -118,12 +116,7 @@ def _show_capture(server: "viser.ViserServer", capture: Path, truth: Path | None
 
 
 def _show_scene(
-    server: "viser.ViserServer",
-    scene: str,
-    settings: list[str] | None,
-    unit: int,
-    radius_m: float,
-    save: Path | None,
+    server: "viser.ViserServer", scene: str, settings: list[str] | None, unit: int, radius_m: float, save: Path | None
 ) -> None:
     from vlp16emu.extras.viewer.page import scene_page
     from vlp16emu.motion.live_settings import takes_poses

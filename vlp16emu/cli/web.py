@@ -47,9 +47,7 @@ def served(at: object | None, saved: Path | None, *, quiet: bool) -> "Http | Non
 
     def serving(places: Sequence[tuple[str, int]]) -> None:
         if not quiet:
-            print(
-                "web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True
-            )
+            print("web interface at " + ", ".join(f"http://{host}:{port}/" for host, port in places), flush=True)
 
     host, port = cast("tuple[str, int]", at)
     return Http(host, port, saved, serving)

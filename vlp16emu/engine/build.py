@@ -251,9 +251,7 @@ def assemble(scenario: Scenario, like: Like | None = None) -> Parts:
 def _world(scenario: Scenario) -> tuple[Motion, World, Sway | None]:
     """Make the carrier, the world that it goes through, and what moves its trees."""
     sensors, section, seed = _sensors(scenario), scenario.world, scenario.world_seed
-    reach_m = _STRAY_M + max(
-        sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors
-    )
+    reach_m = _STRAY_M + max(sensor.max_range_m + float(norm(np.array(mount.lever_arm_m))) for sensor, mount in sensors)
     site = section.site(seed)
     carrier, path_xy_m = make_carrier(
         scenario.motion,

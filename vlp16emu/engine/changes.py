@@ -8,15 +8,7 @@ import numpy as np
 
 from vlp16emu.engine.gps import GpsInput
 from vlp16emu.engine.timeline import Stretch
-from vlp16emu.scenario.events import (
-    Event,
-    LastingEvent,
-    MotorStop,
-    Oscillator,
-    PowerCycle,
-    Setting,
-    Wobble,
-)
+from vlp16emu.scenario.events import Event, LastingEvent, MotorStop, Oscillator, PowerCycle, Setting, Wobble
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.sensor.rotor import ClockSpan, Spin, Wobbling
 from vlp16emu.sensor.settings import FreeSensor, Sensor

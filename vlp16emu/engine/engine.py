@@ -52,9 +52,7 @@ Tap = Callable[[Job, Firings, Hits, Geometry], None]
 def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
     """Emit the pulses of a job and detect their echoes."""
     unit, head, count = job.unit, job.unit.head, len(job.blocks) * job.block
-    firings = head.aim(
-        job.blocks.start * job.block, count, unit.motion.poses_at, beam_axis=unit.beam.has_width
-    )
+    firings = head.aim(job.blocks.start * job.block, count, unit.motion.poses_at, beam_axis=unit.beam.has_width)
     hits = geometry.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
     for tap in taps:
         tap(job, firings, hits, geometry)
@@ -85,9 +83,7 @@ class Engine:
     """Ground truth that data packets carry behind their records."""
 
     @classmethod
-    def of(
-        cls, scenario: Scenario, *, threads: int = 0, taps: Sequence[Tap] = (), like: Like | None = None
-    ) -> Self:
+    def of(cls, scenario: Scenario, *, threads: int = 0, taps: Sequence[Tap] = (), like: Like | None = None) -> Self:
         """Set up a scenario; no geometry is built yet.
 
         Parameters

@@ -181,19 +181,12 @@ class GpsInput:
 
     def _span_ns(self, event: LastingEvent) -> tuple[int, int]:
         begin_ns = self._begin_ns(event)
-        return begin_ns, _FOREVER_NS if event.duration_s is None else begin_ns + seconds_to_ns(
-            event.duration_s
-        )
+        return begin_ns, _FOREVER_NS if event.duration_s is None else begin_ns + seconds_to_ns(event.duration_s)
 
     def _turns_ns(self) -> Iterator[int]:
         """Instants at which the state may change: pulses and sentences near the begin and the end of events."""
-        late_ns = {
-            0,
-            *(seconds_to_ns(event.by_s) for event in self.events if isinstance(event, LateSentence)),
-        }
-        bounds_ns = {
-            b for event in self.events if isinstance(event, LastingEvent) for b in self._span_ns(event)
-        }
+        late_ns = {0, *(seconds_to_ns(event.by_s) for event in self.events if isinstance(event, LateSentence))}
+        bounds_ns = {b for event in self.events if isinstance(event, LastingEvent) for b in self._span_ns(event)}
         bounds_ns |= {b for span in self._off for b in span}
         yield from (b for span in self._off for b in span)
         for _, end_ns in (*self._off, *self._lost):

@@ -201,9 +201,7 @@ def _joined(some: list[Returns]) -> Returns:
     tables = [each.surfaces for each in some if each.surfaces is not None]
     begins = np.cumsum([0, *map(len, tables[:-1])])
     moved = [
-        replace(
-            each, surface=np.where(each.surface == NO_SURFACE, NO_SURFACE, each.surface + np.uint32(begin))
-        )
+        replace(each, surface=np.where(each.surface == NO_SURFACE, NO_SURFACE, each.surface + np.uint32(begin)))
         for each, begin in zip(some, begins.tolist(), strict=True)
         if each.surface is not None
     ]

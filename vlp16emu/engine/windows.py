@@ -60,9 +60,7 @@ class Batching:
     @classmethod
     def of(cls, beams: BeamTable) -> Self:
         """Return the batching of a run; blocks of sensors with packets are cut into steps of a live run."""
-        return cls(
-            len(beams.elevation_deg), beams.sequence_ns, STEPS if beams.sequence_ns == SEQUENCE_NS else 1
-        )
+        return cls(len(beams.elevation_deg), beams.sequence_ns, STEPS if beams.sequence_ns == SEQUENCE_NS else 1)
 
     @property
     def block(self) -> int:
@@ -106,9 +104,7 @@ class Windows(Generic[S]):
     kept = 2
     """Windows, with a few threads."""
 
-    def __init__(
-        self, open_segment: Callable[[Any], S], batching: Batching, *, moves: bool, threads: int
-    ) -> None:
+    def __init__(self, open_segment: Callable[[Any], S], batching: Batching, *, moves: bool, threads: int) -> None:
         self._block_ns, self._per_segment = batching.block_ns, batching.segment if moves else None
         self._free, self._parts = int((1 - _LEAD - _LAG) * batching.segment), batching.parts
         opener, too_far = ThreadPoolExecutor(1, "open", self.yielding), max(0, threads + 1 - self._free)
@@ -241,9 +237,7 @@ def window_of(parts: Parts, start_ns: int, batching: Batching, segment: int) -> 
     tracks_m = [unit.motion.poses_at(edges_ns).world_p_body_m for unit in parts.units]
     track_m = np.concatenate(tracks_m)
     window = parts.world.window(track_m)
-    return (
-        parts.wind.with_sway(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
-    )
+    return parts.wind.with_sway(window, track_m, int(edges_ns[0]), int(edges_ns[-1])) if parts.wind else window
 
 
 @runtime_checkable

@@ -47,9 +47,7 @@ def _cores() -> Check:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if cores >= _FEWEST_CORES:
         return Check("cores", Condition.OK, f"{cores}")
-    return Check(
-        "cores", Condition.WARNING, f"{cores}", "stream --prepare: the engine then has it before the sender"
-    )
+    return Check("cores", Condition.WARNING, f"{cores}", "stream --prepare: the engine then has it before the sender")
 
 
 def _kernels() -> Check:
@@ -57,9 +55,7 @@ def _kernels() -> Check:
     casting = any(name.startswith(_CASTER) for name in names)
     if folder is None and not casting:
         mend = "export NUMBA_CACHE_DIR=FOLDER, of one in which nobody else can write"
-        return Check(
-            "kernel cache", Condition.WARNING, "no safe folder: each run compiles for a minute", mend
-        )
+        return Check("kernel cache", Condition.WARNING, "no safe folder: each run compiles for a minute", mend)
     if not casting:
         lacking = f"{folder} lacks those of casting: the next run compiles them first"
         return Check("kernel cache", Condition.WARNING, lacking, "vlp16emu cache --compile")
@@ -97,9 +93,7 @@ def _extra(extra: str, libraries: tuple[str, ...], purpose: str) -> Check:
 def _disk() -> Check:
     store = user_store()
     if store.folder is None:
-        return Check(
-            "world cache", Condition.WARNING, "off: each run grows its world", "unset VLP16EMU_CACHE_DIR"
-        )
+        return Check("world cache", Condition.WARNING, "off: each run grows its world", "unset VLP16EMU_CACHE_DIR")
     there = next(folder for folder in (store.folder, *store.folder.parents) if folder.is_dir())
     free = shutil.disk_usage(there).free
     found = f"{free / 1e9:.1f} GB free for at most {store.most_bytes / 1e9:.1f} GB in {store.folder}"
@@ -108,6 +102,4 @@ def _disk() -> Check:
         return Check("world cache", Condition.WARNING, f"{there} cannot be written", mend)
     if free >= store.most_bytes:
         return Check("world cache", Condition.OK, found)
-    return Check(
-        "world cache", Condition.WARNING, found, "export VLP16EMU_CACHE_MB=100, or another VLP16EMU_CACHE_DIR"
-    )
+    return Check("world cache", Condition.WARNING, found, "export VLP16EMU_CACHE_MB=100, or another VLP16EMU_CACHE_DIR")

@@ -32,18 +32,7 @@ _KINDS = {
     StemKey: "stems",
     MeshKey: "meshes",
 }
-_LIBRARIES = (
-    "numpy",
-    "numba",
-    "scipy",
-    "embreex",
-    "dpkt",
-    "trimesh",
-    "rasterio",
-    "matplotlib",
-    "rich",
-    "serial",
-)
+_LIBRARIES = ("numpy", "numba", "scipy", "embreex", "dpkt", "trimesh", "rasterio", "matplotlib", "rich", "serial")
 _SENT_S = 0.4
 """Of packets that are sent, to no other program, in order to measure what sending takes."""
 
@@ -113,11 +102,7 @@ def needs(engine: Engine, *, audited: bool) -> list[Need]:
             "read once, placed where in reach",
             "none, trimesh stays unloaded",
         ),
-        "audit": (
-            audited,
-            "0.05 % of the pulses are cast again, with 512 rays each or more",
-            "no pulse is cast again",
-        ),
+        "audit": (audited, "0.05 % of the pulses are cast again, with 512 rays each or more", "no pulse is cast again"),
         "labels": (False, "", "no surface behind returns: see `vlp16emu points --truth`"),
         "truth": (False, "", "no files beside it: see `vlp16emu record --truth`"),
     }

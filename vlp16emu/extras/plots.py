@@ -64,10 +64,7 @@ def check_matplotlib() -> None:
 
 @contextmanager
 def plotted(
-    file: "IO[bytes] | str",
-    size_px: tuple[int, int],
-    layout: Any = "constrained",
-    few_colours: int | None = None,
+    file: "IO[bytes] | str", size_px: tuple[int, int], layout: Any = "constrained", few_colours: int | None = None
 ) -> Iterator["Figure"]:
     """Yield a figure in the common style, and write it as PNG afterwards.
 

@@ -76,10 +76,7 @@ def cloud_of(meshes: Sequence[Mesh], parts: NDArray[np.uint8]) -> Cloud:
     parts : (meshes,) `PlantPart` of each; what is `EXACT` is left out
     """
     exact = (parts == EXACT).tolist()
-    meshes = [
-        Mesh(mesh.vertices_m, mesh.faces[: 0 if out else None])
-        for mesh, out in zip(meshes, exact, strict=True)
-    ]
+    meshes = [Mesh(mesh.vertices_m, mesh.faces[: 0 if out else None]) for mesh, out in zip(meshes, exact, strict=True)]
     share = np.where(parts == PlantPart.LEAF, 1.0, 0.5).astype(np.float32)
     first = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])
     corners_m = np.empty((first[-1], 4, 3))

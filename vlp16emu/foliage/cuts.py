@@ -114,11 +114,7 @@ def _cut_cone(
     """Cut all lanes with a cone, looked at from the middle of its circle at a height; `from_m` is the range there."""
     sx, sy, sz = axis
     for lane in range(LANES):
-        dx, dy, dz = (
-            row[DIRECTION + lane],
-            row[DIRECTION + LANES + lane],
-            row[DIRECTION + 2 * LANES + lane],
-        )
+        dx, dy, dz = (row[DIRECTION + lane], row[DIRECTION + LANES + lane], row[DIRECTION + 2 * LANES + lane])
         x = row[ORIGIN + lane] + from_m * dx - middle_m[0]
         y = row[ORIGIN + LANES + lane] + from_m * dy - middle_m[1]
         z = row[ORIGIN + 2 * LANES + lane] + from_m * dz - middle_m[2]
@@ -178,16 +174,10 @@ def meet_ground(
         at_m, gx, gy = _ground_at(ground, x, y, z, dx, dy, dz, first_m, last_m, below)
         if at_m < range_m[lane]:
             range_m[lane] = at_m
-            L.cosine[lane] = min(
-                abs(dz - gx * dx - gy * dy) / f4(math.sqrt(gx * gx + gy * gy + f4(1.0))), f4(1.0)
-            )
+            L.cosine[lane] = min(abs(dz - gx * dx - gy * dy) / f4(math.sqrt(gx * gx + gy * gy + f4(1.0))), f4(1.0))
             across = f4(1.0 / (BRICK * VOXEL_M))
-            i = min(
-                max(int((x + dx * at_m - f4(ground.corner_x_m)) * across), 0), ground.surface.shape[0] - 1
-            )
-            j = min(
-                max(int((y + dy * at_m - f4(ground.corner_y_m)) * across), 0), ground.surface.shape[1] - 1
-            )
+            i = min(max(int((x + dx * at_m - f4(ground.corner_x_m)) * across), 0), ground.surface.shape[0] - 1)
+            j = min(max(int((y + dy * at_m - f4(ground.corner_y_m)) * across), 0), ground.surface.shape[1] - 1)
             L.surface[lane] = ground.surface[i, j]
             met = True
     return met

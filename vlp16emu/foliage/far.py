@@ -67,9 +67,7 @@ class Far:
         radius_m, at_m = own[window.shape] * stretch, window.world_T_shape[:, :2, 3].copy()
         for place, (ix, iy, _) in zip(_tile_places(window).tolist(), window.tiles, strict=True):
             lines = stem_lines(self._world.far_tile(ix, iy).stems, np.array([*at_m[place], 0.0]))
-            ends_m = (
-                np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - _TILE_M / 2
-            )
+            ends_m = np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - _TILE_M / 2
             at_m[place] += _TILE_M / 2
             radius_m[place] = norm(ends_m).max() + STRAY_M
         track_m, reach_m = window.track_m[:, :2], self._world.near_m + STRAY_M + radius_m
@@ -82,9 +80,7 @@ class Far:
     def tiles(self, window: TiledWindow) -> dict[tuple[int, int], FarTile]:
         """Ask for the tiles of a window, and those beside them, and measure their shapes."""
         around = sorted({(ix + dx, iy + dy) for ix, iy, _ in window.tiles for dx, dy in _AROUND})
-        tiles = dict(
-            zip(around, self._workers.map(lambda name: self._world.far_tile(*name), around), strict=True)
-        )
+        tiles = dict(zip(around, self._workers.map(lambda name: self._world.far_tile(*name), around), strict=True))
         self._measure(tiles.values())
         return tiles
 
@@ -211,9 +207,7 @@ def _stems(
     foot_m = stems["foot_m"] - window.origin_m
     radius_m = stems["radius_m"]
     widest_m = np.maximum.accumulate(radius_m[:, ::-1], axis=1)[:, ::-1]
-    profile = np.concatenate(
-        [np.stack([stems["along_m"], radius_m, widest_m], axis=1), stems["aside_m"]], axis=1
-    )
+    profile = np.concatenate([np.stack([stems["along_m"], radius_m, widest_m], axis=1), stems["aside_m"]], axis=1)
     bent_m = hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1]).max(axis=1)
     line = np.column_stack([foot_m, stems["axis"], radius_m.max(axis=1), bent_m])
     return Stems(first, of, line, profile, stems["row"] + base[:, None], stems["flare_m"].copy())

@@ -34,9 +34,7 @@ class FarGeometry(EmbreeGeometry):
     medium : what is far
     """
 
-    def __init__(
-        self, near: Placed, track_m: NDArray[np.float64], beyond: Placed | None, medium: Medium
-    ) -> None:
+    def __init__(self, near: Placed, track_m: NDArray[np.float64], beyond: Placed | None, medium: Medium) -> None:
         self._met, level = within_reach(near, track_m, medium.near_m)
         super().__init__(near, level)
         self.medium = medium
@@ -143,10 +141,7 @@ def _part(window: Window, keep: NDArray[np.bool_]) -> Window:
         moves = keep[sway.placement]
         number = np.cumsum(keep) - 1
         sway = replace(
-            sway,
-            placement=number[sway.placement[moves]],
-            foot_z_m=sway.foot_z_m[moves],
-            shear=sway.shear[:, moves],
+            sway, placement=number[sway.placement[moves]], foot_z_m=sway.foot_z_m[moves], shear=sway.shear[:, moves]
         )
     return Window(
         origin_m=window.origin_m,

@@ -9,16 +9,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import power
 from vlp16emu.foliage.cloud import TILTS, Library
 from vlp16emu.foliage.marks import mark_ground, mark_stem
-from vlp16emu.foliage.voxel import (
-    BRICK,
-    CODES,
-    COLUMNS,
-    LAW_BIT,
-    MOST_PER_M,
-    SHARE_BIT,
-    TILE_BIT,
-    VOXEL_M,
-)
+from vlp16emu.foliage.voxel import BRICK, CODES, COLUMNS, LAW_BIT, MOST_PER_M, SHARE_BIT, TILE_BIT, VOXEL_M
 from vlp16emu.trig import ZERO
 
 Array = NDArray[np.float64]
@@ -86,11 +77,7 @@ def filled(
 
 @numba.njit(cache=True, nogil=True)
 def _marks(
-    shape: tuple[int, int, int],
-    lines: Array,
-    radii: NDArray[np.float32],
-    ground_m: NDArray[np.float32],
-    low_m: float,
+    shape: tuple[int, int, int], lines: Array, radii: NDArray[np.float32], ground_m: NDArray[np.float32], low_m: float
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint64]]:
     """Mark where the ground is looked for, by voxels, and where stems are, by bits of bricks."""
     flags = np.zeros(shape, np.uint32)
@@ -258,10 +245,7 @@ def _pack(
                         owner[o] |= np.uint64(tile) << TILE_BIT | np.uint64(share) << SHARE_BIT
                         o += 1
                     record[n] = (
-                        flags[i, j, k]
-                        | _code(area0)
-                        | _code(area1) << np.uint32(7)
-                        | _code(area2) << np.uint32(14)
+                        flags[i, j, k] | _code(area0) | _code(area1) << np.uint32(7) | _code(area2) << np.uint32(14)
                     )
                     n += 1
     return mask, stem, first, record, first_owner, owner

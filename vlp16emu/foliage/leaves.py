@@ -14,16 +14,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import exp
 from vlp16emu.foliage.lanes import Lanes, Medium, lowest
-from vlp16emu.foliage.voxel import (
-    COLUMNS,
-    LAW_BIT,
-    LAW_MASK,
-    QUANTILES,
-    SHARE_BIT,
-    TAU_PER_M,
-    TILE_BIT,
-    VOXEL_M,
-)
+from vlp16emu.foliage.voxel import COLUMNS, LAW_BIT, LAW_MASK, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
 from vlp16emu.raycast.batch import LANES
 
 _VARIANTS = 32
@@ -187,9 +178,7 @@ def _meet_leaves(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _column(
-    line: NDArray[np.float32], lane: int, middle_m: np.float32, r1: np.int32, r2: np.int32
-) -> np.uint32:
+def _column(line: NDArray[np.float32], lane: int, middle_m: np.float32, r1: np.int32, r2: np.int32) -> np.uint32:
     """Column of 8 x 8 that a lane is in in the middle of a slab, mirrored."""
     a = (np.int32(line[lane] + line[LANES + lane] * middle_m) & np.int32(7)) ^ r1
     b = (np.int32(line[2 * LANES + lane] + line[3 * LANES + lane] * middle_m) & np.int32(7)) ^ r2
@@ -198,14 +187,7 @@ def _column(
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _take_leaf(
-    M: Medium,
-    L: Lanes,
-    lane: int,
-    h: np.uint32,
-    leaf: int,
-    first_owner: np.uint32,
-    tile: tuple[int, int],
-    knot: int,
+    M: Medium, L: Lanes, lane: int, h: np.uint32, leaf: int, first_owner: np.uint32, tile: tuple[int, int], knot: int
 ) -> None:
     """Draw whose a leaf is that a lane meets, and at what angle."""
     own = u4(u4(h + u4(leaf) * u4(0x9E3779B1)) * u4(0x85EBCA77))

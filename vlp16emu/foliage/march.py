@@ -110,9 +110,7 @@ def march(
                 break
             k, i1, i2 = _voxel(way, here)
             number, code = L.place[ahead], L.code[ahead]
-            met = meet_foliage(
-                M, L, near_m, main, one, two, grid.corner, k, i1, i2, number, code, weights, alive
-            )
+            met = meet_foliage(M, L, near_m, main, one, two, grid.corner, k, i1, i2, number, code, weights, alive)
             if code & GROUND:
                 middle_m = way.to_middle + f4(here) * length
                 met |= meet_ground(M.ground, L, n, near_m, axis, middle_m, length, spread, aside_m)
@@ -158,9 +156,7 @@ def _meet_stems(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _way(
-    corner_m: tuple[np.float32, np.float32, np.float32], axis: NDArray[np.float32], near_m: np.float32
-) -> _Way:
+def _way(corner_m: tuple[np.float32, np.float32, np.float32], axis: NDArray[np.float32], near_m: np.float32) -> _Way:
     """Lay the way of a pulse's middle through a grid."""
     main = 0
     for a in (1, 2):
@@ -243,9 +239,7 @@ def _look(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _read(
-    M: Medium, L: Lanes, bricks: NDArray[np.uint64], firsts: NDArray[np.uint32], voxels: np.uint64
-) -> None:
+def _read(M: Medium, L: Lanes, bricks: NDArray[np.uint64], firsts: NDArray[np.uint32], voxels: np.uint64) -> None:
     """Look up the records of voxels, one after the other, so that memory is waited for once."""
     place, code, records = L.place, L.code, M.record
     while voxels:
@@ -271,13 +265,7 @@ def _shorter(L: Lanes, way: _Way, n: int, alive: np.uint64, slab: int, slabs: in
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _lines(
-    corner_m: tuple[float, float, float],
-    L: Lanes,
-    n: int,
-    near_m: np.float32,
-    main: int,
-    one: int,
-    two: int,
+    corner_m: tuple[float, float, float], L: Lanes, n: int, near_m: np.float32, main: int, one: int, two: int
 ) -> tuple[np.uint64, np.float32]:
     """Lay the lanes' lines; return which of them go on from `near_m`, and the farthest range asked for."""
     row, line, scale = L.row, L.line, f4(LANES / VOXEL_M)
@@ -298,9 +286,7 @@ def _lines(
     return alive, last_m
 
 
-def _pass_through(
-    passage: Passage, light: PulseBatch, batch: Batch, todo: int, count: int, reach: np.float32
-) -> None:
+def _pass_through(passage: Passage, light: PulseBatch, batch: Batch, todo: int, count: int, reach: np.float32) -> None:
     """Let the rays of pulses that have met nothing near go on through the medium.
 
     Parameters
@@ -308,12 +294,7 @@ def _pass_through(
     reach : how far from the middle they are at most, in standard deviations of the beam
     """
     medium, L, row, surface = passage.medium, passage.lanes, batch.row, batch.surface
-    own_row, own_surface, bricks, firsts = (
-        L.row,
-        L.surface,
-        medium.brick.reshape(-1),
-        medium.first.reshape(-1),
-    )
+    own_row, own_surface, bricks, firsts = (L.row, L.surface, medium.brick.reshape(-1), medium.first.reshape(-1))
     aside_m = np.float32(reach * max(light.sigmas[0], light.sigmas[1]))
     spread = np.float32(reach * max(light.sigmas[2], light.sigmas[3]))
     for t in range(todo):

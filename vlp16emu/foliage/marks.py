@@ -77,10 +77,7 @@ def mark_stem(mask: NDArray[np.uint64], line: Array, radii: NDArray[np.float32],
     """Mark the voxels, bits of bricks, in which a stem is looked for."""
     nx, ny, nz = mask.shape[0] * BRICK, mask.shape[1] * BRICK, mask.shape[2] * BRICK
     foot_m = line[2] - low_m
-    first, last = (
-        math.floor((foot_m - _ABOVE_M) / VOXEL_M),
-        math.floor((foot_m + line[5] + _ABOVE_M) / VOXEL_M),
-    )
+    first, last = (math.floor((foot_m - _ABOVE_M) / VOXEL_M), math.floor((foot_m + line[5] + _ABOVE_M) / VOXEL_M))
     for k in range(max(first, 0), min(last, nz - 1) + 1):
         below_m = max(k * VOXEL_M - foot_m - _ABOVE_M, 0.0)
         above_m = min((k + 1) * VOXEL_M - foot_m + _ABOVE_M, line[5])
@@ -114,9 +111,6 @@ def mark_ground(flags: NDArray[np.uint32], ground_m: NDArray[np.float32], low_m:
         for j in range(flags.shape[1]):
             around = ground_m[FINER * i : FINER * (i + 3) + 1, FINER * j : FINER * (j + 3) + 1]
             low, high = around.min(), around.max()
-            first, last = (
-                math.floor((low - low_m - 0.6) / VOXEL_M),
-                math.floor((high - low_m + 0.16) / VOXEL_M),
-            )
+            first, last = (math.floor((low - low_m - 0.6) / VOXEL_M), math.floor((high - low_m + 0.16) / VOXEL_M))
             for k in range(max(first, 0), min(last, flags.shape[2] - 1) + 1):
                 flags[i, j, k] |= GROUND

@@ -111,9 +111,7 @@ def _span(
     """Heights between which anything of a tile lies."""
     reach_m = library.radius_m[which] * np.sqrt((np.square(relative[:, :, :3])).sum(axis=1).max(axis=-1))
     low = np.concatenate([ground_m.ravel() - 1.5, lines[:, 2] - 0.5])
-    high = np.concatenate(
-        [ground_m.ravel() + 1.0, relative[:, 2, 3] + reach_m, lines[:, 2] + lines[:, 5] + 0.5]
-    )
+    high = np.concatenate([ground_m.ravel() + 1.0, relative[:, 2, 3] + reach_m, lines[:, 2] + lines[:, 5] + 0.5])
     return float(low.min()), float(high.max())
 
 

@@ -80,9 +80,7 @@ class ForestSite:
         blows = wind if wind is not None and wind.speed_m_s > 0 else None
         # A sensor that sees no farther than `near_m` meets no medium: then none is made.
         near_m = section.near_m if section.near_m < farthest_m else math.inf
-        bare = _forest(
-            section, self._seed, ground, path, reach_m, near_m=near_m, loose_stems=blows is not None
-        )
+        bare = _forest(section, self._seed, ground, path, reach_m, near_m=near_m, loose_stems=blows is not None)
         sway = None if blows is None else TreeSway(blows, forest=bare, start_ns=start_ns)
         return furnished(bare, section.meshes, path_xy_m, reach_m), sway
 
@@ -129,11 +127,7 @@ def _name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_st
     stem_list = section.stem_list if isinstance(section, Plot) else None
     models = [model.file for model in section.tree_models]
     files: list[str | None] = [section.species_file, dem_file, stem_list, *models]
-    parts = [
-        section.model_dump_json(exclude={"meshes", "near_m", "seed"}),
-        str(seed),
-        f"{reach_m!r} {loose_stems}",
-    ]
+    parts = [section.model_dump_json(exclude={"meshes", "near_m", "seed"}), str(seed), f"{reach_m!r} {loose_stems}"]
     digest = hashlib.sha256("\n".join([*parts, *map(_content, files), ""]).encode())
     digest.update(path.xy_m.tobytes())
     return digest.hexdigest()[:32]

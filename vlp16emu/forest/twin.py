@@ -82,11 +82,7 @@ class _Twin:
     """A trimesh scene that grows part by part."""
 
     def __init__(
-        self,
-        window: Window,
-        species: Mapping[int, str],
-        colours: NDArray[np.uint8],
-        places_m: Mapping[int, Array],
+        self, window: Window, species: Mapping[int, str], colours: NDArray[np.uint8], places_m: Mapping[int, Array]
     ) -> None:
         self._window, self._species, self._colours, self._places_m = window, species, colours, places_m
         self._materials: dict[str, Any] = {}
@@ -171,7 +167,5 @@ def _geometry(vertices_m: NDArray[np.float32], faces: NDArray[np.uint32], materi
 def _linear(colour: NDArray[np.uint8]) -> list[float]:
     """Factors of light from sRGB (IEC 61966-2-1), as glTF wants base colours (section 3.9.2)."""
     share = colour / 255
-    factors: list[float] = np.where(
-        share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4
-    ).tolist()
+    factors: list[float] = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).tolist()
     return factors

@@ -49,9 +49,7 @@ def around(points: WayPoints, places_m: Array, gaps_m: Array) -> WayPoints:
         if before is None:
             along_m = norm(np.diff(path.xy_m[: nearest + 1], axis=0)).sum()
             place = int(np.clip(np.searchsorted(path.way_points_at_m, along_m), 1, len(points.xy_m) - 1))
-            points = WayPoints(
-                np.insert(points.xy_m, place, to_m, axis=0), np.insert(points.pause_s, place, 0.0)
-            )
+            points = WayPoints(np.insert(points.xy_m, place, to_m, axis=0), np.insert(points.pause_s, place, 0.0))
         else:
             xy_m = np.where((points.xy_m == before).all(axis=1)[:, None], to_m, points.xy_m)
             points = WayPoints(xy_m, points.pause_s)

@@ -61,6 +61,4 @@ def _axes(gps: Gps) -> Array:
     latitude_rad, longitude_rad = np.radians(gps.latitude_deg), np.radians(gps.longitude_deg)
     up, level = sin(latitude_rad), cos(latitude_rad)
     aside, ahead = sin(longitude_rad), cos(longitude_rad)
-    return np.array(
-        [[-aside, ahead, 0.0], [-up * ahead, -up * aside, level], [level * ahead, level * aside, up]]
-    )
+    return np.array([[-aside, ahead, 0.0], [-up * ahead, -up * aside, level], [level * ahead, level * aside, up]])

@@ -170,16 +170,9 @@ def _follow(pieces: NDArray[np.float64], per_knot: int, node_s: float, out: NDAr
 
 
 @numba.njit(cache=True, nogil=True)
-def _stretch(
-    step: NDArray[np.float64], state: NDArray[np.float64], a: NDArray[np.float64], row: int
-) -> float:
+def _stretch(step: NDArray[np.float64], state: NDArray[np.float64], a: NDArray[np.float64], row: int) -> float:
     """Stretch (row 0) or its rate (row 1) after a step from a state, under -u'' of the piece a."""
-    forced = (
-        step[row, 2] * a[2] * 2
-        + step[row, 3] * a[3] * 6
-        + step[row, 4] * a[4] * 12
-        + step[row, 5] * a[5] * 20
-    )
+    forced = step[row, 2] * a[2] * 2 + step[row, 3] * a[3] * 6 + step[row, 4] * a[4] * 12 + step[row, 5] * a[5] * 20
     return step[row, 0] * state[0] + step[row, 1] * state[1] - forced
 
 
@@ -284,9 +277,7 @@ def _forced_by_polynomial(omega: float, z: float, s: float) -> list[float]:
         p = np.zeros(_POWERS + 2)
         for k in range(i, -1, -1):
             wanted = float(k == i)
-            p[k] = (
-                wanted / omega - 2.0 * z * (k + 1) * p[k + 1] - (k + 2) * (k + 1) * p[k + 2] / omega
-            ) / omega
+            p[k] = (wanted / omega - 2.0 * z * (k + 1) * p[k + 1] - (k + 2) * (k + 1) * p[k + 2] / omega) / omega
         forced.append(float(np.polynomial.polynomial.polyval(s, p)) - still * p[0] - impulse * p[1])
     return forced
 

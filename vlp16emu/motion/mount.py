@@ -51,12 +51,7 @@ class MountedMotion:
         t_ns = t_ns if self.moves else of.t_ns
         poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         _mount(
-            of.world_R_body,
-            of.world_p_body_m,
-            self._turns(t_ns),
-            self._arm_m,
-            poses.world_R_body,
-            poses.world_p_body_m,
+            of.world_R_body, of.world_p_body_m, self._turns(t_ns), self._arm_m, poses.world_R_body, poses.world_p_body_m
         )
         return poses
 
@@ -75,8 +70,7 @@ class MountedMotion:
             world_R_body=R,
             world_p_body_m=p,
             world_v_body_m_s=of.world_v_body_m_s + matvec(of.world_R_body, swing),
-            world_a_body_m_s2=of.world_a_body_m_s2
-            + matvec(of.world_R_body, np.cross(alpha, arm) + np.cross(w, swing)),
+            world_a_body_m_s2=of.world_a_body_m_s2 + matvec(of.world_R_body, np.cross(alpha, arm) + np.cross(w, swing)),
             body_w_rad_s=matvec(device_R_body, w + spin),
             # The stage's axis is fixed in the carrier, so the carrier's rate turns it.
             body_alpha_rad_s2=matvec(device_R_body, alpha + np.cross(w, spin)),

@@ -72,9 +72,7 @@ class Path:
 
     def __init__(self, way_points_m: Array, height_m: HeightField, ground: str = "") -> None:
         name = ground and f"path {ground} {hashlib.sha256(way_points_m.tobytes()).hexdigest()}"
-        laid = recalled(
-            name, lambda: _curve_through(way_points_m, height_m), lambda kept: kept, lambda kept: kept
-        )
+        laid = recalled(name, lambda: _curve_through(way_points_m, height_m), lambda kept: kept, lambda kept: kept)
         self._knots_m, self._coefficients = laid["knots_m"], laid["coefficients"]
         self._heading_rad = laid["heading_rad"]
         self.length_m = float(self._knots_m[-1])
@@ -174,9 +172,7 @@ def _check_way_points(way_points_m: Array) -> None:
         if not np.isfinite(point).all():
             raise TrajectoryError(where, f"found {tuple(point.tolist())}", "finite coordinates")
         if np.abs(point).max() > _FARTHEST_M:
-            raise TrajectoryError(
-                where, f"found {tuple(point.tolist())}", f"within {_FARTHEST_M:g} m of the origin"
-            )
+            raise TrajectoryError(where, f"found {tuple(point.tolist())}", f"within {_FARTHEST_M:g} m of the origin")
         if i and norm(point - way_points_m[i - 1]) < _APART_M:
             place_m = float(point[0]), float(point[1])
             expected = "at least 1 cm between waypoints"
@@ -316,12 +312,10 @@ def _evaluate(
         d = s - knots_m[piece]
         c = coefficients[:, piece, :]
         for a in range(3):
-            point_m[i, 0, a] = (
-                ((((c[5, a] * d + c[4, a]) * d + c[3, a]) * d + c[2, a]) * d + c[1, a]) * d
-            ) + c[0, a]
-            point_m[i, 1, a] = (
-                ((5.0 * c[5, a] * d + 4.0 * c[4, a]) * d + 3.0 * c[3, a]) * d + 2.0 * c[2, a]
-            ) * d + c[1, a]
+            point_m[i, 0, a] = (((((c[5, a] * d + c[4, a]) * d + c[3, a]) * d + c[2, a]) * d + c[1, a]) * d) + c[0, a]
+            point_m[i, 1, a] = (((5.0 * c[5, a] * d + 4.0 * c[4, a]) * d + 3.0 * c[3, a]) * d + 2.0 * c[2, a]) * d + c[
+                1, a
+            ]
             point_m[i, 2, a] = ((20.0 * c[5, a] * d + 12.0 * c[4, a]) * d + 6.0 * c[3, a]) * d + 2.0 * c[2, a]
         x3 = (60.0 * c[5, 0] * d + 24.0 * c[4, 0]) * d + 6.0 * c[3, 0]
         y3 = (60.0 * c[5, 1] * d + 24.0 * c[4, 1]) * d + 6.0 * c[3, 1]

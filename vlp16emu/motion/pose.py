@@ -51,9 +51,7 @@ class Motion(Protocol):
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
-def fill_rotation(
-    cy: float, sy: float, cp: float, sp: float, cr: float, sr: float, out: NDArray[np.float64]
-) -> None:
+def fill_rotation(cy: float, sy: float, cp: float, sp: float, cr: float, sr: float, out: NDArray[np.float64]) -> None:
     """Fill the rotation (3, 3) of `rotate` from cosines and sines of yaw, pitch and roll."""
     out[0, 0], out[0, 1], out[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
     out[1, 0], out[1, 1], out[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr

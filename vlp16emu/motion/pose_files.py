@@ -88,10 +88,7 @@ def read_trajectory_csv(path: Path) -> RecordedPoses:
         path,
         [where for where, _ in lines],
         [seconds_ns(f"{where}, column t_s", row["t_s"]) for where, row in lines],
-        [
-            [finite(f"{where}, column {name}", row[name]) for name in (*_POSITION, *_QUATERNION)]
-            for where, row in lines
-        ],
+        [[finite(f"{where}, column {name}", row[name]) for name in (*_POSITION, *_QUATERNION)] for where, row in lines],
     )
 
 
@@ -178,9 +175,7 @@ def _checked(path: Path, where: list[str], t_ns: list[int], numbers: list[list[f
     lengths = norm(table[:, 3:])
     if (off := np.abs(lengths - 1.0) > UNIT_TOLERANCE).any():
         i = int(off.argmax())
-        raise TrajectoryError(
-            where[i], f"a quaternion of length {lengths[i]:.6g}", f"length 1, to {UNIT_TOLERANCE:g}"
-        )
+        raise TrajectoryError(where[i], f"a quaternion of length {lengths[i]:.6g}", f"length 1, to {UNIT_TOLERANCE:g}")
     return RecordedPoses(where, np.array(t_ns), table[:, :3].copy(), table[:, 3:] / lengths[:, None])
 
 
@@ -221,9 +216,7 @@ def _words(path: Path, count: int, expected: str) -> list[tuple[str, list[str]]]
     return lines
 
 
-def named_cells(
-    path: Path, needed: Sequence[str], optional: Sequence[str]
-) -> list[tuple[str, dict[str, str]]]:
+def named_cells(path: Path, needed: Sequence[str], optional: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
     """File and number of each line of a CSV with a header, and its cells by the name of their column.
 
     The delimiter is a semicolon or a tab where the header has one, and a comma otherwise. `x`, `y` and `z` stand for
@@ -246,9 +239,7 @@ def named_cells(
             raise TrajectoryError(f"{path}, line 1", "none of the columns", expected)
         for name in [*names, *needed]:
             if names.count(name) != 1 or name not in known:
-                found = (
-                    f"{names.count(name)} columns {name!r}" if name in known else f"unknown column {name!r}"
-                )
+                found = f"{names.count(name)} columns {name!r}" if name in known else f"unknown column {name!r}"
                 raise TrajectoryError(f"{path}, line 1", found, f"each of {', '.join(known)} once")
         reader = csv.reader(file, delimiter=delimiter)
         rows = []

@@ -101,16 +101,12 @@ def _continuous(quaternion: Array) -> Array:
     return quaternion * sign[:, None]
 
 
-def _check_steps(
-    poses: RecordedPoses, knots_ns: NDArray[np.int64], quaternion: Array, max_gap_s: float
-) -> None:
+def _check_steps(poses: RecordedPoses, knots_ns: NDArray[np.int64], quaternion: Array, max_gap_s: float) -> None:
     """Refuse gaps, and turns whose sense is unknown."""
     gaps_s = np.diff(knots_ns) / S_NS
     if (gaps_s > max_gap_s).any():
         i = int((gaps_s > max_gap_s).argmax())
-        raise TrajectoryError(
-            poses.where[i + 1], f"found a gap of {gaps_s[i]:g} s", f"at most {max_gap_s:g} s"
-        )
+        raise TrajectoryError(poses.where[i + 1], f"found a gap of {gaps_s[i]:g} s", f"at most {max_gap_s:g} s")
     cosine = np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)
     turn_deg = np.degrees(2 * acos(cosine))
     if (turn_deg > _MOST_TURN_DEG + 1e-6).any():
@@ -151,11 +147,7 @@ def _piece(knots_ns: NDArray[np.int64], elapsed_ns: int) -> tuple[int, float]:
 
 @numba.njit(cache=True, nogil=True)
 def fill_poses(
-    knots_ns: NDArray[np.int64],
-    coefficients: Array,
-    elapsed_ns: NDArray[np.int64],
-    position_m: Array,
-    turn: Array,
+    knots_ns: NDArray[np.int64], coefficients: Array, elapsed_ns: NDArray[np.int64], position_m: Array, turn: Array
 ) -> None:
     """Evaluate the pieces, each instant alone."""
     value = np.empty(7)
@@ -177,9 +169,7 @@ def fill_poses(
 
 
 @numba.njit(cache=True, nogil=True)
-def fill_rates(
-    knots_ns: NDArray[np.int64], coefficients: Array, elapsed_ns: NDArray[np.int64], rates: Array
-) -> None:
+def fill_rates(knots_ns: NDArray[np.int64], coefficients: Array, elapsed_ns: NDArray[np.int64], rates: Array) -> None:
     """Fill (4, n, 3): velocity, acceleration, angular rate and angular acceleration, the latter in body axes.
 
     With Q of any length and N = |Q|^2, the rate is w = 2 vec(Q* Q') / N, and as Q'* Q' has no vector part,

@@ -83,9 +83,7 @@ class Route:
         stops += [(stop.at_m, stop.pause_s) for stop in walk.stops if stop.at_m is not None]
         # So that the end of one lap and the start of the next are one to the last bit.
         laps = [
-            ((lap + at_m / path.length_m) * path.length_m, stop_s)
-            for lap in range(walk.laps)
-            for at_m, stop_s in stops
+            ((lap + at_m / path.length_m) * path.length_m, stop_s) for lap in range(walk.laps) for at_m, stop_s in stops
         ]
         self._profile = Profile(self.length_m, lambda s_m: path.derivatives_at(s_m)[1][:, 1], walk, laps)
         self._stand_s = walk.stand_s
@@ -131,9 +129,7 @@ class Profile:
         where a stop is not on the path, the run time is too short, or the walk would take more than two weeks
     """
 
-    def __init__(
-        self, length_m: float, turn_rad_m: Callable[[Array], Array], walk: Walk, stops: Stops
-    ) -> None:
+    def __init__(self, length_m: float, turn_rad_m: Callable[[Array], Array], walk: Walk, stops: Stops) -> None:
         bounds_m, pauses_s = _rests(stops, length_m)
         legs = [_Leg(start_m, end_m, turn_rad_m, walk) for start_m, end_m in pairwise(bounds_m.tolist())]
         self._step_s, run_time_s = _KNOT_S, walk.run_time_s
@@ -171,9 +167,7 @@ _PADDING_S = (2 * _REACH - 1) * _KNOT_S
 class _Leg:
     """The part of the path from one rest to the next, in equal cells."""
 
-    def __init__(
-        self, start_m: float, end_m: float, turn_rad_m: Callable[[Array], Array], walk: Walk
-    ) -> None:
+    def __init__(self, start_m: float, end_m: float, turn_rad_m: Callable[[Array], Array], walk: Walk) -> None:
         cells = max(2, math.ceil((end_m - start_m) / _CELL_M))
         looked_m = np.linspace(start_m, end_m, 1 + _LOOKS * cells)
         turn = -_least_within(-np.abs(turn_rad_m(looked_m)), _LOOKS // 2)[::_LOOKS]
@@ -288,9 +282,7 @@ def _sampled(legs: Sequence[_Leg], pauses_s: Array, cruise_m_s: float) -> tuple[
         begin_s += times[-1] + pause_s
     duration_s = begin_s
     if not duration_s <= _LONGEST_S:
-        raise TrajectoryError(
-            "run time", f"found {duration_s:g} s", f"at most {_LONGEST_S} s, with its stops"
-        )
+        raise TrajectoryError("run time", f"found {duration_s:g} s", f"at most {_LONGEST_S} s, with its stops")
     # Control point j is at (j - 2) steps, and the person sets off two steps after the start.
     count = math.ceil((duration_s + _PADDING_S) / _KNOT_S) + 6
     at_s = (np.arange(count) - 4) * _KNOT_S

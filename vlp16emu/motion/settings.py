@@ -9,18 +9,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from vlp16emu.settings import (
-    Angle,
-    Fraction,
-    NonNegative,
-    Place,
-    Positive,
-    Preset,
-    SceneFile,
-    Section,
-    Seed,
-    Size,
-)
+from vlp16emu.settings import Angle, Fraction, NonNegative, Place, Positive, Preset, SceneFile, Section, Seed, Size
 
 _Amplitude = Annotated[float, Field(ge=0, le=1)]
 _Error = Annotated[float, Field(ge=0, le=1000)]
@@ -293,9 +282,7 @@ class Recorded(Section):
         """Refuse times that are missing or given twice."""
         given = sum(times is not None for times in (self.times_file, self.rate_hz))
         if given != (self.format == "kitti"):
-            raise ValueError(
-                "exactly one of times_file and rate_hz with format kitti, and neither with others"
-            )
+            raise ValueError("exactly one of times_file and rate_hz with format kitti, and neither with others")
         return self
 
 

@@ -36,10 +36,7 @@ class Spline:
 
 
 def interpolant(
-    at: Array,
-    values: Array,
-    degree: int = 3,
-    ends: Literal["not-a-knot", "natural", "periodic"] = "not-a-knot",
+    at: Array, values: Array, degree: int = 3, ends: Literal["not-a-knot", "natural", "periodic"] = "not-a-knot"
 ) -> Spline:
     """Spline of a degree through values (n, m) at growing parameters (n,).
 

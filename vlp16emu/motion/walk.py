@@ -82,10 +82,7 @@ class WalkMotion:
 
     def _seconds(self, t_ns: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
         """Seconds of the walk that instants (n,) fall into, and the numbers of those instants."""
-        if (
-            len(t_ns)
-            and t_ns.max() - self._start_ns < S_NS * (low := int(t_ns.min() - self._start_ns) // S_NS) + S_NS
-        ):
+        if len(t_ns) and t_ns.max() - self._start_ns < S_NS * (low := int(t_ns.min() - self._start_ns) // S_NS) + S_NS:
             return [(low, np.arange(len(t_ns)))]  # as nine blocks in ten
         seconds = (t_ns - self._start_ns) // S_NS
         order = np.argsort(seconds, kind="stable")

@@ -240,9 +240,7 @@ def _rounded(corners_m: NDArray[np.float64], radius_m: float, spacing_m: float) 
     return np.concatenate([*pieces, _straight(at, corners_m[-1], spacing_m), corners_m[-1:]])
 
 
-def _straight(
-    start_m: NDArray[np.float64], end_m: NDArray[np.float64], spacing_m: float
-) -> NDArray[np.float64]:
+def _straight(start_m: NDArray[np.float64], end_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.float64]:
     """Points (n, 2) from a start until before an end; none where both are one."""
     count = math.ceil(norm(end_m - start_m) / spacing_m - 1e-9)
     return start_m + np.arange(count)[:, None] / max(count, 1) * (end_m - start_m)

@@ -52,13 +52,7 @@ from vlp16emu.packets.layout import (
     units_in,
 )
 from vlp16emu.packets.nmea import parse_rmc, rmc
-from vlp16emu.packets.position import (
-    STAMP_LEAD_NS,
-    PositionRate,
-    first_position_packet,
-    pack_position,
-    position_due_ns,
-)
+from vlp16emu.packets.position import STAMP_LEAD_NS, PositionRate, first_position_packet, pack_position, position_due_ns
 from vlp16emu.packets.reading import CaptureReader, PacketChunk, Summary, returns_in
 
 __all__ = [

@@ -161,6 +161,4 @@ def _datagram(number: int, stamp_ns: int, wire_bytes: int, frame: bytes) -> Data
         return None
     source_port, destination_port, udp_bytes = _UDP_START.unpack_from(frame, udp)
     header, payload = frame[: udp + 8], frame[udp + 8 : udp + udp_bytes]
-    return Datagram(
-        number, stamp_ns, len(frame), wire_bytes, ip, source_port, destination_port, header, payload
-    )
+    return Datagram(number, stamp_ns, len(frame), wire_bytes, ip, source_port, destination_port, header, payload)

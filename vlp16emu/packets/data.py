@@ -111,10 +111,7 @@ def _check(returns: Returns, mode: ReturnMode) -> None:
     if sequences % SEQUENCES_PER_PACKET[mode]:
         expected = f"a multiple of {SEQUENCES_PER_PACKET[mode]} for {mode} return"
         raise InputError("pack_data: firing sequences", str(sequences), expected)
-    for name, values in (
-        ("firings.reading_deg", returns.firings.reading_deg),
-        ("distance_m", returns.distance_m),
-    ):
+    for name, values in (("firings.reading_deg", returns.firings.reading_deg), ("distance_m", returns.distance_m)):
         low, high = values.min(initial=0.0), values.max(initial=0.0)  # both hand NaN on
         if not (low >= 0.0 and high < np.inf):
             raise InputError(f"pack_data: {name}", f"from {low} to {high}", "finite numbers from 0 upwards")
@@ -143,10 +140,7 @@ def odd_column(returns: Returns) -> NDArray[np.int64]:
     """
     strongest_is_last = returns.distance_m[..., _STRONGEST] == returns.distance_m[..., _LAST]
     # One that was nearer than 0.5 m has no distance any more, but keeps its reflectivity.
-    second_m, second = (
-        returns.distance_m[..., _SECOND_STRONGEST],
-        returns.reflectivity[..., _SECOND_STRONGEST],
-    )
+    second_m, second = (returns.distance_m[..., _SECOND_STRONGEST], returns.reflectivity[..., _SECOND_STRONGEST])
     has_second = (second_m > 0) | (second > 0)
     return np.where(strongest_is_last & has_second, _SECOND_STRONGEST, _STRONGEST)
 

@@ -112,9 +112,7 @@ def data_fields(payloads: NDArray[np.uint8]) -> NDArray[np.void]:
     return np.ascontiguousarray(payloads).view(layout.DATA_PAYLOAD)[:, 0]
 
 
-def decode_data(
-    payloads: NDArray[np.uint8], *, keep_no_returns: bool, model: SensorModel | None = None
-) -> Points:
+def decode_data(payloads: NDArray[np.uint8], *, keep_no_returns: bool, model: SensorModel | None = None) -> Points:
     """Turn data packets into points.
 
     Parameters
@@ -163,9 +161,7 @@ def decode_data(
     )
 
 
-def faults_in(
-    fields: NDArray[np.void], factory: int | None = None, model: SensorModel | None = None
-) -> list[Fault]:
+def faults_in(fields: NDArray[np.void], factory: int | None = None, model: SensorModel | None = None) -> list[Fault]:
     """Find the packets that are not a VLP-16's, or of another model than the others; of each its first fault, in order.
 
     Parameters
@@ -174,11 +170,7 @@ def faults_in(
     factory : product byte of packets before these, if there are any
     model : of units from before release, whose product byte is that of another sensor
     """
-    flags, azimuth_cdeg, products = (
-        fields["blocks"]["flag"],
-        fields["blocks"]["azimuth_cdeg"],
-        fields["factory"],
-    )
+    flags, azimuth_cdeg, products = (fields["blocks"]["flag"], fields["blocks"]["azimuth_cdeg"], fields["factory"])
     modes = [*layout.RETURN_MODE_BYTE.values()]
     known = [*_MODEL] if model is None else [*_MODEL, PRODUCT_BEFORE_RELEASE]
     ours = products[np.isin(products, known)]
@@ -259,11 +251,7 @@ def _model(fields: NDArray[np.void], model: SensorModel | None) -> SensorModel:
     """Give the model, by the product byte or, where that is of before release, as given; refuse what is not a VLP-16's."""
     if faults := faults_in(fields, None, model):
         raise PacketError(f"data packet {faults[0].packet}: {faults[0].what}", *faults[0][2:])
-    return (
-        _MODEL.get(int(fields["factory"][0]), model or SensorModel.VLP_16)
-        if len(fields)
-        else SensorModel.VLP_16
-    )
+    return _MODEL.get(int(fields["factory"][0]), model or SensorModel.VLP_16) if len(fields) else SensorModel.VLP_16
 
 
 def _is_dual(fields: NDArray[np.void]) -> NDArray[np.bool_]:
@@ -296,10 +284,7 @@ def _steps_cdeg(fields: NDArray[np.void]) -> NDArray[np.float64]:
 
 
 def _xyz_m(
-    distance_m: NDArray[np.float64],
-    azimuth_deg: NDArray[np.float64],
-    laser: NDArray[np.int64],
-    model: SensorModel,
+    distance_m: NDArray[np.float64], azimuth_deg: NDArray[np.float64], laser: NDArray[np.int64], model: SensorModel
 ) -> NDArray[np.float32]:
     """(n, 3) by the manual's formulas, turned to the sensor's frame."""
     beams = BEAM_TABLES[model]

@@ -130,13 +130,9 @@ AZIMUTH_CODES = 36_000
 
 BLOCK_FLAG = 0xEEFF
 """Bytes FF EE in this order. Source: 63-9243 Rev D, section 9.3.2, p. 56."""
-RETURN_MODE_BYTE = MappingProxyType(
-    {ReturnMode.STRONGEST: 0x37, ReturnMode.LAST: 0x38, ReturnMode.DUAL: 0x39}
-)
+RETURN_MODE_BYTE = MappingProxyType({ReturnMode.STRONGEST: 0x37, ReturnMode.LAST: 0x38, ReturnMode.DUAL: 0x39})
 """First factory byte. Source: 63-9243 Rev D, table 9-2, p. 56."""
-FACTORY_BYTE = MappingProxyType(
-    {SensorModel.VLP_16: 0x22, SensorModel.PUCK_LITE: 0x22, SensorModel.PUCK_HI_RES: 0x24}
-)
+FACTORY_BYTE = MappingProxyType({SensorModel.VLP_16: 0x22, SensorModel.PUCK_LITE: 0x22, SensorModel.PUCK_HI_RES: 0x24})
 """Second factory byte, the product. Source: 63-9243 Rev D, table 9-2, p. 56."""
 
 RECORD = np.dtype([("distance_lsb", "<u2"), ("reflectivity", "u1")])
@@ -161,9 +157,7 @@ SLOT = np.dtype(
 NO_ECHO = 255
 """Echo of a record without distance."""
 
-BLOCK = np.dtype(
-    [("flag", "<u2"), ("azimuth_cdeg", "<u2"), ("records", RECORD, (SEQUENCES_PER_BLOCK, LASERS))]
-)
+BLOCK = np.dtype([("flag", "<u2"), ("azimuth_cdeg", "<u2"), ("records", RECORD, (SEQUENCES_PER_BLOCK, LASERS))])
 """Two firing sequences, 100 bytes; the azimuth belongs to the first pulse of the first one."""
 DATA_PAYLOAD = np.dtype(
     [

@@ -18,12 +18,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
 from vlp16emu.packets.data import timestamp_us
-from vlp16emu.packets.layout import (
-    POSITION_BYTES,
-    POSITION_PAYLOAD,
-    SENTENCE_BYTES,
-    SEQUENCES_PER_PACKET,
-)
+from vlp16emu.packets.layout import POSITION_BYTES, POSITION_PAYLOAD, SENTENCE_BYTES, SEQUENCES_PER_PACKET
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PpsState, ReturnMode
@@ -72,9 +67,7 @@ _SCHEDULES: dict[PositionRate, _Schedule] = {
 }
 
 
-def position_due_ns(
-    rate: PositionRate, seed: int, start_ns: int, first: int, count: int
-) -> NDArray[np.int64]:
+def position_due_ns(rate: PositionRate, seed: int, start_ns: int, first: int, count: int) -> NDArray[np.int64]:
     """When position packets leave; the return mode does not matter (63-9243 Rev D, section 8.2.3).
 
     Parameters

@@ -233,10 +233,7 @@ class CaptureReader:
 
     def _decoded(self, payloads: NDArray[np.uint8], number: NDArray[np.int64]) -> PacketChunk:
         """Decode packets, (n, 1206), and count them."""
-        points, fields = (
-            decode_data(payloads, keep_no_returns=False, model=self._model),
-            data_fields(payloads),
-        )
+        points, fields = (decode_data(payloads, keep_no_returns=False, model=self._model), data_fields(payloads))
         if self._frame is PointFrame.MANUAL:
             turned_m = matvec(SENSOR_R_MANUAL.T, points.xyz_m.astype(np.float64))
             points = replace(points, xyz_m=turned_m.astype(np.float32))

@@ -121,9 +121,7 @@ def _is_doubtful(order: NDArray[np.float64], met: int, n: int, budget: RayBudget
 def _error_m(order: NDArray[np.float64], met: int, resolution_m: float) -> float:
     """Estimate the error of the strongest echo's range."""
     first, last, strongest = _strongest(order, 0, met, resolution_m)
-    second = max(
-        _strongest(order, 0, first, resolution_m)[2], _strongest(order, last + 1, met, resolution_m)[2]
-    )
+    second = max(_strongest(order, 0, first, resolution_m)[2], _strongest(order, last + 1, met, resolution_m)[2])
     mean_m, squares, spread = 0.0, 0.0, 0.0
     for a in range(first, last + 1):
         mean_m += order[1, a] * order[0, a] / strongest
@@ -164,9 +162,7 @@ def _sort_echoes(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _strongest(
-    order: NDArray[np.float64], first: int, stop: int, resolution_m: float
-) -> tuple[int, int, float]:
+def _strongest(order: NDArray[np.float64], first: int, stop: int, resolution_m: float) -> tuple[int, int, float]:
     """First, last and energy of the strongest stretch no longer than the resolution, among sorted echoes."""
     best, best_first, best_last = 0.0, first, first - 1
     near, energy = first, 0.0

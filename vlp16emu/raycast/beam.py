@@ -128,9 +128,9 @@ _SUPPORT = np.array(
 )
 # fmt: on
 """(64, 2) in standard deviations."""
-_REACH = np.append(
-    np.sqrt(np.square(_SUPPORT).sum(axis=1)).reshape(-1, ROUND).max(axis=1), _RADIUS.max()
-).astype(np.float32)
+_REACH = np.append(np.sqrt(np.square(_SUPPORT).sum(axis=1)).reshape(-1, ROUND).max(axis=1), _RADIUS.max()).astype(
+    np.float32
+)
 FARTHEST = float(_REACH[-1])
 """How far any sub-ray is off the middle at most, in standard deviations."""
 
@@ -174,14 +174,7 @@ def lay(
             way = np.uint32(v + np.uint32(first + lane) * _STEP_V) >> _SHIFT
             rays[lane], rays[_Y + lane] = _RADIUS[ring] * _COS[way], _RADIUS[ring] * _SIN[way]
     spot_x_m, spot_y_m, spread_x, spread_y = sigmas[0], sigmas[1], sigmas[2], sigmas[3]
-    x_m, y_m, z_m, along_x, along_y, along_z = (
-        axes[0, 0],
-        axes[0, 1],
-        axes[0, 2],
-        axes[1, 0],
-        axes[1, 1],
-        axes[1, 2],
-    )
+    x_m, y_m, z_m, along_x, along_y, along_z = (axes[0, 0], axes[0, 1], axes[0, 2], axes[1, 0], axes[1, 1], axes[1, 2])
     level_x, level_y, level_z = axes[2, 0], axes[2, 1], axes[2, 2]
     up_x, up_y, up_z = axes[3, 0], axes[3, 1], axes[3, 2]
     for lane in range(ROUND):
@@ -217,9 +210,7 @@ def pulse_axes(
         b, c = (a + 1) % 3, (a + 2) % 3
         axes[0, a] = np.float32(origin_m[i, j, a] - from_m[a])
         axes[1, a], axes[2, a] = np.float32(direction[i, j, a]), np.float32(beam_axis[i, j, a])
-        axes[3, a] = np.float32(
-            beam_axis[i, j, b] * direction[i, j, c] - beam_axis[i, j, c] * direction[i, j, b]
-        )
+        axes[3, a] = np.float32(beam_axis[i, j, b] * direction[i, j, c] - beam_axis[i, j, c] * direction[i, j, b])
 
 
 def beam_axis_of(firings: Firings, beam: Footprint) -> NDArray[np.float64]:
@@ -231,7 +222,5 @@ def beam_axis_of(firings: Firings, beam: Footprint) -> NDArray[np.float64]:
         where the firings have none
     """
     if firings.beam_axis is None:
-        raise ValueError(
-            f"cast: found firings without `beam_axis`, expected them for a beam of {beam.section.model}"
-        )
+        raise ValueError(f"cast: found firings without `beam_axis`, expected them for a beam of {beam.section.model}")
     return firings.beam_axis

@@ -183,9 +183,7 @@ class Placed:
         """(n, 2, 3) around each, in coordinates of its shape."""
         self.buffers, self.row = _buffers(meshes, counts)
         """(b, 2) as in `EmbreeMesh`, and the first row (n,) of each piece."""
-        self._pieces = [
-            (mesh, piece) for mesh, count in zip(meshes, counts, strict=True) for piece in range(count)
-        ]
+        self._pieces = [(mesh, piece) for mesh, count in zip(meshes, counts, strict=True) for piece in range(count)]
 
     def scene(self, kept: NDArray[np.bool_]) -> int:
         """Build the scene of some pieces (n,); give its address, which is good as long as this is.
@@ -226,9 +224,7 @@ class Placed:
         return scene
 
 
-def _buffers(
-    meshes: Sequence[EmbreeMesh], counts: Sequence[int]
-) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+def _buffers(meshes: Sequence[EmbreeMesh], counts: Sequence[int]) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
     """Join the buffers of the different meshes of placements; with the first row of each piece of each placement."""
     first, tables, rows = dict[int, int](), [np.zeros((0, 2), np.uint64)], [np.zeros(0, np.int64)]
     stop = 0

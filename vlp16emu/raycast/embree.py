@@ -37,10 +37,7 @@ _SIGNATURES: dict[str, tuple[object, list[object]]] = {
     "rtcCommitGeometry": (None, [c_void_p]),
     "rtcReleaseGeometry": (None, [c_void_p]),
     "rtcAttachGeometryByID": (None, [c_void_p, c_void_p, c_uint]),
-    "rtcSetSharedGeometryBuffer": (
-        None,
-        [c_void_p, c_int, c_uint, c_int, c_void_p, c_size_t, c_size_t, c_size_t],
-    ),
+    "rtcSetSharedGeometryBuffer": (None, [c_void_p, c_int, c_uint, c_int, c_void_p, c_size_t, c_size_t, c_size_t]),
     "rtcSetGeometryInstancedScene": (None, [c_void_p, c_void_p]),
     "rtcSetGeometryTimeStepCount": (None, [c_void_p, c_uint]),
     "rtcSetGeometryTransform": (None, [c_void_p, c_uint, c_int, c_void_p]),
@@ -48,13 +45,7 @@ _SIGNATURES: dict[str, tuple[object, list[object]]] = {
 }
 
 _MAKING = threading.Lock()
-_ERRORS = {
-    1: "unknown error",
-    2: "invalid argument",
-    3: "invalid operation",
-    4: "out of memory",
-    5: "unsupported CPU",
-}
+_ERRORS = {1: "unknown error", 2: "invalid argument", 3: "invalid operation", 4: "out of memory", 5: "unsupported CPU"}
 
 
 class EmbreeMissingError(Vlp16emuError):

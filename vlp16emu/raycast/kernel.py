@@ -15,18 +15,7 @@ from numpy.typing import NDArray
 from vlp16emu.raycast.adaptive import RayBudget, enough
 from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Batch, MetRays, PulseBatch
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
-from vlp16emu.raycast.packet import (
-    DIR,
-    NONE,
-    ORG,
-    PACKET,
-    TIME,
-    RayPacket,
-    Target,
-    cast_packet,
-    ray_met,
-    set_filter,
-)
+from vlp16emu.raycast.packet import DIR, NONE, ORG, PACKET, TIME, RayPacket, Target, cast_packet, ray_met, set_filter
 from vlp16emu.trig import ZERO
 
 _USUAL = 10
@@ -128,12 +117,7 @@ def cast_pulses(
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _cast_middles(
-    near: Target,
-    beyond: Target | None,
-    light: PulseBatch,
-    packet: RayPacket,
-    batch: Batch,
-    first: int,
+    near: Target, beyond: Target | None, light: PulseBatch, packet: RayPacket, batch: Batch, first: int
 ) -> None:
     """Cast the middles of the pulses of eight sequences against faces, those of a laser as one packet."""
     rays = packet.rays
@@ -213,14 +197,7 @@ def _put_down(
 
 @numba.njit(cache=True, nogil=True, _nrt=False, forceinline=True)
 def _send_on(
-    beyond: Target,
-    packet: RayPacket,
-    batch: Batch,
-    q: int,
-    step: int,
-    count: int,
-    reach_m: float,
-    far_m: float,
+    beyond: Target, packet: RayPacket, batch: Batch, q: int, step: int, count: int, reach_m: float, far_m: float
 ) -> None:
     """Give the rays that go on to the medium, and cast them against what is cast as faces at any range."""
     own, instance, valid, row, surface = packet.own, packet.instance, packet.valid, batch.row, batch.surface

@@ -180,9 +180,7 @@ class EmbreeCaster:
     def _solid(self, key: ShapeKey) -> EmbreeMesh:
         """Take the faces of a shape from the store, or grow them where it has none."""
         name, world = self._world.shape_name(key), self._world
-        return EmbreeMesh(
-            recalled(name and f"faces {name}", lambda: shape_of(world.shape(key)), _packed, _unpacked)
-        )
+        return EmbreeMesh(recalled(name and f"faces {name}", lambda: shape_of(world.shape(key)), _packed, _unpacked))
 
 
 def _packed(shape: Shape) -> Bundle:

@@ -29,13 +29,9 @@ LEVEL = np.float32(sin(math.radians(20.0)))
 """Rays that rise or fall by no more than this per metre are level: all of a VLP-16 that is worn upright, which leans by up to
 3 degrees. Half of the faces of `scenes/reference_forest` that are near are met by no level ray, and are not built."""
 
-_intersect = types.ExternalFunction(
-    "rtcIntersect8", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
-)
+_intersect = types.ExternalFunction("rtcIntersect8", types.void(types.uintp, types.uintp, types.uintp, types.uintp))
 
-ORG, _TNEAR, DIR, TIME, _TFAR, _MASK, _ID, _FLAGS, _SIZE = (
-    PACKET * row for row in (0, 3, 4, 7, 8, 9, 10, 11, 21)
-)
+ORG, _TNEAR, DIR, TIME, _TFAR, _MASK, _ID, _FLAGS, _SIZE = (PACKET * row for row in (0, 3, 4, 7, 8, 9, 10, 11, 21))
 """Where rows of RTCRayHit8 begin, each of eight 4-byte words (rtcore_ray.h)."""
 _HIT_PRIMITIVE, _HIT_MESH, _HIT_INSTANCE = 5, 6, 7
 """Rows of the RTCHitN of a candidate."""
@@ -142,11 +138,7 @@ def _corners(desk: Any, instance: int, face: int) -> _Corners:
 def _in_shape(desk: Any, own: Any, r: int, instance: int) -> tuple[float, float, float, float, float, float]:
     """Return origin and direction of ray r in the coordinates of an instance's shape."""
     x, y, z = np.float64(own[r]), np.float64(own[PACKET + r]), np.float64(own[2 * PACKET + r])
-    dx, dy, dz = (
-        np.float64(own[DIR + r]),
-        np.float64(own[DIR + PACKET + r]),
-        np.float64(own[DIR + 2 * PACKET + r]),
-    )
+    dx, dy, dz = (np.float64(own[DIR + r]), np.float64(own[DIR + PACKET + r]), np.float64(own[DIR + 2 * PACKET + r]))
     knots = np.int64(desk[9])
     if knots:
         shear, n = _as_float32(desk[8]), np.int64(desk[10])
@@ -180,9 +172,7 @@ def _normal(corners: _Corners) -> tuple[float, float, float]:
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _cut(
-    corners: _Corners,
-    normal: tuple[float, float, float],
-    ray: tuple[float, float, float, float, float, float],
+    corners: _Corners, normal: tuple[float, float, float], ray: tuple[float, float, float, float, float, float]
 ) -> tuple[float, float, bool]:
     """Cut a ray with a triangle: range, product of normal and direction, and whether it passes inside.
 
@@ -191,17 +181,7 @@ def _cut(
     """
     x, y, z, dx, dy, dz = ray
     ax, ay, az, bx, by, bz, cx, cy, cz = corners
-    ax, ay, az, bx, by, bz, cx, cy, cz = (
-        ax - x,
-        ay - y,
-        az - z,
-        bx - x,
-        by - y,
-        bz - z,
-        cx - x,
-        cy - y,
-        cz - z,
-    )
+    ax, ay, az, bx, by, bz, cx, cy, cz = (ax - x, ay - y, az - z, bx - x, by - y, bz - z, cx - x, cy - y, cz - z)
     of_a = (by * cz - bz * cy) * dx + (bz * cx - bx * cz) * dy + (bx * cy - by * cx) * dz
     of_b = (cy * az - cz * ay) * dx + (cz * ax - cx * az) * dy + (cx * ay - cy * ax) * dz
     of_c = (ay * bz - az * by) * dx + (az * bx - ax * bz) * dy + (ax * by - ay * bx) * dz
@@ -214,11 +194,7 @@ def _cut(
 def _decide(arguments: int) -> None:
     """Take or reject a candidate for some rays: Embree's filter, with the address of RTCFilterFunctionNArguments."""
     words = _as_uint64(arguments)
-    valid, desk, n = (
-        _as_int32(words[0]),
-        _as_uint64(_as_uint64(words[2])[1]),
-        np.int64(words[5] & np.uint64(NONE)),
-    )
+    valid, desk, n = (_as_int32(words[0]), _as_uint64(_as_uint64(words[2])[1]), np.int64(words[5] & np.uint64(NONE)))
     far_m, numbers, hit = _as_float32(words[3]), _as_uint32(words[3]), _as_uint32(words[4])
     own, state, instances, faces = (
         _as_float32(desk[0]),

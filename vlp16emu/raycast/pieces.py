@@ -22,9 +22,7 @@ _WORTH = 0.7
 is the same, and pieces are more."""
 
 
-def in_pieces(
-    faces: Sequence[Faces],
-) -> tuple[tuple[Faces, ...], NDArray[np.int64], NDArray[np.float64]]:
+def in_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], NDArray[np.int64], NDArray[np.float64]]:
     """Order the triangles of a shape by pieces.
 
     Parameters

@@ -14,9 +14,7 @@ _SECTORS = 16
 """Rings of equal solid angle, and rays on each: 256 rays measure a share to 0.03."""
 
 
-def sky_cover(
-    geometry: Geometry, t_ns: int, position_m: NDArray[np.float64], lowest_deg: float, far_m: float
-) -> float:
+def sky_cover(geometry: Geometry, t_ns: int, position_m: NDArray[np.float64], lowest_deg: float, far_m: float) -> float:
     """Share of the sky that surfaces hide, 0..1, each direction counting by its solid angle.
 
     Crowns overhead are a medium, as from afar: they hide as much, and need not be built where no pulse meets them.

@@ -104,13 +104,7 @@ def _raise(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _of_patch(
-    seed: int,
-    per_m: float,
-    origin_m: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    i: int,
-    j: int,
-    at_m: float,
+    seed: int, per_m: float, origin_m: NDArray[np.float64], direction: NDArray[np.float64], i: int, j: int, at_m: float
 ) -> tuple[float, float]:
     """Draw the numbers in [0, 1) of the patch at a range along a pulse (i, j); folds make the borders of a grid's cells crooked."""
     x = per_m * (origin_m[i, j, 0] + at_m * direction[i, j, 0])

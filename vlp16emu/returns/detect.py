@@ -43,9 +43,7 @@ _MOST_SILENT = 100.0  # where the reflectivity of no-returns ends on einride
 _LANE_BITS = 16  # a random number's lane: the laser, and above it the echo's rank or column
 
 
-def detect(
-    firings: Firings, hits: Hits, surfaces: NDArray[np.void], detector: UnitDetector, *, truth: bool
-) -> Returns:
+def detect(firings: Firings, hits: Hits, surfaces: NDArray[np.void], detector: UnitDetector, *, truth: bool) -> Returns:
     """Turn the hits of each pulse into its returns.
 
     Echoes are the peaks of the pulse's waveform (`vlp16emu.returns.echoes`); within the resolution of a stronger
@@ -88,9 +86,7 @@ def detect(
     if detector.no_return is not None:
         wander = detector.no_return_wander
         seed, first, lasers = detector.constants.seed, firings.index, shape[1]
-        knots = (
-            no_return_multiples(seed, first, shape[0], lasers, wander) if wander else np.zeros((0, lasers))
-        )
+        knots = no_return_multiples(seed, first, shape[0], lasers, wander) if wander else np.zeros((0, lasers))
         _mark_silent(detector.no_return, knots, first, distance_m, reflectivity)
     if not truth:
         return Returns(firings, distance_m, reflectivity)
@@ -129,17 +125,10 @@ def _detect(
     for i in range(count.shape[0]):
         n = first + i
         slot = 24 * n % 5
-        if (
-            constants.range_noise_m > 0.0
-            or constants.reflectivity_noise + constants.reflectivity_noise_share > 0.0
-        ):
+        if constants.range_noise_m > 0.0 or constants.reflectivity_noise + constants.reflectivity_noise_share > 0.0:
             normal_pairs(constants.seed, _RANGE_NOISE, n, noise[0], noise[1])
         for j in range(count.shape[1]):
-            start, stop, error_m = (
-                stop,
-                stop + int(count[i, j]),
-                bias_m[j] + drift_m[i] + beat_m[(slot + j) % 5],
-            )
+            start, stop, error_m = (stop, stop + int(count[i, j]), bias_m[j] + drift_m[i] + beat_m[(slot + j) % 5])
             lit = gather(constants, start, stop, range_m, met, cos_incidence, reflectance, nodes)
             if constants.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(constants, n, j, start, stop, range_m)
@@ -200,12 +189,7 @@ def _count_unevenly(parity: NDArray[np.float64], distance_m: NDArray[np.float32]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _only_echo(
-    constants: DetectorConstants,
-    n: int,
-    laser: int,
-    nodes: NDArray[np.float64],
-    lit: int,
-    peaks: NDArray[np.float64],
+    constants: DetectorConstants, n: int, laser: int, nodes: NDArray[np.float64], lit: int, peaks: NDArray[np.float64]
 ) -> tuple[float, float]:
     """Range and amplitude of the only echo that counts: of one node, or the highest where only the strongest is sent.
 
@@ -275,9 +259,7 @@ def _measure(
     """Distance and reflectivity as the unit reads them; distance 0 if that is too small, and nothing if it is too great."""
     reflectance = amplitude * range_m * range_m
     measured_m = range_m + error_m
-    sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * min(
-        100.0 * reflectance, 100.0
-    )
+    sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * min(100.0 * reflectance, 100.0)
     if constants.heavy_tails:
         range_noise, other_noise = heavier(range_noise), heavier(other_noise)
     counts = other_noise * sigma
@@ -293,12 +275,7 @@ def _measure(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _choose(
-    constants: DetectorConstants,
-    n: int,
-    laser: int,
-    peaks: NDArray[np.float64],
-    found: int,
-    chosen: NDArray[np.int64],
+    constants: DetectorConstants, n: int, laser: int, peaks: NDArray[np.float64], found: int, chosen: NDArray[np.int64]
 ) -> None:
     """Find which peaks are the strongest, last and second strongest return, -1 where there is none."""
     chosen[:] = -1
@@ -358,9 +335,7 @@ def _write(
         if peak < 0:
             continue
         at_m, light = peaks[RANGE, peak], peaks[AMPLITUDE, peak]
-        sigma_m = (
-            range_sigma_m(constants, light * at_m * at_m, light) if constants.range_noise_m > 0.0 else 0.0
-        )
+        sigma_m = range_sigma_m(constants, light * at_m * at_m, light) if constants.range_noise_m > 0.0 else 0.0
         if (
             at_m + error_m + 2.0 * _CERTAIN_SIGMAS * sigma_m > constants.max_range_m
         ):  # or else noise does not put it beyond

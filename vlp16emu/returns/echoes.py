@@ -190,9 +190,7 @@ def _quick_exp(x: float) -> float:
     z = r * r
     rest = 0.500000006765061 + r * 0.16666665869323083 + z * (0.041666295063920514 + r * 0.00833349702096706)
     rest += z * z * (0.0013944650820433332 + r * 0.00019790350590949283)
-    bits = np.float64(1.0 + (r + z * rest)).view(np.int64) + (
-        np.float64(shifted).view(np.int64) << np.int64(52)
-    )
+    bits = np.float64(1.0 + (r + z * rest)).view(np.int64) + (np.float64(shifted).view(np.int64) << np.int64(52))
     return np.int64(bits).view(np.float64)
 
 
@@ -264,9 +262,7 @@ def _peaks_of_group(
                 found = _add_peak(peaks, found, top_m, height)
         if b_mean_m <= 0.0 and not one and b_m > a_m:
             end_m = b_m - reach_m
-            top_m, height = _climb(
-                nodes, start, stop, sigma_m, b_m, end_m, b_m < a_m, b_mean_m, b_var_m2, b_height
-            )
+            top_m, height = _climb(nodes, start, stop, sigma_m, b_m, end_m, b_m < a_m, b_mean_m, b_var_m2, b_height)
             if height > 0.0:
                 found = _add_peak(peaks, found, top_m, height)
         a_m, a_mean_m, a_var_m2, a_height = b_m, b_mean_m, b_var_m2, b_height

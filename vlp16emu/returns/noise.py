@@ -118,9 +118,7 @@ def range_sigma_m(constants: DetectorConstants, reflectance: float, amplitude: f
     """
     shown = min(max(reflectance, _FAINTEST_REFLECTANCE), 1.0)
     far_m = constants.sigma_m * constants.amplitude_noise / amplitude
-    return math.sqrt(
-        constants.range_noise_m * constants.range_noise_m * math.sqrt(_AT / shown) + far_m * far_m
-    )
+    return math.sqrt(constants.range_noise_m * constants.range_noise_m * math.sqrt(_AT / shown) + far_m * far_m)
 
 
 _CUBIC = 0.1

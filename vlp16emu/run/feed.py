@@ -28,9 +28,7 @@ class PacketFeed:
         If the engine has no such span, or the scene no device that `also` asks for
     """
 
-    def __init__(
-        self, engine: Engine, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()
-    ) -> None:
+    def __init__(self, engine: Engine, start_s: float, stop_s: float, *, also: Collection[PacketKind] = ()) -> None:
         self.engine, self._stop_s = engine, stop_s
         """Makes the packets from here on."""
         self._beside = door("beside")(engine, also) if also else None

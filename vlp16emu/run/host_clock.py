@@ -20,8 +20,7 @@ def _own(section: CaptureClock, seed: int) -> CaptureClock:
     names = "jitter_us", "late_share", "late_us"
     drawn = normal(seed, Purpose.CAPTURE_HOST, 0, len(names))
     own = {
-        name: getattr(section, name) * exp(float(section.host_spread * z))
-        for name, z in zip(names, drawn, strict=True)
+        name: getattr(section, name) * exp(float(section.host_spread * z)) for name, z in zip(names, drawn, strict=True)
     }
     return section.model_copy(update=own)
 
@@ -59,12 +58,8 @@ class HostClock:
 
         section, number = self._section, packet.due_ns // US_NS
         lane = packet.unit * _LANES_PER_UNIT + list(type(packet.kind)).index(packet.kind)
-        delay_us = section.jitter_us * abs(
-            float(normal(self._seed, Purpose.CAPTURE_STAMP, number, 1, lane)[0])
-        )
-        is_late, how = (
-            float(uniform(self._seed, Purpose.CAPTURE_LATE, 2 * number + i, 1, lane)[0]) for i in (0, 1)
-        )
+        delay_us = section.jitter_us * abs(float(normal(self._seed, Purpose.CAPTURE_STAMP, number, 1, lane)[0]))
+        is_late, how = (float(uniform(self._seed, Purpose.CAPTURE_LATE, 2 * number + i, 1, lane)[0]) for i in (0, 1))
         if is_late < section.late_share:
             delay_us += -section.late_us * log(1.0 - how)
         return min(delay_us, _LONGEST_US)

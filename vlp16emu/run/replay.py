@@ -10,17 +10,7 @@ from vlp16emu.packets import DATA_BYTES, POSITION_BYTES, Capture, CapturedUnit, 
 from vlp16emu.packets.frames import FACTORY_LINK, POSITION_PORT, Link
 from vlp16emu.packets.retime import moved
 from vlp16emu.run.report import Behind, behind_of
-from vlp16emu.sinks import (
-    LOOPBACK,
-    FellBehind,
-    FirstPacket,
-    Late,
-    Pacer,
-    RigSink,
-    StreamReport,
-    UdpResult,
-    stream,
-)
+from vlp16emu.sinks import LOOPBACK, FellBehind, FirstPacket, Late, Pacer, RigSink, StreamReport, UdpResult, stream
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
 
@@ -171,15 +161,7 @@ def replay(
 
     with RigSink(links, to, as_sensor=as_sensor, interface=interface, sent=sent) as rig:
         opened(packets)
-        report = stream(
-            packets,
-            rig,
-            Pacer(speed),
-            late=Late(late),
-            notify=notify,
-            now=now,
-            stop=stop,
-        )
+        report = stream(packets, rig, Pacer(speed), late=Late(late), notify=notify, now=now, stop=stop)
     return _summed_up(packets, links, report, rig.results, to)
 
 

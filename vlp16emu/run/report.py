@@ -140,9 +140,7 @@ def summed_up(
     live : where poses came in
     """
     scenario, lateness, skipped = feed.engine.scenario, report.lateness, report.skipped + feed.skipped
-    units = tuple(
-        _unit(*pair, report.simulated_s) for pair in zip(feed.engine.parts.units, sent, strict=True)
-    )
+    units = tuple(_unit(*pair, report.simulated_s) for pair in zip(feed.engine.parts.units, sent, strict=True))
     return Streamed(
         scene=scene,
         seed=scenario.seed,
@@ -193,9 +191,7 @@ def write_times(to: str | Path | TruthTo, report: StreamReport, speed: float) ->
         write_json(folder / "time.json", times)
 
 
-def with_outlets(
-    streamed: Streamed, sent: Mapping[PacketKind, Outlet], skipped: Counter[PacketKind]
-) -> Streamed:
+def with_outlets(streamed: Streamed, sent: Mapping[PacketKind, Outlet], skipped: Counter[PacketKind]) -> Streamed:
     """Add what left beside the packets of the sensors to a summary, and count what the stream skipped as dropped."""
 
     def found(kind: PacketKind) -> OutletResult | None:

@@ -111,9 +111,7 @@ class Run:
         return replace(self, engine=replace(self.engine, truth_of=door("truth_of_records")))
 
     @contextmanager
-    def truth(
-        self, to: TruthPlace | None, span_s: tuple[float, float], *, of: HasEngine
-    ) -> Iterator[Truth | None]:
+    def truth(self, to: TruthPlace | None, span_s: tuple[float, float], *, of: HasEngine) -> Iterator[Truth | None]:
         """Open the folder for the ground truth of a span; None if none is wanted.
 
         Parameters

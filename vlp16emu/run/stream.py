@@ -87,18 +87,14 @@ def stream_run(run: Run, options: StreamOptions) -> Streamed:
         flight = stack.enter_context(door("live")(run, options.poses)) if _is_live(run, options) else None
         policy = flight.prepare(stop, pacer) if flight else policy
         engine = replace(run.engine, prompt=options.http is not None)
-        feed = stack.enter_context(
-            closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ()))
-        )
+        feed = stack.enter_context(closing(PacketFeed(engine, *span_s, also=outlets.kinds if outlets else ())))
         sink = stack.enter_context(_rig(run, options))
         ways = stack.enter_context(outlets.opened(scenario.imu)) if outlets else {}
         options.opened()
         packets = _packets(run, options, feed, span_s, stack, stop)
         way = options.watched(SinkByKind(sink, ways) if ways else sink, pacer)
         clock = options.gps_in
-        reader = (
-            stack.enter_context(clock.reader(scenario.gps, scenario.sensor.powered_for_s)) if clock else None
-        )
+        reader = stack.enter_context(clock.reader(scenario.gps, scenario.sensor.powered_for_s)) if clock else None
         way = reader.sink(way) if reader else way
         way = flight.begun(way, pacer, now=options.now) if flight else way
         ahead = units * (flight.look_ahead if flight else LOOK_AHEAD_PACKETS)
@@ -156,12 +152,7 @@ def _is_live(run: Run, options: StreamOptions) -> bool:
 
 
 def _packets(
-    run: Run,
-    options: StreamOptions,
-    feed: PacketFeed,
-    span_s: tuple[float, float],
-    stack: ExitStack,
-    stop: Event,
+    run: Run, options: StreamOptions, feed: PacketFeed, span_s: tuple[float, float], stack: ExitStack, stop: Event
 ) -> Iterable[Packet]:
     """Return the packets to send: those of the feed, or those of a capture that is recorded first."""
     if options.prepare is None:

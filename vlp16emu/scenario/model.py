@@ -147,9 +147,7 @@ class Scenario(Section):
         since = self.start_utc.astimezone(UTC) - _FIRST_START
         return (since.days * 86400 + since.seconds) * S_NS + since.microseconds * US_NS
 
-    def span_s(
-        self, start_s: float, duration_s: float | None, *, where: str = "start_s"
-    ) -> tuple[float, float]:
+    def span_s(self, start_s: float, duration_s: float | None, *, where: str = "start_s") -> tuple[float, float]:
         """Begin and end of a run, in seconds since the first pulse; it ends with the scene where no duration is given.
 
         Raises
@@ -160,9 +158,7 @@ class Scenario(Section):
         if duration_s is not None:
             return start_s, start_s + duration_s
         if start_s >= self.duration_s:
-            expected = (
-                f"less than the scene's {self.duration_s:g} s, or a {where.replace('start', 'duration')}"
-            )
+            expected = f"less than the scene's {self.duration_s:g} s, or a {where.replace('start', 'duration')}"
             raise InputError(where, f"found {start_s:g}", expected)
         return start_s, self.duration_s
 

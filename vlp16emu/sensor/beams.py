@@ -113,29 +113,8 @@ _VLP_16 = _table(
 )
 # Offsets of ids 0..6 follow from those of 15..9 by antisymmetry.
 _PUCK_HI_RES = _table(
-    (
-        -10.0,
-        0.667,
-        -8.667,
-        2.0,
-        -7.333,
-        3.333,
-        -6.0,
-        4.667,
-        -4.667,
-        6.0,
-        -3.333,
-        7.333,
-        -2.0,
-        8.667,
-        -0.667,
-        10.0,
-    ),
+    (-10.0, 0.667, -8.667, 2.0, -7.333, 3.333, -6.0, 4.667, -4.667, 6.0, -3.333, 7.333, -2.0, 8.667, -0.667, 10.0),
     (7.4, -0.9, 6.5, -1.8, 5.5, -2.7, 4.6, -3.7, 3.7, -4.6, 2.7, -5.5, 1.8, -6.5, 0.9, -7.4),
 )
 
-BEAM_TABLES = {
-    SensorModel.VLP_16: _VLP_16,
-    SensorModel.PUCK_LITE: _VLP_16,
-    SensorModel.PUCK_HI_RES: _PUCK_HI_RES,
-}
+BEAM_TABLES = {SensorModel.VLP_16: _VLP_16, SensorModel.PUCK_LITE: _VLP_16, SensorModel.PUCK_HI_RES: _PUCK_HI_RES}

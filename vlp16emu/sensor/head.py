@@ -38,12 +38,7 @@ class Head:
         return np.asarray(sequence[:, None] + laser)
 
     def aim(
-        self,
-        first: int,
-        count: int,
-        poses_at: Callable[[NDArray[np.int64]], Poses],
-        *,
-        beam_axis: bool = False,
+        self, first: int, count: int, poses_at: Callable[[NDArray[np.int64]], Poses], *, beam_axis: bool = False
     ) -> Firings:
         """Point every pulse of `count` sequences from number `first` on.
 

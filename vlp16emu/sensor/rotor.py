@@ -152,9 +152,7 @@ class EncoderLines:
     slow_shares: tuple[float, ...] = _SLOW_SHARES
     """Of readings with the lower speed, behind each of so many lines in turn."""
 
-    def read(
-        self, angle_deg: NDArray[np.float64], noise_deg: float, seed: int, first: int
-    ) -> NDArray[np.float64]:
+    def read(self, angle_deg: NDArray[np.float64], noise_deg: float, seed: int, first: int) -> NDArray[np.float64]:
         """Read (k,) angles, those of firing sequences from `first` on; lines are seen early or late, evenly."""
         early = 2.0 * uniform(seed, Purpose.AZIMUTH_READING, first, len(angle_deg)) - 1.0
         angle_deg = angle_deg + _HALF_WIDTH * noise_deg * early
@@ -224,9 +222,7 @@ class Rotor:
         """Turn times since the start, any shape, into true angles in [0, 360), exact after any number of hours."""
         flat_ns = elapsed_ns.reshape(-1)
         if self.swings:
-            flat_ns = _swung(
-                flat_ns, *np.array([(s.amplitude_ns, s.period_ns, s.phase_rad) for s in self.swings]).T
-            )
+            flat_ns = _swung(flat_ns, *np.array([(s.amplitude_ns, s.period_ns, s.phase_rad) for s in self.swings]).T)
         if len(self.spins) == 1:
             out = self.spins[0].at(flat_ns)
         else:

@@ -3,14 +3,7 @@
 from ipaddress import IPv4Address
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from vlp16emu.errors import ScenarioError
 from vlp16emu.settings import Preset, Seed
@@ -193,10 +186,7 @@ def _named(table: Any) -> Any:
     return {"model": "vlp-16"} | table if isinstance(table, dict) else table
 
 
-AnySensor = Annotated[
-    Annotated[Sensor | FreeSensor, Field(discriminator="model")],
-    BeforeValidator(_named),
-]
+AnySensor = Annotated[Annotated[Sensor | FreeSensor, Field(discriminator="model")], BeforeValidator(_named)]
 """The `[sensor]` table."""
 
 

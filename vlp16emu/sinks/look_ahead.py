@@ -46,9 +46,7 @@ class LookAhead:
         self._made_due_ns = 0
         self._full: tuple[int, int] | None = None
         self._redo: tuple[int, Callable[[int], None]] | None = None
-        self._thread = threading.Thread(
-            target=self._run, args=(iter(packets),), name="look-ahead", daemon=True
-        )
+        self._thread = threading.Thread(target=self._run, args=(iter(packets),), name="look-ahead", daemon=True)
 
     def __enter__(self) -> Self:
         self._thread.start()

@@ -101,9 +101,7 @@ class DelayLog:
         time = self._time(late_ns, deadline_ns, engine=engine, engine_speed=engine_speed)
         time.total_s = time.total_s + late_s if self._late is Late.PACE else max(time.total_s, late_s)
 
-    def _time(
-        self, late_ns: int, deadline_ns: int, *, engine: bool, engine_speed: float | None
-    ) -> FellBehind:
+    def _time(self, late_ns: int, deadline_ns: int, *, engine: bool, engine_speed: float | None) -> FellBehind:
         """Give the time that lasts, or begin one and notify of it."""
         now_ns = deadline_ns + late_ns
         is_new = not self.times or now_ns - self._last_ns > _SETTLED_NS

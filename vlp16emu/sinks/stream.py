@@ -226,9 +226,7 @@ class Sender:
             since_ns = self._pacer.since_start_ns(deadline_ns)
             self._log.overdue(behind_ns, since_ns, engine_speed=engine_speed)
 
-    def report(
-        self, *, interrupted: bool, moved_s: int = 0, first: FirstPacket | None = None
-    ) -> StreamReport:
+    def report(self, *, interrupted: bool, moved_s: int = 0, first: FirstPacket | None = None) -> StreamReport:
         """Sum up."""
         simulated_ns, wall_ns = self._pacer.elapsed_ns
         return StreamReport(

@@ -164,9 +164,7 @@ def _is_broadcast(address: str, as_sensor: str | None, interface: str | None) ->
     return False
 
 
-def _open(
-    sensor_port: int, as_sensor: str | None, interface: str | None, *, broadcast: bool
-) -> socket.socket:
+def _open(sensor_port: int, as_sensor: str | None, interface: str | None, *, broadcast: bool) -> socket.socket:
     """Socket that sends from the sensor's own port, or from any free one."""
     opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:

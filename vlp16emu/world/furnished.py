@@ -98,10 +98,7 @@ class Furnished:
             if hasattr(world, name):
                 setattr(self, name, getattr(world, name))
         self._reach_m = reach_m
-        self.materials = (
-            *world.materials,
-            *(_material(f, part.name) for f in furniture for part in f.mesh.parts),
-        )
+        self.materials = (*world.materials, *(_material(f, part.name) for f in furniture for part in f.mesh.parts))
         keys = [MeshKey(i, one.mesh.path) for i, one in enumerate(furniture)]
         self._keys = [keys[i] for i, one in enumerate(furniture) for _ in one.section.places]
         self._mesh_of = {key: one.mesh for key, one in zip(keys, furniture, strict=True)}
@@ -144,9 +141,9 @@ class Furnished:
         return replace(
             window,
             shapes=(*window.shapes, *keys),
-            shape=np.append(
-                window.shape, [len(window.shapes) + keys.index(self._keys[i]) for i in near]
-            ).astype(np.int32),
+            shape=np.append(window.shape, [len(window.shapes) + keys.index(self._keys[i]) for i in near]).astype(
+                np.int32
+            ),
             world_T_shape=np.concatenate([window.world_T_shape, self._world_T_mesh[near]]),
             first_surface=np.append(window.first_surface, first).astype(np.uint32),
             surfaces=np.concatenate([window.surfaces, *(self._rows[i] for i in near)]),

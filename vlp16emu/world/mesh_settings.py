@@ -12,9 +12,7 @@ _KEYS = frozenset({"reflectance", "retroreflection_cd_lx_m2"})
 LengthUnit = Literal["m", "cm", "mm", "in", "ft"]
 UpAxis = Literal["z", "y"]
 SemanticName = Literal["ground", "tree", "shrub", "stone", "deadwood", "grass", "other"]
-PartName = Literal[
-    "none", "stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"
-]
+PartName = Literal["none", "stem", "branch_first_order", "branch_higher_order", "leaf", "root_flare", "dead_branch"]
 
 
 class PartFinish(Section):

@@ -13,9 +13,7 @@ if TYPE_CHECKING:  # scenes are read without numpy
 class Sway(Protocol):
     """What moves in a world."""
 
-    def with_sway(
-        self, window: "Window", track_m: "NDArray[np.float64]", start_ns: int, stop_ns: int
-    ) -> "Window":
+    def with_sway(self, window: "Window", track_m: "NDArray[np.float64]", start_ns: int, stop_ns: int) -> "Window":
         """Return the window of sensor positions (n, 3) with its sway between two UTC instants."""
 
 
@@ -38,13 +36,7 @@ class Site(Protocol):
         """Height of the ground over places."""
 
     def world(
-        self,
-        path_xy_m: "NDArray[np.float64]",
-        *,
-        reach_m: float,
-        farthest_m: float,
-        wind: "Wind | None",
-        start_ns: int,
+        self, path_xy_m: "NDArray[np.float64]", *, reach_m: float, farthest_m: float, wind: "Wind | None", start_ns: int
     ) -> "tuple[World, Sway | None]":
         """Return the world around a path, and what moves in it; None in still air.
 

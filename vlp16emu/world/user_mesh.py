@@ -36,9 +36,7 @@ _TALLEST_M, _WIDEST_M, _SMALLEST_M = 500.0, 10_000.0, 0.001
 _FLAT = 1e-7
 """Height over longest side below which a triangle is a line: the resolution of single precision."""
 
-_OBJ_BAD_FACE = re.compile(
-    rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE
-)
+_OBJ_BAD_FACE = re.compile(rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE)
 """A face of an OBJ file that trimesh would pass over: fewer than three corners, or a corner 0 (they count from 1)."""
 
 
@@ -155,9 +153,7 @@ def _scene(path: Path) -> Any:
 def _placed(where: str, vertices: Array, faces: Faces, file_T_part: Array) -> Array:
     """Vertices in the file's frame, after a check of both arrays."""
     if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise GeometryError(
-            where, f"found vertices of {vertices.shape[-1]} numbers", "three coordinates each"
-        )
+        raise GeometryError(where, f"found vertices of {vertices.shape[-1]} numbers", "three coordinates each")
     stray = (faces < 0) | (faces >= len(vertices))
     if stray.any():
         face, corner = np.argwhere(stray)[0]
@@ -169,9 +165,7 @@ def _placed(where: str, vertices: Array, faces: Faces, file_T_part: Array) -> Ar
     if broken.any():
         vertex = int(broken.argmax())
         raise GeometryError(
-            where,
-            f"found {vertices[vertex].tolist()} as vertex {vertex}, counted from 0",
-            "finite coordinates",
+            where, f"found {vertices[vertex].tolist()} as vertex {vertex}, counted from 0", "finite coordinates"
         )
     place: Array = matvec(file_T_part[:3, :3], vertices) + file_T_part[:3, 3]
     return place

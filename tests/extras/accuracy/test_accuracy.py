@@ -62,9 +62,7 @@ def test_a_held_pose_is_that_of_the_first_pulse():
     """Held over a packet of 24 sequences, all pulses have the pose of the packet's first one."""
     unit = Engine.of(load("birch_walk", ["world.stems_per_ha=50"])).parts.units[0]
     t_ns = unit.head.times_ns(1920, 48)
-    _, per_sequence, per_packet = (
-        hold.poses_at(t_ns.reshape(-1)).world_p_body_m for hold in pose_rates(unit)
-    )
+    _, per_sequence, per_packet = (hold.poses_at(t_ns.reshape(-1)).world_p_body_m for hold in pose_rates(unit))
     first_m = unit.motion.poses_at(t_ns[:, 0].copy()).world_p_body_m
     assert (per_sequence.reshape(48, 16, 3) == first_m[:, None]).all()
     assert (per_packet.reshape(2, 24 * 16, 3) == first_m[::24, None]).all()

@@ -74,11 +74,7 @@ def test_audits_estimate_the_error_that_accuracy_measures(hall):
     aimed = [bench.aimed(group, poses_at) for group in groups]
     answer = joined([bench.answer(scenes[0], pulses, unit.beam) for pulses in aimed])
     returns = joined([bench.detections(scenes[0], pulses, unit.beam) for pulses in aimed])
-    measured_m = errors_of(
-        compare(answer, returns, apart_m(hall.detector)), apart_m(hall.detector)
-    ).range_rmse_m
-    squares_um2, matched = (
-        sum(getattr(audit.tally, of) for audit in audits) for of in ("squares_um2", "matched")
-    )
+    measured_m = errors_of(compare(answer, returns, apart_m(hall.detector)), apart_m(hall.detector)).range_rmse_m
+    squares_um2, matched = (sum(getattr(audit.tally, of) for audit in audits) for of in ("squares_um2", "matched"))
     assert 1e-6 * np.sqrt(squares_um2 / matched) == pytest.approx(measured_m, rel=0.15)
     assert len({audit.tally.range_rmse_m for audit in audits}) == 20, "audits draw pulses of their own"

@@ -24,9 +24,7 @@ def errors(answer, got):
 
 
 def row(name, us, error_m, kind=Kind.FIXED, in_use=False):
-    some = replace(
-        errors(detections_of(10.0), detections_of(10.1)), mean_error_m=error_m, range_rmse_m=error_m
-    )
+    some = replace(errors(detections_of(10.0), detections_of(10.1)), mean_error_m=error_m, range_rmse_m=error_m)
     return Row(kind, name, in_use, some, us, 0.1 * us, 1.0)
 
 
@@ -95,9 +93,7 @@ def test_a_tally_says_what_errors_of_all_pulses_say():
         turned.add(compare(answer, got, RESOLUTION_M))
     assert tally == turned
     both = [
-        Detections(
-            np.concatenate([one.distance_m for one in of]), np.concatenate([one.reflectivity for one in of])
-        )
+        Detections(np.concatenate([one.distance_m for one in of]), np.concatenate([one.reflectivity for one in of]))
         for of in (answers, tolds)
     ]
     found = errors(*both)
@@ -147,20 +143,13 @@ def test_the_order_is_the_slope():
 def test_choices_name_the_quickest_that_is_good_enough():
     """For each wanted error the quickest setting within it is named, once, with the least error it is good for."""
     rows = [row("one", 1.0, 0.15), row("eight", 4.0, 0.06), row("many", 20.0, 0.009)]
-    assert [(one.wanted_m, one.row.name) for one in choices(rows)] == [
-        (0.2, "one"),
-        (0.1, "eight"),
-        (0.01, "many"),
-    ]
+    assert [(one.wanted_m, one.row.name) for one in choices(rows)] == [(0.2, "one"), (0.1, "eight"), (0.01, "many")]
 
 
 def test_the_picture_is_drawn():
     """A picture is a PNG below 150 kB that has every setting in it, also where an error is nothing."""
     pytest.importorskip("matplotlib")
-    rows = (
-        row("model=none", 1.0, 0.2, Kind.ONE_RAY, True),
-        *(row(f"rays={n}", n, 0.5 / n) for n in (4, 8, 16)),
-    )
+    rows = (row("model=none", 1.0, 0.2, Kind.ONE_RAY, True), *(row(f"rays={n}", n, 0.5 / n) for n in (4, 8, 16)))
     drawn = io.BytesIO()
     draw_accuracy(drawn, Accuracy("wood", 1, 4096, 1e-4, rows, ()))
     assert drawn.getvalue()[:4] == b"\x89PNG"

@@ -50,9 +50,7 @@ def test_a_healthy_sensor_reads_as_real_units_do(t_s):
 
 def test_boards_warm_up_over_the_first_minutes():
     """From 25 degrees at power-up, over more than half of the way after two minutes, to 51 and 53 after ten."""
-    readings = [
-        [celsius(board["lm20_temp"]) for board in boards(powered_for_s=s)] for s in (0.0, 120.0, 600.0)
-    ]
+    readings = [[celsius(board["lm20_temp"]) for board in boards(powered_for_s=s)] for s in (0.0, 120.0, 600.0)]
     for cold, between, warm in zip(*readings, strict=True):
         assert cold == pytest.approx(25, abs=0.5)
         assert between > (cold + warm) / 2

@@ -134,10 +134,7 @@ def test_a_sensor_that_starts_has_no_sentence_and_waits_for_its_window():
 @pytest.mark.parametrize(
     "events",
     [
-        [
-            {"kind": "pps_loss", "at_s": 2.2, "duration_s": 3.0},
-            {"kind": "pps_loss", "at_s": 4.0, "duration_s": 2.0},
-        ],
+        [{"kind": "pps_loss", "at_s": 2.2, "duration_s": 3.0}, {"kind": "pps_loss", "at_s": 4.0, "duration_s": 2.0}],
         [{"kind": "wrong_sentence", "at_s": 2.2, "duration_s": 3.0}, {"kind": "power_cycle", "at_s": 15.1}],
         [
             {"kind": "late_sentence", "at_s": 4.0, "duration_s": 9.0, "by_s": 3.3},

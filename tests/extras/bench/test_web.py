@@ -19,13 +19,7 @@ FOLDER = Path(__file__).parents[2] / "protocol" / "web"
 SCHEMAS = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in FOLDER.glob("*.schema.json")}
 REGISTRY = Registry().with_resources((name, Resource.from_contents(tree)) for name, tree in SCHEMAS.items())
 DOCUMENTS = ("settings.json", "status.json", "diag.json", "info.json", "snapshot.hdl")
-OTHERS = {
-    "laser_on": False,
-    "phase_lock_on": True,
-    "dhcp": True,
-    "return_mode": ReturnMode.DUAL,
-    "fov_deg": (90, 9),
-}
+OTHERS = {"laser_on": False, "phase_lock_on": True, "dhcp": True, "return_mode": ReturnMode.DUAL, "fov_deg": (90, 9)}
 
 
 def check(tree, name):
@@ -46,9 +40,7 @@ def test_a_document_is_as_its_schema_says(web, name):
     check(web.client.get(f"/cgi/{name}"), schema)
     web.device.adopt(replace(DeviceSettings(), **OTHERS))
     check(web.client.get(f"/cgi/{name}"), schema)
-    web.engine.now = replace(
-        web.engine.now, disabled=True, pps=PpsState.ABSENT, position="", phase_locked=True
-    )
+    web.engine.now = replace(web.engine.now, disabled=True, pps=PpsState.ABSENT, position="", phase_locked=True)
     check(web.client.get(f"/cgi/{name}"), schema)
 
 
@@ -140,9 +132,7 @@ def test_a_bad_value_is_ignored(web, form, words):
     assert not web.file.exists()
 
 
-@pytest.mark.parametrize(
-    ("save", "reset"), [("submit", "reset_system"), ("data=submit", "data=reset_system")]
-)
+@pytest.mark.parametrize(("save", "reset"), [("submit", "reset_system"), ("data=submit", "data=reset_system")])
 def test_save_and_reset(web, save, reset):
     """Bare words and form data do the same: what is saved is there after a reset, in a file too, what is not is lost."""
     web.client.post("/cgi/setting", "rpm=300")
@@ -294,9 +284,7 @@ def test_where_it_listens():
     assert parse_http("0.0.0.0:80") == ("0.0.0.0", 80)
     assert parse_http("[::1]:80") == ("::1", 80)
     for text in ("", "host", "host:", "1.2.3.4:65536", "1.2.3.4:-1", "1.2.3.4:٨٠", "http://127.0.0.1"):
-        with pytest.raises(
-            InputError, match=r"--http: found .* expected HOST:PORT, such as 127\.0\.0\.1:8080"
-        ):
+        with pytest.raises(InputError, match=r"--http: found .* expected HOST:PORT, such as 127\.0\.0\.1:8080"):
             parse_http(text)
 
 
@@ -305,7 +293,5 @@ def test_a_port_that_is_taken_is_named(web, make):
     _, device = make()
     host, port = web.address
     for place in (host, "192.0.2.1", "a..b"):
-        with pytest.raises(
-            OutputError, match=f"--http {place}:{port}: .*expected an address of this machine"
-        ):
+        with pytest.raises(OutputError, match=f"--http {place}:{port}: .*expected an address of this machine"):
             WebServer(device, place, port)

@@ -50,9 +50,7 @@ class Nebula:
 
     def _once(self, method, endpoint, body):
         form = f"Content-Type: application/x-www-form-urlencoded\r\nContent-Length: {len(body)}\r\n"
-        head = (
-            f"{method} {endpoint} HTTP/1.1\r\nHost: {self._address[0]}\r\n{form if method == 'POST' else ''}"
-        )
+        head = f"{method} {endpoint} HTTP/1.1\r\nHost: {self._address[0]}\r\n{form if method == 'POST' else ''}"
         text = ""
         with socket.create_connection(self._address, timeout=0.5) as line:
             line.sendall(f"{head}Connection: close\r\n\r\n{body}".encode())
@@ -66,9 +64,7 @@ class Nebula:
                 head_end = text.find("\r\n\r\n")
                 if head_end < 0:
                     continue
-                found = text.find(
-                    "Content-Length: "
-                )  # no other spelling is known; without it the body is lost
+                found = text.find("Content-Length: ")  # no other spelling is known; without it the body is lost
                 length = int(text[found + 16 : text.find("\r\n", found)]) if found >= 0 else 0
                 if len(text) >= head_end + 4 + length:
                     return text[head_end + 4 :]
@@ -107,12 +103,7 @@ def test_nebula_configures_every_item(web):
     tree = json.loads(nebula.request("GET", "/cgi/snapshot.hdl"))
     assert {key: nebula.item(tree, key) for key in WANTED} == WANTED
     assert web.engine.settings == DeviceSettings(
-        rpm=1200,
-        return_mode=ReturnMode.DUAL,
-        fov_deg=(90, 270),
-        host="127.0.0.1",
-        data_port=3000,
-        position_port=3001,
+        rpm=1200, return_mode=ReturnMode.DUAL, fov_deg=(90, 270), host="127.0.0.1", data_port=3000, position_port=3001
     )
     assert len(web.engine.changes) == 7
     nebula.configure(WANTED)

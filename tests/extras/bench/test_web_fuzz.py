@@ -65,15 +65,11 @@ KEYS = {
     ("/cgi/setting/phaselock", "enabled"): SWITCH,
     ("/cgi/setting/phaselock", "offset"): (whole(0, 35_999), lambda text: str(int(text))),
 }
-DOCUMENTS = [
-    f"/cgi/{name}" for name in ("settings.json", "status.json", "diag.json", "info.json", "snapshot.hdl")
-]
+DOCUMENTS = [f"/cgi/{name}" for name in ("settings.json", "status.json", "diag.json", "info.json", "snapshot.hdl")]
 FORMS = sorted({path for path, _ in KEYS})
 PLAIN = st.text(st.characters(min_codepoint=33, max_codepoint=126, exclude_characters="&=+%"), max_size=12)
 VALUES = st.one_of(
-    st.sampled_from(
-        ["on", "off", "On", "Strongest", "Last", "Dual", "dual", "600", "0600", "-1", "1e3", "", "nan"]
-    ),
+    st.sampled_from(["on", "off", "On", "Strongest", "Last", "Dual", "dual", "600", "0600", "-1", "1e3", "", "nan"]),
     st.integers(0, 70_000).map(str),
     st.integers(5, 20).map(lambda number: str(60 * number)),
     st.ip_addresses(v=4).map(str),
@@ -106,9 +102,7 @@ def shown(config, path, key):
 
 @MANY
 @given(
-    path=st.sampled_from(FORMS),
-    pairs=st.lists(st.tuples(st.sampled_from(sorted(KEYS)), VALUES), max_size=3),
-    odd=PLAIN,
+    path=st.sampled_from(FORMS), pairs=st.lists(st.tuples(st.sampled_from(sorted(KEYS)), VALUES), max_size=3), odd=PLAIN
 )
 def test_any_form_sets_what_it_may_and_nothing_else(web, ask, path, pairs, odd):
     """A form of good keys and values is answered 204 and read back; another one 200, and all is as before."""
@@ -145,9 +139,7 @@ def test_any_method_and_path_has_its_status(web, ask, method, path, query, body,
     """Unknown paths are 404, wrong methods 405, long bodies 413; what is there is there for GET and HEAD alone."""
     status, said = ask(method, path + query, body, header)
     path = path.partition("?")[0]
-    takes = (
-        {"GET", "HEAD"} if path in {*DOCUMENTS, "/"} else {"POST"} if path in {*FORMS, "/cgi/save"} else None
-    )
+    takes = {"GET", "HEAD"} if path in {*DOCUMENTS, "/"} else {"POST"} if path in {*FORMS, "/cgi/save"} else None
     if body is not None and len(body) > 4096:
         assert status == 413
     elif takes is None:

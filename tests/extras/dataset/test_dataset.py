@@ -35,8 +35,7 @@ sensors = [{ name = "puck" }, { name = "four", set = ["sensor.model=free", "sens
 splits = { train = 0.5, val = 0.0, test = 0.5 }
 """
 DASK = pytest.mark.skipif(
-    find_spec("distributed") is None or find_spec("cryptography") is None,
-    reason="the extra cluster is not installed",
+    find_spec("distributed") is None or find_spec("cryptography") is None, reason="the extra cluster is not installed"
 )
 
 PUCK_ALONE = SPEC.replace(', { name = "four", set = ["sensor.model=free", "sensor.beams=4"] }', "")
@@ -217,10 +216,7 @@ def test_a_plot_is_a_laz_file_that_others_read(tmp_path):
     (walk, *_) = walks_in(tmp_path, SPEC.replace("semantickitti", "las-plots"))
     make_dataset([walk], tmp_path / "out", workers=0)
     write_points(Emulator(walk.scenario), tmp_path / "points.npz", truth=True)
-    points, cloud = (
-        np.load(tmp_path / "points.npz"),
-        laspy.read(tmp_path / "out" / "walks" / "0000" / "points.laz"),
-    )
+    points, cloud = (np.load(tmp_path / "points.npz"), laspy.read(tmp_path / "out" / "walks" / "0000" / "points.laz"))
     np.testing.assert_allclose(cloud.xyz, points["world_m"], atol=1e-3)
     assert np.array_equal(cloud["instance"], points["instance"])
     assert set(cloud.classification) >= {2}  # ground
@@ -283,10 +279,7 @@ def test_dask_is_named_where_it_is_missing(tmp_path, monkeypatch, option):
 def workers_of(pid):
     """Processes below a process that hold the world of a walk: spawned, and no resource tracker."""
     listed = subprocess.run(
-        ["ps", "-ww", "--ppid", str(pid), "-o", "pid=", "-o", "args="],
-        capture_output=True,
-        text=True,
-        check=False,
+        ["ps", "-ww", "--ppid", str(pid), "-o", "pid=", "-o", "args="], capture_output=True, text=True, check=False
     )
     rows = [line.split(None, 1) for line in listed.stdout.splitlines()]
     return {int(number) for number, words in rows if "spawn_main" in words}

@@ -13,13 +13,7 @@ from vlp16emu.extras.clouds.points import write_points
 from vlp16emu.extras.score.card import limits_of
 from vlp16emu.extras.score.clouds import cloud_distances, density_per_m2, uniformity
 from vlp16emu.extras.score.files import Stem, read_cloud, read_stems
-from vlp16emu.extras.score.trees import (
-    box_scores,
-    instance_scores,
-    leaf_wood_scores,
-    match_stems,
-    stem_scores,
-)
+from vlp16emu.extras.score.trees import box_scores, instance_scores, leaf_wood_scores, match_stems, stem_scores
 
 POINTS = "x,y,z,semantic,part,leaf_wood,instance\n"
 
@@ -182,14 +176,7 @@ def test_average_precision_by_hand():
 
 def test_a_missed_threshold_is_exit_code_1(truth, capsys):
     """Each threshold that is missed is named with its value; an unknown one is bad input."""
-    arguments = [
-        "score",
-        str(truth),
-        "--stems",
-        str(truth / "trees.csv"),
-        "--inventory",
-        str(truth / "trees.csv"),
-    ]
+    arguments = ["score", str(truth), "--stems", str(truth / "trees.csv"), "--inventory", str(truth / "trees.csv")]
     assert app.run([*arguments, "--require", "stem_recall>=1", "--require", "dbh_m<0.01"]) == 0
     assert app.run([*arguments, "--require", "stem_recall>1"]) == 1
     assert "missed: stem_recall is 1, required > 1" in capsys.readouterr().out

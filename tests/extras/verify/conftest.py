@@ -39,9 +39,7 @@ class Traffic:
         """Overwrite bytes of a position payload and bring its checksum up to date."""
         payload = bytearray(self.frames[i][42:])
         payload[offset : offset + len(content)] = content
-        self.frames[i][:] = position_frame(
-            FACTORY_LINK, bytes(payload), int.from_bytes(self.frames[i][18:20])
-        )
+        self.frames[i][:] = position_frame(FACTORY_LINK, bytes(payload), int.from_bytes(self.frames[i][18:20]))
 
     @staticmethod
     def sentence(second):
@@ -105,9 +103,7 @@ def position_frames(seconds):
         payload[198:203] = struct.pack("<IB", (START_US + since_us) % 3_600_000_000, 2)
         text = Traffic.sentence((since_us - 400_000) // 1_000_000)
         payload[206 : 206 + len(text)] = text
-        frames.append(
-            (START_US + since_us + 350, position_frame(FACTORY_LINK, bytes(payload), 65_500 + number))
-        )
+        frames.append((START_US + since_us + 350, position_frame(FACTORY_LINK, bytes(payload), 65_500 + number)))
     return frames
 
 

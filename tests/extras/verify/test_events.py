@@ -61,9 +61,7 @@ def test_drop(tmp_path):
     found, result = verified(
         tmp_path / "drop.pcap", faulty({"kind": "drop", "at_s": 0.5, "count": 12, "packets": "both"})
     )
-    assert found == {
-        Rule.LOST_PACKETS: ["12 data packets missing before it", "12 position packets missing before it"]
-    }
+    assert found == {Rule.LOST_PACKETS: ["12 data packets missing before it", "12 position packets missing before it"]}
     assert result.lost_packets == 24
 
 
@@ -82,13 +80,9 @@ def test_duplicate(tmp_path, after_s):
 def test_reorder(tmp_path, by):
     """Packets behind later ones are named, by how many; none counts as missing."""
     found, result = verified(
-        tmp_path / "order.pcap",
-        faulty({"kind": "reorder", "at_s": 0.2, "count": 1, "by": by, "packets": "both"}),
+        tmp_path / "order.pcap", faulty({"kind": "reorder", "at_s": 0.2, "count": 1, "by": by, "packets": "both"})
     )
-    assert found[Rule.PACKET_ORDER] == [
-        f"a data packet overtaken by {by}",
-        f"a position packet overtaken by {by}",
-    ]
+    assert found[Rule.PACKET_ORDER] == [f"a data packet overtaken by {by}", f"a position packet overtaken by {by}"]
     assert set(found) - {Rule.CLOCK_DRIFT} == {Rule.PACKET_ORDER}  # position packets are 7 ms apart
     assert result.lost_packets == 0
 
@@ -137,8 +131,7 @@ def test_truncate(tmp_path):
 def test_freeze(tmp_path):
     """A payload that comes again and again is named, and the time that it took is missing afterwards."""
     found, _ = verified(
-        tmp_path / "frozen.pcap",
-        faulty({"kind": "freeze", "at_s": 0.5, "duration_s": 0.3, "packets": "both"}),
+        tmp_path / "frozen.pcap", faulty({"kind": "freeze", "at_s": 0.5, "duration_s": 0.3, "packets": "both"})
     )
     assert set(found) == {Rule.FROZEN, Rule.DUPLICATE, Rule.LOST_PACKETS}
     assert len(found[Rule.FROZEN]) > 250
@@ -162,9 +155,7 @@ def test_gps(tmp_path, kind):
     found, _ = verified(tmp_path / "gps.pcap", run.packets())
     assert words in found[rule][0]
     states = {Rule.PPS} if kind in ("pps_loss", "wrong_sentence") else set()
-    assert {rule} | states == set(found) - {
-        Rule.NMEA_CHECKSUM
-    }  # that alone, where what is garbled is a digit
+    assert {rule} | states == set(found) - {Rule.NMEA_CHECKSUM}  # that alone, where what is garbled is a digit
 
 
 def test_void_sentences(tmp_path):
@@ -183,10 +174,7 @@ def test_power_cycle(tmp_path):
     run = emulator(DARK, {"kind": "power_cycle", "at_s": 2.0, "off_s": 3.0}, duration_s=7.0)
     packets = [packet for packet in run.packets() if packet.kind == "position"]
     found, _ = verified(tmp_path / "off.pcap", packets)
-    assert [text[:-10] for text in found[Rule.SILENCE]] in (
-        ["no packet for 3.00 s"],
-        ["no packet for 3.01 s"],
-    )
+    assert [text[:-10] for text in found[Rule.SILENCE]] in (["no packet for 3.00 s"], ["no packet for 3.01 s"])
     assert found[Rule.PPS] == ["state 1, synchronizing, from here on"]
     assert len(found[Rule.CLOCK_DRIFT]) == 1
 

@@ -166,9 +166,7 @@ def test_rates_are_found(tmp_path, traffic):
     made.stamps_us = [made.stamps_us[0] + (t - made.stamps_us[0]) // 2 for t in made.stamps_us]
     result = verify_capture(made.save(tmp_path / "fast.pcap"))
     assert rules(result) == {Rule.DATA_RATE, Rule.POSITION_RATE, Rule.CLOCK_DRIFT}
-    assert {f.found for f in result.findings if f.rule is Rule.DATA_RATE} == {
-        "1507.0 data packets per second"
-    }
+    assert {f.found for f in result.findings if f.rule is Rule.DATA_RATE} == {"1507.0 data packets per second"}
 
 
 def test_change_of_mode_is_found_once(tmp_path, traffic):

@@ -262,9 +262,7 @@ def test_one_azimuth_of_36000_is_a_note(tmp_path, traffic):
     """Old firmware sent it for 0; the next code is an error."""
     for code, is_clean in ((36_000, True), (36_001, False)):
         made = traffic(0.3, 600)
-        blocks = [
-            made.payload(i)[0]["blocks"]["azimuth_cdeg"] for i, f in enumerate(made.frames) if len(f) == 1248
-        ]
+        blocks = [made.payload(i)[0]["blocks"]["azimuth_cdeg"] for i, f in enumerate(made.frames) if len(f) == 1248]
         north_cdeg = int(blocks[100][5])
         for azimuth_cdeg in blocks:
             azimuth_cdeg[:] = (azimuth_cdeg.astype(int) - north_cdeg) % 36_000

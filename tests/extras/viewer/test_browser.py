@@ -18,10 +18,7 @@ pytest.importorskip("viser", reason="the extra viewer is not installed")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
 CHROMIUM = shutil.which("chromium")
-pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no chromium"),
-    pytest.mark.usefixtures("kept_woods"),
-]
+pytestmark = [pytest.mark.skipif(CHROMIUM is None, reason="no chromium"), pytest.mark.usefixtures("kept_woods")]
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SIZE = {"width": 900, "height": 700}
 WAIT_MS = 120_000

@@ -53,12 +53,7 @@ def test_requests_for_others_are_refused(host, origin, ours):
 def test_the_page_is_there_and_no_file_beside_it(port):
     """The page loads; paths that lead elsewhere, written in any way, find nothing."""
     assert status(port) == 200
-    for path in (
-        "/../../../../etc/passwd",
-        "/%2e%2e/%2e%2e/etc/passwd",
-        "/..%5c..%5cetc/passwd",
-        "//etc/passwd",
-    ):
+    for path in ("/../../../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/..%5c..%5cetc/passwd", "//etc/passwd"):
         assert status(port, path) == 404, path
     assert status(port, Host="evil.example") == 403
     assert status(port, Origin="http://evil.example") == 403
@@ -133,19 +128,7 @@ def test_random_messages_change_nothing(port, tmp_path):
     kinds = sorted(name for name in vars(_messages) if name.endswith("Message"))
     secret = tmp_path / "secret"
     secret.write_text("nobody reads this")
-    values = (
-        None,
-        -1,
-        1e308,
-        float("nan"),
-        True,
-        [],
-        {},
-        b"\xff" * 40,
-        str(secret),
-        "../../etc/passwd",
-        [[1.0]],
-    )
+    values = (None, -1, 1e308, float("nan"), True, [], {}, b"\xff" * 40, str(secret), "../../etc/passwd", [[1.0]])
     address, kind = f"ws://127.0.0.1:{port}/", f"viser-v{viser.__version__}"
     for round_ in range(100):  # what is wrong ends its connection: few messages each, and many of them
         with suppress(ConnectionClosed), connect(address, subprotocols=[kind], max_size=None) as client:
@@ -154,9 +137,7 @@ def test_random_messages_change_nothing(port, tmp_path):
                 if round_ % 4 == 0:
                     client.send(rng.bytes(int(rng.integers(1, 300))))
                     continue
-                message = {
-                    key: values[rng.integers(len(values))] for key in rng.choice(KEYS, 4, replace=False)
-                }
+                message = {key: values[rng.integers(len(values))] for key in rng.choice(KEYS, 4, replace=False)}
                 client.send(msgspec.msgpack.encode(message | {"type": kinds[rng.integers(len(kinds))]}))
     assert status(port) == 200
     assert [path.name for path in tmp_path.iterdir()] == ["secret"]

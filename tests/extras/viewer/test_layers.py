@@ -72,9 +72,7 @@ def tube(sides, rings):
     place_m = np.stack([radius_m * np.cos(turn) + 0.4 * up, radius_m * np.sin(turn), 10 * up], axis=-1)
     corner = np.arange(sides * rings).reshape(rings, sides)
     quads = [corner[:-1], np.roll(corner, -1, axis=1)[:-1], np.roll(corner, -1, axis=1)[1:], corner[1:]]
-    return Mesh(
-        place_m.reshape(-1, 3).astype(np.float32), np.stack(quads, -1).reshape(-1, 4).astype(np.uint32)
-    )
+    return Mesh(place_m.reshape(-1, 3).astype(np.float32), np.stack(quads, -1).reshape(-1, 4).astype(np.uint32))
 
 
 def test_a_slim_stem_stands_where_the_stem_stands():

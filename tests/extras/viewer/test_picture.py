@@ -79,16 +79,7 @@ def test_a_view_of_a_revolution_is_of_one(tmp_path, view, capsys):
     pytest.importorskip("imageio_ffmpeg", reason="the extra picture is not installed")
     made = {}
     for name in ("a.png", "a.gif"):
-        words = [
-            "picture",
-            "static_bench",
-            str(tmp_path / name),
-            "--view",
-            view,
-            "--colour",
-            "range",
-            "--json",
-        ]
+        words = ["picture", "static_bench", str(tmp_path / name), "--view", view, "--colour", "range", "--json"]
         assert run([*words, *SMALL]) == 0
         made[name] = json.loads(capsys.readouterr().out)
     assert made["a.png"]["revolutions"] == 1
@@ -166,10 +157,7 @@ def test_a_capture_is_drawn_by_its_trajectory(tmp_path):
         ),
         (["static_bench", "{out}.png", "--size", "63x64"], "--size: found 63x64"),
         (["static_bench", "{out}.png", "--from", "400"], "--from: found 400"),
-        (
-            ["static_bench", "{out}.png", "--from", "40", "--view", "sweep"],
-            "--from: found beside --view sweep",
-        ),
+        (["static_bench", "{out}.png", "--from", "40", "--view", "sweep"], "--from: found beside --view sweep"),
         (["static_bench", "{out}.png", "--view", "top"], "--view: found top; expected slant, sweep, image"),
         (["static_bench", "{out}.png", "--duration", "0.05"], "no whole revolution"),
         (["static_bench", "{out}.png", "--trajectory", "x.tum"], "--trajectory: found beside a scene"),

@@ -93,8 +93,7 @@ def test_broken_packets_are_marked_where_they_are_and_the_rest_is_shown(run, tmp
     bad = written(tmp_path / "bad.pcap", frames[:lost] + frames[lost + 1 :])
     with closing(CaptureSweeps(bad)) as sweeps, closing(CaptureSweeps(folder / "walk.pcap")) as whole:
         shown, all_shown = (
-            {sweep.scan.start_ns: sweep for sweep in map(of.at, np.arange(0.0, 0.5, 0.04))}
-            for of in (sweeps, whole)
+            {sweep.scan.start_ns: sweep for sweep in map(of.at, np.arange(0.0, 0.5, 0.04))} for of in (sweeps, whole)
         )
     marks = {mark for sweep in shown.values() for mark in sweep.marks}
     points, all_points = (sum(len(sweep.world_m) for sweep in of.values()) for of in (shown, all_shown))

@@ -70,10 +70,7 @@ def test_meshes_come_after_what_is_there():
     assert added["reflectance"] == pytest.approx([0.5, 0.4] * 2)
     assert [world.materials[m] for m in added["material"]] == ["tree.obj leaves", "tree.obj stem"] * 2
     assert world.shape(window.shapes[-1]) == (TRIANGLE, TRIANGLE)
-    assert (
-        world.shape(own.shapes[0])[0].vertices_m.tobytes()
-        == hall.shape(own.shapes[0])[0].vertices_m.tobytes()
-    )
+    assert world.shape(own.shapes[0])[0].vertices_m.tobytes() == hall.shape(own.shapes[0])[0].vertices_m.tobytes()
 
 
 @pytest.mark.parametrize(("one_thing", "expected"), [(True, [0, 0, 1, 1, 2, 2]), (False, [0, 1, 2, 3, 4, 5])])
@@ -84,9 +81,7 @@ def test_each_place_is_a_thing_or_each_part_is(one_thing, expected):
     added = world.window(TRACK_M).surfaces[2:]
     assert (added["instance"].astype(np.int64) - FIRST_FREE_INSTANCE).tolist() == expected
     assert set(world.names) == set(added["instance"].tolist())
-    assert (
-        world.names[FIRST_FREE_INSTANCE] == ("tree.obj" if one_thing else "tree.obj leaves") + " at (4, 0) m"
-    )
+    assert world.names[FIRST_FREE_INSTANCE] == ("tree.obj" if one_thing else "tree.obj leaves") + " at (4, 0) m"
 
 
 @pytest.mark.parametrize(

@@ -60,9 +60,7 @@ def test_crowns_are_prototypes_of_the_lists_own_trees(make):
     assert keys[0] == keys[1]
     key = keys[0]
     assert key.species == "silver_birch"
-    assert (key.dbh_m, key.height_m, key.crown_base_m, key.crown_width_m) == pytest.approx(
-        (0.205, 20.5, 9, 4.5)
-    )
+    assert (key.dbh_m, key.height_m, key.crown_base_m, key.crown_width_m) == pytest.approx((0.205, 20.5, 9, 4.5))
     lai = species_table()["silver_birch"].leaf_area_index
     assert key.leaf_area_m2 == pytest.approx(lai * np.pi / 4 * 4.5**2)
 

@@ -118,9 +118,7 @@ def test_a_trees_dbh_is_that_of_its_mesh(models):
         lines -= lines.mean(axis=(0, 1))
         across = np.linalg.svd(axis[None])[2][1:]
         a, b = lines[:, 0] @ across.T, lines[:, 1] @ across.T
-        order = np.sign(
-            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-        )  # seen from inside the section each runs one way
+        order = np.sign(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])  # seen from inside the section each runs one way
         area_m2 = abs((order * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])).sum()) / 2
         assert 2 * np.sqrt(area_m2 / np.pi) == pytest.approx(tree["dbh_m"], abs=1e-4)
 
@@ -254,9 +252,7 @@ def test_a_tree_too_short_for_its_model_is_refused(models):
 def test_sections_do_not_depend_on_which_way_faces_look(turn):
     """A tube of 24 sides has the area and girth of its polygon, its faces looking in or out; the largest outline counts."""
     tubes = [prism([[0, 0, 0], [0, 0, 2]], [r, r]) for r in (0.3, 0.1)]
-    cutter = Cutter(
-        [vertices for vertices, _ in tubes], [faces[:, ::turn].astype(np.uint32) for _, faces in tubes]
-    )
+    cutter = Cutter([vertices for vertices, _ in tubes], [faces[:, ::turn].astype(np.uint32) for _, faces in tubes])
     outline = cutter.cut(1.0)
     assert outline.diameter_m == pytest.approx(2 * 0.3 * np.sqrt(12 / np.pi * np.sin(np.pi / 12)), rel=1e-9)
     assert outline.tape_m == pytest.approx(48 * 0.3 * np.sin(np.pi / 24) / np.pi, rel=1e-9)
@@ -321,9 +317,7 @@ def test_from_afar_every_tree_has_a_stem(forest):
     far, tile = forest.far_tile(1, 0), forest.window(np.array([[30.0, 10.0, 1.5]]))
     begin = next(row for ix, iy, row in tile.tiles if (ix, iy) == (1, 0))
     rows = tile.surfaces[begin + far.stems["row"][:, 1]]
-    assert sorted(rows["species"].tolist()) == sorted(
-        [BIRCH.number] * 3 + [species_table()["norway_spruce"].number]
-    )
+    assert sorted(rows["species"].tolist()) == sorted([BIRCH.number] * 3 + [species_table()["norway_spruce"].number])
     assert len(set(rows["instance"].tolist())) == 4
     assert (rows["part"] == PlantPart.STEM).all()
     breast_m = [np.interp(1.3, stem["along_m"], stem["radius_m"]) for stem in far.stems]

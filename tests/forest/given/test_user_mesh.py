@@ -60,9 +60,7 @@ def test_every_kind_of_file_gives_the_same_solid(tmp_path, kind):
     assert mesh.findings == ()
 
 
-@pytest.mark.parametrize(
-    ("unit", "metres"), [("m", 1), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("ft", 0.3048)]
-)
+@pytest.mark.parametrize(("unit", "metres"), [("m", 1), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("ft", 0.3048)])
 def test_units_become_metres(tmp_path, unit, metres):
     """A length of 5 in the file's unit is that many metres."""
     mesh = load(tmp_path, CORNERS.replace("1", "5") + TETRAHEDRON, unit=unit)
@@ -212,17 +210,13 @@ def glb_of_two_files():
 )
 def test_an_stl_that_is_not_whole_has_no_face(tmp_path, content):
     """An STL cut short, or longer than its header says, is no mesh of fewer triangles."""
-    with pytest.raises(
-        GeometryError, match=r"a.stl: no face; expected a whole file with a mesh of triangles"
-    ):
+    with pytest.raises(GeometryError, match=r"a.stl: no face; expected a whole file with a mesh of triangles"):
         load(tmp_path, content, "a.stl")
 
 
 def test_a_glb_without_its_data_is_refused(tmp_path):
     """Coordinates in another file are not looked for."""
-    with pytest.raises(
-        GeometryError, match=r"a.glb: cannot be read: .*; expected .* with all its data inside"
-    ):
+    with pytest.raises(GeometryError, match=r"a.glb: cannot be read: .*; expected .* with all its data inside"):
         load(tmp_path, glb_of_two_files(), "a.glb")
 
 

@@ -23,9 +23,7 @@ def test_relief_has_the_rms_that_was_set(band):
     assert height.std() == pytest.approx(0.7, rel=0.02)
 
 
-@pytest.mark.parametrize(
-    ("band", "shortest_m", "longest_m"), [("hill_rms_m", 30, 300), ("rough_rms_m", 1, 12)]
-)
+@pytest.mark.parametrize(("band", "shortest_m", "longest_m"), [("hill_rms_m", 30, 300), ("rough_rms_m", 1, 12)])
 def test_relief_keeps_to_its_wavelengths(band, shortest_m, longest_m):
     """The rms gradient equals that of a spectrum falling with the third power between the band's limits."""
     x, y = np.random.default_rng(2).uniform(-1e5, 1e5, (2, 50_000))
@@ -107,9 +105,7 @@ def test_a_height_is_the_same_alone_and_in_any_array():
     x, y = np.random.default_rng(3).uniform(-100, 100, (2, 1001))
     together = terrain.height_m(x, y)
     assert np.array_equal(together[7::13], terrain.height_m(x[7::13], y[7::13]))
-    assert np.array_equal(
-        together[1:], terrain.height_m(x[1:].reshape(10, 100), y[1:].reshape(10, 100)).ravel()
-    )
+    assert np.array_equal(together[1:], terrain.height_m(x[1:].reshape(10, 100), y[1:].reshape(10, 100)).ravel())
     assert terrain.height_m(x[:1], y[:1])[0] == together[0]
 
 

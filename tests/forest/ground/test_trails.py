@@ -19,9 +19,7 @@ LEFT = np.array([-ALONG[1], ALONG[0]])
 
 def flat_with_trails(*, seed=3):
     """Flat ground with nothing but ruts."""
-    section = Terrain(
-        hill_rms_m=0.0, rough_rms_m=0.0, trail_spacing_m=SPACING_M, trail_towards_deg=TOWARDS_DEG
-    )
+    section = Terrain(hill_rms_m=0.0, rough_rms_m=0.0, trail_spacing_m=SPACING_M, trail_towards_deg=TOWARDS_DEG)
     return TerrainHeights(section, seed=seed)
 
 

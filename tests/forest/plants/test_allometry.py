@@ -194,9 +194,7 @@ def test_biomass_agrees_with_the_general_equations_of_its_kind():
         height_m = species.height_m(100 * dbh_m, 30.0, 24.0)
         mass = species.biomass_kg(dbh_m, height_m, species.crown_base_m(100 * dbh_m, height_m, 27.0))
         b0, b1 = (-2.0127, 2.4342) if species.foliage.kind == "leaf" else (-2.0773, 2.3323)
-        assert (np.abs(np.log(mass / np.exp(b0 + b1 * np.log(100 * dbh_m)))) < np.log(1.6)).all(), (
-            species.name
-        )
+        assert (np.abs(np.log(mass / np.exp(b0 + b1 * np.log(100 * dbh_m)))) < np.log(1.6)).all(), species.name
 
 
 def test_dead_trees_have_no_biomass_equation():

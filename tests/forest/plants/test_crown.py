@@ -196,9 +196,7 @@ def test_dead_branches_are_long_below_the_crown_and_stubs_at_the_foot():
     assert (np.diff(middle_m) < 0).all()
     assert middle_m[0] > 3 * middle_m[3]
     assert all(outside_m[(way > low) & (way <= low + 0.25)].std() > 0.1 for low in (0.0, 0.25, 0.5, 0.75))
-    straight_m = np.concatenate(
-        [np.linalg.norm(np.diff(b.nodes_m, axis=1), axis=2).sum(axis=1) for b in dead]
-    )
+    straight_m = np.concatenate([np.linalg.norm(np.diff(b.nodes_m, axis=1), axis=2).sum(axis=1) for b in dead])
     assert straight_m == pytest.approx(length_m, rel=0.02)
 
 
@@ -231,9 +229,7 @@ def test_dead_branches_sit_below_the_crown_and_only_when_wanted():
     for name, key in KEYS.items():
         assert CROWN_PARTS[3] == PlantPart.DEAD_BRANCH, name
         living, bare = grown(key), grown(replace(key, dead_branches=True))
-        assert [m.vertices_m.tobytes() for m in bare[:3]] == [m.vertices_m.tobytes() for m in living[:3]], (
-            name
-        )
+        assert [m.vertices_m.tobytes() for m in bare[:3]] == [m.vertices_m.tobytes() for m in living[:3]], name
         assert len(bare[3].faces) > len(living[3].faces) or key in BROAD.values(), name
         assert (len(living[3].faces) == 0) == (key.species != "snag"), name
     for _, dead, _ in bole("norway_spruce"):
@@ -276,10 +272,7 @@ def test_branches_below_the_crown_die_and_fall_with_depth():
 def test_needles_of_pine_sit_in_tufts_at_the_ends_of_twigs():
     """No shoot of a pine leaves the first half of its twig, and those of a spruce leave all of it."""
     twigs = Branches(
-        np.linspace([0.0, 0, 0], [1, 0, 0], 3)[None].repeat(50, 0),
-        np.zeros(50),
-        np.ones(50),
-        np.full(50, 0.01),
+        np.linspace([0.0, 0, 0], [1, 0, 0], 3)[None].repeat(50, 0), np.zeros(50), np.ones(50), np.full(50, 0.01)
     )
     for name, bare in (("scots_pine", 0.55), ("norway_spruce", 0.0)):
         mesh = foliage_mesh(np.random.default_rng(1), species_table()[name].foliage, twigs, 5.0)
@@ -306,9 +299,7 @@ def test_broad_crowns_have_a_third_order(name):
 
 def tube_of(mesh):
     """Which tube each vertex belongs to, (v,), by the faces that hang together."""
-    graph = coo_array(
-        (np.ones(len(mesh.faces)), (mesh.faces[:, 0], mesh.faces[:, 1])), [len(mesh.vertices_m)] * 2
-    )
+    graph = coo_array((np.ones(len(mesh.faces)), (mesh.faces[:, 0], mesh.faces[:, 1])), [len(mesh.vertices_m)] * 2)
     other = coo_array((np.ones(len(mesh.faces)), (mesh.faces[:, 1], mesh.faces[:, 2])), graph.shape)
     return connected_components(graph + other, directed=False)[1]
 

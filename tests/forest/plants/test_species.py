@@ -58,9 +58,7 @@ def test_every_equation_and_optical_number_says_where_it_comes_from():
     keys = "height_curve|crown_width|crown_base|diameters|taper|fia|leaf_area_index|inclination|clumping"
     lines = re.findall(rf"(?m)^(?:{keys}|biomass|\w+_reflectance|leaf_transmittance|spread_m) = .*$", TEXT)
     assert len(lines) > 150
-    unnamed = [
-        line for line in lines if not re.search(r"#.*(\[[A-Z]\]|assumption|bears no|\(\d{4}\)|\d{4}\()", line)
-    ]
+    unnamed = [line for line in lines if not re.search(r"#.*(\[[A-Z]\]|assumption|bears no|\(\d{4}\)|\d{4}\()", line)]
     # Shoots follow their twig: nothing to cite.
     assert [line for line in unnamed if line != "spread_m = 0.0" and "one by one" not in line] == []
 

@@ -69,10 +69,7 @@ def test_area_at_breast_height_is_that_of_the_dbh():
             foot = np.array([tree["x_m"], tree["y_m"], tree["z_m"]]) - origin_m
             for above in (1.3 - 1e-4, 1.3 + 1e-4):  # on either side of the ring, where cuts are well defined
                 middle = foot + axis * above / axis[2]
-                assert area_diameter_m(solid, middle, axis) == pytest.approx(tree["dbh_m"], abs=1e-4), (
-                    name,
-                    lean_deg,
-                )
+                assert area_diameter_m(solid, middle, axis) == pytest.approx(tree["dbh_m"], abs=1e-4), (name, lean_deg)
 
 
 @pytest.mark.parametrize("species", [1, 4, 12])
@@ -143,9 +140,7 @@ def test_a_snag_breaks_off_at_full_width():
 def test_lean_rotation_tips_the_vertical_without_twist():
     """The rotation is proper, tips z towards its direction, and leaves the level axis across it alone."""
     lean, towards = np.array([0.0, 5.0, 30.0]), np.array([10.0, 200.0, 75.0])
-    for R, tilt, angle in zip(
-        lean_rotation(lean, towards), np.radians(lean), np.radians(towards), strict=True
-    ):
+    for R, tilt, angle in zip(lean_rotation(lean, towards), np.radians(lean), np.radians(towards), strict=True):
         assert np.allclose(R @ R.T, np.eye(3))
         expected = [np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)]
         assert np.allclose(R[:, 2], expected)

@@ -39,10 +39,7 @@ def make_trees(name, count=1, dbh_m=0.35):
 
 def sections_m(trees, ring=BREAST_RING, **changes):
     """Corners of sections (n, sides) of trees of one size, some keys of their species changed."""
-    table = {
-        name: one.model_copy(update={"stem": one.stem.model_copy(update=changes)})
-        for name, one in TABLE.items()
-    }
+    table = {name: one.model_copy(update={"stem": one.stem.model_copy(update=changes)}) for name, one in TABLE.items()}
     rings = stem_rings(trees, table=table)
     angle = vertex_angles(trees, int(rings.sides[0]))
     return rings.forms.outline(angle, rings.above_ground_m, rings.radius_m, trees["dbh_m"] / 2)[:, ring]
@@ -102,9 +99,7 @@ def test_sections_have_the_area_of_published_tapers():
         rings = stem_rings(trees)
         rings.forms.forks[:, 0] = 0
         own = np.setdiff1d(np.arange(20), rings.forked)
-        taper_m = taper_radius_m(
-            tapers(trees["species"]), trees["dbh_m"], trees["height_m"], rings.above_ground_m
-        )
+        taper_m = taper_radius_m(tapers(trees["species"]), trees["dbh_m"], trees["height_m"], rings.above_ground_m)
         sides = int(rings.sides[0])
         away_m = rings.forms.outline(
             vertex_angles(trees, sides), rings.above_ground_m, rings.radius_m, trees["dbh_m"] / 2
@@ -161,9 +156,7 @@ def test_flutes_are_deepest_at_the_butt():
     """Lobes reach as far as the table says at the ground, and a tenth of that at breast height at most (Singleton et al. 2003)."""
     trees = make_trees("european_beech", 400)
     depth = [
-        np.ptp(section := sections_m(trees, ring, ovality=0.0, bark_mm_per_cm=0.0), axis=1)
-        / section.mean(axis=1)
-        / 2
+        np.ptp(section := sections_m(trees, ring, ovality=0.0, bark_mm_per_cm=0.0), axis=1) / section.mean(axis=1) / 2
         for ring in (1, BREAST_RING)
     ]
     assert np.mean(depth[0]) == pytest.approx(TABLE["european_beech"].stem.lobes, rel=0.05)
@@ -191,10 +184,7 @@ def test_furrows_of_oak_do_not_reach_the_wood():
 
 def test_ridges_are_as_far_apart_as_the_mesh_allows():
     """An oak of 16 cm has a ridge for every three of its vertices, a beech of 1 m as many as its bark's period asks for."""
-    for name, dbh_m, period_mm, expected in (
-        ("english_oak", 0.16, 45.0, 5),
-        ("european_beech", 1.0, 400.0, 8),
-    ):
+    for name, dbh_m, period_mm, expected in (("english_oak", 0.16, 45.0, 5), ("european_beech", 1.0, 400.0, 8)):
         corners_m = sections_m(
             make_trees(name, 30, dbh_m), lobes=0.0, ovality=0.0, bark_mm_per_cm=0.3, bark_period_mm=period_mm
         )
@@ -235,9 +225,7 @@ def test_both_leaders_together_are_as_thick_as_one():
     above = np.flatnonzero(rings.above_ground_m[0] > rings.fork_m[0])[1]
     z = rings.above_ground_m[0, above]
     second_m = np.interp(z, leaders.above_ground_m[0], leaders.radius_m[0])
-    whole_m = taper_radius_m(tapers(trees["species"]), trees["dbh_m"], trees["height_m"], np.array([[z]]))[
-        0, 0
-    ]
+    whole_m = taper_radius_m(tapers(trees["species"]), trees["dbh_m"], trees["height_m"], np.array([[z]]))[0, 0]
     assert np.hypot(rings.radius_m[0, above], second_m) == pytest.approx(whole_m, rel=0.01)
     gap_m = np.linalg.norm(
         leaders.axis_m(leaders.above_ground_m) - axis_m(trees, rings.forms, leaders.above_ground_m), axis=2

@@ -45,9 +45,7 @@ def test_surfaces_belong_to_the_meshes_they_show(forest, track_m):
             assert (rows["instance"] == tree["id"]).all()
             assert (rows["species"] == tree["species"]).all()
             leaf = rows["part"] == PlantPart.LEAF
-            assert (
-                rows["reflectance"] == np.where(leaf, tree["leaf_reflectance"], tree["bark_reflectance"])
-            ).all()
+            assert (rows["reflectance"] == np.where(leaf, tree["leaf_reflectance"], tree["bark_reflectance"])).all()
             names = [forest.materials[m] for m in rows["material"]]
             assert names == [f"{key.species} {'leaf' if is_leaf else 'bark'}" for is_leaf in leaf]
     assert (used == 1).all()
@@ -100,9 +98,7 @@ def test_a_tree_is_the_same_from_either_end(make_forest):
     assert len(near.keys() & far.keys()) > 50
     assert all(near[name] == far[name] for name in near.keys() & far.keys())
     sample = sorted(shapes, key=str)[::7]
-    assert [mesh_bytes(there.shape(k)) for k in sample] == [mesh_bytes(back.shape(k)) for k in sample[::-1]][
-        ::-1
-    ]
+    assert [mesh_bytes(there.shape(k)) for k in sample] == [mesh_bytes(back.shape(k)) for k in sample[::-1]][::-1]
 
 
 def test_numbers_are_unique_and_never_zero(forest):
@@ -204,9 +200,7 @@ def test_everything_is_the_same_from_either_end_and_in_any_order(make_forest):
     second = [back.window(track[::-1]) for track in tracks[::-1]][::-1]
     assert [placed(a) == placed(b) for a, b in zip(first, second, strict=True)] == [True, True]
     shapes = sorted(set(first[0].shapes) | set(first[1].shapes), key=str)[::5]
-    assert [mesh_bytes(there.shape(k)) for k in shapes] == [mesh_bytes(back.shape(k)) for k in shapes[::-1]][
-        ::-1
-    ]
+    assert [mesh_bytes(there.shape(k)) for k in shapes] == [mesh_bytes(back.shape(k)) for k in shapes[::-1]][::-1]
 
 
 def test_bare_ground(make_forest, track_m):
@@ -230,10 +224,7 @@ def test_tiles_out_of_reach_are_forgotten(make_forest):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            {"path_xy_m": np.array([[0.0, 0.0], [np.nan, 1.0]])},
-            r"path_xy_m\[1\]: found \[nan, 1.0\]; expected finite",
-        ),
+        ({"path_xy_m": np.array([[0.0, 0.0], [np.nan, 1.0]])}, r"path_xy_m\[1\]: found \[nan, 1.0\]; expected finite"),
         ({"path_xy_m": np.array([[0.0, 0.0], [9e4, 9e4]])}, "path_xy_m: spans 90 km x 90 km"),
         ({"stems_per_ha": 2e5}, "found 200000 trees and things per hectare; expected at most 125000"),
     ],

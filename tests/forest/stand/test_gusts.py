@@ -83,7 +83,5 @@ def test_any_tree_at_any_time_by_itself():
     stand = Trees(np.linspace(0.8, 4.0, 9), 0.1, np.linspace(-90.0, 90.0, 9), np.linspace(5.0, -70.0, 9))
     whole = swings(lines, SPEED_M_S, stand, t_s)
     for i, k in ((0, 0), (4, 33), (8, 70)):
-        alone = Trees(
-            stand.omega_rad_s[i : i + 1], 0.1, stand.downwind_m[i : i + 1], stand.aside_m[i : i + 1]
-        )
+        alone = Trees(stand.omega_rad_s[i : i + 1], 0.1, stand.downwind_m[i : i + 1], stand.aside_m[i : i + 1])
         assert swings(lines, SPEED_M_S, alone, t_s[k : k + 1]).tobytes() == whole[k, i].tobytes()

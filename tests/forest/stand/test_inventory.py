@@ -101,15 +101,11 @@ def test_crooked_stems_are_measured_on_their_meshes(trees, crowns, rootless):
         tree = crooked[i : i + 1]
         foot_m = np.array([tree["x_m"][0], tree["y_m"][0], 2.0])
         meshes = stem_meshes(tree, foot_m, lambda x, y: 2.0 + 0 * x, table=rootless)
-        solid = trimesh.util.concatenate(
-            [trimesh.Trimesh(m.vertices_m, m.faces, process=False) for m in meshes]
-        )
+        solid = trimesh.util.concatenate([trimesh.Trimesh(m.vertices_m, m.faces, process=False) for m in meshes])
         solid.merge_vertices()
         bottom_m = meshes[0].vertices_m[0]
         depth_m = np.linalg.norm(bottom_m)
-        cut_m = trimesh.intersections.mesh_plane(
-            solid, plane_normal=bottom_m / depth_m, plane_origin=bottom_m / 2
-        )
+        cut_m = trimesh.intersections.mesh_plane(solid, plane_normal=bottom_m / depth_m, plane_origin=bottom_m / 2)
         around_m = cut_m - bottom_m / 2
         buried_m3 = depth_m * np.linalg.norm(np.cross(around_m[:, 0], around_m[:, 1]), axis=1).sum() / 2
         assert row["stem_m3"] == pytest.approx(solid.volume - buried_m3, rel=1e-3)
@@ -146,13 +142,9 @@ def test_the_top_is_the_highest_vertex(rows, solids, trees, crowns):
     wide, long = crown_scale(trees, crowns)
     for i, (tree, key, solid) in enumerate(zip(trees, crowns, solids, strict=True)):
         lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[i]
-        mesh = trimesh.util.concatenate(
-            [trimesh.Trimesh(m.vertices_m, m.faces) for m in crown_meshes(SEED, key)]
-        )
+        mesh = trimesh.util.concatenate([trimesh.Trimesh(m.vertices_m, m.faces) for m in crown_meshes(SEED, key)])
         mesh.apply_scale([wide[i], wide[i], long[i]])
-        mesh.apply_transform(
-            trimesh.transformations.rotation_matrix(np.radians(tree["crown_azimuth_deg"]), [0, 0, 1])
-        )
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(np.radians(tree["crown_azimuth_deg"]), [0, 0, 1]))
         along_m = tree["crown_base_m"] / np.cos(np.radians(tree["lean_deg"]))
         places = np.concatenate([mesh.vertices + [0, 0, along_m], solid.vertices]) @ lean.T
         assert rows["top_m"][i] == pytest.approx(places[:, 2].max(), abs=1e-5)
@@ -164,9 +156,7 @@ def test_the_top_is_the_highest_vertex(rows, solids, trees, crowns):
 
 def test_leaves_rise_above_the_tip(rows):
     """The crowns of broad trees end 0.1 m to 1.5 m above their stems' tips."""
-    broad = np.isin(
-        rows["species"], [species_table()[name].number for name in ("english_oak", "sugar_maple")]
-    )
+    broad = np.isin(rows["species"], [species_table()[name].number for name in ("english_oak", "sugar_maple")])
     over_m = (rows["top_m"] - rows["height_m"])[broad]
     assert (over_m > 0.1).all()
     assert (over_m < 1.5).all()

@@ -69,11 +69,7 @@ def test_a_hall_keeps_its_sizes():
     hall = HallWorld(Hall(kind="hall", length_m=10, width_m=8, height_m=4, poles=[pole]))
     track_m = np.array([[0.0, 0.0, 1.0]])
     things = things_near(
-        hall.window(track_m),
-        hall.shape,
-        trees=np.zeros(0, np.uint32),
-        path=Polyline(track_m[:, :2]),
-        radius_m=np.inf,
+        hall.window(track_m), hall.shape, trees=np.zeros(0, np.uint32), path=Polyline(track_m[:, :2]), radius_m=np.inf
     )
     assert [one.kind for one in things] == ["ground", "other"]
     assert things[1].place_m.tolist() == [2.0, 1.0, 0.0]
@@ -116,10 +112,7 @@ def test_a_piece_holds_what_is_wanted_and_ground_inside(full_forest, window, tre
 def test_a_piece_can_be_without_any_thing(full_forest, window):
     """With nothing wanted only ground is left, and no surface number is the one that means nothing."""
     piece, grow = cut_out(
-        window,
-        full_forest.shape,
-        instances=np.zeros(0, np.uint32),
-        inside=lambda xy_m: np.ones(len(xy_m), np.bool_),
+        window, full_forest.shape, instances=np.zeros(0, np.uint32), inside=lambda xy_m: np.ones(len(xy_m), np.bool_)
     )
     assert all(isinstance(key, TileKey) for key in piece.shapes)
     assert (piece.first_surface != NO_SURFACE).all()

@@ -8,13 +8,7 @@ from scipy import stats
 from scipy.spatial import cKDTree
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.stand.points import (
-    ClusterPattern,
-    HardCorePattern,
-    PatchyPattern,
-    RowPattern,
-    ScatteredPattern,
-)
+from vlp16emu.forest.stand.points import ClusterPattern, HardCorePattern, PatchyPattern, RowPattern, ScatteredPattern
 from vlp16emu.forest.stand.settings import Clusters, Plantation
 from vlp16emu.forest.tiles import TILE_M
 from vlp16emu.random import Purpose
@@ -41,9 +35,7 @@ def rows(per_ha=1600.0, seed=9):
 
 
 def patchy(per_ha=700.0, seed=9):
-    return PatchyPattern(
-        seed=seed, purpose=Purpose.HERBS, even_per_ha=0.2 * per_ha, patchy_per_ha=0.8 * per_ha
-    )
+    return PatchyPattern(seed=seed, purpose=Purpose.HERBS, even_per_ha=0.2 * per_ha, patchy_per_ha=0.8 * per_ha)
 
 
 def points_of(pattern, across=ACROSS):
@@ -74,14 +66,7 @@ def matern_index(per_ha, distance_m):
 
 @pytest.mark.parametrize(
     ("make", "per_ha"),
-    [
-        (hard_core, 30.0),
-        (hard_core, 700.0),
-        (hard_core, 4000.0),
-        (scattered, 700.0),
-        (clusters, 700.0),
-        (rows, 1600.0),
-    ],
+    [(hard_core, 30.0), (hard_core, 700.0), (hard_core, 4000.0), (scattered, 700.0), (clusters, 700.0), (rows, 1600.0)],
 )
 def test_density_is_as_set(make, per_ha):
     """Over 23 hectares the number is right within 3 sigma: of a Poisson count, or of clumps of eight on average."""
@@ -111,9 +96,7 @@ def test_no_two_are_nearer_than_the_hard_core(per_ha):
 def test_clark_evans_of_trees_that_keep_apart():
     """The index is that of Matern's second process, simulated anew on a torus, within 0.02."""
     pattern = hard_core(seed=10)
-    assert clark_evans(points_of(pattern), 700.0) == pytest.approx(
-        matern_index(700.0, pattern.distance_m), abs=0.02
-    )
+    assert clark_evans(points_of(pattern), 700.0) == pytest.approx(matern_index(700.0, pattern.distance_m), abs=0.02)
 
 
 def test_clark_evans_of_scattered_points_is_one():
@@ -174,9 +157,7 @@ def test_planted_rows_are_rows():
 
 def test_more_than_was_planted_is_refused():
     """Rows cannot hold more plants than their spacing has places for."""
-    with pytest.raises(
-        GeometryError, match=r"found 1800; expected at most 1778, which rows of 2.5 m x 2.25 m"
-    ):
+    with pytest.raises(GeometryError, match=r"found 1800; expected at most 1778, which rows of 2.5 m x 2.25 m"):
         rows(1800.0)
 
 

@@ -12,17 +12,7 @@ from vlp16emu.errors import GeometryError
 from vlp16emu.forest.stand.floor_shapes import FloorKind, floor_meshes
 from vlp16emu.forest.stand.placed import Site
 from vlp16emu.forest.stand.scatter import layer_of
-from vlp16emu.forest.stand.settings import (
-    DwarfShrubs,
-    Ferns,
-    Grass,
-    Herbs,
-    Litter,
-    Logs,
-    Moss,
-    Stones,
-    Stumps,
-)
+from vlp16emu.forest.stand.settings import DwarfShrubs, Ferns, Grass, Herbs, Litter, Logs, Moss, Stones, Stumps
 from vlp16emu.types import PlantPart, Semantic
 from vlp16emu.world.polyline import Corridor, distance_m
 
@@ -39,14 +29,7 @@ def ground(x, y):
 
 
 def plot(ix, iy, *, path=FAR, trunks=NO_TRUNKS, height_m=ground):
-    return Site(
-        seed=6,
-        ix=ix,
-        iy=iy,
-        height_m=height_m,
-        path=Corridor(path, 0.8),
-        trunks=trunks,
-    )
+    return Site(seed=6, ix=ix, iy=iy, height_m=height_m, path=Corridor(path, 0.8), trunks=trunks)
 
 
 SIZES = {
@@ -229,14 +212,10 @@ def test_moss_and_litter_are_ground_and_lie_along_it():
     """On a slope their axes are across it; they are on the path too, and labelled as ground."""
     for section in (Moss(cover=0.3), Litter(cover=0.3)):
         layer = layer_of(section, seed=6)
-        placed = [
-            layer.place(plot(*tile, path=NEAR, height_m=lambda x, y: 0.2 * x + 0.1 * y)) for tile in TILES
-        ]
+        placed = [layer.place(plot(*tile, path=NEAR, height_m=lambda x, y: 0.2 * x + 0.1 * y)) for tile in TILES]
         world = np.concatenate([one.world_T_shape for one in placed])
         up = world[:, :, 2] / np.linalg.norm(world[:, :, 2], axis=1, keepdims=True)
-        np.testing.assert_allclose(
-            up, np.tile(np.array([-0.2, -0.1, 1.0]) / np.sqrt(1.05), (len(up), 1)), atol=1e-9
-        )
+        np.testing.assert_allclose(up, np.tile(np.array([-0.2, -0.1, 1.0]) / np.sqrt(1.05), (len(up), 1)), atol=1e-9)
         assert distance_m(world[:, :2, 3], NEAR).min() < 0.3
         assert layer.kind.is_ground
         assert all(one.is_ground and (one.surfaces["semantic"] == Semantic.GROUND).all() for one in placed)
@@ -296,9 +275,7 @@ def test_labels_say_what_it_is(layer, semantic, part, species):
 
 def test_unknown_log_species_is_named():
     """Logs of an unknown tree are refused with the names that exist."""
-    with pytest.raises(
-        GeometryError, match=r"logs.species: unknown species 'larch'; expected one of silver_birch"
-    ):
+    with pytest.raises(GeometryError, match=r"logs.species: unknown species 'larch'; expected one of silver_birch"):
         layer_of(Logs(per_ha=10.0, species=["larch"]), seed=6)
 
 
@@ -322,11 +299,7 @@ def test_shares_are_those_that_were_asked_for():
     )
     logs = whole + pieces / 2
     _, wide, high = size_m(found[FloorKind.LOG][0]).T
-    for share, expected in (
-        (plates / logs, 0.3),
-        (pieces / 2 / logs, 0.25),
-        ((high < 0.9 * wide).mean(), 0.7 * 0.4),
-    ):
+    for share, expected in ((plates / logs, 0.3), (pieces / 2 / logs, 0.25), ((high < 0.9 * wide).mean(), 0.7 * 0.4)):
         assert share == pytest.approx(expected, abs=3 * np.sqrt(expected * (1 - expected) / whole))
 
 
@@ -367,10 +340,7 @@ def test_a_broken_log_lies_in_two_pieces_with_a_gap():
         assert ((share > 0.0199) & (share < 0.1001)).all()
         assert (size_m(tops)[:, 1] < diameter).all()
         assert (diameter < size_m(butts)[:, 1]).all()
-        along = [
-            piece[:, :2, 0] / np.linalg.norm(piece[:, :2, 0], axis=1, keepdims=True)
-            for piece in (butts, tops)
-        ]
+        along = [piece[:, :2, 0] / np.linalg.norm(piece[:, :2, 0], axis=1, keepdims=True) for piece in (butts, tops)]
         assert (along[0] * along[1]).sum(axis=1).min() > np.cos(np.radians(12.01))
 
 

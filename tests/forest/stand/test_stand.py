@@ -11,15 +11,7 @@ from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.flora import species_table, tapers
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.stand.points import ScatteredPattern
-from vlp16emu.forest.stand.settings import (
-    Clusters,
-    Forest,
-    HardCore,
-    Plantation,
-    Scattered,
-    SpeciesShare,
-    Storey,
-)
+from vlp16emu.forest.stand.settings import Clusters, Forest, HardCore, Plantation, Scattered, SpeciesShare, Storey
 from vlp16emu.forest.stand.stand import Stand, density_per_ha, foot_discs
 from vlp16emu.random import Purpose
 from vlp16emu.world.polyline import Corridor, distance_m
@@ -30,24 +22,12 @@ SPRUCE = SpeciesShare(species="norway_spruce", share=0.75, dbh_cm=24.0, height_m
 
 
 def make_stand(
-    *,
-    stems_per_ha=800.0,
-    species=(BIRCH, SPRUCE),
-    path_xy_m=FAR_XY_M,
-    clearance_m=0.8,
-    trails=None,
-    **section,
+    *, stems_per_ha=800.0, species=(BIRCH, SPRUCE), path_xy_m=FAR_XY_M, clearance_m=0.8, trails=None, **section
 ):
     whole = sum(one.share for one in species)
     species = [one.model_copy(update={"share": one.share / whole}) for one in species]
     return Stand(
-        Forest(
-            kind="forest",
-            stems_per_ha=stems_per_ha,
-            species=species,
-            path_clearance_m=clearance_m,
-            **section,
-        ),
+        Forest(kind="forest", stems_per_ha=stems_per_ha, species=species, path_clearance_m=clearance_m, **section),
         seed=14,
         height_m=lambda x, y: 0.01 * x + 0.02 * y,
         path=Corridor(path_xy_m, clearance_m),
@@ -206,9 +186,7 @@ def test_path_is_kept_clear_of_stems():
     tiles = [(ix, iy) for ix in range(4) for iy in range(5)]
     all_trees = np.concatenate([kept.trees(*t) for t in tiles])
     trees = np.concatenate([free.trees(*t) for t in tiles])
-    radius = taper_radius_m(
-        tapers(trees["species"]), trees["dbh_m"], trees["height_m"], np.zeros((len(trees), 1))
-    )
+    radius = taper_radius_m(tapers(trees["species"]), trees["dbh_m"], trees["height_m"], np.zeros((len(trees), 1)))
     axis = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])[:, :, 2]
     for above_m in (0.0, 1.0, 2.5):
         x, y = (trees[name] + above_m * axis[:, i] / axis[:, 2] for i, name in enumerate(("x_m", "y_m")))
@@ -221,9 +199,7 @@ def test_path_is_kept_clear_of_stems():
 
 def test_unknown_species_is_named():
     """An unknown species is refused with the names that exist."""
-    with pytest.raises(
-        GeometryError, match="unknown species 'larch'; expected one of silver_birch, norway_spruce"
-    ):
+    with pytest.raises(GeometryError, match="unknown species 'larch'; expected one of silver_birch, norway_spruce"):
         make_stand(species=(BIRCH.model_copy(update={"species": "larch"}),))
 
 
@@ -247,7 +223,5 @@ def test_rows_that_cannot_hold_the_density_off_trails_are_refused():
     """The error says the density that was asked for, and what the rows hold without what trails take: four of twenty metres."""
     trails = Trails(Terrain(trail_spacing_m=20.0), seed=14)
     rows = Plantation(kind="plantation", row_spacing_m=2.5, tree_spacing_m=2.0)
-    with pytest.raises(
-        GeometryError, match=r"found 1800; expected at most 1600, which rows of .* off the trails"
-    ):
+    with pytest.raises(GeometryError, match=r"found 1800; expected at most 1600, which rows of .* off the trails"):
         make_stand(stems_per_ha=1800.0, pattern=rows, trails=trails)

@@ -183,7 +183,5 @@ def test_unknown_plants_are_named():
         GeometryError, match=r"regeneration.species: unknown species 'larch'; expected one of silver_birch"
     ):
         saplings("larch")
-    with pytest.raises(
-        GeometryError, match=r"shrubs.species: unknown species 'broom'; expected one of hazel"
-    ):
+    with pytest.raises(GeometryError, match=r"shrubs.species: unknown species 'broom'; expected one of hazel"):
         shrubs("broom")

@@ -76,9 +76,7 @@ class Audit:
         for begin in range(index // block * block, index + len(firings.t_ns), block):
             self._look(unit, firings, hits, geometry, begin, block)
 
-    def _look(
-        self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry, begin: int, sequences: int
-    ) -> None:
+    def _look(self, unit: Unit, firings: Firings, hits: Hits, geometry: Geometry, begin: int, sequences: int) -> None:
         """Look at the place of the block that begins with sequence `begin`, where it is among those that were cast."""
         lasers = firings.t_ns.shape[1]
         draw = generator(unit.seed, Purpose.AUDIT, unit.number, begin)
@@ -90,10 +88,7 @@ class Audit:
         part, exact = some_firings(firings, rows, chosen), unit.detector.without_chance()
         rays = max(_RAYS, _TIMES * unit.beam.rays)
         answer = geometry.cast(
-            part,
-            unit.head.beams.near_m[chosen],
-            unit.section.max_range_m,
-            answer_beam(unit.beam, rays, unit.seed),
+            part, unit.head.beams.near_m[chosen], unit.section.max_range_m, answer_beam(unit.beam, rays, unit.seed)
         )
         compared = compare(
             detections_of(part, answer, geometry.surfaces, exact),

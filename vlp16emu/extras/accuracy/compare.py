@@ -115,9 +115,7 @@ def errors_of(compared: Comparison, resolution_m: float) -> Errors:
         range_bias_m=float(error_m.mean()) if len(error_m) else np.nan,
         range_p95_m=float(np.quantile(np.abs(error_m), 0.95)) if len(error_m) else np.nan,
         mean_error_m=(
-            (float(np.abs(error_m).sum()) + (returns - len(error_m)) * resolution_m) / returns
-            if returns
-            else np.nan
+            (float(np.abs(error_m).sum()) + (returns - len(error_m)) * resolution_m) / returns if returns else np.nan
         ),
         lost=share(compared.lost),
         invented=share(compared.invented),

@@ -34,9 +34,7 @@ def answer_beam(beam: Footprint, rays: int, seed: int, number: int = 0) -> Footp
     return replace(beam.changed(model="fixed", rays=rays), seed=own)
 
 
-def detections_of(
-    firings: Firings, hits: Hits, surfaces: NDArray[np.void], exact: UnitDetector
-) -> Detections:
+def detections_of(firings: Firings, hits: Hits, surfaces: NDArray[np.void], exact: UnitDetector) -> Detections:
     """Detect all echoes of some pulses, in order of sequence, then of laser.
 
     Parameters
@@ -50,8 +48,7 @@ def detections_of(
 def joined(parts: Sequence[Detections]) -> Detections:
     """Join the detections of several batches."""
     return Detections(
-        np.concatenate([part.distance_m for part in parts]),
-        np.concatenate([part.reflectivity for part in parts]),
+        np.concatenate([part.distance_m for part in parts]), np.concatenate([part.reflectivity for part in parts])
     )
 
 

@@ -217,9 +217,7 @@ def _draw_orders(axes: "Axes", rows: Sequence[Row]) -> None:
             axes.plot(us, fit.at_1_us_m * us**-fit.order, "--", color=_STYLES[kind][0], lw=1, label=name)
 
 
-def _labels(
-    rows: Sequence[Row], us: Sequence[float], errors: Sequence[float]
-) -> list[tuple[str, tuple[float, float]]]:
+def _labels(rows: Sequence[Row], us: Sequence[float], errors: Sequence[float]) -> list[tuple[str, tuple[float, float]]]:
     """Words and places of the labels of a kind; what lies together has one label."""
     labels = list[tuple[str, tuple[float, float]]]()
     for row, place in zip(rows, zip(us, errors, strict=True), strict=True):

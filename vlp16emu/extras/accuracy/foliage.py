@@ -71,11 +71,7 @@ def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple
     world = scenario.world.model_copy(update={"near_m": near_m})
     parts = assemble(scenario.model_copy(update={"world": world}))
     unit = parts.units[0]
-    bench, detector, poses_at = (
-        Bench(unit, unit.beam.rays),
-        unit.detector.without_chance(),
-        unit.motion.poses_at,
-    )
+    bench, detector, poses_at = (Bench(unit, unit.beam.rays), unit.detector.without_chance(), unit.motion.poses_at)
 
     def returns(geometry: Geometry, group: Group) -> Returns:
         firings = bench.aimed(group, poses_at)

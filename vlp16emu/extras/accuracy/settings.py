@@ -75,11 +75,7 @@ def pose_rates(unit: Unit) -> list[PoseRate]:
     packet_ns = SEQUENCES_PER_PACKET[ReturnMode(unit.section.return_mode)] * sequence_ns
     return [
         PoseRate("pose per pulse", in_use=True, poses_at=unit.motion.poses_at),
-        PoseRate(
-            "pose per firing sequence",
-            in_use=False,
-            poses_at=_held(unit.motion.poses_at, start_ns, sequence_ns),
-        ),
+        PoseRate("pose per firing sequence", in_use=False, poses_at=_held(unit.motion.poses_at, start_ns, sequence_ns)),
         PoseRate("pose per packet", in_use=False, poses_at=_held(unit.motion.poses_at, start_ns, packet_ns)),
     ]
 

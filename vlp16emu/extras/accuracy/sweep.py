@@ -46,14 +46,10 @@ class _Ladder:
                 found.append(bench.detections(geometry, bench.aimed(group, poses_at), setting.beam))
         self._detections["answer of some"] += answers[::_POSED]
         some = groups[::_POSED]
-        self._detections["another answer"] += pool.map(
-            lambda group: self._answer(geometry, group, poses_at, 1), some
-        )
+        self._detections["another answer"] += pool.map(lambda group: self._answer(geometry, group, poses_at, 1), some)
         for rate in self._pose_rates:
             held = rate.poses_at
-            self._detections[rate.name] += pool.map(
-                lambda group, held=held: self._answer(geometry, group, held), some
-            )
+            self._detections[rate.name] += pool.map(lambda group, held=held: self._answer(geometry, group, held), some)
 
     def _answer(self, geometry: Geometry, group: Group, poses_at: PosesAt, number: int = 0) -> Detections:
         return self._bench.answer(geometry, self._bench.aimed(group, poses_at), self._wide, number)
@@ -65,9 +61,7 @@ class _Ladder:
         firings = bench.aimed(few, bench.unit.motion.poses_at)
         for repeat in range(_REPEATS + 1):
             timed = {setting.name: bench.timed(geometry, firings, setting.beam) for setting in self._beams}
-            timed |= {
-                rate.name: (bench.timed_aim(block, rate.poses_at), bench.rays) for rate in self._pose_rates
-            }
+            timed |= {rate.name: (bench.timed_aim(block, rate.poses_at), bench.rays) for rate in self._pose_rates}
             if repeat:  # the first one compiled and warmed up
                 for name, (us, rays) in timed.items():
                     self._us[name].append(us)
@@ -81,12 +75,8 @@ class _Ladder:
             seed=seed,
             answer_rays=self._bench.rays,
             answer_rmse_m=answer.range_rmse_m / float(np.sqrt(2.0)),
-            rows=tuple(
-                self._row(setting.kind, setting.name, "answer", setting.in_use) for setting in self._beams
-            ),
-            poses=tuple(
-                self._row(Kind.POSE, rate.name, "answer of some", rate.in_use) for rate in self._pose_rates
-            ),
+            rows=tuple(self._row(setting.kind, setting.name, "answer", setting.in_use) for setting in self._beams),
+            poses=tuple(self._row(Kind.POSE, rate.name, "answer of some", rate.in_use) for rate in self._pose_rates),
         )
 
     def _row(self, kind: Kind, name: str, answer: str, in_use: bool) -> Row:

@@ -170,9 +170,7 @@ class BagFile:
         from rosbags.rosbag2 import Writer as Writer2
 
         plugin = StoragePlugin.MCAP if suffix else StoragePlugin.SQLITE3
-        writer: Any = (
-            Writer1(made) if self.is_ros1 else Writer2(made, version=_METADATA_VERSION, storage_plugin=plugin)
-        )
+        writer: Any = Writer1(made) if self.is_ros1 else Writer2(made, version=_METADATA_VERSION, storage_plugin=plugin)
         writer.open()
         return writer
 
@@ -188,14 +186,7 @@ class BagFile:
 
 def _qos(*, is_fixed: bool) -> Any:
     """Reliable, the last ten; of fixed transforms transient local, as tf2_ros offers them."""
-    from rosbags.interfaces import (
-        Qos,
-        QosDurability,
-        QosHistory,
-        QosLiveliness,
-        QosReliability,
-        QosTime,
-    )
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     durability = QosDurability.TRANSIENT_LOCAL if is_fixed else QosDurability.VOLATILE
     return Qos(

@@ -167,9 +167,7 @@ def _table(path: Path, columns: Sequence[str], names: Sequence[str] | None = Non
     with readable(path, "a file of a --truth folder", InputError, most_bytes=_EVER_NS), path.open() as lines:
         reader = csv.DictReader(lines, names, delimiter=" " if names else ",")
         if missing := {"t_utc_s", *columns} - set(reader.fieldnames or ()):
-            raise InputError(
-                f"{path}, line 1", f"no column {min(missing)}", f"the columns {', '.join(columns)}"
-            )
+            raise InputError(f"{path}, line 1", f"no column {min(missing)}", f"the columns {', '.join(columns)}")
         for row in reader:
             if row["t_utc_s"] == "#":
                 continue

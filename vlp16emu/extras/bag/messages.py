@@ -13,9 +13,7 @@ from vlp16emu.extras.bag.bag_file import BagFile
 from vlp16emu.packets import DATA_PAYLOAD, data_fields, decode_data, decode_position, faults_in
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
-_POINT = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
-)
+_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
 """PointXYZIRT of velodyne_pointcloud (pointcloudXYZIRT.cpp, ros-drivers/velodyne): packed, 22 bytes."""
 _FLOAT32, _UINT16 = 7, 4
 """Of sensor_msgs/PointField."""

@@ -49,11 +49,7 @@ class Beside:
         """Give packets of a span since the first pulse with what is due in it; of what is due at once they leave first."""
         if not self._kinds:
             return packets
-        made = {
-            PacketKind.NMEA: self._sentences,
-            PacketKind.PPS: self._pulses,
-            PacketKind.IMU: self._samples,
-        }
+        made = {PacketKind.NMEA: self._sentences, PacketKind.PPS: self._pulses, PacketKind.IMU: self._samples}
         streams = [made[kind](self._numbers(kind, start_ns, stop_ns)) for kind in self._kinds]
         others = ((packet.due_ns, packet) for packet in packets)
         beats = heapq.merge(others, *streams, key=itemgetter(0))

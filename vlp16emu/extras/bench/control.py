@@ -152,9 +152,7 @@ class Control:
         now_ns = self._under_way.due_in_ns(0)
         since_ns = now_ns - start_ns
         ends_ns = [end for _, end in of.timeline.silences_ns if end <= since_ns]
-        powered_ns = (
-            since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s)
-        )
+        powered_ns = since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s)
         settings, rpm = self._settings[unit], of.head.rotor.rpm_at(since_ns)
         payload = self._sink.latest_position(unit)
         sent = decode_position(payload) if len(payload) == POSITION_BYTES else None  # none is cut by an event

@@ -4,11 +4,7 @@ from vlp16emu.extras.bench.diagnostics import diagnostics
 from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.types import SensorModel
 
-_MODELS = {
-    SensorModel.VLP_16: "VLP-16",
-    SensorModel.PUCK_LITE: "Puck LITE",
-    SensorModel.PUCK_HI_RES: "Puck Hi-Res",
-}
+_MODELS = {SensorModel.VLP_16: "VLP-16", SensorModel.PUCK_LITE: "Puck LITE", SensorModel.PUCK_HI_RES: "Puck Hi-Res"}
 """The first is on record; the others are named as their data sheets do (assumption)."""
 
 _SIGNATURE = 0xA5A5A5A5
@@ -50,11 +46,7 @@ def _settings(settings: DeviceSettings) -> dict[str, object]:
         "rpm": settings.rpm,
         "fov": {"start": start, "end": end},
         "phaselock": {"enabled": _switch(settings.phase_lock_on), "offset": str(settings.phase_lock_cdeg)},
-        "host": {
-            "addr": settings.host,
-            "dport": str(settings.data_port),
-            "tport": str(settings.position_port),
-        },
+        "host": {"addr": settings.host, "dport": str(settings.data_port), "tport": str(settings.position_port)},
         "net": {
             "addr": settings.address,
             "mask": settings.mask,
@@ -89,10 +81,7 @@ def _info(info: DeviceInfo) -> dict[str, object]:
             "failsafe": _image(_FAILSAFE_VERSION, _FAILSAFE_BUILT_S, 293_836, 0xF11A_2C36, 0xB9AA_3C95),
             "application": _image(_VERSION, _BUILT_S, 412_208, 0x5B6E_91D4, 0x2F80_77A1),
         },
-        "sysid": {
-            "bot": {"id": _BOTTOM_ID, "timestamp": _BUILT_S},
-            "top": {"id": _TOP_ID, "timestamp": _BUILT_S},
-        },
+        "sysid": {"bot": {"id": _BOTTOM_ID, "timestamp": _BUILT_S}, "top": {"id": _TOP_ID, "timestamp": _BUILT_S}},
         "state": {"bot": _state(0x0100_0000, 118_489_096), "top": _state(0x000E_0000, 262_144_008)},
         "fpgaid": {
             "bot": {"id": 2, "version": _VERSION, "timestamp": 0},

@@ -144,10 +144,7 @@ class Wire:
     """
 
     def __init__(
-        self,
-        faults: Sequence[PacketFault],
-        numbers: Mapping[int, int],
-        frozen: Mapping[tuple[int, PacketKind], Packet],
+        self, faults: Sequence[PacketFault], numbers: Mapping[int, int], frozen: Mapping[tuple[int, PacketKind], Packet]
     ) -> None:
         self._faults = sorted(faults, key=lambda fault: _ORDER.index(type(fault.event)))
         self._numbers = Counter(numbers)

@@ -53,9 +53,7 @@ def submit(path: str, body: bytes, device: Device) -> None:
 def _pairs(body: bytes) -> list[tuple[str, str]]:
     """Split a form into keys and values."""
     try:
-        pairs = parse_qsl(
-            body.decode("ascii"), keep_blank_values=True, strict_parsing=True, max_num_fields=_MOST_KEYS
-        )
+        pairs = parse_qsl(body.decode("ascii"), keep_blank_values=True, strict_parsing=True, max_num_fields=_MOST_KEYS)
     except ValueError:
         pairs = []
     if not pairs:

@@ -72,9 +72,7 @@ class GpsReader:
         self._port = SerialPort(gps_in.port, _BAUD, "--gps-in")
         if self._pulse and self._port.use(self._has_line) is False:
             self._port.close()
-            raise OutputError(
-                f"--gps-in {gps_in.port}", f"no line {self._pulse.upper()}", "--gps-in-pulse sentence"
-            )
+            raise OutputError(f"--gps-in {gps_in.port}", f"no line {self._pulse.upper()}", "--gps-in-pulse sentence")
         self.line = GpsLine(
             time.monotonic_ns() - seconds_to_ns(powered_for_s),
             window_ns=seconds_to_ns(gps.pps_window_s),
@@ -134,11 +132,7 @@ class GpsReader:
             high, at_ns = bool(getattr(port, self._pulse)), time.monotonic_ns()
             return (port.read(port.in_waiting) if port.in_waiting else b""), high, at_ns
         data = port.read(1)
-        return (
-            data + (port.read(port.in_waiting) if data and port.in_waiting else b""),
-            False,
-            time.monotonic_ns(),
-        )
+        return (data + (port.read(port.in_waiting) if data and port.in_waiting else b""), False, time.monotonic_ns())
 
 
 class GpsInSink(PacketSink):
@@ -154,9 +148,7 @@ class GpsInSink(PacketSink):
     clock_ns : that of the line's instants
     """
 
-    def __init__(
-        self, sink: PacketSink, line: GpsLine, clock_ns: Callable[[], int] = time.monotonic_ns
-    ) -> None:
+    def __init__(self, sink: PacketSink, line: GpsLine, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._sink, self._line, self._clock_ns = sink, line, clock_ns
         self._ahead_ns: int | None = None
 
@@ -178,9 +170,7 @@ class GpsInSink(PacketSink):
         if packet.kind is PacketKind.POSITION:
             made_ns = sent_ns - STAMP_LEAD_NS
         else:
-            made_ns = sent_ns - (
-                age_ns(packet) if packet.fired_ns is None else packet.due_ns - packet.fired_ns
-            )
+            made_ns = sent_ns - (age_ns(packet) if packet.fired_ns is None else packet.due_ns - packet.fired_ns)
         line = self._line
         stamped = restamped(packet, line.clock_ns(made_ns), line.state_at(made_ns), line.sentence)
         self._sink.send(stamped)

@@ -85,9 +85,7 @@ def imu_outlet(to: str, rate_hz: int) -> Outlet:
         most_hz = _BAUD // (_BITS * IMU_FRAME.itemsize)
         if rate_hz > most_hz:
             found = f"found imu.rate_hz = {rate_hz}"
-            raise OutputError(
-                f"{_WHERE} {to}", found, f"at most {most_hz} on a line of {_BAUD} baud, or udp://"
-            )
+            raise OutputError(f"{_WHERE} {to}", found, f"at most {most_hz} on a line of {_BAUD} baud, or udp://")
         return SerialSink(SerialPort(to.removeprefix("serial:"), _BAUD, _WHERE))
     try:
         parts = urlsplit(to)

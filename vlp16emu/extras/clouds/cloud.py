@@ -178,9 +178,7 @@ class PointWriter(Protocol):
 class _Csv:
     """One line per point; the header names the units."""
 
-    def __init__(
-        self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, _stack: ExitStack
-    ) -> None:
+    def __init__(self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, _stack: ExitStack) -> None:
         self._file, self._columns = file, columns
         self._decimals = np.array([column.decimals for column in columns for _ in column.csv])
         self.points = 0
@@ -202,15 +200,11 @@ _PLY_KINDS = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "ushort", 
 class _Ply:
     """Binary little-endian PLY; the number of points is filled in at the end."""
 
-    def __init__(
-        self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack
-    ) -> None:
+    def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack) -> None:
         self._file, self._comments = file, about.comments
         # Coordinates first, as some readers take for granted.
         self._columns = sorted((column for column in columns if column.ply), key=lambda c: c.ply[0] != "x")
-        self._vertex = np.dtype(
-            [(name, self._dtype(column)) for column in self._columns for name in column.ply]
-        )
+        self._vertex = np.dtype([(name, self._dtype(column)) for column in self._columns for name in column.ply])
         self.points = 0
         file.write(self._header())
 
@@ -282,9 +276,7 @@ class _Npz:
     The format wants all of one array before the next, so each waits on the disk, beside the file to come.
     """
 
-    def __init__(
-        self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, stack: ExitStack
-    ) -> None:
+    def __init__(self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, stack: ExitStack) -> None:
         self._file, self._columns = file, columns
         self.points = 0
         folder = Path(file.name).parent
@@ -330,9 +322,7 @@ _WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], CloudAbout, ExitStack
 
 
 @contextmanager
-def point_file(
-    path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str
-) -> Iterator[PointWriter]:
+def point_file(path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str) -> Iterator[PointWriter]:
     """Open a file for points in the format that its suffix names.
 
     Where the points end with an error, the file holds those that were written before it; where there are none, or

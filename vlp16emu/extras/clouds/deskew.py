@@ -13,14 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, TrajectoryError, readable
-from vlp16emu.extras.clouds.cloud import (
-    DESKEWED_COLUMNS,
-    LABEL_COLUMNS,
-    TRUTH_COLUMNS,
-    CloudAbout,
-    Column,
-    point_file,
-)
+from vlp16emu.extras.clouds.cloud import DESKEWED_COLUMNS, LABEL_COLUMNS, TRUTH_COLUMNS, CloudAbout, Column, point_file
 from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels
 from vlp16emu.extras.truth.slots import SlotReader
 from vlp16emu.motion import Recorded
@@ -169,9 +162,7 @@ class Deskewed:
     """Ended by its stop event."""
 
 
-def write_deskewed(
-    capture: Path, path: Path, way: Trajectory, truth: CaptureTruth | None, *, stop: Event
-) -> Deskewed:
+def write_deskewed(capture: Path, path: Path, way: Trajectory, truth: CaptureTruth | None, *, stop: Event) -> Deskewed:
     """Write the points of a capture, in the world and in the sensor's frame.
 
     Parameters

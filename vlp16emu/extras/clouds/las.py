@@ -51,9 +51,7 @@ class LasFile:
         where laspy, or for LAZ lazrs, is not installed
     """
 
-    def __init__(
-        self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, *, compressed: bool
-    ) -> None:
+    def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, *, compressed: bool) -> None:
         try:
             import laspy
 
@@ -78,9 +76,7 @@ class LasFile:
     def write(self, block: Block) -> None:
         """Append points; the first one decides the offset."""
         values = {
-            name: array
-            for column in self._columns
-            for name, array in column.properties(block[column.name]).items()
+            name: array for column in self._columns for name, array in column.properties(block[column.name]).items()
         }
         n = len(values["x"])
         if not n:
@@ -116,23 +112,16 @@ class LasFile:
         laspy = self._laspy
         header = laspy.LasHeader(version="1.4", point_format=6)
         header.scales, header.offsets = np.full(3, _SCALE_M), offset_m
-        header.creation_date = (
-            self._about.start_utc or _NO_DATE
-        ).date()  # not today, on which no byte may depend
+        header.creation_date = (self._about.start_utc or _NO_DATE).date()  # not today, on which no byte may depend
         header.system_identifier, header.generating_software = "vlp16emu", f"vlp16emu {version('vlp16emu')}"
         header.global_encoding.wkt = True
         if self._has_utc:
             header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
         header.add_extra_dims(
-            [
-                laspy.ExtraBytesParams(name, np.dtype(kind), text[:31])
-                for name, (kind, text) in self._extra.items()
-            ]
+            [laspy.ExtraBytesParams(name, np.dtype(kind), text[:31]) for name, (kind, text) in self._extra.items()]
         )
         for extra in header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs:
-            extra.options = (
-                0  # laspy 2.7 takes bounds from the first point of each block: they are not stated
-            )
+            extra.options = 0  # laspy 2.7 takes bounds from the first point of each block: they are not stated
         if self._about.origin is not None:
             header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(local_wkt(*self._about.origin)))
         self._writer = laspy.LasWriter(

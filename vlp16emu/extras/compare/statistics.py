@@ -44,9 +44,7 @@ class Smooth:
         span = sliding_window_view(sequences.number, _WINDOW)
         gapless = np.flatnonzero(span[:, -1] - span[:, 0] == _WINDOW - 1)
         found = []
-        for laser, (codes, level) in enumerate(
-            zip(sequences.distance_lsb.T, sequences.reflectivity.T, strict=True)
-        ):
+        for laser, (codes, level) in enumerate(zip(sequences.distance_lsb.T, sequences.reflectivity.T, strict=True)):
             windows = sliding_window_view(codes, _WINDOW)[gapless]
             seen = (windows > 0).all(axis=1)
             rest_mm = 2.0 * (windows[seen] @ own)

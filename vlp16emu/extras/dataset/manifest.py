@@ -67,9 +67,7 @@ class Manifest:
         if self._parts:
             rmtree(self._out / self._parts, ignore_errors=True)
         try:
-            with tempfile.TemporaryDirectory(
-                prefix=_PARTS, dir=self._out, ignore_cleanup_errors=True
-            ) as parts:
+            with tempfile.TemporaryDirectory(prefix=_PARTS, dir=self._out, ignore_cleanup_errors=True) as parts:
                 self._parts = Path(parts).name
                 self._settle()
                 try:
@@ -136,9 +134,7 @@ class Manifest:
             tree = json.loads(text)
             walks = {walk["folder"]: walk for walk in tree["walks"] if self._listed(walk)}
             parts = tree.get("parts")
-            ours = tree["written_by"].startswith("vlp16emu ") and re.fullmatch(
-                r"(\.parts\.\w+)?", parts or ""
-            )
+            ours = tree["written_by"].startswith("vlp16emu ") and re.fullmatch(r"(\.parts\.\w+)?", parts or "")
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             ours = False
         if not ours:

@@ -151,7 +151,5 @@ def _split_of(spec: DatasetSpec) -> dict[str, str]:
     shuffled = [names[i] for i in generator(spec.seed, Purpose.DATASET_SPLIT).permutation(len(names))]
     ends = [0, *(round(end * len(names)) for end in (spec.splits.train, 1 - spec.splits.test, 1.0))]
     return {
-        name: split
-        for split, (begin, end) in zip(_SPLITS, pairwise(ends), strict=True)
-        for name in shuffled[begin:end]
+        name: split for split, (begin, end) in zip(_SPLITS, pairwise(ends), strict=True) for name in shuffled[begin:end]
     }

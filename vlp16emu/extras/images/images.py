@@ -184,12 +184,7 @@ def write_images(
     begin_ns, end_ns = engine.span_ns(*scenario.span_s(start_s, duration_s))
     windows, species = engine.windows, species_of(engine.parts.world)
     pictures = PictureFolder(Path(folder), _cameras(camera, species))
-    with (
-        windows.stopped_by(stop),
-        pictures,
-        workers(engine.threads, "image", stop) as pool,
-        suppress(CancelledError),
-    ):
+    with windows.stopped_by(stop), pictures, workers(engine.threads, "image", stop) as pool, suppress(CancelledError):
         for since_ns in range(begin_ns, end_ns, seconds_to_ns(every_s)):
             geometry = windows.wait(windows.at_time(since_ns))
             pose = _camera_pose(of, scenario.start_ns + since_ns)
@@ -249,12 +244,7 @@ def _camera_pose(unit: Unit, t_ns: int) -> Poses:
 
 
 def _pixels(
-    camera: Camera,
-    pose: Poses,
-    geometry: Geometry,
-    unit: Unit,
-    species: Mapping[int, str],
-    rows: range,
+    camera: Camera, pose: Poses, geometry: Geometry, unit: Unit, species: Mapping[int, str], rows: range
 ) -> tuple[NDArray[Any], ...]:
     """Colours, depth and labels of some rows of an image."""
     rays, shape = camera.rays(rows), (len(rows), camera.width)
@@ -271,9 +261,7 @@ def _pixels(
     return rgb, depth_m.reshape(shape), *(met[name].reshape(shape) for name in _LABELS)
 
 
-def _firings(
-    t_ns: NDArray[np.int64], origin_m: NDArray[np.float64], direction: NDArray[np.float64]
-) -> Firings:
+def _firings(t_ns: NDArray[np.int64], origin_m: NDArray[np.float64], direction: NDArray[np.float64]) -> Firings:
     """Pulses of one laser, from places (n, 3) in directions (n, 3), all at the same instant (1,)."""
     n = len(direction)
     return Firings(
@@ -298,12 +286,7 @@ def _in_sun(firings: Firings, hits: Hits, geometry: Geometry, unit: Unit) -> NDA
 
 
 def _rgb(
-    hits: Hits,
-    geometry: Geometry,
-    species: Mapping[int, str],
-    *,
-    is_met: NDArray[np.bool_],
-    is_lit: NDArray[np.bool_],
+    hits: Hits, geometry: Geometry, species: Mapping[int, str], *, is_met: NDArray[np.bool_], is_lit: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
     """Colours (n, 3) of what was met, in light and shade."""
     colours = surface_colours(geometry.surfaces, species)[hits.surface[is_met]]

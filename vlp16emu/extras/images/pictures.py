@@ -68,11 +68,7 @@ class PictureFolder:
         return len(self._poses) - 1
 
     def add(
-        self,
-        pose: Poses,
-        rgb: NDArray[np.uint8],
-        depth_m: NDArray[np.float32],
-        labels: Mapping[str, NDArray[Any]],
+        self, pose: Poses, rgb: NDArray[np.uint8], depth_m: NDArray[np.float32], labels: Mapping[str, NDArray[Any]]
     ) -> None:
         """Write one image.
 
@@ -91,9 +87,7 @@ class PictureFolder:
                 self._image.fromarray(np.ascontiguousarray(pixels, kind)).save(file, "PNG")
                 self.bytes += file.tell()
         with OutputFile(self._path / "exr" / f"{name}.exr") as output, output.writing() as file:
-            self._write_exr(
-                file, {"Z": depth_m} | {key: values.astype(np.uint32) for key, values in labels.items()}
-            )
+            self._write_exr(file, {"Z": depth_m} | {key: values.astype(np.uint32) for key, values in labels.items()})
         self.bytes += (self._path / "exr" / f"{name}.exr").stat().st_size
         self._poses.append(tum_rows(pose))
 
@@ -101,9 +95,7 @@ class PictureFolder:
         """Write the exact values; the library writes the file by its name."""
         header = {"compression": self._exr.ZIP_COMPRESSION, "type": self._exr.scanlineimage}
         try:
-            with self._exr.File(
-                header, {key: np.ascontiguousarray(channels[key]) for key in channels}
-            ) as image:
+            with self._exr.File(header, {key: np.ascontiguousarray(channels[key]) for key in channels}) as image:
                 image.write(file.name)
         except RuntimeError as error:
             raise RunError(f"{file.name}: {error}") from None

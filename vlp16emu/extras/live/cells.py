@@ -67,12 +67,7 @@ class CellWindows(Windows[Geometry]):
     kept = 4
 
     def __init__(
-        self,
-        parts: Parts,
-        start_ns: int,
-        batching: Batching,
-        threads: int,
-        cells: list[tuple[int, Cell]],
+        self, parts: Parts, start_ns: int, batching: Batching, threads: int, cells: list[tuple[int, Cell]]
     ) -> None:
         built = caster(parts.world, ThreadPoolExecutor(threads, "build", self.yielding))
         arm_m = max(float(norm(np.array(unit.mount.lever_arm_m))) for unit in parts.units)
@@ -101,9 +96,7 @@ class CellWindows(Windows[Geometry]):
 class LiveWindows(CellWindows):
     """Windows of a run that is being flown: the next one is opened as the body comes near, and used when it is open."""
 
-    def __init__(
-        self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion"
-    ) -> None:
+    def __init__(self, parts: Parts, start_ns: int, batching: Batching, threads: int, motion: "LiveMotion") -> None:
         super().__init__(parts, start_ns, batching, threads, [])
         self._motion = motion
         self.decided = -1

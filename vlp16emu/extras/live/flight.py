@@ -78,12 +78,7 @@ class Flight:
     """
 
     def __init__(
-        self,
-        engine: Engine,
-        motion: LiveMotion,
-        poses: PosesIn,
-        *,
-        clock_ns: Callable[[], int] = time.monotonic_ns,
+        self, engine: Engine, motion: LiveMotion, poses: PosesIn, *, clock_ns: Callable[[], int] = time.monotonic_ns
     ) -> None:
         assert isinstance(engine.windows, LiveWindows)
         self._engine, self._motion, self._windows, self._news = engine, motion, engine.windows, poses.news
@@ -208,9 +203,7 @@ class Flight:
         """Report at once where poses are lost, and where they are back."""
         if self._lost_ns is None and now_ns - arrived_ns > LOST_NS:
             self._lost_ns = arrived_ns
-            self._news(
-                f"poses lost: none since {self._motion.since_s(arrived_ns):.1f} s; the body comes to rest"
-            )
+            self._news(f"poses lost: none since {self._motion.since_s(arrived_ns):.1f} s; the body comes to rest")
         elif self._lost_ns is not None and arrived_ns > self._lost_ns:
             gap_s = (arrived_ns - self._lost_ns) / S_NS
             self._lost_ns = None

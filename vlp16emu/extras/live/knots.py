@@ -73,9 +73,7 @@ class Knots:
         if self._count == len(self._states):
             self._forget()
         if self._count:
-            _fill_piece(
-                self._states[self._count - 1], state, STEP_NS / S_NS, self._pieces[:, self._count - 1]
-            )
+            _fill_piece(self._states[self._count - 1], state, STEP_NS / S_NS, self._pieces[:, self._count - 1])
         self._states[self._count] = self.last_state = state
         self._count += 1
         # In one piece, as other threads read it.

@@ -329,9 +329,7 @@ def _checked(position_m: Sequence[float], quaternion: Sequence[float]) -> Array:
         raise TrajectoryError("pose", f"found a place at {numbers[:3]} m", f"at most {_FARTHEST_M:g} m")
     length = float(norm(np.array(numbers[3:])))
     if abs(length - 1.0) > UNIT_TOLERANCE:
-        raise TrajectoryError(
-            "pose", f"a quaternion of length {length:.6g}", f"length 1, to {UNIT_TOLERANCE:g}"
-        )
+        raise TrajectoryError("pose", f"a quaternion of length {length:.6g}", f"length 1, to {UNIT_TOLERANCE:g}")
     return np.array([*numbers[:3], *(number / length for number in numbers[3:])])
 
 

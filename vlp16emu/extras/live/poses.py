@@ -45,9 +45,7 @@ class PoseReceiver:
         where the port cannot be listened to
     """
 
-    def __init__(
-        self, where: str, put: Callable[[Sequence[float], Sequence[float], int | None], object]
-    ) -> None:
+    def __init__(self, where: str, put: Callable[[Sequence[float], Sequence[float], int | None], object]) -> None:
         host, port = pose_port(where)
         self._put, self._over = put, threading.Event()
         self.malformed = 0

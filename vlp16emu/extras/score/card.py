@@ -189,9 +189,7 @@ def make_card(inputs: ScoreInputs) -> ScoreCard:
 def _check(inputs: ScoreInputs) -> None:
     """Refuse what cannot be scored, before anything is read."""
     if not (inputs.trajectory or inputs.map or inputs.points or inputs.stems):
-        raise InputError(
-            "vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems"
-        )
+        raise InputError("vlp16emu score", "found nothing to score", "--trajectory, --map, --points or --stems")
     if inputs.points and not inputs.truth_points:
         raise InputError("--points", "found no true points", "--truth-points, of `vlp16emu points --truth`")
     if inputs.stems and not inputs.inventory:
@@ -210,15 +208,11 @@ def _score_map(card: ScoreCard, found: NDArray[np.float64], true: Cloud | None) 
 
     way = Trajectory(card.inputs.truth, card.inputs.unit, TrajectoryErrors())
     first_ns = np.array([math.ceil(way.span_s[0] * 1e9)])
-    first_ns = (
-        first_ns if way.has(first_ns).all() else first_ns + 1000
-    )  # seconds as floats are good to 0.3 us
+    first_ns = first_ns if way.has(first_ns).all() else first_ns + 1000  # seconds as floats are good to 0.3 us
     centre_m = way.poses_at(first_ns)[1][0, :2]
     card.scores["infra_d_per_m2"] = density_per_m2(found[:, :2], centre_m, REGION_M)
     card.scores["infra_nuc"] = uniformity(found[:, :2], centre_m, REGION_M)
-    card.notes["map"] = (
-        f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
-    )
+    card.notes["map"] = f"InfraD and InfraNUC in plan, {REGION_M:g} m around the first true position; no alignment"
     if true is not None:
         card.scores |= cloud_distances(found, true["xyz"], WITHIN_M)
 
@@ -253,9 +247,7 @@ def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
     )
 
 
-def _score_stems(
-    card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ...], true: Cloud | None
-) -> None:
+def _score_stems(card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ...], true: Cloud | None) -> None:
     hits: dict[str, int] = {}
     seen = trees
     if true is not None:
@@ -267,9 +259,7 @@ def _score_stems(
     card.trees += [_row(of_true.get(j), tree, hits.get(tree.number)) for j, tree in enumerate(seen)]
     paired = {i for i, _ in pairs}
     card.trees += [_row(stem, None, None) for i, stem in enumerate(found) if i not in paired]
-    which = (
-        f"trees with {LEAST_POINTS} true points or more" if true is not None else "all trees of the inventory"
-    )
+    which = f"trees with {LEAST_POINTS} true points or more" if true is not None else "all trees of the inventory"
     card.notes["stems"] = f"{which}; pairs within {card.inputs.radius_m:g} m"
 
 
@@ -307,6 +297,5 @@ def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[dict[str, int], dict[st
 def _plain(tree: Mapping[str, Any]) -> dict[str, Any]:
     plain = {key: str(value) if isinstance(value, Path) else value for key, value in tree.items()}
     return {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value
-        for key, value in plain.items()
+        key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in plain.items()
     }

@@ -78,9 +78,7 @@ def read_cloud(path: Path) -> Cloud:
     xyz = np.column_stack([np.asarray(columns[name], np.float64) for name in place])
     if not len(xyz) or not np.isfinite(xyz).all():
         raise InputError(str(path), "found a NaN or infinity" if len(xyz) else "no points", "finite points")
-    return {"xyz": xyz} | {
-        name: np.asarray(columns[name]).astype(np.int64) for name in _KEPT if name in columns
-    }
+    return {"xyz": xyz} | {name: np.asarray(columns[name]).astype(np.int64) for name in _KEPT if name in columns}
 
 
 def _ply(path: Path) -> Cloud:
@@ -169,9 +167,7 @@ def _stem(where: str, line: int, row: Mapping[str, str | None]) -> Stem:
         dbh_m = _cell(where, row, "dbh_cm") / 100
     if dbh_m <= 0 or dbh_m > _LARGEST_DBH_M:
         raise InputError(
-            where,
-            f"found DBH {dbh_m:g} m",
-            f"more than 0 and at most {_LARGEST_DBH_M:g} m; `dbh_cm` is in centimetres",
+            where, f"found DBH {dbh_m:g} m", f"more than 0 and at most {_LARGEST_DBH_M:g} m; `dbh_cm` is in centimetres"
         )
     number = next((value.strip() for name in _NUMBERS if (value := row.get(name))), str(line))
     return Stem(number, x_m, y_m, _cell(where, row, "z", "z_m"), dbh_m, row.get("list_line") or "")

@@ -62,12 +62,8 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
     true = Trajectory(truth, unit, TrajectoryErrors())
     inside = true.has(found.t_ns)
     if inside.sum() < 3:
-        spans = [
-            f"{a:.3f} to {b:.3f} s" for a, b in ((found.t_ns[0] / S_NS, found.t_ns[-1] / S_NS), true.span_s)
-        ]
-        raise InputError(
-            str(file), f"found poses from {spans[0]}", f"at least three within the truth, {spans[1]}"
-        )
+        spans = [f"{a:.3f} to {b:.3f} s" for a, b in ((found.t_ns[0] / S_NS, found.t_ns[-1] / S_NS), true.span_s)]
+        raise InputError(str(file), f"found poses from {spans[0]}", f"at least three within the truth, {spans[1]}")
     pair = _aligned(found, inside, true, alignment)
 
     def score(metric: metrics.PE) -> tuple[float, Array]:
@@ -86,9 +82,7 @@ def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment
         "rpe_deg": score(metrics.RPE(metrics.PoseRelation.rotation_angle_deg, **over))[0],
     }
     left_out = int((~inside).sum())
-    return PathScore(
-        scores, int(inside.sum()), left_out, pair[0].positions_xyz, pair[1].positions_xyz, errors_m
-    )
+    return PathScore(scores, int(inside.sum()), left_out, pair[0].positions_xyz, pair[1].positions_xyz, errors_m)
 
 
 def _aligned(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, alignment: str):  # type: ignore[no-untyped-def]  # noqa: ANN202 - of evo, which has no types
@@ -102,9 +96,7 @@ def _aligned(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, 
     t_s = (t_ns - t_ns[0]) / S_NS
     quaternions = Rotation.from_matrix(turns).as_quat()[:, [3, 0, 1, 2]]
     reference = PoseTrajectory3D(places_m, quaternions, t_s)
-    estimate = PoseTrajectory3D(
-        found.position_m[inside].copy(), found.quaternion[inside][:, [3, 0, 1, 2]], t_s
-    )
+    estimate = PoseTrajectory3D(found.position_m[inside].copy(), found.quaternion[inside][:, [3, 0, 1, 2]], t_s)
     try:
         if alignment == "se3":
             estimate.align(reference)
@@ -114,7 +106,5 @@ def _aligned(found: RecordedPoses, inside: NDArray[np.bool_], true: Trajectory, 
             move[:3, 3] = (places_m - estimate.positions_xyz @ move[:3, :3].T).mean(axis=0)
             estimate.transform(move)
     except GeometryException:
-        raise InputError(
-            "--align", f"found {alignment}", "none, as the positions lie on a line or a point"
-        ) from None
+        raise InputError("--align", f"found {alignment}", "none, as the positions lie on a line or a point") from None
     return reference, estimate

@@ -32,9 +32,7 @@ def match_stems(found: Sequence[Stem], true: Sequence[Stem], radius_m: float) ->
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if apart_m[i, j] <= radius_m]
 
 
-def stem_scores(
-    found: Sequence[Stem], true: Sequence[Stem], pairs: Sequence[tuple[int, int]]
-) -> dict[str, float]:
+def stem_scores(found: Sequence[Stem], true: Sequence[Stem], pairs: Sequence[tuple[int, int]]) -> dict[str, float]:
     """Precision, recall and F1 of a stem map, error of places (RMSE, m) and of DBH (mean and RMSE, m)."""
     scores = _shares("stem", len(pairs), len(found) - len(pairs), len(true) - len(pairs))
     off_m = [math.hypot(found[i].x_m - true[j].x_m, found[i].y_m - true[j].y_m) for i, j in pairs]

@@ -149,9 +149,7 @@ def _plan(seen: Survey) -> PlanView:
         trees=seen.near,
         species=seen.species,
         outlines_m={kind: [one.outline_m for one in seen.things if one.kind == kind] for kind in kinds},
-        names=[
-            (seen.names[one.instance], one.place_m[:2]) for one in seen.things if one.instance in seen.names
-        ],
+        names=[(seen.names[one.instance], one.place_m[:2]) for one in seen.things if one.instance in seen.names],
         height_m=seen.height_m,
     )
 
@@ -203,9 +201,7 @@ def _drawn(seen: Survey, section: StandSection) -> NDArray[np.uint8]:
         feet_m = [places_m(trees, "xy"), *(one.place_m[None, :2] for one in seen.things)]
         ids = np.array([*trees["id"].tolist(), *(one.instance for one in seen.things)], np.uint32)
         wanted = ids[section.holds(np.concatenate(feet_m), _LEAD_M)]
-        window, shape = cut_out(
-            window, shape, instances=wanted, inside=lambda xy_m: section.holds(xy_m, _LEAD_M)
-        )
+        window, shape = cut_out(window, shape, instances=wanted, inside=lambda xy_m: section.holds(xy_m, _LEAD_M))
     with ThreadPoolExecutor() as workers:
         scene = caster(AllNear(window, shape), workers).open(window)
     return draw_section(

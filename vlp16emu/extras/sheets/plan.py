@@ -68,12 +68,7 @@ class PlanView:
 
 def draw_plan(axes: "Axes", plan: PlanView, section: StandSection) -> None:
     """Draw a plan, with the strip of a section marked, into axes whose size is settled."""
-    axes.set(
-        xlim=(plan.low_m[0], plan.high_m[0]),
-        ylim=(plan.low_m[1], plan.high_m[1]),
-        aspect="equal",
-        anchor="NW",
-    )
+    axes.set(xlim=(plan.low_m[0], plan.high_m[0]), ylim=(plan.low_m[1], plan.high_m[1]), aspect="equal", anchor="NW")
     axes.set_xticks([])
     axes.set_yticks([])
     for spine in axes.spines.values():
@@ -86,13 +81,7 @@ def draw_plan(axes: "Axes", plan: PlanView, section: StandSection) -> None:
     _draw_scale_and_north(axes, plan)
     for name, place_m in plan.names:
         axes.annotate(
-            name,
-            (place_m[0], place_m[1]),
-            xytext=(5, 5),
-            textcoords="offset points",
-            size=8,
-            color=INK,
-            zorder=9,
+            name, (place_m[0], place_m[1]), xytext=(5, 5), textcoords="offset points", size=8, color=INK, zorder=9
         )
 
 
@@ -140,24 +129,14 @@ def _draw_ground(axes: "Axes", plan: PlanView) -> None:
         grid = np.column_stack([x_m.ravel(), y_m.ravel()])
         gap_m = np.reshape(KDTree(plan.path_m[:, :2]).query(grid)[0], x_m.shape)
         dashes = [(0, (6, 4))]
-        axes.contour(
-            x_m, y_m, gap_m, [plan.radius_m], colors=SOFT, linewidths=0.9, linestyles=dashes, zorder=6
-        )
+        axes.contour(x_m, y_m, gap_m, [plan.radius_m], colors=SOFT, linewidths=0.9, linestyles=dashes, zorder=6)
     # Hills and hollows are wanted, not every step: the roughness is smoothed away.
     ground_m = gaussian_filter(plan.height_m(x_m, y_m), _SMOOTH_M / cell_m, mode="nearest")
     interval_m = _round_up_m(float(np.ptp(ground_m)) / 8)
     if np.ptp(ground_m) > interval_m:
         levels = np.arange(np.ceil(ground_m.min() / interval_m), ground_m.max() / interval_m) * interval_m
         lines = axes.contour(
-            x_m,
-            y_m,
-            ground_m,
-            levels,
-            colors="#b08d5b",
-            linewidths=0.6,
-            linestyles="solid",
-            alpha=0.8,
-            zorder=1,
+            x_m, y_m, ground_m, levels, colors="#b08d5b", linewidths=0.6, linestyles="solid", alpha=0.8, zorder=1
         )
         axes.clabel(lines, fontsize=6.5, fmt="%g m", inline_spacing=2)
 
@@ -192,12 +171,7 @@ def _draw_trees(axes: "Axes", plan: PlanView) -> None:
     least_m = _LEAST_STEM_PX * float(np.ptp(axes.get_xlim())) / axes.get_window_extent().width
     stems_m = np.maximum(trees["dbh_m"], least_m)
     for width_m, faces, edges, zorder in (
-        (
-            trees["crown_width_m"],
-            [(*_share(c), 0.42) for c in colours],
-            [(*_dark(c), 0.75) for c in colours],
-            3,
-        ),
+        (trees["crown_width_m"], [(*_share(c), 0.42) for c in colours], [(*_dark(c), 0.75) for c in colours], 3),
         (stems_m, [(0.22, 0.16, 0.11)], ["none"], 4),
     ):
         discs = EllipseCollection(
@@ -238,9 +212,7 @@ def _draw_strip(axes: "Axes", section: StandSection) -> None:
     for name, end, side in (("A", ends[0], -1), ("B", ends[1], 1)):
         place_m = end + side * MARK_LEAD * section.length_m * section.along
         box = {"boxstyle": "circle,pad=0.15", "fc": "white", "ec": INK, "lw": 0.8}
-        axes.text(
-            place_m[0], place_m[1], name, size=9, color=INK, ha="center", va="center", bbox=box, zorder=9
-        )
+        axes.text(place_m[0], place_m[1], name, size=9, color=INK, ha="center", va="center", bbox=box, zorder=9)
 
 
 def _draw_scale_and_north(axes: "Axes", plan: PlanView) -> None:

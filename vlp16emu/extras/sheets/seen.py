@@ -18,10 +18,7 @@ Array = NDArray[np.float64]
 STEM_SEEN = np.dtype(
     [
         ("returns_stem", "<u4"),  # from root flare and stem, second leaders too
-        (
-            "stem_seen",
-            "<f8",
-        ),  # share of the surface between 0.3 m and the crown base, in cells of 10 degrees by 0.5 m
+        ("stem_seen", "<f8"),  # share of the surface between 0.3 m and the crown base, in cells of 10 degrees by 0.5 m
         ("breast_seen_deg", "<f8"),  # of the stem's girth between 1.1 m and 1.5 m, in cells of 10 degrees
     ]
 )
@@ -101,9 +98,7 @@ def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = No
     return rows
 
 
-def _of_stems(
-    returns: dict[str, NDArray[np.float64]], ids: NDArray[np.uint32]
-) -> tuple[NDArray[np.int64], Array]:
+def _of_stems(returns: dict[str, NDArray[np.float64]], ids: NDArray[np.uint32]) -> tuple[NDArray[np.int64], Array]:
     """Give the returns from stems of trees with these ids (n,), ascending: row of the tree (k,), and place (k, 3)."""
     is_stem = np.isin(returns["part"], (PlantPart.STEM, PlantPart.ROOT_FLARE))
     is_stem &= (returns["semantic"] == Semantic.TREE) & np.isin(returns["instance"], ids)

@@ -37,13 +37,7 @@ def section_pixels_per_m(section: StandSection) -> float:
 
 
 def draw_sheet(
-    file: BinaryIO,
-    plan: PlanView,
-    section: StandSection,
-    drawn: NDArray[np.uint8],
-    *,
-    title: str,
-    subtitle: str,
+    file: BinaryIO, plan: PlanView, section: StandSection, drawn: NDArray[np.uint8], *, title: str, subtitle: str
 ) -> None:
     """Draw plan and section as PNG.
 
@@ -111,13 +105,7 @@ def _draw_side(axes: "Axes", plan: PlanView, section: StandSection, drawn: NDArr
 
 
 def _draw_carrier(
-    axes: "Axes",
-    x_m: float,
-    ground_m: float,
-    sensor_m: float,
-    field_of_view_deg: tuple[float, float],
-    *,
-    walks: bool,
+    axes: "Axes", x_m: float, ground_m: float, sensor_m: float, field_of_view_deg: tuple[float, float], *, walks: bool
 ) -> None:
     """Who or what carries the sensor, the sensor, and the lower and upper end of its field of view."""
     from matplotlib.patches import Circle, Rectangle
@@ -136,6 +124,4 @@ def _draw_carrier(
     axes.add_patch(Rectangle((x_m - 0.08, sensor_m - 0.06), 0.16, 0.12, fc=INK, ec="none", zorder=6))
     for side in (-1, 1):
         for rise_m in _BEAM_M * np.tan(np.radians(field_of_view_deg)):
-            axes.plot(
-                [x_m, x_m + side * _BEAM_M], [sensor_m, sensor_m + rise_m], color=WALK, lw=0.5, alpha=0.6
-            )
+            axes.plot([x_m, x_m + side * _BEAM_M], [sensor_m, sensor_m + rise_m], color=WALK, lw=0.5, alpha=0.6)

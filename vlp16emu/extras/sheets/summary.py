@@ -6,15 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vlp16emu.extras.sheets.figures import (
-    CELL_M,
-    Relief,
-    StandRow,
-    cells_near,
-    clark_evans,
-    relief,
-    stand_rows,
-)
+from vlp16emu.extras.sheets.figures import CELL_M, Relief, StandRow, cells_near, clark_evans, relief, stand_rows
 from vlp16emu.extras.sheets.survey import Survey
 from vlp16emu.scenario import Scenario
 from vlp16emu.world.vectors import places_m
@@ -109,9 +101,7 @@ def summary_of(scene: str, scenario: Scenario, seen: Survey) -> WorldSummary:
         path=PathSummary(length_m, seen.path_m[0].tolist(), seen.path_m[-1].tolist()),
         radius_m=seen.radius_m,
         named=tuple(
-            NamedThing(
-                seen.names[thing.instance], thing.kind, thing.instance, thing.place_m.tolist(), thing.size_m
-            )
+            NamedThing(seen.names[thing.instance], thing.kind, thing.instance, thing.place_m.tolist(), thing.size_m)
             for thing in seen.things
             if thing.instance in seen.names
         ),

@@ -109,9 +109,7 @@ class Survey:
         return within
 
 
-def survey(
-    scenario: Scenario, radius_m: float, parts: Parts | None = None, path_xy_m: Array | None = None
-) -> Survey:
+def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path_xy_m: Array | None = None) -> Survey:
     """Look around the path of a scenario's sensor; its parts are made where they are not given.
 
     Parameters
@@ -125,9 +123,7 @@ def survey(
     """
     reach_m = scenario.sensor.max_range_m
     if radius_m > reach_m:
-        raise InputError(
-            "--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach"
-        )
+        raise InputError("--radius", f"found {radius_m:g}", f"at most {reach_m:g}, which is the sensor's reach")
     parts = parts or assemble(scenario)
     beams_deg, world = parts.head.beams.elevation_deg, parts.world
     bare = world.bare if isinstance(world, Furnished) else world

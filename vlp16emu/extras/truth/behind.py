@@ -29,9 +29,7 @@ def slots_of(unit: Unit, returns: Returns, mode: ReturnMode) -> NDArray[np.void]
         pairs = [_rows(unit, returns, column) for column in (last, odd)]
         of_last = returns.distance_m[..., 1] == returns.distance_m[..., 0]
         pairs[1]["repeat"] = (odd == 0) & of_last & (pairs[1]["echo"] != NO_ECHO)
-        rows = np.stack(
-            [pair.reshape(-1, 32) for pair in pairs], axis=1
-        )  # two blocks to two firing sequences
+        rows = np.stack([pair.reshape(-1, 32) for pair in pairs], axis=1)  # two blocks to two firing sequences
     else:
         rows = _rows(unit, returns, np.full(shape, _ONLY_COLUMN[mode]))
     packets = len(returns.distance_m) // SEQUENCES_PER_PACKET[mode]
@@ -58,9 +56,7 @@ def _rows(unit: Unit, returns: Returns, column: NDArray[np.int64]) -> NDArray[np
     rows["sensor_m"] = matvec(poses.world_R_body.swapaxes(-1, -2), away_m).reshape(world_m.shape)
     assert returns.surfaces is not None
     surfaces = np.append(returns.surfaces, np.zeros(1, SURFACE))  # the last row is that of no surface
-    met = surfaces[
-        np.minimum(np.where(is_sent, taken(returns.surface), len(returns.surfaces)), len(returns.surfaces))
-    ]
+    met = surfaces[np.minimum(np.where(is_sent, taken(returns.surface), len(returns.surfaces)), len(returns.surfaces))]
     for name in _LABELS:
         rows[name] = met[name]
     return rows

@@ -77,11 +77,7 @@ def _whole(scenario: Scenario, unit: Unit, place: int, event: Event, stop_ns: in
     for kind in kinds:
         first, until_ns = number_at(scenario, unit, kind, begin_ns), over_ns
         if isinstance(event, PacketEvent) and event.count is not None:
-            due_ns = (
-                packet.due_ns
-                for packet in timetable(scenario, [unit], begin_ns, over_ns)
-                if packet.kind is kind
-            )
+            due_ns = (packet.due_ns for packet in timetable(scenario, [unit], begin_ns, over_ns) if packet.kind is kind)
             last_ns = max(islice(due_ns, event.count), default=scenario.start_ns + begin_ns)
             until_ns = last_ns + 1 - scenario.start_ns
         count = number_at(scenario, unit, kind, until_ns) - first

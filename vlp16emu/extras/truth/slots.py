@@ -127,10 +127,7 @@ class SlotTable:
         }
         self._file.write_table(
             self._arrow.table(
-                [
-                    self._column(name, columns[name], miss if name in _OF_RETURNS else None)
-                    for name in SLOT_COLUMNS
-                ],
+                [self._column(name, columns[name], miss if name in _OF_RETURNS else None) for name in SLOT_COLUMNS],
                 schema=self._schema,
             ),
             row_group_size=len(rows),
@@ -239,8 +236,7 @@ class SlotReader:
         table = self._file.read_row_group(group, columns=names)
         columns = {name: table[name] for name in names}
         return {
-            name: (column.fill_null(0) if column.null_count else column).to_numpy()
-            for name, column in columns.items()
+            name: (column.fill_null(0) if column.null_count else column).to_numpy() for name, column in columns.items()
         }
 
 

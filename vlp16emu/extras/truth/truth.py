@@ -33,7 +33,9 @@ from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Packet, PacketKind, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
 
-_TUM_HEADER = "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n"
+_TUM_HEADER = (
+    "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n"
+)
 _GNSS_COLUMNS = (
     "t_utc_s",
     "valid",
@@ -52,12 +54,7 @@ _GNSS_COLUMNS = (
 _EVENT_COLUMNS = ("t_utc_s", "until_utc_s", "event", "unit", "kind", "packets", "first", "last", "count")
 _IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 """Angular rate and specific force in the unit's own axes."""
-_IMU_COLUMNS = (
-    "t_utc_s",
-    *_IMU_AXES,
-    *(f"true_{axis}" for axis in _IMU_AXES),
-    *(f"bias_{axis}" for axis in _IMU_AXES),
-)
+_IMU_COLUMNS = ("t_utc_s", *_IMU_AXES, *(f"true_{axis}" for axis in _IMU_AXES), *(f"bias_{axis}" for axis in _IMU_AXES))
 
 _OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
 """Kinds of packets by which the truth goes; what leaves beside them changes no line."""
@@ -227,12 +224,7 @@ class Samples(Generic[_T]):
     """
 
     def __init__(
-        self,
-        append: Callable[[_T], None],
-        rows: Callable[[int, int], _T],
-        zero_ns: int,
-        rate_hz: int,
-        from_ns: int,
+        self, append: Callable[[_T], None], rows: Callable[[int, int], _T], zero_ns: int, rate_hz: int, from_ns: int
     ) -> None:
         self._append, self._rows, self._zero_ns, self._rate_hz = append, rows, zero_ns, rate_hz
         self._next = self._count_before(from_ns)
@@ -311,9 +303,7 @@ def _event_row(one: Happening) -> str:
     """Write what happened as a line."""
     last = str(one.first + one.count - 1) if one.count else ""
     times = seconds_text(one.begin_ns), seconds_text(one.end_ns)
-    return (
-        f"{','.join(times)},{one.event},{one.unit},{one.kind},{one.packets},{one.first},{last},{one.count}\n"
-    )
+    return f"{','.join(times)},{one.event},{one.unit},{one.kind},{one.packets},{one.first},{last},{one.count}\n"
 
 
 def _resolved(scenario: Scenario, span_s: tuple[float, float]) -> dict[str, Any]:
@@ -332,9 +322,7 @@ def rig_of(scenario: Scenario, parts: Parts) -> dict[str, Any]:
             "longitude_deg": gps.longitude_deg,
             "height_m": gps.height_m,
         },
-        "sensor": {
-            "axes": "x forward at azimuth 0, y left, z up; that of the trajectory and of decoded points"
-        },
+        "sensor": {"axes": "x forward at azimuth 0, y left, z up; that of the trajectory and of decoded points"},
         "units": [_unit(unit) for unit in parts.units],
         "manual": {
             "axes": "azimuth 0 on +y, clockwise seen from above (63-9243 Rev D, section 9.1)",

@@ -127,17 +127,11 @@ def check_factory(number: int, factory: bytes, before: bytes, findings: Findings
 def check_codes(chunk: DataChunk, findings: Findings) -> None:
     """Check flags, ranges and codes of each packet, and the pairs of dual return."""
 
-    def add(
-        rule: Rule, broken: NDArray[np.bool_], found: _Found, expected: str, level: Level = Level.ERROR
-    ) -> None:
+    def add(rule: Rule, broken: NDArray[np.bool_], found: _Found, expected: str, level: Level = Level.ERROR) -> None:
         broken[0] &= not chunk.continues
         findings.add_where(rule, broken, chunk.number, found, expected, level)
 
-    flag, most_cdeg, stamp_us = (
-        chunk.payload["blocks"]["flag"],
-        chunk.azimuth_cdeg.max(axis=1),
-        chunk.timestamp_us,
-    )
+    flag, most_cdeg, stamp_us = (chunk.payload["blocks"]["flag"], chunk.azimuth_cdeg.max(axis=1), chunk.timestamp_us)
     bad_flag = flag != BLOCK_FLAG
     forbidden = (chunk.distance_lsb > 0) & (chunk.distance_lsb < MIN_DISTANCE_LSB)
     count = forbidden.sum(axis=(1, 2, 3))
@@ -299,11 +293,7 @@ class SweepRules:
         is_late = (late_us > JITTER_US) & ~takes_longer
         expected = f"within {JITTER_US / 1e3:.0f} ms"
         self._findings.add_where(
-            Rule.LATENESS,
-            is_late,
-            chunk.number,
-            lambda i: f"{late_us[i] / 1e3:.1f} ms later than others",
-            expected,
+            Rule.LATENESS, is_late, chunk.number, lambda i: f"{late_us[i] / 1e3:.1f} ms later than others", expected
         )
         middle_us = int(offset_us[0]) + round(float(np.median(moved_us)))
         self._clock.check(int(chunk.number[0]), int(chunk.stamp_ns[0]), middle_us)
@@ -337,22 +327,16 @@ class SweepRules:
         off_rpm = rpm - _SET_RPM * np.rint(rpm / _SET_RPM)
         is_off, number = whole & (np.abs(off_rpm) > _HELD_RPM), chunk.number[:rows:packets]
         expected = f"a multiple of {_SET_RPM} rpm within {_HELD_RPM:g}, held"
-        self._findings.add_where(
-            Rule.SPEED, is_off, number, lambda i: f"a revolution at {rpm[i]:.1f} rpm", expected
-        )
+        self._findings.add_where(Rule.SPEED, is_off, number, lambda i: f"a revolution at {rpm[i]:.1f} rpm", expected)
 
-    def _check_azimuth(
-        self, chunk: DataChunk, steps: _Steps, is_still: NDArray[np.bool_], judged: int
-    ) -> None:
+    def _check_azimuth(self, chunk: DataChunk, steps: _Steps, is_still: NDArray[np.bool_], judged: int) -> None:
         """Check the steps of the first `judged` packets."""
         blocks = steps.forward_cdeg.shape[1]
         is_odd = steps.is_odd[:judged]
         if not chunk.dual:
             is_twin = (steps.forward_cdeg[:judged, 0] == 0) & ~is_still[:judged]
             found = "blocks 0 and 1 with one azimuth"
-            self._findings.add_where(
-                Rule.SINGLE_AS_DUAL, is_twin, chunk.number, lambda _: found, "two azimuths"
-            )
+            self._findings.add_where(Rule.SINGLE_AS_DUAL, is_twin, chunk.number, lambda _: found, "two azimuths")
             is_odd[:, 0] &= ~is_twin
         # A step belongs to the packet it leads to.
         packets = np.repeat(chunk.number[:judged, None], blocks, axis=1)
@@ -367,9 +351,7 @@ class SweepRules:
         expected = f"{usual_cdeg / 100:+.2f} deg within {_STEP_TOLERANCE_CDEG / 100:.2f}"
         self._findings.add_where(Rule.AZIMUTH_STEP, is_odd.ravel(), packets.ravel(), found_step, expected)
 
-    def _measure_speed(
-        self, chunk: DataChunk, steps: _Steps, is_regular: NDArray[np.bool_], judged: int
-    ) -> None:
+    def _measure_speed(self, chunk: DataChunk, steps: _Steps, is_regular: NDArray[np.bool_], judged: int) -> None:
         """Take the mean of the even steps, and check it."""
         is_even = steps.is_even[:judged]
         is_even[: len(is_regular), -1] &= is_regular

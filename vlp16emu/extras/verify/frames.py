@@ -14,13 +14,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.extras.verify.rules import Findings, Level, Rule
 from vlp16emu.packets.capture import Datagram
-from vlp16emu.packets.frames import (
-    DATA_PORT,
-    DATA_TTL,
-    HEADER_BYTES,
-    POSITION_PORT,
-    POSITION_TTL,
-)
+from vlp16emu.packets.frames import DATA_PORT, DATA_TTL, HEADER_BYTES, POSITION_PORT, POSITION_TTL
 from vlp16emu.packets.layout import (
     BLOCK_FLAG,
     DATA_BYTES,

@@ -124,9 +124,7 @@ class PositionRules:
             self._comes_s = late_s if self._comes_s is None else self._comes_s
             if abs(late_s - self._comes_s) > _UNEVEN_S:
                 found = f"the sentence of {named} {late_s:.2f} s after its second"
-                self._findings.add(
-                    Rule.NMEA_TIME, datagram.number, found, f"{self._comes_s:.2f} s, as before"
-                )
+                self._findings.add(Rule.NMEA_TIME, datagram.number, found, f"{self._comes_s:.2f} s, as before")
 
 
 @lru_cache(16)

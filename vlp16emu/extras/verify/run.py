@@ -13,13 +13,7 @@ from vlp16emu.extras.verify.frames import InOrder, check_frame, kind_of
 from vlp16emu.extras.verify.position import PositionRules
 from vlp16emu.extras.verify.rules import Finding, Findings, Rule
 from vlp16emu.packets.capture import Capture, Datagram
-from vlp16emu.packets.layout import (
-    DATA_PAYLOAD,
-    RETURN_MODE_BYTE,
-    SEQUENCES_PER_PACKET,
-    CapturedUnit,
-    chosen_unit,
-)
+from vlp16emu.packets.layout import DATA_PAYLOAD, RETURN_MODE_BYTE, SEQUENCES_PER_PACKET, CapturedUnit, chosen_unit
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
@@ -108,9 +102,7 @@ def verify_capture(path: Path, unit: CapturedUnit | None = None, *, limit_per_ru
     return verify_units(path, [unit], limit_per_rule=limit_per_rule)[0]
 
 
-def verify_units(
-    path: Path, units: Sequence[CapturedUnit | None], *, limit_per_rule: int = 10
-) -> list[Verification]:
+def verify_units(path: Path, units: Sequence[CapturedUnit | None], *, limit_per_rule: int = 10) -> list[Verification]:
     """Check each of several units by itself against all rules, all of them in one pass; as `verify_capture`."""
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
     checks = [_Check(Findings(limit_per_rule), chunk_packets) for _ in units]
@@ -229,9 +221,7 @@ class _Check:
 
     def _check_rates(self) -> None:
         """Check packets per second, those lost included: position packets, and the time that data packets cover."""
-        span_s = {
-            kind: (self._last[kind].stamp_ns - first.stamp_ns) / S_NS for kind, first in self._first.items()
-        }
+        span_s = {kind: (self._last[kind].stamp_ns - first.stamp_ns) / S_NS for kind, first in self._first.items()}
         active_s = span_s.get(PacketKind.DATA, 0.0) - self._sweep.left_out_us * US_NS / S_NS
         if active_s >= _SHORTEST_S:
             mode = ReturnMode.DUAL if self._factory[0] == _DUAL_BYTE else ReturnMode.STRONGEST

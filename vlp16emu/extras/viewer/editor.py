@@ -175,6 +175,4 @@ class Editor:
             scene.add_line_segments("/draft", segments_m, _GOOD, thickness=0.12)
         marked = (marks for marks in (outlook.in_the_way_m, outlook.fault_m) if marks is not None)
         marks_m = np.concatenate([np.zeros((0, 3)), *marked])
-        scene.add_point_cloud(
-            "/in_the_way", marks_m, _BAD, point_size=0.6, point_shape="circle", precision="float32"
-        )
+        scene.add_point_cloud("/in_the_way", marks_m, _BAD, point_size=0.6, point_shape="circle", precision="float32")

@@ -88,9 +88,7 @@ def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
     if layer == "class":
         return {Semantic(one).name.lower(): _of_class(one) for one in np.unique(labels.semantic).tolist()}
     if layer == "part":
-        return {
-            PlantPart(one).name.lower(): PART_RGB[PlantPart(one)] for one in np.unique(labels.part).tolist()
-        }
+        return {PlantPart(one).name.lower(): PART_RGB[PlantPart(one)] for one in np.unique(labels.part).tolist()}
     if layer == "instance":
         return None
     shown = [species[one] for one in np.unique(labels.species).tolist() if one in species]

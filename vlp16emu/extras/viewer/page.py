@@ -200,9 +200,7 @@ class Page:
             self._slider = gui.add_slider("time, s", 0.0, last_s, min(0.1, last_s), 0.0)
             self._play = gui.add_checkbox("play", initial_value=False)
             self._view = SweepView(server, layers_of_scan(self._kept[0].scan), species, root)
-            self._together = gui.add_slider(
-                "sweeps", 1, _MOST_KEPT, 1, 1, hint="how many stay as they are played"
-            )
+            self._together = gui.add_slider("sweeps", 1, _MOST_KEPT, 1, 1, hint="how many stay as they are played")
             self._beams = gui.add_checkbox("beams", initial_value=True)
             self._text = gui.add_markdown("")
             self._faults = gui.add_html("")
@@ -280,9 +278,7 @@ def beams_of(scan: Scan, beams: BeamTable) -> tuple[NDArray[np.float64], NDArray
     first = scan.t_ns < scan.start_ns + beams.sequence_ns
     azimuth = np.radians(scan.azimuth_deg[first][0] if first.any() else 0.0)
     flat = np.cos(np.radians(rising))
-    ends_m = _LOST_M * np.stack(
-        [flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(np.radians(rising))], axis=1
-    )
+    ends_m = _LOST_M * np.stack([flat * np.cos(azimuth), -flat * np.sin(azimuth), np.sin(np.radians(rising))], axis=1)
     ring = scan.ring[first]
     ends_m[ring] = scan.xyz_m[first]
     return ends_m, np.isin(np.arange(len(rising)), ring)

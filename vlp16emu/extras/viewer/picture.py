@@ -81,9 +81,7 @@ class PictureRun:
     interrupted: bool
 
 
-def sweeps_of_capture(
-    path: Path, trajectory: Path | None, start_s: float, duration_s: float | None
-) -> Iterator[Sweep]:
+def sweeps_of_capture(path: Path, trajectory: Path | None, start_s: float, duration_s: float | None) -> Iterator[Sweep]:
     """Yield the revolutions of a capture, by a trajectory or as they are in the sensor; those beyond its poses are left out."""
     way = None if trajectory is None else Trajectory(trajectory, 1, TrajectoryErrors())
     first_ns = None
@@ -153,9 +151,7 @@ def draw_picture(
         else:
             (_gif if suffix == ".gif" else _mp4)(file, (drawing.marked(sweep) for sweep in images), look.size)
     interrupted = stop.is_set()
-    return PictureRun(
-        str(path), drawing.revolutions, drawing.points, look.colour, path.stat().st_size, interrupted
-    )
+    return PictureRun(str(path), drawing.revolutions, drawing.points, look.colour, path.stat().st_size, interrupted)
 
 
 class View(ABC):
@@ -205,9 +201,7 @@ class Oblique(View):
         right = np.array([-math.cos(a), math.sin(a), 0.0])
         back = np.array([math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), math.sin(e)])
         self._axes = np.stack([right, np.cross(back, right), back])
-        corners_m = np.array(
-            [[box_m[i, 0], box_m[j, 1], box_m[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-        )
+        corners_m = np.array([[box_m[i, 0], box_m[j, 1], box_m[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
         seen_m = corners_m @ self._axes.T
         low_m, high_m = seen_m.min(axis=0), seen_m.max(axis=0)
         self.size, self._box_m = size, box_m
@@ -227,9 +221,7 @@ class Oblique(View):
         return sweep.world_m, self._is_near(sweep.world_m)
 
     def _is_near(self, place_m: Array) -> NDArray[np.bool_]:
-        near: NDArray[np.bool_] = ((place_m >= self._box_m[0]) & (place_m <= self._box_m[1]))[:, :2].all(
-            axis=1
-        )
+        near: NDArray[np.bool_] = ((place_m >= self._box_m[0]) & (place_m <= self._box_m[1]))[:, :2].all(axis=1)
         return near
 
     def sensor(self, sweep: Sweep) -> Array | None:
@@ -449,9 +441,7 @@ def _still(file: Any, drawing: _Drawing, entries: Entries) -> None:
         if isinstance(view, Oblique) and view.adds_up:
             scale_bar(axes, view.px_per_m, 10.0, (30, 30))
         shown_by = "in natural colours" if colour == "natural" else f"by {colour}"
-        text = partial(
-            axes.text, fontsize=10, bbox={"facecolor": BACK, "edgecolor": "none", "alpha": 0.7, "pad": 2.0}
-        )
+        text = partial(axes.text, fontsize=10, bbox={"facecolor": BACK, "edgecolor": "none", "alpha": 0.7, "pad": 2.0})
         for column, up, words in view.labels():
             text(column, up, words)
         many = drawing.points

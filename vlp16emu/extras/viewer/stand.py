@@ -141,9 +141,7 @@ def slim_stem(mesh: Mesh) -> Mesh:
     axis_m = np.stack([np.polyval(np.polyfit(along, place_m[:, k], 3), along) for k in (0, 1)], axis=1)
     aside_m = place_m[:, :2] - axis_m
     ring = np.rint(along * (_RINGS - 1)).astype(np.int64)
-    sector = (
-        np.rint(np.arctan2(aside_m[:, 1], aside_m[:, 0]) * _SIDES / (2 * np.pi)).astype(np.int64) % _SIDES
-    )
+    sector = np.rint(np.arctan2(aside_m[:, 1], aside_m[:, 0]) * _SIDES / (2 * np.pi)).astype(np.int64) % _SIDES
     return _gathered(mesh, ring * _SIDES + sector, np.abs(along * (_RINGS - 1) - ring))
 
 
@@ -229,6 +227,4 @@ def _piece(name: str, mesh: Mesh, colour: tuple[int, ...], world_T_shape: Array)
     turn = Rotation.from_matrix(world_T_shape[:, :, :3] / scale[:, None, :])
     red, green, blue = colour
     wxyz = turn.as_quat(scalar_first=True)
-    return Piece(
-        name, mesh.vertices_m, _triangles(mesh), (red, green, blue), world_T_shape[:, :, 3], wxyz, scale
-    )
+    return Piece(name, mesh.vertices_m, _triangles(mesh), (red, green, blue), world_T_shape[:, :, 3], wxyz, scale)

@@ -58,9 +58,7 @@ def placed(xyz_m: NDArray[np.floating], world_T_sensor: NDArray[np.float64]) -> 
     return world_m + world_T_sensor[:, :3, 3]
 
 
-def sweeps_of_scene(
-    emulator: Emulator, start_s: float, duration_s: float | None, unit: int = 1
-) -> Iterator[Sweep]:
+def sweeps_of_scene(emulator: Emulator, start_s: float, duration_s: float | None, unit: int = 1) -> Iterator[Sweep]:
     """Yield the revolutions of a scene's sensor, with labels."""
     for scan in emulator.scans(start_s=start_s, duration_s=duration_s, unit=unit, truth=True):
         yield Sweep(scan, placed(scan.xyz_m, emulator.world_T_sensor(scan.t_ns, unit=unit)))

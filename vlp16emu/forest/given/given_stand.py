@@ -56,9 +56,7 @@ class GivenStand:
         for a list that is wrong, and where trees are on the path that are not to be dropped
     """
 
-    def __init__(
-        self, section: Plot, *, seed: int, height_m: HeightField, path: Corridor, plants: Flora
-    ) -> None:
+    def __init__(self, section: Plot, *, seed: int, height_m: HeightField, path: Corridor, plants: Flora) -> None:
         self._source = Path(section.stem_list)
         trees = read_stem_list(self._source, plants.trees, section.origin_m)
         self._species = [one for one in plants.trees.values() if one.number in set(trees["species"].tolist())]
@@ -169,9 +167,7 @@ def _clear_of_path(section: Plot, trees: Trees, table: Mapping[str, Species], pa
         for tree, gap in zip(trees[in_the_way], gap_m[in_the_way], strict=True)
     ]
     more = f", and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
-    found = (
-        f"nearer to the path than path_clearance_m = {path.clearance_m:g}: {'; '.join(named[:_NAMED])}{more}"
-    )
+    found = f"nearer to the path than path_clearance_m = {path.clearance_m:g}: {'; '.join(named[:_NAMED])}{more}"
     if section.on_conflict != "drop":
         raise GeometryError(
             section.stem_list,

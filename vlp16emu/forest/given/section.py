@@ -33,9 +33,7 @@ class Cutter:
     def __init__(self, vertices_m: Sequence[Array], faces: Sequence[Faces]) -> None:
         first = np.cumsum([0, *map(len, vertices_m)])
         self.vertices_m = np.concatenate(vertices_m)
-        corners = np.concatenate(
-            [own.astype(np.int64) + begin for own, begin in zip(faces, first, strict=False)]
-        )
+        corners = np.concatenate([own.astype(np.int64) + begin for own, begin in zip(faces, first, strict=False)])
         number = _welded(self.vertices_m)
         self.faces = number[corners]
         self.vertices_m = self.vertices_m[np.unique(number, return_index=True)[1]]

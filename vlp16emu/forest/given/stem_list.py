@@ -90,9 +90,7 @@ def read_stem_list(path: Path, table: Mapping[str, Species], origin_m: tuple[flo
     rows = _read_rows(path)
     lines = np.array([line for line, _ in rows])
     trees = np.zeros(len(rows), TREE)
-    species = [
-        known([row[_SPECIES]], table, f"{path}, line {line}, column {_SPECIES}")[0] for line, row in rows
-    ]
+    species = [known([row[_SPECIES]], table, f"{path}, line {line}, column {_SPECIES}")[0] for line, row in rows]
     trees["species"], trees["list_line"] = [one.number for one in species], lines
     numbers = {name: _numbers(path, rows, column) for name, column in _COLUMNS.items()}
     trees["x_m"], trees["y_m"] = numbers["x_m"] - origin_m[0], numbers["y_m"] - origin_m[1]
@@ -114,10 +112,7 @@ def _leans(numbers: Mapping[str, Array]) -> tuple[Array, Array]:
 
 def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     """Cells by column name, and the line of each tree."""
-    with (
-        readable(path, "a stem list in CSV", GeometryError),
-        path.open(encoding="utf-8-sig", newline="") as file,
-    ):
+    with readable(path, "a stem list in CSV", GeometryError), path.open(encoding="utf-8-sig", newline="") as file:
         header = file.readline()
         delimiter = next(mark for mark in ";\t," if mark in header or mark == ",")
         names = [name.strip().lower() for name in next(csv.reader([header], delimiter=delimiter), [])]
@@ -129,9 +124,7 @@ def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
             if not any(cell.strip() for cell in cells):
                 continue
             if len(cells) != len(names):
-                raise GeometryError(
-                    f"{path}, line {line}", f"found {len(cells)} cells", f"{len(names)}, as in line 1"
-                )
+                raise GeometryError(f"{path}, line {line}", f"found {len(cells)} cells", f"{len(names)}, as in line 1")
             rows.append((line, dict(zip(names, (cell.strip() for cell in cells), strict=True))))
     if not rows:
         raise GeometryError(str(path), "no tree below line 1", "one tree to a line")
@@ -240,7 +233,5 @@ def _check_twice(path: Path, lines: NDArray[np.int64], trees: Trees) -> None:
     pairs = sorted(cKDTree(places).query_pairs(_APART_M))
     if pairs:
         first, second = pairs[0]
-        found = (
-            f"the place of line {lines[first]}, ({places[second, 0]:g}, {places[second, 1]:g}) m in the scene"
-        )
+        found = f"the place of line {lines[first]}, ({places[second, 0]:g}, {places[second, 1]:g}) m in the scene"
         raise GeometryError(f"{path}, line {lines[second]}", found, f"trees at least {_APART_M:g} m apart")

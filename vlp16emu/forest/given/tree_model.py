@@ -132,9 +132,7 @@ class TreeModel:
     def scale(self, trees: Trees) -> Array:
         """Stretch (n, 2) for trees: across, so that the DBH is theirs, and along the axis."""
         upright = cos(np.radians(trees["lean_deg"]))
-        own_m = [
-            self.outline(height_m, BREAST_HEIGHT_M).diameter_m for height_m in trees["height_m"].tolist()
-        ]
+        own_m = [self.outline(height_m, BREAST_HEIGHT_M).diameter_m for height_m in trees["height_m"].tolist()]
         return np.column_stack([trees["dbh_m"] / own_m, trees["height_m"] / upright / self.height_m])
 
     def world_T_model(self, trees: Trees) -> Array:
@@ -175,9 +173,7 @@ class TreeModel:
         leaves = [mesh for part, mesh in of if part == PlantPart.LEAF]
         others = [mesh for part, mesh in of if part not in (*STEM_PARTS, PlantPart.LEAF)]
         has_leaves = any(len(mesh.faces) for mesh in leaves)
-        self._corners_m, self._crown_corners_m = map(
-            _spanning, (self.meshes, leaves if has_leaves else others)
-        )
+        self._corners_m, self._crown_corners_m = map(_spanning, (self.meshes, leaves if has_leaves else others))
         faces_m = [mesh.vertices_m.astype(np.float64)[mesh.faces] for mesh in leaves]
         sides = [np.cross(face[:, 1] - face[:, 0], face[:, 2] - face[:, 0]) / 2 for face in faces_m]
         side_m2 = np.concatenate([np.zeros((0, 3)), *sides])
@@ -189,17 +185,13 @@ class TreeModel:
         """(16, 4) middles and radii of the stem, nearer to each other at the butt; straight lines where it cannot be cut."""
         share = np.square(np.linspace(0.0, 1.0, 16))
         at_m = low_m + share * (high_m - low_m)
-        cuts = [
-            self._stem.cut(low_m + own * (high_m - low_m)) for own in share.clip(1e-3, 1.0 - 1e-3).tolist()
-        ]
+        cuts = [self._stem.cut(low_m + own * (high_m - low_m)) for own in share.clip(1e-3, 1.0 - 1e-3).tolist()]
         there = [i for i, cut in enumerate(cuts) if cut is not None]
         found = np.array([[*cut.middle_m, cut.diameter_m / 2] for cut in cuts if cut is not None])
         x_m, y_m, radius_m = (np.interp(at_m, at_m[there], column) for column in found.T)
         return np.column_stack([x_m, y_m, at_m, radius_m])
 
-    def _meshes(
-        self, part: PlantPart, vertices_m: Array, faces: NDArray[np.uint32]
-    ) -> list[tuple[int, int, Mesh]]:
+    def _meshes(self, part: PlantPart, vertices_m: Array, faces: NDArray[np.uint32]) -> list[tuple[int, int, Mesh]]:
         """Part, part from afar and mesh of what one part of the file is: of a stem apart the bole and what bears away."""
         if part not in STEM_PARTS:
             return [(part, part, _used(vertices_m, faces))]
@@ -280,14 +272,10 @@ class TreeModels(Models):
         """Parts of a model's meshes as they are seen from afar; None for any other shape."""
         return self._models[key.number].far_parts if isinstance(key, ModelKey) else None
 
-    def far_stems(
-        self, keys: Sequence[ShapeKey], world_T_shape: Array, rows: NDArray[np.int64]
-    ) -> NDArray[np.void]:
+    def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: Array, rows: NDArray[np.int64]) -> NDArray[np.void]:
         """Stems, as `STEM`, of those of placements (n,) that are models, by their first surfaces."""
         of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
-        stems = (
-            model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models)
-        )
+        stems = (model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models))
         return np.concatenate([np.zeros(0, STEM), *stems])
 
     def inventory(self, trees: Trees) -> NDArray[np.void]:
@@ -317,8 +305,6 @@ class TreeModels(Models):
         fits = [i for i, model in enumerate(self._models) if model.species.number == tree["species"][0]]
         if len(fits) == 1:
             return fits[0]
-        stretch = [
-            abs(float(log(across / along))) for i in fits for across, along in self._models[i].scale(tree)
-        ]
+        stretch = [abs(float(log(across / along))) for i in fits for across, along in self._models[i].scale(tree)]
         good = [i for i, own in zip(fits, stretch, strict=True) if own <= min(stretch) + log(_ALIKE)]
         return good[int(tree["crown_azimuth_deg"][0] * 1e6) % len(good)]

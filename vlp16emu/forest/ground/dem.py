@@ -159,9 +159,7 @@ def _weights(t: float) -> tuple[float, float, float, float]:
 
 
 @numba.njit(cache=True, nogil=True)
-def _heights(
-    out: Array, x: Array, y: Array, nodes: Array, west_m: float, south_m: float, cell_m: float
-) -> None:
+def _heights(out: Array, x: Array, y: Array, nodes: Array, west_m: float, south_m: float, cell_m: float) -> None:
     """Fill (n,) heights; `nodes` has a border of one cell."""
     rows, columns = nodes.shape
     for i in range(out.shape[0]):

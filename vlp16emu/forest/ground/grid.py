@@ -158,9 +158,7 @@ def _read_ascii(path: Path) -> Grid:
         found = f"found {len(heights_m)} rows of {heights_m.shape[1]}"
         raise GeometryError(f"{path}, line {line[0]}", found, f"nrows = {rows:g}, ncols = {columns:g}")
     heights_m[heights_m == header.get(_NODATA)] = np.nan
-    west_m, south_m = (
-        header[edge] if edge in header else header[centre] - cell_m / 2 for edge, centre in _CORNER
-    )
+    west_m, south_m = (header[edge] if edge in header else header[centre] - cell_m / 2 for edge, centre in _CORNER)
     return _from_corner(path, heights_m, (west_m, south_m), cell_m)
 
 
@@ -205,17 +203,11 @@ def _check_map(path: Path, file: Any) -> None:
     unit, factor = file.crs.units_factor if file.crs else ("metre", 1.0)
     unit = "degrees" if file.crs and file.crs.is_geographic else unit
     size, kind = f"{file.height} rows of {file.width}", file.dtypes[0]
-    is_square = (
-        width_m == -minus_m > 0 and skew == turn == 0 and np.isfinite([west_m, north_m, width_m]).all()
-    )
+    is_square = width_m == -minus_m > 0 and skew == turn == 0 and np.isfinite([west_m, north_m, width_m]).all()
     cells = f"cells of {width_m:g} x {-minus_m:g}"
     cells += ", turned" if skew or turn else f" from ({west_m:g}, {north_m:g})"
     for is_right, found, expected in (
-        (
-            file.count == 1 and np.dtype(kind).kind in "iuf",
-            f"{file.count} bands of {kind}",
-            "one height to a cell",
-        ),
+        (file.count == 1 and np.dtype(kind).kind in "iuf", f"{file.count} bands of {kind}", "one height to a cell"),
         (file.height * file.width <= _MOST_CELLS, size, f"at most {_MOST_CELLS} cells"),
         (not file.transform.is_identity, "no place on a map", "a grid that says where it lies"),
         (factor == 1.0, f"a map in {unit}", "one in metres"),

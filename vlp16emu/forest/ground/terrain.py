@@ -80,14 +80,7 @@ class TerrainHeights:
 
 @numba.njit(cache=True, nogil=True)
 def _add(
-    out: Array,
-    x: Array,
-    y: Array,
-    share: float,
-    cell_m: float,
-    purpose: int,
-    seed_low: np.uint32,
-    seed_high: np.uint32,
+    out: Array, x: Array, y: Array, share: float, cell_m: float, purpose: int, seed_low: np.uint32, seed_high: np.uint32
 ) -> None:
     """Add to (n,) heights the mounds or pits of the squares around each point; `share` of all squares have one."""
     for i in range(out.shape[0]):

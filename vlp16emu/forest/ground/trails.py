@@ -73,9 +73,7 @@ class Trails:
 @numba.njit(cache=True, nogil=True)
 def _first_m(seed_low: np.uint32, seed_high: np.uint32, spacing_m: float) -> float:
     none = np.uint32(0)
-    return (
-        philox4x32(none, none, np.uint32(1), np.uint32(_RUT), seed_low, seed_high)[0] * 2.0**-32 * spacing_m
-    )
+    return philox4x32(none, none, np.uint32(1), np.uint32(_RUT), seed_low, seed_high)[0] * 2.0**-32 * spacing_m
 
 
 @numba.njit(cache=True, nogil=True)

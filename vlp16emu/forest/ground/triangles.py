@@ -149,7 +149,5 @@ def _bisected(triangles: NDArray[np.int64], cut: Mask) -> NDArray[np.int64]:
         is_cut = cut[middle]
         whole.append(triangles[~is_cut])
         tip, one, other, middle = (corner[is_cut] for corner in (tip, one, other, middle))
-        triangles = np.concatenate(
-            [np.column_stack([middle, tip, one]), np.column_stack([middle, other, tip])]
-        )
+        triangles = np.concatenate([np.column_stack([middle, tip, one]), np.column_stack([middle, other, tip])])
     return np.concatenate([*whole, triangles])

@@ -8,14 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import exp
-from vlp16emu.forest.plants.branches import (
-    GOLDEN_ANGLE,
-    THINNEST_M,
-    Branches,
-    curves,
-    points_along,
-    side_branches,
-)
+from vlp16emu.forest.plants.branches import GOLDEN_ANGLE, THINNEST_M, Branches, curves, points_along, side_branches
 from vlp16emu.forest.plants.species import Habit
 
 Array = NDArray[np.float64]

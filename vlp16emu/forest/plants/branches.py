@@ -60,9 +60,7 @@ class Branches:
         return Branches(*(getattr(self, name)[which] for name in self.__slots__))
 
 
-def first_order(
-    rng: np.random.Generator, habit: Habit, size_m: tuple[float, float], stem_m: Array
-) -> Branches:
+def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, float], stem_m: Array) -> Branches:
     """Branches that leave the stem.
 
     Parameters
@@ -225,9 +223,7 @@ def _envelope(habit: Habit, relative: Array) -> Array:
     """Crown radius over its largest, at relative heights (n,)."""
     below = sin(np.pi / 2 * np.minimum(relative / habit.widest_at, 1.0))
     above = np.clip((relative - habit.widest_at) / (1 - habit.widest_at), 0.0, 1.0)
-    radius: Array = (habit.base_fraction + (1 - habit.base_fraction) * below) * (
-        1 - power(above, habit.top_power)
-    )
+    radius: Array = (habit.base_fraction + (1 - habit.base_fraction) * below) * (1 - power(above, habit.top_power))
     return np.maximum(radius, 0.05)
 
 
@@ -247,12 +243,7 @@ def _lengths_m(habit: Habit, size_m: tuple[float, float], base_m: Array, unit: A
 
 
 def curves(
-    rng: np.random.Generator,
-    base: Array,
-    azimuth: Array,
-    elevation: Array,
-    length_m: Array,
-    crook_deg: float,
+    rng: np.random.Generator, base: Array, azimuth: Array, elevation: Array, length_m: Array, crook_deg: float
 ) -> Array:
     """Curves (n, m, 3) from bases (n, 3) whose segments have the given elevations (n, m - 1), rad."""
     n, steps = elevation.shape

@@ -9,14 +9,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import cos, matmul, sin
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.bole import bole_branches
-from vlp16emu.forest.plants.branches import (
-    Branches,
-    first_order,
-    joined,
-    side_branches,
-    tubes,
-    volume_m3,
-)
+from vlp16emu.forest.plants.branches import Branches, first_order, joined, side_branches, tubes, volume_m3
 from vlp16emu.forest.plants.flora import species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import merged
@@ -33,12 +26,7 @@ Trees = NDArray[np.void]
 VARIANTS = 3
 """Different crowns of the same species and diameter class."""
 
-CROWN_PARTS = (
-    PlantPart.BRANCH_FIRST_ORDER,
-    PlantPart.BRANCH_HIGHER_ORDER,
-    PlantPart.LEAF,
-    PlantPart.DEAD_BRANCH,
-)
+CROWN_PARTS = (PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF, PlantPart.DEAD_BRANCH)
 """Of the meshes of a crown, in order. A mesh without faces stands where a crown has no such part."""
 
 _SIDES = (6, 4, 3)

@@ -117,16 +117,12 @@ def known(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[
     GeometryError
         for a name that is not in the table
     """
-    latin = {
-        " ".join(_plain(row.scientific_name).split()[:2]): row for row in table.values()
-    }  # without author
+    latin = {" ".join(_plain(row.scientific_name).split()[:2]): row for row in table.values()}  # without author
     rows = latin | {_plain(row.name): row for row in table.values()}
     for name in names:
         if _plain(name) not in rows:
             near = difflib.get_close_matches(_plain(name), rows, n=1)
-            expected = (
-                f"{rows[near[0]].name}, the nearest known one" if near else f"one of {', '.join(table)}"
-            )
+            expected = f"{rows[near[0]].name}, the nearest known one" if near else f"one of {', '.join(table)}"
             raise GeometryError(where, f"unknown species {name!r}", expected)
     return [rows[_plain(name)] for name in names]
 
@@ -140,16 +136,12 @@ def tapers(numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None =
     return _by_number(numbers, {one.number: one.taper.row for one in (table or species_table()).values()}, 12)
 
 
-def stem_keys(
-    numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None = None
-) -> NDArray[np.float64]:
+def stem_keys(numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None = None) -> NDArray[np.float64]:
     """Row of `StemForm` by species number, (n, 10)."""
     return _by_number(numbers, {one.number: one.stem.row for one in (table or species_table()).values()}, 10)
 
 
-def _by_number(
-    numbers: NDArray[np.uint16], rows: Mapping[int, NDArray[np.float64]], width: int
-) -> NDArray[np.float64]:
+def _by_number(numbers: NDArray[np.uint16], rows: Mapping[int, NDArray[np.float64]], width: int) -> NDArray[np.float64]:
     """Rows (n, width) of species."""
     return np.array([rows[int(number)] for number in numbers]).reshape(-1, width)
 

@@ -57,9 +57,7 @@ def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, le
     return quads(corners)
 
 
-def _blades(
-    rng: np.random.Generator, base: Array, mu_nu: tuple[float, float], length: Array, width: Array
-) -> Array:
+def _blades(rng: np.random.Generator, base: Array, mu_nu: tuple[float, float], length: Array, width: Array) -> Array:
     """Kites (n, 4, 3) whose normals are inclined as measured and whose tips hang."""
     n, (mu, nu) = len(base), mu_nu
     tilt = rng.beta(nu, mu, n) * (np.pi / 2)

@@ -91,10 +91,7 @@ def _leaves(rng: np.random.Generator, base: Array, outward: Array) -> Array:
     tilt, aside = np.radians(rng.uniform(*_TILT_DEG, n))[:, None], rng.normal(0.0, 0.4, n)[:, None]
     across = np.cross([0.0, 0.0, 1.0], outward)
     along = sin(tilt) * outward - cos(tilt) * np.array([0.0, 0.0, 1.0])
-    along, across = (
-        cos(aside) * along + sin(aside) * across,
-        cos(aside) * across - sin(aside) * along,
-    )
+    along, across = (cos(aside) * along + sin(aside) * across, cos(aside) * across - sin(aside) * along)
     length = rng.uniform(*_LEAF_M, n)[:, None]
     middle, half = base + 0.4 * length * along, _LEAF_WIDTH / 2 * length * across
     return np.stack([base, middle + half, base + length * along, middle - half], axis=1)

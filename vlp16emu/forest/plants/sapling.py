@@ -17,12 +17,7 @@ from vlp16emu.forest.plants.species import Habit, Species
 from vlp16emu.random import Purpose, generator
 from vlp16emu.types import Mesh, PlantPart
 
-SAPLING_PARTS = (
-    PlantPart.STEM,
-    PlantPart.BRANCH_FIRST_ORDER,
-    PlantPart.BRANCH_HIGHER_ORDER,
-    PlantPart.LEAF,
-)
+SAPLING_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF)
 """Of the meshes of a sapling, in order. A mesh without faces stands where it has no such part."""
 
 SLENDERNESS = 80.0

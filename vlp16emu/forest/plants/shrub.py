@@ -36,9 +36,7 @@ class ShrubKey:
         return np.pi / 4 * self.width_m * self.width_m
 
 
-def shrub_meshes(
-    seed: int, key: ShrubKey, *, table: Mapping[str, Shrub] | None = None
-) -> tuple[Mesh, Mesh, Mesh]:
+def shrub_meshes(seed: int, key: ShrubKey, *, table: Mapping[str, Shrub] | None = None) -> tuple[Mesh, Mesh, Mesh]:
     """Meshes of `SHRUB_PARTS`, in a frame with its origin on the ground and z up.
 
     Its leaf area is that of its kind's leaf area index on the ground that it covers.

@@ -14,15 +14,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, hypot, matvec, norm, sin
 from vlp16emu.forest.plants.meshes import merged, pipe_faces
-from vlp16emu.forest.plants.stem_rings import (
-    StemRings,
-    Table,
-    Trees,
-    axis_m,
-    second_leaders,
-    stem_rings,
-    tip_radius_m,
-)
+from vlp16emu.forest.plants.stem_rings import StemRings, Table, Trees, axis_m, second_leaders, stem_rings, tip_radius_m
 from vlp16emu.forest.plants.surface_roots import ROOT_RINGS, ROOT_SIDES, root_points
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.types import HeightField, Mesh, PlantPart
@@ -67,13 +59,7 @@ def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def stem_meshes(
-    trees: Trees,
-    origin_m: Array,
-    height_m: HeightField,
-    *,
-    table: Table | None = None,
-) -> list[Mesh]:
+def stem_meshes(trees: Trees, origin_m: Array, height_m: HeightField, *, table: Table | None = None) -> list[Mesh]:
     """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, relative to the tile's origin (3,); root flares have their roots."""
     rings = stem_rings(trees, table=table)
     rings.above_ground_m[:, 0] = -_buried_m(trees, rings, height_m)
@@ -108,9 +94,7 @@ def _buried_m(trees: Trees, rings: StemRings, height_m: HeightField) -> Array:
     """How far each foot (n,) must reach down to lie in the ground all around the flare, lobes and all."""
     flare_m = _WIDEST * rings.radius_m[:, :1]
     around = np.arange(8) * (np.pi / 4)
-    ground_m = height_m(
-        trees["x_m"][:, None] + flare_m * cos(around), trees["y_m"][:, None] + flare_m * sin(around)
-    )
+    ground_m = height_m(trees["x_m"][:, None] + flare_m * cos(around), trees["y_m"][:, None] + flare_m * sin(around))
     slope = stem_slopes(partial(axis_m, trees, rings.forms), np.zeros((len(trees), 1)))
     raised_m = (flare_m * norm(slope))[:, 0]
     buried: Array = _BURIED_M + raised_m - np.minimum(ground_m.min(axis=1) - trees["z_m"], 0.0)
@@ -140,9 +124,7 @@ def _meshes(trees: Trees, rings: StemRings, foot_m: Array, table: Table | None) 
     return [mesh for tree in range(len(trees)) for mesh in meshes[tree]]
 
 
-def _leaders(
-    trees: Trees, rings: StemRings, table: Table | None
-) -> list[list[tuple[Array, NDArray[np.uint32]]]]:
+def _leaders(trees: Trees, rings: StemRings, table: Table | None) -> list[list[tuple[Array, NDArray[np.uint32]]]]:
     """Vertices relative to the foot, and faces, of the second leader of each stem that forks."""
     leaders = second_leaders(trees, rings, np.array([*_LEADER_RINGS, 1.0]), table=table)
     above_m, radius_m = leaders.above_ground_m[:, :-1], leaders.radius_m[:, :-1]

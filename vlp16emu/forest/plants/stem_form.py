@@ -147,9 +147,7 @@ def stem_forms(trees: NDArray[np.void], *, table: Mapping[str, Species] | None =
         bole_m=trees["crown_base_m"],
         bends=np.stack([bow_m[:, :2], _S_SHARE * bow_m[:, 2:], butt], axis=1),
         oval=np.column_stack([oval, turns[:, 2] / 2, 0.2 * (u[:, 3] - 0.5), turns[:, 4]]),
-        lobes=np.column_stack(
-            [np.floor(least + (most + 1 - least) * u[:, 5]), lobes * (0.5 + u[:, 6]), turns[:, 7]]
-        ),
+        lobes=np.column_stack([np.floor(least + (most + 1 - least) * u[:, 5]), lobes * (0.5 + u[:, 6]), turns[:, 7]]),
         surface_roots=roots,
         bark=np.column_stack([depth_m, ridges, turns[:, 8:12]]),
         forks=np.column_stack(

@@ -155,9 +155,7 @@ def axis_m(trees: Trees, forms: StemForms, above_m: Array) -> Array:
     slope = tan(np.radians(trees["lean_deg"]))
     towards = np.radians(trees["lean_towards_deg"])
     lean = (slope * np.array([cos(towards), sin(towards)])).T
-    return np.concatenate(
-        [above_m[..., None] * lean[:, None] + forms.aside_m(above_m), above_m[..., None]], axis=2
-    )
+    return np.concatenate([above_m[..., None] * lean[:, None] + forms.aside_m(above_m), above_m[..., None]], axis=2)
 
 
 def tip_radius_m(trees: Trees, *, table: Table | None = None) -> Array:

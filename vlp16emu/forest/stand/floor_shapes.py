@@ -207,9 +207,7 @@ def _icosphere(splits: int) -> tuple[Array, NDArray[np.uint32]]:
     return vertices, faces.astype(np.uint32)
 
 
-def _log(
-    rng: np.random.Generator, taper: float = LOG_TAPER, bow: float = _LOG_BOW, *, splinters: float = 0.0
-) -> Mesh:
+def _log(rng: np.random.Generator, taper: float = LOG_TAPER, bow: float = _LOG_BOW, *, splinters: float = 0.0) -> Mesh:
     """Tapering trunk with broken ends, its thick end at -x, which lies bowed to one side."""
     along = np.linspace(-0.5, 0.5, 9)
     rings, ends = _drum(rng, along, 0.5 * (1 - 2 * taper * along), slant=0.01)
@@ -319,9 +317,7 @@ _SHAPES = {
     FloorKind.DWARF_SHRUB: _Shape(dwarf_shrub, *_LEAVES, "dwarf shrub"),
     FloorKind.MOSS_CUSHION: _Shape(moss_cushion, Semantic.GROUND, PlantPart.NONE, "moss"),
     FloorKind.LITTER_HEAP: _Shape(litter_heap, Semantic.GROUND, PlantPart.NONE, "litter"),
-    FloorKind.BROKEN_LOG: _Shape(
-        partial(_log, taper=_PIECE_TAPER, bow=_PIECE_BOW, splinters=_LOG_SPLINTERS), *_WOOD
-    ),
+    FloorKind.BROKEN_LOG: _Shape(partial(_log, taper=_PIECE_TAPER, bow=_PIECE_BOW, splinters=_LOG_SPLINTERS), *_WOOD),
     FloorKind.BROKEN_STUMP: _Shape(partial(_stump, splinters=_STUMP_SPLINTERS), *_WOOD),
     FloorKind.ROOT_PLATE: _Shape(_root_plate, Semantic.DEADWOOD, PlantPart.ROOT_FLARE, "litter"),
 }

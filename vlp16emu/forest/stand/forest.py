@@ -21,15 +21,7 @@ from vlp16emu.forest.plants.stem import STEM_PARTS, StemKey, stem_meshes
 from vlp16emu.forest.stand.floor_shapes import FloorKey, floor_meshes
 from vlp16emu.forest.stand.kept import by_tile, key_text
 from vlp16emu.forest.stand.models import ModelKey, Models
-from vlp16emu.forest.stand.placed import (
-    NO_TREES,
-    PlacedThings,
-    Site,
-    Tile,
-    distinct,
-    packed,
-    plant_surfaces,
-)
+from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, Site, Tile, distinct, packed, plant_surfaces
 from vlp16emu.forest.stand.scatter import layers_of
 from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.forest.stand.stand import TREE, foot_discs
@@ -146,9 +138,7 @@ class ForestWorld:
         self._crown = cache(stems.crown)
         self._stem_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_stems)
         self._ivy_meshes = lru_cache(maxsize=_TILES_IN_GROWTH)(self._grow_ivy)
-        self._discs = lru_cache(maxsize=kept)(
-            lambda ix, iy: foot_discs(self._trees(ix, iy), table=self.plants.trees)
-        )
+        self._discs = lru_cache(maxsize=kept)(lambda ix, iy: foot_discs(self._trees(ix, iy), table=self.plants.trees))
 
     @property
     def materials(self) -> tuple[str, ...]:
@@ -224,9 +214,7 @@ class ForestWorld:
         ]
         trees = self._grown(ix, iy)
         stems = far_stems(trees[:0] if self._loose_stems else trees, 1, table=self.plants.trees)
-        modelled = self.models.far_stems(
-            [keys[i] for i in shape], tile.world_T_shape[own], tile.first_surface[own]
-        )
+        modelled = self.models.far_stems([keys[i] for i in shape], tile.world_T_shape[own], tile.first_surface[own])
         return FarTile(
             corner_m=corner_m,
             keys=keys,
@@ -269,9 +257,7 @@ class ForestWorld:
         """One tile with its trees and things numbered."""
         column, row = ix - self._first_tile[0], iy - self._first_tile[1]
         if not (0 <= column < self._tiles_across[0] and 0 <= row < self._tiles_across[1]):
-            raise GeometryError(
-                "track", f"reaches tile ({ix}, {iy})", f"no more than {_ASIDE_M:g} m off the path"
-            )
+            raise GeometryError("track", f"reaches tile ({ix}, {iy})", f"no more than {_ASIDE_M:g} m off the path")
         key = TileKey(ix, iy)
         trees = self._trees(ix, iy).copy()
         number = 1 + (column * self._tiles_across[1] + row) * _NUMBERS_PER_TILE
@@ -285,9 +271,7 @@ class ForestWorld:
             stems = self._in_tile(StemKey, key, np.arange(len(grown)), grown, STEM_PARTS)
             groups, rooted = [stems, *groups], grown[:0]
         if self.section.ivy.share:
-            groups.append(
-                self._in_tile(IvyKey, key, np.flatnonzero(self._ivy_m(grown)), grown, (PlantPart.LEAF,))
-            )
+            groups.append(self._in_tile(IvyKey, key, np.flatnonzero(self._ivy_m(grown)), grown, (PlantPart.LEAF,)))
         for placed in self._things(key):
             groups.append(placed)
             if placed.is_ground:
@@ -298,9 +282,7 @@ class ForestWorld:
                 placed.trees["id"] = numbers
             number += len(placed.shape)
         tile = packed(key, tile_origin_m(ix, iy, self.height_m), rooted, groups, self.plants)
-        tile.surfaces["texture"] = np.where(
-            tile.surfaces["part"] == PlantPart.LEAF, 0.0, self.section.texture
-        )
+        tile.surfaces["texture"] = np.where(tile.surfaces["part"] == PlantPart.LEAF, 0.0, self.section.texture)
         return tile
 
     def _grown(self, ix: int, iy: int) -> Trees:

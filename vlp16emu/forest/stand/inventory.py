@@ -69,11 +69,7 @@ _DECIMALS = 4
 
 
 def inventory(
-    trees: Trees,
-    crowns: Sequence[CrownKey],
-    *,
-    seed: int,
-    table: Mapping[str, Species] | None = None,
+    trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Mapping[str, Species] | None = None
 ) -> NDArray[np.void]:
     """Take the inventory of trees.
 
@@ -101,9 +97,7 @@ def inventory(
     _measure_crowns(rows, span_m, trees, crowns, seed, table)
     rows["top_m"] = span_m[:, 1, 2]
     for axis, name in enumerate("xy"):
-        rows[f"{name}_min_m"], rows[f"{name}_max_m"] = (
-            trees[f"{name}_m"] + end_m for end_m in span_m[..., axis].T
-        )
+        rows[f"{name}_min_m"], rows[f"{name}_max_m"] = (trees[f"{name}_m"] + end_m for end_m in span_m[..., axis].T)
     rows["biomass_kg"] = np.nan
     for species in table.values():
         own = trees["species"] == species.number
@@ -211,9 +205,7 @@ def _stretched_m2(leaves: Mesh, wide: Array, long: Array) -> Array:
     a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
     x, y, z = (np.cross(c - a, d - b) / 2).T
     level, steep = np.square(z), np.square(x) + np.square(y)
-    return np.array(
-        [w * np.sqrt(level * w * w + steep * h * h).sum() for w, h in zip(wide, long, strict=True)]
-    )
+    return np.array([w * np.sqrt(level * w * w + steep * h * h).sum() for w, h in zip(wide, long, strict=True)])
 
 
 def _spans_m(meshes: Sequence[Mesh], foot_T_crown: Array) -> tuple[Array, Array]:

@@ -46,10 +46,7 @@ def by_tile(kind: type[T], name: str, make: Callable[[int, int], T]) -> Callable
     if not name:
         return make
     return lambda ix, iy: recalled(
-        f"{name} {kind.__name__} {ix} {iy}",
-        lambda: make(ix, iy),
-        _packed,
-        lambda bundle: _unpacked(kind, bundle),
+        f"{name} {kind.__name__} {ix} {iy}", lambda: make(ix, iy), _packed, lambda bundle: _unpacked(kind, bundle)
     )
 
 

@@ -45,9 +45,7 @@ class Models:
         """Parts of a model's meshes as they are seen from afar; None for any other shape."""
         return None
 
-    def far_stems(
-        self, _keys: Sequence[ShapeKey], _world_T_shape: Array, _rows: NDArray[np.int64]
-    ) -> NDArray[np.void]:
+    def far_stems(self, _keys: Sequence[ShapeKey], _world_T_shape: Array, _rows: NDArray[np.int64]) -> NDArray[np.void]:
         """Stems, as `STEM`, of those of placements (n,) that are models, by their first surfaces."""
         return np.zeros(0, STEM)
 

@@ -82,11 +82,7 @@ def _is_ground(key: ShapeKey) -> bool:
 
 
 def cut_out(
-    window: Window,
-    shape: Grow,
-    *,
-    instances: NDArray[np.uint32],
-    inside: Callable[[Array], NDArray[np.bool_]],
+    window: Window, shape: Grow, *, instances: NDArray[np.uint32], inside: Callable[[Array], NDArray[np.bool_]]
 ) -> tuple[Window, Grow]:
     """Leave of a window the ground of a place, and some instances whole.
 

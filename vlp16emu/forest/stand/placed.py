@@ -136,9 +136,7 @@ class Tile:
     """(n,) which are ground, and too low to be seen from afar."""
 
 
-def packed(
-    key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[PlacedThings], plants: Flora
-) -> Tile:
+def packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[PlacedThings], plants: Flora) -> Tile:
     """Put a tile together: first its own shape of ground and stems, those of `trees`, then all that is placed on it."""
     ground = np.zeros(1, SURFACE)
     ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND

@@ -178,9 +178,7 @@ class RowPattern(PointPattern):
         row_spacing_m, tree_spacing_m = section.row_spacing_m, section.tree_spacing_m
         planted = 10_000 / (row_spacing_m * tree_spacing_m)
         if per_ha > planted:
-            rows = (
-                f"{planted * free_share:.0f}, which rows of {row_spacing_m:g} m x {tree_spacing_m:g} m hold"
-            )
+            rows = f"{planted * free_share:.0f}, which rows of {row_spacing_m:g} m x {tree_spacing_m:g} m hold"
             where = " off the trails" if free_share < 1 else ""
             raise GeometryError("stems_per_ha", f"found {per_ha * free_share:g}", f"at most {rows}{where}")
         super().__init__(seed=seed, purpose=purpose, per_ha=per_ha)
@@ -193,9 +191,7 @@ class RowPattern(PointPattern):
 
     def points(self, ix: int, iy: int) -> Array:
         """Plants of a tile that are left, (n, 2)."""
-        corners = matvec(
-            self._row_R_world, TILE_M * np.array([(x, y) for x in (ix, ix + 1) for y in (iy, iy + 1)])
-        )
+        corners = matvec(self._row_R_world, TILE_M * np.array([(x, y) for x in (ix, ix + 1) for y in (iy, iy + 1)]))
         low = np.floor((corners.min(axis=0) - self._jitter_m) / self._spacing_m).astype(int)
         high = np.ceil((corners.max(axis=0) + self._jitter_m) / self._spacing_m).astype(int)
         plants = np.arange(low[0], high[0] + 1)

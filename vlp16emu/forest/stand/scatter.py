@@ -106,12 +106,7 @@ def layers_of(
     """All that grows and lies under the trees, in the order of its numbers."""
     return [
         layer_of(
-            getattr(section, kind.name),
-            seed=seed,
-            season=section.season,
-            canopy=canopy,
-            plants=plants,
-            trails=trails,
+            getattr(section, kind.name), seed=seed, season=section.season, canopy=canopy, plants=plants, trails=trails
         )
         for kind in _KINDS.values()
     ]
@@ -146,9 +141,7 @@ def plants_per_ha(section: Cover, spread: float, *, patches: bool) -> tuple[floa
     return 10_000 * even / area_m2, 10_000 * patchy / area_m2
 
 
-def _species(
-    section: Section, name: str, canopy: Sequence[str], plants: Flora
-) -> Sequence[Species] | Sequence[Shrub]:
+def _species(section: Section, name: str, canopy: Sequence[str], plants: Flora) -> Sequence[Species] | Sequence[Shrub]:
     match section:
         case Regeneration():
             names = section.species or [one for one in canopy if plants.trees[one].foliage]
@@ -240,9 +233,7 @@ _KINDS: dict[type[Section], LayerKind] = {
     Grass: LayerKind("grass", Purpose.GRASS, (6,), _lay_low, FloorKind.TUFT, 1.0, 25.0),
     Herbs: LayerKind("herbs", Purpose.HERBS, (6,), _lay_low, FloorKind.HERB, 2.0, 25.0),
     Ferns: LayerKind("ferns", Purpose.FERNS, (6,), _lay_low, FloorKind.FERN, 1.3, 25.0),
-    DwarfShrubs: LayerKind(
-        "dwarf_shrubs", Purpose.DWARF_SHRUBS, (6,), _lay_low, FloorKind.DWARF_SHRUB, 1.2, 25.0
-    ),
+    DwarfShrubs: LayerKind("dwarf_shrubs", Purpose.DWARF_SHRUBS, (6,), _lay_low, FloorKind.DWARF_SHRUB, 1.2, 25.0),
     Moss: LayerKind("moss", Purpose.MOSS, (6,), _lay_low, FloorKind.MOSS_CUSHION, 8.0, 12.0),
     Litter: LayerKind("litter", Purpose.LITTER, (6,), _lay_low, FloorKind.LITTER_HEAP, 8.0, 12.0),
 }

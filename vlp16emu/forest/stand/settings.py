@@ -337,9 +337,7 @@ class Forest(Woods, Storey):
     def _from_preset(cls, table: Any) -> Any:
         return with_preset(table, DENSITY_KEYS) if isinstance(table, dict) else table
 
-    preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = (
-        "none"
-    )
+    preset: Literal["none", "plantation", "managed_mixed", "old_growth", "wild_regrowth", "open_savanna"] = "none"
     """A kind of forest that gives all keys of this table which are not given beside it."""
     storeys: Annotated[list[Storey], Field(max_length=2)] = Field(default_factory=list)
     """Storeys under the canopy, from the top down."""

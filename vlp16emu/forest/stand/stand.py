@@ -188,9 +188,7 @@ class Stand:
         self._seed, self._height_m, self._plants = seed, height_m, plants or flora()
         storeys: list[Storey] = [section, *section.storeys]
         self._patterns = [
-            pattern_of(
-                storey.pattern, seed=seed, purpose=purpose, per_ha=density_per_ha(storey), trails=trails
-            )
+            pattern_of(storey.pattern, seed=seed, purpose=purpose, per_ha=density_per_ha(storey), trails=trails)
             for storey, purpose in zip(storeys, _STOREYS, strict=False)
         ]
         self._cohorts = [[_Cohort(share, self._plants) for share in storey.species] for storey in storeys]
@@ -199,9 +197,7 @@ class Stand:
         """Mean number of stems per hectare."""
         self.species = [share.species for share in section.species]
         """Names of those of the canopy."""
-        crown_m2 = sum(
-            _crown_area_m2_per_ha(storey) for storey in zip(self._patterns, self._cohorts, strict=True)
-        )
+        crown_m2 = sum(_crown_area_m2_per_ha(storey) for storey in zip(self._patterns, self._cohorts, strict=True))
         cover = crown_m2 / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
         self._crown_base = _LONE_CROWN_BASE + (1 - _LONE_CROWN_BASE) * min(cover, 1.0)

@@ -9,13 +9,7 @@ from vlp16emu.elementary import log
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.forest.plants.crown import VARIANTS
 from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD
-from vlp16emu.forest.plants.sapling import (
-    CROWN_BASE_SHARE,
-    CROWN_WIDTH_SHARE,
-    SAPLING_PARTS,
-    SLENDERNESS,
-    SaplingKey,
-)
+from vlp16emu.forest.plants.sapling import CROWN_BASE_SHARE, CROWN_WIDTH_SHARE, SAPLING_PARTS, SLENDERNESS, SaplingKey
 from vlp16emu.forest.plants.shrub import SHRUB_PARTS, ShrubKey
 from vlp16emu.forest.stand.layer import Layer
 from vlp16emu.forest.stand.placed import (
@@ -71,15 +65,11 @@ def lay_shrubs(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThi
     height_m = limits_m[:, 0] + (limits_m[:, 1] - limits_m[:, 0]) * draws[:, 0]
     width_m = height_m * [layer.species[i].width_share for i in kind]
     keep = site.clear(xy_m, width_m / 2, _FOOT_SHARE * width_m)
-    shrubs = _grown(layer, site, xy_m, kind, height_m, draws)[
-        keep
-    ]  # the fields of a tree that a shrub has too
+    shrubs = _grown(layer, site, xy_m, kind, height_m, draws)[keep]  # the fields of a tree that a shrub has too
     prototype_m = _prototypes_m(shrubs["crown_class"])
     keys = [
         ShrubKey(one.name, variant, height_m, one.width_share * height_m, layer.season)
-        for i, variant, height_m in zip(
-            kind[keep], shrubs["crown_variant"].tolist(), prototype_m, strict=True
-        )
+        for i, variant, height_m in zip(kind[keep], shrubs["crown_variant"].tolist(), prototype_m, strict=True)
         for one in [layer.species[i]]
     ]
     rows = plant_surfaces(shrubs, SHRUB_PARTS, layer.plants, Semantic.SHRUB)

@@ -25,9 +25,7 @@ class Wall:
         assert np.allclose(firings.direction, [-0.8, 0.6, 0.0])
         hit = (z_m < 4) & (range_m < far_m) & (range_m > near_m)
         surface = np.where(hit, (z_m > 2).astype(np.uint32), NO_SURFACE).astype(np.uint32)
-        return Hits.one_ray_each(
-            np.where(hit, range_m, np.inf).astype(np.float32), surface, hit.astype(np.float32)
-        )
+        return Hits.one_ray_each(np.where(hit, range_m, np.inf).astype(np.float32), surface, hit.astype(np.float32))
 
 
 def draw(into_m, overhang_m=3.0, ground_m=0.0):

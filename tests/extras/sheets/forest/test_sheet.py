@@ -25,9 +25,7 @@ def plan(**changes):
         "path_m": np.column_stack([np.linspace(0, 20, 50), np.zeros(50), np.full(50, 2.0)]),
         "field_of_view_deg": (-15.0, 15.0),
         "radius_m": 9.0,
-        "trees": np.array(
-            [(5.0, 5.0, 0.3, 6.0, 3), (15.0, 5.0, 0.3, 4.0, 3), (10.0, -6.0, 0.4, 5.0, 1)], TREE
-        ),
+        "trees": np.array([(5.0, 5.0, 0.3, 6.0, 3), (15.0, 5.0, 0.3, 4.0, 3), (10.0, -6.0, 0.4, 5.0, 1)], TREE),
         "species": {1: "norway_spruce", 3: "silver_birch"},
         "outlines_m": {"stone": [np.array([[1.0, -7], [3.0, -7], [2.0, -5]])], "log": []},
         "names": [],
@@ -100,18 +98,14 @@ def test_an_empty_plain_can_be_drawn():
 def test_without_matplotlib_the_extra_is_named(monkeypatch):
     """Where matplotlib is missing, the message says how to get it."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(
-        MissingExtraError, match=r"a picture needs matplotlib: pip install 'vlp16emu\[picture\]'"
-    ):
+    with pytest.raises(MissingExtraError, match=r"a picture needs matplotlib: pip install 'vlp16emu\[picture\]'"):
         check_matplotlib()
 
 
 def test_a_section_and_its_marks_stay_within_a_small_plan():
     """A strip longer than the plan is shortened about its middle, with room for the marks; a shorter one stays."""
     low_m, high_m = np.array([-5.0, -5.0]), np.array([25.0, 5.0])
-    long = StandSection(np.array([-20.0, 0.0]), np.array([1.0, 0.0]), 60.0, 8.0, -1.0, 9.0).within(
-        low_m, high_m
-    )
+    long = StandSection(np.array([-20.0, 0.0]), np.array([1.0, 0.0]), 60.0, 8.0, -1.0, 9.0).within(low_m, high_m)
     assert long.start_xy_m[0] > -5.0
     assert long.start_xy_m[0] + long.length_m / 2 == pytest.approx(10.0)
     assert long.start_xy_m[0] + 1.02 * long.length_m < 25.0
