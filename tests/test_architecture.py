@@ -48,7 +48,7 @@ FLOORS = (
 NO_CORE = {"__main__", "cli", "extras", "forest", "foliage"}
 """What the core runs without; what is asked for by name opens `vlp16emu.doors`."""
 
-FOREST = ("presets", "quantiles", "ground", "tiles", "twin", "plants", "stand", "given", "make")
+FOREST = ("presets", "purpose", "quantiles", "ground", "tiles", "twin", "plants", "stand", "given", "make")
 """Rooms of `forest/` from the bottom."""
 
 EXTRAS_TAKE = {

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import Purpose, generator, normal, philox4x32, uniform
 
 # Known answers of the authors of Philox: Random123 distribution, file kat_vectors, lines "philox4x32 10".
@@ -28,7 +29,7 @@ def test_philox_gives_its_authors_answers(counter, key, answer):
 
 def test_uniform_numbers_are_uniform():
     """100 000 numbers pass a Kolmogorov-Smirnov test against the uniform distribution on [0, 1)."""
-    numbers = uniform(1, Purpose.STAND, 0, 100_000)
+    numbers = uniform(1, Growth.STAND, 0, 100_000)
     assert stats.kstest(numbers, "uniform").pvalue > 0.001
     assert numbers.min() >= 0.0
     assert numbers.max() < 1.0
@@ -43,9 +44,9 @@ def test_normal_numbers_are_normal():
 @given(first=st.integers(0, 2**62), cut=st.integers(0, 200), lane=st.integers(0, 2**32 - 1))
 def test_a_number_does_not_depend_on_its_neighbours(draw, first, cut, lane):
     """A run of numbers drawn in two pieces has the same bits as in one."""
-    whole = draw(7, Purpose.TERRAIN, first, 200, lane)
+    whole = draw(7, Growth.TERRAIN, first, 200, lane)
     pieces = np.concatenate(
-        [draw(7, Purpose.TERRAIN, first, cut, lane), draw(7, Purpose.TERRAIN, first + cut, 200 - cut, lane)]
+        [draw(7, Growth.TERRAIN, first, cut, lane), draw(7, Growth.TERRAIN, first + cut, 200 - cut, lane)]
     )
     np.testing.assert_array_equal(whole, pieces)
 
@@ -53,11 +54,11 @@ def test_a_number_does_not_depend_on_its_neighbours(draw, first, cut, lane):
 def test_seed_purpose_and_lane_each_make_another_sequence():
     """Changing any one part of the key gives numbers without correlation to the others."""
     keys = [
-        (1, Purpose.STAND, 0),
-        (2, Purpose.STAND, 0),
-        (1, Purpose.TREE, 0),
-        (1, Purpose.STAND, 1),
-        (1 + 2**32, Purpose.STAND, 0),
+        (1, Growth.STAND, 0),
+        (2, Growth.STAND, 0),
+        (1, Growth.TREE, 0),
+        (1, Growth.STAND, 1),
+        (1 + 2**32, Growth.STAND, 0),
     ]
     drawn = [uniform(seed, purpose, 0, 10_000, lane) for seed, purpose, lane in keys]
     correlation = np.corrcoef(drawn) - np.eye(len(keys))
@@ -66,17 +67,15 @@ def test_seed_purpose_and_lane_each_make_another_sequence():
 
 def test_a_generator_is_named_by_its_key():
     """The same key gives the same generator, another key (a negative one too) another."""
-    first = generator(1, Purpose.TREE, 3, -4).random(4)
-    np.testing.assert_array_equal(first, generator(1, Purpose.TREE, 3, -4).random(4))
-    for other in (
-        generator(1, Purpose.TREE, 3, 4),
-        generator(1, Purpose.TREE, -4, 3),
-        generator(2, Purpose.TREE, 3, -4),
-    ):
+    first = generator(1, Growth.TREE, 3, -4).random(4)
+    np.testing.assert_array_equal(first, generator(1, Growth.TREE, 3, -4).random(4))
+    for other in (generator(1, Growth.TREE, 3, 4), generator(1, Growth.TREE, -4, 3), generator(2, Growth.TREE, 3, -4)):
         assert not np.array_equal(first, other.random(4))
 
 
 def test_purposes_keep_their_numbers():
     """The number of a purpose is part of every recording: it is never changed, only appended to."""
     kept = ["AZIMUTH_READING", "TERRAIN", "STAND", "TREE", "CROWN", "POSITION_PACKET"]
-    assert [Purpose(number).name for number in range(1, 7)] == kept
+    names = {int(purpose): purpose.name for purpose in (*Purpose, *Growth)}
+    assert [names[number] for number in range(1, 7)] == kept
+    assert len(names) == len(Purpose) + len(Growth)

@@ -21,13 +21,12 @@ from vlp16emu.trig import in_quarter
 
 
 class Purpose(IntEnum):
-    """What a random number is for. Values are part of the output: never renumber, only append."""
+    """What a random number is for. Values are part of the output: never renumber, only append.
+
+    Those of forests are in `vlp16emu.forest.purpose`.
+    """
 
     AZIMUTH_READING = 1
-    TERRAIN = 2
-    STAND = 3
-    TREE = 4
-    CROWN = 5
     POSITION_PACKET = 6
     FOOTPRINT = 7
     BEAM_ERROR = 8
@@ -38,21 +37,6 @@ class Purpose(IntEnum):
     WEATHER = 13
     NO_RETURN = 14
     ANGLE_BIAS = 15
-    DEAD_BRANCH = 20
-    SHRUB = 21
-    SECOND_STOREY = 30
-    THIRD_STOREY = 31
-    REGENERATION = 32
-    SHRUBS = 33
-    STONES = 34
-    LOGS = 35
-    STUMPS = 36
-    GRASS = 37
-    SAPLING = 38
-    FLOOR_SHAPE = 39
-    MOUND = 40
-    GIVEN_TREE = 41
-    STEM_FORM = 42
     GAIT = 50
     IMU_NOISE = 51
     IMU_BIAS = 52
@@ -60,7 +44,6 @@ class Purpose(IntEnum):
     GNSS_NOISE = 60
     GNSS_WANDER = 61
     UNIT = 70
-    WIND = 71
     PACKET_FAULT = 80
     PACKET_JITTER = 81
     BIT_FLIP = 82
@@ -75,16 +58,7 @@ class Purpose(IntEnum):
     CAPTURE_LATE = 106
     UNIT_NOISE = 107
     CAPTURE_HOST = 110
-    HERBS = 111
-    FERNS = 112
-    DWARF_SHRUBS = 113
-    MOSS = 114
-    LITTER = 115
     TEXTURE = 116
-    PIT = 117
-    IVY = 118
-    RUT = 119
-    ROOT = 120
     SCORE_DISK = 92
 
 
@@ -178,7 +152,7 @@ def _fill(out: NDArray[np.float64], gaussian: bool, seed: int, purpose: int, fir
             out[i] = uniform_pair(seed, purpose, first + i, lane)[0]
 
 
-def uniform(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
+def uniform(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
     """Draw uniform numbers in [0, 1) for counters first .. first + count - 1.
 
     Parameters
@@ -197,7 +171,7 @@ def uniform(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) 
     return out
 
 
-def normal(seed: int, purpose: Purpose, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
+def normal(seed: int, purpose: IntEnum, first: int, count: int, lane: int = 0) -> NDArray[np.float64]:
     """Draw standard normal numbers for the same arguments, the first of `normal_pair`.
 
     Returns
@@ -244,7 +218,7 @@ def _rounded_beyond(edge: float, numbers: Any) -> Any:
     return np.where(np.abs(numbers) > edge, np.rint(numbers * 16777216.0) / 16777216.0, numbers)[()]
 
 
-def generator(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:
+def generator(seed: int, purpose: IntEnum, *key: int) -> np.random.Generator:
     """Numpy generator of its own for a thing that stands still, such as a tile or a tree.
 
     Parameters

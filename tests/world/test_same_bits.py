@@ -13,17 +13,18 @@ from scipy.spatial import ConvexHull
 
 import vlp16emu
 from vlp16emu.forest.plants.crown import CrownKey, crown_meshes
+from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.quantiles import normal_quantile
 from vlp16emu.forest.stand.floor_shapes import FloorKey, FloorKind, _icosphere, _outline_m2, floor_meshes
 from vlp16emu.forest.stand.scatter import _STONE_M, _STONE_MEDIAN_M, _STONE_SHARES, _STONE_SIGMA
 from vlp16emu.forest.stand.stand import class_scale
-from vlp16emu.random import _EXPONENTIAL_TAIL, _NORMAL_TAIL, Purpose, generator
+from vlp16emu.random import _EXPONENTIAL_TAIL, _NORMAL_TAIL, generator
 from vlp16emu.world.vectors import determinant, unit
 
 
 def _plain() -> np.random.Generator:
     """Numpy's own generator in the state of a new one of ours."""
-    return np.random.Generator(generator(7, Purpose.TREE, 3, -4).bit_generator)
+    return np.random.Generator(generator(7, Growth.TREE, 3, -4).bit_generator)
 
 
 @pytest.mark.parametrize(
@@ -32,7 +33,7 @@ def _plain() -> np.random.Generator:
 )
 def test_tails_are_rounded_and_nothing_else(name: str, arguments: tuple[int], edge: float) -> None:
     """Numbers of a ziggurat are numpy's own; its tails, and they alone, are numpy's to the nearest 2**-24."""
-    own = getattr(generator(7, Purpose.TREE, 3, -4), name)(*arguments)
+    own = getattr(generator(7, Growth.TREE, 3, -4), name)(*arguments)
     true = getattr(_plain(), name)(*arguments)
     tail = np.abs(true) > edge
     assert 20 < tail.sum() < 200
@@ -43,7 +44,7 @@ def test_tails_are_rounded_and_nothing_else(name: str, arguments: tuple[int], ed
 
 def test_what_follows_from_ziggurats_is_that_of_numpy() -> None:
     """Normal, Rayleigh and beta numbers are numpy's own to a step of 2**-24, one by one and from the same state on."""
-    own, true = generator(7, Purpose.TREE, 3, -4), _plain()
+    own, true = generator(7, Growth.TREE, 3, -4), _plain()
     modes = np.linspace(0.1, 2.0, 5000)
     for name, arguments in (("normal", (1.0, 0.4, (2, 5000))), ("rayleigh", (modes,)), ("beta", (0.95, 3.76, 5000))):
         assert np.abs(getattr(own, name)(*arguments) - getattr(true, name)(*arguments)).max() < 2.0**-24, name

@@ -7,7 +7,8 @@ import pytest
 
 from vlp16emu.forest.ground.settings import Terrain
 from vlp16emu.forest.ground.terrain import TerrainHeights
-from vlp16emu.random import Purpose, philox4x32
+from vlp16emu.forest.purpose import Growth
+from vlp16emu.random import philox4x32
 
 
 def flat_but(*, seed=3, **changes):
@@ -50,7 +51,7 @@ def test_a_mound_is_what_its_random_numbers_say():
     mounds = []
     for ix in range(-11, 11):
         for iy in range(-11, 11):
-            words = [int(w) for w in philox4x32(ix % 2**32, iy % 2**32, 0, Purpose.MOUND, 3, 0)]
+            words = [int(w) for w in philox4x32(ix % 2**32, iy % 2**32, 0, Growth.MOUND, 3, 0)]
             if words[0] / 2**32 < 600 * 4 / 10_000:
                 radius = (1 + (words[3] >> 16) / 2**16) / 2
                 height = (2 * (words[3] % 2**16) / 2**16 - 1) * 0.15
@@ -84,7 +85,7 @@ def test_a_pit_is_what_its_random_numbers_say():
     twin = np.zeros(400)
     for ix in range(-7, 7):
         for iy in range(-7, 7):
-            words = [int(w) for w in philox4x32(ix % 2**32, iy % 2**32, 0, Purpose.PIT, 3, 0)]
+            words = [int(w) for w in philox4x32(ix % 2**32, iy % 2**32, 0, Growth.PIT, 3, 0)]
             if words[0] / 2**32 < 400 * 16 / 10_000:
                 size, turn = (words[3] >> 16) / 2**16, 2 * math.pi * (words[3] % 2**16) / 2**16
                 middle = 4 * (ix + words[1] / 2**32), 4 * (iy + words[2] / 2**32)

@@ -10,7 +10,8 @@ from vlp16emu.forest.ground.settings import Terrain
 from vlp16emu.forest.ground.terrain import TerrainHeights
 from vlp16emu.forest.ground.trails import Trails
 from vlp16emu.forest.ground.triangles import ground_triangles
-from vlp16emu.random import Purpose, philox4x32
+from vlp16emu.forest.purpose import Growth
+from vlp16emu.random import philox4x32
 
 SPACING_M, TOWARDS_DEG = 25.0, 30.0
 ALONG = np.array([math.cos(math.radians(TOWARDS_DEG)), math.sin(math.radians(TOWARDS_DEG))])
@@ -24,7 +25,7 @@ def flat_with_trails(*, seed=3):
 
 
 def words_of(trail, kind=0, seed=3):
-    return [int(w) for w in philox4x32(trail % 2**32, 0, kind, Purpose.RUT, seed, 0)]
+    return [int(w) for w in philox4x32(trail % 2**32, 0, kind, Growth.RUT, seed, 0)]
 
 
 def test_a_rut_is_what_its_random_numbers_say():

@@ -68,10 +68,8 @@ class PacketFault:
         """
         if packet.kind not in kinds_of(self.event):
             return False
-        if self.counted:
-            is_in = number in self.counted[packet.kind]
-        else:
-            is_in = self.begin_ns <= packet.due_ns < self.end_ns
+        lasts = self.begin_ns <= packet.due_ns < self.end_ns
+        is_in = number in self.counted[packet.kind] if self.counted else lasts
         if not is_in or not isinstance(self.event, Share) or self.event.share == 1.0:
             return is_in
         return self._random(Purpose.PACKET_FAULT, packet, number) < self.event.share

@@ -14,10 +14,11 @@ from vlp16emu.forest.given.stem_list import read_stem_list
 from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
 from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora
 from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.settings import Plot
 from vlp16emu.forest.stand.stand import TREE, foot_discs, in_the_way_m, path_gap_m
 from vlp16emu.forest.tiles import TILE_M
-from vlp16emu.random import Purpose, generator
+from vlp16emu.random import generator
 from vlp16emu.types import HeightField
 from vlp16emu.world.polyline import Corridor, Polyline
 from vlp16emu.world.vectors import places_m
@@ -63,7 +64,7 @@ class GivenStand:
         self._season, self._dead_branches = section.season, section.dead_branches
         trees = _completed(seed, trees, self._species)
         if section.crooked_stems:
-            trees["form"] = generator(seed, Purpose.STEM_FORM).integers(1, 2**63, len(trees))
+            trees["form"] = generator(seed, Growth.STEM_FORM).integers(1, 2**63, len(trees))
         trees = _clear_of_path(section, trees, plants.trees, path)
         trees["z_m"] = height_m(trees["x_m"], trees["y_m"])
         tile = np.floor(places_m(trees, "xy") / TILE_M).astype(np.int64)
@@ -128,7 +129,7 @@ def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
     """Add what a list leaves out."""
     trees = trees.copy()
     # One row of numbers to a tree: a tree more at the end of a list changes no other.
-    uniform = generator(seed, Purpose.GIVEN_TREE).random((len(trees), 4))
+    uniform = generator(seed, Growth.GIVEN_TREE).random((len(trees), 4))
     trees["crown_azimuth_deg"] = 360 * uniform[:, 0]
     trees["crown_variant"] = VARIANTS * uniform[:, 1]
     trees["crown_class"] = np.round(log(trees["dbh_m"] / _CLASS_BASE_M) / log(_CLASS_RATIO))

@@ -16,7 +16,8 @@ from vlp16emu.elementary import cos, sin, tan
 from vlp16emu.forest.ground.settings import Terrain
 from vlp16emu.forest.ground.trails import Trails
 from vlp16emu.forest.ground.waves import sum_of_waves, waves
-from vlp16emu.random import Purpose, generator, philox4x32
+from vlp16emu.forest.purpose import Growth
+from vlp16emu.random import generator, philox4x32
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ _PIT_WIDTH_M, _PIT_DEPTH_M = (2.0, 3.0), (0.2, 0.4)
 _PIT_ASIDE = 0.8
 """Distance of the middles of pit and mound from the middle of both over their radius; assumption."""
 
-_MOUND, _PIT = int(Purpose.MOUND), int(Purpose.PIT)
+_MOUND, _PIT = int(Growth.MOUND), int(Growth.PIT)
 
 
 class TerrainHeights:
@@ -53,9 +54,7 @@ class TerrainHeights:
 
     def __init__(self, section: Terrain, *, seed: int) -> None:
         bands = ((_HILL_WAVELENGTHS_M, section.hill_rms_m), (_ROUGH_WAVELENGTHS_M, section.rough_rms_m))
-        self._waves = np.concatenate(
-            [waves(generator(seed, Purpose.TERRAIN, i), *band) for i, band in enumerate(bands)]
-        )
+        self._waves = np.concatenate([waves(generator(seed, Growth.TERRAIN, i), *band) for i, band in enumerate(bands)])
         rise, towards = tan(math.radians(section.slope_deg)), math.radians(section.slope_towards_deg)
         self._gradient = (rise * cos(towards), rise * sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))

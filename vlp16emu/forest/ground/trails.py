@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, sin
 from vlp16emu.forest.ground.settings import Terrain
-from vlp16emu.random import Purpose, philox4x32
+from vlp16emu.forest.purpose import Growth
+from vlp16emu.random import philox4x32
 from vlp16emu.trig import cos_sin
 
 Array = NDArray[np.float64]
@@ -36,7 +37,7 @@ _WAVES_M = (7.0, 19.0)
 _FREE_M = 2.0
 """From the middle of a trail within which no tree stands: trails are 4 m wide (FSC and PEFC in Germany)."""
 
-_RUT = int(Purpose.RUT)
+_RUT = int(Growth.RUT)
 
 
 class Trails:

@@ -16,7 +16,8 @@ from vlp16emu.forest.plants.meshes import merged
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.plants.stem import lean_rotation
-from vlp16emu.random import Purpose, generator
+from vlp16emu.forest.purpose import Growth
+from vlp16emu.random import generator
 from vlp16emu.types import Mesh, PlantPart
 from vlp16emu.world.vectors import places_m
 
@@ -66,7 +67,7 @@ def crown_meshes(
     and dead branches change nothing else about a crown.
     """
     species = (table or species_table())[key.species]
-    rng = _generator(Purpose.CROWN, seed, key, species)
+    rng = _generator(Growth.CROWN, seed, key, species)
     orders, dead = _orders(rng, seed, key, species)
     leaves = _NOTHING
     if species.foliage and species.foliage.is_borne(key.season):
@@ -86,7 +87,7 @@ def crown_branches(
 ) -> tuple[Branches, Branches]:
     """Give the branches that leave the stem, in the crown's own frame: living ones, and dead ones."""
     species = (table or species_table())[key.species]
-    orders, dead = _orders(_generator(Purpose.CROWN, seed, key, species), seed, key, species)
+    orders, dead = _orders(_generator(Growth.CROWN, seed, key, species), seed, key, species)
     bare = dead[0] if key.dead_branches else dead[0].of(np.zeros(0, np.int64))
     first = orders[0]
     return (first, bare) if species.foliage else (first.of(np.zeros(0, np.int64)), joined(first, bare))
@@ -95,7 +96,7 @@ def crown_branches(
 def crown_wood_m3(seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None) -> float:
     """Volume of all branches of a prototype, dead ones too."""
     species = (table or species_table())[key.species]
-    orders, dead = _orders(_generator(Purpose.CROWN, seed, key, species), seed, key, species)
+    orders, dead = _orders(_generator(Growth.CROWN, seed, key, species), seed, key, species)
     return sum(volume_m3(branches) for branches in (*orders, *(dead if key.dead_branches else ())))
 
 
@@ -126,7 +127,7 @@ def crown_placements(trees: Trees, crowns: Sequence[CrownKey]) -> Array:
     return np.concatenate([matmul(lean, stem_T), base[..., None]], axis=2)
 
 
-def _generator(purpose: Purpose, seed: int, key: CrownKey, species: Species) -> np.random.Generator:
+def _generator(purpose: Growth, seed: int, key: CrownKey, species: Species) -> np.random.Generator:
     return generator(seed, purpose, species.number, key.variant, round(key.dbh_m * 1e4))
 
 
@@ -138,7 +139,7 @@ def _orders(
     taper = species.taper.row[None]
     stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
     habit = species.crown
-    bole_rng = _generator(Purpose.DEAD_BRANCH, seed, key, species)
+    bole_rng = _generator(Growth.DEAD_BRANCH, seed, key, species)
     longest_m = habit.base_fraction * key.crown_width_m / 2
     living, *dead = bole_branches(bole_rng, habit, key.crown_base_m, longest_m, stem_m[16:])
     crown = [first_order(rng, habit, (key.crown_length_m, key.crown_width_m), stem_m[:16])]

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import cos, power, sin
 from vlp16emu.forest.plants.meshes import quads
 from vlp16emu.forest.plants.stem_rings import Table, Trees, axis_m, stem_rings
+from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
-from vlp16emu.random import Purpose, generator, uniform
+from vlp16emu.random import generator, uniform
 from vlp16emu.types import Mesh
 from vlp16emu.world.vectors import places_m
 
@@ -53,7 +54,7 @@ def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, see
     """
     places_mm = np.round(1000 * places_m(trees, "xy")).astype(np.int64) & 0xFFFFFFFF
     counters = [(x & 0x7FFFFFFF) << 32 | y for x, y in places_mm.tolist()]
-    draws = np.array([uniform(seed, Purpose.IVY, first, 1, lane) for first in counters for lane in (0, 1)])
+    draws = np.array([uniform(seed, Growth.IVY, first, 1, lane) for first in counters for lane in (0, 1)])
     chance, way = draws.reshape(-1, 2).T
     low_m, high_m = height_m
     top_m = np.minimum(low_m + (high_m - low_m) * way, trees["crown_base_m"])
@@ -69,7 +70,7 @@ def ivy_meshes(
     mean_m2 = _LEAF_WIDTH / 2 * (small_m * small_m + small_m * large_m + large_m * large_m) / 3
     meshes = []
     for i, top_m in enumerate(tops_m.tolist()):
-        rng = generator(seed, Purpose.IVY, tile.ix, tile.iy, 1 + i)
+        rng = generator(seed, Growth.IVY, tile.ix, tile.iy, 1 + i)
         bark_m2 = np.pi * float(trees["dbh_m"][i]) * top_m
         count = round(_LEAF_PER_BARK * bark_m2 / mean_m2)
         turn, way = rng.uniform(0, 2 * np.pi, count), power(rng.random(count), _UPWARDS)

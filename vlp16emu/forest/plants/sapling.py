@@ -14,7 +14,8 @@ from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import NO_LEAVES, closed
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Habit, Species
-from vlp16emu.random import Purpose, generator
+from vlp16emu.forest.purpose import Growth
+from vlp16emu.random import generator
 from vlp16emu.types import Mesh, PlantPart
 
 SAPLING_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF)
@@ -63,7 +64,7 @@ def sapling_meshes(
 ) -> tuple[Mesh, Mesh, Mesh, Mesh]:
     """Meshes of `SAPLING_PARTS`, in a frame with its origin on the ground and z along the stem."""
     species = (table or species_table())[key.species]
-    rng = generator(seed, Purpose.SAPLING, species.number, key.variant, round(key.height_m * 1e3))
+    rng = generator(seed, Growth.SAPLING, species.number, key.variant, round(key.height_m * 1e3))
     base_m, width_m = CROWN_BASE_SHARE * key.height_m, CROWN_WIDTH_SHARE * key.height_m
     crown_m = key.height_m - base_m
     foot_m = key.height_m / SLENDERNESS / 2

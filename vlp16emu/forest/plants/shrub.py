@@ -11,7 +11,8 @@ from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import NO_LEAVES
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Shrub
-from vlp16emu.random import Purpose, generator
+from vlp16emu.forest.purpose import Growth
+from vlp16emu.random import generator
 from vlp16emu.types import Mesh, PlantPart
 
 SHRUB_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.LEAF)
@@ -43,7 +44,7 @@ def shrub_meshes(seed: int, key: ShrubKey, *, table: Mapping[str, Shrub] | None 
     """
     shrub = (table or shrub_table())[key.species]
     size = round(key.height_m * 1e3), round(key.width_m * 1e3)
-    rng = generator(seed, Purpose.SHRUB, shrub.number, key.variant, *size)
+    rng = generator(seed, Growth.SHRUB, shrub.number, key.variant, *size)
     stems = ground_stems(
         rng,
         (key.height_m, key.width_m),

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import cos, exp, expm1, hypot, sin, tan
 from vlp16emu.forest.plants.flora import stem_keys
 from vlp16emu.forest.plants.species import Species
-from vlp16emu.random import Purpose, normal, uniform
+from vlp16emu.forest.purpose import Growth
+from vlp16emu.random import normal, uniform
 
 Array = NDArray[np.float64]
 
@@ -131,8 +132,8 @@ def stem_forms(trees: NDArray[np.void], *, table: Mapping[str, Species] | None =
     keys[:, :9] *= (trees["form"] > 0)[:, None]
     bow, butt_deg, fork_share, low, high, ovality, lobes, roots, bark_mm_per_cm, period_mm = keys.T
     seeds = [int(seed) for seed in trees["form"]]
-    g = np.array([normal(seed, Purpose.STEM_FORM, 0, 8, 0) for seed in seeds]).reshape(-1, 8)
-    u = np.array([uniform(seed, Purpose.STEM_FORM, 0, 16, 1) for seed in seeds]).reshape(-1, 16)
+    g = np.array([normal(seed, Growth.STEM_FORM, 0, 8, 0) for seed in seeds]).reshape(-1, 8)
+    u = np.array([uniform(seed, Growth.STEM_FORM, 0, 16, 1) for seed in seeds]).reshape(-1, 16)
     bow_m = (bow * trees["crown_base_m"] * _SIGMA_OVER_MEAN)[:, None] * g[:, :4]
     most_m = _MOST_BOW * trees["dbh_m"]
     bow_m *= np.minimum(1.0, most_m / np.maximum(hypot(bow_m[:, 0], bow_m[:, 1]), 1e-9))[:, None]

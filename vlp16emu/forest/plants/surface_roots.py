@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, exp, sin
 from vlp16emu.forest.plants.stem_rings import StemRings, Trees
-from vlp16emu.random import Purpose, uniform
+from vlp16emu.forest.purpose import Growth
+from vlp16emu.random import uniform
 from vlp16emu.types import HeightField
 from vlp16emu.world.vectors import unit
 
@@ -49,7 +50,7 @@ def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[
     """
     number, _, phase = rings.forms.lobes.T
     seeds = [int(seed) for seed in trees["form"]]
-    draws = np.array([uniform(seed, Purpose.ROOT, 0, 5 * _MOST) for seed in seeds]).reshape(-1, _MOST, 5)
+    draws = np.array([uniform(seed, Growth.ROOT, 0, 5 * _MOST) for seed in seeds]).reshape(-1, _MOST, 5)
     is_there = (draws[..., 0] < rings.forms.surface_roots[:, None]) & (np.arange(_MOST) < number[:, None])
     stem, lobe = np.nonzero(is_there & (trees["dbh_m"] > _OLD_M)[:, None])
     turn, long, thick, bend = draws[stem, lobe, 1:].T

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import cos, hypot, matvec, norm, sin
 from vlp16emu.forest.plants.flora import GROUND_MATERIALS
 from vlp16emu.forest.plants.meshes import closed, merged
+from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.low_shapes import dwarf_shrub, fern, herb, litter_heap, moss_cushion
 from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, distinct
-from vlp16emu.random import Purpose, generator
+from vlp16emu.random import generator
 from vlp16emu.types import SURFACE, Mesh, PlantPart, Semantic
 from vlp16emu.world.vectors import unit
 
@@ -126,7 +127,7 @@ def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
     is 1 high over the ground and 1 wide at the top. A root plate of diameter and thickness 1 stands across x, its
     roots at -x, and the butt of its log ends at the origin. All others are 1 high and have their foot at the origin.
     """
-    rng = generator(seed, Purpose.FLOOR_SHAPE, list(FloorKind).index(key.kind), key.variant)
+    rng = generator(seed, Growth.FLOOR_SHAPE, list(FloorKind).index(key.kind), key.variant)
     return (_stone(rng, _LARGE_STONE_SPLITS) if key.large else _SHAPES[key.kind].grow(rng),)
 
 

@@ -9,10 +9,11 @@ import numpy as np
 
 from vlp16emu.forest.plants.flora import Flora
 from vlp16emu.forest.plants.settings import Season
+from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKind
 from vlp16emu.forest.stand.placed import PlacedThings, Site
 from vlp16emu.forest.stand.points import PointPattern
-from vlp16emu.random import Purpose, generator
+from vlp16emu.random import generator
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +22,7 @@ class LayerKind:
 
     name: str
     """Key of the section."""
-    purpose: Purpose
+    purpose: Growth
     """What draws them."""
     draws: tuple[int, ...]
     """How many numbers each thing draws, together."""

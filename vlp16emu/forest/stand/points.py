@@ -15,9 +15,10 @@ from vlp16emu.elementary import cos, log1p, matvec, sin
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.trails import Trails
 from vlp16emu.forest.ground.waves import sum_of_waves, waves
+from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.settings import Clusters, HardCore, Pattern, Plantation, Scattered
 from vlp16emu.forest.tiles import TILE_M, around
-from vlp16emu.random import Purpose, generator, uniform
+from vlp16emu.random import generator, uniform
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ class PointPattern:
     per_ha : mean number of points per hectare
     """
 
-    def __init__(self, *, seed: int, purpose: Purpose, per_ha: float) -> None:
+    def __init__(self, *, seed: int, purpose: Growth, per_ha: float) -> None:
         self.per_ha = per_ha
         """Mean number of points per hectare."""
         self._seed, self._purpose = seed, purpose
@@ -79,7 +80,7 @@ class PatchyPattern(PointPattern):
     a twelfth more than three times as much. `even_per_ha` points know nothing of patches, `patchy_per_ha` are in them.
     """
 
-    def __init__(self, *, seed: int, purpose: Purpose, even_per_ha: float, patchy_per_ha: float) -> None:
+    def __init__(self, *, seed: int, purpose: Growth, even_per_ha: float, patchy_per_ha: float) -> None:
         super().__init__(seed=seed, purpose=purpose, per_ha=even_per_ha + patchy_per_ha)
         self._even_per_ha, self._patchy_per_ha = even_per_ha, patchy_per_ha
         self._waves = waves(generator(seed, purpose, 0, 0, 2), _PATCH_WAVELENGTHS_M, 1.0)
@@ -109,7 +110,7 @@ class HardCorePattern(PointPattern):
     candidate survives if none of higher priority lies within the hard-core distance (Matern 1960).
     """
 
-    def __init__(self, *, seed: int, purpose: Purpose, per_ha: float) -> None:
+    def __init__(self, *, seed: int, purpose: Growth, per_ha: float) -> None:
         super().__init__(seed=seed, purpose=purpose, per_ha=per_ha)
         density = per_ha / 10_000
         self.distance_m = min(_SPACING_SHARE / math.sqrt(density), _LARGEST_DISTANCE_M) if density else 0.0
@@ -141,7 +142,7 @@ class ClusterPattern(PointPattern):
     Members that fall beyond the neighbouring tile, one in 1e4 at the very most, are lost.
     """
 
-    def __init__(self, section: Clusters, *, seed: int, purpose: Purpose, per_ha: float) -> None:
+    def __init__(self, section: Clusters, *, seed: int, purpose: Growth, per_ha: float) -> None:
         super().__init__(seed=seed, purpose=purpose, per_ha=per_ha)
         self._section = section
         self._members = lru_cache(maxsize=_TILES_KEPT)(self._grow_members)
@@ -173,7 +174,7 @@ class RowPattern(PointPattern):
     """
 
     def __init__(
-        self, section: Plantation, *, seed: int, purpose: Purpose, per_ha: float, free_share: float = 1.0
+        self, section: Plantation, *, seed: int, purpose: Growth, per_ha: float, free_share: float = 1.0
     ) -> None:
         row_spacing_m, tree_spacing_m = section.row_spacing_m, section.tree_spacing_m
         planted = 10_000 / (row_spacing_m * tree_spacing_m)
@@ -220,7 +221,7 @@ class OffTrailPattern(PointPattern):
 
 
 def pattern_of(
-    section: Pattern, *, seed: int, purpose: Purpose, per_ha: float, trails: Trails | None = None
+    section: Pattern, *, seed: int, purpose: Growth, per_ha: float, trails: Trails | None = None
 ) -> PointPattern:
     """Make a point pattern of some density, all of it off trails if there are any; else arguments are those of `PointPattern`."""
     share = trails.free_share if trails else 1.0

@@ -17,6 +17,7 @@ from vlp16emu.forest.ground.trails import Trails
 from vlp16emu.forest.plants.flora import Flora, flora, known
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Shrub, Species
+from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.quantiles import normal_quantile
 from vlp16emu.forest.stand.deadwood import lay_logs, lay_stumps
 from vlp16emu.forest.stand.floor_shapes import FloorKind, labelled
@@ -39,7 +40,6 @@ from vlp16emu.forest.stand.settings import (
     Woods,
 )
 from vlp16emu.forest.stand.understorey import lay_saplings, lay_shrubs
-from vlp16emu.random import Purpose
 from vlp16emu.settings import Section
 from vlp16emu.types import HeightField
 
@@ -225,16 +225,16 @@ def _along(height_m: HeightField, xy_m: Array) -> Array:
 
 
 _KINDS: dict[type[Section], LayerKind] = {
-    Regeneration: LayerKind("regeneration", Purpose.REGENERATION, (6,), lay_saplings),
-    Shrubs: LayerKind("shrubs", Purpose.SHRUBS, (6,), lay_shrubs),
-    Stones: LayerKind("stones", Purpose.STONES, (7,), _lay_stones),
-    Logs: LayerKind("logs", Purpose.LOGS, (8, 7), lay_logs),
-    Stumps: LayerKind("stumps", Purpose.STUMPS, (8,), lay_stumps),
-    Grass: LayerKind("grass", Purpose.GRASS, (6,), _lay_low, FloorKind.TUFT, 1.0, 25.0),
-    Herbs: LayerKind("herbs", Purpose.HERBS, (6,), _lay_low, FloorKind.HERB, 2.0, 25.0),
-    Ferns: LayerKind("ferns", Purpose.FERNS, (6,), _lay_low, FloorKind.FERN, 1.3, 25.0),
-    DwarfShrubs: LayerKind("dwarf_shrubs", Purpose.DWARF_SHRUBS, (6,), _lay_low, FloorKind.DWARF_SHRUB, 1.2, 25.0),
-    Moss: LayerKind("moss", Purpose.MOSS, (6,), _lay_low, FloorKind.MOSS_CUSHION, 8.0, 12.0),
-    Litter: LayerKind("litter", Purpose.LITTER, (6,), _lay_low, FloorKind.LITTER_HEAP, 8.0, 12.0),
+    Regeneration: LayerKind("regeneration", Growth.REGENERATION, (6,), lay_saplings),
+    Shrubs: LayerKind("shrubs", Growth.SHRUBS, (6,), lay_shrubs),
+    Stones: LayerKind("stones", Growth.STONES, (7,), _lay_stones),
+    Logs: LayerKind("logs", Growth.LOGS, (8, 7), lay_logs),
+    Stumps: LayerKind("stumps", Growth.STUMPS, (8,), lay_stumps),
+    Grass: LayerKind("grass", Growth.GRASS, (6,), _lay_low, FloorKind.TUFT, 1.0, 25.0),
+    Herbs: LayerKind("herbs", Growth.HERBS, (6,), _lay_low, FloorKind.HERB, 2.0, 25.0),
+    Ferns: LayerKind("ferns", Growth.FERNS, (6,), _lay_low, FloorKind.FERN, 1.3, 25.0),
+    DwarfShrubs: LayerKind("dwarf_shrubs", Growth.DWARF_SHRUBS, (6,), _lay_low, FloorKind.DWARF_SHRUB, 1.2, 25.0),
+    Moss: LayerKind("moss", Growth.MOSS, (6,), _lay_low, FloorKind.MOSS_CUSHION, 8.0, 12.0),
+    Litter: LayerKind("litter", Growth.LITTER, (6,), _lay_low, FloorKind.LITTER_HEAP, 8.0, 12.0),
 }
 """By section, in the order of their numbers."""

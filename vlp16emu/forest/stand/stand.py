@@ -15,10 +15,11 @@ from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
 from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora, known, tapers
 from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.points import PointPattern, pattern_of
 from vlp16emu.forest.stand.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
 from vlp16emu.forest.tiles import around
-from vlp16emu.random import Purpose, generator
+from vlp16emu.random import generator
 from vlp16emu.types import HeightField
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.vectors import places_m
@@ -80,7 +81,7 @@ _TILES_KEPT = 1024
 """Tiles whose trees are kept for their neighbours: more than one window and its border hold."""
 
 
-_STOREYS = (Purpose.STAND, Purpose.SECOND_STOREY, Purpose.THIRD_STOREY)
+_STOREYS = (Growth.STAND, Growth.SECOND_STOREY, Growth.THIRD_STOREY)
 
 
 class _Cohort:
@@ -225,7 +226,7 @@ class Stand:
 
     def _sow_storey(self, number: int, ix: int, iy: int) -> Trees:
         position = self._patterns[number].points(ix, iy)
-        rng = generator(self._seed, Purpose.TREE, ix, iy, number)
+        rng = generator(self._seed, Growth.TREE, ix, iy, number)
         uniform, normal = rng.random((len(position), 6)), rng.standard_normal((len(position), 3))
         trees = np.zeros(len(position), TREE)
         trees["x_m"], trees["y_m"] = position.T

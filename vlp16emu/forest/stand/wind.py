@@ -23,9 +23,10 @@ from vlp16emu.elementary import atan2, cos, hypot, power, sin, tan
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.flora import Flora, tapers
 from vlp16emu.forest.plants.settings import Season
+from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import REGENERATION
-from vlp16emu.random import Purpose, generator
+from vlp16emu.random import generator
 from vlp16emu.types import Sway, Window
 from vlp16emu.world.settings import Wind
 
@@ -107,7 +108,7 @@ def gust_lines(section: Wind, seed: int, component: int) -> Lines:
     (IEC 61400-1 ed. 3, equation B.14; Kaimal et al., Q J R Meteorol Soc 98, 1972); up to n the share
     1 - (1 + 6 n)^(-2/3) of its energy.
     """
-    rng = generator(seed, Purpose.WIND, component)
+    rng = generator(seed, Growth.WIND, component)
     per_n_hz = section.speed_m_s / (section.gust_length_m * _LENGTH[component])
     slowest_hz, fastest_hz = _SLOWEST * per_n_hz, max(_FASTEST_HZ, 10.0 * per_n_hz)
     edges_hz = slowest_hz * power(fastest_hz / slowest_hz, np.arange(_LINES) / (_LINES - 1))
