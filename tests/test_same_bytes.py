@@ -17,17 +17,18 @@ from vlp16emu.scenario import load
 PACKAGE = Path(__file__).resolve().parents[1] / "vlp16emu"
 
 ROOMS = (
-    "chain",
-    "device/host_clock.py",
     "elementary.py",
-    "gps_time.py",
+    "engine",
+    "extras/live",
+    "foliage",
+    "forest",
     "motion",
     "packets",
     "random.py",
     "raycast",
     "returns",
+    "run/host_clock.py",
     "sensor",
-    "tiles.py",
     "trig.py",
     "types.py",
     "units.py",
@@ -36,11 +37,11 @@ ROOMS = (
 """Folders and files on the way from a scene to its packets."""
 
 ALLOWED = {
-    "world/given/section.py": "scipy",  # which corners are joined; lengths of hulls are for reports
-    "world/given/stem_list.py": "scipy",  # finds trees at one place, to refuse them
-    "world/ground/dem.py": "scipy",  # the nearest cell, by squares of whole numbers
-    "world/stand/inventory.py": "scipy",  # which corners span a crown
-    "world/twin.py": "**",  # colours for other programs
+    "forest/given/section.py": "scipy",  # which corners are joined; lengths of hulls are for reports
+    "forest/given/stem_list.py": "scipy",  # finds trees at one place, to refuse them
+    "forest/ground/dem.py": "scipy",  # the nearest cell, by squares of whole numbers
+    "forest/stand/inventory.py": "scipy",  # which corners span a crown
+    "forest/twin.py": "**",  # colours for other programs
 }
 """What decides no byte, by file."""
 

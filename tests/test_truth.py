@@ -242,11 +242,11 @@ def test_the_resolved_scenario_is_a_scene(tmp_path):
             section=scenario.sensor,
             mount=scenario.motion.mount,
             motion=None,
-            sending=SimpleNamespace(slots=lambda *_span_ns: iter(())),
+            timeline=SimpleNamespace(sequences=lambda *_span_ns: iter(())),
         )
         parts = SimpleNamespace(units=(unit,), gps=SimpleNamespace(second_ns=lambda _t_ns: None))
-        emulator = SimpleNamespace(scenario=scenario, parts=parts, receiver=None)
-        with Truth(TruthTo(tmp_path / name), emulator, (0.0, scenario.duration_s)) as truth:
+        run = SimpleNamespace(engine=SimpleNamespace(scenario=scenario, parts=parts, receiver=None))
+        with Truth(TruthTo(tmp_path / name), run, (0.0, scenario.duration_s)) as truth:
             truth._trajectories = []
         assert load(str(tmp_path / name / "scenario.json")) == scenario, name
 

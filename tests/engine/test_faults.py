@@ -94,7 +94,7 @@ EVERY = (
 
 def test_without_events_nothing_is_put_between(clean):
     """The packets of a run without faults come straight from the merge of its streams, with or without other events."""
-    assert type(emulator().packets()).__name__ == type(emulator()._sent(0, S_NS)).__name__
+    assert type(emulator().packets()).__name__ == type(emulator().engine.sent(0, S_NS)).__name__
     assert "arriving" not in repr(emulator({"kind": "pps_loss", "at_s": 1.0}).packets())
     assert len(of(clean, DATA)) == 1130
 

@@ -43,12 +43,12 @@ def sentences(emulator, receiver, start_s, stop_s):
 
 def test_sentences_do_not_depend_on_how_a_run_is_cut(birch):
     """Any second can be had first, and from another emulator: the sentences are the same, lost fixes included."""
-    whole = sentences(birch, birch.receiver, 0.0, 20.0)
+    whole = sentences(birch, birch.engine.receiver, 0.0, 20.0)
     assert {parse_rmc(sentence).valid for sentence in whole} == {True, False}
     other = Emulator(birch.scenario, threads=1)
-    late = sentences(other, other.receiver, 13.2, 20.0)
+    late = sentences(other, other.engine.receiver, 13.2, 20.0)
     assert late == whole[-len(late) :]
-    early = sentences(other, other.receiver, 0.0, 13.2)
+    early = sentences(other, other.engine.receiver, 0.0, 13.2)
     assert early + late == whole
 
 
@@ -56,7 +56,7 @@ def test_sentences_follow_the_walk(birch):
     """Places that are reported lie within 5 sigma of the antenna's, and speeds of the walk's."""
     gps = birch.scenario.gps
     for second in range(birch.scenario.start_ns // S_NS + 2, birch.scenario.start_ns // S_NS + 20):
-        reading = birch.receiver.reading(second * S_NS)
+        reading = birch.engine.receiver.reading(second * S_NS)
         most = gps.canopy_error_factor
         assert np.abs(reading.measured_m - reading.antenna_m).max() < 5 * most * 1.24
         assert np.abs(reading.measured_m_s - reading.velocity_m_s[:2]).max() < 5 * most * 0.05

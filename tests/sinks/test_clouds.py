@@ -167,7 +167,7 @@ def test_the_bytes_do_not_depend_on_the_day_or_the_run(cloud, tmp_path):
     code = (
         "import datetime, sys, laspy.header as h\n"
         "h.date = type('D', (datetime.date,), {'today': classmethod(lambda c: datetime.date(1999, 2, 3))})\n"
-        "from vlp16emu import Emulator\n"
+        "from vlp16emu import Emulator, write_points\n"
         f"e = Emulator('birch_walk', {SETTINGS!r}, threads=1)\n"
         f"[write_points(e, f'{tmp_path}/points.{{s}}', duration_s=0.15, labels='for-instance') for s in {SUFFIXES!r}]\n"
     )

@@ -15,7 +15,7 @@ from vlp16emu.extras.bench.state import DeviceInfo, DeviceSettings
 from vlp16emu.extras.bench.web import HttpFault, WebServer, parse_http
 from vlp16emu.types import PpsState, ReturnMode, SensorModel
 
-FOLDER = Path(__file__).parents[2] / "protocol" / "web"
+FOLDER = Path(__file__).parents[3] / "protocol" / "web"
 SCHEMAS = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in FOLDER.glob("*.schema.json")}
 REGISTRY = Registry().with_resources((name, Resource.from_contents(tree)) for name, tree in SCHEMAS.items())
 DOCUMENTS = ("settings.json", "status.json", "diag.json", "info.json", "snapshot.hdl")

@@ -11,7 +11,7 @@ from vlp16emu.extras.compare import compared, fitted, read_sequences, statistics
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
 
-CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
+CAPTURES = Path(__file__).resolve().parents[4] / "shared" / "captures"
 UNIT = {"noise.preset": "unit", "sensor.preset": "unit", "sensor.eccentricity_deg": 0.06}
 BEAT = {"noise.range_beat_m": 0.0055, "noise.range_beat_phase_deg": 123.0}
 

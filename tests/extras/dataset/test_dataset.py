@@ -287,7 +287,7 @@ def workers_of(pid):
 
 def test_the_dataset_of_the_documents_has_24_walks(tmp_path):
     """The file that `scenes/OUTPUTS.md` shows is one, and so is that of the four sensors, from one viewpoint."""
-    root = Path(__file__).resolve().parents[2]
+    root = Path(__file__).resolve().parents[3]
     (text,) = re.findall(r"```toml\n(schema.*?)```", (root / "scenes" / "OUTPUTS.md").read_text(), re.DOTALL)
     assert len(walks_in(tmp_path, text)) == 24
     four = walks_in(tmp_path, (root / "tools" / "four_sensors.toml").read_text())
