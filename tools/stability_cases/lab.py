@@ -36,7 +36,9 @@ def ideal_unit(*settings: str) -> Unit:
 
 def beam(model: str, rays: int = 64, *, has_width: bool = True) -> Footprint:
     """Light of a VLP-16, or light without width."""
-    light = Footprint(Beam(model=model, rays=rays), seed=7, resolution_m=1.0)
+    light = Footprint(Beam(model=model), seed=7, resolution_m=1.0).changed(
+        rays=rays
+    )  # fewer, too, than a scene may have
     return light if has_width else light.changed(spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.0))
 
 
