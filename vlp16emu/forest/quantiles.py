@@ -8,8 +8,7 @@ from vlp16emu.elementary import log
 Array = NDArray[np.float64]
 
 _SQRT_2_PI = 2.50662827463100050242
-_TAIL = 0.13533528323661269189
-"""exp(-2): where the approximation of the tails takes over from that of the middle."""
+_TAIL = 0.13533528323661269189  # exp(-2): where the approximation of the tails takes over from that of the middle
 
 _MIDDLE = (
     (

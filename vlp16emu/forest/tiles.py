@@ -17,8 +17,7 @@ TILE_M = 20.0
 
 _HALF_DIAGONAL_M = TILE_M / 2 * np.sqrt(2.0)
 
-_SKIRT_M = 0.5
-"""Depth of the hem under a tile's border, which hides the seams that rounding leaves."""
+_SKIRT_M = 0.5  # depth of the hem under a tile's border, which hides the seams that rounding leaves
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,7 @@ Array = NDArray[np.float64]
 _YUP_R_WORLD = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0, 0, 0, 1.0]])
 """Turns x east, y north, z up into x east, y up, z south."""
 
-_ROOT = "world z up"
-"""Name of the node that holds everything."""
+_ROOT = "world z up"  # name of the node that holds everything
 
 
 def label(row: np.void, species: Mapping[int, str], *, with_part: bool) -> str:

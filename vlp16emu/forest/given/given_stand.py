@@ -30,8 +30,7 @@ _CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
 """Crown class c is that of trees with a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
 
 _HA_PER_TILE = TILE_M * TILE_M / 10_000
-_NAMED = 20
-"""Trees in the way that are named one by one."""
+_NAMED = 20  # trees in the way that are named one by one
 
 _log = logging.getLogger(__name__)
 

@@ -14,12 +14,9 @@ Faces = NDArray[np.uint32]
 class Outline:
     """A closed section."""
 
-    middle_m: Array
-    """(2,)."""
-    diameter_m: float
-    """Of the circle of its area."""
-    tape_m: float
-    """What a taut tape around it shows."""
+    middle_m: Array  # (2,).
+    diameter_m: float  # of the circle of its area
+    tape_m: float  # what a taut tape around it shows
 
 
 class Cutter:

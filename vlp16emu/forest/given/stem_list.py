@@ -19,26 +19,19 @@ from vlp16emu.world.vectors import places_m
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 
-_APART_M = 0.05
-"""Two stems nearer to each other are one that was listed twice."""
-
-_TOP_SHARE = 0.2
-"""The thickest fifth of all stems has the top height, by Weise's definition."""
+_APART_M = 0.05  # two stems nearer to each other are one that was listed twice
+_TOP_SHARE = 0.2  # the thickest fifth of all stems has the top height, by Weise's definition
 
 
 @dataclass(frozen=True, slots=True)
 class _Column:
     """A number of the list."""
 
-    units: Mapping[str, float]
-    """Names that it may have, each with what brings it to metres or degrees."""
+    units: Mapping[str, float]  # names that it may have, each with what brings it to metres or degrees
     low: float
-    high: float
-    """Limits in metres or degrees: beyond them it is more likely a slip of the unit than a tree."""
-    every_column: bool = False
-    """Whether there must be such a column."""
-    every_cell: bool = False
-    """Whether each tree must have it."""
+    high: float  # limits in metres or degrees: beyond them it is more likely a slip of the unit than a tree
+    every_column: bool = False  # whether there must be such a column
+    every_cell: bool = False  # whether each tree must have it
 
 
 _COLUMNS = {

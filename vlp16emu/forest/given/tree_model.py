@@ -30,20 +30,11 @@ from vlp16emu.world.vectors import places_m
 Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 
-_FOOT_SHARE = 0.01
-"""Height of the section whose middle is the foot, over that of the tree."""
-
-_ALIKE = 1.25
-"""Models that stretch a tree by no more than this over the one that stretches it least are as good."""
-
-_BOLE, _BOLE_M = 1.5, 0.02
-"""What of a stem is farther from its middle than so many radii and so much more is no bole."""
-
-_TILTS = 1024
-"""Classes of leaf faces by their tilt."""
-
-_KEPT_CUTS = 16_384
-"""Sections of a model that are remembered: more than there are trees in a window."""
+_FOOT_SHARE = 0.01  # height of the section whose middle is the foot, over that of the tree
+_ALIKE = 1.25  # models that stretch a tree by no more than this over the one that stretches it least are as good
+_BOLE, _BOLE_M = 1.5, 0.02  # what of a stem is farther from its middle than so many radii and so much more is no bole
+_TILTS = 1024  # classes of leaf faces by their tilt
+_KEPT_CUTS = 16_384  # sections of a model that are remembered: more than there are trees in a window
 
 _AROUND = np.array([cos(np.arange(36) * np.pi / 36), sin(np.arange(36) * np.pi / 36)])
 """(2, 36) directions in which crowns are measured."""

@@ -21,8 +21,7 @@ _log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
-_SUPPORT_CELLS = 2 * np.sqrt(2.0)
-"""A height takes part in the surface up to two cells away in either direction."""
+_SUPPORT_CELLS = 2 * np.sqrt(2.0)  # A height takes part in the surface up to two cells away in either direction
 
 
 class DemHeights:

@@ -29,12 +29,9 @@ class Grid:
     """Heights over equal squares, as the file has them."""
 
     path: Path
-    heights_m: Array
-    """(rows, columns), northernmost row first, NaN where the file has no height."""
-    west_m: float
-    """Easting of the centres of the first column."""
-    north_m: float
-    """Northing of the centres of the first row."""
+    heights_m: Array  # (rows, columns), northernmost row first, NaN where the file has no height.
+    west_m: float  # easting of the centres of the first column
+    north_m: float  # northing of the centres of the first row
     cell_m: float
 
 

@@ -28,8 +28,7 @@ _MOUND_CELL_M = 2.0
 """Edge of a square that holds one mound at most: the widest mound, so that nine squares hold all that matter."""
 
 _MOUND_WIDTH_M = (1.0, 2.0)
-_MOUND_HEIGHT_M = 0.15
-"""Mounds rise and hollows sink by up to this; assumption, like their width."""
+_MOUND_HEIGHT_M = 0.15  # mounds rise and hollows sink by up to this; assumption, like their width
 
 _PIT_CELL_M = 4.0
 """Edge of a square that holds one pit with its mound at most: more than both together reach from their middle."""
@@ -37,8 +36,7 @@ _PIT_CELL_M = 4.0
 _PIT_WIDTH_M, _PIT_DEPTH_M = (2.0, 3.0), (0.2, 0.4)
 """From the smallest to the largest; the mound is as wide and as high (assumption)."""
 
-_PIT_ASIDE = 0.8
-"""Distance of the middles of pit and mound from the middle of both over their radius; assumption."""
+_PIT_ASIDE = 0.8  # distance of the middles of pit and mound from the middle of both over their radius; assumption
 
 _MOUND, _PIT = int(Growth.MOUND), int(Growth.PIT)
 

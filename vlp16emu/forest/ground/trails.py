@@ -25,17 +25,13 @@ _TRACK_M = (1.8, 2.2)
 _RUT_M = (0.5, 0.7)
 """Width of a rut at the height of the ground beside it, least and most: that of a tyre (600/55-26.5 and 710/45-26.5 are usual)."""
 
-_DEPTH_M = (0.05, 0.2)
-"""Least and most depth along a rut; assumption, with the source above."""
+_DEPTH_M = (0.05, 0.2)  # least and most depth along a rut; assumption, with the source above
 
 _SHOULDER = 1.5
 """Where the shoulder of a rut ends, over half its width; it is then a seventeenth as high as the rut is deep."""
 
-_WAVES_M = (7.0, 19.0)
-"""Lengths of the waves by which depth changes along a rut; assumption."""
-
-_FREE_M = 2.0
-"""From the middle of a trail within which no tree stands: trails are 4 m wide (FSC and PEFC in Germany)."""
+_WAVES_M = (7.0, 19.0)  # lengths of the waves by which depth changes along a rut; assumption
+_FREE_M = 2.0  # from the middle of a trail within which no tree stands: trails are 4 m wide (FSC and PEFC in Germany)
 
 _RUT = int(Growth.RUT)
 

@@ -9,8 +9,7 @@ from vlp16emu.trig import cos_sin
 
 Array = NDArray[np.float64]
 
-_WAVES = 48
-"""Enough that their sum is near normal; its cost is proportional to it."""
+_WAVES = 48  # enough that their sum is near normal; its cost is proportional to it
 
 
 def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: float) -> Array:

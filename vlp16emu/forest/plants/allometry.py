@@ -24,17 +24,10 @@ US_BREAST_HEIGHT_M = 1.37
 
 _INCH_CM, _FOOT_M = 2.54, 0.3048
 
-_TRUNCATION_CM = 6.9
-"""Left truncation of the diameter distributions (Nagel and Biging 1995)."""
-
-_LARGEST_DBH_RATIO = 1.6
-"""Largest over quadratic mean diameter of a stand; assumption."""
-
-_STUMP_SHARE = 0.01
-"""Height of the stump over that of the tree, as Vonderach and Kaendler (2021) use it."""
-
-_COMPONENT_TERMS = 8
-"""Coefficients of one component of `components` biomass."""
+_TRUNCATION_CM = 6.9  # left truncation of the diameter distributions (Nagel and Biging 1995)
+_LARGEST_DBH_RATIO = 1.6  # largest over quadratic mean diameter of a stand; assumption
+_STUMP_SHARE = 0.01  # height of the stump over that of the tree, as Vonderach and Kaendler (2021) use it
+_COMPONENT_TERMS = 8  # coefficients of one component of `components` biomass
 
 
 def truncated_weibull_cm(coefficients: tuple[float, ...], probability: Array, mean_dbh_cm: float) -> Array:

@@ -17,37 +17,28 @@ from vlp16emu.world.vectors import unit
 
 Array = NDArray[np.float64]
 
-_NODES = {1: 9, 2: 5, 3: 3}
-"""Nodes of a branch's curve, by order: odd, so that saplings can do with every other."""
+_NODES = {1: 9, 2: 5, 3: 3}  # nodes of a branch's curve, by order: odd, so that saplings can do with every other
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Between successive branches or whorls, so that none stands right above another."""
 
-_STEEPEST = np.radians(85.0)
-"""Branches hang or rise no steeper; keeps the azimuth of a branch defined."""
+_STEEPEST = np.radians(85.0)  # branches hang or rise no steeper; keeps the azimuth of a branch defined
 
 THINNEST_M = 0.001
 """Least radius of a branch at its base; assumption."""
 
-_TIP_SHARE = 0.2
-"""Radius just before the tip over that at the base; assumption."""
-
-_BISECTIONS = 16
-"""Enough to find the length of a branch to a millimetre."""
+_TIP_SHARE = 0.2  # radius just before the tip over that at the base; assumption
+_BISECTIONS = 16  # enough to find the length of a branch to a millimetre
 
 
 @dataclass(frozen=True, slots=True)
 class Branches:
     """Branches of one order."""
 
-    nodes_m: Array
-    """(n, m, 3) from the base, which lies on the bearer's axis, to the tip."""
-    azimuth: Array
-    """(n,) rad, of the branch at its base."""
-    length_m: Array
-    """(n,)."""
-    radius_m: Array
-    """(n,) at the base."""
+    nodes_m: Array  # (n, m, 3) from the base, which lies on the bearer's axis, to the tip
+    azimuth: Array  # (n,) rad, of the branch at its base
+    length_m: Array  # (n,).
+    radius_m: Array  # (n,) at the base
 
     @property
     def node_radius_m(self) -> Array:

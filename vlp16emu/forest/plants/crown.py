@@ -30,8 +30,7 @@ VARIANTS = 3
 CROWN_PARTS = (PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF, PlantPart.DEAD_BRANCH)
 """Of the meshes of a crown, in order. A mesh without faces stands where a crown has no such part."""
 
-_SIDES = (6, 4, 3)
-"""Of branches, by order."""
+_SIDES = (6, 4, 3)  # of branches, by order
 
 _NOTHING = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
 
@@ -46,11 +45,9 @@ class CrownKey:
     height_m: float
     crown_base_m: float
     crown_width_m: float
-    leaf_area_m2: float
-    """One-sided."""
+    leaf_area_m2: float  # one-sided
     season: Season = "leaf_on"
-    dead_branches: bool = False
-    """Whether dead branches still sit below the crown."""
+    dead_branches: bool = False  # whether dead branches still sit below the crown
 
     @property
     def crown_length_m(self) -> float:

@@ -20,8 +20,7 @@ from vlp16emu.settings import toml
 
 _Kind = TypeVar("_Kind", bound=Plant)
 
-_FIRST_OWN_NUMBER = 1000
-"""Smaller numbers belong to the table that comes with the program."""
+_FIRST_OWN_NUMBER = 1000  # smaller numbers belong to the table that comes with the program
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,11 +12,8 @@ from vlp16emu.world.vectors import unit
 
 Array = NDArray[np.float64]
 
-_WIDEST_AT = 0.4
-"""Where a blade is widest, from its base; assumption."""
-
-_SIZE_SIGMA = 0.15
-"""Spread of the logarithm of leaf length about its mean; assumption."""
+_WIDEST_AT = 0.4  # where a blade is widest, from its base; assumption
+_SIZE_SIGMA = 0.15  # spread of the logarithm of leaf length about its mean; assumption
 
 _MOST_LEAVES = 120_000
 """Beyond that many leaves quads grow larger instead: memory of a very large crown, seen from far below."""
@@ -24,8 +21,7 @@ _MOST_LEAVES = 120_000
 _HANG_SIGMA = np.radians(40.0)
 """One sigma of a blade's tip about the direction of steepest descent in its plane; assumption."""
 
-_SHOOT_ANGLE = (np.radians(15.0), np.radians(65.0))
-"""Range of angles between a shoot and its twig; assumption."""
+_SHOOT_ANGLE = (np.radians(15.0), np.radians(65.0))  # range of angles between a shoot and its twig; assumption
 
 
 def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, leaf_area_m2: float) -> Mesh:

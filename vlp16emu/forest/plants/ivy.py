@@ -16,23 +16,12 @@ from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]
 
-_LEAF_PER_BARK = 2.0
-"""One-sided leaf area over the area of the bark that it covers; assumption."""
-
-_LEAF_M = (0.04, 0.1)
-"""Length of a leaf, least and most (Stace, New Flora of the British Isles: 4 to 10 cm)."""
-
-_LEAF_WIDTH = 0.9
-"""Over its length; assumption."""
-
-_AWAY_M = (0.02, 0.12)
-"""How far leaves stand off the bark at their base, least and most; assumption."""
-
-_TILT_DEG = (10.0, 60.0)
-"""Range of the angle between a hanging blade and the stem; assumption."""
-
-_UPWARDS = 1.3
-"""Power of an even number that gives a leaf's place on the way up: fewer the higher; assumption."""
+_LEAF_PER_BARK = 2.0  # one-sided leaf area over the area of the bark that it covers; assumption
+_LEAF_M = (0.04, 0.1)  # length of a leaf, least and most (Stace, New Flora of the British Isles: 4 to 10 cm)
+_LEAF_WIDTH = 0.9  # over its length; assumption
+_AWAY_M = (0.02, 0.12)  # how far leaves stand off the bark at their base, least and most; assumption
+_TILT_DEG = (10.0, 60.0)  # range of the angle between a hanging blade and the stem; assumption
+_UPWARDS = 1.3  # power of an even number that gives a leaf's place on the way up: fewer the higher; assumption
 
 _TONGUES, _SHORTER = 3, 0.35
 """Waves of the upper edge around the stem, and by what share of its height it is lower between them; assumptions."""
@@ -43,8 +32,7 @@ class IvyKey:
     """Name of the shape of the ivy on a stem, in the frame of its tile."""
 
     tile: TileKey
-    number: int
-    """Among the trees of the tile."""
+    number: int  # among the trees of the tile
 
 
 def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> Array:

@@ -27,26 +27,19 @@ SLENDERNESS = 80.0
 CROWN_BASE_SHARE, CROWN_WIDTH_SHARE = 0.1, 0.5
 """Height of the lowest branch, and width of the crown, over the height; assumptions."""
 
-_LEAF_AREA_INDEX = 2.0
-"""Of a sapling in the shade on the ground under it; assumption."""
-
-_FEWEST_WHORLS = 6
-"""However small it is; assumption."""
+_LEAF_AREA_INDEX = 2.0  # of a sapling in the shade on the ground under it; assumption
+_FEWEST_WHORLS = 6  # however small it is; assumption
 
 _STEM_SIDES, _BRANCH_SIDES = 6, 4
 
-_EVERY = 2
-"""Of the nodes of a branch's curve, one in so many is used."""
+_EVERY = 2  # of the nodes of a branch's curve, one in so many is used
 
 _LEAN, _BOW, _SWAY, _LOPSIDED = 0.15, 0.08, 0.03, 0.5
 """Of saplings at most: how far the tip is aside, how far the stem bows one way and to and fro, all over the height, and by how
 much the crown reaches further on one side; assumptions."""
 
-_CONE = (0.0, 0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88)
-"""Heights of a stem's rings over its own."""
-
-_BURIED_SHARE = 0.05
-"""Of the height, how far the stem reaches into the ground."""
+_CONE = (0.0, 0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88)  # heights of a stem's rings over its own
+_BURIED_SHARE = 0.05  # of the height, how far the stem reaches into the ground
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,17 +28,13 @@ STEM_PARTS = (PlantPart.ROOT_FLARE, PlantPart.STEM)
 _SPLINTER_SHARE = 0.8
 """How far off the axis the tip of a broken stem is, over the radius of the highest ring: a slanting break."""
 
-_BURIED_M = 0.1
-"""How far the foot reaches below the lowest ground around it."""
-
-_WIDEST = 1.3
-"""Reach of a butt's lobes over the radius of its circle."""
+_BURIED_M = 0.1  # how far the foot reaches below the lowest ground around it
+_WIDEST = 1.3  # reach of a butt's lobes over the radius of its circle
 
 _LEADER_SIDES, _LEADER_RINGS = 16, (0.0, 0.06, 0.15, 0.3, 0.5, 0.75, 0.92)
 """Of a second leader: sides, and rings as shares of the way from fork to tip."""
 
-_STEP_M = 1e-3
-"""Over which the slope of an axis is taken."""
+_STEP_M = 1e-3  # over which the slope of an axis is taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +42,7 @@ class StemKey:
     """Name of the shape of a single stem, in the frame of its tile."""
 
     tile: TileKey
-    number: int
-    """Among the trees of the tile."""
+    number: int  # among the trees of the tile
 
 
 def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:

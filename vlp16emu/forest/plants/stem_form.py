@@ -21,52 +21,36 @@ Array = NDArray[np.float64]
 _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
 """Of either component of a level vector, over its mean length (Rayleigh's distribution)."""
 
-_MOST_BOW = 0.5
-"""Bow over the DBH at most: branches start on the straight axis, which must not leave the stem."""
-
-_S_SHARE = 0.4
-"""Of the bow, how much the bole bends to and fro besides; assumption."""
-
-_BUTT_M = 0.6
-"""Height over which the sweep of the butt dies away by e; assumption."""
+_MOST_BOW = 0.5  # bow over the DBH at most: branches start on the straight axis, which must not leave the stem
+_S_SHARE = 0.4  # of the bow, how much the bole bends to and fro besides; assumption
+_BUTT_M = 0.6  # height over which the sweep of the butt dies away by e; assumption
 
 _LOBES, _LOBES_M = (3, 6), 0.45
 """Least and most lobes of a butt, and the height over which they die away by e: deeper flutes at the butt than higher up
 (Singleton et al. 2003, Western Journal of Applied Forestry 18); the numbers are assumptions."""
 
-_EGG_SHARE = 0.2
-"""Of the ovality, how much a section is egg-shaped besides; assumption."""
-
-_RIDGE_VERTICES = 3
-"""Of the mesh to each ridge of the bark at least."""
+_EGG_SHARE = 0.2  # of the ovality, how much a section is egg-shaped besides; assumption
+_RIDGE_VERTICES = 3  # of the mesh to each ridge of the bark at least
 
 _LEADER_SHARE, _LEADER_DEG, _LEADER_GAP = (0.3, 0.5), (15.0, 35.0), (0.1, 0.22)
 """Of a second leader: share of the section at the fork, angle to the first, and how far from it over the width of the
 crown, least and most; assumptions."""
 
-_LEADER_TOP = 0.93
-"""Share of the way from fork to tip that it reaches; assumption."""
-
-_DIRECTIONS = 720
-"""In which a section is looked at by a tape: what it shows is then right to 1e-5."""
+_LEADER_TOP = 0.93  # share of the way from fork to tip that it reaches; assumption
+_DIRECTIONS = 720  # in which a section is looked at by a tape: what it shows is then right to 1e-5
 
 
 @dataclass(frozen=True, slots=True)
 class StemForms:
     """Forms of n stems."""
 
-    bole_m: Array
-    """(n,) height of the crown base."""
-    bends: Array
-    """(n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north."""
+    bole_m: Array  # (n,) height of the crown base
+    bends: Array  # (n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north
     oval: Array
     """(n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad."""
-    lobes: Array
-    """(n, 3) number, amplitude at the ground over the radius, phase."""
-    surface_roots: Array
-    """(n,) share of the lobes that have one."""
-    bark: Array
-    """(n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases."""
+    lobes: Array  # (n, 3) number, amplitude at the ground over the radius, phase
+    surface_roots: Array  # (n,) share of the lobes that have one
+    bark: Array  # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
     forks: Array
     """(n, 6) whether there is one, its height over that of the tree, share of the section that the second leader takes,
     slope and distance in m of that leader from the first, its direction in rad."""

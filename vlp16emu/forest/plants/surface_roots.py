@@ -16,17 +16,10 @@ _STATIONS = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])
 ROOT_SIDES, ROOT_RINGS = 6, len(_STATIONS)
 """Of a root's mesh, and where its rings are as shares of its length."""
 
-_OLD_M = 0.3
-"""DBH from which trees have them; assumption."""
-
-_MOST = 6
-"""Roots of a tree: one to each lobe of its butt at most."""
-
-_LENGTH, _LENGTH_M = (2.0, 4.5), (0.5, 2.0)
-"""Over the DBH, and on the ground, least and most; assumptions."""
-
-_RADIUS = (0.09, 0.15)
-"""At the butt over the DBH, least and most; assumption."""
+_OLD_M = 0.3  # DBH from which trees have them; assumption
+_MOST = 6  # roots of a tree: one to each lobe of its butt at most
+_LENGTH, _LENGTH_M = (2.0, 4.5), (0.5, 2.0)  # over the DBH, and on the ground, least and most; assumptions
+_RADIUS = (0.09, 0.15)  # at the butt over the DBH, least and most; assumption
 
 _THINNER, _RISE, _RISE_M = 0.7, 1.5, 0.2
 """Share of its radius that a root loses on its way; how much higher than wide it leaves the butt, and over what length that

@@ -34,8 +34,7 @@ Array = NDArray[np.float64]
 Trees = NDArray[np.void]
 
 
-_NUMBERS_PER_TILE = 8192
-"""Numbers set aside for the trees and things of a tile."""
+_NUMBERS_PER_TILE = 8192  # numbers set aside for the trees and things of a tile
 
 _DENSEST_PER_HA = 125_000
 """A tile then holds 5000 things on average; even in clusters of ten their number has a sigma under 240, and with all patches that
@@ -44,11 +43,8 @@ there may be under 500, far from `_NUMBERS_PER_TILE`."""
 _TILES_IN_GROWTH = 16
 """Tiles whose stems are grown together, kept until all of them are taken: more than are in growth at once."""
 
-_OVERHANG_M = 10.0
-"""How far crowns reach beyond the tile of their stem at most."""
-
-_ASIDE_M = 35.0
-"""How far a sensor may stray from the path and still see numbered trees only."""
+_OVERHANG_M = 10.0  # how far crowns reach beyond the tile of their stem at most
+_ASIDE_M = 35.0  # how far a sensor may stray from the path and still see numbered trees only
 
 _MARGIN_M = 80.0
 """Beyond reach of the path, all that is numbered: as far as a sensor strays, crowns overhang, half a tile's diagonal,

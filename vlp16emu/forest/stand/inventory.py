@@ -64,8 +64,7 @@ INVENTORY = np.dtype(
 COPIED = tuple(name for name in INVENTORY.names or () if name in (TREE.names or ()))
 """What rows have from `TREE` as it is."""
 
-_DECIMALS = 4
-"""Of the numbers in a file: a tenth of a millimetre, a tenth of a litre."""
+_DECIMALS = 4  # of the numbers in a file: a tenth of a millimetre, a tenth of a litre
 
 
 def inventory(

@@ -20,10 +20,8 @@ Trees = NDArray[np.void]
 class ModelKey:
     """Name of a model's shape."""
 
-    number: int
-    """Among the models of the scene."""
-    content: str
-    """Digest of all that decides it."""
+    number: int  # among the models of the scene
+    content: str  # digest of all that decides it
 
 
 class Models:

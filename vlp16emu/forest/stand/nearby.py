@@ -42,16 +42,13 @@ class AllNear:
 class Thing:
     """What stands or lies there and is no tree of the stand."""
 
-    placement: int
-    """In the window."""
+    placement: int  # in the window
     instance: int
     species: int
     kind: str
     """`sapling`, or of what lies or is low the `FloorKind`; of anything else its semantic class in small letters."""
-    place_m: Array
-    """(3,) origin of its shape in the world."""
-    outline_m: Array
-    """(k, 2) convex outline seen from above, counter-clockwise, in the world."""
+    place_m: Array  # (3,) origin of its shape in the world
+    outline_m: Array  # (k, 2) convex outline seen from above, counter-clockwise, in the world
     size_m: tuple[float, float, float]
     """Along the axes of its own shape: of stones length, width and height; of logs length and mean diameter; of
     stumps the diameter at the top and the height; of anything else its extent."""

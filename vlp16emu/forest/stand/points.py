@@ -22,14 +22,9 @@ from vlp16emu.random import generator, uniform
 
 Array = NDArray[np.float64]
 
-_SPACING_SHARE = 0.4
-"""Hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25."""
-
-_LARGEST_DISTANCE_M = 5.0
-"""Trees farther apart than this do not keep each other away; assumption."""
-
-_TILES_KEPT = 1024
-"""Tiles whose points are kept for their neighbours: more than one window and its border hold."""
+_SPACING_SHARE = 0.4  # hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25
+_LARGEST_DISTANCE_M = 5.0  # trees farther apart than this do not keep each other away; assumption
+_TILES_KEPT = 1024  # tiles whose points are kept for their neighbours: more than one window and its border hold
 
 
 _PATCH_WAVELENGTHS_M = (6.0, 20.0)

@@ -45,8 +45,7 @@ from vlp16emu.types import HeightField
 
 Array = NDArray[np.float64]
 
-_STONE_M = (0.1, 1.5)
-"""Least and greatest length of a stone; assumption."""
+_STONE_M = (0.1, 1.5)  # least and greatest length of a stone; assumption
 
 _STONE_MEDIAN_M, _STONE_SIGMA = 0.22, 0.6
 """Of the log-normal distribution of lengths, before it is cut at both ends; assumptions."""
@@ -54,20 +53,11 @@ _STONE_MEDIAN_M, _STONE_SIGMA = 0.22, 0.6
 _STONE_SHARES = (0.0944070172326103, 0.999311242465033)
 """Of the uncut distribution, the shares below the least and the greatest length."""
 
-_STONE_BURIED = (0.3, 0.6)
-"""Range of the share of a stone's height that is in the ground; assumption."""
-
-_STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6
-"""Over its length; assumptions."""
-
-_LARGE_STONE_M = 0.4
-"""Stones that long have four times the faces; those of shorter ones are off by less than 3 mm."""
-
-_MOST_IN_PATCHES_PER_M2 = 4.0
-"""On average; of smaller plants in patches a tile might have more than it has numbers for."""
-
-_SLOPE_M = 0.2
-"""Over which the slope under a cushion or heap is taken, either way."""
+_STONE_BURIED = (0.3, 0.6)  # range of the share of a stone's height that is in the ground; assumption
+_STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6  # over its length; assumptions
+_LARGE_STONE_M = 0.4  # stones that long have four times the faces; those of shorter ones are off by less than 3 mm
+_MOST_IN_PATCHES_PER_M2 = 4.0  # on average; of smaller plants in patches a tile might have more than it has numbers for
+_SLOPE_M = 0.2  # over which the slope under a cushion or heap is taken, either way
 
 
 def layer_of(

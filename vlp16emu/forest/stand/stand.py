@@ -56,29 +56,17 @@ TREE = np.dtype(
 REGENERATION = 255
 """Storey of saplings: stems under 5 cm, those under breast height with a DBH of 0."""
 
-_CLASS_RATIO = 1.5
-"""Between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter."""
-
-_TOP_DBH_RATIO = 1.25
-"""Diameter of the stand's top height trees over its quadratic mean diameter; assumption."""
-
-_OPEN_GROWN = 1.5
-"""Ground whose leaves one crown can carry at most, over the crown's own projection; assumption."""
+_CLASS_RATIO = 1.5  # between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter
+_TOP_DBH_RATIO = 1.25  # diameter of the stand's top height trees over its quadratic mean diameter; assumption
+_OPEN_GROWN = 1.5  # ground whose leaves one crown can carry at most, over the crown's own projection; assumption
 
 _LONE_CROWN_BASE = 0.35
 """Height of the lowest branch of a tree that stands alone over that of one in a closed stand; assumption."""
 
-_LEAN_SIGMA_DEG = 1.5
-"""One sigma of lean along each horizontal axis; assumption."""
-
-_HEAD_ROOM_M = 2.5
-"""Height up to which a leaning stem must keep clear of the path: above a walker's head."""
-
-_STEM_GAP_M = 0.05
-"""Least distance between two stems' surfaces at the ground; assumption."""
-
-_TILES_KEPT = 1024
-"""Tiles whose trees are kept for their neighbours: more than one window and its border hold."""
+_LEAN_SIGMA_DEG = 1.5  # one sigma of lean along each horizontal axis; assumption
+_HEAD_ROOM_M = 2.5  # height up to which a leaning stem must keep clear of the path: above a walker's head
+_STEM_GAP_M = 0.05  # least distance between two stems' surfaces at the ground; assumption
+_TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than one window and its border hold
 
 
 _STOREYS = (Growth.STAND, Growth.SECOND_STOREY, Growth.THIRD_STOREY)

@@ -28,14 +28,12 @@ from vlp16emu.world.vectors import places_m
 
 Array = NDArray[np.float64]
 
-_CLASS_RATIO = 1.4
-"""Between the heights of neighbouring prototypes: none is scaled by more than a fifth."""
+_CLASS_RATIO = 1.4  # between the heights of neighbouring prototypes: none is scaled by more than a fifth
 
 _ROOM_SHARE, _MOST_ROOM_M = 0.15, 0.5
 """Of a sapling's height, and at most, from its bark to that of a tree: assumption; none grows up through the foot of another."""
 
-_FOOT_SHARE = 0.1
-"""Of a shrub's width, the radius within which its stems leave the ground."""
+_FOOT_SHARE = 0.1  # of a shrub's width, the radius within which its stems leave the ground
 
 
 def lay_saplings(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
