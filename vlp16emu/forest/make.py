@@ -4,9 +4,6 @@ import hashlib
 import math
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from vlp16emu.forest.given.given_stand import GivenStand, stems_in_the_way
 from vlp16emu.forest.given.tree_model import TreeModels
 from vlp16emu.forest.ground.dem import DemHeights
@@ -16,12 +13,10 @@ from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.settings import Forest, Plot, Woods
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
-from vlp16emu.types import World
+from vlp16emu.types import Array, World
 from vlp16emu.world.furnished import furnished
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.settings import Wind
-
-Array = NDArray[np.float64]
 
 
 class ForestSite:

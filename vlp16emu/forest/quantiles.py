@@ -1,11 +1,9 @@
 """Quantiles of the normal distribution."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import log
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 _SQRT_2_PI = 2.50662827463100050242
 _TAIL = 0.13533528323661269189  # exp(-2): where the approximation of the tails takes over from that of the middle

@@ -13,9 +13,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from vlp16emu.forest.tiles import TileKey
-from vlp16emu.types import Mesh, PlantPart, Semantic, ShapeKey, Window
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, Mesh, PlantPart, Semantic, ShapeKey, Window
 
 _YUP_R_WORLD = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0, 0, 0, 1.0]])
 """Turns x east, y north, z up into x east, y up, z south."""
@@ -78,8 +76,6 @@ def write_glb(
 
 
 class _Twin:
-    """A trimesh scene that grows part by part."""
-
     def __init__(
         self, window: Window, species: Mapping[int, str], colours: NDArray[np.uint8], places_m: Mapping[int, Array]
     ) -> None:

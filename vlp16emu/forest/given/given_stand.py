@@ -6,25 +6,21 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import log
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.given.stem_list import read_stem_list
 from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
-from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora
+from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Trees, flora
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.settings import Plot
 from vlp16emu.forest.stand.stand import TREE, foot_discs, in_the_way_m, path_gap_m
 from vlp16emu.forest.tiles import TILE_M
 from vlp16emu.random import generator
-from vlp16emu.types import HeightField
+from vlp16emu.types import Array, HeightField
 from vlp16emu.world.polyline import Corridor, Polyline
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
 
 _CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
 """Crown class c is that of trees with a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
@@ -125,7 +121,6 @@ class GivenStand:
 
 
 def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
-    """Add what a list leaves out."""
     trees = trees.copy()
     # One row of numbers to a tree: a tree more at the end of a list changes no other.
     uniform = generator(seed, Growth.GIVEN_TREE).random((len(trees), 4))
@@ -157,7 +152,6 @@ def stems_in_the_way(section: Plot) -> tuple[Array, Array]:
 
 
 def _clear_of_path(section: Plot, trees: Trees, table: Mapping[str, Species], path: Corridor) -> Trees:
-    """Leave out the trees that a walker would run into, or refuse them."""
     gap_m = path_gap_m(trees, foot_discs(trees, table=table)[:, 2], path)
     in_the_way = gap_m < path.clearance_m
     if not in_the_way.any():

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, IntArray
+
 Faces = NDArray[np.uint32]
 
 
@@ -68,7 +69,7 @@ class Cutter:
         return max(map(_measured, rings), key=lambda outline: outline.diameter_m, default=None)
 
 
-def _welded(vertices: Array) -> NDArray[np.int64]:
+def _welded(vertices: Array) -> IntArray:
     """Give vertices numbers (n,) from 0 on, the same to those at the same place."""
     order = np.lexsort(vertices.T)
     apart = (vertices[order[1:]] != vertices[order[:-1]]).any(axis=1)
@@ -78,7 +79,6 @@ def _welded(vertices: Array) -> NDArray[np.int64]:
 
 
 def _measured(ring_m: Array) -> Outline:
-    """Measure a closed outline (n, 2)."""
     from scipy.spatial import ConvexHull, QhullError
 
     at_m = ring_m - ring_m.mean(axis=0)

@@ -7,17 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError, readable
-from vlp16emu.forest.plants.flora import known
+from vlp16emu.forest.plants.flora import Trees, known
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.stand.settings import LEAST_SLENDERNESS
 from vlp16emu.forest.stand.stand import TREE
+from vlp16emu.types import Array, IntArray
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
 
 _APART_M = 0.05  # two stems nearer to each other are one that was listed twice
 _TOP_SHARE = 0.2  # the thickest fifth of all stems has the top height, by Weise's definition
@@ -25,8 +22,6 @@ _TOP_SHARE = 0.2  # the thickest fifth of all stems has the top height, by Weise
 
 @dataclass(frozen=True, slots=True)
 class _Column:
-    """A number of the list."""
-
     units: Mapping[str, float]  # names that it may have, each with what brings it to metres or degrees
     low: float
     high: float  # limits in metres or degrees: beyond them it is more likely a slip of the unit than a tree
@@ -125,7 +120,6 @@ def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
 
 
 def _check_header(path: Path, names: list[str]) -> None:
-    """See that each column that must be there is there once."""
     where = f"{path}, line 1"
     wanted = [((_SPECIES,), True), (_DIRECTIONS, False)]
     wanted += [(tuple(c.units), c.every_column) for c in _COLUMNS.values()]
@@ -198,7 +192,7 @@ def _with_crowns(trees: Trees, numbers: dict[str, Array], species: list[Species]
     return base_m, width_m
 
 
-def _check_slender(path: Path, lines: NDArray[np.int64], trees: Trees) -> None:
+def _check_slender(path: Path, lines: IntArray, trees: Trees) -> None:
     """Refuse a list of trees that are far too thick for their height: their DBH is in millimetres."""
     slenderness = trees["height_m"] / trees["dbh_m"]
     if (middle := float(np.median(slenderness))) < LEAST_SLENDERNESS:
@@ -208,8 +202,7 @@ def _check_slender(path: Path, lines: NDArray[np.int64], trees: Trees) -> None:
         raise GeometryError(f"{path}, line {lines[i]}, DBH", found, expected)
 
 
-def _check_crown_bases(path: Path, lines: NDArray[np.int64], trees: Trees) -> None:
-    """Refuse a crown that begins at or above the tip."""
+def _check_crown_bases(path: Path, lines: IntArray, trees: Trees) -> None:
     above = trees["crown_base_m"] >= trees["height_m"]
     if above.any():
         i = int(above.argmax())
@@ -218,8 +211,7 @@ def _check_crown_bases(path: Path, lines: NDArray[np.int64], trees: Trees) -> No
         raise GeometryError(f"{path}, line {lines[i]}, column crown_base_m", found, expected)
 
 
-def _check_twice(path: Path, lines: NDArray[np.int64], trees: Trees) -> None:
-    """Refuse two trees at one place."""
+def _check_twice(path: Path, lines: IntArray, trees: Trees) -> None:
     from scipy.spatial import cKDTree
 
     places = places_m(trees, "xy")

@@ -14,7 +14,7 @@ from vlp16emu.foliage.tiles import EXACT, STEM
 from vlp16emu.forest.given.section import Cutter, Outline
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
 from vlp16emu.forest.plants.far_stem import profiles
-from vlp16emu.forest.plants.flora import Flora, known
+from vlp16emu.forest.plants.flora import Flora, Trees, known
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.plants.stem import STEM_PARTS, lean_rotation
@@ -22,13 +22,10 @@ from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
 from vlp16emu.forest.stand.inventory import COPIED, INVENTORY, hull_m, volume_m3
 from vlp16emu.forest.stand.models import ModelKey, Models
 from vlp16emu.forest.stand.placed import PlacedThings, plant_surfaces, turned
-from vlp16emu.types import Mesh, PlantPart, ShapeKey
+from vlp16emu.types import Array, IntArray, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.mesh_settings import TreeModelFile
 from vlp16emu.world.user_mesh import load_mesh
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
 
 _FOOT_SHARE = 0.01  # height of the section whose middle is the foot, over that of the tree
 _ALIKE = 1.25  # models that stretch a tree by no more than this over the one that stretches it least are as good
@@ -96,7 +93,7 @@ class TreeModel:
         text = f"{section.model_dump_json(exclude={'file'})} {sheds}"
         self.content = hashlib.sha256(self.path.read_bytes() + text.encode()).hexdigest()[:32]
 
-    def far_stems(self, world_T_model: Array, rows: NDArray[np.int64]) -> NDArray[np.void]:
+    def far_stems(self, world_T_model: Array, rows: IntArray) -> NDArray[np.void]:
         """Stems of placements (n, 3, 4), whose first surfaces are in these rows (n,), as `STEM`."""
         across = norm(world_T_model[:, :, 0])
         middle_m = matvec(world_T_model[:, None, :, :3], self._profile_m[:, :3])
@@ -194,7 +191,6 @@ class TreeModel:
         return [(part, EXACT, _used(vertices_m, faces[bole])), (part, part, _used(vertices_m, faces[~bole]))]
 
     def _cut(self, at_m: float) -> Outline:
-        """Cut the stem, in the model's own size."""
         outline = self._cuts(at_m)
         if outline is None:
             found = f"no closed section of the stem at {at_m:.2f} m of its {self.height_m:.2f} m"
@@ -263,7 +259,7 @@ class TreeModels(Models):
         """Parts of a model's meshes as they are seen from afar; None for any other shape."""
         return self._models[key.number].far_parts if isinstance(key, ModelKey) else None
 
-    def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: Array, rows: NDArray[np.int64]) -> NDArray[np.void]:
+    def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: Array, rows: IntArray) -> NDArray[np.void]:
         """Stems, as `STEM`, of those of placements (n,) that are models, by their first surfaces."""
         of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
         stems = (model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models))

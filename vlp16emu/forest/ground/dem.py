@@ -10,16 +10,15 @@ from pathlib import Path
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.grid import read_grid
 from vlp16emu.forest.ground.settings import Dem
+from vlp16emu.types import Array
 from vlp16emu.world.polyline import distance_m
 
 _log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 
 _SUPPORT_CELLS = 2 * np.sqrt(2.0)  # A height takes part in the surface up to two cells away in either direction
 
@@ -110,7 +109,6 @@ class DemHeights:
             )
 
     def _check_gaps(self, path_xy_m: Array, reach_m: float) -> None:
-        """Refuse a grid with a cell within reach that has no height."""
         row, column = np.nonzero(np.isnan(self._grid.heights_m))
         cell_m = self._grid.cell_m
         places = np.column_stack([self._west_m + column * cell_m, self._north_m - row * cell_m])

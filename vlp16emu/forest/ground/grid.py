@@ -8,12 +8,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, MissingExtraError, readable
-from vlp16emu.types import HeightField
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, HeightField
 
 _MOST_CELLS = LARGEST_BYTES // 4
 _METRES = (None, "", "m", "metre", "meter")
@@ -93,7 +90,6 @@ def _from_corner(path: Path, heights_m: Array, corner_m: tuple[float, float], ce
 
 
 def _grid(path: Path, heights_m: Array, west_m: float, north_m: float, cell_m: float) -> Grid:
-    """Refuse what gives no surface."""
     rows, columns = heights_m.shape
     if min(rows, columns) < 2:
         raise GeometryError(str(path), f"found {rows} rows of {columns}", "at least 2 rows of 2")
@@ -195,7 +191,6 @@ def _read_geotiff(path: Path) -> Grid:
 
 
 def _check_map(path: Path, file: Any) -> None:
-    """Refuse what is no grid of heights in metres on a map in metres."""
     width_m, skew, west_m, turn, minus_m, north_m = file.transform[:6]
     unit, factor = file.crs.units_factor if file.crs else ("metre", 1.0)
     unit = "degrees" if file.crs and file.crs.is_geographic else unit

@@ -10,7 +10,6 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, sin, tan
 from vlp16emu.forest.ground.settings import Terrain
@@ -18,8 +17,7 @@ from vlp16emu.forest.ground.trails import Trails
 from vlp16emu.forest.ground.waves import sum_of_waves, waves
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import generator, philox4x32
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 _HILL_WAVELENGTHS_M = (30.0, 300.0)
 _ROUGH_WAVELENGTHS_M = (1.0, 12.0)

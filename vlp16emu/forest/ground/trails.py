@@ -16,8 +16,7 @@ from vlp16emu.forest.ground.settings import Terrain
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import philox4x32
 from vlp16emu.trig import cos_sin
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 _TRACK_M = (1.8, 2.2)
 """Between the middles of a trail's ruts, least and most: forwarders are 2.5 m to 3 m wide over all (assumption)."""

@@ -2,12 +2,10 @@
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, power, sin
 from vlp16emu.trig import cos_sin
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 _WAVES = 48  # enough that their sum is near normal; its cost is proportional to it
 

@@ -8,13 +8,11 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
 from vlp16emu.elementary import exp, expm1, log, log1p, power
 from vlp16emu.settings import Section
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 BREAST_HEIGHT_M = 1.3
 """Where the diameter at breast height is measured, above the ground at the stem's axis."""
@@ -163,7 +161,6 @@ class Equation(Section):
         return coefficients
 
     def __call__(self, *values: Any) -> Array:
-        """Value of the equation."""
         return self.known[self.model][1](self.coefficients, *values)
 
 

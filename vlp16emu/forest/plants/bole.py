@@ -5,13 +5,11 @@ epicormic shoot (broadleaves), so single living branches below it are no contrad
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import exp
 from vlp16emu.forest.plants.branches import GOLDEN_ANGLE, THINNEST_M, Branches, curves, points_along, side_branches
 from vlp16emu.forest.plants.species import Habit
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 _FREE_M = 0.3
 """Foot of the stem without branches: 0.3 m on average in 4368 unpruned spruces of 45 stands (Forestry Studies 66, 2017,

@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import matvec, norm
 from vlp16emu.forest.plants.branches import Branches
 from vlp16emu.forest.plants.crown import CrownKey, crown_branches, crown_placements
-from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE, Table, Trees
-from vlp16emu.types import PlantPart
+from vlp16emu.forest.plants.flora import Table, Trees
+from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
+from vlp16emu.types import Array, PlantPart
 from vlp16emu.world.vectors import determinant
-
-Array = NDArray[np.float64]
 
 
 def branch_circles(

@@ -7,15 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import asin, atan2, cos, hypot, norm, power, sin
 from vlp16emu.forest.plants.meshes import pipe_faces
 from vlp16emu.forest.plants.species import Habit, Twigs
-from vlp16emu.types import Mesh
+from vlp16emu.types import Array, IntArray, Mesh
 from vlp16emu.world.vectors import unit
-
-Array = NDArray[np.float64]
 
 _NODES = {1: 9, 2: 5, 3: 3}  # nodes of a branch's curve, by order: odd, so that saplings can do with every other
 
@@ -46,7 +43,7 @@ class Branches:
         rings = self.nodes_m.shape[1] - 1
         return self.radius_m[:, None] * np.append(_taper(np.arange(rings) / rings), 0.0)
 
-    def of(self, which: NDArray[np.int64]) -> "Branches":
+    def of(self, which: IntArray) -> "Branches":
         """Give some of the branches."""
         return Branches(*(getattr(self, name)[which] for name in self.__slots__))
 
@@ -170,7 +167,7 @@ def joined(*parts: Branches) -> Branches:
     )
 
 
-def points_along(nodes_m: Array, branch: NDArray[np.int64], way: Array) -> tuple[Array, Array]:
+def points_along(nodes_m: Array, branch: IntArray, way: Array) -> tuple[Array, Array]:
     """Points and unit tangents on curves (n, m, 3) at shares `way` (p,) of their length.
 
     Returns
@@ -211,7 +208,6 @@ def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
 
 
 def _envelope(habit: Habit, relative: Array) -> Array:
-    """Crown radius over its largest, at relative heights (n,)."""
     below = sin(np.pi / 2 * np.minimum(relative / habit.widest_at, 1.0))
     above = np.clip((relative - habit.widest_at) / (1 - habit.widest_at), 0.0, 1.0)
     radius: Array = (habit.base_fraction + (1 - habit.base_fraction) * below) * (1 - power(above, habit.top_power))

@@ -1,16 +1,15 @@
 """Crown prototypes: grown once for a species, diameter class and variant, then instanced."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, matmul, sin
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.bole import bole_branches
 from vlp16emu.forest.plants.branches import Branches, first_order, joined, side_branches, tubes, volume_m3
-from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.flora import Table, Trees, species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import merged
 from vlp16emu.forest.plants.settings import Season
@@ -18,11 +17,8 @@ from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import generator
-from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.types import Array, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
 
 VARIANTS = 3
 """Different crowns of the same species and diameter class."""
@@ -55,9 +51,7 @@ class CrownKey:
         return self.height_m - self.crown_base_m
 
 
-def crown_meshes(
-    seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None
-) -> tuple[Mesh, Mesh, Mesh, Mesh]:
+def crown_meshes(seed: int, key: CrownKey, *, table: Table | None = None) -> tuple[Mesh, Mesh, Mesh, Mesh]:
     """Meshes of `CROWN_PARTS`; a dead tree has all its branches among the dead ones.
 
     In the crown's own frame: origin on the stem's axis at the crown base, z along the axis. Season
@@ -79,9 +73,7 @@ def crown_meshes(
     return first, higher, leaves, merged(*bare) if bare else _NOTHING
 
 
-def crown_branches(
-    seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None
-) -> tuple[Branches, Branches]:
+def crown_branches(seed: int, key: CrownKey, *, table: Table | None = None) -> tuple[Branches, Branches]:
     """Give the branches that leave the stem, in the crown's own frame: living ones, and dead ones."""
     species = (table or species_table())[key.species]
     orders, dead = _orders(_generator(Growth.CROWN, seed, key, species), seed, key, species)
@@ -90,7 +82,7 @@ def crown_branches(
     return (first, bare) if species.foliage else (first.of(np.zeros(0, np.int64)), joined(first, bare))
 
 
-def crown_wood_m3(seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None) -> float:
+def crown_wood_m3(seed: int, key: CrownKey, *, table: Table | None = None) -> float:
     """Volume of all branches of a prototype, dead ones too."""
     species = (table or species_table())[key.species]
     orders, dead = _orders(_generator(Growth.CROWN, seed, key, species), seed, key, species)

@@ -1,16 +1,13 @@
 """Leaves and shoots as planar quads along the twigs of a crown, with a given total area."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, exp, power, sin
 from vlp16emu.forest.plants.branches import Branches, points_along
 from vlp16emu.forest.plants.meshes import quads
 from vlp16emu.forest.plants.species import Foliage
-from vlp16emu.types import Mesh
+from vlp16emu.types import Array, Mesh
 from vlp16emu.world.vectors import unit
-
-Array = NDArray[np.float64]
 
 _WIDEST_AT = 0.4  # where a blade is widest, from its base; assumption
 _SIZE_SIGMA = 0.15  # spread of the logarithm of leaf length about its mean; assumption
@@ -88,5 +85,4 @@ def _shoots(rng: np.random.Generator, base: Array, tangent: Array, length: Array
 
 
 def _in_ball(rng: np.random.Generator, n: int) -> Array:
-    """Points (n, 3) evenly distributed in the unit ball."""
     return unit(rng.standard_normal((n, 3))) * power(rng.random((n, 1)), 1 / 3)

@@ -3,18 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, power, sin
+from vlp16emu.forest.plants.flora import Table, Trees
 from vlp16emu.forest.plants.meshes import quads
-from vlp16emu.forest.plants.stem_rings import Table, Trees, axis_m, stem_rings
+from vlp16emu.forest.plants.stem_rings import axis_m, stem_rings
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.random import generator, uniform
-from vlp16emu.types import Mesh
+from vlp16emu.types import Array, Mesh
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
 
 _LEAF_PER_BARK = 2.0  # one-sided leaf area over the area of the bark that it covers; assumption
 _LEAF_M = (0.04, 0.1)  # length of a leaf, least and most (Stace, New Flora of the British Isles: 4 to 10 cm)

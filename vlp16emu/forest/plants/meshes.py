@@ -5,9 +5,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.types import Mesh
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, Mesh
 
 
 def quads(corners: Array) -> Mesh:

@@ -1,22 +1,20 @@
 """Sapling prototypes: a thin stem from the ground with branches and leaves, grown once for a species and height."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, hypot, sin
 from vlp16emu.forest.plants.branches import first_order, side_branches, tubes
-from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.flora import Table, species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import NO_LEAVES, closed
 from vlp16emu.forest.plants.settings import Season
-from vlp16emu.forest.plants.species import Habit, Species
+from vlp16emu.forest.plants.species import Habit
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import generator
-from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.types import Array, Mesh, PlantPart
 
 SAPLING_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF)
 """Of the meshes of a sapling, in order. A mesh without faces stands where it has no such part."""
@@ -52,9 +50,7 @@ class SaplingKey:
     season: Season
 
 
-def sapling_meshes(
-    seed: int, key: SaplingKey, *, table: Mapping[str, Species] | None = None
-) -> tuple[Mesh, Mesh, Mesh, Mesh]:
+def sapling_meshes(seed: int, key: SaplingKey, *, table: Table | None = None) -> tuple[Mesh, Mesh, Mesh, Mesh]:
     """Meshes of `SAPLING_PARTS`, in a frame with its origin on the ground and z along the stem."""
     species = (table or species_table())[key.species]
     rng = generator(seed, Growth.SAPLING, species.number, key.variant, round(key.height_m * 1e3))
@@ -78,7 +74,7 @@ def sapling_meshes(
     )
 
 
-def _crooked(height_m: float, drawn: NDArray[np.float64], mesh: Mesh) -> Mesh:
+def _crooked(height_m: float, drawn: Array, mesh: Mesh) -> Mesh:
     """Let a sapling lean, bow and reach further to one side, to the light; its stem has the same sections and height.
 
     Parameters

@@ -3,7 +3,6 @@
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
 from vlp16emu.forest.plants.allometry import (
@@ -17,8 +16,8 @@ from vlp16emu.forest.plants.allometry import (
 )
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.settings import Fraction, Section
+from vlp16emu.types import Array
 
-Array = NDArray[np.float64]
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Text = Annotated[str, Field(min_length=1)]
 Length = Annotated[float, Field(ge=0.005, le=20)]

@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, hypot, matvec, norm, sin
+from vlp16emu.forest.plants.flora import Table, Trees
 from vlp16emu.forest.plants.meshes import merged, pipe_faces
-from vlp16emu.forest.plants.stem_rings import StemRings, Table, Trees, axis_m, second_leaders, stem_rings, tip_radius_m
+from vlp16emu.forest.plants.stem_rings import StemRings, axis_m, second_leaders, stem_rings, tip_radius_m
 from vlp16emu.forest.plants.surface_roots import ROOT_RINGS, ROOT_SIDES, root_points
 from vlp16emu.forest.tiles import TileKey
-from vlp16emu.types import HeightField, Mesh, PlantPart
+from vlp16emu.types import Array, HeightField, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
 
 STEM_PARTS = (PlantPart.ROOT_FLARE, PlantPart.STEM)
 """Of the meshes of a stem, in order."""

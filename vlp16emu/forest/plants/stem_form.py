@@ -4,19 +4,16 @@ A form bends the axis below the crown alone, so that crowns sit straight on the 
 outline of a section and never its area.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, exp, expm1, hypot, sin, tan
-from vlp16emu.forest.plants.flora import stem_keys
-from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.plants.flora import Table, stem_keys
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import normal, uniform
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, IntArray
 
 _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
 """Of either component of a level vector, over its mean length (Rayleigh's distribution)."""
@@ -105,12 +102,12 @@ class StemForms:
         away_m = gap_m * -expm1(-slope / gap_m * (above_m - fork_m[:, None]))
         return away_m[..., None] * np.stack([cos(towards), sin(towards)], axis=-1)
 
-    def of(self, which: NDArray[np.int64]) -> "StemForms":
+    def of(self, which: IntArray) -> "StemForms":
         """Give the forms of some of the stems."""
         return StemForms(*(getattr(self, name)[which] for name in self.__slots__))
 
 
-def stem_forms(trees: NDArray[np.void], *, table: Mapping[str, Species] | None = None) -> StemForms:
+def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemForms:
     """Draw the forms of trees (n,) `TREE`, each from its own seed and the keys of its species."""
     keys = stem_keys(trees["species"], table=table)
     keys[:, :9] *= (trees["form"] > 0)[:, None]

@@ -1,6 +1,5 @@
 """What stems are made of: circles one above the other, around an axis that may bend and fork."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,14 +7,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, sin, tan
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, taper_radius_m
-from vlp16emu.forest.plants.flora import tapers
-from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.plants.flora import Table, Trees, tapers
 from vlp16emu.forest.plants.stem_form import StemForms, stem_forms
-from vlp16emu.types import PlantPart
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
-Table = Mapping[str, Species]
+from vlp16emu.types import Array, IntArray, PlantPart
 
 FLARE_TOP_M = 0.5
 """Where the root flare ends and the stem begins, at a ring that both share; assumption."""
@@ -55,10 +49,10 @@ class StemRings:
 
     above_ground_m: Array  # (n, r) height over the foot at which each meets the axis; the first is buried
     radius_m: Array  # (n, r) of the circle that has the ring's area
-    sides: NDArray[np.int64]  # (n,) of the cross-section
+    sides: IntArray  # (n,) of the cross-section
     flare_rings: int  # how many of the rings belong to the root flare
     forms: StemForms
-    forked: NDArray[np.int64]  # (m,) which stems have a second leader
+    forked: IntArray  # (m,) which stems have a second leader
     fork_m: Array  # (m,) where that begins, a ring's height over the foot
 
 
@@ -152,5 +146,4 @@ def tip_radius_m(trees: Trees, *, table: Table | None = None) -> Array:
 
 
 def _radius_m(trees: Trees, above_m: Array, table: Table | None) -> Array:
-    """Radius (n, r) of whole stems at heights (n, r)."""
     return taper_radius_m(tapers(trees["species"], table=table), trees["dbh_m"], trees["height_m"], above_m)

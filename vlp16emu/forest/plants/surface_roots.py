@@ -1,16 +1,14 @@
 """Roots that run over the ground from the butts of old trees, half buried, until they dive."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, exp, sin
-from vlp16emu.forest.plants.stem_rings import StemRings, Trees
+from vlp16emu.forest.plants.flora import Trees
+from vlp16emu.forest.plants.stem_rings import StemRings
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import uniform
-from vlp16emu.types import HeightField
+from vlp16emu.types import Array, HeightField, IntArray
 from vlp16emu.world.vectors import unit
-
-Array = NDArray[np.float64]
 
 _STATIONS = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])
 ROOT_SIDES, ROOT_RINGS = 6, len(_STATIONS)
@@ -33,7 +31,7 @@ _TOP_M = 0.3
 """Over the foot above which no root reaches, lest it be part of a section at breast height: uphill it dives."""
 
 
-def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[NDArray[np.int64], Array]:
+def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[IntArray, Array]:
     """Roots of stems (n,), each from the seed of its stem's form.
 
     Returns

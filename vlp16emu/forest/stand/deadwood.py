@@ -9,8 +9,8 @@ from vlp16emu.elementary import cos, hypot, sin
 from vlp16emu.forest.stand.floor_shapes import LOG_TAPER, FloorKind, labelled
 from vlp16emu.forest.stand.layer import Layer
 from vlp16emu.forest.stand.placed import PlacedThings, Site, between, laid, placements, together, turned
+from vlp16emu.types import Array, IntArray
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _STATIONS = np.linspace(-0.5, 0.5, 9)
@@ -45,7 +45,7 @@ _PLATE_STATIONS = np.linspace(-0.4, 0.4, 5)
 class _Pieces:
     """Whole logs and pieces of broken ones, (n,) each."""
 
-    log: NDArray[np.int64]  # which log it is of
+    log: IntArray  # which log it is of
     is_top: Mask  # whether it is the upper piece of a broken one
     xy_m: Array  # (n, 2) middle
     towards: Array  # from butt to top, rad from east
@@ -107,8 +107,7 @@ def lay_stumps(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThi
     return together([labelled(kind, which, world_T, draws[:, 4:], species=species) for kind, which in kinds])
 
 
-def _species(layer: Layer, draws: Array) -> NDArray[np.int64]:
-    """Choose the species of things (n,), by number."""
+def _species(layer: Layer, draws: Array) -> IntArray:
     numbers = np.array([tree.number for tree in layer.species], np.int64)
     return numbers[(len(numbers) * draws[:, 3]).astype(int)]
 
@@ -168,7 +167,6 @@ def _plates(world_T: Array, pieces: _Pieces, plate_m: Array) -> Array:
 
 
 def _free(pieces: _Pieces, site: Site) -> Mask:
-    """Which pieces (n,) keep clear of the path and of trunks."""
     radius_m = np.repeat(pieces.wide_m / 2, len(_STATIONS))
     along_m = pieces.along_m()
     clear = site.clear(along_m.reshape(-1, 2), radius_m, radius_m).reshape(along_m.shape[:2])

@@ -20,10 +20,9 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.low_shapes import dwarf_shrub, fern, herb, litter_heap, moss_cushion
 from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, distinct
 from vlp16emu.random import generator
-from vlp16emu.types import SURFACE, Mesh, PlantPart, Semantic
+from vlp16emu.types import SURFACE, Array, IntArray, Mesh, PlantPart, Semantic
 from vlp16emu.world.vectors import unit
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FLOOR_VARIANTS = 6
@@ -125,7 +124,7 @@ def labelled(
     world_T: Array,
     draws: Array,
     *,
-    species: NDArray[np.int64] | None = None,
+    species: IntArray | None = None,
     large: Mask | None = None,
 ) -> PlacedThings:
     """Label those things (n,) that are kept; draws (n, 2 or more) choose variant and brightness."""
@@ -149,7 +148,6 @@ def _key(kind: FloorKind, variant: int, large: bool) -> FloorKey:
 
 
 def _stone(rng: np.random.Generator, splits: int = _STONE_SPLITS) -> Mesh:
-    """Icosphere with sine lobes."""
     sphere, faces = _icosphere(splits)
     waves = rng.normal(0.0, 2.5, (3, _LOBES))
     lobes = _LOBE_HEIGHT * sin(matvec(waves.T, sphere) + rng.uniform(0, 2 * np.pi, _LOBES))

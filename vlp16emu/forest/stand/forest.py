@@ -13,7 +13,7 @@ from vlp16emu.foliage.tiles import FarTile, TiledWindow
 from vlp16emu.forest.ground.trails import Trails
 from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.forest.plants.far_stem import far_stems
-from vlp16emu.forest.plants.flora import Flora, flora, material_names
+from vlp16emu.forest.plants.flora import Flora, Trees, flora, material_names
 from vlp16emu.forest.plants.ivy import IvyKey, ivy_meshes, ivy_tops_m
 from vlp16emu.forest.plants.sapling import SaplingKey, sapling_meshes
 from vlp16emu.forest.plants.shrub import ShrubKey, shrub_meshes
@@ -26,13 +26,9 @@ from vlp16emu.forest.stand.scatter import layers_of
 from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.forest.stand.stand import TREE, foot_discs
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
-from vlp16emu.types import HeightField, Mesh, PlantPart, ShapeKey
+from vlp16emu.types import Array, HeightField, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.furnished import FIRST_FREE_INSTANCE
 from vlp16emu.world.polyline import Corridor
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
-
 
 _NUMBERS_PER_TILE = 8192  # numbers set aside for the trees and things of a tile
 
@@ -250,7 +246,6 @@ class ForestWorld:
         return [(ix, iy) for ix, iy in tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()]
 
     def _grow_tile(self, ix: int, iy: int) -> Tile:
-        """One tile with its trees and things numbered."""
         column, row = ix - self._first_tile[0], iy - self._first_tile[1]
         if not (0 <= column < self._tiles_across[0] and 0 <= row < self._tiles_across[1]):
             raise GeometryError("track", f"reaches tile ({ix}, {iy})", f"no more than {_ASIDE_M:g} m off the path")
@@ -287,7 +282,6 @@ class ForestWorld:
         return grown
 
     def _grow_stems(self, key: TileKey) -> list[Mesh]:
-        """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, in the tile's frame."""
         trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
         return stem_meshes(trees, origin_m, self.height_m, table=self.plants.trees)
 
@@ -319,7 +313,6 @@ class ForestWorld:
         )
 
     def _crowns(self, trees: Trees) -> PlacedThings:
-        """Place the crowns of a tile's trees."""
         names = trees[["cohort", "crown_class", "crown_variant"]].tolist()
         crowns = [self._crown(*name) for name in names]
         keys, shape = distinct(crowns)
@@ -333,7 +326,6 @@ class ForestWorld:
         )
 
     def _things(self, key: TileKey) -> list[PlacedThings]:
-        """Everything else on a tile."""
         if not self._layers:
             return []
         trunks = around(key.ix, key.iy, self._discs)

@@ -18,17 +18,14 @@ from vlp16emu.forest.plants.crown import (
     crown_scale,
     crown_wood_m3,
 )
-from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.flora import Table, Trees, species_table
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.plants.stem import STEM_PARTS, stems_above_ground, vertex_angles
 from vlp16emu.forest.plants.stem_form import polygon_m2, tape_m
 from vlp16emu.forest.plants.stem_rings import axis_m, stem_rings
 from vlp16emu.forest.stand.stand import TREE
-from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.types import Array, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
 
 INVENTORY = np.dtype(
     [
@@ -67,9 +64,7 @@ COPIED = tuple(name for name in INVENTORY.names or () if name in (TREE.names or 
 _DECIMALS = 4  # of the numbers in a file: a tenth of a millimetre, a tenth of a litre
 
 
-def inventory(
-    trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Mapping[str, Species] | None = None
-) -> NDArray[np.void]:
+def inventory(trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None) -> NDArray[np.void]:
     """Take the inventory of trees.
 
     Parameters
@@ -106,11 +101,7 @@ def inventory(
 
 
 def write_csv(
-    file: BinaryIO,
-    rows: NDArray[np.void],
-    more: NDArray[np.void] | None = None,
-    *,
-    table: Mapping[str, Species] | None = None,
+    file: BinaryIO, rows: NDArray[np.void], more: NDArray[np.void] | None = None, *, table: Table | None = None
 ) -> None:
     """Write an inventory with its column names as header; species by name, nothing where a number is unknown.
 
@@ -137,7 +128,6 @@ def write_csv(
 
 
 def _text(value: float) -> str:
-    """Write a number; nothing where it is unknown."""
     if isinstance(value, int):
         return str(value)
     return "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
@@ -160,7 +150,6 @@ def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Mapping[str, 
 
 
 def _per_tree(values: list[float]) -> Array:
-    """Values of the meshes of `STEM_PARTS`, tree by tree, (n, parts)."""
     return np.array(values).reshape(-1, len(STEM_PARTS))
 
 

@@ -60,7 +60,6 @@ def _row(key: Any) -> list[object]:
 
 
 def _packed(thing: Any) -> Bundle:
-    """Put a data class into arrays."""
     return {
         field.name: _written(value) if field.name == "keys" else value
         for field in fields(thing)

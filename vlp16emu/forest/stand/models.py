@@ -7,13 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.foliage.tiles import STEM
+from vlp16emu.forest.plants.flora import Trees
 from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
 from vlp16emu.forest.stand.inventory import INVENTORY
 from vlp16emu.forest.stand.placed import PlacedThings
-from vlp16emu.types import Mesh, ShapeKey
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
+from vlp16emu.types import Array, IntArray, Mesh, ShapeKey
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +41,7 @@ class Models:
         """Parts of a model's meshes as they are seen from afar; None for any other shape."""
         return None
 
-    def far_stems(self, _keys: Sequence[ShapeKey], _world_T_shape: Array, _rows: NDArray[np.int64]) -> NDArray[np.void]:
+    def far_stems(self, _keys: Sequence[ShapeKey], _world_T_shape: Array, _rows: IntArray) -> NDArray[np.void]:
         """Stems, as `STEM`, of those of placements (n,) that are models, by their first surfaces."""
         return np.zeros(0, STEM)
 

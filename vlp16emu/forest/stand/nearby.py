@@ -13,10 +13,9 @@ from vlp16emu.forest.plants.sapling import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
 from vlp16emu.forest.stand.inventory import hull_m
 from vlp16emu.forest.tiles import TILE_M, TileKey
-from vlp16emu.types import Mesh, Semantic, ShapeKey, Window
+from vlp16emu.types import Array, Mesh, Semantic, ShapeKey, Window
 from vlp16emu.world.polyline import Polyline
 
-Array = NDArray[np.float64]
 Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
 
 
@@ -139,7 +138,6 @@ def _kept(
 
 
 def _thing(window: Window, placement: int, corners_m: Array) -> Thing:
-    """Look at one placement of a shape with these corners (k, 3)."""
     key = window.shapes[window.shape[placement]]
     row = window.surfaces[window.first_surface[placement]]
     world_T_shape = window.world_T_shape[placement]
@@ -159,7 +157,6 @@ def _thing(window: Window, placement: int, corners_m: Array) -> Thing:
 
 
 def _kind(key: ShapeKey, semantic: Semantic) -> str:
-    """Say what a shape is."""
     match key:
         case FloorKey():
             return key.kind.value

@@ -9,7 +9,6 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, log1p, matvec, sin
 from vlp16emu.errors import GeometryError
@@ -19,8 +18,7 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.settings import Clusters, HardCore, Pattern, Plantation, Scattered
 from vlp16emu.forest.tiles import TILE_M, around
 from vlp16emu.random import generator, uniform
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, IntArray
 
 _SPACING_SHARE = 0.4  # hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25
 _LARGEST_DISTANCE_M = 5.0  # trees farther apart than this do not keep each other away; assumption
@@ -194,7 +192,7 @@ class RowPattern(PointPattern):
         rows = [self._row(int(row), plants) for row in range(low[1], high[1] + 1)]
         return _inside(matvec(self._row_R_world.T, np.concatenate(rows)), ix, iy)
 
-    def _row(self, row: int, plants: NDArray[np.int64]) -> Array:
+    def _row(self, row: int, plants: IntArray) -> Array:
         """Places of the plants of a stretch of one row, along and across it; each plant draws alone."""
         lane = row & 0xFFFFFFFF
         draws = uniform(self._seed, self._purpose, 4 * int(plants[0]), 4 * len(plants), lane).reshape(-1, 4)
@@ -234,7 +232,6 @@ def pattern_of(
 
 
 def _inside(points: Array, ix: int, iy: int) -> Array:
-    """Those of the points (n, 2) that lie on a tile."""
     low = np.array([ix, iy]) * TILE_M
     inside: Array = points[((points >= low) & (points < low + TILE_M)).all(axis=1)]
     return inside

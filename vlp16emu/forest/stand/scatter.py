@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, exp, hypot, log1p, matmul
 from vlp16emu.errors import GeometryError
@@ -41,9 +40,7 @@ from vlp16emu.forest.stand.settings import (
 )
 from vlp16emu.forest.stand.understorey import lay_saplings, lay_shrubs
 from vlp16emu.settings import Section
-from vlp16emu.types import HeightField
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, HeightField
 
 _STONE_M = (0.1, 1.5)  # least and greatest length of a stone; assumption
 
@@ -166,7 +163,6 @@ def _pattern(section: Section, kind: LayerKind, seed: int, trails: Trails | None
 
 @cache
 def _stone_area_m2() -> float:
-    """Mean area of a stone as it is seen from above."""
     low, high = _STONE_BURIED
     buried = low + (high - low) * (np.arange(1000) + 0.5) / 1000
     seen = 1 - np.square(np.clip(2 * buried - 1, 0, None))  # section of an ellipsoid at a relative height
@@ -181,7 +177,6 @@ def _stone_length_m(probability: Array) -> Array:
 
 
 def _lay_stones(_layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
-    """Lay stones half into the ground."""
     length_m = _stone_length_m(draws[:, 0])
     size = length_m[:, None] * [1.0, _STONE_WIDTH, _STONE_HEIGHT]
     keep = site.clear(xy_m, length_m / 2, length_m / 2)

@@ -50,7 +50,6 @@ class SpeciesShare(Section):
 
     @model_validator(mode="after")
     def _slender(self) -> Self:
-        """Refuse a diameter in millimetres."""
         if self.height_m < LEAST_SLENDERNESS * self.dbh_cm / 100:
             expected = f"a height of {LEAST_SLENDERNESS:g} diameters or more (is dbh_cm in mm?)"
             raise ValueError(f"{expected} beside dbh_cm = {self.dbh_cm:g}")

@@ -2,30 +2,24 @@
 
 import fractions
 import math
-from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.trails import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
-from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora, known, tapers
-from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, flora, known, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.points import PointPattern, pattern_of
 from vlp16emu.forest.stand.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
 from vlp16emu.forest.tiles import around
 from vlp16emu.random import generator
-from vlp16emu.types import HeightField
+from vlp16emu.types import Array, HeightField
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
 
 TREE = np.dtype(
     [
@@ -102,7 +96,7 @@ def class_scale(ratio: float, number: int) -> float:
     return float(pow(fractions.Fraction(ratio), number))
 
 
-def foot_discs(trees: Trees, *, table: Mapping[str, Species] | None = None) -> Array:
+def foot_discs(trees: Trees, *, table: Table | None = None) -> Array:
     """Sections of stems with the ground: (n, 3) x, y, radius."""
     foot = np.zeros((len(trees), 1))
     radius_m = taper_radius_m(tapers(trees["species"], table=table), trees["dbh_m"], trees["height_m"], foot)

@@ -23,10 +23,8 @@ from vlp16emu.forest.stand.placed import (
     turned,
 )
 from vlp16emu.forest.stand.stand import REGENERATION, TREE, class_scale
-from vlp16emu.types import Semantic
+from vlp16emu.types import Array, IntArray, Semantic
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
 
 _CLASS_RATIO = 1.4  # between the heights of neighbouring prototypes: none is scaled by more than a fifth
 
@@ -74,9 +72,7 @@ def lay_shrubs(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThi
     return PlacedThings(*distinct(keys), _scaled(shrubs, prototype_m), rows, NO_TREES)
 
 
-def _grown(
-    layer: Layer, site: Site, xy_m: Array, kind: NDArray[np.int64], height_m: Array, draws: Array
-) -> NDArray[np.void]:
+def _grown(layer: Layer, site: Site, xy_m: Array, kind: IntArray, height_m: Array, draws: Array) -> NDArray[np.void]:
     """Give saplings and shrubs place, height, species, brightness, and class and variant of their prototype."""
     plants = np.zeros(len(xy_m), TREE)
     plants["x_m"], plants["y_m"] = xy_m.T
@@ -93,7 +89,6 @@ def _grown(
 
 
 def _prototypes_m(classes: NDArray[np.int16]) -> list[float]:
-    """Heights (n,) of the prototypes of height classes (n,)."""
     return [class_scale(_CLASS_RATIO, number) for number in classes.tolist()]
 
 

@@ -27,10 +27,9 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.random import generator
-from vlp16emu.types import Sway, Window
+from vlp16emu.types import Array, IntArray, Sway, Window
 from vlp16emu.world.settings import Wind
 
-Array = NDArray[np.float64]
 Stand = NDArray[np.void]
 
 ALONG, ACROSS = 0, 1
@@ -208,7 +207,7 @@ class TreeSway:
         self._axes = np.array([[east, north], [-north, east]])
         self._lines = [gust_lines(section, forest.seed, component) for component in (ALONG, ACROSS)]
 
-    def shear(self, trees: Stand, t_ns: NDArray[np.int64]) -> Array:
+    def shear(self, trees: Stand, t_ns: IntArray) -> Array:
         """Lean of trees (m,) at UTC times (k,): (k, m, 2) metres east and north per metre over the foot.
 
         Drag grows with the square of the speed; the mean and the part linear in the gusts are kept.
