@@ -26,13 +26,7 @@ class TileKey:
 
 
 def tiles_within(line_xy_m: Array, reach_m: float) -> IntArray:
-    """Tiles that may lie in part within `reach_m` of a polyline (m, 2).
-
-    Returns
-    -------
-    (n, 2) ix and iy, in ascending order. Distance is measured from the tile's centre less half its
-    diagonal, so that no tile in reach is left out.
-    """
+    """Tiles (n, 2), ix and iy in ascending order, that may lie in part within `reach_m` of a polyline (m, 2)."""
     reach = reach_m + _HALF_DIAGONAL_M
     low = np.floor((line_xy_m.min(axis=0) - reach) / TILE_M).astype(np.int64)
     high = np.floor((line_xy_m.max(axis=0) + reach) / TILE_M).astype(np.int64)
@@ -71,7 +65,7 @@ def ground_mesh(key: TileKey, height_m: HeightField) -> Mesh:
     hem_m = points_m[border] - [0.0, 0.0, _SKIRT_M]
     top, hem = border, len(points_m) + np.arange(len(border))
     next_top, next_hem = np.roll(top, -1), np.roll(hem, -1)
-    sides = [np.column_stack([top, hem, next_hem]), np.column_stack([top, next_hem, next_top])]
+    sides = [np.column_stack(corners) for corners in ((top, hem, next_hem), (top, next_hem, next_top))]
     vertices_m = np.concatenate([points_m, hem_m]).astype(np.float32)
     return Mesh(vertices_m, np.concatenate([faces, *sides]).astype(np.uint32))
 

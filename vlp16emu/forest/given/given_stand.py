@@ -32,19 +32,10 @@ _log = logging.getLogger(__name__)
 
 
 class GivenStand:
-    """Trees of a list, tile by tile.
+    """Trees of a list, tile by tile; the seed gives what the list leaves out, such as the azimuth of a crown about its stem.
 
-    A crown is a prototype of the list's own trees of that species and diameter class, scaled to the tree.
-    Each tree bears the leaf area index of its species on its own crown projection, for the ground that
-    belongs to a tree does not follow from a list.
-
-    Parameters
-    ----------
-    section : what the user wrote
-    seed : of the scenario, for what the list leaves out, such as the azimuth of a crown about its stem
-    height_m : ground
-    path : of the sensor
-    plants : trees and shrubs
+    A crown is a prototype of the list's own trees of that species and diameter class, scaled to the tree. Each tree bears the
+    leaf area index of its species on its own crown projection, for the ground that belongs to a tree does not follow from a list.
 
     Raises
     ------
@@ -66,8 +57,7 @@ class GivenStand:
         tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
         names = [(int(ix), int(iy)) for ix, iy in tiles]
         self._tiles = {name: trees[of.ravel() == i] for i, name in enumerate(names)}
-        self.per_ha = float(count.max()) / _HA_PER_TILE
-        """Stems per hectare where they are densest."""
+        self.per_ha = float(count.max()) / _HA_PER_TILE  # where they are densest
         self._prototypes = _prototypes(trees)
         self._all = trees
 
@@ -77,18 +67,7 @@ class GivenStand:
         return [one.name for one in self._species]
 
     def check(self, path: Polyline, reach_m: float) -> None:
-        """Make sure that a tree is in sight of a sensor on its path.
-
-        Parameters
-        ----------
-        path : of the sensor
-        reach_m : how far it sees
-
-        Raises
-        ------
-        GeometryError
-            naming the tree that is nearest, where no crown is in sight
-        """
+        """Raise GeometryError, naming the tree that is nearest, where no crown is within reach of a path."""
         gap_m = path.distance_m(places_m(self._all, "xy"))
         if (gap_m - self._all["crown_width_m"] / 2 > reach_m).all():
             i = int(gap_m.argmin())
@@ -140,10 +119,7 @@ def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
 def stems_in_the_way(section: Plot) -> tuple[Array, Array]:
     """Places (n, 2) that the path must keep clear of, feet of stems and where they are over a head, and how far (n,) from each.
 
-    Raises
-    ------
-    GeometryError
-        for a list that is wrong
+    Raises GeometryError for a list that is wrong.
     """
     table = flora(section.species_file).trees
     trees = read_stem_list(Path(section.stem_list), table, section.origin_m)

@@ -61,19 +61,16 @@ def read_stem_list(path: Path, table: Mapping[str, Species], origin_m: tuple[flo
 
     Parameters
     ----------
-    table : the species
     origin_m : easting, northing and height that become (0, 0, 0) in the scene
 
     Returns
     -------
-    (n,) `TREE` in the order of the list, sized and placed in the plane: what is by chance or by the ground
-    (id, z, crown azimuth, prototype, reflectance) is still 0
+    (n,) `TREE` in the order of the list; what is by chance or by the ground (id, z, crown azimuth, prototype, reflectance) is still 0
 
     Raises
     ------
     GeometryError
-        naming file, line and column of what is missing, no number, out of its limits, no species, or
-        listed twice
+        naming file, line and column of what is missing, no number, out of its limits, no species, or listed twice
     """
     rows = _read_rows(path)
     lines = np.array([line for line, _ in rows])
@@ -85,17 +82,15 @@ def read_stem_list(path: Path, table: Mapping[str, Species], origin_m: tuple[flo
     trees["dbh_m"] = numbers["dbh_m"]
     trees["height_m"] = _with_heights(path, numbers, species)
     trees["crown_base_m"], trees["crown_width_m"] = _with_crowns(trees, numbers, species)
-    trees["lean_deg"], trees["lean_towards_deg"] = _leans(numbers)
+    trees["lean_deg"] = np.nan_to_num(numbers["lean_deg"])
+    towards = np.where(
+        np.isnan(numbers["lean_towards_deg"]), 90.0 - numbers["lean_azimuth_deg"], numbers["lean_towards_deg"]
+    )
+    trees["lean_towards_deg"] = np.nan_to_num(towards) % 360
     _check_slender(path, lines, trees)
     _check_crown_bases(path, lines, trees)
     _check_twice(path, lines, trees)
     return trees
-
-
-def _leans(numbers: Mapping[str, Array]) -> tuple[Array, Array]:
-    towards, azimuth = numbers["lean_towards_deg"], 90.0 - numbers["lean_azimuth_deg"]
-    towards = np.where(np.isnan(towards), azimuth, towards)
-    return np.nan_to_num(numbers["lean_deg"]), np.nan_to_num(towards) % 360
 
 
 def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
@@ -185,10 +180,9 @@ def _with_crowns(trees: Trees, numbers: dict[str, Array], species: list[Species]
     base_m, width_m = numbers["crown_base_m"].copy(), numbers["crown_width_m"].copy()
     for one in {one.number: one for one in species}.values():
         own = trees["species"] == one.number
-        without = own & np.isnan(base_m)
-        base_m[without] = one.crown_base_m(dbh_cm[without], height_m[without], top_m)
-        without = own & np.isnan(width_m)
-        width_m[without] = one.crown_width_m(dbh_cm[without])
+        no_base, no_width = own & np.isnan(base_m), own & np.isnan(width_m)
+        base_m[no_base] = one.crown_base_m(dbh_cm[no_base], height_m[no_base], top_m)
+        width_m[no_width] = one.crown_width_m(dbh_cm[no_width])
     return base_m, width_m
 
 
@@ -206,9 +200,8 @@ def _check_crown_bases(path: Path, lines: IntArray, trees: Trees) -> None:
     above = trees["crown_base_m"] >= trees["height_m"]
     if above.any():
         i = int(above.argmax())
-        found = f"found {trees['crown_base_m'][i]:g}"
-        expected = f"less than the height, {trees['height_m'][i]:g}"
-        raise GeometryError(f"{path}, line {lines[i]}, column crown_base_m", found, expected)
+        where, base_m, height_m = f"{path}, line {lines[i]}", trees["crown_base_m"][i], trees["height_m"][i]
+        raise GeometryError(f"{where}, column crown_base_m", f"found {base_m:g}", f"less than the height, {height_m:g}")
 
 
 def _check_twice(path: Path, lines: IntArray, trees: Trees) -> None:

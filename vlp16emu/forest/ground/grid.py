@@ -33,9 +33,7 @@ class Grid:
 
 
 def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float] | None) -> Grid:
-    """Read a grid, of the format that the suffix names: .asc, .npy, .tif or .tiff.
-
-    A cell that is not finite, or has the file's own number for none, has no height.
+    """Read a grid, of the format that the suffix names; a cell that is not finite, or is the file's number for none, has no height.
 
     Parameters
     ----------
@@ -64,14 +62,7 @@ def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float]
 def write_ascii(file: BinaryIO, height_m: HeightField, low_m: Array, high_m: Array, cell_m: float) -> None:
     """Write ground as an ESRI ASCII grid, in millimetres; each height is that at the centre of its cell.
 
-    Parameters
-    ----------
-    low_m, high_m : (2,) x and y of a rectangle; the grid holds it, its edges at whole multiples of a cell
-
-    Raises
-    ------
-    OSError
-        where the file cannot be written to its end
+    The grid holds the rectangle from `low_m` to `high_m` (2,), its edges at whole multiples of a cell.
     """
     first, end = np.floor(low_m / cell_m), np.ceil(high_m / cell_m)
     columns, rows = (end - first).astype(np.int64).tolist()

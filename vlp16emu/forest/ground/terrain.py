@@ -40,13 +40,7 @@ _MOUND, _PIT = int(Growth.MOUND), int(Growth.PIT)
 
 
 class TerrainHeights:
-    """Ground height at any point of the plane, good to a nanometre up to 1e6 m from the origin.
-
-    Parameters
-    ----------
-    section : what the user wrote; its slope passes through the origin
-    seed : of the scenario
-    """
+    """Ground height at any point of the plane, good to a nanometre up to 1e6 m from the origin, through which its slope passes."""
 
     def __init__(self, section: Terrain, *, seed: int) -> None:
         bands = ((_HILL_WAVELENGTHS_M, section.hill_rms_m), (_ROUGH_WAVELENGTHS_M, section.rough_rms_m))
@@ -57,7 +51,6 @@ class TerrainHeights:
         self._mound_share = section.mounds_per_ha * _MOUND_CELL_M * _MOUND_CELL_M / 10_000
         self._pit_share = section.pits_per_ha * _PIT_CELL_M * _PIT_CELL_M / 10_000
         self.trails = Trails(section, seed=seed)
-        """On it, if any."""
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
         """Ground height at points of any common shape; a point's height depends on that point alone."""
@@ -82,14 +75,8 @@ def _add(
         column, row = math.floor(x[i] / cell_m), math.floor(y[i] / cell_m)
         for ix in range(column - 1, column + 2):
             for iy in range(row - 1, row + 2):
-                words = philox4x32(
-                    np.uint32(ix & 0xFFFFFFFF),
-                    np.uint32(iy & 0xFFFFFFFF),
-                    np.uint32(0),
-                    np.uint32(purpose),
-                    seed_low,
-                    seed_high,
-                )
+                column_word, row_word = np.uint32(ix & 0xFFFFFFFF), np.uint32(iy & 0xFFFFFFFF)
+                words = philox4x32(column_word, row_word, np.uint32(0), np.uint32(purpose), seed_low, seed_high)
                 if words[0] * 2.0**-32 >= share:
                     continue
                 east_m = x[i] - (ix + words[1] * 2.0**-32) * cell_m

@@ -36,20 +36,13 @@ _RUT = int(Growth.RUT)
 
 
 class Trails:
-    """Trails over all of the plane, one of them at a place that the seed gives.
-
-    Parameters
-    ----------
-    section : their spacing and direction
-    seed : of the scenario
-    """
+    """Trails over all of the plane, one of them at a place that the seed gives."""
 
     def __init__(self, section: Terrain, *, seed: int) -> None:
         self._spacing_m, towards = section.trail_spacing_m, math.radians(section.trail_towards_deg)
         self._along = (cos(towards), sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
-        self.free_share = 1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0
-        """Of the ground, on which trees may stand."""
+        self.free_share = 1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0  # on which trees may stand
 
     def are_free(self, xy_m: Array) -> NDArray[np.bool_]:
         """Which of points (n, 2) are off all trails."""

@@ -32,11 +32,7 @@ _APRON = 2
 def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: HeightField) -> tuple[Array, IntArray]:
     """Triangulate the ground of a square so that those of neighbouring squares have the same vertices along their border.
 
-    Parameters
-    ----------
-    corner_m : its south-west corner, at whole multiples of 0.5 m
-    edge_m : its edge, in whole metres
-    height_m : gives the ground
+    The south-west corner is at whole multiples of 0.5 m, and the edge is in whole metres.
 
     Returns
     -------

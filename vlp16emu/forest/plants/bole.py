@@ -61,14 +61,8 @@ def bole_branches(
     The chance that one still lives falls with the light: by e for each `living_depth_m` below the crown base. Dead ones are former
     living ones: the crown base has risen past them at an even pace, so the time since their death is as their depth below it.
 
-    Parameters
-    ----------
-    longest_m : length of branches at the crown base
-    stem_m : (s,) stem radius from the crown base to the ground, evenly spaced
-
-    Returns
-    -------
-    Living branches of the first order; dead ones; and the dead ones' twigs
+    `longest_m` is the length of branches at the crown base, and `stem_m` (s,) are radii from there to the ground, evenly spaced.
+    Returns living branches of the first order; dead ones; and the dead ones' twigs.
     """
     below_m = max(crown_base_m - _FREE_M, 0.0)
     reach_m = max(habit.dead_reach * below_m, _LEAST_REACH_M)

@@ -19,14 +19,8 @@ def branch_circles(
 ) -> NDArray[np.void]:
     """Circles (k,) `STEM_CIRCLE` along the branches of the first order, tree by tree, each from the stem's axis to its tip.
 
-    A crown is its prototype, stretched; a circle has the area of the branch's section as it is stretched.
-
-    Parameters
-    ----------
-    trees : (n,) `TREE` records
-    crowns : the crown prototype of each
-    seed : that the crowns are grown from
-    table : species; that of the program if none is given
+    The crowns of trees (n,) `TREE` are their prototypes, grown from the seed and stretched; a circle has the area of the branch's
+    section as it is stretched.
     """
     prototypes = {key: crown_branches(seed, key, table=table) for key in dict.fromkeys(crowns)}
     found = [np.zeros(0, STEM_CIRCLE)]

@@ -49,13 +49,7 @@ class Branches:
 
 
 def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, float], stem_m: Array) -> Branches:
-    """Branches that leave the stem.
-
-    Parameters
-    ----------
-    size_m : length and width of the crown
-    stem_m : (s,) stem radius from the crown's base to its top, evenly spaced
-    """
+    """Branches that leave the stem, of a crown of a length and width; its radii (s,) are evenly spaced from base to top."""
     length_m, _ = size_m
     whorls = max(1, round(length_m / habit.whorl_spacing_m))
     whorl = np.repeat(np.arange(whorls), habit.branches_per_whorl)
@@ -122,11 +116,10 @@ def ground_stems(
     bend_deg: tuple[float, float],
     slenderness: float,
 ) -> Branches:
-    """Stems of a shrub, that come out of the ground close together.
+    """Stems of a shrub of a height and width, that come out of the ground close together.
 
     Parameters
     ----------
-    size_m : height and width of the shrub
     rise_deg : elevation at the ground of the outermost and the innermost stem
     bend_deg : how much it falls towards the tip, and one sigma of the crooks on the way
     """
@@ -159,21 +152,11 @@ def volume_m3(branches: Branches) -> float:
 
 def joined(*parts: Branches) -> Branches:
     """Branches of one order, in order."""
-    return Branches(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("nodes_m", "azimuth", "length_m", "radius_m")
-        )
-    )
+    return Branches(*(np.concatenate([getattr(part, name) for part in parts]) for name in Branches.__slots__))
 
 
 def points_along(nodes_m: Array, branch: IntArray, way: Array) -> tuple[Array, Array]:
-    """Points and unit tangents on curves (n, m, 3) at shares `way` (p,) of their length.
-
-    Returns
-    -------
-    (p, 3) m, (p, 3)
-    """
+    """Points (p, 3) and unit tangents (p, 3) on curves (n, m, 3) at shares `way` (p,) of their length."""
     last = nodes_m.shape[1] - 2
     segment = np.minimum((way * (last + 1)).astype(np.int64), last)
     start = nodes_m[branch, segment]
@@ -182,13 +165,10 @@ def points_along(nodes_m: Array, branch: IntArray, way: Array) -> tuple[Array, A
 
 
 def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
-    """Tapering tubes, open at the base inside the bearer, pointed at the tip.
+    """Tapering tubes, open at the base inside the bearer, pointed at the tip, through every so-many-th node of the curves.
 
-    Parameters
-    ----------
-    sides : of the cross-section; its girth is that of the round branch, so that its silhouette, averaged
-        over all directions, is as wide as the branch is thick (Cauchy), however few the sides
-    every : use only each so-many-th node of the curve
+    The girth of a section is that of the round branch, so that its silhouette, averaged over all directions, is as wide as the
+    branch is thick (Cauchy), however few the sides.
     """
     nodes = branches.nodes_m[:, ::every]
     n, rings = nodes.shape[0], nodes.shape[1] - 1

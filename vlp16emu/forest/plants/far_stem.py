@@ -11,10 +11,7 @@ from vlp16emu.world.vectors import places_m, unit
 
 
 def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> NDArray[np.void]:
-    """Stems of n trees as `STEM`, circles in place of their polygons, and then their second leaders.
-
-    Rows of root flares and stems count on from the first.
-    """
+    """Stems of n trees as `STEM`, circles in place of their polygons, then their second leaders; rows count on from the first."""
     rings = stem_rings(trees, table=table)
     above_m = np.column_stack([rings.above_ground_m, trees["height_m"]])
     radius_m = np.column_stack([rings.radius_m, tip_radius_m(trees, table=table)])

@@ -51,16 +51,9 @@ def shrub_table(path: Path | None = None) -> Mapping[str, Shrub]:
 
 @cache
 def flora(path: Path | str | None = None) -> Flora:
-    """Read the plants of the program, and those of a user's file after them.
+    """Read the plants of the program, and those of a user's file of the same form after them, numbered from 1000.
 
-    Parameters
-    ----------
-    path : a file of the same form as `species.toml` with further plants, numbered from 1000
-
-    Raises
-    ------
-    GeometryError
-        naming file, species and key, where the user's file is wrong
+    Raises GeometryError, naming file, species and key, where the user's file is wrong.
     """
     with resources.as_file(resources.files("vlp16emu.forest").joinpath("species.toml")) as shipped:
         trees, shrubs = _plants(shipped, 1)
@@ -113,10 +106,7 @@ def _of_kind(
 def known(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[_Kind]:
     """Rows of a species table by name: that of the table, with any case and any space, or the scientific one.
 
-    Raises
-    ------
-    GeometryError
-        for a name that is not in the table
+    Raises GeometryError for a name that is not in the table.
     """
     latin = {" ".join(_plain(row.scientific_name).split()[:2]): row for row in table.values()}  # without author
     rows = latin | {_plain(row.name): row for row in table.values()}

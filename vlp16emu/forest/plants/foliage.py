@@ -22,13 +22,7 @@ _SHOOT_ANGLE = (np.radians(15.0), np.radians(65.0))  # range of angles between a
 
 
 def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, leaf_area_m2: float) -> Mesh:
-    """Quads that bear the leaf area.
-
-    Parameters
-    ----------
-    twigs : branches that the leaves sit on, evenly along their leafy part
-    leaf_area_m2 : one-sided; quads have this area over the species' clumping
-    """
+    """Quads that sit evenly along the leafy part of twigs, and have the one-sided leaf area over the species' clumping."""
     area_m2 = leaf_area_m2 / foliage.clumping
     per_item = foliage.length_m * foliage.width_m * (2.0 if foliage.kind == "shoot" else 0.5)
     n = max(1, round(min(area_m2 / per_item, _MOST_LEAVES)))

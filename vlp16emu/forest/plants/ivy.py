@@ -34,9 +34,9 @@ class IvyKey:
 
 
 def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> Array:
-    """Height over the foot (n,) up to which ivy covers a share of the stems; 0 where it does not grow.
+    """Height over the foot (n,) up to which ivy covers a share of the stems, no higher than the crown base; 0 where none grows.
 
-    A tree's depends on its place alone, is within a range, and no higher than the crown base.
+    A tree's depends on its place alone, and is within a range.
     """
     places_mm = np.round(1000 * places_m(trees, "xy")).astype(np.int64) & 0xFFFFFFFF
     counters = [(x & 0x7FFFFFFF) << 32 | y for x, y in places_mm.tolist()]

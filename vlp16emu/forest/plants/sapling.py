@@ -75,12 +75,7 @@ def sapling_meshes(seed: int, key: SaplingKey, *, table: Table | None = None) ->
 
 
 def _crooked(height_m: float, drawn: Array, mesh: Mesh) -> Mesh:
-    """Let a sapling lean, bow and reach further to one side, to the light; its stem has the same sections and height.
-
-    Parameters
-    ----------
-    drawn : (8,) even from 0 to 1
-    """
+    """Let a sapling lean, bow and reach further to one side, to the light; its stem has the same sections and height."""
     vertices_m = mesh.vertices_m.astype(np.float64)
     at_m = vertices_m
     if len(vertices_m) == 4 * len(mesh.faces):  # leaves are moved, not stretched

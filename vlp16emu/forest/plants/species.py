@@ -191,13 +191,7 @@ class Species(Plant):
     biomass: Biomass | None = None
 
     def dbh_quantile_cm(self, probability: Array, mean_dbh_cm: float) -> Array:
-        """Quantiles of the left-truncated Weibull distribution of a stand's diameters, before scaling.
-
-        Parameters
-        ----------
-        probability : (n,) in [0, 1)
-        mean_dbh_cm : quadratic mean diameter that the distribution is meant for
-        """
+        """Quantiles (n,) of a stand's diameters as of `truncated_weibull_cm`."""
         return truncated_weibull_cm(self.diameters, probability, mean_dbh_cm)
 
     def height_m(self, dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float) -> Array:

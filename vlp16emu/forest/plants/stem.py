@@ -142,15 +142,7 @@ def _tips_m(trees: Trees, rings: StemRings, table: Table | None) -> Array:
 
 
 def _pipes(axis: Callable[[Array], Array], above_m: Array, away_m: Array, angle: Array) -> Array:
-    """Vertices (n, 1 + rings * sides, 3): the bottom's middle, and rings across the axis from the bottom up.
-
-    Parameters
-    ----------
-    axis : gives points (n, r, 3) at heights (n, r)
-    above_m : (n, rings)
-    away_m : (n, rings, sides) distance of each vertex from the axis
-    angle : (n, sides)
-    """
+    """Vertices (n, 1 + rings * sides, 3): the bottom's middle, and rings across the axis, vertices `away_m` (n, rings, sides) from it."""
     n, rings, sides = away_m.shape
     east, north = np.moveaxis(stem_slopes(axis, above_m), -1, 0)
     tilt, towards = np.degrees(atan2(hypot(east, north), 1.0)), np.degrees(atan2(north, east))

@@ -65,11 +65,8 @@ class StemForms:
     def outline(self, angle: Array, above_m: Array, radius_m: Array, breast_m: Array) -> Array:
         """Distance of vertices from the axis, (n, r, sides), so that each polygon has the area of its circle.
 
-        Parameters
-        ----------
-        angle : (n, sides) evenly all around
-        above_m, radius_m : (n, r) heights over the foot, and radii of the circles
-        breast_m : (n,) radius at breast height
+        Vertices are at angles (n, sides) evenly all around, circles of radii (n, r) at heights (n, r) over the foot; `breast_m`
+        (n,) is the radius at breast height.
         """
         theta, z = angle[:, None], above_m[..., None]
         up = np.maximum(z, 0.0)
@@ -152,10 +149,7 @@ def polygon_m2(away_m: Array, step: float) -> Array:
 
 
 def tape_m(away_m: Array) -> Array:
-    """Diameter (n,) that a taut tape shows around polygons (n, sides), corners as in `polygon_m2`.
-
-    The girth of what is convex is pi times its mean width over all directions (Cauchy).
-    """
+    """Diameter (n,) that a taut tape shows around polygons (n, sides) as of `polygon_m2`: the mean width of the hull (Cauchy)."""
     sides = away_m.shape[1]
     turn = 2 * np.pi * (np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS - np.arange(sides) / sides)
     return 2 * np.array([(cos(turn) * corners).max(axis=1).mean() for corners in away_m])

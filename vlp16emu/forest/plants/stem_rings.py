@@ -99,10 +99,7 @@ def stem_rings(trees: Trees, *, table: Table | None = None) -> StemRings:
 
 
 def second_leaders(trees: Trees, rings: StemRings, shares: Array, *, table: Table | None = None) -> Leaders:
-    """Second leaders of stems, with circles at shares (k,) of the way from fork to tip, which has no radius.
-
-    Above a fork both leaders together have the section that the whole stem would have.
-    """
+    """Second leaders of stems, with circles at shares (k,) of the way from fork to tip; with the first they are as thick as one stem."""
     own, forms = trees[rings.forked], rings.forms.of(rings.forked)
     length_m = forms.leader_top_m(rings.fork_m, own["height_m"]) - rings.fork_m
     above_m = rings.fork_m[:, None] + length_m[:, None] * shares

@@ -34,10 +34,8 @@ _TOP_M = 0.3
 def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[IntArray, Array]:
     """Roots of stems (n,), each from the seed of its stem's form.
 
-    Returns
-    -------
-    Of each root the stem; and vertices (k, 1 + rings * sides + 1, 3) relative to its foot: the middle of the end in the butt,
-    rings from there, and the tip
+    Of each (k,) the stem, and vertices (k, 1 + rings * sides + 1, 3) relative to its foot: the middle of the end in the butt,
+    rings from there, and the tip.
     """
     number, _, phase = rings.forms.lobes.T
     seeds = [int(seed) for seed in trees["form"]]

@@ -6,7 +6,6 @@ from functools import cache, lru_cache
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import FarTile, TiledWindow
@@ -26,7 +25,7 @@ from vlp16emu.forest.stand.scatter import layers_of
 from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.forest.stand.stand import TREE, foot_discs
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
-from vlp16emu.types import Array, HeightField, Mesh, PlantPart, ShapeKey
+from vlp16emu.types import Array, HeightField, IntArray, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.furnished import FIRST_FREE_INSTANCE
 from vlp16emu.world.polyline import Corridor
 
@@ -68,29 +67,18 @@ class TreeSource(Protocol):
 class ForestWorld:
     """Trees, and what grows and lies under them, on a terrain; a `World`.
 
-    The same tree and the same stone have the same shape and number in every window and from either end
-    of the path.
+    The same tree and the same stone have the same shape and number in every window and from either end of the path. Raises
+    GeometryError for a path with numbers that are not finite, or more things than can be numbered.
 
     Parameters
     ----------
-    section : what the user wrote
-    stems : trees
-    seed : of the scenario
-    height_m : ground
     path : of the sensor as a whole, fine enough that its chords are as good as the path itself
     reach_m : how far the sensor sees
     plants : trees and shrubs; those of the program if none are given
     trails : where no saplings and shrubs grow
-    models : trees of the user's own
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
-    near_m : as in `World`
     name : of all that decides the forest, seed and path too, as a digest; empty where nothing is kept on disk
     plants_name : of the plants, likewise
-
-    Raises
-    ------
-    GeometryError
-        for a path with numbers that are not finite, or more things than can be numbered
     """
 
     def __init__(
@@ -150,13 +138,7 @@ class ForestWorld:
             yield done / len(names)
 
     def window(self, track_m: Array) -> TiledWindow:
-        """Everything within reach of sensor positions (n, 3).
-
-        Raises
-        ------
-        GeometryError
-            where the track leaves the surroundings of the path
-        """
+        """Everything within reach of sensor positions (n, 3); raises GeometryError where they leave the surroundings of the path."""
         names = self._in_view(track_m)
         index_of = dict[ShapeKey, int]()
         tiles = [self._tile(ix, iy) for ix, iy in names]
@@ -243,7 +225,7 @@ class ForestWorld:
         raise KeyError(key)
 
     def _in_view(self, track_m: Array) -> list[tuple[int, int]]:
-        return [(ix, iy) for ix, iy in tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()]
+        return list(map(tuple, tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()))
 
     def _grow_tile(self, ix: int, iy: int) -> Tile:
         column, row = ix - self._first_tile[0], iy - self._first_tile[1]
@@ -282,24 +264,18 @@ class ForestWorld:
         return grown
 
     def _grow_stems(self, key: TileKey) -> list[Mesh]:
-        trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
-        return stem_meshes(trees, origin_m, self.height_m, table=self.plants.trees)
+        origin_m = tile_origin_m(key.ix, key.iy, self.height_m)
+        return stem_meshes(self._grown(key.ix, key.iy), origin_m, self.height_m, table=self.plants.trees)
 
     def _grow_ivy(self, key: TileKey) -> list[Mesh]:
         trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
-        tops_m = self._ivy_m(trees)
-        return ivy_meshes(trees, tops_m, origin_m, seed=self.seed, tile=key, table=self.plants.trees)
+        return ivy_meshes(trees, self._ivy_m(trees), origin_m, seed=self.seed, tile=key, table=self.plants.trees)
 
     def _ivy_m(self, trees: Trees) -> Array:
         return ivy_tops_m(trees, self.section.ivy.share, self.section.ivy.height_m, seed=self.seed)
 
     def _in_tile(
-        self,
-        kind: type[StemKey | IvyKey],
-        key: TileKey,
-        numbers: NDArray[np.intp],
-        trees: Trees,
-        parts: tuple[PlantPart, ...],
+        self, kind: type[StemKey | IvyKey], key: TileKey, numbers: IntArray, trees: Trees, parts: tuple[PlantPart, ...]
     ) -> PlacedThings:
         """Place shapes that are in the frame of their tile, of some of its trees."""
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
@@ -313,17 +289,9 @@ class ForestWorld:
         )
 
     def _crowns(self, trees: Trees) -> PlacedThings:
-        names = trees[["cohort", "crown_class", "crown_variant"]].tolist()
-        crowns = [self._crown(*name) for name in names]
-        keys, shape = distinct(crowns)
-        return PlacedThings(
-            keys,
-            shape,
-            crown_placements(trees, crowns),
-            plant_surfaces(trees, CROWN_PARTS, self.plants),
-            trees,
-            is_exact=self._loose_stems,
-        )
+        crowns = [self._crown(*name) for name in trees[["cohort", "crown_class", "crown_variant"]].tolist()]
+        world_T, rows = crown_placements(trees, crowns), plant_surfaces(trees, CROWN_PARTS, self.plants)
+        return PlacedThings(*distinct(crowns), world_T, rows, trees, is_exact=self._loose_stems)
 
     def _things(self, key: TileKey) -> list[PlacedThings]:
         if not self._layers:

@@ -34,19 +34,10 @@ _DENSEST_PATCH = 9.0
 
 
 class PointPattern:
-    """Points in the plane; the same ones however often asked.
-
-    Parameters
-    ----------
-    seed : of the scenario
-    purpose : what the points are for; patterns of different purpose are independent
-    per_ha : mean number of points per hectare
-    """
+    """Points in the plane, the same ones however often asked: so many per hectare on average, independent of those for other purposes."""
 
     def __init__(self, *, seed: int, purpose: Growth, per_ha: float) -> None:
-        self.per_ha = per_ha
-        """Mean number of points per hectare."""
-        self._seed, self._purpose = seed, purpose
+        self.per_ha, self._seed, self._purpose = per_ha, seed, purpose
 
     def points(self, ix: int, iy: int) -> Array:
         """Points of a tile, (n, 2) x and y in m."""
@@ -154,16 +145,9 @@ class ClusterPattern(PointPattern):
 
 
 class RowPattern(PointPattern):
-    """Points in planted rows; a random share of them is still there.
+    """Points in planted rows; a random share of them is still there, and `free_share` of the ground is off trails.
 
-    Parameters
-    ----------
-    free_share : of the ground that is off trails
-
-    Raises
-    ------
-    GeometryError
-        where more are to be left, with those on trails gone, than were planted
+    Raises GeometryError where more are to be left, with those on trails gone, than were planted.
     """
 
     def __init__(

@@ -6,7 +6,7 @@ trunk is left out.
 
 import math
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -66,21 +66,10 @@ def layer_of(
     plants: Flora | None = None,
     trails: Trails | None = None,
 ) -> Layer:
-    """Scatter the things of one section.
+    """Scatter the things of one section, off the trails.
 
-    Parameters
-    ----------
-    section : what the user wrote, one of those of `layers_of`
-    seed : of the scenario
-    season : whether broadleaves bear leaves
-    canopy : names of the trees above, for a section that names no species; saplings are of those of them that live
-    plants : trees and shrubs; those of the program if none are given
-    trails : where nothing grows
-
-    Raises
-    ------
-    GeometryError
-        for a species that is not in the table, and for saplings of none
+    A section that names no species has those of the canopy, saplings those of them that live. Plants are those of the program if
+    none are given. Raises GeometryError for a species that is not in the table, and for saplings of none.
     """
     kind, plants = _KINDS[type(section)], plants or flora()
     species = _species(section, kind.name, canopy, plants)
@@ -91,12 +80,8 @@ def layers_of(
     section: Woods, seed: int, canopy: Sequence[str], plants: Flora, trails: Trails | None = None
 ) -> list[Layer]:
     """All that grows and lies under the trees, in the order of its numbers."""
-    return [
-        layer_of(
-            getattr(section, kind.name), seed=seed, season=section.season, canopy=canopy, plants=plants, trails=trails
-        )
-        for kind in _KINDS.values()
-    ]
+    scattered = partial(layer_of, seed=seed, season=section.season, canopy=canopy, plants=plants, trails=trails)
+    return [scattered(getattr(section, kind.name)) for kind in _KINDS.values()]
 
 
 def stones_per_ha(cover: float) -> float:
@@ -114,11 +99,7 @@ def plants_per_ha(section: Cover, spread: float, *, patches: bool) -> tuple[floa
 
     Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane bare: the mean of exp(-a d n^2) over normal
     noise n. That this is 1 / (1 + c (1 - c)) is an assumption: most plants are in patches where cover is low, and few where it is
-    closed. Even ones cover the rest.
-
-    Parameters
-    ----------
-    spread : width over height, which is evenly between least and greatest
+    closed. Even ones cover the rest. Heights are evenly between least and greatest, `spread` is width over height.
     """
     (low, high), cover = section.height_m, section.cover
     area_m2 = math.pi / 4 * spread * spread * (low * low + low * high + high * high) / 3

@@ -121,10 +121,7 @@ def path_gap_m(trees: Trees, radius_m: Array, path: Corridor) -> Array:
 def density_per_ha(storey: Storey) -> float:
     """Stems per hectare; of a basal area, those whose cross-sections at breast height add up to it.
 
-    Raises
-    ------
-    GeometryError
-        where the stems of a basal area are too many
+    Raises GeometryError where the stems of a basal area are too many.
     """
     if storey.stems_per_ha:
         return storey.stems_per_ha
@@ -139,23 +136,10 @@ def density_per_ha(storey: Storey) -> float:
 
 
 class Stand:
-    """A mixed stand on a terrain, without edge.
+    """A mixed stand on a terrain, without edge, that keeps path and trails free of stems.
 
-    Where two stems would grow into each other, the thicker one is left.
-
-    Parameters
-    ----------
-    section : what the user wrote
-    seed : of the scenario
-    height_m : ground
-    path : kept free of stems
-    plants : trees and shrubs; those of the program if none are given
-    trails : kept free of stems, too
-
-    Raises
-    ------
-    GeometryError
-        for a species that is not in the table, and for more stems than there may be
+    Where two stems would grow into each other, the thicker one is left. Plants are those of the program if none are given. Raises
+    GeometryError for a species that is not in the table, and for more stems than there may be.
     """
 
     def __init__(
@@ -177,9 +161,7 @@ class Stand:
         self._cohorts = [[_Cohort(share, self._plants) for share in storey.species] for storey in storeys]
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
-        """Mean number of stems per hectare."""
-        self.species = [share.species for share in section.species]
-        """Names of those of the canopy."""
+        self.species = [share.species for share in section.species]  # of the canopy
         crown_m2 = sum(_crown_area_m2_per_ha(storey) for storey in zip(self._patterns, self._cohorts, strict=True))
         cover = crown_m2 / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
@@ -234,8 +216,7 @@ class Stand:
     def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
         """Name the crown prototype of a diameter class.
 
-        Each species bears its own leaf area index on its share of the ground, which trees divide in
-        proportion to their crown projection.
+        Each species bears its leaf area index on its share of the ground, which trees divide by their crown projection.
         """
         own = self._all_cohorts[cohort]
         dbh_cm = np.array([own.share.dbh_cm * class_scale(_CLASS_RATIO, crown_class)])

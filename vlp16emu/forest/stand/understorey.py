@@ -1,14 +1,12 @@
 """What grows under the trees: saplings and shrubs, as prototypes of a species and height class, scaled to their size."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import log
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M
 from vlp16emu.forest.plants.crown import VARIANTS
-from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD
+from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Trees
 from vlp16emu.forest.plants.sapling import CROWN_BASE_SHARE, CROWN_WIDTH_SHARE, SAPLING_PARTS, SLENDERNESS, SaplingKey
 from vlp16emu.forest.plants.shrub import SHRUB_PARTS, ShrubKey
 from vlp16emu.forest.stand.layer import Layer
@@ -45,13 +43,13 @@ def lay_saplings(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedT
     trees["dbh_m"] = np.maximum(height_m - BREAST_HEIGHT_M, 0.0) / SLENDERNESS
     trees["crown_base_m"] = CROWN_BASE_SHARE * height_m
     trees["crown_width_m"] = CROWN_WIDTH_SHARE * height_m
-    trees, prototype_m = trees[keep], _prototypes_m(trees["crown_class"][keep])
+    trees = trees[keep]
+    prototype_m, world_T = _scaled(trees)
     keys = [
         SaplingKey(layer.species[i].name, variant, height_m, layer.season)
         for i, variant, height_m in zip(kind[keep], trees["crown_variant"].tolist(), prototype_m, strict=True)
     ]
-    rows = plant_surfaces(trees, SAPLING_PARTS, layer.plants)
-    return PlacedThings(*distinct(keys), _scaled(trees, prototype_m), rows, trees)
+    return PlacedThings(*distinct(keys), world_T, plant_surfaces(trees, SAPLING_PARTS, layer.plants), trees)
 
 
 def lay_shrubs(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
@@ -62,14 +60,14 @@ def lay_shrubs(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThi
     width_m = height_m * [layer.species[i].width_share for i in kind]
     keep = site.clear(xy_m, width_m / 2, _FOOT_SHARE * width_m)
     shrubs = _grown(layer, site, xy_m, kind, height_m, draws)[keep]  # the fields of a tree that a shrub has too
-    prototype_m = _prototypes_m(shrubs["crown_class"])
+    prototype_m, world_T = _scaled(shrubs)
     keys = [
         ShrubKey(one.name, variant, height_m, one.width_share * height_m, layer.season)
         for i, variant, height_m in zip(kind[keep], shrubs["crown_variant"].tolist(), prototype_m, strict=True)
         for one in [layer.species[i]]
     ]
     rows = plant_surfaces(shrubs, SHRUB_PARTS, layer.plants, Semantic.SHRUB)
-    return PlacedThings(*distinct(keys), _scaled(shrubs, prototype_m), rows, NO_TREES)
+    return PlacedThings(*distinct(keys), world_T, rows, NO_TREES)
 
 
 def _grown(layer: Layer, site: Site, xy_m: Array, kind: IntArray, height_m: Array, draws: Array) -> NDArray[np.void]:
@@ -88,11 +86,8 @@ def _grown(layer: Layer, site: Site, xy_m: Array, kind: IntArray, height_m: Arra
     return plants
 
 
-def _prototypes_m(classes: NDArray[np.int16]) -> list[float]:
-    return [class_scale(_CLASS_RATIO, number) for number in classes.tolist()]
-
-
-def _scaled(plants: NDArray[np.void], prototype_m: Sequence[float]) -> Array:
-    """`world_T_shape` of plants whose prototypes have the given heights (n,)."""
+def _scaled(plants: Trees) -> tuple[list[float], Array]:
+    """Heights (n,) of the prototypes of plants, and their `world_T_shape`."""
+    prototype_m = [class_scale(_CLASS_RATIO, number) for number in plants["crown_class"].tolist()]
     size = np.repeat((plants["height_m"] / np.array(prototype_m))[:, None], 3, axis=1)
-    return placements(places_m(plants), turned(plants["crown_azimuth_deg"]), size)
+    return prototype_m, placements(places_m(plants), turned(plants["crown_azimuth_deg"]), size)

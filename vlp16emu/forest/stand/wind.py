@@ -182,9 +182,8 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
     at_m = height_m[:, None] * share
     radius_m = taper_radius_m(tapers(trees["species"], table=plants.trees), dbh_m, height_m, at_m)
     pieces_kg = _GREEN_WOOD_KG_M3 * np.pi * np.square(radius_m) * (height_m / _SECTIONS)[:, None]
-    inertia_kg_m2 = (pieces_kg * np.square(at_m)).sum(axis=1) + _CROWN_MASS * pieces_kg.sum(axis=1) * np.square(
-        middle_m
-    )
+    crown_kg = _CROWN_MASS * pieces_kg.sum(axis=1)
+    inertia_kg_m2 = (pieces_kg * np.square(at_m)).sum(axis=1) + crown_kg * np.square(middle_m)
     drag_m2 = np.pi / 4 * np.square(trees["crown_width_m"]) * np.where(bare, _BARE, 1.0)
     drag_m2 *= np.where(trees["storey"] > 0, _SHELTERED, 1.0)
     return Mechanics(frequency_hz, drag_m2 * middle_m / (inertia_kg_m2 * np.square(2.0 * np.pi * frequency_hz)))
@@ -193,11 +192,7 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
 class TreeSway:
     """Moves the trees of windows; the same tree at the same time in the same way, whatever window it is in.
 
-    Parameters
-    ----------
-    section : what the user wrote; its speed is more than 0
-    forest : of the trees, each with a shape of its own
-    start_ns : UTC of the run's first pulse
+    The wind's speed is more than 0, each tree of the forest has a shape of its own, and the run's first pulse is at `start_ns`.
     """
 
     def __init__(self, section: Wind, *, forest: ForestWorld, start_ns: int) -> None:
