@@ -13,6 +13,9 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
 
 class ReturnMode(StrEnum):
     """Which echoes the sensor reports (63-9243 Rev D, section 6)."""

@@ -4,9 +4,6 @@ import hashlib
 import math
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from vlp16emu.forest.given.given_stand import GivenStand, stems_in_the_way
 from vlp16emu.forest.given.tree_model import TreeModels
 from vlp16emu.forest.ground.dem import DemHeights
@@ -16,26 +13,16 @@ from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.settings import Forest, Plot, Woods
 from vlp16emu.forest.stand.stand import Stand
 from vlp16emu.forest.stand.wind import TreeSway
-from vlp16emu.types import World
+from vlp16emu.types import Array, World
 from vlp16emu.world.furnished import furnished
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.settings import Wind
-
-Array = NDArray[np.float64]
 
 
 class ForestSite:
     """The ground of a forest or a plot; a `Site`.
 
-    Parameters
-    ----------
-    section : what the user wrote
-    seed : of ground, plants and gusts
-
-    Raises
-    ------
-    GeometryError
-        If the heights cannot be read
+    The seed is that of ground, plants and gusts. Raises GeometryError if heights cannot be read.
     """
 
     def __init__(self, section: Woods, seed: int) -> None:
@@ -57,13 +44,7 @@ class ForestSite:
 
     @property
     def obstacles(self) -> tuple[Array, Array] | None:
-        """Stems that the path leads around, as of `stems_in_the_way`; None if it keeps its way.
-
-        Raises
-        ------
-        GeometryError
-            If the list of trees is wrong
-        """
+        """Stems that the path leads around, with errors as of `stems_in_the_way`; None if it keeps its way."""
         section = self._section
         if isinstance(section, Plot) and section.on_conflict == "move_path":
             return stems_in_the_way(section)
@@ -80,45 +61,36 @@ class ForestSite:
         blows = wind if wind is not None and wind.speed_m_s > 0 else None
         # A sensor that sees no farther than `near_m` meets no medium: then none is made.
         near_m = section.near_m if section.near_m < farthest_m else math.inf
-        bare = _forest(section, self._seed, ground, path, reach_m, near_m=near_m, loose_stems=blows is not None)
+        bare = self._forest(path, reach_m, near_m=near_m, loose_stems=blows is not None)
         sway = None if blows is None else TreeSway(blows, forest=bare, start_ns=start_ns)
         return furnished(bare, section.meshes, path_xy_m, reach_m), sway
 
-
-def _forest(
-    section: Woods,
-    seed: int,
-    ground: TerrainHeights | DemHeights,
-    path: Corridor,
-    reach_m: float,
-    *,
-    near_m: float,
-    loose_stems: bool,
-) -> ForestWorld:
-    plants, height_m = flora(section.species_file), ground.height_m
-    trails = ground.trails if isinstance(ground, TerrainHeights) else None
-    stems: Stand | GivenStand
-    if isinstance(section, Plot):
-        stems = GivenStand(section, seed=seed, height_m=height_m, path=path, plants=plants)
-        stems.check(path, reach_m)
-    else:
-        assert isinstance(section, Forest)  # there is no third kind
-        stems = Stand(section, seed=seed, height_m=height_m, path=path, plants=plants, trails=trails)
-    return ForestWorld(
-        section,
-        stems,
-        seed=seed,
-        height_m=height_m,
-        path=path,
-        reach_m=reach_m,
-        plants=plants,
-        trails=trails,
-        models=TreeModels(section.tree_models, plants, section.season),
-        loose_stems=loose_stems,
-        near_m=near_m,
-        name=_name(section, seed, path, reach_m, loose_stems=loose_stems),
-        plants_name=_content(section.species_file),
-    )
+    def _forest(self, path: Corridor, reach_m: float, *, near_m: float, loose_stems: bool) -> ForestWorld:
+        section, seed, height_m = self._section, self._seed, self.height_m
+        plants = flora(section.species_file)
+        trails = self._ground.trails if isinstance(self._ground, TerrainHeights) else None
+        stems: Stand | GivenStand
+        if isinstance(section, Plot):
+            stems = GivenStand(section, seed=seed, height_m=height_m, path=path, plants=plants)
+            stems.check(path, reach_m)
+        else:
+            assert isinstance(section, Forest)  # there is no third kind
+            stems = Stand(section, seed=seed, height_m=height_m, path=path, plants=plants, trails=trails)
+        return ForestWorld(
+            section,
+            stems,
+            seed=seed,
+            height_m=height_m,
+            path=path,
+            reach_m=reach_m,
+            plants=plants,
+            trails=trails,
+            models=TreeModels(section.tree_models, plants, section.season),
+            loose_stems=loose_stems,
+            near_m=near_m,
+            name=_name(section, seed, path, reach_m, loose_stems=loose_stems),
+            plants_name=_content(section.species_file),
+        )
 
 
 def _name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_stems: bool) -> str:

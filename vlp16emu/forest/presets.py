@@ -16,11 +16,7 @@ def presets() -> Table:
 
 
 def with_preset(own: Table, density_keys: Collection[str]) -> Table:
-    """Lay a scene's own `[world]` table over the preset that it names.
-
-    Tables are merged key by key, unless they are of another `kind`; lists replace lists. An unknown
-    preset changes nothing here, for the scene's own check names it better.
-    """
+    """Lay a scene's own `[world]` table over the preset that it names, as `merged` does; an unknown preset changes nothing."""
     name = own.get("preset")
     base = presets().get(name, {}) if isinstance(name, str) else {}
     if own.keys() & density_keys:

@@ -4,21 +4,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.forest.ground.triangles import ground_triangles
-from vlp16emu.types import HeightField, Mesh
+from vlp16emu.types import Array, HeightField, IntArray, Mesh
 from vlp16emu.world.polyline import Polyline
-
-Array = NDArray[np.float64]
 
 TILE_M = 20.0
 """Edge of a tile. Tile (ix, iy) spans TILE_M * ix .. TILE_M * (ix + 1) in x, and likewise in y."""
 
 _HALF_DIAGONAL_M = TILE_M / 2 * np.sqrt(2.0)
 
-_SKIRT_M = 0.5
-"""Depth of the hem under a tile's border, which hides the seams that rounding leaves."""
+_SKIRT_M = 0.5  # depth of the hem under a tile's border, which hides the seams that rounding leaves
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,20 +25,14 @@ class TileKey:
     iy: int
 
 
-def tiles_within(line_xy_m: Array, reach_m: float) -> NDArray[np.int64]:
-    """Tiles that may lie in part within `reach_m` of a polyline (m, 2).
-
-    Returns
-    -------
-    (n, 2) ix and iy, in ascending order. Distance is measured from the tile's centre less half its
-    diagonal, so that no tile in reach is left out.
-    """
+def tiles_within(line_xy_m: Array, reach_m: float) -> IntArray:
+    """Tiles (n, 2), ix and iy in ascending order, that may lie in part within `reach_m` of a polyline (m, 2)."""
     reach = reach_m + _HALF_DIAGONAL_M
     low = np.floor((line_xy_m.min(axis=0) - reach) / TILE_M).astype(np.int64)
     high = np.floor((line_xy_m.max(axis=0) + reach) / TILE_M).astype(np.int64)
     ix, iy = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij")
     tiles = np.column_stack([ix.ravel(), iy.ravel()])
-    near: NDArray[np.int64] = tiles[_centre_distance_m(tiles, Polyline(line_xy_m)) <= reach]
+    near: IntArray = tiles[_centre_distance_m(tiles, Polyline(line_xy_m)) <= reach]
     return near
 
 
@@ -56,8 +46,7 @@ def tile_distance_m(tile: tuple[int, int], path: Polyline) -> float:
     return max(float(_centre_distance_m(np.array([tile]), path)[0]) - _HALF_DIAGONAL_M, 0.0)
 
 
-def _centre_distance_m(tiles: NDArray[np.int64], line: Polyline) -> Array:
-    """Distance of tile centres from a polyline, (n,)."""
+def _centre_distance_m(tiles: IntArray, line: Polyline) -> Array:
     return line.distance_m(TILE_M * tiles.astype(np.float64) + TILE_M / 2)
 
 
@@ -76,13 +65,12 @@ def ground_mesh(key: TileKey, height_m: HeightField) -> Mesh:
     hem_m = points_m[border] - [0.0, 0.0, _SKIRT_M]
     top, hem = border, len(points_m) + np.arange(len(border))
     next_top, next_hem = np.roll(top, -1), np.roll(hem, -1)
-    sides = [np.column_stack([top, hem, next_hem]), np.column_stack([top, next_hem, next_top])]
+    sides = [np.column_stack(corners) for corners in ((top, hem, next_hem), (top, next_hem, next_top))]
     vertices_m = np.concatenate([points_m, hem_m]).astype(np.float32)
     return Mesh(vertices_m, np.concatenate([faces, *sides]).astype(np.uint32))
 
 
-def _border(points_m: Array) -> NDArray[np.int64]:
-    """Vertices (k,) along the border of a tile, counter-clockwise."""
+def _border(points_m: Array) -> IntArray:
     x, y = points_m[:, 0], points_m[:, 1]
     south, east, north, west = (np.flatnonzero(on) for on in (y == 0, x == TILE_M, y == TILE_M, x == 0))
     return np.concatenate([south[:-1], east[:-1], north[:0:-1], west[:0:-1]])

@@ -13,26 +13,16 @@ import trimesh
 from numpy.typing import NDArray
 
 from vlp16emu.forest.tiles import TileKey
-from vlp16emu.types import Mesh, PlantPart, Semantic, ShapeKey, Window
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, Mesh, PlantPart, Semantic, ShapeKey, Window
 
 _YUP_R_WORLD = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0, 0, 0, 1.0]])
 """Turns x east, y north, z up into x east, y up, z south."""
 
-_ROOT = "world z up"
-"""Name of the node that holds everything."""
+_ROOT = "world z up"  # name of the node that holds everything
 
 
 def label(row: np.void, species: Mapping[int, str], *, with_part: bool) -> str:
-    """Name a surface by its labels, for instance `tree_000123/silver_birch/stem`; ground is just `ground`.
-
-    Parameters
-    ----------
-    row : one `SURFACE`
-    species : names by number
-    with_part : whether the part of the plant is wanted too
-    """
+    """Name one `SURFACE` by its labels, for instance `tree_000123/silver_birch/stem`; ground is just `ground`."""
     words = [Semantic(row["semantic"]).name.lower()]
     if row["instance"]:
         words[0] += f"_{row['instance']:06d}"
@@ -52,19 +42,13 @@ def write_glb(
     species: Mapping[int, str],
     colours: NDArray[np.uint8],
 ) -> int:
-    """Write all that is in a window; what is placed often is stored once.
+    """Write all that is in a window; what is placed often is stored once. Returns the number of instances.
 
     Parameters
     ----------
-    file : open for writing
-    window, shape : of the world, or cut out of it
     places_m : by instance, (3,) origin of its node in the world; where its placement is, if not given
     species : names by number
     colours : (m, 3) sRGB of the window's surfaces
-
-    Returns
-    -------
-    Number of instances written
     """
     twin = _Twin(window, species, colours, places_m)
     order = np.argsort(window.shape, kind="stable").tolist()
@@ -79,8 +63,6 @@ def write_glb(
 
 
 class _Twin:
-    """A trimesh scene that grows part by part."""
-
     def __init__(
         self, window: Window, species: Mapping[int, str], colours: NDArray[np.uint8], places_m: Mapping[int, Array]
     ) -> None:

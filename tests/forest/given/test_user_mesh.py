@@ -153,6 +153,32 @@ def glb_with_nan():
     return content[:place] + np.float32(np.nan).tobytes() + content[place + 4 :]
 
 
+def glb_of_two_files():
+    """A GLB whose coordinates are in a file beside it."""
+    tree = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"uri": "ext.bin", "byteLength": 36}],
+    }
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    return b"glTF" + struct.pack("<3I", 2, 20 + len(text), len(text)) + b"JSON" + text
+
+
+CUT_SHORT = (
+    b"",
+    b"junk",
+    b"solid caf\xe9\nendsolid\n",
+    bytes(80) + struct.pack("<I", 10) + bytes(70),
+    b"solid " + bytes(74) + struct.pack("<I", 1) + bytes(51),
+)
+"""STL files cut short, or longer than their header says."""
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -173,57 +199,18 @@ def glb_with_nan():
         ("a.ply", "junk", "a.ply: cannot be read: Not a ply file!; expected a mesh in PLY"),
         ("a.glb", b"junk", "a.glb: cannot be read: .*; expected a mesh in GLB"),
         ("a.glb", glb_with_nan(), "a.glb: crate: found .*nan.*; expected finite coordinates"),
+        *(("a.stl", content, "a.stl: no face; expected a whole file with a mesh of triangles") for content in CUT_SHORT),
+        ("a.glb", glb_of_two_files(), "a.glb: cannot be read: .*; expected .* with all its data inside"),
+        ("a.obj", None, "a.obj: no such file or directory; expected a mesh in OBJ"),
         ("a.fbx", b"", "a.fbx: found the ending '.fbx'; expected one of .obj, .ply, .glb, .stl"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_scanned_is_refused(tmp_path, name, content, message):
-    """Coordinates that are not finite, corners that do not exist, and files without a face are named by file and element."""
+    """Coordinates that are not finite, corners that do not exist, and files that are missing, not whole or without a face are named."""
+    if content is not None:
+        write(tmp_path, content, name)
     with pytest.raises(GeometryError, match=message):
-        load(tmp_path, content, name)
-
-
-def glb_of_two_files():
-    """A GLB whose coordinates are in a file beside it."""
-    tree = {
-        "asset": {"version": "2.0"},
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
-        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
-        "bufferViews": [{"buffer": 0, "byteLength": 36}],
-        "buffers": [{"uri": "ext.bin", "byteLength": 36}],
-    }
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    return b"glTF" + struct.pack("<3I", 2, 20 + len(text), len(text)) + b"JSON" + text
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"",
-        b"junk",
-        b"solid caf\xe9\nendsolid\n",
-        bytes(80) + struct.pack("<I", 10) + bytes(70),
-        b"solid " + bytes(74) + struct.pack("<I", 1) + bytes(51),
-    ],
-)
-def test_an_stl_that_is_not_whole_has_no_face(tmp_path, content):
-    """An STL cut short, or longer than its header says, is no mesh of fewer triangles."""
-    with pytest.raises(GeometryError, match=r"a.stl: no face; expected a whole file with a mesh of triangles"):
-        load(tmp_path, content, "a.stl")
-
-
-def test_a_glb_without_its_data_is_refused(tmp_path):
-    """Coordinates in another file are not looked for."""
-    with pytest.raises(GeometryError, match=r"a.glb: cannot be read: .*; expected .* with all its data inside"):
-        load(tmp_path, glb_of_two_files(), "a.glb")
-
-
-def test_a_file_that_is_not_there_is_refused(tmp_path):
-    """A missing file is named."""
-    with pytest.raises(GeometryError, match=r"a.obj: no such file or directory; expected a mesh in OBJ"):
-        load_mesh(tmp_path / "a.obj", unit="m", up="z")
+        load_mesh(tmp_path / name, unit="m", up="z")
 
 
 @pytest.mark.parametrize(

@@ -35,17 +35,6 @@ def test_relief_keeps_to_its_wavelengths(band, shortest_m, longest_m):
     assert gradient.std() == pytest.approx(expected, rel=0.15)
 
 
-@pytest.mark.parametrize("per_ha", [100.0, 800.0, 2500.0])
-def test_mounds_have_the_density_and_size_that_were_set(per_ha):
-    """Mounds and hollows have mean zero and the variance of paraboloids cubed, 1 m to 2 m wide and up to 0.15 m high."""
-    x, y = np.random.default_rng(6).uniform(-1e5, 1e5, (2, 300_000))
-    height = flat_but(mounds_per_ha=per_ha).height_m(x, y)
-    # Mean square height is a third of 0.15^2; (1 - r^2 / R^2)^6 covers pi R^2 / 7; mean R^2 is 7 / 12 m2.
-    variance = per_ha / 10_000 * 0.15**2 / 3 * math.pi / 7 * 7 / 12
-    assert height.std() == pytest.approx(math.sqrt(variance), rel=0.03)
-    assert abs(height.mean()) < 1e-4
-
-
 def test_a_mound_is_what_its_random_numbers_say():
     """The kernel agrees to 1e-12 with the sum of all mounds of a square of 40 m, each worked out in plain Python."""
     mounds = []
@@ -62,21 +51,6 @@ def test_a_mound_is_what_its_random_numbers_say():
         twin += height * np.maximum(1 - ((x - mound_x) ** 2 + (y - mound_y) ** 2) / radius**2, 0) ** 3
     assert flat_but(mounds_per_ha=600.0).height_m(x, y) == pytest.approx(twin, abs=1e-12)
     assert np.count_nonzero(twin) > 40
-
-
-@pytest.mark.parametrize("per_ha", [60.0, 600.0])
-def test_pits_have_the_density_and_size_that_were_set(per_ha):
-    """Pits and mounds have mean zero and the variance of paraboloids squared, 2 m to 3 m wide and 0.2 m to 0.4 m deep and high."""
-    x, y = np.random.default_rng(6).uniform(-1e5, 1e5, (2, 400_000))
-    height = flat_but(pits_per_ha=per_ha).height_m(x, y)
-    # (1 - r^2 / R^2)^4 covers pi R^2 / 5, and where pit and mound overlap they cancel in part: by quadrature over both.
-    u, v = np.meshgrid(*[np.linspace(-2, 2, 801)] * 2)
-    one = np.maximum(1 - (u - 0.8) ** 2 - v**2, 0) ** 2 - np.maximum(1 - (u + 0.8) ** 2 - v**2, 0) ** 2
-    size = (np.arange(1000) + 0.5) / 1000
-    square_m4 = (one**2).sum() * 0.005**2 * ((1 + size / 2) ** 2 * (0.2 + 0.2 * size) ** 2).mean()
-    assert height.std() == pytest.approx(math.sqrt(per_ha / 10_000 * square_m4), rel=0.03)
-    assert abs(height.mean()) < 1e-3
-    assert height.min() < -0.35
 
 
 def test_a_pit_is_what_its_random_numbers_say():
@@ -133,6 +107,6 @@ def test_slope_rises_towards_its_direction():
 def test_seeds_make_different_ground():
     """Two seeds give ground without correlation, one seed the same ground twice."""
     x, y = np.random.default_rng(5).uniform(-1e5, 1e5, (2, 5000))
-    one, other = (flat_but(seed=seed, hill_rms_m=1.0).height_m(x, y) for seed in (1, 2))
+    one, other, again = (flat_but(seed=seed, hill_rms_m=1.0).height_m(x, y) for seed in (1, 2, 1))
     assert abs(np.corrcoef(one, other)[0, 1]) < 0.06
-    assert np.array_equal(one, flat_but(seed=1, hill_rms_m=1.0).height_m(x, y))
+    assert np.array_equal(one, again)

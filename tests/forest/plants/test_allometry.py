@@ -160,18 +160,6 @@ def test_taper_against_the_written_brink_function():
     assert radius == pytest.approx(expected, abs=1e-12)
 
 
-def test_taper_of_a_stem_does_not_depend_on_its_neighbours():
-    """A stem has the same bytes alone and among others."""
-    numbers = np.array([s.number for s in TABLE.values()])
-    dbh_m, height_m = np.linspace(0.1, 0.9, len(numbers)), np.linspace(8.0, 35.0, len(numbers))
-    heights = np.linspace(0, 1, 13) * height_m[:, None]
-    together = taper_radius_m(tapers(numbers), dbh_m, height_m, heights)
-    for i in range(len(numbers)):
-        own = slice(i, i + 1)
-        alone = taper_radius_m(tapers(numbers[own]), dbh_m[own], height_m[own], heights[own])
-        assert np.array_equal(alone[0], together[i])
-
-
 @pytest.mark.parametrize(
     ("name", "kg"),
     [
@@ -195,8 +183,3 @@ def test_biomass_agrees_with_the_general_equations_of_its_kind():
         mass = species.biomass_kg(dbh_m, height_m, species.crown_base_m(100 * dbh_m, height_m, 27.0))
         b0, b1 = (-2.0127, 2.4342) if species.foliage.kind == "leaf" else (-2.0773, 2.3323)
         assert (np.abs(np.log(mass / np.exp(b0 + b1 * np.log(100 * dbh_m)))) < np.log(1.6)).all(), species.name
-
-
-def test_dead_trees_have_no_biomass_equation():
-    """Where no equation is known the mass is NaN, not a guess."""
-    assert np.isnan(TABLE["snag"].biomass_kg(np.array([0.3]), np.array([12.0]), np.array([5.0]))).all()

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy import stats
+from forest.quads import areas_m2, corners, normals, zeniths
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -38,45 +38,15 @@ def grown(key):
     return crown_meshes(4, key)
 
 
-def corners(mesh):
-    return mesh.vertices_m[mesh.faces].astype(np.float64)
-
-
-def quad_areas_m2(mesh):
-    a, b, c, d = np.moveaxis(corners(mesh), 1, 0)
-    return np.linalg.norm(np.cross(c - a, d - b), axis=1) / 2
-
-
-def test_leaf_area_is_that_of_the_tree():
-    """Quads have the tree's leaf area, over the clumping of its shoots, within 0.1 %."""
-    for name, key in LIVING.items():
-        leaves = grown(key)[2]
-        target = key.leaf_area_m2 / species_table()[key.species].foliage.clumping
-        assert quad_areas_m2(leaves).sum() == pytest.approx(target, rel=1e-3), name
-
-
 def test_leaves_are_planar_and_as_large_as_in_nature():
     """Corners of a quad lie in one plane to a micrometre, and a mean blade or shoot has its species' length."""
     for name, key in LIVING.items():
         leaves = corners(grown(key)[2])
         a, b, c, d = np.moveaxis(leaves, 1, 0)
-        normal = np.cross(c - a, d - b)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        normal = normals(leaves) / 2 / areas_m2(leaves)[:, None]
         assert np.abs(((b - a) * normal).sum(axis=1)).max() < 2e-6, name
         length = np.linalg.norm(c - a, axis=1) if key in BROAD.values() else np.linalg.norm(d - a, axis=1)
         assert length.mean() == pytest.approx(species_table()[key.species].foliage.length_m, rel=0.03), name
-
-
-def test_leaves_are_inclined_as_measured():
-    """Leaf inclination passes a chi-square test with 20 equally likely classes against its beta distribution."""
-    for name, key in BROAD.items():
-        a, b, c, d = np.moveaxis(corners(grown(key)[2]), 1, 0)
-        normal = np.cross(c - a, d - b)
-        zenith = np.arccos(np.abs(normal[:, 2]) / np.linalg.norm(normal, axis=1))
-        mu, nu = species_table()[key.species].foliage.inclination
-        # Far more leaves than were ever measured would find the rounding of mu and nu.
-        likely = stats.beta(nu, mu).cdf(zenith[:: 1 + len(zenith) // 5000] / (np.pi / 2))
-        assert stats.chisquare(np.histogram(likely, 20, (0, 1))[0]).pvalue > 0.001, name
 
 
 @pytest.mark.parametrize(
@@ -85,10 +55,7 @@ def test_leaves_are_inclined_as_measured():
 )
 def test_mean_inclination_is_that_of_the_measured_leaves(name, mean_deg):
     """The mean angle of leaves is the published one within a degree."""
-    a, b, c, d = np.moveaxis(corners(grown(KEYS[name])[2]), 1, 0)
-    normal = np.cross(c - a, d - b)
-    zenith = np.arccos(np.abs(normal[:, 2]) / np.linalg.norm(normal, axis=1))
-    assert np.degrees(zenith.mean()) == pytest.approx(mean_deg, abs=1.0)
+    assert np.degrees(zeniths(corners(grown(KEYS[name])[2])).mean()) == pytest.approx(mean_deg, abs=1.0)
 
 
 def test_crown_fills_its_width_and_length():
@@ -147,31 +114,6 @@ def test_tubes_show_their_outside():
         )
         volume = (a * np.cross(b, c)).sum() / 6
         assert 0.2 * np.pi * radius**2 * length < volume < np.pi * radius**2 * length, key.species
-
-
-def test_a_crown_depends_on_seed_and_key_alone():
-    """The same seed and key give the same bytes; another seed or variant gives another crown."""
-
-    def bytes_of(seed, which):
-        return b"".join(m.vertices_m.tobytes() + m.faces.tobytes() for m in crown_meshes(seed, which))
-
-    for key in (BIRCH, BEECH, SPRUCE):
-        own = bytes_of(4, key)
-        assert own == bytes_of(4, replace(key)), key.species
-        assert len({own, bytes_of(5, key), bytes_of(4, replace(key, variant=1))}) == 3, key.species
-
-
-def test_winter_takes_the_leaves_of_broadleaves_and_nothing_else():
-    """Leaf-off, birch and beech have no leaf face, spruce keeps its shoots, and the wood is the same to the byte."""
-    for key in (BIRCH, BEECH, SPRUCE):
-        summer, winter = grown(key), grown(replace(key, season="leaf_off"))
-        assert [mesh.vertices_m.tobytes() for mesh in winter[:2]] == [
-            mesh.vertices_m.tobytes() for mesh in summer[:2]
-        ], key.species
-        if key is SPRUCE:
-            assert winter[2].vertices_m.tobytes() == summer[2].vertices_m.tobytes(), key.species
-        else:
-            assert len(winter[2].faces) == 0, key.species
 
 
 def bole(name, key=None, stem_m=(0.08, 0.12)):
@@ -325,4 +267,4 @@ def test_a_crown_of_a_giant_stays_within_memory():
     key = replace(BEECH, dbh_m=1.2, height_m=40.0, crown_base_m=15.0, crown_width_m=20.0, leaf_area_m2=1500.0)
     leaves = crown_meshes(4, key)[2]
     assert len(leaves.faces) == 120_000
-    assert quad_areas_m2(leaves).sum() == pytest.approx(1500.0, rel=1e-3)
+    assert areas_m2(corners(leaves)).sum() == pytest.approx(1500.0, rel=1e-3)

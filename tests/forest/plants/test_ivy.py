@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from forest.quads import areas_m2, corners
 from scipy import stats
 
 from vlp16emu.forest.plants.flora import species_table
@@ -48,11 +49,9 @@ def test_leaves_hang_on_the_bark(trees):
     rings, forms = stem_rings(few), stem_forms(few)
     assert len(meshes[1].faces) == 0
     for i, top_m in ((0, 5.0), (2, 3.0)):
-        a, b, c, d = np.moveaxis(meshes[i].vertices_m[meshes[i].faces].astype(np.float64), 1, 0)
-        leaf_m2 = np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2
-        bark_m2 = np.pi * 0.35 * top_m
-        assert leaf_m2 == pytest.approx(2 * bark_m2, rel=0.05)
-        base = a - [few["x_m"][i], few["y_m"][i], 0.0]
+        leaves = corners(meshes[i])
+        assert areas_m2(leaves).sum() == pytest.approx(2 * np.pi * 0.35 * top_m, rel=0.05)
+        base = leaves[:, 0] - [few["x_m"][i], few["y_m"][i], 0.0]
         axis = axis_m(few[i : i + 1], forms.of(np.array([i])), base[None, :, 2])[0]
         away = np.hypot(*(base - axis)[:, :2].T)
         off = away - np.interp(base[:, 2], rings.above_ground_m[i], rings.radius_m[i])

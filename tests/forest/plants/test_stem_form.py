@@ -58,10 +58,10 @@ def forking(name):
 
 @pytest.mark.parametrize("name", TABLE)
 def test_area_at_breast_height_is_that_of_the_dbh(name):
-    """Cut across the axis as it runs 1.3 m above the foot, a crooked stem has the area of its DBH within 0.1 mm."""
+    """Cut across the axis as it runs 1.3 m above the foot, a stem has the area of its DBH within 0.1 mm: the first straight, two crooked."""
     for dbh_m, lean_deg in product((0.05, 0.12, 0.2, 0.4, 0.8, 1.2), (0.0, 8.0)):
         trees = make_trees(name, 3, dbh_m)
-        trees["lean_deg"] = lean_deg
+        trees["lean_deg"], trees["form"][0] = lean_deg, 0
         meshes = stem_meshes(trees, np.zeros(3), slope)
         at = np.full((3, 1), 1.3)
         forms = stem_forms(trees)
@@ -77,10 +77,10 @@ def test_area_at_breast_height_is_that_of_the_dbh(name):
 
 
 @pytest.mark.parametrize("name", ["english_oak", "silver_birch", "european_beech", "snag"])
-def test_crooked_stems_are_closed_and_buried(name):
-    """Forked or not, flare and stem are watertight together and show their outside; the lowest ring lies under a slope."""
-    trees = make_trees(name, 12)
-    trees["dbh_m"] = np.linspace(0.08, 0.9, 12)
+def test_stems_are_closed_and_buried(name):
+    """Forked, crooked or straight, flare and stem are watertight together and show their outside; the lowest ring lies under a slope."""
+    trees = make_trees(name, 14)
+    trees["dbh_m"], trees["form"][::7] = np.linspace(0.08, 0.9, 14), 0
     meshes = stem_meshes(trees, np.zeros(3), slope)
     sides = stem_rings(trees).sides
     for flare, stem, count in zip(meshes[::2], meshes[1::2], sides, strict=True):

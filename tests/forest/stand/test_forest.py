@@ -83,10 +83,11 @@ def test_crowns_are_as_wide_as_their_trees(forest, track_m):
             assert np.sqrt(gram[0, 0]) * key.crown_width_m == pytest.approx(width[tree])
 
 
-def test_a_tree_is_the_same_from_either_end(make_forest):
-    """Windows of a walk and of the walk back agree on every tree and tile they share: key, place and bytes."""
+@pytest.mark.parametrize("with_layers", [False, True])
+def test_everything_is_the_same_from_either_end(make_forest, with_layers):
+    """Windows of a walk and of the walk back, tiles last to first, agree on every thing that they share: key, place and bytes."""
     path = np.array([[0.0, 0.0], [30.0, 4.0], [61.0, -3.0], [90.0, 7.0]])
-    there, back = make_forest(path_xy_m=path), make_forest(path_xy_m=path[::-1])
+    there, back = (make_forest(path_xy_m=way, with_layers=with_layers) for way in (path, path[::-1]))
     tracks = [np.column_stack([x + np.linspace(0, 10, 5), np.zeros(5), np.full(5, 2.0)]) for x in (0, 30, 80)]
     first = [there.window(track) for track in tracks]
     second = [back.window(track[::-1]) for track in tracks[::-1]][::-1]
@@ -95,8 +96,9 @@ def test_a_tree_is_the_same_from_either_end(make_forest):
         assert placed(a) == placed(b)
         shapes |= set(a.shapes)
     near, far = placed(first[0]), placed(first[1])
-    assert len(near.keys() & far.keys()) > 50
-    assert all(near[name] == far[name] for name in near.keys() & far.keys())
+    shared = (near.keys() & far.keys()) - {0}  # moss and litter have no number
+    assert len(shared) > 50
+    assert all(near[name] == far[name] for name in shared)
     sample = sorted(shapes, key=str)[::7]
     assert [mesh_bytes(there.shape(k)) for k in sample] == [mesh_bytes(back.shape(k)) for k in sample[::-1]][::-1]
 
@@ -188,19 +190,6 @@ def test_saplings_are_trees_with_a_flag(full_forest, forest, track_m):
     assert np.array_equal(old[["x_m", "y_m", "dbh_m"]], forest.trees(track_m)[["x_m", "y_m", "dbh_m"]])
     assert (young["dbh_m"] < 0.05).all()
     assert ((young["dbh_m"] > 0) == (young["height_m"] > 1.3)).all()
-
-
-def test_everything_is_the_same_from_either_end_and_in_any_order(make_forest):
-    """Walked there and back, tiles last to first, each thing has the same key, place and bytes."""
-    path = np.array([[0.0, 0.0], [30.0, 4.0], [61.0, -3.0]])
-    tracks = [np.column_stack([x + np.linspace(0, 10, 5), np.zeros(5), np.full(5, 2.0)]) for x in (0, 50)]
-    there = make_forest(path_xy_m=path, with_layers=True)
-    back = make_forest(path_xy_m=path[::-1], with_layers=True)
-    first = [there.window(track) for track in tracks]
-    second = [back.window(track[::-1]) for track in tracks[::-1]][::-1]
-    assert [placed(a) == placed(b) for a, b in zip(first, second, strict=True)] == [True, True]
-    shapes = sorted(set(first[0].shapes) | set(first[1].shapes), key=str)[::5]
-    assert [mesh_bytes(there.shape(k)) for k in shapes] == [mesh_bytes(back.shape(k)) for k in shapes[::-1]][::-1]
 
 
 def test_bare_ground(make_forest, track_m):

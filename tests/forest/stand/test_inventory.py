@@ -5,6 +5,7 @@ import csv
 import numpy as np
 import pytest
 import trimesh
+from forest.quads import areas_m2, corners
 from scipy.spatial import ConvexHull
 
 from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
@@ -130,9 +131,7 @@ def test_leaf_area_is_that_of_the_placed_crown(rows, trees, crowns):
         if not len(leaves.faces):
             assert row["leaf_m2"] == 0
             continue
-        placed = leaves.vertices_m.astype(np.float64) * [w, w, h]
-        a, b, c, d = np.moveaxis(placed[leaves.faces], 1, 0)
-        area_m2 = np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2
+        area_m2 = areas_m2(corners(leaves) * [w, w, h]).sum()
         clumping = species_table()[key.species].foliage.clumping
         assert row["leaf_m2"] == pytest.approx(area_m2 * clumping, rel=1e-6)
 

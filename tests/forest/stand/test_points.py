@@ -99,12 +99,6 @@ def test_clark_evans_of_trees_that_keep_apart():
     assert clark_evans(points_of(pattern), 700.0) == pytest.approx(matern_index(700.0, pattern.distance_m), abs=0.02)
 
 
-def test_clark_evans_of_scattered_points_is_one():
-    """Points that know nothing of each other have the index 1 within 3 of its standard errors, 0.26 / sqrt(n)."""
-    points = points_of(scattered())
-    assert clark_evans(points, 700.0) == pytest.approx(1.0, abs=3 * 0.5228 / np.sqrt(len(points)))
-
-
 def test_nearest_neighbours_of_scattered_points_are_rayleigh():
     """Distances from random places to the nearest point follow 1 - exp(-density pi r^2), by Kolmogorov and Smirnov."""
     places = np.random.default_rng(1).uniform(-200, 200, (400, 2)) + (0, 240)

@@ -102,25 +102,6 @@ def test_a_sapling_fills_its_crown():
         assert 0.15 * key.height_m < width < 0.35 * key.height_m + 0.12, key
 
 
-def test_leaf_area_of_a_sapling_is_that_of_its_crown():
-    """Leaves have twice the area of the crown's projection, over their clumping, within 2 %."""
-    for name in YOUNG:
-        leaves = sapling_meshes(6, SaplingKey(name, 1, 3.0, "leaf_on"))[3]
-        a, b, c, d = np.moveaxis(leaves.vertices_m[leaves.faces].astype(np.float64), 1, 0)
-        area_m2 = np.linalg.norm(np.cross(c - a, d - b), axis=1).sum() / 2
-        expected = 2 * np.pi / 4 * 1.5**2 / species_table()[name].foliage.clumping
-        assert area_m2 == pytest.approx(expected, rel=0.02), name
-
-
-def test_in_winter_beeches_are_bare_and_spruces_are_not():
-    """Leaf-off saplings of a broadleaf have no leaves, those of a conifer keep their shoots; branches stay."""
-    bare, green = (sapling_meshes(6, SaplingKey(name, 0, 2.0, "leaf_off")) for name in YOUNG)
-    assert len(bare[3].faces) == 0
-    assert len(green[3].faces) > 0
-    summer = sapling_meshes(6, SaplingKey("european_beech", 0, 2.0, "leaf_on"))
-    assert bare[2].vertices_m.tobytes() == summer[2].vertices_m.tobytes()
-
-
 def test_shrub_heights_are_those_of_their_kind():
     """Heights of each kind are uniform between its own limits, and instances are stretched from prototypes by under a fifth."""
     tiles = placed(shrubs(*BUSHES))

@@ -6,50 +6,36 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import log
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.given.stem_list import read_stem_list
 from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
-from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora
+from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Trees, flora
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.settings import Plot
 from vlp16emu.forest.stand.stand import TREE, foot_discs, in_the_way_m, path_gap_m
 from vlp16emu.forest.tiles import TILE_M
 from vlp16emu.random import generator
-from vlp16emu.types import HeightField
+from vlp16emu.types import Array, HeightField
 from vlp16emu.world.polyline import Corridor, Polyline
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
 
 _CLASS_BASE_M, _CLASS_RATIO = 0.3, 1.25
 """Crown class c is that of trees with a DBH of about _CLASS_BASE_M * _CLASS_RATIO**c."""
 
 _HA_PER_TILE = TILE_M * TILE_M / 10_000
-_NAMED = 20
-"""Trees in the way that are named one by one."""
+_NAMED = 20  # trees in the way that are named one by one
 
 _log = logging.getLogger(__name__)
 
 
 class GivenStand:
-    """Trees of a list, tile by tile.
+    """Trees of a list, tile by tile; the seed gives what the list leaves out, such as the azimuth of a crown about its stem.
 
-    A crown is a prototype of the list's own trees of that species and diameter class, scaled to the tree.
-    Each tree bears the leaf area index of its species on its own crown projection, for the ground that
-    belongs to a tree does not follow from a list.
-
-    Parameters
-    ----------
-    section : what the user wrote
-    seed : of the scenario, for what the list leaves out, such as the azimuth of a crown about its stem
-    height_m : ground
-    path : of the sensor
-    plants : trees and shrubs
+    A crown is a prototype of the list's own trees of that species and diameter class, scaled to the tree. Each tree bears the
+    leaf area index of its species on its own crown projection, for the ground that belongs to a tree does not follow from a list.
 
     Raises
     ------
@@ -71,8 +57,7 @@ class GivenStand:
         tiles, of, count = np.unique(tile, axis=0, return_inverse=True, return_counts=True)
         names = [(int(ix), int(iy)) for ix, iy in tiles]
         self._tiles = {name: trees[of.ravel() == i] for i, name in enumerate(names)}
-        self.per_ha = float(count.max()) / _HA_PER_TILE
-        """Stems per hectare where they are densest."""
+        self.per_ha = float(count.max()) / _HA_PER_TILE  # where they are densest
         self._prototypes = _prototypes(trees)
         self._all = trees
 
@@ -82,18 +67,7 @@ class GivenStand:
         return [one.name for one in self._species]
 
     def check(self, path: Polyline, reach_m: float) -> None:
-        """Make sure that a tree is in sight of a sensor on its path.
-
-        Parameters
-        ----------
-        path : of the sensor
-        reach_m : how far it sees
-
-        Raises
-        ------
-        GeometryError
-            naming the tree that is nearest, where no crown is in sight
-        """
+        """Raise GeometryError, naming the tree that is nearest, where no crown is within reach of a path."""
         gap_m = path.distance_m(places_m(self._all, "xy"))
         if (gap_m - self._all["crown_width_m"] / 2 > reach_m).all():
             i = int(gap_m.argmin())
@@ -126,7 +100,6 @@ class GivenStand:
 
 
 def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
-    """Add what a list leaves out."""
     trees = trees.copy()
     # One row of numbers to a tree: a tree more at the end of a list changes no other.
     uniform = generator(seed, Growth.GIVEN_TREE).random((len(trees), 4))
@@ -146,10 +119,7 @@ def _completed(seed: int, trees: Trees, species: list[Species]) -> Trees:
 def stems_in_the_way(section: Plot) -> tuple[Array, Array]:
     """Places (n, 2) that the path must keep clear of, feet of stems and where they are over a head, and how far (n,) from each.
 
-    Raises
-    ------
-    GeometryError
-        for a list that is wrong
+    Raises GeometryError for a list that is wrong.
     """
     table = flora(section.species_file).trees
     trees = read_stem_list(Path(section.stem_list), table, section.origin_m)
@@ -158,7 +128,6 @@ def stems_in_the_way(section: Plot) -> tuple[Array, Array]:
 
 
 def _clear_of_path(section: Plot, trees: Trees, table: Mapping[str, Species], path: Corridor) -> Trees:
-    """Leave out the trees that a walker would run into, or refuse them."""
     gap_m = path_gap_m(trees, foot_discs(trees, table=table)[:, 2], path)
     in_the_way = gap_m < path.clearance_m
     if not in_the_way.any():

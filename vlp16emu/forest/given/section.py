@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, IntArray
+
 Faces = NDArray[np.uint32]
 
 
@@ -14,12 +15,9 @@ Faces = NDArray[np.uint32]
 class Outline:
     """A closed section."""
 
-    middle_m: Array
-    """(2,)."""
-    diameter_m: float
-    """Of the circle of its area."""
-    tape_m: float
-    """What a taut tape around it shows."""
+    middle_m: Array  # (2,).
+    diameter_m: float  # of the circle of its area
+    tape_m: float  # what a taut tape around it shows
 
 
 class Cutter:
@@ -71,7 +69,7 @@ class Cutter:
         return max(map(_measured, rings), key=lambda outline: outline.diameter_m, default=None)
 
 
-def _welded(vertices: Array) -> NDArray[np.int64]:
+def _welded(vertices: Array) -> IntArray:
     """Give vertices numbers (n,) from 0 on, the same to those at the same place."""
     order = np.lexsort(vertices.T)
     apart = (vertices[order[1:]] != vertices[order[:-1]]).any(axis=1)
@@ -81,7 +79,6 @@ def _welded(vertices: Array) -> NDArray[np.int64]:
 
 
 def _measured(ring_m: Array) -> Outline:
-    """Measure a closed outline (n, 2)."""
     from scipy.spatial import ConvexHull, QhullError
 
     at_m = ring_m - ring_m.mean(axis=0)

@@ -7,38 +7,26 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError, readable
-from vlp16emu.forest.plants.flora import known
+from vlp16emu.forest.plants.flora import Trees, known
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.stand.settings import LEAST_SLENDERNESS
 from vlp16emu.forest.stand.stand import TREE
+from vlp16emu.types import Array, IntArray
 from vlp16emu.world.vectors import places_m
 
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
-
-_APART_M = 0.05
-"""Two stems nearer to each other are one that was listed twice."""
-
-_TOP_SHARE = 0.2
-"""The thickest fifth of all stems has the top height, by Weise's definition."""
+_APART_M = 0.05  # two stems nearer to each other are one that was listed twice
+_TOP_SHARE = 0.2  # the thickest fifth of all stems has the top height, by Weise's definition
 
 
 @dataclass(frozen=True, slots=True)
 class _Column:
-    """A number of the list."""
-
-    units: Mapping[str, float]
-    """Names that it may have, each with what brings it to metres or degrees."""
+    units: Mapping[str, float]  # names that it may have, each with what brings it to metres or degrees
     low: float
-    high: float
-    """Limits in metres or degrees: beyond them it is more likely a slip of the unit than a tree."""
-    every_column: bool = False
-    """Whether there must be such a column."""
-    every_cell: bool = False
-    """Whether each tree must have it."""
+    high: float  # limits in metres or degrees: beyond them it is more likely a slip of the unit than a tree
+    every_column: bool = False  # whether there must be such a column
+    every_cell: bool = False  # whether each tree must have it
 
 
 _COLUMNS = {
@@ -73,19 +61,16 @@ def read_stem_list(path: Path, table: Mapping[str, Species], origin_m: tuple[flo
 
     Parameters
     ----------
-    table : the species
     origin_m : easting, northing and height that become (0, 0, 0) in the scene
 
     Returns
     -------
-    (n,) `TREE` in the order of the list, sized and placed in the plane: what is by chance or by the ground
-    (id, z, crown azimuth, prototype, reflectance) is still 0
+    (n,) `TREE` in the order of the list; what is by chance or by the ground (id, z, crown azimuth, prototype, reflectance) is still 0
 
     Raises
     ------
     GeometryError
-        naming file, line and column of what is missing, no number, out of its limits, no species, or
-        listed twice
+        naming file, line and column of what is missing, no number, out of its limits, no species, or listed twice
     """
     rows = _read_rows(path)
     lines = np.array([line for line, _ in rows])
@@ -97,17 +82,15 @@ def read_stem_list(path: Path, table: Mapping[str, Species], origin_m: tuple[flo
     trees["dbh_m"] = numbers["dbh_m"]
     trees["height_m"] = _with_heights(path, numbers, species)
     trees["crown_base_m"], trees["crown_width_m"] = _with_crowns(trees, numbers, species)
-    trees["lean_deg"], trees["lean_towards_deg"] = _leans(numbers)
+    trees["lean_deg"] = np.nan_to_num(numbers["lean_deg"])
+    towards = np.where(
+        np.isnan(numbers["lean_towards_deg"]), 90.0 - numbers["lean_azimuth_deg"], numbers["lean_towards_deg"]
+    )
+    trees["lean_towards_deg"] = np.nan_to_num(towards) % 360
     _check_slender(path, lines, trees)
     _check_crown_bases(path, lines, trees)
     _check_twice(path, lines, trees)
     return trees
-
-
-def _leans(numbers: Mapping[str, Array]) -> tuple[Array, Array]:
-    towards, azimuth = numbers["lean_towards_deg"], 90.0 - numbers["lean_azimuth_deg"]
-    towards = np.where(np.isnan(towards), azimuth, towards)
-    return np.nan_to_num(numbers["lean_deg"]), np.nan_to_num(towards) % 360
 
 
 def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
@@ -132,7 +115,6 @@ def _read_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
 
 
 def _check_header(path: Path, names: list[str]) -> None:
-    """See that each column that must be there is there once."""
     where = f"{path}, line 1"
     wanted = [((_SPECIES,), True), (_DIRECTIONS, False)]
     wanted += [(tuple(c.units), c.every_column) for c in _COLUMNS.values()]
@@ -198,14 +180,13 @@ def _with_crowns(trees: Trees, numbers: dict[str, Array], species: list[Species]
     base_m, width_m = numbers["crown_base_m"].copy(), numbers["crown_width_m"].copy()
     for one in {one.number: one for one in species}.values():
         own = trees["species"] == one.number
-        without = own & np.isnan(base_m)
-        base_m[without] = one.crown_base_m(dbh_cm[without], height_m[without], top_m)
-        without = own & np.isnan(width_m)
-        width_m[without] = one.crown_width_m(dbh_cm[without])
+        no_base, no_width = own & np.isnan(base_m), own & np.isnan(width_m)
+        base_m[no_base] = one.crown_base_m(dbh_cm[no_base], height_m[no_base], top_m)
+        width_m[no_width] = one.crown_width_m(dbh_cm[no_width])
     return base_m, width_m
 
 
-def _check_slender(path: Path, lines: NDArray[np.int64], trees: Trees) -> None:
+def _check_slender(path: Path, lines: IntArray, trees: Trees) -> None:
     """Refuse a list of trees that are far too thick for their height: their DBH is in millimetres."""
     slenderness = trees["height_m"] / trees["dbh_m"]
     if (middle := float(np.median(slenderness))) < LEAST_SLENDERNESS:
@@ -215,18 +196,15 @@ def _check_slender(path: Path, lines: NDArray[np.int64], trees: Trees) -> None:
         raise GeometryError(f"{path}, line {lines[i]}, DBH", found, expected)
 
 
-def _check_crown_bases(path: Path, lines: NDArray[np.int64], trees: Trees) -> None:
-    """Refuse a crown that begins at or above the tip."""
+def _check_crown_bases(path: Path, lines: IntArray, trees: Trees) -> None:
     above = trees["crown_base_m"] >= trees["height_m"]
     if above.any():
         i = int(above.argmax())
-        found = f"found {trees['crown_base_m'][i]:g}"
-        expected = f"less than the height, {trees['height_m'][i]:g}"
-        raise GeometryError(f"{path}, line {lines[i]}, column crown_base_m", found, expected)
+        where, base_m, height_m = f"{path}, line {lines[i]}", trees["crown_base_m"][i], trees["height_m"][i]
+        raise GeometryError(f"{where}, column crown_base_m", f"found {base_m:g}", f"less than the height, {height_m:g}")
 
 
-def _check_twice(path: Path, lines: NDArray[np.int64], trees: Trees) -> None:
-    """Refuse two trees at one place."""
+def _check_twice(path: Path, lines: IntArray, trees: Trees) -> None:
     from scipy.spatial import cKDTree
 
     places = places_m(trees, "xy")

@@ -8,42 +8,29 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.elementary import atan2, cos, hypot, log, matmul, matvec, norm, sin
+from vlp16emu.elementary import atan2, cos, hypot, matmul, matvec, norm, sin
 from vlp16emu.errors import GeometryError
-from vlp16emu.foliage.tiles import EXACT, STEM
+from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.forest.given.section import Cutter, Outline
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
 from vlp16emu.forest.plants.far_stem import profiles
-from vlp16emu.forest.plants.flora import Flora, known
+from vlp16emu.forest.plants.flora import Flora, Trees, known
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.plants.stem import STEM_PARTS, lean_rotation
 from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
-from vlp16emu.forest.stand.inventory import COPIED, INVENTORY, hull_m, volume_m3
-from vlp16emu.forest.stand.models import ModelKey, Models
-from vlp16emu.forest.stand.placed import PlacedThings, plant_surfaces, turned
-from vlp16emu.types import Mesh, PlantPart, ShapeKey
+from vlp16emu.forest.stand.inventory import hull_m, volume_m3
+from vlp16emu.forest.stand.models import Models
+from vlp16emu.forest.stand.placed import turned
+from vlp16emu.types import Array, IntArray, Mesh, PlantPart
 from vlp16emu.world.mesh_settings import TreeModelFile
 from vlp16emu.world.user_mesh import load_mesh
 from vlp16emu.world.vectors import places_m
 
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
-
-_FOOT_SHARE = 0.01
-"""Height of the section whose middle is the foot, over that of the tree."""
-
-_ALIKE = 1.25
-"""Models that stretch a tree by no more than this over the one that stretches it least are as good."""
-
-_BOLE, _BOLE_M = 1.5, 0.02
-"""What of a stem is farther from its middle than so many radii and so much more is no bole."""
-
-_TILTS = 1024
-"""Classes of leaf faces by their tilt."""
-
-_KEPT_CUTS = 16_384
-"""Sections of a model that are remembered: more than there are trees in a window."""
+_FOOT_SHARE = 0.01  # height of the section whose middle is the foot, over that of the tree
+_BOLE, _BOLE_M = 1.5, 0.02  # what of a stem is farther from its middle than so many radii and so much more is no bole
+_TILTS = 1024  # classes of leaf faces by their tilt
+_KEPT_CUTS = 16_384  # sections of a model that are remembered: more than there are trees in a window
 
 _AROUND = np.array([cos(np.arange(36) * np.pi / 36), sin(np.arange(36) * np.pi / 36)])
 """(2, 36) directions in which crowns are measured."""
@@ -52,18 +39,9 @@ _AROUND = np.array([cos(np.arange(36) * np.pi / 36), sin(np.arange(36) * np.pi /
 class TreeModel:
     """A tree of the user's own, with its foot at the origin.
 
-    The foot is where the stem is at the file's height 0, or at the stem's lower end where it does not reach that.
-
-    Parameters
-    ----------
-    section : what the user wrote
-    species : that it is of
-    season : in which leaves that fall are left out
-
-    Raises
-    ------
-    GeometryError
-        for a part that the file does not have, or a stem without a closed section at breast height
+    The foot is where the stem is at the file's height 0, or at the stem's lower end where it does not reach that. Out of season
+    leaves that fall are left out. Raises GeometryError for a part that the file does not have, or a stem without a closed section
+    at breast height.
     """
 
     def __init__(self, section: TreeModelFile, species: Species, season: Season) -> None:
@@ -105,7 +83,7 @@ class TreeModel:
         text = f"{section.model_dump_json(exclude={'file'})} {sheds}"
         self.content = hashlib.sha256(self.path.read_bytes() + text.encode()).hexdigest()[:32]
 
-    def far_stems(self, world_T_model: Array, rows: NDArray[np.int64]) -> NDArray[np.void]:
+    def far_stems(self, world_T_model: Array, rows: IntArray) -> NDArray[np.void]:
         """Stems of placements (n, 3, 4), whose first surfaces are in these rows (n,), as `STEM`."""
         across = norm(world_T_model[:, :, 0])
         middle_m = matvec(world_T_model[:, None, :, :3], self._profile_m[:, :3])
@@ -203,7 +181,6 @@ class TreeModel:
         return [(part, EXACT, _used(vertices_m, faces[bole])), (part, part, _used(vertices_m, faces[~bole]))]
 
     def _cut(self, at_m: float) -> Outline:
-        """Cut the stem, in the model's own size."""
         outline = self._cuts(at_m)
         if outline is None:
             found = f"no closed section of the stem at {at_m:.2f} m of its {self.height_m:.2f} m"
@@ -212,7 +189,6 @@ class TreeModel:
 
 
 def _spanning(meshes: Sequence[Mesh]) -> Array:
-    """Vertices (k, 3) that span the convex hull of meshes."""
     return hull_m(np.concatenate([np.zeros((0, 3)), *(mesh.vertices_m for mesh in meshes)]))
 
 
@@ -222,89 +198,9 @@ def _used(vertices_m: Array, faces: NDArray[np.uint32]) -> Mesh:
 
 
 class TreeModels(Models):
-    """The models of a scene.
-
-    Parameters
-    ----------
-    files : what the user wrote
-    plants : trees that they may be of
-    season : as of `TreeModel`
-
-    Raises
-    ------
-    GeometryError
-        for a species that is not known, or a file that cannot be scanned
-    """
+    """The models of a scene; raises GeometryError for a species that is not known, or a file that cannot be scanned."""
 
     def __init__(self, files: Sequence[TreeModelFile], plants: Flora, season: Season = "leaf_on") -> None:
-        self._plants = plants
-        self._models = [
-            TreeModel(file, species, season)
-            for i, file in enumerate(files)
-            for species in known([file.species], plants.trees, f"world.tree_models.{i}.species")
-        ]
-        self._keys = [ModelKey(i, model.content) for i, model in enumerate(self._models)]
-        self._species = np.array(sorted({model.species.number for model in self._models}), np.uint16)
-
-    def has(self, trees: Trees) -> NDArray[np.bool_]:
-        """Which trees (n,) look like one of the models."""
-        return np.isin(trees["species"], self._species)
-
-    def placed(self, trees: Trees, *, is_exact: bool) -> list[PlacedThings]:
-        """Place trees (n,) that all have models: those of each model together; `is_exact` as of `PlacedThings`."""
-        return [
-            PlacedThings(
-                (self._keys[i],),
-                np.zeros(len(own), np.int64),
-                self._models[i].world_T_model(own),
-                plant_surfaces(own, self._models[i].parts, self._plants),
-                own,
-                is_exact=is_exact,
-            )
-            for i, own in self._by_model(trees)
-        ]
-
-    def shape(self, key: ModelKey) -> tuple[Mesh, ...]:
-        """Meshes of a model."""
-        return self._models[key.number].meshes
-
-    def far_parts(self, key: ShapeKey) -> tuple[int, ...] | None:
-        """Parts of a model's meshes as they are seen from afar; None for any other shape."""
-        return self._models[key.number].far_parts if isinstance(key, ModelKey) else None
-
-    def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: Array, rows: NDArray[np.int64]) -> NDArray[np.void]:
-        """Stems, as `STEM`, of those of placements (n,) that are models, by their first surfaces."""
-        of = np.array([key.number if isinstance(key, ModelKey) else -1 for key in keys], np.int64)
-        stems = (model.far_stems(world_T_shape[of == i], rows[of == i]) for i, model in enumerate(self._models))
-        return np.concatenate([np.zeros(0, STEM), *stems])
-
-    def inventory(self, trees: Trees) -> NDArray[np.void]:
-        """Take the inventory (n,) `INVENTORY` of trees that all have models, from their meshes.
-
-        The crown begins with the lowest leaf, or branch where there are no leaves; its width is the mean over all
-        directions. One side of each leaf face counts.
-        """
-        rows = np.zeros(len(trees), INVENTORY)
-        for name in COPIED:
-            rows[name] = trees[name]
-        for i, row in enumerate(rows):
-            self._models[self._chosen(trees[i : i + 1])].measure(row, trees[i : i + 1])
-        return rows
-
-    def circles(self, trees: Trees) -> NDArray[np.void]:
-        """Circles `STEM_CIRCLE` along the stems of trees that all have models."""
-        own = (self._models[i].circles(own) for i, own in self._by_model(trees))
-        return np.concatenate([np.zeros(0, STEM_CIRCLE), *own])
-
-    def _by_model(self, trees: Trees) -> list[tuple[int, Trees]]:
-        chosen = np.array([self._chosen(trees[i : i + 1]) for i in range(len(trees))], np.int64)
-        return [(i, trees[chosen == i]) for i in np.unique(chosen).tolist()]
-
-    def _chosen(self, tree: Trees) -> int:
-        """Choose the model of one tree (1,) by its size, and among those that are as good by its azimuth's last digits."""
-        fits = [i for i, model in enumerate(self._models) if model.species.number == tree["species"][0]]
-        if len(fits) == 1:
-            return fits[0]
-        stretch = [abs(float(log(across / along))) for i in fits for across, along in self._models[i].scale(tree)]
-        good = [i for i, own in zip(fits, stretch, strict=True) if own <= min(stretch) + log(_ALIKE)]
-        return good[int(tree["crown_azimuth_deg"][0] * 1e6) % len(good)]
+        keys = (f"world.tree_models.{i}.species" for i in range(len(files)))
+        species = [known([file.species], plants.trees, key)[0] for file, key in zip(files, keys, strict=True)]
+        super().__init__([TreeModel(file, one, season) for file, one in zip(files, species, strict=True)], plants)

@@ -10,38 +10,27 @@ from pathlib import Path
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.grid import read_grid
 from vlp16emu.forest.ground.settings import Dem
+from vlp16emu.types import Array
 from vlp16emu.world.polyline import distance_m
 
 _log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 
-_SUPPORT_CELLS = 2 * np.sqrt(2.0)
-"""A height takes part in the surface up to two cells away in either direction."""
+_SUPPORT_CELLS = 2 * np.sqrt(2.0)  # A height takes part in the surface up to two cells away in either direction
 
 
 class DemHeights:
     """Ground height from a file, in the scene's own coordinates.
 
-    Outside the grid and where the file has no height, the nearest height goes on. `check` warns of the former in sight, and
-    makes sure that the latter is out of it.
+    Outside the grid and where the file has no height, the nearest height goes on. Errors are those of `read_grid`.
 
     Parameters
     ----------
-    section : the file, and where a .npy lies
     origin_m : easting, northing and height that become (0, 0, 0) in the scene
-
-    Raises
-    ------
-    GeometryError
-        where the file is no grid of heights
-    MissingExtraError
-        for a GeoTIFF without rasterio
     """
 
     def __init__(self, section: Dem, *, origin_m: tuple[float, float, float]) -> None:
@@ -59,30 +48,12 @@ class DemHeights:
         """Ground height at points of any common shape; a point's height depends on that point alone."""
         x, y = (np.ascontiguousarray(a, dtype=np.float64) for a in np.broadcast_arrays(x_m, y_m))
         height = np.empty(x.shape)
-        _heights(
-            height.reshape(-1),
-            x.reshape(-1),
-            y.reshape(-1),
-            self._nodes_m,
-            self._west_m,
-            self._south_m,
-            self._grid.cell_m,
-        )
+        flat = height.reshape(-1), x.reshape(-1), y.reshape(-1)
+        _heights(*flat, self._nodes_m, self._west_m, self._south_m, self._grid.cell_m)
         return height
 
     def check(self, path_xy_m: Array, reach_m: float) -> None:
-        """Make sure that the heights under the path come from the file, and warn where those farther off do not.
-
-        Parameters
-        ----------
-        path_xy_m : (n, 2) in the scene
-        reach_m : how far the sensor sees
-
-        Raises
-        ------
-        GeometryError
-            where the path leaves the grid, or a cell within reach has no height
-        """
+        """Raise GeometryError where a path (n, 2) leaves the grid, or a cell within reach has no height; warn of edges in sight."""
         self._check_edges(path_xy_m, reach_m)
         self._check_gaps(path_xy_m, reach_m)
 
@@ -111,7 +82,6 @@ class DemHeights:
             )
 
     def _check_gaps(self, path_xy_m: Array, reach_m: float) -> None:
-        """Refuse a grid with a cell within reach that has no height."""
         row, column = np.nonzero(np.isnan(self._grid.heights_m))
         cell_m = self._grid.cell_m
         places = np.column_stack([self._west_m + column * cell_m, self._north_m - row * cell_m])

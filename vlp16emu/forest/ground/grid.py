@@ -8,12 +8,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, MissingExtraError, readable
-from vlp16emu.types import HeightField
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, HeightField
 
 _MOST_CELLS = LARGEST_BYTES // 4
 _METRES = (None, "", "m", "metre", "meter")
@@ -29,19 +26,14 @@ class Grid:
     """Heights over equal squares, as the file has them."""
 
     path: Path
-    heights_m: Array
-    """(rows, columns), northernmost row first, NaN where the file has no height."""
-    west_m: float
-    """Easting of the centres of the first column."""
-    north_m: float
-    """Northing of the centres of the first row."""
+    heights_m: Array  # (rows, columns), northernmost row first, NaN where the file has no height.
+    west_m: float  # easting of the centres of the first column
+    north_m: float  # northing of the centres of the first row
     cell_m: float
 
 
 def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float] | None) -> Grid:
-    """Read a grid, of the format that the suffix names: .asc, .npy, .tif or .tiff.
-
-    A cell that is not finite, or has the file's own number for none, has no height.
+    """Read a grid, of the format that the suffix names; a cell that is not finite, or is the file's number for none, has no height.
 
     Parameters
     ----------
@@ -70,14 +62,7 @@ def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float]
 def write_ascii(file: BinaryIO, height_m: HeightField, low_m: Array, high_m: Array, cell_m: float) -> None:
     """Write ground as an ESRI ASCII grid, in millimetres; each height is that at the centre of its cell.
 
-    Parameters
-    ----------
-    low_m, high_m : (2,) x and y of a rectangle; the grid holds it, its edges at whole multiples of a cell
-
-    Raises
-    ------
-    OSError
-        where the file cannot be written to its end
+    The grid holds the rectangle from `low_m` to `high_m` (2,), its edges at whole multiples of a cell.
     """
     first, end = np.floor(low_m / cell_m), np.ceil(high_m / cell_m)
     columns, rows = (end - first).astype(np.int64).tolist()
@@ -96,7 +81,6 @@ def _from_corner(path: Path, heights_m: Array, corner_m: tuple[float, float], ce
 
 
 def _grid(path: Path, heights_m: Array, west_m: float, north_m: float, cell_m: float) -> Grid:
-    """Refuse what gives no surface."""
     rows, columns = heights_m.shape
     if min(rows, columns) < 2:
         raise GeometryError(str(path), f"found {rows} rows of {columns}", "at least 2 rows of 2")
@@ -198,7 +182,6 @@ def _read_geotiff(path: Path) -> Grid:
 
 
 def _check_map(path: Path, file: Any) -> None:
-    """Refuse what is no grid of heights in metres on a map in metres."""
     width_m, skew, west_m, turn, minus_m, north_m = file.transform[:6]
     unit, factor = file.crs.units_factor if file.crs else ("metre", 1.0)
     unit = "degrees" if file.crs and file.crs.is_geographic else unit

@@ -17,8 +17,7 @@ _RELIEFS = {
 """What each kind of relief gives. Hills and mounds are assumptions: hills of 1 m rms slope by 4 degrees rms,
 of 4 m by 15."""
 
-_NARROWEST_M = 10.0
-"""Least distance between trails."""
+_NARROWEST_M = 10.0  # least distance between trails
 
 
 def _room_for_trails(spacing_m: float) -> float:

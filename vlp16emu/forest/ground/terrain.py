@@ -10,7 +10,6 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, sin, tan
 from vlp16emu.forest.ground.settings import Terrain
@@ -18,8 +17,7 @@ from vlp16emu.forest.ground.trails import Trails
 from vlp16emu.forest.ground.waves import sum_of_waves, waves
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import generator, philox4x32
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 _HILL_WAVELENGTHS_M = (30.0, 300.0)
 _ROUGH_WAVELENGTHS_M = (1.0, 12.0)
@@ -28,8 +26,7 @@ _MOUND_CELL_M = 2.0
 """Edge of a square that holds one mound at most: the widest mound, so that nine squares hold all that matter."""
 
 _MOUND_WIDTH_M = (1.0, 2.0)
-_MOUND_HEIGHT_M = 0.15
-"""Mounds rise and hollows sink by up to this; assumption, like their width."""
+_MOUND_HEIGHT_M = 0.15  # mounds rise and hollows sink by up to this; assumption, like their width
 
 _PIT_CELL_M = 4.0
 """Edge of a square that holds one pit with its mound at most: more than both together reach from their middle."""
@@ -37,20 +34,13 @@ _PIT_CELL_M = 4.0
 _PIT_WIDTH_M, _PIT_DEPTH_M = (2.0, 3.0), (0.2, 0.4)
 """From the smallest to the largest; the mound is as wide and as high (assumption)."""
 
-_PIT_ASIDE = 0.8
-"""Distance of the middles of pit and mound from the middle of both over their radius; assumption."""
+_PIT_ASIDE = 0.8  # distance of the middles of pit and mound from the middle of both over their radius; assumption
 
 _MOUND, _PIT = int(Growth.MOUND), int(Growth.PIT)
 
 
 class TerrainHeights:
-    """Ground height at any point of the plane, good to a nanometre up to 1e6 m from the origin.
-
-    Parameters
-    ----------
-    section : what the user wrote; its slope passes through the origin
-    seed : of the scenario
-    """
+    """Ground height at any point of the plane, good to a nanometre up to 1e6 m from the origin, through which its slope passes."""
 
     def __init__(self, section: Terrain, *, seed: int) -> None:
         bands = ((_HILL_WAVELENGTHS_M, section.hill_rms_m), (_ROUGH_WAVELENGTHS_M, section.rough_rms_m))
@@ -61,7 +51,6 @@ class TerrainHeights:
         self._mound_share = section.mounds_per_ha * _MOUND_CELL_M * _MOUND_CELL_M / 10_000
         self._pit_share = section.pits_per_ha * _PIT_CELL_M * _PIT_CELL_M / 10_000
         self.trails = Trails(section, seed=seed)
-        """On it, if any."""
 
     def height_m(self, x_m: Array, y_m: Array) -> Array:
         """Ground height at points of any common shape; a point's height depends on that point alone."""
@@ -86,14 +75,8 @@ def _add(
         column, row = math.floor(x[i] / cell_m), math.floor(y[i] / cell_m)
         for ix in range(column - 1, column + 2):
             for iy in range(row - 1, row + 2):
-                words = philox4x32(
-                    np.uint32(ix & 0xFFFFFFFF),
-                    np.uint32(iy & 0xFFFFFFFF),
-                    np.uint32(0),
-                    np.uint32(purpose),
-                    seed_low,
-                    seed_high,
-                )
+                column_word, row_word = np.uint32(ix & 0xFFFFFFFF), np.uint32(iy & 0xFFFFFFFF)
+                words = philox4x32(column_word, row_word, np.uint32(0), np.uint32(purpose), seed_low, seed_high)
                 if words[0] * 2.0**-32 >= share:
                     continue
                 east_m = x[i] - (ix + words[1] * 2.0**-32) * cell_m

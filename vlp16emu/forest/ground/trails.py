@@ -16,8 +16,7 @@ from vlp16emu.forest.ground.settings import Terrain
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import philox4x32
 from vlp16emu.trig import cos_sin
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 _TRACK_M = (1.8, 2.2)
 """Between the middles of a trail's ruts, least and most: forwarders are 2.5 m to 3 m wide over all (assumption)."""
@@ -25,36 +24,25 @@ _TRACK_M = (1.8, 2.2)
 _RUT_M = (0.5, 0.7)
 """Width of a rut at the height of the ground beside it, least and most: that of a tyre (600/55-26.5 and 710/45-26.5 are usual)."""
 
-_DEPTH_M = (0.05, 0.2)
-"""Least and most depth along a rut; assumption, with the source above."""
+_DEPTH_M = (0.05, 0.2)  # least and most depth along a rut; assumption, with the source above
 
 _SHOULDER = 1.5
 """Where the shoulder of a rut ends, over half its width; it is then a seventeenth as high as the rut is deep."""
 
-_WAVES_M = (7.0, 19.0)
-"""Lengths of the waves by which depth changes along a rut; assumption."""
-
-_FREE_M = 2.0
-"""From the middle of a trail within which no tree stands: trails are 4 m wide (FSC and PEFC in Germany)."""
+_WAVES_M = (7.0, 19.0)  # lengths of the waves by which depth changes along a rut; assumption
+_FREE_M = 2.0  # from the middle of a trail within which no tree stands: trails are 4 m wide (FSC and PEFC in Germany)
 
 _RUT = int(Growth.RUT)
 
 
 class Trails:
-    """Trails over all of the plane, one of them at a place that the seed gives.
-
-    Parameters
-    ----------
-    section : their spacing and direction
-    seed : of the scenario
-    """
+    """Trails over all of the plane, one of them at a place that the seed gives."""
 
     def __init__(self, section: Terrain, *, seed: int) -> None:
         self._spacing_m, towards = section.trail_spacing_m, math.radians(section.trail_towards_deg)
         self._along = (cos(towards), sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))
-        self.free_share = 1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0
-        """Of the ground, on which trees may stand."""
+        self.free_share = 1.0 - 2 * _FREE_M / self._spacing_m if self._spacing_m else 1.0  # on which trees may stand
 
     def are_free(self, xy_m: Array) -> NDArray[np.bool_]:
         """Which of points (n, 2) are off all trails."""

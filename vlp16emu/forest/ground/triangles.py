@@ -8,24 +8,19 @@ made in both triangles at a side, and with it the coarser ones that it rests on,
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.types import HeightField
+from vlp16emu.types import Array, HeightField, IntArray
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_CELL_M = 0.5
-"""Edge of the squares from which cutting begins, as many as are even ground."""
-
-_FINEST = 16
-"""Steps of the finest grid along such an edge, 31 mm each."""
+_CELL_M = 0.5  # edge of the squares from which cutting begins, as many as are even ground
+_FINEST = 16  # steps of the finest grid along such an edge, 31 mm each
 
 _LOOKED_AT = (16, 8, 4, 2)
 """Edges, in such steps, of squares at whose middle and sides the ground is compared: the largest everywhere, others where it lies
 off those of the square around them, or of one beside that. A hollow may lie even between points that are as far apart as it is
 wide, but not beside itself."""
 
-_CUTS = 8
-"""Of a half square, one after the other, down to halves of the finest squares."""
+_CUTS = 8  # of a half square, one after the other, down to halves of the finest squares
 
 _OFF_M = 0.004
 """How far the ground may lie off the middle of a side that is not cut; elsewhere on a triangle it is off by little more."""
@@ -34,16 +29,10 @@ _APRON = 2
 """Squares around those that are asked for whose cuts are worked out too: cuts reach into the square beside, no farther."""
 
 
-def ground_triangles(
-    corner_m: tuple[float, float], edge_m: float, height_m: HeightField
-) -> tuple[Array, NDArray[np.int64]]:
+def ground_triangles(corner_m: tuple[float, float], edge_m: float, height_m: HeightField) -> tuple[Array, IntArray]:
     """Triangulate the ground of a square so that those of neighbouring squares have the same vertices along their border.
 
-    Parameters
-    ----------
-    corner_m : its south-west corner, at whole multiples of 0.5 m
-    edge_m : its edge, in whole metres
-    height_m : gives the ground
+    The south-west corner is at whole multiples of 0.5 m, and the edge is in whole metres.
 
     Returns
     -------
@@ -69,7 +58,7 @@ class _Ground:
         """Look up heights where (side, side) is set and none is known."""
         self.points_m(np.flatnonzero(wanted & np.isnan(self.z_m)))
 
-    def points_m(self, which: NDArray[np.int64]) -> Array:
+    def points_m(self, which: IntArray) -> Array:
         """Points (n, 3) of the grid by number, along rows and row by row."""
         row, column = np.divmod(which, self.side)
         xy_m = self._first_m[:, None] + np.array([column, row]) * (_CELL_M / _FINEST)
@@ -132,7 +121,7 @@ def _supported(cut: Mask) -> Mask:
     return cut
 
 
-def _halves(first: NDArray[np.int64], side: int) -> NDArray[np.int64]:
+def _halves(first: IntArray, side: int) -> IntArray:
     """Both halves (n, 3) of squares whose south-west corners are at these rows and columns: tip, and ends of the longest side."""
     corner = (first[:, None] * side + first).ravel()
     east, north = corner + _FINEST, corner + _FINEST * side
@@ -140,7 +129,7 @@ def _halves(first: NDArray[np.int64], side: int) -> NDArray[np.int64]:
     return np.concatenate([np.column_stack(t) for t in ((east, opposite, corner), (north, corner, opposite))])
 
 
-def _bisected(triangles: NDArray[np.int64], cut: Mask) -> NDArray[np.int64]:
+def _bisected(triangles: IntArray, cut: Mask) -> IntArray:
     """Cut triangles (n, 3) until none has a cut in the middle of its longest side."""
     whole = []
     for _ in range(_CUTS):

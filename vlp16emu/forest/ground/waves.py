@@ -2,15 +2,12 @@
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, power, sin
 from vlp16emu.trig import cos_sin
+from vlp16emu.types import Array
 
-Array = NDArray[np.float64]
-
-_WAVES = 48
-"""Enough that their sum is near normal; its cost is proportional to it."""
+_WAVES = 48  # enough that their sum is near normal; its cost is proportional to it
 
 
 def waves(rng: np.random.Generator, wavelengths_m: tuple[float, float], rms: float) -> Array:

@@ -8,13 +8,11 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
 from vlp16emu.elementary import exp, expm1, log, log1p, power
 from vlp16emu.settings import Section
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 BREAST_HEIGHT_M = 1.3
 """Where the diameter at breast height is measured, above the ground at the stem's axis."""
@@ -24,24 +22,14 @@ US_BREAST_HEIGHT_M = 1.37
 
 _INCH_CM, _FOOT_M = 2.54, 0.3048
 
-_TRUNCATION_CM = 6.9
-"""Left truncation of the diameter distributions (Nagel and Biging 1995)."""
-
-_LARGEST_DBH_RATIO = 1.6
-"""Largest over quadratic mean diameter of a stand; assumption."""
-
-_STUMP_SHARE = 0.01
-"""Height of the stump over that of the tree, as Vonderach and Kaendler (2021) use it."""
-
-_COMPONENT_TERMS = 8
-"""Coefficients of one component of `components` biomass."""
+_TRUNCATION_CM = 6.9  # left truncation of the diameter distributions (Nagel and Biging 1995)
+_LARGEST_DBH_RATIO = 1.6  # largest over quadratic mean diameter of a stand; assumption
+_STUMP_SHARE = 0.01  # height of the stump over that of the tree, as Vonderach and Kaendler (2021) use it
+_COMPONENT_TERMS = 8  # coefficients of one component of `components` biomass
 
 
 def truncated_weibull_cm(coefficients: tuple[float, ...], probability: Array, mean_dbh_cm: float) -> Array:
-    """Quantiles of a stand's diameters for the quadratic mean `mean_dbh_cm`, before scaling to it.
-
-    Source: Nagel and Biging (1995), left-truncated Weibull distribution; coefficients a0, a1, c0, c1, c2.
-    """
+    """Quantiles of a stand's diameters before scaling to their quadratic mean: left-truncated Weibull, Nagel and Biging (1995)."""
     a0, a1, c0, c1, c2 = coefficients
     scale = a0 + a1 * mean_dbh_cm
     shape = c0 + c1 * mean_dbh_cm + c2 * _LARGEST_DBH_RATIO * mean_dbh_cm
@@ -63,10 +51,9 @@ def _uniform_height_m(
 def _curtis_arney_height_m(
     coefficients: tuple[float, ...], dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float
 ) -> Array:
-    """Curtis-Arney curve, stretched above breast height to pass through (mean_dbh_cm, mean_height_m).
+    """Curtis-Arney curve (Forest Vegetation Simulator, `htdbh`; P2, P3, P4 for inches and feet), stretched to the mean tree.
 
-    Source: Forest Vegetation Simulator, `htdbh`; P2, P3, P4 for inches and feet. Below 3 inches, where
-    the equation does not hold, a straight line leads to breast height.
+    Below 3 inches, where the equation does not hold, a straight line leads to breast height.
     """
     p2, p3, p4 = coefficients
 
@@ -140,9 +127,7 @@ def _component_biomass_kg(
 ) -> Array:
     """Sum of components a + b d^c h^d u^e s^f k^g (d h)^h; u is the diameter at 0.3 h, s the stump, k the crown base.
 
-    A component that comes out negative, as coarse wood of saplings does, weighs nothing.
-
-    Source: Vonderach et al. (2018), 10.1007/s13595-018-0728-4, coefficients of Vonderach and Kaendler (2021).
+    A component that comes out negative, as coarse wood of saplings does, weighs nothing. Source: Vonderach et al. (2018), 10.1007/s13595-018-0728-4, coefficients of Vonderach and Kaendler (2021).
     """
     total = np.zeros_like(dbh_cm)
     for a, b, c, d, e, f, g, h in np.reshape(coefficients, (-1, _COMPONENT_TERMS)):
@@ -270,19 +255,10 @@ def _radii(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -
 
 
 def taper_radius_m(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -> Array:
-    """Stem radius over bark, scaled so that it is half the DBH at breast height.
+    """Radius (n, r) over bark of stems (n,) at heights (n, r), such that it is half the DBH at breast height.
 
-    Parameters
-    ----------
-    taper : (n, 12), `Taper.row` of the species of each stem
-    dbh_m, height_m : (n,)
-    above_ground_m : (n, r) heights; below ground the radius stays that at the ground
-
-    Returns
-    -------
-    (n, r) metres, 0 at the tip unless it has broken off
-
-    Sources: Laasasenaho (1982), Schmidt (2001).
+    `taper` (n, 12) is the `Taper.row` of each. Below ground the radius stays that at the ground; at the tip it is 0 unless that
+    has broken off. Sources: Laasasenaho (1982), Schmidt (2001).
     """
     dbh_m, height_m = np.ascontiguousarray(dbh_m), np.ascontiguousarray(height_m)
     return _radii(taper, dbh_m, height_m, np.ascontiguousarray(above_ground_m))

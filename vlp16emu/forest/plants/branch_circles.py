@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import matvec, norm
 from vlp16emu.forest.plants.branches import Branches
 from vlp16emu.forest.plants.crown import CrownKey, crown_branches, crown_placements
-from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE, Table, Trees
-from vlp16emu.types import PlantPart
+from vlp16emu.forest.plants.flora import Table, Trees
+from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
+from vlp16emu.types import Array, PlantPart
 from vlp16emu.world.vectors import determinant
-
-Array = NDArray[np.float64]
 
 
 def branch_circles(
@@ -20,14 +19,8 @@ def branch_circles(
 ) -> NDArray[np.void]:
     """Circles (k,) `STEM_CIRCLE` along the branches of the first order, tree by tree, each from the stem's axis to its tip.
 
-    A crown is its prototype, stretched; a circle has the area of the branch's section as it is stretched.
-
-    Parameters
-    ----------
-    trees : (n,) `TREE` records
-    crowns : the crown prototype of each
-    seed : that the crowns are grown from
-    table : species; that of the program if none is given
+    The crowns of trees (n,) `TREE` are their prototypes, grown from the seed and stretched; a circle has the area of the branch's
+    section as it is stretched.
     """
     prototypes = {key: crown_branches(seed, key, table=table) for key in dict.fromkeys(crowns)}
     found = [np.zeros(0, STEM_CIRCLE)]

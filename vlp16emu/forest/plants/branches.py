@@ -7,47 +7,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import asin, atan2, cos, hypot, norm, power, sin
 from vlp16emu.forest.plants.meshes import pipe_faces
 from vlp16emu.forest.plants.species import Habit, Twigs
-from vlp16emu.types import Mesh
+from vlp16emu.types import Array, IntArray, Mesh
 from vlp16emu.world.vectors import unit
 
-Array = NDArray[np.float64]
-
-_NODES = {1: 9, 2: 5, 3: 3}
-"""Nodes of a branch's curve, by order: odd, so that saplings can do with every other."""
+_NODES = {1: 9, 2: 5, 3: 3}  # nodes of a branch's curve, by order: odd, so that saplings can do with every other
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Between successive branches or whorls, so that none stands right above another."""
 
-_STEEPEST = np.radians(85.0)
-"""Branches hang or rise no steeper; keeps the azimuth of a branch defined."""
+_STEEPEST = np.radians(85.0)  # branches hang or rise no steeper; keeps the azimuth of a branch defined
 
 THINNEST_M = 0.001
 """Least radius of a branch at its base; assumption."""
 
-_TIP_SHARE = 0.2
-"""Radius just before the tip over that at the base; assumption."""
-
-_BISECTIONS = 16
-"""Enough to find the length of a branch to a millimetre."""
+_TIP_SHARE = 0.2  # radius just before the tip over that at the base; assumption
+_BISECTIONS = 16  # enough to find the length of a branch to a millimetre
 
 
 @dataclass(frozen=True, slots=True)
 class Branches:
     """Branches of one order."""
 
-    nodes_m: Array
-    """(n, m, 3) from the base, which lies on the bearer's axis, to the tip."""
-    azimuth: Array
-    """(n,) rad, of the branch at its base."""
-    length_m: Array
-    """(n,)."""
-    radius_m: Array
-    """(n,) at the base."""
+    nodes_m: Array  # (n, m, 3) from the base, which lies on the bearer's axis, to the tip
+    azimuth: Array  # (n,) rad, of the branch at its base
+    length_m: Array  # (n,).
+    radius_m: Array  # (n,) at the base
 
     @property
     def node_radius_m(self) -> Array:
@@ -55,19 +43,13 @@ class Branches:
         rings = self.nodes_m.shape[1] - 1
         return self.radius_m[:, None] * np.append(_taper(np.arange(rings) / rings), 0.0)
 
-    def of(self, which: NDArray[np.int64]) -> "Branches":
+    def of(self, which: IntArray) -> "Branches":
         """Give some of the branches."""
         return Branches(*(getattr(self, name)[which] for name in self.__slots__))
 
 
 def first_order(rng: np.random.Generator, habit: Habit, size_m: tuple[float, float], stem_m: Array) -> Branches:
-    """Branches that leave the stem.
-
-    Parameters
-    ----------
-    size_m : length and width of the crown
-    stem_m : (s,) stem radius from the crown's base to its top, evenly spaced
-    """
+    """Branches that leave the stem, of a crown of a length and width; its radii (s,) are evenly spaced from base to top."""
     length_m, _ = size_m
     whorls = max(1, round(length_m / habit.whorl_spacing_m))
     whorl = np.repeat(np.arange(whorls), habit.branches_per_whorl)
@@ -134,11 +116,10 @@ def ground_stems(
     bend_deg: tuple[float, float],
     slenderness: float,
 ) -> Branches:
-    """Stems of a shrub, that come out of the ground close together.
+    """Stems of a shrub of a height and width, that come out of the ground close together.
 
     Parameters
     ----------
-    size_m : height and width of the shrub
     rise_deg : elevation at the ground of the outermost and the innermost stem
     bend_deg : how much it falls towards the tip, and one sigma of the crooks on the way
     """
@@ -171,21 +152,11 @@ def volume_m3(branches: Branches) -> float:
 
 def joined(*parts: Branches) -> Branches:
     """Branches of one order, in order."""
-    return Branches(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("nodes_m", "azimuth", "length_m", "radius_m")
-        )
-    )
+    return Branches(*(np.concatenate([getattr(part, name) for part in parts]) for name in Branches.__slots__))
 
 
-def points_along(nodes_m: Array, branch: NDArray[np.int64], way: Array) -> tuple[Array, Array]:
-    """Points and unit tangents on curves (n, m, 3) at shares `way` (p,) of their length.
-
-    Returns
-    -------
-    (p, 3) m, (p, 3)
-    """
+def points_along(nodes_m: Array, branch: IntArray, way: Array) -> tuple[Array, Array]:
+    """Points (p, 3) and unit tangents (p, 3) on curves (n, m, 3) at shares `way` (p,) of their length."""
     last = nodes_m.shape[1] - 2
     segment = np.minimum((way * (last + 1)).astype(np.int64), last)
     start = nodes_m[branch, segment]
@@ -194,13 +165,10 @@ def points_along(nodes_m: Array, branch: NDArray[np.int64], way: Array) -> tuple
 
 
 def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
-    """Tapering tubes, open at the base inside the bearer, pointed at the tip.
+    """Tapering tubes, open at the base inside the bearer, pointed at the tip, through every so-many-th node of the curves.
 
-    Parameters
-    ----------
-    sides : of the cross-section; its girth is that of the round branch, so that its silhouette, averaged
-        over all directions, is as wide as the branch is thick (Cauchy), however few the sides
-    every : use only each so-many-th node of the curve
+    The girth of a section is that of the round branch, so that its silhouette, averaged over all directions, is as wide as the
+    branch is thick (Cauchy), however few the sides.
     """
     nodes = branches.nodes_m[:, ::every]
     n, rings = nodes.shape[0], nodes.shape[1] - 1
@@ -220,7 +188,6 @@ def tubes(branches: Branches, sides: int, *, every: int = 1) -> Mesh:
 
 
 def _envelope(habit: Habit, relative: Array) -> Array:
-    """Crown radius over its largest, at relative heights (n,)."""
     below = sin(np.pi / 2 * np.minimum(relative / habit.widest_at, 1.0))
     above = np.clip((relative - habit.widest_at) / (1 - habit.widest_at), 0.0, 1.0)
     radius: Array = (habit.base_fraction + (1 - habit.base_fraction) * below) * (1 - power(above, habit.top_power))

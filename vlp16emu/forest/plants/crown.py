@@ -1,16 +1,15 @@
 """Crown prototypes: grown once for a species, diameter class and variant, then instanced."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, matmul, sin
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.bole import bole_branches
 from vlp16emu.forest.plants.branches import Branches, first_order, joined, side_branches, tubes, volume_m3
-from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.flora import Table, Trees, species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import merged
 from vlp16emu.forest.plants.settings import Season
@@ -18,11 +17,8 @@ from vlp16emu.forest.plants.species import Species
 from vlp16emu.forest.plants.stem import lean_rotation
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import generator
-from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.types import Array, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
 
 VARIANTS = 3
 """Different crowns of the same species and diameter class."""
@@ -30,8 +26,7 @@ VARIANTS = 3
 CROWN_PARTS = (PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF, PlantPart.DEAD_BRANCH)
 """Of the meshes of a crown, in order. A mesh without faces stands where a crown has no such part."""
 
-_SIDES = (6, 4, 3)
-"""Of branches, by order."""
+_SIDES = (6, 4, 3)  # of branches, by order
 
 _NOTHING = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
 
@@ -46,11 +41,9 @@ class CrownKey:
     height_m: float
     crown_base_m: float
     crown_width_m: float
-    leaf_area_m2: float
-    """One-sided."""
+    leaf_area_m2: float  # one-sided
     season: Season = "leaf_on"
-    dead_branches: bool = False
-    """Whether dead branches still sit below the crown."""
+    dead_branches: bool = False  # whether dead branches still sit below the crown
 
     @property
     def crown_length_m(self) -> float:
@@ -58,53 +51,41 @@ class CrownKey:
         return self.height_m - self.crown_base_m
 
 
-def crown_meshes(
-    seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None
-) -> tuple[Mesh, Mesh, Mesh, Mesh]:
+def crown_meshes(seed: int, key: CrownKey, *, table: Table | None = None) -> tuple[Mesh, Mesh, Mesh, Mesh]:
     """Meshes of `CROWN_PARTS`; a dead tree has all its branches among the dead ones.
 
     In the crown's own frame: origin on the stem's axis at the crown base, z along the axis. Season
     and dead branches change nothing else about a crown.
     """
     species = (table or species_table())[key.species]
-    rng = _generator(Growth.CROWN, seed, key, species)
-    orders, dead = _orders(rng, seed, key, species)
+    rng, orders, dead = _orders(seed, key, species)
     leaves = _NOTHING
     if species.foliage and species.foliage.is_borne(key.season):
         leaves = foliage_mesh(rng, species.foliage, orders[-1], key.leaf_area_m2)
     first, *others = (tubes(branches, sides) for branches, sides in zip(orders, _SIDES, strict=False))
     higher = merged(*others)
-    bare = []
-    if key.dead_branches:
-        bare = [tubes(dead[0], _SIDES[1], every=4), tubes(dead[1], _SIDES[2])]
+    bare = [tubes(dead[0], _SIDES[1], every=4), tubes(dead[1], _SIDES[2])] if key.dead_branches else []
     if species.foliage is None:
         return _NOTHING, _NOTHING, _NOTHING, merged(first, higher, *bare)
     return first, higher, leaves, merged(*bare) if bare else _NOTHING
 
 
-def crown_branches(
-    seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None
-) -> tuple[Branches, Branches]:
+def crown_branches(seed: int, key: CrownKey, *, table: Table | None = None) -> tuple[Branches, Branches]:
     """Give the branches that leave the stem, in the crown's own frame: living ones, and dead ones."""
     species = (table or species_table())[key.species]
-    orders, dead = _orders(_generator(Growth.CROWN, seed, key, species), seed, key, species)
+    (first, *_), dead = _orders(seed, key, species)[1:]
     bare = dead[0] if key.dead_branches else dead[0].of(np.zeros(0, np.int64))
-    first = orders[0]
     return (first, bare) if species.foliage else (first.of(np.zeros(0, np.int64)), joined(first, bare))
 
 
-def crown_wood_m3(seed: int, key: CrownKey, *, table: Mapping[str, Species] | None = None) -> float:
+def crown_wood_m3(seed: int, key: CrownKey, *, table: Table | None = None) -> float:
     """Volume of all branches of a prototype, dead ones too."""
-    species = (table or species_table())[key.species]
-    orders, dead = _orders(_generator(Growth.CROWN, seed, key, species), seed, key, species)
+    orders, dead = _orders(seed, key, (table or species_table())[key.species])[1:]
     return sum(volume_m3(branches) for branches in (*orders, *(dead if key.dead_branches else ())))
 
 
 def crown_scale(trees: Trees, crowns: Sequence[CrownKey]) -> tuple[Array, Array]:
-    """Stretch of each tree's crown over its prototype: across (n,) and along the axis (n,).
-
-    Heights are vertical, but crowns follow the leaning axis.
-    """
+    """Stretch of each tree's crown over its prototype: across (n,), and along the axis (n,), which leans while heights are vertical."""
     prototype_m = np.array([(c.crown_width_m, c.crown_length_m) for c in crowns]).reshape(-1, 2)
     upright = cos(np.radians(trees["lean_deg"]))
     wide: Array = trees["crown_width_m"] / prototype_m[:, 0]
@@ -132,9 +113,10 @@ def _generator(purpose: Growth, seed: int, key: CrownKey, species: Species) -> n
 
 
 def _orders(
-    rng: np.random.Generator, seed: int, key: CrownKey, species: Species
-) -> tuple[list[Branches], tuple[Branches, Branches]]:
-    """Branches of the first, second and, on broad crowns, third order; and dead ones below with their twigs."""
+    seed: int, key: CrownKey, species: Species
+) -> tuple[np.random.Generator, list[Branches], tuple[Branches, Branches]]:
+    """Random numbers; branches of first, second and, on broad crowns, third order; and dead ones below with their twigs."""
+    rng = _generator(Growth.CROWN, seed, key, species)
     at_m = np.append(*(np.linspace(key.crown_base_m, end_m, 16) for end_m in (key.height_m, 0.0)))
     taper = species.taper.row[None]
     stem_m = taper_radius_m(taper, np.array([key.dbh_m]), np.array([key.height_m]), at_m[None])[0]
@@ -148,4 +130,4 @@ def _orders(
         if twigs is not None:
             crown.append(side_branches(rng, twigs, crown[-1], order))
             below.append(side_branches(bole_rng, twigs, below[-1], order))
-    return [joined(*both) for both in zip(crown, below, strict=True)], (dead[0], dead[1])
+    return rng, [joined(*both) for both in zip(crown, below, strict=True)], (dead[0], dead[1])

@@ -4,25 +4,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.foliage.tiles import STEM
-from vlp16emu.forest.plants.stem_rings import (
-    FLARE_TOP_M,
-    Table,
-    Trees,
-    axis_m,
-    second_leaders,
-    stem_rings,
-    tip_radius_m,
-)
+from vlp16emu.forest.plants.flora import Table, Trees
+from vlp16emu.forest.plants.stem_rings import FLARE_TOP_M, axis_m, second_leaders, stem_rings, tip_radius_m
+from vlp16emu.types import Array
 from vlp16emu.world.vectors import places_m, unit
-
-Array = NDArray[np.float64]
 
 
 def far_stems(trees: Trees, first_row: int, *, table: Table | None = None) -> NDArray[np.void]:
-    """Stems of n trees as `STEM`, circles in place of their polygons, and then their second leaders.
-
-    Rows of root flares and stems count on from the first.
-    """
+    """Stems of n trees as `STEM`, circles in place of their polygons, then their second leaders; rows count on from the first."""
     rings = stem_rings(trees, table=table)
     above_m = np.column_stack([rings.above_ground_m, trees["height_m"]])
     radius_m = np.column_stack([rings.radius_m, tip_radius_m(trees, table=table)])

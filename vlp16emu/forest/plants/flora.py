@@ -17,11 +17,13 @@ from vlp16emu.errors import GeometryError, readable
 from vlp16emu.explain import explain
 from vlp16emu.forest.plants.species import Plant, Shrub, Species
 from vlp16emu.settings import toml
+from vlp16emu.types import Array, IntArray
 
+Trees = NDArray[np.void]
+Table = Mapping[str, Species]
 _Kind = TypeVar("_Kind", bound=Plant)
 
-_FIRST_OWN_NUMBER = 1000
-"""Smaller numbers belong to the table that comes with the program."""
+_FIRST_OWN_NUMBER = 1000  # smaller numbers belong to the table that comes with the program
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,16 +51,9 @@ def shrub_table(path: Path | None = None) -> Mapping[str, Shrub]:
 
 @cache
 def flora(path: Path | str | None = None) -> Flora:
-    """Read the plants of the program, and those of a user's file after them.
+    """Read the plants of the program, and those of a user's file of the same form after them, numbered from 1000.
 
-    Parameters
-    ----------
-    path : a file of the same form as `species.toml` with further plants, numbered from 1000
-
-    Raises
-    ------
-    GeometryError
-        naming file, species and key, where the user's file is wrong
+    Raises GeometryError, naming file, species and key, where the user's file is wrong.
     """
     with resources.as_file(resources.files("vlp16emu.forest").joinpath("species.toml")) as shipped:
         trees, shrubs = _plants(shipped, 1)
@@ -73,7 +68,6 @@ def flora(path: Path | str | None = None) -> Flora:
 
 
 def _plants(path: Path, first_number: int) -> tuple[dict[str, Species], dict[str, Shrub]]:
-    """Trees and shrubs of one file, with numbers of their own."""
     with readable(path, "a species file", GeometryError):
         text = path.read_text(encoding="utf-8")
     try:
@@ -112,10 +106,7 @@ def _of_kind(
 def known(names: Sequence[str], table: Mapping[str, _Kind], where: str) -> list[_Kind]:
     """Rows of a species table by name: that of the table, with any case and any space, or the scientific one.
 
-    Raises
-    ------
-    GeometryError
-        for a name that is not in the table
+    Raises GeometryError for a name that is not in the table.
     """
     latin = {" ".join(_plain(row.scientific_name).split()[:2]): row for row in table.values()}  # without author
     rows = latin | {_plain(row.name): row for row in table.values()}
@@ -131,18 +122,17 @@ def _plain(name: str) -> str:
     return " ".join(name.replace("_", " ").replace("-", " ").lower().split())
 
 
-def tapers(numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None = None) -> NDArray[np.float64]:
+def tapers(numbers: NDArray[np.uint16], *, table: Table | None = None) -> Array:
     """Taper by species number, (n, 12) for `taper_radius_m`; `table` is that of the program if none is given."""
     return _by_number(numbers, {one.number: one.taper.row for one in (table or species_table()).values()}, 12)
 
 
-def stem_keys(numbers: NDArray[np.uint16], *, table: Mapping[str, Species] | None = None) -> NDArray[np.float64]:
+def stem_keys(numbers: NDArray[np.uint16], *, table: Table | None = None) -> Array:
     """Row of `StemForm` by species number, (n, 10)."""
     return _by_number(numbers, {one.number: one.stem.row for one in (table or species_table()).values()}, 10)
 
 
-def _by_number(numbers: NDArray[np.uint16], rows: Mapping[int, NDArray[np.float64]], width: int) -> NDArray[np.float64]:
-    """Rows (n, width) of species."""
+def _by_number(numbers: NDArray[np.uint16], rows: Mapping[int, Array], width: int) -> Array:
     return np.array([rows[int(number)] for number in numbers]).reshape(-1, width)
 
 
@@ -160,14 +150,14 @@ def material_names(plants: Flora) -> tuple[str, ...]:
     return (*GROUND_MATERIALS, *parts)
 
 
-def bark_material(species: NDArray[np.uint16], plants: Flora) -> NDArray[np.int64]:
+def bark_material(species: NDArray[np.uint16], plants: Flora) -> IntArray:
     """Material numbers of the bark of species by number, (n,); that of the leaf is the next."""
-    row: NDArray[np.int64] = _rows(plants)[species]
+    row: IntArray = _rows(plants)[species]
     return len(GROUND_MATERIALS) + 2 * row
 
 
 @cache
-def _rows(plants: Flora) -> NDArray[np.int64]:
+def _rows(plants: Flora) -> IntArray:
     numbers = list(plants.names)
     row_of = np.zeros(max(numbers) + 1, np.int64)
     row_of[numbers] = np.arange(len(numbers))

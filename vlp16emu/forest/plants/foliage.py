@@ -1,22 +1,16 @@
 """Leaves and shoots as planar quads along the twigs of a crown, with a given total area."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, exp, power, sin
 from vlp16emu.forest.plants.branches import Branches, points_along
 from vlp16emu.forest.plants.meshes import quads
 from vlp16emu.forest.plants.species import Foliage
-from vlp16emu.types import Mesh
+from vlp16emu.types import Array, Mesh
 from vlp16emu.world.vectors import unit
 
-Array = NDArray[np.float64]
-
-_WIDEST_AT = 0.4
-"""Where a blade is widest, from its base; assumption."""
-
-_SIZE_SIGMA = 0.15
-"""Spread of the logarithm of leaf length about its mean; assumption."""
+_WIDEST_AT = 0.4  # where a blade is widest, from its base; assumption
+_SIZE_SIGMA = 0.15  # spread of the logarithm of leaf length about its mean; assumption
 
 _MOST_LEAVES = 120_000
 """Beyond that many leaves quads grow larger instead: memory of a very large crown, seen from far below."""
@@ -24,18 +18,11 @@ _MOST_LEAVES = 120_000
 _HANG_SIGMA = np.radians(40.0)
 """One sigma of a blade's tip about the direction of steepest descent in its plane; assumption."""
 
-_SHOOT_ANGLE = (np.radians(15.0), np.radians(65.0))
-"""Range of angles between a shoot and its twig; assumption."""
+_SHOOT_ANGLE = (np.radians(15.0), np.radians(65.0))  # range of angles between a shoot and its twig; assumption
 
 
 def foliage_mesh(rng: np.random.Generator, foliage: Foliage, twigs: Branches, leaf_area_m2: float) -> Mesh:
-    """Quads that bear the leaf area.
-
-    Parameters
-    ----------
-    twigs : branches that the leaves sit on, evenly along their leafy part
-    leaf_area_m2 : one-sided; quads have this area over the species' clumping
-    """
+    """Quads that sit evenly along the leafy part of twigs, and have the one-sided leaf area over the species' clumping."""
     area_m2 = leaf_area_m2 / foliage.clumping
     per_item = foliage.length_m * foliage.width_m * (2.0 if foliage.kind == "shoot" else 0.5)
     n = max(1, round(min(area_m2 / per_item, _MOST_LEAVES)))
@@ -92,5 +79,4 @@ def _shoots(rng: np.random.Generator, base: Array, tangent: Array, length: Array
 
 
 def _in_ball(rng: np.random.Generator, n: int) -> Array:
-    """Points (n, 3) evenly distributed in the unit ball."""
     return unit(rng.standard_normal((n, 3))) * power(rng.random((n, 1)), 1 / 3)

@@ -3,36 +3,23 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, power, sin
+from vlp16emu.forest.plants.flora import Table, Trees
 from vlp16emu.forest.plants.meshes import quads
-from vlp16emu.forest.plants.stem_rings import Table, Trees, axis_m, stem_rings
+from vlp16emu.forest.plants.stem_rings import axis_m, stem_rings
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.tiles import TileKey
 from vlp16emu.random import generator, uniform
-from vlp16emu.types import Mesh
+from vlp16emu.types import Array, Mesh
 from vlp16emu.world.vectors import places_m
 
-Array = NDArray[np.float64]
-
-_LEAF_PER_BARK = 2.0
-"""One-sided leaf area over the area of the bark that it covers; assumption."""
-
-_LEAF_M = (0.04, 0.1)
-"""Length of a leaf, least and most (Stace, New Flora of the British Isles: 4 to 10 cm)."""
-
-_LEAF_WIDTH = 0.9
-"""Over its length; assumption."""
-
-_AWAY_M = (0.02, 0.12)
-"""How far leaves stand off the bark at their base, least and most; assumption."""
-
-_TILT_DEG = (10.0, 60.0)
-"""Range of the angle between a hanging blade and the stem; assumption."""
-
-_UPWARDS = 1.3
-"""Power of an even number that gives a leaf's place on the way up: fewer the higher; assumption."""
+_LEAF_PER_BARK = 2.0  # one-sided leaf area over the area of the bark that it covers; assumption
+_LEAF_M = (0.04, 0.1)  # length of a leaf, least and most (Stace, New Flora of the British Isles: 4 to 10 cm)
+_LEAF_WIDTH = 0.9  # over its length; assumption
+_AWAY_M = (0.02, 0.12)  # how far leaves stand off the bark at their base, least and most; assumption
+_TILT_DEG = (10.0, 60.0)  # range of the angle between a hanging blade and the stem; assumption
+_UPWARDS = 1.3  # power of an even number that gives a leaf's place on the way up: fewer the higher; assumption
 
 _TONGUES, _SHORTER = 3, 0.35
 """Waves of the upper edge around the stem, and by what share of its height it is lower between them; assumptions."""
@@ -43,14 +30,13 @@ class IvyKey:
     """Name of the shape of the ivy on a stem, in the frame of its tile."""
 
     tile: TileKey
-    number: int
-    """Among the trees of the tile."""
+    number: int  # among the trees of the tile
 
 
 def ivy_tops_m(trees: Trees, share: float, height_m: tuple[float, float], *, seed: int) -> Array:
-    """Height over the foot (n,) up to which ivy covers a share of the stems; 0 where it does not grow.
+    """Height over the foot (n,) up to which ivy covers a share of the stems, no higher than the crown base; 0 where none grows.
 
-    A tree's depends on its place alone, is within a range, and no higher than the crown base.
+    A tree's depends on its place alone, and is within a range.
     """
     places_mm = np.round(1000 * places_m(trees, "xy")).astype(np.int64) & 0xFFFFFFFF
     counters = [(x & 0x7FFFFFFF) << 32 | y for x, y in places_mm.tolist()]

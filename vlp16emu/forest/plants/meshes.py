@@ -5,9 +5,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.types import Mesh
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, Mesh
 
 
 def quads(corners: Array) -> Mesh:
@@ -31,10 +29,7 @@ def merged(*parts: Mesh) -> Mesh:
 
 @cache
 def pipe_faces(sides: int, rings: int, *, bottom: bool = True, top: bool = True) -> NDArray[np.uint32]:
-    """Triangles of a pipe whose first vertex is the middle of its bottom and whose last is its tip, if it has them.
-
-    They are not to be written to: stems with as many sides and rings share them.
-    """
+    """Triangles, not to be written to, of a pipe whose first vertex is the middle of its bottom and whose last is its tip, if it has them."""
     here = np.arange(sides)
     after = np.roll(here, -1)
     low = int(bottom) + (np.arange(rings - 1) * sides)[:, None]
@@ -59,9 +54,7 @@ def closed(rings: Array, ends: Array) -> Mesh:
     last = (count - 1) * sides
     triangles = [(after, here, bottom), (last + here, last + after, top)]
     for low in range(0, last, sides):
-        triangles += [
-            (low + here, low + after, low + sides + after),
-            (low + here, low + sides + after, low + sides + here),
-        ]
+        high = low + sides
+        triangles += [(low + here, low + after, high + after), (low + here, high + after, high + here)]
     faces = np.concatenate([np.column_stack(triple) for triple in triangles])
     return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))

@@ -1,22 +1,20 @@
 """Sapling prototypes: a thin stem from the ground with branches and leaves, grown once for a species and height."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, hypot, sin
 from vlp16emu.forest.plants.branches import first_order, side_branches, tubes
-from vlp16emu.forest.plants.flora import species_table
+from vlp16emu.forest.plants.flora import Table, species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import NO_LEAVES, closed
 from vlp16emu.forest.plants.settings import Season
-from vlp16emu.forest.plants.species import Habit, Species
+from vlp16emu.forest.plants.species import Habit
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import generator
-from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.types import Array, Mesh, PlantPart
 
 SAPLING_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF)
 """Of the meshes of a sapling, in order. A mesh without faces stands where it has no such part."""
@@ -27,26 +25,19 @@ SLENDERNESS = 80.0
 CROWN_BASE_SHARE, CROWN_WIDTH_SHARE = 0.1, 0.5
 """Height of the lowest branch, and width of the crown, over the height; assumptions."""
 
-_LEAF_AREA_INDEX = 2.0
-"""Of a sapling in the shade on the ground under it; assumption."""
-
-_FEWEST_WHORLS = 6
-"""However small it is; assumption."""
+_LEAF_AREA_INDEX = 2.0  # of a sapling in the shade on the ground under it; assumption
+_FEWEST_WHORLS = 6  # however small it is; assumption
 
 _STEM_SIDES, _BRANCH_SIDES = 6, 4
 
-_EVERY = 2
-"""Of the nodes of a branch's curve, one in so many is used."""
+_EVERY = 2  # of the nodes of a branch's curve, one in so many is used
 
 _LEAN, _BOW, _SWAY, _LOPSIDED = 0.15, 0.08, 0.03, 0.5
 """Of saplings at most: how far the tip is aside, how far the stem bows one way and to and fro, all over the height, and by how
 much the crown reaches further on one side; assumptions."""
 
-_CONE = (0.0, 0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88)
-"""Heights of a stem's rings over its own."""
-
-_BURIED_SHARE = 0.05
-"""Of the height, how far the stem reaches into the ground."""
+_CONE = (0.0, 0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88)  # heights of a stem's rings over its own
+_BURIED_SHARE = 0.05  # of the height, how far the stem reaches into the ground
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +50,7 @@ class SaplingKey:
     season: Season
 
 
-def sapling_meshes(
-    seed: int, key: SaplingKey, *, table: Mapping[str, Species] | None = None
-) -> tuple[Mesh, Mesh, Mesh, Mesh]:
+def sapling_meshes(seed: int, key: SaplingKey, *, table: Table | None = None) -> tuple[Mesh, Mesh, Mesh, Mesh]:
     """Meshes of `SAPLING_PARTS`, in a frame with its origin on the ground and z along the stem."""
     species = (table or species_table())[key.species]
     rng = generator(seed, Growth.SAPLING, species.number, key.variant, round(key.height_m * 1e3))
@@ -85,13 +74,8 @@ def sapling_meshes(
     )
 
 
-def _crooked(height_m: float, drawn: NDArray[np.float64], mesh: Mesh) -> Mesh:
-    """Let a sapling lean, bow and reach further to one side, to the light; its stem has the same sections and height.
-
-    Parameters
-    ----------
-    drawn : (8,) even from 0 to 1
-    """
+def _crooked(height_m: float, drawn: Array, mesh: Mesh) -> Mesh:
+    """Let a sapling lean, bow and reach further to one side, to the light; its stem has the same sections and height."""
     vertices_m = mesh.vertices_m.astype(np.float64)
     at_m = vertices_m
     if len(vertices_m) == 4 * len(mesh.faces):  # leaves are moved, not stretched

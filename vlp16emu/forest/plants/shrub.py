@@ -38,21 +38,12 @@ class ShrubKey:
 
 
 def shrub_meshes(seed: int, key: ShrubKey, *, table: Mapping[str, Shrub] | None = None) -> tuple[Mesh, Mesh, Mesh]:
-    """Meshes of `SHRUB_PARTS`, in a frame with its origin on the ground and z up.
-
-    Its leaf area is that of its kind's leaf area index on the ground that it covers.
-    """
+    """Meshes of `SHRUB_PARTS`, its origin on the ground and z up, with its kind's leaf area index on the ground that it covers."""
     shrub = (table or shrub_table())[key.species]
     size = round(key.height_m * 1e3), round(key.width_m * 1e3)
     rng = generator(seed, Growth.SHRUB, shrub.number, key.variant, *size)
-    stems = ground_stems(
-        rng,
-        (key.height_m, key.width_m),
-        shrub.stems,
-        shrub.rise_deg,
-        (shrub.droop_deg, shrub.crook_deg),
-        shrub.slenderness,
-    )
+    bend_deg = shrub.droop_deg, shrub.crook_deg
+    stems = ground_stems(rng, (key.height_m, key.width_m), shrub.stems, shrub.rise_deg, bend_deg, shrub.slenderness)
     twigs = side_branches(rng, shrub.twigs, stems, 2)
     leaves = NO_LEAVES
     if shrub.foliage.is_borne(key.season):

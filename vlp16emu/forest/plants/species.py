@@ -3,7 +3,6 @@
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
 from vlp16emu.forest.plants.allometry import (
@@ -17,15 +16,14 @@ from vlp16emu.forest.plants.allometry import (
 )
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.settings import Fraction, Section
+from vlp16emu.types import Array
 
-Array = NDArray[np.float64]
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Text = Annotated[str, Field(min_length=1)]
 Length = Annotated[float, Field(ge=0.005, le=20)]
 Crook = Annotated[float, Field(ge=0, le=60)]
 
-_BIOMASS_AT = 0.3
-"""Relative height of the upper diameter in component biomass equations (Vonderach et al. 2018)."""
+_BIOMASS_AT = 0.3  # relative height of the upper diameter in component biomass equations (Vonderach et al. 2018)
 
 
 class Foliage(Section):
@@ -193,13 +191,7 @@ class Species(Plant):
     biomass: Biomass | None = None
 
     def dbh_quantile_cm(self, probability: Array, mean_dbh_cm: float) -> Array:
-        """Quantiles of the left-truncated Weibull distribution of a stand's diameters, before scaling.
-
-        Parameters
-        ----------
-        probability : (n,) in [0, 1)
-        mean_dbh_cm : quadratic mean diameter that the distribution is meant for
-        """
+        """Quantiles (n,) of a stand's diameters as of `truncated_weibull_cm`."""
         return truncated_weibull_cm(self.diameters, probability, mean_dbh_cm)
 
     def height_m(self, dbh_cm: Array, mean_dbh_cm: float, mean_height_m: float) -> Array:

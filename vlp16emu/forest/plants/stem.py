@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, hypot, matvec, norm, sin
+from vlp16emu.forest.plants.flora import Table, Trees
 from vlp16emu.forest.plants.meshes import merged, pipe_faces
-from vlp16emu.forest.plants.stem_rings import StemRings, Table, Trees, axis_m, second_leaders, stem_rings, tip_radius_m
+from vlp16emu.forest.plants.stem_rings import StemRings, axis_m, second_leaders, stem_rings, tip_radius_m
 from vlp16emu.forest.plants.surface_roots import ROOT_RINGS, ROOT_SIDES, root_points
 from vlp16emu.forest.tiles import TileKey
-from vlp16emu.types import HeightField, Mesh, PlantPart
+from vlp16emu.types import Array, HeightField, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
 
 STEM_PARTS = (PlantPart.ROOT_FLARE, PlantPart.STEM)
 """Of the meshes of a stem, in order."""
@@ -28,17 +27,13 @@ STEM_PARTS = (PlantPart.ROOT_FLARE, PlantPart.STEM)
 _SPLINTER_SHARE = 0.8
 """How far off the axis the tip of a broken stem is, over the radius of the highest ring: a slanting break."""
 
-_BURIED_M = 0.1
-"""How far the foot reaches below the lowest ground around it."""
-
-_WIDEST = 1.3
-"""Reach of a butt's lobes over the radius of its circle."""
+_BURIED_M = 0.1  # how far the foot reaches below the lowest ground around it
+_WIDEST = 1.3  # reach of a butt's lobes over the radius of its circle
 
 _LEADER_SIDES, _LEADER_RINGS = 16, (0.0, 0.06, 0.15, 0.3, 0.5, 0.75, 0.92)
 """Of a second leader: sides, and rings as shares of the way from fork to tip."""
 
-_STEP_M = 1e-3
-"""Over which the slope of an axis is taken."""
+_STEP_M = 1e-3  # over which the slope of an axis is taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +41,7 @@ class StemKey:
     """Name of the shape of a single stem, in the frame of its tile."""
 
     tile: TileKey
-    number: int
-    """Among the trees of the tile."""
+    number: int  # among the trees of the tile
 
 
 def lean_rotation(lean_deg: Array, towards_deg: Array) -> Array:
@@ -148,15 +142,7 @@ def _tips_m(trees: Trees, rings: StemRings, table: Table | None) -> Array:
 
 
 def _pipes(axis: Callable[[Array], Array], above_m: Array, away_m: Array, angle: Array) -> Array:
-    """Vertices (n, 1 + rings * sides, 3): the bottom's middle, and rings across the axis from the bottom up.
-
-    Parameters
-    ----------
-    axis : gives points (n, r, 3) at heights (n, r)
-    above_m : (n, rings)
-    away_m : (n, rings, sides) distance of each vertex from the axis
-    angle : (n, sides)
-    """
+    """Vertices (n, 1 + rings * sides, 3): the bottom's middle, and rings across the axis, vertices `away_m` (n, rings, sides) from it."""
     n, rings, sides = away_m.shape
     east, north = np.moveaxis(stem_slopes(axis, above_m), -1, 0)
     tilt, towards = np.degrees(atan2(hypot(east, north), 1.0)), np.degrees(atan2(north, east))

@@ -4,69 +4,50 @@ A form bends the axis below the crown alone, so that crowns sit straight on the 
 outline of a section and never its area.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, exp, expm1, hypot, sin, tan
-from vlp16emu.forest.plants.flora import stem_keys
-from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.plants.flora import Table, stem_keys
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import normal, uniform
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, IntArray
 
 _SIGMA_OVER_MEAN = np.sqrt(2 / np.pi)
 """Of either component of a level vector, over its mean length (Rayleigh's distribution)."""
 
-_MOST_BOW = 0.5
-"""Bow over the DBH at most: branches start on the straight axis, which must not leave the stem."""
-
-_S_SHARE = 0.4
-"""Of the bow, how much the bole bends to and fro besides; assumption."""
-
-_BUTT_M = 0.6
-"""Height over which the sweep of the butt dies away by e; assumption."""
+_MOST_BOW = 0.5  # bow over the DBH at most: branches start on the straight axis, which must not leave the stem
+_S_SHARE = 0.4  # of the bow, how much the bole bends to and fro besides; assumption
+_BUTT_M = 0.6  # height over which the sweep of the butt dies away by e; assumption
 
 _LOBES, _LOBES_M = (3, 6), 0.45
 """Least and most lobes of a butt, and the height over which they die away by e: deeper flutes at the butt than higher up
 (Singleton et al. 2003, Western Journal of Applied Forestry 18); the numbers are assumptions."""
 
-_EGG_SHARE = 0.2
-"""Of the ovality, how much a section is egg-shaped besides; assumption."""
-
-_RIDGE_VERTICES = 3
-"""Of the mesh to each ridge of the bark at least."""
+_EGG_SHARE = 0.2  # of the ovality, how much a section is egg-shaped besides; assumption
+_RIDGE_VERTICES = 3  # of the mesh to each ridge of the bark at least
 
 _LEADER_SHARE, _LEADER_DEG, _LEADER_GAP = (0.3, 0.5), (15.0, 35.0), (0.1, 0.22)
 """Of a second leader: share of the section at the fork, angle to the first, and how far from it over the width of the
 crown, least and most; assumptions."""
 
-_LEADER_TOP = 0.93
-"""Share of the way from fork to tip that it reaches; assumption."""
-
-_DIRECTIONS = 720
-"""In which a section is looked at by a tape: what it shows is then right to 1e-5."""
+_LEADER_TOP = 0.93  # share of the way from fork to tip that it reaches; assumption
+_DIRECTIONS = 720  # in which a section is looked at by a tape: what it shows is then right to 1e-5
 
 
 @dataclass(frozen=True, slots=True)
 class StemForms:
     """Forms of n stems."""
 
-    bole_m: Array
-    """(n,) height of the crown base."""
-    bends: Array
-    """(n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north."""
+    bole_m: Array  # (n,) height of the crown base
+    bends: Array  # (n, 3, 2) bow and bend to and fro in m, and slope of the butt; east and north
     oval: Array
     """(n, 4) ovality, its direction and by how much that turns on each metre upwards, phase of the egg; rad."""
-    lobes: Array
-    """(n, 3) number, amplitude at the ground over the radius, phase."""
-    surface_roots: Array
-    """(n,) share of the lobes that have one."""
-    bark: Array
-    """(n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases."""
+    lobes: Array  # (n, 3) number, amplitude at the ground over the radius, phase
+    surface_roots: Array  # (n,) share of the lobes that have one
+    bark: Array  # (n, 6) depth in m at breast height, ridges around the stem if the mesh can have them, four phases
     forks: Array
     """(n, 6) whether there is one, its height over that of the tree, share of the section that the second leader takes,
     slope and distance in m of that leader from the first, its direction in rad."""
@@ -84,11 +65,8 @@ class StemForms:
     def outline(self, angle: Array, above_m: Array, radius_m: Array, breast_m: Array) -> Array:
         """Distance of vertices from the axis, (n, r, sides), so that each polygon has the area of its circle.
 
-        Parameters
-        ----------
-        angle : (n, sides) evenly all around
-        above_m, radius_m : (n, r) heights over the foot, and radii of the circles
-        breast_m : (n,) radius at breast height
+        Vertices are at angles (n, sides) evenly all around, circles of radii (n, r) at heights (n, r) over the foot; `breast_m`
+        (n,) is the radius at breast height.
         """
         theta, z = angle[:, None], above_m[..., None]
         up = np.maximum(z, 0.0)
@@ -121,12 +99,12 @@ class StemForms:
         away_m = gap_m * -expm1(-slope / gap_m * (above_m - fork_m[:, None]))
         return away_m[..., None] * np.stack([cos(towards), sin(towards)], axis=-1)
 
-    def of(self, which: NDArray[np.int64]) -> "StemForms":
+    def of(self, which: IntArray) -> "StemForms":
         """Give the forms of some of the stems."""
         return StemForms(*(getattr(self, name)[which] for name in self.__slots__))
 
 
-def stem_forms(trees: NDArray[np.void], *, table: Mapping[str, Species] | None = None) -> StemForms:
+def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemForms:
     """Draw the forms of trees (n,) `TREE`, each from its own seed and the keys of its species."""
     keys = stem_keys(trees["species"], table=table)
     keys[:, :9] *= (trees["form"] > 0)[:, None]
@@ -171,10 +149,7 @@ def polygon_m2(away_m: Array, step: float) -> Array:
 
 
 def tape_m(away_m: Array) -> Array:
-    """Diameter (n,) that a taut tape shows around polygons (n, sides), corners as in `polygon_m2`.
-
-    The girth of what is convex is pi times its mean width over all directions (Cauchy).
-    """
+    """Diameter (n,) that a taut tape shows around polygons (n, sides) as of `polygon_m2`: the mean width of the hull (Cauchy)."""
     sides = away_m.shape[1]
     turn = 2 * np.pi * (np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS - np.arange(sides) / sides)
     return 2 * np.array([(cos(turn) * corners).max(axis=1).mean() for corners in away_m])

@@ -1,6 +1,5 @@
 """What stems are made of: circles one above the other, around an axis that may bend and fork."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,26 +7,19 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, sin, tan
 from vlp16emu.forest.plants.allometry import BREAST_HEIGHT_M, taper_radius_m
-from vlp16emu.forest.plants.flora import tapers
-from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.plants.flora import Table, Trees, tapers
 from vlp16emu.forest.plants.stem_form import StemForms, stem_forms
-from vlp16emu.types import PlantPart
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
-Table = Mapping[str, Species]
+from vlp16emu.types import Array, IntArray, PlantPart
 
 FLARE_TOP_M = 0.5
 """Where the root flare ends and the stem begins, at a ring that both share; assumption."""
 
-_BURIED_M = 0.1
-"""How far the foot reaches below level ground."""
+_BURIED_M = 0.1  # how far the foot reaches below level ground
 
 _SIDES, _THICKER_M = np.array([16, 24, 32, 40]), np.array([0.16, 0.3, 0.45])
 """Of a stem's cross-section, and the DBH over which there are more; they are 30 to 40 mm long on most stems."""
 
-_BUTT_M = (0.0, 0.12, 0.28, FLARE_TOP_M, 0.85, BREAST_HEIGHT_M)
-"""Heights of rings from the ground to breast height."""
+_BUTT_M = (0.0, 0.12, 0.28, FLARE_TOP_M, 0.85, BREAST_HEIGHT_M)  # heights of rings from the ground to breast height
 
 _UPPER = (0.035, 0.1, 0.2, 0.33, 0.48, 0.64, 0.8, 0.93)
 """Rings above, as shares of the way from breast height to the tip."""
@@ -55,34 +47,24 @@ STEM_CIRCLE = np.dtype(
 class StemRings:
     """Rings of n stems."""
 
-    above_ground_m: Array
-    """(n, r) height over the foot at which each meets the axis; the first is buried."""
-    radius_m: Array
-    """(n, r) of the circle that has the ring's area."""
-    sides: NDArray[np.int64]
-    """(n,) of the cross-section."""
-    flare_rings: int
-    """How many of the rings belong to the root flare."""
+    above_ground_m: Array  # (n, r) height over the foot at which each meets the axis; the first is buried
+    radius_m: Array  # (n, r) of the circle that has the ring's area
+    sides: IntArray  # (n,) of the cross-section
+    flare_rings: int  # how many of the rings belong to the root flare
     forms: StemForms
-    forked: NDArray[np.int64]
-    """(m,) which stems have a second leader."""
-    fork_m: Array
-    """(m,) where that begins, a ring's height over the foot."""
+    forked: IntArray  # (m,) which stems have a second leader
+    fork_m: Array  # (m,) where that begins, a ring's height over the foot
 
 
 @dataclass(frozen=True, slots=True)
 class Leaders:
     """Second leaders of m stems, circle by circle."""
 
-    trees: Trees
-    """(m,)."""
+    trees: Trees  # (m,).
     forms: StemForms
-    fork_m: Array
-    """(m,) height over the foot at which they begin."""
-    above_ground_m: Array
-    """(m, k) heights of the circles."""
-    radius_m: Array
-    """(m, k)."""
+    fork_m: Array  # (m,) height over the foot at which they begin
+    above_ground_m: Array  # (m, k) heights of the circles
+    radius_m: Array  # (m, k).
 
     def axis_m(self, above_m: Array) -> Array:
         """Points (m, r, 3) of their axes relative to the feet, at heights (m, r)."""
@@ -117,10 +99,7 @@ def stem_rings(trees: Trees, *, table: Table | None = None) -> StemRings:
 
 
 def second_leaders(trees: Trees, rings: StemRings, shares: Array, *, table: Table | None = None) -> Leaders:
-    """Second leaders of stems, with circles at shares (k,) of the way from fork to tip, which has no radius.
-
-    Above a fork both leaders together have the section that the whole stem would have.
-    """
+    """Second leaders of stems, with circles at shares (k,) of the way from fork to tip; with the first they are as thick as one stem."""
     own, forms = trees[rings.forked], rings.forms.of(rings.forked)
     length_m = forms.leader_top_m(rings.fork_m, own["height_m"]) - rings.fork_m
     above_m = rings.fork_m[:, None] + length_m[:, None] * shares
@@ -164,5 +143,4 @@ def tip_radius_m(trees: Trees, *, table: Table | None = None) -> Array:
 
 
 def _radius_m(trees: Trees, above_m: Array, table: Table | None) -> Array:
-    """Radius (n, r) of whole stems at heights (n, r)."""
     return taper_radius_m(tapers(trees["species"], table=table), trees["dbh_m"], trees["height_m"], above_m)

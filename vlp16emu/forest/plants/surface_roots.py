@@ -1,32 +1,23 @@
 """Roots that run over the ground from the butts of old trees, half buried, until they dive."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, exp, sin
-from vlp16emu.forest.plants.stem_rings import StemRings, Trees
+from vlp16emu.forest.plants.flora import Trees
+from vlp16emu.forest.plants.stem_rings import StemRings
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import uniform
-from vlp16emu.types import HeightField
+from vlp16emu.types import Array, HeightField, IntArray
 from vlp16emu.world.vectors import unit
-
-Array = NDArray[np.float64]
 
 _STATIONS = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])
 ROOT_SIDES, ROOT_RINGS = 6, len(_STATIONS)
 """Of a root's mesh, and where its rings are as shares of its length."""
 
-_OLD_M = 0.3
-"""DBH from which trees have them; assumption."""
-
-_MOST = 6
-"""Roots of a tree: one to each lobe of its butt at most."""
-
-_LENGTH, _LENGTH_M = (2.0, 4.5), (0.5, 2.0)
-"""Over the DBH, and on the ground, least and most; assumptions."""
-
-_RADIUS = (0.09, 0.15)
-"""At the butt over the DBH, least and most; assumption."""
+_OLD_M = 0.3  # DBH from which trees have them; assumption
+_MOST = 6  # roots of a tree: one to each lobe of its butt at most
+_LENGTH, _LENGTH_M = (2.0, 4.5), (0.5, 2.0)  # over the DBH, and on the ground, least and most; assumptions
+_RADIUS = (0.09, 0.15)  # at the butt over the DBH, least and most; assumption
 
 _THINNER, _RISE, _RISE_M = 0.7, 1.5, 0.2
 """Share of its radius that a root loses on its way; how much higher than wide it leaves the butt, and over what length that
@@ -40,13 +31,11 @@ _TOP_M = 0.3
 """Over the foot above which no root reaches, lest it be part of a section at breast height: uphill it dives."""
 
 
-def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[NDArray[np.int64], Array]:
+def root_points(trees: Trees, rings: StemRings, height_m: HeightField) -> tuple[IntArray, Array]:
     """Roots of stems (n,), each from the seed of its stem's form.
 
-    Returns
-    -------
-    Of each root the stem; and vertices (k, 1 + rings * sides + 1, 3) relative to its foot: the middle of the end in the butt,
-    rings from there, and the tip
+    Of each (k,) the stem, and vertices (k, 1 + rings * sides + 1, 3) relative to its foot: the middle of the end in the butt,
+    rings from there, and the tip.
     """
     number, _, phase = rings.forms.lobes.T
     seeds = [int(seed) for seed in trees["form"]]

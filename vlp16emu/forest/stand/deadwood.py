@@ -9,15 +9,14 @@ from vlp16emu.elementary import cos, hypot, sin
 from vlp16emu.forest.stand.floor_shapes import LOG_TAPER, FloorKind, labelled
 from vlp16emu.forest.stand.layer import Layer
 from vlp16emu.forest.stand.placed import PlacedThings, Site, between, laid, placements, together, turned
+from vlp16emu.types import Array, IntArray
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _STATIONS = np.linspace(-0.5, 0.5, 9)
 """Along a log, where the ground under it and the distance from the path are looked at."""
 
-_SUNK = 0.25
-"""Share of its half height that a sound log has sunk into the ground; assumption."""
+_SUNK = 0.25  # share of its half height that a sound log has sunk into the ground; assumption
 
 _DECAY = (0.3, 1.0)
 """Range of the decay of a log that decays: from round to oval at the third of five classes to one that lies wholly on the
@@ -33,8 +32,7 @@ assumptions."""
 _PLATE_M, _PLATE_PER_DIAMETER = 1.0, 4.0
 """Diameter of a root plate: that of a log without thickness, and its growth with the mean diameter of the log; assumption."""
 
-_PLATE_THICKNESS = 0.25
-"""Over its diameter; assumption."""
+_PLATE_THICKNESS = 0.25  # over its diameter; assumption
 
 _PLATE_AXIS = 0.3
 """Height of the butt over the ground, over the diameter of its plate, whose lower part stands in its pit; assumption."""
@@ -47,19 +45,14 @@ _PLATE_STATIONS = np.linspace(-0.4, 0.4, 5)
 class _Pieces:
     """Whole logs and pieces of broken ones, (n,) each."""
 
-    log: NDArray[np.int64]
-    """Which log it is of."""
-    is_top: Mask
-    """Whether it is the upper piece of a broken one."""
-    xy_m: Array
-    """(n, 2) middle."""
-    towards: Array
-    """From butt to top, rad from east."""
+    log: IntArray  # which log it is of
+    is_top: Mask  # whether it is the upper piece of a broken one
+    xy_m: Array  # (n, 2) middle
+    towards: Array  # from butt to top, rad from east
     length_m: Array
     wide_m: Array
     high_m: Array
-    sunk: Array
-    """Share of the half height."""
+    sunk: Array  # share of the half height
 
     def along_m(self) -> Array:
         """Places (n, 9, 2) along them."""
@@ -114,8 +107,7 @@ def lay_stumps(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThi
     return together([labelled(kind, which, world_T, draws[:, 4:], species=species) for kind, which in kinds])
 
 
-def _species(layer: Layer, draws: Array) -> NDArray[np.int64]:
-    """Choose the species of things (n,), by number."""
+def _species(layer: Layer, draws: Array) -> IntArray:
     numbers = np.array([tree.number for tree in layer.species], np.int64)
     return numbers[(len(numbers) * draws[:, 3]).astype(int)]
 
@@ -175,7 +167,6 @@ def _plates(world_T: Array, pieces: _Pieces, plate_m: Array) -> Array:
 
 
 def _free(pieces: _Pieces, site: Site) -> Mask:
-    """Which pieces (n,) keep clear of the path and of trunks."""
     radius_m = np.repeat(pieces.wide_m / 2, len(_STATIONS))
     along_m = pieces.along_m()
     clear = site.clear(along_m.reshape(-1, 2), radius_m, radius_m).reshape(along_m.shape[:2])

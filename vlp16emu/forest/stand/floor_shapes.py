@@ -20,10 +20,9 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.low_shapes import dwarf_shrub, fern, herb, litter_heap, moss_cushion
 from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, distinct
 from vlp16emu.random import generator
-from vlp16emu.types import SURFACE, Mesh, PlantPart, Semantic
+from vlp16emu.types import SURFACE, Array, IntArray, Mesh, PlantPart, Semantic
 from vlp16emu.world.vectors import unit
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FLOOR_VARIANTS = 6
@@ -32,8 +31,7 @@ FLOOR_VARIANTS = 6
 STUMP_DEPTH = 0.5
 """How far a stump reaches into the ground, over its height above it."""
 
-_STONE_SPLITS, _LARGE_STONE_SPLITS = 2, 3
-"""Times that the faces of an icosahedron are quartered: 320 and 1280 faces."""
+_STONE_SPLITS, _LARGE_STONE_SPLITS = 2, 3  # times that the faces of an icosahedron are quartered: 320 and 1280 faces
 
 _ICOSAHEDRON = (
     *((0, 8, 4), (5, 0, 2), (2, 0, 4), (7, 3, 1), (8, 1, 6)),
@@ -43,11 +41,8 @@ _ICOSAHEDRON = (
 )
 """Faces, counter-clockwise seen from outside; corners as in `_icosphere`."""
 
-_LOBES, _LOBE_HEIGHT = 6, 0.05
-"""Sines that shape a stone, and the amplitude of each over the radius; assumption."""
-
-_ROUND_SIDES = 16
-"""Of logs and stumps."""
+_LOBES, _LOBE_HEIGHT = 6, 0.05  # sines that shape a stone, and the amplitude of each over the radius; assumption
+_ROUND_SIDES = 16  # of logs and stumps
 
 LOG_TAPER = 0.2
 """Difference of a log's end diameters from its mean one, either way; assumption: 1 cm per metre and broken tips."""
@@ -55,8 +50,7 @@ LOG_TAPER = 0.2
 _LOG_BOW = 0.5
 """Of a log to one side and the other, one sigma over its diameter; half of that to and fro besides: assumptions."""
 
-_PIECE_TAPER, _PIECE_BOW = 0.1, 0.15
-"""Of half a log."""
+_PIECE_TAPER, _PIECE_BOW = 0.1, 0.15  # of half a log
 
 _LOG_SPLINTERS, _STUMP_SPLINTERS = 0.05, 0.45
 """Half-range of the ends' corners over the length of a piece of a log, and over the height of a broken stump; assumptions."""
@@ -66,8 +60,7 @@ _PLATE_PROFILE = ((-0.8, 0.4), (-0.55, 0.75), (-0.25, 1.0), (0.0, 0.9), (0.15, 0
 """Along the log over the plate's thickness, and away from its axis over the radius: the side of the roots is a paraboloid, as
 that of birch is (Forests 12(1), 2021, 20: an elliptic paraboloid); the side of the stem, once level ground, is flat."""
 
-_PLATE_BUMPS = 0.08
-"""Half-range of the surface over the thickness; assumption."""
+_PLATE_BUMPS = 0.08  # half-range of the surface over the thickness; assumption
 
 _REFLECTANCE = {
     "stone": 0.30,
@@ -78,14 +71,9 @@ _REFLECTANCE = {
 }
 """At 903 nm: rock, weathered wood like oak bark, dry leaves like the ground, green ones like those of shrubs; assumptions."""
 
-_REFLECTANCE_SPREAD = 0.08
-"""Half-range between things, as between the barks of trees; assumption."""
-
-_BLADES = 22
-"""Of a tuft."""
-
-_BLADE_AREA = 0.012
-"""One-sided, of a tuft's blade on average, over the square of its height; assumption."""
+_REFLECTANCE_SPREAD = 0.08  # half-range between things, as between the barks of trees; assumption
+_BLADES = 22  # of a tuft
+_BLADE_AREA = 0.012  # one-sided, of a tuft's blade on average, over the square of its height; assumption
 
 
 class FloorKind(StrEnum):
@@ -115,8 +103,7 @@ class FloorKey:
 
     kind: FloorKind
     variant: int
-    large: bool = False
-    """Whether it is a stone so large that its faces would be seen."""
+    large: bool = False  # whether it is a stone so large that its faces would be seen
 
 
 def floor_meshes(seed: int, key: FloorKey) -> tuple[Mesh]:
@@ -137,7 +124,7 @@ def labelled(
     world_T: Array,
     draws: Array,
     *,
-    species: NDArray[np.int64] | None = None,
+    species: IntArray | None = None,
     large: Mask | None = None,
 ) -> PlacedThings:
     """Label those things (n,) that are kept; draws (n, 2 or more) choose variant and brightness."""
@@ -161,7 +148,6 @@ def _key(kind: FloorKind, variant: int, large: bool) -> FloorKey:
 
 
 def _stone(rng: np.random.Generator, splits: int = _STONE_SPLITS) -> Mesh:
-    """Icosphere with sine lobes."""
     sphere, faces = _icosphere(splits)
     waves = rng.normal(0.0, 2.5, (3, _LOBES))
     lobes = _LOBE_HEIGHT * sin(matvec(waves.T, sphere) + rng.uniform(0, 2 * np.pi, _LOBES))

@@ -6,14 +6,13 @@ from functools import cache, lru_cache
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.foliage.tiles import FarTile, TiledWindow
 from vlp16emu.forest.ground.trails import Trails
 from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_placements
 from vlp16emu.forest.plants.far_stem import far_stems
-from vlp16emu.forest.plants.flora import Flora, flora, material_names
+from vlp16emu.forest.plants.flora import Flora, Trees, flora, material_names
 from vlp16emu.forest.plants.ivy import IvyKey, ivy_meshes, ivy_tops_m
 from vlp16emu.forest.plants.sapling import SaplingKey, sapling_meshes
 from vlp16emu.forest.plants.shrub import ShrubKey, shrub_meshes
@@ -26,16 +25,11 @@ from vlp16emu.forest.stand.scatter import layers_of
 from vlp16emu.forest.stand.settings import Woods
 from vlp16emu.forest.stand.stand import TREE, foot_discs
 from vlp16emu.forest.tiles import TILE_M, TileKey, around, ground_mesh, tile_origin_m, tiles_within
-from vlp16emu.types import HeightField, Mesh, PlantPart, ShapeKey
+from vlp16emu.types import Array, HeightField, IntArray, Mesh, PlantPart, ShapeKey
 from vlp16emu.world.furnished import FIRST_FREE_INSTANCE
 from vlp16emu.world.polyline import Corridor
 
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
-
-
-_NUMBERS_PER_TILE = 8192
-"""Numbers set aside for the trees and things of a tile."""
+_NUMBERS_PER_TILE = 8192  # numbers set aside for the trees and things of a tile
 
 _DENSEST_PER_HA = 125_000
 """A tile then holds 5000 things on average; even in clusters of ten their number has a sigma under 240, and with all patches that
@@ -44,11 +38,8 @@ there may be under 500, far from `_NUMBERS_PER_TILE`."""
 _TILES_IN_GROWTH = 16
 """Tiles whose stems are grown together, kept until all of them are taken: more than are in growth at once."""
 
-_OVERHANG_M = 10.0
-"""How far crowns reach beyond the tile of their stem at most."""
-
-_ASIDE_M = 35.0
-"""How far a sensor may stray from the path and still see numbered trees only."""
+_OVERHANG_M = 10.0  # how far crowns reach beyond the tile of their stem at most
+_ASIDE_M = 35.0  # how far a sensor may stray from the path and still see numbered trees only
 
 _MARGIN_M = 80.0
 """Beyond reach of the path, all that is numbered: as far as a sensor strays, crowns overhang, half a tile's diagonal,
@@ -76,29 +67,18 @@ class TreeSource(Protocol):
 class ForestWorld:
     """Trees, and what grows and lies under them, on a terrain; a `World`.
 
-    The same tree and the same stone have the same shape and number in every window and from either end
-    of the path.
+    The same tree and the same stone have the same shape and number in every window and from either end of the path. Raises
+    GeometryError for a path with numbers that are not finite, or more things than can be numbered.
 
     Parameters
     ----------
-    section : what the user wrote
-    stems : trees
-    seed : of the scenario
-    height_m : ground
     path : of the sensor as a whole, fine enough that its chords are as good as the path itself
     reach_m : how far the sensor sees
     plants : trees and shrubs; those of the program if none are given
     trails : where no saplings and shrubs grow
-    models : trees of the user's own
     loose_stems : whether each stem has a shape of its own, and so can be moved; else they belong to the tile's
-    near_m : as in `World`
     name : of all that decides the forest, seed and path too, as a digest; empty where nothing is kept on disk
     plants_name : of the plants, likewise
-
-    Raises
-    ------
-    GeometryError
-        for a path with numbers that are not finite, or more things than can be numbered
     """
 
     def __init__(
@@ -158,13 +138,7 @@ class ForestWorld:
             yield done / len(names)
 
     def window(self, track_m: Array) -> TiledWindow:
-        """Everything within reach of sensor positions (n, 3).
-
-        Raises
-        ------
-        GeometryError
-            where the track leaves the surroundings of the path
-        """
+        """Everything within reach of sensor positions (n, 3); raises GeometryError where they leave the surroundings of the path."""
         names = self._in_view(track_m)
         index_of = dict[ShapeKey, int]()
         tiles = [self._tile(ix, iy) for ix, iy in names]
@@ -251,10 +225,9 @@ class ForestWorld:
         raise KeyError(key)
 
     def _in_view(self, track_m: Array) -> list[tuple[int, int]]:
-        return [(ix, iy) for ix, iy in tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()]
+        return list(map(tuple, tiles_within(track_m[:, :2], self._reach_m + _OVERHANG_M).tolist()))
 
     def _grow_tile(self, ix: int, iy: int) -> Tile:
-        """One tile with its trees and things numbered."""
         column, row = ix - self._first_tile[0], iy - self._first_tile[1]
         if not (0 <= column < self._tiles_across[0] and 0 <= row < self._tiles_across[1]):
             raise GeometryError("track", f"reaches tile ({ix}, {iy})", f"no more than {_ASIDE_M:g} m off the path")
@@ -291,25 +264,18 @@ class ForestWorld:
         return grown
 
     def _grow_stems(self, key: TileKey) -> list[Mesh]:
-        """Meshes of `STEM_PARTS` of a tile's trees, tree by tree, in the tile's frame."""
-        trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
-        return stem_meshes(trees, origin_m, self.height_m, table=self.plants.trees)
+        origin_m = tile_origin_m(key.ix, key.iy, self.height_m)
+        return stem_meshes(self._grown(key.ix, key.iy), origin_m, self.height_m, table=self.plants.trees)
 
     def _grow_ivy(self, key: TileKey) -> list[Mesh]:
         trees, origin_m = self._grown(key.ix, key.iy), tile_origin_m(key.ix, key.iy, self.height_m)
-        tops_m = self._ivy_m(trees)
-        return ivy_meshes(trees, tops_m, origin_m, seed=self.seed, tile=key, table=self.plants.trees)
+        return ivy_meshes(trees, self._ivy_m(trees), origin_m, seed=self.seed, tile=key, table=self.plants.trees)
 
     def _ivy_m(self, trees: Trees) -> Array:
         return ivy_tops_m(trees, self.section.ivy.share, self.section.ivy.height_m, seed=self.seed)
 
     def _in_tile(
-        self,
-        kind: type[StemKey | IvyKey],
-        key: TileKey,
-        numbers: NDArray[np.intp],
-        trees: Trees,
-        parts: tuple[PlantPart, ...],
+        self, kind: type[StemKey | IvyKey], key: TileKey, numbers: IntArray, trees: Trees, parts: tuple[PlantPart, ...]
     ) -> PlacedThings:
         """Place shapes that are in the frame of their tile, of some of its trees."""
         world_T_tile = np.column_stack([np.eye(3), tile_origin_m(key.ix, key.iy, self.height_m)])
@@ -323,21 +289,11 @@ class ForestWorld:
         )
 
     def _crowns(self, trees: Trees) -> PlacedThings:
-        """Place the crowns of a tile's trees."""
-        names = trees[["cohort", "crown_class", "crown_variant"]].tolist()
-        crowns = [self._crown(*name) for name in names]
-        keys, shape = distinct(crowns)
-        return PlacedThings(
-            keys,
-            shape,
-            crown_placements(trees, crowns),
-            plant_surfaces(trees, CROWN_PARTS, self.plants),
-            trees,
-            is_exact=self._loose_stems,
-        )
+        crowns = [self._crown(*name) for name in trees[["cohort", "crown_class", "crown_variant"]].tolist()]
+        world_T, rows = crown_placements(trees, crowns), plant_surfaces(trees, CROWN_PARTS, self.plants)
+        return PlacedThings(*distinct(crowns), world_T, rows, trees, is_exact=self._loose_stems)
 
     def _things(self, key: TileKey) -> list[PlacedThings]:
-        """Everything else on a tile."""
         if not self._layers:
             return []
         trunks = around(key.ix, key.iy, self._discs)

@@ -1,7 +1,7 @@
 """The truth about trees that stand: one row for each, computed from the meshes that are scanned."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from io import TextIOWrapper
 from typing import BinaryIO
 
@@ -18,17 +18,13 @@ from vlp16emu.forest.plants.crown import (
     crown_scale,
     crown_wood_m3,
 )
-from vlp16emu.forest.plants.flora import species_table
-from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.plants.flora import Table, Trees, species_table
 from vlp16emu.forest.plants.stem import STEM_PARTS, stems_above_ground, vertex_angles
 from vlp16emu.forest.plants.stem_form import polygon_m2, tape_m
 from vlp16emu.forest.plants.stem_rings import axis_m, stem_rings
 from vlp16emu.forest.stand.stand import TREE
-from vlp16emu.types import Mesh, PlantPart
+from vlp16emu.types import Array, Mesh, PlantPart
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
 
 INVENTORY = np.dtype(
     [
@@ -64,26 +60,11 @@ INVENTORY = np.dtype(
 COPIED = tuple(name for name in INVENTORY.names or () if name in (TREE.names or ()))
 """What rows have from `TREE` as it is."""
 
-_DECIMALS = 4
-"""Of the numbers in a file: a tenth of a millimetre, a tenth of a litre."""
+_DECIMALS = 4  # of the numbers in a file: a tenth of a millimetre, a tenth of a litre
 
 
-def inventory(
-    trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Mapping[str, Species] | None = None
-) -> NDArray[np.void]:
-    """Take the inventory of trees.
-
-    Parameters
-    ----------
-    trees : (n,) `TREE` records
-    crowns : the crown prototype of each
-    seed : that the crowns are grown from
-    table : species; that of the program if none is given
-
-    Returns
-    -------
-    (n,) `INVENTORY`, in the order of the trees
-    """
+def inventory(trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None) -> NDArray[np.void]:
+    """Take the inventory (n,) `INVENTORY` of trees (n,) `TREE`, whose crowns are prototypes grown from the seed, in their order."""
     table = table or species_table()
     rows = np.zeros(len(trees), INVENTORY)
     for name in COPIED:
@@ -93,7 +74,7 @@ def inventory(
     ends_m = np.array([[mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)] for mesh in meshes])
     span_m = ends_m.reshape(-1, len(STEM_PARTS), 2, 3)
     span_m = np.stack([span_m[:, :, 0].min(axis=1), span_m[:, :, 1].max(axis=1)], axis=1, dtype=np.float64)
-    rows["stem_m3"] = _per_tree([volume_m3(mesh) for mesh in meshes]).sum(axis=1)
+    rows["stem_m3"] = np.array([volume_m3(mesh) for mesh in meshes]).reshape(-1, len(STEM_PARTS)).sum(axis=1)
     _measure_crowns(rows, span_m, trees, crowns, seed, table)
     rows["top_m"] = span_m[:, 1, 2]
     for axis, name in enumerate("xy"):
@@ -107,24 +88,11 @@ def inventory(
 
 
 def write_csv(
-    file: BinaryIO,
-    rows: NDArray[np.void],
-    more: NDArray[np.void] | None = None,
-    *,
-    table: Mapping[str, Species] | None = None,
+    file: BinaryIO, rows: NDArray[np.void], more: NDArray[np.void] | None = None, *, table: Table | None = None
 ) -> None:
-    """Write an inventory with its column names as header; species by name, nothing where a number is unknown.
+    """Write rows (n,) `INVENTORY`, and columns of numbers (n,) if there are more, with their names as header.
 
-    Parameters
-    ----------
-    rows : (n,) `INVENTORY`
-    more : (n,) further columns of numbers, if any
-    table : species; that of the program if none is given
-
-    Raises
-    ------
-    OSError
-        where the file cannot be written to its end
+    Species are written by name, and nothing where a number is unknown.
     """
     names = {species.number: name for name, species in (table or species_table()).items()}
     text = TextIOWrapper(file, encoding="utf-8", newline="")
@@ -138,13 +106,12 @@ def write_csv(
 
 
 def _text(value: float) -> str:
-    """Write a number; nothing where it is unknown."""
     if isinstance(value, int):
         return str(value)
     return "" if np.isnan(value) else f"{value:.{_DECIMALS}f}"
 
 
-def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Mapping[str, Species]) -> None:
+def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Table) -> None:
     """Fill in what follows from the sections of the stems at breast height."""
     rings = stem_rings(trees, table=table)
     at = BREAST_HEIGHT_M, US_BREAST_HEIGHT_M
@@ -160,11 +127,6 @@ def _measure_sections(rows: NDArray[np.void], trees: Trees, table: Mapping[str, 
         rows["dbh_us_m"][i] = 2 * np.sqrt(polygon_m2(us, 2 * np.pi / sides) / np.pi)
 
 
-def _per_tree(values: list[float]) -> Array:
-    """Values of the meshes of `STEM_PARTS`, tree by tree, (n, parts)."""
-    return np.array(values).reshape(-1, len(STEM_PARTS))
-
-
 def volume_m3(mesh: Mesh) -> float:
     """Volume of a mesh, or of the cone from the origin to it where it is open."""
     a, b, c = np.moveaxis(mesh.vertices_m[mesh.faces].astype(np.float64), 1, 0)
@@ -172,12 +134,7 @@ def volume_m3(mesh: Mesh) -> float:
 
 
 def _measure_crowns(
-    rows: NDArray[np.void],
-    span_m: Array,
-    trees: Trees,
-    crowns: Sequence[CrownKey],
-    seed: int,
-    table: Mapping[str, Species],
+    rows: NDArray[np.void], span_m: Array, trees: Trees, crowns: Sequence[CrownKey], seed: int, table: Table
 ) -> None:
     """Fill in wood and leaves, prototype by prototype, each stretched as its trees stretch it; widen spans (n, 2, 3) to them."""
     wide, long = crown_scale(trees, crowns)
@@ -193,11 +150,9 @@ def _measure_crowns(
         low_m, high_m = _spans_m(meshes, foot_T_crown[which])
         span_m[which, 0] = np.minimum(span_m[which, 0], low_m)
         span_m[which, 1] = np.maximum(span_m[which, 1], high_m)
-        leaves = meshes[CROWN_PARTS.index(PlantPart.LEAF)]
-        foliage = table[key.species].foliage
+        leaves, foliage = meshes[CROWN_PARTS.index(PlantPart.LEAF)], table[key.species].foliage
         if foliage is not None and len(leaves.faces):
-            areas = _stretched_m2(leaves, wide[which], long[which])
-            rows["leaf_m2"][which] = foliage.clumping * areas
+            rows["leaf_m2"][which] = foliage.clumping * _stretched_m2(leaves, wide[which], long[which])
 
 
 def _stretched_m2(leaves: Mesh, wide: Array, long: Array) -> Array:

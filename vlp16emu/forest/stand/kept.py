@@ -1,12 +1,11 @@
 """Squares of a forest as the store keeps them, and how its shapes are named."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import astuple, fields
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.forest.plants.crown import CrownKey
 from vlp16emu.forest.plants.ivy import IvyKey
@@ -37,11 +36,7 @@ _KINDS: dict[str, Callable[..., ShapeKey]] = {
 def by_tile(kind: type[T], name: str, make: Callable[[int, int], T]) -> Callable[[int, int], T]:
     """Keep what is made of each tile (ix, iy): a data class of arrays, and of `keys` of shapes.
 
-    Parameters
-    ----------
-    kind : the data class
-    name : of all that decides it but the tile; empty where nothing is kept
-    make : makes it
+    `name` is that of all that decides it but the tile; empty where nothing is kept.
     """
     if not name:
         return make
@@ -60,18 +55,10 @@ def _row(key: Any) -> list[object]:
 
 
 def _packed(thing: Any) -> Bundle:
-    """Put a data class into arrays."""
-    return {
-        field.name: _written(value) if field.name == "keys" else value
-        for field in fields(thing)
-        for value in [getattr(thing, field.name)]
-    }
+    keys = json.dumps([_row(key) for key in thing.keys]).encode()
+    return {field.name: getattr(thing, field.name) for field in fields(thing)} | {"keys": np.frombuffer(keys, np.uint8)}
 
 
 def _unpacked(kind: type[T], bundle: Bundle) -> T:
     rows = json.loads(bundle["keys"].tobytes())
     return kind(**{**bundle, "keys": tuple(_KINDS[name](*values) for name, *values in rows)})
-
-
-def _written(keys: Sequence[ShapeKey]) -> NDArray[np.uint8]:
-    return np.frombuffer(json.dumps([_row(key) for key in keys]).encode(), np.uint8)

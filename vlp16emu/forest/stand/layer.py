@@ -20,18 +20,12 @@ from vlp16emu.random import generator
 class LayerKind:
     """How the things of a section of a scene are made."""
 
-    name: str
-    """Key of the section."""
-    purpose: Growth
-    """What draws them."""
-    draws: tuple[int, ...]
-    """How many numbers each thing draws, together."""
-    lay: Callable[..., PlacedThings]
-    """From the layer, the site, places (n, 2) and those numbers (n, draws) to things."""
-    shape: FloorKind | None = None
-    """Of what covers the ground."""
-    spread: float = 1.0
-    """Its width over its height, which for a tuft is that of its shape already; assumption."""
+    name: str  # key of the section
+    purpose: Growth  # what draws them
+    draws: tuple[int, ...]  # how many numbers each thing draws, together
+    lay: Callable[..., PlacedThings]  # from the layer, the site, places (n, 2) and those numbers (n, draws) to things
+    shape: FloorKind | None = None  # of what covers the ground
+    spread: float = 1.0  # its width over its height, which for a tuft is that of its shape already; assumption
     reach_m: float = math.inf
     """How far from the path it is: farther off the beam is wider than such a plant; assumption."""
 
@@ -45,15 +39,12 @@ class LayerKind:
 class Layer:
     """Things of one kind that grow or lie on the ground."""
 
-    section: Any
-    """What the user wrote."""
+    section: Any  # what the user wrote
     kind: LayerKind
-    species: Sequence[Any]
-    """Of the plants that they are or were."""
+    species: Sequence[Any]  # of the plants that they are or were
     season: Season
     plants: Flora
-    pattern: PointPattern
-    """Their places, before those on the path and in trunks are left out."""
+    pattern: PointPattern  # their places, before those on the path and in trunks are left out
 
     def place(self, site: Site) -> PlacedThings:
         """Things of a tile, a function of the site alone."""

@@ -5,13 +5,11 @@ pictures in floras.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, norm, sin
-from vlp16emu.types import Mesh
+from vlp16emu.types import Array, IntArray, Mesh
 from vlp16emu.world.vectors import unit
 
-Array = NDArray[np.float64]
 Generator = np.random.Generator
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -79,7 +77,6 @@ def litter_heap(rng: Generator) -> Mesh:
 
 
 def _in_disc(rng: Generator, count: int, radius: float) -> Array:
-    """Points (count, 2) evenly in a disc."""
     towards, away = rng.uniform(0, 2 * np.pi, count), radius * np.sqrt(rng.random(count))
     return np.column_stack([away * cos(towards), away * sin(towards)])
 
@@ -96,7 +93,7 @@ def _kites(base: Array, along: Array, wide: Array | float) -> Mesh:
     return _unit(vertices, faces.reshape(-1, 3))
 
 
-def _unit(vertices: Array, faces: NDArray[np.int64]) -> Mesh:
+def _unit(vertices: Array, faces: IntArray) -> Mesh:
     """Stretch to a height and a greatest diameter of 1."""
     vertices = vertices / [*(2 * [2 * norm(vertices[:, :2]).max()]), vertices[:, 2].max()]
     return Mesh(vertices.astype(np.float32), faces.astype(np.uint32))

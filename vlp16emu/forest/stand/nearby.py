@@ -13,10 +13,9 @@ from vlp16emu.forest.plants.sapling import SaplingKey
 from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKey
 from vlp16emu.forest.stand.inventory import hull_m
 from vlp16emu.forest.tiles import TILE_M, TileKey
-from vlp16emu.types import Mesh, Semantic, ShapeKey, Window
+from vlp16emu.types import Array, Mesh, Semantic, ShapeKey, Window
 from vlp16emu.world.polyline import Polyline
 
-Array = NDArray[np.float64]
 Grow = Callable[[ShapeKey], tuple[Mesh, ...]]
 
 
@@ -42,16 +41,13 @@ class AllNear:
 class Thing:
     """What stands or lies there and is no tree of the stand."""
 
-    placement: int
-    """In the window."""
+    placement: int  # in the window
     instance: int
     species: int
     kind: str
     """`sapling`, or of what lies or is low the `FloorKind`; of anything else its semantic class in small letters."""
-    place_m: Array
-    """(3,) origin of its shape in the world."""
-    outline_m: Array
-    """(k, 2) convex outline seen from above, counter-clockwise, in the world."""
+    place_m: Array  # (3,) origin of its shape in the world
+    outline_m: Array  # (k, 2) convex outline seen from above, counter-clockwise, in the world
     size_m: tuple[float, float, float]
     """Along the axes of its own shape: of stones length, width and height; of logs length and mean diameter; of
     stumps the diameter at the top and the height; of anything else its extent."""
@@ -60,21 +56,13 @@ class Thing:
 def things_near(
     window: Window, shape: Grow, *, trees: NDArray[np.uint32], path: Polyline, radius_m: float
 ) -> list[Thing]:
-    """Things whose place is within a radius of a path, in the order of the window.
-
-    Parameters
-    ----------
-    window, shape : of the world
-    trees : (n,) instances that are trees and so no things
-    """
+    """Things whose place is within a radius of a path, in the order of the window; instances of `trees` (n,) are none."""
     is_thing = np.array([not _is_ground(key) for key in window.shapes], np.bool_)[window.shape]
     no_tree = ~np.isin(window.surfaces["instance"][window.first_surface], trees)
     near = path.distance_m(window.world_T_shape[:, :2, 3]) <= radius_m
     corners = cache(lambda key: _corners_m(shape(key)))
-    return [
-        _thing(window, int(i), corners(window.shapes[window.shape[i]]))
-        for i in np.flatnonzero(is_thing & no_tree & near)
-    ]
+    found = np.flatnonzero(is_thing & no_tree & near).tolist()
+    return [_thing(window, i, corners(window.shapes[window.shape[i]])) for i in found]
 
 
 def _is_ground(key: ShapeKey) -> bool:
@@ -84,17 +72,9 @@ def _is_ground(key: ShapeKey) -> bool:
 def cut_out(
     window: Window, shape: Grow, *, instances: NDArray[np.uint32], inside: Callable[[Array], NDArray[np.bool_]]
 ) -> tuple[Window, Grow]:
-    """Leave of a window the ground of a place, and some instances whole.
+    """Leave of a window the ground of a place, which points (n, 2) lie inside, and some instances (n,) whole.
 
-    Parameters
-    ----------
-    window, shape : of the world
-    instances : (n,) what is left besides ground
-    inside : which of points (n, 2) lie in the place
-
-    Returns
-    -------
-    A window of the same surfaces, and how its shapes grow: in tiles, meshes of other instances are left empty
+    Returns a window of the same surfaces, and how its shapes grow: in tiles, meshes of other instances are left empty.
     """
     wanted = np.isin(window.surfaces["instance"], instances)
     keep, tile_at = _kept(window, wanted, inside)
@@ -109,7 +89,6 @@ def cut_out(
     )
 
     def grow(key: ShapeKey) -> tuple[Mesh, ...]:
-        """Grow a shape; of a tile, only the ground of the place and the stems that are wanted."""
         if not isinstance(key, TileKey):
             return shape(key)
         (ground, *stems), place = shape(key), tile_at[key]
@@ -142,7 +121,6 @@ def _kept(
 
 
 def _thing(window: Window, placement: int, corners_m: Array) -> Thing:
-    """Look at one placement of a shape with these corners (k, 3)."""
     key = window.shapes[window.shape[placement]]
     row = window.surfaces[window.first_surface[placement]]
     world_T_shape = window.world_T_shape[placement]
@@ -150,25 +128,17 @@ def _thing(window: Window, placement: int, corners_m: Array) -> Thing:
     # Shapes of the floor have unit size by what they are, not by their outermost corner.
     unit_m = np.ones(3) if isinstance(key, FloorKey) else np.ptp(corners_m, axis=0)
     size_m = unit_m * norm(world_T_shape[:, :3].T)
+    kind = key.kind.value if isinstance(key, FloorKey) else Semantic(row["semantic"]).name.lower()
+    kind = "sapling" if isinstance(key, SaplingKey) else kind
     return Thing(
         placement=placement,
         instance=int(row["instance"]),
         species=int(row["species"]),
-        kind=_kind(key, Semantic(row["semantic"])),
+        kind=kind,
         place_m=world_T_shape[:, 3].copy(),
         outline_m=hull_m(seen_m),
-        size_m=(float(size_m[0]), float(size_m[1]), float(size_m[2])),
+        size_m=tuple(size_m.tolist()),
     )
-
-
-def _kind(key: ShapeKey, semantic: Semantic) -> str:
-    """Say what a shape is."""
-    match key:
-        case FloorKey():
-            return key.kind.value
-        case SaplingKey():
-            return "sapling"
-    return semantic.name.lower()
 
 
 def _corners_m(meshes: Sequence[Mesh]) -> Array:

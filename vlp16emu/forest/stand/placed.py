@@ -7,18 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, sin
-from vlp16emu.forest.plants.flora import Flora, bark_material
+from vlp16emu.forest.plants.flora import Flora, Trees, bark_material
 from vlp16emu.forest.plants.stem import STEM_PARTS
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.forest.tiles import TileKey, tile_distance_m
-from vlp16emu.types import SURFACE, HeightField, PlantPart, Semantic, ShapeKey
+from vlp16emu.types import SURFACE, Array, HeightField, IntArray, PlantPart, Semantic, ShapeKey
 from vlp16emu.world.polyline import Corridor
 
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
-
-_LITTER_REFLECTANCE = 0.30
-"""Leaf litter and soil at 903 nm; assumption."""
+_LITTER_REFLECTANCE = 0.30  # leaf litter and soil at 903 nm; assumption
 
 NO_TREES = np.zeros(0, TREE)
 """Trees of a layer that has none."""
@@ -28,20 +24,13 @@ NO_TREES = np.zeros(0, TREE)
 class PlacedThings:
     """Things of one kind on one tile."""
 
-    keys: tuple[ShapeKey, ...]
-    """Different shapes, each once."""
-    shape: NDArray[np.int64]
-    """(n,) index into `keys`."""
-    world_T_shape: Array
-    """(n, 3, 4)."""
-    surfaces: NDArray[np.void]
-    """(n, parts) `SURFACE`, of each thing's meshes in order; instance still 0."""
-    trees: NDArray[np.void]
-    """(n,) `TREE` with id still 0 where the things are trees, else (0,)."""
-    is_ground: bool = False
-    """As of their layer."""
-    is_exact: bool = False
-    """Whether they are cast as they are from any distance, and are no part of the `FarTile`."""
+    keys: tuple[ShapeKey, ...]  # different shapes, each once
+    shape: IntArray  # (n,) index into `keys`
+    world_T_shape: Array  # (n, 3, 4).
+    surfaces: NDArray[np.void]  # (n, parts) `SURFACE`, of each thing's meshes in order; instance still 0
+    trees: NDArray[np.void]  # (n,) `TREE` with id still 0 where the things are trees, else (0,)
+    is_ground: bool = False  # as of their layer
+    is_exact: bool = False  # whether they are cast as they are from any distance, and are no part of the `FarTile`
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +40,9 @@ class Site:
     seed: int
     ix: int
     iy: int
-    height_m: HeightField
-    """Ground."""
+    height_m: HeightField  # ground
     path: Corridor
-    trunks: Array
-    """(m, 3) x, y and radius at the ground of all stems on the tile and its neighbours."""
+    trunks: Array  # (m, 3) x, y and radius at the ground of all stems on the tile and its neighbours
 
     @property
     def distance_m(self) -> float:
@@ -77,7 +64,7 @@ def between(limits: tuple[float, float], draw: Array) -> Array:
     return value
 
 
-def distinct(keys: Sequence[ShapeKey]) -> tuple[tuple[ShapeKey, ...], NDArray[np.int64]]:
+def distinct(keys: Sequence[ShapeKey]) -> tuple[tuple[ShapeKey, ...], IntArray]:
     """Split keys into the different ones, each once, and the index of each into them."""
     index_of = {key: i for i, key in enumerate(dict.fromkeys(keys))}
     return tuple(index_of), np.array([index_of[key] for key in keys], np.int64)
@@ -118,22 +105,14 @@ def laid(towards: Array, slope: Array) -> Array:
 class Tile:
     """A tile as a window takes it: the part that a `Window` is put together from."""
 
-    trees: Trees
-    """All trees by number, saplings last."""
-    keys: tuple[ShapeKey, ...]
-    """Different shapes, the tile's own first."""
-    shape: NDArray[np.int64]
-    """(n,) of each placement, index into `keys`."""
-    world_T_shape: Array
-    """(n, 3, 4)."""
-    first_surface: NDArray[np.int64]
-    """(n,) row of `surfaces`."""
-    surfaces: NDArray[np.void]
-    """(m,) `SURFACE`."""
-    far: NDArray[np.bool_]
-    """(n,) which of the placements are part of the `FarTile`."""
-    low: NDArray[np.bool_]
-    """(n,) which are ground, and too low to be seen from afar."""
+    trees: Trees  # all trees by number, saplings last
+    keys: tuple[ShapeKey, ...]  # different shapes, the tile's own first
+    shape: IntArray  # (n,) of each placement, index into `keys`
+    world_T_shape: Array  # (n, 3, 4).
+    first_surface: IntArray  # (n,) row of `surfaces`
+    surfaces: NDArray[np.void]  # (m,) `SURFACE`
+    far: NDArray[np.bool_]  # (n,) which of the placements are part of the `FarTile`
+    low: NDArray[np.bool_]  # (n,) which are ground, and too low to be seen from afar
 
 
 def packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[PlacedThings], plants: Flora) -> Tile:

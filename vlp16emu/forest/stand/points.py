@@ -9,7 +9,6 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, log1p, matvec, sin
 from vlp16emu.errors import GeometryError
@@ -19,17 +18,11 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.settings import Clusters, HardCore, Pattern, Plantation, Scattered
 from vlp16emu.forest.tiles import TILE_M, around
 from vlp16emu.random import generator, uniform
+from vlp16emu.types import Array, IntArray
 
-Array = NDArray[np.float64]
-
-_SPACING_SHARE = 0.4
-"""Hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25."""
-
-_LARGEST_DISTANCE_M = 5.0
-"""Trees farther apart than this do not keep each other away; assumption."""
-
-_TILES_KEPT = 1024
-"""Tiles whose points are kept for their neighbours: more than one window and its border hold."""
+_SPACING_SHARE = 0.4  # hard-core distance over 1 / sqrt(density); assumption, gives a Clark-Evans index near 1.25
+_LARGEST_DISTANCE_M = 5.0  # trees farther apart than this do not keep each other away; assumption
+_TILES_KEPT = 1024  # tiles whose points are kept for their neighbours: more than one window and its border hold
 
 
 _PATCH_WAVELENGTHS_M = (6.0, 20.0)
@@ -41,19 +34,10 @@ _DENSEST_PATCH = 9.0
 
 
 class PointPattern:
-    """Points in the plane; the same ones however often asked.
-
-    Parameters
-    ----------
-    seed : of the scenario
-    purpose : what the points are for; patterns of different purpose are independent
-    per_ha : mean number of points per hectare
-    """
+    """Points in the plane, the same ones however often asked: so many per hectare on average, independent of those for other purposes."""
 
     def __init__(self, *, seed: int, purpose: Growth, per_ha: float) -> None:
-        self.per_ha = per_ha
-        """Mean number of points per hectare."""
-        self._seed, self._purpose = seed, purpose
+        self.per_ha, self._seed, self._purpose = per_ha, seed, purpose
 
     def points(self, ix: int, iy: int) -> Array:
         """Points of a tile, (n, 2) x and y in m."""
@@ -161,16 +145,9 @@ class ClusterPattern(PointPattern):
 
 
 class RowPattern(PointPattern):
-    """Points in planted rows; a random share of them is still there.
+    """Points in planted rows; a random share of them is still there, and `free_share` of the ground is off trails.
 
-    Parameters
-    ----------
-    free_share : of the ground that is off trails
-
-    Raises
-    ------
-    GeometryError
-        where more are to be left, with those on trails gone, than were planted
+    Raises GeometryError where more are to be left, with those on trails gone, than were planted.
     """
 
     def __init__(
@@ -199,7 +176,7 @@ class RowPattern(PointPattern):
         rows = [self._row(int(row), plants) for row in range(low[1], high[1] + 1)]
         return _inside(matvec(self._row_R_world.T, np.concatenate(rows)), ix, iy)
 
-    def _row(self, row: int, plants: NDArray[np.int64]) -> Array:
+    def _row(self, row: int, plants: IntArray) -> Array:
         """Places of the plants of a stretch of one row, along and across it; each plant draws alone."""
         lane = row & 0xFFFFFFFF
         draws = uniform(self._seed, self._purpose, 4 * int(plants[0]), 4 * len(plants), lane).reshape(-1, 4)
@@ -239,7 +216,6 @@ def pattern_of(
 
 
 def _inside(points: Array, ix: int, iy: int) -> Array:
-    """Those of the points (n, 2) that lie on a tile."""
     low = np.array([ix, iy]) * TILE_M
     inside: Array = points[((points >= low) & (points < low + TILE_M)).all(axis=1)]
     return inside

@@ -6,10 +6,9 @@ trunk is left out.
 
 import math
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, exp, hypot, log1p, matmul
 from vlp16emu.errors import GeometryError
@@ -41,12 +40,9 @@ from vlp16emu.forest.stand.settings import (
 )
 from vlp16emu.forest.stand.understorey import lay_saplings, lay_shrubs
 from vlp16emu.settings import Section
-from vlp16emu.types import HeightField
+from vlp16emu.types import Array, HeightField
 
-Array = NDArray[np.float64]
-
-_STONE_M = (0.1, 1.5)
-"""Least and greatest length of a stone; assumption."""
+_STONE_M = (0.1, 1.5)  # least and greatest length of a stone; assumption
 
 _STONE_MEDIAN_M, _STONE_SIGMA = 0.22, 0.6
 """Of the log-normal distribution of lengths, before it is cut at both ends; assumptions."""
@@ -54,20 +50,11 @@ _STONE_MEDIAN_M, _STONE_SIGMA = 0.22, 0.6
 _STONE_SHARES = (0.0944070172326103, 0.999311242465033)
 """Of the uncut distribution, the shares below the least and the greatest length."""
 
-_STONE_BURIED = (0.3, 0.6)
-"""Range of the share of a stone's height that is in the ground; assumption."""
-
-_STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6
-"""Over its length; assumptions."""
-
-_LARGE_STONE_M = 0.4
-"""Stones that long have four times the faces; those of shorter ones are off by less than 3 mm."""
-
-_MOST_IN_PATCHES_PER_M2 = 4.0
-"""On average; of smaller plants in patches a tile might have more than it has numbers for."""
-
-_SLOPE_M = 0.2
-"""Over which the slope under a cushion or heap is taken, either way."""
+_STONE_BURIED = (0.3, 0.6)  # range of the share of a stone's height that is in the ground; assumption
+_STONE_WIDTH, _STONE_HEIGHT = 0.8, 0.6  # over its length; assumptions
+_LARGE_STONE_M = 0.4  # stones that long have four times the faces; those of shorter ones are off by less than 3 mm
+_MOST_IN_PATCHES_PER_M2 = 4.0  # on average; of smaller plants in patches a tile might have more than it has numbers for
+_SLOPE_M = 0.2  # over which the slope under a cushion or heap is taken, either way
 
 
 def layer_of(
@@ -79,21 +66,10 @@ def layer_of(
     plants: Flora | None = None,
     trails: Trails | None = None,
 ) -> Layer:
-    """Scatter the things of one section.
+    """Scatter the things of one section, off the trails.
 
-    Parameters
-    ----------
-    section : what the user wrote, one of those of `layers_of`
-    seed : of the scenario
-    season : whether broadleaves bear leaves
-    canopy : names of the trees above, for a section that names no species; saplings are of those of them that live
-    plants : trees and shrubs; those of the program if none are given
-    trails : where nothing grows
-
-    Raises
-    ------
-    GeometryError
-        for a species that is not in the table, and for saplings of none
+    A section that names no species has those of the canopy, saplings those of them that live. Plants are those of the program if
+    none are given. Raises GeometryError for a species that is not in the table, and for saplings of none.
     """
     kind, plants = _KINDS[type(section)], plants or flora()
     species = _species(section, kind.name, canopy, plants)
@@ -104,12 +80,8 @@ def layers_of(
     section: Woods, seed: int, canopy: Sequence[str], plants: Flora, trails: Trails | None = None
 ) -> list[Layer]:
     """All that grows and lies under the trees, in the order of its numbers."""
-    return [
-        layer_of(
-            getattr(section, kind.name), seed=seed, season=section.season, canopy=canopy, plants=plants, trails=trails
-        )
-        for kind in _KINDS.values()
-    ]
+    scattered = partial(layer_of, seed=seed, season=section.season, canopy=canopy, plants=plants, trails=trails)
+    return [scattered(getattr(section, kind.name)) for kind in _KINDS.values()]
 
 
 def stones_per_ha(cover: float) -> float:
@@ -127,11 +99,7 @@ def plants_per_ha(section: Cover, spread: float, *, patches: bool) -> tuple[floa
 
     Discs of area a in patches of mean density d leave (1 + 2 a d)^(-1/2) of the plane bare: the mean of exp(-a d n^2) over normal
     noise n. That this is 1 / (1 + c (1 - c)) is an assumption: most plants are in patches where cover is low, and few where it is
-    closed. Even ones cover the rest.
-
-    Parameters
-    ----------
-    spread : width over height, which is evenly between least and greatest
+    closed. Even ones cover the rest. Heights are evenly between least and greatest, `spread` is width over height.
     """
     (low, high), cover = section.height_m, section.cover
     area_m2 = math.pi / 4 * spread * spread * (low * low + low * high + high * high) / 3
@@ -176,7 +144,6 @@ def _pattern(section: Section, kind: LayerKind, seed: int, trails: Trails | None
 
 @cache
 def _stone_area_m2() -> float:
-    """Mean area of a stone as it is seen from above."""
     low, high = _STONE_BURIED
     buried = low + (high - low) * (np.arange(1000) + 0.5) / 1000
     seen = 1 - np.square(np.clip(2 * buried - 1, 0, None))  # section of an ellipsoid at a relative height
@@ -191,7 +158,6 @@ def _stone_length_m(probability: Array) -> Array:
 
 
 def _lay_stones(_layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThings:
-    """Lay stones half into the ground."""
     length_m = _stone_length_m(draws[:, 0])
     size = length_m[:, None] * [1.0, _STONE_WIDTH, _STONE_HEIGHT]
     keep = site.clear(xy_m, length_m / 2, length_m / 2)

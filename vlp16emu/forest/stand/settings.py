@@ -21,8 +21,7 @@ LEAST_SLENDERNESS = 12.0
 """Height over DBH, at least, of the tree of mean diameter: trees in stands have 50 to 120 and open-grown ones 25 to 50 (Wang, Titus and
 LeMay 1998, "Relationships between tree slenderness coefficients and tree or stand characteristics"), with a DBH in millimetres a tenth."""
 
-_SHARE_ERROR = 0.015
-"""By which shares may fail to sum to 1: three of 0.33 do."""
+_SHARE_ERROR = 0.015  # by which shares may fail to sum to 1: three of 0.33 do
 
 MOST_STEMS_PER_HA = 5000
 """Of a storey, whichever key gives its density."""
@@ -51,7 +50,6 @@ class SpeciesShare(Section):
 
     @model_validator(mode="after")
     def _slender(self) -> Self:
-        """Refuse a diameter in millimetres."""
         if self.height_m < LEAST_SLENDERNESS * self.dbh_cm / 100:
             expected = f"a height of {LEAST_SLENDERNESS:g} diameters or more (is dbh_cm in mm?)"
             raise ValueError(f"{expected} beside dbh_cm = {self.dbh_cm:g}")

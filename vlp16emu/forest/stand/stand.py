@@ -2,30 +2,24 @@
 
 import fractions
 import math
-from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.trails import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
-from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, flora, known, tapers
-from vlp16emu.forest.plants.species import Species
+from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, flora, known, tapers
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.points import PointPattern, pattern_of
 from vlp16emu.forest.stand.settings import MOST_STEMS_PER_HA, Forest, SpeciesShare, Storey
 from vlp16emu.forest.tiles import around
 from vlp16emu.random import generator
-from vlp16emu.types import HeightField
+from vlp16emu.types import Array, HeightField
 from vlp16emu.world.polyline import Corridor
 from vlp16emu.world.vectors import places_m
-
-Array = NDArray[np.float64]
-Trees = NDArray[np.void]
 
 TREE = np.dtype(
     [
@@ -56,29 +50,17 @@ TREE = np.dtype(
 REGENERATION = 255
 """Storey of saplings: stems under 5 cm, those under breast height with a DBH of 0."""
 
-_CLASS_RATIO = 1.5
-"""Between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter."""
-
-_TOP_DBH_RATIO = 1.25
-"""Diameter of the stand's top height trees over its quadratic mean diameter; assumption."""
-
-_OPEN_GROWN = 1.5
-"""Ground whose leaves one crown can carry at most, over the crown's own projection; assumption."""
+_CLASS_RATIO = 1.5  # between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter
+_TOP_DBH_RATIO = 1.25  # diameter of the stand's top height trees over its quadratic mean diameter; assumption
+_OPEN_GROWN = 1.5  # ground whose leaves one crown can carry at most, over the crown's own projection; assumption
 
 _LONE_CROWN_BASE = 0.35
 """Height of the lowest branch of a tree that stands alone over that of one in a closed stand; assumption."""
 
-_LEAN_SIGMA_DEG = 1.5
-"""One sigma of lean along each horizontal axis; assumption."""
-
-_HEAD_ROOM_M = 2.5
-"""Height up to which a leaning stem must keep clear of the path: above a walker's head."""
-
-_STEM_GAP_M = 0.05
-"""Least distance between two stems' surfaces at the ground; assumption."""
-
-_TILES_KEPT = 1024
-"""Tiles whose trees are kept for their neighbours: more than one window and its border hold."""
+_LEAN_SIGMA_DEG = 1.5  # one sigma of lean along each horizontal axis; assumption
+_HEAD_ROOM_M = 2.5  # height up to which a leaning stem must keep clear of the path: above a walker's head
+_STEM_GAP_M = 0.05  # least distance between two stems' surfaces at the ground; assumption
+_TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than one window and its border hold
 
 
 _STOREYS = (Growth.STAND, Growth.SECOND_STOREY, Growth.THIRD_STOREY)
@@ -114,7 +96,7 @@ def class_scale(ratio: float, number: int) -> float:
     return float(pow(fractions.Fraction(ratio), number))
 
 
-def foot_discs(trees: Trees, *, table: Mapping[str, Species] | None = None) -> Array:
+def foot_discs(trees: Trees, *, table: Table | None = None) -> Array:
     """Sections of stems with the ground: (n, 3) x, y, radius."""
     foot = np.zeros((len(trees), 1))
     radius_m = taper_radius_m(tapers(trees["species"], table=table), trees["dbh_m"], trees["height_m"], foot)
@@ -139,10 +121,7 @@ def path_gap_m(trees: Trees, radius_m: Array, path: Corridor) -> Array:
 def density_per_ha(storey: Storey) -> float:
     """Stems per hectare; of a basal area, those whose cross-sections at breast height add up to it.
 
-    Raises
-    ------
-    GeometryError
-        where the stems of a basal area are too many
+    Raises GeometryError where the stems of a basal area are too many.
     """
     if storey.stems_per_ha:
         return storey.stems_per_ha
@@ -157,23 +136,10 @@ def density_per_ha(storey: Storey) -> float:
 
 
 class Stand:
-    """A mixed stand on a terrain, without edge.
+    """A mixed stand on a terrain, without edge, that keeps path and trails free of stems.
 
-    Where two stems would grow into each other, the thicker one is left.
-
-    Parameters
-    ----------
-    section : what the user wrote
-    seed : of the scenario
-    height_m : ground
-    path : kept free of stems
-    plants : trees and shrubs; those of the program if none are given
-    trails : kept free of stems, too
-
-    Raises
-    ------
-    GeometryError
-        for a species that is not in the table, and for more stems than there may be
+    Where two stems would grow into each other, the thicker one is left. Plants are those of the program if none are given. Raises
+    GeometryError for a species that is not in the table, and for more stems than there may be.
     """
 
     def __init__(
@@ -195,9 +161,7 @@ class Stand:
         self._cohorts = [[_Cohort(share, self._plants) for share in storey.species] for storey in storeys]
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
-        """Mean number of stems per hectare."""
-        self.species = [share.species for share in section.species]
-        """Names of those of the canopy."""
+        self.species = [share.species for share in section.species]  # of the canopy
         crown_m2 = sum(_crown_area_m2_per_ha(storey) for storey in zip(self._patterns, self._cohorts, strict=True))
         cover = crown_m2 / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
@@ -252,8 +216,7 @@ class Stand:
     def crown(self, cohort: int, crown_class: int, variant: int) -> CrownKey:
         """Name the crown prototype of a diameter class.
 
-        Each species bears its own leaf area index on its share of the ground, which trees divide in
-        proportion to their crown projection.
+        Each species bears its leaf area index on its share of the ground, which trees divide by their crown projection.
         """
         own = self._all_cohorts[cohort]
         dbh_cm = np.array([own.share.dbh_cm * class_scale(_CLASS_RATIO, crown_class)])

@@ -27,24 +27,20 @@ from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.forest import ForestWorld
 from vlp16emu.forest.stand.stand import REGENERATION
 from vlp16emu.random import generator
-from vlp16emu.types import Sway, Window
+from vlp16emu.types import Array, IntArray, Sway, Window
 from vlp16emu.world.settings import Wind
 
-Array = NDArray[np.float64]
 Stand = NDArray[np.void]
 
 ALONG, ACROSS = 0, 1
 """Components of the gusts' speed: with the mean wind, and level to the left of it."""
 
 _LINES = 256
-_SLOWEST = 0.003
-"""Frequency times gust length over wind speed under which one line stands for all: 1.2 % of the energy."""
-_FASTEST_HZ = 5.0
-"""Frequency over which one line stands for all: no tree follows it."""
+_SLOWEST = 0.003  # frequency times gust length over wind speed under which one line stands for all: 1.2 % of the energy
+_FASTEST_HZ = 5.0  # frequency over which one line stands for all: no tree follows it
 
 _DEVIATION = (1.0, 0.8)
-_LENGTH = (1.0, 2.7 / 8.1)
-"""Of the gusts' components, over those along the wind (IEC 61400-1 ed. 3, table B.1)."""
+_LENGTH = (1.0, 2.7 / 8.1)  # of the gusts' components, over those along the wind (IEC 61400-1 ed. 3, table B.1)
 
 _DECAY = 10.0
 """Of the coherence exp(-decay * frequency * distance / speed) across the wind; 8 to 16 have been measured
@@ -58,17 +54,14 @@ _AIR_KG_M3 = 1.2
 _FRICTION_SHARE = 0.3
 """Friction velocity over mean speed at the top of a canopy (Raupach, Finnigan and Brunet, Boundary-Layer Meteorol
 78, 1996, table 1: 1 / 3.3)."""
-_SHELTERED = 0.2
-"""Drag on a tree of a lower storey over that on one of the canopy with such a crown; assumption."""
-_BARE = 0.4
-"""Drag on a crown without leaves over that with leaves; assumption."""
+_SHELTERED = 0.2  # drag on a tree of a lower storey over that on one of the canopy with such a crown; assumption
+_BARE = 0.4  # drag on a crown without leaves over that with leaves; assumption
 
 _IN_LEAF = 0.8
 """Frequency of a broadleaved tree in leaf over that of a conifer of its size. That leaves lower it: Jackson et al.,
 J R Soc Interface 16, 20190116, 2019; by how much: assumption."""
 
-_GREEN_WOOD_KG_M3 = 900.0
-"""Of stems with bark and sap; assumption, fresh logs have 700 to 1100."""
+_GREEN_WOOD_KG_M3 = 900.0  # of stems with bark and sap; assumption, fresh logs have 700 to 1100
 _CROWN_MASS = 0.3
 """Branches and leaves over the stem (IPCC Good Practice Guidance 2003, table 3A.1.10: biomass expansion factors of
 1.3 for conifers, 1.4 for broadleaved trees)."""
@@ -78,27 +71,19 @@ _SECTIONS = 16
 class Lines(NamedTuple):
     """Gusts of one component."""
 
-    omega_rad_s: Array
-    """(n,)."""
-    speed_m_s: Array
-    """(n,) amplitude."""
-    phase_rad: Array
-    """(n,) at the origin of the world when the run begins."""
-    aside_rad_m: Array
-    """(n,) increase of the phase to the left of the wind."""
+    omega_rad_s: Array  # (n,).
+    speed_m_s: Array  # (n,) amplitude
+    phase_rad: Array  # (n,) at the origin of the world when the run begins
+    aside_rad_m: Array  # (n,) increase of the phase to the left of the wind
 
 
 class Trees(NamedTuple):
     """Oscillators."""
 
-    omega_rad_s: Array
-    """(m,) undamped natural frequencies."""
-    damping_ratio: float
-    """Share of critical damping."""
-    downwind_m: Array
-    """(m,) places along the wind."""
-    aside_m: Array
-    """(m,) places to the left of it."""
+    omega_rad_s: Array  # (m,) undamped natural frequencies
+    damping_ratio: float  # share of critical damping
+    downwind_m: Array  # (m,) places along the wind
+    aside_m: Array  # (m,) places to the left of it
 
 
 def gust_lines(section: Wind, seed: int, component: int) -> Lines:
@@ -173,10 +158,8 @@ def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: Array, sine: Arr
 class Mechanics:
     """How n trees answer the wind."""
 
-    frequency_hz: Array
-    """(n,) undamped, of the first swing."""
-    lean_per_stress: Array
-    """(n,) lean, as a tangent, for each Pa of the wind's shear stress on the canopy."""
+    frequency_hz: Array  # (n,) undamped, of the first swing
+    lean_per_stress: Array  # (n,) lean, as a tangent, for each Pa of the wind's shear stress on the canopy
 
 
 def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
@@ -199,9 +182,8 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
     at_m = height_m[:, None] * share
     radius_m = taper_radius_m(tapers(trees["species"], table=plants.trees), dbh_m, height_m, at_m)
     pieces_kg = _GREEN_WOOD_KG_M3 * np.pi * np.square(radius_m) * (height_m / _SECTIONS)[:, None]
-    inertia_kg_m2 = (pieces_kg * np.square(at_m)).sum(axis=1) + _CROWN_MASS * pieces_kg.sum(axis=1) * np.square(
-        middle_m
-    )
+    crown_kg = _CROWN_MASS * pieces_kg.sum(axis=1)
+    inertia_kg_m2 = (pieces_kg * np.square(at_m)).sum(axis=1) + crown_kg * np.square(middle_m)
     drag_m2 = np.pi / 4 * np.square(trees["crown_width_m"]) * np.where(bare, _BARE, 1.0)
     drag_m2 *= np.where(trees["storey"] > 0, _SHELTERED, 1.0)
     return Mechanics(frequency_hz, drag_m2 * middle_m / (inertia_kg_m2 * np.square(2.0 * np.pi * frequency_hz)))
@@ -210,11 +192,7 @@ def mechanics(trees: Stand, plants: Flora, season: Season) -> Mechanics:
 class TreeSway:
     """Moves the trees of windows; the same tree at the same time in the same way, whatever window it is in.
 
-    Parameters
-    ----------
-    section : what the user wrote; its speed is more than 0
-    forest : of the trees, each with a shape of its own
-    start_ns : UTC of the run's first pulse
+    The wind's speed is more than 0, each tree of the forest has a shape of its own, and the run's first pulse is at `start_ns`.
     """
 
     def __init__(self, section: Wind, *, forest: ForestWorld, start_ns: int) -> None:
@@ -224,7 +202,7 @@ class TreeSway:
         self._axes = np.array([[east, north], [-north, east]])
         self._lines = [gust_lines(section, forest.seed, component) for component in (ALONG, ACROSS)]
 
-    def shear(self, trees: Stand, t_ns: NDArray[np.int64]) -> Array:
+    def shear(self, trees: Stand, t_ns: IntArray) -> Array:
         """Lean of trees (m,) at UTC times (k,): (k, m, 2) metres east and north per metre over the foot.
 
         Drag grows with the square of the speed; the mean and the part linear in the gusts are kept.

@@ -1,0 +1,76 @@
+"""What prototypes of crowns, saplings and shrubs have in common."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from forest.quads import areas_m2, corners, zeniths
+from scipy import stats
+
+from vlp16emu.forest.plants.crown import CrownKey, crown_meshes
+from vlp16emu.forest.plants.flora import shrub_table, species_table
+from vlp16emu.forest.plants.sapling import SaplingKey, sapling_meshes
+from vlp16emu.forest.plants.shrub import ShrubKey, shrub_meshes
+
+PLANTS = {**species_table(), **shrub_table()}
+CROWNS = [CrownKey(name, 0, 0.24, 21.0, 9.0, 4.5, 90.0) for name, one in species_table().items() if one.foliage]
+SAPLINGS = [SaplingKey(name, 1, 3.0, "leaf_on") for name in ("european_beech", "norway_spruce")]
+SHRUBS = [
+    ShrubKey(name, 1, 0.7 * one.height_m[1], 0.7 * one.height_m[1] * one.width_share, "leaf_on")
+    for name, one in shrub_table().items()
+]
+
+
+def grown(key, seed=4):
+    makers = {CrownKey: crown_meshes, SaplingKey: sapling_meshes, ShrubKey: shrub_meshes}
+    meshes = makers[type(key)](seed, key)
+    return meshes[:-1] if len(meshes) == 4 and isinstance(key, CrownKey) else meshes  # without dead branches
+
+
+def bytes_of(meshes):
+    return [mesh.vertices_m.tobytes() + mesh.faces.tobytes() for mesh in meshes]
+
+
+@pytest.mark.parametrize(
+    ("keys", "leaf_m2", "share"),
+    [
+        (CROWNS, lambda key: key.leaf_area_m2, 1e-3),
+        (SAPLINGS, lambda key: 2 * np.pi / 4 * (key.height_m / 2) ** 2, 0.02),
+        (SHRUBS, lambda key: PLANTS[key.species].leaf_area_index * np.pi / 4 * key.width_m**2, 1e-3),
+    ],
+    ids=["crowns", "saplings", "shrubs"],
+)
+def test_leaf_area_is_that_of_the_plant(keys, leaf_m2, share):
+    """Quads have the leaf area of the crown, twice the projection of a sapling, or the index of a shrub, over their clumping."""
+    for key in keys:
+        target = leaf_m2(key) / PLANTS[key.species].foliage.clumping
+        assert areas_m2(corners(grown(key)[-1])).sum() == pytest.approx(target, rel=share), key
+
+
+@pytest.mark.parametrize("key", [key for key in CROWNS + SHRUBS if PLANTS[key.species].foliage.kind == "leaf"])
+def test_leaves_are_inclined_as_measured(key):
+    """Leaf inclination passes a chi-square test with 20 equally likely classes against its beta distribution."""
+    zenith = zeniths(corners(grown(key)[-1]))
+    mu, nu = PLANTS[key.species].foliage.inclination
+    # Far more leaves than were ever measured would find the rounding of mu and nu.
+    likely = stats.beta(nu, mu).cdf(zenith[:: 1 + len(zenith) // 5000] / (np.pi / 2))
+    assert stats.chisquare(np.histogram(likely, 20, (0, 1))[0]).pvalue > 0.001
+
+
+@pytest.mark.parametrize("key", CROWNS + SAPLINGS + SHRUBS)
+def test_winter_takes_the_leaves_of_broadleaves_and_nothing_else(key):
+    """Leaf-off a broadleaf has no leaf face, a conifer keeps its shoots, and the wood is the same to the byte."""
+    summer, winter = grown(key), grown(replace(key, season="leaf_off"))
+    assert bytes_of(winter[:-1]) == bytes_of(summer[:-1])
+    if PLANTS[key.species].foliage.kind == "shoot":
+        assert bytes_of(winter) == bytes_of(summer)
+    else:
+        assert len(winter[-1].faces) == 0
+
+
+@pytest.mark.parametrize("key", CROWNS[:4] + SAPLINGS + SHRUBS[:1])
+def test_a_prototype_depends_on_seed_and_key_alone(key):
+    """The same seed and key give the same bytes; another seed, variant or size gives another plant."""
+    others = [replace(key, variant=2), replace(key, **({"dbh_m": 0.26} if key in CROWNS else {"height_m": 1.9}))]
+    assert bytes_of(grown(key)) == bytes_of(grown(replace(key)))
+    assert len({b"".join(bytes_of(one)) for one in (grown(key), grown(key, seed=5), *map(grown, others))}) == 4
