@@ -13,6 +13,16 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+F4 = NDArray[np.float32]
+F8 = NDArray[np.float64]
+I4 = NDArray[np.int32]
+I8 = NDArray[np.int64]
+U1 = NDArray[np.uint8]
+U2 = NDArray[np.uint16]
+U4 = NDArray[np.uint32]
+U8 = NDArray[np.uint64]
+"""Arrays by numpy's codes of what is in them."""
+
 
 class ReturnMode(StrEnum):
     """Which echoes the sensor reports (63-9243 Rev D, section 6)."""
