@@ -16,7 +16,8 @@ from vlp16emu.types import F4, F8, I4, I8, U4, U8
 _PIECE_M = 0.25
 """Faces larger than this are cut."""
 
-_Place, _Whose = tuple[float, float, float], tuple[int, int, int]
+_Place = tuple[float, float, float]
+_Whose = tuple[int, int, int]
 
 
 class _Voxels(NamedTuple):

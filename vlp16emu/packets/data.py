@@ -79,9 +79,9 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
         even, odd = blocks[:, 0::2], blocks[:, 1::2]
         even["azimuth_cdeg"] = odd["azimuth_cdeg"] = codes
         _write(even["records"], returns.distance_m[..., _LAST], returns.reflectivity[..., _LAST])
-        which = odd_column(returns)[..., None]
-        of_odd = (np.take_along_axis(of, which, axis=-1) for of in (returns.distance_m, returns.reflectivity))
-        _write(odd["records"], *of_odd)
+        place = odd_column(returns)[..., None]
+        distance_m = np.take_along_axis(returns.distance_m, place, axis=-1)
+        _write(odd["records"], distance_m, np.take_along_axis(returns.reflectivity, place, axis=-1))
     else:
         which = _LAST if mode is ReturnMode.LAST else _STRONGEST
         blocks["azimuth_cdeg"] = codes
