@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,13 @@ def kept_woods():
         yield
         user_store().flush()
     user_store.cache_clear()
+
+
+@pytest.fixture(scope="session")
+def workers():
+    """Threads that build shapes."""
+    with ThreadPoolExecutor(2) as pool:
+        yield pool
 
 
 def pytest_sessionstart():

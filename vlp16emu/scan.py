@@ -21,7 +21,7 @@ from vlp16emu.packets import (
     frame_named,
     scan_starts,
 )
-from vlp16emu.types import ReturnMode
+from vlp16emu.types import F4, F8, I8, U1, U2, U4, ReturnMode
 from vlp16emu.units import HOUR_NS
 
 LabelsOf = Callable[[PacketChunk], Mapping[str, NDArray[Any]]]
@@ -32,15 +32,15 @@ LabelsOf = Callable[[PacketChunk], Mapping[str, NDArray[Any]]]
 class Labels:
     """Ground truth of n points: the surface that each lies on."""
 
-    semantic: NDArray[np.uint8]
+    semantic: U1
     """(n,) `Semantic`."""
-    part: NDArray[np.uint8]
+    part: U1
     """(n,) `PlantPart`."""
-    instance: NDArray[np.uint32]
+    instance: U4
     """(n,) unique per plant, stone or object; 0 none."""
-    species: NDArray[np.uint16]
+    species: U2
     """(n,) number in the species table; 0 none."""
-    range_m: NDArray[np.float32]
+    range_m: F4
     """(n,) distance before errors of range."""
 
 
@@ -58,22 +58,22 @@ class Scan:
 
     start_ns: int
     """UTC of the revolution's first pulse, whether or not it has a return."""
-    t_ns: NDArray[np.int64]
+    t_ns: I8
     """(n,) UTC of the pulse. Of a capture: by the sensor's clock, in whole microseconds for each packet, in the hour that
     is nearest to the capture's stamp; a sensor without GPS counts from its power-up."""
-    xyz_m: NDArray[np.float32]
+    xyz_m: F4
     """(n, 3) in the sensor: x forward at azimuth 0, y left, z up."""
-    distance_m: NDArray[np.float32]
+    distance_m: F4
     """(n,) from the centre of the sensor."""
-    azimuth_deg: NDArray[np.float64]
+    azimuth_deg: F8
     """(n,) at the instant of the pulse, [0, 360)."""
-    ring: NDArray[np.uint16]
+    ring: U2
     """(n,) by elevation, 0 the lowest."""
-    reflectivity: NDArray[np.uint8]
+    reflectivity: U1
     """(n,) 0..100 diffuse, 101..255 retroreflective."""
     is_last: NDArray[np.bool_]
     """(n,) a last return; else the strongest, or in dual return, where that is the last, the second strongest."""
-    world_T_sensor: NDArray[np.float64] | None = None
+    world_T_sensor: F8 | None = None
     """(4, 4) takes `xyz_m` to the world (local east, north, up), at `start_ns`; None for a capture."""
     labels: Labels | None = None
     """Where the truth was asked for."""
@@ -83,11 +83,11 @@ class Scan:
 class Chunk:
     """m azimuth readings in order of time, and the n points of their pulses."""
 
-    t_ns: NDArray[np.int64]
+    t_ns: I8
     """(m,) UTC of the first pulse after each reading."""
-    azimuth_deg: NDArray[np.float64]
+    azimuth_deg: F8
     """(m,) readings."""
-    reading: NDArray[np.int64]
+    reading: I8
     """(n,) index of each point's reading, ascending."""
     arrays: Mapping[str, NDArray[Any]]
     """Arrays of n points by the names that they have in a scan."""
@@ -109,7 +109,7 @@ class Chunk:
         return type(self)(self.t_ns[readings], self.azimuth_deg[readings], self.reading[first:last] - begin, points)
 
 
-def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], NDArray[np.float64]] | None = None) -> Iterator[Scan]:
+def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], F8] | None = None) -> Iterator[Scan]:
     """Cut points into whole revolutions; begun ones at both ends are left out.
 
     Parameters
@@ -132,17 +132,17 @@ def cut_scans(chunks: Iterable[Chunk], pose_at: Callable[[int], NDArray[np.float
         yield _scan(held, pose_at)
 
 
-def _begins_at_zero(azimuth_deg: NDArray[np.float64]) -> bool:
+def _begins_at_zero(azimuth_deg: F8) -> bool:
     """Whether the reading before the first one would be of another revolution."""
     return len(azimuth_deg) > 1 and bool(azimuth_deg[0] < (azimuth_deg[1] - azimuth_deg[0]) % 360.0)
 
 
-def _ends_at_zero(azimuth_deg: NDArray[np.float64]) -> bool:
+def _ends_at_zero(azimuth_deg: F8) -> bool:
     """Whether the reading after the last one would be of another revolution."""
     return len(azimuth_deg) > 1 and bool(2 * azimuth_deg[-1] - azimuth_deg[-2] >= 360.0)
 
 
-def _scan(chunk: Chunk, pose_at: Callable[[int], NDArray[np.float64]] | None) -> Scan:
+def _scan(chunk: Chunk, pose_at: Callable[[int], F8] | None) -> Scan:
     arrays, start_ns = dict(chunk.arrays), int(chunk.t_ns[0])
     labels = None
     if "semantic" in arrays:
@@ -168,12 +168,9 @@ def decode(
 
     Raises
     ------
-    CaptureError
-        where the file cannot be read or is damaged, or has no data packets
-    PacketError
-        where a packet is not a VLP-16's
-    InputError
-        where there is no such frame, or no such unit, or there are several and none is named
+    CaptureError : where the file cannot be read or is damaged, or has no data packets
+    PacketError : where a packet is not a VLP-16's
+    InputError : where there is no such frame, or no such unit, or there are several and none is named
     """
     path = Path(capture)
     chosen = chosen_unit(path, None if unit is None else str(unit))
@@ -186,7 +183,6 @@ def scans_in(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Scan]:
 
 
 def _chunks(reader: CaptureReader, labels_of: LabelsOf) -> Iterator[Chunk]:
-    """Points of a capture by their azimuth readings."""
     with reader:
         zero_ns = None
         for chunk in reader.points():

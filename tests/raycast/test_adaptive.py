@@ -1,7 +1,10 @@
 """How many sub-rays a pulse gets."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from raycast import lab
 
 from vlp16emu.raycast.adaptive import RayBudget, enough, worth_of_ray_m
 from vlp16emu.raycast.beam import ROUND
@@ -115,7 +118,7 @@ def test_neither_order_nor_brightness_matters():
 
 
 @pytest.fixture(scope="module")
-def walls(lab, workers):
+def walls(workers):
     """A wall at 10 m to the left of y = 0, another at 13 m behind all of it."""
     window, shape = lab.upright((10.0, 0.0, 9.0, -9.0, 9.0), (13.0, -9.0, 9.0, -9.0, 9.0))
     return EmbreeCaster(lab.world(shape), workers).open(window)
@@ -125,7 +128,7 @@ STEP_Y_M = (np.arange(64) - 35.1) * 0.02
 """As far apart as pulses are at 10 m; the step is in the middle of an aligned eight, 2 mm beside pulse 35."""
 
 
-def test_rays_go_where_the_footprint_is_split(lab, walls):
+def test_rays_go_where_the_footprint_is_split(walls):
     """Pulses that meet one wall have a round; the one at a step gets more of them, as many as it takes."""
     fine = lab.beam("adaptive", target_m=0.02)
     count = walls.cast(lab.level_pulses(STEP_Y_M), np.zeros(1), 100.0, fine).count[:, 0]
@@ -134,13 +137,13 @@ def test_rays_go_where_the_footprint_is_split(lab, walls):
     assert (np.delete(count, [34, 35, 36]) == ROUND).all()
 
 
-def test_at_the_usual_target_a_round_is_enough(lab, walls):
+def test_at_the_usual_target_a_round_is_enough(walls):
     """The default of 5 cm asks nobody for a second round, not even at a step."""
     count = walls.cast(lab.level_pulses(STEP_Y_M), np.zeros(1), 100.0, lab.beam("adaptive")).count
     assert (count == ROUND).all()
 
 
-def test_eights_do_not_depend_on_others(lab, walls):
+def test_eights_do_not_depend_on_others(walls):
     """Eight aligned sequences beside a step have the rays and hits that they have among others, bit by bit."""
     fine = lab.beam("adaptive", target_m=0.02)
     among = walls.cast(lab.level_pulses(STEP_Y_M), np.zeros(1), 100.0, fine)
@@ -161,7 +164,7 @@ def test_what_lies_in_the_lens_is_judged_too():
     assert asked([0.0] * 8)
 
 
-def test_a_finer_target_takes_more_rays_and_no_target_more_than_it_may(lab, walls):
+def test_a_finer_target_takes_more_rays_and_no_target_more_than_it_may(walls):
     """Rays in all grow as the target falls, up to the most that are allowed."""
     firings = lab.level_pulses(np.full(80, 0.001))
     firings.origin_m[::2, 0, 1] = -0.002
@@ -172,7 +175,7 @@ def test_a_finer_target_takes_more_rays_and_no_target_more_than_it_may(lab, wall
     assert 80 * ROUND == used[0] < used[1] < used[2] <= 80 * 20
 
 
-def test_grazing_light_is_followed_by_sub_rays(lab, workers):
+def test_grazing_light_is_followed_by_sub_rays(workers):
     """On a smooth wall a round is enough; met at a grazing angle its footprint is deep, and more are asked for."""
     window, shape = lab.upright((10.0, -9.0, 9.0, -9.0, 9.0))
     counts = {}
@@ -181,10 +184,7 @@ def test_grazing_light_is_followed_by_sub_rays(lab, workers):
         placed = window.world_T_shape.copy()
         placed[0, :, :3] = [[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
         placed[0, :, 3] = [10.0 - 10 * np.cos(turn), 10 * np.sin(turn), 0]
-        turned = type(window)(
-            window.origin_m, window.shapes, window.shape, placed, window.first_surface, window.surfaces
-        )
-        scene = EmbreeCaster(lab.world(shape), workers).open(turned)
+        scene = EmbreeCaster(lab.world(shape), workers).open(replace(window, world_T_shape=placed))
         firings = lab.level_pulses(np.arange(-8, 8) * 0.02)
         beam = lab.beam("adaptive", target_m=0.01)
         counts[degrees] = int(scene.cast(firings, np.zeros(1), 100.0, beam).count[8, 0])

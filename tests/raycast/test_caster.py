@@ -1,7 +1,5 @@
 """Which caster is taken."""
 
-import subprocess
-import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -11,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from raycast import lab
 
 from vlp16emu.errors import RunError
 from vlp16emu.foliage.far_caster import FarCaster
@@ -28,27 +27,14 @@ def test_the_wheel_has_the_library():
     assert library_path().is_file()
 
 
-def test_only_a_world_with_a_limit_gets_a_medium(lab, workers):
+def test_only_a_world_with_a_limit_gets_a_medium(workers):
     """What is near to any range is cast as faces alone; a world that is seen from afar beyond some range has a medium."""
     assert type(caster(lab.world(lab.soup), workers)) is EmbreeCaster
-    assert type(caster(lab.tiles(), workers)) is FarCaster
-
-
-def test_a_hall_is_cast_without_the_far_part():
-    """Where no file of the far part can be loaded, `static_bench` has its returns."""
-    program = """
-import sys
-for name in "cloud cuts far far_caster filling lanes leaves march marks medium voxel".split():
-    sys.modules[f"vlp16emu.raycast.{name}"] = None
-from vlp16emu.emulator import Emulator
-from vlp16emu.scenario import load
-assert (next(Emulator(load("static_bench"), threads=1).returns(0.0, 0.05)).distance_m[..., 0] > 0).all()
-"""
-    subprocess.run([sys.executable, "-c", program], check=True)
+    assert type(caster(lab.Tiles(), workers)) is FarCaster
 
 
 @pytest.mark.skipif(not TASKS.is_dir(), reason="the threads of a process are counted in /proc")
-def test_a_second_caster_starts_no_thread(lab):
+def test_a_second_caster_starts_no_thread():
     """Beside a second device Embree keeps a thread busy for ever, so all casters of a process share one."""
     window, shape = lab.upright((10.0, -1.0, 1.0, -1.0, 1.0))
     with ThreadPoolExecutor(1) as worker:
@@ -76,7 +62,7 @@ def test_threads_that_ask_at_once_get_one_device(monkeypatch):
     assert made == [1]
 
 
-def test_what_fails_on_a_worker_is_raised_there(lab, workers, monkeypatch):
+def test_what_fails_on_a_worker_is_raised_there(workers, monkeypatch):
     """Embree reports an error only to the thread on which it happened; there it is asked for, and the run ends."""
     _, shape = lab.upright((10.0, -1.0, 1.0, -1.0, 1.0))
     monkeypatch.setattr(embree, "BUFFER_INDEX", 99)
@@ -86,7 +72,7 @@ def test_what_fails_on_a_worker_is_raised_there(lab, workers, monkeypatch):
     workers.submit(EmbreeMesh(shape_of(shape("all"))).scene, 0).result()
 
 
-def test_a_window_that_fails_leaves_nothing_behind(lab, workers, monkeypatch):
+def test_a_window_that_fails_leaves_nothing_behind(workers, monkeypatch):
     """Where Embree cannot build a window, the scene that was begun is given back before the error is told."""
     real, released = embree.library(), []
 

@@ -1,17 +1,17 @@
 """The fast caster against the slow twin, and against itself."""
 
 import gc
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from raycast import lab
 from raycast.reference import ReferenceCaster, flatten
 
 from vlp16emu.raycast import build
 from vlp16emu.raycast.build import widened
 from vlp16emu.raycast.near import EmbreeCaster
-from vlp16emu.types import NO_SURFACE, SURFACE, Mesh, Window
+from vlp16emu.types import NO_SURFACE, Mesh
 
 
 def assert_same_hits(ours, other, *, range_m, cosine):
@@ -24,38 +24,30 @@ def assert_same_hits(ours, other, *, range_m, cosine):
     assert np.abs(ours.cos_incidence - other.cos_incidence).max() < cosine
 
 
-def test_hits_are_those_of_the_slow_twin(lab, workers):
-    """Ranges, surfaces and incidence of turned and scaled instances at UTM coordinates equal brute force in float64."""
+@pytest.mark.parametrize("share", [1, 4])
+def test_hits_are_those_of_the_slow_twin(workers, share):
+    """Ranges, surfaces and incidence of turned, mirrored and scaled instances at UTM coordinates, of which some each show one surface, equal brute force in float64."""
     window, firings = lab.placed(30), lab.pulses(64)
-    fast = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m)
-    slow = ReferenceCaster(lab.soup).open(window).cast(firings, lab.near_m, lab.far_m)
+    window = replace(window, first_surface=(window.first_surface // share * (share // 2 or 1)).astype("u4"))
+    fast = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.NEAR_M, lab.FAR_M)
+    slow = ReferenceCaster(lab.soup).open(window).cast(firings, lab.NEAR_M, lab.FAR_M)
     assert_same_hits(fast, slow, range_m=5e-6, cosine=1e-5)
 
 
-def test_things_that_share_a_surface_are_hit_alike(lab, workers):
-    """Turned, mirrored and scaled things of which four each show one surface hit the same as by the slow twin."""
-    shared = lab.placed(30)
-    shared = replace(shared, first_surface=(shared.first_surface // 4 * 2).astype("u4"))
-    firings = lab.pulses(64)
-    fast = EmbreeCaster(lab.world(lab.soup), workers).open(shared).cast(firings, lab.near_m, lab.far_m)
-    slow = ReferenceCaster(lab.soup).open(shared).cast(firings, lab.near_m, lab.far_m)
-    assert_same_hits(fast, slow, range_m=5e-6, cosine=1e-5)
-
-
-def test_an_empty_mesh_does_not_matter(lab, workers):
+def test_an_empty_mesh_does_not_matter(workers):
     """Meshes without faces are no obstacle, and hit nothing."""
     empty = Mesh(np.zeros((0, 3), "f4"), np.zeros((0, 3), "u4"))
     window, firings = lab.placed(30), lab.pulses(8)
     scene = EmbreeCaster(lab.world(lambda _: (empty, empty)), workers).open(window)
-    assert np.isinf(scene.cast(firings, lab.near_m, lab.far_m).range_m).all()
+    assert np.isinf(scene.cast(firings, lab.NEAR_M, lab.FAR_M).range_m).all()
 
 
-def test_distance_from_the_origin_of_the_world_does_not_matter(lab, workers):
+def test_distance_from_the_origin_of_the_world_does_not_matter(workers):
     """The same scene at UTM coordinates, at 1e7 m and at zero gives the same distances."""
     caster = EmbreeCaster(lab.world(lab.soup), workers)
     ranges = [
-        caster.open(lab.placed(30, at=at)).cast(lab.pulses(320, at=at), lab.near_m, lab.far_m).range_m
-        for at in (np.zeros(3), lab.utm_m, np.array([1e7, -1e7, 0.0]))
+        caster.open(lab.placed(30, at=at)).cast(lab.pulses(320, at=at), lab.NEAR_M, lab.FAR_M).range_m
+        for at in (np.zeros(3), lab.UTM_M, np.array([1e7, -1e7, 0.0]))
     ]
     for other in ranges[1:]:
         same = np.isfinite(ranges[0]) & np.isfinite(other)
@@ -65,41 +57,14 @@ def test_distance_from_the_origin_of_the_world_does_not_matter(lab, workers):
         assert np.quantile(difference_m, 0.999) < 1e-4
 
 
-def test_batches_do_not_matter(lab, workers):
-    """Cast in one go or in pieces of eight firings: the same bits."""
-    scene = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(30))
-    whole = scene.cast(lab.pulses(64), lab.near_m, lab.far_m)
-    for first in range(0, 64, 8):
-        piece = scene.cast(lab.pulses(8, first=first), lab.near_m, lab.far_m)
-        rows = slice(16 * first, 16 * (first + 8))
-        assert (piece.range_m == whole.range_m[rows]).all()
-        assert (piece.surface == whole.surface[rows]).all()
-        assert (piece.cos_incidence == whole.cos_incidence[rows]).all()
-
-
-def test_threads_do_not_matter(lab, workers):
-    """Eight casts at once on a shared scene give the bits of one cast alone."""
-    scene, firings = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(30)), lab.pulses(320)
-    alone = scene.cast(firings, lab.near_m, lab.far_m)
-    with ThreadPoolExecutor(8) as pool:
-        together = list(pool.map(lambda _: scene.cast(firings, lab.near_m, lab.far_m), range(8)))
-    for hits in together:
-        assert (hits.range_m == alone.range_m).all()
-        assert (hits.surface == alone.surface).all()
-
-
-def test_building_is_repeatable(lab, workers):
+def test_building_is_repeatable(workers):
     """Two builds of the same window, on any thread, give the same bits."""
     window, firings = lab.placed(30), lab.pulses(320)
-    first, second = (
-        EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m) for _ in range(2)
-    )
-    assert (first.range_m == second.range_m).all()
-    assert (first.surface == second.surface).all()
-    assert (first.cos_incidence == second.cos_incidence).all()
+    scenes = [EmbreeCaster(lab.world(lab.soup), workers).open(window) for _ in range(2)]
+    lab.assert_same_bits(*(scene.cast(firings, lab.NEAR_M, lab.FAR_M) for scene in scenes))
 
 
-def test_shapes_are_kept_from_window_to_window(lab, workers):
+def test_shapes_are_kept_from_window_to_window(workers):
     """A shape that an open window holds is not grown again; one that no window holds is dropped."""
     grown = []
 
@@ -117,41 +82,26 @@ def test_shapes_are_kept_from_window_to_window(lab, workers):
     assert sorted(grown) == [1, 1, 2, 2, 3, 3]
 
 
-def test_light_begins_at_the_lens_and_ends_at_its_reach(lab, workers):
+@pytest.mark.parametrize(("wall_m", "seen_m"), [(0.02, np.inf), (0.5, 0.5), (99.0, 99.0), (101.0, np.inf)])
+def test_light_begins_at_the_lens_and_ends_at_its_reach(workers, wall_m, seen_m):
     """A wall nearer than the lens or farther than the reach is not seen; one between is, at its distance."""
-
-    def wall(_key):
-        vertices = np.array([[-50, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]], "f4")
-        return (Mesh(vertices, np.array([[0, 1, 2, 3]], "u4")),)
-
-    from vlp16emu.types import Firings
-
-    origin_m, direction = np.zeros((8, 1, 3)), np.zeros((8, 1, 3))
-    direction[..., 2] = -1.0
-    one = np.zeros((8, 1))
-    firings = Firings(0, one.astype(np.int64), np.zeros(8, np.int64), one, np.zeros(8), origin_m, direction, None)
-    seen = {}
-    for depth_m in (0.02, 0.5, 99.0, 101.0):
-        transform = np.eye(3, 4)[None].copy()
-        transform[0, 2, 3] = -depth_m
-        window = Window(np.zeros(3), ("wall",), np.zeros(1, "i4"), transform, np.zeros(1, "u4"), np.zeros(1, SURFACE))
-        hits = EmbreeCaster(lab.world(wall), workers).open(window).cast(firings, np.array([0.0419]), 100.0)
-        seen[depth_m] = float(hits.range_m[0])
-    assert seen == {0.02: np.inf, 0.5: 0.5, 99.0: 99.0, 101.0: np.inf}
+    window, shape = lab.upright((wall_m, -50.0, 50.0, -50.0, 50.0))
+    scene = EmbreeCaster(lab.world(shape), workers).open(window)
+    assert scene.cast(lab.level_pulses(np.zeros(8)), np.array([0.0419]), 100.0).range_m[0] == seen_m
 
 
-def test_empty_window_is_all_sky(lab, workers):
+def test_empty_window_is_all_sky(workers):
     """Nothing placed, nothing hit."""
-    hits = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(0)).cast(lab.pulses(8), lab.near_m, lab.far_m)
+    hits = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(0)).cast(lab.pulses(8), lab.NEAR_M, lab.FAR_M)
     assert np.isinf(hits.range_m).all()
     assert (hits.surface == NO_SURFACE).all()
 
 
-def test_a_broken_packet_is_refused(lab, workers):
+def test_a_broken_packet_is_refused(workers):
     """Firings that do not fill packets of eight rays are a programming error and named."""
     scene = EmbreeCaster(lab.world(lab.soup), workers).open(lab.placed(1))
     with pytest.raises(ValueError, match="found 12 sequences, expected a multiple of 8"):
-        scene.cast(lab.pulses(12), lab.near_m, lab.far_m)
+        scene.cast(lab.pulses(12), lab.NEAR_M, lab.FAR_M)
 
 
 def brute_force(window, meshes, origin_m, direction):
@@ -172,7 +122,7 @@ def brute_force(window, meshes, origin_m, direction):
     return range_m, surface
 
 
-def test_rays_at_edges_and_corners_are_decided_in_float64(lab, workers):
+def test_rays_at_edges_and_corners_are_decided_in_float64(workers):
     """Of 3 000 rays at edges and corners, where Embree's instruction sets differ, each meets what float64 says, to 2 um."""
     window, rng = lab.placed(30), np.random.default_rng(8)
     corners_m, _ = flatten(window, lab.soup)
@@ -188,7 +138,7 @@ def test_rays_at_edges_and_corners_are_decided_in_float64(lab, workers):
     hits = (
         EmbreeCaster(lab.world(lab.soup), workers)
         .open(window)
-        .cast(lab.rays(origin_m + window.origin_m, direction), np.zeros(1), lab.far_m)
+        .cast(lab.rays(origin_m + window.origin_m, direction), np.zeros(1), lab.FAR_M)
     )
     from_m = (origin_m + window.origin_m - window.origin_m).astype("f4").astype(float)
     range_m, surface = brute_force(window, lab.soup, from_m, direction.astype("f4").astype(float))
@@ -198,7 +148,7 @@ def test_rays_at_edges_and_corners_are_decided_in_float64(lab, workers):
     assert np.abs(hits.range_m[hit] - range_m[hit]).max() < 2e-6
 
 
-def test_of_two_faces_at_one_place_the_first_is_met(lab, workers):
+def test_of_two_faces_at_one_place_the_first_is_met(workers):
     """Of walls at the same place, each ray meets the one with the lowest number, at their range."""
     wall = (10.0, -3.0, 3.0, -3.0, 3.0)
     window, shape = lab.upright(wall, wall, wall)
@@ -209,10 +159,10 @@ def test_of_two_faces_at_one_place_the_first_is_met(lab, workers):
 
 
 @pytest.mark.parametrize("model", ["none", "adaptive"])
-def test_no_number_of_embree_reaches_a_hit(lab, workers, monkeypatch, model):
+def test_no_number_of_embree_reaches_a_hit(workers, monkeypatch, model):
     """With Embree's triangles off by up to 20 um, each in a way of its own, every hit has the same bits."""
     window, firings, beam = lab.placed(30), lab.pulses(256), lab.beam(model)
-    true = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m, beam)
+    true = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.NEAR_M, lab.FAR_M, beam)
     rng = np.random.default_rng(9)
 
     def disturbed(vertices_m, triangles):
@@ -220,12 +170,11 @@ def test_no_number_of_embree_reaches_a_hit(lab, workers, monkeypatch, model):
         return wider_m + rng.uniform(-2e-5, 2e-5, wider_m.shape).astype("f4")
 
     monkeypatch.setattr(build, "widened", disturbed)
-    other = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m, beam)
-    for name in ("count", "range_m", "surface", "cos_incidence"):
-        assert getattr(true, name).tobytes() == getattr(other, name).tobytes()
+    other = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.NEAR_M, lab.FAR_M, beam)
+    lab.assert_same_bits(true, other)
 
 
-def test_the_layout_of_arrays_does_not_matter(lab, workers):
+def test_the_layout_of_arrays_does_not_matter(workers):
     """Meshes whose vertices and faces are views with gaps, or stored by columns, are met in the bits of plain ones."""
 
     def spread(array):
@@ -240,8 +189,7 @@ def test_the_layout_of_arrays_does_not_matter(lab, workers):
 
     window, firings = lab.placed(30), lab.pulses(256)
     plain, other = (
-        EmbreeCaster(lab.world(shape), workers).open(window).cast(firings, lab.near_m, lab.far_m)
+        EmbreeCaster(lab.world(shape), workers).open(window).cast(firings, lab.NEAR_M, lab.FAR_M)
         for shape in (lab.soup, views)
     )
-    for name in ("range_m", "surface", "cos_incidence"):
-        assert getattr(plain, name).tobytes() == getattr(other, name).tobytes()
+    lab.assert_same_bits(plain, other)

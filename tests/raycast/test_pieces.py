@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from raycast import lab
 from raycast.reference import ReferenceCaster, frozen
 
 from vlp16emu.foliage import far_caster
@@ -72,19 +73,19 @@ def test_pieces_hold_each_face_once():
     assert heights == [{0.0}, {1.0}, {2.0}, {3.0}]
 
 
-def test_light_meets_pieces_as_it_meets_the_whole(lab, workers):
+def test_light_meets_pieces_as_it_meets_the_whole(workers):
     """Ranges, surfaces and incidence of stems and a cone on a slope are those of the slow twin, which knows no pieces."""
     meshes, place = (ground(), *STEMS, CONE), np.zeros((2, 3, 4))
     place[:, :, :3] = np.eye(3), [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.8]]
-    place[:, :, 3] = lab.utm_m + [[8.0, 0.0, -1.0], [4.0, -12.0, -1.0]]
+    place[:, :, 3] = lab.UTM_M + [[8.0, 0.0, -1.0], [4.0, -12.0, -1.0]]
     surfaces = np.zeros(2 * len(meshes), SURFACE)
-    window = Window(lab.utm_m, ("all",), np.zeros(2, "i4"), place, np.array([0, 5], "u4"), surfaces)
+    window = Window(lab.UTM_M, ("all",), np.zeros(2, "i4"), place, np.array([0, 5], "u4"), surfaces)
     firings = lab.pulses(2048)
     some = {name: getattr(firings, name)[::8] for name in ("t_ns", "clock_ns", "azimuth_deg", "reading_deg")}
     some |= {name: getattr(firings, name)[::8].copy() for name in ("origin_m", "direction", "beam_axis")}
     firings = replace(firings, **some)
     fast, slow = (
-        caster.open(window).cast(firings, lab.near_m, lab.far_m)
+        caster.open(window).cast(firings, lab.NEAR_M, lab.FAR_M)
         for caster in (EmbreeCaster(lab.world(lambda _: meshes), workers), ReferenceCaster(lambda _: meshes))
     )
     same = fast.surface == slow.surface
@@ -111,7 +112,7 @@ def test_boxes_hold_the_faces_of_their_pieces():
 
 
 @pytest.mark.parametrize("moves", [False, True])
-def test_no_piece_that_light_may_meet_is_left_out(lab, moves):
+def test_no_piece_that_light_may_meet_is_left_out(moves):
     """Places in boxes that are within range of a sensor near the track are in pieces that are kept, and if seen level also in those for level rays."""
     rng = np.random.default_rng(5)
     window, reach_m, n = lab.placed(300), 6.0, 300
@@ -137,9 +138,9 @@ def test_no_piece_that_light_may_meet_is_left_out(lab, moves):
 
 
 @pytest.mark.parametrize("model", ["none", "adaptive"])
-def test_pieces_are_left_out_without_loss(lab, workers, monkeypatch, model):
+def test_pieces_are_left_out_without_loss(workers, monkeypatch, model):
     """Level pulses, steep ones and both in turn meet what they meet where each piece is built, in every bit."""
-    world, track_m = lab.tiles(near_m=9.0), np.array([[10.0, 10.0, 6.0], [12.0, 11.0, 6.0]])
+    world, track_m = lab.Tiles(near_m=9.0), np.array([[10.0, 10.0, 6.0], [12.0, 11.0, 6.0]])
     rng = np.random.default_rng(6)
     beam, mixed = [] if model == "none" else [lab.beam(model)], rng.uniform(-1.5, 1.5, 512)
     scene = FarCaster(world, workers).open(world.window(track_m))
@@ -152,10 +153,7 @@ def test_pieces_are_left_out_without_loss(lab, workers, monkeypatch, model):
         firings = lab.rays(np.broadcast_to(track_m[0] + 0.3, direction.shape), direction)
         hits, of_whole = (each.cast(firings, np.zeros(1), 60.0, *beam) for each in (scene, whole))
         assert np.isfinite(hits.range_m).mean() > 0.3
-        assert all(
-            np.array_equal(getattr(hits, name), getattr(of_whole, name))
-            for name in ("count", "range_m", "surface", "cos_incidence")
-        )
+        lab.assert_same_bits(hits, of_whole)
         assert (scene._near is built) == (np.abs(rise).max() < 0.31)
     assert not built.steep
     assert scene._near.steep

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from raycast import lab
 
 from vlp16emu.raycast.caster import caster
 from vlp16emu.raycast.sky import sky_cover
@@ -63,12 +64,12 @@ def test_what_is_low_or_far_does_not_count(workers):
     assert sky_cover(scene, 0, AT_M, 15.0, 4.9) == 0.0
 
 
-def test_crowns_overhead_hide_as_much_as_their_leaves_do(lab, workers):
+def test_crowns_overhead_hide_as_much_as_their_leaves_do(workers):
     """In the wood the share of the sky that is hidden is that of leaf by leaf within 0.02 in the mean, and no crown is built for it."""
     x_m, y_m = (place.ravel() for place in np.meshgrid(np.arange(2.0, 20.0, 3.0), np.arange(2.0, 20.0, 3.0)))
-    places_m = np.column_stack([x_m, y_m, lab.tiles().height_m(x_m, y_m) + 1.7])
-    scenes = [caster(lab.tiles(near_m, per_tile=16), workers) for near_m in (20.0, math.inf)]
-    window = lab.tiles(20.0, per_tile=16).window(places_m)
+    places_m = np.column_stack([x_m, y_m, lab.Tiles().height_m(x_m, y_m) + 1.7])
+    scenes = [caster(lab.Tiles(near_m, per_tile=16), workers) for near_m in (20.0, math.inf)]
+    window = lab.Tiles(20.0, per_tile=16).window(places_m)
     near, leaves = (each.open(window) for each in scenes)
     covers = [[sky_cover(scene, 0, at_m, 15.0, 60.0) for at_m in places_m] for scene in (near, leaves)]
     assert 0.1 < np.mean(covers[1]) < 0.6

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from raycast import lab
 from raycast.reference import ReferenceCaster, frozen
 
 from vlp16emu.errors import RunError
@@ -14,7 +15,7 @@ STEP_NS = 100_000
 """So short that a test's few pulses see several knots."""
 
 
-def swaying(lab, *, knots=40, lean=0.3, seed=3):
+def swaying(*, knots=40, lean=0.3, seed=3):
     """Window of soups of which two of three move, and the span of its pulses."""
     window, firings = lab.placed(30), lab.pulses(64)
     moving = np.flatnonzero(np.arange(30) % 3)
@@ -25,14 +26,14 @@ def swaying(lab, *, knots=40, lean=0.3, seed=3):
 
 
 @pytest.mark.parametrize("model", ["none", "fixed", "adaptive"])
-def test_each_pulse_meets_what_moves_where_it_is_at_its_time(lab, workers, model):
+def test_each_pulse_meets_what_moves_where_it_is_at_its_time(workers, model):
     """Ranges, surfaces and incidence equal brute force in float64, which writes the window out for every instant."""
-    window, _ = swaying(lab)
+    window, _ = swaying()
     firings = lab.pulses(8)
     narrow = {"divergence_mrad": (1.0, 0.5)}  # its neighbours are too far apart to be judged by each other
     beam = [] if model == "none" else [lab.beam(model, rays=4 if model == "fixed" else 8, **narrow)]
-    fast = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.near_m, lab.far_m, *beam)
-    slow = ReferenceCaster(lab.soup).open(window).cast(firings, lab.near_m, lab.far_m, *beam)
+    fast = EmbreeCaster(lab.world(lab.soup), workers).open(window).cast(firings, lab.NEAR_M, lab.FAR_M, *beam)
+    slow = ReferenceCaster(lab.soup).open(window).cast(firings, lab.NEAR_M, lab.FAR_M, *beam)
     assert (fast.count == slow.count).all()
     same = fast.surface == slow.surface
     assert same.mean() > 0.995
@@ -42,15 +43,15 @@ def test_each_pulse_meets_what_moves_where_it_is_at_its_time(lab, workers, model
     assert np.quantile(np.abs(fast.cos_incidence[hit] - slow.cos_incidence[hit]), 0.99) < 1e-4
 
 
-def test_a_moving_window_stands_still_at_an_instant(lab, workers):
+def test_a_moving_window_stands_still_at_an_instant(workers):
     """Pulses of one instant, within the span, before it and after it, meet the window that is frozen there."""
-    window, firings = swaying(lab)
+    window, firings = swaying()
     caster = EmbreeCaster(lab.world(lab.soup), workers)
     scene = caster.open(window)
     for t_ns in (window.sway.start_ns + STEP_NS * 9 // 4, 0, 2**62):
         at_once = replace(firings, t_ns=np.full_like(firings.t_ns, t_ns))
-        moving = scene.cast(at_once, lab.near_m, lab.far_m)
-        still = caster.open(frozen(window, t_ns)).cast(at_once, lab.near_m, lab.far_m)
+        moving = scene.cast(at_once, lab.NEAR_M, lab.FAR_M)
+        still = caster.open(frozen(window, t_ns)).cast(at_once, lab.NEAR_M, lab.FAR_M)
         same = moving.surface == still.surface
         assert same.mean() > 0.995
         hit = np.isfinite(moving.range_m) & same
@@ -58,33 +59,31 @@ def test_a_moving_window_stands_still_at_an_instant(lab, workers):
         assert np.quantile(np.abs(moving.cos_incidence[hit] - still.cos_incidence[hit]), 0.99) < 1e-4
 
 
-def test_a_shear_moves_points_level_by_their_height_over_the_foot(lab):
+def test_a_shear_moves_points_level_by_their_height_over_the_foot():
     """Half-way between knots of shear 0 and 0.4 a point 5 m over the foot is 1 m aside; the foot is where it was."""
     still = lab.placed(1)
-    foot_z_m = float(lab.utm_m[2]) - 4.0
+    foot_z_m = float(lab.UTM_M[2]) - 4.0
     shear = np.array([[[0.0, 0.0]], [[0.4, -0.2]]])
     sway = Sway(1000, 100, np.zeros(1, np.int64), np.array([foot_z_m]), shear)
     moved = frozen(replace(still, sway=sway), 1050)
     to_shape = np.linalg.inv(still.world_T_shape[0, :, :3])
     for over_foot_m in (0.0, 5.0):
-        point_m = np.array([*lab.utm_m[:2], foot_z_m + over_foot_m])
+        point_m = np.array([*lab.UTM_M[:2], foot_z_m + over_foot_m])
         own = to_shape @ (point_m - still.world_T_shape[0, :, 3])
         went_m = moved.world_T_shape[0, :, :3] @ own + moved.world_T_shape[0, :, 3] - point_m
         assert went_m == pytest.approx(np.array([0.2, -0.1, 0.0]) * over_foot_m, abs=1e-9)
 
 
-def test_batches_do_not_matter_where_things_move(lab, workers):
+def test_batches_do_not_matter_where_things_move(workers):
     """Cast in one go or in pieces of eight firings: the same bits."""
-    window, _ = swaying(lab)
+    window, _ = swaying()
     scene = EmbreeCaster(lab.world(lab.soup), workers).open(window)
-    whole = scene.cast(lab.pulses(64), lab.near_m, lab.far_m).range_m.reshape(64, -1)
-    for first in range(0, 64, 8):
-        piece = scene.cast(lab.pulses(8, first=first), lab.near_m, lab.far_m).range_m
-        assert piece.tobytes() == whole[first : first + 8].tobytes()
+    pieces = [scene.cast(lab.pulses(8, first=first), lab.NEAR_M, lab.FAR_M) for first in range(0, 64, 8)]
+    lab.assert_same_bits(scene.cast(lab.pulses(64), lab.NEAR_M, lab.FAR_M), lab.joined(pieces))
 
 
-def test_more_knots_than_embree_takes_are_refused(lab, workers):
+def test_more_knots_than_embree_takes_are_refused(workers):
     """A window that lasts too long is refused by the number of its knots."""
-    long, _ = swaying(lab, knots=130)
+    long, _ = swaying(knots=130)
     with pytest.raises(RunError, match="wind: found 130 knots in a window, Embree takes 129"):
         EmbreeCaster(lab.world(lab.soup), workers).open(long)

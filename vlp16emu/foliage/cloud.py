@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 from vlp16emu.elementary import cos, log, norm
 from vlp16emu.foliage.tiles import EXACT
 from vlp16emu.foliage.voxel import KNOTS, QUANTILES, VOXEL_M
-from vlp16emu.types import Mesh, PlantPart
-
-Array = NDArray[np.float64]
+from vlp16emu.types import F4, F8, I8, U1, U4, Mesh, PlantPart
 
 TILTS = 64
 """Classes of faces by the sine of their normal's elevation."""
@@ -30,13 +28,13 @@ _FEW_FACES = 2000
 """Shapes of no more faces are taken face by face: stones, logs and tufts, which are stretched where they are placed."""
 
 
-def _projection() -> Array:
+def _projection() -> F8:
     """Mean over all azimuths of the projected share of a face, (knots, tilts), by the sine of the normal's elevation."""
     level, up = np.sqrt(1.0 - np.square(KNOTS))[:, None], KNOTS[:, None]
     sine = (np.arange(TILTS) + 0.5) / TILTS
     azimuth = (np.arange(256) + 0.5) * (np.pi / 256)
     a, b = level * np.sqrt(1.0 - np.square(sine)), up * sine
-    mean: Array = np.abs(a[..., None] * cos(azimuth) + b[..., None]).mean(axis=-1)
+    mean: F8 = np.abs(a[..., None] * cos(azimuth) + b[..., None]).mean(axis=-1)
     return mean
 
 
@@ -48,27 +46,27 @@ PROJECTION = _projection()
 class Cloud:
     """A shape, as a medium takes it."""
 
-    place_m: NDArray[np.float32]
+    place_m: F4
     """(n, 3) where its area lies, in the shape's own frame; none of shapes with few faces."""
-    area_m2: NDArray[np.float32]
+    area_m2: F4
     """(n,) that a ray can meet: one side of leaves, half the surface of closed bodies."""
-    mesh: NDArray[np.uint8]
+    mesh: U1
     """(n,) to which of the shape's meshes it belongs."""
-    corners_m: NDArray[np.float32]
+    corners_m: F4
     """(f, 4, 3) faces of a shape with few of them, triangles with their last corner twice; none of other shapes."""
-    corner_mesh: NDArray[np.uint8]
+    corner_mesh: U1
     """(f,) to which of the shape's meshes they belong."""
-    share: NDArray[np.float32]
+    share: F4
     """(meshes,) of a face's area that counts: 1 of leaves, 0.5 of closed bodies."""
-    projection: NDArray[np.float32]
+    projection: F4
     """(meshes, knots) projected area over area, for light of any azimuth: the angular law of the shape's parts."""
-    cosine: NDArray[np.float32]
+    cosine: F4
     """(meshes, knots, QUANTILES) of the cosine of incidence where light meets them."""
     radius_m: float
     """Greatest distance of a corner from the shape's origin."""
 
 
-def cloud_of(meshes: Sequence[Mesh], parts: NDArray[np.uint8]) -> Cloud:
+def cloud_of(meshes: Sequence[Mesh], parts: U1) -> Cloud:
     """Measure a shape.
 
     Parameters
@@ -100,7 +98,7 @@ def cloud_of(meshes: Sequence[Mesh], parts: NDArray[np.uint8]) -> Cloud:
     return Cloud(*cells, *kept, share, projection.astype(np.float32), cosine.astype(np.float32), radius_m)
 
 
-def _measured(corners_m: Array, mesh_of: NDArray[np.int64], meshes: int) -> tuple[Array, Array]:
+def _measured(corners_m: F8, mesh_of: I8, meshes: int) -> tuple[F8, F8]:
     """Areas (f,) of faces (f, 4, 3), and area of each mesh (meshes, `TILTS`) by the sine of the normals' elevation."""
     ax, ay, az = (corners_m[:, 2] - corners_m[:, 0]).T
     bx, by, bz = (corners_m[:, 3] - corners_m[:, 1]).T
@@ -112,7 +110,7 @@ def _measured(corners_m: Array, mesh_of: NDArray[np.int64], meshes: int) -> tupl
 
 
 @cache
-def _met() -> list[tuple[NDArray[np.intp], Array]]:
+def _met() -> list[tuple[NDArray[np.intp], F8]]:
     """For each knot the cosines (`TILTS` x 64) with which light meets faces all around: their order, and in that order."""
     at = (np.arange(TILTS) + 0.5) / TILTS
     azimuth = (np.arange(64) + 0.5) * (np.pi / 64)
@@ -125,7 +123,7 @@ def _met() -> list[tuple[NDArray[np.intp], Array]]:
     return found
 
 
-def _law(weight: Array) -> tuple[Array, Array]:
+def _law(weight: F8) -> tuple[F8, F8]:
     """Mean projected share of faces (knots,), and quantiles (knots, QUANTILES) of the cosine of incidence.
 
     Parameters
@@ -140,9 +138,7 @@ def _law(weight: Array) -> tuple[Array, Array]:
     return (PROJECTION * weight).sum(axis=1) / weight.sum(), cosine
 
 
-def _cells(
-    corners_m: Array, mesh_of: NDArray[np.int64], area_m2: Array
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]]:
+def _cells(corners_m: F8, mesh_of: I8, area_m2: F8) -> tuple[F4, F4, U1]:
     """Gather faces in cells of `_CELL_M`, by mesh and place: where their area lies, how much it is, and whose."""
     middle_m = 0.25 * (corners_m[:, 0] + corners_m[:, 1] + corners_m[:, 2] + corners_m[:, 3])
     at = np.floor(middle_m / _CELL_M).astype(np.int64)
@@ -156,7 +152,7 @@ def _cells(
     return place_m.astype(np.float32), total.astype(np.float32), mesh_of[some].astype(np.uint8)
 
 
-def kept_share(corners_m: Array, first: NDArray[np.int64], share: NDArray[np.float32]) -> Array:
+def kept_share(corners_m: F8, first: I8, share: F4) -> F8:
     """Share of each face's area (f,) that is left where leaves that hide each other are taken for leaves at random.
 
     The faces of each mesh are drawn as seen along x and along y, voxel by voxel. Leaves at random that hide as much of a
@@ -181,7 +177,7 @@ def kept_share(corners_m: Array, first: NDArray[np.int64], share: NDArray[np.flo
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _count(drawn: NDArray[np.uint32], total: NDArray[np.int64], factor: Array) -> None:
+def _count(drawn: U4, total: I8, factor: F8) -> None:
     """Add the area of leaves at random that hide as many pixels of each voxel, and take the pixels away."""
     nx, ny, nz = total.shape
     for i in range(nx):
@@ -201,15 +197,7 @@ def _count(drawn: NDArray[np.uint32], total: NDArray[np.int64], factor: Array) -
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
 def _share(
-    corners_m: Array,
-    begin: int,
-    stop: int,
-    low: Array,
-    size: NDArray[np.int64],
-    factor: Array,
-    total: NDArray[np.int64],
-    share: float,
-    out: Array,
+    corners_m: F8, begin: int, stop: int, low: F8, size: I8, factor: F8, total: I8, share: float, out: F8
 ) -> None:
     """Give each face the share of the voxel of its middle."""
     for f in range(begin, stop):
@@ -221,23 +209,14 @@ def _share(
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
-def _voxel(corners_m: Array, low: Array, axis: int) -> int:
+def _voxel(corners_m: F8, low: F8, axis: int) -> int:
     at = low[axis]
     first_two = (corners_m[0, axis] / VOXEL_M - at) + (corners_m[1, axis] / VOXEL_M - at)
     return int(0.25 * (first_two + (corners_m[2, axis] / VOXEL_M - at) + (corners_m[3, axis] / VOXEL_M - at)))
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _draw(
-    corners_m: Array,
-    begin: int,
-    stop: int,
-    low: Array,
-    axis: int,
-    edges: Array,
-    drawn: NDArray[np.uint32],
-    total: NDArray[np.int64],
-) -> None:
+def _draw(corners_m: F8, begin: int, stop: int, low: F8, axis: int, edges: F8, drawn: U4, total: I8) -> None:
     """Draw faces as seen along an axis, into the voxels of their own depth; count their pixels, drawn before or not.
 
     Parameters
@@ -260,7 +239,7 @@ def _draw(
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
-def _turn_edges(corners_m: Array, low: Array, other: int, edges: Array) -> None:
+def _turn_edges(corners_m: F8, low: F8, other: int, edges: F8) -> None:
     """Find where the edges of a face begin, and how they go on, the face on their left; in pixels, (4, 4)."""
     u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
     for c in range(4):
@@ -277,7 +256,7 @@ def _turn_edges(corners_m: Array, low: Array, other: int, edges: Array) -> None:
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
-def _row(edges: Array, y: float, first: int, last: int) -> tuple[int, int]:
+def _row(edges: F8, y: float, first: int, last: int) -> tuple[int, int]:
     """First and last of the pixels of a row whose middles are on the left of all edges."""
     u, v, du, dv = edges[0], edges[1], edges[2], edges[3]
     for c in range(4):
@@ -294,27 +273,27 @@ def _row(edges: Array, y: float, first: int, last: int) -> tuple[int, int]:
 class Library(NamedTuple):
     """Clouds of several shapes, one after the other."""
 
-    first_cell: NDArray[np.int64]
+    first_cell: I8
     """(shapes + 1,)."""
-    place_m: NDArray[np.float32]
-    area_m2: NDArray[np.float32]
-    mesh: NDArray[np.uint8]
-    first_face: NDArray[np.int64]
+    place_m: F4
+    area_m2: F4
+    mesh: U1
+    first_face: I8
     """(shapes + 1,)."""
-    corners_m: NDArray[np.float32]
-    corner_mesh: NDArray[np.uint8]
-    first_law: NDArray[np.int64]
+    corners_m: F4
+    corner_mesh: U1
+    first_law: I8
     """(shapes + 1,) law of each shape's first mesh."""
-    share: NDArray[np.float32]
-    projection: NDArray[np.float32]
-    radius_m: NDArray[np.float64]
+    share: F4
+    projection: F4
+    radius_m: F8
     """(shapes,)."""
 
     @classmethod
     def of(cls, clouds: Sequence[Cloud]) -> "Library":
         """Put clouds together."""
 
-        def first(arrays: Sequence[NDArray[np.float32]]) -> NDArray[np.int64]:
+        def first(arrays: Sequence[F4]) -> I8:
             return np.cumsum([0, *(len(array) for array in arrays)])
 
         joined = ("place_m", "area_m2", "mesh", "corners_m", "corner_mesh", "share", "projection")

@@ -4,25 +4,21 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.foliage.lanes import AT, FACING, HEIGHT, Ground, Lanes, Stems
 from vlp16emu.foliage.voxel import BRICK, FINER, VOXEL_M
 from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE
+from vlp16emu.types import F4
 
 f4 = np.float32
+_Ray = tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]
+_Slope = tuple[np.float32, np.float32, np.float32]
+"""Height over the ground, and how the ground rises along x and y."""
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def meet_stem(
-    stems: Stems,
-    L: Lanes,
-    n: int,
-    near_m: np.float32,
-    axis: NDArray[np.float32],
-    stem: int,
-    spread: np.float32,
-    aside_m: np.float32,
+    stems: Stems, L: Lanes, n: int, near_m: np.float32, axis: F4, stem: int, spread: np.float32, aside_m: np.float32
 ) -> bool:
     """Cut the lanes with a stem: a circle about its axis, where that is and as wide as it is at the height where it is met."""
     s, profile = stems.line[stem], stems.profile[stem]
@@ -103,7 +99,7 @@ def _keep_nearest(stems: Stems, L: Lanes, n: int, near_m: np.float32, stem: int)
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _cut_cone(
-    row: NDArray[np.float32],
+    row: F4,
     middle_m: tuple[np.float32, np.float32, np.float32],
     axis: tuple[np.float32, np.float32, np.float32],
     from_m: np.float32,
@@ -135,7 +131,7 @@ def _cut_cone(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _knot(profile: NDArray[np.float32], height_m: float) -> int:
+def _knot(profile: F4, height_m: float) -> int:
     """Find the knot of a profile at or below a height; the last but one from there on, the first below all."""
     knot, at_m = 0, f4(height_m)
     for i in range(1, profile.shape[1] - 1):
@@ -149,7 +145,7 @@ def meet_ground(
     L: Lanes,
     n: int,
     near_m: float,
-    axis: NDArray[np.float32],
+    axis: F4,
     middle_m: float,
     length: float,
     spread: float,
@@ -157,7 +153,7 @@ def meet_ground(
 ) -> bool:
     """Cut the lanes with the ground within a slab; whether any meets it."""
     last_m = middle_m + f4(0.5) * length
-    clear_m = _over_ground(ground, axis[0], axis[1], axis[2], axis[3], axis[4], axis[5], last_m)[0]
+    clear_m = _over_ground(ground, (axis[0], axis[1], axis[2], axis[3], axis[4], axis[5]), last_m)[0]
     steepest = f4(1.0 + ground.steepest)
     if clear_m > steepest * (spread * last_m + aside_m):
         return False
@@ -168,10 +164,11 @@ def meet_ground(
             continue
         x, y, z = L.origin_m[0, lane], L.origin_m[1, lane], L.origin_m[2, lane]
         dx, dy, dz = L.direction[0, lane], L.direction[1, lane], L.direction[2, lane]
-        below = _over_ground(ground, x, y, z, dx, dy, dz, last_m)
+        ray = x, y, z, dx, dy, dz
+        below = _over_ground(ground, ray, last_m)
         if not below[0] <= 0:
             continue
-        at_m, gx, gy = _ground_at(ground, x, y, z, dx, dy, dz, first_m, last_m, below)
+        at_m, gx, gy = _ground_at(ground, ray, first_m, last_m, below)
         if at_m < range_m[lane]:
             range_m[lane] = at_m
             L.cosine[lane] = min(abs(dz - gx * dx - gy * dy) / f4(math.sqrt(gx * gx + gy * gy + f4(1.0))), f4(1.0))
@@ -184,20 +181,9 @@ def meet_ground(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _ground_at(
-    ground: Ground,
-    x: np.float32,
-    y: np.float32,
-    z: np.float32,
-    dx: np.float32,
-    dy: np.float32,
-    dz: np.float32,
-    first_m: np.float32,
-    last_m: np.float32,
-    below: tuple[np.float32, np.float32, np.float32],
-) -> tuple[np.float32, np.float32, np.float32]:
+def _ground_at(ground: Ground, ray: _Ray, first_m: np.float32, last_m: np.float32, below: _Slope) -> _Slope:
     """Find the range at which a ray meets the ground, at the end of a slab being `below` it; with the slope there."""
-    at_m, slope = last_m, below
+    (_, _, _, dx, dy, dz), at_m, slope = ray, last_m, below
     low_m, c_low = first_m, f4(0.0)
     for _ in range(4):  # flat but for the edges of its triangles: along the slope, and then by secants
         falls = dz - slope[1] * dx - slope[2] * dy
@@ -205,7 +191,7 @@ def _ground_at(
             at_m = max(at_m - slope[0] / falls, first_m)
         else:
             at_m = low_m + (at_m - low_m) * c_low / (c_low - slope[0])
-        slope = _over_ground(ground, x, y, z, dx, dy, dz, at_m)
+        slope = _over_ground(ground, ray, at_m)
         if abs(slope[0]) < f4(5e-4) or at_m <= first_m:
             break
         if slope[0] > 0:
@@ -217,11 +203,9 @@ def _ground_at(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _over_ground(
-    ground: Ground, x: float, y: float, z: float, dx: float, dy: float, dz: float, at_m: float
-) -> tuple[np.float32, np.float32, np.float32]:
+def _over_ground(ground: Ground, ray: _Ray, at_m: float) -> _Slope:
     """Height of a ray over the ground at a range, and the slope of the triangle there; no ground is infinitely deep."""
-    ground_m = ground.height_m
+    (x, y, z, dx, dy, dz), ground_m = ray, ground.height_m
     u = (x + dx * at_m - f4(ground.corner_x_m)) * f4(FINER / VOXEL_M)
     v = (y + dy * at_m - f4(ground.corner_y_m)) * f4(FINER / VOXEL_M)
     i = min(max(int(u), 0), ground_m.shape[0] - 2)

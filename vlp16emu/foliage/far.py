@@ -15,11 +15,11 @@ from vlp16emu.elementary import hypot, norm
 from vlp16emu.foliage.cloud import Cloud, Library, cloud_of
 from vlp16emu.foliage.lanes import Ground, Medium, Stems
 from vlp16emu.foliage.marks import ASIDE_M, stem_beside, stem_columns, stem_lines
-from vlp16emu.foliage.medium import Block, Shelf, block_of, packed_block, unpacked_block
+from vlp16emu.foliage.medium import Block, Name, Shelf, block_of, packed_block, unpacked_block
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow, TiledWorld
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, FINER, KNOTS, QUANTILES, VOXEL_M
 from vlp16emu.store import recalled
-from vlp16emu.types import Mesh, ShapeKey, World
+from vlp16emu.types import F4, F8, I4, U1, Mesh, ShapeKey, World
 from vlp16emu.world.polyline import distance_m
 
 STRAY_M = 1.0
@@ -32,7 +32,7 @@ _NO_CLOUD = cloud_of([Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uin
 """Of a library before anything is measured: where only stems and ground are far."""
 
 
-def _recalled_cloud(world: World, key: ShapeKey, parts: NDArray[np.uint8]) -> Cloud:
+def _recalled_cloud(world: World, key: ShapeKey, parts: U1) -> Cloud:
     """Measure a shape, of `PlantPart`s (meshes,), where no store has it."""
     name = world.shape_name(key)
     return recalled(
@@ -65,7 +65,9 @@ class Far:
         own = np.array([self._clouds[key].radius_m if key in self._clouds else 0.0 for key in window.shapes])
         stretch = np.sqrt((np.square(window.world_T_shape[:, :, :3])).sum(axis=1).max(axis=-1))
         radius_m, at_m = own[window.shape] * stretch, window.world_T_shape[:, :2, 3].copy()
-        for place, (ix, iy, _) in zip(_tile_places(window).tolist(), window.tiles, strict=True):
+        rows = np.array([row for _, _, row in window.tiles], np.uint32)
+        own_shapes = np.flatnonzero(np.isin(window.first_surface, rows) & window.far)  # at each tile's first surface
+        for place, (ix, iy, _) in zip(own_shapes.tolist(), window.tiles, strict=True):
             lines = stem_lines(self._world.far_tile(ix, iy).stems, np.array([*at_m[place], 0.0]))
             ends_m = np.concatenate([lines[:, :2] + lines[:, 3:5] * lines[:, 5:6], [[0.0, 0.0]]]) - _TILE_M / 2
             at_m[place] += _TILE_M / 2
@@ -77,14 +79,14 @@ class Far:
         near[few] = distance_m(at_m[few], track_m) <= reach_m[few]
         return near[window.far]
 
-    def tiles(self, window: TiledWindow) -> dict[tuple[int, int], FarTile]:
+    def tiles(self, window: TiledWindow) -> dict[Name, FarTile]:
         """Ask for the tiles of a window, and those beside them, and measure their shapes."""
         around = sorted({(ix + dx, iy + dy) for ix, iy, _ in window.tiles for dx, dy in _AROUND})
         tiles = dict(zip(around, self._workers.map(lambda name: self._world.far_tile(*name), around), strict=True))
         self._measure(tiles.values())
         return tiles
 
-    def medium(self, window: TiledWindow, tiles: dict[tuple[int, int], FarTile]) -> Medium:
+    def medium(self, window: TiledWindow, tiles: dict[Name, FarTile]) -> Medium:
         """Put together what is far in a window, of whose `tiles` it is."""
         rows = {(ix, iy): row for ix, iy, row in window.tiles}
         self._shelf.clear(rows)
@@ -96,7 +98,7 @@ class Far:
         self._shelf.keep(medium.brick, rows)
         return medium
 
-    def _block(self, tiles: dict[tuple[int, int], FarTile], ix: int, iy: int) -> Block:
+    def _block(self, tiles: dict[Name, FarTile], ix: int, iy: int) -> Block:
         library, place, names, world = self._library, self._place, self._names, self._world.name
         return recalled(
             world and f"{world} block {ix} {iy}",
@@ -106,7 +108,7 @@ class Far:
         )
 
     def _measure(self, tiles: Iterable[FarTile]) -> None:
-        new = dict[ShapeKey, NDArray[np.uint8]]()
+        new = dict[ShapeKey, U1]()
         for tile in tiles:
             for number, key in enumerate(tile.keys):
                 if key not in self._clouds:
@@ -114,7 +116,7 @@ class Far:
         if not new:
             return
 
-        def measured(named: tuple[ShapeKey, NDArray[np.uint8]]) -> Cloud:
+        def measured(named: tuple[ShapeKey, U1]) -> Cloud:
             return _recalled_cloud(self._world, *named)
 
         self._clouds |= dict(zip(new, self._workers.map(measured, new.items()), strict=True))
@@ -125,21 +127,14 @@ class Far:
         self._cosine = np.concatenate([self._cosine[:0], *(cloud.cosine for cloud in clouds)])
 
 
-def _tile_places(window: TiledWindow) -> NDArray[np.int64]:
-    """Placements of the tiles' own shapes: those of each tile's first surface."""
-    rows = np.array([row for _, _, row in window.tiles], np.uint32)
-    return np.flatnonzero(np.isin(window.first_surface, rows) & window.far)
-
-
 def _joined(
     window: TiledWindow,
-    tiles: Mapping[tuple[int, int], FarTile],
+    tiles: Mapping[Name, FarTile],
     shelf: Shelf,
-    rows: Mapping[tuple[int, int], int],
-    cosine: NDArray[np.float32],
+    rows: Mapping[Name, int],
+    cosine: F4,
     world: TiledWorld,
 ) -> Medium:
-    """Put blocks into the grid of a window."""
     blocks, places = {name: shelf.blocks[name] for name in rows}, np.array(list(rows))
     low, high = places.min(axis=0), places.max(axis=0) + 1
     bottom = min(block.bottom for block in blocks.values())
@@ -171,11 +166,7 @@ def _joined(
 
 
 def _ground(
-    window: TiledWindow,
-    tiles: Mapping[tuple[int, int], FarTile],
-    rows: Mapping[tuple[int, int], int],
-    corner_m: NDArray[np.float64],
-    size: tuple[int, ...],
+    window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Name, int], corner_m: F8, size: tuple[int, ...]
 ) -> Ground:
     ground_m = np.full((size[0] * BRICK * FINER + 1, size[1] * BRICK * FINER + 1), _NO_GROUND_M)
     surface = np.zeros(size[:2], np.uint32)
@@ -193,11 +184,7 @@ def _ground(
 
 
 def _stems(
-    window: TiledWindow,
-    tiles: Mapping[tuple[int, int], FarTile],
-    rows: Mapping[tuple[int, int], int],
-    corner_m: NDArray[np.float64],
-    size: tuple[int, ...],
+    window: TiledWindow, tiles: Mapping[Name, FarTile], rows: Mapping[Name, int], corner_m: F8, size: tuple[int, ...]
 ) -> Stems:
     stems = np.concatenate([np.zeros(0, STEM), *(tiles[place].stems for place in rows)])
     base = np.repeat(list(rows.values()), [len(tiles[place].stems) for place in rows]).astype(np.uint32)
@@ -214,7 +201,7 @@ def _stems(
 
 
 @numba.njit(cache=True, nogil=True)
-def _columns(lines: NDArray[np.float64], nx: int, ny: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _columns(lines: F8, nx: int, ny: int) -> tuple[I4, I4]:
     """List for each column of voxels the stems (n, 7), as `stem_lines` gives them, that may be met in it."""
     first = np.zeros((nx, ny, 2), np.int32)
     of, total = np.empty(0, np.int32), 0

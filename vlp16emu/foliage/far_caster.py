@@ -16,7 +16,7 @@ from vlp16emu.foliage.tiles import TiledWindow, TiledWorld
 from vlp16emu.raycast.build import Placed
 from vlp16emu.raycast.near import EmbreeCaster, EmbreeGeometry, Stages, target_of
 from vlp16emu.raycast.packet import LEVEL, Target
-from vlp16emu.types import Window
+from vlp16emu.types import F8, Window
 from vlp16emu.world.polyline import distance_m
 
 _LEVEL = float(LEVEL) - 1e-4
@@ -34,7 +34,7 @@ class FarGeometry(EmbreeGeometry):
     medium : what is far
     """
 
-    def __init__(self, near: Placed, track_m: NDArray[np.float64], beyond: Placed | None, medium: Medium) -> None:
+    def __init__(self, near: Placed, track_m: F8, beyond: Placed | None, medium: Medium) -> None:
         self._met, level = within_reach(near, track_m, medium.near_m)
         super().__init__(near, level)
         self.medium = medium
@@ -61,9 +61,7 @@ class FarGeometry(EmbreeGeometry):
         return self._near
 
 
-def within_reach(
-    placed: Placed, track_m: NDArray[np.float64], reach_m: float
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def within_reach(placed: Placed, track_m: F8, reach_m: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Find the pieces that light of some range may meet.
 
     Parameters
@@ -96,13 +94,7 @@ def within_reach(
 
 
 class FarCaster(EmbreeCaster):
-    """Opens windows with tiles, building only what no open window has yet.
-
-    Parameters
-    ----------
-    world : describes what is far, and grows the meshes of shapes
-    workers : where shapes are grown and built side by side
-    """
+    """Opens windows with tiles; parameters as of `EmbreeCaster`, the world describes what is far, too."""
 
     def __init__(self, world: TiledWorld, workers: Executor) -> None:
         super().__init__(world, workers)
@@ -134,7 +126,6 @@ class FarCaster(EmbreeCaster):
 
 
 def _part(window: Window, keep: NDArray[np.bool_]) -> Window:
-    """Take some placements of a window, and their shapes."""
     used, shape = np.unique(window.shape[keep], return_inverse=True)
     sway = window.sway
     if sway is not None:

@@ -1,50 +1,57 @@
 """The voxels of a tile: filled with the projected areas of what stands there, and packed brick by brick."""
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import power
 from vlp16emu.foliage.cloud import TILTS, Library
 from vlp16emu.foliage.marks import mark_ground, mark_stem
 from vlp16emu.foliage.voxel import BRICK, CODES, COLUMNS, LAW_BIT, MOST_PER_M, SHARE_BIT, TILE_BIT, VOXEL_M
 from vlp16emu.trig import ZERO
-
-Array = NDArray[np.float64]
+from vlp16emu.types import F4, F8, I4, I8, U4, U8
 
 _PIECE_M = 0.25
 """Faces larger than this are cut."""
 
-_Packed = tuple[
-    NDArray[np.uint64],
-    NDArray[np.uint64],
-    NDArray[np.uint32],
-    NDArray[np.uint32],
-    NDArray[np.uint32],
-    NDArray[np.uint64],
-]
+_Place = tuple[float, float, float]
+_Whose = tuple[int, int, int]
+
+
+class _Voxels(NamedTuple):
+    """The voxels of a tile while they are filled."""
+
+    head: I4
+    """(x, y, z) first owner of each; -1 for none."""
+    node: I8
+    """(n, 4) owners as linked lists: tile, row, law and the next one."""
+    area: F8
+    """(n, 3) their projected areas at the knots."""
+    low_m: float
+
+
+_Packed = tuple[U8, U8, U4, U4, U4, U8]
 """Arrays of a block, in the order of `Block`."""
 
 
 @numba.njit(cache=True, nogil=True)
 def filled(
     library: Library,
-    which: NDArray[np.int64],
-    relative: Array,
-    row: NDArray[np.int64],
-    tile_of: NDArray[np.int64],
-    lines: Array,
-    radii: NDArray[np.float32],
-    ground_m: NDArray[np.float32],
+    which: I8,
+    relative: F8,
+    row: I8,
+    tile_of: I8,
+    lines: F8,
+    radii: F4,
+    ground_m: F4,
     low_m: float,
     levels: int,
-    projection: Array,
+    projection: F8,
 ) -> _Packed:
     """Fill the arrays of a block, in the order of `Block`."""
     head = np.full((COLUMNS, COLUMNS, levels * BRICK), -1, np.int32)
-    # Owners as linked lists: tile, row, law and the next one; and their projected areas at the knots.
     node, area = np.empty((4096, 4), np.int64), np.empty((4096, 3))
     used = ZERO
     add = np.empty(3)
@@ -55,58 +62,41 @@ def filled(
             pieces = _pieces(T, library.corners_m[f])
             needed += pieces * pieces
         node, area = _roomy(node, area, used, needed)
+        voxels = _Voxels(head, node, area, low_m)
         scale = power(abs(_determinant(T)), 2.0 / 3.0)
         for c in range(library.first_cell[s], library.first_cell[s + 1]):
             law = library.first_law[s] + library.mesh[c]
             for k in range(3):
                 add[k] = library.area_m2[c] * scale * library.projection[law, k]
             x, y, z = library.place_m[c, 0], library.place_m[c, 1], library.place_m[c, 2]
-            used = _put(
-                head, node, area, used, T, np.float64(x), np.float64(y), np.float64(z),
-                low_m, tile_of[p], row[p] + library.mesh[c], law, add,
-            )  # fmt: skip
+            at, whose = (np.float64(x), np.float64(y), np.float64(z)), (tile_of[p], row[p] + library.mesh[c], law)
+            used = _put(voxels, used, T, at, whose, add)
         for f in range(library.first_face[s], library.first_face[s + 1]):
             mesh = library.corner_mesh[f]
-            used = _put_face(
-                head, node, area, used, T, library.corners_m[f], library.share[library.first_law[s] + mesh],
-                low_m, tile_of[p], row[p] + mesh, library.first_law[s] + mesh, add, projection,
-            )  # fmt: skip
-    marks = _marks(head.shape, lines, radii, ground_m, low_m)
-    return _pack(head, *marks, node, area, used)
-
-
-@numba.njit(cache=True, nogil=True)
-def _marks(
-    shape: tuple[int, int, int], lines: Array, radii: NDArray[np.float32], ground_m: NDArray[np.float32], low_m: float
-) -> tuple[NDArray[np.uint32], NDArray[np.uint64]]:
-    """Mark where the ground is looked for, by voxels, and where stems are, by bits of bricks."""
-    flags = np.zeros(shape, np.uint32)
-    stem = np.zeros((shape[0] // BRICK, shape[1] // BRICK, shape[2] // BRICK), np.uint64)
+            law = library.first_law[s] + mesh
+            whose, corners_m = (tile_of[p], row[p] + mesh, law), library.corners_m[f]
+            used = _put_face(voxels, used, T, corners_m, library.share[law], whose, add, projection)
+    flags = np.zeros(head.shape, np.uint32)
+    stem = np.zeros((COLUMNS // BRICK, COLUMNS // BRICK, levels), np.uint64)
     mark_ground(flags, ground_m, low_m)
     for i in range(lines.shape[0]):
         mark_stem(stem, lines[i], radii[i], low_m)
-    return flags, stem
+    return _pack(head, flags, stem, node, area, used)
 
 
 @numba.njit(cache=True, nogil=True)
-def _roomy(node: NDArray[np.int64], area: Array, used: int, needed: int) -> tuple[NDArray[np.int64], Array]:
-    """Give lists of owners as much room as is needed."""
+def _roomy(node: I8, area: F8, used: int, needed: int) -> tuple[I8, F8]:
     room = len(node)
     while needed > room:
         room *= 2
         bigger, more = np.empty((room, 4), np.int64), np.empty((room, 3))
-        for owner in range(used):
-            for a in range(4):
-                bigger[owner, a] = node[owner, a]
-            for a in range(3):
-                more[owner, a] = area[owner, a]
+        bigger[:used], more[:used] = node[:used], area[:used]
         node, area = bigger, more
     return node, area
 
 
 @numba.njit(cache=True, nogil=True)
-def _determinant(T: Array) -> float:
-    """Of the 3 x 3 part of a transform."""
+def _determinant(T: F8) -> float:
     return (
         T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1])
         - T[0, 1] * (T[1, 0] * T[2, 2] - T[1, 2] * T[2, 0])
@@ -115,22 +105,10 @@ def _determinant(T: Array) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _put(
-    head: NDArray[np.int32],
-    node: NDArray[np.int64],
-    area: Array,
-    used: int,
-    T: Array,
-    a: float,
-    b: float,
-    c: float,
-    low_m: float,
-    tile: int,
-    row: int,
-    law: int,
-    add: Array,
-) -> int:
+def _put(voxels: _Voxels, used: int, T: F8, at_m: _Place, whose: _Whose, add: F8) -> int:
     """Add projected areas at a place of a shape to its voxel; return how many owners there are."""
+    head, node, area, low_m = voxels
+    (a, b, c), (tile, row, law) = at_m, whose
     x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3]
     y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3]
     z = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3] - low_m
@@ -152,7 +130,7 @@ def _put(
 
 
 @numba.njit(cache=True, nogil=True)
-def _pieces(T: Array, corners_m: NDArray[np.float32]) -> int:
+def _pieces(T: F8, corners_m: F4) -> int:
     """Into how many pieces the sides of a face are cut."""
     longest = 0.0
     for side in range(4):
@@ -168,19 +146,7 @@ def _pieces(T: Array, corners_m: NDArray[np.float32]) -> int:
 
 @numba.njit(cache=True, nogil=True)
 def _put_face(
-    head: NDArray[np.int32],
-    node: NDArray[np.int64],
-    area: Array,
-    used: int,
-    T: Array,
-    corners_m: NDArray[np.float32],
-    share: float,
-    low_m: float,
-    tile: int,
-    row: int,
-    law: int,
-    add: Array,
-    projection: Array,
+    voxels: _Voxels, used: int, T: F8, corners_m: F4, share: float, whose: _Whose, add: F8, projection: F8
 ) -> int:
     """Add a face of a shape, in pieces; return how many owners there are."""
     n = _pieces(T, corners_m)
@@ -204,23 +170,15 @@ def _put_face(
             a = w0 * corners_m[0, 0] + w1 * corners_m[1, 0] + w2 * corners_m[2, 0] + w3 * corners_m[3, 0]
             b = w0 * corners_m[0, 1] + w1 * corners_m[1, 1] + w2 * corners_m[2, 1] + w3 * corners_m[3, 1]
             c = w0 * corners_m[0, 2] + w1 * corners_m[1, 2] + w2 * corners_m[2, 2] + w3 * corners_m[3, 2]
-            used = _put(head, node, area, used, T, a, b, c, low_m, tile, row, law, add)
+            used = _put(voxels, used, T, (a, b, c), whose, add)
     return used
 
 
 @numba.njit(cache=True, nogil=True)
-def _pack(
-    head: NDArray[np.int32],
-    flags: NDArray[np.uint32],
-    stem: NDArray[np.uint64],
-    node: NDArray[np.int64],
-    area: Array,
-    used: int,
-) -> _Packed:
-    """Write out what is not empty, brick by brick."""
+def _pack(head: I4, flags: U4, stem: U8, node: I8, area: F8, used: int) -> _Packed:
     nx, ny, nz = head.shape[0] // BRICK, head.shape[1] // BRICK, head.shape[2] // BRICK
     mask, first = np.zeros((nx, ny, nz), np.uint64), np.zeros((nx, ny, nz), np.uint32)
-    full = _full(head, flags)
+    full = np.count_nonzero((head >= 0) | (flags != 0))
     record, first_owner = np.empty(full, np.uint32), np.empty(full, np.uint32)
     owner = np.empty(used, np.uint64)
     n = o = 0
@@ -252,19 +210,7 @@ def _pack(
 
 
 @numba.njit(cache=True, nogil=True)
-def _full(head: NDArray[np.int32], flags: NDArray[np.uint32]) -> int:
-    """Count the voxels that are not empty."""
-    full = 0
-    for i in range(head.shape[0]):
-        for j in range(head.shape[1]):
-            for k in range(head.shape[2]):
-                full += head[i, j, k] >= 0 or flags[i, j, k] != 0
-    return full
-
-
-@numba.njit(cache=True, nogil=True)
-def _areas(node: NDArray[np.int64], area: Array, at: int) -> tuple[float, float, float]:
-    """Projected areas at the knots of an owner and those after it."""
+def _areas(node: I8, area: F8, at: int) -> tuple[float, float, float]:
     area0 = area1 = area2 = 0.0
     while at >= 0:
         area0, area1, area2 = area0 + area[at, 0], area1 + area[at, 1], area2 + area[at, 2]

@@ -8,17 +8,17 @@ from typing import Any, NamedTuple
 import llvmlite.ir
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE, ROW
+from vlp16emu.types import F4, F8, I4, U4, U8
 
 
 class Ground(NamedTuple):
     """The ground."""
 
-    height_m: NDArray[np.float32]
+    height_m: F4
     """(8 x + 1, 8 y + 1) at the corners of squares, `FINER` to the edge of a voxel."""
-    surface: NDArray[np.uint32]
+    surface: U4
     """(x, y) of the column of bricks."""
     corner_x_m: float
     corner_y_m: float
@@ -29,18 +29,18 @@ class Ground(NamedTuple):
 class Stems(NamedTuple):
     """Stems, and where they stand."""
 
-    first: NDArray[np.int32]
+    first: I4
     """(4 x, 4 y, 2) where the stems of each column of voxels begin and stop in `of`."""
-    of: NDArray[np.int32]
+    of: I4
     """Stems of the columns, one column after the other."""
-    line: NDArray[np.float64]
+    line: F8
     """(n, 8) foot, unit axis, widest radius, and how far the stem bends off the axis at most."""
-    profile: NDArray[np.float32]
+    profile: F4
     """(n, 5, knots) heights along the axis, radii, the greatest radius from there upwards, and how far in x and y the
     middle of the circle is off the axis."""
-    surface: NDArray[np.uint32]
+    surface: U4
     """(n, 2) of root flare and stem."""
-    flare_m: NDArray[np.float32]
+    flare_m: F4
     """(n,) height along the axis at which the flare ends."""
 
 
@@ -53,19 +53,19 @@ class Medium(NamedTuple):
     """Of the grid of bricks."""
     corner: tuple[int, int, int]
     """The same in voxels of the world."""
-    brick: NDArray[np.uint64]
+    brick: U8
     """(x, y, z, 2) of each brick which voxels hold anything, and in which a stem may be met, as in `Block`."""
-    first: NDArray[np.uint32]
+    first: U4
     """(x, y, z) number of each brick's first voxel."""
-    record: NDArray[np.uint32]
+    record: U4
     """(m,) of voxels, as in `Block`, and of some that are in other windows only."""
-    first_owner: NDArray[np.uint32]
+    first_owner: U4
     """(m,) of each of them."""
-    owner: NDArray[np.uint64]
+    owner: U8
     """(o,) as in `Block`."""
-    surface: NDArray[np.uint32]
+    surface: U4
     """(x / 10, y / 10, 9) first surfaces of each tile and of those around it."""
-    cosine: NDArray[np.float32]
+    cosine: F4
     """(laws, knots, QUANTILES) as in `Cloud`."""
     ground: Ground
     stems: Stems
@@ -85,24 +85,24 @@ class Lanes(NamedTuple):
     Loops over lanes read and write one array at constant places, so that the compiler makes vectors of them.
     """
 
-    row: NDArray[np.float32]
+    row: F4
     """(88,) rows of eight as in `Batch.row`, then scratch. `AT`, `HEIGHT`, `FACING`: range, height along the axis and cosine at which a lane meets a stem."""
-    origin_m: NDArray[np.float32]
+    origin_m: F4
     """(3, 8) of these rows."""
-    direction: NDArray[np.float32]
+    direction: F4
     """(3, 8) likewise."""
-    range_m: NDArray[np.float32]
+    range_m: F4
     """(8,) likewise, in: what each has met, or where its light is given up. Out: what it meets first."""
-    cosine: NDArray[np.float32]
+    cosine: F4
     """(8,) likewise."""
-    surface: NDArray[np.uint32]
+    surface: U4
     """(8,) likewise."""
-    line: NDArray[np.float32]
+    line: F4
     """(48,) scratch, rows of eight: place across at the grid's corner and its change per metre, in 8ths of voxels, on both
     axes; then place along and its inverse change per metre of range."""
-    place: NDArray[np.uint32]
+    place: U4
     """(AHEAD,) scratch: brick and bit of the voxel of each slab, then the number of its record."""
-    code: NDArray[np.uint32]
+    code: U4
     """(AHEAD,) scratch: these records."""
 
 

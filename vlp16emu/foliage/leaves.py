@@ -10,19 +10,19 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import exp
 from vlp16emu.foliage.lanes import Lanes, Medium, lowest
 from vlp16emu.foliage.voxel import COLUMNS, LAW_BIT, LAW_MASK, QUANTILES, SHARE_BIT, TAU_PER_M, TILE_BIT, VOXEL_M
 from vlp16emu.raycast.batch import LANES
+from vlp16emu.types import F4, U1, U8
 
 _VARIANTS = 32
 _COVER_STEPS, _COVER_MOST = 64, 16
 f4, u4 = np.float32, np.uint32
 
 
-def _leaves() -> tuple[NDArray[np.uint64], NDArray[np.uint8], NDArray[np.uint8]]:
+def _leaves() -> tuple[U8, U1, U1]:
     """Leaves of the voxels' variants.
 
     Returns
@@ -151,7 +151,6 @@ def _meet_leaves(
     knot: int,
     alive: np.uint64,
 ) -> bool:
-    """Cut the lanes with the leaves of a voxel; whether any meets one."""
     variant = int(h & u4(_VARIANTS - 1))
     mirror = (int(h >> u4(5)) & 7, int(h >> u4(8)) & 7, int(h >> u4(11)) & 7)
     line, range_m = L.line, L.range_m
@@ -178,7 +177,7 @@ def _meet_leaves(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _column(line: NDArray[np.float32], lane: int, middle_m: np.float32, r1: np.int32, r2: np.int32) -> np.uint32:
+def _column(line: F4, lane: int, middle_m: np.float32, r1: np.int32, r2: np.int32) -> np.uint32:
     """Column of 8 x 8 that a lane is in in the middle of a slab, mirrored."""
     a = (np.int32(line[lane] + line[LANES + lane] * middle_m) & np.int32(7)) ^ r1
     b = (np.int32(line[2 * LANES + lane] + line[3 * LANES + lane] * middle_m) & np.int32(7)) ^ r2

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.foliage.cuts import meet_ground, meet_stem
 from vlp16emu.foliage.lanes import AHEAD, Lanes, Medium, lowest, ones
@@ -17,6 +16,7 @@ from vlp16emu.foliage.leaves import meet_foliage, weights_of
 from vlp16emu.foliage.voxel import BRICK, GROUND, VOXEL_M
 from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, RANGE, Batch, PulseBatch
 from vlp16emu.raycast.kernel import go_on
+from vlp16emu.types import F4, U4, U8
 
 f4, u4 = np.float32, np.uint32
 _SLABS = np.arange(AHEAD, dtype=np.float32)
@@ -67,14 +67,7 @@ class _Grid(NamedTuple):
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def march(
-    M: Medium,
-    bricks: NDArray[np.uint64],
-    firsts: NDArray[np.uint32],
-    L: Lanes,
-    n: int,
-    axis: NDArray[np.float32],
-    aside_m: np.float32,
-    spread: np.float32,
+    M: Medium, bricks: U8, firsts: U4, L: Lanes, n: int, axis: F4, aside_m: np.float32, spread: np.float32
 ) -> None:
     """Follow n sub-rays of a pulse through the medium, from `near_m` on.
 
@@ -132,7 +125,7 @@ def _meet_stems(
     L: Lanes,
     n: int,
     near_m: np.float32,
-    axis: NDArray[np.float32],
+    axis: F4,
     way: _Way,
     slab: int,
     stems: np.uint64,
@@ -156,8 +149,7 @@ def _meet_stems(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _way(corner_m: tuple[np.float32, np.float32, np.float32], axis: NDArray[np.float32], near_m: np.float32) -> _Way:
-    """Lay the way of a pulse's middle through a grid."""
+def _way(corner_m: tuple[np.float32, np.float32, np.float32], axis: F4, near_m: np.float32) -> _Way:
     main = 0
     for a in (1, 2):
         if abs(axis[3 + a]) > abs(axis[3 + main]):
@@ -177,7 +169,6 @@ def _way(corner_m: tuple[np.float32, np.float32, np.float32], axis: NDArray[np.f
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
 def _grid(M: Medium, main: int, one: int, two: int) -> _Grid:
-    """Turn a grid to the axes of a way."""
     nx, ny, nz, _ = M.brick.shape
     size = (nx * BRICK, ny * BRICK, nz * BRICK)
     strides = (u4(ny * nz), u4(nz), u4(1))
@@ -213,9 +204,7 @@ def _voxel(way: _Way, slab: int) -> tuple[int, int, int]:
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _look(
-    L: Lanes, way: _Way, grid: _Grid, bricks: NDArray[np.uint64], slab: int, slabs: int
-) -> tuple[np.uint64, np.uint64]:
+def _look(L: Lanes, way: _Way, grid: _Grid, bricks: U8, slab: int, slabs: int) -> tuple[np.uint64, np.uint64]:
     """Find the voxels of the next slabs: bits of those that are not empty, and of those in which a stem may be met."""
     place = L.place
     begin, k, step = f4(slab), f4(way.k), f4(way.step)
@@ -239,7 +228,7 @@ def _look(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False, error_model="numpy", forceinline=True)
-def _read(M: Medium, L: Lanes, bricks: NDArray[np.uint64], firsts: NDArray[np.uint32], voxels: np.uint64) -> None:
+def _read(M: Medium, L: Lanes, bricks: U8, firsts: U4, voxels: np.uint64) -> None:
     """Look up the records of voxels, one after the other, so that memory is waited for once."""
     place, code, records = L.place, L.code, M.record
     while voxels:
@@ -321,5 +310,4 @@ def _go_on(  # the same words as there, or numba does not take it
     count: int,  # noqa: ARG001
     reach: np.float32,  # noqa: ARG001
 ) -> Any:
-    """Give numba what kernels that cast go on by."""
     return _pass_through

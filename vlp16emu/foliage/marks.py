@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import hypot
 from vlp16emu.foliage.voxel import BRICK, FINER, GROUND, VOXEL_M
-
-Array = NDArray[np.float64]
+from vlp16emu.types import F4, F8, U4, U8
 
 ASIDE_M = 0.26 + 0.16
 """How far beside a voxel a stem may be that is looked for in it: half a voxel, for a ray is looked at in the middle of
@@ -18,7 +17,7 @@ _ABOVE_M = 0.26 + 0.16
 """The same above and below: rays rise by no more than they go along."""
 
 
-def stem_lines(stems: NDArray[np.void], origin_m: Array) -> Array:
+def stem_lines(stems: NDArray[np.void], origin_m: F8) -> F8:
     """Axes of stems: (n, 7) lower end relative to an origin, rise per metre of height in x and y, height, widest reach."""
     axis = stems["axis"]
     low_m, high_m = stems["along_m"][:, 0] * axis[:, 2], stems["along_m"][:, -1] * axis[:, 2]
@@ -28,13 +27,13 @@ def stem_lines(stems: NDArray[np.void], origin_m: Array) -> Array:
     return np.column_stack([lower, slope, high_m - low_m, _reach_m(stems).max(axis=1)])
 
 
-def _reach_m(stems: NDArray[np.void]) -> Array:
+def _reach_m(stems: NDArray[np.void]) -> F8:
     """How far stems reach from their axes at the knots, (n, knots), bent as they are."""
-    reach_m: Array = stems["radius_m"] + hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1])
+    reach_m: F8 = stems["radius_m"] + hypot(stems["aside_m"][:, 0], stems["aside_m"][:, 1])
     return reach_m
 
 
-def stem_radii(stems: NDArray[np.void]) -> NDArray[np.float32]:
+def stem_radii(stems: NDArray[np.void]) -> F4:
     """Reach of stems, (n, 2, knots): heights over the lower end, and how far they are from the axis from there upwards."""
     height_m = (stems["along_m"] - stems["along_m"][:, :1]) * stems["axis"][:, 2:]
     widest_m = np.maximum.accumulate(_reach_m(stems)[:, ::-1], axis=1)[:, ::-1]
@@ -42,7 +41,7 @@ def stem_radii(stems: NDArray[np.void]) -> NDArray[np.float32]:
 
 
 @numba.njit(cache=True, nogil=True)
-def stem_columns(line: Array, aside_m: float, from_m: float, to_m: float) -> tuple[int, int, int, int]:
+def stem_columns(line: F8, aside_m: float, from_m: float, to_m: float) -> tuple[int, int, int, int]:
     """First and last column of voxels, in x and y, that come so near to a stem between two heights over its lower end."""
     x0, x1, y0, y1 = (
         line[0] + line[3] * from_m,
@@ -59,7 +58,7 @@ def stem_columns(line: Array, aside_m: float, from_m: float, to_m: float) -> tup
 
 
 @numba.njit(cache=True, nogil=True)
-def stem_beside(line: Array, aside_m: float, from_m: float, to_m: float, x: int, y: int) -> bool:
+def stem_beside(line: F8, aside_m: float, from_m: float, to_m: float, x: int, y: int) -> bool:
     """Whether a stem between two heights comes so near to a column of voxels."""
     # From the middle of the column to the axis as seen from above, which is a piece of a straight line.
     a = (x + 0.5) * VOXEL_M - line[0] - line[3] * from_m
@@ -73,7 +72,7 @@ def stem_beside(line: Array, aside_m: float, from_m: float, to_m: float, x: int,
 
 
 @numba.njit(cache=True, nogil=True)
-def mark_stem(mask: NDArray[np.uint64], line: Array, radii: NDArray[np.float32], low_m: float) -> None:
+def mark_stem(mask: U8, line: F8, radii: F4, low_m: float) -> None:
     """Mark the voxels, bits of bricks, in which a stem is looked for."""
     nx, ny, nz = mask.shape[0] * BRICK, mask.shape[1] * BRICK, mask.shape[2] * BRICK
     foot_m = line[2] - low_m
@@ -91,7 +90,7 @@ def mark_stem(mask: NDArray[np.uint64], line: Array, radii: NDArray[np.float32],
 
 
 @numba.njit(cache=True, nogil=True)
-def _widest_m(radii: NDArray[np.float32], height_m: float) -> np.float64:
+def _widest_m(radii: F4, height_m: float) -> np.float64:
     """Interpolate the greatest radius of a stem from a height upwards."""
     last = radii.shape[1] - 1
     if height_m >= radii[0, last]:
@@ -105,7 +104,7 @@ def _widest_m(radii: NDArray[np.float32], height_m: float) -> np.float64:
 
 
 @numba.njit(cache=True, nogil=True)
-def mark_ground(flags: NDArray[np.uint32], ground_m: NDArray[np.float32], low_m: float) -> None:
+def mark_ground(flags: U4, ground_m: F4, low_m: float) -> None:
     """Flag the voxels in which the ground is looked for; heights (85, 85) begin one voxel outside the tile."""
     for i in range(flags.shape[0]):
         for j in range(flags.shape[1]):

@@ -24,8 +24,8 @@ from vlp16emu.foliage.marks import stem_lines, stem_radii
 from vlp16emu.foliage.tiles import FarTile
 from vlp16emu.foliage.voxel import BRICK, COLUMNS, LAW_BIT, LAW_MASK, VOXEL_M
 from vlp16emu.store import Bundle
+from vlp16emu.types import F8, I8, U4, U8
 
-Array = NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
 Name = tuple[int, int]
 """Of a tile."""
@@ -37,24 +37,22 @@ class Block:
 
     bottom: int
     """Level of the lowest bricks, in bricks from a height of 0."""
-    mask: NDArray[np.uint64]
+    mask: U8
     """(10, 10, n) which voxels of each brick hold anything: bit 16 x + 4 y + z."""
-    stem: NDArray[np.uint64]
+    stem: U8
     """(10, 10, n) likewise in which of them a stem may be met."""
-    first: NDArray[np.uint32]
+    first: U4
     """(10, 10, n) record of the first of them that holds anything."""
-    record: NDArray[np.uint32]
+    record: U4
     """(m,) codes of projected area at the three knots, and the flag of the ground."""
-    first_owner: NDArray[np.uint32]
+    first_owner: U4
     """(m,) of each record; its last owner has a share of 255."""
-    owner: NDArray[np.uint64]
+    owner: U8
     """(o,) row of a tile's surfaces; over `LAW_BIT` bits the law in the library; over `TILE_BIT` bits 3 (dx + 1) + dy + 1 of
     that tile; over `SHARE_BIT` bits the share of the voxel's projected area, in 255ths, of it and of those before it."""
 
 
-def block_of(
-    library: Library, shape_of: dict[object, int], near: dict[tuple[int, int], FarTile], ix: int, iy: int
-) -> Block:
+def block_of(library: Library, shape_of: dict[object, int], near: dict[Name, FarTile], ix: int, iy: int) -> Block:
     """Make the block of a tile.
 
     Parameters
@@ -90,8 +88,8 @@ def block_of(
 
 
 def _placed(
-    library: Library, shape_of: dict[object, int], tile: FarTile, number: int, corner_m: Array
-) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.int64]]:
+    library: Library, shape_of: dict[object, int], tile: FarTile, number: int, corner_m: F8
+) -> tuple[I8, F8, I8, I8]:
     """Find what of a tile may reach into the one at a corner: shapes, transforms, first surfaces, the tile's number."""
     places = np.array([shape_of[key] for key in tile.keys], np.int64)
     which = places[tile.shape] if len(tile.shape) else np.zeros(0, np.int64)
@@ -105,10 +103,7 @@ def _placed(
     return which[own], relative, tile.first_surface[own], np.full(len(own), number)
 
 
-def _span(
-    library: Library, which: NDArray[np.int64], relative: Array, lines: Array, ground_m: Array
-) -> tuple[float, float]:
-    """Heights between which anything of a tile lies."""
+def _span(library: Library, which: I8, relative: F8, lines: F8, ground_m: F8) -> tuple[float, float]:
     reach_m = library.radius_m[which] * np.sqrt((np.square(relative[:, :, :3])).sum(axis=1).max(axis=-1))
     low = np.concatenate([ground_m.ravel() - 1.5, lines[:, 2] - 0.5])
     high = np.concatenate([ground_m.ravel() + 1.0, relative[:, 2, 3] + reach_m, lines[:, 2] + lines[:, 5] + 0.5])
@@ -139,8 +134,7 @@ def unpacked_block(bundle: Bundle, library: Library, place: Mapping[str, int]) -
     return Block(**{**rest, "bottom": int(rest["bottom"])})  # type: ignore[arg-type]
 
 
-def _with_law(owner: NDArray[np.uint64], law: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Give owners other laws."""
+def _with_law(owner: U8, law: I8) -> U8:
     return (owner & ~(LAW_MASK << LAW_BIT)) | (law.astype(np.uint64) << LAW_BIT)
 
 
@@ -148,9 +142,9 @@ class Laid(NamedTuple):
     """A block on a shelf, whose parts are those of `Block`."""
 
     bottom: int
-    mask: NDArray[np.uint64]
-    stem: NDArray[np.uint64]
-    first: NDArray[np.uint32]
+    mask: U8
+    stem: U8
+    first: U4
     """Records in the array of the shelf."""
     records: slice
     """What it takes of the shelf."""
@@ -167,7 +161,7 @@ class Shelf:
         self._users = list[tuple[weakref.ref[object], frozenset[Name]]]()
 
     @property
-    def arrays(self) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint64]]:
+    def arrays(self) -> tuple[U4, U4, U8]:
         """Records, their first owners, and owners, up to the last that is of any block."""
         records = max((laid.records.stop for laid in self.blocks.values()), default=0)
         owners = max((laid.owners.stop for laid in self.blocks.values()), default=0)

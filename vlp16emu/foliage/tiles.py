@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.types import ShapeKey, Window, World
+from vlp16emu.types import F8, I8, U1, ShapeKey, Window, World
 
 STEM = np.dtype(
     [
@@ -32,23 +32,23 @@ EXACT = 255
 class FarTile:
     """A square of the world, 20 m wide, as it is seen from afar: what becomes a medium, and what stays exact."""
 
-    corner_m: NDArray[np.float64]
+    corner_m: F8
     """(3,) south-west corner; the height is a multiple of 2 m, near the ground."""
     keys: tuple[ShapeKey, ...]
     """Different shapes of what becomes a medium."""
-    shape: NDArray[np.int64]
+    shape: I8
     """(n,) of each placement, index into `keys`."""
-    world_T_shape: NDArray[np.float64]
+    world_T_shape: F8
     """(n, 3, 4)."""
-    first_surface: NDArray[np.int64]
+    first_surface: I8
     """(n,) row of the tile's surfaces."""
-    first_part: NDArray[np.int64]
+    first_part: I8
     """(shapes + 1,) where the meshes of each shape begin in `part`."""
-    part: NDArray[np.uint8]
+    part: U1
     """(meshes,) `PlantPart` of each, or `EXACT`."""
     stems: NDArray[np.void]
     """(s,) `STEM`."""
-    ground_m: NDArray[np.float64]
+    ground_m: F8
     """(85, 85) heights every 0.25 m in x and y, from 0.5 m outside the corner to 0.5 m outside the opposite one."""
 
 
@@ -56,7 +56,7 @@ class FarTile:
 class TiledWindow(Window):
     """A window with squares that may be seen from afar."""
 
-    track_m: NDArray[np.float64]
+    track_m: F8
     """(t, 3) positions of the sensors that the window is for, to which things are near or far."""
     tiles: tuple[tuple[int, int, int], ...]
     """Squares (ix, iy) that are seen from afar by `TiledWorld.far_tile`, and the row of `surfaces` at which theirs begin."""

@@ -13,10 +13,10 @@ from vlp16emu.errors import InputError
 from vlp16emu.packets import layout
 from vlp16emu.packets.layout import LASERS, SEQUENCES_PER_BLOCK, SEQUENCES_PER_PACKET
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.types import Packet, PacketKind, ReturnMode, Returns, SensorModel
+from vlp16emu.types import F4, F8, I8, U1, U2, Packet, PacketKind, ReturnMode, Returns, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
-_Time = TypeVar("_Time", int, NDArray[np.int64])
+_Time = TypeVar("_Time", int, I8)
 _STRONGEST, _LAST, _SECOND_STRONGEST = 0, 1, 2  # last axis of Returns
 
 
@@ -49,7 +49,7 @@ def pack_data(returns: Returns, mode: ReturnMode, model: SensorModel, unit: int 
     ]
 
 
-def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> NDArray[np.uint8]:
+def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> U1:
     """Pack whole packets into bytes.
 
     Parameters
@@ -79,7 +79,9 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> NDA
         even, odd = blocks[:, 0::2], blocks[:, 1::2]
         even["azimuth_cdeg"] = odd["azimuth_cdeg"] = codes
         _write(even["records"], returns.distance_m[..., _LAST], returns.reflectivity[..., _LAST])
-        _write(odd["records"], *_odd_returns(returns))
+        place = odd_column(returns)[..., None]
+        distance_m = np.take_along_axis(returns.distance_m, place, axis=-1)
+        _write(odd["records"], distance_m, np.take_along_axis(returns.reflectivity, place, axis=-1))
     else:
         which = _LAST if mode is ReturnMode.LAST else _STRONGEST
         blocks["azimuth_cdeg"] = codes
@@ -91,11 +93,7 @@ def data_payloads(returns: Returns, mode: ReturnMode, model: SensorModel) -> NDA
 
 
 def timestamp_us(clock_ns: _Time) -> _Time:
-    """Microseconds past the hour as they stand in both kinds of packet: floored, never 3.6e9.
-
-    Parameters
-    ----------
-    clock_ns : any shape, the sensor's clock; whole hours fall away, as they do in the sensor's counter
+    """Microseconds past the hour of the sensor's clock, any shape, as they stand in both kinds of packet: floored, never 3.6e9.
 
     Real units floor a time that is exact in nanoseconds: their steps are 1327 and 1328 us with a mean
     of 1327.10. Source: 63-9243 Rev D, section 9.3.1 and appendix G (the counter).
@@ -104,7 +102,6 @@ def timestamp_us(clock_ns: _Time) -> _Time:
 
 
 def _check(returns: Returns, mode: ReturnMode) -> None:
-    """Refuse what cannot be packed."""
     sequences, lasers = returns.firings.t_ns.shape
     if lasers != LASERS:
         raise InputError("pack_data: lasers", str(lasers), str(LASERS))
@@ -117,21 +114,14 @@ def _check(returns: Returns, mode: ReturnMode) -> None:
             raise InputError(f"pack_data: {name}", f"from {low} to {high}", "finite numbers from 0 upwards")
 
 
-def azimuth_cdeg(reading_deg: NDArray[np.float64]) -> NDArray[np.uint16]:
+def azimuth_cdeg(reading_deg: F8) -> U2:
     """Rotor angle in whole hundredths of a degree, 0 .. 35999."""
     # 1e-8 deg: else 0.29, which is a code of its own, becomes 28 because 0.29 * 100 < 29 in binary.
     code = np.floor(reading_deg * 100.0 + 1e-6)
     return (code % layout.AZIMUTH_CODES).astype(np.uint16)
 
 
-def _odd_returns(returns: Returns) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Distance in metres and reflectivity, (k, 16) each, of the odd blocks of dual return."""
-    which = odd_column(returns)[..., None]
-    distance_m = np.take_along_axis(returns.distance_m, which, axis=-1)[..., 0]
-    return distance_m, np.take_along_axis(returns.reflectivity, which, axis=-1)[..., 0]
-
-
-def odd_column(returns: Returns) -> NDArray[np.int64]:
+def odd_column(returns: Returns) -> I8:
     """Place (k, 16) on the last axis of `Returns` of what the odd blocks of dual return have.
 
     The strongest return; the second strongest where the strongest is also the last; and where there is
@@ -145,7 +135,7 @@ def odd_column(returns: Returns) -> NDArray[np.int64]:
     return np.where(strongest_is_last & has_second, _SECOND_STRONGEST, _STRONGEST)
 
 
-def _write(records: NDArray[Any], distance_m: NDArray[np.float32], reflectivity: NDArray[np.uint8]) -> None:
+def _write(records: NDArray[Any], distance_m: F4, reflectivity: U1) -> None:
     """Fill records (n, blocks, 2, 16) from metres and reflectivity (k, 16).
 
     What has no distance has its reflectivity written as it is, since real units send one there too.
@@ -154,7 +144,7 @@ def _write(records: NDArray[Any], distance_m: NDArray[np.float32], reflectivity:
     records["reflectivity"] = reflectivity.reshape(records.shape)
 
 
-def distance_lsb(distance_m: NDArray[np.float32]) -> NDArray[np.uint16]:
+def distance_lsb(distance_m: F4) -> U2:
     """Distances in steps of 2 mm; 0 for what is nearer than 0.5 m or beyond the largest code."""
     code = np.rint(distance_m.astype(np.float64) / layout.DISTANCE_LSB_M)
     seen = (code >= layout.MIN_DISTANCE_LSB) & (code <= np.iinfo(np.uint16).max)

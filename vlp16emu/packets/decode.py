@@ -20,7 +20,7 @@ from vlp16emu.packets import layout
 from vlp16emu.packets.layout import BLOCK_PERIOD_NS, BLOCKS_PER_PACKET
 from vlp16emu.sensor.beams import BEAM_TABLES, LASER_NS, SEQUENCE_NS
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import PpsState, ReturnMode, SensorModel
+from vlp16emu.types import F4, F8, I8, U1, PpsState, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, US_NS
 
 SENSOR_R_MANUAL = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -58,23 +58,23 @@ class Fault(NamedTuple):
 class Points:
     """n records in the order of their pulses; in dual return the even block's record comes first."""
 
-    packet: NDArray[np.int64]
+    packet: I8
     """(n,) row of the payload."""
-    slot: NDArray[np.int64]
+    slot: I8
     """(n,) place of the record in its packet: 32 times the block, and the channel."""
-    time_ns: NDArray[np.int64]
+    time_ns: I8
     """(n,) of the pulse, on the sensor's clock, ns past its hour."""
-    laser: NDArray[np.uint8]
+    laser: U1
     """(n,) 0..15 in firing order."""
-    ring: NDArray[np.uint8]
+    ring: U1
     """(n,) 0..15 by elevation, lowest first."""
-    azimuth_deg: NDArray[np.float64]
+    azimuth_deg: F8
     """(n,) at the instant of the pulse, [0, 360)."""
-    distance_m: NDArray[np.float32]
+    distance_m: F4
     """(n,) from the centre of the sensor; 0 where there is no return."""
-    xyz_m: NDArray[np.float32]
+    xyz_m: F4
     """(n, 3) sensor frame: x forward at azimuth 0, y left, z up; NaN where there is no return."""
-    reflectivity: NDArray[np.uint8]
+    reflectivity: U1
     """(n,) 0..100 diffuse, 101..255 retroreflective."""
     is_last: NDArray[np.bool_]
     """(n,) a last return. Else the strongest, or in dual return, where the strongest is the last too,
@@ -92,16 +92,8 @@ class PositionFields:
     """With CR LF; empty where none ever came."""
 
 
-def data_fields(payloads: NDArray[np.uint8]) -> NDArray[np.void]:
-    """View payloads by their fields.
-
-    Parameters
-    ----------
-    payloads : (n, 1206) uint8
-
-    Returns
-    -------
-    (n,) `DATA_PAYLOAD`
+def data_fields(payloads: U1) -> NDArray[np.void]:
+    """View payloads, (n, 1206) uint8, by their fields, (n,) `DATA_PAYLOAD`.
 
     Raises
     ------
@@ -112,7 +104,7 @@ def data_fields(payloads: NDArray[np.uint8]) -> NDArray[np.void]:
     return np.ascontiguousarray(payloads).view(layout.DATA_PAYLOAD)[:, 0]
 
 
-def decode_data(payloads: NDArray[np.uint8], *, keep_no_returns: bool, model: SensorModel | None = None) -> Points:
+def decode_data(payloads: U1, *, keep_no_returns: bool, model: SensorModel | None = None) -> Points:
     """Turn data packets into points.
 
     Parameters
@@ -131,7 +123,7 @@ def decode_data(payloads: NDArray[np.uint8], *, keep_no_returns: bool, model: Se
     PacketError : no data packet of a VLP-16 or Puck Hi-Res, or packets of two models
     """
     fields = data_fields(payloads)
-    known = _model(fields, model)
+    beams = BEAM_TABLES[_model(fields, model)]
     records = fields["blocks"]["records"]
     source = _pulse_order(fields, keep_no_returns=keep_no_returns)
     packet, slot = np.divmod(source, layout.RECORDS_PER_PACKET)
@@ -146,16 +138,19 @@ def decode_data(payloads: NDArray[np.uint8], *, keep_no_returns: bool, model: Se
     azimuth_cdeg = fields["blocks"]["azimuth_cdeg"][packet, block] + step_cdeg
     azimuth_deg = azimuth_cdeg % layout.AZIMUTH_CODES / 100
     distance_m = records["distance_lsb"].ravel()[source] * layout.DISTANCE_LSB_M
+    xyz_m = np.empty((len(distance_m), 3), np.float32)
+    elevation_rad = np.radians(beams.elevation_deg)
+    _fill_xyz(xyz_m, distance_m, azimuth_deg, laser, elevation_rad, beams.vertical_offset_m)
     last_mode = fields["return_mode"] == layout.RETURN_MODE_BYTE[ReturnMode.LAST]
     return Points(
         packet=packet,
         slot=slot,
         time_ns=(clock_ns + block_ns + since_block_ns) % HOUR_NS,
         laser=laser.astype(np.uint8),
-        ring=BEAM_TABLES[known].ring.astype(np.uint8)[laser],
+        ring=beams.ring.astype(np.uint8)[laser],
         azimuth_deg=azimuth_deg,
         distance_m=distance_m.astype(np.float32),
-        xyz_m=_xyz_m(distance_m, azimuth_deg, laser, known),
+        xyz_m=xyz_m,
         reflectivity=records["reflectivity"].ravel()[source],
         is_last=np.where(dual[packet], block % 2 == 0, last_mode[packet]),
     )
@@ -192,17 +187,8 @@ def faults_in(fields: NDArray[np.void], factory: int | None = None, model: Senso
     return [faults[packet] for packet in sorted(faults)]
 
 
-def scan_starts(azimuth_deg: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Find where scans begin: where the azimuth wraps.
-
-    Parameters
-    ----------
-    azimuth_deg : (n,) of points or blocks in order of time
-
-    Returns
-    -------
-    (m,) int64, rising; the first is 0 unless there are no azimuths
-    """
+def scan_starts(azimuth_deg: F8) -> I8:
+    """Find where scans begin, (m,): at the first of azimuths (n,) of points or blocks in order of time, and where they wrap."""
     step_deg = np.diff(azimuth_deg)
     # The rotor only turns forward, so any fall is a wrap but for the noise of readings (0.01 deg), and
     # a rise by a whole turn is that noise on the spot where the azimuth wraps.
@@ -212,16 +198,11 @@ def scan_starts(azimuth_deg: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def frame_named(name: str, *, where: str = "frame") -> PointFrame:
-    """Find the frame of points by its name.
-
-    Parameters
-    ----------
-    where : what error lines call the choice
+    """Find the frame of points by its name; `where` is what error lines call the choice.
 
     Raises
     ------
-    InputError
-        where there is none of that name
+    InputError : where there is none of that name
     """
     if name not in tuple(PointFrame):
         raise InputError(where, f"found {name}", " or ".join(PointFrame))
@@ -255,11 +236,10 @@ def _model(fields: NDArray[np.void], model: SensorModel | None) -> SensorModel:
 
 
 def _is_dual(fields: NDArray[np.void]) -> NDArray[np.bool_]:
-    """(n,) whether two blocks share their firing sequences."""
     return np.asarray(fields["return_mode"] == layout.RETURN_MODE_BYTE[ReturnMode.DUAL])
 
 
-def _pulse_order(fields: NDArray[np.void], *, keep_no_returns: bool) -> NDArray[np.int64]:
+def _pulse_order(fields: NDArray[np.void], *, keep_no_returns: bool) -> I8:
     """Sort the records, counted through all packets as they stand in the bytes, in order of pulses."""
     place = np.arange(layout.RECORDS_PER_PACKET)
     twins = place.reshape(BLOCKS_PER_PACKET // 2, 2, -1).swapaxes(1, 2).ravel()
@@ -270,7 +250,7 @@ def _pulse_order(fields: NDArray[np.void], *, keep_no_returns: bool) -> NDArray[
     return source[fields["blocks"]["records"]["distance_lsb"].ravel()[source] > 0]
 
 
-def _steps_cdeg(fields: NDArray[np.void]) -> NDArray[np.float64]:
+def _steps_cdeg(fields: NDArray[np.void]) -> F8:
     """(n,) by how much the azimuth grows in 110.592 us, as the mean over a packet.
 
     A mean, because a single reading is off by 0.005 deg: from block to block that is 1 step in 40.
@@ -283,27 +263,9 @@ def _steps_cdeg(fields: NDArray[np.void]) -> NDArray[np.float64]:
     return np.sum(turned * known, axis=1) / np.maximum(np.count_nonzero(known, axis=1), 1)
 
 
-def _xyz_m(
-    distance_m: NDArray[np.float64], azimuth_deg: NDArray[np.float64], laser: NDArray[np.int64], model: SensorModel
-) -> NDArray[np.float32]:
-    """(n, 3) by the manual's formulas, turned to the sensor's frame."""
-    beams = BEAM_TABLES[model]
-    elevation = np.radians(beams.elevation_deg)
-    xyz_m = np.empty((len(distance_m), 3), np.float32)
-    _fill_xyz(xyz_m, distance_m, azimuth_deg, laser, elevation, beams.vertical_offset_m)
-    return xyz_m
-
-
 @numba.njit(cache=True, nogil=True)
-def _fill_xyz(
-    xyz_m: NDArray[np.float32],
-    distance_m: NDArray[np.float64],
-    azimuth_deg: NDArray[np.float64],
-    laser: NDArray[np.int64],
-    elevation_rad: NDArray[np.float64],
-    correction_m: NDArray[np.float64],
-) -> None:
-    """Fill (n, 3); NaN where there is no return."""
+def _fill_xyz(xyz_m: F4, distance_m: F8, azimuth_deg: F8, laser: I8, elevation_rad: F8, correction_m: F8) -> None:
+    """Fill (n, 3) by the manual's formulas, turned to the sensor's frame; NaN where there is no return."""
     for i in range(len(distance_m)):
         r, j = distance_m[i], laser[i]
         if r == 0.0:

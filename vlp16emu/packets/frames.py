@@ -64,15 +64,7 @@ FACTORY_LINK = Link(
 def data_header(link: Link, payload_bytes: int = DATA_BYTES) -> bytes:
     """Everything in front of the payload of a data packet, the same for each of them.
 
-    Identification 0, don't fragment, and UDP checksum 0, which stands for none.
-
-    Parameters
-    ----------
-    payload_bytes : fewer than 1206 of a packet that is cut
-
-    Returns
-    -------
-    42 bytes
+    42 bytes: identification 0, don't fragment, and UDP checksum 0, which stands for none.
     """
     header = _header(link, DATA_PORT, link.data_port, payload_bytes, DATA_TTL, _DONT_FRAGMENT)
     header[_IP_CHECKSUM] = _checksum(header[_IP])
@@ -89,8 +81,7 @@ def position_frame(link: Link, payload: bytes, number: int) -> bytes:
 
     Raises
     ------
-    PacketError
-        If the payload is longer than 512 bytes.
+    PacketError : If the payload is longer than 512 bytes.
     """
     if len(payload) > POSITION_BYTES:
         raise PacketError(f"position packet {number}", f"{len(payload)} bytes", f"at most {POSITION_BYTES}")

@@ -10,9 +10,9 @@ so that it is a plain struct in C, and numbers are those of the truth to the las
 import zlib
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import PacketError
+from vlp16emu.types import F8, I8
 from vlp16emu.units import S_NS
 
 IMU_FRAME = np.dtype(
@@ -32,9 +32,7 @@ _CHECKED = 8
 """Where the bytes begin that the checksum is of."""
 
 
-def imu_frames(
-    first: int, t_ns: NDArray[np.int64], rate_rad_s: NDArray[np.float64], force_m_s2: NDArray[np.float64]
-) -> list[bytes]:
+def imu_frames(first: int, t_ns: I8, rate_rad_s: F8, force_m_s2: F8) -> list[bytes]:
     """Write n samples in a row, a frame each.
 
     Parameters

@@ -58,8 +58,7 @@ def units_in(path: Path) -> list[CapturedUnit]:
 
     Raises
     ------
-    CaptureError
-        where the file is no capture, or is damaged
+    CaptureError : where the file is no capture, or is damaged
     """
     data, position = Counter[tuple[bytes, int]](), defaultdict[bytes, set[int]](set)
     with Capture(path) as capture:
@@ -90,10 +89,8 @@ def chosen_unit(path: Path, unit: str | None, *, where: str = "unit") -> Capture
 
     Raises
     ------
-    CaptureError
-        where the file is no capture, or is damaged
-    InputError
-        where there is no such unit, or there are several and none is named
+    CaptureError : where the file is no capture, or is damaged
+    InputError : where there is no such unit, or there are several and none is named
     """
     units = units_in(path) if path.is_file() else []  # a pipe can be read only once
     if not units or (unit is None and len(units) == 1):

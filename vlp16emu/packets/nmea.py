@@ -58,11 +58,7 @@ def rmc(fix: GnssFix) -> bytes:
 
 
 def parse_rmc(sentence: bytes) -> GnssFix:
-    """Read a sentence back.
-
-    Parameters
-    ----------
-    sentence : ASCII that ends with CR and LF
+    """Read a sentence back, ASCII that ends with CR and LF.
 
     Raises
     ------
@@ -85,13 +81,7 @@ def parse_rmc(sentence: bytes) -> GnssFix:
 def rmc_time(sentence: bytes) -> tuple[int | None, bool]:
     """Read the second that a sentence names, UTC in ns, and whether its status is A; fields of the place may be empty.
 
-    Parameters
-    ----------
-    sentence : as of `parse_rmc`
-
-    Returns
-    -------
-    None for the second where a receiver that has just been switched on does not know it
+    The second is None where a receiver that has just been switched on does not know it.
 
     Raises
     ------
@@ -120,7 +110,6 @@ def _fields(sentence: bytes) -> list[str]:
 
 
 def _check(fix: GnssFix) -> None:
-    """Refuse what no receiver reports."""
     for name, value, low, high in (
         ("latitude_deg", fix.latitude_deg, -90.0, 90.0),
         ("longitude_deg", fix.longitude_deg, -180.0, 180.0),

@@ -34,8 +34,7 @@ def unpack_pose(payload: bytes) -> PosePacket:
 
     Raises
     ------
-    PacketError
-        where it is none
+    PacketError : where it is none
     """
     if len(payload) != POSE_BYTES:
         raise PacketError("pose packet", f"found {len(payload)} bytes", f"{POSE_BYTES}")

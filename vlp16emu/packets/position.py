@@ -14,14 +14,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError
 from vlp16emu.packets.data import timestamp_us
 from vlp16emu.packets.layout import POSITION_BYTES, POSITION_PAYLOAD, SENTENCE_BYTES, SEQUENCES_PER_PACKET
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.types import PpsState, ReturnMode
+from vlp16emu.types import I8, PpsState, ReturnMode
 from vlp16emu.units import US_NS
 
 PositionRate = Literal["measured", "manual"]
@@ -43,7 +42,7 @@ _DATA_PERIOD_NS = SEQUENCES_PER_PACKET[ReturnMode.STRONGEST] * SEQUENCE_NS
 class _Schedule:
     """Instants that repeat, each packet late by a random part of `jitter_ns`."""
 
-    pattern_ns: NDArray[np.int64]
+    pattern_ns: I8
     cycle_ns: int
     jitter_ns: int
 
@@ -67,20 +66,18 @@ _SCHEDULES: dict[PositionRate, _Schedule] = {
 }
 
 
-def position_due_ns(rate: PositionRate, seed: int, start_ns: int, first: int, count: int) -> NDArray[np.int64]:
+def position_due_ns(rate: PositionRate, seed: int, start_ns: int, first: int, count: int) -> I8:
     """When position packets leave; the return mode does not matter (63-9243 Rev D, section 8.2.3).
 
     Parameters
     ----------
-    rate : "measured" or "manual"
     seed : of the scenario
     start_ns : UTC from which packets are counted
-    first : number of the first packet wanted, from 0
-    count : how many
+    first, count : number of the first packet wanted, from 0, and how many
 
     Returns
     -------
-    (count,) int64, UTC ns, increasing, not before `start_ns`
+    (count,) UTC ns, increasing, not before `start_ns`
     """
     schedule = _SCHEDULES[rate]
     cycle, place = np.divmod(np.arange(first, first + count), len(schedule.pattern_ns))
@@ -89,13 +86,7 @@ def position_due_ns(rate: PositionRate, seed: int, start_ns: int, first: int, co
 
 
 def first_position_packet(rate: PositionRate, seed: int, start_ns: int, t_ns: int) -> int:
-    """Find the number of the first position packet that leaves at `t_ns` or later.
-
-    Parameters
-    ----------
-    rate, seed, start_ns : as for `position_due_ns`
-    t_ns : UTC
-    """
+    """Find the number of the first position packet that leaves at `t_ns` UTC or later; other parameters as of `position_due_ns`."""
     schedule = _SCHEDULES[rate]
     # Whatever its jitter, a packet planned before this instant has left before t_ns.
     cycle, rest_ns = divmod(t_ns - start_ns - schedule.jitter_ns, schedule.cycle_ns)

@@ -34,7 +34,7 @@ from vlp16emu.packets.layout import (
     RETURN_MODE_BYTE,
     CapturedUnit,
 )
-from vlp16emu.types import Packet, PacketKind, ReturnMode, SensorModel
+from vlp16emu.types import I8, U1, U2, Packet, PacketKind, ReturnMode, SensorModel
 from vlp16emu.units import HOUR_NS, S_NS, US_NS
 
 _CHUNK = 2_000
@@ -55,13 +55,13 @@ class PacketChunk(NamedTuple):
 
     points: Points
     """Without no-returns."""
-    clock_ns: NDArray[np.int64]
+    clock_ns: I8
     """(n,) of the points: the sensor's clock, from the full hour before the capture, on past the next one."""
-    packet_ns: NDArray[np.int64]
+    packet_ns: I8
     """(p,) the same of the packets' first pulses."""
     fields: NDArray[np.void]
     """(p,) `DATA_PAYLOAD`, the packets themselves."""
-    number: NDArray[np.int64]
+    number: I8
     """(p,) of their frames in the file, from 1."""
 
     @property
@@ -113,8 +113,7 @@ class CaptureReader:
 
     Raises
     ------
-    CaptureError
-        where it is none
+    CaptureError : where it is none
     """
 
     def __init__(
@@ -130,7 +129,7 @@ class CaptureReader:
         self._path, self._unit, self._frame = path, unit, frame
         self._capture = Capture(path)
         self._codes = np.zeros(2**16, np.int64)
-        self._azimuth_cdeg: list[NDArray[np.uint16]] = []
+        self._azimuth_cdeg: list[U2] = []
         self._modes: dict[int, None] = {}
         self._factory: int | None = None
         self._turned_cdeg = self._turning_ns = 0
@@ -151,10 +150,8 @@ class CaptureReader:
 
         Raises
         ------
-        CaptureError
-            where a record is damaged, or no packet is a data packet
-        PacketError
-            where a packet is not a VLP-16's
+        CaptureError : where a record is damaged, or no packet is a data packet
+        PacketError : where a packet is not a VLP-16's
         """
         for held in self._chunks():
             payloads = np.frombuffer(b"".join(datagram.payload for datagram in held), np.uint8)
@@ -231,7 +228,7 @@ class CaptureReader:
         if held:
             yield held
 
-    def _decoded(self, payloads: NDArray[np.uint8], number: NDArray[np.int64]) -> PacketChunk:
+    def _decoded(self, payloads: U1, number: I8) -> PacketChunk:
         """Decode packets, (n, 1206), and count them."""
         points, fields = (decode_data(payloads, keep_no_returns=False, model=self._model), data_fields(payloads))
         if self._frame is PointFrame.MANUAL:
@@ -243,7 +240,6 @@ class CaptureReader:
         return PacketChunk(points, packet_ns[points.packet] + since_ns, packet_ns, fields, number)
 
     def _note_other(self, datagram: Datagram) -> None:
-        """Count what is no data packet."""
         if len(datagram.payload) != POSITION_BYTES:
             self._others += 1
             return
@@ -257,7 +253,6 @@ class CaptureReader:
             raise PacketError(where, error.found, error.expected) from None
 
     def _note(self, fields: NDArray[np.void]) -> None:
-        """Count a chunk of data packets."""
         blocks = fields["blocks"]
         self._codes += np.bincount(blocks["records"]["distance_lsb"].ravel(), minlength=2**16)
         azimuth_cdeg = blocks["azimuth_cdeg"]
@@ -270,13 +265,13 @@ class CaptureReader:
         self._turned_cdeg += int(turned_cdeg.sum())
         self._turning_ns += int(np.where(dual, 5, 10).sum()) * BLOCK_PERIOD_NS
 
-    def _unwrapped_ns(self, fields: NDArray[np.void]) -> NDArray[np.int64]:
+    def _unwrapped_ns(self, fields: NDArray[np.void]) -> I8:
         """(p,) the clock of packets with the hours added."""
         clock_us = fields["timestamp_us"].astype(np.int64)
         back_us = np.diff(clock_us, prepend=self._clock_us if self._azimuth_cdeg else clock_us[0])
         hours = self._hours + np.cumsum(back_us * US_NS < -HOUR_NS // 2)
         self._hours, self._clock_us = int(hours[-1]), int(clock_us[-1])
-        packet_ns: NDArray[np.int64] = clock_us * US_NS + hours * HOUR_NS
+        packet_ns: I8 = clock_us * US_NS + hours * HOUR_NS
         return packet_ns
 
     def _ranges_m(self) -> tuple[float, float, float]:

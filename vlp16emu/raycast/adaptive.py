@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import exp
-from vlp16emu.types import NO_SURFACE
+from vlp16emu.types import F4, F8, NO_SURFACE, U4
 
 _NONE = np.uint32(NO_SURFACE)
 _LEAST_SQUARED = np.float32(1e-12)
@@ -57,14 +56,7 @@ def worth_of_ray_m(target_m: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def enough(
-    range_m: NDArray[np.float32],
-    surface: NDArray[np.uint32],
-    cos_incidence: NDArray[np.float32],
-    reflectance: NDArray[np.float32],
-    budget: RayBudget,
-    order: NDArray[np.float64],
-) -> bool:
+def enough(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, budget: RayBudget, order: F8) -> bool:
     """Whether n sub-rays decide on the strongest echo well enough for the target, and on whether it is seen.
 
     Parameters
@@ -87,13 +79,7 @@ def enough(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _is_plain(
-    range_m: NDArray[np.float32],
-    surface: NDArray[np.uint32],
-    cos_incidence: NDArray[np.float32],
-    reflectance: NDArray[np.float32],
-    threshold: float,
-) -> bool:
+def _is_plain(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, threshold: float) -> bool:
     """Whether rays beyond doubt come to an echo, or to none, where they must sum up to the threshold."""
     most, total = np.float32(0.0), np.float32(0.0)
     for i in range(range_m.shape[0]):
@@ -105,7 +91,7 @@ def _is_plain(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _is_doubtful(order: NDArray[np.float64], met: int, n: int, budget: RayBudget) -> bool:
+def _is_doubtful(order: F8, met: int, n: int, budget: RayBudget) -> bool:
     """Whether the strongest echo may be seen or not by chance of where n sub-rays went, rather than of noise."""
     first, last, strongest = _strongest(order, 0, met, budget.resolution_m / 2)
     squares = 0.0
@@ -118,7 +104,7 @@ def _is_doubtful(order: NDArray[np.float64], met: int, n: int, budget: RayBudget
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _error_m(order: NDArray[np.float64], met: int, resolution_m: float) -> float:
+def _error_m(order: F8, met: int, resolution_m: float) -> float:
     """Estimate the error of the strongest echo's range."""
     first, last, strongest = _strongest(order, 0, met, resolution_m)
     second = max(_strongest(order, 0, first, resolution_m)[2], _strongest(order, last + 1, met, resolution_m)[2])
@@ -137,13 +123,7 @@ def _error_m(order: NDArray[np.float64], met: int, resolution_m: float) -> float
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _sort_echoes(
-    range_m: NDArray[np.float32],
-    surface: NDArray[np.uint32],
-    cos_incidence: NDArray[np.float32],
-    reflectance: NDArray[np.float32],
-    order: NDArray[np.float64],
-) -> int:
+def _sort_echoes(range_m: F4, surface: U4, cos_incidence: F4, reflectance: F4, order: F8) -> int:
     """Fill ranges and energies of what was met, nearest first; the energy falls with the square of the range."""
     met = 0
     for i in range(range_m.shape[0]):
@@ -162,7 +142,7 @@ def _sort_echoes(
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _strongest(order: NDArray[np.float64], first: int, stop: int, resolution_m: float) -> tuple[int, int, float]:
+def _strongest(order: F8, first: int, stop: int, resolution_m: float) -> tuple[int, int, float]:
     """First, last and energy of the strongest stretch no longer than the resolution, among sorted echoes."""
     best, best_first, best_last = 0.0, first, first - 1
     near, energy = first, 0.0

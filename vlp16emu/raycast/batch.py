@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.raycast.beam import ROUND
+from vlp16emu.types import F4, F8, I8, U4
 
 LANES = ROUND
 """Rays of a row."""
@@ -16,21 +17,21 @@ ORIGIN, DIRECTION, RANGE, COSINE, ROW = (LANES * row for row in (0, 3, 6, 7, 8))
 class PulseBatch(NamedTuple):
     """What is cast: the pulses of a batch, and how wide they are."""
 
-    origin_m: NDArray[np.float64]
+    origin_m: F8
     """(k, L, 3), k a multiple of `PACKET`; `direction` and `beam_axis` alike, the latter empty for light without width."""
-    direction: NDArray[np.float64]
-    beam_axis: NDArray[np.float64]
-    time: NDArray[np.float32]
+    direction: F8
+    beam_axis: F8
+    time: F4
     """(k, L) between the scene's first knot and its last, 0..1."""
-    near_m: NDArray[np.float64]
+    near_m: F8
     """(L,) where each laser's light begins."""
     reach_m: float
     """Range at which what is near ends; `far_m` where it does not."""
     far_m: float
     """Where the light is given up."""
-    order: NDArray[np.int64]
+    order: I8
     """(k / 8,) first sequence of each packet, in the order of casting."""
-    sigmas: NDArray[np.float32]
+    sigmas: F4
     """(4,) as in `Footprint`; `seed` alike."""
     seed: int
     first: int
@@ -40,31 +41,31 @@ class PulseBatch(NamedTuple):
 class MetRays(NamedTuple):
     """What rays meet: three arrays of one length."""
 
-    range_m: NDArray[np.float32]
-    surface: NDArray[np.uint32]
-    cos_incidence: NDArray[np.float32]
+    range_m: F4
+    surface: U4
+    cos_incidence: F4
 
 
 class Batch(NamedTuple):
     """Room for the pulses of eight sequences, those of a laser one after the other."""
 
-    row: NDArray[np.float32]
+    row: F4
     """(n, ROW) rays of a pulse, rows of eight: origins, directions, ranges, cosines; of a light without width only the first."""
-    surface: NDArray[np.uint32]
+    surface: U4
     """(n, 8)."""
-    axes: NDArray[np.float32]
+    axes: F4
     """(n, 4, 3) of the pulses; the first two make up the middle."""
-    axes_row: NDArray[np.float32]
+    axes_row: F4
     """(n, 12) the same numbers."""
     missed: NDArray[np.bool_]
     """(n,) which pulses go on: of some of their rays nothing near is met."""
-    todo: NDArray[np.int64]
+    todo: I8
     """(n,) numbers of the pulses that are cast."""
-    have: NDArray[np.int64]
+    have: I8
     """(n,) how many sub-rays each has."""
     hits: MetRays
     """(n m,) of these, those of a pulse one after the other; m is a multiple of eight."""
-    scratch: NDArray[np.float64]
+    scratch: F8
     """(2, m) to sort in."""
 
 

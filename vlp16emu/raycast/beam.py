@@ -19,13 +19,12 @@ from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, log, sin
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.raycast.adaptive import RayBudget, worth_of_ray_m
 from vlp16emu.raycast.settings import Beam
-from vlp16emu.types import Firings
+from vlp16emu.types import F4, F8, Firings
 
 _PLASTIC = 1.32471795724474602596
 _STEP_U, _STEP_V = np.uint32(round(2**32 / _PLASTIC)), np.uint32(round(2**32 / (_PLASTIC * _PLASTIC)))
@@ -88,7 +87,7 @@ class Footprint:
         )
 
     @property
-    def sigmas(self) -> NDArray[np.float64]:
+    def sigmas(self) -> F8:
         """(4,) standard deviations: spot horizontal and vertical in metres, divergence likewise in radians."""
         section = self.section
         return np.array([1e-3 * width for width in (*section.spot_mm, *section.divergence_mrad)]) / 4
@@ -98,7 +97,7 @@ LINE = Footprint(Beam(model="none", spot_mm=(0.0, 0.0), divergence_mrad=(0.0, 0.
 """Light without width."""
 
 
-def _ring_radii() -> NDArray[np.float64]:
+def _ring_radii() -> F8:
     outside = 1.0 - np.arange(2**_BITS) / 2**_BITS
     mass = np.append(2 * outside * (1 - log(outside)), 0.0)  # of r squared, outside of a ring's inner edge
     return np.sqrt((mass[:-1] - mass[1:]) * 2**_BITS)
@@ -143,15 +142,7 @@ def turn(seed: int, firing: int, laser: int) -> tuple[np.uint32, np.uint32]:
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def lay(
-    rays: NDArray[np.float32],
-    axes: NDArray[np.float32],
-    sigmas: NDArray[np.float32],
-    u: np.uint32,
-    v: np.uint32,
-    first: int,
-    support: bool,
-) -> None:
+def lay(rays: F4, axes: F4, sigmas: F4, u: np.uint32, v: np.uint32, first: int, support: bool) -> None:
     """Lay eight sub-rays of a pulse, number `first` and on: origins in rows 0 to 2 of eight, unit directions in rows 4 to 6.
 
     Parameters
@@ -196,15 +187,7 @@ def reach_of(first: int, support: bool) -> np.float32:
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def pulse_axes(
-    origin_m: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    beam_axis: NDArray[np.float64],
-    from_m: NDArray[np.float64],
-    i: int,
-    j: int,
-    axes: NDArray[np.float32],
-) -> None:
+def pulse_axes(origin_m: F8, direction: F8, beam_axis: F8, from_m: F8, i: int, j: int, axes: F4) -> None:
     """Fill axes (4, 3) of pulse i, j of arrays (k, L, 3), its origin relative to `from_m` (3,)."""
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
@@ -213,13 +196,12 @@ def pulse_axes(
         axes[3, a] = np.float32(beam_axis[i, j, b] * direction[i, j, c] - beam_axis[i, j, c] * direction[i, j, b])
 
 
-def beam_axis_of(firings: Firings, beam: Footprint) -> NDArray[np.float64]:
+def beam_axis_of(firings: Firings, beam: Footprint) -> F8:
     """Horizontal axes of the footprints, (k, L, 3).
 
     Raises
     ------
-    ValueError
-        where the firings have none
+    ValueError : where the firings have none
     """
     if firings.beam_axis is None:
         raise ValueError(f"cast: found firings without `beam_axis`, expected them for a beam of {beam.section.model}")

@@ -17,7 +17,7 @@ from vlp16emu.errors import RunError
 from vlp16emu.raycast import embree as rtc
 from vlp16emu.raycast.faces import Faces, faces_of, relative_to_window, sheared
 from vlp16emu.raycast.pieces import in_pieces
-from vlp16emu.types import Mesh, Window
+from vlp16emu.types import F4, F8, I8, U4, U8, Mesh, Window
 
 
 class Shape(NamedTuple):
@@ -25,9 +25,9 @@ class Shape(NamedTuple):
 
     faces: tuple[Faces, ...]
     """Of each mesh, by pieces."""
-    begin: NDArray[np.int64]
+    begin: I8
     """(pieces + 1, meshes) first face of each piece."""
-    boxes_m: NDArray[np.float64]
+    boxes_m: F8
     """(pieces, 2, 3) around each piece."""
     radius_m: float
     """Greatest distance of a corner from the shape's origin."""
@@ -35,13 +35,10 @@ class Shape(NamedTuple):
 
 def shape_of(meshes: Sequence[Mesh]) -> Shape:
     """Cut the triangles of a shape's meshes into pieces."""
-    square_m2 = max((_farthest_m2(mesh) for mesh in meshes), default=0.0)
+    square_m2 = 0.0
+    for x_m, y_m, z_m in (mesh.vertices_m.T for mesh in meshes):
+        square_m2 = max(square_m2, float((x_m * x_m + y_m * y_m + z_m * z_m).max(initial=0.0)))
     return Shape(*in_pieces([faces_of(mesh) for mesh in meshes]), math.sqrt(square_m2))
-
-
-def _farthest_m2(mesh: Mesh) -> float:
-    x_m, y_m, z_m = mesh.vertices_m.T
-    return float((x_m * x_m + y_m * y_m + z_m * z_m).max(initial=0.0))
 
 
 _WIDER_M = 2.0**-10
@@ -75,8 +72,7 @@ class EmbreeMesh:
 
         Raises
         ------
-        RunError
-            where Embree fails
+        RunError : where Embree fails
         """
         with self._building:
             if piece not in self._scenes:
@@ -85,8 +81,7 @@ class EmbreeMesh:
                 self._scenes[piece] = scene
             return self._scenes[piece]
 
-    def _built(self, begin: NDArray[np.int64], stop: NDArray[np.int64]) -> int:
-        """Build the scene of some faces of each mesh; give its address."""
+    def _built(self, begin: I8, stop: I8) -> int:
         lib, device = rtc.library(), rtc.device()
         scene, _ = _new_scene(self)
         for number in np.flatnonzero(stop > begin).tolist():
@@ -110,7 +105,7 @@ class EmbreeMesh:
 _COUNTED = [np.arange(3 << 16, dtype=np.uint32)]
 
 
-def _counting(n: int) -> NDArray[np.uint32]:
+def _counting(n: int) -> U4:
     """Return 0, 1, 2 ... up to n or more, one array for all meshes: the corners of triangles that share none."""
     counted = _COUNTED[0]
     if len(counted) < n:
@@ -119,7 +114,7 @@ def _counting(n: int) -> NDArray[np.uint32]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def widened(vertices_m: NDArray[np.float32], triangles: NDArray[np.uint32]) -> NDArray[np.float32]:
+def widened(vertices_m: F4, triangles: U4) -> F4:
     """Move the corners of triangles (t, 3) outwards in their planes, so that their edges lie `_WIDER_M` farther out.
 
     Returns
@@ -169,8 +164,7 @@ class Placed:
 
     Raises
     ------
-    RunError
-        where a window lasts too long for Embree
+    RunError : where a window lasts too long for Embree
     """
 
     def __init__(self, window: Window, meshes: Sequence[EmbreeMesh], workers: Executor) -> None:
@@ -190,8 +184,7 @@ class Placed:
 
         Raises
         ------
-        RunError
-            where Embree fails
+        RunError : where Embree fails
         """
         wanted = defaultdict[EmbreeMesh, set[int]](set)
         numbers = np.flatnonzero(kept).tolist()
@@ -224,7 +217,7 @@ class Placed:
         return scene
 
 
-def _buffers(meshes: Sequence[EmbreeMesh], counts: Sequence[int]) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+def _buffers(meshes: Sequence[EmbreeMesh], counts: Sequence[int]) -> tuple[U8, I8]:
     """Join the buffers of the different meshes of placements; with the first row of each piece of each placement."""
     first, tables, rows = dict[int, int](), [np.zeros((0, 2), np.uint64)], [np.zeros(0, np.int64)]
     stop = 0
@@ -254,19 +247,19 @@ class InstanceMotion(NamedTuple):
     """UTC of the first knot."""
     span_ns: int
     """To the last one; 0 where nothing moves."""
-    shear: NDArray[np.float32]
+    shear: F4
     """(k, n, 2) as in `Sway`, of all placements; no knots where nothing moves."""
-    foot_m: NDArray[np.float64]
+    foot_m: F8
     """(n,) height in the window at which a placement does not move; empty where nothing moves."""
 
-    def times(self, t_ns: NDArray[np.int64]) -> NDArray[np.float32]:
+    def times(self, t_ns: I8) -> F4:
         """Ray times 0..1 of any shape, for UTC; before and after the span its ends."""
         if not self.span_ns:
             return np.zeros(t_ns.shape, np.float32)
         return np.clip((t_ns - self.start_ns) / self.span_ns, 0.0, 1.0).astype(np.float32)
 
 
-def motion_of(window: Window) -> tuple[InstanceMotion, dict[int, NDArray[np.float32]]]:
+def motion_of(window: Window) -> tuple[InstanceMotion, dict[int, F4]]:
     """Motion of a window's placements.
 
     Returns
@@ -275,8 +268,7 @@ def motion_of(window: Window) -> tuple[InstanceMotion, dict[int, NDArray[np.floa
 
     Raises
     ------
-    RunError
-        where a window lasts too long for Embree
+    RunError : where a window lasts too long for Embree
     """
     if (sway := window.sway) is None:
         return InstanceMotion(0, 0, np.empty((0, len(window.shape), 2), np.float32), np.empty(0)), {}
@@ -295,8 +287,7 @@ def motion_of(window: Window) -> tuple[InstanceMotion, dict[int, NDArray[np.floa
 
 
 @numba.njit(cache=True, nogil=True)
-def _set_steps(geometry: int, transforms: NDArray[np.float32]) -> None:
-    """Give an instance, the address of a geometry, its transforms (k, 3, 4), evenly over times 0 to 1."""
+def _set_steps(geometry: int, transforms: F4) -> None:
     _set_count(geometry, len(transforms))
     for knot in range(len(transforms)):
         _set_transform(geometry, knot, rtc.FORMAT_FLOAT3X4_ROW_MAJOR, transforms[knot].ctypes.data)

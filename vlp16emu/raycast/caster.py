@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.doors import door
 from vlp16emu.raycast.beam import LINE, Footprint
-from vlp16emu.types import Firings, Hits, Window, World
+from vlp16emu.types import F8, Firings, Hits, Window, World
 
 
 class Geometry(Protocol):
@@ -19,15 +19,7 @@ class Geometry(Protocol):
     def surfaces(self) -> NDArray[np.void]:
         """(m,) `SURFACE`, the window's table."""
 
-    def cast(
-        self,
-        firings: Firings,
-        near_m: NDArray[np.float64],
-        far_m: float,
-        beam: Footprint = LINE,
-        *,
-        as_far: bool = False,
-    ) -> Hits:
+    def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False) -> Hits:
         """Cast the pulses of k sequences, k a multiple of 8; `as_far` casts what is near as the medium too, where there is one."""
 
 
@@ -39,17 +31,11 @@ class Caster(Protocol):
 
 
 def caster(world: World, workers: Executor) -> Caster:
-    """Make the caster of a world.
-
-    Parameters
-    ----------
-    world : grows the meshes of shapes, and describes what is far
-    workers : where shapes are grown and built side by side
+    """Make the caster of a world: of faces alone, or with what the door "far" has.
 
     Raises
     ------
-    EmbreeMissingError
-        where the library cannot be loaded
+    EmbreeMissingError : where the library cannot be loaded
     """
     # Kernels bind to the library as soon as they are loaded, and a world that has nothing far needs none for it.
     if math.isinf(world.near_m):

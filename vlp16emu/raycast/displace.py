@@ -3,18 +3,17 @@
 import math
 
 import numba
-import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import power
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.raycast.beam import Footprint
 from vlp16emu.trig import cos_sin
+from vlp16emu.types import F4, F8
 
 _DISPLACEMENT = int(Purpose.BEAM_ERROR)
 
 
-def displace(range_m: NDArray[np.float32], beam: Footprint, index: int) -> None:
+def displace(range_m: F4, beam: Footprint, index: int) -> None:
     """Displace hits (k, L) inside the beam, in place: the paper's error `offset`.
 
     The paper displaces "inside the ellipsoid whose axes are the divergence at that distance" (Lu et al.). Our
@@ -29,7 +28,7 @@ def displace(range_m: NDArray[np.float32], beam: Footprint, index: int) -> None:
 
 
 @numba.njit(cache=True, nogil=True)
-def _displace(range_m: NDArray[np.float32], widths: NDArray[np.float64], seed: int, index: int) -> None:
+def _displace(range_m: F4, widths: F8, seed: int, index: int) -> None:
     """Displace in place; widths are spot and divergence, both horizontal and vertical."""
     count, lasers = range_m.shape
     for i in range(count):

@@ -57,8 +57,7 @@ def library_path() -> Path:
 
     Raises
     ------
-    EmbreeMissingError
-        where embreex is not installed or carries no such file
+    EmbreeMissingError : where embreex is not installed or carries no such file
     """
     try:
         files = metadata.files("embreex") or []
@@ -76,8 +75,7 @@ def library() -> ctypes.CDLL:
 
     Raises
     ------
-    EmbreeMissingError
-        where it cannot be loaded or a function is missing
+    EmbreeMissingError : where it cannot be loaded or a function is missing
     """
     import embreex.rtcore_scene  # noqa: F401  # brings the libraries that Embree itself needs
     from llvmlite import binding
@@ -99,8 +97,7 @@ def device() -> int:
 
     Raises
     ------
-    RunError
-        where Embree gives none
+    RunError : where Embree gives none
     """
     with _MAKING:  # the cache alone would let two threads make one each
         return _new_device()
@@ -133,16 +130,11 @@ def give_memory_back() -> None:
 
 
 def check(doing: str) -> None:
-    """Look whether Embree failed on this thread: it reports errors to no other.
-
-    Parameters
-    ----------
-    doing : what it was to do
+    """Look whether Embree failed on this thread at what it was to do: it reports errors to no other.
 
     Raises
     ------
-    RunError
-        where it failed, for instance because memory ran out
+    RunError : where it failed, for instance because memory ran out
     """
     if error := library().rtcGetDeviceError(device()):
         raise RunError(f"Embree could not {doing}: {_meaning(error)}")

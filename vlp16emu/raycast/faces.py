@@ -1,11 +1,10 @@
 """Geometry of windows as casters want it: triangles, and transforms relative to the window."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vlp16emu.types import Mesh, Window
+from vlp16emu.types import F4, F8, U4, Mesh, Window
 
-Faces = tuple[NDArray[np.float32], NDArray[np.uint32]]
+Faces = tuple[F4, U4]
 """Vertices (v, 3) in metres, and triangles (t, 3)."""
 
 
@@ -16,14 +15,14 @@ def faces_of(mesh: Mesh) -> Faces:
     return np.ascontiguousarray(mesh.vertices_m), np.ascontiguousarray(triangles)  # read by their addresses
 
 
-def relative_to_window(window: Window) -> NDArray[np.float64]:
+def relative_to_window(window: Window) -> F8:
     """window_T_shape (n, 3, 4): placements relative to the window's origin, still in float64."""
     transforms = window.world_T_shape.copy()
     transforms[:, :, 3] -= window.origin_m
     return transforms
 
 
-def inverses(transforms: NDArray[np.float64]) -> NDArray[np.float64]:
+def inverses(transforms: F8) -> F8:
     """Invert affine transforms (n, 3, 4), by cofactors in a stated order: no library rounds them in its own way."""
     (a, b, c, x), (d, e, f, y), (g, h, i, z) = transforms.transpose(1, 2, 0)
     rows = (
@@ -39,9 +38,7 @@ def inverses(transforms: NDArray[np.float64]) -> NDArray[np.float64]:
     return out
 
 
-def sheared(
-    world_T_shape: NDArray[np.float64], foot_z_m: NDArray[np.float64], shear: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def sheared(world_T_shape: F8, foot_z_m: F8, shear: F8) -> F8:
     """Move placements (m, 3, 4) level by `shear` (..., m, 2) per metre over a foot (m,): (..., m, 3, 4)."""
     over_foot = world_T_shape[:, 2].copy()
     over_foot[:, 3] -= foot_z_m

@@ -10,13 +10,13 @@ from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.raycast.adaptive import RayBudget, enough
 from vlp16emu.raycast.batch import COSINE, DIRECTION, LANES, ORIGIN, RANGE, Batch, MetRays, PulseBatch
 from vlp16emu.raycast.beam import ROUND, lay, pulse_axes, reach_of, turn
 from vlp16emu.raycast.packet import DIR, NONE, ORG, PACKET, TIME, RayPacket, Target, cast_packet, ray_met, set_filter
 from vlp16emu.trig import ZERO
+from vlp16emu.types import F4, I8, U2, U4
 
 _USUAL = 10
 """Sub-rays of a pulse, for which there is room at first; memory of this size is used again and needs no clearing."""
@@ -47,9 +47,9 @@ def cast_lines(
     light: PulseBatch,
     packet: RayPacket,
     batch: Batch,
-    range_m: NDArray[np.float32],
-    surface: NDArray[np.uint32],
-    cos_incidence: NDArray[np.float32],
+    range_m: F4,
+    surface: U4,
+    cos_incidence: F4,
 ) -> None:
     """Cast one ray per pulse; packets hold eight consecutive firings of a laser. Fills arrays (k, L).
 
@@ -76,8 +76,8 @@ def cast_pulses(
     packet: RayPacket,
     batch: Batch,
     budget: RayBudget,
-    count: NDArray[np.uint16],
-) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]:
+    count: U2,
+) -> tuple[F4, U4, F4]:
     """Cast the sub-rays of every pulse, by rounds of eight.
 
     Parameters
@@ -249,7 +249,7 @@ def _settle(near: Target, budget: RayBudget, batch: Batch, todo: int, have: int,
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _take(batch: Batch, first: int, count: NDArray[np.uint16], room: MetRays, n: int) -> int:
+def _take(batch: Batch, first: int, count: U2, room: MetRays, n: int) -> int:
     """Count the hits of eight sequences and append them to n others, in order of pulses; return how many there are then."""
     most = batch.scratch.shape[1]
     for i in range(PACKET):
@@ -263,7 +263,7 @@ def _take(batch: Batch, first: int, count: NDArray[np.uint16], room: MetRays, n:
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _put_in_order(room: MetRays, begin: NDArray[np.int64], count: NDArray[np.uint16], hits: MetRays) -> None:
+def _put_in_order(room: MetRays, begin: I8, count: U2, hits: MetRays) -> None:
     """Put hits into the order of pulses; those of each eight sequences begin at a place of their own."""
     n = ZERO
     for group in range(begin.size):

@@ -18,7 +18,7 @@ from vlp16emu.raycast.faces import inverses, relative_to_window
 from vlp16emu.raycast.kernel import cast_lines, cast_pulses
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.store import Bundle, recalled
-from vlp16emu.types import Firings, Hits, ShapeKey, Window, World
+from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World
 
 _SECTOR_DEG = 1.6
 """What is near in one direction stays in the cache from revolution to revolution: with eight of them a fifth less time for
@@ -55,15 +55,7 @@ class EmbreeGeometry:
         """Return what rays meet up to a range that rise or fall by so much per metre, at most."""
         return Stages(self._near, far_m)
 
-    def cast(
-        self,
-        firings: Firings,
-        near_m: NDArray[np.float64],
-        far_m: float,
-        beam: Footprint = LINE,
-        *,
-        as_far: bool = False,
-    ) -> Hits:
+    def cast(self, firings: Firings, near_m: F8, far_m: float, beam: Footprint = LINE, *, as_far: bool = False) -> Hits:
         """Cast pulses.
 
         Parameters
@@ -76,8 +68,7 @@ class EmbreeGeometry:
 
         Raises
         ------
-        ValueError
-            where the firings are not as said above
+        ValueError : where the firings are not as said above
         """
         shape = firings.t_ns.shape
         if shape[0] % PACKET:
@@ -127,7 +118,7 @@ def target_of(placed: Placed, kept: NDArray[np.bool_] | None = None) -> Target:
     )
 
 
-def _by_sectors(azimuth_deg: NDArray[np.float64]) -> NDArray[np.int64]:
+def _by_sectors(azimuth_deg: F8) -> I8:
     """First sequence of each packet, (k / 8,), so that revolutions go through a sector one after the other."""
     sector = (azimuth_deg[::PACKET, 0] / _SECTOR_DEG).astype(np.int64)
     return np.argsort(sector, kind="stable") * PACKET
@@ -152,8 +143,7 @@ class EmbreeCaster:
 
         Raises
         ------
-        RunError
-            where Embree reports an error, for instance that memory ran out
+        RunError : where Embree reports an error, for instance that memory ran out
         """
         try:
             with self._lock:
@@ -178,7 +168,6 @@ class EmbreeCaster:
         return Placed(window, [meshes[which] for which in window.shape.tolist()], self._workers)
 
     def _solid(self, key: ShapeKey) -> EmbreeMesh:
-        """Take the faces of a shape from the store, or grow them where it has none."""
         name, world = self._world.shape_name(key), self._world
         return EmbreeMesh(recalled(name and f"faces {name}", lambda: shape_of(world.shape(key)), _packed, _unpacked))
 

@@ -16,11 +16,11 @@ import llvmlite.ir
 import numba
 import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import sin
 from vlp16emu.raycast.build import knot_at
 from vlp16emu.raycast.embree import FLAG_COHERENT, FLAG_FILTER
+from vlp16emu.types import F4, F8, I4, I8, U4, U8
 
 PACKET = 8
 """Rays per packet; 16 is slower without AVX-512."""
@@ -54,41 +54,41 @@ class Target(NamedTuple):
     """Address of a committed RTCScene of instances that level rays may meet; 0 where there is nothing."""
     steep: int
     """The same for rays that are not `LEVEL`; 0 also where none such is cast."""
-    window_origin_m: NDArray[np.float64]
+    window_origin_m: F8
     """(3,) taken from the origins in float64, before the step to float32."""
-    first_surface: NDArray[np.uint32]
+    first_surface: U4
     """(n,) per instance, as in `Window`."""
-    shape_T_window: NDArray[np.float64]
+    shape_T_window: F8
     """(n, 3, 4) per instance, at rest."""
-    row: NDArray[np.int64]
+    row: I8
     """(n,) per instance: the row of `buffers` at which the meshes of its piece begin."""
-    buffers: NDArray[np.uint64]
+    buffers: U8
     """(b, 2) addresses of the corners of a mesh, and of the triangles of it that are in a piece."""
-    shear: NDArray[np.float32]
+    shear: F4
     """(knots, n, 2) per instance, as in `build.InstanceMotion`."""
-    foot_m: NDArray[np.float64]
+    foot_m: F8
     """(n,) per instance: height in the window at which nothing moves; empty where nothing moves at all."""
-    reflectance: NDArray[np.float32]
+    reflectance: F4
     """(m,) of the surfaces."""
 
 
 class RayPacket(NamedTuple):
     """A thread's own packet."""
 
-    rays: NDArray[np.float32]
+    rays: F4
     """(168,) rows of eight: loops over lanes read and write at constant places, so that the compiler makes vectors of them."""
-    valid: NDArray[np.int32]
-    context: NDArray[np.uint64]
-    arguments: NDArray[np.uint64]
-    own: NDArray[np.float32]
+    valid: I4
+    context: U8
+    arguments: U8
+    own: F4
     """(64,) the first rows of `rays`, with the least range that counts: Embree turns its rays into instances and back."""
-    state: NDArray[np.float64]
+    state: F8
     """(40,) likewise."""
-    instance: NDArray[np.uint32]
+    instance: U4
     """(8,) that a ray meets, or `NONE`."""
-    face: NDArray[np.uint64]
+    face: U8
     """(8,) of it: number of the mesh in the upper half, of the triangle in the lower."""
-    desk: NDArray[np.uint64]
+    desk: U8
     """(11,) addresses for `_decide`."""
 
 

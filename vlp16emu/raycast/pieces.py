@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.raycast.faces import Faces
+from vlp16emu.types import F4, F8, I8, U4
 
 _SLAB_M = 1.5
 """Height of a slab: with bodies apart a fifth less time for what is near in `scenes/reference_forest`; 1 m and 2 m gain as much
@@ -22,7 +22,7 @@ _WORTH = 0.7
 is the same, and pieces are more."""
 
 
-def in_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], NDArray[np.int64], NDArray[np.float64]]:
+def in_pieces(faces: Sequence[Faces]) -> tuple[tuple[Faces, ...], I8, F8]:
     """Order the triangles of a shape by pieces.
 
     Parameters
@@ -66,7 +66,7 @@ def _bodies(faces: Sequence[Faces]) -> list[list[int]]:
     return bodies
 
 
-def _slabs(body: Sequence[Faces]) -> tuple[list[NDArray[np.int64]], NDArray[np.float64]]:
+def _slabs(body: Sequence[Faces]) -> tuple[list[I8], F8]:
     """Give the slab (t,) of each triangle of some meshes, all 0 where slabs are not worth it; and boxes of those that hold any."""
     low_m = min(float(vertices_m[:, 2].min()) for vertices_m, _ in body)
     high_m = max(float(vertices_m[:, 2].max()) for vertices_m, _ in body)
@@ -81,20 +81,14 @@ def _slabs(body: Sequence[Faces]) -> tuple[list[NDArray[np.int64]], NDArray[np.f
     return slabs, boxes
 
 
-def _side_m2(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
+def _side_m2(boxes: F8) -> F8:
     """Areas (...,) of boxes (..., 2, 3) as seen from the side: their two faces together, by which the mean over all sides goes."""
-    size: NDArray[np.float64] = boxes[..., 1, :] - boxes[..., 0, :]
+    size: F8 = boxes[..., 1, :] - boxes[..., 0, :]
     return (size[..., 0] + size[..., 1]) * size[..., 2]
 
 
 @numba.njit(cache=True, nogil=True, _nrt=False)
-def _put(
-    vertices_m: NDArray[np.float32],
-    triangles: NDArray[np.uint32],
-    low_m: float,
-    slab: NDArray[np.int64],
-    boxes: NDArray[np.float64],
-) -> None:
+def _put(vertices_m: F4, triangles: U4, low_m: float, slab: I8, boxes: F8) -> None:
     """Put triangles (t, 3) into the slabs in which their lowest corners are, and widen the boxes (slabs, 2, 3) by them."""
     for t in range(len(triangles)):
         a, b, c = triangles[t]

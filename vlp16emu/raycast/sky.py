@@ -3,18 +3,17 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, sin
 from vlp16emu.raycast.caster import Geometry
-from vlp16emu.types import Firings
+from vlp16emu.types import F8, Firings
 
 _RINGS = 16
 _SECTORS = 16
 """Rings of equal solid angle, and rays on each: 256 rays measure a share to 0.03."""
 
 
-def sky_cover(geometry: Geometry, t_ns: int, position_m: NDArray[np.float64], lowest_deg: float, far_m: float) -> float:
+def sky_cover(geometry: Geometry, t_ns: int, position_m: F8, lowest_deg: float, far_m: float) -> float:
     """Share of the sky that surfaces hide, 0..1, each direction counting by its solid angle.
 
     Crowns overhead are a medium, as from afar: they hide as much, and need not be built where no pulse meets them.
@@ -42,7 +41,7 @@ def sky_cover(geometry: Geometry, t_ns: int, position_m: NDArray[np.float64], lo
     return float(np.isfinite(hits.range_m).mean())
 
 
-def _directions(lowest_sine: float) -> NDArray[np.float64]:
+def _directions(lowest_sine: float) -> F8:
     """Directions (sectors, rings, 3), unit length: rays that are cast together are neighbours on a ring."""
     sine = lowest_sine + (1.0 - lowest_sine) * (np.arange(_RINGS) + 0.5) / _RINGS
     # A ring begins where the one below it does not: the golden ratio leaves no gap and no row.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.trig import ZERO, fold
-from vlp16emu.types import Firings, Hits, PlantPart
+from vlp16emu.types import F4, F8, U2, U4, Firings, Hits, PlantPart
 
 _GRID_M, _BARK_GRID_M, _RELIEF_GRID_M = 0.4, 0.15, 0.15
 """Sizes of patches, of walls and ground, of bark, and of relief; folds halve them. With these sizes neighbouring returns are equal as
@@ -49,16 +49,16 @@ def textured(firings: Firings, hits: Hits, surfaces: NDArray[np.void], seed: int
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _vary(
-    origin_m: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    count: NDArray[np.uint16],
-    range_m: NDArray[np.float32],
-    met: NDArray[np.uint32],
-    texture: NDArray[np.float32],
-    reflectance: NDArray[np.float32],
-    grid_m: NDArray[np.float64],
+    origin_m: F8,
+    direction: F8,
+    count: U2,
+    range_m: F4,
+    met: U4,
+    texture: F4,
+    reflectance: F4,
+    grid_m: F8,
     seed: int,
-    cosine: NDArray[np.float32],
+    cosine: F4,
 ) -> None:
     """Multiply the cosines (n,) of the sub-rays of pulses (k, L)."""
     stop = ZERO
@@ -78,16 +78,7 @@ def _vary(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _raise(
-    origin_m: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    count: NDArray[np.uint16],
-    range_m: NDArray[np.float32],
-    met: NDArray[np.uint32],
-    relief_m: NDArray[np.float32],
-    seed: int,
-    out_m: NDArray[np.float32],
-) -> None:
+def _raise(origin_m: F8, direction: F8, count: U2, range_m: F4, met: U4, relief_m: F4, seed: int, out_m: F4) -> None:
     """Move the ranges (n,) of the sub-rays of pulses (k, L) by the relief where they end."""
     stop = ZERO
     for i in range(count.shape[0]):
@@ -103,9 +94,7 @@ def _raise(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _of_patch(
-    seed: int, per_m: float, origin_m: NDArray[np.float64], direction: NDArray[np.float64], i: int, j: int, at_m: float
-) -> tuple[float, float]:
+def _of_patch(seed: int, per_m: float, origin_m: F8, direction: F8, i: int, j: int, at_m: float) -> tuple[float, float]:
     """Draw the numbers in [0, 1) of the patch at a range along a pulse (i, j); folds make the borders of a grid's cells crooked."""
     x = per_m * (origin_m[i, j, 0] + at_m * direction[i, j, 0])
     y = per_m * (origin_m[i, j, 1] + at_m * direction[i, j, 1])

@@ -14,7 +14,6 @@ from vlp16emu.returns.echoes import (
     COLUMNS,
     OPEN,
     RANGE,
-    add_node,
     brightest_group,
     find_peaks,
     find_source_surfaces,
@@ -32,7 +31,7 @@ from vlp16emu.returns.noise import (
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
-from vlp16emu.types import Firings, Hits, Returns
+from vlp16emu.types import F4, F8, I8, U1, U2, U4, Firings, Hits, Returns
 
 _STRONGEST, _LAST, _SECOND = 0, 1, 2  # columns of Returns
 _PEAKS_PER_NODE = 3  # at most: one at it, and one at either side
@@ -84,7 +83,7 @@ def detect(firings: Firings, hits: Hits, surfaces: NDArray[np.void], detector: U
     if detector.parity is not None:
         _count_unevenly(detector.parity, distance_m)
     if detector.no_return is not None:
-        wander = detector.no_return_wander
+        wander = detector.noise.no_return_wander
         seed, first, lasers = detector.constants.seed, firings.index, shape[1]
         knots = no_return_multiples(seed, first, shape[0], lasers, wander) if wander else np.zeros((0, lasers))
         _mark_silent(detector.no_return, knots, first, distance_m, reflectivity)
@@ -99,22 +98,22 @@ def detect(firings: Firings, hits: Hits, surfaces: NDArray[np.void], detector: U
 def _detect(
     constants: DetectorConstants,
     first: int,
-    bias_m: NDArray[np.float64],
-    beat_m: NDArray[np.float64],
-    drift_m: NDArray[np.float64],
-    gain: NDArray[np.float64],
-    count: NDArray[np.uint16],
-    range_m: NDArray[np.float32],
-    met: NDArray[np.uint32],
-    cos_incidence: NDArray[np.float32],
-    reflectance: NDArray[np.float32],
-    nodes: NDArray[np.float64],
-    peaks: NDArray[np.float64],
-    chosen: NDArray[np.int64],
-    noise: NDArray[np.float64],
-    distance_m: NDArray[np.float32],
-    reflectivity: NDArray[np.uint8],
-    exact_m: NDArray[np.float32],
+    bias_m: F8,
+    beat_m: F8,
+    drift_m: F8,
+    gain: F8,
+    count: U2,
+    range_m: F4,
+    met: U4,
+    cos_incidence: F4,
+    reflectance: F4,
+    nodes: F8,
+    peaks: F8,
+    chosen: I8,
+    noise: F8,
+    distance_m: F4,
+    reflectivity: U1,
+    exact_m: F4,
 ) -> None:
     """Fill the returns (k, L, 3), pulse by pulse; one node takes the short way.
 
@@ -133,7 +132,8 @@ def _detect(
             if constants.extinction_per_m > 0.0:
                 air_m, air = clutter_echo(constants, n, j, start, stop, range_m)
                 if air > 0.0:
-                    lit = add_node(nodes, lit, air_m, air)
+                    nodes[RANGE, lit], nodes[AMPLITUDE, lit] = air_m, air
+                    lit += 1
             at_m, light = _only_echo(constants, n, j, nodes, lit, peaks)
             if light > 0.0 and _is_seen(constants, n, j, at_m, light):
                 measured = _measure(constants, noise[0, j], noise[1, j], at_m, light, error_m, gain[j])
@@ -150,13 +150,7 @@ def _detect(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _mark_silent(
-    no_return: NDArray[np.float64],
-    knots: NDArray[np.float64],
-    first: int,
-    distance_m: NDArray[np.float32],
-    reflectivity: NDArray[np.uint8],
-) -> None:
+def _mark_silent(no_return: F8, knots: F8, first: int, distance_m: F4, reflectivity: U1) -> None:
     """Fill in the reflectivity of pulses without any return: constant, or between knots (m, L) a multiple of that."""
     origin = first // NO_RETURN_KNOT
     for i in range(distance_m.shape[0]):
@@ -174,7 +168,7 @@ def _mark_silent(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _count_unevenly(parity: NDArray[np.float64], distance_m: NDArray[np.float32]) -> None:
+def _count_unevenly(parity: F8, distance_m: F4) -> None:
     """Push distances that are at the edge of an odd code into it, or out of it, by each laser's excess of odd codes."""
     for i in range(distance_m.shape[0]):
         for j in range(distance_m.shape[1]):
@@ -188,9 +182,7 @@ def _count_unevenly(parity: NDArray[np.float64], distance_m: NDArray[np.float32]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _only_echo(
-    constants: DetectorConstants, n: int, laser: int, nodes: NDArray[np.float64], lit: int, peaks: NDArray[np.float64]
-) -> tuple[float, float]:
+def _only_echo(constants: DetectorConstants, n: int, laser: int, nodes: F8, lit: int, peaks: F8) -> tuple[float, float]:
     """Range and amplitude of the only echo that counts: of one node, or the highest where only the strongest is sent.
 
     Amplitude 0 where there may be more, or the highest is not found this way; -1 where no echo is seen at all.
@@ -274,9 +266,7 @@ def _measure(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _choose(
-    constants: DetectorConstants, n: int, laser: int, peaks: NDArray[np.float64], found: int, chosen: NDArray[np.int64]
-) -> None:
+def _choose(constants: DetectorConstants, n: int, laser: int, peaks: F8, found: int, chosen: I8) -> None:
     """Find which peaks are the strongest, last and second strongest return, -1 where there is none."""
     chosen[:] = -1
     for rank in range(found):
@@ -303,7 +293,7 @@ def _choose(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _leave_out(peaks: NDArray[np.float64], chosen: NDArray[np.int64], lost: int) -> None:
+def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
     """Choose anew of what was chosen without a peak that is lost."""
     for column in range(3):
         if chosen[column] == lost:
@@ -324,10 +314,10 @@ def _write(
     j: int,
     error_m: float,
     gain: float,
-    peaks: NDArray[np.float64],
-    chosen: NDArray[np.int64],
-    distance_m: NDArray[np.float32],
-    reflectivity: NDArray[np.uint8],
+    peaks: F8,
+    chosen: I8,
+    distance_m: F4,
+    reflectivity: U1,
 ) -> None:
     """Measure the chosen peaks, each once; none counts that is measured beyond the greatest range."""
     for column in range(3):

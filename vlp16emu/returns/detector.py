@@ -3,16 +3,14 @@
 from dataclasses import dataclass, replace
 from typing import Self
 
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import exp
 from vlp16emu.random import Purpose, normal
 from vlp16emu.returns.noise import gain, no_return_reflectivity, range_beat_m, range_bias_m
 from vlp16emu.returns.settings import Detector, DetectorConstants, Noise, Weather
 from vlp16emu.returns.weather import air_reflectance, extinction_per_m
-from vlp16emu.types import ReturnMode
+from vlp16emu.types import F8, I8, ReturnMode
 
 _HALF_LIGHT_M_PER_NS = 0.299792458 / 2.0
 _FWHM_SIGMAS = 2.3548200450309493  # 2 sqrt(2 ln 2)
@@ -25,21 +23,19 @@ class UnitDetector:
     """The receiver of one unit, in the weather of one run; L lasers."""
 
     constants: DetectorConstants
-    range_bias_m: NDArray[np.float64]
+    range_bias_m: F8
     """(L,)."""
-    gain: NDArray[np.float64]
+    gain: F8
     """(L,) factor on reflectivity."""
-    range_beat_m: NDArray[np.float64]
+    range_beat_m: F8
     """(5,) error of the range by (24 sequence + laser) mod 5."""
-    parity: NDArray[np.float64] | None
+    parity: F8 | None
     """(L,) by how much the share of odd distance codes is above one half; None where it is one half."""
-    no_return: NDArray[np.float64] | None
+    no_return: F8 | None
     """(L,) reflectivity of records without a return, cut to whole numbers when sent; None where that is 0."""
-    no_return_wander: float
+    noise: Noise
     power_up_ns: int
     """UTC, from which warm-up counts."""
-    warm_up_m: float
-    warm_up_s: float
 
     @classmethod
     def of_unit(
@@ -94,10 +90,8 @@ class UnitDetector:
             no_return=no_return_reflectivity(seed, lasers, noise.no_return_level)
             if noise.no_return_reflectivity
             else None,
-            no_return_wander=noise.no_return_wander,
+            noise=noise,
             power_up_ns=power_up_ns,
-            warm_up_m=noise.warm_up_m,
-            warm_up_s=noise.warm_up_s,
         )
 
     def for_mode(self, mode: ReturnMode) -> Self:
@@ -116,33 +110,16 @@ class UnitDetector:
             reflectivity_step=0.0,
         )
         none, one = np.zeros_like(self.range_bias_m), np.ones_like(self.gain)
-        return replace(
-            self,
-            constants=constants,
-            range_bias_m=none,
-            gain=one,
-            range_beat_m=np.zeros(5),
-            parity=None,
-            no_return=None,
-            warm_up_m=0.0,
-        )
+        return type(self)(constants, none, one, np.zeros(5), None, None, Noise(preset="ideal"), self.power_up_ns)
 
-    def drift_m(self, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def drift_m(self, t_ns: I8) -> F8:
         """Warm-up error of ranges at some instants, same shape; fades exponentially from power-up on."""
-        out = np.zeros(t_ns.shape)
-        if self.warm_up_m:
-            _fade(t_ns - self.power_up_ns, self.warm_up_m, self.warm_up_s, out)
-        return out
+        if not self.noise.warm_up_m:
+            return np.zeros(t_ns.shape)
+        return np.asarray(self.noise.warm_up_m * exp(-1e-9 * (t_ns - self.power_up_ns) / self.noise.warm_up_s))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _fade(since_ns: NDArray[np.int64], from_m: float, in_s: float, out: NDArray[np.float64]) -> None:
-    """Fill an exponential (n,)."""
-    for i in range(out.shape[0]):
-        out[i] = from_m * exp(-1e-9 * since_ns[i] / in_s)
-
-
-def _parity(seed: int, lasers: int, spread: float) -> NDArray[np.float64]:
+def _parity(seed: int, lasers: int, spread: float) -> F8:
     """Draw the excess of odd codes of each laser, (lasers,); real ones have 20 to 82 % of odd codes.
 
     Of all lasers together four real units have 48.5, 50.1, 50.4 and 51.5 %: less far from one half than by chance.

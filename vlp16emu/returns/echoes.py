@@ -20,13 +20,12 @@ callers (`forceinline`): a call hands over each array as seven numbers, which ta
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import exp
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.returns.weather import clutter_echo
 from vlp16emu.trig import ZERO
-from vlp16emu.types import NO_SURFACE
+from vlp16emu.types import F4, F8, NO_SURFACE, U2, U4
 
 COLUMNS = 5
 """Of a table of nodes, or of peaks."""
@@ -63,11 +62,11 @@ def gather(
     constants: DetectorConstants,
     start: int,
     stop: int,
-    range_m: NDArray[np.float32],
-    surface: NDArray[np.uint32],
-    cos_incidence: NDArray[np.float32],
-    reflectance: NDArray[np.float32],
-    nodes: NDArray[np.float64],
+    range_m: F4,
+    surface: U4,
+    cos_incidence: F4,
+    reflectance: F4,
+    nodes: F8,
 ) -> int:
     """Sum the sub-rays start .. stop - 1 of a pulse into nodes (COLUMNS, n); returns how many there are.
 
@@ -107,14 +106,7 @@ def gather(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def add_node(nodes: NDArray[np.float64], count: int, range_m: float, amplitude: float) -> int:
-    """Add light of another kind to a pulse; returns how many nodes there are."""
-    nodes[RANGE, count], nodes[AMPLITUDE, count] = range_m, amplitude
-    return count + 1
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def find_peaks(nodes: NDArray[np.float64], count: int, sigma_m: float, peaks: NDArray[np.float64]) -> int:
+def find_peaks(nodes: F8, count: int, sigma_m: float, peaks: F8) -> int:
     """Fill peaks (COLUMNS, n) in order of range from nodes, which are sorted; returns how many there are."""
     _sort(nodes, count)
     found = start = ZERO
@@ -126,7 +118,7 @@ def find_peaks(nodes: NDArray[np.float64], count: int, sigma_m: float, peaks: ND
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def brightest_group(nodes: NDArray[np.float64], count: int, sigma_m: float) -> tuple[int, int, float, float]:
+def brightest_group(nodes: F8, count: int, sigma_m: float) -> tuple[int, int, float, float]:
     """Sort nodes, and find those that may touch each other and have the greatest sum of amplitudes.
 
     Returns
@@ -148,9 +140,7 @@ def brightest_group(nodes: NDArray[np.float64], count: int, sigma_m: float) -> t
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def highest_peak(
-    nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float, peaks: NDArray[np.float64]
-) -> tuple[float, float]:
+def highest_peak(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8) -> tuple[float, float]:
     """Range and amplitude of the highest peak of nodes that may touch each other, the nearest of equals."""
     found, best = _peaks_of_group(nodes, start, stop, sigma_m, peaks, ZERO), 0
     for peak in range(1, found):
@@ -160,7 +150,7 @@ def highest_peak(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _add_peak(peaks: NDArray[np.float64], found: int, range_m: float, amplitude: float) -> int:
+def _add_peak(peaks: F8, found: int, range_m: float, amplitude: float) -> int:
     """Add a peak, unless it is the one before, climbed from its other side; returns how many there are."""
     if found > 0 and range_m - peaks[RANGE, found - 1] < _LAST_STEP_M:
         return found
@@ -170,7 +160,7 @@ def _add_peak(peaks: NDArray[np.float64], found: int, range_m: float, amplitude:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _sort(nodes: NDArray[np.float64], count: int) -> None:
+def _sort(nodes: F8, count: int) -> None:
     """Put nodes in order of range by insertion; they are few."""
     for i in range(1, count):
         range_m, amplitude = nodes[RANGE, i], nodes[AMPLITUDE, i]
@@ -195,9 +185,7 @@ def _quick_exp(x: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _waveform(
-    nodes: NDArray[np.float64], start: int, stop: int, x_m: float, sigma_m: float
-) -> tuple[float, float, float]:
+def _waveform(nodes: F8, start: int, stop: int, x_m: float, sigma_m: float) -> tuple[float, float, float]:
     """Waveform at x_m: mean and variance of where its light comes from, relative to x_m, and its height."""
     height = first = second = 0.0
     sharpness = -0.5 / (sigma_m * sigma_m)
@@ -212,7 +200,7 @@ def _waveform(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _look(nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float) -> None:
+def _look(nodes: F8, start: int, stop: int, sigma_m: float) -> None:
     """Fill in what `_waveform` gives at each node; two share what each lends the other."""
     sharpness = -0.5 / (sigma_m * sigma_m)
     for b in range(start, stop):
@@ -236,9 +224,7 @@ def _look(nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float) -> 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
-def _peaks_of_group(
-    nodes: NDArray[np.float64], start: int, stop: int, sigma_m: float, peaks: NDArray[np.float64], found: int
-) -> int:
+def _peaks_of_group(nodes: F8, start: int, stop: int, sigma_m: float, peaks: F8, found: int) -> int:
     """Find the peaks of nodes that may touch each other, uphill of each node on either side.
 
     The slope of the waveform has the sign of the mean in `_waveform`. A peak lies within sigma of a node, for elsewhere
@@ -272,7 +258,7 @@ def _peaks_of_group(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _climb(
-    nodes: NDArray[np.float64],
+    nodes: F8,
     start: int,
     stop: int,
     sigma_m: float,
@@ -317,14 +303,14 @@ _REACH_SIGMAS = 5.0
 def find_source_surfaces(
     constants: DetectorConstants,
     first: int,
-    count: NDArray[np.uint16],
-    range_m: NDArray[np.float32],
-    met: NDArray[np.uint32],
-    cos_incidence: NDArray[np.float32],
-    reflectance: NDArray[np.float32],
-    distance_m: NDArray[np.float32],
-    surface: NDArray[np.uint32],
-    share: NDArray[np.float32],
+    count: U2,
+    range_m: F4,
+    met: U4,
+    cos_incidence: F4,
+    reflectance: F4,
+    distance_m: F4,
+    surface: U4,
+    share: F4,
 ) -> None:
     """Fill surface (k, L, 3) with that of the sub-ray which gives most of the light at each distance.
 

@@ -8,12 +8,12 @@ from functools import lru_cache
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, exp, log, power
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.returns.settings import DetectorConstants
 from vlp16emu.trig import ZERO, fold
+from vlp16emu.types import F8
 
 BIAS_LIMIT_M = 0.03
 """Accuracy of the data sheet, which no laser exceeds."""
@@ -33,17 +33,17 @@ _WANDER_OF_UNITS, _WANDER_OF_LASERS = 0.7, 0.6
 """Spreads of the logarithm; on nebula a laser is at 1 in 39 to 98 % of its records."""
 
 
-def range_bias_m(seed: int, lasers: int, sigma_m: float) -> NDArray[np.float64]:
+def range_bias_m(seed: int, lasers: int, sigma_m: float) -> F8:
     """Constant error of each laser of the unit, (lasers,) m: Gaussian, cut at the data sheet's accuracy."""
     return np.clip(sigma_m * normal(seed, Purpose.RANGE_BIAS, 0, lasers), -BIAS_LIMIT_M, BIAS_LIMIT_M)
 
 
-def gain(seed: int, lasers: int, spread: float) -> NDArray[np.float64]:
+def gain(seed: int, lasers: int, spread: float) -> F8:
     """Factor on the reflectivity of each laser of the unit, (lasers,), above 0."""
     return exp(spread * normal(seed, Purpose.REFLECTIVITY, 0, lasers))
 
 
-def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> NDArray[np.float64]:
+def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> F8:
     """Reflectivity of each laser's records without a return, (lasers,), before it is cut to whole numbers.
 
     Real units send it in 50 to 98 % of such records, and multiples of it in the others.
@@ -58,7 +58,7 @@ def no_return_reflectivity(seed: int, lasers: int, middle: float | None) -> NDAr
     return np.asarray(middle * exp(_NO_RETURN_SPREAD * normal(seed, Purpose.NO_RETURN, 1, lasers)))
 
 
-def no_return_multiples(seed: int, first: int, count: int, lasers: int, wander: float) -> NDArray[np.float64]:
+def no_return_multiples(seed: int, first: int, count: int, lasers: int, wander: float) -> F8:
     """How many times the constant of `no_return_reflectivity` firing sequences first .. first + count - 1 carry.
 
     It wanders smoothly and stays at 1 where it would be less: on real units it changes by one step at a time, and a steady
@@ -78,13 +78,12 @@ def no_return_multiples(seed: int, first: int, count: int, lasers: int, wander: 
 
 
 @lru_cache(_UNITS_KEPT)
-def _own_wander(seed: int, lasers: int, wander: float) -> NDArray[np.float64]:
-    """Draw how far each laser of a unit wanders, (lasers,)."""
+def _own_wander(seed: int, lasers: int, wander: float) -> F8:
     *of_lasers, of_unit = normal(seed, Purpose.NO_RETURN, 1 + lasers, lasers + 1)
     return wander * exp(_WANDER_OF_UNITS * of_unit + _WANDER_OF_LASERS * np.array(of_lasers))
 
 
-def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> NDArray[np.float64]:
+def range_beat_m(seed: int, amplitude_m: float, phase_deg: float | None) -> F8:
     """Error of the range by (24 sequence + laser) mod 5, (5,) m.
 
     A sine and its first overtone, whose phase follows: 78 to 98 deg more than twice that of the sine on four units,
@@ -144,11 +143,10 @@ _AFTER_STEP = 0.1
 """Share of the white error that comes after the step: with none the histograms are sharper than real ones."""
 RETROREFLECTIVE = 100.5
 """Percent from which a target is no white wall any more; what rounds to 100 still is."""
-_IDEAL = 1000.0
-"""Reflectance, as a multiple of a white Lambertian surface, that is reported as 255. A coefficient of retroreflection
+_COUNTS_PER_E_FOLD = (255 - 101) / 6.907755278982137  # logarithm of 1000
+"""Of reflectance. 255 stands for 1000 times that of a white Lambertian surface. A coefficient of retroreflection
 R (cd/lx/m2) equals a reflectance of pi R: 255 stands for 318 cd/lx/m2, between high-intensity (about 250) and prismatic
 sheeting (about 700). The manual gives the ends of the scale only; that it is logarithmic between them is an assumption."""
-_COUNTS_PER_E_FOLD = (255 - 101) / 6.907755278982137  # logarithm of that
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)

@@ -3,12 +3,11 @@
 import math
 
 import numba
-import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import log1p, power
 from vlp16emu.random import Purpose, uniform_pair
 from vlp16emu.returns.settings import DetectorConstants
+from vlp16emu.types import F4
 
 _LN10 = 2.302585092994046
 _WAVELENGTH_NM = 903.0  # data sheet of the VLP-16
@@ -25,10 +24,6 @@ def fog_extinction_per_m(visibility_m: float) -> float:
 
     Koschmieder's law at 2 % contrast with the wavelength law of Kruse, McGlauchlin and McQuistan (1962) in the form of
     Kim, McArthur and Korevaar, Proc. SPIE 4214 (2001), under which thick fog is grey.
-
-    Parameters
-    ----------
-    visibility_m : meteorological visibility, more than 0
     """
     km = visibility_m / 1000.0
     if km > 50.0:
@@ -43,12 +38,7 @@ def fog_extinction_per_m(visibility_m: float) -> float:
 
 
 def rain_extinction_per_m(rain_mm_h: float) -> float:
-    """Extinction of rain: 1.076 R**0.67 dB/km, for all light (Carbonneau and Wisely, Proc. SPIE 3491, 1998).
-
-    Parameters
-    ----------
-    rain_mm_h : rate, from 0
-    """
+    """Extinction of rain: 1.076 R**0.67 dB/km, for all light (Carbonneau and Wisely, Proc. SPIE 3491, 1998)."""
     return 1.076 * power(rain_mm_h, 0.67) * _LN10 / 10.0 / 1000.0
 
 
@@ -59,34 +49,22 @@ def extinction_per_m(visibility_m: float | None, rain_mm_h: float) -> float:
 
 
 def air_reflectance(extinction_per_m: float, sigma_m: float) -> float:
-    """Reflectance of a white wall, as a share, that throws back as much as the air within one pulse.
+    """Reflectance of a white wall, as a share, that throws back as much as the air within a pulse of `sigma_m` in range.
 
     By the lidar equation: pi times backscatter times the pulse's equivalent length.
-
-    Parameters
-    ----------
-    extinction_per_m : of the air
-    sigma_m : of the pulse, in range
     """
     return math.pi * extinction_per_m / _LIDAR_RATIO_SR * math.sqrt(2.0 * math.pi) * sigma_m
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def clutter_echo(
-    constants: DetectorConstants, n: int, laser: int, start: int, stop: int, range_m: NDArray[np.float32]
+    constants: DetectorConstants, n: int, laser: int, start: int, stop: int, range_m: F4
 ) -> tuple[float, float]:
     """Range and amplitude of the air's own echo in pulse (n, laser); the air must not be clear.
 
     One per pulse: the air scatters somewhere on the way, at a range of exponential distribution, and as brightly as
-    the lidar equation has it times a fluctuation, also exponential, for drops come in numbers (an assumption).
-
-    Parameters
-    ----------
-    range_m : of sub-rays, those of the pulse being start .. stop - 1
-
-    Returns
-    -------
-    amplitude 0 where it is below the threshold of the detector, or behind all that was hit
+    the lidar equation has it times a fluctuation, also exponential, for drops come in numbers (an assumption). The
+    amplitude is 0 below the threshold of the detector, and behind all that the sub-rays start .. stop - 1 have hit.
     """
     where, how_bright = uniform_pair(constants.seed, _WEATHER, n, laser)
     air_m = max(-log1p(-where) / constants.extinction_per_m, _NEAREST_M)

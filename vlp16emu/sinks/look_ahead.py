@@ -83,16 +83,11 @@ class LookAhead:
                 self._changed.wait(_POLL_S)
 
     def take(self, waiting: Callable[[float | None], None] = lambda _: None) -> Packet | None:
-        """Next packet, waiting for it if need be; None at the end or when `stop` is set.
-
-        Parameters
-        ----------
-        waiting : called with the engine's speed every 50 ms as long as there is no packet
+        """Next packet; None at the end or when `stop` is set. Where there is none yet, calls `waiting` with the engine's speed every 50 ms.
 
         Raises
         ------
-        BaseException
-            What the packets themselves raised, once those before it have been taken.
+        BaseException : What the packets themselves raised, once those before it have been taken.
         """
         with self._changed:
             while not self._ready and not self._done and not self._over:
@@ -146,7 +141,6 @@ class LookAhead:
             self._full = time.monotonic_ns(), packet.due_ns
 
     def _run(self, packets: Iterator[Packet]) -> None:
-        """Body of the thread."""
         if sys.platform == "linux":
             os.nice(_NICE)
         try:

@@ -176,8 +176,7 @@ class Pacer:
 
     Raises
     ------
-    InputError
-        If the speed is not a finite number above 0.
+    InputError : If the speed is not a finite number above 0.
     """
 
     def __init__(

@@ -54,10 +54,8 @@ class PcapSink(PacketSink):
 
     Raises
     ------
-    OutputError
-        If the file cannot be opened, or another run writes it.
-    RunError
-        If it cannot be written: here, or later in `send`.
+    OutputError : If the file cannot be opened, or another run writes it.
+    RunError : If it cannot be written: here, or later in `send`.
     """
 
     def __init__(self, path: Path, links: Sequence[Link] = (FACTORY_LINK,)) -> None:
@@ -88,10 +86,8 @@ class PcapSink(PacketSink):
 
         Raises
         ------
-        RunError
-            If the disk is full or the device gone; the packets before this one are kept.
-        ValueError
-            If the packet is NMEA, which travels by serial line and not by Ethernet.
+        RunError : If the disk is full or the device gone; the packets before this one are kept.
+        ValueError : If the packet is NMEA, which travels by serial line and not by Ethernet.
         """
         frame = self._frame(packet)
         seconds, rest_ns = divmod(packet.due_ns, S_NS)
@@ -136,8 +132,7 @@ def check_ending(path: Path) -> None:
 
     Raises
     ------
-    OutputError
-        with what makes the other format, where that is known
+    OutputError : with what makes the other format, where that is known
     """
     ending = path.suffix.lower()
     if ending not in _ENDINGS:

@@ -83,7 +83,6 @@ def _address(address: str) -> Check:
 
 
 def _interface_right() -> Check:
-    """Whether a socket may be bound to an interface."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo")
@@ -94,7 +93,6 @@ def _interface_right() -> Check:
 
 
 def _clock() -> Check:
-    """How fine the clock is that deadlines are kept by."""
     resolution_s = time.get_clock_info("monotonic").resolution
     found = f"{resolution_s * 1e9:.0f} ns"
     if resolution_s <= _COARSE_S:

@@ -41,8 +41,7 @@ class SerialPort:
 
     Raises
     ------
-    OutputError
-        where it cannot be opened at first
+    OutputError : where it cannot be opened at first
     """
 
     def __init__(self, name: str, baud: int, where: str, line: str | None = None) -> None:
@@ -101,7 +100,6 @@ class SerialPort:
         return port
 
     def _has(self, line: str) -> bool:
-        """Whether the port has a line that can be set."""
         if self.name.startswith(_LINELESS):
             return False
         try:
@@ -113,7 +111,6 @@ class SerialPort:
         return True
 
     def _is_back(self) -> bool:
-        """Look for the device, once a second."""
         if time.monotonic() < self._tried_s + _RETRY_S:
             return False
         self._tried_s = time.monotonic()
@@ -180,7 +177,6 @@ class SerialSink(Outlet):
         return OutletResult(port.name, *counts, port.away, port.line, pulses)
 
     def _run(self) -> None:
-        """Body of the thread."""
         while (item := self._waiting.get()) is not None:
             since_s, packet = item
             if packet.kind is PacketKind.PPS:
@@ -191,8 +187,6 @@ class SerialSink(Outlet):
         self._port.close()
 
     def _write(self, payload: bytes) -> bool:
-        """Write a message; whether it is out."""
-
         def put(port: Any) -> int | None:
             """Wait for room first: pyserial would ask for it again and again, and take a core for that."""
             with suppress(UnsupportedOperation):  # a port without descriptor, such as loop://
@@ -207,7 +201,6 @@ class SerialSink(Outlet):
         return True
 
     def _set_line(self, *, high: bool) -> None:
-        """Raise or lower the line of the pulse, where there is one."""
         line = self._port.line
         if line and self._port.has_line:
 

@@ -83,11 +83,5 @@ class SinkByKind(PacketSink):
         self._sensors, self._others = sensors, others
 
     def send(self, packet: Packet) -> None:
-        """Send one packet.
-
-        Raises
-        ------
-        RunError
-            as of the sink
-        """
+        """Send one packet; errors are the sink's."""
         self._others.get(packet.kind, self._sensors).send(packet)

@@ -135,10 +135,8 @@ def stream(
 
     Raises
     ------
-    InputError
-        If the present is wanted at another speed than its own.
-    RunError
-        If the sink cannot send.
+    InputError : If the present is wanted at another speed than its own.
+    RunError : If the sink cannot send.
     """
     if now and pacer.speed != 1.0:
         raise InputError("--now", f"a speed of {pacer.speed:g}", "a speed of 1, which is that of the clock")
@@ -169,7 +167,6 @@ def stream(
 
 @contextmanager
 def _prompt_switching() -> Iterator[None]:
-    """Let threads take turns quickly; as before afterwards."""
     before_s = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     try:
@@ -338,11 +335,5 @@ class NowSink(PacketSink):
         self.moved_s, self.began_ns, self._ahead_ns = (at_ns - sent_ns) // S_NS, at_ns, at_ns - first.due_ns
 
     def send(self, packet: Packet) -> None:
-        """Send one packet.
-
-        Raises
-        ------
-        RunError
-            as of the sink
-        """
+        """Send one packet; errors are the sink's."""
         self._sink.send(moved(packet, self.moved_s, packet.due_ns + self._ahead_ns))

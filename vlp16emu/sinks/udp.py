@@ -17,10 +17,24 @@ LOOPBACK = "127.0.0.1"
 """Where packets go unless an address is given: nowhere but this machine."""
 
 # Linux socket options that Python does not name. Source: linux/in.h and asm-generic/socket.h.
-_SO_NO_CHECK = 11
-_IP_MTU_DISCOVER = 10
-_IP_PMTUDISC_DONT = 0
-_IP_PMTUDISC_DO = 2
+_SO_NO_CHECK, _IP_MTU_DISCOVER = 11, 10
+_IP_PMTUDISC_DONT, _IP_PMTUDISC_DO = 0, 2
+
+_OF_SENSOR = {
+    # No UDP checksum, don't fragment and, for that reason, identification 0.
+    DATA_PORT: (
+        (socket.SOL_SOCKET, _SO_NO_CHECK, 1),
+        (socket.IPPROTO_IP, socket.IP_TTL, DATA_TTL),
+        (socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DO),
+    ),
+    # May be fragmented, hence an identification that counts up: of a sensor by one, of Linux, between sockets that
+    # are not connected, by one or two at this rate.
+    POSITION_PORT: (
+        (socket.IPPROTO_IP, socket.IP_TTL, POSITION_TTL),
+        (socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DONT),
+    ),
+}
+"""Options of a sensor's sockets, by port."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +86,6 @@ class UdpSink(PacketSink):
         with ExitStack() as stack:
             data = stack.enter_context(_open(DATA_PORT, *self._source, broadcast=broadcast))
             position = stack.enter_context(_open(POSITION_PORT, *self._source, broadcast=broadcast))
-            if as_sensor is not None:
-                _imitate_data(data)
-                _imitate_position(position)
             self._sockets = stack.pop_all()
         self._ways = {
             PacketKind.DATA: (data, (address, data_port)),
@@ -94,8 +105,7 @@ class UdpSink(PacketSink):
 
         Raises
         ------
-        OutputError
-            If the host is unknown or out of reach; then all stays as it is.
+        OutputError : If the host is unknown or out of reach; then all stays as it is.
         """
         address = resolve(host)
         if _is_broadcast(address, *self._source):
@@ -109,10 +119,8 @@ class UdpSink(PacketSink):
 
         Raises
         ------
-        RunError
-            If the system cannot send any more, for instance because the link is gone.
-        ValueError
-            If the packet is NMEA, which travels by serial line and not by Ethernet.
+        RunError : If the system cannot send any more, for instance because the link is gone.
+        ValueError : If the packet is NMEA, which travels by serial line and not by Ethernet.
         """
         if packet.kind not in self._ways:
             raise ValueError(f"found a packet of kind {packet.kind}, expected data or position")
@@ -165,12 +173,13 @@ def _is_broadcast(address: str, as_sensor: str | None, interface: str | None) ->
 
 
 def _open(sensor_port: int, as_sensor: str | None, interface: str | None, *, broadcast: bool) -> socket.socket:
-    """Socket that sends from the sensor's own port, or from any free one."""
     opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         _bind(opened, as_sensor, interface, sensor_port)
         if broadcast:
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        for option in _OF_SENSOR[sensor_port] if as_sensor is not None else ():
+            opened.setsockopt(*option)
     except OutputError:
         opened.close()
         raise
@@ -178,7 +187,6 @@ def _open(sensor_port: int, as_sensor: str | None, interface: str | None, *, bro
 
 
 def _bind(opened: socket.socket, as_sensor: str | None, interface: str | None, port: int) -> None:
-    """Give the socket the interface and the sensor's address, where they are given."""
     if interface is not None:
         try:
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, interface.encode())
@@ -202,22 +210,6 @@ def _interfaces() -> list[str]:
     return sorted(names, key=lambda name: name == "lo")
 
 
-def _imitate_data(opened: socket.socket) -> None:
-    """No UDP checksum, TTL 255, don't fragment and, for that reason, identification 0."""
-    opened.setsockopt(socket.SOL_SOCKET, _SO_NO_CHECK, 1)
-    opened.setsockopt(socket.IPPROTO_IP, socket.IP_TTL, DATA_TTL)
-    opened.setsockopt(socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DO)
-
-
-def _imitate_position(opened: socket.socket) -> None:
-    """TTL 64, may be fragmented, hence an identification that counts up.
-
-    A sensor counts by one; Linux, between sockets that are not connected, by one or two at this rate.
-    """
-    opened.setsockopt(socket.IPPROTO_IP, socket.IP_TTL, POSITION_TTL)
-    opened.setsockopt(socket.IPPROTO_IP, _IP_MTU_DISCOVER, _IP_PMTUDISC_DONT)
-
-
 class RigSink(PacketSink):
     """Sends the packets of each unit to the ports of its own link.
 
@@ -231,8 +223,7 @@ class RigSink(PacketSink):
 
     Raises
     ------
-    OutputError
-        as `UdpSink`
+    OutputError : as `UdpSink`
     """
 
     def __init__(
@@ -264,13 +255,7 @@ class RigSink(PacketSink):
         self._open.close()
 
     def send(self, packet: Packet) -> None:
-        """Send one packet.
-
-        Raises
-        ------
-        RunError
-            as `UdpSink.send`
-        """
+        """Send one packet; errors are those of `UdpSink.send`."""
         self._sinks[packet.unit].send(packet)
         self._sent(packet.due_ns)
 

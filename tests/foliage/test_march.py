@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from raycast import lab
 
 from vlp16emu.foliage import leaves as room
 from vlp16emu.foliage.far import Far
@@ -187,9 +188,9 @@ def within_m(medium, origin_m, direction):
 
 
 @pytest.fixture(scope="module")
-def stand(lab, workers):
+def stand(workers):
     """Nine tiles, their window and their medium."""
-    world = lab.tiles()
+    world = lab.Tiles()
     window = world.window(np.array([[10.0, 10.0, 6.0]]))
     far = Far(world, workers)
     return world, window, far.medium(window, far.tiles(window))
@@ -239,7 +240,7 @@ def test_rays_meet_what_they_meet_by_the_slow_twin(stand, towards):
     assert good >= (0.998 if "z" in towards else 0.999) * len(origin_m)
 
 
-def test_light_that_leaves_the_grid_meets_nothing_beyond(lab):
+def test_light_that_leaves_the_grid_meets_nothing_beyond():
     """A ray that leaves the top of a brick in the very middle of a slab does not go on in the brick of the next column."""
     medium = dense_bricks(lab.no_medium(), (2, 1, 1), lambda x, y, z: x == 1)
     origin_m, direction = np.array([-1.25, 1.0, 0.5], "f4"), np.array([1.0, 0.0, 0.5], "f4")

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from raycast import lab
 
 from vlp16emu.foliage import far as room
 from vlp16emu.foliage.far import Far
@@ -25,16 +26,16 @@ def around(count, at_m, *, low_deg=-15.0, high_deg=15.0, seed=2):
     return np.broadcast_to(np.asarray(at_m, float), (count, 3)), direction
 
 
-def cast(lab, scene, origin_m, direction, far_m=60.0, **beam):
+def cast(scene, origin_m, direction, far_m=60.0, **beam):
     """Hits of rays (n, 3)."""
     light = [lab.beam(**beam)] if beam else []
     return scene.cast(lab.rays(origin_m, direction), np.zeros(1), far_m, *light)
 
 
 @pytest.fixture(scope="module")
-def both(lab, workers):
+def both(workers):
     """Nine bare tiles, and their window as a medium from 2 m on and as faces."""
-    far, near = (lab.tiles(near_m, things=False, per_tile=8) for near_m in (2.0, math.inf))
+    far, near = (lab.Tiles(near_m, things=False, per_tile=8) for near_m in (2.0, math.inf))
     window = far.window(AT_M)
     return window, FarCaster(far, workers).open(window), FarCaster(near, workers).open(window)
 
@@ -57,30 +58,30 @@ def stems_alike(window, ours, true, *, same_share, high_m):
     return stem, same
 
 
-def test_stems_from_afar_are_those_of_the_mesh(lab, both):
+def test_stems_from_afar_are_those_of_the_mesh(both):
     """Ranges to stems equal those of polygons with as much area within 3 mm in the median; labels agree for 99 % of rays."""
     window, far, near = both
-    ours, true = (cast(lab, scene, *around(40_000, AT_M[0])) for scene in (far, near))
+    ours, true = (cast(scene, *around(40_000, AT_M[0])) for scene in (far, near))
     stem, same = stems_alike(window, ours, true, same_share=0.99, high_m=0.02)
     off = np.abs(ours.cos_incidence - true.cos_incidence)[stem & same]
     assert np.median(off) < 0.03  # a polygon's faces are flat
 
 
-def test_bent_stems_from_afar_are_those_of_the_mesh(lab, workers):
+def test_bent_stems_from_afar_are_those_of_the_mesh(workers):
     """Stems that bow by 0.25 m are met where their polygons are, within 3 mm in the median; as straight ones they would not."""
-    worlds = [lab.tiles(near_m, things=False, per_tile=8, bow_m=0.25) for near_m in (2.0, math.inf)]
-    straight = lab.tiles(2.0, things=False, per_tile=8)
+    worlds = [lab.Tiles(near_m, things=False, per_tile=8, bow_m=0.25) for near_m in (2.0, math.inf)]
+    straight = lab.Tiles(2.0, things=False, per_tile=8)
     window = worlds[0].window(AT_M)
     scenes = [FarCaster(world, workers).open(world.window(AT_M)) for world in (*worlds, straight)]
-    ours, true, other = (cast(lab, scene, *around(40_000, AT_M[0])) for scene in scenes)
+    ours, true, other = (cast(scene, *around(40_000, AT_M[0])) for scene in scenes)
     stem, _ = stems_alike(window, ours, true, same_share=0.985, high_m=0.03)
     assert (other.surface == true.surface)[stem].mean() < 0.9
 
 
-def test_the_ground_from_afar_is_that_of_the_mesh(lab, both):
+def test_the_ground_from_afar_is_that_of_the_mesh(both):
     """Ranges to the ground equal those of its triangles within 2 mm in the median, incidence alike; labels agree."""
     window, far, near = both
-    ours, true = (cast(lab, scene, *around(40_000, AT_M[0], low_deg=-60.0, high_deg=-2.0)) for scene in (far, near))
+    ours, true = (cast(scene, *around(40_000, AT_M[0], low_deg=-60.0, high_deg=-2.0)) for scene in (far, near))
     ground = window.surfaces["semantic"][np.where(true.surface == NO_SURFACE, 0, true.surface)] == Semantic.GROUND
     ground &= true.surface != NO_SURFACE
     assert ground.sum() > 20_000
@@ -92,9 +93,9 @@ def test_the_ground_from_afar_is_that_of_the_mesh(lab, both):
     assert np.quantile(np.abs(ours.cos_incidence - true.cos_incidence)[ground & same], 0.98) < 0.01
 
 
-def test_a_circle_fitted_at_30_m_has_the_dbh(lab, workers):
+def test_a_circle_fitted_at_30_m_has_the_dbh(workers):
     """Rays at the height of a stem's knot, 30 m away, lie on a circle of its diameter within 1 mm."""
-    world = lab.tiles(2.0, across=2, things=False, per_tile=1, height_m=lambda x, y: 0.0 * x + 0.0 * y)
+    world = lab.Tiles(2.0, across=2, things=False, per_tile=1, height_m=lambda x, y: 0.0 * x + 0.0 * y)
     tiles = [(0, 0), (1, 0)]
     stem = world.tile(1, 0)[0][0]
     knot = 4
@@ -104,7 +105,7 @@ def test_a_circle_fitted_at_30_m_has_the_dbh(lab, workers):
     scene = FarCaster(world, workers).open(world.window(at_m[None], tiles=tiles))
     azimuth = np.linspace(-0.012, 0.012, 4000)
     direction = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
-    hits = cast(lab, scene, np.broadcast_to(at_m, (4000, 3)), direction)
+    hits = cast(scene, np.broadcast_to(at_m, (4000, 3)), direction)
     met = hits.range_m < 31.0
     assert met.sum() > 800
     points_m = hits.range_m[met, None].astype(float) * direction[met]
@@ -118,9 +119,9 @@ def test_a_circle_fitted_at_30_m_has_the_dbh(lab, workers):
     assert 2 * math.sqrt(c + a * a + b * b) == pytest.approx(2 * float(stem["radius_m"][knot]), abs=0.001)
 
 
-def test_without_a_limit_all_is_cast_as_faces(lab, workers):
+def test_without_a_limit_all_is_cast_as_faces(workers):
     """`near_m` of infinity asks for no tile and has no medium, and meets what a window without tiles meets, bit by bit."""
-    world = lab.tiles(math.inf)
+    world = lab.Tiles(math.inf)
     window = world.window(AT_M)
     world.far_tile = None
     scene = FarCaster(world, workers).open(window)
@@ -128,18 +129,17 @@ def test_without_a_limit_all_is_cast_as_faces(lab, workers):
         Window(**{field.name: getattr(window, field.name) for field in fields(Window)})
     )
     assert type(scene) is EmbreeGeometry
-    ours, other = (cast(lab, s, *around(8000, AT_M[0])) for s in (scene, plain))
+    ours, other = (cast(s, *around(8000, AT_M[0])) for s in (scene, plain))
     assert np.isfinite(ours.range_m).mean() > 0.4
-    for name in ("range_m", "surface", "cos_incidence"):
-        assert getattr(ours, name).tobytes() == getattr(other, name).tobytes()
+    lab.assert_same_bits(ours, other)
 
 
-def test_near_by_all_is_as_with_faces_alone(lab, workers):
+def test_near_by_all_is_as_with_faces_alone(workers):
     """What is met before the medium begins is met as in a window of faces, bit by bit, by one ray and by eight."""
-    far, near = (lab.tiles(near_m) for near_m in (15.0, math.inf))
+    far, near = (lab.Tiles(near_m) for near_m in (15.0, math.inf))
     scenes = [FarCaster(world, workers).open(world.window(AT_M)) for world in (far, near)]
     for beam in ({}, {"model": "fixed", "rays": 8}):
-        ours, true = (cast(lab, scene, *around(8000, AT_M[0]), **beam) for scene in scenes)
+        ours, true = (cast(scene, *around(8000, AT_M[0]), **beam) for scene in scenes)
         close = true.range_m < 15.0
         assert close.mean() > 0.2
         assert (close == (ours.range_m < 15.0)).all()
@@ -148,63 +148,35 @@ def test_near_by_all_is_as_with_faces_alone(lab, workers):
 
 
 @pytest.mark.parametrize("model", ["none", "fixed", "adaptive"])
-def test_batches_threads_and_revolutions_do_not_matter_in_a_medium(lab, workers, model):
+def test_batches_threads_and_revolutions_do_not_matter_in_a_medium(workers, model):
     """A second revolution, pieces of eight, and a scene of another caster give the same hits, bit by bit."""
-    world = lab.tiles()
+    world = lab.Tiles()
     origin_m, direction = around(1600, AT_M[0])
     beam = {} if model == "none" else {"model": model, "rays": 8}
-    scenes = [FarCaster(w, workers).open(w.window(AT_M)) for w in (world, world, lab.tiles())]
-    whole = cast(lab, scenes[0], origin_m, direction, **beam)
+    scenes = [FarCaster(w, workers).open(w.window(AT_M)) for w in (world, world, lab.Tiles())]
+    whole = cast(scenes[0], origin_m, direction, **beam)
     for scene in scenes:
-        again = cast(lab, scene, origin_m, direction, **beam)
-        for name in ("count", "range_m", "surface", "cos_incidence"):
-            assert getattr(again, name).tobytes() == getattr(whole, name).tobytes()
+        again = cast(scene, origin_m, direction, **beam)
+        lab.assert_same_bits(again, whole)
     light = [lab.beam(**beam)] if beam else []
     pieces = [
         scenes[0].cast(lab.rays(origin_m[n : n + 8], direction[n : n + 8], n), np.zeros(1), 60.0, *light)
         for n in range(0, 1600, 8)
     ]
-    for name in ("range_m", "surface", "cos_incidence"):
-        assert np.concatenate([getattr(piece, name) for piece in pieces]).tobytes() == getattr(whole, name).tobytes()
+    lab.assert_same_bits(lab.joined(pieces), whole)
     leaf = part_of(world.window(AT_M), whole.surface) == PlantPart.LEAF
     assert leaf.mean() > 0.02
 
 
-@pytest.mark.parametrize("warm", [False, True])
-def test_windows_that_overlap_show_the_same(lab, workers, warm):
-    """Pulses that end in tiles that two windows hold with their neighbours meet the same thing at the same range to 0.1 mm."""
-    world = lab.tiles(2.0, across=3)
-    first = [(ix, iy) for ix in range(-3, 3) for iy in range(-2, 3)]
-    second = [(ix, iy) for ix in range(-2, 4) for iy in range(-2, 3)]
-    windows = [world.window(AT_M, first), world.window(AT_M + [[13.0, 3.0, 1.0]], second)]
-    caster = FarCaster(world, workers)
-    scenes = [(caster if warm else FarCaster(world, workers)).open(window) for window in windows]
-    rays = around(20_000, AT_M[0])
-    ours, other = (cast(lab, scene, *rays, far_m=28.0) for scene in scenes)
-    instance = [
-        np.where(
-            hits.surface == NO_SURFACE, 0, w.surfaces["instance"][np.where(hits.surface == NO_SURFACE, 0, hits.surface)]
-        )
-        for hits, w in zip((ours, other), windows, strict=True)
-    ]
-    met = np.isfinite(ours.range_m) & np.isfinite(other.range_m)
-    assert met.mean() > 0.4
-    same = (instance[0] == instance[1]) & (np.isfinite(ours.range_m) == np.isfinite(other.range_m))
-    same[met] &= np.abs(ours.range_m[met] - other.range_m[met]) < 1e-4
-    # What differs is met within rounding of an edge, at another place that float32 has.
-    assert same.mean() > 0.999
-
-
-def test_cold_and_warm_caches_give_the_same(lab, workers):
+def test_cold_and_warm_caches_give_the_same(workers):
     """A window opened after others, whose blocks and clouds are kept, is that of a fresh caster, bit by bit."""
-    world = lab.tiles(2.0, across=3)
+    world = lab.Tiles(2.0, across=3)
     elsewhere = world.window(AT_M + [[-20.0, 0.0, 0.0]], [(ix, iy) for ix in (-3, -2, -1, 0) for iy in (-1, 0, 1)])
     window, warm = (world.window(AT_M, [(ix, iy) for ix in (-1, 0, 1) for iy in (-1, 0, 1)]), FarCaster(world, workers))
     kept = warm.open(elsewhere)
     scenes = warm.open(window), FarCaster(world, workers).open(window)
-    ours, fresh = (cast(lab, scene, *around(4000, AT_M[0])) for scene in scenes)
-    for name in ("range_m", "surface", "cos_incidence"):
-        assert getattr(ours, name).tobytes() == getattr(fresh, name).tobytes()
+    ours, fresh = (cast(scene, *around(4000, AT_M[0])) for scene in scenes)
+    lab.assert_same_bits(ours, fresh)
     assert kept.medium.brick[..., 0].any()
 
 
@@ -228,16 +200,16 @@ def with_wall(window, x_m):
 
 
 @pytest.mark.parametrize("beam", [{}, {"model": "fixed", "rays": 8}])
-def test_a_users_wall_in_the_wood_is_hit_exactly(lab, workers, beam):
+def test_a_users_wall_in_the_wood_is_hit_exactly(workers, beam):
     """At 40 m a wall is met at its range to 0.02 mm, hides what is behind it, and changes nothing before it or beside it."""
-    world = lab.tiles(10.0, across=3)
+    world = lab.Tiles(10.0, across=3)
     bare, at_m = world.window(AT_M), AT_M[0] + [0.0, 0.0, 4.0]
     window, wall = with_wall(bare, 50.0)
     grown = world.shape
     world.shape = lambda key: (wall,) if key == "wall" else grown(key)
     caster, number = FarCaster(world, workers), len(bare.surfaces)
     rays = around(16_000, at_m, low_deg=-8.0, high_deg=8.0)
-    ours, without = (cast(lab, caster.open(w), *rays, far_m=70.0, **beam) for w in (window, bare))
+    ours, without = (cast(caster.open(w), *rays, far_m=70.0, **beam) for w in (window, bare))
     met = ours.surface == number
     each = len(met) // 16_000
     assert met.sum() > 100
@@ -252,16 +224,16 @@ def test_a_users_wall_in_the_wood_is_hit_exactly(lab, workers, beam):
     assert along_m.max() < 40.2
 
 
-def test_what_is_low_is_met_near_by_only(lab, workers):
+def test_what_is_low_is_met_near_by_only(workers):
     """A thing that is said to be low is met at its range where light has not come to the medium, and passed by beyond."""
-    world = lab.tiles(10.0, across=3)
+    world = lab.Tiles(10.0, across=3)
     bare, at_m = world.window(AT_M), AT_M[0] + [0.0, 0.0, 4.0]
     rays, grown = around(8000, at_m, low_deg=-8.0, high_deg=8.0), world.shape
     for x_m, is_met in ((15.0, True), (25.0, False)):
         window, wall = with_wall(bare, x_m)
         world.shape = lambda key, wall=wall: (wall,) if key == "wall" else grown(key)
         low = replace(window, low=np.append(np.zeros_like(bare.far), True))
-        hits = [cast(lab, FarCaster(world, workers).open(each), *rays) for each in (window, low, bare)]
+        hits = [cast(FarCaster(world, workers).open(each), *rays) for each in (window, low, bare)]
         exact, ours, without = ((each.range_m, each.surface) for each in hits)
         is_wall = (exact[1] == len(bare.surfaces)) & (exact[0] < 10.0)
         assert (is_wall.sum() > 100) == is_met
@@ -269,9 +241,9 @@ def test_what_is_low_is_met_near_by_only(lab, workers):
         assert (ours[0][~is_wall] == without[0][~is_wall]).all()
 
 
-def test_things_that_sway_are_faces_at_any_range(lab, workers):
+def test_things_that_sway_are_faces_at_any_range(workers):
     """Trees that sway, farther than `near_m`, are met where they are at the time of each pulse, as with faces alone."""
-    far, near = (lab.tiles(near_m) for near_m in (8.0, math.inf))
+    far, near = (lab.Tiles(near_m) for near_m in (8.0, math.inf))
     window = far.window(AT_M)
     crowns = np.flatnonzero([window.shapes[s] == "crown" for s in window.shape])
     still = window.far.copy()
@@ -311,12 +283,12 @@ def test_things_that_sway_are_faces_at_any_range(lab, workers):
         assert np.abs(ours.cos_incidence - true.cos_incidence)[crown & same].max() < 1e-4
 
 
-def test_a_window_of_ground_alone_has_a_medium(lab, workers):
+def test_a_window_of_ground_alone_has_a_medium(workers):
     """Where nothing grows or lies, and where there are stems only, the ground is far all the same."""
     for per_tile in (0, 3):
-        world = lab.tiles(5.0, things=False, per_tile=per_tile)
+        world = lab.Tiles(5.0, things=False, per_tile=per_tile)
         scene = FarCaster(world, workers).open(world.window(AT_M))
-        hits = cast(lab, scene, *around(800, AT_M[0], low_deg=-40.0, high_deg=-10.0))
+        hits = cast(scene, *around(800, AT_M[0], low_deg=-40.0, high_deg=-10.0))
         assert (hits.range_m > 5.0).any()
         assert np.isfinite(hits.range_m).mean() > 0.9
 
@@ -326,11 +298,11 @@ def put_together(far, window):
     return far.medium(window, far.tiles(window))
 
 
-def test_blocks_are_made_once(lab, workers, monkeypatch):
+def test_blocks_are_made_once(workers, monkeypatch):
     """A second window makes blocks only of tiles that are new."""
     made, real = [], room.block_of
     monkeypatch.setattr(room, "block_of", lambda *given: (made.append(given[3:]), real(*given))[1])
-    world = lab.tiles(2.0, across=3)
+    world = lab.Tiles(2.0, across=3)
     far = Far(world, workers)
     square = [(ix, iy) for ix in range(-2, 3) for iy in range(-2, 3)]
     put_together(far, world.window(AT_M, square))

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from raycast import lab
 
 from vlp16emu.foliage import leaves as room
 from vlp16emu.foliage.far import Far
@@ -56,7 +57,7 @@ def met_m(medium, origin_m, direction, far_m=60.0):
 
 @pytest.mark.parametrize("code", [10, 40, 90])
 @pytest.mark.parametrize("corner", [(40, -7, 11), (0, 0, 0), (-3, 5, -900)])
-def test_a_voxels_leaves_have_one_place_in_space(lab, code, corner):
+def test_a_voxels_leaves_have_one_place_in_space(code, corner):
     """Rays through all columns of a voxel, along x, y and z and both ways, meet leaves at the same places, to 0.1 mm."""
     cell = np.array([2, 1, 3])
     medium = one_voxel(lab.no_medium(), code, tuple(cell.tolist()), corner)
@@ -101,9 +102,9 @@ class Slab:
 
     near_m, seed, name = 0.5, 3, ""
 
-    def __init__(self, lab, lad):
+    def __init__(self, lad):
         self._bare, self._mesh = (
-            lab.tiles(per_tile=0, things=False, height_m=lambda x, y: 0.0 * x + 0.0 * y),
+            lab.Tiles(per_tile=0, things=False, height_m=lambda x, y: 0.0 * x + 0.0 * y),
             slab(lad),
         )
 
@@ -150,12 +151,12 @@ class Slab:
 
 
 @pytest.fixture(scope="module")
-def leaves(lab, workers):
+def leaves(workers):
     """Medium of a slab by its density of leaves, each made once."""
 
     @cache
     def of(lad):
-        world = Slab(lab, lad)
+        world = Slab(lad)
         far, window = Far(world, workers), world.window(np.zeros((1, 3)))
         return far.medium(window, far.tiles(window))
 

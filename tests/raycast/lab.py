@@ -1,11 +1,9 @@
-"""A small window with every difficulty: triangles and quads, scaled and turned shapes, far from the origin."""
+"""What tests of casters share: a small window with every difficulty, and a wood that is seen from afar."""
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from vlp16emu.foliage.lanes import Ground, Medium, Stems
 from vlp16emu.foliage.tiles import STEM, FarTile, TiledWindow
@@ -17,7 +15,7 @@ from vlp16emu.raycast.settings import Beam
 from vlp16emu.sensor.beams import BEAM_TABLES
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.rotor import Clock, ClockSpan, Rotor, Spin
-from vlp16emu.types import SURFACE, Firings, Mesh, PlantPart, Semantic, SensorModel, Window
+from vlp16emu.types import SURFACE, Firings, Hits, Mesh, PlantPart, Semantic, SensorModel, Window
 
 UTM_M = np.array([432_100.0, 6_901_234.0, 87.0])
 NEAR_M = BEAM_TABLES[SensorModel.VLP_16].near_m
@@ -60,6 +58,17 @@ def pulses(count, *, first=0, at=UTM_M, tilt_deg=2.0):
     head = Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock((ClockSpan(0),)), 10**18)
     standing = StaticMotion(np.asarray(at, float) + [0, 0, 0.1], 30.0, tilt_deg, 1.0)
     return head.aim(first, count, standing.poses_at, beam_axis=True)
+
+
+def assert_same_bits(ours, other):
+    """Both casts have the same sub-rays, which met the same, bit by bit."""
+    for name in Hits.__slots__:
+        assert getattr(ours, name).tobytes() == getattr(other, name).tobytes(), name
+
+
+def joined(pieces):
+    """Hits of pulses that were cast in pieces."""
+    return Hits(*(np.concatenate([getattr(piece, name) for piece in pieces]) for name in Hits.__slots__))
 
 
 def beam(model, **changed):
@@ -311,7 +320,7 @@ def no_medium():
     )
 
 
-def rays_as_firings(origin_m, direction, first=0):
+def rays(origin_m, direction, first=0):
     """Firings (k, 1) of rays (k, 3), k a multiple of 8."""
     k = len(origin_m)
     zero = np.zeros((k, 1))
@@ -327,29 +336,3 @@ def rays_as_firings(origin_m, direction, first=0):
         np.ascontiguousarray(direction[:, None], float),
         across[:, None],
     )
-
-
-@pytest.fixture(scope="session")
-def lab():
-    """What tests of casters share."""
-    return SimpleNamespace(
-        soup=soup,
-        placed=placed,
-        pulses=pulses,
-        beam=beam,
-        level_pulses=level_pulses,
-        upright=upright,
-        world=world,
-        tiles=Tiles,
-        rays=rays_as_firings,
-        no_medium=no_medium,
-        near_m=NEAR_M,
-        far_m=FAR_M,
-        utm_m=UTM_M,
-    )
-
-
-@pytest.fixture(scope="session")
-def workers():
-    with ThreadPoolExecutor(2) as pool:
-        yield pool

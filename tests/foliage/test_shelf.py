@@ -85,15 +85,3 @@ def test_room_of_blocks_that_nobody_uses_is_used_again(shelf):
         shelf.keep(user, names)
     assert user is not None
     assert len(shelf.arrays[0]) <= 3 * 5 * 110
-
-
-def test_blocks_of_an_open_window_stay(shelf):
-    """What a window has stays although the next one does not want it, and goes with the window."""
-    user = User()
-    shelf.lay((0, 0), block(1, 3, 3), 1)
-    shelf.keep(user, [(0, 0)])
-    shelf.clear([])
-    assert (0, 0) in shelf.blocks
-    del user
-    shelf.clear([])
-    assert not shelf.blocks

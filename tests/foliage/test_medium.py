@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from raycast import lab
 
 from vlp16emu.foliage import cloud as clouds_room
 from vlp16emu.foliage.cloud import Library, cloud_of, kept_share
@@ -31,9 +32,9 @@ def normals(mesh):
 
 
 @pytest.mark.parametrize("knot", range(3))
-def test_the_projected_area_of_a_cloud_is_that_of_its_faces(lab, knot):
+def test_the_projected_area_of_a_cloud_is_that_of_its_faces(knot):
     """Over all azimuths the mean projected area equals brute force over all faces to 1 %, for wood and leaves each."""
-    meshes = lab.tiles().shape("crown")
+    meshes = lab.Tiles().shape("crown")
     cloud = cloud_of(meshes, PARTS)
     for number, (mesh, share) in enumerate(zip(meshes, (0.5, 1.0), strict=True)):
         true_m2 = share * np.abs(normals(mesh) @ towards(KNOTS[knot]).T).sum(axis=0).mean()
@@ -43,9 +44,9 @@ def test_the_projected_area_of_a_cloud_is_that_of_its_faces(lab, knot):
 
 
 @pytest.mark.parametrize("knot", range(3))
-def test_cosines_of_a_cloud_are_those_with_which_light_meets_its_faces(lab, knot):
+def test_cosines_of_a_cloud_are_those_with_which_light_meets_its_faces(knot):
     """Quantiles of the cosine of incidence equal those of all faces, weighted by projected area, to 0.02."""
-    meshes = lab.tiles().shape("crown")
+    meshes = lab.Tiles().shape("crown")
     cloud = cloud_of(meshes, PARTS)
     for number, mesh in enumerate(meshes):
         own = normals(mesh)
@@ -58,7 +59,7 @@ def test_cosines_of_a_cloud_are_those_with_which_light_meets_its_faces(lab, knot
         assert np.abs(cloud.cosine[number, knot] - true).max() < 0.02
 
 
-def test_leaves_that_hide_each_other_count_once(lab):
+def test_leaves_that_hide_each_other_count_once():
     """Of four leaves behind one another an area like that of one is left; of leaves apart, all but a little."""
     leaf_m = np.array([[0.0, 0.1, 0.1], [0.0, 0.16, 0.1], [0.0, 0.16, 0.16], [0.0, 0.1, 0.16]])
     behind = np.array([leaf_m + [x, 0, 0] for x in (0.1, 0.15, 0.2, 0.25)])
@@ -69,10 +70,10 @@ def test_leaves_that_hide_each_other_count_once(lab):
         assert kept == pytest.approx(left, rel=0.06)
 
 
-def test_a_cloud_is_where_its_faces_are(lab, monkeypatch):
+def test_a_cloud_is_where_its_faces_are(monkeypatch):
     """Where nothing is hidden, cells add up to the area of each mesh, and their middle is that of the faces, to a millimetre."""
     monkeypatch.setattr(clouds_room, "kept_share", lambda corners, *_: np.ones(len(corners)))
-    meshes = lab.tiles().shape("crown")
+    meshes = lab.Tiles().shape("crown")
     cloud = cloud_of(meshes, PARTS)
     assert len(cloud.corners_m) == 0
     for number, (mesh, share) in enumerate(zip(meshes, (0.5, 1.0), strict=True)):
@@ -87,9 +88,9 @@ def test_a_cloud_is_where_its_faces_are(lab, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def blocks(lab):
+def blocks():
     """World, library and blocks of nine tiles."""
-    world = lab.tiles()
+    world = lab.Tiles()
     clouds = [cloud_of(world.shape("crown"), PARTS), cloud_of(world.shape("stone"), PARTS[:1])]
     library, shape_of = Library.of(clouds), {"crown": 0, "stone": 1}
     tiles = {place: world.far_tile(*place) for place in itertools.product(range(-2, 3), repeat=2)}
