@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, CaptureFile
+from vlp16emu.cli.arguments import AsJson, CaptureFile, option
 from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, stop_on_ctrl_c
 
 if TYPE_CHECKING:
@@ -21,33 +21,31 @@ def decode(
     *,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", metavar="FILE", help="Write the points too: .npz, .ply, .csv, .pcd, .las or .laz by its suffix."
-        ),
+        option("--out", "Write the points too: .npz, .ply, .csv, .pcd, .las or .laz by its suffix.", "FILE"),
     ] = None,
     unit: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--unit",
-            metavar="N|ADDRESS:PORT",
-            help="Which sensor, where the capture holds several: its number, or its address and data port.",
+            "Which sensor, where the capture holds several: its number, or its address and data port.",
+            "N|ADDRESS:PORT",
         ),
     ] = None,
     frame: Annotated[
         str,
-        typer.Option(
+        option(
             "--frame",
-            metavar="sensor|manual",
-            help="Axes of the points: x forward, y left, as ROS drivers have them (sensor); or x right, y forward, as the manual "
+            "Axes of the points: x forward, y left, as ROS drivers have them (sensor); or x right, y forward, as the manual "
             "of Velodyne and VeloView do (manual).",
+            "sensor|manual",
         ),
     ] = "sensor",
     model: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--model",
-            metavar="vlp-16|puck-hi-res",
-            help="What a unit from before release is, whose packets name an HDL-32E (product 0x21).",
+            "What a unit from before release is, whose packets name an HDL-32E (product 0x21).",
+            "vlp-16|puck-hi-res",
         ),
     ] = None,
     as_json: AsJson = False,

@@ -2,69 +2,52 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated, NamedTuple
 
-import typer
-
-from vlp16emu.cli.arguments import checked
-from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, size, stop_on_ctrl_c, tree_of
+from vlp16emu.cli.arguments import checked, option
+from vlp16emu.cli.terminal import count, finish, size, stop_on_ctrl_c, tree_of
 from vlp16emu.errors import InputError
-
-if TYPE_CHECKING:
-    from vlp16emu.extras.clouds.deskew import Deskewed
-
 
 _MOST_S = 7 * 86_400
 _FARTHEST = 1e6
 _MOUNT, _DRIFT = "X,Y,Z,ROLL,PITCH,YAW", "EAST,NORTH,UP,YAW"
 
 
-def _numbers(option: str, text: str, names: str) -> tuple[float, ...]:
+def _numbers(name: str, text: str, names: str) -> tuple[float, ...]:
     """Read as many numbers as there are names."""
     expected = f"the numbers {names}"
-    number = checked(option, float, lambda n: abs(n) <= _FARTHEST, expected)
+    number = checked(name, float, lambda n: abs(n) <= _FARTHEST, expected)
     words = text.split(",")
     if len(words) != len(names.split(",")):
-        raise InputError(option, f"found {text}", expected)
+        raise InputError(name, f"found {text}", expected)
     return tuple(map(number, words))
 
 
-TrajectoryFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--trajectory",
-        metavar="DIR|FILE.tum",
-        help="Of a capture: the folder that `record --truth` has written, for the true trajectory, or any other in TUM format.",
-        show_default=False,
-    ),
-]
 MountedAt = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--mount",
-        metavar=_MOUNT,
-        help="Of a capture: where the sensor sits on the body of the trajectory, in m and degrees; with the true trajectory a wrong "
+        "Of a capture: where the sensor sits on the body of the trajectory, in m and degrees; with the true trajectory a wrong "
         "boresight and lever arm.",
-        show_default=False,
+        _MOUNT,
     ),
 ]
 Drift = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--drift",
-        metavar=_DRIFT,
-        help="Of a capture: let the trajectory drift, in m per minute and degrees per minute from its first pose on.",
-        show_default=False,
+        "Of a capture: let the trajectory drift, in m per minute and degrees per minute from its first pose on.",
+        _DRIFT,
     ),
 ]
 TimeOffset = Annotated[
     float,
-    typer.Option(
+    option(
         "--time-offset",
-        metavar="S",
-        parser=checked("--time-offset", float, lambda s: abs(s) <= _MOST_S, f"at most {_MOST_S} s either way"),
-        help="Of a capture: seconds added to the time of a pulse before its pose is looked up.",
-        show_default=False,
+        "Of a capture: seconds added to the time of a pulse before its pose is looked up.",
+        "S",
+        checked("--time-offset", float, lambda s: abs(s) <= _MOST_S, f"at most {_MOST_S} s either way"),
+        shown=False,
     ),
 ]
 
@@ -110,23 +93,12 @@ def deskew(
         truth = CaptureTruth(folder, unit, scheme)
     with stop_on_ctrl_c() as stop:
         cloud = write_deskewed(capture, out, way, truth, stop=stop)
-    if as_json:
-        print_json(tree_of(cloud))
-    else:
-        _print(cloud)
-    if cloud.interrupted:
-        raise typer.Exit(INTERRUPTED)
-
-
-def _print(cloud: "Deskewed") -> None:
-    print_rows(
-        f"{'interrupted, kept' if cloud.interrupted else 'wrote'} {cloud.file}",
-        {
-            "capture": f"{cloud.capture}, {cloud.simulated_s:.1f} s",
-            "trajectory": cloud.trajectory,
-            "points": count(cloud.points),
-            "without pose": f"{count(cloud.without_pose)} left out",
-            "labels": "yes" if cloud.truth else "no, see --truth",
-            "size": size(cloud.bytes),
-        },
-    )
+    rows = {
+        "capture": f"{cloud.capture}, {cloud.simulated_s:.1f} s",
+        "trajectory": cloud.trajectory,
+        "points": count(cloud.points),
+        "without pose": f"{count(cloud.without_pose)} left out",
+        "labels": "yes" if cloud.truth else "no, see --truth",
+        "size": size(cloud.bytes),
+    }
+    finish(tree_of(cloud), cloud.file, rows, as_json=as_json)

@@ -4,12 +4,20 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from vlp16emu.cli.arguments import AsJson, Duration, Ideal, Settings, Start, checked
-from vlp16emu.cli.deskew import TrajectoryFile
+from vlp16emu.cli.arguments import (
+    AsJson,
+    Duration,
+    Ideal,
+    SceneOrCapture,
+    Settings,
+    Start,
+    TrajectoryFile,
+    argument,
+    checked,
+    option,
+)
 from vlp16emu.cli.start import make_emulator
-from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, size, stop_on_ctrl_c, tree_of
+from vlp16emu.cli.terminal import count, finish, size, stop_on_ctrl_c, tree_of
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,52 +39,40 @@ def _pixels(text: str) -> tuple[int, int]:
 
 
 def picture(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE|FILE.pcap",
-            help="Name of a scene (see `vlp16emu scenes`) or path of a .toml file; or a capture, ours or a real sensor's.",
-            show_default=False,
-        ),
-    ],
+    scene: SceneOrCapture,
     out: Annotated[
-        Path,
-        typer.Argument(
-            metavar="OUT",
-            help="File to write: .png, or as a film of the walk .gif or .mp4; overwritten if it exists.",
-            show_default=False,
-        ),
+        Path, argument("OUT", "File to write: .png, or as a film of the walk .gif or .mp4; overwritten if it exists.")
     ],
     *,
     colour: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--colour",
-            metavar="LAYER",
-            help="natural, class, part, species, instance, range, reflectivity, ring or time; the last four of a capture.",
-            show_default="natural, of a capture reflectivity",
+            "natural, class, part, species, instance, range, reflectivity, ring or time; the last four of a capture.",
+            "LAYER",
+            shown="natural, of a capture reflectivity",
         ),
     ] = None,
     view: Annotated[
         str,
-        typer.Option(
+        option(
             "--view",
-            metavar="VIEW",
-            help="slant, of points that add up; sweep, a revolution from straight above with circles of range; or image, a"
+            "slant, of points that add up; sweep, a revolution from straight above with circles of range; or image, a"
             " revolution as rows of lasers over azimuth.",
+            "VIEW",
         ),
     ] = "slant",
     look_from: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--from",
-            metavar="DEG",
-            parser=checked("--from", float, lambda deg: 0 <= deg < 360, "a number from 0 to 360"),
-            help="Where the eye is, clockwise from north, of --view slant.",
-            show_default="205",
+            "Where the eye is, clockwise from north, of --view slant.",
+            "DEG",
+            checked("--from", float, lambda deg: 0 <= deg < 360, "a number from 0 to 360"),
+            shown="205",
         ),
     ] = None,
-    pixels: Annotated[str, typer.Option("--size", metavar="WxH", help="Of the picture, in pixels.")] = "1280x720",
+    pixels: Annotated[str, option("--size", "Of the picture, in pixels.", "WxH")] = "1280x720",
     duration: Duration = None,
     start: Start = 0.0,
     settings: Settings = None,
@@ -106,17 +102,12 @@ def picture(
             made = _of_capture(Path(scene), trajectory, (start, duration), out, look, stop)
         else:
             made = _of_scene(scene, settings, (start, duration), out, look, stop, ideal=ideal)
-    if as_json:
-        print_json(tree_of(made))
-    else:
-        rows = {
-            "revolutions": count(made.revolutions),
-            "points": f"{count(made.points)}, by {made.colour}",
-            "size": size(made.bytes),
-        }
-        print_rows(f"{'interrupted, kept' if made.interrupted else 'wrote'} {made.file}", rows)
-    if made.interrupted:
-        raise typer.Exit(INTERRUPTED)
+    rows = {
+        "revolutions": count(made.revolutions),
+        "points": f"{count(made.points)}, by {made.colour}",
+        "size": size(made.bytes),
+    }
+    finish(tree_of(made), made.file, rows, as_json=as_json)
 
 
 def _of_capture(
