@@ -39,12 +39,11 @@ def argument(metavar: str, about: str) -> Any:
 
 def number(name: str, about: str, metavar: str, least: T, most: float = math.inf, *, shown: bool | str = True) -> Any:
     """Declare an option that takes a number of the type of `least`, between both or equal to one."""
-    kind: Callable[[str], T] = type(least)
-    expected = f"a {'whole ' if isinstance(least, int) else ''}number from {least:.12g}"
-    expected += " on" if isinstance(least, float) and math.isinf(most) else ""
-    expected += "" if math.isinf(most) else f" to {most:.12g}"
-    is_right: Callable[[T], bool] = lambda value: least <= value <= most and math.isfinite(value)  # noqa: E731
-    return option(name, about, metavar, checked(name, kind, is_right, expected), shown=shown)
+    kind, words = type(least), {int: ("a whole number", ""), float: ("a number", " on")}
+    name_of_kind, end = words[kind]
+    expected = f"{name_of_kind} from {least:.12g}{f' to {most:.12g}' if most < math.inf else end}"
+    parser = checked(name, kind, lambda value: least <= value <= most and math.isfinite(value), expected)
+    return option(name, about, metavar, parser, shown=shown)
 
 
 def one_of(name: str, about: str, *words: str) -> Any:
@@ -71,6 +70,14 @@ def checked(name: str, kind: Callable[[str], T], is_right: Callable[[T], bool], 
         return value
 
     return parse
+
+
+def pixels(text: str, expected: str, is_right: Callable[[int], bool] = lambda _: True) -> tuple[int, int]:
+    """Read the `--size` of a picture, width and height."""
+    width, _, height = text.lower().partition("x")
+    if not all(word.isascii() and word.isdecimal() and is_right(int(word)) for word in (width, height)):
+        raise InputError("--size", f"found {text}", expected)
+    return int(width), int(height)
 
 
 def truth_to(folder: Path | None, rate_hz: int, *, per_packet: bool, per_return: bool) -> "TruthTo | None":

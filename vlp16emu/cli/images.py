@@ -4,29 +4,18 @@ import math
 from pathlib import Path
 from typing import Annotated
 
-from vlp16emu.cli.arguments import (
-    AsJson,
-    Duration,
-    SceneName,
-    Settings,
-    Start,
-    Threads,
-    WhichUnit,
-    argument,
-    checked,
-    option,
-)
+from vlp16emu.cli import arguments as args
+from vlp16emu.cli.arguments import argument, checked, option, pixels
 from vlp16emu.cli.start import make_emulator, running
 from vlp16emu.cli.terminal import count, finish, size, tree_of
-from vlp16emu.errors import InputError
 
 
 def images(
-    scene: SceneName,
+    scene: args.SceneName,
     folder: Annotated[Path, argument("OUT", "Folder, new or empty.")],
     *,
     kind: Annotated[str, option("--kind", "panorama, all around; or pinhole, towards azimuth 0.", "KIND")] = "panorama",
-    pixels: Annotated[
+    image_size: Annotated[
         str | None, option("--size", "Pixels; 2048x512 of a panorama, 1024x768 of a pinhole camera if left out.", "WxH")
     ] = None,
     fov: Annotated[
@@ -47,19 +36,20 @@ def images(
             checked("--every", float, math.isfinite, "a number of seconds"),
         ),
     ] = 1.0,
-    duration: Duration = None,
-    start: Start = 0.0,
-    settings: Settings = None,
-    unit: WhichUnit = 1,
-    threads: Threads = 0,
-    as_json: AsJson = False,
+    duration: args.Duration = None,
+    start: args.Start = 0.0,
+    settings: args.Settings = None,
+    unit: args.WhichUnit = 1,
+    threads: args.Threads = 0,
+    as_json: args.AsJson = False,
 ) -> None:
     """Write depth, labels and colours of a scene as images, from the place of the sensor.
 
     They lie on the points of `vlp16emu points` and `record` at the same instant: cameras.json and poses.tum
     say where each point is in the image. PNG, and OpenEXR with exact values. Ctrl-C keeps the images so far.
     """
-    wanted_px = None if pixels is None else _size(pixels)
+    expected = "width and height in pixels, such as 2048x512"
+    wanted_px = None if image_size is None else pixels(image_size, expected)
     emulator = make_emulator(scene, settings, threads=threads)
     from vlp16emu.extras.images.images import write_images
 
@@ -72,10 +62,3 @@ def images(
         "size": size(run.bytes),
     }
     finish(tree_of(run), run.folder, rows, as_json=as_json)
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise InputError("--size", f"found {text}", "width and height in pixels, such as 2048x512")
-    return int(width), int(height)

@@ -4,18 +4,8 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from vlp16emu.cli.arguments import (
-    AsJson,
-    Duration,
-    Ideal,
-    SceneOrCapture,
-    Settings,
-    Start,
-    TrajectoryFile,
-    argument,
-    checked,
-    option,
-)
+from vlp16emu.cli import arguments as args
+from vlp16emu.cli.arguments import argument, checked, one_of, option, pixels
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import count, finish, size, stop_on_ctrl_c, tree_of
 from vlp16emu.errors import InputError
@@ -29,17 +19,8 @@ if TYPE_CHECKING:
 _LARGEST_PX, _FROM_DEG = 8_192, 205.0
 
 
-def _pixels(text: str) -> tuple[int, int]:
-    """Read WIDTHxHEIGHT."""
-    parts = text.lower().split("x")
-    numbers = [int(part) for part in parts if part.isdigit()]
-    if len(parts) != 2 or len(numbers) != 2 or not all(64 <= n <= _LARGEST_PX and n % 2 == 0 for n in numbers):
-        raise InputError("--size", f"found {text}", f"WIDTHxHEIGHT, even numbers from 64 to {_LARGEST_PX}")
-    return numbers[0], numbers[1]
-
-
 def picture(
-    scene: SceneOrCapture,
+    scene: args.SceneOrCapture,
     out: Annotated[
         Path, argument("OUT", "File to write: .png, or as a film of the walk .gif or .mp4; overwritten if it exists.")
     ],
@@ -55,11 +36,13 @@ def picture(
     ] = None,
     view: Annotated[
         str,
-        option(
+        one_of(
             "--view",
             "slant, of points that add up; sweep, a revolution from straight above with circles of range; or image, a"
             " revolution as rows of lasers over azimuth.",
-            "VIEW",
+            "slant",
+            "sweep",
+            "image",
         ),
     ] = "slant",
     look_from: Annotated[
@@ -72,23 +55,21 @@ def picture(
             shown="205",
         ),
     ] = None,
-    pixels: Annotated[str, option("--size", "Of the picture, in pixels.", "WxH")] = "1280x720",
-    duration: Duration = None,
-    start: Start = 0.0,
-    settings: Settings = None,
-    ideal: Ideal = False,
-    trajectory: TrajectoryFile = None,
-    as_json: AsJson = False,
+    image_size: Annotated[str, option("--size", "Of the picture, in pixels.", "WxH")] = "1280x720",
+    duration: args.Duration = None,
+    start: args.Start = 0.0,
+    settings: args.Settings = None,
+    ideal: args.Ideal = False,
+    trajectory: args.TrajectoryFile = None,
+    as_json: args.AsJson = False,
 ) -> None:
     """Draw what a sensor sees of a scene, or saw in a capture: all of it at a slant, or one revolution.
 
     Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
     revolution. A film shows how they add up, or one revolution after the other, ten per second. Needs the extra 'picture'.
     """
-    from vlp16emu.extras.viewer.picture import VIEWS, PictureLook
+    from vlp16emu.extras.viewer.picture import PictureLook
 
-    if view not in VIEWS:
-        raise InputError("--view", f"found {view}", ", ".join(VIEWS))
     if look_from is not None and view != "slant":
         raise InputError("--from", f"found beside --view {view}", "--view slant")
 
@@ -96,7 +77,9 @@ def picture(
     if trajectory is not None and not is_capture:
         raise InputError("--trajectory", "found beside a scene", "a capture")
     colour = colour or ("reflectivity" if is_capture else "natural")
-    look = PictureLook(colour, _FROM_DEG if look_from is None else look_from, _pixels(pixels), view)
+    expected = f"WIDTHxHEIGHT, even numbers from 64 to {_LARGEST_PX}"
+    size_px = pixels(image_size, expected, lambda n: 64 <= n <= _LARGEST_PX and n % 2 == 0)
+    look = PictureLook(colour, _FROM_DEG if look_from is None else look_from, size_px, view)
     with stop_on_ctrl_c() as stop:
         if is_capture:
             made = _of_capture(Path(scene), trajectory, (start, duration), out, look, stop)

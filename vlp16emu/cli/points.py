@@ -7,19 +7,8 @@ from typing import Annotated
 
 import typer
 
-from vlp16emu.cli.arguments import (
-    AsJson,
-    Duration,
-    Ideal,
-    SceneOrCapture,
-    Settings,
-    Start,
-    Threads,
-    TrajectoryFile,
-    WhichUnit,
-    argument,
-    option,
-)
+from vlp16emu.cli import arguments as args
+from vlp16emu.cli.arguments import argument, option
 from vlp16emu.cli.deskew import Drift, LabelsWanted, MountedAt, TimeOffset, deskew
 from vlp16emu.cli.start import make_emulator, running
 from vlp16emu.cli.terminal import count, finish, revolutions, size, tree_of
@@ -31,16 +20,16 @@ _OF_CAPTURES = frozenset({"mount", "drift", "time_offset"})
 
 def points(
     context: typer.Context,
-    scene: SceneOrCapture,
+    scene: args.SceneOrCapture,
     out: Annotated[
         Path,
         argument("OUT", "File to write, .npz, .ply, .csv, .pcd, .las or .laz by its suffix; overwritten if it exists."),
     ],
     *,
-    duration: Duration = None,
-    start: Start = 0.0,
-    settings: Settings = None,
-    ideal: Ideal = False,
+    duration: args.Duration = None,
+    start: args.Start = 0.0,
+    settings: args.Settings = None,
+    ideal: args.Ideal = False,
     truth: Annotated[
         bool, option("--truth", "Label what each point lies on: class, part, leaf or wood, plant, species.")
     ] = False,
@@ -62,13 +51,13 @@ def points(
             "DIR",
         ),
     ] = None,
-    unit: WhichUnit = 1,
-    trajectory: TrajectoryFile = None,
+    unit: args.WhichUnit = 1,
+    trajectory: args.TrajectoryFile = None,
     mount: MountedAt = None,
     drift: Drift = None,
     time_offset: TimeOffset = 0.0,
-    threads: Threads = 0,
-    as_json: AsJson = False,
+    threads: args.Threads = 0,
+    as_json: args.AsJson = False,
 ) -> None:
     """Write the points of a scene, for a sensor of any beam table, or of a capture with a trajectory.
 
@@ -78,8 +67,11 @@ def points(
     """
     if trajectory is not None or Path(scene).suffix == ".pcap":
         _refuse(context, _OF_SCENES, f"found beside the capture {scene}", "a scene, or no such option")
-        errors, wanted = {"mount": mount, "drift": drift}, LabelsWanted(truth, labels, truth_folder)
-        deskew(Path(scene), out, trajectory, errors, time_offset, wanted, unit=unit, as_json=as_json)
+        from vlp16emu.extras.clouds.deskew import TrajectoryErrors
+
+        given = {key: value for key, value in (("mount", mount), ("drift", drift)) if value is not None}
+        errors, wanted = TrajectoryErrors(time_offset, **given), LabelsWanted(truth, labels, truth_folder)  # type: ignore[arg-type]
+        deskew(Path(scene), out, trajectory, errors, wanted, unit=unit, as_json=as_json)
         return
     _refuse(context, _OF_CAPTURES, "found beside a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()

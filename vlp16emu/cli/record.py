@@ -7,23 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from vlp16emu.cli.arguments import (
-    AsJson,
-    Duration,
-    Ideal,
-    NoAudit,
-    SceneName,
-    Settings,
-    Start,
-    Threads,
-    TruthFolder,
-    TruthPackets,
-    TruthRate,
-    TruthReturns,
-    argument,
-    option,
-    truth_to,
-)
+from vlp16emu.cli import arguments as args
+from vlp16emu.cli.arguments import argument, option, truth_to
 from vlp16emu.cli.start import make_emulator, running
 from vlp16emu.cli.terminal import audit_rows, count, finish, light_rows, revolutions, size, tree_of
 from vlp16emu.output import STDOUT
@@ -36,7 +21,7 @@ _WHOLE = 0.995
 
 
 def record(
-    scene: SceneName,
+    scene: args.SceneName,
     out: Annotated[
         str,
         argument(
@@ -46,20 +31,20 @@ def record(
         ),
     ],
     *,
-    duration: Duration = None,
-    start: Start = 0.0,
+    duration: args.Duration = None,
+    start: args.Start = 0.0,
     split: Annotated[
         bool, option("--split", "Write each sensor of a rig into a file of its own: OUT_1.pcap and so on.")
     ] = False,
-    settings: Settings = None,
-    ideal: Ideal = False,
-    threads: Threads = 0,
-    no_audit: NoAudit = False,
-    truth: TruthFolder = None,
-    truth_rate: TruthRate = 200,
-    truth_packets: TruthPackets = False,
-    truth_returns: TruthReturns = False,
-    as_json: AsJson = False,
+    settings: args.Settings = None,
+    ideal: args.Ideal = False,
+    threads: args.Threads = 0,
+    no_audit: args.NoAudit = False,
+    truth: args.TruthFolder = None,
+    truth_rate: args.TruthRate = 200,
+    truth_packets: args.TruthPackets = False,
+    truth_returns: args.TruthReturns = False,
+    as_json: args.AsJson = False,
 ) -> None:
     """Record a scene into a pcap file, or a bag.
 

@@ -6,9 +6,8 @@ from typing import Annotated
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, WhichUnit, argument, checked, option
+from vlp16emu.cli.arguments import AsJson, WhichUnit, argument, checked, one_of, option
 from vlp16emu.cli.terminal import make_folder, print_json, print_rows
-from vlp16emu.errors import InputError
 from vlp16emu.output import OutputFile
 
 
@@ -22,7 +21,7 @@ def score(
         Path | None, option("--times", "A time in seconds for each pose of KITTI, one to a line.", "FILE")
     ] = None,
     align: Annotated[
-        str, option("--align", "How the poses are laid on the truth; nothing else is moved.", "none|yaw|se3")
+        str, one_of("--align", "How the poses are laid on the truth; nothing else is moved.", "none", "yaw", "se3")
     ] = "none",
     map_file: Annotated[
         Path | None, option("--map", "Points in the world: .ply, .npz, .csv, .pcd, .las or .laz.", "FILE")
@@ -62,10 +61,7 @@ def score(
     from vlp16emu.extras.plots import check_matplotlib
     from vlp16emu.extras.score.card import ScoreInputs, limits_of, make_card
     from vlp16emu.extras.score.page import page
-    from vlp16emu.extras.score.paths import ALIGNMENTS
 
-    if align not in ALIGNMENTS:
-        raise InputError("--align", f"found {align}", ", ".join(ALIGNMENTS))
     limits = limits_of(require or ())
     if out is not None:
         check_matplotlib()

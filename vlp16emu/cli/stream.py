@@ -12,25 +12,8 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from vlp16emu.cli.arguments import (
-    AsJson,
-    DataPort,
-    Duration,
-    Ideal,
-    NoAudit,
-    PositionPort,
-    SceneName,
-    Settings,
-    Threads,
-    TruthFolder,
-    TruthPackets,
-    TruthRate,
-    TruthReturns,
-    number,
-    one_of,
-    option,
-    truth_to,
-)
+from vlp16emu.cli import arguments as args
+from vlp16emu.cli.arguments import number, one_of, option, truth_to
 from vlp16emu.cli.live import FlownFile, PoseIn, View, late_of, live_rows, poses_in, watched
 from vlp16emu.cli.outlets import GpsInPort, GpsInPulse, GpsOut, GpsPps, ImuOut, gps_in_of, outlet_rows, outlets_of
 from vlp16emu.cli.start import make_emulator
@@ -206,20 +189,20 @@ Interface = Annotated[
 
 
 def stream(
-    scene: SceneName,
+    scene: args.SceneName,
     *,
     to: To = None,
-    data_port: DataPort = None,
-    position_port: PositionPort = None,
-    duration: Duration = None,
-    settings: Settings = None,
-    ideal: Ideal = False,
-    threads: Threads = 0,
-    no_audit: NoAudit = False,
-    truth: TruthFolder = None,
-    truth_rate: TruthRate = 200,
-    truth_packets: TruthPackets = False,
-    truth_returns: TruthReturns = False,
+    data_port: args.DataPort = None,
+    position_port: args.PositionPort = None,
+    duration: args.Duration = None,
+    settings: args.Settings = None,
+    ideal: args.Ideal = False,
+    threads: args.Threads = 0,
+    no_audit: args.NoAudit = False,
+    truth: args.TruthFolder = None,
+    truth_rate: args.TruthRate = 200,
+    truth_packets: args.TruthPackets = False,
+    truth_returns: args.TruthReturns = False,
     speed: Speed = 1.0,
     late: LatePolicy = "pace",
     as_sensor: AsSensor = False,
@@ -247,7 +230,7 @@ def stream(
     imu_out: ImuOut = None,
     gps_in: GpsInPort = None,
     gps_in_pulse: GpsInPulse = "sentence",
-    as_json: AsJson = False,
+    as_json: args.AsJson = False,
 ) -> None:
     """Stream a scene over UDP, each packet at its time.
 

@@ -3,34 +3,24 @@
 from pathlib import Path
 from typing import Annotated
 
-from vlp16emu.cli.arguments import (
-    AsJson,
-    Duration,
-    Ideal,
-    SceneName,
-    Settings,
-    Start,
-    TruthPackets,
-    TruthRate,
-    TruthReturns,
-    argument,
-)
+from vlp16emu.cli import arguments as args
+from vlp16emu.cli.arguments import argument
 from vlp16emu.cli.start import make_emulator, running
 from vlp16emu.cli.terminal import finish, size
 
 
 def truth(
-    scene: SceneName,
+    scene: args.SceneName,
     folder: Annotated[Path, argument("DIR", "Folder to write: new, empty, or of an earlier run.")],
     *,
-    duration: Duration = None,
-    start: Start = 0.0,
-    settings: Settings = None,
-    ideal: Ideal = False,
-    truth_rate: TruthRate = 200,
-    truth_packets: TruthPackets = False,
-    truth_returns: TruthReturns = False,
-    as_json: AsJson = False,
+    duration: args.Duration = None,
+    start: args.Start = 0.0,
+    settings: args.Settings = None,
+    ideal: args.Ideal = False,
+    truth_rate: args.TruthRate = 200,
+    truth_packets: args.TruthPackets = False,
+    truth_returns: args.TruthReturns = False,
+    as_json: args.AsJson = False,
 ) -> None:
     """Write the ground truth of a run without casting its pulses: trajectory, IMU, GNSS, rig, scenario.
 

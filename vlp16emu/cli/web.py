@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
+from vlp16emu.cli.arguments import option
+
 if TYPE_CHECKING:
-    from vlp16emu.cli.arguments import option
-from vlp16emu.run.options import Http
+    from vlp16emu.run.options import Http
 
 
 def _http(text: str) -> tuple[str, int]:
