@@ -1,8 +1,11 @@
 """Tests grow their worlds themselves, unless they are about what is kept; and what order they come in."""
 
 import os
+import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 
 import pytest
@@ -28,6 +31,19 @@ def pytest_configure(config):
         os.environ[WOODS] = folder.name
         config.add_cleanup(lambda: os.environ.pop(WOODS))
         config.add_cleanup(folder.cleanup)
+
+
+@pytest.fixture(scope="session")
+def tool_named():
+    """Load a script of `tools/` as a module, by its name."""
+
+    def load(name):
+        loader = SourceFileLoader(name, str(Path(__file__).resolve().parents[1] / "tools" / name))
+        module = sys.modules[name] = module_from_spec(spec_from_loader(name, loader))  # dataclasses look there
+        loader.exec_module(module)
+        return module
+
+    return load
 
 
 @pytest.fixture(scope="module")

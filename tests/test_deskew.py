@@ -1,25 +1,17 @@
 """Points of a hall scanned on the move, decoded from packets and put into the world with the true poses."""
 
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-TOOL = Path(__file__).resolve().parents[1] / "tools" / "deskew"
 PACKET_S = 1.327104e-3
 
 
 @pytest.fixture(scope="module")
-def deskew():
+def deskew(tool_named):
     """The tool that prints the table of these figures."""
-    loader = SourceFileLoader("deskew", str(TOOL))
-    module = module_from_spec(spec_from_loader("deskew", loader))
-    loader.exec_module(module)
-    return module
+    return tool_named("deskew")
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,5 @@
 """Dual return in a forest: each pair of records in the packets."""
 
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
-from pathlib import Path
-
 import pytest
 
 from vlp16emu.emulator import Emulator
@@ -11,18 +7,14 @@ from vlp16emu.scenario import load
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-TOOL = Path(__file__).resolve().parents[1] / "tools" / "dual_returns"
 SPAN_S = 5.0, 5.2
 RESOLUTION_M = 1.0
 
 
 @pytest.fixture(scope="module")
-def dual_returns():
+def dual_returns(tool_named):
     """The tool that tells the shares of returns in several forests."""
-    loader = SourceFileLoader("dual_returns", str(TOOL))
-    module = module_from_spec(spec_from_loader("dual_returns", loader))
-    loader.exec_module(module)
-    return module
+    return tool_named("dual_returns")
 
 
 @pytest.fixture(scope="module")

@@ -1,22 +1,13 @@
 """`tools/fuzz`: its cases, and what it makes of a reader that fails."""
 
 import threading
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
-from pathlib import Path
 
 import pytest
 
-TOOL = Path(__file__).resolve().parents[1] / "tools" / "fuzz"
-
 
 @pytest.fixture(scope="module")
-def fuzz():
-    """The tool as a module."""
-    loader = SourceFileLoader("fuzz", str(TOOL))
-    module = module_from_spec(spec_from_loader("fuzz", loader))
-    loader.exec_module(module)
-    return module
+def fuzz(tool_named):
+    return tool_named("fuzz")
 
 
 @pytest.fixture(scope="module")

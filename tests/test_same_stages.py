@@ -3,9 +3,6 @@
 import os
 import subprocess
 import sys
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,19 +10,12 @@ import same_stages
 
 from vlp16emu.raycast import build
 
-TOOL = Path(__file__).resolve().parents[1] / "tools" / "same_bytes"
 MANY = ("world/shape.vertices_m", "poses/world_p_body_m", "firings/direction", "hits/range_m", "returns/distance_m")
 
 
 @pytest.fixture(scope="module")
-def same_bytes():
-    """The tool as a module."""
-    loader = SourceFileLoader("same_bytes", str(TOOL))
-    module = module_from_spec(spec_from_loader("same_bytes", loader))
-    sys.modules["same_bytes"] = module  # for its dataclasses
-    loader.exec_module(module)
-    yield module
-    del sys.modules["same_bytes"]
+def same_bytes(tool_named):
+    return tool_named("same_bytes")
 
 
 def run(threads=1, pieces=1):

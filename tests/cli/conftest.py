@@ -53,11 +53,12 @@ def heeds_signals():
 
 @pytest.fixture
 def program(heeds_signals):
-    """Start the program as a process of its own, with pipes."""
+    """Start the program as a process of its own, with pipes; what it is to carry out before is code."""
     running = []
 
-    def start(*arguments, **options):
-        command = [sys.executable, "-m", "vlp16emu", *map(str, arguments)]
+    def start(*arguments, before="", **options):
+        code = f"{before}\nfrom vlp16emu.cli import main\nmain()"
+        command = [sys.executable, *(("-c", code) if before else ("-m", "vlp16emu")), *map(str, arguments)]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         options = {**pipes, "cwd": ROOT, "text": True, "preexec_fn": heeds_signals} | options
         running.append(subprocess.Popen(command, **options))

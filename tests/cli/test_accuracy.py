@@ -35,13 +35,6 @@ def test_people_get_a_table_and_an_advice(cli):
     assert "…" not in out
 
 
-def test_wrong_numbers_of_pulses_are_refused(cli):
-    """Too few pulses are an error that says what is expected."""
-    outcome = cli("accuracy", "static_bench", "--pulses", "5")
-    assert outcome.code == 2
-    assert outcome.err == "error: --pulses: found 5; expected a whole number from 128 to 1000000\n"
-
-
 def test_a_missing_library_is_named_before_the_work(cli, monkeypatch, tmp_path):
     """Without matplotlib --out fails at once and says how to get it."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)

@@ -49,6 +49,25 @@ def test_the_version_is_that_of_the_package(cli):
     assert cli("--version").out == f"vlp16emu {version('vlp16emu')}\n"
 
 
+RECORD, STREAM = "record static_bench {tmp}/x.pcap", "stream static_bench"
+WRONG = [
+    # command line, option, what it is given, what is expected
+    *((RECORD, "--duration", found, "a number above 0 and at most 604800") for found in ("-1", "nan", "inf", "ten")),
+    (RECORD, "--start", "-1", "a number from 0 to 604800"),
+    (RECORD, "--start", "11", "less than the scene's 10 s, or a --duration"),
+    (RECORD, "--threads", "1.5", "a whole number from 0 to 1024"),
+    (RECORD, "--truth-rate", "0", "a whole number from 1 to 10000"),
+    (STREAM, "--data-port", "0", "a whole number from 1 to 65535"),
+    (STREAM, "--position-port", "65536", "a whole number from 1 to 65535"),
+    (STREAM, "--to", "10.0.0.1:x", "HOST or HOST:PORT, with a port from 1 to 65535"),
+    *((STREAM, "--speed", found, "a number from 0.001 on") for found in ("0", "1e-300", "inf")),
+    (STREAM, "--late", "burst", "pace or skip"),
+    (STREAM, "--gps-pps", "cts", "dtr, rts or off"),
+    ("points static_bench {tmp}/x.npz", "--unit", "0", "a whole number from 1"),
+    ("decode {tmp}/x.pcap", "--frame", "ned", "sensor or manual"),
+    ("forest birch_walk", "--radius", "0", "a number from 1 to 300"),
+    ("accuracy static_bench", "--pulses", "5", "a whole number from 128 to 1000000"),
+]
 BAD = [
     # command line, exit code, the line after "error: "; {tmp} is an empty folder
     ("bogus", 2, "No such command 'bogus'; see `vlp16emu --help`"),
@@ -59,60 +78,20 @@ BAD = [
     (
         "record static_bench {tmp}/no/x.pcap",
         2,
-        "{tmp}/no/x.pcap: No such file or directory; expected a file that can be written",
-    ),
-    (
-        "record static_bench {tmp}/x.pcap --duration -1",
-        2,
-        "--duration: found -1; expected a number above 0 and at most 604800",
-    ),
-    (
-        "record static_bench {tmp}/x.pcap --duration nan",
-        2,
-        "--duration: found nan; expected a number above 0 and at most 604800",
-    ),
-    (
-        "record static_bench {tmp}/x.pcap --duration inf",
-        2,
-        "--duration: found inf; expected a number above 0 and at most 604800",
-    ),
-    (
-        "record static_bench {tmp}/x.pcap --duration ten",
-        2,
-        "--duration: found ten; expected a number above 0 and at most 604800",
-    ),
-    ("record static_bench {tmp}/x.pcap --start -1", 2, "--start: found -1; expected a number from 0 to 604800"),
-    (
-        "record static_bench {tmp}/x.pcap --start 11",
-        2,
-        "--start: found 11; expected less than the scene's 10 s, or a --duration",
-    ),
-    (
-        "record static_bench {tmp}/x.pcap --threads 1.5",
-        2,
-        "--threads: found 1.5; expected a whole number from 0 to 1024",
-    ),
-    (
-        "record static_bench {tmp}/x.pcap --set sensor.rpm=250",
-        2,
-        "--set sensor.rpm=250: found 250; expected a whole number from 300 to 1200 in steps of 60",
-    ),
-    (
-        "record static_bench {tmp}/x.pcap --set sensor.rpn=600",
-        2,
-        "--set sensor.rpn=600: unknown key; expected rpm, the nearest known one",
+        "{tmp}/no/x.pcap: No such file or directory; expected a file that can be ",
     ),
     ("record static_bench /dev/full --duration 1", 1, "/dev/full: No space left on device at packet 1; the 0 packets"),
-    ("stream static_bench --data-port 0", 2, "--data-port: found 0; expected a whole number from 1 to 65535"),
-    (
-        "stream static_bench --position-port 65536",
-        2,
-        "--position-port: found 65536; expected a whole number from 1 to 65535",
+    *(
+        (f"{line} {option} {found}", 2, f"{option}: found {found}; expected {expected}\n")
+        for line, option, found, expected in WRONG
     ),
-    (
-        "stream static_bench --to 10.0.0.1:x",
-        2,
-        "--to: found 10.0.0.1:x; expected HOST or HOST:PORT, with a port from 1 to 65535",
+    *(
+        (f"{RECORD} --set {setting}", 2, f"--set {setting}: {said}")
+        for setting, said in (
+            ("sensor.rpm=250", "found 250; expected a whole number from 300 to 1200 in steps of 60"),
+            ("sensor.rpn=600", "unknown key; expected rpm, the nearest known one"),
+            ("start_utc=2200-01-01T00:00:00Z", "found 2200-01-01T00:00:00+00:00; expected a time from 1970 to 2105"),
+        )
     ),
     (
         "replay x.pcap --to 10.0.0.1:2369 --data-port 2368",
@@ -132,16 +111,13 @@ BAD = [
             (".txt", "\n"),
         )
     ),
-    ("stream static_bench --speed 0", 2, "--speed: found 0; expected a number from 0.001 on"),
-    ("stream static_bench --speed 1e-300", 2, "--speed: found 1e-300; expected a number from 0.001 on"),
-    (
-        "record static_bench {tmp}/x.pcap --set start_utc=2200-01-01T00:00:00Z",
-        2,
-        "--set start_utc=2200-01-01T00:00:00Z: found 2200-01-01T00:00:00+00:00; expected a time from 1970 to 2105",
-    ),
-    ("decode {tmp}/no.pcap", 2, "{tmp}/no.pcap: No such file or directory; expected a readable pcap file"),
+    ("stream birch_walk --as-sensor", 2, "192.168.1.201:"),  # before any forest is grown
+    ("stream static_bench --to nobody.invalid", 2, ""),  # RFC 6761, section 6.4: never exists
     ("decode /dev/null", 2, "/dev/null: no pcap file"),
-    ("verify {tmp}/no.pcap", 2, "{tmp}/no.pcap: No such file or directory; expected a readable pcap file"),
+    *(
+        (f"{verb} {{tmp}}/x", 2, "{tmp}/x: No such file or directory; expected a readable pcap file")
+        for verb in ("decode", "verify")
+    ),
 ]
 
 

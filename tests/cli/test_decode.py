@@ -11,6 +11,7 @@ import trimesh
 from vlp16emu.errors import CaptureError, PacketError
 from vlp16emu.packets import Capture, CaptureReader, data_fields, decode_data
 
+NAMES = "xyz_m", "distance_m", "azimuth_deg", "reflectivity", "ring", "laser"
 CAPTURES = Path(__file__).resolve().parents[3] / "shared" / "captures"
 
 
@@ -18,6 +19,15 @@ def payloads(path):
     with Capture(path) as capture:
         rows = [datagram.payload for datagram in capture if len(datagram.payload) == 1206]
     return np.frombuffer(b"".join(rows), np.uint8).reshape(-1, 1206)
+
+
+def changed(path, out, at, byte, packets=slice(None)):
+    """Write a capture anew with another byte at a place of some data packets."""
+    content = bytearray(path.read_bytes())
+    for payload in payloads(path)[packets]:
+        content[content.index(payload.tobytes()) + at] = byte
+    out.write_bytes(content)
+    return out
 
 
 def data_frames(path):
@@ -116,17 +126,8 @@ def test_npz_holds_all_arrays(cli, bench, tmp_path):
     assert cli("decode", bench, "--out", out).code == 0
     points = decode_data(payloads(bench), keep_no_returns=False)
     with np.load(out) as arrays:
-        assert set(arrays) == {
-            "xyz_m",
-            "distance_m",
-            "azimuth_deg",
-            "reflectivity",
-            "ring",
-            "laser",
-            "is_last",
-            "clock_ns",
-        }
-        for name in set(arrays) - {"clock_ns"}:
+        assert set(arrays) == {*NAMES, "is_last", "clock_ns"}
+        for name in (*NAMES, "is_last"):
             np.testing.assert_array_equal(arrays[name], getattr(points, name))
         np.testing.assert_array_equal(arrays["clock_ns"], points.time_ns)
 
@@ -157,23 +158,26 @@ def test_ply_opens_elsewhere(cli, bench, tmp_path):
     np.testing.assert_allclose(data["time"], points.time_ns / 1e9, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("verb", ["decode", "points"])
 @pytest.mark.parametrize(
     ("name", "code", "said"),
     [
         ("x.xyz", 2, "found suffix '.xyz'; expected .csv, .npz, .ply"),
         ("no/x.ply", 2, "No such file or directory; expected a file that can be written"),
-        ("full.ply", 1, "No space left on device; the file is not complete"),
-        ("full.csv", 1, "No space left on device; the file is not complete"),
-        ("full.npz", 1, "No space left on device; the file is not complete"),
+        *((f"full.{kind}", 1, "No space left on device; the file is not complete") for kind in ("ply", "csv", "npz")),
     ],
 )
-def test_points_that_cannot_be_written_are_reported(cli, bench, tmp_path, name, code, said):
+def test_points_that_cannot_be_written_are_reported(cli, bench, tmp_path, verb, name, code, said):
     """A wrong suffix, a missing folder and a full disk are one line each."""
-    for suffix in (".ply", ".csv", ".npz"):
-        (tmp_path / f"full{suffix}").symlink_to("/dev/full")
-    outcome = cli("decode", bench, "--out", tmp_path / name)
+    out = tmp_path / name
+    if "full" in name:
+        out.symlink_to("/dev/full")
+    line = (
+        ("decode", bench, "--out", out) if verb == "decode" else ("points", "static_bench", out, "--duration", "0.02")
+    )
+    outcome = cli(*line)
     assert outcome.code == code
-    assert said in outcome.err
+    assert f"{out}: {said}" in outcome.err
     assert outcome.err.count("\n") == 1
 
 
@@ -189,10 +193,7 @@ def test_a_cut_file_is_read_to_its_last_whole_packet(cli, bench, tmp_path):
 
 def test_another_sensor_is_refused_with_its_place(cli, bench, tmp_path):
     """A product byte of an HDL-32E is named with the file and the frame it stands in."""
-    content = bytearray(bench.read_bytes())
-    content[content.index(payloads(bench)[0].tobytes()) + 1205] = 0x21
-    other = tmp_path / "other.pcap"
-    other.write_bytes(content)
+    other = changed(bench, tmp_path / "other.pcap", 1205, 0x21, slice(1))
     outcome = cli("decode", other)
     number = data_frames(bench)[0]
     assert outcome.code == 2
@@ -202,10 +203,7 @@ def test_another_sensor_is_refused_with_its_place(cli, bench, tmp_path):
 @pytest.mark.parametrize("suffix", [".npz", ".ply", ".csv"])
 def test_a_broken_packet_leaves_the_points_before_it(cli, bench, tmp_path, suffix):
     """A last packet with a broken flag is named by its frame, and the points of all others can be read."""
-    content = bytearray(bench.read_bytes())
-    content[content.index(payloads(bench)[-1].tobytes()) + 300] = 0xFE
-    broken, out = tmp_path / "broken.pcap", tmp_path / f"x{suffix}"
-    broken.write_bytes(content)
+    broken, out = changed(bench, tmp_path / "broken.pcap", 300, 0xFE, slice(-1, None)), tmp_path / f"x{suffix}"
     outcome = cli("decode", broken, "--out", out)
     number = data_frames(bench)[-1]
     assert outcome.code == 2
@@ -216,11 +214,8 @@ def test_a_broken_packet_leaves_the_points_before_it(cli, bench, tmp_path, suffi
 
 def test_no_sound_packet_leaves_no_file(cli, bench, tmp_path):
     """Where the first packet is broken, there are no points and no file of them."""
-    content = bytearray(bench.read_bytes())
-    content[content.index(payloads(bench)[0].tobytes()) + 300] = 0xFE
-    broken, out = tmp_path / "broken.pcap", tmp_path / "x.npz"
-    broken.write_bytes(content)
-    assert cli("decode", broken, "--out", out).code == 2
+    broken = changed(bench, tmp_path / "broken.pcap", 300, 0xFE, slice(1))
+    assert cli("decode", broken, "--out", tmp_path / "x.npz").code == 2
     assert [path.name for path in tmp_path.iterdir()] == ["broken.pcap"]
 
 
@@ -258,11 +253,7 @@ def test_ctrl_c_leaves_the_points_so_far(cli, bench, tmp_path, monkeypatch, suff
 def test_another_model_is_refused_at_any_packet(bench, tmp_path, monkeypatch, size):
     """A Puck Hi-Res from the eighth packet on is refused, whether or not a chunk ends before it."""
     monkeypatch.setattr("vlp16emu.packets.reading._CHUNK", size)
-    content = bytearray(bench.read_bytes())
-    for payload in payloads(bench)[7:]:
-        content[content.index(payload.tobytes()) + 1205] = 0x24
-    mixed = tmp_path / "mixed.pcap"
-    mixed.write_bytes(content)
+    mixed = changed(bench, tmp_path / "mixed.pcap", 1205, 0x24, slice(7, None))
     with CaptureReader(mixed) as reader, pytest.raises(PacketError, match="0x24; expected the first packet's"):
         for _ in reader.points():
             pass
@@ -286,19 +277,9 @@ def test_files_name_the_frame_of_their_points(bench, cli, tmp_path, frame, axes)
     assert f"in metres: {axes}" in header
 
 
-def test_a_frame_that_there_is_not_is_refused(bench, cli):
-    """One line names the frames that there are, with exit code 2."""
-    outcome = cli("decode", bench, "--frame", "ned")
-    assert outcome.code == 2
-    assert outcome.err == "error: --frame: found ned; expected sensor or manual\n"
-
-
 def test_a_unit_before_release_is_read_with_its_model(bench, cli, tmp_path):
     """Product 0x21 names another sensor too: the line asks for --model, with which all points are as before."""
-    content = bytearray(bench.read_bytes())
-    for payload in payloads(bench):
-        content[content.index(payload.tobytes()) + 1205] = 0x21
-    (old := tmp_path / "old.pcap").write_bytes(content)
+    old = changed(bench, tmp_path / "old.pcap", 1205, 0x21)
     refused = cli("decode", old)
     assert refused.code == 2
     assert refused.err.endswith("product: 0x21; expected 0x22 or 0x24, or --model for a VLP-16 from before release\n")

@@ -9,25 +9,9 @@ from vlp16emu.raycast import embree
 from vlp16emu.sinks import Condition
 
 NAMES = [
-    "cores",
-    "kernel cache",
-    "Embree",
-    "data port",
-    "position port",
-    "sensor address",
-    "interface right",
-    "clock resolution",
-    "wake-ups",
-    "receive buffer",
-    "extra cloud",
-    "extra cluster",
-    "extra data",
-    "extra dem",
-    "extra images",
-    "extra picture",
-    "extra ros",
-    "extra score",
-    "extra viewer",
+    *("cores", "kernel cache", "Embree", "data port", "position port", "sensor address", "interface right"),
+    *("clock resolution", "wake-ups", "receive buffer"),
+    *(f"extra {name}" for name in ("cloud", "cluster", "data", "dem", "images", "picture", "ros", "score", "viewer")),
     "world cache",
 ]
 

@@ -129,7 +129,6 @@ def test_sentences_are_those_of_the_position_packets(cli, receiver, cable):
             ["--imu-out", "tcp://127.0.0.1:9", "--set", "imu.rate_hz=100"],
             "--imu-out: found tcp://127.0.0.1:9; expected udp://HOST:PORT",
         ),
-        (["--gps-out", "loop://", "--gps-pps", "cts"], "--gps-pps: found cts; expected dtr, rts or off"),
     ],
 )
 def test_refusals_are_one_line(cli, options, line):

@@ -246,19 +246,3 @@ def test_a_sensor_without_packets_is_sent_to_this_verb(cli, tmp_path, verb):
         '"puck-hi-res", or `vlp16emu points`, which writes what any sensor sees\n'
     )
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("name", "code", "said"),
-    [
-        ("x.xyz", 2, "x.xyz: found suffix '.xyz'; expected .csv, .npz, .ply, .pcd, .las, .laz"),
-        ("no/x.ply", 2, "no/x.ply: No such file or directory; expected a file that can be written"),
-        ("full.npz", 1, "full.npz: No space left on device; the file is not complete"),
-    ],
-)
-def test_points_that_cannot_be_written_are_reported(cli, tmp_path, name, code, said):
-    """A wrong suffix, a missing folder and a full disk are one line each."""
-    (tmp_path / "full.npz").symlink_to("/dev/full")
-    outcome = cli("points", "static_bench", tmp_path / name, "--duration", "0.02")
-    assert outcome.code == code
-    assert outcome.err == f"error: {tmp_path}/{said}\n"

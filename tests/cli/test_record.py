@@ -6,8 +6,6 @@ import json
 import os
 import pty
 import signal
-import subprocess
-import sys
 import termios
 import time
 from pathlib import Path
@@ -22,25 +20,8 @@ THIN = "sensor.max_range_m=15", "world.stems_per_ha=150", "seed=5"
 """A wood that other tests have grown too."""
 
 KEYS = [
-    "file",
-    "scene",
-    "seed",
-    "beam",
-    "noise",
-    "weather",
-    "packets",
-    "position_packets",
-    "returns",
-    "units",
-    "bytes",
-    "sha256",
-    "simulated_s",
-    "walk_share",
-    "wall_s",
-    "real_time_factor",
-    "audit",
-    "interrupted",
-    "messages",
+    *("file", "scene", "seed", "beam", "noise", "weather", "packets", "position_packets", "returns", "units", "bytes"),
+    *("sha256", "simulated_s", "walk_share", "wall_s", "real_time_factor", "audit", "interrupted", "messages"),
 ]
 
 
@@ -289,21 +270,9 @@ Engine._scan, PcapSink.send = _scan, send
 
 
 @pytest.fixture
-def hindered(heeds_signals):
+def hindered(program):
     """Start a recording of the hall in a process of its own, with parts of it replaced by such as never end."""
-    running = []
-
-    def start(code, path):
-        code = f"import sys\n{code}\nfrom vlp16emu.cli import main\nmain()"
-        command = [sys.executable, "-c", code, "record", "static_bench", str(path), "--json"]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        running.append(subprocess.Popen(command, **pipes, text=True, preexec_fn=heeds_signals))  # noqa: PLW1509
-        return running[-1]
-
-    yield start
-    for process in running:
-        process.kill()
-        process.communicate()
+    return lambda code, path: program("record", "static_bench", path, "--json", before=f"import sys\n{code}")
 
 
 def until(process, line):

@@ -45,9 +45,11 @@ def test_truth_repeats_the_run_that_was_made(cli, tmp_path, start):
 
 
 def test_the_truth_alone_is_that_of_a_recording(cli, tmp_path):
-    """`truth` writes the files of `record --truth`, names them in its report, and repeats the options of a rate."""
+    """`truth` writes the files of `record --truth`, also with a rate of its poses and one for each packet, and names them in its report."""
     options = ["--duration", "0.5", "--truth-rate", "50", "--truth-packets", "--set", "imu.preset=consumer"]
-    assert cli("record", "static_bench", tmp_path / "x.pcap", *options, "--truth", tmp_path / "a").code == 0
+    made = cli("record", "static_bench", tmp_path / "x.pcap", *options, "--truth", tmp_path / "a", "--json").tree
+    assert len(rows(tmp_path / "a" / "trajectory.tum")) in {26, 27}
+    assert len(rows(tmp_path / "a" / "packets.tum")) == made["packets"]
     report = cli("truth", "static_bench", tmp_path / "b", *options, "--json").tree
     assert (report["simulated_s"], report["interrupted"]) == (0.5, False)
     for path in (tmp_path / "a").iterdir():
@@ -107,35 +109,15 @@ def test_truth_does_not_replace_its_own_scene(cli, tmp_path, verb):
     assert scene.read_bytes() == before
 
 
-def test_rate_and_packets_are_options(cli, tmp_path):
-    """--truth-rate sets the poses per second, --truth-packets adds one per data packet."""
-    options = ["--duration", "0.5", "--json", "--truth", tmp_path / "t", "--truth-rate", "50", "--truth-packets"]
-    report = cli("record", "static_bench", tmp_path / "a.pcap", *options).tree
-    assert len(rows(tmp_path / "t" / "trajectory.tum")) in {26, 27}
-    assert len(rows(tmp_path / "t" / "packets.tum")) == report["packets"]
-
-
-def test_bad_options_are_reported_before_anything_is_written(cli, tmp_path):
-    """A rate of nothing and a folder in use give one line and exit code 2, and no recording."""
+def test_bad_folders_are_reported_before_anything_is_written(cli, tmp_path):
+    """A folder in use and one that cannot be made give one line and exit code 2, and no recording."""
     (tmp_path / "mine.txt").write_text("")
-    for option, value, line in (
-        ("--truth-rate", "0", "error: --truth-rate: found 0; expected a whole number from 1 to 10000\n"),
-        (
-            "--truth",
-            tmp_path,
-            (
-                f"error: {tmp_path}: holds mine.txt; "
-                "expected a new or empty folder, or one with the truth of an earlier run\n"
-            ),
-        ),
-        (
-            "--truth",
-            "/proc/none",
-            "error: /proc/none: No such file or directory; expected a folder that can be written\n",
-        ),
+    for folder, said in (
+        (tmp_path, "holds mine.txt; expected a new or empty folder, or one with the truth of an earlier run"),
+        ("/proc/none", "No such file or directory; expected a folder that can be written"),
     ):
-        outcome = cli("record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1", option, value)
-        assert (outcome.code, outcome.err) == (2, line)
+        outcome = cli("record", "static_bench", tmp_path / "x.pcap", "--duration", "0.1", "--truth", folder)
+        assert (outcome.code, outcome.err) == (2, f"error: {folder}: {said}\n")
         assert not (tmp_path / "x.pcap").exists()
 
 

@@ -1,21 +1,11 @@
 """The tool that prints what is reported of a step edge."""
 
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
-from pathlib import Path
-
 import pytest
-
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "echo_table"
 
 
 @pytest.fixture(scope="module")
-def echo_table():
-    """The tool as a module."""
-    loader = SourceFileLoader("echo_table", str(TOOL))
-    module = module_from_spec(spec_from_loader("echo_table", loader))
-    loader.exec_module(module)
-    return module
+def echo_table(tool_named):
+    return tool_named("echo_table")
 
 
 @pytest.mark.parametrize(("step_m", "returns"), [(0.3, 1), (0.7, 1), (1.3, 1), (1.5, 2), (5.0, 2)])

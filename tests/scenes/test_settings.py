@@ -1,7 +1,5 @@
 """`scenes/SETTINGS.md`, the page of all keys of a scene file."""
 
-import importlib.machinery
-import importlib.util
 from pathlib import Path
 
 import pytest
@@ -13,13 +11,8 @@ SECTIONS = {"scene": schema(), **schema()["$defs"]}
 
 
 @pytest.fixture(scope="module")
-def tool():
-    """The script without its ending, as a module."""
-    path = str(ROOT / "tools" / "settings_table")
-    loader = importlib.machinery.SourceFileLoader("settings_table", path)
-    module = importlib.util.module_from_spec(importlib.util.spec_from_loader("settings_table", loader))
-    loader.exec_module(module)
-    return module
+def tool(tool_named):
+    return tool_named("settings_table")
 
 
 def test_the_page_is_as_its_script_makes_it(tool):

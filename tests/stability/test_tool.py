@@ -2,24 +2,18 @@
 
 import json
 import math
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
-from pathlib import Path
 
 import pytest
 from stability_cases import Row
 
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "stability"
 HELD, FAILED = Row("a wall", "error, m", 0.001, 0.002), Row("a pole", "error, m", math.inf, 0.0)
 REFUSED = Row("a hole", "not refused", 0.0, 0.0, "hole: found | none")
 
 
 @pytest.fixture
-def tool(monkeypatch):
+def tool(tool_named, monkeypatch):
     """The tool, with cases and a command line as given."""
-    loader = SourceFileLoader("stability", str(TOOL))
-    module = module_from_spec(spec_from_loader("stability", loader))
-    loader.exec_module(module)
+    module = tool_named("stability")
 
     def start(rows, *arguments):
         monkeypatch.setattr(module, "QUICK", (lambda: rows,))

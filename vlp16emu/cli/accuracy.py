@@ -7,11 +7,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
+from vlp16emu.cli.arguments import AsJson, SceneName, Settings, number, option
 from vlp16emu.cli.start import compile_first
-from vlp16emu.cli.terminal import Progress, count, make_folder, print_json, size
+from vlp16emu.cli.terminal import Progress, count, make_folder, print_files, print_json
 from vlp16emu.output import OutputFile
 
 if TYPE_CHECKING:
@@ -27,25 +25,17 @@ _WIDTH = 120
 _TIMES = 8
 """So many times as many pulses for means of worlds, by which single pulses are not compared."""
 
-Pulses = Annotated[
-    int,
-    typer.Option(
-        "--pulses",
-        metavar="N",
-        parser=checked("--pulses", int, lambda n: 128 <= n <= 1_000_000, "a whole number from 128 to 1000000"),
-        help="How many pulses to look at.",
-    ),
-]
-OutDir = Annotated[
-    Path | None,
-    typer.Option(
-        "--out", metavar="DIR", help="Write the report as JSON and a picture into a folder; needs the extra 'picture'."
-    ),
-]
-
 
 def accuracy(
-    scene: SceneName, *, settings: Settings = None, pulses: Pulses = 8192, out: OutDir = None, as_json: AsJson = False
+    scene: SceneName,
+    *,
+    settings: Settings = None,
+    pulses: Annotated[int, number("--pulses", "How many pulses to look at.", "N", 128, 1_000_000)] = 8192,
+    out: Annotated[
+        Path | None,
+        option("--out", "Write the report as JSON and a picture into a folder; needs the extra 'picture'.", "DIR"),
+    ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Measure the error and the cost of settings of the beam, of poses and of foliage.
 
@@ -64,7 +54,7 @@ def accuracy(
         make_folder(out)
     name = Path(scene).stem
     files = [] if out is None else [out / f"accuracy_{name}{suffix}" for suffix in (".json", ".png")]
-    compile_first("hall" if scenario.world.kind == "hall" else "forest")
+    compile_first(scenario.world.kind)
     with ExitStack() as stack:
         outputs = [stack.enter_context(OutputFile(file, where=f"--out {file}")) for file in files]
         measured = _measured(scenario, name, pulses)
@@ -80,8 +70,7 @@ def accuracy(
         print_json(tree | {"files": [str(file) for file in files]})
         return
     _print(measured)
-    for path in files:
-        print(f"wrote {path}, {size(path.stat().st_size)}")
+    print_files(files)
 
 
 def _measured(scenario: "Scenario", name: str, pulses: int) -> "Accuracy":

@@ -34,79 +34,55 @@ from vlp16emu.cli.verify import verify
 from vlp16emu.cli.view import view
 from vlp16emu.errors import Vlp16emuError
 
-_EXAMPLES: dict[Callable[..., None], str | None] = {
-    record: """\b
-  vlp16emu record birch_walk walk.pcap --duration 10
-  vlp16emu record birch_walk dual.pcap --set sensor.return_mode=dual --set seed=7
-  vlp16emu record my_forest.toml walk.pcap --json > walk.json""",
-    stream: """\b
-  vlp16emu stream birch_walk
-  vlp16emu stream static_bench --to 192.168.1.10 --duration 3600
-  vlp16emu stream birch_walk --to 192.168.1.255 --as-sensor""",
-    replay: """\b
-  vlp16emu replay walk.pcap
-  vlp16emu replay field_day.pcap --loop --now --to 192.168.1.10""",
-    decode: """\b
-  vlp16emu decode walk.pcap
-  vlp16emu decode walk.pcap --out walk.ply""",
-    bag: """\b
-  vlp16emu bag walk.pcap walk.mcap --truth truth
-  vlp16emu bag field_day.pcap field_day.bag""",
-    points: """\b
-  vlp16emu points birch_walk walk.ply --duration 5 --truth
-  vlp16emu points walk.pcap walk.laz --trajectory truth
-  vlp16emu points birch_walk walk.npz --set sensor.return_mode=dual
-  vlp16emu points static_bench bench.csv --set sensor.model=free --set sensor.beams=64""",
-    images: """\b
-  vlp16emu images birch_walk views --duration 5
-  vlp16emu images birch_walk views --kind pinhole --size 1280x720 --fov 75 --every 0.1""",
-    picture: """\b
-  vlp16emu picture birch_walk walk.png --duration 20
-  vlp16emu picture reference_forest walk.gif --duration 10 --colour species
-  vlp16emu picture walk.pcap walk.png --trajectory truth""",
-    view: """\b
-  vlp16emu view birch_walk
-  vlp16emu view my_forest.toml --save my_path.toml
-  vlp16emu view field_day.pcap""",
-    truth: """\b
-  vlp16emu truth birch_walk truth --duration 60
-  vlp16emu truth birch_walk truth --truth-rate 1000 --set imu.preset=consumer""",
-    dataset: """\b
-  vlp16emu dataset bench_set.toml bench_set
-  vlp16emu dataset bench_set.toml bench_set --workers 0""",
-    score: """\b
-  vlp16emu score truth --trajectory estimate.tum --align se3 --out report --require "ate_m<0.3"
-  vlp16emu score truth --stems stems.csv --inventory trees.csv --truth-points labelled.npz""",
-    verify: """\b
-  vlp16emu verify walk.pcap
-  vlp16emu verify walk.pcap --json""",
-    compare: """\b
-  vlp16emu compare walk.pcap field_day.pcap
-  vlp16emu compare walk.pcap field_day.pcap --picture units.png --json""",
-    fit: """\b
-  vlp16emu fit field_day.pcap --out unit.toml""",
-    forest: """\b
-  vlp16emu forest birch_walk
-  vlp16emu forest old_growth --picture old_growth.png --inventory trees.csv
-  vlp16emu forest my_forest.toml --radius 15 --ground ground.asc --glb twin.glb""",
-    accuracy: """\b
-  vlp16emu accuracy birch_walk
-  vlp16emu accuracy reference_forest --out report --pulses 20000
-  vlp16emu accuracy static_bench --json""",
-    plan: """\b
-  vlp16emu plan birch_walk
-  vlp16emu plan old_growth --set sensor.return_mode=dual
-  vlp16emu plan reference_forest --ideal --json""",
-    doctor: """\b
-  vlp16emu doctor
-  vlp16emu doctor --json""",
-    cache: """\b
-  vlp16emu cache
-  vlp16emu cache --clear""",
-    scenes: None,
-    schema: """\b
-  vlp16emu schema > scene.schema.json""",
+_EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
+    record: (
+        "birch_walk walk.pcap --duration 10",
+        "birch_walk dual.pcap --set sensor.return_mode=dual --set seed=7",
+        "my_forest.toml walk.pcap --json > walk.json",
+    ),
+    stream: (
+        "birch_walk",
+        "static_bench --to 192.168.1.10 --duration 3600",
+        "birch_walk --to 192.168.1.255 --as-sensor",
+    ),
+    replay: ("walk.pcap", "field_day.pcap --loop --now --to 192.168.1.10"),
+    decode: ("walk.pcap", "walk.pcap --out walk.ply"),
+    bag: ("walk.pcap walk.mcap --truth truth", "field_day.pcap field_day.bag"),
+    points: (
+        "birch_walk walk.ply --duration 5 --truth",
+        "walk.pcap walk.laz --trajectory truth",
+        "birch_walk walk.npz --set sensor.return_mode=dual",
+        "static_bench bench.csv --set sensor.model=free --set sensor.beams=64",
+    ),
+    images: ("birch_walk views --duration 5", "birch_walk views --kind pinhole --size 1280x720 --fov 75 --every 0.1"),
+    picture: (
+        "birch_walk walk.png --duration 20",
+        "reference_forest walk.gif --duration 10 --colour species",
+        "walk.pcap walk.png --trajectory truth",
+    ),
+    view: ("birch_walk", "my_forest.toml --save my_path.toml", "field_day.pcap"),
+    truth: ("birch_walk truth --duration 60", "birch_walk truth --truth-rate 1000 --set imu.preset=consumer"),
+    dataset: ("bench_set.toml bench_set", "bench_set.toml bench_set --workers 0"),
+    score: (
+        'truth --trajectory estimate.tum --align se3 --out report --require "ate_m<0.3"',
+        "truth --stems stems.csv --inventory trees.csv --truth-points labelled.npz",
+    ),
+    verify: ("walk.pcap", "walk.pcap --json"),
+    compare: ("walk.pcap field_day.pcap", "walk.pcap field_day.pcap --picture units.png --json"),
+    fit: ("field_day.pcap --out unit.toml",),
+    forest: (
+        "birch_walk",
+        "old_growth --picture old_growth.png --inventory trees.csv",
+        "my_forest.toml --radius 15 --ground ground.asc --glb twin.glb",
+    ),
+    accuracy: ("birch_walk", "reference_forest --out report --pulses 20000", "static_bench --json"),
+    plan: ("birch_walk", "old_growth --set sensor.return_mode=dual", "reference_forest --ideal --json"),
+    doctor: ("", "--json"),
+    cache: ("", "--clear"),
+    scenes: (),
+    schema: ("> scene.schema.json",),
 }
+"""What follows the verb in the examples of its help."""
 
 app = typer.Typer(
     add_completion=False,
@@ -115,7 +91,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 for verb, examples in _EXAMPLES.items():
-    app.command(epilog=examples and f"Examples:\n\n{examples}")(verb)
+    lines = "\n".join(f"  vlp16emu {verb.__name__} {words}".rstrip() for words in examples)
+    app.command(epilog=f"Examples:\n\n\b\n{lines}" if examples else None)(verb)
 
 
 @app.callback(invoke_without_command=True)

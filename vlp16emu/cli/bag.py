@@ -3,30 +3,23 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from vlp16emu.cli.arguments import AsJson, CaptureFile
-from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, stop_on_ctrl_c, tree_of
+from vlp16emu.cli.arguments import AsJson, CaptureFile, argument, option
+from vlp16emu.cli.terminal import count, finish, stop_on_ctrl_c, tree_of
 
 
 def bag(
     file: CaptureFile,
     out: Annotated[
         Path,
-        typer.Argument(
-            metavar="OUT",
-            help="Bag to write: .mcap (ROS 2), .bag (ROS 1), or a new folder without ending (ROS 2, SQLite).",
-            show_default=False,
-        ),
+        argument("OUT", "Bag to write: .mcap (ROS 2), .bag (ROS 1), or a new folder without ending (ROS 2, SQLite)."),
     ],
     *,
     truth: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "--truth",
-            metavar="DIR",
-            help="Folder of truth of the same run: odometry, transforms, inertial unit and fixes go into the bag.",
-            show_default=False,
+            "Folder of truth of the same run: odometry, transforms, inertial unit and fixes go into the bag.",
+            "DIR",
         ),
     ] = None,
     as_json: AsJson = False,
@@ -40,11 +33,5 @@ def bag(
 
     with stop_on_ctrl_c() as stop:
         made = write_bag(file, out, truth, stop=stop)
-    if as_json:
-        print_json(tree_of(made))
-    else:
-        rows = {"duration": f"{made.duration_s:.3f} s"}
-        rows |= {topic: f"{count(number)} messages" for topic, number in made.messages.items()}
-        print_rows(f"{'interrupted, kept' if made.interrupted else 'wrote'} {made.file}", rows)
-    if made.interrupted:
-        raise typer.Exit(INTERRUPTED)
+    rows = {topic: f"{count(number)} messages" for topic, number in made.messages.items()}
+    finish(tree_of(made), made.file, {"duration": f"{made.duration_s:.3f} s", **rows}, as_json=as_json)

@@ -2,20 +2,20 @@
 
 from typing import Annotated, Any
 
-import typer
-
-from vlp16emu.cli.arguments import AsJson
+from vlp16emu.cli.arguments import AsJson, option
 from vlp16emu.cli.start import compile_first
 from vlp16emu.cli.terminal import count, print_json, print_rows, size
 from vlp16emu.errors import InputError
 
-Clear = Annotated[bool, typer.Option("--clear", help="Remove all of it; files that are not ours stay where they are.")]
-Compile = Annotated[
-    bool, typer.Option("--compile", help="Compile the kernels of all runs that are not there, for images and CI.")
-]
 
-
-def cache(*, clear: Clear = False, compile_all: Compile = False, as_json: AsJson = False) -> None:
+def cache(
+    *,
+    clear: Annotated[bool, option("--clear", "Remove all of it; files that are not ours stay where they are.")] = False,
+    compile_all: Annotated[
+        bool, option("--compile", "Compile the kernels of all runs that are not there, for images and CI.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
     """Show what is kept on disk from run to run, and where.
 
     That is compiled kernels and what worlds were grown into. A run without them takes longer to start,

@@ -4,9 +4,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from vlp16emu.cli.arguments import AsJson, CaptureFile
+from vlp16emu.cli.arguments import AsJson, CaptureFile, option
 from vlp16emu.cli.terminal import print_json, print_rows
 
 if TYPE_CHECKING:
@@ -18,8 +16,7 @@ def compare(
     other: CaptureFile,
     *,
     picture: Annotated[
-        Path | None,
-        typer.Option("--picture", metavar="OUT.png", help="Draw spectra and histograms; needs the extra 'picture'."),
+        Path | None, option("--picture", "Draw spectra and histograms; needs the extra 'picture'.", "OUT.png")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -62,9 +59,7 @@ def _line(row: "Compared") -> str:
 def fit(
     file: CaptureFile,
     *,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="UNIT.toml", help="Write them to a file instead.")
-    ] = None,
+    out: Annotated[Path | None, option("--out", "Write them to a file instead.", "UNIT.toml")] = None,
 ) -> None:
     """Print the [noise] and [sensor] tables of the unit that made a capture, for a scene file.
 

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, CaptureFile
+from vlp16emu.cli.arguments import AsJson, CaptureFile, one_of, option
 from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, stop_on_ctrl_c
 
 if TYPE_CHECKING:
     from vlp16emu.packets import CaptureReader, PointFrame, Summary
-    from vlp16emu.types import SensorModel
 
 
 def decode(
@@ -21,33 +20,32 @@ def decode(
     *,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", metavar="FILE", help="Write the points too: .npz, .ply, .csv, .pcd, .las or .laz by its suffix."
-        ),
+        option("--out", "Write the points too: .npz, .ply, .csv, .pcd, .las or .laz by its suffix.", "FILE"),
     ] = None,
     unit: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--unit",
-            metavar="N|ADDRESS:PORT",
-            help="Which sensor, where the capture holds several: its number, or its address and data port.",
+            "Which sensor, where the capture holds several: its number, or its address and data port.",
+            "N|ADDRESS:PORT",
         ),
     ] = None,
     frame: Annotated[
         str,
-        typer.Option(
+        option(
             "--frame",
-            metavar="sensor|manual",
-            help="Axes of the points: x forward, y left, as ROS drivers have them (sensor); or x right, y forward, as the manual "
+            "Axes of the points: x forward, y left, as ROS drivers have them (sensor); or x right, y forward, as the manual "
             "of Velodyne and VeloView do (manual).",
+            "sensor|manual",
         ),
     ] = "sensor",
     model: Annotated[
         str | None,
-        typer.Option(
+        one_of(
             "--model",
-            metavar="vlp-16|puck-hi-res",
-            help="What a unit from before release is, whose packets name an HDL-32E (product 0x21).",
+            "What a unit from before release is, whose packets name an HDL-32E (product 0x21).",
+            "vlp-16",
+            "puck-hi-res",
         ),
     ] = None,
     as_json: AsJson = False,
@@ -59,9 +57,10 @@ def decode(
     valid file with the points before.
     """
     from vlp16emu.packets import CaptureReader, chosen_unit, frame_named
+    from vlp16emu.types import SensorModel
 
     axes, chosen = frame_named(frame, where="--frame"), chosen_unit(file, unit, where="--unit")
-    with CaptureReader(file, chosen, axes, _model_named(model)) as reader, stop_on_ctrl_c() as stop:
+    with CaptureReader(file, chosen, axes, SensorModel(model) if model else None) as reader, stop_on_ctrl_c() as stop:
         _read(reader, out, axes, stop)
     summary, interrupted = reader.summary, stop.is_set()
     if as_json:
@@ -71,23 +70,6 @@ def decode(
         _print(file, out, summary, interrupted=interrupted)
     if interrupted:
         raise typer.Exit(INTERRUPTED)
-
-
-def _model_named(name: str | None) -> "SensorModel | None":
-    """Find a model by its name.
-
-    Raises
-    ------
-    InputError
-        where it is none that packets can be of
-    """
-    from vlp16emu.errors import InputError
-    from vlp16emu.types import SensorModel
-
-    known = {str(model): model for model in (SensorModel.VLP_16, SensorModel.PUCK_HI_RES)}
-    if name is not None and name not in known:
-        raise InputError("--model", f"found {name}", " or ".join(known))
-    return known.get(name or "")
 
 
 def _read(reader: "CaptureReader", out: Path | None, axes: "PointFrame", stop: Event) -> None:

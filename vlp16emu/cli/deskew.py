@@ -1,70 +1,62 @@
 """The part of `vlp16emu points` that puts captures into the world."""
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-import typer
-
-from vlp16emu.cli.arguments import checked
-from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, size, stop_on_ctrl_c, tree_of
+from vlp16emu.cli.arguments import checked, option
+from vlp16emu.cli.terminal import count, finish, size, stop_on_ctrl_c, tree_of
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
-    from vlp16emu.extras.clouds.deskew import Deskewed
-
+    from vlp16emu.extras.clouds.deskew import TrajectoryErrors
 
 _MOST_S = 7 * 86_400
 _FARTHEST = 1e6
 _MOUNT, _DRIFT = "X,Y,Z,ROLL,PITCH,YAW", "EAST,NORTH,UP,YAW"
 
 
-def _numbers(option: str, text: str, names: str) -> tuple[float, ...]:
-    """Read as many numbers as there are names."""
+def _numbers(name: str, names: str) -> Callable[[str], tuple[float, ...]]:
+    """Parser of as many numbers as there are names."""
     expected = f"the numbers {names}"
-    number = checked(option, float, lambda n: abs(n) <= _FARTHEST, expected)
-    words = text.split(",")
-    if len(words) != len(names.split(",")):
-        raise InputError(option, f"found {text}", expected)
-    return tuple(map(number, words))
+    number = checked(name, float, lambda n: abs(n) <= _FARTHEST, expected)
+
+    def parse(text: str) -> tuple[float, ...]:
+        words = text.split(",")
+        if len(words) != len(names.split(",")):
+            raise InputError(name, f"found {text}", expected)
+        return tuple(map(number, words))
+
+    return parse
 
 
-TrajectoryFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--trajectory",
-        metavar="DIR|FILE.tum",
-        help="Of a capture: the folder that `record --truth` has written, for the true trajectory, or any other in TUM format.",
-        show_default=False,
-    ),
-]
 MountedAt = Annotated[
-    str | None,
-    typer.Option(
+    object | None,  # click would take two values for a tuple
+    option(
         "--mount",
-        metavar=_MOUNT,
-        help="Of a capture: where the sensor sits on the body of the trajectory, in m and degrees; with the true trajectory a wrong "
+        "Of a capture: where the sensor sits on the body of the trajectory, in m and degrees; with the true trajectory a wrong "
         "boresight and lever arm.",
-        show_default=False,
+        _MOUNT,
+        _numbers("--mount", _MOUNT),
     ),
 ]
 Drift = Annotated[
-    str | None,
-    typer.Option(
+    object | None,
+    option(
         "--drift",
-        metavar=_DRIFT,
-        help="Of a capture: let the trajectory drift, in m per minute and degrees per minute from its first pose on.",
-        show_default=False,
+        "Of a capture: let the trajectory drift, in m per minute and degrees per minute from its first pose on.",
+        _DRIFT,
+        _numbers("--drift", _DRIFT),
     ),
 ]
 TimeOffset = Annotated[
     float,
-    typer.Option(
+    option(
         "--time-offset",
-        metavar="S",
-        parser=checked("--time-offset", float, lambda s: abs(s) <= _MOST_S, f"at most {_MOST_S} s either way"),
-        help="Of a capture: seconds added to the time of a pulse before its pose is looked up.",
-        show_default=False,
+        "Of a capture: seconds added to the time of a pulse before its pose is looked up.",
+        "S",
+        checked("--time-offset", float, lambda s: abs(s) <= _MOST_S, f"at most {_MOST_S} s either way"),
+        shown=False,
     ),
 ]
 
@@ -83,24 +75,20 @@ def deskew(
     capture: Path,
     out: Path,
     trajectory: Path | None,
-    errors: Mapping[str, str | None],
-    time_offset_s: float,
+    errors: "TrajectoryErrors",
     wanted: LabelsWanted,
     *,
     unit: int,
     as_json: bool,
 ) -> None:
-    """Write the points of a capture; `errors` has the numbers of `--mount` and `--drift` as they are given."""
+    """Write the points of a capture."""
     if trajectory is None:
         expected = "--trajectory DIR or FILE.tum; `vlp16emu decode` leaves points in the sensor"
         raise InputError(str(capture), "is a capture", expected)
-    from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, TrajectoryErrors, write_deskewed
+    from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, write_deskewed
     from vlp16emu.extras.clouds.labels import label_scheme
 
-    names = {"mount": _MOUNT, "drift": _DRIFT}
-    given = {key: _numbers(f"--{key}", text, names[key]) for key, text in errors.items() if text is not None}
-    wrong = TrajectoryErrors(time_offset_s, **given)  # type: ignore[arg-type]
-    way, truth = Trajectory(trajectory, unit, wrong), None
+    way, truth = Trajectory(trajectory, unit, errors), None
     if wanted.truth or wanted.labels:
         folder = wanted.folder or trajectory
         if not folder.is_dir():
@@ -110,23 +98,12 @@ def deskew(
         truth = CaptureTruth(folder, unit, scheme)
     with stop_on_ctrl_c() as stop:
         cloud = write_deskewed(capture, out, way, truth, stop=stop)
-    if as_json:
-        print_json(tree_of(cloud))
-    else:
-        _print(cloud)
-    if cloud.interrupted:
-        raise typer.Exit(INTERRUPTED)
-
-
-def _print(cloud: "Deskewed") -> None:
-    print_rows(
-        f"{'interrupted, kept' if cloud.interrupted else 'wrote'} {cloud.file}",
-        {
-            "capture": f"{cloud.capture}, {cloud.simulated_s:.1f} s",
-            "trajectory": cloud.trajectory,
-            "points": count(cloud.points),
-            "without pose": f"{count(cloud.without_pose)} left out",
-            "labels": "yes" if cloud.truth else "no, see --truth",
-            "size": size(cloud.bytes),
-        },
-    )
+    rows = {
+        "capture": f"{cloud.capture}, {cloud.simulated_s:.1f} s",
+        "trajectory": cloud.trajectory,
+        "points": count(cloud.points),
+        "without pose": f"{count(cloud.without_pose)} left out",
+        "labels": "yes" if cloud.truth else "no, see --truth",
+        "size": size(cloud.bytes),
+    }
+    finish(tree_of(cloud), cloud.file, rows, as_json=as_json)

@@ -5,68 +5,19 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from vlp16emu.cli.arguments import AsJson, SceneName, Settings, checked
+from vlp16emu.cli.arguments import AsJson, SceneName, Settings, number, option
 from vlp16emu.cli.start import compile_first
-from vlp16emu.cli.terminal import count, print_json, print_rows, size, tree_of
+from vlp16emu.cli.terminal import count, print_files, print_json, print_rows, tree_of
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from vlp16emu.extras.sheets import StandRow
     from vlp16emu.extras.sheets.summary import ForestSummary, NamedThing, Things, WorldSummary
     from vlp16emu.extras.sheets.survey import Survey
     from vlp16emu.scenario import Scenario
 
-
-Radius = Annotated[
-    float,
-    typer.Option(
-        "--radius",
-        metavar="M",
-        parser=checked("--radius", float, lambda m: 1 <= m <= 300, "a number from 1 to 300"),
-        help="How far from the path things count, are drawn and go into the twin.",
-        show_default="30",
-    ),
-]
-InventoryFile = Annotated[
-    Path | None,
-    typer.Option("--inventory", metavar="OUT.csv", help="Write all trees in the sensor's reach, one per line."),
-]
-SeenIn = Annotated[
-    Path | None,
-    typer.Option(
-        "--seen",
-        metavar="DIR",
-        help="With --inventory, for each tree the returns from its stem in a run with this truth"
-        " (`record --truth DIR --truth-returns`), the share of the stem that has any, and the arc at breast height.",
-    ),
-]
-StemsFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--stems",
-        metavar="OUT.csv",
-        help="Write the stems of those trees, and the branches of those within the radius, as circles along their axes,"
-        " with radii, for QSM and taper.",
-    ),
-]
-GroundFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--ground", metavar="OUT.asc", help="Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells."
-    ),
-]
-TwinFile = Annotated[
-    Path | None,
-    typer.Option("--glb", metavar="OUT.glb", help="Write a digital twin as glTF, its nodes named by labels."),
-]
-PictureFile = Annotated[
-    Path | None,
-    typer.Option("--picture", metavar="OUT.png", help="Draw a plan and a section; needs the extra 'picture'."),
-]
 
 _SUFFIXES = {"--inventory": ".csv", "--stems": ".csv", "--ground": ".asc", "--glb": ".glb", "--picture": ".png"}
 
@@ -75,13 +26,43 @@ def forest(
     scene: SceneName,
     *,
     settings: Settings = None,
-    radius: Radius = 30.0,
-    inventory: InventoryFile = None,
-    seen: SeenIn = None,
-    stems: StemsFile = None,
-    ground: GroundFile = None,
-    glb: TwinFile = None,
-    picture: PictureFile = None,
+    radius: Annotated[
+        float,
+        number(
+            "--radius", "How far from the path things count, are drawn and go into the twin.", "M", 1.0, 300, shown="30"
+        ),
+    ] = 30.0,
+    inventory: Annotated[
+        Path | None, option("--inventory", "Write all trees in the sensor's reach, one per line.", "OUT.csv")
+    ] = None,
+    seen: Annotated[
+        Path | None,
+        option(
+            "--seen",
+            "With --inventory, for each tree the returns from its stem in a run with this truth"
+            " (`record --truth DIR --truth-returns`), the share of the stem that has any, and the arc at breast height.",
+            "DIR",
+        ),
+    ] = None,
+    stems: Annotated[
+        Path | None,
+        option(
+            "--stems",
+            "Write the stems of those trees, and the branches of those within the radius, as circles along their axes,"
+            " with radii, for QSM and taper.",
+            "OUT.csv",
+        ),
+    ] = None,
+    ground: Annotated[
+        Path | None,
+        option("--ground", "Write the true height of the ground as an ESRI ASCII grid of 0.25 m cells.", "OUT.asc"),
+    ] = None,
+    glb: Annotated[
+        Path | None, option("--glb", "Write a digital twin as glTF, its nodes named by labels.", "OUT.glb")
+    ] = None,
+    picture: Annotated[
+        Path | None, option("--picture", "Draw a plan and a section; needs the extra 'picture'.", "OUT.png")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Report what stands along the path of the sensor.
@@ -89,25 +70,31 @@ def forest(
     Trees by species, their pattern, the relief, and what lies on the ground, all within the radius of the
     path; of a hall, its things.
     """
-    from vlp16emu.scenario import load
+    from vlp16emu.errors import spare
+    from vlp16emu.scenario import find, load
+    from vlp16emu.scenario.find import named_files
 
     if seen and not inventory:
         raise InputError("--seen", "found no --inventory", "both")
-    outputs = dict(zip(_SUFFIXES, (inventory, stems, ground, glb, picture), strict=True))
+    given = zip(_SUFFIXES, (inventory, stems, ground, glb, picture), strict=True)
+    wanted = {name: path for name, path in given if path is not None}
     scenario = load(scene, settings or ())
-    _spare(scene, scenario, outputs.values())
-    wanted = {option: path for option, path in outputs.items() if path is not None}
-    for option, path in wanted.items():
-        _check_output(option, path)
-    compile_first("hall" if scenario.world.kind == "hall" else "forest")
+    for name, path in wanted.items():  # before anything heavy
+        spare([find(scene), *named_files(scenario)], path)
+        if path.suffix != (suffix := _SUFFIXES[name]):
+            raise InputError(f"{name} {path}", f"found suffix '{path.suffix}'", suffix)
+    if picture is not None:
+        from vlp16emu.extras.plots import check_matplotlib
+
+        check_matplotlib()
+    compile_first(scenario.world.kind)
     summary = _surveyed(scene, scenario, radius, wanted, seen)
     if as_json:
-        written = {option.removeprefix("--"): str(path) for option, path in wanted.items()}
+        written = {name.removeprefix("--"): str(path) for name, path in wanted.items()}
         print_json({**tree_of(summary), "files": written})
         return
     _print(summary)
-    for path in wanted.values():
-        print(f"wrote {path}, {size(path.stat().st_size)}")
+    print_files(wanted.values())
 
 
 def _surveyed(
@@ -120,58 +107,19 @@ def _surveyed(
     from vlp16emu.output import OutputFile
 
     with ExitStack() as stack:
-        outputs = {
-            option: stack.enter_context(OutputFile(path, where=f"{option} {path}")) for option, path in wanted.items()
-        }
+        outputs = {name: stack.enter_context(OutputFile(path, where=f"{name} {path}")) for name, path in wanted.items()}
         seen = survey(scenario, radius_m)
         summary = summary_of(scene, scenario, seen)
         inventory = partial(files.write_inventory, truth=truth)
         writers: tuple[Callable[[OutputFile, Survey], None], ...]
         writers = inventory, files.write_stems, files.write_ground, files.write_twin
-        for option, write in zip(_SUFFIXES, writers, strict=False):
-            if option in outputs:
-                write(outputs[option], seen)
+        for name, write in zip(_SUFFIXES, writers, strict=False):
+            if name in outputs:
+                write(outputs[name], seen)
         if "--picture" in outputs:
             title, subtitle = scenario.title, _subtitle(summary)
             files.write_picture(outputs["--picture"], seen, title=title, subtitle=subtitle)
     return summary
-
-
-def _spare(scene: str, scenario: "Scenario", outputs: "Iterable[Path | None]") -> None:
-    """Refuse outputs that are the scene's own file, or one that it names.
-
-    Raises
-    ------
-    OutputError
-        where one is
-    """
-    from vlp16emu.errors import spare
-    from vlp16emu.scenario import find
-    from vlp16emu.scenario.find import named_files
-
-    inputs = [find(scene), *named_files(scenario)]
-    for output in outputs:
-        if output is not None:
-            spare(inputs, output)
-
-
-def _check_output(option: str, path: Path) -> None:
-    """Refuse a file of the wrong kind, before anything heavy.
-
-    Raises
-    ------
-    InputError
-        where the suffix is another than the option's
-    MissingExtraError
-        where a picture is wanted without matplotlib
-    """
-    suffix = _SUFFIXES[option]
-    if path.suffix != suffix:
-        raise InputError(f"{option} {path}", f"found suffix '{path.suffix}'", suffix)
-    if option == "--picture":
-        from vlp16emu.extras.plots import check_matplotlib
-
-        check_matplotlib()
 
 
 def _subtitle(summary: "WorldSummary") -> str:

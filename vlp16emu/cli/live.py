@@ -7,8 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
+from vlp16emu.cli.arguments import option
 from vlp16emu.cli.terminal import Progress, count
 from vlp16emu.errors import InputError, MissingExtraError
 
@@ -22,27 +21,21 @@ if TYPE_CHECKING:
 
 PoseIn = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--pose-in",
-        metavar="udp://HOST:PORT",
-        help='Where poses come in, of a scene with motion.kind = "live"; the stream waits for the first one.',
-        show_default=False,
+        'Where poses come in, of a scene with motion.kind = "live"; the stream waits for the first one.',
+        "udp://HOST:PORT",
     ),
 ]
 FlownFile = Annotated[
     Path | None,
-    typer.Option(
-        "--flown",
-        metavar="FILE.csv",
-        help="Write what such a scene flew, to repeat the run with --set motion.flown=FILE.csv.",
-        show_default=False,
-    ),
+    option("--flown", "Write what such a scene flew, to repeat the run with --set motion.flown=FILE.csv.", "FILE.csv"),
 ]
 View = Annotated[
     bool,
-    typer.Option(
+    option(
         "--view",
-        help="Show stand, sensor, sweep and lateness in the browser while packets leave, by a process that they do not wait for. "
+        "Show stand, sensor, sweep and lateness in the browser while packets leave, by a process that they do not wait for. "
         "Needs the extra 'viewer'.",
     ),
 ]

@@ -3,10 +3,8 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
-import typer
-
+from vlp16emu.cli.arguments import one_of, option
 from vlp16emu.cli.terminal import count
-from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
     from vlp16emu.extras.bench.gps_in import GpsIn
@@ -16,68 +14,42 @@ if TYPE_CHECKING:
 
 
 Line = Literal["dtr", "rts", "off"]
-_LINES: tuple[Line, ...] = get_args(Line)
-
-
-def _line(text: str) -> Line:
-    for line in _LINES:
-        if text == line:
-            return line
-    raise InputError("--gps-pps", f"found {text}", "dtr, rts or off")
-
-
 Pulse = Literal["sentence", "cd", "cts", "dsr", "ri"]
-_PULSES: tuple[Pulse, ...] = get_args(Pulse)
-
-
-def _pulse(text: str) -> Pulse:
-    for pulse in _PULSES:
-        if text == pulse:
-            return pulse
-    raise InputError("--gps-in-pulse", f"found {text}", "sentence, cd, cts, dsr or ri")
 
 
 GpsOut = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--gps-out",
-        metavar="PORT",
-        help="Play the GPS receiver of the scene on a serial port, 9600 8N1: a device, or a URL of pyserial such as "
+        "Play the GPS receiver of the scene on a serial port, 9600 8N1: a device, or a URL of pyserial such as "
         "socket://127.0.0.1:5000.",
+        "PORT",
     ),
 ]
-GpsPps = Annotated[
-    Line,
-    typer.Option(
-        "--gps-pps", metavar="dtr|rts|off", parser=_line, help="Line of that port that carries the receiver's pulse."
-    ),
-]
+GpsPps = Annotated[Line, one_of("--gps-pps", "Line of that port that carries the receiver's pulse.", *get_args(Line))]
 ImuOut = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--imu-out",
-        metavar="udp://HOST:PORT|serial:PORT",
-        help="Send the samples of the inertial unit ([imu]) too, each at its time; on a serial port with 921600 8N1.",
+        "Send the samples of the inertial unit ([imu]) too, each at its time; on a serial port with 921600 8N1.",
+        "udp://HOST:PORT|serial:PORT",
     ),
 ]
 
 
 GpsInPort = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--gps-in",
-        metavar="PORT",
-        help="Take pulse and sentences from a real GPS receiver, 9600 8N1, which then sets the sensor's clock: a device, or a URL "
+        "Take pulse and sentences from a real GPS receiver, 9600 8N1, which then sets the sensor's clock: a device, or a URL "
         "of pyserial.",
+        "PORT",
     ),
 ]
 GpsInPulse = Annotated[
     Pulse,
-    typer.Option(
-        "--gps-in-pulse",
-        metavar="sentence|cd|cts|dsr|ri",
-        parser=_pulse,
-        help="Line of that port that carries the pulse; sentence where none is wired.",
+    one_of(
+        "--gps-in-pulse", "Line of that port that carries the pulse; sentence where none is wired.", *get_args(Pulse)
     ),
 ]
 

@@ -4,12 +4,10 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from vlp16emu.cli.arguments import AsJson, Duration, Ideal, Settings, Start, checked
-from vlp16emu.cli.deskew import TrajectoryFile
+from vlp16emu.cli import arguments as args
+from vlp16emu.cli.arguments import argument, checked, one_of, option, pixels
 from vlp16emu.cli.start import make_emulator
-from vlp16emu.cli.terminal import INTERRUPTED, count, print_json, print_rows, size, stop_on_ctrl_c, tree_of
+from vlp16emu.cli.terminal import count, finish, size, stop_on_ctrl_c, tree_of
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,78 +19,57 @@ if TYPE_CHECKING:
 _LARGEST_PX, _FROM_DEG = 8_192, 205.0
 
 
-def _pixels(text: str) -> tuple[int, int]:
-    """Read WIDTHxHEIGHT."""
-    parts = text.lower().split("x")
-    numbers = [int(part) for part in parts if part.isdigit()]
-    if len(parts) != 2 or len(numbers) != 2 or not all(64 <= n <= _LARGEST_PX and n % 2 == 0 for n in numbers):
-        raise InputError("--size", f"found {text}", f"WIDTHxHEIGHT, even numbers from 64 to {_LARGEST_PX}")
-    return numbers[0], numbers[1]
-
-
 def picture(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE|FILE.pcap",
-            help="Name of a scene (see `vlp16emu scenes`) or path of a .toml file; or a capture, ours or a real sensor's.",
-            show_default=False,
-        ),
-    ],
+    scene: args.SceneOrCapture,
     out: Annotated[
-        Path,
-        typer.Argument(
-            metavar="OUT",
-            help="File to write: .png, or as a film of the walk .gif or .mp4; overwritten if it exists.",
-            show_default=False,
-        ),
+        Path, argument("OUT", "File to write: .png, or as a film of the walk .gif or .mp4; overwritten if it exists.")
     ],
     *,
     colour: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--colour",
-            metavar="LAYER",
-            help="natural, class, part, species, instance, range, reflectivity, ring or time; the last four of a capture.",
-            show_default="natural, of a capture reflectivity",
+            "natural, class, part, species, instance, range, reflectivity, ring or time; the last four of a capture.",
+            "LAYER",
+            shown="natural, of a capture reflectivity",
         ),
     ] = None,
     view: Annotated[
         str,
-        typer.Option(
+        one_of(
             "--view",
-            metavar="VIEW",
-            help="slant, of points that add up; sweep, a revolution from straight above with circles of range; or image, a"
+            "slant, of points that add up; sweep, a revolution from straight above with circles of range; or image, a"
             " revolution as rows of lasers over azimuth.",
+            "slant",
+            "sweep",
+            "image",
         ),
     ] = "slant",
     look_from: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--from",
-            metavar="DEG",
-            parser=checked("--from", float, lambda deg: 0 <= deg < 360, "a number from 0 to 360"),
-            help="Where the eye is, clockwise from north, of --view slant.",
-            show_default="205",
+            "Where the eye is, clockwise from north, of --view slant.",
+            "DEG",
+            checked("--from", float, lambda deg: 0 <= deg < 360, "a number from 0 to 360"),
+            shown="205",
         ),
     ] = None,
-    pixels: Annotated[str, typer.Option("--size", metavar="WxH", help="Of the picture, in pixels.")] = "1280x720",
-    duration: Duration = None,
-    start: Start = 0.0,
-    settings: Settings = None,
-    ideal: Ideal = False,
-    trajectory: TrajectoryFile = None,
-    as_json: AsJson = False,
+    image_size: Annotated[str, option("--size", "Of the picture, in pixels.", "WxH")] = "1280x720",
+    duration: args.Duration = None,
+    start: args.Start = 0.0,
+    settings: args.Settings = None,
+    ideal: args.Ideal = False,
+    trajectory: args.TrajectoryFile = None,
+    as_json: args.AsJson = False,
 ) -> None:
     """Draw what a sensor sees of a scene, or saw in a capture: all of it at a slant, or one revolution.
 
     Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
     revolution. A film shows how they add up, or one revolution after the other, ten per second. Needs the extra 'picture'.
     """
-    from vlp16emu.extras.viewer.picture import VIEWS, PictureLook
+    from vlp16emu.extras.viewer.picture import PictureLook
 
-    if view not in VIEWS:
-        raise InputError("--view", f"found {view}", ", ".join(VIEWS))
     if look_from is not None and view != "slant":
         raise InputError("--from", f"found beside --view {view}", "--view slant")
 
@@ -100,23 +77,20 @@ def picture(
     if trajectory is not None and not is_capture:
         raise InputError("--trajectory", "found beside a scene", "a capture")
     colour = colour or ("reflectivity" if is_capture else "natural")
-    look = PictureLook(colour, _FROM_DEG if look_from is None else look_from, _pixels(pixels), view)
+    expected = f"WIDTHxHEIGHT, even numbers from 64 to {_LARGEST_PX}"
+    size_px = pixels(image_size, expected, lambda n: 64 <= n <= _LARGEST_PX and n % 2 == 0)
+    look = PictureLook(colour, _FROM_DEG if look_from is None else look_from, size_px, view)
     with stop_on_ctrl_c() as stop:
         if is_capture:
             made = _of_capture(Path(scene), trajectory, (start, duration), out, look, stop)
         else:
             made = _of_scene(scene, settings, (start, duration), out, look, stop, ideal=ideal)
-    if as_json:
-        print_json(tree_of(made))
-    else:
-        rows = {
-            "revolutions": count(made.revolutions),
-            "points": f"{count(made.points)}, by {made.colour}",
-            "size": size(made.bytes),
-        }
-        print_rows(f"{'interrupted, kept' if made.interrupted else 'wrote'} {made.file}", rows)
-    if made.interrupted:
-        raise typer.Exit(INTERRUPTED)
+    rows = {
+        "revolutions": count(made.revolutions),
+        "points": f"{count(made.points)}, by {made.colour}",
+        "size": size(made.bytes),
+    }
+    finish(tree_of(made), made.file, rows, as_json=as_json)
 
 
 def _of_capture(

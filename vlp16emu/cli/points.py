@@ -3,93 +3,61 @@
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, Duration, Ideal, Settings, Start, Threads, WhichUnit
-from vlp16emu.cli.deskew import Drift, LabelsWanted, MountedAt, TimeOffset, TrajectoryFile, deskew
-from vlp16emu.cli.start import make_emulator
-from vlp16emu.cli.terminal import (
-    INTERRUPTED,
-    Progress,
-    count,
-    print_json,
-    print_rows,
-    revolutions,
-    size,
-    stop_on_ctrl_c,
-    tree_of,
-)
+from vlp16emu.cli import arguments as args
+from vlp16emu.cli.arguments import argument, option
+from vlp16emu.cli.deskew import Drift, LabelsWanted, MountedAt, TimeOffset, deskew
+from vlp16emu.cli.start import make_emulator, running
+from vlp16emu.cli.terminal import count, finish, revolutions, size, tree_of
 from vlp16emu.errors import InputError
-
-if TYPE_CHECKING:
-    from vlp16emu.extras.clouds.points import PointCloud
-
 
 _OF_SCENES = frozenset({"duration", "start", "settings", "ideal", "threads"})
 _OF_CAPTURES = frozenset({"mount", "drift", "time_offset"})
 
-SceneOrCapture = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENE|FILE.pcap",
-        help="Name of a scene (see `vlp16emu scenes`) or path of a .toml file; or a capture, with --trajectory.",
-        show_default=False,
-    ),
-]
-OutFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="OUT",
-        help="File to write, .npz, .ply, .csv, .pcd, .las or .laz by its suffix; overwritten if it exists.",
-        show_default=False,
-    ),
-]
-Truth = Annotated[
-    bool, typer.Option("--truth", help="Label what each point lies on: class, part, leaf or wood, plant, species.")
-]
-Labels = Annotated[
-    str | None,
-    typer.Option(
-        "--labels",
-        metavar="SCHEME",
-        help="Classes as data sets have them: for-instance, digiforests, asprs or semantickitti. Beside them dense numbers of trees, "
-        "height above the ground and the viewpoint.",
-        show_default=False,
-    ),
-]
-ToFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--truth-folder",
-        metavar="DIR",
-        help="Of a scene: write beside them what `record --truth` writes: trajectory, IMU, GNSS, rig, scenario. Of a capture: read "
-        "from there what `record --truth-returns` has written, for --truth and --labels; by default from the folder of --trajectory.",
-        show_default=False,
-    ),
-]
-
 
 def points(
     context: typer.Context,
-    scene: SceneOrCapture,
-    out: OutFile,
+    scene: args.SceneOrCapture,
+    out: Annotated[
+        Path,
+        argument("OUT", "File to write, .npz, .ply, .csv, .pcd, .las or .laz by its suffix; overwritten if it exists."),
+    ],
     *,
-    duration: Duration = None,
-    start: Start = 0.0,
-    settings: Settings = None,
-    ideal: Ideal = False,
-    truth: Truth = False,
-    labels: Labels = None,
-    truth_folder: ToFolder = None,
-    unit: WhichUnit = 1,
-    trajectory: TrajectoryFile = None,
+    duration: args.Duration = None,
+    start: args.Start = 0.0,
+    settings: args.Settings = None,
+    ideal: args.Ideal = False,
+    truth: Annotated[
+        bool, option("--truth", "Label what each point lies on: class, part, leaf or wood, plant, species.")
+    ] = False,
+    labels: Annotated[
+        str | None,
+        option(
+            "--labels",
+            "Classes as data sets have them: for-instance, digiforests, asprs or semantickitti. Beside them dense numbers of trees, "
+            "height above the ground and the viewpoint.",
+            "SCHEME",
+        ),
+    ] = None,
+    truth_folder: Annotated[
+        Path | None,
+        option(
+            "--truth-folder",
+            "Of a scene: write beside them what `record --truth` writes: trajectory, IMU, GNSS, rig, scenario. Of a capture: read "
+            "from there what `record --truth-returns` has written, for --truth and --labels; by default from the folder of --trajectory.",
+            "DIR",
+        ),
+    ] = None,
+    unit: args.WhichUnit = 1,
+    trajectory: args.TrajectoryFile = None,
     mount: MountedAt = None,
     drift: Drift = None,
     time_offset: TimeOffset = 0.0,
-    threads: Threads = 0,
-    as_json: AsJson = False,
+    threads: args.Threads = 0,
+    as_json: args.AsJson = False,
 ) -> None:
     """Write the points of a scene, for a sensor of any beam table, or of a capture with a trajectory.
 
@@ -99,60 +67,40 @@ def points(
     """
     if trajectory is not None or Path(scene).suffix == ".pcap":
         _refuse(context, _OF_SCENES, f"found beside the capture {scene}", "a scene, or no such option")
-        errors, wanted = {"mount": mount, "drift": drift}, LabelsWanted(truth, labels, truth_folder)
-        deskew(Path(scene), out, trajectory, errors, time_offset, wanted, unit=unit, as_json=as_json)
+        from vlp16emu.extras.clouds.deskew import TrajectoryErrors
+
+        given = {key: value for key, value in (("mount", mount), ("drift", drift)) if value is not None}
+        errors, wanted = TrajectoryErrors(time_offset, **given), LabelsWanted(truth, labels, truth_folder)  # type: ignore[arg-type]
+        deskew(Path(scene), out, trajectory, errors, wanted, unit=unit, as_json=as_json)
         return
     _refuse(context, _OF_CAPTURES, "found beside a scene", "a capture and its --trajectory")
     began_s = time.perf_counter()
     emulator = make_emulator(scene, settings, ideal=ideal, threads=threads)
     from vlp16emu.extras.clouds.points import write_points
 
-    start_s, stop_s = emulator.scenario.span_s(start, duration, where="--start")
-    with stop_on_ctrl_c() as stop, Progress(stop_s - start_s) as progress:
-        cloud = write_points(
-            emulator,
-            out,
-            start_s=start,
-            duration_s=duration,
-            unit=unit,
-            truth=truth,
-            labels=labels,
-            truth_to=truth_folder,
-            progress=lambda done_s: progress.show("scanning", done_s),
-            stop=stop,
-        )
+    with running(emulator, "scanning", start, duration) as span:
+        cloud = write_points(emulator, out, unit=unit, truth=truth, labels=labels, truth_to=truth_folder, **span)
     wall_s = time.perf_counter() - began_s  # of the whole command
     cloud = replace(cloud, wall_s=wall_s, real_time_factor=cloud.simulated_s / wall_s)
-    if as_json:
-        print_json(tree_of(cloud))
-    else:
-        _print(cloud)
-    if cloud.interrupted:
-        raise typer.Exit(INTERRUPTED)
+    low, high = cloud.elevation_deg
+    returns = ", ".join(f"{count(n)} {name.replace('_', ' ')}" for name, n in cloud.returns.items() if n)
+    rows = {
+        "scene": f"{cloud.scene}, seed {cloud.seed}",
+        "sensor": f"{cloud.sensor}: {cloud.beams} beams from {low:g} to {high:g} deg",
+        "rotor": f"{cloud.turn.rpm} rpm",
+        "pulses": f"{count(round(cloud.pulses_per_s))} per second",
+        "simulated": f"{cloud.simulated_s:.1f} s",
+        "revolutions": revolutions([cloud.turn]),
+        "points": f"{count(cloud.points)}{f': {returns}' if returns else ''}",
+        "labels": "yes" if cloud.truth else "no, see --truth",
+        "size": size(cloud.bytes),
+        "run time": f"{cloud.wall_s:.1f} s, {cloud.real_time_factor:.2f} x real time",
+    }
+    finish(tree_of(cloud), cloud.file, rows, as_json=as_json)
 
 
 def _refuse(context: typer.Context, names: frozenset[str], found: str, expected: str) -> None:
-    for option in context.command.params:
-        source = context.get_parameter_source(option.name or "")
-        if option.name in names and source is not None and source.name == "COMMANDLINE":
-            raise InputError(option.opts[0], found, expected)
-
-
-def _print(cloud: "PointCloud") -> None:
-    low, high = cloud.elevation_deg
-    returns = ", ".join(f"{count(n)} {name.replace('_', ' ')}" for name, n in cloud.returns.items() if n)
-    print_rows(
-        f"{'interrupted, kept' if cloud.interrupted else 'wrote'} {cloud.file}",
-        {
-            "scene": f"{cloud.scene}, seed {cloud.seed}",
-            "sensor": f"{cloud.sensor}: {cloud.beams} beams from {low:g} to {high:g} deg",
-            "rotor": f"{cloud.turn.rpm} rpm",
-            "pulses": f"{count(round(cloud.pulses_per_s))} per second",
-            "simulated": f"{cloud.simulated_s:.1f} s",
-            "revolutions": revolutions([cloud.turn]),
-            "points": f"{count(cloud.points)}{f': {returns}' if returns else ''}",
-            "labels": "yes" if cloud.truth else "no, see --truth",
-            "size": size(cloud.bytes),
-            "run time": f"{cloud.wall_s:.1f} s, {cloud.real_time_factor:.2f} x real time",
-        },
-    )
+    for given in context.command.params:
+        source = context.get_parameter_source(given.name or "")
+        if given.name in names and source is not None and source.name == "COMMANDLINE":
+            raise InputError(given.opts[0], found, expected)

@@ -3,9 +3,7 @@
 import sys
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from vlp16emu.cli.arguments import AsJson, CaptureFile, DataPort, PositionPort
+from vlp16emu.cli.arguments import AsJson, CaptureFile, DataPort, PositionPort, option
 from vlp16emu.cli.stream import (
     AsSensor,
     Interface,
@@ -25,18 +23,15 @@ if TYPE_CHECKING:
     from vlp16emu.run.replay import Replay, Replayed
 
 
-Loop = Annotated[
-    bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C; time stamps and sentences go on.")
-]
-
-
 def replay(
     file: CaptureFile,
     *,
     to: To = None,
     data_port: DataPort = None,
     position_port: PositionPort = None,
-    loop: Loop = False,
+    loop: Annotated[
+        bool, option("--loop", "Begin again at the end, until Ctrl-C; time stamps and sentences go on.")
+    ] = False,
     now: Now = False,
     speed: Speed = 1.0,
     late: LatePolicy = "pace",

@@ -6,85 +6,52 @@ from typing import Annotated
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, checked
+from vlp16emu.cli.arguments import AsJson, WhichUnit, argument, checked, one_of, option
 from vlp16emu.cli.terminal import make_folder, print_json, print_rows
-from vlp16emu.errors import InputError
 from vlp16emu.output import OutputFile
-
-TruthFolder = Annotated[
-    Path, typer.Argument(metavar="TRUTH_DIR", help="Folder that `record --truth` has written.", show_default=False)
-]
-Found = Annotated[
-    Path | None, typer.Option("--trajectory", metavar="FILE", help="Estimated poses, TUM; KITTI with --times.")
-]
-Times = Annotated[
-    Path | None,
-    typer.Option("--times", metavar="FILE", help="A time in seconds for each pose of KITTI, one to a line."),
-]
-Align = Annotated[
-    str,
-    typer.Option("--align", metavar="none|yaw|se3", help="How the poses are laid on the truth; nothing else is moved."),
-]
-MapFile = Annotated[
-    Path | None,
-    typer.Option("--map", metavar="FILE", help="Points in the world: .ply, .npz, .csv, .pcd, .las or .laz."),
-]
-Labelled = Annotated[
-    Path | None,
-    typer.Option("--points", metavar="FILE", help="Points with labels `leaf_wood`, `instance` (or `treeID`)."),
-]
-Stems = Annotated[
-    Path | None, typer.Option("--stems", metavar="FILE.csv", help="Stems found: x, y, dbh (m) or dbh_cm, number.")
-]
-Inventory = Annotated[
-    Path | None, typer.Option("--inventory", metavar="FILE.csv", help="True trees, of `forest --inventory`.")
-]
-TruthPoints = Annotated[
-    Path | None, typer.Option("--truth-points", metavar="FILE", help="True points, of `points --truth`.")
-]
-Radius = Annotated[
-    float,
-    typer.Option(
-        "--radius",
-        metavar="M",
-        parser=checked("--radius", float, lambda m: 0 < m <= 10, "a number above 0 and at most 10"),
-        help="Within which a stem is one of the truth.",
-        show_default="0.5",
-    ),
-]
-Unit = Annotated[
-    int,
-    typer.Option(
-        "--unit",
-        metavar="N",
-        parser=checked("--unit", int, lambda n: n >= 1, "a whole number from 1"),
-        help="Which sensor of a rig.",
-    ),
-]
-Out = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Write score.json and score.html; needs the extra 'score'.")
-]
-Require = Annotated[
-    list[str] | None,
-    typer.Option("--require", metavar="SCORE<NUMBER", help="A threshold; exit code 1 where it is missed. Repeatable."),
-]
 
 
 def score(
-    truth: TruthFolder,
+    truth: Annotated[Path, argument("TRUTH_DIR", "Folder that `record --truth` has written.")],
     *,
-    trajectory: Found = None,
-    times: Times = None,
-    align: Align = "none",
-    map_file: MapFile = None,
-    points: Labelled = None,
-    stems: Stems = None,
-    inventory: Inventory = None,
-    truth_points: TruthPoints = None,
-    radius: Radius = 0.5,
-    unit: Unit = 1,
-    out: Out = None,
-    require: Require = None,
+    trajectory: Annotated[
+        Path | None, option("--trajectory", "Estimated poses, TUM; KITTI with --times.", "FILE")
+    ] = None,
+    times: Annotated[
+        Path | None, option("--times", "A time in seconds for each pose of KITTI, one to a line.", "FILE")
+    ] = None,
+    align: Annotated[
+        str, one_of("--align", "How the poses are laid on the truth; nothing else is moved.", "none", "yaw", "se3")
+    ] = "none",
+    map_file: Annotated[
+        Path | None, option("--map", "Points in the world: .ply, .npz, .csv, .pcd, .las or .laz.", "FILE")
+    ] = None,
+    points: Annotated[
+        Path | None, option("--points", "Points with labels `leaf_wood`, `instance` (or `treeID`).", "FILE")
+    ] = None,
+    stems: Annotated[
+        Path | None, option("--stems", "Stems found: x, y, dbh (m) or dbh_cm, number.", "FILE.csv")
+    ] = None,
+    inventory: Annotated[Path | None, option("--inventory", "True trees, of `forest --inventory`.", "FILE.csv")] = None,
+    truth_points: Annotated[Path | None, option("--truth-points", "True points, of `points --truth`.", "FILE")] = None,
+    radius: Annotated[
+        float,
+        option(
+            "--radius",
+            "Within which a stem is one of the truth.",
+            "M",
+            checked("--radius", float, lambda m: 0 < m <= 10, "a number above 0 and at most 10"),
+            shown="0.5",
+        ),
+    ] = 0.5,
+    unit: WhichUnit = 1,
+    out: Annotated[
+        Path | None, option("--out", "Write score.json and score.html; needs the extra 'score'.", "DIR")
+    ] = None,
+    require: Annotated[
+        list[str] | None,
+        option("--require", "A threshold; exit code 1 where it is missed. Repeatable.", "SCORE<NUMBER"),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Score a pipeline's trajectory, map, labels and stems against the truth of a run.
@@ -94,10 +61,7 @@ def score(
     from vlp16emu.extras.plots import check_matplotlib
     from vlp16emu.extras.score.card import ScoreInputs, limits_of, make_card
     from vlp16emu.extras.score.page import page
-    from vlp16emu.extras.score.paths import ALIGNMENTS
 
-    if align not in ALIGNMENTS:
-        raise InputError("--align", f"found {align}", ", ".join(ALIGNMENTS))
     limits = limits_of(require or ())
     if out is not None:
         check_matplotlib()

@@ -1,8 +1,11 @@
 """The start of a run."""
 
 import sys
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from vlp16emu.cli.terminal import Progress, stop_on_ctrl_c
 
 if TYPE_CHECKING:
     from vlp16emu.emulator import Emulator
@@ -15,16 +18,30 @@ def make_emulator(
     from vlp16emu.scenario import load
 
     scenario = load(scene, settings or (), ideal=ideal)  # first: no mistake in it should wait for numba
-    compile_first("hall" if scenario.world.kind == "hall" else "forest")
+    compile_first(scenario.world.kind)
     from vlp16emu.emulator import Emulator
 
     return Emulator(scene, settings or (), ideal=ideal, threads=threads, audit=audit)
 
 
-def compile_first(group: str | None) -> None:
-    """Compile the kernels that a group of runs needs and that are not on disk, and say on stderr how far that is."""
+@contextmanager
+def running(emulator: "Emulator", task: str, start_s: float, duration_s: float | None) -> Iterator[dict[str, Any]]:
+    """Keywords of a run: its span, what shows its progress, and what Ctrl-C sets."""
+    begin_s, end_s = emulator.scenario.span_s(start_s, duration_s, where="--start")
+    with stop_on_ctrl_c() as stop, Progress(end_s - begin_s) as bar:
+        yield {
+            "start_s": start_s,
+            "duration_s": duration_s,
+            "progress": lambda done_s: bar.show(task, done_s),
+            "stop": stop,
+        }
+
+
+def compile_first(world: str | None) -> None:
+    """Compile the kernels of runs in a kind of world (None: all) that are not on disk, and say on stderr how far that is."""
     from vlp16emu.kernels.compiler import compile_kernels
 
+    group = "forest" if world not in (None, "hall") else world
     is_terminal = sys.stderr is not None and sys.stderr.isatty()
     for done, count in compile_kernels(group):
         line = f"compiling kernels: {done} of {count}, once"

@@ -3,7 +3,6 @@
 It reports at once where it falls behind, and at its end.
 """
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -13,23 +12,8 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from vlp16emu.cli.arguments import (
-    AsJson,
-    DataPort,
-    Duration,
-    Ideal,
-    NoAudit,
-    PositionPort,
-    SceneName,
-    Settings,
-    Threads,
-    TruthFolder,
-    TruthPackets,
-    TruthRate,
-    TruthReturns,
-    checked,
-    truth_to,
-)
+from vlp16emu.cli import arguments as args
+from vlp16emu.cli.arguments import number, one_of, option, truth_to
 from vlp16emu.cli.live import FlownFile, PoseIn, View, late_of, live_rows, poses_in, watched
 from vlp16emu.cli.outlets import GpsInPort, GpsInPulse, GpsOut, GpsPps, ImuOut, gps_in_of, outlet_rows, outlets_of
 from vlp16emu.cli.start import make_emulator
@@ -49,6 +33,7 @@ from vlp16emu.cli.web import HttpAt, HttpSettings, served
 from vlp16emu.errors import InputError
 
 if TYPE_CHECKING:
+    from vlp16emu.emulator import Emulator
     from vlp16emu.run.replay import Replayed
     from vlp16emu.run.report import Behind, Streamed
     from vlp16emu.scenario import Scenario
@@ -135,10 +120,6 @@ def _time(us: float) -> str:
     return f"{us * 1e-3:.0f} ms" if us < 1e6 else f"{us * 1e-6:.2f} s"
 
 
-if TYPE_CHECKING:
-    from vlp16emu.emulator import Emulator
-
-
 _LATE = 1
 """Exit code of a strict stream that was late."""
 _SLOWEST = 0.001
@@ -161,106 +142,83 @@ def receiver_of(to: str | None, data_port: int | None, interface: str | None) ->
 
 To = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--to",
-        metavar="HOST[:PORT]",
-        help="Receiver; may be a broadcast address. The port is that of data packets, as --data-port. "
+        "Receiver; may be a broadcast address. The port is that of data packets, as --data-port. "
         "Left out it is this machine, 127.0.0.1, and with --interface all stations behind that, 255.255.255.255.",
-        show_default=False,
+        "HOST[:PORT]",
     ),
 ]
-Speed = Annotated[
-    float,
-    typer.Option(
-        "--speed",
-        metavar="X",
-        parser=checked("--speed", float, lambda x: _SLOWEST <= x < math.inf, f"a number from {_SLOWEST:g} on"),
-        help="Simulated seconds per second.",
-    ),
-]
+Speed = Annotated[float, number("--speed", "Simulated seconds per second.", "X", _SLOWEST)]
 
-Strict = Annotated[
-    bool, typer.Option("--strict", help="End with 1 where packets were late by more than 50 ms, or were skipped.")
-]
+Strict = Annotated[bool, option("--strict", "End with 1 where packets were late by more than 50 ms, or were skipped.")]
 
 Now = Annotated[
     bool,
-    typer.Option(
-        "--now",
-        help="Move time stamps and sentences by whole seconds into the present, for drivers that trust GPS time.",
+    option(
+        "--now", "Move time stamps and sentences by whole seconds into the present, for drivers that trust GPS time."
     ),
 ]
 
 
-def _policy(text: str) -> str:
-    if text not in ("pace", "skip"):
-        raise InputError("--late", f"found {text}", "pace or skip")
-    return text
-
-
-Prepare = Annotated[
-    bool,
-    typer.Option(
-        "--prepare",
-        help="Compute the whole run into a temporary file before the first packet leaves; then the engine cannot be "
-        "too slow. It takes 3.4 GB for an hour of single return.",
-    ),
-]
-PrepareTo = Annotated[
-    Path | None,
-    typer.Option("--prepare-to", metavar="FILE.pcap", help="The same into a file that is kept.", show_default=False),
-]
 LatePolicy = Annotated[
     str,
-    typer.Option(
+    one_of(
         "--late",
-        metavar="pace|skip",
-        parser=_policy,
-        help="Packets late by more than 50 ms: leave at the sensor's own spacing, and the stream stays late (pace), or "
+        "Packets late by more than 50 ms: leave at the sensor's own spacing, and the stream stays late (pace), or "
         "are dropped until it is at now (skip). Neither bursts.",
+        "pace",
+        "skip",
     ),
 ]
 AsSensor = Annotated[
     bool,
-    typer.Option(
-        "--as-sensor",
-        help="Send from the sensor's address, 192.168.1.201, which this machine must have, with its headers.",
+    option(
+        "--as-sensor", "Send from the sensor's address, 192.168.1.201, which this machine must have, with its headers."
     ),
 ]
 
 Interface = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--interface",
-        metavar="IFACE",
-        help="The same by this network interface of the machine, for instance eth0, whatever its routes are.",
-        show_default=False,
+        "The same by this network interface of the machine, for instance eth0, whatever its routes are.",
+        "IFACE",
     ),
 ]
 
 
 def stream(
-    scene: SceneName,
+    scene: args.SceneName,
     *,
     to: To = None,
-    data_port: DataPort = None,
-    position_port: PositionPort = None,
-    duration: Duration = None,
-    settings: Settings = None,
-    ideal: Ideal = False,
-    threads: Threads = 0,
-    no_audit: NoAudit = False,
-    truth: TruthFolder = None,
-    truth_rate: TruthRate = 200,
-    truth_packets: TruthPackets = False,
-    truth_returns: TruthReturns = False,
+    data_port: args.DataPort = None,
+    position_port: args.PositionPort = None,
+    duration: args.Duration = None,
+    settings: args.Settings = None,
+    ideal: args.Ideal = False,
+    threads: args.Threads = 0,
+    no_audit: args.NoAudit = False,
+    truth: args.TruthFolder = None,
+    truth_rate: args.TruthRate = 200,
+    truth_packets: args.TruthPackets = False,
+    truth_returns: args.TruthReturns = False,
     speed: Speed = 1.0,
     late: LatePolicy = "pace",
     as_sensor: AsSensor = False,
     interface: Interface = None,
     now: Now = False,
-    prepare: Prepare = False,
-    prepare_to: PrepareTo = None,
+    prepare: Annotated[
+        bool,
+        option(
+            "--prepare",
+            "Compute the whole run into a temporary file before the first packet leaves; then the engine cannot be "
+            "too slow. It takes 3.4 GB for an hour of single return.",
+        ),
+    ] = False,
+    prepare_to: Annotated[
+        Path | None, option("--prepare-to", "The same into a file that is kept.", "FILE.pcap")
+    ] = None,
     http: HttpAt = None,
     http_settings: HttpSettings = None,
     strict: Strict = False,
@@ -272,7 +230,7 @@ def stream(
     imu_out: ImuOut = None,
     gps_in: GpsInPort = None,
     gps_in_pulse: GpsInPulse = "sentence",
-    as_json: AsJson = False,
+    as_json: args.AsJson = False,
 ) -> None:
     """Stream a scene over UDP, each packet at its time.
 
@@ -280,7 +238,9 @@ def stream(
     starts the clock, and all deadlines count from there. Where the engine falls behind, a line says so at
     once, with settings that would keep up. Ctrl-C ends the stream.
     """
-    to, changes = _changes(settings, to, interface, data_port, position_port)
+    to, data_port = receiver_of(to, data_port, interface)
+    ports = {"data_port": data_port, "position_port": position_port}
+    changes = [*(settings or ()), *(f"sensor.{key}={port}" for key, port in ports.items() if port is not None)]
     emulator = make_emulator(scene, changes, ideal=ideal, threads=threads, audit=not no_audit)
     late = late_of(emulator.scenario, late)
     _, stop_s = emulator.scenario.span_s(0.0, duration)
@@ -339,12 +299,3 @@ def close(sent: T, what: str, rows: Callable[[T], dict[str, str]], *, strict: bo
 def _announce(scene: str, to: str, emulator: "Emulator") -> None:
     pairs = "; ".join(f"{unit.link.data_port} and {unit.link.position_port}" for unit in emulator.parts.units)
     print(f"streaming {scene} to {to}, ports {pairs}", flush=True)
-
-
-def _changes(
-    settings: list[str] | None, to: str | None, interface: str | None, data_port: int | None, position_port: int | None
-) -> tuple[str, list[str]]:
-    """Split the host off, and put the ports of the command line to the settings."""
-    to, data_port = receiver_of(to, data_port, interface)
-    ports = {"data_port": data_port, "position_port": position_port}
-    return to, [*(settings or ()), *(f"sensor.{key}={port}" for key, port in ports.items() if port is not None)]

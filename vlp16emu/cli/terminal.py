@@ -6,13 +6,21 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
+import typer
+
 from vlp16emu.errors import OutputError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    from vlp16emu.run.report import AuditFinding
+    from vlp16emu.sensor.head import Turn
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C: 128 + SIGINT, as shells count (POSIX.1-2024, Shell, section 2.8.2)."""
@@ -128,13 +136,6 @@ class Progress:
             print(line, file=sys.stderr, flush=True)
 
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-    from vlp16emu.run.report import AuditFinding
-    from vlp16emu.sensor.head import Turn
-
-
 def tree_of(result: "DataclassInstance") -> dict[str, Any]:
     """Put a result into the types of JSON; what it says of its `turn` goes beside the rest."""
 
@@ -174,6 +175,23 @@ def print_rows(title: str, rows: Mapping[str, str]) -> None:
         print(f"  {name:<{width}}  {value}")
 
 
+def finish(tree: Mapping[str, Any], place: object, rows: Mapping[str, str], *, as_json: bool) -> None:
+    """Print what a run has written in some place, as JSON or in rows; exit as interrupted if `tree` says so."""
+    interrupted = tree.get("interrupted")
+    if as_json:
+        print_json(tree)
+    else:
+        print_rows(f"{'interrupted, kept' if interrupted else 'wrote'} {place}", rows)
+    if interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+def print_files(files: Iterable[Path]) -> None:
+    """Print the names and sizes of files that were written."""
+    for path in files:
+        print(f"wrote {path}, {size(path.stat().st_size)}")
+
+
 def count(number: int) -> str:
     """Write a whole number in groups of three digits (ISO 80000-1, section 7.3.1)."""
     return f"{number:,}".replace(",", " ")
@@ -211,11 +229,12 @@ def audit_rows(found: "AuditFinding | None") -> dict[str, str]:
         return {"range error": "rounding to float32 only: by the scene's choice a pulse is one ray"}
     if found.range_rmse_m is None:
         return {"range error": f"not known: {found.pulses} pulses cast again had no return"}
-    sure = "interval not known from so few"
     low_m, high_m = found.range_rmse_low_m, found.range_rmse_high_m
-    if low_m is not None and high_m is not None and high_m > _WIDEST * low_m:
+    if low_m is None or high_m is None:
+        sure = "interval not known from so few"
+    elif high_m > _WIDEST * low_m:
         sure = "run too short for an interval"
-    elif low_m is not None and high_m is not None:
+    else:
         sure = f"95 %: {1e3 * low_m:.1f} to {1e3 * high_m:.1f} mm"
     lost, invented, other = (
         f"{100 * (share or 0.0):.1f} %" for share in (found.lost, found.invented, found.other_echo)

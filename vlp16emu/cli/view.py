@@ -4,9 +4,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from vlp16emu.cli.arguments import Settings, WhichUnit, checked
+from vlp16emu.cli.arguments import SceneOrCapture, Settings, WhichUnit, number, option
 from vlp16emu.cli.start import make_emulator
 from vlp16emu.cli.terminal import Progress
 from vlp16emu.errors import InputError, MissingExtraError
@@ -15,69 +13,32 @@ if TYPE_CHECKING:
     import viser
 
 
-SceneOrCapture = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENE|FILE.pcap",
-        help="Name of a scene (see `vlp16emu scenes`) or path of a .toml file; or a capture, ours or a real sensor's.",
-        show_default=False,
-    ),
-]
-Save = Annotated[
-    Path | None,
-    typer.Option(
-        "--save",
-        metavar="OUT.toml",
-        help="File to which the page saves the scene with the path drawn in it; comments stay.",
-        show_default=False,
-    ),
-]
-Truth = Annotated[
-    Path | None,
-    typer.Option(
-        "--truth",
-        metavar="DIR",
-        help="Of a capture: what `record --truth DIR --truth-returns` has written beside it, for places in the world and labels.",
-        show_default=False,
-    ),
-]
-Radius = Annotated[
-    float,
-    typer.Option(
-        "--radius",
-        metavar="M",
-        parser=checked("--radius", float, lambda m: 1 <= m <= 100, "a number from 1 to 100"),
-        help="How far from the path the stand is drawn.",
-        show_default="25",
-    ),
-]
-Host = Annotated[
-    str,
-    typer.Option(
-        "--host", metavar="ADDRESS", help="Address of this machine to listen on; others can then see the page."
-    ),
-]
-Port = Annotated[
-    int,
-    typer.Option(
-        "--port",
-        metavar="N",
-        parser=checked("--port", int, lambda n: 0 <= n <= 65_535, "a whole number from 0 to 65535"),
-        help="Port of the page, 0 for any that is free.",
-    ),
-]
-
-
 def view(
     scene: SceneOrCapture,
     *,
     settings: Settings = None,
     unit: WhichUnit = 1,
-    truth: Truth = None,
-    save: Save = None,
-    radius: Radius = 25.0,
-    host: Host = "127.0.0.1",
-    port: Port = 8016,
+    truth: Annotated[
+        Path | None,
+        option(
+            "--truth",
+            "Of a capture: what `record --truth DIR --truth-returns` has written beside it, for places in the world and labels.",
+            "DIR",
+        ),
+    ] = None,
+    save: Annotated[
+        Path | None,
+        option(
+            "--save", "File to which the page saves the scene with the path drawn in it; comments stay.", "OUT.toml"
+        ),
+    ] = None,
+    radius: Annotated[
+        float, number("--radius", "How far from the path the stand is drawn.", "M", 1.0, 100, shown="25")
+    ] = 25.0,
+    host: Annotated[
+        str, option("--host", "Address of this machine to listen on; others can then see the page.", "ADDRESS")
+    ] = "127.0.0.1",
+    port: Annotated[int, number("--port", "Port of the page, 0 for any that is free.", "N", 0, 65_535)] = 8016,
 ) -> None:
     """Show a scene in the browser: the stand, the path, and the sweep at any time; draw the path anew.
 

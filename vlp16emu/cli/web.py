@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
-import typer
+from vlp16emu.cli.arguments import option
 
 if TYPE_CHECKING:
     from vlp16emu.run.options import Http
@@ -18,23 +18,17 @@ def _http(text: str) -> tuple[str, int]:
 
 HttpAt = Annotated[
     object | None,  # click would take two values for a tuple
-    typer.Option(
+    option(
         "--http",
-        metavar="HOST:PORT",
-        parser=_http,
-        help="Serve the sensor's web interface, which the stream follows; of a rig on this port and those behind it. "
+        "Serve the sensor's web interface, which the stream follows; of a rig on this port and those behind it. "
         "PORT alone is on 127.0.0.1.",
-        show_default=False,
+        "HOST:PORT",
+        _http,
     ),
 ]
 HttpSettings = Annotated[
     Path | None,
-    typer.Option(
-        "--http-settings",
-        metavar="FILE",
-        help="Keep the settings that are saved in the web interface, from run to run.",
-        show_default=False,
-    ),
+    option("--http-settings", "Keep the settings that are saved in the web interface, from run to run.", "FILE"),
 ]
 
 

@@ -209,7 +209,7 @@ def test_own_numbers_of_trees_are_kept(truth, capsys):
         (["--map", "trajectory.tum"], "found suffix '.tum'"),
         (["--map", "late.csv"], "x, y and z"),
         (["--map", "none.ply"], "no such file"),
-        (["--trajectory", "trajectory.tum", "--align", "up"], "none, yaw, se3"),
+        (["--trajectory", "trajectory.tum", "--align", "up"], "none, yaw or se3"),
         (["--trajectory", "trajectory.tum", "--require", "ate_m=3"], "found ate_m=3"),
     ],
 )
