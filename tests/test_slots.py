@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from vlp16emu.cli.app import run as command
 from vlp16emu.emulator import Emulator
+from vlp16emu.engine import Engine
 from vlp16emu.errors import InputError
 from vlp16emu.extras.truth.slots import SLOT_COLUMNS
 from vlp16emu.extras.truth.truth import write_truth
@@ -130,8 +131,8 @@ def test_memory_holds_no_more_than_a_row_group(tmp_path, monkeypatch):
 def test_no_truth_no_cost(monkeypatch, tmp_path):
     """A run that does not ask for it neither looks for surfaces nor keeps exact ranges, also beside other truth."""
     kept = []
-    original = Emulator._scan
-    monkeypatch.setattr(Emulator, "_scan", lambda *a, **k: kept.append(original(*a, **k)) or kept[-1])
+    original = Engine._scan
+    monkeypatch.setattr(Engine, "_scan", lambda *a, **k: kept.append(original(*a, **k)) or kept[-1])
     Emulator("static_bench", ["beam.model=none"]).record(tmp_path / "x.pcap", duration_s=0.1, truth=tmp_path / "t")
     assert kept
     assert all(one.surface is None and one.range_m is None and one.share is None for one in kept)

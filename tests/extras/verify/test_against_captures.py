@@ -8,7 +8,7 @@ from vlp16emu.extras.verify import Rule, verify_capture
 from vlp16emu.sinks import PcapSink
 from vlp16emu.types import Packet, PacketKind
 
-CAPTURES = Path(__file__).parents[2] / ".." / "shared" / "captures"
+CAPTURES = Path(__file__).parents[3] / ".." / "shared" / "captures"
 
 pytestmark = pytest.mark.skipif(not CAPTURES.is_dir(), reason="no real captures beside the repository")
 
