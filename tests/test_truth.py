@@ -3,22 +3,27 @@
 import itertools
 import json
 import math
+import re
 import tracemalloc
-from types import SimpleNamespace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+import velodyne_decoder
+from scipy.spatial.transform import Rotation, Slerp
 
+from vlp16emu.cli.app import run
 from vlp16emu.emulator import Emulator
-from vlp16emu.errors import OutputError, ScenarioError
-from vlp16emu.extras.truth.truth import Truth, write_truth
+from vlp16emu.errors import InputError, OutputError, ScenarioError
+from vlp16emu.extras.truth.truth import Truth, _resolved, write_truth
 from vlp16emu.motion.geodesy import to_geodetic
+from vlp16emu.output import write_json
 from vlp16emu.packets import decode_position, parse_rmc
 from vlp16emu.run.options import TruthTo
+from vlp16emu.scan import decode
 from vlp16emu.scenario import load, scene_files
 from vlp16emu.types import Packet, PacketKind
-from vlp16emu.units import S_NS
+from vlp16emu.units import HOUR_NS, S_NS
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
@@ -50,14 +55,8 @@ def tum(path):
 
 def test_a_packet_that_was_taken_and_not_sent_has_no_row(walk, tmp_path):
     """Whoever stops at a packet, as a recording does on Ctrl-C, has rows for those before it only."""
-    packets = walk.packets(0.0, 1.0)
-    with Truth(TruthTo(tmp_path, per_packet=True), walk, (0.0, 1.0)) as truth:
-        sent = 0
-        for packet in truth.beside(packets):
-            if sent == 100:
-                break
-            sent += packet.kind is PacketKind.DATA
-    assert len(tum(tmp_path / "packets.tum")[0]) == 100
+    taken = written(walk, tmp_path, 0.0, 1.0, per_packet=True, most=100)
+    assert len(tum(tmp_path / "packets.tum")[0]) == sum(packet.kind is PacketKind.DATA for packet in taken[:-1])
 
 
 def test_the_trajectory_is_that_of_the_sensor(walk, tmp_path):
@@ -231,34 +230,20 @@ def test_truth_grows_with_the_run_and_not_in_memory(walk, tmp_path):
     assert held[1] - held[0] < 500_000
 
 
-def test_the_resolved_scenario_is_a_scene(tmp_path):
+@pytest.mark.parametrize("name", scene_files())
+def test_the_resolved_scenario_is_a_scene(name, tmp_path):
     """Every scene of ours, written with all its values and read again, is the same scenario."""
-    for name in scene_files():
-        scenario = load(name, ["seed=77", "title=ä"])
-        head = SimpleNamespace(beams=SimpleNamespace(sequence_ns=55_296))
-        unit = SimpleNamespace(
-            number=0,
-            head=head,
-            section=scenario.sensor,
-            mount=scenario.motion.mount,
-            motion=None,
-            timeline=SimpleNamespace(sequences=lambda *_span_ns: iter(())),
-        )
-        parts = SimpleNamespace(units=(unit,), gps=SimpleNamespace(second_ns=lambda _t_ns: None))
-        run = SimpleNamespace(engine=SimpleNamespace(scenario=scenario, parts=parts, receiver=None))
-        with Truth(TruthTo(tmp_path / name), run, (0.0, scenario.duration_s)) as truth:
-            truth._trajectories = []
-        assert load(str(tmp_path / name / "scenario.json")) == scenario, name
+    scenario = load(name, ["seed=77", "title=ä"])
+    write_json(tmp_path / "scenario.json", _resolved(scenario, (0.0, scenario.duration_s)))
+    assert load(str(tmp_path / "scenario.json")) == scenario
 
 
 @pytest.mark.parametrize("near_m", [7.5, math.inf])
 def test_an_infinite_distance_is_written_and_read_again(near_m, tmp_path):
     """JSON has no infinite number; what is written without one is the same world when it is read, also with a setting."""
-    scenario = load("birch_walk", [f"world.near_m={near_m}"])
+    scenario, path = load("birch_walk", [f"world.near_m={near_m}"]), tmp_path / "scenario.json"
     assert scenario.world.near_m == near_m
-    path = tmp_path / "scenario.json"
-    tree = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
-    path.write_text(json.dumps(tree, allow_nan=False))
+    path.write_text(json.dumps(_resolved(scenario, (0.0, scenario.duration_s)), allow_nan=False))
     assert load(str(path)) == scenario
     assert load(str(path), ["world.near_m=inf"]).world.near_m == math.inf
 
@@ -350,3 +335,96 @@ def test_an_earlier_truth_is_replaced_as_a_whole(walk, tmp_path):
     written(walk, tmp_path, stop_s=0.05)
     assert not (tmp_path / "packets.tum").exists()
     assert tum(tmp_path / "trajectory.tum")[0][0] == walk.scenario.start_ns
+
+
+OUTPUTS = (Path(__file__).resolve().parents[1] / "scenes" / "OUTPUTS.md").read_text(encoding="utf-8")
+EXACT = ("sensor.eccentricity_deg=0.0", "sensor.azimuth_noise_deg=0.0")
+
+
+def command_points(capture, *options):
+    """Times since the start of the hour and points, as `vlp16emu decode` writes them."""
+    out = capture.with_suffix(".npz")
+    assert run(["decode", str(capture), "--out", str(out), *options]) == 0
+    points = np.load(out)
+    return points["clock_ns"], points["xyz_m"]
+
+
+def python_points(capture, frame):
+    """Times UTC and points of all whole scans."""
+    scans = list(decode(capture, frame=frame))
+    return np.concatenate([s.t_ns for s in scans]), np.concatenate([s.xyz_m for s in scans])
+
+
+def velodyne_decoder_points(capture):
+    """Times past the full hour and points of all scans of velodyne-decoder."""
+    scans = list(velodyne_decoder.read_pcap(str(capture), as_pcl_structs=True))
+    t_ns = [np.round(stamp.device % 3600 * 1e6) * 1e3 + np.rint(p["time"] * 1e9) for stamp, p in scans]
+    xyz_m = [np.stack([p[axis] for axis in "xyz"], axis=1) for _, p in scans]
+    return np.concatenate(t_ns).astype(np.int64), np.concatenate(xyz_m)
+
+
+READERS = {
+    "`vlp16emu decode`": command_points,
+    "`vlp16emu decode --frame manual`": lambda capture: command_points(capture, "--frame", "manual"),
+    "`decode(path)` in Python": lambda capture: python_points(capture, "sensor"),
+    '`decode(path, frame="manual")` in Python': lambda capture: python_points(capture, "manual"),
+    "velodyne-decoder 3.1": velodyne_decoder_points,
+}
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    """A walk in the hall without errors of the sensor: its capture, times and places of all echoes, and its trajectory."""
+    folder = tmp_path_factory.mktemp("seen")
+    motion = '{kind="walk", way_points_m=[[-4, -1], [-1, 0], [3, 4]]}'
+    settings = [f"motion={motion}", "noise.preset=ideal", "beam.model=none", *EXACT]
+    walk = Emulator(load("static_bench", [*settings, "gps.connected=true"]))
+    walk.record(folder / "walk.pcap", duration_s=0.5, truth=TruthTo(folder / "truth", 2000))
+    blocks = list(walk.returns(0.0, 0.5))
+    origin_m, along, t_ns = (
+        np.concatenate([getattr(r.firings, name).reshape(-1, *shape) for r in blocks])
+        for name, shape in (("origin_m", (3,)), ("direction", (3,)), ("t_ns", ()))
+    )
+    distance_m = np.concatenate([r.distance_m[..., 0].ravel() for r in blocks])
+    met = distance_m > 0
+    return folder, t_ns[met], (origin_m + along * distance_m[:, None])[met]
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_poses_take_points_of_each_reader_into_the_world_as_documented(seen, reader):
+    """By the formula of `scenes/OUTPUTS.md` with the pose of `trajectory.tum` points are where light met something, to the error there."""
+    folder, true_ns, true_m = seen
+    row = next(line.split(" | ") for line in OUTPUTS.splitlines() if line.startswith(f"| {reader} | "))
+    formula, most_mm = row[2].strip("`"), float(row[3].removesuffix(" mm |"))
+    past_ns, xyz_m = READERS[reader](folder / "walk.pcap")
+    pulse_ns = true_ns[0] // HOUR_NS * HOUR_NS + past_ns % HOUR_NS
+    t_ns, poses = tum(folder / "truth" / "trajectory.tum")
+    at_s, of_s = (pulse_ns - t_ns[0]) / 1e9, (t_ns - t_ns[0]) / 1e9
+    turns = Slerp(of_s, Rotation.from_quat(poses[:, 3:]))(at_s)
+    places_m = np.column_stack([np.interp(at_s, of_s, poses[:, axis]) for axis in range(3)])
+    x, y, z = xyz_m.T
+    rotated = re.fullmatch(r"R @ \((-?[xyz]), (-?[xyz]), z\) \+ t", formula)
+    axes = {"x": x, "y": y, "-x": -x, "-y": -y}
+    world_m = turns.apply(np.column_stack([axes[rotated[1]], axes[rotated[2]], z])) + places_m
+    # Stamps are cut off to whole microseconds; pulses are 2.304 us apart.
+    pulse = np.searchsorted(true_ns, pulse_ns - 300)
+    assert np.abs(true_ns[pulse] - pulse_ns).max() < 1_500
+    gap_mm = 1000 * np.linalg.norm(world_m - true_m[pulse], axis=1)
+    assert len(gap_mm) > 100_000
+    assert 0.7 * most_mm < gap_mm.max() <= most_mm
+
+
+def test_frames_turn_points_and_nothing_else(seen):
+    """The manual's frame is the sensor's turned: x right for -y, y forward for x; and `rig.json` has that turn."""
+    folder, _, _ = seen
+    ours, manual = (next(decode(folder / "walk.pcap", frame=frame)) for frame in ("sensor", "manual"))
+    x, y, z = ours.xyz_m.T
+    np.testing.assert_array_equal(manual.xyz_m, np.column_stack([-y, x, z]))
+    rig = json.loads((folder / "truth" / "rig.json").read_text())["manual"]["sensor_T_manual"]["matrix"]
+    np.testing.assert_array_equal(manual.xyz_m @ np.array(rig)[:3, :3].T, ours.xyz_m)
+
+
+def test_a_frame_that_there_is_not_is_refused(seen):
+    """One line names the frames that there are."""
+    with pytest.raises(InputError, match="frame: found ned; expected sensor or manual"):
+        decode(seen[0] / "walk.pcap", frame="ned")

@@ -235,11 +235,6 @@ def test_paths_and_methods_that_are_none(web, method, path, status, allow):
     assert web.engine.resets == []
 
 
-def test_a_query_is_left_out_of_the_path(web):
-    """Clients add a number against caches."""
-    assert web.client.get("/cgi/info.json?_=1700000000")["serial"] == "11001000000001"
-
-
 def test_a_sensor_that_starts_answers_nothing(web, speak):
     """After a reset, until it is up, lines are closed without a byte, those that were open too; then it answers again."""
     web.client.get("/cgi/info.json")

@@ -3,10 +3,12 @@
 import functools
 import struct
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from vlp16emu.extras.verify import verify_capture
 from vlp16emu.packets.frames import FACTORY_LINK, data_header, position_frame
 from vlp16emu.packets.layout import DATA_PAYLOAD
 
@@ -22,13 +24,14 @@ class Traffic:
 
     stamps_us: list[int]
     frames: list[bytearray]
+    folder: Path
 
-    def data(self, k):
-        """Index of the k-th data frame."""
+    def data(self, k=slice(None)):
+        """Index of the k-th data frame, or of all."""
         return [i for i, frame in enumerate(self.frames) if len(frame) == 1248][k]
 
-    def position(self, k):
-        """Index of the k-th position frame."""
+    def position(self, k=slice(None)):
+        """Index of the k-th position frame, or of all."""
         return [i for i, frame in enumerate(self.frames) if len(frame) == 554][k]
 
     def payload(self, i):
@@ -65,6 +68,10 @@ class Traffic:
             out.append(struct.pack("<IIII", seconds, rest_us, len(frame), len(frame)) + frame)
         path.write_bytes(b"".join(out))
         return path
+
+    def verified(self, **how):
+        """Check a capture of it."""
+        return verify_capture(self.save(self.folder / "made.pcap"), **how)
 
 
 def data_frames(seconds, rpm, *, dual):
@@ -114,11 +121,11 @@ def clean(seconds, rpm, *, dual):
 
 
 @pytest.fixture
-def traffic():
+def traffic(tmp_path):
     """Give a maker of traffic that nobody has damaged yet."""
 
     def make(seconds=2.2, rpm=600, *, dual=False):
         pairs = clean(seconds, rpm, dual=dual)
-        return Traffic([stamp_us for stamp_us, _ in pairs], [bytearray(frame) for _, frame in pairs])
+        return Traffic([stamp_us for stamp_us, _ in pairs], [bytearray(frame) for _, frame in pairs], tmp_path)
 
     return make

@@ -16,35 +16,24 @@ def rules(verification):
     return set(verification.counts)
 
 
-def test_lost_data_packets_are_one_finding_and_no_cascade(tmp_path, traffic):
-    """Seven data packets missing in a row are found once, at the packet after the hole, and nothing else is."""
+@pytest.mark.parametrize(("kind", "first", "count"), [("data", 900, 7), ("position", 200, 2)])
+def test_lost_packets_are_one_finding_and_no_cascade(traffic, kind, first, count):
+    """Packets missing in a row are found once, by time stamps or by the count in the header, at the packet after the hole."""
     made = traffic()
-    hole = [made.data(k) for k in range(900, 907)]
-    after = made.data(907) - 7
-    made.drop(hole)
-    result = verify_capture(made.save(tmp_path / "lost.pcap"))
-    assert [(f.rule, f.packet) for f in result.findings] == [(Rule.LOST_PACKETS, after + 1)]
-    assert result.findings[0].found == "7 data packets missing before it"
-    assert result.lost_packets == 7
+    of_kind = getattr(made, kind)()
+    made.drop(of_kind[first : first + count])
+    result = made.verified()
+    assert [(f.rule, f.packet) for f in result.findings] == [(Rule.LOST_PACKETS, of_kind[first + count] - count + 1)]
+    assert result.findings[0].found == f"{count} {kind} packets missing before it"
+    assert result.lost_packets == count
 
 
-def test_lost_position_packets_are_one_finding(tmp_path, traffic):
-    """Two position packets missing in a row are found by the count in the header, and nothing else is."""
-    made = traffic()
-    hole = [made.position(200), made.position(201)]
-    after = made.position(202) - 2
-    made.drop(hole)
-    result = verify_capture(made.save(tmp_path / "lost.pcap"))
-    assert [(f.rule, f.packet) for f in result.findings] == [(Rule.LOST_PACKETS, after + 1)]
-    assert result.lost_packets == 2
-
-
-def test_outage_of_a_second_breaks_no_other_rule(tmp_path, traffic):
+def test_outage_of_a_second_breaks_no_other_rule(traffic):
     """When both streams are silent for a second, each reports its lost packets once, rates count them, and silence is named."""
     made = traffic(3.4)
     silent = [i for i, t in enumerate(made.stamps_us) if 10**6 < t - made.stamps_us[0] < 2 * 10**6]
     made.drop(silent)
-    result = verify_capture(made.save(tmp_path / "outage.pcap"))
+    result = made.verified()
     assert result.counts == {Rule.LOST_PACKETS: 2, Rule.SILENCE: 1}
     assert result.lost_packets == len(silent)
     assert [f.found for f in result.findings if f.rule is Rule.SILENCE] == ["no packet for 1.00 s before it"]
@@ -52,10 +41,10 @@ def test_outage_of_a_second_breaks_no_other_rule(tmp_path, traffic):
 
 @pytest.mark.parametrize("first_block", [0, 6])
 @pytest.mark.parametrize("dual", [False, True])
-def test_limited_field_of_view_is_a_gap_and_no_cascade(tmp_path, traffic, first_block, dual):
+def test_limited_field_of_view_is_a_gap_and_no_cascade(traffic, first_block, dual):
     """60 degrees and their 16.667 ms left out, inside a packet or between two, are one gap in the revolution."""
     made = traffic(1.0, dual=dual)
-    made.drop([i for i, frame in enumerate(made.frames) if len(frame) == 554])
+    made.drop(made.position())
     for i in range(400, len(made.frames)):
         fields = made.payload(i)[0]
         first = first_block if i == 400 else 0
@@ -64,44 +53,44 @@ def test_limited_field_of_view_is_a_gap_and_no_cascade(tmp_path, traffic, first_
         made.stamps_us[i] += 16_667
         if first == 0:
             fields["timestamp_us"] = (int(fields["timestamp_us"]) + 16_667) % HOUR_US
-    result = verify_capture(made.save(tmp_path / "view.pcap"))
+    result = made.verified()
     assert [(f.rule, f.packet) for f in result.findings] == [(Rule.AZIMUTH_GAP, 401)]
     assert result.findings[0].found == "16.7 ms of the revolution left out"
 
 
-def test_equal_azimuths_at_the_head_of_a_single_packet_are_found(tmp_path, traffic):
+def test_equal_azimuths_at_the_head_of_a_single_packet_are_found(traffic):
     """Blocks 0 and 1 with one azimuth, which some software takes for dual return, have a rule of their own."""
     made = traffic()
     i = made.data(900)
     azimuth_cdeg = made.payload(i)[0]["blocks"]["azimuth_cdeg"]
     azimuth_cdeg[1] = azimuth_cdeg[0]
-    result = verify_capture(made.save(tmp_path / "twin.pcap"))
+    result = made.verified()
     assert result.counts[Rule.SINGLE_AS_DUAL] == 1
     assert rules(result) <= {Rule.SINGLE_AS_DUAL, Rule.AZIMUTH_STEP}  # the step behind is twice as wide
     assert {finding.packet for finding in result.findings} == {i + 1}
 
 
 @pytest.mark.parametrize("rpm", [240, 1320])
-def test_speed_outside_the_range_is_found(tmp_path, traffic, rpm):
+def test_speed_outside_the_range_is_found(traffic, rpm):
     """Rotor speeds that no VLP-16 can be set to are told from the first packet on."""
-    result = verify_capture(traffic(0.5, rpm).save(tmp_path / "fast.pcap"))
+    result = traffic(0.5, rpm).verified()
     assert rules(result) == {Rule.RPM}
     assert result.findings[0].packet == 1
     assert float(result.findings[0].found.split()[0]) == pytest.approx(rpm, rel=1e-3)
 
 
-def test_clock_that_drifts_is_found_in_both_streams(tmp_path, traffic):
+def test_clock_that_drifts_is_found_in_both_streams(traffic):
     """Capture stamps that jump ahead by 50 ms are found at the next position packet and the next data chunk."""
     made = traffic()
     first = made.data(900)
     made.stamps_us = [t + 50_000 * (i >= first) for i, t in enumerate(made.stamps_us)]
-    result = verify_capture(made.save(tmp_path / "drift.pcap"))
+    result = made.verified()
     assert result.counts == {Rule.CLOCK_DRIFT: 2}
     assert result.findings[-1].packet > result.findings[0].packet >= first
     assert result.findings[0].found == "time stamps -50.0 ms off the capture stamps"
 
 
-def test_old_sentence_is_found_only_while_locked(tmp_path, traffic):
+def test_old_sentence_is_found_only_while_locked(traffic):
     """A sentence of three seconds before is wrong when the state is locked, and right when it is not; that it is not is a finding."""
     lost = {Rule.PPS}
     for pps, broken in ((2, {Rule.NMEA_SECOND}), (0, lost), (1, lost), (3, lost)):
@@ -109,18 +98,17 @@ def test_old_sentence_is_found_only_while_locked(tmp_path, traffic):
         i = made.position(200)
         made.write_position(i, 206, made.sentence(-2))
         made.write_position(i, 202, bytes([pps]))
-        result = verify_capture(made.save(tmp_path / "old.pcap"))
+        result = made.verified()
         assert rules(result) == broken
         assert [finding.packet for finding in result.findings] == [i + 1] * len(broken)
 
 
-def test_sensor_without_gps_is_clean(tmp_path, traffic):
+def test_sensor_without_gps_is_clean(traffic):
     """No pulse and no sentence break no rule."""
     made = traffic(0.5)
-    for i, frame in enumerate(made.frames):
-        if len(frame) == 554:
-            made.write_position(i, 202, bytes(310))
-    assert verify_capture(made.save(tmp_path / "indoors.pcap")).is_clean
+    for i in made.position():
+        made.write_position(i, 202, bytes(310))
+    assert made.verified().is_clean
 
 
 @pytest.mark.parametrize(
@@ -130,69 +118,67 @@ def test_sensor_without_gps_is_clean(tmp_path, traffic):
         b"$GPRMC,214106,A,3707.8178,N,12139.2690,W,010.3,188.2,230715,013.8,E,D*05",
     ],
 )
-def test_sentences_of_other_receivers_are_accepted(tmp_path, traffic, text):
+def test_sentences_of_other_receivers_are_accepted(traffic, text):
     """A void sentence with empty fields, and one without decimals that a real unit echoed, are in order."""
     made = traffic(0.5)
     i = made.position(3)
     made.write_position(i, 202, b"\1\0\0\0" + text + b"\r\n" + bytes(80 - len(text)))
-    result = verify_capture(made.save(tmp_path / "other.pcap"))
+    result = made.verified()
     assert [f.rule for f in result.findings] == [Rule.PPS]  # of a sensor that was locked before
     assert result.void_sentences == (b",V," in text)
 
 
-def test_repeated_identification_is_found(tmp_path, traffic):
+def test_repeated_identification_is_found(traffic):
     """A position header that does not count on is a header fault, at this packet and at the one that goes on."""
     made = traffic()
     i = made.position(200)
     made.frames[i][18:20] = made.frames[made.position(199)][18:20]
     made.write_position(i, 0, b"\0")
-    result = verify_capture(made.save(tmp_path / "repeated.pcap"))
+    result = made.verified()
     assert result.findings[0].packet == i + 1
     assert result.findings[0].rule is Rule.HEADER
     assert "one more than before" in result.findings[0].expected
 
 
-def test_rates_are_found(tmp_path, traffic):
+def test_rates_are_found(traffic):
     """Every second position packet, numbered on, is too few; stamps at twice the speed are too many of both."""
     made = traffic(2.5)
-    positions = [i for i, frame in enumerate(made.frames) if len(frame) == 554]
+    positions = made.position()
     for n, i in enumerate(positions[::2]):
         made.frames[i][18:20] = n.to_bytes(2)
         made.write_position(i, 0, b"\0")
     made.drop(positions[1::2])
-    result = verify_capture(made.save(tmp_path / "few.pcap"))
+    result = made.verified()
     assert [(f.rule, f.packet) for f in result.findings] == [(Rule.POSITION_RATE, made.position(-1) + 1)]
     made = traffic(5.0)
     made.stamps_us = [made.stamps_us[0] + (t - made.stamps_us[0]) // 2 for t in made.stamps_us]
-    result = verify_capture(made.save(tmp_path / "fast.pcap"))
+    result = made.verified()
     assert rules(result) == {Rule.DATA_RATE, Rule.POSITION_RATE, Rule.CLOCK_DRIFT}
     assert {f.found for f in result.findings if f.rule is Rule.DATA_RATE} == {"1507.0 data packets per second"}
 
 
-def test_change_of_mode_is_found_once(tmp_path, traffic):
+def test_change_of_mode_is_found_once(traffic):
     """A sensor that is switched from strongest to last and to dual gives one finding for each change."""
     made = traffic(1.0)
-    switched = made.data(300)
-    for i in range(switched, len(made.frames)):
-        if len(made.frames[i]) == 1248:
-            made.payload(i)["return_mode"] = 0x38
-    result = verify_capture(made.save(tmp_path / "switched.pcap"))
-    assert [(f.rule, f.packet) for f in result.findings] == [(Rule.FACTORY, switched + 1)]
+    for i in (switched := made.data(slice(300, None))):
+        made.payload(i)["return_mode"] = 0x38
+    result = made.verified()
+    assert [(f.rule, f.packet) for f in result.findings] == [(Rule.FACTORY, switched[0] + 1)]
 
 
-def test_all_findings_are_counted_and_the_first_ones_kept(tmp_path, traffic):
+def test_all_findings_are_counted_and_the_first_ones_kept(traffic):
     """Of 50 broken packets the first three are told, and 50 are counted."""
     made = traffic()
     broken = [made.data(k) for k in range(300, 350)]
     for i in broken:
         made.payload(i)[0]["blocks"]["flag"][0] = 0
-    result = verify_capture(made.save(tmp_path / "many.pcap"), limit_per_rule=3)
+    result = made.verified(limit_per_rule=3)
     assert result.counts == {Rule.FLAG: 50}
     assert [f.packet for f in result.findings] == [i + 1 for i in broken[:3]]
     assert str(result.findings[0]) == f"packet {broken[0] + 1}: flag: 00 00 at block 0; expected ff ee"
 
 
-def test_other_traffic_is_left_alone(tmp_path, traffic):
+def test_other_traffic_is_left_alone(traffic):
     """A name query and an ARP frame between the packets are counted as others and move the numbers on."""
     made = traffic(0.5)
     query = bytearray(made.frames[0][:42] + bytes(30))
@@ -201,7 +187,7 @@ def test_other_traffic_is_left_alone(tmp_path, traffic):
     made.frames[:0], made.stamps_us[:0] = [query, arp], made.stamps_us[:1] * 2
     i = made.data(100)
     made.payload(i)[0]["blocks"]["flag"][0] = 0
-    result = verify_capture(made.save(tmp_path / "mixed.pcap"))
+    result = made.verified()
     assert result.other_frames == 2
     assert [f.packet for f in result.findings] == [i + 1]
 
@@ -214,12 +200,12 @@ def test_cut_file_is_reported_and_checked_up_to_there(tmp_path, traffic):
     assert (result.is_cut, result.is_clean) == (True, True)
 
 
-def test_capture_without_packets_is_refused(tmp_path, traffic):
+def test_capture_without_packets_is_refused(traffic):
     """A capture that holds no VLP-16 packets at all is bad input."""
     made = traffic(0.5)
     made.drop(range(len(made.frames)))
     with pytest.raises(CaptureError, match="no VLP-16 packets; expected data packets on UDP port 2368"):
-        verify_capture(made.save(tmp_path / "empty.pcap"))
+        made.verified()
 
 
 def test_memory_does_not_grow_with_the_capture(tmp_path, traffic):

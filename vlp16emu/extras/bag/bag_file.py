@@ -175,28 +175,22 @@ class BagFile:
         return writer
 
     def _connection(self, topic: str, name: str) -> Any:
-        """Announce a topic; fixed transforms are kept for whoever comes later."""
-        is_fixed = topic == "/tf_static"
-        if self.is_ros1:
-            more: dict[str, object] = {"latching": 1} if is_fixed else {}
-        else:
-            more = {"offered_qos_profiles": [_qos(is_fixed=is_fixed)]}
+        """Announce a topic: reliable, the last ten; fixed transforms are kept for whoever comes later, as tf2_ros does."""
+        from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+        is_fixed, any_time = topic == "/tf_static", QosTime(0, 0)
+        more: dict[str, object] = {"latching": 1} if is_fixed else {}
+        if not self.is_ros1:
+            qos = Qos(
+                QosHistory.KEEP_LAST,
+                1 if is_fixed else 10,
+                QosReliability.RELIABLE,
+                QosDurability.TRANSIENT_LOCAL if is_fixed else QosDurability.VOLATILE,
+                any_time,
+                any_time,
+                QosLiveliness.SYSTEM_DEFAULT,
+                any_time,
+                avoid_ros_namespace_conventions=False,
+            )
+            more = {"offered_qos_profiles": [qos]}
         return self._writer.add_connection(topic, name, typestore=self._store, **more)
-
-
-def _qos(*, is_fixed: bool) -> Any:
-    """Reliable, the last ten; of fixed transforms transient local, as tf2_ros offers them."""
-    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-
-    durability = QosDurability.TRANSIENT_LOCAL if is_fixed else QosDurability.VOLATILE
-    return Qos(
-        QosHistory.KEEP_LAST,
-        1 if is_fixed else 10,
-        QosReliability.RELIABLE,
-        durability,
-        QosTime(0, 0),
-        QosTime(0, 0),
-        QosLiveliness.SYSTEM_DEFAULT,
-        QosTime(0, 0),
-        avoid_ros_namespace_conventions=False,
-    )

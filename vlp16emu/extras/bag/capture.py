@@ -88,13 +88,7 @@ def _packets(capture: Path) -> Iterator[Packet]:
 
 
 class _Rows:
-    """Rows of a file, each written when its time has come.
-
-    Parameters
-    ----------
-    rows : in order of time
-    take : writes one
-    """
+    """Rows of a file in order of time, each written when its time has come."""
 
     def __init__(self, rows: Iterator[Row], take: Callable[..., None]) -> None:
         self._rows, self._take = rows, take
@@ -115,7 +109,7 @@ def _truth(folder: Path, bag: BagFile, frames: Sequence[str], begin_ns: int) -> 
     to = TrueMessages(bag, scenario.get("imu"), scenario["gps"])
     to.fixed(begin_ns, rig, frames[0])
     files = [
-        _Rows(_poses(folder / unit["trajectory"], begin_ns), partial(_odometry, to, frame))
+        _Rows(_poses(folder / unit["trajectory"], begin_ns), partial(to.odometry, frame))
         for unit, frame in zip(rig["units"], frames, strict=True)
     ]
     for name, columns, take in (("imu.csv", _AXES, to.inertial), ("gnss.csv", _SAID, to.fix)):
@@ -131,10 +125,6 @@ def _json(path: Path) -> Any:
             return json.loads(path.read_text(encoding="utf-8"))
         except ValueError:
             raise InputError(str(path), "no JSON", "a file of a --truth folder") from None
-
-
-def _odometry(to: TrueMessages, frame: str, t_ns: int, numbers: list[float]) -> None:
-    to.odometry(frame, t_ns, numbers[:7], numbers[7:])
 
 
 def _poses(path: Path, begin_ns: int) -> Iterator[Row]:

@@ -51,13 +51,7 @@ class UnitMessages:
         self._held: list[tuple[int, bytes, int]] = []
 
     def data(self, stamp_ns: int, payload: bytes, number: int) -> int:
-        """Take a data packet, and give UTC of its first pulse, with the hour that is nearest to the first stamp.
-
-        Raises
-        ------
-        PacketError
-            where one of the scan that it ends is not a VLP-16's
-        """
+        """Take a data packet, and give UTC of its first pulse, with the hour that is nearest to the first stamp; as `check`."""
         fields = np.frombuffer(payload, DATA_PAYLOAD)[0]
         clock_ns, azimuth_cdeg = int(fields["timestamp_us"]) * US_NS, int(fields["blocks"]["azimuth_cdeg"][0])
         if self._last_cdeg < 0:
@@ -81,13 +75,7 @@ class UnitMessages:
         self._sentence = sentence
 
     def check(self) -> NDArray[np.uint8]:
-        """Payloads (n, 1206) of the scan so far.
-
-        Raises
-        ------
-        PacketError
-            where one of them is not a VLP-16's
-        """
+        """Payloads (n, 1206) of the scan so far; `PacketError` where one of them is not a VLP-16's."""
         payloads = np.frombuffer(b"".join(payload for _, payload, _ in self._held), np.uint8)
         payloads = payloads.reshape(len(self._held), DATA_PAYLOAD.itemsize)
         if len(payloads):
@@ -146,11 +134,11 @@ class TrueMessages:
         if found:
             self._bag.write("/tf_static", t_ns, "tf2_msgs/msg/TFMessage", moved)
 
-    def odometry(self, frame: str, t_ns: int, pose: Sequence[float], rates: Sequence[float]) -> None:
-        """Write a pose as odometry, with velocity and angular rate in its own axes, and as transform."""
+    def odometry(self, frame: str, t_ns: int, numbers: Sequence[float]) -> None:
+        """Write a pose (7,) as odometry, with velocity and angular rate (6,) in its own axes, and as transform."""
         topic = f"/{frame}".removesuffix("/velodyne") + "/ground_truth/odom"
-        placed, header = (pose[:3], pose[3:]), self._bag.header(t_ns, "map", topic)
-        twist = (rates[:3], rates[3:]), _EXACT
+        placed, header = (numbers[:3], numbers[3:7]), self._bag.header(t_ns, "map", topic)
+        twist = (numbers[7:10], numbers[10:]), _EXACT
         self._bag.write(topic, t_ns, "nav_msgs/msg/Odometry", header, frame, (placed, _EXACT), twist)
         moved = self._bag.header(t_ns, "map", "/tf"), frame, placed
         self._bag.write("/tf", t_ns, "tf2_msgs/msg/TFMessage", [moved])

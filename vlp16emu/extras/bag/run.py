@@ -19,13 +19,7 @@ from vlp16emu.units import S_NS
 
 @contextmanager
 def bag_of_run(path: Path, engine: Engine, rate_hz: int) -> Iterator[list[BagSink]]:
-    """Open a bag for the packets of a run and its truth, with poses at a rate.
-
-    Raises
-    ------
-    OutputError, MissingExtraError, RunError
-        as `BagFile`
-    """
+    """Open a bag for the packets of a run and its truth, with poses at a rate; errors as of `BagFile`."""
     check_bag(path)
     with BagSink(path, len(engine.parts.units), partial(_truth, engine, rate_hz)) as sink:
         yield [sink]
@@ -40,30 +34,26 @@ def _truth(
     to.fixed(begin_ns, rig_of(scenario, parts), frames[0])
     found: list[tuple[TrueSamples, int]] = []
     for unit, frame in zip(parts.units, frames, strict=True):
-        motion = true_motion(unit.motion, scenario.start_ns, rate_hz)
-        poses = Samples(partial(_odometry, to, frame), motion, scenario.start_ns, rate_hz, begin_ns)
+        at = scenario.start_ns, rate_hz
+        poses = Samples(partial(_odometry, to, frame), partial(true_motion, unit.motion, *at), *at, begin_ns)
         found.append((poses, -(-S_NS // rate_hz)))
     if imu is not None and parts.imu is not None:
         readings = Samples(partial(_inertial, to), parts.imu.read, scenario.start_ns, imu.rate_hz, begin_ns)
         found.append((readings, 0))
     if (named_ns := parts.gps.second_ns(begin_ns)) is not None:
-        seconds = Samples(partial(_fixes, to, engine), _seconds, 0, 1, max(named_ns, begin_ns))
+        fixes = partial(_fixes, to, engine)
+        seconds = Samples(fixes, lambda first, count: range(first, first + count), 0, 1, max(named_ns, begin_ns))
         found.append((seconds, 0))
     return found
-
-
-def _seconds(first: int, count: int) -> range:
-    return range(first, first + count)
 
 
 def _odometry(to: TrueMessages, frame: str, true: Kinematics) -> None:
     from scipy.spatial.transform import Rotation
 
     quaternion = Rotation.from_matrix(true.world_R_body).as_quat(canonical=True)
-    poses = np.column_stack([true.world_p_body_m, quaternion]).tolist()
     own_m_s = np.einsum("nji,nj->ni", true.world_R_body, true.world_v_body_m_s)
-    rates = np.column_stack([own_m_s, true.body_w_rad_s]).tolist()
-    for sample in zip(true.t_ns.tolist(), poses, rates, strict=True):
+    numbers = np.column_stack([true.world_p_body_m, quaternion, own_m_s, true.body_w_rad_s]).tolist()
+    for sample in zip(true.t_ns.tolist(), numbers, strict=True):
         to.odometry(frame, *sample)
 
 

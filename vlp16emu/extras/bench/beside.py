@@ -23,16 +23,9 @@ _Beat = tuple[int, Packet | Callable[[], Packet]]
 
 
 class Beside:
-    """Packets of receiver and inertial unit, made in the order of a run and not before their time.
+    """Packets of kinds NMEA, PPS and IMU, made in the order of a run and not before their time.
 
-    Parameters
-    ----------
-    kinds : NMEA, PPS and IMU, or some of these
-
-    Raises
-    ------
-    ScenarioError
-        where the scene has no such device
+    Raises `ScenarioError` where the scene has no such device.
     """
 
     def __init__(self, engine: Engine, kinds: Collection[PacketKind]) -> None:
@@ -71,12 +64,11 @@ class Beside:
     def _sentences(self, seconds: range) -> Iterator[_Beat]:
         """Yield sentences, each as long after its second as the sensor gets it."""
 
-        def sentence(second: int, due_ns: int) -> Packet:
-            return Packet(PacketKind.NMEA, due_ns, rmc(self._receiver.fix(second * S_NS)))
+        def sentence(second_ns: int) -> Packet:
+            return Packet(PacketKind.NMEA, second_ns + self._delay_ns, rmc(self._receiver.fix(second_ns)))
 
         for second in seconds:
-            due_ns = second * S_NS + self._delay_ns
-            yield due_ns, partial(sentence, second, due_ns)
+            yield second * S_NS + self._delay_ns, partial(sentence, second * S_NS)
 
     def _pulses(self, numbers: range) -> Iterator[_Beat]:
         for number in numbers:

@@ -19,6 +19,7 @@ from vlp16emu.extras.bench.web import HttpFault, WebServer
 from vlp16emu.packets import POSITION_BYTES, decode_position, parse_rmc
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.options import Http
+from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.events import Event, HttpError, PowerCycle, Setting
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.sinks import RigSink, UnderWay
@@ -33,13 +34,7 @@ _STEP_S = 0.001
 
 @contextmanager
 def web_interfaces(feed: PacketFeed, sink: RigSink, under_way: UnderWay, http: Http) -> Iterator[None]:
-    """Serve the web interface of each sensor.
-
-    Raises
-    ------
-    MissingExtraError, OutputError, InputError
-        as `WebServer` and `Device`
-    """
+    """Serve the web interface of each sensor; errors as of `WebServer` and `Device`."""
     control = Control(feed, sink, under_way)
     with ExitStack() as stack:
         servers = []
@@ -105,11 +100,10 @@ class Control:
 
     def fault(self, unit: int) -> HttpFault | None:
         """Find what is wrong with the web interface of a unit now."""
-        since_s = (self._under_way.due_in_ns(0) - self._feed.engine.scenario.start_ns) / S_NS
-        for event in self._feed.engine.scenario.events:
-            if isinstance(event, HttpError) and event.unit == unit + 1 and event.lasts_at(since_s):
-                return HttpFault(event.status)
-        return None
+        since_s = self._since_ns() / S_NS
+        errors = (event for event in self._scenario.events if isinstance(event, HttpError))
+        here = (error for error in errors if error.unit == unit + 1 and error.lasts_at(since_s))
+        return next((HttpFault(error.status) for error in here), None)
 
     def change(self, unit: int, new: DeviceSettings) -> None:
         """Set a unit anew; its packets follow within 0.2 s.
@@ -148,12 +142,12 @@ class Control:
     def status(self, unit: int) -> DeviceStatus:
         """Report the state of a unit."""
         self._adopt()
-        of, start_ns = self._feed.engine.parts.units[unit], self._feed.engine.scenario.start_ns
-        now_ns = self._under_way.due_in_ns(0)
-        since_ns = now_ns - start_ns
+        of, since_ns = self._feed.engine.parts.units[unit], self._since_ns()
+        now_ns = self._scenario.start_ns + since_ns
         ends_ns = [end for _, end in of.timeline.silences_ns if end <= since_ns]
         powered_ns = since_ns - max(ends_ns) if ends_ns else since_ns + seconds_to_ns(of.section.powered_for_s)
         settings, rpm = self._settings[unit], of.head.rotor.rpm_at(since_ns)
+        second_ns = max(now_ns // S_NS * S_NS - self._scenario.start_ns, 0)
         payload = self._sink.latest_position(unit)
         sent = decode_position(payload) if len(payload) == POSITION_BYTES else None  # none is cut by an event
         return DeviceStatus(
@@ -162,16 +156,24 @@ class Control:
             position=_place(sent.sentence) if sent else "",
             motor_rpm=rpm,
             motor_on=rpm > 0,
-            phase_locked=settings.phase_lock_on and self._feed.engine.scenario.gps.connected,
-            phase_cdeg=self._phase_cdeg(of, now_ns),
+            phase_locked=settings.phase_lock_on and self._scenario.gps.connected,
+            phase_cdeg=round(100 * float(of.head.rotor.angle_deg(np.array([second_ns]))[0])) % 36_000,
             laser_on=settings.laser_on,
             powered_for_s=powered_ns / S_NS,
             is_up=not of.timeline.is_silent(since_ns),
         )
 
+    @property
+    def _scenario(self) -> Scenario:
+        return self._feed.engine.scenario
+
+    def _since_ns(self, ahead_ns: int = 0) -> int:
+        """Time since the first pulse at which the packet is due that leaves now, or later."""
+        return self._under_way.due_in_ns(ahead_ns) - self._scenario.start_ns
+
     def _adopt(self) -> None:
         """Show what events of the scene have set by now."""
-        since_s = (self._under_way.due_in_ns(0) - self._feed.engine.scenario.start_ns) / S_NS
+        since_s = self._since_ns() / S_NS
         due = list[tuple[Device, DeviceSettings]]()
         with self._lock:
             while self._to_come and self._to_come[0].at_s <= since_s:
@@ -197,32 +199,31 @@ class Control:
             raise OutputError("host.addr", new.host, expected)
         self._sink.redirect(unit, *where[1])
 
-    def _phase_cdeg(self, unit: Unit, now_ns: int) -> int:
-        """Rotor angle at the latest UTC second, in 0.01 degree."""
-        second_ns = max(now_ns // S_NS * S_NS - self._feed.engine.scenario.start_ns, 0)
-        return round(100 * float(unit.head.rotor.angle_deg(np.array([second_ns]))[0])) % 36_000
-
     def _changed(self, old: DeviceSettings, new: DeviceSettings) -> dict[str, Any]:
         """Keys of a setting that takes the one to the other."""
-        keys: dict[str, Any] = {
-            "rpm": new.rpm if new.rpm != old.rpm else None,
-            "return_mode": str(new.return_mode) if new.return_mode != old.return_mode else None,
-            "laser": new.laser_on if new.laser_on != old.laser_on else None,
-            "fov_deg": new.fov_deg if new.fov_deg != old.fov_deg else None,
-        }
-        phases = [each.phase_lock_cdeg / 100 if each.phase_lock_on else "off" for each in (old, new)]
-        if phases[0] != phases[1] and self._feed.engine.scenario.gps.connected:
-            keys["phase_lock_deg"] = phases[1]
-        return {key: value for key, value in keys.items() if value is not None}
+        before, after = _keys_of(old), _keys_of(new)
+        if not self._scenario.gps.connected:
+            del after["phase_lock_deg"]
+        return {key: value for key, value in after.items() if value != before[key]}
 
     def _happen(self, events: Callable[[float], list[Event]]) -> None:
         """Add events a moment from now, and have what is due from then on made anew; holds the lock."""
-        start_ns = self._feed.engine.scenario.start_ns
-        from_ns = self._under_way.due_in_ns(_LEAD_NS) - start_ns
+        start_ns, from_ns = self._scenario.start_ns, self._since_ns(_LEAD_NS)
         at_s = math.ceil(from_ns / S_NS / _STEP_S) * _STEP_S
         self._events = [*self._events, *events(round(at_s, 3))]
         made = self._events
         self._under_way.redo(start_ns + from_ns, lambda due_ns: self._feed.begin_again(due_ns, made))
+
+
+def _keys_of(settings: DeviceSettings) -> dict[str, Any]:
+    """Keys of an event that sets all of it."""
+    return {
+        "rpm": settings.rpm,
+        "return_mode": str(settings.return_mode),
+        "laser": settings.laser_on,
+        "fov_deg": settings.fov_deg,
+        "phase_lock_deg": settings.phase_lock_cdeg / 100 if settings.phase_lock_on else "off",
+    }
 
 
 def _with(settings: DeviceSettings, event: Setting) -> DeviceSettings:

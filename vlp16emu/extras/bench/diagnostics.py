@@ -19,49 +19,38 @@ _SWAY_C = 0.2
 _REST_A, _LASER_A, _MOTOR_A_PER_RPM = 0.20, 0.10, 0.18 / 600
 """Current of the electronics, of the lasers and of the motor: together 0.48 A at 600 rpm."""
 
-_Counts = dict[str, int]
-
 
 def diagnostics(status: DeviceStatus) -> dict[str, object]:
     """Make `diag.json`: counts of the converters, which follow the state; all zero where a fault has switched the sensor off."""
-    bottom, top = _bottom(status), _top(status)
-    rest = {"vhv": 412, "adc_nf": 14, "ixe": 1}
-    if status.disabled:
-        bottom, top, rest = (dict.fromkeys(counts, 0) for counts in (bottom, top, rest))
-    return {"volt_temp": {"bot": bottom, "top": top}, **rest}
 
+    def counts(volts: float, period_s: int) -> int:
+        return round(volts * _COUNTS_PER_V + 0.8 * _sine(status, period_s))
 
-def _bottom(status: DeviceStatus) -> _Counts:
-    """Board of the base."""
     current_a = _REST_A + _LASER_A * status.laser_on + _MOTOR_A_PER_RPM * status.motor_rpm
-    return {
-        "i_out": _counts(2.5 + current_a / 10, status, 7),
-        "pwr_1_2v": _counts(1.2036, status, 11),
+    bottom = {
+        "i_out": counts(2.5 + current_a / 10, 7),
+        "pwr_1_2v": counts(1.2036, 11),
         "lm20_temp": _lm20(_warmed(_BOTTOM_C, status, 61)),
-        "pwr_5v": _counts(5.020 / 2, status, 13),
-        "pwr_2_5v": _counts(2.499, status, 17),
-        "pwr_3_3v": _counts(3.3032, status, 19),
-        "pwr_v_in": _counts(11.964 / 11, status, 23),
+        "pwr_5v": counts(5.020 / 2, 13),
+        "pwr_2_5v": counts(2.499, 17),
+        "pwr_3_3v": counts(3.3032, 19),
+        "pwr_v_in": counts(11.964 / 11, 23),
         "pwr_1_25v": 0,
     }
-
-
-def _top(status: DeviceStatus) -> _Counts:
-    """Board of the rotor."""
-    return {
-        "hv": _counts(5 - 181 / 101, status, 29),
-        "ad_temp": _counts(0.735, status, 31),
+    top = {
+        "hv": counts(5 - 181 / 101, 29),
+        "ad_temp": counts(0.735, 31),
         "lm20_temp": _lm20(_warmed(_TOP_C, status, 53)),
-        "pwr_5v": _counts(5.073 / 2, status, 37),
-        "pwr_2_5v": _counts(2.499, status, 41),
-        "pwr_3_3v": _counts(3.280, status, 43),
-        "pwr_5v_raw": _counts(5.347 / 2, status, 47),
-        "pwr_vccint": _counts(1.1914, status, 59),
+        "pwr_5v": counts(5.073 / 2, 37),
+        "pwr_2_5v": counts(2.499, 41),
+        "pwr_3_3v": counts(3.280, 43),
+        "pwr_5v_raw": counts(5.347 / 2, 47),
+        "pwr_vccint": counts(1.1914, 59),
     }
-
-
-def _counts(volts: float, status: DeviceStatus, period_s: int) -> int:
-    return round(volts * _COUNTS_PER_V + 0.8 * _sine(status, period_s))
+    rest = {"vhv": 412, "adc_nf": 14, "ixe": 1}
+    if status.disabled:
+        bottom, top, rest = (dict.fromkeys(some, 0) for some in (bottom, top, rest))
+    return {"volt_temp": {"bot": bottom, "top": top}, **rest}
 
 
 def _lm20(temperature_c: float) -> int:

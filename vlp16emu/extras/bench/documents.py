@@ -15,26 +15,27 @@ _BUILT_S, _FAILSAFE_BUILT_S = 1_528_900_000, 1_352_183_794
 _BOTTOM_ID, _TOP_ID = 0x4844_4C43, 0x4448_4C50
 
 
+_PARTS = {
+    "/cgi/settings.json": "config",
+    "/cgi/diag.json": "diag",
+    "/cgi/status.json": "status",
+    "/cgi/info.json": "info",
+}
+"""What is read alone, and its name in the snapshot of all."""
+
+
 def document(path: str, device: Device) -> object | None:
     """Make the document of a path, as it is now; None where there is none."""
-    match path:
-        case "/cgi/settings.json":
-            return _settings(device.settings)
-        case "/cgi/status.json":
-            return _status(device.status())
-        case "/cgi/diag.json":
-            return diagnostics(device.status())
-        case "/cgi/info.json":
-            return _info(device.info)
-        case "/cgi/snapshot.hdl":
-            status = device.status()
-            return {
-                "config": _settings(device.settings),
-                "diag": diagnostics(status),
-                "status": _status(status),
-                "info": _info(device.info),
-            }
-    return None
+    if path not in (*_PARTS, "/cgi/snapshot.hdl"):
+        return None
+    status = device.status()
+    snapshot = {
+        "config": _settings(device.settings),
+        "diag": diagnostics(status),
+        "status": _status(status),
+        "info": _info(device.info),
+    }
+    return snapshot[_PARTS[path]] if path in _PARTS else snapshot
 
 
 def _settings(settings: DeviceSettings) -> dict[str, object]:
@@ -73,6 +74,7 @@ def _status(status: DeviceStatus) -> dict[str, object]:
 
 def _info(info: DeviceInfo) -> dict[str, object]:
     """Write what the sensor is; its firmware is invented, and of one piece."""
+    fpga, app = {"version": _VERSION, "timestamp": 0}, {"version": _VERSION, "timestamp": _BUILT_S}
     return {
         "model": _MODELS[info.model],
         "serial": info.serial,
@@ -83,29 +85,16 @@ def _info(info: DeviceInfo) -> dict[str, object]:
         },
         "sysid": {"bot": {"id": _BOTTOM_ID, "timestamp": _BUILT_S}, "top": {"id": _TOP_ID, "timestamp": _BUILT_S}},
         "state": {"bot": _state(0x0100_0000, 118_489_096), "top": _state(0x000E_0000, 262_144_008)},
-        "fpgaid": {
-            "bot": {"id": 2, "version": _VERSION, "timestamp": 0},
-            "top": {"id": 1, "version": _VERSION, "timestamp": 0},
-        },
-        "appid": {
-            "bot": {"type": 2, "version": _VERSION, "timestamp": _BUILT_S},
-            "top": {"type": 1, "version": _VERSION, "timestamp": _BUILT_S},
-        },
+        "fpgaid": {"bot": {"id": 2} | fpga, "top": {"id": 1} | fpga},
+        "appid": {"bot": {"type": 2} | app, "top": {"type": 1} | app},
     }
 
 
 def _image(version: int, built_s: int, length_bytes: int, data_crc: int, header_crc: int) -> dict[str, int]:
     """Write the header of a firmware image, which is made for the system of the base."""
-    return {
-        "signature": _SIGNATURE,
-        "version": version,
-        "timestamp": built_s,
-        "data_length": length_bytes,
-        "data_crc": data_crc,
-        "res1": _BOTTOM_ID,
-        "res2": built_s,
-        "header_crc": header_crc,
-    }
+    keys = ("signature", "version", "timestamp", "data_length", "data_crc", "res1", "res2", "header_crc")
+    made_for = (_BOTTOM_ID, built_s)
+    return dict(zip(keys, (_SIGNATURE, version, built_s, length_bytes, data_crc, *made_for, header_crc), strict=True))
 
 
 def _state(application: int, watchdog: int) -> dict[str, int]:

@@ -6,10 +6,11 @@ So a part of a run is the same as cut out of the whole, and threads change nothi
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 
-from vlp16emu.packets import PositionRate, position_due_ns
+from vlp16emu.engine import Unit
+from vlp16emu.packets import position_due_ns
 from vlp16emu.random import Purpose, generator, uniform
 from vlp16emu.scenario.events import (
     Corrupt,
@@ -23,6 +24,7 @@ from vlp16emu.scenario.events import (
     Share,
     Truncate,
 )
+from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import MS_NS, seconds_to_ns
 
@@ -46,26 +48,17 @@ class PacketFault:
     event: PacketEvent
     number: int
     """Its place among the events of the run, from 0."""
-    unit: int
-    """Place in the rig, from 0."""
-    seed: int
-    """Of the unit."""
-    rate: PositionRate
+    unit: Unit
     start_ns: int
     """UTC of the first pulse, from which position packets count."""
     begin_ns: int
     """UTC, as the next."""
     end_ns: int
-    counted: Mapping[PacketKind, range] = field(default_factory=dict)
+    counted: Mapping[PacketKind, range]
     """Numbers of the packets that it may befall, where they are counted."""
 
     def befalls(self, packet: Packet, number: int) -> bool:
-        """Whether it befalls a packet, by what that was before all faults.
-
-        Parameters
-        ----------
-        number : of the packet among those of its unit and kind, from 0
-        """
+        """Whether it befalls a packet with a number among those of its unit and kind, by what that was before all faults."""
         if packet.kind not in kinds_of(self.event):
             return False
         lasts = self.begin_ns <= packet.due_ns < self.end_ns
@@ -103,13 +96,13 @@ class PacketFault:
 
     def jitter_ns(self, packet: Packet, number: int) -> int:
         """Draw the delay of a packet."""
-        assert isinstance(self.event, Jitter)
-        return int(self._random(Purpose.PACKET_JITTER, packet, number) * seconds_to_ns(self.event.up_to_s))
+        return int(self._random(Purpose.PACKET_JITTER, packet, number) * self.longest_ns)
 
     def _behind_ns(self, packet: Packet, by: int) -> int:
         """Time just after the packet leaves that is so many of its kind behind one."""
         if packet.kind is PacketKind.POSITION:
-            due_ns = position_due_ns(self.rate, self.seed, self.start_ns, packet.number, by + 1)
+            rate = on_the_wire(self.unit.section).position_rate
+            due_ns = position_due_ns(rate, self.unit.seed, self.start_ns, packet.number, by + 1)
             return packet.due_ns + int(due_ns[-1] - due_ns[0]) + 1
         assert packet.fired_ns is not None
         return packet.due_ns + by * min(packet.due_ns - packet.fired_ns, _LONGEST_NS) + 1
@@ -117,7 +110,7 @@ class PacketFault:
     def _flipped(self, packet: Packet, number: int, bits: int) -> bytes:
         """Flip different bits of the payload; none of one that was not cast."""
         payload = bytearray(packet.payload)
-        random = generator(self.seed, Purpose.BIT_FLIP, number, self._lane(packet))
+        random = generator(self.unit.seed, Purpose.BIT_FLIP, number, self._lane(packet))
         count = min(bits, 8 * len(payload))
         for bit in random.choice(8 * len(payload), count, replace=False).tolist() if count else ():
             payload[bit // 8] ^= 1 << bit % 8
@@ -125,7 +118,7 @@ class PacketFault:
 
     def _random(self, purpose: Purpose, packet: Packet, number: int) -> float:
         """Draw a number in [0, 1) of a packet."""
-        return float(uniform(self.seed, purpose, number, 1, self._lane(packet))[0])
+        return float(uniform(self.unit.seed, purpose, number, 1, self._lane(packet))[0])
 
     def _lane(self, packet: Packet) -> int:
         return 2 * self.number + (packet.kind is PacketKind.POSITION)
@@ -170,7 +163,7 @@ class Wire:
             self._numbers[packet.unit] += 1
         out = [packet]
         for fault in self._faults:
-            if fault.unit != packet.unit:
+            if fault.unit.number != packet.unit:
                 continue
             hit = fault.befalls(packet, number)
             if isinstance(fault.event, Jitter):

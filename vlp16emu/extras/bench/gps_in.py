@@ -139,13 +139,7 @@ class GpsInSink(PacketSink):
     """Passes packets on with the stamps, state and sentence that the sensor would have with that receiver on its line.
 
     Instants of packets are as far apart as they are due, however late each is sent: stamps show no jitter of the host. Only where
-    the stream is late by more than the tolerance they are counted from then on.
-
-    Parameters
-    ----------
-    sink : where they go
-    line : the sensor's end of the receiver's line
-    clock_ns : that of the line's instants
+    the stream is late by more than the tolerance they are counted from then on, by `clock_ns`, the clock of the line's instants.
     """
 
     def __init__(self, sink: PacketSink, line: GpsLine, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
@@ -153,13 +147,7 @@ class GpsInSink(PacketSink):
         self._ahead_ns: int | None = None
 
     def send(self, packet: Packet) -> None:
-        """Send one packet.
-
-        Raises
-        ------
-        RunError
-            as of the sink
-        """
+        """Send one packet; errors as of the sink."""
         if packet.kind not in (PacketKind.DATA, PacketKind.POSITION):
             self._sink.send(packet)
             return

@@ -49,7 +49,7 @@ class GpsLine:
         self, power_up_ns: int, *, window_ns: int, requires_valid: bool, sentence_delay_ns: int | None
     ) -> None:
         self._window_ns, self._requires_valid, self._delay_ns = window_ns, requires_valid, sentence_delay_ns
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # `receive` takes pulses
         self._buffer = b""
         self._pulses = self._sentences = self._refused = 0
         self._zero_ns = power_up_ns
@@ -62,9 +62,20 @@ class GpsLine:
         """That came last, with CR and LF; empty before the first."""
 
     def pulse(self, t_ns: int) -> None:
-        """Take the rising edge of a pulse."""
+        """Take the rising edge of a pulse.
+
+        It pulls the fraction of a second to the edge: at once at first, in small parts once pulses are steady.
+        """
         with self._lock:
-            self._pulse(t_ns)
+            self._pulses += 1
+            since_ns = _LOST_NS + 1 if self._edge_ns is None else t_ns - self._edge_ns
+            off_ns = (t_ns - self._zero_ns + S_NS // 2) % S_NS - S_NS // 2
+            is_first = since_ns > _LOST_NS
+            self._is_bad = not is_first and abs(since_ns - S_NS) > _STEADY_NS  # no second apart
+            if is_first or self._is_bad:
+                self._steady_since_ns = t_ns
+            self._zero_ns += off_ns if is_first or self._is_bad else off_ns // _SHARE
+            self._edge_ns = t_ns
 
     def receive(self, data: bytes, t_ns: int) -> None:
         """Take bytes of the serial line."""
@@ -78,7 +89,13 @@ class GpsLine:
     def state_at(self, t_ns: int) -> PpsState:
         """State of the pulse, as position packets report it (63-9243 Rev D, section 9.3.3)."""
         with self._lock:
-            return self._state(t_ns)
+            if self._edge_ns is None or t_ns - self._edge_ns > _LOST_NS:
+                return PpsState.ABSENT
+            if self._is_bad:
+                return PpsState.ERROR
+            steady = self._steady_since_ns is not None and t_ns - self._steady_since_ns >= self._window_ns
+            is_set = self._set_ns is not None and t_ns - self._set_ns < _STALE_NS
+            return PpsState.LOCKED if steady and is_set else PpsState.SYNCHRONIZING
 
     def clock_ns(self, t_ns: int) -> int:
         """Read the sensor's clock, in ns past its hour."""
@@ -90,31 +107,6 @@ class GpsLine:
         """What came so far."""
         with self._lock:
             return Heard(self._pulses, self._sentences, self._refused)
-
-    def _state(self, t_ns: int) -> PpsState:
-        if self._edge_ns is None or t_ns - self._edge_ns > _LOST_NS:
-            return PpsState.ABSENT
-        if self._is_bad:
-            return PpsState.ERROR
-        steady = self._steady_since_ns is not None and t_ns - self._steady_since_ns >= self._window_ns
-        is_set = self._set_ns is not None and t_ns - self._set_ns < _STALE_NS
-        return PpsState.LOCKED if steady and is_set else PpsState.SYNCHRONIZING
-
-    def _pulse(self, t_ns: int) -> None:
-        """Pull the fraction of a second to the edge: at once at first, in small parts once pulses are steady."""
-        self._pulses += 1
-        since_ns = None if self._edge_ns is None else t_ns - self._edge_ns
-        off_ns = (t_ns - self._zero_ns + S_NS // 2) % S_NS - S_NS // 2
-        if since_ns is None or since_ns > _LOST_NS:
-            self._steady_since_ns, self._is_bad = t_ns, False
-            self._zero_ns += off_ns
-        elif abs(since_ns - S_NS) > _STEADY_NS:
-            self._steady_since_ns, self._is_bad = t_ns, True  # no second apart: a bad pulse
-            self._zero_ns += off_ns
-        else:
-            self._is_bad = False
-            self._zero_ns += off_ns // _SHARE
-        self._edge_ns = t_ns
 
     def _take(self, line: bytes, t_ns: int) -> None:
         """Take a line: an RMC sentence names the second of the edge before it."""
@@ -129,7 +121,7 @@ class GpsLine:
         self._sentences += 1
         self.sentence = line + b"\r\n"
         if self._delay_ns is not None:
-            self._pulse(t_ns - self._delay_ns)
+            self.pulse(t_ns - self._delay_ns)
         if named_ns is not None and (valid or not self._requires_valid):
             self._set_ns = t_ns
             if self._edge_ns is not None and t_ns - self._edge_ns < _LOST_NS:

@@ -46,17 +46,7 @@ class Outlets:
 
     @contextmanager
     def opened(self, imu: Imu | None) -> Iterator[dict[PacketKind, Outlet]]:
-        """Open what there is, and give the way of each kind.
-
-        Parameters
-        ----------
-        imu : the inertial unit of the scene, which is checked already
-
-        Raises
-        ------
-        OutputError
-            where a port cannot be opened, or the receiver of samples is unknown
-        """
+        """Open what there is, and give the way of each kind; `OutputError` where a port or the receiver of samples is none."""
         ways = dict[PacketKind, Outlet]()
         with ExitStack() as stack:
             if self.gps_out:
@@ -79,7 +69,7 @@ def imu_outlet(to: str, rate_hz: int) -> Outlet:
     Raises
     ------
     OutputError
-        where it is neither, or cannot be opened, or a serial line is too slow for the rate
+        where it is neither, or cannot be opened, or its host is unknown, or a serial line is too slow for the rate
     """
     if to.startswith("serial:"):
         most_hz = _BAUD // (_BITS * IMU_FRAME.itemsize)
@@ -98,17 +88,7 @@ def imu_outlet(to: str, rate_hz: int) -> Outlet:
 
 
 class ImuUdpSink(Outlet):
-    """Sends samples by UDP, one to a datagram: together they would be late by the time between them.
-
-    Parameters
-    ----------
-    host, port : of the receiver
-
-    Raises
-    ------
-    OutputError
-        where the host is unknown
-    """
+    """Sends samples by UDP, one to a datagram: together they would be late by the time between them."""
 
     def __init__(self, host: str, port: int) -> None:
         self._to = (resolve(host), port)
@@ -119,13 +99,7 @@ class ImuUdpSink(Outlet):
         self._socket.close()
 
     def send(self, packet: Packet) -> None:
-        """Send one sample.
-
-        Raises
-        ------
-        RunError
-            where the system cannot send any more
-        """
+        """Send one sample; `RunError` where the system cannot send any more."""
         try:
             self._bytes += self._socket.sendto(packet.payload, self._to)
         except OSError as error:

@@ -23,37 +23,30 @@ _MOST_BYTES = 10_000
 """Of saved settings, which are some 400."""
 
 
-def _of_a_receiver(address: str) -> str:
-    known = _ipv4(address, "the IPv4 address of a host, or 255.255.255.255")
-    if known.is_unspecified or known.is_multicast or (known.is_reserved and int(known) != _ALL_ONES):
-        raise ValueError("the IPv4 address of a host, or 255.255.255.255")
-    return str(known)
+def _address(expected: str, is_good: Callable[[IPv4Address], bool]) -> AfterValidator:
+    def checked(text: str) -> str:
+        try:
+            known = IPv4Address(text)
+        except ValueError:
+            raise ValueError(expected) from None
+        if not is_good(known):
+            raise ValueError(expected)
+        return str(known)
+
+    return AfterValidator(checked)
 
 
-def _of_a_gateway(address: str) -> str:
-    """Refuse what no router can have; 0.0.0.0 stands for none."""
-    known = _ipv4(address, "the IPv4 address of a router, or 0.0.0.0")
-    if known.is_multicast or known.is_reserved:
-        raise ValueError("the IPv4 address of a router, or 0.0.0.0")
-    return str(known)
+def _has_ones_first(mask: IPv4Address) -> bool:
+    zeros = int(mask) ^ _ALL_ONES
+    return bool(int(mask)) and not zeros & (zeros + 1)
 
 
-def _mask(text: str) -> str:
-    """Refuse a mask with ones after zeros."""
-    known = _ipv4(text, "a network mask such as 255.255.255.0")
-    zeros = int(known) ^ _ALL_ONES
-    if zeros & (zeros + 1) or not int(known):
-        raise ValueError("a network mask such as 255.255.255.0")
-    return str(known)
-
-
-def _ipv4(text: str, expected: str) -> IPv4Address:
-    try:
-        return IPv4Address(text)
-    except ValueError:
-        raise ValueError(expected) from None
-
-
+_Receiver = _address(
+    "the IPv4 address of a host, or 255.255.255.255",
+    lambda at: not (at.is_unspecified or at.is_multicast or (at.is_reserved and int(at) != _ALL_ONES)),
+)
+_Gateway = _address("the IPv4 address of a router, or 0.0.0.0", lambda at: not (at.is_multicast or at.is_reserved))
+_Mask = _address("a network mask such as 255.255.255.0", _has_ones_first)
 _WholeDegree = Annotated[int, Field(ge=0, le=359)]
 
 
@@ -79,7 +72,7 @@ class DeviceSettings:
     """Whether the rotor follows the pulse of the GPS receiver."""
     phase_lock_cdeg: Annotated[int, Field(ge=0, le=35_999)] = 0
     """Rotor angle at each pulse, in 0.01 degree."""
-    host: Annotated[str, AfterValidator(_of_a_receiver)] = "255.255.255.255"
+    host: Annotated[str, _Receiver] = "255.255.255.255"
     """IPv4 address that packets are sent to."""
     data_port: Port = 2368
     """Destination port of data packets."""
@@ -87,9 +80,9 @@ class DeviceSettings:
     """Destination port of position packets."""
     address: Address = "192.168.1.201"
     """IPv4 address of the sensor."""
-    mask: Annotated[str, AfterValidator(_mask)] = "255.255.255.0"
+    mask: Annotated[str, _Mask] = "255.255.255.0"
     """Of its network."""
-    gateway: Annotated[str, AfterValidator(_of_a_gateway)] = "192.168.1.1"
+    gateway: Annotated[str, _Gateway] = "192.168.1.1"
     """Of its network."""
     dhcp: bool = False
     """Whether it asks a server for them."""
@@ -191,13 +184,7 @@ class Device:
             self._settings = settings
 
     def save(self) -> None:
-        """Keep what is set for the next power-up.
-
-        Raises
-        ------
-        OutputError, RunError
-            where the file cannot be written
-        """
+        """Keep what is set for the next power-up; `OutputError` or `RunError` where the file cannot be written."""
         with self._lock:
             if self._file is not None:
                 with OutputFile(self._file) as output, output.writing() as file:

@@ -55,13 +55,7 @@ class HttpFault:
 
 
 def parse_http(text: str) -> tuple[str, int]:
-    """Read where the web interface shall listen: `HOST:PORT`, or `PORT` alone on 127.0.0.1.
-
-    Raises
-    ------
-    InputError
-        where it is neither
-    """
+    """Read where the web interface shall listen: `HOST:PORT`, or `PORT` alone on 127.0.0.1; else `InputError`."""
     host, _, port = text.rpartition(":")
     if not re.fullmatch(r"[0-9]{1,5}", port, re.ASCII) or int(port) > 65_535:
         raise InputError("--http", f"found {text!r}", "HOST:PORT, such as 127.0.0.1:8080")

@@ -8,7 +8,6 @@ from vlp16emu.engine.timetable import number_at
 from vlp16emu.extras.bench.faults import PacketFault, Wire, kinds_of
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.events import Freeze, PacketEvent
-from vlp16emu.sensor.settings import Sensor
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import seconds_to_ns
 
@@ -22,26 +21,13 @@ def faults_of(scenario: Scenario, units: Sequence[Unit]) -> list[PacketFault]:
     for number, event in enumerate(scenario.events):
         if not isinstance(event, PacketEvent):
             continue
-        unit = units[event.unit - 1]
-        assert isinstance(unit.section, Sensor)  # others have no packets
-        begin_ns, counted = seconds_to_ns(event.at_s), dict[PacketKind, range]()
+        unit, start_ns, begin_ns = units[event.unit - 1], scenario.start_ns, seconds_to_ns(event.at_s)
+        counted = dict[PacketKind, range]()
         if event.count is not None:
-            for kind in kinds_of(event):
-                first = number_at(scenario, unit, kind, begin_ns)
-                counted[kind] = range(first, first + event.count)
-        faults.append(
-            PacketFault(
-                event,
-                number,
-                unit.number,
-                unit.seed,
-                unit.section.position_rate,
-                scenario.start_ns,
-                scenario.start_ns + begin_ns,
-                scenario.start_ns + end_ns(event),
-                counted,
-            )
-        )
+            firsts = {kind: number_at(scenario, unit, kind, begin_ns) for kind in kinds_of(event)}
+            counted = {kind: range(first, first + event.count) for kind, first in firsts.items()}
+        span_ns = start_ns + begin_ns, start_ns + end_ns(event)
+        faults.append(PacketFault(event, number, unit, start_ns, *span_ns, counted))
     return faults
 
 
@@ -72,4 +58,4 @@ def arriving(
 
 
 def _first(fault: PacketFault, kind: PacketKind, packets: Iterator[Packet]) -> Packet | None:
-    return next((packet for packet in packets if packet.unit == fault.unit and packet.kind is kind), None)
+    return next((packet for packet in packets if packet.unit == fault.unit.number and packet.kind is kind), None)

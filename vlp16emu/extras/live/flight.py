@@ -112,14 +112,7 @@ class Flight:
     def prepare(self, stop: Event, pacer: Pacer) -> Late:
         """Wait for the first pose, open the world around it, and compute once what leaves first; or until `stop` is set.
 
-        Returns
-        -------
-        What happens to late packets: they are dropped, as later poses would wait for them
-
-        Raises
-        ------
-        InputError
-            where the speed is not 1
+        Late packets are dropped, as later poses would wait for them. Raises `InputError` where the speed is not 1.
         """
         if pacer.speed != 1.0:
             raise InputError("--speed", f"found {pacer.speed:g}", "1 in a live scene")
@@ -128,23 +121,17 @@ class Flight:
             if stop.is_set():
                 return Late.SKIP
         with suppress(CancelledError):
-            self._open_world(stop)
+            # With a receiver of its own: this one sees a body that does not move yet.
+            deque(self._engine.with_new_receiver().packets(0.0, _WARM_S), 0)
+            while not self._windows.is_here() and not stop.is_set():  # the body has moved meanwhile
+                self._windows.begin_again()
+                self._windows.wait(self._windows.at_block(0))
         return Late.SKIP
-
-    def _open_world(self, stop: Event) -> None:
-        """Open the world around the body, and compute once what leaves first."""
-        # With a receiver of its own: this one sees a body that does not move yet.
-        deque(self._engine.with_new_receiver().packets(0.0, _WARM_S), 0)
-        while not self._windows.is_here() and not stop.is_set():  # the body has moved meanwhile
-            self._windows.begin_again()
-            self._windows.wait(self._windows.at_block(0))
 
     def begun(self, sink: PacketSink, pacer: Pacer, *, now: bool) -> "FlightSink":
         """Let the first pulse be fired in a moment, and packets leave by the same clock: to a sink that this follows.
 
-        Parameters
-        ----------
-        now : fire it where the clock of the system has the fraction of a second that the scene begins with
+        With `now` it is fired where the clock of the system has the fraction of a second that the scene begins with.
         """
         if self._motion.poses.last is not None:
             start_ns, in_ns = self._engine.scenario.start_ns, _START_NS
@@ -177,14 +164,11 @@ class Flight:
         """Sum up, and fly on until a time since the first pulse, so that a run that is repeated gets there too."""
         if self._motion.knots:
             self._motion.poses_at(np.array([self._engine.scenario.start_ns + seconds_to_ns(until_s)]))
-        poses, late = self._motion.poses, self._latency.summary
-        gaps_ns = list(poses.gaps_ns)
-        longest_ns = poses.longest_gap_ns
+        poses, late, since_s = self._motion.poses, self._latency.summary, self._motion.since_s
+        gaps_ns, longest_ns = list(poses.gaps_ns), poses.longest_gap_ns
         if self._lost_ns is not None:
-            now_ns = self._clock_ns()
-            gaps_ns.append((self._lost_ns, now_ns))
-            longest_ns = max(longest_ns, now_ns - self._lost_ns)
-        since_s = self._motion.since_s
+            gaps_ns.append((self._lost_ns, self._clock_ns()))
+            longest_ns = max(longest_ns, gaps_ns[-1][1] - self._lost_ns)
         return LiveReport(
             poses=poses.received,
             refused=poses.refused + (self._receiver.malformed if self._receiver else 0),
@@ -229,27 +213,21 @@ class FlightSink(PacketSink):
         self._sink, self._flight = sink, flight
 
     def send(self, packet: Packet) -> None:
-        """Send one packet.
-
-        Raises
-        ------
-        RunError
-            as of the sink
-        """
+        """Send one packet; errors as of the sink."""
         self._sink.send(packet)
         self._flight.sent(packet)
 
 
 @contextmanager
 def flying(run: Run, poses: PosesIn | None) -> Iterator[Flight]:
-    """Return the flight of a stream whose scene is live.
+    """Return the flight of a stream whose scene is live; errors as of `Flight`.
 
     Raises
     ------
     OutputError
         If the table would be written over a file that is read
     InputError
-        If poses are given and the scene is not live, or as of `Flight`
+        If poses are given and the scene is not live
     """
     engine, poses = run.engine, poses or PosesIn()
     motion = engine.parts.carrier

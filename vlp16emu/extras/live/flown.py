@@ -49,13 +49,7 @@ def flown_rows(first: int, states: Array, cells: dict[int, Cell]) -> str:
 
 
 def read_flown(path: Path) -> Flown:
-    """Read a table of knots.
-
-    Raises
-    ------
-    TrajectoryError
-        where the file is no such table, or is not whole from its beginning
-    """
+    """Read a table of knots; `TrajectoryError` where the file is none, or is not whole from its beginning."""
     lines = named_cells(path, ["t_s", *_STATE, _CELL], [])
     if len(lines) < 2:
         raise TrajectoryError(str(path), f"found {len(lines)} knots", "at least 2")
@@ -75,13 +69,7 @@ def read_flown(path: Path) -> Flown:
 
 
 class FlownMotion:
-    """Motion of a body as it was flown.
-
-    Parameters
-    ----------
-    flown : knots of the run
-    start_ns : UTC of the first one
-    """
+    """Motion of a body as it was flown; the first knot is at `start_ns`, UTC."""
 
     moves = True
 

@@ -93,17 +93,13 @@ class PoseInput:
         """Arrivals before and after each time without poses for more than a second, since the run began."""
 
     def put(self, position_m: Sequence[float], quaternion: Sequence[float], t_ns: int | None = None) -> bool:
-        """Take a pose.
+        """Take a pose, and say whether it is later than the one before; others are left out.
 
         Parameters
         ----------
         position_m : (3,) of the body in the world
         quaternion : (4,) x, y, z, w of unit length, body to world
         t_ns : when it was true, on the sender's clock of any epoch; None for now
-
-        Returns
-        -------
-        Whether it is later than the one before; others are left out
 
         Raises
         ------
@@ -119,10 +115,10 @@ class PoseInput:
         with self._lock:
             at_ns = now_ns if t_ns is None else t_ns + self._offset(now_ns - t_ns, now_ns)
             last = self.last
-            if last is not None and at_ns <= last.at_ns:
-                self.out_of_order += 1
-                return False
             if last is not None:
+                if at_ns <= last.at_ns:
+                    self.out_of_order += 1
+                    return False
                 gap_ns = now_ns - last.arrived_ns
                 self.longest_gap_ns = max(self.longest_gap_ns, gap_ns)
                 if gap_ns > LOST_NS:
@@ -224,13 +220,7 @@ class LiveMotion:
         self.first_uses.clear()
 
     def require_open(self) -> None:
-        """Refuse a run that poses do not come in to.
-
-        Raises
-        ------
-        TrajectoryError
-            where nobody streams
-        """
+        """Raise `TrajectoryError` where no poses come in, as nobody streams."""
         if not self.is_open:
             raise TrajectoryError(
                 "motion.kind",
@@ -268,12 +258,7 @@ class LiveMotion:
     def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
         """Poses at UTC instants (n,), which may have to come first; before the beginning the body is at rest.
 
-        Raises
-        ------
-        TrajectoryError
-            where nobody streams
-        CancelledError
-            where the stream ends before there is a pose
+        Raises `TrajectoryError` where nobody streams, and `CancelledError` where the stream ends before there is a pose.
         """
         return self._knots_until(int(t_ns.max())).poses_at(t_ns)
 
@@ -334,13 +319,7 @@ def _checked(position_m: Sequence[float], quaternion: Sequence[float]) -> Array:
 
 
 def live_motion(section: Live, start_ns: int) -> LiveMotion | FlownMotion:
-    """Return the motion of a body that is flown, or that was flown.
-
-    Raises
-    ------
-    TrajectoryError
-        If the table of what was flown cannot be read
-    """
+    """Return the motion of a body that is flown, or that was flown; errors as of `read_flown`."""
     if section.flown is None:
         return LiveMotion(section, start_ns=start_ns)
     return FlownMotion(read_flown(Path(section.flown)), start_ns=start_ns)

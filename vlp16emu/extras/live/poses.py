@@ -15,13 +15,7 @@ _EXPECTED = "udp://HOST:PORT, for instance udp://127.0.0.1:7000"
 
 
 def pose_port(text: str) -> tuple[str, int]:
-    """Read where poses come in.
-
-    Raises
-    ------
-    InputError
-        where it is no address and port
-    """
+    """Read where poses come in; `InputError` where it is no address and port."""
     scheme, _, rest = text.partition("://")
     host, _, port = rest.rpartition(":")
     if scheme != "udp" or not host or not port.isascii() or not port.isdecimal() or int(port) > 65_535:

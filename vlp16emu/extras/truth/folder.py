@@ -69,10 +69,7 @@ class TruthFolder:
     def append(self, name: str, text: str) -> None:
         """Add whole lines to a file and hand them to the operating system.
 
-        Raises
-        ------
-        RunError
-            where they cannot all be written; those that fit stay, and nothing more is written
+        Where they cannot all be written those that fit stay, nothing more is written, and it is a `RunError`.
         """
         if self._failed:
             raise self._failed
@@ -85,13 +82,7 @@ class TruthFolder:
             raise self._failed from error
 
     def write_json(self, name: str, tree: Mapping[str, Any]) -> None:
-        """Write a whole file, in place of the one that is there.
-
-        Raises
-        ------
-        RunError
-            where it cannot be written
-        """
+        """Write a whole file, in place of the one that is there; `RunError` where it cannot be written."""
         write_json(self.path / name, tree)
 
 

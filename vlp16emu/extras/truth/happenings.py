@@ -96,6 +96,6 @@ def _single(
             number = numbers[packet.unit]
             numbers[packet.unit] += 1
         for fault in faults:
-            if fault.unit == packet.unit and fault.befalls(packet, number):
-                times, of = (packet.due_ns, packet.due_ns), (fault.number + 1, fault.unit + 1)
+            if fault.unit.number == packet.unit and fault.befalls(packet, number):
+                times, of = (packet.due_ns, packet.due_ns), (fault.number + 1, fault.unit.number + 1)
                 yield Happening(*times, *of, fault.event.kind, packet.kind, number, 1)

@@ -88,13 +88,7 @@ class SlotTable:
             self._file.close()
 
     def add(self, packet: Packet) -> None:
-        """Add the records of a data packet, whose number is how many came before it.
-
-        Raises
-        ------
-        RunError
-            where they cannot be written
-        """
+        """Add the records of a data packet, whose number is how many came before it; `RunError` where they cannot be written."""
         self._held.append(packet)
         if len(self._held) == _GROUP:
             try:
@@ -125,20 +119,16 @@ class SlotTable:
             "miss": miss,
             "repeat": rows["repeat"],
         }
-        self._file.write_table(
-            self._arrow.table(
-                [self._column(name, columns[name], miss if name in _OF_RETURNS else None) for name in SLOT_COLUMNS],
-                schema=self._schema,
-            ),
-            row_group_size=len(rows),
-        )
+        arrays = [
+            self._arrow.array(
+                np.ascontiguousarray(columns[field.name]).astype(field.type.to_pandas_dtype()),
+                field.type,
+                mask=miss if field.name in _OF_RETURNS else None,
+            )
+            for field in self._schema
+        ]
+        self._file.write_table(self._arrow.table(arrays, schema=self._schema), row_group_size=len(rows))
         self._number += len(packets)
-
-    def _column(
-        self, name: str, values: NDArray[Any], miss: NDArray[np.bool_] | None
-    ) -> Any:  # of pyarrow, which has no types
-        kind = self._schema.field(name).type
-        return self._arrow.array(np.ascontiguousarray(values).astype(kind.to_pandas_dtype()), kind, mask=miss)
 
 
 class SlotReader:
@@ -234,10 +224,8 @@ class SlotReader:
     def _read(self, group: int, names: list[str]) -> dict[str, NDArray[Any]]:
         """Read columns of a row group; 0 where there is no return."""
         table = self._file.read_row_group(group, columns=names)
-        columns = {name: table[name] for name in names}
-        return {
-            name: (column.fill_null(0) if column.null_count else column).to_numpy() for name, column in columns.items()
-        }
+        columns = ((name, table[name]) for name in names)
+        return {name: (column.fill_null(0) if column.null_count else column).to_numpy() for name, column in columns}
 
 
 def _pyarrow() -> tuple[Any, Any]:  # it has no types

@@ -1,6 +1,6 @@
 """What really was, beside what was sent: trajectory, inertial unit, GNSS, rig and scenario of a run."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, suppress
 from functools import partial
@@ -37,20 +37,9 @@ _TUM_HEADER = (
     "# t_utc_s x_m y_m z_m qx qy qz qw: world_T_sensor; world east, north, up; sensor x forward, y left, z up\n"
 )
 _GNSS_COLUMNS = (
-    "t_utc_s",
-    "valid",
-    "cover",
-    "true_latitude_deg",
-    "true_longitude_deg",
-    "true_height_m",
-    "true_east_m_s",
-    "true_north_m_s",
-    "latitude_deg",
-    "longitude_deg",
-    "speed_m_s",
-    "course_deg",
+    *("t_utc_s", "valid", "cover", "true_latitude_deg", "true_longitude_deg", "true_height_m"),
+    *("true_east_m_s", "true_north_m_s", "latitude_deg", "longitude_deg", "speed_m_s", "course_deg"),
 )
-
 _EVENT_COLUMNS = ("t_utc_s", "until_utc_s", "event", "unit", "kind", "packets", "first", "last", "count")
 _IMU_AXES = ("wx_rad_s", "wy_rad_s", "wz_rad_s", "fx_m_s2", "fy_m_s2", "fz_m_s2")
 """Angular rate and specific force in the unit's own axes."""
@@ -59,15 +48,11 @@ _IMU_COLUMNS = ("t_utc_s", *_IMU_AXES, *(f"true_{axis}" for axis in _IMU_AXES), 
 _OF_SENSORS = frozenset({PacketKind.DATA, PacketKind.POSITION})
 """Kinds of packets by which the truth goes; what leaves beside them changes no line."""
 
-Rows = Callable[[int, int], str]
-"""Lines of samples first .. first + count - 1."""
 _T = TypeVar("_T")
 
 
 class Truth:
-    """Writes the truth of a run, beside its packets or without them; a context manager.
-
-    It is the same in both cases: without packets it goes by the times at which they would leave.
+    """Writes the truth of a run, beside its packets or, by the times at which they would leave, without; a context manager.
 
     Parameters
     ----------
@@ -109,17 +94,14 @@ class Truth:
         earliest_s = earliest_ns(scenario, faults, seconds_to_ns(span_s[0])) / S_NS
         firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
         from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
+        at = scenario.start_ns, to.rate_hz
         self._trajectories = [
             Samples(
-                self._begun(_file("trajectory", unit), _TUM_HEADER),
-                _poses(unit.motion, scenario.start_ns, to.rate_hz),
-                scenario.start_ns,
-                to.rate_hz,
-                from_ns,
+                self._begun(_file("trajectory", unit), _TUM_HEADER), partial(_poses, unit.motion, *at), *at, from_ns
             )
             for unit in self._units
         ]
-        self._others = [*self._inertial(scenario, parts, from_ns), *self._fixes(engine, begin_ns)]
+        self._samples = [*self._trajectories, *self._others(engine, begin_ns, from_ns)]
         self._packets = {unit.number: self._begun(_file("packets", unit), _TUM_HEADER) for unit in wanted}
         self._firsts_ns: dict[int, list[int]] = {number: [] for number in self._packets}
         self._returns, self._open = dict[int, SlotTable](), ExitStack()
@@ -163,9 +145,7 @@ class Truth:
     def up_to(self, since_s: float) -> None:
         """Write what was true until a time since the first pulse, of a run whose packets do not go by."""
         until_ns = self._scenario.start_ns + seconds_to_ns(since_s)
-        for packet in self._to_come:
-            if packet.due_ns >= until_ns:
-                break
+        next((packet for packet in self._to_come if packet.due_ns >= until_ns), None)
 
     def _first_ns(self, unit: Unit, start_s: float, stop_s: float) -> int:
         rows = unit.timeline.sequences(seconds_to_ns(start_s), seconds_to_ns(stop_s))
@@ -174,7 +154,7 @@ class Truth:
 
     def _write(self) -> None:
         """Write all that was true so far."""
-        for samples in (*self._trajectories, *self._others):
+        for samples in self._samples:
             samples.up_to(self._seen_ns)
         self._write_events()
         for number, firsts_ns in self._firsts_ns.items():
@@ -191,26 +171,25 @@ class Truth:
         if not ran.events or (from_ns is not None and until_ns <= from_ns):
             return
         if from_ns is None:
-            self._folder.append("events.csv", ",".join(_EVENT_COLUMNS) + "\n")
+            self._begun("events.csv", _EVENT_COLUMNS)
         found = happenings(ran, self._of.engine.parts.units, from_ns, until_ns, stop_ns)
         begin_ns = ran.start_ns + seconds_to_ns(self._span_s[0])
         self._listed_ns = until_ns
         self._folder.append("events.csv", "".join(_event_row(one) for one in found if one.end_ns >= begin_ns))
 
-    def _begun(self, name: str, header: str) -> Callable[[str], None]:
-        self._folder.append(name, header)
-        return lambda text: self._folder.append(name, text)
+    def _begun(self, name: str, header: str | Sequence[str]) -> Callable[[str], None]:
+        self._folder.append(name, header if isinstance(header, str) else ",".join(header) + "\n")
+        return partial(self._folder.append, name)
 
-    def _inertial(self, scenario: Scenario, parts: Parts, from_ns: int) -> Iterator["Samples[str]"]:
-        if scenario.imu is not None and parts.imu is not None:
-            append = self._begun("imu.csv", ",".join(_IMU_COLUMNS) + "\n")
-            yield Samples(append, _inertial(parts.imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
-
-    def _fixes(self, engine: Engine, begin_ns: int) -> Iterator["Samples[str]"]:
-        named_ns = engine.parts.gps.second_ns(begin_ns)
-        if named_ns is not None:
-            append = self._begun("gnss.csv", ",".join(_GNSS_COLUMNS) + "\n")
-            yield Samples(append, _fixes(engine.receiver, engine.scenario.gps), 0, 1, named_ns)
+    def _others(self, engine: Engine, begin_ns: int, from_ns: int) -> Iterator["Samples[str]"]:
+        """Begin the files of inertial unit and receiver, where there are such."""
+        scenario, imu = engine.scenario, engine.parts.imu
+        if scenario.imu is not None and imu is not None:
+            append = self._begun("imu.csv", _IMU_COLUMNS)
+            yield Samples(append, partial(_inertial, imu), scenario.start_ns, scenario.imu.rate_hz, from_ns)
+        if (named_ns := engine.parts.gps.second_ns(begin_ns)) is not None:
+            append = self._begun("gnss.csv", _GNSS_COLUMNS)
+            yield Samples(append, partial(_fixes, engine.receiver, scenario.gps), 0, 1, named_ns)
 
 
 class Samples(Generic[_T]):
@@ -252,38 +231,27 @@ def _poses_of(true: Kinematics) -> Poses:
     return Poses(true.t_ns, true.world_R_body, true.world_p_body_m)
 
 
-def true_motion(motion: Motion, start_ns: int, rate_hz: int) -> Callable[[int, int], Kinematics]:
-    """Give what makes the samples of a trajectory, for `Samples`."""
-
-    def of(first: int, count: int) -> Kinematics:
-        t_ns = start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz
-        return motion.kinematics_at(t_ns)
-
-    return of
+def true_motion(motion: Motion, start_ns: int, rate_hz: int, first: int, count: int) -> Kinematics:
+    """Make samples first .. first + count - 1 of a trajectory."""
+    return motion.kinematics_at(start_ns + np.arange(first, first + count, dtype=np.int64) * S_NS // rate_hz)
 
 
-def _poses(motion: Motion, start_ns: int, rate_hz: int) -> Rows:
-    """Lines of a trajectory."""
-    of = true_motion(motion, start_ns, rate_hz)
-    return lambda first, count: tum_rows(_poses_of(of(first, count)))
+def _poses(motion: Motion, start_ns: int, rate_hz: int, first: int, count: int) -> str:
+    return tum_rows(_poses_of(true_motion(motion, start_ns, rate_hz, first, count)))
 
 
-def _inertial(imu: ImuSampler) -> Rows:
-
-    def rows(first: int, count: int) -> str:
-        read = imu.read(first, count)
-        readings = read.angular_rate_rad_s, read.specific_force_m_s2
-        true = read.true_angular_rate_rad_s, read.true_specific_force_m_s2
-        numbers = np.column_stack([*readings, *true, read.gyro_bias_rad_s, read.accel_bias_m_s2]).tolist()
-        return "".join(
-            f"{seconds_text(t_ns)},{','.join(f'{number:.9f}' for number in row)}\n"
-            for t_ns, row in zip(read.t_ns.tolist(), numbers, strict=True)
-        )
-
-    return rows
+def _inertial(imu: ImuSampler, first: int, count: int) -> str:
+    read = imu.read(first, count)
+    readings = read.angular_rate_rad_s, read.specific_force_m_s2
+    true = read.true_angular_rate_rad_s, read.true_specific_force_m_s2
+    numbers = np.column_stack([*readings, *true, read.gyro_bias_rad_s, read.accel_bias_m_s2]).tolist()
+    return "".join(
+        f"{seconds_text(t_ns)},{','.join(f'{number:.9f}' for number in row)}\n"
+        for t_ns, row in zip(read.t_ns.tolist(), numbers, strict=True)
+    )
 
 
-def _fixes(receiver: Receiver, gps: Gps) -> Rows:
+def _fixes(receiver: Receiver, gps: Gps, first: int, count: int) -> str:
     """Lines of what a receiver measures and says; sample i is the UTC second i."""
 
     def row(t_ns: int) -> str:
@@ -296,7 +264,7 @@ def _fixes(receiver: Receiver, gps: Gps) -> Rows:
             f"{said.latitude_deg:.10f},{said.longitude_deg:.10f},{said.speed_m_s:.6f},{said.course_deg:.4f}\n"
         )
 
-    return lambda first, count: "".join(row(second * S_NS) for second in range(first, first + count))
+    return "".join(row(second * S_NS) for second in range(first, first + count))
 
 
 def _event_row(one: Happening) -> str:

@@ -1,25 +1,26 @@
 """Rules about data packets, checked in chunks as columns: their codes, their time, the rotor, lasers and window."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.extras.verify.frames import HOUR_US, JITTER_US, ClockWatch, wrap_hour_us
 from vlp16emu.extras.verify.rules import Findings, Level, Rule
+from vlp16emu.packets.capture import Datagram
 from vlp16emu.packets.decode import PRODUCT_BEFORE_RELEASE
 from vlp16emu.packets.layout import (
     AZIMUTH_CODES,
     BLOCK_FLAG,
     BLOCK_PERIOD_NS,
     BLOCKS_PER_PACKET,
+    DATA_PAYLOAD,
     FACTORY_BYTE,
     LASERS,
     MIN_DISTANCE_LSB,
     RETURN_MODE_BYTE,
 )
+from vlp16emu.types import ReturnMode
 from vlp16emu.units import S_NS, US_NS
 
 _UNEQUAL_REFLECTIVITY_SHARE = 0.05
@@ -69,50 +70,34 @@ _Found = Callable[[int], str]
 """Says what stands in packet i of a chunk."""
 
 
-@dataclass(frozen=True)
 class DataChunk:
-    """Consecutive data packets of one return mode."""
-
-    number: NDArray[np.int64]
-    """(n,) frame numbers."""
-    stamp_ns: NDArray[np.int64]
-    """(n,) capture stamps."""
-    payload: NDArray[np.void]
-    """(n,) `DATA_PAYLOAD`."""
-    dual: bool
-    continues: bool
-    """The first packet was the last one of the chunk before, and stands here as its neighbour only."""
-    ends: bool
-    """No chunk follows that begins with the last packet."""
-
-    @cached_property
-    def timestamp_us(self) -> NDArray[np.int64]:
-        """(n,)."""
-        return self.payload["timestamp_us"].astype(np.int64)
-
-    @cached_property
-    def azimuth_cdeg(self) -> NDArray[np.int64]:
-        """(n, 12)."""
-        return self.payload["blocks"]["azimuth_cdeg"].astype(np.int64)
-
-    @cached_property
-    def distance_lsb(self) -> NDArray[np.uint16]:
-        """(n, 12, 2, 16)."""
-        return np.ascontiguousarray(self.payload["blocks"]["records"]["distance_lsb"])
-
-    @cached_property
-    def reflectivity(self) -> NDArray[np.uint8]:
-        """(n, 12, 2, 16)."""
-        return np.ascontiguousarray(self.payload["blocks"]["records"]["reflectivity"])
-
-
-def check_factory(number: int, factory: bytes, before: bytes, findings: Findings) -> None:
-    """Check return mode and product of a packet, where they differ from the packet before.
+    """Consecutive data packets of one return mode.
 
     Parameters
     ----------
-    factory, before : two bytes each; `before` is empty for the first packet
+    datagrams : at least one
+    continues : the first packet was the last one of the chunk before, and stands here as its neighbour only
+    ends : no chunk follows that begins with the last packet
     """
+
+    def __init__(self, datagrams: Sequence[Datagram], *, continues: bool, ends: bool) -> None:
+        self.continues, self.ends = continues, ends
+        self.number, self.stamp_ns = np.array([(each.number, each.stamp_ns) for each in datagrams]).T
+        """(n,) frame numbers and capture stamps."""
+        payload = np.frombuffer(b"".join(each.payload for each in datagrams), DATA_PAYLOAD)
+        blocks = payload["blocks"]
+        self.dual = bool(payload["return_mode"][0] == RETURN_MODE_BYTE[ReturnMode.DUAL])
+        self.timestamp_us = payload["timestamp_us"].astype(np.int64)
+        """(n,)."""
+        self.flag, self.azimuth_cdeg = blocks["flag"], blocks["azimuth_cdeg"].astype(np.int64)
+        """(n, 12)."""
+        records = blocks["records"]
+        self.distance_lsb, self.reflectivity = (np.ascontiguousarray(records[name]) for name in records.dtype.names)
+        """(n, 12, 2, 16)."""
+
+
+def check_factory(number: int, factory: bytes, before: bytes, findings: Findings) -> None:
+    """Check return mode and product of a packet, two bytes that differ from those before; before the first there are none."""
     if factory[0] not in RETURN_MODE_BYTE.values():
         findings.add(Rule.FACTORY, number, f"return mode 0x{factory[0]:02x}", "0x37, 0x38 or 0x39")
     if factory[1] not in FACTORY_BYTE.values():
@@ -131,14 +116,14 @@ def check_codes(chunk: DataChunk, findings: Findings) -> None:
         broken[0] &= not chunk.continues
         findings.add_where(rule, broken, chunk.number, found, expected, level)
 
-    flag, most_cdeg, stamp_us = (chunk.payload["blocks"]["flag"], chunk.azimuth_cdeg.max(axis=1), chunk.timestamp_us)
+    flag, most_cdeg, stamp_us = chunk.flag, chunk.azimuth_cdeg.max(axis=1), chunk.timestamp_us
     bad_flag = flag != BLOCK_FLAG
+    at = bad_flag.argmax(axis=1)
     forbidden = (chunk.distance_lsb > 0) & (chunk.distance_lsb < MIN_DISTANCE_LSB)
     count = forbidden.sum(axis=(1, 2, 3))
 
     def found_flag(i: int) -> str:
-        block = int(bad_flag[i].argmax())
-        return f"{int(flag[i, block]).to_bytes(2, 'little').hex(' ')} at block {block}"
+        return f"{int(flag[i, at[i]]).to_bytes(2, 'little').hex(' ')} at block {at[i]}"
 
     def found_azimuth(i: int) -> str:
         return f"azimuth {most_cdeg[i]} at block {chunk.azimuth_cdeg[i].argmax()}"
@@ -166,19 +151,18 @@ def _check_pairs(chunk: DataChunk, add: Callable[[Rule, NDArray[np.bool_], _Foun
     unequal = (equal & (reflectivity[:, ::2] != reflectivity[:, 1::2])).sum(axis=(1, 2, 3))
     pairs, share = equal.sum(axis=(1, 2, 3)), _UNEQUAL_REFLECTIVITY_SHARE
 
-    def found_azimuths(i: int) -> str:
-        even = 2 * int(twin_differs[i].argmax())
-        twins = azimuth_cdeg[i, even : even + 2]
-        return f"azimuths {twins[0]} and {twins[1]} at blocks {even} and {even + 1}"
+    even = 2 * twin_differs.argmax(axis=1)
 
-    def found_swapped(i: int) -> str:
-        return f"{swapped[i]} pairs with the last return nearer than the other"
+    def found_azimuths(i: int) -> str:
+        twins = azimuth_cdeg[i, even[i] : even[i] + 2]
+        return f"azimuths {twins[0]} and {twins[1]} at blocks {even[i]} and {even[i] + 1}"
 
     def found_unequal(i: int) -> str:
         return f"{unequal[i]} of {pairs[i]} pairs of equal distance with unequal reflectivity"
 
     add(Rule.DUAL_AZIMUTH, twin_differs.any(axis=1), found_azimuths, "equal ones")
-    add(Rule.DUAL_ORDER, swapped > 0, found_swapped, "the last return to be the farther one")
+    nearer, expected = "pairs with the last return nearer than the other", "the last return to be the farther one"
+    add(Rule.DUAL_ORDER, swapped > 0, lambda i: f"{swapped[i]} {nearer}", expected)
     add(Rule.DUAL_REFLECTIVITY, unequal > share * pairs, found_unequal, f"at most {share:.0%}")
 
 
@@ -255,15 +239,12 @@ class SweepRules:
         is_lost = ~is_regular & is_whole & ~is_gap
         is_broken = ~(is_regular | is_gap | is_lost)
 
-        def found_lost(i: int) -> str:
-            return f"{periods[i] - 1} data packets missing before it"
-
         def found_gap(i: int) -> str:
             return f"{left_out_us[i] / 1e3:.1f} ms of the revolution left out"
 
         add, after = self._findings.add_where, chunk.number[1:]
         usual = f"+{shortest_us} or +{shortest_us + 1} us"
-        add(Rule.LOST_PACKETS, is_lost, after, found_lost, "none")
+        add(Rule.LOST_PACKETS, is_lost, after, lambda i: f"{periods[i] - 1} data packets missing before it", "none")
         add(Rule.TIME_STEP, is_broken, after, lambda i: f"time stamp {step_us[i]:+d} us", usual)
         where = np.where(odd_inside, chunk.number[:-1], after)
         add(Rule.AZIMUTH_GAP, is_gap, where, found_gap, "the whole revolution")
@@ -282,9 +263,7 @@ class SweepRules:
     def _watch_clock(self, chunk: DataChunk, takes_longer: NDArray[np.bool_]) -> None:
         """Compare time stamps with capture stamps by the chunk's median, which no burst can move.
 
-        Parameters
-        ----------
-        takes_longer : (n,) packets within which a part of the revolution is left out
+        Packets (n,) that take longer are those within which a part of the revolution is left out.
         """
         offset_us = chunk.stamp_ns // US_NS - chunk.timestamp_us
         moved_us = wrap_hour_us(offset_us - offset_us[0])
@@ -363,17 +342,12 @@ class SweepRules:
             return
         rpm = float(even_cdeg.mean()) / _CDEG_PER_STEP_AND_RPM
         if not _RPM[0] * (1 - _RPM_TOLERANCE) <= rpm <= _RPM[1] * (1 + _RPM_TOLERANCE):
-            packet = int(chunk.number[0])
-            self._findings.add(Rule.RPM, packet, f"{rpm:.1f} rpm from here", f"{_RPM[0]} to {_RPM[1]}")
+            found, expected = f"{rpm:.1f} rpm from here", f"{_RPM[0]} to {_RPM[1]}"
+            self._findings.add(Rule.RPM, int(chunk.number[0]), found, expected)
 
 
 def _left_out(steps: _Steps, extra_us: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Time that odd azimuth steps of each packet stand for, and whether it explains the extra time.
-
-    Parameters
-    ----------
-    extra_us : (n - 1,) time from packet to packet beyond a period
-    """
+    """Time that odd azimuth steps of each packet stand for, and whether it explains the extra time (n - 1,) beyond a period."""
     even_cdeg = steps.forward_cdeg[:, :-1][~steps.is_odd[:, :-1]]
     # A mean, because the median of whole numbers is too coarse to turn a gap into time.
     usual_cdeg = max(float(even_cdeg.mean()), 1.0) if len(even_cdeg) else 1.0
@@ -411,8 +385,7 @@ class OpticsRules:
             dead[edge] &= before[edge] >= _SEEN and of[inner] >= 0.5 * before[inner] > 0
         found = frozenset(_BY_ELEVATION[dead].tolist()) | {laser for laser in self._dead if share[laser] == 0}
         for laser in sorted(found - self._dead):
-            words = f"laser {laser} without returns"
-            self._findings.add(Rule.LASER, packet, words, "some, as those beside it")
+            self._findings.add(Rule.LASER, packet, f"laser {laser} without returns", "some, as those beside it")
         self._share, self._dead = share, found
 
     def _check_sectors(self, packet: int, chunk: DataChunk, is_return: NDArray[np.bool_]) -> None:
@@ -435,6 +408,5 @@ class OpticsRules:
         dark = np.flatnonzero(ratio < _DARKER)
         for run in np.split(dark, np.flatnonzero(np.diff(dark) > 1) + 1) if len(dark) else ():
             begin, end = run[0] * 360 // _SECTORS, (run[-1] + 1) * 360 // _SECTORS
-            light_of = f"{ratio[run].mean():.2f} of the light from {begin} to {end} deg"
-            found = f"{light_of}, as behind a dirty window"
+            found = f"{ratio[run].mean():.2f} of the light from {begin} to {end} deg, as behind a dirty window"
             self._findings.add(Rule.WINDOW, packet, found, "about as much as before")

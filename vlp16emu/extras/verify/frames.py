@@ -55,14 +55,7 @@ class ClockWatch:
         self._reference = None
 
     def check(self, packet: int, stamp_ns: int, offset_us: int) -> None:
-        """Compare with the first packet.
-
-        Parameters
-        ----------
-        packet : frame number
-        stamp_ns : capture stamp
-        offset_us : capture stamp less time stamp
-        """
+        """Compare the offset of a frame, its capture stamp less its time stamp, with that of the first packet."""
         if self._reference is None:
             self._reference = stamp_ns, offset_us
             return
@@ -204,7 +197,9 @@ class InOrder:
         place = len(self._held)
         if self._held and self._since_us(datagram, self._held[-1]) < 0:
             if self._is_late(datagram):
-                place = self._place_among(datagram)
+                place = next(n for n in range(place, 0, -1) if self._since_us(datagram, self._held[n - 1]) >= 0)
+                found = f"a {self._kind} packet overtaken by {len(self._held) - place}"
+                self._findings.add(Rule.PACKET_ORDER, datagram.number, found, "packets in order of their time stamps")
             else:
                 yield from self.rest()
                 place = 0
@@ -225,15 +220,6 @@ class InOrder:
             rule, found = Rule.FROZEN, f"the payload of packet {known.number} again and again"
         self._repeats += 1
         self._findings.add(rule, datagram.number, found, f"a new {self._kind} packet")
-
-    def _place_among(self, datagram: Datagram) -> int:
-        """Find the place of a late packet, and report it."""
-        place = len(self._held)
-        while place and self._since_us(datagram, self._held[place - 1]) < 0:
-            place -= 1
-        found = f"a {self._kind} packet overtaken by {len(self._held) - place}"
-        self._findings.add(Rule.PACKET_ORDER, datagram.number, found, "packets in order of their time stamps")
-        return place
 
     def _is_late(self, datagram: Datagram) -> bool:
         """Whether it belongs between those that are held: by the period of data packets, or the count of position packets."""

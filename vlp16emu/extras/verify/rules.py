@@ -124,17 +124,12 @@ class Findings:
 
     def __init__(self, limit_per_rule: int) -> None:
         self._limit = limit_per_rule
-        self.counts = Counter[Rule]()
-        """Of errors."""
-        self.notes = Counter[Rule]()
+        self.counts = {level: Counter[Rule]() for level in Level}
         self.kept: list[Finding] = []
 
     def add(self, rule: Rule, packet: int, found: str, expected: str, level: Level = Level.ERROR) -> None:
         """Add one finding."""
-        counts = self.notes if level is Level.NOTE else self.counts
-        counts[rule] += 1
-        if counts[rule] <= self._limit:
-            self.kept.append(Finding(rule, packet, found, expected, level))
+        self.add_where(rule, np.array([True]), np.array([packet]), lambda _: found, expected, level)
 
     def add_where(
         self,
@@ -153,10 +148,8 @@ class Findings:
         packets : (n,) frame numbers
         found : says what stands at an index of `broken`; asked for the findings that are kept
         """
-        where = np.flatnonzero(broken)
-        if not len(where):
-            return
-        counts = self.notes if level is Level.NOTE else self.counts
+        where, counts = np.flatnonzero(broken), self.counts[level]
         room = max(self._limit - counts[rule], 0)
-        counts[rule] += len(where)
+        if len(where):
+            counts[rule] += len(where)
         self.kept.extend(Finding(rule, int(packets[i]), found(int(i)), expected, level) for i in where[:room])

@@ -1,19 +1,17 @@
 """From a capture file to the findings."""
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
 
 from vlp16emu.errors import CaptureError
 from vlp16emu.extras.verify.data import DataChunk, OpticsRules, SweepRules, check_codes, check_factory
 from vlp16emu.extras.verify.frames import InOrder, check_frame, kind_of
 from vlp16emu.extras.verify.position import PositionRules
-from vlp16emu.extras.verify.rules import Finding, Findings, Rule
+from vlp16emu.extras.verify.rules import Finding, Findings, Level, Rule
 from vlp16emu.packets.capture import Capture, Datagram
-from vlp16emu.packets.layout import DATA_PAYLOAD, RETURN_MODE_BYTE, SEQUENCES_PER_PACKET, CapturedUnit, chosen_unit
+from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET, CapturedUnit, chosen_unit
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
@@ -141,34 +139,29 @@ class _Check:
         kind = kind_of(datagram)
         if kind is None:
             return
-        if self._stamp_ns is not None and datagram.stamp_ns < self._stamp_ns:
-            found = f"{(self._stamp_ns - datagram.stamp_ns) / US_NS:.0f} us before the packet in front of it"
+        since_ns = 0 if self._stamp_ns is None else datagram.stamp_ns - self._stamp_ns
+        if since_ns < 0:
+            found = f"{-since_ns / US_NS:.0f} us before the packet in front of it"
             self._findings.add(Rule.STAMP_ORDER, datagram.number, found, "stamps that do not decrease")
-        if self._stamp_ns is not None and datagram.stamp_ns - self._stamp_ns > _SILENCE_NS:
-            found = f"no packet for {(datagram.stamp_ns - self._stamp_ns) / S_NS:.2f} s before it"
+        elif since_ns > _SILENCE_NS:
+            found = f"no packet for {since_ns / S_NS:.2f} s before it"
             self._findings.add(Rule.SILENCE, datagram.number, found, "data or position packets all the time")
         self._stamp_ns = datagram.stamp_ns
         self._packets[kind] += 1
         self._first.setdefault(kind, datagram)
         self._last[kind] = datagram
-        is_readable = check_frame(datagram, kind, self._findings)
-        if is_readable:
-            for each in self._in_order[kind].take(datagram):
-                self._take_ordered(kind, each)
+        if check_frame(datagram, kind, self._findings):
+            self._take_ordered(kind, self._in_order[kind].take(datagram))
         elif kind is PacketKind.DATA:
-            self._take_rest(kind)
+            self._take_ordered(kind, self._in_order[kind].rest())
             self._flush(ends=True)
-
-    def _take_rest(self, kind: PacketKind) -> None:
-        for datagram in self._in_order[kind].rest():
-            self._take_ordered(kind, datagram)
 
     def finish(self, path: Path, capture: Capture) -> Verification:
         """Check what is left, and sum up."""
         if not self._packets:
             raise CaptureError(str(path), "no VLP-16 packets", "data packets on UDP port 2368")
-        for kind in self._in_order:
-            self._take_rest(kind)
+        for kind, in_order in self._in_order.items():
+            self._take_ordered(kind, in_order.rest())
         self._flush(ends=True)
         self._check_rates()
         stamps_ns = [d.stamp_ns for ends in (self._first, self._last) for d in ends.values()]
@@ -181,38 +174,31 @@ class _Check:
             span_s=(max(stamps_ns) - min(stamps_ns)) / S_NS,
             rpm=self._sweep.rpm,
             is_cut=capture.cut,
-            counts=dict(self._findings.counts),
-            notes=dict(self._findings.notes),
+            counts=dict(self._findings.counts[Level.ERROR]),
+            notes=dict(self._findings.counts[Level.NOTE]),
             findings=tuple(sorted(self._findings.kept, key=lambda finding: finding.packet)),
         )
 
-    def _take_ordered(self, kind: PacketKind, datagram: Datagram) -> None:
-        """Check a position packet, or collect a data packet; a chunk ends where the return mode changes."""
-        if kind is PacketKind.POSITION:
-            self._position.check(datagram)
-            return
-        factory = datagram.payload[-_FACTORY_BYTES:]
-        if factory != self._factory:
-            check_factory(datagram.number, factory, self._factory, self._findings)
-            before, self._factory = self._factory, factory
-            if before and before[0] != factory[0]:
-                self._flush(ends=True)
-        self._chunk.append(datagram)
-        if len(self._chunk) >= self._chunk_packets:
-            self._flush(ends=False)
+    def _take_ordered(self, kind: PacketKind, datagrams: Iterable[Datagram]) -> None:
+        """Check position packets, or collect data packets; a chunk ends where the return mode changes."""
+        for datagram in datagrams:
+            if kind is PacketKind.POSITION:
+                self._position.check(datagram)
+                continue
+            factory = datagram.payload[-_FACTORY_BYTES:]
+            if factory != self._factory:
+                check_factory(datagram.number, factory, self._factory, self._findings)
+                before, self._factory = self._factory, factory
+                if before and before[0] != factory[0]:
+                    self._flush(ends=True)
+            self._chunk.append(datagram)
+            if len(self._chunk) >= self._chunk_packets:
+                self._flush(ends=False)
 
     def _flush(self, *, ends: bool) -> None:
         """Check the packets collected; the last one stays as the neighbour of those to come."""
         if self._chunk:
-            payload = np.frombuffer(b"".join(d.payload for d in self._chunk), DATA_PAYLOAD)
-            chunk = DataChunk(
-                number=np.array([d.number for d in self._chunk]),
-                stamp_ns=np.array([d.stamp_ns for d in self._chunk]),
-                payload=payload,
-                dual=bool(payload["return_mode"][0] == _DUAL_BYTE),
-                continues=self._continues,
-                ends=ends,
-            )
+            chunk = DataChunk(self._chunk, continues=self._continues, ends=ends)
             check_codes(chunk, self._findings)
             self._sweep.check(chunk)
             self._optics.check(chunk)
@@ -221,21 +207,20 @@ class _Check:
 
     def _check_rates(self) -> None:
         """Check packets per second, those lost included: position packets, and the time that data packets cover."""
-        span_s = {kind: (self._last[kind].stamp_ns - first.stamp_ns) / S_NS for kind, first in self._first.items()}
-        active_s = span_s.get(PacketKind.DATA, 0.0) - self._sweep.left_out_us * US_NS / S_NS
-        if active_s >= _SHORTEST_S:
-            mode = ReturnMode.DUAL if self._factory[0] == _DUAL_BYTE else ReturnMode.STRONGEST
-            nominal_hz = S_NS / (SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS)
-            covered = self._sweep.covered_us * US_NS / S_NS / active_s
-            self._check_rate(PacketKind.DATA, covered * nominal_hz, f"{nominal_hz:.1f}", (nominal_hz,))
-        position_s = span_s.get(PacketKind.POSITION, 0.0)
-        if position_s >= _SHORTEST_S:
-            count = self._packets[PacketKind.POSITION] - 1 + self._position.lost_packets
-            words = " or ".join(str(hz) for hz in _POSITION_RATES_HZ)
-            self._check_rate(PacketKind.POSITION, count / position_s, words, _POSITION_RATES_HZ)
-
-    def _check_rate(self, kind: PacketKind, rate_hz: float, words: str, usual_hz: Sequence[float]) -> None:
-        if all(abs(rate_hz / hz - 1) > _RATE_TOLERANCE for hz in usual_hz):
-            rule = Rule.DATA_RATE if kind is PacketKind.DATA else Rule.POSITION_RATE
-            found = f"{rate_hz:.1f} {kind} packets per second"
-            self._findings.add(rule, self._last[kind].number, found, f"{words} within {_RATE_TOLERANCE:.0%}")
+        data_s, position_s = (
+            (self._last[kind].stamp_ns - self._first[kind].stamp_ns) / S_NS if kind in self._first else 0.0
+            for kind in (PacketKind.DATA, PacketKind.POSITION)
+        )
+        mode = ReturnMode.DUAL if self._factory[:1] == bytes([_DUAL_BYTE]) else ReturnMode.STRONGEST
+        nominal_hz = S_NS / (SEQUENCES_PER_PACKET[mode] * SEQUENCE_NS)
+        covered = self._sweep.covered_us * US_NS / S_NS * nominal_hz
+        data_s -= self._sweep.left_out_us * US_NS / S_NS
+        sent = self._packets[PacketKind.POSITION] - 1 + self._position.lost_packets
+        for kind, rule, count, span_s, usual_hz in (
+            (PacketKind.DATA, Rule.DATA_RATE, covered, data_s, (nominal_hz,)),
+            (PacketKind.POSITION, Rule.POSITION_RATE, sent, position_s, _POSITION_RATES_HZ),
+        ):
+            if span_s >= _SHORTEST_S and all(abs(count / span_s / hz - 1) > _RATE_TOLERANCE for hz in usual_hz):
+                found = f"{count / span_s:.1f} {kind} packets per second"
+                words = " or ".join(f"{hz:.1f}" for hz in usual_hz)
+                self._findings.add(rule, self._last[kind].number, found, f"{words} within {_RATE_TOLERANCE:.0%}")
