@@ -42,5 +42,5 @@ def test_an_unknown_relief_is_refused():
 
 def test_a_relief_of_ones_own_outdoes_that_of_a_forest_preset():
     """A scene that names a relief beside a forest preset gets that relief and none of the preset's numbers."""
-    table = with_preset({"preset": "old_growth", "terrain": {"relief": "flat"}})
+    table = with_preset({"preset": "old_growth", "terrain": {"relief": "flat"}}, ())
     assert table["terrain"] == {"relief": "flat"}
