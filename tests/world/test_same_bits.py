@@ -19,7 +19,7 @@ from vlp16emu.forest.stand.floor_shapes import FloorKey, FloorKind, _icosphere, 
 from vlp16emu.forest.stand.scatter import _STONE_M, _STONE_MEDIAN_M, _STONE_SHARES, _STONE_SIGMA
 from vlp16emu.forest.stand.stand import class_scale
 from vlp16emu.random import _EXPONENTIAL_TAIL, _NORMAL_TAIL, generator
-from vlp16emu.world.vectors import unit
+from vlp16emu.world.vectors import determinant, unit
 
 
 def _plain() -> np.random.Generator:
@@ -77,14 +77,15 @@ def test_an_icosphere_is_closed_and_looks_outwards() -> None:
     edges = {(a, b) for face in faces.tolist() for a, b in zip(face, np.roll(face, -1).tolist(), strict=True)}
     assert len(edges) == 240
     assert {(b, a) for a, b in edges} == edges
-    assert (np.linalg.det(vertices[faces]) > 0).all()
+    assert (determinant(vertices[faces]) > 0).all()
     assert np.linalg.norm(vertices, axis=1) == pytest.approx(1.0, rel=1e-15)
 
 
 def test_vectors_are_those_of_linear_algebra() -> None:
-    """Directions are those of numpy's linear algebra."""
-    vectors = np.random.default_rng(2).normal(size=(300, 3))
-    assert unit(vectors) == pytest.approx(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), rel=1e-15)
+    """Determinants and directions are those of numpy's linear algebra."""
+    matrices = np.random.default_rng(2).normal(size=(100, 3, 3))
+    assert determinant(matrices) == pytest.approx(np.linalg.det(matrices), rel=1e-10)
+    assert unit(matrices) == pytest.approx(matrices / np.linalg.norm(matrices, axis=2, keepdims=True), rel=1e-15)
 
 
 def test_sizes_of_classes_are_powers() -> None:

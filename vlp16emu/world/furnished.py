@@ -104,7 +104,7 @@ class Furnished:
             raise GeometryError("meshes", f"found {count} things", "at most 65536")
         self.names = dict[int, str]()
         """Of the user's things by instance."""
-        self._mesh_of, self._keys = dict[ShapeKey, UserMesh](), list[MeshKey]()
+        self._mesh_of, self._keys = dict[MeshKey, UserMesh](), list[MeshKey]()
         materials, placed, radius_m, self._rows = list(world.materials), [], [], []
         for one in furniture:
             key = MeshKey(len(self._mesh_of), one.mesh.path)

@@ -1,4 +1,4 @@
-"""Places and directions of vectors, by sums, products, quotients and square roots."""
+"""Places, directions of vectors and determinants, by sums, products, quotients and square roots."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,3 +16,10 @@ def unit(vectors: Array) -> Array:
     """Return vectors (..., k) scaled to a length of 1."""
     scaled: Array = vectors / norm(vectors)[..., None]
     return scaled
+
+
+def determinant(matrices: Array) -> Array:
+    """Return the determinants (...) of matrices (..., 3, 3): the triple product of their rows."""
+    a, b, c = np.moveaxis(matrices, -2, 0)
+    triple: Array = (a * np.cross(b, c)).sum(axis=-1)
+    return triple
