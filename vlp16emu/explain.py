@@ -57,7 +57,10 @@ def _in_words(finding: ErrorDetails, schema: Node) -> tuple[str, str, str]:
     found = f"found {_shown(finding['input'])}"
     if (key := _key_of(finding["input"], node, schema)) is not None:
         return _path(keys), found, f"a table, as by {_path([*keys, key])} = {_shown(finding['input'])}"
-    return _path(keys), found, _wanted(finding, node)
+    if kind == "value_error":
+        return _path(keys), found, finding["msg"].removeprefix("Value error, ")
+    words = expected(node)
+    return _path(keys), found, words.replace("a number", "a finite number") if kind == "finite_number" else words
 
 
 def expected(node: Node) -> str:
@@ -85,13 +88,6 @@ def resolved(node: Node, schema: Node) -> Node:
     """Replace a reference by what it points at, and what may be left out by what it is otherwise."""
     node = node["anyOf"][0] if "anyOf" in node else node
     return schema["$defs"][node["$ref"].rpartition("/")[2]] if "$ref" in node else node
-
-
-def _wanted(finding: ErrorDetails, node: Node) -> str:
-    if finding["type"] == "value_error":
-        return finding["msg"].removeprefix("Value error, ")
-    words = expected(node)
-    return words.replace("a number", "a finite number") if finding["type"] == "finite_number" else words
 
 
 def _walk(loc: tuple[int | str, ...], schema: Node) -> tuple[list[int | str], Node, Node]:
@@ -129,7 +125,8 @@ def _known(keys: list[int | str], parent: Node, schema: Node) -> str:
     places = list(dict.fromkeys(_path(list(path)) for path, _ in homes))
     if 0 < len(places) <= _MOST_PLACES:
         return " or ".join(places)
-    return _nearest(keys[-1], list(parent["properties"]))
+    near = difflib.get_close_matches(str(keys[-1]), parent["properties"], n=1)
+    return f"{near[0]}, the nearest known one" if near else f"one of {', '.join(parent['properties'])}"
 
 
 Tag = tuple[str, str, list[str]]
@@ -143,9 +140,8 @@ def _all_keys(
     node = resolved(node, schema)
     for value, variant in _variants(node):
         kind = resolved(variant, schema)
-        yield from _all_keys(
-            kind, schema, path, (node["discriminator"]["propertyName"], value, list(kind["properties"]))
-        )
+        own = node["discriminator"]["propertyName"], value, list(kind["properties"])
+        yield from _all_keys(kind, schema, path, own)
     for name, inner in node.get("properties", {}).items():
         yield (*path, name), tag
         yield from _all_keys(inner, schema, (*path, name))
@@ -164,11 +160,6 @@ def _key_of(value: object, node: Node, schema: Node) -> str | None:
                 if value in choice.get("enum", [choice.get("const")]):
                     return str(name)
     return None
-
-
-def _nearest(key: int | str, names: list[str]) -> str:
-    near = difflib.get_close_matches(str(key), names, n=1)
-    return f"{near[0]}, the nearest known one" if near else f"one of {', '.join(names)}"
 
 
 def _shown(value: object) -> str:

@@ -13,8 +13,6 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
 I4 = NDArray[np.int32]
@@ -24,6 +22,7 @@ U2 = NDArray[np.uint16]
 U4 = NDArray[np.uint32]
 U8 = NDArray[np.uint64]
 """Arrays by numpy's codes of what is in them."""
+Array, IntArray = F8, I8
 
 
 class ReturnMode(StrEnum):
@@ -106,36 +105,37 @@ ShapeKey = Hashable
 """Name of a shape: the same key always means the same bytes of geometry."""
 
 
-def _check(owner: object, name: str, array: object, dtype: str, *shape: int | None) -> None:
-    """Guard one array: its dtype, its number of axes, and every axis that is not None."""
-    fits = (
-        isinstance(array, np.ndarray)
-        and array.dtype == np.dtype(dtype)
-        and len(array.shape) == len(shape)
-        and all(want is None or have == want for have, want in zip(array.shape, shape, strict=True))
-    )
-    if not fits:
-        want = "(" + ", ".join("n" if axis is None else str(axis) for axis in shape) + ")"
-        found = f"{array.shape} {array.dtype}" if isinstance(array, np.ndarray) else type(array).__name__
-        raise ValueError(f"{type(owner).__name__}.{name}: found {found}, expected {want} {np.dtype(dtype)}")
+def _check(owner: object, dtype: str, **shapes: tuple[int | None, ...]) -> None:
+    """Guard arrays: their dtype, their number of axes, and every axis that is not None."""
+    for name, shape in shapes.items():
+        array = getattr(owner, name)
+        fits = (
+            isinstance(array, np.ndarray)
+            and array.dtype == np.dtype(dtype)
+            and len(array.shape) == len(shape)
+            and all(want is None or have == want for have, want in zip(array.shape, shape, strict=True))
+        )
+        if not fits:
+            want = "(" + ", ".join("n" if axis is None else str(axis) for axis in shape) + ")"
+            found = f"{array.shape} {array.dtype}" if isinstance(array, np.ndarray) else type(array).__name__
+            raise ValueError(f"{type(owner).__name__}.{name}: found {found}, expected {want} {np.dtype(dtype)}")
 
 
 @dataclass(frozen=True, slots=True)
 class Poses:
     """Where the body is at n instants; n = 1 stands for a body that never moves."""
 
-    t_ns: NDArray[np.int64]
+    t_ns: IntArray
     """(n,) UTC."""
-    world_R_body: NDArray[np.float64]
+    world_R_body: Array
     """(n, 3, 3) rotation, body to world."""
-    world_p_body_m: NDArray[np.float64]
+    world_p_body_m: Array
     """(n, 3) origin of the body in the world."""
 
     def __post_init__(self) -> None:
         n = len(self.t_ns)
-        _check(self, "t_ns", self.t_ns, "i8", None)
-        _check(self, "world_R_body", self.world_R_body, "f8", n, 3, 3)
-        _check(self, "world_p_body_m", self.world_p_body_m, "f8", n, 3)
+        _check(self, "i8", t_ns=(None,))
+        _check(self, "f8", world_R_body=(n, 3, 3), world_p_body_m=(n, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,31 +144,28 @@ class Firings:
 
     index: int
     """Number of the first firing sequence since the run began."""
-    t_ns: NDArray[np.int64]
+    t_ns: IntArray
     """(k, L) UTC of each pulse."""
-    clock_ns: NDArray[np.int64]
+    clock_ns: IntArray
     """(k,) what the sensor's own clock shows at the first laser, ns past its hour."""
-    azimuth_deg: NDArray[np.float64]
+    azimuth_deg: Array
     """(k, L) true rotor angle of each pulse, [0, 360)."""
-    reading_deg: NDArray[np.float64]
+    reading_deg: Array
     """(k,) what the encoder reads at the first laser, [0, 360); differs from the truth by its errors."""
-    origin_m: NDArray[np.float64]
+    origin_m: Array
     """(k, L, 3) world; the point on the spin axis from which the range is measured."""
-    direction: NDArray[np.float64]
+    direction: Array
     """(k, L, 3) world, unit length."""
-    beam_axis: NDArray[np.float64] | None
+    beam_axis: Array | None
     """(k, L, 3) like `direction`, perpendicular to it, level in the sensor, to greater azimuths; None for pulses of one line."""
 
     def __post_init__(self) -> None:
         k, lasers = self.t_ns.shape
-        _check(self, "t_ns", self.t_ns, "i8", k, lasers)
-        _check(self, "clock_ns", self.clock_ns, "i8", k)
-        _check(self, "azimuth_deg", self.azimuth_deg, "f8", k, lasers)
-        _check(self, "reading_deg", self.reading_deg, "f8", k)
-        _check(self, "origin_m", self.origin_m, "f8", k, lasers, 3)
-        _check(self, "direction", self.direction, "f8", k, lasers, 3)
+        places = (k, lasers, 3)
+        _check(self, "i8", t_ns=(k, lasers), clock_ns=(k,))
+        _check(self, "f8", azimuth_deg=(k, lasers), reading_deg=(k,), origin_m=places, direction=places)
         if self.beam_axis is not None:
-            _check(self, "beam_axis", self.beam_axis, "f8", k, lasers, 3)
+            _check(self, "f8", beam_axis=places)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,10 +183,9 @@ class Hits:
 
     def __post_init__(self) -> None:
         n = len(self.range_m)
-        _check(self, "count", self.count, "u2", None, None)
-        _check(self, "range_m", self.range_m, "f4", None)
-        _check(self, "surface", self.surface, "u4", n)
-        _check(self, "cos_incidence", self.cos_incidence, "f4", n)
+        _check(self, "u2", count=(None, None))
+        _check(self, "u4", surface=(n,))
+        _check(self, "f4", range_m=(None,), cos_incidence=(n,))
 
     @classmethod
     def one_ray_each(
@@ -219,14 +215,12 @@ class Returns:
     """(k, L, 3) of the footprint that met the surface, wherever."""
 
     def __post_init__(self) -> None:
-        k, lasers = self.firings.t_ns.shape
-        _check(self, "distance_m", self.distance_m, "f4", k, lasers, 3)
-        _check(self, "reflectivity", self.reflectivity, "u1", k, lasers, 3)
-        if self.surface is not None:
-            _check(self, "surface", self.surface, "u4", k, lasers, 3)
-        for name, values in (("range_m", self.range_m), ("share", self.share)):
-            if values is not None:
-                _check(self, name, values, "f4", k, lasers, 3)
+        shape = *self.firings.t_ns.shape, 3
+        _check(self, "f4", distance_m=shape)
+        _check(self, "u1", reflectivity=shape)
+        for name, dtype in (("surface", "u4"), ("range_m", "f4"), ("share", "f4")):
+            if getattr(self, name) is not None:
+                _check(self, dtype, **{name: shape})
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,8 +262,8 @@ class Mesh:
     """(f, 3) triangles or (f, 4) planar quads, counter-clockwise seen from outside."""
 
     def __post_init__(self) -> None:
-        _check(self, "vertices_m", self.vertices_m, "f4", None, 3)
-        _check(self, "faces", self.faces, "u4", None, 4 if self.faces.shape[1:] == (4,) else 3)
+        _check(self, "f4", vertices_m=(None, 3))
+        _check(self, "u4", faces=(None, 4 if self.faces.shape[1:] == (4,) else 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,18 +274,17 @@ class Sway:
     """UTC of the first knot."""
     step_ns: int
     """From knot to knot."""
-    placement: NDArray[np.int64]
+    placement: IntArray
     """(m,) in the window, ascending."""
-    foot_z_m: NDArray[np.float64]
+    foot_z_m: Array
     """(m,) height of each one's foot in the world."""
-    shear: NDArray[np.float64]
+    shear: Array
     """(k, m, 2) at each knot, towards x and y; at least two knots."""
 
     def __post_init__(self) -> None:
         m = len(self.placement)
-        _check(self, "placement", self.placement, "i8", m)
-        _check(self, "foot_z_m", self.foot_z_m, "f8", m)
-        _check(self, "shear", self.shear, "f8", None, m, 2)
+        _check(self, "i8", placement=(m,))
+        _check(self, "f8", foot_z_m=(m,), shear=(None, m, 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,12 +294,12 @@ class Window:
     A shape is a tuple of meshes that share one frame. Mesh j of placement i shows surface `first_surface[i] + j`.
     """
 
-    origin_m: NDArray[np.float64]
+    origin_m: Array
     """(3,) world; geometry is handed to the caster relative to it."""
     shapes: tuple[ShapeKey, ...]
     shape: NDArray[np.int32]
     """(n,) index into `shapes`."""
-    world_T_shape: NDArray[np.float64]
+    world_T_shape: Array
     """(n, 3, 4) affine; rigid, or scaled for crowns."""
     first_surface: NDArray[np.uint32]
     """(n,) row of `surfaces` of the placement's first mesh."""
@@ -316,17 +309,17 @@ class Window:
     """What moves, over the time that the window is for; None where all stands still."""
 
     def __post_init__(self) -> None:
-        _check(self, "origin_m", self.origin_m, "f8", 3)
-        _check(self, "shape", self.shape, "i4", n := len(self.shape))
-        _check(self, "world_T_shape", self.world_T_shape, "f8", n, 3, 4)
-        _check(self, "first_surface", self.first_surface, "u4", n)
+        n = len(self.shape)
+        _check(self, "i4", shape=(n,))
+        _check(self, "u4", first_surface=(n,))
+        _check(self, "f8", origin_m=(3,), world_T_shape=(n, 3, 4))
 
     def with_more(self, count: int) -> dict[str, Any]:  # noqa: ARG002  # windows with more fields need it
         """Return the further fields of the window for `count` placements that are added behind its own."""
         return {}
 
 
-HeightField = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+HeightField = Callable[[Array, Array], Array]
 """Ground height in metres over arrays of x and y in metres."""
 
 
@@ -344,7 +337,7 @@ class World(Protocol):
     def shape_name(self, key: ShapeKey) -> str:
         """All that decides a shape, in words; empty where it is not kept on disk."""
 
-    def window(self, track_m: NDArray[np.float64]) -> Window:
+    def window(self, track_m: Array) -> Window:
         """Everything within reach of sensor positions (n, 3); must depend on nothing else."""
 
     def shape(self, key: ShapeKey) -> tuple[Mesh, ...]:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from vlp16emu.motion import Gait, Harness, Walk
-from vlp16emu.motion.route import Track
 from vlp16emu.motion.walk import WalkMotion
 
 START_NS = 1_780_000_000 * 10**9
@@ -19,7 +18,7 @@ class Circle:
         self.radius_m, self.speed_m_s, self.centre_m = radius_m, speed_m_s, centre_m
 
     def at(self, elapsed_s):
-        """Track at times since the start."""
+        """Nodes and speeds at times since the start."""
         t, stop = elapsed_s, 2.0
         x = np.clip(t / stop, 0.0, 1.0)
         speed = self.speed_m_s * x**3 * (10 - 15 * x + 6 * x * x)
@@ -29,15 +28,11 @@ class Circle:
         c, s, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
         ahead, left = np.stack([c, s, zero + 0.05], -1), np.stack([-s, c, zero], -1)
         position = np.stack([self.radius_m * s, self.radius_m * (1 - c), 0.05 * along], -1)
-        return Track(
-            position_m=self.centre_m + position,
-            velocity_m_s=speed[:, None] * ahead,
-            acceleration_m_s2=rise[:, None] * ahead + (speed**2 / self.radius_m)[:, None] * left,
-            yaw_rad=angle,
-            yaw_rate_rad_s=speed / self.radius_m,
-            yaw_acceleration_rad_s2=rise / self.radius_m,
-            speed_m_s=speed,
-        )
+        acceleration = rise[:, None] * ahead + (speed**2 / self.radius_m)[:, None] * left
+        nodes = np.zeros((len(angle), 6, 3))
+        nodes[:, :3] = np.stack([self.centre_m + position, speed[:, None] * ahead, acceleration], -1)
+        nodes[:, 5] = np.stack([angle, speed / self.radius_m, rise / self.radius_m], -1)
+        return nodes, speed
 
 
 @pytest.fixture(scope="session")

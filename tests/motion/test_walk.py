@@ -9,7 +9,7 @@ from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion import Harness
 from vlp16emu.motion.carrier import StaticMotion
 from vlp16emu.motion.pose import rotations
-from vlp16emu.motion.walk import _bare, _sit
+from vlp16emu.motion.walk import _sit
 
 
 def straps(hz, damping_ratio):
@@ -24,9 +24,9 @@ SLACK = straps((0.5,) * 6, 0.1)
 def test_without_gait_the_sensor_glides_over_the_ground(walking, circle, still, at):
     """Amplitude zero gives the bare path, sensor height above the ground, at any time within 1e-9 m."""
     route, t = circle(), np.sort(np.random.default_rng(1).uniform(0.0, 60.0, 5000))
-    poses, track = at(walking(route, still), t), route.at(np.rint(t * 1e9) / 1e9)
-    np.testing.assert_allclose(poses.world_p_body_m, track.position_m + [0.0, 0.0, 2.0], atol=1e-9)
-    np.testing.assert_allclose(poses.world_R_body, rotations(track.yaw_rad, 0.0, 0.0), atol=1e-9)
+    poses, (nodes, _) = at(walking(route, still), t), route.at(np.rint(t * 1e9) / 1e9)
+    np.testing.assert_allclose(poses.world_p_body_m, nodes[:, :3, 0] + [0.0, 0.0, 2.0], atol=1e-9)
+    np.testing.assert_allclose(poses.world_R_body, rotations(nodes[:, 5, 0].copy(), 0.0, 0.0), atol=1e-9)
 
 
 def test_without_gait_straps_change_no_bit(walking, still, at):
@@ -61,7 +61,8 @@ def test_interpolation_is_exact_to_a_nanometre(walking, monkeypatch, start_ns, h
     poses = walking(harness=harness).poses_at(start_ns + since_ns)
     monkeypatch.setattr("vlp16emu.motion.harness.NODES_PER_KNOT", 25)
     fine = walking(harness=harness)
-    nodes = _bare(fine._route.at(np.append(since_ns, 6 * 10**9) / 1e9), 2.0)
+    nodes, _ = fine._route.at(np.append(since_ns, 6 * 10**9) / 1e9)
+    nodes[:, 2, 0] += 2.0
     _sit(fine._pack.nodes(5), nodes)
     np.testing.assert_allclose(poses.world_p_body_m, nodes[:-1, :3, 0], atol=1e-9)
     exact = [rotations(q[5:], q[4], q[3])[0] for q in nodes[:-1, :, 0]]

@@ -1,12 +1,13 @@
-"""Waypoints in files."""
+"""Waypoints in files, and paths that cover a plot."""
 
 import numpy as np
 import pytest
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion import Gps
+from vlp16emu.motion import Gps, LawnMower, Stop, Walk
 from vlp16emu.motion.geodesy import to_geodetic
-from vlp16emu.motion.way_points import WayPoints, read_way_points
+from vlp16emu.motion.path import Path
+from vlp16emu.motion.way_points import lawn_mower, read_way_points, way_points
 
 ORIGIN = Gps(latitude_deg=62.24, longitude_deg=25.75, height_m=100.0)
 
@@ -42,12 +43,17 @@ def test_axes_need_no_unit_in_their_names(tmp_path):
     np.testing.assert_array_equal(points.xy_m, [[1.0, 4.0], [12.0, 5.0]])
 
 
-def test_pauses_are_added_by_number():
+def test_pauses_are_added_by_number(tmp_path):
     """A pause at waypoint 2 adds to what the file says, and a number beyond the last is refused."""
-    points = WayPoints(np.zeros((2, 2)), np.array([0.0, 1.0]))
-    np.testing.assert_array_equal(points.with_pause(2, 3.0).pause_s, [0.0, 4.0])
+    file = written(tmp_path, "way.csv", "x_m,y_m,stop_s\n0,0,0\n9,0,1\n")
+
+    def stopping(number):
+        stops = [Stop(way_point=number, pause_s=3.0)]
+        return way_points(Walk(kind="walk", way_points_file=str(file), stops=stops), ORIGIN, (0.0, 0.0))
+
+    np.testing.assert_array_equal(stopping(2).pause_s, [0.0, 4.0])
     with pytest.raises(TrajectoryError, match="stop: found waypoint 3; expected from 1 to 2"):
-        points.with_pause(3, 1.0)
+        stopping(3)
 
 
 @pytest.mark.parametrize(("container", "element"), [("trk", "trkpt"), ("rte", "rtept")])
@@ -104,3 +110,61 @@ def test_a_missing_file_is_reported(tmp_path):
     """The operating system's reason is passed on."""
     with pytest.raises(TrajectoryError, match=r"none\.gpx: no such file or directory; expected a GPX file"):
         read(tmp_path / "none.gpx")
+
+
+PLOT = {
+    "corner_m": (5.0, -6.0),
+    "length_m": 30.0,
+    "width_m": 27.0,
+    "azimuth_deg": 30.0,
+    "line_spacing_m": 5.0,
+    "turn_radius_m": 1.0,
+}
+
+
+def in_plot(point_m):
+    """Along and across the plot."""
+    c, s = np.cos(np.radians(30.0)), np.sin(np.radians(30.0))
+    x, y = (point_m[:, :2] - PLOT["corner_m"]).T
+    return c * x + s * y, c * y - s * x
+
+
+@pytest.fixture(scope="module")
+def mown():
+    """A path over level ground."""
+    return Path(lawn_mower(LawnMower(**PLOT)), lambda x, _y: 0.0 * x)
+
+
+def test_lines_cover_the_plot_and_stay_in_it(mown):
+    """Six lines, 5 m apart and in the middle of 27 m, each walked over nearly its length, within 2 mm of the plot."""
+    along, across = in_plot(mown.at(np.linspace(0.0, mown.length_m, 40_001))[0])
+    assert -0.002 < along.min() < along.max() < 30.002
+    assert across.min() == pytest.approx(1.0, abs=0.002)
+    assert across.max() == pytest.approx(26.0, abs=0.002)
+    for line in range(6):
+        on_it = np.abs(across - (1.0 + 5.0 * line)) < 0.002
+        assert np.ptp(along[on_it]) > 27.9
+
+
+def test_length_is_that_of_lines_and_arcs(mown):
+    """Quarter circles cut ten corners off six lines and five links."""
+    assert mown.length_m == pytest.approx(6 * 30 + 5 * 5 - 10 * (2 - np.pi / 2), rel=1e-4)
+
+
+def test_turns_have_their_radius(mown):
+    """Nowhere does the path turn tighter than 0.8 times the radius."""
+    _, heading_rad = mown.derivatives_at(np.linspace(0.0, mown.length_m, 40_001))
+    assert np.abs(heading_rad[:, 1]).max() < 1.25
+
+
+def test_one_line_is_a_line():
+    """A plot narrower than the spacing has one line, in its middle."""
+    points_m = lawn_mower(LawnMower(**PLOT | {"width_m": 3.0, "azimuth_deg": 0.0}))
+    np.testing.assert_allclose(points_m[:, 1], -4.5)
+
+
+@pytest.mark.parametrize("radius_m", [2.501, 2.6])
+def test_turns_that_do_not_fit_are_refused(radius_m):
+    """The radius is at most half the spacing."""
+    with pytest.raises(TrajectoryError, match="above 0 and at most half of 5 m, line spacing or length"):
+        lawn_mower(LawnMower(**PLOT | {"turn_radius_m": radius_m}))

@@ -4,7 +4,6 @@ import logging
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.doors import door
 from vlp16emu.elementary import norm
@@ -18,21 +17,13 @@ from vlp16emu.motion.route import Route
 from vlp16emu.motion.settings import Gps, Recorded, Static, Walk
 from vlp16emu.motion.walk import WalkMotion
 from vlp16emu.motion.way_points import way_points
-from vlp16emu.types import HeightField, Poses
+from vlp16emu.types import Array, HeightField, IntArray, Poses
 
 _log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
-
 
 class StaticMotion:
-    """A sensor on a tripod: one pose, computed once.
-
-    Parameters
-    ----------
-    position_m : (3,) world
-    yaw_deg, pitch_deg, roll_deg : as in `motion.pose.rotate`
-    """
+    """A sensor on a tripod at a place (3,) in the world, turned as by `motion.pose.rotate`: one pose, computed once."""
 
     run_time_s = math.inf
     moves = False
@@ -41,20 +32,15 @@ class StaticMotion:
         turn = rotation(yaw_deg, pitch_deg, roll_deg)
         self._poses = Poses(np.zeros(1, np.int64), turn[None], position_m[None])
 
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:  # noqa: ARG002  # the same at all times
+    def poses_at(self, t_ns: IntArray) -> Poses:  # noqa: ARG002  # the same at all times
         """Return the one pose."""
         return self._poses
 
-    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
         """Repeat the one pose at instants (n,), without any motion."""
-        n = len(t_ns)
-        pose, still = self._poses, np.zeros((n, 3))
-        return Kinematics(
-            t_ns,
-            np.repeat(pose.world_R_body, n, axis=0),
-            np.repeat(pose.world_p_body_m, n, axis=0),
-            *(still, still, still, still),
-        )
+        n, still = len(t_ns), np.zeros((len(t_ns), 3))
+        turns = np.repeat(self._poses.world_R_body, n, axis=0)
+        return Kinematics(t_ns, turns, np.repeat(self._poses.world_p_body_m, n, axis=0), *(still,) * 4)
 
 
 def make_carrier(
@@ -73,14 +59,11 @@ def make_carrier(
 
     Parameters
     ----------
-    section : the table `[motion]`
-    height_m : ground height
-    ground : name of all that decides it
+    ground : name of all that decides its height
     origin_m : easting, northing and height in maps that are (0, 0, 0) in the world
-    gps : where on earth the world's origin is
+    gps : where on earth that is
     reach_m : how far the sensor sees
     start_ns : UTC of the first pulse
-    seed : of the scenario
     obstacles : places (n, 2) that waypoints lead around, and how far (n,) from each; as of `around`
 
     Raises

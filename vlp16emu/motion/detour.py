@@ -1,14 +1,12 @@
 """Waypoints that lead around what is in the way."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import norm
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.path import Path
 from vlp16emu.motion.way_points import WayPoints
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 _TRIES = 300
 """Waypoints that are put beside something, or moved farther away from it."""
@@ -17,13 +15,7 @@ _SPARE_M, _WIDER_M = 0.05, 0.05
 
 
 def around(points: WayPoints, places_m: Array, gaps_m: Array) -> WayPoints:
-    """Put waypoints beside places that the path comes too near, the nearest first; those of the user stay.
-
-    Parameters
-    ----------
-    points : of the walk
-    places_m : (n, 2) what is to be kept clear of
-    gaps_m : (n,) how far the path must be from each
+    """Put waypoints beside places (n, 2) to which the path comes nearer than gaps (n,), the nearest first; the user's stay.
 
     Raises
     ------

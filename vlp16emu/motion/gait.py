@@ -4,12 +4,12 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import exp, power
 from vlp16emu.motion.settings import Gait
 from vlp16emu.random import Purpose, uniform
 from vlp16emu.trig import cos_sin
+from vlp16emu.types import Array
 
 AXES = 6
 """Fore-aft, sideways, vertical in the heading frame (m), then roll, pitch, yaw (rad)."""
@@ -36,33 +36,19 @@ def step_rate_hz(speed_m_s: float) -> float:
 
 
 class Trunk:
-    """Samples of the trunk's motion.
+    """Samples of the trunk's motion at a walking speed, from which a step rate that the gait leaves out follows.
 
-    Parameters
-    ----------
-    gait : amplitudes and step rate; a step rate that is left out follows from the speed
-    speed_m_s : at which the person walks
-    seed : of the scenario, for the variation from stride to stride
+    The seed decides how strides vary.
     """
 
     def __init__(self, gait: Gait, speed_m_s: float, seed: int) -> None:
         self._step_hz, self._variation = gait.step_hz or step_rate_hz(speed_m_s), gait.variation
-        roll_rad, pitch_rad, yaw_rad = np.radians([gait.roll_deg, gait.pitch_deg, gait.yaw_deg])
-        self._amplitude = np.array(
-            [
-                gait.fore_aft_m,
-                gait.sideways_m,
-                gait.vertical_m,
-                roll_rad,
-                pitch_rad,
-                yaw_rad,
-                gait.second_harmonic_m,
-                gait.heel_strike_m,
-            ]
-        )
+        lengths_m = gait.fore_aft_m, gait.sideways_m, gait.vertical_m
+        turns_rad = np.radians([gait.roll_deg, gait.pitch_deg, gait.yaw_deg])
+        self._amplitude = np.array([*lengths_m, *turns_rad, gait.second_harmonic_m, gait.heel_strike_m])
         self._lines = _lines(seed)
 
-    def at(self, elapsed_s: NDArray[np.float64], effort: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, elapsed_s: Array, effort: Array) -> Array:
         """Displacements (n, 6), axes as in `AXES`, at times (n,) since the first step.
 
         Parameters
@@ -74,7 +60,7 @@ class Trunk:
         return out
 
 
-def _lines(seed: int) -> NDArray[np.float64]:
+def _lines(seed: int) -> Array:
     """Angular frequency and phase, (7, lines, 2), of the sinusoids of each slow process."""
     lines = np.empty((AXES + 1, _LINES, 2))
     for lane in range(AXES + 1):
@@ -86,7 +72,7 @@ def _lines(seed: int) -> NDArray[np.float64]:
 
 
 @numba.njit(cache=True, nogil=True)
-def _slow(lines: NDArray[np.float64], t_s: float) -> float:
+def _slow(lines: Array, t_s: float) -> float:
     total = 0.0
     for k in range(len(lines)):
         total += cos_sin(lines[k, 0] * t_s + lines[k, 1])[1]
@@ -94,7 +80,7 @@ def _slow(lines: NDArray[np.float64], t_s: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _slow_integral(lines: NDArray[np.float64], t_s: float) -> float:
+def _slow_integral(lines: Array, t_s: float) -> float:
     """Integral of `_slow` from zero, in seconds."""
     total = 0.0
     for k in range(len(lines)):
@@ -104,13 +90,7 @@ def _slow_integral(lines: NDArray[np.float64], t_s: float) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _fill(
-    elapsed_s: NDArray[np.float64],
-    effort: NDArray[np.float64],
-    step_hz: float,
-    variation: float,
-    amplitude: NDArray[np.float64],
-    lines: NDArray[np.float64],
-    out: NDArray[np.float64],
+    elapsed_s: Array, effort: Array, step_hz: float, variation: float, amplitude: Array, lines: Array, out: Array
 ) -> None:
     """Fill each row alone; positive pitch is nose down and positive roll right side down."""
     for i in range(elapsed_s.size):

@@ -1,12 +1,10 @@
 """Where on earth the world is: the plane that touches the ellipsoid of WGS 84 under its origin."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, hypot, matvec, sin
 from vlp16emu.motion.settings import Gps
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 _RADIUS_M = 6_378_137.0
 """Semi-major axis of WGS 84 (NGA.STND.0036, table 3.1), as the next."""

@@ -7,7 +7,6 @@ from functools import lru_cache, partial
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, exp, hypot, tanh
 from vlp16emu.motion.geodesy import to_geodetic
@@ -15,12 +14,10 @@ from vlp16emu.motion.pose import Motion
 from vlp16emu.motion.settings import Gps
 from vlp16emu.random import Purpose, normal_pair, uniform_pair
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import GnssFix
+from vlp16emu.types import Array, GnssFix
 from vlp16emu.units import S_NS
 
-Array = NDArray[np.float64]
-
-Sky = Callable[[int, NDArray[np.float64]], float]
+Sky = Callable[[int, Array], float]
 """Share of the sky, 0..1, that is hidden at a UTC instant from an antenna (3,) in the world."""
 
 _WAVES = 32
@@ -44,13 +41,13 @@ class GnssReading:
 
     t_ns: int
     """UTC, a whole second."""
-    antenna_m: NDArray[np.float64]
+    antenna_m: Array
     """(3,) where it truly is, world."""
-    velocity_m_s: NDArray[np.float64]
+    velocity_m_s: Array
     """(3,) how it truly moves, world."""
-    measured_m: NDArray[np.float64]
+    measured_m: Array
     """(3,) where it believes to be, world."""
-    measured_m_s: NDArray[np.float64]
+    measured_m_s: Array
     """(2,) how it believes to move, east and north."""
     cover: float
     """Share of the sky that is hidden."""
@@ -66,8 +63,6 @@ class Receiver:
     Parameters
     ----------
     motion : of the sensor
-    gps : origin of the world, place of the antenna, errors under open sky and what cover does to them
-    seed : of the scenario
     sky : None where the whole sky is free at all times
     """
 

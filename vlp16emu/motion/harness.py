@@ -15,12 +15,12 @@ from itertools import accumulate, repeat
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, exp, expm1, matvec, sin
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.gait import AXES
 from vlp16emu.motion.settings import Harness
+from vlp16emu.types import Array
 
 KNOTS_PER_S = 200
 """Heel strikes last 40 ms; the spline follows them to 1 % of their depth, and all else to a nanometre."""
@@ -72,7 +72,7 @@ class Pack:
         where a push would go on swinging for more than ten minutes
     """
 
-    def __init__(self, trunk: Callable[[int, int], NDArray[np.float64]], harness: Harness | None) -> None:
+    def __init__(self, trunk: Callable[[int, int], Array], harness: Harness | None) -> None:
         self._trunk, self._harness = trunk, harness
         if harness is None:
             return
@@ -93,7 +93,7 @@ class Pack:
         self._omega = 2.0 * math.pi * np.array(frequency_hz)
         self._pushed = lru_cache(self._memory_s + 8)(self._push)
 
-    def nodes(self, second: int) -> NDArray[np.float64]:
+    def nodes(self, second: int) -> Array:
         """Displacement, velocity and acceleration (1001, 6, 3) at the nodes of a second, both ends included.
 
         The second of the first step is 0. The same for whatever was asked before.
@@ -107,14 +107,14 @@ class Pack:
             _swing(pieces, self._steps, self._state(second), omega * omega, drag, out)
         return out
 
-    def _pieces(self, second: int) -> NDArray[np.float64]:
+    def _pieces(self, second: int) -> Array:
         """Trunk as polynomials (200, 6, 6) of the seconds since each knot of a second, lowest power first."""
         samples = self._trunk(second * KNOTS_PER_S - _REACH, KNOTS_PER_S + 2 * _REACH + 1)
         pieces = np.empty((KNOTS_PER_S, AXES, 6))
         _interpolate(samples, _QUASI, _QUINTIC, float(KNOTS_PER_S), pieces)
         return pieces
 
-    def _state(self, second: int) -> NDArray[np.float64]:
+    def _state(self, second: int) -> Array:
         """Stretch and its rate (6, 2) when a second begins, at rest until the first step.
 
         Summed from what each second within memory did by itself, so it does not matter where one starts.
@@ -124,7 +124,7 @@ class Pack:
             state = matvec(self._second, state) + self._pushed(past)
         return state
 
-    def _push(self, second: int) -> NDArray[np.float64]:
+    def _push(self, second: int) -> Array:
         """Stretch and its rate (6, 2) at the end of a second that began without."""
         state = np.zeros((AXES, 2))
         _advance(self._pieces(second), self._steps[:, -1], state)
@@ -132,13 +132,7 @@ class Pack:
 
 
 @numba.njit(cache=True, nogil=True)
-def _interpolate(
-    samples: NDArray[np.float64],
-    quasi: NDArray[np.float64],
-    quintic: NDArray[np.float64],
-    per_s: float,
-    pieces: NDArray[np.float64],
-) -> None:
+def _interpolate(samples: Array, quasi: Array, quintic: Array, per_s: float, pieces: Array) -> None:
     """Fill pieces (n, 6, 6) of the quintic spline through samples (n + 9, 6)."""
     coefficients = np.zeros(len(pieces) + 5)
     for axis in range(AXES):
@@ -157,7 +151,7 @@ def _interpolate(
 
 
 @numba.njit(cache=True, nogil=True)
-def _follow(pieces: NDArray[np.float64], per_knot: int, node_s: float, out: NDArray[np.float64]) -> None:
+def _follow(pieces: Array, per_knot: int, node_s: float, out: Array) -> None:
     """Evaluate value and two derivatives of the pieces at the nodes (m, 6, 3)."""
     for n in range(len(out)):
         k = min(n // per_knot, len(pieces) - 1)
@@ -170,14 +164,14 @@ def _follow(pieces: NDArray[np.float64], per_knot: int, node_s: float, out: NDAr
 
 
 @numba.njit(cache=True, nogil=True)
-def _stretch(step: NDArray[np.float64], state: NDArray[np.float64], a: NDArray[np.float64], row: int) -> float:
+def _stretch(step: Array, state: Array, a: Array, row: int) -> float:
     """Stretch (row 0) or its rate (row 1) after a step from a state, under -u'' of the piece a."""
     forced = step[row, 2] * a[2] * 2 + step[row, 3] * a[3] * 6 + step[row, 4] * a[4] * 12 + step[row, 5] * a[5] * 20
     return step[row, 0] * state[0] + step[row, 1] * state[1] - forced
 
 
 @numba.njit(cache=True, nogil=True)
-def _advance(pieces: NDArray[np.float64], step: NDArray[np.float64], state: NDArray[np.float64]) -> None:
+def _advance(pieces: Array, step: Array, state: Array) -> None:
     """Carry the state (6, 2) over all pieces."""
     for k in range(len(pieces)):
         for axis in range(AXES):
@@ -187,14 +181,7 @@ def _advance(pieces: NDArray[np.float64], step: NDArray[np.float64], state: NDAr
 
 
 @numba.njit(cache=True, nogil=True)
-def _swing(
-    pieces: NDArray[np.float64],
-    steps: NDArray[np.float64],
-    state: NDArray[np.float64],
-    stiffness: NDArray[np.float64],
-    drag: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> None:
+def _swing(pieces: Array, steps: Array, state: Array, stiffness: Array, drag: Array, out: Array) -> None:
     """Add the stretch, from its state at the first node on, to the trunk's motion (m, 6, 3)."""
     per_knot = steps.shape[1]
     for axis in range(AXES):
@@ -218,7 +205,7 @@ def decay_per_s(frequency_hz: float, damping_ratio: float) -> float:
     return z * omega if z < 1.0 else omega / (z + math.sqrt((z - 1.0) * (z + 1.0)))
 
 
-def response(frequency_hz: float, damping_ratio: float, s: float) -> NDArray[np.float64]:
+def response(frequency_hz: float, damping_ratio: float, s: float) -> Array:
     """Linear map (2, 6) from (y, y', f0, f1, f2, f3) at 0 to (y, y') after s seconds, f = sum of fi t^i.
 
     The homogeneous part is the matrix exponential; column 2 + i of the first row is the integral of

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec
 from vlp16emu.motion.pose import Motion
 from vlp16emu.motion.settings import Imu
 from vlp16emu.random import Purpose, normal, normal_pair
+from vlp16emu.types import Array, IntArray
 from vlp16emu.units import S_NS
 
 GRAVITY_M_S2 = 9.80665
@@ -26,30 +26,22 @@ _HORIZON = 1 << 32
 class Inertial:
     """Readings at n instants, in the unit's own axes."""
 
-    t_ns: NDArray[np.int64]
+    t_ns: IntArray
     """(n,) UTC."""
-    angular_rate_rad_s: NDArray[np.float64]
+    angular_rate_rad_s: Array
     """(n, 3)."""
-    specific_force_m_s2: NDArray[np.float64]
+    specific_force_m_s2: Array
     """(n, 3) acceleration less gravity: at rest it points up."""
-    true_angular_rate_rad_s: NDArray[np.float64]
+    true_angular_rate_rad_s: Array
     """(n, 3) without errors, as the next."""
-    true_specific_force_m_s2: NDArray[np.float64]
-    gyro_bias_rad_s: NDArray[np.float64]
+    true_specific_force_m_s2: Array
+    gyro_bias_rad_s: Array
     """(n, 3) at switch-on, with what it has wandered since, as the next; what is left of an error is white noise."""
-    accel_bias_m_s2: NDArray[np.float64]
+    accel_bias_m_s2: Array
 
 
 class ImuSampler:
-    """A strapdown unit that samples without pause.
-
-    Parameters
-    ----------
-    motion : of the unit itself, lever arm and tilt included
-    imu : rate, and the errors that it adds to the truth
-    start_ns : UTC of sample 0
-    seed : of the scenario
-    """
+    """A strapdown unit that samples without pause from `start_ns` on; the motion is that of the unit itself."""
 
     def __init__(self, motion: Motion, imu: Imu, *, start_ns: int, seed: int) -> None:
         self._motion, self._imu, self._start_ns, self._seed = motion, imu, start_ns, seed
@@ -60,24 +52,16 @@ class ImuSampler:
         truth = self._motion.kinematics_at(t_ns)
         up = truth.world_a_body_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
         force = matvec(truth.world_R_body.swapaxes(1, 2), up)
-        e = self._imu
-        gyro = (e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz)
-        accel = (e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz)
-        gyro_errors, gyro_bias = self._errors_of(gyro, first, count, 0)
-        accel_errors, accel_bias = self._errors_of(accel, first, count, 3)
-        return Inertial(
-            t_ns,
-            truth.body_w_rad_s + gyro_errors,
-            force + accel_errors,
-            truth.body_w_rad_s,
-            force,
-            gyro_bias,
-            accel_bias,
-        )
+        e, w = self._imu, truth.body_w_rad_s
+        gyro = e.gyro_bias_rad_s, e.gyro_noise_rad_s_sqrt_hz, e.gyro_walk_rad_s2_sqrt_hz
+        accel = e.accel_bias_m_s2, e.accel_noise_m_s2_sqrt_hz, e.accel_walk_m_s3_sqrt_hz
+        w_errors, w_bias = self._errors_of(gyro, first, count, 0)
+        force_errors, force_bias = self._errors_of(accel, first, count, 3)
+        return Inertial(t_ns, w + w_errors, force + force_errors, w, force, w_bias, force_bias)
 
     def _errors_of(
         self, sizes: tuple[float, float, float], first: int, count: int, first_axis: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[Array, Array]:
         """Errors (count, 3) of three axes, white noise and bias; and the bias alone. What is zero is not drawn."""
         bias, noise, walk = sizes
         out, slow = np.zeros((count, 3)), np.zeros((count, 3))
@@ -96,7 +80,7 @@ class ImuSampler:
         return out, slow
 
 
-def _random_walk(seed: int, first: int, count: int, lane: int) -> NDArray[np.float64]:
+def _random_walk(seed: int, first: int, count: int, lane: int) -> Array:
     """Add up standard normal numbers to samples first .. first + count - 1 (count,), 0 at sample 0.
 
     Ends of chunks by halving intervals (Levy's construction of Brownian motion), the samples between as a
@@ -108,7 +92,7 @@ def _random_walk(seed: int, first: int, count: int, lane: int) -> NDArray[np.flo
     return np.concatenate(parts)[begin : begin + count]
 
 
-def _bridge(seed: int, chunk: int, lane: int) -> NDArray[np.float64]:
+def _bridge(seed: int, chunk: int, lane: int) -> Array:
     """Random walk (4096,) at the samples of a chunk."""
     # Lanes: two for each axis, one for the ends of chunks and one within.
     purpose, scale = int(Purpose.IMU_WALK), math.sqrt(_CHUNK)

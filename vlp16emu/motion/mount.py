@@ -4,30 +4,22 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import matmul, matvec, norm
 from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.motion.settings import Mount
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Poses
+from vlp16emu.types import Array, IntArray, Poses
 from vlp16emu.units import S_NS
 
 
 def mounted(carrier: Motion, mount: Mount, start_ns: int) -> Motion:
-    """Motion of a device on a carrier; the carrier's own where the mount changes nothing."""
+    """Motion of a device as of `MountedMotion`; the carrier's own where the mount changes nothing."""
     return carrier if mount.trivial else MountedMotion(carrier, mount, start_ns)
 
 
 class MountedMotion:
-    """Motion of a device on a carrier.
-
-    Parameters
-    ----------
-    carrier : what it is mounted on
-    mount : how
-    start_ns : UTC at which a spinning stage is at its zero
-    """
+    """Motion of a device on a carrier; a stage that spins is at its zero at `start_ns`, UTC."""
 
     def __init__(self, carrier: Motion, mount: Mount, start_ns: int) -> None:
         self._carrier, self._start_ns = carrier, start_ns
@@ -45,30 +37,22 @@ class MountedMotion:
         """The carrier's."""
         return self._carrier.run_time_s
 
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
+    def poses_at(self, t_ns: IntArray) -> Poses:
         """Poses of the device at UTC instants (n,); a single one where nothing moves."""
         of = self._carrier.poses_at(t_ns)
-        t_ns = t_ns if self.moves else of.t_ns
-        poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
-        _mount(
-            of.world_R_body, of.world_p_body_m, self._turns(t_ns), self._arm_m, poses.world_R_body, poses.world_p_body_m
-        )
-        return poses
+        return self._mounted(of, t_ns if self.moves else of.t_ns)[0]
 
-    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
         """Poses of the device at UTC instants (n,) with the derivatives of the same function."""
         of = self._carrier.kinematics_at(t_ns)
-        turns = self._turns(t_ns)
-        R, p = np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3))
-        _mount(of.world_R_body, of.world_p_body_m, turns, self._arm_m, R, p)
-        w, alpha, arm = of.body_w_rad_s, of.body_alpha_rad_s2, self._arm_m
+        poses, turns = self._mounted(of, t_ns)
+        w, alpha, arm, spin = of.body_w_rad_s, of.body_alpha_rad_s2, self._arm_m, self._spin_rad_s
         swing = np.cross(w, arm)
-        spin = self._spin_rad_s
         device_R_body = np.broadcast_to(turns, (len(t_ns), 3, 3)).swapaxes(1, 2)
         return Kinematics(
-            t_ns=t_ns,
-            world_R_body=R,
-            world_p_body_m=p,
+            t_ns,
+            poses.world_R_body,
+            poses.world_p_body_m,
             world_v_body_m_s=of.world_v_body_m_s + matvec(of.world_R_body, swing),
             world_a_body_m_s2=of.world_a_body_m_s2 + matvec(of.world_R_body, np.cross(alpha, arm) + np.cross(w, swing)),
             body_w_rad_s=matvec(device_R_body, w + spin),
@@ -76,7 +60,13 @@ class MountedMotion:
             body_alpha_rad_s2=matvec(device_R_body, alpha + np.cross(w, spin)),
         )
 
-    def _turns(self, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def _mounted(self, of: Poses, t_ns: IntArray) -> tuple[Poses, Array]:
+        """Poses of the device on a carrier with these poses, and its turns on the stage."""
+        turns, poses = self._turns(t_ns), Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
+        _mount(of.world_R_body, of.world_p_body_m, turns, self._arm_m, poses.world_R_body, poses.world_p_body_m)
+        return poses, turns
+
+    def _turns(self, t_ns: IntArray) -> Array:
         """body_R_device (n, 3, 3) at instants (n,), or (1, 3, 3) where the stage is fixed."""
         if self._spin_hz == 0.0:
             return self._tilts[:1]
@@ -87,13 +77,7 @@ class MountedMotion:
 
 
 @numba.njit(cache=True, nogil=True)
-def _spin(
-    whole_s: NDArray[np.int64],
-    rest_ns: NDArray[np.int64],
-    spin_hz: float,
-    tilts: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> None:
+def _spin(whole_s: IntArray, rest_ns: IntArray, spin_hz: float, tilts: Array, out: Array) -> None:
     """Fill the tilt turned about the axis, by Rodrigues' formula."""
     for i in range(len(out)):
         revolutions = spin_hz * whole_s[i] % 1.0 + spin_hz * (rest_ns[i] * 1.0e-9)
@@ -106,12 +90,7 @@ def _spin(
 
 @numba.njit(cache=True, nogil=True)
 def _mount(
-    world_R_body: NDArray[np.float64],
-    world_p_body_m: NDArray[np.float64],
-    body_R_device: NDArray[np.float64],
-    arm_m: NDArray[np.float64],
-    R: NDArray[np.float64],
-    p_m: NDArray[np.float64],
+    world_R_body: Array, world_p_body_m: Array, body_R_device: Array, arm_m: Array, R: Array, p_m: Array
 ) -> None:
     """Fill world_R_device and world_p_device; a single carrier pose or a single turn holds for all."""
     for i in range(len(R)):

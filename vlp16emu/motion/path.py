@@ -13,9 +13,7 @@ from vlp16emu.elementary import atan2, hypot, norm
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.motion.splines import Spline, interpolant
 from vlp16emu.store import recalled
-from vlp16emu.types import HeightField
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, HeightField, IntArray
 
 _APART_M = 0.01
 """Waypoints nearer than this are one."""
@@ -97,20 +95,13 @@ class Path:
         The middle axis of the points is the order of the derivative. Headings are continuous, in radians.
         """
         point_m, heading_rad = np.empty((len(s_m), 3, 3)), np.empty((len(s_m), 3))
-        _evaluate(
-            self._knots_m,
-            self._coefficients,
-            self._heading_rad,
-            self.closed,
-            np.ascontiguousarray(s_m),
-            point_m,
-            heading_rad,
-        )
+        curve = self._knots_m, self._coefficients, self._heading_rad, self.closed
+        _evaluate(*curve, np.ascontiguousarray(s_m), point_m, heading_rad)
         return point_m, heading_rad
 
 
 @numba.njit(cache=True, nogil=True)
-def limit_slope(values: NDArray[np.float64], step: NDArray[np.float64]) -> None:
+def limit_slope(values: Array, step: Array) -> None:
     """Lower values (n,) in place, as little as possible, until neighbours i and i + 1 differ by step[i] at most.
 
     Parameters
@@ -183,7 +174,7 @@ def _check_way_points(way_points_m: Array) -> None:
         raise TrajectoryError("waypoints", found, f"at most {_LONGEST_M / 1000:g} km")
 
 
-def _knots(cubic: Spline, u: Array, way_points_m: Array, closed: bool) -> tuple[Array, NDArray[np.int64]]:
+def _knots(cubic: Spline, u: Array, way_points_m: Array, closed: bool) -> tuple[Array, IntArray]:
     """Parameters of the knots, dense in turns, and which of them are the waypoints."""
     chords_m = norm(np.diff(way_points_m, axis=0))
     counts = np.maximum(_FEWEST_SAMPLES, np.ceil(chords_m / _SAMPLE_M)).astype(np.int64)
@@ -224,7 +215,7 @@ def _curvature(steps: Array, closed: bool) -> Array:
     return np.concatenate([inner[:1], inner, inner[-1:]])
 
 
-def _check_radius(curvature: Array, points_m: Array, number: NDArray[np.int64]) -> None:
+def _check_radius(curvature: Array, points_m: Array, number: IntArray) -> None:
     """Refuse a turn that is too tight to walk."""
     worst = int(curvature.argmax())
     if curvature[worst] * _SMALLEST_RADIUS_M > 1.0:
@@ -313,9 +304,8 @@ def _evaluate(
         c = coefficients[:, piece, :]
         for a in range(3):
             point_m[i, 0, a] = (((((c[5, a] * d + c[4, a]) * d + c[3, a]) * d + c[2, a]) * d + c[1, a]) * d) + c[0, a]
-            point_m[i, 1, a] = (((5.0 * c[5, a] * d + 4.0 * c[4, a]) * d + 3.0 * c[3, a]) * d + 2.0 * c[2, a]) * d + c[
-                1, a
-            ]
+            slope = ((5.0 * c[5, a] * d + 4.0 * c[4, a]) * d + 3.0 * c[3, a]) * d + 2.0 * c[2, a]
+            point_m[i, 1, a] = slope * d + c[1, a]
             point_m[i, 2, a] = ((20.0 * c[5, a] * d + 12.0 * c[4, a]) * d + 6.0 * c[3, a]) * d + 2.0 * c[2, a]
         x3 = (60.0 * c[5, 0] * d + 24.0 * c[4, 0]) * d + 6.0 * c[3, 0]
         y3 = (60.0 * c[5, 1] * d + 24.0 * c[4, 1]) * d + 6.0 * c[3, 1]

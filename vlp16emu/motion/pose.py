@@ -6,29 +6,22 @@ from typing import Protocol
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Poses
+from vlp16emu.types import Array, IntArray, Poses
 
 
 @dataclass(frozen=True, slots=True)
-class Kinematics:
+class Kinematics(Poses):
     """Poses of a body at n instants with the exact derivatives of the same function."""
 
-    t_ns: NDArray[np.int64]
-    """(n,) UTC."""
-    world_R_body: NDArray[np.float64]
-    """(n, 3, 3) rotation, body to world."""
-    world_p_body_m: NDArray[np.float64]
-    """(n, 3) origin of the body in the world."""
-    world_v_body_m_s: NDArray[np.float64]
+    world_v_body_m_s: Array
     """(n, 3) its velocity."""
-    world_a_body_m_s2: NDArray[np.float64]
+    world_a_body_m_s2: Array
     """(n, 3) its acceleration, without gravity."""
-    body_w_rad_s: NDArray[np.float64]
+    body_w_rad_s: Array
     """(n, 3) angular rate of the body, in body axes."""
-    body_alpha_rad_s2: NDArray[np.float64]
+    body_alpha_rad_s2: Array
     """(n, 3) time derivative of `body_w_rad_s`."""
 
 
@@ -43,15 +36,15 @@ class Motion(Protocol):
     def moves(self) -> bool:
         """Whether poses differ from one instant to another."""
 
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
+    def poses_at(self, t_ns: IntArray) -> Poses:
         """Poses at UTC instants (n,); a single one where nothing moves."""
 
-    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
         """Poses at UTC instants (n,) with the derivatives of the same function."""
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
-def fill_rotation(cy: float, sy: float, cp: float, sp: float, cr: float, sr: float, out: NDArray[np.float64]) -> None:
+def fill_rotation(cy: float, sy: float, cp: float, sp: float, cr: float, sr: float, out: Array) -> None:
     """Fill the rotation (3, 3) of `rotate` from cosines and sines of yaw, pitch and roll."""
     out[0, 0], out[0, 1], out[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
     out[1, 0], out[1, 1], out[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
@@ -59,7 +52,7 @@ def fill_rotation(cy: float, sy: float, cp: float, sp: float, cr: float, sr: flo
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
-def rotate(yaw_rad: float, pitch_rad: float, roll_rad: float, out: NDArray[np.float64]) -> None:
+def rotate(yaw_rad: float, pitch_rad: float, roll_rad: float, out: Array) -> None:
     """Fill a rotation (3, 3), body to world: about z, then y, then x.
 
     Yaw is counter-clockwise from east, positive pitch is nose down, positive roll is right side down.
@@ -68,7 +61,7 @@ def rotate(yaw_rad: float, pitch_rad: float, roll_rad: float, out: NDArray[np.fl
 
 
 @numba.njit(cache=True, nogil=True)
-def rotations(yaw_rad: NDArray[np.float64], pitch_rad: float, roll_rad: float) -> NDArray[np.float64]:
+def rotations(yaw_rad: Array, pitch_rad: float, roll_rad: float) -> Array:
     """world_R_body (n, 3, 3) for headings (n,) and a fixed inclination, angles as in `rotate`."""
     out = np.empty((yaw_rad.size, 3, 3))
     for i in range(yaw_rad.size):
@@ -76,20 +69,16 @@ def rotations(yaw_rad: NDArray[np.float64], pitch_rad: float, roll_rad: float) -
     return out
 
 
-def rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> NDArray[np.float64]:
+def rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Array:
     """Rotation (3, 3), body to world, angles as in `rotate`."""
     inclination = math.radians(pitch_deg), math.radians(roll_deg)
-    turn: NDArray[np.float64] = rotations(np.array([math.radians(yaw_deg)]), *inclination)[0]
+    turn: Array = rotations(np.array([math.radians(yaw_deg)]), *inclination)[0]
     return turn
 
 
 @numba.njit(cache=True, nogil=True)
 def body_rate(
-    angle_rad: NDArray[np.float64],
-    rate_rad_s: NDArray[np.float64],
-    acceleration_rad_s2: NDArray[np.float64],
-    w_rad_s: NDArray[np.float64],
-    alpha_rad_s2: NDArray[np.float64],
+    angle_rad: Array, rate_rad_s: Array, acceleration_rad_s2: Array, w_rad_s: Array, alpha_rad_s2: Array
 ) -> None:
     """Fill angular rate and acceleration (3,), in body axes, from roll, pitch, yaw (3,) and their derivatives.
 

@@ -1,4 +1,8 @@
-"""What the user brings to a motion in files: lines, columns, and recorded poses in TUM, CSV and KITTI."""
+"""What the user brings to a motion in files: lines, columns, and recorded poses in TUM, CSV and KITTI.
+
+All functions raise `TrajectoryError` with file and line where a file cannot be read, a line is none of its kind, a number is
+not finite, a turn is no rotation, or times do not grow.
+"""
 
 import csv
 import math
@@ -9,20 +13,19 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import matmul, norm
 from vlp16emu.errors import TrajectoryError, readable
 from vlp16emu.motion.settings import Recorded
+from vlp16emu.types import Array, IntArray
 from vlp16emu.units import S_NS
 
 UNIT_TOLERANCE = 1e-3
 """Of a quaternion's length and of a matrix times its transpose: what four written decimals leave."""
 _ROUNDS = 3
 """From that error to one below the last bit: each round squares it."""
-_QUATERNION = ("qx", "qy", "qz", "qw")
+_COLUMNS = ("t_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 _AXES = ("x", "y", "z")
-_POSITION = tuple(f"{axis}_m" for axis in _AXES)
 RATES = ("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s", "cell")
 """Columns that the table of a live run has besides; who wants its poses alone may leave them there."""
 _LARGEST_NS = 2**62
@@ -34,62 +37,32 @@ class RecordedPoses:
 
     where: list[str]
     """(n,) file and line of each, for messages."""
-    t_ns: NDArray[np.int64]
+    t_ns: IntArray
     """(n,) stamps, of whatever epoch."""
-    position_m: NDArray[np.float64]
+    position_m: Array
     """(n, 3)."""
-    quaternion: NDArray[np.float64]
+    quaternion: Array
     """(n, 4) x, y, z, w of unit length; body to the recording's frame."""
 
 
 def read_poses(recorded: Recorded) -> RecordedPoses:
-    """Read the file of poses, and that of their times, if there is one.
-
-    Raises
-    ------
-    TrajectoryError
-        where a line or a pose in it is wrong, as in the function of each format
-    """
+    """Read the file of poses, and that of their times, if there is one."""
     path = Path(recorded.file)
-    if recorded.format == "tum":
-        return read_tum(path)
-    if recorded.times_file is not None:
-        return read_kitti(path, Path(recorded.times_file))
-    return read_trajectory_csv(path) if recorded.rate_hz is None else read_kitti(path, recorded.rate_hz)
+    if recorded.format == "kitti":
+        return read_kitti(path, recorded.rate_hz or Path(recorded.times_file or ""))
+    return read_tum(path) if recorded.format == "tum" else read_trajectory_csv(path)
 
 
 def read_tum(path: Path) -> RecordedPoses:
-    """Read lines of `t x y z qx qy qz qw`, t in seconds (file format of the TUM RGB-D benchmark).
-
-    Raises
-    ------
-    TrajectoryError
-        where a line is none, holds a NaN, or its quaternion is not of unit length
-    """
+    """Read lines of `t x y z qx qy qz qw`, t in seconds (file format of the TUM RGB-D benchmark)."""
     lines = _words(path, 8, "t x y z qx qy qz qw")
-    return _checked(
-        path,
-        [where for where, _ in lines],
-        [seconds_ns(where, cells[0]) for where, cells in lines],
-        [[finite(where, cell) for cell in cells[1:]] for where, cells in lines],
-    )
+    return _read(path, [(where, [(where, cell) for cell in cells]) for where, cells in lines])
 
 
 def read_trajectory_csv(path: Path) -> RecordedPoses:
-    """Read a CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz and qw in any order; a live run's has others too.
-
-    Raises
-    ------
-    TrajectoryError
-        where the file is no such table, holds a NaN, or a quaternion is not of unit length
-    """
-    lines = named_cells(path, ["t_s", *_POSITION, *_QUATERNION], RATES)
-    return _checked(
-        path,
-        [where for where, _ in lines],
-        [seconds_ns(f"{where}, column t_s", row["t_s"]) for where, row in lines],
-        [[finite(f"{where}, column {name}", row[name]) for name in (*_POSITION, *_QUATERNION)] for where, row in lines],
-    )
+    """Read a CSV with the columns t_s, x_m, y_m, z_m, qx, qy, qz and qw in any order; a live run's has others too."""
+    lines = named_cells(path, _COLUMNS, RATES)
+    return _read(path, [(where, [(f"{where}, column {name}", row[name]) for name in _COLUMNS]) for where, row in lines])
 
 
 def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
@@ -98,11 +71,6 @@ def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
     Parameters
     ----------
     times : a file with a time in seconds for each pose, one to a line, or the rate of the poses in Hz
-
-    Raises
-    ------
-    TrajectoryError
-        where a line is none, holds a NaN, or is no rotation, or there are more or fewer times than poses
     """
     lines = _words(path, 12, "the 12 numbers of a 3 x 4 matrix")
     numbers = [[finite(where, cell) for cell in cells] for where, cells in lines]
@@ -121,7 +89,7 @@ def read_kitti(path: Path, times: Path | float) -> RecordedPoses:
     )
 
 
-def _quaternions(turns: NDArray[np.float64]) -> NDArray[np.float64]:
+def _quaternions(turns: Array) -> Array:
     """Quaternions (n, 4), x, y, z, w and about of unit length, of the rotations nearest to matrices (n, 3, 3).
 
     Source: Markley, "Unit quaternion from rotation matrix", J. Guidance, Control, and Dynamics 31(2), 2008.
@@ -161,16 +129,22 @@ def seconds_ns(where: str, text: str) -> int:
     return int(t_ns.to_integral_value())
 
 
+def _read(path: Path, lines: Sequence[tuple[str, Sequence[tuple[str, str]]]]) -> RecordedPoses:
+    """Read the cells of each line, which are those of `_COLUMNS`, each with what error lines call it."""
+    t_ns = [seconds_ns(*cells[0]) for _, cells in lines]
+    return _checked(
+        path, [where for where, _ in lines], t_ns, [[finite(*cell) for cell in cells[1:]] for _, cells in lines]
+    )
+
+
 def _checked(path: Path, where: list[str], t_ns: list[int], numbers: list[list[float]]) -> RecordedPoses:
     """Refuse what is no rotation, and time that does not go on."""
     if len(where) < 2:
         raise TrajectoryError(str(path), f"found {len(where)} poses", "at least 2")
     for i, (before, after) in enumerate(pairwise(t_ns), start=1):
         if after <= before:
-            found = f"a time {(before - after) / S_NS:g} s before that of the pose before"
-            if after == before:
-                found = "the time of the pose before"
-            raise TrajectoryError(where[i], found, "times that grow")
+            late = f"a time {(before - after) / S_NS:g} s before that of" if after < before else "the time of"
+            raise TrajectoryError(where[i], f"{late} the pose before", "times that grow")
     table = np.array(numbers)
     lengths = norm(table[:, 3:])
     if (off := np.abs(lengths - 1.0) > UNIT_TOLERANCE).any():
@@ -191,18 +165,7 @@ def finite(where: str, text: str) -> float:
 
 
 def _words(path: Path, count: int, expected: str) -> list[tuple[str, list[str]]]:
-    """File and number of each line, and its words; lines that are empty or begin with # are left out.
-
-    Parameters
-    ----------
-    count : words in a line
-    expected : what a line holds
-
-    Raises
-    ------
-    TrajectoryError
-        where the file cannot be read or a line has another number of words
-    """
+    """File and number of each line, and its `count` words; lines that are empty or begin with # are left out."""
     with readable(path, expected, TrajectoryError):
         text = path.read_text(encoding="utf-8-sig")
     lines = []
@@ -221,12 +184,6 @@ def named_cells(path: Path, needed: Sequence[str], optional: Sequence[str]) -> l
 
     The delimiter is a semicolon or a tab where the header has one, and a comma otherwise. `x`, `y` and `z` stand for
     `x_m`, `y_m` and `z_m`.
-
-    Raises
-    ------
-    TrajectoryError
-        where the file cannot be read, a column is missing, unknown or there twice, or a line has more or
-        fewer cells than the header
     """
     expected = f"a CSV with the columns {', '.join(needed)}"
     with readable(path, expected, TrajectoryError), path.open(encoding="utf-8-sig", newline="") as file:

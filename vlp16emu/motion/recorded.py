@@ -4,7 +4,6 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import acos, cos, norm, sin
 from vlp16emu.errors import TrajectoryError
@@ -12,10 +11,8 @@ from vlp16emu.motion.pose import Kinematics
 from vlp16emu.motion.pose_files import RecordedPoses
 from vlp16emu.motion.settings import Recorded
 from vlp16emu.motion.splines import interpolant
-from vlp16emu.types import Poses
+from vlp16emu.types import Array, IntArray, Poses
 from vlp16emu.units import S_NS
-
-Array = NDArray[np.float64]
 
 _MOST_TURN_DEG = 90.0
 """Between one pose and the next: half of what would leave the sense of the turn open."""
@@ -64,13 +61,13 @@ class RecordedMotion:
         self.position_m = np.ascontiguousarray(self._coefficients[3, :, :3])
         """(n - 1, 3) of all poses but the last, in the world."""
 
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
+    def poses_at(self, t_ns: IntArray) -> Poses:
         """Poses at UTC instants (n,)."""
         position_m, turn = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3, 3))
         fill_poses(self._knots_ns, self._coefficients, t_ns - self._start_ns, position_m, turn)
         return Poses(t_ns, turn, position_m)
 
-    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
         """Poses at UTC instants (n,) with their derivatives, which are zero where the body is at rest."""
         poses = self.poses_at(t_ns)
         rates = np.empty((4, len(t_ns), 3))
@@ -79,19 +76,19 @@ class RecordedMotion:
 
     def _check_norm(self, poses: RecordedPoses) -> None:
         """Refuse rotations between which the spline strays far from the unit sphere."""
-        steps_s = np.diff(self._knots_ns) / S_NS
+        steps_s, c = np.diff(self._knots_ns) / S_NS, self._coefficients[:, :, 3:]
+        found = "no smooth turn leads here from the pose before: times are too uneven"
         for look in range(1, _LOOKS):
             d = (look / _LOOKS * steps_s)[:, None]
-            c = self._coefficients[:, :, 3:]
-            length = norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3])
-            strays = np.abs(length - 1.0) > 1.0 - _LEAST_NORM
-            if strays.any():
-                i = int(strays.argmax()) + 1
-                raise TrajectoryError(
-                    poses.where[i],
-                    "no smooth turn leads here from the pose before: times are too uneven",
-                    "poses at more even times",
-                )
+            off = np.abs(norm(((c[0] * d + c[1]) * d + c[2]) * d + c[3]) - 1.0)
+            _refuse(poses, off, 1.0 - _LEAST_NORM, found, "poses at more even times")
+
+
+def _refuse(poses: RecordedPoses, values: Array, most: float, found: str, expected: str) -> None:
+    """Refuse the first step (n - 1,) from pose to pose whose value, which may stand in `found`, is above the most."""
+    if (values > most).any():
+        i = int((values > most).argmax())
+        raise TrajectoryError(poses.where[i + 1], found.format(values[i]), expected)
 
 
 def _continuous(quaternion: Array) -> Array:
@@ -101,21 +98,12 @@ def _continuous(quaternion: Array) -> Array:
     return quaternion * sign[:, None]
 
 
-def _check_steps(poses: RecordedPoses, knots_ns: NDArray[np.int64], quaternion: Array, max_gap_s: float) -> None:
+def _check_steps(poses: RecordedPoses, knots_ns: IntArray, quaternion: Array, max_gap_s: float) -> None:
     """Refuse gaps, and turns whose sense is unknown."""
-    gaps_s = np.diff(knots_ns) / S_NS
-    if (gaps_s > max_gap_s).any():
-        i = int((gaps_s > max_gap_s).argmax())
-        raise TrajectoryError(poses.where[i + 1], f"found a gap of {gaps_s[i]:g} s", f"at most {max_gap_s:g} s")
-    cosine = np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)
-    turn_deg = np.degrees(2 * acos(cosine))
-    if (turn_deg > _MOST_TURN_DEG + 1e-6).any():
-        i = int((turn_deg > _MOST_TURN_DEG + 1e-6).argmax())
-        raise TrajectoryError(
-            poses.where[i + 1],
-            f"turns by {turn_deg[i]:.1f} degrees from the pose before",
-            f"at most {_MOST_TURN_DEG:g} degrees, beyond which its sense is in doubt",
-        )
+    _refuse(poses, np.diff(knots_ns) / S_NS, max_gap_s, "found a gap of {:g} s", f"at most {max_gap_s:g} s")
+    turn_deg = np.degrees(2 * acos(np.minimum((quaternion[1:] * quaternion[:-1]).sum(axis=1), 1.0)))
+    expected = f"at most {_MOST_TURN_DEG:g} degrees, beyond which its sense is in doubt"
+    _refuse(poses, turn_deg, _MOST_TURN_DEG + 1e-6, "turns by {:.1f} degrees from the pose before", expected)
 
 
 def _placed(recorded: Recorded, position_m: Array, quaternion: Array) -> tuple[Array, Array]:
@@ -138,7 +126,7 @@ def _placed(recorded: Recorded, position_m: Array, quaternion: Array) -> tuple[A
 
 
 @numba.njit(cache=True, nogil=True)
-def _piece(knots_ns: NDArray[np.int64], elapsed_ns: int) -> tuple[int, float]:
+def _piece(knots_ns: IntArray, elapsed_ns: int) -> tuple[int, float]:
     """Piece that holds an instant, and seconds into it; instants beyond the ends fall on them."""
     t = min(max(elapsed_ns, 0), knots_ns[-1])
     piece = min(np.searchsorted(knots_ns, t, side="right") - 1, knots_ns.size - 2)
@@ -146,9 +134,7 @@ def _piece(knots_ns: NDArray[np.int64], elapsed_ns: int) -> tuple[int, float]:
 
 
 @numba.njit(cache=True, nogil=True)
-def fill_poses(
-    knots_ns: NDArray[np.int64], coefficients: Array, elapsed_ns: NDArray[np.int64], position_m: Array, turn: Array
-) -> None:
+def fill_poses(knots_ns: IntArray, coefficients: Array, elapsed_ns: IntArray, position_m: Array, turn: Array) -> None:
     """Evaluate the pieces, each instant alone."""
     value = np.empty(7)
     for i in range(elapsed_ns.size):
@@ -169,7 +155,7 @@ def fill_poses(
 
 
 @numba.njit(cache=True, nogil=True)
-def fill_rates(knots_ns: NDArray[np.int64], coefficients: Array, elapsed_ns: NDArray[np.int64], rates: Array) -> None:
+def fill_rates(knots_ns: IntArray, coefficients: Array, elapsed_ns: IntArray, rates: Array) -> None:
     """Fill (4, n, 3): velocity, acceleration, angular rate and angular acceleration, the latter in body axes.
 
     With Q of any length and N = |Q|^2, the rate is w = 2 vec(Q* Q') / N, and as Q'* Q' has no vector part,

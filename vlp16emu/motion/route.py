@@ -2,20 +2,22 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.errors import TrajectoryError
+from vlp16emu.motion.gait import AXES
 from vlp16emu.motion.path import Path, limit_slope
 from vlp16emu.motion.settings import Walk
+from vlp16emu.motion.splines import powers
+from vlp16emu.types import Array
 
-Array = NDArray[np.float64]
 Stops = Sequence[tuple[float, float]]
 
+_PLACED = [0, 1, 2, 5]
+"""Of x, y, z, roll, pitch and yaw those that a path gives."""
 _MAX_SPEED_M_S = 10.0
 """A sprint."""
 
@@ -31,29 +33,6 @@ _LONGEST_S = 14 * 86_400
 """The latest start of a run and the longest run together."""
 _HALVINGS = 24
 """Of the range of cruise speeds, when the run time is given."""
-
-
-@dataclass(frozen=True, slots=True)
-class Track:
-    """Where the foot point of the path is at n instants: over the ground, before any gait.
-
-    Velocities, accelerations and rates are the exact time derivatives of the same function.
-    """
-
-    position_m: NDArray[np.float64]
-    """(n, 3) world."""
-    velocity_m_s: NDArray[np.float64]
-    """(n, 3) world."""
-    acceleration_m_s2: NDArray[np.float64]
-    """(n, 3) world."""
-    yaw_rad: NDArray[np.float64]
-    """(n,) heading, counter-clockwise from east; continuous, so it may pass pi."""
-    yaw_rate_rad_s: NDArray[np.float64]
-    """(n,)."""
-    yaw_acceleration_rad_s2: NDArray[np.float64]
-    """(n,)."""
-    speed_m_s: NDArray[np.float64]
-    """(n,) along the path, never negative."""
 
 
 class Route:
@@ -92,20 +71,22 @@ class Route:
         self.speed_m_s = self._profile.speed_m_s
         """Cruise speed."""
 
-    def at(self, elapsed_s: Array) -> Track:
-        """Track at times (n,) since the start; before the first step and after the run time the person is at rest."""
+    def at(self, elapsed_s: Array) -> tuple[Array, Array]:
+        """Foot point at times (n,) since the start, before any gait; before the first step and after the run time at rest.
+
+        Returns
+        -------
+        (n, 6, 3) value, exact first and second time derivative of x, y, z, roll, pitch and yaw in the world, where roll and
+        pitch are 0 and the yaw is continuous, so it may pass pi; and (n,) speed along the path, never negative
+        """
         along_m, speed_m_s, acceleration_m_s2 = self._profile.at(elapsed_s - self._stand_s)
         point_m, heading_rad = self._path.derivatives_at(along_m)
-        speed2 = speed_m_s * speed_m_s
-        return Track(
-            position_m=np.ascontiguousarray(point_m[:, 0]),
-            velocity_m_s=point_m[:, 1] * speed_m_s[:, None],
-            acceleration_m_s2=point_m[:, 2] * speed2[:, None] + point_m[:, 1] * acceleration_m_s2[:, None],
-            yaw_rad=np.ascontiguousarray(heading_rad[:, 0]),
-            yaw_rate_rad_s=heading_rad[:, 1] * speed_m_s,
-            yaw_acceleration_rad_s2=heading_rad[:, 2] * speed2 + heading_rad[:, 1] * acceleration_m_s2,
-            speed_m_s=speed_m_s,
-        )
+        curve, speed = np.concatenate([point_m, heading_rad[..., None]], axis=2), speed_m_s[:, None]
+        nodes = np.zeros((len(elapsed_s), AXES, 3))
+        nodes[:, _PLACED, 0] = curve[:, 0]
+        nodes[:, _PLACED, 1] = curve[:, 1] * speed
+        nodes[:, _PLACED, 2] = curve[:, 2] * (speed * speed) + curve[:, 1] * acceleration_m_s2[:, None]
+        return nodes, speed_m_s
 
 
 class Profile:
@@ -148,15 +129,8 @@ class Profile:
     def at(self, elapsed_s: Array) -> tuple[Array, Array, Array]:
         """Arc lengths in m, speeds in m/s and accelerations in m/s^2, each (n,), at times (n,) since the start."""
         along_m, speed_m_s, acceleration_m_s2 = (np.empty(len(elapsed_s)) for _ in range(3))
-        _evaluate(
-            self._coefficients,
-            self._step_s,
-            self.run_time_s,
-            np.ascontiguousarray(elapsed_s),
-            along_m,
-            speed_m_s,
-            acceleration_m_s2,
-        )
+        steps = self._coefficients, self._step_s, self.run_time_s, np.ascontiguousarray(elapsed_s)
+        _evaluate(*steps, along_m, speed_m_s, acceleration_m_s2)
         return along_m, speed_m_s, acceleration_m_s2
 
 
@@ -198,30 +172,9 @@ class _Leg:
 
 
 def _pieces(control_m: Array) -> Array:
-    """Pieces of the quintic B-spline with these control points (c,): (6, c - 5), powers of a step's share, lowest first.
-
-    As `BSpline` of scipy.interpolate computes them, whose import would take 0.3 s of each start.
-    """
-    powers = np.zeros((_DEGREE + 1, len(control_m) - _DEGREE))
-    for power in range(_DEGREE + 1):
-        degree = _DEGREE - power
-        for j, weight in enumerate(_at_knot(degree)):
-            powers[power] += control_m[j : j + powers.shape[1]] * weight
-        powers[power] /= math.factorial(power)
-        control_m = np.diff(control_m) * degree / max(degree, 1)  # both: it rounds twice
-    return powers
-
-
-def _at_knot(degree: int) -> list[float]:
-    """B-splines with equal steps at a knot (de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB)."""
-    value = [1.0]
-    for j in range(1, degree + 1):
-        share = [before / j for before in value]
-        value = [0.0] * (j + 1)
-        for n in range(j):
-            value[n] += share[n] * (n + 1)
-            value[n + 1] = share[n] * (j - n - 1)
-    return value
+    """Pieces of the quintic B-spline with these control points (c,): (6, c - 5), powers of a step's share, lowest first."""
+    knots = np.arange(len(control_m) + _DEGREE + 1.0) - _DEGREE
+    return np.ascontiguousarray(powers(knots[_DEGREE:-_DEGREE], knots, control_m[:, None], _DEGREE)[..., 0])
 
 
 def _least_within(values: Array, reach: int) -> Array:

@@ -9,9 +9,8 @@ from typing import Literal
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from vlp16emu.types import Array, IntArray
 
 _WRAPPED = 64
 """Points of the neighbouring laps with which a periodic spline is solved: what is beyond counts less than 2**-64."""
@@ -56,15 +55,15 @@ def interpolant(
     dropped = 1 if natural else (degree + 1) // 2
     inner = at[dropped:-dropped] if natural or n > degree + 1 else at[:0]
     knots = np.concatenate([np.repeat(at[0], degree + 1), inner, np.repeat(at[-1], degree + 1)])
-    return Spline(at, _powers(at, knots, _control_points(at, values, knots, natural), degree))
+    return Spline(at, powers(at, knots, _control_points(at, values, knots, natural), degree))
 
 
-def _cells(knots: Array, x: Array, degree: int) -> NDArray[np.int64]:
+def _cells(knots: Array, x: Array, degree: int) -> IntArray:
     """Return the number of the knot at which the interval of each parameter (n,) begins; the end is in the last one."""
     return np.clip(np.searchsorted(knots, x, side="right") - 1, degree, len(knots) - degree - 2)
 
 
-def _basis(knots: Array, x: Array, cell: NDArray[np.int64], degree: int) -> Array:
+def _basis(knots: Array, x: Array, cell: IntArray, degree: int) -> Array:
     """B-splines (n, degree + 1) that are not 0 (de Boor, A Practical Guide to Splines, chapter X, algorithm BSPLVB)."""
     value = np.ones((len(x), 1))
     for j in range(1, degree + 1):
@@ -121,18 +120,25 @@ def _solve(bands: Array, values: Array) -> None:
             values[i, a] /= bands[i, reach]
 
 
-def _powers(at: Array, knots: Array, control: Array, degree: int) -> Array:
-    """Powers (degree + 1, n - 1, m) of the distance from each of the parameters (n,) but the last."""
-    powers = np.zeros((degree + 1, len(at) - 1, control.shape[1]))
+def powers(at: Array, knots: Array, control: Array, degree: int) -> Array:
+    """Pieces (degree + 1, n - 1, m) of a B-spline: powers of the distance from each parameter (n,) but the last.
+
+    Parameters
+    ----------
+    at : (n,) where pieces begin, and where the last one ends
+    knots : (c + degree + 1,)
+    control : (c, m) control points
+    """
+    pieces = np.zeros((degree + 1, len(at) - 1, control.shape[1]))
     cell = _cells(knots, at[:-1], degree)
     for power in range(degree + 1):
         left = degree - power
         for r, share in enumerate(_basis(knots, at[:-1], cell, left).T):
-            powers[power] += control[cell - left + r] * share[:, None]
-        powers[power] /= math.factorial(power)
+            pieces[power] += control[cell - left + r] * share[:, None]
+        pieces[power] /= math.factorial(power)
         if left:
             # Its derivative's control points are differences of these; those of empty spans are not used.
             span = (knots[1 + left : len(control) + left] - knots[1 : len(control)])[:, None]
             steps = left * np.diff(control, axis=0) / np.where(span > 0.0, span, 1.0)
             control = np.concatenate([control[:1], steps])
-    return powers
+    return pieces

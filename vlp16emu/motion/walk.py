@@ -4,15 +4,14 @@ from functools import lru_cache
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.motion.gait import AXES, Trunk
 from vlp16emu.motion.harness import KNOTS_PER_S, NODES_PER_KNOT, Pack
 from vlp16emu.motion.pose import Kinematics, body_rate, fill_rotation, rotate
-from vlp16emu.motion.route import Route, Track
+from vlp16emu.motion.route import Route
 from vlp16emu.motion.settings import Walk
 from vlp16emu.trig import ZERO, cos_sin
-from vlp16emu.types import Poses
+from vlp16emu.types import Array, IntArray, Poses
 from vlp16emu.units import S_NS
 
 _NODES_PER_S = KNOTS_PER_S * NODES_PER_KNOT
@@ -30,12 +29,7 @@ class WalkMotion:
     definition the quintic Hermite interpolant of x, y, z, roll, pitch and yaw on it: twice continuously
     differentiable, so its derivatives belong to it exactly, and within a nanometre of what it interpolates.
 
-    Parameters
-    ----------
-    walk : gait, harness and height of the pack
-    route : over the ground; at its cruise speed the gait has its full amplitudes, and they fade as the person slows down
-    start_ns : UTC at which the walk begins
-    seed : of the scenario
+    At the cruise speed of the route the gait has its full amplitudes, and they fade as the person slows down.
 
     Raises
     ------
@@ -52,7 +46,7 @@ class WalkMotion:
         self._table = lru_cache(_TABLES_KEPT)(self._tabulate)
         self.run_time_s = route.run_time_s
 
-    def poses_at(self, t_ns: NDArray[np.int64]) -> Poses:
+    def poses_at(self, t_ns: IntArray) -> Poses:
         """Poses at UTC instants (n,); before the start and after the end the person is at rest at the ends."""
         poses = Poses(t_ns, np.empty((len(t_ns), 3, 3)), np.empty((len(t_ns), 3)))
         room = np.empty((1 + 2 * AXES, _TOGETHER))
@@ -61,26 +55,17 @@ class WalkMotion:
             _poses(table, t_ns, begin_ns, which, room, poses.world_R_body, poses.world_p_body_m)
         return poses
 
-    def kinematics_at(self, t_ns: NDArray[np.int64]) -> Kinematics:
+    def kinematics_at(self, t_ns: IntArray) -> Kinematics:
         """Poses at UTC instants (n,) with the derivatives of the same function."""
         n = len(t_ns)
         out = Kinematics(t_ns, np.empty((n, 3, 3)), *(np.empty((n, 3)) for _ in range(5)))
         for second, which in self._seconds(t_ns):
-            _kinematics(
-                self._table(second),
-                t_ns,
-                self._start_ns + second * S_NS,
-                which,
-                out.world_R_body,
-                out.world_p_body_m,
-                out.world_v_body_m_s,
-                out.world_a_body_m_s2,
-                out.body_w_rad_s,
-                out.body_alpha_rad_s2,
-            )
+            begin_ns, pose = self._start_ns + second * S_NS, (out.world_R_body, out.world_p_body_m)
+            rates = out.world_v_body_m_s, out.world_a_body_m_s2, out.body_w_rad_s, out.body_alpha_rad_s2
+            _kinematics(self._table(second), t_ns, begin_ns, which, *pose, *rates)
         return out
 
-    def _seconds(self, t_ns: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
+    def _seconds(self, t_ns: IntArray) -> list[tuple[int, IntArray]]:
         """Seconds of the walk that instants (n,) fall into, and the numbers of those instants."""
         if len(t_ns) and t_ns.max() - self._start_ns < S_NS * (low := int(t_ns.min() - self._start_ns) // S_NS) + S_NS:
             return [(low, np.arange(len(t_ns)))]  # as nine blocks in ten
@@ -89,32 +74,24 @@ class WalkMotion:
         parts = np.split(order, np.flatnonzero(np.diff(seconds[order])) + 1)
         return [(int(seconds[part[0]]), part) for part in parts if len(part)]
 
-    def _sway(self, first: int, count: int) -> NDArray[np.float64]:
+    def _sway(self, first: int, count: int) -> Array:
         """Sample the trunk's motion (count, 6) at knots from `first` on."""
         elapsed_s = np.arange(first, first + count) / KNOTS_PER_S
-        share = np.minimum(self._route.at(elapsed_s).speed_m_s / self._route.speed_m_s, 1.0)
+        share = np.minimum(self._route.at(elapsed_s)[1] / self._route.speed_m_s, 1.0)
         return self._trunk.at(elapsed_s, share * share * (3.0 - 2.0 * share))
 
-    def _tabulate(self, second: int) -> NDArray[np.float64]:
+    def _tabulate(self, second: int) -> Array:
         """Coefficients (1000, 6, 6) of x, y, z, roll, pitch, yaw by piece of a second, lowest power first."""
         elapsed_s = np.arange(second * _NODES_PER_S, (second + 1) * _NODES_PER_S + 1) / _NODES_PER_S
-        nodes = _bare(self._route.at(elapsed_s), self._height_m)
+        nodes, _ = self._route.at(elapsed_s)
+        nodes[:, 2, 0] += self._height_m
         if self._pack is not None:
             _sit(self._pack.nodes(second), nodes)
         return _hermite(nodes)
 
 
-def _bare(track: Track, height_m: float) -> NDArray[np.float64]:
-    """Value, rate and acceleration (n, 6, 3) of x, y, z, roll, pitch and yaw over the bare route."""
-    nodes = np.zeros((len(track.yaw_rad), AXES, 3))
-    nodes[:, :3] = np.stack([track.position_m, track.velocity_m_s, track.acceleration_m_s2], axis=-1)
-    nodes[:, 2, 0] += height_m
-    nodes[:, 5] = np.stack([track.yaw_rad, track.yaw_rate_rad_s, track.yaw_acceleration_rad_s2], axis=-1)
-    return nodes
-
-
 @numba.njit(cache=True, nogil=True)
-def _sit(pack: NDArray[np.float64], nodes: NDArray[np.float64]) -> None:
+def _sit(pack: Array, nodes: Array) -> None:
     """Put the pack's displacements (n, 6, 3), made in the heading frame, upon the bare route (n, 6, 3)."""
     for n in range(len(nodes)):
         yaw, turn, turn2 = nodes[n, 5]
@@ -132,7 +109,7 @@ def _sit(pack: NDArray[np.float64], nodes: NDArray[np.float64]) -> None:
                 nodes[n, axis, d] += pack[n, axis, d]
 
 
-def _hermite(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+def _hermite(nodes: Array) -> Array:
     """Coefficients (n - 1, 6, 6) of the quintics through value, rate and acceleration at nodes (n, 6, 3)."""
     h_s = 1.0 / _NODES_PER_S
     p, v, a = nodes[..., 0], nodes[..., 1] * h_s, nodes[..., 2] * (h_s * h_s)
@@ -145,13 +122,13 @@ def _hermite(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _poses(
-    table: NDArray[np.float64],
-    t_ns: NDArray[np.int64],
+    table: Array,
+    t_ns: IntArray,
     begin_ns: int,
-    which: NDArray[np.int64],
-    room: NDArray[np.float64],
-    world_R_body: NDArray[np.float64],
-    world_p_body_m: NDArray[np.float64],
+    which: IntArray,
+    room: Array,
+    world_R_body: Array,
+    world_p_body_m: Array,
 ) -> None:
     """Fill the poses at some of the instants, all within the second that begins at `begin_ns`.
 
@@ -187,16 +164,16 @@ def _poses(
 
 @numba.njit(cache=True, nogil=True)
 def _kinematics(
-    table: NDArray[np.float64],
-    t_ns: NDArray[np.int64],
+    table: Array,
+    t_ns: IntArray,
     begin_ns: int,
-    which: NDArray[np.int64],
-    world_R_body: NDArray[np.float64],
-    world_p_body_m: NDArray[np.float64],
-    v_m_s: NDArray[np.float64],
-    a_m_s2: NDArray[np.float64],
-    w_rad_s: NDArray[np.float64],
-    alpha_rad_s2: NDArray[np.float64],
+    which: IntArray,
+    world_R_body: Array,
+    world_p_body_m: Array,
+    v_m_s: Array,
+    a_m_s2: Array,
+    w_rad_s: Array,
+    alpha_rad_s2: Array,
 ) -> None:
     """Fill poses as `_poses` does, and the derivatives."""
     per_s = 1.0e9 / _NODE_NS

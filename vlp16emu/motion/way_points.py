@@ -1,23 +1,22 @@
 """Waypoints of a walk: in the scene, in CSV or GPX files, or of a pattern over a plot."""
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import atan2, cos, norm, sin
 from vlp16emu.errors import TrajectoryError, readable
 from vlp16emu.motion.geodesy import to_local
 from vlp16emu.motion.pose_files import finite, named_cells
 from vlp16emu.motion.settings import Gps, LawnMower, Walk
+from vlp16emu.types import Array
 
 _FARTHEST_M = 100_000.0
 """Farther from the scene's origin the plane of the map is no picture of the earth."""
-_CONTAINER = {"trkpt": "trk", "rtept": "rte"}
-"""Elements of points, and of what they make up (GPX 1.1 schema, Topografix)."""
 _POINTS_PER_QUARTER = 6
 """Waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius."""
 
@@ -31,24 +30,10 @@ _LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7
 class WayPoints:
     """Places to pass, in order."""
 
-    xy_m: NDArray[np.float64]
+    xy_m: Array
     """(n, 2) world."""
-    pause_s: NDArray[np.float64]
+    pause_s: Array
     """(n,) how long the person stops there, 0 where the walk goes on."""
-
-    def with_pause(self, number: int, pause_s: float) -> "WayPoints":
-        """Give the same waypoints with a longer stop at one of them, the first having number 1.
-
-        Raises
-        ------
-        TrajectoryError
-            where there is no such waypoint
-        """
-        if not 1 <= number <= len(self.pause_s):
-            raise TrajectoryError("stop", f"found waypoint {number}", f"from 1 to {len(self.pause_s)}")
-        longer_s = self.pause_s.copy()
-        longer_s[number - 1] += pause_s
-        return WayPoints(self.xy_m, longer_s)
 
 
 def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints:
@@ -66,7 +51,9 @@ def way_points(walk: Walk, gps: Gps, origin_m: tuple[float, float]) -> WayPoints
         points = WayPoints(xy_m, np.zeros(len(xy_m)))
     for stop in walk.stops:
         if stop.way_point is not None:
-            points = points.with_pause(stop.way_point, stop.pause_s)
+            if stop.way_point > len(points.pause_s):
+                raise TrajectoryError("stop", f"found waypoint {stop.way_point}", f"from 1 to {len(points.pause_s)}")
+            points.pause_s[stop.way_point - 1] += stop.pause_s
     return _there_and_back(points) if walk.back_and_forth else points
 
 
@@ -85,7 +72,7 @@ def _there_and_back(points: WayPoints) -> WayPoints:
     )
 
 
-def _turning_loop(before_m: NDArray[np.float64], end_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turning_loop(before_m: Array, end_m: Array) -> Array:
     """Waypoints (n, 2) of a loop that leads back to the end of a way, straight against how one came there.
 
     A sixth of a circle to the right, five sixths to the left round a centre straight ahead, and a sixth to the right, all
@@ -134,68 +121,53 @@ def _read_csv(path: Path, origin_m: tuple[float, float]) -> WayPoints:
 
 def _read_gpx(path: Path, gps: Gps) -> WayPoints:
     """Read a track or route onto the plane at the scene's origin."""
-    reader = _GpxReader(path)
     with readable(path, "a GPX file", TrajectoryError):
-        reader.feed(path.read_bytes())
-    tracks, routes = reader.count["trk"], reader.count["rte"]
+        points, count = _gpx_points(path)
+    tracks, routes = count["trk"], count["rte"]
     if (tracks or routes) != 1:
         raise TrajectoryError(str(path), f"found {tracks} tracks and {routes} routes", "one of them")
-    points = reader.points["trkpt" if tracks else "rtept"]
-    places = [(latitude, longitude, gps.height_m) for _, latitude, longitude in points]
+    found = points["trkpt" if tracks else "rtept"]
+    places = [(latitude, longitude, gps.height_m) for _, latitude, longitude in found]
     xy_m = to_local(np.reshape(places, (-1, 3)), gps)[:, :2]
-    for (line, _, _), away_m in zip(points, norm(xy_m), strict=True):
+    for (where, _, _), away_m in zip(found, norm(xy_m), strict=True):
         if away_m > _FARTHEST_M:
             raise TrajectoryError(
-                f"{path}, line {line}",
+                where,
                 f"lies {away_m / 1000:.0f} km from the scene's origin",
                 f"at most {_FARTHEST_M / 1000:g} km from {gps.latitude_deg:g}, {gps.longitude_deg:g} degrees",
             )
     return WayPoints(np.ascontiguousarray(xy_m), np.zeros(len(xy_m)))
 
 
-class _GpxReader:
-    """Points of a GPX file, read without building a tree.
+def _gpx_points(path: Path) -> tuple[dict[str, list[tuple[str, float, float]]], Counter[str]]:
+    """Line, latitude and longitude of each point of a GPX file by its element, and how many there are of each element."""
+    parser, count = expat.ParserCreate(), Counter[str]()
+    points: dict[str, list[tuple[str, float, float]]] = {"trkpt": [], "rtept": []}
 
-    A document type declaration is refused: entities are what small files grow vast by.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.points: dict[str, list[tuple[int, float, float]]] = {name: [] for name in _CONTAINER}
-        """Line, latitude and longitude of each point, by element."""
-        self.count = dict.fromkeys(_CONTAINER.values(), 0)
-        """How many tracks and routes there are."""
-        self._parser = expat.ParserCreate()
-        self._parser.StartDoctypeDeclHandler = self._refuse
-        self._parser.StartElementHandler = self._start
-
-    def feed(self, text: bytes) -> None:
-        """Read the whole file."""
-        try:
-            self._parser.Parse(text, True)
-        except expat.ExpatError as error:
-            found = f"no XML: {expat.ErrorString(error.code)}"
-            raise TrajectoryError(f"{self._path}, line {error.lineno}", found, "a GPX file") from None
-
-    def _refuse(self, *_: object) -> None:
-        where = f"{self._path}, line {self._parser.CurrentLineNumber}"
+    def refuse(*_: object) -> None:  # entities are what small files grow vast by
+        where = f"{path}, line {parser.CurrentLineNumber}"
         raise TrajectoryError(where, "a document type declaration", "none in a GPX file")
 
-    def _start(self, element: str, attributes: dict[str, str]) -> None:
-        name, line = element.rpartition(":")[2], self._parser.CurrentLineNumber
-        if name in self.count:
-            self.count[name] += 1
-        if name not in self.points:
-            return
-        where = f"{self._path}, line {line}"
-        degrees = [finite(f"{where}, {axis}", attributes.get(axis, "")) for axis in ("lat", "lon")]
-        for axis, value, limit in zip(("lat", "lon"), degrees, (90.0, 180.0), strict=True):
-            if abs(value) > limit:
-                raise TrajectoryError(f"{where}, {axis}", f"found {value:g}", f"from {-limit:g} to {limit:g}")
-        self.points[name].append((line, degrees[0], degrees[1]))
+    def start(element: str, attributes: dict[str, str]) -> None:
+        name, where = element.rpartition(":")[2], f"{path}, line {parser.CurrentLineNumber}"
+        count[name] += 1
+        if name in points:
+            latitude, longitude = (finite(f"{where}, {axis}", attributes.get(axis, "")) for axis in ("lat", "lon"))
+            for axis, value, limit in (("lat", latitude, 90.0), ("lon", longitude, 180.0)):
+                if abs(value) > limit:
+                    raise TrajectoryError(f"{where}, {axis}", f"found {value:g}", f"from {-limit:g} to {limit:g}")
+            points[name].append((where, latitude, longitude))
+
+    parser.StartDoctypeDeclHandler, parser.StartElementHandler = refuse, start
+    try:
+        parser.Parse(path.read_bytes(), True)
+    except expat.ExpatError as error:
+        found = f"no XML: {expat.ErrorString(error.code)}"
+        raise TrajectoryError(f"{path}, line {error.lineno}", found, "a GPX file") from None
+    return points, count
 
 
-def lawn_mower(plot: LawnMower) -> NDArray[np.float64]:
+def lawn_mower(plot: LawnMower) -> Array:
     """Waypoints (n, 2) along parallel lines to and fro over a rectangle, joined by rounded turns inside it.
 
     The lines are as many as fit, in the middle of the width.
@@ -226,7 +198,7 @@ def lawn_mower(plot: LawnMower) -> NDArray[np.float64]:
     return np.column_stack([cosine * along - sine * across, sine * along + cosine * across]) + plot.corner_m
 
 
-def _rounded(corners_m: NDArray[np.float64], radius_m: float, spacing_m: float) -> NDArray[np.float64]:
+def _rounded(corners_m: Array, radius_m: float, spacing_m: float) -> Array:
     """Points (n, 2) at about equal distances along right-angled corners (c, 2) that are cut by quarter circles."""
     ahead = np.diff(corners_m, axis=0)
     ahead /= norm(ahead)[:, None]
@@ -240,7 +212,7 @@ def _rounded(corners_m: NDArray[np.float64], radius_m: float, spacing_m: float) 
     return np.concatenate([*pieces, _straight(at, corners_m[-1], spacing_m), corners_m[-1:]])
 
 
-def _straight(start_m: NDArray[np.float64], end_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.float64]:
+def _straight(start_m: Array, end_m: Array, spacing_m: float) -> Array:
     """Points (n, 2) from a start until before an end; none where both are one."""
     count = math.ceil(norm(end_m - start_m) / spacing_m - 1e-9)
     return start_m + np.arange(count)[:, None] / max(count, 1) * (end_m - start_m)

@@ -1,12 +1,16 @@
 """The tables `[[events]]` of a scene: what is set on the sensor while it runs, and what goes wrong."""
 
-from typing import Annotated, Any, Literal, Self
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from vlp16emu.settings import Fraction, NonNegative, Positive, Section
 
 _Degree = Annotated[int, Field(ge=0, le=359)]
+_KINDS: list[Any] = []
+"""Events that a scene can name, in the order of this file."""
 
 
 class Event(Section):
@@ -25,6 +29,7 @@ class Event(Section):
         if kind:
             words = Field(description=f"Selects {selects}.")
             cls.__annotations__["kind"] = Annotated[Literal[kind], words]
+            _KINDS.append(cls)
 
 
 class LastingEvent(Event):
@@ -149,10 +154,6 @@ class PacketEvent(LastingEvent):
         return self
 
 
-class Freeze(PacketEvent, kind="freeze", selects="a hanging sensor"):
-    """A sensor that hangs: it sends the same payload again and again."""
-
-
 class Share(PacketEvent):
     """Something that befalls a share of packets."""
 
@@ -206,6 +207,10 @@ class Truncate(Share, kind="truncate", selects="cut packets"):
     """Bytes of the payload that are left."""
 
 
+class Freeze(PacketEvent, kind="freeze", selects="a hanging sensor"):
+    """A sensor that hangs: it sends the same payload again and again."""
+
+
 class HttpError(LastingEvent, kind="http_error", selects="an error of the web interface"):
     """A web interface that answers every request with an error, or not at all; only of a stream that has one."""
 
@@ -213,28 +218,8 @@ class HttpError(LastingEvent, kind="http_error", selects="an error of the web in
     """Status of the answers; no answer where it is left out."""
 
 
-AnyEvent = Annotated[
-    Setting
-    | Wobble
-    | MotorStop
-    | PowerCycle
-    | DeadLaser
-    | DirtyWindow
-    | Oscillator
-    | PpsLoss
-    | VoidSentence
-    | WrongSentence
-    | LateSentence
-    | SentenceLoss
-    | Drop
-    | Duplicate
-    | Reorder
-    | Delay
-    | Jitter
-    | Corrupt
-    | Truncate
-    | Freeze
-    | HttpError,
-    Field(discriminator="kind"),
-]
+if TYPE_CHECKING:
+    AnyEvent = Event
+else:
+    AnyEvent = Annotated[reduce(or_, _KINDS), Field(discriminator="kind")]
 """A table of `[[events]]`."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, tan
 from vlp16emu.random import Purpose, normal
-from vlp16emu.types import SensorModel
+from vlp16emu.types import Array, SensorModel
 from vlp16emu.units import S_NS
 
 LASER_NS = 2_304
@@ -29,9 +29,9 @@ LENS_RADIUS_M = 0.0419
 class BeamTable:
     """Directions and firing times of L lasers in wire order."""
 
-    elevation_deg: NDArray[np.float64]
+    elevation_deg: Array
     """(L,) over the horizon, as the sensor's makers say."""
-    vertical_offset_m: NDArray[np.float64]
+    vertical_offset_m: Array
     """(L,) height at which the beam's line meets the spin axis; ranges are measured from there."""
     lens_radius_m: float
     """Distance from the spin axis at which the light leaves."""
@@ -39,13 +39,13 @@ class BeamTable:
     """From one firing sequence to the next."""
     laser_ns: int
     """From one laser's pulse to the next."""
-    elevation_error_deg: NDArray[np.float64]
+    elevation_error_deg: Array
     """(L,) by how much the lasers of this unit look higher than the table says."""
-    azimuth_error_deg: NDArray[np.float64]
+    azimuth_error_deg: Array
     """(L,) by how much they look beyond the rotor's angle."""
 
     @property
-    def near_m(self) -> NDArray[np.float64]:
+    def near_m(self) -> Array:
         """(L,) range at which the light leaves the lens."""
         return np.asarray(self.lens_radius_m / cos(np.radians(self.elevation_deg)))
 
@@ -67,15 +67,8 @@ def free_beams(
     """
     sequence_ns = round(azimuth_resolution_deg / (6 * rpm) * S_NS)
     elevation = np.array(elevation_deg, np.float64)
-    return BeamTable(
-        elevation_deg=elevation,
-        vertical_offset_m=-lens_radius_m * tan(np.radians(elevation)),
-        lens_radius_m=lens_radius_m,
-        sequence_ns=sequence_ns,
-        laser_ns=sequence_ns // len(elevation),
-        elevation_error_deg=np.zeros(len(elevation)),
-        azimuth_error_deg=np.zeros(len(elevation)),
-    )
+    offset_m = -lens_radius_m * tan(np.radians(elevation))
+    return _table(elevation, offset_m, lens_radius_m, sequence_ns, sequence_ns // len(elevation))
 
 
 def with_angle_errors(
@@ -95,26 +88,25 @@ def with_angle_errors(
     )
 
 
-def _table(elevation_deg: tuple[float, ...], vertical_offset_mm: tuple[float, ...]) -> BeamTable:
-    return BeamTable(
-        elevation_deg=np.array(elevation_deg, np.float64),
-        vertical_offset_m=np.array(vertical_offset_mm) * 1e-3,
-        lens_radius_m=LENS_RADIUS_M,
-        sequence_ns=SEQUENCE_NS,
-        laser_ns=LASER_NS,
-        elevation_error_deg=np.zeros(len(elevation_deg)),
-        azimuth_error_deg=np.zeros(len(elevation_deg)),
-    )
+def _table(
+    elevation_deg: Sequence[float] | Array,
+    vertical_offset_m: Array,
+    lens_radius_m: float = LENS_RADIUS_M,
+    sequence_ns: int = SEQUENCE_NS,
+    laser_ns: int = LASER_NS,
+) -> BeamTable:
+    elevation, errors_deg = np.array(elevation_deg, np.float64), np.zeros(len(elevation_deg))
+    return BeamTable(elevation, vertical_offset_m, lens_radius_m, sequence_ns, laser_ns, errors_deg, errors_deg)
 
 
 _VLP_16 = _table(
     (-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15),
-    (11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2),
+    np.array((11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2)) * 1e-3,
 )
 # Offsets of ids 0..6 follow from those of 15..9 by antisymmetry.
 _PUCK_HI_RES = _table(
     (-10.0, 0.667, -8.667, 2.0, -7.333, 3.333, -6.0, 4.667, -4.667, 6.0, -3.333, 7.333, -2.0, 8.667, -0.667, 10.0),
-    (7.4, -0.9, 6.5, -1.8, 5.5, -2.7, 4.6, -3.7, 3.7, -4.6, 2.7, -5.5, 1.8, -6.5, 0.9, -7.4),
+    np.array((7.4, -0.9, 6.5, -1.8, 5.5, -2.7, 4.6, -3.7, 3.7, -4.6, 2.7, -5.5, 1.8, -6.5, 0.9, -7.4)) * 1e-3,
 )
 
 BEAM_TABLES = {SensorModel.VLP_16: _VLP_16, SensorModel.PUCK_LITE: _VLP_16, SensorModel.PUCK_HI_RES: _PUCK_HI_RES}

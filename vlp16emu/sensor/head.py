@@ -9,12 +9,11 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.rotor import Clock, Rotor
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Firings, Poses
+from vlp16emu.types import Array, Firings, IntArray, Poses
 from vlp16emu.units import S_NS, seconds_to_ns
 
 _TOGETHER = 480
@@ -30,16 +29,14 @@ class Head:
     clock: Clock
     start_ns: int
 
-    def times_ns(self, first: int, count: int) -> NDArray[np.int64]:
+    def times_ns(self, first: int, count: int) -> IntArray:
         """UTC of every pulse of `count` sequences, (count, L)."""
         beams = self.beams
         sequence = self.start_ns + np.arange(first, first + count, dtype=np.int64) * beams.sequence_ns
         laser = np.arange(len(beams.elevation_deg), dtype=np.int64) * beams.laser_ns
         return np.asarray(sequence[:, None] + laser)
 
-    def aim(
-        self, first: int, count: int, poses_at: Callable[[NDArray[np.int64]], Poses], *, beam_axis: bool = False
-    ) -> Firings:
+    def aim(self, first: int, count: int, poses_at: Callable[[IntArray], Poses], *, beam_axis: bool = False) -> Firings:
         """Point every pulse of `count` sequences from number `first` on.
 
         Parameters
@@ -52,20 +49,13 @@ class Head:
         azimuth_deg = self.rotor.angle_deg(t_ns - self.start_ns)
         origin_m, direction = np.empty((*t_ns.shape, 3)), np.empty((*t_ns.shape, 3))
         level = np.empty((*t_ns.shape, 3) if beam_axis else (0, 0, 3))
-        table = (
-            np.radians(beams.azimuth_error_deg),
-            np.radians(beams.elevation_deg + beams.elevation_error_deg),
-            beams.vertical_offset_m,
-        )
+        elevation_rad = np.radians(beams.elevation_deg + beams.elevation_error_deg)
+        table = np.radians(beams.azimuth_error_deg), elevation_rad, beams.vertical_offset_m
         for begin in range(0, count, _TOGETHER):
             part = slice(begin, begin + _TOGETHER)
             poses = poses_at(t_ns[part].reshape(-1))
-            _aim(
-                azimuth_deg[part],
-                *table,
-                *(poses.world_R_body, poses.world_p_body_m),
-                *(origin_m[part], direction[part], level[part]),
-            )
+            pulses = origin_m[part], direction[part], level[part]
+            _aim(azimuth_deg[part], *table, poses.world_R_body, poses.world_p_body_m, *pulses)
         return Firings(
             index=first,
             t_ns=t_ns,
@@ -79,7 +69,7 @@ class Head:
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True, _nrt=False)
-def turn(R: NDArray[np.float64], vector: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+def turn(R: Array, vector: Array, out: Array) -> None:
     """Fill out = R vector, each (3,) and R (3, 3); for use in kernels."""
     for a in range(3):
         out[a] = R[a, 0] * vector[0] + R[a, 1] * vector[1] + R[a, 2] * vector[2]
@@ -87,15 +77,15 @@ def turn(R: NDArray[np.float64], vector: NDArray[np.float64], out: NDArray[np.fl
 
 @numba.njit(cache=True, nogil=True)
 def _aim(
-    azimuth_deg: NDArray[np.float64],
-    error_rad: NDArray[np.float64],
-    elevation_rad: NDArray[np.float64],
-    offset_m: NDArray[np.float64],
-    world_R_body: NDArray[np.float64],
-    world_p_body_m: NDArray[np.float64],
-    origin_m: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    beam_axis: NDArray[np.float64],
+    azimuth_deg: Array,
+    error_rad: Array,
+    elevation_rad: Array,
+    offset_m: Array,
+    world_R_body: Array,
+    world_p_body_m: Array,
+    origin_m: Array,
+    direction: Array,
+    beam_axis: Array,
 ) -> None:
     """Fill origins and directions: x = cos w cos a, y = -cos w sin a, z = sin w, as azimuth 0 looks forward.
 

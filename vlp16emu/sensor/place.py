@@ -10,28 +10,28 @@ from numpy.typing import NDArray
 from vlp16emu.sensor.beams import BeamTable
 from vlp16emu.sensor.head import turn
 from vlp16emu.trig import cos_sin
-from vlp16emu.types import Firings, Poses
+from vlp16emu.types import Array, Firings, IntArray, Poses
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedReturns:
     """n points."""
 
-    azimuth_deg: NDArray[np.float64]
+    azimuth_deg: Array
     """(n,) what the encoder read for the firing sequence, and what the rotor turned until the pulse; [0, 360)."""
-    elevation_deg: NDArray[np.float64]
+    elevation_deg: Array
     """(n,) by the table."""
-    sensor_m: NDArray[np.float64]
+    sensor_m: Array
     """(n, 3) in the sensor's frame at the instant of the pulse: x forward at azimuth 0, y left, z up."""
-    world_m: NDArray[np.float64]
+    world_m: Array
     """(n, 3)."""
 
 
 def place(
     beams: BeamTable,
     firings: Firings,
-    sequence: NDArray[np.int64],
-    laser: NDArray[np.int64],
+    sequence: IntArray,
+    laser: IntArray,
     distance_m: NDArray[np.float32],
     poses: Poses,
 ) -> PlacedReturns:
@@ -47,35 +47,23 @@ def place(
     poses : of the body at the pulses, n or one that holds for all
     """
     turned_deg = firings.azimuth_deg[sequence, laser] - firings.azimuth_deg[sequence, 0]
-    placed = PlacedReturns(
-        azimuth_deg=(firings.reading_deg[sequence] + turned_deg) % 360.0,
-        elevation_deg=beams.elevation_deg[laser],
-        sensor_m=np.empty((len(laser), 3)),
-        world_m=np.empty((len(laser), 3)),
-    )
-    _place(
-        placed.azimuth_deg,
-        placed.elevation_deg,
-        beams.vertical_offset_m[laser],
-        distance_m,
-        poses.world_R_body,
-        poses.world_p_body_m,
-        placed.sensor_m,
-        placed.world_m,
-    )
-    return placed
+    azimuth_deg, elevation_deg = (firings.reading_deg[sequence] + turned_deg) % 360.0, beams.elevation_deg[laser]
+    sensor_m, world_m = np.empty((len(laser), 3)), np.empty((len(laser), 3))
+    ranges = beams.vertical_offset_m[laser], distance_m
+    _place(azimuth_deg, elevation_deg, *ranges, poses.world_R_body, poses.world_p_body_m, sensor_m, world_m)
+    return PlacedReturns(azimuth_deg, elevation_deg, sensor_m, world_m)
 
 
 @numba.njit(cache=True, nogil=True)
 def _place(
-    azimuth_deg: NDArray[np.float64],
-    elevation_deg: NDArray[np.float64],
-    offset_m: NDArray[np.float64],
+    azimuth_deg: Array,
+    elevation_deg: Array,
+    offset_m: Array,
     distance_m: NDArray[np.float32],
-    world_R_body: NDArray[np.float64],
-    world_p_body_m: NDArray[np.float64],
-    sensor_m: NDArray[np.float64],
-    world_m: NDArray[np.float64],
+    world_R_body: Array,
+    world_p_body_m: Array,
+    sensor_m: Array,
+    world_m: Array,
 ) -> None:
     """Fill points (n, 3) in both frames."""
     moving = len(world_p_body_m) > 1

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, sin
 from vlp16emu.random import Purpose, normal, uniform
 from vlp16emu.trig import cos_sin
+from vlp16emu.types import Array, IntArray
 from vlp16emu.units import HOUR_NS, S_NS
 
 _HUM_SEQUENCES = 25
@@ -42,7 +42,7 @@ class Spin:
     rpm_per_s: float = 0.0
     """Change of speed."""
 
-    def at(self, elapsed_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def at(self, elapsed_ns: IntArray) -> Array:
         """Turn times since the start (n,) into true angles, [0, 360)."""
         since_ns = elapsed_ns - self.from_ns
         out = np.empty(elapsed_ns.shape)
@@ -72,7 +72,7 @@ class Wobbling:
     amplitude_rpm: float
     period_s: float
 
-    def ahead_deg(self, elapsed_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def ahead_deg(self, elapsed_ns: IntArray) -> Array:
         """Integrate it: the angles (n,) by which the rotor is ahead."""
         since_s = np.clip(elapsed_ns - self.from_ns, 0, self.lasts_ns) / S_NS
         per_s = 2.0 * math.pi / self.period_s
@@ -128,7 +128,7 @@ class Pattern:
     hum_deg: float
     hum_phase_deg: float
 
-    def added(self, reading_deg: NDArray[np.float64], first: int) -> NDArray[np.float64]:
+    def added(self, reading_deg: Array, first: int) -> Array:
         """Add them to the readings (k,) of firing sequences from `first` on."""
         out = reading_deg
         if self.twice_deg:
@@ -152,7 +152,7 @@ class EncoderLines:
     slow_shares: tuple[float, ...] = _SLOW_SHARES
     """Of readings with the lower speed, behind each of so many lines in turn."""
 
-    def read(self, angle_deg: NDArray[np.float64], noise_deg: float, seed: int, first: int) -> NDArray[np.float64]:
+    def read(self, angle_deg: Array, noise_deg: float, seed: int, first: int) -> Array:
         """Read (k,) angles, those of firing sequences from `first` on; lines are seen early or late, evenly."""
         early = 2.0 * uniform(seed, Purpose.AZIMUTH_READING, first, len(angle_deg)) - 1.0
         angle_deg = angle_deg + _HALF_WIDTH * noise_deg * early
@@ -218,7 +218,7 @@ class Rotor:
         """Speed at the start."""
         return self.spins[0].rpm
 
-    def angle_deg(self, elapsed_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def angle_deg(self, elapsed_ns: IntArray) -> Array:
         """Turn times since the start, any shape, into true angles in [0, 360), exact after any number of hours."""
         flat_ns = elapsed_ns.reshape(-1)
         if self.swings:
@@ -251,7 +251,7 @@ class Rotor:
         rate = 1.0 + sum(swing.rate_at(elapsed_ns) for swing in self.swings)
         return spin.rpm_at(elapsed_ns) * rate + sum(wobble.rpm_at(elapsed_ns) for wobble in self.wobbles)
 
-    def reading_deg(self, angle_deg: NDArray[np.float64], first: int) -> NDArray[np.float64]:
+    def reading_deg(self, angle_deg: Array, first: int) -> Array:
         """Read the encoder at (k,) true angles, those of firing sequences first .. first + k - 1."""
         reading = angle_deg
         if self.eccentricity_deg:
@@ -266,9 +266,7 @@ class Rotor:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-def _turn(
-    elapsed_ns: NDArray[np.int64], span_ns: int, deg_per_ns: float, start_deg: float, out: NDArray[np.float64]
-) -> None:
+def _turn(elapsed_ns: IntArray, span_ns: int, deg_per_ns: float, start_deg: float, out: Array) -> None:
     """Fill angles (n,); the remainder is exact, like that of `%`, for whole turns and their differences are."""
     for i in range(out.shape[0]):
         angle_deg = start_deg + (elapsed_ns[i] % span_ns) * deg_per_ns
@@ -277,12 +275,7 @@ def _turn(
 
 
 @numba.njit(cache=True, nogil=True)
-def _swung(
-    elapsed_ns: NDArray[np.int64],
-    amplitude_ns: NDArray[np.float64],
-    period_ns: NDArray[np.float64],
-    phase_rad: NDArray[np.float64],
-) -> NDArray[np.int64]:
+def _swung(elapsed_ns: IntArray, amplitude_ns: Array, period_ns: Array, phase_rad: Array) -> IntArray:
     """Turn times (n,) into those at which a motor of even speed is where this one is; nothing at 0."""
     out = np.empty_like(elapsed_ns)
     last, at_ns, further_ns = np.int64(np.iinfo(np.int64).min), 0.0, 0.0
@@ -301,9 +294,7 @@ def _swung(
 
 
 @numba.njit(cache=True, nogil=True)
-def _with_sine(
-    reading_deg: NDArray[np.float64], phase_deg: NDArray[np.float64], amplitude_deg: float
-) -> NDArray[np.float64]:
+def _with_sine(reading_deg: Array, phase_deg: Array, amplitude_deg: float) -> Array:
     """Add a sine of phases (k,) to readings (k,)."""
     out = np.empty_like(reading_deg)
     for i in range(reading_deg.size):
@@ -322,7 +313,7 @@ class ClockSpan:
     error_ppm: float = 0.0
     """How much it is fast, where it runs free."""
 
-    def reading(self, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    def reading(self, t_ns: IntArray) -> IntArray:
         """Nanoseconds past the counter's hour at UTC instants, any shape; what it showed first before the span."""
         if self.reading_ns is None:
             return np.asarray(t_ns % HOUR_NS)
@@ -344,7 +335,7 @@ class Clock:
     spans: tuple[ClockSpan, ...]
     """In order of time; the first holds for all times before the second."""
 
-    def reading_ns(self, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    def reading_ns(self, t_ns: IntArray) -> IntArray:
         """Nanoseconds past the counter's hour at UTC instants, any shape."""
         out = self.spans[0].reading(t_ns)
         for span in self.spans[1:]:

@@ -8,18 +8,15 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, matvec, sin
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import SURFACE, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window, World
+from vlp16emu.types import SURFACE, Array, HeightField, Mesh, PlantPart, Semantic, ShapeKey, Window, World
 from vlp16emu.world.mesh_settings import MeshFile, MeshPlace
 from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.user_mesh import UserMesh, load_mesh
 
 _log = logging.getLogger(__name__)
-
-Array = NDArray[np.float64]
 
 FIRST_FREE_INSTANCE = 0xFFFF0000
 """From here on instances are things of the user's; worlds number theirs below."""
@@ -42,6 +39,10 @@ class Furniture:
     def __init__(self, section: MeshFile, mesh: UserMesh) -> None:
         self.section, self.mesh = section, mesh
         names = [part.name for part in mesh.parts]
+        self.labels = [f"{mesh.path.name} {name}" for name in names]
+        """(parts,) names of their materials."""
+        self.things = [mesh.path.name] if section.one_thing else self.labels
+        """Names of what is a thing of its own at each place."""
         own = {part.name: part for part in section.parts}
         for name in own.keys() - set(names):
             raise GeometryError(f"{mesh.path}: parts", f"found {name!r}", f"one of {', '.join(names)}")
@@ -98,19 +99,29 @@ class Furnished:
             if hasattr(world, name):
                 setattr(self, name, getattr(world, name))
         self._reach_m = reach_m
-        self.materials = (*world.materials, *(_material(f, part.name) for f in furniture for part in f.mesh.parts))
-        keys = [MeshKey(i, one.mesh.path) for i, one in enumerate(furniture)]
-        self._keys = [keys[i] for i, one in enumerate(furniture) for _ in one.section.places]
-        self._mesh_of = {key: one.mesh for key, one in zip(keys, furniture, strict=True)}
-        self._world_T_mesh = np.array(
-            [_placed(place, one.mesh, world.height_m) for one in furniture for place in one.section.places]
-        ).reshape(-1, 3, 4)
-        self._radius_m = np.array(
-            [place.scale * one.mesh.radius_m for one in furniture for place in one.section.places]
-        )
-        self._rows = _rows(furniture, len(world.materials))
-        self.names = _names(furniture)
+        count = sum(len(one.section.places) * len(one.things) for one in furniture)
+        if count > 2**32 - FIRST_FREE_INSTANCE:
+            raise GeometryError("meshes", f"found {count} things", "at most 65536")
+        self.names = dict[int, str]()
         """Of the user's things by instance."""
+        self._mesh_of, self._keys = dict[MeshKey, UserMesh](), list[MeshKey]()
+        materials, placed, radius_m, self._rows = list(world.materials), [], [], []
+        for one in furniture:
+            key = MeshKey(len(self._mesh_of), one.mesh.path)
+            self._mesh_of[key] = one.mesh
+            for place in one.section.places:
+                first, rows = FIRST_FREE_INSTANCE + len(self.names), one.surfaces.copy()
+                rows["material"] = len(materials) + np.arange(len(rows))
+                rows["instance"] = first + np.arange(len(one.things))  # one for each part, or for all
+                where = f"at ({place.x_m:g}, {place.y_m:g}) m"
+                self.names |= {first + i: f"{thing} {where}" for i, thing in enumerate(one.things)}
+                self._keys.append(key)
+                self._rows.append(rows)
+                placed.append(_placed(place, one.mesh, world.height_m))
+                radius_m.append(place.scale * one.mesh.radius_m)
+            materials += one.labels
+        self.materials = tuple(materials)
+        self._world_T_mesh, self._radius_m = np.reshape(placed, (-1, 3, 4)), np.array(radius_m)
 
     def check(self, path_xy_m: Array) -> tuple[str, ...]:
         """Report each mesh that is out of sight all along the path (n, 2), one line each, which is logged too."""
@@ -161,10 +172,6 @@ class Furnished:
         return self.bare.shape(key)
 
 
-def _material(furniture: Furniture, part: str) -> str:
-    return f"{furniture.mesh.path.name} {part}"
-
-
 def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> Array:
     """`world_T_shape` (3, 4) of a mesh about its centre."""
     z_m = place.z_m
@@ -175,43 +182,6 @@ def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> Array:
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, place.scale]])
     origin = np.array([place.x_m, place.y_m, z_m])
     return np.column_stack([turn, origin + matvec(turn, mesh.centre_m)])
-
-
-def _instances(furniture: Sequence[Furniture]) -> list[tuple[Furniture, MeshPlace, NDArray[np.int64]]]:
-    """Each placement with the instance numbers of its parts."""
-    placed, number = [], FIRST_FREE_INSTANCE
-    for one in furniture:
-        parts = len(one.surfaces)
-        count = 1 if one.section.one_thing else parts
-        for place in one.section.places:
-            placed.append((one, place, np.broadcast_to(number + np.arange(count), parts)))
-            number += count
-    if number > 2**32:
-        raise GeometryError("meshes", f"found {number - FIRST_FREE_INSTANCE} things", "at most 65536")
-    return placed
-
-
-def _rows(furniture: Sequence[Furniture], first_material: int) -> list[NDArray[np.void]]:
-    """`SURFACE` rows of each placement."""
-    parts = [len(one.surfaces) for one in furniture]
-    material_of = dict(zip(map(id, furniture), first_material + np.cumsum([0, *parts[:-1]]), strict=True))
-    tables = []
-    for one, _, instances in _instances(furniture):
-        rows = one.surfaces.copy()
-        rows["material"] = material_of[id(one)] + np.arange(len(rows))
-        rows["instance"] = instances
-        tables.append(rows)
-    return tables
-
-
-def _names(furniture: Sequence[Furniture]) -> dict[int, str]:
-    """Name each instance by its file, part where parts are things of their own, and place."""
-    return {
-        int(number): f"{one.mesh.path.name if one.section.one_thing else _material(one, part.name)}"
-        f" at ({place.x_m:g}, {place.y_m:g}) m"
-        for one, place, numbers in _instances(furniture)
-        for number, part in zip(numbers, one.mesh.parts, strict=True)
-    }
 
 
 def furnished(bare: BareWorld, files: Sequence[MeshFile], path_xy_m: Array, reach_m: float) -> World:

@@ -5,17 +5,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import acos, cos, log, sin, tan
 from vlp16emu.errors import GeometryError
-from vlp16emu.types import SURFACE, Mesh, Semantic, ShapeKey, Window, World
+from vlp16emu.types import SURFACE, Array, Mesh, Semantic, ShapeKey, Window, World
 from vlp16emu.world.furnished import furnished
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere, Wind
 
 _log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
 Thing = HallBox | HallPole | HallSphere
 
 _TOLERANCE_M = 5e-5

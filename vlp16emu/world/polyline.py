@@ -2,11 +2,9 @@
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import hypot
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 _PIECE = 32
 """Segments that share a bounding box."""

@@ -13,17 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vlp16emu.elementary import matvec, norm
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, readable
-from vlp16emu.types import Mesh
+from vlp16emu.types import Array, IntArray, Mesh
 from vlp16emu.world.mesh_settings import LengthUnit, UpAxis
 
 _log = logging.getLogger(__name__)
 
-Array = NDArray[np.float64]
-Faces = NDArray[np.int64]
+Faces = IntArray
 
 _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Exact by definition (inch and foot: international agreement of 1959)."""

@@ -4,8 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.elementary import norm
-
-Array = NDArray[np.float64]
+from vlp16emu.types import Array
 
 
 def places_m(rows: NDArray[np.void], axes: str = "xyz") -> Array:

@@ -92,7 +92,9 @@ class DataChunk:
         self.flag, self.azimuth_cdeg = blocks["flag"], blocks["azimuth_cdeg"].astype(np.int64)
         """(n, 12)."""
         records = blocks["records"]
-        self.distance_lsb, self.reflectivity = (np.ascontiguousarray(records[name]) for name in ("distance_lsb", "reflectivity"))
+        self.distance_lsb, self.reflectivity = (
+            np.ascontiguousarray(records[name]) for name in ("distance_lsb", "reflectivity")
+        )
         """(n, 12, 2, 16)."""
 
 
