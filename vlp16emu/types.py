@@ -22,7 +22,8 @@ U2 = NDArray[np.uint16]
 U4 = NDArray[np.uint32]
 U8 = NDArray[np.uint64]
 """Arrays by numpy's codes of what is in them."""
-Array, IntArray = F8, I8
+Array = F8
+IntArray = I8
 
 
 class ReturnMode(StrEnum):
