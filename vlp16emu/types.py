@@ -168,6 +168,14 @@ class Firings:
         if self.beam_axis is not None:
             _check(self, "f8", beam_axis=places)
 
+    @classmethod
+    def rays(cls, t_ns: int, origin_m: NDArray[np.float64], direction: NDArray[np.float64]) -> Self:
+        """Make rays of no sensor, all at one instant; places and directions broadcast to (k, L, 3)."""
+        origin_m, direction = (np.ascontiguousarray(of) for of in np.broadcast_arrays(origin_m, direction))
+        shape = direction.shape[:2]
+        angle_deg, n = np.zeros(shape), np.zeros(shape[0], np.int64)
+        return cls(0, np.full(shape, t_ns, np.int64), n, angle_deg, angle_deg[:, 0].copy(), origin_m, direction, None)
+
 
 @dataclass(frozen=True, slots=True)
 class Hits:

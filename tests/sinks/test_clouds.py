@@ -57,20 +57,10 @@ def test_las_has_the_points_where_they_are(cloud, suffix):
     assert (read.user_data == own["return_number"]).all()
     assert (read.point_source_id == 1).all()
     assert (read.classification == own["label"]).all()
-    for name, array in {
-        "ring": own["ring"],
-        "laser": own["laser"],
-        "instance": own["instance"],
-        "semantic": own["semantic"],
-        "part": own["part"],
-        "leaf_wood": own["leaf_wood"],
-        "species": own["species"],
-        "treeID": own["tree_id"],
-        "distance": own["distance_m"],
-        "azimuth": own["azimuth_deg"].astype("f4"),
-        "height_above_ground": own["height_m"],
-        "vp_z": own["viewpoint_m"][:, 2],
-    }.items():
+    same = ("ring", "laser", "instance", "semantic", "part", "leaf_wood", "species")
+    others = {"treeID": own["tree_id"], "distance": own["distance_m"], "azimuth": own["azimuth_deg"].astype("f4")}
+    others |= {"height_above_ground": own["height_m"], "vp_z": own["viewpoint_m"][:, 2]}
+    for name, array in ({name: own[name] for name in same} | others).items():
         np.testing.assert_array_equal(read[name], array, err_msg=name)
 
 
@@ -117,11 +107,8 @@ def test_returns_of_a_pulse_are_numbered_from_the_nearest(cloud):
 
 def test_echoes_of_lasers_that_fire_at_once_are_kept_apart():
     """Two lasers at one instant are two pulses."""
-    block = {
-        "t_ns": np.array([5, 5, 5, 9]),
-        "laser": np.array([0, 0, 1, 1], "u2"),
-        "distance_m": np.array([4.0, 3.0, 7.0, 8.0]),
-    }
+    t_ns, laser, distance_m = np.array([5, 5, 5, 9]), np.array([0, 0, 1, 1], "u2"), np.array([4.0, 3.0, 7.0, 8.0])
+    block = {"t_ns": t_ns, "laser": laser, "distance_m": distance_m}
     number, count = echoes_of(block)
     assert (number.tolist(), count.tolist()) == ([2, 1, 1, 1], [2, 2, 1, 1])
     assert [len(part) for part in echoes_of({name: array[:0] for name, array in block.items()})] == [0, 0]
@@ -186,13 +173,8 @@ def test_pcd_is_read_by_pcls_tools(cloud, tmp_path):
     lines = text.read_text().splitlines()
     names = next(line.split()[1:] for line in lines if line.startswith("FIELDS"))
     table = np.array([line.split() for line in lines[lines.index("DATA ascii") + 1 :]], float)
-    for name, array in {
-        "x": own["world_m"][:, 0],
-        "intensity": own["reflectivity"],
-        "instance": own["instance"],
-        "treeID": own["tree_id"],
-        "time": own["since_start_ns"] / 1e9,
-    }.items():
+    wanted = {"x": own["world_m"][:, 0], "intensity": own["reflectivity"], "instance": own["instance"]}
+    for name, array in (wanted | {"treeID": own["tree_id"], "time": own["since_start_ns"] / 1e9}).items():
         np.testing.assert_allclose(table[:, names.index(name)], array, rtol=1e-6, atol=1e-6, err_msg=name)
 
 
@@ -200,15 +182,9 @@ def test_cloudcompare_opens_las(cloud, tmp_path):
     """CloudCompare's command line loads as many points, where it has its LAS plugin; Debian builds it without."""
     tool = shutil.which("CloudCompare") or pytest.skip("no CloudCompare")
     folder, own = cloud
-    run = subprocess.run(
-        [tool, "-SILENT", "-O", folder / "points.las", "-NO_TIMESTAMP"],
-        check=False,
-        env=os.environ | {"QT_QPA_PLATFORM": "offscreen"},
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    words, env = [tool, "-SILENT", "-O", folder / "points.las", "-NO_TIMESTAMP"], {"QT_QPA_PLATFORM": "offscreen"}
+    how = {"cwd": tmp_path, "env": os.environ | env, "timeout": 120}
+    run = subprocess.run(words, check=False, capture_output=True, text=True, **how)
     if "unhandled file extension" in run.stdout + run.stderr:
         pytest.skip("CloudCompare without its LAS plugin, as Debian has it")
     assert f"{len(own['t_ns'])}" in (run.stdout + run.stderr).replace(",", "").replace("'", "")

@@ -13,7 +13,7 @@ from vlp16emu.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from vlp16emu.extras.sheets import StandRow
+    from vlp16emu.extras.sheets.figures import StandRow
     from vlp16emu.extras.sheets.summary import ForestSummary, NamedThing, Things, WorldSummary
     from vlp16emu.extras.sheets.survey import Survey
     from vlp16emu.scenario import Scenario

@@ -9,44 +9,27 @@ from vlp16emu.types import PlantPart, Semantic
 
 Rgb = tuple[int, int, int]
 
-_FOLIAGE: dict[str, Rgb] = {
-    "norway_spruce": (47, 93, 74),
-    "scots_pine": (118, 132, 72),
-    "silver_birch": (164, 186, 62),
-    "european_beech": (92, 158, 58),
-    "english_oak": (140, 138, 44),
-    "sycamore": (58, 142, 98),
-    "douglas_fir": (52, 110, 118),
-    "sugar_maple": (196, 158, 48),
-    "red_maple": (184, 88, 62),
-    "white_oak": (152, 160, 84),
-    "black_walnut": (122, 176, 132),
-    "snag": (143, 138, 130),
-    "hazel": (126, 160, 84),
-    "elder": (84, 130, 72),
-    "hawthorn": (98, 138, 60),
-    "dogwood": (150, 164, 96),
-    "honeysuckle": (112, 152, 112),
+_UNKNOWN: tuple[Rgb, Rgb] = (108, 150, 92), (122, 106, 90)
+_PLANTS: dict[str, tuple[Rgb, Rgb]] = {
+    "norway_spruce": ((47, 93, 74), (110, 84, 67)),
+    "scots_pine": ((118, 132, 72), (168, 101, 60)),
+    "silver_birch": ((164, 186, 62), (226, 222, 212)),
+    "european_beech": ((92, 158, 58), (150, 150, 142)),
+    "english_oak": ((140, 138, 44), (107, 95, 82)),
+    "sycamore": ((58, 142, 98), (143, 133, 119)),
+    "douglas_fir": ((52, 110, 118), (95, 74, 60)),
+    "sugar_maple": ((196, 158, 48), (122, 112, 104)),
+    "red_maple": ((184, 88, 62), (134, 124, 116)),
+    "white_oak": ((152, 160, 84), (141, 135, 123)),
+    "black_walnut": ((122, 176, 132), (90, 74, 64)),
+    "snag": ((143, 138, 130), (143, 138, 130)),
+    "hazel": ((126, 160, 84), (122, 106, 90)),
+    "elder": ((84, 130, 72), (122, 106, 90)),
+    "hawthorn": ((98, 138, 60), (122, 106, 90)),
+    "dogwood": ((150, 164, 96), (122, 106, 90)),
+    "honeysuckle": ((112, 152, 112), (122, 106, 90)),
 }
-"""Of leaves, and of crowns on plans."""
-
-_BARK: dict[str, Rgb] = {
-    "norway_spruce": (110, 84, 67),
-    "scots_pine": (168, 101, 60),
-    "silver_birch": (226, 222, 212),
-    "european_beech": (150, 150, 142),
-    "english_oak": (107, 95, 82),
-    "sycamore": (143, 133, 119),
-    "douglas_fir": (95, 74, 60),
-    "sugar_maple": (122, 112, 104),
-    "red_maple": (134, 124, 116),
-    "white_oak": (141, 135, 123),
-    "black_walnut": (90, 74, 64),
-    "snag": (143, 138, 130),
-}
-
-_UNKNOWN_FOLIAGE: Rgb = (108, 150, 92)
-_UNKNOWN_BARK: Rgb = (122, 106, 90)
+"""Of leaves, and of crowns on plans; and of bark."""
 
 _KIND: dict[str, Rgb] = {
     "ground": (150, 128, 94),
@@ -70,7 +53,7 @@ _KIND: dict[str, Rgb] = {
 
 def colour_of_species(name: str) -> Rgb:
     """Colour of a species' foliage; of a species that a user has added, a plain green."""
-    return _FOLIAGE.get(name, _UNKNOWN_FOLIAGE)
+    return _PLANTS.get(name, _UNKNOWN)[0]
 
 
 def colour_of_kind(kind: str) -> Rgb:
@@ -79,13 +62,7 @@ def colour_of_kind(kind: str) -> Rgb:
 
 
 def surface_colours(surfaces: NDArray[np.void], species: Mapping[int, str]) -> NDArray[np.uint8]:
-    """Colours (m, 3) of a table of m surfaces.
-
-    Parameters
-    ----------
-    surfaces : (m,) `SURFACE`
-    species : names by number
-    """
+    """Colours (m, 3) of a table of surfaces (m,) `SURFACE`, by the names of species by number."""
     looks = np.column_stack([surfaces[name].astype(np.int64) for name in ("semantic", "part", "species")])
     different, which = np.unique(looks, axis=0, return_inverse=True)
     colours = [_colour(Semantic(s), PlantPart(p), species.get(n, "")) for s, p, n in different.tolist()]
@@ -95,4 +72,4 @@ def surface_colours(surfaces: NDArray[np.void], species: Mapping[int, str]) -> N
 def _colour(kind: Semantic, part: PlantPart, species: str) -> Rgb:
     if kind not in (Semantic.TREE, Semantic.SHRUB):
         return colour_of_kind(kind.name.lower())
-    return colour_of_species(species) if part == PlantPart.LEAF else _BARK.get(species, _UNKNOWN_BARK)
+    return _PLANTS.get(species, _UNKNOWN)[part != PlantPart.LEAF]

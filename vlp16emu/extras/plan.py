@@ -80,66 +80,40 @@ def needs(engine: Engine, *, audited: bool) -> list[Need]:
     gait = isinstance(motion, Walk) and motion.gait.preset != "none"
     harness = isinstance(motion, Walk) and motion.harness is not None
     canopy = scenario.gps.connected and scenario.gps.canopy_loss
-    moves = any(unit.motion.moves for unit in parts.units)
+    moves, many, blows = any(unit.motion.moves for unit in parts.units), len(parts.units), parts.wind is not None
+    own = bool(scenario.world.meshes or getattr(scenario.world, "tree_models", ()))
     rows = {
         "motion": (moves, "a pose for every pulse, a window every 7 s", "one pose and one window for all"),
         "gait": (gait, "sums of lines for every pose", "nothing is swung"),
         "harness": (harness, "its answer to the gait for every pose", "nothing is solved"),
         "inertial unit": (parts.imu is not None, "samples, with --truth only", "no samples"),
         "satellites": (canopy, "256 rays at the sky once a second", "no ray at the sky"),
-        "wind": (
-            parts.wind is not None,
-            "stems and crowns are instances that move in every window",
-            "nothing is moved",
-        ),
+        "wind": (blows, "stems and crowns are instances that move in every window", "nothing is moved"),
         "rig": (
-            len(parts.units) > 1,
-            f"each of {len(parts.units)} sensors casts its own pulses in the same windows",
+            many > 1,
+            f"each of {many} sensors casts its own pulses in the same windows",
             "one sensor, nothing is merged",
         ),
-        "meshes of your own": (
-            bool(scenario.world.meshes or getattr(scenario.world, "tree_models", ())),
-            "read once, placed where in reach",
-            "none, trimesh stays unloaded",
-        ),
+        "meshes of your own": (own, "read once, placed where in reach", "none, trimesh stays unloaded"),
         "audit": (audited, "0.05 % of the pulses are cast again, with 512 rays each or more", "no pulse is cast again"),
         "labels": (False, "", "no surface behind returns: see `vlp16emu points --truth`"),
         "truth": (False, "", "no files beside it: see `vlp16emu record --truth`"),
     }
-    return [*_of_sensor(parts.units[0]), *(_need(name, row) for name, row in rows.items())]
+    rows = _of_sensor(parts.units[0]) | rows
+    return [Need(name, on, costs if on else spares) for name, (on, costs, spares) in rows.items()]
 
 
-def _of_sensor(unit: Unit) -> list[Need]:
-    detector, beam = unit.detector.constants, unit.beam
-    rows = {
-        "beam width": (
-            beam.has_width,
-            f"up to {beam.rays} rays for each pulse",
-            "one ray for each pulse, no axes of its footprint",
-        ),
-        "range and reflectivity noise": (
-            max(detector.range_noise_m, detector.reflectivity_noise, detector.reflectivity_noise_share) > 0.0,
-            "a pair of random numbers for each return",
-            "no random number",
-        ),
-        "detection threshold": (
-            detector.amplitude_noise > 0.0,
-            "a random number for each faint echo",
-            "every echo is seen",
-        ),
-        "weather": (detector.extinction_per_m > 0.0, "a draw of the air for each pulse", "clear air"),
-        "last and second return": (
-            not detector.strongest_only,
-            "all echoes of each pulse are ranked",
-            "nothing is looked for behind the strongest echo",
-        ),
+def _of_sensor(unit: Unit) -> dict[str, tuple[bool, str, str]]:
+    of, beam, one_ray = unit.detector.constants, unit.beam, "one ray for each pulse, no axes of its footprint"
+    is_noisy = max(of.range_noise_m, of.reflectivity_noise, of.reflectivity_noise_share) > 0.0
+    ranked, strongest = "all echoes of each pulse are ranked", "nothing is looked for behind the strongest echo"
+    return {
+        "beam width": (beam.has_width, f"up to {beam.rays} rays for each pulse", one_ray),
+        "range and reflectivity noise": (is_noisy, "a pair of random numbers for each return", "no random number"),
+        "detection threshold": (of.amplitude_noise > 0.0, "a random number for each faint echo", "every echo is seen"),
+        "weather": (of.extinction_per_m > 0.0, "a draw of the air for each pulse", "clear air"),
+        "last and second return": (not of.strongest_only, ranked, strongest),
     }
-    return [_need(name, row) for name, row in rows.items()]
-
-
-def _need(name: str, row: tuple[bool, str, str]) -> Need:
-    on, costs, spares = row
-    return Need(name, on, costs if on else spares)
 
 
 def surroundings(engine: Engine) -> Surroundings:
@@ -169,13 +143,7 @@ def libraries() -> dict[str, bool]:
 
 
 def stream_outlook(engine: Engine, engine_speed: float, threads: int) -> StreamOutlook:
-    """Measure what sending takes, and say whether a stream keeps up.
-
-    Parameters
-    ----------
-    engine_speed : simulated seconds per second with nothing else at work
-    threads : of the engine
-    """
+    """Measure what sending takes, and say whether a stream keeps up, by the engine's speed with nothing else at work."""
     share = sending_share(list(engine.packets(*engine.scenario.span_s(0.0, _SENT_S))))
     speed = speed_beside_sender(engine_speed, share, threads, os.cpu_count() or 1)
     keeps_up = speed >= 1.0

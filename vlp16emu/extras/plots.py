@@ -22,39 +22,17 @@ CYCLE = (
 """Colours of lines and marks, in order."""
 _DPI = 100
 _STYLE: Mapping[Any, Any] = MappingProxyType(
-    {
-        "figure.facecolor": BACK,
-        "savefig.facecolor": BACK,
-        "axes.facecolor": BACK,
-        "axes.edgecolor": _EDGE,
-        "axes.labelcolor": INK,
-        "axes.titlecolor": INK,
-        "axes.titlesize": 10,
-        "axes.labelsize": 9,
-        "figure.titlesize": 11,
-        "font.size": 9,
-        "grid.color": _EDGE,
-        "legend.facecolor": BACK,
-        "legend.edgecolor": _EDGE,
-        "legend.labelcolor": INK,
-        "legend.fontsize": 8,
-        "text.color": INK,
-        "xtick.color": INK,
-        "ytick.color": INK,
-        "xtick.labelsize": 8,
-        "ytick.labelsize": 8,
-    }
+    dict.fromkeys(("figure.facecolor", "savefig.facecolor", "axes.facecolor", "legend.facecolor"), BACK)
+    | dict.fromkeys(("axes.edgecolor", "grid.color", "legend.edgecolor"), _EDGE)
+    | dict.fromkeys(("axes.labelcolor", "axes.titlecolor", "legend.labelcolor"), INK)
+    | dict.fromkeys(("text.color", "xtick.color", "ytick.color"), INK)
+    | dict.fromkeys(("legend.fontsize", "xtick.labelsize", "ytick.labelsize"), 8)
+    | {"font.size": 9, "axes.labelsize": 9, "axes.titlesize": 10, "figure.titlesize": 11}
 )
 
 
 def check_matplotlib() -> None:
-    """See that pictures can be drawn.
-
-    Raises
-    ------
-    MissingExtraError
-        where matplotlib is not installed
-    """
+    """See that pictures can be drawn; MissingExtraError where matplotlib is not installed."""
     try:
         import matplotlib as mpl
     except ImportError:
@@ -66,19 +44,12 @@ def check_matplotlib() -> None:
 def plotted(
     file: "IO[bytes] | str", size_px: tuple[int, int], layout: Any = "constrained", few_colours: int | None = None
 ) -> Iterator["Figure"]:
-    """Yield a figure in the common style, and write it as PNG afterwards.
+    """Yield a figure in the common style, and write it as PNG afterwards; MissingExtraError where matplotlib is not installed.
 
     Parameters
     ----------
-    file : open for writing, or a path
-    size_px : width and height
     layout : engine of matplotlib; None where axes are placed by hand
     few_colours : size of the palette of the file; None for all colours
-
-    Raises
-    ------
-    MissingExtraError
-        where matplotlib is not installed
     """
     check_matplotlib()
     import matplotlib as mpl
@@ -91,8 +62,7 @@ def plotted(
         if few_colours:
             save_in_few_colours(figure, file, few_colours)
         else:
-            optimize = {"optimize": True}
-            figure.savefig(file, format="png", metadata={"Software": None}, pil_kwargs=optimize)
+            figure.savefig(file, format="png", metadata={"Software": None}, pil_kwargs={"optimize": True})
 
 
 def save_in_few_colours(figure: "Figure", file: "IO[bytes] | str", colours: int) -> None:
@@ -109,12 +79,7 @@ def save_in_few_colours(figure: "Figure", file: "IO[bytes] | str", colours: int)
 
 
 def scale_bar(axes: "Axes", px_per_m: float, length_m: float, place_px: tuple[float, float]) -> None:
-    """Draw a bar with its length above it, in axes whose unit is the pixel.
-
-    Parameters
-    ----------
-    place_px : left end of the bar, from the left and from below
-    """
+    """Draw a bar with its length above it, in axes whose unit is the pixel; `place_px` is its left end, from below."""
     left, up = place_px
     axes.plot([left, left + length_m * px_per_m], [up, up], color=INK, lw=2.5, solid_capstyle="butt")
     words = f"{length_m:g} m" if length_m >= 1 else f"{100 * length_m:g} cm"

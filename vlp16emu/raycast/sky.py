@@ -26,18 +26,8 @@ def sky_cover(geometry: Geometry, t_ns: int, position_m: F8, lowest_deg: float, 
     far_m : surfaces beyond hide nothing
     """
     direction = _directions(sin(math.radians(lowest_deg)))
-    shape = direction.shape[:2]
-    rays = Firings(
-        index=0,
-        t_ns=np.full(shape, t_ns, np.int64),
-        clock_ns=np.zeros(shape[0], np.int64),
-        azimuth_deg=np.zeros(shape),
-        reading_deg=np.zeros(shape[0]),
-        origin_m=np.broadcast_to(position_m, direction.shape).copy(),
-        direction=direction,
-        beam_axis=None,
-    )
-    hits = geometry.cast(rays, np.zeros(shape[1]), far_m, as_far=True)
+    rays = Firings.rays(t_ns, position_m, direction)
+    hits = geometry.cast(rays, np.zeros(direction.shape[1]), far_m, as_far=True)
     return float(np.isfinite(hits.range_m).mean())
 
 

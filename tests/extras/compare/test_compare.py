@@ -77,10 +77,8 @@ def test_a_capture_does_not_differ_from_itself(recorded):
 def test_a_unit_without_character_is_unlike_any_real_one(recorded):
     """The beat, even codes, and the error twice a turn are missed; with the presets `unit` they are as on real units."""
     wanted = {"range.beat_mm", "residue.odd_spread", "rotation.twice_cdeg"}
-    plain, unit = (
-        recorded("plain", {"noise.preset": "typical", "sensor.eccentricity_deg": 0.06}),
-        recorded("unit", UNIT),
-    )
+    plain = recorded("plain", {"noise.preset": "typical", "sensor.eccentricity_deg": 0.06})
+    unit = recorded("unit", UNIT)
     unlike = {row.name: row.unlike for row in compared(plain, unit)}
     assert {name: unlike[name] for name in wanted} == dict.fromkeys(wanted, (True, False))
 

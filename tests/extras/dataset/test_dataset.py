@@ -278,9 +278,8 @@ def test_dask_is_named_where_it_is_missing(tmp_path, monkeypatch, option):
 
 def workers_of(pid):
     """Processes below a process that hold the world of a walk: spawned, and no resource tracker."""
-    listed = subprocess.run(
-        ["ps", "-ww", "--ppid", str(pid), "-o", "pid=", "-o", "args="], capture_output=True, text=True, check=False
-    )
+    words = ["ps", "-ww", "--ppid", str(pid), "-o", "pid=", "-o", "args="]
+    listed = subprocess.run(words, capture_output=True, text=True, check=False)
     rows = [line.split(None, 1) for line in listed.stdout.splitlines()]
     return {int(number) for number, words in rows if "spawn_main" in words}
 

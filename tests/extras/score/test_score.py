@@ -27,17 +27,8 @@ def truth(tmp_path):
     """Truth of a walk along an arc of 9 m that climbs, with two trees of 40 points each."""
     t_s = np.arange(0, 10, 0.1)
     turn = t_s / 10
-    rows = np.column_stack(
-        [
-            1000 + t_s,
-            9 * np.sin(turn),
-            9 * (1 - np.cos(turn)),
-            t_s / 20,
-            *np.zeros((2, 100)),
-            np.sin(turn / 2),
-            np.cos(turn / 2),
-        ]
-    )
+    place_m = 9 * np.sin(turn), 9 * (1 - np.cos(turn)), t_s / 20
+    rows = np.column_stack([1000 + t_s, *place_m, *np.zeros((2, 100)), np.sin(turn / 2), np.cos(turn / 2)])
     np.savetxt(tmp_path / "trajectory.tum", rows, fmt="%.9f")
     world = {"latitude_deg": 47.0, "longitude_deg": 8.0, "height_m": 500.0}
     unit = {"trajectory": "trajectory.tum", "address": "192.168.1.201", "data_port": 2368}
@@ -71,16 +62,13 @@ def test_the_truth_scores_perfectly(truth, capsys):
     )  # fmt: skip
     scores = card["scores"]
     assert code == 0
-    assert {name: scores[name] for name in scores if name.endswith(("_m", "_deg"))} == pytest.approx(
-        dict.fromkeys((name for name in scores if name.endswith(("_m", "_deg"))), 0.0), abs=1e-6
-    )
+    errors = {name: value for name, value in scores.items() if name.endswith(("_m", "_deg"))}
+    assert errors == pytest.approx(dict.fromkeys(errors, 0.0), abs=1e-6)
     shares = ("leaf_wood_miou", "pq", "sq", "rq", "box_map", "stem_recall", "completeness_5cm")
     assert [scores[name] for name in shares] == [1.0] * len(shares)
     assert scores["stem_precision"] == pytest.approx(2 / 3)  # the third is found where nothing was seen
-    assert [(row["true_id"], row["list_line"], row["hits"]) for row in card["trees"][:2]] == [
-        ("1", "17", 20),
-        ("2", "18", 20),
-    ]
+    rows = [(row["true_id"], row["list_line"], row["hits"]) for row in card["trees"][:2]]
+    assert rows == [("1", "17", 20), ("2", "18", 20)]
     html = (truth / "report/score.html").read_text()
     assert "data:image/png;base64," in html
     assert json.loads((truth / "report/score.json").read_text()) == card
@@ -189,12 +177,8 @@ def test_own_numbers_of_trees_are_kept(truth, capsys):
     """A stem list's own number goes through as it is, for a pair and for a false stem."""
     (truth / "own.csv").write_text("Number,X,Y,dbh_cm\nA-07,4.1,3,31\nA-08,50,3,20\n")
     _, card = scored(capsys, truth, "--stems", truth / "own.csv", "--inventory", truth / "trees.csv")
-    assert [(row["true_id"], row["found_number"]) for row in card["trees"]] == [
-        ("1", "A-07"),
-        ("2", ""),
-        ("3", ""),
-        ("", "A-08"),
-    ]
+    found = [(row["true_id"], row["found_number"]) for row in card["trees"]]
+    assert found == [("1", "A-07"), ("2", ""), ("3", ""), ("", "A-08")]
     assert card["trees"][0]["dbh_error_m"] == pytest.approx(0.01)
 
 

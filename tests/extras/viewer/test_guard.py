@@ -73,21 +73,14 @@ def test_hostile_messages_change_nothing(port, monkeypatch):
 
     made = []
     monkeypatch.setattr(_viser, "ViserTunnel", lambda *arguments: made.append(arguments))
-    messages = [
-        b"",
-        b"\x00\xff" * 500,
-        "text",
-        msgspec.msgpack.encode([1, 2]),
-        msgspec.msgpack.encode({"type": "NoSuchMessage"}),
-        msgspec.msgpack.encode(
-            {"type": "GuiUpdateMessage", "uuid": "../../etc/passwd", "updates": {"value": float("nan")}}
-        ),
-        msgspec.msgpack.encode(
-            {"type": "FileTransferStartUpload", "source_component_uuid": 7, "filename": "/etc/passwd"}
-        ),
-        msgspec.msgpack.encode({"type": "ShareUrlRequest"}),
-        bytes(1 << 17),
+    named = [
+        [1, 2],
+        {"type": "NoSuchMessage"},
+        {"type": "GuiUpdateMessage", "uuid": "../../etc/passwd", "updates": {"value": float("nan")}},
+        {"type": "FileTransferStartUpload", "source_component_uuid": 7, "filename": "/etc/passwd"},
+        {"type": "ShareUrlRequest"},
     ]
+    messages = [b"", b"\x00\xff" * 500, "text", *map(msgspec.msgpack.encode, named), bytes(1 << 17)]
     for message in messages:
         address, kind = f"ws://127.0.0.1:{port}/", f"viser-v{viser.__version__}"
         with suppress(ConnectionClosed), connect(address, subprotocols=[kind], max_size=None) as client:

@@ -12,7 +12,7 @@ import numpy as np
 
 from vlp16emu.engine import Job, Unit
 from vlp16emu.engine.windows import Batching
-from vlp16emu.extras.accuracy.compare import Tally, compare
+from vlp16emu.extras.accuracy.compare import MISTAKES, Tally, compare
 from vlp16emu.extras.accuracy.converged import answer_beam, apart_m, detections_of, some_firings, some_hits
 from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.caster import Geometry
@@ -28,13 +28,7 @@ _SAMPLED = ("fixed", "adaptive")
 
 
 class Audit:
-    """Looks at the blocks of a run, from any number of threads.
-
-    Parameters
-    ----------
-    apart_m : range between echoes that are surely two
-    exact : whether a pulse is one ray, by the scene's own choice, so that there is nothing to look at
-    """
+    """Looks at the blocks of a run, from any number of threads; nothing to look at where a pulse is one ray by the scene's own choice."""
 
     def __init__(self, apart_m: float, *, exact: bool) -> None:
         self._apart_m = apart_m
@@ -51,21 +45,10 @@ class Audit:
     @property
     def finding(self) -> AuditFinding:
         """What was found so far."""
-        tally, interval_m = self.tally, self.tally.range_rmse_interval_m
-        lost, invented, other = (
-            count / tally.returns if tally.returns else None
-            for count in (tally.lost, tally.invented, tally.wrong_strongest)
-        )
-        return AuditFinding(
-            exact=self.exact,
-            pulses=tally.pulses,
-            range_rmse_m=tally.range_rmse_m,
-            range_rmse_low_m=interval_m.low if interval_m else None,
-            range_rmse_high_m=interval_m.high if interval_m else None,
-            lost=lost,
-            invented=invented,
-            other_echo=other,
-        )
+        tally = self.tally
+        lost, invented, other = (getattr(tally, name) / tally.returns if tally.returns else None for name in MISTAKES)
+        low_m, high_m = tally.range_rmse_interval_m or (None, None)
+        return AuditFinding(self.exact, tally.pulses, tally.range_rmse_m, low_m, high_m, lost, invented, other)
 
     def __call__(self, job: Job, firings: Firings, hits: Hits, geometry: Geometry) -> None:
         """Look at blocks, whole or in parts: what their pulses met, in the scene that they were cast against."""

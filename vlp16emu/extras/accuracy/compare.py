@@ -5,12 +5,15 @@ And how sure they are.
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 FEWEST_CLUSTERS = 8
 """With errors in them; of fewer nothing is said."""
+MISTAKES = ("lost", "invented", "wrong_strongest")
+"""Of pulses, in `Comparison`, `Errors` and `Tally`."""
 _STRONGEST, _LAST = 0, 1
 _CONFIDENCE = 0.95
 _UM = 1e-6
@@ -77,12 +80,7 @@ class Errors:
 
 
 def compare(answer: Detections, detected: Detections, resolution_m: float) -> Comparison:
-    """Compare the detections of n pulses with the answer.
-
-    Parameters
-    ----------
-    resolution_m : of the detector. Ranges that differ by more than half of it are those of different echoes.
-    """
+    """Compare the detections of n pulses with the answer; ranges half a resolution apart are those of different echoes."""
     seen, got = answer.distance_m[:, _STRONGEST] > 0, detected.distance_m[:, _STRONGEST] > 0
     both = seen & got
     off_m = detected.distance_m.astype(np.float64) - answer.distance_m
@@ -108,20 +106,16 @@ def errors_of(compared: Comparison, resolution_m: float) -> Errors:
     def share(of: NDArray[np.bool_]) -> float:
         return float(of.sum() / returns) if returns else np.nan
 
+    lost_m = (returns - len(error_m)) * resolution_m
     return Errors(
         pulses=len(compared.seen),
         returns=returns,
         range_rmse_m=_rms(error_m),
         range_bias_m=float(error_m.mean()) if len(error_m) else np.nan,
         range_p95_m=float(np.quantile(np.abs(error_m), 0.95)) if len(error_m) else np.nan,
-        mean_error_m=(
-            (float(np.abs(error_m).sum()) + (returns - len(error_m)) * resolution_m) / returns if returns else np.nan
-        ),
-        lost=share(compared.lost),
-        invented=share(compared.invented),
-        wrong_strongest=share(compared.wrong_strongest),
-        wrong_last=share(compared.wrong_last),
+        mean_error_m=(float(np.abs(error_m).sum()) + lost_m) / returns if returns else np.nan,
         reflectivity_rmse=_rms(counts),
+        **{name: share(getattr(compared, name)) for name in (*MISTAKES, "wrong_last")},
     )
 
 
@@ -129,8 +123,7 @@ def _rms(values: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
 
 
-@dataclass(frozen=True, slots=True)
-class Interval:
+class Interval(NamedTuple):
     """Where a quantity lies with 95 % confidence."""
 
     low: float
@@ -167,9 +160,8 @@ class Tally:
         self.with_errors += squares_um2 > 0
         self.pulses += len(compared.seen)
         self.returns += int(compared.seen.sum())
-        self.lost += int(compared.lost.sum())
-        self.invented += int(compared.invented.sum())
-        self.wrong_strongest += int(compared.wrong_strongest.sum())
+        for name in MISTAKES:
+            setattr(self, name, getattr(self, name) + int(getattr(compared, name).sum()))
         self.matched += matched
         self.matched_2 += matched**2
         self.squares_um2 += squares_um2

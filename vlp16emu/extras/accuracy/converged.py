@@ -23,51 +23,30 @@ def apart_m(detector: Detector) -> float:
 
 
 def answer_beam(beam: Footprint, rays: int, seed: int, number: int = 0) -> Footprint:
-    """Make the light of an answer; its sub-rays must not be those of what it judges, so it has a seed of its own.
-
-    Parameters
-    ----------
-    seed : of the unit
-    number : distinguishes several answers
-    """
+    """Make the light of an answer; its sub-rays must not be those of what it judges, so each has a seed of its own."""
     own = int(generator(seed, Purpose.AUDIT, number).integers(2**63))
     return replace(beam.changed(model="fixed", rays=rays), seed=own)
 
 
 def detections_of(firings: Firings, hits: Hits, surfaces: NDArray[np.void], exact: UnitDetector) -> Detections:
-    """Detect all echoes of some pulses, in order of sequence, then of laser.
-
-    Parameters
-    ----------
-    exact : by `UnitDetector.without_chance`
-    """
+    """Detect all echoes of some pulses by a detector without chance, in order of sequence, then of laser."""
     returns = detect(firings, hits, surfaces, exact, truth=False)
     return Detections(returns.distance_m.reshape(-1, 3), returns.reflectivity.reshape(-1, 3))
 
 
 def joined(parts: Sequence[Detections]) -> Detections:
     """Join the detections of several batches."""
-    return Detections(
-        np.concatenate([part.distance_m for part in parts]), np.concatenate([part.reflectivity for part in parts])
-    )
+    distances, reflectivities = zip(*((part.distance_m, part.reflectivity) for part in parts), strict=True)
+    return Detections(np.concatenate(distances), np.concatenate(reflectivities))
 
 
 def some_firings(firings: Firings, rows: slice, lasers: NDArray[np.int64]) -> Firings:
     """Take some lasers of some consecutive sequences."""
-
-    def part(of: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.ascontiguousarray(of[rows][:, lasers])
-
-    return Firings(
-        index=firings.index + rows.start,
-        t_ns=np.ascontiguousarray(firings.t_ns[rows][:, lasers]),
-        clock_ns=firings.clock_ns[rows],
-        azimuth_deg=part(firings.azimuth_deg),
-        reading_deg=firings.reading_deg[rows],
-        origin_m=part(firings.origin_m),
-        direction=part(firings.direction),
-        beam_axis=None if firings.beam_axis is None else part(firings.beam_axis),
-    )
+    arrays = {name: getattr(firings, name)[rows] for name in ("clock_ns", "reading_deg")}
+    for name in ("t_ns", "azimuth_deg", "origin_m", "direction", "beam_axis"):
+        of = getattr(firings, name)
+        arrays[name] = None if of is None else np.ascontiguousarray(of[rows][:, lasers])
+    return Firings(index=firings.index + rows.start, **arrays)
 
 
 def some_hits(hits: Hits, rows: slice, lasers: NDArray[np.int64]) -> Hits:

@@ -10,6 +10,10 @@ import numpy as np
 from vlp16emu.extras.accuracy.compare import Errors
 from vlp16emu.extras.plots import CYCLE, INK, SOFT, plotted
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
 WANTED_M = (0.5, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
 
 
@@ -140,10 +144,6 @@ def _to_choose(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row.kind is not Kind.BEAM_ERROR]
 
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-
 _SIZE_PX = 1100, 480
 _IN_USE = CYCLE[3]
 _STYLES = {
@@ -158,25 +158,13 @@ _CLOSE = 0.3, 0.25
 
 
 def draw_accuracy(file: BinaryIO, accuracy: Accuracy) -> None:
-    """Draw mean error and RMSE of each setting of light against its run time, as PNG.
-
-    Parameters
-    ----------
-    file : open for writing
-    """
+    """Draw mean error and RMSE of each setting of light against its run time, as PNG."""
     with plotted(file, _SIZE_PX) as figure:
         left, right = figure.subplots(1, 2)
         _draw(left, accuracy.rows, lambda row: row.errors.mean_error_m)
         line = front(accuracy.rows)
-        left.plot(
-            [row.us_per_pulse for row in line],
-            [row.errors.mean_error_m for row in line],
-            color=SOFT,
-            linewidth=6,
-            alpha=0.5,
-            zorder=0,
-            label="Pareto front",
-        )
+        us, error_m = zip(*((row.us_per_pulse, row.errors.mean_error_m) for row in line), strict=True)
+        left.plot(us, error_m, color=SOFT, linewidth=6, alpha=0.5, zorder=0, label="Pareto front")
         _draw_orders(left, accuracy.rows)
         left.set(title="All returns: wrong and lost ones count as the resolution", ylabel="mean error, m")
         _draw(right, accuracy.rows, lambda row: row.errors.range_rmse_m)
@@ -221,12 +209,9 @@ def _labels(rows: Sequence[Row], us: Sequence[float], errors: Sequence[float]) -
     """Words and places of the labels of a kind; what lies together has one label."""
     labels = list[tuple[str, tuple[float, float]]]()
     for row, place in zip(rows, zip(us, errors, strict=True), strict=True):
+        short = row.name.rpartition("=")[2]
         if labels and np.allclose(place, labels[-1][1], rtol=_CLOSE, atol=0.0):
-            labels[-1] = f"{labels[-1][0]}, {_short(row)}", labels[-1][1]
+            labels[-1] = f"{labels[-1][0]}, {short}", labels[-1][1]
         else:
-            labels.append((_short(row), place))
+            labels.append((short, place))
     return labels
-
-
-def _short(row: Row) -> str:
-    return row.name.rpartition("=")[2]

@@ -33,10 +33,7 @@ def measure_foliage(
 ) -> tuple[LevelOfDetail, ...]:
     """Measure means and run time of a scene's world cast leaf by leaf to some distances; nothing of a hall.
 
-    Parameters
-    ----------
-    pulses : looked at in each world, rounded up to whole groups
-    done : called with the share of the work that is done
+    Parameters are as of `measure_accuracy`; the pulses are those of each world.
     """
     if not isinstance(world := scenario.world, Woods):
         return ()
@@ -57,16 +54,9 @@ def measure_foliage(
 
 
 def returns_of(scenario: Scenario, near_m: float, pulses: int) -> Iterator[tuple[Returns, float, float]]:
-    """Cast groups of pulses of the first unit against the world of a scene, and detect all echoes without noise.
+    """Cast groups of pulses of the first unit against a scene's world, leaf by leaf to `near_m`, and detect without noise.
 
-    Parameters
-    ----------
-    near_m : to which it is cast leaf by leaf
-    pulses : rounded up to whole groups, the same in all worlds
-
-    Yields
-    ------
-    Returns of a group, microseconds per pulse in its window on one core, and the share of the run that is done.
+    Yields returns of a group, microseconds per pulse in its window on one core, and the share of the run that is done.
     """
     world = scenario.world.model_copy(update={"near_m": near_m})
     parts = assemble(scenario.model_copy(update={"world": world}))

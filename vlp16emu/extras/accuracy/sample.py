@@ -41,18 +41,9 @@ class Group:
 def draw_groups(
     batching: Batching, blocks: int, pulses: int, seed: int, *, moves: bool
 ) -> Iterator[tuple[int, list[Group]]]:
-    """Draw groups of the first blocks of a run, by segments that share a window of the world.
+    """Draw groups of the first blocks of a run, for so many pulses at least, by segments that share a window of the world.
 
-    Parameters
-    ----------
-    batching : of the run
-    blocks : in the run
-    pulses : looked at in all, rounded up
-    moves : whether each segment has a window of its own; else one serves all
-
-    Yields
-    ------
-    Number of a segment, and its groups in order of time.
+    Yields the number of a segment, 0 alone where nothing moves, and its groups in order of time.
     """
     draw = generator(seed, Purpose.AUDIT, -1)
     per_block, segment = batching.block // GROUP, batching.segment if moves else blocks
@@ -74,17 +65,9 @@ def _one_of_each(draw: np.random.Generator, things: int, strata: int) -> NDArray
 def opened_windows(
     scenario: Scenario, parts: Parts, pulses: int, pool: Executor
 ) -> Iterator[tuple[Geometry, list[Group], float]]:
-    """Open the windows of a sample of a run's pulses, one after the other.
+    """Open the windows of a sample of the pulses of a run's first unit, one after the other; shapes are grown in `pool`.
 
-    Parameters
-    ----------
-    parts : of the scenario; the first unit is looked at
-    pulses : in all, rounded up to whole groups
-    pool : where shapes are grown
-
-    Yields
-    ------
-    A window, groups in it, and the share of the run that ends with them.
+    Yields a window, groups in it, and the share of the run that ends with them.
     """
     unit = parts.units[0]
     batching = Batching(len(unit.head.beams.elevation_deg), unit.head.beams.sequence_ns)
@@ -118,13 +101,7 @@ class Bench:
         return detections_of(firings, hits, geometry.surfaces, self.unit.detector.without_chance())
 
     def answer(self, geometry: Geometry, firings: Firings, beam: Footprint, number: int = 0) -> Detections:
-        """Compute the answer for some pulses.
-
-        Parameters
-        ----------
-        beam : says how wide light is
-        number : distinguishes answers with different sub-rays
-        """
+        """Compute the answer for some pulses of a width; its number distinguishes answers with different sub-rays."""
         return self.detections(geometry, firings, answer_beam(beam, self.rays, self.unit.seed, number))
 
     def timed(self, geometry: Geometry, firings: Firings, beam: Footprint) -> tuple[float, float]:

@@ -73,11 +73,9 @@ def pose_rates(unit: Unit) -> list[PoseRate]:
         return []
     sequence_ns, start_ns = unit.head.beams.sequence_ns, unit.head.start_ns
     packet_ns = SEQUENCES_PER_PACKET[ReturnMode(unit.section.return_mode)] * sequence_ns
-    return [
-        PoseRate("pose per pulse", in_use=True, poses_at=unit.motion.poses_at),
-        PoseRate("pose per firing sequence", in_use=False, poses_at=_held(unit.motion.poses_at, start_ns, sequence_ns)),
-        PoseRate("pose per packet", in_use=False, poses_at=_held(unit.motion.poses_at, start_ns, packet_ns)),
-    ]
+    poses_at, holds_ns = unit.motion.poses_at, {"firing sequence": sequence_ns, "packet": packet_ns}
+    held = [PoseRate(f"pose per {what}", False, _held(poses_at, start_ns, ns)) for what, ns in holds_ns.items()]
+    return [PoseRate("pose per pulse", in_use=True, poses_at=poses_at), *held]
 
 
 def _held(poses_at: PosesAt, start_ns: int, hold_ns: int) -> PosesAt:

@@ -80,17 +80,9 @@ class _Ladder:
         )
 
     def _row(self, kind: Kind, name: str, answer: str, in_use: bool) -> Row:
-        """Sum up one setting."""
         us = np.array(self._us[name]).reshape(-1, _REPEATS).mean(axis=0)
-        return Row(
-            kind=kind,
-            name=name,
-            in_use=in_use,
-            errors=self._errors(name, answer),
-            us_per_pulse=float(np.median(us)),
-            us_spread=float(np.ptp(us)),
-            rays_per_pulse=float(np.mean(self._rays[name])),
-        )
+        errors, rays = self._errors(name, answer), float(np.mean(self._rays[name]))
+        return Row(kind, name, in_use, errors, float(np.median(us)), float(np.ptp(us)), rays)
 
     def _errors(self, name: str, answer: str) -> Errors:
         compared = compare(joined(self._detections[answer]), joined(self._detections[name]), self._apart_m)
@@ -100,18 +92,12 @@ class _Ladder:
 def measure_accuracy(
     scenario: Scenario, scene: str, *, pulses: int, done: Callable[[float], None] = lambda _: None
 ) -> Accuracy:
-    """Measure errors and run time of beams and poses of a scene, for the first of its units.
+    """Measure errors and run time of beams and poses of a scene, which is called `scene`, for the first of its units.
 
     Parameters
     ----------
-    scene : what it is called
-    pulses : looked at, rounded up to whole groups
+    pulses : looked at, rounded up to whole groups; RunError where none meets anything
     done : called with the share of the work that is done
-
-    Raises
-    ------
-    RunError
-        where none of the pulses meets anything
     """
     parts = assemble(scenario)
     unit = parts.units[0]

@@ -3,6 +3,7 @@
 import shutil
 import tempfile
 import zipfile
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from datetime import datetime
 from enum import IntEnum
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,23 +43,13 @@ class Column:
     """Type of the properties where it is not that of the array."""
 
     @property
-    def is_fixed_point(self) -> bool:
-        """Whether whole numbers stand for fractions."""
-        return self.decimals > 0 and not self.is_float
-
-    @property
     def is_float(self) -> bool:
         """Whether the array holds floating-point numbers."""
         return np.dtype(self.dtype).kind == "f"
 
     def properties(self, values: NDArray[Any]) -> dict[str, NDArray[Any]]:
-        """Arrays (n,) of the properties by name, fixed-point numbers as fractions.
-
-        Parameters
-        ----------
-        values : the array of this column
-        """
-        if self.is_fixed_point:
+        """Arrays (n,) of the properties by name for the array of this column, fixed-point numbers as fractions."""
+        if self.decimals and not self.is_float:
             values = values / 10**self.decimals
         return dict(zip(self.ply, values.reshape(len(values), len(self.ply)).T, strict=True))
 
@@ -162,26 +153,26 @@ def _codes(labels: type[IntEnum]) -> str:
     return ", ".join(f"{label} {label.name.lower()}" for label in labels)
 
 
-class PointWriter(Protocol):
+class PointWriter(ABC):
     """Takes points block by block."""
 
-    points: int
+    points = 0
     """So far."""
 
+    @abstractmethod
     def write(self, block: Block) -> None:
         """Add points."""
 
-    def finish(self) -> None:
+    def finish(self) -> None:  # noqa: B027  # most formats are complete without it
         """Write what could not be written before it was known how many points there are."""
 
 
-class _Csv:
+class _Csv(PointWriter):
     """One line per point; the header names the units."""
 
     def __init__(self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, _stack: ExitStack) -> None:
         self._file, self._columns = file, columns
         self._decimals = np.array([column.decimals for column in columns for _ in column.csv])
-        self.points = 0
         file.write(f"{','.join(name for column in columns for name in column.csv)}\n".encode())
 
     def write(self, block: Block) -> None:
@@ -190,14 +181,11 @@ class _Csv:
         self._file.write(csv_lines(np.concatenate(numbers, axis=1), self._decimals))
         self.points += len(numbers[0])
 
-    def finish(self) -> None:
-        """Nothing left to do."""
-
 
 _PLY_KINDS = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "ushort", "<u4": "uint"}
 
 
-class _Ply:
+class _Ply(PointWriter):
     """Binary little-endian PLY; the number of points is filled in at the end."""
 
     def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, _stack: ExitStack) -> None:
@@ -205,7 +193,6 @@ class _Ply:
         # Coordinates first, as some readers take for granted.
         self._columns = sorted((column for column in columns if column.ply), key=lambda c: c.ply[0] != "x")
         self._vertex = np.dtype([(name, self._dtype(column)) for column in self._columns for name in column.ply])
-        self.points = 0
         file.write(self._header())
 
     def write(self, block: Block) -> None:
@@ -230,8 +217,7 @@ class _Ply:
         """Header of a length that does not depend on the number of points."""
         kinds = ((name, _PLY_KINDS[self._vertex[name].str]) for name in self._vertex.names or ())
         lines = [
-            "ply",
-            "format binary_little_endian 1.0",
+            "ply\nformat binary_little_endian 1.0",
             *(f"comment {comment}" for comment in self._comments),
             f"element vertex {self.points:<20}",
             *(f"property {kind} {name}" for name, kind in kinds),
@@ -270,20 +256,15 @@ class _Pcd(_Ply):
         return "\n".join(lines).encode("ascii")
 
 
-class _Npz:
+class _Npz(PointWriter):
     """Numpy arrays by the names of the columns.
 
     The format wants all of one array before the next, so each waits on the disk, beside the file to come.
     """
 
     def __init__(self, file: IO[bytes], columns: Sequence[Column], _about: CloudAbout, stack: ExitStack) -> None:
-        self._file, self._columns = file, columns
-        self.points = 0
-        folder = Path(file.name).parent
-        self._waiting: list[IO[bytes]] = []
-        for _ in columns:
-            aside = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  # the stack closes it
-            self._waiting.append(stack.enter_context(aside))
+        self._file, self._columns, folder = file, columns, Path(file.name).parent
+        self._waiting = [stack.enter_context(tempfile.TemporaryFile(dir=folder)) for _ in columns]  # noqa: SIM115
 
     def write(self, block: Block) -> None:
         """Put each array behind what there is of it."""
@@ -323,26 +304,11 @@ _WRITERS: dict[str, Callable[[IO[bytes], Sequence[Column], CloudAbout, ExitStack
 
 @contextmanager
 def point_file(path: Path, columns: Sequence[Column], about: CloudAbout, *, where: str) -> Iterator[PointWriter]:
-    """Open a file for points in the format that its suffix names.
+    """Open a file for points in the format that its suffix names; error lines call it `where`.
 
     Where the points end with an error, the file holds those that were written before it; where there are none, or
-    the file itself cannot be written, there is none.
-
-    Parameters
-    ----------
-    about : of all points
-    where : what error lines call the file
-
-    Raises
-    ------
-    InputError
-        where the suffix names no format
-    MissingExtraError
-        where the library for a format is not there
-    OutputError
-        where the file cannot be opened, or another run writes it
-    RunError
-        where it cannot be written to its end
+    the file itself cannot be written, there is none. InputError where the suffix names no format, MissingExtraError where
+    its library is not there, OutputError and RunError as of `OutputFile`.
     """
     if path.suffix not in _WRITERS:
         raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(_WRITERS))

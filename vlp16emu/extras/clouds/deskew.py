@@ -50,15 +50,8 @@ class Trajectory:
     Parameters
     ----------
     path : a TUM file, or a folder with the truth of a run, whose trajectory of a unit is taken
-    unit : of the run, from 1
+    unit : of the run, from 1; InputError where the folder has no such truth or unit
     errors : put on its poses
-
-    Raises
-    ------
-    InputError
-        where the folder has no such truth or unit
-    TrajectoryError
-        where the file is no trajectory, or none that can be interpolated
     """
 
     def __init__(self, path: Path, unit: int, errors: TrajectoryErrors) -> None:
@@ -83,9 +76,8 @@ class Trajectory:
 
     def has(self, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
         """(n,) whether instants (n,) lie between the first and the last pose."""
-        inside: NDArray[np.bool_] = (t_ns + self._offset_ns >= self._first_ns) & (
-            t_ns + self._offset_ns <= self._last_ns
-        )
+        at_ns = t_ns + self._offset_ns
+        inside: NDArray[np.bool_] = (at_ns >= self._first_ns) & (at_ns <= self._last_ns)
         return inside
 
     def poses_at(self, t_ns: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -106,16 +98,9 @@ class CaptureTruth:
 
     Parameters
     ----------
-    folder : that `record --truth --truth-returns` has written
+    folder : that `record --truth --truth-returns` has written; InputError where it does not hold the returns
     unit : of the run, from 1
-    scheme : by which points are labelled besides
-
-    Raises
-    ------
-    MissingExtraError
-        where pyarrow is not installed
-    InputError, ScenarioError
-        where the folder does not hold the returns, or for a scheme the scene
+    scheme : by which points are labelled besides; needs the scene
     """
 
     def __init__(self, folder: Path, unit: int, scheme: LabelScheme | None) -> None:
@@ -163,12 +148,10 @@ class Deskewed:
 
 
 def write_deskewed(capture: Path, path: Path, way: Trajectory, truth: CaptureTruth | None, *, stop: Event) -> Deskewed:
-    """Write the points of a capture, in the world and in the sensor's frame.
+    """Write the points of a capture, in the world and in the sensor's frame, to a file as of `point_file`.
 
     Parameters
     ----------
-    path : as `point_file` takes it
-    way : of the sensor
     truth : labels points with what they lie on
     stop : ends the file between two parts of the capture
 
@@ -178,8 +161,6 @@ def write_deskewed(capture: Path, path: Path, way: Trajectory, truth: CaptureTru
         where the truth is that of another run, or no pulse has a pose
     CaptureError, PacketError
         where the capture cannot be read, or is damaged; the file holds the points before
-    OutputError, RunError, MissingExtraError
-        as `point_file`
     """
     known = chosen_unit(capture, way.sensor or str(way.unit), where="--unit")
     with CaptureReader(capture, known) as reader:
@@ -204,17 +185,8 @@ def write_deskewed(capture: Path, path: Path, way: Trajectory, truth: CaptureTru
                     break
             if without_pose and not points:
                 raise _no_pose(way, (start_ns + zero_ns) / S_NS, last_ns / S_NS)
-    return Deskewed(
-        file=str(path),
-        capture=str(capture),
-        trajectory=str(way.path),
-        points=points,
-        without_pose=without_pose,
-        truth=truth is not None,
-        simulated_s=last_ns / S_NS,
-        bytes=path.stat().st_size,
-        interrupted=stop.is_set(),
-    )
+    files, size = (str(path), str(capture), str(way.path)), path.stat().st_size
+    return Deskewed(*files, points, without_pose, truth is not None, last_ns / S_NS, size, interrupted=stop.is_set())
 
 
 def _blocks(
@@ -267,10 +239,8 @@ def _of_truth(folder: Path, unit: int) -> tuple[Path, tuple[float, float, float]
 
 
 def _no_pose(way: Trajectory, start_s: float, duration_s: float) -> TrajectoryError:
-    """Say that capture and trajectory are of different times."""
     begin_s, end_s = way.span_s
+    pulses = f"from {start_s:.3f} to {start_s + duration_s:.3f} s by the sensor's clock (see --time-offset)"
     return TrajectoryError(
-        str(way.path),
-        f"poses from {begin_s:.3f} to {end_s:.3f} s",
-        f"poses at the pulses, from {start_s:.3f} to {start_s + duration_s:.3f} s by the sensor's clock (see --time-offset)",
+        str(way.path), f"poses from {begin_s:.3f} to {end_s:.3f} s", f"poses at the pulses, {pulses}"
     )

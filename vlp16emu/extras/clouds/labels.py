@@ -24,13 +24,7 @@ def scheme_names() -> tuple[str, ...]:
 
 
 class LabelScheme:
-    """Numbers of classes by semantic class and plant part.
-
-    Parameters
-    ----------
-    name : one of `scheme_names`
-    table : of labels.toml
-    """
+    """Numbers of classes by semantic class and plant part, from a table of labels.toml."""
 
     def __init__(self, name: str, table: Mapping[str, Any]) -> None:
         self.name = name
@@ -49,38 +43,21 @@ class LabelScheme:
 
 
 def label_scheme(name: str, *, where: str = "labels") -> LabelScheme:
-    """Find a scheme by its name.
-
-    Raises
-    ------
-    InputError
-        where there is none of that name; `where` is what the line calls the choice
-    """
+    """Find a scheme by its name; InputError where there is none of that name, which its line calls `where`."""
     if name not in _schemes():
         raise InputError(where, f"found {name}", ", ".join(scheme_names()))
     return LabelScheme(name, _schemes()[name])
 
 
 class PointLabels:
-    """Labels of points by one scheme, block by block.
-
-    Parameters
-    ----------
-    scheme : of the classes
-    height_m : of the ground
-    """
+    """Labels of points by one scheme, block by block, and heights over the ground."""
 
     def __init__(self, scheme: LabelScheme, height_m: HeightField) -> None:
         self._scheme, self._height_m = scheme, height_m
         self._numbers: dict[int, int] = {}
 
     def of(self, points: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Make the arrays (n,) `label`, `tree_id` and `height_m` of points.
-
-        Parameters
-        ----------
-        points : with `world_m` (n, 3), `semantic`, `part` and `instance` (n,)
-        """
+        """Make arrays (n,) `label`, `tree_id` and `height_m` by `world_m` (n, 3), `semantic`, `part`, `instance` (n,)."""
         x_m, y_m, z_m = np.ascontiguousarray(points["world_m"].T)
         return {
             "label": self._scheme.codes(points["semantic"], points["part"]),

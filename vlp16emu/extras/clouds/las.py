@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import MissingExtraError
-from vlp16emu.extras.clouds.cloud import Block, CloudAbout, Column
+from vlp16emu.extras.clouds.cloud import Block, CloudAbout, Column, PointWriter
 from vlp16emu.extras.clouds.gps_time import adjusted_gps_s
 from vlp16emu.extras.clouds.labels import label_scheme
 
@@ -31,24 +31,13 @@ _EQUATOR_M, _FLATTENING = 6_378_137.0, 1 / 298.257223563
 """Of the ellipsoid (WGS 84)."""
 
 
-class LasFile:
-    """Takes points block by block.
+class LasFile(PointWriter):
+    """Takes points block by block; MissingExtraError where laspy, or for LAZ lazrs, is not installed.
 
     GPS time is adjusted standard GPS time where the points have UTC, else 0. The return number counts the echoes of a pulse from the
     nearest. The classification is the column `label`, or where there is none that of the scheme `asprs`. User data is the
     column `return_number` of a scene, `is_last` of a capture. Scanner channel and scan angle are 0: the head of a spinning
     sensor is one, and has no angle about a line of flight.
-
-    Parameters
-    ----------
-    file : empty
-    columns : with `x`, `y` and `z` among the properties
-    compressed : whether it is LAZ
-
-    Raises
-    ------
-    MissingExtraError
-        where laspy, or for LAZ lazrs, is not installed
     """
 
     def __init__(self, file: IO[bytes], columns: Sequence[Column], about: CloudAbout, *, compressed: bool) -> None:
@@ -60,7 +49,7 @@ class LasFile:
         except ImportError:
             raise MissingExtraError("laspy[lazrs]", "cloud", "writing LAS and LAZ") from None
         self._laspy, self._file, self._compressed = laspy, file, compressed
-        self._about, self.points = about, 0
+        self._about = about
         self._writer: Any = None
         names = {column.name for column in columns}
         self._has_utc, self._has_labels = "t_ns" in names, bool(names & {"label", "semantic"})
@@ -136,9 +125,7 @@ class LasFile:
 def echoes_of(block: Block) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Give each echo its number (n,) in its pulse, the nearest being 1, and how many (n,) the pulse has.
 
-    Parameters
-    ----------
-    block : with `laser`, `distance_m`, and `t_ns` or `clock_ns`; the echoes of a pulse follow one another
+    The block has `laser`, `distance_m`, and `t_ns` or `clock_ns`; the echoes of a pulse follow one another.
     """
     t_ns = block["t_ns"] if "t_ns" in block else block["clock_ns"]
     new = np.append(True, (np.diff(t_ns) != 0) | (np.diff(block["laser"].astype(np.int64)) != 0))[: len(t_ns)]

@@ -150,7 +150,6 @@ def write_points(
 
 
 def _about(scenario: Scenario, number: int, labels: LabelScheme | None) -> CloudAbout:
-    """Say what a file holds."""
     comments = scene_comments(scenario.start_utc.isoformat())
     gps = scenario.gps
     return CloudAbout(

@@ -11,13 +11,7 @@ _LINES = 16_384
 
 
 def csv_lines(numbers: NDArray[np.int64], decimals: NDArray[np.int64]) -> bytes:
-    """Write numbers as lines with commas.
-
-    Parameters
-    ----------
-    numbers : (n, c), each column in units of its last decimal
-    decimals : (c,) digits behind the point, 0 for none
-    """
+    """Write numbers (n, c) as lines with commas, each column in units of its last of `decimals` (c,) digits behind the point."""
     room = np.empty(_LINES * numbers.shape[1] * _WIDEST, np.uint8)
     parts = []
     for first in range(0, len(numbers), _LINES):

@@ -1,7 +1,6 @@
 """From a capture to the settings of the unit that made it."""
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -26,25 +25,20 @@ _EQUAL_STEPS, _COARSEST = 2.9, 5.0
 _LEAST_SILENT = 50
 _SET_RPM = 60
 
-Table = Mapping[str, object]
-
 
 def fitted(sequences: Sequences) -> dict[str, dict[str, object]]:
-    """Find the `[noise]` and `[sensor]` keys of the unit that made a capture.
+    """Find the `[noise]` and `[sensor]` keys of the unit that made a capture, checked against the scene's own limits.
 
     Bias and gain of each laser are not among them: without a target at a known place nothing shows them. A mean speed that
     is off is given as the spread from which a unit's own is drawn.
-
-    Returns
-    -------
-    Tables by name, checked against the scene's own limits
     """
     noise, sensor = _noise(sequences, statistics_of(sequences)), _rotor(sequences)
-    return {"noise": _checked(Noise, noise), "sensor": _checked(Sensor, sensor)}
+    Noise.model_validate(noise)
+    Sensor.model_validate(sensor)
+    return {"noise": noise, "sensor": sensor}
 
 
-def _noise(sequences: Sequences, found: Statistics) -> Table:
-    """Find the keys of `[noise]`, as far as the capture shows them."""
+def _noise(sequences: Sequences, found: Statistics) -> dict[str, object]:
     out: dict[str, object] = {"preset": "unit", "unit_spread": 0.0}
     if (smooth := smooth_of(sequences)) is not None:
         sine, _ = beat_of(smooth)
@@ -73,8 +67,7 @@ def _silent_level(sequences: Sequences) -> float:
     return float(np.median(commonest)) + 0.5 if commonest else 0.0
 
 
-def _rotor(sequences: Sequences) -> Table:
-    """Find the keys of the rotor in `[sensor]`."""
+def _rotor(sequences: Sequences) -> dict[str, object]:
     turning = turning_of(sequences)
     hum = hum_cdeg(sequences, turning.rest_cdeg)
     set_rpm = _SET_RPM * round(turning.rpm / _SET_RPM)
@@ -93,8 +86,3 @@ def _rotor(sequences: Sequences) -> Table:
         "encoder_rate_error": round(min(math.sqrt(excess / _PER_RATE_CDEG2), 0.5), 3),
         "speed_error_rpm": round(abs(turning.rpm - set_rpm) * 600.0 / set_rpm, 3),
     }
-
-
-def _checked(kind: type[Noise] | type[Sensor], table: Table) -> dict[str, object]:
-    kind.model_validate(table)
-    return dict(table)

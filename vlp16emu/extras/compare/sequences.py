@@ -1,6 +1,7 @@
 """A capture as firing sequences, numbered through gaps."""
 
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -50,26 +51,17 @@ class Sequences:
 def read_sequences(path: Path, unit: CapturedUnit | None = None) -> Sequences:
     """Read a minute of a capture at most; product and mode bytes of old firmware are not looked at.
 
-    Raises
-    ------
-    CaptureError
-        where it is none, or holds less than a revolution of a VLP-16, or its return mode changes
+    CaptureError where it is none, or holds less than a revolution of a VLP-16, or its return mode changes.
     """
-    payloads, stamps_ns = [], []
     with Capture(path) as capture:
-        for datagram in capture:
-            if len(datagram.payload) != DATA_BYTES or not (unit is None or unit.owns(datagram)):
-                continue
-            payloads.append(datagram.payload)
-            stamps_ns.append(datagram.stamp_ns)
-            if len(payloads) == _MOST_PACKETS:
-                break
-    if len(payloads) < _LEAST_PACKETS:
-        raise CaptureError(str(path), f"{len(payloads)} data packets", f"{_LEAST_PACKETS} at least")
-    fields = np.frombuffer(b"".join(payloads), DATA_PAYLOAD)
+        own = (one for one in capture if len(one.payload) == DATA_BYTES and (unit is None or unit.owns(one)))
+        packets = list(islice(own, _MOST_PACKETS))
+    if len(packets) < _LEAST_PACKETS:
+        raise CaptureError(str(path), f"{len(packets)} data packets", f"{_LEAST_PACKETS} at least")
+    fields = np.frombuffer(b"".join(packet.payload for packet in packets), DATA_PAYLOAD)
     if len(modes := np.unique(fields["return_mode"])) > 1:
         raise CaptureError(str(path), f"{len(modes)} return modes", "one")
-    return _numbered(path, fields, np.array(stamps_ns, np.int64))
+    return _numbered(path, fields, np.array([packet.stamp_ns for packet in packets], np.int64))
 
 
 def _numbered(path: Path, fields: NDArray[np.void], stamp_ns: NDArray[np.int64]) -> Sequences:

@@ -31,12 +31,7 @@ Statistics = dict[str, float]
 
 
 class Smooth:
-    """What pulses on smooth surfaces measure: residuals of the ranges with their slot of the beat, and reflectivities.
-
-    Parameters
-    ----------
-    sequences : of one capture
-    """
+    """What pulses on smooth surfaces measure: residuals of the ranges with their slot of the beat, and reflectivities."""
 
     def __init__(self, sequences: Sequences) -> None:
         powers = np.vander(np.arange(_WINDOW) - _WINDOW // 2, 4).astype(float)
@@ -113,7 +108,6 @@ def _range_noise(smooth: Smooth) -> Statistics:
 
 
 def _reflectivity(smooth: Smooth) -> Statistics:
-    """Find equal neighbours and scatter by level."""
     out = {}
     for name, low, high in (("1_4", 1, 4), ("20_59", 20, 59), ("60_99", 60, 99)):
         of = smooth.change[(smooth.level >= low) & (smooth.level <= high)]
@@ -141,7 +135,6 @@ def _comb(sequences: Sequences) -> Statistics:
 
 
 def _silence(sequences: Sequences) -> Statistics:
-    """Find what records without a return carry."""
     silent, r = sequences.distance_lsb == 0, sequences.reflectivity
     both = silent[1:] & silent[:-1]
     if both.sum() < _LEAST:

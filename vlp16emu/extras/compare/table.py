@@ -86,13 +86,7 @@ def compared(first: Sequences, second: Sequences) -> list[Compared]:
 
 
 def draw(file: IO[bytes], first: Sequences, second: Sequences, names: tuple[str, str]) -> None:
-    """Draw the beat of the ranges, the spectrum of the azimuth, its steps, and the histogram of reflectivity as a PNG.
-
-    Parameters
-    ----------
-    file : open for writing
-    names : of the captures, for the legend
-    """
+    """Draw beat of the ranges, spectrum of the azimuth, its steps, and histogram of reflectivity as a PNG; `names` in its legend."""
     with plotted(file, _SIZE_PX) as figure:
         axes = figure.subplots(2, 2).ravel()
         for sequences, name in zip((first, second), names, strict=True):

@@ -68,19 +68,9 @@ def _numbers(instances: NDArray[np.uint32], known: dict[int, int]) -> NDArray[np
     return np.array([known.get(instance, 0) for instance in own.tolist()], np.uint32)[index]
 
 
-def _pcap_and_truth(emulator: Emulator, folder: Path) -> None:
-    """Write a capture, and its ground truth in a folder beside it."""
-    emulator.record(folder / "walk.pcap", truth=folder / "truth")
-
-
-def _las_plots(emulator: Emulator, folder: Path) -> None:
-    """Write the walk as one labelled cloud in the world; its classes are those of ASPRS, the rest extra dimensions."""
-    write_points(emulator, folder / "points.laz", truth=True)
-
-
-LAYOUTS: dict[str, Callable[[Emulator, Path], None]] = {
+LAYOUTS: dict[str, Callable[[Emulator, Path], object]] = {
     "semantickitti": _semantic_kitti,
-    "pcap+truth": _pcap_and_truth,
-    "las-plots": _las_plots,
+    "pcap+truth": lambda emulator, folder: emulator.record(folder / "walk.pcap", truth=folder / "truth"),
+    "las-plots": lambda emulator, folder: write_points(emulator, folder / "points.laz", truth=True),
 }
 """What writes a walk into a folder that is there and empty, by the layout's name in the file of a dataset."""

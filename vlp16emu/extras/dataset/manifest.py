@@ -33,15 +33,7 @@ class Manifest:
 
     A walk is listed before it takes its place. So what stands there and is not listed is somebody else's.
 
-    Parameters
-    ----------
-    out : folder of the dataset
-    walks : that it is to have
-
-    Raises
-    ------
-    OutputError
-        where the folder has a manifest that is none of ours, or in the place of a walk a file that is not listed
+    OutputError where the folder `out` has a manifest that is none of ours, or in the place of a walk a file that is not listed.
     """
 
     def __init__(self, out: Path, walks: Sequence[DatasetWalk]) -> None:

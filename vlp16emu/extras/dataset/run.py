@@ -67,10 +67,8 @@ def make_dataset(
     ------
     OutputError
         where the folder cannot be written, another run writes it, or a file that no manifest lists is in the place of a walk
-    MissingExtraError
-        where Dask is wanted and not installed
-    RunError
-        where a walk fails, or workers die over one walk again and again
+    MissingExtraError, RunError
+        where Dask is wanted and not installed; where a walk fails, or workers die over one walk again and again
     """
     out = out.absolute()
     with _for_one_run(out):

@@ -100,13 +100,7 @@ class DatasetWalk:
 
 
 def load_spec(path: Path) -> DatasetSpec:
-    """Read the file of a dataset.
-
-    Raises
-    ------
-    ScenarioError
-        where it cannot be read, or is none
-    """
+    """Read the file of a dataset; ScenarioError where it cannot be read, or is none."""
     with readable(path, "a file of a dataset", ScenarioError):
         text = path.read_text(encoding="utf-8-sig")
     try:
@@ -121,16 +115,9 @@ def load_spec(path: Path) -> DatasetSpec:
 
 
 def walks_of(spec: DatasetSpec, folder: Path) -> list[DatasetWalk]:
-    """List the walks of a dataset, each with its scene, which is checked.
+    """List the walks of a dataset, each with its scene, whose file is found from `folder`.
 
-    Parameters
-    ----------
-    folder : from which the scenes' files are found
-
-    Raises
-    ------
-    ScenarioError
-        where a scene or a setting is wrong, or a sensor has no packets and the layout needs them
+    ScenarioError where a scene or a setting is wrong, or a sensor has no packets and the layout needs them.
     """
     split_of, walks = _split_of(spec), list[DatasetWalk]()
     for stand, seed, path, sensor in product(spec.stands, spec.seeds, spec.paths, spec.sensors):

@@ -32,13 +32,8 @@ _SKY = (176, 204, 232)
 _FROM_SKY, _FROM_CAMERA, _FROM_SUN = 0.35, 0.25, 0.4
 """Shares of light: from all around; from the camera, by the cosine of its incidence, so that shapes show; and from the sun, where
 nothing is between. What is met has no normals, so sunlight knows no incidence."""
-_SUN = np.array(
-    [
-        math.cos(math.radians(40)) * math.sin(math.radians(150)),
-        math.cos(math.radians(40)) * math.cos(math.radians(150)),
-        math.sin(math.radians(40)),
-    ]
-)
+_UP, _AZIMUTH = math.radians(40), math.radians(150)
+_SUN = np.array([math.cos(_UP) * math.sin(_AZIMUTH), math.cos(_UP) * math.cos(_AZIMUTH), math.sin(_UP)])
 """Direction in the world: in the south-south-east, 40 degrees high."""
 _CLEAR_M = 0.02
 """Between what is met and where the way to the sun begins."""
@@ -64,13 +59,7 @@ _USUAL = {CameraKind.PANORAMA: ((2048, 512), _ALL_ROUND_DEG), CameraKind.PINHOLE
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A camera without distortion, whose principal point is the middle of its image.
-
-    Raises
-    ------
-    InputError
-        where there is no such camera
-    """
+    """A camera without distortion, whose principal point is the middle of its image; InputError where there is none such."""
 
     kind: CameraKind
     width: int
@@ -187,7 +176,9 @@ def write_images(
     with windows.stopped_by(stop), pictures, workers(engine.threads, "image", stop) as pool, suppress(CancelledError):
         for since_ns in range(begin_ns, end_ns, seconds_to_ns(every_s)):
             geometry = windows.wait(windows.at_time(since_ns))
-            pose = _camera_pose(of, scenario.start_ns + since_ns)
+            t_ns = np.array([scenario.start_ns + since_ns])
+            body = of.motion.poses_at(t_ns)
+            pose = Poses(t_ns, body.world_R_body @ _BODY_R_CAMERA, body.world_p_body_m)
             band = max(_BAND // camera.width, 1)
             rows = [range(r, min(r + band, camera.height)) for r in range(0, camera.height, band)]
             bands = list(pool.map(partial(_pixels, camera, pose, geometry, of, species), rows))
@@ -196,17 +187,9 @@ def write_images(
             progress((since_ns - begin_ns) / S_NS)
             if stop.is_set():
                 break
-    return ImageRun(
-        folder=str(folder),
-        scene=emulator.name,
-        unit=unit,
-        kind=camera.kind,
-        width=camera.width,
-        height=camera.height,
-        images=pictures.images,
-        bytes=pictures.bytes,
-        interrupted=stop.is_set(),
-    )
+    written = {"images": pictures.images, "bytes": pictures.bytes, "interrupted": stop.is_set()}
+    size_px = camera.width, camera.height
+    return ImageRun(str(folder), emulator.name, unit, camera.kind, *size_px, **written)
 
 
 def species_of(world: World) -> dict[int, str]:
@@ -219,14 +202,9 @@ def _cameras(camera: Camera, species: Mapping[int, str]) -> dict[str, Any]:
     """Say what the images are: intrinsics, axes, units and the meaning of labels."""
     sensor_T_camera = np.eye(4)
     sensor_T_camera[:3, :3] = _BODY_R_CAMERA
-    return {
-        "kind": camera.kind,
-        "width": camera.width,
-        "height": camera.height,
-        "fx": camera.focal_px,
-        "fy": camera.focal_px,
-        "cx": camera.width / 2,
-        "cy": camera.height / 2,
+    size: dict[str, Any] = {"kind": camera.kind, "width": camera.width, "height": camera.height}
+    size |= {"fx": camera.focal_px, "fy": camera.focal_px, "cx": camera.width / 2, "cy": camera.height / 2}
+    return size | {
         "shutter": "global",
         "depth": "along the optical axis" if camera.kind is CameraKind.PINHOLE else "along the ray",
         "depth_png_m": DISTANCE_LSB_M,
@@ -237,19 +215,12 @@ def _cameras(camera: Camera, species: Mapping[int, str]) -> dict[str, Any]:
     }
 
 
-def _camera_pose(unit: Unit, t_ns: int) -> Poses:
-    """Pose of the camera: at the origin of the unit's frame, and as `_BODY_R_CAMERA` turns it."""
-    poses = unit.motion.poses_at(np.array([t_ns]))
-    return Poses(np.array([t_ns]), poses.world_R_body @ _BODY_R_CAMERA, poses.world_p_body_m)
-
-
 def _pixels(
     camera: Camera, pose: Poses, geometry: Geometry, unit: Unit, species: Mapping[int, str], rows: range
 ) -> tuple[NDArray[Any], ...]:
     """Colours, depth and labels of some rows of an image."""
     rays, shape = camera.rays(rows), (len(rows), camera.width)
-    from_m = np.repeat(pose.world_p_body_m, len(rays), axis=0)
-    firings = _firings(pose.t_ns, from_m, rays @ pose.world_R_body[0].T)
+    firings = Firings.rays(int(pose.t_ns[0]), pose.world_p_body_m[0], (rays @ pose.world_R_body[0].T)[:, None])
     hits = geometry.cast(firings, unit.head.beams.near_m[:1], unit.section.max_range_m)
     is_met = np.isfinite(hits.range_m)
     forward = rays[:, 2] if camera.kind is CameraKind.PINHOLE else 1.0
@@ -261,26 +232,11 @@ def _pixels(
     return rgb, depth_m.reshape(shape), *(met[name].reshape(shape) for name in _LABELS)
 
 
-def _firings(t_ns: NDArray[np.int64], origin_m: NDArray[np.float64], direction: NDArray[np.float64]) -> Firings:
-    """Pulses of one laser, from places (n, 3) in directions (n, 3), all at the same instant (1,)."""
-    n = len(direction)
-    return Firings(
-        index=0,
-        t_ns=np.repeat(t_ns, n)[:, None],
-        clock_ns=np.zeros(n, np.int64),
-        azimuth_deg=np.zeros((n, 1)),
-        reading_deg=np.zeros(n),
-        origin_m=origin_m[:, None],
-        direction=direction[:, None],
-        beam_axis=None,
-    )
-
-
 def _in_sun(firings: Firings, hits: Hits, geometry: Geometry, unit: Unit) -> NDArray[np.bool_]:
     """(n,) whether nothing is between what was met and the sun."""
     range_m = np.where(np.isfinite(hits.range_m), hits.range_m, 0.0).reshape(-1, 1)
     met_m = firings.origin_m[:, 0] + firings.direction[:, 0] * (range_m - _CLEAR_M)
-    to_sun = _firings(firings.t_ns[:1, 0], met_m, np.tile(_SUN, (len(met_m), 1)))
+    to_sun = Firings.rays(int(firings.t_ns[0, 0]), met_m[:, None], _SUN)
     between = geometry.cast(to_sun, np.array([_CLEAR_M]), unit.section.max_range_m)
     return ~np.isfinite(between.range_m)
 

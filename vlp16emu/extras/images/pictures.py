@@ -23,17 +23,8 @@ class PictureFolder:
 
     Parameters
     ----------
-    path : new or empty
+    path : new or empty; OutputError where it is not, or cannot be made
     cameras : what `cameras.json` says
-
-    Raises
-    ------
-    MissingExtraError
-        where Pillow or OpenEXR is not installed
-    OutputError
-        where the folder cannot be made, or is not empty
-    RunError
-        where a file cannot be written: here, or later
     """
 
     def __init__(self, path: Path, cameras: Mapping[str, Any]) -> None:
@@ -70,11 +61,10 @@ class PictureFolder:
     def add(
         self, pose: Poses, rgb: NDArray[np.uint8], depth_m: NDArray[np.float32], labels: Mapping[str, NDArray[Any]]
     ) -> None:
-        """Write one image.
+        """Write one image by the pose of the camera.
 
         Parameters
         ----------
-        pose : of the camera
         rgb : (height, width, 3)
         depth_m : (height, width), 0 where nothing was met
         labels : (height, width) each: `semantic`, `part`, `species`, `instance`

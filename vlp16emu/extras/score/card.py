@@ -3,7 +3,7 @@
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -39,9 +39,7 @@ REGION_M = 20.0
 """Radius of the circle around the first true position in which density and uniformity of a map are taken."""
 _BREAST_M = 0.1
 """Half the height of the stem's slice whose points count as hits for the DBH: 1.2 to 1.4 m."""
-_SIGNS: Mapping[str, Callable[[float, float], bool]] = MappingProxyType(
-    {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
-)
+_SIGNS = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
 _LIMIT = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+.\deE]+)\s*")
 
 
@@ -76,7 +74,7 @@ class Limit:
 
     def holds(self, value: float) -> bool:
         """Whether a value keeps it; NaN keeps none."""
-        return _SIGNS[self.sign](value, self.bound)
+        return bool(_SIGNS[self.sign](value, self.bound))
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,13 +114,7 @@ class ScoreCard:
     """How groups of scores are taken."""
 
     def missed(self, limits: Sequence[Limit]) -> list[str]:
-        """Say which thresholds are not kept, each with the value.
-
-        Raises
-        ------
-        InputError
-            where there is no score of that name
-        """
+        """Say which thresholds are not kept, each with the value; InputError where there is no score of that name."""
         for limit in limits:
             if limit.name not in self.scores:
                 raise InputError("--require", f"found {limit.name}", ", ".join(self.scores))
@@ -140,13 +132,7 @@ class ScoreCard:
 
 
 def limits_of(texts: Sequence[str]) -> list[Limit]:
-    """Read thresholds such as `ate_m<0.3`.
-
-    Raises
-    ------
-    InputError
-        where one is none
-    """
+    """Read thresholds such as `ate_m<0.3`; InputError where one is none."""
     limits = []
     for text in texts:
         found = _LIMIT.fullmatch(text)
@@ -160,12 +146,7 @@ def limits_of(texts: Sequence[str]) -> list[Limit]:
 def make_card(inputs: ScoreInputs) -> ScoreCard:
     """Score all that is given.
 
-    Raises
-    ------
-    InputError
-        where a file is wrong, or is given without the truth that it is scored against
-    MissingExtraError
-        where a library that reads or scores it is not installed
+    InputError where a file is wrong, or is given without the truth that it is scored against; MissingExtraError.
     """
     _check(inputs)
     card = ScoreCard(inputs)
@@ -235,10 +216,7 @@ def _score_labels(card: ScoreCard, found: Cloud, true: Cloud) -> None:
         trees = np.where(is_tree, true["instance"], 0)
         card.scores |= instance_scores(np.where(away, 0, found["instance"][nearest]), trees)
         if "semantic" in found:
-            found = {
-                "xyz": found["xyz"],
-                "instance": np.where(found["semantic"] == Semantic.TREE, found["instance"], 0),
-            }
+            found = {**found, "instance": np.where(found["semantic"] == Semantic.TREE, found["instance"], 0)}
         boxes, counts = boxes_of(found["xyz"], found["instance"], LEAST_POINTS)
         card.scores |= box_scores(boxes, counts, boxes_of(true["xyz"], trees, LEAST_POINTS)[0])
     card.notes["labels"] = (
@@ -266,17 +244,8 @@ def _score_stems(card: ScoreCard, found: tuple[Stem, ...], trees: tuple[Stem, ..
 def _row(found: Stem | None, tree: Stem | None, hits: int | None) -> TreeRow:
     nowhere = Stem("", math.nan, math.nan, math.nan, math.nan, "")
     one, true, place = found or nowhere, tree or nowhere, tree or found or nowhere
-    return TreeRow(
-        true_id=true.number,
-        list_line=true.list_line,
-        found_number=one.number,
-        x_m=place.x_m,
-        y_m=place.y_m,
-        position_error_m=math.hypot(one.x_m - true.x_m, one.y_m - true.y_m),
-        true_dbh_m=true.dbh_m,
-        dbh_error_m=one.dbh_m - true.dbh_m,
-        hits=hits,
-    )
+    off_m, names = math.hypot(one.x_m - true.x_m, one.y_m - true.y_m), (true.number, true.list_line, one.number)
+    return TreeRow(*names, place.x_m, place.y_m, off_m, true.dbh_m, one.dbh_m - true.dbh_m, hits)
 
 
 def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[dict[str, int], dict[str, int]]:
@@ -289,9 +258,9 @@ def _hits(trees: tuple[Stem, ...], true: Cloud) -> tuple[dict[str, int], dict[st
     foot_m = np.array([tree.z_m for tree in trees])[row]
     at_breast = np.abs(true["xyz"][:, 2] - foot_m - BREAST_HEIGHT_M) <= _BREAST_M
     on_stem = (true["part"] == PlantPart.STEM) & at_breast
-    counts = [np.bincount(row[(row >= 0) & chosen], minlength=len(trees)) for chosen in (on_stem, row >= 0)]
-    named = [dict(zip((tree.number for tree in trees), of.tolist(), strict=True)) for of in counts]
-    return named[0], named[1]
+    of_stem, of_tree = (np.bincount(row[(row >= 0) & of], minlength=len(trees)).tolist() for of in (on_stem, row >= 0))
+    names = [tree.number for tree in trees]
+    return dict(zip(names, of_stem, strict=True)), dict(zip(names, of_tree, strict=True))
 
 
 def _plain(tree: Mapping[str, Any]) -> dict[str, Any]:

@@ -47,14 +47,9 @@ def density_per_m2(xy_m: Array, centre_m: Array, radius_m: float) -> float:
 def uniformity(xy_m: Array, centre_m: Array, radius_m: float, *, share: float = 0.01, seed: int = 1) -> float:
     """Normalised uniformity coefficient of points (n, 2) in a circle: 0 is perfectly even; without unit.
 
-    NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the share p of the area; the
-    coefficient is the standard deviation of n_i / (N p) over the disks. Theirs are on the surfaces of objects, these lie
-    in the plan, wholly within the circle. NaN without points in the circle.
-
-    Parameters
-    ----------
-    share : p, area of a disk by the area of the circle; PU-Net has 0.002 to 0.012
-    seed : of the places of the disks
+    NUC of PU-Net (Yu et al., CVPR 2018, section 4.2): disk i of `_DISKS` holds n_i of N points and the `share` p of the area, there
+    0.002 to 0.012; the coefficient is the standard deviation of n_i / (N p) over the disks. Theirs are on the surfaces of objects,
+    these lie in the plan, wholly within the circle. NaN without points in the circle.
     """
     from scipy.spatial import KDTree
 

@@ -21,7 +21,7 @@ _PLACES = (
     ("xyz_m",),
     ("xyz",),
     ("world_x_m", "world_y_m", "world_z_m"),
-    ("x", "y", "z"),
+    tuple("xyz"),
     ("x_m", "y_m", "z_m"),
 )
 """Columns that hold the place of a point, the world's before the sensor's."""
@@ -50,18 +50,9 @@ class Stem:
 
 
 def read_cloud(path: Path) -> Cloud:
-    """Read the places of points, `xyz` (n, 3) in metres, and what labels they have (n,).
+    """Read the places of points, `xyz` (n, 3) in metres, and what labels they have (n,), from a file of a suffix in `_READERS`.
 
-    Parameters
-    ----------
-    path : .ply, .npz, .csv, .pcd, .las or .laz
-
-    Raises
-    ------
-    InputError
-        where it is no such file, has no points, or a NaN
-    MissingExtraError
-        where the library for .pcd, .las or .laz is not installed
+    InputError where it is no such file, has no points, or a NaN; MissingExtraError where the library of .pcd, .las or .laz is missing.
     """
     if path.suffix not in _READERS:
         raise InputError(str(path), f"found suffix '{path.suffix}'", ", ".join(_READERS))
@@ -92,11 +83,10 @@ def _ply(path: Path) -> Cloud:
 
 def _npz(path: Path) -> Cloud:
     with np.load(path) as arrays:
-        return {name: arrays[name] for name in arrays.files}
+        return dict(arrays)
 
 
 def _csv(path: Path) -> Cloud:
-    """Read the columns of a CSV with a header."""
     with path.open(encoding="utf-8") as file:
         names = file.readline().strip().split(",")
     table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
@@ -113,7 +103,6 @@ def _library(name: str, path: Path) -> Any:
 
 
 def _las(path: Path) -> Cloud:
-    """Read a LAS or LAZ, its extra dimensions as columns."""
     laspy = _library("laspy", path)
     try:
         las = laspy.read(path)
@@ -137,10 +126,7 @@ _READERS: Mapping[str, Callable[[Path], Cloud]] = MappingProxyType(
 def read_stems(path: Path) -> tuple[Stem, ...]:
     """Read a CSV of stems: x, y (or x_m, y_m), and if there are z, dbh_m or dbh (m), dbh_cm, and a number of the tree.
 
-    Raises
-    ------
-    InputError
-        where it is none, a cell is no number, a number of a tree is there twice, or a DBH is in another unit
+    InputError where it is none, a cell is no number, a number of a tree is there twice, or a DBH is in another unit.
     """
     expected = "a CSV of stems with columns x and y"
     with readable(path, expected, InputError), path.open(encoding="utf-8-sig", newline="") as file:
@@ -166,9 +152,8 @@ def _stem(where: str, line: int, row: Mapping[str, str | None]) -> Stem:
     if math.isnan(dbh_m):
         dbh_m = _cell(where, row, "dbh_cm") / 100
     if dbh_m <= 0 or dbh_m > _LARGEST_DBH_M:
-        raise InputError(
-            where, f"found DBH {dbh_m:g} m", f"more than 0 and at most {_LARGEST_DBH_M:g} m; `dbh_cm` is in centimetres"
-        )
+        expected = f"more than 0 and at most {_LARGEST_DBH_M:g} m; `dbh_cm` is in centimetres"
+        raise InputError(where, f"found DBH {dbh_m:g} m", expected)
     number = next((value.strip() for name in _NUMBERS if (value := row.get(name))), str(line))
     return Stem(number, x_m, y_m, _cell(where, row, "z", "z_m"), dbh_m, row.get("list_line") or "")
 

@@ -22,8 +22,6 @@ _STYLE = (
     "table{border-collapse:collapse}td,th{padding:.2em .8em;border-bottom:1px solid #ddd;text-align:left}"
     "td.n{text-align:right;font-variant-numeric:tabular-nums}img{max-width:100%}.missed{color:#b00020}"
 )
-
-
 _HEAD = ["tree", "list line", "own number", "x m", "y m", "position error m", "DBH m", "DBH error m", "hits"]
 _SIZE_PX = 1100, 460
 
@@ -63,7 +61,6 @@ def _text(value: object) -> str:
 
 
 def _draw(figure: "Figure", card: ScoreCard) -> None:
-    """Draw a plan on the left; errors over poses or over hits on the right."""
     plan, errors = figure.subplots(1, 2)
     plan.set(xlabel="east, m", ylabel="north, m", aspect="equal", title="plan")
     if (path := card.path) is not None:

@@ -40,18 +40,8 @@ class PathScore:
 def score_path(file: Path, times: Path | None, truth: Path, unit: int, alignment: str) -> PathScore:
     """Compare a trajectory with the truth at its own stamps, between which the truth is interpolated.
 
-    Parameters
-    ----------
-    file : TUM, or KITTI where `times` has a time in seconds for each pose
-    truth, unit : as `Trajectory` takes them
-    alignment : one of `ALIGNMENTS`
-
-    Raises
-    ------
-    TrajectoryError, InputError
-        where one of them is no trajectory, or they have fewer than three instants in common
-    MissingExtraError
-        where evo is not installed
+    The file is TUM, or KITTI where `times` has a time in seconds for each pose; truth and unit are as `Trajectory` takes them.
+    TrajectoryError or InputError where one is no trajectory, or they have fewer than three instants in common.
     """
     try:
         from evo.core import metrics

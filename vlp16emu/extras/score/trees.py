@@ -18,9 +18,7 @@ _COCO = tuple(np.arange(50, 100, 5) / 100)
 def match_stems(found: Sequence[Stem], true: Sequence[Stem], radius_m: float) -> list[tuple[int, int]]:
     """Pair stems, each once and none farther apart than a radius: the most pairs, and of those the least sum of distances.
 
-    Returns
-    -------
-    indices into `found` and `true`
+    Returns indices into `found` and `true`.
     """
     from scipy.optimize import linear_sum_assignment
 

@@ -46,13 +46,7 @@ class Relief:
 
 
 def stand_rows(inventory: NDArray[np.void], species: Mapping[int, str], ground_m2: float) -> list[StandRow]:
-    """Rows of all species, the most frequent first, and at the end one of all trees where species are several.
-
-    Parameters
-    ----------
-    inventory : (n,) of the trees on `ground_m2`, as `world.inventory` gives it
-    species : names by number
-    """
+    """Rows of all species of an inventory (n,), the most frequent first, and at the end one of all trees where species are several."""
     numbers, stems = np.unique(inventory["species"], return_counts=True)
     rows = [
         _row(species[int(number)], inventory[inventory["species"] == number], ground_m2)
@@ -83,16 +77,12 @@ def _row(name: str, trees: NDArray[np.void], ground_m2: float) -> StandRow:
 def clark_evans(xy_m: Array, all_xy_m: Array, ground_m2: float) -> float:
     """Index of Clark and Evans (1954): mean distance to the nearest neighbour over that of a random pattern.
 
+    It is 1 at random, less in clumps, up to 2.149 where regular.
+
     Parameters
     ----------
     xy_m : (n, 2) points in the area, n >= 2
-    all_xy_m : (m, 2) these and those around: neighbours count wherever they stand, so the border needs no
-        correction
-    ground_m2 : the area
-
-    Returns
-    -------
-    1 at random, less in clumps, up to 2.149 where regular
+    all_xy_m : (m, 2) these and those around: neighbours count wherever they stand, so the border needs no correction
     """
     nearest_m = np.asarray(KDTree(all_xy_m).query(xy_m, k=[2])[0])
     return float(nearest_m.mean() * 2 * np.sqrt(len(xy_m) / ground_m2))
@@ -119,9 +109,4 @@ def relief(cells_xy_m: Array, height_m: HeightField) -> Relief:
     rise_y = (height_m(x_m, y_m + half) - height_m(x_m, y_m - half)) / CELL_M
     slope_deg = np.degrees(np.arctan(np.hypot(rise_x, rise_y)))
     ground_m = height_m(x_m, y_m)
-    return Relief(
-        low_m=float(ground_m.min()),
-        high_m=float(ground_m.max()),
-        slope_mean_deg=float(slope_deg.mean()),
-        slope_max_deg=float(slope_deg.max()),
-    )
+    return Relief(float(ground_m.min()), float(ground_m.max()), float(slope_deg.mean()), float(slope_deg.max()))

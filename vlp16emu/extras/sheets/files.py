@@ -7,15 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vlp16emu.extras.sheets import (
-    PlanView,
-    StandSection,
-    draw_section,
-    draw_sheet,
-    section_pixels_per_m,
-    strip_along,
-    surface_colours,
-)
+from vlp16emu.extras.palette import surface_colours
+from vlp16emu.extras.sheets.plan import PlanView
+from vlp16emu.extras.sheets.section import StandSection, draw_section, strip_along
+from vlp16emu.extras.sheets.sheet import draw_sheet, section_pixels_per_m
 from vlp16emu.extras.sheets.survey import Survey
 from vlp16emu.forest.ground.grid import write_ascii
 from vlp16emu.forest.plants.stem_rings import STEM_CIRCLE
@@ -63,12 +58,7 @@ _GROUND_CELL_M = 0.25
 def write_inventory(output: OutputFile, seen: Survey, truth: Path | None) -> None:
     """Write all trees in reach, with what a run saw of their stems if the folder of its truth is given.
 
-    Raises
-    ------
-    InputError
-        where the folder has no truth of returns of this scene
-    RunError
-        where the file cannot be written to its end
+    InputError where the folder has no truth of returns of this scene.
     """
     more = seen.stems_seen(seen.trees, truth) if truth else None
     rows = seen.inventory(seen.trees)
@@ -77,13 +67,7 @@ def write_inventory(output: OutputFile, seen: Survey, truth: Path | None) -> Non
 
 
 def write_stems(output: OutputFile, seen: Survey) -> None:
-    """Write the circles of all stems in reach and of the branches in the surroundings: skeletons with radii, as a QSM has them.
-
-    Raises
-    ------
-    RunError
-        where the file cannot be written to its end
-    """
+    """Write the circles of all stems in reach and of the branches in the surroundings: skeletons with radii, as a QSM has them."""
     circles = seen.stem_circles(seen.trees)
     with output.writing() as file:
         header = ",".join(STEM_CIRCLE.names or ())
@@ -91,26 +75,14 @@ def write_stems(output: OutputFile, seen: Survey) -> None:
 
 
 def write_ground(output: OutputFile, seen: Survey) -> None:
-    """Write the height of the ground of a rectangle that holds the surroundings.
-
-    Raises
-    ------
-    RunError
-        where the file cannot be written to its end
-    """
+    """Write the height of the ground of a rectangle that holds the surroundings."""
     low_m, high_m = _around(seen)
     with output.writing() as file:
         write_ascii(file, seen.height_m, low_m, high_m, _GROUND_CELL_M)
 
 
 def write_twin(output: OutputFile, seen: Survey) -> None:
-    """Write what is in the surroundings; of a hall, all.
-
-    Raises
-    ------
-    RunError
-        where the file cannot be written to its end
-    """
+    """Write what is in the surroundings; of a hall, all."""
     places_m = {thing.instance: thing.place_m for thing in seen.things}
     for tree in seen.near:
         places_m[int(tree["id"])] = np.array([tree["x_m"], tree["y_m"], tree["z_m"]])
@@ -124,13 +96,7 @@ def write_twin(output: OutputFile, seen: Survey) -> None:
 
 
 def write_picture(output: OutputFile, seen: Survey, *, title: str, subtitle: str) -> None:
-    """Draw plan and section.
-
-    Raises
-    ------
-    RunError
-        where the file cannot be written to its end
-    """
+    """Draw plan and section."""
     section = _hall_section(seen.hall) if seen.hall is not None else _forest_section(seen)
     drawn = _drawn(seen, section)
     with output.writing() as file:
@@ -183,14 +149,8 @@ def _forest_section(seen: Survey) -> StandSection:
 def _hall_section(hall: HallWorld) -> StandSection:
     """Look at a whole hall from its southern wall."""
     length_m, width_m, height_m = hall.size_m
-    return StandSection(
-        start_xy_m=np.array([-length_m / 2, 0.0]),
-        along=np.array([1.0, 0.0]),
-        length_m=length_m,
-        depth_m=width_m - 2 * _INSIDE_M,
-        low_m=-_BELOW_M,
-        high_m=height_m,
-    )
+    start_xy_m, along = np.array([-length_m / 2, 0.0]), np.array([1.0, 0.0])
+    return StandSection(start_xy_m, along, length_m, width_m - 2 * _INSIDE_M, -_BELOW_M, height_m)
 
 
 def _drawn(seen: Survey, section: StandSection) -> NDArray[np.uint8]:

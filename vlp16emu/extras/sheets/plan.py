@@ -36,6 +36,8 @@ _ARROW_EVERY = 0.12
 _ROUND_M = (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Lengths that a scale bar or a contour interval may have."""
 
+_DARK = 0.6
+"""Of the light of a face that its edge has."""
 _BELOW_PX = 14.0
 """Middle of the scale bar under the plan, where it covers nothing."""
 
@@ -89,34 +91,18 @@ def legend_entries(plan: PlanView) -> "list[Artist]":
     """Make samples of what a plan shows, with names as labels: species first, the most frequent at the top."""
     from matplotlib.lines import Line2D
 
-    def sample(name: str, **looks: object) -> Line2D:
+    def sample(name: str, colour: tuple[int, int, int], marker: str, size: float, alpha: float = 1.0) -> Line2D:
+        looks: dict[str, object] = {
+            "markerfacecolor": (*_share(colour), alpha),
+            "markeredgecolor": _share(colour, _DARK),
+        }
+        looks |= {"marker": marker, "markersize": size, "markeredgewidth": 0.6}
         return Line2D([], [], linestyle="none", label=name.replace("_", " "), **looks)  # type: ignore[arg-type]
 
     numbers, stems = np.unique(plan.trees["species"], return_counts=True)
-    order = np.argsort(-stems, kind="stable")
-    entries: list[Artist] = [
-        sample(
-            plan.species[int(numbers[i])],
-            marker="o",
-            markersize=11,
-            markeredgewidth=0.6,
-            markerfacecolor=(*_share(colour_of_species(plan.species[int(numbers[i])])), 0.6),
-            markeredgecolor=_dark(colour_of_species(plan.species[int(numbers[i])])),
-        )
-        for i in order
-    ]
-    entries += [
-        sample(
-            kind,
-            marker="s",
-            markersize=6,
-            markerfacecolor=_share(colour_of_kind(kind)),
-            markeredgecolor=_dark(colour_of_kind(kind)),
-            markeredgewidth=0.6,
-        )
-        for kind, outlines in plan.outlines_m.items()
-        if outlines
-    ]
+    names = [plan.species[int(numbers[i])] for i in np.argsort(-stems, kind="stable")]
+    entries: list[Artist] = [sample(name, colour_of_species(name), "o", 11, 0.6) for name in names]
+    entries += [sample(kind, colour_of_kind(kind), "s", 6) for kind, outlines in plan.outlines_m.items() if outlines]
     return [*entries, Line2D([], [], color=WALK, lw=1.6, label="path of the sensor")]
 
 
@@ -147,16 +133,9 @@ def _draw_things(axes: "Axes", plan: PlanView) -> None:
 
     for kind, outlines in plan.outlines_m.items():
         colour = colour_of_kind(kind)
-        axes.add_collection(
-            PolyCollection(
-                list(outlines),
-                facecolors=[(*_share(colour), 0.2 if kind == "ground" else 0.75)],
-                edgecolors=[(*_dark(colour), 0.8)],
-                linewidths=0.3,
-                zorder=2,
-            ),
-            autolim=False,
-        )
+        faces, edges = (*_share(colour), 0.2 if kind == "ground" else 0.75), (*_share(colour, _DARK), 0.8)
+        looks: dict[str, Any] = {"facecolors": [faces], "edgecolors": [edges]}
+        axes.add_collection(PolyCollection(list(outlines), linewidths=0.3, zorder=2, **looks), autolim=False)
 
 
 def _draw_trees(axes: "Axes", plan: PlanView) -> None:
@@ -170,22 +149,12 @@ def _draw_trees(axes: "Axes", plan: PlanView) -> None:
     colours = [colour_of_species(plan.species[number]) for number in trees["species"].tolist()]
     least_m = _LEAST_STEM_PX * float(np.ptp(axes.get_xlim())) / axes.get_window_extent().width
     stems_m = np.maximum(trees["dbh_m"], least_m)
-    for width_m, faces, edges, zorder in (
-        (trees["crown_width_m"], [(*_share(c), 0.42) for c in colours], [(*_dark(c), 0.75) for c in colours], 3),
-        (stems_m, [(0.22, 0.16, 0.11)], ["none"], 4),
-    ):
-        discs = EllipseCollection(
-            width_m,
-            width_m,
-            np.zeros(len(trees)),
-            units="xy",
-            offsets=where,
-            offset_transform=axes.transData,
-            facecolors=faces,
-            edgecolors=edges,
-            linewidths=0.5,
-            zorder=zorder,
-        )
+    faces, edges = [(*_share(c), 0.42) for c in colours], [(*_share(c, _DARK), 0.75) for c in colours]
+    crowns: dict[str, Any] = {"facecolors": faces, "edgecolors": edges, "zorder": 3}
+    stems: dict[str, Any] = {"facecolors": [(0.22, 0.16, 0.11)], "edgecolors": ["none"], "zorder": 4}
+    at: dict[str, Any] = {"units": "xy", "offsets": where, "offset_transform": axes.transData, "linewidths": 0.5}
+    for width_m, looks in ((trees["crown_width_m"], crowns), (stems_m, stems)):
+        discs = EllipseCollection(width_m, width_m, np.zeros(len(trees)), **at, **looks)
         axes.add_collection(discs, autolim=False)
 
 
@@ -238,10 +207,6 @@ def _round_up_m(length_m: float) -> float:
     return next((length for length in _ROUND_M if length >= length_m), _ROUND_M[-1])
 
 
-def _share(colour: tuple[int, int, int]) -> tuple[float, float, float]:
-    return colour[0] / 255, colour[1] / 255, colour[2] / 255
-
-
-def _dark(colour: tuple[int, int, int]) -> tuple[float, float, float]:
-    red, green, blue = _share(colour)
-    return 0.6 * red, 0.6 * green, 0.6 * blue
+def _share(colour: tuple[int, int, int], light: float = 1.0) -> tuple[float, float, float]:
+    red, green, blue = colour
+    return light * red / 255, light * green / 255, light * blue / 255

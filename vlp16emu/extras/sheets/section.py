@@ -97,18 +97,14 @@ def draw_section(
     height_m: HeightField,
     pixels_per_m: float,
 ) -> NDArray[np.uint8]:
-    """Draw what stands in the strip, whole, and the ground of the strip, cut open at its near side.
+    """Draw what stands in the strip, whole, and the ground of the strip, cut open at its near side: (rows, columns, 3).
 
     Parameters
     ----------
-    scene : ready to be cast against, with nothing in it that stands before or behind the strip
+    geometry : with nothing in it that stands before or behind the strip
     overhang_m : how far crowns may reach out of the strip in which their trees stand
     colours : (m, 3) of its surfaces
     height_m : ground; below it the cut shows soil
-
-    Returns
-    -------
-    (rows, columns, 3) picture, the highest row first
     """
     columns = round(section.length_m * pixels_per_m)
     rows = round((section.high_m - section.low_m) * pixels_per_m)
@@ -116,35 +112,19 @@ def draw_section(
     s_m = (np.arange(columns * _DOTS) + 0.5) / _DOTS / pixels_per_m
     edge_xy_m = section.start_xy_m + s_m[:, None] * section.along - section.depth_m / 2 * section.towards
     ground_m = height_m(edge_xy_m[:, 0], edge_xy_m[:, 1])
-    near_xy_m = edge_xy_m - overhang_m * section.towards
+    origin_m = np.empty((_ROWS * _DOTS, len(edge_xy_m), 3))
+    origin_m[..., :2] = edge_xy_m - overhang_m * section.towards
+    ahead, from_m, to_m = np.array([*section.towards, 0.0]), np.zeros(len(edge_xy_m)), section.depth_m + 2 * overhang_m
     for row in range(0, rows, _ROWS):
         dots = np.arange(row * _DOTS, (row + _ROWS) * _DOTS)
         z_m = section.high_m - (dots + 0.5) / _DOTS / pixels_per_m
-        hits = _look(geometry, section, near_xy_m, z_m, section.depth_m + 2 * overhang_m)
+        origin_m[..., 2] = z_m[:, None]
+        hits = geometry.cast(Firings.rays(0, origin_m, ahead), from_m, to_m)
         rgb = _shaded(hits, colours, overhang_m, section.depth_m)
         rgb[z_m[:, None] < ground_m] = _SOIL
         band = rgb.reshape(_ROWS, _DOTS, columns, _DOTS, 3).mean(axis=(1, 3))
         picture[row : row + _ROWS] = np.round(band[: rows - row])
     return picture
-
-
-def _look(geometry: Geometry, section: StandSection, near_xy_m: Array, z_m: Array, far_m: float) -> Hits:
-    """Cast a row of rays at each of k heights."""
-    k, lasers = len(z_m), len(near_xy_m)
-    origin_m, direction = np.empty((k, lasers, 3)), np.zeros((k, lasers, 3))
-    origin_m[..., :2], origin_m[..., 2] = near_xy_m, z_m[:, None]
-    direction[..., :2] = section.towards
-    firings = Firings(
-        index=0,
-        t_ns=np.zeros((k, lasers), np.int64),
-        clock_ns=np.zeros(k, np.int64),
-        azimuth_deg=np.zeros((k, lasers)),
-        reading_deg=np.zeros(k),
-        origin_m=origin_m,
-        direction=direction,
-        beam_axis=None,
-    )
-    return geometry.cast(firings, np.zeros(lasers), far_m)
 
 
 def _shaded(hits: Hits, colours: NDArray[np.uint8], overhang_m: float, depth_m: float) -> Array:

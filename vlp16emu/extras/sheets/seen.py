@@ -40,13 +40,7 @@ _COLUMNS = ["world_x_m", "world_y_m", "world_z_m", "semantic", "part", "instance
 
 
 def tables_of_returns(folder: Path) -> list[Path]:
-    """Find what is behind the returns of a run, a table for each unit.
-
-    Raises
-    ------
-    InputError
-        where there is none
-    """
+    """Find what is behind the returns of a run, a table for each unit; InputError where there is none."""
     tables = sorted(folder.glob("returns*.parquet"))
     if not tables:
         raise InputError(str(folder), "no returns.parquet", "the truth of a run with --truth-returns")
@@ -54,24 +48,14 @@ def tables_of_returns(folder: Path) -> list[Path]:
 
 
 def stems_seen(trees: Trees, tables: Sequence[Path], *, table: Table | None = None) -> NDArray[np.void]:
-    """Sum up what the returns of a run show of stems.
+    """Sum up what the returns of a run show of stems: (n,) `STEM_SEEN`.
+
+    InputError where a file is no table of returns, or of another world.
 
     Parameters
     ----------
     trees : (n,) `TREE` records of the run's world, at rest, by id; of models with form 0
-    tables : of returns
     table : species; that of the program if none is given
-
-    Returns
-    -------
-    (n,) `STEM_SEEN`
-
-    Raises
-    ------
-    MissingExtraError
-        where pyarrow is not installed
-    InputError
-        where a file is no such table, or of another world
     """
     forms, order = stem_forms(trees, table=table), np.argsort(trees["id"])
     cells = np.maximum(np.ceil((trees["crown_base_m"] - _LOW_M) / _CELL_M), 1).astype(np.int64)

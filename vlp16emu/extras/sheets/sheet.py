@@ -39,14 +39,7 @@ def section_pixels_per_m(section: StandSection) -> float:
 def draw_sheet(
     file: BinaryIO, plan: PlanView, section: StandSection, drawn: NDArray[np.uint8], *, title: str, subtitle: str
 ) -> None:
-    """Draw plan and section as PNG.
-
-    Parameters
-    ----------
-    file : open for writing
-    drawn : (rows, columns, 3), the section by `draw_section`
-    title, subtitle : one line each
-    """
+    """Draw plan and section as PNG, with a title of two lines; `drawn` (rows, columns, 3) is the section by `draw_section`."""
     from matplotlib.figure import Figure
 
     across_m, tall_m = plan.high_m - plan.low_m

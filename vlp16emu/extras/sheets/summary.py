@@ -127,16 +127,9 @@ def _things(seen: Survey, ground_m2: float) -> dict[str, Things]:
     kinds = dict[str, Things]()
     nameless = [thing for thing in seen.things if thing.instance not in seen.names]
     for kind in sorted({thing.kind for thing in nameless}):
-        things = [thing for thing in nameless if thing.kind == kind]
-        measure, axis = _MEASURES[kind]
+        things, (measure, axis) = [thing for thing in nameless if thing.kind == kind], _MEASURES[kind]
         sizes_m = [thing.size_m[axis] for thing in things]
-        species = Counter(seen.species[one.species] for one in things if one.species)
-        kinds[kind] = Things(
-            count=len(things),
-            per_ha=len(things) / ground_m2 * 10_000,
-            measure=measure,
-            least_m=min(sizes_m),
-            greatest_m=max(sizes_m),
-            species=dict(species.most_common()),
-        )
+        species = dict(Counter(seen.species[one.species] for one in things if one.species).most_common())
+        per_ha = len(things) / ground_m2 * 10_000
+        kinds[kind] = Things(len(things), per_ha, measure, min(sizes_m), max(sizes_m), species)
     return kinds

@@ -110,16 +110,9 @@ class Survey:
 
 
 def survey(scenario: Scenario, radius_m: float, parts: Parts | None = None, path_xy_m: Array | None = None) -> Survey:
-    """Look around the path of a scenario's sensor; its parts are made where they are not given.
+    """Look around the path of a scenario's sensor, or around `path_xy_m` (n, 2) where its motion is not known yet.
 
-    Parameters
-    ----------
-    path_xy_m : (n, 2) to look around instead, for a motion that is not known yet
-
-    Raises
-    ------
-    InputError
-        where a part of the scenario cannot be made, or the sensor does not see as far as the radius
+    InputError where a part of the scenario cannot be made, or the sensor does not see as far as the radius.
     """
     reach_m = scenario.sensor.max_range_m
     if radius_m > reach_m:

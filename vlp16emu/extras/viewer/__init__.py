@@ -1,5 +1,1 @@
 """The page in the browser: the stand, the path and what the sensor sees; extra `viewer`, imported by its verb alone."""
-
-from vlp16emu.extras.viewer.draft import Draft
-
-__all__ = ["Draft"]

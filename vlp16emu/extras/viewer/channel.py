@@ -33,15 +33,7 @@ class Channel:
         return True
 
     def take(self, timeout_s: float | None = None) -> object:
-        """Wait for the next message.
-
-        Raises
-        ------
-        TimeoutError
-            where none comes in time
-        EOFError
-            where the other end is gone, and nothing is left
-        """
+        """Wait for the next message; TimeoutError where none comes in time, EOFError where the other end is gone."""
         self._way.settimeout(timeout_s)
         try:
             data = self._way.recv(CHANNEL_BYTES)

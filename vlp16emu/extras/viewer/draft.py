@@ -91,19 +91,7 @@ class Outlook:
 
 
 class Draft:
-    """Courses one after another, with undo and redo.
-
-    Parameters
-    ----------
-    scene : name or path
-    scenario : what is read of it
-    seen : its stand
-
-    Raises
-    ------
-    InputError
-        where it is no walk
-    """
+    """Courses one after another in a scene, by name or path, with undo and redo; InputError where it is no walk."""
 
     def __init__(self, scene: str, scenario: Scenario, seen: Survey) -> None:
         walk = scenario.motion
@@ -163,13 +151,7 @@ class Draft:
         return changed
 
     def scenario(self, course: Course) -> Scenario:
-        """Give the scene with a course.
-
-        Raises
-        ------
-        ScenarioError
-            where its values are no walk
-        """
+        """Give the scene with a course; ScenarioError where its values are no walk."""
         changes = self.changes(course)
         dropped = {key: Walk.model_fields[key].get_default(call_default_factory=True) for key in changes}
         base = self._scenario.model_copy(update={"motion": self._walk.model_copy(update=dropped)})
@@ -207,7 +189,6 @@ class Draft:
         )
 
     def _in_the_way_m(self, scenario: Scenario, path_xy_m: Array) -> Array:
-        """Feet (m, 3) of stems that the path comes too near."""
         trees = self._seen.trees
         if not isinstance(scenario.world, Woods) or not len(trees):
             return np.zeros((0, 3))
@@ -219,12 +200,7 @@ class Draft:
     def save(self, to: FilePath) -> None:
         """Write the scene file with the present course; comments and all else stay as the user wrote them.
 
-        Raises
-        ------
-        InputError
-            where the course is no walk
-        OutputError
-            where the file cannot be written, or would not find the files that the scene names
+        InputError where the course is no walk; OutputError where the file cannot be written, or would not find the scene's files.
         """
         import tomlkit
 
@@ -242,7 +218,6 @@ class Draft:
             file.write(text.encode())
 
     def _check_place(self, to: FilePath, scenario: Scenario) -> None:
-        """Refuse another folder for a scene that names files."""
         folder = self._file.parent.absolute()
         if to.suffix != ".toml" or (named_files(scenario) and to.parent.absolute() != folder):
             raise OutputError(str(to), "cannot hold the scene", f"a .toml file in {folder}, beside its files")

@@ -21,13 +21,7 @@ _GOOD, _BAD = (30, 90, 220), (220, 30, 30)
 
 
 class Editor:
-    """Gizmos and panel of a draft; `step` carries out what they were asked, on the thread that draws.
-
-    Parameters
-    ----------
-    duration_s : of the scene
-    to : file to save to; None where nothing is to be saved
-    """
+    """Gizmos and panel of a draft, saved `to` a file; `step` does what they were asked, on the thread that draws."""
 
     def __init__(self, server: viser.ViserServer, draft: Draft, duration_s: float, to: Path | None) -> None:
         self.wake = Event()
@@ -41,7 +35,6 @@ class Editor:
         self._show()
 
     def _panel(self) -> None:
-        """Lay out the controls."""
         gui, course = self._server.gui, self._draft.course
         with gui.add_folder("Path"):
             self._number = gui.add_number("way point", 1, min=1, step=1)
@@ -84,13 +77,8 @@ class Editor:
     def _as_in_panel(self, course: Course, number: int) -> Course:
         """Take speed, laps, gait, harness and the stop from the panel."""
         gait = None if self._gait.value == _GAITS[0] else str(self._gait.value)
-        walked = replace(
-            course,
-            speed_m_s=float(self._speed.value),
-            laps=int(self._laps.value),
-            gait=gait,
-            harness=self._harness.value is True,
-        )
+        speed_m_s, laps = float(self._speed.value), int(self._laps.value)
+        walked = replace(course, speed_m_s=speed_m_s, laps=laps, gait=gait, harness=self._harness.value is True)
         return walked.stopped(number, float(self._pause.value))
 
     def step(self) -> bool:

@@ -46,18 +46,9 @@ def _name(url: str) -> str | None:
 
 @contextmanager
 def guarded_server(host: str, port: int, label: str) -> Iterator[viser.ViserServer]:
-    """Serve the page until the end of the context.
+    """Serve the page until the end of the context; OutputError where the address is not of this machine, or the port in use.
 
-    Parameters
-    ----------
-    host : address of this machine to listen on, and beside loopback the only one that requests may name
-    port : to listen on; 0 for any that is free
-    label : title of the panel
-
-    Raises
-    ------
-    OutputError
-        where the address is not of this machine, or the port is in use
+    `host` is beside loopback the only name that requests may use; port 0 is any that is free; the panel's title is `label`.
     """
     try:  # viser would try the next thousand ports, and wait for ever where there is no such address
         with socketserver.TCPServer((host, port), socketserver.BaseRequestHandler):

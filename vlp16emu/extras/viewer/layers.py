@@ -18,6 +18,7 @@ Rgb = NDArray[np.uint8]
 Entries = Mapping[str, tuple[int, int, int]] | tuple[float, float, str] | None
 """Legend of a layer: colours by name, or the ends of a scale with their unit; None of what has no names."""
 
+_Labelled = tuple[NDArray[Any], Callable[[int], tuple[int, int, int]], Callable[[int], str | None]]
 _LABELLED = ("natural", "class", "part", "species", "instance")
 MEASURED = ("range", "reflectivity", "ring", "time")
 LAYERS = (*_LABELLED, *MEASURED, "range error")
@@ -51,24 +52,13 @@ def layers_of_scan(scan: Scan) -> tuple[str, ...]:
 
 
 def colours_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Rgb:
-    """Colours (n, 3) of the points of a sweep.
-
-    Parameters
-    ----------
-    layer : one of those that the sweep has
-    species : names by number
-    """
-    if layer in _LABELLED and (labels := scan.labels) is not None:
-        if layer == "natural":
-            return surface_colours(_surfaces(scan), species)
-        if layer == "class":
-            return _each(labels.semantic, _of_class)
-        if layer == "part":
-            return _each(labels.part, lambda part: PART_RGB[PlantPart(part)])
-        if layer == "instance":
-            return _each(labels.instance, _of_instance)
-        none = colour_of_kind("ground")
-        return _each(labels.species, lambda n: colour_of_species(species[n]) if n in species else none)
+    """Colours (n, 3) of the points of a sweep by a layer that it has, and the names of species by number."""
+    if layer == "natural" and scan.labels is not None:
+        return surface_colours(_surfaces(scan), species)
+    if (labelled := _labelled(scan, layer, species)) is not None:
+        different, which = np.unique(labelled[0], return_inverse=True)
+        colours = [labelled[1](value) for value in different.tolist()]
+        return np.array(colours, np.uint8).reshape(-1, 3)[which.ravel()]
     value, (least, most, _) = _measured(scan, layer)
     return colours_of_scale(value, least, most)
 
@@ -82,17 +72,26 @@ def colours_of_scale(values: NDArray[np.float64], least: float, most: float) -> 
 
 def entries_of(scan: Scan, layer: str, species: Mapping[int, str]) -> Entries:
     """Give the legend of a layer, as far as a sweep shows it."""
-    labels = scan.labels
-    if layer not in _LABELLED or labels is None:
+    if (labelled := _labelled(scan, layer, species)) is None:
         return _measured(scan, layer)[1]
-    if layer == "class":
-        return {Semantic(one).name.lower(): _of_class(one) for one in np.unique(labels.semantic).tolist()}
-    if layer == "part":
-        return {PlantPart(one).name.lower(): PART_RGB[PlantPart(one)] for one in np.unique(labels.part).tolist()}
+    values, colour, name = labelled
     if layer == "instance":
         return None
-    shown = [species[one] for one in np.unique(labels.species).tolist() if one in species]
-    return {name: colour_of_species(name) for name in shown}
+    return {text: colour(one) for one in np.unique(values).tolist() if (text := name(one)) is not None}
+
+
+def _labelled(scan: Scan, layer: str, species: Mapping[int, str]) -> _Labelled | None:
+    """Labels (n,) of a layer with the colours and names of each; None of a layer that is measured."""
+    if layer not in _LABELLED or (labels := scan.labels) is None:
+        return None
+    table: dict[str, _Labelled] = {
+        "class": (labels.semantic, _of_class, lambda one: Semantic(one).name.lower()),
+        "part": (labels.part, lambda one: PART_RGB[PlantPart(one)], lambda one: PlantPart(one).name.lower()),
+        "instance": (labels.instance, _of_instance, str),
+    }
+    none = colour_of_kind("ground")
+    of_species = lambda one: colour_of_species(species[one]) if one in species else none  # noqa: E731
+    return table.get(layer, (labels.species, of_species, species.get))
 
 
 def _measured(scan: Scan, layer: str) -> tuple[NDArray[np.float64], tuple[float, float, str]]:
@@ -119,11 +118,6 @@ def _surfaces(scan: Scan) -> NDArray[np.void]:
     for name in ("semantic", "part", "species"):
         surfaces[name] = getattr(scan.labels, name)
     return surfaces
-
-
-def _each(values: NDArray[Any], of: Callable[[int], tuple[int, int, int]]) -> Rgb:
-    different, which = np.unique(values, return_inverse=True)
-    return np.array([of(value) for value in different.tolist()], np.uint8).reshape(-1, 3)[which.ravel()]
 
 
 def _of_class(value: int) -> tuple[int, int, int]:

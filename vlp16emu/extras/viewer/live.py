@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from multiprocessing import get_context
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
@@ -81,16 +81,9 @@ class Glimpse(NamedTuple):
 
 
 class WatchedSink(PacketSink):
-    """Passes packets on, and offers glimpses of those that have left.
+    """Passes packets on, and offers glimpses of those of the first sensor that have left.
 
     A glimpse is made by the thread that sends, once a packet has left: it has then a millisecond until the next one.
-
-    Parameters
-    ----------
-    sink : where packets go
-    pacer : by which they leave
-    emulator : whose first sensor is looked at
-    channel : takes the glimpses, or loses them
     """
 
     def __init__(self, sink: PacketSink, pacer: Pacer, emulator: Emulator, channel: Channel) -> None:
@@ -99,13 +92,7 @@ class WatchedSink(PacketSink):
         self._held: list[tuple[bytes, int]] = []
 
     def send(self, packet: Packet) -> None:
-        """Send one packet.
-
-        Raises
-        ------
-        RunError
-            as of the sink
-        """
+        """Send one packet."""
         self._sink.send(packet)
         late_ns = self._pacer.late_ns
         self._late.add(late_ns)
@@ -147,13 +134,7 @@ class Watch(NamedTuple):
 
 
 def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
-    """Grow what stands near the path of a stream's duration, as few faces.
-
-    Raises
-    ------
-    InputError
-        where a part of the world cannot be made
-    """
+    """Grow what stands near the path of a stream's duration, as few faces; InputError where a part cannot be made."""
     scenario, motion = emulator.scenario, emulator.scenario.motion
     expected_m = np.array(motion.path_m) if isinstance(motion, Live) and takes_poses(motion) else None
     radius_m = _RADIUS_M if expected_m is None else _LIVE_RADIUS_M
@@ -169,13 +150,7 @@ def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
 
 @contextmanager
 def watching(emulator: Emulator, backdrop: Backdrop) -> Iterator[Watch]:
-    """Start the page, and end it with the context.
-
-    Raises
-    ------
-    OutputError, RunError
-        where the page cannot be served
-    """
+    """Start the page, and end it with the context; OutputError or RunError where it cannot be served."""
     ours, theirs = Channel.pair()
     page = get_context("spawn").Process(target=serve, args=(backdrop, theirs), name="page", daemon=True)
     # What is blocked here is blocked there too, for good: Ctrl-C is for the stream, and the page ends with it.
@@ -186,22 +161,17 @@ def watching(emulator: Emulator, backdrop: Backdrop) -> Iterator[Watch]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     theirs.close()
     try:
-        yield Watch(_url(ours), emulator, ours)
+        try:
+            answer = ours.take()
+        except EOFError:
+            raise RunError("the page in the browser has ended before it began") from None
+        if isinstance(answer, Vlp16emuError):
+            raise answer
+        yield Watch(str(answer), emulator, ours)
     finally:
         ours.close()
         page.kill()  # it has nothing to finish, and may hang
         page.join()
-
-
-def _url(channel: Channel) -> str:
-    """Wait until the page is there."""
-    try:
-        answer = channel.take()
-    except EOFError:
-        raise RunError("the page in the browser has ended before it began") from None
-    if isinstance(answer, Vlp16emuError):
-        raise answer
-    return str(answer)
 
 
 def serve(backdrop: Backdrop, channel: Channel) -> None:
@@ -218,12 +188,7 @@ def serve(backdrop: Backdrop, channel: Channel) -> None:
 
 
 class LivePage:
-    """The stand, and what a stream sends just now.
-
-    Parameters
-    ----------
-    backdrop : what is known before the first packet leaves
-    """
+    """The stand, and what a stream sends just now."""
 
     def __init__(self, server: viser.ViserServer, backdrop: Backdrop) -> None:
         self._server, self._backdrop = server, backdrop
@@ -260,16 +225,13 @@ class LivePage:
             points = decode_data(payloads, keep_no_returns=False)
         except PacketError:  # by an event of the scene
             return
+        kept = ("xyz_m", "distance_m", "azimuth_deg", "reflectivity", "is_last")
         scan = Scan(
             start_ns=int(glimpse.since_ns[0]),
             t_ns=glimpse.since_ns[points.packet],
-            xyz_m=points.xyz_m,
-            distance_m=points.distance_m,
-            azimuth_deg=points.azimuth_deg,
             ring=points.ring.astype(np.uint16),
-            reflectivity=points.reflectivity,
-            is_last=points.is_last,
             world_T_sensor=glimpse.world_T_sensor[-1],
+            **{name: getattr(points, name) for name in kept},
         )
         sweep = Sweep(scan, placed(points.xyz_m, glimpse.world_T_sensor[points.packet]))
         oldest_ns = int(glimpse.since_ns[-1]) - round(self._backdrop.turn_s * S_NS)
@@ -289,14 +251,10 @@ class LivePage:
 
     def _draw_person(self, place_m: NDArray[np.float64]) -> None:
         ground_m = float(self._backdrop.height_m(place_m[:1], place_m[1:2])[0])
-        self._server.scene.add_cylinder(
-            "/person",
-            _PERSON_RADIUS_M,
-            max(float(place_m[2]) - ground_m - 2 * _PERSON_RADIUS_M, 0.1),
-            _PERSON_RGB,
-            cast_shadow=False,
-            position=(place_m[0], place_m[1], (ground_m + place_m[2]) / 2 - _PERSON_RADIUS_M),
-        )
+        tall_m = max(float(place_m[2]) - ground_m - 2 * _PERSON_RADIUS_M, 0.1)
+        middle_m = place_m[0], place_m[1], (ground_m + place_m[2]) / 2 - _PERSON_RADIUS_M
+        look: dict[str, Any] = {"cast_shadow": False, "position": middle_m}
+        self._server.scene.add_cylinder("/person", _PERSON_RADIUS_M, tall_m, _PERSON_RGB, **look)
 
     def _look_at(self, place_m: NDArray[np.float64]) -> None:
         """Let cameras go with the sensor, as they are turned and as near as they are."""
@@ -311,7 +269,6 @@ class LivePage:
 
 
 def _lines(glimpse: Glimpse, points: int) -> list[str]:
-    """Say how the stream goes."""
     late = glimpse.late
     at_most = f"at most {late.max_ns / 1e6:.1f} ms; now {glimpse.worst_ns / 1e6:.2f} ms"
     lines = [

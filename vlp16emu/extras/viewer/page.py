@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 import numpy as np
 import viser
@@ -85,20 +86,9 @@ def scene_page(
     save: Path | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> "Page":
-    """Grow and draw a scene; the path of one that walks can be drawn anew.
+    """Grow and draw a scene to a radius from its path; the path of one that walks can be drawn anew, and saved to a file.
 
-    Parameters
-    ----------
-    scene : that the emulator is of
-    unit : of a rig, from 1
-    radius_m : how far from the path its stand is drawn
-    save : file for what is drawn; None where nothing is to be saved
-    progress : called with the share of the stand that has grown
-
-    Raises
-    ------
-    InputError
-        where there is no such unit, or the stand cannot be grown
+    `progress` has the share of the stand that has grown. InputError where there is no such unit, or the stand cannot be grown.
     """
     text, scenario, parts = server.gui.add_markdown("growing the world"), emulator.scenario, emulator.parts
     bare = getattr(parts.world, "bare", parts.world)
@@ -114,14 +104,7 @@ def scene_page(
 
 
 class SweepView:
-    """Points of sweeps and the axes of their sensor, with the controls of how they look.
-
-    Parameters
-    ----------
-    layers : that points can be coloured by
-    species : names by number
-    root : node of what stands there, where anything is drawn
-    """
+    """Points of sweeps by `layers`, and the axes of their sensor, with the controls of how they look; `root` is what stands there."""
 
     def __init__(
         self,
@@ -149,16 +132,10 @@ class SweepView:
             return ""
         points_m = np.concatenate([sweep.world_m for sweep in sweeps])
         middle_m = points_m.mean(axis=0) if len(points_m) else np.zeros(3)
-        self._scene.add_point_cloud(
-            "/sweep",
-            (points_m - middle_m).astype(np.float32),
-            np.concatenate([colours_of(sweep.scan, layer, self._species) for sweep in sweeps]),
-            point_size=max(float(size_cm), 0.1) / 100,
-            precision="float32",
-            point_shape="circle",
-            point_shading="flat",
-            position=middle_m,
-        )
+        rgb = np.concatenate([colours_of(sweep.scan, layer, self._species) for sweep in sweeps])
+        look: dict[str, Any] = {"precision": "float32", "point_shape": "circle", "point_shading": "flat"}
+        look |= {"point_size": max(float(size_cm), 0.1) / 100, "position": middle_m}
+        self._scene.add_point_cloud("/sweep", (points_m - middle_m).astype(np.float32), rgb, **look)
         if (world_T_sensor := scan.world_T_sensor) is not None:
             self._frame.position = world_T_sensor[:3, 3]
             self._frame.wxyz = Rotation.from_matrix(world_T_sensor[:3, :3]).as_quat(scalar_first=True)
@@ -171,15 +148,7 @@ class SweepView:
 
 
 class Page:
-    """Controls over sweeps, and the points of the present one.
-
-    Parameters
-    ----------
-    sweeps : where they come from
-    species : names by number
-    root : node of what stands there, where anything is drawn
-    editor : of the path, where there is one
-    """
+    """Controls over sweeps, and the points of the present one; `root` is the node of what stands there."""
 
     def __init__(
         self,

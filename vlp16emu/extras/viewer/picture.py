@@ -1,14 +1,13 @@
 """Pictures and films of what a sensor saw, without a browser."""
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain, islice
+from itertools import chain, islice, product
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +19,6 @@ from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale,
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory
 from vlp16emu.output import OutputFile
 from vlp16emu.scan import decode
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -116,6 +111,8 @@ def draw_picture(
 ) -> PictureRun:
     """Draw what accumulates over revolutions as a picture, or how it does as a film; other views draw them one by one.
 
+    InputError where there is no revolution, or none with such a layer; OutputError where the suffix is no picture's.
+
     Parameters
     ----------
     sweeps : one after another; memory does not grow with them
@@ -124,13 +121,6 @@ def draw_picture(
     rings : lasers of the sensor
     species : names by number
     stop : ends the picture between two revolutions
-
-    Raises
-    ------
-    InputError
-        where there is no revolution, or none with such a layer
-    OutputError, RunError, MissingExtraError
-        where the suffix is another, the file cannot be written, or a library is missing
     """
     suffix = path.suffix.lower()
     if suffix not in (*_STILLS, *_FILMS):
@@ -154,7 +144,7 @@ def draw_picture(
     return PictureRun(str(path), drawing.revolutions, drawing.points, look.colour, path.stat().st_size, interrupted)
 
 
-class View(ABC):
+class View:
     """Where the points of a sweep are in a picture, and what stands beside them."""
 
     adds_up = False
@@ -165,22 +155,24 @@ class View(ABC):
     """Width and height of a point."""
     circles_m: Array = np.zeros((0, 3))
     """(k, 3) points of circles of range."""
+    labels: tuple[tuple[float, float, str], ...] = ()
+    """What stands at columns and rows from below of a still."""
 
-    @abstractmethod
     def pixels(self, place: Array) -> tuple[Whole, Whole, Array]:
         """Column, row and distance towards the eye of places (n, 3)."""
+        raise NotImplementedError
 
-    @abstractmethod
-    def places(self, sweep: Sweep) -> tuple[Array, NDArray[np.bool_]]:
-        """Places (n, 3) of the points of a sweep, and (n,) which of them are shown."""
+    def places(self, sweep: Sweep) -> Array:
+        """Places (n, 3) of the points of a sweep."""
+        raise NotImplementedError
+
+    def shows(self, place: Array) -> NDArray[np.bool_]:
+        """Which places (n, 3) are shown."""
+        return np.ones(len(place), np.bool_)
 
     def sensor(self, _sweep: Sweep) -> Array | None:
         """Place (3,) of the sensor, if it is in the picture."""
         return None
-
-    def labels(self) -> Iterator[tuple[float, float, str]]:
-        """Yield what stands at columns and rows from below of a still."""
-        return iter(())
 
 
 class Oblique(View):
@@ -190,7 +182,6 @@ class Oblique(View):
     ----------
     from_deg : where the eye is, clockwise from north
     elevation_deg : how high it is above the horizon
-    size : width and height, in pixels
     box_m : (2, 3) corners of what has to be in the picture
     """
 
@@ -201,27 +192,25 @@ class Oblique(View):
         right = np.array([-math.cos(a), math.sin(a), 0.0])
         back = np.array([math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), math.sin(e)])
         self._axes = np.stack([right, np.cross(back, right), back])
-        corners_m = np.array([[box_m[i, 0], box_m[j, 1], box_m[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-        seen_m = corners_m @ self._axes.T
+        seen_m = np.array(list(product(*box_m.T))) @ self._axes.T
         low_m, high_m = seen_m.min(axis=0), seen_m.max(axis=0)
         self.size, self._box_m = size, box_m
         self.px_per_m = float(min(size[0] / (high_m[0] - low_m[0]), size[1] / (high_m[1] - low_m[1])))
         self._middle_m = (low_m + high_m) / 2
 
-    def pixels(self, world_m: Array) -> tuple[Whole, Whole, Array]:
+    def pixels(self, place: Array) -> tuple[Whole, Whole, Array]:
         """See `View`; distances are in m."""
-        right, up, near = ((world_m @ self._axes.T) - self._middle_m).T
+        right, up, near = ((place @ self._axes.T) - self._middle_m).T
         column = np.floor(self.size[0] / 2 + right * self.px_per_m).astype(np.int64)
-        row = np.floor(self.size[1] / 2 - up * self.px_per_m).astype(np.int64)
-        return column, row, near
+        return column, np.floor(self.size[1] / 2 - up * self.px_per_m).astype(np.int64), near
 
-    def places(self, sweep: Sweep) -> tuple[Array, NDArray[np.bool_]]:
-        """See `View`."""
-        # What is aside would hide what is near the way.
-        return sweep.world_m, self._is_near(sweep.world_m)
+    def places(self, sweep: Sweep) -> Array:
+        """See `View`; in the world."""
+        return sweep.world_m
 
-    def _is_near(self, place_m: Array) -> NDArray[np.bool_]:
-        near: NDArray[np.bool_] = ((place_m >= self._box_m[0]) & (place_m <= self._box_m[1]))[:, :2].all(axis=1)
+    def shows(self, place: Array) -> NDArray[np.bool_]:
+        """See `View`: what is aside would hide what is near the way."""
+        near: NDArray[np.bool_] = ((place >= self._box_m[0]) & (place <= self._box_m[1]))[:, :2].all(axis=1)
         return near
 
     def sensor(self, sweep: Sweep) -> Array | None:
@@ -231,13 +220,7 @@ class Oblique(View):
 
 
 class Above(Oblique):
-    """A sweep from straight above, azimuth 0 upwards, with circles of range.
-
-    Parameters
-    ----------
-    size : width and height, in pixels
-    radius_m : what has to be in the picture
-    """
+    """A sweep from straight above to a radius, azimuth 0 upwards, with circles of range."""
 
     adds_up = False
 
@@ -247,38 +230,29 @@ class Above(Oblique):
         super().__init__(180.0, 90.0, size, np.stack([-corner_m, corner_m]))
         turn = np.linspace(0.0, 2.0 * np.pi, 4 * max(width, height))
         step_m = next((m for m in _CIRCLES_M if radius_m < _MOST_CIRCLES * m), _CIRCLES_M[-1])
-        self._radii_m = np.arange(step_m, np.hypot(*corner_m[:2]), step_m)
-        x, y = np.outer(self._radii_m, np.sin(turn)).ravel(), np.outer(self._radii_m, np.cos(turn)).ravel()
+        radii_m = np.arange(step_m, np.hypot(*corner_m[:2]), step_m)
+        x, y = np.outer(radii_m, np.sin(turn)).ravel(), np.outer(radii_m, np.cos(turn)).ravel()
         self.circles_m = np.column_stack([x, y, np.full(len(x), _DEEP_M)])
+        # Halfway from ahead to the right.
+        column, row, _ = self.pixels(np.outer(radii_m, [math.sqrt(0.5), math.sqrt(0.5), 0.0]))
+        self.labels = tuple(
+            (x + 4, height - y + 4, f"{radius_m:g} m")
+            for x, y, radius_m in zip(column.tolist(), row.tolist(), radii_m, strict=True)
+            if 30 < y < height - 30 and 0 < x < width
+        )
 
-    def places(self, sweep: Sweep) -> tuple[Array, NDArray[np.bool_]]:
-        """See `View`."""
-        # Azimuth 0 is x of the points and upwards in the picture.
-        xyz_m = sweep.scan.xyz_m
-        place_m = np.column_stack([-xyz_m[:, 1], xyz_m[:, 0], xyz_m[:, 2]]).astype(np.float64)
-        return place_m, self._is_near(place_m)
+    def places(self, sweep: Sweep) -> Array:
+        """See `View`: azimuth 0 is x of the points and upwards in the picture."""
+        x, y, z = sweep.scan.xyz_m.T
+        return np.column_stack([-y, x, z]).astype(np.float64)
 
     def sensor(self, _sweep: Sweep) -> Array | None:
         """See `View`."""
         return np.zeros(3)
 
-    def labels(self) -> Iterator[tuple[float, float, str]]:
-        """Yield the radii of circles, halfway from ahead to the right."""
-        width, height = self.size
-        for radius_m in self._radii_m:
-            (column,), (row,), _ = self.pixels(np.array([[*np.full(2, radius_m * np.sqrt(0.5)), 0.0]]))
-            if 30 < row < height - 30 and 0 < column < width:
-                yield column + 4, height - row + 4, f"{radius_m:g} m"
-
 
 class LaserRows(View):
-    """A sweep as the sensor measures it: a row for each laser, the highest one above, and azimuths from left to right.
-
-    Parameters
-    ----------
-    size : width and height, in pixels
-    rings : lasers of the sensor
-    """
+    """A sweep as the sensor measures it: a row for each laser, the highest one above, and azimuths from left to right."""
 
     def __init__(self, size: tuple[int, int], rings: int) -> None:
         self.size, self.rings = size, rings
@@ -287,6 +261,11 @@ class LaserRows(View):
         """Of the pixel that is azimuth 0 of the highest laser."""
         self.width, self.height = round(0.85 * width), height - 2 * self.top
         self.dot_px = 1 + self.width // _FEWEST_COLUMNS, -(-self.height // rings)
+        below, per_ring = height - self.top - self.height - 20, self.height / rings
+        self.labels = (
+            *((self.left + deg * self.width / 360.0, below, f"{deg}\N{DEGREE SIGN}") for deg in range(0, 360, 45)),
+            *((8, height - self.top - (rings - n - 0.4) * per_ring, f"ring {n}") for n in (0, rings - 1)),
+        )
 
     def pixels(self, place: Array) -> tuple[Whole, Whole, Array]:
         """See `View`; places are azimuth (deg), ring and nearness."""
@@ -294,22 +273,10 @@ class LaserRows(View):
         column = self.left + np.floor(azimuth_deg * self.width / 360.0).astype(np.int64)
         return column, self.top + (self.rings - 1 - ring.astype(np.int64)) * self.height // self.rings, near
 
-    def places(self, sweep: Sweep) -> tuple[Array, NDArray[np.bool_]]:
-        """See `View`."""
+    def places(self, sweep: Sweep) -> Array:
+        """See `View`: of several returns the nearest is in front, by so little that none is in another one's shadow."""
         scan = sweep.scan
-        # Of several returns the nearest is in front, but by so little that none is in another one's shadow.
-        place = np.column_stack([scan.azimuth_deg % 360.0, scan.ring, -1e-6 * scan.distance_m])
-        return place, np.ones(len(place), np.bool_)
-
-    def labels(self) -> Iterator[tuple[float, float, str]]:
-        """Yield azimuths below, and the first and last ring at the left."""
-        height = self.size[1]
-        below = height - self.top - self.height - 20
-        for azimuth_deg in range(0, 360, 45):
-            yield self.left + azimuth_deg * self.width / 360.0, below, f"{azimuth_deg}\N{DEGREE SIGN}"
-        for ring in (0, self.rings - 1):
-            up = height - self.top - (self.rings - ring - 0.4) * self.height / self.rings
-            yield 8, up, f"ring {ring}"
+        return np.column_stack([scan.azimuth_deg % 360.0, scan.ring, -1e-6 * scan.distance_m])
 
 
 def _view(look: PictureLook, first: Sweep, way_m: Array | None, rings: int) -> View:
@@ -329,12 +296,7 @@ def _view(look: PictureLook, first: Sweep, way_m: Array | None, rings: int) -> V
 
 
 class Canvas:
-    """A picture that points are added to.
-
-    Parameters
-    ----------
-    view : of the picture
-    """
+    """A picture of a view that points are added to."""
 
     def __init__(self, view: View) -> None:
         self.view = view
@@ -376,22 +338,23 @@ class Canvas:
         return np.rint(rgb).astype(np.uint8)
 
 
-class _Drawing:
+class _Drawing(Canvas):
     """A canvas that sweeps are drawn on, in the colours of a layer."""
 
     def __init__(self, view: View, colour: str, species: Mapping[int, str]) -> None:
-        self.view, self.colour, self._species = view, colour, species
-        self.canvas, self.revolutions, self.points = Canvas(view), 0, 0
+        super().__init__(view)
+        self.colour, self._species, self.revolutions, self.points = colour, species, 0, 0
 
     def images(self, sweeps: Iterator[Sweep], stop: Event) -> Iterator[Sweep]:
         """Draw sweeps, and yield each when it is drawn."""
-        view, canvas = self.view, self.canvas
+        view = self.view
         for sweep in sweeps:
             if not view.adds_up:
-                canvas.clear()
-                canvas.add(view.circles_m, np.full(view.circles_m.shape, _CIRCLE_RGB, np.uint8))
-            place, shown = view.places(sweep)
-            canvas.add(place[shown], colours_of(sweep.scan, self.colour, self._species)[shown])
+                self.clear()
+                self.add(view.circles_m, np.full(view.circles_m.shape, _CIRCLE_RGB, np.uint8))
+            place = view.places(sweep)
+            shown = view.shows(place)
+            self.add(place[shown], colours_of(sweep.scan, self.colour, self._species)[shown])
             self.points += int(shown.sum())
             self.revolutions += 1
             yield sweep
@@ -400,7 +363,7 @@ class _Drawing:
 
     def marked(self, sweep: Sweep) -> NDArray[np.uint8]:
         """Give the picture with the place of the sensor in it."""
-        image = self.canvas.image()
+        image = self.image()
         if (sensor := self.view.sensor(sweep)) is not None:
             (column,), (row,), _ = self.view.pixels(sensor[None])
             image[max(row - 4, 0) : max(row + 5, 0), max(column - 4, 0) : max(column + 5, 0)] = _SENSOR_RGB
@@ -435,14 +398,14 @@ def _still(file: Any, drawing: _Drawing, entries: Entries) -> None:
     width, height = view.size
     with plotted(file, (width, height), layout=None) as figure:
         axes = figure.add_axes((0, 0, 1, 1))
-        axes.imshow(drawing.canvas.image(), extent=(0, width, 0, height), interpolation="none")
+        axes.imshow(drawing.image(), extent=(0, width, 0, height), interpolation="none")
         axes.set(xlim=(0, width), ylim=(0, height))
         axes.axis("off")
         if isinstance(view, Oblique) and view.adds_up:
             scale_bar(axes, view.px_per_m, 10.0, (30, 30))
         shown_by = "in natural colours" if colour == "natural" else f"by {colour}"
         text = partial(axes.text, fontsize=10, bbox={"facecolor": BACK, "edgecolor": "none", "alpha": 0.7, "pad": 2.0})
-        for column, up, words in view.labels():
+        for column, up, words in view.labels:
             text(column, up, words)
         many = drawing.points
         points = f"{many / 1e6:.2f} million" if many >= _MILLIONS else f"{many:,}".replace(",", " ")
@@ -451,24 +414,14 @@ def _still(file: Any, drawing: _Drawing, entries: Entries) -> None:
         if isinstance(entries, Mapping):
             from matplotlib.patches import Patch
 
-            shown = [
-                Patch(color=f"#{rgb[0]:02x}{rgb[1]:02x}{rgb[2]:02x}", label=name.replace("_", " "))
-                for name, rgb in list(entries.items())[:_MOST_ENTRIES]
-            ]
+            named = islice(entries.items(), _MOST_ENTRIES)
+            shown = [Patch(color=f"#{bytes(rgb).hex()}", label=name.replace("_", " ")) for name, rgb in named]
             axes.legend(handles=shown, loc="upper right", fontsize=9)
         elif entries is not None:
-            _scale(figure, *entries)
-
-
-def _scale(figure: "Figure", least: float, most: float, unit: str) -> None:
-    """Draw a scale of colours at the right."""
-    bar = figure.add_axes((0.955, 0.25, 0.012, 0.5))
-    bar.imshow(
-        colours_of_scale(np.linspace(least, most, 256), least, most)[:, None],
-        origin="lower",
-        aspect="auto",
-        extent=(0, 1, least, most),
-    )
-    bar.set_xticks([])
-    bar.tick_params(labelsize=9)
-    bar.set_title(unit, fontsize=9)
+            least, most, unit = entries
+            colours = colours_of_scale(np.linspace(least, most, 256), least, most)[:, None]
+            bar = figure.add_axes((0.955, 0.25, 0.012, 0.5))
+            bar.imshow(colours, origin="lower", aspect="auto", extent=(0, 1, least, most))
+            bar.set_xticks([])
+            bar.tick_params(labelsize=9)
+            bar.set_title(unit, fontsize=9)

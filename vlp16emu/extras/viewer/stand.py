@@ -109,14 +109,8 @@ def _drawn(seen: Survey, path: Polyline) -> tuple[NDArray[np.intp], Array]:
         if not isinstance(window.shapes[which], TileKey):
             alike = window.shape[near] == which
             scale = np.linalg.norm(window.world_T_shape[near[alike], :, :3], axis=1).mean(axis=1)
-            size_m[alike] = scale * max(
-                (
-                    float(np.ptp(mesh.vertices_m, axis=0).max())
-                    for mesh in seen.grow(window.shapes[which])
-                    if len(mesh.faces)
-                ),
-                default=0.0,
-            )
+            drawn = (mesh.vertices_m for mesh in seen.grow(window.shapes[which]) if len(mesh.faces))
+            size_m[alike] = scale * max((float(np.ptp(of_m, axis=0).max()) for of_m in drawn), default=0.0)
     return near, size_m
 
 

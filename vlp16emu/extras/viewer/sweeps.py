@@ -94,17 +94,7 @@ class Sweeps(Protocol):
 
 
 class SceneSweeps:
-    """Sweeps of a scene's sensor, with labels.
-
-    Parameters
-    ----------
-    unit : of a rig, from 1
-
-    Raises
-    ------
-    InputError
-        where there is no such unit
-    """
+    """Sweeps of a scene's sensor, with labels; InputError where there is no such unit."""
 
     def __init__(self, emulator: Emulator, unit: int = 1) -> None:
         units = emulator.parts.units
@@ -117,13 +107,7 @@ class SceneSweeps:
         self.last_s = end_s - self._span_s
 
     def at(self, time_s: float) -> Sweep:
-        """See `Sweeps`.
-
-        Raises
-        ------
-        InputError
-            where the run is shorter than a revolution
-        """
+        """See `Sweeps`; InputError where the run is shorter than a revolution."""
         begin_s = float(np.clip(time_s, 0.0, self.last_s))
         sweep = next(sweeps_of_scene(self._emulator, begin_s, self._span_s, self._unit), None)
         if sweep is None:
@@ -138,14 +122,7 @@ class CaptureSweeps:
     ----------
     path : of the capture; packets at fault are passed over
     truth : folder that `record --truth --truth-returns` has written
-    unit : of several, from 1
-
-    Raises
-    ------
-    CaptureError, PacketError
-        where the file holds no sensor's packets
-    InputError, TrajectoryError, MissingExtraError
-        where there is no whole revolution or no such unit, or the truth is none
+    unit : of several, from 1; InputError where there is no such unit or no whole revolution
     """
 
     def __init__(self, path: Path, truth: Path | None = None, unit: int = 1) -> None:

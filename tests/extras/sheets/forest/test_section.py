@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vlp16emu.extras.sheets import StandSection, draw_section, strip_along
+from vlp16emu.extras.sheets.section import StandSection, draw_section, strip_along
 from vlp16emu.types import NO_SURFACE, Hits
 
 PAPER = np.array([252, 251, 248])
@@ -29,14 +29,8 @@ class Wall:
 
 
 def draw(into_m, overhang_m=3.0, ground_m=0.0):
-    return draw_section(
-        Wall(into_m),
-        SECTION,
-        overhang_m,
-        colours=COLOURS,
-        height_m=lambda x, _: np.full_like(x, ground_m),
-        pixels_per_m=10.0,
-    )
+    ground = {"colours": COLOURS, "height_m": lambda x, _: np.full_like(x, ground_m)}
+    return draw_section(Wall(into_m), SECTION, overhang_m, pixels_per_m=10.0, **ground)
 
 
 def test_what_stands_there_is_drawn_at_its_height_in_its_colour():

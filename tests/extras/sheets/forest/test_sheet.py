@@ -9,10 +9,11 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from vlp16emu.errors import MissingExtraError
+from vlp16emu.extras.palette import colour_of_species
 from vlp16emu.extras.plots import check_matplotlib
-from vlp16emu.extras.sheets import PlanView, StandSection, colour_of_species, draw_sheet
-from vlp16emu.extras.sheets.plan import legend_entries
-from vlp16emu.extras.sheets.sheet import _draw_side
+from vlp16emu.extras.sheets.plan import PlanView, legend_entries
+from vlp16emu.extras.sheets.section import StandSection
+from vlp16emu.extras.sheets.sheet import _draw_side, draw_sheet
 
 TREE = [("x_m", "f8"), ("y_m", "f8"), ("dbh_m", "f8"), ("crown_width_m", "f8"), ("species", "u2")]
 SECTION = StandSection(np.array([0.0, 0.0]), np.array([1.0, 0.0]), 20.0, 8.0, -1.0, 9.0)
