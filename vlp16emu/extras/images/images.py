@@ -187,7 +187,7 @@ def write_images(
             progress((since_ns - begin_ns) / S_NS)
             if stop.is_set():
                 break
-    written = {"images": pictures.images, "bytes": pictures.bytes, "interrupted": stop.is_set()}
+    written: dict[str, Any] = {"images": pictures.images, "bytes": pictures.bytes, "interrupted": stop.is_set()}
     size_px = camera.width, camera.height
     return ImageRun(str(folder), emulator.name, unit, camera.kind, *size_px, **written)
 

@@ -84,14 +84,18 @@ def _labelled(scan: Scan, layer: str, species: Mapping[int, str]) -> _Labelled |
     """Labels (n,) of a layer with the colours and names of each; None of a layer that is measured."""
     if layer not in _LABELLED or (labels := scan.labels) is None:
         return None
+    none = colour_of_kind("ground")
     table: dict[str, _Labelled] = {
         "class": (labels.semantic, _of_class, lambda one: Semantic(one).name.lower()),
         "part": (labels.part, lambda one: PART_RGB[PlantPart(one)], lambda one: PlantPart(one).name.lower()),
         "instance": (labels.instance, _of_instance, str),
+        "species": (
+            labels.species,
+            lambda one: colour_of_species(species[one]) if one in species else none,
+            species.get,
+        ),
     }
-    none = colour_of_kind("ground")
-    of_species = lambda one: colour_of_species(species[one]) if one in species else none  # noqa: E731
-    return table.get(layer, (labels.species, of_species, species.get))
+    return table.get(layer, table["species"])  # the legend of "natural" is that of the species
 
 
 def _measured(scan: Scan, layer: str) -> tuple[NDArray[np.float64], tuple[float, float, str]]:
