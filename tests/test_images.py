@@ -17,8 +17,8 @@ Image = pytest.importorskip("PIL.Image", reason="extra images")
 
 pytestmark = pytest.mark.usefixtures("kept_woods")
 
-TILTED = {"x_m": 1.0, "y_m": -1.5, "yaw_deg": 50.0, "pitch_deg": 12.0, "roll_deg": -7.0}
-TILTED = {f"motion.{key}": value for key, value in TILTED.items()}
+PLACE = {"x_m": 1.0, "y_m": -1.5, "yaw_deg": 50.0, "pitch_deg": 12.0, "roll_deg": -7.0}
+TILTED = {f"motion.{key}": value for key, value in PLACE.items()}
 KINDS = {"panorama": (1024, 256), "pinhole": (640, 480)}
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.extras.accuracy.compare import Detections, Tally, compare, errors_of
+from vlp16emu.extras.accuracy.converged import joined
 from vlp16emu.extras.accuracy.curve import Accuracy, Kind, Row, choices, draw_accuracy, fitted_order, front
 
 RESOLUTION_M = 1.0
@@ -82,21 +83,15 @@ def test_a_tally_says_what_errors_of_all_pulses_say():
     """Clusters summed up one by one, in any order, give RMSE and shares of all pulses at once."""
     rng = np.random.default_rng(3)
     answers = [detections_of(*rng.choice([0.0, 20.0, 40.0], 16)) for _ in range(30)]
-    tolds = [
-        detections_of(*np.maximum(one.distance_m[:, 0] + rng.choice([-20.0, 0.0, 0.1, 0.2], 16), 0.0))
-        for one in answers
-    ]
+    off_m = [rng.choice([-20.0, 0.0, 0.1, 0.2], 16) for _ in answers]
+    tolds = [detections_of(*np.maximum(a.distance_m[:, 0] + b, 0.0)) for a, b in zip(answers, off_m, strict=True)]
     tally, turned = Tally(), Tally()
-    for answer, got in zip(answers, tolds, strict=True):
-        tally.add(compare(answer, got, RESOLUTION_M))
-    for answer, got in zip(answers[::-1], tolds[::-1], strict=True):
-        turned.add(compare(answer, got, RESOLUTION_M))
+    clusters = [compare(answer, got, RESOLUTION_M) for answer, got in zip(answers, tolds, strict=True)]
+    for one, other in zip(clusters, clusters[::-1], strict=True):
+        tally.add(one)
+        turned.add(other)
     assert tally == turned
-    both = [
-        Detections(np.concatenate([one.distance_m for one in of]), np.concatenate([one.reflectivity for one in of]))
-        for of in (answers, tolds)
-    ]
-    found = errors(*both)
+    found = errors(joined(answers), joined(tolds))
     assert tally.range_rmse_m == pytest.approx(found.range_rmse_m, rel=1e-4)
     counts = tally.lost, tally.invented, tally.wrong_strongest
     assert np.allclose(np.divide(counts, tally.returns), (found.lost, found.invented, found.wrong_strongest))

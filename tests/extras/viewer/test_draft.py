@@ -60,13 +60,12 @@ def test_steps_are_undone_and_done_again(draft):
     second = draft.course.added(0)
     draft.change(second)
     assert len(second.points) == 3
-    draft.undo()
-    draft.undo()
+    for _ in range(2):
+        draft.undo()
     assert draft.course == first
     draft.undo()
-    draft.redo()
-    draft.redo()
-    draft.redo()
+    for _ in range(3):
+        draft.redo()
     assert draft.course == second
     assert second.removed(1).removed(0).removed(0).points == second.removed(1).points
 

@@ -5,7 +5,7 @@ import os
 import signal
 import socket
 import urllib.request
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 
 import pytest
 
@@ -106,17 +106,14 @@ def test_the_page_is_served_and_ends_with_the_stream(emulator, ends):
 
 def test_a_page_that_is_stopped_costs_no_packet():
     """While the process of the page is stopped (SIGSTOP), every packet of a stream leaves, and the stream ends."""
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as data,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
-    ):
-        for one in (data, other):
+    with ExitStack() as stack:
+        settings = {"duration_s": 0.6}
+        for key in ("sensor.data_port", "sensor.position_port"):
+            one = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
             one.bind(("127.0.0.1", 0))
-        ports = {"data_port": data.getsockname()[1], "position_port": other.getsockname()[1]}
-        emulator = Emulator(
-            "static_bench", {"duration_s": 0.6} | {f"sensor.{key}": port for key, port in ports.items()}
-        )
+            settings[key] = one.getsockname()[1]
+        emulator = Emulator("static_bench", settings)
         with watching(emulator, backdrop_of(emulator, 0.6)) as watch:
             page = next(one for one in multiprocessing.active_children() if one.name == "page")
             os.kill(page.pid, signal.SIGSTOP)

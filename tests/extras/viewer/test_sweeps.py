@@ -53,11 +53,8 @@ def test_points_of_a_capture_are_where_the_scene_has_them(run):
     folder, emulator = run
     with closing(CaptureSweeps(folder / "walk.pcap", folder / "truth")) as sweeps:
         sweep = sweeps.at(0.1)
-    (scan,) = (
-        one
-        for one in emulator.scans(start_s=4.0, duration_s=0.5, truth=True)
-        if abs(one.start_ns - sweep.scan.start_ns) < 10**6
-    )
+    scans = emulator.scans(start_s=4.0, duration_s=0.5, truth=True)
+    (scan,) = (one for one in scans if abs(one.start_ns - sweep.scan.start_ns) < 10**6)
     poses = emulator.world_T_sensor(scan.t_ns)
     world_m = np.einsum("nij,nj->ni", poses[:, :3, :3], scan.xyz_m) + poses[:, :3, 3]
     assert len(world_m) == len(sweep.world_m) > 3_000

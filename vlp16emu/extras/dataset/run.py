@@ -195,14 +195,13 @@ def _dask(workers: int, scheduler: str | None) -> Iterator[Executor]:
     with ExitStack() as stack:
         try:
             if scheduler is None:
-                cluster = LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    host="127.0.0.1",
-                    security=security,
-                    dashboard_address="127.0.0.1:0",  # of what serves the health of the scheduler, at a free port
-                    scheduler_kwargs={"dashboard": False},
-                )
+                # The dashboard's address is of what serves the health of the scheduler, at a free port.
+                here = {
+                    "host": "127.0.0.1",
+                    "dashboard_address": "127.0.0.1:0",
+                    "scheduler_kwargs": {"dashboard": False},
+                }
+                cluster = LocalCluster(n_workers=workers, threads_per_worker=1, security=security, **here)
                 stack.enter_context(cluster)
             client = stack.enter_context(Client(scheduler or cluster))
         except (OSError, ValueError) as error:

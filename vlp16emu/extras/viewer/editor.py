@@ -134,14 +134,9 @@ class Editor:
 
     def _gizmo(self, number: int) -> viser.TransformControlsHandle:
         """Make the gizmo of a way point; it slides level, and goes to the ground where it is let go."""
-        gizmo = self._server.scene.add_transform_controls(
-            f"/way_points/{number + 1}",
-            scale=1.6,
-            line_width=4.0,
-            active_axes=(True, True, False),
-            disable_rotations=True,
-            depth_test=False,
-        )
+        look: dict[str, Any] = {"scale": 1.6, "line_width": 4.0, "disable_rotations": True, "depth_test": False}
+        level = (True, True, False)
+        gizmo = self._server.scene.add_transform_controls(f"/way_points/{number + 1}", active_axes=level, **look)
         self._server.scene.add_label(f"/way_points/{number + 1}/name", str(number + 1))
 
         def dropped() -> Course | None:

@@ -3,8 +3,9 @@
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from multiprocessing import get_context
 from typing import Any, NamedTuple
 
@@ -108,29 +109,19 @@ class WatchedSink(PacketSink):
     def _offer(self) -> None:
         payloads, fired_ns = zip(*self._held, strict=True)
         t_ns = np.array(fired_ns)
-        glimpse = Glimpse(
-            b"".join(payloads),
-            t_ns - self._emulator.scenario.start_ns,
-            self._emulator.world_T_sensor(t_ns),
-            self._late.summary,
-            self._worst_ns,
-            self._pacer.delay_ns,
-        )
+        since_ns, poses = t_ns - self._emulator.scenario.start_ns, self._emulator.world_T_sensor(t_ns)
+        late = self._late.summary, self._worst_ns, self._pacer.delay_ns
+        self._channel.offer(Glimpse(b"".join(payloads), since_ns, poses, *late))
         self._held.clear()
         self._worst_ns = 0
-        self._channel.offer(glimpse)
 
 
 class Watch(NamedTuple):
     """A page that shows a stream."""
 
     url: str
-    emulator: Emulator
-    channel: Channel
-
-    def sink(self, sink: PacketSink, pacer: Pacer) -> PacketSink:
-        """Make the sink that the page looks at; parameters as of `WatchedSink`."""
-        return WatchedSink(sink, pacer, self.emulator, self.channel)
+    sink: Callable[[PacketSink, Pacer], PacketSink]
+    """Makes the sink that the page looks at."""
 
 
 def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
@@ -138,12 +129,8 @@ def backdrop_of(emulator: Emulator, duration_s: float) -> Backdrop:
     scenario, motion = emulator.scenario, emulator.scenario.motion
     expected_m = np.array(motion.path_m) if isinstance(motion, Live) and takes_poses(motion) else None
     radius_m = _RADIUS_M if expected_m is None else _LIVE_RADIUS_M
-    seen = survey(
-        scenario.model_copy(update={"duration_s": duration_s}),
-        min(radius_m, scenario.sensor.max_range_m),
-        emulator.parts,
-        expected_m,
-    )
+    walked = scenario.model_copy(update={"duration_s": duration_s})
+    seen = survey(walked, min(radius_m, scenario.sensor.max_range_m), emulator.parts, expected_m)
     hall, turn_s, walks = seen.hall is not None, 60.0 / scenario.sensor.rpm, isinstance(motion, Walk)
     return Backdrop(list(pieces_of(seen)), seen.path_m, hall, turn_s, walks, seen.height_m)
 
@@ -167,7 +154,7 @@ def watching(emulator: Emulator, backdrop: Backdrop) -> Iterator[Watch]:
             raise RunError("the page in the browser has ended before it began") from None
         if isinstance(answer, Vlp16emuError):
             raise answer
-        yield Watch(str(answer), emulator, ours)
+        yield Watch(str(answer), partial(WatchedSink, emulator=emulator, channel=ours))
     finally:
         ours.close()
         page.kill()  # it has nothing to finish, and may hang

@@ -45,22 +45,18 @@ def draw_stand(
     root = scene.add_frame("/stand", show_axes=False)
     scene.configure_default_lights(enabled=True, cast_shadow=False)
     scene.configure_environment_map(None)  # light of its own on each pixel, where a stand needs two lamps
+    # A hall is looked into through its ceiling.
+    look: dict[str, Any] = {
+        "lod": "off",
+        "flat_shading": True,
+        "material": "toon5",
+        "side": "front" if hall else "double",
+    }
+    look |= {"cast_shadow": False, "receive_shadow": False}
     for piece in pieces:
-        scene.add_batched_meshes_simple(
-            f"/stand/{piece.name}",
-            piece.vertices_m,
-            piece.faces,
-            piece.wxyz,
-            piece.position_m,
-            batched_scales=piece.scale,
-            batched_colors=piece.colour,
-            lod="off",
-            flat_shading=True,
-            material="toon5",
-            side="front" if hall else "double",  # a hall is looked into through its ceiling
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        mesh = piece.vertices_m, piece.faces, piece.wxyz, piece.position_m
+        own: dict[str, Any] = {"batched_scales": piece.scale, "batched_colors": piece.colour}
+        scene.add_batched_meshes_simple(f"/stand/{piece.name}", *mesh, **own, **look)
     if len(way_m) > 1:
         scene.add_line_segments("/walk", np.stack([way_m[:-1], way_m[1:]], axis=1), _PATH, thickness=0.06)
     look_from(server, way_m[0], way_m[min(len(way_m) - 1, 60)] - way_m[0])
@@ -209,21 +205,17 @@ class Page:
     def _draw_beams(self, sweep: Sweep) -> None:
         """Draw the first beams of a sweep, and the sectors in which packets are at fault."""
         ends_m, is_hit = beams_of(sweep.scan, self._sweeps.beams)
-        self._server.scene.add_line_segments(
-            "/sensor/beams",
-            np.stack([np.zeros_like(ends_m), ends_m], axis=1),
-            np.where(is_hit[:, None, None], _HIT, _LOST).repeat(2, axis=1).astype(np.uint8),
-            thickness=0.015,
-            visible=self._beams.value is True,
-        )
+        lines_m = np.stack([np.zeros_like(ends_m), ends_m], axis=1)
+        rgb, shown = np.where(is_hit[:, None, None], _HIT, _LOST).repeat(2, axis=1), self._beams.value is True
+        scene = self._server.scene
+        scene.add_line_segments("/sensor/beams", lines_m, rgb.astype(np.uint8), thickness=0.015, visible=shown)
         if self._marked is not None:
             self._marked.remove()
             self._marked = None
         if sweep.marks:
             vertices_m, faces = sectors_of(sweep.marks)
-            self._marked = self._server.scene.add_mesh_simple(
-                "/sensor/faults", vertices_m, faces, color=_WRONG, opacity=0.45, side="double"
-            )
+            look: dict[str, Any] = {"color": _WRONG, "opacity": 0.45, "side": "double"}
+            self._marked = scene.add_mesh_simple("/sensor/faults", vertices_m, faces, **look)
 
     def _go_on(self, began_s: float) -> None:
         """Set the cursor to the next sweep, no faster than in real time."""
