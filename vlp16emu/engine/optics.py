@@ -39,7 +39,7 @@ class Optics:
             begin, end = event.sector_deg
             a = firings.azimuth_deg
             inside = (a >= begin) & (a <= end) if begin <= end else (a >= begin) | (a <= end)
-            passes[inside & self._lasts(event, firings)] *= event.transmission**2
+            passes[inside & self._lasts(event, firings)] *= event.transmission * event.transmission
         return replace(hits, cos_incidence=hits.cos_incidence * np.repeat(passes, hits.count.reshape(-1)))
 
     def received(self, returns: Returns) -> Returns:
