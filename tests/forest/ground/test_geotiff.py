@@ -97,7 +97,7 @@ def test_a_file_that_is_no_tiff_is_refused(tmp_path, capfd):
 
 
 def test_a_broken_compressed_file_is_refused(tmp_path, capfd):
-    """Heights that cannot be decompressed are told in one line, and GDAL prints nothing."""
+    """Heights that cannot be decompressed give one error line, and GDAL prints nothing."""
     path = write(tmp_path / "ground.tif", compress="deflate")
     content = bytearray(path.read_bytes())
     start = content.rindex(b"\x78")  # of the deflated strip

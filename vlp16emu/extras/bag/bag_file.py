@@ -28,11 +28,6 @@ _METADATA_VERSION = 8
 """Of rosbag2: the last one whose quality of service is a text."""
 
 
-def is_bag(name: str | Path) -> bool:
-    """Whether a name is that of a bag where it might be another file: by its ending, of a folder a slash."""
-    return Path(name).suffix.lower() in _SUFFIXES[:2] or str(name).endswith("/")
-
-
 def check_bag(path: Path) -> None:
     """Refuse what no bag can be written to.
 
