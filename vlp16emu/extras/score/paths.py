@@ -14,8 +14,6 @@ from vlp16emu.units import S_NS
 
 Array = NDArray[np.float64]
 
-ALIGNMENTS = ("none", "yaw", "se3")
-"""Ways to lay an estimate on the truth: as it is; turned about the vertical and shifted; turned and shifted."""
 RPE_DELTA_M = 1.0
 """Path over which relative errors are taken: short walks have one too."""
 
