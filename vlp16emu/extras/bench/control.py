@@ -38,10 +38,11 @@ def web_interfaces(feed: PacketFeed, sink: RigSink, under_way: UnderWay, http: H
     control = Control(feed, sink, under_way)
     with ExitStack() as stack:
         servers = []
+        host, first = http.address
         for number, device in enumerate(control.devices(http.saved)):
             control.change(number, device.settings)  # what was saved, it has from its first moment on
-            port, fault = http.port + number if http.port else 0, partial(control.fault, number)
-            servers.append(WebServer(device, http.host, port, fault=fault))
+            port, fault = first + number if first else 0, partial(control.fault, number)
+            servers.append(WebServer(device, host, port, fault=fault))
             stack.enter_context(servers[-1])
         http.serving([server.address for server in servers])
         yield
