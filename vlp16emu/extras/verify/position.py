@@ -99,7 +99,8 @@ class PositionChunk:
         self.is_missing = is_locked & np.array([not any(area) for area in areas])
         place = np.maximum.accumulate(np.where(is_known, np.arange(len(every)), -1))
         said = np.where(place >= 0, self.second[place], before.said if before else -1)
-        earlier, self.said = np.append(before.said if before else -1, said[:-1]), int(said[-1])
+        earlier = np.append(before.said if before else -1, said[:-1])
+        self.said: int = said[-1]
         self.is_void = is_known & (self.status == "V") & (self.second != earlier)
         self.late_s = (self.clock_s - self.second) % 3600
         is_old = is_known & (self.late_s >= _LATEST_S)

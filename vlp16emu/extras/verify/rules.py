@@ -164,6 +164,7 @@ class Findings:
                 continue
             number = getattr(columns, row.at).ravel()
             for i in places[: max(self._limit - self.counts[row.level][row.rule], 0)].tolist():
-                words = [text.format_map(_Element(columns, i)) for text in (row.found, row.expected)]  # type: ignore[arg-type]  # it has items
-                self.kept.append(Finding(row.rule, int(number[i]), *words, row.level))
+                element = _Element(columns, i)
+                found, expected = (text.format_map(element) for text in (row.found, row.expected))
+                self.kept.append(Finding(row.rule, int(number[i]), found, expected, row.level))
             self.counts[row.level][row.rule] += len(places)
