@@ -38,6 +38,7 @@ FLOORS = (
         "random",
         "settings",
         "store",
+        "tables",
         "trig",
         "types",
         "units",
