@@ -26,11 +26,11 @@ from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
 from vlp16emu.scenario.events import Event
-from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable, free_beams, with_angle_errors
+from vlp16emu.sensor.beams import beams_of, with_angle_errors
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.rotor import Clock, EncoderLines, Pattern, Rotor, Swing, rotation_draws
+from vlp16emu.sensor.rotor import Clock, Encoder, Rotor, Swing
 from vlp16emu.sensor.settings import FreeSensor, Sensor, on_the_wire
-from vlp16emu.types import ReturnMode, SensorModel, World
+from vlp16emu.types import ReturnMode, World
 from vlp16emu.units import seconds_to_ns
 from vlp16emu.world.site import Sway
 
@@ -66,43 +66,17 @@ def head_of(
     scenario: Scenario, section: Sensor | FreeSensor, seed: int, events: Sequence[Event], gps: GpsInput
 ) -> Head:
     """Make a sensor proper."""
-    start_ns = scenario.start_ns
-    spread, held = section.rotation_spread, getattr(section, "phase_lock_deg", None) is not None
-    share, turned_deg = rotation_draws(seed, spread)
-    rotor = Rotor(
-        spins=spins(section, events, start_ns),
-        eccentricity_deg=section.eccentricity_deg * share[0],
-        eccentricity_phase_deg=(section.eccentricity_phase_deg + turned_deg[0]) % 360.0,
-        noise_deg=section.azimuth_noise_deg,
-        seed=seed,
-        wobbles=wobbles(events),
-        swings=Swing.drawn(seed, 0.0 if held else section.speed_error_rpm, section.speed_wander_rpm),
-        noise_limit_deg=section.azimuth_noise_limit_deg,
-        pattern=Pattern(
-            section.twice_per_turn_deg * share[1], turned_deg[1], section.hum_deg * share[2], turned_deg[2]
-        ),
-        lines=EncoderLines.drawn(seed, section.encoder_pitch_deg, section.encoder_rate_error, spread),
-    )
+    start_ns, held = scenario.start_ns, getattr(section, "phase_lock_deg", None) is not None
+    swings = Swing.sample(seed, 0.0 if held else section.speed_error_rpm, section.speed_wander_rpm)
+    rotor = Rotor(spins(section, events, start_ns), Encoder.of_unit(section, seed), wobbles(events), swings)
     beams = with_angle_errors(
-        _beams(section),
+        beams_of(section),
         elevation_error_deg=scenario.noise.elevation_error_deg,
         azimuth_error_deg=scenario.noise.azimuth_error_deg,
         seed=seed,
     )
     clock = Clock(clock_spans(section, events, gps, start_ns))
     return Head(beams, rotor, clock, start_ns)
-
-
-def _beams(section: Sensor | FreeSensor) -> BeamTable:
-    """Take the beam table of a model, or make the one that the scene describes."""
-    if isinstance(section, Sensor):
-        return BEAM_TABLES[SensorModel(section.model)]
-    return free_beams(
-        section.beam_elevations_deg,
-        lens_radius_m=section.lens_radius_m,
-        azimuth_resolution_deg=section.azimuth_resolution_deg,
-        rpm=section.rpm,
-    )
 
 
 def beam_of(scenario: Scenario, seed: int) -> Footprint:

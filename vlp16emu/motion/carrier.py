@@ -14,7 +14,7 @@ from vlp16emu.motion.pose import Kinematics, Motion, rotation
 from vlp16emu.motion.pose_files import read_poses
 from vlp16emu.motion.recorded import RecordedMotion
 from vlp16emu.motion.route import Route
-from vlp16emu.motion.settings import Gps, Recorded, Static, Walk
+from vlp16emu.motion.settings import Gps, MotionSection, Recorded, Static, Walk
 from vlp16emu.motion.walk import WalkMotion
 from vlp16emu.motion.way_points import way_points
 from vlp16emu.types import Array, HeightField, IntArray, Poses
@@ -44,7 +44,7 @@ class StaticMotion:
 
 
 def make_carrier(
-    section: Static | Walk | Recorded | Live,
+    section: MotionSection,
     height_m: HeightField,
     ground: str,
     *,
@@ -81,6 +81,8 @@ def make_carrier(
         return recorded, np.ascontiguousarray(recorded.position_m[:, :2])
     if isinstance(section, Live):
         return door("live_motion")(section, start_ns), np.array(section.path_m)
+    if not isinstance(section, Walk):
+        return section.carrier(height_m, start_ns)
     points = way_points(section, gps, origin_m[:2])
     if obstacles is not None:
         points = around(points, *obstacles)

@@ -4,13 +4,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from vlp16emu.motion.settings import Mount
+from vlp16emu.motion.settings import MotionSection
 from vlp16emu.settings import Place, SceneFile, Section
 
 _Point = Annotated[tuple[Place, Place], Field(strict=False)]
 
 
-class Live(Section):
+class Live(MotionSection):
     """Poses that come in while the run is streamed, from a simulator, motion capture or a joystick."""
 
     kind: Literal["live"]
@@ -23,8 +23,6 @@ class Live(Section):
     not at all at constant speed."""
     flown: SceneFile | None = None
     """What a stream has flown, as its option --flown writes it: the run is repeated byte for byte, and no poses come in."""
-    mount: Mount = Mount()
-    """Mount of the sensor on the body of the poses."""
 
 
 def takes_poses(motion: Section) -> bool:
