@@ -10,8 +10,8 @@ from vlp16emu.engine import Parts
 from vlp16emu.engine.windows import STEPS, Batching, Windows
 from vlp16emu.errors import TrajectoryError
 from vlp16emu.extras.live.knots import STEP_NS, Knots
+from vlp16emu.extras.recorded.files import POSE, TIMED_POSES, unit_lengths
 from vlp16emu.motion.pose import Kinematics
-from vlp16emu.motion.pose_files import POSE, TIMED_POSES, unit_lengths
 from vlp16emu.raycast.caster import Geometry
 from vlp16emu.tables import Column, read_table
 from vlp16emu.types import Poses

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.pose_files import read_kitti, read_trajectory_csv, read_tum
+from vlp16emu.extras.recorded.files import read_kitti, read_trajectory_csv, read_tum
 
 TUM = """# timestamp tx ty tz qx qy qz qw
 1403636579.763555527 1 2 3 0 0 0 1

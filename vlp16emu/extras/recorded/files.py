@@ -13,7 +13,7 @@ import numpy as np
 
 from vlp16emu.elementary import matmul, norm
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion.settings import Recorded
+from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.tables import Column, Table, read_table
 from vlp16emu.types import Array, IntArray
 from vlp16emu.units import S_NS
