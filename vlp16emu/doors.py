@@ -26,7 +26,7 @@ DOORS: dict[str, dict[str, str]] = {
     },
     "motions": {
         "live": "vlp16emu.motion.live_settings:Live",
-        "recorded": "vlp16emu.motion.settings:Recorded",
+        "recorded": "vlp16emu.extras.recorded.settings:Recorded",
         "static": "vlp16emu.motion.settings:Static",
         "walk": "vlp16emu.motion.settings:Walk",
     },

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from vlp16emu.errors import InputError, TrajectoryError, readable
 from vlp16emu.extras.clouds.cloud import DESKEWED_COLUMNS, LABEL_COLUMNS, TRUTH_COLUMNS, CloudAbout, Column, point_file
 from vlp16emu.extras.clouds.labels import LabelScheme, PointLabels
+from vlp16emu.extras.recorded.files import read_tum
+from vlp16emu.extras.recorded.motion import RecordedMotion
+from vlp16emu.extras.recorded.settings import Recorded
 from vlp16emu.extras.truth.slots import SlotReader
-from vlp16emu.motion import Recorded
 from vlp16emu.motion.pose import rotation, rotations
-from vlp16emu.motion.pose_files import read_tum
-from vlp16emu.motion.recorded import RecordedMotion
 from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit
 from vlp16emu.scan import clock_zero_ns, twins
 from vlp16emu.scenario import load
