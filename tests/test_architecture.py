@@ -57,11 +57,12 @@ EXTRAS_TAKE = {
     "clouds": {"truth"},
     "compare": {"plots"},
     "dataset": {"clouds"},
-    "images": {"palette", "truth"},
+    "canvas": {"camera"},
+    "images": {"camera", "palette", "truth"},
     "score": {"clouds", "plots"},
-    "sheets": {"palette", "plots", "truth"},
+    "sheets": {"camera", "palette", "plots", "truth"},
     "truth": {"bench"},
-    "viewer": {"clouds", "palette", "plots", "sheets", "verify"},
+    "viewer": {"camera", "canvas", "clouds", "palette", "plots", "sheets", "verify"},
 }
 """Which extras each extra may import beside the core: colours and plots, ground truth, clouds, and the stand that the page shows."""
 
