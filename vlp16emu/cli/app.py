@@ -10,7 +10,6 @@ import threading
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from importlib import import_module
 from typing import Annotated
 
 import typer
@@ -18,36 +17,11 @@ import typer
 from vlp16emu.cli.printer import INTERRUPTED
 from vlp16emu.cli.terminal import ENDINGS, was_stopped
 from vlp16emu.cli.verb import command
+from vlp16emu.doors import DOORS, door, has_door
 from vlp16emu.errors import Vlp16emuError
 
 _LEFT_S = 0.8
 """How long a command that is interrupted may take to remove what it has not finished."""
-
-VERBS = {
-    "record": "vlp16emu.cli.record:record",
-    "stream": "vlp16emu.cli.stream:stream",
-    "replay": "vlp16emu.cli.stream:replay",
-    "decode": "vlp16emu.cli.decode:decode",
-    "verify": "vlp16emu.cli.verify:verify",
-    "scenes": "vlp16emu.cli.scenes:scenes",
-    "schema": "vlp16emu.cli.scenes:schema",
-    "plan": "vlp16emu.cli.plan:plan",
-    "doctor": "vlp16emu.cli.doctor:doctor",
-    "cache": "vlp16emu.cli.cache:cache",
-    "truth": "vlp16emu.cli.truth:truth",
-    "points": "vlp16emu.cli.points:points",
-    "bag": "vlp16emu.cli.bag:bag",
-    "images": "vlp16emu.cli.images:images",
-    "picture": "vlp16emu.cli.picture:picture",
-    "view": "vlp16emu.cli.view:view",
-    "dataset": "vlp16emu.cli.dataset:dataset",
-    "score": "vlp16emu.cli.score:score",
-    "compare": "vlp16emu.cli.compare:compare",
-    "fit": "vlp16emu.cli.compare:fit",
-    "forest": "vlp16emu.cli.forest:forest",
-    "accuracy": "vlp16emu.cli.accuracy:accuracy",
-}
-"""Module and function of each verb, in the order of the help: those of a run first."""
 
 _EXAMPLES = {
     "record": (
@@ -109,10 +83,9 @@ def program(names: Iterable[str]) -> typer.Typer:
     )
     made.callback(invoke_without_command=True)(_root)
     for name in names:
-        module, _, function = VERBS[name].partition(":")
         lines = "\n".join(f"  vlp16emu {name} {words}".rstrip() for words in _EXAMPLES.get(name, ()))
         epilog = f"Examples:\n\n\b\n{lines}" if lines else None
-        made.command(name, epilog=epilog)(command(getattr(import_module(module), function)))
+        made.command(name, epilog=epilog)(command(door(name, "verbs")))
     return made
 
 
@@ -143,7 +116,8 @@ def run(arguments: Sequence[str]) -> int:
     """
     try:
         first = next((word for word in arguments if not word.startswith("-")), None)
-        app = program([first] if first in VERBS else VERBS)  # the others need not be loaded
+        is_verb = first is not None and has_door(first, "verbs")
+        app = program([first] if first and is_verb else DOORS["verbs"])  # the others need not be loaded
         return app(arguments, prog_name="vlp16emu", standalone_mode=False) or 0
     except Vlp16emuError as error:
         _complain(str(error))

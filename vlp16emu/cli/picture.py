@@ -81,8 +81,9 @@ def picture(
     from vlp16emu.extras.plots import check_matplotlib
 
     check_matplotlib()
-    from vlp16emu.extras.viewer.picture import PictureLook
+    from vlp16emu.extras.viewer.picture import PictureLook, check_suffix
 
+    check_suffix(out)
     if look_from is not None and view != "slant":
         raise InputError("--from", f"found beside --view {view}", "--view slant")
 
