@@ -23,11 +23,11 @@ from vlp16emu.random import Purpose, generator
 from vlp16emu.raycast.beam import LINE, Footprint
 from vlp16emu.returns.detector import UnitDetector, threshold_of
 from vlp16emu.scenario import Scenario
-from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable, free_beams, with_angle_errors
+from vlp16emu.sensor.beams import beams_of, with_angle_errors
 from vlp16emu.sensor.head import Head
-from vlp16emu.sensor.rotor import Clock, ClockSpan, EncoderLines, Pattern, Rotor, Spin, Swing, rotation_draws
+from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin, Swing
 from vlp16emu.sensor.settings import FreeSensor, Sensor, on_the_wire
-from vlp16emu.types import Firings, Hits, ReturnMode, Returns, SensorModel, World
+from vlp16emu.types import Firings, Hits, ReturnMode, Returns, World
 from vlp16emu.units import S_NS, seconds_to_ns
 from vlp16emu.world.site import Sway
 
@@ -254,40 +254,16 @@ def _gps(scenario: Scenario) -> GpsInput:
 
 def _head(scenario: Scenario, section: Sensor | FreeSensor, seed: int) -> Head:
     start_ns, power_up_ns = scenario.start_ns, scenario.start_ns - seconds_to_ns(section.powered_for_s)
-    spread, phase_deg = section.rotation_spread, getattr(section, "phase_lock_deg", None)
+    phase_deg = getattr(section, "phase_lock_deg", None)
     free = phase_deg is None
-    share, turned_deg = rotation_draws(seed, spread)
     angle_deg = section.start_azimuth_deg if free else in_phase_deg(phase_deg, section.rpm, start_ns)
-    rotor = Rotor(
-        spins=(Spin(0, angle_deg, float(section.rpm)),),
-        eccentricity_deg=section.eccentricity_deg * share[0],
-        eccentricity_phase_deg=(section.eccentricity_phase_deg + turned_deg[0]) % 360.0,
-        noise_deg=section.azimuth_noise_deg,
-        seed=seed,
-        swings=Swing.drawn(seed, section.speed_error_rpm if free else 0.0, section.speed_wander_rpm),
-        noise_limit_deg=section.azimuth_noise_limit_deg,
-        pattern=Pattern(
-            section.twice_per_turn_deg * share[1], turned_deg[1], section.hum_deg * share[2], turned_deg[2]
-        ),
-        lines=EncoderLines.drawn(seed, section.encoder_pitch_deg, section.encoder_rate_error, spread),
-    )
+    swings = Swing.sample(seed, section.speed_error_rpm if free else 0.0, section.speed_wander_rpm)
+    rotor = Rotor((Spin(0, angle_deg, float(section.rpm)),), Encoder.of_unit(section, seed), (), swings)
     beams = with_angle_errors(
-        _beams(section),
+        beams_of(section),
         elevation_error_deg=scenario.noise.elevation_error_deg,
         azimuth_error_deg=scenario.noise.azimuth_error_deg,
         seed=seed,
     )
     free_clock = ClockSpan(power_up_ns, 0, section.clock_error_ppm)
     return Head(beams, rotor, Clock((ClockSpan(power_up_ns) if scenario.gps.connected else free_clock,)), start_ns)
-
-
-def _beams(section: Sensor | FreeSensor) -> BeamTable:
-    """Take the beam table of a model, or make the one that the scene describes."""
-    if isinstance(section, Sensor):
-        return BEAM_TABLES[SensorModel(section.model)]
-    return free_beams(
-        section.beam_elevations_deg,
-        lens_radius_m=section.lens_radius_m,
-        azimuth_resolution_deg=section.azimuth_resolution_deg,
-        rpm=section.rpm,
-    )

@@ -1,31 +1,26 @@
 """The scenario file as a frozen tree. Defaults live here and nowhere else."""
 
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo, field_validator
 from pydantic_core import CoreSchema, core_schema
 
-from vlp16emu.doors import door, has_door, sections
+from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError
-from vlp16emu.motion import Gps, Imu, Live, Recorded, Static, Walk
+from vlp16emu.motion import Gps, Imu, MotionSection
 from vlp16emu.raycast import Beam
 from vlp16emu.returns import Detector, Noise, Weather
 from vlp16emu.scenario.capture import CaptureClock
 from vlp16emu.scenario.rig import RigUnit, completed
 from vlp16emu.sensor import AnySensor, FreeSensor, Sensor
-from vlp16emu.settings import Section, Seed
+from vlp16emu.settings import OneOf, Section, Seed
 from vlp16emu.units import S_NS, US_NS
 from vlp16emu.world import Wind, WorldSection
 
 _FIRST_START = datetime(1970, 1, 1, tzinfo=UTC)
 _NO_START = datetime(2106, 1, 1, tzinfo=UTC)
 """Seconds of a pcap file are 32 bits without sign and end 37 days later, farther off than any run reaches."""
-
-if TYPE_CHECKING:
-    AnyWorld = WorldSection
-else:
-    AnyWorld = sections("world")
 
 
 class _Events:
@@ -66,7 +61,7 @@ class Scenario(Section):
     weather: Weather = Weather()
     gps: Gps = Gps()
     capture: CaptureClock = CaptureClock()
-    motion: Annotated[Static | Walk | Recorded | Live, Field(discriminator="kind")]
+    motion: Annotated[MotionSection, OneOf(MotionSection, "motions")]
     """How the sensor moves."""
     imu: Imu | None = None
     """An inertial measurement unit beside the sensor; its samples are part of the truth."""
@@ -74,7 +69,7 @@ class Scenario(Section):
     """Further sensors on the same carrier, numbered from 2; that of `[sensor]` is unit 1."""
     events: Annotated[list[Any], _Events, Field(default_factory=list)]
     """What is set on the sensors while they run, and what goes wrong."""
-    world: AnyWorld
+    world: Annotated[WorldSection, OneOf(WorldSection, "worlds")]
     """What the sensor sees."""
     wind: Wind | None = None
     """What makes the trees sway; none in a hall."""
@@ -129,14 +124,12 @@ class Scenario(Section):
     @property
     def world_seed(self) -> int:
         """Seed of what the sensor sees."""
-        own = self.world.own_seed
-        return self.seed if own is None else own
+        return self.seed if self.world.own_seed is None else self.world.own_seed
 
     @property
     def motion_seed(self) -> int:
         """Seed of how the carrier moves."""
-        own = self.motion.seed if isinstance(self.motion, Walk) else None
-        return self.seed if own is None else own
+        return self.seed if self.motion.own_seed is None else self.motion.own_seed
 
     @property
     def sensor_seed(self) -> int:
