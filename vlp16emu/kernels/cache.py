@@ -18,6 +18,7 @@ from vlp16emu.checked import PACKAGE, CheckedFolder, digest_of, read_checked
 SOURCES = (
     "elementary.py",
     "extras/live",
+    "extras/recorded",
     "foliage",
     "forest",
     "motion",

@@ -104,7 +104,7 @@ def kind_of(datagram: Datagram) -> PacketKind | None:
 
 
 def is_rewritten(datagram: Datagram) -> bool:
-    """Tell whether VeloView has put its own header around a packet, which leaves nothing of the sensor's."""
+    """Return whether VeloView has put its own header around a packet, which leaves nothing of the sensor's."""
     return datagram.header[6:30] == _VELOVIEW
 
 
