@@ -80,6 +80,10 @@ class PacketClock:
             self.host_ahead_ns = fired_ns - sensor_ns
         return sensor_ns, fired_ns if self.clock is Clock.HOST else sensor_ns
 
+    def position_ns(self, stamp_ns: int, timestamp_us: int) -> int:
+        """Return UTC of a position packet by the chosen clock."""
+        return stamp_ns if self.clock is Clock.HOST else self.sensor_ns(stamp_ns, timestamp_us)
+
 
 class UnitClock(NamedTuple):
     """What the first packets of a unit say of its clock."""
