@@ -82,12 +82,16 @@ def test_shapes_are_kept_from_window_to_window(workers):
     assert sorted(grown) == [1, 1, 2, 2, 3, 3]
 
 
-@pytest.mark.parametrize(("wall_m", "seen_m"), [(0.02, np.inf), (0.5, 0.5), (99.0, 99.0), (101.0, np.inf)])
-def test_light_begins_at_the_lens_and_ends_at_its_reach(workers, wall_m, seen_m):
-    """A wall nearer than the lens or farther than the reach is not seen; one between is, at its distance."""
+@pytest.mark.parametrize(
+    ("wall_m", "reach_m", "is_seen"),
+    [(0.02, 100.0, False), (0.5, 100.0, True), (100.0, 100.0, True), (100.001, 100.0, False), (131.07, 131.07, True)],
+)
+def test_light_begins_at_the_lens_and_ends_at_its_reach(workers, wall_m, reach_m, is_seen):
+    """A wall nearer than the lens or farther than the reach is not seen; one between or just there is, at its distance."""
     window, shape = lab.upright((wall_m, -50.0, 50.0, -50.0, 50.0))
     scene = EmbreeCaster(lab.world(shape), workers).open(window)
-    assert scene.cast(lab.level_pulses(np.zeros(8)), np.array([0.0419]), 100.0).range_m[0] == seen_m
+    hits = scene.cast(lab.level_pulses(np.zeros(8)), np.array([0.0419]), reach_m)
+    assert hits.range_m[0] == (np.float32(wall_m) if is_seen else np.inf)
 
 
 def test_empty_window_is_all_sky(workers):

@@ -19,6 +19,7 @@ from vlp16emu.raycast.kernel import cast_lines, cast_pulses
 from vlp16emu.raycast.packet import PACKET, Target, ray_packet
 from vlp16emu.store import Bundle, recalled
 from vlp16emu.types import F8, I8, Firings, Hits, ShapeKey, Window, World
+from vlp16emu.units import INCLUSIVE
 
 _SECTOR_DEG = 1.6
 """What is near in one direction stays in the cache from revolution to revolution: with eight of them a fifth less time for
@@ -75,6 +76,7 @@ class EmbreeGeometry:
             raise ValueError(f"cast: found {shape[0]} sequences, expected a multiple of {PACKET}")
         lean = FARTHEST * beam.sigmas[2:].max()
         rise = float(np.abs(firings.direction[..., 2]).max(initial=0.0) + lean)
+        far_m *= INCLUSIVE
         near, reach_m, *beyond = self.stages(far_m, rise, as_far=as_far)
         pulses = PulseBatch(
             firings.origin_m,
