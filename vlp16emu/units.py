@@ -16,7 +16,7 @@ INCLUSIVE = 1.0 + 2.0**-21
 
 
 def seconds_to_ns(seconds: float) -> int:
-    """Nearest whole number of nanoseconds.
+    """Return the nearest whole number of nanoseconds.
 
     Raises
     ------

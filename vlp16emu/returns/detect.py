@@ -1,4 +1,4 @@
-"""From hits to what the detector reports.
+"""Returns from hits.
 
 Kernels make no arrays of their own, so numba need not count references (`_nrt=False`): a sixth of the time.
 """
@@ -167,7 +167,7 @@ def _mark_silent(no_return: F8, knots: F8, first: int, distance_m: F4, reflectiv
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _count_unevenly(parity: F8, distance_m: F4) -> None:
-    """Push distances that are at the edge of an odd code into it, or out of it, by each laser's excess of odd codes."""
+    """Move distances at the edge of an odd code into it, or out of it, by each laser's excess of odd codes."""
     for i in range(distance_m.shape[0]):
         for j in range(distance_m.shape[1]):
             for column in range(3):
@@ -181,7 +181,7 @@ def _count_unevenly(parity: F8, distance_m: F4) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _only_echo(constants: DetectorConstants, n: int, laser: int, nodes: F8, lit: int, peaks: F8) -> tuple[float, float]:
-    """Range and amplitude of the only echo that counts: of one node, or the highest where only the strongest is sent.
+    """Return range and amplitude of the only echo that counts: of one node, or the highest if only the strongest is sent.
 
     Amplitude 0 where there may be more, or the highest is not found this way; -1 where no echo is seen at all.
     """
@@ -201,7 +201,7 @@ def _only_echo(constants: DetectorConstants, n: int, laser: int, nodes: F8, lit:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, amplitude: float) -> bool:
-    """Whether an echo is within reach, and its peak with the noise upon it above the threshold."""
+    """Return True if an echo is within reach and its peak with noise above the threshold."""
     excess, certain = amplitude - constants.threshold, _CERTAIN_SIGMAS * constants.amplitude_noise
     if -certain < excess < certain and range_m <= constants.max_range_m:
         a, b = uniform_pair(constants.seed, _DETECTION, n, lane)
@@ -213,7 +213,7 @@ def _is_seen(constants: DetectorConstants, n: int, lane: int, range_m: float, am
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
-    """Whether noise of the uniform number a misses the threshold whatever its partner is, which spares its logarithm.
+    """Return True if noise of the uniform number a misses the threshold whatever its partner is, without a logarithm.
 
     The radius of a normal pair is below t where 1 - a > exp(-t**2 / 2), which is less than the quotient here.
     """
@@ -224,7 +224,7 @@ def _falls_short(constants: DetectorConstants, a: float, excess: float) -> bool:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False, forceinline=True)
 def _none_is_seen(constants: DetectorConstants, n: int, laser: int, most: float, count: int) -> bool:
-    """Whether no echo of a pulse is seen, of up to `count` and with amplitudes up to `most`: what many faint ones come to."""
+    """Return True if none of up to `count` echoes with amplitudes up to `most` can be seen: the usual end of faint pulses."""
     excess = most - constants.threshold
     if excess >= 0.0:
         return False
@@ -246,7 +246,7 @@ def _measure(
     error_m: float,
     gain: float,
 ) -> tuple[np.float32, np.uint8]:
-    """Distance and reflectivity as the unit reads them; distance 0 if that is too small, and nothing if it is too great."""
+    """Return measured distance and reflectivity; distance 0 below the least range, and nothing beyond the greatest."""
     reflectance = amplitude * range_m * range_m
     measured_m = range_m + error_m
     sigma = constants.reflectivity_noise + constants.reflectivity_noise_share * min(100.0 * reflectance, 100.0)
@@ -292,7 +292,7 @@ def _choose(constants: DetectorConstants, n: int, laser: int, peaks: F8, found: 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
 def _leave_out(peaks: F8, chosen: I8, lost: int) -> None:
-    """Choose anew of what was chosen without a peak that is lost."""
+    """Update the choice after a chosen peak is lost."""
     for column in range(3):
         if chosen[column] == lost:
             chosen[column] = -1
