@@ -12,7 +12,10 @@ import numpy as np
 from vlp16emu.errors import LARGEST_BYTES, GeometryError, MissingExtraError, readable
 from vlp16emu.types import Array, HeightField
 
-_MOST_CELLS = LARGEST_BYTES // 4
+_MOST_CELLS = 50_000_000
+"""7 km by 7 km at 1 m: a gigabyte while it is read, whatever a compressed file promises."""
+_LOWEST_M, _HIGHEST_M = -500.0, 9000.0
+"""The shore of the Dead Sea lies at -440 m, Mount Everest at 8849 m; numbers for "no height" lie beyond."""
 _METRES = (None, "", "m", "metre", "meter")
 _SIZE = ("ncols",), ("nrows",), ("cellsize",)
 _CORNER = ("xllcorner", "xllcenter"), ("yllcorner", "yllcenter")
@@ -87,6 +90,12 @@ def _grid(path: Path, heights_m: Array, west_m: float, north_m: float, cell_m: f
     heights_m = np.where(np.isfinite(heights_m), heights_m, np.nan)
     if np.isnan(heights_m).all():
         raise GeometryError(str(path), "no cell has a height", "heights")
+    off = np.argwhere((heights_m < _LOWEST_M) | (heights_m > _HIGHEST_M))
+    if len(off):
+        row, column = off[0]
+        found = f"found {heights_m[row, column]:g}" + f" and {len(off) - 1} more such" * (len(off) > 1)
+        expected = f"heights from {_LOWEST_M:g} to {_HIGHEST_M:g} m, NaN or the file's own number where there is none"
+        raise GeometryError(f"{path}: row {row + 1}, column {column + 1}", found, expected)
     return Grid(path, heights_m, west_m, north_m, cell_m)
 
 
@@ -98,9 +107,9 @@ def _read_npy(path: Path) -> Array:
             raise
         except Exception:  # noqa: BLE001  # numpy raises whatever a broken header leads it to
             raise GeometryError(str(path), "no .npy file", "a numpy array of numbers") from None
-    if heights.ndim != 2 or heights.dtype.kind not in "iuf":
+    if heights.ndim != 2 or heights.dtype.kind not in "iuf" or heights.size > _MOST_CELLS:
         found = f"found {heights.shape} {heights.dtype}"
-        raise GeometryError(str(path), found, "numbers in rows and columns")
+        raise GeometryError(str(path), found, f"numbers in rows and columns, {_MOST_CELLS} at most")
     return heights.astype(np.float64)
 
 

@@ -11,7 +11,8 @@ import math
 import numba
 import numpy as np
 
-from vlp16emu.elementary import cos, sin, tan
+from vlp16emu.elementary import atan2, cos, sin, tan
+from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.settings import Terrain
 from vlp16emu.forest.ground.trails import Trails
 from vlp16emu.forest.ground.waves import sum_of_waves, waves
@@ -21,6 +22,8 @@ from vlp16emu.types import Array
 
 _HILL_WAVELENGTHS_M = (30.0, 300.0)
 _ROUGH_WAVELENGTHS_M = (1.0, 12.0)
+
+_STEEPEST_DEG = 45.0  # rms of slopes; loose soil slides from 30 to 45 degrees on (angle of repose)
 
 _MOUND_CELL_M = 2.0
 """Edge of a square that holds one mound at most: the widest mound, so that nine squares hold all that matter."""
@@ -40,11 +43,19 @@ _MOUND, _PIT = int(Growth.MOUND), int(Growth.PIT)
 
 
 class TerrainHeights:
-    """Ground height at any point of the plane, good to a nanometre up to 1e6 m from the origin, through which its slope passes."""
+    """Ground height at any point of the plane, good to a nanometre up to 1e6 m from the origin, through which its slope passes.
+
+    Raises GeometryError for waves that are steeper than ground can be.
+    """
 
     def __init__(self, section: Terrain, *, seed: int) -> None:
         bands = ((_HILL_WAVELENGTHS_M, section.hill_rms_m), (_ROUGH_WAVELENGTHS_M, section.rough_rms_m))
         self._waves = np.concatenate([waves(generator(seed, Growth.TERRAIN, i), *band) for i, band in enumerate(bands)])
+        number2 = np.square(self._waves[:, 0]) + np.square(self._waves[:, 1])
+        steep = math.sqrt(float((np.square(self._waves[:, 2]) * number2).sum()) / 2)
+        if (steep_deg := math.degrees(atan2(steep, 1.0))) > _STEEPEST_DEG:
+            found = f"hill_rms_m = {section.hill_rms_m:g} and rough_rms_m = {section.rough_rms_m:g} slope by {steep_deg:.1f} degrees rms"
+            raise GeometryError("world.terrain", found, f"at most {_STEEPEST_DEG:g}: hills of 10 m, roughness of 0.4 m")
         rise, towards = tan(math.radians(section.slope_deg)), math.radians(section.slope_towards_deg)
         self._gradient = (rise * cos(towards), rise * sin(towards))
         self._seed = (np.uint32(seed & 0xFFFFFFFF), np.uint32(seed >> 32))

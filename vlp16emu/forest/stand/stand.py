@@ -63,6 +63,9 @@ _STEM_GAP_M = 0.05  # least distance between two stems' surfaces at the ground; 
 _TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than one window and its border hold
 
 
+_MOST_BASAL_M2_PER_HA = 350.0
+"""Of all storeys: coast redwoods, the densest known, have 343 (Fujimori 1977, Journal of the Japanese Forestry Society 59)."""
+
 _STOREYS = (Growth.STAND, Growth.SECOND_STOREY, Growth.THIRD_STOREY)
 
 
@@ -125,14 +128,23 @@ def density_per_ha(storey: Storey) -> float:
     """
     if storey.stems_per_ha:
         return storey.stems_per_ha
-    share = np.array([one.share for one in storey.species])
-    stem_m2 = np.pi / 4 * np.square(np.array([one.dbh_cm / 100 for one in storey.species]))
     basal_m2 = storey.basal_area_m2_per_ha
-    per_ha = basal_m2 / float(np.average(stem_m2, weights=share))
+    per_ha = basal_m2 / _stem_m2(storey)
     if per_ha > MOST_STEMS_PER_HA:
         found = f"found {basal_m2:g}, {per_ha:.0f} stems of that size per ha"
         raise GeometryError("basal_area_m2_per_ha", found, f"at most {MOST_STEMS_PER_HA}")
     return per_ha
+
+
+def _stem_m2(storey: Storey) -> float:
+    """Mean section of stems at breast height."""
+    share = np.array([one.share for one in storey.species])
+    stem_m2 = np.pi / 4 * np.square(np.array([one.dbh_cm / 100 for one in storey.species]))
+    return float(np.average(stem_m2, weights=share))
+
+
+def _basal_area_m2_per_ha(storey: Storey) -> float:
+    return density_per_ha(storey) * _stem_m2(storey)
 
 
 class Stand:
@@ -162,6 +174,10 @@ class Stand:
         self._all_cohorts = [cohort for cohorts in self._cohorts for cohort in cohorts]
         self.per_ha = sum(pattern.per_ha for pattern in self._patterns)
         self.species = [share.species for share in section.species]  # of the canopy
+        basal_m2 = sum(map(_basal_area_m2_per_ha, storeys))
+        if basal_m2 > _MOST_BASAL_M2_PER_HA:
+            found = f"found a basal area of {basal_m2:.0f} m2 per ha"
+            raise GeometryError("stems_per_ha", found, f"at most {_MOST_BASAL_M2_PER_HA:g}: fewer or thinner stems")
         crown_m2 = sum(_crown_area_m2_per_ha(storey) for storey in zip(self._patterns, self._cohorts, strict=True))
         cover = crown_m2 / 10_000
         self._ground_per_crown = 1 / max(cover, 1 / _OPEN_GROWN)
