@@ -102,7 +102,6 @@ class ForestSite:
 
 
 def _name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_stems: bool) -> str:
-    """Digest of all that decides a forest, files by what they hold."""
     dem_file = section.dem.file if section.dem else None
     stem_list = section.stem_list if isinstance(section, Plot) else None
     models = [model.file for model in section.tree_models]
@@ -114,5 +113,4 @@ def _name(section: Woods, seed: int, path: Corridor, reach_m: float, *, loose_st
 
 
 def _content(file: str | None) -> str:
-    """Digest of what a file holds; nothing where none is given."""
     return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:32] if file else ""

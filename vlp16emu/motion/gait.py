@@ -13,16 +13,13 @@ from vlp16emu.types import Array
 
 AXES = 6
 """Fore-aft, sideways, vertical in the heading frame (m), then roll, pitch, yaw (rad)."""
-
 _HEEL_SHARPNESS = 20.0
 """A heel strike lasts 40 ms at 1.8 steps per second: assumption, from the look of trunk accelerations."""
-_LINES = 12
-"""Sinusoids of each slow process."""
+_LINES = 12  # sinusoids of each slow process
 _SLOWEST_HZ, _FASTEST_HZ = 0.005, 0.5
 """Equal power in each octave between these: stride times vary like 1/f noise, measured as f^-0.92 over nine
 minutes (Hausdorff et al.; PhysioNet, Fractal mechanisms in neural control, figure 9)."""
-_TIMING = AXES
-"""Lane of the process that varies the step rate; those before it vary the amplitude of an axis."""
+_TIMING = AXES  # lane of the process that varies the step rate; those before it vary the amplitude of an axis
 
 
 def step_rate_hz(speed_m_s: float) -> float:
@@ -81,7 +78,6 @@ def _slow(lines: Array, t_s: float) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _slow_integral(lines: Array, t_s: float) -> float:
-    """Integral of `_slow` from zero, in seconds."""
     total = 0.0
     for k in range(len(lines)):
         total += (cos_sin(lines[k, 1])[0] - cos_sin(lines[k, 0] * t_s + lines[k, 1])[0]) / lines[k, 0]

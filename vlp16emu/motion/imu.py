@@ -15,11 +15,8 @@ from vlp16emu.units import S_NS
 
 GRAVITY_M_S2 = 9.80665
 """Standard gravity, downwards (3rd CGPM, 1901)."""
-
-_CHUNK = 4096
-"""Samples of a random walk that are drawn together."""
-_HORIZON = 1 << 32
-"""Chunks that the walk is long: centuries."""
+_CHUNK = 4096  # samples of a random walk that are drawn together
+_HORIZON = 1 << 32  # chunks that the walk is long: centuries
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,24 +15,15 @@ from vlp16emu.motion.splines import powers
 from vlp16emu.types import Array
 
 Stops = Sequence[tuple[float, float]]
-
-_PLACED = [0, 1, 2, 5]
-"""Of x, y, z, roll, pitch and yaw those that a path gives."""
-_MAX_SPEED_M_S = 10.0
-"""A sprint."""
-
-_KNOT_S = 0.1
-"""Between knots in time: starts and stops take their shape over half a second, a pace (assumption)."""
+_PLACED = [0, 1, 2, 5]  # of x, y, z, roll, pitch and yaw those that a path gives
+_MAX_SPEED_M_S = 10.0  # a sprint
+_KNOT_S = 0.1  # between knots in time: starts and stops take their shape over half a second, a pace (assumption)
 _DEGREE = 5
-_REACH = 3
-"""Knots to either side over which a quintic B-spline takes its mean."""
+_REACH = 3  # knots to either side over which a quintic B-spline takes its mean
 _CELL_M = 0.02
-_LOOKS = 4
-"""Length over which acceleration is constant before smoothing, and how often turns are looked up in it."""
-_LONGEST_S = 14 * 86_400
-"""The latest start of a run and the longest run together."""
-_HALVINGS = 24
-"""Of the range of cruise speeds, when the run time is given."""
+_LOOKS = 4  # length over which acceleration is constant before smoothing, and how often turns are looked up in it
+_LONGEST_S = 14 * 86_400  # the latest start of a run and the longest run together
+_HALVINGS = 24  # of the range of cruise speeds, when the run time is given
 
 
 class Route:
@@ -260,7 +251,6 @@ def _evaluate(
     speed_m_s: Array,
     acceleration_m_s2: Array,
 ) -> None:
-    """Evaluate the pieces and their derivatives, each time alone."""
     last = coefficients.shape[1] - 1
     for i in range(elapsed_s.size):
         steps = min(max(elapsed_s[i], 0.0), run_time_s) / step_s

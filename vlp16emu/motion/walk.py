@@ -16,10 +16,8 @@ from vlp16emu.units import S_NS
 
 _NODES_PER_S = KNOTS_PER_S * NODES_PER_KNOT
 _NODE_NS = S_NS // _NODES_PER_S
-_TOGETHER = 128
-"""Instants of a millisecond whose poses are found together: what is between fits into the nearest cache."""
-_TABLES_KEPT = 16
-"""Seconds of motion held ready, 0.3 MB each: more than the workers of a run are ever apart."""
+_TOGETHER = 128  # instants of a millisecond whose poses are found together: what is between fits into the nearest cache
+_TABLES_KEPT = 16  # seconds of motion held ready, 0.3 MB each: more than the workers of a run are ever apart
 
 
 class WalkMotion:
@@ -175,7 +173,6 @@ def _kinematics(
     w_rad_s: Array,
     alpha_rad_s2: Array,
 ) -> None:
-    """Fill poses as `_poses` does, and the derivatives."""
     per_s = 1.0e9 / _NODE_NS
     q = np.empty((3, AXES))
     for i in which:

@@ -15,17 +15,12 @@ from vlp16emu.motion.settings import Gps, LawnMower, Walk
 from vlp16emu.tables import Column, Table, read_table
 from vlp16emu.types import Array
 
-_FARTHEST_M = 100_000.0
-"""Farther from the scene's origin the plane of the map is no picture of the earth."""
-_POINTS_PER_QUARTER = 6
-"""Waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius."""
-
+_FARTHEST_M = 100_000.0  # farther from the scene's origin the plane of the map is no picture of the earth
+_POINTS_PER_QUARTER = 6  # waypoints in a quarter turn: the spline through them keeps within 0.2 % of the radius
 _GEODETIC = {"lat": Column({"lat": 1.0}, -90.0, 90.0), "lon": Column({"lon": 1.0}, -180.0, 180.0)}
 _STOP = Column({"stop_s": 1.0}, 0.0, 1e6, is_needed=False, is_filled=False)
-_LOOP_RADIUS_M = 0.5
-"""Of the turn behind each end of a way back and forth: a step to the side, and round (assumption)."""
-_LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7
-"""A way that is shorter from end to end is no way to go back on."""
+_LOOP_RADIUS_M = 0.5  # of the turn behind each end of a way back and forth: a step to the side, and round (assumption)
+_LOOP_LENGTH_M = _LOOP_RADIUS_M * math.pi / 3 * 7  # a way that is shorter from end to end is no way to go back on
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,6 @@ from vlp16emu.world.polyline import distance_m
 from vlp16emu.world.user_mesh import UserMesh, load_mesh
 
 _log = logging.getLogger(__name__)
-
 FIRST_FREE_INSTANCE = 0xFFFF0000
 """From here on instances are things of the user's; worlds number theirs below."""
 
@@ -173,7 +172,6 @@ class Furnished:
 
 
 def _placed(place: MeshPlace, mesh: UserMesh, height_m: HeightField) -> Array:
-    """`world_T_shape` (3, 4) of a mesh about its centre."""
     z_m = place.z_m
     if z_m is None:
         z_m = place.above_ground_m + float(height_m(np.array([place.x_m]), np.array([place.y_m]))[0])

@@ -13,17 +13,12 @@ from vlp16emu.world.furnished import furnished
 from vlp16emu.world.settings import Hall, HallBox, HallPole, HallSphere, Wind
 
 _log = logging.getLogger(__name__)
-
 Thing = HallBox | HallPole | HallSphere
-
 _TOLERANCE_M = 5e-5
 """Largest gap between a chord and its arc. Round things lie about half of it on either side of the truth;
 on a sphere the gaps of both angles add up to at most twice that."""
-
 _FEWEST_SIDES = 256
-
-_WALL_INSTANCE = 1
-"""Of the walls and the ceiling; things follow from 2 in the order given, boxes, poles, spheres."""
+_WALL_INSTANCE = 1  # of the walls and the ceiling; things follow from 2 in the order given, boxes, poles, spheres
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +115,6 @@ class HallWorld:
 
 
 def _place_m(key: _Room | Thing) -> tuple[float, float, float]:
-    """Where the origin of a shape lies in the hall."""
     match key:
         case _Room():
             return (0.0, 0.0, key.size_m[2] / 2)

@@ -20,20 +20,13 @@ from vlp16emu.types import Array, IntArray, Mesh
 from vlp16emu.world.mesh_settings import LengthUnit, UpAxis
 
 _log = logging.getLogger(__name__)
-
 Faces = IntArray
-
 _UNIT_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Exact by definition (inch and foot: international agreement of 1959)."""
-
 _KINDS = ".obj", ".ply", ".glb", ".stl"
-
 _TALLEST_M, _WIDEST_M, _SMALLEST_M = 500.0, 10_000.0, 0.001
 """Nothing in a forest is taller, wider, or smaller as a whole."""
-
-_FLAT = 1e-7
-"""Height over longest side below which a triangle is a line: the resolution of single precision."""
-
+_FLAT = 1e-7  # height over longest side below which a triangle is a line: the resolution of single precision
 _OBJ_BAD_FACE = re.compile(rb"^f[ \t]+(?:\S++(?:[ \t]+\S++)?[ \t]*\r?$|(?:[^\s0]\S*+[ \t]+)*+0)", re.MULTILINE)
 """A face of an OBJ file that trimesh would pass over: fewer than three corners, or a corner 0 (they count from 1)."""
 
@@ -119,7 +112,6 @@ def _parts(path: Path) -> tuple[list[tuple[str, tuple[Array, Faces]]], list[str]
 
 
 def _scene(path: Path) -> Any:
-    """Let trimesh read the file, and say what it stumbled over."""
     kind = path.suffix.lower()
     if kind not in _KINDS:
         raise GeometryError(str(path), f"found the ending {kind!r}", f"one of {', '.join(_KINDS)}")
@@ -202,7 +194,6 @@ def _check_size(path: Path, extent_m: Array, unit: LengthUnit) -> None:
 
 
 def _findings(vertices: Array, faces: Faces, dropped: int) -> list[str]:
-    """Say what is not as it should be about one part."""
     import trimesh
 
     found = [f"dropped {dropped} of {dropped + len(faces)} faces, which have no area"] if dropped else []

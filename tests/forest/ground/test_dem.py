@@ -5,8 +5,7 @@ import pytest
 from scipy import interpolate
 
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.ground.dem import DemHeights
-from vlp16emu.forest.ground.grid import read_grid, write_ascii
+from vlp16emu.forest.ground.dem import DemHeights, read_grid, write_ascii
 from vlp16emu.forest.ground.settings import Dem
 
 HEADER = "ncols 4\nnrows 3\nxllcorner 100\nyllcorner 200\ncellsize 10\nNODATA_value -9999\n"

@@ -11,8 +11,7 @@ from scipy.spatial import ConvexHull
 from vlp16emu.forest.plants.crown import CROWN_PARTS, CrownKey, crown_meshes, crown_scale
 from vlp16emu.forest.plants.flora import species_table
 from vlp16emu.forest.plants.stem import lean_rotation, stem_meshes
-from vlp16emu.forest.plants.stem_form import stem_forms
-from vlp16emu.forest.plants.stem_rings import axis_m
+from vlp16emu.forest.plants.stem_rings import axis_m, stem_forms
 from vlp16emu.forest.stand.inventory import INVENTORY, inventory, write_csv
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.types import PlantPart

@@ -6,7 +6,7 @@ from scipy import stats
 
 from vlp16emu.errors import GeometryError
 from vlp16emu.forest.ground.settings import Terrain
-from vlp16emu.forest.ground.trails import Trails
+from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.flora import species_table, tapers
 from vlp16emu.forest.plants.stem import lean_rotation

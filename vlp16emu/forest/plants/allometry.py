@@ -16,12 +16,9 @@ from vlp16emu.types import Array
 
 BREAST_HEIGHT_M = 1.3
 """Where the diameter at breast height is measured, above the ground at the stem's axis."""
-
 US_BREAST_HEIGHT_M = 1.37
 """The same in North America: 4.5 ft."""
-
 _INCH_CM, _FOOT_M = 2.54, 0.3048
-
 _TRUNCATION_CM = 6.9  # left truncation of the diameter distributions (Nagel and Biging 1995)
 _LARGEST_DBH_RATIO = 1.6  # largest over quadratic mean diameter of a stand; assumption
 _STUMP_SHARE = 0.01  # height of the stump over that of the tree, as Vonderach and Kaendler (2021) use it
@@ -245,7 +242,6 @@ def _form(row: Array, height_m: float, above_ground_m: float) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _radii(taper: Array, dbh_m: Array, height_m: Array, above_ground_m: Array) -> Array:
-    """Radii (n, r) of n stems at r heights each."""
     out = np.empty_like(above_ground_m)
     for i in range(len(dbh_m)):
         scale = dbh_m[i] / 2 / _form(taper[i], height_m[i], 1.3)

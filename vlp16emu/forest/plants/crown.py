@@ -7,8 +7,15 @@ import numpy as np
 
 from vlp16emu.elementary import cos, matmul, sin
 from vlp16emu.forest.plants.allometry import taper_radius_m
-from vlp16emu.forest.plants.bole import bole_branches
-from vlp16emu.forest.plants.branches import Branches, first_order, joined, side_branches, tubes, volume_m3
+from vlp16emu.forest.plants.branches import (
+    Branches,
+    bole_branches,
+    first_order,
+    joined,
+    side_branches,
+    tubes,
+    volume_m3,
+)
 from vlp16emu.forest.plants.flora import Table, Trees, species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
 from vlp16emu.forest.plants.meshes import merged
@@ -22,12 +29,9 @@ from vlp16emu.world.vectors import places_m
 
 VARIANTS = 3
 """Different crowns of the same species and diameter class."""
-
 CROWN_PARTS = (PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF, PlantPart.DEAD_BRANCH)
 """Of the meshes of a crown, in order. A mesh without faces stands where a crown has no such part."""
-
 _SIDES = (6, 4, 3)  # of branches, by order
-
 _NOTHING = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32))
 
 

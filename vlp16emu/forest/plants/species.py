@@ -22,7 +22,6 @@ Pair = Annotated[tuple[float, float], Field(strict=False)]
 Text = Annotated[str, Field(min_length=1)]
 Length = Annotated[float, Field(ge=0.005, le=20)]
 Crook = Annotated[float, Field(ge=0, le=60)]
-
 _BIOMASS_AT = 0.3  # relative height of the upper diameter in component biomass equations (Vonderach et al. 2018)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from vlp16emu.elementary import atan2, cos, exp, hypot, log, sin, tan
 from vlp16emu.errors import GeometryError
-from vlp16emu.forest.ground.trails import Trails
+from vlp16emu.forest.ground.terrain import Trails
 from vlp16emu.forest.plants.allometry import taper_radius_m
 from vlp16emu.forest.plants.crown import VARIANTS, CrownKey
 from vlp16emu.forest.plants.flora import BARK_SPREAD, LEAF_SPREAD, Flora, Table, Trees, flora, known, tapers
@@ -46,26 +46,19 @@ TREE = np.dtype(
     ]
 )
 """One tree."""
-
 REGENERATION = 255
 """Storey of saplings: stems under 5 cm, those under breast height with a DBH of 0."""
-
 _CLASS_RATIO = 1.5  # between the diameters of neighbouring crown classes: no crown is scaled by more than a quarter
 _TOP_DBH_RATIO = 1.25  # diameter of the stand's top height trees over its quadratic mean diameter; assumption
 _OPEN_GROWN = 1.5  # ground whose leaves one crown can carry at most, over the crown's own projection; assumption
-
 _LONE_CROWN_BASE = 0.35
 """Height of the lowest branch of a tree that stands alone over that of one in a closed stand; assumption."""
-
 _LEAN_SIGMA_DEG = 1.5  # one sigma of lean along each horizontal axis; assumption
 _HEAD_ROOM_M = 2.5  # height up to which a leaning stem must keep clear of the path: above a walker's head
 _STEM_GAP_M = 0.05  # least distance between two stems' surfaces at the ground; assumption
 _TILES_KEPT = 1024  # tiles whose trees are kept for their neighbours: more than one window and its border hold
-
-
 _MOST_BASAL_M2_PER_HA = 350.0
 """Of all storeys: coast redwoods, the densest known, have 343 (Fujimori 1977, Journal of the Japanese Forestry Society 59)."""
-
 _STOREYS = (Growth.STAND, Growth.SECOND_STOREY, Growth.THIRD_STOREY)
 
 
@@ -137,7 +130,6 @@ def density_per_ha(storey: Storey) -> float:
 
 
 def _stem_m2(storey: Storey) -> float:
-    """Mean section of stems at breast height."""
     share = np.array([one.share for one in storey.species])
     stem_m2 = np.pi / 4 * np.square(np.array([one.dbh_cm / 100 for one in storey.species]))
     return float(np.average(stem_m2, weights=share))
