@@ -1,4 +1,4 @@
-"""From what the user wrote to the ground, and to the forest on it."""
+"""The ground and the forest on it, from the table `[world]`."""
 
 import hashlib
 import logging

@@ -145,5 +145,4 @@ def _geometry(vertices_m: NDArray[np.float32], faces: NDArray[np.uint32], materi
 def _linear(colour: NDArray[np.uint8]) -> list[float]:
     """Factors of light from sRGB (IEC 61966-2-1), as glTF wants base colours (section 3.9.2)."""
     share = colour / 255
-    factors: list[float] = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).tolist()
-    return factors
+    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4).tolist()

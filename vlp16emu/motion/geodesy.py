@@ -1,4 +1,4 @@
-"""Where on earth the world is: the plane that touches the ellipsoid of WGS 84 under its origin."""
+"""Geodetic coordinates of the world: the plane that touches the ellipsoid of WGS 84 under its origin."""
 
 import numpy as np
 

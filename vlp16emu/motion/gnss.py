@@ -1,4 +1,4 @@
-"""What a GNSS receiver makes of the walk: errors that wander, and trees that hide the sky."""
+"""A GNSS receiver on the walk: errors that wander, and fixes lost under trees."""
 
 import math
 from collections.abc import Callable
@@ -33,7 +33,7 @@ _READINGS_KEPT = 64  # more than `_HELD_S`, so that no second's sky is looked at
 
 @dataclass(frozen=True, slots=True)
 class GnssReading:
-    """What a receiver measures in one second, beside the truth."""
+    """Measurement of a receiver in one second, beside the ground truth."""
 
     t_ns: int
     """UTC, a whole second."""
@@ -48,7 +48,7 @@ class GnssReading:
     cover: float
     """Share of the sky that is hidden."""
     valid: bool
-    """Whether it has a fix."""
+    """True if it has a fix."""
 
 
 class Receiver:
@@ -117,7 +117,7 @@ def _measure(motion: Motion, gps: Gps, seed: int, sky: Sky | None, t_ns: int) ->
 
 
 def _lost(gps: Gps, seed: int, second: int, cover: float) -> bool:
-    """Whether a second has no fix: with a probability that is logistic in the cover, in spells of some 10 s."""
+    """Return True if a second has no fix: with a probability that is logistic in the cover, in spells of some 10 s."""
     odds = (cover - gps.canopy_half_cover) / gps.canopy_cover_width
     probability = 0.5 + 0.5 * tanh(0.5 * odds)
     return _exceeded(wander(seed, _LOSS, second, _LOSS_S)) < probability

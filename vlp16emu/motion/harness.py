@@ -52,15 +52,12 @@ _SHORT, _TERMS = 3, 14  # in an eighth of a radian the fourteenth term is below 
 class Pack:
     """Motion of the pack about the smooth path: the trunk's, or what the straps make of it.
 
+    Raises TrajectoryError if a push would go on swinging for more than ten minutes.
+
     Parameters
     ----------
     trunk : samples (n, 6) of the trunk's motion at knots first .. first + n - 1, knot 0 at the first step
     harness : None where the pack is strapped tight
-
-    Raises
-    ------
-    TrajectoryError
-        where a push would go on swinging for more than ten minutes
     """
 
     def __init__(self, trunk: Callable[[int, int], Array], harness: Harness | None) -> None:

@@ -19,13 +19,13 @@ _APART_M = 0.01  # waypoints nearer than this are one
 _LONGEST_M = 100_000.0  # what a person walks in a day; a longer path is a mistake of units
 _FARTHEST_M = 1e6  # from the origin of the scene; so far the ground is good to a nanometre
 _SMALLEST_RADIUS_M = 0.1
-"""Of a turn. A body that is 0.4 m wide turns on the spot rather than along a smaller arc (assumption)."""
+"""Smallest radius of a turn: a body that is 0.4 m wide turns on the spot rather than along a smaller arc (assumption)."""
 _STEEPEST_DEG, _STEEPEST = 60.0, 1.7320508075688772
 """Slope of the ground along the path, and its tangent; steeper is climbed by hand (assumption)."""
 _KNOT_M = 0.25  # greatest distance between knots: resolves the ground under a walker, smoothed over a pace
 _KNOT_RAD = 0.125  # greatest turn between knots: keeps the parameter an arc length within 1e-4
 _KNOT_GROWTH = 0.2
-"""How much the distance between knots may grow per metre: neighbours stay within a factor of about 1.2."""
+"""Growth of the distance between knots per metre: neighbours stay within a factor of about 1.2."""
 _SAMPLE_M = 0.05
 _FEWEST_SAMPLES = 16  # between two waypoints: fine enough that no turn below the smallest radius hides between samples
 _PACE_M = 0.7  # length of a pace at a common walking speed (Perry and Burnfield, "Gait Analysis", 2nd ed., chapter 20)
@@ -46,18 +46,15 @@ class Path:
     It is a quintic spline whose parameter is its length, up and down included; a walker's
     hip smooths the ground, so the curve takes the mean of the heights from a pace behind to one ahead.
 
+    Raises TrajectoryError if a waypoint is not finite or coincides with the one before it, where the curve turns with a
+    radius below 0.1 m or climbs by more than 60 degrees, and where it is longer than 100 km.
+
     Parameters
     ----------
     way_points_m : (n, 2) float64, x and y in the world, n >= 2; where the last is the first (within
         1 cm), the path is a loop that closes smoothly
     height_m : ground height
     ground : name of all that decides it; empty where nothing is kept on disk
-
-    Raises
-    ------
-    TrajectoryError
-        where a waypoint is not finite or coincides with the one before it, where the curve turns with a
-        radius below 0.1 m or climbs by more than 60 degrees, and where it is longer than 100 km
     """
 
     def __init__(self, way_points_m: Array, height_m: HeightField, ground: str = "") -> None:
@@ -67,7 +64,7 @@ class Path:
         self._heading_rad = laid["heading_rad"]
         self.length_m = float(self._knots_m[-1])
         self.closed = bool(laid["closed"])
-        """Whether the path goes on at its start; then arc lengths may go on beyond the length."""
+        """True if the path goes on at its start; then arc lengths may go on beyond the length."""
         self.way_points_at_m = laid["way_points_at_m"]
         """(n,) arc length of each waypoint."""
         self.xy_m = laid["xy_m"]
@@ -112,10 +109,7 @@ def _curve_through(way_points_m: Array, height_m: HeightField) -> Mapping[str, N
     The plan is the natural (or, closed, the periodic) cubic spline, drawn again by arc length as a
     quintic, since the second time derivative of the heading takes three derivatives of the position.
 
-    Raises
-    ------
-    TrajectoryError
-        where a person cannot walk through the waypoints
+    Raises TrajectoryError if a person cannot walk through the waypoints.
     """
     _check_way_points(way_points_m)
     closed = bool(norm(way_points_m[-1] - way_points_m[0]) < _APART_M)

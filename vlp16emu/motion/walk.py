@@ -29,10 +29,7 @@ class WalkMotion:
 
     At the cruise speed of the route the gait has its full amplitudes, and they fade as the person slows down.
 
-    Raises
-    ------
-    TrajectoryError
-        where the straps would swing without end
+    Raises TrajectoryError if the straps would swing without end.
     """
 
     moves = True
@@ -90,7 +87,7 @@ class WalkMotion:
 
 @numba.njit(cache=True, nogil=True)
 def _sit(pack: Array, nodes: Array) -> None:
-    """Put the pack's displacements (n, 6, 3), made in the heading frame, upon the bare route (n, 6, 3)."""
+    """Add the pack's displacements (n, 6, 3), in the heading frame, to the route without gait (n, 6, 3)."""
     for n in range(len(nodes)):
         yaw, turn, turn2 = nodes[n, 5]
         ahead, ahead1, ahead2 = pack[n, 0]

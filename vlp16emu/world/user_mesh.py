@@ -50,9 +50,9 @@ class UserMesh:
     parts: tuple[PartMesh, ...]
     """In alphabetical order."""
     radius_m: float
-    """Of a sphere about the centre that holds everything."""
+    """Radius of a sphere about the centre that holds everything."""
     findings: tuple[str, ...]
-    """What is not as it should be but was taken all the same, one line each."""
+    """Faults that the mesh was accepted with, one line each."""
 
 
 def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
@@ -61,16 +61,13 @@ def load_mesh(path: Path, *, unit: LengthUnit, up: UpAxis) -> UserMesh:
     Each object or group of an OBJ file and each node of a GLB scene is a part of its own, with its own
     place; other files have one part, named like the file. Colours and textures are not read.
 
+    Raises GeometryError naming file, part and element of what cannot be scanned.
+
     Parameters
     ----------
     path : .obj, .ply, .glb or .stl
     unit : of its coordinates
     up : axis that points upwards; y turns to z, and z to -y
-
-    Raises
-    ------
-    GeometryError
-        naming file, part and element of what cannot be scanned
     """
     read, findings = _parts(path)
     parts = [(name, *_swept(f"{path}: {name}", *part)) for name, part in read]
@@ -157,8 +154,7 @@ def _placed(where: str, vertices: Array, faces: Faces, file_T_part: Array) -> Ar
         raise GeometryError(
             where, f"found {vertices[vertex].tolist()} as vertex {vertex}, counted from 0", "finite coordinates"
         )
-    place: Array = matvec(file_T_part[:3, :3], vertices) + file_T_part[:3, 3]
-    return place
+    return matvec(file_T_part[:3, :3], vertices) + file_T_part[:3, 3]
 
 
 def _swept(where: str, vertices: Array, faces: Faces) -> tuple[Array, Faces, int]:

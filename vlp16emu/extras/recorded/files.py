@@ -19,7 +19,7 @@ from vlp16emu.types import Array, IntArray
 from vlp16emu.units import S_NS
 
 UNIT_TOLERANCE = 1e-3
-"""Of a quaternion's length and of a matrix times its transpose: what four written decimals leave."""
+"""Tolerance of a quaternion's length and of a matrix times its transpose: what four written decimals leave."""
 _ROUNDS = 3  # from that error to one below the last bit: each round squares it
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 TIMED_POSES = {

@@ -16,7 +16,7 @@ from vlp16emu.units import S_NS
 
 _MOST_TURN_DEG = 90.0  # between one pose and the next: half of what would leave the sense of the turn open
 _LEAST_NORM = 0.5
-"""Of the quaternion spline: it is 1 at each pose, and bends the turn in between the more the more it sinks."""
+"""Least norm of the quaternion spline: it is 1 at each pose, and bends the turn in between the more the more it sinks."""
 _LOOKS = 8  # between two poses, for that norm
 
 
@@ -29,17 +29,14 @@ class RecordedMotion:
 
     Before its first and after its last pose the body is at rest.
 
+    Raises TrajectoryError if poses are farther apart in time than the greatest gap, turn by more than 90 degrees from
+    one to the next, or are spaced too unevenly for a smooth turn.
+
     Parameters
     ----------
     recorded : greatest gap between poses, place and axes of the recording
     poses : as recorded
     start_ns : UTC of the first pose
-
-    Raises
-    ------
-    TrajectoryError
-        where poses are farther apart in time than the greatest gap, turn by more than 90 degrees from one to the
-        next, or are spaced too unevenly for a smooth turn
     """
 
     moves = True
@@ -89,7 +86,7 @@ def _refuse(poses: RecordedPoses, values: Array, most: float, found: str, expect
 
 
 def _continuous(quaternion: Array) -> Array:
-    """Give the same rotations (n, 4), each with the sign that is nearer to the one before."""
+    """Return the same rotations (n, 4), each with the sign that is nearer to the one before."""
     flips = (quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0
     sign = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))
     return quaternion * sign[:, None]

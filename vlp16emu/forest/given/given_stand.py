@@ -54,6 +54,9 @@ def read_stem_list(path: Path, all_species: Mapping[str, Species], origin_m: tup
     species' own equations, with the mean height of the thickest fifth of the list as top height; a stem
     without lean is upright.
 
+    Raises GeometryError naming file, line and column of what is missing, no number, out of its limits, no species, or
+    listed twice.
+
     Parameters
     ----------
     origin_m : easting, northing and height that become (0, 0, 0) in the scene
@@ -61,11 +64,6 @@ def read_stem_list(path: Path, all_species: Mapping[str, Species], origin_m: tup
     Returns
     -------
     (n,) `TREE` in the order of the list; what is by chance or by the ground (id, z, crown azimuth, prototype, reflectance) is still 0
-
-    Raises
-    ------
-    GeometryError
-        naming file, line and column of what is missing, no number, out of its limits, no species, or listed twice
     """
     table = read_table(path, _COLUMNS, "a stem list in CSV", GeometryError)
     if {"lean_azimuth_deg", "lean_towards_deg"} <= table.names.keys():
@@ -162,10 +160,7 @@ class GivenStand:
     A crown is a prototype of the list's own trees of that species and diameter class, scaled to the tree. Each tree bears the
     leaf area index of its species on its own crown projection, for the ground that belongs to a tree does not follow from a list.
 
-    Raises
-    ------
-    GeometryError
-        for a list that is wrong, and where trees are on the path that are not to be dropped
+    Raises GeometryError for a list that is wrong, and where trees are on the path that are not to be dropped.
     """
 
     def __init__(self, section: Plot, *, seed: int, height_m: HeightField, path: Corridor, plants: Flora) -> None:

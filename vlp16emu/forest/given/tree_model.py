@@ -58,7 +58,7 @@ class Cutter:
         self._low_m = np.sort(z_m.min(axis=1))
 
     def cut(self, at_m: float) -> Outline | None:
-        """Give the largest closed outline at a height; None where there is none."""
+        """Return the largest closed outline at a height; None if there is none."""
         from scipy.sparse import coo_array  # here: only models of trees need it
         from scipy.sparse.csgraph import connected_components, depth_first_order
 
@@ -88,7 +88,7 @@ class Cutter:
 
 
 def _welded(vertices: Array) -> IntArray:
-    """Give vertices numbers (n,) from 0 on, the same to those at the same place."""
+    """Return numbers (n,) of vertices from 0 on, the same at the same place."""
     order = np.lexsort(vertices.T)
     apart = (vertices[order[1:]] != vertices[order[:-1]]).any(axis=1)
     number = np.empty(len(vertices), np.int64)
@@ -163,7 +163,7 @@ class TreeModel:
             )
         ]
         self.parts, self.far_parts, self.meshes = zip(*rows, strict=True)
-        """Of each mesh, as points are labelled and as it is seen from afar; what bears away from a stem is a mesh of its own."""
+        """Parts of each mesh, for labels of points and for the far medium; what bears away from a stem is a mesh of its own."""
         self._keep_measures()
         text = f"{section.model_dump_json(exclude={'file'})} {sheds}"
         self.content = hashlib.sha256(self.path.read_bytes() + text.encode()).hexdigest()[:32]
@@ -199,7 +199,7 @@ class TreeModel:
         return np.column_stack([trees["dbh_m"] / own_m, trees["height_m"] / upright / self.height_m])
 
     def world_T_model(self, trees: Trees) -> Array:
-        """Where trees stand, (n, 3, 4)."""
+        """Return the transforms (n, 3, 4) of trees."""
         lean = lean_rotation(trees["lean_deg"], trees["lean_towards_deg"])
         across, along = self.scale(trees).T
         stretched = turned(trees["crown_azimuth_deg"]) * np.column_stack([across, across, along])[:, None]
@@ -255,7 +255,7 @@ class TreeModel:
         return np.column_stack([x_m, y_m, at_m, radius_m])
 
     def _meshes(self, part: PlantPart, vertices_m: Array, faces: NDArray[np.uint32]) -> list[tuple[int, int, Mesh]]:
-        """Part, part from afar and mesh of what one part of the file is: of a stem apart the bole and what bears away."""
+        """Part, part in the far medium and mesh of what one part of the file is: of a stem apart the bole and what bears away."""
         if part not in STEM_PARTS:
             return [(part, part, _used(vertices_m, faces))]
         x_m, y_m, radius_m = (

@@ -30,7 +30,7 @@ _SIZE = ("ncols",), ("nrows",), ("cellsize",)
 _CORNER = ("xllcorner", "xllcenter"), ("yllcorner", "yllcenter")
 _NODATA = "nodata_value"
 _KEYS = {_NODATA, *(key for keys in (*_SIZE, *_CORNER) for key in keys)}
-"""Of the header, in any order and case (Esri, ArcGIS documentation, "Esri ASCII raster format")."""
+"""Keys of the header, in any order and case (Esri, ArcGIS documentation, "Esri ASCII raster format")."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,17 +47,12 @@ class Grid:
 def read_grid(path: Path, *, cell_m: float | None, corner_m: tuple[float, float] | None) -> Grid:
     """Read a grid, of the format that the suffix names; a cell that is not finite, or is the file's number for none, has no height.
 
+    Raises GeometryError if the file is no such grid. Raises MissingExtraError for a GeoTIFF without rasterio.
+
     Parameters
     ----------
     cell_m, corner_m : edge of a cell, and easting and northing of the outer corner of the south-western
         cell; needed for .npy, which does not hold them, and None for the others
-
-    Raises
-    ------
-    GeometryError
-        where the file is no such grid
-    MissingExtraError
-        for a GeoTIFF without rasterio
     """
     kind = path.suffix.lower()
     if kind not in {".asc", ".npy", ".tif", ".tiff"}:
@@ -306,8 +301,7 @@ def _without_gaps(heights_m: Array) -> Array:
     from scipy import ndimage
 
     row, column = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
-    filled: Array = heights_m[row, column]
-    return filled
+    return heights_m[row, column]
 
 
 def _with_border(heights_m: Array) -> Array:

@@ -42,7 +42,7 @@ class Branches:
         return self.radius_m[:, None] * np.append(_taper(np.arange(rings) / rings), 0.0)
 
     def of(self, which: IntArray) -> "Branches":
-        """Give some of the branches."""
+        """Return some of the branches."""
         return Branches(*(getattr(self, name)[which] for name in self.__slots__))
 
 

@@ -1,4 +1,4 @@
-"""Circles along stems, as they are seen from afar, and along branches that leave them."""
+"""Circles along stems, for the far medium, and along branches that leave them."""
 
 from collections.abc import Sequence
 

@@ -51,7 +51,7 @@ class CrownKey:
 
     @property
     def crown_length_m(self) -> float:
-        """From the lowest branch to the tip."""
+        """Length from the lowest branch to the tip."""
         return self.height_m - self.crown_base_m
 
 
@@ -75,7 +75,7 @@ def crown_meshes(seed: int, key: CrownKey, *, table: Table | None = None) -> tup
 
 
 def crown_branches(seed: int, key: CrownKey, *, table: Table | None = None) -> tuple[Branches, Branches]:
-    """Give the branches that leave the stem, in the crown's own frame: living ones, and dead ones."""
+    """Return the branches that leave the stem, in the crown's own frame: living ones, and dead ones."""
     species = (table or species_table())[key.species]
     (first, *_), dead = _orders(seed, key, species)[1:]
     bare = dead[0] if key.dead_branches else dead[0].of(np.zeros(0, np.int64))

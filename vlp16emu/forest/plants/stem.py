@@ -140,26 +140,23 @@ def stems_above_ground(trees: Trees, *, table: Table | None = None) -> list[Mesh
 
 
 def stem_slopes(axis: Callable[[Array], Array], above_m: Array) -> Array:
-    """How far axes go aside, east and north (n, r, 2), for each metre up at heights (n, r)."""
-    slope: Array = (axis(above_m + _STEP_M) - axis(above_m - _STEP_M))[..., :2] / (2 * _STEP_M)
-    return slope
+    """Return the slopes of axes, east and north (n, r, 2), in metres aside per metre up at heights (n, r)."""
+    return (axis(above_m + _STEP_M) - axis(above_m - _STEP_M))[..., :2] / (2 * _STEP_M)
 
 
 def vertex_angles(trees: Trees, sides: int) -> Array:
     """Angles (n, sides) of a ring's vertices around the axis, from east, counter-clockwise."""
-    angle: Array = np.radians(trees["crown_azimuth_deg"])[:, None] + np.arange(sides) * 2 * np.pi / sides
-    return angle
+    return np.radians(trees["crown_azimuth_deg"])[:, None] + np.arange(sides) * 2 * np.pi / sides
 
 
 def _buried_m(trees: Trees, rings: StemRings, height_m: HeightField) -> Array:
-    """How far each foot (n,) must reach down to lie in the ground all around the flare, lobes and all."""
+    """Return the depth (n,) of each foot that lies in the ground all around the flare, lobes and all."""
     flare_m = _WIDEST * rings.radius_m[:, :1]
     around = np.arange(8) * (np.pi / 4)
     ground_m = height_m(trees["x_m"][:, None] + flare_m * cos(around), trees["y_m"][:, None] + flare_m * sin(around))
     slope = stem_slopes(partial(axis_m, trees, rings.forms), np.zeros((len(trees), 1)))
     raised_m = (flare_m * norm(slope))[:, 0]
-    buried: Array = _BURIED_M + raised_m - np.minimum(ground_m.min(axis=1) - trees["z_m"], 0.0)
-    return buried
+    return _BURIED_M + raised_m - np.minimum(ground_m.min(axis=1) - trees["z_m"], 0.0)
 
 
 def _meshes(trees: Trees, rings: StemRings, foot_m: Array, table: Table | None) -> list[Mesh]:

@@ -96,7 +96,7 @@ class StemForms:
         return away_m[..., None] * np.stack([cos(towards), sin(towards)], axis=-1)
 
     def of(self, which: IntArray) -> "StemForms":
-        """Give the forms of some of the stems."""
+        """Return the forms of some of the stems."""
         return StemForms(*(getattr(self, name)[which] for name in self.__slots__))
 
 
@@ -140,8 +140,7 @@ def stem_forms(trees: NDArray[np.void], *, table: Table | None = None) -> StemFo
 
 def polygon_m2(away_m: Array, step: float) -> Array:
     """Area (...) of polygons whose corners (..., sides) are so far from a point, by even steps in rad around it."""
-    area: Array = sin(step) / 2 * (away_m * np.roll(away_m, -1, axis=-1)).sum(axis=-1)
-    return area
+    return sin(step) / 2 * (away_m * np.roll(away_m, -1, axis=-1)).sum(axis=-1)
 
 
 def tape_m(away_m: Array) -> Array:

@@ -10,12 +10,13 @@ from vlp16emu.elementary import atan2, cos, hypot, sin
 from vlp16emu.forest.plants.branches import first_order, ground_stems, side_branches, tubes
 from vlp16emu.forest.plants.flora import Table, shrub_table, species_table
 from vlp16emu.forest.plants.foliage import foliage_mesh
-from vlp16emu.forest.plants.meshes import NO_LEAVES, closed
+from vlp16emu.forest.plants.meshes import NO_LEAVES
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.species import Habit, Shrub
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.random import generator
 from vlp16emu.types import Array, Mesh, PlantPart
+from vlp16emu.world.vectors import closed
 
 SAPLING_PARTS = (PlantPart.STEM, PlantPart.BRANCH_FIRST_ORDER, PlantPart.BRANCH_HIGHER_ORDER, PlantPart.LEAF)
 """Of the meshes of a sapling, in order. A mesh without faces stands where it has no such part."""
@@ -69,7 +70,7 @@ def sapling_meshes(seed: int, key: SaplingKey, *, table: Table | None = None) ->
 
 
 def _crooked(height_m: float, drawn: Array, mesh: Mesh) -> Mesh:
-    """Let a sapling lean, bow and reach further to one side, to the light; its stem has the same sections and height."""
+    """Return a sapling that leans, bows and reaches further to the light; its stem has the same sections and height."""
     vertices_m = mesh.vertices_m.astype(np.float64)
     at_m = vertices_m
     if len(vertices_m) == 4 * len(mesh.faces):  # leaves are moved, not stretched

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from vlp16emu.elementary import cos, hypot, matvec, norm, sin
 from vlp16emu.forest.plants.flora import GROUND_MATERIALS
-from vlp16emu.forest.plants.meshes import closed, merged
+from vlp16emu.forest.plants.meshes import merged
 from vlp16emu.forest.purpose import Growth
 from vlp16emu.forest.stand.placed import NO_TREES, PlacedThings, distinct
 from vlp16emu.random import generator
 from vlp16emu.types import SURFACE, Array, IntArray, Mesh, PlantPart, Semantic
-from vlp16emu.world.vectors import unit
+from vlp16emu.world.vectors import closed, unit
 
 Generator = np.random.Generator
 _UP = np.array([0.0, 0.0, 1.0])
@@ -115,7 +115,7 @@ Mask = NDArray[np.bool_]
 FLOOR_VARIANTS = 6
 """Different shapes of each kind."""
 STUMP_DEPTH = 0.5
-"""How far a stump reaches into the ground, over its height above it."""
+"""Depth of a stump in the ground over its height above it."""
 _STONE_SPLITS, _LARGE_STONE_SPLITS = 2, 3  # times that the faces of an icosahedron are quartered: 320 and 1280 faces
 _ICOSAHEDRON = (
     *((0, 8, 4), (5, 0, 2), (2, 0, 4), (7, 3, 1), (8, 1, 6)),
@@ -152,7 +152,7 @@ _BLADE_AREA = 0.012  # one-sided, of a tuft's blade on average, over the square 
 
 
 class FloorKind(StrEnum):
-    """What lies or stands on the ground and is no shrub and no tree."""
+    """Kind of thing on the ground that is no shrub and no tree."""
 
     STONE = "stone"
     LOG = "log"
@@ -169,7 +169,7 @@ class FloorKind(StrEnum):
 
 
 GROUND_KINDS = frozenset({FloorKind.MOSS_CUSHION, FloorKind.LITTER_HEAP})
-"""What is part of the ground."""
+"""Kinds that are part of the ground."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,7 +358,7 @@ def _half_width(base: Array, knee: Array, tip: Array) -> float:
 
 
 class _Shape(NamedTuple):
-    """What a kind looks like; the material of the ground is litter and soil."""
+    """Look of a kind; the material of the ground is litter and soil."""
 
     grow: Callable[[np.random.Generator], Mesh]
     semantic: Semantic

@@ -41,7 +41,7 @@ _KINDS: dict[str, Callable[..., ShapeKey]] = {
     "StemKey": lambda tile, number: StemKey(TileKey(*tile), number),
     "TileKey": TileKey,
 }
-"""How keys are made of their fields."""
+"""Constructors of keys from their fields."""
 
 
 def by_tile(kind: type[T], name: str, make: Callable[[int, int], T]) -> Callable[[int, int], T]:
@@ -168,7 +168,7 @@ class ForestWorld:
         return material_names(self.plants)
 
     def trees(self, track_m: Array) -> Trees:
-        """Give the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
+        """Return the records (n,) `TREE` of all trees and saplings in the window of positions (m, 2 or 3)."""
         tiles = (self._tile(ix, iy) for ix, iy in self._in_view(track_m))
         return np.concatenate([np.zeros(0, TREE), *(tile.trees for tile in tiles)])
 
@@ -212,7 +212,7 @@ class ForestWorld:
         return f"{self.name if own else f'{self.seed} {self._plants_name}'} {key_text(key)}"
 
     def _far_tile(self, ix: int, iy: int) -> FarTile:
-        """Describe a tile as it is seen from afar; trees that sway, stems and all, are not in it."""
+        """Describe a tile for the far medium; trees that sway, stems and all, are not in it."""
         tile = self._tile(ix, iy)
         origin_m = tile_origin_m(ix, iy, self.height_m)
         corner_m = np.array([origin_m[0], origin_m[1], 2.0 * np.round(origin_m[2] / 2.0)])
@@ -302,8 +302,7 @@ class ForestWorld:
 
     def _grown(self, ix: int, iy: int) -> Trees:
         trees = self._trees(ix, iy)
-        grown: Trees = trees[~self.models.has(trees)]
-        return grown
+        return trees[~self.models.has(trees)]
 
     def _grow_stems(self, key: TileKey) -> list[Mesh]:
         origin_m = tile_origin_m(key.ix, key.iy, self.height_m)

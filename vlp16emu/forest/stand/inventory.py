@@ -1,4 +1,4 @@
-"""The truth about trees that stand: one row for each, computed from the meshes that are scanned; and trees of the user's own."""
+"""Ground truth of standing trees: one row for each, computed from the meshes that are scanned; and trees of the user's own."""
 
 import csv
 from collections.abc import Sequence
@@ -59,12 +59,12 @@ INVENTORY = np.dtype(
 )
 """One tree of the inventory. Tops, volumes and areas are those of its meshes."""
 COPIED = tuple(name for name in INVENTORY.names or () if name in (TREE.names or ()))
-"""What rows have from `TREE` as it is."""
+"""Fields that rows copy from `TREE`."""
 _DECIMALS = 4  # of the numbers in a file: a tenth of a millimetre, a tenth of a litre
 
 
 def inventory(trees: Trees, crowns: Sequence[CrownKey], *, seed: int, table: Table | None = None) -> NDArray[np.void]:
-    """Take the inventory (n,) `INVENTORY` of trees (n,) `TREE`, whose crowns are prototypes grown from the seed, in their order."""
+    """Return the inventory (n,) `INVENTORY` of trees (n,) `TREE`, whose crowns are prototypes grown from the seed, in their order."""
     table = table or species_table()
     rows = np.zeros(len(trees), INVENTORY)
     for name in COPIED:
@@ -222,11 +222,10 @@ class Models:
 
     def shape(self, key: ModelKey) -> tuple[Mesh, ...]:
         """Meshes of a model."""
-        meshes: tuple[Mesh, ...] = self._models[key.number].meshes
-        return meshes
+        return self._models[key.number].meshes
 
     def far_parts(self, key: ShapeKey) -> tuple[int, ...] | None:
-        """Parts of a model's meshes as they are seen from afar; None for any other shape."""
+        """Return the parts of a model's meshes in the far medium; None for any other shape."""
         return self._models[key.number].far_parts if isinstance(key, ModelKey) else None
 
     def far_stems(self, keys: Sequence[ShapeKey], world_T_shape: Array, rows: IntArray) -> NDArray[np.void]:
@@ -236,7 +235,7 @@ class Models:
         return np.concatenate([np.zeros(0, STEM), *stems])
 
     def inventory(self, trees: Trees) -> NDArray[np.void]:
-        """Take the inventory (n,) `INVENTORY` of trees that all have models, from their meshes.
+        """Return the inventory (n,) `INVENTORY` of trees that all have models, from their meshes.
 
         The crown begins with the lowest leaf, or branch where there are no leaves; its width is the mean over all
         directions. One side of each leaf face counts.

@@ -1,4 +1,4 @@
-"""What a tile holds: its ground and stems, and things of the same few shapes, placed again and again."""
+"""Content of a tile: its ground and stems, and things of the same few shapes, placed again and again."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -52,7 +52,7 @@ class Site:
 
     @property
     def distance_m(self) -> float:
-        """Of the tile from the path, or less."""
+        """Distance of the tile from the path, or less."""
         return tile_distance_m((self.ix, self.iy), self.path)
 
     def clear(self, xy_m: Array, reach_m: Array, foot_m: Array) -> NDArray[np.bool_]:
@@ -66,8 +66,7 @@ class Site:
 
 def between(limits: tuple[float, float], draw: Array) -> Array:
     """Evenly from limits[0] to limits[1]."""
-    value: Array = limits[0] + (limits[1] - limits[0]) * draw
-    return value
+    return limits[0] + (limits[1] - limits[0]) * draw
 
 
 def distinct(keys: Sequence[ShapeKey]) -> tuple[tuple[ShapeKey, ...], IntArray]:
@@ -82,7 +81,7 @@ def placements(place_m: Array, world_R_thing: Array, size: Array) -> Array:
 
 
 def together(groups: Sequence[PlacedThings]) -> PlacedThings:
-    """Put groups of things of one layer together, in order; none of them are trees."""
+    """Join groups of things of one layer, in order; none of them are trees."""
     first = np.cumsum([0, *(len(one.keys) for one in groups)])
     return PlacedThings(
         tuple(key for one in groups for key in one.keys),
@@ -118,11 +117,11 @@ class Tile:
     first_surface: IntArray  # (n,) row of `surfaces`
     surfaces: NDArray[np.void]  # (m,) `SURFACE`
     far: NDArray[np.bool_]  # (n,) which of the placements are part of the `FarTile`
-    low: NDArray[np.bool_]  # (n,) which are ground, and too low to be seen from afar
+    low: NDArray[np.bool_]  # (n,) which are ground, and too low for the far medium
 
 
 def packed(key: TileKey, origin_m: Array, trees: Trees, groups: Sequence[PlacedThings], plants: Flora) -> Tile:
-    """Put a tile together: first its own shape of ground and stems, those of `trees`, then all that is placed on it."""
+    """Join a tile: first its own shape of ground and stems, those of `trees`, then all that is placed on it."""
     ground = np.zeros(1, SURFACE)
     ground["reflectance"], ground["semantic"] = _LITTER_REFLECTANCE, Semantic.GROUND
     own_T = np.concatenate([np.eye(3), origin_m[:, None]], axis=1)[None]
@@ -167,7 +166,7 @@ def plant_surfaces(
 
 @dataclass(frozen=True, slots=True)
 class LayerKind:
-    """How the things of a section of a scene are made."""
+    """Recipe for the things of a section of a scene."""
 
     name: str  # key of the section
     purpose: Growth  # what draws them
@@ -176,11 +175,11 @@ class LayerKind:
     shape: FloorKind | None = None  # of what covers the ground
     spread: float = 1.0  # its width over its height, which for a tuft is that of its shape already; assumption
     reach_m: float = math.inf
-    """How far from the path it is: farther off the beam is wider than such a plant; assumption."""
+    """Greatest distance from the path: farther off the beam is wider than such a plant; assumption."""
 
     @property
     def is_ground(self) -> bool:
-        """Whether it is part of the ground: without numbers, and too low to be seen from afar."""
+        """True if it is part of the ground: without numbers, and too low for the far medium."""
         return self.shape in GROUND_KINDS
 
 

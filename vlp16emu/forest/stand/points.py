@@ -72,8 +72,7 @@ class PatchyPattern(PointPattern):
         draws = rng.random((rng.poisson(most_per_ha * TILE_M * TILE_M / 10_000), 3))
         xy_m = (draws[:, :2] + np.array([ix, iy])) * TILE_M
         there_per_ha = self._even_per_ha + self._patchy_per_ha * self._density(xy_m)
-        there: Array = xy_m[draws[:, 2] * most_per_ha < there_per_ha]
-        return there
+        return xy_m[draws[:, 2] * most_per_ha < there_per_ha]
 
     def _density(self, xy_m: Array) -> Array:
         x, y = np.ascontiguousarray(xy_m.T)
@@ -211,5 +210,4 @@ def pattern_of(
 
 def _inside(points: Array, ix: int, iy: int) -> Array:
     low = np.array([ix, iy]) * TILE_M
-    inside: Array = points[((points >= low) & (points < low + TILE_M)).all(axis=1)]
-    return inside
+    return points[((points >= low) & (points < low + TILE_M)).all(axis=1)]

@@ -1,4 +1,4 @@
-"""What grows and lies under the trees, scattered over the ground: one layer for each section of a scene.
+"""Plants and things under the trees, scattered over the ground: one layer for each section of a scene.
 
 Places come from a point pattern, sizes and looks from random numbers of the tile; what is in the way of the path or of a
 trunk is left out.
@@ -111,7 +111,7 @@ def lay_shrubs(layer: Layer, site: Site, xy_m: Array, draws: Array) -> PlacedThi
 
 
 def _grown(layer: Layer, site: Site, xy_m: Array, kind: IntArray, height_m: Array, draws: Array) -> NDArray[np.void]:
-    """Give saplings and shrubs place, height, species, brightness, and class and variant of their prototype."""
+    """Return saplings and shrubs with place, height, species, brightness, and class and variant of their prototype."""
     plants = np.zeros(len(xy_m), TREE)
     plants["x_m"], plants["y_m"] = xy_m.T
     plants["z_m"] = site.height_m(*xy_m.T)
@@ -302,8 +302,7 @@ def _free_plates(pieces: _Pieces, plate_m: Array, site: Site) -> Mask:
 def _line_m(xy_m: Array, towards: Array, along_m: Array) -> Array:
     """Places (n, k, 2) at distances (n, k) from points (n, 2) in directions (n,), rad from east."""
     away = np.stack([cos(towards), sin(towards)], axis=-1)
-    line: Array = xy_m[:, None] + along_m[..., None] * away[:, None]
-    return line
+    return xy_m[:, None] + along_m[..., None] * away[:, None]
 
 
 _SQRT_2_PI = 2.50662827463100050242
@@ -332,8 +331,7 @@ def normal_quantile(probability: Array) -> Array:
 
 def _ratio(fraction: tuple[tuple[float, ...], tuple[float, ...]], x: Array) -> Array:
     above, below = (np.polyval(np.array(coefficients), x) for coefficients in fraction)
-    quotient: Array = above / below
-    return quotient
+    return above / below
 
 
 _STONE_M = (0.1, 1.5)  # least and greatest length of a stone; assumption
@@ -493,4 +491,4 @@ _KINDS: dict[type[Section], LayerKind] = {
     Moss: LayerKind("moss", Growth.MOSS, (6,), _lay_low, FloorKind.MOSS_CUSHION, 8.0, 12.0),
     Litter: LayerKind("litter", Growth.LITTER, (6,), _lay_low, FloorKind.LITTER_HEAP, 8.0, 12.0),
 }
-"""By section, in the order of their numbers."""
+"""Kinds of layers by section, in the order of their numbers."""

@@ -100,7 +100,7 @@ def foot_discs(trees: Trees, *, table: Table | None = None) -> Array:
 
 
 def in_the_way_m(trees: Trees) -> tuple[Array, Array]:
-    """Where stems are in a walker's way, (n, 2) each: at the foot, and above the head."""
+    """Return the places of stems in a walker's way, (n, 2) each: at the foot, and above the head."""
     foot = places_m(trees, "xy")
     towards = np.radians(trees["lean_towards_deg"])
     shift = _HEAD_ROOM_M * tan(np.radians(trees["lean_deg"]))
@@ -110,8 +110,7 @@ def in_the_way_m(trees: Trees) -> tuple[Array, Array]:
 def path_gap_m(trees: Trees, radius_m: Array, path: Corridor) -> Array:
     """Distance (n,) from a path to the surfaces of stems, from the ground to above a walker's head."""
     foot, above = in_the_way_m(trees)
-    gap_m: Array = np.minimum(path.distance_m(foot), path.distance_m(above)) - radius_m
-    return gap_m
+    return np.minimum(path.distance_m(foot), path.distance_m(above)) - radius_m
 
 
 def density_per_ha(storey: Storey) -> float:
@@ -188,8 +187,7 @@ class Stand:
         thicker = rivals[:, 3] > own[:, None, 3]
         beaten = ((dx * dx + dy * dy < gap_m * gap_m) & thicker).any(axis=1)
         clear = path_gap_m(trees, own[:, 2], self._path) >= self._path.clearance_m
-        standing: Trees = trees[~beaten & clear]
-        return standing
+        return trees[~beaten & clear]
 
     def _sow(self, ix: int, iy: int) -> tuple[Trees, Array]:
         """All that are sown on a tile, and of each x, y, radius at the ground and DBH (n, 4)."""
@@ -255,7 +253,7 @@ def _projection_m2(crown_width_m: Array) -> Array:
 
 
 def _sized(trees: Trees, cohort: _Cohort, uniform: Array, normal: Array) -> Trees:
-    """Give trees of one cohort their species, size and brightness, from (n, 3) uniform and (n,) normal."""
+    """Set for trees of one cohort their species, size and brightness, from (n, 3) uniform and (n,) normal."""
     species = cohort.species
     dbh_cm = cohort.dbh_cm(uniform[:, 0])
     height_m = cohort.height_m(dbh_cm) * exp(species.height_spread * normal)

@@ -147,7 +147,7 @@ def _follow(lines: Lines, s_per_m: float, trees: Trees, cosine: Array, sine: Arr
 
 @dataclass(frozen=True, slots=True)
 class Mechanics:
-    """How n trees answer the wind."""
+    """Response of n trees to the wind."""
 
     frequency_hz: Array  # (n,) undamped, of the first swing
     lean_per_stress: Array  # (n,) lean, as a tangent, for each Pa of the wind's shear stress on the canopy
@@ -211,7 +211,7 @@ class TreeSway:
         return np.stack([east, north], axis=-1)
 
     def with_sway(self, window: Window, track_m: Array, start_ns: int, stop_ns: int) -> Window:
-        """Give a window, that of positions (n, 3), the motion of its trees over a span of UTC."""
+        """Return `window`, of positions (n, 3), with the sway of its trees between `start_ns` and `stop_ns`, UTC."""
         trees = self._forest.trees(track_m)
         trees = trees[trees["storey"] != REGENERATION]
         trees = trees[np.argsort(trees["id"], kind="stable")]
