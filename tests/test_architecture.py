@@ -58,12 +58,13 @@ EXTRAS_TAKE = {
     "clouds": {"recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds"},
-    "images": {"palette", "truth"},
+    "canvas": {"camera"},
+    "images": {"camera", "palette", "truth"},
     "live": {"recorded"},
     "score": {"clouds", "plots", "recorded"},
-    "sheets": {"palette", "plots", "truth"},
+    "sheets": {"camera", "palette", "plots", "truth"},
     "truth": {"bench"},
-    "viewer": {"clouds", "palette", "plots", "sheets", "verify"},
+    "viewer": {"camera", "canvas", "clouds", "palette", "plots", "sheets", "verify"},
 }
 """Which extras each extra may import beside the core: trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 

@@ -68,8 +68,9 @@ def picture(
     Points of whole revolutions add up; of a capture without --trajectory they are as in the sensor, of its first
     revolution. A film shows how they add up, or one revolution after the other, ten per second. Needs the extra 'picture'.
     """
-    from vlp16emu.extras.viewer.picture import PictureLook
+    from vlp16emu.extras.viewer.picture import PictureLook, check_suffix
 
+    check_suffix(out)
     if look_from is not None and view != "slant":
         raise InputError("--from", f"found beside --view {view}", "--view slant")
 
