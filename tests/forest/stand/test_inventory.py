@@ -174,11 +174,6 @@ def test_records_are_copied_and_biomass_follows_the_species(rows, trees):
     assert np.isnan(rows["biomass_kg"]).tolist() == [False] * 4 + [True]
 
 
-def test_an_inventory_of_no_trees_is_empty():
-    """Where nothing stands there is nothing to list."""
-    assert len(inventory(np.zeros(0, TREE), [], seed=SEED)) == 0
-
-
 def test_the_file_has_a_header_and_a_line_for_each_tree(rows, tmp_path):
     """Columns carry the table's names; species are named, and an unknown mass is an empty field."""
     path = tmp_path / "trees.csv"
