@@ -5,7 +5,6 @@ from typing import Annotated
 
 from vlp16emu.cli.arguments import AsJson, argument, number, option
 from vlp16emu.cli.terminal import Progress, count, finish, size, tree_of
-from vlp16emu.errors import InputError
 
 
 def dataset(
@@ -22,9 +21,6 @@ def dataset(
             1024,
         ),
     ] = None,
-    cluster: Annotated[
-        bool, option("--cluster", "Let Dask keep the processes on this machine; they talk over TLS, on loopback.")
-    ] = False,
     scheduler: Annotated[
         str | None,
         option(
@@ -42,8 +38,6 @@ def dataset(
     """
     from vlp16emu.extras.dataset import load_spec, make_dataset, walks_of
 
-    if cluster and scheduler:
-        raise InputError("--cluster", "found beside --scheduler", "one of both")
     walks = walks_of(load_spec(spec), spec.absolute().parent)
     total_s = sum(walk.scenario.duration_s for walk in walks)
     with Progress(total_s) as progress:
@@ -51,7 +45,6 @@ def dataset(
             walks,
             out,
             workers=workers,
-            cluster=cluster,
             scheduler=scheduler,
             progress=lambda done_s: progress.show("making walks", done_s),
         )
