@@ -38,6 +38,7 @@ FLOORS = (
         "random",
         "settings",
         "store",
+        "tables",
         "trig",
         "types",
         "units",
@@ -54,17 +55,18 @@ FOREST = ("presets", "purpose", "quantiles", "ground", "tiles", "twin", "plants"
 EXTRAS_TAKE = {
     "accuracy": {"plots"},
     "bag": {"truth"},
-    "clouds": {"truth"},
+    "clouds": {"recorded", "truth"},
     "compare": {"plots"},
     "dataset": {"clouds"},
     "canvas": {"camera"},
     "images": {"camera", "palette", "truth"},
-    "score": {"clouds", "plots"},
+    "live": {"recorded"},
+    "score": {"clouds", "plots", "recorded"},
     "sheets": {"camera", "palette", "plots", "truth"},
     "truth": {"bench"},
     "viewer": {"camera", "canvas", "clouds", "palette", "plots", "sheets", "verify"},
 }
-"""Which extras each extra may import beside the core: colours and plots, ground truth, clouds, and the stand that the page shows."""
+"""Which extras each extra may import beside the core: trajectories, colours and plots, ground truth, clouds, and the stand that the page shows."""
 
 FLOOR_OF = {room: number for number, floor in enumerate(FLOORS) for room in floor}
 

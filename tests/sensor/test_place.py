@@ -9,7 +9,7 @@ from vlp16emu.motion.pose import rotations
 from vlp16emu.sensor.beams import BEAM_TABLES, with_angle_errors
 from vlp16emu.sensor.head import Head
 from vlp16emu.sensor.place import place
-from vlp16emu.sensor.rotor import Clock, ClockSpan, Rotor, Spin
+from vlp16emu.sensor.rotor import Clock, ClockSpan, Encoder, Rotor, Spin
 from vlp16emu.types import Poses, SensorModel
 
 START_NS = 1_780_000_000 * 10**9
@@ -19,7 +19,7 @@ DISTANCE_M = np.linspace(0.5, 100.0, 128).astype(np.float32)
 
 @pytest.fixture
 def head():
-    rotor = Rotor((Spin(0, 350.0, 600),), 0.0, 0.0, 0.0, 1)
+    rotor = Rotor((Spin(0, 350.0, 600),), Encoder(1))
     return Head(BEAM_TABLES[SensorModel.VLP_16], rotor, Clock((ClockSpan(0),)), START_NS)
 
 
@@ -65,7 +65,7 @@ def test_one_pose_holds_for_all(head):
 
 def test_points_are_where_the_sensor_believes(head):
     """Encoder and angle errors move the pulse and not the belief: points stay in the directions of table and reading."""
-    rotor = replace(head.rotor, eccentricity_deg=0.06, eccentricity_phase_deg=40.0)
+    rotor = replace(head.rotor, encoder=Encoder(1, once=(0.06, 40.0)))
     beams = with_angle_errors(head.beams, elevation_error_deg=0.03, azimuth_error_deg=0.03, seed=1)
     firings, points = placed(replace(head, rotor=rotor, beams=beams))
     x, y, z = points.sensor_m.T

@@ -7,9 +7,10 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from vlp16emu.cli.accuracy import accuracy
 from vlp16emu.cli.bag import bag
@@ -32,6 +33,7 @@ from vlp16emu.cli.terminal import ENDINGS, INTERRUPTED
 from vlp16emu.cli.truth import truth
 from vlp16emu.cli.verify import verify
 from vlp16emu.cli.view import view
+from vlp16emu.doors import door, has_door
 from vlp16emu.errors import Vlp16emuError
 
 _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
@@ -84,7 +86,21 @@ _EXAMPLES: dict[Callable[..., None], tuple[str, ...]] = {
 }
 """What follows the verb in the examples of its help."""
 
+
+class _Verbs(TyperGroup):
+    """Our verbs, and those that other packages add; these are looked for where a verb is not ours."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        command = super().get_command(ctx, cmd_name)
+        if command is None and has_door(cmd_name, "verbs"):
+            own = typer.Typer(add_completion=False, rich_markup_mode=None)
+            own.command(cmd_name)(door(cmd_name, "verbs"))
+            command = typer.main.get_command(own)
+        return command
+
+
 app = typer.Typer(
+    cls=_Verbs,
     add_completion=False,
     rich_markup_mode=None,  # plain text reads well in every terminal, file and pipe
     pretty_exceptions_enable=False,

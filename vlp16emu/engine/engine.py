@@ -23,7 +23,6 @@ from vlp16emu.raycast.texture import textured
 from vlp16emu.returns.detect import detect
 from vlp16emu.returns.detector import UnitDetector
 from vlp16emu.scenario import Scenario
-from vlp16emu.scenario.events import Event, PacketEvent
 from vlp16emu.sensor.settings import on_the_wire
 from vlp16emu.types import Firings, Hits, Packet, Returns
 from vlp16emu.units import seconds_to_ns
@@ -56,8 +55,10 @@ def scan(job: Job, geometry: Geometry, taps: Iterable[Tap] = ()) -> Returns:
     hits = geometry.cast(firings, head.beams.near_m, unit.section.max_range_m, unit.beam)
     for tap in taps:
         tap(job, firings, hits, geometry)
-    light = unit.optics.dimmed(firings, textured(firings, hits, geometry.surfaces, job.texture_seed))
-    return unit.optics.received(detect(firings, light, geometry.surfaces, job.detector, truth=job.truth))
+    light, optics = textured(firings, hits, geometry.surfaces, job.texture_seed), unit.optics
+    light = optics.dimmed(firings, light) if optics else light
+    returns = detect(firings, light, geometry.surfaces, job.detector, truth=job.truth)
+    return optics.received(returns) if optics else returns
 
 
 @dataclass(frozen=True)
@@ -114,10 +115,10 @@ class Engine:
         """
         on_the_wire(self.scenario.sensor)
         span_ns = self.span_ns(start_s, stop_s)
-        if any(isinstance(event, PacketEvent) for event in self.scenario.events):
-            packets: Iterator[Packet] = door("faults")(self.scenario, self.parts.units, self.sent, *span_ns)
-            return packets
-        return self.sent(*span_ns)
+        if not self.scenario.events:
+            return self.sent(*span_ns)
+        arriving: Iterator[Packet] = door("faults")(self.scenario, self.parts.units, self.sent, *span_ns)
+        return arriving
 
     def sent(self, start_ns: int, stop_ns: int) -> Iterator[Packet]:
         """Merge the packets that leave in a span since the first pulse, before anything happens to them on their way."""
@@ -135,8 +136,8 @@ class Engine:
         blocks, of = self.batching.blocks(*self.span_ns(start_s, stop_s)), self.parts.units[unit]
         return self._scans(of, of.detector, blocks, self.threads, truth=truth)
 
-    def with_events(self, events: Sequence[Event]) -> Self:
-        """Return an engine to whose sensors other events happen."""
+    def with_events(self, events: Sequence[object]) -> Self:
+        """Return an engine with other events of its sensors, in place of those of the scene."""
         scenario = self.scenario.model_copy(update={"events": list(events)})
         return replace(self, scenario=scenario, parts=with_events(self.parts, scenario))
 

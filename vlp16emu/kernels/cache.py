@@ -19,6 +19,7 @@ SOURCES = (
     "elementary.py",
     "extras/clouds/text.py",
     "extras/live",
+    "extras/recorded",
     "foliage",
     "forest",
     "motion",

@@ -61,7 +61,7 @@ class Head:
             t_ns=t_ns,
             clock_ns=self.clock.reading_ns(t_ns[:, 0]),
             azimuth_deg=azimuth_deg,
-            reading_deg=self.rotor.reading_deg(azimuth_deg[:, 0].copy(), first),
+            reading_deg=self.rotor.encoder.read(azimuth_deg[:, 0].copy(), first),
             origin_m=origin_m,
             direction=direction,
             beam_axis=level if beam_axis else None,

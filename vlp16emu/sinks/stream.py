@@ -57,6 +57,11 @@ class UnderWay:
             return self._first_due_ns + round(ahead_ns * self._pacer.speed)
         return self._pacer.due_in_ns(ahead_ns)
 
+    @property
+    def made_until_ns(self) -> int:
+        """Due time, UTC, up to which packets have been computed; far off once all have been."""
+        return self._ahead.made_until_ns
+
     def redo(self, due_ns: int, restart: Callable[[int], None]) -> None:
         """As of `LookAhead`."""
         self._ahead.redo(due_ns, restart)

@@ -38,7 +38,7 @@ def test_a_document_is_as_its_schema_says(web, name):
     """Each document has all keys of its schema, no other, with their types; also with other settings and in the fault picture."""
     schema = f"{name.partition('.')[0]}.schema.json"
     check(web.client.get(f"/cgi/{name}"), schema)
-    web.device.adopt(replace(DeviceSettings(), **OTHERS))
+    web.device.adopt(lambda settings: replace(settings, **OTHERS))
     check(web.client.get(f"/cgi/{name}"), schema)
     web.engine.now = replace(web.engine.now, disabled=True, pps=PpsState.ABSENT, position="", phase_locked=True)
     check(web.client.get(f"/cgi/{name}"), schema)
@@ -147,7 +147,7 @@ def test_save_and_reset(web, save, reset):
 def test_what_the_stream_cannot_follow_is_an_error(web):
     """A receiver that is out of reach gives 500 with the reason, and is not set."""
 
-    def refused(settings):
+    def refused(_before, settings, **_):
         raise OutputError(f"destination {settings.host}", "out of reach", "an address in reach")
 
     web.device._changed = refused

@@ -212,7 +212,7 @@ def test_wrong_inputs_are_one_line(truth, capsys, monkeypatch, arguments, messag
 def test_a_wrong_stem_is_named(tmp_path, row):
     """A DBH in centimetres, a missing place and a word instead of a number are named with their line."""
     (tmp_path / "stems.csv").write_text(f"number,x,y,dbh\n{row}\n")
-    with pytest.raises(InputError, match="line 2: found"):
+    with pytest.raises(InputError, match="line 2, column "):
         read_stems(tmp_path / "stems.csv")
 
 

@@ -16,6 +16,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vlp16emu.doors import door, has_door
 from vlp16emu.errors import InputError
 from vlp16emu.extras.clouds.text import csv_lines
 from vlp16emu.output import OutputFile
@@ -310,12 +311,13 @@ def point_file(path: Path, columns: Sequence[Column], about: CloudAbout, *, wher
     the file itself cannot be written, there is none. InputError where the suffix names no format, MissingExtraError where
     its library is not there, OutputError and RunError as of `OutputFile`.
     """
-    if path.suffix not in _WRITERS:
+    if path.suffix not in _WRITERS and not has_door(path.suffix, "clouds"):
         raise InputError(where, f"found suffix '{path.suffix}'", ", ".join(_WRITERS))
+    make = _WRITERS.get(path.suffix) or door(path.suffix, "clouds")
     with OutputFile(path, where=where) as output:
         failed: Exception | None = None
         with output.writing() as file, ExitStack() as stack:
-            writer = _WRITERS[path.suffix](file, columns, about, stack)
+            writer = make(file, columns, about, stack)
             try:
                 yield writer
             except Exception as error:

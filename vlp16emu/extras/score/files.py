@@ -1,7 +1,5 @@
 """What is scored, as read from files: point clouds and stem lists."""
 
-import csv
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -13,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vlp16emu.errors import LARGEST_BYTES, InputError, MissingExtraError, readable
+from vlp16emu.tables import Column, optional, read_table
 
 Cloud = dict[str, NDArray[Any]]
 
@@ -30,7 +29,16 @@ _LABELS = {"treeID": "instance", "tree_id": "instance", "treeid": "instance"}
 _KEPT = ("semantic", "part", "leaf_wood", "instance")
 _NUMBERS = ("number", "tree", "treeid", "tree_id", "id")
 _LARGEST_DBH_M = 15.0
-"""Beyond that of any tree: the largest known, Taxodium mucronatum at Tule, has 11.6 m."""
+"""The largest tree known, Taxodium mucronatum at Tule, has 11.6 m."""
+_COLUMNS = {
+    "x_m": Column({"x": 1.0, "x_m": 1.0}),
+    "y_m": Column({"y": 1.0, "y_m": 1.0}),
+    "z_m": optional("z", "z_m"),
+    "dbh_m": Column(
+        {"dbh_m": 1.0, "dbh": 1.0, "dbh_cm": 0.01}, 0.001, _LARGEST_DBH_M, is_needed=False, is_filled=False
+    ),
+    **{name: optional(name) for name in (*_NUMBERS, "list_line")},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,40 +136,14 @@ def read_stems(path: Path) -> tuple[Stem, ...]:
 
     InputError where it is none, a cell is no number, a number of a tree is there twice, or a DBH is in another unit.
     """
-    expected = "a CSV of stems with columns x and y"
-    with readable(path, expected, InputError), path.open(encoding="utf-8-sig", newline="") as file:
-        reader = csv.DictReader(file)
-        reader.fieldnames = [name.strip().lower() for name in reader.fieldnames or ()]
-        rows = [(f"{path}, line {reader.line_num}", reader.line_num, row) for row in reader]
-    if not any(name in reader.fieldnames for name in ("x", "x_m")):
-        raise InputError(str(path), f"found columns {', '.join(reader.fieldnames) or 'none'}", expected)
+    table = read_table(path, _COLUMNS, "a CSV of stems with columns x and y", InputError)
+    places = table.numbers("x_m", "y_m", "z_m", "dbh_m").tolist()
+    own_numbers = zip(*(table.texts(name) for name in _NUMBERS), strict=True)
     stems: dict[str, Stem] = {}
-    for where, line, row in rows:
-        stem = _stem(where, line, row)
-        if stem.number in stems:
-            raise InputError(where, f"found tree {stem.number} twice", "a number of its own for each tree")
-        stems[stem.number] = stem
+    for row, (place, names, list_line) in enumerate(zip(places, own_numbers, table.texts("list_line"), strict=True)):
+        x_m, y_m, z_m, dbh_m = place
+        number = next(filter(None, names), str(table.lines[row]))
+        if number in stems:
+            raise InputError(table.where(row), f"found tree {number} twice", "a number of its own for each tree")
+        stems[number] = Stem(number, x_m, y_m, z_m, dbh_m, list_line)
     return tuple(stems.values())
-
-
-def _stem(where: str, line: int, row: Mapping[str, str | None]) -> Stem:
-    x_m, y_m = _cell(where, row, "x", "x_m"), _cell(where, row, "y", "y_m")
-    if not math.isfinite(x_m + y_m):
-        raise InputError(where, "found no x or no y", "numbers of metres")
-    dbh_m = _cell(where, row, "dbh_m", "dbh")
-    if math.isnan(dbh_m):
-        dbh_m = _cell(where, row, "dbh_cm") / 100
-    if dbh_m <= 0 or dbh_m > _LARGEST_DBH_M:
-        expected = f"more than 0 and at most {_LARGEST_DBH_M:g} m; `dbh_cm` is in centimetres"
-        raise InputError(where, f"found DBH {dbh_m:g} m", expected)
-    number = next((value.strip() for name in _NUMBERS if (value := row.get(name))), str(line))
-    return Stem(number, x_m, y_m, _cell(where, row, "z", "z_m"), dbh_m, row.get("list_line") or "")
-
-
-def _cell(where: str, row: Mapping[str, str | None], *names: str) -> float:
-    """Read the number under the first of these names that is there, NaN where nothing is."""
-    text = next((value.strip() for name in names if (value := row.get(name))), "")
-    try:
-        return float(text) if text else math.nan
-    except ValueError:
-        raise InputError(where, f"found {text}", f"a number in column {names[0]}") from None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vlp16emu.errors import InputError, MissingExtraError
 from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
-from vlp16emu.motion.pose_files import RecordedPoses, read_kitti, read_tum
+from vlp16emu.extras.recorded.files import RecordedPoses, read_kitti, read_tum
 from vlp16emu.units import S_NS
 
 Array = NDArray[np.float64]

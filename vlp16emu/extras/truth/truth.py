@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from vlp16emu.emulator import Emulator
 from vlp16emu.engine import Engine, Parts, Unit
-from vlp16emu.engine.timetable import timetable
+from vlp16emu.engine.position import timetable
 from vlp16emu.errors import RunError
-from vlp16emu.extras.bench.wire import arriving, earliest_ns, faults_of
+from vlp16emu.extras.bench.faults import arriving, earliest_ns, faults_of
 from vlp16emu.extras.truth.folder import TruthFolder, seconds_text, tum_rows
 from vlp16emu.extras.truth.happenings import Happening, happenings
 from vlp16emu.extras.truth.slots import SlotTable
@@ -90,8 +90,7 @@ class Truth:
         self._folder.write_json(to.scenario.name, _resolved(scenario, span_s))
         self._folder.write_json("rig.json", rig_of(scenario, parts))
         # The first packet may have begun before it was asked for.
-        faults = faults_of(scenario, self._units)
-        earliest_s = earliest_ns(scenario, faults, seconds_to_ns(span_s[0])) / S_NS
+        earliest_s = earliest_ns(faults_of(scenario, self._units), seconds_to_ns(span_s[0])) / S_NS
         firsts_ns = (self._first_ns(unit, earliest_s, span_s[1]) for unit in self._units)
         from_ns = max(min(begin_ns, *firsts_ns) - self._step_ns, scenario.start_ns)
         at = scenario.start_ns, to.rate_hz

@@ -14,8 +14,8 @@ from vlp16emu.errors import CaptureError, InputError
 from vlp16emu.extras.clouds.deskew import CaptureTruth, Trajectory, TrajectoryErrors
 from vlp16emu.extras.verify import Finding, Rule, verify_capture
 from vlp16emu.forest.plants.flora import flora
-from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit
-from vlp16emu.scan import Labels, LabelsOf, Scan, clock_zero_ns, scans_in
+from vlp16emu.packets import CaptureReader, PacketChunk, chosen_unit, packet_clock
+from vlp16emu.scan import Labels, LabelsOf, Scan, scans_in
 from vlp16emu.scenario import load
 from vlp16emu.sensor.beams import BEAM_TABLES, BeamTable
 
@@ -134,15 +134,11 @@ class CaptureSweeps:
         self.species = {} if truth is None else _species(truth)
         """Names of species by number."""
         reader, packets, self._starts_ns = self._reader(), list[NDArray[np.int64]](), list[int]()
-        zero_ns = 0
 
         def note(chunk: PacketChunk) -> Mapping[str, NDArray[Any]]:
             """Keep frame, time and azimuths of the packets; return no labels."""
-            nonlocal zero_ns
-            if not packets:
-                zero_ns = clock_zero_ns(reader, chunk)
             azimuth_cdeg = chunk.fields["blocks"]["azimuth_cdeg"][:, [0, -1]]
-            packets.append(np.column_stack([chunk.number, chunk.packet_ns + zero_ns, azimuth_cdeg]))
+            packets.append(np.column_stack([chunk.number, chunk.utc_ns, azimuth_cdeg]))
             return {}
 
         try:
@@ -182,7 +178,8 @@ class CaptureSweeps:
             self._reading = None
 
     def _reader(self) -> CaptureReader:
-        return CaptureReader(self._path, self._unit, passes_over=True)
+        clock = packet_clock(self._path, self._unit)
+        return CaptureReader(self._path, self._unit, clock=clock, passes_over=True)
 
     def _scans(self, reader: CaptureReader, labels_of: LabelsOf) -> Generator[Scan]:
         for scan in scans_in(reader, labels_of):

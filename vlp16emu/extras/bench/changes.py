@@ -1,16 +1,19 @@
-"""What is set on a sensor, and what happens to it, over time: from settings and events to rotor, clock and what is sent."""
+"""What is set on a sensor, and what happens to it, over time: from events to rotor, clock, optics, GPS input and what is sent."""
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 
-from vlp16emu.engine.gps import GpsInput
-from vlp16emu.engine.timeline import Stretch
-from vlp16emu.scenario.events import Event, LastingEvent, MotorStop, Oscillator, PowerCycle, Setting, Wobble
+from vlp16emu.engine import Stretch, Timeline, Unit, in_phase_deg
+from vlp16emu.extras.bench.events import FOREVER_NS, Event
+from vlp16emu.extras.bench.gps import DisturbedGps
+from vlp16emu.extras.bench.optics import DisturbedOptics
+from vlp16emu.scenario import Scenario
 from vlp16emu.sensor.beams import SEQUENCE_NS
-from vlp16emu.sensor.rotor import ClockSpan, Spin, Wobbling
+from vlp16emu.sensor.rotor import Clock, ClockSpan, Spin, Wobbling
 from vlp16emu.sensor.settings import FreeSensor, Sensor
 from vlp16emu.types import PpsState, ReturnMode
 from vlp16emu.units import S_NS, seconds_to_ns
@@ -19,40 +22,41 @@ RUN_UP_RPM_S = 300.0
 """Change of the rotor's speed per second (assumption: the manual has no figure)."""
 _PULL = 0.05
 """Share of the speed by which a rotor is faster or slower while it is pulled into its phase (assumption)."""
-_FOREVER_NS = 2**62
 _GRID = 24
 """Firing sequences: settings take effect between packets, in every return mode."""
 ALL_AROUND = (0, 359)
 
 
-def end_ns(event: LastingEvent) -> int:
-    """End of an event, since the first pulse."""
-    if event.duration_s is None:
-        return _FOREVER_NS
-    return seconds_to_ns(event.at_s + event.duration_s)
-
-
-def silences_ns(events: Sequence[Event]) -> tuple[tuple[int, int], ...]:
-    """Spans of time since the first pulse in which a unit without power, or one that starts, sends nothing."""
-    return tuple(
-        (seconds_to_ns(event.at_s), seconds_to_ns(event.at_s + event.off_s))
-        for event in events
-        if isinstance(event, PowerCycle)
+def with_events(unit: Unit, scenario: Scenario) -> Unit:
+    """Return a unit to which the events of a scenario happen."""
+    events = [event for event in scenario.events if event.unit == unit.number + 1]
+    if not events:
+        return unit
+    section, start_ns = unit.section, scenario.start_ns
+    gps = DisturbedGps.of(scenario.gps, events, start_ns)
+    wobbles = [event for event in events if event.kind == "rpm_wobble"]
+    rotor = replace(
+        unit.head.rotor,
+        spins=spins(unit, events, start_ns),
+        wobbles=tuple(
+            Wobbling(event.begin_ns, event.end_ns - event.begin_ns, event.amplitude_rpm, event.period_s)
+            for event in wobbles
+        ),
     )
-
-
-def wobbles(events: Sequence[Event]) -> tuple[Wobbling, ...]:
-    """Find how the speed is not held."""
-    return tuple(
-        Wobbling(begin, end_ns(event) - begin, event.amplitude_rpm, event.period_s)
-        for event in events
-        if isinstance(event, Wobble)
-        for begin in [seconds_to_ns(event.at_s)]
+    head = replace(unit.head, rotor=rotor, clock=Clock(clock_spans(section, events, gps, start_ns)))
+    silences_ns = tuple((event.begin_ns, event.end_ns) for event in events if event.effect == "power")
+    optics = [event for event in events if event.effect == "optics"]
+    return replace(
+        unit,
+        head=head,
+        timeline=Timeline(head, spans_of(section, events), silences_ns),
+        optics=DisturbedOptics(optics, start_ns) if optics else None,
+        gps=gps,
     )
 
 
 def clock_spans(
-    section: Sensor | FreeSensor, events: Sequence[Event], gps: GpsInput, start_ns: int
+    section: Sensor | FreeSensor, events: Sequence[Event], gps: DisturbedGps, start_ns: int
 ) -> tuple[ClockSpan, ...]:
     """Find how the clock runs: locked to GPS where it can be, otherwise free from where it was, or from power-up.
 
@@ -67,21 +71,18 @@ def clock_spans(
     locked_ns = gps.spans_ns(PpsState.LOCKED)
     pulsed_ns = tuple((-(-begin // S_NS) * S_NS, end) for begin, end in gps.spans_ns(PpsState.SYNCHRONIZING))
     turns: list[tuple[int, Event | None]] = [(t_ns, None) for span in locked_ns + pulsed_ns for t_ns in span]
-    turns += [
-        (start_ns + seconds_to_ns(event.at_s + getattr(event, "off_s", 0.0)), event)
-        for event in events
-        if isinstance(event, Oscillator | PowerCycle)
-    ]
+    turns += [(start_ns + event.end_ns, event) for event in events if event.effect in ("clock", "power")]
     spans = list[ClockSpan]()
-    turns = sorted((turn for turn in turns if power_up_ns < turn[0] < _FOREVER_NS), key=lambda turn: turn[0])
+    turns = sorted((turn for turn in turns if power_up_ns < turn[0] < FOREVER_NS), key=lambda turn: turn[0])
     for t_ns, event in [(power_up_ns, None), *turns]:
-        if isinstance(event, Oscillator):
+        kind = event.kind if event else None
+        if event and kind == "oscillator":
             ppm = section.clock_error_ppm + event.drift_ppm
         if _among(locked_ns, t_ns):
             spans += [] if spans and spans[-1].reading_ns is None else [ClockSpan(t_ns)]
             continue
-        reading_ns = 0 if not spans or isinstance(event, PowerCycle) else _shown(spans[-1], t_ns)
-        if isinstance(event, Oscillator):
+        reading_ns = 0 if not spans or kind == "power_cycle" else _shown(spans[-1], t_ns)
+        if event and kind == "oscillator":
             reading_ns += round(event.offset_us * 1000)
         if pulsed := _among(pulsed_ns, t_ns):
             reading_ns = t_ns % S_NS + round((reading_ns - t_ns % S_NS) / S_NS) * S_NS
@@ -105,59 +106,45 @@ class _Wanted:
     phase_deg: float | None
     runs: bool = True
 
+    def in_phase_deg(self, utc_ns: int) -> float:
+        assert self.phase_deg is not None
+        return in_phase_deg(self.phase_deg, self.rpm, utc_ns)
 
-def spins(section: Sensor | FreeSensor, events: Sequence[Event], start_ns: int) -> tuple[Spin, ...]:
+
+def spins(unit: Unit, events: Sequence[Event], start_ns: int) -> tuple[Spin, ...]:
     """Find how the rotor turns: held at its speed, run up and down to another, and pulled into phase."""
-    wanted = _Wanted(section.rpm, section.phase_lock_deg if isinstance(section, Sensor) else None)
-    power_up = wanted
-
-    def started(t_ns: int) -> Spin:
-        free = wanted.phase_deg is None
-        angle_deg = section.start_azimuth_deg if free else _in_phase_deg(wanted, start_ns + t_ns)
-        return Spin(t_ns, angle_deg, float(wanted.rpm))
-
-    done = [started(0)]
+    section, done = unit.section, list(unit.head.rotor.spins)
+    wanted = power_up = _Wanted(section.rpm, section.phase_lock_deg if isinstance(section, Sensor) else None)
     for t_ns, event in _in_order(events):
         before = wanted
-        wanted = _after(event, wanted, power_up, stops=t_ns == seconds_to_ns(event.at_s))
-        if isinstance(event, PowerCycle) or wanted != before:
+        if event.kind == "power_cycle":
+            wanted = power_up
+        elif event.kind == "motor_stop":
+            wanted = replace(wanted, runs=t_ns != event.begin_ns)
+        else:
+            set_deg, held_deg = event.phase_lock_deg, wanted.phase_deg
+            phase_deg = held_deg if set_deg is None else None if set_deg == "off" else set_deg
+            wanted = replace(wanted, rpm=event.rpm or wanted.rpm, phase_deg=phase_deg)
+        is_on = event.kind == "power_cycle"
+        if is_on or wanted != before:
             while len(done) > 1 and done[-1].from_ns > t_ns:  # what it was doing, it does no more
                 done.pop()
-            is_on = isinstance(event, PowerCycle)
-            done += [started(t_ns)] if is_on else _led(done[-1], t_ns, wanted, start_ns)
+            free = wanted.phase_deg is None
+            angle_deg = done[0].angle_deg if free else wanted.in_phase_deg(start_ns + t_ns)
+            done += [Spin(t_ns, angle_deg, float(wanted.rpm))] if is_on else _led(done[-1], t_ns, wanted, start_ns)
     return tuple(done)
 
 
-def _in_order(events: Sequence[Event]) -> Iterator[tuple[int, Event]]:
+def _in_order(events: Sequence[Event]) -> list[tuple[int, Event]]:
     """Instants since the first pulse at which the rotor is set, and by what."""
-    instants = list[tuple[int, Event]]()
-    for event in events:
-        if isinstance(event, Setting | MotorStop):
-            instants.append((seconds_to_ns(event.at_s), event))
-        if isinstance(event, MotorStop) and event.duration_s is not None:
-            instants.append((end_ns(event), event))
-        if isinstance(event, PowerCycle):
-            instants.append((seconds_to_ns(event.at_s + event.off_s), event))
-    yield from sorted(instants, key=lambda instant: instant[0])
-
-
-def _after(event: Event, wanted: _Wanted, power_up: _Wanted, *, stops: bool) -> _Wanted:
-    if isinstance(event, PowerCycle):
-        return power_up
-    if isinstance(event, MotorStop):
-        return replace(wanted, runs=not stops)
-    assert isinstance(event, Setting)
-    phase_deg = wanted.phase_deg
-    if event.phase_lock_deg is not None:
-        phase_deg = None if event.phase_lock_deg == "off" else event.phase_lock_deg
-    return replace(wanted, rpm=event.rpm or wanted.rpm, phase_deg=phase_deg)
-
-
-def _in_phase_deg(wanted: _Wanted, utc_ns: int) -> float:
-    """Angle of a rotor in phase: speeds are multiples of 60 rpm, so there are whole turns in a second."""
-    assert wanted.phase_deg is not None
-    turned_ns = utc_ns % S_NS * (wanted.rpm // 60) % S_NS
-    return (wanted.phase_deg + 360.0 * turned_ns / S_NS) % 360.0
+    begins, ends = ("setting", "motor_stop"), ("motor_stop", "power_cycle")
+    instants = [
+        (t_ns, event)
+        for event in events
+        for t_ns, kinds in ((event.begin_ns, begins), (event.end_ns, ends))
+        if event.kind in kinds and t_ns < FOREVER_NS
+    ]
+    return sorted(instants, key=itemgetter(0))
 
 
 def _led(spin: Spin, t_ns: int, wanted: _Wanted, start_ns: int) -> Iterator[Spin]:
@@ -170,12 +157,12 @@ def _led(spin: Spin, t_ns: int, wanted: _Wanted, start_ns: int) -> Iterator[Spin
         t_ns += round(abs(target - rpm) / RUN_UP_RPM_S * S_NS)
         angle_deg = _angle_deg(ramp, t_ns)
     if target and wanted.phase_deg is not None:
-        off_deg = (_in_phase_deg(wanted, start_ns + t_ns) - angle_deg + 180.0) % 360.0 - 180.0
+        off_deg = (wanted.in_phase_deg(start_ns + t_ns) - angle_deg + 180.0) % 360.0 - 180.0
         rate_rpm = math.copysign(max(round(_PULL * target), 1), off_deg)
         if round(abs(off_deg) / 6.0 / abs(rate_rpm) * S_NS):
             yield Spin(t_ns, angle_deg, target + rate_rpm)
             t_ns += round(abs(off_deg) / 6.0 / abs(rate_rpm) * S_NS)
-        angle_deg = _in_phase_deg(wanted, start_ns + t_ns)
+        angle_deg = wanted.in_phase_deg(start_ns + t_ns)
     yield Spin(t_ns, angle_deg, target)
 
 
@@ -200,13 +187,11 @@ def spans_of(sensor: Sensor | FreeSensor, events: Sequence[Event]) -> tuple[Stre
     power_up = sent = _Sent(ReturnMode(sensor.return_mode))
     changes = [(0, sent)]
     for event in sorted(events, key=lambda event: event.at_s):
-        if isinstance(event, PowerCycle):
+        if event.kind == "power_cycle":
             sent = power_up
-            changes += [
-                (_sequence(event.at_s), replace(sent, laser=False)),
-                (_sequence(event.at_s + event.off_s), sent),
-            ]
-        elif isinstance(event, Setting):
+            off, on = _sequence(event.begin_ns), _sequence(event.end_ns)
+            changes += [(off, replace(sent, laser=False)), (on, sent)]
+        elif event.kind == "setting":
             sent = replace(
                 sent,
                 mode=ReturnMode(event.return_mode or sent.mode),
@@ -214,7 +199,7 @@ def spans_of(sensor: Sensor | FreeSensor, events: Sequence[Event]) -> tuple[Stre
                 laser=sent.laser if event.laser is None else event.laser,
             )
             # One that is set while the sensor starts takes effect when it sends.
-            changes.append((max(_sequence(event.at_s), changes[-1][0]), sent))
+            changes.append((max(_sequence(event.begin_ns), changes[-1][0]), sent))
     spans = list[Stretch]()
     stops = [first for first, _ in changes[1:]] + [None]
     for (first, state), stop in zip(changes, stops, strict=True):
@@ -229,5 +214,5 @@ def spans_of(sensor: Sensor | FreeSensor, events: Sequence[Event]) -> tuple[Stre
     return tuple(spans)
 
 
-def _sequence(at_s: float) -> int:
-    return -(-seconds_to_ns(at_s) // (_GRID * SEQUENCE_NS)) * _GRID
+def _sequence(since_ns: int) -> int:
+    return -(-since_ns // (_GRID * SEQUENCE_NS)) * _GRID

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vlp16emu.errors import TrajectoryError
-from vlp16emu.motion import Recorded
-from vlp16emu.motion.pose_files import RecordedPoses
-from vlp16emu.motion.recorded import RecordedMotion
+from vlp16emu.extras.recorded.files import RecordedPoses
+from vlp16emu.extras.recorded.motion import RecordedMotion
+from vlp16emu.extras.recorded.settings import Recorded
 
 START_NS = 1_780_000_000 * 10**9
 
