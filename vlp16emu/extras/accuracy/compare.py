@@ -51,7 +51,7 @@ class Comparison(NamedTuple):
     reflectivity_error: NDArray[np.float64]
     """(k,) likewise, in counts."""
     wrong_last: int
-    """Pulses of which another echo was taken for the last."""
+    """Number of pulses with another echo taken for the last."""
 
     @property
     def returns(self) -> int:
@@ -177,7 +177,7 @@ class Tally:
 
     @property
     def range_rmse_interval_m(self) -> Interval | None:
-        """Interval of that RMSE over all pulses, of which the clusters are a sample; None if they are too few.
+        """Interval of that RMSE over all pulses, from the clusters as a sample; None if they are too few.
 
         The mean square is a ratio of sums over clusters, whose variance is that of the clusters about the ratio
         (Cochran, Sampling Techniques, 3rd ed. 1977, section 6.3). Squares are lopsided, so Student's interval is laid
