@@ -117,12 +117,12 @@ def has_door(name: str, group: str = "parts") -> bool:
 
 
 def added(group: str) -> Iterator[tuple[str, Any]]:
-    """Yield name and object of all that other packages add to a group; a warning names those that cannot be loaded."""
+    """Yield name and object of all that other packages add to a group, but for what cannot be loaded."""
     for name, entry in _added(group).items():
         try:
             yield name, _load(entry)
         except InputError as error:
-            _log.warning("%s", error)
+            _log.info("%s", error)  # whoever asks for it by name gets the line as an error
 
 
 @cache

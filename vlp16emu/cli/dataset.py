@@ -6,7 +6,6 @@ from typing import Annotated
 from vlp16emu.cli.arguments import MOST_THREADS, AsJson
 from vlp16emu.cli.printer import finish
 from vlp16emu.cli.terminal import Progress
-from vlp16emu.errors import InputError
 from vlp16emu.options import Option
 
 
@@ -23,9 +22,6 @@ def dataset(
             le=MOST_THREADS,
         ),
     ] = None,
-    cluster: Annotated[
-        bool, Option("Let Dask keep the processes on this machine; they talk over TLS, on loopback.")
-    ] = False,
     scheduler: Annotated[
         str | None,
         Option(
@@ -42,10 +38,8 @@ def dataset(
     """
     from vlp16emu.extras.dataset import load_spec, make_dataset, walks_of
 
-    if cluster and scheduler:
-        raise InputError("--cluster", "found beside --scheduler", "one of both")
     walks = walks_of(load_spec(spec), spec.absolute().parent)
     with Progress(sum(walk.scenario.duration_s for walk in walks)) as bar:
         show = lambda done_s: bar.show("making walks", done_s)  # noqa: E731
-        result = make_dataset(walks, out, workers=workers, cluster=cluster, scheduler=scheduler, progress=show)
+        result = make_dataset(walks, out, workers=workers, scheduler=scheduler, progress=show)
     finish(result, as_json=as_json)

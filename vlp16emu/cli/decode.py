@@ -69,7 +69,7 @@ def _read(reader: "CaptureReader", out: Path | None, axes: "PointFrame", stop: E
         if out:
             from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, CloudAbout, capture_comments, point_file
 
-            about = CloudAbout(capture_comments(axes))
+            about = CloudAbout(capture_comments(axes, f"{reader.clock.clock}'s"))
             opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}")
             writer = stack.enter_context(opened)
         for chunk in reader.points():

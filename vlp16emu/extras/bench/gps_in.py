@@ -22,7 +22,7 @@ from vlp16emu.units import seconds_to_ns
 _BAUD = 9600
 """63-9243 Rev D, section 7.4."""
 _LOOK_S = 0.001
-"""From one look at the line of the pulse to the next."""
+"""From one look at the line to the next."""
 _AWAY_S = 0.1
 """From one look for a device that has vanished to the next; `SerialPort` tries once a second."""
 
@@ -109,7 +109,7 @@ class GpsReader:
             was_high = high
             if data:
                 self.line.receive(data, at_ns)
-            elif self._pulse:
+            if data or self._pulse:  # characters that come one by one are taken together, whatever sends them
                 self._over.wait(_LOOK_S)
         self._port.close()
 

@@ -150,7 +150,7 @@ def write_points(
 
 
 def _about(scenario: Scenario, number: int, labels: LabelScheme | None) -> CloudAbout:
-    comments = scene_comments(scenario.start_utc.isoformat())
+    comments = scene_comments()
     gps = scenario.gps
     return CloudAbout(
         comments=comments if labels is None else (*comments, f"label: {labels.name}, {labels.source}"),
