@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +13,15 @@ from vlp16emu.forest.plants.flora import Flora, Trees, bark_material
 from vlp16emu.forest.plants.settings import Season
 from vlp16emu.forest.plants.stem import STEM_PARTS
 from vlp16emu.forest.purpose import Growth
-from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS, FloorKind
 from vlp16emu.forest.stand.points import PointPattern
 from vlp16emu.forest.stand.stand import TREE
 from vlp16emu.forest.tiles import TileKey, tile_distance_m
 from vlp16emu.random import generator
 from vlp16emu.types import SURFACE, Array, HeightField, IntArray, PlantPart, Semantic, ShapeKey
 from vlp16emu.world.polyline import Corridor
+
+if TYPE_CHECKING:
+    from vlp16emu.forest.stand.floor_shapes import FloorKind
 
 _LITTER_REFLECTANCE = 0.30  # leaf litter and soil at 903 nm; assumption
 NO_TREES = np.zeros(0, TREE)
@@ -172,7 +174,7 @@ class LayerKind:
     purpose: Growth  # what draws them
     draws: tuple[int, ...]  # how many numbers each thing draws, together
     lay: Callable[..., PlacedThings]  # from the layer, the site, places (n, 2) and those numbers (n, draws) to things
-    shape: FloorKind | None = None  # of what covers the ground
+    shape: "FloorKind | None" = None  # of what covers the ground
     spread: float = 1.0  # its width over its height, which for a tuft is that of its shape already; assumption
     reach_m: float = math.inf
     """Greatest distance from the path: farther off the beam is wider than such a plant; assumption."""
@@ -180,6 +182,8 @@ class LayerKind:
     @property
     def is_ground(self) -> bool:
         """True if it is part of the ground: without numbers, and too low for the far medium."""
+        from vlp16emu.forest.stand.floor_shapes import GROUND_KINDS  # here: that file takes from this one
+
         return self.shape in GROUND_KINDS
 
 
