@@ -19,6 +19,7 @@ _LABELS = {
     "bytes": "size",
     "cut": "end",
     "first": "packet 0 left",
+    "gaps_s": "gaps shortened",
     "gps_in": "receiver",
     "gps_out": "sentences",
     "imu_out": "samples",
