@@ -35,6 +35,21 @@ TrajectoryFile = Annotated[
         "DIR|FILE.tum",
     ),
 ]
+CaptureUnit = Annotated[
+    str | None,
+    Option(
+        "One sensor of a capture with several: its number, or its address and data port.", "N|ADDRESS:PORT", "--unit"
+    ),
+]
+CaptureClock = Annotated[
+    str | None,
+    Option(
+        "Of a capture: the clock of all stamps. Left out it is the sensor's if that is locked to GPS or within a second of the host's, "
+        "else the host's.",
+        name="--clock",
+        words=("sensor", "gps", "host"),
+    ),
+]
 AsJson = Annotated[bool, Option("Print one JSON object and nothing else.", name="--json")]
 
 

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from vlp16emu.cli.arguments import AsJson, CaptureFile
+from vlp16emu.cli.arguments import AsJson, CaptureFile, CaptureUnit
 from vlp16emu.cli.printer import print_json, print_rows, rows_of
 from vlp16emu.errors import CaptureError
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from vlp16emu.extras.verify import Verification
 
 
-def verify(file: CaptureFile, *, as_json: AsJson = False) -> None:
+def verify(file: CaptureFile, *, unit: CaptureUnit = None, as_json: AsJson = False) -> None:
     """Check a capture against the rules of VLP-16 traffic.
 
     Names each broken rule with the number of the packet, as Wireshark counts. Each of several units is checked
@@ -20,13 +20,13 @@ def verify(file: CaptureFile, *, as_json: AsJson = False) -> None:
     broken, whatever the notes, else with 1.
     """
     from vlp16emu.extras.verify import verify_capture, verify_units
-    from vlp16emu.packets import units_in
+    from vlp16emu.packets import chosen_unit, units_in
 
     if file.is_fifo():  # its units are looked for first
         raise CaptureError(str(file), "a pipe", "a file, which can be read twice")
     units = units_in(file)
-    if len(units) < 2:
-        results = {str(file): verify_capture(file)}
+    if len(units) < 2 or unit is not None:
+        results = {str(file): verify_capture(file, chosen_unit(file, unit, where="--unit"))}
         tree = {"file": file} | _tree(results[str(file)])
     else:
         results = dict(zip(map(str, units), verify_units(file, units), strict=True))
