@@ -25,8 +25,7 @@ def windows(*, per_segment=4, threads=2, opened=None):
 
 def prefetch(work, of, *, blocks, threads, together):
     """Work on runs of blocks in order."""
-    jobs = (SimpleNamespace(blocks=run) for run in of.runs(blocks, together, threads))
-    return in_order(lambda job, scene: work(job.blocks, scene), jobs, of, threads=threads, stop=blocks.stop)
+    return in_order(work, of.runs(blocks, together, threads), of, threads=threads, stop=blocks.stop)
 
 
 def run(work, blocks, *, per_segment=4, threads=2, opened=None, together=1):

@@ -3,6 +3,7 @@
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -18,6 +19,7 @@ from vlp16emu.errors import OutputError, PacketError
 from vlp16emu.extras.bench.events import Event, event
 from vlp16emu.extras.bench.state import Device, DeviceInfo, DeviceSettings, DeviceStatus
 from vlp16emu.extras.bench.web import HttpFault, WebServer
+from vlp16emu.motion.live_settings import takes_poses
 from vlp16emu.packets import POSITION_BYTES, decode_position, parse_rmc
 from vlp16emu.run.feed import PacketFeed
 from vlp16emu.run.options import Http
@@ -32,7 +34,7 @@ _LEAD_NS = 150_000_000
 _MOST_LEAD_NS = 1_000_000_000
 _MERGED_S = 0.5
 """For so long at most what is set waits until the packets of the settings before are made ahead again."""
-_POLL_S = 0.01
+_POLL_S, _WARM_S = 0.01, 0.01
 _STEP_S = 0.001
 """Times of events are rounded up to that."""
 
@@ -111,7 +113,8 @@ class Control:
         """Let the stream follow what is set; what was saved, sensors have from their first moment on."""
         for number, device in enumerate(self.devices):
             self._redirect(number, self._factory[number], device.settings)
-        self._take_up()
+        if self._take_up() is None:
+            self._warm_up()
         thread = threading.Thread(target=self._run, name="settings", daemon=True)
         thread.start()
         try:
@@ -200,6 +203,12 @@ class Control:
             expected = "an address of this machine, 127.0.0.0/8, unless the stream begins with another --to"
             raise OutputError("host.addr", new.host, expected)
         self._sink.redirect(unit, *where[1])
+
+    def _warm_up(self) -> None:
+        """Load what changes need, so that the first one is followed as soon as others."""
+        engine = self._feed.engine.with_events([event("setting", 0.0, rpm=600)])
+        if not takes_poses(self._scenario.motion):
+            deque(engine.packets(0.0, _WARM_S), 0)
 
     def _run(self) -> None:
         """Body of the thread."""
