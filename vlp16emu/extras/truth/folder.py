@@ -33,7 +33,7 @@ class TruthFolder:
     Raises
     ------
     OutputError
-        where the folder cannot be made, holds something else or one of the inputs, or another run writes into it
+        If the folder cannot be made, holds something else or one of the inputs, or another run writes into it
     """
 
     def __init__(self, path: Path, inputs: Collection[Path] = ()) -> None:
@@ -82,7 +82,7 @@ class TruthFolder:
             raise self._failed from error
 
     def write_json(self, name: str, tree: Mapping[str, Any]) -> None:
-        """Write a whole file, in place of the one that is there; `RunError` where it cannot be written."""
+        """Write a whole file, in place of the one that is there; `RunError` if it cannot be written."""
         write_json(self.path / name, tree)
 
 
