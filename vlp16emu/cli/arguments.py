@@ -100,7 +100,9 @@ def truth_to(folder: Path | None, rate_hz: int, *, per_packet: bool, per_return:
 
 SceneName = Annotated[str, argument("SCENE", f"{_SCENE}.")]
 SceneOrCapture = Annotated[str, argument("SCENE|FILE.pcap", f"{_SCENE}; or a capture, ours or a real sensor's.")]
-CaptureFile = Annotated[Path, argument("FILE.pcap", "Classic pcap file with VLP-16 packets.")]
+CaptureFile = Annotated[
+    Path, argument("FILE.pcap", "Capture with VLP-16 packets: pcap or pcapng, also .gz, .bz2, .xz, .zst.")
+]
 Start = Annotated[
     float, number("--start", "Simulated seconds to leave out at the beginning.", "S", 0.0, _LONGEST_S, shown=False)
 ]

@@ -65,7 +65,9 @@ def points(
     compute it. No packets are made: ranges are not on their 2 mm grid. Ctrl-C leaves a valid file.
     A capture is put into the world by a trajectory, the true one, an estimate, or one with errors on purpose.
     """
-    if trajectory is not None or Path(scene).suffix == ".pcap":
+    from vlp16emu.packets.capture import is_capture_name
+
+    if trajectory is not None or is_capture_name(scene):
         _refuse(context, _OF_SCENES, f"found beside the capture {scene}", "a scene, or no such option")
         from vlp16emu.extras.clouds.deskew import TrajectoryErrors
 

@@ -11,7 +11,8 @@ from vlp16emu.extras.verify.frames import InOrder, check_frame, kind_of
 from vlp16emu.extras.verify.position import PositionRules
 from vlp16emu.extras.verify.rules import Finding, Findings, Level, Rule
 from vlp16emu.packets.capture import Capture, Datagram
-from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET, CapturedUnit, chosen_unit
+from vlp16emu.packets.layout import RETURN_MODE_BYTE, SEQUENCES_PER_PACKET
+from vlp16emu.packets.units import CapturedUnit, chosen_unit
 from vlp16emu.sensor.beams import SEQUENCE_NS
 from vlp16emu.types import PacketKind, ReturnMode
 from vlp16emu.units import S_NS, US_NS
@@ -104,15 +105,17 @@ def verify_units(path: Path, units: Sequence[CapturedUnit | None], *, limit_per_
     """Check each of several units by itself against all rules, all of them in one pass; as `verify_capture`."""
     chunk_packets = min(_CHUNK_PACKETS, max(_HELD_PACKETS // max(len(units), 1), _SMALLEST_CHUNK))
     checks = [_Check(Findings(limit_per_rule), chunk_packets) for _ in units]
-    checks_of = defaultdict[tuple[bytes, int], list[_Check]](list)
+    checks_of = defaultdict[tuple[bytes, int, bytes], list[_Check]](list)
     of_all = [check for unit, check in zip(units, checks, strict=True) if unit is None]
     for unit, check in zip(units, checks, strict=True):
         if unit is not None:
             for port in {unit.data_port, *unit.position_ports}:
-                checks_of[unit.source, port].append(check)
-    with Capture(path) as capture:
+                checks_of[unit.source, port, unit.mac].append(check)
+    with Capture(path, repeats=True) as capture:
         for datagram in capture:
-            for check in of_all or checks_of.get((datagram.source, datagram.destination_port), []):
+            source, port = datagram.source, datagram.destination_port
+            known = checks_of.get((source, port, b"")) or checks_of.get((source, port, datagram.mac)) or []
+            for check in of_all or known:
                 check.take(datagram)
         return [check.finish(path, capture) for check in checks]
 
