@@ -61,7 +61,7 @@ def decode(
 
     axes, chosen = frame_named(frame, where="--frame"), chosen_unit(file, unit, where="--unit")
     with CaptureReader(file, chosen, axes, SensorModel(model) if model else None) as reader, stop_on_ctrl_c() as stop:
-        _read(reader, out, axes, stop)
+        _read(reader, file, out, axes, stop)
     summary, interrupted = reader.summary, stop.is_set()
     if as_json:
         tree = {"file": str(file), "out": out and str(out)} | _tree(summary)
@@ -72,7 +72,7 @@ def decode(
         raise typer.Exit(INTERRUPTED)
 
 
-def _read(reader: "CaptureReader", out: Path | None, axes: "PointFrame", stop: Event) -> None:
+def _read(reader: "CaptureReader", file: Path, out: Path | None, axes: "PointFrame", stop: Event) -> None:
     """Read a capture until it ends or reading is to stop, and write its points where they are wanted."""
     with ExitStack() as stack:
         writer = None
@@ -80,7 +80,7 @@ def _read(reader: "CaptureReader", out: Path | None, axes: "PointFrame", stop: E
             from vlp16emu.extras.clouds.cloud import CAPTURE_COLUMNS, CloudAbout, capture_comments, point_file
 
             about = CloudAbout(capture_comments(axes))
-            opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}")
+            opened = point_file(out, CAPTURE_COLUMNS, about, where=f"--out {out}", inputs=[file])
             writer = stack.enter_context(opened)
         for chunk in reader.points():
             if writer:
@@ -108,6 +108,7 @@ def _tree(summary: "Summary") -> dict[str, Any]:
         "duration_s": summary.duration_s,
         "gps": gps and {"pps": gps.pps.name.lower(), "sentence": gps.sentence.decode("ascii", "replace").strip()},
         "cut": summary.cut,
+        "repeats": summary.repeats,
     }
 
 
@@ -129,6 +130,8 @@ def _print(file: Path, out: Path | None, summary: "Summary", *, interrupted: boo
     }
     if summary.other_datagrams:
         rows["passed over"] = f"{count(summary.other_datagrams)} datagrams of another length"
+    if summary.repeats:
+        rows["repeats"] = f"{count(summary.repeats)} packets that the capture has twice were left out"
     if summary.cut:
         rows["end"] = "in the middle of a packet, which was left out"
     if interrupted:

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from vlp16emu.errors import CaptureError, InputError, PacketError, readable, spare
+from vlp16emu.errors import CaptureError, InputError, PacketError, readable
 from vlp16emu.extras.bag.bag_file import BagFile
 from vlp16emu.extras.bag.messages import TrueMessages
 from vlp16emu.extras.bag.sink import BagSink, TrueSamples
+from vlp16emu.output import spare
 from vlp16emu.packets import DATA_BYTES, Capture, units_in
 from vlp16emu.types import Packet, PacketKind
 from vlp16emu.units import S_NS
@@ -60,7 +61,7 @@ def write_bag(capture: Path, out: Path, truth: Path | None = None, *, stop: Even
         as `BagFile`
     """
     spare([capture], out)
-    stop, units = stop or Event(), units_in(capture)
+    stop, units = stop or Event(), units_in(capture, required=True)
     with BagSink(out, len(units), partial(_truth, truth) if truth else None) as sink:
         try:
             for packet in _packets(capture):

@@ -1,7 +1,7 @@
 """Pictures and films of what a sensor saw, without a browser."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, islice, product
@@ -17,7 +17,7 @@ from vlp16emu.extras.clouds.deskew import Trajectory, TrajectoryErrors
 from vlp16emu.extras.plots import BACK, plotted, scale_bar
 from vlp16emu.extras.viewer.layers import Entries, colours_of, colours_of_scale, entries_of, layers_of_scan
 from vlp16emu.extras.viewer.sweeps import Sweep, by_trajectory
-from vlp16emu.output import OutputFile
+from vlp16emu.output import OutputFile, spare
 from vlp16emu.scan import decode
 
 Array = NDArray[np.float64]
@@ -108,6 +108,7 @@ def draw_picture(
     rings: int,
     species: Mapping[int, str],
     stop: Event,
+    inputs: Collection[Path] = (),
 ) -> PictureRun:
     """Draw what accumulates over revolutions as a picture, or how it does as a film; other views draw them one by one.
 
@@ -121,7 +122,9 @@ def draw_picture(
     rings : lasers of the sensor
     species : names by number
     stop : ends the picture between two revolutions
+    inputs : files that are read, which the picture may not replace
     """
+    spare(inputs, path)
     suffix = path.suffix.lower()
     if suffix not in (*_STILLS, *_FILMS):
         raise OutputError(str(path), f"found the ending {suffix}", ", ".join((*_STILLS, *_FILMS)))
